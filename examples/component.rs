@@ -1,0 +1,93 @@
+//! A component as firmware has it, tried on the desk: the node's whole conversation with a gateway
+//! over a TCP stream, without hardware.
+//!
+//!     cargo run --example component
+//!
+//! waits for a gateway at 127.0.0.1:7001:
+//!
+//!     ztl gateway --device desk=tcp:127.0.0.1:7001 -p 12345 -s /lab
+//!     ztl task-client -r 127.0.0.1 -p 12345 -s /lab desk:lamp:on
+
+use std::io::{ErrorKind, Read, Write};
+use std::net::TcpListener;
+use std::time::Duration;
+
+use ztl_mcu::link::{Busy, GoalShape, Loss, Offer};
+use ztl_mcu::{Component, Identity, Instant, Node, Report, Run};
+
+/// A lamp that is switched at once, and goes out when the link is lost.
+struct Lamp {
+    on: bool,
+}
+
+impl Component for Lamp {
+    fn offer(&self) -> Offer<'_> {
+        Offer {
+            name: "lamp",
+            goal: GoalShape {
+                range: None,
+                unit: "",
+                words: "on off",
+            },
+            busy: Busy::Refuse,
+            loss: Loss::Abort,
+        }
+    }
+
+    fn start(&mut self, _now: Instant, goal: &str) -> Result<(), &'static str> {
+        self.on = match goal {
+            "on" => true,
+            "off" => false,
+            _ => return Err("lamp takes on or off"),
+        };
+        // Firmware would set a pin here.
+        println!("lamp {goal}");
+        Ok(())
+    }
+
+    fn poll(&mut self, _now: Instant, report: &mut Report<'_>) -> Run {
+        report.text(if self.on { "on" } else { "off" });
+        Run::Completed
+    }
+
+    fn abort(&mut self, _now: Instant) {}
+
+    fn make_safe(&mut self, _now: Instant) {
+        self.on = false;
+    }
+}
+
+fn main() -> std::io::Result<()> {
+    let address = std::env::args().nth(1);
+    let listener = TcpListener::bind(address.as_deref().unwrap_or("127.0.0.1:7001"))?;
+    println!("waiting for a gateway at tcp:{}", listener.local_addr()?);
+
+    let mut lamp = Lamp { on: false };
+    let mut components: [&mut dyn Component; 1] = [&mut lamp];
+    let boot = std::process::id();
+    let mut node = Node::<2, 128>::new(Identity::new("desk", "1.0.0", boot), &mut components);
+    let start = std::time::Instant::now();
+    loop {
+        let (mut stream, _) = listener.accept()?;
+        stream.set_nodelay(true)?;
+        stream.set_read_timeout(Some(Duration::from_millis(5)))?;
+        let mut buffer = [0; 64];
+        loop {
+            let now = Instant::from_micros(start.elapsed().as_micros() as u64);
+            match stream.read(&mut buffer) {
+                Ok(0) => break,
+                Ok(count) => node.handle_bytes(now, &buffer[..count]),
+                Err(error)
+                    if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) => {}
+                Err(_) => break,
+            }
+            node.handle_timeout(now);
+            loop {
+                let count = node.poll_transmit(now, &mut buffer);
+                if count == 0 || stream.write_all(&buffer[..count]).is_err() {
+                    break;
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,1 @@
+//! What crosses crates. The documentation tests of this package are the README's examples.

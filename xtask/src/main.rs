@@ -1,0 +1,102 @@
+//! The project's chores, started as `cargo xtask <command>`.
+//!
+//! Nothing here depends on a crate from outside: it has to compile fast on a machine
+//! that has built nothing yet.
+
+mod bare;
+mod cmd;
+mod python;
+mod test;
+mod tools;
+
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::{env, iter};
+
+use cmd::Outcome;
+
+/// A chore by name. The function gets the words after the name.
+struct Chore {
+    name: &'static str,
+    about: &'static str,
+    run: fn(&Dirs, &[String]) -> Outcome,
+}
+
+const CHORES: &[Chore] = &[Chore {
+    name: "test",
+    about: "check and test everything, installing what is lacking (--list, --only STEP)",
+    run: test::run,
+}];
+
+fn main() -> ExitCode {
+    let words: Vec<String> = env::args().skip(1).collect();
+    match dispatch(&words) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(message) => {
+            eprintln!("\nxtask: {message}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn dispatch(words: &[String]) -> Outcome {
+    let Some((name, rest)) = words.split_first() else {
+        println!("{}", help());
+        return Ok(());
+    };
+    if matches!(name.as_str(), "help" | "--help" | "-h") {
+        println!("{}", help());
+        return Ok(());
+    }
+    match CHORES.iter().find(|chore| chore.name == name) {
+        Some(chore) => (chore.run)(&Dirs::enter()?, rest),
+        None => Err(format!("there is no command `{name}`.\n\n{}", help())),
+    }
+}
+
+fn help() -> String {
+    let lines = CHORES
+        .iter()
+        .map(|chore| (chore.name, chore.about))
+        .chain(iter::once(("help", "this list")))
+        .map(|(name, about)| format!("  {name:<8} {about}"));
+    let lines: Vec<String> = lines.collect();
+    format!(
+        "usage: cargo xtask <command>\n\ncommands:\n{}",
+        lines.join("\n")
+    )
+}
+
+/// Where things are. The working directory is the root of the repository.
+struct Dirs {
+    /// The root of the repository, absolute.
+    root: PathBuf,
+    /// Cargo's target directory, relative where it can be, so that printed commands stay short.
+    target: PathBuf,
+}
+
+impl Dirs {
+    /// Finds the directories and makes the root the working directory.
+    fn enter() -> Outcome<Self> {
+        // Asked at run time: a path built into the program would go stale when the tree is moved.
+        let root = env::var_os("CARGO_MANIFEST_DIR")
+            .and_then(|xtask| Path::new(&xtask).parent().map(Path::to_path_buf))
+            .ok_or("start this program as `cargo xtask`, which tells it where the project is")?;
+        env::set_current_dir(&root)
+            .map_err(|error| format!("cannot enter {}: {error}", root.display()))?;
+
+        // This program lies in <target>/debug, wherever CARGO_TARGET_DIR or a config put that.
+        let program = env::current_exe()
+            .map_err(|error| format!("cannot find the path of this program: {error}"))?;
+        let target = program.ancestors().nth(2).ok_or(
+            "start this program as `cargo xtask`, which puts it into the target directory",
+        )?;
+        let target = target.strip_prefix(&root).unwrap_or(target).to_path_buf();
+        Ok(Self { root, target })
+    }
+
+    /// The path below the target directory, absolute: for programs that run in another directory.
+    fn absolute(&self, below_target: &str) -> PathBuf {
+        self.root.join(&self.target).join(below_target)
+    }
+}

@@ -1,0 +1,50 @@
+//! The virtual environment with the original ZTL package, for the integration tests.
+
+use std::fs;
+use std::io::ErrorKind;
+use std::path::PathBuf;
+
+use crate::Dirs;
+use crate::cmd::{Cmd, Outcome};
+
+const REQUIREMENTS: &str = "tests/requirements.txt";
+
+/// Makes the environment unless it is there already; returns the path of its Python.
+pub(crate) fn ensure(dirs: &Dirs) -> Outcome<PathBuf> {
+    let wanted = fs::read_to_string(REQUIREMENTS)
+        .map_err(|error| format!("cannot read {REQUIREMENTS}: {error}"))?;
+    let venv = dirs.target.join("venv");
+    let python = venv.join("bin/python");
+    // Written last, so that an environment without it is known to be half made.
+    let stamp = venv.join("requirements.stamp");
+
+    // A try as well: an environment breaks when the Python it was made with goes away.
+    let works = || {
+        Cmd::program(&python)
+            .args("-c")
+            .arg("import ztl, zmq, oyaml")
+    };
+    if fs::read_to_string(&stamp).is_ok_and(|installed| installed == wanted)
+        && works().stdout().is_ok()
+    {
+        println!("{} is up to date with {REQUIREMENTS}", venv.display());
+    } else {
+        match fs::remove_dir_all(&venv) {
+            Err(error) if error.kind() != ErrorKind::NotFound => {
+                return Err(format!("cannot remove {}: {error}", venv.display()));
+            }
+            _ => {}
+        }
+        Cmd::new("python3 -m venv").arg(&venv).run()?;
+        // Every package is listed with its version; what they would pull in besides is pytest.
+        Cmd::program(&python)
+            .args("-m pip install --disable-pip-version-check --no-deps --requirement")
+            .arg(REQUIREMENTS)
+            .run()?;
+        works().run()?;
+        fs::write(&stamp, wanted)
+            .map_err(|error| format!("cannot write {}: {error}", stamp.display()))?;
+    }
+    // Absolute: Cargo runs each test in the directory of its package.
+    Ok(dirs.absolute("venv/bin/python"))
+}

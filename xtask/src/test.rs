@@ -1,0 +1,220 @@
+//! `cargo xtask test`: every check the project has, in the order that fails soonest.
+
+use std::net::TcpListener;
+use std::time::{Duration, Instant};
+
+use crate::cmd::{Cmd, Outcome};
+use crate::{Dirs, bare, python, tools};
+
+/// The crates that have to do without `std` and without an allocator.
+pub(crate) const BARE_CRATES: &[&str] = &["ztl-core", "ztl-mcu"];
+
+/// The sets of features such a crate is checked with. One package at a time: in a build of the
+/// whole workspace, a feature that another crate turns on would hide what is missing here.
+pub(crate) const FEATURES: &[&str] = &["", "--no-default-features", "--all-features"];
+
+/// Ample for the demo, which takes seconds; short enough not to stall a run that hangs.
+const DEMO_LIMIT: Duration = Duration::from_secs(60);
+
+struct Step {
+    name: &'static str,
+    about: &'static str,
+    run: fn(&Dirs) -> Outcome,
+}
+
+const STEPS: &[Step] = &[
+    Step {
+        name: "tools",
+        about: "a C++ compiler, Python 3 with venv, rustfmt and clippy are there",
+        run: |_| tools::check(),
+    },
+    Step {
+        name: "fmt",
+        about: "all code is formatted",
+        run: |_| Cmd::new("cargo fmt --all --check").run(),
+    },
+    Step {
+        name: "clippy",
+        about: "no lint fires, in the workspace and in each no_std crate alone",
+        run: |_| clippy(),
+    },
+    Step {
+        name: "doc",
+        about: "the documentation builds without a warning",
+        run: |_| {
+            Cmd::new("cargo doc --workspace --no-deps --locked")
+                .env("RUSTDOCFLAGS", "-D warnings")
+                .run()
+        },
+    },
+    Step {
+        name: "python",
+        about: "the original ZTL package is installed in a virtual environment",
+        run: |dirs| python::ensure(dirs).map(drop),
+    },
+    Step {
+        name: "bare",
+        about: "the no_std crates build for a microcontroller with nothing but `core`",
+        run: bare::build,
+    },
+    Step {
+        name: "test",
+        about: "all tests: units, documentation examples, and against the original package",
+        run: tests,
+    },
+    Step {
+        name: "demo",
+        about: "`ztl demo --once` runs to its end",
+        run: demo,
+    },
+];
+
+/// Runs the steps the arguments ask for; without arguments, all of them.
+pub(crate) fn run(dirs: &Dirs, args: &[String]) -> Outcome {
+    let Some(steps) = chosen(args)? else {
+        for step in STEPS {
+            println!("{:<8} {}", step.name, step.about);
+        }
+        return Ok(());
+    };
+
+    let begin = Instant::now();
+    for (index, step) in steps.iter().enumerate() {
+        println!(
+            "\n=== {}/{} {}: {}",
+            index + 1,
+            steps.len(),
+            step.name,
+            step.about
+        );
+        let step_begin = Instant::now();
+        (step.run)(dirs).map_err(|error| {
+            format!(
+                "step `{name}` FAILED after {}: {error}\n\
+                 To run only this step again: cargo xtask test --only {name}",
+                seconds(step_begin.elapsed()),
+                name = step.name,
+            )
+        })?;
+        println!("--- {}: ok, {}", step.name, seconds(step_begin.elapsed()));
+    }
+
+    let names: Vec<&str> = steps.iter().map(|step| step.name).collect();
+    println!(
+        "\nAll passed in {}: {}",
+        seconds(begin.elapsed()),
+        names.join(", ")
+    );
+    Ok(())
+}
+
+/// The steps to run, in their usual order; `None` when they shall only be listed.
+fn chosen(args: &[String]) -> Outcome<Option<Vec<&'static Step>>> {
+    let mut only: Vec<&str> = Vec::new();
+    let mut words = args.iter().map(String::as_str);
+    while let Some(word) = words.next() {
+        match word {
+            "--list" => return Ok(None),
+            "--only" => {
+                let name = words.next().unwrap_or_default();
+                if !STEPS.iter().any(|step| step.name == name) {
+                    let names: Vec<&str> = STEPS.iter().map(|step| step.name).collect();
+                    return Err(format!(
+                        "`--only` needs the name of a step, one of {}; not `{name}`",
+                        names.join(", ")
+                    ));
+                }
+                only.push(name);
+            }
+            _ => {
+                return Err(format!(
+                    "`cargo xtask test` does not know `{word}`; it takes `--list`, or \
+                     `--only STEP` once or more often"
+                ));
+            }
+        }
+    }
+    let wanted = |step: &&Step| only.is_empty() || only.contains(&step.name);
+    Ok(Some(STEPS.iter().filter(wanted).collect()))
+}
+
+fn seconds(time: Duration) -> String {
+    format!("{:.1} s", time.as_secs_f64())
+}
+
+fn clippy() -> Outcome {
+    Cmd::new("cargo clippy --workspace --all-targets --locked -- -D warnings").run()?;
+    for package in BARE_CRATES {
+        for features in FEATURES {
+            Cmd::new("cargo clippy --locked --package")
+                .arg(package)
+                .args(features)
+                .args("-- -D warnings")
+                .run()?;
+        }
+    }
+    Ok(())
+}
+
+/// The programs that the integration tests and the demo start.
+fn build_programs() -> Outcome {
+    Cmd::new("cargo build --workspace --bins --examples --locked").run()
+}
+
+fn tests(dirs: &Dirs) -> Outcome {
+    let python = python::ensure(dirs)?;
+    build_programs()?;
+    Cmd::new("cargo test --workspace --locked")
+        .env("ZTL_PYTHON", python)
+        .run()
+}
+
+fn demo(dirs: &Dirs) -> Outcome {
+    build_programs()?;
+    Cmd::program(dirs.target.join("debug/ztl"))
+        .args("demo --once --port")
+        .arg(free_port()?.to_string())
+        .run_within(DEMO_LIMIT)
+}
+
+/// A port that nothing listens on just now.
+fn free_port() -> Outcome<u16> {
+    TcpListener::bind(("127.0.0.1", 0))
+        .and_then(|listener| listener.local_addr())
+        .map(|address| address.port())
+        .map_err(|error| format!("cannot get a free TCP port on 127.0.0.1: {error}"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn names(args: &[&str]) -> Outcome<Option<Vec<&'static str>>> {
+        let args: Vec<String> = args.iter().map(|&arg| arg.to_owned()).collect();
+        let steps = chosen(&args)?;
+        Ok(steps.map(|steps| steps.iter().map(|step| step.name).collect()))
+    }
+
+    #[test]
+    fn without_arguments_every_step_runs() {
+        assert_eq!(names(&[]).unwrap().unwrap().len(), STEPS.len());
+    }
+
+    #[test]
+    fn chosen_steps_run_in_their_usual_order() {
+        let steps = names(&["--only", "test", "--only", "fmt"]).unwrap();
+        assert_eq!(steps.unwrap(), ["fmt", "test"]);
+    }
+
+    #[test]
+    fn a_list_runs_nothing() {
+        assert_eq!(names(&["--list"]).unwrap(), None);
+    }
+
+    #[test]
+    fn a_mistake_names_what_would_be_right() {
+        assert!(names(&["--only", "fmd"]).unwrap_err().contains("clippy"));
+        assert!(names(&["--only"]).unwrap_err().contains("clippy"));
+        assert!(names(&["fmt"]).unwrap_err().contains("--only STEP"));
+    }
+}

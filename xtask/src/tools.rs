@@ -1,0 +1,102 @@
+//! The programs that the other steps need, and how to come by them.
+
+use std::env;
+
+use crate::cmd::{Cmd, Outcome};
+
+/// A program that has to be there.
+struct Need {
+    what: &'static str,
+    /// Succeeds when it is there; the first line it prints tells the version.
+    check: fn() -> Cmd,
+    /// The component of rustup that brings it, where there is one.
+    component: Option<&'static str>,
+    /// The Debian packages that bring it.
+    packages: &'static [&'static str],
+}
+
+const NEEDS: &[Need] = &[
+    Need {
+        what: "a C++ compiler (`c++`, or the one that CXX names), for libzmq",
+        check: || Cmd::new(env::var("CXX").as_deref().unwrap_or("c++")).arg("--version"),
+        component: None,
+        packages: &["g++"],
+    },
+    Need {
+        what: "`python3` with venv and pip, for the original ZTL package",
+        // Debian leaves `ensurepip`, which puts pip into a new venv, to a package of its own.
+        check: || {
+            Cmd::new("python3 -c").arg("import ensurepip, sys, venv; print('Python', sys.version)")
+        },
+        component: None,
+        packages: &["python3", "python3-venv"],
+    },
+    Need {
+        what: "`cargo fmt`",
+        check: || Cmd::new("cargo fmt --version"),
+        component: Some("rustfmt"),
+        packages: &["rustfmt-web"],
+    },
+    Need {
+        what: "`cargo clippy`",
+        check: || Cmd::new("cargo clippy --version"),
+        component: Some("clippy"),
+        packages: &["rust-web-clippy"],
+    },
+];
+
+/// Makes sure that every program is there.
+pub(crate) fn check() -> Outcome {
+    let mut packages = Vec::new();
+    for need in NEEDS.iter().filter(|need| need.version().is_err()) {
+        println!("lacking: {}", need.what);
+        match need.component {
+            Some(component) if has("rustup") => {
+                Cmd::new("rustup component add").arg(component).run()?;
+            }
+            _ => packages.extend(need.packages),
+        }
+    }
+    if !packages.is_empty() {
+        install(&packages)?;
+    }
+    for need in NEEDS {
+        // Can still fail: another program of that name may come first on the PATH.
+        let version = need
+            .version()
+            .map_err(|error| format!("still lacking {}: {error}", need.what))?;
+        println!("found: {version}");
+    }
+    Ok(())
+}
+
+impl Need {
+    fn version(&self) -> Outcome<String> {
+        let text = (self.check)().stdout()?;
+        Ok(text.lines().next().unwrap_or_default().to_owned())
+    }
+}
+
+/// Whether the program can be started.
+pub(crate) fn has(program: &str) -> bool {
+    Cmd::new(program).arg("--version").stdout().is_ok()
+}
+
+/// Installs Debian packages; without the right to do so, says what to install.
+pub(crate) fn install(packages: &[&str]) -> Outcome {
+    let install = format!(
+        "apt-get install -y --no-install-recommends {}",
+        packages.join(" ")
+    );
+    let root = Cmd::new("id -u").stdout()? == "0";
+    if !root || !has("apt-get") {
+        return Err(format!(
+            "packages are lacking. To install them on Debian:\n    \
+             sudo apt-get update && sudo {install}"
+        ));
+    }
+    Cmd::new("apt-get update").run()?;
+    Cmd::new(&install)
+        .env("DEBIAN_FRONTEND", "noninteractive")
+        .run()
+}

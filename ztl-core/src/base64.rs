@@ -1,0 +1,163 @@
+//! Base64 as the original reads and writes it: strict when writing, lenient when reading.
+//!
+//! Python's `b64decode` skips every character outside the alphabet, and stops at the padding that
+//! completes a group; whatever follows is not read. Firmware needs only these two small loops
+//! (the crate `base64` costs a Cortex-M0 six times as much), and none of the crates is lenient in
+//! exactly this way.
+
+use crate::sink::Sink;
+
+const ALPHABET: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
+
+/// Why a text could not be decoded.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum DecodeError {
+    /// The padding that would complete the last group is missing.
+    IncorrectPadding,
+    /// One character is left over, which is less than a byte.
+    LoneCharacter {
+        /// How many characters of the alphabet there were.
+        characters: usize,
+    },
+    /// The caller's buffer is full; decoding stopped there.
+    BufferTooSmall {
+        /// Bytes that there were.
+        available: usize,
+    },
+}
+
+impl core::fmt::Display for DecodeError {
+    /// The texts of the original, where it has one (wire specification 4.6).
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        match self {
+            Self::IncorrectPadding => f.write_str("Incorrect padding"),
+            Self::LoneCharacter { characters } => write!(
+                f,
+                "Invalid base64-encoded string: number of data characters ({characters}) cannot be 1 more than a multiple of 4"
+            ),
+            Self::BufferTooSmall { available } => {
+                write!(
+                    f,
+                    "the task is longer than the {available} bytes there are for it"
+                )
+            }
+        }
+    }
+}
+
+impl core::error::Error for DecodeError {}
+
+/// Decodes `text` into `buffer` and returns the part that was filled.
+///
+/// A buffer of three quarters of the text's length always suffices.
+///
+/// # Errors
+/// As [`DecodeError`] says.
+pub fn decode<'b>(text: &[u8], buffer: &'b mut [u8]) -> Result<&'b [u8], DecodeError> {
+    let available = buffer.len();
+    let mut len = 0;
+    let mut characters = 0usize;
+    let mut pads = 0;
+    let mut bits = 0u8;
+    for &byte in text {
+        let place = characters % 4;
+        if byte == b'=' {
+            if place >= 2 {
+                pads += 1;
+                if place + pads >= 4 {
+                    characters = 0;
+                    break;
+                }
+            }
+            continue;
+        }
+        let Some(six) = value(byte) else { continue };
+        pads = 0;
+        characters += 1;
+        if place != 0 {
+            // `bits` holds what is left of the characters before: 6, 4 or 2 bits.
+            let whole = match place {
+                1 => bits << 2 | six >> 4,
+                2 => bits << 4 | six >> 2,
+                _ => bits << 6 | six,
+            };
+            *buffer
+                .get_mut(len)
+                .ok_or(DecodeError::BufferTooSmall { available })? = whole;
+            len += 1;
+        }
+        bits = six;
+    }
+    match characters % 4 {
+        0 => Ok(buffer.get(..len).unwrap_or_default()),
+        1 => Err(DecodeError::LoneCharacter { characters }),
+        _ => Err(DecodeError::IncorrectPadding),
+    }
+}
+
+fn value(byte: u8) -> Option<u8> {
+    Some(match byte {
+        b'A'..=b'Z' => byte - b'A',
+        b'a'..=b'z' => byte - b'a' + 26,
+        b'0'..=b'9' => byte - b'0' + 52,
+        b'+' => 62,
+        b'/' => 63,
+        _ => return None,
+    })
+}
+
+/// A sink that passes on the base64 form of what is put into it.
+///
+/// [`finish`](Self::finish) must be called at the end; it writes the last group and its padding.
+#[derive(Debug)]
+pub struct Encoder<'a, S: Sink + ?Sized> {
+    out: &'a mut S,
+    group: u32,
+    /// Bytes in `group`, 0 to 2.
+    held: u8,
+}
+
+impl<'a, S: Sink + ?Sized> Encoder<'a, S> {
+    /// An encoder that writes to `out`.
+    pub fn new(out: &'a mut S) -> Self {
+        Self {
+            out,
+            group: 0,
+            held: 0,
+        }
+    }
+
+    /// Writes the last group, padded with `=`.
+    pub fn finish(self) {
+        if self.held > 0 {
+            let missing = 3 - self.held;
+            let group = self.group << (8 * missing);
+            put_group(self.out, group, usize::from(self.held) + 1);
+        }
+    }
+}
+
+impl<S: Sink + ?Sized> Sink for Encoder<'_, S> {
+    fn put(&mut self, bytes: &[u8]) {
+        for &byte in bytes {
+            self.group = self.group << 8 | u32::from(byte);
+            self.held += 1;
+            if self.held == 3 {
+                put_group(self.out, self.group, 4);
+                self.group = 0;
+                self.held = 0;
+            }
+        }
+    }
+}
+
+/// Writes the 24 bits of `group`, of which the first `used` characters carry data.
+fn put_group(out: &mut (impl Sink + ?Sized), group: u32, used: usize) {
+    let mut text = [b'='; 4];
+    for (place, character) in text.iter_mut().enumerate().take(used) {
+        let six = group >> (18 - 6 * place) & 0x3f;
+        *character = ALPHABET.get(six as usize).copied().unwrap_or_default();
+    }
+    out.put(&text);
+}

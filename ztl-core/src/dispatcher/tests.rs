@@ -1,0 +1,333 @@
+//! The decision table of the wire specification (4.3, 4.4, 11), as traces.
+
+use super::*;
+use crate::store::Fixed;
+use std::string::{String, ToString};
+use std::vec::Vec;
+
+/// A server on virtual time; clients are numbers, answers are collected as text.
+struct Lab {
+    dispatcher: Dispatcher<Fixed<u8, 2, 3, 16, 2>>,
+    now: Instant,
+    answers: Vec<(u8, String)>,
+}
+
+impl Lab {
+    fn new() -> Self {
+        let store = Fixed::new(["/test", "/other"]);
+        Self {
+            dispatcher: Dispatcher::new(store, TaskId::new(1).unwrap(), Config::default()),
+            now: Instant::ZERO,
+            answers: Vec::new(),
+        }
+    }
+
+    fn body(&mut self, peer: u8, body: Body<'_>) -> Option<(&'static str, u32)> {
+        let answers = &mut self.answers;
+        let mut out = |peer, reply: Reply<'_>| answers.push((peer, text(&reply)));
+        let action = self
+            .dispatcher
+            .handle_request(self.now, peer, body, &mut out)?;
+        Some(match action {
+            Action::Start { id, .. } => ("start", id.get()),
+            Action::Abort { id, .. } => ("abort", id.get()),
+        })
+    }
+
+    fn ask(&mut self, peer: u8, request: &str) -> Option<(&'static str, u32)> {
+        self.body(peer, Body::One(request.as_bytes()))
+    }
+
+    fn event(&mut self, id: u32, event: TaskEvent<'_>) {
+        let answers = &mut self.answers;
+        let mut out = |peer, reply: Reply<'_>| answers.push((peer, text(&reply)));
+        let id = TaskId::new(id).unwrap();
+        self.dispatcher.handle_event(self.now, id, event, &mut out);
+    }
+
+    fn pass(&mut self, time: Duration) {
+        let end = self.now + time;
+        while let Some(wake) = self.dispatcher.poll_timeout().filter(|wake| *wake <= end) {
+            self.now = self.now.max(wake);
+            let answers = &mut self.answers;
+            let mut out = |peer, reply: Reply<'_>| answers.push((peer, text(&reply)));
+            self.dispatcher.handle_timeout(self.now, &mut out);
+        }
+        self.now = end;
+    }
+
+    #[track_caller]
+    fn told(&mut self, expected: &[(u8, &str)]) {
+        let told: Vec<_> = self.answers.iter().map(|(p, t)| (*p, t.as_str())).collect();
+        assert_eq!(told, expected);
+        self.answers.clear();
+    }
+
+    #[track_caller]
+    fn accepted(&mut self, id: u32) {
+        assert_eq!(self.ask(1, "/test;1;-1;x"), Some(("start", id)));
+        self.event(id, TaskEvent::Accepted { reply: "ok" });
+        self.told(&[(1, &std::format!("/test;1;{id};ok"))]);
+    }
+}
+
+fn text(reply: &Reply<'_>) -> String {
+    let mut out = Vec::new();
+    reply.put(&mut |bytes: &[u8]| out.extend_from_slice(bytes));
+    String::from_utf8(out).unwrap()
+}
+
+#[test]
+fn every_malformed_request_is_answered_and_the_next_good_one_is_served() {
+    for (request, answer) in [
+        (&b""[..], ";2;-1;Unknown protocol"),
+        (b"x", "x;2;-1;Unknown protocol"),
+        (b"/test;1;1", "/test;2;-1;Unknown protocol"),
+        (b"/test;1;-1;\xc3\x28", "/test;2;-1;Unknown protocol"),
+        (b"\xff\xfe;1;2;x", ";2;-1;Unknown protocol"),
+        (b"/test;x;1;p", "/test;2;-1;Invalid request"),
+        (b"/test;2;;p", "/test;2;-1;Invalid request"),
+        (b"/test;1.0;1;p", "/test;2;-1;Invalid request"),
+        (b"/test;9;1;x", "/test;2;1;Invalid request"),
+        (b"/test;-1; 1_0 ;x", "/test;2;10;Invalid request"),
+        (b"/nope;1;-1;x", "/nope;2;-1;No controller for scope: /nope"),
+        (b"/nope;x;y;z", "/nope;2;-1;No controller for scope: /nope"),
+        (
+            b"/test/;2;1;x",
+            "/test/;2;-1;No controller for scope: /test/",
+        ),
+        (b";1;-1;x", ";2;-1;No controller for scope: "),
+        (b"/test;2;99;x", "/test;2;99;Invalid ID '99'"),
+        (b"/test;2; 1_0 ;x", "/test;2;10;Invalid ID '10'"),
+        (b"/test;2;0;x", "/test;2;0;Invalid ID '0'"),
+        (b"/test;3;-7;x", "/test;2;-7;Invalid ID '-7'"),
+        (
+            b"/test;2;99999999999999999999;x",
+            "/test;2;99999999999999999999;Invalid ID '99999999999999999999'",
+        ),
+    ] {
+        let mut lab = Lab::new();
+        assert_eq!(lab.body(7, Body::One(request)), None);
+        lab.told(&[(7, answer)]);
+        lab.accepted(1);
+    }
+    let mut lab = Lab::new();
+    lab.body(7, Body::Several);
+    lab.told(&[(7, ";2;-1;Unknown protocol")]);
+    let digits = "9".repeat(5000);
+    lab.ask(7, &std::format!("/test;2;{digits};x"));
+    lab.told(&[(7, "/test;2;-1;Invalid request")]);
+}
+
+#[test]
+fn a_task_is_started_asked_and_completed() {
+    let mut lab = Lab::new();
+    assert_eq!(lab.ask(1, "/test;1;-1;x"), Some(("start", 1)));
+    lab.told(&[]);
+    lab.event(1, TaskEvent::Accepted { reply: "Initiated" });
+    lab.told(&[(1, "/test;1;1;Initiated")]);
+    lab.ask(2, "/test;2;1;a;b;c");
+    lab.told(&[(2, "/test;1;1;None")]);
+    lab.event(1, TaskEvent::Progress { text: "half" });
+    lab.ask(2, "/test;2;1;");
+    lab.told(&[(2, "/test;1;1;half")]);
+    lab.event(1, TaskEvent::Completed { result: "done" });
+    lab.ask(2, "/test;2;1;");
+    lab.told(&[(2, "/test;5;1;done")]);
+}
+
+#[test]
+fn a_task_is_unknown_under_another_scope() {
+    let mut lab = Lab::new();
+    lab.accepted(1);
+    lab.ask(2, "/other;2;1;");
+    lab.told(&[(2, "/other;2;1;Invalid ID '1'")]);
+}
+
+#[test]
+fn a_refused_init_has_no_id_and_uses_up_a_number() {
+    let mut lab = Lab::new();
+    lab.ask(1, "/test;1;-1;x");
+    lab.event(1, TaskEvent::Rejected { reason: "busy" });
+    lab.told(&[(1, "/test;2;-1;busy")]);
+    lab.ask(1, "/test;1;-1;x");
+    lab.event(2, TaskEvent::Threw { message: "'goal'" });
+    lab.told(&[(1, "/test;3;-1;Controller threw exception: 'goal'")]);
+    lab.ask(1, "/test;2;1;");
+    lab.told(&[(1, "/test;2;1;Invalid ID '1'")]);
+    lab.accepted(3);
+}
+
+#[test]
+fn abort_is_answered_when_the_task_has_ended() {
+    let mut lab = Lab::new();
+    lab.accepted(1);
+    assert_eq!(lab.ask(2, "/test;3;1;"), Some(("abort", 1)));
+    lab.told(&[]);
+    lab.event(1, TaskEvent::Aborted { result: "at 40" });
+    lab.told(&[(2, "/test;4;1;True")]);
+    lab.ask(2, "/test;2;1;");
+    lab.told(&[(2, "/test;4;1;at 40")]);
+}
+
+#[test]
+fn abort_of_a_task_that_completes_meanwhile_tells_the_true_end() {
+    let mut lab = Lab::new();
+    lab.accepted(1);
+    lab.ask(2, "/test;3;1;");
+    lab.event(1, TaskEvent::Completed { result: "40" });
+    lab.told(&[(2, "/test;5;1;40")]);
+}
+
+#[test]
+fn abort_that_takes_long_is_answered_in_time_and_its_end_told_by_status() {
+    let mut lab = Lab::new();
+    lab.accepted(1);
+    lab.ask(2, "/test;3;1;");
+    lab.pass(Duration::from_millis(1499));
+    lab.told(&[]);
+    lab.pass(Duration::from_millis(1));
+    lab.told(&[(2, "/test;1;1;aborting")]);
+    lab.event(1, TaskEvent::Aborted { result: "late" });
+    lab.told(&[]);
+    lab.ask(2, "/test;2;1;");
+    lab.told(&[(2, "/test;4;1;late")]);
+}
+
+#[test]
+fn abort_that_is_refused_says_so_and_the_task_goes_on() {
+    let mut lab = Lab::new();
+    lab.accepted(1);
+    lab.ask(2, "/test;3;1;");
+    lab.event(1, TaskEvent::AbortRefused);
+    lab.told(&[(2, "/test;1;1;False")]);
+}
+
+#[test]
+fn abort_of_a_finished_task_keeps_its_result() {
+    let mut lab = Lab::new();
+    lab.accepted(1);
+    lab.event(1, TaskEvent::Completed { result: "hi" });
+    assert_eq!(lab.ask(2, "/test;3;1;"), None);
+    lab.told(&[(2, "/test;5;1;False")]);
+    lab.ask(2, "/test;2;1;");
+    lab.told(&[(2, "/test;5;1;hi")]);
+}
+
+#[test]
+fn a_final_state_and_its_result_never_change() {
+    let ends = [
+        TaskEvent::Completed { result: "c" },
+        TaskEvent::Failed { reason: "f" },
+        TaskEvent::Aborted { result: "a" },
+    ];
+    for first in ends {
+        let mut lab = Lab::new();
+        lab.accepted(1);
+        lab.event(1, first);
+        lab.ask(1, "/test;2;1;");
+        let told = lab.answers.clone();
+        for later in ends.into_iter().chain([
+            TaskEvent::Progress { text: "p" },
+            TaskEvent::Accepted { reply: "r" },
+            TaskEvent::Rejected { reason: "j" },
+            TaskEvent::AbortRefused,
+        ]) {
+            lab.event(1, later);
+        }
+        lab.answers.clear();
+        lab.ask(1, "/test;2;1;");
+        assert_eq!(lab.answers, told);
+    }
+}
+
+#[test]
+fn an_undecided_init_is_answered_in_time_with_its_id() {
+    let mut lab = Lab::new();
+    lab.ask(1, "/test;1;-1;x");
+    lab.pass(HOLD);
+    lab.told(&[(1, "/test;1;1;Initiated task '1', nobody has taken it yet")]);
+    lab.ask(1, "/test;2;1;");
+    lab.told(&[(1, "/test;0;1;None")]);
+    lab.event(1, TaskEvent::Rejected { reason: "no" });
+    lab.ask(1, "/test;2;1;");
+    lab.told(&[(1, "/test;2;1;no")]);
+}
+
+#[test]
+fn a_full_table_gives_up_the_oldest_end_and_never_a_running_task() {
+    let mut lab = Lab::new();
+    for id in 1..=3 {
+        lab.accepted(id);
+    }
+    lab.ask(1, "/test;1;-1;x");
+    lab.told(&[(
+        1,
+        "/test;2;-1;too many tasks are running, wait for one to end",
+    )]);
+    lab.event(2, TaskEvent::Completed { result: "2" });
+    lab.pass(Duration::from_secs(1));
+    lab.event(1, TaskEvent::Completed { result: "1" });
+    lab.accepted(4);
+    lab.ask(1, "/test;2;2;");
+    lab.ask(1, "/test;2;1;");
+    lab.told(&[(1, "/test;2;2;Invalid ID '2'"), (1, "/test;5;1;1")]);
+}
+
+#[test]
+fn an_end_is_remembered_for_its_time_and_then_forgotten() {
+    let mut lab = Lab::new();
+    lab.accepted(1);
+    lab.pass(Duration::from_secs(7200));
+    lab.event(1, TaskEvent::Completed { result: "late" });
+    lab.pass(Duration::from_secs(3599));
+    lab.ask(1, "/test;2;1;");
+    lab.told(&[(1, "/test;5;1;late")]);
+    lab.pass(Duration::from_secs(1));
+    lab.ask(1, "/test;2;1;");
+    lab.told(&[(1, "/test;2;1;Invalid ID '1'")]);
+}
+
+#[test]
+fn when_no_more_answers_can_be_held_requests_are_still_answered() {
+    let mut lab = Lab::new();
+    lab.accepted(1);
+    lab.ask(1, "/test;1;-1;x");
+    lab.ask(2, "/test;1;-1;x");
+    assert_eq!(lab.ask(3, "/test;1;-1;x"), None);
+    lab.event(2, TaskEvent::Rejected { reason: "no" });
+    lab.ask(3, "/test;3;3;");
+    assert_eq!(lab.ask(4, "/test;3;1;"), Some(("abort", 1)));
+    lab.told(&[
+        (
+            3,
+            "/test;2;-1;too many tasks are running, wait for one to end",
+        ),
+        (1, "/test;2;-1;no"),
+        (4, "/test;1;1;aborting"),
+    ]);
+}
+
+#[test]
+fn a_result_that_does_not_fit_is_cut_at_a_character() {
+    let mut lab = Lab::new();
+    lab.accepted(1);
+    lab.event(
+        1,
+        TaskEvent::Completed {
+            result: "fünfzehn zeichen und mehr",
+        },
+    );
+    lab.ask(1, "/test;2;1;");
+    let (_, answer) = lab.answers.pop().unwrap();
+    assert_eq!(answer, "/test;5;1;fünfzehn zeiche".to_string());
+}
+
+#[test]
+fn an_abort_of_a_task_that_is_then_refused_is_answered_too() {
+    let mut lab = Lab::new();
+    lab.ask(1, "/test;1;-1;x");
+    lab.ask(2, "/test;3;1;");
+    lab.event(1, TaskEvent::Rejected { reason: "no" });
+    lab.told(&[(2, "/test;2;1;no"), (1, "/test;2;-1;no")]);
+}

@@ -1,0 +1,209 @@
+//! The life of a task: six states, and the events that lead from one to the next.
+//!
+//! ```text
+//!   client INIT          server              handler
+//!        │                 │                    │
+//!        ▼      Accept     ▼      Complete      ▼
+//!   INITIATED ─────────▶ ACCEPTED ─────────▶ COMPLETED
+//!        │                 │  │
+//!        │ Reject          │  └── Fail ─────▶ FAILED
+//!        ▼                 └───── Abort ────▶ ABORTED
+//!    REJECTED        (Fail and Abort also end an INITIATED task)
+//! ```
+//!
+//! REJECTED, FAILED, ABORTED and COMPLETED are final: no event leads out of them, so a state that a
+//! client was told never changes. The original lets ABORTED turn into COMPLETED and back
+//! (wire specification 4.7, HAZARDS); this table is where ours does not.
+
+/// What a client asks for. The code is the `state` field of a request.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum Request {
+    /// Start the task in the payload.
+    Init = 1,
+    /// Tell state and result of the task with this id.
+    Status = 2,
+    /// Stop the task with this id.
+    Abort = 3,
+}
+
+impl Request {
+    /// The request with this code, or `None`.
+    #[must_use]
+    pub const fn from_code(code: i64) -> Option<Self> {
+        match code {
+            1 => Some(Self::Init),
+            2 => Some(Self::Status),
+            3 => Some(Self::Abort),
+            _ => None,
+        }
+    }
+
+    /// The number on the wire.
+    #[must_use]
+    pub const fn code(self) -> u8 {
+        self as u8
+    }
+}
+
+/// Where a task is in its life. The code is the `state` field of a reply.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum State {
+    /// Asked for; nobody has decided yet.
+    Initiated = 0,
+    /// Taken, and under way.
+    Accepted = 1,
+    /// Refused: nothing happened. Final.
+    Rejected = 2,
+    /// Ended without reaching its goal. Final.
+    Failed = 3,
+    /// Stopped on request. Final.
+    Aborted = 4,
+    /// Reached its goal. Final.
+    Completed = 5,
+}
+
+/// What can happen to a task.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum Event {
+    /// The handler took the task.
+    Accept,
+    /// The handler will not do it, and has not begun.
+    Reject,
+    /// The goal is reached.
+    Complete,
+    /// The goal will not be reached.
+    Fail,
+    /// The handler has stopped because it was asked to.
+    Abort,
+}
+
+impl State {
+    /// Every state, in the order of the codes.
+    pub const ALL: [Self; 6] = [
+        Self::Initiated,
+        Self::Accepted,
+        Self::Rejected,
+        Self::Failed,
+        Self::Aborted,
+        Self::Completed,
+    ];
+
+    /// The state with this code, or `None`.
+    #[must_use]
+    pub const fn from_code(code: i64) -> Option<Self> {
+        match code {
+            0 => Some(Self::Initiated),
+            1 => Some(Self::Accepted),
+            2 => Some(Self::Rejected),
+            3 => Some(Self::Failed),
+            4 => Some(Self::Aborted),
+            5 => Some(Self::Completed),
+            _ => None,
+        }
+    }
+
+    /// The number on the wire.
+    #[must_use]
+    pub const fn code(self) -> u8 {
+        self as u8
+    }
+
+    /// The name that the original prints.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Initiated => "INITIATED",
+            Self::Accepted => "ACCEPTED",
+            Self::Rejected => "REJECTED",
+            Self::Failed => "FAILED",
+            Self::Aborted => "ABORTED",
+            Self::Completed => "COMPLETED",
+        }
+    }
+
+    /// Whether the task has ended. On the wire: the code is greater than 1.
+    #[must_use]
+    pub const fn is_final(self) -> bool {
+        self.code() > Self::Accepted.code()
+    }
+
+    /// The state after `event`, or `None` when the event changes nothing here.
+    ///
+    /// Total: every pair has an entry. A final state answers `None` to everything.
+    #[must_use]
+    pub const fn after(self, event: Event) -> Option<Self> {
+        match (self, event) {
+            (Self::Initiated, Event::Accept) => Some(Self::Accepted),
+            (Self::Initiated, Event::Reject) => Some(Self::Rejected),
+            (Self::Initiated | Self::Accepted, Event::Fail) => Some(Self::Failed),
+            (Self::Initiated | Self::Accepted, Event::Abort) => Some(Self::Aborted),
+            (Self::Accepted, Event::Complete) => Some(Self::Completed),
+            // A task that runs can no longer be refused, and one that never ran is not done.
+            (Self::Accepted, Event::Accept | Event::Reject)
+            | (Self::Initiated, Event::Complete)
+            | (Self::Rejected | Self::Failed | Self::Aborted | Self::Completed, _) => None,
+        }
+    }
+}
+
+impl core::fmt::Display for State {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const EVENTS: [Event; 5] = [
+        Event::Accept,
+        Event::Reject,
+        Event::Complete,
+        Event::Fail,
+        Event::Abort,
+    ];
+
+    #[test]
+    fn every_state_against_every_event() {
+        use State::{Aborted, Accepted, Completed, Failed, Rejected};
+        let none = [None; 5];
+        let table = [
+            [
+                Some(Accepted),
+                Some(Rejected),
+                None,
+                Some(Failed),
+                Some(Aborted),
+            ],
+            [None, None, Some(Completed), Some(Failed), Some(Aborted)],
+            none,
+            none,
+            none,
+            none,
+        ];
+        for (state, row) in State::ALL.into_iter().zip(table) {
+            for (event, expected) in EVENTS.into_iter().zip(row) {
+                assert_eq!(state.after(event), expected, "{state} after {event:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn final_states_are_those_above_accepted_and_have_no_way_out() {
+        for state in State::ALL {
+            assert_eq!(state.is_final(), state.code() > 1);
+            let closed = EVENTS.into_iter().all(|e| state.after(e).is_none());
+            assert_eq!(state.is_final(), closed, "{state}");
+        }
+    }
+
+    #[test]
+    fn codes_lead_back_to_their_states() {
+        for state in State::ALL {
+            assert_eq!(State::from_code(i64::from(state.code())), Some(state));
+        }
+        assert_eq!(State::from_code(6), None);
+        assert_eq!(State::from_code(-1), None);
+    }
+}

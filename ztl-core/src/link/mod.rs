@@ -1,0 +1,36 @@
+//! The link between a gateway and a microcontroller: frames and messages.
+//!
+//! A byte stream that may lose, corrupt, repeat and hold back bytes carries frames; a frame that
+//! arrives whole and unaltered is a message, every other is dropped and counted. `docs/link.md` is
+//! the numbered specification. The two ends are `ztl_mcu::Node` and the gateway's session; what
+//! both need stands here.
+
+mod body;
+mod frame;
+
+pub use body::{Body, BodyError, Busy, GoalShape, Hello, Ids, LinkId, Loss, Offer, Welcome};
+pub use frame::{ADDR_ONLY_NODE, Decoder, Frame, FrameError, OVERHEAD, encode};
+
+use core::time::Duration;
+
+/// Version of the link protocol, told in `Hello`, `Welcome` and `Awake`.
+pub const VERSION: u8 = 1;
+
+/// Longest time a node goes without a new command before it acts by itself, unless its firmware
+/// says otherwise.
+pub const LINK_TIMEOUT: Duration = Duration::from_secs(1);
+
+/// The session under which `Hello` and `Awake` are checked.
+pub const NO_SESSION: u32 = 0;
+
+/// The `seq` of a `Hello` and of every frame that answers no command.
+pub const NO_SEQ: u8 = 0;
+
+/// The `seq` of the command after the one with this `seq`; 0 is left out.
+#[must_use]
+pub const fn next_seq(seq: u8) -> u8 {
+    match seq.wrapping_add(1) {
+        NO_SEQ => 1,
+        next => next,
+    }
+}

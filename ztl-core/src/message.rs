@@ -1,0 +1,133 @@
+//! The text on the wire: `scope;state;id;payload` (wire specification 3).
+//!
+//! No length prefix, no escaping: the text is cut at the first three `;`, so a payload may contain
+//! more of them and the other fields may not.
+
+use crate::integer::{Integer, ParseIntegerError};
+use crate::sink::{BufferTooSmall, Sink, SliceSink};
+
+/// A message as a view over its bytes. Numbers stay text until they are asked for, since which
+/// answer a bad one gets depends on the scope.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Message<'a> {
+    /// Whom it is for; compared byte for byte.
+    pub scope: &'a str,
+    /// In a request the request's code, in a reply the task's state.
+    pub state: &'a str,
+    /// Which task.
+    pub id: &'a str,
+    /// Anything, `;` included.
+    pub payload: &'a str,
+}
+
+/// Why bytes are no message.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum ParseError<'a> {
+    /// Not UTF-8; valid up to this byte.
+    NotUtf8 {
+        /// Offset of the first bad byte.
+        at: usize,
+        /// The first field, when that much could be read.
+        scope: Option<&'a str>,
+    },
+    /// Fewer than four fields.
+    MissingFields {
+        /// How many there are, 1 to 3.
+        found: usize,
+        /// The first of them.
+        scope: &'a str,
+    },
+}
+
+impl<'a> ParseError<'a> {
+    /// The first field, as far as it could be read; else empty. Answers carry it.
+    #[must_use]
+    pub fn scope(&self) -> &'a str {
+        match *self {
+            Self::NotUtf8 { scope, .. } => scope.unwrap_or_default(),
+            Self::MissingFields { scope, .. } => scope,
+        }
+    }
+}
+
+impl core::fmt::Display for ParseError<'_> {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        match self {
+            Self::NotUtf8 { at, .. } => write!(f, "not UTF-8 at byte {at}"),
+            Self::MissingFields { found, .. } => {
+                write!(f, "{found} of the 4 fields scope;state;id;payload")
+            }
+        }
+    }
+}
+
+impl core::error::Error for ParseError<'_> {}
+
+impl<'a> Message<'a> {
+    /// Reads a message.
+    ///
+    /// # Errors
+    /// [`ParseError`] when it is not UTF-8 or has fewer than four fields.
+    pub fn parse(bytes: &'a [u8]) -> Result<Self, ParseError<'a>> {
+        let text = core::str::from_utf8(bytes).map_err(|error| ParseError::NotUtf8 {
+            at: error.valid_up_to(),
+            scope: first_field(bytes),
+        })?;
+        let mut fields = text.splitn(4, ';');
+        let scope = fields.next().unwrap_or_default();
+        let missing = |found| ParseError::MissingFields { found, scope };
+        Ok(Self {
+            scope,
+            state: fields.next().ok_or(missing(1))?,
+            id: fields.next().ok_or(missing(2))?,
+            payload: fields.next().ok_or(missing(3))?,
+        })
+    }
+
+    /// The `state` field as a number.
+    ///
+    /// # Errors
+    /// [`ParseIntegerError`] when it is none.
+    pub fn code(&self) -> Result<Integer<'a>, ParseIntegerError> {
+        Integer::parse(self.state)
+    }
+
+    /// The `id` field as a number.
+    ///
+    /// # Errors
+    /// [`ParseIntegerError`] when it is none.
+    pub fn number(&self) -> Result<Integer<'a>, ParseIntegerError> {
+        Integer::parse(self.id)
+    }
+
+    /// Length of the message in bytes.
+    #[must_use]
+    pub fn encoded_len(&self) -> usize {
+        self.scope.len() + self.state.len() + self.id.len() + self.payload.len() + 3
+    }
+
+    /// Writes the message into `buffer`.
+    ///
+    /// # Errors
+    /// [`BufferTooSmall`] when the buffer is shorter than [`encoded_len`](Self::encoded_len).
+    pub fn encode_into<'b>(&self, buffer: &'b mut [u8]) -> Result<&'b [u8], BufferTooSmall> {
+        let mut sink = SliceSink::new(buffer);
+        self.put(&mut sink);
+        sink.finish()
+    }
+
+    /// Writes the message.
+    pub fn put(&self, sink: &mut (impl Sink + ?Sized)) {
+        for field in [self.scope, self.state, self.id] {
+            sink.put(field.as_bytes());
+            sink.put(b";");
+        }
+        sink.put(self.payload.as_bytes());
+    }
+}
+
+fn first_field(bytes: &[u8]) -> Option<&str> {
+    let first = bytes.split(|&byte| byte == b';').next()?;
+    core::str::from_utf8(first).ok()
+}

@@ -1,0 +1,82 @@
+//! Text in quotes, as Python's `repr` writes it (wire specification 6.2).
+
+use crate::sink::Sink;
+
+/// Writes `text` in quotes: `'...'`, or `"..."` when it has a `'` and no `"`; the quote in use, the
+/// backslash and whatever cannot be printed are escaped.
+pub fn put_quoted(text: &str, sink: &mut (impl Sink + ?Sized)) {
+    let quote = if text.contains('\'') && !text.contains('"') {
+        '"'
+    } else {
+        '\''
+    };
+    put_char(quote, sink);
+    for c in text.chars() {
+        match c {
+            '\\' => sink.put(b"\\\\"),
+            '\n' => sink.put(b"\\n"),
+            '\r' => sink.put(b"\\r"),
+            '\t' => sink.put(b"\\t"),
+            c if c == quote => {
+                sink.put(b"\\");
+                put_char(c, sink);
+            }
+            c if is_printable(c) => put_char(c, sink),
+            c if u32::from(c) <= 0xff => put_escape(b"\\x", u32::from(c), 2, sink),
+            c if u32::from(c) <= 0xffff => put_escape(b"\\u", u32::from(c), 4, sink),
+            c => put_escape(b"\\U", u32::from(c), 8, sink),
+        }
+    }
+    put_char(quote, sink);
+}
+
+/// Whether Python prints this character as it is: all but the categories "other" and "separator",
+/// of which it prints the ASCII blank.
+fn is_printable(c: char) -> bool {
+    if c.is_ascii() {
+        return !c.is_ascii_control();
+    }
+    // The standard library has the same table, but shows it only through `escape_debug`, which also
+    // escapes a combining mark unless something stands before it.
+    let mut buffer = [b'a'; 5];
+    let len = c.encode_utf8(buffer.get_mut(1..).unwrap_or_default()).len();
+    let pair = buffer.get(..=len).unwrap_or_default();
+    core::str::from_utf8(pair).is_ok_and(|pair| pair.escape_debug().nth(1) == Some(c))
+}
+
+fn put_char(c: char, sink: &mut (impl Sink + ?Sized)) {
+    sink.put(c.encode_utf8(&mut [0; 4]).as_bytes());
+}
+
+fn put_escape(prefix: &[u8], code: u32, digits: u32, sink: &mut (impl Sink + ?Sized)) {
+    sink.put(prefix);
+    for place in (0..digits).rev() {
+        let digit = char::from_digit(code >> (4 * place) & 0xf, 16).unwrap_or('0');
+        put_char(digit, sink);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn text_is_quoted_as_the_original_quotes_it() {
+        for (text, quoted) in [
+            ("hi", "'hi'"),
+            ("it's", "\"it's\""),
+            ("say \"hi\"", "'say \"hi\"'"),
+            ("'\"", "'\\'\"'"),
+            ("l1\nl2\\", "'l1\\nl2\\\\'"),
+            ("\0\x7f\u{a0}", "'\\x00\\x7f\\xa0'"),
+            ("\u{200b}\u{2028}", "'\\u200b\\u2028'"),
+            ("\u{e0001}", "'\\U000e0001'"),
+            ("Grüße 世界 🤖", "'Grüße 世界 🤖'"),
+            ("e\u{301}\u{301}", "'e\u{301}\u{301}'"),
+        ] {
+            let mut out = std::vec::Vec::new();
+            put_quoted(text, &mut |bytes: &[u8]| out.extend_from_slice(bytes));
+            assert_eq!(std::str::from_utf8(&out), Ok(quoted));
+        }
+    }
+}

@@ -1,0 +1,138 @@
+//! What a client asks for: a `handler:component:goal`, which travels as base64 in an INIT's payload.
+
+use crate::base64;
+use crate::repr::put_quoted;
+use crate::sink::{BufferTooSmall, Sink, SliceSink};
+use crate::{TaskId, sink};
+
+/// Separates the three parts; a goal may contain it, handler and component may not.
+pub const SEPARATOR: char = ':';
+
+/// A task's specification: who is to do it, with which part, to what end.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct TaskSpec<'a> {
+    /// Who does it: a robot, a device, a program. `cob`
+    pub handler: &'a str,
+    /// Which part of it. `head`
+    pub component: &'a str,
+    /// What is to be reached. `left`, `[0, 0, 1.57]`
+    pub goal: &'a str,
+}
+
+/// Why a payload is no task specification.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum SpecError {
+    /// The payload is not base64.
+    Base64(base64::DecodeError),
+    /// What was decoded is not UTF-8; valid up to this byte.
+    NotUtf8 {
+        /// Offset of the first bad byte in the decoded text.
+        at: usize,
+    },
+    /// There is no `:`, so the component is missing.
+    NoComponent,
+    /// There is one `:`, so the goal is missing.
+    NoGoal,
+}
+
+impl core::fmt::Display for SpecError {
+    /// For a missing part the original's text, the quoted name of the part (wire specification 4.6).
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        match self {
+            Self::Base64(cause) => cause.fmt(f),
+            Self::NotUtf8 { at } => write!(f, "the task is not UTF-8 at byte {at}"),
+            Self::NoComponent => f.write_str("'component'"),
+            Self::NoGoal => f.write_str("'goal'"),
+        }
+    }
+}
+
+impl core::error::Error for SpecError {
+    fn source(&self) -> Option<&(dyn core::error::Error + 'static)> {
+        match self {
+            Self::Base64(cause) => Some(cause),
+            _ => None,
+        }
+    }
+}
+
+impl<'a> TaskSpec<'a> {
+    /// Splits `handler:component:goal` at the first two `:`.
+    ///
+    /// # Errors
+    /// [`SpecError::NoComponent`] or [`SpecError::NoGoal`] when there are fewer.
+    pub fn split(text: &'a str) -> Result<Self, SpecError> {
+        let (handler, rest) = text.split_once(SEPARATOR).ok_or(SpecError::NoComponent)?;
+        let (component, goal) = rest.split_once(SEPARATOR).ok_or(SpecError::NoGoal)?;
+        Ok(Self {
+            handler,
+            component,
+            goal,
+        })
+    }
+
+    /// Decodes an INIT's payload. The parts stand in `buffer`, which needs three quarters of the
+    /// payload's length.
+    ///
+    /// # Errors
+    /// As [`SpecError`] says.
+    pub fn decode(payload: &str, buffer: &'a mut [u8]) -> Result<Self, SpecError> {
+        let bytes = base64::decode(payload.as_bytes(), buffer).map_err(SpecError::Base64)?;
+        let text = core::str::from_utf8(bytes).map_err(|error| SpecError::NotUtf8 {
+            at: error.valid_up_to(),
+        })?;
+        Self::split(text)
+    }
+
+    /// Length of [`encode_into`](Self::encode_into)'s text in bytes.
+    #[must_use]
+    pub fn encoded_len(&self) -> usize {
+        let plain = self.handler.len() + self.component.len() + self.goal.len() + 2;
+        plain.div_ceil(3) * 4
+    }
+
+    /// Writes the base64 form into `buffer`.
+    ///
+    /// # Errors
+    /// [`BufferTooSmall`] when the buffer is shorter than [`encoded_len`](Self::encoded_len).
+    pub fn encode_into<'b>(&self, buffer: &'b mut [u8]) -> Result<&'b str, BufferTooSmall> {
+        let mut sink = SliceSink::new(buffer);
+        self.put(&mut sink);
+        let text = sink.finish()?;
+        // Base64 is ASCII.
+        Ok(core::str::from_utf8(text).unwrap_or_default())
+    }
+
+    /// Writes the base64 form.
+    pub fn put(&self, sink: &mut (impl Sink + ?Sized)) {
+        let mut encoder = base64::Encoder::new(sink);
+        encoder.put(self.handler.as_bytes());
+        encoder.put(b":");
+        encoder.put(self.component.as_bytes());
+        encoder.put(b":");
+        encoder.put(self.goal.as_bytes());
+        encoder.finish();
+    }
+
+    /// Writes the text with which the original's standard controller answers an INIT
+    /// (wire specification 4.6):
+    /// `Initiated task '7' with request: {'handler': 'cob', 'component': 'head', 'goal': 'left'}`.
+    pub fn put_initiated(&self, id: TaskId, sink: &mut (impl Sink + ?Sized)) {
+        sink.put(b"Initiated task '");
+        sink::put_decimal(sink, id.get());
+        sink.put(b"' with request: {'handler': ");
+        put_quoted(self.handler, sink);
+        sink.put(b", 'component': ");
+        put_quoted(self.component, sink);
+        sink.put(b", 'goal': ");
+        put_quoted(self.goal, sink);
+        sink.put(b"}");
+    }
+}
+
+impl core::fmt::Display for TaskSpec<'_> {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        write!(f, "{}:{}:{}", self.handler, self.component, self.goal)
+    }
+}

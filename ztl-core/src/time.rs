@@ -1,0 +1,63 @@
+//! Time as the state machines see it: a number that the caller's clock provides.
+
+use core::time::Duration;
+
+/// A moment on a clock that never goes back, in microseconds since any fixed start.
+///
+/// The caller's clock chooses the start (boot, process start); instants of different clocks must
+/// not be mixed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default)]
+pub struct Instant(u64);
+
+impl Instant {
+    /// The clock's start.
+    pub const ZERO: Self = Self(0);
+
+    /// The moment `micros` microseconds after the clock's start.
+    #[must_use]
+    pub const fn from_micros(micros: u64) -> Self {
+        Self(micros)
+    }
+
+    /// The moment `millis` milliseconds after the clock's start.
+    #[must_use]
+    pub const fn from_millis(millis: u64) -> Self {
+        Self(millis.saturating_mul(1000))
+    }
+
+    /// Microseconds since the clock's start.
+    #[must_use]
+    pub const fn as_micros(self) -> u64 {
+        self.0
+    }
+
+    /// How long after `earlier` this moment is; zero when it is not after it.
+    #[must_use]
+    pub const fn since(self, earlier: Self) -> Duration {
+        Duration::from_micros(self.0.saturating_sub(earlier.0))
+    }
+}
+
+impl core::ops::Add<Duration> for Instant {
+    type Output = Self;
+
+    /// Saturates at the end of time.
+    fn add(self, rhs: Duration) -> Self {
+        // In u64: a u128 division would cost a Cortex-M0 a kilobyte.
+        let micros = rhs.as_secs().saturating_mul(1_000_000);
+        Self(
+            self.0
+                .saturating_add(micros)
+                .saturating_add(u64::from(rhs.subsec_micros())),
+        )
+    }
+}
+
+/// The earlier of two wake-up times, where `None` means "no need to wake".
+#[must_use]
+pub fn earliest(a: Option<Instant>, b: Option<Instant>) -> Option<Instant> {
+    match (a, b) {
+        (Some(a), Some(b)) => Some(a.min(b)),
+        (a, b) => a.or(b),
+    }
+}

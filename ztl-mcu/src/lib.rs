@@ -1,0 +1,61 @@
+//! Firmware of a smart actuator as a ZTL handler, without `std` and without an allocator.
+//!
+//! Implement [`Component`] for each thing that moves, give them to a [`Node`], feed it the bytes that
+//! arrive and send those it returns. The gateway (`ztl gateway`) does the rest.
+//!
+//! ```
+//! use ztl_mcu::{Component, Identity, Node, Report, Run};
+//! use ztl_mcu::link::{Busy, GoalShape, Loss, Offer};
+//! use ztl_mcu::Instant;
+//!
+//! /// A lamp that is switched at once.
+//! struct Lamp { on: bool }
+//!
+//! impl Component for Lamp {
+//!     fn offer(&self) -> Offer<'_> {
+//!         let goal = GoalShape { range: None, unit: "", words: "on off" };
+//!         Offer { name: "lamp", goal, busy: Busy::Refuse, loss: Loss::Abort }
+//!     }
+//!     fn start(&mut self, _now: Instant, goal: &str) -> Result<(), &'static str> {
+//!         self.on = match goal {
+//!             "on" => true,
+//!             "off" => false,
+//!             _ => return Err("lamp takes on or off"),
+//!         };
+//!         Ok(())
+//!     }
+//!     fn poll(&mut self, _now: Instant, report: &mut Report<'_>) -> Run {
+//!         report.text(if self.on { "on" } else { "off" });
+//!         Run::Completed
+//!     }
+//!     fn abort(&mut self, _now: Instant) {}
+//!     fn make_safe(&mut self, _now: Instant) {
+//!         self.on = false;
+//!     }
+//! }
+//!
+//! let mut lamp = Lamp { on: false };
+//! let mut components: [&mut dyn Component; 1] = [&mut lamp];
+//! // At most 2 tasks, frames of at most 128 bytes.
+//! let mut node = Node::<2, 128>::new(Identity::new("desk", "1.0.0", 4711), &mut components);
+//!
+//! // The main loop: bytes in, time passes, bytes out.
+//! let now = Instant::from_millis(0);
+//! node.handle_bytes(now, &[0x00]);
+//! node.handle_timeout(now);
+//! let mut bytes = [0; 64];
+//! let sent = node.poll_transmit(now, &mut bytes);
+//! assert!(sent > 0, "it announces itself");
+//! ```
+#![no_std]
+
+#[cfg(test)]
+extern crate std;
+
+mod component;
+mod node;
+pub mod pump;
+
+pub use component::{Component, Report, Run};
+pub use node::{Counters, Identity, Node};
+pub use ztl_core::{Instant, link};

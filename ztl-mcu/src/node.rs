@@ -1,0 +1,565 @@
+//! The device end of the link.
+
+use core::time::Duration;
+
+use heapless::Vec;
+use ztl_core::link::{
+    ADDR_ONLY_NODE, Body, Decoder, Frame, FrameError, Hello, Ids, LINK_TIMEOUT, LinkId, Loss,
+    NO_SEQ, NO_SESSION, VERSION, Welcome, encode, next_seq,
+};
+use ztl_core::time::earliest;
+use ztl_core::{Instant, State};
+
+use crate::component::{Component, Report, Run};
+
+/// Longest progress, result or reason of a task in bytes.
+pub(crate) const TEXT: usize = 48;
+
+/// How often an end is told again until it is acknowledged.
+const ENDED_AGAIN: Duration = Duration::from_millis(100);
+/// Shortest time between two progress reports of a task.
+const PROGRESS_AGAIN: Duration = Duration::from_millis(50);
+/// How often a node without a session announces itself.
+const AWAKE_AGAIN: Duration = Duration::from_millis(250);
+
+/// Who a node is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Identity<'a> {
+    /// What the device is called.
+    pub name: &'a str,
+    /// Version of its firmware.
+    pub firmware: &'a str,
+    /// Differs from boot to boot: random, or a counter that survives resets.
+    pub boot: u32,
+    /// After how long without a new command the node acts by itself. Default 1 s.
+    pub link_timeout: Duration,
+}
+
+impl<'a> Identity<'a> {
+    /// An identity with the default link timeout.
+    #[must_use]
+    pub const fn new(name: &'a str, firmware: &'a str, boot: u32) -> Self {
+        Self {
+            name,
+            firmware,
+            boot,
+            link_timeout: LINK_TIMEOUT,
+        }
+    }
+}
+
+/// What a node has seen on its line since boot; the counts wrap.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[non_exhaustive]
+pub struct Counters {
+    /// Frames whose check was right.
+    pub frames: u32,
+    /// Frames dropped: damaged, of another session, too long.
+    pub errors: u32,
+    /// Commands answered again without being executed again.
+    pub repeats: u32,
+    /// Commands out of sequence, dropped.
+    pub out_of_sequence: u32,
+}
+
+/// A task that the node holds: it runs, or its end is not acknowledged yet.
+#[derive(Debug)]
+struct Slot {
+    id: LinkId,
+    component: u8,
+    /// ACCEPTED while it runs, else final.
+    state: State,
+    text: heapless::String<TEXT>,
+    /// When the end or the progress is told next.
+    due: Instant,
+    /// Whether `text` has changed since it was told.
+    news: bool,
+    aborting: bool,
+}
+
+impl Slot {
+    fn runs(&self) -> bool {
+        !self.state.is_final()
+    }
+
+    fn end(&mut self, now: Instant, state: State) {
+        self.state = state;
+        self.due = now;
+    }
+
+    fn end_because(&mut self, now: Instant, state: State, reason: &str) {
+        Report::new(&mut self.text).text(reason);
+        self.end(now, state);
+    }
+}
+
+/// The answer to the last command, kept to be repeated.
+#[derive(Debug, Clone, Copy)]
+enum Answer {
+    Welcome,
+    Component(u8),
+    Started(LinkId),
+    Refused(&'static str),
+    Aborting(LinkId),
+    Pong,
+}
+
+/// The device end of the link, without I/O: it holds at most `TASKS` tasks and frames of at most
+/// `FRAME` bytes (128 and more; a goal may be some 24 bytes shorter).
+///
+/// *Inputs*: [`handle_bytes`](Self::handle_bytes) as bytes arrive,
+/// [`handle_timeout`](Self::handle_timeout) in every turn of the main loop. *Outputs*:
+/// [`poll_transmit`](Self::poll_transmit), to be called after each input until it returns 0. *Next
+/// wake-up*: [`poll_timeout`](Self::poll_timeout). *Commands*:
+/// [`stop_everything`](Self::stop_everything), [`clear_stop`](Self::clear_stop). The work of a call
+/// is bounded by the number of bytes given and of tasks held.
+pub struct Node<'a, const TASKS: usize, const FRAME: usize> {
+    decoder: Decoder<FRAME>,
+    /// Apart from the decoder, whose buffer a frame borrows while it is acted on.
+    state: Inner<'a, TASKS, FRAME>,
+}
+
+struct Inner<'a, const TASKS: usize, const FRAME: usize> {
+    identity: Identity<'a>,
+    components: &'a mut [&'a mut dyn Component],
+    /// The session that runs, [`NO_SESSION`] after a reset.
+    session: u32,
+    /// The one before it.
+    replaced: u32,
+    gateway: u64,
+    /// `seq` of the last command executed.
+    seq: u8,
+    answer: Option<Answer>,
+    answer_due: bool,
+    /// A `Hello` to be refused: its session, and why.
+    refusal: Option<(u32, &'static str)>,
+    /// When a new command was last executed, or a session opened; until the link timeout has
+    /// passed no other gateway gets in.
+    heard: Instant,
+    /// When the last new command was executed: the link timer. `None` once it has fired.
+    commanded: Option<Instant>,
+    stopped: bool,
+    slots: Vec<Slot, TASKS>,
+    highest: LinkId,
+    awake_due: Instant,
+    transmit: [u8; FRAME],
+    transmit_len: usize,
+    transmitted: usize,
+    counters: Counters,
+}
+
+impl<'a, const TASKS: usize, const FRAME: usize> Node<'a, TASKS, FRAME> {
+    /// A node after its reset. `components` are at most 255.
+    pub fn new(identity: Identity<'a>, components: &'a mut [&'a mut dyn Component]) -> Self {
+        const { assert!(FRAME >= 128 && TASKS >= 1 && TASKS <= 255) };
+        let state = Inner {
+            identity,
+            components,
+            session: NO_SESSION,
+            replaced: NO_SESSION,
+            gateway: 0,
+            seq: NO_SEQ,
+            answer: None,
+            answer_due: false,
+            refusal: None,
+            heard: Instant::ZERO,
+            commanded: None,
+            stopped: false,
+            slots: Vec::new(),
+            highest: LinkId(0),
+            awake_due: Instant::ZERO,
+            transmit: [0; FRAME],
+            transmit_len: 0,
+            transmitted: 0,
+            counters: Counters::default(),
+        };
+        Self {
+            decoder: Decoder::new(),
+            state,
+        }
+    }
+
+    /// Bytes have arrived, in pieces of any length.
+    pub fn handle_bytes(&mut self, now: Instant, bytes: &[u8]) {
+        for &byte in bytes {
+            let frame = match self.decoder.push(byte) {
+                Ok(false) => continue,
+                Ok(true) => self.decoder.frame(&[self.state.session, NO_SESSION]),
+                Err(error) => Err(error),
+            };
+            self.state.on_frame(now, frame);
+        }
+    }
+
+    /// Time has passed: moves the components on, and acts by itself when the link is lost.
+    pub fn handle_timeout(&mut self, now: Instant) {
+        self.state.handle_timeout(now);
+    }
+
+    /// Writes the next bytes to be sent into `buffer` and says how many; 0 when there is nothing.
+    pub fn poll_transmit(&mut self, now: Instant, buffer: &mut [u8]) -> usize {
+        self.state.poll_transmit(now, buffer)
+    }
+
+    /// When [`handle_timeout`](Self::handle_timeout) and [`poll_transmit`](Self::poll_transmit) are
+    /// to be called even if no byte arrives.
+    pub fn poll_timeout(&self, now: Instant) -> Instant {
+        self.state.poll_timeout(now)
+    }
+
+    /// Emergency stop: every component goes to its safe state, every task ends as ABORTED, and no
+    /// other starts until [`clear_stop`](Self::clear_stop).
+    pub fn stop_everything(&mut self, now: Instant) {
+        self.state.stop_everything(now);
+    }
+
+    /// Ends the emergency stop. Only the firmware may: the link has no command for it.
+    pub fn clear_stop(&mut self) {
+        self.state.stopped = false;
+    }
+
+    /// What the line has brought.
+    #[must_use]
+    pub const fn counters(&self) -> Counters {
+        self.state.counters
+    }
+}
+
+impl<const TASKS: usize, const FRAME: usize> Inner<'_, TASKS, FRAME> {
+    fn handle_timeout(&mut self, now: Instant) {
+        if let Some(commanded) = self.commanded
+            && now >= commanded + self.identity.link_timeout
+        {
+            self.commanded = None;
+            self.on_link_lost(now);
+        }
+        for slot in self.slots.iter_mut().filter(|slot| slot.runs()) {
+            let Some(component) = self.components.get_mut(usize::from(slot.component)) else {
+                continue;
+            };
+            let before = slot.text.clone();
+            let run = component.poll(now, &mut Report::new(&mut slot.text));
+            slot.news |= before != slot.text;
+            match run {
+                Run::Running => {}
+                Run::Completed => slot.end(now, State::Completed),
+                Run::Failed => slot.end(now, State::Failed),
+                Run::Aborted => slot.end(now, State::Aborted),
+            }
+        }
+    }
+
+    fn poll_transmit(&mut self, now: Instant, buffer: &mut [u8]) -> usize {
+        if self.transmitted == self.transmit_len {
+            self.transmitted = 0;
+            self.transmit_len = self.next_frame(now).unwrap_or(0);
+        }
+        let pending = self
+            .transmit
+            .get(self.transmitted..self.transmit_len)
+            .unwrap_or_default();
+        let count = pending.len().min(buffer.len());
+        for (to, from) in buffer.iter_mut().zip(pending) {
+            *to = *from;
+        }
+        self.transmitted += count;
+        count
+    }
+
+    fn poll_timeout(&self, now: Instant) -> Instant {
+        if self.answer_due || self.refusal.is_some() || self.transmitted < self.transmit_len {
+            return now;
+        }
+        let mut wake = self.commanded.map(|at| at + self.identity.link_timeout);
+        if self.session == NO_SESSION {
+            wake = earliest(wake, Some(self.awake_due));
+        }
+        for slot in &self.slots {
+            let component = self.components.get(usize::from(slot.component));
+            if slot.runs() {
+                wake = earliest(wake, component.map(|c| c.poll_timeout(now)));
+            }
+            if self.session != NO_SESSION && (slot.news || !slot.runs()) {
+                wake = earliest(wake, Some(slot.due));
+            }
+        }
+        // Nothing to do: the next byte wakes it.
+        wake.unwrap_or(now + Duration::from_secs(1))
+    }
+
+    fn stop_everything(&mut self, now: Instant) {
+        self.stopped = true;
+        for component in self.components.iter_mut() {
+            component.make_safe(now);
+        }
+        for slot in self.slots.iter_mut().filter(|slot| slot.runs()) {
+            slot.end_because(now, State::Aborted, "emergency stop");
+        }
+    }
+
+    fn clock_ms(now: Instant) -> u64 {
+        now.as_micros() / 1000
+    }
+
+    /// `frame` was checked against the session that runs, then against no session.
+    fn on_frame(&mut self, now: Instant, frame: Result<(usize, Frame<'_>), FrameError>) {
+        let Ok((place, frame)) = frame else {
+            self.counters.errors = self.counters.errors.wrapping_add(1);
+            return;
+        };
+        self.counters.frames = self.counters.frames.wrapping_add(1);
+        let in_session = place == 0 && self.session != NO_SESSION;
+        if frame.addr != ADDR_ONLY_NODE {
+            return;
+        }
+        match (in_session, frame.seq, frame.body) {
+            (false, NO_SEQ, Body::Hello(hello)) => self.on_hello(now, hello),
+            (true, NO_SEQ, Body::Ack { task }) => {
+                // Known or not; a task that still runs is not let go.
+                self.slots.retain(|slot| slot.id != task || slot.runs());
+            }
+            (true, seq, body) if seq != NO_SEQ => self.on_command(now, seq, body),
+            _ => {}
+        }
+    }
+
+    fn on_hello(&mut self, now: Instant, hello: Hello) {
+        if hello.session == NO_SESSION {
+            return;
+        }
+        if hello.version != VERSION {
+            self.refusal = Some((hello.session, "this node speaks version 1 of the link"));
+            return;
+        }
+        if hello.session != self.session {
+            let live = self.session != NO_SESSION && now < self.heard + self.identity.link_timeout;
+            if live && hello.gateway != self.gateway {
+                self.refusal = Some((hello.session, "another gateway holds this device"));
+                return;
+            }
+            self.replaced = self.session;
+            self.session = hello.session;
+            self.gateway = hello.gateway;
+            self.seq = NO_SEQ;
+            // A new session proves nothing about the way back, so the link timer runs on.
+            self.heard = now;
+            for slot in &mut self.slots {
+                slot.due = now;
+                slot.news = true;
+            }
+        }
+        if self.seq == NO_SEQ {
+            self.answer = Some(Answer::Welcome);
+            self.answer_due = true;
+        }
+    }
+
+    fn on_command(&mut self, now: Instant, seq: u8, body: Body<'_>) {
+        if seq == self.seq {
+            self.counters.repeats = self.counters.repeats.wrapping_add(1);
+            self.answer_due = self.answer.is_some();
+            return;
+        }
+        if seq != next_seq(self.seq) {
+            self.counters.out_of_sequence = self.counters.out_of_sequence.wrapping_add(1);
+            return;
+        }
+        let answer = match body {
+            Body::Describe { index } if usize::from(index) < self.components.len() => {
+                Answer::Component(index)
+            }
+            Body::Describe { .. } => Answer::Refused("no such component"),
+            Body::Start {
+                task,
+                component,
+                goal,
+                before_ms,
+            } => match self.start(now, task, component, goal, before_ms) {
+                Ok(()) => Answer::Started(task),
+                Err(reason) => Answer::Refused(reason),
+            },
+            Body::Abort { task } => self.abort(now, task),
+            Body::Ping => Answer::Pong,
+            // The node's own messages, come back as an echo.
+            _ => return,
+        };
+        self.seq = seq;
+        self.answer = Some(answer);
+        self.answer_due = true;
+        self.heard = now;
+        self.commanded = Some(now);
+    }
+
+    fn start(
+        &mut self,
+        now: Instant,
+        task: LinkId,
+        component: u8,
+        goal: &str,
+        before_ms: u64,
+    ) -> Result<(), &'static str> {
+        if Self::clock_ms(now) > before_ms {
+            return Err("the command came too late");
+        }
+        if task <= self.highest {
+            return Err("a task of this or a later id was started already");
+        }
+        if self.stopped {
+            return Err("emergency stop");
+        }
+        let part = self
+            .components
+            .get_mut(usize::from(component))
+            .ok_or("no such component")?;
+        if self
+            .slots
+            .iter()
+            .any(|s| s.runs() && s.component == component)
+        {
+            return Err("busy with another task");
+        }
+        if self.slots.is_full() {
+            let all_run = self.slots.iter().all(Slot::runs);
+            return Err(if all_run {
+                "too many tasks are running"
+            } else {
+                "ends not yet acknowledged"
+            });
+        }
+        part.start(now, goal)?;
+        self.highest = task;
+        // There is room: it was asked above.
+        let _ = self.slots.push(Slot {
+            id: task,
+            component,
+            state: State::Accepted,
+            text: heapless::String::new(),
+            due: now,
+            news: false,
+            aborting: false,
+        });
+        Ok(())
+    }
+
+    fn abort(&mut self, now: Instant, task: LinkId) -> Answer {
+        let Some(slot) = self.slots.iter_mut().find(|slot| slot.id == task) else {
+            return Answer::Refused("no such task");
+        };
+        if slot.runs() && !slot.aborting {
+            slot.aborting = true;
+            if let Some(component) = self.components.get_mut(usize::from(slot.component)) {
+                component.abort(now);
+            }
+        }
+        Answer::Aborting(task)
+    }
+
+    fn on_link_lost(&mut self, now: Instant) {
+        for slot in self.slots.iter_mut().filter(|slot| slot.runs()) {
+            let Some(component) = self.components.get_mut(usize::from(slot.component)) else {
+                continue;
+            };
+            if component.offer().loss == Loss::CarryOn {
+                continue;
+            }
+            component.make_safe(now);
+            slot.end_because(now, State::Failed, "link was lost");
+        }
+    }
+
+    /// Encodes what is most urgent into the transmit buffer.
+    fn next_frame(&mut self, now: Instant) -> Option<usize> {
+        if let Some((session, reason)) = self.refusal.take() {
+            return self.encode(session, NO_SEQ, Body::Refused { reason });
+        }
+        if self.session == NO_SESSION {
+            if now < self.awake_due {
+                return None;
+            }
+            self.awake_due = now + AWAKE_AGAIN;
+            let boot = self.identity.boot;
+            let version = VERSION;
+            // A delimiter first: it flushes what the line made of the reset.
+            let len = self.encode(NO_SESSION, NO_SEQ, Body::Awake { version, boot })?;
+            self.transmit.copy_within(..len.min(FRAME - 1), 1);
+            if let Some(first) = self.transmit.first_mut() {
+                *first = 0;
+            }
+            return Some(len + 1);
+        }
+        if core::mem::take(&mut self.answer_due) {
+            return self.encode_answer(now);
+        }
+        let told = |slot: &&mut Slot| (slot.news || !slot.runs()) && now >= slot.due;
+        let slot = self.slots.iter_mut().find(told)?;
+        slot.news = false;
+        let task = slot.id;
+        let text = slot.text.clone();
+        let body = if slot.runs() {
+            slot.due = now + PROGRESS_AGAIN;
+            Body::Progress { task, text: &text }
+        } else {
+            slot.due = now + ENDED_AGAIN;
+            Body::Ended {
+                task,
+                state: slot.state,
+                result: &text,
+            }
+        };
+        self.encode(self.session, NO_SEQ, body)
+    }
+
+    fn encode_answer(&mut self, now: Instant) -> Option<usize> {
+        let seq = self.seq;
+        let held = u8::try_from(self.slots.len()).unwrap_or(u8::MAX);
+        let clock_ms = Self::clock_ms(now);
+        let mut frame = |body| encode_into(&mut self.transmit, self.session, seq, body);
+        match self.answer? {
+            Answer::Welcome => {
+                let ids: Vec<LinkId, TASKS> = self.slots.iter().map(|slot| slot.id).collect();
+                frame(Body::Welcome(Welcome {
+                    version: VERSION,
+                    name: self.identity.name,
+                    firmware: self.identity.firmware,
+                    boot: self.identity.boot,
+                    replaces: self.replaced,
+                    clock_ms,
+                    capacity: u8::try_from(TASKS).unwrap_or(u8::MAX),
+                    max_body: u16::try_from(FRAME - 6).unwrap_or(u16::MAX),
+                    components: u8::try_from(self.components.len()).unwrap_or(u8::MAX),
+                    link_timeout_ms: u32::try_from(self.identity.link_timeout.as_millis())
+                        .unwrap_or(u32::MAX),
+                    highest: self.highest.0,
+                    held: Ids::new(&ids),
+                }))
+            }
+            Answer::Component(index) => {
+                let component = self.components.get(usize::from(index))?;
+                let offer = component.offer();
+                frame(Body::Component { index, offer })
+            }
+            Answer::Started(task) => frame(Body::Started { task }),
+            Answer::Refused(reason) => frame(Body::Refused { reason }),
+            Answer::Aborting(task) => frame(Body::Aborting { task }),
+            Answer::Pong => frame(Body::Pong { clock_ms, held }),
+        }
+    }
+
+    fn encode(&mut self, session: u32, seq: u8, body: Body<'_>) -> Option<usize> {
+        encode_into(&mut self.transmit, session, seq, body)
+    }
+}
+
+/// A body that does not fit the frame is not sent; firmware learns of it from its gateway, which
+/// then gets no answer. Names and reasons are constants, so it shows on the first try.
+fn encode_into(buffer: &mut [u8], session: u32, seq: u8, body: Body<'_>) -> Option<usize> {
+    let frame = Frame {
+        addr: ADDR_ONLY_NODE,
+        seq,
+        body,
+    };
+    encode(session, &frame, buffer).ok()
+}
+
+#[cfg(test)]
+mod tests;

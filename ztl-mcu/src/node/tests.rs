@@ -1,0 +1,447 @@
+//! A node and a gateway played by hand, on virtual time.
+
+use super::*;
+use std::cell::RefCell;
+use std::format;
+use std::string::{String, ToString};
+use std::vec::Vec as Grown;
+use ztl_core::link::{Busy, GoalShape, Offer, Welcome};
+
+/// What a motor was told, in order.
+type Trace = RefCell<Grown<String>>;
+
+/// Moves until it is told to end.
+struct Motor<'t> {
+    name: &'static str,
+    loss: Loss,
+    trace: &'t Trace,
+    ends_at: Option<Instant>,
+    aborted: bool,
+}
+
+impl Component for Motor<'_> {
+    fn offer(&self) -> Offer<'_> {
+        let goal = GoalShape {
+            range: Some((0.0, 100.0)),
+            unit: "ms",
+            words: "",
+        };
+        Offer {
+            name: self.name,
+            goal,
+            busy: Busy::Refuse,
+            loss: self.loss,
+        }
+    }
+
+    fn start(&mut self, now: Instant, goal: &str) -> Result<(), &'static str> {
+        let millis: u64 = goal.parse().map_err(|_| "a number of ms")?;
+        self.trace
+            .borrow_mut()
+            .push(format!("{} {goal}", self.name));
+        self.ends_at = Some(now + Duration::from_millis(millis));
+        self.aborted = false;
+        Ok(())
+    }
+
+    fn poll(&mut self, now: Instant, report: &mut Report<'_>) -> Run {
+        report.text("moving");
+        if self.aborted {
+            return Run::Aborted;
+        }
+        if self.ends_at.is_some_and(|end| end <= now) {
+            return Run::Completed;
+        }
+        Run::Running
+    }
+
+    fn abort(&mut self, _now: Instant) {
+        self.trace.borrow_mut().push(format!("{} abort", self.name));
+        self.aborted = true;
+    }
+
+    fn make_safe(&mut self, _now: Instant) {
+        self.trace.borrow_mut().push(format!("{} safe", self.name));
+    }
+}
+
+fn motor<'t>(name: &'static str, loss: Loss, trace: &'t Trace) -> Motor<'t> {
+    Motor {
+        name,
+        loss,
+        trace,
+        ends_at: None,
+        aborted: false,
+    }
+}
+
+/// What a node says, with the seq in front.
+fn said(node: &mut Node<'_, 2, 128>, now: Instant, session: u32) -> Grown<String> {
+    let mut decoder = Decoder::<160>::new();
+    let mut heard = Grown::new();
+    let mut buffer = [0xA5; 7];
+    loop {
+        let count = node.poll_transmit(now, &mut buffer);
+        if count == 0 {
+            return heard;
+        }
+        for &byte in &buffer[..count] {
+            if decoder.push(byte) == Ok(true) {
+                let (_, frame) = decoder.frame(&[session, NO_SESSION]).unwrap();
+                heard.push(match frame.body {
+                    Body::Welcome(Welcome {
+                        boot,
+                        replaces,
+                        highest,
+                        held,
+                        ..
+                    }) => {
+                        let held: Grown<u32> = held.iter().map(|id| id.0).collect();
+                        format!(
+                            "Welcome boot {boot} replaces {replaces} highest {highest} {held:?}"
+                        )
+                    }
+                    Body::Ended {
+                        task,
+                        state,
+                        result,
+                    } => {
+                        format!("Ended {} {state} {result}", task.0)
+                    }
+                    Body::Refused { reason } => format!("{} Refused {reason}", frame.seq),
+                    Body::Started { task } => format!("{} Started {}", frame.seq, task.0),
+                    Body::Aborting { task } => format!("{} Aborting {}", frame.seq, task.0),
+                    Body::Pong { held, .. } => format!("{} Pong {held}", frame.seq),
+                    Body::Progress { task, text } => format!("Progress {} {text}", task.0),
+                    Body::Component { index, offer } => {
+                        format!("{} Component {index} {}", frame.seq, offer.name)
+                    }
+                    Body::Awake { boot, .. } => format!("Awake {boot}"),
+                    other => format!("{other:?}"),
+                });
+            }
+        }
+    }
+}
+
+/// A gateway's side of a session, played by hand.
+struct Desk<'n, 'c> {
+    node: &'n mut Node<'c, 2, 128>,
+    session: u32,
+    now: Instant,
+}
+
+impl Desk<'_, '_> {
+    fn send(&mut self, session: u32, seq: u8, body: Body<'_>) -> Grown<String> {
+        let mut buffer = [0xA5; 160];
+        let frame = Frame {
+            addr: ADDR_ONLY_NODE,
+            seq,
+            body,
+        };
+        let len = encode(session, &frame, &mut buffer).unwrap();
+        self.node.handle_bytes(self.now, &buffer[..len]);
+        said(self.node, self.now, self.session)
+    }
+
+    fn hello(&mut self, session: u32, gateway: u64) -> Grown<String> {
+        let hello = Hello {
+            version: VERSION,
+            session,
+            gateway,
+        };
+        let before = core::mem::replace(&mut self.session, session);
+        let heard = self.send(NO_SESSION, NO_SEQ, Body::Hello(hello));
+        if heard.iter().any(|line| line.contains("Refused")) {
+            self.session = before;
+        }
+        heard
+    }
+
+    fn command(&mut self, seq: u8, body: Body<'_>) -> Grown<String> {
+        self.send(self.session, seq, body)
+    }
+
+    fn start(&mut self, seq: u8, task: u32, component: u8, goal: &str) -> Grown<String> {
+        let before_ms = u64::MAX;
+        let task = LinkId(task);
+        self.command(
+            seq,
+            Body::Start {
+                task,
+                component,
+                goal,
+                before_ms,
+            },
+        )
+    }
+
+    fn pass(&mut self, millis: u64) -> Grown<String> {
+        self.now = self.now + Duration::from_millis(millis);
+        self.node.handle_timeout(self.now);
+        said(self.node, self.now, self.session)
+    }
+}
+
+/// Runs `play` against a node with three motors: abort, hold and carry on when the link is lost.
+fn with_node(play: impl FnOnce(&mut Desk<'_, '_>, &Trace)) {
+    let trace = Trace::default();
+    let mut a = motor("a", Loss::Abort, &trace);
+    let mut h = motor("h", Loss::Hold, &trace);
+    let mut c = motor("c", Loss::CarryOn, &trace);
+    let mut components: [&mut dyn Component; 3] = [&mut a, &mut h, &mut c];
+    let mut node = Node::<2, 128>::new(Identity::new("desk", "1", 77), &mut components);
+    let mut desk = Desk {
+        node: &mut node,
+        session: 5,
+        now: Instant::from_millis(10_000),
+    };
+    play(&mut desk, &trace);
+}
+
+#[track_caller]
+fn assert_said(heard: Grown<String>, expected: &[&str]) {
+    assert_eq!(heard, expected);
+}
+
+#[test]
+fn it_announces_itself_until_it_is_greeted_and_follows_nothing_before() {
+    with_node(|desk, _| {
+        assert_said(desk.pass(0), &["Awake 77"]);
+        assert_said(desk.pass(1), &[]);
+        assert_said(desk.pass(250), &["Awake 77"]);
+        assert_said(desk.command(1, Body::Ping), &[]);
+        assert_said(
+            desk.hello(5, 1),
+            &["Welcome boot 77 replaces 0 highest 0 []"],
+        );
+        assert_said(
+            desk.hello(5, 1),
+            &["Welcome boot 77 replaces 0 highest 0 []"],
+        );
+        assert_said(
+            desk.command(1, Body::Describe { index: 2 }),
+            &["1 Component 2 c"],
+        );
+        assert_said(
+            desk.command(2, Body::Describe { index: 3 }),
+            &["2 Refused no such component"],
+        );
+        assert_said(desk.pass(300), &[]);
+    });
+}
+
+#[test]
+fn a_repeated_command_is_answered_again_and_not_executed_again() {
+    with_node(|desk, trace| {
+        desk.hello(5, 1);
+        assert_said(desk.start(1, 9, 0, "50"), &["1 Started 9"]);
+        assert_said(desk.start(1, 9, 0, "50"), &["1 Started 9"]);
+        assert_said(desk.start(1, 9, 0, "50"), &["1 Started 9"]);
+        assert_eq!(trace.borrow().as_slice(), ["a 50"]);
+        assert_eq!(desk.node.counters().repeats, 2);
+        // Out of sequence: neither the one before nor one further on.
+        assert_said(desk.command(3, Body::Ping), &[]);
+        assert_said(desk.command(255, Body::Ping), &[]);
+        assert_eq!(desk.node.counters().out_of_sequence, 2);
+        assert_said(desk.command(2, Body::Ping), &["2 Pong 1"]);
+    });
+}
+
+#[test]
+fn the_sequence_goes_on_after_255_without_0() {
+    with_node(|desk, _| {
+        desk.hello(5, 1);
+        for seq in 1..=255 {
+            assert_said(desk.command(seq, Body::Ping), &[&format!("{seq} Pong 0")]);
+        }
+        assert_said(desk.command(0, Body::Ping), &[]);
+        assert_said(desk.command(1, Body::Ping), &["1 Pong 0"]);
+    });
+}
+
+#[test]
+fn a_task_runs_tells_progress_and_repeats_its_end_until_acknowledged() {
+    with_node(|desk, _| {
+        desk.hello(5, 1);
+        desk.start(1, 9, 0, "50");
+        assert_said(desk.pass(10), &["Progress 9 moving"]);
+        assert_said(desk.pass(10), &[]);
+        assert_said(desk.pass(40), &["Ended 9 COMPLETED moving"]);
+        assert_said(desk.pass(99), &[]);
+        assert_said(desk.pass(1), &["Ended 9 COMPLETED moving"]);
+        assert_said(desk.command(2, Body::Ping), &["2 Pong 1"]);
+        assert_said(desk.send(5, NO_SEQ, Body::Ack { task: LinkId(9) }), &[]);
+        assert_said(desk.pass(200), &[]);
+        assert_said(desk.command(3, Body::Ping), &["3 Pong 0"]);
+    });
+}
+
+#[test]
+fn an_acknowledgement_of_a_running_task_changes_nothing() {
+    with_node(|desk, _| {
+        desk.hello(5, 1);
+        desk.start(1, 9, 0, "50");
+        desk.send(5, NO_SEQ, Body::Ack { task: LinkId(9) });
+        assert_said(desk.pass(60), &["Ended 9 COMPLETED moving"]);
+    });
+}
+
+#[test]
+fn what_cannot_be_started_is_refused_with_the_reason() {
+    with_node(|desk, trace| {
+        desk.hello(5, 1);
+        assert_said(desk.start(1, 9, 0, "far"), &["1 Refused a number of ms"]);
+        assert_said(desk.start(2, 9, 7, "1"), &["2 Refused no such component"]);
+        let late = Body::Start {
+            task: LinkId(9),
+            component: 0,
+            goal: "1",
+            before_ms: 9_999,
+        };
+        assert_said(
+            desk.command(3, late),
+            &["3 Refused the command came too late"],
+        );
+        assert!(trace.borrow().is_empty());
+        assert_said(desk.start(4, 9, 0, "50"), &["4 Started 9"]);
+        assert_said(
+            desk.start(5, 10, 0, "50"),
+            &["5 Refused busy with another task"],
+        );
+        assert_said(desk.start(6, 10, 1, "50"), &["6 Started 10"]);
+        assert_said(
+            desk.start(7, 11, 2, "50"),
+            &["7 Refused too many tasks are running"],
+        );
+        desk.pass(60);
+        assert_said(
+            desk.start(8, 11, 2, "50"),
+            &["8 Refused ends not yet acknowledged"],
+        );
+        desk.send(5, NO_SEQ, Body::Ack { task: LinkId(9) });
+        let again = "a task of this or a later id was started already";
+        assert_said(desk.start(9, 10, 2, "50"), &[&format!("9 Refused {again}")]);
+        assert_said(desk.start(10, 11, 2, "50"), &["10 Started 11"]);
+    });
+}
+
+#[test]
+fn abort_stops_the_task_and_its_end_is_told() {
+    with_node(|desk, trace| {
+        desk.hello(5, 1);
+        desk.start(1, 9, 0, "50");
+        let abort = Body::Abort { task: LinkId(9) };
+        assert_said(desk.command(2, abort), &["2 Aborting 9"]);
+        assert_said(desk.command(2, abort), &["2 Aborting 9"]);
+        assert_said(desk.pass(1), &["Ended 9 ABORTED moving"]);
+        assert_said(desk.command(3, abort), &["3 Aborting 9"]);
+        assert_eq!(trace.borrow().as_slice(), ["a 50", "a abort"]);
+        let other = Body::Abort { task: LinkId(8) };
+        assert_said(desk.command(4, other), &["4 Refused no such task"]);
+    });
+}
+
+#[test]
+fn when_the_link_brings_nothing_new_each_component_acts_as_it_said() {
+    with_node(|desk, trace| {
+        desk.hello(5, 1);
+        desk.start(1, 9, 0, "5000");
+        desk.start(2, 10, 2, "5000");
+        // A repeated command proves nothing about the way back, and neither does a new session.
+        for _ in 0..9 {
+            desk.pass(100);
+            desk.start(2, 10, 2, "5000");
+        }
+        desk.hello(6, 1);
+        assert_said(desk.pass(100), &["Ended 9 FAILED link was lost"]);
+        assert_eq!(trace.borrow().as_slice(), ["a 5000", "c 5000", "a safe"]);
+        let ends: Grown<String> = (0..50).flat_map(|_| desk.pass(100)).collect();
+        assert!(
+            ends.iter().any(|line| line == "Ended 10 COMPLETED moving"),
+            "{ends:?}"
+        );
+        assert!(
+            !ends.iter().any(|line| line.starts_with("Ended 10 FAILED")),
+            "{ends:?}"
+        );
+    });
+}
+
+#[test]
+fn hold_goes_to_its_safe_state_and_fails_too() {
+    with_node(|desk, trace| {
+        desk.hello(5, 1);
+        desk.start(1, 9, 1, "5000");
+        assert_said(desk.pass(1000), &["Ended 9 FAILED link was lost"]);
+        assert_eq!(trace.borrow().as_slice(), ["h 5000", "h safe"]);
+    });
+}
+
+#[test]
+fn a_new_session_keeps_the_tasks_and_tells_which() {
+    with_node(|desk, _| {
+        desk.hello(5, 1);
+        desk.start(1, 9, 0, "500");
+        assert_said(
+            desk.hello(6, 1),
+            &["Welcome boot 77 replaces 5 highest 9 [9]", "Progress 9 "],
+        );
+        // A command of the session before fails its check.
+        assert_said(desk.send(5, 2, Body::Abort { task: LinkId(9) }), &[]);
+        assert_said(desk.command(1, Body::Ping), &["1 Pong 1"]);
+    });
+}
+
+#[test]
+fn another_gateway_is_refused_while_the_session_lives() {
+    with_node(|desk, _| {
+        desk.hello(5, 1);
+        desk.command(1, Body::Ping);
+        desk.pass(999);
+        assert_said(
+            desk.hello(6, 2),
+            &["0 Refused another gateway holds this device"],
+        );
+        assert_said(desk.command(2, Body::Ping), &["2 Pong 0"]);
+        desk.pass(1000);
+        assert_said(
+            desk.hello(6, 2),
+            &["Welcome boot 77 replaces 5 highest 0 []"],
+        );
+    });
+}
+
+#[test]
+fn an_emergency_stop_is_latched() {
+    with_node(|desk, trace| {
+        desk.hello(5, 1);
+        desk.start(1, 9, 0, "500");
+        desk.node.stop_everything(desk.now);
+        assert_said(desk.pass(1), &["Ended 9 ABORTED emergency stop"]);
+        assert_eq!(
+            trace.borrow().as_slice(),
+            ["a 500", "a safe", "h safe", "c safe"]
+        );
+        assert_said(desk.start(2, 10, 0, "5"), &["2 Refused emergency stop"]);
+        desk.node.clear_stop();
+        assert_said(desk.start(3, 10, 0, "5"), &["3 Started 10"]);
+    });
+}
+
+#[test]
+fn any_bytes_leave_it_able_to_be_greeted() {
+    with_node(|desk, _| {
+        // A small generator, so that the test needs no dependency and always plays the same.
+        let mut seed = 1u32;
+        for _ in 0..20_000 {
+            seed = seed.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            let byte = (seed >> 24) as u8;
+            desk.node.handle_bytes(desk.now, &[byte]);
+        }
+        desk.node.handle_bytes(desk.now, &[0]);
+        said(desk.node, desk.now, 0);
+        let heard = desk.hello(5, 1).join(",").to_string();
+        assert!(heard.starts_with("Welcome"), "{heard}");
+    });
+}

@@ -1,0 +1,41 @@
+//! A node on a serial port: bytes from and to anything that speaks `embedded-io`.
+
+use embedded_io::{Read, ReadReady, Write};
+use ztl_core::Instant;
+
+use crate::Node;
+
+/// One turn of a main loop: takes the bytes that are there, lets the components move on, sends
+/// what is to be sent. Returns when the next turn is due even if no byte arrives.
+///
+/// Reads only what is ready; sending blocks as the stream's `write` does.
+///
+/// # Errors
+/// Those of the stream. The node is unharmed; bytes not sent are lost, as on a bad line.
+pub fn turn<S, const TASKS: usize, const FRAME: usize>(
+    node: &mut Node<'_, TASKS, FRAME>,
+    stream: &mut S,
+    now: Instant,
+) -> Result<Instant, S::Error>
+where
+    S: Read + ReadReady + Write,
+{
+    let mut buffer = [0; 32];
+    while stream.read_ready()? {
+        let count = stream.read(&mut buffer)?;
+        if count == 0 {
+            break;
+        }
+        node.handle_bytes(now, buffer.get(..count).unwrap_or_default());
+    }
+    node.handle_timeout(now);
+    loop {
+        let count = node.poll_transmit(now, &mut buffer);
+        if count == 0 {
+            break;
+        }
+        stream.write_all(buffer.get(..count).unwrap_or_default())?;
+    }
+    stream.flush()?;
+    Ok(node.poll_timeout(now))
+}

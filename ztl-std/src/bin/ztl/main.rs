@@ -1,0 +1,68 @@
+//! The `ztl` command: one file that is server, client, gateway and simulated device.
+//!
+//! Called by one of the original's names (`ztl_task_client`, `task_client.py`, …) it is that tool.
+
+mod demo;
+mod device;
+mod gateway;
+mod log;
+mod scene;
+mod signals;
+mod task_client;
+mod task_server;
+mod terminal;
+mod tool;
+
+use std::ffi::OsString;
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+
+/// Robots and smart actuators as tasks over ZeroMQ.
+#[derive(Debug, Parser)]
+#[command(
+    name = "ztl",
+    version,
+    infer_long_args = true,
+    arg_required_else_help = true
+)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Show the main job: two simulated devices, a gateway, and a scene played on them
+    Demo(demo::Demo),
+    /// Serve microcontrollers as handlers of a task server
+    Gateway(gateway::Gateway),
+    /// Run a simulated device by itself, for whoever has no hardware
+    Device(device::Device),
+    #[command(flatten)]
+    Tool(tool::Tool),
+}
+
+fn main() -> ExitCode {
+    let args: Vec<OsString> = std::env::args_os().collect();
+    // The original's tools, by link or as `ztl task-client`, share its rules for options.
+    if let Some(code) = tool::run(&args) {
+        return code;
+    }
+    let done = match Cli::parse_from(args).command {
+        Command::Demo(demo) => demo.run(),
+        Command::Gateway(gateway) => gateway.run(),
+        Command::Device(device) => device.run(),
+        Command::Tool(tool) => tool.run("ztl"),
+    };
+    match done {
+        Ok(code) => code,
+        Err(error) => {
+            eprintln!("ztl: {error}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+/// What every command returns: its exit code, or one line for the person who called it.
+type Done = Result<ExitCode, Box<dyn std::error::Error>>;

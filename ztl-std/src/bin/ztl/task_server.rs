@@ -1,0 +1,86 @@
+//! `ztl task-server`: the original's test server (wire specification 7.1).
+
+use std::process::ExitCode;
+use std::time::Duration;
+
+use tracing::{Level, error};
+use ztl_std::{
+    ExecutableTask, TaskContext, TaskController, TaskError, TaskRequest, TaskServer as Server,
+};
+
+use crate::terminal::line;
+use crate::{Done, log, signals};
+
+#[derive(Debug, clap::Args)]
+pub(crate) struct TaskServer {
+    /// The port on the local machine that the server should listen to
+    #[arg(short, long)]
+    port: u16,
+
+    /// The scope that the server should respond to
+    #[arg(short, long)]
+    scope: String,
+}
+
+impl TaskServer {
+    pub(crate) fn run(self) -> Done {
+        log::init(Level::INFO);
+        // Every interface, as the original.
+        let mut server = Server::bind(&format!("tcp://*:{}", self.port))?;
+        server.register(&self.scope, TestController);
+        let stopper = server.stopper();
+        signals::catch(move || stopper.stop())?;
+        server.listen()?;
+        error!(target: "root", "Interrupted, exiting.");
+        Ok(ExitCode::FAILURE)
+    }
+}
+
+struct TestController;
+
+impl TaskController for TestController {
+    fn assign(&self, request: &TaskRequest) -> Result<Box<dyn ExecutableTask>, TaskError> {
+        if request.handler == "test" {
+            Ok(Box::new(TestTask {
+                component: request.component.clone(),
+                goal: request.goal.clone(),
+            }))
+        } else {
+            let message = format!("No such handler '{}', try 'test'.", request.handler);
+            error!(target: "root", "{message}");
+            Err(message.into())
+        }
+    }
+}
+
+struct TestTask {
+    component: String,
+    goal: String,
+}
+
+impl ExecutableTask for TestTask {
+    fn execute(self: Box<Self>, _context: &TaskContext) -> Result<String, TaskError> {
+        match self.component.as_str() {
+            "echo" => Ok(self.goal),
+            "print" => {
+                line(format_args!("component: {}", self.component));
+                line(format_args!("goal: {}", self.goal));
+                Ok("True".to_owned())
+            }
+            "sleep" => {
+                let seconds = self.goal.trim().parse().map_err(|_| {
+                    format!("invalid literal for int() with base 10: '{}'", self.goal)
+                })?;
+                std::thread::sleep(Duration::from_secs(seconds));
+                Ok("True".to_owned())
+            }
+            // The quote that is missing in the original is not given back to it.
+            other => Err(format!("No such component '{other}', try 'echo/print/sleep'.").into()),
+        }
+    }
+
+    /// The original's test task refuses.
+    fn can_abort(&self) -> bool {
+        false
+    }
+}

@@ -1,0 +1,162 @@
+//! The original's eight command-line tools: their names, and their rules for options.
+//!
+//! Python's argparse lets long options be shortened, takes the last of a repeated one, and, as the
+//! original uses it, ignores what it does not know; ours says on stderr what was ignored (wire
+//! specification 7).
+
+use std::ffi::{OsStr, OsString};
+use std::path::Path;
+use std::process::ExitCode;
+
+use clap::error::{ContextKind, ContextValue, ErrorKind};
+use clap::{Parser, Subcommand};
+
+use crate::{Done, task_client, task_server};
+
+/// The original's tools by the names of this command.
+#[derive(Debug, Subcommand)]
+pub(crate) enum Tool {
+    /// The original's test server: handler `test` with echo, print and sleep
+    #[command(args_override_self = true)]
+    TaskServer(task_server::TaskServer),
+    /// Run a task on a server and wait for it
+    #[command(args_override_self = true)]
+    TaskClient(task_client::TaskClient),
+    #[command(hide = true)]
+    SimpleServer(NotYet),
+    #[command(hide = true)]
+    SimpleClient(NotYet),
+    #[command(hide = true)]
+    SimplePublisher(NotYet),
+    #[command(hide = true)]
+    SimpleSubscriber(NotYet),
+    #[command(hide = true)]
+    RemoteTask(NotYet),
+    #[command(hide = true)]
+    RunScript(NotYet),
+}
+
+/// A tool that is still to come; takes any arguments, to say so.
+#[derive(Debug, clap::Args)]
+#[command(disable_help_flag = true)]
+pub(crate) struct NotYet {
+    #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
+    _ignored: Vec<OsString>,
+}
+
+const NAMES: [&str; 8] = [
+    "task-server",
+    "task-client",
+    "simple-server",
+    "simple-client",
+    "simple-publisher",
+    "simple-subscriber",
+    "remote-task",
+    "run-script",
+];
+
+#[derive(Debug, Parser)]
+#[command(name = "ztl", version, infer_long_args = true)]
+struct ToolOnly {
+    #[command(subcommand)]
+    tool: Tool,
+}
+
+impl Tool {
+    /// Runs it; `called` is the name under which it was called.
+    pub(crate) fn run(self, called: &str) -> Done {
+        match self {
+            Self::TaskServer(server) => server.run(),
+            Self::TaskClient(client) => client.run(called),
+            _ => Err("this tool is not there yet; the original's works with this server and gateway: pip install ztl".into()),
+        }
+    }
+}
+
+/// Runs a tool, when one is called for by the program's name or by the first argument.
+pub(crate) fn run(args: &[OsString]) -> Option<ExitCode> {
+    let (program, rest) = args.split_first()?;
+    let (called, tool, rest) = match by_link(program) {
+        Some((called, tool)) => (called, tool, rest),
+        None => {
+            let (first, rest) = rest.split_first()?;
+            let tool = NAMES.into_iter().find(|name| first == OsStr::new(name))?;
+            (format!("ztl {tool}"), tool, rest)
+        }
+    };
+    Some(match parse(&called, tool, rest) {
+        Ok(tool) => tool.run(&called).unwrap_or_else(|error| {
+            eprintln!("{called}: {error}");
+            ExitCode::FAILURE
+        }),
+        Err(code) => code,
+    })
+}
+
+/// The tool that the program is named after: `ztl_task_client`, `task_client.py`.
+fn by_link(program: &OsStr) -> Option<(String, &'static str)> {
+    let called = Path::new(program).file_name()?.to_str()?;
+    let stem = called.strip_suffix(".py").unwrap_or(called);
+    let plain = stem.strip_prefix("ztl_").unwrap_or(stem).replace('_', "-");
+    let tool = NAMES.into_iter().find(|name| *name == plain)?;
+    Some((called.to_owned(), tool))
+}
+
+/// Parses, leaving out what is not known, with a word about it.
+fn parse(called: &str, tool: &str, rest: &[OsString]) -> Result<Tool, ExitCode> {
+    let mut args: Vec<OsString> = vec!["ztl".into(), tool.into()];
+    args.extend_from_slice(rest);
+    loop {
+        let error = match ToolOnly::try_parse_from(&args) {
+            Ok(parsed) => return Ok(parsed.tool),
+            Err(error) => error,
+        };
+        if let Some(place) = unknown(&error, &args) {
+            let ignored = args.remove(place);
+            eprintln!("{called}: warning: ignored {}", ignored.to_string_lossy());
+            continue;
+        }
+        let text = error.render().to_string();
+        if !error.use_stderr() {
+            print!("{text}");
+            return Err(ExitCode::SUCCESS);
+        }
+        let mut lines = text.lines();
+        // In argparse's order: how it is used, then what was wrong.
+        let usage = lines
+            .clone()
+            .find_map(|line| line.strip_prefix("Usage: "))
+            .map_or_else(String::new, |usage| {
+                format!(
+                    "usage: {}\n",
+                    usage.replacen(&format!("ztl {tool}"), called, 1)
+                )
+            });
+        let wrong: Vec<&str> = lines
+            .by_ref()
+            .take_while(|line| !line.starts_with("Usage: ") && !line.starts_with("For more"))
+            .map(|line| line.trim_start_matches("error: ").trim())
+            .filter(|line| !line.is_empty())
+            .collect();
+        eprintln!("{usage}{called}: error: {}", wrong.join(" "));
+        return Err(ExitCode::from(2));
+    }
+}
+
+/// Where the argument stands that is not known.
+fn unknown(error: &clap::Error, args: &[OsString]) -> Option<usize> {
+    if error.kind() != ErrorKind::UnknownArgument {
+        return None;
+    }
+    let Some(ContextValue::String(unknown)) = error.get(ContextKind::InvalidArg) else {
+        return None;
+    };
+    let matches = |arg: &OsString| {
+        let arg = arg.to_string_lossy();
+        arg == *unknown || arg.split_once('=').is_some_and(|(name, _)| name == unknown)
+            // A cluster of short options: -xy is reported as -x.
+            || (!arg.starts_with("--") && unknown.len() == 2 && arg.starts_with(unknown.as_str()))
+    };
+    // After the program's and the tool's name.
+    args.iter().skip(2).position(matches).map(|place| place + 2)
+}

@@ -1,0 +1,12 @@
+//! The operating system's monotonic clock as the state machines want it.
+
+use std::sync::OnceLock;
+
+use ztl_core::Instant;
+
+/// Now, counted from the first call in this process.
+pub(crate) fn now() -> Instant {
+    static START: OnceLock<std::time::Instant> = OnceLock::new();
+    let elapsed = START.get_or_init(std::time::Instant::now).elapsed();
+    Instant::from_micros(u64::try_from(elapsed.as_micros()).unwrap_or(u64::MAX))
+}

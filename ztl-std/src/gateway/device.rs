@@ -1,0 +1,343 @@
+//! A device's thread: its session, its line, and the clients' tasks on it.
+
+use std::collections::HashMap;
+use std::io::{self, Write};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use tracing::{info, warn};
+use ztl_core::time::earliest;
+use ztl_core::{Instant, State, TaskId, TaskSpec};
+
+use super::endpoint::{Endpoint, is_pause};
+use super::session::{Event, Session};
+use crate::clock::now;
+use crate::random;
+use crate::server::TaskReporter;
+
+/// Pause before a line is opened again: at first, and at most.
+const RETRY: (Duration, Duration) = (Duration::from_millis(50), Duration::from_millis(500));
+/// How long a gateway that ends waits for its tasks to be stopped.
+const STOP: Duration = Duration::from_secs(1);
+/// Name under which the gateway logs.
+const LOG: &str = "gateway";
+
+enum Input {
+    Start(TaskReporter, Request),
+    Abort(TaskId),
+    /// The line of this number is open.
+    Opened(u64, Box<dyn Write + Send>),
+    Bytes(u64, Vec<u8>),
+    Closed(u64, io::Error),
+    Stop,
+}
+
+struct Request {
+    component: String,
+    goal: String,
+    /// The whole, as a client wrote it, for reasons.
+    spec: String,
+    /// The text of the INIT's answer.
+    reply: String,
+}
+
+/// One device; its thread ends when this is dropped, after its tasks have been aborted.
+#[derive(Debug)]
+pub struct Device {
+    inputs: Sender<Input>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Device {
+    pub(super) fn spawn(name: &str, endpoint: Endpoint, gateway: u64) -> io::Result<Self> {
+        let (inputs, inbox) = channel();
+        let session = Session::new(gateway, endpoint.baud(), random::nonzero);
+        let mut worker = Worker {
+            name: name.to_owned(),
+            endpoint,
+            session,
+            inputs: inputs.clone(),
+            line: Wire::None { retry: now() },
+            number: 0,
+            pause: RETRY.0,
+            trouble: None,
+            tasks: HashMap::new(),
+            stopping: None,
+        };
+        let thread = std::thread::Builder::new()
+            .name(format!("ztl-device-{name}"))
+            .spawn(move || worker.run(&inbox))?;
+        Ok(Self {
+            inputs,
+            thread: Some(thread),
+        })
+    }
+
+    pub(super) fn start(&self, task: TaskReporter, spec: &TaskSpec<'_>) {
+        let mut reply = Vec::new();
+        spec.put_initiated(task.id(), &mut |bytes: &[u8]| {
+            reply.extend_from_slice(bytes)
+        });
+        let request = Request {
+            component: spec.component.to_owned(),
+            goal: spec.goal.to_owned(),
+            spec: spec.to_string(),
+            reply: String::from_utf8_lossy(&reply).into_owned(),
+        };
+        // If the thread is gone, dropping the reporter tells the client.
+        let _ = self.inputs.send(Input::Start(task, request));
+    }
+
+    pub(super) fn abort(&self, id: TaskId) {
+        let _ = self.inputs.send(Input::Abort(id));
+    }
+}
+
+impl Drop for Device {
+    fn drop(&mut self) {
+        let _ = self.inputs.send(Input::Stop);
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}
+
+/// The line, as the device's thread has it.
+enum Wire {
+    /// To be opened at this time.
+    None { retry: Instant },
+    /// A thread opens it.
+    Opening { stop: Arc<AtomicBool> },
+    Open {
+        writer: Box<dyn Write + Send>,
+        stop: Arc<AtomicBool>,
+    },
+}
+
+struct Worker {
+    name: String,
+    endpoint: Endpoint,
+    session: Session,
+    inputs: Sender<Input>,
+    line: Wire,
+    /// Of the present line; what an earlier one still says is not heard.
+    number: u64,
+    pause: Duration,
+    /// What is wrong with the line or the device, for reasons; said once in the log.
+    trouble: Option<String>,
+    tasks: HashMap<TaskId, (TaskReporter, Request)>,
+    /// Until when the tasks may take to stop.
+    stopping: Option<Instant>,
+}
+
+impl Worker {
+    fn run(&mut self, inbox: &Receiver<Input>) {
+        loop {
+            if let Wire::None { retry } = self.line
+                && now() >= retry
+            {
+                self.open();
+            }
+            match inbox.recv_timeout(self.until_wake()) {
+                Ok(input) => self.on_input(input),
+                Err(RecvTimeoutError::Timeout) => {}
+                Err(RecvTimeoutError::Disconnected) => break,
+            }
+            for input in inbox.try_iter() {
+                self.on_input(input);
+            }
+            self.session.handle_timeout(now());
+            self.transmit();
+            while let Some(event) = self.session.poll_event() {
+                self.on_event(event);
+            }
+            if let Some(end) = self.stopping
+                && (self.tasks.is_empty() || now() >= end)
+            {
+                break;
+            }
+        }
+        self.close();
+    }
+
+    fn until_wake(&self) -> Duration {
+        let open = match self.line {
+            Wire::None { retry } => Some(retry),
+            _ => None,
+        };
+        let wake = earliest(earliest(self.session.poll_timeout(), open), self.stopping);
+        wake.map_or(Duration::from_secs(60), |wake| wake.since(now()))
+    }
+
+    fn open(&mut self) {
+        self.number += 1;
+        let (number, endpoint, inputs) = (self.number, self.endpoint.clone(), self.inputs.clone());
+        let stop = Arc::new(AtomicBool::new(false));
+        self.line = Wire::Opening {
+            stop: Arc::clone(&stop),
+        };
+        let spawned = std::thread::Builder::new()
+            .name(format!("ztl-line-{}", self.name))
+            .spawn(move || {
+                let error = read_line(number, &endpoint, &inputs, &stop);
+                let _ = inputs.send(Input::Closed(number, error));
+            });
+        if let Err(error) = spawned {
+            self.on_closed(&error);
+        }
+    }
+
+    fn close(&mut self) {
+        if let Wire::Opening { stop } | Wire::Open { stop, .. } = &self.line {
+            stop.store(true, Ordering::Release);
+        }
+        self.line = Wire::None { retry: now() };
+    }
+
+    fn on_input(&mut self, input: Input) {
+        match input {
+            Input::Start(task, request) => {
+                if self.stopping.is_some() {
+                    return task.rejected("the gateway is stopping");
+                }
+                let id = task.id();
+                self.session
+                    .start(now(), id, &request.component, &request.goal);
+                self.tasks.insert(id, (task, request));
+            }
+            Input::Abort(id) => self.session.abort(now(), id),
+            Input::Opened(number, writer) if number == self.number => {
+                if let Wire::Opening { stop } = &self.line {
+                    let stop = Arc::clone(stop);
+                    self.line = Wire::Open { writer, stop };
+                    self.session.handle_connected(now());
+                }
+            }
+            Input::Bytes(number, bytes) if number == self.number => {
+                self.session.handle_bytes(now(), &bytes);
+            }
+            Input::Closed(number, error) if number == self.number => self.on_closed(&error),
+            Input::Opened(..) | Input::Bytes(..) | Input::Closed(..) => {}
+            Input::Stop => {
+                self.stopping = Some(now() + STOP);
+                for id in self.tasks.keys() {
+                    self.session.abort(now(), *id);
+                }
+            }
+        }
+    }
+
+    fn on_closed(&mut self, error: &io::Error) {
+        self.close();
+        self.session.handle_disconnected();
+        self.line = Wire::None {
+            retry: now() + self.pause,
+        };
+        self.pause = (self.pause * 2).min(RETRY.1);
+        self.set_trouble(format!("{}: {error}", self.endpoint));
+    }
+
+    fn set_trouble(&mut self, trouble: String) {
+        if self.trouble.as_ref() != Some(&trouble) {
+            warn!(target: LOG, "Device '{}': {trouble}", self.name);
+            self.trouble = Some(trouble);
+        }
+    }
+
+    fn transmit(&mut self) {
+        let bytes = self.session.poll_transmit();
+        if bytes.is_empty() {
+            return;
+        }
+        if let Wire::Open { writer, .. } = &mut self.line
+            && let Err(error) = writer.write_all(&bytes).and_then(|()| writer.flush())
+        {
+            self.on_closed(&error);
+        }
+    }
+
+    fn on_event(&mut self, event: Event) {
+        match event {
+            Event::Accepted(id) => {
+                if let Some((task, request)) = self.tasks.get(&id) {
+                    task.accepted(&request.reply);
+                }
+            }
+            Event::Rejected(id, reason) => {
+                if let Some((task, request)) = self.tasks.remove(&id) {
+                    let trouble = match &self.trouble {
+                        Some(trouble) if !self.session.is_up() => format!(" ({trouble})"),
+                        _ => String::new(),
+                    };
+                    task.rejected(format!("'{}' refused: {reason}{trouble}", request.spec));
+                }
+            }
+            Event::Progress(id, text) => {
+                if let Some((task, _)) = self.tasks.get(&id) {
+                    task.progress(text);
+                }
+            }
+            Event::Ended(id, state, text) => {
+                if let Some((task, _)) = self.tasks.remove(&id) {
+                    match state {
+                        State::Completed => task.completed(text),
+                        State::Aborted => task.aborted(text),
+                        _ => task.failed(text),
+                    }
+                }
+            }
+            Event::Up => {
+                self.pause = RETRY.0;
+                self.trouble = None;
+                if let Some(device) = self.session.device() {
+                    let names: Vec<&str> =
+                        device.components.iter().map(|c| c.name.as_str()).collect();
+                    info!(
+                        target: LOG,
+                        "Device '{}' is ready at {}: {} {}, components: {}",
+                        self.name, self.endpoint, device.name, device.firmware, names.join(", ")
+                    );
+                }
+            }
+            Event::Lost => self.set_trouble("it no longer answers".to_owned()),
+            Event::Reset => warn!(target: LOG, "Device '{}' was reset.", self.name),
+            Event::Refused(reason) => self.set_trouble(reason),
+        }
+    }
+}
+
+/// Opens the line and passes on what arrives, until it breaks or is no longer wanted.
+fn read_line(
+    number: u64,
+    endpoint: &Endpoint,
+    inputs: &Sender<Input>,
+    stop: &AtomicBool,
+) -> io::Error {
+    let ended = || io::Error::new(io::ErrorKind::UnexpectedEof, "the other end has closed it");
+    let mut line = match endpoint.open() {
+        Ok(line) => line,
+        Err(error) => return error,
+    };
+    let writer = std::mem::replace(&mut line.writer, Box::new(io::sink()));
+    if inputs.send(Input::Opened(number, writer)).is_err() {
+        return ended();
+    }
+    let mut buffer = [0; 1024];
+    while !stop.load(Ordering::Acquire) {
+        match line.reader.read(&mut buffer) {
+            Ok(0) => return ended(),
+            Ok(count) => {
+                let bytes = buffer.get(..count).unwrap_or_default().to_vec();
+                if inputs.send(Input::Bytes(number, bytes)).is_err() {
+                    break;
+                }
+            }
+            Err(error) if is_pause(&error) => {}
+            Err(error) => return error,
+        }
+    }
+    ended()
+}

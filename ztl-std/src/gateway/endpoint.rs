@@ -1,0 +1,281 @@
+//! Where a device is: `serial:/dev/ttyACM0?baud=115200`, `tcp:HOST:PORT`, `sim:gripper`.
+
+use std::io::{self, Read, Write};
+use std::net::{TcpStream, ToSocketAddrs};
+use std::str::FromStr;
+use std::time::Duration;
+
+#[cfg(feature = "sim")]
+use crate::sim;
+
+/// Line rate of a serial port unless `?baud=` says otherwise.
+pub const BAUD: u32 = 115_200;
+
+/// A read gives up after this time, so that a line can be closed.
+pub(crate) const READ_TIMEOUT: Duration = Duration::from_millis(50);
+
+/// Where a device is.
+#[derive(Debug, Clone, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum Endpoint {
+    /// A serial port, a USB serial port or a pty.
+    Serial {
+        /// Path of the port.
+        path: String,
+        /// Line rate in bits a second.
+        baud: u32,
+    },
+    /// A byte stream over TCP: ser2net, QEMU, `ztl device`.
+    Tcp {
+        /// Host and port.
+        address: String,
+    },
+    /// A device simulated in this process.
+    #[cfg(feature = "sim")]
+    Sim(sim::Kind),
+}
+
+/// Why a text is no endpoint.
+#[derive(Debug, Clone, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum EndpointError {
+    /// The part before the first `:` is none of ours.
+    Scheme {
+        /// What was written.
+        found: String,
+    },
+    /// The path or the address is missing or incomplete.
+    Incomplete {
+        /// What is right.
+        expected: &'static str,
+    },
+    /// `?baud=` is no line rate, or there is an unknown option.
+    Option {
+        /// What was written.
+        found: String,
+    },
+    /// No such simulated device.
+    Simulation {
+        /// What was written.
+        found: String,
+        /// What there is.
+        known: String,
+    },
+}
+
+impl std::fmt::Display for EndpointError {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Scheme { found } => write!(
+                f,
+                "unknown kind of device '{found}'; use serial:/dev/ttyACM0?baud=115200, tcp:HOST:PORT or sim:gripper"
+            ),
+            Self::Incomplete { expected } => write!(f, "incomplete; use {expected}"),
+            Self::Option { found } => {
+                write!(
+                    f,
+                    "'{found}' is no option of a serial port; use ?baud=115200"
+                )
+            }
+            Self::Simulation { found, known } => {
+                write!(f, "no simulated device '{found}'; there are: {known}")
+            }
+        }
+    }
+}
+
+impl std::error::Error for EndpointError {}
+
+impl FromStr for Endpoint {
+    type Err = EndpointError;
+
+    fn from_str(text: &str) -> Result<Self, EndpointError> {
+        let (scheme, rest) = text.split_once(':').unwrap_or((text, ""));
+        match scheme {
+            "serial" => serial(rest),
+            "tcp" => match rest.rsplit_once(':') {
+                Some((host, port)) if !host.is_empty() && port.parse::<u16>().is_ok() => {
+                    Ok(Self::Tcp {
+                        address: rest.to_owned(),
+                    })
+                }
+                _ => Err(EndpointError::Incomplete {
+                    expected: "tcp:HOST:PORT, as tcp:localhost:7000",
+                }),
+            },
+            #[cfg(feature = "sim")]
+            "sim" => rest.parse().map(Self::Sim),
+            _ => Err(EndpointError::Scheme {
+                found: scheme.to_owned(),
+            }),
+        }
+    }
+}
+
+fn serial(rest: &str) -> Result<Endpoint, EndpointError> {
+    let (path, options) = rest.split_once('?').unwrap_or((rest, ""));
+    if path.is_empty() {
+        return Err(EndpointError::Incomplete {
+            expected: "serial:PATH, as serial:/dev/ttyACM0?baud=115200",
+        });
+    }
+    let mut baud = BAUD;
+    for option in options.split('&').filter(|option| !option.is_empty()) {
+        baud = option
+            .strip_prefix("baud=")
+            .and_then(|rate| rate.parse().ok())
+            .filter(|rate| *rate > 0)
+            .ok_or_else(|| EndpointError::Option {
+                found: option.to_owned(),
+            })?;
+    }
+    Ok(Endpoint::Serial {
+        path: path.to_owned(),
+        baud,
+    })
+}
+
+impl std::fmt::Display for Endpoint {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Serial { path, .. } => write!(f, "serial:{path}"),
+            Self::Tcp { address } => write!(f, "tcp:{address}"),
+            #[cfg(feature = "sim")]
+            Self::Sim(kind) => write!(f, "sim:{kind}"),
+        }
+    }
+}
+
+/// An open byte stream; its reads give up after a while with [`io::ErrorKind::TimedOut`].
+pub struct Line {
+    /// What arrives.
+    pub reader: Box<dyn Read + Send>,
+    /// What is sent.
+    pub writer: Box<dyn Write + Send>,
+    /// Kept open as long as the line is: the simulated device at the other end.
+    #[cfg(feature = "sim")]
+    pub(crate) device: Option<sim::Running>,
+}
+
+impl std::fmt::Debug for Line {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str("Line")
+    }
+}
+
+impl Line {
+    /// A line over any two halves.
+    pub fn new(reader: impl Read + Send + 'static, writer: impl Write + Send + 'static) -> Self {
+        Self {
+            reader: Box::new(reader),
+            writer: Box::new(writer),
+            #[cfg(feature = "sim")]
+            device: None,
+        }
+    }
+
+    /// A line over a connected TCP stream.
+    ///
+    /// # Errors
+    /// Those of the operating system.
+    pub fn tcp(stream: TcpStream) -> io::Result<Self> {
+        stream.set_nodelay(true)?;
+        stream.set_read_timeout(Some(READ_TIMEOUT))?;
+        stream.set_write_timeout(Some(Duration::from_secs(1)))?;
+        Ok(Self::new(stream.try_clone()?, stream))
+    }
+
+    /// A line over an open serial port.
+    ///
+    /// # Errors
+    /// Those of the operating system.
+    pub fn serial(port: Box<dyn serialport::SerialPort>) -> io::Result<Self> {
+        let reader = port.try_clone()?;
+        Ok(Self::new(reader, port))
+    }
+}
+
+impl Endpoint {
+    /// Opens the line; for a simulated device, starts it.
+    ///
+    /// # Errors
+    /// Those of the operating system.
+    pub fn open(&self) -> io::Result<Line> {
+        match self {
+            Self::Serial { path, baud } => {
+                let port = serialport::new(path, *baud).timeout(READ_TIMEOUT).open()?;
+                Line::serial(port)
+            }
+            Self::Tcp { address } => {
+                let wait = Duration::from_secs(1);
+                let mut last = io::Error::new(io::ErrorKind::NotFound, "no such host");
+                for address in address.to_socket_addrs()? {
+                    match TcpStream::connect_timeout(&address, wait) {
+                        Ok(stream) => return Line::tcp(stream),
+                        Err(error) => last = error,
+                    }
+                }
+                Err(last)
+            }
+            #[cfg(feature = "sim")]
+            Self::Sim(kind) => sim::line(*kind),
+        }
+    }
+
+    /// The line rate, where the line has one.
+    #[must_use]
+    pub fn baud(&self) -> Option<u32> {
+        match self {
+            Self::Serial { baud, .. } => Some(*baud),
+            _ => None,
+        }
+    }
+}
+
+/// Whether a read brought nothing only because its time had passed.
+pub(crate) fn is_pause(error: &io::Error) -> bool {
+    matches!(
+        error.kind(),
+        io::ErrorKind::TimedOut | io::ErrorKind::WouldBlock | io::ErrorKind::Interrupted
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn endpoints_are_read_and_mistakes_say_what_would_be_right() {
+        let serial = |path: &str, baud| Endpoint::Serial {
+            path: path.to_owned(),
+            baud,
+        };
+        assert_eq!(
+            "serial:/dev/ttyACM0".parse(),
+            Ok(serial("/dev/ttyACM0", BAUD))
+        );
+        assert_eq!(
+            "serial:/dev/pts/3?baud=9600".parse(),
+            Ok(serial("/dev/pts/3", 9600))
+        );
+        assert_eq!(
+            "tcp:localhost:7000".parse(),
+            Ok(Endpoint::Tcp {
+                address: "localhost:7000".to_owned()
+            })
+        );
+        for (text, part) in [
+            ("usb:1", "serial:/dev/ttyACM0"),
+            ("/dev/ttyACM0", "serial:/dev/ttyACM0"),
+            ("serial:", "serial:PATH"),
+            ("serial:/dev/x?baud=fast", "?baud=115200"),
+            ("serial:/dev/x?speed=9600", "?baud=115200"),
+            ("tcp:7000", "tcp:HOST:PORT"),
+            ("tcp:localhost:http", "tcp:HOST:PORT"),
+            ("sim:arm", "there are: gripper, head"),
+        ] {
+            let error = text.parse::<Endpoint>().unwrap_err().to_string();
+            assert!(error.contains(part), "{text}: {error}");
+        }
+    }
+}

@@ -1,0 +1,28 @@
+//! Numbers from the operating system, for ids that must not repeat after a restart.
+
+use ztl_core::TaskId;
+
+/// A random number. Where the system has no random source the clock must do: the numbers are for
+/// telling apart, not for keeping secrets.
+pub(crate) fn number() -> u64 {
+    getrandom::u64().unwrap_or_else(|_| {
+        let since = std::time::UNIX_EPOCH.elapsed().unwrap_or_default();
+        u64::from(since.subsec_nanos()) << 32 | u64::from(std::process::id())
+    })
+}
+
+/// A random number that is not 0.
+pub(crate) fn nonzero() -> u32 {
+    (number() as u32).max(1)
+}
+
+/// Where a server's task ids start: 1 to 2^30, so an id from before a restart is nobody else's.
+pub(crate) fn first_task_id() -> TaskId {
+    let number = (number() as u32) & ((1 << 30) - 1);
+    TaskId::new(number).unwrap_or(FIRST)
+}
+
+const FIRST: TaskId = match TaskId::new(1) {
+    Some(id) => id,
+    None => unreachable!(),
+};

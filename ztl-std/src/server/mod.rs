@@ -1,0 +1,355 @@
+//! The task server: a ZeroMQ ROUTER around `ztl-core`'s dispatcher.
+//!
+//! The thread that answers runs no handler's code that could block: handlers take a task and
+//! return at once, and report from wherever they work.
+
+mod report;
+mod store;
+
+use std::sync::Arc;
+use std::thread::JoinHandle;
+
+use tracing::{debug, info, warn};
+use ztl_core::TaskId;
+use ztl_core::dispatcher::{Action, Body, Config, Dispatcher, Reply};
+
+use crate::clock::now;
+use crate::controller::{TaskController, Threads};
+use crate::random;
+
+pub use report::TaskReporter;
+use report::{Inbox, Mailbox, Waker};
+use store::{Heap, Peer};
+
+/// Longest message taken from the network, in bytes.
+pub const MAX_MESSAGE: usize = 1 << 20;
+
+/// Requests served before reports of handlers are looked at again.
+const BATCH: usize = 64;
+
+/// Name under which the original logs.
+const LOG: &str = "remote-task";
+
+/// What takes the tasks of a scope, on the server's own thread: it must return at once and work
+/// elsewhere. For tasks that run on threads there is [`TaskController`].
+pub trait TaskHandler: Send {
+    /// A client asks for a task. The decision and all that follows go to `task`, from any thread;
+    /// an INIT without a decision is answered after 1.5 s, with the id.
+    fn start(&mut self, task: TaskReporter, payload: &str);
+
+    /// A client asks to stop a task that this handler was given and that has not ended.
+    fn abort(&mut self, id: TaskId);
+}
+
+/// Why a server could not be opened.
+#[derive(Debug)]
+#[non_exhaustive]
+pub enum BindError {
+    /// Something else listens there.
+    InUse {
+        /// Where.
+        endpoint: String,
+    },
+    /// No interface of this machine has that address, or it is no address.
+    Address {
+        /// Where.
+        endpoint: String,
+        /// What ZeroMQ says.
+        cause: zmq::Error,
+    },
+    /// ZeroMQ gives no more sockets, or has no more memory.
+    Socket(zmq::Error),
+}
+
+impl std::fmt::Display for BindError {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::InUse { endpoint } => write!(
+                f,
+                "cannot listen at {endpoint}: the port is in use; stop what uses it, or choose another port"
+            ),
+            Self::Address { endpoint, cause } => write!(
+                f,
+                "cannot listen at {endpoint}: {}; use an address of this machine, as 127.0.0.1 or *",
+                cause.message()
+            ),
+            Self::Socket(cause) => write!(f, "cannot open a socket: {}", cause.message()),
+        }
+    }
+}
+
+impl std::error::Error for BindError {
+    fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
+        match self {
+            Self::InUse { .. } => None,
+            Self::Address { cause, .. } | Self::Socket(cause) => Some(cause),
+        }
+    }
+}
+
+impl From<zmq::Error> for BindError {
+    fn from(cause: zmq::Error) -> Self {
+        Self::Socket(cause)
+    }
+}
+
+/// A task server that is bound and does not serve yet.
+///
+/// Register what it is to serve, then [`listen`](Self::listen) or [`spawn`](Self::spawn).
+pub struct TaskServer {
+    socket: zmq::Socket,
+    bell: zmq::Socket,
+    /// After the sockets: a context ends when its sockets are closed.
+    _context: zmq::Context,
+    endpoint: String,
+    dispatcher: Dispatcher<Heap>,
+    /// By scope.
+    handlers: Vec<Box<dyn TaskHandler>>,
+    waker: Arc<Waker>,
+    mailbox: Mailbox,
+    inbox: Inbox,
+}
+
+impl TaskServer {
+    /// Listens at a ZeroMQ endpoint: `tcp://127.0.0.1:12345`, `tcp://*:12345` for every interface
+    /// (nobody is asked who they are), `tcp://127.0.0.1:*` for any free port.
+    ///
+    /// # Errors
+    /// As [`BindError`] says.
+    pub fn bind(endpoint: &str) -> Result<Self, BindError> {
+        let context = zmq::Context::new();
+        let socket = context.socket(zmq::ROUTER)?;
+        socket.set_linger(0)?;
+        socket.set_maxmsgsize(MAX_MESSAGE as i64)?;
+        socket.bind(endpoint).map_err(|cause| match cause {
+            zmq::Error::EADDRINUSE => BindError::InUse {
+                endpoint: endpoint.to_owned(),
+            },
+            cause => BindError::Address {
+                endpoint: endpoint.to_owned(),
+                cause,
+            },
+        })?;
+        let bound = socket.get_last_endpoint()?.unwrap_or_default();
+        let bell = context.socket(zmq::PULL)?;
+        bell.bind("inproc://wake")?;
+        let ringer = context.socket(zmq::PUSH)?;
+        ringer.set_linger(0)?;
+        ringer.connect("inproc://wake")?;
+        let waker = Waker::new(ringer);
+        let (mailbox, inbox) = Mailbox::new(Arc::clone(&waker));
+        info!(target: LOG, "Task Server listening at '{endpoint}'");
+        Ok(Self {
+            socket,
+            bell,
+            _context: context,
+            endpoint: bound,
+            dispatcher: Dispatcher::new(
+                Heap::default(),
+                random::first_task_id(),
+                Config::default(),
+            ),
+            handlers: Vec::new(),
+            waker,
+            mailbox,
+            inbox,
+        })
+    }
+
+    /// Where it listens, with the port that was chosen.
+    #[must_use]
+    pub fn endpoint(&self) -> &str {
+        &self.endpoint
+    }
+
+    /// Serves a scope with tasks that run on threads. A second registration replaces the first.
+    pub fn register(&mut self, scope: &str, controller: impl TaskController) {
+        self.register_handler(scope, Threads::new(controller));
+    }
+
+    /// Serves a scope with a handler of any kind. A second registration replaces the first.
+    pub fn register_handler(&mut self, scope: &str, handler: impl TaskHandler + 'static) {
+        info!(target: LOG, "Registering controller for scope '{scope}'.");
+        let place = usize::from(self.dispatcher.store_mut().register(scope).0);
+        match self.handlers.get_mut(place) {
+            Some(known) => *known = Box::new(handler),
+            None => self.handlers.push(Box::new(handler)),
+        }
+    }
+
+    /// A handle that ends [`listen`](Self::listen) from another thread.
+    #[must_use]
+    pub fn stopper(&self) -> Stopper {
+        Stopper(Arc::clone(&self.waker))
+    }
+
+    /// Serves until it is stopped.
+    ///
+    /// # Errors
+    /// When ZeroMQ can no longer wait; no request can cause it.
+    pub fn listen(mut self) -> Result<(), zmq::Error> {
+        while !self.waker.stopped() {
+            self.wait()?;
+            if self.bell.recv_msg(zmq::DONTWAIT).is_ok() {
+                self.waker.taken();
+            }
+            self.take_reports();
+            for _ in 0..BATCH {
+                match self.socket.recv_multipart(zmq::DONTWAIT) {
+                    Ok(frames) => self.serve(frames),
+                    Err(_) => break,
+                }
+            }
+            let Self {
+                dispatcher, socket, ..
+            } = &mut self;
+            dispatcher.handle_timeout(now(), &mut |peer, reply| answer(socket, peer, &reply));
+        }
+        Ok(())
+    }
+
+    /// Serves on a thread of its own, until the returned server is dropped or stopped.
+    ///
+    /// # Errors
+    /// When the system gives no more threads.
+    pub fn spawn(self) -> std::io::Result<RunningServer> {
+        let endpoint = self.endpoint.clone();
+        let stopper = self.stopper();
+        let thread = std::thread::Builder::new()
+            .name("ztl-server".to_owned())
+            .spawn(move || {
+                if let Err(cause) = self.listen() {
+                    warn!(target: LOG, "the server has ended: {}", cause.message());
+                }
+            })?;
+        Ok(RunningServer {
+            endpoint,
+            stopper,
+            thread: Some(thread),
+        })
+    }
+
+    /// Until a request, a report or the dispatcher's next wake-up.
+    fn wait(&self) -> Result<(), zmq::Error> {
+        let timeout = self.dispatcher.poll_timeout().map_or(-1, |wake| {
+            let millis = wake.since(now()).as_micros().div_ceil(1000);
+            i64::try_from(millis).unwrap_or(i64::MAX).min(3_600_000)
+        });
+        let mut items = [
+            self.socket.as_poll_item(zmq::POLLIN),
+            self.bell.as_poll_item(zmq::POLLIN),
+        ];
+        match zmq::poll(&mut items, timeout) {
+            Ok(_) | Err(zmq::Error::EINTR) => Ok(()),
+            Err(cause) => Err(cause),
+        }
+    }
+
+    fn take_reports(&mut self) {
+        let Self {
+            dispatcher,
+            socket,
+            inbox,
+            ..
+        } = self;
+        for (id, report) in inbox.waiting() {
+            dispatcher.handle_event(now(), id, report.event(), &mut |peer, reply| {
+                answer(socket, peer, &reply);
+            });
+        }
+    }
+
+    fn serve(&mut self, mut frames: Vec<Vec<u8>>) {
+        // Identity, any envelope, an empty frame, and then the body. Without the empty frame it
+        // is no request: a REP socket drops it too.
+        let Some(delimiter) = frames.iter().position(Vec::is_empty) else {
+            debug!(target: LOG, "dropped a message without a delimiter");
+            return;
+        };
+        let content = frames.split_off(delimiter + 1);
+        let body = match content.as_slice() {
+            [one] => Body::One(one),
+            _ => Body::Several,
+        };
+        let socket = &self.socket;
+        let action = self
+            .dispatcher
+            .handle_request(now(), frames, body, &mut |peer, reply| {
+                answer(socket, peer, &reply);
+            });
+        match action {
+            Some(Action::Start { id, scope, payload }) => {
+                if let Some(handler) = self.handlers.get_mut(usize::from(scope.0)) {
+                    handler.start(TaskReporter::new(id, self.mailbox.clone()), payload);
+                }
+            }
+            Some(Action::Abort { id, scope }) => {
+                if let Some(handler) = self.handlers.get_mut(usize::from(scope.0)) {
+                    handler.abort(id);
+                }
+            }
+            None => {}
+        }
+    }
+}
+
+/// Sends an answer, or drops it when its client is gone or takes nothing.
+fn answer(socket: &zmq::Socket, mut peer: Peer, reply: &Reply<'_>) {
+    let mut body = Vec::new();
+    reply.put(&mut |bytes: &[u8]| body.extend_from_slice(bytes));
+    peer.push(body);
+    if let Err(cause) = socket.send_multipart(peer, zmq::DONTWAIT) {
+        debug!(target: LOG, "an answer was not taken: {}", cause.message());
+    }
+}
+
+/// Ends a server from another thread.
+#[derive(Clone)]
+pub struct Stopper(Arc<Waker>);
+
+impl Stopper {
+    /// Ends the server; what it serves at the moment is still answered.
+    pub fn stop(&self) {
+        self.0.stop();
+    }
+}
+
+impl std::fmt::Debug for Stopper {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str("Stopper")
+    }
+}
+
+/// A server on a thread of its own; stops when it is dropped.
+#[derive(Debug)]
+pub struct RunningServer {
+    endpoint: String,
+    stopper: Stopper,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl RunningServer {
+    /// Where it listens.
+    #[must_use]
+    pub fn endpoint(&self) -> &str {
+        &self.endpoint
+    }
+
+    /// Whether its thread still serves.
+    #[must_use]
+    pub fn is_running(&self) -> bool {
+        self.thread
+            .as_ref()
+            .is_some_and(|thread| !thread.is_finished())
+    }
+}
+
+impl Drop for RunningServer {
+    fn drop(&mut self) {
+        self.stopper.stop();
+        if let Some(thread) = self.thread.take() {
+            // A panic there has been printed already.
+            let _ = thread.join();
+        }
+    }
+}

@@ -1,0 +1,200 @@
+//! How a handler tells its server what became of a task, from any thread.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, Sender, TryIter, channel};
+use std::sync::{Arc, Mutex, PoisonError};
+
+use ztl_core::TaskId;
+use ztl_core::dispatcher::TaskEvent;
+
+/// What a handler says, on its way to the server's thread.
+#[derive(Debug)]
+pub(super) enum Report {
+    Accepted(String),
+    Rejected(String),
+    Threw(String),
+    Progress(String),
+    Completed(String),
+    Failed(String),
+    Aborted(String),
+    AbortRefused,
+}
+
+impl Report {
+    pub(super) fn event(&self) -> TaskEvent<'_> {
+        match self {
+            Self::Accepted(reply) => TaskEvent::Accepted { reply },
+            Self::Rejected(reason) => TaskEvent::Rejected { reason },
+            Self::Threw(message) => TaskEvent::Threw { message },
+            Self::Progress(text) => TaskEvent::Progress { text },
+            Self::Completed(result) => TaskEvent::Completed { result },
+            Self::Failed(reason) => TaskEvent::Failed { reason },
+            Self::Aborted(result) => TaskEvent::Aborted { result },
+            Self::AbortRefused => TaskEvent::AbortRefused,
+        }
+    }
+}
+
+/// Reports for the server's thread; wakes it when it sleeps in its poll.
+#[derive(Clone)]
+pub(super) struct Mailbox {
+    reports: Sender<(TaskId, Report)>,
+    waker: Arc<Waker>,
+}
+
+/// Ends the server's poll from another thread.
+pub(super) struct Waker {
+    /// A wake-up is on its way and has not been taken.
+    pending: AtomicBool,
+    stop: AtomicBool,
+    bell: Mutex<zmq::Socket>,
+}
+
+impl Waker {
+    pub(super) fn new(bell: zmq::Socket) -> Arc<Self> {
+        Arc::new(Self {
+            pending: AtomicBool::new(false),
+            stop: AtomicBool::new(false),
+            bell: Mutex::new(bell),
+        })
+    }
+
+    fn wake(&self) {
+        if !self.pending.swap(true, Ordering::AcqRel) {
+            let bell = self.bell.lock().unwrap_or_else(PoisonError::into_inner);
+            // The queue cannot be full: one wake-up is pending at a time.
+            let _ = bell.send(&b""[..], zmq::DONTWAIT);
+        }
+    }
+
+    /// The wake-up has been taken: what comes from now on rings again. To be called before the
+    /// mailbox is emptied.
+    pub(super) fn taken(&self) {
+        self.pending.store(false, Ordering::Release);
+    }
+
+    pub(super) fn stop(&self) {
+        self.stop.store(true, Ordering::Release);
+        self.wake();
+    }
+
+    pub(super) fn stopped(&self) -> bool {
+        self.stop.load(Ordering::Acquire)
+    }
+}
+
+impl Mailbox {
+    pub(super) fn new(waker: Arc<Waker>) -> (Self, Inbox) {
+        let (reports, inbox) = channel();
+        (Self { reports, waker }, Inbox(inbox))
+    }
+
+    fn post(&self, id: TaskId, report: Report) {
+        // A server that is gone needs no reports.
+        if self.reports.send((id, report)).is_ok() {
+            self.waker.wake();
+        }
+    }
+}
+
+pub(super) struct Inbox(Receiver<(TaskId, Report)>);
+
+impl Inbox {
+    pub(super) fn waiting(&self) -> TryIter<'_, (TaskId, Report)> {
+        self.0.try_iter()
+    }
+}
+
+/// One task's line to its server. Exactly one of the ends is told: a reporter that is dropped
+/// before ends the task as FAILED.
+pub struct TaskReporter {
+    id: TaskId,
+    mailbox: Mailbox,
+    ended: bool,
+}
+
+impl TaskReporter {
+    pub(super) fn new(id: TaskId, mailbox: Mailbox) -> Self {
+        Self {
+            id,
+            mailbox,
+            ended: false,
+        }
+    }
+
+    /// The task's id, as its client knows it.
+    #[must_use]
+    pub const fn id(&self) -> TaskId {
+        self.id
+    }
+
+    /// The task is taken; `reply` is the text of the INIT's answer.
+    pub fn accepted(&self, reply: impl Into<String>) {
+        self.post(Report::Accepted(reply.into()));
+    }
+
+    /// Where the task is now; the latest wins.
+    pub fn progress(&self, text: impl Into<String>) {
+        self.post(Report::Progress(text.into()));
+    }
+
+    /// The task cannot be stopped and goes on: answers an ABORT.
+    pub fn abort_refused(&self) {
+        self.post(Report::AbortRefused);
+    }
+
+    /// The task is refused, and nothing was done.
+    pub fn rejected(self, reason: impl Into<String>) {
+        self.end(Report::Rejected(reason.into()));
+    }
+
+    /// The task is refused in the form in which the original reports an exception of its
+    /// controller.
+    pub fn threw(self, message: impl Into<String>) {
+        self.end(Report::Threw(message.into()));
+    }
+
+    /// The goal is reached.
+    pub fn completed(self, result: impl Into<String>) {
+        self.end(Report::Completed(result.into()));
+    }
+
+    /// The goal will not be reached.
+    pub fn failed(self, reason: impl Into<String>) {
+        self.end(Report::Failed(reason.into()));
+    }
+
+    /// The task has stopped as asked.
+    pub fn aborted(self, result: impl Into<String>) {
+        self.end(Report::Aborted(result.into()));
+    }
+
+    /// Refuses an ABORT from elsewhere than where the reporter is.
+    pub(crate) fn abort_refusal(&self) -> Box<dyn Fn() + Send> {
+        let (id, mailbox) = (self.id, self.mailbox.clone());
+        Box::new(move || mailbox.post(id, Report::AbortRefused))
+    }
+
+    fn post(&self, report: Report) {
+        self.mailbox.post(self.id, report);
+    }
+
+    fn end(mut self, report: Report) {
+        self.ended = true;
+        self.post(report);
+    }
+}
+
+impl Drop for TaskReporter {
+    fn drop(&mut self) {
+        if !self.ended {
+            self.post(Report::Failed("its handler has gone".to_owned()));
+        }
+    }
+}
+
+impl std::fmt::Debug for TaskReporter {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_tuple("TaskReporter").field(&self.id).finish()
+    }
+}
