@@ -5,7 +5,7 @@ use core::time::Duration;
 use heapless::Vec;
 use ztl_core::link::{
     ADDR_ONLY_NODE, Body, Decoder, Frame, FrameError, Hello, Ids, LINK_TIMEOUT, LinkId, Loss,
-    NO_SEQ, NO_SESSION, VERSION, Welcome, encode, next_seq,
+    NO_SEQ, NO_SESSION, VERSION, Welcome, encode, next_seq, session_key,
 };
 use ztl_core::time::earliest;
 use ztl_core::{Instant, State};
@@ -124,7 +124,9 @@ struct Inner<'a, const TASKS: usize, const FRAME: usize> {
     components: &'a mut [&'a mut dyn Component],
     /// The session that runs, [`NO_SESSION`] after a reset.
     session: u32,
-    /// The one before it.
+    /// The number of the `Hello` that opened it.
+    hello: u32,
+    /// The same of the session before.
     replaced: u32,
     gateway: u64,
     /// `seq` of the last command executed.
@@ -156,6 +158,7 @@ impl<'a, const TASKS: usize, const FRAME: usize> Node<'a, TASKS, FRAME> {
             identity,
             components,
             session: NO_SESSION,
+            hello: NO_SESSION,
             replaced: NO_SESSION,
             gateway: 0,
             seq: NO_SEQ,
@@ -331,14 +334,15 @@ impl<const TASKS: usize, const FRAME: usize> Inner<'_, TASKS, FRAME> {
             self.refusal = Some((hello.session, "this node speaks version 1 of the link"));
             return;
         }
-        if hello.session != self.session {
+        if hello.session != self.hello {
             let live = self.session != NO_SESSION && now < self.heard + self.identity.link_timeout;
             if live && hello.gateway != self.gateway {
                 self.refusal = Some((hello.session, "another gateway holds this device"));
                 return;
             }
-            self.replaced = self.session;
-            self.session = hello.session;
+            self.replaced = self.hello;
+            self.hello = hello.session;
+            self.session = session_key(hello.session, self.identity.boot);
             self.gateway = hello.gateway;
             self.seq = NO_SEQ;
             // A new session proves nothing about the way back, so the link timer runs on.
@@ -513,8 +517,13 @@ impl<const TASKS: usize, const FRAME: usize> Inner<'_, TASKS, FRAME> {
         let seq = self.seq;
         let held = u8::try_from(self.slots.len()).unwrap_or(u8::MAX);
         let clock_ms = Self::clock_ms(now);
-        let mut frame = |body| encode_into(&mut self.transmit, self.session, seq, body);
-        match self.answer? {
+        let answer = self.answer?;
+        let session = match answer {
+            Answer::Welcome => self.hello,
+            _ => self.session,
+        };
+        let mut frame = |body| encode_into(&mut self.transmit, session, seq, body);
+        match answer {
             Answer::Welcome => {
                 let ids: Vec<LinkId, TASKS> = self.slots.iter().map(|slot| slot.id).collect();
                 frame(Body::Welcome(Welcome {

@@ -20,11 +20,25 @@ pub const VERSION: u8 = 1;
 /// says otherwise.
 pub const LINK_TIMEOUT: Duration = Duration::from_secs(1);
 
-/// The session under which `Hello` and `Awake` are checked.
+/// The session under which `Hello` and `Awake` are checked; `Welcome` is checked under the number
+/// that the `Hello` brought, everything else under [`session_key`].
 pub const NO_SESSION: u32 = 0;
 
 /// The `seq` of a `Hello` and of every frame that answers no command.
 pub const NO_SEQ: u8 = 0;
+
+/// The session under which all but `Hello`, `Awake` and `Welcome` is checked: the number of the
+/// `Hello` and the boot id of the `Welcome` together, never 0.
+///
+/// Without the boot id, a `Welcome` that a line held back while its node was reset could open a
+/// session with the reborn node under the old one's name.
+#[must_use]
+pub const fn session_key(hello: u32, boot: u32) -> u32 {
+    match hello ^ boot {
+        NO_SESSION => 1,
+        key => key,
+    }
+}
 
 /// The `seq` of the command after the one with this `seq`; 0 is left out.
 #[must_use]

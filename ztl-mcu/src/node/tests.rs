@@ -75,8 +75,13 @@ fn motor<'t>(name: &'static str, loss: Loss, trace: &'t Trace) -> Motor<'t> {
     }
 }
 
+/// The session that a `Hello` opens with the node of these tests.
+fn key(hello: u32) -> u32 {
+    session_key(hello, 77)
+}
+
 /// What a node says, with the seq in front.
-fn said(node: &mut Node<'_, 2, 128>, now: Instant, session: u32) -> Grown<String> {
+fn said(node: &mut Node<'_, 2, 128>, now: Instant, hello: u32) -> Grown<String> {
     let mut decoder = Decoder::<160>::new();
     let mut heard = Grown::new();
     let mut buffer = [0xA5; 7];
@@ -87,7 +92,7 @@ fn said(node: &mut Node<'_, 2, 128>, now: Instant, session: u32) -> Grown<String
         }
         for &byte in &buffer[..count] {
             if decoder.push(byte) == Ok(true) {
-                let (_, frame) = decoder.frame(&[session, NO_SESSION]).unwrap();
+                let (_, frame) = decoder.frame(&[key(hello), hello, NO_SESSION]).unwrap();
                 heard.push(match frame.body {
                     Body::Welcome(Welcome {
                         boot,
@@ -159,7 +164,7 @@ impl Desk<'_, '_> {
     }
 
     fn command(&mut self, seq: u8, body: Body<'_>) -> Grown<String> {
-        self.send(self.session, seq, body)
+        self.send(key(self.session), seq, body)
     }
 
     fn start(&mut self, seq: u8, task: u32, component: u8, goal: &str) -> Grown<String> {
@@ -271,7 +276,10 @@ fn a_task_runs_tells_progress_and_repeats_its_end_until_acknowledged() {
         assert_said(desk.pass(99), &[]);
         assert_said(desk.pass(1), &["Ended 9 COMPLETED moving"]);
         assert_said(desk.command(2, Body::Ping), &["2 Pong 1"]);
-        assert_said(desk.send(5, NO_SEQ, Body::Ack { task: LinkId(9) }), &[]);
+        assert_said(
+            desk.send(key(5), NO_SEQ, Body::Ack { task: LinkId(9) }),
+            &[],
+        );
         assert_said(desk.pass(200), &[]);
         assert_said(desk.command(3, Body::Ping), &["3 Pong 0"]);
     });
@@ -282,7 +290,7 @@ fn an_acknowledgement_of_a_running_task_changes_nothing() {
     with_node(|desk, _| {
         desk.hello(5, 1);
         desk.start(1, 9, 0, "50");
-        desk.send(5, NO_SEQ, Body::Ack { task: LinkId(9) });
+        desk.send(key(5), NO_SEQ, Body::Ack { task: LinkId(9) });
         assert_said(desk.pass(60), &["Ended 9 COMPLETED moving"]);
     });
 }
@@ -319,7 +327,7 @@ fn what_cannot_be_started_is_refused_with_the_reason() {
             desk.start(8, 11, 2, "50"),
             &["8 Refused ends not yet acknowledged"],
         );
-        desk.send(5, NO_SEQ, Body::Ack { task: LinkId(9) });
+        desk.send(key(5), NO_SEQ, Body::Ack { task: LinkId(9) });
         let again = "a task of this or a later id was started already";
         assert_said(desk.start(9, 10, 2, "50"), &[&format!("9 Refused {again}")]);
         assert_said(desk.start(10, 11, 2, "50"), &["10 Started 11"]);
@@ -388,7 +396,7 @@ fn a_new_session_keeps_the_tasks_and_tells_which() {
             &["Welcome boot 77 replaces 5 highest 9 [9]", "Progress 9 "],
         );
         // A command of the session before fails its check.
-        assert_said(desk.send(5, 2, Body::Abort { task: LinkId(9) }), &[]);
+        assert_said(desk.send(key(5), 2, Body::Abort { task: LinkId(9) }), &[]);
         assert_said(desk.command(1, Body::Ping), &["1 Pong 1"]);
     });
 }

@@ -11,7 +11,7 @@ use std::time::Duration;
 
 use ztl_core::link::{
     ADDR_ONLY_NODE, Body, Decoder, Frame, FrameError, Hello, LINK_TIMEOUT, LinkId, Loss, NO_SEQ,
-    NO_SESSION, VERSION, Welcome, encode, next_seq,
+    NO_SESSION, VERSION, Welcome, encode, next_seq, session_key,
 };
 use ztl_core::time::earliest;
 use ztl_core::{Instant, State, TaskId};
@@ -170,6 +170,7 @@ pub struct Session {
     baud: Option<u32>,
     random: fn() -> u32,
     phase: Phase,
+    /// What frames are checked under: the `Hello`'s number until there is a `Welcome`.
     session: u32,
     seq: u8,
     decoder: Decoder<FRAME>,
@@ -663,6 +664,7 @@ impl Session {
             self.events.push_back(Event::Refused(reason));
             return;
         }
+        self.session = session_key(self.session, welcome.boot);
         self.clock = Some((welcome.clock_ms, now));
         self.next_link = self.next_link.max(welcome.highest.saturating_add(1));
         let known = self
