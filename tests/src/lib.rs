@@ -1,3 +1,5 @@
-//! What crosses crates. The documentation tests of this package are the README's examples.
+#![doc = include_str!("../../README.md")]
+//!
+//! What crosses crates; the page above is the README, whose examples are compiled and run here.
 
 pub mod lab;

@@ -1,0 +1,114 @@
+//! What the integration tests are made of: real processes, ports and files, each given back when
+//! its guard is dropped.
+//!
+//! Whatever waits here waits for a condition, and for no longer than it says.
+
+mod original;
+mod process;
+mod server;
+
+pub use original::{
+    ABORTED, ACCEPTED, Answer, COMPLETED, FAILED, OriginalClient, REJECTED, original_tool, python,
+};
+pub use process::{Ended, Process};
+pub use server::{SCOPE, Server};
+
+use std::net::TcpListener;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::time::{Duration, Instant};
+
+/// Longest time for what is not itself measured: the machine may be busy with other things.
+pub const PATIENCE: Duration = Duration::from_secs(20);
+
+/// Pause between two looks at a condition.
+const LOOK_AGAIN: Duration = Duration::from_millis(10);
+
+/// Looks again and again until there is something.
+///
+/// # Panics
+/// When there is nothing within `limit`.
+#[track_caller]
+pub fn until<T>(what: &str, limit: Duration, mut look: impl FnMut() -> Option<T>) -> T {
+    let start = Instant::now();
+    loop {
+        if let Some(found) = look() {
+            return found;
+        }
+        assert!(start.elapsed() < limit, "not within {limit:?}: {what}");
+        std::thread::sleep(LOOK_AGAIN);
+    }
+}
+
+/// The `ztl` command that was built beside this test.
+#[track_caller]
+pub fn ztl() -> Command {
+    Command::new(built("ztl"))
+}
+
+/// One of the examples that were built beside this test.
+#[track_caller]
+pub fn example(name: &str) -> Command {
+    Command::new(built("examples").join(name))
+}
+
+/// The path of something in the profile's directory.
+#[track_caller]
+pub fn built(name: &str) -> PathBuf {
+    // This test lies in <target>/debug/deps, wherever CARGO_TARGET_DIR or a config put that.
+    let path = ancestor(2).join(name);
+    assert!(
+        path.exists(),
+        "{} is not there: run `cargo xtask test`, or `cargo build --workspace --bins --examples`",
+        path.display()
+    );
+    path
+}
+
+/// The directory so many levels above this test's program.
+fn ancestor(levels: usize) -> PathBuf {
+    let program = std::env::current_exe().expect("this program's path");
+    let directory = program.ancestors().nth(levels);
+    directory.expect("cargo puts tests below target").to_owned()
+}
+
+/// A port of this machine that nobody listens on just now.
+pub fn free_port() -> u16 {
+    let listener = TcpListener::bind(("127.0.0.1", 0)).expect("a free port");
+    listener.local_addr().expect("its address").port()
+}
+
+/// A directory of a test's own, removed with all that is in it when it is dropped.
+#[derive(Debug)]
+pub struct Scratch(PathBuf);
+
+impl Scratch {
+    /// An empty directory.
+    pub fn new() -> Self {
+        static NEXT: AtomicU32 = AtomicU32::new(0);
+        let number = NEXT.fetch_add(1, Ordering::Relaxed);
+        let name = format!("ztl-tests-{}-{number}", std::process::id());
+        let path = std::env::temp_dir().join(name);
+        let _ = std::fs::remove_dir_all(&path);
+        std::fs::create_dir_all(&path).expect("a directory for the test");
+        Self(path)
+    }
+
+    /// The path of something in it.
+    pub fn path(&self, name: impl AsRef<Path>) -> PathBuf {
+        self.0.join(name)
+    }
+}
+
+impl Default for Scratch {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Drop for Scratch {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_dir_all(&self.0);
+    }
+}

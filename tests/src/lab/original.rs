@@ -1,0 +1,205 @@
+//! The original: Python's `ztl` 0.3.3, unchanged, from its virtual environment.
+
+use std::ffi::OsString;
+use std::path::PathBuf;
+use std::process::Command;
+use std::time::Duration;
+
+use super::{PATIENCE, Process, ancestor};
+
+/// The state in which a task runs, as the original's clients see it.
+pub const ACCEPTED: i64 = 1;
+/// Refused.
+pub const REJECTED: i64 = 2;
+/// Ended without reaching its goal.
+pub const FAILED: i64 = 3;
+/// Stopped on request.
+pub const ABORTED: i64 = 4;
+/// Reached its goal.
+pub const COMPLETED: i64 = 5;
+
+/// Python with the original package.
+///
+/// # Panics
+/// When it is not there; a test against the original is never left out silently.
+#[track_caller]
+pub fn python() -> PathBuf {
+    let named = std::env::var_os("ZTL_PYTHON").filter(|path| !path.is_empty());
+    let in_ci = std::env::var_os("CI").is_some_and(|value| !value.is_empty());
+    // Where `cargo xtask test` makes it: <target>/venv.
+    let usual = ancestor(3).join("venv/bin/python");
+    choose(named, in_ci, usual).unwrap_or_else(|message| panic!("{message}"))
+}
+
+fn choose(named: Option<OsString>, in_ci: bool, usual: PathBuf) -> Result<PathBuf, String> {
+    let lacking = |path: &PathBuf| {
+        format!(
+            "there is no {}, the Python of the original package: run `cargo xtask test --only python`",
+            path.display()
+        )
+    };
+    match named.map(PathBuf::from) {
+        Some(path) if path.exists() => Ok(path),
+        Some(path) => Err(lacking(&path)),
+        None if in_ci => Err(
+            "CI is set and ZTL_PYTHON is not: run the tests as `cargo xtask test`, which sets it"
+                .to_owned(),
+        ),
+        None if usual.exists() => Ok(usual),
+        None => Err(lacking(&usual)),
+    }
+}
+
+/// One of the original's command-line tools by its installed name, such as `ztl_task_client`.
+#[track_caller]
+pub fn original_tool(name: &str) -> Command {
+    let python = python();
+    let script = python.with_file_name(name);
+    assert!(script.exists(), "{} is not there", script.display());
+    let mut command = Command::new(python);
+    // Lines come when they are written, as on a terminal.
+    command.arg("-u").arg(script);
+    command
+}
+
+/// What the original's client says: an id or a state, and a text.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Answer {
+    /// The id after `trigger`, the state after `status`, `abort` and `wait`.
+    pub number: i64,
+    /// The server's text.
+    pub text: String,
+}
+
+impl PartialEq<(i64, &str)> for Answer {
+    fn eq(&self, other: &(i64, &str)) -> bool {
+        (self.number, self.text.as_str()) == *other
+    }
+}
+
+/// The original's `RemoteTask` in a Python process of its own, driven line by line. Texts go in
+/// hexadecimal, so that none can be mistaken for anything else.
+#[derive(Debug)]
+pub struct OriginalClient {
+    process: Process,
+}
+
+const DRIVER: &str = r#"
+import sys
+from ztl.core.client import RemoteTask
+from ztl.core.protocol import Task
+
+host, port, scope = sys.argv[1:]
+remote = RemoteTask(host, int(port), scope)
+text = lambda word: bytes.fromhex(word).decode("utf-8")
+for line in sys.stdin:
+    verb, *words = line.rstrip("\n").split(" ")
+    if verb == "trigger":
+        number, reply = remote.trigger(Task.encode(*map(text, words)))
+    elif verb == "status":
+        number, reply = remote.status(int(words[0]))
+    elif verb == "abort":
+        number, reply = remote.abort(int(words[0]))
+    elif verb == "wait":
+        number, reply = remote.wait(int(words[0]), timeout=float(words[1]))
+    print(number, str(reply).encode("utf-8").hex(), flush=True)
+"#;
+
+impl OriginalClient {
+    /// A client of a scope at a port of this machine.
+    #[track_caller]
+    pub fn connect(port: u16, scope: &str) -> Self {
+        let mut command = Command::new(python());
+        command.args(["-c", DRIVER, "127.0.0.1", &port.to_string(), scope]);
+        let process = Process::start(&mut command);
+        process.wait_for("Remote task interface initialised at");
+        Self { process }
+    }
+
+    /// `RemoteTask.trigger`: the task's id, and the server's text.
+    #[track_caller]
+    pub fn trigger(&mut self, handler: &str, component: &str, goal: &str) -> Answer {
+        let [handler, component, goal] = [handler, component, goal].map(hex);
+        self.ask(&format!("trigger {handler} {component} {goal}"), PATIENCE)
+    }
+
+    /// As [`trigger`](Self::trigger), for a task that is taken: only its id.
+    #[track_caller]
+    pub fn start(&mut self, handler: &str, component: &str, goal: &str) -> i64 {
+        let answer = self.trigger(handler, component, goal);
+        assert!(
+            answer.number > 0,
+            "{handler}:{component}:{goal} was refused: {answer:?}"
+        );
+        answer.number
+    }
+
+    /// `RemoteTask.status`
+    #[track_caller]
+    pub fn status(&mut self, id: i64) -> Answer {
+        self.ask(&format!("status {id}"), PATIENCE)
+    }
+
+    /// `RemoteTask.abort`
+    #[track_caller]
+    pub fn abort(&mut self, id: i64) -> Answer {
+        self.ask(&format!("abort {id}"), PATIENCE)
+    }
+
+    /// `RemoteTask.wait` with its limit in seconds; 0 or less waits for ever.
+    #[track_caller]
+    pub fn wait(&mut self, id: i64, limit: f32) -> Answer {
+        let patience = PATIENCE + Duration::from_secs_f32(limit.max(0.0));
+        self.ask(&format!("wait {id} {limit}"), patience)
+    }
+
+    #[track_caller]
+    fn ask(&mut self, line: &str, patience: Duration) -> Answer {
+        self.process.write_line(line);
+        let answer = self.process.next_line(patience);
+        let (number, text) = answer.split_once(' ').unwrap_or((&answer, ""));
+        Answer {
+            number: number.parse().expect("a number"),
+            text: String::from_utf8(unhex(text)).expect("UTF-8"),
+        }
+    }
+}
+
+fn hex(text: &str) -> String {
+    text.bytes().map(|byte| format!("{byte:02x}")).collect()
+}
+
+fn unhex(text: &str) -> Vec<u8> {
+    let pairs = text.as_bytes().chunks(2);
+    let pair = |pair| u8::from_str_radix(std::str::from_utf8(pair).unwrap(), 16).unwrap();
+    pairs.map(pair).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn without_the_original_a_test_fails_and_says_what_to_run() {
+        let there = PathBuf::from("/");
+        let gone = PathBuf::from("/no/such/python");
+        let named = || Some(OsString::from("/no/such/python"));
+        assert_eq!(choose(None, false, there.clone()), Ok(there.clone()));
+        assert_eq!(
+            choose(Some("/".into()), true, gone.clone()),
+            Ok(there.clone())
+        );
+        let message = choose(None, false, gone).unwrap_err();
+        assert!(message.contains("cargo xtask test --only python"));
+        assert!(choose(named(), false, there.clone()).is_err());
+        let message = choose(None, true, there).unwrap_err();
+        assert!(message.contains("ZTL_PYTHON"), "{message}");
+    }
+
+    #[test]
+    fn texts_survive_the_way_to_the_driver() {
+        for text in ["", " ", "l1\nl2", "grüße 👍"] {
+            assert_eq!(unhex(&hex(text)), text.as_bytes());
+        }
+    }
+}
