@@ -1,1 +1,275 @@
-//! To come.
+//! Controllers that panic, block, hang or will not stop: none of them keeps anybody else waiting.
+
+use std::sync::{Arc, Condvar, Mutex};
+use std::time::{Duration, Instant};
+
+use ztl_std::{
+    ExecutableTask, RemoteTask, RunningServer, State, Status, TaskContext, TaskController,
+    TaskError, TaskId, TaskRequest, TaskServer, TriggerError,
+};
+use ztl_tests::lab::{
+    ABORTED, ACCEPTED, COMPLETED, FAILED, OriginalClient, PATIENCE, SCOPE, until,
+};
+
+/// A door that tasks wait at until the test opens it.
+#[derive(Clone, Default)]
+struct Door(Arc<(Mutex<bool>, Condvar)>);
+
+impl Door {
+    fn open(&self) {
+        *self.0.0.lock().unwrap() = true;
+        self.0.1.notify_all();
+    }
+
+    fn pass(&self) {
+        let open = self.0.0.lock().unwrap();
+        drop(self.0.1.wait_while(open, |open| !*open));
+    }
+}
+
+/// The component says what goes wrong.
+struct Unruly(Door);
+
+impl TaskController for Unruly {
+    fn assign(&self, request: &TaskRequest) -> Result<Box<dyn ExecutableTask>, TaskError> {
+        let goal = request.goal.clone();
+        let door = self.0.clone();
+        match request.component.as_str() {
+            "panic-in-assign" => panic!("assign has {goal}"),
+            "block-in-assign" => std::thread::sleep(Duration::from_secs(3)),
+            "hang-in-assign" => door.pass(),
+            _ => {}
+        }
+        let component = request.component.clone();
+        Ok(Box::new(move |context: &TaskContext| {
+            match component.as_str() {
+                "panic-in-execute" => panic!("execute has {goal}"),
+                "hang" => {
+                    context.progress("hanging");
+                    door.pass();
+                }
+                "sleep" => context.sleep(Duration::from_secs(60))?,
+                _ => {}
+            }
+            Ok(goal)
+        }))
+    }
+}
+
+/// A server of unruly tasks. Its door is opened at the end, so that no thread is left behind.
+struct Lab {
+    server: RunningServer,
+    door: Door,
+}
+
+impl Lab {
+    fn new() -> Self {
+        let door = Door::default();
+        let mut server = TaskServer::bind("tcp://127.0.0.1:*").expect("a port");
+        server.register(SCOPE, Unruly(door.clone()));
+        let server = server.spawn().expect("a thread");
+        Self { server, door }
+    }
+
+    fn connect(&self) -> RemoteTask {
+        RemoteTask::connect(self.server.endpoint(), SCOPE).expect("an address")
+    }
+
+    fn original_client(&self) -> OriginalClient {
+        let port = self.server.endpoint().rsplit(':').next().unwrap();
+        OriginalClient::connect(port.parse().expect("a port"), SCOPE)
+    }
+}
+
+impl Drop for Lab {
+    fn drop(&mut self) {
+        self.door.open();
+    }
+}
+
+#[track_caller]
+fn start(remote: &mut RemoteTask, component: &str, goal: &str) -> TaskId {
+    let task = remote.trigger("any", component, goal);
+    task.expect("the task is taken").id
+}
+
+fn status(state: State, text: &str) -> Status {
+    Status {
+        state,
+        text: text.to_owned(),
+    }
+}
+
+const LIMIT: Option<Duration> = Some(PATIENCE);
+
+/// Asks about a task for so long, and gives the longest time that an answer took.
+#[track_caller]
+fn slowest_status(remote: &mut RemoteTask, id: TaskId, time: Duration) -> Duration {
+    let start = Instant::now();
+    let mut slowest = Duration::ZERO;
+    while start.elapsed() < time {
+        let asked = Instant::now();
+        let answer = remote.status(id).expect("an answer");
+        slowest = slowest.max(asked.elapsed());
+        assert_eq!(answer.state, State::Accepted, "{answer:?}");
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    slowest
+}
+
+#[test]
+fn a_panic_is_that_tasks_end_and_nobody_elses() {
+    let lab = Lab::new();
+    let mut remote = lab.connect();
+    let bystander = start(&mut remote, "sleep", "");
+    for round in 0..3 {
+        let refused = TriggerError::Refused {
+            id: -1,
+            reason: format!("Controller threw exception: the handler panicked: assign has {round}"),
+        };
+        let answer = remote.trigger("any", "panic-in-assign", &round.to_string());
+        assert_eq!(answer, Err(refused));
+
+        let id = start(&mut remote, "panic-in-execute", &round.to_string());
+        let reason = format!("the handler panicked: execute has {round}");
+        let end = status(State::Failed, &reason);
+        assert_eq!(remote.wait(id, LIMIT), Ok(end));
+    }
+    assert_eq!(remote.status(bystander).unwrap().state, State::Accepted);
+    let id = start(&mut remote, "echo", "still here");
+    let end = status(State::Completed, "still here");
+    assert_eq!(remote.wait(id, LIMIT), Ok(end));
+    assert!(lab.server.is_running());
+}
+
+#[test]
+fn an_assign_that_blocks_for_3_s_keeps_nobody_waiting() {
+    let lab = Lab::new();
+    let mut remote = lab.connect();
+    let bystander = start(&mut remote, "sleep", "");
+    std::thread::scope(|scope| {
+        let asked = Instant::now();
+        let blocked = scope.spawn(|| lab.connect().trigger("any", "block-in-assign", "done"));
+        let slowest = slowest_status(&mut remote, bystander, Duration::from_secs(2));
+        assert!(slowest < Duration::from_secs(1), "{slowest:?}");
+
+        // Its own client has been answered before it would have given up, and has an id.
+        let task = blocked.join().unwrap().expect("an id");
+        assert_ne!(task.id, bystander);
+        let end = status(State::Completed, "done");
+        assert_eq!(remote.wait(task.id, LIMIT), Ok(end));
+        assert!(asked.elapsed() > Duration::from_secs(3));
+    });
+}
+
+#[test]
+fn the_originals_client_gets_an_id_of_an_assign_that_hangs() {
+    let lab = Lab::new();
+    let mut client = lab.original_client();
+    // It gives up after 2 s, and would take its task for refused.
+    let id = client.start("any", "hang-in-assign", "done");
+    assert_eq!(client.status(id), (0, "None"));
+    lab.door.open();
+    // To its wait, INITIATED is not an end either.
+    assert_eq!(client.wait(id, 10.0), (COMPLETED, "done"));
+}
+
+#[test]
+fn an_assign_that_hangs_and_then_refuses_is_told_by_status() {
+    struct Late(Door);
+    impl TaskController for Late {
+        fn assign(&self, _: &TaskRequest) -> Result<Box<dyn ExecutableTask>, TaskError> {
+            self.0.pass();
+            Err("not today".into())
+        }
+    }
+    let door = Door::default();
+    let mut server = TaskServer::bind("tcp://127.0.0.1:*").expect("a port");
+    server.register(SCOPE, Late(door.clone()));
+    let server = server.spawn().expect("a thread");
+    let mut remote = RemoteTask::connect(server.endpoint(), SCOPE).expect("an address");
+    let id = start(&mut remote, "any", "");
+    door.open();
+    let end = status(State::Rejected, "not today");
+    assert_eq!(remote.wait(id, LIMIT), Ok(end));
+}
+
+#[test]
+fn an_abort_that_is_not_heeded_is_answered_all_the_same() {
+    let lab = Lab::new();
+    let mut client = lab.original_client();
+    let mut remote = lab.connect();
+    for component in ["hang", "hang-in-assign"] {
+        let id = client.start("any", component, "late");
+        let asked = Instant::now();
+        // The original's client gives up after 2 s; its answer would then be -1.
+        assert_eq!(client.abort(id), (ACCEPTED, "aborting"), "{component}");
+        assert!(asked.elapsed() > Duration::from_secs(1));
+
+        // Meanwhile anybody else is served.
+        let other = start(&mut remote, "sleep", "");
+        let asked = Instant::now();
+        let aborted = remote.abort(other);
+        assert_eq!(aborted, Ok(status(State::Aborted, "True")));
+        assert!(asked.elapsed() < Duration::from_secs(1));
+    }
+}
+
+#[test]
+fn a_task_that_ends_in_spite_of_an_abort_tells_its_true_end() {
+    let lab = Lab::new();
+    let mut client = lab.original_client();
+    let id = client.start("any", "hang", "done after all");
+    until("its progress", PATIENCE, || {
+        (client.status(id) == (ACCEPTED, "hanging")).then_some(())
+    });
+    std::thread::scope(|scope| {
+        let abort = scope.spawn(|| {
+            let id = TaskId::new(u32::try_from(id).unwrap()).unwrap();
+            lab.connect().abort(id)
+        });
+        lab.door.open();
+        let told = abort.join().unwrap().expect("an answer");
+        // `False` when it had ended before the ABORT came.
+        assert_eq!(told.state, State::Completed);
+        assert!(["done after all", "False"].contains(&told.text.as_str()));
+    });
+    assert_eq!(client.wait(id, 5.0), (COMPLETED, "done after all"));
+    assert_eq!(client.abort(id), (COMPLETED, "False"));
+}
+
+#[test]
+fn every_client_of_many_is_answered_with_what_it_asked() {
+    let lab = Lab::new();
+    std::thread::scope(|scope| {
+        for client in 0..8 {
+            let lab = &lab;
+            scope.spawn(move || {
+                let mut remote = lab.connect();
+                for round in 0..25 {
+                    let goal = format!("{client}/{round}");
+                    let id = start(&mut remote, "echo", &goal);
+                    let end = status(State::Completed, &goal);
+                    assert_eq!(remote.wait(id, LIMIT), Ok(end));
+                }
+            });
+        }
+    });
+}
+
+#[test]
+fn an_abort_wakes_a_task_and_its_end_never_changes() {
+    let lab = Lab::new();
+    let mut client = lab.original_client();
+    let id = client.start("any", "sleep", "");
+    assert_eq!(client.abort(id), (ABORTED, "True"));
+    for _ in 0..20 {
+        assert_eq!(client.status(id), (ABORTED, "aborted"));
+    }
+    assert_eq!(client.abort(id), (ABORTED, "False"));
+    let id = client.start("any", "panic-in-execute", "bad luck");
+    let reason = "the handler panicked: execute has bad luck";
+    assert_eq!(client.wait(id, 5.0), (FAILED, reason));
+    assert_eq!(client.abort(id), (FAILED, "False"));
+    assert_eq!(client.status(id), (FAILED, reason));
+}

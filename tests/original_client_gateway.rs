@@ -55,7 +55,11 @@ fn abort_stops_the_device_where_it_is() {
     assert!((seen..100.0).contains(&stopped), "{seen}, then {stopped}");
     assert_eq!(client.abort(id), (ABORTED, "False"));
 
-    // The device stands, and says so when it is asked to move on: from there, not from further on.
+    // One that had gone on would be 50 percent further after a second.
+    let told = Instant::now();
+    until("a second", PATIENCE, || {
+        (told.elapsed() > Duration::from_secs(1)).then_some(())
+    });
     let id = client.start("gripper", "finger", "100");
     let at = until("a position", PATIENCE, || position(&mut client, id));
     assert!((stopped - 0.1..stopped + 25.0).contains(&at), "{at}");

@@ -1,46 +1,60 @@
 //! A server's rules: a request comes in, an answer or something to do comes out.
 //!
 //! The dispatcher decides every case of the wire specification's table (4.3) and keeps the five
-//! rules of the design: a final state never changes, every request is answered exactly once and in
-//! bounded time. It has no socket and no clock, and calls no user code.
+//! rules of the design: a final state never changes, what is repeated does not act twice, every
+//! request is answered exactly once and in bounded time. It has no socket and no clock, and calls
+//! no user code.
 //!
 //! ```
 //! use ztl_core::dispatcher::{Action, Body, Config, Dispatcher, TaskEvent};
-//! use ztl_core::{Instant, TaskId, store::Fixed};
+//! use ztl_core::{Instant, TaskId, memory::Fixed, reply::Reply};
 //!
 //! // One scope, four tasks with results of 32 bytes, two answers held; clients are numbers here.
-//! let store = Fixed::<u8, 1, 4, 32, 2>::new(["/lab"]);
-//! let mut dispatcher = Dispatcher::new(store, TaskId::new(1).unwrap(), Config::default());
+//! let memory = Fixed::<u8, 1, 4, 32, 2>::new(["/lab"]);
+//! let mut dispatcher = Dispatcher::new(memory, Config::new(TaskId::new(1).unwrap(), 4711));
 //!
 //! let mut answers = Vec::new();
-//! let mut out = |client: u8, reply: ztl_core::dispatcher::Reply<'_>| {
+//! let mut out = |client: u8, reply: &Reply<'_>| {
 //!     let mut text = Vec::new();
 //!     reply.put(&mut |bytes: &[u8]| text.extend_from_slice(bytes));
 //!     answers.push((client, String::from_utf8(text).unwrap()));
 //! };
 //! let now = Instant::ZERO;
-//! let action = dispatcher.handle_request(now, 9, Body::One(b"/lab;1;-1;open"), &mut out);
+//! let action = dispatcher.handle_request(now, 9, None, Body::One(b"/lab;1;-1;open"), &mut out);
 //! let Some(Action::Start { id, payload, .. }) = action else { panic!() };
 //! assert_eq!(payload, "open");
 //! dispatcher.handle_event(now, id, TaskEvent::Accepted { reply: "opening" }, &mut out);
 //! dispatcher.handle_event(now, id, TaskEvent::Completed { result: "open" }, &mut out);
-//! dispatcher.handle_request(now, 9, Body::One(b"/lab;2;1;"), &mut out);
+//! dispatcher.handle_request(now, 9, None, Body::One(b"/lab;2;1;"), &mut out);
 //! assert_eq!(answers, [(9, "/lab;1;1;opening".into()), (9, "/lab;5;1;open".into())]);
 //! ```
 
+mod reserved;
+
 use core::time::Duration;
 
+use crate::envelope::Envelope;
 use crate::integer::Integer;
 use crate::lifecycle::{Event, Request, State};
+use crate::memory::{Awaited, First, LastInit, Memory, Scope, Waiter};
 use crate::message::Message;
-use crate::sink::{Sink, put_decimal};
-use crate::store::{Awaited, Full, Scope, Store, Task, Text, Waiter};
+use crate::reply::{Reply, ReplyId, ReplyText};
+use crate::tasks::{Task, TaskRules, Tasks, Text};
 use crate::time::earliest;
 use crate::{Instant, TaskId};
 
 /// Longest time that the answer to an INIT or an ABORT is held; below the 2 s after which the
 /// original's client gives up.
 pub const HOLD: Duration = Duration::from_millis(1500);
+
+/// Longest time that a STATUS may ask to be held, for the same reason.
+pub const LONGEST_WAIT: Duration = Duration::from_millis(1999);
+
+/// How long the answer to an INIT is kept for its client, counted from the answer.
+pub const KEEP_INIT: Duration = Duration::from_secs(60);
+
+/// The scope that belongs to the protocol itself.
+pub const RESERVED_SCOPE: &str = "$ztl";
 
 /// Python's `None`, with which the original fills a text that is not known yet.
 pub const NOTHING_KNOWN: &str = "None";
@@ -49,16 +63,29 @@ pub const NOTHING_KNOWN: &str = "None";
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Config {
+    /// The first task id. Should be random (1 to 2^30), so that an id from before a restart is
+    /// nobody else's task.
+    pub first: TaskId,
+    /// Told by `$ztl`: differs from start to start of the server, so that a client notices one.
+    pub boot: u32,
     /// Longest time that an answer is held. Default [`HOLD`].
     pub hold: Duration,
+    /// How long the answer to an enveloped INIT waits for a quick end, to tell both at once.
+    /// Default 3 ms.
+    pub early: Duration,
     /// How long an ended task is remembered, counted from its end. Default one hour.
     pub keep: Duration,
 }
 
-impl Default for Config {
-    fn default() -> Self {
+impl Config {
+    /// The defaults.
+    #[must_use]
+    pub const fn new(first: TaskId, boot: u32) -> Self {
         Self {
+            first,
+            boot,
             hold: HOLD,
+            early: Duration::from_millis(3),
             keep: Duration::from_secs(3600),
         }
     }
@@ -139,109 +166,44 @@ pub enum TaskEvent<'a> {
     AbortRefused,
 }
 
-/// An answer, as a view; [`put`](Self::put) writes it.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Reply<'a> {
-    scope: &'a str,
-    state: State,
-    id: ReplyId<'a>,
-    text: ReplyText<'a>,
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum ReplyId<'a> {
-    Asked(Integer<'a>),
-    Task(TaskId),
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum ReplyText<'a> {
-    Plain(&'a str),
-    /// A fixed beginning, then what it is about.
-    About(&'static str, &'a str),
-    InvalidId(Integer<'a>),
-    Undecided(TaskId),
-}
-
-impl<'a> Reply<'a> {
-    fn refusal(scope: &'a str, text: ReplyText<'a>) -> Self {
-        Self {
-            scope,
-            state: State::Rejected,
-            id: ReplyId::Asked(Integer::MINUS_ONE),
-            text,
-        }
-    }
-
-    /// The state it tells.
-    #[must_use]
-    pub fn state(&self) -> State {
-        self.state
-    }
-
-    /// Writes the message.
-    pub fn put(&self, sink: &mut (impl Sink + ?Sized)) {
-        sink.put(self.scope.as_bytes());
-        sink.put(b";");
-        put_decimal(sink, u32::from(self.state.code()));
-        sink.put(b";");
-        match self.id {
-            ReplyId::Asked(id) => id.put(sink),
-            ReplyId::Task(id) => put_decimal(sink, id.get()),
-        }
-        sink.put(b";");
-        match self.text {
-            ReplyText::Plain(text) => sink.put(text.as_bytes()),
-            ReplyText::About(beginning, about) => {
-                sink.put(beginning.as_bytes());
-                sink.put(about.as_bytes());
-            }
-            ReplyText::InvalidId(id) => {
-                sink.put(b"Invalid ID '");
-                id.put(sink);
-                sink.put(b"'");
-            }
-            ReplyText::Undecided(id) => {
-                sink.put(b"Initiated task '");
-                put_decimal(sink, id.get());
-                sink.put(b"', nobody has taken it yet");
-            }
-        }
-    }
-}
-
-/// The rules of a server, over any [`Store`].
+/// The rules of a server, over any [`Memory`].
 ///
 /// *Inputs*: [`handle_request`](Self::handle_request), [`handle_event`](Self::handle_event),
 /// [`handle_timeout`](Self::handle_timeout). *Outputs*: answers through the `out` argument, at once
 /// or later; an [`Action`] for the handler. *Next wake-up*: [`poll_timeout`](Self::poll_timeout),
 /// to be asked again after each input. A call's work is bounded by the number of held answers.
 #[derive(Debug)]
-pub struct Dispatcher<S> {
-    store: S,
+pub struct Dispatcher<M> {
+    memory: M,
     next: Option<TaskId>,
     config: Config,
 }
 
-impl<S: Store> Dispatcher<S> {
-    /// A dispatcher that gives ids from `first` on. The start should be random (1 to 2^30), so that
-    /// an id from before a restart is nobody else's task.
-    pub fn new(store: S, first: TaskId, config: Config) -> Self {
+/// Where a request came from, and how its client named it.
+struct Asker<P> {
+    peer: P,
+    envelope: Option<Envelope>,
+}
+
+impl<M: Memory> Dispatcher<M> {
+    /// A dispatcher that remembers in `memory`.
+    pub fn new(memory: M, config: Config) -> Self {
         Self {
-            store,
-            next: Some(first),
+            memory,
+            next: Some(config.first),
             config,
         }
     }
 
-    /// A request of `peer` has arrived. It is answered through `out` now, or later by an event or
-    /// when its time has passed.
+    /// A request of `peer` has arrived, in this envelope if the client uses ours. It is answered
+    /// through `out` now, or later by an event or when its time has passed.
     pub fn handle_request<'a>(
         &mut self,
         now: Instant,
-        peer: S::Peer,
+        peer: M::Peer,
+        envelope: Option<Envelope>,
         body: Body<'a>,
-        out: &mut impl FnMut(S::Peer, Reply<'_>),
+        out: &mut impl FnMut(M::Peer, &Reply<'_>),
     ) -> Option<Action<'a>> {
         let bytes = match body {
             Body::One(bytes) => bytes,
@@ -252,31 +214,38 @@ impl<S: Store> Dispatcher<S> {
             Err(error) => {
                 // Case A, and 4.4 for what silenced the original for good.
                 let text = ReplyText::Plain("Unknown protocol");
-                out(peer, Reply::refusal(error.scope(), text));
+                out(peer, &Reply::refusal(error.scope(), text));
                 return None;
             }
         };
-        let Some(scope) = self.store.scope(message.scope) else {
+        let asker = Asker { peer, envelope };
+        if message.scope == RESERVED_SCOPE {
+            self.on_reserved(now, asker, message, out);
+            return None;
+        }
+        let Some(scope) = self.memory.scope(message.scope) else {
             let text = ReplyText::About("No controller for scope: ", message.scope);
-            out(peer, Reply::refusal(message.scope, text));
+            out(asker.peer, &Reply::refusal(message.scope, text));
             return None;
         };
         let invalid = ReplyText::Plain("Invalid request");
         let (Ok(code), Ok(asked)) = (message.code(), message.number()) else {
-            out(peer, Reply::refusal(message.scope, invalid));
+            out(asker.peer, &Reply::refusal(message.scope, invalid));
             return None;
         };
         match code.value().and_then(Request::from_code) {
-            Some(Request::Init) => self.on_init(now, peer, message, scope, out),
+            Some(Request::Init) => self.on_init(now, asker, message, scope, out),
             Some(Request::Status) => {
-                out(peer, self.status(message.scope, scope, asked));
+                self.on_status(now, asker, message, scope, asked, out);
                 None
             }
-            Some(Request::Abort) => self.on_abort(now, peer, message.scope, scope, asked, out),
+            Some(Request::Abort) => {
+                self.on_abort(now, asker.peer, message.scope, scope, asked, out)
+            }
             None => {
                 let mut reply = Reply::refusal(message.scope, invalid);
                 reply.id = ReplyId::Asked(asked);
-                out(peer, reply);
+                out(asker.peer, &reply);
                 None
             }
         }
@@ -288,119 +257,130 @@ impl<S: Store> Dispatcher<S> {
         now: Instant,
         id: TaskId,
         event: TaskEvent<'_>,
-        out: &mut impl FnMut(S::Peer, Reply<'_>),
+        out: &mut impl FnMut(M::Peer, &Reply<'_>),
     ) {
         let (event, text) = match event {
             TaskEvent::Accepted { reply } => {
-                if self.apply(now, id, Event::Accept, None) {
-                    self.answer_decision(id, ReplyText::Plain(reply), out);
+                if self.memory.tasks_mut().apply(now, id, Event::Accept, None) {
+                    self.on_accepted(now, id, ReplyText::Plain(reply), reply, out);
                 }
                 return;
             }
             TaskEvent::Rejected { reason } => {
-                self.on_rejected(now, id, State::Rejected, "", reason, out);
-                return;
+                return self.on_rejected(now, id, State::Rejected, reason, out);
             }
             TaskEvent::Threw { message } => {
-                let prefix = "Controller threw exception: ";
-                self.on_rejected(now, id, State::Failed, prefix, message, out);
-                return;
+                return self.on_rejected(now, id, State::Failed, message, out);
             }
             TaskEvent::Progress { text } => {
-                if let Some(task) = self.store.task_mut(id)
-                    && !task.state.is_final()
-                {
-                    task.text.set(text);
-                }
+                self.memory.tasks_mut().progress(id, text);
                 return;
             }
             TaskEvent::AbortRefused => {
-                self.answer_aborts(id, Some("False"), out);
-                return;
+                return self.answer_waiting(id, Awaited::Abort, Some("False"), out);
             }
             TaskEvent::Completed { result } => (Event::Complete, result),
             TaskEvent::Failed { reason } => (Event::Fail, reason),
             TaskEvent::Aborted { result } => (Event::Abort, result),
         };
-        if self.apply(now, id, event, Some(text)) {
-            self.answer_decision(id, ReplyText::Undecided(id), out);
-            self.answer_aborts(id, None, out);
+        let tasks = self.memory.tasks_mut();
+        // A handler that reports an end has taken the task, whether it said so or not.
+        let taken = tasks.apply(now, id, Event::Accept, None);
+        if tasks.apply(now, id, event, Some(text)) {
+            if taken {
+                self.on_accepted(now, id, ReplyText::Undecided(id), "", out);
+            }
+            for awaited in [Awaited::EarlyEnd, Awaited::Abort, Awaited::End] {
+                self.answer_waiting(id, awaited, None, out);
+            }
         }
     }
 
     /// Answers what has been held long enough, and forgets what ended long ago.
-    pub fn handle_timeout(&mut self, now: Instant, out: &mut impl FnMut(S::Peer, Reply<'_>)) {
-        while let Some(place) = self.store.held().iter().position(|w| w.deadline <= now) {
-            let Some(waiter) = self.store.release(place) else {
+    pub fn handle_timeout(&mut self, now: Instant, out: &mut impl FnMut(M::Peer, &Reply<'_>)) {
+        while let Some(place) = self.memory.held().iter().position(|w| w.deadline <= now) {
+            let Some(waiter) = self.memory.release(place) else {
                 break;
             };
-            match waiter.awaited {
-                Awaited::Decision => {
-                    let text = ReplyText::Undecided(waiter.task);
-                    self.answer_task(waiter, State::Accepted, text, out);
-                }
-                Awaited::End => {
-                    let text = ReplyText::Plain("aborting");
-                    self.answer_task(waiter, State::Accepted, text, out);
-                }
-            }
+            self.answer_late(waiter, out);
         }
-        while let Some((id, ended)) = self.store.oldest_end() {
-            if now < ended + self.config.keep {
-                break;
-            }
-            self.store.remove(id);
+        if let Some(end) = now.before(self.config.keep) {
+            self.memory.tasks_mut().forget_until(end);
         }
+        self.memory.forget_inits(now);
     }
 
     /// When [`handle_timeout`](Self::handle_timeout) has something to do; `None` while nothing is
     /// held or remembered.
     pub fn poll_timeout(&self) -> Option<Instant> {
-        let answer = self.store.held().iter().map(|w| w.deadline).min();
-        let forget = self
-            .store
-            .oldest_end()
-            .map(|(_, end)| end + self.config.keep);
-        earliest(answer, forget)
+        let answer = self.memory.held().iter().map(|w| w.deadline).min();
+        let end = self.memory.tasks().oldest_end();
+        let forget = end.map(|(_, end)| end + self.config.keep);
+        earliest(earliest(answer, forget), self.memory.next_forgetting())
     }
 
     /// What is remembered.
-    pub fn store(&self) -> &S {
-        &self.store
+    pub fn memory(&self) -> &M {
+        &self.memory
     }
 
     /// What is remembered, to register scopes.
-    pub fn store_mut(&mut self) -> &mut S {
-        &mut self.store
+    pub fn memory_mut(&mut self) -> &mut M {
+        &mut self.memory
     }
 
     fn on_init<'a>(
         &mut self,
         now: Instant,
-        peer: S::Peer,
+        asker: Asker<M::Peer>,
         message: Message<'a>,
         scope: Scope,
-        out: &mut impl FnMut(S::Peer, Reply<'_>),
+        out: &mut impl FnMut(M::Peer, &Reply<'_>),
     ) -> Option<Action<'a>> {
+        let asker = self.repeated(now, asker, message.scope, out)?;
         let mut refuse = |peer, text| {
-            out(peer, Reply::refusal(message.scope, ReplyText::Plain(text)));
+            out(peer, &Reply::refusal(message.scope, ReplyText::Plain(text)));
             None
         };
         let Some(id) = self.next else {
-            return refuse(peer, "all task ids are used up, restart the server");
+            return refuse(asker.peer, "all task ids are used up, restart the server");
         };
-        if self.admit(id, scope).is_err() {
-            return refuse(peer, "too many tasks are running, wait for one to end");
+        if let Some(Envelope { client, number }) = asker.envelope {
+            let first = First::Pending(id);
+            let until = None;
+            if !self.memory.remember(LastInit {
+                client,
+                number,
+                first,
+                until,
+            }) {
+                return refuse(
+                    asker.peer,
+                    "too many clients at a time, try again in a minute",
+                );
+            }
         }
-        let waiter = Waiter {
-            peer,
-            task: id,
-            awaited: Awaited::Decision,
-            deadline: now + self.config.hold,
+        let task = || {
+            let mut task = Task::<_, M::Text>::new(scope);
+            task.text.set(NOTHING_KNOWN);
+            task
         };
-        if let Err(Full(waiter)) = self.store.hold(waiter) {
-            self.store.remove(id);
-            return refuse(waiter.peer, "too many requests are waiting, try again");
+        let refusal = match self.memory.tasks_mut().admit(id, task) {
+            Err(_) => Some((
+                asker.peer,
+                "too many tasks are running, wait for one to end",
+            )),
+            Ok(()) => {
+                let waiter = self.waiter(now, asker.peer, id, Awaited::Decision);
+                let held = self.memory.hold(waiter);
+                held.err()
+                    .map(|waiter| (waiter.peer, "too many requests are waiting, try again"))
+            }
+        };
+        if let Some((peer, text)) = refusal {
+            self.memory.tasks_mut().remove(id);
+            self.settle(now, id, State::Rejected, None, text);
+            return refuse(peer, text);
         }
         self.next = id.next();
         Some(Action::Start {
@@ -410,101 +390,149 @@ impl<S: Store> Dispatcher<S> {
         })
     }
 
-    /// Makes room for a task and adds it; the oldest end goes first, a running task never.
-    fn admit(&mut self, id: TaskId, scope: Scope) -> Result<(), Full<()>> {
-        let task = || {
-            let mut text = S::Text::default();
-            text.set(NOTHING_KNOWN);
-            Task {
-                scope,
-                state: State::Initiated,
-                text,
-                ended: None,
-            }
-        };
-        self.store.insert(id, task()).or_else(|full| {
-            let (oldest, _) = self.store.oldest_end().ok_or(full)?;
-            self.store.remove(oldest);
-            self.store.insert(id, task())
-        })
+    fn waiter(
+        &self,
+        now: Instant,
+        peer: M::Peer,
+        task: TaskId,
+        awaited: Awaited,
+    ) -> Waiter<M::Peer> {
+        Waiter {
+            peer,
+            task,
+            awaited,
+            deadline: now + self.config.hold,
+        }
     }
 
-    fn status<'a>(&'a self, name: &'a str, scope: Scope, asked: Integer<'a>) -> Reply<'a> {
-        match self.find(scope, asked) {
-            Some((id, task)) => Reply {
-                scope: name,
-                state: task.state,
-                id: ReplyId::Task(id),
-                text: ReplyText::Plain(task.text.as_ref()),
-            },
-            None => unknown_id(name, asked),
+    /// Answers an INIT that has come before; gives back one that has not.
+    fn repeated(
+        &mut self,
+        now: Instant,
+        asker: Asker<M::Peer>,
+        scope: &str,
+        out: &mut impl FnMut(M::Peer, &Reply<'_>),
+    ) -> Option<Asker<M::Peer>> {
+        let Some(envelope) = asker.envelope else {
+            return Some(asker);
+        };
+        let known = match self.memory.last_init(envelope.client) {
+            Some(known) if known.number >= envelope.number => known,
+            _ => return Some(asker),
+        };
+        let given_up = ReplyText::Plain("this INIT was given up by its client");
+        match &known.first {
+            First::Pending(task) if known.number == envelope.number => {
+                let task = *task;
+                let waiter = self.waiter(now, asker.peer, task, Awaited::Decision);
+                if let Err(waiter) = self.memory.hold(waiter) {
+                    self.answer_late(waiter, out);
+                }
+            }
+            First::Answered { state, id, text } if known.number == envelope.number => {
+                out(asker.peer, &first_answer(scope, *state, *id, text.as_ref()));
+            }
+            // Given up, or older than one that has come since.
+            _ => out(asker.peer, &Reply::refusal(scope, given_up)),
+        }
+        None
+    }
+
+    fn on_status(
+        &mut self,
+        now: Instant,
+        asker: Asker<M::Peer>,
+        message: Message<'_>,
+        scope: Scope,
+        asked: Integer<'_>,
+        out: &mut impl FnMut(M::Peer, &Reply<'_>),
+    ) {
+        let Some((id, state)) = self.find(scope, asked) else {
+            return out(asker.peer, &unknown_id(message.scope, asked));
+        };
+        let wait = asker.envelope.and(held_for(message.payload));
+        let mut peer = asker.peer;
+        if let Some(wait) = wait
+            && !state.is_final()
+        {
+            let mut waiter = self.waiter(now, peer, id, Awaited::End);
+            waiter.deadline = now + wait;
+            match self.memory.hold(waiter) {
+                Ok(()) => return,
+                // Not held, then: it is answered now.
+                Err(waiter) => peer = waiter.peer,
+            }
+        }
+        if let Some(task) = self.memory.tasks().get(id) {
+            let text = ReplyText::Plain(task.text.as_ref());
+            out(peer, &Reply::about(message.scope, id, state, text));
         }
     }
 
     fn on_abort(
         &mut self,
         now: Instant,
-        peer: S::Peer,
+        peer: M::Peer,
         name: &str,
         scope: Scope,
         asked: Integer<'_>,
-        out: &mut impl FnMut(S::Peer, Reply<'_>),
+        out: &mut impl FnMut(M::Peer, &Reply<'_>),
     ) -> Option<Action<'static>> {
-        let Some((id, task)) = self.find(scope, asked) else {
-            out(peer, unknown_id(name, asked));
+        let Some((id, state)) = self.find(scope, asked) else {
+            out(peer, &unknown_id(name, asked));
             return None;
         };
-        let reply = |state, text| Reply {
-            scope: name,
-            state,
-            id: ReplyId::Task(id),
-            text: ReplyText::Plain(text),
-        };
-        if task.state.is_final() {
+        let reply = |state, text| Reply::about(name, id, state, ReplyText::Plain(text));
+        if state.is_final() {
             // It stays what it is (rule 2); `False` is the original's word for "not aborted".
-            out(peer, reply(task.state, "False"));
+            out(peer, &reply(state, "False"));
             return None;
         }
-        let waiter = Waiter {
-            peer,
-            task: id,
-            awaited: Awaited::End,
-            deadline: now + self.config.hold,
-        };
-        if let Err(Full(waiter)) = self.store.hold(waiter) {
-            out(waiter.peer, reply(State::Accepted, "aborting"));
+        let waiter = self.waiter(now, peer, id, Awaited::Abort);
+        if let Err(waiter) = self.memory.hold(waiter) {
+            out(waiter.peer, &reply(State::Accepted, "aborting"));
         }
         Some(Action::Abort { id, scope })
     }
 
-    fn find(&self, scope: Scope, asked: Integer<'_>) -> Option<(TaskId, &Task<S::Text>)> {
+    fn find(&self, scope: Scope, asked: Integer<'_>) -> Option<(TaskId, State)> {
         let number = u32::try_from(asked.value()?).ok()?;
         let id = TaskId::new(number)?;
-        let task = self.store.task(id)?;
-        (task.scope == scope).then_some((id, task))
+        let task = self.memory.tasks().get(id)?;
+        (task.extra == scope).then_some((id, task.state))
     }
 
-    /// Moves the task on, and says whether that changed anything.
-    fn apply(&mut self, now: Instant, id: TaskId, event: Event, text: Option<&str>) -> bool {
-        let Some(task) = self.store.task_mut(id) else {
-            return false;
-        };
-        // A handler that reports an end has taken the task, whether it said so or not.
-        if event == Event::Complete && task.state == State::Initiated {
-            task.state = State::Accepted;
+    /// Answers the INIT of a task that was taken: at once, or for our clients after a moment in
+    /// which it may end.
+    fn on_accepted(
+        &mut self,
+        now: Instant,
+        id: TaskId,
+        text: ReplyText<'_>,
+        kept: &str,
+        out: &mut impl FnMut(M::Peer, &Reply<'_>),
+    ) {
+        let ours = self.settle(now, id, State::Accepted, Some(id), kept);
+        while let Some(waiter) = self.release(id, Awaited::Decision) {
+            if ours {
+                let early = Waiter {
+                    awaited: Awaited::EarlyEnd,
+                    deadline: now + self.config.early,
+                    ..waiter
+                };
+                // There is room: one was just taken out.
+                if let Err(waiter) = self.memory.hold(early) {
+                    self.answer_task(waiter, State::Accepted, text, out);
+                }
+            } else {
+                // Case D: ACCEPTED, even if the task has ended since.
+                self.answer_task(waiter, State::Accepted, text, out);
+            }
         }
-        let Some(state) = task.state.after(event) else {
-            return false;
-        };
-        task.state = state;
-        if let Some(text) = text {
-            task.text.set(text);
+        while let Some(waiter) = self.release(id, Awaited::Outcome) {
+            let reply = Reply::about(RESERVED_SCOPE, id, State::Accepted, text);
+            out(waiter.peer, &reply);
         }
-        if state.is_final() {
-            task.ended = Some(now);
-            self.store.on_ended(id);
-        }
-        true
     }
 
     fn on_rejected(
@@ -512,100 +540,188 @@ impl<S: Store> Dispatcher<S> {
         now: Instant,
         id: TaskId,
         told: State,
-        prefix: &'static str,
         reason: &str,
-        out: &mut impl FnMut(S::Peer, Reply<'_>),
+        out: &mut impl FnMut(M::Peer, &Reply<'_>),
     ) {
-        if !self.apply(now, id, Event::Reject, Some(reason)) {
+        let tasks = self.memory.tasks_mut();
+        let scope = tasks.get(id).map(|task| task.extra);
+        if !tasks.apply(now, id, Event::Reject, Some(reason)) {
             return;
         }
-        self.answer_aborts(id, None, out);
-        let Some(waiter) = self.release(id, Awaited::Decision) else {
-            // The client has the id already, and learns it by STATUS.
-            return;
+        for awaited in [Awaited::Abort, Awaited::End] {
+            self.answer_waiting(id, awaited, None, out);
+        }
+        self.settle(now, id, told, None, reason);
+        let prefix = prefix(told == State::Failed);
+        let mut nobody_knows = false;
+        for awaited in [Awaited::Decision, Awaited::Outcome] {
+            while let Some(waiter) = self.release(id, awaited) {
+                let name = match (awaited, scope) {
+                    (Awaited::Decision, Some(scope)) => self.memory.scope_name(scope),
+                    _ => RESERVED_SCOPE,
+                };
+                let mut reply = Reply::refusal(name, ReplyText::About(prefix, reason));
+                reply.state = told;
+                out(waiter.peer, &reply);
+                nobody_knows = true;
+            }
+        }
+        // Without a held INIT the client has the id already, and learns it by STATUS.
+        if nobody_knows {
+            self.memory.tasks_mut().remove(id);
+        }
+    }
+
+    /// Remembers the answer to an enveloped INIT; says whether it was one.
+    fn settle(
+        &mut self,
+        now: Instant,
+        task: TaskId,
+        state: State,
+        id: Option<TaskId>,
+        answer: &str,
+    ) -> bool {
+        let Some(init) = self.memory.init_of(task) else {
+            return false;
         };
-        let scope = self.store.task(id).map(|task| task.scope);
-        let mut reply = Reply::refusal(
-            scope.map_or("", |scope| self.store.scope_name(scope)),
-            ReplyText::About(prefix, reason),
-        );
-        reply.state = told;
-        out(waiter.peer, reply);
-        // Nobody was told the id, so nobody can ask for it.
-        self.store.remove(id);
+        let mut text = M::Text::default();
+        text.set(answer);
+        init.first = First::Answered { state, id, text };
+        init.until = Some(now + KEEP_INIT);
+        let client = init.client;
+        self.memory.on_settled(client, task);
+        true
     }
 
-    /// Answers the INIT of a task that was taken.
-    fn answer_decision(
+    /// Answers all that await something of a task: with `text` and the present state, or with its
+    /// end.
+    fn answer_waiting(
         &mut self,
         id: TaskId,
-        text: ReplyText<'_>,
-        out: &mut impl FnMut(S::Peer, Reply<'_>),
-    ) {
-        if let Some(waiter) = self.release(id, Awaited::Decision) {
-            // Case D: ACCEPTED, even if the task has ended since.
-            self.answer_task(waiter, State::Accepted, text, out);
-        }
-    }
-
-    /// Answers every ABORT of a task: with `text` and the present state, or with its end.
-    fn answer_aborts(
-        &mut self,
-        id: TaskId,
+        awaited: Awaited,
         text: Option<&str>,
-        out: &mut impl FnMut(S::Peer, Reply<'_>),
+        out: &mut impl FnMut(M::Peer, &Reply<'_>),
     ) {
-        while let Some(waiter) = self.release(id, Awaited::End) {
-            let Some(task) = self.store.task(id) else {
+        while let Some(waiter) = self.release(id, awaited) {
+            let Some(task) = self.memory.tasks().get(id) else {
                 continue;
             };
-            let state = task.state;
             let text = match text {
                 Some(text) => text,
-                None if state == State::Aborted => "True",
+                None if awaited == Awaited::Abort && task.state == State::Aborted => "True",
                 None => task.text.as_ref(),
             };
-            let reply = Reply {
-                scope: self.store.scope_name(task.scope),
-                state,
-                id: ReplyId::Task(id),
-                text: ReplyText::Plain(text),
-            };
-            out(waiter.peer, reply);
+            let scope = self.memory.scope_name(task.extra);
+            let reply = Reply::about(scope, id, task.state, ReplyText::Plain(text));
+            out(waiter.peer, &reply);
+        }
+    }
+
+    /// Answers one whose time has passed.
+    fn answer_late(&mut self, waiter: Waiter<M::Peer>, out: &mut impl FnMut(M::Peer, &Reply<'_>)) {
+        let id = waiter.task;
+        if waiter.awaited == Awaited::EarlyEnd {
+            return self.answer_accepted(waiter, out);
+        }
+        let task = self.memory.tasks().get(id);
+        let progress = task.map_or(NOTHING_KNOWN, |task| task.text.as_ref());
+        let state = task.map_or(State::Initiated, |task| task.state);
+        match waiter.awaited {
+            Awaited::Decision | Awaited::EarlyEnd => {
+                let text = ReplyText::Undecided(id);
+                self.answer_task(waiter, State::Accepted, text, out);
+            }
+            Awaited::Abort => {
+                let text = ReplyText::Plain("aborting");
+                self.answer_task(waiter, State::Accepted, text, out);
+            }
+            Awaited::End => self.answer_task(waiter, state, ReplyText::Plain(progress), out),
+            Awaited::Outcome => {
+                let text = ReplyText::Undecided(id);
+                let reply = Reply::about(RESERVED_SCOPE, id, State::Accepted, text);
+                out(waiter.peer, &reply);
+            }
+        }
+    }
+
+    /// The INIT of our client has waited for a quick end in vain: it gets the answer that is kept.
+    fn answer_accepted(
+        &mut self,
+        waiter: Waiter<M::Peer>,
+        out: &mut impl FnMut(M::Peer, &Reply<'_>),
+    ) {
+        let id = waiter.task;
+        let mut kept = M::Text::default();
+        if let Some(LastInit {
+            first: First::Answered { text, .. },
+            ..
+        }) = self.memory.init_of(id)
+        {
+            core::mem::swap(&mut kept, text);
+        }
+        let text = ReplyText::Plain(kept.as_ref());
+        self.answer_task(waiter, State::Accepted, text, out);
+        if let Some(LastInit {
+            first: First::Answered { text, .. },
+            ..
+        }) = self.memory.init_of(id)
+        {
+            *text = kept;
         }
     }
 
     fn answer_task(
         &self,
-        waiter: Waiter<S::Peer>,
+        waiter: Waiter<M::Peer>,
         state: State,
         text: ReplyText<'_>,
-        out: &mut impl FnMut(S::Peer, Reply<'_>),
+        out: &mut impl FnMut(M::Peer, &Reply<'_>),
     ) {
-        let scope = self.store.task(waiter.task).map(|task| task.scope);
-        let reply = Reply {
-            scope: scope.map_or("", |scope| self.store.scope_name(scope)),
-            state,
-            id: ReplyId::Task(waiter.task),
-            text,
-        };
-        out(waiter.peer, reply);
+        let scope = self.memory.tasks().get(waiter.task).map(|task| task.extra);
+        let name = scope.map_or("", |scope| self.memory.scope_name(scope));
+        out(waiter.peer, &Reply::about(name, waiter.task, state, text));
     }
 
-    fn release(&mut self, id: TaskId, awaited: Awaited) -> Option<Waiter<S::Peer>> {
-        let waiting = |w: &Waiter<S::Peer>| w.task == id && w.awaited == awaited;
-        let place = self.store.held().iter().position(waiting)?;
-        self.store.release(place)
+    fn release(&mut self, id: TaskId, awaited: Awaited) -> Option<Waiter<M::Peer>> {
+        let waiting = |w: &Waiter<M::Peer>| w.task == id && w.awaited == awaited;
+        let place = self.memory.held().iter().position(waiting)?;
+        self.memory.release(place)
     }
 }
 
 fn unknown_id<'a>(scope: &'a str, asked: Integer<'a>) -> Reply<'a> {
-    Reply {
-        scope,
-        state: State::Rejected,
-        id: ReplyId::Asked(asked),
-        text: ReplyText::InvalidId(asked),
+    let mut reply = Reply::refusal(scope, ReplyText::InvalidId(asked));
+    reply.id = ReplyId::Asked(asked);
+    reply
+}
+
+/// What stands before the reason of a refusal.
+const fn prefix(threw: bool) -> &'static str {
+    if threw {
+        "Controller threw exception: "
+    } else {
+        ""
     }
+}
+
+/// The answer to an INIT, told again.
+fn first_answer<'a>(scope: &'a str, state: State, id: Option<TaskId>, text: &'a str) -> Reply<'a> {
+    match id {
+        Some(id) => Reply::about(scope, id, state, ReplyText::Plain(text)),
+        None => {
+            let threw = state == State::Failed;
+            let mut reply = Reply::refusal(scope, ReplyText::About(prefix(threw), text));
+            reply.state = state;
+            reply
+        }
+    }
+}
+
+/// How long a STATUS with this payload asks to be held: `wait MS`.
+fn held_for(payload: &str) -> Option<Duration> {
+    let millis = Integer::parse(payload.strip_prefix("wait ")?).ok()?;
+    let millis = u64::try_from(millis.value()?).ok()?;
+    Some(Duration::from_millis(millis).min(LONGEST_WAIT))
 }
 
 #[cfg(test)]

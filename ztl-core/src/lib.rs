@@ -11,7 +11,10 @@
 //! | [`spec`] | what a client asks for: `handler:component:goal`, in base64 |
 //! | [`repr`] | text quoted as Python's `repr` does, which the original puts in its replies |
 //! | [`dispatcher`] | a server's rules: a request in, an answer or an action out |
-//! | [`store`] | where a dispatcher remembers its tasks, with or without a heap |
+//! | [`client`] | a client's rules: which answer is whose, and what no answer means |
+//! | [`envelope`] | who asks, and which of its requests it is |
+//! | [`tasks`] | what is remembered of tasks, with or without a heap |
+//! | [`memory`], [`reply`] | what else a dispatcher remembers, and what it answers |
 //! | [`link`] | frames and messages between a gateway and a microcontroller |
 //!
 //! ```
@@ -30,21 +33,28 @@
 extern crate std;
 
 pub mod base64;
+pub mod client;
 pub mod dispatcher;
+pub mod envelope;
 pub mod integer;
 pub mod lifecycle;
 pub mod link;
+pub mod memory;
 pub mod message;
+pub mod reply;
 pub mod repr;
 pub mod sink;
 pub mod spec;
-pub mod store;
+pub mod tasks;
 pub mod time;
 
 pub use lifecycle::{Event, Request, State};
 pub use message::Message;
 pub use spec::TaskSpec;
 pub use time::Instant;
+
+/// Version of this crate, told by `$ztl`.
+pub const VERSION: &str = env!("CARGO_PKG_VERSION");
 
 /// The number a server gives to a task it took, from 1 to `u32::MAX`; unique for the server's life.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]

@@ -31,6 +31,13 @@ impl Instant {
         self.0
     }
 
+    /// The moment that lies this long before, or `None` when the clock had not started then.
+    #[must_use]
+    pub fn before(self, time: Duration) -> Option<Self> {
+        let start = Self::ZERO + time;
+        self.0.checked_sub(start.0).map(Self)
+    }
+
     /// How long after `earlier` this moment is; zero when it is not after it.
     #[must_use]
     pub const fn since(self, earlier: Self) -> Duration {

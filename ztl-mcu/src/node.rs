@@ -7,8 +7,9 @@ use ztl_core::link::{
     ADDR_ONLY_NODE, Body, Decoder, Frame, FrameError, Hello, Ids, LINK_TIMEOUT, LinkId, Loss,
     NO_SEQ, NO_SESSION, VERSION, Welcome, encode, next_seq, session_key,
 };
+use ztl_core::tasks::{NoRoom, Task, TaskRules, TaskTable, Tasks};
 use ztl_core::time::earliest;
-use ztl_core::{Instant, State};
+use ztl_core::{Event, Instant};
 
 use crate::component::{Component, Report, Run};
 
@@ -62,35 +63,26 @@ pub struct Counters {
     pub out_of_sequence: u32,
 }
 
-/// A task that the node holds: it runs, or its end is not acknowledged yet.
+/// What a node knows of a task besides its state and text.
 #[derive(Debug)]
-struct Slot {
-    id: LinkId,
+struct Job {
     component: u8,
-    /// ACCEPTED while it runs, else final.
-    state: State,
-    text: heapless::String<TEXT>,
     /// When the end or the progress is told next.
     due: Instant,
-    /// Whether `text` has changed since it was told.
+    /// Whether the text has changed since it was told.
     news: bool,
     aborting: bool,
 }
 
-impl Slot {
-    fn runs(&self) -> bool {
-        !self.state.is_final()
-    }
+type Slot = Task<Job, heapless::String<TEXT>>;
 
-    fn end(&mut self, now: Instant, state: State) {
-        self.state = state;
-        self.due = now;
-    }
+fn runs(task: &Slot) -> bool {
+    !task.state.is_final()
+}
 
-    fn end_because(&mut self, now: Instant, state: State, reason: &str) {
-        Report::new(&mut self.text).text(reason);
-        self.end(now, state);
-    }
+fn end(task: &mut Slot, now: Instant, event: Event, reason: Option<&str>) {
+    task.apply(now, event, reason);
+    task.extra.due = now;
 }
 
 /// The answer to the last command, kept to be repeated.
@@ -141,7 +133,7 @@ struct Inner<'a, const TASKS: usize, const FRAME: usize> {
     /// When the last new command was executed: the link timer. `None` once it has fired.
     commanded: Option<Instant>,
     stopped: bool,
-    slots: Vec<Slot, TASKS>,
+    tasks: TaskTable<LinkId, Job, TASKS, TEXT>,
     highest: LinkId,
     awake_due: Instant,
     transmit: [u8; FRAME],
@@ -168,7 +160,7 @@ impl<'a, const TASKS: usize, const FRAME: usize> Node<'a, TASKS, FRAME> {
             heard: Instant::ZERO,
             commanded: None,
             stopped: false,
-            slots: Vec::new(),
+            tasks: TaskTable::new(),
             highest: LinkId(0),
             awake_due: Instant::ZERO,
             transmit: [0; FRAME],
@@ -236,18 +228,19 @@ impl<const TASKS: usize, const FRAME: usize> Inner<'_, TASKS, FRAME> {
             self.commanded = None;
             self.on_link_lost(now);
         }
-        for slot in self.slots.iter_mut().filter(|slot| slot.runs()) {
-            let Some(component) = self.components.get_mut(usize::from(slot.component)) else {
+        for (_, task) in self.tasks.iter_mut().filter(|(_, task)| runs(task)) {
+            let place = usize::from(task.extra.component);
+            let Some(component) = self.components.get_mut(place) else {
                 continue;
             };
-            let before = slot.text.clone();
-            let run = component.poll(now, &mut Report::new(&mut slot.text));
-            slot.news |= before != slot.text;
+            let before = task.text.clone();
+            let run = component.poll(now, &mut Report::new(&mut task.text));
+            task.extra.news |= before != task.text;
             match run {
                 Run::Running => {}
-                Run::Completed => slot.end(now, State::Completed),
-                Run::Failed => slot.end(now, State::Failed),
-                Run::Aborted => slot.end(now, State::Aborted),
+                Run::Completed => end(task, now, Event::Complete, None),
+                Run::Failed => end(task, now, Event::Fail, None),
+                Run::Aborted => end(task, now, Event::Abort, None),
             }
         }
     }
@@ -277,13 +270,14 @@ impl<const TASKS: usize, const FRAME: usize> Inner<'_, TASKS, FRAME> {
         if self.session == NO_SESSION {
             wake = earliest(wake, Some(self.awake_due));
         }
-        for slot in &self.slots {
-            let component = self.components.get(usize::from(slot.component));
-            if slot.runs() {
+        for (_, task) in self.tasks.iter() {
+            let job = &task.extra;
+            if runs(task) {
+                let component = self.components.get(usize::from(job.component));
                 wake = earliest(wake, component.map(|c| c.poll_timeout(now)));
             }
-            if self.session != NO_SESSION && (slot.news || !slot.runs()) {
-                wake = earliest(wake, Some(slot.due));
+            if self.session != NO_SESSION && (job.news || !runs(task)) {
+                wake = earliest(wake, Some(job.due));
             }
         }
         // Nothing to do: the next byte wakes it.
@@ -295,8 +289,8 @@ impl<const TASKS: usize, const FRAME: usize> Inner<'_, TASKS, FRAME> {
         for component in self.components.iter_mut() {
             component.make_safe(now);
         }
-        for slot in self.slots.iter_mut().filter(|slot| slot.runs()) {
-            slot.end_because(now, State::Aborted, "emergency stop");
+        for (_, task) in self.tasks.iter_mut().filter(|(_, task)| runs(task)) {
+            end(task, now, Event::Abort, Some("emergency stop"));
         }
     }
 
@@ -319,7 +313,7 @@ impl<const TASKS: usize, const FRAME: usize> Inner<'_, TASKS, FRAME> {
             (false, NO_SEQ, Body::Hello(hello)) => self.on_hello(now, hello),
             (true, NO_SEQ, Body::Ack { task }) => {
                 // Known or not; a task that still runs is not let go.
-                self.slots.retain(|slot| slot.id != task || slot.runs());
+                self.tasks.acknowledge(task);
             }
             (true, seq, body) if seq != NO_SEQ => self.on_command(now, seq, body),
             _ => {}
@@ -347,9 +341,9 @@ impl<const TASKS: usize, const FRAME: usize> Inner<'_, TASKS, FRAME> {
             self.seq = NO_SEQ;
             // A new session proves nothing about the way back, so the link timer runs on.
             self.heard = now;
-            for slot in &mut self.slots {
-                slot.due = now;
-                slot.news = true;
+            for (_, task) in self.tasks.iter_mut() {
+                task.extra.due = now;
+                task.extra.news = true;
             }
         }
         if self.seq == NO_SEQ {
@@ -415,59 +409,58 @@ impl<const TASKS: usize, const FRAME: usize> Inner<'_, TASKS, FRAME> {
             .components
             .get_mut(usize::from(component))
             .ok_or("no such component")?;
-        if self
-            .slots
-            .iter()
-            .any(|s| s.runs() && s.component == component)
-        {
+        let busy = |task: &Slot| runs(task) && task.extra.component == component;
+        if self.tasks.iter().any(|(_, task)| busy(task)) {
             return Err("busy with another task");
         }
-        if self.slots.is_full() {
-            let all_run = self.slots.iter().all(Slot::runs);
-            return Err(if all_run {
-                "too many tasks are running"
-            } else {
-                "ends not yet acknowledged"
+        let job = || {
+            let mut job = Task::new(Job {
+                component,
+                due: now,
+                news: false,
+                aborting: false,
             });
+            job.unacknowledged = true;
+            job
+        };
+        self.tasks.admit(task, job).map_err(|full| match full {
+            NoRoom::Running => "too many tasks are running",
+            NoRoom::Unacknowledged => "ends not yet acknowledged",
+        })?;
+        if let Err(reason) = part.start(now, goal) {
+            self.tasks.remove(task);
+            return Err(reason);
         }
-        part.start(now, goal)?;
+        self.tasks.apply(now, task, Event::Accept, None);
         self.highest = task;
-        // There is room: it was asked above.
-        let _ = self.slots.push(Slot {
-            id: task,
-            component,
-            state: State::Accepted,
-            text: heapless::String::new(),
-            due: now,
-            news: false,
-            aborting: false,
-        });
         Ok(())
     }
 
-    fn abort(&mut self, now: Instant, task: LinkId) -> Answer {
-        let Some(slot) = self.slots.iter_mut().find(|slot| slot.id == task) else {
+    fn abort(&mut self, now: Instant, id: LinkId) -> Answer {
+        let Some(task) = self.tasks.get_mut(id) else {
             return Answer::Refused("no such task");
         };
-        if slot.runs() && !slot.aborting {
-            slot.aborting = true;
-            if let Some(component) = self.components.get_mut(usize::from(slot.component)) {
+        if runs(task) && !task.extra.aborting {
+            task.extra.aborting = true;
+            let place = usize::from(task.extra.component);
+            if let Some(component) = self.components.get_mut(place) {
                 component.abort(now);
             }
         }
-        Answer::Aborting(task)
+        Answer::Aborting(id)
     }
 
     fn on_link_lost(&mut self, now: Instant) {
-        for slot in self.slots.iter_mut().filter(|slot| slot.runs()) {
-            let Some(component) = self.components.get_mut(usize::from(slot.component)) else {
+        for (_, task) in self.tasks.iter_mut().filter(|(_, task)| runs(task)) {
+            let place = usize::from(task.extra.component);
+            let Some(component) = self.components.get_mut(place) else {
                 continue;
             };
             if component.offer().loss == Loss::CarryOn {
                 continue;
             }
             component.make_safe(now);
-            slot.end_because(now, State::Failed, "link was lost");
+            end(task, now, Event::Fail, Some("link was lost"));
         }
     }
 
@@ -494,28 +487,32 @@ impl<const TASKS: usize, const FRAME: usize> Inner<'_, TASKS, FRAME> {
         if core::mem::take(&mut self.answer_due) {
             return self.encode_answer(now);
         }
-        let told = |slot: &&mut Slot| (slot.news || !slot.runs()) && now >= slot.due;
-        let slot = self.slots.iter_mut().find(told)?;
-        slot.news = false;
-        let task = slot.id;
-        let text = slot.text.clone();
-        let body = if slot.runs() {
-            slot.due = now + PROGRESS_AGAIN;
-            Body::Progress { task, text: &text }
+        let due = |task: &Slot| (task.extra.news || !runs(task)) && now >= task.extra.due;
+        let (task, slot) = self.tasks.iter_mut().find(|(_, task)| due(task))?;
+        let task = *task;
+        slot.extra.news = false;
+        let again = if runs(slot) {
+            PROGRESS_AGAIN
         } else {
-            slot.due = now + ENDED_AGAIN;
+            ENDED_AGAIN
+        };
+        slot.extra.due = now + again;
+        let (state, result) = (slot.state, slot.text.as_str());
+        let body = if runs(slot) {
+            Body::Progress { task, text: result }
+        } else {
             Body::Ended {
                 task,
-                state: slot.state,
-                result: &text,
+                state,
+                result,
             }
         };
-        self.encode(self.session, NO_SEQ, body)
+        encode_into(&mut self.transmit, self.session, NO_SEQ, body)
     }
 
     fn encode_answer(&mut self, now: Instant) -> Option<usize> {
         let seq = self.seq;
-        let held = u8::try_from(self.slots.len()).unwrap_or(u8::MAX);
+        let held = u8::try_from(self.tasks.len()).unwrap_or(u8::MAX);
         let clock_ms = Self::clock_ms(now);
         let answer = self.answer?;
         let session = match answer {
@@ -525,7 +522,7 @@ impl<const TASKS: usize, const FRAME: usize> Inner<'_, TASKS, FRAME> {
         let mut frame = |body| encode_into(&mut self.transmit, session, seq, body);
         match answer {
             Answer::Welcome => {
-                let ids: Vec<LinkId, TASKS> = self.slots.iter().map(|slot| slot.id).collect();
+                let ids: Vec<LinkId, TASKS> = self.tasks.iter().map(|(id, _)| *id).collect();
                 frame(Body::Welcome(Welcome {
                     version: VERSION,
                     name: self.identity.name,

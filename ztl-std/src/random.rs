@@ -11,6 +11,11 @@ pub(crate) fn number() -> u64 {
     })
 }
 
+/// 16 random bytes.
+pub(crate) fn bytes() -> impl Iterator<Item = u8> {
+    [number(), number()].into_iter().flat_map(u64::to_le_bytes)
+}
+
 /// A random number that is not 0.
 pub(crate) fn nonzero() -> u32 {
     (number() as u32).max(1)

@@ -3,37 +3,46 @@
 use std::time::{Duration, Instant};
 
 use tracing::{info, warn};
-use ztl_core::integer::Integer;
-use ztl_core::{Message, Request, State, TaskId, TaskSpec};
+use ztl_core::client::{Answer, Client, Heard, Late, Server};
+use ztl_core::envelope::{ClientId, Envelope};
+use ztl_core::{Request, State, TaskId, TaskSpec};
 
+use crate::clock::now;
 use crate::random;
 
 /// Default longest time for a server to answer, as the original's.
 const TIMEOUT: Duration = Duration::from_secs(2);
 
-/// Pause between two questions of [`RemoteTask::wait`].
+/// Pause between two questions about a running task, where the server does not hold the answer.
 const PAUSE: Duration = Duration::from_millis(50);
 
-/// First frame of the envelope, before the client's 16 bytes.
-const ENVELOPE: &[u8; 4] = b"ztl1";
+/// Longest time that a server of ours is asked to hold the answer to a STATUS.
+const HELD: Duration = Duration::from_millis(1000);
+
+/// The same when somebody wants to see the progress.
+const HELD_FOR_PROGRESS: Duration = Duration::from_millis(100);
+
+/// How often it is asked what became of an INIT, each time over a new connection.
+const OUTCOMES: u32 = 3;
 
 /// Name under which the original logs.
 const LOG: &str = "remote-task";
 
 /// Tasks on one scope of one server.
 ///
-/// Each request carries a number in a ZeroMQ envelope, which every server returns, so a late answer
-/// is never taken for the next one. Nothing is sent to a server that is not connected, and an INIT
-/// is never sent twice: what was not answered is *unknown*, which is an error of its own and never
-/// a state.
+/// The rules are [`ztl_core::client`]'s: a late answer is never taken for the next one, nothing is
+/// sent to a server that is not connected, and an INIT is never sent twice. When its answer does not
+/// come, a server of ours is asked what it was; else it is *unknown*, which is an error of its own
+/// and never a state.
 pub struct RemoteTask {
     context: zmq::Context,
     socket: Option<zmq::Socket>,
     endpoint: String,
     scope: String,
     timeout: Duration,
-    client: Vec<u8>,
-    number: u64,
+    client: Client,
+    /// Whether the server at the other end of the present connection has been asked who it is.
+    met: bool,
 }
 
 /// A server took a task.
@@ -43,6 +52,8 @@ pub struct Triggered {
     pub id: TaskId,
     /// The server's text.
     pub reply: String,
+    /// How it ended, when it had ended before the answer came.
+    pub ended: Option<Status>,
 }
 
 /// What a server says of a task.
@@ -126,7 +137,10 @@ pub enum TriggerError {
         /// The server's reason.
         reason: String,
     },
-    /// There was no usable answer; see there whether it may run.
+    /// The server has not got it, and will refuse it if it still comes: it does not run.
+    NeverCame,
+    /// There was no usable answer: after [`RequestError::NotConnected`] it does not run, after any
+    /// other it may.
     Request(RequestError),
 }
 
@@ -134,6 +148,7 @@ impl std::fmt::Display for TriggerError {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
             Self::Refused { reason, .. } => write!(f, "refused: {reason}"),
+            Self::NeverCame => f.write_str("it never came to the server, and was not started"),
             Self::Request(cause) => cause.fmt(f),
         }
     }
@@ -142,7 +157,7 @@ impl std::fmt::Display for TriggerError {
 impl std::error::Error for TriggerError {
     fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
         match self {
-            Self::Refused { .. } => None,
+            Self::Refused { .. } | Self::NeverCame => None,
             Self::Request(cause) => Some(cause),
         }
     }
@@ -170,13 +185,6 @@ impl std::error::Error for WaitError {
     }
 }
 
-/// An answer, taken apart.
-struct Answer {
-    state: i64,
-    id: i64,
-    text: String,
-}
-
 impl RemoteTask {
     /// A client of `scope` at the server `endpoint`: `tcp://localhost:12345`. The server need not
     /// be there yet.
@@ -184,17 +192,18 @@ impl RemoteTask {
     /// # Errors
     /// [`RequestError::Transport`] when the endpoint is no ZeroMQ address.
     pub fn connect(endpoint: &str, scope: &str) -> Result<Self, RequestError> {
-        let mut client = ENVELOPE.to_vec();
-        client.extend(random::number().to_le_bytes());
-        client.extend(random::number().to_le_bytes());
+        let mut id = [0; 16];
+        for (to, from) in id.iter_mut().zip(random::bytes()) {
+            *to = from;
+        }
         let mut remote = Self {
             context: zmq::Context::new(),
             socket: None,
             endpoint: endpoint.to_owned(),
             scope: scope.to_owned(),
             timeout: TIMEOUT,
-            client,
-            number: 0,
+            client: Client::new(ClientId(id), TIMEOUT),
+            met: false,
         };
         remote.socket = Some(remote.open()?);
         info!(target: LOG, "Remote task interface initialised at '{endpoint}'.");
@@ -205,6 +214,7 @@ impl RemoteTask {
     #[must_use]
     pub fn with_timeout(mut self, timeout: Duration) -> Self {
         self.timeout = timeout;
+        self.client.set_timeout(timeout);
         self
     }
 
@@ -234,19 +244,40 @@ impl RemoteTask {
     /// # Errors
     /// As [`trigger`](Self::trigger).
     pub fn trigger_payload(&mut self, payload: &str) -> Result<Triggered, TriggerError> {
-        let answer = self
-            .request(Request::Init, "-1", payload)
-            .map_err(TriggerError::Request)?;
-        match u32::try_from(answer.id).ok().and_then(TaskId::new) {
-            Some(id) => Ok(Triggered {
-                id,
-                reply: answer.text,
-            }),
-            None => Err(TriggerError::Refused {
-                id: answer.id,
-                reason: answer.text,
-            }),
+        self.meet().map_err(TriggerError::Request)?;
+        let mut said = self.ask(|client, scope, body| {
+            client.request(now(), Request::Init, scope, None, payload, body)
+        });
+        let mut outcomes = 0;
+        while let Err(Unanswered { outcome: true, .. }) = said
+            && outcomes < OUTCOMES
+        {
+            outcomes += 1;
+            said = self.ask_outcome();
         }
+        match said.map_err(|unanswered| TriggerError::Request(unanswered.error))? {
+            Said::NeverStarted => Err(TriggerError::NeverCame),
+            Said::Answer { state, id, text } => triggered(state, id, text),
+        }
+    }
+
+    /// Asks for a task and waits for it to end, as [`trigger`](Self::trigger) and
+    /// [`wait`](Self::wait) do; a quick one in a single round trip.
+    ///
+    /// # Errors
+    /// As those two.
+    pub fn run(
+        &mut self,
+        handler: &str,
+        component: &str,
+        goal: &str,
+        limit: Option<Duration>,
+    ) -> Result<Result<Status, WaitError>, TriggerError> {
+        let task = self.trigger(handler, component, goal)?;
+        Ok(match task.ended {
+            Some(status) => Ok(status),
+            None => self.wait(task.id, limit),
+        })
     }
 
     /// Asks where a task is.
@@ -255,8 +286,7 @@ impl RemoteTask {
     /// As [`RequestError`] says. A task that the server does not know is no error: it says
     /// REJECTED, `Invalid ID`.
     pub fn status(&mut self, id: TaskId) -> Result<Status, RequestError> {
-        let answer = self.request(Request::Status, &id.to_string(), "status update")?;
-        status(answer)
+        self.about(Request::Status, id, "status update")
     }
 
     /// Asks to stop a task, and says where it is then: ABORTED, or a state that it had already
@@ -265,8 +295,7 @@ impl RemoteTask {
     /// # Errors
     /// As [`RequestError`] says.
     pub fn abort(&mut self, id: TaskId) -> Result<Status, RequestError> {
-        let answer = self.request(Request::Abort, &id.to_string(), "abort command")?;
-        status(answer)
+        self.about(Request::Abort, id, "abort command")
     }
 
     /// Waits for a task to end, at most for `limit`, or for ever.
@@ -276,7 +305,7 @@ impl RemoteTask {
     /// # Errors
     /// [`WaitError`] with what was last known, when the limit has passed.
     pub fn wait(&mut self, id: TaskId, limit: Option<Duration>) -> Result<Status, WaitError> {
-        self.wait_with(id, limit, |_| true)
+        self.wait_held(id, limit, HELD, |_| true)
     }
 
     /// As [`wait`](Self::wait); each answer, or its absence, is shown to `seen`, which ends the wait
@@ -288,22 +317,50 @@ impl RemoteTask {
         &mut self,
         id: TaskId,
         limit: Option<Duration>,
+        seen: impl FnMut(&Result<Status, RequestError>) -> bool,
+    ) -> Result<Status, WaitError> {
+        self.wait_held(id, limit, HELD_FOR_PROGRESS, seen)
+    }
+
+    fn wait_held(
+        &mut self,
+        id: TaskId,
+        limit: Option<Duration>,
+        held: Duration,
         mut seen: impl FnMut(&Result<Status, RequestError>) -> bool,
     ) -> Result<Status, WaitError> {
         let start = Instant::now();
+        let left = |start: Instant| limit.map(|limit| limit.saturating_sub(start.elapsed()));
+        // The first question is answered at once, so that the progress is seen at once.
+        let mut hold = Duration::ZERO;
         loop {
-            let last = self.status(id);
+            let last = if hold.is_zero() {
+                self.about(Request::Status, id, "waiting poll")
+            } else {
+                let payload = format!("wait {}", hold.as_millis());
+                self.about(Request::Status, id, &payload)
+            };
             let go_on = seen(&last);
             if let Ok(status) = &last
                 && status.state.is_final()
             {
                 return Ok(status.clone());
             }
-            let left = limit.map(|limit| limit.saturating_sub(start.elapsed()));
-            if !go_on || left.is_some_and(|left| left.is_zero()) {
+            let left = left(start).unwrap_or(Duration::MAX);
+            if !go_on || left.is_zero() {
                 return Err(WaitError { last });
             }
-            std::thread::sleep(left.map_or(PAUSE, |left| left.min(PAUSE)));
+            let holds = last.is_ok() && matches!(self.client.server(), Server::Ours { .. });
+            let longest = held.min(self.timeout / 2);
+            hold = if holds {
+                left.min(longest)
+            } else {
+                Duration::ZERO
+            };
+            if hold.as_millis() == 0 {
+                hold = Duration::ZERO;
+                std::thread::sleep(left.min(PAUSE));
+            }
         }
     }
 
@@ -317,78 +374,137 @@ impl RemoteTask {
         Ok(socket)
     }
 
-    /// Sends one request and waits for its answer.
-    fn request(
+    fn about(
         &mut self,
         request: Request,
-        id: &str,
+        id: TaskId,
         payload: &str,
-    ) -> Result<Answer, RequestError> {
-        let socket = match self.socket.take() {
-            Some(socket) => socket,
-            None => self.open()?,
-        };
-        let answer = self.exchange(&socket, request, id, payload);
-        match &answer {
-            Ok(_) => self.socket = Some(socket),
-            // What is still on its way in this socket is dropped with it.
-            Err(cause) => warn!(target: LOG, "Networking error, disconnecting: {cause}"),
+    ) -> Result<Status, RequestError> {
+        let said = self.ask(|client, scope, body| {
+            client.request(now(), request, scope, Some(id), payload, body)
+        });
+        match said.map_err(|unanswered| unanswered.error)? {
+            Said::Answer { state, text, .. } => status(state, text),
+            Said::NeverStarted => Err(RequestError::Unreadable {
+                answer: String::new(),
+            }),
         }
-        answer
     }
 
-    fn exchange(
-        &mut self,
-        socket: &zmq::Socket,
-        request: Request,
-        id: &str,
-        payload: &str,
-    ) -> Result<Answer, RequestError> {
-        let start = Instant::now();
-        let code = request.code().to_string();
-        let message = Message {
-            scope: &self.scope,
-            state: &code,
-            id,
-            payload,
-        };
-        let mut body = Vec::with_capacity(message.encoded_len());
-        message.put(&mut |bytes: &[u8]| body.extend_from_slice(bytes));
-        self.number += 1;
-        let number = self.number.to_be_bytes();
-        if !self.ready(socket, zmq::POLLOUT, start)? {
-            return Err(RequestError::NotConnected {
-                endpoint: self.endpoint.clone(),
-                waited: start.elapsed(),
-            });
+    /// Connects, and asks a server that was not met yet who it is.
+    fn meet(&mut self) -> Result<(), RequestError> {
+        if self.socket.is_none() || !self.met {
+            let said = self.ask(|client, _, body| client.probe(now(), body));
+            said.map_err(|unanswered| unanswered.error)?;
+            self.met = true;
         }
-        let frames: [&[u8]; 4] = [&self.client, &number, b"", &body];
-        socket.send_multipart(frames, zmq::DONTWAIT)?;
-        while self.ready(socket, zmq::POLLIN, start)? {
-            let frames = socket.recv_multipart(zmq::DONTWAIT)?;
-            // Anything else answers an earlier request, which has been given up.
-            if let [client, answered, delimiter, body] = frames.as_slice()
-                && (client, answered.as_slice()) == (&self.client, &number)
-                && delimiter.is_empty()
-            {
-                return read(body);
+        Ok(())
+    }
+
+    fn ask_outcome(&mut self) -> Result<Said, Unanswered> {
+        let mut body = Vec::new();
+        let mut sink = |bytes: &[u8]| body.extend_from_slice(bytes);
+        match self.client.outcome(now(), &mut sink) {
+            Some(envelope) => self.exchange(envelope, &body),
+            None => Ok(Said::NeverStarted),
+        }
+    }
+
+    /// Sends one request and waits for its answer.
+    fn ask(
+        &mut self,
+        request: impl FnOnce(&mut Client, &str, &mut dyn ztl_core::sink::Sink) -> Envelope,
+    ) -> Result<Said, Unanswered> {
+        let mut body = Vec::new();
+        let mut sink = |bytes: &[u8]| body.extend_from_slice(bytes);
+        let envelope = request(&mut self.client, &self.scope, &mut sink);
+        self.exchange(envelope, &body)
+    }
+
+    fn exchange(&mut self, envelope: Envelope, body: &[u8]) -> Result<Said, Unanswered> {
+        let start = Instant::now();
+        let socket = match self.socket.take() {
+            Some(socket) => socket,
+            None => {
+                // Another connection may lead to another server.
+                self.met = false;
+                self.open()?
+            }
+        };
+        let said = self.converse(&socket, start, envelope, body);
+        match &said {
+            Ok(_) => self.socket = Some(socket),
+            // What is still on its way in this socket is dropped with it.
+            Err(Unanswered { error, .. }) => {
+                warn!(target: LOG, "Networking error, disconnecting: {error}");
             }
         }
-        Err(RequestError::NoAnswer {
-            endpoint: self.endpoint.clone(),
-            waited: start.elapsed(),
+        said
+    }
+
+    fn converse(
+        &mut self,
+        socket: &zmq::Socket,
+        start: Instant,
+        envelope: Envelope,
+        body: &[u8],
+    ) -> Result<Said, Unanswered> {
+        if !self.ready(socket, zmq::POLLOUT)? {
+            return Err(Unanswered::from(RequestError::NotConnected {
+                endpoint: self.endpoint.clone(),
+                waited: start.elapsed(),
+            }));
+        }
+        let (client, number) = envelope.frames();
+        let frames: [&[u8]; 4] = [&client, &number, b"", body];
+        socket.send_multipart(frames, zmq::DONTWAIT)?;
+        while self.ready(socket, zmq::POLLIN)? {
+            let frames = socket.recv_multipart(zmq::DONTWAIT)?;
+            let [client, number, _delimiter, body] = frames.as_slice() else {
+                continue;
+            };
+            // Anything else answers an earlier request, which has been given up.
+            if let Some(envelope) = Envelope::parse(client, number)
+                && let Some(heard) = self.client.handle_reply(envelope, body)
+            {
+                return self.said(heard, body, start);
+            }
+        }
+        let late = self.client.handle_timeout(now());
+        Err(Unanswered {
+            outcome: late == Late::AskOutcome,
+            error: self.no_answer(start),
         })
     }
 
+    fn said(&self, heard: Heard<'_>, body: &[u8], start: Instant) -> Result<Said, Unanswered> {
+        match heard {
+            Heard::Answer(Answer { state, id, text }) => Ok(Said::Answer {
+                state,
+                id,
+                text: text.to_owned(),
+            }),
+            Heard::NeverStarted => Ok(Said::NeverStarted),
+            Heard::FateUnknown => Err(self.no_answer(start).into()),
+            Heard::Unreadable => Err(RequestError::Unreadable {
+                answer: String::from_utf8_lossy(body).into_owned(),
+            }
+            .into()),
+        }
+    }
+
+    fn no_answer(&self, start: Instant) -> RequestError {
+        RequestError::NoAnswer {
+            endpoint: self.endpoint.clone(),
+            waited: start.elapsed(),
+        }
+    }
+
     /// Waits until the socket is ready, or the request's time has passed.
-    fn ready(
-        &self,
-        socket: &zmq::Socket,
-        events: zmq::PollEvents,
-        start: Instant,
-    ) -> Result<bool, zmq::Error> {
+    fn ready(&self, socket: &zmq::Socket, events: zmq::PollEvents) -> Result<bool, zmq::Error> {
         loop {
-            let left = self.timeout.saturating_sub(start.elapsed());
+            let deadline = self.client.poll_timeout();
+            let left = deadline.map_or(Duration::ZERO, |deadline| deadline.since(now()));
             let millis = i64::try_from(left.as_micros().div_ceil(1000)).unwrap_or(i64::MAX);
             match socket.poll(events, millis) {
                 Ok(0) if left.is_zero() => return Ok(false),
@@ -397,6 +513,34 @@ impl RemoteTask {
                 Err(cause) => return Err(cause),
             }
         }
+    }
+}
+
+/// What a server said.
+enum Said {
+    Answer { state: i64, id: i64, text: String },
+    NeverStarted,
+}
+
+/// There was no answer.
+struct Unanswered {
+    error: RequestError,
+    /// It is worth asking what became of it.
+    outcome: bool,
+}
+
+impl From<RequestError> for Unanswered {
+    fn from(error: RequestError) -> Self {
+        Self {
+            error,
+            outcome: false,
+        }
+    }
+}
+
+impl From<zmq::Error> for Unanswered {
+    fn from(cause: zmq::Error) -> Self {
+        RequestError::from(cause).into()
     }
 }
 
@@ -409,27 +553,27 @@ impl std::fmt::Debug for RemoteTask {
     }
 }
 
-fn read(body: &[u8]) -> Result<Answer, RequestError> {
-    let unreadable = || RequestError::Unreadable {
-        answer: String::from_utf8_lossy(body).into_owned(),
+fn triggered(state: i64, id: i64, text: String) -> Result<Triggered, TriggerError> {
+    let Some(task) = u32::try_from(id).ok().and_then(TaskId::new) else {
+        return Err(TriggerError::Refused { id, reason: text });
     };
-    let message = Message::parse(body).map_err(|_| unreadable())?;
-    let number = |field: Result<Integer<'_>, _>| field.ok().and_then(Integer::value);
-    Ok(Answer {
-        state: number(message.code()).ok_or_else(unreadable)?,
-        id: number(message.number()).ok_or_else(unreadable)?,
-        text: message.payload.to_owned(),
+    // A server of ours that has the end already tells it in place of its INIT's answer.
+    let ended = State::from_code(state).filter(|state| state.is_final());
+    Ok(Triggered {
+        id: task,
+        ended: ended.map(|state| Status {
+            state,
+            text: text.clone(),
+        }),
+        reply: text,
     })
 }
 
-fn status(answer: Answer) -> Result<Status, RequestError> {
-    match State::from_code(answer.state) {
-        Some(state) => Ok(Status {
-            state,
-            text: answer.text,
-        }),
+fn status(state: i64, text: String) -> Result<Status, RequestError> {
+    match State::from_code(state) {
+        Some(state) => Ok(Status { state, text }),
         None => Err(RequestError::Unreadable {
-            answer: format!("state {}: {}", answer.state, answer.text),
+            answer: format!("state {state}: {text}"),
         }),
     }
 }

@@ -6,12 +6,14 @@
 mod original;
 mod process;
 mod server;
+mod tools;
 
 pub use original::{
     ABORTED, ACCEPTED, Answer, COMPLETED, FAILED, OriginalClient, REJECTED, original_tool, python,
 };
 pub use process::{Ended, Process};
 pub use server::{SCOPE, Server};
+pub use tools::{Told, original_client, our_client};
 
 use std::net::TcpListener;
 use std::path::{Path, PathBuf};

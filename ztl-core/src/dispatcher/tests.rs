@@ -1,7 +1,8 @@
 //! The decision table of the wire specification (4.3, 4.4, 11), as traces.
 
 use super::*;
-use crate::store::Fixed;
+use crate::envelope::ClientId;
+use crate::memory::Fixed;
 use std::string::{String, ToString};
 use std::vec::Vec;
 
@@ -14,9 +15,10 @@ struct Lab {
 
 impl Lab {
     fn new() -> Self {
-        let store = Fixed::new(["/test", "/other"]);
+        let memory = Fixed::new(["/test", "/other"]);
+        let config = Config::new(TaskId::new(1).unwrap(), 4711);
         Self {
-            dispatcher: Dispatcher::new(store, TaskId::new(1).unwrap(), Config::default()),
+            dispatcher: Dispatcher::new(memory, config),
             now: Instant::ZERO,
             answers: Vec::new(),
         }
@@ -24,10 +26,10 @@ impl Lab {
 
     fn body(&mut self, peer: u8, body: Body<'_>) -> Option<(&'static str, u32)> {
         let answers = &mut self.answers;
-        let mut out = |peer, reply: Reply<'_>| answers.push((peer, text(&reply)));
+        let mut out = |peer, reply: &Reply<'_>| answers.push((peer, text(reply)));
         let action = self
             .dispatcher
-            .handle_request(self.now, peer, body, &mut out)?;
+            .handle_request(self.now, peer, None, body, &mut out)?;
         Some(match action {
             Action::Start { id, .. } => ("start", id.get()),
             Action::Abort { id, .. } => ("abort", id.get()),
@@ -40,7 +42,7 @@ impl Lab {
 
     fn event(&mut self, id: u32, event: TaskEvent<'_>) {
         let answers = &mut self.answers;
-        let mut out = |peer, reply: Reply<'_>| answers.push((peer, text(&reply)));
+        let mut out = |peer, reply: &Reply<'_>| answers.push((peer, text(reply)));
         let id = TaskId::new(id).unwrap();
         self.dispatcher.handle_event(self.now, id, event, &mut out);
     }
@@ -50,7 +52,7 @@ impl Lab {
         while let Some(wake) = self.dispatcher.poll_timeout().filter(|wake| *wake <= end) {
             self.now = self.now.max(wake);
             let answers = &mut self.answers;
-            let mut out = |peer, reply: Reply<'_>| answers.push((peer, text(&reply)));
+            let mut out = |peer, reply: &Reply<'_>| answers.push((peer, text(reply)));
             self.dispatcher.handle_timeout(self.now, &mut out);
         }
         self.now = end;
@@ -320,7 +322,7 @@ fn a_result_that_does_not_fit_is_cut_at_a_character() {
     );
     lab.ask(1, "/test;2;1;");
     let (_, answer) = lab.answers.pop().unwrap();
-    assert_eq!(answer, "/test;5;1;fünfzehn zeiche".to_string());
+    assert_eq!(answer, "/test;5;1;fünfzehn zei…".to_string());
 }
 
 #[test]
@@ -330,4 +332,183 @@ fn an_abort_of_a_task_that_is_then_refused_is_answered_too() {
     lab.ask(2, "/test;3;1;");
     lab.event(1, TaskEvent::Rejected { reason: "no" });
     lab.told(&[(2, "/test;2;1;no"), (1, "/test;2;-1;no")]);
+}
+
+impl Lab {
+    /// A request of client 7 with this number.
+    fn ours(&mut self, peer: u8, number: u64, request: &str) -> Option<(&'static str, u32)> {
+        let answers = &mut self.answers;
+        let mut out = |peer, reply: &Reply<'_>| answers.push((peer, text(reply)));
+        let envelope = Envelope {
+            client: ClientId([7; 16]),
+            number,
+        };
+        let body = Body::One(request.as_bytes());
+        let action =
+            self.dispatcher
+                .handle_request(self.now, peer, Some(envelope), body, &mut out)?;
+        Some(match action {
+            Action::Start { id, .. } => ("start", id.get()),
+            Action::Abort { id, .. } => ("abort", id.get()),
+        })
+    }
+}
+
+#[test]
+fn a_repeated_init_does_not_act_twice_and_is_answered_the_same() {
+    let mut lab = Lab::new();
+    assert_eq!(lab.ours(1, 5, "/test;1;-1;x"), Some(("start", 1)));
+    assert_eq!(lab.ours(2, 5, "/test;1;-1;x"), None);
+    lab.event(1, TaskEvent::Accepted { reply: "ok" });
+    lab.pass(Duration::from_millis(3));
+    assert_eq!(lab.ours(3, 5, "/test;1;-1;x"), None);
+    lab.told(&[
+        (1, "/test;1;1;ok"),
+        (2, "/test;1;1;ok"),
+        (3, "/test;1;1;ok"),
+    ]);
+    // The next one is another.
+    assert_eq!(lab.ours(1, 6, "/test;1;-1;x"), Some(("start", 2)));
+    assert_eq!(lab.ours(1, 5, "/test;1;-1;x"), None);
+    lab.told(&[(1, "/test;2;-1;this INIT was given up by its client")]);
+}
+
+#[test]
+fn a_repeated_refusal_is_answered_the_same() {
+    let mut lab = Lab::new();
+    lab.ours(1, 5, "/test;1;-1;x");
+    lab.event(1, TaskEvent::Threw { message: "'goal'" });
+    lab.ours(1, 5, "/test;1;-1;x");
+    lab.ours(1, 6, "$ztl;2;-1;outcome 5");
+    let threw = "Controller threw exception: 'goal'";
+    lab.told(&[
+        (1, &std::format!("/test;3;-1;{threw}")),
+        (1, &std::format!("/test;3;-1;{threw}")),
+        (1, &std::format!("$ztl;3;-1;{threw}")),
+    ]);
+}
+
+#[test]
+fn the_outcome_of_an_init_is_told_or_it_is_refused_for_good() {
+    let mut lab = Lab::new();
+    lab.ours(1, 5, "/test;1;-1;x");
+    lab.ours(2, 6, "$ztl;2;-1;outcome 5");
+    lab.told(&[]);
+    lab.event(1, TaskEvent::Accepted { reply: "ok" });
+    lab.pass(Duration::from_millis(3));
+    lab.told(&[(2, "$ztl;1;1;ok"), (1, "/test;1;1;ok")]);
+    lab.ours(2, 7, "$ztl;2;-1;outcome 5");
+    lab.told(&[(2, "$ztl;1;1;ok")]);
+    lab.ours(2, 9, "$ztl;2;-1;outcome 8");
+    lab.told(&[(2, "$ztl;2;-1;never seen since boot 4711")]);
+    assert_eq!(lab.ours(2, 8, "/test;1;-1;x"), None, "it comes after all");
+    lab.told(&[(2, "/test;2;-1;this INIT was given up by its client")]);
+}
+
+#[test]
+fn an_undecided_init_is_pending_for_its_outcome_too() {
+    let mut lab = Lab::new();
+    lab.ours(1, 5, "/test;1;-1;x");
+    lab.pass(HOLD);
+    lab.ours(2, 6, "$ztl;2;-1;outcome 5");
+    lab.pass(HOLD);
+    let undecided = "Initiated task '1', nobody has taken it yet";
+    lab.told(&[
+        (1, &std::format!("/test;1;1;{undecided}")),
+        (2, &std::format!("$ztl;1;1;{undecided}")),
+    ]);
+}
+
+#[test]
+fn an_answered_init_is_remembered_for_a_minute() {
+    let mut lab = Lab::new();
+    lab.ours(1, 5, "/test;1;-1;x");
+    lab.event(1, TaskEvent::Accepted { reply: "ok" });
+    lab.pass(Duration::from_millis(59_990));
+    lab.answers.clear();
+    lab.ours(1, 5, "/test;1;-1;x");
+    lab.told(&[(1, "/test;1;1;ok")]);
+    lab.pass(Duration::from_millis(20));
+    assert_eq!(lab.dispatcher.poll_timeout(), None, "nothing is left of it");
+}
+
+#[test]
+fn a_quick_end_comes_with_the_answer_to_the_init() {
+    let mut lab = Lab::new();
+    lab.ours(1, 5, "/test;1;-1;x");
+    lab.event(1, TaskEvent::Accepted { reply: "ok" });
+    lab.told(&[]);
+    lab.event(1, TaskEvent::Completed { result: "40" });
+    lab.told(&[(1, "/test;5;1;40")]);
+}
+
+#[test]
+fn a_status_of_ours_is_held_until_the_end_and_others_are_not() {
+    let mut lab = Lab::new();
+    lab.accepted(1);
+    lab.ours(2, 1, "/test;2;1;wait 1000");
+    lab.ask(3, "/test;2;1;wait 1000");
+    lab.told(&[(3, "/test;1;1;None")]);
+    lab.event(1, TaskEvent::Progress { text: "half" });
+    lab.pass(Duration::from_millis(999));
+    lab.told(&[]);
+    lab.pass(Duration::from_millis(1));
+    lab.told(&[(2, "/test;1;1;half")]);
+    lab.ours(2, 2, "/test;2;1;wait 60000");
+    lab.pass(Duration::from_millis(1998));
+    lab.event(1, TaskEvent::Completed { result: "all" });
+    lab.told(&[(2, "/test;5;1;all")]);
+    lab.ours(2, 3, "/test;2;1;wait 1000");
+    lab.told(&[(2, "/test;5;1;all")]);
+}
+
+#[test]
+fn a_server_with_too_many_clients_refuses_what_it_could_not_keep_its_word_about() {
+    let mut lab = Lab::new();
+    for (place, client) in [(1u8, 21u8), (2, 22), (3, 23)] {
+        let answers = &mut lab.answers;
+        let mut out = |peer, reply: &Reply<'_>| answers.push((peer, text(reply)));
+        let envelope = Envelope {
+            client: ClientId([client; 16]),
+            number: 1,
+        };
+        let body = Body::One(b"/test;1;-1;x");
+        lab.dispatcher
+            .handle_request(lab.now, place, Some(envelope), body, &mut out);
+    }
+    lab.told(&[(
+        3,
+        "/test;2;-1;too many clients at a time, try again in a minute",
+    )]);
+}
+
+#[test]
+fn the_reserved_scope_tells_who_the_server_is() {
+    let mut lab = Lab::new();
+    lab.accepted(1);
+    lab.accepted(2);
+    lab.event(1, TaskEvent::Completed { result: "" });
+    lab.ask(3, "$ztl;2;-1;probe");
+    let version = crate::VERSION;
+    lab.told(&[(
+        3,
+        &std::format!(
+            "$ztl;5;-1;{{ztl: 1, version: '{version}', boot: 4711, scopes: {{'/test': {{}}, '/other': {{}}}}, running: {{2: '/test'}}}}"
+        ),
+    )]);
+    for request in [
+        "$ztl;1;-1;probe",
+        "$ztl;2;-1;",
+        "$ztl;x;-1;probe",
+        "$ztl;2;-1;outcome 5",
+    ] {
+        assert_eq!(lab.ask(3, request), None);
+        let (_, answer) = lab.answers.pop().unwrap();
+        assert!(answer.starts_with("$ztl;2;-1;Invalid request"), "{answer}");
+    }
+    for payload in ["outcome", "outcome x", "outcome -1"] {
+        lab.ours(3, 9, &std::format!("$ztl;2;-1;{payload}"));
+        let (_, answer) = lab.answers.pop().unwrap();
+        assert!(answer.starts_with("$ztl;2;-1;Invalid request"), "{answer}");
+    }
 }

@@ -2,9 +2,9 @@
 
 use std::collections::HashMap;
 use std::io::{self, Write};
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
@@ -44,10 +44,14 @@ struct Request {
     reply: String,
 }
 
+/// The names of a device's components, as it has told them.
+pub(super) type Components = Arc<Mutex<Vec<String>>>;
+
 /// One device; its thread ends when this is dropped, after its tasks have been aborted.
 #[derive(Debug)]
 pub struct Device {
     inputs: Sender<Input>,
+    components: Components,
     thread: Option<JoinHandle<()>>,
 }
 
@@ -66,14 +70,21 @@ impl Device {
             trouble: None,
             tasks: HashMap::new(),
             stopping: None,
+            components: Components::default(),
         };
+        let components = Arc::clone(&worker.components);
         let thread = std::thread::Builder::new()
             .name(format!("ztl-device-{name}"))
             .spawn(move || worker.run(&inbox))?;
         Ok(Self {
             inputs,
+            components,
             thread: Some(thread),
         })
+    }
+
+    pub(super) fn components(&self) -> Components {
+        Arc::clone(&self.components)
     }
 
     pub(super) fn start(&self, task: TaskReporter, spec: &TaskSpec<'_>) {
@@ -131,6 +142,7 @@ struct Worker {
     tasks: HashMap<TaskId, (TaskReporter, Request)>,
     /// Until when the tasks may take to stop.
     stopping: Option<Instant>,
+    components: Components,
 }
 
 impl Worker {
@@ -293,13 +305,17 @@ impl Worker {
                 self.pause = RETRY.0;
                 self.trouble = None;
                 if let Some(device) = self.session.device() {
-                    let names: Vec<&str> =
-                        device.components.iter().map(|c| c.name.as_str()).collect();
+                    let names: Vec<String> =
+                        device.components.iter().map(|c| c.name.clone()).collect();
                     info!(
                         target: LOG,
                         "Device '{}' is ready at {}: {} {}, components: {}",
                         self.name, self.endpoint, device.name, device.firmware, names.join(", ")
                     );
+                    *self
+                        .components
+                        .lock()
+                        .unwrap_or_else(PoisonError::into_inner) = names;
                 }
             }
             Event::Lost => self.set_trouble("it no longer answers".to_owned()),

@@ -8,15 +8,17 @@ mod endpoint;
 pub mod session;
 
 use std::collections::BTreeMap;
+use std::sync::PoisonError;
 
 use ztl_core::{TaskId, TaskSpec};
 
+use device::Components;
 pub use device::Device;
 pub use endpoint::{BAUD, Endpoint, EndpointError, Line};
 pub(crate) use endpoint::{READ_TIMEOUT, is_pause};
 
 use crate::random;
-use crate::server::{TaskHandler, TaskReporter};
+use crate::server::{TaskHandler, TaskReporter, quoted};
 
 /// Devices as handlers: register it at a [`TaskServer`](crate::TaskServer) with
 /// [`register_handler`](crate::TaskServer::register_handler).
@@ -74,6 +76,25 @@ impl TaskHandler for Gateway {
                 task.rejected(format!("no device '{}'; there are: {names}", spec.handler));
             }
         }
+    }
+
+    fn description(&self) -> Box<dyn Fn() -> String + Send> {
+        let devices: Vec<(String, Components)> = self
+            .devices
+            .iter()
+            .map(|(name, device)| (quoted(name), device.components()))
+            .collect();
+        Box::new(move || {
+            let devices: Vec<String> = devices
+                .iter()
+                .map(|(name, components)| {
+                    let known = components.lock().unwrap_or_else(PoisonError::into_inner);
+                    let names: Vec<String> = known.iter().map(|name| quoted(name)).collect();
+                    format!("{name}: [{}]", names.join(", "))
+                })
+                .collect();
+            format!("{{{}}}", devices.join(", "))
+        })
     }
 
     fn abort(&mut self, id: TaskId) {

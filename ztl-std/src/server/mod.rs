@@ -3,23 +3,26 @@
 //! The thread that answers runs no handler's code that could block: handlers take a task and
 //! return at once, and report from wherever they work.
 
+mod memory;
 mod report;
-mod store;
 
 use std::sync::Arc;
 use std::thread::JoinHandle;
 
 use tracing::{debug, info, warn};
 use ztl_core::TaskId;
-use ztl_core::dispatcher::{Action, Body, Config, Dispatcher, Reply};
+use ztl_core::dispatcher::{Action, Body, Config, Dispatcher};
+use ztl_core::envelope::Envelope;
+use ztl_core::reply::Reply;
 
 use crate::clock::now;
 use crate::controller::{TaskController, Threads};
 use crate::random;
 
+pub(crate) use memory::quoted;
+use memory::{Describe, Heap, Peer};
 pub use report::TaskReporter;
 use report::{Inbox, Mailbox, Waker};
-use store::{Heap, Peer};
 
 /// Longest message taken from the network, in bytes.
 pub const MAX_MESSAGE: usize = 1 << 20;
@@ -39,6 +42,13 @@ pub trait TaskHandler: Send {
 
     /// A client asks to stop a task that this handler was given and that has not ended.
     fn abort(&mut self, id: TaskId);
+
+    /// What will tell a client that asks `$ztl` which handlers and components there are: a mapping
+    /// in YAML's flow style, `{gripper: [finger]}`. Called often, from the server's thread, so it
+    /// must be quick. Default: nothing is told.
+    fn description(&self) -> Box<dyn Fn() -> String + Send> {
+        Box::new(|| "{}".to_owned())
+    }
 }
 
 /// Why a server could not be opened.
@@ -146,8 +156,7 @@ impl TaskServer {
             endpoint: bound,
             dispatcher: Dispatcher::new(
                 Heap::default(),
-                random::first_task_id(),
-                Config::default(),
+                Config::new(random::first_task_id(), random::nonzero()),
             ),
             handlers: Vec::new(),
             waker,
@@ -170,7 +179,9 @@ impl TaskServer {
     /// Serves a scope with a handler of any kind. A second registration replaces the first.
     pub fn register_handler(&mut self, scope: &str, handler: impl TaskHandler + 'static) {
         info!(target: LOG, "Registering controller for scope '{scope}'.");
-        let place = usize::from(self.dispatcher.store_mut().register(scope).0);
+        let describe: Describe = handler.description();
+        let scope = self.dispatcher.memory_mut().register(scope, describe);
+        let place = usize::from(scope.0);
         match self.handlers.get_mut(place) {
             Some(known) => *known = Box::new(handler),
             None => self.handlers.push(Box::new(handler)),
@@ -203,7 +214,7 @@ impl TaskServer {
             let Self {
                 dispatcher, socket, ..
             } = &mut self;
-            dispatcher.handle_timeout(now(), &mut |peer, reply| answer(socket, peer, &reply));
+            dispatcher.handle_timeout(now(), &mut |peer, reply| answer(socket, peer, reply));
         }
         Ok(())
     }
@@ -254,7 +265,7 @@ impl TaskServer {
         } = self;
         for (id, report) in inbox.waiting() {
             dispatcher.handle_event(now(), id, report.event(), &mut |peer, reply| {
-                answer(socket, peer, &reply);
+                answer(socket, peer, reply);
             });
         }
     }
@@ -272,11 +283,14 @@ impl TaskServer {
             _ => Body::Several,
         };
         let socket = &self.socket;
+        let envelope = match frames.as_slice() {
+            [_identity, client, number, _delimiter] => Envelope::parse(client, number),
+            _ => None,
+        };
+        let mut out = |peer, reply: &Reply<'_>| answer(socket, peer, reply);
         let action = self
             .dispatcher
-            .handle_request(now(), frames, body, &mut |peer, reply| {
-                answer(socket, peer, &reply);
-            });
+            .handle_request(now(), frames, envelope, body, &mut out);
         match action {
             Some(Action::Start { id, scope, payload }) => {
                 if let Some(handler) = self.handlers.get_mut(usize::from(scope.0)) {

@@ -1,0 +1,7 @@
+//! Tells the linker where the images' memory layout is.
+
+fn main() {
+    let directory = std::env::var("CARGO_MANIFEST_DIR").unwrap_or_default();
+    println!("cargo::rerun-if-changed=image.x");
+    println!("cargo::rustc-link-arg-bins=-T{directory}/image.x");
+}

@@ -1,0 +1,295 @@
+//! Calls everything that bytes from outside can reach. It links only if no panic is reachable.
+//!
+//! The panic handler calls a function that does not exist. When the optimiser can show of every
+//! panic that it is never reached, it drops the handler, and the linker does not ask for that
+//! function. So linking is the proof.
+#![no_std]
+#![no_main]
+
+use core::hint::black_box;
+use core::panic::PanicInfo;
+use core::time::Duration;
+
+use ztl_core::dispatcher::{self, Config, Dispatcher, Reply, TaskEvent};
+use ztl_core::integer::Integer;
+use ztl_core::lifecycle::{Event, Request};
+use ztl_core::link::{self, Decoder, Frame};
+use ztl_core::message::Message;
+use ztl_core::sink::{SliceSink, put_decimal, put_fixed};
+use ztl_core::spec::TaskSpec;
+use ztl_core::store::{Fixed, Scope, Store, Text};
+use ztl_core::time::earliest;
+use ztl_core::{Instant, State, TaskId, base64, repr};
+use ztl_mcu::link::{Busy, GoalShape, Loss, Offer};
+use ztl_mcu::{Component, Identity, Node, Report, Run};
+use ztl_proof::{now, receive, send};
+
+#[cfg(not(feature = "explain"))]
+#[panic_handler]
+fn on_panic(_: &PanicInfo<'_>) -> ! {
+    unsafe extern "C" {
+        /// Nobody defines it.
+        safe fn a_panic_is_reachable() -> !;
+    }
+    a_panic_is_reachable()
+}
+
+/// Keeps the places of all panics in the image.
+#[cfg(feature = "explain")]
+#[panic_handler]
+fn on_panic(info: &PanicInfo<'_>) -> ! {
+    loop {
+        black_box(info.location());
+    }
+}
+
+/// The ids begin somewhere.
+const FIRST: TaskId = match TaskId::new(1) {
+    Some(id) => id,
+    None => loop {},
+};
+
+#[unsafe(no_mangle)]
+extern "C" fn main() -> ! {
+    let identity = || Identity::new("node", "1", any());
+    let mut parts = [Part, Part, Part];
+    let [one, two, three] = &mut parts;
+    let mut components: [&mut dyn Component; 2] = [one, two];
+    let mut node = Node::<4, 128>::new(identity(), &mut components);
+    let mut single: [&mut dyn Component; 1] = [three];
+    // Frames longer than a COBS block.
+    let mut long_framed = Node::<1, 600>::new(identity(), &mut single);
+    let mut decoder = Decoder::<600>::new();
+    let store = Fixed::<u8, 2, 8, 32, 4>::new(["/one", "/two"]);
+    let first = TaskId::new(any()).unwrap_or(FIRST);
+    let mut dispatcher = Dispatcher::new(store, first, Config::default());
+    loop {
+        let mut received = [0; 512];
+        received.fill_with(receive);
+        // Of any length, as far as the compiler knows.
+        let input = black_box(received.as_slice());
+        let text = core::str::from_utf8(input).unwrap_or_default();
+        #[cfg(feature = "broken")]
+        indexed(input);
+        messages(input, text);
+        specs(text);
+        numbers(text);
+        codes();
+        frames(input, &mut decoder);
+        bodies(input);
+        tasks(text);
+        dispatch(&mut dispatcher, input, text);
+        run_node(&mut node, input);
+        run_node(&mut long_framed, input);
+    }
+}
+
+/// What the proof must notice.
+#[cfg(feature = "broken")]
+fn indexed(input: &[u8]) {
+    #[expect(clippy::indexing_slicing, reason = "the panic that is to be noticed")]
+    black_box(input[usize::from(receive())]);
+}
+
+fn messages(input: &[u8], text: &str) {
+    if let Ok(message) = black_box(Message::parse(input)) {
+        let _ = black_box((message.code(), message.number(), message.encoded_len()));
+        let _ = black_box(message.encode_into(&mut room()));
+    }
+    let message = black_box(Message { scope: text, state: text, id: text, payload: text });
+    let _ = black_box(message.encode_into(&mut room()));
+    if let Err(error) = Message::parse(input) {
+        black_box(error.scope());
+    }
+}
+
+fn specs(text: &str) {
+    let mut buffer = room();
+    let _ = black_box(TaskSpec::split(text));
+    let _ = black_box(base64::decode(text.as_bytes(), &mut buffer));
+    if let Ok(spec) = black_box(TaskSpec::decode(text, &mut buffer)) {
+        black_box(spec.encoded_len());
+        let _ = black_box(spec.encode_into(&mut room()));
+        let mut answer = room();
+        let mut sink = SliceSink::new(&mut answer);
+        spec.put_initiated(TaskId::new(any()).unwrap_or(FIRST), &mut sink);
+        let _ = black_box(sink.finish());
+    }
+}
+
+fn numbers(text: &str) {
+    let mut buffer = room();
+    let mut sink = SliceSink::new(&mut buffer);
+    if let Ok(integer) = black_box(Integer::parse(text)) {
+        black_box(integer.value());
+        integer.put(&mut sink);
+    }
+    put_decimal(&mut sink, any());
+    put_fixed(&mut sink, f32::from_bits(any()), receive());
+    repr::put_quoted(text, &mut sink);
+    let _ = black_box(sink.finish());
+}
+
+fn codes() {
+    let code = black_box(i64::from(any()));
+    black_box(Request::from_code(code).map(Request::code));
+    if let Some(state) = State::from_code(code) {
+        let events = [Event::Accept, Event::Reject, Event::Complete, Event::Fail, Event::Abort];
+        for event in black_box(events) {
+            black_box(state.after(event));
+        }
+        black_box(state.name());
+    }
+    let later = now() + Duration::from_micros(u64::from(any()) << 32 | u64::from(any()));
+    black_box((earliest(Some(later), Some(now())), later.since(now())));
+    black_box(TaskId::new(any()).and_then(TaskId::next));
+}
+
+fn frames(input: &[u8], decoder: &mut Decoder<600>) {
+    for &byte in input {
+        if !matches!(black_box(decoder.push(byte)), Ok(true)) {
+            continue;
+        }
+        if let Ok((_, frame)) = black_box(decoder.frame(&[any(), any()])) {
+            let _ = black_box(link::encode(any(), &frame, &mut room()));
+        }
+    }
+    black_box((link::session_key(any(), any()), link::next_seq(receive())));
+}
+
+fn bodies(input: &[u8]) {
+    if let Ok(body) = black_box(link::Body::parse(input)) {
+        if let link::Body::Welcome(welcome) = body {
+            welcome.held.iter().for_each(|id| drop(black_box(id)));
+        }
+        let frame = Frame { addr: receive(), seq: receive(), body };
+        let _ = black_box(link::encode(any(), &frame, &mut room()));
+    }
+}
+
+fn tasks(text: &str) {
+    let mut store = black_box(Fixed::<u8, 2, 8, 32, 4>::new(["/one", "/two"]));
+    let id = TaskId::new(any()).unwrap_or(FIRST);
+    black_box(store.scope(text));
+    black_box(store.scope_name(Scope(any() as u16)));
+    black_box(store.task(id));
+    if let Some(task) = black_box(store.task_mut(id)) {
+        task.text.set(text);
+    }
+    store.on_ended(id);
+    black_box(store.oldest_end());
+    store.remove(id);
+    black_box(store.release(any() as usize));
+    black_box(store.tasks());
+}
+
+fn dispatch(dispatcher: &mut Dispatcher<Fixed<u8, 2, 8, 32, 4>>, input: &[u8], text: &str) {
+    let mut out = |peer: u8, reply: Reply<'_>| {
+        let mut buffer = room();
+        let mut sink = SliceSink::new(&mut buffer);
+        reply.put(&mut sink);
+        black_box((peer, sink.finish().ok()));
+    };
+    let body = match receive() {
+        0 => dispatcher::Body::Several,
+        _ => dispatcher::Body::One(input),
+    };
+    black_box(dispatcher.handle_request(now(), receive(), body, &mut out));
+    let id = TaskId::new(any()).unwrap_or(FIRST);
+    let event = match receive() {
+        0 => TaskEvent::Accepted { reply: text },
+        1 => TaskEvent::Rejected { reason: text },
+        2 => TaskEvent::Threw { message: text },
+        3 => TaskEvent::Progress { text },
+        4 => TaskEvent::Completed { result: text },
+        5 => TaskEvent::Failed { reason: text },
+        6 => TaskEvent::Aborted { result: text },
+        _ => TaskEvent::AbortRefused,
+    };
+    dispatcher.handle_event(now(), id, event, &mut out);
+    dispatcher.handle_timeout(now(), &mut out);
+    black_box(dispatcher.poll_timeout());
+}
+
+fn run_node<const TASKS: usize, const FRAME: usize>(
+    node: &mut Node<'_, TASKS, FRAME>,
+    input: &[u8],
+) {
+    node.handle_bytes(now(), input);
+    node.handle_timeout(now());
+    let mut buffer = room();
+    let count = node.poll_transmit(now(), &mut buffer);
+    send(buffer.get(..count).unwrap_or_default());
+    black_box(node.poll_timeout(now()));
+    match receive() {
+        0 => node.stop_everything(now()),
+        1 => node.clear_stop(),
+        _ => {}
+    }
+    black_box(node.counters());
+}
+
+/// A component that does anything whatever.
+struct Part;
+
+impl Component for Part {
+    fn offer(&self) -> Offer<'_> {
+        Offer {
+            name: black_box("part"),
+            goal: GoalShape {
+                range: Some((f32::from_bits(any()), f32::from_bits(any()))),
+                unit: black_box("unit"),
+                words: black_box("words"),
+            },
+            busy: Busy::Refuse,
+            loss: black_box(Loss::CarryOn),
+        }
+    }
+
+    fn start(&mut self, _now: Instant, goal: &str) -> Result<(), &'static str> {
+        match black_box(goal).len() {
+            0 => Err(black_box("refused")),
+            _ => Ok(()),
+        }
+    }
+
+    fn poll(&mut self, _now: Instant, report: &mut Report<'_>) -> Run {
+        report.text(black_box("text"));
+        report.number(f32::from_bits(any()), receive());
+        black_box(Run::Running)
+    }
+
+    fn abort(&mut self, _now: Instant) {}
+
+    fn make_safe(&mut self, _now: Instant) {}
+
+    fn poll_timeout(&self, now: Instant) -> Instant {
+        black_box(now)
+    }
+}
+
+/// A number that the compiler cannot know.
+fn any() -> u32 {
+    u32::from_le_bytes([receive(), receive(), receive(), receive()])
+}
+
+/// Somewhere to write, of any length as far as the compiler knows.
+fn room() -> Room {
+    Room([0; 256])
+}
+
+struct Room([u8; 256]);
+
+impl core::ops::Deref for Room {
+    type Target = [u8];
+
+    fn deref(&self) -> &[u8] {
+        black_box(self.0.as_slice())
+    }
+}
+
+impl core::ops::DerefMut for Room {
+    fn deref_mut(&mut self) -> &mut [u8] {
+        black_box(self.0.as_mut_slice())
+    }
+}

@@ -1,0 +1,67 @@
+//! The command-line clients, the original's and ours.
+
+use std::process::Command;
+
+use super::{Ended, Process, SCOPE, Server, original_tool, ztl};
+
+/// `ztl task-client`
+#[track_caller]
+pub fn our_client() -> Command {
+    let mut command = ztl();
+    command.arg("task-client");
+    command
+}
+
+/// The original's `ztl_task_client`.
+#[track_caller]
+pub fn original_client() -> Command {
+    original_tool("ztl_task_client")
+}
+
+/// What is seen of a client from outside.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Told {
+    /// Its stdout, with the task's id and the server's port taken out.
+    pub text: String,
+    /// Its exit code.
+    pub code: Option<i32>,
+}
+
+impl Told {
+    /// What a client of the server at `port` told.
+    pub fn of(ended: &Ended, port: u16) -> Self {
+        let text = ended.stdout.replace(&format!(":{port}'"), ":PORT'");
+        let id = text
+            .split_once("task with ID '")
+            .and_then(|(_, rest)| rest.split('\'').next());
+        let text = match id {
+            Some(id) => text
+                .replace(&format!("ID '{id}'"), "ID 'ID'")
+                .replace(&format!("task '{id}'"), "task 'ID'"),
+            None => text,
+        };
+        Self {
+            text,
+            code: ended.code,
+        }
+    }
+
+    /// How its last line ends; a test compares nothing if it compares two failures.
+    #[track_caller]
+    pub fn assert_ends_with(&self, last: &str) {
+        assert!(
+            self.text.trim_end().ends_with(last),
+            "not '{last}': {self:?}"
+        );
+    }
+}
+
+impl Server {
+    /// Starts a client with the options for this server, and then `args`.
+    #[track_caller]
+    pub fn start_client(&self, mut client: Command, args: &[&str]) -> Process {
+        let port = self.port.to_string();
+        client.args(["-r", "localhost", "-p", &port, "-s", SCOPE]);
+        Process::start(client.args(args))
+    }
+}

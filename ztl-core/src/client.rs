@@ -1,0 +1,335 @@
+//! A client's rules: which answer is whose, and what no answer means.
+//!
+//! One request is under way at a time. An INIT is never sent again: when its answer does not come,
+//! the client asks `outcome`, and learns from the server what the answer was, or that the INIT never
+//! came and never will count. Where it cannot learn that (the original's server, a server that was
+//! started anew, no server), the INIT's fate is *unknown*, which is told as such and never as a
+//! state.
+//!
+//! ```
+//! use core::time::Duration;
+//! use ztl_core::client::{Client, Heard, Late};
+//! use ztl_core::envelope::ClientId;
+//! use ztl_core::{Instant, Request};
+//!
+//! let mut client = Client::new(ClientId([7; 16]), Duration::from_secs(2));
+//! let now = Instant::ZERO;
+//! let mut body = Vec::new();
+//! let mut sink = |bytes: &[u8]| body.extend_from_slice(bytes);
+//! let envelope = client.request(now, Request::Init, "/lab", None, "open", &mut sink);
+//! // Send the envelope's two frames, an empty one, and the body …
+//! assert_eq!(body, b"/lab;1;-1;open");
+//!
+//! // … the answer comes back in the same envelope.
+//! let Some(Heard::Answer(answer)) = client.handle_reply(envelope, b"/lab;1;7;opening") else {
+//!     panic!("it is the answer")
+//! };
+//! assert_eq!((answer.state, answer.id, answer.text), (1, 7, "opening"));
+//! assert!(client.handle_reply(envelope, b"/lab;1;7;opening").is_none(), "only once");
+//! ```
+
+use core::time::Duration;
+
+use crate::dispatcher::RESERVED_SCOPE;
+use crate::envelope::{ClientId, Envelope};
+use crate::integer::Integer;
+use crate::lifecycle::{Request, State};
+use crate::message::Message;
+use crate::reply::NEVER_SEEN;
+use crate::sink::{Sink, put_decimal};
+use crate::{Instant, TaskId};
+
+/// What a client knows of the server at the other end of its connection.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Server {
+    /// Not asked yet.
+    Unknown,
+    /// The original, or another that does not know `$ztl`.
+    Original,
+    /// Ours.
+    Ours {
+        /// Differs from start to start of the server.
+        boot: u32,
+    },
+}
+
+/// An answer, taken apart.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Answer<'a> {
+    /// The `state` field: for INIT and STATUS one of [`State`].
+    pub state: i64,
+    /// The `id` field: of an INIT the task's, or 0 and less when it was refused.
+    pub id: i64,
+    /// The payload.
+    pub text: &'a str,
+}
+
+impl Answer<'_> {
+    /// The state, when there is such a one.
+    #[must_use]
+    pub fn state(&self) -> Option<State> {
+        State::from_code(self.state)
+    }
+
+    /// The task, when it names one.
+    #[must_use]
+    pub fn task(&self) -> Option<TaskId> {
+        u32::try_from(self.id).ok().and_then(TaskId::new)
+    }
+}
+
+/// What an arriving reply means.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Heard<'a> {
+    /// The answer to the request under way; for an INIT also when it was learnt by `outcome`.
+    Answer(Answer<'a>),
+    /// The server says that the INIT never came, and it will refuse it if it still does.
+    NeverStarted,
+    /// The server cannot say what became of the INIT: it may run.
+    FateUnknown,
+    /// The answer is no ZTL message.
+    Unreadable,
+}
+
+/// What it means that no answer has come in time.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Late {
+    /// The time has not passed, or nothing is under way.
+    NotYet,
+    /// Nobody knows what the server did. For STATUS and ABORT: ask again. For an INIT: it may run.
+    NoAnswer,
+    /// An INIT: drop the connection, open another, and send the body that
+    /// [`Client::outcome`] writes.
+    AskOutcome,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Pending {
+    number: u64,
+    request: Request,
+    /// The INIT whose outcome is asked for.
+    outcome_of: Option<u64>,
+    probe: bool,
+    deadline: Instant,
+}
+
+/// A client of any number of scopes of one server, without I/O.
+///
+/// *Commands*: [`request`](Self::request), [`probe`](Self::probe), [`outcome`](Self::outcome), each
+/// writes a body and returns the envelope to send it in. *Inputs*:
+/// [`handle_reply`](Self::handle_reply), [`handle_timeout`](Self::handle_timeout). *Next wake-up*:
+/// [`poll_timeout`](Self::poll_timeout).
+#[derive(Debug)]
+pub struct Client {
+    id: ClientId,
+    number: u64,
+    timeout: Duration,
+    server: Server,
+    pending: Option<Pending>,
+    /// The last INIT that was not answered.
+    unanswered: Option<u64>,
+}
+
+impl Client {
+    /// A client with a random id, whose requests are answered within `timeout` or not at all.
+    #[must_use]
+    pub const fn new(id: ClientId, timeout: Duration) -> Self {
+        Self {
+            id,
+            number: 0,
+            timeout,
+            server: Server::Unknown,
+            pending: None,
+            unanswered: None,
+        }
+    }
+
+    /// Sets the longest time for an answer.
+    pub const fn set_timeout(&mut self, timeout: Duration) {
+        self.timeout = timeout;
+    }
+
+    /// Begins a request, about a task or with the INIT's id, and writes its body. A request that
+    /// was under way is given up.
+    pub fn request(
+        &mut self,
+        now: Instant,
+        request: Request,
+        scope: &str,
+        task: Option<TaskId>,
+        payload: &str,
+        sink: &mut (impl Sink + ?Sized),
+    ) -> Envelope {
+        sink.put(scope.as_bytes());
+        sink.put(b";");
+        put_decimal(sink, u32::from(request.code()));
+        sink.put(b";");
+        match task {
+            Some(task) => put_decimal(sink, task.get()),
+            None => sink.put(b"-1"),
+        }
+        sink.put(b";");
+        sink.put(payload.as_bytes());
+        self.begin(now, request, None, false)
+    }
+
+    /// Asks who the server is. Once per connection is enough.
+    pub fn probe(&mut self, now: Instant, sink: &mut (impl Sink + ?Sized)) -> Envelope {
+        put_reserved("probe", sink);
+        self.begin(now, Request::Status, None, true)
+    }
+
+    /// Asks what became of the last INIT that was not answered; `None` when there is none.
+    pub fn outcome(&mut self, now: Instant, sink: &mut (impl Sink + ?Sized)) -> Option<Envelope> {
+        let number = self.unanswered?;
+        put_reserved("outcome ", sink);
+        put_u64(number, sink);
+        Some(self.begin(now, Request::Init, Some(number), false))
+    }
+
+    /// A reply has arrived in this envelope. `None` when it answers nothing that is under way: it
+    /// is late, or somebody else's.
+    pub fn handle_reply<'a>(&mut self, envelope: Envelope, body: &'a [u8]) -> Option<Heard<'a>> {
+        let asked = |pending: &mut Pending| pending.number == envelope.number;
+        if envelope.client != self.id {
+            return None;
+        }
+        let pending = self.pending.take_if(asked)?;
+        let Some((scope, answer)) = read(body) else {
+            return Some(Heard::Unreadable);
+        };
+        if pending.probe {
+            self.server = server(&answer);
+        }
+        if pending.outcome_of.is_some() {
+            return Some(self.on_outcome(scope, answer));
+        }
+        Some(Heard::Answer(answer))
+    }
+
+    /// The time has come to which [`poll_timeout`](Self::poll_timeout) pointed.
+    pub fn handle_timeout(&mut self, now: Instant) -> Late {
+        let Some(pending) = self.pending.take_if(|pending| now >= pending.deadline) else {
+            return Late::NotYet;
+        };
+        match (pending.request, pending.outcome_of) {
+            (Request::Init, None) => {
+                self.unanswered = Some(pending.number);
+                match self.server {
+                    Server::Ours { .. } => Late::AskOutcome,
+                    // The original would not know, and an unknown one could have been started anew.
+                    Server::Original | Server::Unknown => Late::NoAnswer,
+                }
+            }
+            // Asked again, over another connection.
+            (_, Some(_)) => Late::AskOutcome,
+            _ => Late::NoAnswer,
+        }
+    }
+
+    /// When the request under way is given up.
+    #[must_use]
+    pub fn poll_timeout(&self) -> Option<Instant> {
+        self.pending.map(|pending| pending.deadline)
+    }
+
+    /// What is known of the server.
+    #[must_use]
+    pub const fn server(&self) -> Server {
+        self.server
+    }
+
+    fn begin(
+        &mut self,
+        now: Instant,
+        request: Request,
+        outcome_of: Option<u64>,
+        probe: bool,
+    ) -> Envelope {
+        self.number = self.number.saturating_add(1);
+        let number = self.number;
+        self.pending = Some(Pending {
+            number,
+            request,
+            outcome_of,
+            probe,
+            deadline: now + self.timeout,
+        });
+        Envelope {
+            client: self.id,
+            number,
+        }
+    }
+
+    fn on_outcome<'a>(&mut self, scope: &str, answer: Answer<'a>) -> Heard<'a> {
+        // The original refuses the reserved scope; a server that is too busy says so.
+        if scope != RESERVED_SCOPE {
+            return Heard::FateUnknown;
+        }
+        if let Some(boot) = answer.text.strip_prefix(NEVER_SEEN) {
+            self.unanswered = None;
+            let boot = Integer::parse(boot).ok().and_then(Integer::value);
+            // Another boot id: the server that may have seen it is gone.
+            return match self.server {
+                Server::Ours { boot: known } if boot == Some(i64::from(known)) => {
+                    Heard::NeverStarted
+                }
+                _ => Heard::FateUnknown,
+            };
+        }
+        let refused = answer.state() == Some(State::Rejected) && answer.task().is_none();
+        if refused && answer.text.starts_with("No controller for scope") {
+            return Heard::FateUnknown;
+        }
+        self.unanswered = None;
+        Heard::Answer(answer)
+    }
+}
+
+fn put_reserved(payload: &str, sink: &mut (impl Sink + ?Sized)) {
+    sink.put(RESERVED_SCOPE.as_bytes());
+    sink.put(b";2;-1;");
+    sink.put(payload.as_bytes());
+}
+
+fn put_u64(number: u64, sink: &mut (impl Sink + ?Sized)) {
+    const BILLION: u64 = 1_000_000_000;
+    if number >= BILLION {
+        put_u64(number / BILLION, sink);
+        // The rest with its leading zeros.
+        let mut digits = [b'0'; 9];
+        let mut rest = number % BILLION;
+        for digit in digits.iter_mut().rev() {
+            *digit = b'0' + (rest % 10) as u8;
+            rest /= 10;
+        }
+        sink.put(&digits);
+    } else {
+        put_decimal(sink, number as u32);
+    }
+}
+
+fn read(body: &[u8]) -> Option<(&str, Answer<'_>)> {
+    let message = Message::parse(body).ok()?;
+    let answer = Answer {
+        state: message.code().ok()?.value()?,
+        id: message.number().ok()?.value()?,
+        text: message.payload,
+    };
+    Some((message.scope, answer))
+}
+
+/// Who answered a probe so.
+fn server(answer: &Answer<'_>) -> Server {
+    let boot = (answer.state() == Some(State::Completed))
+        .then(|| answer.text.split_once("boot: "))
+        .flatten()
+        .and_then(|(_, rest)| rest.split([',', '}']).next())
+        .and_then(|digits| Integer::parse(digits).ok())
+        .and_then(Integer::value)
+        .and_then(|boot| u32::try_from(boot).ok());
+    boot.map_or(Server::Original, |boot| Server::Ours { boot })
+}
+
+#[cfg(test)]
+mod tests;

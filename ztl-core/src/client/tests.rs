@@ -1,0 +1,190 @@
+//! A client against answers played by hand, on virtual time.
+
+use super::*;
+use std::string::String;
+use std::vec::Vec;
+
+const TIMEOUT: Duration = Duration::from_secs(2);
+
+struct Desk {
+    client: Client,
+    now: Instant,
+}
+
+impl Desk {
+    fn new() -> Self {
+        Self {
+            client: Client::new(ClientId([7; 16]), TIMEOUT),
+            now: Instant::ZERO,
+        }
+    }
+
+    fn init(&mut self) -> (Envelope, String) {
+        self.written(|client, now, sink| {
+            Some(client.request(now, Request::Init, "/lab", None, "x", sink))
+        })
+    }
+
+    #[track_caller]
+    fn written(
+        &mut self,
+        ask: impl FnOnce(&mut Client, Instant, &mut dyn Sink) -> Option<Envelope>,
+    ) -> (Envelope, String) {
+        let mut body = Vec::new();
+        let mut sink = |bytes: &[u8]| body.extend_from_slice(bytes);
+        let envelope = ask(&mut self.client, self.now, &mut sink).expect("it asks");
+        (envelope, String::from_utf8(body).unwrap())
+    }
+
+    fn probe(&mut self, boot: u32) {
+        let (envelope, body) = self.written(|client, now, sink| Some(client.probe(now, sink)));
+        assert_eq!(body, "$ztl;2;-1;probe");
+        let reply =
+            std::format!("$ztl;5;-1;{{ztl: 1, version: '0.1.0', boot: {boot}, scopes: {{}}}}");
+        self.client.handle_reply(envelope, reply.as_bytes());
+        assert_eq!(self.client.server(), Server::Ours { boot });
+    }
+
+    fn late(&mut self) -> Late {
+        self.now = self.client.poll_timeout().expect("something is under way");
+        self.client.handle_timeout(self.now)
+    }
+
+    /// An INIT on a probed server goes unanswered, and its outcome is asked for.
+    fn outcome(&mut self) -> Envelope {
+        self.probe(4711);
+        let (envelope, _) = self.init();
+        assert_eq!(self.late(), Late::AskOutcome);
+        let (asked, body) = self.written(|client, now, sink| client.outcome(now, sink));
+        assert_eq!(body, std::format!("$ztl;2;-1;outcome {}", envelope.number));
+        asked
+    }
+}
+
+#[test]
+fn a_late_answer_is_never_taken_for_the_next_one() {
+    let mut desk = Desk::new();
+    let (first, _) = desk.written(|client, now, sink| {
+        Some(client.request(
+            now,
+            Request::Status,
+            "/lab",
+            TaskId::new(9),
+            "status update",
+            sink,
+        ))
+    });
+    assert_eq!(desk.client.handle_timeout(desk.now), Late::NotYet);
+    assert_eq!(desk.late(), Late::NoAnswer);
+    let (second, body) = desk.written(|client, now, sink| {
+        Some(client.request(
+            now,
+            Request::Abort,
+            "/lab",
+            TaskId::new(9),
+            "abort command",
+            sink,
+        ))
+    });
+    assert_eq!(body, "/lab;3;9;abort command");
+    assert_eq!(desk.client.handle_reply(first, b"/lab;5;9;late"), None);
+    let stranger = Envelope {
+        client: ClientId([8; 16]),
+        ..second
+    };
+    assert_eq!(desk.client.handle_reply(stranger, b"/lab;4;9;True"), None);
+    let Some(Heard::Answer(answer)) = desk.client.handle_reply(second, b"/lab;4;9;True") else {
+        panic!("it is the answer");
+    };
+    assert_eq!(answer.state(), Some(State::Aborted));
+}
+
+#[test]
+fn what_is_no_message_is_said_to_be_unreadable() {
+    for reply in [
+        &b"\xff"[..],
+        b"/lab;1",
+        b"/lab;x;1;y",
+        b"/lab;1;99999999999999999999;y",
+    ] {
+        let mut desk = Desk::new();
+        let (envelope, _) = desk.init();
+        assert_eq!(
+            desk.client.handle_reply(envelope, reply),
+            Some(Heard::Unreadable)
+        );
+    }
+}
+
+#[test]
+fn the_answer_to_an_init_is_learnt_afterwards() {
+    let mut desk = Desk::new();
+    let asked = desk.outcome();
+    let heard = desk.client.handle_reply(asked, b"$ztl;1;12;Initiated");
+    let Some(Heard::Answer(answer)) = heard else {
+        panic!("{heard:?}");
+    };
+    assert_eq!(answer.task(), TaskId::new(12));
+    let mut none = |_: &[u8]| {};
+    assert_eq!(
+        desk.client.outcome(desk.now, &mut none),
+        None,
+        "it is settled"
+    );
+}
+
+#[test]
+fn an_init_that_never_came_is_known_not_to_have_started() {
+    let mut desk = Desk::new();
+    let asked = desk.outcome();
+    let reply = b"$ztl;2;-1;never seen since boot 4711";
+    assert_eq!(
+        desk.client.handle_reply(asked, reply),
+        Some(Heard::NeverStarted)
+    );
+}
+
+#[test]
+fn after_a_restart_of_the_server_the_fate_is_unknown() {
+    let mut desk = Desk::new();
+    let asked = desk.outcome();
+    let reply = b"$ztl;2;-1;never seen since boot 4712";
+    assert_eq!(
+        desk.client.handle_reply(asked, reply),
+        Some(Heard::FateUnknown)
+    );
+}
+
+#[test]
+fn an_outcome_that_is_not_answered_can_be_asked_again() {
+    let mut desk = Desk::new();
+    desk.outcome();
+    assert_eq!(desk.late(), Late::AskOutcome);
+    let (asked, body) = desk.written(|client, now, sink| client.outcome(now, sink));
+    assert_eq!(body, "$ztl;2;-1;outcome 2");
+    let heard = desk.client.handle_reply(asked, b"$ztl;2;-1;busy");
+    assert!(
+        matches!(heard, Some(Heard::Answer(_))),
+        "a refusal is an answer"
+    );
+}
+
+#[test]
+fn the_original_is_not_asked_for_outcomes() {
+    let mut desk = Desk::new();
+    let (envelope, _) = desk.written(|client, now, sink| Some(client.probe(now, sink)));
+    desk.client
+        .handle_reply(envelope, b"$ztl;2;-1;No controller for scope: $ztl");
+    assert_eq!(desk.client.server(), Server::Original);
+    desk.init();
+    assert_eq!(desk.late(), Late::NoAnswer);
+}
+
+#[test]
+fn large_numbers_are_written_whole() {
+    for number in [0, 999_999_999, 1_000_000_000, 1_000_000_007, u64::MAX] {
+        let mut text = Vec::new();
+        put_u64(number, &mut |bytes: &[u8]| text.extend_from_slice(bytes));
+        assert_eq!(String::from_utf8(text).unwrap(), std::format!("{number}"));
+    }
+}

@@ -1,0 +1,274 @@
+//! What can be wrong with a goal, and with a result.
+
+use core::fmt;
+
+use crate::sink::BufferTooSmall;
+
+/// Why a text is not the goal that the firmware asked for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct GoalError {
+    /// Where in the text, in bytes from its start: at the value, key or mark that is wrong; for what
+    /// lacks something, at its opening bracket or quote.
+    pub at: usize,
+    /// What is wrong there.
+    pub kind: GoalErrorKind,
+}
+
+/// What is wrong with a goal.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum GoalErrorKind {
+    /// Something else was to stand here.
+    Expected(Expected),
+    /// A quote or bracket that is never closed.
+    Unterminated,
+    /// A backslash with something behind it that means no character.
+    BadEscape,
+    /// A text in quotes is not what is written, for it has escapes, and there is no scratch to write
+    /// it to: use [`from_str_with`](super::from_str_with).
+    NeedsScratch,
+    /// The texts with escapes, up to this one, take more than the scratch.
+    ScratchTooSmall {
+        /// Bytes that they take.
+        needed: usize,
+        /// Bytes of scratch.
+        available: usize,
+    },
+    /// A bracket within [`MAX_DEPTH`](super::MAX_DEPTH) others.
+    TooDeep,
+    /// A number that the target's type cannot hold.
+    OutOfRange,
+    /// A value of a kind that the target does not take.
+    WrongType,
+    /// A value that the target does not take.
+    WrongValue,
+    /// Too few or too many items.
+    WrongLength,
+    /// The key is none of these fields.
+    UnknownField(&'static [&'static str]),
+    /// The name is none of these variants.
+    UnknownVariant(&'static [&'static str]),
+    /// This field is not there.
+    MissingField(&'static str),
+    /// This field is there twice.
+    DuplicateField(&'static str),
+    /// The target's own code refused the value; what it said would take `core::fmt` to keep.
+    Refused,
+}
+
+/// What was to stand at a place.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum Expected {
+    /// Any value.
+    Value,
+    /// `True` or `False`.
+    Bool,
+    /// A number without point and exponent.
+    Integer,
+    /// A number.
+    Number,
+    /// A plain text, or one in quotes.
+    Text,
+    /// `None`
+    Nothing,
+    /// `[...]` or `(...)`
+    Sequence,
+    /// `{key: value}`
+    Mapping,
+    /// `[...]`, `(...)` or `{field: value}`
+    Struct,
+    /// A variant's name with its value, `{name: value}`.
+    VariantWithValue,
+    /// The `:` between key and value.
+    Colon,
+    /// `,` or the bracket that closes the collection.
+    CommaOrClose,
+    /// The bracket that closes the collection.
+    Close,
+    /// `,` since a tuple of one is written `(1,)`.
+    Comma,
+    /// The text's end.
+    End,
+}
+
+/// Place of an error that serde made, before the reader says where it was.
+const NOWHERE: usize = usize::MAX;
+
+impl GoalError {
+    pub(super) const fn new(at: usize, kind: GoalErrorKind) -> Self {
+        Self { at, kind }
+    }
+
+    pub(super) const fn expected(at: usize, expected: Expected) -> Self {
+        Self::new(at, GoalErrorKind::Expected(expected))
+    }
+
+    /// An error that gets its place from whoever called.
+    const fn unplaced(kind: GoalErrorKind) -> Self {
+        Self::new(NOWHERE, kind)
+    }
+
+    /// The error with this place, unless it has one: the innermost value is the one to name.
+    pub(super) const fn or_at(self, at: usize) -> Self {
+        if self.at == NOWHERE {
+            Self { at, ..self }
+        } else {
+            self
+        }
+    }
+
+    pub(super) const fn is_placed(&self) -> bool {
+        self.at != NOWHERE
+    }
+}
+
+// Always inlined, so that nothing refers to the code that would write `expected` and the messages.
+impl serde::de::Error for GoalError {
+    #[inline(always)]
+    fn custom<T: fmt::Display>(_: T) -> Self {
+        Self::unplaced(GoalErrorKind::Refused)
+    }
+
+    #[inline(always)]
+    fn invalid_type(_: serde::de::Unexpected<'_>, _: &dyn serde::de::Expected) -> Self {
+        Self::unplaced(GoalErrorKind::WrongType)
+    }
+
+    #[inline(always)]
+    fn invalid_value(found: serde::de::Unexpected<'_>, _: &dyn serde::de::Expected) -> Self {
+        use serde::de::Unexpected::{Float, Signed, Unsigned};
+        Self::unplaced(match found {
+            Unsigned(_) | Signed(_) | Float(_) => GoalErrorKind::OutOfRange,
+            _ => GoalErrorKind::WrongValue,
+        })
+    }
+
+    #[inline(always)]
+    fn invalid_length(_: usize, _: &dyn serde::de::Expected) -> Self {
+        Self::unplaced(GoalErrorKind::WrongLength)
+    }
+
+    #[inline(always)]
+    fn unknown_variant(_: &str, expected: &'static [&'static str]) -> Self {
+        Self::unplaced(GoalErrorKind::UnknownVariant(expected))
+    }
+
+    #[inline(always)]
+    fn unknown_field(_: &str, expected: &'static [&'static str]) -> Self {
+        Self::unplaced(GoalErrorKind::UnknownField(expected))
+    }
+
+    #[inline(always)]
+    fn missing_field(field: &'static str) -> Self {
+        Self::unplaced(GoalErrorKind::MissingField(field))
+    }
+
+    #[inline(always)]
+    fn duplicate_field(field: &'static str) -> Self {
+        Self::unplaced(GoalErrorKind::DuplicateField(field))
+    }
+}
+
+impl fmt::Display for GoalError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "goal, byte {}: {}", self.at, self.kind)
+    }
+}
+
+impl fmt::Display for GoalErrorKind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match *self {
+            Self::Expected(expected) => write!(f, "expected {expected}"),
+            Self::Unterminated => f.write_str("never closed"),
+            Self::BadEscape => f.write_str("no such escape"),
+            Self::NeedsScratch => f.write_str("a text with escapes needs scratch"),
+            Self::ScratchTooSmall { needed, available } => write!(
+                f,
+                "scratch too small: {needed} bytes needed so far, {available} available"
+            ),
+            Self::TooDeep => write!(f, "more than {} levels", super::MAX_DEPTH),
+            Self::OutOfRange => f.write_str("number out of range"),
+            Self::WrongType => f.write_str("wrong type"),
+            Self::WrongValue => f.write_str("wrong value"),
+            Self::WrongLength => f.write_str("too few or too many items"),
+            Self::UnknownField(fields) => names(f, "unknown field", fields),
+            Self::UnknownVariant(variants) => names(f, "unknown variant", variants),
+            Self::MissingField(field) => write!(f, "field {field} is missing"),
+            Self::DuplicateField(field) => write!(f, "field {field} is there twice"),
+            Self::Refused => f.write_str("refused by the target's type"),
+        }
+    }
+}
+
+fn names(f: &mut fmt::Formatter<'_>, what: &str, names: &[&str]) -> fmt::Result {
+    f.write_str(what)?;
+    for (place, name) in names.iter().enumerate() {
+        f.write_str(if place == 0 { ", expected " } else { " or " })?;
+        f.write_str(name)?;
+    }
+    Ok(())
+}
+
+impl fmt::Display for Expected {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Value => "a value",
+            Self::Bool => "True or False",
+            Self::Integer => "an integer",
+            Self::Number => "a number",
+            Self::Text => "a text",
+            Self::Nothing => "None",
+            Self::Sequence => "[...]",
+            Self::Mapping => "{key: value}",
+            Self::Struct => "[...] or {field: value}",
+            Self::VariantWithValue => "{variant: value}",
+            Self::Colon => "':' and a blank",
+            Self::CommaOrClose => "',' or a closing bracket",
+            Self::Close => "a closing bracket",
+            Self::Comma => "','",
+            Self::End => "the end",
+        })
+    }
+}
+
+impl core::error::Error for GoalError {}
+
+/// Why a value could not be written.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum WriteError {
+    /// A collection within [`MAX_DEPTH`](super::MAX_DEPTH) others.
+    TooDeep,
+    /// The caller's buffer is too small.
+    BufferTooSmall(BufferTooSmall),
+    /// The value's own code refused; what it said would take `core::fmt` to keep.
+    Refused,
+}
+
+impl fmt::Display for WriteError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::TooDeep => write!(f, "more than {} levels", super::MAX_DEPTH),
+            Self::BufferTooSmall(cause) => cause.fmt(f),
+            Self::Refused => f.write_str("refused by the value's type"),
+        }
+    }
+}
+
+impl core::error::Error for WriteError {
+    fn source(&self) -> Option<&(dyn core::error::Error + 'static)> {
+        match self {
+            Self::BufferTooSmall(cause) => Some(cause),
+            _ => None,
+        }
+    }
+}
+
+impl serde::ser::Error for WriteError {
+    #[inline(always)]
+    fn custom<T: fmt::Display>(_: T) -> Self {
+        Self::Refused
+    }
+}
