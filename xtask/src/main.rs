@@ -4,6 +4,7 @@
 //! that has built nothing yet.
 
 mod bare;
+mod bench;
 mod cmd;
 mod python;
 mod test;
@@ -22,11 +23,18 @@ struct Chore {
     run: fn(&Dirs, &[String]) -> Outcome,
 }
 
-const CHORES: &[Chore] = &[Chore {
-    name: "test",
-    about: "check and test everything, installing what is lacking (--list, --only STEP)",
-    run: test::run,
-}];
+const CHORES: &[Chore] = &[
+    Chore {
+        name: "test",
+        about: "check and test everything, installing what is lacking (--list, --only STEP)",
+        run: test::run,
+    },
+    Chore {
+        name: "bench",
+        about: "measure what matters beside the original, in one run",
+        run: bench::run,
+    },
+];
 
 fn main() -> ExitCode {
     let words: Vec<String> = env::args().skip(1).collect();

@@ -41,6 +41,7 @@ use crate::{Instant, TaskId};
 
 /// What a client knows of the server at the other end of its connection.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Server {
     /// Not asked yet.
     Unknown,
@@ -55,6 +56,7 @@ pub enum Server {
 
 /// An answer, taken apart.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Answer<'a> {
     /// The `state` field: for INIT and STATUS one of [`State`].
     pub state: i64,
@@ -80,6 +82,7 @@ impl Answer<'_> {
 
 /// What an arriving reply means.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Heard<'a> {
     /// The answer to the request under way; for an INIT also when it was learnt by `outcome`.
     Answer(Answer<'a>),
@@ -93,6 +96,7 @@ pub enum Heard<'a> {
 
 /// What it means that no answer has come in time.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Late {
     /// The time has not passed, or nothing is under way.
     NotYet,

@@ -93,6 +93,7 @@ impl Config {
 
 /// The body of a request, as it came over ZeroMQ.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Body<'a> {
     /// One frame, as every client sends it.
     One(&'a [u8]),
@@ -103,6 +104,7 @@ pub enum Body<'a> {
 /// Something for the handler of a scope to do. The dispatcher expects the outcome in
 /// [`handle_event`](Dispatcher::handle_event).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Action<'a> {
     /// Start this task, or refuse it.
     Start {
@@ -125,6 +127,7 @@ pub enum Action<'a> {
 /// What a handler reports about a task. What no longer changes anything (a second end, progress
 /// after the end) is ignored.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum TaskEvent<'a> {
     /// The task is taken; `reply` is the INIT's answer.
     Accepted {

@@ -9,10 +9,12 @@ pub const MARK: [u8; 4] = *b"ztl1";
 
 /// Who asks: 16 random bytes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct ClientId(pub [u8; 16]);
 
 /// Who asks, and which of its requests it is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Envelope {
     /// Who asks.
     pub client: ClientId,

@@ -10,6 +10,7 @@ pub const MAX_DIGITS: usize = 4300;
 /// The original's ids have no bound, and an answer repeats the id of the request, so the digits are
 /// kept where they stand.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Integer<'a> {
     negative: bool,
     /// Digits and single `_` between them, without leading zeros (empty is zero).
@@ -19,6 +20,7 @@ pub struct Integer<'a> {
 /// The text is no whole number.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum ParseIntegerError {
     /// Nothing but blanks and perhaps a sign.
     Empty,

@@ -1,32 +1,4 @@
-//! The ZTL task protocol without `std` and without an allocator.
-//!
-//! A *client* says INIT with a `handler:component:goal`, gets a task id, asks STATUS, may say ABORT.
-//! This crate holds every rule of that conversation; it knows no socket, no clock and no thread.
-//! Bytes, events and the time come in as arguments, answers and wake-up times come out.
-//!
-//! | room | what it holds |
-//! |---|---|
-//! | [`lifecycle`] | the six task states, the three requests, and which event leads where |
-//! | [`message`] | the text on the wire: `scope;state;id;payload` |
-//! | [`spec`] | what a client asks for: `handler:component:goal`, in base64 |
-//! | [`repr`] | text quoted as Python's `repr` does, which the original puts in its replies |
-//! | [`dispatcher`] | a server's rules: a request in, an answer or an action out |
-//! | [`client`] | a client's rules: which answer is whose, and what no answer means |
-//! | [`envelope`] | who asks, and which of its requests it is |
-//! | [`tasks`] | what is remembered of tasks, with or without a heap |
-//! | [`memory`], [`reply`] | what else a dispatcher remembers, and what it answers |
-//! | [`link`] | frames and messages between a gateway and a microcontroller |
-//!
-//! ```
-//! use ztl_core::{message::Message, lifecycle::{Event, State}};
-//!
-//! let request = Message::parse(b"/test;2;7;status update").unwrap();
-//! assert_eq!((request.scope, request.payload), ("/test", "status update"));
-//!
-//! // A final state absorbs whatever comes later.
-//! assert_eq!(State::Accepted.after(Event::Complete), Some(State::Completed));
-//! assert_eq!(State::Completed.after(Event::Abort), None);
-//! ```
+#![doc = include_str!("../README.md")]
 #![no_std]
 
 #[cfg(test)]
@@ -58,6 +30,7 @@ pub const VERSION: &str = env!("CARGO_PKG_VERSION");
 
 /// The number a server gives to a task it took, from 1 to `u32::MAX`; unique for the server's life.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct TaskId(core::num::NonZeroU32);
 
 impl TaskId {

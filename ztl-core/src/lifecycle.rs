@@ -11,12 +11,21 @@
 //!    REJECTED        (Fail and Abort also end an INITIATED task)
 //! ```
 //!
+//! Three parties speak of a task, and each has signals of its own:
+//!
+//! | who | signals | what they do to the state |
+//! |---|---|---|
+//! | client | [`Request`]: INIT, STATUS, ABORT | INIT makes a task, INITIATED; STATUS and ABORT change nothing by themselves |
+//! | server | [`Event::Accept`], [`Event::Reject`] | decide about an INITIATED task |
+//! | handler | [`Event::Complete`], [`Event::Fail`], [`Event::Abort`] | end it; an ABORT of a client counts only once the handler has stopped |
+//!
 //! REJECTED, FAILED, ABORTED and COMPLETED are final: no event leads out of them, so a state that a
 //! client was told never changes. The original lets ABORTED turn into COMPLETED and back
 //! (wire specification 4.7, HAZARDS); this table is where ours does not.
 
 /// What a client asks for. The code is the `state` field of a request.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Request {
     /// Start the task in the payload.
     Init = 1,
@@ -47,6 +56,7 @@ impl Request {
 
 /// Where a task is in its life. The code is the `state` field of a reply.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum State {
     /// Asked for; nobody has decided yet.
     Initiated = 0,
@@ -62,8 +72,21 @@ pub enum State {
     Completed = 5,
 }
 
+/// Who speaks of a task.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Party {
+    /// Asks for it, and may want it to stop.
+    Client,
+    /// Decides whether it is taken.
+    Server,
+    /// Does it, and says how it ended.
+    Handler,
+}
+
 /// What can happen to a task.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Event {
     /// The handler took the task.
     Accept,
@@ -75,6 +98,26 @@ pub enum Event {
     Fail,
     /// The handler has stopped because it was asked to.
     Abort,
+}
+
+impl Event {
+    /// Every event.
+    pub const ALL: [Self; 5] = [
+        Self::Accept,
+        Self::Reject,
+        Self::Complete,
+        Self::Fail,
+        Self::Abort,
+    ];
+
+    /// Whose signal it is; a client's are [`Request`]s, and change no state by themselves.
+    #[must_use]
+    pub const fn said_by(self) -> Party {
+        match self {
+            Self::Accept | Self::Reject => Party::Server,
+            Self::Complete | Self::Fail | Self::Abort => Party::Handler,
+        }
+    }
 }
 
 impl State {
@@ -156,14 +199,6 @@ impl core::fmt::Display for State {
 mod tests {
     use super::*;
 
-    const EVENTS: [Event; 5] = [
-        Event::Accept,
-        Event::Reject,
-        Event::Complete,
-        Event::Fail,
-        Event::Abort,
-    ];
-
     #[test]
     fn every_state_against_every_event() {
         use State::{Aborted, Accepted, Completed, Failed, Rejected};
@@ -183,7 +218,7 @@ mod tests {
             none,
         ];
         for (state, row) in State::ALL.into_iter().zip(table) {
-            for (event, expected) in EVENTS.into_iter().zip(row) {
+            for (event, expected) in Event::ALL.into_iter().zip(row) {
                 assert_eq!(state.after(event), expected, "{state} after {event:?}");
             }
         }
@@ -193,8 +228,26 @@ mod tests {
     fn final_states_are_those_above_accepted_and_have_no_way_out() {
         for state in State::ALL {
             assert_eq!(state.is_final(), state.code() > 1);
-            let closed = EVENTS.into_iter().all(|e| state.after(e).is_none());
+            let closed = Event::ALL.into_iter().all(|e| state.after(e).is_none());
             assert_eq!(state.is_final(), closed, "{state}");
+        }
+    }
+
+    #[test]
+    fn a_server_decides_and_a_handler_ends() {
+        for state in State::ALL {
+            for event in Event::ALL {
+                let Some(after) = state.after(event) else {
+                    continue;
+                };
+                let decides = after == State::Accepted || after == State::Rejected;
+                let expected = if decides {
+                    Party::Server
+                } else {
+                    Party::Handler
+                };
+                assert_eq!(event.said_by(), expected, "{state} {event:?}");
+            }
         }
     }
 

@@ -11,10 +11,12 @@ use crate::{Instant, TaskId};
 
 /// Which of the registered scopes, by its place.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Scope(pub u16);
 
 /// What a held answer waits for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Awaited {
     /// The handler's decision on an INIT.
     Decision,

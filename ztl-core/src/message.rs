@@ -9,6 +9,7 @@ use crate::sink::{BufferTooSmall, Sink, SliceSink};
 /// A message as a view over its bytes. Numbers stay text until they are asked for, since which
 /// answer a bad one gets depends on the scope.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Message<'a> {
     /// Whom it is for; compared byte for byte.
     pub scope: &'a str,
@@ -23,6 +24,7 @@ pub struct Message<'a> {
 /// Why bytes are no message.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum ParseError<'a> {
     /// Not UTF-8; valid up to this byte.
     NotUtf8 {

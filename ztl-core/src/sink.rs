@@ -33,6 +33,7 @@ pub struct SliceSink<'a> {
 /// The caller's buffer is too small for what was to be written into it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct BufferTooSmall {
     /// Bytes that the whole would take.
     pub needed: usize,

@@ -10,6 +10,7 @@ pub const SEPARATOR: char = ':';
 
 /// A task's specification: who is to do it, with which part, to what end.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct TaskSpec<'a> {
     /// Who does it: a robot, a device, a program. `cob`
     pub handler: &'a str,
@@ -22,6 +23,7 @@ pub struct TaskSpec<'a> {
 /// Why a payload is no task specification.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum SpecError {
     /// The payload is not base64.
     Base64(base64::DecodeError),

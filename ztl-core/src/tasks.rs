@@ -75,6 +75,7 @@ impl<const N: usize> Text for heapless::String<N> {
 
 /// Why there is no room for another task.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum NoRoom {
     /// Every task runs.
     Running,

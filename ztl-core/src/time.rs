@@ -7,6 +7,7 @@ use core::time::Duration;
 /// The caller's clock chooses the start (boot, process start); instants of different clocks must
 /// not be mixed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Instant(u64);
 
 impl Instant {

@@ -9,6 +9,7 @@ use ztl_core::sink::{SliceSink, put_fixed};
 
 /// How a component's task goes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Run {
     /// Under way; the report is where it is now.
     Running,

@@ -25,6 +25,7 @@ const AWAKE_AGAIN: Duration = Duration::from_millis(250);
 
 /// Who a node is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Identity<'a> {
     /// What the device is called.
     pub name: &'a str,
@@ -52,6 +53,7 @@ impl<'a> Identity<'a> {
 /// What a node has seen on its line since boot; the counts wrap.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Counters {
     /// Frames whose check was right.
     pub frames: u32,

@@ -27,7 +27,7 @@ const DIGITS: u32 = 18;
 
 impl Format {
     /// The bits of infinity: an exponent field of ones.
-    const fn infinity(&self) -> u64 {
+    pub(super) const fn infinity(&self) -> u64 {
         ((2 - 2 * self.least) as u64 + 1) << self.fraction
     }
 
@@ -107,16 +107,13 @@ impl Format {
             };
             for digits in [near, far] {
                 if reads_back(digits) {
-                    let carried = digits == power_of_ten(count);
-                    return (digits, all.power + i32::from(carried));
+                    return all.carried(digits, count);
                 }
             }
         }
         // Seventeen digits always do.
         let (down, up) = all.cut(DIGITS - 1);
-        let digits = down + u64::from(up);
-        let carried = digits == power_of_ten(DIGITS - 1);
-        (digits, all.power + i32::from(carried))
+        all.carried(down + u64::from(up), DIGITS - 1)
     }
 
     /// The number with these bits, finite and above zero, rounded to so many digits after the
@@ -130,8 +127,7 @@ impl Format {
         let count = count.unsigned_abs().min(DIGITS);
         let (down, up) = all.cut(count);
         let digits = down + u64::from(up);
-        let carried = digits == power_of_ten(count);
-        (digits > 0).then_some((digits, all.power + i32::from(carried)))
+        (digits > 0).then(|| all.carried(digits, count))
     }
 }
 
@@ -159,6 +155,16 @@ impl Digits {
             core::cmp::Ordering::Greater => true,
         };
         (down, up)
+    }
+
+    /// The first `count` digits after rounding, and the power of ten of the first of them: 99 may
+    /// have become 100.
+    fn carried(&self, digits: u64, count: u32) -> (u64, i32) {
+        if digits == power_of_ten(count) {
+            (1, self.power + 1)
+        } else {
+            (digits, self.power)
+        }
     }
 }
 

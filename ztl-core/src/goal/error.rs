@@ -106,7 +106,7 @@ impl GoalError {
     }
 
     /// An error that gets its place from whoever called.
-    const fn unplaced(kind: GoalErrorKind) -> Self {
+    pub(super) const fn unplaced(kind: GoalErrorKind) -> Self {
         Self::new(NOWHERE, kind)
     }
 
@@ -117,10 +117,6 @@ impl GoalError {
         } else {
             self
         }
-    }
-
-    pub(super) const fn is_placed(&self) -> bool {
-        self.at != NOWHERE
     }
 }
 

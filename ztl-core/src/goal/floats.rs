@@ -11,19 +11,19 @@ pub trait Floats: Copy {
     fn put_f64(self, value: f64, sink: &mut (impl Sink + ?Sized));
 }
 
-/// As Python's `repr`: the shortest text that reads back as the same number of the same type, with
-/// an exponent below `1e-04` and from `1e+16` on. `0.1`, `1000.0`, `1e-05`, `-0.0`, `inf`, `nan`.
+/// As Python's `repr`: the shortest text that reads back as the same number, with an exponent below
+/// `0.0001` and from `1e+16` on. `0.1`, `1000.0`, `1e-05`, `-0.0`, `inf`, `nan`.
 ///
-/// An `f32` is written as short as tells it from other `f32`s: `0.1`, which Python reads as another
-/// number than the `f32`'s exact value.
+/// An `f32` is written as short as tells it from other `f32`s: `0.1`, which is not the exact value
+/// of the `f32`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Shortest;
 
 /// With so many digits after the point, as Python's `'%.2f' % value`: rounded to the nearest, of two
 /// equally near ones to the even. With 0 there is no point, and Python reads the text as an `int`.
 ///
-/// Other than Python's, zero has no sign, so that no `-0.00` comes out of a sensor's noise; and
-/// digits after the 18th, counted from the first that is not 0, are zeros.
+/// Unlike in Python, zero has no sign, so that a sensor's noise makes no `-0.00`; and digits after
+/// the 18th, counted from the first that is not 0, are zeros.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Fixed(
     /// Digits after the point.
@@ -32,32 +32,140 @@ pub struct Fixed(
 
 impl Floats for Shortest {
     fn put_f32(self, value: f32, sink: &mut (impl Sink + ?Sized)) {
-        if finite(value.is_nan(), value.is_infinite(), value.is_sign_negative(), sink) {
-            put_shortest(&F32, value.abs().to_bits().into(), sink);
-        }
+        put_shortest(Bits::of_f32(value), sink);
     }
 
     fn put_f64(self, value: f64, sink: &mut (impl Sink + ?Sized)) {
-        if finite(value.is_nan(), value.is_infinite(), value.is_sign_negative(), sink) {
-            put_shortest(&F64, value.abs().to_bits(), sink);
-        }
+        put_shortest(Bits::of_f64(value), sink);
     }
 }
 
 impl Floats for Fixed {
     fn put_f32(self, value: f32, sink: &mut (impl Sink + ?Sized)) {
-        let fixed = self.digits(&F32, value.abs().to_bits().into(), value.is_finite());
-        let negative = value.is_sign_negative() && fixed.is_some();
-        if finite(value.is_nan(), value.is_infinite(), negative, sink) {
-            self.put(fixed, sink);
-        }
+        put_fixed(Bits::of_f32(value), self.0.into(), sink);
     }
 
     fn put_f64(self, value: f64, sink: &mut (impl Sink + ?Sized)) {
-        let fixed = self.digits(&F64, value.abs().to_bits(), value.is_finite());
-        let negative = value.is_sign_negative() && fixed.is_some();
-        if finite(value.is_nan(), value.is_infinite(), negative, sink) {
-            self.put(fixed, sink);
+        put_fixed(Bits::of_f64(value), self.0.into(), sink);
+    }
+}
+
+/// A float of either format.
+#[derive(Clone, Copy)]
+struct Bits {
+    format: &'static Format,
+    negative: bool,
+    magnitude: u64,
+}
+
+impl Bits {
+    fn of_f32(value: f32) -> Self {
+        let bits = value.to_bits();
+        Self {
+            format: &F32,
+            negative: bits >> 31 != 0,
+            magnitude: u64::from(bits << 1 >> 1),
         }
+    }
+
+    fn of_f64(value: f64) -> Self {
+        let bits = value.to_bits();
+        Self {
+            format: &F64,
+            negative: bits >> 63 != 0,
+            magnitude: bits << 1 >> 1,
+        }
+    }
+
+    /// The text of what has no digits.
+    fn name(self) -> Option<&'static [u8]> {
+        match self.magnitude.cmp(&self.format.infinity()) {
+            core::cmp::Ordering::Less => None,
+            core::cmp::Ordering::Equal if self.negative => Some(b"-inf"),
+            core::cmp::Ordering::Equal => Some(b"inf"),
+            core::cmp::Ordering::Greater => Some(b"nan"),
+        }
+    }
+}
+
+fn put_shortest(bits: Bits, sink: &mut (impl Sink + ?Sized)) {
+    if let Some(name) = bits.name() {
+        return sink.put(name);
+    }
+    let (digits, power) = match bits.magnitude {
+        0 => (0, 0),
+        magnitude => bits.format.shortest(magnitude),
+    };
+    let text = Text::of(digits);
+    if bits.negative {
+        sink.put(b"-");
+    }
+    let after_first = text.digits().len() as i32 - 1;
+    if (-4..16).contains(&power) {
+        put_digits(text.digits(), power, (after_first - power).max(1), sink);
+    } else {
+        put_digits(text.digits(), 0, after_first, sink);
+        sink.put(if power < 0 { b"e-" } else { b"e+" });
+        let power = power.unsigned_abs();
+        if power < 10 {
+            sink.put(b"0");
+        }
+        crate::sink::put_decimal(sink, power);
+    }
+}
+
+fn put_fixed(bits: Bits, decimals: i32, sink: &mut (impl Sink + ?Sized)) {
+    if let Some(name) = bits.name() {
+        return sink.put(name);
+    }
+    let rounded = match bits.magnitude {
+        0 => None,
+        magnitude => bits.format.fixed(magnitude, decimals),
+    };
+    if bits.negative && rounded.is_some() {
+        sink.put(b"-");
+    }
+    let (digits, power) = rounded.unwrap_or((0, 0));
+    put_digits(Text::of(digits).digits(), power, decimals, sink);
+}
+
+/// Writes the number whose first digit stands for `10^power`, with so many digits after the point;
+/// with none, no point.
+fn put_digits(digits: &[u8], power: i32, decimals: i32, sink: &mut (impl Sink + ?Sized)) {
+    for place in (-decimals..=power.max(0)).rev() {
+        if place == -1 {
+            sink.put(b".");
+        }
+        let digit = usize::try_from(power - place).ok();
+        let digit = digit.and_then(|nth| digits.get(nth));
+        sink.put(&[digit.copied().unwrap_or(b'0')]);
+    }
+}
+
+/// A whole number in decimal.
+pub(super) struct Text {
+    buffer: [u8; 20],
+    first: usize,
+}
+
+impl Text {
+    pub(super) fn of(mut number: u64) -> Self {
+        let mut text = Self {
+            buffer: [b'0'; 20],
+            first: 0,
+        };
+        for (place, digit) in text.buffer.iter_mut().enumerate().rev() {
+            *digit = b'0' + (number % 10) as u8;
+            number /= 10;
+            text.first = place;
+            if number == 0 {
+                break;
+            }
+        }
+        text
+    }
+
+    pub(super) fn digits(&self) -> &[u8] {
+        self.buffer.get(self.first..).unwrap_or_default()
     }
 }

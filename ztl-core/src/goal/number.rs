@@ -131,7 +131,12 @@ impl<'a> Digits<'a> {
 
     /// The next byte that is no `_` between two digits.
     fn next(&mut self, radix: u32) -> Option<(u8, Option<u32>)> {
-        let digit = |byte: u8| char::from(byte).to_digit(radix);
+        let digit = |byte: u8| match byte {
+            b'0'..=b'9' => Some(u32::from(byte - b'0')).filter(|&digit| digit < radix),
+            b'a'..=b'f' if radix == 16 => Some(u32::from(byte - b'a') + 10),
+            b'A'..=b'F' if radix == 16 => Some(u32::from(byte - b'A') + 10),
+            _ => None,
+        };
         let mut byte = *self.rest.next()?;
         if byte == b'_' && self.after_digit {
             let following = self.rest.clone().next();

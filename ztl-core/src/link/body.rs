@@ -9,10 +9,12 @@ use crate::sink::Sink;
 
 /// The number of a task on one link. Rises with each `Start` that a node takes since its boot.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct LinkId(pub u32);
 
 /// Opens a session.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Hello {
     /// [`VERSION`](super::VERSION) of the gateway.
     pub version: u8,
@@ -24,6 +26,7 @@ pub struct Hello {
 
 /// Answers a `Hello`: who the node is, and what it still holds.
 #[derive(Debug, Clone, Copy, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Welcome<'a> {
     /// [`VERSION`](super::VERSION) of the node.
     pub version: u8,
@@ -53,6 +56,7 @@ pub struct Welcome<'a> {
 
 /// What goals a component takes.
 #[derive(Debug, Clone, Copy, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct GoalShape<'a> {
     /// Smallest and greatest number, when it takes numbers.
     pub range: Option<(f32, f32)>,
@@ -65,6 +69,7 @@ pub struct GoalShape<'a> {
 /// What happens to a task that comes while one runs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Busy {
     /// It is refused.
     Refuse = 0,
@@ -72,6 +77,7 @@ pub enum Busy {
 
 /// What a component does when the link has brought no new command for the link timeout.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Loss {
     /// Stop, go to the safe state; the task ends as FAILED.
     Abort = 0,
@@ -83,6 +89,7 @@ pub enum Loss {
 
 /// What a node tells of one of its components.
 #[derive(Debug, Clone, Copy, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Offer<'a> {
     /// Name, as a client writes it.
     pub name: &'a str,
@@ -96,6 +103,7 @@ pub struct Offer<'a> {
 
 /// A message of the link.
 #[derive(Debug, Clone, Copy, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Body<'a> {
     /// Gateway: opens a session.
     Hello(Hello),
@@ -198,6 +206,7 @@ pub enum Body<'a> {
 /// Why bytes are no message.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum BodyError {
     /// They end too early.
     Truncated,
@@ -275,6 +284,15 @@ impl<'a> Ids<'a> {
             .iter()
             .copied()
             .chain(core::iter::from_fn(move || reader.task().ok()))
+    }
+}
+
+#[cfg(feature = "defmt")]
+impl defmt::Format for Ids<'_> {
+    fn format(&self, f: defmt::Formatter<'_>) {
+        for id in self.iter() {
+            defmt::write!(f, "{} ", id);
+        }
     }
 }
 

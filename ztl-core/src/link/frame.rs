@@ -21,6 +21,7 @@ static CHECKER: Crc<u32, NoTable> = CHECK;
 
 /// A frame whose check was right, as a view over a decoder's buffer.
 #[derive(Debug, Clone, Copy, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Frame<'a> {
     /// Which node; [`ADDR_ONLY_NODE`].
     pub addr: u8,
@@ -33,6 +34,7 @@ pub struct Frame<'a> {
 /// Why received bytes are no frame. Nothing changes by them, but a counter.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum FrameError {
     /// The frame ended before its COBS blocks did, or is shorter than any.
     Truncated,

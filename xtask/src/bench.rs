@@ -1,0 +1,15 @@
+//! `cargo xtask bench`: figures side by side in one run, never a pass or a failure by time.
+
+use crate::cmd::{Cmd, Outcome};
+use crate::{Dirs, python};
+
+/// Runs every benchmark.
+pub(crate) fn run(dirs: &Dirs, args: &[String]) -> Outcome {
+    if let Some(word) = args.first() {
+        return Err(format!("`cargo xtask bench` takes no arguments, not `{word}`"));
+    }
+    let python = python::ensure(dirs)?;
+    Cmd::new("cargo bench --locked --package ztl-tests")
+        .env("ZTL_PYTHON", &python)
+        .run()
+}

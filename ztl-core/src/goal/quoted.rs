@@ -1,0 +1,164 @@
+//! Texts in quotes, as Python's `repr` and as YAML write them.
+
+use core::str::CharIndices;
+
+/// A text in quotes, as it is written.
+pub(super) struct Quoted<'a> {
+    quote: u8,
+    /// What stands between the quotes.
+    pub(super) inner: &'a str,
+    /// Where in it the first thing stands that is not what is meant: an escape, a doubled quote, a
+    /// line break.
+    pub(super) special: Option<usize>,
+}
+
+impl<'a> Quoted<'a> {
+    /// The text in quotes that `text` begins with; `None` when it does not end.
+    pub(super) fn find(text: &'a str) -> Option<Self> {
+        let (&quote, bytes) = text.as_bytes().split_first()?;
+        let mut special = None;
+        let mut place = 0;
+        while let Some(&byte) = bytes.get(place) {
+            let next = bytes.get(place + 1);
+            let len = match byte {
+                b'\\' => 2,
+                b'\'' if byte == quote && next == Some(&quote) => 2,
+                b'\n' => 1,
+                _ if byte == quote => {
+                    let inner = text.get(1..=place)?;
+                    return Some(Self {
+                        quote,
+                        inner,
+                        special,
+                    });
+                }
+                _ => {
+                    place += 1;
+                    continue;
+                }
+            };
+            special.get_or_insert(place);
+            place += len;
+        }
+        None
+    }
+
+    /// Writes what is meant, and says how many bytes that takes, which may be more than there are.
+    /// The error is the place of a bad escape in `inner`.
+    pub(super) fn unescape(&self, scratch: &mut [u8]) -> Result<usize, usize> {
+        let mut out = Out { scratch, len: 0 };
+        // Up to here the text stays, even when a line break follows.
+        let mut lasting = 0;
+        let mut rest = self.inner.char_indices();
+        while let Some((at, c)) = rest.next() {
+            match c {
+                '\\' => self.escape(&mut rest, &mut out).ok_or(at)?,
+                '\'' if self.quote == b'\'' => {
+                    rest.next();
+                    out.push(c);
+                }
+                '\n' => {
+                    out.len = lasting;
+                    fold(&mut rest, &mut out);
+                }
+                ' ' | '\t' | '\r' => {
+                    out.push(c);
+                    continue;
+                }
+                _ => out.push(c),
+            }
+            lasting = out.len;
+        }
+        Ok(out.len)
+    }
+
+    /// Reads what stands behind a backslash.
+    fn escape(&self, rest: &mut CharIndices<'_>, out: &mut Out<'_>) -> Option<()> {
+        let double = self.quote == b'"';
+        let (_, c) = rest.next()?;
+        let meant = match c {
+            '\\' | '\'' | '"' => c,
+            'n' => '\n',
+            'r' => '\r',
+            't' => '\t',
+            'a' => '\x07',
+            'b' => '\x08',
+            'f' => '\x0c',
+            'v' => '\x0b',
+            'x' => char::from_u32(hex(rest, 2)?)?,
+            'u' => utf16(rest)?,
+            'U' => char::from_u32(hex(rest, 8)?)?,
+            // YAML's own; Python's `repr` writes none of them.
+            '0' if double => '\0',
+            'e' if double => '\x1b',
+            ' ' | '/' | '\t' if double => c,
+            'N' if double => '\u{85}',
+            '_' if double => '\u{a0}',
+            'L' if double => '\u{2028}',
+            'P' if double => '\u{2029}',
+            _ if double => return None,
+            // Python's, which its `repr` does not write either.
+            'N' | '0'..='7' | '\n' => return None,
+            // Python leaves any other backslash there; to YAML none is an escape here.
+            _ => {
+                out.push('\\');
+                c
+            }
+        };
+        out.push(meant);
+        Some(())
+    }
+}
+
+/// Reads a line break of YAML with the blanks behind it: one means a blank, further ones stay.
+fn fold(rest: &mut CharIndices<'_>, out: &mut Out<'_>) {
+    let mut further = false;
+    while let Some((_, c @ (' ' | '\t' | '\r' | '\n'))) = rest.clone().next() {
+        rest.next();
+        if c == '\n' {
+            further = true;
+            out.push(c);
+        }
+    }
+    if !further {
+        out.push(' ');
+    }
+}
+
+/// Reads so many hexadecimal digits.
+fn hex(rest: &mut CharIndices<'_>, digits: u32) -> Option<u32> {
+    (0..digits).try_fold(0, |value, _| {
+        let (_, c) = rest.next()?;
+        Some(value << 4 | c.to_digit(16)?)
+    })
+}
+
+/// Reads what stands behind `\u`. JSON writes a character beyond U+FFFF as two of them.
+fn utf16(rest: &mut CharIndices<'_>) -> Option<char> {
+    let first = hex(rest, 4)?;
+    if !matches!(first, 0xd800..0xdc00) {
+        return char::from_u32(first);
+    }
+    let pair = [rest.next()?.1, rest.next()?.1];
+    let second = hex(rest, 4)?;
+    if pair != ['\\', 'u'] || !matches!(second, 0xdc00..0xe000) {
+        return None;
+    }
+    char::from_u32(0x10000 + ((first & 0x3ff) << 10 | second & 0x3ff))
+}
+
+/// Counts on when the scratch is full.
+struct Out<'a> {
+    scratch: &'a mut [u8],
+    len: usize,
+}
+
+impl Out<'_> {
+    fn push(&mut self, c: char) {
+        let end = self.len + c.len_utf8();
+        if let Some(room) = self.scratch.get_mut(self.len..end) {
+            c.encode_utf8(room);
+        }
+        self.len = end;
+    }
+}
