@@ -66,11 +66,11 @@ impl<T> Default for Room<T> {
     }
 }
 
+#[cfg(target_arch = "arm")]
 unsafe extern "C" {
-    /// Start of the linker's stack, and of the reset below; never called from Rust.
-    #[cfg(target_arch = "arm")]
+    /// Below.
     fn reset();
-    #[cfg(target_arch = "arm")]
+    /// An address, not a function; from `image.x`.
     fn stack_top();
 }
 
@@ -80,11 +80,10 @@ unsafe extern "C" {
 #[used]
 #[unsafe(link_section = ".vectors")]
 static VECTORS: [unsafe extern "C" fn(); 48] = {
-    let mut vectors: [unsafe extern "C" fn(); 48] = [unexpected; 48];
-    if let [stack, first, ..] = &mut vectors {
-        *stack = stack_top;
-        *first = reset;
-    }
+    let mut vectors = [unexpected as unsafe extern "C" fn(); 48];
+    let [stack, first, ..] = &mut vectors;
+    *stack = stack_top;
+    *first = reset;
     vectors
 };
 

@@ -6,7 +6,9 @@ use crate::{Dirs, python};
 /// Runs every benchmark.
 pub(crate) fn run(dirs: &Dirs, args: &[String]) -> Outcome {
     if let Some(word) = args.first() {
-        return Err(format!("`cargo xtask bench` takes no arguments, not `{word}`"));
+        return Err(format!(
+            "`cargo xtask bench` takes no arguments, not `{word}`"
+        ));
     }
     let python = python::ensure(dirs)?;
     Cmd::new("cargo bench --locked --package ztl-tests")

@@ -1,12 +1,16 @@
 //! The project's chores, started as `cargo xtask <command>`.
 //!
-//! Nothing here depends on a crate from outside: it has to compile fast on a machine
-//! that has built nothing yet.
+//! Depends on two small crates, which read firmware images, and nothing more: it has to compile
+//! fast on a machine that has built nothing yet.
 
 mod bare;
 mod bench;
 mod cmd;
+mod cross;
+mod image;
+mod proof;
 mod python;
+mod size;
 mod test;
 mod tools;
 
@@ -28,6 +32,11 @@ const CHORES: &[Chore] = &[
         name: "test",
         about: "check and test everything, installing what is lacking (--list, --only STEP)",
         run: test::run,
+    },
+    Chore {
+        name: "size",
+        about: "flash and RAM that the standard image takes, against the record (--accept)",
+        run: size::run,
     },
     Chore {
         name: "bench",

@@ -4,7 +4,7 @@ use std::net::TcpListener;
 use std::time::{Duration, Instant};
 
 use crate::cmd::{Cmd, Outcome};
-use crate::{Dirs, bare, python, tools};
+use crate::{Dirs, bare, proof, python, size, tools};
 
 /// The crates that have to do without `std` and without an allocator.
 pub(crate) const BARE_CRATES: &[&str] = &["ztl-core", "ztl-mcu"];
@@ -54,8 +54,18 @@ const STEPS: &[Step] = &[
     },
     Step {
         name: "bare",
-        about: "the no_std crates build for a microcontroller with nothing but `core`",
+        about: "the no_std crates build for three microcontrollers with nothing but `core`",
         run: bare::build,
+    },
+    Step {
+        name: "proof",
+        about: "bytes from outside reach no panic: shown by linking",
+        run: proof::prove,
+    },
+    Step {
+        name: "size",
+        about: "the standard firmware image is as small as the record says",
+        run: size::check,
     },
     Step {
         name: "test",

@@ -177,6 +177,22 @@ impl Client {
         self.begin(now, request, None, false)
     }
 
+    /// Begins an INIT as [`request`](Self::request) does; if its task ends within a moment, a server
+    /// of ours tells that in place of the handler's reply.
+    pub fn init_to_end(
+        &mut self,
+        now: Instant,
+        scope: &str,
+        payload: &str,
+        sink: &mut (impl Sink + ?Sized),
+    ) -> Envelope {
+        let envelope = self.request(now, Request::Init, scope, None, payload, sink);
+        Envelope {
+            early_end: true,
+            ..envelope
+        }
+    }
+
     /// Asks who the server is. Once per connection is enough.
     pub fn probe(&mut self, now: Instant, sink: &mut (impl Sink + ?Sized)) -> Envelope {
         put_reserved("probe", sink);
@@ -262,15 +278,19 @@ impl Client {
         Envelope {
             client: self.id,
             number,
+            early_end: false,
         }
     }
 
     fn on_outcome<'a>(&mut self, scope: &str, answer: Answer<'a>) -> Heard<'a> {
-        // The original refuses the reserved scope; a server that is too busy says so.
-        if scope != RESERVED_SCOPE {
+        // The original refuses the reserved scope, with an id that ours would give to a refused
+        // INIT.
+        if scope != RESERVED_SCOPE || self.server == Server::Original {
             return Heard::FateUnknown;
         }
-        if let Some(boot) = answer.text.strip_prefix(NEVER_SEEN) {
+        if answer.id == 0
+            && let Some(boot) = answer.text.strip_prefix(NEVER_SEEN)
+        {
             self.unanswered = None;
             let boot = Integer::parse(boot).ok().and_then(Integer::value);
             // Another boot id: the server that may have seen it is gone.
@@ -281,8 +301,8 @@ impl Client {
                 _ => Heard::FateUnknown,
             };
         }
-        let refused = answer.state() == Some(State::Rejected) && answer.task().is_none();
-        if refused && answer.text.starts_with("No controller for scope") {
+        // It cannot say; an answer about the INIT has another id.
+        if answer.id == 0 || answer.text.starts_with("No controller for scope") {
             return Heard::FateUnknown;
         }
         self.unanswered = None;

@@ -70,7 +70,7 @@ pub struct Config {
     pub boot: u32,
     /// Longest time that an answer is held. Default [`HOLD`].
     pub hold: Duration,
-    /// How long the answer to an enveloped INIT waits for a quick end, to tell both at once.
+    /// How long the answer to an INIT waits for a quick end, where the client wishes it.
     /// Default 3 ms.
     pub early: Duration,
     /// How long an ended task is remembered, counted from its end. Default one hour.
@@ -348,12 +348,13 @@ impl<M: Memory> Dispatcher<M> {
         let Some(id) = self.next else {
             return refuse(asker.peer, "all task ids are used up, restart the server");
         };
-        if let Some(Envelope { client, number }) = asker.envelope {
+        if let Some(envelope) = asker.envelope {
             let first = First::Pending(id);
             let until = None;
             if !self.memory.remember(LastInit {
-                client,
-                number,
+                client: envelope.client,
+                number: envelope.number,
+                early_end: envelope.early_end,
                 first,
                 until,
             }) {
@@ -505,8 +506,8 @@ impl<M: Memory> Dispatcher<M> {
         (task.extra == scope).then_some((id, task.state))
     }
 
-    /// Answers the INIT of a task that was taken: at once, or for our clients after a moment in
-    /// which it may end.
+    /// Answers the INIT of a task that was taken: at once, or where the client wishes it after a
+    /// moment in which it may end.
     fn on_accepted(
         &mut self,
         now: Instant,
@@ -515,9 +516,9 @@ impl<M: Memory> Dispatcher<M> {
         kept: &str,
         out: &mut impl FnMut(M::Peer, &Reply<'_>),
     ) {
-        let ours = self.settle(now, id, State::Accepted, Some(id), kept);
+        let early_end = self.settle(now, id, State::Accepted, Some(id), kept);
         while let Some(waiter) = self.release(id, Awaited::Decision) {
-            if ours {
+            if early_end {
                 let early = Waiter {
                     awaited: Awaited::EarlyEnd,
                     deadline: now + self.config.early,
@@ -575,7 +576,8 @@ impl<M: Memory> Dispatcher<M> {
         }
     }
 
-    /// Remembers the answer to an enveloped INIT; says whether it was one.
+    /// Remembers the answer to an enveloped INIT; says whether its client wishes to be told a quick
+    /// end in its place.
     fn settle(
         &mut self,
         now: Instant,
@@ -591,9 +593,9 @@ impl<M: Memory> Dispatcher<M> {
         text.set(answer);
         init.first = First::Answered { state, id, text };
         init.until = Some(now + KEEP_INIT);
-        let client = init.client;
+        let (client, early_end) = (init.client, init.early_end);
         self.memory.on_settled(client, task);
-        true
+        early_end
     }
 
     /// Answers all that await something of a task: with `text` and the present state, or with its

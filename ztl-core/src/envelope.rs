@@ -1,11 +1,15 @@
 //! The frames that our client puts before a request, and every server returns with its answer.
 //!
 //! A ZeroMQ reply carries back whatever stood before the empty delimiter. Two frames are ours:
-//! `ztl1` and 16 bytes that name the client, then 8 bytes that number the request. A late answer is
-//! thus never taken for the next one, and our server knows what it has answered.
+//! `ztl1` and 16 bytes that name the client, then 8 bytes that number the request (big endian; the
+//! top bit is a wish, see [`Envelope::early_end`]). A late answer is thus never taken for the next
+//! one, and our server knows what it has answered.
 
 /// What the first frame begins with.
 pub const MARK: [u8; 4] = *b"ztl1";
+
+/// The bit of the second frame that is [`Envelope::early_end`].
+const EARLY_END: u64 = 1 << 63;
 
 /// Who asks: 16 random bytes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
@@ -18,8 +22,11 @@ pub struct ClientId(pub [u8; 16]);
 pub struct Envelope {
     /// Who asks.
     pub client: ClientId,
-    /// Rises with each request of a client.
+    /// Rises with each request of a client; below 2^63.
     pub number: u64,
+    /// Of an INIT: if the task ends within a moment, the client wants to be told that in place of
+    /// the handler's reply.
+    pub early_end: bool,
 }
 
 impl Envelope {
@@ -27,10 +34,11 @@ impl Envelope {
     #[must_use]
     pub fn parse(first: &[u8], second: &[u8]) -> Option<Self> {
         let client = first.strip_prefix(&MARK)?.try_into().ok()?;
-        let number = second.try_into().ok()?;
+        let number = u64::from_be_bytes(second.try_into().ok()?);
         Some(Self {
             client: ClientId(client),
-            number: u64::from_be_bytes(number),
+            number: number & !EARLY_END,
+            early_end: number & EARLY_END != 0,
         })
     }
 
@@ -45,7 +53,8 @@ impl Envelope {
         for (to, from) in client.iter_mut().zip(self.client.0) {
             *to = from;
         }
-        (first, self.number.to_be_bytes())
+        let wish = if self.early_end { EARLY_END } else { 0 };
+        (first, (self.number & !EARLY_END | wish).to_be_bytes())
     }
 }
 
@@ -58,11 +67,19 @@ mod tests {
         let envelope = Envelope {
             client: ClientId(*b"0123456789abcdef"),
             number: 258,
+            early_end: false,
         };
         let (first, second) = envelope.frames();
         assert_eq!(&first, b"ztl10123456789abcdef");
         assert_eq!(second, [0, 0, 0, 0, 0, 0, 1, 2]);
         assert_eq!(Envelope::parse(&first, &second), Some(envelope));
+        let wish = Envelope {
+            early_end: true,
+            ..envelope
+        };
+        let (_, wished) = wish.frames();
+        assert_eq!(wished, [0x80, 0, 0, 0, 0, 0, 1, 2]);
+        assert_eq!(Envelope::parse(&first, &wished), Some(wish));
         for (first, second) in [
             (&b"ztl10123456789abcde"[..], &second[..]),
             (b"ztl20123456789abcdef", &second),

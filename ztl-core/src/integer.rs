@@ -52,6 +52,12 @@ impl<'a> Integer<'a> {
         digits: "1",
     };
 
+    /// The id of an answer of the reserved scope that is about no INIT.
+    pub const ZERO: Integer<'static> = Integer {
+        negative: false,
+        digits: "",
+    };
+
     /// Reads blanks, one sign, digits with single `_` between them, blanks.
     ///
     /// ASCII only: the original also takes other alphabets' digits and blanks, which no client

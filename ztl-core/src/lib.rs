@@ -8,6 +8,8 @@ pub mod base64;
 pub mod client;
 pub mod dispatcher;
 pub mod envelope;
+#[cfg(feature = "serde")]
+pub mod goal;
 pub mod integer;
 pub mod lifecycle;
 pub mod link;

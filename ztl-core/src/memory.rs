@@ -80,6 +80,8 @@ pub struct LastInit<T> {
     pub client: ClientId,
     /// Number of the request.
     pub number: u64,
+    /// Whether a quick end is to be told in place of the reply.
+    pub early_end: bool,
     /// What became of it.
     pub first: First<T>,
     /// Until when it is remembered; `None` while it is pending.

@@ -1,6 +1,7 @@
 //! Answers as views over what is remembered; nothing is copied before it is written.
 
 use crate::TaskId;
+use crate::dispatcher::RESERVED_SCOPE;
 use crate::integer::Integer;
 use crate::lifecycle::State;
 use crate::sink::{Sink, put_decimal};
@@ -48,6 +49,16 @@ impl<'a> Reply<'a> {
             scope,
             state: State::Rejected,
             id: ReplyId::Asked(Integer::MINUS_ONE),
+            text,
+        }
+    }
+
+    /// What the reserved scope says for itself: id 0, which no answer to an INIT has.
+    pub(crate) fn reserved(state: State, text: ReplyText<'a>) -> Self {
+        Self {
+            scope: RESERVED_SCOPE,
+            state,
+            id: ReplyId::Asked(Integer::ZERO),
             text,
         }
     }

@@ -5,6 +5,7 @@ use std::time::{Duration, Instant};
 use tracing::{info, warn};
 use ztl_core::client::{Answer, Client, Heard, Late, Server};
 use ztl_core::envelope::{ClientId, Envelope};
+use ztl_core::sink::Sink;
 use ztl_core::{Request, State, TaskId, TaskSpec};
 
 use crate::clock::now;
@@ -52,8 +53,6 @@ pub struct Triggered {
     pub id: TaskId,
     /// The server's text.
     pub reply: String,
-    /// How it ended, when it had ended before the answer came.
-    pub ended: Option<Status>,
 }
 
 /// What a server says of a task.
@@ -228,15 +227,7 @@ impl RemoteTask {
         component: &str,
         goal: &str,
     ) -> Result<Triggered, TriggerError> {
-        let spec = TaskSpec {
-            handler,
-            component,
-            goal,
-        };
-        let mut payload = Vec::with_capacity(spec.encoded_len());
-        spec.put(&mut |bytes: &[u8]| payload.extend_from_slice(bytes));
-        // Base64 is ASCII.
-        self.trigger_payload(&String::from_utf8_lossy(&payload))
+        self.trigger_payload(&encoded(handler, component, goal))
     }
 
     /// Asks for a task with a payload that only the server's controller understands.
@@ -244,21 +235,10 @@ impl RemoteTask {
     /// # Errors
     /// As [`trigger`](Self::trigger).
     pub fn trigger_payload(&mut self, payload: &str) -> Result<Triggered, TriggerError> {
-        self.meet().map_err(TriggerError::Request)?;
-        let mut said = self.ask(|client, scope, body| {
+        let (task, _) = self.init(|client, scope, body| {
             client.request(now(), Request::Init, scope, None, payload, body)
-        });
-        let mut outcomes = 0;
-        while let Err(Unanswered { outcome: true, .. }) = said
-            && outcomes < OUTCOMES
-        {
-            outcomes += 1;
-            said = self.ask_outcome();
-        }
-        match said.map_err(|unanswered| TriggerError::Request(unanswered.error))? {
-            Said::NeverStarted => Err(TriggerError::NeverCame),
-            Said::Answer { state, id, text } => triggered(state, id, text),
-        }
+        })?;
+        Ok(task)
     }
 
     /// Asks for a task and waits for it to end, as [`trigger`](Self::trigger) and
@@ -273,11 +253,33 @@ impl RemoteTask {
         goal: &str,
         limit: Option<Duration>,
     ) -> Result<Result<Status, WaitError>, TriggerError> {
-        let task = self.trigger(handler, component, goal)?;
-        Ok(match task.ended {
+        let payload = encoded(handler, component, goal);
+        let (task, ended) =
+            self.init(|client, scope, body| client.init_to_end(now(), scope, &payload, body))?;
+        Ok(match ended {
             Some(status) => Ok(status),
             None => self.wait(task.id, limit),
         })
+    }
+
+    /// Asks for a task, and for what became of that where no answer comes.
+    fn init(
+        &mut self,
+        request: impl FnOnce(&mut Client, &str, &mut dyn Sink) -> Envelope,
+    ) -> Result<(Triggered, Option<Status>), TriggerError> {
+        self.meet().map_err(TriggerError::Request)?;
+        let mut said = self.ask(request);
+        let mut outcomes = 0;
+        while let Err(Unanswered { outcome: true, .. }) = said
+            && outcomes < OUTCOMES
+        {
+            outcomes += 1;
+            said = self.ask_outcome();
+        }
+        match said.map_err(|unanswered| TriggerError::Request(unanswered.error))? {
+            Said::NeverStarted => Err(TriggerError::NeverCame),
+            Said::Answer { state, id, text } => triggered(state, id, text),
+        }
     }
 
     /// Asks where a task is.
@@ -413,7 +415,7 @@ impl RemoteTask {
     /// Sends one request and waits for its answer.
     fn ask(
         &mut self,
-        request: impl FnOnce(&mut Client, &str, &mut dyn ztl_core::sink::Sink) -> Envelope,
+        request: impl FnOnce(&mut Client, &str, &mut dyn Sink) -> Envelope,
     ) -> Result<Said, Unanswered> {
         let mut body = Vec::new();
         let mut sink = |bytes: &[u8]| body.extend_from_slice(bytes);
@@ -553,20 +555,37 @@ impl std::fmt::Debug for RemoteTask {
     }
 }
 
-fn triggered(state: i64, id: i64, text: String) -> Result<Triggered, TriggerError> {
+fn encoded(handler: &str, component: &str, goal: &str) -> String {
+    let spec = TaskSpec {
+        handler,
+        component,
+        goal,
+    };
+    let mut payload = Vec::with_capacity(spec.encoded_len());
+    spec.put(&mut |bytes: &[u8]| payload.extend_from_slice(bytes));
+    // Base64 is ASCII.
+    String::from_utf8_lossy(&payload).into_owned()
+}
+
+/// What the answer to an INIT says: the task, and its end where that came in its place.
+fn triggered(
+    state: i64,
+    id: i64,
+    text: String,
+) -> Result<(Triggered, Option<Status>), TriggerError> {
     let Some(task) = u32::try_from(id).ok().and_then(TaskId::new) else {
         return Err(TriggerError::Refused { id, reason: text });
     };
-    // A server of ours that has the end already tells it in place of its INIT's answer.
     let ended = State::from_code(state).filter(|state| state.is_final());
-    Ok(Triggered {
+    let ended = ended.map(|state| Status {
+        state,
+        text: text.clone(),
+    });
+    let task = Triggered {
         id: task,
-        ended: ended.map(|state| Status {
-            state,
-            text: text.clone(),
-        }),
         reply: text,
-    })
+    };
+    Ok((task, ended))
 }
 
 fn status(state: i64, text: String) -> Result<Status, RequestError> {

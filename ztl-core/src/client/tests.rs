@@ -40,7 +40,7 @@ impl Desk {
         let (envelope, body) = self.written(|client, now, sink| Some(client.probe(now, sink)));
         assert_eq!(body, "$ztl;2;-1;probe");
         let reply =
-            std::format!("$ztl;5;-1;{{ztl: 1, version: '0.1.0', boot: {boot}, scopes: {{}}}}");
+            std::format!("$ztl;5;0;{{ztl: 1, version: '0.1.0', boot: {boot}, scopes: {{}}}}");
         self.client.handle_reply(envelope, reply.as_bytes());
         assert_eq!(self.client.server(), Server::Ours { boot });
     }
@@ -137,7 +137,7 @@ fn the_answer_to_an_init_is_learnt_afterwards() {
 fn an_init_that_never_came_is_known_not_to_have_started() {
     let mut desk = Desk::new();
     let asked = desk.outcome();
-    let reply = b"$ztl;2;-1;never seen since boot 4711";
+    let reply = b"$ztl;2;0;never seen since boot 4711";
     assert_eq!(
         desk.client.handle_reply(asked, reply),
         Some(Heard::NeverStarted)
@@ -148,7 +148,7 @@ fn an_init_that_never_came_is_known_not_to_have_started() {
 fn after_a_restart_of_the_server_the_fate_is_unknown() {
     let mut desk = Desk::new();
     let asked = desk.outcome();
-    let reply = b"$ztl;2;-1;never seen since boot 4712";
+    let reply = b"$ztl;2;0;never seen since boot 4712";
     assert_eq!(
         desk.client.handle_reply(asked, reply),
         Some(Heard::FateUnknown)
@@ -186,5 +186,22 @@ fn large_numbers_are_written_whole() {
         let mut text = Vec::new();
         put_u64(number, &mut |bytes: &[u8]| text.extend_from_slice(bytes));
         assert_eq!(String::from_utf8(text).unwrap(), std::format!("{number}"));
+    }
+}
+
+/// Found through a proxy that hid the envelope: the server could not read the question, and the
+/// client told its refusal as the INIT's.
+#[test]
+fn a_question_that_was_not_understood_leaves_the_fate_unknown() {
+    for reply in [
+        &b"$ztl;2;0;Invalid request"[..],
+        b"$ztl;2;0;too many clients at a time, try again in a minute",
+        b"$ztl;2;-1;No controller for scope: $ztl",
+        b"/lab;1;7;ok",
+    ] {
+        let mut desk = Desk::new();
+        let asked = desk.outcome();
+        let heard = desk.client.handle_reply(asked, reply);
+        assert_eq!(heard, Some(Heard::FateUnknown));
     }
 }

@@ -25,21 +25,14 @@ impl<M: Memory> Dispatcher<M> {
         match (status, message.payload, asker.envelope) {
             (true, "probe", _) => {
                 let probe = Probe(self);
-                let mut reply = Reply::refusal(RESERVED_SCOPE, ReplyText::Probe(&probe));
-                reply.state = State::Completed;
-                out(asker.peer, &reply);
+                let text = ReplyText::Probe(&probe);
+                out(asker.peer, &Reply::reserved(State::Completed, text));
             }
             (true, payload, Some(envelope)) => match asked_outcome(payload) {
                 Some(number) => self.on_outcome(now, asker.peer, envelope, number, out),
-                None => out(
-                    asker.peer,
-                    &Reply::refusal(RESERVED_SCOPE, ReplyText::Plain(invalid)),
-                ),
+                None => out(asker.peer, &refusal(invalid)),
             },
-            _ => out(
-                asker.peer,
-                &Reply::refusal(RESERVED_SCOPE, ReplyText::Plain(invalid)),
-            ),
+            _ => out(asker.peer, &refusal(invalid)),
         }
     }
 
@@ -53,12 +46,11 @@ impl<M: Memory> Dispatcher<M> {
         out: &mut impl FnMut(M::Peer, &Reply<'_>),
     ) {
         let client = asker.client;
-        let plain = |text| Reply::refusal(RESERVED_SCOPE, ReplyText::Plain(text));
         if let Some(known) = self.memory.last_init(client)
             && known.number >= number
         {
             if known.number > number {
-                return out(peer, &plain("settled by a later INIT"));
+                return out(peer, &refusal("settled by a later INIT"));
             }
             match &known.first {
                 First::Pending(task) => {
@@ -81,22 +73,22 @@ impl<M: Memory> Dispatcher<M> {
         let void = LastInit {
             client,
             number,
+            early_end: false,
             first: First::<M::Text>::Void,
             until: Some(now + KEEP_INIT),
         };
         let boot = self.config.boot;
-        if self.memory.remember(void) {
-            out(
-                peer,
-                &Reply::refusal(RESERVED_SCOPE, ReplyText::NeverSeen { boot }),
-            );
+        let reply = if self.memory.remember(void) {
+            Reply::reserved(State::Rejected, ReplyText::NeverSeen { boot })
         } else {
-            out(
-                peer,
-                &plain("too many clients at a time, try again in a minute"),
-            );
-        }
+            refusal("too many clients at a time, try again in a minute")
+        };
+        out(peer, &reply);
     }
+}
+
+fn refusal(reason: &str) -> Reply<'_> {
+    Reply::reserved(State::Rejected, ReplyText::Plain(reason))
 }
 
 fn asked_outcome(payload: &str) -> Option<u64> {

@@ -337,11 +337,22 @@ fn an_abort_of_a_task_that_is_then_refused_is_answered_too() {
 impl Lab {
     /// A request of client 7 with this number.
     fn ours(&mut self, peer: u8, number: u64, request: &str) -> Option<(&'static str, u32)> {
+        self.wishing(peer, number, false, request)
+    }
+
+    fn wishing(
+        &mut self,
+        peer: u8,
+        number: u64,
+        early_end: bool,
+        request: &str,
+    ) -> Option<(&'static str, u32)> {
         let answers = &mut self.answers;
         let mut out = |peer, reply: &Reply<'_>| answers.push((peer, text(reply)));
         let envelope = Envelope {
             client: ClientId([7; 16]),
             number,
+            early_end,
         };
         let body = Body::One(request.as_bytes());
         let action =
@@ -395,12 +406,11 @@ fn the_outcome_of_an_init_is_told_or_it_is_refused_for_good() {
     lab.ours(2, 6, "$ztl;2;-1;outcome 5");
     lab.told(&[]);
     lab.event(1, TaskEvent::Accepted { reply: "ok" });
-    lab.pass(Duration::from_millis(3));
-    lab.told(&[(2, "$ztl;1;1;ok"), (1, "/test;1;1;ok")]);
+    lab.told(&[(1, "/test;1;1;ok"), (2, "$ztl;1;1;ok")]);
     lab.ours(2, 7, "$ztl;2;-1;outcome 5");
     lab.told(&[(2, "$ztl;1;1;ok")]);
     lab.ours(2, 9, "$ztl;2;-1;outcome 8");
-    lab.told(&[(2, "$ztl;2;-1;never seen since boot 4711")]);
+    lab.told(&[(2, "$ztl;2;0;never seen since boot 4711")]);
     assert_eq!(lab.ours(2, 8, "/test;1;-1;x"), None, "it comes after all");
     lab.told(&[(2, "/test;2;-1;this INIT was given up by its client")]);
 }
@@ -433,13 +443,21 @@ fn an_answered_init_is_remembered_for_a_minute() {
 }
 
 #[test]
-fn a_quick_end_comes_with_the_answer_to_the_init() {
+fn a_quick_end_comes_in_place_of_the_reply_where_the_client_wishes_it() {
     let mut lab = Lab::new();
-    lab.ours(1, 5, "/test;1;-1;x");
+    lab.wishing(1, 5, true, "/test;1;-1;x");
     lab.event(1, TaskEvent::Accepted { reply: "ok" });
     lab.told(&[]);
     lab.event(1, TaskEvent::Completed { result: "40" });
     lab.told(&[(1, "/test;5;1;40")]);
+    // One that takes longer is answered as always, and so is one without the wish.
+    lab.wishing(1, 6, true, "/test;1;-1;x");
+    lab.event(2, TaskEvent::Accepted { reply: "ok" });
+    lab.pass(Duration::from_millis(3));
+    lab.told(&[(1, "/test;1;2;ok")]);
+    lab.ours(1, 7, "/test;1;-1;x");
+    lab.event(3, TaskEvent::Accepted { reply: "ok" });
+    lab.told(&[(1, "/test;1;3;ok")]);
 }
 
 #[test]
@@ -471,6 +489,7 @@ fn a_server_with_too_many_clients_refuses_what_it_could_not_keep_its_word_about(
         let envelope = Envelope {
             client: ClientId([client; 16]),
             number: 1,
+            early_end: false,
         };
         let body = Body::One(b"/test;1;-1;x");
         lab.dispatcher
@@ -493,7 +512,7 @@ fn the_reserved_scope_tells_who_the_server_is() {
     lab.told(&[(
         3,
         &std::format!(
-            "$ztl;5;-1;{{ztl: 1, version: '{version}', boot: 4711, scopes: {{'/test': {{}}, '/other': {{}}}}, running: {{2: '/test'}}}}"
+            "$ztl;5;0;{{ztl: 1, version: '{version}', boot: 4711, scopes: {{'/test': {{}}, '/other': {{}}}}, running: {{2: '/test'}}}}"
         ),
     )]);
     for request in [
@@ -504,11 +523,11 @@ fn the_reserved_scope_tells_who_the_server_is() {
     ] {
         assert_eq!(lab.ask(3, request), None);
         let (_, answer) = lab.answers.pop().unwrap();
-        assert!(answer.starts_with("$ztl;2;-1;Invalid request"), "{answer}");
+        assert!(answer.starts_with("$ztl;2;0;Invalid request"), "{answer}");
     }
     for payload in ["outcome", "outcome x", "outcome -1"] {
         lab.ours(3, 9, &std::format!("$ztl;2;-1;{payload}"));
         let (_, answer) = lab.answers.pop().unwrap();
-        assert!(answer.starts_with("$ztl;2;-1;Invalid request"), "{answer}");
+        assert!(answer.starts_with("$ztl;2;0;Invalid request"), "{answer}");
     }
 }

@@ -126,11 +126,13 @@ impl<'de> Reader<'de> {
             return Err(GoalError::expected(self.at(), expected));
         };
         let mut items = Items { reader: self, open };
-        let value = visitor.visit_map(&mut items).map_err(|error| match error.kind {
-            // Found before the value is read, so the key is still the last.
-            GoalErrorKind::DuplicateField(_) => error.or_at(items.reader.last_key()),
-            _ => error,
-        })?;
+        let value = visitor
+            .visit_map(&mut items)
+            .map_err(|error| match error.kind {
+                // Found before the value is read, so the key is still the last.
+                GoalErrorKind::DuplicateField(_) => error.or_at(items.reader.last_key()),
+                _ => error,
+            })?;
         if items.reader.more(&mut items.open)? {
             return Err(GoalError::new(self.at(), GoalErrorKind::WrongLength));
         }
@@ -384,7 +386,7 @@ impl<'de> VariantAccess<'de> for &mut Items<'_, 'de> {
         value.map_err(|error| error.or_at(at))
     }
 
-    fn struct_variant<V: Visitor<'de>>(self, fields: &[&str], visitor: V) -> Result<V::Value> {
+    fn struct_variant<V: Visitor<'de>>(self, _: &[&str], visitor: V) -> Result<V::Value> {
         let at = self.reader.at();
         let value = self.reader.deserialize_struct("", &[], visitor);
         value.map_err(|error| error.or_at(at))

@@ -96,7 +96,7 @@ fn put_shortest(bits: Bits, sink: &mut (impl Sink + ?Sized)) {
         0 => (0, 0),
         magnitude => bits.format.shortest(magnitude),
     };
-    let text = Text::of(digits);
+    let text = Decimal::of(digits);
     if bits.negative {
         sink.put(b"-");
     }
@@ -126,7 +126,7 @@ fn put_fixed(bits: Bits, decimals: i32, sink: &mut (impl Sink + ?Sized)) {
         sink.put(b"-");
     }
     let (digits, power) = rounded.unwrap_or((0, 0));
-    put_digits(Text::of(digits).digits(), power, decimals, sink);
+    put_digits(Decimal::of(digits).digits(), power, decimals, sink);
 }
 
 /// Writes the number whose first digit stands for `10^power`, with so many digits after the point;
@@ -143,12 +143,12 @@ fn put_digits(digits: &[u8], power: i32, decimals: i32, sink: &mut (impl Sink + 
 }
 
 /// A whole number in decimal.
-pub(super) struct Text {
+pub(super) struct Decimal {
     buffer: [u8; 20],
     first: usize,
 }
 
-impl Text {
+impl Decimal {
     pub(super) fn of(mut number: u64) -> Self {
         let mut text = Self {
             buffer: [b'0'; 20],

@@ -6,7 +6,10 @@ use super::decimal::{F32, F64};
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Number {
     /// A whole number of 64 bits.
-    Whole { negative: bool, magnitude: u64 },
+    Whole {
+        negative: bool,
+        magnitude: u64,
+    },
     /// Any other, as `mantissa × 10^exponent`.
     Decimal {
         negative: bool,
@@ -17,7 +20,9 @@ pub(super) enum Number {
         /// Whether it was written without point and exponent: a whole number of more than 64 bits.
         whole: bool,
     },
-    Infinite { negative: bool },
+    Infinite {
+        negative: bool,
+    },
     NotANumber,
 }
 

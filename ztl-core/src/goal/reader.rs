@@ -1,8 +1,8 @@
 //! The goal's text, read from left to right: blanks, brackets, plain texts and texts in quotes.
 
+use super::MAX_DEPTH;
 use super::error::{Expected, GoalError, GoalErrorKind};
 use super::quoted;
-use super::MAX_DEPTH;
 
 /// A place in a goal's text, and what is needed to go on from there.
 pub(super) struct Reader<'de> {
@@ -246,7 +246,8 @@ impl<'de> Reader<'de> {
         };
         let available = self.used + scratch.len();
         let unescaped = quoted.unescape(scratch);
-        let len = unescaped.map_err(|at| GoalError::new(start + 1 + at, GoalErrorKind::BadEscape))?;
+        let len =
+            unescaped.map_err(|at| GoalError::new(start + 1 + at, GoalErrorKind::BadEscape))?;
         let Some((text, left)) = scratch.split_at_mut_checked(len) else {
             let needed = self.used + len;
             let kind = GoalErrorKind::ScratchTooSmall { needed, available };

@@ -1,10 +1,11 @@
 //! serde's calls, written as Python writes the value.
 
-use core::fmt::{self, Write as _};
+use core::fmt::Display;
 
 use serde::ser::{self, Serialize, Serializer};
 
 use super::MAX_DEPTH;
+use super::display::{put_display, put_quoted_display};
 use super::error::WriteError;
 use super::floats::{Decimal, Floats};
 use crate::repr::put_quoted;
@@ -48,18 +49,11 @@ impl<'s, S: Sink + ?Sized, F: Floats> Writer<'s, S, F> {
         Ok(())
     }
 
-    fn close(&mut self, bracket: &[u8]) {
-        self.depth -= 1;
-        self.sink.put(bracket);
-    }
-
-    fn items(&mut self, open: &[u8], close: &'static [u8]) -> Started<'_, 's, S, F> {
-        self.open(open)?;
-        Ok(Items {
-            writer: self,
-            first: true,
-            close,
-        })
+    /// Closes as many collections as there are brackets.
+    fn close(&mut self, brackets: &[u8]) -> Result {
+        self.depth = self.depth.saturating_sub(brackets.len() as u8);
+        self.sink.put(brackets);
+        Ok(())
     }
 
     /// Begins `{'variant': value}`.
@@ -71,20 +65,67 @@ impl<'s, S: Sink + ?Sized, F: Floats> Writer<'s, S, F> {
     }
 }
 
-macro_rules! integers {
+/// A collection that is being written.
+pub(super) struct Items<'w, 's, S: ?Sized, F> {
+    writer: &'w mut Writer<'s, S, F>,
+    first: bool,
+    close: &'static [u8],
+}
+
+type Started<'w, 's, S, F> = core::result::Result<Items<'w, 's, S, F>, WriteError>;
+
+impl<'w, 's, S: Sink + ?Sized, F: Floats> Items<'w, 's, S, F> {
+    fn new(
+        writer: &'w mut Writer<'s, S, F>,
+        open: &[u8],
+        close: &'static [u8],
+    ) -> Started<'w, 's, S, F> {
+        writer.open(open)?;
+        Ok(Self {
+            writer,
+            first: true,
+            close,
+        })
+    }
+
+    fn item<T: Serialize + ?Sized>(&mut self, value: &T) -> Result {
+        if !self.first {
+            self.writer.sink.put(b", ");
+        }
+        self.first = false;
+        value.serialize(&mut *self.writer)
+    }
+
+    fn value<T: Serialize + ?Sized>(&mut self, value: &T) -> Result {
+        self.writer.sink.put(b": ");
+        value.serialize(&mut *self.writer)
+    }
+
+    fn field<T: Serialize + ?Sized>(&mut self, name: &str, value: &T) -> Result {
+        self.item(name)?;
+        self.value(value)
+    }
+
+    fn finish(self) -> Result {
+        self.writer.close(self.close)
+    }
+}
+
+macro_rules! as_i64 {
     ($($method:ident $type:ty)*) => {
         $(fn $method(self, value: $type) -> Result {
-            #[expect(unused_comparisons, reason = "some of the types have no sign")]
-            if value < 0 {
-                self.sink.put(b"-");
-            }
-            self.sink.put(Decimal::of(i128::from(value).unsigned_abs() as u64).digits());
-            Ok(())
+            self.serialize_i64(value.into())
         })*
     };
 }
 
-type Started<'w, 's, S, F> = core::result::Result<Items<'w, 's, S, F>, WriteError>;
+macro_rules! as_u64 {
+    ($($method:ident $type:ty)*) => {
+        $(fn $method(self, value: $type) -> Result {
+            self.serialize_u64(value.into())
+        })*
+    };
+}
 
 impl<'w, 's, S: Sink + ?Sized, F: Floats> Serializer for &'w mut Writer<'s, S, F> {
     type Ok = ();
@@ -96,4 +137,194 @@ impl<'w, 's, S: Sink + ?Sized, F: Floats> Serializer for &'w mut Writer<'s, S, F
     type SerializeMap = Items<'w, 's, S, F>;
     type SerializeStruct = Items<'w, 's, S, F>;
     type SerializeStructVariant = Items<'w, 's, S, F>;
+
+    fn serialize_bool(self, value: bool) -> Result {
+        self.sink.put(if value { b"True" } else { b"False" });
+        Ok(())
+    }
+
+    as_i64! { serialize_i8 i8 serialize_i16 i16 serialize_i32 i32 }
+    as_u64! { serialize_u8 u8 serialize_u16 u16 serialize_u32 u32 }
+
+    fn serialize_i64(self, value: i64) -> Result {
+        if value < 0 {
+            self.sink.put(b"-");
+        }
+        self.serialize_u64(value.unsigned_abs())
+    }
+
+    fn serialize_u64(self, value: u64) -> Result {
+        self.sink.put(Decimal::of(value).digits());
+        Ok(())
+    }
+
+    fn serialize_f32(self, value: f32) -> Result {
+        self.floats.put_f32(value, self.sink);
+        Ok(())
+    }
+
+    fn serialize_f64(self, value: f64) -> Result {
+        self.floats.put_f64(value, self.sink);
+        Ok(())
+    }
+
+    fn serialize_char(self, value: char) -> Result {
+        self.text(value.encode_utf8(&mut [0; 4]))
+    }
+
+    fn serialize_str(self, value: &str) -> Result {
+        self.text(value)
+    }
+
+    fn serialize_bytes(self, value: &[u8]) -> Result {
+        self.collect_seq(value)
+    }
+
+    fn serialize_none(self) -> Result {
+        self.serialize_unit()
+    }
+
+    fn serialize_some<T: Serialize + ?Sized>(self, value: &T) -> Result {
+        value.serialize(self)
+    }
+
+    fn serialize_unit(self) -> Result {
+        self.sink.put(b"None");
+        Ok(())
+    }
+
+    fn serialize_unit_struct(self, _: &str) -> Result {
+        self.serialize_unit()
+    }
+
+    fn serialize_unit_variant(self, _: &str, _: u32, variant: &str) -> Result {
+        self.text(variant)
+    }
+
+    fn serialize_newtype_struct<T: Serialize + ?Sized>(self, _: &str, value: &T) -> Result {
+        value.serialize(self)
+    }
+
+    fn serialize_newtype_variant<T: Serialize + ?Sized>(
+        self,
+        _: &str,
+        _: u32,
+        variant: &str,
+        value: &T,
+    ) -> Result {
+        self.variant(variant)?;
+        value.serialize(&mut *self)?;
+        self.close(b"}")
+    }
+
+    fn serialize_seq(self, _: Option<usize>) -> Started<'w, 's, S, F> {
+        Items::new(self, b"[", b"]")
+    }
+
+    fn serialize_tuple(self, _: usize) -> Started<'w, 's, S, F> {
+        Items::new(self, b"[", b"]")
+    }
+
+    fn serialize_tuple_struct(self, _: &str, _: usize) -> Started<'w, 's, S, F> {
+        Items::new(self, b"[", b"]")
+    }
+
+    fn serialize_tuple_variant(
+        self,
+        _: &str,
+        _: u32,
+        variant: &str,
+        _: usize,
+    ) -> Started<'w, 's, S, F> {
+        self.variant(variant)?;
+        Items::new(self, b"[", b"]}")
+    }
+
+    fn serialize_map(self, _: Option<usize>) -> Started<'w, 's, S, F> {
+        Items::new(self, b"{", b"}")
+    }
+
+    fn serialize_struct(self, _: &str, _: usize) -> Started<'w, 's, S, F> {
+        Items::new(self, b"{", b"}")
+    }
+
+    fn serialize_struct_variant(
+        self,
+        _: &str,
+        _: u32,
+        variant: &str,
+        _: usize,
+    ) -> Started<'w, 's, S, F> {
+        self.variant(variant)?;
+        Items::new(self, b"{", b"}}")
+    }
+
+    fn collect_str<T: Display + ?Sized>(self, value: &T) -> Result {
+        let written = if self.depth == 0 {
+            put_display(value, self.sink)
+        } else {
+            put_quoted_display(value, self.sink)
+        };
+        written.map_err(|_| WriteError::Refused)
+    }
+}
+
+macro_rules! items {
+    ($($trait:ident $method:ident)*) => {
+        $(impl<S: Sink + ?Sized, F: Floats> ser::$trait for Items<'_, '_, S, F> {
+            type Ok = ();
+            type Error = WriteError;
+
+            fn $method<T: Serialize + ?Sized>(&mut self, value: &T) -> Result {
+                self.item(value)
+            }
+
+            fn end(self) -> Result {
+                self.finish()
+            }
+        })*
+    };
+}
+
+items! {
+    SerializeSeq serialize_element
+    SerializeTuple serialize_element
+    SerializeTupleStruct serialize_field
+    SerializeTupleVariant serialize_field
+}
+
+macro_rules! fields {
+    ($($trait:ident)*) => {
+        $(impl<S: Sink + ?Sized, F: Floats> ser::$trait for Items<'_, '_, S, F> {
+            type Ok = ();
+            type Error = WriteError;
+
+            fn serialize_field<T: Serialize + ?Sized>(&mut self, name: &'static str, value: &T) -> Result {
+                self.field(name, value)
+            }
+
+            fn end(self) -> Result {
+                self.finish()
+            }
+        })*
+    };
+}
+
+fields! { SerializeStruct SerializeStructVariant }
+
+impl<S: Sink + ?Sized, F: Floats> ser::SerializeMap for Items<'_, '_, S, F> {
+    type Ok = ();
+    type Error = WriteError;
+
+    fn serialize_key<T: Serialize + ?Sized>(&mut self, key: &T) -> Result {
+        self.item(key)
+    }
+
+    fn serialize_value<T: Serialize + ?Sized>(&mut self, value: &T) -> Result {
+        self.value(value)
+    }
+
+    fn end(self) -> Result {
+        self.finish()
+    }
 }

@@ -284,7 +284,8 @@ impl TaskServer {
         };
         let socket = &self.socket;
         let envelope = match frames.as_slice() {
-            [_identity, client, number, _delimiter] => Envelope::parse(client, number),
+            // A proxy on the way puts its own frames before these two.
+            [_identity, .., client, number, _delimiter] => Envelope::parse(client, number),
             _ => None,
         };
         let mut out = |peer, reply: &Reply<'_>| answer(socket, peer, reply);

@@ -8,6 +8,7 @@ use ztl_std::TaskServer;
 use ztl_std::gateway::{Endpoint, Gateway as Devices};
 
 use crate::terminal::line;
+use crate::tool::unreachable;
 use crate::{Done, log, signals};
 
 #[derive(Debug, clap::Args)]
@@ -48,12 +49,8 @@ fn device(text: &str) -> Result<(String, Endpoint), String> {
 impl Gateway {
     pub(crate) fn run(self) -> Done {
         log::init(Level::INFO);
-        if self.scope.contains(';') {
-            return Err(format!(
-                "the scope '{}' contains ';', so no client can reach it; write it as /lab",
-                self.scope
-            )
-            .into());
+        if let Some(error) = unreachable(&self.scope) {
+            return Err(error.into());
         }
         let mut names = BTreeSet::new();
         for (name, _) in &self.devices {

@@ -1,6 +1,7 @@
 //! `ztl task-client`: a task on a server, with the original's options and output (wire
 //! specification 7.2).
 
+use std::net::ToSocketAddrs;
 use std::process::ExitCode;
 use std::time::Duration;
 
@@ -9,6 +10,7 @@ use tracing::Level;
 use ztl_std::{RemoteTask, State, Status, TaskId, TaskSpec, TriggerError};
 
 use crate::terminal::line;
+use crate::tool::whole;
 use crate::{Done, log, signals};
 
 #[derive(Debug, clap::Args)]
@@ -21,7 +23,7 @@ pub(crate) struct TaskClient {
     remote: String,
 
     /// The port on the remote host that should execute the task
-    #[arg(short, long)]
+    #[arg(short, long, value_parser = whole::<u16>)]
     port: u16,
 
     /// The scope that the server is listening to
@@ -29,7 +31,7 @@ pub(crate) struct TaskClient {
     scope: String,
 
     /// Seconds to wait for the task to end before it is aborted; 0 or less waits for ever
-    #[arg(short, long, default_value_t = -1, allow_negative_numbers = true)]
+    #[arg(short, long, default_value_t = -1, allow_negative_numbers = true, value_parser = whole::<i64>)]
     timeout: i64,
 
     /// Tell the task's fate by the exit code (the original's is always 0)
@@ -80,6 +82,14 @@ impl TaskClient {
         })
     }
 
+    /// What is wrong with the host's name, if it has no address.
+    fn nameless(&self) -> String {
+        match (self.remote.as_str(), self.port).to_socket_addrs() {
+            Ok(_) => String::new(),
+            Err(_) => format!("; no host '{}' is known", self.remote),
+        }
+    }
+
     fn play(&self, remote: &mut RemoteTask, spec: &TaskSpec<'_>) -> u8 {
         let mut request = vec![0; spec.encoded_len()];
         let encoded = spec.encode_into(&mut request).unwrap_or_default();
@@ -89,7 +99,7 @@ impl TaskClient {
             Err(error) => {
                 let (id, reason, fate) = match error {
                     TriggerError::Refused { id, reason } => (id, reason, 1),
-                    other => (-1, other.to_string(), UNKNOWN),
+                    other => (-1, format!("{other}{}", self.nameless()), UNKNOWN),
                 };
                 line(format_args!(
                     "Task '{id}' could not be triggered: '{reason}'."

@@ -9,12 +9,13 @@ use ztl_std::{
 };
 
 use crate::terminal::line;
+use crate::tool::{unreachable, whole};
 use crate::{Done, log, signals};
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct TaskServer {
     /// The port on the local machine that the server should listen to
-    #[arg(short, long)]
+    #[arg(short, long, value_parser = whole::<u16>)]
     port: u16,
 
     /// The scope that the server should respond to
@@ -25,6 +26,9 @@ pub(crate) struct TaskServer {
 impl TaskServer {
     pub(crate) fn run(self) -> Done {
         log::init(Level::INFO);
+        if let Some(error) = unreachable(&self.scope) {
+            return Err(error.into());
+        }
         // Every interface, as the original.
         let mut server = Server::bind(&format!("tcp://*:{}", self.port))?;
         server.register(&self.scope, TestController);

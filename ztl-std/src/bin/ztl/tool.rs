@@ -9,7 +9,8 @@ use std::path::Path;
 use std::process::ExitCode;
 
 use clap::error::{ContextKind, ContextValue, ErrorKind};
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, Parser, Subcommand};
+use ztl_core::integer::Integer;
 
 use crate::{Done, task_client, task_server};
 
@@ -73,6 +74,20 @@ impl Tool {
     }
 }
 
+/// A whole number as Python's `int()` reads it, for options of the original.
+pub(crate) fn whole<N: TryFrom<i64>>(text: &str) -> Result<N, String> {
+    let number = Integer::parse(text).map_err(|_| "a whole number is needed".to_owned())?;
+    let number = number.value().and_then(|number| N::try_from(number).ok());
+    number.ok_or_else(|| "the number is too small or too large".to_owned())
+}
+
+/// Why a scope cannot be served.
+pub(crate) fn unreachable(scope: &str) -> Option<String> {
+    scope.contains(';').then(|| {
+        format!("the scope '{scope}' contains ';', so no client can reach it; write it as /lab")
+    })
+}
+
 /// Runs a tool, when one is called for by the program's name or by the first argument.
 pub(crate) fn run(args: &[OsString]) -> Option<ExitCode> {
     let (program, rest) = args.split_first()?;
@@ -121,26 +136,24 @@ fn parse(called: &str, tool: &str, rest: &[OsString]) -> Result<Tool, ExitCode> 
             print!("{text}");
             return Err(ExitCode::SUCCESS);
         }
-        let mut lines = text.lines();
         // In argparse's order: how it is used, then what was wrong.
-        let usage = lines
-            .clone()
-            .find_map(|line| line.strip_prefix("Usage: "))
-            .map_or_else(String::new, |usage| {
-                format!(
-                    "usage: {}\n",
-                    usage.replacen(&format!("ztl {tool}"), called, 1)
-                )
-            });
-        let wrong: Vec<&str> = lines
-            .by_ref()
+        let usage = usage(called, tool);
+        let wrong: Vec<&str> = text
+            .lines()
             .take_while(|line| !line.starts_with("Usage: ") && !line.starts_with("For more"))
             .map(|line| line.trim_start_matches("error: ").trim())
             .filter(|line| !line.is_empty())
             .collect();
-        eprintln!("{usage}{called}: error: {}", wrong.join(" "));
+        eprintln!("{usage}\n{called}: error: {}", wrong.join(" "));
         return Err(ExitCode::from(2));
     }
+}
+
+fn usage(called: &str, tool: &str) -> String {
+    let mut command = ToolOnly::command();
+    let tool = command.find_subcommand_mut(tool);
+    let usage = tool.map(|tool| tool.clone().bin_name(called).render_usage().to_string());
+    usage.unwrap_or_default().replacen("Usage:", "usage:", 1)
 }
 
 /// Where the argument stands that is not known.

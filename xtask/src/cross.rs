@@ -1,0 +1,180 @@
+//! What it takes to build for a bare target: `core` for it, and a linker.
+
+use std::env;
+use std::fs;
+use std::os::unix::fs::symlink;
+use std::path::{Path, PathBuf};
+
+use crate::cmd::{Cmd, Outcome};
+use crate::{Dirs, tools};
+
+/// The smallest ARM core, without atomic read-modify-write or division; one with a floating-point
+/// unit; and a RISC-V one without atomics.
+pub(crate) const TARGETS: [&str; 3] = [
+    SMALLEST,
+    "thumbv7em-none-eabihf",
+    "riscv32imc-unknown-none-elf",
+];
+
+/// A Cortex-M0, for what is shown on one target only.
+pub(crate) const SMALLEST: &str = "thumbv6m-none-eabi";
+
+/// Debian's compiler and, for where rustup has no such target to give, the source of `core`.
+const DEBIAN_RUSTC: &str = "/usr/bin/rustc";
+const DEBIAN_PACKAGES: &[&str] = &["rustc-web", "rust-web-src"];
+
+/// Where `core` comes from.
+pub(crate) enum Core {
+    /// Compiled, in this directory of the compiler's libraries.
+    Compiled(PathBuf),
+    /// Compiled by Cargo from the source that Debian ships.
+    Source,
+}
+
+/// Asks rustup for all targets that are lacking, in one go.
+pub(crate) fn add_all() {
+    let lacking: Vec<&str> = TARGETS
+        .into_iter()
+        .filter(|target| compiled_core(target).is_none())
+        .collect();
+    add(&lacking);
+}
+
+fn add(targets: &[&str]) {
+    if targets.is_empty() || !tools::has("rustup") {
+        return;
+    }
+    let add = Cmd::new("rustup target add").args(&targets.join(" "));
+    if let Err(error) = add.run() {
+        println!("{error}; trying Debian's packages instead");
+    }
+}
+
+impl Core {
+    /// Finds `core` for this target, and installs it if need be.
+    pub(crate) fn provide(target: &str) -> Outcome<Self> {
+        if let Some(libraries) = compiled_core(target) {
+            return Ok(Self::Compiled(libraries));
+        }
+        add(&[target]);
+        if let Some(libraries) = compiled_core(target) {
+            return Ok(Self::Compiled(libraries));
+        }
+        if !debian_source_fits() {
+            tools::install(DEBIAN_PACKAGES).map_err(|error| {
+                format!("there is no `core` for {target}, and rustup does not provide it; {error}")
+            })?;
+        }
+        Ok(Self::Source)
+    }
+
+    /// `cargo build` for the target.
+    pub(crate) fn cargo_build(&self, target: &str, target_dir: &Path) -> Cmd {
+        let build = Cmd::new("cargo build --target")
+            .arg(target)
+            .arg("--target-dir")
+            .arg(target_dir);
+        match self {
+            Self::Compiled(_) => build,
+            // Building `core` is not stable yet; the second variable lets a stable compiler do it.
+            Self::Source => build
+                .env("RUSTC", DEBIAN_RUSTC)
+                .env("RUSTC_BOOTSTRAP", "1")
+                .env("CARGO_UNSTABLE_BUILD_STD", "core,compiler_builtins")
+                .env("CARGO_UNSTABLE_BUILD_STD_FEATURES", "compiler-builtins-mem"),
+        }
+    }
+
+    /// The same command, with the linker `rust-lld` at hand. rustup's compiler brings one along.
+    pub(crate) fn with_linker(&self, dirs: &Dirs, build: Cmd) -> Outcome<Cmd> {
+        match self {
+            Self::Compiled(_) => Ok(build),
+            Self::Source => {
+                let mut path = vec![provide_linker(dirs)?];
+                path.extend(env::split_paths(&env::var_os("PATH").unwrap_or_default()));
+                let path = env::join_paths(path)
+                    .map_err(|error| format!("cannot put the linker on the PATH: {error}"))?;
+                Ok(build.env("PATH", path))
+            }
+        }
+    }
+
+    /// The version of the compiler in use.
+    pub(crate) fn compiler(&self) -> Outcome<String> {
+        let rustc = match self {
+            Self::Compiled(_) => Cmd::new("rustc"),
+            Self::Source => Cmd::new(DEBIAN_RUSTC),
+        };
+        rustc.arg("--version").stdout()
+    }
+}
+
+/// The directory with the compiler's libraries for the target, if it has them.
+fn compiled_core(target: &str) -> Option<PathBuf> {
+    let libraries = Cmd::new("rustc --print target-libdir --target")
+        .arg(target)
+        .stdout()
+        .ok()?;
+    let mut entries = fs::read_dir(&libraries).ok()?.flatten();
+    entries
+        .any(|entry| entry.file_name().to_string_lossy().starts_with("libcore-"))
+        .then(|| PathBuf::from(libraries))
+}
+
+/// Whether Debian's compiler and source are there and of the same version.
+fn debian_source_fits() -> bool {
+    let version = |package: &&str| {
+        Cmd::new("dpkg-query --show --showformat ${Version}")
+            .arg(package)
+            .stdout()
+            .ok()
+    };
+    let versions: Vec<_> = DEBIAN_PACKAGES.iter().map(version).collect();
+    matches!(versions.as_slice(), [Some(compiler), Some(source)] if compiler == source)
+}
+
+/// A directory with Debian's linker under the name by which the compiler calls it. Debian packages
+/// it with the LLVM that its compiler uses, and without a common name.
+fn provide_linker(dirs: &Dirs) -> Outcome<PathBuf> {
+    let version = Cmd::new(DEBIAN_RUSTC)
+        .args("--version --verbose")
+        .stdout()?;
+    let llvm = llvm_major(&version)
+        .ok_or_else(|| format!("{DEBIAN_RUSTC} does not tell the version of its LLVM"))?;
+    let linker = PathBuf::from(format!("/usr/lib/llvm-{llvm}/bin/lld"));
+    if !linker.exists() {
+        tools::install(&[&format!("lld-{llvm}")])?;
+    }
+    let directory = dirs.absolute("linker");
+    let name = directory.join("rust-lld");
+    let link = || {
+        fs::create_dir_all(&directory)?;
+        if fs::read_link(&name).is_ok_and(|to| to == linker) {
+            return Ok(());
+        }
+        // One of another version, or none.
+        let _ = fs::remove_file(&name);
+        symlink(&linker, &name)
+    };
+    link().map_err(|error| format!("cannot write {}: {error}", name.display()))?;
+    Ok(directory)
+}
+
+/// The number in `LLVM version: 22.1.0`.
+fn llvm_major(rustc_version: &str) -> Option<&str> {
+    let mut lines = rustc_version.lines();
+    let version = lines.find_map(|line| line.strip_prefix("LLVM version: "))?;
+    version.split('.').next()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_linker_is_that_of_the_compilers_llvm() {
+        let text = "rustc 1.96.0 (built from a source tarball)\nLLVM version: 22.1.8\n";
+        assert_eq!(llvm_major(text), Some("22"));
+        assert_eq!(llvm_major("rustc 1.96.0"), None);
+    }
+}
