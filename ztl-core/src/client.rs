@@ -346,13 +346,25 @@ fn read(body: &[u8]) -> Option<(&str, Answer<'_>)> {
 /// Who answered a probe so.
 fn server(answer: &Answer<'_>) -> Server {
     let boot = (answer.state() == Some(State::Completed))
-        .then(|| answer.text.split_once("boot: "))
+        .then(|| boot_of(answer.text))
         .flatten()
-        .and_then(|(_, rest)| rest.split([',', '}']).next())
         .and_then(|digits| Integer::parse(digits).ok())
         .and_then(Integer::value)
         .and_then(|boot| u32::try_from(boot).ok());
     boot.map_or(Server::Original, |boot| Server::Ours { boot })
+}
+
+/// The digits after `boot: `. By bytes, since of `str::split_once` the compiler cannot see that it
+/// never panics.
+fn boot_of(probed: &str) -> Option<&str> {
+    const KEY: &[u8; 6] = b"boot: ";
+    let at = probed
+        .as_bytes()
+        .windows(KEY.len())
+        .position(|window| window == KEY)?;
+    let rest = probed.get(at + KEY.len()..)?;
+    let end = rest.bytes().position(|byte| matches!(byte, b',' | b'}'));
+    rest.get(..end.unwrap_or(rest.len()))
 }
 
 #[cfg(test)]

@@ -128,8 +128,8 @@ impl<'a> Integer<'a> {
         if self.digits.is_empty() {
             sink.put(b"0");
         }
-        for run in self.digits.split('_') {
-            sink.put(run.as_bytes());
+        for run in self.digits.as_bytes().split(|&byte| byte == b'_') {
+            sink.put(run);
         }
     }
 }

@@ -58,6 +58,14 @@ impl TaskId {
     }
 }
 
+/// Parts `text` at the first `mark`, an ASCII character.
+///
+/// As `str::split_once`, of which the compiler cannot see that it never panics.
+fn split_at_mark(text: &str, mark: char) -> Option<(&str, &str)> {
+    let at = text.bytes().position(|byte| char::from(byte) == mark)?;
+    Some((text.get(..at)?, text.get(at + 1..)?))
+}
+
 impl core::fmt::Display for TaskId {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
         self.get().fmt(f)

@@ -5,6 +5,7 @@
 
 use crate::integer::{Integer, ParseIntegerError};
 use crate::sink::{BufferTooSmall, Sink, SliceSink};
+use crate::split_at_mark;
 
 /// A message as a view over its bytes. Numbers stay text until they are asked for, since which
 /// answer a bad one gets depends on the scope.
@@ -76,14 +77,15 @@ impl<'a> Message<'a> {
             at: error.valid_up_to(),
             scope: first_field(bytes),
         })?;
-        let mut fields = text.splitn(4, ';');
-        let scope = fields.next().unwrap_or_default();
-        let missing = |found| ParseError::MissingFields { found, scope };
+        let missing = |found, scope| ParseError::MissingFields { found, scope };
+        let (scope, rest) = split_at_mark(text, ';').ok_or(missing(1, text))?;
+        let (state, rest) = split_at_mark(rest, ';').ok_or(missing(2, scope))?;
+        let (id, payload) = split_at_mark(rest, ';').ok_or(missing(3, scope))?;
         Ok(Self {
             scope,
-            state: fields.next().ok_or(missing(1))?,
-            id: fields.next().ok_or(missing(2))?,
-            payload: fields.next().ok_or(missing(3))?,
+            state,
+            id,
+            payload,
         })
     }
 

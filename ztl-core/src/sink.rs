@@ -75,11 +75,12 @@ impl<'a> SliceSink<'a> {
 
 impl Sink for SliceSink<'_> {
     fn put(&mut self, bytes: &[u8]) {
-        let end = self.wanted.saturating_add(bytes.len());
-        if let Some(room) = self.buffer.get_mut(self.wanted..end) {
+        // In two steps, so that the compiler sees equal lengths.
+        let rest = self.buffer.get_mut(self.wanted..);
+        if let Some(room) = rest.and_then(|rest| rest.get_mut(..bytes.len())) {
             room.copy_from_slice(bytes);
         }
-        self.wanted = end;
+        self.wanted = self.wanted.saturating_add(bytes.len());
     }
 }
 

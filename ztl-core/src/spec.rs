@@ -3,7 +3,7 @@
 use crate::base64;
 use crate::repr::put_quoted;
 use crate::sink::{BufferTooSmall, Sink, SliceSink};
-use crate::{TaskId, sink};
+use crate::{TaskId, sink, split_at_mark};
 
 /// Separates the three parts; a goal may contain it, handler and component may not.
 pub const SEPARATOR: char = ':';
@@ -65,8 +65,8 @@ impl<'a> TaskSpec<'a> {
     /// # Errors
     /// [`SpecError::NoComponent`] or [`SpecError::NoGoal`] when there are fewer.
     pub fn split(text: &'a str) -> Result<Self, SpecError> {
-        let (handler, rest) = text.split_once(SEPARATOR).ok_or(SpecError::NoComponent)?;
-        let (component, goal) = rest.split_once(SEPARATOR).ok_or(SpecError::NoGoal)?;
+        let (handler, rest) = split_at_mark(text, SEPARATOR).ok_or(SpecError::NoComponent)?;
+        let (component, goal) = split_at_mark(rest, SEPARATOR).ok_or(SpecError::NoGoal)?;
         Ok(Self {
             handler,
             component,

@@ -479,12 +479,10 @@ impl<const TASKS: usize, const FRAME: usize> Inner<'_, TASKS, FRAME> {
             let boot = self.identity.boot;
             let version = VERSION;
             // A delimiter first: it flushes what the line made of the reset.
-            let len = self.encode(NO_SESSION, NO_SEQ, Body::Awake { version, boot })?;
-            self.transmit.copy_within(..len.min(FRAME - 1), 1);
-            if let Some(first) = self.transmit.first_mut() {
-                *first = 0;
-            }
-            return Some(len + 1);
+            let (delimiter, rest) = self.transmit.split_first_mut()?;
+            *delimiter = 0;
+            let body = Body::Awake { version, boot };
+            return encode_into(rest, NO_SESSION, NO_SEQ, body).map(|len| len + 1);
         }
         if core::mem::take(&mut self.answer_due) {
             return self.encode_answer(now);
@@ -524,7 +522,11 @@ impl<const TASKS: usize, const FRAME: usize> Inner<'_, TASKS, FRAME> {
         let mut frame = |body| encode_into(&mut self.transmit, session, seq, body);
         match answer {
             Answer::Welcome => {
-                let ids: Vec<LinkId, TASKS> = self.tasks.iter().map(|(id, _)| *id).collect();
+                // Pushed, since `collect` panics where the compiler cannot see that all fit.
+                let mut ids = Vec::<LinkId, TASKS>::new();
+                for (id, _) in self.tasks.iter() {
+                    let _ = ids.push(*id);
+                }
                 frame(Body::Welcome(Welcome {
                     version: VERSION,
                     name: self.identity.name,
