@@ -1,0 +1,226 @@
+//! What the device says, and what follows from it.
+
+use std::time::Duration;
+
+use ztl_core::link::{Body, Frame, FrameError, LinkId, NO_SEQ, VERSION, Welcome, session_key};
+use ztl_core::{Instant, State, TaskId};
+
+use super::send::frame_bytes;
+use super::{Command, ComponentInfo, DeviceInfo, Event, Phase, Session, Stage};
+
+impl Session {
+    pub(super) fn on_frame(&mut self, now: Instant, frame: Result<(usize, Frame<'_>), FrameError>) {
+        let Ok((place, frame)) = frame else {
+            self.counters.errors += 1;
+            return;
+        };
+        self.counters.frames += 1;
+        match (place, frame.seq, frame.body) {
+            (1, NO_SEQ, Body::Awake { boot, .. }) => self.on_awake(now, boot),
+            (0, NO_SEQ, Body::Welcome(welcome)) => self.on_welcome(now, &welcome),
+            (0, NO_SEQ, Body::Refused { reason }) if self.phase == Phase::Greeting => {
+                self.events.push_back(Event::Refused(reason.to_owned()));
+            }
+            (
+                0,
+                NO_SEQ,
+                Body::Ended {
+                    task,
+                    state,
+                    result,
+                },
+            ) => {
+                // The frame's check covers the session, so it speaks of this device's tasks.
+                if let Some(id) = self.find(task) {
+                    self.end(id, state, result);
+                }
+                let ack = frame_bytes(self.session, NO_SEQ, Body::Ack { task });
+                self.out.extend_from_slice(&ack);
+            }
+            (0, NO_SEQ, Body::Progress { task, text }) => {
+                if let Some(id) = self.find(task) {
+                    self.events.push_back(Event::Progress(id, text.to_owned()));
+                }
+            }
+            (0, seq, body) if seq != NO_SEQ => self.on_answer(now, seq, &body),
+            // Echoes of one's own frames, readings nobody asked for yet.
+            _ => {}
+        }
+    }
+
+    pub(super) fn find(&self, link: LinkId) -> Option<TaskId> {
+        self.tasks
+            .iter()
+            .find(|(_, task)| task.stage.link() == Some(link))
+            .map(|(id, _)| *id)
+    }
+
+    /// A device has started anew: greet it at once.
+    pub(super) fn on_awake(&mut self, now: Instant, boot: u32) {
+        let known = self.device.as_ref().map(|device| device.boot);
+        match self.phase {
+            Phase::Greeting => {
+                let pause = self.repeat_pause();
+                if let Some(in_flight) = &mut self.in_flight {
+                    self.out.extend_from_slice(&in_flight.bytes);
+                    in_flight.repeat = now + pause;
+                }
+            }
+            // A late announcement of the boot that is greeted already changes nothing.
+            Phase::Describing | Phase::Up if known != Some(boot) => {
+                self.lose();
+                self.greet(now);
+            }
+            _ => {}
+        }
+    }
+
+    pub(super) fn on_welcome(&mut self, now: Instant, welcome: &Welcome<'_>) {
+        if self.phase != Phase::Greeting {
+            return;
+        }
+        if welcome.version != VERSION {
+            let reason = format!("it speaks version {} of the link", welcome.version);
+            self.events.push_back(Event::Refused(reason));
+            return;
+        }
+        self.session = session_key(self.session, welcome.boot);
+        self.clock = Some((welcome.clock_ms, now));
+        self.next_link = self.next_link.max(welcome.highest.saturating_add(1));
+        let known = self
+            .device
+            .take()
+            .filter(|device| device.boot == welcome.boot);
+        if known.is_none() {
+            self.on_reset();
+        }
+        let components = known.map(|device| device.components).unwrap_or_default();
+        self.device = Some(DeviceInfo {
+            name: welcome.name.to_owned(),
+            firmware: welcome.firmware.to_owned(),
+            boot: welcome.boot,
+            max_body: usize::from(welcome.max_body),
+            link_timeout: Duration::from_millis(u64::from(welcome.link_timeout_ms)),
+            count: welcome.components,
+            components,
+        });
+        self.compare_held(welcome);
+        self.in_flight = None;
+        self.phase = Phase::Describing;
+        // The first command starts the device's link timer anew.
+        self.describe_next(now);
+    }
+
+    /// Another boot: what the device held is gone.
+    pub(super) fn on_reset(&mut self) {
+        let held: Vec<TaskId> = self
+            .tasks
+            .iter()
+            .filter(|(_, task)| task.stage != Stage::Waiting)
+            .map(|(id, _)| *id)
+            .collect();
+        if !held.is_empty() {
+            self.events.push_back(Event::Reset);
+        }
+        for id in held {
+            self.end(id, State::Failed, "device was reset");
+        }
+    }
+
+    /// What the device holds against what is known here.
+    pub(super) fn compare_held(&mut self, welcome: &Welcome<'_>) {
+        let held: Vec<LinkId> = welcome.held.iter().collect();
+        let ours: Vec<(TaskId, Stage)> = self
+            .tasks
+            .iter()
+            .map(|(id, task)| (*id, task.stage))
+            .collect();
+        for (id, stage) in ours {
+            match stage {
+                Stage::Waiting => {}
+                Stage::Sent(link) if held.contains(&link) => self.on_started(id),
+                // Sent in a session that is over, and never taken: now it never will be.
+                Stage::Sent(link) if link.0 > welcome.highest => {
+                    let reason = "the device did not take it before the link was lost";
+                    self.reject(id, reason.to_owned());
+                }
+                Stage::Running(link) if held.contains(&link) => {}
+                Stage::Sent(_) | Stage::Running(_) => {
+                    self.end(id, State::Failed, "the device no longer holds the task");
+                }
+            }
+        }
+        self.strangers = held
+            .into_iter()
+            .filter(|link| self.find(*link).is_none())
+            .collect();
+    }
+
+    pub(super) fn on_started(&mut self, id: TaskId) {
+        if let Some(task) = self.tasks.get_mut(&id)
+            && let Stage::Sent(link) = task.stage
+        {
+            task.stage = Stage::Running(link);
+            self.events.push_back(Event::Accepted(id));
+        }
+    }
+
+    pub(super) fn describe_next(&mut self, now: Instant) {
+        let Some(device) = &self.device else { return };
+        match u8::try_from(device.components.len()) {
+            Ok(index) if index < device.count => {
+                self.command(now, Command::Describe(index), Body::Describe { index });
+            }
+            _ => {
+                self.phase = Phase::Up;
+                self.events.push_back(Event::Up);
+                self.command(now, Command::Ping, Body::Ping);
+            }
+        }
+    }
+
+    pub(super) fn on_answer(&mut self, now: Instant, seq: u8, body: &Body<'_>) {
+        let Some(in_flight) = self.in_flight.take_if(|in_flight| in_flight.seq == seq) else {
+            return;
+        };
+        if !in_flight.repeated {
+            let measured = now.since(in_flight.sent);
+            // A running mean over some eight answers.
+            self.turnaround = Some(
+                self.turnaround
+                    .map_or(measured, |mean| (mean * 7 + measured) / 8),
+            );
+        }
+        match (in_flight.command, *body) {
+            (Command::Describe(asked), Body::Component { index, offer }) if asked == index => {
+                if let Some(device) = &mut self.device {
+                    device.components.push(ComponentInfo {
+                        name: offer.name.to_owned(),
+                        range: offer.goal.range,
+                        unit: offer.goal.unit.to_owned(),
+                        words: offer
+                            .goal
+                            .words
+                            .split_whitespace()
+                            .map(str::to_owned)
+                            .collect(),
+                        loss: offer.loss,
+                    });
+                }
+                self.describe_next(now);
+            }
+            (Command::Start(id), Body::Started { .. }) => self.on_started(id),
+            (Command::Start(id), Body::Refused { reason }) => self.reject(id, reason.to_owned()),
+            (Command::Ping, Body::Pong { clock_ms, .. }) => self.clock = Some((clock_ms, now)),
+            // The end will be told, or has been.
+            (Command::Abort(link), Body::Aborting { .. } | Body::Refused { .. }) => {
+                if let Some(task) = self.find(link).and_then(|id| self.tasks.get_mut(&id)) {
+                    task.abort = false;
+                }
+            }
+            // No answer to what was asked: the check was right, so it is another version's.
+            _ => self.counters.errors += 1,
+        }
+        self.next_command(now);
+    }
+}

@@ -1,0 +1,163 @@
+//! Commands to the device: one under way at a time, repeated until answered.
+
+use std::time::Duration;
+
+use ztl_core::link::{
+    ADDR_ONLY_NODE, Body, Frame, Hello, LinkId, NO_SEQ, NO_SESSION, VERSION, encode, next_seq,
+};
+use ztl_core::{Instant, TaskId};
+
+use super::{
+    Command, Event, InFlight, Phase, REPEAT_FACTOR, REPEAT_FIRST, REPEAT_LEAST, Session, Stage,
+    Task,
+};
+
+impl Session {
+    /// Opens a new session.
+    pub(super) fn greet(&mut self, now: Instant) {
+        self.phase = Phase::Greeting;
+        self.session = (self.random)();
+        self.seq = NO_SEQ;
+        self.strangers.clear();
+        self.counters.sessions += 1;
+        let hello = Body::Hello(Hello {
+            version: VERSION,
+            session: self.session,
+            gateway: self.gateway,
+        });
+        let bytes = frame_bytes(NO_SESSION, NO_SEQ, hello);
+        self.send(now, Command::Hello, NO_SEQ, bytes);
+    }
+
+    pub(super) fn send(&mut self, now: Instant, command: Command, seq: u8, bytes: Vec<u8>) {
+        self.out.extend_from_slice(&bytes);
+        self.in_flight = Some(InFlight {
+            command,
+            seq,
+            bytes,
+            sent: now,
+            repeat: now + self.repeat_pause(),
+            repeated: false,
+        });
+    }
+
+    pub(super) fn command(&mut self, now: Instant, command: Command, body: Body<'_>) {
+        self.seq = next_seq(self.seq);
+        self.commanded = now;
+        let bytes = frame_bytes(self.session, self.seq, body);
+        self.send(now, command, self.seq, bytes);
+    }
+
+    pub(super) fn repeat_pause(&self) -> Duration {
+        let measured = self
+            .turnaround
+            .map_or(REPEAT_FIRST, |time| time * REPEAT_FACTOR);
+        // A slow line is busy with the command for this long: 10 bits a byte, both ways.
+        let line = self.baud.map_or(Duration::ZERO, |baud| {
+            Duration::from_micros(640_000_000 / u64::from(baud.max(1)))
+        });
+        measured.max(line).max(REPEAT_LEAST)
+    }
+
+    /// Sends the most urgent command, when none is under way: aborts before starts.
+    pub(super) fn next_command(&mut self, now: Instant) {
+        if self.in_flight.is_some() || self.phase != Phase::Up {
+            return;
+        }
+        if let Some(link) = self.next_abort() {
+            return self.command(now, Command::Abort(link), Body::Abort { task: link });
+        }
+        while let Some(id) = self.next_waiting() {
+            if self.send_start(now, id) {
+                return;
+            }
+        }
+        if now >= self.ping_due() {
+            self.command(now, Command::Ping, Body::Ping);
+        }
+    }
+
+    /// An abort stays wanted until it is answered, so a new session sends it again.
+    pub(super) fn next_abort(&mut self) -> Option<LinkId> {
+        let wanted = self.tasks.values().find(|task| task.abort);
+        match wanted.and_then(|task| task.stage.link()) {
+            Some(link) => Some(link),
+            None => self.strangers.pop_front(),
+        }
+    }
+
+    pub(super) fn next_waiting(&self) -> Option<TaskId> {
+        let waiting = |task: &Task| task.stage == Stage::Waiting;
+        self.tasks
+            .iter()
+            .find(|(_, task)| waiting(task))
+            .map(|(id, _)| *id)
+    }
+
+    /// Sends a `Start`, or refuses the task; says whether a command is under way now.
+    pub(super) fn send_start(&mut self, now: Instant, id: TaskId) -> bool {
+        let (Some(task), Some(device)) = (self.tasks.get_mut(&id), &self.device) else {
+            return false;
+        };
+        let place = device
+            .components
+            .iter()
+            .position(|component| component.name == task.component);
+        let Some((Ok(component), (clock, heard))) = place.map(u8::try_from).zip(self.clock) else {
+            let names: Vec<&str> = device.components.iter().map(|c| c.name.as_str()).collect();
+            let reason = format!(
+                "no component '{}'; it has: {}",
+                task.component,
+                names.join(", ")
+            );
+            self.reject(id, reason);
+            return false;
+        };
+        let left = task.deadline.since(heard).as_millis();
+        let link = LinkId(self.next_link);
+        let goal = task.goal.clone();
+        let body = Body::Start {
+            task: link,
+            component,
+            goal: &goal,
+            before_ms: clock.saturating_add(u64::try_from(left).unwrap_or(u64::MAX)),
+        };
+        let mut len = 0;
+        body.put(&mut |bytes: &[u8]| len += bytes.len());
+        if len > device.max_body {
+            let most = goal.len().saturating_sub(len - device.max_body);
+            let reason = format!(
+                "the goal is {} bytes long, the device takes {most}",
+                goal.len()
+            );
+            self.reject(id, reason);
+            return false;
+        }
+        task.stage = Stage::Sent(link);
+        self.next_link = self.next_link.saturating_add(1);
+        self.command(now, Command::Start(id), body);
+        true
+    }
+
+    pub(super) fn reject(&mut self, id: TaskId, reason: String) {
+        self.tasks.remove(&id);
+        self.events.push_back(Event::Rejected(id, reason));
+    }
+}
+
+/// A frame as bytes; every body that the gateway sends fits.
+pub(super) fn frame_bytes(session: u32, seq: u8, body: Body<'_>) -> Vec<u8> {
+    let frame = Frame {
+        addr: ADDR_ONLY_NODE,
+        seq,
+        body,
+    };
+    let needed = match encode(session, &frame, &mut []) {
+        Ok(len) => len,
+        Err(error) => error.needed,
+    };
+    let mut bytes = vec![0; needed];
+    // Cannot fail: the room was measured.
+    let _ = encode(session, &frame, &mut bytes);
+    bytes
+}

@@ -1,0 +1,125 @@
+//! What can go wrong between a client and a server, by who can mend it.
+
+use std::time::Duration;
+
+use super::Status;
+
+/// Why a request got no answer that could be used.
+#[derive(Debug, Clone, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum RequestError {
+    /// No connection within the time: nothing was sent.
+    NotConnected {
+        /// The server.
+        endpoint: String,
+        /// How long it was tried.
+        waited: Duration,
+    },
+    /// Sent, and not answered within the time: whether it was acted on is unknown.
+    NoAnswer {
+        /// The server.
+        endpoint: String,
+        /// How long it was waited for.
+        waited: Duration,
+    },
+    /// The answer is no ZTL message, or tells a state that does not exist.
+    Unreadable {
+        /// The answer, as far as it is text.
+        answer: String,
+    },
+    /// ZeroMQ failed.
+    Transport(zmq::Error),
+}
+
+impl std::fmt::Display for RequestError {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::NotConnected { endpoint, waited } => write!(
+                f,
+                "no server at {endpoint} (tried for {:.1} s); nothing was sent",
+                waited.as_secs_f32()
+            ),
+            Self::NoAnswer { endpoint, waited } => write!(
+                f,
+                "no answer from {endpoint} within {:.1} s; whether it acted is unknown",
+                waited.as_secs_f32()
+            ),
+            Self::Unreadable { answer } => write!(f, "the answer is no ZTL message: {answer:?}"),
+            Self::Transport(cause) => write!(f, "ZeroMQ: {}", cause.message()),
+        }
+    }
+}
+
+impl std::error::Error for RequestError {
+    fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
+        match self {
+            Self::Transport(cause) => Some(cause),
+            _ => None,
+        }
+    }
+}
+
+impl From<zmq::Error> for RequestError {
+    fn from(cause: zmq::Error) -> Self {
+        Self::Transport(cause)
+    }
+}
+
+/// Why a task was not started.
+#[derive(Debug, Clone, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum TriggerError {
+    /// The server refused it; nothing was done.
+    Refused {
+        /// The id of the answer: 0 or below.
+        id: i64,
+        /// The server's reason.
+        reason: String,
+    },
+    /// The server has not got it, and will refuse it if it still comes: it does not run.
+    NeverCame,
+    /// There was no usable answer: after [`RequestError::NotConnected`] it does not run, after any
+    /// other it may.
+    Request(RequestError),
+}
+
+impl std::fmt::Display for TriggerError {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Refused { reason, .. } => write!(f, "refused: {reason}"),
+            Self::NeverCame => f.write_str("it never came to the server, and was not started"),
+            Self::Request(cause) => cause.fmt(f),
+        }
+    }
+}
+
+impl std::error::Error for TriggerError {
+    fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
+        match self {
+            Self::Refused { .. } | Self::NeverCame => None,
+            Self::Request(cause) => Some(cause),
+        }
+    }
+}
+
+/// The task had not ended when the limit of the wait had passed.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct WaitError {
+    /// What the server said last: `Err` when it did not answer the last question.
+    pub last: Result<Status, RequestError>,
+}
+
+impl std::fmt::Display for WaitError {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match &self.last {
+            Ok(status) => write!(f, "still {} ({})", status.state, status.text),
+            Err(cause) => write!(f, "unknown: {cause}"),
+        }
+    }
+}
+
+impl std::error::Error for WaitError {
+    fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
+        self.last.as_ref().err().map(|cause| cause as _)
+    }
+}
