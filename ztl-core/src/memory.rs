@@ -6,7 +6,7 @@
 use crate::envelope::ClientId;
 use crate::lifecycle::State;
 use crate::sink::Sink;
-use crate::tasks::{TaskTable, Tasks, Text};
+use crate::tasks::{TaskTable, Tasks, Text, swap_with_last};
 use crate::{Instant, TaskId};
 
 /// Which of the registered scopes, by its place.
@@ -211,12 +211,8 @@ impl<P, const SCOPES: usize, const TASKS: usize, const TEXT: usize, const HELD: 
         if place >= self.held.len() {
             return None;
         }
-        let last = self.held.pop()?;
-        match self.held.get_mut(place) {
-            Some(here) => Some(core::mem::replace(here, last)),
-            // It was the last itself.
-            None => Some(last),
-        }
+        swap_with_last(&mut self.held, place);
+        self.held.pop()
     }
 
     fn last_init(&mut self, client: ClientId) -> Option<&mut LastInit<Self::Text>> {
@@ -246,8 +242,11 @@ impl<P, const SCOPES: usize, const TASKS: usize, const TEXT: usize, const HELD: 
     fn on_settled(&mut self, _client: ClientId, _task: TaskId) {}
 
     fn forget_inits(&mut self, now: Instant) {
-        self.inits
-            .retain(|init| init.until.is_none_or(|until| now < until));
+        let over = |init: &LastInit<_>| init.until.is_some_and(|until| until <= now);
+        while let Some(place) = self.inits.iter().position(over) {
+            swap_with_last(&mut self.inits, place);
+            self.inits.pop();
+        }
     }
 
     fn next_forgetting(&self) -> Option<Instant> {

@@ -86,6 +86,16 @@ pub enum NoRoom {
 /// A task as a keeper of the type `K` has it.
 pub type TaskOf<K> = Task<<K as Tasks>::Extra, <K as Tasks>::Text>;
 
+/// Exchanges the entry at `place` with the last one, which can then be popped. `retain` and
+/// `swap_remove` call `memmove`, which costs a Cortex-M0 1.3 KiB.
+pub(crate) fn swap_with_last<T>(entries: &mut [T], place: usize) {
+    if let Some((last, others)) = entries.split_last_mut()
+        && let Some(here) = others.get_mut(place)
+    {
+        core::mem::swap(here, last);
+    }
+}
+
 /// Where tasks are kept. Only keeps; the rules are in [`TaskRules`].
 pub trait Tasks {
     /// The number by which a task is found.
@@ -263,7 +273,10 @@ impl<I: Copy + Ord, X, const N: usize, const TEXT: usize> Tasks for TaskTable<I,
     }
 
     fn remove(&mut self, id: I) {
-        self.entries.retain(|(known, _)| *known != id);
+        if let Some(place) = self.entries.iter().position(|(known, _)| *known == id) {
+            swap_with_last(&mut self.entries, place);
+            self.entries.pop();
+        }
     }
 
     fn on_ended(&mut self, _id: I) {}

@@ -34,7 +34,15 @@ where
         if count == 0 {
             break;
         }
-        stream.write_all(buffer.get(..count).unwrap_or_default())?;
+        // Not `write_all`, which panics when a stream writes nothing, or more than it was given.
+        let mut rest = buffer.get(..count).unwrap_or_default();
+        while !rest.is_empty() {
+            let written = stream.write(rest)?;
+            if written == 0 {
+                break;
+            }
+            rest = rest.get(written..).unwrap_or_default();
+        }
     }
     stream.flush()?;
     Ok(node.poll_timeout(now))
