@@ -8,7 +8,10 @@ use core::arch::global_asm;
 use core::cell::UnsafeCell;
 use core::mem::MaybeUninit;
 
-use ztl_core::Instant;
+use ztl_core::{Instant, TaskId};
+
+/// An id for where there is no better one.
+pub const FIRST: TaskId = TaskId::new(1).unwrap();
 
 /// Received bytes; reading one takes it.
 const LINE_IN: *const u8 = 0x4000_4000 as *const u8;
@@ -54,6 +57,10 @@ impl<T> Room<T> {
     ///
     /// # Safety
     /// To be called once for each room.
+    #[expect(
+        clippy::mut_from_ref,
+        reason = "of the only call, as the condition says"
+    )]
     pub unsafe fn fill(&'static self, value: T) -> &'static mut T {
         // SAFETY: by this function's condition, no other reference to the content exists.
         unsafe { (*self.0.get()).write(value) }
@@ -90,7 +97,9 @@ static VECTORS: [unsafe extern "C" fn(); 48] = {
 /// No exception or interrupt is used.
 #[cfg(target_arch = "arm")]
 extern "C" fn unexpected() {
-    loop {}
+    loop {
+        core::hint::spin_loop();
+    }
 }
 
 // Copies the initial values into RAM, zeroes the rest, and calls the image's `main`.

@@ -1,6 +1,9 @@
 //! Text in quotes, as Python's `repr` writes it (wire specification 6.2).
 
+mod printable;
+
 use crate::sink::Sink;
+use printable::is_printable;
 
 /// Writes `text` in quotes: `'...'`, or `"..."` when it has a `'` and no `"`; the quote in use, the
 /// backslash and whatever cannot be printed are escaped.
@@ -28,20 +31,6 @@ pub fn put_quoted(text: &str, sink: &mut (impl Sink + ?Sized)) {
         }
     }
     put_char(quote, sink);
-}
-
-/// Whether Python prints this character as it is: all but the categories "other" and "separator",
-/// of which it prints the ASCII blank.
-fn is_printable(c: char) -> bool {
-    if c.is_ascii() {
-        return !c.is_ascii_control();
-    }
-    // The standard library has the same table, but shows it only through `escape_debug`, which also
-    // escapes a combining mark unless something stands before it.
-    let mut buffer = [b'a'; 5];
-    let len = c.encode_utf8(buffer.get_mut(1..).unwrap_or_default()).len();
-    let pair = buffer.get(..=len).unwrap_or_default();
-    core::str::from_utf8(pair).is_ok_and(|pair| pair.escape_debug().nth(1) == Some(c))
 }
 
 fn put_char(c: char, sink: &mut (impl Sink + ?Sized)) {

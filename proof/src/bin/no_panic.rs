@@ -6,10 +6,14 @@
 #![no_std]
 #![no_main]
 
+use core::convert::Infallible;
 use core::hint::black_box;
 use core::panic::PanicInfo;
 use core::time::Duration;
 
+use embedded_io::{ErrorType, Read, ReadReady, Write};
+use serde::de::{IgnoredAny, MapAccess, SeqAccess, Visitor};
+use serde::{Deserialize, Deserializer, Serialize};
 use ztl_core::client::Client;
 use ztl_core::dispatcher::{self, Config, Dispatcher, TaskEvent};
 use ztl_core::envelope::{ClientId, Envelope};
@@ -19,14 +23,15 @@ use ztl_core::link::{self, Decoder, Frame, LinkId};
 use ztl_core::memory::Fixed;
 use ztl_core::message::Message;
 use ztl_core::reply::Reply;
+use ztl_core::repr::put_quoted;
 use ztl_core::sink::{SliceSink, put_decimal, put_fixed};
 use ztl_core::spec::TaskSpec;
 use ztl_core::tasks::{Task, TaskRules, TaskTable, Tasks};
 use ztl_core::time::earliest;
-use ztl_core::{Instant, State, TaskId, base64};
+use ztl_core::{Instant, State, TaskId, base64, goal};
 use ztl_mcu::link::{Busy, GoalShape, Loss, Offer};
-use ztl_mcu::{Component, Identity, Node, Report, Run};
-use ztl_proof::{now, receive, send};
+use ztl_mcu::{Component, Identity, Node, Report, Run, pump};
+use ztl_proof::{FIRST, now, receive, send};
 
 #[cfg(not(feature = "explain"))]
 #[panic_handler]
@@ -47,12 +52,6 @@ fn on_panic(info: &PanicInfo<'_>) -> ! {
     }
 }
 
-/// The ids begin somewhere.
-const FIRST: TaskId = match TaskId::new(1) {
-    Some(id) => id,
-    None => loop {},
-};
-
 #[unsafe(no_mangle)]
 extern "C" fn main() -> ! {
     let identity = || Identity::new(black_box("node"), black_box("1"), any());
@@ -69,6 +68,9 @@ extern "C" fn main() -> ! {
     let mut dispatcher = Dispatcher::new(Memory::new(["/one", "/two"]), config);
     let mut client = Client::new(ClientId([receive(); 16]), Duration::from_secs(2));
     loop {
+        // In whatever state, as far as the compiler knows.
+        black_box((&mut node, &mut long_framed, &mut decoder));
+        black_box((&mut table, &mut dispatcher, &mut client));
         let mut received = [0; 512];
         received.fill_with(receive);
         // Of any length, as far as the compiler knows.
@@ -82,6 +84,7 @@ extern "C" fn main() -> ! {
         codes();
         frames(input, &mut decoder);
         bodies(input);
+        goals(text);
         tasks(&mut table, text);
         dispatch(&mut dispatcher, input, text);
         run_client(&mut client, input, text);
@@ -114,8 +117,6 @@ fn messages(input: &[u8], text: &str) {
     }
 }
 
-/// But for `put_initiated`: `repr` asks the standard library which characters are printable, and of
-/// its tables the compiler cannot see that they fit together.
 fn specs(text: &str) {
     let mut buffer = room();
     let _ = black_box(TaskSpec::split(text));
@@ -123,6 +124,10 @@ fn specs(text: &str) {
     if let Ok(spec) = black_box(TaskSpec::decode(text, &mut buffer)) {
         black_box(spec.encoded_len());
         let _ = black_box(spec.encode_into(&mut room()));
+        let mut room = room();
+        let mut sink = SliceSink::new(&mut room);
+        spec.put_initiated(id(), &mut sink);
+        let _ = black_box(sink.finish());
     }
 }
 
@@ -135,6 +140,7 @@ fn numbers(text: &str) {
     }
     put_decimal(&mut sink, any());
     put_fixed(&mut sink, f32::from_bits(any()), receive());
+    put_quoted(text, &mut sink);
     let _ = black_box(sink.finish());
 }
 
@@ -177,6 +183,104 @@ fn bodies(input: &[u8]) {
             body,
         };
         let _ = black_box(link::encode(any(), &frame, &mut room()));
+    }
+}
+
+/// All that a goal's type may ask for.
+#[derive(Clone, Deserialize, Serialize)]
+struct Everything<'a> {
+    yes: bool,
+    small: i8,
+    large: u64,
+    single: f32,
+    double: f64,
+    letter: char,
+    #[serde(borrow)]
+    text: &'a str,
+    may_be: Option<(u16, i32)>,
+    list: [f32; 3],
+    mode: Mode,
+    nothing: (),
+    wrapped: Wrapped,
+}
+
+#[derive(Clone, Deserialize, Serialize)]
+enum Mode {
+    Off,
+    Speed(f32),
+    Range(i64, i64),
+    Pose { x: f32, y: f32 },
+}
+
+#[derive(Clone, Deserialize, Serialize)]
+struct Wrapped(u32);
+
+/// A goal of whatever type it looks like.
+struct Whatever;
+
+impl<'de> Deserialize<'de> for Whatever {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        deserializer.deserialize_any(Self)
+    }
+}
+
+impl<'de> Visitor<'de> for Whatever {
+    type Value = Self;
+
+    fn expecting(&self, _: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        Ok(())
+    }
+
+    fn visit_bool<E>(self, value: bool) -> Result<Self, E> {
+        black_box(value);
+        Ok(self)
+    }
+
+    fn visit_i64<E>(self, value: i64) -> Result<Self, E> {
+        black_box(value);
+        Ok(self)
+    }
+
+    fn visit_u64<E>(self, value: u64) -> Result<Self, E> {
+        black_box(value);
+        Ok(self)
+    }
+
+    fn visit_f64<E>(self, value: f64) -> Result<Self, E> {
+        black_box(value);
+        Ok(self)
+    }
+
+    fn visit_str<E>(self, value: &str) -> Result<Self, E> {
+        black_box(value);
+        Ok(self)
+    }
+
+    fn visit_unit<E>(self) -> Result<Self, E> {
+        Ok(self)
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(self, mut items: A) -> Result<Self, A::Error> {
+        while items.next_element::<Self>()?.is_some() {}
+        Ok(self)
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, mut items: A) -> Result<Self, A::Error> {
+        while items.next_entry::<Self, Self>()?.is_some() {}
+        Ok(self)
+    }
+}
+
+fn goals(text: &str) {
+    let mut scratch = room();
+    let everything = black_box(goal::from_str_with::<Everything<'_>>(text, &mut scratch));
+    let _ = black_box(goal::from_str::<IgnoredAny>(text).is_ok());
+    let _ = black_box(goal::from_str_with::<Whatever>(text, &mut room()).is_ok());
+    let _ = black_box(goal::from_str::<&str>(text));
+    if let Ok(everything) = everything {
+        let _ = black_box(goal::to_slice(&everything, &mut room()));
+        let fixed = goal::Fixed(receive());
+        let _ = black_box(goal::to_slice_with(&everything, fixed, &mut room()));
     }
 }
 
@@ -269,6 +373,38 @@ fn run_node<const TASKS: usize, const FRAME: usize>(
         _ => {}
     }
     black_box(node.counters());
+    let _ = black_box(pump::turn(node, &mut Line, now()));
+}
+
+/// A stream that tells any numbers whatever.
+struct Line;
+
+impl ErrorType for Line {
+    type Error = Infallible;
+}
+
+impl Read for Line {
+    fn read(&mut self, buffer: &mut [u8]) -> Result<usize, Infallible> {
+        buffer.fill_with(receive);
+        Ok(any() as usize)
+    }
+}
+
+impl ReadReady for Line {
+    fn read_ready(&mut self) -> Result<bool, Infallible> {
+        Ok(receive() != 0)
+    }
+}
+
+impl Write for Line {
+    fn write(&mut self, bytes: &[u8]) -> Result<usize, Infallible> {
+        send(bytes);
+        Ok(any() as usize)
+    }
+
+    fn flush(&mut self) -> Result<(), Infallible> {
+        Ok(())
+    }
 }
 
 /// A component that does anything whatever.

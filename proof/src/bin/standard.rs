@@ -8,12 +8,13 @@
 
 use core::panic::PanicInfo;
 
+use serde::Deserialize;
 use ztl_core::dispatcher::{Action, Body, Config, Dispatcher, TaskEvent};
 use ztl_core::envelope::Envelope;
 use ztl_core::memory::Fixed;
 use ztl_core::reply::Reply;
-use ztl_core::{TaskId, TaskSpec};
-use ztl_proof::{Room, now, receive, send};
+use ztl_core::{TaskId, TaskSpec, goal};
+use ztl_proof::{FIRST, Room, now, receive, send};
 
 /// Two scopes; eight tasks with texts of 32 bytes; four answers held. There is one client.
 type Server = Dispatcher<Fixed<(), 2, 8, 32, 4>>;
@@ -21,13 +22,9 @@ type Server = Dispatcher<Fixed<(), 2, 8, 32, 4>>;
 static SERVER: Room<Server> = Room::new();
 static REQUEST: Room<[u8; 256]> = Room::new();
 
-/// Where ids begin when the device knows no better.
-const FIRST: TaskId = match TaskId::new(1) {
-    Some(id) => id,
-    None => loop {},
-};
-
 /// Where the base shall go.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
 struct Pose {
     x: f32,
     y: f32,
@@ -37,7 +34,9 @@ struct Pose {
 /// Never called: `cargo xtask proof` shows that no panic is reachable.
 #[panic_handler]
 fn on_panic(_: &PanicInfo<'_>) -> ! {
-    loop {}
+    loop {
+        core::hint::spin_loop();
+    }
 }
 
 #[unsafe(no_mangle)]
@@ -97,11 +96,10 @@ fn start(payload: &str) -> TaskEvent<'static> {
             reason: "there is one component: base",
         };
     }
-    let _ = spec.goal;
-    let pose = Pose {
-        x: 1.0,
-        y: 2.0,
-        turn: 3.0,
+    let Ok(pose) = goal::from_str::<Pose>(spec.goal) else {
+        return TaskEvent::Rejected {
+            reason: "the goal is x, y and turn",
+        };
     };
     for value in [pose.x, pose.y, pose.turn] {
         send(&value.to_le_bytes());
