@@ -37,11 +37,18 @@ fn server(started: &Arc<AtomicU32>) -> ztl_std::RunningServer {
 
 /// Whether these frames of a client are an INIT.
 fn is_init(frames: &[Vec<u8>]) -> bool {
-    frames.last().is_some_and(|body| body.starts_with(b"/lab;1;"))
+    frames
+        .last()
+        .is_some_and(|body| body.starts_with(b"/lab;1;"))
 }
 
 /// Passes messages on between clients and `server`, with one fault, until `stop` is dropped.
-fn wire(fault: Fault, server: String, other: String, stop: std::sync::mpsc::Receiver<()>) -> String {
+fn wire(
+    fault: Fault,
+    server: String,
+    other: String,
+    stop: std::sync::mpsc::Receiver<()>,
+) -> String {
     let context = zmq::Context::new();
     let front = context.socket(zmq::ROUTER).unwrap();
     front.set_linger(0).unwrap();
@@ -90,7 +97,12 @@ fn trigger(fault: Fault) -> (Result<State, TriggerError>, u32) {
     let started = Arc::default();
     let (one, other) = (server(&started), server(&started));
     let (_running, stop) = std::sync::mpsc::channel();
-    let endpoint = wire(fault, one.endpoint().to_owned(), other.endpoint().to_owned(), stop);
+    let endpoint = wire(
+        fault,
+        one.endpoint().to_owned(),
+        other.endpoint().to_owned(),
+        stop,
+    );
     let remote = RemoteTask::connect(&endpoint, "/lab").unwrap();
     let mut remote = remote.with_timeout(Duration::from_millis(300));
     let told = remote.trigger("h", "c", "g").map(|task| {
@@ -107,13 +119,19 @@ fn a_task_whose_answer_is_lost_is_known_all_the_same() {
 
 #[test]
 fn an_init_that_is_lost_is_known_not_to_have_started() {
-    assert_eq!(trigger(Fault::LoseRequest), (Err(TriggerError::NeverCame), 0));
+    assert_eq!(
+        trigger(Fault::LoseRequest),
+        (Err(TriggerError::NeverCame), 0)
+    );
 }
 
 #[test]
 fn after_a_restart_of_the_server_its_fate_is_unknown_and_not_never_started() {
     let (told, started) = trigger(Fault::LoseAnswerAndRestart);
-    let unknown = matches!(told, Err(TriggerError::Request(RequestError::NoAnswer { .. })));
+    let unknown = matches!(
+        told,
+        Err(TriggerError::Request(RequestError::NoAnswer { .. }))
+    );
     assert!(unknown, "{told:?}");
     assert_eq!(started, 1);
 }

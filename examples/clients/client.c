@@ -14,7 +14,7 @@
 static const char *STATES[] = {"INITIATED", "ACCEPTED", "REJECTED", "FAILED", "ABORTED", "COMPLETED"};
 static char message[(1 << 20) + 1], task[1 << 16];
 
-/* Asks about *id; the answer's state, or -1 when there is none. Its payload ends `message`. */
+/* Asks about *id with *text, and puts there what is answered; the state, or -1 without an answer. */
 static int ask(void *server, const char *scope, int code, long *id, char **text)
 {
     int state = -1, end = 0;
@@ -23,7 +23,7 @@ static int ask(void *server, const char *scope, int code, long *id, char **text)
     length = zmq_recv(server, message, sizeof message - 1, 0);
     if (length < 0 || length >= (int)sizeof message) return -1;
     message[length] = 0;
-    if (sscanf(message, "%*[^;];%d;%ld;%n", &state, id, &end) != 2) return -1;
+    if (sscanf(message, "%*[^;];%d;%ld;%n", &state, id, &end) != 2 || state > 5) return -1;
     *text = message + end;
     return state;
 }
@@ -57,7 +57,7 @@ int main(int count, char **args)
     base64(args[3], task);
     int state = ask(server, args[2], 1, &id, &text);
     if (state < 0) { /* Never sent again: the first may have been acted on. */
-        fprintf(stderr, "UNKNOWN: no answer, the task may run\n");
+        puts("UNKNOWN: no answer, the task may run");
         return 1;
     }
     while (state <= 1) { /* No answer, -1, is not an end. */

@@ -27,7 +27,7 @@ async function ask(code, about, payload) {
 
 let answer = await ask(1, -1, Buffer.from(task).toString("base64")).catch(() => {
   // Never sent again: the first may have been acted on.
-  console.error("UNKNOWN: no answer, the task may run")
+  console.log("UNKNOWN: no answer, the task may run")
   process.exit(1)
 })
 const { id } = answer

@@ -27,7 +27,8 @@ def ask(code, id, payload):
 try:
     state, id, text = ask(1, -1, base64.b64encode(task.encode()).decode())
 except zmq.Again:  # Never sent again: the first may have been acted on.
-    sys.exit("UNKNOWN: no answer, the task may run")
+    print("UNKNOWN: no answer, the task may run")
+    sys.exit(1)
 while state <= 1:
     time.sleep(0.1)
     try:

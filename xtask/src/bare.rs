@@ -68,7 +68,7 @@ impl Bare {
     fn cargo_build(&self, dirs: &Dirs) -> Cmd {
         let build = self
             .core
-            .cargo_build(self.target, &dirs.target.join("bare"));
+            .cargo("build", self.target, &dirs.target.join("bare"));
         match &self.sysroot {
             // With `--target`, these flags do not reach build scripts and macros, which need
             // `std`. This variable wins over every other way to set flags, and takes blanks.

@@ -68,9 +68,11 @@ impl Core {
         Ok(Self::Source)
     }
 
-    /// `cargo build` for the target.
-    pub(crate) fn cargo_build(&self, target: &str, target_dir: &Path) -> Cmd {
-        let build = Cmd::new("cargo build --target")
+    /// `cargo build`, or another command, for the target.
+    pub(crate) fn cargo(&self, command: &str, target: &str, target_dir: &Path) -> Cmd {
+        let build = Cmd::new("cargo")
+            .arg(command)
+            .arg("--target")
             .arg(target)
             .arg("--target-dir")
             .arg(target_dir);

@@ -14,7 +14,8 @@ use crate::Dirs;
 use crate::cmd::{Cmd, Outcome};
 use crate::cross::Core;
 
-const DIRECTORY: &str = "proof";
+/// The package of the images, which is no member of the workspace.
+pub(crate) const MANIFEST: &str = "proof/Cargo.toml";
 
 /// The command that builds an image, and where it then lies.
 pub(crate) fn build(
@@ -26,9 +27,9 @@ pub(crate) fn build(
 ) -> Outcome<(Cmd, PathBuf)> {
     let target_dir = dirs.target.join("image");
     let build = core
-        .cargo_build(target, &target_dir)
+        .cargo("build", target, &target_dir)
         .args("--locked --release --manifest-path")
-        .arg(Path::new(DIRECTORY).join("Cargo.toml"))
+        .arg(MANIFEST)
         .args("--bin")
         .arg(name);
     let build = match features {
@@ -45,7 +46,7 @@ pub(crate) fn check_lock() -> Outcome {
     let read = |path: &Path| {
         fs::read_to_string(path).map_err(|error| format!("cannot read {}: {error}", path.display()))
     };
-    let ours = read(&Path::new(DIRECTORY).join("Cargo.lock"))?;
+    let ours = read(&Path::new(MANIFEST).with_extension("lock"))?;
     let others = locked(&read(Path::new("Cargo.lock"))?);
     for (name, version) in locked(&ours) {
         let same_name = || others.iter().filter(|(other, _)| *other == name);
@@ -53,7 +54,7 @@ pub(crate) fn check_lock() -> Outcome {
             let versions: Vec<&str> = same_name().map(|(_, version)| version.as_str()).collect();
             return Err(format!(
                 "the images are built with {name} {version}, everything else with {}; to mend it: \
-                 cargo update --manifest-path {DIRECTORY}/Cargo.toml {name} --precise VERSION",
+                 cargo update --manifest-path {MANIFEST} {name} --precise VERSION",
                 versions.join(" and ")
             ));
         }

@@ -5,8 +5,10 @@
 
 mod bare;
 mod bench;
+mod clients;
 mod cmd;
 mod cross;
+mod fuzz;
 mod image;
 mod proof;
 mod python;
@@ -32,6 +34,11 @@ const CHORES: &[Chore] = &[
         name: "test",
         about: "check and test everything, installing what is lacking (--list, --only STEP)",
         run: test::run,
+    },
+    Chore {
+        name: "fuzz",
+        about: "look for inputs that break a promise ([TARGET], --seconds N for each)",
+        run: fuzz::run,
     },
     Chore {
         name: "size",

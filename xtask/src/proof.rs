@@ -18,6 +18,7 @@ const SYMBOL: &str = "undefined symbol: a_panic_is_reachable";
 pub(crate) fn prove(dirs: &Dirs) -> Outcome {
     image::check_lock()?;
     let core = Core::provide(SMALLEST)?;
+    lint(dirs, &core)?;
 
     let (build, _) = image::build(dirs, &core, SMALLEST, IMAGE, "")?;
     println!("$ {build}");
@@ -51,6 +52,20 @@ pub(crate) fn prove(dirs: &Dirs) -> Outcome {
     }
 }
 
+/// The images belong to no workspace, so that no other step lints them. Only with the compiler that
+/// clippy belongs to, which is not Debian's when cargo is another's.
+fn lint(dirs: &Dirs, core: &Core) -> Outcome {
+    match core {
+        Core::Compiled(_) => core
+            .cargo("clippy", SMALLEST, &dirs.target.join("image"))
+            .args("--locked --manifest-path")
+            .arg(image::MANIFEST)
+            .args("-- -D warnings")
+            .run(),
+        Core::Source => Ok(()),
+    }
+}
+
 /// Where the panics stand that the compiler has left in, a line each.
 fn places(dirs: &Dirs, core: &Core) -> Outcome<String> {
     let (build, path) = image::build(dirs, core, SMALLEST, IMAGE, "explain")?;
@@ -61,11 +76,46 @@ fn places(dirs: &Dirs, core: &Core) -> Outcome<String> {
     }
     let lines: Vec<String> = places
         .iter()
-        .map(|place| {
-            let place = Path::new(place);
-            let place = place.strip_prefix(&dirs.root).unwrap_or(place);
-            format!("    {}", place.display())
-        })
+        .map(|place| format!("    {}", short(place, &dirs.root)))
         .collect();
     Ok(lines.join("\n"))
+}
+
+/// The place without what differs from machine to machine.
+fn short<'a>(place: &'a str, root: &Path) -> &'a str {
+    if let Ok(ours) = Path::new(place).strip_prefix(root) {
+        return ours.to_str().unwrap_or(place);
+    }
+    // .../registry/src/NAME/CRATE-VERSION/..., and .../library/core/...
+    let registry = place.split_once("/registry/src/");
+    let package = registry.and_then(|(_, rest)| rest.split_once('/'));
+    let library = place.split_once("/library/");
+    package.or(library).map_or(place, |(_, rest)| rest)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_place_is_told_without_the_machines_paths() {
+        let root = Path::new("/home/me/ztl");
+        for (place, told) in [
+            (
+                "/home/me/ztl/ztl-core/src/sink.rs:80:18",
+                "ztl-core/src/sink.rs:80:18",
+            ),
+            (
+                "/home/me/.cargo/registry/src/index-1949cf8c/heapless-0.9.3/src/vec/mod.rs:14:3",
+                "heapless-0.9.3/src/vec/mod.rs:14:3",
+            ),
+            (
+                "/rustc/5980761/library/core/src/str/pattern.rs:4:5",
+                "core/src/str/pattern.rs:4:5",
+            ),
+            ("src/a.rs:1:2", "src/a.rs:1:2"),
+        ] {
+            assert_eq!(short(place, root), told);
+        }
+    }
 }

@@ -4,7 +4,7 @@ use std::net::TcpListener;
 use std::time::{Duration, Instant};
 
 use crate::cmd::{Cmd, Outcome};
-use crate::{Dirs, bare, proof, python, size, tools};
+use crate::{Dirs, bare, clients, fuzz, image, proof, python, size, tools};
 
 /// The crates that have to do without `std` and without an allocator.
 pub(crate) const BARE_CRATES: &[&str] = &["ztl-core", "ztl-mcu"];
@@ -25,13 +25,21 @@ struct Step {
 const STEPS: &[Step] = &[
     Step {
         name: "tools",
-        about: "a C++ compiler, Python 3 with venv, rustfmt and clippy are there",
+        about: "compilers, libzmq for C, Python 3 with venv, Node with npm, rustfmt and clippy are there",
         run: |_| tools::check(),
     },
     Step {
         name: "fmt",
         about: "all code is formatted",
-        run: |_| Cmd::new("cargo fmt --all --check").run(),
+        run: |_| {
+            Cmd::new("cargo fmt --all --check").run()?;
+            for apart in [image::MANIFEST, fuzz::MANIFEST] {
+                Cmd::new("cargo fmt --check --manifest-path")
+                    .arg(apart)
+                    .run()?;
+            }
+            Ok(())
+        },
     },
     Step {
         name: "clippy",
@@ -53,6 +61,11 @@ const STEPS: &[Step] = &[
         run: |dirs| python::ensure(dirs).map(drop),
     },
     Step {
+        name: "clients",
+        about: "the npm package of the client in JavaScript is installed",
+        run: |dirs| clients::ensure(dirs).map(drop),
+    },
+    Step {
         name: "bare",
         about: "the no_std crates build for three microcontrollers with nothing but `core`",
         run: bare::build,
@@ -71,6 +84,11 @@ const STEPS: &[Step] = &[
         name: "test",
         about: "all tests: units, documentation examples, and against the original package",
         run: tests,
+    },
+    Step {
+        name: "fuzz",
+        about: "no fuzz target finds an input that breaks a promise within a few seconds",
+        run: fuzz::smoke,
     },
     Step {
         name: "demo",
@@ -173,9 +191,11 @@ fn build_programs() -> Outcome {
 
 fn tests(dirs: &Dirs) -> Outcome {
     let python = python::ensure(dirs)?;
+    let clients = clients::ensure(dirs)?;
     build_programs()?;
     Cmd::new("cargo test --workspace --locked")
         .env("ZTL_PYTHON", python)
+        .env("ZTL_CLIENTS", clients)
         .run()
 }
 

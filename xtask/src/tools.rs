@@ -32,6 +32,28 @@ const NEEDS: &[Need] = &[
         packages: &["python3", "python3-venv"],
     },
     Need {
+        what: "`cc` and libzmq for C, for the client in C",
+        check: || {
+            let version = "echo libzmq ZMQ_VERSION_MAJOR ZMQ_VERSION_MINOR ZMQ_VERSION_PATCH";
+            let read = "cc -E -P -include zmq.h - | grep '^libzmq [0-9]'";
+            Cmd::new("sh -c").arg(format!("{version} | {read}"))
+        },
+        component: None,
+        packages: &["gcc", "libc6-dev", "libzmq3-dev"],
+    },
+    Need {
+        what: "`node`, for the client in JavaScript",
+        check: || Cmd::new("node --eval").arg("console.log('Node', process.version)"),
+        component: None,
+        packages: &["nodejs"],
+    },
+    Need {
+        what: "`npm`, for its package",
+        check: || Cmd::new("sh -c").arg("echo npm $(npm --version) | grep '[0-9]'"),
+        component: None,
+        packages: &["npm"],
+    },
+    Need {
         what: "`cargo fmt`",
         check: || Cmd::new("cargo fmt --version"),
         component: Some("rustfmt"),

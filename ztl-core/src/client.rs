@@ -30,7 +30,7 @@
 
 use core::time::Duration;
 
-use crate::dispatcher::RESERVED_SCOPE;
+use crate::dispatcher::{KEEP_INIT, RESERVED_SCOPE};
 use crate::envelope::{ClientId, Envelope};
 use crate::integer::Integer;
 use crate::lifecycle::{Request, State};
@@ -114,6 +114,7 @@ struct Pending {
     /// The INIT whose outcome is asked for.
     outcome_of: Option<u64>,
     probe: bool,
+    sent: Instant,
     deadline: Instant,
 }
 
@@ -130,9 +131,13 @@ pub struct Client {
     timeout: Duration,
     server: Server,
     pending: Option<Pending>,
-    /// The last INIT that was not answered.
-    unanswered: Option<u64>,
+    /// The last INIT that was not answered, and when it was sent.
+    unanswered: Option<(u64, Instant)>,
 }
+
+/// How long after an INIT it makes sense to ask for its outcome: a server may have forgotten it
+/// later, and would say that it never came. The rest of its minute is for the question's way.
+const ASK_WITHIN: Duration = Duration::from_secs(KEEP_INIT.as_secs() - 10);
 
 impl Client {
     /// A client with a random id, whose requests are answered within `timeout` or not at all.
@@ -199,9 +204,14 @@ impl Client {
         self.begin(now, Request::Status, None, true)
     }
 
-    /// Asks what became of the last INIT that was not answered; `None` when there is none.
+    /// Asks what became of the last INIT that was not answered; `None` when there is none, or it
+    /// was sent so long ago that nobody can know: its fate stays unknown.
     pub fn outcome(&mut self, now: Instant, sink: &mut (impl Sink + ?Sized)) -> Option<Envelope> {
-        let number = self.unanswered?;
+        let (number, sent) = self.unanswered?;
+        if now > sent + ASK_WITHIN {
+            self.unanswered = None;
+            return None;
+        }
         put_reserved("outcome ", sink);
         put_u64(number, sink);
         Some(self.begin(now, Request::Init, Some(number), false))
@@ -234,7 +244,7 @@ impl Client {
         };
         match (pending.request, pending.outcome_of) {
             (Request::Init, None) => {
-                self.unanswered = Some(pending.number);
+                self.unanswered = Some((pending.number, pending.sent));
                 match self.server {
                     Server::Ours { .. } => Late::AskOutcome,
                     // The original would not know, and an unknown one could have been started anew.
@@ -273,6 +283,7 @@ impl Client {
             request,
             outcome_of,
             probe,
+            sent: now,
             deadline: now + self.timeout,
         });
         Envelope {

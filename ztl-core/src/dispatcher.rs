@@ -292,7 +292,7 @@ impl<M: Memory> Dispatcher<M> {
         let taken = tasks.apply(now, id, Event::Accept, None);
         if tasks.apply(now, id, event, Some(text)) {
             if taken {
-                self.on_accepted(now, id, ReplyText::Undecided(id), "", out);
+                self.on_accepted(now, id, ReplyText::Undecided(id), text, out);
             }
             for awaited in [Awaited::EarlyEnd, Awaited::Abort, Awaited::End] {
                 self.answer_waiting(id, awaited, None, out);

@@ -5,6 +5,7 @@
 
 use crate::envelope::ClientId;
 use crate::lifecycle::State;
+use crate::repr::put_yaml;
 use crate::sink::Sink;
 use crate::tasks::{TaskTable, Tasks, Text, swap_with_last};
 use crate::{Instant, TaskId};
@@ -192,9 +193,8 @@ impl<P, const SCOPES: usize, const TASKS: usize, const TEXT: usize, const HELD: 
             if place > 0 {
                 sink.put(b", ");
             }
-            sink.put(b"'");
-            sink.put(scope.as_bytes());
-            sink.put(b"': {}");
+            put_yaml(scope, sink);
+            sink.put(b": {}");
         }
         sink.put(b"}");
     }

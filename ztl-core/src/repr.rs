@@ -33,6 +33,26 @@ pub fn put_quoted(text: &str, sink: &mut (impl Sink + ?Sized)) {
     put_char(quote, sink);
 }
 
+/// Writes `text` in double quotes as YAML reads it: the quote, the backslash and what YAML cannot
+/// carry are escaped.
+pub fn put_yaml(text: &str, sink: &mut (impl Sink + ?Sized)) {
+    sink.put(b"\"");
+    for c in text.chars() {
+        match c {
+            '"' | '\\' => {
+                sink.put(b"\\");
+                put_char(c, sink);
+            }
+            '\0'..='\x1f' | '\x7f'..='\u{9f}' => put_escape(b"\\x", u32::from(c), 2, sink),
+            '\u{2028}' | '\u{2029}' | '\u{feff}' | '\u{fffe}' | '\u{ffff}' => {
+                put_escape(b"\\u", u32::from(c), 4, sink);
+            }
+            c => put_char(c, sink),
+        }
+    }
+    sink.put(b"\"");
+}
+
 fn put_char(c: char, sink: &mut (impl Sink + ?Sized)) {
     sink.put(c.encode_utf8(&mut [0; 4]).as_bytes());
 }

@@ -188,7 +188,8 @@ impl RemoteTask {
     /// A server that does not answer does not end the wait: the task may still run.
     ///
     /// # Errors
-    /// [`WaitError`] with what was last known, when the limit has passed.
+    /// [`WaitError`] with what was last known, when the limit has passed; at once when the server
+    /// does not know the task.
     pub fn wait(&mut self, id: TaskId, limit: Option<Duration>) -> Result<Status, WaitError> {
         self.wait_held(id, limit, HELD, |_| true)
     }
@@ -229,6 +230,11 @@ impl RemoteTask {
             if let Ok(status) = &last
                 && status.state.is_final()
             {
+                // A server that was started anew: what became of the task nobody knows.
+                if *status == unknown_to_server(id) {
+                    let last = Err(RequestError::UnknownTask { id });
+                    return Err(WaitError { last });
+                }
                 return Ok(status.clone());
             }
             let left = left(start).unwrap_or(Duration::MAX);
@@ -291,7 +297,7 @@ impl RemoteTask {
         let mut sink = |bytes: &[u8]| body.extend_from_slice(bytes);
         match self.client.outcome(now(), &mut sink) {
             Some(envelope) => self.exchange(envelope, &body),
-            None => Ok(Said::NeverStarted),
+            None => Err(self.no_answer(Instant::now()).into()),
         }
     }
 
@@ -435,6 +441,14 @@ impl std::fmt::Debug for RemoteTask {
             .field("endpoint", &self.endpoint)
             .field("scope", &self.scope)
             .finish_non_exhaustive()
+    }
+}
+
+/// What a server says of a task that it does not know.
+fn unknown_to_server(id: TaskId) -> Status {
+    Status {
+        state: State::Rejected,
+        text: format!("Invalid ID '{id}'"),
     }
 }
 

@@ -189,6 +189,19 @@ fn large_numbers_are_written_whole() {
     }
 }
 
+/// A client that was suspended for more than a minute asked a server that had forgotten the INIT,
+/// and took its word that it never came.
+#[test]
+fn an_outcome_is_not_asked_when_the_server_may_have_forgotten() {
+    let mut desk = Desk::new();
+    desk.probe(4711);
+    let (_, _) = desk.init();
+    desk.now = desk.now + Duration::from_secs(51);
+    assert_eq!(desk.client.handle_timeout(desk.now), Late::AskOutcome);
+    let mut none = |_: &[u8]| {};
+    assert_eq!(desk.client.outcome(desk.now, &mut none), None);
+}
+
 /// Found through a proxy that hid the envelope: the server could not read the question, and the
 /// client told its refusal as the INIT's.
 #[test]

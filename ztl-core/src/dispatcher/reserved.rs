@@ -7,6 +7,7 @@ use crate::lifecycle::{Request, State};
 use crate::memory::{Awaited, First, LastInit, Memory};
 use crate::message::Message;
 use crate::reply::{Put, Reply, ReplyText};
+use crate::repr::put_yaml;
 use crate::sink::{Sink, put_decimal};
 use crate::tasks::Tasks;
 use crate::{Instant, VERSION};
@@ -36,7 +37,8 @@ impl<M: Memory> Dispatcher<M> {
         }
     }
 
-    /// Tells what the INIT of this number was answered; if it never came, it is refused for good.
+    /// Tells what the INIT of this number was answered; if it never came, it is refused from now on
+    /// for as long as an answer would be kept.
     fn on_outcome(
         &mut self,
         now: Instant,
@@ -118,9 +120,8 @@ impl<M: Memory> Put for Probe<'_, M> {
                 sink.put(b", ");
             }
             put_decimal(sink, id.get());
-            sink.put(b": '");
-            sink.put(dispatcher.memory.scope_name(task.extra).as_bytes());
-            sink.put(b"'");
+            sink.put(b": ");
+            put_yaml(dispatcher.memory.scope_name(task.extra), sink);
         });
         sink.put(b"}}");
     }

@@ -400,7 +400,7 @@ fn a_repeated_refusal_is_answered_the_same() {
 }
 
 #[test]
-fn the_outcome_of_an_init_is_told_or_it_is_refused_for_good() {
+fn the_outcome_of_an_init_is_told_or_it_is_refused_for_a_minute() {
     let mut lab = Lab::new();
     lab.ours(1, 5, "/test;1;-1;x");
     lab.ours(2, 6, "$ztl;2;-1;outcome 5");
@@ -512,7 +512,7 @@ fn the_reserved_scope_tells_who_the_server_is() {
     lab.told(&[(
         3,
         &std::format!(
-            "$ztl;5;0;{{ztl: 1, version: '{version}', boot: 4711, scopes: {{'/test': {{}}, '/other': {{}}}}, running: {{2: '/test'}}}}"
+            "$ztl;5;0;{{ztl: 1, version: '{version}', boot: 4711, scopes: {{\"/test\": {{}}, \"/other\": {{}}}}, running: {{2: \"/test\"}}}}"
         ),
     )]);
     for request in [

@@ -1,14 +1,11 @@
 //! serde's calls, answered from a goal's text.
 
-use core::marker::PhantomData;
+use serde::de::{DeserializeSeed, Deserializer, Visitor};
 
-use serde::de::{
-    DeserializeSeed, Deserializer, EnumAccess, MapAccess, SeqAccess, VariantAccess, Visitor,
-};
-
+use super::access::{Items, Lone};
 use super::error::{Expected, GoalError, GoalErrorKind};
 use super::number::{Number, OutOfRange, Whole};
-use super::reader::{Open, Reader};
+use super::reader::Reader;
 
 type Result<T> = core::result::Result<T, GoalError>;
 
@@ -42,7 +39,7 @@ impl<'de> Reader<'de> {
     }
 
     /// Reads one key, likewise, and remembers where it begins.
-    fn key<S: DeserializeSeed<'de>>(&mut self, seed: S) -> Result<S::Value> {
+    pub(super) fn key<S: DeserializeSeed<'de>>(&mut self, seed: S) -> Result<S::Value> {
         let at = self.begin_key();
         seed.deserialize(self).map_err(|error| error.or_at(at))
     }
@@ -112,9 +109,9 @@ impl<'de> Reader<'de> {
         let Some(open) = self.open(b"[(")? else {
             return Err(GoalError::expected(self.at(), expected));
         };
-        let mut items = Items { reader: self, open };
+        let mut items = Items::new(self, open);
         let value = visitor.visit_seq(&mut items)?;
-        if items.reader.more(&mut items.open)? {
+        if items.more()? {
             return Err(GoalError::new(self.at(), GoalErrorKind::WrongLength));
         }
         self.close();
@@ -125,7 +122,7 @@ impl<'de> Reader<'de> {
         let Some(open) = self.open(b"{")? else {
             return Err(GoalError::expected(self.at(), expected));
         };
-        let mut items = Items { reader: self, open };
+        let mut items = Items::new(self, open);
         let value = visitor
             .visit_map(&mut items)
             .map_err(|error| match error.kind {
@@ -133,7 +130,7 @@ impl<'de> Reader<'de> {
                 GoalErrorKind::DuplicateField(_) => error.or_at(items.reader.last_key()),
                 _ => error,
             })?;
-        if items.reader.more(&mut items.open)? {
+        if items.more()? {
             return Err(GoalError::new(self.at(), GoalErrorKind::WrongLength));
         }
         self.close();
@@ -293,9 +290,9 @@ impl<'de> Deserializer<'de> for &mut Reader<'de> {
         visitor: V,
     ) -> Result<V::Value> {
         let Some(open) = self.open(b"{")? else {
-            return visitor.visit_enum(Bare(self));
+            return visitor.visit_enum(Lone(self));
         };
-        let mut entry = Items { reader: self, open };
+        let mut entry = Items::new(self, open);
         if !entry.more()? {
             return Err(GoalError::expected(self.at(), Expected::VariantWithValue));
         }
@@ -311,126 +308,9 @@ impl<'de> Deserializer<'de> for &mut Reader<'de> {
         match self.skip_blanks() {
             Some(b'[' | b'(' | b'{') => return self.deserialize_any(visitor),
             // Nobody needs what is meant, so it needs no scratch.
-            Some(b'\'' | b'"') => drop(self.skip_quoted()?),
-            _ => drop(self.plain()?),
-        }
+            Some(b'\'' | b'"') => self.skip_quoted()?.inner,
+            _ => self.plain()?,
+        };
         visitor.visit_unit()
-    }
-}
-
-/// The items of a collection.
-struct Items<'r, 'de> {
-    reader: &'r mut Reader<'de>,
-    open: Open,
-}
-
-impl Items<'_, '_> {
-    fn more(&mut self) -> Result<bool> {
-        self.reader.more(&mut self.open)
-    }
-}
-
-impl<'de> SeqAccess<'de> for &mut Items<'_, 'de> {
-    type Error = GoalError;
-
-    fn next_element_seed<S: DeserializeSeed<'de>>(&mut self, seed: S) -> Result<Option<S::Value>> {
-        if !self.more()? {
-            return Ok(None);
-        }
-        self.reader.value(seed).map(Some)
-    }
-}
-
-impl<'de> MapAccess<'de> for &mut Items<'_, 'de> {
-    type Error = GoalError;
-
-    fn next_key_seed<S: DeserializeSeed<'de>>(&mut self, seed: S) -> Result<Option<S::Value>> {
-        if !self.more()? {
-            return Ok(None);
-        }
-        self.reader.key(seed).map(Some)
-    }
-
-    fn next_value_seed<S: DeserializeSeed<'de>>(&mut self, seed: S) -> Result<S::Value> {
-        self.reader.colon()?;
-        self.reader.value(seed)
-    }
-}
-
-/// The one entry of `{variant: value}`.
-impl<'de> EnumAccess<'de> for &mut Items<'_, 'de> {
-    type Error = GoalError;
-    type Variant = Self;
-
-    fn variant_seed<S: DeserializeSeed<'de>>(self, seed: S) -> Result<(S::Value, Self)> {
-        let variant = self.reader.key(seed)?;
-        self.reader.colon()?;
-        Ok((variant, self))
-    }
-}
-
-impl<'de> VariantAccess<'de> for &mut Items<'_, 'de> {
-    type Error = GoalError;
-
-    fn unit_variant(self) -> Result<()> {
-        self.reader.value(PhantomData)
-    }
-
-    fn newtype_variant_seed<S: DeserializeSeed<'de>>(self, seed: S) -> Result<S::Value> {
-        self.reader.value(seed)
-    }
-
-    fn tuple_variant<V: Visitor<'de>>(self, _: usize, visitor: V) -> Result<V::Value> {
-        let at = self.reader.at();
-        let value = self.reader.deserialize_seq(visitor);
-        value.map_err(|error| error.or_at(at))
-    }
-
-    fn struct_variant<V: Visitor<'de>>(self, _: &[&str], visitor: V) -> Result<V::Value> {
-        let at = self.reader.at();
-        let value = self.reader.deserialize_struct("", &[], visitor);
-        value.map_err(|error| error.or_at(at))
-    }
-}
-
-/// A variant's name alone.
-struct Bare<'r, 'de>(&'r mut Reader<'de>);
-
-impl<'de> EnumAccess<'de> for Bare<'_, 'de> {
-    type Error = GoalError;
-    type Variant = Lone;
-
-    fn variant_seed<S: DeserializeSeed<'de>>(self, seed: S) -> Result<(S::Value, Lone)> {
-        seed.deserialize(self.0).map(|variant| (variant, Lone))
-    }
-}
-
-/// No value.
-struct Lone;
-
-impl Lone {
-    fn value<T>(self) -> Result<T> {
-        let kind = GoalErrorKind::Expected(Expected::VariantWithValue);
-        Err(GoalError::unplaced(kind))
-    }
-}
-
-impl<'de> VariantAccess<'de> for Lone {
-    type Error = GoalError;
-
-    fn unit_variant(self) -> Result<()> {
-        Ok(())
-    }
-
-    fn newtype_variant_seed<S: DeserializeSeed<'de>>(self, _: S) -> Result<S::Value> {
-        self.value()
-    }
-
-    fn tuple_variant<V: Visitor<'de>>(self, _: usize, _: V) -> Result<V::Value> {
-        self.value()
-    }
-
-    fn struct_variant<V: Visitor<'de>>(self, _: &[&str], _: V) -> Result<V::Value> {
-        self.value()
     }
 }

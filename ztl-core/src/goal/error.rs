@@ -6,6 +6,7 @@ use crate::sink::BufferTooSmall;
 
 /// Why a text is not the goal that the firmware asked for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub struct GoalError {
     /// Where in the text, in bytes from its start: at the value, key or mark that is wrong; for what
@@ -17,6 +18,7 @@ pub struct GoalError {
 
 /// What is wrong with a goal.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub enum GoalErrorKind {
     /// Something else was to stand here.
@@ -59,6 +61,7 @@ pub enum GoalErrorKind {
 
 /// What was to stand at a place.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub enum Expected {
     /// Any value.
@@ -233,6 +236,7 @@ impl core::error::Error for GoalError {}
 
 /// Why a value could not be written.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub enum WriteError {
     /// A collection within [`MAX_DEPTH`](super::MAX_DEPTH) others.

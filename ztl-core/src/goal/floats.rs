@@ -1,6 +1,6 @@
 //! How floats are written.
 
-use super::decimal::{F32, F64, Format};
+use super::decimal::{F32, F64, Format, Whole};
 use crate::sink::Sink;
 
 /// A way to write floats in results. Only the code of the one in use is linked.
@@ -17,14 +17,16 @@ pub trait Floats: Copy {
 /// An `f32` is written as short as tells it from other `f32`s: `0.1`, which is not the exact value
 /// of the `f32`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Shortest;
 
 /// With so many digits after the point, as Python's `'%.2f' % value`: rounded to the nearest, of two
 /// equally near ones to the even. With 0 there is no point, and Python reads the text as an `int`.
 ///
 /// Unlike in Python, zero has no sign, so that a sensor's noise makes no `-0.00`; and digits after
-/// the 18th, counted from the first that is not 0, are zeros.
+/// the 17th, counted from the first that is not 0, are zeros.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Fixed(
     /// Digits after the point.
     pub u8,
@@ -96,7 +98,7 @@ fn put_shortest(bits: Bits, sink: &mut (impl Sink + ?Sized)) {
         0 => (0, 0),
         magnitude => bits.format.shortest(magnitude),
     };
-    let text = Decimal::of(digits);
+    let text = Whole::of(digits);
     if bits.negative {
         sink.put(b"-");
     }
@@ -126,7 +128,7 @@ fn put_fixed(bits: Bits, decimals: i32, sink: &mut (impl Sink + ?Sized)) {
         sink.put(b"-");
     }
     let (digits, power) = rounded.unwrap_or((0, 0));
-    put_digits(Decimal::of(digits).digits(), power, decimals, sink);
+    put_digits(Whole::of(digits).digits(), power, decimals, sink);
 }
 
 /// Writes the number whose first digit stands for `10^power`, with so many digits after the point;
@@ -139,33 +141,5 @@ fn put_digits(digits: &[u8], power: i32, decimals: i32, sink: &mut (impl Sink + 
         let digit = usize::try_from(power - place).ok();
         let digit = digit.and_then(|nth| digits.get(nth));
         sink.put(&[digit.copied().unwrap_or(b'0')]);
-    }
-}
-
-/// A whole number in decimal.
-pub(super) struct Decimal {
-    buffer: [u8; 20],
-    first: usize,
-}
-
-impl Decimal {
-    pub(super) fn of(mut number: u64) -> Self {
-        let mut text = Self {
-            buffer: [b'0'; 20],
-            first: 0,
-        };
-        for (place, digit) in text.buffer.iter_mut().enumerate().rev() {
-            *digit = b'0' + (number % 10) as u8;
-            number /= 10;
-            text.first = place;
-            if number == 0 {
-                break;
-            }
-        }
-        text
-    }
-
-    pub(super) fn digits(&self) -> &[u8] {
-        self.buffer.get(self.first..).unwrap_or_default()
     }
 }

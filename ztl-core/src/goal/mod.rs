@@ -6,6 +6,7 @@
 //! use ztl_core::goal;
 //!
 //! #[derive(Debug, PartialEq, Deserialize, Serialize)]
+//! #[serde(deny_unknown_fields)]
 //! struct Pose { x: f32, y: f32, theta: f32 }
 //!
 //! let pose = Pose { x: 0.0, y: -0.5, theta: 1.57 };
@@ -56,7 +57,7 @@
 //! **Within `"…"`** these are read and YAML's `\0 \e \/ \_ \N \L \P`, `\` before a blank; any other is an error.
 //! In both, two `\u` make one character as in JSON, and a line break is folded as in YAML.
 //!
-//! A text that is quoted and has any of these, or an escaped key, needs scratch to be written to:
+//! A text or key in quotes that has any of these needs scratch to be written to:
 //! [`from_str_with`]. Others are views of the goal's text.
 //!
 //! # What the target decides
@@ -66,15 +67,15 @@
 //! | `&str`, a string, `char` | a text in quotes, or a plain one as it is written, also `1e3`, `True`, `None` |
 //! | integers, `bool` | as above; no quotes; `1.0` is no integer |
 //! | `f32`, `f64` | a number, also in quotes: YAML 1.1 takes `1e3` for a text, so that the original sends `'1e3'` |
-//! | a struct | a mapping, or a sequence of all its fields |
+//! | a struct | a mapping, or a sequence of all its fields; a key twice is an error, and what an unknown one has is skipped, unless the struct says `#[serde(deny_unknown_fields)]` |
 //! | an enum | `variant` or `'variant'`; `{variant: value}` |
 //! | a tuple, `Vec`, array | a sequence, of the right length |
 //! | `deserialize_any` | what the text looks like, integers as `u64` or `i64`, floats as `f64` |
 //!
-//! Numbers are rounded correctly, to the nearest `f32` or `f64` and of two equally near ones to the
-//! even, when they have up to 19 significant digits; beyond, the digits that do not fit into 64 bits count only
-//! as "a little more", so that a number within some 1e-19 of the middle of two neighbours, relative to
-//! itself, may become the other neighbour. What is greater than the greatest is an error, not infinity.
+//! Numbers of up to 19 significant digits are rounded correctly: to the nearest `f32` or `f64`, of two
+//! equally near ones to the even. Of longer ones, the digits that do not fit into 64 bits count only as "a
+//! little more": about one in 2000 becomes the second nearest `f64`; for an `f32` it takes an example made for
+//! it. What is greater than the greatest is an error, not infinity.
 //!
 //! Reading takes time linear in the text's length for any target of bounded size, no heap, and stack for at
 //! most [`MAX_DEPTH`] levels.
@@ -83,8 +84,9 @@
 //!
 //! What Python's `str` makes of the value: a text as it is, or in quotes within a collection; a struct
 //! as a dict, a tuple as a list, a unit variant as its name, other variants as `{'variant': value}`,
-//! bytes as a list of numbers. Floats as [`Floats`] says: [`Shortest`], as Python, or [`Fixed`].
+//! bytes as a list of numbers. (A key that is a list is read here, but not by Python.) Floats as [`Floats`] says: [`Shortest`], as Python, or [`Fixed`].
 
+mod access;
 mod de;
 mod decimal;
 mod display;
@@ -105,6 +107,7 @@ use core::marker::PhantomData;
 use serde::{Deserialize, Serialize};
 
 use crate::sink::{Sink, SliceSink};
+use quoted::Scratch;
 use reader::Reader;
 
 /// Collections within each other, read or written; more are an error, so that the stack is bounded.
@@ -139,7 +142,7 @@ pub fn from_str_with<'de, T: Deserialize<'de>>(
     text: &'de str,
     scratch: &'de mut [u8],
 ) -> Result<T, GoalError> {
-    read(Reader::new(text, Some(scratch)))
+    read(Reader::new(text, Some(Scratch::new(scratch))))
 }
 
 fn read<'de, T: Deserialize<'de>>(mut reader: Reader<'de>) -> Result<T, GoalError> {

@@ -20,10 +20,10 @@ pub(super) enum Number {
         /// Whether it was written without point and exponent: a whole number of more than 64 bits.
         whole: bool,
     },
-    Infinite {
+    Infinity {
         negative: bool,
     },
-    NotANumber,
+    Nan,
 }
 
 /// A whole number beyond the target's range.
@@ -41,12 +41,12 @@ impl Number {
     /// Reads the whole text; `None` when it is no number.
     pub(super) fn parse(text: &str) -> Option<Self> {
         let (negative, unsigned) = match text.as_bytes() {
-            b"nan" | b".nan" | b".NaN" | b".NAN" => return Some(Self::NotANumber),
+            b"nan" | b".nan" | b".NaN" | b".NAN" => return Some(Self::Nan),
             [b'-', unsigned @ ..] => (true, unsigned),
             [b'+', unsigned @ ..] | unsigned => (false, unsigned),
         };
         let radix = match unsigned {
-            b"inf" | b".inf" | b".Inf" | b".INF" => return Some(Self::Infinite { negative }),
+            b"inf" | b".inf" | b".Inf" | b".INF" => return Some(Self::Infinity { negative }),
             [b'0', b'x' | b'X', ..] => 16,
             [b'0', b'o' | b'O', ..] => 8,
             [b'0', b'b' | b'B', ..] => 2,
@@ -114,8 +114,8 @@ impl Number {
                 more,
                 ..
             } => Ok((negative, mantissa, exponent, more)),
-            Self::Infinite { negative } => Err(Some(negative)),
-            Self::NotANumber => Err(None),
+            Self::Infinity { negative } => Err(Some(negative)),
+            Self::Nan => Err(None),
         }
     }
 }

@@ -2,6 +2,8 @@
 
 use core::str::CharIndices;
 
+use super::error::{GoalError, GoalErrorKind};
+
 /// A text in quotes, as it is written.
 pub(super) struct Quoted<'a> {
     quote: u8,
@@ -45,7 +47,7 @@ impl<'a> Quoted<'a> {
 
     /// Writes what is meant, and says how many bytes that takes, which may be more than there are.
     /// The error is the place of a bad escape in `inner`.
-    pub(super) fn unescape(&self, scratch: &mut [u8]) -> Result<usize, usize> {
+    fn unescape(&self, scratch: &mut [u8]) -> Result<usize, usize> {
         let mut out = Out { scratch, len: 0 };
         // Up to here the text stays, even when a line break follows.
         let mut lasting = 0;
@@ -110,6 +112,51 @@ impl<'a> Quoted<'a> {
     }
 }
 
+/// Where texts with escapes are written to.
+pub(super) struct Scratch<'de> {
+    /// What is not in use.
+    room: &'de mut [u8],
+    /// Bytes in use.
+    used: usize,
+    unescape: fn(&mut Self, &Quoted<'_>, usize) -> Result<&'de str, GoalError>,
+}
+
+impl<'de> Scratch<'de> {
+    pub(super) fn new(room: &'de mut [u8]) -> Self {
+        Self {
+            room,
+            used: 0,
+            // By its address, so that firmware that never has scratch does not link it.
+            unescape: Self::unescape_here,
+        }
+    }
+
+    /// What the text in quotes that begins at `start` means.
+    pub(super) fn unescape(
+        &mut self,
+        quoted: &Quoted<'_>,
+        start: usize,
+    ) -> Result<&'de str, GoalError> {
+        (self.unescape)(self, quoted, start)
+    }
+
+    fn unescape_here(&mut self, quoted: &Quoted<'_>, start: usize) -> Result<&'de str, GoalError> {
+        let room = core::mem::take(&mut self.room);
+        let available = self.used + room.len();
+        let bad = |at| GoalError::new(start + 1 + at, GoalErrorKind::BadEscape);
+        let len = quoted.unescape(room).map_err(bad)?;
+        self.used += len;
+        let needed = self.used;
+        let Some((text, left)) = room.split_at_mut_checked(len) else {
+            let kind = GoalErrorKind::ScratchTooSmall { needed, available };
+            return Err(GoalError::new(start, kind));
+        };
+        self.room = left;
+        // Whole characters were written.
+        Ok(core::str::from_utf8(text).unwrap_or_default())
+    }
+}
+
 /// Reads a line break of YAML with the blanks behind it: one means a blank, further ones stay.
 fn fold(rest: &mut CharIndices<'_>, out: &mut Out<'_>) {
     let mut further = false;
@@ -157,7 +204,9 @@ impl Out<'_> {
     fn push(&mut self, c: char) {
         let end = self.len + c.len_utf8();
         if let Some(room) = self.scratch.get_mut(self.len..end) {
-            c.encode_utf8(room);
+            let mut bytes = [0; 4];
+            c.encode_utf8(&mut bytes);
+            room.iter_mut().zip(bytes).for_each(|(to, byte)| *to = byte);
         }
         self.len = end;
     }

@@ -2,7 +2,7 @@
 
 use super::MAX_DEPTH;
 use super::error::{Expected, GoalError, GoalErrorKind};
-use super::quoted;
+use super::quoted::{Quoted, Scratch};
 
 /// A place in a goal's text, and what is needed to go on from there.
 pub(super) struct Reader<'de> {
@@ -13,10 +13,7 @@ pub(super) struct Reader<'de> {
     depth: u8,
     /// Where the key read last begins.
     key: usize,
-    /// Room for texts with escapes, as far as it is not in use; `None` when there never was any.
-    scratch: Option<&'de mut [u8]>,
-    /// Bytes of scratch in use.
-    used: usize,
+    scratch: Option<Scratch<'de>>,
 }
 
 /// A collection that is being read.
@@ -33,14 +30,13 @@ fn is_blank(byte: u8) -> bool {
 }
 
 impl<'de> Reader<'de> {
-    pub(super) fn new(text: &'de str, scratch: Option<&'de mut [u8]>) -> Self {
+    pub(super) fn new(text: &'de str, scratch: Option<Scratch<'de>>) -> Self {
         Self {
             text,
             at: 0,
             depth: 0,
             key: 0,
             scratch,
-            used: 0,
         }
     }
 
@@ -237,33 +233,21 @@ impl<'de> Reader<'de> {
     pub(super) fn quoted(&mut self) -> Result<&'de str, GoalError> {
         let start = self.at;
         let quoted = self.skip_quoted()?;
-        let Some(special) = quoted.special else {
-            return Ok(quoted.inner);
-        };
-        let Some(scratch) = self.scratch.take() else {
-            let at = start + 1 + special;
-            return Err(GoalError::new(at, GoalErrorKind::NeedsScratch));
-        };
-        let available = self.used + scratch.len();
-        let unescaped = quoted.unescape(scratch);
-        let len =
-            unescaped.map_err(|at| GoalError::new(start + 1 + at, GoalErrorKind::BadEscape))?;
-        let Some((text, left)) = scratch.split_at_mut_checked(len) else {
-            let needed = self.used + len;
-            let kind = GoalErrorKind::ScratchTooSmall { needed, available };
-            return Err(GoalError::new(start, kind));
-        };
-        self.scratch = Some(left);
-        self.used += len;
-        // Whole characters were written.
-        Ok(core::str::from_utf8(text).unwrap_or_default())
+        match (quoted.special, &mut self.scratch) {
+            (None, _) => Ok(quoted.inner),
+            (Some(_), Some(scratch)) => scratch.unescape(&quoted, start),
+            (Some(special), None) => {
+                let at = start + 1 + special;
+                Err(GoalError::new(at, GoalErrorKind::NeedsScratch))
+            }
+        }
     }
 
     /// Reads a text in quotes, whose opening quote is the next byte, without looking into it.
-    pub(super) fn skip_quoted(&mut self) -> Result<quoted::Quoted<'de>, GoalError> {
+    pub(super) fn skip_quoted(&mut self) -> Result<Quoted<'de>, GoalError> {
         let text = self.text.get(self.at..).unwrap_or_default();
-        let quoted = quoted::Quoted::find(text)
-            .ok_or(GoalError::new(self.at, GoalErrorKind::Unterminated))?;
+        let quoted =
+            Quoted::find(text).ok_or(GoalError::new(self.at, GoalErrorKind::Unterminated))?;
         self.at += quoted.inner.len() + 2;
         Ok(quoted)
     }

@@ -2,6 +2,8 @@
 
 use std::time::Duration;
 
+use ztl_core::TaskId;
+
 use super::Status;
 
 /// Why a request got no answer that could be used.
@@ -21,6 +23,12 @@ pub enum RequestError {
         endpoint: String,
         /// How long it was waited for.
         waited: Duration,
+    },
+    /// The server does not know the task: it was started anew, or has forgotten it. How the task
+    /// ended, or whether, is unknown.
+    UnknownTask {
+        /// Which.
+        id: TaskId,
     },
     /// The answer is no ZTL message, or tells a state that does not exist.
     Unreadable {
@@ -43,6 +51,10 @@ impl std::fmt::Display for RequestError {
                 f,
                 "no answer from {endpoint} within {:.1} s; whether it acted is unknown",
                 waited.as_secs_f32()
+            ),
+            Self::UnknownTask { id } => write!(
+                f,
+                "the server does not know task {id}: it was started anew or has forgotten it, and how the task ended is unknown"
             ),
             Self::Unreadable { answer } => write!(f, "the answer is no ZTL message: {answer:?}"),
             Self::Transport(cause) => write!(f, "ZeroMQ: {}", cause.message()),

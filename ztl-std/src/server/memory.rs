@@ -21,7 +21,10 @@ pub(super) type Peer = Vec<Vec<u8>>;
 /// What a scope offers, as a mapping in YAML's flow style.
 pub(super) type Describe = Box<dyn Fn() -> String + Send>;
 
-/// A text that grows as needed.
+/// Longest text that is kept, in bytes: an answer must fit a message that a client of ours takes.
+const MAX_TEXT: usize = super::MAX_MESSAGE - 1024;
+
+/// A text that grows as needed, up to what a message can carry.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub(super) struct Grown(String);
 
@@ -34,7 +37,13 @@ impl AsRef<str> for Grown {
 impl Text for Grown {
     fn set(&mut self, text: &str) {
         self.0.clear();
-        self.0.push_str(text);
+        if text.len() <= MAX_TEXT {
+            self.0.push_str(text);
+        } else {
+            let fitting = text.floor_char_boundary(MAX_TEXT);
+            self.0.push_str(text.get(..fitting).unwrap_or_default());
+            self.0.push('…');
+        }
     }
 }
 
@@ -233,9 +242,9 @@ impl Memory for Heap {
     }
 }
 
-/// A text in quotes, as Python and YAML read it.
+/// A text in quotes, as YAML reads it.
 pub(crate) fn quoted(text: &str) -> String {
     let mut bytes = Vec::new();
-    ztl_core::repr::put_quoted(text, &mut |part: &[u8]| bytes.extend_from_slice(part));
+    ztl_core::repr::put_yaml(text, &mut |part: &[u8]| bytes.extend_from_slice(part));
     String::from_utf8_lossy(&bytes).into_owned()
 }
