@@ -1,0 +1,134 @@
+//! The inside of collections, as serde asks for it.
+
+use core::marker::PhantomData;
+
+use serde::de::{
+    DeserializeSeed, Deserializer, EnumAccess, MapAccess, SeqAccess, VariantAccess, Visitor,
+};
+
+use super::error::{Expected, GoalError, GoalErrorKind};
+use super::reader::{Open, Reader};
+
+type Result<T> = core::result::Result<T, GoalError>;
+
+/// The items of a collection.
+pub(super) struct Items<'r, 'de> {
+    pub(super) reader: &'r mut Reader<'de>,
+    open: Open,
+}
+
+impl<'r, 'de> Items<'r, 'de> {
+    pub(super) fn new(reader: &'r mut Reader<'de>, open: Open) -> Self {
+        Self { reader, open }
+    }
+
+    /// Goes to the next one; whether there is one.
+    pub(super) fn more(&mut self) -> Result<bool> {
+        self.reader.more(&mut self.open)
+    }
+}
+
+impl<'de> SeqAccess<'de> for &mut Items<'_, 'de> {
+    type Error = GoalError;
+
+    fn next_element_seed<S: DeserializeSeed<'de>>(&mut self, seed: S) -> Result<Option<S::Value>> {
+        if !self.more()? {
+            return Ok(None);
+        }
+        self.reader.value(seed).map(Some)
+    }
+}
+
+impl<'de> MapAccess<'de> for &mut Items<'_, 'de> {
+    type Error = GoalError;
+
+    fn next_key_seed<S: DeserializeSeed<'de>>(&mut self, seed: S) -> Result<Option<S::Value>> {
+        if !self.more()? {
+            return Ok(None);
+        }
+        self.reader.key(seed).map(Some)
+    }
+
+    fn next_value_seed<S: DeserializeSeed<'de>>(&mut self, seed: S) -> Result<S::Value> {
+        self.reader.colon()?;
+        self.reader.value(seed)
+    }
+}
+
+/// The one entry of `{variant: value}`.
+impl<'de> EnumAccess<'de> for &mut Items<'_, 'de> {
+    type Error = GoalError;
+    type Variant = Self;
+
+    fn variant_seed<S: DeserializeSeed<'de>>(self, seed: S) -> Result<(S::Value, Self)> {
+        let variant = self.reader.key(seed)?;
+        self.reader.colon()?;
+        Ok((variant, self))
+    }
+}
+
+impl<'de> VariantAccess<'de> for &mut Items<'_, 'de> {
+    type Error = GoalError;
+
+    fn unit_variant(self) -> Result<()> {
+        self.reader.value(PhantomData)
+    }
+
+    fn newtype_variant_seed<S: DeserializeSeed<'de>>(self, seed: S) -> Result<S::Value> {
+        self.reader.value(seed)
+    }
+
+    fn tuple_variant<V: Visitor<'de>>(self, _: usize, visitor: V) -> Result<V::Value> {
+        let at = self.reader.at();
+        let value = self.reader.deserialize_seq(visitor);
+        value.map_err(|error| error.or_at(at))
+    }
+
+    fn struct_variant<V: Visitor<'de>>(self, _: &[&str], visitor: V) -> Result<V::Value> {
+        let at = self.reader.at();
+        let value = self.reader.deserialize_struct("", &[], visitor);
+        value.map_err(|error| error.or_at(at))
+    }
+}
+
+/// A variant's name alone.
+pub(super) struct Lone<'r, 'de>(pub(super) &'r mut Reader<'de>);
+
+impl<'de> EnumAccess<'de> for Lone<'_, 'de> {
+    type Error = GoalError;
+    type Variant = NoValue;
+
+    fn variant_seed<S: DeserializeSeed<'de>>(self, seed: S) -> Result<(S::Value, NoValue)> {
+        seed.deserialize(self.0).map(|variant| (variant, NoValue))
+    }
+}
+
+/// The value that it lacks.
+pub(super) struct NoValue;
+
+impl NoValue {
+    fn value<T>(self) -> Result<T> {
+        let kind = GoalErrorKind::Expected(Expected::VariantWithValue);
+        Err(GoalError::unplaced(kind))
+    }
+}
+
+impl<'de> VariantAccess<'de> for NoValue {
+    type Error = GoalError;
+
+    fn unit_variant(self) -> Result<()> {
+        Ok(())
+    }
+
+    fn newtype_variant_seed<S: DeserializeSeed<'de>>(self, _: S) -> Result<S::Value> {
+        self.value()
+    }
+
+    fn tuple_variant<V: Visitor<'de>>(self, _: usize, _: V) -> Result<V::Value> {
+        self.value()
+    }
+
+    fn struct_variant<V: Visitor<'de>>(self, _: &[&str], _: V) -> Result<V::Value> {
+        self.value()
+    }
+}
