@@ -13,10 +13,10 @@ use ztl_std::{
 /// What the wire does to the first INIT that passes.
 #[derive(Clone, Copy, PartialEq)]
 enum Fault {
-    LoseRequest,
-    LoseAnswer,
-    /// And the server is another one afterwards.
-    LoseAnswerAndRestart,
+    RequestLost,
+    AnswerLost,
+    /// The answer is lost, and the server is another one afterwards.
+    Restart,
 }
 
 struct Counter(Arc<AtomicU32>);
@@ -72,7 +72,7 @@ fn wire(
             if let Ok(frames) = front.recv_multipart(zmq::DONTWAIT) {
                 inits += u32::from(is_init(&frames));
                 assert!(inits <= 1, "an INIT was sent twice");
-                if is_init(&frames) && fault == Fault::LoseRequest {
+                if is_init(&frames) && fault == Fault::RequestLost {
                     continue;
                 }
                 back.send_multipart(frames, 0).unwrap();
@@ -80,7 +80,7 @@ fn wire(
             if let Ok(frames) = back.recv_multipart(zmq::DONTWAIT) {
                 if !lost && is_init(&frames) {
                     lost = true;
-                    if fault == Fault::LoseAnswerAndRestart {
+                    if fault == Fault::Restart {
                         back = open(&other);
                     }
                     continue;
@@ -114,20 +114,20 @@ fn trigger(fault: Fault) -> (Result<State, TriggerError>, u32) {
 
 #[test]
 fn a_task_whose_answer_is_lost_is_known_all_the_same() {
-    assert_eq!(trigger(Fault::LoseAnswer), (Ok(State::Completed), 1));
+    assert_eq!(trigger(Fault::AnswerLost), (Ok(State::Completed), 1));
 }
 
 #[test]
 fn an_init_that_is_lost_is_known_not_to_have_started() {
     assert_eq!(
-        trigger(Fault::LoseRequest),
+        trigger(Fault::RequestLost),
         (Err(TriggerError::NeverCame), 0)
     );
 }
 
 #[test]
 fn after_a_restart_of_the_server_its_fate_is_unknown_and_not_never_started() {
-    let (told, started) = trigger(Fault::LoseAnswerAndRestart);
+    let (told, started) = trigger(Fault::Restart);
     let unknown = matches!(
         told,
         Err(TriggerError::Request(RequestError::NoAnswer { .. }))

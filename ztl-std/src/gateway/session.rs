@@ -282,7 +282,7 @@ impl Session {
         self.next_command(now);
     }
 
-    /// A client wants a task. The answer comes as an event: within [`START_LIMIT`], unless the
+    /// A client wants a task. The answer comes as an event: within one second, unless the
     /// device takes the `Start` and its answer is lost.
     pub fn start(&mut self, now: Instant, id: TaskId, component: &str, goal: &str) {
         let task = Task {
