@@ -39,7 +39,7 @@ use crate::integer::Integer;
 use crate::lifecycle::{Event, Request, State};
 use crate::memory::{Awaited, First, LastInit, Memory, Scope, Waiter};
 use crate::message::Message;
-use crate::reply::{Reply, ReplyId, ReplyText};
+use crate::reply::{NO_CONTROLLER, Reply, ReplyId, ReplyText, UNKNOWN_PROTOCOL};
 use crate::tasks::{Task, TaskRules, Tasks, Text};
 use crate::time::earliest;
 use crate::{Instant, TaskId};
@@ -217,7 +217,7 @@ impl<M: Memory> Dispatcher<M> {
             Ok(message) => message,
             Err(error) => {
                 // Case A, and 4.4 for what silenced the original for good.
-                let text = ReplyText::Plain("Unknown protocol");
+                let text = ReplyText::Plain(UNKNOWN_PROTOCOL);
                 out(peer, &Reply::refusal(error.scope(), text));
                 return None;
             }
@@ -228,7 +228,7 @@ impl<M: Memory> Dispatcher<M> {
             return None;
         }
         let Some(scope) = self.memory.scope(message.scope) else {
-            let text = ReplyText::About("No controller for scope: ", message.scope);
+            let text = ReplyText::About(NO_CONTROLLER, message.scope);
             out(asker.peer, &Reply::refusal(message.scope, text));
             return None;
         };

@@ -9,6 +9,19 @@ use crate::sink::{Sink, put_decimal};
 /// The text that answers an `outcome` about an INIT that never came; the boot id follows.
 pub const NEVER_SEEN: &str = "never seen since boot ";
 
+/// What is wrong with a request that no handler gets to see; a server logs it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum RefusalOf {
+    /// It is no message.
+    Protocol,
+    /// Its scope is not served.
+    Scope,
+}
+
+pub(crate) const UNKNOWN_PROTOCOL: &str = "Unknown protocol";
+pub(crate) const NO_CONTROLLER: &str = "No controller for scope: ";
+
 /// An answer, as a view; [`put`](Self::put) writes it.
 #[derive(Clone, Copy)]
 pub struct Reply<'a> {
@@ -71,6 +84,22 @@ impl<'a> Reply<'a> {
             id: ReplyId::Task(id),
             text,
         }
+    }
+
+    /// What was wrong with the request as such, if anything was.
+    #[must_use]
+    pub fn refusal_of(&self) -> Option<RefusalOf> {
+        match self.text {
+            ReplyText::Plain(UNKNOWN_PROTOCOL) => Some(RefusalOf::Protocol),
+            ReplyText::About(NO_CONTROLLER, _) => Some(RefusalOf::Scope),
+            _ => None,
+        }
+    }
+
+    /// The scope it is under.
+    #[must_use]
+    pub fn scope(&self) -> &'a str {
+        self.scope
     }
 
     /// The state it tells.

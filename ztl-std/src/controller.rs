@@ -150,13 +150,16 @@ impl TaskContext {
     /// # Errors
     /// [`Aborted`] as soon as somebody did; with `?` the task ends as ABORTED.
     pub fn sleep(&self, time: Duration) -> Result<(), Aborted> {
-        let end = Instant::now() + time;
+        // `None` is later than any clock can tell.
+        let end = Instant::now().checked_add(time);
         let mut wish = self.wish.lock();
         loop {
             if wish.abort {
                 return Err(Aborted);
             }
-            let left = end.saturating_duration_since(Instant::now());
+            let left = end.map_or(Duration::from_secs(3600), |end| {
+                end.saturating_duration_since(Instant::now())
+            });
             if left.is_zero() {
                 return Ok(());
             }

@@ -4,11 +4,12 @@ use std::collections::HashMap;
 use std::io::{self, Write};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
 use tracing::{info, warn};
+use ztl_core::repr::put_quoted;
 use ztl_core::time::earliest;
 use ztl_core::{Instant, State, TaskId, TaskSpec};
 
@@ -22,6 +23,12 @@ use crate::server::TaskReporter;
 const RETRY: (Duration, Duration) = (Duration::from_millis(50), Duration::from_millis(500));
 /// How long a gateway that ends waits for its tasks to be stopped.
 const STOP: Duration = Duration::from_secs(1);
+/// Longest part of a request that is repeated in a reason, in bytes.
+const SHOWN: usize = 100;
+/// Inputs taken before the time is looked at.
+const BATCH: usize = 64;
+/// Pieces of at most 1 KiB that a line may be ahead of its device's thread.
+const AHEAD: usize = 64;
 /// Name under which the gateway logs.
 const LOG: &str = "gateway";
 
@@ -30,9 +37,45 @@ enum Input {
     Abort(TaskId),
     /// The line of this number is open.
     Opened(u64, Box<dyn Write + Send>),
-    Bytes(u64, Vec<u8>),
+    /// The permit goes back to the line when the bytes have been taken.
+    Bytes(u64, Vec<u8>, Permit),
     Closed(u64, io::Error),
     Stop,
+}
+
+/// One of the pieces that a line may be ahead; counted down when dropped.
+struct Permit(Arc<Ahead>);
+
+/// How far a line is ahead of its device's thread.
+#[derive(Default)]
+struct Ahead {
+    pieces: Mutex<usize>,
+    fewer: Condvar,
+}
+
+impl Ahead {
+    /// Waits until the line may go on; `None` when it does not within a moment.
+    fn permit(self: &Arc<Self>) -> Option<Permit> {
+        let pieces = self.pieces.lock().unwrap_or_else(PoisonError::into_inner);
+        let full = |pieces: &mut usize| *pieces >= AHEAD;
+        let waited = self
+            .fewer
+            .wait_timeout_while(pieces, Duration::from_millis(50), full);
+        let (mut pieces, timeout) = waited.unwrap_or_else(PoisonError::into_inner);
+        if timeout.timed_out() {
+            return None;
+        }
+        *pieces += 1;
+        Some(Permit(Arc::clone(self)))
+    }
+}
+
+impl Drop for Permit {
+    fn drop(&mut self) {
+        let mut pieces = self.0.pieces.lock().unwrap_or_else(PoisonError::into_inner);
+        *pieces = pieces.saturating_sub(1);
+        self.0.fewer.notify_one();
+    }
 }
 
 struct Request {
@@ -95,7 +138,7 @@ impl Device {
         let request = Request {
             component: spec.component.to_owned(),
             goal: spec.goal.to_owned(),
-            spec: spec.to_string(),
+            spec: shown(spec),
             reply: String::from_utf8_lossy(&reply).into_owned(),
         };
         // If the thread is gone, dropping the reporter tells the client.
@@ -158,7 +201,8 @@ impl Worker {
                 Err(RecvTimeoutError::Timeout) => {}
                 Err(RecvTimeoutError::Disconnected) => break,
             }
-            for input in inbox.try_iter() {
+            // A line that never pauses must not keep the clock from being looked at.
+            for input in inbox.try_iter().take(BATCH) {
                 self.on_input(input);
             }
             self.session.handle_timeout(now());
@@ -169,10 +213,23 @@ impl Worker {
             if let Some(end) = self.stopping
                 && (self.tasks.is_empty() || now() >= end)
             {
+                self.say_what_is_left();
                 break;
             }
         }
         self.close();
+    }
+
+    fn say_what_is_left(&self) {
+        let left: Vec<&str> = self.tasks.values().map(|(_, r)| r.spec.as_str()).collect();
+        if !left.is_empty() {
+            warn!(
+                target: LOG,
+                "Device '{}' has not confirmed that it stopped: {}; it acts by itself when it hears nothing for its link timeout.",
+                self.name,
+                left.join(", ")
+            );
+        }
     }
 
     fn until_wake(&self) -> Duration {
@@ -228,7 +285,7 @@ impl Worker {
                     self.session.handle_connected(now());
                 }
             }
-            Input::Bytes(number, bytes) if number == self.number => {
+            Input::Bytes(number, bytes, _permit) if number == self.number => {
                 self.session.handle_bytes(now(), &bytes);
             }
             Input::Closed(number, error) if number == self.number => self.on_closed(&error),
@@ -284,7 +341,7 @@ impl Worker {
                         Some(trouble) if !self.session.is_up() => format!(" ({trouble})"),
                         _ => String::new(),
                     };
-                    task.rejected(format!("'{}' refused: {reason}{trouble}", request.spec));
+                    task.rejected(format!("{} refused: {reason}{trouble}", request.spec));
                 }
             }
             Event::Progress(id, text) => {
@@ -318,11 +375,27 @@ impl Worker {
                         .unwrap_or_else(PoisonError::into_inner) = names;
                 }
             }
+            Event::Silent => {
+                let trouble = format!("{}: nothing there answers", self.endpoint);
+                self.set_trouble(trouble);
+            }
             Event::Lost => self.set_trouble("it no longer answers".to_owned()),
             Event::Reset => warn!(target: LOG, "Device '{}' was reset.", self.name),
             Event::Refused(reason) => self.set_trouble(reason),
         }
     }
+}
+
+/// A request as it is shown to people: in quotes, and not at any length.
+fn shown(spec: &TaskSpec<'_>) -> String {
+    let mut text = spec.to_string();
+    if text.len() > SHOWN {
+        text.truncate(text.floor_char_boundary(SHOWN));
+        text.push('…');
+    }
+    let mut quoted = Vec::new();
+    put_quoted(&text, &mut |bytes: &[u8]| quoted.extend_from_slice(bytes));
+    String::from_utf8_lossy(&quoted).into_owned()
 }
 
 /// Opens the line and passes on what arrives, until it breaks or is no longer wanted.
@@ -342,16 +415,21 @@ fn read_line(
         return ended();
     }
     let mut buffer = [0; 1024];
+    let ahead = Arc::default();
+    let mut next = None;
     while !stop.load(Ordering::Acquire) {
+        let Some(permit) = next.take().or_else(|| Ahead::permit(&ahead)) else {
+            continue;
+        };
         match line.reader.read(&mut buffer) {
             Ok(0) => return ended(),
             Ok(count) => {
                 let bytes = buffer.get(..count).unwrap_or_default().to_vec();
-                if inputs.send(Input::Bytes(number, bytes)).is_err() {
+                if inputs.send(Input::Bytes(number, bytes, permit)).is_err() {
                     break;
                 }
             }
-            Err(error) if is_pause(&error) => {}
+            Err(error) if is_pause(&error) => next = Some(permit),
             Err(error) => return error,
         }
     }

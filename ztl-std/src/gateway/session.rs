@@ -74,6 +74,8 @@ pub enum Event {
     Ended(TaskId, State, String),
     /// The device is known and takes tasks.
     Up,
+    /// Nothing has answered the greeting for the link timeout; told again as long as that is so.
+    Silent,
     /// It no longer answers.
     Lost,
     /// It has forgotten everything.
@@ -184,9 +186,10 @@ pub struct Session {
     next_link: u32,
     /// The device's clock and when it was heard: that it has passed `.0` ms is certain at `.1`.
     clock: Option<(u64, Instant)>,
-    /// When the last new command was first sent: the device's link timer was restarted then at the
-    /// latest by the one before.
+    /// When the last new command was first sent.
     commanded: Instant,
+    /// When the last answer to a command was heard: the device had taken that command by then.
+    heard: Instant,
     /// Measured from a command to its answer.
     turnaround: Option<Duration>,
     counters: LinkCounters,
@@ -212,6 +215,7 @@ impl Session {
             next_link: 1,
             clock: None,
             commanded: Instant::ZERO,
+            heard: Instant::ZERO,
             turnaround: None,
             counters: LinkCounters::default(),
         }
@@ -264,6 +268,7 @@ impl Session {
             if now >= wait && in_flight.command == Command::Hello {
                 // Nobody there yet: go on with the same session, in case it was only late.
                 in_flight.sent = now;
+                self.events.push_back(Event::Silent);
             } else if now >= wait {
                 self.lose();
                 self.greet(now);
@@ -386,12 +391,12 @@ impl Session {
 
     /// When a device that is not heard has brought the task to its end by itself.
     ///
-    /// Its link timer was restarted at the latest by the last new command; that one came, if at
-    /// all, within one link timeout of the one before, or the timer had fired. A `Start` is taken
-    /// at the latest at its deadline.
+    /// The last command that was answered restarted its link timer, at the latest when the answer
+    /// was heard. The one after it came, if at all, before that timer fired, and restarted it once
+    /// more; there was no third. A `Start` is taken at the latest at its deadline.
     fn must_have_acted(&self, task: &Task) -> Instant {
         let timeout = self.link_timeout();
-        (self.commanded + timeout * 2).max(task.deadline + timeout)
+        (self.heard + timeout * 2).max(task.deadline + timeout)
     }
 
     /// Refuses what was never sent and has become too late.

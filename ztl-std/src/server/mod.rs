@@ -8,12 +8,13 @@ mod report;
 
 use std::sync::Arc;
 use std::thread::JoinHandle;
+use std::time::Duration;
 
 use tracing::{debug, info, warn};
 use ztl_core::TaskId;
 use ztl_core::dispatcher::{Action, Body, Config, Dispatcher};
 use ztl_core::envelope::Envelope;
-use ztl_core::reply::Reply;
+use ztl_core::reply::{RefusalOf, Reply};
 
 use crate::clock::now;
 use crate::controller::{TaskController, Threads};
@@ -27,8 +28,15 @@ use report::{Inbox, Mailbox, Waker};
 /// Longest message taken from the network, in bytes.
 pub const MAX_MESSAGE: usize = 1 << 20;
 
-/// Requests served before reports of handlers are looked at again.
+/// Requests, and reports of handlers, taken before the others are looked at again.
 const BATCH: usize = 64;
+
+/// How long a server that is stopped goes on answering while its handlers stop their tasks, at most.
+const STOPPING: Duration = Duration::from_millis(1500);
+
+/// How long it goes on after that, when tasks were stopped, so that clients that ask every 100 ms
+/// hear of it.
+const LAST_WORDS: Duration = Duration::from_millis(250);
 
 /// Name under which the original logs.
 const LOG: &str = "remote-task";
@@ -118,6 +126,8 @@ pub struct TaskServer {
     waker: Arc<Waker>,
     mailbox: Mailbox,
     inbox: Inbox,
+    /// Whether the last turn took a report.
+    reported: bool,
 }
 
 impl TaskServer {
@@ -162,6 +172,7 @@ impl TaskServer {
             waker,
             mailbox,
             inbox,
+            reported: false,
         })
     }
 
@@ -199,22 +210,49 @@ impl TaskServer {
     /// # Errors
     /// When ZeroMQ can no longer wait; no request can cause it.
     pub fn listen(mut self) -> Result<(), zmq::Error> {
+        let mut more = false;
         while !self.waker.stopped() {
-            self.wait()?;
-            if self.bell.recv_msg(zmq::DONTWAIT).is_ok() {
-                self.waker.taken();
+            let longest = if more { Duration::ZERO } else { Duration::MAX };
+            more = self.turn(longest)?;
+        }
+        self.stop_handlers()
+    }
+
+    /// Waits for something, at most for `longest`, and serves it; says whether there is more.
+    fn turn(&mut self, longest: Duration) -> Result<bool, zmq::Error> {
+        self.wait(longest)?;
+        if self.bell.recv_msg(zmq::DONTWAIT).is_ok() {
+            self.waker.taken();
+        }
+        let more = self.take_reports();
+        for _ in 0..BATCH {
+            match self.socket.recv_multipart(zmq::DONTWAIT) {
+                Ok(frames) => self.serve(frames),
+                Err(_) => break,
             }
-            self.take_reports();
-            for _ in 0..BATCH {
-                match self.socket.recv_multipart(zmq::DONTWAIT) {
-                    Ok(frames) => self.serve(frames),
-                    Err(_) => break,
-                }
-            }
-            let Self {
-                dispatcher, socket, ..
-            } = &mut self;
-            dispatcher.handle_timeout(now(), &mut |peer, reply| answer(socket, peer, reply));
+        }
+        let Self {
+            dispatcher, socket, ..
+        } = self;
+        dispatcher.handle_timeout(now(), &mut |peer, reply| answer(socket, peer, reply));
+        Ok(more)
+    }
+
+    /// Handlers stop their tasks as they are dropped; meanwhile clients are told.
+    fn stop_handlers(&mut self) -> Result<(), zmq::Error> {
+        let handlers = std::mem::take(&mut self.handlers);
+        let stopping = std::thread::spawn(move || drop(handlers));
+        let end = now() + STOPPING;
+        let pause = Duration::from_millis(10);
+        let mut told = false;
+        while now() < end && !stopping.is_finished() {
+            self.turn(pause)?;
+            told |= self.reported;
+        }
+        let end = now() + LAST_WORDS;
+        while (told || self.reported) && now() < end {
+            told = true;
+            self.turn(pause)?;
         }
         Ok(())
     }
@@ -240,12 +278,16 @@ impl TaskServer {
         })
     }
 
-    /// Until a request, a report or the dispatcher's next wake-up.
-    fn wait(&self) -> Result<(), zmq::Error> {
-        let timeout = self.dispatcher.poll_timeout().map_or(-1, |wake| {
-            let millis = wake.since(now()).as_micros().div_ceil(1000);
-            i64::try_from(millis).unwrap_or(i64::MAX).min(3_600_000)
-        });
+    /// Until a request, a report or the dispatcher's next wake-up, at most for `longest`.
+    fn wait(&self, longest: Duration) -> Result<(), zmq::Error> {
+        let wake = self.dispatcher.poll_timeout();
+        let time = wake.map_or(longest, |wake| wake.since(now()).min(longest));
+        let timeout = match time {
+            Duration::MAX => -1,
+            time => i64::try_from(time.as_micros().div_ceil(1000))
+                .unwrap_or(i64::MAX)
+                .min(3_600_000),
+        };
         let mut items = [
             self.socket.as_poll_item(zmq::POLLIN),
             self.bell.as_poll_item(zmq::POLLIN),
@@ -256,18 +298,25 @@ impl TaskServer {
         }
     }
 
-    fn take_reports(&mut self) {
+    /// Takes a bounded number of reports; says whether there may be more.
+    fn take_reports(&mut self) -> bool {
         let Self {
             dispatcher,
             socket,
             inbox,
             ..
         } = self;
-        for (id, report) in inbox.waiting() {
-            dispatcher.handle_event(now(), id, report.event(), &mut |peer, reply| {
-                answer(socket, peer, reply);
+        let mut taken = 0;
+        for (id, report) in inbox.waiting().take(BATCH) {
+            taken += 1;
+            report.tell(|event| {
+                dispatcher.handle_event(now(), id, event, &mut |peer, reply| {
+                    answer(socket, peer, reply);
+                });
             });
         }
+        self.reported = taken > 0;
+        taken == BATCH
     }
 
     fn serve(&mut self, mut frames: Vec<Vec<u8>>) {
@@ -288,14 +337,19 @@ impl TaskServer {
             [_identity, .., client, number, _delimiter] => Envelope::parse(client, number),
             _ => None,
         };
-        let mut out = |peer, reply: &Reply<'_>| answer(socket, peer, reply);
+        let mut out = |peer, reply: &Reply<'_>| {
+            log_refusal(reply, body);
+            answer(socket, peer, reply);
+        };
         let action = self
             .dispatcher
             .handle_request(now(), frames, envelope, body, &mut out);
         match action {
             Some(Action::Start { id, scope, payload }) => {
-                if let Some(handler) = self.handlers.get_mut(usize::from(scope.0)) {
-                    handler.start(TaskReporter::new(id, self.mailbox.clone()), payload);
+                let task = TaskReporter::new(id, self.mailbox.clone());
+                match self.handlers.get_mut(usize::from(scope.0)) {
+                    Some(handler) => handler.start(task, payload),
+                    None => task.rejected("the server is stopping"),
                 }
             }
             Some(Action::Abort { id, scope }) => {
@@ -305,6 +359,24 @@ impl TaskServer {
             }
             None => {}
         }
+    }
+}
+
+/// Logs what the original logs of a request that it cannot use (wire specification 7.1).
+fn log_refusal(reply: &Reply<'_>, body: Body<'_>) {
+    match reply.refusal_of() {
+        Some(RefusalOf::Scope) => {
+            warn!(target: LOG, "No controller for scope '{}', ignoring.", reply.scope());
+        }
+        Some(RefusalOf::Protocol) => {
+            let bytes = match body {
+                Body::One(bytes) => bytes.get(..200).unwrap_or(bytes),
+                Body::Several => b"",
+            };
+            let bytes = bytes.escape_ascii();
+            warn!(target: LOG, "Unknown command received 'b'{bytes}'', ignoring.");
+        }
+        None => {}
     }
 }
 

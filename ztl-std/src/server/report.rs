@@ -4,6 +4,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, Sender, TryIter, channel};
 use std::sync::{Arc, Mutex, PoisonError};
 
+use tracing::error;
 use ztl_core::TaskId;
 use ztl_core::dispatcher::TaskEvent;
 
@@ -13,24 +14,35 @@ pub(super) enum Report {
     Accepted(String),
     Rejected(String),
     Threw(String),
-    Progress(String),
+    /// There is progress in the task's slot.
+    Progress(Slot),
     Completed(String),
     Failed(String),
     Aborted(String),
     AbortRefused,
 }
 
+/// A task's latest progress that the server has not taken yet. However often a task reports, one
+/// report at a time is on its way.
+type Slot = Arc<Mutex<Option<String>>>;
+
 impl Report {
-    pub(super) fn event(&self) -> TaskEvent<'_> {
+    /// Hands over what it says.
+    pub(super) fn tell(self, tell: impl FnOnce(TaskEvent<'_>)) {
         match self {
-            Self::Accepted(reply) => TaskEvent::Accepted { reply },
-            Self::Rejected(reason) => TaskEvent::Rejected { reason },
-            Self::Threw(message) => TaskEvent::Threw { message },
-            Self::Progress(text) => TaskEvent::Progress { text },
-            Self::Completed(result) => TaskEvent::Completed { result },
-            Self::Failed(reason) => TaskEvent::Failed { reason },
-            Self::Aborted(result) => TaskEvent::Aborted { result },
-            Self::AbortRefused => TaskEvent::AbortRefused,
+            Self::Accepted(reply) => tell(TaskEvent::Accepted { reply: &reply }),
+            Self::Rejected(reason) => tell(TaskEvent::Rejected { reason: &reason }),
+            Self::Threw(message) => tell(TaskEvent::Threw { message: &message }),
+            Self::Progress(slot) => {
+                let latest = slot.lock().unwrap_or_else(PoisonError::into_inner).take();
+                if let Some(text) = latest {
+                    tell(TaskEvent::Progress { text: &text });
+                }
+            }
+            Self::Completed(result) => tell(TaskEvent::Completed { result: &result }),
+            Self::Failed(reason) => tell(TaskEvent::Failed { reason: &reason }),
+            Self::Aborted(result) => tell(TaskEvent::Aborted { result: &result }),
+            Self::AbortRefused => tell(TaskEvent::AbortRefused),
         }
     }
 }
@@ -110,6 +122,7 @@ impl Inbox {
 pub struct TaskReporter {
     id: TaskId,
     mailbox: Mailbox,
+    progress: Slot,
     ended: bool,
 }
 
@@ -118,6 +131,7 @@ impl TaskReporter {
         Self {
             id,
             mailbox,
+            progress: Slot::default(),
             ended: false,
         }
     }
@@ -135,7 +149,12 @@ impl TaskReporter {
 
     /// Where the task is now; the latest wins.
     pub fn progress(&self, text: impl Into<String>) {
-        self.post(Report::Progress(text.into()));
+        let mut slot = self.progress.lock().unwrap_or_else(PoisonError::into_inner);
+        let on_its_way = slot.replace(text.into()).is_some();
+        drop(slot);
+        if !on_its_way {
+            self.post(Report::Progress(Arc::clone(&self.progress)));
+        }
     }
 
     /// The task cannot be stopped and goes on: answers an ABORT.
@@ -151,7 +170,10 @@ impl TaskReporter {
     /// The task is refused in the form in which the original reports an exception of its
     /// controller.
     pub fn threw(self, message: impl Into<String>) {
-        self.end(Report::Threw(message.into()));
+        let message = message.into();
+        // As the original logs it (wire specification 7.1).
+        error!(target: "root", "{message}");
+        self.end(Report::Threw(message));
     }
 
     /// The goal is reached.

@@ -11,6 +11,7 @@ use ztl_std::{RemoteTask, TaskServer};
 
 use crate::scene::{Act, play};
 use crate::terminal::line;
+use crate::tool::whole;
 use crate::{Done, log, signals};
 
 #[derive(Debug, clap::Args)]
@@ -20,7 +21,7 @@ pub(crate) struct Demo {
     once: bool,
 
     /// Port to serve at, on this machine only
-    #[arg(short, long, default_value_t = 12345)]
+    #[arg(short, long, default_value_t = 12345, value_parser = whole::<u16>)]
     port: u16,
 }
 
@@ -60,12 +61,11 @@ const SCENE: [(&str, &[Act]); 4] = [
 impl Demo {
     pub(crate) fn run(self) -> Done {
         log::init(Level::WARN);
+        signals::catch()?;
         let mut server = TaskServer::bind(&format!("tcp://127.0.0.1:{}", self.port))
             .map_err(|error| format!("{error} (--port N)"))?;
         let endpoint = server.endpoint().to_owned();
-        line(
-            "client ──ZeroMQ──▶ gateway ──serial link──▶ device (ztl-mcu's node, simulated motors)",
-        );
+        line("client ──ZeroMQ──▶ gateway ──serial link──▶ device (real node, simulated motors)");
         line("");
         let mut gateway = Gateway::new();
         let mut devices = Vec::new();
@@ -77,18 +77,17 @@ impl Demo {
         }
         server.register_handler(SCOPE, gateway);
         line(format_args!("gateway  at {endpoint}, scope {SCOPE}"));
-        signals::catch(|| {})?;
         let server = server.spawn()?;
 
         let mut remote = RemoteTask::connect(&endpoint, SCOPE)?;
         let start = Instant::now();
         let mut all = true;
         for (title, step) in SCENE {
+            line(format_args!("\n{title}"));
+            all &= play(&mut remote, start, step);
             if signals::stopped() {
                 return Ok(ExitCode::from(130));
             }
-            line(format_args!("\n{title}"));
-            all &= play(&mut remote, start, step);
         }
         line("");
         if self.once {

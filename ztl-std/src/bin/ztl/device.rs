@@ -57,7 +57,7 @@ impl Drop for Link {
 
 impl Device {
     pub(crate) fn run(self) -> Done {
-        signals::catch(|| {})?;
+        signals::catch()?;
         let kind = self.device;
         let (running, url, _link) = match self.on {
             Place::Tcp(address) => {

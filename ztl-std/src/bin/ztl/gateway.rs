@@ -8,7 +8,7 @@ use ztl_std::TaskServer;
 use ztl_std::gateway::{Endpoint, Gateway as Devices};
 
 use crate::terminal::line;
-use crate::tool::unreachable;
+use crate::tool::{unreachable, whole};
 use crate::{Done, log, signals};
 
 #[derive(Debug, clap::Args)]
@@ -21,7 +21,7 @@ pub(crate) struct Gateway {
     devices: Vec<(String, Endpoint)>,
 
     /// Port to serve at
-    #[arg(short, long)]
+    #[arg(short, long, value_parser = whole::<u16>)]
     port: u16,
 
     /// Scope to serve, as /lab
@@ -52,6 +52,7 @@ impl Gateway {
         if let Some(error) = unreachable(&self.scope) {
             return Err(error.into());
         }
+        signals::catch()?;
         let mut names = BTreeSet::new();
         for (name, _) in &self.devices {
             if !names.insert(name.as_str()) {
@@ -79,9 +80,9 @@ impl Gateway {
             self.scope
         ));
         let stopper = server.stopper();
-        signals::catch(move || stopper.stop())?;
+        signals::then(move || stopper.stop());
         server.listen()?;
-        line("Stopped; what ran was aborted.");
+        line("Stopped.");
         Ok(ExitCode::SUCCESS)
     }
 }

@@ -4,6 +4,7 @@ use std::time::{Duration, Instant};
 
 use ztl_std::{RemoteTask, State, Status, TriggerError};
 
+use crate::signals;
 use crate::terminal::{is_live, line, part};
 
 /// A task of a scene.
@@ -47,7 +48,11 @@ pub(crate) fn play(remote: &mut RemoteTask, start: Instant, step: &[Act]) -> boo
     }
     while shown.iter().any(|task| task.end.is_none()) {
         std::thread::sleep(PAUSE);
+        let stop = signals::stopped();
         for task in shown.iter_mut().filter(|task| task.end.is_none()) {
+            if stop {
+                task.abort(remote);
+            }
             task.ask(remote);
         }
         if live {
@@ -65,7 +70,10 @@ pub(crate) fn play(remote: &mut RemoteTask, start: Instant, step: &[Act]) -> boo
 
 fn draw(shown: &[Shown<'_>], start: Instant) {
     for task in shown {
-        line(format_args!("\r\x1b[K{}", task.picture(start)));
+        // A line that wraps would be two to the cursor.
+        let width = terminal_size::terminal_size().map_or(80, |(width, _)| usize::from(width.0));
+        let picture: String = task.picture(start).chars().take(width).collect();
+        line(format_args!("\r\x1b[K{picture}"));
     }
 }
 
@@ -98,6 +106,15 @@ impl<'a> Shown<'a> {
         }
     }
 
+    /// Ctrl-C stops what was started.
+    fn abort(&mut self, remote: &mut RemoteTask) {
+        if let Some(id) = self.id
+            && let Err(error) = remote.abort(id)
+        {
+            self.end = Some(format!("UNKNOWN: {error}"));
+        }
+    }
+
     fn ask(&mut self, remote: &mut RemoteTask) {
         let Some(id) = self.id else { return };
         match remote.status(id) {
@@ -105,7 +122,8 @@ impl<'a> Shown<'a> {
                 self.completed = state == State::Completed;
                 let unit = if self.completed { self.act.unit } else { "" };
                 let seconds = self.asked.elapsed().as_secs_f32();
-                self.end = Some(format!("{state} {text} {unit} after {seconds:.2} s"));
+                let space = if unit.is_empty() { "" } else { " " };
+                self.end = Some(format!("{state} {text}{space}{unit}, {seconds:.2} s"));
                 self.position = text;
             }
             Ok(Status { text, .. }) => {
@@ -147,7 +165,7 @@ impl<'a> Shown<'a> {
         let accepted = self.accepted.map_or_else(String::new, |time| {
             format!("accepted {:>4.1} ms", time.as_secs_f32() * 1000.0)
         });
-        format!("{at:>6.2} s  {task:<22} asked  {accepted:<18}")
+        format!("{at:>5.2} s  {task:<18} {accepted:<17}")
     }
 
     /// The line while it is looked at.
@@ -157,8 +175,8 @@ impl<'a> Shown<'a> {
             return format!("{head} {end}");
         }
         let percent = self.marks.last().copied().unwrap_or(0);
-        let full = usize::from(percent / 5);
-        let bar = format!("{}{}", "█".repeat(full), "░".repeat(20 - full.min(20)));
+        let full = usize::from(percent / 10);
+        let bar = format!("{}{}", "█".repeat(full), "░".repeat(10 - full.min(10)));
         let Act { unit, .. } = self.act;
         format!("{head} {bar} {percent:>3} %  {} {unit}", self.position)
     }

@@ -1,26 +1,51 @@
 //! Ctrl-C and SIGTERM, as a flag that can be waited for.
 
-use std::sync::{Condvar, Mutex, PoisonError};
+use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 
-static STOPPED: Mutex<bool> = Mutex::new(false);
+struct Flag {
+    raised: bool,
+    /// What is to be done when it is raised.
+    then: Option<Box<dyn Fn() + Send>>,
+}
+
+static FLAG: Mutex<Flag> = Mutex::new(Flag {
+    raised: false,
+    then: None,
+});
 static CHANGED: Condvar = Condvar::new();
 
-/// From now on Ctrl-C and SIGTERM only raise the flag, and call `also`.
-pub(crate) fn catch(also: impl Fn() + Send + 'static) -> Result<(), ctrlc::Error> {
-    ctrlc::set_handler(move || {
-        *STOPPED.lock().unwrap_or_else(PoisonError::into_inner) = true;
+fn flag() -> MutexGuard<'static, Flag> {
+    FLAG.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// From now on Ctrl-C and SIGTERM only raise the flag. To be called before anything is started or
+/// said, so that none of them is missed.
+pub(crate) fn catch() -> Result<(), ctrlc::Error> {
+    ctrlc::set_handler(|| {
+        let mut flag = flag();
+        flag.raised = true;
+        if let Some(then) = &flag.then {
+            then();
+        }
         CHANGED.notify_all();
-        also();
     })
+}
+
+/// What is to be done when somebody wants this process to end; at once if somebody did already.
+pub(crate) fn then(act: impl Fn() + Send + 'static) {
+    let mut flag = flag();
+    if flag.raised {
+        act();
+    }
+    flag.then = Some(Box::new(act));
 }
 
 /// Whether somebody wants this process to end.
 pub(crate) fn stopped() -> bool {
-    *STOPPED.lock().unwrap_or_else(PoisonError::into_inner)
+    flag().raised
 }
 
 /// Until somebody wants this process to end.
 pub(crate) fn wait() {
-    let flag = STOPPED.lock().unwrap_or_else(PoisonError::into_inner);
-    drop(CHANGED.wait_while(flag, |stopped| !*stopped));
+    drop(CHANGED.wait_while(flag(), |flag| !flag.raised));
 }

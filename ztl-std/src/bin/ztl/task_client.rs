@@ -5,12 +5,11 @@ use std::net::ToSocketAddrs;
 use std::process::ExitCode;
 use std::time::Duration;
 
-use clap::CommandFactory;
 use tracing::Level;
 use ztl_std::{RemoteTask, State, Status, TaskId, TaskSpec, TriggerError};
 
 use crate::terminal::line;
-use crate::tool::whole;
+use crate::tool::{help, whole};
 use crate::{Done, log, signals};
 
 #[derive(Debug, clap::Args)]
@@ -59,11 +58,12 @@ fn fate(state: State) -> u8 {
 impl TaskClient {
     pub(crate) fn run(self, called: &str) -> Done {
         log::init(Level::INFO);
+        signals::catch()?;
         let Ok(spec) = TaskSpec::split(&self.payload) else {
             line(
                 "Error: Invalid task specification. Payload needs to specify handler, component and goal separated by ':', e.g. 'handler:component:goal'",
             );
-            eprintln!("{}", help(called));
+            eprintln!("{}", help(called, "task-client"));
             return Ok(ExitCode::from(255));
         };
         let (host, port) = (&self.remote, self.port);
@@ -71,8 +71,9 @@ impl TaskClient {
             "Connecting to host '{host}:{port}' at scope '{}'...",
             self.scope
         ));
-        let mut remote = RemoteTask::connect(&format!("tcp://{host}:{port}"), &self.scope)?;
-        signals::catch(|| {})?;
+        let endpoint = format!("tcp://{host}:{port}");
+        let mut remote = RemoteTask::connect(&endpoint, &self.scope)
+            .map_err(|_| format!("'{host}' is no name or address of a host"))?;
         let fate = self.play(&mut remote, &spec);
         Ok(match (self.exit_status, signals::stopped()) {
             (true, _) => ExitCode::from(fate),
@@ -165,11 +166,4 @@ fn abort(remote: &mut RemoteTask, id: TaskId) -> u8 {
             fate
         }
     }
-}
-
-fn help(called: &str) -> String {
-    let mut command = crate::Cli::command();
-    let tool = command.find_subcommand_mut("task-client");
-    let help = tool.map(|tool| tool.clone().bin_name(called).render_help().to_string());
-    help.unwrap_or_default()
 }

@@ -4,6 +4,8 @@ use std::process::ExitCode;
 use std::time::Duration;
 
 use tracing::{Level, error};
+use ztl_core::integer::Integer;
+use ztl_core::repr::put_quoted;
 use ztl_std::{
     ExecutableTask, TaskContext, TaskController, TaskError, TaskRequest, TaskServer as Server,
 };
@@ -29,11 +31,12 @@ impl TaskServer {
         if let Some(error) = unreachable(&self.scope) {
             return Err(error.into());
         }
+        signals::catch()?;
         // Every interface, as the original.
         let mut server = Server::bind(&format!("tcp://*:{}", self.port))?;
         server.register(&self.scope, TestController);
         let stopper = server.stopper();
-        signals::catch(move || stopper.stop())?;
+        signals::then(move || stopper.stop());
         server.listen()?;
         error!(target: "root", "Interrupted, exiting.");
         Ok(ExitCode::FAILURE)
@@ -50,9 +53,7 @@ impl TaskController for TestController {
                 goal: request.goal.clone(),
             }))
         } else {
-            let message = format!("No such handler '{}', try 'test'.", request.handler);
-            error!(target: "root", "{message}");
-            Err(message.into())
+            Err(format!("No such handler '{}', try 'test'.", request.handler).into())
         }
     }
 }
@@ -72,13 +73,22 @@ impl ExecutableTask for TestTask {
                 Ok("True".to_owned())
             }
             "sleep" => {
-                let seconds = self.goal.trim().parse().map_err(|_| {
-                    format!("invalid literal for int() with base 10: '{}'", self.goal)
+                let number = Integer::parse(&self.goal).map_err(|_| {
+                    let mut literal = Vec::new();
+                    put_quoted(&self.goal, &mut |bytes: &[u8]| {
+                        literal.extend_from_slice(bytes)
+                    });
+                    let literal = String::from_utf8_lossy(&literal);
+                    format!("invalid literal for int() with base 10: {literal}")
                 })?;
-                std::thread::sleep(Duration::from_secs(seconds));
+                let seconds = number.value().map(u64::try_from);
+                match seconds {
+                    Some(Ok(seconds)) => std::thread::sleep(Duration::from_secs(seconds)),
+                    Some(Err(_)) => return Err("sleep length must be non-negative".into()),
+                    None => return Err("timestamp too large to convert to C _PyTime_t".into()),
+                }
                 Ok("True".to_owned())
             }
-            // The quote that is missing in the original is not given back to it.
             other => Err(format!("No such component '{other}', try 'echo/print/sleep'.").into()),
         }
     }

@@ -12,7 +12,7 @@ use clap::error::{ContextKind, ContextValue, ErrorKind};
 use clap::{CommandFactory, Parser, Subcommand};
 use ztl_core::integer::Integer;
 
-use crate::{Done, task_client, task_server};
+use crate::{Done, task_client, task_server, terminal};
 
 /// The original's tools by the names of this command.
 #[derive(Debug, Subcommand)]
@@ -83,9 +83,13 @@ pub(crate) fn whole<N: TryFrom<i64>>(text: &str) -> Result<N, String> {
 
 /// Why a scope cannot be served.
 pub(crate) fn unreachable(scope: &str) -> Option<String> {
-    scope.contains(';').then(|| {
-        format!("the scope '{scope}' contains ';', so no client can reach it; write it as /lab")
-    })
+    let wrong = match scope {
+        "" => "is empty",
+        "$ztl" => "belongs to the protocol itself",
+        scope if scope.contains(';') => "contains ';', so no client can reach it",
+        _ => return None,
+    };
+    Some(format!("the scope '{scope}' {wrong}; write it as /lab"))
 }
 
 /// Runs a tool, when one is called for by the program's name or by the first argument.
@@ -131,11 +135,11 @@ fn parse(called: &str, tool: &str, rest: &[OsString]) -> Result<Tool, ExitCode> 
             eprintln!("{called}: warning: ignored {}", ignored.to_string_lossy());
             continue;
         }
-        let text = error.render().to_string();
         if !error.use_stderr() {
-            print!("{text}");
+            terminal::line(help(called, tool).trim_end());
             return Err(ExitCode::SUCCESS);
         }
+        let text = error.render().to_string();
         // In argparse's order: how it is used, then what was wrong.
         let usage = usage(called, tool);
         let wrong: Vec<&str> = text
@@ -147,6 +151,14 @@ fn parse(called: &str, tool: &str, rest: &[OsString]) -> Result<Tool, ExitCode> 
         eprintln!("{usage}\n{called}: error: {}", wrong.join(" "));
         return Err(ExitCode::from(2));
     }
+}
+
+/// What a tool's `--help` says, under the name by which it was called.
+pub(crate) fn help(called: &str, tool: &str) -> String {
+    let mut command = ToolOnly::command();
+    let tool = command.find_subcommand_mut(tool);
+    let help = tool.map(|tool| tool.clone().bin_name(called).render_long_help().to_string());
+    help.unwrap_or_default()
 }
 
 fn usage(called: &str, tool: &str) -> String {

@@ -8,6 +8,9 @@ use ztl_core::{Instant, State, TaskId};
 use super::send::frame_bytes;
 use super::{Command, ComponentInfo, DeviceInfo, Event, Phase, Session, Stage};
 
+/// Pause before a device that answers nonsense is greeted again.
+const BAD_ANSWER: Duration = Duration::from_secs(1);
+
 impl Session {
     pub(super) fn on_frame(&mut self, now: Instant, frame: Result<(usize, Frame<'_>), FrameError>) {
         let Ok((place, frame)) = frame else {
@@ -183,6 +186,7 @@ impl Session {
         let Some(in_flight) = self.in_flight.take_if(|in_flight| in_flight.seq == seq) else {
             return;
         };
+        self.heard = now;
         if !in_flight.repeated {
             let measured = now.since(in_flight.sent);
             // A running mean over some eight answers.
@@ -218,8 +222,13 @@ impl Session {
                     task.abort = false;
                 }
             }
-            // No answer to what was asked: the check was right, so it is another version's.
-            _ => self.counters.errors += 1,
+            // No answer to what was asked, though the check was right. What the device did nobody
+            // knows; a new session finds out.
+            _ => {
+                self.counters.errors += 1;
+                self.lose();
+                return self.greet_after(now, BAD_ANSWER);
+            }
         }
         self.next_command(now);
     }

@@ -13,6 +13,18 @@ use super::{
 };
 
 impl Session {
+    /// Opens a new session after a pause.
+    pub(super) fn greet_after(&mut self, now: Instant, pause: Duration) {
+        let before = self.out.len();
+        self.greet(now);
+        // It is sent when it would be repeated.
+        self.out.truncate(before);
+        if let Some(in_flight) = &mut self.in_flight {
+            in_flight.sent = now + pause;
+            in_flight.repeat = now + pause;
+        }
+    }
+
     /// Opens a new session.
     pub(super) fn greet(&mut self, now: Instant) {
         self.phase = Phase::Greeting;

@@ -1,0 +1,91 @@
+//! Handlers and lines that never pause: they harm themselves, and nobody else.
+
+use std::io::Write;
+use std::net::TcpListener;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use ztl_std::gateway::Gateway;
+use ztl_std::{
+    ExecutableTask, RemoteTask, State, TaskContext, TaskController, TaskError, TaskRequest,
+    TaskServer, TriggerError,
+};
+
+/// Long before a client of the original gives up.
+const SOON: Duration = Duration::from_millis(1700);
+
+struct Talkative;
+
+impl TaskController for Talkative {
+    fn assign(&self, _request: &TaskRequest) -> Result<Box<dyn ExecutableTask>, TaskError> {
+        let task = |context: &TaskContext| {
+            while !context.is_aborted() {
+                context.progress("still here");
+            }
+            Err(TaskError::aborted("quiet"))
+        };
+        Ok(Box::new(task))
+    }
+}
+
+#[test]
+fn a_handler_that_reports_without_pause_keeps_nobody_from_being_answered() {
+    let mut server = TaskServer::bind("tcp://127.0.0.1:*").unwrap();
+    server.register("/lab", Talkative);
+    let server = server.spawn().unwrap();
+    let mut one = RemoteTask::connect(server.endpoint(), "/lab").unwrap();
+    let task = one.trigger("h", "c", "g").unwrap();
+    let mut other = RemoteTask::connect(server.endpoint(), "/lab").unwrap();
+    for _ in 0..100 {
+        let asked = Instant::now();
+        let status = other.status(task.id).unwrap();
+        assert_eq!(status.state, State::Accepted);
+        assert!(asked.elapsed() < SOON, "{:?}", asked.elapsed());
+    }
+    assert_eq!(one.abort(task.id).unwrap().state, State::Aborted);
+}
+
+#[test]
+fn a_line_that_never_pauses_is_refused_in_time_and_lets_the_gateway_end() {
+    for noise in [[0u8; 4096], [0xa7; 4096]] {
+        let line = TcpListener::bind("127.0.0.1:0").unwrap();
+        let address = line.local_addr().unwrap();
+        let stop = Arc::new(AtomicBool::new(false));
+        let stopped = Arc::clone(&stop);
+        let flood = std::thread::spawn(move || {
+            let (mut stream, _) = line.accept().unwrap();
+            stream
+                .set_write_timeout(Some(Duration::from_millis(100)))
+                .unwrap();
+            // A timeout means that the gateway takes no more for now, as it should.
+            while !stopped.load(Ordering::SeqCst) {
+                let _ = stream.write(&noise);
+            }
+        });
+        let mut gateway = Gateway::new();
+        gateway
+            .add("noise", format!("tcp:{address}").parse().unwrap())
+            .unwrap();
+        let mut server = TaskServer::bind("tcp://127.0.0.1:*").unwrap();
+        server.register_handler("/lab", gateway);
+        let server = server.spawn().unwrap();
+        let mut remote = RemoteTask::connect(server.endpoint(), "/lab").unwrap();
+        let asked = Instant::now();
+        let refused = remote.trigger("noise", "c", "g");
+        assert!(
+            matches!(refused, Err(TriggerError::Refused { .. })),
+            "{refused:?}"
+        );
+        assert!(asked.elapsed() < SOON, "{:?}", asked.elapsed());
+        let ended = Instant::now();
+        drop(server);
+        assert!(
+            ended.elapsed() < Duration::from_secs(5),
+            "{:?}",
+            ended.elapsed()
+        );
+        stop.store(true, Ordering::SeqCst);
+        flood.join().unwrap();
+    }
+}
