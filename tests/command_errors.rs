@@ -346,7 +346,7 @@ fn the_demo_completes_every_act() {
     let acts: Vec<&str> = ended
         .stdout
         .lines()
-        .filter(|line| line.contains(" asked "))
+        .filter(|line| line.contains(" accepted "))
         .collect();
     let expected = [
         ("gripper:finger:80", "COMPLETED 80.0 percent"),

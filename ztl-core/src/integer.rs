@@ -66,9 +66,8 @@ impl<'a> Integer<'a> {
     /// # Errors
     /// [`ParseIntegerError`] says where the text stops being a number.
     pub fn parse(text: &'a str) -> Result<Self, ParseIntegerError> {
-        // Python strips these; 0x1c to 0x1f count as white space there.
         // By bytes: `trim_matches` decodes characters, which costs a Cortex-M0 0.5 KiB.
-        let blank = |byte: u8| matches!(byte, b' ' | b'\t'..=b'\r' | 0x1c..=0x1f);
+        let blank = |byte: u8| matches!(byte, b' ' | b'\t'..=b'\r');
         let mut start = 0;
         let mut end = text.len();
         let at = |place: usize| text.as_bytes().get(place).copied();

@@ -11,7 +11,7 @@ use ztl_std::{RemoteTask, TaskServer};
 
 use crate::scene::{Act, play};
 use crate::terminal::line;
-use crate::tool::whole;
+use crate::tool::port;
 use crate::{Done, log, signals};
 
 #[derive(Debug, clap::Args)]
@@ -21,7 +21,7 @@ pub(crate) struct Demo {
     once: bool,
 
     /// Port to serve at, on this machine only
-    #[arg(short, long, default_value_t = 12345, value_parser = whole::<u16>)]
+    #[arg(short, long, default_value_t = 12345, value_parser = port)]
     port: u16,
 }
 

@@ -8,7 +8,7 @@ use ztl_std::TaskServer;
 use ztl_std::gateway::{Endpoint, Gateway as Devices};
 
 use crate::terminal::line;
-use crate::tool::{unreachable, whole};
+use crate::tool::{port, unreachable};
 use crate::{Done, log, signals};
 
 #[derive(Debug, clap::Args)]
@@ -21,7 +21,7 @@ pub(crate) struct Gateway {
     devices: Vec<(String, Endpoint)>,
 
     /// Port to serve at
-    #[arg(short, long, value_parser = whole::<u16>)]
+    #[arg(short, long, value_parser = port)]
     port: u16,
 
     /// Scope to serve, as /lab

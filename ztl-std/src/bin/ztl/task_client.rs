@@ -9,7 +9,7 @@ use tracing::Level;
 use ztl_std::{RemoteTask, State, Status, TaskId, TaskSpec, TriggerError};
 
 use crate::terminal::line;
-use crate::tool::{help, whole};
+use crate::tool::{help, port, seconds};
 use crate::{Done, log, signals};
 
 #[derive(Debug, clap::Args)]
@@ -22,7 +22,7 @@ pub(crate) struct TaskClient {
     remote: String,
 
     /// The port on the remote host that should execute the task
-    #[arg(short, long, value_parser = whole::<u16>)]
+    #[arg(short, long, value_parser = port)]
     port: u16,
 
     /// The scope that the server is listening to
@@ -30,7 +30,7 @@ pub(crate) struct TaskClient {
     scope: String,
 
     /// Seconds to wait for the task to end before it is aborted; 0 or less waits for ever
-    #[arg(short, long, default_value_t = -1, allow_negative_numbers = true, value_parser = whole::<i64>)]
+    #[arg(short, long, default_value_t = -1, allow_negative_numbers = true, value_parser = seconds)]
     timeout: i64,
 
     /// Tell the task's fate by the exit code (the original's is always 0)

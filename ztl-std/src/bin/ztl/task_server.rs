@@ -11,13 +11,13 @@ use ztl_std::{
 };
 
 use crate::terminal::line;
-use crate::tool::{unreachable, whole};
+use crate::tool::{port, unreachable};
 use crate::{Done, log, signals};
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct TaskServer {
     /// The port on the local machine that the server should listen to
-    #[arg(short, long, value_parser = whole::<u16>)]
+    #[arg(short, long, value_parser = port)]
     port: u16,
 
     /// The scope that the server should respond to

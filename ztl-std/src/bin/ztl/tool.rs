@@ -75,10 +75,19 @@ impl Tool {
 }
 
 /// A whole number as Python's `int()` reads it, for options of the original.
-pub(crate) fn whole<N: TryFrom<i64>>(text: &str) -> Result<N, String> {
-    let number = Integer::parse(text).map_err(|_| "a whole number is needed".to_owned())?;
-    let number = number.value().and_then(|number| N::try_from(number).ok());
-    number.ok_or_else(|| "the number is too small or too large".to_owned())
+fn whole<N: TryFrom<i64>>(text: &str) -> Option<N> {
+    let number = Integer::parse(text).ok()?.value()?;
+    N::try_from(number).ok()
+}
+
+/// A port.
+pub(crate) fn port(text: &str) -> Result<u16, &'static str> {
+    whole(text).ok_or("a port is a whole number from 0 to 65535")
+}
+
+/// A time in seconds.
+pub(crate) fn seconds(text: &str) -> Result<i64, &'static str> {
+    whole(text).ok_or("a whole number of seconds is needed")
 }
 
 /// Why a scope cannot be served.
