@@ -1,0 +1,187 @@
+//! A server's rules under any sequence of requests, events and moments, against a [`model`].
+//!
+//! A scenario is text, one step a line; `?`, `&` and the moments stand alone, the handler's words
+//! are followed by the number of a task, counted from 0 in the order of the starts, and a text:
+//!
+//! | line | step |
+//! |---|---|
+//! | `?/lab;1;-1;open` | a request without an envelope |
+//! | `A5?/lab;1;-1;open` | request 5 of our client A (or B, C, D); with `!` it wishes to be told a quick end |
+//! | `&` | a request of several frames |
+//! | `a0 ok` | accepted; likewise `r` rejected, `x` threw, `p` progress, `c` completed, `f` failed, `o` aborted, `n` cannot be aborted |
+//! | `t1500` | so many milliseconds pass |
+//! | `T1500` | the same, but the server wakes only at their end |
+//! | `i7` | the first task's id is 7, if nothing has happened yet |
+
+mod model;
+
+use core::time::Duration;
+
+use ztl_core::dispatcher::{Action, Body, Config, Dispatcher, TaskEvent};
+use ztl_core::envelope::{ClientId, Envelope};
+use ztl_core::memory::Fixed;
+use ztl_core::reply::Reply;
+use ztl_core::{Instant, TaskId};
+
+use crate::script::{number, pick, steps, text};
+use model::{Limits, Model};
+
+/// The scopes that are registered.
+const SCOPES: [&str; 2] = ["/lab", "/s"];
+
+/// Longest text that is remembered, in bytes.
+const TEXT: usize = 16;
+
+/// Told by `$ztl`.
+const BOOT: u32 = 4711;
+
+/// Longest step in milliseconds: beyond every time that the dispatcher knows.
+const LONGEST_STEP: u64 = 4_000_000;
+
+/// How clients are told apart: a number for each request.
+type Peer = usize;
+
+/// Plays a scenario on a server that often has no room, and on one that seldom lacks any.
+pub fn check(script: &[u8]) {
+    Stage::<3, 2>::play(script);
+    Stage::<8, 12>::play(script);
+}
+
+struct Stage<const TASKS: usize, const HELD: usize> {
+    dispatcher: Dispatcher<Fixed<Peer, 2, TASKS, TEXT, HELD>>,
+    now: Instant,
+    model: Model,
+}
+
+impl<const TASKS: usize, const HELD: usize> Stage<TASKS, HELD> {
+    fn new(first: TaskId) -> Self {
+        Self {
+            dispatcher: Dispatcher::new(Fixed::new(SCOPES), Config::new(first, BOOT)),
+            now: Instant::ZERO,
+            model: Model::new(Limits {
+                tasks: TASKS,
+                held: HELD,
+                first,
+            }),
+        }
+    }
+
+    fn play(script: &[u8]) {
+        let mut steps = steps(script).peekable();
+        let first = steps
+            .next_if(|(verb, _)| *verb == b'i')
+            .and_then(|(_, mut rest)| {
+                let first = u32::try_from(number(&mut rest)).ok()?;
+                TaskId::new(first)
+            });
+        let mut stage = Self::new(first.unwrap_or(TaskId::new(1).expect("not 0")));
+        for (verb, mut rest) in steps {
+            match verb {
+                b'?' => stage.request(None, Body::One(rest)),
+                b'&' => stage.request(None, Body::Several),
+                b'A'..=b'D' => {
+                    let client = ClientId([verb; 16]);
+                    let number = number(&mut rest);
+                    let Some((mark @ (b'?' | b'!'), body)) = rest.split_first() else {
+                        continue;
+                    };
+                    let early_end = *mark == b'!';
+                    let envelope = Envelope {
+                        client,
+                        number,
+                        early_end,
+                    };
+                    stage.request(Some(envelope), Body::One(body));
+                }
+                b't' | b'T' => {
+                    let time = Duration::from_millis(number(&mut rest).min(LONGEST_STEP));
+                    stage.pass(time, verb == b't');
+                }
+                _ => stage.event(verb, rest),
+            }
+        }
+        // Whatever is still held is answered within its time.
+        stage.pass(Duration::from_secs(10), true);
+        stage.model.assert_all_answered();
+    }
+
+    fn request(&mut self, envelope: Option<Envelope>, body: Body<'_>) {
+        let Self {
+            dispatcher,
+            now,
+            model,
+        } = self;
+        let peer = model.ask(*now, envelope, body);
+        let mut out = |peer, reply: &Reply<'_>| model.on_answer(*now, peer, reply);
+        let action = dispatcher.handle_request(*now, peer, envelope, body, &mut out);
+        match action {
+            Some(Action::Start { id, scope, payload }) => {
+                model.on_start(peer, id, SCOPES[usize::from(scope.0)], payload);
+            }
+            Some(Action::Abort { id, scope }) => {
+                model.on_abort(peer, id, SCOPES[usize::from(scope.0)]);
+            }
+            None => model.on_no_action(*now, peer),
+        }
+        // A STATUS that wants to wait for no time at all.
+        if dispatcher.poll_timeout().is_some_and(|wake| wake <= *now) {
+            self.wake(self.now);
+        }
+    }
+
+    fn event(&mut self, verb: u8, mut rest: &[u8]) {
+        let Self {
+            dispatcher,
+            now,
+            model,
+        } = self;
+        let wanted = number(&mut rest);
+        let Some(id) = pick(model.tasks(), wanted).map(|task| task.id) else {
+            return;
+        };
+        let text = text(rest);
+        let event = match verb {
+            b'a' => TaskEvent::Accepted { reply: &text },
+            b'r' => TaskEvent::Rejected { reason: &text },
+            b'x' => TaskEvent::Threw { message: &text },
+            b'p' => TaskEvent::Progress { text: &text },
+            b'c' => TaskEvent::Completed { result: &text },
+            b'f' => TaskEvent::Failed { reason: &text },
+            b'o' => TaskEvent::Aborted { result: &text },
+            b'n' => TaskEvent::AbortRefused,
+            _ => return,
+        };
+        model.on_event(*now, id, event);
+        let mut out = |peer, reply: &Reply<'_>| model.on_answer(*now, peer, reply);
+        dispatcher.handle_event(*now, id, event, &mut out);
+        model.after_event();
+    }
+
+    /// Lets time pass, with the wake-ups that the dispatcher asks for or without.
+    fn pass(&mut self, time: Duration, awake: bool) {
+        let end = self.now + time;
+        while awake && let Some(wake) = self.dispatcher.poll_timeout().filter(|wake| *wake <= end) {
+            self.wake(wake.max(self.now));
+        }
+        if !awake {
+            self.model.oversleep(end);
+        }
+        self.wake(end);
+    }
+
+    fn wake(&mut self, now: Instant) {
+        let Self {
+            dispatcher, model, ..
+        } = self;
+        self.now = now;
+        model.forget(now);
+        let mut out = |peer, reply: &Reply<'_>| model.on_answer(now, peer, reply);
+        dispatcher.handle_timeout(now, &mut out);
+        model.assert_in_time(now);
+        let next = dispatcher.poll_timeout();
+        assert!(
+            next.is_none_or(|next| next > now),
+            "woken for nothing, for ever"
+        );
+    }
+}

@@ -1,0 +1,419 @@
+//! What a server has promised so far, kept in the plainest way: every request, every task, and the
+//! last INIT of each of our clients, for ever.
+
+mod answers;
+
+use core::time::Duration;
+use std::collections::HashMap;
+
+use ztl_core::dispatcher::{Body, Config, KEEP_INIT, LONGEST_WAIT, TaskEvent};
+use ztl_core::envelope::{ClientId, Envelope};
+use ztl_core::integer::Integer;
+use ztl_core::{Instant, Message, Request, State, TaskId};
+
+use super::{BOOT, Peer, SCOPES, TEXT};
+
+const GIVEN_UP: &str = "this INIT was given up by its client";
+const RESERVED: &str = "Invalid request: $ztl takes STATUS with the payload 'probe' or 'outcome N'";
+
+/// The room that the server has.
+pub(super) struct Limits {
+    pub(super) tasks: usize,
+    pub(super) held: usize,
+    pub(super) first: TaskId,
+}
+
+/// A task that was started, as its handler sees it.
+pub(super) struct Task {
+    pub(super) id: TaskId,
+    scope: &'static str,
+    /// Its client wishes to be told a quick end in place of the handler's reply.
+    early_end: bool,
+    state: State,
+    /// Progress or end, as it is remembered.
+    text: String,
+    /// What its INIT is answered: when accepted, and when refused with the state.
+    accepted: Option<String>,
+    refused: Option<(State, String)>,
+    /// Its client has sent another INIT meanwhile, and so given this one up.
+    given_up: bool,
+    /// An answer said that it is not known any more.
+    forgotten: bool,
+}
+
+/// What a request asks for, and thus which answers are right.
+#[derive(Debug, Clone)]
+enum Asked {
+    /// Nothing that has more than one answer.
+    Only(String),
+    /// A new task; `None` until it has been started.
+    Init(Option<usize>),
+    /// The answer that a client's last INIT got, which was refused without being started.
+    Refusal {
+        scope: &'static str,
+        text: String,
+    },
+    /// The answer of an INIT again, or its outcome.
+    Again {
+        scope: &'static str,
+        task: usize,
+    },
+    NeverSeen(ClientId, u64),
+    Status {
+        task: usize,
+        wait: bool,
+    },
+    Abort {
+        task: usize,
+        ended: bool,
+    },
+    Probe,
+}
+
+#[derive(Debug)]
+struct Ask {
+    due: Instant,
+    envelope: Option<Envelope>,
+    scope: String,
+    asked: Asked,
+    answered: bool,
+}
+
+/// What became of a client's last INIT.
+#[derive(Debug, Clone)]
+enum First {
+    Started(usize),
+    Refused(String),
+    Void,
+}
+
+struct LastInit {
+    number: u64,
+    first: First,
+    /// Until when the server keeps its word about it; `None` while it is undecided.
+    until: Option<Instant>,
+}
+
+pub(super) struct Model {
+    limits: Limits,
+    asks: Vec<Ask>,
+    tasks: Vec<Task>,
+    inits: HashMap<ClientId, LastInit>,
+    /// The task whose handler is just refusing to abort it.
+    refusing: Option<usize>,
+}
+
+impl Model {
+    pub(super) fn new(limits: Limits) -> Self {
+        Self {
+            limits,
+            asks: Vec::new(),
+            tasks: Vec::new(),
+            inits: HashMap::new(),
+            refusing: None,
+        }
+    }
+
+    pub(super) fn tasks(&self) -> &[Task] {
+        &self.tasks
+    }
+
+    /// A request is about to come; returns its number.
+    pub(super) fn ask(&mut self, now: Instant, envelope: Option<Envelope>, body: Body<'_>) -> Peer {
+        let bytes = match body {
+            Body::One(bytes) => bytes,
+            Body::Several => b"",
+        };
+        let message = Message::parse(bytes);
+        let scope = message.map_or_else(|error| error.scope(), |message| message.scope);
+        let (asked, hold) = match message {
+            Ok(message) => self.asked(envelope, message),
+            Err(_) => only(format!("{scope};2;-1;Unknown protocol")),
+        };
+        self.asks.push(Ask {
+            due: now + hold,
+            envelope,
+            scope: scope.to_owned(),
+            asked,
+            answered: false,
+        });
+        self.asks.len() - 1
+    }
+
+    /// The decision table (wire specification 4.3), and the longest time for the answer.
+    fn asked(&self, envelope: Option<Envelope>, message: Message<'_>) -> (Asked, Duration) {
+        let config = config();
+        let scope = message.scope;
+        let code = message.code().ok().and_then(Integer::value);
+        if scope == "$ztl" {
+            let outcome = envelope.and_then(|envelope| {
+                let number = Integer::parse(message.payload.strip_prefix("outcome ")?).ok()?;
+                Some((envelope.client, u64::try_from(number.value()?).ok()?))
+            });
+            return match (code, message.payload, outcome) {
+                (Some(2), "probe", _) => (Asked::Probe, config.hold),
+                (Some(2), _, Some((client, number))) => (self.outcome(client, number), config.hold),
+                _ => only(format!("$ztl;2;0;{RESERVED}")),
+            };
+        }
+        let Some(scope) = SCOPES.into_iter().find(|known| *known == scope) else {
+            return only(format!("{scope};2;-1;No controller for scope: {scope}"));
+        };
+        let (Ok(code), Ok(id)) = (message.code(), message.number()) else {
+            return only(format!("{scope};2;-1;Invalid request"));
+        };
+        let id = plain(id);
+        let task = self
+            .tasks
+            .iter()
+            .position(|task| task.id.to_string() == id && task.scope == scope && !task.forgotten);
+        match (code.value().and_then(Request::from_code), task) {
+            (None, _) => only(format!("{scope};2;{id};Invalid request")),
+            (Some(Request::Init), _) => {
+                let early = if envelope.is_some() {
+                    config.early
+                } else {
+                    Default::default()
+                };
+                (self.init(scope, envelope), config.hold + early)
+            }
+            (_, None) => only(format!("{scope};2;{id};Invalid ID '{id}'")),
+            (Some(Request::Abort), Some(task)) => {
+                let ended = self.tasks[task].state.is_final();
+                (Asked::Abort { task, ended }, config.hold)
+            }
+            (Some(Request::Status), Some(task)) => {
+                let wait = envelope.and_then(|_| {
+                    let wait = Integer::parse(message.payload.strip_prefix("wait ")?).ok()?;
+                    u64::try_from(wait.value()?).ok()
+                });
+                let hold = Duration::from_millis(wait.unwrap_or(0)).min(LONGEST_WAIT);
+                (
+                    Asked::Status {
+                        task,
+                        wait: wait.is_some(),
+                    },
+                    hold,
+                )
+            }
+        }
+    }
+
+    fn init(&self, scope: &'static str, envelope: Option<Envelope>) -> Asked {
+        let Some(envelope) = envelope else {
+            return Asked::Init(None);
+        };
+        match self.inits.get(&envelope.client) {
+            Some(last) if last.number == envelope.number => match &last.first {
+                First::Started(task) => Asked::Again { scope, task: *task },
+                First::Refused(text) => Asked::Refusal {
+                    scope,
+                    text: text.clone(),
+                },
+                First::Void => Asked::Only(format!("{scope};2;-1;{GIVEN_UP}")),
+            },
+            Some(last) if last.number > envelope.number => {
+                Asked::Only(format!("{scope};2;-1;{GIVEN_UP}"))
+            }
+            _ => Asked::Init(None),
+        }
+    }
+
+    fn outcome(&self, client: ClientId, number: u64) -> Asked {
+        let scope = "$ztl";
+        match self.inits.get(&client) {
+            Some(last) if last.number == number => match &last.first {
+                First::Started(task) => Asked::Again { scope, task: *task },
+                First::Refused(text) => Asked::Refusal {
+                    scope,
+                    text: text.clone(),
+                },
+                First::Void => Asked::NeverSeen(client, number),
+            },
+            Some(last) if last.number > number => {
+                Asked::Only("$ztl;2;0;settled by a later INIT".to_owned())
+            }
+            _ => Asked::NeverSeen(client, number),
+        }
+    }
+
+    pub(super) fn on_start(&mut self, peer: Peer, id: TaskId, scope: &'static str, payload: &str) {
+        let place = self.tasks.len();
+        let expected = match self.tasks.last() {
+            Some(last) => last.id.get() + 1,
+            None => self.limits.first.get(),
+        };
+        // A refused INIT may use up a number, but none is ever given again.
+        assert!(id.get() >= expected, "{id} was given before");
+        let ask = &mut self.asks[peer];
+        assert!(
+            matches!(ask.asked, Asked::Init(None)),
+            "it must not start: {ask:?}"
+        );
+        assert!(!ask.answered, "answered before its handler has decided");
+        assert_eq!(ask.scope, scope);
+        assert!(payload.len() < 1 << 20);
+        ask.asked = Asked::Init(Some(place));
+        let early_end = ask.envelope.is_some_and(|envelope| envelope.early_end);
+        if let Some(Envelope { client, number, .. }) = ask.envelope {
+            let first = First::Started(place);
+            self.remember(
+                client,
+                LastInit {
+                    number,
+                    first,
+                    until: None,
+                },
+            );
+        }
+        self.tasks.push(Task {
+            id,
+            scope,
+            early_end,
+            state: State::Initiated,
+            text: "None".to_owned(),
+            accepted: None,
+            refused: None,
+            given_up: false,
+            forgotten: false,
+        });
+        assert!(self.running().count() <= self.limits.tasks);
+    }
+
+    fn remember(&mut self, client: ClientId, init: LastInit) {
+        let before = self.inits.insert(client, init);
+        if let Some(First::Started(task)) = before.map(|init| init.first) {
+            self.tasks[task].given_up = true;
+        }
+    }
+
+    pub(super) fn on_abort(&mut self, peer: Peer, id: TaskId, scope: &str) {
+        let Asked::Abort { task, ended: false } = self.asks[peer].asked else {
+            panic!("nobody asked to abort {id}");
+        };
+        assert_eq!((self.tasks[task].id, self.tasks[task].scope), (id, scope));
+    }
+
+    pub(super) fn on_no_action(&mut self, now: Instant, peer: Peer) {
+        let ask = &self.asks[peer];
+        match ask.asked {
+            Asked::Abort { ended, .. } => assert!(ended, "the handler is not told: {ask:?}"),
+            Asked::Init(None) => assert!(ask.answered, "neither started nor answered"),
+            _ => {}
+        }
+        assert!(ask.answered || ask.due >= now);
+    }
+
+    /// A handler is about to report.
+    pub(super) fn on_event(&mut self, now: Instant, id: TaskId, event: TaskEvent<'_>) {
+        let place = self
+            .tasks
+            .iter()
+            .position(|task| task.id == id)
+            .expect("it was picked");
+        let task = &mut self.tasks[place];
+        let was = task.state;
+        let (state, text) = match event {
+            TaskEvent::Accepted { reply } if was == State::Initiated => {
+                task.accepted = Some(reply.to_owned());
+                (State::Accepted, None)
+            }
+            TaskEvent::Rejected { reason } if was == State::Initiated => {
+                task.refused = Some((State::Rejected, reason.to_owned()));
+                (State::Rejected, Some(reason))
+            }
+            TaskEvent::Threw { message } if was == State::Initiated => {
+                task.refused = Some((State::Failed, message.to_owned()));
+                (State::Rejected, Some(message))
+            }
+            TaskEvent::Progress { text } => (was, Some(text)),
+            TaskEvent::Completed { result } => (State::Completed, Some(result)),
+            TaskEvent::Failed { reason } => (State::Failed, Some(reason)),
+            TaskEvent::Aborted { result } => (State::Aborted, Some(result)),
+            TaskEvent::AbortRefused => {
+                self.refusing = Some(place);
+                return;
+            }
+            _ => return,
+        };
+        if was.is_final() {
+            return;
+        }
+        task.state = state;
+        if let Some(text) = text {
+            task.text = cut(text);
+        }
+        let decided = was == State::Initiated && state != State::Initiated;
+        for init in self.inits.values_mut() {
+            if decided && matches!(init.first, First::Started(task) if task == place) {
+                init.until = Some(now + KEEP_INIT);
+            }
+        }
+    }
+
+    pub(super) fn after_event(&mut self) {
+        self.refusing = None;
+    }
+
+    /// Time has passed: what the server's word no longer covers is dropped.
+    pub(super) fn forget(&mut self, now: Instant) {
+        self.inits
+            .retain(|_, init| init.until.is_none_or(|until| now < until));
+    }
+
+    /// The server sleeps longer than it wanted to.
+    pub(super) fn oversleep(&mut self, until: Instant) {
+        for ask in &mut self.asks {
+            ask.due = ask.due.max(until);
+        }
+    }
+
+    pub(super) fn assert_in_time(&self, now: Instant) {
+        for ask in &self.asks {
+            assert!(
+                ask.answered || ask.due > now,
+                "not answered in time: {ask:?}"
+            );
+        }
+    }
+
+    pub(super) fn assert_all_answered(&self) {
+        for ask in &self.asks {
+            assert!(ask.answered, "never answered: {ask:?}");
+        }
+    }
+
+    fn running(&self) -> impl Iterator<Item = &Task> {
+        self.tasks.iter().filter(|task| !task.state.is_final())
+    }
+}
+
+fn config() -> Config {
+    Config::new(TaskId::new(1).expect("not 0"), BOOT)
+}
+
+/// A request with one answer, at once.
+fn only(answer: String) -> (Asked, Duration) {
+    (Asked::Only(answer), Duration::ZERO)
+}
+
+fn plain(number: Integer<'_>) -> String {
+    let mut out = Vec::new();
+    number.put(&mut |bytes: &[u8]| out.extend_from_slice(bytes));
+    String::from_utf8(out).expect("ASCII")
+}
+
+/// A text as a memory of [`TEXT`] bytes keeps it.
+fn cut(text: &str) -> String {
+    if text.len() <= TEXT {
+        return text.to_owned();
+    }
+    let mut kept = String::new();
+    for c in text.chars() {
+        if kept.len() + c.len_utf8() > TEXT - "…".len() {
+            break;
+        }
+        kept.push(c);
+    }
+    kept + "…"
+}

@@ -1,0 +1,208 @@
+//! Which answers are right.
+
+use ztl_core::dispatcher::KEEP_INIT;
+use ztl_core::envelope::{ClientId, Envelope};
+use ztl_core::reply::Reply;
+use ztl_core::{Instant, Message, State};
+
+use super::{Asked, First, LastInit, Model, Task, cut};
+use crate::dispatcher::{BOOT, Peer};
+
+/// An answer's state, id and payload.
+type Told<'a> = (&'a str, &'a str, &'a str);
+
+const NO_CLIENTS: &str = "too many clients at a time, try again in a minute";
+const NO_TASKS: &str = "too many tasks are running, wait for one to end";
+const NO_WAITERS: &str = "too many requests are waiting, try again";
+const NO_IDS: &str = "all task ids are used up, restart the server";
+
+impl Model {
+    pub(in crate::dispatcher) fn on_answer(&mut self, now: Instant, peer: Peer, reply: &Reply<'_>) {
+        let mut text = Vec::new();
+        reply.put(&mut |bytes: &[u8]| text.extend_from_slice(bytes));
+        let text = String::from_utf8(text).expect("UTF-8");
+        let ask = &mut self.asks[peer];
+        assert!(!ask.answered, "a second answer, {text}, to {ask:?}");
+        assert!(now <= ask.due, "a late answer to {ask:?}");
+        ask.answered = true;
+        let (asked, envelope, scope) = (ask.asked.clone(), ask.envelope, ask.scope.clone());
+        let early = now < ask.due;
+        let told = Message::parse(text.as_bytes()).expect("a message");
+        // A client that uses a number twice, for two scopes, is told of the first.
+        let first = match asked {
+            Asked::Again { scope, task } if scope != "$ztl" => self.tasks[task].scope,
+            _ => &scope,
+        };
+        assert!(told.scope == scope || told.scope == first, "{text}");
+        let told = (told.state, told.id, told.payload);
+        match asked {
+            Asked::Only(expected) => assert_eq!(text, expected),
+            Asked::Init(None) => self.assert_refusal(now, envelope, told),
+            Asked::Init(Some(task)) => self.assert_first(task, false, told),
+            Asked::Again { scope, task } => self.assert_first(task, scope == "$ztl", told),
+            Asked::Refusal {
+                scope,
+                text: reason,
+            } => {
+                assert_eq!(text, format!("{scope};2;-1;{}", cut(&reason)));
+            }
+            Asked::NeverSeen(client, number) => self.assert_never_seen(now, client, number, told),
+            Asked::Status { task, wait } => self.assert_status(task, wait && early, told),
+            Asked::Abort { task, ended } => self.assert_abort(task, ended, told),
+            Asked::Probe => self.assert_probe(told),
+        }
+    }
+
+    /// An INIT that did not start.
+    fn assert_refusal(&mut self, now: Instant, asker: Option<Envelope>, told: Told<'_>) {
+        let (state, id, text) = told;
+        assert_eq!((state, id), ("2", "-1"));
+        let held = self.asks.iter().filter(|ask| !ask.answered).count();
+        match text {
+            NO_IDS => {
+                let last = self.tasks.last().map(|task| task.id.get());
+                assert_eq!(last, Some(u32::MAX));
+                return;
+            }
+            NO_CLIENTS => {
+                assert_eq!(self.inits.len(), self.limits.held);
+                return;
+            }
+            NO_TASKS => assert_eq!(self.running().count(), self.limits.tasks),
+            NO_WAITERS => assert_eq!(held, self.limits.held),
+            other => panic!("refused for {other}"),
+        }
+        if let Some(Envelope { client, number, .. }) = asker {
+            let first = First::Refused(text.to_owned());
+            let until = Some(now + KEEP_INIT);
+            self.remember(
+                client,
+                LastInit {
+                    number,
+                    first,
+                    until,
+                },
+            );
+        }
+    }
+
+    /// The answer to the INIT of a task, when it comes or once more.
+    fn assert_first(&self, task: usize, outcome: bool, told: Told<'_>) {
+        let task = &self.tasks[task];
+        let id = task.id.to_string();
+        let undecided = format!("Initiated task '{id}', nobody has taken it yet");
+        if let Some((state, reason)) = &task.refused {
+            let threw = *state == State::Failed;
+            let prefix = if threw {
+                "Controller threw exception: "
+            } else {
+                ""
+            };
+            let state = state.code().to_string();
+            let whole = format!("{prefix}{reason}");
+            let kept = format!("{prefix}{}", cut(reason));
+            assert!(
+                told == (&state, "-1", &whole) || told == (&state, "-1", &kept),
+                "{told:?}: {whole}"
+            );
+            return;
+        }
+        let (state, told_id, text) = told;
+        assert_eq!(told_id, id);
+        if state == "1" {
+            // While the moment passes in which a quick end is waited for, nothing else keeps the reply.
+            let lost = task.early_end && task.given_up && text.is_empty();
+            let known = match &task.accepted {
+                Some(_) if lost => true,
+                Some(reply) => text == reply || text == cut(reply),
+                // It ended without having been accepted: the end is kept. Or it is still undecided.
+                None => text == undecided || (task.state.is_final() && text == task.text),
+            };
+            assert!(known, "{told:?}");
+        } else {
+            assert!(
+                task.early_end && !outcome && task.state.is_final(),
+                "{told:?}"
+            );
+            self.assert_end(task, state, text);
+        }
+    }
+
+    fn assert_never_seen(&mut self, now: Instant, client: ClientId, number: u64, told: Told<'_>) {
+        let (state, id, text) = told;
+        assert_eq!((state, id), ("2", "0"));
+        if text == NO_CLIENTS {
+            assert_eq!(self.inits.len(), self.limits.held);
+            assert!(!self.inits.contains_key(&client));
+            return;
+        }
+        assert_eq!(text, format!("never seen since boot {BOOT}"));
+        let until = Some(now + KEEP_INIT);
+        let void = LastInit {
+            number,
+            first: First::Void,
+            until,
+        };
+        self.remember(client, void);
+    }
+
+    fn assert_status(&mut self, task: usize, early: bool, told: Told<'_>) {
+        let held = self.asks.iter().filter(|ask| !ask.answered).count();
+        let task = &mut self.tasks[task];
+        let (state, id, text) = told;
+        assert_eq!(id, task.id.to_string());
+        if task.state.is_final() && (state, text) == ("2", &format!("Invalid ID '{id}'")) {
+            task.forgotten = true;
+            return;
+        }
+        assert_eq!(state, task.state.code().to_string());
+        assert_eq!(text, task.text);
+        if early && !task.state.is_final() {
+            assert_eq!(held, self.limits.held, "it could have waited");
+        }
+    }
+
+    fn assert_abort(&mut self, place: usize, ended: bool, told: Told<'_>) {
+        let task = &mut self.tasks[place];
+        let (state, id, text) = told;
+        assert_eq!(id, task.id.to_string());
+        if ended && (state, text) == ("2", &format!("Invalid ID '{id}'")) {
+            task.forgotten = true;
+            return;
+        }
+        let task = &self.tasks[place];
+        if !task.state.is_final() {
+            let refused = self.refusing == Some(place)
+                && state == task.state.code().to_string()
+                && text == "False";
+            assert!(refused || (state, text) == ("1", "aborting"), "{told:?}");
+        } else if ended {
+            assert_eq!(text, "False");
+            assert_eq!(state, task.state.code().to_string());
+        } else if task.state == State::Aborted {
+            assert_eq!((state, text), ("4", "True"));
+        } else {
+            self.assert_end(task, state, text);
+        }
+    }
+
+    fn assert_end(&self, task: &Task, state: &str, text: &str) {
+        assert_eq!(state, task.state.code().to_string());
+        assert_eq!(text, task.text);
+    }
+
+    fn assert_probe(&self, told: Told<'_>) {
+        let (state, id, text) = told;
+        assert_eq!((state, id), ("5", "0"));
+        let (_, listed) = text.split_once("running: {").expect("a list");
+        let listed = listed.strip_suffix("}}").expect("its end");
+        let mut listed: Vec<&str> = listed.split(", ").filter(|item| !item.is_empty()).collect();
+        let mut running: Vec<String> = self
+            .running()
+            .map(|task| format!("{}: {:?}", task.id, task.scope))
+            .collect();
+        listed.sort_unstable();
+        running.sort_unstable();
+        assert_eq!(listed, running);
+    }
+}

@@ -1,0 +1,203 @@
+//! [`TaskTable`] beside a plain list with the same rules: what is remembered, and which end is given
+//! up when.
+
+#![expect(clippy::unwrap_used, reason = "a test says what is wrong by panicking")]
+
+use core::time::Duration;
+use std::collections::BTreeMap;
+
+use proptest::collection::vec;
+use proptest::prelude::*;
+use proptest::test_runner::FileFailurePersistence;
+use ztl_core::tasks::{NoRoom, Task, TaskRules, TaskTable, Tasks, Text};
+use ztl_core::{Event, Instant, State};
+
+/// How many tasks the table holds, and bytes of each text.
+const TASKS: usize = 3;
+const TEXT: usize = 8;
+
+type Table = TaskTable<u32, (), TASKS, TEXT>;
+
+/// What can be done to a table; a task is meant by how many came after it.
+#[derive(Debug, Clone)]
+enum Step {
+    Admit { unacknowledged: bool },
+    Apply(u32, Event, Option<String>),
+    Progress(u32, String),
+    Acknowledge(u32),
+    Pass(u64),
+    Forget(u64),
+}
+
+fn step() -> impl Strategy<Value = Step> {
+    let back = 0u32..6;
+    let event = prop::sample::select(Event::ALL.to_vec());
+    let text = "[a-zü…🤖]{0,6}";
+    prop_oneof![
+        any::<bool>().prop_map(|unacknowledged| Step::Admit { unacknowledged }),
+        (back.clone(), event, prop::option::of(text))
+            .prop_map(|(back, event, text)| Step::Apply(back, event, text)),
+        (back.clone(), text).prop_map(|(back, text)| Step::Progress(back, text)),
+        back.prop_map(Step::Acknowledge),
+        (0u64..3).prop_map(Step::Pass),
+        (0u64..6).prop_map(Step::Forget),
+    ]
+}
+
+/// A task as the list has it.
+#[derive(Debug, Clone, PartialEq)]
+struct Known {
+    state: State,
+    text: String,
+    ended: Option<Instant>,
+    unacknowledged: bool,
+}
+
+#[derive(Default)]
+struct List(BTreeMap<u32, Known>);
+
+impl List {
+    /// The first of the ends that need no acknowledgement; of two at once, that of the older task.
+    fn oldest_end(&self) -> Option<(Instant, u32)> {
+        let ends = self.0.iter().filter(|(_, task)| !task.unacknowledged);
+        ends.filter_map(|(id, task)| Some((task.ended?, *id))).min()
+    }
+
+    fn admit(&mut self, id: u32, unacknowledged: bool) -> Result<(), NoRoom> {
+        if self.0.len() == TASKS {
+            match self.oldest_end() {
+                Some((_, oldest)) => self.0.remove(&oldest),
+                None if self.0.values().any(|task| task.state.is_final()) => {
+                    return Err(NoRoom::Unacknowledged);
+                }
+                None => return Err(NoRoom::Running),
+            };
+        }
+        let (state, text, ended) = (State::Initiated, String::new(), None);
+        self.0.insert(
+            id,
+            Known {
+                state,
+                text,
+                ended,
+                unacknowledged,
+            },
+        );
+        Ok(())
+    }
+
+    fn apply(&mut self, now: Instant, id: u32, event: Event, text: Option<&str>) -> bool {
+        let Some(task) = self.0.get_mut(&id) else {
+            return false;
+        };
+        let to = match (task.state, event) {
+            (State::Initiated, Event::Accept) => State::Accepted,
+            (State::Initiated, Event::Reject) => State::Rejected,
+            (State::Accepted, Event::Complete) => State::Completed,
+            (State::Initiated | State::Accepted, Event::Fail) => State::Failed,
+            (State::Initiated | State::Accepted, Event::Abort) => State::Aborted,
+            _ => return false,
+        };
+        task.state = to;
+        if let Some(text) = text {
+            task.text = cut(text);
+        }
+        task.ended = (to != State::Accepted).then_some(now);
+        true
+    }
+
+    fn progress(&mut self, id: u32, text: &str) -> bool {
+        let task = self.0.get_mut(&id).filter(|task| !task.state.is_final());
+        task.map(|task| task.text = cut(text)).is_some()
+    }
+}
+
+/// The text, or as many characters of it as fit with the mark of the cut.
+fn cut(text: &str) -> String {
+    if text.len() <= TEXT {
+        return text.to_owned();
+    }
+    let most = (0..=TEXT - '…'.len_utf8()).rev();
+    let most = most.into_iter().find(|end| text.is_char_boundary(*end));
+    let (kept, _) = text.split_at(most.unwrap());
+    format!("{kept}…")
+}
+
+fn remembered(table: &Table) -> BTreeMap<u32, Known> {
+    let mut all = BTreeMap::new();
+    table.for_each(&mut |id, task| {
+        let Task {
+            state,
+            text,
+            ended,
+            unacknowledged,
+            ..
+        } = task;
+        let (state, text) = (*state, text.as_str().to_owned());
+        let known = Known {
+            state,
+            text,
+            ended: *ended,
+            unacknowledged: *unacknowledged,
+        };
+        assert!(all.insert(id, known).is_none(), "{id} is there twice");
+    });
+    all
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig {
+        failure_persistence: Some(Box::new(FileFailurePersistence::WithSource("regressions"))),
+        ..ProptestConfig::default()
+    })]
+
+    #[test]
+    fn a_table_remembers_and_gives_up_what_a_list_does(steps in vec(step(), 0..80)) {
+        let (mut table, mut list) = (Table::new(), List::default());
+        let (mut now, mut last) = (Instant::ZERO, 0);
+        for step in steps {
+            match step {
+                Step::Admit { unacknowledged } => {
+                    last += 1;
+                    let task = || Task { unacknowledged, ..Task::new(()) };
+                    prop_assert_eq!(table.admit(last, task), list.admit(last, unacknowledged));
+                }
+                Step::Apply(back, event, text) => {
+                    let (id, text) = (last - back.min(last), text.as_deref());
+                    prop_assert_eq!(
+                        table.apply(now, id, event, text),
+                        list.apply(now, id, event, text)
+                    );
+                }
+                Step::Progress(back, text) => {
+                    let id = last - back.min(last);
+                    prop_assert_eq!(table.progress(id, &text), list.progress(id, &text));
+                }
+                Step::Acknowledge(back) => {
+                    let id = last - back.min(last);
+                    table.acknowledge(id);
+                    list.0.retain(|known, task| *known != id || !task.state.is_final());
+                }
+                Step::Pass(millis) => now = now + Duration::from_millis(millis),
+                Step::Forget(millis) => {
+                    let end = Instant::from_millis(millis);
+                    table.forget_until(end);
+                    list.0.retain(|_, task| {
+                        task.unacknowledged || task.ended.is_none_or(|ended| ended > end)
+                    });
+                }
+            }
+            prop_assert_eq!(remembered(&table), list.0.clone());
+            prop_assert_eq!(table.len(), list.0.len());
+            let oldest = list.oldest_end().map(|(ended, id)| (id, ended));
+            prop_assert_eq!(table.oldest_end(), oldest);
+        }
+    }
+
+    #[test]
+    fn a_text_is_kept_whole_or_cut_at_a_character(text: String) {
+        let mut kept = heapless::String::<TEXT>::new();
+        kept.set(&text);
+        prop_assert_eq!(kept.as_str(), cut(&text));
+    }
+}
