@@ -78,11 +78,13 @@ fn host() -> Outcome<String> {
     Cmd::new("rustc --print host-tuple").stdout()
 }
 
-/// The targets' names, in the order of the alphabet.
 fn targets() -> Outcome<Vec<String>> {
-    let entries =
-        fs::read_dir(TARGETS).map_err(|error| format!("cannot read {TARGETS}: {error}"))?;
-    let mut names: Vec<String> = entries
+    names(Path::new(TARGETS)).map_err(|error| format!("cannot read {TARGETS}: {error}"))
+}
+
+/// What the files in a directory are called without `.rs`, in the order of the alphabet.
+fn names(directory: &Path) -> std::io::Result<Vec<String>> {
+    let mut names: Vec<String> = fs::read_dir(directory)?
         .flatten()
         .filter_map(|entry| Some(entry.path().file_stem()?.to_str()?.to_owned()))
         .collect();
@@ -113,16 +115,19 @@ fn fuzz_one(dirs: &Dirs, target: &str, seconds: u32) -> Outcome {
         return Ok(());
     }
     Err(match finding(&said) {
-        Some(input) => format!(
-            "fuzz target `{target}` has found a broken promise:\n{}\nThe input is {}. To run it again:\n    \
-             {}\nTo look for a shorter one:\n    {}",
-            complaint(&said),
-            input.display(),
-            Cmd::program(&program).arg(&input),
-            Cmd::program(&program)
+        Some(input) => {
+            let again = Cmd::program(&program).arg(&input);
+            let shorter = Cmd::program(&program)
                 .args("-minimize_crash=1 -runs=100000")
-                .arg(&input),
-        ),
+                .arg(&input);
+            format!(
+                "fuzz target `{target}` has found a broken promise:\n{}\n\
+                 The input is {}. To run it again:\n    {again}\n\
+                 To look for a shorter one:\n    {shorter}",
+                complaint(&said),
+                input.display(),
+            )
+        }
         None => format!("`{run}` failed:\n{said}"),
     })
 }
@@ -221,6 +226,20 @@ mod tests {
         assert!(chosen(&["--seconds", "0"]).unwrap_err().contains("from 1"));
         assert!(chosen(&["--second"]).unwrap_err().contains("--seconds N"));
         assert!(chosen(&["goal", "spec"]).unwrap_err().contains("`spec`"));
+    }
+
+    #[test]
+    fn every_target_is_built_has_a_corpus_and_is_documented() {
+        let fuzz = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fuzz");
+        let read = |name: &str| fs::read_to_string(fuzz.join(name)).unwrap();
+        let (manifest, readme) = (read("Cargo.toml"), read("README.md"));
+        let targets = names(&fuzz.join("fuzz_targets")).unwrap();
+        assert!(targets.len() > 5, "{targets:?}");
+        for target in targets {
+            assert!(manifest.contains(&format!("name = \"{target}\"\npath = \"fuzz_targets/")));
+            assert!(readme.contains(&format!("\n| `{target}` |")), "{target}");
+            assert!(fuzz.join("corpus").join(&target).is_dir(), "{target}");
+        }
     }
 
     #[test]

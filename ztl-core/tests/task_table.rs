@@ -1,5 +1,5 @@
-//! [`TaskTable`] beside a plain list with the same rules: what is remembered, and which end is given
-//! up when.
+//! [`TaskTable`] beside a plain list with the same rules: what is remembered, and which end is
+//! given up when.
 
 #![expect(clippy::unwrap_used, reason = "a test says what is wrong by panicking")]
 

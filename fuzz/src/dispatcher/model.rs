@@ -2,19 +2,17 @@
 //! last INIT of each of our clients, for ever.
 
 mod answers;
+mod questions;
 
 use core::time::Duration;
 use std::collections::HashMap;
 
-use ztl_core::dispatcher::{Body, Config, KEEP_INIT, LONGEST_WAIT, TaskEvent};
+use ztl_core::dispatcher::{Body, Config, KEEP_INIT, TaskEvent};
 use ztl_core::envelope::{ClientId, Envelope};
-use ztl_core::integer::Integer;
-use ztl_core::{Instant, Message, Request, State, TaskId};
+use ztl_core::{Instant, Message, State, TaskId};
 
-use super::{BOOT, Peer, SCOPES, TEXT};
-
-const GIVEN_UP: &str = "this INIT was given up by its client";
-const RESERVED: &str = "Invalid request: $ztl takes STATUS with the payload 'probe' or 'outcome N'";
+use super::{BOOT, Peer, TEXT};
+use questions::only;
 
 /// The room that the server has.
 pub(super) struct Limits {
@@ -37,6 +35,10 @@ pub(super) struct Task {
     refused: Option<(State, String)>,
     /// Its client has sent another INIT meanwhile, and so given this one up.
     given_up: bool,
+    /// When it ended, and how many INITs had come by then.
+    ended: Option<(Instant, usize)>,
+    /// Refused while its INIT still waited: the client never had an id to ask for.
+    nameless: bool,
     /// An answer said that it is not known any more.
     forgotten: bool,
 }
@@ -99,6 +101,8 @@ pub(super) struct Model {
     asks: Vec<Ask>,
     tasks: Vec<Task>,
     inits: HashMap<ClientId, LastInit>,
+    /// INITs that had not come before.
+    new_inits: usize,
     /// The task whose handler is just refusing to abort it.
     refusing: Option<usize>,
 }
@@ -110,6 +114,7 @@ impl Model {
             asks: Vec::new(),
             tasks: Vec::new(),
             inits: HashMap::new(),
+            new_inits: 0,
             refusing: None,
         }
     }
@@ -130,6 +135,7 @@ impl Model {
             Ok(message) => self.asked(envelope, message),
             Err(_) => only(format!("{scope};2;-1;Unknown protocol")),
         };
+        self.new_inits += usize::from(matches!(asked, Asked::Init(None)));
         self.asks.push(Ask {
             due: now + hold,
             envelope,
@@ -138,103 +144,6 @@ impl Model {
             answered: false,
         });
         self.asks.len() - 1
-    }
-
-    /// The decision table (wire specification 4.3), and the longest time for the answer.
-    fn asked(&self, envelope: Option<Envelope>, message: Message<'_>) -> (Asked, Duration) {
-        let config = config();
-        let scope = message.scope;
-        let code = message.code().ok().and_then(Integer::value);
-        if scope == "$ztl" {
-            let outcome = envelope.and_then(|envelope| {
-                let number = Integer::parse(message.payload.strip_prefix("outcome ")?).ok()?;
-                Some((envelope.client, u64::try_from(number.value()?).ok()?))
-            });
-            return match (code, message.payload, outcome) {
-                (Some(2), "probe", _) => (Asked::Probe, config.hold),
-                (Some(2), _, Some((client, number))) => (self.outcome(client, number), config.hold),
-                _ => only(format!("$ztl;2;0;{RESERVED}")),
-            };
-        }
-        let Some(scope) = SCOPES.into_iter().find(|known| *known == scope) else {
-            return only(format!("{scope};2;-1;No controller for scope: {scope}"));
-        };
-        let (Ok(code), Ok(id)) = (message.code(), message.number()) else {
-            return only(format!("{scope};2;-1;Invalid request"));
-        };
-        let id = plain(id);
-        let task = self
-            .tasks
-            .iter()
-            .position(|task| task.id.to_string() == id && task.scope == scope && !task.forgotten);
-        match (code.value().and_then(Request::from_code), task) {
-            (None, _) => only(format!("{scope};2;{id};Invalid request")),
-            (Some(Request::Init), _) => {
-                let early = if envelope.is_some() {
-                    config.early
-                } else {
-                    Default::default()
-                };
-                (self.init(scope, envelope), config.hold + early)
-            }
-            (_, None) => only(format!("{scope};2;{id};Invalid ID '{id}'")),
-            (Some(Request::Abort), Some(task)) => {
-                let ended = self.tasks[task].state.is_final();
-                (Asked::Abort { task, ended }, config.hold)
-            }
-            (Some(Request::Status), Some(task)) => {
-                let wait = envelope.and_then(|_| {
-                    let wait = Integer::parse(message.payload.strip_prefix("wait ")?).ok()?;
-                    u64::try_from(wait.value()?).ok()
-                });
-                let hold = Duration::from_millis(wait.unwrap_or(0)).min(LONGEST_WAIT);
-                (
-                    Asked::Status {
-                        task,
-                        wait: wait.is_some(),
-                    },
-                    hold,
-                )
-            }
-        }
-    }
-
-    fn init(&self, scope: &'static str, envelope: Option<Envelope>) -> Asked {
-        let Some(envelope) = envelope else {
-            return Asked::Init(None);
-        };
-        match self.inits.get(&envelope.client) {
-            Some(last) if last.number == envelope.number => match &last.first {
-                First::Started(task) => Asked::Again { scope, task: *task },
-                First::Refused(text) => Asked::Refusal {
-                    scope,
-                    text: text.clone(),
-                },
-                First::Void => Asked::Only(format!("{scope};2;-1;{GIVEN_UP}")),
-            },
-            Some(last) if last.number > envelope.number => {
-                Asked::Only(format!("{scope};2;-1;{GIVEN_UP}"))
-            }
-            _ => Asked::Init(None),
-        }
-    }
-
-    fn outcome(&self, client: ClientId, number: u64) -> Asked {
-        let scope = "$ztl";
-        match self.inits.get(&client) {
-            Some(last) if last.number == number => match &last.first {
-                First::Started(task) => Asked::Again { scope, task: *task },
-                First::Refused(text) => Asked::Refusal {
-                    scope,
-                    text: text.clone(),
-                },
-                First::Void => Asked::NeverSeen(client, number),
-            },
-            Some(last) if last.number > number => {
-                Asked::Only("$ztl;2;0;settled by a later INIT".to_owned())
-            }
-            _ => Asked::NeverSeen(client, number),
-        }
     }
 
     pub(super) fn on_start(&mut self, peer: Peer, id: TaskId, scope: &'static str, payload: &str) {
@@ -275,6 +184,8 @@ impl Model {
             accepted: None,
             refused: None,
             given_up: false,
+            ended: None,
+            nameless: false,
             forgotten: false,
         });
         assert!(self.running().count() <= self.limits.tasks);
@@ -311,6 +222,12 @@ impl Model {
             .iter()
             .position(|task| task.id == id)
             .expect("it was picked");
+        let waits = |ask: &&Ask| match ask.asked {
+            Asked::Init(task) => task == Some(place),
+            Asked::Again { task, .. } => task == place,
+            _ => false,
+        };
+        let nameless = self.asks.iter().filter(waits).any(|ask| !ask.answered);
         let task = &mut self.tasks[place];
         let was = task.state;
         let (state, text) = match event {
@@ -340,6 +257,8 @@ impl Model {
             return;
         }
         task.state = state;
+        task.nameless = nameless && state == State::Rejected;
+        task.ended = state.is_final().then_some((now, self.new_inits));
         if let Some(text) = text {
             task.text = cut(text);
         }
@@ -390,17 +309,6 @@ impl Model {
 
 fn config() -> Config {
     Config::new(TaskId::new(1).expect("not 0"), BOOT)
-}
-
-/// A request with one answer, at once.
-fn only(answer: String) -> (Asked, Duration) {
-    (Asked::Only(answer), Duration::ZERO)
-}
-
-fn plain(number: Integer<'_>) -> String {
-    let mut out = Vec::new();
-    number.put(&mut |bytes: &[u8]| out.extend_from_slice(bytes));
-    String::from_utf8(out).expect("ASCII")
 }
 
 /// A text as a memory of [`TEXT`] bytes keeps it.

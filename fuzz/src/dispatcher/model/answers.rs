@@ -5,7 +5,7 @@ use ztl_core::envelope::{ClientId, Envelope};
 use ztl_core::reply::Reply;
 use ztl_core::{Instant, Message, State};
 
-use super::{Asked, First, LastInit, Model, Task, cut};
+use super::{Asked, First, LastInit, Model, Task, config, cut};
 use crate::dispatcher::{BOOT, Peer};
 
 /// An answer's state, id and payload.
@@ -47,8 +47,8 @@ impl Model {
                 assert_eq!(text, format!("{scope};2;-1;{}", cut(&reason)));
             }
             Asked::NeverSeen(client, number) => self.assert_never_seen(now, client, number, told),
-            Asked::Status { task, wait } => self.assert_status(task, wait && early, told),
-            Asked::Abort { task, ended } => self.assert_abort(task, ended, told),
+            Asked::Status { task, wait } => self.assert_status(now, task, wait && early, told),
+            Asked::Abort { task, ended } => self.assert_abort(now, task, ended, told),
             Asked::Probe => self.assert_probe(told),
         }
     }
@@ -146,15 +146,16 @@ impl Model {
         self.remember(client, void);
     }
 
-    fn assert_status(&mut self, task: usize, early: bool, told: Told<'_>) {
+    fn assert_status(&mut self, now: Instant, place: usize, early: bool, told: Told<'_>) {
         let held = self.asks.iter().filter(|ask| !ask.answered).count();
-        let task = &mut self.tasks[task];
+        let task = &self.tasks[place];
         let (state, id, text) = told;
         assert_eq!(id, task.id.to_string());
         if task.state.is_final() && (state, text) == ("2", &format!("Invalid ID '{id}'")) {
-            task.forgotten = true;
-            return;
+            return self.on_forgotten(now, place);
         }
+        assert!(!self.is_over(now, place), "remembered for too long");
+        let task = &self.tasks[place];
         assert_eq!(state, task.state.code().to_string());
         assert_eq!(text, task.text);
         if early && !task.state.is_final() {
@@ -162,15 +163,13 @@ impl Model {
         }
     }
 
-    fn assert_abort(&mut self, place: usize, ended: bool, told: Told<'_>) {
-        let task = &mut self.tasks[place];
+    fn assert_abort(&mut self, now: Instant, place: usize, ended: bool, told: Told<'_>) {
+        let task = &self.tasks[place];
         let (state, id, text) = told;
         assert_eq!(id, task.id.to_string());
         if ended && (state, text) == ("2", &format!("Invalid ID '{id}'")) {
-            task.forgotten = true;
-            return;
+            return self.on_forgotten(now, place);
         }
-        let task = &self.tasks[place];
         if !task.state.is_final() {
             let refused = self.refusing == Some(place)
                 && state == task.state.code().to_string()
@@ -184,6 +183,21 @@ impl Model {
         } else {
             self.assert_end(task, state, text);
         }
+    }
+
+    /// A task that has ended is not known any more: its time has passed, or its place was needed.
+    fn on_forgotten(&mut self, now: Instant, place: usize) {
+        let over = self.is_over(now, place);
+        let task = &mut self.tasks[place];
+        task.forgotten = true;
+        let (_, before) = task.ended.expect("an end");
+        let needed = self.new_inits > before && self.new_inits > self.limits.tasks;
+        assert!(over || needed || task.nameless, "forgotten too early");
+    }
+
+    fn is_over(&self, now: Instant, place: usize) -> bool {
+        let ended = self.tasks[place].ended;
+        ended.is_some_and(|(ended, _)| now >= ended + config().keep)
     }
 
     fn assert_end(&self, task: &Task, state: &str, text: &str) {
