@@ -2,8 +2,8 @@
 
 use std::io::Write;
 use std::net::TcpListener;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use ztl_std::gateway::Gateway;
@@ -14,6 +14,9 @@ use ztl_std::{
 
 /// Long before a client of the original gives up.
 const SOON: Duration = Duration::from_millis(1700);
+
+/// Each of these tests keeps a core busy, so one at a time.
+static ALONE: Mutex<()> = Mutex::new(());
 
 struct Talkative;
 
@@ -31,6 +34,7 @@ impl TaskController for Talkative {
 
 #[test]
 fn a_handler_that_reports_without_pause_keeps_nobody_from_being_answered() {
+    let _alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
     let mut server = TaskServer::bind("tcp://127.0.0.1:*").unwrap();
     server.register("/lab", Talkative);
     let server = server.spawn().unwrap();
@@ -48,6 +52,7 @@ fn a_handler_that_reports_without_pause_keeps_nobody_from_being_answered() {
 
 #[test]
 fn a_line_that_never_pauses_is_refused_in_time_and_lets_the_gateway_end() {
+    let _alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
     for noise in [[0u8; 4096], [0xa7; 4096]] {
         let line = TcpListener::bind("127.0.0.1:0").unwrap();
         let address = line.local_addr().unwrap();
