@@ -154,10 +154,11 @@ impl Process {
     /// Sends a signal by name: `INT`, `STOP`, `CONT`.
     #[track_caller]
     pub fn signal(&self, name: &str) {
-        let mut kill = Command::new("kill");
-        kill.arg(format!("-{name}"))
+        // The shell's own: a small system has no program of that name.
+        let mut kill = Command::new("sh");
+        kill.args(["-c", "kill -$0 $1", name])
             .arg(self.child.id().to_string());
-        assert!(kill.status().expect("`kill`").success(), "{kill:?}");
+        assert!(kill.status().expect("`sh`").success(), "{kill:?}");
     }
 
     /// What was run and what it has said, for whoever has to find out what went wrong.
