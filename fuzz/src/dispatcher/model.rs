@@ -4,7 +4,6 @@
 mod answers;
 mod questions;
 
-use core::time::Duration;
 use std::collections::HashMap;
 
 use ztl_core::dispatcher::{Body, Config, KEEP_INIT, TaskEvent};
