@@ -241,7 +241,11 @@ impl TaskServer {
     /// Handlers stop their tasks as they are dropped; meanwhile clients are told.
     fn stop_handlers(&mut self) -> Result<(), zmq::Error> {
         let handlers = std::mem::take(&mut self.handlers);
-        let stopping = std::thread::spawn(move || drop(handlers));
+        let stopping = std::thread::Builder::new().spawn(move || drop(handlers));
+        // Without a thread they were dropped, and so stopped, right here.
+        let Ok(stopping) = stopping else {
+            return Ok(());
+        };
         let end = now() + STOPPING;
         let pause = Duration::from_millis(10);
         let mut told = false;
