@@ -204,6 +204,17 @@ impl Client {
         self.begin(now, Request::Status, None, true)
     }
 
+    /// Asks the server something about itself that is not the protocol's own, as `tasks`.
+    pub fn ask(
+        &mut self,
+        now: Instant,
+        question: &str,
+        sink: &mut (impl Sink + ?Sized),
+    ) -> Envelope {
+        put_reserved(question, sink);
+        self.begin(now, Request::Status, None, false)
+    }
+
     /// Asks what became of the last INIT that was not answered; `None` when there is none, or it
     /// was sent so long ago that nobody can know: its fate stays unknown.
     pub fn outcome(&mut self, now: Instant, sink: &mut (impl Sink + ?Sized)) -> Option<Envelope> {

@@ -110,6 +110,12 @@ pub trait Memory {
     /// Writes what the scopes offer, for `$ztl`: a mapping in YAML's flow style.
     fn put_scopes(&self, sink: &mut dyn Sink);
 
+    /// What the reserved scope answers to a question that is not the protocol's own, or `None`
+    /// where it is not known. Default: no question is known.
+    fn answer(&self, _question: &str) -> Option<impl AsRef<str>> {
+        None::<&str>
+    }
+
     /// Adds a held answer; gives it back when no more fit.
     ///
     /// # Errors

@@ -57,5 +57,5 @@ pub use controller::{
     Aborted, ExecutableTask, TaskContext, TaskController, TaskError, TaskRequest,
 };
 pub use remote::{RemoteTask, RequestError, Status, TriggerError, Triggered, WaitError};
-pub use server::{BindError, RunningServer, TaskServer};
+pub use server::{BindError, ListedTask, Listing, RunningServer, TaskServer};
 pub use ztl_core::{State, TaskId, TaskSpec};

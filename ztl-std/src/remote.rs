@@ -183,6 +183,22 @@ impl RemoteTask {
         self.about(Request::Abort, id, "abort command")
     }
 
+    /// Asks the server about itself, as `tasks` or `devices`: the answer in JSON, or `None` where it
+    /// does not know the question (the original knows none).
+    ///
+    /// # Errors
+    /// As [`RequestError`] says.
+    pub fn ask_server(&mut self, question: &str) -> Result<Option<String>, RequestError> {
+        let said = self.ask(|client, _, body| client.ask(now(), question, body));
+        match said.map_err(|unanswered| unanswered.error)? {
+            Said::Answer { state, text, .. } => {
+                let known = State::from_code(state) == Some(State::Completed);
+                Ok(known.then_some(text))
+            }
+            Said::NeverStarted => Ok(None),
+        }
+    }
+
     /// Waits for a task to end, at most for `limit`, or for ever.
     ///
     /// A server that does not answer does not end the wait: the task may still run.

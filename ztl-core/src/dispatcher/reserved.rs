@@ -29,9 +29,17 @@ impl<M: Memory> Dispatcher<M> {
                 let text = ReplyText::Probe(&probe);
                 out(asker.peer, &Reply::reserved(State::Completed, text));
             }
-            (true, payload, Some(envelope)) => match asked_outcome(payload) {
-                Some(number) => self.on_outcome(now, asker.peer, envelope, number, out),
-                None => out(asker.peer, &refusal(invalid)),
+            (true, payload, envelope) => match (asked_outcome(payload), envelope) {
+                (Some(number), Some(envelope)) => {
+                    self.on_outcome(now, asker.peer, envelope, number, out);
+                }
+                _ => match self.memory.answer(payload) {
+                    Some(text) => {
+                        let text = ReplyText::Plain(text.as_ref());
+                        out(asker.peer, &Reply::reserved(State::Completed, text));
+                    }
+                    None => out(asker.peer, &refusal(invalid)),
+                },
             },
             _ => out(asker.peer, &refusal(invalid)),
         }

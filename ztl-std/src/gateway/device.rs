@@ -14,6 +14,7 @@ use ztl_core::time::earliest;
 use ztl_core::{Instant, State, TaskId, TaskSpec};
 
 use super::endpoint::{Endpoint, is_pause};
+use super::report::Window;
 use super::session::{Event, Session};
 use crate::clock::now;
 use crate::random;
@@ -87,14 +88,12 @@ struct Request {
     reply: String,
 }
 
-/// The names of a device's components, as it has told them.
-pub(super) type Components = Arc<Mutex<Vec<String>>>;
-
 /// One device; its thread ends when this is dropped, after its tasks have been aborted.
 #[derive(Debug)]
 pub struct Device {
+    url: String,
     inputs: Sender<Input>,
-    components: Components,
+    window: Window,
     thread: Option<JoinHandle<()>>,
 }
 
@@ -113,21 +112,26 @@ impl Device {
             trouble: None,
             tasks: HashMap::new(),
             stopping: None,
-            components: Components::default(),
+            window: Window::default(),
         };
-        let components = Arc::clone(&worker.components);
+        let (url, window) = (worker.endpoint.to_string(), worker.window.clone());
         let thread = std::thread::Builder::new()
             .name(format!("ztl-device-{name}"))
             .spawn(move || worker.run(&inbox))?;
         Ok(Self {
+            url,
             inputs,
-            components,
+            window,
             thread: Some(thread),
         })
     }
 
-    pub(super) fn components(&self) -> Components {
-        Arc::clone(&self.components)
+    pub(super) fn url(&self) -> String {
+        self.url.clone()
+    }
+
+    pub(super) fn window(&self) -> Window {
+        self.window.clone()
     }
 
     pub(super) fn start(&self, task: TaskReporter, spec: &TaskSpec<'_>) {
@@ -185,7 +189,7 @@ struct Worker {
     tasks: HashMap<TaskId, (TaskReporter, Request)>,
     /// Until when the tasks may take to stop.
     stopping: Option<Instant>,
-    components: Components,
+    window: Window,
 }
 
 impl Worker {
@@ -210,6 +214,8 @@ impl Worker {
             while let Some(event) = self.session.poll_event() {
                 self.on_event(event);
             }
+            self.window
+                .show(now(), &self.session, self.trouble.as_ref());
             if let Some(end) = self.stopping
                 && (self.tasks.is_empty() || now() >= end)
             {
@@ -362,17 +368,13 @@ impl Worker {
                 self.pause = RETRY.0;
                 self.trouble = None;
                 if let Some(device) = self.session.device() {
-                    let names: Vec<String> =
-                        device.components.iter().map(|c| c.name.clone()).collect();
+                    let names: Vec<&str> =
+                        device.components.iter().map(|c| c.name.as_str()).collect();
                     info!(
                         target: LOG,
                         "Device '{}' is ready at {}: {} {}, components: {}",
                         self.name, self.endpoint, device.name, device.firmware, names.join(", ")
                     );
-                    *self
-                        .components
-                        .lock()
-                        .unwrap_or_else(PoisonError::into_inner) = names;
                 }
             }
             Event::Silent => {

@@ -5,20 +5,21 @@
 
 mod device;
 mod endpoint;
+mod report;
 pub mod session;
 
 use std::collections::BTreeMap;
-use std::sync::PoisonError;
 
 use ztl_core::{TaskId, TaskSpec};
 
-use device::Components;
 pub use device::Device;
 pub use endpoint::{BAUD, Endpoint, EndpointError, Line};
 pub(crate) use endpoint::{READ_TIMEOUT, is_pause};
+use report::Window;
+pub use report::{ComponentReport, DeviceReport, DeviceReports, FirmwareReport, LinkReport};
 
 use crate::random;
-use crate::server::{TaskHandler, TaskReporter, quoted};
+use crate::server::{Answers, TaskHandler, TaskReporter, quoted};
 
 /// Devices as handlers: register it at a [`TaskServer`](crate::TaskServer) with
 /// [`register_handler`](crate::TaskServer::register_handler).
@@ -79,21 +80,39 @@ impl TaskHandler for Gateway {
     }
 
     fn description(&self) -> Box<dyn Fn() -> String + Send> {
-        let devices: Vec<(String, Components)> = self
+        let devices: Vec<(String, Window)> = self
             .devices
             .iter()
-            .map(|(name, device)| (quoted(name), device.components()))
+            .map(|(name, device)| (quoted(name), device.window()))
             .collect();
         Box::new(move || {
             let devices: Vec<String> = devices
                 .iter()
-                .map(|(name, components)| {
-                    let known = components.lock().unwrap_or_else(PoisonError::into_inner);
-                    let names: Vec<String> = known.iter().map(|name| quoted(name)).collect();
+                .map(|(name, window)| {
+                    let names: Vec<String> =
+                        window.components().iter().map(|n| quoted(n)).collect();
                     format!("{name}: [{}]", names.join(", "))
                 })
                 .collect();
             format!("{{{}}}", devices.join(", "))
+        })
+    }
+
+    fn answers(&self) -> Answers {
+        let devices: Vec<(String, String, Window)> = self
+            .devices
+            .iter()
+            .map(|(name, device)| (name.clone(), device.url(), device.window()))
+            .collect();
+        Box::new(move |question| {
+            let report = |(name, url, window): &(String, String, Window)| {
+                (name.clone(), window.report(url.clone()))
+            };
+            let reports = || devices.iter().map(report).collect::<DeviceReports>();
+            match question {
+                "devices" => serde_json::to_string(&reports()).ok(),
+                _ => None,
+            }
         })
     }
 

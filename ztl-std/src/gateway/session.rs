@@ -6,6 +6,7 @@
 //! not answered it is unknown whether it runs, so it is never told REJECTED until the device itself
 //! has said so.
 
+mod health;
 mod receive;
 mod send;
 
@@ -15,6 +16,8 @@ use std::time::Duration;
 use ztl_core::link::{Decoder, LINK_TIMEOUT, LinkId, Loss, NO_SEQ, NO_SESSION};
 use ztl_core::time::earliest;
 use ztl_core::{Instant, State, TaskId};
+
+pub use health::{LinkCounters, RoundTrips};
 
 /// Longest time from a client's INIT to the moment after which a node refuses its `Start`.
 const START_LIMIT: Duration = Duration::from_millis(1000);
@@ -82,19 +85,6 @@ pub enum Event {
     Reset,
     /// It will not talk to this gateway.
     Refused(String),
-}
-
-/// What the line has brought.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct LinkCounters {
-    /// Frames whose check was right.
-    pub frames: u64,
-    /// Frames dropped.
-    pub errors: u64,
-    /// Commands sent again.
-    pub repeats: u64,
-    /// Sessions opened.
-    pub sessions: u64,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -192,6 +182,7 @@ pub struct Session {
     heard: Instant,
     /// Measured from a command to its answer.
     turnaround: Option<Duration>,
+    round_trips: RoundTrips,
     counters: LinkCounters,
 }
 
@@ -217,6 +208,7 @@ impl Session {
             commanded: Instant::ZERO,
             heard: Instant::ZERO,
             turnaround: None,
+            round_trips: RoundTrips::default(),
             counters: LinkCounters::default(),
         }
     }
@@ -361,6 +353,26 @@ impl Session {
         self.counters
     }
 
+    /// The latest times from a command to its answer.
+    #[must_use]
+    pub const fn round_trips(&self) -> &RoundTrips {
+        &self.round_trips
+    }
+
+    /// How many tasks wait for their `Start` to be sent.
+    #[must_use]
+    pub fn queued(&self) -> usize {
+        let waiting = |task: &&Task| task.stage == Stage::Waiting;
+        self.tasks.values().filter(waiting).count()
+    }
+
+    /// How long the device has run since its reset, as far as it has told.
+    #[must_use]
+    pub fn uptime(&self, now: Instant) -> Option<Duration> {
+        let (clock, heard) = self.clock?;
+        Some(Duration::from_millis(clock) + now.since(heard))
+    }
+
     /// Whether the device takes tasks now.
     #[must_use]
     pub fn is_up(&self) -> bool {
@@ -449,6 +461,7 @@ impl Session {
     /// The device is not heard: what carries on says so while it does.
     fn lose(&mut self) {
         if self.answers() {
+            self.counters.lost += 1;
             self.events.push_back(Event::Lost);
         }
         let carrying: Vec<TaskId> = self

@@ -2,6 +2,10 @@
 
 use std::collections::{BTreeSet, HashMap};
 
+use super::Answers;
+use super::listing::{Asked, ListedTask, Listing, millis, told};
+use crate::clock::now;
+
 use ztl_core::envelope::ClientId;
 use ztl_core::memory::{LastInit, Memory, Scope, Waiter};
 use ztl_core::sink::Sink;
@@ -18,8 +22,13 @@ const MAX_CLIENTS: usize = 10_000;
 /// The way back to a client: its ROUTER identity, its envelope, the empty delimiter.
 pub(super) type Peer = Vec<Vec<u8>>;
 
-/// What a scope offers, as a mapping in YAML's flow style.
-pub(super) type Describe = Box<dyn Fn() -> String + Send>;
+/// What a scope's handler tells of itself.
+pub(super) struct About {
+    /// What it offers, as a mapping in YAML's flow style.
+    pub(super) describe: Box<dyn Fn() -> String + Send>,
+    /// Answers to further questions.
+    pub(super) answer: Answers,
+}
 
 /// Longest text that is kept, in bytes: an answer must fit a message that a client of ours takes.
 const MAX_TEXT: usize = super::MAX_MESSAGE - 1024;
@@ -52,6 +61,8 @@ impl Text for Grown {
 pub(super) struct HeapTasks {
     tasks: HashMap<TaskId, Task<Scope, Grown>>,
     ends: BTreeSet<(Instant, TaskId)>,
+    /// What each was asked for, to be shown.
+    asked: HashMap<TaskId, Asked>,
 }
 
 impl Tasks for HeapTasks {
@@ -76,6 +87,7 @@ impl Tasks for HeapTasks {
     }
 
     fn remove(&mut self, id: TaskId) {
+        self.asked.remove(&id);
         if let Some(ended) = self.tasks.remove(&id).and_then(|task| task.ended) {
             self.ends.remove(&(ended, id));
         }
@@ -102,7 +114,7 @@ impl Tasks for HeapTasks {
 #[derive(Default)]
 pub(super) struct Heap {
     /// Names and descriptions, by scope.
-    scopes: Vec<(String, Describe)>,
+    scopes: Vec<(String, About)>,
     places: HashMap<String, Scope>,
     tasks: HeapTasks,
     held: Vec<Waiter<Peer>>,
@@ -115,18 +127,53 @@ pub(super) struct Heap {
 
 impl Heap {
     /// Makes a scope known, or describes it anew, and says its place.
-    pub(super) fn register(&mut self, name: &str, describe: Describe) -> Scope {
+    pub(super) fn register(&mut self, name: &str, about: About) -> Scope {
         if let Some(scope) = self.places.get(name).copied() {
             if let Some((_, known)) = self.scopes.get_mut(usize::from(scope.0)) {
-                *known = describe;
+                *known = about;
             }
             return scope;
         }
         // More scopes than 65,536 would need as many calls; the last place is then shared.
         let scope = Scope(u16::try_from(self.scopes.len()).unwrap_or(u16::MAX));
-        self.scopes.push((name.to_owned(), describe));
+        self.scopes.push((name.to_owned(), about));
         self.places.insert(name.to_owned(), scope);
         scope
+    }
+
+    /// Keeps what a task was asked for, to be shown.
+    pub(super) fn note_payload(&mut self, id: TaskId, payload: &str, now: Instant) {
+        self.tasks.asked.insert(id, Asked::new(payload, now));
+    }
+
+    fn listing(&self) -> Listing {
+        let now = now();
+        let tasks = self.tasks.tasks.iter().map(|(id, task)| {
+            let asked = self.tasks.asked.get(id);
+            ListedTask {
+                id: id.get(),
+                scope: self.scope_name(task.extra).to_owned(),
+                task: asked.map(Asked::task).unwrap_or_default(),
+                state: task.state.code(),
+                text: told(task.text.as_ref()),
+                age_ms: asked.map_or(0, |asked| millis(asked.age(now))),
+                ended_ms: task.ended.map(|ended| millis(now.since(ended))),
+            }
+        });
+        Listing {
+            tasks: tasks.collect(),
+            more: 0,
+        }
+    }
+
+    /// What the handlers answer, by scope.
+    fn ask_handlers(&self, question: &str) -> Option<String> {
+        let answers = self.scopes.iter().filter_map(|(name, about)| {
+            let answer = serde_json::from_str((about.answer)(question)?.as_str()).ok()?;
+            Some((name.clone(), answer))
+        });
+        let answers: serde_json::Map<String, serde_json::Value> = answers.collect();
+        (!answers.is_empty()).then(|| serde_json::Value::Object(answers).to_string())
     }
 
     /// Takes an INIT out of the indexes.
@@ -169,9 +216,16 @@ impl Memory for Heap {
         let scopes: Vec<String> = self
             .scopes
             .iter()
-            .map(|(name, describe)| format!("{}: {}", quoted(name), describe()))
+            .map(|(name, about)| format!("{}: {}", quoted(name), (about.describe)()))
             .collect();
         sink.put(format!("{{{}}}", scopes.join(", ")).as_bytes());
+    }
+
+    fn answer(&self, question: &str) -> Option<impl AsRef<str>> {
+        match question {
+            "tasks" => self.listing().into_json(),
+            other => self.ask_handlers(other),
+        }
     }
 
     fn hold(&mut self, waiter: Waiter<Peer>) -> Result<(), Waiter<Peer>> {

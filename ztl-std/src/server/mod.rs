@@ -3,6 +3,7 @@
 //! The thread that answers runs no handler's code that could block: handlers take a task and
 //! return at once, and report from wherever they work.
 
+mod listing;
 mod memory;
 mod report;
 
@@ -20,8 +21,9 @@ use crate::clock::now;
 use crate::controller::{TaskController, Threads};
 use crate::random;
 
+pub use listing::{ListedTask, Listing};
 pub(crate) use memory::quoted;
-use memory::{Describe, Heap, Peer};
+use memory::{About, Heap, Peer};
 pub use report::TaskReporter;
 use report::{Inbox, Mailbox, Waker};
 
@@ -41,6 +43,10 @@ const LAST_WORDS: Duration = Duration::from_millis(250);
 /// Name under which the original logs.
 const LOG: &str = "remote-task";
 
+/// Answers questions of clients to `$ztl` that are not the protocol's own: in JSON, or `None`
+/// where the question is not known.
+pub type Answers = Box<dyn Fn(&str) -> Option<String> + Send>;
+
 /// What takes the tasks of a scope, on the server's own thread: it must return at once and work
 /// elsewhere. For tasks that run on threads there is [`TaskController`].
 pub trait TaskHandler: Send {
@@ -56,6 +62,12 @@ pub trait TaskHandler: Send {
     /// must be quick. Default: nothing is told.
     fn description(&self) -> Box<dyn Fn() -> String + Send> {
         Box::new(|| "{}".to_owned())
+    }
+
+    /// What will answer questions about this handler, as `devices`. Called from the server's
+    /// thread, so it must be quick. Default: no question is known.
+    fn answers(&self) -> Answers {
+        Box::new(|_| None)
     }
 }
 
@@ -190,8 +202,11 @@ impl TaskServer {
     /// Serves a scope with a handler of any kind. A second registration replaces the first.
     pub fn register_handler(&mut self, scope: &str, handler: impl TaskHandler + 'static) {
         info!(target: LOG, "Registering controller for scope '{scope}'.");
-        let describe: Describe = handler.description();
-        let scope = self.dispatcher.memory_mut().register(scope, describe);
+        let about = About {
+            describe: handler.description(),
+            answer: handler.answers(),
+        };
+        let scope = self.dispatcher.memory_mut().register(scope, about);
         let place = usize::from(scope.0);
         match self.handlers.get_mut(place) {
             Some(known) => *known = Box::new(handler),
@@ -350,6 +365,8 @@ impl TaskServer {
             .handle_request(now(), frames, envelope, body, &mut out);
         match action {
             Some(Action::Start { id, scope, payload }) => {
+                let heap = self.dispatcher.memory_mut();
+                heap.note_payload(id, payload, now());
                 let task = TaskReporter::new(id, self.mailbox.clone());
                 match self.handlers.get_mut(usize::from(scope.0)) {
                     Some(handler) => handler.start(task, payload),

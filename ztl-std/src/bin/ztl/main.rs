@@ -2,10 +2,14 @@
 //!
 //! Called by one of the original's names (`ztl_task_client`, `task_client.py`, …) it is that tool.
 
+mod abort;
+mod ask;
 mod demo;
 mod device;
+mod devices;
 mod gateway;
 mod log;
+mod ps;
 mod scene;
 mod signals;
 mod task_client;
@@ -39,6 +43,12 @@ enum Command {
     Gateway(gateway::Gateway),
     /// Run a simulated device by itself, for whoever has no hardware
     Device(device::Device),
+    /// Show a gateway's devices: components, tasks, and how the links do
+    Devices(devices::Devices),
+    /// Show the tasks of a server
+    Ps(ps::Ps),
+    /// Stop tasks of a server, whoever started them
+    Abort(abort::Abort),
     #[command(flatten)]
     Tool(tool::Tool),
 }
@@ -53,6 +63,9 @@ fn main() -> ExitCode {
         Command::Demo(demo) => demo.run(),
         Command::Gateway(gateway) => gateway.run(),
         Command::Device(device) => device.run(),
+        Command::Devices(devices) => devices.run(),
+        Command::Ps(ps) => ps.run(),
+        Command::Abort(abort) => abort.run(),
         Command::Tool(tool) => tool.run("ztl"),
     };
     match done {

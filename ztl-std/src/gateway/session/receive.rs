@@ -13,9 +13,9 @@ const BAD_ANSWER: Duration = Duration::from_secs(1);
 
 impl Session {
     pub(super) fn on_frame(&mut self, now: Instant, frame: Result<(usize, Frame<'_>), FrameError>) {
-        let Ok((place, frame)) = frame else {
-            self.counters.errors += 1;
-            return;
+        let (place, frame) = match frame {
+            Ok(frame) => frame,
+            Err(error) => return self.counters.count(error),
         };
         self.counters.frames += 1;
         match (place, frame.seq, frame.body) {
@@ -34,8 +34,9 @@ impl Session {
                 },
             ) => {
                 // The frame's check covers the session, so it speaks of this device's tasks.
-                if let Some(id) = self.find(task) {
-                    self.end(id, state, result);
+                match self.find(task) {
+                    Some(id) => self.end(id, state, result),
+                    None => self.counters.duplicates += 1,
                 }
                 let ack = frame_bytes(self.session, NO_SEQ, Body::Ack { task });
                 self.out.extend_from_slice(&ack);
@@ -90,11 +91,11 @@ impl Session {
         self.session = session_key(self.session, welcome.boot);
         self.clock = Some((welcome.clock_ms, now));
         self.next_link = self.next_link.max(welcome.highest.saturating_add(1));
-        let known = self
-            .device
-            .take()
-            .filter(|device| device.boot == welcome.boot);
+        let before = self.device.take();
+        let was_known = before.is_some();
+        let known = before.filter(|device| device.boot == welcome.boot);
         if known.is_none() {
+            self.counters.resets += u64::from(was_known);
             self.on_reset();
         }
         let components = known.map(|device| device.components).unwrap_or_default();
@@ -184,11 +185,13 @@ impl Session {
 
     pub(super) fn on_answer(&mut self, now: Instant, seq: u8, body: &Body<'_>) {
         let Some(in_flight) = self.in_flight.take_if(|in_flight| in_flight.seq == seq) else {
+            self.counters.duplicates += 1;
             return;
         };
         self.heard = now;
         if !in_flight.repeated {
             let measured = now.since(in_flight.sent);
+            self.round_trips.add(measured);
             // A running mean over some eight answers.
             self.turnaround = Some(
                 self.turnaround
@@ -225,7 +228,7 @@ impl Session {
             // No answer to what was asked, though the check was right. What the device did nobody
             // knows; a new session finds out.
             _ => {
-                self.counters.errors += 1;
+                self.counters.not_understood += 1;
                 self.lose();
                 return self.greet_after(now, BAD_ANSWER);
             }

@@ -1,0 +1,110 @@
+//! How a link does: counts and times, for people.
+
+use std::time::Duration;
+
+use serde::{Deserialize, Serialize};
+use ztl_core::link::FrameError;
+
+/// What a line has brought since its gateway was started.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(default)]
+pub struct LinkCounters {
+    /// Frames whose check was right.
+    pub frames: u64,
+    /// Frames dropped: damaged, or of another session.
+    pub damaged: u64,
+    /// Frames dropped: they ended too early.
+    pub truncated: u64,
+    /// Frames dropped: longer than any.
+    pub too_long: u64,
+    /// Frames whose check was right and which are no message, or no answer to what was asked.
+    pub not_understood: u64,
+    /// Commands sent again, as no answer came.
+    pub repeats: u64,
+    /// Answers that came again, and were dropped.
+    pub duplicates: u64,
+    /// Sessions opened.
+    pub sessions: u64,
+    /// Resets of the device noticed.
+    pub resets: u64,
+    /// How often it no longer answered.
+    pub lost: u64,
+}
+
+impl LinkCounters {
+    pub(super) const fn count(&mut self, error: FrameError) {
+        match error {
+            FrameError::Check => self.damaged += 1,
+            FrameError::Truncated => self.truncated += 1,
+            FrameError::TooLong => self.too_long += 1,
+            _ => self.not_understood += 1,
+        }
+    }
+
+    /// Frames dropped, of every kind.
+    #[must_use]
+    pub const fn errors(&self) -> u64 {
+        self.damaged + self.truncated + self.too_long + self.not_understood
+    }
+}
+
+/// How many round trips are looked back at.
+const LATEST: usize = 128;
+
+/// The latest times from a command to its answer; those of repeated commands are left out, since
+/// nobody can tell which of them was answered.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct RoundTrips {
+    micros: [u32; LATEST],
+    /// How many there have been.
+    count: usize,
+}
+
+impl Default for RoundTrips {
+    fn default() -> Self {
+        Self {
+            micros: [0; LATEST],
+            count: 0,
+        }
+    }
+}
+
+impl RoundTrips {
+    pub(super) fn add(&mut self, time: Duration) {
+        let micros = u32::try_from(time.as_micros()).unwrap_or(u32::MAX);
+        if let Some(place) = self.micros.get_mut(self.count % LATEST) {
+            *place = micros;
+        }
+        self.count = self.count.wrapping_add(1);
+    }
+
+    /// The time that this many percent of them did not exceed; `None` before the first.
+    #[must_use]
+    pub fn percentile(&self, percent: usize) -> Option<Duration> {
+        let mut sorted = self.micros;
+        let sorted = sorted.get_mut(..self.count.min(LATEST))?;
+        sorted.sort_unstable();
+        let last = sorted.len().checked_sub(1)?;
+        let micros = sorted.get((last * percent.min(100)).div_ceil(100))?;
+        Some(Duration::from_micros(u64::from(*micros)))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn percentiles_are_those_of_the_latest_round_trips() {
+        let mut trips = RoundTrips::default();
+        assert_eq!(trips.percentile(50), None);
+        for millis in 1..=1000 {
+            trips.add(Duration::from_millis(millis));
+        }
+        // 873 to 1000 are left.
+        assert_eq!(trips.percentile(0), Some(Duration::from_millis(873)));
+        assert_eq!(trips.percentile(50), Some(Duration::from_millis(937)));
+        assert_eq!(trips.percentile(99), Some(Duration::from_millis(999)));
+        assert_eq!(trips.percentile(100), Some(Duration::from_millis(1000)));
+    }
+}
