@@ -28,6 +28,22 @@ pub(crate) struct Abort {
     scope: Option<String>,
 }
 
+/// A task to be stopped.
+struct Wanted {
+    scope: String,
+    id: TaskId,
+    /// What it is, as far as it is known.
+    task: String,
+}
+
+fn wanted_task(task: &ListedTask) -> Option<Wanted> {
+    Some(Wanted {
+        scope: task.scope.clone(),
+        id: TaskId::new(task.id)?,
+        task: task.task.clone(),
+    })
+}
+
 fn id(text: &str) -> Result<TaskId, &'static str> {
     let number = text.parse().ok().and_then(TaskId::new);
     number.ok_or("an id is a whole number above 0, as `ztl ps` shows it")
@@ -36,7 +52,7 @@ fn id(text: &str) -> Result<TaskId, &'static str> {
 impl Abort {
     pub(crate) fn run(self) -> Done {
         let mut all_ended = true;
-        for (scope, id, task) in self.wanted()? {
+        for Wanted { scope, id, task } in self.wanted()? {
             let mut remote = self.server.connect(&scope)?;
             let answer = remote.abort(id).and_then(|status| match status.state {
                 // The answer to an ABORT does not tell the result.
@@ -55,12 +71,15 @@ impl Abort {
         })
     }
 
-    /// The tasks to be stopped: scope, id, and what they are.
-    fn wanted(&self) -> Result<Vec<(String, TaskId, String)>, Box<dyn std::error::Error>> {
+    fn wanted(&self) -> Result<Vec<Wanted>, Box<dyn std::error::Error>> {
         if let Some(scope) = &self.scope
             && !self.all
         {
-            let named = |id: &TaskId| (scope.clone(), *id, String::new());
+            let named = |id: &TaskId| Wanted {
+                scope: scope.clone(),
+                id: *id,
+                task: String::new(),
+            };
             return Ok(self.ids.iter().map(named).collect());
         }
         let (_, listing) = self.server.tasks()?;
@@ -71,9 +90,7 @@ impl Abort {
                 task.ended_ms.is_none() && here
             };
             for task in listing.tasks.iter().filter(runs) {
-                wanted.extend(
-                    TaskId::new(task.id).map(|id| (task.scope.clone(), id, task.task.clone())),
-                );
+                wanted.extend(wanted_task(task));
             }
             if wanted.is_empty() {
                 line("No task is running.");
@@ -82,13 +99,13 @@ impl Abort {
         }
         for id in &self.ids {
             let known = listing.tasks.iter().find(|task| task.id == id.get());
-            let task = known.ok_or_else(|| {
+            let known = known.ok_or_else(|| {
                 format!(
                     "no task {id} is known at {}; `ztl ps --all` lists them",
                     self.server.endpoint()
                 )
             })?;
-            wanted.push((task.scope.clone(), *id, task.task.clone()));
+            wanted.extend(wanted_task(known));
         }
         Ok(wanted)
     }
