@@ -52,6 +52,7 @@ mod remote;
 pub mod server;
 #[cfg(feature = "sim")]
 pub mod sim;
+pub mod yaml;
 
 pub use controller::{
     Aborted, ExecutableTask, TaskContext, TaskController, TaskError, TaskRequest,

@@ -1,0 +1,182 @@
+//! Mistakes in files, as people are shown them.
+
+use std::fmt;
+
+use super::{Mark, Span};
+
+/// Longest part of a line that is shown, in characters.
+const SHOWN: usize = 100;
+
+/// One mistake in a file: what, where, and what would be right.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Diagnostic {
+    /// Name of the file.
+    pub file: String,
+    /// Where the mistake stands; `None` when it is about the whole file.
+    pub span: Option<Span>,
+    /// What is wrong.
+    pub message: String,
+    /// What would be right: put after the message.
+    pub help: Option<String>,
+    /// The line in which it begins.
+    line: String,
+}
+
+impl Diagnostic {
+    /// About a whole file.
+    #[must_use]
+    pub fn of_file(file: &str, message: impl Into<String>) -> Self {
+        Self {
+            file: file.to_owned(),
+            span: None,
+            message: message.into(),
+            help: None,
+            line: String::new(),
+        }
+    }
+
+    /// About a place in `text`, the file's content.
+    #[must_use]
+    pub fn at(file: &str, text: &str, span: Span, message: String) -> Self {
+        let (start, line) = place(text, span.start);
+        let end = if span.end > start { span.end } else { start };
+        Self {
+            file: file.to_owned(),
+            span: Some(Span { start, end }),
+            message,
+            help: None,
+            line: line.to_owned(),
+        }
+    }
+
+    /// Adds what would be right.
+    #[must_use]
+    pub fn with_help(mut self, help: impl Into<String>) -> Self {
+        self.help = Some(help.into());
+        self
+    }
+}
+
+/// A place that is in the file, and its line: a parser that has come to the end stands behind it.
+fn place(text: &str, mark: Mark) -> (Mark, &str) {
+    match text.lines().nth(mark.line.saturating_sub(1)) {
+        Some(line) => (mark, line),
+        None => {
+            let line = text.lines().last().unwrap_or_default();
+            let mark = Mark {
+                line: text.lines().count().max(1),
+                column: line.chars().count() + 1,
+            };
+            (mark, line)
+        }
+    }
+}
+
+/// Closest of `known` to what was written, if it is likely to have been meant.
+#[must_use]
+pub fn closest<'a>(written: &str, known: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
+    let plain = |text: &str| text.to_lowercase().replace('_', "-");
+    let written = plain(written);
+    let allowed = (written.chars().count() / 3).max(1);
+    known
+        .into_iter()
+        .map(|word| (strsim::osa_distance(&written, &plain(word)), word))
+        .filter(|(distance, word)| *distance <= allowed && *distance < word.chars().count())
+        .min_by_key(|(distance, _)| *distance)
+        .map(|(_, word)| word)
+}
+
+impl fmt::Display for Diagnostic {
+    /// The place and what is wrong; below it the line, and a mark under what is meant.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { file, message, .. } = self;
+        match self.span {
+            Some(Span { start, .. }) => {
+                write!(f, "{file}:{}:{}: {message}", start.line, start.column)?;
+            }
+            None => write!(f, "{file}: {message}")?,
+        }
+        if let Some(help) = &self.help {
+            write!(f, "; {help}")?;
+        }
+        writeln!(f)?;
+        let Some(Span { start, end }) = self.span else {
+            return Ok(());
+        };
+        let before = start.column.saturating_sub(1);
+        // Of a long line, the part around the mistake.
+        let left_out = before.saturating_sub(SHOWN / 2);
+        let shown: String = self
+            .line
+            .chars()
+            .skip(left_out)
+            .take(SHOWN)
+            .map(visible)
+            .collect();
+        let shown = shown.trim_end();
+        let number = start.line.to_string();
+        writeln!(f, "  {number} | {shown}")?;
+        let room = shown.chars().count().saturating_sub(before - left_out);
+        let width = match end.line == start.line {
+            true => end.column.saturating_sub(start.column).min(room),
+            false => room,
+        };
+        // A tab stays one, so that the mark stands below what it marks.
+        let below: String = shown
+            .chars()
+            .chain(std::iter::repeat(' '))
+            .take(before - left_out)
+            .map(|c| if c == '\t' { '\t' } else { ' ' })
+            .collect();
+        let marks = "^".repeat(width.max(1));
+        writeln!(f, "  {:width$} | {below}{marks}", "", width = number.len())
+    }
+}
+
+/// What a terminal shows of a character without obeying it.
+fn visible(c: char) -> char {
+    match c {
+        '\t' => c,
+        c if c.is_control() => '\u{fffd}',
+        c => c,
+    }
+}
+
+/// All mistakes of a file, in its order; at least one.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Diagnostics(Vec<Diagnostic>);
+
+impl Diagnostics {
+    pub(super) fn new(mut mistakes: Vec<Diagnostic>) -> Self {
+        mistakes.sort_by_key(|mistake| mistake.span.map(|span| span.start));
+        Self(mistakes)
+    }
+
+    /// Each of them.
+    pub fn iter(&self) -> std::slice::Iter<'_, Diagnostic> {
+        self.0.iter()
+    }
+}
+
+impl From<Diagnostic> for Diagnostics {
+    fn from(mistake: Diagnostic) -> Self {
+        Self(vec![mistake])
+    }
+}
+
+impl<'a> IntoIterator for &'a Diagnostics {
+    type Item = &'a Diagnostic;
+    type IntoIter = std::slice::Iter<'a, Diagnostic>;
+
+    fn into_iter(self) -> Self::IntoIter {
+        self.iter()
+    }
+}
+
+impl fmt::Display for Diagnostics {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.iter().try_for_each(|mistake| mistake.fmt(f))
+    }
+}
+
+impl std::error::Error for Diagnostics {}

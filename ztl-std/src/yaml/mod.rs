@@ -1,0 +1,196 @@
+//! YAML files that people write: parsed with the place of every value, so that each mistake is
+//! shown where it stands, with what would be right, and all of them at once.
+//!
+//! ```
+//! use ztl_std::yaml::Document;
+//!
+//! let document = Document::parse("lab.yaml", b"port: 12345\nscpoe: /lab\n").unwrap();
+//! let mut reading = document.reading();
+//! let mut fields = reading.fields(document.root(), "a gateway").unwrap();
+//! let port = fields.optional("port").and_then(|node| reading.whole::<u16>(node, "a port"));
+//! fields.optional("scope");
+//! fields.finish(&mut reading);
+//! let mistakes = reading.finish(port).unwrap_err();
+//! assert_eq!(mistakes.to_string(), "\
+//! lab.yaml:2:1: unknown key 'scpoe'; did you mean 'scope'?
+//!   2 | scpoe: /lab
+//!     | ^^^^^
+//! ");
+//! ```
+
+mod diagnostic;
+mod reading;
+mod tree;
+
+pub use diagnostic::{Diagnostic, Diagnostics, closest};
+pub use reading::{Fields, Reading};
+
+use std::path::Path;
+
+/// Longest file that is read, in bytes.
+pub const MAX_FILE: u64 = 1 << 20;
+
+/// A place in a file.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default)]
+pub struct Mark {
+    /// From 1.
+    pub line: usize,
+    /// In characters, from 1.
+    pub column: usize,
+}
+
+/// From one place to another, which does not belong to it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Span {
+    /// Its first character.
+    pub start: Mark,
+    /// After its last.
+    pub end: Mark,
+}
+
+/// A value and where it stands.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Node {
+    /// Where.
+    pub span: Span,
+    /// What.
+    pub value: Value,
+}
+
+/// What a YAML file is made of. A scalar stays the text that was written: whether `12` is a number
+/// and `on` a word is for the one who asks, who knows what belongs there.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Value {
+    /// A text, a number, a truth value, or nothing.
+    Scalar {
+        /// Without quotes and with escapes resolved.
+        text: String,
+        /// Whether it stood there without quotes, so that it may be a number or nothing.
+        plain: bool,
+    },
+    /// In order.
+    List(Vec<Node>),
+    /// In order; keys that are scalars are different from each other.
+    Map(Vec<(Node, Node)>),
+}
+
+impl Node {
+    /// Whether nothing was written, or `~` or `null`.
+    #[must_use]
+    pub fn is_null(&self) -> bool {
+        match &self.value {
+            Value::Scalar { text, plain: true } => {
+                matches!(text.as_str(), "" | "~" | "null" | "Null" | "NULL")
+            }
+            _ => false,
+        }
+    }
+
+    /// What it is, for people.
+    fn kind(&self) -> &'static str {
+        match &self.value {
+            _ if self.is_null() => "nothing",
+            Value::Scalar { .. } => "a single value",
+            Value::List(_) => "a list",
+            Value::Map(_) => "a mapping",
+        }
+    }
+}
+
+/// A YAML file.
+#[derive(Debug, Clone)]
+pub struct Document {
+    name: String,
+    text: String,
+    root: Node,
+}
+
+impl Document {
+    /// Reads a file of at most [`MAX_FILE`] bytes.
+    ///
+    /// # Errors
+    /// What keeps it from being read, or what is no YAML in it.
+    pub fn load(path: &Path) -> Result<Self, Diagnostics> {
+        let name = path.display().to_string();
+        let too_long = |len| format!("the file has {len} bytes; at most {MAX_FILE} are read");
+        let read = std::fs::metadata(path).and_then(|about| {
+            let len = about.len();
+            if len > MAX_FILE {
+                return Ok(Err(too_long(len)));
+            }
+            std::fs::read(path).map(Ok)
+        });
+        match read {
+            Ok(Ok(bytes)) => Self::parse(&name, &bytes),
+            Ok(Err(message)) => Err(Diagnostic::of_file(&name, message).into()),
+            Err(error) => {
+                Err(Diagnostic::of_file(&name, format!("cannot read it: {error}")).into())
+            }
+        }
+    }
+
+    /// Parses the content of a file; `name` is the file's, for mistakes.
+    ///
+    /// # Errors
+    /// Where and why it is no YAML, has more than one document, repeats a key, or is nested deeper
+    /// than any file of ours needs.
+    pub fn parse(name: &str, bytes: &[u8]) -> Result<Self, Diagnostics> {
+        let text = match std::str::from_utf8(bytes) {
+            Ok(text) => text,
+            Err(error) => return Err(not_utf8(name, bytes, error.valid_up_to()).into()),
+        };
+        let text = text.strip_prefix('\u{feff}').unwrap_or(text);
+        let (root, mistakes) = tree::parse(text);
+        let shown = |(span, message)| Diagnostic::at(name, text, span, message);
+        let mistakes: Vec<Diagnostic> = mistakes.into_iter().map(shown).collect();
+        match root {
+            Some(root) if mistakes.is_empty() => Ok(Self {
+                name: name.to_owned(),
+                text: text.to_owned(),
+                root,
+            }),
+            _ => Err(Diagnostics::new(mistakes)),
+        }
+    }
+
+    /// The name of the file.
+    #[must_use]
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// The outermost value; an empty file is an empty mapping.
+    #[must_use]
+    pub const fn root(&self) -> &Node {
+        &self.root
+    }
+
+    /// To take values out of it, and to collect what is wrong with them.
+    #[must_use]
+    pub fn reading(&self) -> Reading<'_> {
+        Reading::new(self)
+    }
+
+    /// A mistake in this document.
+    pub fn mistake(&self, span: Span, message: impl Into<String>) -> Diagnostic {
+        Diagnostic::at(&self.name, &self.text, span, message.into())
+    }
+}
+
+/// Where the first byte stands that is no UTF-8.
+fn not_utf8(name: &str, bytes: &[u8], place: usize) -> Diagnostic {
+    let before = String::from_utf8_lossy(bytes.get(..place).unwrap_or_default());
+    let line = before.matches('\n').count() + 1;
+    let column = before.chars().rev().take_while(|c| *c != '\n').count() + 1;
+    let start = Mark { line, column };
+    let end = Mark {
+        line,
+        column: column + 1,
+    };
+    let text = String::from_utf8_lossy(bytes);
+    let message = "this is no UTF-8; save the file as UTF-8".to_owned();
+    Diagnostic::at(name, &text, Span { start, end }, message)
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,232 @@
+//! Values taken out of a document, and what is wrong with them, collected.
+
+use std::fmt::Display;
+use std::str::FromStr;
+
+use super::{Diagnostic, Diagnostics, Document, Node, Span, Value, closest};
+
+/// Takes values out of a [`Document`]. What is wrong is collected, so that a person sees all of it
+/// at once; a value that could not be taken is `None`.
+#[derive(Debug)]
+pub struct Reading<'d> {
+    document: &'d Document,
+    mistakes: Vec<Diagnostic>,
+}
+
+impl<'d> Reading<'d> {
+    pub(super) const fn new(document: &'d Document) -> Self {
+        Self {
+            document,
+            mistakes: Vec::new(),
+        }
+    }
+
+    /// What was read, if nothing was wrong.
+    ///
+    /// # Errors
+    /// All that was wrong.
+    pub fn finish<T>(self, read: Option<T>) -> Result<T, Diagnostics> {
+        match read {
+            Some(read) if self.mistakes.is_empty() => Ok(read),
+            _ if self.mistakes.is_empty() => {
+                Err(Diagnostic::of_file(self.document.name(), "there is nothing in it").into())
+            }
+            _ => Err(Diagnostics::new(self.mistakes)),
+        }
+    }
+
+    /// Something is wrong with `node`.
+    pub fn wrong(&mut self, node: &Node, message: impl Into<String>) {
+        self.mistakes
+            .push(self.document.mistake(node.span, message));
+    }
+
+    /// The same, with what would be right.
+    pub fn wrong_with(&mut self, node: &Node, message: String, help: Option<String>) {
+        let mut mistake = self.document.mistake(node.span, message);
+        mistake.help = help;
+        self.mistakes.push(mistake);
+    }
+
+    /// A text, a number as it was written, a word; `what` is wanted, as `a scope, as /lab`.
+    pub fn text(&mut self, node: &'d Node, what: &str) -> Option<&'d str> {
+        match &node.value {
+            Value::Scalar { text, .. } if !node.is_null() => Some(text),
+            _ => {
+                self.wrong(node, format!("here is {}; wanted is {what}", node.kind()));
+                None
+            }
+        }
+    }
+
+    /// A whole number.
+    pub fn whole<N: FromStr>(&mut self, node: &'d Node, what: &str) -> Option<N> {
+        let text = self.text(node, what)?;
+        let number = text.parse().ok();
+        if number.is_none() {
+            self.wrong(node, format!("'{text}' is not {what}"));
+        }
+        number
+    }
+
+    /// `true` or `false`; also as people write it: yes and no, on and off.
+    pub fn truth(&mut self, node: &'d Node) -> Option<bool> {
+        match self.text(node, "true or false")? {
+            "true" | "True" | "yes" | "on" => Some(true),
+            "false" | "False" | "no" | "off" => Some(false),
+            other => {
+                self.wrong(node, format!("'{other}' is neither true nor false"));
+                None
+            }
+        }
+    }
+
+    /// One of a few words.
+    pub fn one_of<T: Copy>(&mut self, node: &'d Node, known: &[(&str, T)]) -> Option<T> {
+        let words = known.iter().map(|(word, _)| *word);
+        let list = words.clone().collect::<Vec<_>>().join(", ");
+        let text = self.text(node, &list)?;
+        let found = known.iter().find(|(word, _)| *word == text);
+        if found.is_none() {
+            let help = match closest(text, words) {
+                Some(word) => format!("did you mean '{word}'?"),
+                None => format!("there are: {list}"),
+            };
+            self.wrong_with(node, format!("'{text}' is not known here"), Some(help));
+        }
+        found.map(|(_, value)| *value)
+    }
+
+    /// A text that something else makes sense of, which says itself what is wrong.
+    pub fn parsed<T, E: Display>(
+        &mut self,
+        node: &'d Node,
+        what: &str,
+        parse: impl FnOnce(&str) -> Result<T, E>,
+    ) -> Option<T> {
+        match parse(self.text(node, what)?) {
+            Ok(value) => Some(value),
+            Err(error) => {
+                self.wrong(node, error.to_string());
+                None
+            }
+        }
+    }
+
+    /// A mapping whose keys are known: ask for each, then [`finish`](Fields::finish) it.
+    pub fn fields(&mut self, node: &'d Node, what: &str) -> Option<Fields<'d>> {
+        let pairs = self.pairs(node, what)?;
+        Some(Fields {
+            node,
+            pairs,
+            known: Vec::new(),
+            missing: Vec::new(),
+        })
+    }
+
+    /// A mapping with keys that a person has chosen.
+    pub fn pairs(&mut self, node: &'d Node, what: &str) -> Option<&'d [(Node, Node)]> {
+        match &node.value {
+            Value::Map(pairs) => Some(pairs),
+            _ => {
+                let message = format!("here is {}; wanted is a mapping: {what}", node.kind());
+                self.wrong(node, message);
+                None
+            }
+        }
+    }
+
+    /// A list.
+    pub fn list(&mut self, node: &'d Node, what: &str) -> Option<&'d [Node]> {
+        match &node.value {
+            Value::List(nodes) => Some(nodes),
+            _ => {
+                self.wrong(
+                    node,
+                    format!("here is {}; wanted is a list: {what}", node.kind()),
+                );
+                None
+            }
+        }
+    }
+}
+
+/// A mapping whose keys are known.
+#[derive(Debug)]
+#[must_use = "only `finish` finds unknown and missing keys"]
+pub struct Fields<'d> {
+    node: &'d Node,
+    pairs: &'d [(Node, Node)],
+    known: Vec<&'static str>,
+    /// What must be there and is not, and how to write it.
+    missing: Vec<(&'static str, &'static str)>,
+}
+
+impl<'d> Fields<'d> {
+    /// The value of a key; `None` when it is not there or nothing stands behind it.
+    pub fn optional(&mut self, key: &'static str) -> Option<&'d Node> {
+        self.known.push(key);
+        let found = self.pairs.iter().find(|(name, _)| is(name, key));
+        found
+            .map(|(_, value)| value)
+            .filter(|value| !value.is_null())
+    }
+
+    /// The key itself, if it is there.
+    fn key(&self, key: &str) -> Option<&'d Node> {
+        let mut names = self.pairs.iter().map(|(name, _)| name);
+        names.find(|name| is(name, key))
+    }
+
+    /// The value of a key that must be there; `example` is how to write it: `port: 12345`.
+    pub fn required(&mut self, key: &'static str, example: &'static str) -> Option<&'d Node> {
+        let found = self.optional(key);
+        if found.is_none() {
+            self.missing.push((key, example));
+        }
+        found
+    }
+
+    /// Says which keys are missing, which are not known, and what was probably meant.
+    pub fn finish(mut self, reading: &mut Reading<'d>) {
+        for (name, _) in self.pairs {
+            let Value::Scalar { text, .. } = &name.value else {
+                reading.wrong(name, "a key is a single word");
+                continue;
+            };
+            if self.known.contains(&text.as_str()) {
+                continue;
+            }
+            let open = self.known.iter().copied();
+            let open = open.filter(|key| self.key(key).is_none());
+            let help = match closest(text, open) {
+                Some(key) => {
+                    // Said with what was written in its place.
+                    self.missing.retain(|(missing, _)| *missing != key);
+                    format!("did you mean '{key}'?")
+                }
+                None => format!("there are: {}", self.known.join(", ")),
+            };
+            reading.wrong_with(name, format!("unknown key '{text}'"), Some(help));
+        }
+        for (key, example) in &self.missing {
+            let help = Some(format!("write {example}"));
+            match self.key(key) {
+                Some(name) => reading.wrong_with(name, format!("'{key}' has no value"), help),
+                None => {
+                    let start = self.node.span.start;
+                    let begin = Span { start, end: start };
+                    let mut mistake = reading
+                        .document
+                        .mistake(begin, format!("'{key}' is missing"));
+                    mistake.help = help;
+                    reading.mistakes.push(mistake);
+                }
+            }
+        }
+    }
+}
+
+fn is(name: &Node, key: &str) -> bool {
+    matches!(&name.value, Value::Scalar { text, .. } if text == key)
+}

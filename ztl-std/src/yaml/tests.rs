@@ -1,0 +1,258 @@
+//! Trees, places, and what people are shown.
+
+use super::*;
+
+#[track_caller]
+fn document(text: &str) -> Document {
+    Document::parse("f", text.as_bytes()).expect("YAML")
+}
+
+/// What is shown of the mistakes in a file that cannot be parsed.
+#[track_caller]
+fn refused(text: &str) -> String {
+    let mistakes = Document::parse("f", text.as_bytes()).expect_err(text);
+    mistakes.to_string()
+}
+
+fn scalar(node: &Node) -> &str {
+    match &node.value {
+        Value::Scalar { text, .. } => text,
+        other => panic!("{other:?}"),
+    }
+}
+
+fn map(node: &Node) -> &[(Node, Node)] {
+    match &node.value {
+        Value::Map(pairs) => pairs,
+        other => panic!("{other:?}"),
+    }
+}
+
+/// Where it begins and ends: line, column, line, column.
+fn places(node: &Node) -> [usize; 4] {
+    let Span { start, end } = node.span;
+    [start.line, start.column, end.line, end.column]
+}
+
+#[test]
+fn every_value_knows_its_place() {
+    let document = document("port: 12345 # here\nnäme: \"a b\"\nlist:\n  - x\n  - [1, ~]\n");
+    let pairs = map(document.root());
+    let [(port, number), (name, text), (_, list)] = pairs else {
+        panic!("{pairs:?}");
+    };
+    assert_eq!((scalar(port), places(port)), ("port", [1, 1, 1, 5]));
+    assert_eq!((scalar(number), places(number)), ("12345", [1, 7, 1, 12]));
+    assert_eq!((scalar(name), places(name)), ("näme", [2, 1, 2, 5]));
+    assert_eq!((scalar(text), places(text)), ("a b", [2, 7, 2, 12]));
+    let Value::List(items) = &list.value else {
+        panic!("{list:?}");
+    };
+    assert_eq!(places(&items[0]), [4, 5, 4, 6]);
+    assert_eq!(places(&items[1])[..2], [5, 5]);
+}
+
+#[test]
+fn an_empty_file_is_an_empty_mapping() {
+    for text in ["", "\n", "# nothing\n", "---\n", "\u{feff}", "~"] {
+        assert_eq!(map(document(text).root()), [], "{text:?}");
+    }
+}
+
+#[test]
+fn an_alias_is_what_it_stands_for_and_cannot_grow_without_end() {
+    let document = document("a: &x {b: 1}\nc: *x\n");
+    let pairs = map(document.root());
+    assert_eq!(pairs[0].1.value, pairs[1].1.value);
+    assert_eq!(places(&pairs[1].1), [2, 4, 2, 6]);
+
+    let mut laughs = "a0: &a0 [x, x, x, x, x, x, x, x, x, x]\n".to_owned();
+    for level in 1..12 {
+        let below = format!("*a{}, ", level - 1).repeat(10);
+        laughs += &format!("a{level}: &a{level} [{below}]\n");
+    }
+    assert!(refused(&laughs).contains("more than 100000 values"));
+    assert!(refused("a: *b\n").contains("f:1:"));
+    assert!(refused("a: &a [*a]\n").contains("stands for nothing"));
+}
+
+#[test]
+fn what_is_no_yaml_is_shown_where_it_stands() {
+    for (text, shown) in [
+        ("a: 1\nb: [1, 2\nc: 3\n", "f:3:2: this is no YAML: "),
+        ("a: 1\n\tb: 2\n", "found a tab"),
+        (
+            "a: 1\na: 2\n",
+            "f:2:1: 'a' stands here for the second time\n  2 | a: 2\n    | ^\n",
+        ),
+        ("a: 1\n---\nb: 2\n", "f:2:1: a second document begins"),
+        ("a: !robot 1\n", "the tag '!robot' is not known here"),
+    ] {
+        let said = refused(text);
+        assert!(said.contains(shown), "{text:?}: {said}");
+    }
+    let deep = "- ".repeat(100);
+    assert!(refused(&deep).contains("f:1:129: nested deeper than 64"));
+    assert!(refused(&"[".repeat(100_000)).contains("f:1:"));
+    let mistakes = Document::parse("f", b"a: 1\nb: x\xffy\n").expect_err("no UTF-8");
+    let shown =
+        "f:2:5: this is no UTF-8; save the file as UTF-8\n  2 | b: x\u{fffd}y\n    |     ^\n";
+    assert_eq!(mistakes.to_string(), shown);
+}
+
+#[test]
+fn all_mistakes_are_shown_at_once_and_in_order() {
+    let document = document("prot: 1\nlevel: lud\nport: 70000\nlist: 3\nempty:\n");
+    let mut reading = document.reading();
+    let mut fields = reading.fields(document.root(), "it").expect("a mapping");
+    let port = fields.optional("port").expect("it is there");
+    assert_eq!(reading.whole::<u16>(port, "a port, 0 to 65535"), None);
+    let level = fields.optional("level").expect("it is there");
+    assert_eq!(reading.one_of(level, &[("loud", 1), ("low", 2)]), None);
+    let list = fields.optional("list").expect("it is there");
+    assert_eq!(reading.list(list, "- word"), None);
+    assert_eq!(fields.required("proto", "proto: name"), None);
+    assert_eq!(fields.required("crew", "crew: 3"), None);
+    assert_eq!(fields.required("empty", "empty: bottle"), None);
+    fields.finish(&mut reading);
+    let shown = "\
+f:1:1: unknown key 'prot'; did you mean 'proto'?
+  1 | prot: 1
+    | ^^^^
+f:1:1: 'crew' is missing; write crew: 3
+  1 | prot: 1
+    | ^
+f:2:8: 'lud' is not known here; did you mean 'loud'?
+  2 | level: lud
+    |        ^^^
+f:3:7: '70000' is not a port, 0 to 65535
+  3 | port: 70000
+    |       ^^^^^
+f:4:7: here is a single value; wanted is a list: - word
+  4 | list: 3
+    |       ^
+f:5:1: 'empty' has no value; write empty: bottle
+  5 | empty:
+    | ^^^^^
+";
+    let said = reading.finish(Some(())).expect_err("mistakes").to_string();
+    assert_eq!(said, shown);
+}
+
+#[test]
+fn of_a_long_line_the_part_around_the_mistake_is_shown() {
+    let text = format!("{{k: {}, \u{1b}[31m: 1, \tx: 2}}\n", "v".repeat(300));
+    let parsed = Document::parse("f", text.as_bytes());
+    let mistake = match &parsed {
+        Ok(document) => {
+            let last = &map(document.root()).last().expect("a key").0;
+            document.mistake(last.span, "here").to_string()
+        }
+        Err(mistakes) => mistakes.to_string(),
+    };
+    assert!(
+        mistake.lines().all(|line| line.chars().count() < 120),
+        "{mistake}"
+    );
+    assert!(!mistake.contains('\u{1b}'), "{mistake:?}");
+}
+
+#[test]
+fn the_word_that_was_meant_is_found_and_no_other() {
+    let known = ["port", "scope", "devices", "log-format", "elf"];
+    for (written, meant) in [
+        ("prot", Some("port")),
+        ("device", Some("devices")),
+        ("log_format", Some("log-format")),
+        ("Scope", Some("scope")),
+        ("journal", None),
+        ("x", None),
+    ] {
+        assert_eq!(closest(written, known), meant, "{written}");
+    }
+}
+
+/// A sequence of numbers that looks random and is the same in every run (xorshift).
+pub(crate) struct Numbers(pub(crate) u64);
+
+impl Numbers {
+    pub(crate) fn below(&mut self, limit: usize) -> usize {
+        self.0 ^= self.0 << 13;
+        self.0 ^= self.0 >> 7;
+        self.0 ^= self.0 << 17;
+        usize::try_from(self.0 >> 33).unwrap_or(0) % limit.max(1)
+    }
+
+    /// Text of YAML's own pieces, with some bytes thrown in.
+    pub(crate) fn bytes(&mut self) -> Vec<u8> {
+        const PIECES: [&str; 36] = [
+            "a",
+            "port",
+            ": ",
+            ":",
+            "\n",
+            "\n  ",
+            "\n\t",
+            "- ",
+            "[",
+            "]",
+            "{",
+            "}",
+            ", ",
+            "&x ",
+            "*x",
+            "!",
+            "!!str ",
+            "!t!x ",
+            "|\n",
+            ">-\n",
+            "\"",
+            "'",
+            "#",
+            "? ",
+            "%",
+            "%TAG ! x\n",
+            "---\n",
+            "...\n",
+            "\\",
+            "\\x",
+            "\u{feff}",
+            "\u{85}",
+            "ä",
+            "\r\n",
+            "<<",
+            "\0",
+        ];
+        let mut bytes = Vec::new();
+        for _ in 0..self.below(40) {
+            match self.below(40) {
+                0 => bytes.push(u8::try_from(self.below(256)).unwrap_or(0)),
+                _ => bytes.extend_from_slice(PIECES[self.below(PIECES.len())].as_bytes()),
+            }
+        }
+        bytes
+    }
+}
+
+#[test]
+fn no_bytes_at_all_make_it_panic() {
+    let mut numbers = Numbers(0x9e37_79b9_7f4a_7c15);
+    let rounds = std::env::var("ZTL_ROUNDS")
+        .ok()
+        .and_then(|n| n.parse().ok());
+    for _ in 0..rounds.unwrap_or(20_000) {
+        let bytes = numbers.bytes();
+        match Document::parse("f", &bytes) {
+            Ok(document) => {
+                let mut reading = document.reading();
+                if let Some(fields) = reading.fields(document.root(), "it") {
+                    fields.finish(&mut reading);
+                }
+                let _ = reading
+                    .finish(Some(()))
+                    .map_err(|mistakes| mistakes.to_string());
+            }
+            Err(mistakes) => assert!(mistakes.to_string().starts_with("f:"), "{bytes:?}"),
+        }
+    }
+}
