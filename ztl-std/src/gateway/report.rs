@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use ztl_core::Instant;
 use ztl_core::link::Loss;
 
-use super::session::{ComponentInfo, DeviceInfo, LinkCounters, RoundTrips, Session};
+use super::session::{Book, ComponentInfo, DeviceInfo, LinkCounters, RoundTrips, Session};
 use crate::clock::now;
 
 /// Each device of a gateway, by the name under which clients know it.
@@ -101,7 +101,12 @@ impl Window {
     }
 
     /// Shows what is so now; to be called often.
-    pub(super) fn show(&self, now: Instant, session: &Session, trouble: Option<&String>) {
+    pub(super) fn show<B: Book>(
+        &self,
+        now: Instant,
+        session: &Session<B>,
+        trouble: Option<&String>,
+    ) {
         let mut seen = self.seen();
         seen.ready = session.is_up();
         if seen.trouble.as_ref() != trouble {

@@ -6,6 +6,8 @@
 //! not answered it is unknown whether it runs, so it is never told REJECTED until the device itself
 //! has said so.
 
+mod book;
+mod ends;
 mod health;
 mod receive;
 mod send;
@@ -17,6 +19,7 @@ use ztl_core::link::{Decoder, LINK_TIMEOUT, LinkId, Loss, NO_SEQ, NO_SESSION};
 use ztl_core::time::earliest;
 use ztl_core::{Instant, State, TaskId};
 
+pub use book::{Book, Entry, Restored, Sent};
 pub use health::{LinkCounters, RoundTrips};
 
 /// Longest time from a client's INIT to the moment after which a node refuses its `Start`.
@@ -127,37 +130,81 @@ struct Task {
     deadline: Instant,
     stage: Stage,
     abort: bool,
+    /// From before a restart of the gateway: its client may know its id.
+    restored: bool,
+    /// An end that nobody is told yet, since the book could not take it.
+    unwritten: Option<(State, String)>,
+}
+
+impl Task {
+    fn new(component: &str, goal: &str, deadline: Instant, stage: Stage) -> Self {
+        Self {
+            component: component.to_owned(),
+            goal: goal.to_owned(),
+            deadline,
+            stage,
+            abort: false,
+            restored: false,
+            unwritten: None,
+        }
+    }
+
+    fn entry(&self, id: TaskId) -> Entry<'_> {
+        Entry {
+            id,
+            component: &self.component,
+            goal: &self.goal,
+            sent: self.stage.sent(),
+        }
+    }
+
+    /// Not sent yet, so it can be refused.
+    fn waits(&self) -> bool {
+        self.stage == Stage::Waiting && self.unwritten.is_none()
+    }
+
+    /// Sent, and it has no end yet: it may run.
+    fn may_run(&self) -> bool {
+        self.stage != Stage::Waiting && self.unwritten.is_none()
+    }
+
+    /// It goes on without a link.
+    fn carries_on(&self) -> bool {
+        let loss = self.stage.sent().map(|sent| sent.loss);
+        loss == Some(Loss::CarryOn)
+    }
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Stage {
-    /// Not sent yet, so it can be refused.
+    /// Not sent yet.
     Waiting,
-    /// Sent under this id: it may run.
-    Sent(LinkId),
+    /// Sent: it may run.
+    Sent(Sent),
     /// The device has said that it runs.
-    Running(LinkId),
+    Running(Sent),
 }
 
 impl Stage {
-    fn link(self) -> Option<LinkId> {
+    fn sent(self) -> Option<Sent> {
         match self {
             Self::Waiting => None,
-            Self::Sent(link) | Self::Running(link) => Some(link),
+            Self::Sent(sent) | Self::Running(sent) => Some(sent),
         }
     }
 }
 
-/// The gateway's end of one link.
+/// The gateway's end of one link, which writes into a [`Book`] before it acts; `()` is none.
 ///
 /// *Inputs*: [`handle_connected`](Self::handle_connected), [`handle_bytes`](Self::handle_bytes),
 /// [`handle_disconnected`](Self::handle_disconnected), [`handle_timeout`](Self::handle_timeout).
-/// *Commands*: [`start`](Self::start), [`abort`](Self::abort). *Outputs*, to be emptied after each
+/// *Commands*: [`restore`](Self::restore), [`start`](Self::start), [`abort`](Self::abort). *Outputs*, to be emptied after each
 /// of them: [`poll_transmit`](Self::poll_transmit), [`poll_event`](Self::poll_event). *Next
 /// wake-up*: [`poll_timeout`](Self::poll_timeout). Work per call is bounded by the bytes given and the
 /// tasks under way.
 #[derive(Debug)]
-pub struct Session {
+pub struct Session<B = ()> {
+    book: B,
     gateway: u64,
     baud: Option<u32>,
     random: fn() -> u32,
@@ -173,6 +220,8 @@ pub struct Session {
     tasks: BTreeMap<TaskId, Task>,
     events: VecDeque<Event>,
     device: Option<DeviceInfo>,
+    /// When an end that could not be written is tried again.
+    write_again: Option<Instant>,
     next_link: u32,
     /// The device's clock and when it was heard: that it has passed `.0` ms is certain at `.1`.
     clock: Option<(u64, Instant)>,
@@ -187,9 +236,18 @@ pub struct Session {
 }
 
 impl Session {
-    /// A session that is not connected. `random` gives numbers other than 0, for sessions.
+    /// A session that is not connected, without a book. `random` gives numbers other than 0, for
+    /// sessions.
     pub fn new(gateway: u64, baud: Option<u32>, random: fn() -> u32) -> Self {
+        Self::with_book((), gateway, baud, random)
+    }
+}
+
+impl<B: Book> Session<B> {
+    /// A session that is not connected. `random` gives numbers other than 0, for sessions.
+    pub fn with_book(book: B, gateway: u64, baud: Option<u32>, random: fn() -> u32) -> Self {
         Self {
+            book,
             gateway,
             baud,
             random,
@@ -203,6 +261,7 @@ impl Session {
             tasks: BTreeMap::new(),
             events: VecDeque::new(),
             device: None,
+            write_again: None,
             next_link: 1,
             clock: None,
             commanded: Instant::ZERO,
@@ -252,6 +311,7 @@ impl Session {
 
     /// Time has passed.
     pub fn handle_timeout(&mut self, now: Instant) {
+        self.write_ends(now);
         self.give_up_waiting(now);
         self.give_up_running(now);
         let timeout = self.link_timeout();
@@ -282,13 +342,7 @@ impl Session {
     /// A client wants a task. The answer comes as an event: within one second, unless the
     /// device takes the `Start` and its answer is lost.
     pub fn start(&mut self, now: Instant, id: TaskId, component: &str, goal: &str) {
-        let task = Task {
-            component: component.to_owned(),
-            goal: goal.to_owned(),
-            deadline: now + START_LIMIT,
-            stage: Stage::Waiting,
-            abort: false,
-        };
+        let task = Task::new(component, goal, now + START_LIMIT, Stage::Waiting);
         self.tasks.insert(id, task);
         self.next_command(now);
     }
@@ -298,15 +352,12 @@ impl Session {
         let Some(task) = self.tasks.get_mut(&id) else {
             return;
         };
-        if task.stage == Stage::Waiting {
-            self.tasks.remove(&id);
-            let text = "aborted before it began".to_owned();
-            self.events
-                .push_back(Event::Ended(id, State::Aborted, text));
-            return;
+        if task.waits() {
+            self.end(now, id, State::Aborted, "aborted before it began");
+        } else if task.may_run() {
+            task.abort = true;
+            self.next_command(now);
         }
-        task.abort = true;
-        self.next_command(now);
     }
 
     /// The bytes to be sent, in order.
@@ -321,13 +372,14 @@ impl Session {
 
     /// When [`handle_timeout`](Self::handle_timeout) has something to do.
     pub fn poll_timeout(&self) -> Option<Instant> {
-        let mut wake = None;
+        let mut wake = self.write_again;
         for task in self.tasks.values() {
-            let at = match task.stage {
-                Stage::Waiting => Some(task.deadline),
-                Stage::Sent(_) | Stage::Running(_) if self.answers() => None,
-                _ if self.carries_on(task) => None,
-                _ => Some(self.must_have_acted(task)),
+            let at = if task.waits() {
+                Some(task.deadline)
+            } else if task.may_run() && !self.answers() && !task.carries_on() {
+                Some(self.must_have_acted(task))
+            } else {
+                None
             };
             wake = earliest(wake, at);
         }
@@ -339,6 +391,11 @@ impl Session {
             None if self.phase == Phase::Up => earliest(wake, Some(self.ping_due())),
             None => wake,
         }
+    }
+
+    /// Where it writes.
+    pub const fn book_mut(&mut self) -> &mut B {
+        &mut self.book
     }
 
     /// What the device told about itself, once it has.
@@ -362,8 +419,7 @@ impl Session {
     /// How many tasks wait for their `Start` to be sent.
     #[must_use]
     pub fn queued(&self) -> usize {
-        let waiting = |task: &&Task| task.stage == Stage::Waiting;
-        self.tasks.values().filter(waiting).count()
+        self.tasks.values().filter(|task| task.waits()).count()
     }
 
     /// How long the device has run since its reset, as far as it has told.
@@ -394,70 +450,6 @@ impl Session {
         self.commanded + self.link_timeout() / 4
     }
 
-    fn carries_on(&self, task: &Task) -> bool {
-        let device = self.device.as_ref();
-        let component =
-            device.and_then(|device| device.components.iter().find(|c| c.name == task.component));
-        component.is_some_and(|component| component.loss == Loss::CarryOn)
-    }
-
-    /// When a device that is not heard has brought the task to its end by itself.
-    ///
-    /// The last command that was answered restarted its link timer, at the latest when the answer
-    /// was heard. The one after it came, if at all, before that timer fired, and restarted it once
-    /// more; there was no third. A `Start` is taken at the latest at its deadline.
-    fn must_have_acted(&self, task: &Task) -> Instant {
-        let timeout = self.link_timeout();
-        (self.heard + timeout * 2).max(task.deadline + timeout)
-    }
-
-    /// Refuses what was never sent and has become too late.
-    fn give_up_waiting(&mut self, now: Instant) {
-        let late: Vec<TaskId> = self
-            .tasks
-            .iter()
-            .filter(|(_, task)| task.stage == Stage::Waiting && now >= task.deadline)
-            .map(|(id, _)| *id)
-            .collect();
-        for id in late {
-            self.tasks.remove(&id);
-            let reason = if self.phase == Phase::Up {
-                "the device is busy with other commands"
-            } else {
-                "the device is not answering"
-            };
-            self.events
-                .push_back(Event::Rejected(id, reason.to_owned()));
-        }
-    }
-
-    /// Ends what a device that is not heard must have ended by itself.
-    fn give_up_running(&mut self, now: Instant) {
-        if self.answers() {
-            return;
-        }
-        let over: Vec<TaskId> = self
-            .tasks
-            .iter()
-            .filter(|(_, task)| task.stage != Stage::Waiting && !self.carries_on(task))
-            .filter(|(_, task)| now >= self.must_have_acted(task))
-            .map(|(id, _)| *id)
-            .collect();
-        for id in over {
-            self.end(id, State::Failed, "device is not answering");
-        }
-    }
-
-    fn end(&mut self, id: TaskId, state: State, text: &str) {
-        if let Some(task) = self.tasks.remove(&id) {
-            if matches!(task.stage, Stage::Sent(_)) {
-                self.events.push_back(Event::Accepted(id));
-            }
-            self.events
-                .push_back(Event::Ended(id, state, text.to_owned()));
-        }
-    }
-
     /// The device is not heard: what carries on says so while it does.
     fn lose(&mut self) {
         if self.answers() {
@@ -467,7 +459,7 @@ impl Session {
         let carrying: Vec<TaskId> = self
             .tasks
             .iter()
-            .filter(|(_, task)| task.stage != Stage::Waiting && self.carries_on(task))
+            .filter(|(_, task)| task.may_run() && task.carries_on())
             .map(|(id, _)| *id)
             .collect();
         for id in carrying {

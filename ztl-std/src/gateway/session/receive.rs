@@ -6,12 +6,12 @@ use ztl_core::link::{Body, Frame, FrameError, LinkId, NO_SEQ, VERSION, Welcome, 
 use ztl_core::{Instant, State, TaskId};
 
 use super::send::frame_bytes;
-use super::{Command, ComponentInfo, DeviceInfo, Event, Phase, Session, Stage};
+use super::{Book, Command, ComponentInfo, DeviceInfo, Event, Phase, Session, Stage, Task};
 
 /// Pause before a device that answers nonsense is greeted again.
 const BAD_ANSWER: Duration = Duration::from_secs(1);
 
-impl Session {
+impl<B: Book> Session<B> {
     pub(super) fn on_frame(&mut self, now: Instant, frame: Result<(usize, Frame<'_>), FrameError>) {
         let (place, frame) = match frame {
             Ok(frame) => frame,
@@ -35,7 +35,8 @@ impl Session {
             ) => {
                 // The frame's check covers the session, so it speaks of this device's tasks.
                 match self.find(task) {
-                    Some(id) => self.end(id, state, result),
+                    Some(id) if !self.end(now, id, state, result) => return,
+                    Some(_) => {}
                     None => self.counters.duplicates += 1,
                 }
                 let ack = frame_bytes(self.session, NO_SEQ, Body::Ack { task });
@@ -50,13 +51,6 @@ impl Session {
             // Echoes of one's own frames, readings nobody asked for yet.
             _ => {}
         }
-    }
-
-    pub(super) fn find(&self, link: LinkId) -> Option<TaskId> {
-        self.tasks
-            .iter()
-            .find(|(_, task)| task.stage.link() == Some(link))
-            .map(|(id, _)| *id)
     }
 
     /// A device has started anew: greet it at once.
@@ -90,14 +84,16 @@ impl Session {
         }
         self.session = session_key(self.session, welcome.boot);
         self.clock = Some((welcome.clock_ms, now));
+        // It lives, and its link timer runs from an earlier command; the next one is still to come.
+        self.heard = now;
         self.next_link = self.next_link.max(welcome.highest.saturating_add(1));
         let before = self.device.take();
         let was_known = before.is_some();
         let known = before.filter(|device| device.boot == welcome.boot);
         if known.is_none() {
             self.counters.resets += u64::from(was_known);
-            self.on_reset();
         }
+        self.on_reset(now, welcome.boot);
         let components = known.map(|device| device.components).unwrap_or_default();
         self.device = Some(DeviceInfo {
             name: welcome.name.to_owned(),
@@ -108,49 +104,59 @@ impl Session {
             count: welcome.components,
             components,
         });
-        self.compare_held(welcome);
+        self.compare_held(now, welcome);
         self.in_flight = None;
         self.phase = Phase::Describing;
         // The first command starts the device's link timer anew.
         self.describe_next(now);
     }
 
-    /// Another boot: what the device held is gone.
-    pub(super) fn on_reset(&mut self) {
+    /// What the device held in another boot is gone.
+    pub(super) fn on_reset(&mut self, now: Instant, boot: u32) {
+        let gone = |task: &Task| task.stage.sent().is_some_and(|sent| sent.boot != boot);
         let held: Vec<TaskId> = self
             .tasks
             .iter()
-            .filter(|(_, task)| task.stage != Stage::Waiting)
+            .filter(|(_, task)| task.may_run() && gone(task))
             .map(|(id, _)| *id)
             .collect();
         if !held.is_empty() {
             self.events.push_back(Event::Reset);
         }
         for id in held {
-            self.end(id, State::Failed, "device was reset");
+            self.end(now, id, State::Failed, "device was reset");
         }
     }
 
     /// What the device holds against what is known here.
-    pub(super) fn compare_held(&mut self, welcome: &Welcome<'_>) {
+    pub(super) fn compare_held(&mut self, now: Instant, welcome: &Welcome<'_>) {
         let held: Vec<LinkId> = welcome.held.iter().collect();
-        let ours: Vec<(TaskId, Stage)> = self
+        let ours: Vec<(TaskId, Stage, bool)> = self
             .tasks
             .iter()
-            .map(|(id, task)| (*id, task.stage))
+            .filter(|(_, task)| task.may_run())
+            .map(|(id, task)| (*id, task.stage, task.restored))
             .collect();
-        for (id, stage) in ours {
+        for (id, stage, restored) in ours {
             match stage {
                 Stage::Waiting => {}
-                Stage::Sent(link) if held.contains(&link) => self.on_started(id),
-                // Sent in a session that is over, and never taken: now it never will be.
-                Stage::Sent(link) if link.0 > welcome.highest => {
-                    let reason = "the device did not take it before the link was lost";
-                    self.reject(id, reason.to_owned());
+                Stage::Sent(sent) if held.contains(&sent.link) => self.on_started(id),
+                // Sent in a session that is over, and never taken: now it never will be. Of one from
+                // before a restart the client may have been told that it is ACCEPTED.
+                Stage::Sent(sent) if sent.link.0 > welcome.highest => {
+                    let (state, reason) = if restored {
+                        let never = "never started: the device did not take it before the gateway was started anew";
+                        (State::Failed, never)
+                    } else {
+                        let never = "the device did not take it before the link was lost";
+                        (State::Rejected, never)
+                    };
+                    self.end(now, id, state, reason);
                 }
-                Stage::Running(link) if held.contains(&link) => {}
+                Stage::Running(sent) if held.contains(&sent.link) => {}
                 Stage::Sent(_) | Stage::Running(_) => {
-                    self.end(id, State::Failed, "the device no longer holds the task");
+                    let gone = "the device no longer holds the task";
+                    self.end(now, id, State::Failed, gone);
                 }
             }
         }
@@ -162,9 +168,11 @@ impl Session {
 
     pub(super) fn on_started(&mut self, id: TaskId) {
         if let Some(task) = self.tasks.get_mut(&id)
-            && let Stage::Sent(link) = task.stage
+            && let Stage::Sent(sent) = task.stage
+            && task.unwritten.is_none()
         {
-            task.stage = Stage::Running(link);
+            task.stage = Stage::Running(sent);
+            self.book.accepted(&task.entry(id));
             self.events.push_back(Event::Accepted(id));
         }
     }
@@ -217,7 +225,9 @@ impl Session {
                 self.describe_next(now);
             }
             (Command::Start(id), Body::Started { .. }) => self.on_started(id),
-            (Command::Start(id), Body::Refused { reason }) => self.reject(id, reason.to_owned()),
+            (Command::Start(id), Body::Refused { reason }) => {
+                self.end(now, id, State::Rejected, reason);
+            }
             (Command::Ping, Body::Pong { clock_ms, .. }) => self.clock = Some((clock_ms, now)),
             // The end will be told, or has been.
             (Command::Abort(link), Body::Aborting { .. } | Body::Refused { .. }) => {

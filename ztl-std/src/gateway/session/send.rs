@@ -3,16 +3,16 @@
 use std::time::Duration;
 
 use ztl_core::link::{
-    ADDR_ONLY_NODE, Body, Frame, Hello, LinkId, NO_SEQ, NO_SESSION, VERSION, encode, next_seq,
+    ADDR_ONLY_NODE, Body, Frame, Hello, LinkId, Loss, NO_SEQ, NO_SESSION, VERSION, encode, next_seq,
 };
 use ztl_core::{Instant, TaskId};
 
 use super::{
-    Command, Event, InFlight, Phase, REPEAT_FACTOR, REPEAT_FIRST, REPEAT_LEAST, Session, Stage,
-    Task,
+    Book, Command, Entry, InFlight, Phase, REPEAT_FACTOR, REPEAT_FIRST, REPEAT_LEAST, Sent,
+    Session, Stage,
 };
 
-impl Session {
+impl<B: Book> Session<B> {
     /// Opens a new session after a pause.
     pub(super) fn greet_after(&mut self, now: Instant, pause: Duration) {
         let before = self.out.len();
@@ -91,19 +91,17 @@ impl Session {
 
     /// An abort stays wanted until it is answered, so a new session sends it again.
     pub(super) fn next_abort(&mut self) -> Option<LinkId> {
-        let wanted = self.tasks.values().find(|task| task.abort);
-        match wanted.and_then(|task| task.stage.link()) {
-            Some(link) => Some(link),
+        let mut tasks = self.tasks.values();
+        let wanted = tasks.find(|task| task.abort && task.may_run());
+        match wanted.and_then(|task| task.stage.sent()) {
+            Some(sent) => Some(sent.link),
             None => self.strangers.pop_front(),
         }
     }
 
     pub(super) fn next_waiting(&self) -> Option<TaskId> {
-        let waiting = |task: &Task| task.stage == Stage::Waiting;
-        self.tasks
-            .iter()
-            .find(|(_, task)| waiting(task))
-            .map(|(id, _)| *id)
+        let waiting = self.tasks.iter().find(|(_, task)| task.waits());
+        waiting.map(|(id, _)| *id)
     }
 
     /// Sends a `Start`, or refuses the task; says whether a command is under way now.
@@ -122,7 +120,7 @@ impl Session {
                 task.component,
                 names.join(", ")
             );
-            self.reject(id, reason);
+            self.refuse(id, reason);
             return false;
         };
         let left = task.deadline.since(heard).as_millis();
@@ -142,18 +140,29 @@ impl Session {
                 "the goal is {} bytes long, the device takes {most}",
                 goal.len()
             );
-            self.reject(id, reason);
+            self.refuse(id, reason);
             return false;
         }
-        task.stage = Stage::Sent(link);
+        let offered = device.components.get(usize::from(component));
+        let loss = offered.map_or(Loss::Abort, |component| component.loss);
+        let sent = Sent {
+            link,
+            boot: device.boot,
+            loss,
+            link_timeout: device.link_timeout,
+        };
+        let entry = Entry {
+            sent: Some(sent),
+            ..task.entry(id)
+        };
+        if let Err(reason) = self.book.starting(&entry) {
+            self.refuse(id, format!("it cannot be written down: {reason}"));
+            return false;
+        }
+        task.stage = Stage::Sent(sent);
         self.next_link = self.next_link.saturating_add(1);
         self.command(now, Command::Start(id), body);
         true
-    }
-
-    pub(super) fn reject(&mut self, id: TaskId, reason: String) {
-        self.tasks.remove(&id);
-        self.events.push_back(Event::Rejected(id, reason));
     }
 }
 
