@@ -47,6 +47,10 @@
 mod clock;
 pub mod controller;
 pub mod gateway;
+#[cfg(feature = "sim")]
+pub mod line;
+#[cfg(all(unix, feature = "sim"))]
+mod pty;
 mod random;
 mod remote;
 pub mod server;

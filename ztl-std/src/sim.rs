@@ -2,6 +2,8 @@
 
 use std::io::{self, Read, Write};
 use std::net::{SocketAddr, TcpListener};
+#[cfg(unix)]
+use std::path::PathBuf;
 use std::str::FromStr;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -14,6 +16,8 @@ use ztl_mcu::{Component, Identity, Instant, Node, Report, Run};
 
 use crate::clock::now;
 use crate::gateway::{EndpointError, Line, is_pause};
+#[cfg(unix)]
+use crate::pty::{Link, Pty};
 use crate::random;
 
 /// Which device is simulated.
@@ -201,9 +205,8 @@ pub struct Running {
     inputs: Sender<Input>,
     stop: Arc<AtomicBool>,
     threads: Vec<JoinHandle<()>>,
-    /// Held open, so that the device's end does not hang up while no gateway is there.
     #[cfg(unix)]
-    _slave: Option<serialport::TTYPort>,
+    _pty: Option<(Pty, Option<Link>)>,
 }
 
 impl std::fmt::Debug for Running {
@@ -223,30 +226,33 @@ impl Running {
             stop: Arc::new(AtomicBool::new(false)),
             threads: vec![node],
             #[cfg(unix)]
-            _slave: None,
+            _pty: None,
         })
     }
 
-    /// Starts a device on one end of a pty, and gives the path of the other.
+    /// Starts a device on one end of a pty, and gives the path of the other: of the link to it,
+    /// where one is wanted, which goes when the device goes.
     ///
     /// # Errors
-    /// When the system has no more ptys or threads.
+    /// When the system has no more ptys or threads, or when the link cannot be made.
     #[cfg(unix)]
-    pub fn on_pty(kind: Kind) -> io::Result<(Self, String)> {
-        use serialport::SerialPort;
-
-        let (master, slave) = serialport::TTYPort::pair()?;
-        let path = slave
-            .name()
-            .ok_or_else(|| io::Error::new(io::ErrorKind::Unsupported, "the pty has no name"))?;
+    pub fn on_pty(kind: Kind, link: Option<PathBuf>) -> io::Result<(Self, String)> {
+        let pty = Pty::new()?;
+        let mut path = pty.path().to_owned();
+        let link = link
+            .map(|link| {
+                path = link.display().to_string();
+                Link::new(link, pty.path())
+            })
+            .transpose()?;
+        let line = pty.line()?;
         let mut running = Self::power_on(kind)?;
-        running._slave = Some(slave);
-        let reader = master.try_clone()?;
-        let _ = running.inputs.send(Input::Line(Some(Box::new(master))));
+        running._pty = Some((pty, link));
+        let _ = running.inputs.send(Input::Line(Some(line.writer)));
         let (inputs, stop) = (running.inputs.clone(), Arc::clone(&running.stop));
         let pump = std::thread::Builder::new()
             .name(format!("ztl-sim-{kind}-line"))
-            .spawn(move || pass_on(reader, &inputs, &stop))?;
+            .spawn(move || pass_on(line.reader, &inputs, &stop))?;
         running.threads.push(pump);
         Ok((running, path))
     }
@@ -286,7 +292,7 @@ impl Drop for Running {
 /// When the system has no more ptys or threads.
 #[cfg(unix)]
 pub(crate) fn line(kind: Kind) -> io::Result<Line> {
-    let (running, path) = Running::on_pty(kind)?;
+    let (running, path) = Running::on_pty(kind, None)?;
     let port = serialport::new(path, crate::gateway::BAUD)
         .timeout(crate::gateway::READ_TIMEOUT)
         .open()?;

@@ -46,34 +46,19 @@ fn place(text: &str) -> Result<Place, String> {
     }
 }
 
-/// A link to a pty, taken away when the device ends.
-struct Link(PathBuf);
-
-impl Drop for Link {
-    fn drop(&mut self) {
-        let _ = std::fs::remove_file(&self.0);
-    }
-}
-
 impl Device {
     pub(crate) fn run(self) -> Done {
         signals::catch()?;
         let kind = self.device;
-        let (running, url, _link) = match self.on {
+        let (running, url) = match self.on {
             Place::Tcp(address) => {
                 let (running, address) = Running::on_tcp(kind, &address)
                     .map_err(|error| format!("cannot listen at tcp:{address}: {error}"))?;
-                (running, format!("tcp:{address}"), None)
+                (running, format!("tcp:{address}"))
             }
             Place::Pty(link) => {
-                let (running, path) = on_pty(kind)?;
-                match link {
-                    Some(link) => {
-                        let link = make_link(link, &path)?;
-                        (running, format!("serial:{}", link.0.display()), Some(link))
-                    }
-                    None => (running, format!("serial:{path}"), None),
-                }
+                let (running, path) = on_pty(kind, link)?;
+                (running, format!("serial:{path}"))
             }
         };
         line(format_args!("Simulated {kind} at {url}. Serve it with"));
@@ -87,33 +72,14 @@ impl Device {
 }
 
 #[cfg(unix)]
-fn on_pty(kind: Kind) -> std::io::Result<(Running, String)> {
-    Running::on_pty(kind)
+fn on_pty(kind: Kind, link: Option<PathBuf>) -> std::io::Result<(Running, String)> {
+    Running::on_pty(kind, link)
 }
 
 #[cfg(not(unix))]
-fn on_pty(_kind: Kind) -> std::io::Result<(Running, String)> {
+fn on_pty(_kind: Kind, _link: Option<PathBuf>) -> std::io::Result<(Running, String)> {
     Err(std::io::Error::new(
         std::io::ErrorKind::Unsupported,
         "this system has no ptys; use --on tcp:PORT",
-    ))
-}
-
-#[cfg(unix)]
-fn make_link(link: PathBuf, path: &str) -> Result<Link, String> {
-    // A link that an earlier device left behind is replaced; anything else is somebody's file.
-    if link.is_symlink() {
-        let _ = std::fs::remove_file(&link);
-    }
-    std::os::unix::fs::symlink(path, &link)
-        .map_err(|error| format!("cannot make the link {}: {error}", link.display()))?;
-    Ok(Link(link))
-}
-
-#[cfg(not(unix))]
-fn make_link(link: PathBuf, _path: &str) -> Result<Link, String> {
-    Err(format!(
-        "cannot make the link {}: this system has no ptys",
-        link.display()
     ))
 }

@@ -8,6 +8,7 @@ mod demo;
 mod device;
 mod devices;
 mod gateway;
+mod line;
 mod log;
 mod ps;
 mod scene;
@@ -43,6 +44,8 @@ enum Command {
     Gateway(gateway::Gateway),
     /// Run a simulated device by itself, for whoever has no hardware
     Device(device::Device),
+    /// Put a bad cable between a gateway and its device: bytes lost, altered, repeated, held back
+    Line(line::Line),
     /// Show a gateway's devices: components, tasks, and how the links do
     Devices(devices::Devices),
     /// Show the tasks of a server
@@ -63,6 +66,7 @@ fn main() -> ExitCode {
         Command::Demo(demo) => demo.run(),
         Command::Gateway(gateway) => gateway.run(),
         Command::Device(device) => device.run(),
+        Command::Line(line) => line.run(),
         Command::Devices(devices) => devices.run(),
         Command::Ps(ps) => ps.run(),
         Command::Abort(abort) => abort.run(),

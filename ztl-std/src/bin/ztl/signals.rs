@@ -1,6 +1,7 @@
-//! Ctrl-C and SIGTERM, as a flag that can be waited for.
+//! Ctrl-C and SIGTERM, as a flag that can be waited for; SIGUSR1, as something to do.
 
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
 
 struct Flag {
     raised: bool,
@@ -48,4 +49,28 @@ pub(crate) fn stopped() -> bool {
 /// Until somebody wants this process to end.
 pub(crate) fn wait() {
     drop(CHANGED.wait_while(flag(), |flag| !flag.raised));
+}
+
+/// Until somebody wants this process to end, at most for `limit`; says whether somebody does.
+pub(crate) fn wait_for(limit: Duration) -> bool {
+    // A limit beyond the end of time is none.
+    let limit = limit.min(Duration::from_secs(1 << 32));
+    let waited = CHANGED.wait_timeout_while(flag(), limit, |flag| !flag.raised);
+    waited.unwrap_or_else(PoisonError::into_inner).0.raised
+}
+
+/// What is to be done at each SIGUSR1, on a thread of its own.
+#[cfg(unix)]
+pub(crate) fn at_usr1(mut act: impl FnMut() + Send + 'static) -> std::io::Result<()> {
+    let mut signals = signal_hook::iterator::Signals::new([signal_hook::consts::SIGUSR1])?;
+    std::thread::Builder::new()
+        .name("ztl-usr1".to_owned())
+        .spawn(move || signals.forever().for_each(|_| act()))?;
+    Ok(())
+}
+
+/// There is no such signal here.
+#[cfg(not(unix))]
+pub(crate) fn at_usr1(_act: impl FnMut() + Send + 'static) -> std::io::Result<()> {
+    Ok(())
 }

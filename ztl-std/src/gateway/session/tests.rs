@@ -3,34 +3,13 @@
 #![cfg(feature = "sim")]
 
 use std::cell::RefCell;
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::BTreeMap;
 use std::rc::Rc;
 
 use super::*;
+use crate::line::{Dice, Faults, FaultyLine};
 use ztl_mcu::link::{Busy, GoalShape, Offer};
 use ztl_mcu::{Component, Identity, Node, Report, Run};
-
-/// xorshift64*: small, and the same everywhere.
-#[derive(Clone)]
-struct Dice(u64);
-
-impl Dice {
-    fn throw(&mut self) -> u64 {
-        self.0 ^= self.0 >> 12;
-        self.0 ^= self.0 << 25;
-        self.0 ^= self.0 >> 27;
-        self.0.wrapping_mul(0x2545_F491_4F6C_DD1D) >> 16
-    }
-
-    fn below(&mut self, bound: u64) -> u64 {
-        self.throw() % bound
-    }
-
-    /// True once in `times`; never for 0.
-    fn once_in(&mut self, times: u64) -> bool {
-        times > 0 && self.below(times) == 0
-    }
-}
 
 /// What really happened at the motors, whatever anybody says.
 #[derive(Default)]
@@ -106,66 +85,21 @@ impl Component for Motor {
     }
 }
 
-/// How bad a line is; each fault once in so many bytes, 0 for never.
-#[derive(Debug, Clone, Copy, Default)]
-struct Faults {
-    flip: u64,
-    drop: u64,
-    double: u64,
-    stall: u64,
+/// One direction of a line as slow as 115200 baud.
+fn line(seed: u64) -> FaultyLine {
+    FaultyLine::new(Faults::default(), seed).with_baud(115_200)
 }
 
-/// One direction of the line.
-struct Wire {
-    queue: VecDeque<(Instant, u8)>,
-    faults: Faults,
-    cut_until: Instant,
-    last: Instant,
-}
-
-/// 115200 baud, ten bits a byte.
-const BYTE_TIME: Duration = Duration::from_micros(87);
-
-impl Wire {
-    fn new() -> Self {
-        Self {
-            queue: VecDeque::new(),
-            faults: Faults::default(),
-            cut_until: Instant::ZERO,
-            last: Instant::ZERO,
+/// What has arrived by now.
+fn arrived(line: &mut FaultyLine, now: Instant) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    let mut piece = [0xA5; 64];
+    loop {
+        let count = line.poll_bytes(now, &mut piece);
+        if count == 0 {
+            return bytes;
         }
-    }
-
-    fn send(&mut self, now: Instant, bytes: &[u8], dice: &mut Dice) {
-        for &byte in bytes {
-            // What a line holds back is finite; the rest is lost.
-            if self.last > now + Duration::from_secs(5) {
-                continue;
-            }
-            self.last = self.last.max(now) + BYTE_TIME;
-            if self.faults.stall > 0 && dice.once_in(self.faults.stall) {
-                self.last = self.last + Duration::from_millis(dice.below(4000));
-            }
-            if now < self.cut_until || dice.once_in(self.faults.drop) {
-                continue;
-            }
-            let mut byte = byte;
-            if dice.once_in(self.faults.flip) {
-                byte ^= 1 << dice.below(8);
-            }
-            self.queue.push_back((self.last, byte));
-            if dice.once_in(self.faults.double) {
-                self.queue.push_back((self.last, byte));
-            }
-        }
-    }
-
-    fn arrived(&mut self, now: Instant) -> Vec<u8> {
-        let mut bytes = Vec::new();
-        while self.queue.front().is_some_and(|(at, _)| *at <= now) {
-            bytes.extend(self.queue.pop_front().map(|(_, byte)| byte));
-        }
-        bytes
+        bytes.extend_from_slice(&piece[..count]);
     }
 }
 
@@ -173,13 +107,12 @@ type SmallNode = Node<'static, 2, 128>;
 
 /// A gateway's session, a line, a device, and clients that keep books.
 struct Lab {
-    dice: Dice,
     now: Instant,
     session: Session,
     node: SmallNode,
     boots: u32,
-    down: Wire,
-    up: Wire,
+    down: FaultyLine,
+    up: FaultyLine,
     world: Rc<RefCell<World>>,
     /// The goal of each task asked for.
     asked: BTreeMap<TaskId, String>,
@@ -216,13 +149,12 @@ impl Lab {
     fn new(seed: u64) -> Self {
         let world = Rc::default();
         let mut lab = Self {
-            dice: Dice(seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1),
             now: Instant::from_millis(1000),
             session: Session::new(7, Some(115_200), numbers),
             node: node(&world, 1),
             boots: 1,
-            down: Wire::new(),
-            up: Wire::new(),
+            down: line(seed | 1 << 40),
+            up: line(seed | 1 << 41),
             world,
             asked: BTreeMap::new(),
             accepted: BTreeMap::new(),
@@ -269,15 +201,15 @@ impl Lab {
     fn replug(&mut self) {
         self.note("line closed and opened".to_owned());
         self.session.handle_disconnected();
-        self.down.queue.clear();
-        self.up.queue.clear();
+        self.down.lose();
+        self.up.lose();
         self.session.handle_connected(self.now);
         self.settle();
     }
 
     /// Everything that happens at this moment.
     fn settle(&mut self) {
-        let bytes = self.down.arrived(self.now);
+        let bytes = arrived(&mut self.down, self.now);
         self.node.handle_bytes(self.now, &bytes);
         self.node.handle_timeout(self.now);
         let mut buffer = [0xA5; 64];
@@ -286,13 +218,13 @@ impl Lab {
             if count == 0 {
                 break;
             }
-            self.up.send(self.now, &buffer[..count], &mut self.dice);
+            self.up.handle_bytes(self.now, &buffer[..count]);
         }
-        let bytes = self.up.arrived(self.now);
+        let bytes = arrived(&mut self.up, self.now);
         self.session.handle_bytes(self.now, &bytes);
         self.session.handle_timeout(self.now);
         let bytes = self.session.poll_transmit();
-        self.down.send(self.now, &bytes, &mut self.dice);
+        self.down.handle_bytes(self.now, &bytes);
         while let Some(event) = self.session.poll_event() {
             self.on_event(event);
         }
@@ -329,8 +261,8 @@ impl Lab {
             let wakes = [
                 self.session.poll_timeout(),
                 Some(self.node.poll_timeout(self.now)),
-                self.down.queue.front().map(|(at, _)| *at),
-                self.up.queue.front().map(|(at, _)| *at),
+                self.down.poll_timeout(Duration::ZERO),
+                self.up.poll_timeout(Duration::ZERO),
             ];
             // A wake-up that is due again at once would stand still.
             let soon = self.now + Duration::from_micros(10);
@@ -418,7 +350,7 @@ fn a_goal_too_long_for_the_device_is_rejected_with_the_length_it_takes() {
 #[test]
 fn without_a_device_a_task_is_rejected_in_time_and_never_moves() {
     let mut lab = Lab::new(1);
-    lab.down.cut_until = Instant::from_millis(5000);
+    lab.down.cut(Instant::ZERO..Instant::from_millis(5000));
     let id = lab.ask("arm", 200);
     lab.pass(Duration::from_millis(999));
     assert!(lab.rejected.is_empty());
@@ -439,10 +371,10 @@ fn a_cut_line_fails_the_task_when_the_device_must_have_acted_and_not_before() {
         let cut = lab.now;
         let until = cut + Duration::from_secs(5);
         if down {
-            lab.down.cut_until = until;
+            lab.down.cut(cut..until);
         }
         if up {
-            lab.up.cut_until = until;
+            lab.up.cut(cut..until);
         }
         // Ping period, link timeout, and at most one second.
         lab.pass(Duration::from_millis(1000));
@@ -489,7 +421,7 @@ fn an_abort_is_sent_again_in_a_new_session() {
     let mut lab = Lab::new(1);
     let id = lab.ask("belt", 60_000);
     lab.pass(Duration::from_millis(500));
-    lab.down.cut_until = lab.now + Duration::from_millis(1500);
+    lab.down.cut(lab.now..lab.now + Duration::from_millis(1500));
     lab.abort(id);
     lab.pass(Duration::from_millis(1400));
     assert!(lab.ended.is_empty());
@@ -521,11 +453,11 @@ fn a_device_left_by_another_gateway_is_stopped_and_its_ends_acknowledged() {
 fn a_welcome_from_before_a_reset_opens_no_session_with_the_reborn_device() {
     let mut lab = Lab::new(1);
     // What the device says is held back; it is reset meanwhile.
-    lab.up.last = lab.now + Duration::from_millis(800);
+    lab.up.hold_until(lab.now + Duration::from_millis(800));
     lab.pass(Duration::from_millis(200));
     lab.reset();
     // Its announcement is lost.
-    lab.up.cut_until = lab.now + Duration::from_millis(150);
+    lab.up.cut(lab.now..lab.now + Duration::from_millis(150));
     lab.pass(Duration::from_millis(3000));
     let id = lab.ask("belt", 5000);
     lab.pass(Duration::from_millis(500));
@@ -539,17 +471,18 @@ fn a_welcome_from_before_a_reset_opens_no_session_with_the_reborn_device() {
 /// Clients, faults of every kind, then a quiet line: the promises hold and it serves again.
 fn play(seed: u64) -> Lab {
     let mut lab = Lab::new(seed);
-    let mut dice = Dice(seed | 1);
-    let rate = |dice: &mut Dice| [0, 0, 50, 200, 1000, 5000][dice.below(6) as usize];
+    let mut dice = Dice::new(seed);
+    let rate = |dice: &mut Dice| [0.0, 0.0, 0.02, 5e-3, 1e-3, 2e-4][dice.below(6) as usize];
     for _ in 0..2 {
         let faults = Faults {
-            flip: rate(&mut dice),
+            flip: rate(&mut dice) / 8.0,
             drop: rate(&mut dice),
             double: rate(&mut dice),
-            stall: rate(&mut dice) * 4,
+            stall: rate(&mut dice) / 4.0,
+            stall_for: Duration::from_secs(4),
         };
-        lab.down.faults = faults;
-        lab.up.faults = faults;
+        lab.down.set_faults(faults);
+        lab.up.set_faults(faults);
     }
     for _ in 0..12 {
         match dice.below(12) {
@@ -567,13 +500,20 @@ fn play(seed: u64) -> Lab {
             }
             8 => lab.reset(),
             9 => lab.replug(),
-            10 => lab.down.cut_until = lab.now + Duration::from_millis(dice.below(4000)),
-            _ => lab.up.cut_until = lab.now + Duration::from_millis(dice.below(4000)),
+            cut => {
+                let time = lab.now..lab.now + Duration::from_millis(dice.below(4000));
+                let way = if cut == 10 {
+                    &mut lab.down
+                } else {
+                    &mut lab.up
+                };
+                way.cut(time);
+            }
         }
         lab.pass(Duration::from_millis(dice.below(1200)));
     }
-    lab.down.faults = Faults::default();
-    lab.up.faults = Faults::default();
+    lab.down.set_faults(Faults::default());
+    lab.up.set_faults(Faults::default());
     lab.pass(Duration::from_secs(20));
     lab.check();
     let last = lab.ask("arm", 100);

@@ -1,0 +1,112 @@
+//! One direction between two real ends: a [`FaultyLine`] that a thread fills and another empties.
+
+use std::io::{Read, Write};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+use super::super::{Counts, FaultyLine};
+use crate::clock::now;
+use crate::gateway::{READ_TIMEOUT, is_pause};
+
+/// Bytes are handed on at most this late, so that few wake-ups carry many.
+const BURST: Duration = Duration::from_millis(1);
+/// Bytes taken at once.
+const PIECE: usize = 1024;
+
+pub(super) struct Way {
+    line: Mutex<FaultyLine>,
+    /// Bytes have come or gone.
+    changed: Condvar,
+    /// Where they go; `None` while nobody is there.
+    out: Mutex<Option<Box<dyn Write + Send>>>,
+}
+
+impl Way {
+    pub(super) fn new(line: FaultyLine) -> Self {
+        Self {
+            line: Mutex::new(line),
+            changed: Condvar::new(),
+            out: Mutex::new(None),
+        }
+    }
+
+    pub(super) fn counts(&self) -> Counts {
+        self.line().counts()
+    }
+
+    pub(super) fn set_out(&self, out: Option<Box<dyn Write + Send>>) {
+        *self.out.lock().unwrap_or_else(PoisonError::into_inner) = out;
+    }
+
+    /// Takes what arrives until the stream breaks, no faster than the line carries it.
+    pub(super) fn take(&self, mut reader: impl Read, stop: &AtomicBool) {
+        let mut buffer = [0; PIECE];
+        while !stop.load(Ordering::Acquire) {
+            let Some(buffer) = buffer.get_mut(..self.wait_room()) else {
+                continue;
+            };
+            match reader.read(buffer) {
+                Ok(0) => return,
+                Ok(count) => {
+                    let bytes = buffer.get(..count).unwrap_or_default();
+                    self.line().handle_bytes(now(), bytes);
+                    self.changed.notify_all();
+                }
+                Err(error) if is_pause(&error) => {}
+                Err(_) => return,
+            }
+        }
+    }
+
+    /// Hands on what comes out, each byte when it is due.
+    pub(super) fn carry(&self, stop: &AtomicBool) {
+        let mut buffer = [0; PIECE];
+        while !stop.load(Ordering::Acquire) {
+            let count = self.wait_bytes(&mut buffer);
+            let bytes = buffer.get(..count).unwrap_or_default();
+            if !bytes.is_empty() && !self.write(bytes) {
+                self.line().count_lost(count);
+            }
+        }
+    }
+
+    /// Whether somebody has taken the bytes.
+    fn write(&self, bytes: &[u8]) -> bool {
+        let mut out = self.out.lock().unwrap_or_else(PoisonError::into_inner);
+        match out.as_mut() {
+            Some(out) => out.write_all(bytes).and_then(|()| out.flush()).is_ok(),
+            None => false,
+        }
+    }
+
+    /// How many bytes may be taken; waits for a moment while that is none.
+    fn wait_room(&self) -> usize {
+        let line = self.line();
+        let room = line.room(now());
+        if room > 0 {
+            return room.min(PIECE);
+        }
+        // It comes with the time, whether bytes go or not.
+        drop(self.changed.wait_timeout(line, BURST));
+        0
+    }
+
+    /// Bytes that are due; waits for them for a moment.
+    fn wait_bytes(&self, buffer: &mut [u8]) -> usize {
+        let mut line = self.line();
+        let time = now();
+        match line.poll_timeout(BURST) {
+            Some(due) if due <= time => line.poll_bytes(time, buffer),
+            due => {
+                let wait = due.map_or(READ_TIMEOUT, |due| due.since(time).min(READ_TIMEOUT));
+                drop(self.changed.wait_timeout(line, wait));
+                0
+            }
+        }
+    }
+
+    fn line(&self) -> MutexGuard<'_, FaultyLine> {
+        self.line.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}

@@ -1,0 +1,33 @@
+//! Random numbers from a seed, the same everywhere and in every run.
+
+/// The generator splitmix64: any seed is good, also 0.
+#[derive(Debug, Clone)]
+pub(crate) struct Dice(u64);
+
+impl Dice {
+    pub(crate) const fn new(seed: u64) -> Self {
+        Self(seed)
+    }
+
+    pub(crate) const fn throw(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
+        let mixed = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        let mixed = (mixed ^ (mixed >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+        mixed ^ (mixed >> 31)
+    }
+
+    /// 0 up to `bound`, without it; 0 when that is 0.
+    pub(crate) const fn below(&mut self, bound: u64) -> u64 {
+        match self.throw().checked_rem(bound) {
+            Some(rest) => rest,
+            None => 0,
+        }
+    }
+
+    /// True with this probability. What never happens throws no dice.
+    pub(crate) fn chance(&mut self, probability: f64) -> bool {
+        probability > 0.0 && (self.throw() as f64) < probability * TWO_TO_64
+    }
+}
+
+const TWO_TO_64: f64 = 18_446_744_073_709_551_616.0;

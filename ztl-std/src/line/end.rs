@@ -1,0 +1,125 @@
+//! What a cable's end is plugged into: `pty`, `tcp-listen:7000`, and whatever a gateway's device
+//! may be.
+
+use std::path::PathBuf;
+use std::str::FromStr;
+
+use crate::gateway::{Endpoint, EndpointError};
+
+/// One end of a [`Cable`](super::Cable).
+#[derive(Debug, Clone, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum End {
+    /// Opened, and opened again when it breaks: `serial:PATH?baud=115200`, `tcp:HOST:PORT`,
+    /// `sim:gripper`.
+    Open(Endpoint),
+    /// Waits for one TCP connection after the other: `tcp-listen:PORT`, `tcp-listen:HOST:PORT`.
+    Listen {
+        /// Host and port; the host is this machine unless it was given.
+        address: String,
+    },
+    /// A new pty, which others open as a serial port: `pty`, `pty:LINK`.
+    Pty {
+        /// Where a link to it is to be made.
+        link: Option<PathBuf>,
+    },
+}
+
+/// Why a text is no end of a cable.
+#[derive(Debug, Clone, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum EndError {
+    /// The part before the first `:` is none of ours.
+    Scheme {
+        /// What was written.
+        found: String,
+    },
+    /// `tcp-listen:` without a port.
+    Listen,
+    /// `tcp:` without a host or a port.
+    Tcp,
+    /// As for a gateway's device.
+    Endpoint(EndpointError),
+}
+
+impl std::fmt::Display for EndError {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Scheme { found } => write!(
+                f,
+                "unknown kind of end '{found}'; use pty, pty:LINK, serial:/dev/ttyACM0, tcp:HOST:PORT, tcp-listen:PORT or sim:gripper"
+            ),
+            Self::Listen => f.write_str("incomplete; use tcp-listen:PORT, as tcp-listen:7000"),
+            Self::Tcp => f.write_str(
+                "incomplete; use tcp:HOST:PORT to connect, tcp-listen:PORT to be connected to",
+            ),
+            Self::Endpoint(error) => error.fmt(f),
+        }
+    }
+}
+
+impl std::error::Error for EndError {}
+
+impl FromStr for End {
+    type Err = EndError;
+
+    fn from_str(text: &str) -> Result<Self, EndError> {
+        let (scheme, rest) = text.split_once(':').unwrap_or((text, ""));
+        match scheme {
+            "pty" => Ok(Self::Pty {
+                link: (!rest.is_empty()).then(|| rest.into()),
+            }),
+            "tcp-listen" => match listen_address(rest) {
+                Some(address) => Ok(Self::Listen { address }),
+                None => Err(EndError::Listen),
+            },
+            "serial" | "tcp" | "sim" => text.parse().map(Self::Open).map_err(|error| match error {
+                EndpointError::Incomplete { .. } if scheme == "tcp" => EndError::Tcp,
+                error => EndError::Endpoint(error),
+            }),
+            _ => Err(EndError::Scheme {
+                found: scheme.to_owned(),
+            }),
+        }
+    }
+}
+
+/// `PORT` or `HOST:PORT` as an address to listen at; without a host, this machine only.
+fn listen_address(text: &str) -> Option<String> {
+    let (host, port) = text.rsplit_once(':').unwrap_or(("127.0.0.1", text));
+    let port: u16 = port.parse().ok()?;
+    (!host.is_empty()).then(|| format!("{host}:{port}"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ends_are_read_and_mistakes_say_what_would_be_right() {
+        let listen = |address: &str| End::Listen {
+            address: address.to_owned(),
+        };
+        let pty = |link: Option<&str>| End::Pty {
+            link: link.map(PathBuf::from),
+        };
+        assert_eq!("pty".parse(), Ok(pty(None)));
+        assert_eq!("pty:/tmp/a:b".parse(), Ok(pty(Some("/tmp/a:b"))));
+        assert_eq!("tcp-listen:7000".parse(), Ok(listen("127.0.0.1:7000")));
+        assert_eq!("tcp-listen:0.0.0.0:7".parse(), Ok(listen("0.0.0.0:7")));
+        let open = "serial:/dev/ttyACM0?baud=9600";
+        assert_eq!(open.parse(), Ok(End::Open(open.parse().unwrap())));
+        for (text, part) in [
+            ("/dev/ttyACM0", "serial:/dev/ttyACM0"),
+            ("tcp-listen", "tcp-listen:7000"),
+            ("tcp-listen:http", "tcp-listen:7000"),
+            ("tcp-listen::7000", "tcp-listen:7000"),
+            ("tcp:7000", "tcp-listen:PORT"),
+            ("serial:", "serial:PATH"),
+            ("sim:arm", "there are: gripper, head"),
+        ] {
+            let error = text.parse::<End>().unwrap_err().to_string();
+            assert!(error.contains(part), "{text}: {error}");
+        }
+    }
+}
