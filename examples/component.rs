@@ -13,7 +13,7 @@ use std::net::TcpListener;
 use std::time::Duration;
 
 use ztl_mcu::link::{Busy, GoalShape, Loss, Offer};
-use ztl_mcu::{Component, Identity, Instant, Node, Report, Run};
+use ztl_mcu::{Component, Identity, Instant, Node, Refused, Report, Run};
 
 /// A lamp that is switched at once, and goes out when the link is lost.
 struct Lamp {
@@ -31,15 +31,20 @@ impl Component for Lamp {
             },
             busy: Busy::Refuse,
             loss: Loss::Abort,
+            topics: "",
         }
     }
 
-    fn start(&mut self, _now: Instant, goal: &str) -> Result<(), &'static str> {
-        self.on = match goal {
-            "on" => true,
-            "off" => false,
-            _ => return Err("lamp takes on or off"),
-        };
+    fn check(&self, goal: &str, why: &mut Report<'_>) -> Result<(), Refused> {
+        if !["on", "off"].contains(&goal) {
+            why.text("lamp takes on or off");
+            return Err(Refused);
+        }
+        Ok(())
+    }
+
+    fn start(&mut self, _now: Instant, goal: &str, _: &mut Report<'_>) -> Result<(), Refused> {
+        self.on = goal == "on";
         // Firmware would set a pin here.
         println!("lamp {goal}");
         Ok(())
@@ -62,10 +67,8 @@ fn main() -> std::io::Result<()> {
     let listener = TcpListener::bind(address.as_deref().unwrap_or("127.0.0.1:7001"))?;
     println!("waiting for a gateway at tcp:{}", listener.local_addr()?);
 
-    let mut lamp = Lamp { on: false };
-    let mut components: [&mut dyn Component; 1] = [&mut lamp];
-    let boot = std::process::id();
-    let mut node = Node::<2, 128>::new(Identity::new("desk", "1.0.0", boot), &mut components);
+    let identity = Identity::new("desk", "1.0.0", std::process::id());
+    let mut node = Node::<_, 2, 128>::new(identity, [Lamp { on: false }]);
     let start = std::time::Instant::now();
     loop {
         let (mut stream, _) = listener.accept()?;

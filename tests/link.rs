@@ -36,6 +36,7 @@ fn frames() -> Vec<(&'static str, u32, u8, Body<'static>)> {
         },
         busy: Busy::Refuse,
         loss: Loss::Abort,
+        topics: "",
     };
     let hello = Hello {
         version: VERSION,

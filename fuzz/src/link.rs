@@ -2,7 +2,7 @@
 //! turned over.
 
 use ztl_core::link::{
-    ADDR_ONLY_NODE, Body, BodyError, Decoder, Frame, FrameError, NO_SESSION, encode, session_key,
+    ADDR_ONLY_NODE, Body, BodyError, Decoder, Frame, FrameError, NO_SESSION, encode, session_key, session_number,
 };
 
 /// The sessions of the example in `docs/link.md`, so that its frames are a corpus.
@@ -170,10 +170,10 @@ pub fn frame(bytes: &[u8]) {
 }
 
 /// A bit turned over inside a block is always noticed: it is one bit of what the check covers. One
-/// that moves a block's end alters more, and is overlooked once in 2^32. The session of ones is left
-/// out: it leaves the check's register at zero, so that a zero before the frame goes unnoticed.
+/// that moves a block's end alters more, and is overlooked once in 2^32. The number of ones is left
+/// out: it is no session (`docs/link.md` 1.5).
 fn flip(session: u32, wire: &[u8]) {
-    if session == u32::MAX {
+    if session != NO_SESSION && session != session_number(session) {
         return;
     }
     let step = if wire.len() <= EVERY_BIT { 1 } else { 13 };

@@ -9,7 +9,7 @@ use crate::Instant;
 use crate::lifecycle::{Event, State};
 
 /// A task as it is remembered. `X` is what the owner needs besides: a scope, a component.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub struct Task<X, T> {
     /// Where it is in its life.
     pub state: State,
@@ -208,7 +208,7 @@ impl<T: Tasks + ?Sized> TaskRules for T {}
 /// assert!(table.get(1).is_none(), "its end was given up");
 /// assert_eq!(table.get(2).unwrap().state, State::Accepted);
 /// ```
-#[derive(Debug)]
+#[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub struct TaskTable<I, X, const N: usize, const TEXT: usize> {
     entries: heapless::Vec<Entry<I, X, TEXT>, N>,
 }

@@ -66,6 +66,7 @@ struct Parts {
     ids: Vec<LinkId>,
     range: Option<(f32, f32)>,
     state: State,
+    busy: Busy,
     loss: Loss,
 }
 
@@ -89,13 +90,19 @@ fn parts() -> impl Strategy<Value = Parts> {
         vec(any::<u8>(), 0..300),
         vec(number().prop_map(LinkId), 0..20),
     );
+    let busy = prop_oneof![
+        Just(Busy::Refuse),
+        any::<u8>().prop_map(Busy::Queue),
+        Just(Busy::Replace),
+    ];
     let chosen = (
+        busy,
         prop::option::of((float(), float())),
         prop::sample::select(states),
         prop::sample::select(vec![Loss::Abort, Loss::Hold, Loss::CarryOn]),
     );
     (numbers, longer, chosen).prop_map(|((small, middle, numbers, long), longer, chosen)| {
-        let ((texts, bytes, ids), (range, state, loss)) = (longer, chosen);
+        let ((texts, bytes, ids), (busy, range, state, loss)) = (longer, chosen);
         Parts {
             small,
             middle,
@@ -106,6 +113,7 @@ fn parts() -> impl Strategy<Value = Parts> {
             ids,
             range,
             state,
+            busy,
             loss,
         }
     })
@@ -120,6 +128,7 @@ fn body(tag: u8, parts: &Parts) -> Body<'_> {
         texts,
         range,
         state,
+        busy,
         loss,
         bytes,
         ids,
@@ -169,8 +178,9 @@ fn body(tag: u8, parts: &Parts) -> Body<'_> {
             let offer = Offer {
                 name: a,
                 goal,
-                busy: Busy::Refuse,
+                busy: *busy,
                 loss: *loss,
+                topics: a,
             };
             Body::Component { index, offer }
         }
@@ -188,7 +198,10 @@ fn body(tag: u8, parts: &Parts) -> Body<'_> {
         },
         13 => Body::Progress { task, text: a },
         14 => Body::Publish { topic, bytes },
-        15 => Body::Log { bytes },
+        15 => Body::Log {
+            lost: numbers[4],
+            bytes,
+        },
         16 => Body::Awake {
             version,
             boot: numbers[0],

@@ -21,21 +21,44 @@ pub enum Run {
     Aborted,
 }
 
+/// The component does not take the goal; why stands in the report.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Refused;
+
+/// What [`Component::poll_reading`] wrote.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Reading {
+    /// Which of the topics in the component's offer, from 0.
+    pub topic: u8,
+    /// How many bytes of the buffer it takes.
+    pub len: usize,
+}
+
 /// Something that carries out one task at a time.
 ///
-/// The node calls, in this order: `start`; then `poll` again and again until it says other than
-/// [`Run::Running`]; `abort` and `make_safe` at any time. No call may block: each is made from the
-/// main loop, between two bytes of the link.
+/// The node calls `check` for each task that comes; `start` for one that may begin; then `poll`
+/// again and again until it says other than [`Run::Running`]; `abort`, `make_safe` and
+/// `poll_reading` at any time. No call may block: each is made from the main loop, between two bytes
+/// of the link.
 pub trait Component {
     /// What it is and which goals it takes; told to the gateway once a session. Must not change.
     fn offer(&self) -> Offer<'_>;
 
-    /// Begins a task. Called only while none runs.
+    /// Whether it takes this goal; moves nothing. Called for every task before it is accepted, also
+    /// for one that has to wait.
     ///
     /// # Errors
-    /// What is wrong with the goal and what would be right, for the person who wrote it; nothing
-    /// has moved then. The gateway adds the goal itself.
-    fn start(&mut self, now: Instant, goal: &str) -> Result<(), &'static str>;
+    /// [`Refused`], and in `why` what is wrong with the goal and what would be right, for the person
+    /// who wrote it. The gateway adds the goal itself.
+    fn check(&self, goal: &str, why: &mut Report<'_>) -> Result<(), Refused>;
+
+    /// Begins a task, whose goal was checked. Called only while none runs.
+    ///
+    /// # Errors
+    /// [`Refused`], and in `why` the reason; nothing has moved then.
+    fn start(&mut self, now: Instant, goal: &str, why: &mut Report<'_>) -> Result<(), Refused>;
 
     /// Moves the task on and reports. After anything but [`Run::Running`] the task is over.
     fn poll(&mut self, now: Instant, report: &mut Report<'_>) -> Run;
@@ -49,15 +72,149 @@ pub trait Component {
     /// another `poll`.
     fn make_safe(&mut self, now: Instant);
 
-    /// When `poll` is to be called next while a task runs. Default: after 10 ms.
+    /// When `poll` is to be called next while a task runs, and `poll_reading` if the offer names
+    /// topics. Default: after 10 ms.
     fn poll_timeout(&self, now: Instant) -> Instant {
         now + Duration::from_millis(10)
     }
+
+    /// The next reading to be published, if one is due and fits: writes it into `buffer`.
+    ///
+    /// Called when the line has room. The buffer may be shorter than a reading; then keep it, a
+    /// longer buffer comes later. Default: none.
+    fn poll_reading(&mut self, now: Instant, buffer: &mut [u8]) -> Option<Reading> {
+        let _ = (now, buffer);
+        None
+    }
 }
 
-/// Where a component writes its progress or result; of fixed length.
+impl<T: Component + ?Sized> Component for &mut T {
+    fn offer(&self) -> Offer<'_> {
+        T::offer(self)
+    }
+
+    fn check(&self, goal: &str, why: &mut Report<'_>) -> Result<(), Refused> {
+        T::check(self, goal, why)
+    }
+
+    fn start(&mut self, now: Instant, goal: &str, why: &mut Report<'_>) -> Result<(), Refused> {
+        T::start(self, now, goal, why)
+    }
+
+    fn poll(&mut self, now: Instant, report: &mut Report<'_>) -> Run {
+        T::poll(self, now, report)
+    }
+
+    fn abort(&mut self, now: Instant) {
+        T::abort(self, now);
+    }
+
+    fn make_safe(&mut self, now: Instant) {
+        T::make_safe(self, now);
+    }
+
+    fn poll_timeout(&self, now: Instant) -> Instant {
+        T::poll_timeout(self, now)
+    }
+
+    fn poll_reading(&mut self, now: Instant, buffer: &mut [u8]) -> Option<Reading> {
+        T::poll_reading(self, now, buffer)
+    }
+}
+
+/// All that a node moves: an array of components of one type, a tuple of up to six types, or a
+/// mutable reference to either or to a slice, as `&mut [&mut dyn Component]`.
 ///
-/// What does not fit is cut, and `…` marks the cut. It starts empty at each `poll`.
+/// Their order is their number on the link.
+pub trait Components {
+    /// How many; at most 255 can be used.
+    fn count(&self) -> usize;
+
+    /// The component of this number.
+    fn component(&self, index: usize) -> Option<&dyn Component>;
+
+    /// The component of this number, to be moved.
+    fn component_mut(&mut self, index: usize) -> Option<&mut dyn Component>;
+}
+
+impl<T: Component> Components for [T] {
+    fn count(&self) -> usize {
+        self.len()
+    }
+
+    fn component(&self, index: usize) -> Option<&dyn Component> {
+        self.get(index).map(|one| one as &dyn Component)
+    }
+
+    fn component_mut(&mut self, index: usize) -> Option<&mut dyn Component> {
+        self.get_mut(index).map(|one| one as &mut dyn Component)
+    }
+}
+
+impl<T: Component, const N: usize> Components for [T; N] {
+    fn count(&self) -> usize {
+        N
+    }
+
+    fn component(&self, index: usize) -> Option<&dyn Component> {
+        self.as_slice().component(index)
+    }
+
+    fn component_mut(&mut self, index: usize) -> Option<&mut dyn Component> {
+        self.as_mut_slice().component_mut(index)
+    }
+}
+
+impl<C: Components + ?Sized> Components for &mut C {
+    fn count(&self) -> usize {
+        C::count(self)
+    }
+
+    fn component(&self, index: usize) -> Option<&dyn Component> {
+        C::component(self, index)
+    }
+
+    fn component_mut(&mut self, index: usize) -> Option<&mut dyn Component> {
+        C::component_mut(self, index)
+    }
+}
+
+macro_rules! tuples {
+    ($($count:literal: $($name:ident $index:tt),+;)+) => {
+        $(impl<$($name: Component),+> Components for ($($name,)+) {
+            fn count(&self) -> usize {
+                $count
+            }
+
+            fn component(&self, index: usize) -> Option<&dyn Component> {
+                match index {
+                    $($index => Some(&self.$index),)+
+                    _ => None,
+                }
+            }
+
+            fn component_mut(&mut self, index: usize) -> Option<&mut dyn Component> {
+                match index {
+                    $($index => Some(&mut self.$index),)+
+                    _ => None,
+                }
+            }
+        })+
+    };
+}
+
+tuples! {
+    1: A 0;
+    2: A 0, B 1;
+    3: A 0, B 1, C 2;
+    4: A 0, B 1, C 2, D 3;
+    5: A 0, B 1, C 2, D 3, E 4;
+    6: A 0, B 1, C 2, D 3, E 4, F 5;
+}
+
+/// Where a component writes its progress, result, or reason to refuse; of fixed length.
+///
+/// What does not fit is cut, and `…` marks the cut. It starts empty at each call.
 #[derive(Debug)]
 pub struct Report<'a> {
     text: &'a mut StringView,
@@ -98,6 +255,68 @@ impl<'a> Report<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use ztl_core::link::{Busy, GoalShape, Loss};
+
+    /// Its name is all there is.
+    struct Named(&'static str);
+
+    impl Component for Named {
+        fn offer(&self) -> Offer<'_> {
+            let goal = GoalShape {
+                range: None,
+                unit: "",
+                words: "",
+            };
+            Offer {
+                name: self.0,
+                goal,
+                busy: Busy::Refuse,
+                loss: Loss::Abort,
+                topics: "",
+            }
+        }
+
+        fn check(&self, _: &str, _: &mut Report<'_>) -> Result<(), Refused> {
+            Err(Refused)
+        }
+
+        fn start(&mut self, _: Instant, _: &str, _: &mut Report<'_>) -> Result<(), Refused> {
+            Err(Refused)
+        }
+
+        fn poll(&mut self, _: Instant, _: &mut Report<'_>) -> Run {
+            Run::Failed
+        }
+
+        fn abort(&mut self, _: Instant) {}
+
+        fn make_safe(&mut self, _: Instant) {}
+    }
+
+    fn names(mut components: impl Components) -> std::vec::Vec<std::string::String> {
+        assert!(components.component(components.count()).is_none());
+        assert!(components.component_mut(components.count()).is_none());
+        let mut names = std::vec::Vec::new();
+        for index in 0..components.count() {
+            let name = components.component(index).unwrap().offer().name.into();
+            names.push(name);
+            let again = components.component_mut(index).unwrap();
+            assert_eq!(names[index], again.offer().name);
+        }
+        names
+    }
+
+    #[test]
+    fn arrays_tuples_and_references_are_components_in_their_order() {
+        assert_eq!(names([Named("a"), Named("b")]), ["a", "b"]);
+        assert_eq!(names((Named("a"),)), ["a"]);
+        let (mut one, mut other) = (Named("b"), Named("c"));
+        assert_eq!(names((Named("a"), &mut one, &mut other)), ["a", "b", "c"]);
+        let mut list: [&mut dyn Component; 2] = [&mut one, &mut other];
+        assert_eq!(names(&mut list), ["b", "c"]);
+        let slice: &mut [&mut dyn Component] = &mut list;
+        assert_eq!(names(slice), ["b", "c"]);
+    }
 
     #[test]
     fn a_report_that_does_not_fit_is_cut_and_marked() {

@@ -4,7 +4,7 @@
 //! arrive and send those it returns. The gateway (`ztl gateway`) does the rest.
 //!
 //! ```
-//! use ztl_mcu::{Component, Identity, Node, Report, Run};
+//! use ztl_mcu::{Component, Identity, Node, Refused, Report, Run};
 //! use ztl_mcu::link::{Busy, GoalShape, Loss, Offer};
 //! use ztl_mcu::Instant;
 //!
@@ -14,14 +14,17 @@
 //! impl Component for Lamp {
 //!     fn offer(&self) -> Offer<'_> {
 //!         let goal = GoalShape { range: None, unit: "", words: "on off" };
-//!         Offer { name: "lamp", goal, busy: Busy::Refuse, loss: Loss::Abort }
+//!         Offer { name: "lamp", goal, busy: Busy::Refuse, loss: Loss::Abort, topics: "" }
 //!     }
-//!     fn start(&mut self, _now: Instant, goal: &str) -> Result<(), &'static str> {
-//!         self.on = match goal {
-//!             "on" => true,
-//!             "off" => false,
-//!             _ => return Err("lamp takes on or off"),
-//!         };
+//!     fn check(&self, goal: &str, why: &mut Report<'_>) -> Result<(), Refused> {
+//!         if !["on", "off"].contains(&goal) {
+//!             why.text("lamp takes on or off");
+//!             return Err(Refused);
+//!         }
+//!         Ok(())
+//!     }
+//!     fn start(&mut self, _now: Instant, goal: &str, _: &mut Report<'_>) -> Result<(), Refused> {
+//!         self.on = goal == "on";
 //!         Ok(())
 //!     }
 //!     fn poll(&mut self, _now: Instant, report: &mut Report<'_>) -> Run {
@@ -34,10 +37,9 @@
 //!     }
 //! }
 //!
-//! let mut lamp = Lamp { on: false };
-//! let mut components: [&mut dyn Component; 1] = [&mut lamp];
 //! // At most 2 tasks, frames of at most 128 bytes.
-//! let mut node = Node::<2, 128>::new(Identity::new("desk", "1.0.0", 4711), &mut components);
+//! let identity = Identity::new("desk", "1.0.0", 4711);
+//! let mut node = Node::<_, 2, 128>::new(identity, [Lamp { on: false }]);
 //!
 //! // The main loop: bytes in, time passes, bytes out.
 //! let now = Instant::from_millis(0);
@@ -56,6 +58,6 @@ mod component;
 mod node;
 pub mod pump;
 
-pub use component::{Component, Report, Run};
+pub use component::{Component, Components, Reading, Refused, Report, Run};
 pub use node::{Counters, Identity, Node};
 pub use ztl_core::{Instant, link};

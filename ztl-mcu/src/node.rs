@@ -1,20 +1,23 @@
 //! The device end of the link.
 
+use core::hash::{Hash, Hasher};
 use core::time::Duration;
 
 use heapless::Vec;
 use ztl_core::link::{
-    ADDR_ONLY_NODE, Body, Decoder, Frame, FrameError, Hello, Ids, LINK_TIMEOUT, LinkId, Loss,
-    NO_SEQ, NO_SESSION, VERSION, Welcome, encode, next_seq, session_key,
+    ADDR_ONLY_NODE, Body, Decoder, Frame, Hello, Ids, LINK_TIMEOUT, LinkId, Loss, NO_SEQ,
+    NO_SESSION, VERSION, Welcome, encode, next_seq, session_key, session_number,
 };
 use ztl_core::tasks::{NoRoom, Task, TaskRules, TaskTable, Tasks};
 use ztl_core::time::earliest;
 use ztl_core::{Event, Instant};
 
-use crate::component::{Component, Report, Run};
+use crate::component::{Components, Refused, Report, Run};
 
 /// Longest progress, result or reason of a task in bytes.
 pub(crate) const TEXT: usize = 48;
+/// Longest reason to refuse a command.
+const REASON: usize = 96;
 
 /// How often an end is told again until it is acknowledged.
 const ENDED_AGAIN: Duration = Duration::from_millis(100);
@@ -24,7 +27,7 @@ const PROGRESS_AGAIN: Duration = Duration::from_millis(50);
 const AWAKE_AGAIN: Duration = Duration::from_millis(250);
 
 /// Who a node is.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Identity<'a> {
     /// What the device is called.
@@ -51,7 +54,7 @@ impl<'a> Identity<'a> {
 }
 
 /// What a node has seen on its line since boot; the counts wrap.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
 #[non_exhaustive]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Counters {
@@ -66,7 +69,7 @@ pub struct Counters {
 }
 
 /// What a node knows of a task besides its state and text.
-#[derive(Debug)]
+#[derive(Debug, Clone, PartialEq, Eq, Hash)]
 struct Job {
     component: u8,
     /// When the end or the progress is told next.
@@ -88,18 +91,20 @@ fn end(task: &mut Slot, now: Instant, event: Event, reason: Option<&str>) {
 }
 
 /// The answer to the last command, kept to be repeated.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 enum Answer {
     Welcome,
     Component(u8),
     Started(LinkId),
     Refused(&'static str),
+    /// For the reason that the component gave.
+    NotTaken,
     Aborting(LinkId),
     Pong,
 }
 
-/// The device end of the link, without I/O: it holds at most `TASKS` tasks and frames of at most
-/// `FRAME` bytes (128 and more; a goal may be some 24 bytes shorter).
+/// The device end of the link, without I/O: it moves the components `C`, holds at most `TASKS` tasks
+/// and frames of at most `FRAME` bytes (128 and more; a goal may be some 24 bytes shorter).
 ///
 /// *Inputs*: [`handle_bytes`](Self::handle_bytes) as bytes arrive,
 /// [`handle_timeout`](Self::handle_timeout) in every turn of the main loop. *Outputs*:
@@ -107,15 +112,35 @@ enum Answer {
 /// wake-up*: [`poll_timeout`](Self::poll_timeout). *Commands*:
 /// [`stop_everything`](Self::stop_everything), [`clear_stop`](Self::clear_stop). The work of a call
 /// is bounded by the number of bytes given and of tasks held.
-pub struct Node<'a, const TASKS: usize, const FRAME: usize> {
+///
+/// Two nodes are equal when they will do the same from now on; what they have counted does not matter.
+#[derive(Debug, Clone)]
+pub struct Node<'a, C, const TASKS: usize, const FRAME: usize> {
     decoder: Decoder<FRAME>,
     /// Apart from the decoder, whose buffer a frame borrows while it is acted on.
-    state: Inner<'a, TASKS, FRAME>,
+    state: Inner<'a, C, TASKS, FRAME>,
+    counters: Counters,
 }
 
-struct Inner<'a, const TASKS: usize, const FRAME: usize> {
+impl<C: PartialEq, const TASKS: usize, const FRAME: usize> PartialEq for Node<'_, C, TASKS, FRAME> {
+    fn eq(&self, other: &Self) -> bool {
+        self.decoder == other.decoder && self.state == other.state
+    }
+}
+
+impl<C: Eq, const TASKS: usize, const FRAME: usize> Eq for Node<'_, C, TASKS, FRAME> {}
+
+impl<C: Hash, const TASKS: usize, const FRAME: usize> Hash for Node<'_, C, TASKS, FRAME> {
+    fn hash<H: Hasher>(&self, hasher: &mut H) {
+        self.decoder.hash(hasher);
+        self.state.hash(hasher);
+    }
+}
+
+#[derive(Debug, Clone, PartialEq, Eq, Hash)]
+struct Inner<'a, C, const TASKS: usize, const FRAME: usize> {
     identity: Identity<'a>,
-    components: &'a mut [&'a mut dyn Component],
+    components: C,
     /// The session that runs, [`NO_SESSION`] after a reset.
     session: u32,
     /// The number of the `Hello` that opened it.
@@ -126,6 +151,8 @@ struct Inner<'a, const TASKS: usize, const FRAME: usize> {
     /// `seq` of the last command executed.
     seq: u8,
     answer: Option<Answer>,
+    /// What the component said when it did not take the last goal.
+    reason: heapless::String<REASON>,
     answer_due: bool,
     /// A `Hello` to be refused: its session, and why.
     refusal: Option<(u32, &'static str)>,
@@ -138,15 +165,74 @@ struct Inner<'a, const TASKS: usize, const FRAME: usize> {
     tasks: TaskTable<LinkId, Job, TASKS, TEXT>,
     highest: LinkId,
     awake_due: Instant,
-    transmit: [u8; FRAME],
-    transmit_len: usize,
-    transmitted: usize,
-    counters: Counters,
+    transmit: Transmit<FRAME>,
 }
 
-impl<'a, const TASKS: usize, const FRAME: usize> Node<'a, TASKS, FRAME> {
+/// The frame on its way out.
+#[derive(Debug, Clone)]
+struct Transmit<const FRAME: usize> {
+    buffer: [u8; FRAME],
+    len: usize,
+    sent: usize,
+}
+
+impl<const FRAME: usize> Transmit<FRAME> {
+    const fn new() -> Self {
+        Self {
+            buffer: [0; FRAME],
+            len: 0,
+            sent: 0,
+        }
+    }
+
+    /// What is still to be sent.
+    fn pending(&self) -> &[u8] {
+        self.buffer.get(self.sent..self.len).unwrap_or_default()
+    }
+
+    /// A body that does not fit is not sent; firmware learns of it from its gateway, which then
+    /// gets no answer. Names and reasons are constants, so it shows on the first try.
+    fn frame(&mut self, session: u32, seq: u8, body: Body<'_>) {
+        self.frame_after(0, session, seq, body);
+    }
+
+    /// The same with this many delimiters before it.
+    fn frame_after(&mut self, delimiters: usize, session: u32, seq: u8, body: Body<'_>) {
+        let frame = Frame {
+            addr: ADDR_ONLY_NODE,
+            seq,
+            body,
+        };
+        self.sent = 0;
+        self.len = 0;
+        let Some((before, rest)) = self.buffer.split_at_mut_checked(delimiters) else {
+            return;
+        };
+        if let Ok(len) = encode(session, &frame, rest) {
+            before.fill(0);
+            self.len = delimiters + len;
+        }
+    }
+}
+
+/// Equal when the same is still to be sent.
+impl<const FRAME: usize> PartialEq for Transmit<FRAME> {
+    fn eq(&self, other: &Self) -> bool {
+        self.pending() == other.pending()
+    }
+}
+
+impl<const FRAME: usize> Eq for Transmit<FRAME> {}
+
+impl<const FRAME: usize> Hash for Transmit<FRAME> {
+    fn hash<H: Hasher>(&self, hasher: &mut H) {
+        self.pending().hash(hasher);
+    }
+}
+
+impl<'a, C: Components, const TASKS: usize, const FRAME: usize> Node<'a, C, TASKS, FRAME> {
     /// A node after its reset. `components` are at most 255.
-    pub fn new(identity: Identity<'a>, components: &'a mut [&'a mut dyn Component]) -> Self {
+    pub const fn new(identity: Identity<'a>, components: C) -> Self {
         const { assert!(FRAME >= 128 && TASKS >= 1 && TASKS <= 255) };
         let state = Inner {
             identity,
@@ -157,6 +243,7 @@ impl<'a, const TASKS: usize, const FRAME: usize> Node<'a, TASKS, FRAME> {
             gateway: 0,
             seq: NO_SEQ,
             answer: None,
+            reason: heapless::String::new(),
             answer_due: false,
             refusal: None,
             heard: Instant::ZERO,
@@ -165,14 +252,17 @@ impl<'a, const TASKS: usize, const FRAME: usize> Node<'a, TASKS, FRAME> {
             tasks: TaskTable::new(),
             highest: LinkId(0),
             awake_due: Instant::ZERO,
-            transmit: [0; FRAME],
-            transmit_len: 0,
-            transmitted: 0,
-            counters: Counters::default(),
+            transmit: Transmit::new(),
         };
         Self {
             decoder: Decoder::new(),
             state,
+            counters: Counters {
+                frames: 0,
+                errors: 0,
+                repeats: 0,
+                out_of_sequence: 0,
+            },
         }
     }
 
@@ -184,7 +274,14 @@ impl<'a, const TASKS: usize, const FRAME: usize> Node<'a, TASKS, FRAME> {
                 Ok(true) => self.decoder.frame(&[self.state.session, NO_SESSION]),
                 Err(error) => Err(error),
             };
-            self.state.on_frame(now, frame);
+            match frame {
+                Ok((place, frame)) => {
+                    self.counters.frames = self.counters.frames.wrapping_add(1);
+                    self.state.on_frame(now, place, frame, &mut self.counters);
+                }
+                Err(_) => self.counters.errors = self.counters.errors.wrapping_add(1),
+            }
+            self.decoder.reset();
         }
     }
 
@@ -218,11 +315,11 @@ impl<'a, const TASKS: usize, const FRAME: usize> Node<'a, TASKS, FRAME> {
     /// What the line has brought.
     #[must_use]
     pub const fn counters(&self) -> Counters {
-        self.state.counters
+        self.counters
     }
 }
 
-impl<const TASKS: usize, const FRAME: usize> Inner<'_, TASKS, FRAME> {
+impl<C: Components, const TASKS: usize, const FRAME: usize> Inner<'_, C, TASKS, FRAME> {
     fn handle_timeout(&mut self, now: Instant) {
         if let Some(commanded) = self.commanded
             && now >= commanded + self.identity.link_timeout
@@ -232,7 +329,7 @@ impl<const TASKS: usize, const FRAME: usize> Inner<'_, TASKS, FRAME> {
         }
         for (_, task) in self.tasks.iter_mut().filter(|(_, task)| runs(task)) {
             let place = usize::from(task.extra.component);
-            let Some(component) = self.components.get_mut(place) else {
+            let Some(component) = self.components.component_mut(place) else {
                 continue;
             };
             let before = task.text.clone();
@@ -248,24 +345,20 @@ impl<const TASKS: usize, const FRAME: usize> Inner<'_, TASKS, FRAME> {
     }
 
     fn poll_transmit(&mut self, now: Instant, buffer: &mut [u8]) -> usize {
-        if self.transmitted == self.transmit_len {
-            self.transmitted = 0;
-            self.transmit_len = self.next_frame(now).unwrap_or(0);
+        if self.transmit.pending().is_empty() {
+            self.next_frame(now);
         }
-        let pending = self
-            .transmit
-            .get(self.transmitted..self.transmit_len)
-            .unwrap_or_default();
+        let pending = self.transmit.pending();
         let count = pending.len().min(buffer.len());
         for (to, from) in buffer.iter_mut().zip(pending) {
             *to = *from;
         }
-        self.transmitted += count;
+        self.transmit.sent += count;
         count
     }
 
     fn poll_timeout(&self, now: Instant) -> Instant {
-        if self.answer_due || self.refusal.is_some() || self.transmitted < self.transmit_len {
+        if self.answer_due || self.refusal.is_some() || !self.transmit.pending().is_empty() {
             return now;
         }
         let mut wake = self.commanded.map(|at| at + self.identity.link_timeout);
@@ -275,7 +368,7 @@ impl<const TASKS: usize, const FRAME: usize> Inner<'_, TASKS, FRAME> {
         for (_, task) in self.tasks.iter() {
             let job = &task.extra;
             if runs(task) {
-                let component = self.components.get(usize::from(job.component));
+                let component = self.components.component(usize::from(job.component));
                 wake = earliest(wake, component.map(|c| c.poll_timeout(now)));
             }
             if self.session != NO_SESSION && (job.news || !runs(task)) {
@@ -288,8 +381,10 @@ impl<const TASKS: usize, const FRAME: usize> Inner<'_, TASKS, FRAME> {
 
     fn stop_everything(&mut self, now: Instant) {
         self.stopped = true;
-        for component in self.components.iter_mut() {
-            component.make_safe(now);
+        for place in 0..self.components.count() {
+            if let Some(component) = self.components.component_mut(place) {
+                component.make_safe(now);
+            }
         }
         for (_, task) in self.tasks.iter_mut().filter(|(_, task)| runs(task)) {
             end(task, now, Event::Abort, Some("emergency stop"));
@@ -301,12 +396,7 @@ impl<const TASKS: usize, const FRAME: usize> Inner<'_, TASKS, FRAME> {
     }
 
     /// `frame` was checked against the session that runs, then against no session.
-    fn on_frame(&mut self, now: Instant, frame: Result<(usize, Frame<'_>), FrameError>) {
-        let Ok((place, frame)) = frame else {
-            self.counters.errors = self.counters.errors.wrapping_add(1);
-            return;
-        };
-        self.counters.frames = self.counters.frames.wrapping_add(1);
+    fn on_frame(&mut self, now: Instant, place: usize, frame: Frame<'_>, counters: &mut Counters) {
         let in_session = place == 0 && self.session != NO_SESSION;
         if frame.addr != ADDR_ONLY_NODE {
             return;
@@ -317,13 +407,13 @@ impl<const TASKS: usize, const FRAME: usize> Inner<'_, TASKS, FRAME> {
                 // Known or not; a task that still runs is not let go.
                 self.tasks.acknowledge(task);
             }
-            (true, seq, body) if seq != NO_SEQ => self.on_command(now, seq, body),
+            (true, seq, body) if seq != NO_SEQ => self.on_command(now, seq, body, counters),
             _ => {}
         }
     }
 
     fn on_hello(&mut self, now: Instant, hello: Hello) {
-        if hello.session == NO_SESSION {
+        if hello.session != session_number(hello.session) {
             return;
         }
         if hello.version != VERSION {
@@ -354,18 +444,18 @@ impl<const TASKS: usize, const FRAME: usize> Inner<'_, TASKS, FRAME> {
         }
     }
 
-    fn on_command(&mut self, now: Instant, seq: u8, body: Body<'_>) {
+    fn on_command(&mut self, now: Instant, seq: u8, body: Body<'_>, counters: &mut Counters) {
         if seq == self.seq {
-            self.counters.repeats = self.counters.repeats.wrapping_add(1);
+            counters.repeats = counters.repeats.wrapping_add(1);
             self.answer_due = self.answer.is_some();
             return;
         }
         if seq != next_seq(self.seq) {
-            self.counters.out_of_sequence = self.counters.out_of_sequence.wrapping_add(1);
+            counters.out_of_sequence = counters.out_of_sequence.wrapping_add(1);
             return;
         }
         let answer = match body {
-            Body::Describe { index } if usize::from(index) < self.components.len() => {
+            Body::Describe { index } if usize::from(index) < self.components.count() => {
                 Answer::Component(index)
             }
             Body::Describe { .. } => Answer::Refused("no such component"),
@@ -376,7 +466,7 @@ impl<const TASKS: usize, const FRAME: usize> Inner<'_, TASKS, FRAME> {
                 before_ms,
             } => match self.start(now, task, component, goal, before_ms) {
                 Ok(()) => Answer::Started(task),
-                Err(reason) => Answer::Refused(reason),
+                Err(answer) => answer,
             },
             Body::Abort { task } => self.abort(now, task),
             Body::Ping => Answer::Pong,
@@ -397,24 +487,28 @@ impl<const TASKS: usize, const FRAME: usize> Inner<'_, TASKS, FRAME> {
         component: u8,
         goal: &str,
         before_ms: u64,
-    ) -> Result<(), &'static str> {
+    ) -> Result<(), Answer> {
+        let refused = |reason| Err(Answer::Refused(reason));
         if Self::clock_ms(now) > before_ms {
-            return Err("the command came too late");
+            return refused("the command came too late");
         }
         if task <= self.highest {
-            return Err("a task of this or a later id was started already");
+            return refused("a task of this or a later id was started already");
         }
         if self.stopped {
-            return Err("emergency stop");
+            return refused("emergency stop");
         }
-        let part = self
-            .components
-            .get_mut(usize::from(component))
-            .ok_or("no such component")?;
+        let place = usize::from(component);
+        let Some(part) = self.components.component_mut(place) else {
+            return refused("no such component");
+        };
         let busy = |task: &Slot| runs(task) && task.extra.component == component;
         if self.tasks.iter().any(|(_, task)| busy(task)) {
-            return Err("busy with another task");
+            return refused("busy with another task");
         }
+        let mut why = Report::new(&mut self.reason);
+        part.check(goal, &mut why)
+            .map_err(|Refused| Answer::NotTaken)?;
         let job = || {
             let mut job = Task::new(Job {
                 component,
@@ -425,13 +519,15 @@ impl<const TASKS: usize, const FRAME: usize> Inner<'_, TASKS, FRAME> {
             job.unacknowledged = true;
             job
         };
-        self.tasks.admit(task, job).map_err(|full| match full {
-            NoRoom::Running => "too many tasks are running",
-            NoRoom::Unacknowledged => "ends not yet acknowledged",
-        })?;
-        if let Err(reason) = part.start(now, goal) {
+        if let Err(full) = self.tasks.admit(task, job) {
+            return refused(match full {
+                NoRoom::Running => "too many tasks are running",
+                NoRoom::Unacknowledged => "ends not yet acknowledged",
+            });
+        }
+        if part.start(now, goal, &mut Report::new(&mut self.reason)) == Err(Refused) {
             self.tasks.remove(task);
-            return Err(reason);
+            return Err(Answer::NotTaken);
         }
         self.tasks.apply(now, task, Event::Accept, None);
         self.highest = task;
@@ -445,7 +541,7 @@ impl<const TASKS: usize, const FRAME: usize> Inner<'_, TASKS, FRAME> {
         if runs(task) && !task.extra.aborting {
             task.extra.aborting = true;
             let place = usize::from(task.extra.component);
-            if let Some(component) = self.components.get_mut(place) {
+            if let Some(component) = self.components.component_mut(place) {
                 component.abort(now);
             }
         }
@@ -455,7 +551,7 @@ impl<const TASKS: usize, const FRAME: usize> Inner<'_, TASKS, FRAME> {
     fn on_link_lost(&mut self, now: Instant) {
         for (_, task) in self.tasks.iter_mut().filter(|(_, task)| runs(task)) {
             let place = usize::from(task.extra.component);
-            let Some(component) = self.components.get_mut(place) else {
+            let Some(component) = self.components.component_mut(place) else {
                 continue;
             };
             if component.offer().loss == Loss::CarryOn {
@@ -467,28 +563,30 @@ impl<const TASKS: usize, const FRAME: usize> Inner<'_, TASKS, FRAME> {
     }
 
     /// Encodes what is most urgent into the transmit buffer.
-    fn next_frame(&mut self, now: Instant) -> Option<usize> {
+    fn next_frame(&mut self, now: Instant) {
         if let Some((session, reason)) = self.refusal.take() {
-            return self.encode(session, NO_SEQ, Body::Refused { reason });
+            let body = Body::Refused { reason };
+            return self.transmit.frame(session, NO_SEQ, body);
         }
         if self.session == NO_SESSION {
-            if now < self.awake_due {
-                return None;
+            if now >= self.awake_due {
+                self.awake_due = now + AWAKE_AGAIN;
+                let body = Body::Awake {
+                    version: VERSION,
+                    boot: self.identity.boot,
+                };
+                // A delimiter first: it flushes what the line made of the reset.
+                self.transmit.frame_after(1, NO_SESSION, NO_SEQ, body);
             }
-            self.awake_due = now + AWAKE_AGAIN;
-            let boot = self.identity.boot;
-            let version = VERSION;
-            // A delimiter first: it flushes what the line made of the reset.
-            let (delimiter, rest) = self.transmit.split_first_mut()?;
-            *delimiter = 0;
-            let body = Body::Awake { version, boot };
-            return encode_into(rest, NO_SESSION, NO_SEQ, body).map(|len| len + 1);
+            return;
         }
         if core::mem::take(&mut self.answer_due) {
             return self.encode_answer(now);
         }
         let due = |task: &Slot| (task.extra.news || !runs(task)) && now >= task.extra.due;
-        let (task, slot) = self.tasks.iter_mut().find(|(_, task)| due(task))?;
+        let Some((task, slot)) = self.tasks.iter_mut().find(|(_, task)| due(task)) else {
+            return;
+        };
         let task = *task;
         slot.extra.news = false;
         let again = if runs(slot) {
@@ -507,19 +605,19 @@ impl<const TASKS: usize, const FRAME: usize> Inner<'_, TASKS, FRAME> {
                 result,
             }
         };
-        encode_into(&mut self.transmit, self.session, NO_SEQ, body)
+        self.transmit.frame(self.session, NO_SEQ, body);
     }
 
-    fn encode_answer(&mut self, now: Instant) -> Option<usize> {
+    fn encode_answer(&mut self, now: Instant) {
         let seq = self.seq;
         let held = u8::try_from(self.tasks.len()).unwrap_or(u8::MAX);
         let clock_ms = Self::clock_ms(now);
-        let answer = self.answer?;
+        let Some(answer) = self.answer else { return };
         let session = match answer {
             Answer::Welcome => self.hello,
             _ => self.session,
         };
-        let mut frame = |body| encode_into(&mut self.transmit, session, seq, body);
+        let mut frame = |body| self.transmit.frame(session, seq, body);
         match answer {
             Answer::Welcome => {
                 // Pushed, since `collect` panics where the compiler cannot see that all fit.
@@ -536,39 +634,28 @@ impl<const TASKS: usize, const FRAME: usize> Inner<'_, TASKS, FRAME> {
                     clock_ms,
                     capacity: u8::try_from(TASKS).unwrap_or(u8::MAX),
                     max_body: u16::try_from(FRAME - 6).unwrap_or(u16::MAX),
-                    components: u8::try_from(self.components.len()).unwrap_or(u8::MAX),
+                    components: u8::try_from(self.components.count()).unwrap_or(u8::MAX),
                     link_timeout_ms: u32::try_from(self.identity.link_timeout.as_millis())
                         .unwrap_or(u32::MAX),
                     highest: self.highest.0,
                     held: Ids::new(&ids),
-                }))
+                }));
             }
             Answer::Component(index) => {
-                let component = self.components.get(usize::from(index))?;
-                let offer = component.offer();
-                frame(Body::Component { index, offer })
+                if let Some(component) = self.components.component(usize::from(index)) {
+                    let offer = component.offer();
+                    frame(Body::Component { index, offer });
+                }
             }
             Answer::Started(task) => frame(Body::Started { task }),
             Answer::Refused(reason) => frame(Body::Refused { reason }),
+            Answer::NotTaken => frame(Body::Refused {
+                reason: &self.reason,
+            }),
             Answer::Aborting(task) => frame(Body::Aborting { task }),
             Answer::Pong => frame(Body::Pong { clock_ms, held }),
         }
     }
-
-    fn encode(&mut self, session: u32, seq: u8, body: Body<'_>) -> Option<usize> {
-        encode_into(&mut self.transmit, session, seq, body)
-    }
-}
-
-/// A body that does not fit the frame is not sent; firmware learns of it from its gateway, which
-/// then gets no answer. Names and reasons are constants, so it shows on the first try.
-fn encode_into(buffer: &mut [u8], session: u32, seq: u8, body: Body<'_>) -> Option<usize> {
-    let frame = Frame {
-        addr: ADDR_ONLY_NODE,
-        seq,
-        body,
-    };
-    encode(session, &frame, buffer).ok()
 }
 
 #[cfg(test)]

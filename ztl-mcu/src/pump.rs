@@ -3,7 +3,7 @@
 use embedded_io::{Read, ReadReady, Write};
 use ztl_core::Instant;
 
-use crate::Node;
+use crate::{Components, Node};
 
 /// One turn of a main loop: takes the bytes that are there, lets the components move on, sends
 /// what is to be sent. Returns when the next turn is due even if no byte arrives.
@@ -12,13 +12,14 @@ use crate::Node;
 ///
 /// # Errors
 /// Those of the stream. The node is unharmed; bytes not sent are lost, as on a bad line.
-pub fn turn<S, const TASKS: usize, const FRAME: usize>(
-    node: &mut Node<'_, TASKS, FRAME>,
+pub fn turn<S, C, const TASKS: usize, const FRAME: usize>(
+    node: &mut Node<'_, C, TASKS, FRAME>,
     stream: &mut S,
     now: Instant,
 ) -> Result<Instant, S::Error>
 where
     S: Read + ReadReady + Write,
+    C: Components,
 {
     let mut buffer = [0; 32];
     while stream.read_ready()? {

@@ -12,7 +12,7 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 use ztl_mcu::link::{Busy, GoalShape, Loss, Offer};
-use ztl_mcu::{Component, Identity, Instant, Node, Report, Run};
+use ztl_mcu::{Component, Identity, Instant, Node, Refused, Report, Run};
 
 use crate::clock::now;
 use crate::gateway::{EndpointError, Line, is_pause};
@@ -140,6 +140,13 @@ impl Axis {
         self.target = target;
     }
 
+    fn target_of(&self, goal: &str) -> Option<f32> {
+        let word = self.kind.places.iter().find(|(word, _)| *word == goal);
+        word.map(|(_, place)| *place)
+            .or_else(|| goal.trim().parse().ok())
+            .filter(|target| (self.kind.range.0..=self.kind.range.1).contains(target))
+    }
+
     fn stop(&mut self, now: Instant) {
         self.move_to(now, self.position(now));
         self.stopped = true;
@@ -157,16 +164,19 @@ impl Component for Axis {
             },
             busy: Busy::Refuse,
             loss: Loss::Abort,
+            topics: "",
         }
     }
 
-    fn start(&mut self, now: Instant, goal: &str) -> Result<(), &'static str> {
-        let word = self.kind.places.iter().find(|(word, _)| *word == goal);
-        let target = word
-            .map(|(_, place)| *place)
-            .or_else(|| goal.trim().parse().ok())
-            .filter(|target| (self.kind.range.0..=self.kind.range.1).contains(target))
-            .ok_or(self.kind.takes)?;
+    fn check(&self, goal: &str, why: &mut Report<'_>) -> Result<(), Refused> {
+        self.target_of(goal).map(drop).ok_or_else(|| {
+            why.text(self.kind.takes);
+            Refused
+        })
+    }
+
+    fn start(&mut self, now: Instant, goal: &str, _: &mut Report<'_>) -> Result<(), Refused> {
+        let target = self.target_of(goal).ok_or(Refused)?;
         self.stopped = false;
         self.move_to(now, target);
         Ok(())
@@ -315,10 +325,8 @@ pub(crate) fn line(kind: Kind) -> io::Result<Line> {
 
 /// The firmware's main loop.
 fn run_node(kind: Kind, inbox: &Receiver<Input>) {
-    let mut axis = kind.axis();
-    let mut components: [&mut dyn Component; 1] = [&mut axis];
     let identity = Identity::new(kind.name(), env!("CARGO_PKG_VERSION"), random::nonzero());
-    let mut node = Node::<4, 256>::new(identity, &mut components);
+    let mut node = Node::<_, 4, 256>::new(identity, [kind.axis()]);
     let mut line: Option<Box<dyn Write + Send>> = None;
     let mut buffer = [0; 256];
     loop {

@@ -30,7 +30,7 @@ use ztl_core::tasks::{Task, TaskRules, TaskTable, Tasks};
 use ztl_core::time::earliest;
 use ztl_core::{Instant, State, TaskId, base64, goal};
 use ztl_mcu::link::{Busy, GoalShape, Loss, Offer};
-use ztl_mcu::{Component, Identity, Node, Report, Run, pump};
+use ztl_mcu::{Component, Components, Identity, Node, Reading, Refused, Report, Run, pump};
 use ztl_proof::{FIRST, now, receive, send};
 
 #[cfg(not(feature = "explain"))]
@@ -55,13 +55,12 @@ fn on_panic(info: &PanicInfo<'_>) -> ! {
 #[unsafe(no_mangle)]
 extern "C" fn main() -> ! {
     let identity = || Identity::new(black_box("node"), black_box("1"), any());
-    let mut parts = [Part, Part, Part];
-    let [one, two, three] = &mut parts;
+    let mut parts = [Part, Part];
+    let [one, two] = &mut parts;
     let mut components: [&mut dyn Component; 2] = [one, two];
-    let mut node = Node::<4, 128>::new(identity(), &mut components);
-    let mut single: [&mut dyn Component; 1] = [three];
+    let mut node = Node::<_, 4, 128>::new(identity(), components.as_mut_slice());
     // Frames longer than a COBS block.
-    let mut long_framed = Node::<1, 600>::new(identity(), &mut single);
+    let mut long_framed = Node::<_, 1, 600>::new(identity(), (Part, Part));
     let mut decoder = Decoder::<600>::new();
     let mut table = TaskTable::new();
     let config = Config::new(id(), any());
@@ -357,8 +356,8 @@ fn run_client(client: &mut Client, input: &[u8], text: &str) {
     ));
 }
 
-fn run_node<const TASKS: usize, const FRAME: usize>(
-    node: &mut Node<'_, TASKS, FRAME>,
+fn run_node<C: Components, const TASKS: usize, const FRAME: usize>(
+    node: &mut Node<'_, C, TASKS, FRAME>,
     input: &[u8],
 ) {
     node.handle_bytes(now(), input);
@@ -419,16 +418,19 @@ impl Component for Part {
                 unit: black_box("unit"),
                 words: black_box("words"),
             },
-            busy: Busy::Refuse,
+            busy: black_box(Busy::Queue(1)),
             loss: black_box(Loss::CarryOn),
+            topics: black_box("one two"),
         }
     }
 
-    fn start(&mut self, _now: Instant, goal: &str) -> Result<(), &'static str> {
-        match black_box(goal).len() {
-            0 => Err(black_box("refused")),
-            _ => Ok(()),
-        }
+    fn check(&self, goal: &str, why: &mut Report<'_>) -> Result<(), Refused> {
+        why.text(black_box(goal));
+        black_box(Err(Refused))
+    }
+
+    fn start(&mut self, _now: Instant, goal: &str, why: &mut Report<'_>) -> Result<(), Refused> {
+        self.check(goal, why)
     }
 
     fn poll(&mut self, _now: Instant, report: &mut Report<'_>) -> Run {
@@ -443,6 +445,12 @@ impl Component for Part {
 
     fn poll_timeout(&self, now: Instant) -> Instant {
         black_box(now)
+    }
+
+    fn poll_reading(&mut self, _now: Instant, buffer: &mut [u8]) -> Option<Reading> {
+        buffer.fill_with(receive);
+        let (topic, len) = (receive(), any() as usize);
+        black_box(Some(Reading { topic, len }))
     }
 }
 

@@ -19,7 +19,7 @@ pub struct LinkId(pub u32);
 pub struct Hello {
     /// [`VERSION`](super::VERSION) of the gateway.
     pub version: u8,
-    /// The new session: random, never 0.
+    /// The new session: random, a [`session_number`](super::session_number).
     pub session: u32,
     /// Who the gateway is, so that a restarted one is known again.
     pub gateway: u64,
@@ -68,16 +68,20 @@ pub struct GoalShape<'a> {
 }
 
 /// What happens to a task that comes while one runs.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Busy {
     /// It is refused.
-    Refuse = 0,
+    Refuse,
+    /// It waits for its turn, behind at most this many; one more is refused.
+    Queue(u8),
+    /// It takes the place of the one that runs, which is aborted, and begins when that has stopped.
+    Replace,
 }
 
 /// What a component does when the link has brought no new command for the link timeout.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Loss {
     /// Stop, go to the safe state; the task ends as FAILED.
@@ -100,6 +104,9 @@ pub struct Offer<'a> {
     pub busy: Busy,
     /// What happens when the link is lost.
     pub loss: Loss,
+    /// Names of the topics under which it publishes readings, separated by blanks; empty when none.
+    /// A device's topics are numbered in this order, one component's after the other's.
+    pub topics: &'a str,
 }
 
 /// A message of the link.
@@ -192,7 +199,9 @@ pub enum Body<'a> {
     },
     /// Node: part of its log; may be lost.
     Log {
-        /// Encoded by defmt.
+        /// Bytes of the log that did not fit the node's memory since its boot; wraps.
+        lost: u32,
+        /// The next ones: a stream of frames encoded by defmt, cut anywhere.
         bytes: &'a [u8],
     },
     /// Node: it has started and knows no session.

@@ -162,7 +162,7 @@ impl Sink for Cobs<'_> {
 ///
 /// After an overrun it stays deaf until the next delimiter, so a truncated frame is never taken
 /// for a whole one.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub struct Decoder<const N: usize> {
     buffer: [u8; N],
     len: usize,
@@ -173,6 +173,28 @@ pub struct Decoder<const N: usize> {
     poisoned: bool,
     /// The last byte completed a frame; the next one begins anew.
     complete: bool,
+}
+
+impl<const N: usize> Decoder<N> {
+    /// What decides about all that is still to come; not what is left of frames before.
+    fn state(&self) -> (&[u8], u8, bool, bool, bool) {
+        let frame = self.buffer.get(..self.len).unwrap_or_default();
+        (frame, self.left, self.zero, self.poisoned, self.complete)
+    }
+}
+
+impl<const N: usize> PartialEq for Decoder<N> {
+    fn eq(&self, other: &Self) -> bool {
+        self.state() == other.state()
+    }
+}
+
+impl<const N: usize> Eq for Decoder<N> {}
+
+impl<const N: usize> core::hash::Hash for Decoder<N> {
+    fn hash<H: core::hash::Hasher>(&self, hasher: &mut H) {
+        self.state().hash(hasher);
+    }
 }
 
 impl<const N: usize> Default for Decoder<N> {

@@ -27,17 +27,25 @@ pub const NO_SESSION: u32 = 0;
 /// The `seq` of a `Hello` and of every frame that answers no command.
 pub const NO_SEQ: u8 = 0;
 
+/// This number, or another where it cannot be a session's: 0 is [`NO_SESSION`], and all ones leave the
+/// register of the check at zero, so that a zero before or at the start of a frame goes unnoticed.
+#[must_use]
+pub const fn session_number(number: u32) -> u32 {
+    match number {
+        NO_SESSION => 1,
+        u32::MAX => 2,
+        number => number,
+    }
+}
+
 /// The session under which all but `Hello`, `Awake` and `Welcome` is checked: the number of the
-/// `Hello` and the boot id of the `Welcome` together, never 0.
+/// `Hello` and the boot id of the `Welcome` together, as a [`session_number`].
 ///
 /// Without the boot id, a `Welcome` that a line held back while its node was reset could open a
 /// session with the reborn node under the old one's name.
 #[must_use]
 pub const fn session_key(hello: u32, boot: u32) -> u32 {
-    match hello ^ boot {
-        NO_SESSION => 1,
-        key => key,
-    }
+    session_number(hello ^ boot)
 }
 
 /// The `seq` of the command after the one with this `seq`; 0 is left out.

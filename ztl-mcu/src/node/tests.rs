@@ -1,6 +1,7 @@
 //! A node and a gateway played by hand, on virtual time.
 
 use super::*;
+use crate::component::Component;
 use std::cell::RefCell;
 use std::format;
 use std::string::{String, ToString};
@@ -11,6 +12,7 @@ use ztl_core::link::{Busy, GoalShape, Offer, Welcome};
 type Trace = RefCell<Grown<String>>;
 
 /// Moves until it is told to end.
+#[derive(Debug, Clone, PartialEq, Eq)]
 struct Motor<'t> {
     name: &'static str,
     loss: Loss,
@@ -31,11 +33,19 @@ impl Component for Motor<'_> {
             goal,
             busy: Busy::Refuse,
             loss: self.loss,
+            topics: "",
         }
     }
 
-    fn start(&mut self, now: Instant, goal: &str) -> Result<(), &'static str> {
-        let millis: u64 = goal.parse().map_err(|_| "a number of ms")?;
+    fn check(&self, goal: &str, why: &mut Report<'_>) -> Result<(), Refused> {
+        goal.parse::<u64>().map(drop).map_err(|_| {
+            why.text("a number of ms");
+            Refused
+        })
+    }
+
+    fn start(&mut self, now: Instant, goal: &str, _: &mut Report<'_>) -> Result<(), Refused> {
+        let millis = goal.parse().map_err(|_| Refused)?;
         self.trace
             .borrow_mut()
             .push(format!("{} {goal}", self.name));
@@ -75,13 +85,15 @@ fn motor<'t>(name: &'static str, loss: Loss, trace: &'t Trace) -> Motor<'t> {
     }
 }
 
+type TestNode<'t> = Node<'static, [Motor<'t>; 3], 2, 128>;
+
 /// The session that a `Hello` opens with the node of these tests.
 fn key(hello: u32) -> u32 {
     session_key(hello, 77)
 }
 
 /// What a node says, with the seq in front.
-fn said(node: &mut Node<'_, 2, 128>, now: Instant, hello: u32) -> Grown<String> {
+fn said(node: &mut TestNode<'_>, now: Instant, hello: u32) -> Grown<String> {
     let mut decoder = Decoder::<160>::new();
     let mut heard = Grown::new();
     let mut buffer = [0xA5; 7];
@@ -131,7 +143,7 @@ fn said(node: &mut Node<'_, 2, 128>, now: Instant, hello: u32) -> Grown<String> 
 
 /// A gateway's side of a session, played by hand.
 struct Desk<'n, 'c> {
-    node: &'n mut Node<'c, 2, 128>,
+    node: &'n mut TestNode<'c>,
     session: u32,
     now: Instant,
 }
@@ -191,11 +203,12 @@ impl Desk<'_, '_> {
 /// Runs `play` against a node with three motors: abort, hold and carry on when the link is lost.
 fn with_node(play: impl FnOnce(&mut Desk<'_, '_>, &Trace)) {
     let trace = Trace::default();
-    let mut a = motor("a", Loss::Abort, &trace);
-    let mut h = motor("h", Loss::Hold, &trace);
-    let mut c = motor("c", Loss::CarryOn, &trace);
-    let mut components: [&mut dyn Component; 3] = [&mut a, &mut h, &mut c];
-    let mut node = Node::<2, 128>::new(Identity::new("desk", "1", 77), &mut components);
+    let components = [
+        motor("a", Loss::Abort, &trace),
+        motor("h", Loss::Hold, &trace),
+        motor("c", Loss::CarryOn, &trace),
+    ];
+    let mut node = TestNode::new(Identity::new("desk", "1", 77), components);
     let mut desk = Desk {
         node: &mut node,
         session: 5,
@@ -233,6 +246,41 @@ fn it_announces_itself_until_it_is_greeted_and_follows_nothing_before() {
             &["2 Refused no such component"],
         );
         assert_said(desk.pass(300), &[]);
+    });
+}
+
+#[test]
+fn a_hello_with_a_number_that_is_no_session_is_ignored() {
+    with_node(|desk, _| {
+        for number in [0, u32::MAX] {
+            assert_said(
+                desk.hello(number, 1),
+                &["Awake 77"][..usize::from(number == 0)],
+            );
+        }
+        // With the boot id this would make a session of ones.
+        assert_ne!(session_key(!77, 77), u32::MAX);
+        assert_said(
+            desk.hello(!77, 1),
+            &["Welcome boot 77 replaces 0 highest 0 []"],
+        );
+        assert_said(desk.command(1, Body::Ping), &["1 Pong 0"]);
+    });
+}
+
+#[test]
+fn nodes_are_equal_when_they_will_do_the_same() {
+    with_node(|desk, _| {
+        desk.hello(5, 1);
+        let before = desk.node.clone();
+        desk.node.handle_bytes(desk.now, &[7, 7, 7, 0]);
+        assert!(*desk.node == before, "what was counted does not matter");
+        assert_ne!(desk.node.counters(), before.counters());
+        desk.node.handle_bytes(desk.now, &[7]);
+        assert!(*desk.node != before, "a frame has begun");
+        desk.node.handle_bytes(desk.now, &[0]);
+        desk.start(1, 9, 0, "50");
+        assert!(*desk.node != before, "a task runs");
     });
 }
 

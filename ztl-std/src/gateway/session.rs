@@ -236,15 +236,14 @@ pub struct Session<B = ()> {
 }
 
 impl Session {
-    /// A session that is not connected, without a book. `random` gives numbers other than 0, for
-    /// sessions.
+    /// A session that is not connected, without a book. `random` gives numbers for sessions.
     pub fn new(gateway: u64, baud: Option<u32>, random: fn() -> u32) -> Self {
         Self::with_book((), gateway, baud, random)
     }
 }
 
 impl<B: Book> Session<B> {
-    /// A session that is not connected. `random` gives numbers other than 0, for sessions.
+    /// A session that is not connected. `random` gives numbers for sessions.
     pub fn with_book(book: B, gateway: u64, baud: Option<u32>, random: fn() -> u32) -> Self {
         Self {
             book,

@@ -55,7 +55,10 @@ impl<'a> Body<'a> {
                 topic: r.u8()?,
                 bytes: r.bytes()?,
             },
-            15 => Self::Log { bytes: r.bytes()? },
+            15 => Self::Log {
+                lost: r.u32()?,
+                bytes: r.bytes()?,
+            },
             16 => Self::Awake {
                 version: r.u8()?,
                 boot: r.u32()?,
@@ -124,8 +127,9 @@ impl<'a> Body<'a> {
                 sink.put(&[14, topic]);
                 put_bytes(bytes, sink);
             }
-            Self::Log { bytes } => {
+            Self::Log { lost, bytes } => {
                 sink.put(&[15]);
+                put_varint(u64::from(lost), sink);
                 put_bytes(bytes, sink);
             }
             Self::Awake { version, boot } => {
@@ -166,7 +170,13 @@ fn put_offer(offer: &Offer<'_>, sink: &mut (impl Sink + ?Sized)) {
     }
     put_bytes(offer.goal.unit.as_bytes(), sink);
     put_bytes(offer.goal.words.as_bytes(), sink);
-    sink.put(&[offer.busy as u8, offer.loss as u8]);
+    match offer.busy {
+        Busy::Refuse => sink.put(&[0]),
+        Busy::Queue(most) => sink.put(&[1, most]),
+        Busy::Replace => sink.put(&[2]),
+    }
+    sink.put(&[offer.loss as u8]);
+    put_bytes(offer.topics.as_bytes(), sink);
 }
 
 fn put_tagged(tag: u8, task: LinkId, sink: &mut (impl Sink + ?Sized)) {
@@ -286,6 +296,8 @@ impl<'a> Reader<'a> {
             },
             busy: match self.u8()? {
                 0 => Busy::Refuse,
+                1 => Busy::Queue(self.u8()?),
+                2 => Busy::Replace,
                 _ => return Err(BodyError::BadValue),
             },
             loss: match self.u8()? {
@@ -294,6 +306,7 @@ impl<'a> Reader<'a> {
                 2 => Loss::CarryOn,
                 _ => return Err(BodyError::BadValue),
             },
+            topics: self.text()?,
         })
     }
 }

@@ -15,7 +15,16 @@ enum Twin {
     Ping,
     Ack(u32),
     Welcome(TwinWelcome),
-    Component(u8, String, Option<(f32, f32)>, String, String, u8, u8),
+    Component(
+        u8,
+        String,
+        Option<(f32, f32)>,
+        String,
+        String,
+        TwinBusy,
+        u8,
+        String,
+    ),
     Started(u32),
     Refused(String),
     Aborting(u32),
@@ -23,8 +32,15 @@ enum Twin {
     Ended(u32, u8, String),
     Progress(u32, String),
     Publish(u8, Vec<u8>),
-    Log(Vec<u8>),
+    Log(u32, Vec<u8>),
     Awake(u8, u32),
+}
+
+#[derive(Serialize, Deserialize, Debug, PartialEq)]
+enum TwinBusy {
+    Refuse,
+    Queue(u8),
+    Replace,
 }
 
 #[derive(Serialize, Deserialize, Debug, PartialEq)]
@@ -74,15 +90,16 @@ fn pairs() -> Vec<(Body<'static>, Twin)> {
         highest: 300,
         held: HELD.iter().map(|id| id.0).collect(),
     };
-    let offer = |range| Offer {
+    let offer = |range, busy, topics| Offer {
         name: "pan",
         goal: GoalShape {
             range,
             unit: "degrees",
             words: "left right",
         },
-        busy: Busy::Refuse,
+        busy,
         loss: Loss::CarryOn,
+        topics,
     };
     let (pan, deg, words) = ("pan".into(), "degrees".into(), "left right".into());
     let range = Some((-90.0, 90.5));
@@ -113,14 +130,23 @@ fn pairs() -> Vec<(Body<'static>, Twin)> {
         (
             Body::Component {
                 index: 1,
-                offer: offer(range)
+                offer: offer(range, Busy::Queue(200), "angle current")
             },
-            Twin::Component(1, pan, range, deg, words, 0, 2),
+            Twin::Component(
+                1,
+                pan,
+                range,
+                deg,
+                words,
+                TwinBusy::Queue(200),
+                2,
+                "angle current".into()
+            ),
         ),
         (
             Body::Component {
                 index: 0,
-                offer: offer(None)
+                offer: offer(None, Busy::Refuse, "")
             },
             Twin::Component(
                 0,
@@ -128,8 +154,25 @@ fn pairs() -> Vec<(Body<'static>, Twin)> {
                 None,
                 "degrees".into(),
                 "left right".into(),
+                TwinBusy::Refuse,
+                2,
+                String::new()
+            ),
+        ),
+        (
+            Body::Component {
+                index: 0,
+                offer: offer(None, Busy::Replace, "")
+            },
+            Twin::Component(
                 0,
-                2
+                "pan".into(),
+                None,
+                "degrees".into(),
+                "left right".into(),
+                TwinBusy::Replace,
+                2,
+                String::new()
             ),
         ),
         (Body::Started { task }, Twin::Started(129)),
@@ -164,7 +207,13 @@ fn pairs() -> Vec<(Body<'static>, Twin)> {
             },
             Twin::Publish(7, std::vec![0, 255])
         ),
-        (Body::Log { bytes: &[] }, Twin::Log(Vec::new())),
+        (
+            Body::Log {
+                lost: 128,
+                bytes: &[]
+            },
+            Twin::Log(128, Vec::new())
+        ),
         (
             Body::Awake {
                 version: 1,
@@ -214,7 +263,8 @@ fn values_without_a_meaning_are_refused() {
         &[
             11, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 2, 0,
         ],
-        &[7, 0, 0, 2, 0, 0, 0, 0], // neither a range nor none
+        &[7, 0, 0, 2, 0, 0, 0, 0],    // neither a range nor none
+        &[7, 0, 0, 0, 0, 0, 3, 0, 0], // no such way to be busy
     ] {
         assert!(Body::parse(bytes).is_err(), "{bytes:?}");
     }

@@ -3,7 +3,8 @@
 use std::time::Duration;
 
 use ztl_core::link::{
-    ADDR_ONLY_NODE, Body, Frame, Hello, LinkId, Loss, NO_SEQ, NO_SESSION, VERSION, encode, next_seq,
+    ADDR_ONLY_NODE, Body, Frame, Hello, LinkId, Loss, NO_SEQ, NO_SESSION, VERSION, encode,
+    next_seq, session_number,
 };
 use ztl_core::{Instant, TaskId};
 
@@ -28,7 +29,7 @@ impl<B: Book> Session<B> {
     /// Opens a new session.
     pub(super) fn greet(&mut self, now: Instant) {
         self.phase = Phase::Greeting;
-        self.session = (self.random)();
+        self.session = session_number((self.random)());
         self.seq = NO_SEQ;
         self.strangers.clear();
         self.counters.sessions += 1;

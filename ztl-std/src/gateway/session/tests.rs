@@ -9,7 +9,7 @@ use std::rc::Rc;
 use super::*;
 use crate::line::{Dice, Faults, FaultyLine};
 use ztl_mcu::link::{Busy, GoalShape, Offer};
-use ztl_mcu::{Component, Identity, Node, Report, Run};
+use ztl_mcu::{Component, Identity, Node, Refused, Report, Run};
 
 /// What really happened at the motors, whatever anybody says.
 #[derive(Default)]
@@ -34,6 +34,11 @@ impl Motor {
     }
 }
 
+/// A goal is `NUMBER MILLISECONDS`.
+fn millis_of(goal: &str) -> Option<u64> {
+    goal.split_once(' ')?.1.parse().ok()
+}
+
 impl Component for Motor {
     fn offer(&self) -> Offer<'_> {
         let goal = GoalShape {
@@ -48,13 +53,19 @@ impl Component for Motor {
             goal,
             busy,
             loss,
+            topics: "",
         }
     }
 
-    /// A goal is `NUMBER MILLISECONDS`.
-    fn start(&mut self, now: Instant, goal: &str) -> Result<(), &'static str> {
-        let (_, time) = goal.split_once(' ').ok_or("NUMBER MILLISECONDS")?;
-        let millis = time.parse().map_err(|_| "NUMBER MILLISECONDS")?;
+    fn check(&self, goal: &str, why: &mut Report<'_>) -> Result<(), Refused> {
+        millis_of(goal).map(drop).ok_or_else(|| {
+            why.text("NUMBER MILLISECONDS");
+            Refused
+        })
+    }
+
+    fn start(&mut self, now: Instant, goal: &str, _: &mut Report<'_>) -> Result<(), Refused> {
+        let millis = millis_of(goal).ok_or(Refused)?;
         let mut world = self.world.borrow_mut();
         *world.begun.entry(goal.to_owned()).or_default() += 1;
         world.moving[self.place] = Some(goal.to_owned());
@@ -103,7 +114,7 @@ fn arrived(line: &mut FaultyLine, now: Instant) -> Vec<u8> {
     }
 }
 
-type SmallNode = Node<'static, 2, 128>;
+type SmallNode = Node<'static, [Motor; 2], 2, 128>;
 
 /// A gateway's session, a line, a device, and clients that keep books.
 struct Lab {
@@ -130,11 +141,7 @@ fn node(world: &Rc<RefCell<World>>, boot: u32) -> SmallNode {
         ends_at: Instant::ZERO,
         aborted: false,
     };
-    // Leaked: a node borrows its components for its whole life, and tests make few.
-    let arm = Box::leak(Box::new(motor(0, Loss::Abort)));
-    let belt = Box::leak(Box::new(motor(1, Loss::CarryOn)));
-    let components: &'static mut [&'static mut dyn Component] =
-        Box::leak(Box::new([arm as &mut dyn Component, belt]));
+    let components = [motor(0, Loss::Abort), motor(1, Loss::CarryOn)];
     Node::new(Identity::new("lab", "1", boot), components)
 }
 
