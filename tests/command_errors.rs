@@ -82,7 +82,13 @@ fn a_gateway_that_cannot_serve_says_why() {
     refuses(&twice, &["two devices are named 'gripper'"]);
     let elsewhere = format!("{sim} -p 0 -s /lab --bind 192.0.2.1");
     refuses(&elsewhere, &["cannot listen", "192.0.2.1", "127.0.0.1"]);
-    refuses(&format!("{sim} -p 0 -s /lab --bogus"), &["'--bogus'"]);
+    let nonsense = format!("{sim} -p 0 -s /lab --bind nonsense");
+    refuses(
+        &nonsense,
+        &["'nonsense' is no address of this machine", "127.0.0.1"],
+    );
+    let bogus = format!("{sim} -p 0 -s /lab --bogus");
+    refuses(&bogus, &["unexpected argument '--bogus'"]);
 }
 
 #[test]

@@ -317,7 +317,7 @@ impl Worker {
 
     fn set_trouble(&mut self, trouble: String) {
         if self.trouble.as_ref() != Some(&trouble) {
-            warn!(target: LOG, "Device '{}': {trouble}", self.name);
+            warn!(target: LOG, device = self.name, "Device '{}': {trouble}", self.name);
             self.trouble = Some(trouble);
         }
     }
@@ -372,6 +372,7 @@ impl Worker {
                         device.components.iter().map(|c| c.name.as_str()).collect();
                     info!(
                         target: LOG,
+                        device = self.name,
                         "Device '{}' is ready at {}: {} {}, components: {}",
                         self.name, self.endpoint, device.name, device.firmware, names.join(", ")
                     );
@@ -382,7 +383,9 @@ impl Worker {
                 self.set_trouble(trouble);
             }
             Event::Lost => self.set_trouble("it no longer answers".to_owned()),
-            Event::Reset => warn!(target: LOG, "Device '{}' was reset.", self.name),
+            Event::Reset => {
+                warn!(target: LOG, device = self.name, "Device '{}' was reset.", self.name)
+            }
             Event::Refused(reason) => self.set_trouble(reason),
         }
     }

@@ -11,6 +11,9 @@ use crate::sim;
 /// Line rate of a serial port unless `?baud=` says otherwise.
 pub const BAUD: u32 = 115_200;
 
+/// What a line rate is.
+pub(super) const BAUD_WANTED: &str = "a line rate in bits a second, as 115200";
+
 /// A read gives up after this time, so that a line can be closed.
 pub(crate) const READ_TIMEOUT: Duration = Duration::from_millis(50);
 
@@ -219,6 +222,15 @@ impl Endpoint {
             }
             #[cfg(feature = "sim")]
             Self::Sim(kind) => sim::line(*kind),
+        }
+    }
+
+    /// Whether both cannot be open at once, as far as their names tell.
+    pub(super) fn is_same_line(&self, other: &Self) -> bool {
+        match (self, other) {
+            (Self::Serial { path, .. }, Self::Serial { path: its, .. }) => path == its,
+            (Self::Tcp { address }, Self::Tcp { address: its }) => address == its,
+            _ => false,
         }
     }
 

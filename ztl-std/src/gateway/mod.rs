@@ -3,6 +3,7 @@
 //! Each device has a [`Session`](session::Session) on a thread of its own, so a slow or dead one
 //! harms no other. A client's `gripper:finger:40` goes to the device named `gripper`.
 
+pub mod config;
 mod device;
 mod endpoint;
 mod report;

@@ -98,11 +98,21 @@ impl std::fmt::Display for BindError {
                 f,
                 "cannot listen at {endpoint}: the port is in use; stop what uses it, or choose another port"
             ),
-            Self::Address { endpoint, cause } => write!(
-                f,
-                "cannot listen at {endpoint}: {}; use an address of this machine, as 127.0.0.1 or *",
-                cause.message()
-            ),
+            Self::Address { endpoint, cause } => {
+                write!(f, "cannot listen at {endpoint}: ")?;
+                let address = endpoint.rsplit_once(':').map_or("", |(address, _)| address);
+                let address = address.trim_start_matches("tcp://");
+                match cause {
+                    zmq::Error::ENODEV => {
+                        write!(f, "'{address}' is no address of this machine")?;
+                    }
+                    zmq::Error::EADDRNOTAVAIL => {
+                        write!(f, "this machine does not have the address {address}")?;
+                    }
+                    cause => f.write_str(cause.message())?,
+                }
+                f.write_str("; use 127.0.0.1 for this machine only, or * for every interface")
+            }
             Self::Socket(cause) => write!(f, "cannot open a socket: {}", cause.message()),
         }
     }
@@ -381,6 +391,18 @@ impl TaskServer {
             None => {}
         }
     }
+}
+
+/// Why a scope cannot be served.
+#[must_use]
+pub fn scope_mistake(scope: &str) -> Option<String> {
+    let wrong = match scope {
+        "" => "is empty",
+        "$ztl" => "belongs to the protocol itself",
+        scope if scope.contains(';') => "contains ';', so no client can reach it",
+        _ => return None,
+    };
+    Some(format!("the scope '{scope}' {wrong}; write it as /lab"))
 }
 
 /// Logs what the original logs of a request that it cannot use (wire specification 7.1).

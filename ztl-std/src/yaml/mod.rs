@@ -193,4 +193,4 @@ fn not_utf8(name: &str, bytes: &[u8], place: usize) -> Diagnostic {
 }
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

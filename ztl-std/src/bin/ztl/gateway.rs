@@ -1,71 +1,212 @@
 //! `ztl gateway`: microcontrollers as handlers of a task server.
 
-use std::collections::BTreeSet;
+use std::fmt;
+use std::path::PathBuf;
 use std::process::ExitCode;
 
 use tracing::Level;
 use ztl_std::TaskServer;
+use ztl_std::gateway::config::{
+    Config, DeviceConfig, LEVELS, LOG_FORMATS, LogFormat, bind_mistake, name_mistake, same_line,
+};
 use ztl_std::gateway::{Endpoint, Gateway as Devices};
+use ztl_std::server::scope_mistake;
+use ztl_std::yaml::Diagnostics;
 
 use crate::terminal::line;
-use crate::tool::{port, unreachable};
+use crate::tool::port;
 use crate::{Done, log, signals};
 
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "URLs: serial:/dev/ttyACM0?baud=115200 (or a pty's path), tcp:HOST:PORT, sim:gripper, sim:head"
+    after_help = "URLs: serial:/dev/ttyACM0?baud=115200 (or a pty's path), tcp:HOST:PORT, sim:gripper, sim:head\nAn option overrides what FILE says; devices are added to the file's."
 )]
 pub(crate) struct Gateway {
+    /// Configuration in YAML: scope, port, devices and more (docs/gateway.md)
+    #[arg(value_name = "FILE")]
+    file: Option<PathBuf>,
+
     /// A device: the name under which clients know it, and where it is (repeatable)
-    #[arg(short, long = "device", value_name = "NAME=URL", required = true, value_parser = device)]
-    devices: Vec<(String, Endpoint)>,
+    #[arg(short, long = "device", value_name = "NAME=URL", value_parser = device)]
+    devices: Vec<DeviceConfig>,
 
     /// Port to serve at
     #[arg(short, long, value_parser = port)]
-    port: u16,
+    port: Option<u16>,
 
     /// Scope to serve, as /lab
-    #[arg(short, long)]
-    scope: String,
+    #[arg(short, long, value_parser = scope)]
+    scope: Option<String>,
 
-    /// Address to serve at; '*' is every interface of this machine, and nobody is asked who they are
-    #[arg(long, default_value = "127.0.0.1", value_name = "ADDR")]
-    bind: String,
+    /// Address to serve at; '*' is every interface of this machine, and nobody is asked who they are [default: 127.0.0.1]
+    #[arg(long, value_name = "ADDR", value_parser = bind)]
+    bind: Option<String>,
+
+    /// Only say what is wrong with the configuration
+    #[arg(long)]
+    check: bool,
+
+    /// What is logged: error, warn, info or debug [default: info]
+    #[arg(long, value_name = "LEVEL", value_parser = level)]
+    log: Option<Level>,
+
+    /// How it is logged: text, or json (an object a line) [default: text]
+    #[arg(long, value_name = "FORMAT", value_parser = format)]
+    log_format: Option<LogFormat>,
 }
 
-fn device(text: &str) -> Result<(String, Endpoint), String> {
+/// Exit code for a configuration that cannot be served, however often it is tried.
+const MISCONFIGURED: u8 = 2;
+
+fn device(text: &str) -> Result<DeviceConfig, String> {
     let (name, url) = text
         .split_once('=')
         .ok_or("write NAME=URL, as gripper=serial:/dev/ttyACM0")?;
-    if name.is_empty() || name.contains(':') {
-        return Err(format!(
-            "'{name}' is no name for a device: one word without ':'"
-        ));
-    }
+    fits(name, name_mistake)?;
     let endpoint = url.parse::<Endpoint>().map_err(|error| error.to_string())?;
-    Ok((name.to_owned(), endpoint))
+    Ok(DeviceConfig::new(name, endpoint))
+}
+
+fn fits(text: &str, mistake: fn(&str) -> Option<String>) -> Result<String, String> {
+    mistake(text).map_or_else(|| Ok(text.to_owned()), Err)
+}
+
+fn scope(text: &str) -> Result<String, String> {
+    fits(text, scope_mistake)
+}
+
+fn bind(text: &str) -> Result<String, String> {
+    fits(text, bind_mistake)
+}
+
+fn level(text: &str) -> Result<Level, String> {
+    one_of(text, &LEVELS)
+}
+
+fn format(text: &str) -> Result<LogFormat, String> {
+    one_of(text, &LOG_FORMATS)
+}
+
+fn one_of<T: Copy>(text: &str, known: &[(&str, T)]) -> Result<T, String> {
+    let found = known.iter().find(|(word, _)| *word == text);
+    let words = || known.iter().map(|(word, _)| *word).collect::<Vec<_>>();
+    found.map_or_else(
+        || Err(format!("there are: {}", words().join(", "))),
+        |(_, value)| Ok(*value),
+    )
+}
+
+/// Why a configuration cannot be served.
+enum Unfit {
+    File(Diagnostics),
+    Whole(String),
+}
+
+impl fmt::Display for Unfit {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            // For editors: the place comes first in the line.
+            Self::File(mistakes) => f.write_str(mistakes.to_string().trim_end()),
+            Self::Whole(mistake) => write!(f, "ztl: {mistake}"),
+        }
+    }
+}
+
+/// All that is needed to serve.
+struct Plan {
+    scope: String,
+    port: u16,
+    bind: String,
+    log: Level,
+    log_format: LogFormat,
+    devices: Vec<DeviceConfig>,
 }
 
 impl Gateway {
     pub(crate) fn run(self) -> Done {
-        log::init(Level::INFO);
-        if let Some(error) = unreachable(&self.scope) {
-            return Err(error.into());
-        }
-        signals::catch()?;
-        let mut names = BTreeSet::new();
-        for (name, _) in &self.devices {
-            if !names.insert(name.as_str()) {
-                return Err(
-                    format!("two devices are named '{name}'; give each its own name").into(),
-                );
+        let check = self.check;
+        let plan = match self.plan() {
+            Ok(plan) => plan,
+            Err(unfit) => {
+                eprintln!("{unfit}");
+                return Ok(ExitCode::from(MISCONFIGURED));
             }
+        };
+        if check {
+            line(format_args!("Nothing is wrong: {plan}."));
+            return Ok(ExitCode::SUCCESS);
         }
+        log::init_as(plan.log, plan.log_format);
+        signals::catch()?;
+        plan.serve()
+    }
+
+    /// What the file and the options say together.
+    fn plan(self) -> Result<Plan, Unfit> {
+        let config = match &self.file {
+            Some(path) => Config::load(path).map_err(Unfit::File)?,
+            None => Config::default(),
+        };
+        let file = self.file.map(|path| path.display().to_string());
+        let missing = |what: &str, option: &str, key: &str| {
+            let key = match &file {
+                Some(file) => format!("`{key}` in {file}"),
+                None => format!("a configuration file (docs/gateway.md) with `{key}`"),
+            };
+            Unfit::Whole(format!("no {what}: give {option}, or {key}"))
+        };
+        let mut devices = config.devices;
+        for device in self.devices {
+            if devices.iter().any(|known| known.name == device.name) {
+                let mistake = format!(
+                    "two devices are named '{}'; give each its own name",
+                    device.name
+                );
+                return Err(Unfit::Whole(mistake));
+            }
+            if let Some(other) = same_line(&devices, &device) {
+                let mistake = format!(
+                    "'{}' and '{}' are both at {}",
+                    other.name, device.name, other.endpoint
+                );
+                return Err(Unfit::Whole(mistake));
+            }
+            devices.push(device);
+        }
+        if devices.is_empty() {
+            let key = "devices:";
+            return Err(missing("device", "--device <NAME=URL>", key));
+        }
+        let port = self.port.or(config.port);
+        let scope = self.scope.or(config.scope);
+        Ok(Plan {
+            port: port.ok_or_else(|| missing("port", "--port <PORT>", "port: 12345"))?,
+            scope: scope.ok_or_else(|| missing("scope", "--scope <SCOPE>", "scope: /lab"))?,
+            bind: self.bind.or(config.bind).unwrap_or("127.0.0.1".to_owned()),
+            log: self.log.or(config.log).unwrap_or(Level::INFO),
+            log_format: self.log_format.or(config.log_format).unwrap_or_default(),
+            devices,
+        })
+    }
+}
+
+impl fmt::Display for Plan {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let names: Vec<&str> = self.devices.iter().map(|d| d.name.as_str()).collect();
+        let Self {
+            scope, bind, port, ..
+        } = self;
+        write!(f, "{}, scope {scope}, at {bind}:{port}", names.join(", "))
+    }
+}
+
+impl Plan {
+    fn serve(self) -> Done {
         let mut server = TaskServer::bind(&format!("tcp://{}:{}", self.bind, self.port))?;
-        let names: Vec<String> = names.into_iter().map(str::to_owned).collect();
+        let names: Vec<&str> = self.devices.iter().map(|d| d.name.as_str()).collect();
         let mut devices = Devices::new();
-        for (name, endpoint) in self.devices {
-            devices.add(&name, endpoint)?;
+        for device in &self.devices {
+            devices.add(&device.name, device.endpoint.clone())?;
         }
         server.register_handler(&self.scope, devices);
         let who = match self.bind.as_str() {

@@ -1,11 +1,13 @@
-//! Log lines on stderr in the original's form: `LEVEL:logger:text`.
+//! Log lines on stderr: in the original's form, `LEVEL:logger:text`, or as JSON for machines.
 
 use std::fmt;
 
+use tracing::field::{Field, Visit};
 use tracing::{Event, Level, Subscriber};
 use tracing_subscriber::fmt::FmtContext;
 use tracing_subscriber::fmt::format::{FormatEvent, FormatFields, Writer};
 use tracing_subscriber::registry::LookupSpan;
+use ztl_std::gateway::config::LogFormat;
 
 struct PythonForm;
 
@@ -16,7 +18,7 @@ where
 {
     fn format_event(
         &self,
-        context: &FmtContext<'_, S, N>,
+        _context: &FmtContext<'_, S, N>,
         mut writer: Writer<'_>,
         event: &Event<'_>,
     ) -> fmt::Result {
@@ -28,16 +30,42 @@ where
             Level::DEBUG | Level::TRACE => "DEBUG",
         };
         write!(writer, "{level}:{}:", metadata.target())?;
-        context.format_fields(writer.by_ref(), event)?;
+        let mut text = Text {
+            writer: writer.by_ref(),
+            written: Ok(()),
+        };
+        event.record(&mut text);
+        text.written?;
         writeln!(writer)
     }
 }
 
-/// Logs what is at least as grave as `level`.
+/// Writes the text of an event alone: it says what the fields say, which are for machines.
+struct Text<'a> {
+    writer: Writer<'a>,
+    written: fmt::Result,
+}
+
+impl Visit for Text<'_> {
+    fn record_debug(&mut self, field: &Field, value: &dyn fmt::Debug) {
+        if field.name() == "message" {
+            self.written = write!(self.writer, "{value:?}");
+        }
+    }
+}
+
+/// Logs what is at least as grave as `level`, in the original's form.
 pub(crate) fn init(level: Level) {
-    tracing_subscriber::fmt()
+    init_as(level, LogFormat::Text);
+}
+
+/// The same in any form.
+pub(crate) fn init_as(level: Level, format: LogFormat) {
+    let log = tracing_subscriber::fmt()
         .with_max_level(level)
-        .with_writer(std::io::stderr)
-        .event_format(PythonForm)
-        .init();
+        .with_writer(std::io::stderr);
+    match format {
+        LogFormat::Text => log.event_format(PythonForm).init(),
+        LogFormat::Json => log.json().flatten_event(true).init(),
+    }
 }

@@ -6,12 +6,13 @@ use std::time::Duration;
 use tracing::{Level, error};
 use ztl_core::integer::Integer;
 use ztl_core::repr::put_quoted;
+use ztl_std::server::scope_mistake;
 use ztl_std::{
     ExecutableTask, TaskContext, TaskController, TaskError, TaskRequest, TaskServer as Server,
 };
 
 use crate::terminal::line;
-use crate::tool::{port, unreachable};
+use crate::tool::port;
 use crate::{Done, log, signals};
 
 #[derive(Debug, clap::Args)]
@@ -28,7 +29,7 @@ pub(crate) struct TaskServer {
 impl TaskServer {
     pub(crate) fn run(self) -> Done {
         log::init(Level::INFO);
-        if let Some(error) = unreachable(&self.scope) {
+        if let Some(error) = scope_mistake(&self.scope) {
             return Err(error.into());
         }
         signals::catch()?;

@@ -90,17 +90,6 @@ pub(crate) fn seconds(text: &str) -> Result<i64, &'static str> {
     whole(text).ok_or("a whole number of seconds is needed")
 }
 
-/// Why a scope cannot be served.
-pub(crate) fn unreachable(scope: &str) -> Option<String> {
-    let wrong = match scope {
-        "" => "is empty",
-        "$ztl" => "belongs to the protocol itself",
-        scope if scope.contains(';') => "contains ';', so no client can reach it",
-        _ => return None,
-    };
-    Some(format!("the scope '{scope}' {wrong}; write it as /lab"))
-}
-
 /// Runs a tool, when one is called for by the program's name or by the first argument.
 pub(crate) fn run(args: &[OsString]) -> Option<ExitCode> {
     let (program, rest) = args.split_first()?;

@@ -1,0 +1,140 @@
+//! The configuration file, as a person meets it.
+
+use std::path::Path;
+
+use ztl_std::{RemoteTask, State};
+use ztl_tests::lab::{Ended, PATIENCE, Process, Scratch, until, ztl};
+
+/// `ztl gateway` with these words, which has to end by itself.
+#[track_caller]
+fn run(words: &[&str]) -> Ended {
+    Process::run(ztl().arg("gateway").args(words))
+}
+
+/// A file of the project.
+fn project(path: &str) -> String {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..").join(path);
+    root.display().to_string()
+}
+
+#[track_caller]
+fn written(scratch: &Scratch, text: &str) -> String {
+    let path = scratch.path("lab.yaml");
+    std::fs::write(&path, text).expect("to write");
+    path.display().to_string()
+}
+
+#[test]
+fn the_example_is_right_and_checking_it_serves_nothing() {
+    let ended = run(&[&project("examples/gateway.yaml"), "--check"]);
+    let said = "Nothing is wrong: gripper, head, lamp, try-me, scope /lab, at 127.0.0.1:12345.\n";
+    assert_eq!(
+        (ended.code, ended.stdout.as_str(), ended.stderr.as_str()),
+        (Some(0), said, "")
+    );
+}
+
+#[test]
+fn every_key_stands_in_the_manual() {
+    let scratch = Scratch::new();
+    let file = written(
+        &scratch,
+        "zzzzzz: 1\ndevices: {a: {url: sim:head, zzzzzz: 1}}\n",
+    );
+    let ended = run(&[&file, "--check"]);
+    let manual = std::fs::read_to_string(project("docs/gateway.md")).expect("the manual");
+    let mut keys = 0;
+    for list in ended
+        .stderr
+        .lines()
+        .filter_map(|line| line.split_once("; there are: "))
+    {
+        for key in list.1.split(", ") {
+            keys += 1;
+            assert!(manual.contains(&format!("| `{key}` |")), "{key}");
+        }
+    }
+    assert!(keys >= 11, "{ended:?}");
+}
+
+#[test]
+fn a_file_with_mistakes_is_refused_with_all_of_them_and_an_exit_code_of_its_own() {
+    let scratch = Scratch::new();
+    let file = written(
+        &scratch,
+        "scope: /lab\nprot: 12345\ndevices:\n  gripper: sim:griper\n",
+    );
+    for check in [&["--check"][..], &[]] {
+        let mut words = vec![file.as_str()];
+        words.extend_from_slice(check);
+        let ended = run(&words);
+        let expected = format!(
+            "{file}:2:1: unknown key 'prot'; did you mean 'port'?\n  2 | prot: 12345\n    | ^^^^\n\
+             {file}:4:12: no simulated device 'griper'; there are: gripper, head\n  4 |   gripper: sim:griper\n    |            ^^^^^^^^^^\n"
+        );
+        assert_eq!((ended.code, ended.stderr), (Some(2), expected));
+        assert_eq!(ended.stdout, "");
+    }
+}
+
+#[test]
+fn what_neither_the_file_nor_an_option_says_is_asked_for() {
+    let scratch = Scratch::new();
+    let file = written(&scratch, "scope: /lab\ndevices: {head: sim:head}\n");
+    let missing = run(&[&file, "--check"]);
+    let said = format!("ztl: no port: give --port <PORT>, or `port: 12345` in {file}\n");
+    assert_eq!((missing.code, missing.stderr), (Some(2), said));
+    let twice = run(&[&file, "-p", "0", "--device", "head=sim:gripper"]);
+    assert_eq!(twice.code, Some(2));
+    assert!(
+        twice.stderr.contains("two devices are named 'head'"),
+        "{twice:?}"
+    );
+    for (file, part) in [
+        (
+            "/no/such/file.yaml",
+            "/no/such/file.yaml: cannot read it: No such file",
+        ),
+        ("/", "/: cannot read it: "),
+    ] {
+        let ended = run(&[file]);
+        assert_eq!(ended.code, Some(2));
+        assert!(ended.stderr.starts_with(part), "{ended:?}");
+    }
+}
+
+#[test]
+fn a_file_and_options_are_served_together_and_an_option_wins() {
+    let scratch = Scratch::new();
+    let file = written(
+        &scratch,
+        "scope: /file\nport: 1\nlog-format: json\ndevices: {head: sim:head}\n",
+    );
+    let words = [
+        &file,
+        "-p",
+        "0",
+        "-s",
+        "/option",
+        "-d",
+        "gripper=sim:gripper",
+    ];
+    let gateway = Process::start(ztl().arg("gateway").args(words));
+    let line = gateway.wait_for("Serving head, gripper at tcp://127.0.0.1:");
+    assert!(line.contains("scope /option"), "{line}");
+    let endpoint = line
+        .split([' ', ','])
+        .find(|word| word.starts_with("tcp://"))
+        .expect("an endpoint");
+    let ready = gateway.wait_for("Device 'gripper' is ready");
+    let event: serde_json::Value = serde_json::from_str(&ready).expect("JSON");
+    assert_eq!(event["level"], "INFO", "{ready}");
+    assert_eq!(event["device"], "gripper", "{ready}");
+    let mut remote = RemoteTask::connect(endpoint, "/option").expect("an address");
+    let id = until("the gripper takes a task", PATIENCE, || {
+        remote.trigger("gripper", "finger", "3").ok()
+    })
+    .id;
+    let end = remote.wait(id, Some(PATIENCE)).expect("its end");
+    assert_eq!((end.state, end.text.as_str()), (State::Completed, "3.0"));
+}

@@ -1,0 +1,6 @@
+//! `ztl gateway` as a process that runs for months: its configuration file, what it does when asked
+//! to stop, and that no device harms another.
+
+#![cfg(unix)]
+
+mod file;

@@ -1,0 +1,389 @@
+//! A gateway's configuration file: which devices there are, and where they are served.
+//! `docs/gateway.md` describes each key.
+
+use std::path::{Path, PathBuf};
+
+use super::endpoint::{BAUD_WANTED, Endpoint};
+use crate::server::scope_mistake;
+use crate::yaml::{Diagnostics, Document, Node, Reading, Value};
+
+/// What a configuration file says. All of it can be left out there, and said elsewhere.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+#[non_exhaustive]
+pub struct Config {
+    /// Scope to serve, as `/lab`.
+    pub scope: Option<String>,
+    /// Port to serve at; 0 is any free one.
+    pub port: Option<u16>,
+    /// Address to serve at; `*` is every one that this machine has.
+    pub bind: Option<String>,
+    /// Port to publish readings at; without it they are not published.
+    pub publish: Option<u16>,
+    /// Where the journal of tasks is kept.
+    pub journal: Option<JournalPlace>,
+    /// What is logged.
+    pub log: Option<tracing::Level>,
+    /// How it is logged.
+    pub log_format: Option<LogFormat>,
+    /// The devices, in the file's order.
+    pub devices: Vec<DeviceConfig>,
+}
+
+/// Where the journal of tasks is kept.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum JournalPlace {
+    /// Nowhere.
+    Off,
+    /// In this directory.
+    At(PathBuf),
+}
+
+/// How log lines look.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum LogFormat {
+    /// `LEVEL:logger:text`, as the original's.
+    #[default]
+    Text,
+    /// A JSON object a line.
+    Json,
+}
+
+/// One device of a configuration file.
+#[derive(Debug, Clone, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct DeviceConfig {
+    /// The name under which clients know it.
+    pub name: String,
+    /// Where it is.
+    pub endpoint: Endpoint,
+    /// Its firmware's ELF file, which its log is decoded with.
+    pub elf: Option<PathBuf>,
+}
+
+impl DeviceConfig {
+    /// A device without anything else known of it.
+    #[must_use]
+    pub fn new(name: &str, endpoint: Endpoint) -> Self {
+        Self {
+            name: name.to_owned(),
+            endpoint,
+            elf: None,
+        }
+    }
+}
+
+/// What a level is called in files and on the command line.
+pub const LEVELS: [(&str, tracing::Level); 4] = [
+    ("error", tracing::Level::ERROR),
+    ("warn", tracing::Level::WARN),
+    ("info", tracing::Level::INFO),
+    ("debug", tracing::Level::DEBUG),
+];
+
+/// What a format is called there.
+pub const LOG_FORMATS: [(&str, LogFormat); 2] =
+    [("text", LogFormat::Text), ("json", LogFormat::Json)];
+
+const PORT: &str = "a port, a whole number from 0 to 65535";
+
+impl Config {
+    /// Reads a file. Paths in it are relative to its directory.
+    ///
+    /// # Errors
+    /// All that is wrong with it, each with its place.
+    pub fn load(path: &Path) -> Result<Self, Diagnostics> {
+        let document = Document::load(path)?;
+        Self::read(&document, path.parent().unwrap_or(Path::new("")))
+    }
+
+    /// Takes the configuration out of a document; paths are relative to `base`.
+    ///
+    /// # Errors
+    /// As [`load`](Self::load).
+    pub fn read(document: &Document, base: &Path) -> Result<Self, Diagnostics> {
+        let mut reading = document.reading();
+        let config = config(&mut reading, document.root(), base);
+        reading.finish(config)
+    }
+}
+
+fn config<'d>(reading: &mut Reading<'d>, root: &'d Node, base: &Path) -> Option<Config> {
+    let mut fields = reading.fields(root, "scope, port, devices")?;
+    let mut config = Config::default();
+    if let Some(node) = fields.optional("scope") {
+        config.scope = reading.parsed(node, "a scope, as /lab", |text| {
+            scope_mistake(text).map_or_else(|| Ok(text.to_owned()), Err)
+        });
+    }
+    if let Some(node) = fields.optional("port") {
+        config.port = reading.whole(node, PORT);
+    }
+    if let Some(node) = fields.optional("bind") {
+        let what = "an address of this machine, as 127.0.0.1, or '*' for every interface";
+        config.bind = reading.parsed(node, what, |text| {
+            bind_mistake(text).map_or_else(|| Ok(text.to_owned()), Err)
+        });
+    }
+    if let Some(node) = fields.optional("publish") {
+        config.publish = reading.whole(node, PORT);
+    }
+    if let Some(node) = fields.optional("journal") {
+        config.journal = reading
+            .text(node, "a directory, or off")
+            .map(|text| match text {
+                "off" | "no" | "false" => JournalPlace::Off,
+                place => JournalPlace::At(base.join(place)),
+            });
+    }
+    if let Some(node) = fields.optional("log") {
+        config.log = reading.one_of(node, &LEVELS);
+    }
+    if let Some(node) = fields.optional("log-format") {
+        config.log_format = reading.one_of(node, &LOG_FORMATS);
+    }
+    if let Some(node) = fields.optional("devices") {
+        let what = "the name of each device and where it is, as gripper: serial:/dev/ttyACM0";
+        for (name, node) in reading.pairs(node, what).unwrap_or_default() {
+            let read = device(reading, name, node, base);
+            let Some((device, url)) = read else { continue };
+            if let Some(other) = same_line(&config.devices, &device) {
+                let message = format!("'{}' is at {} already", other.name, other.endpoint);
+                reading.wrong(url, message);
+            }
+            config.devices.push(device);
+        }
+    }
+    fields.finish(reading);
+    Some(config)
+}
+
+/// A device, and where its URL stands.
+fn device<'d>(
+    reading: &mut Reading<'d>,
+    name: &'d Node,
+    node: &'d Node,
+    base: &Path,
+) -> Option<(DeviceConfig, &'d Node)> {
+    let known = reading.parsed(name, "a device's name", |text| {
+        name_mistake(text).map_or_else(|| Ok(text.to_owned()), Err)
+    });
+    let what = "where the device is, as serial:/dev/ttyACM0";
+    let mut baud = None;
+    let mut elf = None;
+    let url = match &node.value {
+        Value::Map(_) => {
+            let mut fields = reading.fields(node, "url, baud, elf")?;
+            let url = fields.required("url", "url: serial:/dev/ttyACM0");
+            baud = fields.optional("baud");
+            elf = fields.optional("elf");
+            fields.finish(reading);
+            url
+        }
+        _ => Some(node),
+    }?;
+    let mut endpoint = reading.parsed(url, what, str::parse::<Endpoint>);
+    if let Some(node) = baud {
+        let rate = reading.parsed(node, BAUD_WANTED, |text| {
+            let rate = text.parse().ok().filter(|rate| *rate > 0);
+            rate.ok_or_else(|| format!("'{text}' is not {BAUD_WANTED}"))
+        });
+        match (&mut endpoint, rate) {
+            (Some(Endpoint::Serial { baud, .. }), Some(rate)) => *baud = rate,
+            (Some(_), _) => reading.wrong(node, "only a serial port has a line rate"),
+            (None, _) => {}
+        }
+    }
+    let mut path = None;
+    if let Some(node) = elf {
+        path = reading.parsed(node, "the firmware's ELF file", |text| {
+            let path = base.join(text);
+            match path.is_file() {
+                true => Ok(path),
+                false => Err(format!("there is no file {}", path.display())),
+            }
+        });
+    }
+    let device = DeviceConfig {
+        name: known?,
+        endpoint: endpoint?,
+        elf: path,
+    };
+    Some((device, url))
+}
+
+/// The device that is at the end of the same line.
+#[must_use]
+pub fn same_line<'a>(devices: &'a [DeviceConfig], new: &DeviceConfig) -> Option<&'a DeviceConfig> {
+    let shared = |device: &&DeviceConfig| device.endpoint.is_same_line(&new.endpoint);
+    devices.iter().find(shared)
+}
+
+/// Why a device cannot be called so: its name is part of tasks (`name:component:goal`) and of topics
+/// (`name/component/topic`).
+#[must_use]
+pub fn name_mistake(name: &str) -> Option<String> {
+    let odd = |c: char| matches!(c, ':' | '/') || c.is_whitespace() || c.is_control();
+    (name.is_empty() || name.contains(odd))
+        .then(|| format!("'{name}' is no name for a device: one word without ':' and '/'"))
+}
+
+/// Why nothing can be served there, as far as it can be seen without trying.
+#[must_use]
+pub fn bind_mistake(bind: &str) -> Option<String> {
+    let odd = |c: char| !(c.is_ascii_alphanumeric() || "*.-_:[]%".contains(c));
+    (bind.is_empty() || bind.contains(odd) || bind.contains("//")).then(|| {
+        format!(
+            "'{bind}' is no address; use 127.0.0.1 for this machine only, or '*' for every interface"
+        )
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::yaml::tests::Numbers;
+
+    fn parse(text: &str) -> Result<Config, Diagnostics> {
+        Config::read(
+            &Document::parse("lab.yaml", text.as_bytes())?,
+            Path::new("/lab"),
+        )
+    }
+
+    #[test]
+    fn every_key_is_read() {
+        let own_program = std::env::current_exe().expect("a file that is there");
+        let text = format!(
+            "scope: /lab\nport: 12345\nbind: '*'\npublish: 12346\njournal: state\nlog: debug\n\
+             log-format: json\ndevices:\n  gripper: serial:/dev/serial/by-id/usb-x?baud=9600\n  \
+             head:\n    url: serial:/dev/ttyUSB0\n    baud: 57600\n    elf: {}\n  \
+             arm: {{url: 'tcp:localhost:7000'}}\n",
+            own_program.display()
+        );
+        let serial = |path: &str, baud| Endpoint::Serial {
+            path: path.to_owned(),
+            baud,
+        };
+        let arm = Endpoint::Tcp {
+            address: "localhost:7000".to_owned(),
+        };
+        let mut head = DeviceConfig::new("head", serial("/dev/ttyUSB0", 57600));
+        head.elf = Some(own_program);
+        let expected = Config {
+            scope: Some("/lab".to_owned()),
+            port: Some(12345),
+            bind: Some("*".to_owned()),
+            publish: Some(12346),
+            journal: Some(JournalPlace::At(PathBuf::from("/lab/state"))),
+            log: Some(tracing::Level::DEBUG),
+            log_format: Some(LogFormat::Json),
+            devices: vec![
+                DeviceConfig::new("gripper", serial("/dev/serial/by-id/usb-x", 9600)),
+                head,
+                DeviceConfig::new("arm", arm),
+            ],
+        };
+        assert_eq!(parse(&text), Ok(expected));
+        assert_eq!(parse(""), Ok(Config::default()));
+        let off = parse("journal: off").expect("it is right");
+        assert_eq!(off.journal, Some(JournalPlace::Off));
+    }
+
+    #[test]
+    fn each_mistake_is_shown_where_it_stands_with_what_would_be_right() {
+        let text = "\
+prot: 12345
+scope: a;b
+bind: not an address
+publish: many
+log: loud
+devices:
+  gripper: usb:1
+  head:
+    url: tcp:localhost:7000
+    baud: 9600
+    efl: head.elf
+  a/b: sim:head
+  wrist:
+    baud: fast
+  one: serial:/dev/ttyACM0
+  two: serial:/dev/ttyACM0?baud=9600
+  arm: {url: sim:head, elf: no/such.elf}
+";
+        let mistakes = parse(text).expect_err("mistakes").to_string();
+        let first: Vec<&str> = mistakes
+            .lines()
+            .filter(|line| line.starts_with("lab.yaml:"))
+            .collect();
+        let expected = [
+            "lab.yaml:1:1: unknown key 'prot'; did you mean 'port'?",
+            "lab.yaml:2:8: the scope 'a;b' contains ';', so no client can reach it; write it as /lab",
+            "lab.yaml:3:7: 'not an address' is no address; use 127.0.0.1 for this machine only, or '*' for every interface",
+            "lab.yaml:4:10: 'many' is not a port, a whole number from 0 to 65535",
+            "lab.yaml:5:6: 'loud' is not known here; there are: error, warn, info, debug",
+            "lab.yaml:7:12: unknown kind of device 'usb'; use serial:/dev/ttyACM0?baud=115200, tcp:HOST:PORT or sim:gripper",
+            "lab.yaml:10:11: only a serial port has a line rate",
+            "lab.yaml:11:5: unknown key 'efl'; did you mean 'elf'?",
+            "lab.yaml:12:3: 'a/b' is no name for a device: one word without ':' and '/'",
+            "lab.yaml:14:5: 'url' is missing; write url: serial:/dev/ttyACM0",
+            "lab.yaml:16:8: 'one' is at serial:/dev/ttyACM0 already",
+            "lab.yaml:17:29: there is no file /lab/no/such.elf",
+        ];
+        assert_eq!(first, expected, "{mistakes}");
+        let shown = "  7 |   gripper: usb:1\n    |            ^^^^^\n";
+        assert!(mistakes.contains(shown), "{mistakes}");
+    }
+
+    #[test]
+    fn what_is_of_the_wrong_kind_is_said() {
+        for (text, part) in [
+            (
+                "- a",
+                "lab.yaml:1:1: here is a list; wanted is a mapping: scope, port, devices",
+            ),
+            (
+                "port: [1]",
+                "lab.yaml:1:7: here is a list; wanted is a port",
+            ),
+            ("port: -1", "'-1' is not a port"),
+            ("devices: gripper", "lab.yaml:1:10: here is a single value"),
+            (
+                "devices: {a: [x]}",
+                "lab.yaml:1:14: here is a list; wanted is where the device is",
+            ),
+            (
+                "devices: {a: ~}",
+                "lab.yaml:1:14: here is nothing; wanted is where",
+            ),
+            (
+                "devices: {a: {url: serial:/dev/x, baud: 0}}",
+                "'0' is not a line rate",
+            ),
+            ("scope: $ztl", "belongs to the protocol itself"),
+            ("[a]: 1", "lab.yaml:1:1: a key is a single word"),
+        ] {
+            let mistakes = parse(text).expect_err(text).to_string();
+            assert!(mistakes.contains(part), "{text}: {mistakes}");
+        }
+    }
+
+    #[test]
+    fn no_file_at_all_makes_it_panic() {
+        const WHOLE: &str = "scope: /lab\nport: 1\nbind: '*'\npublish: 2\njournal: x\nlog: info\nlog-format: text\n\
+            devices:\n  a: sim:head\n  b: {url: serial:/dev/x?baud=9600, baud: 1, elf: y}\n  c:\n    url: tcp:h:1\n";
+        let mut numbers = Numbers(0x2545_f491_4f6c_dd1d);
+        for _ in 0..5_000 {
+            let mut bytes = WHOLE.as_bytes().to_vec();
+            for _ in 0..=numbers.below(4) {
+                let from = numbers.below(bytes.len());
+                let to = (from + numbers.below(6)).min(bytes.len());
+                let piece = numbers.bytes();
+                let piece = piece.get(..numbers.below(6)).unwrap_or_default().to_vec();
+                bytes.splice(from..to, piece);
+            }
+            if let Ok(document) = Document::parse("f", &bytes) {
+                let _ = Config::read(&document, Path::new("")).map_err(|m| m.to_string());
+            }
+        }
+    }
+}
