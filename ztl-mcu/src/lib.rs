@@ -55,6 +55,7 @@
 extern crate std;
 
 mod component;
+pub mod log;
 mod node;
 pub mod pump;
 

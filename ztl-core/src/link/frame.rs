@@ -226,6 +226,12 @@ impl<const N: usize> Decoder<N> {
         self.complete = false;
     }
 
+    /// Whether part of a frame has come, and not its end.
+    #[must_use]
+    pub const fn has_begun(&self) -> bool {
+        !self.complete && (self.len > 0 || self.left > 0 || self.zero || self.poisoned)
+    }
+
     /// Takes the next byte. `true` when it ended a frame that is now to be read with
     /// [`frame`](Self::frame), before the next byte comes.
     ///

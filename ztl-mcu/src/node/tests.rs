@@ -1,12 +1,18 @@
 //! A node and a gateway played by hand, on virtual time.
 
+mod policies;
+
 use super::*;
-use crate::component::Component;
+use crate::component::{Component, Refused, Report, Run};
+use core::time::Duration;
 use std::cell::RefCell;
 use std::format;
 use std::string::{String, ToString};
 use std::vec::Vec as Grown;
-use ztl_core::link::{Busy, GoalShape, Offer, Welcome};
+use ztl_core::link::{
+    ADDR_ONLY_NODE, Body, Busy, Frame, GoalShape, Hello, Loss, Offer, VERSION, Welcome, encode,
+    session_key,
+};
 
 /// What a motor was told, in order.
 type Trace = RefCell<Grown<String>>;
@@ -15,10 +21,12 @@ type Trace = RefCell<Grown<String>>;
 #[derive(Debug, Clone, PartialEq, Eq)]
 struct Motor<'t> {
     name: &'static str,
+    busy: Busy,
     loss: Loss,
     trace: &'t Trace,
     ends_at: Option<Instant>,
     aborted: bool,
+    moving: bool,
 }
 
 impl Component for Motor<'_> {
@@ -31,24 +39,30 @@ impl Component for Motor<'_> {
         Offer {
             name: self.name,
             goal,
-            busy: Busy::Refuse,
+            busy: self.busy,
             loss: self.loss,
             topics: "",
         }
     }
 
     fn check(&self, goal: &str, why: &mut Report<'_>) -> Result<(), Refused> {
-        goal.parse::<u64>().map(drop).map_err(|_| {
+        goal.trim().parse::<u64>().map(drop).map_err(|_| {
             why.text("a number of ms");
             Refused
         })
     }
 
-    fn start(&mut self, now: Instant, goal: &str, _: &mut Report<'_>) -> Result<(), Refused> {
-        let millis = goal.parse().map_err(|_| Refused)?;
+    fn start(&mut self, now: Instant, goal: &str, why: &mut Report<'_>) -> Result<(), Refused> {
+        let millis = goal.trim().parse().map_err(|_| Refused)?;
+        if millis == 13 {
+            why.text("not the 13");
+            return Err(Refused);
+        }
+        let twice = if self.moving { " twice" } else { "" };
+        self.moving = true;
         self.trace
             .borrow_mut()
-            .push(format!("{} {goal}", self.name));
+            .push(format!("{} {goal}{twice}", self.name));
         self.ends_at = Some(now + Duration::from_millis(millis));
         self.aborted = false;
         Ok(())
@@ -57,9 +71,11 @@ impl Component for Motor<'_> {
     fn poll(&mut self, now: Instant, report: &mut Report<'_>) -> Run {
         report.text("moving");
         if self.aborted {
+            self.moving = false;
             return Run::Aborted;
         }
         if self.ends_at.is_some_and(|end| end <= now) {
+            self.moving = false;
             return Run::Completed;
         }
         Run::Running
@@ -71,6 +87,7 @@ impl Component for Motor<'_> {
     }
 
     fn make_safe(&mut self, _now: Instant) {
+        self.moving = false;
         self.trace.borrow_mut().push(format!("{} safe", self.name));
     }
 }
@@ -78,14 +95,16 @@ impl Component for Motor<'_> {
 fn motor<'t>(name: &'static str, loss: Loss, trace: &'t Trace) -> Motor<'t> {
     Motor {
         name,
+        busy: Busy::Refuse,
         loss,
         trace,
         ends_at: None,
         aborted: false,
+        moving: false,
     }
 }
 
-type TestNode<'t> = Node<'static, [Motor<'t>; 3], 2, 128>;
+type TestNode<'t, const TASKS: usize = 2> = Node<'static, [Motor<'t>; 3], TASKS, 128>;
 
 /// The session that a `Hello` opens with the node of these tests.
 fn key(hello: u32) -> u32 {
@@ -93,7 +112,11 @@ fn key(hello: u32) -> u32 {
 }
 
 /// What a node says, with the seq in front.
-fn said(node: &mut TestNode<'_>, now: Instant, hello: u32) -> Grown<String> {
+fn said<C: Components, const TASKS: usize>(
+    node: &mut Node<'_, C, TASKS, 128>,
+    now: Instant,
+    hello: u32,
+) -> Grown<String> {
     let mut decoder = Decoder::<160>::new();
     let mut heard = Grown::new();
     let mut buffer = [0xA5; 7];
@@ -142,13 +165,13 @@ fn said(node: &mut TestNode<'_>, now: Instant, hello: u32) -> Grown<String> {
 }
 
 /// A gateway's side of a session, played by hand.
-struct Desk<'n, 'c> {
-    node: &'n mut TestNode<'c>,
+struct Desk<'n, C, const TASKS: usize> {
+    node: &'n mut Node<'static, C, TASKS, 128>,
     session: u32,
     now: Instant,
 }
 
-impl Desk<'_, '_> {
+impl<C: Components, const TASKS: usize> Desk<'_, C, TASKS> {
     fn send(&mut self, session: u32, seq: u8, body: Body<'_>) -> Grown<String> {
         let mut buffer = [0xA5; 160];
         let frame = Frame {
@@ -201,7 +224,7 @@ impl Desk<'_, '_> {
 }
 
 /// Runs `play` against a node with three motors: abort, hold and carry on when the link is lost.
-fn with_node(play: impl FnOnce(&mut Desk<'_, '_>, &Trace)) {
+fn with_node(play: impl FnOnce(&mut Desk<'_, [Motor<'_>; 3], 2>, &Trace)) {
     let trace = Trace::default();
     let components = [
         motor("a", Loss::Abort, &trace),
@@ -209,12 +232,17 @@ fn with_node(play: impl FnOnce(&mut Desk<'_, '_>, &Trace)) {
         motor("c", Loss::CarryOn, &trace),
     ];
     let mut node = TestNode::new(Identity::new("desk", "1", 77), components);
-    let mut desk = Desk {
-        node: &mut node,
+    play(&mut desk(&mut node), &trace);
+}
+
+fn desk<'n, C, const TASKS: usize>(
+    node: &'n mut Node<'static, C, TASKS, 128>,
+) -> Desk<'n, C, TASKS> {
+    Desk {
+        node,
         session: 5,
         now: Instant::from_millis(10_000),
-    };
-    play(&mut desk, &trace);
+    }
 }
 
 #[track_caller]

@@ -1,0 +1,287 @@
+//! What happens to a second task, by the component's policy.
+
+use super::*;
+
+/// Runs `play` against a node with one motor of this policy and two others, and room for four tasks.
+fn with_motor(busy: Busy, loss: Loss, play: impl FnOnce(&mut Desk<'_, [Motor<'_>; 3], 4>, &Trace)) {
+    let trace = Trace::default();
+    let mut components = [
+        motor("m", loss, &trace),
+        motor("n", Loss::Abort, &trace),
+        motor("o", Loss::Abort, &trace),
+    ];
+    components[0].busy = busy;
+    let mut node = TestNode::<4>::new(Identity::new("desk", "1", 77), components);
+    let mut desk = desk(&mut node);
+    desk.hello(5, 1);
+    play(&mut desk, &trace);
+}
+
+const WAITS: &str = "waits for another task to end";
+
+#[test]
+fn a_queued_task_begins_when_the_one_before_has_ended() {
+    with_motor(Busy::Queue(2), Loss::Abort, |desk, trace| {
+        assert_said(desk.start(1, 7, 0, "50"), &["1 Started 7"]);
+        let waits = format!("Progress 8 {WAITS}");
+        assert_said(desk.start(2, 8, 0, "60"), &["2 Started 8", &waits]);
+        assert_said(
+            desk.start(3, 9, 0, "70"),
+            &["3 Started 9", &format!("Progress 9 {WAITS}")],
+        );
+        assert_said(
+            desk.start(4, 10, 0, "80"),
+            &["4 Refused busy, and no more tasks may wait"],
+        );
+        // Another component is not concerned.
+        assert_said(desk.start(5, 10, 1, "500"), &["5 Started 10"]);
+        assert_eq!(trace.borrow().as_slice(), ["m 50", "n 500"]);
+
+        let heard = desk.pass(50).join(", ");
+        assert!(heard.starts_with("Ended 7 COMPLETED moving, "), "{heard}");
+        assert_eq!(trace.borrow().as_slice(), ["m 50", "n 500", "m 60"]);
+        let heard = desk.pass(60).join(", ");
+        assert!(heard.starts_with("Ended 8 COMPLETED moving, "), "{heard}");
+        assert_eq!(trace.borrow().as_slice(), ["m 50", "n 500", "m 60", "m 70"]);
+    });
+}
+
+#[test]
+fn the_lowest_id_begins_first_whatever_came_and_went_before() {
+    with_motor(Busy::Queue(9), Loss::Abort, |desk, trace| {
+        // The end of the first one, given up, changes the order in the table.
+        desk.start(1, 1, 1, "1");
+        for (seq, task) in [(2, 2), (3, 3), (4, 4)] {
+            desk.start(seq, task, 0, &format!("{}", task * 10));
+        }
+        desk.pass(1);
+        desk.send(key(5), NO_SEQ, Body::Ack { task: LinkId(1) });
+        desk.start(5, 5, 0, "50");
+        for _ in 0..40 {
+            desk.pass(10);
+        }
+        let trace = trace.borrow();
+        assert_eq!(trace.as_slice(), ["n 1", "m 20", "m 30", "m 40", "m 50"]);
+    });
+}
+
+#[test]
+fn a_goal_is_checked_before_it_is_queued() {
+    with_motor(Busy::Queue(2), Loss::Abort, |desk, _| {
+        desk.start(1, 7, 0, "50");
+        assert_said(desk.start(2, 8, 0, "far"), &["2 Refused a number of ms"]);
+        let long = format!("{:>49}", "5");
+        let reason = "busy, and the goal is too long to wait: more than 48 bytes";
+        assert_said(
+            desk.start(3, 8, 0, &long),
+            &[&format!("3 Refused {reason}")],
+        );
+        assert_said(
+            desk.start(4, 8, 0, &long[1..]),
+            &["4 Started 8", &format!("Progress 8 {WAITS}")],
+        );
+    });
+}
+
+#[test]
+fn a_queued_task_that_is_refused_at_its_start_fails_with_the_reason() {
+    with_motor(Busy::Queue(2), Loss::Abort, |desk, trace| {
+        desk.start(1, 7, 0, "50");
+        desk.start(2, 8, 0, "13");
+        desk.start(3, 9, 0, "60");
+        let heard = desk.pass(50).join(", ");
+        let ends = "Ended 7 COMPLETED moving, Ended 8 FAILED not the 13, ";
+        assert!(heard.starts_with(ends), "{heard}");
+        assert_eq!(trace.borrow().as_slice(), ["m 50", "m 60"]);
+        // Where it need not wait, it is refused at once.
+        assert_said(desk.start(4, 10, 1, "13"), &["4 Refused not the 13"]);
+    });
+}
+
+#[test]
+fn abort_of_a_queued_task_ends_it_at_once() {
+    with_motor(Busy::Queue(2), Loss::Abort, |desk, trace| {
+        desk.start(1, 7, 0, "50");
+        desk.start(2, 8, 0, "60");
+        let abort = Body::Abort { task: LinkId(8) };
+        assert_said(
+            desk.command(3, abort),
+            &["3 Aborting 8", "Ended 8 ABORTED aborted before it began"],
+        );
+        desk.pass(50);
+        desk.pass(50);
+        assert_eq!(trace.borrow().as_slice(), ["m 50"]);
+    });
+}
+
+#[test]
+fn a_later_task_replaces_the_one_that_runs_and_the_one_that_waits() {
+    with_motor(Busy::Replace, Loss::Abort, |desk, trace| {
+        desk.start(1, 7, 0, "500");
+        let waits = |task| format!("Progress {task} {WAITS}");
+        assert_said(desk.start(2, 8, 0, "600"), &["2 Started 8", &waits(8)]);
+        assert_said(
+            desk.start(3, 9, 0, "700"),
+            &[
+                "3 Started 9",
+                "Ended 8 ABORTED replaced by a later task",
+                &waits(9),
+            ],
+        );
+        // It begins only when the first has stopped.
+        assert_eq!(trace.borrow().as_slice(), ["m 500", "m abort"]);
+        let heard = desk.pass(1).join(", ");
+        assert!(
+            heard.contains("Ended 7 ABORTED replaced by a later task"),
+            "{heard}"
+        );
+        assert_eq!(trace.borrow().as_slice(), ["m 500", "m abort", "m 700"]);
+        // A goal that is not taken replaces nothing.
+        assert_said(desk.start(4, 10, 0, "far"), &["4 Refused a number of ms"]);
+        assert_eq!(trace.borrow().len(), 3);
+    });
+}
+
+#[test]
+fn a_task_without_room_replaces_nothing() {
+    with_motor(Busy::Replace, Loss::Abort, |desk, trace| {
+        desk.start(1, 7, 0, "500");
+        desk.start(2, 8, 1, "500");
+        desk.start(3, 9, 2, "500");
+        desk.start(4, 10, 0, "500");
+        desk.pass(1);
+        assert_said(
+            desk.start(5, 11, 0, "500"),
+            &["5 Refused ends not yet acknowledged"],
+        );
+        let aborts = trace.borrow().iter().filter(|t| *t == "m abort").count();
+        assert_eq!(aborts, 1);
+    });
+}
+
+#[test]
+fn one_that_ends_by_itself_before_it_stops_keeps_its_end() {
+    with_motor(Busy::Replace, Loss::Abort, |desk, trace| {
+        desk.start(1, 7, 0, "500");
+        desk.start(2, 8, 0, "600");
+        // The motor did not hear the abort.
+        desk.node.components_mut()[0].aborted = false;
+        let heard = desk.pass(500).join(", ");
+        assert!(heard.contains("Ended 7 COMPLETED moving"), "{heard}");
+        assert_eq!(trace.borrow().last().unwrap(), "m 600");
+    });
+}
+
+#[test]
+fn when_the_link_is_lost_what_waits_ends_with_what_runs() {
+    with_motor(Busy::Queue(2), Loss::Hold, |desk, trace| {
+        desk.start(1, 7, 0, "5000");
+        desk.start(2, 8, 0, "60");
+        assert_said(
+            desk.pass(1000),
+            &[
+                "Ended 7 FAILED link was lost",
+                "Ended 8 FAILED link was lost",
+            ],
+        );
+        desk.pass(1000);
+        assert_eq!(trace.borrow().as_slice(), ["m 5000", "m safe"]);
+    });
+}
+
+#[test]
+fn what_carries_on_carries_on_with_what_waits() {
+    with_motor(Busy::Queue(2), Loss::CarryOn, |desk, trace| {
+        desk.start(1, 7, 0, "2000");
+        desk.start(2, 8, 0, "60");
+        let heard: Grown<String> = (0..25).flat_map(|_| desk.pass(100)).collect();
+        assert!(
+            heard.iter().any(|l| l == "Ended 8 COMPLETED moving"),
+            "{heard:?}"
+        );
+        assert_eq!(trace.borrow().as_slice(), ["m 2000", "m 60"]);
+    });
+}
+
+#[test]
+fn an_emergency_stop_ends_what_waits_too() {
+    with_motor(Busy::Queue(2), Loss::CarryOn, |desk, trace| {
+        desk.start(1, 7, 0, "2000");
+        desk.start(2, 8, 0, "60");
+        desk.node.stop_everything(desk.now);
+        assert!(desk.node.is_stopped());
+        assert_said(
+            desk.pass(1),
+            &[
+                "Ended 7 ABORTED emergency stop",
+                "Ended 8 ABORTED emergency stop",
+            ],
+        );
+        desk.pass(3000);
+        let safe = ["m 2000", "m safe", "n safe", "o safe"];
+        assert_eq!(trace.borrow().as_slice(), safe);
+        assert_said(desk.start(3, 9, 1, "5"), &["3 Refused emergency stop"]);
+        // The ends are in the way of new tasks until they are known.
+        for task in [7, 8] {
+            desk.send(key(5), NO_SEQ, Body::Ack { task: LinkId(task) });
+        }
+        desk.node.clear_stop();
+        assert_said(desk.start(4, 9, 0, "5"), &["4 Started 9"]);
+    });
+}
+
+#[test]
+fn a_new_session_is_told_what_waits() {
+    with_motor(Busy::Queue(2), Loss::CarryOn, |desk, _| {
+        desk.start(1, 7, 0, "2000");
+        desk.start(2, 8, 0, "60");
+        assert_said(
+            desk.hello(6, 1),
+            &[
+                "Welcome boot 77 replaces 5 highest 8 [7, 8]",
+                "Progress 7 ",
+                &format!("Progress 8 {WAITS}"),
+            ],
+        );
+    });
+}
+
+#[test]
+fn never_do_two_tasks_move_one_component() {
+    // Whatever is asked for, in whatever order: a start comes only after the end of the one before.
+    for policy in [Busy::Refuse, Busy::Queue(3), Busy::Replace] {
+        for seed in 1..200u32 {
+            with_motor(policy, Loss::CarryOn, |desk, trace| {
+                let mut dice = seed;
+                let mut next = |bound| {
+                    dice = dice.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+                    (dice >> 16) % bound
+                };
+                let mut task = 0;
+                let mut seq = 0;
+                for _ in 0..60 {
+                    seq += 1;
+                    let known = LinkId(1 + next(task + 1));
+                    match next(5) {
+                        0 | 1 => {
+                            task += 1;
+                            desk.start(seq, task, 0, &format!("{}", 10 + next(20)));
+                        }
+                        2 => drop(desk.command(seq, Body::Abort { task: known })),
+                        3 => {
+                            desk.send(key(5), NO_SEQ, Body::Ack { task: known });
+                            seq -= 1;
+                        }
+                        _ => {
+                            desk.pass(u64::from(next(15)));
+                            seq -= 1;
+                        }
+                    }
+                    // A motor that were started twice would say so.
+                    assert!(!trace.borrow().iter().any(|line| line.contains("twice")));
+                }
+                assert!(!trace.borrow().is_empty());
+            });
+        }
+    }
+}

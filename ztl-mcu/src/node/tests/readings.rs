@@ -1,0 +1,3 @@
+//! Readings and the log: what has the lowest priority.
+
+use super::*;
