@@ -8,6 +8,7 @@ mod bench;
 mod clients;
 mod cmd;
 mod cross;
+mod curve;
 mod fuzz;
 mod image;
 mod proof;
@@ -30,6 +31,11 @@ struct Chore {
 }
 
 const CHORES: &[Chore] = &[
+    Chore {
+        name: "build",
+        about: "the `ztl` command, optimised (--curve: with encryption)",
+        run: curve::run,
+    },
     Chore {
         name: "test",
         about: "check and test everything, installing what is lacking (--list, --only STEP)",

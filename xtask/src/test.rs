@@ -4,7 +4,7 @@ use std::net::TcpListener;
 use std::time::{Duration, Instant};
 
 use crate::cmd::{Cmd, Outcome};
-use crate::{Dirs, bare, clients, fuzz, image, proof, python, size, tools};
+use crate::{Dirs, bare, clients, curve, fuzz, image, proof, python, size, tools};
 
 /// The crates that have to do without `std` and without an allocator.
 pub(crate) const BARE_CRATES: &[&str] = &["ztl-core", "ztl-mcu"];
@@ -84,6 +84,11 @@ const STEPS: &[Step] = &[
         name: "test",
         about: "all tests: units, documentation examples, and against the original package",
         run: tests,
+    },
+    Step {
+        name: "curve",
+        about: "with libzmq built for encryption: who has no allowed key gets nothing",
+        run: curve::test,
     },
     Step {
         name: "fuzz",

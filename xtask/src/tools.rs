@@ -23,6 +23,12 @@ const NEEDS: &[Need] = &[
         packages: &["g++"],
     },
     Need {
+        what: "`make`, for libsodium",
+        check: || Cmd::new("make --version"),
+        component: None,
+        packages: &["make"],
+    },
+    Need {
         what: "`python3` with venv and pip, for the original ZTL package",
         // Debian leaves `ensurepip`, which puts pip into a new venv, to a package of its own.
         check: || {

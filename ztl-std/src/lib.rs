@@ -47,6 +47,7 @@
 mod clock;
 pub mod controller;
 pub mod gateway;
+pub mod keys;
 #[cfg(feature = "sim")]
 pub mod line;
 #[cfg(all(unix, feature = "sim"))]
@@ -62,5 +63,5 @@ pub use controller::{
     Aborted, ExecutableTask, TaskContext, TaskController, TaskError, TaskRequest,
 };
 pub use remote::{RemoteTask, RequestError, Status, TriggerError, Triggered, WaitError};
-pub use server::{BindError, ListedTask, Listing, RunningServer, TaskServer};
+pub use server::{Access, BindError, ListedTask, Listing, RunningServer, TaskServer};
 pub use ztl_core::{State, TaskId, TaskSpec};

@@ -11,6 +11,7 @@ use ztl_core::sink::Sink;
 use ztl_core::{Request, State, TaskId, TaskSpec};
 
 use crate::clock::now;
+use crate::keys::{KeyPair, PublicKey, can_encrypt};
 use crate::random;
 pub use error::{RequestError, TriggerError, WaitError};
 
@@ -44,6 +45,8 @@ pub struct RemoteTask {
     endpoint: String,
     scope: String,
     timeout: Duration,
+    /// One's own keys, and the server's.
+    keys: Option<(KeyPair, PublicKey)>,
     client: Client,
     /// Whether the server at the other end of the present connection has been asked who it is.
     met: bool,
@@ -84,6 +87,7 @@ impl RemoteTask {
             endpoint: endpoint.to_owned(),
             scope: scope.to_owned(),
             timeout: TIMEOUT,
+            keys: None,
             client: Client::new(ClientId(id), TIMEOUT),
             met: false,
         };
@@ -98,6 +102,19 @@ impl RemoteTask {
         self.timeout = timeout;
         self.client.set_timeout(timeout);
         self
+    }
+
+    /// Encrypts with one's own keys, towards the server with this key alone.
+    ///
+    /// # Errors
+    /// [`RequestError::NoCurve`] when this build cannot encrypt.
+    pub fn with_keys(mut self, own: KeyPair, server: PublicKey) -> Result<Self, RequestError> {
+        if !can_encrypt() {
+            return Err(RequestError::NoCurve);
+        }
+        self.keys = Some((own, server));
+        self.socket = Some(self.open()?);
+        Ok(self)
     }
 
     /// Asks for a task.
@@ -277,6 +294,11 @@ impl RemoteTask {
         // Nothing is queued for a server that is not there: it would act on it when it comes.
         socket.set_immediate(true)?;
         socket.set_maxmsgsize(crate::server::MAX_MESSAGE as i64)?;
+        if let Some((own, server)) = &self.keys {
+            socket.set_curve_publickey(own.public().as_bytes())?;
+            socket.set_curve_secretkey(own.secret())?;
+            socket.set_curve_serverkey(server.as_bytes())?;
+        }
         socket.connect(&self.endpoint)?;
         Ok(socket)
     }

@@ -45,12 +45,19 @@ impl Server {
     /// `ztl gateway` with these devices, as `gripper=sim:gripper`; which need not be there yet.
     #[track_caller]
     pub fn gateway(devices: &[&str]) -> Self {
+        Self::gateway_with(devices, &[])
+    }
+
+    /// The same with more options.
+    #[track_caller]
+    pub fn gateway_with(devices: &[&str], options: &[&str]) -> Self {
         let mut command = ztl();
         // It chooses its port itself, and says it.
         command.args(["gateway", "-p", "0", "-s", SCOPE]);
         for device in devices {
             command.args(["--device", device]);
         }
+        command.args(options);
         let process = Process::start(&mut command);
         let line = process.wait_for("Serving ");
         let port = line

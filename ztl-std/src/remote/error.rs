@@ -5,6 +5,7 @@ use std::time::Duration;
 use ztl_core::TaskId;
 
 use super::Status;
+use crate::keys::KeyError;
 
 /// Why a request got no answer that could be used.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -35,6 +36,8 @@ pub enum RequestError {
         /// The answer, as far as it is text.
         answer: String,
     },
+    /// Keys were given, and this build cannot encrypt.
+    NoCurve,
     /// ZeroMQ failed.
     Transport(zmq::Error),
 }
@@ -57,6 +60,7 @@ impl std::fmt::Display for RequestError {
                 "the server does not know task {id}: it was started anew or has forgotten it, and how the task ended is unknown"
             ),
             Self::Unreadable { answer } => write!(f, "the answer is no ZTL message: {answer:?}"),
+            Self::NoCurve => KeyError::NoCurve.fmt(f),
             Self::Transport(cause) => write!(f, "ZeroMQ: {}", cause.message()),
         }
     }

@@ -63,6 +63,8 @@ pub(super) struct HeapTasks {
     ends: BTreeSet<(Instant, TaskId)>,
     /// What each was asked for, to be shown.
     asked: HashMap<TaskId, Asked>,
+    /// Scopes that the client whose request is served may not use.
+    hidden: Vec<Scope>,
 }
 
 impl Tasks for HeapTasks {
@@ -106,7 +108,9 @@ impl Tasks for HeapTasks {
 
     fn for_each(&self, each: &mut dyn FnMut(TaskId, &Task<Scope, Grown>)) {
         for (id, task) in &self.tasks {
-            each(*id, task);
+            if !self.hidden.contains(&task.extra) {
+                each(*id, task);
+            }
         }
     }
 }
@@ -141,6 +145,27 @@ impl Heap {
         scope
     }
 
+    /// Hides scopes from the request that is served next: to its client they do not exist. To be
+    /// shown again afterwards.
+    pub(super) fn hide(&mut self, hidden: impl Fn(&str) -> bool) {
+        if self.tasks.hidden.is_empty() && !self.scopes.iter().any(|(name, _)| hidden(name)) {
+            return;
+        }
+        let places = self.scopes.iter().zip(0..);
+        let hidden = places.filter(|((name, _), _)| hidden(name));
+        self.tasks.hidden = hidden.map(|(_, place)| Scope(place)).collect();
+    }
+
+    /// The scopes that the present client may use, with their places.
+    fn visible(&self) -> impl Iterator<Item = &(String, About)> {
+        let shown = |(_, place): &(_, u16)| !self.tasks.hidden.contains(&Scope(*place));
+        self.scopes
+            .iter()
+            .zip(0..)
+            .filter(shown)
+            .map(|(scope, _)| scope)
+    }
+
     /// Keeps what a task was asked for, to be shown.
     pub(super) fn note_payload(&mut self, id: TaskId, payload: &str, now: Instant) {
         self.tasks.asked.insert(id, Asked::new(payload, now));
@@ -148,7 +173,8 @@ impl Heap {
 
     fn listing(&self) -> Listing {
         let now = now();
-        let tasks = self.tasks.tasks.iter().map(|(id, task)| {
+        let shown = |(_, task): &(_, &Task<Scope, Grown>)| !self.tasks.hidden.contains(&task.extra);
+        let tasks = self.tasks.tasks.iter().filter(shown).map(|(id, task)| {
             let asked = self.tasks.asked.get(id);
             ListedTask {
                 id: id.get(),
@@ -168,7 +194,7 @@ impl Heap {
 
     /// What the handlers answer, by scope.
     fn ask_handlers(&self, question: &str) -> Option<String> {
-        let answers = self.scopes.iter().filter_map(|(name, about)| {
+        let answers = self.visible().filter_map(|(name, about)| {
             let answer = serde_json::from_str((about.answer)(question)?.as_str()).ok()?;
             Some((name.clone(), answer))
         });
@@ -203,7 +229,8 @@ impl Memory for Heap {
     }
 
     fn scope(&self, name: &str) -> Option<Scope> {
-        self.places.get(name).copied()
+        let place = self.places.get(name).copied();
+        place.filter(|place| !self.tasks.hidden.contains(place))
     }
 
     fn scope_name(&self, scope: Scope) -> &str {
@@ -214,8 +241,7 @@ impl Memory for Heap {
 
     fn put_scopes(&self, sink: &mut dyn Sink) {
         let scopes: Vec<String> = self
-            .scopes
-            .iter()
+            .visible()
             .map(|(name, about)| format!("{}: {}", quoted(name), (about.describe)()))
             .collect();
         sink.put(format!("{{{}}}", scopes.join(", ")).as_bytes());

@@ -3,6 +3,7 @@
 //! The thread that answers runs no handler's code that could block: handlers take a task and
 //! return at once, and report from wherever they work.
 
+mod access;
 mod listing;
 mod memory;
 mod report;
@@ -19,8 +20,11 @@ use ztl_core::reply::{RefusalOf, Reply};
 
 use crate::clock::now;
 use crate::controller::{TaskController, Threads};
+use crate::keys::{KeyError, can_encrypt};
 use crate::random;
 
+pub use access::Access;
+use access::{Door, Who};
 pub use listing::{ListedTask, Listing};
 pub(crate) use memory::quoted;
 use memory::{About, Heap, Peer};
@@ -87,6 +91,8 @@ pub enum BindError {
         /// What ZeroMQ says.
         cause: zmq::Error,
     },
+    /// Keys were given, and this build cannot encrypt.
+    NoCurve,
     /// ZeroMQ gives no more sockets, or has no more memory.
     Socket(zmq::Error),
 }
@@ -113,6 +119,7 @@ impl std::fmt::Display for BindError {
                 }
                 f.write_str("; use 127.0.0.1 for this machine only, or * for every interface")
             }
+            Self::NoCurve => KeyError::NoCurve.fmt(f),
             Self::Socket(cause) => write!(f, "cannot open a socket: {}", cause.message()),
         }
     }
@@ -121,7 +128,7 @@ impl std::fmt::Display for BindError {
 impl std::error::Error for BindError {
     fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
         match self {
-            Self::InUse { .. } => None,
+            Self::InUse { .. } | Self::NoCurve => None,
             Self::Address { cause, .. } | Self::Socket(cause) => Some(cause),
         }
     }
@@ -138,6 +145,7 @@ impl From<zmq::Error> for BindError {
 /// Register what it is to serve, then [`listen`](Self::listen) or [`spawn`](Self::spawn).
 pub struct TaskServer {
     socket: zmq::Socket,
+    door: Door,
     bell: zmq::Socket,
     /// After the sockets: a context ends when its sockets are closed.
     _context: zmq::Context,
@@ -159,10 +167,22 @@ impl TaskServer {
     /// # Errors
     /// As [`BindError`] says.
     pub fn bind(endpoint: &str) -> Result<Self, BindError> {
+        Self::bind_for(endpoint, Access::everybody())
+    }
+
+    /// Listens as [`bind`](Self::bind) does, for those who are allowed.
+    ///
+    /// # Errors
+    /// As [`BindError`] says: keys without encryption are one.
+    pub fn bind_for(endpoint: &str, access: Access) -> Result<Self, BindError> {
+        if access.encrypts() && !can_encrypt() {
+            return Err(BindError::NoCurve);
+        }
         let context = zmq::Context::new();
         let socket = context.socket(zmq::ROUTER)?;
         socket.set_linger(0)?;
         socket.set_maxmsgsize(MAX_MESSAGE as i64)?;
+        let door = Door::new(access, &context, &socket)?;
         socket.bind(endpoint).map_err(|cause| match cause {
             zmq::Error::EADDRINUSE => BindError::InUse {
                 endpoint: endpoint.to_owned(),
@@ -183,6 +203,7 @@ impl TaskServer {
         info!(target: LOG, "Task Server listening at '{endpoint}'");
         Ok(Self {
             socket,
+            door,
             bell,
             _context: context,
             endpoint: bound,
@@ -250,9 +271,11 @@ impl TaskServer {
             self.waker.taken();
         }
         let more = self.take_reports();
+        self.door.decide();
         for _ in 0..BATCH {
-            match self.socket.recv_multipart(zmq::DONTWAIT) {
-                Ok(frames) => self.serve(frames),
+            match self.receive() {
+                Ok((frames, Some(who))) => self.serve(frames, who),
+                Ok((_, None)) => debug!(target: LOG, "dropped a message of somebody unknown"),
                 Err(_) => break,
             }
         }
@@ -317,10 +340,11 @@ impl TaskServer {
                 .unwrap_or(i64::MAX)
                 .min(3_600_000),
         };
-        let mut items = [
+        let mut items = vec![
             self.socket.as_poll_item(zmq::POLLIN),
             self.bell.as_poll_item(zmq::POLLIN),
         ];
+        items.extend(self.door.desk().map(|desk| desk.as_poll_item(zmq::POLLIN)));
         match zmq::poll(&mut items, timeout) {
             Ok(_) | Err(zmq::Error::EINTR) => Ok(()),
             Err(cause) => Err(cause),
@@ -348,7 +372,19 @@ impl TaskServer {
         taken == BATCH
     }
 
-    fn serve(&mut self, mut frames: Vec<Vec<u8>>) {
+    /// The next message, and who sent it, unless that is not known.
+    fn receive(&self) -> Result<(Vec<Vec<u8>>, Option<Who>), zmq::Error> {
+        let mut frames = Vec::new();
+        loop {
+            let mut frame = self.socket.recv_msg(zmq::DONTWAIT)?;
+            frames.push(frame.to_vec());
+            if !frame.get_more() {
+                return Ok((frames, self.door.who(&mut frame)));
+            }
+        }
+    }
+
+    fn serve(&mut self, mut frames: Vec<Vec<u8>>, who: Who) {
         // Identity, any envelope, an empty frame, and then the body. Without the empty frame it
         // is no request: a REP socket drops it too.
         let Some(delimiter) = frames.iter().position(Vec::is_empty) else {
@@ -370,9 +406,15 @@ impl TaskServer {
             log_refusal(reply, body);
             answer(socket, peer, reply);
         };
+        if let Who::Client(_) = who {
+            let door = &self.door;
+            let hidden = |scope: &str| !door.lets_use(who, scope);
+            self.dispatcher.memory_mut().hide(hidden);
+        }
         let action = self
             .dispatcher
             .handle_request(now(), frames, envelope, body, &mut out);
+        self.dispatcher.memory_mut().hide(|_| false);
         match action {
             Some(Action::Start { id, scope, payload }) => {
                 let heap = self.dispatcher.memory_mut();

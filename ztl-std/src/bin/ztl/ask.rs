@@ -1,8 +1,9 @@
 //! What `ztl devices`, `ztl ps` and `ztl abort` share: which server is asked, and how answers look.
 
 use serde::de::DeserializeOwned;
-use ztl_std::{Listing, RemoteTask, RequestError};
+use ztl_std::{Listing, RemoteTask};
 
+use crate::reach::Identity;
 use crate::tool::port;
 
 #[derive(Debug, clap::Args)]
@@ -14,6 +15,9 @@ pub(crate) struct Server {
     /// Port of the server
     #[arg(short, long, value_parser = port)]
     port: u16,
+
+    #[command(flatten)]
+    identity: Identity,
 }
 
 impl Server {
@@ -22,14 +26,15 @@ impl Server {
     }
 
     /// A client of `scope` there.
-    pub(crate) fn connect(&self, scope: &str) -> Result<RemoteTask, String> {
-        RemoteTask::connect(&self.endpoint(), scope)
-            .map_err(|_| format!("'{}' is no name or address of a host", self.remote))
+    pub(crate) fn connect(&self, scope: &str) -> Result<RemoteTask, Box<dyn std::error::Error>> {
+        let remote = RemoteTask::connect(&self.endpoint(), scope)
+            .map_err(|_| format!("'{}' is no name or address of a host", self.remote))?;
+        self.identity.apply(remote)
     }
 
     /// What the server answers to a question, as JSON; `None` where it does not know it.
-    pub(crate) fn ask(&self, question: &str) -> Result<Option<String>, RequestError> {
-        RemoteTask::connect(&self.endpoint(), "$ztl")?.ask_server(question)
+    pub(crate) fn ask(&self, question: &str) -> Result<Option<String>, Box<dyn std::error::Error>> {
+        Ok(self.connect("$ztl")?.ask_server(question)?)
     }
 
     /// The tasks that the server remembers.

@@ -5,14 +5,15 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use tracing::Level;
-use ztl_std::TaskServer;
 use ztl_std::gateway::config::{
     Config, DeviceConfig, LEVELS, LOG_FORMATS, LogFormat, bind_mistake, name_mistake, same_line,
 };
 use ztl_std::gateway::{Endpoint, Gateway as Devices};
 use ztl_std::server::scope_mistake;
 use ztl_std::yaml::Diagnostics;
+use ztl_std::{Access, TaskServer};
 
+use crate::reach::{Reach, reachable};
 use crate::terminal::line;
 use crate::tool::port;
 use crate::{Done, log, signals};
@@ -38,9 +39,12 @@ pub(crate) struct Gateway {
     #[arg(short, long, value_parser = scope)]
     scope: Option<String>,
 
-    /// Address to serve at; '*' is every interface of this machine, and nobody is asked who they are [default: 127.0.0.1]
+    /// Address to serve at; '*' is every interface of this machine [default: 127.0.0.1]
     #[arg(long, value_name = "ADDR", value_parser = bind)]
     bind: Option<String>,
+
+    #[command(flatten)]
+    reach: Reach,
 
     /// Only say what is wrong with the configuration
     #[arg(long)]
@@ -120,6 +124,7 @@ struct Plan {
     log: Level,
     log_format: LogFormat,
     devices: Vec<DeviceConfig>,
+    access: Access,
 }
 
 impl Gateway {
@@ -186,6 +191,10 @@ impl Gateway {
             log: self.log.or(config.log).unwrap_or(Level::INFO),
             log_format: self.log_format.or(config.log_format).unwrap_or_default(),
             devices,
+            access: self
+                .reach
+                .access()
+                .map_err(|mistake| Unfit::Whole(mistake.to_string()))?,
         })
     }
 }
@@ -202,18 +211,15 @@ impl fmt::Display for Plan {
 
 impl Plan {
     fn serve(self) -> Done {
-        let mut server = TaskServer::bind(&format!("tcp://{}:{}", self.bind, self.port))?;
+        let who = reachable(&self.bind, &self.access);
+        let endpoint = format!("tcp://{}:{}", self.bind, self.port);
+        let mut server = TaskServer::bind_for(&endpoint, self.access)?;
         let names: Vec<&str> = self.devices.iter().map(|d| d.name.as_str()).collect();
         let mut devices = Devices::new();
         for device in &self.devices {
             devices.add(&device.name, device.endpoint.clone())?;
         }
         server.register_handler(&self.scope, devices);
-        let who = match self.bind.as_str() {
-            "*" | "0.0.0.0" => "everybody in its networks",
-            bind if bind.starts_with("127.") || bind == "localhost" => "only this machine",
-            _ => "everybody in that network",
-        };
         line(format_args!(
             "Serving {} at {}, scope {}. Reachable for {who}.",
             names.join(", "),

@@ -8,9 +8,11 @@ mod demo;
 mod device;
 mod devices;
 mod gateway;
+mod keys;
 mod line;
 mod log;
 mod ps;
+mod reach;
 mod scene;
 mod signals;
 mod task_client;
@@ -52,6 +54,8 @@ enum Command {
     Ps(ps::Ps),
     /// Stop tasks of a server, whoever started them
     Abort(abort::Abort),
+    /// Make a pair of keys for encrypted connections
+    Keys(keys::Keys),
     #[command(flatten)]
     Tool(tool::Tool),
 }
@@ -68,6 +72,7 @@ fn main() -> ExitCode {
         Command::Device(device) => device.run(),
         Command::Line(line) => line.run(),
         Command::Devices(devices) => devices.run(),
+        Command::Keys(keys) => keys.run(),
         Command::Ps(ps) => ps.run(),
         Command::Abort(abort) => abort.run(),
         Command::Tool(tool) => tool.run("ztl"),

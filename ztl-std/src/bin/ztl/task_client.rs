@@ -8,6 +8,7 @@ use std::time::Duration;
 use tracing::Level;
 use ztl_std::{RemoteTask, State, Status, TaskId, TaskSpec, TriggerError};
 
+use crate::reach::Identity;
 use crate::terminal::line;
 use crate::tool::{help, port, seconds};
 use crate::{Done, log, signals};
@@ -36,6 +37,9 @@ pub(crate) struct TaskClient {
     /// Tell the task's fate by the exit code (the original's is always 0)
     #[arg(long)]
     exit_status: bool,
+
+    #[command(flatten)]
+    identity: Identity,
 
     /// The task: handler, component and goal separated by ':', e.g. 'handler:component:goal'
     payload: String,
@@ -74,6 +78,7 @@ impl TaskClient {
         let endpoint = format!("tcp://{host}:{port}");
         let mut remote = RemoteTask::connect(&endpoint, &self.scope)
             .map_err(|_| format!("'{host}' is no name or address of a host"))?;
+        remote = self.identity.apply(remote)?;
         let fate = self.play(&mut remote, &spec);
         Ok(match (self.exit_status, signals::stopped()) {
             (true, _) => ExitCode::from(fate),

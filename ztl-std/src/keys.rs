@@ -1,0 +1,401 @@
+//! Keys for encrypted connections (CURVE): who a client is, and that a server is the one meant.
+//!
+//! A pair is kept in two files in the form of CZMQ's and pyzmq's certificates: `NAME.key` with the
+//! public key, to be given to others, and `NAME.key_secret` with both, for its owner alone.
+
+use std::fmt;
+use std::fs;
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+
+/// Bytes of a key.
+const LEN: usize = 32;
+/// Characters of a key in Z85.
+const TEXT_LEN: usize = 40;
+/// The digits of Z85 (ZeroMQ RFC 32).
+const DIGITS: &[u8; 85] =
+    b"0123456789abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ.-:+=^!/*?&<>()[]{}@%$#";
+
+/// Whether this build encrypts. The libzmq that `cargo build` compiles does not; that of
+/// `cargo xtask build --curve` does.
+#[must_use]
+pub fn can_encrypt() -> bool {
+    zmq::has("curve") == Some(true)
+}
+
+/// A public key: who somebody is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct PublicKey([u8; LEN]);
+
+/// A key pair: who one is oneself.
+#[derive(Clone, PartialEq, Eq)]
+pub struct KeyPair {
+    public: PublicKey,
+    secret: [u8; LEN],
+}
+
+/// What is wrong with a key, or with its file.
+#[derive(Debug)]
+#[non_exhaustive]
+pub enum KeyError {
+    /// This build cannot encrypt.
+    NoCurve,
+    /// A file cannot be read or written.
+    File {
+        /// Which.
+        path: PathBuf,
+        /// What the system says.
+        cause: io::Error,
+    },
+    /// A file has no key of this name.
+    Missing {
+        /// Which file.
+        path: PathBuf,
+        /// `public-key` or `secret-key`.
+        name: &'static str,
+    },
+    /// A text is no key.
+    Text,
+    /// A key in a file is none.
+    Line {
+        /// Which file.
+        path: PathBuf,
+        /// The line, from 1.
+        line: usize,
+    },
+    /// A file of this name is there already; a key is never overwritten.
+    Exists {
+        /// Which.
+        path: PathBuf,
+    },
+}
+
+impl fmt::Display for KeyError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::NoCurve => f.write_str(
+                "this build of ztl cannot encrypt; build one that can with `cargo xtask build --curve`",
+            ),
+            Self::File { path, cause } => write!(f, "{}: {cause}", path.display()),
+            Self::Missing { path, name } => write!(
+                f,
+                "{}: there is no line `{name} = \"…\"`; make keys with `ztl keys NAME`",
+                path.display()
+            ),
+            Self::Text => write!(f, "a key is {TEXT_LEN} characters of Z85"),
+            Self::Line { path, line } => write!(
+                f,
+                "{}:{line}: a key is {TEXT_LEN} characters of Z85, in quotes",
+                path.display()
+            ),
+            Self::Exists { path } => write!(
+                f,
+                "{} is there already, and a key is not overwritten; choose another name",
+                path.display()
+            ),
+        }
+    }
+}
+
+impl std::error::Error for KeyError {
+    fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
+        match self {
+            Self::File { cause, .. } => Some(cause),
+            _ => None,
+        }
+    }
+}
+
+impl PublicKey {
+    /// Reads the public key of a certificate, either of its files.
+    ///
+    /// # Errors
+    /// [`KeyError`] with the file, and the line where there is one.
+    pub fn read(path: &Path) -> Result<Self, KeyError> {
+        field(path, &read(path)?, "public-key").map(Self)
+    }
+
+    /// Reads the public keys of all certificates `*.key` in a directory, or of one file.
+    ///
+    /// # Errors
+    /// [`KeyError`] at the first that cannot be read: a key that is not understood is not left out.
+    pub fn read_all(path: &Path) -> Result<Vec<Self>, KeyError> {
+        if !path.is_dir() {
+            return Self::read(path).map(|key| vec![key]);
+        }
+        let failed = |cause| KeyError::File {
+            path: path.to_owned(),
+            cause,
+        };
+        let mut keys = Vec::new();
+        for entry in fs::read_dir(path).map_err(failed)? {
+            let path = entry.map_err(failed)?.path();
+            if path.extension().is_some_and(|extension| extension == "key") {
+                keys.push(Self::read(&path)?);
+            }
+        }
+        Ok(keys)
+    }
+
+    /// Its bytes, as ZeroMQ wants them.
+    #[must_use]
+    pub const fn as_bytes(&self) -> &[u8; LEN] {
+        &self.0
+    }
+
+    pub(crate) const fn from_bytes(bytes: [u8; LEN]) -> Self {
+        Self(bytes)
+    }
+}
+
+/// Z85.
+impl fmt::Display for PublicKey {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&z85(&self.0))
+    }
+}
+
+impl FromStr for PublicKey {
+    type Err = KeyError;
+
+    fn from_str(text: &str) -> Result<Self, KeyError> {
+        from_z85(text).map(Self).ok_or(KeyError::Text)
+    }
+}
+
+/// The secret is not shown.
+impl fmt::Debug for KeyPair {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "KeyPair({})", self.public)
+    }
+}
+
+impl KeyPair {
+    /// A new pair, from libsodium's random numbers.
+    ///
+    /// # Errors
+    /// [`KeyError::NoCurve`] when this build cannot encrypt.
+    pub fn generate() -> Result<Self, KeyError> {
+        let pair = zmq::CurveKeyPair::new().map_err(|_| KeyError::NoCurve)?;
+        Ok(Self {
+            public: PublicKey(pair.public_key),
+            secret: pair.secret_key,
+        })
+    }
+
+    /// Reads a pair from `NAME.key_secret`.
+    ///
+    /// # Errors
+    /// [`KeyError`] with the file, and the line where there is one.
+    pub fn read(path: &Path) -> Result<Self, KeyError> {
+        let text = read(path)?;
+        Ok(Self {
+            public: field(path, &text, "public-key").map(PublicKey)?,
+            secret: field(path, &text, "secret-key")?,
+        })
+    }
+
+    /// Writes the pair to `NAME.key` and `NAME.key_secret`, the latter for its owner alone, and says
+    /// where they are.
+    ///
+    /// # Errors
+    /// [`KeyError`] with the file; nothing is overwritten.
+    pub fn write(&self, name: &Path) -> Result<[PathBuf; 2], KeyError> {
+        let [public, secret] = ["key", "key_secret"].map(|end| {
+            let mut path = name.as_os_str().to_owned();
+            path.push(".");
+            path.push(end);
+            PathBuf::from(path)
+        });
+        let line = |name: &str, key| format!("    {name} = \"{}\"\n", z85(key));
+        let open = format!("curve\n{}", line("public-key", &self.public.0));
+        let shared = format!("# The public key: give it to whoever shall know this one.\n{open}");
+        let kept = format!(
+            "# The secret key: for its owner alone.\n{open}{}",
+            line("secret-key", &self.secret)
+        );
+        create(&secret, &kept, 0o600)?;
+        if let Err(error) = create(&public, &shared, 0o644) {
+            // Half a pair is none.
+            let _ = fs::remove_file(&secret);
+            return Err(error);
+        }
+        Ok([public, secret])
+    }
+
+    /// The public key.
+    #[must_use]
+    pub const fn public(&self) -> PublicKey {
+        self.public
+    }
+
+    /// The secret key's bytes, as ZeroMQ wants them.
+    pub(crate) const fn secret(&self) -> &[u8; LEN] {
+        &self.secret
+    }
+}
+
+fn read(path: &Path) -> Result<String, KeyError> {
+    fs::read_to_string(path).map_err(|cause| KeyError::File {
+        path: path.to_owned(),
+        cause,
+    })
+}
+
+/// Creates a file with these rights and this content.
+fn create(path: &Path, content: &str, mode: u32) -> Result<(), KeyError> {
+    let mut options = fs::OpenOptions::new();
+    options.write(true).create_new(true);
+    #[cfg(unix)]
+    std::os::unix::fs::OpenOptionsExt::mode(&mut options, mode);
+    #[cfg(not(unix))]
+    let _ = mode;
+    let written = options
+        .open(path)
+        .and_then(|mut file| file.write_all(content.as_bytes()));
+    written.map_err(|cause| match cause.kind() {
+        io::ErrorKind::AlreadyExists => KeyError::Exists {
+            path: path.to_owned(),
+        },
+        _ => KeyError::File {
+            path: path.to_owned(),
+            cause,
+        },
+    })
+}
+
+/// The key on the line `NAME = "KEY"`.
+fn field(path: &Path, text: &str, name: &'static str) -> Result<[u8; LEN], KeyError> {
+    for (number, line) in text.lines().enumerate() {
+        let Some((found, value)) = line.split_once('=') else {
+            continue;
+        };
+        if found.trim() != name {
+            continue;
+        }
+        let key = value
+            .trim()
+            .strip_prefix('"')
+            .and_then(|value| value.strip_suffix('"'))
+            .and_then(from_z85);
+        return key.ok_or(KeyError::Line {
+            path: path.to_owned(),
+            line: number + 1,
+        });
+    }
+    Err(KeyError::Missing {
+        path: path.to_owned(),
+        name,
+    })
+}
+
+fn z85(key: &[u8; LEN]) -> String {
+    let mut text = String::with_capacity(TEXT_LEN);
+    for four in key.chunks(4) {
+        let value = four
+            .iter()
+            .fold(0, |value, byte| value << 8 | u32::from(*byte));
+        for place in [52_200_625, 614_125, 7225, 85, 1] {
+            let digit = DIGITS.get((value / place % 85) as usize);
+            text.extend(digit.copied().map(char::from));
+        }
+    }
+    text
+}
+
+/// Reads strictly: libzmq's own reader takes any character for a digit.
+fn from_z85(text: &str) -> Option<[u8; LEN]> {
+    if text.len() != TEXT_LEN {
+        return None;
+    }
+    let mut key = [0; LEN];
+    for (to, five) in key.chunks_mut(4).zip(text.as_bytes().chunks(5)) {
+        let mut value = 0u64;
+        for byte in five {
+            let digit = DIGITS.iter().position(|digit| digit == byte)?;
+            value = value * 85 + digit as u64;
+        }
+        let value = u32::try_from(value).ok()?;
+        to.copy_from_slice(&value.to_be_bytes());
+    }
+    Some(key)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// From ZeroMQ's documentation of `zmq_curve`.
+    const KNOWN: &str = "Yne@$w-vo<fVvi]a<NY6T1ed:M$fCG*[IaLV{hID";
+
+    #[test]
+    fn a_key_is_read_as_libzmq_reads_it() {
+        let key: PublicKey = KNOWN.parse().expect("a key");
+        assert_eq!(zmq::z85_decode(KNOWN).expect("a key"), key.as_bytes());
+        assert_eq!(key.to_string(), KNOWN);
+    }
+
+    #[test]
+    fn what_is_no_key_is_refused() {
+        for text in [
+            "",
+            "short",
+            &KNOWN[1..],
+            &format!("{KNOWN}0"),
+            // No digit of Z85, and a group above 32 bits.
+            &KNOWN.replace('Y', "~"),
+            &format!("#####{}", &KNOWN[5..]),
+            &"ä".repeat(20),
+        ] {
+            assert!(text.parse::<PublicKey>().is_err(), "{text}");
+        }
+    }
+
+    #[test]
+    fn a_pair_survives_its_files_and_nothing_is_overwritten() {
+        let directory = std::env::temp_dir().join(format!("ztl-keys-{}", crate::random::number()));
+        fs::create_dir(&directory).expect("a directory");
+        let pair = KeyPair {
+            public: KNOWN.parse().expect("a key"),
+            secret: [7; LEN],
+        };
+        let name = directory.join("robot");
+        let [public, secret] = pair.write(&name).expect("to write");
+        assert_eq!(KeyPair::read(&secret).expect("a pair"), pair);
+        assert_eq!(PublicKey::read(&public).expect("a key"), pair.public());
+        assert_eq!(
+            PublicKey::read_all(&directory).expect("keys"),
+            [pair.public()]
+        );
+        assert!(matches!(
+            KeyPair::read(&public),
+            Err(KeyError::Missing { .. })
+        ));
+        assert!(matches!(pair.write(&name), Err(KeyError::Exists { .. })));
+        fs::write(&public, "curve\n    public-key = \"wrong\"\n").expect("to write");
+        let error = PublicKey::read_all(&directory).expect_err("no key");
+        assert!(matches!(error, KeyError::Line { line: 2, .. }), "{error}");
+        #[cfg(unix)]
+        {
+            use std::os::unix::fs::PermissionsExt;
+            let mode = fs::metadata(&secret)
+                .expect("the file")
+                .permissions()
+                .mode();
+            assert_eq!(mode & 0o777, 0o600);
+        }
+        fs::remove_dir_all(&directory).expect("to clean up");
+    }
+
+    #[test]
+    fn a_build_without_curve_says_how_to_get_one() {
+        match KeyPair::generate() {
+            Ok(pair) => assert!(can_encrypt() && pair.public.0 != pair.secret),
+            Err(error) => {
+                assert!(!can_encrypt());
+                assert!(error.to_string().contains("cargo xtask build --curve"));
+            }
+        }
+    }
+}

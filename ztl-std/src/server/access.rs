@@ -1,0 +1,238 @@
+//! Who may use a server: from which addresses, and with which keys at which scopes.
+//!
+//! ZeroMQ asks for each connection (ZAP, RFC 27), and marks what comes over one that was let in; a
+//! message without the mark is dropped, so whatever fails, fails closed.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::net::IpAddr;
+
+use ipnet::IpNet;
+use tracing::warn;
+
+use super::LOG;
+use crate::keys::{KeyPair, PublicKey};
+
+/// Where ZeroMQ asks (RFC 27).
+const DESK: &str = "inproc://zeromq.zap.01";
+/// The mark of a connection that has no key.
+const NO_KEY: &str = "-";
+
+/// Who may use a server. By default everybody who reaches it may use all of it, as the original's.
+#[derive(Debug, Clone, Default)]
+pub struct Access {
+    networks: Vec<IpNet>,
+    keys: Option<KeyPair>,
+    clients: BTreeSet<PublicKey>,
+    clients_of: BTreeMap<String, BTreeSet<PublicKey>>,
+}
+
+impl Access {
+    /// Everybody may use all.
+    #[must_use]
+    pub fn everybody() -> Self {
+        Self::default()
+    }
+
+    /// Only clients with an address in this network, or in another one that is given so.
+    #[must_use]
+    pub fn from_network(mut self, network: IpNet) -> Self {
+        self.networks.push(network);
+        self
+    }
+
+    /// Encrypts with this pair. Then only clients whose keys are allowed may use anything.
+    #[must_use]
+    pub fn with_keys(mut self, keys: KeyPair) -> Self {
+        self.keys = Some(keys);
+        self
+    }
+
+    /// Allows a client every scope.
+    #[must_use]
+    pub fn allow(mut self, client: PublicKey) -> Self {
+        self.clients.insert(client);
+        self
+    }
+
+    /// Allows a client one scope.
+    #[must_use]
+    pub fn allow_scope(mut self, scope: &str, client: PublicKey) -> Self {
+        let clients = self.clients_of.entry(scope.to_owned()).or_default();
+        clients.insert(client);
+        self
+    }
+
+    /// Whether connections are encrypted.
+    #[must_use]
+    pub const fn encrypts(&self) -> bool {
+        self.keys.is_some()
+    }
+
+    /// Who may use it, for people: what follows `Reachable for`, `where_from` being who reaches it at
+    /// all.
+    #[must_use]
+    pub fn describe(&self, where_from: &str) -> String {
+        let mut said = where_from.to_owned();
+        if !self.networks.is_empty() {
+            let networks: Vec<String> = self.networks.iter().map(IpNet::to_string).collect();
+            said = format!("{said}, if its address is in {}", networks.join(" or "));
+        }
+        said.push_str(
+            match (&self.keys, self.clients.len() + self.clients_of.len()) {
+                (None, _) => "",
+                (Some(_), 0) => ", encrypted; but no client's key is allowed, so nobody gets in",
+                (Some(_), _) => ", encrypted, with an allowed key",
+            },
+        );
+        said
+    }
+
+    fn is_open(&self) -> bool {
+        self.networks.is_empty() && self.keys.is_none()
+    }
+
+    fn may_connect(&self, address: &str, client: Option<&PublicKey>) -> bool {
+        let address = address.parse::<IpAddr>();
+        // A v4 address may come as one of v6.
+        let address = address.map(|address| address.to_canonical());
+        let from_there = |network: &IpNet| address.as_ref().is_ok_and(|a| network.contains(a));
+        if !self.networks.is_empty() && !self.networks.iter().any(from_there) {
+            return false;
+        }
+        match (&self.keys, client) {
+            (None, _) => true,
+            (Some(_), None) => false,
+            (Some(_), Some(client)) => {
+                self.clients.contains(client)
+                    || self
+                        .clients_of
+                        .values()
+                        .any(|clients| clients.contains(client))
+            }
+        }
+    }
+
+    fn may_use(&self, client: &PublicKey, scope: &str) -> bool {
+        let here = self.clients_of.get(scope);
+        self.clients.contains(client) || here.is_some_and(|clients| clients.contains(client))
+    }
+}
+
+/// Who sent a message.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Who {
+    /// Somebody who may use all.
+    Anybody,
+    /// The owner of a key.
+    Client(PublicKey),
+}
+
+/// The door of a server: decides on connections, and who a message is from.
+pub(super) struct Door {
+    access: Access,
+    /// Where ZeroMQ asks; `None` when everybody may come in.
+    desk: Option<zmq::Socket>,
+}
+
+impl Door {
+    /// Prepares a socket that is to be bound afterwards.
+    pub(super) fn new(
+        access: Access,
+        context: &zmq::Context,
+        socket: &zmq::Socket,
+    ) -> Result<Self, zmq::Error> {
+        if access.is_open() {
+            return Ok(Self { access, desk: None });
+        }
+        let desk = context.socket(zmq::REP)?;
+        desk.set_linger(0)?;
+        desk.bind(DESK)?;
+        // Without a domain ZeroMQ does not ask.
+        socket.set_zap_domain("ztl")?;
+        if let Some(keys) = &access.keys {
+            socket.set_curve_server(true)?;
+            socket.set_curve_secretkey(keys.secret())?;
+        }
+        let desk = Some(desk);
+        Ok(Self { access, desk })
+    }
+
+    /// What is to be waited for besides requests.
+    pub(super) const fn desk(&self) -> Option<&zmq::Socket> {
+        self.desk.as_ref()
+    }
+
+    /// Answers what ZeroMQ has asked.
+    pub(super) fn decide(&self) {
+        let Some(desk) = &self.desk else { return };
+        while let Ok(asked) = desk.recv_multipart(zmq::DONTWAIT) {
+            let decision = self.decision(&asked);
+            let number = asked.get(1).map_or(&b""[..], Vec::as_slice);
+            let (code, text, who) = match &decision {
+                Some(who) => ("200", "", who.as_str()),
+                None => ("400", "not allowed", ""),
+            };
+            let frames: [&[u8]; 6] = [
+                b"1.0",
+                number,
+                code.as_bytes(),
+                text.as_bytes(),
+                who.as_bytes(),
+                b"",
+            ];
+            // ZeroMQ waits for it and takes it.
+            let _ = desk.send_multipart(frames, zmq::DONTWAIT);
+        }
+    }
+
+    /// The mark for a connection, if it is let in.
+    fn decision(&self, asked: &[Vec<u8>]) -> Option<String> {
+        let [
+            version,
+            _number,
+            _domain,
+            address,
+            _identity,
+            mechanism,
+            credentials @ ..,
+        ] = asked
+        else {
+            return None;
+        };
+        let address = String::from_utf8_lossy(address);
+        let key = match (mechanism.as_slice(), credentials) {
+            (b"CURVE", [key]) => key.as_slice().try_into().ok().map(PublicKey::from_bytes),
+            _ => None,
+        };
+        let allowed = version == b"1.0" && self.access.may_connect(&address, key.as_ref());
+        if !allowed {
+            let who = key.map_or_else(
+                || "without a key".to_owned(),
+                |key| format!("with the key {key}"),
+            );
+            warn!(target: LOG, "A client at {address} {who} is not allowed, and was not let in.");
+            return None;
+        }
+        Some(key.map_or_else(|| NO_KEY.to_owned(), |key| key.to_string()))
+    }
+
+    /// Who a message is from; `None` when it has not come through this door.
+    pub(super) fn who(&self, message: &mut zmq::Message) -> Option<Who> {
+        if self.desk.is_none() {
+            return Some(Who::Anybody);
+        }
+        match (message.gets("User-Id")?, &self.access.keys) {
+            (NO_KEY, None) => Some(Who::Anybody),
+            (key, Some(_)) => key.parse().ok().map(Who::Client),
+            (_, None) => None,
+        }
+    }
+
+    /// Whether somebody may use a scope.
+    pub(super) fn lets_use(&self, who: Who, scope: &str) -> bool {
+        match who {
+            Who::Anybody => true,
+            Who::Client(client) => self.access.may_use(&client, scope),
+        }
+    }
+}
