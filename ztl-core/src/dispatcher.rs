@@ -40,7 +40,7 @@ use crate::lifecycle::{Event, Request, State};
 use crate::memory::{Awaited, First, LastInit, Memory, Scope, Waiter};
 use crate::message::Message;
 use crate::reply::{NO_CONTROLLER, Reply, ReplyId, ReplyText, UNKNOWN_PROTOCOL};
-use crate::tasks::{Task, TaskRules, Tasks, Text};
+use crate::tasks::{Task, TaskOf, TaskRules, Tasks, Text};
 use crate::time::earliest;
 use crate::{Instant, TaskId};
 
@@ -321,6 +321,26 @@ impl<M: Memory> Dispatcher<M> {
         let end = self.memory.tasks().oldest_end();
         let forget = end.map(|(_, end)| end + self.config.keep);
         earliest(earliest(answer, forget), self.memory.next_forgetting())
+    }
+
+    /// Takes up a task from before this start, and gives no id up to its own from now on; says
+    /// whether there is room for it. To be called before the first request.
+    pub fn restore(&mut self, id: TaskId, task: TaskOf<M::Tasks>) -> bool {
+        self.skip_to(id);
+        let ended = task.ended.is_some();
+        let tasks = self.memory.tasks_mut();
+        let fits = tasks.insert(id, task);
+        if fits && ended {
+            tasks.on_ended(id);
+        }
+        fits
+    }
+
+    /// Gives no id up to this one from now on.
+    pub fn skip_to(&mut self, last: TaskId) {
+        if self.next.is_some_and(|next| next <= last) {
+            self.next = last.next();
+        }
     }
 
     /// What is remembered.

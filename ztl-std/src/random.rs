@@ -27,7 +27,8 @@ pub(crate) fn first_task_id() -> TaskId {
     TaskId::new(number).unwrap_or(FIRST)
 }
 
-const FIRST: TaskId = match TaskId::new(1) {
+/// The first task id that there is.
+pub(crate) const FIRST: TaskId = match TaskId::new(1) {
     Some(id) => id,
     None => unreachable!(),
 };

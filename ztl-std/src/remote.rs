@@ -490,7 +490,7 @@ fn unknown_to_server(id: TaskId) -> Status {
     }
 }
 
-fn encoded(handler: &str, component: &str, goal: &str) -> String {
+pub(crate) fn encoded(handler: &str, component: &str, goal: &str) -> String {
     let spec = TaskSpec {
         handler,
         component,

@@ -14,8 +14,9 @@ use ztl_core::time::earliest;
 use ztl_core::{Instant, State, TaskId, TaskSpec};
 
 use super::endpoint::{Endpoint, is_pause};
+use super::journal::FileBook;
 use super::report::Window;
-use super::session::{Event, Session};
+use super::session::{Event, Restored, Session};
 use crate::clock::now;
 use crate::random;
 use crate::server::TaskReporter;
@@ -35,6 +36,7 @@ const LOG: &str = "gateway";
 
 enum Input {
     Start(TaskReporter, Request),
+    Resume(TaskReporter, Restored),
     Abort(TaskId),
     /// The line of this number is open.
     Opened(u64, Box<dyn Write + Send>),
@@ -98,9 +100,18 @@ pub struct Device {
 }
 
 impl Device {
-    pub(super) fn spawn(name: &str, endpoint: Endpoint, gateway: u64) -> io::Result<Self> {
+    /// Its line is opened when as many tasks from before a restart as are `awaited` have been
+    /// resumed. Without an endpoint it never answers.
+    pub(super) fn spawn(
+        name: &str,
+        endpoint: Option<Endpoint>,
+        gateway: u64,
+        book: Option<FileBook>,
+        awaited: usize,
+    ) -> io::Result<Self> {
         let (inputs, inbox) = channel();
-        let session = Session::new(gateway, endpoint.baud(), random::nonzero);
+        let baud = endpoint.as_ref().and_then(Endpoint::baud);
+        let session = Session::with_book(book, gateway, baud, random::nonzero);
         let mut worker = Worker {
             name: name.to_owned(),
             endpoint,
@@ -111,10 +122,11 @@ impl Device {
             pause: RETRY.0,
             trouble: None,
             tasks: HashMap::new(),
+            awaited,
             stopping: None,
             window: Window::default(),
         };
-        let (url, window) = (worker.endpoint.to_string(), worker.window.clone());
+        let (url, window) = (worker.url(), worker.window.clone());
         let thread = std::thread::Builder::new()
             .name(format!("ztl-device-{name}"))
             .spawn(move || worker.run(&inbox))?;
@@ -135,18 +147,14 @@ impl Device {
     }
 
     pub(super) fn start(&self, task: TaskReporter, spec: &TaskSpec<'_>) {
-        let mut reply = Vec::new();
-        spec.put_initiated(task.id(), &mut |bytes: &[u8]| {
-            reply.extend_from_slice(bytes)
-        });
-        let request = Request {
-            component: spec.component.to_owned(),
-            goal: spec.goal.to_owned(),
-            spec: shown(spec),
-            reply: String::from_utf8_lossy(&reply).into_owned(),
-        };
+        let request = request(task.id(), spec);
         // If the thread is gone, dropping the reporter tells the client.
         let _ = self.inputs.send(Input::Start(task, request));
+    }
+
+    /// Takes up a task from before a restart.
+    pub(super) fn resume(&self, task: TaskReporter, known: Restored) {
+        let _ = self.inputs.send(Input::Resume(task, known));
     }
 
     pub(super) fn abort(&self, id: TaskId) {
@@ -177,8 +185,8 @@ enum Wire {
 
 struct Worker {
     name: String,
-    endpoint: Endpoint,
-    session: Session,
+    endpoint: Option<Endpoint>,
+    session: Session<Option<FileBook>>,
     inputs: Sender<Input>,
     line: Wire,
     /// Of the present line; what an earlier one still says is not heard.
@@ -187,6 +195,8 @@ struct Worker {
     /// What is wrong with the line or the device, for reasons; said once in the log.
     trouble: Option<String>,
     tasks: HashMap<TaskId, (TaskReporter, Request)>,
+    /// Tasks from before a restart that are still to be resumed, before the line is opened.
+    awaited: usize,
     /// Until when the tasks may take to stop.
     stopping: Option<Instant>,
     window: Window,
@@ -196,9 +206,12 @@ impl Worker {
     fn run(&mut self, inbox: &Receiver<Input>) {
         loop {
             if let Wire::None { retry } = self.line
+                && let Some(endpoint) = &self.endpoint
+                && self.awaited == 0
                 && now() >= retry
             {
-                self.open();
+                let endpoint = endpoint.clone();
+                self.open(endpoint);
             }
             match inbox.recv_timeout(self.until_wake()) {
                 Ok(input) => self.on_input(input),
@@ -224,6 +237,17 @@ impl Worker {
             }
         }
         self.close();
+        if self.session.book_mut().is_some() {
+            // They may run: the next start of the gateway learns their ends.
+            for (_, (task, _)) in self.tasks.drain() {
+                task.leave();
+            }
+        }
+    }
+
+    fn url(&self) -> String {
+        let endpoint = self.endpoint.as_ref();
+        endpoint.map_or_else(|| "nowhere".to_owned(), Endpoint::to_string)
     }
 
     fn say_what_is_left(&self) {
@@ -240,16 +264,16 @@ impl Worker {
 
     fn until_wake(&self) -> Duration {
         let open = match self.line {
-            Wire::None { retry } => Some(retry),
+            Wire::None { retry } if self.awaited == 0 && self.endpoint.is_some() => Some(retry),
             _ => None,
         };
         let wake = earliest(earliest(self.session.poll_timeout(), open), self.stopping);
         wake.map_or(Duration::from_secs(60), |wake| wake.since(now()))
     }
 
-    fn open(&mut self) {
+    fn open(&mut self, endpoint: Endpoint) {
         self.number += 1;
-        let (number, endpoint, inputs) = (self.number, self.endpoint.clone(), self.inputs.clone());
+        let (number, inputs) = (self.number, self.inputs.clone());
         let stop = Arc::new(AtomicBool::new(false));
         self.line = Wire::Opening {
             stop: Arc::clone(&stop),
@@ -279,9 +303,23 @@ impl Worker {
                     return task.rejected("the gateway is stopping");
                 }
                 let id = task.id();
+                if let (Some(book), Some(client)) = (self.session.book_mut(), task.client()) {
+                    book.asked_by(id, client);
+                }
                 self.session
                     .start(now(), id, &request.component, &request.goal);
                 self.tasks.insert(id, (task, request));
+            }
+            Input::Resume(task, known) => {
+                self.awaited = self.awaited.saturating_sub(1);
+                let spec = TaskSpec {
+                    handler: &self.name,
+                    component: &known.component,
+                    goal: &known.goal,
+                };
+                let request = request(task.id(), &spec);
+                self.tasks.insert(task.id(), (task, request));
+                self.session.restore(now(), known);
             }
             Input::Abort(id) => self.session.abort(now(), id),
             Input::Opened(number, writer) if number == self.number => {
@@ -312,7 +350,7 @@ impl Worker {
             retry: now() + self.pause,
         };
         self.pause = (self.pause * 2).min(RETRY.1);
-        self.set_trouble(format!("{}: {error}", self.endpoint));
+        self.set_trouble(format!("{}: {error}", self.url()));
     }
 
     fn set_trouble(&mut self, trouble: String) {
@@ -342,6 +380,9 @@ impl Worker {
                 }
             }
             Event::Rejected(id, reason) => {
+                if let Some(book) = self.session.book_mut() {
+                    book.forget(id);
+                }
                 if let Some((task, request)) = self.tasks.remove(&id) {
                     let trouble = match &self.trouble {
                         Some(trouble) if !self.session.is_up() => format!(" ({trouble})"),
@@ -374,12 +415,12 @@ impl Worker {
                         target: LOG,
                         device = self.name,
                         "Device '{}' is ready at {}: {} {}, components: {}",
-                        self.name, self.endpoint, device.name, device.firmware, names.join(", ")
+                        self.name, self.url(), device.name, device.firmware, names.join(", ")
                     );
                 }
             }
             Event::Silent => {
-                let trouble = format!("{}: nothing there answers", self.endpoint);
+                let trouble = format!("{}: nothing there answers", self.url());
                 self.set_trouble(trouble);
             }
             Event::Lost => self.set_trouble("it no longer answers".to_owned()),
@@ -391,8 +432,19 @@ impl Worker {
     }
 }
 
+fn request(id: TaskId, spec: &TaskSpec<'_>) -> Request {
+    let mut reply = Vec::new();
+    spec.put_initiated(id, &mut |bytes: &[u8]| reply.extend_from_slice(bytes));
+    Request {
+        component: spec.component.to_owned(),
+        goal: spec.goal.to_owned(),
+        spec: shown(spec),
+        reply: String::from_utf8_lossy(&reply).into_owned(),
+    }
+}
+
 /// A request as it is shown to people: in quotes, and not at any length.
-fn shown(spec: &TaskSpec<'_>) -> String {
+pub(super) fn shown(spec: &TaskSpec<'_>) -> String {
     let mut text = spec.to_string();
     if text.len() > SHOWN {
         text.truncate(text.floor_char_boundary(SHOWN));

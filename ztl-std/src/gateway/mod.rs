@@ -6,21 +6,31 @@
 pub mod config;
 mod device;
 mod endpoint;
+mod journal;
 mod report;
 pub mod session;
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap};
 
-use ztl_core::{TaskId, TaskSpec};
+use tracing::{info, warn};
+use ztl_core::{State, TaskId, TaskSpec};
 
 pub use device::Device;
 pub use endpoint::{BAUD, Endpoint, EndpointError, Line};
 pub(crate) use endpoint::{READ_TIMEOUT, is_pause};
+pub use journal::{DeviceBook, Journal, JournalError, Log, Moment, Storage};
 use report::Window;
 pub use report::{ComponentReport, DeviceReport, DeviceReports, FirmwareReport, LinkReport};
 
 use crate::random;
-use crate::server::{Answers, TaskHandler, TaskReporter, quoted};
+use crate::remote::encoded;
+use crate::server::{Answers, Restored, RestoredTask, TaskHandler, TaskReporter, quoted};
+
+/// Name under which the gateway logs.
+const LOG: &str = "gateway";
+
+/// Task ids that are left out at each start.
+const SKIPPED: u32 = 1000;
 
 /// Devices as handlers: register it at a [`TaskServer`](crate::TaskServer) with
 /// [`register_handler`](crate::TaskServer::register_handler).
@@ -29,6 +39,12 @@ pub struct Gateway {
     /// Who this gateway is, towards its devices.
     id: u64,
     devices: BTreeMap<String, Device>,
+    journal: Option<Journal>,
+    /// Tasks of the journal that have no end and that nobody has been given yet, by device.
+    unended: HashMap<TaskId, (String, session::Restored)>,
+    /// Devices that have such tasks, and are not served any more: their tasks end as those of a
+    /// device that does not answer.
+    absent: BTreeMap<String, Device>,
 }
 
 impl Default for Gateway {
@@ -38,12 +54,31 @@ impl Default for Gateway {
 }
 
 impl Gateway {
-    /// A gateway without devices.
+    /// A gateway without devices, and without a journal: after a restart it knows nothing of its
+    /// tasks.
     #[must_use]
     pub fn new() -> Self {
         Self {
             id: random::number(),
             devices: BTreeMap::new(),
+            journal: None,
+            unended: HashMap::new(),
+            absent: BTreeMap::new(),
+        }
+    }
+
+    /// A gateway without devices that keeps its promises across a restart: towards devices and
+    /// clients it is the one that wrote the journal before.
+    #[must_use]
+    pub fn with_journal(journal: Journal) -> Self {
+        let unended = journal.unended().into_iter();
+        Self {
+            id: journal.gateway(),
+            unended: unended
+                .map(|(name, task)| (task.id, (name, task)))
+                .collect(),
+            journal: Some(journal),
+            ..Self::new()
         }
     }
 
@@ -53,9 +88,40 @@ impl Gateway {
     /// # Errors
     /// When the system gives no more threads.
     pub fn add(&mut self, name: &str, endpoint: Endpoint) -> std::io::Result<()> {
-        let device = Device::spawn(name, endpoint, self.id)?;
+        let device = self.spawn(name, Some(endpoint))?;
         self.devices.insert(name.to_owned(), device);
         Ok(())
+    }
+
+    fn spawn(&self, name: &str, endpoint: Option<Endpoint>) -> std::io::Result<Device> {
+        let book = self.journal.as_ref().map(|journal| journal.book(name));
+        let its = |(device, _): &&(String, session::Restored)| device == name;
+        let awaited = self.unended.values().filter(its).count();
+        Device::spawn(name, endpoint, self.id, book, awaited)
+    }
+
+    /// A device, served or not.
+    fn device(&self, name: &str) -> Option<&Device> {
+        self.devices.get(name).or_else(|| self.absent.get(name))
+    }
+
+    /// Makes threads for the devices that are not served any more.
+    fn add_absent(&mut self) {
+        let names: Vec<String> = self
+            .unended
+            .values()
+            .map(|(name, _)| name.clone())
+            .collect();
+        for name in names {
+            if self.device(&name).is_some() {
+                continue;
+            }
+            warn!(target: LOG, "Device '{name}' has tasks in the journal, and is not served any more.");
+            // Without a thread its tasks stay as they are.
+            if let Ok(device) = self.spawn(&name, None) {
+                self.absent.insert(name, device);
+            }
+        }
     }
 
     fn names(&self) -> String {
@@ -117,9 +183,61 @@ impl TaskHandler for Gateway {
         })
     }
 
+    fn restored(&mut self) -> Restored {
+        let Some(journal) = self.journal.clone() else {
+            return Restored::default();
+        };
+        self.add_absent();
+        let mut tasks = journal.ended(|[device, component, goal], mut task| {
+            task.payload = encoded(device, component, goal);
+            if task.state == State::Rejected {
+                // As its client was told.
+                let spec = device::shown(&TaskSpec {
+                    handler: device,
+                    component,
+                    goal,
+                });
+                task.text = format!("{spec} refused: {}", task.text);
+            }
+            task
+        });
+        let (ended, unended) = (tasks.len(), self.unended.len());
+        info!(target: LOG, "Journal {}: {unended} tasks have no end yet, {ended} ends are remembered.", journal.path().display());
+        tasks.extend(self.unended.values().map(|(device, task)| {
+            let text = if self.devices.contains_key(device) {
+                "device is not answering yet".to_owned()
+            } else {
+                format!("device '{device}' is not served any more")
+            };
+            RestoredTask {
+                id: task.id,
+                payload: encoded(device, &task.component, &task.goal),
+                state: State::Accepted,
+                text,
+                ended: None,
+            }
+        }));
+        // Lines that a power cut took may have named some more.
+        let skipped = |last: TaskId| TaskId::new(last.get().saturating_add(SKIPPED));
+        Restored {
+            tasks,
+            last_id: journal.last_id().and_then(skipped),
+        }
+    }
+
+    fn resume(&mut self, task: TaskReporter) {
+        let Some((name, known)) = self.unended.remove(&task.id()) else {
+            return task.leave();
+        };
+        match self.device(&name) {
+            Some(device) => device.resume(task, known),
+            None => task.leave(),
+        }
+    }
+
     fn abort(&mut self, id: TaskId) {
         // The one that has the task knows it; there are few.
-        for device in self.devices.values() {
+        for device in self.devices.values().chain(self.absent.values()) {
             device.abort(id);
         }
     }

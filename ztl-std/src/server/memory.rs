@@ -4,7 +4,7 @@ use std::collections::{BTreeSet, HashMap};
 
 use super::Answers;
 use super::listing::{Asked, ListedTask, Listing, millis, told};
-use crate::clock::now;
+use super::now;
 
 use ztl_core::envelope::ClientId;
 use ztl_core::memory::{LastInit, Memory, Scope, Waiter};

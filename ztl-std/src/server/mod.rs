@@ -13,12 +13,14 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 use tracing::{debug, info, warn};
-use ztl_core::TaskId;
 use ztl_core::dispatcher::{Action, Body, Config, Dispatcher};
 use ztl_core::envelope::Envelope;
+use ztl_core::memory::Scope;
 use ztl_core::reply::{RefusalOf, Reply};
+use ztl_core::tasks::{Task, Text};
+use ztl_core::{Instant, State, TaskId};
 
-use crate::clock::now;
+use crate::clock;
 use crate::controller::{TaskController, Threads};
 use crate::keys::{KeyError, can_encrypt};
 use crate::random;
@@ -27,7 +29,7 @@ pub use access::Access;
 use access::{Door, Who};
 pub use listing::{ListedTask, Listing};
 pub(crate) use memory::quoted;
-use memory::{About, Heap, Peer};
+use memory::{About, Grown, Heap, Peer};
 pub use report::TaskReporter;
 use report::{Inbox, Mailbox, Waker};
 
@@ -43,6 +45,18 @@ const STOPPING: Duration = Duration::from_millis(1500);
 /// How long it goes on after that, when tasks were stopped, so that clients that ask every 100 ms
 /// hear of it.
 const LAST_WORDS: Duration = Duration::from_millis(250);
+
+/// How long a task that has ended is remembered, counted from its end.
+pub(crate) const KEEP: Duration = Config::new(random::FIRST, 0).keep;
+
+/// How long before the process began the server's time does, so that the end of a task from before
+/// a restart is a moment, too.
+const BEFORE: Duration = Duration::from_secs(24 * 3600);
+
+/// Now, by the server's time.
+fn now() -> Instant {
+    clock::now() + BEFORE
+}
 
 /// Name under which the original logs.
 const LOG: &str = "remote-task";
@@ -61,6 +75,18 @@ pub trait TaskHandler: Send {
     /// A client asks to stop a task that this handler was given and that has not ended.
     fn abort(&mut self, id: TaskId);
 
+    /// The tasks from before a restart that this handler still knows; asked once, when it is
+    /// registered. Default: none.
+    fn restored(&mut self) -> Restored {
+        Restored::default()
+    }
+
+    /// One of those tasks has not ended: from now on what becomes of it goes to `task`. Its decision
+    /// has been told, or never will be. Default: it ends as FAILED.
+    fn resume(&mut self, task: TaskReporter) {
+        drop(task);
+    }
+
     /// What will tell a client that asks `$ztl` which handlers and components there are: a mapping
     /// in YAML's flow style, `{gripper: [finger]}`. Called often, from the server's thread, so it
     /// must be quick. Default: nothing is told.
@@ -73,6 +99,30 @@ pub trait TaskHandler: Send {
     fn answers(&self) -> Answers {
         Box::new(|_| None)
     }
+}
+
+/// What a handler knows from before a restart.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct Restored {
+    /// The tasks.
+    pub tasks: Vec<RestoredTask>,
+    /// No task is given an id up to this one.
+    pub last_id: Option<TaskId>,
+}
+
+/// A task from before a restart.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct RestoredTask {
+    /// The id that its client knows.
+    pub id: TaskId,
+    /// Its payload, to be shown to people.
+    pub payload: String,
+    /// Where it is in its life.
+    pub state: State,
+    /// Progress, result or reason.
+    pub text: String,
+    /// How long ago it ended; `None` when it has not.
+    pub ended: Option<Duration>,
 }
 
 /// Why a server could not be opened.
@@ -231,17 +281,45 @@ impl TaskServer {
     }
 
     /// Serves a scope with a handler of any kind. A second registration replaces the first.
-    pub fn register_handler(&mut self, scope: &str, handler: impl TaskHandler + 'static) {
+    pub fn register_handler(&mut self, scope: &str, mut handler: impl TaskHandler + 'static) {
         info!(target: LOG, "Registering controller for scope '{scope}'.");
+        let restored = handler.restored();
         let about = About {
             describe: handler.description(),
             answer: handler.answers(),
         };
         let scope = self.dispatcher.memory_mut().register(scope, about);
+        self.restore(scope, restored, &mut handler);
         let place = usize::from(scope.0);
         match self.handlers.get_mut(place) {
             Some(known) => *known = Box::new(handler),
             None => self.handlers.push(Box::new(handler)),
+        }
+    }
+
+    /// Takes up a handler's tasks from before a restart; those that have not ended first, so that
+    /// there is room for them.
+    fn restore(&mut self, scope: Scope, mut restored: Restored, handler: &mut dyn TaskHandler) {
+        if let Some(last) = restored.last_id {
+            self.dispatcher.skip_to(last);
+        }
+        restored.tasks.sort_by_key(|task| task.ended);
+        let now = now();
+        for task in restored.tasks {
+            let id = task.id;
+            let mut known = Task::<_, Grown>::new(scope);
+            known.state = task.state;
+            known.text.set(&task.text);
+            let ago = task.ended.unwrap_or_default();
+            let at = now.before(ago).unwrap_or(Instant::ZERO);
+            known.ended = task.ended.map(|_| at);
+            if self.dispatcher.restore(id, known) {
+                let heap = self.dispatcher.memory_mut();
+                heap.note_payload(id, &task.payload, at);
+            }
+            if task.ended.is_none() {
+                handler.resume(TaskReporter::new(id, self.mailbox.clone(), None));
+            }
         }
     }
 
@@ -419,7 +497,8 @@ impl TaskServer {
             Some(Action::Start { id, scope, payload }) => {
                 let heap = self.dispatcher.memory_mut();
                 heap.note_payload(id, payload, now());
-                let task = TaskReporter::new(id, self.mailbox.clone());
+                let client = envelope.map(|envelope| envelope.client);
+                let task = TaskReporter::new(id, self.mailbox.clone(), client);
                 match self.handlers.get_mut(usize::from(scope.0)) {
                     Some(handler) => handler.start(task, payload),
                     None => task.rejected("the server is stopping"),

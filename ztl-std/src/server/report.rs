@@ -7,6 +7,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use tracing::error;
 use ztl_core::TaskId;
 use ztl_core::dispatcher::TaskEvent;
+use ztl_core::envelope::ClientId;
 
 /// What a handler says, on its way to the server's thread.
 #[derive(Debug)]
@@ -124,12 +125,14 @@ pub struct TaskReporter {
     mailbox: Mailbox,
     progress: Slot,
     ended: bool,
+    client: Option<ClientId>,
 }
 
 impl TaskReporter {
-    pub(super) fn new(id: TaskId, mailbox: Mailbox) -> Self {
+    pub(super) fn new(id: TaskId, mailbox: Mailbox, client: Option<ClientId>) -> Self {
         Self {
             id,
+            client,
             mailbox,
             progress: Slot::default(),
             ended: false,
@@ -140,6 +143,18 @@ impl TaskReporter {
     #[must_use]
     pub const fn id(&self) -> TaskId {
         self.id
+    }
+
+    /// Who asked for it, where the client says so.
+    #[must_use]
+    pub const fn client(&self) -> Option<ClientId> {
+        self.client
+    }
+
+    /// Nothing more is told: the task goes on without this process, and the next one will know its
+    /// end.
+    pub fn leave(mut self) {
+        self.ended = true;
     }
 
     /// The task is taken; `reply` is the text of the INIT's answer.

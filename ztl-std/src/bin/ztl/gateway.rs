@@ -5,10 +5,10 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use tracing::Level;
+use ztl_std::gateway::Endpoint;
 use ztl_std::gateway::config::{
     Config, DeviceConfig, LEVELS, LOG_FORMATS, LogFormat, bind_mistake, name_mistake, same_line,
 };
-use ztl_std::gateway::{Endpoint, Gateway as Devices};
 use ztl_std::server::scope_mistake;
 use ztl_std::yaml::Diagnostics;
 use ztl_std::{Access, TaskServer};
@@ -16,7 +16,7 @@ use ztl_std::{Access, TaskServer};
 use crate::reach::{Reach, reachable};
 use crate::terminal::line;
 use crate::tool::port;
-use crate::{Done, log, signals};
+use crate::{Done, journal, log, signals};
 
 #[derive(Debug, clap::Args)]
 #[command(
@@ -57,6 +57,9 @@ pub(crate) struct Gateway {
     /// How it is logged: text, or json (an object a line) [default: text]
     #[arg(long, value_name = "FORMAT", value_parser = format)]
     log_format: Option<LogFormat>,
+
+    #[command(flatten)]
+    journal: journal::Options,
 }
 
 /// Exit code for a configuration that cannot be served, however often it is tried.
@@ -125,6 +128,7 @@ struct Plan {
     log_format: LogFormat,
     devices: Vec<DeviceConfig>,
     access: Access,
+    journal: journal::Options,
 }
 
 impl Gateway {
@@ -195,6 +199,7 @@ impl Gateway {
                 .reach
                 .access()
                 .map_err(|mistake| Unfit::Whole(mistake.to_string()))?,
+            journal: self.journal,
         })
     }
 }
@@ -215,7 +220,7 @@ impl Plan {
         let endpoint = format!("tcp://{}:{}", self.bind, self.port);
         let mut server = TaskServer::bind_for(&endpoint, self.access)?;
         let names: Vec<&str> = self.devices.iter().map(|d| d.name.as_str()).collect();
-        let mut devices = Devices::new();
+        let mut devices = self.journal.gateway(self.port, &self.scope)?;
         for device in &self.devices {
             devices.add(&device.name, device.endpoint.clone())?;
         }

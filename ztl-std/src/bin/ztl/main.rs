@@ -8,6 +8,7 @@ mod demo;
 mod device;
 mod devices;
 mod gateway;
+mod journal;
 mod keys;
 mod line;
 mod log;

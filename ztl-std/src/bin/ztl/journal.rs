@@ -1,0 +1,143 @@
+//! Where `ztl gateway` keeps its journal.
+
+use std::env;
+use std::error::Error;
+use std::ffi::OsString;
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+
+use ztl_std::gateway::{Gateway, Journal};
+
+use crate::terminal::line;
+
+#[derive(Debug, clap::Args)]
+pub(crate) struct Options {
+    /// File of the journal, or the directory for it (docs/journal.md) [default: in $STATE_DIRECTORY, else in ~/.local/state/ztl]
+    #[arg(long, value_name = "FILE|DIR")]
+    journal: Option<PathBuf>,
+
+    /// Keep no journal: after a restart nobody knows what became of the tasks
+    #[arg(long, conflicts_with_all = ["journal", "journal_sync"])]
+    no_journal: bool,
+
+    /// Put each line on the disk before anything follows from it, for a machine that may lose its power
+    #[arg(long)]
+    journal_sync: bool,
+}
+
+impl Options {
+    /// A gateway with the journal that is wished for, and says so.
+    pub(crate) fn gateway(&self, port: u16, scope: &str) -> Result<Gateway, Box<dyn Error>> {
+        if self.no_journal {
+            line(without("Without a journal"));
+            return Ok(Gateway::new());
+        }
+        let path = match &self.journal {
+            Some(path) if path.is_dir() || ends_as_directory(path) => path.join(name(port, scope)),
+            Some(path) => path.clone(),
+            // No restart would find it again, as no client finds the gateway again.
+            None if port == 0 => {
+                line(without(
+                    "Without a journal, as the port is another at each start (--journal FILE keeps one)",
+                ));
+                return Ok(Gateway::new());
+            }
+            None => place(|variable| env::var_os(variable))
+                .ok_or("no place for the journal: neither STATE_DIRECTORY nor XDG_STATE_HOME nor HOME is set; give --journal FILE, or --no-journal")?
+                .join(name(port, scope)),
+        };
+        let journal = Journal::open(&path, self.journal_sync)
+            .map_err(|error| format!("{error} (--journal FILE, or --no-journal)"))?;
+        line(format_args!("Journal: {}", path.display()));
+        Ok(Gateway::with_journal(journal))
+    }
+}
+
+fn without(why: &str) -> String {
+    format!(
+        "{why}: after a restart the ids of tasks are not known, their results neither; what a device still does is stopped."
+    )
+}
+
+/// Whether a path is written as that of a directory, which may still have to be made.
+fn ends_as_directory(path: &Path) -> bool {
+    let text = path.as_os_str().as_encoded_bytes();
+    text.last()
+        .is_some_and(|last| std::path::is_separator(char::from(*last)))
+}
+
+/// The directory for journals: the service manager's, else the user's.
+fn place(variable: impl Fn(&str) -> Option<OsString>) -> Option<PathBuf> {
+    if let Some(directories) = variable("STATE_DIRECTORY") {
+        // Several are parted by ':'.
+        let first = env::split_paths(&directories).next();
+        if let Some(first) = first.filter(|first| first.is_absolute()) {
+            return Some(first);
+        }
+    }
+    let absolute = |name| {
+        variable(name)
+            .map(PathBuf::from)
+            .filter(|path| path.is_absolute())
+    };
+    let state = absolute("XDG_STATE_HOME").or_else(|| Some(absolute("HOME")?.join(".local/state")));
+    Some(state?.join("ztl"))
+}
+
+/// A file's name that no other gateway of this machine has: port 12345 and scope /lab give
+/// `gateway-12345-lab.jsonl`.
+fn name(port: u16, scope: &str) -> String {
+    let mut name = format!("gateway-{port}-");
+    for byte in scope.strip_prefix('/').unwrap_or(scope).bytes() {
+        if byte.is_ascii_alphanumeric() || matches!(byte, b'-' | b'_' | b'.') {
+            name.push(char::from(byte));
+        } else {
+            // Never fails: it is text.
+            let _ = write!(name, "%{byte:02X}");
+        }
+    }
+    // What file systems take is 255 bytes, and some endings come behind it.
+    name.truncate(200);
+    name.push_str(".jsonl");
+    name
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn with(variables: &[(&str, &str)]) -> Option<PathBuf> {
+        let value = |name: &str| variables.iter().find(|(known, _)| *known == name);
+        place(|name| value(name).map(|(_, value)| OsString::from(value)))
+    }
+
+    #[test]
+    fn the_service_managers_directory_comes_first_and_then_the_users() {
+        let home = ("HOME", "/home/lab");
+        let path = |path: &str| Some(PathBuf::from(path));
+        assert_eq!(with(&[]), None);
+        assert_eq!(with(&[("HOME", "")]), None);
+        assert_eq!(with(&[home]), path("/home/lab/.local/state/ztl"));
+        assert_eq!(
+            with(&[home, ("XDG_STATE_HOME", "/state")]),
+            path("/state/ztl")
+        );
+        assert_eq!(
+            with(&[home, ("XDG_STATE_HOME", "not/absolute")]),
+            path("/home/lab/.local/state/ztl")
+        );
+        assert_eq!(
+            with(&[home, ("STATE_DIRECTORY", "/var/lib/ztl:/var/lib/other")]),
+            path("/var/lib/ztl")
+        );
+    }
+
+    #[test]
+    fn gateways_with_other_ports_or_scopes_have_other_files() {
+        assert_eq!(name(12345, "/lab"), "gateway-12345-lab.jsonl");
+        assert_eq!(name(1, "/lab/arm"), "gateway-1-lab%2Farm.jsonl");
+        assert_ne!(name(1, "/lab/arm"), name(1, "/lab-arm"));
+        assert_eq!(name(1, "//"), "gateway-1-%2F.jsonl");
+        assert!(name(1, &"ä".repeat(1000)).len() < 255);
+    }
+}

@@ -1,0 +1,151 @@
+use super::*;
+
+/// A directory of a test's own.
+struct Scratch(PathBuf);
+
+impl Scratch {
+    fn new(name: &str) -> Self {
+        let name = format!("ztl-journal-{}-{name}", std::process::id());
+        let path = std::env::temp_dir().join(name);
+        let _ = fs::remove_dir_all(&path);
+        Self(path)
+    }
+
+    /// In a directory that is not there yet.
+    fn journal(&self) -> PathBuf {
+        self.0.join("state/gateway.jsonl")
+    }
+
+    fn files(&self) -> Vec<String> {
+        let entries = fs::read_dir(self.0.join("state")).unwrap();
+        let name = |entry: io::Result<fs::DirEntry>| entry.unwrap().file_name();
+        let mut names: Vec<_> = entries.map(|e| name(e).into_string().unwrap()).collect();
+        names.sort();
+        names
+    }
+}
+
+impl Drop for Scratch {
+    fn drop(&mut self) {
+        let _ = fs::remove_dir_all(&self.0);
+    }
+}
+
+fn read(path: &Path) -> String {
+    fs::read_to_string(path).unwrap()
+}
+
+#[test]
+fn lines_are_in_the_file_when_they_are_written_and_read_by_the_next() {
+    for sync in [false, true] {
+        let scratch = Scratch::new(&format!("lines-{sync}"));
+        let path = scratch.journal();
+        let (mut paper, written) = Paper::open(&path, sync).unwrap();
+        assert_eq!(written, b"");
+        paper.add(b"one\n", true).unwrap();
+        assert_eq!(read(&path), "one\n");
+        drop(paper);
+        let (mut paper, written) = Paper::open(&path, sync).unwrap();
+        assert_eq!(written, b"one\n");
+        paper.add(b"two\n", true).unwrap();
+        assert_eq!(read(&path), "one\ntwo\n");
+    }
+}
+
+#[test]
+fn a_second_gateway_gets_no_journal_and_hears_who_has_it() {
+    let scratch = Scratch::new("second");
+    let path = scratch.journal();
+    let (mut first, _) = Paper::open(&path, false).unwrap();
+    for _ in 0..2 {
+        let error = Paper::open(&path, false).unwrap_err().to_string();
+        let process = format!("(process {})", std::process::id());
+        assert!(error.contains("is another gateway's"), "{error}");
+        assert!(error.contains(&process), "{error}");
+        // Also when the file was replaced meanwhile.
+        first.replace(b"new\n").unwrap();
+    }
+    drop(first);
+    assert!(Paper::open(&path, false).is_ok());
+}
+
+#[test]
+fn what_a_failed_write_has_left_is_cut_off_before_the_next() {
+    let scratch = Scratch::new("torn");
+    let path = scratch.journal();
+    let (mut paper, _) = Paper::open(&path, false).unwrap();
+    paper.add(b"one\n", true).unwrap();
+    paper.file.write_all(b"tw").unwrap();
+    paper.torn = true;
+    paper.add(b"three\n", true).unwrap();
+    assert_eq!(read(&path), "one\nthree\n");
+    paper.cut(4).unwrap();
+    assert_eq!(read(&path), "one\n");
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn a_disk_that_is_full_is_an_error_of_the_write() {
+    let scratch = Scratch::new("full");
+    let (mut paper, _) = Paper::open(&scratch.journal(), false).unwrap();
+    paper.file = OpenOptions::new().append(true).open("/dev/full").unwrap();
+    for _ in 0..2 {
+        let error = paper.add(b"one\n", true).unwrap_err();
+        // The second time it cannot even be cut.
+        assert!(paper.torn, "{error}");
+    }
+}
+
+#[test]
+fn replaced_files_are_kept_up_to_a_number() {
+    let scratch = Scratch::new("kept");
+    let path = scratch.journal();
+    let (mut paper, _) = Paper::open(&path, false).unwrap();
+    for number in 0..6 {
+        let lines = format!("{number}\n");
+        paper.replace(lines.as_bytes()).unwrap();
+        paper.add(b"more\n", true).unwrap();
+    }
+    assert_eq!(read(&path), "5\nmore\n");
+    let names = ["", ".1", ".2", ".3", ".lock"].map(|ending| format!("gateway.jsonl{ending}"));
+    assert_eq!(scratch.files(), names);
+    assert_eq!(read(&beside(&path, "1")), "4\nmore\n");
+    assert_eq!(read(&beside(&path, "3")), "2\nmore\n");
+}
+
+#[test]
+fn a_replacement_that_cannot_be_written_leaves_the_file_as_it_is() {
+    let scratch = Scratch::new("unwritable");
+    let path = scratch.journal();
+    let (mut paper, _) = Paper::open(&path, false).unwrap();
+    paper.add(b"one\n", true).unwrap();
+    // In the way of the new file.
+    fs::create_dir(beside(&path, "new")).unwrap();
+    assert!(paper.replace(b"two\n").is_err());
+    paper.add(b"three\n", true).unwrap();
+    assert_eq!(read(&path), "one\nthree\n");
+}
+
+#[cfg(unix)]
+#[test]
+fn a_file_that_somebody_took_away_is_noticed_and_made_again() {
+    let scratch = Scratch::new("gone");
+    let path = scratch.journal();
+    let (mut paper, _) = Paper::open(&path, false).unwrap();
+    assert!(!paper.is_gone());
+    fs::remove_file(&path).unwrap();
+    assert!(paper.is_gone());
+    paper.replace(b"all\n").unwrap();
+    assert!(!paper.is_gone());
+    paper.add(b"more\n", true).unwrap();
+    assert_eq!(read(&path), "all\nmore\n");
+}
+
+#[test]
+fn what_is_no_file_is_no_place_for_a_journal() {
+    let scratch = Scratch::new("directory");
+    fs::create_dir_all(scratch.journal()).unwrap();
+    let error = Paper::open(&scratch.journal(), false).unwrap_err();
+    let said = error.to_string();
+    assert!(said.starts_with("the journal cannot lie at "), "{said}");
+}

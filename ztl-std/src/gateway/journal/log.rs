@@ -1,0 +1,348 @@
+//! What the lines of a journal mean, over any storage.
+
+use std::collections::BTreeMap;
+use std::io;
+
+use tracing::{info, warn};
+use ztl_core::{State, TaskId};
+
+use super::line::{Line, Moment, Opened, TaskLine, VERSION, Version};
+use crate::gateway::session::{Entry, Restored};
+use crate::server::{KEEP, RestoredTask};
+
+/// Bytes written before a new file is begun, besides those that it begins with.
+const ROTATE: u64 = 1 << 20;
+/// Tasks that are carried over to a new file, at most; as many as a server remembers.
+const CARRIED: usize = 10_000;
+/// Lines that cannot be used of which each is said.
+const SAID: usize = 10;
+/// Name under which the gateway logs.
+const LOG: &str = "gateway";
+
+/// Where a journal lies. What is said to be written survives the end of the process.
+pub trait Storage {
+    /// Adds whole lines at the end. `needed` says that something is about to follow from them.
+    ///
+    /// # Errors
+    /// Those of the operating system. What was written of the lines is then cut off before the next
+    /// ones.
+    fn add(&mut self, lines: &[u8], needed: bool) -> io::Result<()>;
+
+    /// Keeps only the first `len` bytes: the rest is a line that was not written to its end.
+    ///
+    /// # Errors
+    /// Those of the operating system. It is tried again before the next lines are written.
+    fn cut(&mut self, len: u64) -> io::Result<()>;
+
+    /// Puts these lines in the place of all others, entirely or not at all.
+    ///
+    /// # Errors
+    /// Those of the operating system. The others are then still there.
+    fn replace(&mut self, lines: &[u8]) -> io::Result<()>;
+
+    /// Whether somebody has taken away what was written.
+    fn is_gone(&self) -> bool {
+        false
+    }
+
+    /// What it is called, for people.
+    fn place(&self) -> String;
+}
+
+/// In memory, for tests and simulations.
+impl Storage for Vec<u8> {
+    fn add(&mut self, lines: &[u8], _needed: bool) -> io::Result<()> {
+        self.extend_from_slice(lines);
+        Ok(())
+    }
+
+    fn cut(&mut self, len: u64) -> io::Result<()> {
+        self.truncate(usize::try_from(len).unwrap_or(usize::MAX));
+        Ok(())
+    }
+
+    fn replace(&mut self, lines: &[u8]) -> io::Result<()> {
+        self.clear();
+        self.add(lines, true)
+    }
+
+    fn place(&self) -> String {
+        "in memory".to_owned()
+    }
+}
+
+/// A journal over any storage; the time comes in as an argument.
+#[derive(Debug)]
+pub struct Log<S> {
+    storage: S,
+    gateway: u64,
+    /// The last task id that was given, 0 for none.
+    last: u32,
+    /// The latest line of each task.
+    tasks: BTreeMap<TaskId, TaskLine>,
+    /// Bytes in the storage.
+    len: u64,
+    /// When a new file is begun.
+    rotate_at: u64,
+    /// Whether this start of the gateway is written.
+    opened: bool,
+    /// Why it cannot be written; said once in the log.
+    trouble: Option<String>,
+}
+
+impl<S: Storage> Log<S> {
+    /// Reads what `storage` holds, `written`, mends it, and notes that a gateway was started: the
+    /// one that wrote it before, or else `stranger`. What cannot be used is said in the log.
+    pub fn open(storage: S, written: &[u8], now: Moment, stranger: u64) -> Self {
+        let mut log = Self {
+            storage,
+            gateway: stranger,
+            last: 0,
+            tasks: BTreeMap::new(),
+            len: written.len() as u64,
+            rotate_at: ROTATE,
+            opened: false,
+            trouble: None,
+        };
+        let end = written.iter().rposition(|byte| *byte == b'\n');
+        let whole = written.get(..end.map_or(0, |end| end + 1));
+        let whole = whole.unwrap_or_default();
+        if whole.len() < written.len() {
+            let place = log.storage.place();
+            let torn = written.len() - whole.len();
+            warn!(target: LOG, "Journal {place}: the last line was not written to its end; its {torn} bytes are cut off.");
+            log.len = whole.len() as u64;
+            if let Err(error) = log.storage.cut(log.len) {
+                warn!(target: LOG, "Journal {place}: they cannot be cut off: {error}");
+            }
+        }
+        let clean = log.read(whole);
+        log.forget(now);
+        if !clean {
+            // What could not be used stays in the file before.
+            log.rotate(now);
+        }
+        if !log.opened {
+            // If that cannot be written, it is said, and tried again with the first task.
+            let _ = log.write(now, None);
+        }
+        log
+    }
+
+    /// Who the gateway is towards its devices.
+    pub const fn gateway(&self) -> u64 {
+        self.gateway
+    }
+
+    /// The last task id that was given.
+    pub const fn last_id(&self) -> Option<TaskId> {
+        TaskId::new(self.last)
+    }
+
+    /// The tasks that have no end, each with its device's name.
+    pub fn unended(&self) -> Vec<(String, Restored)> {
+        let lines = self.tasks.values().filter(|line| !line.state.is_final());
+        let with_device = |line: &TaskLine| line.restored().map(|task| (line.device.clone(), task));
+        lines.filter_map(with_device).collect()
+    }
+
+    /// The tasks that have ended, as long as they are remembered; each with what was asked for:
+    /// device, component, goal.
+    pub fn ended(&self, now: Moment) -> Vec<([&str; 3], RestoredTask)> {
+        let lines = self.tasks.values().filter(|line| line.state.is_final());
+        let ended = |line: &TaskLine| RestoredTask {
+            id: line.task,
+            payload: String::new(),
+            state: line.state,
+            text: line.text.clone(),
+            ended: Some(line.age(now)),
+        };
+        lines
+            .filter(|line| line.age(now) < KEEP)
+            .map(|line| (line.spec(), ended(line)))
+            .collect()
+    }
+
+    /// Notes that a `Start` is about to be sent.
+    ///
+    /// # Errors
+    /// Why that cannot be written, for people.
+    pub fn starting(
+        &mut self,
+        now: Moment,
+        device: &str,
+        client: Option<String>,
+        task: &Entry<'_>,
+    ) -> Result<(), String> {
+        let line = TaskLine::new(now, device, client, task, State::Initiated, "");
+        self.write(now, Some(Line::Start(line)))
+    }
+
+    /// Notes that a device has said that a task runs.
+    ///
+    /// # Errors
+    /// Why that cannot be written, for people.
+    pub fn accepted(&mut self, now: Moment, device: &str, task: &Entry<'_>) -> Result<(), String> {
+        let client = self.client(task.id);
+        let line = TaskLine::new(now, device, client, task, State::Accepted, "");
+        self.write(now, Some(Line::Accepted(line)))
+    }
+
+    /// Notes that a task is about to end.
+    ///
+    /// # Errors
+    /// Why that cannot be written, for people.
+    pub fn ended_as(
+        &mut self,
+        now: Moment,
+        device: &str,
+        task: &Entry<'_>,
+        (state, text): (State, &str),
+    ) -> Result<(), String> {
+        let client = self.client(task.id);
+        let line = TaskLine::new(now, device, client, task, state, text);
+        self.write(now, Some(Line::Ended(line)))
+    }
+
+    /// Where it lies.
+    pub const fn storage(&self) -> &S {
+        &self.storage
+    }
+
+    /// The same, to be changed.
+    pub const fn storage_mut(&mut self) -> &mut S {
+        &mut self.storage
+    }
+
+    /// Takes in what was written; says whether all of it could be used.
+    fn read(&mut self, written: &[u8]) -> bool {
+        let place = self.storage.place();
+        let mut useless = 0;
+        let mut other_version = false;
+        let lines = written.split(|byte| *byte == b'\n');
+        for (number, bytes) in (1..).zip(lines).filter(|(_, bytes)| !bytes.is_empty()) {
+            let version = serde_json::from_slice::<Version>(bytes);
+            if let Ok(Version { journal: Some(it) }) = version {
+                other_version = it != VERSION;
+                if other_version {
+                    useless += 1;
+                    warn!(target: LOG, "Journal {place}, line {number}: version {it}, this gateway reads version {VERSION}; skipped from here on.");
+                }
+            }
+            if other_version {
+                continue;
+            }
+            match serde_json::from_slice(bytes) {
+                Ok(Line::Opened(opened)) => {
+                    self.gateway = opened.gateway;
+                    self.last = self.last.max(opened.last);
+                }
+                Ok(Line::Start(line) | Line::Accepted(line) | Line::Ended(line)) => self.note(line),
+                Err(error) => {
+                    useless += 1;
+                    if useless <= SAID {
+                        warn!(target: LOG, "Journal {place}, line {number}: skipped, it cannot be read: {error}");
+                    }
+                }
+            }
+        }
+        if useless > SAID {
+            warn!(target: LOG, "Journal {place}: {useless} lines were skipped in all.");
+        }
+        useless == 0
+    }
+
+    /// Who asked for a task, as its earlier lines say.
+    fn client(&self, id: TaskId) -> Option<String> {
+        self.tasks.get(&id)?.client.clone()
+    }
+
+    /// An end stays what it is.
+    fn note(&mut self, line: TaskLine) {
+        self.last = self.last.max(line.task.get());
+        let known = self.tasks.get(&line.task);
+        if !known.is_some_and(|known| known.state.is_final()) {
+            self.tasks.insert(line.task, line);
+        }
+    }
+
+    fn write(&mut self, now: Moment, line: Option<Line>) -> Result<(), String> {
+        if self.len >= self.rotate_at || self.storage.is_gone() {
+            self.rotate(now);
+        }
+        let mut bytes = Vec::new();
+        if !self.opened {
+            self.put_opened(now, &mut bytes);
+        }
+        if let Some(line) = &line {
+            line.put(&mut bytes);
+        }
+        let needed = matches!(line, Some(Line::Start(_) | Line::Ended(_)));
+        if let Err(error) = self.storage.add(&bytes, needed) {
+            let place = self.storage.place();
+            let trouble = format!("the journal {place} cannot be written: {error}");
+            if self.trouble.as_ref() != Some(&trouble) {
+                warn!(target: LOG, "No task is taken: {trouble}");
+                self.trouble = Some(trouble.clone());
+            }
+            return Err(trouble);
+        }
+        if self.trouble.take().is_some() {
+            info!(target: LOG, "The journal {} is written again.", self.storage.place());
+        }
+        self.len += bytes.len() as u64;
+        self.opened = true;
+        if let Some(Line::Start(line) | Line::Accepted(line) | Line::Ended(line)) = line {
+            self.note(line);
+        }
+        Ok(())
+    }
+
+    fn put_opened(&self, now: Moment, bytes: &mut Vec<u8>) {
+        Line::Opened(Opened::new(now, self.gateway, self.last)).put(bytes);
+    }
+
+    /// Begins a new file with all that is still needed. When it cannot be, the old one goes on.
+    fn rotate(&mut self, now: Moment) {
+        self.forget(now);
+        let mut bytes = Vec::new();
+        self.put_opened(now, &mut bytes);
+        for line in self.tasks.values().cloned() {
+            let line = match line.state {
+                State::Initiated => Line::Start(line),
+                State::Accepted => Line::Accepted(line),
+                _ => Line::Ended(line),
+            };
+            line.put(&mut bytes);
+        }
+        match self.storage.replace(&bytes) {
+            Ok(()) => {
+                self.opened = true;
+                self.len = bytes.len() as u64;
+            }
+            Err(error) => {
+                let place = self.storage.place();
+                warn!(target: LOG, "Journal {place}: no new file can be begun: {error}");
+            }
+        }
+        self.rotate_at = self.len + ROTATE;
+    }
+
+    /// Forgets ends that are too old, and the oldest of too many.
+    fn forget(&mut self, now: Moment) {
+        let needed = |line: &TaskLine| !line.state.is_final() || line.age(now) < KEEP;
+        self.tasks.retain(|_, line| needed(line));
+        let surplus = self.tasks.len().saturating_sub(CARRIED);
+        if surplus > 0 {
+            let mut ends: Vec<_> = self.tasks.values().filter(|l| l.state.is_final()).collect();
+            ends.sort_by_key(|line| std::cmp::Reverse(line.age(now)));
+            let oldest: Vec<TaskId> = ends.iter().take(surplus).map(|line| line.task).collect();
+            for id in oldest {
+                self.tasks.remove(&id);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;
