@@ -2,39 +2,46 @@
 
 use std::collections::HashMap;
 use std::io::{self, Write};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
-use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
 use tracing::{info, warn};
+use ztl_core::link::Loss;
 use ztl_core::repr::put_quoted;
 use ztl_core::time::earliest;
 use ztl_core::{Instant, State, TaskId, TaskSpec};
 
-use super::endpoint::{Endpoint, is_pause};
+use super::endpoint::{READ_TIMEOUT, is_pause};
 use super::journal::FileBook;
+use super::reader::{Opener, Permit, read_line};
 use super::report::Window;
 use super::session::{Event, Restored, Session};
+use super::voice::{Grave, LOG, Voice};
 use crate::clock::now;
 use crate::random;
 use crate::server::TaskReporter;
 
-/// Pause before a line is opened again: at first, and at most.
+/// Pause before a line is opened again: at first, and at most. Looking for a port is cheap, and whoever
+/// has plugged a device in wants it now.
 const RETRY: (Duration, Duration) = (Duration::from_millis(50), Duration::from_millis(500));
+/// The longest such pause where it costs others something: a connection is made.
+const RETRY_HALF_OPEN: Duration = Duration::from_secs(2);
+/// After so many link timeouts without a word a line that may be half open is opened anew.
+const SILENCES: u32 = 5;
+/// Opening a line that takes longer is worth a word.
+const OPENING: Duration = Duration::from_secs(3);
 /// How long a gateway that ends waits for its tasks to be stopped.
 const STOP: Duration = Duration::from_secs(1);
 /// Longest part of a request that is repeated in a reason, in bytes.
 const SHOWN: usize = 100;
 /// Inputs taken before the time is looked at.
 const BATCH: usize = 64;
-/// Pieces of at most 1 KiB that a line may be ahead of its device's thread.
-const AHEAD: usize = 64;
-/// Name under which the gateway logs.
-const LOG: &str = "gateway";
 
-enum Input {
+/// What a device's thread is told.
+pub(super) enum Input {
     Start(TaskReporter, Request),
     Resume(TaskReporter, Restored),
     Abort(TaskId),
@@ -43,45 +50,12 @@ enum Input {
     /// The permit goes back to the line when the bytes have been taken.
     Bytes(u64, Vec<u8>, Permit),
     Closed(u64, io::Error),
-    Stop,
+    /// Ends the thread. With `true` its tasks are left as they are, else they are aborted first.
+    Stop(bool),
 }
 
-/// One of the pieces that a line may be ahead; counted down when dropped.
-struct Permit(Arc<Ahead>);
-
-/// How far a line is ahead of its device's thread.
-#[derive(Default)]
-struct Ahead {
-    pieces: Mutex<usize>,
-    fewer: Condvar,
-}
-
-impl Ahead {
-    /// Waits until the line may go on; `None` when it does not within a moment.
-    fn permit(self: &Arc<Self>) -> Option<Permit> {
-        let pieces = self.pieces.lock().unwrap_or_else(PoisonError::into_inner);
-        let full = |pieces: &mut usize| *pieces >= AHEAD;
-        let waited = self
-            .fewer
-            .wait_timeout_while(pieces, Duration::from_millis(50), full);
-        let (mut pieces, timeout) = waited.unwrap_or_else(PoisonError::into_inner);
-        if timeout.timed_out() {
-            return None;
-        }
-        *pieces += 1;
-        Some(Permit(Arc::clone(self)))
-    }
-}
-
-impl Drop for Permit {
-    fn drop(&mut self) {
-        let mut pieces = self.0.pieces.lock().unwrap_or_else(PoisonError::into_inner);
-        *pieces = pieces.saturating_sub(1);
-        self.0.fewer.notify_one();
-    }
-}
-
-struct Request {
+/// What a client wants.
+pub(super) struct Request {
     component: String,
     goal: String,
     /// The whole, as a client wrote it, for reasons.
@@ -101,32 +75,34 @@ pub struct Device {
 
 impl Device {
     /// Its line is opened when as many tasks from before a restart as are `awaited` have been
-    /// resumed. Without an endpoint it never answers.
+    /// resumed. Without an opener it never answers.
     pub(super) fn spawn(
         name: &str,
-        endpoint: Option<Endpoint>,
+        opener: Option<Opener>,
         gateway: u64,
         book: Option<FileBook>,
         awaited: usize,
     ) -> io::Result<Self> {
         let (inputs, inbox) = channel();
-        let baud = endpoint.as_ref().and_then(Endpoint::baud);
+        let baud = opener.as_ref().and_then(|opener| opener.baud);
         let session = Session::with_book(book, gateway, baud, random::nonzero);
         let mut worker = Worker {
             name: name.to_owned(),
-            endpoint,
+            opener,
             session,
             inputs: inputs.clone(),
             line: Wire::None { retry: now() },
             number: 0,
             pause: RETRY.0,
+            silences: 0,
             trouble: None,
+            voice: Voice::new(name, now()),
             tasks: HashMap::new(),
             awaited,
             stopping: None,
             window: Window::default(),
         };
-        let (url, window) = (worker.url(), worker.window.clone());
+        let (url, window) = (worker.url().to_owned(), worker.window.clone());
         let thread = std::thread::Builder::new()
             .name(format!("ztl-device-{name}"))
             .spawn(move || worker.run(&inbox))?;
@@ -162,9 +138,16 @@ impl Device {
     }
 }
 
+impl Device {
+    /// Begins to end it; dropping it waits for that.
+    pub(super) fn stop(&self, leave_running: bool) {
+        let _ = self.inputs.send(Input::Stop(leave_running));
+    }
+}
+
 impl Drop for Device {
     fn drop(&mut self) {
-        let _ = self.inputs.send(Input::Stop);
+        self.stop(false);
         if let Some(thread) = self.thread.take() {
             let _ = thread.join();
         }
@@ -175,8 +158,11 @@ impl Drop for Device {
 enum Wire {
     /// To be opened at this time.
     None { retry: Instant },
-    /// A thread opens it.
-    Opening { stop: Arc<AtomicBool> },
+    /// A thread opens it, since then.
+    Opening {
+        stop: Arc<AtomicBool>,
+        since: Instant,
+    },
     Open {
         writer: Box<dyn Write + Send>,
         stop: Arc<AtomicBool>,
@@ -185,15 +171,18 @@ enum Wire {
 
 struct Worker {
     name: String,
-    endpoint: Option<Endpoint>,
+    opener: Option<Opener>,
     session: Session<Option<FileBook>>,
     inputs: Sender<Input>,
     line: Wire,
     /// Of the present line; what an earlier one still says is not heard.
     number: u64,
     pause: Duration,
+    /// How often in a row the greeting was not answered.
+    silences: u32,
     /// What is wrong with the line or the device, for reasons; said once in the log.
     trouble: Option<String>,
+    voice: Voice,
     tasks: HashMap<TaskId, (TaskReporter, Request)>,
     /// Tasks from before a restart that are still to be resumed, before the line is opened.
     awaited: usize,
@@ -206,12 +195,12 @@ impl Worker {
     fn run(&mut self, inbox: &Receiver<Input>) {
         loop {
             if let Wire::None { retry } = self.line
-                && let Some(endpoint) = &self.endpoint
+                && let Some(opener) = &self.opener
                 && self.awaited == 0
                 && now() >= retry
             {
-                let endpoint = endpoint.clone();
-                self.open(endpoint);
+                let opener = opener.clone();
+                self.open(opener);
             }
             match inbox.recv_timeout(self.until_wake()) {
                 Ok(input) => self.on_input(input),
@@ -227,6 +216,8 @@ impl Worker {
             while let Some(event) = self.session.poll_event() {
                 self.on_event(event);
             }
+            self.look_at_opening();
+            self.voice.handle_timeout(now());
             self.window
                 .show(now(), &self.session, self.trouble.as_ref());
             if let Some(end) = self.stopping
@@ -237,51 +228,95 @@ impl Worker {
             }
         }
         self.close();
-        if self.session.book_mut().is_some() {
-            // They may run: the next start of the gateway learns their ends.
-            for (_, (task, _)) in self.tasks.drain() {
-                task.leave();
+    }
+
+    fn url(&self) -> &str {
+        let opener = self.opener.as_ref();
+        opener.map_or("nowhere", |opener| opener.label.as_str())
+    }
+
+    /// What is not confirmed is unknown, and nobody is told that it failed.
+    fn say_what_is_left(&mut self) {
+        let left = std::mem::take(&mut self.tasks);
+        for (task, request) in left.into_values() {
+            warn!(
+                target: LOG,
+                device = self.name,
+                "Device '{}' has not confirmed that {} stopped; it acts by itself when it hears nothing for its link timeout.",
+                self.name,
+                request.spec
+            );
+            task.leave();
+        }
+    }
+
+    fn on_stop(&mut self, leave_running: bool) {
+        if self.stopping.is_some() {
+            return;
+        }
+        self.stopping = Some(now() + STOP);
+        for id in self.tasks.keys().copied().collect::<Vec<_>>() {
+            match self.session.policy(id) {
+                Some(policy) if leave_running => self.leave(id, policy),
+                _ => self.session.abort(now(), id),
             }
         }
     }
 
-    fn url(&self) -> String {
-        let endpoint = self.endpoint.as_ref();
-        endpoint.map_or_else(|| "nowhere".to_owned(), Endpoint::to_string)
-    }
-
-    fn say_what_is_left(&self) {
-        let left: Vec<&str> = self.tasks.values().map(|(_, r)| r.spec.as_str()).collect();
-        if !left.is_empty() {
-            warn!(
-                target: LOG,
-                "Device '{}' has not confirmed that it stopped: {}; it acts by itself when it hears nothing for its link timeout.",
-                self.name,
-                left.join(", ")
-            );
-        }
+    /// A task goes on, or not, without this gateway.
+    fn leave(&mut self, id: TaskId, policy: Loss) {
+        let Some((task, request)) = self.tasks.remove(&id) else {
+            return;
+        };
+        let what = match policy {
+            Loss::Abort => "stops by itself when it has heard nothing for its link timeout (abort)",
+            Loss::Hold => {
+                "stops by itself when it has heard nothing for its link timeout, and keeps its position (hold)"
+            }
+            Loss::CarryOn => "carries on",
+        };
+        let (name, spec) = (&self.name, &request.spec);
+        info!(target: LOG, device = name, "Device '{name}': {spec} is left running; it {what}.");
+        task.leave();
     }
 
     fn until_wake(&self) -> Duration {
-        let open = match self.line {
-            Wire::None { retry } if self.awaited == 0 && self.endpoint.is_some() => Some(retry),
-            _ => None,
+        let line = match &self.line {
+            Wire::None { retry } => {
+                Some(*retry).filter(|_| self.awaited == 0 && self.opener.is_some())
+            }
+            Wire::Opening { since, .. } => {
+                Some(*since + OPENING).filter(|_| self.trouble.is_none())
+            }
+            Wire::Open { .. } => None,
         };
-        let wake = earliest(earliest(self.session.poll_timeout(), open), self.stopping);
+        let wake = earliest(earliest(self.session.poll_timeout(), line), self.stopping);
+        let wake = earliest(wake, self.voice.poll_timeout());
         wake.map_or(Duration::from_secs(60), |wake| wake.since(now()))
     }
 
-    fn open(&mut self, endpoint: Endpoint) {
+    /// A driver may keep whoever opens its port for as long as it likes.
+    fn look_at_opening(&mut self) {
+        if let Wire::Opening { since, .. } = &self.line
+            && now() >= *since + OPENING
+            && self.trouble.is_none()
+        {
+            self.set_trouble(format!("{}: opening it takes long", self.url()));
+        }
+    }
+
+    fn open(&mut self, opener: Opener) {
         self.number += 1;
         let (number, inputs) = (self.number, self.inputs.clone());
         let stop = Arc::new(AtomicBool::new(false));
         self.line = Wire::Opening {
             stop: Arc::clone(&stop),
+            since: now(),
         };
         let spawned = std::thread::Builder::new()
             .name(format!("ztl-line-{}", self.name))
             .spawn(move || {
-                let error = read_line(number, &endpoint, &inputs, &stop);
+                let error = read_line(number, &opener, &inputs, &stop);
                 let _ = inputs.send(Input::Closed(number, error));
             });
         if let Err(error) = spawned {
@@ -290,7 +325,7 @@ impl Worker {
     }
 
     fn close(&mut self) {
-        if let Wire::Opening { stop } | Wire::Open { stop, .. } = &self.line {
+        if let Wire::Opening { stop, .. } | Wire::Open { stop, .. } = &self.line {
             stop.store(true, Ordering::Release);
         }
         self.line = Wire::None { retry: now() };
@@ -323,7 +358,7 @@ impl Worker {
             }
             Input::Abort(id) => self.session.abort(now(), id),
             Input::Opened(number, writer) if number == self.number => {
-                if let Wire::Opening { stop } = &self.line {
+                if let Wire::Opening { stop, .. } = &self.line {
                     let stop = Arc::clone(stop);
                     self.line = Wire::Open { writer, stop };
                     self.session.handle_connected(now());
@@ -334,28 +369,31 @@ impl Worker {
             }
             Input::Closed(number, error) if number == self.number => self.on_closed(&error),
             Input::Opened(..) | Input::Bytes(..) | Input::Closed(..) => {}
-            Input::Stop => {
-                self.stopping = Some(now() + STOP);
-                for id in self.tasks.keys() {
-                    self.session.abort(now(), *id);
-                }
-            }
+            Input::Stop(leave_running) => self.on_stop(leave_running),
         }
     }
 
     fn on_closed(&mut self, error: &io::Error) {
         self.close();
         self.session.handle_disconnected();
+        self.silences = 0;
+        // Until the thread that reads has let go of the line, it is not free.
         self.line = Wire::None {
-            retry: now() + self.pause,
+            retry: now() + self.pause.max(READ_TIMEOUT * 2),
         };
-        self.pause = (self.pause * 2).min(RETRY.1);
+        let opener = self.opener.as_ref();
+        let longest = if opener.is_some_and(|opener| opener.may_be_half_open) {
+            RETRY_HALF_OPEN
+        } else {
+            RETRY.1
+        };
+        self.pause = (self.pause * 2).min(longest);
         self.set_trouble(format!("{}: {error}", self.url()));
     }
 
     fn set_trouble(&mut self, trouble: String) {
         if self.trouble.as_ref() != Some(&trouble) {
-            warn!(target: LOG, device = self.name, "Device '{}': {trouble}", self.name);
+            self.voice.say(now(), Grave::Warn, format!(": {trouble}"));
             self.trouble = Some(trouble);
         }
     }
@@ -368,6 +406,10 @@ impl Worker {
         if let Wire::Open { writer, .. } = &mut self.line
             && let Err(error) = writer.write_all(&bytes).and_then(|()| writer.flush())
         {
+            if is_pause(&error) {
+                let kind = io::ErrorKind::TimedOut;
+                return self.on_closed(&io::Error::new(kind, "it takes no bytes"));
+            }
             self.on_closed(&error);
         }
     }
@@ -397,7 +439,16 @@ impl Worker {
                 }
             }
             Event::Ended(id, state, text) => {
-                if let Some((task, _)) = self.tasks.remove(&id) {
+                if let Some((task, request)) = self.tasks.remove(&id) {
+                    if self.stopping.is_some() {
+                        let (name, spec) = (&self.name, &request.spec);
+                        info!(
+                            target: LOG,
+                            device = name,
+                            "Device '{name}': {spec} has ended as {}: {text}",
+                            state.name()
+                        );
+                    }
                     match state {
                         State::Completed => task.completed(text),
                         State::Aborted => task.aborted(text),
@@ -405,30 +456,40 @@ impl Worker {
                     }
                 }
             }
-            Event::Up => {
-                self.pause = RETRY.0;
-                self.trouble = None;
-                if let Some(device) = self.session.device() {
-                    let names: Vec<&str> =
-                        device.components.iter().map(|c| c.name.as_str()).collect();
-                    info!(
-                        target: LOG,
-                        device = self.name,
-                        "Device '{}' is ready at {}: {} {}, components: {}",
-                        self.name, self.url(), device.name, device.firmware, names.join(", ")
-                    );
-                }
-            }
+            Event::Up => self.on_up(),
             Event::Silent => {
-                let trouble = format!("{}: nothing there answers", self.url());
-                self.set_trouble(trouble);
+                self.silences += 1;
+                let trouble = "nothing there answers";
+                let opener = self.opener.as_ref();
+                if opener.is_some_and(|opener| opener.may_be_half_open) && self.silences >= SILENCES
+                {
+                    let kind = io::ErrorKind::TimedOut;
+                    return self.on_closed(&io::Error::new(kind, trouble));
+                }
+                self.set_trouble(format!("{}: {trouble}", self.url()));
             }
             Event::Lost => self.set_trouble("it no longer answers".to_owned()),
-            Event::Reset => {
-                warn!(target: LOG, device = self.name, "Device '{}' was reset.", self.name)
-            }
+            Event::Reset => self.voice.say(now(), Grave::Warn, " was reset.".to_owned()),
             Event::Refused(reason) => self.set_trouble(reason),
         }
+    }
+
+    fn on_up(&mut self) {
+        self.pause = RETRY.0;
+        self.silences = 0;
+        self.trouble = None;
+        let Some(device) = self.session.device() else {
+            return;
+        };
+        let names: Vec<&str> = device.components.iter().map(|c| c.name.as_str()).collect();
+        let text = format!(
+            " is ready at {}: {} {}, components: {}",
+            self.url(),
+            device.name,
+            device.firmware,
+            names.join(", ")
+        );
+        self.voice.say(now(), Grave::Info, text);
     }
 }
 
@@ -453,42 +514,4 @@ pub(super) fn shown(spec: &TaskSpec<'_>) -> String {
     let mut quoted = Vec::new();
     put_quoted(&text, &mut |bytes: &[u8]| quoted.extend_from_slice(bytes));
     String::from_utf8_lossy(&quoted).into_owned()
-}
-
-/// Opens the line and passes on what arrives, until it breaks or is no longer wanted.
-fn read_line(
-    number: u64,
-    endpoint: &Endpoint,
-    inputs: &Sender<Input>,
-    stop: &AtomicBool,
-) -> io::Error {
-    let ended = || io::Error::new(io::ErrorKind::UnexpectedEof, "the other end has closed it");
-    let mut line = match endpoint.open() {
-        Ok(line) => line,
-        Err(error) => return error,
-    };
-    let writer = std::mem::replace(&mut line.writer, Box::new(io::sink()));
-    if inputs.send(Input::Opened(number, writer)).is_err() {
-        return ended();
-    }
-    let mut buffer = [0; 1024];
-    let ahead = Arc::default();
-    let mut next = None;
-    while !stop.load(Ordering::Acquire) {
-        let Some(permit) = next.take().or_else(|| Ahead::permit(&ahead)) else {
-            continue;
-        };
-        match line.reader.read(&mut buffer) {
-            Ok(0) => return ended(),
-            Ok(count) => {
-                let bytes = buffer.get(..count).unwrap_or_default().to_vec();
-                if inputs.send(Input::Bytes(number, bytes, permit)).is_err() {
-                    break;
-                }
-            }
-            Err(error) if is_pause(&error) => next = Some(permit),
-            Err(error) => return error,
-        }
-    }
-    ended()
 }

@@ -206,8 +206,8 @@ impl Endpoint {
     pub fn open(&self) -> io::Result<Line> {
         match self {
             Self::Serial { path, baud } => {
-                let port = serialport::new(path, *baud).timeout(READ_TIMEOUT).open()?;
-                Line::serial(port)
+                let port = serialport::new(path, *baud).timeout(READ_TIMEOUT).open();
+                Line::serial(port.map_err(|error| for_people(path, error))?)
             }
             Self::Tcp { address } => {
                 let wait = Duration::from_secs(1);
@@ -242,6 +242,39 @@ impl Endpoint {
             _ => None,
         }
     }
+}
+
+/// Why a port cannot be opened, in words that help.
+fn for_people(path: &str, error: serialport::Error) -> io::Error {
+    use io::ErrorKind;
+    let what = std::fs::metadata(path).map(|about| about.file_type());
+    let no_port = |what: &str| format!("it is {what}, and no serial port");
+    let (kind, text) = match (error.kind(), what) {
+        (_, Ok(what)) if what.is_dir() => (ErrorKind::IsADirectory, no_port("a directory")),
+        (_, Ok(what)) if what.is_file() => (ErrorKind::InvalidInput, no_port("a file")),
+        (serialport::ErrorKind::NoDevice, _) => (
+            ErrorKind::ResourceBusy,
+            "another program uses it".to_owned(),
+        ),
+        (serialport::ErrorKind::Io(ErrorKind::NotFound), _) => (
+            ErrorKind::NotFound,
+            "there is no such port; is it plugged in?".to_owned(),
+        ),
+        (serialport::ErrorKind::Io(ErrorKind::PermissionDenied), _) => (
+            ErrorKind::PermissionDenied,
+            "this user may not open it; ports often belong to the group dialout".to_owned(),
+        ),
+        // ENOTTY: what a terminal can do was asked of something else.
+        (_, _)
+            if ["typewriter", "ioctl"]
+                .iter()
+                .any(|part| error.description.contains(part)) =>
+        {
+            (ErrorKind::InvalidInput, no_port("something else"))
+        }
+        _ => return error.into(),
+    };
+    io::Error::new(kind, text)
 }
 
 /// Whether a read brought nothing only because its time had passed.

@@ -7,10 +7,13 @@ pub mod config;
 mod device;
 mod endpoint;
 mod journal;
+mod reader;
 mod report;
 pub mod session;
+mod voice;
 
 use std::collections::{BTreeMap, HashMap};
+use std::sync::Arc;
 
 use tracing::{info, warn};
 use ztl_core::{State, TaskId, TaskSpec};
@@ -19,15 +22,14 @@ pub use device::Device;
 pub use endpoint::{BAUD, Endpoint, EndpointError, Line};
 pub(crate) use endpoint::{READ_TIMEOUT, is_pause};
 pub use journal::{DeviceBook, Journal, JournalError, Log, Moment, Storage};
+use reader::Opener;
 use report::Window;
 pub use report::{ComponentReport, DeviceReport, DeviceReports, FirmwareReport, LinkReport};
+use voice::LOG;
 
 use crate::random;
 use crate::remote::encoded;
 use crate::server::{Answers, Restored, RestoredTask, TaskHandler, TaskReporter, quoted};
-
-/// Name under which the gateway logs.
-const LOG: &str = "gateway";
 
 /// Task ids that are left out at each start.
 const SKIPPED: u32 = 1000;
@@ -45,6 +47,7 @@ pub struct Gateway {
     /// Devices that have such tasks, and are not served any more: their tasks end as those of a
     /// device that does not answer.
     absent: BTreeMap<String, Device>,
+    leave_running: bool,
 }
 
 impl Default for Gateway {
@@ -61,6 +64,7 @@ impl Gateway {
         Self {
             id: random::number(),
             devices: BTreeMap::new(),
+            leave_running: false,
             journal: None,
             unended: HashMap::new(),
             absent: BTreeMap::new(),
@@ -72,14 +76,13 @@ impl Gateway {
     #[must_use]
     pub fn with_journal(journal: Journal) -> Self {
         let unended = journal.unended().into_iter();
-        Self {
-            id: journal.gateway(),
-            unended: unended
-                .map(|(name, task)| (task.id, (name, task)))
-                .collect(),
-            journal: Some(journal),
-            ..Self::new()
-        }
+        let mut gateway = Self::new();
+        gateway.id = journal.gateway();
+        gateway.unended = unended
+            .map(|(name, task)| (task.id, (name, task)))
+            .collect();
+        gateway.journal = Some(journal);
+        gateway
     }
 
     /// Serves a device under a name. It need not be there yet: its line is opened when it can be,
@@ -88,16 +91,40 @@ impl Gateway {
     /// # Errors
     /// When the system gives no more threads.
     pub fn add(&mut self, name: &str, endpoint: Endpoint) -> std::io::Result<()> {
-        let device = self.spawn(name, Some(endpoint))?;
+        self.serve(name, endpoint.into())
+    }
+
+    /// The same with a line of any kind: `open` is called on a thread of its own, whenever there is
+    /// none, and may take its time; `label` is what it is called in the log.
+    ///
+    /// # Errors
+    /// When the system gives no more threads.
+    pub fn add_line(
+        &mut self,
+        name: &str,
+        label: &str,
+        open: impl Fn() -> std::io::Result<Line> + Send + Sync + 'static,
+    ) -> std::io::Result<()> {
+        let opener = Opener {
+            label: label.to_owned(),
+            baud: None,
+            may_be_half_open: false,
+            open: Arc::new(open),
+        };
+        self.serve(name, opener)
+    }
+
+    fn serve(&mut self, name: &str, opener: Opener) -> std::io::Result<()> {
+        let device = self.spawn(name, Some(opener))?;
         self.devices.insert(name.to_owned(), device);
         Ok(())
     }
 
-    fn spawn(&self, name: &str, endpoint: Option<Endpoint>) -> std::io::Result<Device> {
+    fn spawn(&self, name: &str, opener: Option<Opener>) -> std::io::Result<Device> {
         let book = self.journal.as_ref().map(|journal| journal.book(name));
         let its = |(device, _): &&(String, session::Restored)| device == name;
         let awaited = self.unended.values().filter(its).count();
-        Device::spawn(name, endpoint, self.id, book, awaited)
+        Device::spawn(name, opener, self.id, book, awaited)
     }
 
     /// A device, served or not.
@@ -124,9 +151,48 @@ impl Gateway {
         }
     }
 
+    /// What becomes of running tasks when the gateway ends. Default: each is aborted, which is waited
+    /// for, for a second. With `true` they are left alone: what their components do then by
+    /// themselves is logged, and no client is told an end.
+    pub const fn set_leave_running(&mut self, leave: bool) {
+        self.leave_running = leave;
+    }
+
+    /// To see the devices that there are now, also when the gateway is registered at a server.
+    #[must_use]
+    pub fn watch(&self) -> Watch {
+        let devices = self.devices.iter();
+        let seen = devices.map(|(name, device)| (name.clone(), device.url(), device.window()));
+        Watch(seen.collect())
+    }
+
     fn names(&self) -> String {
         let names: Vec<&str> = self.devices.keys().map(String::as_str).collect();
         names.join(", ")
+    }
+}
+
+/// Sees a gateway's devices from outside.
+#[derive(Debug, Clone)]
+pub struct Watch(Arc<[(String, String, Window)]>);
+
+impl Watch {
+    /// What there is to be said of each device now.
+    #[must_use]
+    pub fn reports(&self) -> DeviceReports {
+        let report = |(name, url, window): &(String, String, Window)| {
+            (name.clone(), window.report(url.clone()))
+        };
+        self.0.iter().map(report).collect()
+    }
+}
+
+impl Drop for Gateway {
+    fn drop(&mut self) {
+        // All at once; each is waited for as it is dropped.
+        for device in self.devices.values().chain(self.absent.values()) {
+            device.stop(self.leave_running);
+        }
     }
 }
 
@@ -166,20 +232,10 @@ impl TaskHandler for Gateway {
     }
 
     fn answers(&self) -> Answers {
-        let devices: Vec<(String, String, Window)> = self
-            .devices
-            .iter()
-            .map(|(name, device)| (name.clone(), device.url(), device.window()))
-            .collect();
-        Box::new(move |question| {
-            let report = |(name, url, window): &(String, String, Window)| {
-                (name.clone(), window.report(url.clone()))
-            };
-            let reports = || devices.iter().map(report).collect::<DeviceReports>();
-            match question {
-                "devices" => serde_json::to_string(&reports()).ok(),
-                _ => None,
-            }
+        let watch = self.watch();
+        Box::new(move |question| match question {
+            "devices" => serde_json::to_string(&watch.reports()).ok(),
+            _ => None,
         })
     }
 

@@ -428,6 +428,14 @@ impl<B: Book> Session<B> {
         Some(Duration::from_millis(clock) + now.since(heard))
     }
 
+    /// What the device does with a task when the link is lost; `None` when it has never been sent one
+    /// of that id.
+    #[must_use]
+    pub fn policy(&self, id: TaskId) -> Option<Loss> {
+        let sent = self.tasks.get(&id)?.stage.sent();
+        sent.map(|sent| sent.loss)
+    }
+
     /// Whether the device takes tasks now.
     #[must_use]
     pub fn is_up(&self) -> bool {
