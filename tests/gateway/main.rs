@@ -4,3 +4,7 @@
 #![cfg(unix)]
 
 mod file;
+mod firmware;
+mod lines;
+mod neighbours;
+mod service;

@@ -34,7 +34,7 @@ pub struct Config {
 pub enum JournalPlace {
     /// Nowhere.
     Off,
-    /// In this directory.
+    /// In this file, or in a file of the gateway's own in this directory.
     At(PathBuf),
 }
 
@@ -128,12 +128,13 @@ fn config<'d>(reading: &mut Reading<'d>, root: &'d Node, base: &Path) -> Option<
         config.publish = reading.whole(node, PORT);
     }
     if let Some(node) = fields.optional("journal") {
-        config.journal = reading
-            .text(node, "a directory, or off")
-            .map(|text| match text {
-                "off" | "no" | "false" => JournalPlace::Off,
-                place => JournalPlace::At(base.join(place)),
-            });
+        config.journal =
+            reading
+                .text(node, "a file or a directory, or off")
+                .map(|text| match text {
+                    "off" | "no" | "false" => JournalPlace::Off,
+                    place => JournalPlace::At(base.join(place)),
+                });
     }
     if let Some(node) = fields.optional("log") {
         config.log = reading.one_of(node, &LEVELS);

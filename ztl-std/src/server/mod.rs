@@ -329,6 +329,12 @@ impl TaskServer {
         Stopper(Arc::clone(&self.waker))
     }
 
+    /// A handle that tells from another thread whether [`listen`](Self::listen) goes its rounds.
+    #[must_use]
+    pub fn pulse(&self) -> Pulse {
+        Pulse(Arc::clone(&self.waker))
+    }
+
     /// Serves until it is stopped.
     ///
     /// # Errors
@@ -568,6 +574,24 @@ impl Stopper {
 impl std::fmt::Debug for Stopper {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.write_str("Stopper")
+    }
+}
+
+/// Feels whether a server's thread goes its rounds, in which it answers its clients.
+#[derive(Clone)]
+pub struct Pulse(Arc<Waker>);
+
+impl Pulse {
+    /// Whether it does so within `limit`.
+    #[must_use]
+    pub fn is_felt(&self, limit: Duration) -> bool {
+        self.0.is_taken(limit)
+    }
+}
+
+impl std::fmt::Debug for Pulse {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str("Pulse")
     }
 }
 

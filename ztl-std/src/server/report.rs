@@ -2,7 +2,8 @@
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, Sender, TryIter, channel};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Condvar, Mutex, PoisonError};
+use std::time::Duration;
 
 use tracing::error;
 use ztl_core::TaskId;
@@ -61,6 +62,9 @@ pub(super) struct Waker {
     pending: AtomicBool,
     stop: AtomicBool,
     bell: Mutex<zmq::Socket>,
+    /// How often the server has taken a wake-up.
+    turns: Mutex<u64>,
+    turned: Condvar,
 }
 
 impl Waker {
@@ -69,6 +73,8 @@ impl Waker {
             pending: AtomicBool::new(false),
             stop: AtomicBool::new(false),
             bell: Mutex::new(bell),
+            turns: Mutex::new(0),
+            turned: Condvar::new(),
         })
     }
 
@@ -84,6 +90,20 @@ impl Waker {
     /// mailbox is emptied.
     pub(super) fn taken(&self) {
         self.pending.store(false, Ordering::Release);
+        let mut turns = self.turns.lock().unwrap_or_else(PoisonError::into_inner);
+        *turns = turns.wrapping_add(1);
+        self.turned.notify_all();
+    }
+
+    /// Whether the server takes a wake-up within `limit`.
+    pub(super) fn is_taken(&self, limit: Duration) -> bool {
+        let turns = self.turns.lock().unwrap_or_else(PoisonError::into_inner);
+        let before = *turns;
+        self.wake();
+        let waited = self
+            .turned
+            .wait_timeout_while(turns, limit, |turns| *turns == before);
+        !waited.unwrap_or_else(PoisonError::into_inner).1.timed_out()
     }
 
     pub(super) fn stop(&self) {

@@ -3,6 +3,7 @@
 use std::fmt;
 use std::path::PathBuf;
 use std::process::ExitCode;
+use std::sync::{Mutex, PoisonError};
 
 use tracing::Level;
 use ztl_std::gateway::Endpoint;
@@ -14,6 +15,7 @@ use ztl_std::yaml::Diagnostics;
 use ztl_std::{Access, TaskServer};
 
 use crate::reach::{Reach, reachable};
+use crate::service::Service;
 use crate::terminal::line;
 use crate::tool::port;
 use crate::{Done, journal, log, signals};
@@ -45,6 +47,10 @@ pub(crate) struct Gateway {
 
     #[command(flatten)]
     reach: Reach,
+
+    /// When stopped, leave running tasks alone instead of aborting them
+    #[arg(long)]
+    leave_running: bool,
 
     /// Only say what is wrong with the configuration
     #[arg(long)]
@@ -126,6 +132,7 @@ struct Plan {
     bind: String,
     log: Level,
     log_format: LogFormat,
+    leave_running: bool,
     devices: Vec<DeviceConfig>,
     access: Access,
     journal: journal::Options,
@@ -194,12 +201,13 @@ impl Gateway {
             bind: self.bind.or(config.bind).unwrap_or("127.0.0.1".to_owned()),
             log: self.log.or(config.log).unwrap_or(Level::INFO),
             log_format: self.log_format.or(config.log_format).unwrap_or_default(),
+            leave_running: self.leave_running,
             devices,
             access: self
                 .reach
                 .access()
                 .map_err(|mistake| Unfit::Whole(mistake.to_string()))?,
-            journal: self.journal,
+            journal: self.journal.or(config.journal),
         })
     }
 }
@@ -221,9 +229,11 @@ impl Plan {
         let mut server = TaskServer::bind_for(&endpoint, self.access)?;
         let names: Vec<&str> = self.devices.iter().map(|d| d.name.as_str()).collect();
         let mut devices = self.journal.gateway(self.port, &self.scope)?;
+        devices.set_leave_running(self.leave_running);
         for device in &self.devices {
             devices.add(&device.name, device.endpoint.clone())?;
         }
+        let watch = devices.watch();
         server.register_handler(&self.scope, devices);
         line(format_args!(
             "Serving {} at {}, scope {}. Reachable for {who}.",
@@ -232,7 +242,17 @@ impl Plan {
             self.scope
         ));
         let stopper = server.stopper();
-        signals::then(move || stopper.stop());
+        let service = Mutex::new(Some(Service::ready(server.pulse(), watch)?));
+        signals::leave_at_the_second();
+        signals::then(move || {
+            let service = service
+                .lock()
+                .unwrap_or_else(PoisonError::into_inner)
+                .take();
+            service.into_iter().for_each(Service::stopping);
+            line("Stopping; once more (Ctrl-C, SIGTERM) leaves at once.");
+            stopper.stop();
+        });
         server.listen()?;
         line("Stopped.");
         Ok(ExitCode::SUCCESS)

@@ -6,6 +6,7 @@ use std::ffi::OsString;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
+use ztl_std::gateway::config::JournalPlace;
 use ztl_std::gateway::{Gateway, Journal};
 
 use crate::terminal::line;
@@ -26,6 +27,18 @@ pub(crate) struct Options {
 }
 
 impl Options {
+    /// Where no option says it, what the configuration file does.
+    pub(crate) fn or(mut self, place: Option<JournalPlace>) -> Self {
+        if self.journal.is_none() && !self.no_journal {
+            match place {
+                Some(JournalPlace::At(path)) => self.journal = Some(path),
+                Some(JournalPlace::Off) => self.no_journal = true,
+                None => {}
+            }
+        }
+        self
+    }
+
     /// A gateway with the journal that is wished for, and says so.
     pub(crate) fn gateway(&self, port: u16, scope: &str) -> Result<Gateway, Box<dyn Error>> {
         if self.no_journal {

@@ -15,6 +15,7 @@ mod log;
 mod ps;
 mod reach;
 mod scene;
+mod service;
 mod signals;
 mod task_client;
 mod task_server;

@@ -5,12 +5,15 @@ use std::time::Duration;
 
 struct Flag {
     raised: bool,
+    /// Whether raising it once more ends the process.
+    impatient: bool,
     /// What is to be done when it is raised.
     then: Option<Box<dyn Fn() + Send>>,
 }
 
 static FLAG: Mutex<Flag> = Mutex::new(Flag {
     raised: false,
+    impatient: false,
     then: None,
 });
 static CHANGED: Condvar = Condvar::new();
@@ -24,6 +27,10 @@ fn flag() -> MutexGuard<'static, Flag> {
 pub(crate) fn catch() -> Result<(), ctrlc::Error> {
     ctrlc::set_handler(|| {
         let mut flag = flag();
+        if flag.raised && flag.impatient {
+            // As a shell reports it.
+            std::process::exit(130);
+        }
         flag.raised = true;
         if let Some(then) = &flag.then {
             then();
@@ -39,6 +46,11 @@ pub(crate) fn then(act: impl Fn() + Send + 'static) {
         act();
     }
     flag.then = Some(Box::new(act));
+}
+
+/// From now on a second signal ends the process at once, whatever it is doing.
+pub(crate) fn leave_at_the_second() {
+    flag().impatient = true;
 }
 
 /// Whether somebody wants this process to end.

@@ -1,0 +1,136 @@
+//! A device of a test's own: `ztl-mcu`'s node with any components, at a port of this machine.
+
+use std::io::{ErrorKind, Read, Write};
+use std::net::{SocketAddr, TcpListener};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use ztl_mcu::link::{Busy, GoalShape, Loss, Offer};
+use ztl_mcu::{Component, Components, Identity, Instant, Node, Refused, Report, Run};
+
+/// Runs until it is dropped.
+pub(crate) struct Firmware {
+    pub(crate) address: SocketAddr,
+    stop: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Firmware {
+    pub(crate) fn start(components: impl Components + Send + 'static) -> Self {
+        let listener = TcpListener::bind("127.0.0.1:0").expect("a port");
+        let address = listener.local_addr().expect("its address");
+        listener.set_nonblocking(true).expect("to be stopped");
+        let stop = Arc::new(AtomicBool::new(false));
+        let stopped = Arc::clone(&stop);
+        let thread = std::thread::spawn(move || run(&listener, components, &stopped));
+        Self {
+            address,
+            stop,
+            thread: Some(thread),
+        }
+    }
+}
+
+impl Drop for Firmware {
+    fn drop(&mut self) {
+        self.stop.store(true, Ordering::SeqCst);
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}
+
+fn run(listener: &TcpListener, components: impl Components, stop: &AtomicBool) {
+    let mut node = Node::<_, 4, 256>::new(Identity::new("bench", "1.0.0", 7), components);
+    let start = std::time::Instant::now();
+    let mut stream = None;
+    let mut buffer = [0xA5; 256];
+    while !stop.load(Ordering::SeqCst) {
+        if stream.is_none()
+            && let Ok((new, _)) = listener.accept()
+        {
+            new.set_nonblocking(false).expect("a stream");
+            new.set_nodelay(true).expect("a stream");
+            let wait = Some(Duration::from_millis(2));
+            new.set_read_timeout(wait).expect("a stream");
+            stream = Some(new);
+        }
+        let now = Instant::from_micros(start.elapsed().as_micros() as u64);
+        match stream.as_mut().map(|stream| stream.read(&mut buffer)) {
+            Some(Ok(count)) if count > 0 => node.handle_bytes(now, &buffer[..count]),
+            Some(Err(error))
+                if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) => {}
+            Some(_) => stream = None,
+            None => std::thread::sleep(Duration::from_millis(2)),
+        }
+        node.handle_timeout(now);
+        loop {
+            let count = node.poll_transmit(now, &mut buffer);
+            if count == 0 {
+                break;
+            }
+            if let Some(stream) = &mut stream {
+                let _ = stream.write_all(&buffer[..count]);
+            }
+        }
+    }
+}
+
+/// Moves for as long as nobody stops it.
+pub(crate) struct Endless {
+    pub(crate) name: &'static str,
+    pub(crate) loss: Loss,
+    stopped: bool,
+}
+
+impl Endless {
+    pub(crate) fn new(name: &'static str, loss: Loss) -> Self {
+        Self {
+            name,
+            loss,
+            stopped: false,
+        }
+    }
+}
+
+impl Component for Endless {
+    fn offer(&self) -> Offer<'_> {
+        Offer {
+            name: self.name,
+            goal: GoalShape {
+                range: None,
+                unit: "",
+                words: "go",
+            },
+            busy: Busy::Refuse,
+            loss: self.loss,
+            topics: "",
+        }
+    }
+
+    fn check(&self, _goal: &str, _why: &mut Report<'_>) -> Result<(), Refused> {
+        Ok(())
+    }
+
+    fn start(&mut self, _now: Instant, _goal: &str, _why: &mut Report<'_>) -> Result<(), Refused> {
+        self.stopped = false;
+        Ok(())
+    }
+
+    fn poll(&mut self, _now: Instant, _report: &mut Report<'_>) -> Run {
+        match self.stopped {
+            true => Run::Aborted,
+            false => Run::Running,
+        }
+    }
+
+    fn abort(&mut self, _now: Instant) {
+        self.stopped = true;
+    }
+
+    fn make_safe(&mut self, _now: Instant) {
+        self.stopped = true;
+    }
+}

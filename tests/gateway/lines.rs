@@ -1,0 +1,201 @@
+//! Lines that are not what they should be: what is said about them, and how often.
+
+use std::io::{Cursor, Read};
+use std::net::{TcpListener, TcpStream};
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+
+use ztl_std::gateway::{Endpoint, Gateway, Line, Watch};
+use ztl_std::sim::{Kind, Running};
+use ztl_std::{RemoteTask, RunningServer, State, TaskServer};
+use ztl_tests::lab::{PATIENCE, Process, SCOPE, Server, until, ztl};
+
+/// What the gateway says is wrong with a device.
+#[track_caller]
+pub(crate) fn trouble(watch: &Watch, device: &str) -> String {
+    until("a trouble", PATIENCE, || {
+        watch.reports().remove(device)?.trouble
+    })
+}
+
+/// A gateway that serves in this process.
+#[track_caller]
+pub(crate) fn serve(gateway: Gateway) -> (RunningServer, RemoteTask) {
+    let mut server = TaskServer::bind("tcp://127.0.0.1:*").expect("a port");
+    server.register_handler(SCOPE, gateway);
+    let server = server.spawn().expect("a thread");
+    let remote = RemoteTask::connect(server.endpoint(), SCOPE).expect("an address");
+    (server, remote)
+}
+
+/// Starts a task as soon as it is taken, and waits for its end.
+#[track_caller]
+pub(crate) fn complete(
+    remote: &mut RemoteTask,
+    device: &str,
+    component: &str,
+    goal: &str,
+) -> String {
+    let id = until("a task is taken", PATIENCE, || {
+        remote.trigger(device, component, goal).ok()
+    })
+    .id;
+    let end = remote.wait(id, Some(PATIENCE)).expect("its end");
+    assert_eq!(end.state, State::Completed, "{end:?}");
+    end.text
+}
+
+/// The next connection.
+#[track_caller]
+fn accept(listener: &TcpListener) -> TcpStream {
+    listener.set_nonblocking(true).expect("a listener");
+    until("a connection", PATIENCE, || {
+        listener.accept().ok().map(|(stream, _)| stream)
+    })
+}
+
+#[test]
+fn a_path_that_is_no_serial_port_is_said_to_be_none() {
+    let mut gateway = Gateway::new();
+    let program = std::env::current_exe().expect("a file");
+    let (_device, pty) = Running::on_pty(Kind::Head, None).expect("a pty");
+    let url = format!("serial:{pty}");
+    let endpoint: Endpoint = url.parse().expect("a URL");
+    let _taken = endpoint.open().expect("it is free");
+    for (name, url) in [
+        ("file", format!("serial:{}", program.display())),
+        ("directory", "serial:/tmp".to_owned()),
+        ("null", "serial:/dev/null".to_owned()),
+        ("absent", "serial:/no/such/port".to_owned()),
+        ("taken", url),
+    ] {
+        gateway
+            .add(name, url.parse().expect("a URL"))
+            .expect("a thread");
+    }
+    let watch = gateway.watch();
+    for (name, text) in [
+        ("file", "it is a file, and no serial port"),
+        ("directory", "it is a directory, and no serial port"),
+        ("null", "it is something else, and no serial port"),
+        ("absent", "there is no such port; is it plugged in?"),
+        ("taken", "another program uses it"),
+    ] {
+        let said = trouble(&watch, name);
+        assert!(said.ends_with(&format!(": {text}")), "{name}: {said}");
+    }
+}
+
+#[test]
+fn a_line_rate_on_a_pty_harms_nothing() {
+    for rate in [300, 9600, 115_200, 1_234_567] {
+        let (_device, pty) = Running::on_pty(Kind::Gripper, None).expect("a pty");
+        let mut gateway = Gateway::new();
+        let url = format!("serial:{pty}?baud={rate}");
+        gateway
+            .add("gripper", url.parse().expect("a URL"))
+            .expect("a thread");
+        let (_server, mut remote) = serve(gateway);
+        assert_eq!(complete(&mut remote, "gripper", "finger", "2"), "2.0");
+    }
+}
+
+/// What a bootloader says before the firmware runs.
+const NOISE: &[u8] =
+    b"\xff\xfe\x00ets Jan 8 2013,rst cause:1, boot mode:(3,6)\r\n\x00\x01\x07garbage";
+
+#[test]
+fn a_board_that_is_reset_by_being_opened_is_served() {
+    let opened = Arc::new(AtomicU32::new(0));
+    let count = Arc::clone(&opened);
+    // The firmware of the latest reset; the one before has lost its power.
+    let power = Mutex::new(None);
+    let mut gateway = Gateway::new();
+    gateway
+        .add_line("gripper", "a board", move || {
+            let (device, address) = Running::on_tcp(Kind::Gripper, "127.0.0.1:0")?;
+            let Line { reader, writer, .. } = Line::tcp(TcpStream::connect(address)?)?;
+            *power.lock().expect("no panic") = Some(device);
+            // The first two lines break as soon as the noise is read.
+            let broken = count.fetch_add(1, Ordering::SeqCst) < 2;
+            Ok(match broken {
+                true => Line::new(Cursor::new(NOISE), writer),
+                false => Line::new(Cursor::new(NOISE).chain(reader), writer),
+            })
+        })
+        .expect("a thread");
+    let watch = gateway.watch();
+    let (_server, mut remote) = serve(gateway);
+    assert_eq!(complete(&mut remote, "gripper", "finger", "2"), "2.0");
+    assert_eq!(opened.load(Ordering::SeqCst), 3);
+    assert_eq!(watch.reports()["gripper"].trouble, None);
+}
+
+#[test]
+fn a_connection_whose_other_end_has_vanished_is_made_anew() {
+    let peer = TcpListener::bind("127.0.0.1:0").expect("a port");
+    let address = peer.local_addr().expect("its address");
+    let mut gateway = Gateway::new();
+    let url = format!("tcp:{address}");
+    gateway
+        .add("arm", url.parse().expect("a URL"))
+        .expect("a thread");
+    // Kept open, and never answered: as of a device whose power was cut.
+    let connections = [accept(&peer), accept(&peer)];
+    drop(connections);
+}
+
+#[test]
+fn a_device_that_comes_and_goes_without_pause_fills_no_log() {
+    let peer = TcpListener::bind("127.0.0.1:0").expect("a port");
+    let port = peer.local_addr().expect("its address").port();
+    let mut command = ztl();
+    command.args(["gateway", "-p", "0", "-s", SCOPE, "-d"]);
+    let gateway = Process::start(command.arg(format!("arm=tcp:127.0.0.1:{port}")));
+    for _ in 0..6 {
+        drop(accept(&peer));
+    }
+    // Nobody listens any more, either.
+    drop(peer);
+    gateway.wait_for("refused");
+    gateway.signal("TERM");
+    let ended = gateway.end(PATIENCE);
+    let lines: Vec<&str> = ended
+        .stderr
+        .lines()
+        .filter(|line| line.contains("'arm'"))
+        .collect();
+    // Closed, in one or the other way that the system reports it, and refused: each said once.
+    assert!((1..=4).contains(&lines.len()), "{ended:?}");
+}
+
+#[test]
+fn a_pty_made_anew_under_the_same_name_is_found_again() {
+    let scratch = ztl_tests::lab::Scratch::new();
+    let link = scratch.path("gripper");
+    let gateway = Server::gateway(&[&format!("gripper=serial:{}", link.display())]);
+    let mut remote = RemoteTask::connect(&gateway.endpoint(), SCOPE).expect("an address");
+    for round in 0..4 {
+        let (device, pty) = Running::on_pty(Kind::Gripper, None).expect("a pty");
+        let _ = std::fs::remove_file(&link);
+        std::os::unix::fs::symlink(pty, &link).expect("a link");
+        let goal = (round + 1).to_string();
+        assert_eq!(
+            complete(&mut remote, "gripper", "finger", &goal),
+            format!("{goal}.0")
+        );
+        // Unplugged; its name stays behind, and leads nowhere.
+        drop(device);
+        until("it is missed", PATIENCE, || {
+            remote.trigger("gripper", "finger", "1").err()
+        });
+    }
+    gateway.process.signal("TERM");
+    let ended = gateway.process.end(PATIENCE);
+    let ready = ended.stderr.matches("Device 'gripper' is ready").count();
+    assert_eq!(ready, 4, "{ended:?}");
+}
+
+/// Only so that the limits of the tests here are in one place.
+pub(crate) const SOON: Duration = Duration::from_millis(1700);

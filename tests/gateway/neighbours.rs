@@ -1,0 +1,116 @@
+//! Devices that harm themselves, and nobody else.
+
+use std::io::Write;
+use std::net::{TcpListener, TcpStream};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, mpsc};
+use std::time::{Duration, Instant};
+
+use ztl_std::gateway::Gateway;
+
+use crate::lines::{SOON, complete, serve, trouble};
+
+/// Half of the times are shorter.
+fn median(times: &mut [Duration]) -> Duration {
+    times.sort();
+    times[times.len() / 2]
+}
+
+/// How long a trivial task takes from INIT to the news of its end.
+#[track_caller]
+fn latency(remote: &mut ztl_std::RemoteTask) -> Duration {
+    let mut times: Vec<Duration> = (0..60)
+        .map(|_| {
+            let start = Instant::now();
+            // Where it stands already.
+            complete(remote, "head", "pan", "0");
+            start.elapsed()
+        })
+        .collect();
+    assert!(times.iter().all(|time| *time < SOON), "{times:?}");
+    median(&mut times)
+}
+
+#[test]
+fn a_flood_a_black_hole_and_a_hanging_port_leave_their_neighbour_as_it_is() {
+    let mut gateway = Gateway::new();
+    gateway.add("head", "sim:head".parse().unwrap()).unwrap();
+    let (server, mut remote) = serve(gateway);
+    let alone = latency(&mut remote);
+    drop(server);
+
+    let stop = Arc::new(AtomicBool::new(false));
+    let flood = TcpListener::bind("127.0.0.1:0").unwrap();
+    let flooded = flood.local_addr().unwrap();
+    let stopped = Arc::clone(&stop);
+    let flooding = std::thread::spawn(move || {
+        let mut streams: Vec<TcpStream> = Vec::new();
+        flood.set_nonblocking(true).unwrap();
+        while !stopped.load(Ordering::SeqCst) {
+            if let Ok((stream, _)) = flood.accept() {
+                stream.set_nonblocking(false).unwrap();
+                stream
+                    .set_write_timeout(Some(Duration::from_millis(20)))
+                    .unwrap();
+                streams.push(stream);
+            }
+            for stream in &mut streams {
+                let _ = stream.write(&[0xa7; 4096]);
+            }
+        }
+    });
+    // Takes the connection, and neither reads nor writes.
+    let hole = TcpListener::bind("127.0.0.1:0").unwrap();
+    let swallowed = hole.local_addr().unwrap();
+    let (release, hang) = mpsc::channel::<()>();
+    let hang = std::sync::Mutex::new(hang);
+
+    let mut gateway = Gateway::new();
+    gateway
+        .add("flood", format!("tcp:{flooded}").parse().unwrap())
+        .unwrap();
+    gateway
+        .add("hole", format!("tcp:{swallowed}").parse().unwrap())
+        .unwrap();
+    gateway
+        .add_line("hang", "a stuck driver", move || {
+            let _ = hang.lock().unwrap().recv();
+            Err(std::io::Error::other("let go"))
+        })
+        .unwrap();
+    gateway.add("head", "sim:head".parse().unwrap()).unwrap();
+    let watch = gateway.watch();
+    let (server, mut remote) = serve(gateway);
+    assert_eq!(
+        trouble(&watch, "hang"),
+        "a stuck driver: opening it takes long"
+    );
+    assert!(trouble(&watch, "hole").ends_with(": nothing there answers"));
+    trouble(&watch, "flood");
+    let beside = latency(&mut remote);
+    println!("alone {alone:?}, beside them {beside:?}");
+    // The flood keeps a core busy, which is not the gateway's to share out; waiting for any of the
+    // three would take hundreds of milliseconds.
+    assert!(
+        beside < alone + Duration::from_millis(50),
+        "{alone:?}, then {beside:?}"
+    );
+    // A task for one of them is refused in time, whatever it does.
+    for device in ["flood", "hole", "hang"] {
+        let asked = Instant::now();
+        let refused = remote.trigger(device, "any", "thing");
+        assert!(refused.is_err(), "{refused:?}");
+        assert!(asked.elapsed() < SOON, "{device}: {:?}", asked.elapsed());
+    }
+    // And the gateway ends, though the open has not returned.
+    let asked = Instant::now();
+    drop(server);
+    assert!(
+        asked.elapsed() < Duration::from_secs(5),
+        "{:?}",
+        asked.elapsed()
+    );
+    stop.store(true, Ordering::SeqCst);
+    drop(release);
+    flooding.join().unwrap();
+}

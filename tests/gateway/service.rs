@@ -1,0 +1,293 @@
+//! What a service manager and whoever stops the gateway see of it.
+
+use std::os::linux::net::SocketAddrExt;
+use std::os::unix::net::{SocketAddr, UnixDatagram};
+use std::path::Path;
+use std::process::Command;
+use std::time::{Duration, Instant};
+
+use ztl_mcu::link::Loss;
+use ztl_std::{RemoteTask, State};
+use ztl_tests::lab::{PATIENCE, Process, SCOPE, Scratch, Server, until, ztl};
+
+use crate::firmware::{Endless, Firmware};
+
+/// Stands for systemd: hears what a service says.
+struct Manager {
+    socket: UnixDatagram,
+    heard: Vec<String>,
+}
+
+impl Manager {
+    fn at(address: &SocketAddr) -> Self {
+        let socket = UnixDatagram::bind_addr(address).expect("a socket");
+        socket.set_read_timeout(Some(PATIENCE)).expect("a limit");
+        Self {
+            socket,
+            heard: Vec::new(),
+        }
+    }
+
+    /// Waits until so many lines were heard that begin so; the last message of them.
+    #[track_caller]
+    fn wait_for(&mut self, begin: &str, times: usize) -> String {
+        let mut buffer = [0xA5; 4096];
+        let start = Instant::now();
+        loop {
+            let said = |message: &&String| message.lines().any(|line| line.starts_with(begin));
+            let mut found = self.heard.iter().filter(said);
+            if let Some(message) = found.nth(times - 1) {
+                return message.clone();
+            }
+            assert!(
+                start.elapsed() < PATIENCE,
+                "no '{begin}' in {:?}",
+                self.heard
+            );
+            let count = self.socket.recv(&mut buffer).expect("what it says");
+            let message = String::from_utf8_lossy(&buffer[..count]).into_owned();
+            self.heard.push(message);
+        }
+    }
+}
+
+fn gateway(devices: &[&str]) -> Command {
+    let mut command = ztl();
+    command.args(["gateway", "-p", "0", "-s", SCOPE]);
+    for device in devices {
+        command.args(["-d", device]);
+    }
+    command
+}
+
+#[test]
+fn systemd_hears_that_it_is_ready_how_it_does_that_it_lives_and_that_it_stops() {
+    let scratch = Scratch::new();
+    let path = scratch.path("notify");
+    let name = format!("ztl-test-{}", std::process::id());
+    let in_files = SocketAddr::from_pathname(&path).expect("an address");
+    let in_no_file = SocketAddr::from_abstract_name(&name).expect("an address");
+    for (address, written) in [
+        (in_files, path.display().to_string()),
+        (in_no_file, format!("@{name}")),
+    ] {
+        let mut manager = Manager::at(&address);
+        let device = scratch.path("arm");
+        let arm = format!("arm=serial:{}", device.display());
+        let mut command = gateway(&["head=sim:head", &arm]);
+        command
+            .env("NOTIFY_SOCKET", written)
+            .env("WATCHDOG_USEC", "400000");
+        let process = Process::start(&mut command);
+        let ready = manager.wait_for("READY=1", 1);
+        assert!(
+            ready.contains("\nSTATUS=0 of 2 devices ready; arm: "),
+            "{ready}"
+        );
+        manager.wait_for("WATCHDOG=1", 2);
+        process.wait_for("Device 'head' is ready");
+        let trouble = format!(
+            "STATUS=1 of 2 devices ready; arm: serial:{}: there is no such port; is it plugged in?",
+            device.display()
+        );
+        manager.wait_for(&trouble, 1);
+        process.signal("TERM");
+        manager.wait_for("STOPPING=1", 1);
+        assert_eq!(process.end(PATIENCE).code, Some(0));
+    }
+}
+
+#[test]
+fn a_watchdog_meant_for_another_process_is_not_fed() {
+    let scratch = Scratch::new();
+    let path = scratch.path("notify");
+    let mut manager = Manager::at(&SocketAddr::from_pathname(&path).expect("an address"));
+    let mut command = gateway(&["head=sim:head"]);
+    command
+        .env("NOTIFY_SOCKET", &path)
+        .env("WATCHDOG_USEC", "100000")
+        .env("WATCHDOG_PID", "1");
+    let process = Process::start(&mut command);
+    manager.wait_for("STATUS=1 of 1 devices ready", 1);
+    process.signal("INT");
+    manager.wait_for("STOPPING=1", 1);
+    let fed = manager
+        .heard
+        .iter()
+        .any(|message| message.contains("WATCHDOG"));
+    assert!(!fed, "{:?}", manager.heard);
+}
+
+/// A task that the gateway has taken.
+#[track_caller]
+fn started(remote: &mut RemoteTask, device: &str, component: &str, goal: &str) -> ztl_std::TaskId {
+    until("a task is taken", PATIENCE, || {
+        remote.trigger(device, component, goal).ok()
+    })
+    .id
+}
+
+#[test]
+fn asked_to_stop_it_stops_every_task_and_says_so() {
+    let gateway = Server::simulated();
+    let mut remote = RemoteTask::connect(&gateway.endpoint(), SCOPE).expect("an address");
+    let head = started(&mut remote, "head", "pan", "left");
+    let finger = started(&mut remote, "gripper", "finger", "100");
+    gateway.process.signal("TERM");
+    for id in [head, finger] {
+        let end = remote.wait(id, Some(PATIENCE)).expect("its end is told");
+        assert_eq!(end.state, State::Aborted);
+    }
+    let ended = gateway.process.end(PATIENCE);
+    assert_eq!(ended.code, Some(0));
+    for task in ["'head:pan:left'", "'gripper:finger:100'"] {
+        let line = format!("{task} has ended as ABORTED: ");
+        assert_eq!(ended.stderr.matches(&line).count(), 1, "{ended:?}");
+    }
+    let last: Vec<&str> = ended.stdout.lines().rev().take(2).collect();
+    let said = [
+        "Stopped.",
+        "Stopping; once more (Ctrl-C, SIGTERM) leaves at once.",
+    ];
+    assert_eq!(last, said);
+}
+
+#[test]
+fn asked_to_leave_tasks_running_it_says_what_becomes_of_each_and_tells_no_end() {
+    let firmware = Firmware::start((
+        Endless::new("arm", Loss::Abort),
+        Endless::new("lift", Loss::Hold),
+        Endless::new("pump", Loss::CarryOn),
+    ));
+    let mut command = gateway(&[&format!("bench=tcp:{}", firmware.address)]);
+    let process = Process::start(command.arg("--leave-running"));
+    let line = process.wait_for("Serving bench at ");
+    let endpoint = line
+        .split([' ', ','])
+        .find(|word| word.starts_with("tcp://"));
+    let mut remote = RemoteTask::connect(endpoint.expect("it is said"), SCOPE).expect("an address");
+    let tasks = ["arm", "lift", "pump"].map(|name| started(&mut remote, "bench", name, "go"));
+    process.signal("TERM");
+    // Whoever asks meanwhile hears nothing else than before.
+    for id in tasks {
+        if let Ok(status) = remote.status(id) {
+            assert_eq!(status.state, State::Accepted);
+        }
+    }
+    let ended = process.end(PATIENCE);
+    assert_eq!(ended.code, Some(0));
+    let stops = "stops by itself when it has heard nothing for its link timeout";
+    for (task, becomes) in [
+        ("arm", format!("{stops} (abort).")),
+        ("lift", format!("{stops}, and keeps its position (hold).")),
+        ("pump", "carries on.".to_owned()),
+    ] {
+        let line = format!("'bench:{task}:go' is left running; it {becomes}");
+        assert!(ended.stderr.contains(&line), "{line} in {ended:?}");
+    }
+    assert!(!ended.stderr.contains("has ended"), "{ended:?}");
+
+    // The next gateway stops what it does not know.
+    let gateway = Server::gateway(&[&format!("bench=tcp:{}", firmware.address)]);
+    gateway.wait_ready("bench");
+    let mut remote = RemoteTask::connect(&gateway.endpoint(), SCOPE).expect("an address");
+    started(&mut remote, "bench", "pump", "go");
+}
+
+#[test]
+fn a_second_signal_leaves_at_once() {
+    let scratch = Scratch::new();
+    let link = scratch.path("gripper");
+    let mut command = ztl();
+    let on = format!("--on=pty:{}", link.display());
+    let device = Process::start(command.args(["device", "sim:gripper", &on]));
+    device.wait_for("Simulated gripper at");
+    let gateway = Server::gateway(&[&format!("gripper=serial:{}", link.display())]);
+    gateway.wait_ready("gripper");
+    let mut remote = RemoteTask::connect(&gateway.endpoint(), SCOPE).expect("an address");
+    started(&mut remote, "gripper", "finger", "100");
+    // It will never confirm that it has stopped.
+    device.signal("STOP");
+    gateway.process.signal("INT");
+    gateway.process.wait_for("Stopping;");
+    gateway.process.signal("INT");
+    let ended = gateway.process.end(PATIENCE);
+    assert_eq!(ended.code, Some(130), "{ended:?}");
+    assert!(!ended.stdout.contains("Stopped."), "{ended:?}");
+    device.signal("CONT");
+}
+
+#[test]
+fn a_device_that_does_not_confirm_is_named_and_its_task_is_not_told_to_have_failed() {
+    let scratch = Scratch::new();
+    let link = scratch.path("gripper");
+    let mut command = ztl();
+    let on = format!("--on=pty:{}", link.display());
+    let device = Process::start(command.args(["device", "sim:gripper", &on]));
+    device.wait_for("Simulated gripper at");
+    let gateway = Server::gateway(&[&format!("gripper=serial:{}", link.display())]);
+    gateway.wait_ready("gripper");
+    let mut remote = RemoteTask::connect(&gateway.endpoint(), SCOPE)
+        .expect("an address")
+        .with_timeout(Duration::from_millis(300));
+    let id = started(&mut remote, "gripper", "finger", "100");
+    device.signal("STOP");
+    gateway.process.signal("TERM");
+    while let Ok(status) = remote.status(id) {
+        assert_eq!(status.state, State::Accepted, "{status:?}");
+    }
+    let ended = gateway.process.end(PATIENCE);
+    let line = "Device 'gripper' has not confirmed that 'gripper:finger:100' stopped";
+    assert!(ended.stderr.contains(line), "{ended:?}");
+    assert_eq!(ended.code, Some(0));
+    device.signal("CONT");
+}
+
+/// The unit file that people copy.
+fn unit() -> (std::path::PathBuf, String) {
+    let path =
+        Path::new(env!("CARGO_MANIFEST_DIR")).join("../examples/systemd/ztl-gateway.service");
+    let text = std::fs::read_to_string(&path).expect("the unit file");
+    (path, text)
+}
+
+#[test]
+fn the_unit_starts_a_command_that_there_is() {
+    let (_, text) = unit();
+    let start = text
+        .lines()
+        .find_map(|line| line.strip_prefix("ExecStart="));
+    let words: Vec<&str> = start.expect("ExecStart").split(' ').collect();
+    assert_eq!(words[..2], ["/usr/local/bin/ztl", "gateway"]);
+    let help = Process::run(ztl().args(["gateway", "--help"])).stdout;
+    for option in words.iter().filter(|word| word.starts_with("--")) {
+        assert!(help.contains(option), "{option} in {help}");
+    }
+    assert!(text.contains("Type=notify"));
+    assert!(text.contains("WatchdogSec="));
+    // What no second try can mend: the exit code for a wrong configuration.
+    assert!(text.contains("RestartPreventExitStatus=2"));
+}
+
+#[test]
+fn systemd_finds_nothing_wrong_with_the_unit() {
+    let scratch = Scratch::new();
+    let (_, text) = unit();
+    // As installed: the program where the unit says, which is here the one that was built.
+    let program = ztl().get_program().to_string_lossy().into_owned();
+    let installed = scratch.path("ztl-gateway.service");
+    std::fs::write(&installed, text.replace("/usr/local/bin/ztl", &program)).expect("to write");
+    let mut verify = Command::new("systemd-analyze");
+    verify.arg("verify").arg(&installed);
+    match verify.output() {
+        Ok(output) => {
+            let said = String::from_utf8_lossy(&output.stderr).into_owned();
+            let ours: Vec<&str> = said
+                .lines()
+                .filter(|line| line.contains("ztl-gateway"))
+                .collect();
+            assert!(ours.is_empty() && output.status.success(), "{said}");
+        }
+        Err(error) => eprintln!("left out: systemd-analyze: {error}"),
+    }
+}

@@ -1,0 +1,154 @@
+//! What systemd is told of a service: `sd_notify(3)`, over a datagram socket.
+
+use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
+use std::time::{Duration, Instant};
+
+use ztl_std::gateway::{DeviceReports, Watch};
+use ztl_std::server::Pulse;
+
+/// How often it is looked whether there is something new to say.
+const LOOK: Duration = Duration::from_secs(1);
+
+/// The service manager, as long as this is held; without one, nothing happens.
+pub(crate) struct Service {
+    manager: Manager,
+    /// Dropped, it ends the thread that tells.
+    _attending: Sender<()>,
+}
+
+impl Service {
+    /// Says that the gateway serves, and from then on how it does: its devices as the status, and, if
+    /// that is watched, that its server lives.
+    pub(crate) fn ready(pulse: Pulse, watch: Watch) -> std::io::Result<Self> {
+        let manager = Manager::from_environment();
+        let (attending, ended) = channel();
+        if !manager.is_there() {
+            return Ok(Self {
+                manager,
+                _attending: attending,
+            });
+        }
+        let mut status = status(&watch.reports());
+        manager.tell(&format!("READY=1\nSTATUS={status}"));
+        let teller = manager.clone();
+        let watchdog = watchdog();
+        // Half of it, as systemd advises.
+        let pause = watchdog.map_or(LOOK, |limit| (limit / 2).min(LOOK));
+        std::thread::Builder::new()
+            .name("ztl-service".to_owned())
+            .spawn(move || {
+                let mut told = Instant::now();
+                while ended.recv_timeout(pause) == Err(RecvTimeoutError::Timeout) {
+                    let new = self::status(&watch.reports());
+                    if new != status {
+                        status = new;
+                        teller.tell(&format!("STATUS={status}"));
+                    }
+                    let due = watchdog.is_some_and(|limit| told.elapsed() + pause >= limit / 2);
+                    if due && pulse.is_felt(pause) {
+                        told = Instant::now();
+                        teller.tell("WATCHDOG=1");
+                    }
+                }
+            })?;
+        Ok(Self {
+            manager,
+            _attending: attending,
+        })
+    }
+
+    /// Says that the service ends; the last that is said.
+    pub(crate) fn stopping(self) {
+        self.manager.tell("STOPPING=1\nSTATUS=Stopping.");
+    }
+}
+
+/// One line on all devices.
+fn status(devices: &DeviceReports) -> String {
+    let ready = devices.values().filter(|device| device.ready).count();
+    let mut text = format!("{ready} of {} devices ready", devices.len());
+    for (name, device) in devices.iter().filter(|(_, device)| !device.ready) {
+        let trouble = device.trouble.as_deref().unwrap_or("not ready yet");
+        text.push_str(&format!("; {name}: {trouble}"));
+    }
+    // It is one line of the message.
+    text.replace(char::is_control, " ")
+}
+
+/// After how long without a word systemd restarts this process, if it does.
+fn watchdog() -> Option<Duration> {
+    let variable = |name| std::env::var(name).ok();
+    let limit: u64 = variable("WATCHDOG_USEC")?.parse().ok()?;
+    let pid = variable("WATCHDOG_PID").and_then(|pid| pid.parse().ok());
+    let meant = pid.is_none_or(|pid: u32| pid == std::process::id());
+    (meant && limit > 0).then(|| Duration::from_micros(limit))
+}
+
+#[cfg(unix)]
+#[derive(Clone)]
+struct Manager(
+    Option<
+        std::sync::Arc<(
+            std::os::unix::net::UnixDatagram,
+            std::os::unix::net::SocketAddr,
+        )>,
+    >,
+);
+
+#[cfg(unix)]
+impl Manager {
+    fn from_environment() -> Self {
+        use std::os::unix::net::{SocketAddr, UnixDatagram};
+
+        let address = std::env::var_os("NOTIFY_SOCKET").and_then(|name| {
+            match name.as_encoded_bytes().split_first() {
+                Some((b'@', name)) => in_abstract_namespace(name),
+                Some((b'/', _)) => SocketAddr::from_pathname(&name).ok(),
+                _ => None,
+            }
+        });
+        let found = address.and_then(|address| Some((UnixDatagram::unbound().ok()?, address)));
+        Self(found.map(std::sync::Arc::new))
+    }
+
+    fn is_there(&self) -> bool {
+        self.0.is_some()
+    }
+
+    fn tell(&self, state: &str) {
+        if let Some((socket, address)) = self.0.as_deref() {
+            // A manager that does not listen is no reason to serve nobody.
+            let _ = socket.send_to_addr(state.as_bytes(), address);
+        }
+    }
+}
+
+#[cfg(target_os = "linux")]
+fn in_abstract_namespace(name: &[u8]) -> Option<std::os::unix::net::SocketAddr> {
+    use std::os::linux::net::SocketAddrExt;
+
+    std::os::unix::net::SocketAddr::from_abstract_name(name).ok()
+}
+
+#[cfg(all(unix, not(target_os = "linux")))]
+fn in_abstract_namespace(_name: &[u8]) -> Option<std::os::unix::net::SocketAddr> {
+    None
+}
+
+/// There is no systemd here.
+#[cfg(not(unix))]
+#[derive(Clone)]
+struct Manager;
+
+#[cfg(not(unix))]
+impl Manager {
+    fn from_environment() -> Self {
+        Self
+    }
+
+    fn is_there(&self) -> bool {
+        false
+    }
+
+    fn tell(&self, _state: &str) {}
+}
