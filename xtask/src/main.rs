@@ -14,6 +14,7 @@ mod image;
 mod proof;
 mod python;
 mod size;
+mod soak;
 mod test;
 mod tools;
 
@@ -50,6 +51,11 @@ const CHORES: &[Chore] = &[
         name: "size",
         about: "flash and RAM that the standard image takes, against the record (--accept)",
         run: size::run,
+    },
+    Chore {
+        name: "soak",
+        about: "many tasks and resets of real processes on a bad line (--tasks N, --resets N)",
+        run: soak::run,
     },
     Chore {
         name: "bench",

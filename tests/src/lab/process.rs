@@ -161,6 +161,11 @@ impl Process {
         assert!(kill.status().expect("`sh`").success(), "{kill:?}");
     }
 
+    /// Its number in the system.
+    pub fn id(&self) -> u32 {
+        self.child.id()
+    }
+
     /// What was run and what it has said, for whoever has to find out what went wrong.
     fn story(&self) -> String {
         let heard = self.heard.0.lock().unwrap();

@@ -113,7 +113,7 @@ impl Demo {
 /// A device on a pty of its own, to be opened by its path like a real one.
 #[cfg(unix)]
 fn simulate(kind: Kind) -> std::io::Result<(String, Option<ztl_std::sim::Running>)> {
-    let (device, path) = ztl_std::sim::Running::on_pty(kind, None)?;
+    let (device, path) = ztl_std::sim::Device::new(kind).on_pty(None)?;
     Ok((format!("serial:{path}?baud={BAUD}"), Some(device)))
 }
 

@@ -43,7 +43,8 @@ impl Way {
     pub(super) fn take(&self, mut reader: impl Read, stop: &AtomicBool) {
         let mut buffer = [0; PIECE];
         while !stop.load(Ordering::Acquire) {
-            let Some(buffer) = buffer.get_mut(..self.wait_room()) else {
+            let room = self.wait_room();
+            let Some(buffer) = buffer.get_mut(..room).filter(|buffer| !buffer.is_empty()) else {
                 continue;
             };
             match reader.read(buffer) {

@@ -1,0 +1,61 @@
+//! `cargo xtask soak`: the tests on a bad line, with real processes, in their long form.
+
+use crate::Dirs;
+use crate::cmd::{Cmd, Outcome};
+
+/// Tasks on a line with faults, and resets of each side, unless the command says otherwise.
+const TASKS: &str = "10000";
+const RESETS: &str = "1000";
+
+/// Runs both; each prints a short report.
+pub(crate) fn run(_dirs: &Dirs, args: &[String]) -> Outcome {
+    let [tasks, resets] = counts(args)?;
+    Cmd::new("cargo build --release --workspace --bins --locked").run()?;
+    Cmd::new("cargo test --release --locked --package ztl-tests --test line_faults")
+        .args("-- --nocapture --test-threads 1")
+        .env("ZTL_TASKS", tasks)
+        .env("ZTL_RESETS", resets)
+        .run()
+}
+
+/// Tasks and resets.
+fn counts(args: &[String]) -> Outcome<[&str; 2]> {
+    let mut counts = [TASKS, RESETS];
+    let mut words = args.iter().map(String::as_str);
+    while let Some(word) = words.next() {
+        let place = match word {
+            "--tasks" => &mut counts[0],
+            "--resets" => &mut counts[1],
+            _ => {
+                return Err(format!(
+                    "`cargo xtask soak` does not know `{word}`; it takes `--tasks N` and `--resets N`"
+                ));
+            }
+        };
+        *place = words
+            .next()
+            .filter(|number| number.parse::<u32>().is_ok_and(|number| number >= 10))
+            .ok_or_else(|| format!("`{word}` needs a whole number, 10 or more"))?;
+    }
+    Ok(counts)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn said(line: &str) -> Outcome<[String; 2]> {
+        let args: Vec<String> = line.split_whitespace().map(str::to_owned).collect();
+        counts(&args).map(|counts| counts.map(str::to_owned))
+    }
+
+    #[test]
+    fn each_count_has_a_default_and_mistakes_say_what_would_be_right() {
+        assert_eq!(said("").unwrap(), [TASKS, RESETS]);
+        assert_eq!(said("--resets 50 --tasks 20").unwrap(), ["20", "50"]);
+        for wrong in ["--tasks", "--tasks many", "--tasks 0", "50"] {
+            let message = said(wrong).unwrap_err();
+            assert!(message.contains("--tasks"), "{wrong}: {message}");
+        }
+    }
+}

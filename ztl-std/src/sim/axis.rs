@@ -1,0 +1,137 @@
+//! A motor that moves at constant speed.
+
+use ztl_mcu::link::{Busy, GoalShape, Loss, Offer};
+use ztl_mcu::{Component, Instant, Refused, Report, Run};
+
+/// What an axis can do.
+#[derive(Debug)]
+pub(super) struct AxisKind {
+    name: &'static str,
+    range: (f32, f32),
+    unit: &'static str,
+    /// Units a second.
+    speed: f32,
+    words: &'static str,
+    /// The positions that the words stand for.
+    places: &'static [(&'static str, f32)],
+    /// What is said about any other goal.
+    takes: &'static str,
+}
+
+pub(super) const FINGER: AxisKind = AxisKind {
+    name: "finger",
+    range: (0.0, 100.0),
+    unit: "percent",
+    speed: 50.0,
+    words: "",
+    places: &[],
+    takes: "finger takes 0 to 100 percent",
+};
+
+pub(super) const PAN: AxisKind = AxisKind {
+    name: "pan",
+    range: (-90.0, 90.0),
+    unit: "degrees",
+    speed: 90.0,
+    words: "left straight right",
+    places: &[("left", 90.0), ("straight", 0.0), ("right", -90.0)],
+    takes: "pan takes -90 to 90 degrees, or left, straight, right",
+};
+
+/// The motor, and what it does.
+#[derive(Debug)]
+pub(super) struct Axis {
+    kind: &'static AxisKind,
+    /// Where it began to move, and when.
+    from: (f32, Instant),
+    target: f32,
+    stopped: bool,
+}
+
+impl Axis {
+    pub(super) const fn new(kind: &'static AxisKind) -> Self {
+        Self {
+            kind,
+            from: (0.0, Instant::ZERO),
+            target: 0.0,
+            stopped: false,
+        }
+    }
+
+    fn position(&self, now: Instant) -> f32 {
+        let (start, at) = self.from;
+        let way = self.kind.speed * now.since(at).as_secs_f32();
+        if self.target >= start {
+            (start + way).min(self.target)
+        } else {
+            (start - way).max(self.target)
+        }
+    }
+
+    fn move_to(&mut self, now: Instant, target: f32) {
+        self.from = (self.position(now), now);
+        self.target = target;
+    }
+
+    fn target_of(&self, goal: &str) -> Option<f32> {
+        let word = self.kind.places.iter().find(|(word, _)| *word == goal);
+        word.map(|(_, place)| *place)
+            .or_else(|| goal.trim().parse().ok())
+            .filter(|target| (self.kind.range.0..=self.kind.range.1).contains(target))
+    }
+
+    fn stop(&mut self, now: Instant) {
+        self.move_to(now, self.position(now));
+        self.stopped = true;
+    }
+}
+
+impl Component for Axis {
+    fn offer(&self) -> Offer<'_> {
+        Offer {
+            name: self.kind.name,
+            goal: GoalShape {
+                range: Some(self.kind.range),
+                unit: self.kind.unit,
+                words: self.kind.words,
+            },
+            busy: Busy::Refuse,
+            loss: Loss::Abort,
+            topics: "",
+        }
+    }
+
+    fn check(&self, goal: &str, why: &mut Report<'_>) -> Result<(), Refused> {
+        self.target_of(goal).map(drop).ok_or_else(|| {
+            why.text(self.kind.takes);
+            Refused
+        })
+    }
+
+    fn start(&mut self, now: Instant, goal: &str, _: &mut Report<'_>) -> Result<(), Refused> {
+        let target = self.target_of(goal).ok_or(Refused)?;
+        self.stopped = false;
+        self.move_to(now, target);
+        Ok(())
+    }
+
+    fn poll(&mut self, now: Instant, report: &mut Report<'_>) -> Run {
+        let position = self.position(now);
+        report.number(position, 1);
+        if self.stopped {
+            Run::Aborted
+        } else if position == self.target {
+            Run::Completed
+        } else {
+            Run::Running
+        }
+    }
+
+    fn abort(&mut self, now: Instant) {
+        self.stop(now);
+    }
+
+    fn make_safe(&mut self, now: Instant) {
+        self.stop(now);
+    }
+}

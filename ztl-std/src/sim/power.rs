@@ -1,0 +1,98 @@
+//! The firmware's main loop, from reset to reset.
+
+use std::io::Write;
+use std::sync::mpsc::{Receiver, RecvTimeoutError};
+
+use ztl_mcu::{Identity, Instant, Node};
+
+use super::record::Recorded;
+use super::{Device, Input};
+use crate::clock::now;
+use crate::random;
+
+/// Bytes that the node gives at once.
+const PIECE: u32 = 32;
+/// Bytes that its serial port takes ahead of the line, as a small ring in firmware does.
+const AHEAD: u32 = 4 * PIECE;
+
+/// Where the node's bytes go, and when it may send more.
+struct Port {
+    /// Nobody there: the bytes are lost, as on a cable that is not plugged in.
+    line: Option<Box<dyn Write + Send>>,
+    /// How long a byte takes, in nanoseconds; 0 for no time.
+    byte_ns: u64,
+    /// When the last byte will have been sent, in nanoseconds.
+    sent_ns: u64,
+}
+
+impl Port {
+    fn new(baud: Option<u32>) -> Self {
+        Self {
+            line: None,
+            byte_ns: baud.map_or(0, |baud| 10_000_000_000 / u64::from(baud.max(1))),
+            sent_ns: 0,
+        }
+    }
+
+    /// When it takes another piece.
+    fn ready(&self) -> Instant {
+        let ahead = u64::from(AHEAD - PIECE) * self.byte_ns;
+        Instant::from_micros(self.sent_ns.saturating_sub(ahead) / 1000)
+    }
+
+    fn send(&mut self, now: Instant, bytes: &[u8]) {
+        let begin = self.sent_ns.max(now.as_micros().saturating_mul(1000));
+        self.sent_ns = begin + self.byte_ns * bytes.len() as u64;
+        if let Some(line) = &mut self.line {
+            let _ = line.write_all(bytes);
+        }
+    }
+}
+
+/// Runs until it is stopped.
+pub(super) fn run(device: &Device, inbox: &Receiver<Input>) {
+    let mut port = Port::new(device.baud);
+    while run_until_reset(device, inbox, &mut port) {
+        if let Some(record) = &device.record {
+            record.write(device.kind.name(), "reset", "");
+        }
+    }
+}
+
+/// Whether it was reset, and not stopped.
+fn run_until_reset(device: &Device, inbox: &Receiver<Input>, port: &mut Port) -> bool {
+    let axis = Recorded::new(device.kind.axis(), device.record.clone());
+    let name = device.kind.name();
+    let identity = Identity::new(name, env!("CARGO_PKG_VERSION"), random::nonzero());
+    let mut node = Node::<_, 4, 256>::new(identity, [axis]);
+    let mut buffer = [0; PIECE as usize];
+    loop {
+        node.handle_timeout(now());
+        let mut wake = None;
+        loop {
+            let time = now();
+            if time < port.ready() {
+                wake = Some(port.ready());
+                break;
+            }
+            let count = node.poll_transmit(time, &mut buffer);
+            if count == 0 {
+                break;
+            }
+            port.send(time, buffer.get(..count).unwrap_or_default());
+        }
+        let time = now();
+        let wait = match wake {
+            // What it has to send waits for the port.
+            Some(wake) => wake.since(time),
+            None => node.poll_timeout(time).since(time),
+        };
+        match inbox.recv_timeout(wait) {
+            Ok(Input::Bytes(bytes)) => node.handle_bytes(now(), &bytes),
+            Ok(Input::Line(other)) => port.line = other,
+            Ok(Input::Reset) => return true,
+            Err(RecvTimeoutError::Timeout) => {}
+            Ok(Input::Stop) | Err(RecvTimeoutError::Disconnected) => return false,
+        }
+    }
+}
