@@ -7,7 +7,7 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use ztl_std::gateway::{Endpoint, Gateway, Line, Watch};
-use ztl_std::sim::{Kind, Running};
+use ztl_std::sim::{Device, Kind};
 use ztl_std::{RemoteTask, RunningServer, State, TaskServer};
 use ztl_tests::lab::{PATIENCE, Process, SCOPE, Server, until, ztl};
 
@@ -59,7 +59,7 @@ fn accept(listener: &TcpListener) -> TcpStream {
 fn a_path_that_is_no_serial_port_is_said_to_be_none() {
     let mut gateway = Gateway::new();
     let program = std::env::current_exe().expect("a file");
-    let (_device, pty) = Running::on_pty(Kind::Head, None).expect("a pty");
+    let (_device, pty) = Device::new(Kind::Head).on_pty(None).expect("a pty");
     let url = format!("serial:{pty}");
     let endpoint: Endpoint = url.parse().expect("a URL");
     let _taken = endpoint.open().expect("it is free");
@@ -90,7 +90,7 @@ fn a_path_that_is_no_serial_port_is_said_to_be_none() {
 #[test]
 fn a_line_rate_on_a_pty_harms_nothing() {
     for rate in [300, 9600, 115_200, 1_234_567] {
-        let (_device, pty) = Running::on_pty(Kind::Gripper, None).expect("a pty");
+        let (_device, pty) = Device::new(Kind::Gripper).on_pty(None).expect("a pty");
         let mut gateway = Gateway::new();
         let url = format!("serial:{pty}?baud={rate}");
         gateway
@@ -114,7 +114,7 @@ fn a_board_that_is_reset_by_being_opened_is_served() {
     let mut gateway = Gateway::new();
     gateway
         .add_line("gripper", "a board", move || {
-            let (device, address) = Running::on_tcp(Kind::Gripper, "127.0.0.1:0")?;
+            let (device, address) = Device::new(Kind::Gripper).on_tcp("127.0.0.1:0")?;
             let Line { reader, writer, .. } = Line::tcp(TcpStream::connect(address)?)?;
             *power.lock().expect("no panic") = Some(device);
             // The first two lines break as soon as the noise is read.
@@ -177,7 +177,7 @@ fn a_pty_made_anew_under_the_same_name_is_found_again() {
     let gateway = Server::gateway(&[&format!("gripper=serial:{}", link.display())]);
     let mut remote = RemoteTask::connect(&gateway.endpoint(), SCOPE).expect("an address");
     for round in 0..4 {
-        let (device, pty) = Running::on_pty(Kind::Gripper, None).expect("a pty");
+        let (device, pty) = Device::new(Kind::Gripper).on_pty(None).expect("a pty");
         let _ = std::fs::remove_file(&link);
         std::os::unix::fs::symlink(pty, &link).expect("a link");
         let goal = (round + 1).to_string();
