@@ -1,7 +1,8 @@
 //! Firmware of a smart actuator as a ZTL handler, without `std` and without an allocator.
 //!
-//! Implement [`Component`] for each thing that moves, give them to a [`Node`], feed it the bytes that
-//! arrive and send those it returns. The gateway (`ztl gateway`) does the rest.
+//! Implement [`Component`] for each thing that moves (servos, steppers and plain pins are ready in `components`,
+//! with the feature of that name), give them to a [`Node`], feed it the bytes that arrive and send those
+//! it returns. The gateway (`ztl gateway`) does the rest.
 //!
 //! ```
 //! use ztl_mcu::{Component, Identity, Node, Refused, Report, Run};
@@ -55,6 +56,8 @@
 extern crate std;
 
 mod component;
+#[cfg(feature = "components")]
+pub mod components;
 pub mod log;
 mod node;
 pub mod pump;

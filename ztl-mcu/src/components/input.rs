@@ -1,0 +1,164 @@
+//! A button, a bumper or a light barrier on an input pin.
+
+use core::time::Duration;
+
+use embedded_hal::digital::InputPin;
+use ztl_core::Instant;
+use ztl_core::link::{Busy, GoalShape, Loss, Offer};
+
+use super::takes;
+use crate::component::{Component, Reading, Refused, Report, Run};
+
+/// What an input is. Take [`DEFAULT`](Self::DEFAULT) and change what differs.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct DigitalInputConfig {
+    /// Whether a low pin means pressed, as with a button to ground and a pull-up. Default: yes.
+    pub active_low: bool,
+    /// How long the pin must stay the same to be believed, in ms. Default 20.
+    pub debounce_ms: u16,
+}
+
+impl DigitalInputConfig {
+    /// A button to ground.
+    pub const DEFAULT: Self = Self {
+        active_low: true,
+        debounce_ms: 20,
+    };
+}
+
+impl Default for DigitalInputConfig {
+    fn default() -> Self {
+        Self::DEFAULT
+    }
+}
+
+/// An input that is watched. It publishes `True` and `False` on its topic `pressed`, at first and
+/// when it changes. Its goals `pressed` and `released` wait until it is so: COMPLETED at once if it is.
+///
+/// A press that is shorter than the time between two turns of the main loop is not seen.
+#[derive(Debug, Clone, Hash)]
+pub struct DigitalInput<P> {
+    name: &'static str,
+    pin: P,
+    config: DigitalInputConfig,
+    /// As it is believed; `None` before the first look.
+    pressed: Option<bool>,
+    /// What the pin has said of late, if that is something else, and since when.
+    change: Option<Instant>,
+    /// What was published last.
+    told: Option<bool>,
+    /// What the task waits for.
+    awaited: bool,
+    aborted: bool,
+}
+
+impl<P: InputPin> DigitalInput<P> {
+    /// An input of this name on this pin.
+    pub const fn new(name: &'static str, pin: P, config: DigitalInputConfig) -> Self {
+        Self {
+            name,
+            pin,
+            config,
+            pressed: None,
+            change: None,
+            told: None,
+            awaited: true,
+            aborted: false,
+        }
+    }
+
+    /// Whether it was pressed when last looked at; `None` before that.
+    #[must_use]
+    pub const fn is_pressed(&self) -> Option<bool> {
+        self.pressed
+    }
+
+    fn look(&mut self, now: Instant) -> Result<(), P::Error> {
+        let level = self.pin.is_high()? != self.config.active_low;
+        if self.pressed == Some(level) {
+            self.change = None;
+            return Ok(());
+        }
+        let since = *self.change.get_or_insert(now);
+        let wait = Duration::from_millis(self.config.debounce_ms.into());
+        if self.pressed.is_none() || now >= since + wait {
+            self.pressed = Some(level);
+            self.change = None;
+        }
+        Ok(())
+    }
+}
+
+impl<P: InputPin> Component for DigitalInput<P> {
+    fn offer(&self) -> Offer<'_> {
+        Offer {
+            name: self.name,
+            goal: GoalShape {
+                range: None,
+                unit: "",
+                words: "pressed released",
+            },
+            busy: Busy::Refuse,
+            loss: Loss::Abort,
+            topics: "pressed",
+        }
+    }
+
+    fn check(&self, goal: &str, why: &mut Report<'_>) -> Result<(), Refused> {
+        if matches!(goal.trim_ascii(), "pressed" | "released") {
+            return Ok(());
+        }
+        takes(why, self.name);
+        why.text("pressed or released");
+        Err(Refused)
+    }
+
+    fn start(&mut self, _now: Instant, goal: &str, why: &mut Report<'_>) -> Result<(), Refused> {
+        self.check(goal, why)?;
+        self.awaited = goal.trim_ascii() == "pressed";
+        self.aborted = false;
+        Ok(())
+    }
+
+    fn poll(&mut self, now: Instant, report: &mut Report<'_>) -> Run {
+        if self.look(now).is_err() {
+            report.text("the input pin failed");
+            return Run::Failed;
+        }
+        let pressed = self.pressed == Some(true);
+        report.text(if pressed { "pressed" } else { "released" });
+        if pressed == self.awaited {
+            Run::Completed
+        } else if self.aborted {
+            Run::Aborted
+        } else {
+            Run::Running
+        }
+    }
+
+    fn abort(&mut self, _now: Instant) {
+        self.aborted = true;
+    }
+
+    fn make_safe(&mut self, _now: Instant) {}
+
+    fn poll_reading(&mut self, now: Instant, buffer: &mut [u8]) -> Option<Reading> {
+        // A pin that fails has nothing to say; a task on it says why.
+        self.look(now).ok()?;
+        let pressed = self.pressed.filter(|_| self.pressed != self.told)?;
+        let text: &[u8] = if pressed { b"True" } else { b"False" };
+        let room = buffer.get_mut(..text.len())?;
+        for (to, from) in room.iter_mut().zip(text) {
+            *to = *from;
+        }
+        self.told = Some(pressed);
+        Some(Reading {
+            topic: 0,
+            len: text.len(),
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests;

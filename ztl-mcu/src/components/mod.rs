@@ -1,0 +1,157 @@
+//! Ready components on `embedded-hal` 1.0: give them the pins of your board and their limits, and they
+//! are [`Component`](crate::Component)s. With the feature `components`.
+//!
+//! | | on | goals | when the link is lost |
+//! |---|---|---|---|
+//! | [`Servo`] | a PWM channel | an angle: `45.5` | holds, or lets go |
+//! | [`Stepper`] | step and direction pins, perhaps enable and limit switches | a position: `1200`; `home` | stops at once; holds, or lets go |
+//! | [`DigitalOutput`] | an output pin | `on`, `off`, `pulse 200` | goes off, on, or stays |
+//! | [`DigitalInput`] | an input pin | `pressed`, `released`: waits for it | |
+//!
+//! Motions speed up and slow down evenly, within limits of speed and acceleration. All of it is computed
+//! from the time that the calls bring along, in whole numbers: no timer, no float, no allocation. Calls
+//! may come at any time; one that is late delays a motion a little, and never makes it faster.
+//!
+//! A main loop for a board such as the Pico. What stands behind `board` is your chip's HAL: the pins are
+//! any that implement the `embedded-hal` traits, the serial port any that implements those of
+//! `embedded-io`.
+//!
+//! ```
+//! use ztl_mcu::components::{
+//!     DigitalOutput, DigitalOutputConfig, Scale, Servo, ServoConfig, StepMotor, Stepper,
+//!     StepperConfig, Switch,
+//! };
+//! use ztl_mcu::{Identity, Node};
+//! # mod board {
+//! #     use core::convert::Infallible;
+//! #     use embedded_hal::{digital, pwm};
+//! #     pub struct Pin;
+//! #     impl digital::ErrorType for Pin { type Error = Infallible; }
+//! #     impl digital::OutputPin for Pin {
+//! #         fn set_low(&mut self) -> Result<(), Infallible> { Ok(()) }
+//! #         fn set_high(&mut self) -> Result<(), Infallible> { Ok(()) }
+//! #     }
+//! #     impl digital::InputPin for Pin {
+//! #         fn is_high(&mut self) -> Result<bool, Infallible> { Ok(true) }
+//! #         fn is_low(&mut self) -> Result<bool, Infallible> { Ok(false) }
+//! #     }
+//! #     impl pwm::ErrorType for Pin { type Error = Infallible; }
+//! #     impl pwm::SetDutyCycle for Pin {
+//! #         fn max_duty_cycle(&self) -> u16 { 62_500 }
+//! #         fn set_duty_cycle(&mut self, _: u16) -> Result<(), Infallible> { Ok(()) }
+//! #     }
+//! #     pub struct Board {
+//! #         pub pwm_50_hz: Pin, pub step: Pin, pub direction: Pin, pub enable: Pin,
+//! #         pub end_switch: Pin, pub led: Pin, pub serial: Serial,
+//! #     }
+//! #     pub fn init() -> Board {
+//! #         Board {
+//! #             pwm_50_hz: Pin, step: Pin, direction: Pin, enable: Pin, end_switch: Pin, led: Pin,
+//! #             serial: Serial(0),
+//! #         }
+//! #     }
+//! #     pub struct Serial(pub usize);
+//! #     impl Serial {
+//! #         pub fn read(&mut self, _: &mut [u8]) -> usize { self.0 += 1; 0 }
+//! #         pub fn write(&mut self, bytes: &[u8]) {}
+//! #     }
+//! #     pub fn now() -> ztl_mcu::Instant { ztl_mcu::Instant::from_micros(0) }
+//! #     pub fn boot_count() -> u32 { 1 }
+//! # }
+//!
+//! const PAN: ServoConfig = ServoConfig { range: (-90, 90), ..ServoConfig::DEFAULT };
+//! const SLIDE: StepperConfig = StepperConfig {
+//!     scale: Scale::new(80, 1, "mm"),
+//!     range: (0, 250),
+//!     speed: 2000,
+//!     ..StepperConfig::DEFAULT
+//! };
+//!
+//! # fn main() {
+//! let board = board::init();
+//! let slide = StepMotor::new(board.step, board.direction, &SLIDE)
+//!     .with_enable(board.enable)
+//!     .with_low_limit(Switch::active_low(board.end_switch));
+//! let components = (
+//!     Servo::new("pan", board.pwm_50_hz, PAN),
+//!     Stepper::new("slide", slide, SLIDE),
+//!     DigitalOutput::new("lamp", board.led, DigitalOutputConfig::DEFAULT),
+//! );
+//! let identity = Identity::new("desk", "1.0.0", board::boot_count());
+//! let mut node = Node::<_, 4, 128>::new(identity, components);
+//!
+//! let mut serial = board.serial;
+//! let mut buffer = [0; 32];
+//! loop {
+//!     let now = board::now();
+//!     // What has arrived, without waiting.
+//!     let count = serial.read(&mut buffer);
+//!     node.handle_bytes(now, &buffer[..count]);
+//!     // The stepper wants this often; its documentation says how often.
+//!     node.handle_timeout(now);
+//!     let count = node.poll_transmit(now, &mut buffer);
+//!     serial.write(&buffer[..count]);
+//! #   if serial.0 > 100 { break }
+//! }
+//! # }
+//! ```
+//!
+//! Then `ztl task-client … desk:slide:home`, `desk:slide:120.5`, `desk:lamp:'pulse 500'`.
+
+mod input;
+mod number;
+mod output;
+mod profile;
+mod servo;
+mod stepper;
+
+pub use input::{DigitalInput, DigitalInputConfig};
+pub use output::{DigitalOutput, DigitalOutputConfig, SafeOutput};
+pub use profile::{Limits, Profile};
+pub use servo::{Servo, ServoConfig};
+pub use stepper::{
+    Command, Limit, LimitFlag, Motion, NoLimit, NoPin, Scale, StepDrive, StepFault, StepMotor,
+    Stepper, StepperConfig, Switch,
+};
+
+use ztl_core::link::Loss;
+
+use crate::component::Report;
+
+/// Whether a motor at rest stays under power.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Power {
+    /// It holds its position.
+    Hold,
+    /// It lets go, and may be turned by hand or by a weight.
+    Release,
+}
+
+impl Power {
+    /// What a component that ends so when it is made safe says of a lost link.
+    const fn loss(self) -> Loss {
+        match self {
+            Self::Hold => Loss::Hold,
+            Self::Release => Loss::Abort,
+        }
+    }
+}
+
+/// Begins a refusal.
+fn takes(why: &mut Report<'_>, name: &str) {
+    why.text(name);
+    why.text(" takes ");
+}
+
+/// The numbers that would be right.
+fn range(why: &mut Report<'_>, least: i32, most: i32, unit: &str) {
+    number::report(why, least, 0);
+    why.text(" to ");
+    number::report(why, most, 0);
+    why.text(" ");
+    why.text(unit);
+}
+
+#[cfg(test)]
+mod tests;

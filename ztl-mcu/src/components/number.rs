@@ -1,0 +1,223 @@
+//! Decimal numbers as whole ones, with a fixed count of decimals: `45.5` with three is 45500.
+//!
+//! A Cortex-M0 has no floating-point unit; the reader through `f32` costs it five times as much.
+
+use crate::component::Report;
+
+/// Reads a number, times `10^decimals` and rounded half away from zero; `None` when it is none, or
+/// too great.
+///
+/// It takes what [`ztl_core::goal`] takes for a float in decimal digits without `_`.
+pub(super) fn parse(text: &str, decimals: u8) -> Option<i32> {
+    let (negative, mut rest) = sign(text.trim_ascii().as_bytes());
+    let (mut value, mut exponent) = (0u32, i32::from(decimals));
+    let (mut count, mut whole, mut point, mut zero) = (0u32, true, false, false);
+    while let [byte, behind @ ..] = rest {
+        rest = behind;
+        match byte {
+            b'0'..=b'9' => {
+                zero |= count == 0 && *byte == b'0';
+                count += 1;
+                // Further digits are below what is asked for, or the number is too great.
+                let fits = value < u32::MAX / 10;
+                if fits {
+                    value = value * 10 + u32::from(byte - b'0');
+                }
+                exponent += i32::from(!fits) - i32::from(point);
+            }
+            b'.' if !point => (point, whole) = (true, false),
+            b'e' | b'E' if count > 0 => {
+                exponent += power(behind)?;
+                whole = false;
+                break;
+            }
+            _ => return None,
+        }
+    }
+    // 010 is 8 for YAML, and 10 for a person.
+    if count == 0 || whole && zero && value > 0 {
+        return None;
+    }
+    let mut dropped = 0;
+    while exponent < 0 && (value > 0 || dropped > 0) {
+        (value, dropped) = (value / 10, value % 10);
+        exponent += 1;
+    }
+    while exponent > 0 && value > 0 {
+        value = Some(value).filter(|&value| value < u32::MAX / 10)? * 10;
+        exponent -= 1;
+    }
+    let value = i32::try_from(value + u32::from(dropped >= 5)).ok()?;
+    Some(if negative { -value } else { value })
+}
+
+/// Whether there is a minus, and what is behind the sign.
+const fn sign(bytes: &[u8]) -> (bool, &[u8]) {
+    match bytes {
+        [b'-', rest @ ..] => (true, rest),
+        [b'+', rest @ ..] | rest => (false, rest),
+    }
+}
+
+/// A whole number of up to three digits.
+fn power(text: &[u8]) -> Option<i32> {
+    let (negative, digits) = sign(text);
+    if digits.is_empty() || digits.len() > 3 {
+        return None;
+    }
+    let mut value = 0;
+    for byte in digits {
+        let digit = byte.wrapping_sub(b'0');
+        if digit > 9 {
+            return None;
+        }
+        value = value * 10 + i32::from(digit);
+    }
+    Some(if negative { -value } else { value })
+}
+
+/// Adds `value` with the point before its last `decimals` digits.
+pub(super) fn report(report: &mut Report<'_>, value: i32, decimals: u8) {
+    if value < 0 {
+        report.text("-");
+    }
+    let mut rest = value.unsigned_abs();
+    // From behind, one digit a byte; ten are the most.
+    let mut digits = [0u8; 10];
+    let mut count = 0u8;
+    for digit in &mut digits {
+        if rest == 0 && count > decimals {
+            break;
+        }
+        (rest, *digit) = (rest / 10, (rest % 10) as u8);
+        count += 1;
+    }
+    while count > 0 {
+        if count == decimals {
+            report.text(".");
+        }
+        count -= 1;
+        let digit = usize::from(digits.get(usize::from(count)).copied().unwrap_or_default());
+        report.text("0123456789".get(digit..=digit).unwrap_or_default());
+    }
+}
+
+/// `value` without its last `digits` digits, rounded half away from zero.
+pub(super) fn rounded(value: i32, digits: u8) -> i32 {
+    let mut unit = 1i32;
+    for _ in 0..digits.min(9) {
+        unit *= 10;
+    }
+    let half = if value < 0 { -(unit / 2) } else { unit / 2 };
+    value
+        .saturating_add(half)
+        .checked_div(unit)
+        .unwrap_or(value)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+    use std::string::String;
+
+    #[test]
+    fn numbers_are_read_with_their_decimals() {
+        for (text, decimals, expected) in [
+            ("45", 3, Some(45_000)),
+            (" 45.5 ", 3, Some(45_500)),
+            ("-.25", 3, Some(-250)),
+            ("+7.", 3, Some(7000)),
+            ("0.0004", 3, Some(0)),
+            ("0.0005", 3, Some(1)),
+            ("-12.34567", 3, Some(-12_346)),
+            ("9e1", 3, Some(90_000)),
+            ("1e-05", 3, Some(0)),
+            ("12345E-3", 0, Some(12)),
+            ("2147483647", 0, Some(i32::MAX)),
+            ("2147483648", 0, None),
+            ("99999999999", 0, None),
+            ("0e999", 3, Some(0)),
+            ("1e999", 3, None),
+            ("1e-999", 3, Some(0)),
+            ("00", 3, Some(0)),
+            ("010", 3, None),
+            ("", 3, None),
+            (".", 3, None),
+            ("-", 3, None),
+            ("1.2.3", 3, None),
+            ("4 5", 3, None),
+            ("e5", 3, None),
+            ("1e", 3, None),
+            ("1e+", 3, None),
+            ("nan", 3, None),
+            ("left", 3, None),
+            ("+-1", 3, None),
+        ] {
+            assert_eq!(parse(text, decimals), expected, "{text}");
+        }
+    }
+
+    fn written(value: i32, decimals: u8) -> String {
+        let mut text = heapless::String::<16>::new();
+        report(&mut Report::new(&mut text), value, decimals);
+        text.as_str().into()
+    }
+
+    #[test]
+    fn numbers_are_written_with_their_decimals() {
+        for (value, decimals, expected) in [
+            (0, 0, "0"),
+            (0, 1, "0.0"),
+            (-5, 1, "-0.5"),
+            (450, 1, "45.0"),
+            (12_345, 3, "12.345"),
+            (12_005, 3, "12.005"),
+            (i32::MIN, 0, "-2147483648"),
+            (i32::MIN, 9, "-2.147483648"),
+        ] {
+            assert_eq!(written(value, decimals), expected);
+        }
+    }
+
+    #[test]
+    fn rounding_is_half_away_from_zero() {
+        for (value, digits, expected) in [
+            (149, 2, 1),
+            (150, 2, 2),
+            (-150, 2, -2),
+            (-149, 2, -1),
+            (7, 0, 7),
+            (i32::MAX, 1, i32::MAX / 10),
+        ] {
+            assert_eq!(rounded(value, digits), expected);
+        }
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::default() })]
+
+        #[test]
+        fn what_is_written_is_read(value in -i32::MAX..i32::MAX, decimals in 0u8..=9) {
+            prop_assert_eq!(parse(&written(value, decimals), decimals), Some(value));
+        }
+
+        /// The one reader of goals is the measure.
+        #[test]
+        fn what_is_read_is_what_any_goal_is_read_as(
+            text in "[-+]?[0-9]{0,4}(\\.[0-9]{0,4})?([eE][-+]?[0-9]{0,2})?|[-+0-9.eE]{0,8}",
+        ) {
+            let theirs = ztl_core::goal::from_str::<f64>(&text);
+            match parse(&text, 2) {
+                Some(ours) => {
+                    let theirs = theirs.unwrap();
+                    prop_assert!((theirs * 100.0 - f64::from(ours)).abs() <= 0.5 + 1e-6, "{text}: {ours}");
+                }
+                None => prop_assert!(
+                    theirs.is_err() || theirs.is_ok_and(|theirs| theirs.abs() * 100.0 > f64::from(i32::MAX) - 1.0),
+                    "{text} is not read"
+                ),
+            }
+        }
+    }
+}

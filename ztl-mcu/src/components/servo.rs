@@ -1,0 +1,303 @@
+//! A hobby servo on a PWM output.
+
+use embedded_hal::pwm::SetDutyCycle;
+use ztl_core::Instant;
+use ztl_core::link::{Busy, GoalShape, Offer};
+
+use super::number;
+use super::profile::{Limits, Profile, after_ticks, ticks_between};
+use super::{Power, range, takes};
+use crate::component::{Component, Refused, Report, Run};
+
+/// Parts of a millidegree that the profile counts.
+const SHIFT: u32 = 14;
+/// Parts of a degree.
+const PARTS: i64 = 1000 << SHIFT;
+/// Goals are read in millidegrees.
+const MILLI: u8 = 3;
+/// Most ticks that a late `poll` makes good, some 50 ms: the servo must not be told to jump.
+const MOST_TICKS: u64 = 50;
+
+/// What a servo is and may do. Take [`DEFAULT`](Self::DEFAULT) and change what differs:
+///
+/// ```
+/// use ztl_mcu::components::ServoConfig;
+///
+/// const PAN: ServoConfig = ServoConfig { range: (-90, 90), speed: 120, ..ServoConfig::DEFAULT };
+/// ```
+///
+/// Nothing of it panics: a range or pulse that is beyond its bounds is brought within them.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct ServoConfig {
+    /// Least and greatest angle in degrees. Default 0 to 180.
+    pub range: (i16, i16),
+    /// The pulse's width at the least and at the greatest angle, in µs; the first may be the
+    /// greater one. Default 1000 to 2000, which no servo's end stop is beyond.
+    pub pulse_us: (u16, u16),
+    /// The PWM's period in µs, as the timer is set up. Default 20,000, which is 50 Hz.
+    pub period_us: u16,
+    /// Greatest speed in degrees a second. Default 60.
+    pub speed: u16,
+    /// Greatest acceleration in degrees a second squared. Default 240.
+    pub acceleration: u16,
+    /// Where it is when power comes on, in degrees, as far as one can know: the first motion starts
+    /// here. Default: the middle of the range.
+    pub start: Option<i16>,
+    /// What [`make_safe`](Component::make_safe) does: keep the pulse, so that the servo holds its
+    /// position, or end it, so that most servos let go. Default: hold.
+    pub safe: Power,
+    /// What happens to a task that comes while one runs. Default: it is refused.
+    pub busy: Busy,
+}
+
+impl ServoConfig {
+    /// 0 to 180 degrees by 1000 to 2000 µs at 50 Hz; 60 degrees a second.
+    pub const DEFAULT: Self = Self {
+        range: (0, 180),
+        pulse_us: (1000, 2000),
+        period_us: 20_000,
+        speed: 60,
+        acceleration: 240,
+        start: None,
+        safe: Power::Hold,
+        busy: Busy::Refuse,
+    };
+}
+
+impl Default for ServoConfig {
+    fn default() -> Self {
+        Self::DEFAULT
+    }
+}
+
+/// A positional servo: its goals are angles in degrees.
+///
+/// It moves at limited speed and acceleration. Progress and result are the angle it is *told* to
+/// have, with one decimal. Whether it is there nobody knows: a hobby servo tells nothing back, and
+/// one that is blocked or unplugged completes its tasks as any other. The very first pulse makes it jump to
+/// [`start`](ServoConfig::start), if it was elsewhere.
+///
+/// An abort slows down by the ramp and ends as ABORTED where it stopped. An error of the PWM output
+/// ends the task as FAILED.
+///
+/// ```
+/// use ztl_mcu::components::{Servo, ServoConfig};
+/// # use embedded_hal::pwm::{ErrorType, SetDutyCycle};
+/// # struct Pwm(u16);
+/// # impl ErrorType for Pwm { type Error = core::convert::Infallible; }
+/// # impl SetDutyCycle for Pwm {
+/// #     fn max_duty_cycle(&self) -> u16 { 20_000 }
+/// #     fn set_duty_cycle(&mut self, duty: u16) -> Result<(), Self::Error> { self.0 = duty; Ok(()) }
+/// # }
+/// # let pwm = Pwm(0);
+///
+/// const PAN: ServoConfig = ServoConfig { range: (-90, 90), ..ServoConfig::DEFAULT };
+/// // `pwm` is a channel of your chip's HAL, its timer set to 50 Hz.
+/// let pan = Servo::new("pan", pwm, PAN);
+/// ```
+#[derive(Debug, Clone, Hash)]
+pub struct Servo<P> {
+    name: &'static str,
+    pwm: P,
+    config: ServoConfig,
+    /// The range's ends as the offer has them, in the bits of an `f32`.
+    bounds: (u32, u32),
+    pulse: Pulse,
+    limits: Limits,
+    profile: Profile,
+    /// Up to where the motion was computed.
+    clock: Instant,
+    /// In parts.
+    goal: i64,
+    /// What the output was last set to; `None` when that is not known.
+    duty: Option<u16>,
+}
+
+impl<P: SetDutyCycle> Servo<P> {
+    /// A servo of this name on this output, which stays as it is until the first task.
+    #[inline(always)] // With a constant configuration there is nothing to compute.
+    pub const fn new(name: &'static str, pwm: P, config: ServoConfig) -> Self {
+        let (a, b) = config.range;
+        let range = if a <= b { (a, b) } else { (b, a) };
+        let config = ServoConfig { range, ..config };
+        let start = parts(match config.start {
+            Some(start) if start < range.0 => range.0,
+            Some(start) if start > range.1 => range.1,
+            Some(start) => start,
+            None => i16::midpoint(range.0, range.1),
+        });
+        let speed = if config.speed == 0 { 1 } else { config.speed };
+        Self {
+            name,
+            pwm,
+            config,
+            bounds: ((range.0 as f32).to_bits(), (range.1 as f32).to_bits()),
+            pulse: Pulse::new(&config),
+            limits: Limits::new(
+                speed as u32 * 1000,
+                config.acceleration as u32 * 1000,
+                1 << SHIFT,
+            ),
+            profile: Profile::new(start),
+            clock: Instant::ZERO,
+            goal: start,
+            duty: None,
+        }
+    }
+
+    /// The angle that it is told to have, in millidegrees.
+    #[must_use]
+    pub const fn commanded_millidegrees(&self) -> i32 {
+        ((self.profile.position() + (1 << (SHIFT - 1))) >> SHIFT) as i32
+    }
+
+    fn parse(&self, goal: &str) -> Option<i32> {
+        let (least, most) = self.config.range;
+        let range = i32::from(least) * 1000..=i32::from(most) * 1000;
+        number::parse(goal, MILLI).filter(|goal| range.contains(goal))
+    }
+
+    /// Computes the motion up to `now`.
+    fn advance(&mut self, now: Instant) {
+        let ticks = ticks_between(self.clock, now);
+        for _ in 0..ticks.min(MOST_TICKS) {
+            self.profile.advance(self.limits);
+        }
+        self.clock = if ticks > MOST_TICKS {
+            now
+        } else {
+            after_ticks(self.clock, ticks)
+        };
+    }
+
+    /// Sets the output to the commanded angle, unless it is.
+    fn drive(&mut self) -> Result<(), P::Error> {
+        let (least, _) = self.config.range;
+        let above = i64::from(self.commanded_millidegrees() - i32::from(least) * 1000);
+        let part = self.pulse.at_least + above * self.pulse.slope;
+        let duty = (i64::from(self.pwm.max_duty_cycle()) * part + (1 << 31)) >> 32;
+        // In range, since the part is at most 1.
+        let duty = duty as u16;
+        if self.duty != Some(duty) {
+            self.duty = None;
+            self.pwm.set_duty_cycle(duty)?;
+            self.duty = Some(duty);
+        }
+        Ok(())
+    }
+}
+
+impl<P: SetDutyCycle> Component for Servo<P> {
+    fn offer(&self) -> Offer<'_> {
+        let (least, most) = self.bounds;
+        Offer {
+            name: self.name,
+            goal: GoalShape {
+                range: Some((f32::from_bits(least), f32::from_bits(most))),
+                unit: "degrees",
+                words: "",
+            },
+            busy: self.config.busy,
+            loss: self.config.safe.loss(),
+            topics: "",
+        }
+    }
+
+    fn check(&self, goal: &str, why: &mut Report<'_>) -> Result<(), Refused> {
+        if self.parse(goal).is_some() {
+            return Ok(());
+        }
+        let (least, most) = self.config.range;
+        takes(why, self.name);
+        range(why, least.into(), most.into(), "degrees");
+        Err(Refused)
+    }
+
+    fn start(&mut self, now: Instant, goal: &str, why: &mut Report<'_>) -> Result<(), Refused> {
+        self.check(goal, why)?;
+        self.advance(now);
+        self.clock = now;
+        self.goal = i64::from(self.parse(goal).unwrap_or_default()) << SHIFT;
+        self.profile.move_to(self.goal);
+        Ok(())
+    }
+
+    fn poll(&mut self, now: Instant, report: &mut Report<'_>) -> Run {
+        self.advance(now);
+        if self.drive().is_err() {
+            self.profile.put(self.profile.position());
+            report.text("the PWM output failed");
+            return Run::Failed;
+        }
+        let angle = number::rounded(self.commanded_millidegrees(), MILLI - 1);
+        number::report(report, angle, 1);
+        if !self.profile.is_at_rest() {
+            Run::Running
+        } else if self.profile.position() == self.goal {
+            Run::Completed
+        } else {
+            Run::Aborted
+        }
+    }
+
+    fn abort(&mut self, now: Instant) {
+        self.advance(now);
+        self.profile.move_to(self.profile.stopping_point());
+    }
+
+    fn make_safe(&mut self, now: Instant) {
+        self.advance(now);
+        self.profile.put(self.profile.position());
+        // An output that fails now cannot be helped; the next task will say so.
+        let _ = match self.config.safe {
+            // Before the first task nothing is held.
+            Power::Hold if self.duty.is_none() => Ok(()),
+            Power::Hold => self.drive(),
+            Power::Release => {
+                self.duty = None;
+                self.pwm.set_duty_cycle_fully_off()
+            }
+        };
+    }
+}
+
+/// The pulse's width as a part of the period, in 2^-32.
+#[derive(Debug, Clone, Copy, Hash)]
+struct Pulse {
+    /// At the least angle.
+    at_least: i64,
+    /// Change for each millidegree.
+    slope: i64,
+}
+
+impl Pulse {
+    #[inline(always)]
+    const fn new(config: &ServoConfig) -> Self {
+        let at_least = part_of(config.pulse_us.0, config.period_us);
+        let at_most = part_of(config.pulse_us.1, config.period_us);
+        let way = (config.range.1 as i64 - config.range.0 as i64) * 1000;
+        let slope = if way == 0 {
+            0
+        } else {
+            (at_most - at_least) / way
+        };
+        Self { at_least, slope }
+    }
+}
+
+/// Never more than the whole period.
+#[inline(always)]
+const fn part_of(pulse_us: u16, period_us: u16) -> i64 {
+    if pulse_us >= period_us {
+        return 1 << 32;
+    }
+    ((pulse_us as i64) << 32) / period_us as i64
+}
+
+const fn parts(degrees: i16) -> i64 {
+    degrees as i64 * PARTS
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,69 @@
+//! What tells that an axis is at its end.
+
+use embedded_hal::digital::InputPin;
+
+use super::StepFault;
+
+/// Whether an end of the axis is reached.
+///
+/// Asked before each step towards that end, so it has to be quick.
+pub trait Limit {
+    /// Whether there is anything at this end.
+    const PRESENT: bool = true;
+
+    /// Whether the axis is there.
+    ///
+    /// # Errors
+    /// When that cannot be known; the motor stops.
+    fn is_reached(&mut self) -> Result<bool, StepFault>;
+}
+
+/// No switch at this end.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub struct NoLimit;
+
+impl Limit for NoLimit {
+    const PRESENT: bool = false;
+
+    fn is_reached(&mut self) -> Result<bool, StepFault> {
+        Ok(false)
+    }
+}
+
+/// A switch on an input pin.
+#[derive(Debug, Clone, Hash)]
+pub struct Switch<P> {
+    pin: P,
+    high: bool,
+}
+
+impl<P: InputPin> Switch<P> {
+    /// Reached when the pin is low: a switch that closes to ground.
+    pub const fn active_low(pin: P) -> Self {
+        Self { pin, high: false }
+    }
+
+    /// Reached when the pin is high: one that opens, so that a broken wire stops the motor too.
+    pub const fn active_high(pin: P) -> Self {
+        Self { pin, high: true }
+    }
+}
+
+impl<P: InputPin> Limit for Switch<P> {
+    fn is_reached(&mut self) -> Result<bool, StepFault> {
+        let high = self.pin.is_high().map_err(|_| StepFault::LimitPin)?;
+        Ok(high == self.high)
+    }
+}
+
+/// A limit that something else watches: an interrupt that sets a flag, a sensor on a bus.
+///
+/// The flag has to stay up as long as the axis is at this end, or until it is cleared.
+#[derive(Debug, Clone, Copy, Hash)]
+pub struct LimitFlag<F>(pub F);
+
+impl<F: FnMut() -> bool> Limit for LimitFlag<F> {
+    fn is_reached(&mut self) -> Result<bool, StepFault> {
+        Ok((self.0)())
+    }
+}

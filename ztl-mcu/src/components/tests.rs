@@ -1,0 +1,307 @@
+//! The components in a real node, with a gateway played by hand, on virtual time.
+
+use super::*;
+use crate::{Components, Identity, Instant, Node};
+use core::cell::Cell;
+use core::convert::Infallible;
+use embedded_hal::digital::{self, InputPin, OutputPin};
+use embedded_hal::pwm::{self, SetDutyCycle};
+use std::format;
+use std::string::String;
+use std::vec::Vec;
+use ztl_core::link::{
+    ADDR_ONLY_NODE, Body, Decoder, Frame, Hello, LinkId, NO_SEQ, NO_SESSION, VERSION, encode,
+    session_key,
+};
+
+/// A pin or a PWM channel whose value is looked at.
+struct Pin<'a>(&'a Cell<u16>);
+
+impl digital::ErrorType for Pin<'_> {
+    type Error = Infallible;
+}
+
+impl OutputPin for Pin<'_> {
+    fn set_low(&mut self) -> Result<(), Infallible> {
+        self.0.set(0);
+        Ok(())
+    }
+
+    fn set_high(&mut self) -> Result<(), Infallible> {
+        self.0.set(1);
+        Ok(())
+    }
+}
+
+impl InputPin for Pin<'_> {
+    fn is_high(&mut self) -> Result<bool, Infallible> {
+        Ok(self.0.get() > 0)
+    }
+
+    fn is_low(&mut self) -> Result<bool, Infallible> {
+        Ok(self.0.get() == 0)
+    }
+}
+
+impl pwm::ErrorType for Pin<'_> {
+    type Error = Infallible;
+}
+
+impl SetDutyCycle for Pin<'_> {
+    fn max_duty_cycle(&self) -> u16 {
+        20_000
+    }
+
+    fn set_duty_cycle(&mut self, duty: u16) -> Result<(), Infallible> {
+        self.0.set(duty);
+        Ok(())
+    }
+}
+
+const SESSION: u32 = 5;
+const BOOT: u32 = 77;
+
+/// A gateway's side of a session.
+struct Desk<'c, C: Components> {
+    node: Node<'static, C, 6, 160>,
+    now: Instant,
+    seq: u8,
+    /// What the node said, but for progress and pongs.
+    heard: Vec<String>,
+    ended: Vec<LinkId>,
+    progress: &'c Cell<usize>,
+    pings: bool,
+}
+
+impl<C: Components> Desk<'_, C> {
+    fn send(&mut self, session: u32, seq: u8, body: Body<'_>) {
+        let frame = Frame {
+            addr: ADDR_ONLY_NODE,
+            seq,
+            body,
+        };
+        let mut buffer = [0xA5; 192];
+        let len = encode(session, &frame, &mut buffer).unwrap();
+        self.node.handle_bytes(self.now, &buffer[..len]);
+        self.listen();
+    }
+
+    fn hello(&mut self) {
+        let hello = Hello {
+            version: VERSION,
+            session: SESSION,
+            gateway: 1,
+        };
+        self.send(NO_SESSION, NO_SEQ, Body::Hello(hello));
+    }
+
+    fn command(&mut self, body: Body<'_>) {
+        self.seq += 1;
+        self.send(session_key(SESSION, BOOT), self.seq, body);
+    }
+
+    fn start(&mut self, task: u32, component: u8, goal: &str) {
+        self.command(Body::Start {
+            task: LinkId(task),
+            component,
+            goal,
+            before_ms: u64::MAX,
+        });
+    }
+
+    fn listen(&mut self) {
+        let mut decoder = Decoder::<192>::new();
+        let mut byte = [0xA5];
+        while self.node.poll_transmit(self.now, &mut byte) > 0 {
+            if decoder.push(byte[0]) != Ok(true) {
+                continue;
+            }
+            let keys = [session_key(SESSION, BOOT), SESSION, NO_SESSION];
+            let (_, frame) = decoder.frame(&keys).unwrap();
+            let line = match frame.body {
+                Body::Component { index, offer } => {
+                    let goal = offer.goal;
+                    format!(
+                        "{index} {} {:?} {} [{}] {:?} [{}]",
+                        offer.name, goal.range, goal.unit, goal.words, offer.loss, offer.topics
+                    )
+                }
+                Body::Refused { reason } => format!("refused: {reason}"),
+                Body::Ended {
+                    task,
+                    state,
+                    result,
+                } => {
+                    // It is repeated, as nobody acknowledges it.
+                    if self.ended.contains(&task) {
+                        continue;
+                    }
+                    self.ended.push(task);
+                    format!("{} {state}: {result}", task.0)
+                }
+                Body::Progress { .. } => {
+                    self.progress.set(self.progress.get() + 1);
+                    continue;
+                }
+                _ => continue,
+            };
+            self.heard.push(line);
+        }
+    }
+
+    /// The main loop for so long, with a turn each 100 µs.
+    fn pass(&mut self, millis: u64) {
+        for turn in 0..millis * 10 {
+            self.now = Instant::from_micros(self.now.as_micros() + 100);
+            self.node.handle_timeout(self.now);
+            self.listen();
+            if self.pings && turn % 2000 == 0 {
+                self.command(Body::Ping);
+            }
+        }
+    }
+
+    fn heard(&mut self) -> Vec<String> {
+        core::mem::take(&mut self.heard)
+    }
+}
+
+/// What the firmware is connected to.
+#[derive(Default)]
+struct World {
+    pan: Cell<u16>,
+    step: Cell<u16>,
+    direction: Cell<u16>,
+    end: Cell<u16>,
+    lamp: Cell<u16>,
+    button: Cell<u16>,
+    progress: Cell<usize>,
+}
+
+fn components(world: &World) -> impl Components + use<'_> {
+    const PAN: ServoConfig = ServoConfig {
+        range: (-90, 90),
+        safe: Power::Release,
+        ..ServoConfig::DEFAULT
+    };
+    const SLIDE: StepperConfig = StepperConfig {
+        range: (0, 4000),
+        ..StepperConfig::DEFAULT
+    };
+    let motor = StepMotor::new(Pin(&world.step), Pin(&world.direction), &SLIDE)
+        .with_low_limit(LimitFlag(|| world.end.get() > 0));
+    (
+        Servo::new("pan", Pin(&world.pan), PAN),
+        Stepper::new("slide", motor, SLIDE),
+        DigitalOutput::new("lamp", Pin(&world.lamp), DigitalOutputConfig::DEFAULT),
+        DigitalInput::new("button", Pin(&world.button), DigitalInputConfig::DEFAULT),
+    )
+}
+
+fn desk(world: &World) -> Desk<'_, impl Components + use<'_>> {
+    let identity = Identity::new("desk", "1.0.0", BOOT);
+    let mut desk = Desk {
+        node: Node::new(identity, components(world)),
+        now: Instant::from_millis(1),
+        seq: 0,
+        heard: Vec::new(),
+        ended: Vec::new(),
+        progress: &world.progress,
+        pings: true,
+    };
+    desk.hello();
+    desk
+}
+
+#[test]
+fn they_say_what_they_take() {
+    let world = World::default();
+    let mut desk = desk(&world);
+    for index in 0..4 {
+        desk.command(Body::Describe { index });
+    }
+    assert_eq!(
+        desk.heard(),
+        [
+            "0 pan Some((-90.0, 90.0)) degrees [] Abort []",
+            "1 slide Some((0.0, 4000.0)) steps [home] Hold []",
+            "2 lamp Some((1.0, 3600000.0)) ms [on off pulse] Abort []",
+            "3 button None  [pressed released] Abort [pressed]",
+        ]
+    );
+}
+
+#[test]
+fn they_carry_out_tasks_at_the_same_time() {
+    let world = World::default();
+    world.button.set(1);
+    let mut desk = desk(&world);
+    desk.start(1, 0, "90.5");
+    desk.start(2, 0, "90");
+    desk.start(3, 1, "700");
+    desk.start(4, 2, "pulse 300");
+    desk.start(5, 3, "pressed");
+    assert_eq!(desk.heard(), ["refused: pan takes -90 to 90 degrees"]);
+    desk.pass(250);
+    assert_eq!(world.lamp.get(), 1);
+    world.button.set(0);
+    desk.pass(250);
+    assert_eq!(world.lamp.get(), 0);
+    assert_eq!(desk.heard(), ["5 COMPLETED: pressed", "4 COMPLETED: off"]);
+    desk.pass(2000);
+    assert_eq!(desk.heard(), ["3 COMPLETED: 700", "2 COMPLETED: 90.0"]);
+    assert_eq!(world.pan.get(), 2000);
+    assert!(world.progress.get() > 20);
+
+    desk.start(6, 1, "home");
+    desk.pass(500);
+    world.end.set(1);
+    desk.pass(20);
+    assert_eq!(desk.heard(), ["6 COMPLETED: 0"]);
+}
+
+#[test]
+fn a_lost_link_makes_them_safe() {
+    let world = World::default();
+    let mut desk = desk(&world);
+    desk.start(1, 0, "90");
+    desk.start(2, 1, "4000");
+    desk.start(3, 2, "pulse 60000");
+    desk.pass(600);
+    desk.pings = false;
+    desk.pass(1100);
+    assert_eq!(
+        desk.heard(),
+        [
+            "1 FAILED: link was lost",
+            "2 FAILED: link was lost",
+            "3 FAILED: link was lost",
+        ]
+    );
+    assert_eq!(world.pan.get(), 0, "released");
+    assert_eq!(world.lamp.get(), 0);
+    world.step.set(9);
+    desk.pass(100);
+    assert_eq!(world.step.get(), 9, "no step more");
+}
+
+#[test]
+fn an_abort_ends_each_where_it_stopped() {
+    let world = World::default();
+    let mut desk = desk(&world);
+    desk.start(1, 0, "90");
+    desk.start(2, 1, "4000");
+    desk.start(3, 2, "60000");
+    desk.pass(1000);
+    for task in 1..=3 {
+        desk.command(Body::Abort { task: LinkId(task) });
+    }
+    desk.pass(1000);
+    let heard = desk.heard();
+    let begins = ["3 ABORTED: off", "1 ABORTED: 60.", "2 ABORTED: 9"];
+    for begin in begins {
+        let found = heard.iter().any(|line| line.starts_with(begin));
+        assert!(found, "{begin} in {heard:?}");
+    }
+    assert_eq!(heard.len(), 3);
+}
