@@ -8,6 +8,7 @@ use core::arch::global_asm;
 use core::cell::UnsafeCell;
 use core::mem::MaybeUninit;
 
+use embedded_hal::{digital, pwm};
 use ztl_core::{Instant, TaskId};
 
 /// An id for where there is no better one.
@@ -38,6 +39,77 @@ pub fn send(bytes: &[u8]) {
 pub fn now() -> Instant {
     // SAFETY: a device's register: always there, of any value, and no Rust object.
     Instant::from_millis(u64::from(unsafe { CLOCK.read_volatile() }))
+}
+
+/// A pin that does whatever, and fails now and then.
+pub struct AnyPin;
+
+/// The error of a pin.
+#[derive(Debug)]
+pub struct AnyPinError;
+
+impl AnyPin {
+    fn tell(&self, value: u16) -> Result<(), AnyPinError> {
+        send(&value.to_le_bytes());
+        self.ask().map(drop)
+    }
+
+    fn ask(&self) -> Result<bool, AnyPinError> {
+        match receive() {
+            0 => Err(AnyPinError),
+            level => Ok(level > 1),
+        }
+    }
+}
+
+impl digital::Error for AnyPinError {
+    fn kind(&self) -> digital::ErrorKind {
+        digital::ErrorKind::Other
+    }
+}
+
+impl digital::ErrorType for AnyPin {
+    type Error = AnyPinError;
+}
+
+impl digital::OutputPin for AnyPin {
+    fn set_low(&mut self) -> Result<(), AnyPinError> {
+        self.tell(0)
+    }
+
+    fn set_high(&mut self) -> Result<(), AnyPinError> {
+        self.tell(1)
+    }
+}
+
+impl digital::InputPin for AnyPin {
+    fn is_high(&mut self) -> Result<bool, AnyPinError> {
+        self.ask()
+    }
+
+    fn is_low(&mut self) -> Result<bool, AnyPinError> {
+        self.ask()
+    }
+}
+
+impl pwm::Error for AnyPinError {
+    fn kind(&self) -> pwm::ErrorKind {
+        pwm::ErrorKind::Other
+    }
+}
+
+impl pwm::ErrorType for AnyPin {
+    type Error = AnyPinError;
+}
+
+impl pwm::SetDutyCycle for AnyPin {
+    fn max_duty_cycle(&self) -> u16 {
+        u16::from_le_bytes([receive(), receive()])
+    }
+
+    fn set_duty_cycle(&mut self, duty: u16) -> Result<(), AnyPinError> {
+        self.tell(duty)
+    }
 }
 
 /// Static memory for something that is made once and lives for ever.

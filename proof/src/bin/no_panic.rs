@@ -29,9 +29,13 @@ use ztl_core::spec::TaskSpec;
 use ztl_core::tasks::{Task, TaskRules, TaskTable, Tasks};
 use ztl_core::time::earliest;
 use ztl_core::{Instant, State, TaskId, base64, goal};
+use ztl_mcu::components::{
+    DigitalInput, DigitalInputConfig, DigitalOutput, DigitalOutputConfig, Servo, ServoConfig,
+    StepMotor, Stepper, StepperConfig, Switch,
+};
 use ztl_mcu::link::{Busy, GoalShape, Loss, Offer};
 use ztl_mcu::{Component, Components, Identity, Node, Reading, Refused, Report, Run, pump};
-use ztl_proof::{FIRST, now, receive, send};
+use ztl_proof::{AnyPin, FIRST, now, receive, send};
 
 #[cfg(not(feature = "explain"))]
 #[panic_handler]
@@ -61,6 +65,7 @@ extern "C" fn main() -> ! {
     let mut node = Node::<_, 4, 128>::new(identity(), components.as_mut_slice());
     // Frames longer than a COBS block.
     let mut long_framed = Node::<_, 1, 600>::new(identity(), (Part, Part));
+    let mut ready_node = Node::<_, 2, 128>::new(identity(), ready_parts());
     let mut decoder = Decoder::<600>::new();
     let mut table = TaskTable::new();
     let config = Config::new(id(), any());
@@ -68,7 +73,7 @@ extern "C" fn main() -> ! {
     let mut client = Client::new(ClientId([receive(); 16]), Duration::from_secs(2));
     loop {
         // In whatever state, as far as the compiler knows.
-        black_box((&mut node, &mut long_framed, &mut decoder));
+        black_box((&mut node, &mut long_framed, &mut ready_node, &mut decoder));
         black_box((&mut table, &mut dispatcher, &mut client));
         let mut received = [0; 512];
         received.fill_with(receive);
@@ -89,6 +94,7 @@ extern "C" fn main() -> ! {
         run_client(&mut client, input, text);
         run_node(&mut node, input);
         run_node(&mut long_framed, input);
+        run_node(&mut ready_node, input);
     }
 }
 
@@ -354,6 +360,21 @@ fn run_client(client: &mut Client, input: &[u8], text: &str) {
         client.poll_timeout(),
         client.server(),
     ));
+}
+
+/// The ready components, with any configuration.
+fn ready_parts() -> impl Components {
+    let slide = black_box(StepperConfig::DEFAULT);
+    let motor = StepMotor::new(AnyPin, AnyPin, &slide)
+        .with_enable(AnyPin)
+        .with_low_limit(Switch::active_low(AnyPin))
+        .with_high_limit(Switch::active_high(AnyPin));
+    (
+        Servo::new("pan", AnyPin, black_box(ServoConfig::DEFAULT)),
+        Stepper::new("slide", motor, slide),
+        DigitalOutput::new("lamp", AnyPin, black_box(DigitalOutputConfig::DEFAULT)),
+        DigitalInput::new("button", AnyPin, black_box(DigitalInputConfig::DEFAULT)),
+    )
 }
 
 fn run_node<C: Components, const TASKS: usize, const FRAME: usize>(
