@@ -8,7 +8,7 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 use ztl_mcu::link::{Busy, GoalShape, Loss, Offer};
-use ztl_mcu::{Component, Components, Identity, Instant, Node, Refused, Report, Run};
+use ztl_mcu::{Component, Components, Identity, Instant, Node, Reading, Refused, Report, Run};
 
 /// Runs until it is dropped.
 pub(crate) struct Firmware {
@@ -132,5 +132,64 @@ impl Component for Endless {
 
     fn make_safe(&mut self, _now: Instant) {
         self.stopped = true;
+    }
+}
+
+/// Publishes, again and again, a number as text under `count` and its bytes under `raw`.
+#[derive(Default)]
+pub(crate) struct Counter {
+    published: u32,
+    due: Instant,
+}
+
+impl Component for Counter {
+    fn offer(&self) -> Offer<'_> {
+        Offer {
+            name: "counter",
+            goal: GoalShape {
+                range: None,
+                unit: "",
+                words: "",
+            },
+            busy: Busy::Refuse,
+            loss: Loss::Abort,
+            topics: "count raw",
+        }
+    }
+
+    fn check(&self, _goal: &str, why: &mut Report<'_>) -> Result<(), Refused> {
+        why.text("counter only counts");
+        Err(Refused)
+    }
+
+    fn start(&mut self, _now: Instant, _goal: &str, _why: &mut Report<'_>) -> Result<(), Refused> {
+        Err(Refused)
+    }
+
+    fn poll(&mut self, _now: Instant, _report: &mut Report<'_>) -> Run {
+        Run::Failed
+    }
+
+    fn abort(&mut self, _now: Instant) {}
+
+    fn make_safe(&mut self, _now: Instant) {}
+
+    fn poll_reading(&mut self, now: Instant, buffer: &mut [u8]) -> Option<Reading> {
+        if now < self.due {
+            return None;
+        }
+        let number = self.published / 2;
+        let topic = (self.published % 2) as u8;
+        let bytes = match topic {
+            0 => number.to_string().into_bytes(),
+            _ => number.to_le_bytes().to_vec(),
+        };
+        buffer.get_mut(..bytes.len())?.copy_from_slice(&bytes);
+        self.published += 1;
+        self.due = now + Duration::from_millis(2);
+        Some(Reading {
+            topic,
+            len: bytes.len(),
+        })
     }
 }

@@ -7,4 +7,5 @@ mod file;
 mod firmware;
 mod lines;
 mod neighbours;
+mod readings;
 mod service;

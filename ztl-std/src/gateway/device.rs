@@ -17,6 +17,7 @@ use ztl_core::{Instant, State, TaskId, TaskSpec};
 use super::endpoint::{READ_TIMEOUT, is_pause};
 use super::journal::FileBook;
 use super::reader::{Opener, Permit, read_line};
+use super::readings::Observers;
 use super::report::Window;
 use super::session::{Event, Restored, Session};
 use super::voice::{Grave, LOG, Voice};
@@ -82,6 +83,7 @@ impl Device {
         gateway: u64,
         book: Option<FileBook>,
         awaited: usize,
+        observers: Observers,
     ) -> io::Result<Self> {
         let (inputs, inbox) = channel();
         let baud = opener.as_ref().and_then(|opener| opener.baud);
@@ -101,6 +103,7 @@ impl Device {
             awaited,
             stopping: None,
             window: Window::default(),
+            observers,
         };
         let (url, window) = (worker.url().to_owned(), worker.window.clone());
         let thread = std::thread::Builder::new()
@@ -189,6 +192,7 @@ struct Worker {
     /// Until when the tasks may take to stop.
     stopping: Option<Instant>,
     window: Window,
+    observers: Observers,
 }
 
 impl Worker {
@@ -471,6 +475,14 @@ impl Worker {
             Event::Lost => self.set_trouble("it no longer answers".to_owned()),
             Event::Reset => self.voice.say(now(), Grave::Warn, " was reset.".to_owned()),
             Event::Refused(reason) => self.set_trouble(reason),
+            Event::Reading(topic, bytes) => {
+                let device = self.session.device();
+                // Before the device has described itself nobody knows what it is.
+                if let Some((component, topic)) = device.and_then(|device| device.topic(topic)) {
+                    let topic = || format!("{}/{component}/{topic}", self.name);
+                    self.observers.tell(topic, &bytes);
+                }
+            }
         }
     }
 

@@ -8,7 +8,9 @@ mod device;
 mod endpoint;
 mod journal;
 mod reader;
+mod readings;
 mod report;
+mod ring;
 pub mod session;
 mod voice;
 
@@ -23,6 +25,8 @@ pub use endpoint::{BAUD, Endpoint, EndpointError, Line};
 pub(crate) use endpoint::{READ_TIMEOUT, is_pause};
 pub use journal::{DeviceBook, Journal, JournalError, Log, Moment, Storage};
 use reader::Opener;
+use readings::Observers;
+pub use readings::{Reading, Readings};
 use report::Window;
 pub use report::{ComponentReport, DeviceReport, DeviceReports, FirmwareReport, LinkReport};
 use voice::LOG;
@@ -48,6 +52,7 @@ pub struct Gateway {
     /// device that does not answer.
     absent: BTreeMap<String, Device>,
     leave_running: bool,
+    observers: Observers,
 }
 
 impl Default for Gateway {
@@ -65,6 +70,7 @@ impl Gateway {
             id: random::number(),
             devices: BTreeMap::new(),
             leave_running: false,
+            observers: Observers::default(),
             journal: None,
             unended: HashMap::new(),
             absent: BTreeMap::new(),
@@ -124,7 +130,8 @@ impl Gateway {
         let book = self.journal.as_ref().map(|journal| journal.book(name));
         let its = |(device, _): &&(String, session::Restored)| device == name;
         let awaited = self.unended.values().filter(its).count();
-        Device::spawn(name, opener, self.id, book, awaited)
+        let observers = self.observers.clone();
+        Device::spawn(name, opener, self.id, book, awaited, observers)
     }
 
     /// A device, served or not.
@@ -193,6 +200,7 @@ impl Drop for Gateway {
         for device in self.devices.values().chain(self.absent.values()) {
             device.stop(self.leave_running);
         }
+        self.observers.close();
     }
 }
 

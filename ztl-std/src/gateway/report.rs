@@ -61,6 +61,9 @@ pub struct ComponentReport {
     pub words: Vec<String>,
     /// What it does when the link is lost: `abort`, `hold` or `carry on`.
     pub loss: String,
+    /// Topics under which it publishes readings.
+    #[serde(default)]
+    pub topics: Vec<String>,
 }
 
 /// How a link does.
@@ -174,6 +177,7 @@ fn component(component: &ComponentInfo) -> ComponentReport {
         range: component.range,
         unit: component.unit.clone(),
         words: component.words.clone(),
+        topics: component.topics.clone(),
         loss: loss.to_owned(),
     }
 }

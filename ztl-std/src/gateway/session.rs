@@ -46,6 +46,8 @@ pub struct ComponentInfo {
     pub words: Vec<String>,
     /// What it does when the link is lost.
     pub loss: Loss,
+    /// Topics under which it publishes readings.
+    pub topics: Vec<String>,
 }
 
 /// What a device told about itself.
@@ -65,6 +67,18 @@ pub struct DeviceInfo {
     pub count: u8,
     /// Those that it has described.
     pub components: Vec<ComponentInfo>,
+}
+
+impl DeviceInfo {
+    /// The component and the name of a topic: they are numbered one component's after the other's.
+    #[must_use]
+    pub fn topic(&self, number: u8) -> Option<(&str, &str)> {
+        let topics = self.components.iter().flat_map(|component| {
+            let topics = component.topics.iter();
+            topics.map(|topic| (component.name.as_str(), topic.as_str()))
+        });
+        topics.into_iter().nth(usize::from(number))
+    }
 }
 
 /// What becomes of tasks and of the link.
@@ -88,6 +102,8 @@ pub enum Event {
     Reset,
     /// It will not talk to this gateway.
     Refused(String),
+    /// A reading, under the topic of this number.
+    Reading(u8, Vec<u8>),
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -147,14 +147,24 @@ impl Door {
         let desk = context.socket(zmq::REP)?;
         desk.set_linger(0)?;
         desk.bind(DESK)?;
+        let desk = Some(desk);
+        let door = Self { access, desk };
+        door.guard(socket)?;
+        Ok(door)
+    }
+
+    /// Lets only those connect to a socket, which is to be bound afterwards, who may connect at all.
+    pub(super) fn guard(&self, socket: &zmq::Socket) -> Result<(), zmq::Error> {
+        if self.desk.is_none() {
+            return Ok(());
+        }
         // Without a domain ZeroMQ does not ask.
         socket.set_zap_domain("ztl")?;
-        if let Some(keys) = &access.keys {
+        if let Some(keys) = &self.access.keys {
             socket.set_curve_server(true)?;
             socket.set_curve_secretkey(keys.secret())?;
         }
-        let desk = Some(desk);
-        Ok(Self { access, desk })
+        Ok(())
     }
 
     /// What is to be waited for besides requests.

@@ -198,7 +198,7 @@ pub struct TaskServer {
     door: Door,
     bell: zmq::Socket,
     /// After the sockets: a context ends when its sockets are closed.
-    _context: zmq::Context,
+    context: zmq::Context,
     endpoint: String,
     dispatcher: Dispatcher<Heap>,
     /// By scope.
@@ -233,16 +233,7 @@ impl TaskServer {
         socket.set_linger(0)?;
         socket.set_maxmsgsize(MAX_MESSAGE as i64)?;
         let door = Door::new(access, &context, &socket)?;
-        socket.bind(endpoint).map_err(|cause| match cause {
-            zmq::Error::EADDRINUSE => BindError::InUse {
-                endpoint: endpoint.to_owned(),
-            },
-            cause => BindError::Address {
-                endpoint: endpoint.to_owned(),
-                cause,
-            },
-        })?;
-        let bound = socket.get_last_endpoint()?.unwrap_or_default();
+        let bound = bind(&socket, endpoint)?;
         let bell = context.socket(zmq::PULL)?;
         bell.bind("inproc://wake")?;
         let ringer = context.socket(zmq::PUSH)?;
@@ -255,7 +246,7 @@ impl TaskServer {
             socket,
             door,
             bell,
-            _context: context,
+            context,
             endpoint: bound,
             dispatcher: Dispatcher::new(
                 Heap::default(),
@@ -267,6 +258,20 @@ impl TaskServer {
             inbox,
             reported: false,
         })
+    }
+
+    /// Opens another socket to whoever may connect to this one, and says where.
+    pub(crate) fn bind_another(
+        &self,
+        kind: zmq::SocketType,
+        endpoint: &str,
+    ) -> Result<(zmq::Socket, String), BindError> {
+        let socket = self.context.socket(kind)?;
+        socket.set_linger(0)?;
+        socket.set_maxmsgsize(MAX_MESSAGE as i64)?;
+        self.door.guard(&socket)?;
+        let bound = bind(&socket, endpoint)?;
+        Ok((socket, bound))
     }
 
     /// Where it listens, with the port that was chosen.
@@ -530,6 +535,21 @@ pub fn scope_mistake(scope: &str) -> Option<String> {
         _ => return None,
     };
     Some(format!("the scope '{scope}' {wrong}; write it as /lab"))
+}
+
+/// Binds a socket, and says where.
+fn bind(socket: &zmq::Socket, endpoint: &str) -> Result<String, BindError> {
+    socket.bind(endpoint).map_err(|cause| match cause {
+        zmq::Error::EADDRINUSE => BindError::InUse {
+            endpoint: endpoint.to_owned(),
+        },
+        cause => BindError::Address {
+            endpoint: endpoint.to_owned(),
+            cause,
+        },
+    })?;
+    let bound = socket.get_last_endpoint()?;
+    Ok(bound.unwrap_or_default())
 }
 
 /// Logs what the original logs of a request that it cannot use (wire specification 7.1).

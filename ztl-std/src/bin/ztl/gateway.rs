@@ -48,6 +48,10 @@ pub(crate) struct Gateway {
     #[command(flatten)]
     reach: Reach,
 
+    /// Publish the devices' readings at this port, for any ZeroMQ subscriber
+    #[arg(long, value_name = "PORT", value_parser = port)]
+    publish: Option<u16>,
+
     /// When stopped, leave running tasks alone instead of aborting them
     #[arg(long)]
     leave_running: bool,
@@ -133,6 +137,7 @@ struct Plan {
     log: Level,
     log_format: LogFormat,
     leave_running: bool,
+    publish: Option<u16>,
     devices: Vec<DeviceConfig>,
     access: Access,
     journal: journal::Options,
@@ -202,6 +207,7 @@ impl Gateway {
             log: self.log.or(config.log).unwrap_or(Level::INFO),
             log_format: self.log_format.or(config.log_format).unwrap_or_default(),
             leave_running: self.leave_running,
+            publish: self.publish.or(config.publish),
             devices,
             access: self
                 .reach
@@ -232,6 +238,11 @@ impl Plan {
         devices.set_leave_running(self.leave_running);
         for device in &self.devices {
             devices.add(&device.name, device.endpoint.clone())?;
+        }
+        if let Some(port) = self.publish {
+            let endpoint = format!("tcp://{}:{port}", self.bind);
+            let endpoint = devices.publish(&server, &endpoint)?;
+            line(format_args!("Publishing readings at {endpoint}."));
         }
         let watch = devices.watch();
         server.register_handler(&self.scope, devices);

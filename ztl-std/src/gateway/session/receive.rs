@@ -47,8 +47,11 @@ impl<B: Book> Session<B> {
                     self.events.push_back(Event::Progress(id, text.to_owned()));
                 }
             }
+            (0, NO_SEQ, Body::Publish { topic, bytes }) => {
+                self.events.push_back(Event::Reading(topic, bytes.to_vec()));
+            }
             (0, seq, body) if seq != NO_SEQ => self.on_answer(now, seq, &body),
-            // Echoes of one's own frames, readings nobody asked for yet.
+            // Echoes of one's own frames.
             _ => {}
         }
     }
@@ -220,6 +223,7 @@ impl<B: Book> Session<B> {
                             .map(str::to_owned)
                             .collect(),
                         loss: offer.loss,
+                        topics: offer.topics.split_whitespace().map(str::to_owned).collect(),
                     });
                 }
                 self.describe_next(now);

@@ -1,0 +1,155 @@
+//! Readings on their way from a device to whoever wants them.
+
+use std::process::Command;
+use std::time::Duration;
+
+use ztl_mcu::link::Loss;
+use ztl_std::gateway::{Gateway, Readings};
+use ztl_tests::lab::{PATIENCE, Process, SCOPE, python, until, ztl};
+
+use crate::firmware::{Counter, Endless, Firmware};
+use crate::lines::serve;
+
+/// A device whose second component publishes.
+fn bench() -> Firmware {
+    Firmware::start((Endless::new("arm", Loss::Abort), Counter::default()))
+}
+
+/// The next number published as text, and that its bytes follow it.
+#[track_caller]
+fn next_pair(readings: &Readings) -> u32 {
+    let count = readings.next_within(PATIENCE).expect("a reading");
+    if count.topic == "bench/counter/raw" {
+        return next_pair(readings);
+    }
+    assert_eq!(count.topic, "bench/counter/count");
+    let number: u32 = String::from_utf8_lossy(&count.bytes)
+        .parse()
+        .expect("a number");
+    let raw = readings.next_within(PATIENCE).expect("a reading");
+    assert_eq!(raw.topic, "bench/counter/raw");
+    assert_eq!(raw.bytes, number.to_le_bytes());
+    number
+}
+
+#[test]
+fn an_observer_gets_every_reading_in_order_and_a_slow_one_harms_nobody() {
+    let firmware = bench();
+    let mut gateway = Gateway::new();
+    let readings = gateway.observe(1000);
+    let slow = gateway.observe(4);
+    let url = format!("tcp:{}", firmware.address);
+    gateway
+        .add("bench", url.parse().expect("a URL"))
+        .expect("a thread");
+    let first = next_pair(&readings);
+    for number in 1..50 {
+        assert_eq!(next_pair(&readings), first + number);
+    }
+    // The one that has taken nothing has the latest four, and tasks go on as ever.
+    assert!(slow.lost() > 90, "{}", slow.lost());
+    let (server, mut remote) = serve(gateway);
+    let id = until("a task is taken", PATIENCE, || {
+        remote.trigger("bench", "arm", "go").ok()
+    })
+    .id;
+    assert!(remote.abort(id).is_ok());
+    // With the gateway the readings end.
+    drop(server);
+    assert!(slow.count() <= 4);
+    assert!(readings.count() > 0);
+}
+
+/// `ztl gateway` that publishes, and where.
+fn publishing(firmware: &Firmware) -> (Process, String) {
+    let mut command = ztl();
+    command.args(["gateway", "-p", "0", "-s", SCOPE, "--publish", "0", "-d"]);
+    let gateway = Process::start(command.arg(format!("bench=tcp:{}", firmware.address)));
+    let line = gateway.wait_for("Publishing readings at ");
+    let endpoint = line
+        .trim_start_matches("Publishing readings at ")
+        .trim_end_matches('.');
+    (gateway, endpoint.to_owned())
+}
+
+#[test]
+fn any_subscriber_gets_what_it_asks_for_and_a_dead_one_harms_nobody() {
+    let firmware = bench();
+    let (gateway, endpoint) = publishing(&firmware);
+    let context = zmq::Context::new();
+    let subscriber = |prefix: &str| {
+        let socket = context.socket(zmq::SUB).expect("a socket");
+        socket.set_rcvtimeo(20_000).expect("a limit");
+        socket.set_linger(0).expect("no limit");
+        socket.connect(&endpoint).expect("an endpoint");
+        socket.set_subscribe(prefix.as_bytes()).expect("a prefix");
+        socket
+    };
+    // Takes nothing, ever.
+    let dead = subscriber("");
+    let counts = subscriber("bench/counter/count");
+    let mut last = None;
+    for _ in 0..100 {
+        let message = counts.recv_multipart(0).expect("a reading");
+        assert_eq!(message.len(), 2);
+        assert_eq!(message[0], b"bench/counter/count");
+        let number: u32 = String::from_utf8_lossy(&message[1])
+            .parse()
+            .expect("a number");
+        assert!(
+            last.is_none_or(|last| number == last + 1),
+            "{last:?}, {number}"
+        );
+        last = Some(number);
+    }
+    gateway.signal("TERM");
+    assert_eq!(gateway.end(PATIENCE).code, Some(0));
+    drop(dead);
+}
+
+#[test]
+fn a_python_program_of_five_lines_hears_the_readings() {
+    let firmware = bench();
+    let (_gateway, endpoint) = publishing(&firmware);
+    let manual = concat!(env!("CARGO_MANIFEST_DIR"), "/../docs/gateway.md");
+    let manual = std::fs::read_to_string(manual).expect("the manual");
+    let (_, rest) = manual.split_once("```python\n").expect("the program");
+    let (program, _) = rest.split_once("```").expect("its end");
+    assert_eq!(program.lines().count(), 5);
+    assert!(program.contains("tcp://localhost:12346") && program.contains("gripper/"));
+    let program = program
+        .replace("tcp://localhost:12346", &endpoint)
+        .replace("gripper/", "bench/counter/");
+    let mut command = Command::new(python());
+    let heard = Process::start(command.args(["-u", "-c", &program]));
+    for part in ["b'bench/counter/count' b'", "b'bench/counter/raw' b'\\x"] {
+        let line = heard.wait_for(part);
+        assert!(line.starts_with(part), "{line}");
+    }
+}
+
+#[test]
+fn a_port_for_readings_that_is_taken_is_named() {
+    let taken = std::net::TcpListener::bind(("127.0.0.1", 0)).expect("a port");
+    let port = taken.local_addr().expect("its address").port().to_string();
+    let mut command = ztl();
+    command.args([
+        "gateway",
+        "-p",
+        "0",
+        "-s",
+        SCOPE,
+        "-d",
+        "head=sim:head",
+        "--publish",
+        &port,
+    ]);
+    let ended = Process::start(&mut command).end(Duration::from_secs(10));
+    assert_eq!(ended.code, Some(1), "{ended:?}");
+    assert!(
+        ended
+            .stderr
+            .contains(&format!(":{port}: the port is in use")),
+        "{ended:?}"
+    );
+}
