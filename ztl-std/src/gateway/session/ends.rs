@@ -104,7 +104,9 @@ impl<B: Book> Session<B> {
         if let Err(reason) = self.book.ended(&task.entry(id), state, text) {
             let first = task.unwritten.replace((state, text.to_owned())).is_none();
             if first {
-                let text = format!("it has ended, which cannot be written down: {reason}");
+                let text = format!(
+                    "it has ended, and nobody is told how before that is written: {reason}"
+                );
                 self.events.push_back(Event::Progress(id, text));
             }
             self.write_again = Some(now + WRITE_AGAIN);

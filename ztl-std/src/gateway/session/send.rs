@@ -157,7 +157,7 @@ impl<B: Book> Session<B> {
             ..task.entry(id)
         };
         if let Err(reason) = self.book.starting(&entry) {
-            self.refuse(id, format!("it cannot be written down: {reason}"));
+            self.refuse(id, reason);
             return false;
         }
         task.stage = Stage::Sent(sent);

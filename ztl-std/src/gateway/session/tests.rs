@@ -7,9 +7,14 @@ use std::collections::BTreeMap;
 use std::rc::Rc;
 
 use super::*;
+use crate::gateway::DeviceBook;
 use crate::line::{Dice, Faults, FaultyLine};
 use ztl_mcu::link::{Busy, GoalShape, Offer};
 use ztl_mcu::{Component, Identity, Node, Refused, Report, Run};
+
+mod restart;
+
+use restart::Disk;
 
 /// What really happened at the motors, whatever anybody says.
 #[derive(Default)]
@@ -119,7 +124,8 @@ type SmallNode = Node<'static, [Motor; 2], 2, 128>;
 /// A gateway's session, a line, a device, and clients that keep books.
 struct Lab {
     now: Instant,
-    session: Session,
+    session: Session<DeviceBook<Disk>>,
+    disk: Disk,
     node: SmallNode,
     boots: u32,
     down: FaultyLine,
@@ -155,9 +161,11 @@ fn numbers() -> u32 {
 impl Lab {
     fn new(seed: u64) -> Self {
         let world = Rc::default();
+        let disk = Disk::default();
         let mut lab = Self {
             now: Instant::from_millis(1000),
-            session: Session::new(7, Some(115_200), numbers),
+            session: restart::session(&disk),
+            disk,
             node: node(&world, 1),
             boots: 1,
             down: line(seed | 1 << 40),
@@ -443,7 +451,7 @@ fn a_device_left_by_another_gateway_is_stopped_and_its_ends_acknowledged() {
     let stranger = lab.ask("arm", 60_000);
     lab.pass(Duration::from_millis(500));
     // The gateway dies; another one, that knows nothing, takes over.
-    lab.session = Session::new(8, None, numbers);
+    lab.session = restart::session(&Disk::default());
     lab.asked.remove(&stranger);
     lab.accepted.clear();
     lab.session.handle_connected(lab.now);
@@ -492,7 +500,7 @@ fn play(seed: u64) -> Lab {
         lab.up.set_faults(faults);
     }
     for _ in 0..12 {
-        match dice.below(12) {
+        match dice.below(14) {
             0..=3 => {
                 lab.ask("arm", dice.below(1500));
             }
@@ -507,9 +515,11 @@ fn play(seed: u64) -> Lab {
             }
             8 => lab.reset(),
             9 => lab.replug(),
+            10 => lab.restart(&mut dice),
+            11 => lab.disk.fill(dice.below(2) == 0),
             cut => {
                 let time = lab.now..lab.now + Duration::from_millis(dice.below(4000));
-                let way = if cut == 10 {
+                let way = if cut == 12 {
                     &mut lab.down
                 } else {
                     &mut lab.up
@@ -521,6 +531,7 @@ fn play(seed: u64) -> Lab {
     }
     lab.down.set_faults(Faults::default());
     lab.up.set_faults(Faults::default());
+    lab.disk.fill(false);
     lab.pass(Duration::from_secs(20));
     lab.check();
     let last = lab.ask("arm", 100);

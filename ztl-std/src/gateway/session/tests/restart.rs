@@ -1,0 +1,229 @@
+//! Gateways that are killed and started again on what they have written down.
+
+use std::io;
+use std::sync::{Arc, Mutex};
+use std::time::UNIX_EPOCH;
+
+use super::*;
+use crate::gateway::{Log, Moment, Storage};
+
+/// A disk that outlives the gateways, and may be full.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Disk(Arc<Mutex<(Vec<u8>, bool)>>);
+
+impl Disk {
+    pub(super) fn fill(&self, full: bool) {
+        self.0.lock().unwrap().1 = full;
+    }
+
+    fn written(&self) -> Vec<u8> {
+        self.0.lock().unwrap().0.clone()
+    }
+}
+
+impl Storage for Disk {
+    fn add(&mut self, lines: &[u8], _needed: bool) -> io::Result<()> {
+        let (written, full) = &mut *self.0.lock().unwrap();
+        if *full {
+            return Err(io::ErrorKind::StorageFull.into());
+        }
+        written.extend_from_slice(lines);
+        Ok(())
+    }
+
+    fn cut(&mut self, len: u64) -> io::Result<()> {
+        self.0.lock().unwrap().0.truncate(len as usize);
+        Ok(())
+    }
+
+    fn replace(&mut self, lines: &[u8]) -> io::Result<()> {
+        self.cut(0)?;
+        self.add(lines, true)
+    }
+
+    fn place(&self) -> String {
+        "on a simulated disk".to_owned()
+    }
+}
+
+/// Wall clocks are none of the simulation's.
+fn moment() -> Moment {
+    Moment {
+        wall: UNIX_EPOCH,
+        running: Duration::ZERO,
+    }
+}
+
+/// The session of a gateway that was started on a disk.
+pub(super) fn session(disk: &Disk) -> Session<DeviceBook<Disk>> {
+    let stranger = u64::from(numbers());
+    let log = Log::open(disk.clone(), &disk.written(), moment(), stranger);
+    let gateway = log.gateway();
+    let log = Arc::new(Mutex::new(log));
+    let book = DeviceBook::new(log, "lab", moment);
+    Session::with_book(book, gateway, Some(115_200), numbers)
+}
+
+impl Lab {
+    /// The gateway is killed and started again; what is on the line stays there.
+    pub(super) fn restart(&mut self, dice: &mut Dice) {
+        self.note("gateway killed and started again".to_owned());
+        // It may die while it writes a line, from which nothing has followed then.
+        let torn = &b"{\"event\":\"start\",\"task\":1"[..dice.below(25) as usize];
+        self.disk.0.lock().unwrap().0.extend_from_slice(torn);
+        let disk = self.disk.clone();
+        let log = Log::open(disk.clone(), &disk.written(), moment(), 0);
+        // An end that was told is known, and is the same.
+        let ends: BTreeMap<TaskId, (State, String)> = log
+            .ended(moment())
+            .into_iter()
+            .map(|(_, task)| (task.id, (task.state, task.text)))
+            .collect();
+        for (id, end) in &self.ended {
+            assert_eq!(ends.get(id), Some(end), "{id} was told another end");
+        }
+        // One that was written and not told is told now.
+        for (id, (state, text)) in &ends {
+            if *state == State::Rejected {
+                self.rejected.insert(*id, text.clone());
+            } else {
+                self.ended.insert(*id, (*state, text.clone()));
+            }
+        }
+        let unended = log.unended();
+        for id in self.asked.keys() {
+            let told = self.ended.contains_key(id) || self.rejected.contains_key(id);
+            if told || unended.iter().any(|(_, task)| task.id == *id) {
+                continue;
+            }
+            assert!(
+                !self.accepted.contains_key(id),
+                "{id} was accepted and is forgotten"
+            );
+            // Nobody was told its id, and it must never move.
+            self.rejected.insert(*id, "forgotten".to_owned());
+        }
+        self.session = session(&disk);
+        for (device, task) in unended {
+            assert_eq!(device, "lab");
+            // For its client it is accepted, however often that is said now.
+            self.accepted.remove(&task.id);
+            self.session.restore(self.now, task);
+        }
+        self.session.handle_connected(self.now);
+        self.settle();
+    }
+}
+
+#[test]
+fn a_restarted_gateway_goes_on_with_what_the_device_holds() {
+    let mut lab = Lab::new(1);
+    let arm = lab.ask("arm", 1500);
+    let belt = lab.ask("belt", 3000);
+    lab.pass(Duration::from_millis(500));
+    for _ in 0..3 {
+        lab.restart(&mut Dice::new(1));
+        lab.pass(Duration::from_millis(300));
+    }
+    lab.pass(Duration::from_secs(3));
+    assert_eq!(ended(&lab, arm), (State::Completed, "at some place"));
+    assert_eq!(ended(&lab, belt), (State::Completed, "at some place"));
+    lab.check();
+}
+
+#[test]
+fn a_start_that_was_written_and_not_sent_never_starts() {
+    let mut lab = Lab::new(1);
+    lab.pass(Duration::from_millis(300));
+    lab.down.cut(lab.now..lab.now + Duration::from_millis(100));
+    let id = lab.ask("arm", 100);
+    lab.pass(Duration::from_millis(50));
+    lab.down.lose();
+    lab.restart(&mut Dice::new(1));
+    lab.pass(Duration::from_secs(2));
+    let (state, text) = ended(&lab, id);
+    assert_eq!(state, State::Failed);
+    assert!(text.starts_with("never started: "), "{text}");
+    lab.check();
+}
+
+#[test]
+fn a_restarted_gateway_waits_until_a_silent_device_must_have_acted() {
+    let mut lab = Lab::new(1);
+    let arm = lab.ask("arm", 60_000);
+    let belt = lab.ask("belt", 20_000);
+    lab.pass(Duration::from_millis(500));
+    let long = lab.now..lab.now + Duration::from_secs(10);
+    lab.down.cut(long.clone());
+    lab.up.cut(long);
+    lab.restart(&mut Dice::new(1));
+    lab.pass(Duration::from_millis(1900));
+    assert!(lab.ended.is_empty());
+    lab.pass(Duration::from_millis(200));
+    assert_eq!(ended(&lab, arm), (State::Failed, "device is not answering"));
+    lab.pass(Duration::from_secs(20));
+    assert_eq!(ended(&lab, belt).0, State::Completed);
+    lab.check();
+}
+
+#[test]
+fn an_end_that_cannot_be_written_is_not_told_and_not_acknowledged() {
+    let mut lab = Lab::new(1);
+    let id = lab.ask("arm", 400);
+    lab.pass(Duration::from_millis(300));
+    lab.disk.fill(true);
+    let refused = lab.ask("belt", 100);
+    lab.pass(Duration::from_secs(3));
+    assert!(lab.ended.is_empty());
+    let why = "the journal on a simulated disk cannot be written: ";
+    assert!(
+        lab.rejected[&refused].starts_with(why),
+        "{}",
+        lab.rejected[&refused]
+    );
+    // The device still holds it: a gateway that is started now learns it.
+    lab.restart(&mut Dice::new(1));
+    lab.pass(Duration::from_secs(1));
+    assert!(lab.ended.is_empty());
+    lab.disk.fill(false);
+    lab.pass(Duration::from_millis(600));
+    assert_eq!(ended(&lab, id), (State::Completed, "at some place"));
+    lab.check();
+}
+
+#[test]
+fn an_end_that_the_gateway_decides_is_not_told_before_it_is_written_either() {
+    let mut lab = Lab::new(1);
+    let id = lab.ask("arm", 60_000);
+    lab.pass(Duration::from_millis(300));
+    lab.disk.fill(true);
+    lab.reset();
+    lab.pass(Duration::from_secs(5));
+    assert!(lab.ended.is_empty());
+    lab.disk.fill(false);
+    lab.pass(Duration::from_millis(600));
+    assert_eq!(ended(&lab, id), (State::Failed, "device was reset"));
+    lab.check();
+}
+
+#[test]
+fn a_task_that_never_started_and_a_new_one_are_not_taken_for_each_other() {
+    for wait in (300..900).step_by(50) {
+        let mut lab = Lab::new(1);
+        lab.pass(Duration::from_millis(300));
+        lab.down.cut(lab.now..lab.now + Duration::from_millis(100));
+        let lost = lab.ask("arm", 100);
+        lab.pass(Duration::from_millis(50));
+        lab.down.lose();
+        // Its end is kept back while the next task starts.
+        lab.disk.fill(true);
+        lab.restart(&mut Dice::new(1));
+        lab.pass(Duration::from_millis(wait));
+        lab.disk.fill(false);
+        let next = lab.ask("arm", 10);
+        lab.pass(Duration::from_secs(1));
+        assert_eq!(ended(&lab, lost).0, State::Failed);
+        assert_eq!(ended(&lab, next).0, State::Completed);
+        lab.check();
+    }
+}
