@@ -28,6 +28,7 @@ pub(super) fn after_ticks(moment: Instant, ticks: u64) -> Instant {
 /// A position is counted in *parts* of a unit, so that slow motions are exact too; how many there
 /// are is the caller's choice, at most 2^24.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Limits {
     /// The change of speed from tick to tick, in parts a tick. Not 0.
     rung: u32,
@@ -87,6 +88,7 @@ impl Limits {
 /// than the acceleration; the motion ends exactly on the target; as long as the target stays ahead,
 /// it never turns.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Profile {
     position: i64,
     target: i64,

@@ -52,6 +52,9 @@ pub(super) struct Generator {
     travel: u32,
     /// Steps made.
     steps: i32,
+    /// When the next step of this tick is due, if it has one; `None` as long as that is not computed,
+    /// which takes a division.
+    next: Option<Option<Instant>>,
     /// No step before this.
     ready: Instant,
     /// What the direction pin says.
@@ -73,6 +76,7 @@ impl Generator {
             base: 0,
             travel: 0,
             steps: 0,
+            next: None,
             ready: Instant::ZERO,
             direction: None,
             high: false,
@@ -88,7 +92,6 @@ impl Generator {
         if !self.moving {
             self.moving = true;
             self.tick = begin;
-            self.travel = 0;
             self.wake = begin;
         }
     }
@@ -115,6 +118,7 @@ impl Generator {
         self.base = parts(steps as i64);
         self.profile.put(self.base);
         self.travel = 0;
+        self.next = None;
         self.moving = false;
         if !self.high {
             self.wake = NEVER;
@@ -176,12 +180,13 @@ impl Generator {
             }
             Due::Step { forward } => {
                 let nominal = self.next_step().unwrap_or(now);
+                self.next = None;
                 self.steps = self.steps.wrapping_add(if forward { 1 } else { -1 });
                 self.high = true;
                 self.ready = after(now, self.timing.interval_us);
                 self.wake = after(now, self.timing.pulse_us);
                 let late = now.as_micros().saturating_sub(nominal.as_micros());
-                self.tick = Instant::from_micros(self.tick.as_micros().saturating_add(late));
+                self.tick = Instant::from_micros(self.tick.as_micros().saturating_add(0));
                 if self.is_held_up(late) {
                     while self.is_held_up(late) {
                         let position = parts(self.steps.into());
@@ -208,13 +213,23 @@ impl Generator {
 
     fn begin_tick(&mut self, begin: Instant) {
         self.tick = begin;
+        self.next = None;
         self.base = self.profile.position();
         // The speed is below 2^32.
         self.travel = self.profile.advance(self.limits).unsigned_abs() as u32;
     }
 
     /// When the next step of this tick is due; `None` when it has no more.
-    fn next_step(&self) -> Option<Instant> {
+    fn next_step(&mut self) -> Option<Instant> {
+        if let Some(next) = self.next {
+            return next;
+        }
+        let next = self.computed_step();
+        self.next = Some(next);
+        next
+    }
+
+    fn computed_step(&self) -> Option<Instant> {
         let way = if self.profile.is_forward() {
             parts(i64::from(self.steps) + 1) - self.base
         } else {

@@ -20,6 +20,7 @@ pub trait Limit {
 
 /// No switch at this end.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct NoLimit;
 
 impl Limit for NoLimit {

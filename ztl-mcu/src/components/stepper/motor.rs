@@ -14,6 +14,7 @@ use crate::components::profile::Limits;
 
 /// A pin that is not connected.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct NoPin;
 
 impl ErrorType for NoPin {
@@ -86,6 +87,7 @@ pub enum Motion {
 /// What [`Stepper`](super::Stepper) tells a motor.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[non_exhaustive]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Command {
     /// Take power and go to this step.
     MoveTo {
