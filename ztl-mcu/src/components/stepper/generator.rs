@@ -186,7 +186,7 @@ impl Generator {
                 self.ready = after(now, self.timing.interval_us);
                 self.wake = after(now, self.timing.pulse_us);
                 let late = now.as_micros().saturating_sub(nominal.as_micros());
-                self.tick = Instant::from_micros(self.tick.as_micros().saturating_add(0));
+                self.tick = Instant::from_micros(self.tick.as_micros().saturating_add(late));
                 if self.is_held_up(late) {
                     while self.is_held_up(late) {
                         let position = parts(self.steps.into());
