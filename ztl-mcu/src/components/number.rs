@@ -59,10 +59,10 @@ const fn sign(bytes: &[u8]) -> (bool, &[u8]) {
     }
 }
 
-/// A whole number of up to three digits.
+/// A whole number; of a great one, that it is beyond any use.
 fn power(text: &[u8]) -> Option<i32> {
     let (negative, digits) = sign(text);
-    if digits.is_empty() || digits.len() > 3 {
+    if digits.is_empty() {
         return None;
     }
     let mut value = 0;
@@ -71,7 +71,9 @@ fn power(text: &[u8]) -> Option<i32> {
         if digit > 9 {
             return None;
         }
-        value = value * 10 + i32::from(digit);
+        if value < 100_000_000 {
+            value = value * 10 + i32::from(digit);
+        }
     }
     Some(if negative { -value } else { value })
 }
@@ -139,6 +141,10 @@ mod tests {
             ("99999999999", 0, None),
             ("0e999", 3, Some(0)),
             ("1e999", 3, None),
+            ("0e-0000", 3, Some(0)),
+            ("5e0001", 0, Some(50)),
+            ("1e-99999999999", 3, Some(0)),
+            ("1e99999999999", 3, None),
             ("1e-999", 3, Some(0)),
             ("00", 3, Some(0)),
             ("010", 3, None),
@@ -205,7 +211,7 @@ mod tests {
         /// The one reader of goals is the measure.
         #[test]
         fn what_is_read_is_what_any_goal_is_read_as(
-            text in "[-+]?[0-9]{0,4}(\\.[0-9]{0,4})?([eE][-+]?[0-9]{0,2})?|[-+0-9.eE]{0,8}",
+            text in "[-+]?[0-9]{0,4}(\\.[0-9]{0,4})?([eE][-+]?[0-9]{0,5})?|[-+0-9.eE]{0,8}",
         ) {
             let theirs = ztl_core::goal::from_str::<f64>(&text);
             match parse(&text, 2) {
