@@ -99,7 +99,8 @@ impl Rig {
             .collect();
         let urls: Vec<String> = branches.iter().map(Branch::url).collect();
         let urls: Vec<&str> = urls.iter().map(String::as_str).collect();
-        let gateway = Server::gateway(&urls);
+        let journal = scratch.path("journal").display().to_string();
+        let gateway = Server::gateway_with(&urls, &["--journal", &journal]);
         for branch in &branches {
             gateway.wait_ready(&branch.name);
         }

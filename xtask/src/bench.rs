@@ -11,6 +11,8 @@ pub(crate) fn run(dirs: &Dirs, args: &[String]) -> Outcome {
         ));
     }
     let python = python::ensure(dirs)?;
+    // The programs that the link's figures are measured with.
+    Cmd::new("cargo build --release --workspace --bins --locked").run()?;
     Cmd::new("cargo bench --locked --package ztl-tests")
         .env("ZTL_PYTHON", &python)
         .run()

@@ -3,6 +3,7 @@
 mod axis;
 mod power;
 mod record;
+mod sensor;
 
 use std::fs::File;
 use std::io::{self, Read, Write};
@@ -19,7 +20,6 @@ use std::time::Duration;
 use crate::gateway::{EndpointError, Line, is_pause};
 #[cfg(unix)]
 use crate::pty::{Link, Pty};
-use axis::{Axis, FINGER, PAN};
 use record::Record;
 
 /// Which device is simulated.
@@ -29,11 +29,14 @@ pub enum Kind {
     Gripper,
     /// `pan`: degrees from -90 to 90, or left, straight, right, at 90 degrees a second.
     Head,
+    /// `probe`: takes no goals, and publishes readings of 100 bytes: a thousand a second, or with
+    /// [`Device::with_baud`] as many as its line carries.
+    Sensor,
 }
 
 impl Kind {
     /// Every simulated device.
-    pub const ALL: [Self; 2] = [Self::Gripper, Self::Head];
+    pub const ALL: [Self; 3] = [Self::Gripper, Self::Head, Self::Sensor];
 
     /// Its name, as in `sim:gripper`.
     #[must_use]
@@ -41,13 +44,7 @@ impl Kind {
         match self {
             Self::Gripper => "gripper",
             Self::Head => "head",
-        }
-    }
-
-    fn axis(self) -> Axis {
-        match self {
-            Self::Gripper => Axis::new(&FINGER),
-            Self::Head => Axis::new(&PAN),
+            Self::Sensor => "sensor",
         }
     }
 }

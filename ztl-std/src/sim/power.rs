@@ -2,11 +2,14 @@
 
 use std::io::Write;
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
+use std::time::Duration;
 
-use ztl_mcu::{Identity, Instant, Node};
+use ztl_mcu::{Component, Identity, Instant, Node};
 
+use super::axis::{Axis, FINGER, PAN};
 use super::record::Recorded;
-use super::{Device, Input};
+use super::sensor::Sensor;
+use super::{Device, Input, Kind};
 use crate::clock::now;
 use crate::random;
 
@@ -52,7 +55,16 @@ impl Port {
 /// Runs until it is stopped.
 pub(super) fn run(device: &Device, inbox: &Receiver<Input>) {
     let mut port = Port::new(device.baud);
-    while run_until_reset(device, inbox, &mut port) {
+    let pause = match device.baud {
+        Some(_) => Duration::ZERO,
+        None => Duration::from_millis(1),
+    };
+    let mut run = || match device.kind {
+        Kind::Gripper => run_until_reset(device, Axis::new(&FINGER), inbox, &mut port),
+        Kind::Head => run_until_reset(device, Axis::new(&PAN), inbox, &mut port),
+        Kind::Sensor => run_until_reset(device, Sensor::new(pause), inbox, &mut port),
+    };
+    while run() {
         if let Some(record) = &device.record {
             record.write(device.kind.name(), "reset", "");
         }
@@ -60,11 +72,16 @@ pub(super) fn run(device: &Device, inbox: &Receiver<Input>) {
 }
 
 /// Whether it was reset, and not stopped.
-fn run_until_reset(device: &Device, inbox: &Receiver<Input>, port: &mut Port) -> bool {
-    let axis = Recorded::new(device.kind.axis(), device.record.clone());
+fn run_until_reset(
+    device: &Device,
+    component: impl Component,
+    inbox: &Receiver<Input>,
+    port: &mut Port,
+) -> bool {
+    let component = Recorded::new(component, device.record.clone());
     let name = device.kind.name();
     let identity = Identity::new(name, env!("CARGO_PKG_VERSION"), random::nonzero());
-    let mut node = Node::<_, 4, 256>::new(identity, [axis]);
+    let mut node = Node::<_, 4, 256>::new(identity, [component]);
     let mut buffer = [0; PIECE as usize];
     loop {
         node.handle_timeout(now());

@@ -12,7 +12,7 @@ use crate::{Done, signals};
 #[derive(Debug, clap::Args)]
 #[command(after_help = "SIGUSR1 resets the device: its power is taken away and given back.")]
 pub(crate) struct Device {
-    /// What to simulate: sim:gripper or sim:head
+    /// What to simulate: sim:gripper, sim:head, or sim:sensor, which only publishes
     #[arg(value_parser = kind)]
     device: Kind,
 

@@ -1,0 +1,89 @@
+//! A sensor that has another reading whenever the line has room for one.
+
+use std::time::Duration;
+
+use ztl_mcu::link::{Busy, GoalShape, Loss, Offer};
+use ztl_mcu::{Component, Instant, Reading, Refused, Report, Run};
+
+/// Length of a reading in bytes.
+const LEN: usize = 100;
+/// Pause after a buffer that was too short for a reading.
+const AGAIN: Duration = Duration::from_millis(1);
+
+/// `probe`: publishes; it has no tasks.
+#[derive(Debug)]
+pub(super) struct Sensor {
+    /// Shortest time between two readings.
+    pause: Duration,
+    /// When the next one is there.
+    due: Instant,
+    number: u32,
+}
+
+impl Sensor {
+    pub(super) const fn new(pause: Duration) -> Self {
+        Self {
+            pause,
+            due: Instant::ZERO,
+            number: 0,
+        }
+    }
+}
+
+const TAKES: &str = "probe takes no goals, it only publishes";
+
+impl Component for Sensor {
+    fn offer(&self) -> Offer<'_> {
+        Offer {
+            name: "probe",
+            goal: GoalShape {
+                range: None,
+                unit: "",
+                words: "",
+            },
+            busy: Busy::Refuse,
+            loss: Loss::Abort,
+            topics: "reading",
+        }
+    }
+
+    fn check(&self, _goal: &str, why: &mut Report<'_>) -> Result<(), Refused> {
+        why.text(TAKES);
+        Err(Refused)
+    }
+
+    fn start(&mut self, _now: Instant, goal: &str, why: &mut Report<'_>) -> Result<(), Refused> {
+        self.check(goal, why)
+    }
+
+    fn poll(&mut self, _now: Instant, report: &mut Report<'_>) -> Run {
+        report.text(TAKES);
+        Run::Failed
+    }
+
+    fn abort(&mut self, _now: Instant) {}
+
+    fn make_safe(&mut self, _now: Instant) {}
+
+    fn poll_timeout(&self, _now: Instant) -> Instant {
+        self.due
+    }
+
+    /// Its number, in text, with a `.` for each byte that is left.
+    fn poll_reading(&mut self, now: Instant, buffer: &mut [u8]) -> Option<Reading> {
+        if now < self.due {
+            return None;
+        }
+        let Some(reading) = buffer.get_mut(..LEN) else {
+            self.due = now + AGAIN;
+            return None;
+        };
+        reading.fill(b'.');
+        for (to, digit) in reading.iter_mut().zip(self.number.to_string().bytes()) {
+            *to = digit;
+        }
+        self.number = self.number.wrapping_add(1);
+        self.due = now + self.pause;
+        Some(Reading { topic: 0, len: LEN })
+    }
+}
