@@ -61,7 +61,9 @@ pub mod components;
 pub mod log;
 mod node;
 pub mod pump;
+mod reading;
 
 pub use component::{Component, Components, Reading, Refused, Report, Run};
 pub use node::{Counters, Identity, Node};
+pub use reading::{Latest, NotKept, Queued};
 pub use ztl_core::{Instant, link};

@@ -1,6 +1,7 @@
 //! A node and a gateway played by hand, on virtual time.
 
 mod policies;
+mod readings;
 
 use super::*;
 use crate::component::{Component, Refused, Report, Run};

@@ -1,3 +1,325 @@
-//! Readings and the log: what has the lowest priority.
+//! Readings and the log: what goes over the line when nothing else does.
 
 use super::*;
+use crate::component::Reading;
+use crate::reading::Queued;
+use core::cell::{Cell, RefCell};
+
+/// Has readings, and carries out nothing.
+#[derive(Default)]
+struct Sensor {
+    topics: &'static str,
+    readings: Queued<4, 200>,
+    /// Makes a reading of this length whenever it is asked, if any.
+    always: Option<usize>,
+    topic: u8,
+}
+
+impl Component for Sensor {
+    fn offer(&self) -> Offer<'_> {
+        let goal = GoalShape {
+            range: None,
+            unit: "",
+            words: "",
+        };
+        Offer {
+            name: "sensor",
+            goal,
+            busy: Busy::Refuse,
+            loss: Loss::Abort,
+            topics: self.topics,
+        }
+    }
+
+    fn check(&self, _: &str, why: &mut Report<'_>) -> Result<(), Refused> {
+        why.text("a sensor does nothing");
+        Err(Refused)
+    }
+
+    fn start(&mut self, _: Instant, _: &str, _: &mut Report<'_>) -> Result<(), Refused> {
+        Err(Refused)
+    }
+
+    fn poll(&mut self, _: Instant, _: &mut Report<'_>) -> Run {
+        Run::Failed
+    }
+
+    fn abort(&mut self, _: Instant) {}
+
+    fn make_safe(&mut self, _: Instant) {}
+
+    fn poll_timeout(&self, now: Instant) -> Instant {
+        now + Duration::from_millis(3)
+    }
+
+    fn poll_reading(&mut self, _: Instant, buffer: &mut [u8]) -> Option<Reading> {
+        if let Some(len) = self.always
+            && !self.readings.is_full()
+        {
+            self.readings.push(&[b'x'; 200][..len]).unwrap();
+        }
+        self.readings.take(self.topic, buffer)
+    }
+}
+
+fn sensor(topics: &'static str) -> Sensor {
+    Sensor {
+        topics,
+        ..Sensor::default()
+    }
+}
+
+type SensorNode<const N: usize> = Node<'static, [Sensor; N], 2, 128>;
+
+fn node<const N: usize>(sensors: [Sensor; N]) -> SensorNode<N> {
+    SensorNode::new(Identity::new("desk", "1", 77), sensors)
+}
+
+/// A log that grows when the test says so.
+#[derive(Default)]
+struct Pages {
+    text: RefCell<Grown<u8>>,
+    lost: Cell<u32>,
+}
+
+impl LogSource for Pages {
+    fn read(&self, buffer: &mut [u8]) -> usize {
+        let mut text = self.text.borrow_mut();
+        let count = text.len().min(buffer.len());
+        for (to, from) in buffer.iter_mut().zip(text.drain(..count)) {
+            *to = from;
+        }
+        count
+    }
+
+    fn lost(&self) -> u32 {
+        self.lost.get()
+    }
+}
+
+/// The next frame, and how long it is on the line.
+fn next<const N: usize>(
+    node: &mut SensorNode<N>,
+    now: Instant,
+    log: &Pages,
+) -> Option<(String, usize)> {
+    let bytes = node.transmit_buf(now, log).to_vec();
+    node.consume(bytes.len());
+    let mut decoder = Decoder::<160>::new();
+    for byte in &bytes {
+        if decoder.push(*byte) == Ok(true) {
+            let (_, frame) = decoder.frame(&[key(5), 5]).unwrap();
+            let text = match frame.body {
+                Body::Publish { topic, bytes } => format!("Publish {topic} {}", bytes.len()),
+                Body::Log { lost, bytes } => format!("Log {lost} {}", bytes.len()),
+                Body::Pong { .. } => "Pong".into(),
+                Body::Welcome(_) => "Welcome".into(),
+                other => format!("{other:?}"),
+            };
+            return Some((text, bytes.len()));
+        }
+    }
+    None
+}
+
+#[test]
+fn topics_are_numbered_through_all_components() {
+    let mut node = node([sensor("a b"), sensor(""), sensor("c  d")]);
+    let mut desk = desk(&mut node);
+    desk.hello(5, 1);
+    desk.command(1, Body::Ping);
+    for (place, topic, heard) in [
+        (0, 0, Some(0)),
+        (0, 1, Some(1)),
+        (0, 2, None),
+        (1, 0, None),
+        (2, 0, Some(2)),
+        (2, 1, Some(3)),
+    ] {
+        let sensor = &mut desk.node.components_mut()[place];
+        sensor.topic = topic;
+        sensor.readings.push(&[7]).unwrap();
+        let expected = heard.map(|topic| format!("Publish {{ topic: {topic}, bytes: [7] }}"));
+        assert_eq!(desk.pass(1).first(), expected.as_ref(), "{place} {topic}");
+        desk.node.components_mut()[place].readings = Queued::new();
+    }
+}
+
+#[test]
+fn readings_go_out_only_while_somebody_listens_and_after_all_else() {
+    let log = Pages::default();
+    log.text.borrow_mut().extend([1; 200]);
+    let mut node = node([sensor("a")]);
+    let at = Instant::from_millis;
+    node.components_mut()[0].readings.push(&[7; 10]).unwrap();
+    let mut desk = desk(&mut node);
+    desk.now = at(0);
+    desk.hello(5, 1);
+    assert_eq!(next(desk.node, at(1), &log), None, "no command yet");
+    let mut buffer = [0xA5; 64];
+    let ping = Frame {
+        addr: ADDR_ONLY_NODE,
+        seq: 1,
+        body: Body::Ping,
+    };
+    let len = encode(key(5), &ping, &mut buffer).unwrap();
+    desk.node.handle_bytes(at(2), &buffer[..len]);
+    let mut next = |time| next(desk.node, at(time), &log);
+    assert_eq!(next(2).unwrap().0, "Pong");
+    assert_eq!(next(2).unwrap().0, "Publish 0 10");
+    let (text, len) = next(2).unwrap();
+    assert_eq!(text, "Log 0 112");
+    assert!(len <= 128);
+    log.lost.set(300);
+    assert_eq!(next(2).unwrap().0, "Log 300 88");
+    assert_eq!(next(2), None);
+    // The link is lost.
+    log.text.borrow_mut().extend([1; 20]);
+    desk.node.components_mut()[0].readings.push(&[7]).unwrap();
+    desk.node.handle_timeout(at(1002));
+    assert_eq!(self::next(desk.node, at(1002), &log), None);
+}
+
+#[test]
+fn while_a_command_comes_in_what_may_be_lost_is_short() {
+    let log = Pages::default();
+    log.text.borrow_mut().extend([1; 100]);
+    let mut node = node([sensor("a"), sensor("b")]);
+    let mut desk = desk(&mut node);
+    desk.hello(5, 1);
+    desk.command(1, Body::Ping);
+    let sensors = desk.node.components_mut();
+    sensors[0].readings.push(&[7; 100]).unwrap();
+    for len in [52, 53] {
+        sensors[1].readings.push(&[7; 53][..len]).unwrap();
+    }
+    // The first bytes of a frame.
+    desk.node.handle_bytes(desk.now, &[3, 1]);
+    let mut sent = Grown::new();
+    while let Some((text, len)) = next(desk.node, desk.now, &log) {
+        assert!(len <= 64, "{text} takes {len}");
+        sent.push(text);
+    }
+    assert_eq!(
+        sent,
+        ["Publish 1 52", "Log 0 48", "Log 0 48", "Log 0 4"],
+        "the others wait"
+    );
+    // What is not gone on with is no command.
+    let later = desk.now + Duration::from_millis(20);
+    assert_eq!(next(desk.node, later, &log).unwrap().0, "Publish 0 100");
+    assert_eq!(next(desk.node, later, &log).unwrap().0, "Publish 1 53");
+}
+
+#[test]
+fn a_progress_is_never_longer_than_what_may_be_lost() {
+    let mut buffer = [0xA5; 128];
+    let text = "x".repeat(TEXT);
+    let progress = Frame {
+        addr: ADDR_ONLY_NODE,
+        seq: NO_SEQ,
+        body: Body::Progress {
+            task: LinkId(u32::MAX),
+            text: &text,
+        },
+    };
+    assert!(encode(5, &progress, &mut buffer).unwrap() <= 64);
+}
+
+#[test]
+fn a_reading_longer_than_any_frame_is_in_nobodys_way() {
+    let mut node = node([sensor("a"), sensor("b")]);
+    let mut desk = desk(&mut node);
+    desk.hello(5, 1);
+    desk.command(1, Body::Ping);
+    let longest = SensorNode::<2>::LONGEST_READING;
+    let sensors = desk.node.components_mut();
+    sensors[0].readings.push(&[7; 200][..=longest]).unwrap();
+    sensors[1].readings.push(&[7; 200][..longest]).unwrap();
+    let log = Pages::default();
+    let sent = next(desk.node, desk.now, &log);
+    assert_eq!(sent, Some((format!("Publish 1 {longest}"), 127)));
+    assert_eq!(next(desk.node, desk.now, &log), None);
+}
+
+#[test]
+fn components_take_turns() {
+    let mut node = node([sensor("a"), sensor("b"), sensor("c")]);
+    let mut desk = desk(&mut node);
+    desk.hello(5, 1);
+    desk.command(1, Body::Ping);
+    let log = Pages::default();
+    desk.node.components_mut()[0].always = Some(4);
+    desk.node.components_mut()[2].always = Some(5);
+    let mut sent = || next(desk.node, desk.now, &log).unwrap().0;
+    let turns = [sent(), sent(), sent(), sent()];
+    let (a, c) = ("Publish 0 4", "Publish 2 5");
+    assert_eq!(turns, [a, c, a, c]);
+    // There may be more at once, and later when it is asked again.
+    assert_eq!(desk.node.poll_timeout(desk.now), desk.now);
+    desk.node.components_mut()[0] = sensor("a");
+    desk.node.components_mut()[2] = sensor("c");
+    while next(desk.node, desk.now, &log).is_some() {}
+    let again = desk.now + Duration::from_millis(3);
+    assert_eq!(desk.node.poll_timeout(desk.now), again);
+}
+
+/// The share of a line of `baud` that readings of 100 bytes get beside a gateway's pings, while the
+/// main loop turns every 200 µs and the port takes 64 bytes at a time.
+fn share(baud: u64) -> f64 {
+    let mut node = node([sensor("a")]);
+    let mut desk = desk(&mut node);
+    desk.hello(5, 1);
+    desk.command(1, Body::Ping);
+    desk.node.components_mut()[0].always = Some(100);
+    let seconds = 2;
+    let (mut port, mut buffer) = (std::collections::VecDeque::new(), [0xA5; 64]);
+    let mut decoder = Decoder::<160>::new();
+    let (mut payload, mut carried, mut seq) = (0, 0, 1);
+    let mut ping = Grown::new();
+    for turn in 0..seconds * 5000 {
+        let now = Instant::from_micros(10_000_000 + turn * 200);
+        if turn % 1250 == 0 {
+            seq += 1;
+            let frame = Frame {
+                addr: ADDR_ONLY_NODE,
+                seq,
+                body: Body::Ping,
+            };
+            let len = encode(key(5), &frame, &mut buffer).unwrap();
+            ping.extend_from_slice(&buffer[..len]);
+        }
+        // One byte of a command each turn: slower than either line.
+        if !ping.is_empty() {
+            let byte = ping.remove(0);
+            desk.node.handle_bytes(now, &[byte]);
+        }
+        desk.node.handle_timeout(now);
+        let room = 64 - port.len();
+        let count = desk.node.poll_transmit(now, &mut buffer[..room]);
+        port.extend(&buffer[..count]);
+        let end = (turn + 1) * 200 * baud / 10_000_000;
+        while carried < end {
+            carried += 1;
+            let Some(byte) = port.pop_front() else {
+                continue;
+            };
+            if decoder.push(byte) == Ok(true) {
+                match decoder.frame(&[key(5)]).unwrap().1.body {
+                    Body::Publish { bytes, .. } => payload += bytes.len(),
+                    Body::Pong { .. } => {}
+                    other => panic!("{other:?}"),
+                }
+            }
+        }
+    }
+    payload as f64 / carried as f64
+}
+
+#[test]
+fn readings_of_100_bytes_use_the_line_to_85_percent_and_more() {
+    for baud in [115_200, 921_600] {
+        let share = share(baud);
+        assert!(share > 0.85, "{share} at {baud}");
+    }
+}

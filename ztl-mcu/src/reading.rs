@@ -1,0 +1,199 @@
+//! Where a component keeps its readings until the line has room: the latest alone, or a queue.
+
+use core::hash::{Hash, Hasher};
+
+use heapless::{Deque, Vec};
+
+use crate::component::Reading;
+
+/// Why a reading was not kept.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum NotKept {
+    /// It is longer than the place.
+    TooLong {
+        /// Its bytes.
+        needed: usize,
+        /// Bytes of the place.
+        available: usize,
+    },
+    /// As many as there are places wait already.
+    Full,
+}
+
+impl core::fmt::Display for NotKept {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        match self {
+            Self::TooLong { needed, available } => {
+                write!(f, "reading of {needed} bytes, room for {available}")
+            }
+            Self::Full => f.write_str("too many readings wait"),
+        }
+    }
+}
+
+impl core::error::Error for NotKept {}
+
+/// A copy of `bytes`.
+fn kept<const N: usize>(bytes: &[u8]) -> Result<Vec<u8, N>, NotKept> {
+    let too_long = NotKept::TooLong {
+        needed: bytes.len(),
+        available: N,
+    };
+    let mut copy = Vec::new();
+    copy.extend_from_slice(bytes).map_err(|_| too_long)?;
+    Ok(copy)
+}
+
+/// Writes `bytes` into `buffer`, if they fit.
+fn written(bytes: &[u8], topic: u8, buffer: &mut [u8]) -> Option<Reading> {
+    let len = bytes.len();
+    buffer.get_mut(..len)?.copy_from_slice(bytes);
+    Some(Reading { topic, len })
+}
+
+/// A reading of at most `N` bytes, of which only the latest matters.
+///
+/// ```
+/// use ztl_mcu::{Latest, Reading};
+/// let mut angle = Latest::<4>::new();
+/// angle.set(&1.5f32.to_le_bytes())?;
+/// angle.set(&2.5f32.to_le_bytes())?;
+/// let mut buffer = [0; 16];
+/// // What `poll_reading` returns, for the first of the offer's topics.
+/// assert_eq!(angle.take(0, &mut buffer), Some(Reading { topic: 0, len: 4 }));
+/// assert_eq!(buffer[..4], 2.5f32.to_le_bytes());
+/// assert_eq!(angle.take(0, &mut buffer), None);
+/// # Ok::<(), ztl_mcu::NotKept>(())
+/// ```
+#[derive(Debug, Clone, PartialEq, Eq, Hash, Default)]
+pub struct Latest<const N: usize> {
+    reading: Option<Vec<u8, N>>,
+}
+
+impl<const N: usize> Latest<N> {
+    /// Nothing to be published.
+    #[must_use]
+    pub const fn new() -> Self {
+        Self { reading: None }
+    }
+
+    /// Takes the place of the one before.
+    ///
+    /// # Errors
+    /// [`NotKept::TooLong`]; the one before stays then.
+    pub fn set(&mut self, reading: &[u8]) -> Result<(), NotKept> {
+        self.reading = Some(kept(reading)?);
+        Ok(())
+    }
+
+    /// Writes the reading into `buffer`, if there is a new one and it fits; it is told once.
+    pub fn take(&mut self, topic: u8, buffer: &mut [u8]) -> Option<Reading> {
+        let reading = written(self.reading.as_ref()?, topic, buffer)?;
+        self.reading = None;
+        Some(reading)
+    }
+}
+
+/// At most `N` readings of at most `LEN` bytes each, every one of which matters.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct Queued<const N: usize, const LEN: usize> {
+    readings: Deque<Vec<u8, LEN>, N>,
+    lost: u32,
+}
+
+impl<const N: usize, const LEN: usize> Hash for Queued<N, LEN> {
+    fn hash<H: Hasher>(&self, hasher: &mut H) {
+        self.readings.len().hash(hasher);
+        for reading in &self.readings {
+            reading.hash(hasher);
+        }
+        self.lost.hash(hasher);
+    }
+}
+
+impl<const N: usize, const LEN: usize> Queued<N, LEN> {
+    /// Nothing to be published.
+    #[must_use]
+    pub const fn new() -> Self {
+        Self {
+            readings: Deque::new(),
+            lost: 0,
+        }
+    }
+
+    /// Adds a reading behind the others. One that is not kept is counted.
+    ///
+    /// # Errors
+    /// [`NotKept`]; those before stay.
+    pub fn push(&mut self, reading: &[u8]) -> Result<(), NotKept> {
+        let kept = kept(reading)
+            .and_then(|reading| self.readings.push_back(reading).map_err(|_| NotKept::Full));
+        if kept.is_err() {
+            self.lost = self.lost.wrapping_add(1);
+        }
+        kept
+    }
+
+    /// Writes the first reading into `buffer`, if there is one and it fits.
+    pub fn take(&mut self, topic: u8, buffer: &mut [u8]) -> Option<Reading> {
+        let reading = written(self.readings.front()?, topic, buffer)?;
+        self.readings.pop_front();
+        Some(reading)
+    }
+
+    /// Whether another would not be kept.
+    #[must_use]
+    pub fn is_full(&self) -> bool {
+        self.readings.is_full()
+    }
+
+    /// How many readings were not kept; wraps.
+    #[must_use]
+    pub const fn lost(&self) -> u32 {
+        self.lost
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_reading_that_does_not_fit_stays_until_a_longer_buffer_comes() {
+        let mut latest = Latest::<8>::new();
+        let mut queued = Queued::<2, 8>::new();
+        latest.set(b"12345").unwrap();
+        queued.push(b"12345").unwrap();
+        let mut buffer = [0xA5; 8];
+        let short = &mut buffer[..4];
+        assert_eq!(latest.take(1, short), None);
+        assert_eq!(queued.take(1, short), None);
+        let whole = Some(Reading { topic: 1, len: 5 });
+        assert_eq!(latest.take(1, &mut buffer), whole);
+        assert_eq!(queued.take(1, &mut buffer), whole);
+        assert_eq!(&buffer[..5], b"12345");
+    }
+
+    #[test]
+    fn the_queue_keeps_the_order_and_counts_what_it_does_not_keep() {
+        let mut queued = Queued::<2, 8>::new();
+        queued.push(b"a").unwrap();
+        queued.push(b"b").unwrap();
+        assert!(queued.is_full());
+        assert_eq!(queued.push(b"c"), Err(NotKept::Full));
+        let mut buffer = [0xA5; 8];
+        for expected in [b"a", b"b"] {
+            queued.take(0, &mut buffer).unwrap();
+            assert_eq!(&buffer[..1], expected);
+        }
+        let (needed, available) = (9, 8);
+        assert_eq!(
+            queued.push(&[0; 9]),
+            Err(NotKept::TooLong { needed, available })
+        );
+        assert_eq!(queued.lost(), 2);
+        assert_eq!(queued.take(0, &mut buffer), None);
+    }
+}
