@@ -5,7 +5,7 @@ use core::time::Duration;
 use heapless::string::StringView;
 use ztl_core::Instant;
 use ztl_core::link::Offer;
-use ztl_core::sink::{SliceSink, put_fixed};
+use ztl_core::sink::{Sink, SliceSink, put_fixed};
 
 /// How a component's task goes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -224,9 +224,16 @@ pub struct Report<'a> {
 const MARK: &str = "…";
 
 impl<'a> Report<'a> {
-    pub(crate) fn new(text: &'a mut StringView) -> Self {
+    /// An empty report, kept in `text`. The node makes them; tests of a component may.
+    pub fn new(text: &'a mut StringView) -> Self {
         text.clear();
         Self { text, cut: false }
+    }
+
+    /// What has been written.
+    #[must_use]
+    pub fn as_str(&self) -> &str {
+        self.text
     }
 
     /// Adds text.
@@ -249,6 +256,13 @@ impl<'a> Report<'a> {
         put_fixed(&mut sink, value, decimals);
         let digits = sink.finish().unwrap_or_default();
         self.text(core::str::from_utf8(digits).unwrap_or_default());
+    }
+}
+
+/// Each piece is a text of its own.
+impl Sink for Report<'_> {
+    fn put(&mut self, bytes: &[u8]) {
+        self.text(core::str::from_utf8(bytes).unwrap_or_default());
     }
 }
 

@@ -62,8 +62,12 @@ pub mod log;
 mod node;
 pub mod pump;
 mod reading;
+#[cfg(feature = "serde")]
+mod typed;
 
 pub use component::{Component, Components, Reading, Refused, Report, Run};
-pub use node::{Counters, Identity, Node};
+pub use node::{Counters, Identity, Node, Reason};
 pub use reading::{Latest, NotKept, Queued};
+#[cfg(feature = "serde")]
+pub use typed::{Actuator, Typed};
 pub use ztl_core::{Instant, link};

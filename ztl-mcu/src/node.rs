@@ -17,8 +17,8 @@ use commands::Answer;
 use tasks::{Job, TEXT};
 use transmit::{Transmit, longest};
 
-/// Longest reason to refuse a command.
-const REASON: usize = 96;
+/// Why a component does not take a goal; at most 96 bytes.
+pub type Reason = heapless::String<96>;
 
 /// Who a node is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -118,7 +118,7 @@ struct Inner<'a, C, const TASKS: usize, const FRAME: usize> {
     seq: u8,
     answer: Option<Answer>,
     /// What the component said when it did not take the last goal.
-    reason: heapless::String<REASON>,
+    reason: Reason,
     answer_due: bool,
     /// A `Hello` to be refused: its session, and why.
     refusal: Option<(u32, &'static str)>,
@@ -156,7 +156,7 @@ impl<'a, C: Components, const TASKS: usize, const FRAME: usize> Node<'a, C, TASK
             gateway: 0,
             seq: NO_SEQ,
             answer: None,
-            reason: heapless::String::new(),
+            reason: Reason::new(),
             answer_due: false,
             refusal: None,
             heard: Instant::ZERO,

@@ -2,7 +2,7 @@
 
 use core::fmt;
 
-use crate::sink::BufferTooSmall;
+use crate::sink::{BufferTooSmall, Sink, put_decimal};
 
 /// Why a text is not the goal that the firmware asked for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -170,49 +170,61 @@ impl serde::de::Error for GoalError {
     }
 }
 
-impl fmt::Display for GoalError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "goal, byte {}: {}", self.at, self.kind)
+impl GoalError {
+    /// Writes where it is and what is wrong, as `Display` does, but without `core::fmt`: for the
+    /// person who wrote the goal.
+    pub fn put(&self, sink: &mut (impl Sink + ?Sized)) {
+        sink.put(b"goal, byte ");
+        put_decimal(sink, u32::try_from(self.at).unwrap_or(u32::MAX));
+        sink.put(b": ");
+        self.kind.put(sink);
     }
 }
 
-impl fmt::Display for GoalErrorKind {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+impl GoalErrorKind {
+    fn put(&self, sink: &mut (impl Sink + ?Sized)) {
+        let mut texts = |texts: [&str; 3]| texts.iter().for_each(|text| sink.put(text.as_bytes()));
         match *self {
-            Self::Expected(expected) => write!(f, "expected {expected}"),
-            Self::Unterminated => f.write_str("never closed"),
-            Self::BadEscape => f.write_str("no such escape"),
-            Self::NeedsScratch => f.write_str("a text with escapes needs scratch"),
-            Self::ScratchTooSmall { needed, available } => write!(
-                f,
-                "scratch too small: {needed} bytes needed so far, {available} available"
-            ),
-            Self::TooDeep => write!(f, "more than {} levels", super::MAX_DEPTH),
-            Self::OutOfRange => f.write_str("number out of range"),
-            Self::WrongType => f.write_str("wrong type"),
-            Self::WrongValue => f.write_str("wrong value"),
-            Self::WrongLength => f.write_str("too few or too many items"),
-            Self::UnknownField(fields) => names(f, "unknown field", fields),
-            Self::UnknownVariant(variants) => names(f, "unknown variant", variants),
-            Self::MissingField(field) => write!(f, "field {field} is missing"),
-            Self::DuplicateField(field) => write!(f, "field {field} is there twice"),
-            Self::Refused => f.write_str("refused by the target's type"),
+            Self::Expected(expected) => texts(["expected ", expected.name(), ""]),
+            Self::Unterminated => texts(["never closed", "", ""]),
+            Self::BadEscape => texts(["no such escape", "", ""]),
+            Self::NeedsScratch => texts(["a text with escapes needs scratch", "", ""]),
+            Self::ScratchTooSmall { needed, available } => {
+                sink.put(b"scratch too small: ");
+                put_decimal(sink, u32::try_from(needed).unwrap_or(u32::MAX));
+                sink.put(b" bytes needed so far, ");
+                put_decimal(sink, u32::try_from(available).unwrap_or(u32::MAX));
+                sink.put(b" available");
+            }
+            Self::TooDeep => {
+                sink.put(b"more than ");
+                put_decimal(sink, u32::from(super::MAX_DEPTH));
+                sink.put(b" levels");
+            }
+            Self::OutOfRange => texts(["number out of range", "", ""]),
+            Self::WrongType => texts(["wrong type", "", ""]),
+            Self::WrongValue => texts(["wrong value", "", ""]),
+            Self::WrongLength => texts(["too few or too many items", "", ""]),
+            Self::UnknownField(fields) => put_names("unknown field", fields, sink),
+            Self::UnknownVariant(variants) => put_names("unknown variant", variants, sink),
+            Self::MissingField(field) => texts(["field ", field, " is missing"]),
+            Self::DuplicateField(field) => texts(["field ", field, " is there twice"]),
+            Self::Refused => texts(["refused by the target's type", "", ""]),
         }
     }
 }
 
-fn names(f: &mut fmt::Formatter<'_>, what: &str, names: &[&str]) -> fmt::Result {
-    f.write_str(what)?;
+fn put_names(what: &str, names: &[&str], sink: &mut (impl Sink + ?Sized)) {
+    sink.put(what.as_bytes());
     for (place, name) in names.iter().enumerate() {
-        f.write_str(if place == 0 { ", expected " } else { " or " })?;
-        f.write_str(name)?;
+        sink.put(if place == 0 { b", expected " } else { b" or " });
+        sink.put(name.as_bytes());
     }
-    Ok(())
 }
 
-impl fmt::Display for Expected {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
+impl Expected {
+    const fn name(self) -> &'static str {
+        match self {
             Self::Value => "a value",
             Self::Bool => "True or False",
             Self::Integer => "an integer",
@@ -228,7 +240,35 @@ impl fmt::Display for Expected {
             Self::Close => "a closing bracket",
             Self::Comma => "','",
             Self::End => "the end",
-        })
+        }
+    }
+}
+
+/// A formatter as a sink of texts.
+fn display(f: &mut fmt::Formatter<'_>, put: impl FnOnce(&mut dyn Sink)) -> fmt::Result {
+    let mut result = Ok(());
+    put(&mut |bytes: &[u8]| {
+        let text = core::str::from_utf8(bytes).unwrap_or_default();
+        result = result.and_then(|()| f.write_str(text));
+    });
+    result
+}
+
+impl fmt::Display for GoalError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        display(f, |sink| self.put(sink))
+    }
+}
+
+impl fmt::Display for GoalErrorKind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        display(f, |sink| self.put(sink))
+    }
+}
+
+impl fmt::Display for Expected {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
     }
 }
 
