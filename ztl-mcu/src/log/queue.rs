@@ -1,0 +1,256 @@
+//! The log until it is sent.
+
+use core::cell::RefCell;
+
+use critical_section::Mutex;
+#[cfg(feature = "defmt")]
+use critical_section::RestoreState;
+
+use super::LogSource;
+
+/// At most `N` bytes of log, written by anybody and read by the main loop. A `static`.
+///
+/// Records are kept whole: one that does not fit is dropped entirely and its bytes are counted, so a
+/// reader never sees the rest of one. What was said first stays, as the cause of a failure does.
+#[derive(Debug)]
+pub struct LogQueue<const N: usize> {
+    state: Mutex<RefCell<State<N>>>,
+}
+
+#[derive(Debug)]
+struct State<const N: usize> {
+    ring: Ring<N>,
+    #[cfg(feature = "defmt")]
+    record: Record,
+}
+
+/// A ring with a record at its end that counts only when it is whole.
+#[derive(Debug)]
+struct Ring<const N: usize> {
+    bytes: [u8; N],
+    start: usize,
+    /// Bytes of whole records.
+    len: usize,
+    /// Bytes of the record under way, whether they fit or not.
+    open: usize,
+    lost: u32,
+}
+
+impl<const N: usize> Ring<N> {
+    /// Goes round; `place` is below `2 * N`.
+    const fn wrapped(place: usize) -> usize {
+        if place < N { place } else { place - N }
+    }
+
+    fn put(&mut self, bytes: &[u8]) {
+        for byte in bytes {
+            let used = self.len.saturating_add(self.open);
+            self.open = self.open.saturating_add(1);
+            if used < N
+                && let Some(place) = self.bytes.get_mut(Self::wrapped(self.start + used))
+            {
+                *place = *byte;
+            }
+        }
+    }
+
+    /// The record is whole; says whether it was kept.
+    fn end(&mut self) -> bool {
+        let record = core::mem::take(&mut self.open);
+        let kept = self.len.saturating_add(record) <= N;
+        if kept {
+            self.len += record;
+        } else {
+            let bytes = u32::try_from(record).unwrap_or(u32::MAX);
+            self.lost = self.lost.wrapping_add(bytes);
+        }
+        kept
+    }
+
+    fn read(&mut self, buffer: &mut [u8]) -> usize {
+        let count = self.len.min(buffer.len());
+        for place in buffer.iter_mut().take(count) {
+            *place = self.bytes.get(self.start).copied().unwrap_or_default();
+            self.start = Self::wrapped(self.start + 1);
+        }
+        self.len -= count;
+        count
+    }
+}
+
+impl<const N: usize> LogQueue<N> {
+    /// An empty one.
+    #[must_use]
+    pub const fn new() -> Self {
+        Self {
+            state: Mutex::new(RefCell::new(State {
+                ring: Ring {
+                    bytes: [0; N],
+                    start: 0,
+                    len: 0,
+                    open: 0,
+                    lost: 0,
+                },
+                #[cfg(feature = "defmt")]
+                record: Record::new(),
+            })),
+        }
+    }
+
+    fn with<T>(&self, act: impl FnOnce(&mut State<N>) -> T) -> Option<T> {
+        critical_section::with(|cs| {
+            // It is borrowed nowhere else.
+            let mut state = self.state.borrow(cs).try_borrow_mut().ok()?;
+            Some(act(&mut state))
+        })
+    }
+
+    /// Adds a whole record, in the encoding that the gateway expects; says whether it was kept.
+    pub fn push(&self, record: &[u8]) -> bool {
+        let kept = self.with(|state| {
+            state.ring.put(record);
+            state.ring.end()
+        });
+        kept.unwrap_or_default()
+    }
+}
+
+impl<const N: usize> Default for LogQueue<N> {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl<const N: usize> LogSource for LogQueue<N> {
+    fn read(&self, buffer: &mut [u8]) -> usize {
+        self.with(|state| state.ring.read(buffer))
+            .unwrap_or_default()
+    }
+
+    fn lost(&self) -> u32 {
+        self.with(|state| state.ring.lost).unwrap_or_default()
+    }
+}
+
+/// The record that defmt makes.
+#[cfg(feature = "defmt")]
+struct Record {
+    encoder: defmt::Encoder,
+    /// What ends the critical section that the record is made in.
+    restore: Option<RestoreState>,
+    /// Records begun within the record: what formats a value must not log, and is not heard.
+    within: u32,
+}
+
+#[cfg(feature = "defmt")]
+impl core::fmt::Debug for Record {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.write_str("Record")
+    }
+}
+
+#[cfg(feature = "defmt")]
+impl Record {
+    const fn new() -> Self {
+        Self {
+            encoder: defmt::Encoder::new(),
+            restore: None,
+            within: 0,
+        }
+    }
+}
+
+/// For [`defmt_logger`](crate::defmt_logger).
+#[cfg(feature = "defmt")]
+impl<const N: usize> LogQueue<N> {
+    /// Begins a record within a critical section. Gives `restore` back when one is being made.
+    #[doc(hidden)]
+    pub fn begin(&self, restore: RestoreState) -> Option<RestoreState> {
+        self.with(|state| {
+            let State { ring, record } = state;
+            if record.restore.is_some() {
+                record.within += 1;
+                return Some(restore);
+            }
+            record.restore = Some(restore);
+            record.encoder.start_frame(|bytes| ring.put(bytes));
+            None
+        })
+        .flatten()
+    }
+
+    /// Adds to the record.
+    #[doc(hidden)]
+    pub fn write(&self, bytes: &[u8]) {
+        self.with(|state| {
+            let State { ring, record } = state;
+            if record.within == 0 {
+                record.encoder.write(bytes, |bytes| ring.put(bytes));
+            }
+        });
+    }
+
+    /// Ends the record and gives back what ends the critical section.
+    #[doc(hidden)]
+    pub fn end(&self) -> Option<RestoreState> {
+        self.with(|state| {
+            let State { ring, record } = state;
+            if let Some(within) = record.within.checked_sub(1) {
+                record.within = within;
+                return None;
+            }
+            record.encoder.end_frame(|bytes| ring.put(bytes));
+            ring.end();
+            record.restore.take()
+        })
+        .flatten()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::vec::Vec;
+
+    fn read(queue: &impl LogSource, most: usize) -> Vec<u8> {
+        let mut buffer = std::vec![0xA5; most];
+        let count = queue.read(&mut buffer);
+        buffer.truncate(count);
+        buffer
+    }
+
+    #[test]
+    fn a_record_that_does_not_fit_is_dropped_whole_and_counted() {
+        let queue = LogQueue::<8>::new();
+        assert!(queue.push(b"12345"));
+        assert!(!queue.push(b"6789"));
+        assert_eq!(queue.lost(), 4);
+        assert!(queue.push(b"678"));
+        assert_eq!(read(&queue, 6), b"123456");
+        // Round the end.
+        assert!(queue.push(b"abcdef"));
+        assert!(!queue.push(&[0; 300]));
+        assert_eq!(queue.lost(), 304);
+        assert_eq!(read(&queue, 20), b"78abcdef");
+        assert_eq!(read(&queue, 20), b"");
+    }
+
+    #[test]
+    fn what_comes_out_is_what_went_in_in_order() {
+        let queue = LogQueue::<13>::new();
+        let (mut kept, mut seen, mut lost) = (Vec::new(), Vec::new(), 0);
+        for turn in 0..500usize {
+            let record: Vec<u8> = (0..turn % 6).map(|byte| (turn + byte) as u8).collect();
+            if queue.push(&record) {
+                kept.extend(record);
+            } else {
+                lost += record.len();
+            }
+            seen.extend(read(&queue, turn % 4));
+        }
+        seen.extend(read(&queue, 20));
+        assert_eq!(seen, kept);
+        assert_eq!(queue.lost() as usize, lost);
+        assert!(lost > 0);
+    }
+}

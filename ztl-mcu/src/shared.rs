@@ -1,0 +1,250 @@
+//! What interrupts and the main loop share, each a `static`: received bytes, an emergency stop, the
+//! report of a limit switch, the log. With the feature `critical-section`.
+//!
+//! Every access is a critical section of a few instructions, so any interrupt of any priority, any
+//! core and any thread may make it, also on chips without atomic read-modify-write. The implementation
+//! comes from the chip's crate or its runtime (`cortex-m` with `critical-section-single-core`, a HAL).
+//!
+//! ```
+//! use ztl_mcu::shared::{ReceiveQueue, StopFlag};
+//!
+//! static RECEIVED: ReceiveQueue<128> = ReceiveQueue::new();
+//! static STOP: StopFlag = StopFlag::new();
+//!
+//! /// The interrupt of the serial port.
+//! fn on_uart(byte: u8) {
+//!     RECEIVED.push(byte);
+//! }
+//!
+//! /// The interrupt of the emergency button.
+//! fn on_button() {
+//!     STOP.raise();
+//! }
+//! # on_uart(7);
+//! # on_button();
+//! # let mut buffer = [0; 8];
+//! # assert_eq!(RECEIVED.take(&mut buffer), 1);
+//! # assert!(STOP.take());
+//! ```
+//!
+//! The main loop gives both to a [`Pump`](crate::pump::Pump).
+
+use core::cell::{Cell, RefCell};
+use core::convert::Infallible;
+#[cfg(feature = "async")]
+use core::task::{Context, Poll, Waker};
+
+use critical_section::Mutex;
+use embedded_io::{ErrorType, Read, ReadReady};
+use heapless::Deque;
+
+pub use crate::log::LogQueue;
+
+/// Bytes that an interrupt has received, until the main loop takes them; at most `N`.
+///
+/// When it overflows, all that comes up to the next delimiter (`00`) is dropped and counted, so that
+/// a node behind it sees one damaged frame and never two halves as one.
+#[derive(Debug)]
+pub struct ReceiveQueue<const N: usize> {
+    state: Mutex<RefCell<Received<N>>>,
+}
+
+#[derive(Debug)]
+struct Received<const N: usize> {
+    bytes: Deque<u8, N>,
+    lost: u32,
+    /// Something was dropped since the last delimiter.
+    gap: bool,
+}
+
+impl<const N: usize> ReceiveQueue<N> {
+    /// Empty.
+    #[must_use]
+    pub const fn new() -> Self {
+        Self {
+            state: Mutex::new(RefCell::new(Received {
+                bytes: Deque::new(),
+                lost: 0,
+                gap: false,
+            })),
+        }
+    }
+
+    fn with<T>(&self, act: impl FnOnce(&mut Received<N>) -> T) -> Option<T> {
+        critical_section::with(|cs| {
+            // It is borrowed nowhere else.
+            let mut state = self.state.borrow(cs).try_borrow_mut().ok()?;
+            Some(act(&mut state))
+        })
+    }
+
+    /// Adds a received byte.
+    pub fn push(&self, byte: u8) {
+        self.with(|state| {
+            let kept = (!state.gap || byte == 0) && state.bytes.push_back(byte).is_ok();
+            state.gap = !kept;
+            if !kept {
+                state.lost = state.lost.wrapping_add(1);
+            }
+        });
+    }
+
+    /// Takes the first bytes into `buffer` and says how many; 0 when there are none.
+    pub fn take(&self, buffer: &mut [u8]) -> usize {
+        let taken = self.with(|state| {
+            let mut count = 0;
+            for place in buffer {
+                let Some(byte) = state.bytes.pop_front() else {
+                    break;
+                };
+                *place = byte;
+                count += 1;
+            }
+            count
+        });
+        taken.unwrap_or_default()
+    }
+
+    /// Whether there are no bytes.
+    pub fn is_empty(&self) -> bool {
+        self.with(|state| state.bytes.is_empty()).unwrap_or(true)
+    }
+
+    /// How many bytes were dropped; wraps.
+    pub fn lost(&self) -> u32 {
+        self.with(|state| state.lost).unwrap_or_default()
+    }
+}
+
+impl<const N: usize> Default for ReceiveQueue<N> {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl<const N: usize> ErrorType for &ReceiveQueue<N> {
+    type Error = Infallible;
+}
+
+impl<const N: usize> ReadReady for &ReceiveQueue<N> {
+    fn read_ready(&mut self) -> Result<bool, Infallible> {
+        Ok(!self.is_empty())
+    }
+}
+
+/// Waits for the interrupt when there is nothing.
+impl<const N: usize> Read for &ReceiveQueue<N> {
+    fn read(&mut self, buffer: &mut [u8]) -> Result<usize, Infallible> {
+        loop {
+            match self.take(buffer) {
+                0 if !buffer.is_empty() => core::hint::spin_loop(),
+                count => return Ok(count),
+            }
+        }
+    }
+}
+
+/// An emergency stop that any interrupt can raise. It stays raised until the main loop takes it.
+///
+/// A [`Pump`](crate::pump::Pump) takes it and stops its node, which then stays stopped until its
+/// firmware clears that: [`Node::clear_stop`](crate::Node::clear_stop).
+pub struct StopFlag {
+    raised: Mutex<Cell<bool>>,
+    /// Of the main loop, if it is a future.
+    #[cfg(feature = "async")]
+    waker: Mutex<Cell<Option<Waker>>>,
+}
+
+impl StopFlag {
+    /// Not raised.
+    #[must_use]
+    pub const fn new() -> Self {
+        Self {
+            raised: Mutex::new(Cell::new(false)),
+            #[cfg(feature = "async")]
+            waker: Mutex::new(Cell::new(None)),
+        }
+    }
+
+    /// Stops everything as soon as the main loop comes by; wakes it if it is
+    /// [`Pump::run`](crate::pump::Pump).
+    pub fn raise(&self) {
+        critical_section::with(|cs| self.raised.borrow(cs).set(true));
+        #[cfg(feature = "async")]
+        if let Some(waker) = critical_section::with(|cs| self.waker.borrow(cs).take()) {
+            waker.wake();
+        }
+    }
+
+    /// Whether it is raised and not taken.
+    pub fn is_raised(&self) -> bool {
+        critical_section::with(|cs| self.raised.borrow(cs).get())
+    }
+
+    /// Lowers it and says whether it was raised.
+    pub fn take(&self) -> bool {
+        critical_section::with(|cs| self.raised.borrow(cs).take())
+    }
+
+    /// Ready when it is raised.
+    #[cfg(feature = "async")]
+    pub(crate) fn poll_raised(&self, context: &Context<'_>) -> Poll<()> {
+        let waker = context.waker().clone();
+        // Set before the flag is read, so that none is missed; the old one is dropped outside.
+        let old = critical_section::with(|cs| self.waker.borrow(cs).replace(Some(waker)));
+        drop(old);
+        if self.is_raised() {
+            Poll::Ready(())
+        } else {
+            Poll::Pending
+        }
+    }
+}
+
+impl core::fmt::Debug for StopFlag {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.write_str("StopFlag")
+    }
+}
+
+impl Default for StopFlag {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+/// The report of a limit switch: an interrupt says that the end is reached, a component polls it.
+#[derive(Debug)]
+pub struct EndFlag(Mutex<Cell<bool>>);
+
+impl EndFlag {
+    /// The end is not reached.
+    #[must_use]
+    pub const fn new() -> Self {
+        Self(Mutex::new(Cell::new(false)))
+    }
+
+    /// The end is reached; for the switch's interrupt.
+    pub fn report(&self) {
+        critical_section::with(|cs| self.0.borrow(cs).set(true));
+    }
+
+    /// Whether the end was reached since it was last taken.
+    pub fn is_reached(&self) -> bool {
+        critical_section::with(|cs| self.0.borrow(cs).get())
+    }
+
+    /// The same, and forgets it: before moving away from the end, or when it was acted on.
+    pub fn take(&self) -> bool {
+        critical_section::with(|cs| self.0.borrow(cs).take())
+    }
+}
+
+impl Default for EndFlag {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+#[cfg(test)]
+mod tests;
