@@ -112,6 +112,16 @@ impl pwm::SetDutyCycle for AnyPin {
     }
 }
 
+struct Alone;
+critical_section::set_impl!(Alone);
+
+// SAFETY: there is one thread and no interrupt.
+unsafe impl critical_section::Impl for Alone {
+    unsafe fn acquire() {}
+
+    unsafe fn release((): ()) {}
+}
+
 /// Static memory for something that is made once and lives for ever.
 pub struct Room<T>(UnsafeCell<MaybeUninit<T>>);
 

@@ -62,6 +62,8 @@ pub mod log;
 mod node;
 pub mod pump;
 mod reading;
+#[cfg(feature = "critical-section")]
+pub mod shared;
 #[cfg(feature = "serde")]
 mod typed;
 

@@ -49,7 +49,10 @@ fn kept<const N: usize>(bytes: &[u8]) -> Result<Vec<u8, N>, NotKept> {
 /// Writes `bytes` into `buffer`, if they fit.
 fn written(bytes: &[u8], topic: u8, buffer: &mut [u8]) -> Option<Reading> {
     let len = bytes.len();
-    buffer.get_mut(..len)?.copy_from_slice(bytes);
+    // Not `copy_from_slice`, in which the compiler does not see equal lengths.
+    for (to, from) in buffer.get_mut(..len)?.iter_mut().zip(bytes) {
+        *to = *from;
+    }
     Some(Reading { topic, len })
 }
 

@@ -34,7 +34,13 @@ use ztl_mcu::components::{
     StepMotor, Stepper, StepperConfig, Switch,
 };
 use ztl_mcu::link::{Busy, GoalShape, Loss, Offer};
-use ztl_mcu::{Component, Components, Identity, Node, Reading, Refused, Report, Run, pump};
+use ztl_mcu::log::LogSource;
+use ztl_mcu::pump::Pump;
+use ztl_mcu::shared::{EndFlag, LogQueue, ReceiveQueue, StopFlag};
+use ztl_mcu::{
+    Actuator, Component, Components, Identity, Latest, Node, Queued, Reading, Refused, Report, Run,
+    Typed,
+};
 use ztl_proof::{AnyPin, FIRST, now, receive, send};
 
 #[cfg(not(feature = "explain"))]
@@ -59,12 +65,12 @@ fn on_panic(info: &PanicInfo<'_>) -> ! {
 #[unsafe(no_mangle)]
 extern "C" fn main() -> ! {
     let identity = || Identity::new(black_box("node"), black_box("1"), any());
-    let mut parts = [Part, Part];
+    let mut parts = [Part::new(), Part::new()];
     let [one, two] = &mut parts;
     let mut components: [&mut dyn Component; 2] = [one, two];
     let mut node = Node::<_, 4, 128>::new(identity(), components.as_mut_slice());
     // Frames longer than a COBS block.
-    let mut long_framed = Node::<_, 1, 600>::new(identity(), (Part, Part));
+    let mut long_framed = Node::<_, 1, 600>::new(identity(), (Part::new(), Typed(Part::new())));
     let mut ready_node = Node::<_, 2, 128>::new(identity(), ready_parts());
     let mut decoder = Decoder::<600>::new();
     let mut table = TaskTable::new();
@@ -392,9 +398,25 @@ fn run_node<C: Components, const TASKS: usize, const FRAME: usize>(
         1 => node.clear_stop(),
         _ => {}
     }
-    black_box(node.counters());
-    let _ = black_box(pump::turn(node, &mut Line, now()));
+    black_box((node.counters(), node.is_stopped()));
+    black_box(node.components_mut());
+    for &byte in input {
+        RECEIVED.push(byte);
+    }
+    LOG.push(input);
+    STOP.raise();
+    END.report();
+    black_box((RECEIVED.lost(), LOG.lost(), STOP.is_raised()));
+    black_box((END.is_reached(), END.take()));
+    let pump = Pump::new().with_stop(&STOP).with_log(&LOG);
+    let _ = black_box(Pump::new().turn(node, &mut Line, now()));
+    let _ = black_box(pump.turn_split(node, &mut &RECEIVED, &mut Line, now()));
 }
+
+static RECEIVED: ReceiveQueue<64> = ReceiveQueue::new();
+static LOG: LogQueue<100> = LogQueue::new();
+static STOP: StopFlag = StopFlag::new();
+static END: EndFlag = EndFlag::new();
 
 /// A stream that tells any numbers whatever.
 struct Line;
@@ -428,7 +450,46 @@ impl Write for Line {
 }
 
 /// A component that does anything whatever.
-struct Part;
+struct Part {
+    latest: Latest<16>,
+    queued: Queued<3, 16>,
+}
+
+impl Part {
+    const fn new() -> Self {
+        Self {
+            latest: Latest::new(),
+            queued: Queued::new(),
+        }
+    }
+}
+
+/// The same with a goal of its own type.
+impl Actuator for Part {
+    type Goal = (f32, i8, [bool; 2]);
+
+    fn offer(&self) -> Offer<'_> {
+        Component::offer(self)
+    }
+
+    fn start(
+        &mut self,
+        now: Instant,
+        goal: Self::Goal,
+        why: &mut Report<'_>,
+    ) -> Result<(), Refused> {
+        black_box(goal);
+        Component::start(self, now, black_box("goal"), why)
+    }
+
+    fn poll(&mut self, now: Instant, report: &mut Report<'_>) -> Run {
+        Component::poll(self, now, report)
+    }
+
+    fn abort(&mut self, _now: Instant) {}
+
+    fn make_safe(&mut self, _now: Instant) {}
+}
 
 impl Component for Part {
     fn offer(&self) -> Offer<'_> {
@@ -451,7 +512,7 @@ impl Component for Part {
     }
 
     fn start(&mut self, _now: Instant, goal: &str, why: &mut Report<'_>) -> Result<(), Refused> {
-        self.check(goal, why)
+        Component::check(self, goal, why)
     }
 
     fn poll(&mut self, _now: Instant, report: &mut Report<'_>) -> Run {
@@ -469,6 +530,11 @@ impl Component for Part {
     }
 
     fn poll_reading(&mut self, _now: Instant, buffer: &mut [u8]) -> Option<Reading> {
+        let mut room = room();
+        let _ = black_box(self.latest.set(&room));
+        let _ = black_box(self.queued.push(&room));
+        black_box((self.latest.take(receive(), &mut room), self.queued.lost()));
+        black_box(self.queued.take(receive(), &mut room));
         buffer.fill_with(receive);
         let (topic, len) = (receive(), any() as usize);
         black_box(Some(Reading { topic, len }))
