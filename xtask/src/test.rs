@@ -202,7 +202,7 @@ fn tests(dirs: &Dirs) -> Outcome {
         .env("ZTL_PYTHON", python)
         .env("ZTL_CLIENTS", clients)
         .run()?;
-    // What the workspace's programs do not ask for: the ready components, an async main loop, what interrupts share, defmt.
+    // What the programs do not ask for: components, an async loop, what interrupts share, defmt.
     Cmd::new("cargo test --package ztl-mcu --all-features --locked").run()
 }
 
