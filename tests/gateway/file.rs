@@ -70,7 +70,7 @@ fn a_file_with_mistakes_is_refused_with_all_of_them_and_an_exit_code_of_its_own(
         let ended = run(&words);
         let expected = format!(
             "{file}:2:1: unknown key 'prot'; did you mean 'port'?\n  2 | prot: 12345\n    | ^^^^\n\
-             {file}:4:12: no simulated device 'griper'; there are: gripper, head\n  4 |   gripper: sim:griper\n    |            ^^^^^^^^^^\n"
+             {file}:4:12: no simulated device 'griper'; there are: gripper, head, sensor\n  4 |   gripper: sim:griper\n    |            ^^^^^^^^^^\n"
         );
         assert_eq!((ended.code, ended.stderr), (Some(2), expected));
         assert_eq!(ended.stdout, "");

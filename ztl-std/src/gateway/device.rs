@@ -408,7 +408,7 @@ impl Worker {
             return;
         }
         if let Wire::Open { writer, .. } = &mut self.line
-            && let Err(error) = writer.write_all(&bytes).and_then(|()| writer.flush())
+            && let Err(error) = writer.write_all(&bytes)
         {
             if is_pause(&error) {
                 let kind = io::ErrorKind::TimedOut;

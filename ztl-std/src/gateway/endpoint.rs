@@ -153,7 +153,8 @@ impl std::fmt::Display for Endpoint {
 pub struct Line {
     /// What arrives.
     pub reader: Box<dyn Read + Send>,
-    /// What is sent.
+    /// What is sent: a write is on its way at once. It is never flushed, since on a serial port that
+    /// waits until the last bit is out, in steps of the system's clock.
     pub writer: Box<dyn Write + Send>,
     /// Kept open as long as the line is: the simulated device at the other end.
     #[cfg(feature = "sim")]

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use clap::ValueEnum;
 use ztl_std::line::{Cable, Counts, End, Faults, FaultyLine};
 
-use crate::terminal::{is_live, line, part};
+use crate::terminal::{is_live, line, rewrite};
 use crate::{Done, signals};
 
 /// How often a person sees the counts.
@@ -139,7 +139,7 @@ impl Line {
             }
         }
         if live {
-            part("\r\x1b[K");
+            rewrite("", "");
         }
         say(cable.counts());
         Ok(ExitCode::SUCCESS)
@@ -173,13 +173,14 @@ fn say([there, back]: [Counts; 2]) {
 
 /// On one line that is written again and again.
 fn show([there, back]: [Counts; 2]) {
-    part(format_args!(
-        "\r\x1b[KA to B: {} bytes, {} faults; B to A: {} bytes, {} faults",
+    let text = format!(
+        "A to B: {} bytes, {} faults; B to A: {} bytes, {} faults",
         there.bytes,
         there.faults(),
         back.bytes,
         back.faults()
-    ));
+    );
+    rewrite(&text, "");
 }
 
 #[cfg(test)]

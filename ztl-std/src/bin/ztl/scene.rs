@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 use ztl_std::{RemoteTask, State, Status, TriggerError};
 
 use crate::signals;
-use crate::terminal::{is_live, line, part};
+use crate::terminal::{is_live, line, part, rewrite};
 
 /// A task of a scene.
 #[derive(Debug, Clone, Copy)]
@@ -70,10 +70,7 @@ pub(crate) fn play(remote: &mut RemoteTask, start: Instant, step: &[Act]) -> boo
 
 fn draw(shown: &[Shown<'_>], start: Instant) {
     for task in shown {
-        // A line that wraps would be two to the cursor.
-        let width = terminal_size::terminal_size().map_or(80, |(width, _)| usize::from(width.0));
-        let picture: String = task.picture(start).chars().take(width).collect();
-        line(format_args!("\r\x1b[K{picture}"));
+        rewrite(&task.picture(start), "\n");
     }
 }
 

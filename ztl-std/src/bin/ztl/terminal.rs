@@ -19,3 +19,11 @@ pub(crate) fn part(text: impl Display) {
 pub(crate) fn is_live() -> bool {
     std::io::stdout().is_terminal()
 }
+
+/// Writes over the line that the cursor is in, cut where it would wrap: that would be two to the
+/// cursor.
+pub(crate) fn rewrite(text: &str, end: &str) {
+    let width = terminal_size::terminal_size().map_or(80, |(width, _)| usize::from(width.0));
+    let text: String = text.chars().take(width).collect();
+    part(format_args!("\r\x1b[K{text}{end}"));
+}
