@@ -162,7 +162,7 @@ impl Sink for Cobs<'_> {
 ///
 /// After an overrun it stays deaf until the next delimiter, so a truncated frame is never taken
 /// for a whole one.
-#[derive(Debug, Clone)]
+#[derive(Clone)]
 pub struct Decoder<const N: usize> {
     buffer: [u8; N],
     len: usize,
@@ -180,6 +180,17 @@ impl<const N: usize> Decoder<N> {
     fn state(&self) -> (&[u8], u8, bool, bool, bool) {
         let frame = self.buffer.get(..self.len).unwrap_or_default();
         (frame, self.left, self.zero, self.poisoned, self.complete)
+    }
+}
+
+/// Shows the bytes of the frame that is coming in, and not the whole buffer.
+impl<const N: usize> core::fmt::Debug for Decoder<N> {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        let (frame, ..) = self.state();
+        f.debug_struct("Decoder")
+            .field("frame", &frame)
+            .field("poisoned", &self.poisoned)
+            .finish_non_exhaustive()
     }
 }
 

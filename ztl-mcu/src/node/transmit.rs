@@ -48,7 +48,7 @@ pub(super) mod longest {
 }
 
 /// The frame on its way out.
-#[derive(Debug, Clone)]
+#[derive(Clone)]
 pub(super) struct Transmit<const FRAME: usize> {
     buffer: [u8; FRAME],
     len: usize,
@@ -95,6 +95,13 @@ impl<const FRAME: usize> Transmit<FRAME> {
             before.fill(0);
             self.len = delimiters + len;
         }
+    }
+}
+
+/// Shows what is still to be sent.
+impl<const FRAME: usize> core::fmt::Debug for Transmit<FRAME> {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.debug_tuple("Transmit").field(&self.pending()).finish()
     }
 }
 

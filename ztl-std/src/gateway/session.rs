@@ -128,7 +128,7 @@ enum Command {
 }
 
 /// The command under way.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 struct InFlight {
     command: Command,
     seq: u8,
@@ -138,7 +138,7 @@ struct InFlight {
     repeated: bool,
 }
 
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 struct Task {
     component: String,
     goal: String,
@@ -218,7 +218,7 @@ impl Stage {
 /// of them: [`poll_transmit`](Self::poll_transmit), [`poll_event`](Self::poll_event). *Next
 /// wake-up*: [`poll_timeout`](Self::poll_timeout). Work per call is bounded by the bytes given and the
 /// tasks under way.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub struct Session<B = ()> {
     book: B,
     gateway: u64,

@@ -53,11 +53,20 @@ const LATEST: usize = 128;
 
 /// The latest times from a command to its answer; those of repeated commands are left out, since
 /// nobody can tell which of them was answered.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Clone, PartialEq, Eq)]
 pub struct RoundTrips {
     micros: [u32; LATEST],
     /// How many there have been.
     count: usize,
+}
+
+/// Shows how many there were, and not each.
+impl std::fmt::Debug for RoundTrips {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("RoundTrips")
+            .field("count", &self.count)
+            .finish_non_exhaustive()
+    }
 }
 
 impl Default for RoundTrips {
