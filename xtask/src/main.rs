@@ -13,6 +13,7 @@ mod fuzz;
 mod image;
 mod proof;
 mod python;
+mod simulate;
 mod size;
 mod soak;
 mod test;
@@ -46,6 +47,11 @@ const CHORES: &[Chore] = &[
         name: "fuzz",
         about: "look for inputs that break a promise ([TARGET], --seconds N for each)",
         run: fuzz::run,
+    },
+    Chore {
+        name: "model",
+        about: "explore all that can go wrong on the link ([SCENARIO], --depth FAULTS)",
+        run: simulate::model,
     },
     Chore {
         name: "size",

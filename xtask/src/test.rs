@@ -4,7 +4,7 @@ use std::net::TcpListener;
 use std::time::{Duration, Instant};
 
 use crate::cmd::{Cmd, Outcome};
-use crate::{Dirs, bare, clients, curve, fuzz, image, proof, python, size, tools};
+use crate::{Dirs, bare, clients, curve, fuzz, image, proof, python, simulate, size, tools};
 
 /// The crates that have to do without `std` and without an allocator.
 pub(crate) const BARE_CRATES: &[&str] = &["ztl-core", "ztl-mcu"];
@@ -89,6 +89,11 @@ const STEPS: &[Step] = &[
         name: "curve",
         about: "with libzmq built for encryption: who has no allowed key gets nothing",
         run: curve::test,
+    },
+    Step {
+        name: "model",
+        about: "the link keeps its promises whatever goes wrong, and mistakes would be noticed",
+        run: simulate::check,
     },
     Step {
         name: "fuzz",
@@ -198,7 +203,8 @@ fn tests(dirs: &Dirs) -> Outcome {
     let python = python::ensure(dirs)?;
     let clients = clients::ensure(dirs)?;
     build_programs()?;
-    Cmd::new("cargo test --workspace --locked")
+    Cmd::new("cargo test --workspace --locked --exclude")
+        .arg(simulate::PACKAGE)
         .env("ZTL_PYTHON", python)
         .env("ZTL_CLIENTS", clients)
         .run()?;

@@ -1,0 +1,126 @@
+//! Makes a copy of the two ends in which the mistakes of `src/mutants.rs` can be switched on.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::{env, fs, io};
+
+#[path = "src/mutants.rs"]
+mod mutants;
+
+use mutants::MUTANTS;
+
+/// Where the copy's modules stand in the package.
+const ENDS: &str = "crate::broken::ends";
+
+fn main() -> io::Result<()> {
+    let root = Path::new("../..");
+    let out = PathBuf::from(env::var_os("OUT_DIR").unwrap_or_default());
+    println!("cargo::rerun-if-changed=build.rs");
+    // The long tests are left out of a build that would make them longer still.
+    println!("cargo::rustc-check-cfg=cfg(optimised)");
+    if env::var("OPT_LEVEL").is_ok_and(|level| level != "0") {
+        println!("cargo::rustc-cfg=optimised");
+    }
+    println!("cargo::rerun-if-changed=src/mutants.rs");
+
+    let mut files = BTreeMap::new();
+    let mcu = root.join("ztl-mcu/src");
+    for name in ["component.rs", "log.rs", "node.rs", "node"] {
+        collect(&mcu.join(name), &mut files)?;
+    }
+    let gateway = root.join("ztl-std/src/gateway");
+    for name in ["session.rs", "session"] {
+        collect(&gateway.join(name), &mut files)?;
+    }
+
+    let mut lost = Vec::new();
+    for (number, mutant) in MUTANTS.iter().enumerate() {
+        let _ = (mutant.name, mutant.caught_in, mutant.complaint);
+        for (file, _, _) in mutant.edits {
+            if !files.contains_key(&root.join(file)) {
+                lost.push(number);
+            }
+        }
+    }
+    for (path, text) in &mut files {
+        lost.extend(break_it(root, path, text));
+    }
+
+    for (path, text) in &files {
+        let place = path.strip_prefix(root).unwrap_or(path);
+        let target = out.join(place);
+        fs::create_dir_all(target.parent().unwrap_or(&out))?;
+        fs::write(&target, text)?;
+    }
+    let modules = format!(
+        "#[path = {:?}]\n/// The node.\npub mod mcu {{\n\
+         mod component;\npub mod log;\nmod node;\n\
+         pub use component::{{Component, Components, Reading, Refused, Report, Run}};\n\
+         pub use node::{{Counters, Identity, Node}};\n}}\n\
+         #[path = {:?}]\n/// The gateway's end.\npub mod gateway {{\npub mod session;\n}}\n\
+         pub use gateway::session;\n\
+         /// Mistakes whose place is not found.\npub(crate) const LOST: &[usize] = &{lost:?};\n",
+        out.join("ztl-mcu/src"),
+        out.join("ztl-std/src/gateway"),
+    );
+    fs::write(out.join("ends.rs"), modules)
+}
+
+/// Reads a file, or all in a directory, but for tests.
+fn collect(path: &Path, files: &mut BTreeMap<PathBuf, String>) -> io::Result<()> {
+    println!("cargo::rerun-if-changed={}", path.display());
+    if path.file_stem().is_some_and(|name| name == "tests") {
+        return Ok(());
+    }
+    if path.is_dir() {
+        for entry in fs::read_dir(path)? {
+            collect(&entry?.path(), files)?;
+        }
+        return Ok(());
+    }
+    if !path.exists() {
+        return Ok(());
+    }
+    let text = fs::read_to_string(path)?;
+    // The tests stand at the end.
+    let text = text
+        .split("#[cfg(test)]\nmod tests")
+        .next()
+        .unwrap_or_default();
+    files.insert(path.to_owned(), text.to_owned());
+    Ok(())
+}
+
+/// Puts the switches into a file, and says which mistakes have no place in it.
+fn break_it(root: &Path, path: &Path, text: &mut String) -> Vec<usize> {
+    // Each place once, with the mistakes that change it.
+    let mut places: BTreeMap<&str, (&str, Vec<usize>)> = BTreeMap::new();
+    for (number, mutant) in MUTANTS.iter().enumerate() {
+        let here = mutant
+            .edits
+            .iter()
+            .filter(|(file, ..)| root.join(file) == path);
+        for (_, find, replace) in here {
+            let place = places.entry(find).or_insert((replace, Vec::new()));
+            place.1.push(number);
+        }
+    }
+    let mut lost = Vec::new();
+    for (find, (replace, numbers)) in places {
+        if text.matches(find).count() != 1 {
+            lost.extend(numbers);
+            continue;
+        }
+        let switch = format!("crate::broken::is(&{numbers:?})");
+        *text = text.replace(find, &replace.replace("ON", &switch));
+    }
+    let inside = if path.starts_with(root.join("ztl-mcu")) {
+        format!("{ENDS}::mcu::")
+    } else {
+        format!("{ENDS}::")
+    };
+    *text = text
+        .replace("use crate::", &format!("use {inside}"))
+        .replace("in crate::", &format!("in {inside}"));
+    lost
+}

@@ -1,0 +1,373 @@
+//! What makes two states of the real state machines the same.
+//!
+//! Their `Debug` form is read, as it is written, and hashed in a form that does not depend on what
+//! cannot matter: times count from now, and those long past are all the same; sequence numbers
+//! count from the node's; the numbers of sessions are replaced by the order in which they appear.
+//! So a link that does nothing but ping comes back to a state that it was in, and the states that
+//! can be reached are finitely many.
+
+use std::fmt::{self, Debug, Write};
+use std::time::Duration;
+
+use ztl_core::Instant;
+
+/// Times further back are all the same: longer ago than anything looks back.
+const PAST: Duration = Duration::from_millis(2600);
+/// Times further ahead are all the same.
+const FUTURE: Duration = Duration::from_secs(60);
+
+/// Fields that decide about nothing: what follows from others, or is only counted.
+const SKIPPED: [u64; 7] = [
+    name("decoder"),
+    name("bytes"),
+    name("counters"),
+    name("random"),
+    name("transmit"),
+    name("turnaround"),
+    name("round_trips"),
+];
+
+const SEQ: u64 = name("seq");
+const CLOCK: u64 = name("clock");
+const NODE_CLOCKS: [u64; 2] = [name("clock_ms"), name("before_ms")];
+const SESSIONS: [u64; 4] = [
+    name("session"),
+    name("hello"),
+    name("replaced"),
+    name("replaces"),
+];
+/// Moments after which something is due: how long ago does not matter.
+const DUE: [u64; 3] = [name("awake_due"), name("due"), name("repeat")];
+const INSTANT: u64 = name("Instant");
+
+const SEED: u64 = 0xcbf2_9ce4_8422_2325;
+const PRIME: u64 = 0x9e37_79b9_7f4a_7c15;
+
+const fn step(hash: u64, number: u64) -> u64 {
+    (hash.rotate_left(23) ^ number).wrapping_mul(PRIME)
+}
+
+const fn name(text: &str) -> u64 {
+    word(SEED, text.as_bytes())
+}
+
+/// Adds a piece of a word, eight bytes at a time.
+const fn word(mut hash: u64, bytes: &[u8]) -> u64 {
+    let (mut eight, mut place) = (0, 0);
+    while place < bytes.len() {
+        eight = eight << 8 | bytes[place] as u64;
+        place += 1;
+        if place % 8 == 0 || place == bytes.len() {
+            hash = step(hash, eight);
+            eight = 0;
+        }
+    }
+    hash
+}
+
+/// From where times and sequence numbers are counted.
+#[derive(Debug, Clone, Copy)]
+pub struct Origin {
+    /// Now, on the clock of what is shown next.
+    pub now: Instant,
+    /// Now, on the node's clock.
+    pub node: Instant,
+    /// The last sequence number of the node.
+    pub seq: u8,
+}
+
+/// Reads what `Debug` writes and hashes what matters of it.
+#[derive(Debug)]
+pub struct Fingerprint {
+    hash: u64,
+    origin: Origin,
+    /// The numbers of sessions, in the order in which they appeared.
+    sessions: Vec<u32>,
+    depth: u32,
+    /// The depth at which a field stands that is left out.
+    skipping: Option<u32>,
+    /// The word being read, and the number.
+    word: Option<u64>,
+    number: Option<u64>,
+    /// The name before the last `:`, and the word before the last bracket.
+    field: u64,
+    before: u64,
+    /// The node's clock as the gateway heard it, before the moment when it did.
+    clock: Option<u64>,
+    quoted: bool,
+    escaped: bool,
+}
+
+impl Fingerprint {
+    /// Of nothing yet.
+    #[must_use]
+    pub const fn new(origin: Origin) -> Self {
+        Self {
+            hash: SEED,
+            origin,
+            sessions: Vec::new(),
+            depth: 0,
+            skipping: None,
+            word: None,
+            number: None,
+            field: 0,
+            before: 0,
+            clock: None,
+            quoted: false,
+            escaped: false,
+        }
+    }
+
+    /// What is shown next lives by this clock.
+    pub const fn set_now(&mut self, now: Instant) {
+        self.origin.now = now;
+    }
+
+    /// Adds a part of the state.
+    pub fn add(&mut self, part: &impl Debug) {
+        // Writing into a hash cannot fail.
+        let _ = write!(self, "{part:?};");
+    }
+
+    /// The whole, spread over all bits.
+    #[must_use]
+    pub const fn finish(&self) -> u64 {
+        let mixed = (self.hash ^ (self.hash >> 29)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        mixed ^ (mixed >> 32)
+    }
+
+    const fn take(&mut self, number: u64) {
+        if self.skipping.is_none() {
+            self.hash = step(self.hash, number);
+        }
+    }
+
+    /// A number is complete.
+    fn on_number(&mut self, number: u64) {
+        let (now, node) = (self.origin.now, self.origin.node);
+        let canonical = if self.before == INSTANT {
+            match self.clock.take() {
+                // Only by how much it is wrong matters, not when it was heard.
+                Some(clock) => clock.wrapping_sub(number.wrapping_sub(now.as_micros())),
+                None if DUE.contains(&self.field) => number.saturating_sub(now.as_micros()),
+                None => relative(number, now.as_micros()),
+            }
+        } else if self.field == CLOCK {
+            let clock = number.wrapping_mul(1000).wrapping_sub(node.as_micros());
+            self.clock = Some(clock);
+            return;
+        } else if NODE_CLOCKS.contains(&self.field) {
+            relative(number.saturating_mul(1000), node.as_micros())
+        } else if self.field == SEQ && number != 0 {
+            // 1 to 255, round and round.
+            1 + (number + 255 - u64::from(self.origin.seq)) % 255
+        } else if SESSIONS.contains(&self.field) && self.skipping.is_none() {
+            self.session(number)
+        } else {
+            number
+        };
+        self.take(canonical);
+    }
+
+    /// A session is named by its place; its lowest eight bits are the boot id in its key.
+    fn session(&mut self, number: u64) -> u64 {
+        let Ok(key) = u32::try_from(number) else {
+            return number;
+        };
+        let (opened, boot) = (key >> 8, number & 0xff);
+        if opened == 0 {
+            return number;
+        }
+        let place = match self.sessions.iter().position(|known| *known == opened) {
+            Some(place) => place,
+            None => {
+                self.sessions.push(opened);
+                self.sessions.len() - 1
+            }
+        };
+        (place as u64 + 1) << 8 | boot
+    }
+
+    /// Marks and numbers are read byte by byte, words as they come.
+    fn on_byte(&mut self, byte: u8) {
+        if self.quoted {
+            self.take(u64::from(byte));
+            self.quoted = self.escaped || byte != b'"';
+            self.escaped = !self.escaped && byte == b'\\';
+            return;
+        }
+        if byte.is_ascii_digit() {
+            let digit = u64::from(byte - b'0');
+            let number = self.number.unwrap_or(0);
+            self.number = Some(number.wrapping_mul(10).wrapping_add(digit));
+            return;
+        }
+        if let Some(number) = self.number.take() {
+            self.on_number(number);
+        }
+        let word = self.word.take().unwrap_or(0);
+        self.on_mark(byte, word);
+    }
+
+    fn on_word(&mut self, piece: &[u8]) {
+        self.word = Some(word(self.word.unwrap_or(SEED), piece));
+    }
+
+    fn on_mark(&mut self, mark: u8, word: u64) {
+        match mark {
+            b'"' => self.quoted = true,
+            b':' => {
+                self.field = word;
+                if self.skipping.is_none() && SKIPPED.contains(&word) {
+                    self.skipping = Some(self.depth);
+                }
+            }
+            b'(' | b'[' | b'{' => {
+                self.depth += 1;
+                self.before = word;
+            }
+            b')' | b']' | b'}' => {
+                self.depth = self.depth.saturating_sub(1);
+                self.before = 0;
+            }
+            _ => {}
+        }
+        let over = |depth| self.depth < depth || (self.depth == depth && mark == b',');
+        if self.skipping.is_some_and(over) {
+            self.skipping = None;
+        }
+        self.take(word ^ u64::from(mark));
+    }
+}
+
+const fn is_letter(byte: u8) -> bool {
+    byte.is_ascii_alphabetic() || byte == b'_'
+}
+
+/// Microseconds after now, as a number that is never negative.
+fn relative(moment: u64, now: u64) -> u64 {
+    let past = PAST.as_micros() as u64;
+    let future = FUTURE.as_micros() as u64;
+    (moment + past).saturating_sub(now).min(past + future)
+}
+
+impl Write for Fingerprint {
+    fn write_str(&mut self, text: &str) -> fmt::Result {
+        let mut bytes = text.as_bytes();
+        while let Some((first, rest)) = bytes.split_first() {
+            if self.quoted || !is_letter(*first) {
+                self.on_byte(*first);
+                bytes = rest;
+                continue;
+            }
+            let part = |byte: &u8| is_letter(*byte) || byte.is_ascii_digit();
+            let len = bytes.iter().take_while(|byte| part(byte)).count();
+            let (piece, rest) = bytes.split_at(len);
+            self.on_word(piece);
+            bytes = rest;
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[derive(Debug)]
+    struct Shown {
+        seq: u8,
+        session: u32,
+        #[expect(dead_code, reason = "only shown")]
+        bytes: [u8; 2],
+        at: Option<Instant>,
+        clock: Option<(u64, Instant)>,
+        text: &'static str,
+    }
+
+    fn shown() -> Shown {
+        Shown {
+            seq: 7,
+            session: 0x0501,
+            bytes: [1, 2],
+            at: Some(Instant::from_millis(900)),
+            clock: Some((400, Instant::from_millis(1000))),
+            text: "a \"seq: 7\"",
+        }
+    }
+
+    fn of(parts: &[&Shown], now: u64, seq: u8) -> u64 {
+        let origin = Origin {
+            now: Instant::from_millis(now),
+            node: Instant::from_millis(now - 500),
+            seq,
+        };
+        let mut print = Fingerprint::new(origin);
+        for part in parts {
+            print.add(part);
+        }
+        print.finish()
+    }
+
+    #[test]
+    fn a_state_some_pings_later_is_the_same() {
+        let before = shown();
+        let after = Shown {
+            seq: 3,
+            session: 0x0901,
+            bytes: [3, 4],
+            at: Some(Instant::from_millis(5900)),
+            // Heard later, and as right as before.
+            clock: Some((4900, Instant::from_millis(5500))),
+            text: before.text,
+        };
+        assert_eq!(of(&[&before], 1000, 5), of(&[&after], 6000, 1));
+        let again = Shown { seq: 1, ..shown() };
+        assert_eq!(
+            of(&[&again], 1000, 1),
+            of(
+                &[&Shown {
+                    seq: 255,
+                    ..shown()
+                }],
+                1000,
+                255
+            )
+        );
+    }
+
+    #[test]
+    fn what_matters_makes_another() {
+        let same = of(&[&shown()], 1000, 5);
+        let differ = |change: fn(&mut Shown)| {
+            let mut other = shown();
+            change(&mut other);
+            assert_ne!(of(&[&other], 1000, 5), same, "{other:?}");
+        };
+        differ(|s| s.seq = 0);
+        differ(|s| s.seq = 8);
+        differ(|s| s.session = 0x0502);
+        differ(|s| s.session = 0);
+        differ(|s| s.at = None);
+        differ(|s| s.at = Some(Instant::from_millis(901)));
+        differ(|s| s.clock = Some((401, Instant::from_millis(1000))));
+        differ(|s| s.clock = Some((400, Instant::from_millis(1001))));
+        differ(|s| s.text = "a \"seq: 8\"");
+        // Two parts of one session, and of two.
+        let (one, mut two) = (shown(), shown());
+        two.session = 0x0601;
+        assert_ne!(of(&[&one, &one], 1000, 5), of(&[&one, &two], 1000, 5));
+    }
+
+    #[test]
+    fn what_is_long_past_is_over() {
+        let past = |millis| {
+            let mut state = shown();
+            state.at = Some(Instant::from_millis(millis));
+            state.clock = None;
+            of(&[&state], 100_000, 5)
+        };
+        assert_eq!(past(0), past(97_000));
+        assert_ne!(past(97_000), past(97_500));
+    }
+}

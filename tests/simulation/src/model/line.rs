@@ -1,0 +1,110 @@
+//! The line as frames: each is delivered, or not, or late, or twice.
+
+use std::collections::VecDeque;
+use std::fmt::{self, Debug};
+use std::rc::Rc;
+
+use ztl_core::link::{Decoder, NO_SESSION, session_key};
+
+/// A direction of the line.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Way {
+    /// To the node.
+    Down,
+    /// To the gateways.
+    Up,
+}
+
+/// A frame on its way.
+#[derive(Clone)]
+pub(super) struct Parcel {
+    pub(super) bytes: Rc<[u8]>,
+    /// Under which session it is checked, its seq, and what it says.
+    pub(super) session: u32,
+    pub(super) seq: u8,
+    says: Rc<str>,
+}
+
+impl Debug for Parcel {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self {
+            session, seq, says, ..
+        } = self;
+        write!(f, "session: {session}, seq: {seq}, {says}")
+    }
+}
+
+impl Parcel {
+    /// Reads a frame that was checked under one of these sessions, each in one of these boots.
+    fn new(bytes: &[u8], opened: u32, boots: u32) -> Self {
+        let mut decoder = Decoder::<256>::new();
+        for byte in bytes {
+            if decoder.push(*byte) == Ok(true) {
+                break;
+            }
+        }
+        let mut keys = vec![NO_SESSION];
+        for hello in (1..=opened).rev().map(|number| number << 8) {
+            keys.push(hello);
+            keys.extend((1..=boots).rev().map(|boot| session_key(hello, boot)));
+        }
+        let (place, frame) = decoder.frame(&keys).expect("both ends send good frames");
+        Self {
+            bytes: bytes.into(),
+            session: keys[place],
+            seq: frame.seq,
+            says: format!("{:?}", frame.body).into(),
+        }
+    }
+
+    /// What it says, by the name of its message.
+    pub(super) fn is(&self, message: &str) -> bool {
+        self.says.starts_with(message)
+    }
+}
+
+/// One direction.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Lane {
+    pub(super) queue: VecDeque<Parcel>,
+    /// What is sent is lost.
+    pub(super) cut: bool,
+    /// Nothing arrives.
+    pub(super) stalled: bool,
+    /// What has been sent since this began, to come again as a whole.
+    pub(super) tape: Option<Vec<Parcel>>,
+}
+
+/// Longest tape, in frames.
+const TAPE: usize = 8;
+/// What a line holds back at most, in frames; the rest is lost.
+const STALLED: usize = 3;
+
+impl Lane {
+    /// Takes the bytes apart into frames and sends them; gives back what was sent.
+    pub(super) fn send(&mut self, bytes: &[u8], opened: u32, boots: u32) -> Vec<Parcel> {
+        let frames = bytes.split_inclusive(|byte| *byte == 0);
+        let sent: Vec<Parcel> = frames
+            .filter(|frame| frame.len() > 1)
+            .map(|frame| Parcel::new(frame, opened, boots))
+            .collect();
+        if let Some(tape) = &mut self.tape {
+            let room = TAPE - tape.len();
+            tape.extend(sent.iter().take(room).cloned());
+        }
+        if !self.cut {
+            let room = if self.stalled {
+                STALLED.saturating_sub(self.queue.len())
+            } else {
+                sent.len()
+            };
+            self.queue.extend(sent.iter().take(room).cloned());
+        }
+        sent
+    }
+
+    /// Whether a frame can be delivered.
+    pub(super) fn brings(&self) -> bool {
+        !self.stalled && !self.queue.is_empty()
+    }
+}

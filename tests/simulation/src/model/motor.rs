@@ -1,0 +1,164 @@
+//! What moves, and the truth about it.
+
+use std::cell::RefCell;
+use std::time::Duration;
+
+use ztl_core::link::{Busy, GoalShape, Loss, Offer};
+use ztl_core::{Instant, State};
+
+use super::ends::mcu::{Component, Refused, Report, Run};
+
+/// Most tasks in a scenario, with the one that shows that the device still serves.
+pub(super) const TASKS: usize = 4;
+
+/// What really happened to a task, whatever anybody says.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub(super) struct Fate {
+    /// How often a motor began it.
+    pub(super) begun: u8,
+    /// How it came to its end at the motor.
+    pub(super) came_to: Option<State>,
+}
+
+/// What really happened, also before a reset.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub(super) struct Truth {
+    pub(super) tasks: [Fate; TASKS],
+    /// The task that each motor moves for.
+    pub(super) moving: [Option<u8>; 2],
+}
+
+impl Truth {
+    pub(super) fn moves(&self, task: usize) -> bool {
+        self.moving
+            .iter()
+            .flatten()
+            .any(|moving| usize::from(*moving) == task)
+    }
+
+    fn end(&mut self, motor: usize, state: Option<State>) {
+        if let Some(task) = self.moving[motor].take() {
+            self.tasks[usize::from(task)].came_to = state;
+        }
+    }
+
+    /// The power is cut.
+    pub(super) fn rest(&mut self) {
+        for motor in 0..self.moving.len() {
+            self.end(motor, None);
+        }
+    }
+}
+
+thread_local! {
+    /// The truth of the laboratory that is acting; a node gives nobody its components.
+    static TRUTH: RefCell<Truth> = const { RefCell::new(Truth { tasks: [Fate { begun: 0, came_to: None }; TASKS], moving: [None; 2] }) };
+}
+
+/// Lets `act` change the truth.
+pub(super) fn with_truth<T>(truth: &mut Truth, act: impl FnOnce() -> T) -> T {
+    TRUTH.set(*truth);
+    let done = act();
+    *truth = TRUTH.with_borrow(|truth| *truth);
+    done
+}
+
+/// What a scenario's motor is like.
+#[derive(Debug, Clone, Copy)]
+pub struct Kind {
+    /// What it does when the link is lost.
+    pub loss: Loss,
+    /// What it does with a second task.
+    pub busy: Busy,
+}
+
+/// A motor that moves for some time.
+#[derive(Debug, Clone)]
+pub(super) struct Motor {
+    pub(super) place: usize,
+    pub(super) kind: Kind,
+    pub(super) run: Option<Moving>,
+}
+
+#[derive(Debug, Clone, Copy)]
+pub(super) enum Moving {
+    Until(Instant),
+    /// Until it is stopped.
+    On,
+    Aborted,
+}
+
+/// A motor that moves for so many milliseconds moves until it is stopped.
+pub(super) const ENDLESS: u16 = u16::MAX;
+
+/// A goal is `TASK MILLISECONDS`.
+fn read(goal: &str) -> Option<(u8, u16)> {
+    let (task, millis) = goal.split_once(' ')?;
+    Some((task.parse().ok()?, millis.parse().ok()?))
+}
+
+impl Component for Motor {
+    fn offer(&self) -> Offer<'_> {
+        Offer {
+            name: ["arm", "belt"][self.place],
+            goal: GoalShape {
+                range: None,
+                unit: "ms",
+                words: "",
+            },
+            busy: self.kind.busy,
+            loss: self.kind.loss,
+            topics: "",
+        }
+    }
+
+    fn check(&self, goal: &str, why: &mut Report<'_>) -> Result<(), Refused> {
+        if read(goal).is_some() {
+            return Ok(());
+        }
+        why.text("TASK MILLISECONDS");
+        Err(Refused)
+    }
+
+    fn start(&mut self, now: Instant, goal: &str, _why: &mut Report<'_>) -> Result<(), Refused> {
+        let (task, millis) = read(goal).ok_or(Refused)?;
+        TRUTH.with_borrow_mut(|truth| {
+            assert_eq!(truth.moving[self.place], None, "started while it moves");
+            truth.tasks[usize::from(task)].begun += 1;
+            truth.moving[self.place] = Some(task);
+        });
+        self.run = Some(match millis {
+            ENDLESS => Moving::On,
+            millis => Moving::Until(now + Duration::from_millis(millis.into())),
+        });
+        Ok(())
+    }
+
+    fn poll(&mut self, now: Instant, _report: &mut Report<'_>) -> Run {
+        let (state, run) = match self.run {
+            Some(Moving::Aborted) => (State::Aborted, Run::Aborted),
+            Some(Moving::Until(end)) if now >= end => (State::Completed, Run::Completed),
+            _ => return Run::Running,
+        };
+        self.run = None;
+        TRUTH.with_borrow_mut(|truth| truth.end(self.place, Some(state)));
+        run
+    }
+
+    fn abort(&mut self, _now: Instant) {
+        self.run = Some(Moving::Aborted);
+    }
+
+    fn make_safe(&mut self, _now: Instant) {
+        self.run = None;
+        TRUTH.with_borrow_mut(|truth| truth.end(self.place, Some(State::Failed)));
+    }
+
+    fn poll_timeout(&self, now: Instant) -> Instant {
+        match self.run {
+            Some(Moving::Until(end)) => end,
+            Some(Moving::Aborted) => now,
+            Some(Moving::On) | None => now + Duration::from_secs(1),
+        }
+    }
+}

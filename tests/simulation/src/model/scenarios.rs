@@ -1,0 +1,234 @@
+//! What is explored.
+
+use ztl_core::link::{Busy, Loss};
+
+use super::motor::ENDLESS;
+use super::{Act, Fault, Kind, Scenario, Way};
+
+const ABORT: Kind = Kind {
+    loss: Loss::Abort,
+    busy: Busy::Refuse,
+};
+const CARRY_ON: Kind = Kind {
+    loss: Loss::CarryOn,
+    busy: Busy::Refuse,
+};
+
+const QUEUE: Kind = Kind {
+    loss: Loss::Abort,
+    busy: Busy::Queue(1),
+};
+const REPLACE: Kind = Kind {
+    loss: Loss::Hold,
+    busy: Busy::Replace,
+};
+
+const fn ask(gateway: usize, motor: usize, millis: u16) -> Act {
+    Act::Ask {
+        gateway,
+        motor,
+        millis,
+    }
+}
+
+const fn abort(gateway: usize, task: usize) -> Act {
+    Act::Abort { gateway, task }
+}
+
+const DOWN: Way = Way::Down;
+const UP: Way = Way::Up;
+
+/// One gateway without a journal, one task that ends only when it is stopped.
+const PLAIN: Scenario = Scenario {
+    name: "",
+    about: "",
+    motors: [ABORT, CARRY_ON],
+    gateways: 1,
+    journal: false,
+    acts: &[ask(0, 0, ENDLESS)],
+    faults: &[],
+    times: 2,
+};
+
+/// All of them.
+pub const SCENARIOS: &[Scenario] = &[
+    Scenario {
+        name: "frames",
+        about: "a short task; frames are lost, late, and come twice",
+        acts: &[ask(0, 0, 40)],
+        faults: &[
+            Fault::Drop(DOWN),
+            Fault::Drop(UP),
+            Fault::Hold(DOWN),
+            Fault::Hold(UP),
+            Fault::Copy(DOWN),
+            Fault::Copy(UP),
+        ],
+        ..PLAIN
+    },
+    Scenario {
+        name: "cut",
+        about: "a task without an end; either direction is cut or held back, a frame is late",
+        faults: &[
+            Fault::Cut(DOWN),
+            Fault::Cut(UP),
+            Fault::Stall(DOWN),
+            Fault::Stall(UP),
+            Fault::Hold(DOWN),
+        ],
+        ..PLAIN
+    },
+    Scenario {
+        name: "late",
+        about: "a Start that arrives as late as its moment, sent some time after the last command",
+        acts: &[ask(0, 1, 100), ask(0, 0, ENDLESS)],
+        faults: &[Fault::Cut(DOWN), Fault::Hold(DOWN)],
+        ..PLAIN
+    },
+    Scenario {
+        name: "unplug",
+        about: "a task without an end; the line is closed, a direction is cut, frames are late",
+        faults: &[
+            Fault::Unplug,
+            Fault::Cut(DOWN),
+            Fault::Cut(UP),
+            Fault::Hold(DOWN),
+            Fault::Hold(UP),
+        ],
+        ..PLAIN
+    },
+    Scenario {
+        name: "carry-on",
+        about: "a task that goes on without a link; cuts, stalls, resets",
+        acts: &[ask(0, 1, ENDLESS)],
+        faults: &[
+            Fault::Cut(DOWN),
+            Fault::Cut(UP),
+            Fault::Stall(UP),
+            Fault::Unplug,
+            Fault::Reset,
+        ],
+        ..PLAIN
+    },
+    Scenario {
+        name: "abort",
+        about: "a task that is aborted; frames are lost and late, a direction is cut",
+        acts: &[ask(0, 0, ENDLESS), abort(0, 0)],
+        faults: &[
+            Fault::Drop(DOWN),
+            Fault::Drop(UP),
+            Fault::Hold(DOWN),
+            Fault::Cut(DOWN),
+            Fault::Cut(UP),
+        ],
+        ..PLAIN
+    },
+    Scenario {
+        name: "reset",
+        about: "a task; the device is reset, frames are lost, late, and come twice",
+        acts: &[ask(0, 0, 500)],
+        faults: &[
+            Fault::Reset,
+            Fault::Drop(UP),
+            Fault::Hold(DOWN),
+            Fault::Hold(UP),
+            Fault::Copy(DOWN),
+            Fault::Stall(UP),
+            Fault::Cut(UP),
+        ],
+        ..PLAIN
+    },
+    Scenario {
+        name: "restart",
+        about: "a task; the gateway dies and is started again without a journal",
+        acts: &[ask(0, 1, ENDLESS)],
+        faults: &[
+            Fault::Kill(0),
+            Fault::Drop(UP),
+            Fault::Hold(DOWN),
+            Fault::Copy(DOWN),
+            Fault::Cut(UP),
+        ],
+        ..PLAIN
+    },
+    Scenario {
+        name: "journal",
+        about: "a task; the gateway dies at any moment and reads its journal",
+        journal: true,
+        acts: &[ask(0, 0, 500)],
+        faults: &[
+            Fault::Kill(0),
+            Fault::KillWriting(0),
+            Fault::Drop(UP),
+            Fault::Hold(DOWN),
+            Fault::Reset,
+            Fault::Cut(UP),
+            Fault::Cut(DOWN),
+        ],
+        ..PLAIN
+    },
+    Scenario {
+        name: "queue",
+        about: "a second task waits for the first, which may be aborted; the line is bad",
+        motors: [QUEUE, CARRY_ON],
+        acts: &[ask(0, 0, 300), ask(0, 0, 100), abort(0, 0)],
+        faults: &[
+            Fault::Drop(UP),
+            Fault::Hold(DOWN),
+            Fault::Cut(DOWN),
+            Fault::Cut(UP),
+            Fault::Reset,
+        ],
+        times: 1,
+        ..PLAIN
+    },
+    Scenario {
+        name: "replace",
+        about: "a second task takes the place of the first; the line is bad",
+        motors: [REPLACE, CARRY_ON],
+        acts: &[ask(0, 0, ENDLESS), ask(0, 0, 200)],
+        faults: &[
+            Fault::Drop(UP),
+            Fault::Hold(DOWN),
+            Fault::Cut(DOWN),
+            Fault::Cut(UP),
+            Fault::Reset,
+        ],
+        times: 1,
+        ..PLAIN
+    },
+    Scenario {
+        name: "full",
+        about: "more ends than the device has room for, while nothing of it is heard",
+        acts: &[ask(0, 0, 40), ask(0, 1, 40), ask(0, 0, 40)],
+        faults: &[Fault::Cut(UP), Fault::Drop(UP)],
+        times: 1,
+        ..PLAIN
+    },
+    Scenario {
+        name: "repeat",
+        about: "a task; the line repeats all that was said, in whatever session that arrives",
+        acts: &[ask(0, 0, 40)],
+        faults: &[
+            Fault::Tape(DOWN),
+            Fault::Tape(UP),
+            Fault::Unplug,
+            Fault::Cut(UP),
+        ],
+        ..PLAIN
+    },
+    Scenario {
+        name: "two",
+        about: "two gateways at one device, each with a task; one dies, the line is bad",
+        gateways: 2,
+        acts: &[ask(0, 0, 500), ask(1, 0, 500)],
+        faults: &[
+            Fault::Kill(0),
+            Fault::Cut(UP),
+            Fault::Hold(DOWN),
+            Fault::Drop(UP),
+        ],
+        times: 1,
+        ..PLAIN
+    },
+];
