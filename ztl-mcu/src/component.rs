@@ -42,6 +42,21 @@ pub struct Reading {
 /// again and again until it says other than [`Run::Running`]; `abort`, `make_safe` and
 /// `poll_reading` at any time. No call may block: each is made from the main loop, between two bytes
 /// of the link.
+///
+/// **A second task** is the node's affair; no two ever move one component. What becomes of it the
+/// offer says ([`Busy`](ztl_core::link::Busy)):
+/// - *Refuse*: it is refused, `busy with another task`.
+/// - *Queue* of n: it is checked, accepted, and waits with at most n - 1 others; its goal has at most 48
+///   bytes. When the one that runs has ended, the lowest id begins. If `start` refuses it then, it ends as
+///   FAILED with that reason.
+/// - *Replace*: it is checked, accepted, and waits until the one that runs has stopped after `abort`,
+///   which then ends as ABORTED, `replaced by a later task`. A third one replaces the one that waits.
+///
+/// An abort of a task that waits ends it at once as ABORTED, `aborted before it began`.
+///
+/// **When the link is lost** ([`Loss`](ztl_core::link::Loss)), with *abort* and *hold* `make_safe` is called and
+/// all its tasks end as FAILED, `link was lost`; with *carry on* they go on, also those that wait. **In an
+/// emergency stop** `make_safe` is called for each component, and all tasks end as ABORTED, `emergency stop`.
 pub trait Component {
     /// What it is and which goals it takes; told to the gateway once a session. Must not change.
     fn offer(&self) -> Offer<'_>;

@@ -50,6 +50,18 @@
 //! let sent = node.poll_transmit(now, &mut bytes);
 //! assert!(sent > 0, "it announces itself");
 //! ```
+//!
+//! # What is where
+//!
+//! | for | look at | feature |
+//! |---|---|---|
+//! | what moves | [`Component`]; `components` has ready ones on `embedded-hal` | `components` |
+//! | goals that are structs, enums, numbers | `Actuator`, `Typed` | `serde` (default) |
+//! | readings that are published | [`Component::poll_reading`], [`Latest`], [`Queued`] | |
+//! | the main loop on a serial port | [`pump::Pump`]; as a future, `Pump::run` | `async` for that |
+//! | what interrupts share with it | `shared`: received bytes, emergency stop, limit switches, log | `critical-section` |
+//! | defmt's log over the link | `defmt_logger!` | `defmt` |
+//! | the protocol itself | [`link`], and `docs/link.md` | |
 #![no_std]
 
 #[cfg(test)]

@@ -60,6 +60,20 @@ fn an_overflow_is_counted_and_what_comes_after_the_gap_is_read() {
 }
 
 #[test]
+fn after_a_gap_nothing_is_kept_before_a_delimiter() {
+    let queue = ReceiveQueue::<4>::new();
+    let mut buffer = [0xA5; 8];
+    (1..=6).for_each(|byte| queue.push(byte));
+    assert_eq!(queue.take(&mut buffer), 4);
+    for byte in [7, 8, 0, 9] {
+        queue.push(byte);
+    }
+    assert_eq!(queue.take(&mut buffer), 2);
+    assert_eq!(buffer[..2], [0, 9]);
+    assert_eq!(queue.lost(), 4);
+}
+
+#[test]
 fn an_interrupt_fills_the_queue_while_the_main_loop_empties_it() {
     static QUEUE: ReceiveQueue<64> = ReceiveQueue::new();
     let interrupt = thread::spawn(|| {
