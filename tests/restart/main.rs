@@ -5,6 +5,7 @@
 
 mod device;
 mod disk;
+mod handler;
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;

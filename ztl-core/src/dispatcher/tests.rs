@@ -531,3 +531,41 @@ fn the_reserved_scope_tells_who_the_server_is() {
         assert!(answer.starts_with("$ztl;2;0;Invalid request"), "{answer}");
     }
 }
+
+#[test]
+fn tasks_from_before_a_restart_are_known_and_their_ids_are_given_to_nobody() {
+    let mut lab = Lab::new();
+    lab.now = Instant::from_millis(7_200_000);
+    let restore = |lab: &mut Lab, id, state, ended| {
+        let mut task = Task::<_, heapless::String<16>>::new(Scope(1));
+        task.state = state;
+        task.text.set("before");
+        task.ended = ended;
+        lab.dispatcher.restore(TaskId::new(id).unwrap(), task)
+    };
+    let half_an_hour_ago = Some(Instant::from_millis(5_400_000));
+    assert!(restore(&mut lab, 7, State::Accepted, None));
+    assert!(restore(&mut lab, 5, State::Completed, half_an_hour_ago));
+    lab.dispatcher.skip_to(TaskId::new(20).unwrap());
+    lab.accepted(21);
+    assert!(
+        !restore(&mut lab, 30, State::Accepted, None),
+        "there is no room"
+    );
+    lab.ask(2, "/other;2;7;");
+    lab.ask(2, "/other;2;5;");
+    lab.ask(2, "/test;2;7;");
+    lab.told(&[
+        (2, "/other;1;7;before"),
+        (2, "/other;5;5;before"),
+        (2, "/test;2;7;Invalid ID '7'"),
+    ]);
+    assert_eq!(lab.ask(2, "/other;3;7;"), Some(("abort", 7)));
+    lab.event(7, TaskEvent::Aborted { result: "here" });
+    lab.told(&[(2, "/other;4;7;True")]);
+    // Its hour is counted from its end.
+    lab.pass(Duration::from_secs(1801));
+    lab.ask(2, "/other;2;5;");
+    lab.ask(2, "/other;2;7;");
+    lab.told(&[(2, "/other;2;5;Invalid ID '5'"), (2, "/other;4;7;here")]);
+}

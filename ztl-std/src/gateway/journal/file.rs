@@ -39,6 +39,9 @@ impl Paper {
         // From a gateway that ended before it could take the place of the other.
         let _ = fs::remove_file(beside(path, "new"));
         let mut file = open(path).map_err(failed)?;
+        if sync {
+            sync_directory(path);
+        }
         if !file.metadata().map_err(failed)?.is_file() {
             let kind = io::ErrorKind::InvalidInput;
             return Err(failed(io::Error::new(kind, "it is not a regular file")));
@@ -120,6 +123,9 @@ impl Storage for Paper {
                 self.keep()?;
             }
             fs::rename(&new, &self.path)?;
+            if self.sync {
+                sync_directory(&self.path);
+            }
             open(&self.path)
         };
         let file = write().inspect_err(|_| {
@@ -148,6 +154,15 @@ impl Storage for Paper {
 fn open(path: &Path) -> io::Result<File> {
     let mut options = OpenOptions::new();
     options.read(true).append(true).create(true).open(path)
+}
+
+/// Puts the file's name on the disk, where the system can do that.
+fn sync_directory(path: &Path) {
+    let directory = path
+        .parent()
+        .filter(|parent| !parent.as_os_str().is_empty());
+    let directory = File::open(directory.unwrap_or(Path::new(".")));
+    let _ = directory.and_then(|directory| directory.sync_all());
 }
 
 /// The path with another ending behind its own.

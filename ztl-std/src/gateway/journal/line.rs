@@ -138,6 +138,11 @@ impl TaskLine {
         now.wall.duration_since(self.at).unwrap_or_default()
     }
 
+    /// How long after another line of the same run of the gateway it was written.
+    pub(super) fn since(&self, earlier: &Self) -> Duration {
+        Duration::from_micros(self.running_us.saturating_sub(earlier.running_us))
+    }
+
     /// What a session takes up; `None` when the task was never sent.
     pub(super) fn restored(&self) -> Option<Restored> {
         let sent = self.sent?;

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::io;
+use std::time::Duration;
 
 use tracing::{info, warn};
 use ztl_core::{State, TaskId};
@@ -14,6 +15,10 @@ use crate::server::{KEEP, RestoredTask};
 const ROTATE: u64 = 1 << 20;
 /// Tasks that are carried over to a new file, at most; as many as a server remembers.
 const CARRIED: usize = 10_000;
+/// A client is told the id of a task that is undecided for 1.5 s, of which it may have waited for 1 s
+/// before its `Start`. With some of the rest for the way, one that is refused within this time after
+/// its `Start` is known to nobody.
+const UNTOLD: Duration = Duration::from_millis(250);
 /// Lines that cannot be used of which each is said.
 const SAID: usize = 10;
 /// Name under which the gateway logs.
@@ -237,6 +242,10 @@ impl<S: Storage> Log<S> {
                     self.gateway = opened.gateway;
                     self.last = self.last.max(opened.last);
                 }
+                Ok(Line::Start(line) | Line::Accepted(line)) if line.restored().is_none() => {
+                    useless += 1;
+                    warn!(target: LOG, "Journal {place}, line {number}: skipped, it does not say to whom the task was sent.");
+                }
                 Ok(Line::Start(line) | Line::Accepted(line) | Line::Ended(line)) => self.note(line),
                 Err(error) => {
                     useless += 1;
@@ -260,9 +269,15 @@ impl<S: Storage> Log<S> {
     /// An end stays what it is.
     fn note(&mut self, line: TaskLine) {
         self.last = self.last.max(line.task.get());
-        let known = self.tasks.get(&line.task);
-        if !known.is_some_and(|known| known.state.is_final()) {
-            self.tasks.insert(line.task, line);
+        match self.tasks.get(&line.task) {
+            Some(known) if known.state.is_final() => {}
+            // A device that is busy refuses often.
+            Some(known) if line.state == State::Rejected && line.since(known) < UNTOLD => {
+                self.tasks.remove(&line.task);
+            }
+            _ => {
+                self.tasks.insert(line.task, line);
+            }
         }
     }
 

@@ -79,8 +79,14 @@ fn what_was_written_is_known_after_a_restart() {
     log.ended_as(at(4), "gripper", &task(104), rejected)
         .unwrap();
 
+    // Refused at once: nobody has its id.
+    log.start(at(4), 105).unwrap();
+    log.ended_as(at(4), "gripper", &task(105), rejected)
+        .unwrap();
+
     let log = restarted(&log);
-    assert_eq!((log.gateway(), log.last_id()), (7, Some(id(104))));
+    assert_eq!((log.gateway(), log.last_id()), (7, Some(id(105))));
+    assert_eq!(log.ended(at(13)).len(), 2);
     let unended = log.unended();
     let known = |number, accepted| {
         let task = task(number);
@@ -367,4 +373,46 @@ fn when_no_new_file_can_be_begun_the_old_one_goes_on() {
     log.start(at(1), 102).unwrap();
     let written = log.storage().written.clone();
     assert_eq!(again(&written, Vec::new()).ids().0, [101, 102]);
+}
+
+#[test]
+fn no_bytes_at_all_make_it_panic() {
+    let mut log = fresh();
+    log.start(at(1), 101).unwrap();
+    log.complete(at(2), 101, "done");
+    log.start(at(3), 102).unwrap();
+    let good = log.storage().clone();
+    let mut dice = crate::line::Dice::new(1);
+    for _ in 0..3000 {
+        let mut bytes = good.clone();
+        for _ in 0..=dice.below(4) {
+            let place = dice.below(bytes.len() as u64) as usize;
+            match dice.below(4) {
+                0 => bytes[place] = dice.below(256) as u8,
+                1 => bytes.insert(place, b"0123456789\"{}[]:-\n"[dice.below(18) as usize]),
+                2 => drop(bytes.remove(place)),
+                _ => {
+                    let end = place + dice.below((bytes.len() - place) as u64 + 1) as usize;
+                    let part = bytes[place..end].to_vec();
+                    bytes.extend_from_slice(&part);
+                }
+            }
+        }
+        let mut log = again(&bytes, bytes.clone());
+        let last = log.last_id().map_or(200, TaskId::get).max(200);
+        if let Some(next) = last.checked_add(1) {
+            log.starting(
+                at(101),
+                "gripper",
+                None,
+                &Entry {
+                    id: id(next),
+                    ..task(200)
+                },
+            )
+            .unwrap();
+            let unended = restarted(&log).unended();
+            assert!(unended.iter().any(|(_, task)| task.id.get() == next));
+        }
+    }
 }
