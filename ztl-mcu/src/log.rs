@@ -1,8 +1,8 @@
 //! The firmware's log on its way to the gateway.
 //!
-//! [`LogQueue`] keeps it until the node has nothing else to send; a [`Pump`](crate::pump::Pump) is
-//! told where it is. With the feature `defmt`, [`defmt_logger`](crate::defmt_logger) makes it the place
-//! that `defmt::info!` and the others write to.
+//! A `LogQueue` (feature `critical-section`) keeps it until the node has nothing else to send; a
+//! [`Pump`](crate::pump::Pump) is told where it is. With the feature `defmt`, `defmt_logger!` makes it
+//! the place that `defmt::info!` and the others write to.
 
 #[cfg(feature = "critical-section")]
 mod queue;

@@ -114,7 +114,7 @@ impl<'a> Pump<'a> {
     }
 
     /// Whenever `stop` is raised the node is stopped: at the beginning of the next turn, and in
-    /// [`run`](Self::run) at once.
+    /// `run` at once.
     #[cfg(feature = "critical-section")]
     #[must_use]
     pub const fn with_stop(mut self, stop: &'a StopFlag) -> Self {
