@@ -30,6 +30,7 @@
 //! ```
 
 mod answers;
+mod inits;
 mod reserved;
 
 use core::time::Duration;
@@ -37,11 +38,11 @@ use core::time::Duration;
 use crate::envelope::Envelope;
 use crate::integer::Integer;
 use crate::lifecycle::{Event, Request, State};
-use crate::memory::{Awaited, First, LastInit, Memory, Scope, Waiter};
+use crate::memory::{Awaited, Memory, Scope, Waiter};
 use crate::message::Message;
-use crate::reply::{NO_CONTROLLER, Reply, ReplyId, ReplyText, UNKNOWN_PROTOCOL};
-use crate::tasks::{Task, TaskOf, TaskRules, Tasks, Text};
-use crate::time::earliest;
+use crate::reply::{Reply, ReplyId, Text};
+use crate::tasks::{Task, TaskOf, TaskRules, Tasks};
+use crate::time::micros;
 use crate::{Instant, TaskId};
 
 /// Longest time that the answer to an INIT or an ABORT is held; below the 2 s after which the
@@ -49,7 +50,8 @@ use crate::{Instant, TaskId};
 pub const HOLD: Duration = Duration::from_millis(1500);
 
 /// Longest time that a STATUS may ask to be held, for the same reason.
-pub const LONGEST_WAIT: Duration = Duration::from_millis(1999);
+pub const LONGEST_WAIT: Duration = Duration::from_millis(LONGEST_WAIT_MS);
+const LONGEST_WAIT_MS: u64 = 1999;
 
 /// How long the answer to an INIT is kept for its client, counted from the answer.
 pub const KEEP_INIT: Duration = Duration::from_secs(60);
@@ -180,22 +182,38 @@ pub enum TaskEvent<'a> {
 pub struct Dispatcher<M> {
     memory: M,
     next: Option<TaskId>,
-    config: Config,
+    boot: u32,
+    /// The times of [`Config`] in microseconds: what a `Duration` would be turned into each time.
+    hold: u64,
+    early: u64,
+    keep: u64,
 }
 
-/// Where a request came from, and how its client named it.
-struct Asker<P> {
-    peer: P,
-    envelope: Option<Envelope>,
+/// A request, and what is to be done with it: a refusal, until something better is found.
+///
+/// One place that is filled in by whoever finds it: a Cortex-M0 pays for each value that is handed
+/// back and taken apart again.
+struct Asked<'r, 'a> {
+    now: Instant,
+    envelope: Option<&'r Envelope>,
+    /// What it is answered if it does not wait.
+    reply: Reply<'r>,
+    /// It waits for this to happen to this task, until the deadline.
+    wait: Option<(TaskId, Awaited)>,
+    deadline: Instant,
+    action: Option<Action<'a>>,
 }
 
 impl<M: Memory> Dispatcher<M> {
     /// A dispatcher that remembers in `memory`.
-    pub fn new(memory: M, config: Config) -> Self {
+    pub const fn new(memory: M, config: Config) -> Self {
         Self {
             memory,
             next: Some(config.first),
-            config,
+            boot: config.boot,
+            hold: micros(config.hold),
+            early: micros(config.early),
+            keep: micros(config.keep),
         }
     }
 
@@ -213,46 +231,31 @@ impl<M: Memory> Dispatcher<M> {
             Body::One(bytes) => bytes,
             Body::Several => b"",
         };
-        let message = match Message::parse(bytes) {
-            Ok(message) => message,
-            Err(error) => {
-                // Case A, and 4.4 for what silenced the original for good.
-                let text = ReplyText::Plain(UNKNOWN_PROTOCOL);
-                out(peer, &Reply::refusal(error.scope(), text));
-                return None;
-            }
+        let mut asked = Asked {
+            now,
+            envelope: envelope.as_ref(),
+            reply: Reply::refusal(self.boot),
+            wait: None,
+            deadline: now.after(self.hold),
+            action: None,
         };
-        let asker = Asker { peer, envelope };
-        if message.scope == RESERVED_SCOPE {
-            self.on_reserved(now, asker, message, out);
+        self.decide(bytes, &mut asked, out);
+        let Some((task, awaited)) = asked.wait else {
+            out(peer, &asked.reply);
             return None;
+        };
+        let action = asked.action;
+        let waiter = Waiter {
+            peer,
+            task,
+            awaited,
+            deadline: asked.deadline,
+        };
+        // Without room it is answered as if its time had passed.
+        if let Err(waiter) = self.memory.hold(waiter) {
+            self.answer(waiter, None, out);
         }
-        let Some(scope) = self.memory.scope(message.scope) else {
-            let text = ReplyText::About(NO_CONTROLLER, message.scope);
-            out(asker.peer, &Reply::refusal(message.scope, text));
-            return None;
-        };
-        let invalid = ReplyText::Plain("Invalid request");
-        let (Ok(code), Ok(asked)) = (message.code(), message.number()) else {
-            out(asker.peer, &Reply::refusal(message.scope, invalid));
-            return None;
-        };
-        match code.value().and_then(Request::from_code) {
-            Some(Request::Init) => self.on_init(now, asker, message, scope, out),
-            Some(Request::Status) => {
-                self.on_status(now, asker, message, scope, asked, out);
-                None
-            }
-            Some(Request::Abort) => {
-                self.on_abort(now, asker.peer, message.scope, scope, asked, out)
-            }
-            None => {
-                let mut reply = Reply::refusal(message.scope, invalid);
-                reply.id = ReplyId::Asked(asked);
-                out(asker.peer, &reply);
-                None
-            }
-        }
+        action
     }
 
     /// A handler reports what became of a task.
@@ -263,52 +266,34 @@ impl<M: Memory> Dispatcher<M> {
         event: TaskEvent<'_>,
         out: &mut impl FnMut(M::Peer, &Reply<'_>),
     ) {
-        let (event, text) = match event {
-            TaskEvent::Accepted { reply } => {
-                if self.memory.tasks_mut().apply(now, id, Event::Accept, None) {
-                    self.on_accepted(now, id, ReplyText::Plain(reply), reply, out);
-                }
-                return;
-            }
-            TaskEvent::Rejected { reason } => {
-                return self.on_rejected(now, id, State::Rejected, reason, out);
-            }
-            TaskEvent::Threw { message } => {
-                return self.on_rejected(now, id, State::Failed, message, out);
-            }
+        let (told, step, text) = match event {
+            TaskEvent::Accepted { reply } => (State::Accepted, Some(Event::Accept), reply),
+            TaskEvent::Rejected { reason } => (State::Rejected, Some(Event::Reject), reason),
+            TaskEvent::Threw { message } => (State::Failed, Some(Event::Reject), message),
+            TaskEvent::Completed { result } => (State::Accepted, Some(Event::Complete), result),
+            TaskEvent::Failed { reason } => (State::Accepted, Some(Event::Fail), reason),
+            TaskEvent::Aborted { result } => (State::Accepted, Some(Event::Abort), result),
+            TaskEvent::AbortRefused => (State::Accepted, None, ""),
             TaskEvent::Progress { text } => {
                 self.memory.tasks_mut().progress(id, text);
                 return;
             }
-            TaskEvent::AbortRefused => {
-                return self.answer_waiting(id, Awaited::Abort, Some("False"), out);
-            }
-            TaskEvent::Completed { result } => (Event::Complete, result),
-            TaskEvent::Failed { reason } => (Event::Fail, reason),
-            TaskEvent::Aborted { result } => (Event::Abort, result),
         };
         let tasks = self.memory.tasks_mut();
-        // A handler that reports an end has taken the task, whether it said so or not.
-        let taken = tasks.apply(now, id, Event::Accept, None);
-        if tasks.apply(now, id, event, Some(text)) {
-            if taken {
-                self.on_accepted(now, id, ReplyText::Undecided(id), text, out);
-            }
-            for awaited in [Awaited::EarlyEnd, Awaited::Abort, Awaited::End] {
-                self.answer_waiting(id, awaited, None, out);
+        if let Some(step) = step {
+            // A handler that reports an end has taken the task, whether it said so or not.
+            let taken = told == State::Accepted && tasks.apply(now, id, Event::Accept, None);
+            if !tasks.apply(now, id, step, Some(text)) && !taken {
+                return;
             }
         }
+        self.on_change(now, id, (told, text), step.is_none(), out);
     }
 
     /// Answers what has been held long enough, and forgets what ended long ago.
     pub fn handle_timeout(&mut self, now: Instant, out: &mut impl FnMut(M::Peer, &Reply<'_>)) {
-        while let Some(place) = self.memory.held().iter().position(|w| w.deadline <= now) {
-            let Some(waiter) = self.memory.release(place) else {
-                break;
-            };
-            self.answer_late(waiter, out);
-        }
-        if let Some(end) = now.before(self.config.keep) {
+        self.answer_late(now, None, out);
+        if let Some(end) = now.before(self.keep) {
             self.memory.tasks_mut().forget_until(end);
         }
         self.memory.forget_inits(now);
@@ -317,19 +302,20 @@ impl<M: Memory> Dispatcher<M> {
     /// When [`handle_timeout`](Self::handle_timeout) has something to do; `None` while nothing is
     /// held or remembered.
     pub fn poll_timeout(&self) -> Option<Instant> {
-        let answer = self.memory.held().iter().map(|w| w.deadline).min();
         let end = self.memory.tasks().oldest_end();
-        let forget = end.map(|(_, end)| end + self.config.keep);
-        earliest(earliest(answer, forget), self.memory.next_forgetting())
+        let forget = end.map_or(Instant::NEVER, |(_, end)| end.after(self.keep));
+        let wake = self.memory.next_answer().min(forget);
+        let wake = wake.min(self.memory.next_forgetting());
+        (wake != Instant::NEVER).then_some(wake)
     }
 
     /// Takes up a task from before this start, and gives no id up to its own from now on; says
     /// whether there is room for it. To be called before the first request.
     pub fn restore(&mut self, id: TaskId, task: TaskOf<M::Tasks>) -> bool {
         self.skip_to(id);
-        let ended = task.ended.is_some();
+        let ended = task.ended != Instant::NEVER;
         let tasks = self.memory.tasks_mut();
-        let fits = tasks.insert(id, task);
+        let fits = tasks.insert(id, task).is_some();
         if fits && ended {
             tasks.on_ended(id);
         }
@@ -353,216 +339,79 @@ impl<M: Memory> Dispatcher<M> {
         &mut self.memory
     }
 
-    fn on_init<'a>(
-        &mut self,
-        now: Instant,
-        asker: Asker<M::Peer>,
-        message: Message<'a>,
-        scope: Scope,
-        out: &mut impl FnMut(M::Peer, &Reply<'_>),
-    ) -> Option<Action<'a>> {
-        let asker = self.repeated(now, asker, message.scope, out)?;
-        let mut refuse = |peer, text| {
-            out(peer, &Reply::refusal(message.scope, ReplyText::Plain(text)));
-            None
-        };
-        let Some(id) = self.next else {
-            return refuse(asker.peer, "all task ids are used up, restart the server");
-        };
-        if let Some(envelope) = asker.envelope {
-            let first = First::Pending(id);
-            let until = None;
-            if !self.memory.remember(LastInit {
-                client: envelope.client,
-                number: envelope.number,
-                early_end: envelope.early_end,
-                first,
-                until,
-            }) {
-                return refuse(
-                    asker.peer,
-                    "too many clients at a time, try again in a minute",
-                );
-            }
-        }
-        let task = || {
-            let mut task = Task::<_, M::Text>::new(scope);
-            task.text.set(NOTHING_KNOWN);
-            task
-        };
-        let refusal = match self.memory.tasks_mut().admit(id, task) {
-            Err(_) => Some((
-                asker.peer,
-                "too many tasks are running, wait for one to end",
-            )),
-            Ok(()) => {
-                let waiter = self.waiter(now, asker.peer, id, Awaited::Decision);
-                let held = self.memory.hold(waiter);
-                held.err()
-                    .map(|waiter| (waiter.peer, "too many requests are waiting, try again"))
-            }
-        };
-        if let Some((peer, text)) = refusal {
-            self.memory.tasks_mut().remove(id);
-            self.settle(now, id, State::Rejected, None, text);
-            return refuse(peer, text);
-        }
-        self.next = id.next();
-        Some(Action::Start {
-            id,
-            scope,
-            payload: message.payload,
-        })
-    }
-
-    fn waiter(
-        &self,
-        now: Instant,
-        peer: M::Peer,
-        task: TaskId,
-        awaited: Awaited,
-    ) -> Waiter<M::Peer> {
-        Waiter {
-            peer,
-            task,
-            awaited,
-            deadline: now + self.config.hold,
-        }
-    }
-
-    /// Answers an INIT that has come before; gives back one that has not.
-    fn repeated(
-        &mut self,
-        now: Instant,
-        asker: Asker<M::Peer>,
-        scope: &str,
-        out: &mut impl FnMut(M::Peer, &Reply<'_>),
-    ) -> Option<Asker<M::Peer>> {
-        let Some(envelope) = asker.envelope else {
-            return Some(asker);
-        };
-        let known = match self.memory.last_init(envelope.client) {
-            Some(known) if known.number >= envelope.number => known,
-            _ => return Some(asker),
-        };
-        let given_up = ReplyText::Plain("this INIT was given up by its client");
-        match &known.first {
-            First::Pending(task) if known.number == envelope.number => {
-                let task = *task;
-                let waiter = self.waiter(now, asker.peer, task, Awaited::Decision);
-                if let Err(waiter) = self.memory.hold(waiter) {
-                    self.answer_late(waiter, out);
-                }
-            }
-            First::Answered { state, id, text } if known.number == envelope.number => {
-                out(asker.peer, &first_answer(scope, *state, *id, text.as_ref()));
-            }
-            // Given up, or older than one that has come since.
-            _ => out(asker.peer, &Reply::refusal(scope, given_up)),
-        }
-        None
-    }
-
-    fn on_status(
-        &mut self,
-        now: Instant,
-        asker: Asker<M::Peer>,
-        message: Message<'_>,
-        scope: Scope,
-        asked: Integer<'_>,
+    /// The table of what a server answers (`docs/protocol.md`, 4.1), row by row.
+    fn decide<'r, 'a: 'r>(
+        &'r mut self,
+        body: &'a [u8],
+        asked: &mut Asked<'r, 'a>,
         out: &mut impl FnMut(M::Peer, &Reply<'_>),
     ) {
-        let Some((id, state)) = self.find(scope, asked) else {
-            return out(asker.peer, &unknown_id(message.scope, asked));
-        };
-        let wait = asker.envelope.and(held_for(message.payload));
-        let mut peer = asker.peer;
-        if let Some(wait) = wait
-            && !state.is_final()
-        {
-            let mut waiter = self.waiter(now, peer, id, Awaited::End);
-            waiter.deadline = now + wait;
-            match self.memory.hold(waiter) {
-                Ok(()) => return,
-                // Not held, then: it is answered now.
-                Err(waiter) => peer = waiter.peer,
+        let reply = &mut asked.reply;
+        let message = match Message::parse(body) {
+            Ok(message) => message,
+            Err(error) => {
+                reply.scope = error.scope();
+                return;
             }
-        }
-        if let Some(task) = self.memory.tasks().get(id) {
-            let text = ReplyText::Plain(task.text.as_ref());
-            out(peer, &Reply::about(message.scope, id, state, text));
-        }
-    }
-
-    fn on_abort(
-        &mut self,
-        now: Instant,
-        peer: M::Peer,
-        name: &str,
-        scope: Scope,
-        asked: Integer<'_>,
-        out: &mut impl FnMut(M::Peer, &Reply<'_>),
-    ) -> Option<Action<'static>> {
-        let Some((id, state)) = self.find(scope, asked) else {
-            out(peer, &unknown_id(name, asked));
-            return None;
         };
-        let reply = |state, text| Reply::about(name, id, state, ReplyText::Plain(text));
-        if state.is_final() {
+        reply.scope = message.scope;
+        let code = message.code();
+        let request = code.ok().and_then(Integer::value);
+        let request = request.and_then(Request::from_code);
+        if message.scope == RESERVED_SCOPE {
+            return self.on_reserved(request, message.payload, asked, out);
+        }
+        reply.text = Text::UnknownScope;
+        let Some(scope) = self.memory.scope(message.scope) else {
+            return;
+        };
+        reply.text = Text::Invalid;
+        let (Ok(_), Ok(id)) = (code, message.number()) else {
+            return;
+        };
+        if request == Some(Request::Init) {
+            return self.on_init(scope, message.payload, asked, out);
+        }
+        reply.id = ReplyId::Asked(id);
+        let Some(request) = request else {
+            return;
+        };
+        reply.text = Text::UnknownId;
+        let Some((id, task)) = self.find(scope, id) else {
+            return;
+        };
+        reply.id = ReplyId::Task(id);
+        reply.state = task.state;
+        reply.say(task.text.as_ref());
+        let ended = task.state.is_final();
+        if request == Request::Abort {
             // It stays what it is (rule 2); `False` is the original's word for "not aborted".
-            out(peer, &reply(state, "False"));
-            return None;
+            reply.text = Text::False;
+            if !ended {
+                asked.wait = Some((id, Awaited::Abort));
+                asked.action = Some(Action::Abort { id, scope });
+            }
+        } else if !ended
+            && asked.envelope.is_some()
+            && let Some(wait) = argument(message.payload, "wait ")
+        {
+            asked.wait = Some((id, Awaited::End));
+            asked.deadline = asked.now.after(wait.min(LONGEST_WAIT_MS) * 1000);
         }
-        let waiter = self.waiter(now, peer, id, Awaited::Abort);
-        if let Err(waiter) = self.memory.hold(waiter) {
-            out(waiter.peer, &reply(State::Accepted, "aborting"));
-        }
-        Some(Action::Abort { id, scope })
     }
 
-    fn find(&self, scope: Scope, asked: Integer<'_>) -> Option<(TaskId, State)> {
+    fn find(&self, scope: Scope, asked: Integer<'_>) -> Option<(TaskId, &Task<Scope, M::Text>)> {
         let number = u32::try_from(asked.value()?).ok()?;
         let id = TaskId::new(number)?;
         let task = self.memory.tasks().get(id)?;
-        (task.extra == scope).then_some((id, task.state))
+        (task.extra == scope).then_some((id, task))
     }
 }
 
-fn unknown_id<'a>(scope: &'a str, asked: Integer<'a>) -> Reply<'a> {
-    let mut reply = Reply::refusal(scope, ReplyText::InvalidId(asked));
-    reply.id = ReplyId::Asked(asked);
-    reply
-}
-
-/// What stands before the reason of a refusal.
-const fn prefix(threw: bool) -> &'static str {
-    if threw {
-        "Controller threw exception: "
-    } else {
-        ""
-    }
-}
-
-/// The answer to an INIT, told again.
-fn first_answer<'a>(scope: &'a str, state: State, id: Option<TaskId>, text: &'a str) -> Reply<'a> {
-    match id {
-        Some(id) => Reply::about(scope, id, state, ReplyText::Plain(text)),
-        None => {
-            let threw = state == State::Failed;
-            let mut reply = Reply::refusal(scope, ReplyText::About(prefix(threw), text));
-            reply.state = state;
-            reply
-        }
-    }
-}
-
-/// How long a STATUS with this payload asks to be held: `wait MS`.
-fn held_for(payload: &str) -> Option<Duration> {
-    let millis = Integer::parse(payload.strip_prefix("wait ")?).ok()?;
-    let millis = u64::try_from(millis.value()?).ok()?;
-    // Bounded first: a division in u64 costs a Cortex-M0 0.9 KiB.
-    let longest = LONGEST_WAIT.subsec_millis() + 1000 * LONGEST_WAIT.as_secs() as u32;
-    Some(Duration::from_millis(millis.min(u64::from(longest))))
+/// The number that follows `word` in a payload.
+fn argument(payload: &str, word: &str) -> Option<u64> {
+    let number = Integer::parse(payload.strip_prefix(word)?).ok()?;
+    u64::try_from(number.value()?).ok()
 }
 
 #[cfg(test)]

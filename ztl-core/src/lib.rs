@@ -45,6 +45,9 @@ impl TaskId {
         }
     }
 
+    /// The last one.
+    pub const MAX: Self = Self(core::num::NonZeroU32::MAX);
+
     /// The number as it goes over the wire.
     #[must_use]
     pub const fn get(self) -> u32 {

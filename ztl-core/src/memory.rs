@@ -7,7 +7,7 @@ use crate::envelope::ClientId;
 use crate::lifecycle::State;
 use crate::repr::put_yaml;
 use crate::sink::Sink;
-use crate::tasks::{TaskTable, Tasks, Text, swap_with_last};
+use crate::tasks::{TaskTable, Tasks, Text, take_out};
 use crate::{Instant, TaskId};
 
 /// Which of the registered scopes, by its place.
@@ -21,10 +21,10 @@ pub struct Scope(pub u16);
 pub enum Awaited {
     /// The handler's decision on an INIT.
     Decision,
+    /// The same, and for a moment after it the end, to tell both at once.
+    EarlyEnd,
     /// The decision too, asked for by `outcome`.
     Outcome,
-    /// For a moment the end of a task that was just accepted, to tell both at once.
-    EarlyEnd,
     /// The end of a task that is being aborted.
     Abort,
     /// The end of a task, asked for by a STATUS that waits.
@@ -45,33 +45,15 @@ pub struct Waiter<P> {
 }
 
 /// What became of a client's last INIT.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub enum First<T> {
-    /// Nothing yet: this task is undecided.
-    Pending(TaskId),
-    /// It was answered so.
-    Answered {
-        /// The answer's state.
-        state: State,
-        /// The answer's id; `None` is -1.
-        id: Option<TaskId>,
-        /// The answer's payload.
-        text: T,
-    },
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum First {
+    /// Nothing yet: its task is undecided.
+    Pending,
+    /// It was answered with this state and a text that is kept.
+    Answered(State),
     /// The client was told that it was never seen; it is refused if it still comes.
     Void,
-}
-
-impl<T> First<T> {
-    /// The task that the INIT led to.
-    #[must_use]
-    pub const fn task(&self) -> Option<TaskId> {
-        match self {
-            Self::Pending(task) => Some(*task),
-            Self::Answered { id, .. } => *id,
-            Self::Void => None,
-        }
-    }
 }
 
 /// The last INIT of a client, so that it never acts twice.
@@ -81,12 +63,32 @@ pub struct LastInit<T> {
     pub client: ClientId,
     /// Number of the request.
     pub number: u64,
-    /// Whether a quick end is to be told in place of the reply.
-    pub early_end: bool,
+    /// Tells it from another INIT with this number: a check sum of its scope and payload.
+    pub check: u32,
     /// What became of it.
-    pub first: First<T>,
-    /// Until when it is remembered; `None` while it is pending.
-    pub until: Option<Instant>,
+    pub first: First,
+    /// Its task, if it has one.
+    pub task: Option<TaskId>,
+    /// The answer's text.
+    pub text: T,
+    /// Until when it is remembered; [`Instant::NEVER`] while it is pending.
+    pub until: Instant,
+}
+
+impl<T: Text> LastInit<T> {
+    /// Of a client of which nothing is known.
+    #[must_use]
+    pub fn new(client: ClientId) -> Self {
+        Self {
+            client,
+            number: 0,
+            check: 0,
+            first: First::Void,
+            task: None,
+            text: T::default(),
+            until: Instant::NEVER,
+        }
+    }
 }
 
 /// What a dispatcher needs to remember.
@@ -112,33 +114,38 @@ pub trait Memory {
 
     /// What the reserved scope answers to a question that is not the protocol's own, or `None`
     /// where it is not known. Default: no question is known.
-    fn answer(&self, _question: &str) -> Option<impl AsRef<str>> {
-        None::<&str>
+    fn answer(&mut self, _question: &str) -> Option<&str> {
+        None
     }
 
+    /// Whether another answer can be held.
+    fn can_hold(&self) -> bool;
     /// Adds a held answer; gives it back when no more fit.
     ///
     /// # Errors
     /// The waiter, when there is no room for it.
     fn hold(&mut self, waiter: Waiter<Self::Peer>) -> Result<(), Waiter<Self::Peer>>;
-    /// Every held answer.
-    fn held(&self) -> &[Waiter<Self::Peer>];
-    /// Takes out the held answer at this place of [`held`](Self::held); the last one moves there.
-    fn release(&mut self, place: usize) -> Option<Waiter<Self::Peer>>;
+    /// Takes out a held answer that is wanted. Each is shown, and may be changed, until one is.
+    fn release(
+        &mut self,
+        wanted: impl Fn(&mut Waiter<Self::Peer>) -> bool,
+    ) -> Option<Waiter<Self::Peer>>;
+    /// When the first of the held answers is due; [`Instant::NEVER`] without any.
+    fn next_answer(&self) -> Instant;
 
     /// The last INIT of a client.
-    fn last_init(&mut self, client: ClientId) -> Option<&mut LastInit<Self::Text>>;
+    fn last_init(&self, client: &ClientId) -> Option<&LastInit<Self::Text>>;
     /// The last INIT of a client that led to this task, if it is still its last.
-    fn init_of(&mut self, task: TaskId) -> Option<&mut LastInit<Self::Text>>;
-    /// Adds a client's last INIT, or replaces the one before; `false` when no more clients fit.
-    fn remember(&mut self, init: LastInit<Self::Text>) -> bool;
-    /// Told when a client's last INIT, which asked for this task, has been answered and its time is
-    /// known, so that a memory can keep an order.
-    fn on_settled(&mut self, client: ClientId, task: TaskId);
+    fn init_of(&self, task: TaskId) -> Option<&LastInit<Self::Text>>;
+    /// A client's last INIT, to be changed; a void one if it has none, and `None` when no more clients
+    /// fit.
+    fn remember(&mut self, client: &ClientId) -> Option<&mut LastInit<Self::Text>>;
+    /// Told when the last INIT of a client has been changed, so that a memory can keep an order.
+    fn on_remembered(&mut self, client: &ClientId);
     /// Forgets those whose time has passed.
     fn forget_inits(&mut self, now: Instant);
-    /// The first time at which one may be forgotten.
-    fn next_forgetting(&self) -> Option<Instant>;
+    /// The first time at which one may be forgotten; [`Instant::NEVER`] when there is none.
+    fn next_forgetting(&self) -> Instant;
 }
 
 /// A memory without a heap: `SCOPES` scopes, `TASKS` tasks with texts of at most `TEXT` bytes, and
@@ -205,57 +212,48 @@ impl<P, const SCOPES: usize, const TASKS: usize, const TEXT: usize, const HELD: 
         sink.put(b"}");
     }
 
+    fn can_hold(&self) -> bool {
+        !self.held.is_full()
+    }
+
     fn hold(&mut self, waiter: Waiter<P>) -> Result<(), Waiter<P>> {
         self.held.push(waiter)
     }
 
-    fn held(&self) -> &[Waiter<P>] {
-        &self.held
+    fn release(&mut self, wanted: impl Fn(&mut Waiter<P>) -> bool) -> Option<Waiter<P>> {
+        take_out(&mut self.held, wanted)
     }
 
-    fn release(&mut self, place: usize) -> Option<Waiter<P>> {
-        if place >= self.held.len() {
-            return None;
+    fn next_answer(&self) -> Instant {
+        let deadlines = self.held.iter().map(|waiter| waiter.deadline);
+        deadlines.fold(Instant::NEVER, Ord::min)
+    }
+
+    fn last_init(&self, client: &ClientId) -> Option<&LastInit<Self::Text>> {
+        self.inits.iter().find(|init| init.client == *client)
+    }
+
+    fn init_of(&self, task: TaskId) -> Option<&LastInit<Self::Text>> {
+        self.inits.iter().find(|init| init.task == Some(task))
+    }
+
+    fn remember(&mut self, client: &ClientId) -> Option<&mut LastInit<Self::Text>> {
+        let known = self.inits.iter().position(|init| init.client == *client);
+        let place = known.unwrap_or(self.inits.len());
+        if known.is_none() {
+            self.inits.push(LastInit::new(*client)).ok()?;
         }
-        swap_with_last(&mut self.held, place);
-        self.held.pop()
+        self.inits.get_mut(place)
     }
 
-    fn last_init(&mut self, client: ClientId) -> Option<&mut LastInit<Self::Text>> {
-        self.inits.iter_mut().find(|init| init.client == client)
-    }
-
-    fn init_of(&mut self, task: TaskId) -> Option<&mut LastInit<Self::Text>> {
-        self.inits
-            .iter_mut()
-            .find(|init| init.first.task() == Some(task))
-    }
-
-    fn remember(&mut self, init: LastInit<Self::Text>) -> bool {
-        match self
-            .inits
-            .iter_mut()
-            .find(|known| known.client == init.client)
-        {
-            Some(known) => {
-                *known = init;
-                true
-            }
-            None => self.inits.push(init).is_ok(),
-        }
-    }
-
-    fn on_settled(&mut self, _client: ClientId, _task: TaskId) {}
+    fn on_remembered(&mut self, _client: &ClientId) {}
 
     fn forget_inits(&mut self, now: Instant) {
-        let over = |init: &LastInit<_>| init.until.is_some_and(|until| until <= now);
-        while let Some(place) = self.inits.iter().position(over) {
-            swap_with_last(&mut self.inits, place);
-            self.inits.pop();
-        }
+        while take_out(&mut self.inits, |init| init.until <= now).is_some() {}
     }
 
-    fn next_forgetting(&self) -> Option<Instant> {
-        self.inits.iter().filter_map(|init| init.until).min()
+    fn next_forgetting(&self) -> Instant {
+        let times = self.inits.iter().map(|init| init.until);
+        times.fold(Instant::NEVER, Ord::min)
     }
 }

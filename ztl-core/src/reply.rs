@@ -1,7 +1,6 @@
 //! Answers as views over what is remembered; nothing is copied before it is written.
 
 use crate::TaskId;
-use crate::dispatcher::RESERVED_SCOPE;
 use crate::integer::Integer;
 use crate::lifecycle::State;
 use crate::sink::{Sink, put_decimal};
@@ -19,8 +18,65 @@ pub enum RefusalOf {
     Scope,
 }
 
-pub(crate) const UNKNOWN_PROTOCOL: &str = "Unknown protocol";
-pub(crate) const NO_CONTROLLER: &str = "No controller for scope: ";
+/// All that a server says; the words are in [`template`](Self::template).
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Text {
+    Words,
+    Threw,
+    Undecided,
+    Aborting,
+    True,
+    False,
+    UnknownProtocol,
+    UnknownScope,
+    UnknownId,
+    Invalid,
+    ManyTasks,
+    ManyWaiting,
+    ManyClients,
+    NoMoreIds,
+    GivenUp,
+    NumberTaken,
+    Settled,
+    NeverSeen,
+    Probed,
+    InvalidReserved,
+}
+
+impl Text {
+    /// What is written, but that marks stand for parts of the [`Reply`]: `@` its scope, `!` its state,
+    /// `#` its id, `^` the boot id, `%` the words.
+    pub(crate) const fn template(self) -> &'static str {
+        match self {
+            Self::Words => "%",
+            Self::Threw => "Controller threw exception: %",
+            Self::Undecided => "Initiated task '#', nobody has taken it yet",
+            Self::Aborting => "aborting",
+            Self::True => "True",
+            Self::False => "False",
+            Self::UnknownProtocol => "Unknown protocol",
+            Self::UnknownScope => "No controller for scope: @",
+            Self::UnknownId => "Invalid ID '#'",
+            Self::Invalid => "Invalid request",
+            Self::ManyTasks => "too many tasks are running, wait for one to end",
+            Self::ManyWaiting => "too many requests are waiting, try again",
+            Self::ManyClients => "too many clients at a time, try again in a minute",
+            Self::NoMoreIds => "all task ids are used up, restart the server",
+            Self::GivenUp => "this INIT was given up by its client",
+            Self::NumberTaken => "another INIT has this number",
+            Self::Settled => "settled by a later INIT",
+            Self::NeverSeen => "never seen since boot ^",
+            Self::Probed => concat!(
+                "{ztl: 1, version: '",
+                env!("CARGO_PKG_VERSION"),
+                "', boot: ^, scopes: %}}"
+            ),
+            Self::InvalidReserved => {
+                "Invalid request: $ztl takes STATUS with the payload 'probe' or 'outcome N'"
+            }
+        }
+    }
+}
 
 /// An answer, as a view; [`put`](Self::put) writes it.
 #[derive(Clone, Copy)]
@@ -28,7 +84,10 @@ pub struct Reply<'a> {
     pub(crate) scope: &'a str,
     pub(crate) state: State,
     pub(crate) id: ReplyId<'a>,
-    pub(crate) text: ReplyText<'a>,
+    pub(crate) text: Text,
+    pub(crate) words: Words<'a>,
+    /// Differs from start to start of the server.
+    pub(crate) boot: u32,
 }
 
 #[derive(Clone, Copy)]
@@ -37,17 +96,13 @@ pub(crate) enum ReplyId<'a> {
     Task(TaskId),
 }
 
+/// What a text does not say by itself.
 #[derive(Clone, Copy)]
-pub(crate) enum ReplyText<'a> {
-    Plain(&'a str),
-    /// A fixed beginning, then what it is about.
-    About(&'static str, &'a str),
-    InvalidId(Integer<'a>),
-    Undecided(TaskId),
-    NeverSeen {
-        boot: u32,
-    },
-    Probe(&'a dyn Put),
+pub(crate) enum Words<'a> {
+    /// A handler's.
+    Said(&'a str),
+    /// What there is to tell of the server.
+    Put(&'a dyn Put),
 }
 
 /// Something that writes itself.
@@ -56,33 +111,37 @@ pub(crate) trait Put {
 }
 
 impl<'a> Reply<'a> {
-    /// State 2, id -1.
-    pub(crate) fn refusal(scope: &'a str, text: ReplyText<'a>) -> Self {
+    /// State 2, id -1, no scope: the answer to what cannot be read.
+    // Apart, as `decide` is: it is needed in several places.
+    #[inline(never)]
+    pub(crate) const fn refusal(boot: u32) -> Self {
         Self {
-            scope,
+            scope: "",
             state: State::Rejected,
             id: ReplyId::Asked(Integer::MINUS_ONE),
-            text,
+            text: Text::UnknownProtocol,
+            words: Words::Said(""),
+            boot,
         }
     }
 
-    /// What the reserved scope says for itself: id 0, which no answer to an INIT has.
-    pub(crate) fn reserved(state: State, text: ReplyText<'a>) -> Self {
-        Self {
-            scope: RESERVED_SCOPE,
-            state,
-            id: ReplyId::Asked(Integer::ZERO),
-            text,
-        }
+    /// Passes on what a handler said.
+    pub(crate) fn say(&mut self, words: &'a str) {
+        self.text = Text::Words;
+        self.words = Words::Said(words);
     }
 
-    /// About a task.
-    pub(crate) fn about(scope: &'a str, id: TaskId, state: State, text: ReplyText<'a>) -> Self {
-        Self {
-            scope,
-            state,
-            id: ReplyId::Task(id),
-            text,
+    /// Makes it the answer to the INIT of this task: accepted, or refused with another state.
+    #[inline(never)]
+    pub(crate) fn decide(&mut self, told: State, task: TaskId, words: &'a str) {
+        self.state = told;
+        self.say(words);
+        self.id = ReplyId::Task(task);
+        if told != State::Accepted {
+            self.id = ReplyId::Asked(Integer::MINUS_ONE);
+        }
+        if told == State::Failed {
+            self.text = Text::Threw;
         }
     }
 
@@ -90,8 +149,8 @@ impl<'a> Reply<'a> {
     #[must_use]
     pub fn refusal_of(&self) -> Option<RefusalOf> {
         match self.text {
-            ReplyText::Plain(UNKNOWN_PROTOCOL) => Some(RefusalOf::Protocol),
-            ReplyText::About(NO_CONTROLLER, _) => Some(RefusalOf::Scope),
+            Text::UnknownProtocol => Some(RefusalOf::Protocol),
+            Text::UnknownScope => Some(RefusalOf::Scope),
             _ => None,
         }
     }
@@ -119,36 +178,27 @@ impl<'a> Reply<'a> {
 
     /// Writes the message.
     pub fn put(&self, sink: &mut dyn Sink) {
-        sink.put(self.scope.as_bytes());
-        sink.put(b";");
-        put_decimal(sink, u32::from(self.state.code()));
-        sink.put(b";");
-        match self.id {
-            ReplyId::Asked(id) => id.put(sink),
-            ReplyId::Task(id) => put_decimal(sink, id.get()),
-        }
-        sink.put(b";");
-        match self.text {
-            ReplyText::Plain(text) => sink.put(text.as_bytes()),
-            ReplyText::About(beginning, about) => {
-                sink.put(beginning.as_bytes());
-                sink.put(about.as_bytes());
+        self.fill("@;!;#;", sink);
+        self.fill(self.text.template(), sink);
+    }
+
+    /// Writes a template, with what its marks stand for.
+    fn fill(&self, template: &str, sink: &mut dyn Sink) {
+        for byte in template.bytes() {
+            match byte {
+                b'@' => sink.put(self.scope.as_bytes()),
+                b'!' => sink.put(&[b'0' + self.state.code()]),
+                b'#' => match self.id {
+                    ReplyId::Asked(id) => id.put(sink),
+                    ReplyId::Task(id) => put_decimal(sink, id.get()),
+                },
+                b'^' => put_decimal(sink, self.boot),
+                b'%' => match self.words {
+                    Words::Said(words) => sink.put(words.as_bytes()),
+                    Words::Put(words) => words.put(sink),
+                },
+                byte => sink.put(&[byte]),
             }
-            ReplyText::InvalidId(id) => {
-                sink.put(b"Invalid ID '");
-                id.put(sink);
-                sink.put(b"'");
-            }
-            ReplyText::Undecided(id) => {
-                sink.put(b"Initiated task '");
-                put_decimal(sink, id.get());
-                sink.put(b"', nobody has taken it yet");
-            }
-            ReplyText::NeverSeen { boot } => {
-                sink.put(NEVER_SEEN.as_bytes());
-                put_decimal(sink, boot);
-            }
-            ReplyText::Probe(probe) => probe.put(sink),
         }
     }
 }

@@ -15,8 +15,8 @@ pub struct Task<X, T> {
     pub state: State,
     /// Progress while it runs, the result or the reason once it has ended.
     pub text: T,
-    /// When it ended; what is remembered longest is given up first, counted from here.
-    pub ended: Option<Instant>,
+    /// When it ended, [`Instant::NEVER`] while it runs; what ended first is given up first.
+    pub ended: Instant,
     /// Its end is not given up before it has been acknowledged.
     pub unacknowledged: bool,
     /// What the owner needs besides.
@@ -29,10 +29,15 @@ impl<X, T: Text> Task<X, T> {
         Self {
             state: State::Initiated,
             text: T::default(),
-            ended: None,
+            ended: Instant::NEVER,
             unacknowledged: false,
             extra,
         }
+    }
+
+    /// Whether it has ended, and may be given up.
+    fn is_over(&self) -> bool {
+        self.state.is_final() && !self.unacknowledged
     }
 
     /// Moves the task on, and says whether that changed anything: a final state never changes.
@@ -45,7 +50,7 @@ impl<X, T: Text> Task<X, T> {
             self.text.set(text);
         }
         if state.is_final() {
-            self.ended = Some(now);
+            self.ended = now;
         }
         true
     }
@@ -86,14 +91,19 @@ pub enum NoRoom {
 /// A task as a keeper of the type `K` has it.
 pub type TaskOf<K> = Task<<K as Tasks>::Extra, <K as Tasks>::Text>;
 
-/// Exchanges the entry at `place` with the last one, which can then be popped. `retain` and
-/// `swap_remove` call `memmove`, which costs a Cortex-M0 1.3 KiB.
-pub(crate) fn swap_with_last<T>(entries: &mut [T], place: usize) {
+/// Takes out the first entry that is wanted; the last one moves there. Not with `swap_remove`, which
+/// calls `memmove`: that costs a Cortex-M0 0.7 KiB.
+pub(crate) fn take_out<T, const N: usize>(
+    entries: &mut heapless::Vec<T, N>,
+    wanted: impl FnMut(&mut T) -> bool,
+) -> Option<T> {
+    let place = entries.iter_mut().position(wanted)?;
     if let Some((last, others)) = entries.split_last_mut()
         && let Some(here) = others.get_mut(place)
     {
         core::mem::swap(here, last);
     }
+    entries.pop()
 }
 
 /// Where tasks are kept. Only keeps; the rules are in [`TaskRules`].
@@ -109,16 +119,18 @@ pub trait Tasks {
     fn get(&self, id: Self::Id) -> Option<&TaskOf<Self>>;
     /// The task with this id, to be changed.
     fn get_mut(&mut self, id: Self::Id) -> Option<&mut TaskOf<Self>>;
-    /// Adds a task; `false` when no more fit.
-    fn insert(&mut self, id: Self::Id, task: TaskOf<Self>) -> bool;
+    /// Whether no more tasks fit.
+    fn is_full(&self) -> bool;
+    /// Adds a task; `None` when no more fit.
+    fn insert(&mut self, id: Self::Id, task: TaskOf<Self>) -> Option<&mut TaskOf<Self>>;
     /// Forgets a task.
     fn remove(&mut self, id: Self::Id);
     /// Told once when a task has ended, so that a keeper can keep the order of the ends.
     fn on_ended(&mut self, id: Self::Id);
     /// Of the ends that need no acknowledgement, the first.
     fn oldest_end(&self) -> Option<(Self::Id, Instant)>;
-    /// Calls `each` for every task; in any order.
-    fn for_each(&self, each: &mut dyn FnMut(Self::Id, &TaskOf<Self>));
+    /// Every task, in any order.
+    fn iter(&self) -> impl Iterator<Item = (Self::Id, &TaskOf<Self>)>;
 }
 
 /// The rules by which tasks come, change and go; every keeper has them.
@@ -127,23 +139,19 @@ pub trait TaskRules: Tasks {
     ///
     /// # Errors
     /// [`NoRoom`] when every task runs, or its end is unacknowledged.
-    fn admit(&mut self, id: Self::Id, task: impl Fn() -> TaskOf<Self>) -> Result<(), NoRoom> {
-        if self.insert(id, task()) {
-            return Ok(());
-        }
-        if let Some((oldest, _)) = self.oldest_end() {
+    fn admit(&mut self, id: Self::Id, task: TaskOf<Self>) -> Result<&mut TaskOf<Self>, NoRoom> {
+        if self.is_full() {
+            let Some((oldest, _)) = self.oldest_end() else {
+                let ended = self.iter().any(|(_, task)| task.state.is_final());
+                return Err(if ended {
+                    NoRoom::Unacknowledged
+                } else {
+                    NoRoom::Running
+                });
+            };
             self.remove(oldest);
-            if self.insert(id, task()) {
-                return Ok(());
-            }
         }
-        let mut why = NoRoom::Running;
-        self.for_each(&mut |_, task| {
-            if task.state.is_final() {
-                why = NoRoom::Unacknowledged;
-            }
-        });
-        Err(why)
+        self.insert(id, task).ok_or(NoRoom::Running)
     }
 
     /// Moves a task on, as [`Task::apply`] does.
@@ -178,10 +186,9 @@ pub trait TaskRules: Tasks {
 
     /// Forgets what ended at `end` or before and needs no acknowledgement.
     fn forget_until(&mut self, end: Instant) {
-        while let Some((id, ended)) = self.oldest_end() {
-            if ended > end {
-                break;
-            }
+        while let Some((id, ended)) = self.oldest_end()
+            && ended <= end
+        {
             self.remove(id);
         }
     }
@@ -198,13 +205,13 @@ impl<T: Tasks + ?Sized> TaskRules for T {}
 /// let mut table = TaskTable::<u8, (), 2, 16>::new();
 /// let now = Instant::ZERO;
 /// for id in [1, 2] {
-///     table.admit(id, || Task::new(())).unwrap();
+///     table.admit(id, Task::new(())).unwrap();
 ///     table.apply(now, id, Event::Accept, None);
 /// }
-/// assert!(table.admit(3, || Task::new(())).is_err(), "a running task is never given up");
+/// assert!(table.admit(3, Task::new(())).is_err(), "a running task is never given up");
 /// table.apply(now, 1, Event::Complete, Some("40.0"));
 /// assert!(!table.apply(now, 1, Event::Abort, None), "an end is an end");
-/// table.admit(3, || Task::new(())).unwrap();
+/// table.admit(3, Task::new(())).unwrap();
 /// assert!(table.get(1).is_none(), "its end was given up");
 /// assert_eq!(table.get(2).unwrap().state, State::Accepted);
 /// ```
@@ -236,11 +243,6 @@ impl<I, X, const N: usize, const TEXT: usize> TaskTable<I, X, N, TEXT> {
         self.entries.is_empty()
     }
 
-    /// Every task, in the order of their coming, but that one given up changes the order.
-    pub fn iter(&self) -> impl Iterator<Item = &Entry<I, X, TEXT>> {
-        self.entries.iter()
-    }
-
     /// Every task, to be changed.
     pub fn iter_mut(&mut self) -> impl Iterator<Item = &mut Entry<I, X, TEXT>> {
         self.entries.iter_mut()
@@ -259,40 +261,45 @@ impl<I: Copy + Ord, X, const N: usize, const TEXT: usize> Tasks for TaskTable<I,
     type Text = heapless::String<TEXT>;
 
     fn get(&self, id: I) -> Option<&Task<X, Self::Text>> {
-        let (_, task) = self.entries.iter().find(|(known, _)| *known == id)?;
+        let (_, task) = self.iter().find(|(known, _)| *known == id)?;
         Some(task)
     }
 
     fn get_mut(&mut self, id: I) -> Option<&mut Task<X, Self::Text>> {
-        let (_, task) = self.entries.iter_mut().find(|(known, _)| *known == id)?;
+        let (_, task) = self.iter_mut().find(|(known, _)| *known == id)?;
         Some(task)
     }
 
-    fn insert(&mut self, id: I, task: Task<X, Self::Text>) -> bool {
-        self.entries.push((id, task)).is_ok()
+    fn is_full(&self) -> bool {
+        self.entries.is_full()
+    }
+
+    fn insert(&mut self, id: I, task: Task<X, Self::Text>) -> Option<&mut Task<X, Self::Text>> {
+        self.entries.push((id, task)).ok()?;
+        let (_, task) = self.entries.last_mut()?;
+        Some(task)
     }
 
     fn remove(&mut self, id: I) {
-        if let Some(place) = self.entries.iter().position(|(known, _)| *known == id) {
-            swap_with_last(&mut self.entries, place);
-            self.entries.pop();
-        }
+        take_out(&mut self.entries, |(known, _)| *known == id);
     }
 
     fn on_ended(&mut self, _id: I) {}
 
     fn oldest_end(&self) -> Option<(I, Instant)> {
-        self.entries
-            .iter()
-            .filter(|(_, task)| !task.unacknowledged)
-            .filter_map(|(id, task)| Some((*id, task.ended?)))
-            .min_by_key(|(id, ended)| (*ended, *id))
+        let ends = self.entries.iter().filter(|(_, task)| task.is_over());
+        let mut oldest: Option<&Entry<I, X, TEXT>> = None;
+        for end in ends {
+            let (id, task) = end;
+            if oldest.is_none_or(|(known, first)| (task.ended, *id) < (first.ended, *known)) {
+                oldest = Some(end);
+            }
+        }
+        oldest.map(|(id, task)| (*id, task.ended))
     }
 
-    fn for_each(&self, each: &mut dyn FnMut(I, &Task<X, Self::Text>)) {
-        for (id, task) in &self.entries {
-            each(*id, task);
-        }
+    fn iter(&self) -> impl Iterator<Item = (I, &Task<X, Self::Text>)> {
+        self.entries.iter().map(|(id, task)| (*id, task))
     }
 }
 
@@ -311,15 +318,18 @@ mod tests {
     #[test]
     fn an_end_that_must_be_acknowledged_is_not_given_up() {
         let mut table = Table::new();
-        table.admit(1, unacknowledged).unwrap();
-        table.admit(2, unacknowledged).unwrap();
-        assert_eq!(table.admit(3, unacknowledged), Err(NoRoom::Running));
+        table.admit(1, unacknowledged()).unwrap();
+        table.admit(2, unacknowledged()).unwrap();
+        assert_eq!(table.admit(3, unacknowledged()), Err(NoRoom::Running));
         table.apply(Instant::ZERO, 1, Event::Fail, Some("no"));
-        assert_eq!(table.admit(3, unacknowledged), Err(NoRoom::Unacknowledged));
+        assert_eq!(
+            table.admit(3, unacknowledged()),
+            Err(NoRoom::Unacknowledged)
+        );
         table.acknowledge(2);
         assert!(table.get(2).is_some(), "it runs");
         table.acknowledge(1);
-        table.admit(3, unacknowledged).unwrap();
+        table.admit(3, unacknowledged()).unwrap();
     }
 
     #[test]
@@ -327,10 +337,10 @@ mod tests {
         let mut table = Table::new();
         let at = Instant::from_millis;
         for (id, end) in [(1, 20), (2, 10)] {
-            table.admit(id, || Task::new(())).unwrap();
+            table.admit(id, Task::new(())).unwrap();
             table.apply(at(end), id, Event::Abort, None);
         }
-        table.admit(3, || Task::new(())).unwrap();
+        table.admit(3, Task::new(())).unwrap();
         assert!(table.get(2).is_none());
         table.forget_until(at(19));
         assert!(table.get(1).is_some());

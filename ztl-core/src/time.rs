@@ -14,6 +14,9 @@ impl Instant {
     /// The clock's start.
     pub const ZERO: Self = Self(0);
 
+    /// The end of time, which no clock reaches.
+    pub const NEVER: Self = Self(u64::MAX);
+
     /// The moment `micros` microseconds after the clock's start.
     #[must_use]
     pub const fn from_micros(micros: u64) -> Self {
@@ -32,11 +35,16 @@ impl Instant {
         self.0
     }
 
-    /// The moment that lies this long before, or `None` when the clock had not started then.
-    #[must_use]
-    pub fn before(self, time: Duration) -> Option<Self> {
-        let start = Self::ZERO + time;
-        self.0.checked_sub(start.0).map(Self)
+    /// The moment so many microseconds later. Saturates at the end of time.
+    // Apart, since it is needed in many places.
+    #[inline(never)]
+    pub(crate) const fn after(self, micros: u64) -> Self {
+        Self(self.0.saturating_add(micros))
+    }
+
+    /// The moment so many microseconds before, or `None` when the clock had not started then.
+    pub(crate) fn before(self, micros: u64) -> Option<Self> {
+        self.0.checked_sub(micros).map(Self)
     }
 
     /// How long after `earlier` this moment is; zero when it is not after it.
@@ -51,14 +59,15 @@ impl core::ops::Add<Duration> for Instant {
 
     /// Saturates at the end of time.
     fn add(self, rhs: Duration) -> Self {
-        // In u64: a u128 division would cost a Cortex-M0 a kilobyte.
-        let micros = rhs.as_secs().saturating_mul(1_000_000);
-        Self(
-            self.0
-                .saturating_add(micros)
-                .saturating_add(u64::from(rhs.subsec_micros())),
-        )
+        self.after(micros(rhs))
     }
+}
+
+/// The duration in microseconds. Saturates.
+pub(crate) const fn micros(time: Duration) -> u64 {
+    // In u64: a u128 division would cost a Cortex-M0 a kilobyte.
+    let micros = time.as_secs().saturating_mul(1_000_000);
+    micros.saturating_add(time.subsec_micros() as u64)
 }
 
 /// The earlier of two wake-up times, where `None` means "no need to wake".

@@ -24,16 +24,12 @@ pub(super) struct Limits {
 pub(super) struct Task {
     pub(super) id: TaskId,
     scope: &'static str,
-    /// Its client wishes to be told a quick end in place of the handler's reply.
-    early_end: bool,
     state: State,
     /// Progress or end, as it is remembered.
     text: String,
     /// What its INIT is answered: when accepted, and when refused with the state.
     accepted: Option<String>,
     refused: Option<(State, String)>,
-    /// Its client has sent another INIT meanwhile, and so given this one up.
-    given_up: bool,
     /// When it ended, and how many INITs had come by then.
     ended: Option<(Instant, usize)>,
     /// Refused while its INIT still waited: the client never had an id to ask for.
@@ -76,6 +72,7 @@ struct Ask {
     due: Instant,
     envelope: Option<Envelope>,
     scope: String,
+    payload: String,
     asked: Asked,
     answered: bool,
 }
@@ -90,6 +87,8 @@ enum First {
 
 struct LastInit {
     number: u64,
+    /// Its scope and payload, which another one with its number does not share.
+    of: (String, String),
     first: First,
     /// Until when the server keeps its word about it; `None` while it is undecided.
     until: Option<Instant>,
@@ -130,6 +129,7 @@ impl Model {
         };
         let message = Message::parse(bytes);
         let scope = message.map_or_else(|error| error.scope(), |message| message.scope);
+        let payload = message.map_or("", |message| message.payload);
         let (asked, hold) = match message {
             Ok(message) => self.asked(envelope, message),
             Err(_) => only(format!("{scope};2;-1;Unknown protocol")),
@@ -139,6 +139,7 @@ impl Model {
             due: now + hold,
             envelope,
             scope: scope.to_owned(),
+            payload: payload.to_owned(),
             asked,
             answered: false,
         });
@@ -162,13 +163,14 @@ impl Model {
         assert_eq!(ask.scope, scope);
         assert!(payload.len() < 1 << 20);
         ask.asked = Asked::Init(Some(place));
-        let early_end = ask.envelope.is_some_and(|envelope| envelope.early_end);
         if let Some(Envelope { client, number, .. }) = ask.envelope {
             let first = First::Started(place);
+            let of = (ask.scope.clone(), ask.payload.clone());
             self.remember(
                 client,
                 LastInit {
                     number,
+                    of,
                     first,
                     until: None,
                 },
@@ -177,12 +179,10 @@ impl Model {
         self.tasks.push(Task {
             id,
             scope,
-            early_end,
             state: State::Initiated,
             text: "None".to_owned(),
             accepted: None,
             refused: None,
-            given_up: false,
             ended: None,
             nameless: false,
             forgotten: false,
@@ -191,10 +191,7 @@ impl Model {
     }
 
     fn remember(&mut self, client: ClientId, init: LastInit) {
-        let before = self.inits.insert(client, init);
-        if let Some(First::Started(task)) = before.map(|init| init.first) {
-            self.tasks[task].given_up = true;
-        }
+        self.inits.insert(client, init);
     }
 
     pub(super) fn on_abort(&mut self, peer: Peer, id: TaskId, scope: &str) {
@@ -262,6 +259,10 @@ impl Model {
             task.text = cut(text);
         }
         let decided = was == State::Initiated && state != State::Initiated;
+        if decided && state.is_final() && state != State::Rejected {
+            // Who reports an end has taken the task.
+            task.accepted = text.map(str::to_owned);
+        }
         for init in self.inits.values_mut() {
             if decided && matches!(init.first, First::Started(task) if task == place) {
                 init.until = Some(now + KEEP_INIT);

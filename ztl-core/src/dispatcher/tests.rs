@@ -331,7 +331,7 @@ fn an_abort_of_a_task_that_is_then_refused_is_answered_too() {
     lab.ask(1, "/test;1;-1;x");
     lab.ask(2, "/test;3;1;");
     lab.event(1, TaskEvent::Rejected { reason: "no" });
-    lab.told(&[(2, "/test;2;1;no"), (1, "/test;2;-1;no")]);
+    lab.told(&[(1, "/test;2;-1;no"), (2, "/test;2;1;no")]);
 }
 
 impl Lab {
@@ -458,6 +458,68 @@ fn a_quick_end_comes_in_place_of_the_reply_where_the_client_wishes_it() {
     lab.ours(1, 7, "/test;1;-1;x");
     lab.event(3, TaskEvent::Accepted { reply: "ok" });
     lab.told(&[(1, "/test;1;3;ok")]);
+}
+
+#[test]
+fn an_init_that_settles_one_with_a_held_answer_leaves_it_its_text() {
+    let mut lab = Lab::new();
+    let second = Duration::from_secs(1);
+    for (id, next, asked) in [
+        (1, "/test;1;-1;x", None),
+        (
+            3,
+            "$ztl;2;-1;outcome 99",
+            Some("$ztl;2;0;never seen since boot 4711"),
+        ),
+    ] {
+        let number = u64::from(id);
+        lab.wishing(1, number, true, "/test;1;-1;x");
+        lab.event(id, TaskEvent::Accepted { reply: "ok" });
+        lab.pass(Duration::from_millis(1));
+        lab.told(&[]);
+        // It comes before the 3 ms have passed.
+        lab.ours(2, number + 1, next);
+        lab.event(id + 1, TaskEvent::Rejected { reason: "no" });
+        let asked = asked.unwrap_or("/test;2;-1;no");
+        lab.told(&[(1, &std::format!("/test;1;{id};ok")), (2, asked)]);
+        lab.pass(second);
+        lab.told(&[]);
+    }
+}
+
+#[test]
+fn a_number_that_another_init_has_is_refused_under_the_scope_that_was_asked() {
+    let mut lab = Lab::new();
+    let taken = "2;-1;another INIT has this number";
+    lab.ours(1, 5, "/test;1;-1;x");
+    for decided in [false, true] {
+        if decided {
+            lab.event(1, TaskEvent::Accepted { reply: "ok" });
+            lab.told(&[(1, "/test;1;1;ok")]);
+        }
+        assert_eq!(lab.ours(2, 5, "/other;1;-1;x"), None);
+        assert_eq!(lab.ours(2, 5, "/test;1;-1;y"), None);
+        lab.told(&[
+            (2, &std::format!("/other;{taken}")),
+            (2, &std::format!("/test;{taken}")),
+        ]);
+    }
+    assert_eq!(lab.ours(2, 5, "/test;1;-1;x"), None);
+    lab.told(&[(2, "/test;1;1;ok")]);
+}
+
+#[test]
+fn an_end_without_a_word_before_is_the_answer_to_its_init_each_time() {
+    let mut lab = Lab::new();
+    lab.ours(1, 5, "/test;1;-1;x");
+    lab.event(1, TaskEvent::Failed { reason: "stuck" });
+    lab.ours(1, 5, "/test;1;-1;x");
+    lab.ask(1, "/test;2;1;");
+    lab.told(&[
+        (1, "/test;1;1;stuck"),
+        (1, "/test;1;1;stuck"),
+        (1, "/test;3;1;stuck"),
+    ]);
 }
 
 #[test]

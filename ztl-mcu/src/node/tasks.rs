@@ -119,7 +119,7 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> Inner<'_, C, TASKS, 
         };
         let waiting = self.tasks.iter().filter(|(_, task)| waits(task));
         let in_turn = waiting.filter(|(_, task)| !taken(task.extra.component));
-        in_turn.map(|(id, _)| *id).min()
+        in_turn.map(|(id, _)| id).min()
     }
 
     /// A task that waited begins, or ends as FAILED.
@@ -181,16 +181,13 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> Inner<'_, C, TASKS, 
             return refused("busy, and the goal is too long to wait: more than 48 bytes");
         }
         let stage = if busy { Stage::Waiting } else { Stage::Moving };
-        let job = || {
-            let mut job = Task::new(Job {
-                component,
-                due: now,
-                news: busy,
-                stage,
-            });
-            job.unacknowledged = true;
-            job
-        };
+        let mut job = Task::new(Job {
+            component,
+            due: now,
+            news: busy,
+            stage,
+        });
+        job.unacknowledged = true;
         if let Err(full) = self.tasks.admit(task, job) {
             return refused(match full {
                 NoRoom::Running => "too many tasks are running",

@@ -8,6 +8,7 @@ use ztl_core::Instant;
 use ztl_core::link::{
     ADDR_ONLY_NODE, Body, Frame, Ids, LinkId, NO_SEQ, NO_SESSION, VERSION, Welcome, encode,
 };
+use ztl_core::tasks::Tasks;
 use ztl_core::time::earliest;
 
 use super::commands::Answer;
@@ -293,7 +294,7 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> Inner<'_, C, TASKS, 
                 // Pushed, since `collect` panics where the compiler cannot see that all fit.
                 let mut ids = Vec::<LinkId, TASKS>::new();
                 for (id, _) in self.tasks.iter() {
-                    let _ = ids.push(*id);
+                    let _ = ids.push(id);
                 }
                 frame(Body::Welcome(Welcome {
                     version: VERSION,

@@ -80,24 +80,25 @@ impl Tasks for HeapTasks {
         self.tasks.get_mut(&id)
     }
 
-    fn insert(&mut self, id: TaskId, task: Task<Scope, Grown>) -> bool {
-        if self.tasks.len() >= MAX_TASKS {
-            return false;
-        }
+    fn is_full(&self) -> bool {
+        self.tasks.len() >= MAX_TASKS
+    }
+
+    fn insert(&mut self, id: TaskId, task: Task<Scope, Grown>) -> Option<&mut Task<Scope, Grown>> {
         self.tasks.insert(id, task);
-        true
+        self.tasks.get_mut(&id)
     }
 
     fn remove(&mut self, id: TaskId) {
         self.asked.remove(&id);
-        if let Some(ended) = self.tasks.remove(&id).and_then(|task| task.ended) {
-            self.ends.remove(&(ended, id));
+        if let Some(task) = self.tasks.remove(&id) {
+            self.ends.remove(&(task.ended, id));
         }
     }
 
     fn on_ended(&mut self, id: TaskId) {
-        if let Some(ended) = self.tasks.get(&id).and_then(|task| task.ended) {
-            self.ends.insert((ended, id));
+        if let Some(task) = self.tasks.get(&id) {
+            self.ends.insert((task.ended, id));
         }
     }
 
@@ -106,12 +107,12 @@ impl Tasks for HeapTasks {
         self.ends.first().map(|(ended, id)| (*id, *ended))
     }
 
-    fn for_each(&self, each: &mut dyn FnMut(TaskId, &Task<Scope, Grown>)) {
-        for (id, task) in &self.tasks {
-            if !self.hidden.contains(&task.extra) {
-                each(*id, task);
-            }
-        }
+    fn iter(&self) -> impl Iterator<Item = (TaskId, &Task<Scope, Grown>)> {
+        let shown = |(_, task): &(_, &Task<Scope, Grown>)| !self.hidden.contains(&task.extra);
+        self.tasks
+            .iter()
+            .filter(shown)
+            .map(|(id, task)| (*id, task))
     }
 }
 
@@ -119,13 +120,15 @@ impl Tasks for HeapTasks {
 pub(super) struct Heap {
     /// Names and descriptions, by scope.
     scopes: Vec<(String, About)>,
+    /// What the last question was answered, to be told.
+    answer: Option<String>,
     places: HashMap<String, Scope>,
     tasks: HeapTasks,
     held: Vec<Waiter<Peer>>,
     inits: HashMap<ClientId, LastInit<Grown>>,
     /// Which client's last INIT led to a task.
     clients: HashMap<TaskId, ClientId>,
-    /// When an answered INIT may be forgotten. One that was replaced since stands here in vain.
+    /// When an answered INIT may be forgotten.
     until: BTreeSet<(Instant, ClientId)>,
 }
 
@@ -183,7 +186,7 @@ impl Heap {
                 state: task.state.code(),
                 text: told(task.text.as_ref()),
                 age_ms: asked.map_or(0, |asked| millis(asked.age(now))),
-                ended_ms: task.ended.map(|ended| millis(now.since(ended))),
+                ended_ms: (task.ended != Instant::NEVER).then(|| millis(now.since(task.ended))),
             }
         });
         Listing {
@@ -205,12 +208,10 @@ impl Heap {
     /// Takes an INIT out of the indexes.
     fn unlink(&mut self, client: ClientId) {
         if let Some(init) = self.inits.get(&client) {
-            if let Some(task) = init.first.task() {
+            if let Some(task) = init.task {
                 self.clients.remove(&task);
             }
-            if let Some(until) = init.until {
-                self.until.remove(&(until, client));
-            }
+            self.until.remove(&(init.until, client));
         }
     }
 }
@@ -247,78 +248,79 @@ impl Memory for Heap {
         sink.put(format!("{{{}}}", scopes.join(", ")).as_bytes());
     }
 
-    fn answer(&self, question: &str) -> Option<impl AsRef<str>> {
-        match question {
+    fn answer(&mut self, question: &str) -> Option<&str> {
+        self.answer = match question {
             "tasks" => self.listing().into_json(),
             other => self.ask_handlers(other),
-        }
+        };
+        self.answer.as_deref()
+    }
+
+    fn can_hold(&self) -> bool {
+        self.held.len() < MAX_HELD
     }
 
     fn hold(&mut self, waiter: Waiter<Peer>) -> Result<(), Waiter<Peer>> {
-        if self.held.len() >= MAX_HELD {
+        if !self.can_hold() {
             return Err(waiter);
         }
         self.held.push(waiter);
         Ok(())
     }
 
-    fn held(&self) -> &[Waiter<Peer>] {
-        &self.held
+    fn release(&mut self, wanted: impl Fn(&mut Waiter<Peer>) -> bool) -> Option<Waiter<Peer>> {
+        let place = self.held.iter_mut().position(wanted)?;
+        Some(self.held.swap_remove(place))
     }
 
-    fn release(&mut self, place: usize) -> Option<Waiter<Peer>> {
-        (place < self.held.len()).then(|| self.held.swap_remove(place))
+    fn next_answer(&self) -> Instant {
+        let deadlines = self.held.iter().map(|waiter| waiter.deadline);
+        deadlines.min().unwrap_or(Instant::NEVER)
     }
 
-    fn last_init(&mut self, client: ClientId) -> Option<&mut LastInit<Grown>> {
-        self.inits.get_mut(&client)
+    fn last_init(&self, client: &ClientId) -> Option<&LastInit<Grown>> {
+        self.inits.get(client)
     }
 
-    fn init_of(&mut self, task: TaskId) -> Option<&mut LastInit<Grown>> {
+    fn init_of(&self, task: TaskId) -> Option<&LastInit<Grown>> {
         let client = self.clients.get(&task)?;
-        self.inits.get_mut(client)
+        self.inits.get(client)
     }
 
-    fn remember(&mut self, init: LastInit<Grown>) -> bool {
-        if self.inits.len() >= MAX_CLIENTS && !self.inits.contains_key(&init.client) {
-            return false;
+    fn remember(&mut self, client: &ClientId) -> Option<&mut LastInit<Grown>> {
+        if self.inits.len() >= MAX_CLIENTS && !self.inits.contains_key(client) {
+            return None;
         }
-        self.unlink(init.client);
-        if let Some(task) = init.first.task() {
-            self.clients.insert(task, init.client);
-        }
-        if let Some(until) = init.until {
-            self.until.insert((until, init.client));
-        }
-        self.inits.insert(init.client, init);
-        true
+        self.unlink(*client);
+        let init = self.inits.entry(*client);
+        Some(init.or_insert_with(|| LastInit::new(*client)))
     }
 
-    fn on_settled(&mut self, client: ClientId, task: TaskId) {
-        let Some(init) = self.inits.get(&client) else {
+    fn on_remembered(&mut self, client: &ClientId) {
+        let Some(init) = self.inits.get(client) else {
             return;
         };
-        if init.first.task().is_none() {
-            self.clients.remove(&task);
+        if let Some(task) = init.task {
+            self.clients.insert(task, *client);
         }
-        if let Some(until) = init.until {
-            self.until.insert((until, client));
+        if init.until != Instant::NEVER {
+            self.until.insert((init.until, *client));
         }
     }
 
     fn forget_inits(&mut self, now: Instant) {
-        while let Some((until, client)) = self.until.first().copied() {
-            if now < until {
-                break;
-            }
+        while let Some((until, client)) = self.until.first().copied()
+            && until <= now
+        {
             self.unlink(client);
-            self.until.remove(&(until, client));
             self.inits.remove(&client);
         }
     }
 
-    fn next_forgetting(&self) -> Option<Instant> {
-        self.until.first().map(|(until, _)| *until)
+    fn next_forgetting(&self) -> Instant {
+        self.until
+            .first()
+            .map_or(Instant::NEVER, |(until, _)| *until)
     }
 }
 

@@ -316,8 +316,9 @@ impl TaskServer {
             known.state = task.state;
             known.text.set(&task.text);
             let ago = task.ended.unwrap_or_default();
-            let at = now.before(ago).unwrap_or(Instant::ZERO);
-            known.ended = task.ended.map(|_| at);
+            let ago = u64::try_from(ago.as_micros()).unwrap_or(u64::MAX);
+            let at = Instant::from_micros(now.as_micros().saturating_sub(ago));
+            known.ended = task.ended.map_or(Instant::NEVER, |_| at);
             if self.dispatcher.restore(id, known) {
                 let heap = self.dispatcher.memory_mut();
                 heap.note_payload(id, &task.payload, at);

@@ -27,19 +27,15 @@ impl Model {
         ask.answered = true;
         let (asked, envelope, scope) = (ask.asked.clone(), ask.envelope, ask.scope.clone());
         let early = now < ask.due;
+        let wish = envelope.is_some_and(|envelope| envelope.early_end);
         let told = Message::parse(text.as_bytes()).expect("a message");
-        // A client that uses a number twice, for two scopes, is told of the first.
-        let first = match asked {
-            Asked::Again { scope, task } if scope != "$ztl" => self.tasks[task].scope,
-            _ => &scope,
-        };
-        assert!(told.scope == scope || told.scope == first, "{text}");
+        assert_eq!(told.scope, scope, "{text}");
         let told = (told.state, told.id, told.payload);
         match asked {
             Asked::Only(expected) => assert_eq!(text, expected),
-            Asked::Init(None) => self.assert_refusal(now, envelope, told),
-            Asked::Init(Some(task)) => self.assert_first(task, false, told),
-            Asked::Again { scope, task } => self.assert_first(task, scope == "$ztl", told),
+            Asked::Init(None) => self.assert_refusal(now, peer, told),
+            Asked::Init(Some(task)) => self.assert_first(task, wish, told),
+            Asked::Again { scope, task } => self.assert_first(task, wish && scope != "$ztl", told),
             Asked::Refusal {
                 scope,
                 text: reason,
@@ -54,7 +50,7 @@ impl Model {
     }
 
     /// An INIT that did not start.
-    fn assert_refusal(&mut self, now: Instant, asker: Option<Envelope>, told: Told<'_>) {
+    fn assert_refusal(&mut self, now: Instant, peer: Peer, told: Told<'_>) {
         let (state, id, text) = told;
         assert_eq!((state, id), ("2", "-1"));
         let held = self.asks.iter().filter(|ask| !ask.answered).count();
@@ -72,13 +68,16 @@ impl Model {
             NO_WAITERS => assert_eq!(held, self.limits.held),
             other => panic!("refused for {other}"),
         }
-        if let Some(Envelope { client, number, .. }) = asker {
+        let ask = &self.asks[peer];
+        if let Some(Envelope { client, number, .. }) = ask.envelope {
+            let of = (ask.scope.clone(), ask.payload.clone());
             let first = First::Refused(text.to_owned());
             let until = Some(now + KEEP_INIT);
             self.remember(
                 client,
                 LastInit {
                     number,
+                    of,
                     first,
                     until,
                 },
@@ -87,7 +86,7 @@ impl Model {
     }
 
     /// The answer to the INIT of a task, when it comes or once more.
-    fn assert_first(&self, task: usize, outcome: bool, told: Told<'_>) {
+    fn assert_first(&self, task: usize, wish: bool, told: Told<'_>) {
         let task = &self.tasks[task];
         let id = task.id.to_string();
         let undecided = format!("Initiated task '{id}', nobody has taken it yet");
@@ -110,20 +109,13 @@ impl Model {
         let (state, told_id, text) = told;
         assert_eq!(told_id, id);
         if state == "1" {
-            // While the moment passes in which a quick end is waited for, nothing else keeps the reply.
-            let lost = task.early_end && task.given_up && text.is_empty();
             let known = match &task.accepted {
-                Some(_) if lost => true,
                 Some(reply) => text == reply || text == cut(reply),
-                // It ended without having been accepted: the end is kept. Or it is still undecided.
-                None => text == undecided || (task.state.is_final() && text == task.text),
+                None => text == undecided,
             };
             assert!(known, "{told:?}");
         } else {
-            assert!(
-                task.early_end && !outcome && task.state.is_final(),
-                "{told:?}"
-            );
+            assert!(wish && task.state.is_final(), "{told:?}");
             self.assert_end(task, state, text);
         }
     }
@@ -140,6 +132,7 @@ impl Model {
         let until = Some(now + KEEP_INIT);
         let void = LastInit {
             number,
+            of: Default::default(),
             first: First::Void,
             until,
         };

@@ -11,6 +11,7 @@ use super::{Asked, First, Model, config};
 use crate::dispatcher::SCOPES;
 
 const GIVEN_UP: &str = "this INIT was given up by its client";
+const NUMBER_TAKEN: &str = "another INIT has this number";
 const RESERVED: &str = "Invalid request: $ztl takes STATUS with the payload 'probe' or 'outcome N'";
 
 impl Model {
@@ -53,7 +54,10 @@ impl Model {
                 } else {
                     Default::default()
                 };
-                (self.init(scope, envelope), config.hold + early)
+                (
+                    self.init(scope, message.payload, envelope),
+                    config.hold + early,
+                )
             }
             (_, None) => only(format!("{scope};2;{id};Invalid ID '{id}'")),
             (Some(Request::Abort), Some(task)) => {
@@ -77,18 +81,21 @@ impl Model {
         }
     }
 
-    fn init(&self, scope: &'static str, envelope: Option<Envelope>) -> Asked {
+    fn init(&self, scope: &'static str, payload: &str, envelope: Option<Envelope>) -> Asked {
         let Some(envelope) = envelope else {
             return Asked::Init(None);
         };
         match self.inits.get(&envelope.client) {
             Some(last) if last.number == envelope.number => match &last.first {
+                First::Void => Asked::Only(format!("{scope};2;-1;{GIVEN_UP}")),
+                _ if (last.of.0.as_str(), last.of.1.as_str()) != (scope, payload) => {
+                    Asked::Only(format!("{scope};2;-1;{NUMBER_TAKEN}"))
+                }
                 First::Started(task) => Asked::Again { scope, task: *task },
                 First::Refused(text) => Asked::Refusal {
                     scope,
                     text: text.clone(),
                 },
-                First::Void => Asked::Only(format!("{scope};2;-1;{GIVEN_UP}")),
             },
             Some(last) if last.number > envelope.number => {
                 Asked::Only(format!("{scope};2;-1;{GIVEN_UP}"))

@@ -1,0 +1,167 @@
+//! INITs: a new one starts a task, one that has come before does not.
+
+use super::{Action, Asked, Dispatcher, KEEP_INIT, NOTHING_KNOWN};
+use crate::envelope::{ClientId, Envelope};
+use crate::lifecycle::State;
+use crate::memory::{Awaited, First, Memory, Scope};
+use crate::reply::{Reply, Text};
+use crate::tasks::{Task, TaskRules, Tasks, Text as _};
+use crate::time::micros;
+use crate::{Instant, TaskId};
+
+/// What is known of an INIT.
+pub(super) enum Known {
+    /// It has not come, or is forgotten.
+    New,
+    /// Its client was told so, and it never counts.
+    Void,
+    /// A later one has come.
+    Settled,
+    /// Its number is another one's.
+    Taken,
+    /// This task was started for it, and nobody has decided.
+    Pending(TaskId),
+    /// It was answered so.
+    Answered(State, TaskId),
+}
+
+impl<M: Memory> Dispatcher<M> {
+    pub(super) fn on_init<'r, 'a: 'r>(
+        &'r mut self,
+        scope: Scope,
+        payload: &'a str,
+        asked: &mut Asked<'r, 'a>,
+        out: &mut impl FnMut(M::Peer, &Reply<'_>),
+    ) {
+        asked.reply.text = Text::GivenUp;
+        let check = check(scope, payload);
+        let mut awaited = Awaited::Decision;
+        if let Some(envelope) = asked.envelope {
+            if envelope.early_end {
+                awaited = Awaited::EarlyEnd;
+            }
+            match self.known(&envelope.client, envelope.number, Some(check)) {
+                Known::New => self.settle_last(asked.now, &envelope.client, out),
+                Known::Void | Known::Settled => return,
+                Known::Taken => {
+                    asked.reply.text = Text::NumberTaken;
+                    return;
+                }
+                Known::Pending(task) => {
+                    asked.wait = Some((task, awaited));
+                    return;
+                }
+                Known::Answered(told, task) => {
+                    return self.tell_again(&envelope.client, (told, task), &mut asked.reply);
+                }
+            }
+        }
+        let Some(id) = self.next else {
+            asked.reply.text = Text::NoMoreIds;
+            return;
+        };
+        let mut refused = None;
+        match self.memory.tasks_mut().admit(id, Task::new(scope)) {
+            Ok(task) => task.text.set(NOTHING_KNOWN),
+            Err(_) => refused = Some(Text::ManyTasks),
+        }
+        if refused.is_none() && !self.memory.can_hold() {
+            refused = Some(Text::ManyWaiting);
+        }
+        if let Some(Envelope { client, number, .. }) = asked.envelope {
+            let (first, task, text) = match refused {
+                None => (First::Pending, Some(id), ""),
+                Some(reason) => (First::Answered(State::Rejected), None, reason.template()),
+            };
+            if !self.remember(asked.now, client, (*number, check), first, task, text) {
+                refused = Some(Text::ManyClients);
+            }
+        }
+        if let Some(reason) = refused {
+            self.memory.tasks_mut().remove(id);
+            asked.reply.text = reason;
+            return;
+        }
+        self.next = id.next();
+        asked.wait = Some((id, awaited));
+        asked.action = Some(Action::Start { id, scope, payload });
+    }
+
+    /// What is known of a client's INIT with this number, and this check sum if it has come again.
+    pub(super) fn known(&self, client: &ClientId, number: u64, check: Option<u32>) -> Known {
+        let Some(init) = self.memory.last_init(client) else {
+            return Known::New;
+        };
+        // Without a task it was refused, and its answer has no id.
+        let task = init.task.unwrap_or(TaskId::MAX);
+        match init.first {
+            _ if init.number < number => Known::New,
+            _ if init.number > number => Known::Settled,
+            First::Void => Known::Void,
+            _ if check.is_some_and(|check| check != init.check) => Known::Taken,
+            First::Pending => Known::Pending(task),
+            First::Answered(told) => Known::Answered(told, task),
+        }
+    }
+
+    /// Remembers a client's last INIT by its number and check sum; says whether there is room.
+    pub(super) fn remember(
+        &mut self,
+        now: Instant,
+        client: &ClientId,
+        (number, check): (u64, u32),
+        first: First,
+        task: Option<TaskId>,
+        text: &str,
+    ) -> bool {
+        let Some(init) = self.memory.remember(client) else {
+            return false;
+        };
+        init.number = number;
+        init.check = check;
+        init.first = first;
+        init.task = task;
+        init.text.set(text);
+        init.until = match first {
+            First::Pending => Instant::NEVER,
+            _ => now.after(micros(KEEP_INIT)),
+        };
+        self.memory.on_remembered(client);
+        true
+    }
+
+    /// Gives the answer that a client's last INIT got.
+    pub(super) fn tell_again<'r>(
+        &'r self,
+        client: &ClientId,
+        (told, task): (State, TaskId),
+        reply: &mut Reply<'r>,
+    ) {
+        let text = self.memory.last_init(client).map(|init| init.text.as_ref());
+        reply.decide(told, task, text.unwrap_or_default());
+    }
+
+    /// A client's last INIT is about to be settled by another: those who wait for a quick end of its
+    /// task are answered while the text for them is known.
+    pub(super) fn settle_last(
+        &mut self,
+        now: Instant,
+        client: &ClientId,
+        out: &mut impl FnMut(M::Peer, &Reply<'_>),
+    ) {
+        if let Some(last) = self.memory.last_init(client)
+            && last.first != First::Pending
+        {
+            self.answer_late(now, last.task, out);
+        }
+    }
+}
+
+/// Tells an INIT from another with its number, which only a client that counts wrongly sends (FNV-1a).
+fn check(scope: Scope, payload: &str) -> u32 {
+    payload
+        .bytes()
+        .fold(0x811C_9DC5 ^ u32::from(scope.0), |sum, byte| {
+            (sum ^ u32::from(byte)).wrapping_mul(0x0100_0193)
+        })
+}
