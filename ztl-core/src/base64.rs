@@ -60,35 +60,28 @@ pub fn decode<'b>(text: &[u8], buffer: &'b mut [u8]) -> Result<&'b [u8], DecodeE
     let mut len = 0;
     let mut characters = 0usize;
     let mut pads = 0;
-    let mut bits = 0u8;
+    let mut bits = 0u32;
     for &byte in text {
         let place = characters % 4;
-        if byte == b'=' {
-            if place >= 2 {
-                pads += 1;
-                if place + pads >= 4 {
-                    characters = 0;
-                    break;
-                }
+        if let Some(six) = value(byte) {
+            pads = 0;
+            characters += 1;
+            // The 6 bits of the first, then 12, 10 and 8 that are not yet written.
+            bits = bits << 6 | u32::from(six);
+            if place != 0 {
+                *buffer
+                    .get_mut(len)
+                    .ok_or(DecodeError::BufferTooSmall { available })? =
+                    (bits >> (6 - 2 * place)) as u8;
+                len += 1;
             }
-            continue;
+        } else if byte == b'=' && place >= 2 {
+            pads += 1;
+            if place + pads >= 4 {
+                characters = 0;
+                break;
+            }
         }
-        let Some(six) = value(byte) else { continue };
-        pads = 0;
-        characters += 1;
-        if place != 0 {
-            // `bits` holds what is left of the characters before: 6, 4 or 2 bits.
-            let whole = match place {
-                1 => bits << 2 | six >> 4,
-                2 => bits << 4 | six >> 2,
-                _ => bits << 6 | six,
-            };
-            *buffer
-                .get_mut(len)
-                .ok_or(DecodeError::BufferTooSmall { available })? = whole;
-            len += 1;
-        }
-        bits = six;
     }
     match characters % 4 {
         0 => Ok(buffer.get(..len).unwrap_or_default()),

@@ -6,6 +6,7 @@ extern crate std;
 
 pub mod base64;
 pub mod client;
+mod cursor;
 pub mod dispatcher;
 pub mod envelope;
 #[cfg(feature = "serde")]

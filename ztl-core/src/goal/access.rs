@@ -6,30 +6,26 @@ use serde::de::{
     DeserializeSeed, Deserializer, EnumAccess, MapAccess, SeqAccess, VariantAccess, Visitor,
 };
 
-use super::error::{Expected, GoalError, GoalErrorKind};
+use super::error::{Error, Expected, Fault, GoalErrorKind};
 use super::reader::{Open, Reader};
 
-type Result<T> = core::result::Result<T, GoalError>;
+type Result<T, E = Error> = core::result::Result<T, E>;
 
 /// The items of a collection.
 pub(super) struct Items<'r, 'de> {
     pub(super) reader: &'r mut Reader<'de>,
-    open: Open,
+    pub(super) open: Open,
 }
 
-impl<'r, 'de> Items<'r, 'de> {
-    pub(super) fn new(reader: &'r mut Reader<'de>, open: Open) -> Self {
-        Self { reader, open }
-    }
-
+impl Items<'_, '_> {
     /// Goes to the next one; whether there is one.
-    pub(super) fn more(&mut self) -> Result<bool> {
+    pub(super) fn more(&mut self) -> Result<bool, Fault> {
         self.reader.more(&mut self.open)
     }
 }
 
 impl<'de> SeqAccess<'de> for &mut Items<'_, 'de> {
-    type Error = GoalError;
+    type Error = Error;
 
     fn next_element_seed<S: DeserializeSeed<'de>>(&mut self, seed: S) -> Result<Option<S::Value>> {
         if !self.more()? {
@@ -40,7 +36,7 @@ impl<'de> SeqAccess<'de> for &mut Items<'_, 'de> {
 }
 
 impl<'de> MapAccess<'de> for &mut Items<'_, 'de> {
-    type Error = GoalError;
+    type Error = Error;
 
     fn next_key_seed<S: DeserializeSeed<'de>>(&mut self, seed: S) -> Result<Option<S::Value>> {
         if !self.more()? {
@@ -57,7 +53,7 @@ impl<'de> MapAccess<'de> for &mut Items<'_, 'de> {
 
 /// The one entry of `{variant: value}`.
 impl<'de> EnumAccess<'de> for &mut Items<'_, 'de> {
-    type Error = GoalError;
+    type Error = Error;
     type Variant = Self;
 
     fn variant_seed<S: DeserializeSeed<'de>>(self, seed: S) -> Result<(S::Value, Self)> {
@@ -68,7 +64,7 @@ impl<'de> EnumAccess<'de> for &mut Items<'_, 'de> {
 }
 
 impl<'de> VariantAccess<'de> for &mut Items<'_, 'de> {
-    type Error = GoalError;
+    type Error = Error;
 
     fn unit_variant(self) -> Result<()> {
         self.reader.value(PhantomData)
@@ -79,15 +75,12 @@ impl<'de> VariantAccess<'de> for &mut Items<'_, 'de> {
     }
 
     fn tuple_variant<V: Visitor<'de>>(self, _: usize, visitor: V) -> Result<V::Value> {
-        let at = self.reader.at();
-        let value = self.reader.deserialize_seq(visitor);
-        value.map_err(|error| error.or_at(at))
+        self.reader.placed(|reader| reader.deserialize_seq(visitor))
     }
 
     fn struct_variant<V: Visitor<'de>>(self, _: &[&str], visitor: V) -> Result<V::Value> {
-        let at = self.reader.at();
-        let value = self.reader.deserialize_struct("", &[], visitor);
-        value.map_err(|error| error.or_at(at))
+        self.reader
+            .placed(|reader| reader.deserialize_struct("", &[], visitor))
     }
 }
 
@@ -95,7 +88,7 @@ impl<'de> VariantAccess<'de> for &mut Items<'_, 'de> {
 pub(super) struct Lone<'r, 'de>(pub(super) &'r mut Reader<'de>);
 
 impl<'de> EnumAccess<'de> for Lone<'_, 'de> {
-    type Error = GoalError;
+    type Error = Error;
     type Variant = NoValue;
 
     fn variant_seed<S: DeserializeSeed<'de>>(self, seed: S) -> Result<(S::Value, NoValue)> {
@@ -108,13 +101,14 @@ pub(super) struct NoValue;
 
 impl NoValue {
     fn value<T>(self) -> Result<T> {
+        // Whoever reads the variant knows where it stands.
         let kind = GoalErrorKind::Expected(Expected::VariantWithValue);
-        Err(GoalError::unplaced(kind))
+        Err(Error::Serde(kind))
     }
 }
 
 impl<'de> VariantAccess<'de> for NoValue {
-    type Error = GoalError;
+    type Error = Error;
 
     fn unit_variant(self) -> Result<()> {
         Ok(())

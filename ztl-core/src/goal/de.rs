@@ -3,11 +3,12 @@
 use serde::de::{DeserializeSeed, Deserializer, Visitor};
 
 use super::access::{Items, Lone};
-use super::error::{Expected, GoalError, GoalErrorKind};
-use super::number::{Number, OutOfRange, Whole};
+use super::decimal::{F32, F64, Format};
+use super::error::{Error, Expected, Fault, GoalErrorKind};
+use super::number::{Number, Whole};
 use super::reader::Reader;
 
-type Result<T> = core::result::Result<T, GoalError>;
+type Result<T, E = Error> = core::result::Result<T, E>;
 
 fn is_none(text: &str) -> bool {
     matches!(text, "None" | "null" | "Null" | "NULL" | "~")
@@ -33,48 +34,75 @@ fn word_to_bool(text: &str) -> Option<bool> {
 impl<'de> Reader<'de> {
     /// Reads one value, and gives its place to an error that has none.
     pub(super) fn value<S: DeserializeSeed<'de>>(&mut self, seed: S) -> Result<S::Value> {
-        self.skip_blanks();
-        let at = self.at();
-        seed.deserialize(self).map_err(|error| error.or_at(at))
+        self.placed(|reader| seed.deserialize(reader))
     }
 
     /// Reads one key, likewise, and remembers where it begins.
     pub(super) fn key<S: DeserializeSeed<'de>>(&mut self, seed: S) -> Result<S::Value> {
-        let at = self.begin_key();
-        seed.deserialize(self).map_err(|error| error.or_at(at))
+        self.begin_key();
+        self.value(seed)
+    }
+
+    /// Reads what begins with the next byte that is no blank.
+    pub(super) fn placed<T>(&mut self, read: impl FnOnce(&mut Self) -> Result<T>) -> Result<T> {
+        self.text.skip_blanks();
+        let at = self.text.at;
+        let value = read(self);
+        if let Err(Error::Serde(_)) = value {
+            self.fail_at(at);
+        }
+        value
     }
 
     /// Reads a plain text that `read` takes.
-    fn scalar<T>(&mut self, expected: Expected, read: impl FnOnce(&str) -> Option<T>) -> Result<T> {
-        self.skip_blanks();
-        let at = self.at();
+    fn scalar<T>(&mut self, read: impl FnOnce(&str) -> Result<T, Fault>) -> Result<T, Fault> {
+        let at = self.text.at;
         // What is no plain text at all is no such value either.
-        let text = self.plain().unwrap_or_default();
-        read(text).ok_or(GoalError::expected(at, expected))
-    }
-
-    fn whole_number(&mut self) -> Result<Whole> {
-        let whole = self.scalar(Expected::Integer, |text| Number::parse(text)?.whole())?;
-        whole.map_err(unplaced)
-    }
-
-    /// Reads a number, also in quotes: YAML 1.1 takes `1e3` for a text, so that the original sends
-    /// `'1e3'` for it.
-    fn number(&mut self) -> Result<Number> {
-        if self.is_quote() {
-            let at = self.at();
-            let text = self.quoted()?;
-            return Number::parse(text).ok_or(GoalError::expected(at, Expected::Number));
+        let value = read(self.plain());
+        if value.is_err() {
+            self.text.at = at;
         }
-        self.scalar(Expected::Number, Number::parse)
+        value
     }
 
-    fn is_quote(&mut self) -> bool {
-        matches!(self.skip_blanks(), Some(b'\'' | b'"'))
+    fn whole_number(&mut self) -> Result<Whole, Fault> {
+        self.scalar(|text| {
+            let expected = Fault::Expected(Expected::Integer);
+            let mut number = Number::ZERO;
+            if !number.read(text) {
+                return Err(expected);
+            }
+            number.whole().ok_or(expected)?.ok_or(Fault::OutOfRange)
+        })
+    }
+
+    /// Reads a number as the bits of a float of this format, also in quotes: YAML 1.1 takes `1e3`
+    /// for a text, so that the original sends `'1e3'` for it.
+    fn float(&mut self, format: &Format) -> Result<u64, Fault> {
+        let at = self.text.at;
+        let text = if self.is_quote() {
+            self.quoted()?
+        } else {
+            self.plain()
+        };
+        let mut number = Number::ZERO;
+        let bits = if number.read(text) {
+            number.nearest(format).ok_or(Fault::OutOfRange)
+        } else {
+            Err(Fault::Expected(Expected::Number))
+        };
+        if bits.is_err() {
+            self.text.at = at;
+        }
+        bits
+    }
+
+    fn is_quote(&self) -> bool {
+        matches!(self.text.peek(), b'\'' | b'"')
     }
 
     /// Reads a text: a goal's whole text as it is, within a collection one with or without quotes.
-    fn text(&mut self) -> Result<&'de str> {
+    fn text(&mut self) -> Result<&'de str, Fault> {
         if self.is_top() {
             return Ok(self.whole());
         }
@@ -82,64 +110,54 @@ impl<'de> Reader<'de> {
     }
 
     /// Reads a text with or without quotes.
-    fn name(&mut self) -> Result<&'de str> {
-        if self.is_quote() {
-            return self.quoted();
+    fn name(&mut self) -> Result<&'de str, Fault> {
+        match self.text.peek() {
+            b'\'' | b'"' => self.quoted(),
+            b'[' | b'(' | b'{' => Err(Fault::Expected(Expected::Text)),
+            _ => self.some_plain(),
         }
-        if matches!(self.peek(), Some(b'[' | b'(' | b'{')) {
-            return Err(GoalError::expected(self.at(), Expected::Text));
+    }
+
+    /// Reads a plain text, of which there has to be one.
+    fn some_plain(&mut self) -> Result<&'de str, Fault> {
+        let text = self.plain();
+        if text.is_empty() && !self.is_top() {
+            return Err(Fault::Expected(Expected::Value));
         }
-        self.plain()
+        Ok(text)
     }
 
     /// Reads `None`, and at the top nothing at all, if that is what comes next.
     fn take_none(&mut self) -> bool {
-        self.skip_blanks();
-        let start = self.at();
+        let start = self.text.at;
         let text = self.plain();
-        let nothing = self.is_top() && text == Ok("");
-        let none = nothing || text.is_ok_and(is_none);
+        let none = is_none(text) || self.is_top() && text.is_empty();
         if !none {
-            self.go_back(start);
+            self.text.at = start;
         }
         none
     }
 
-    fn sequence<V: Visitor<'de>>(&mut self, expected: Expected, visitor: V) -> Result<V::Value> {
-        let Some(open) = self.open(b"[(")? else {
-            return Err(GoalError::expected(self.at(), expected));
+    /// Reads a sequence, a mapping, or either.
+    fn collection<V: Visitor<'de>>(&mut self, expected: Expected, visitor: V) -> Result<V::Value> {
+        let open = self.open(expected)?;
+        let mut items = Items { reader: self, open };
+        let value = if items.open.is_mapping() {
+            visitor.visit_map(&mut items)
+        } else {
+            visitor.visit_seq(&mut items)
         };
-        let mut items = Items::new(self, open);
-        let value = visitor.visit_seq(&mut items)?;
-        if items.more()? {
-            return Err(GoalError::new(self.at(), GoalErrorKind::WrongLength));
+        let Items { reader, open } = &mut items;
+        match value {
+            Ok(_) => reader.close(open)?,
+            // Found before the value is read, so the key is still the last.
+            Err(Error::Serde(GoalErrorKind::DuplicateField(_))) => {
+                reader.fail_at(reader.last_key())
+            }
+            Err(_) => {}
         }
-        self.close();
-        Ok(value)
+        value
     }
-
-    fn mapping<V: Visitor<'de>>(&mut self, expected: Expected, visitor: V) -> Result<V::Value> {
-        let Some(open) = self.open(b"{")? else {
-            return Err(GoalError::expected(self.at(), expected));
-        };
-        let mut items = Items::new(self, open);
-        let value = visitor
-            .visit_map(&mut items)
-            .map_err(|error| match error.kind {
-                // Found before the value is read, so the key is still the last.
-                GoalErrorKind::DuplicateField(_) => error.or_at(items.reader.last_key()),
-                _ => error,
-            })?;
-        if items.more()? {
-            return Err(GoalError::new(self.at(), GoalErrorKind::WrongLength));
-        }
-        self.close();
-        Ok(value)
-    }
-}
-
-fn unplaced(_: OutOfRange) -> GoalError {
-    GoalError::unplaced(GoalErrorKind::OutOfRange)
 }
 
 macro_rules! integers {
@@ -154,37 +172,45 @@ macro_rules! integers {
 }
 
 impl<'de> Deserializer<'de> for &mut Reader<'de> {
-    type Error = GoalError;
+    type Error = Error;
 
     fn deserialize_any<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value> {
-        match self.skip_blanks() {
-            Some(b'[' | b'(') => return self.deserialize_seq(visitor),
-            Some(b'{') => return self.deserialize_map(visitor),
-            Some(b'\'' | b'"') => return visitor.visit_borrowed_str(self.quoted()?),
+        match self.text.peek() {
+            b'[' | b'(' | b'{' => return self.collection(Expected::Value, visitor),
+            b'\'' | b'"' => return visitor.visit_borrowed_str(self.quoted()?),
             _ => {}
         }
-        let text = self.plain()?;
+        let at = self.text.at;
+        let text = self.some_plain()?;
         if is_none(text) {
             return visitor.visit_unit();
         }
         if let Some(value) = to_bool(text) {
             return visitor.visit_bool(value);
         }
-        match Number::parse(text) {
-            Some(number) => match number.whole() {
-                Some(Ok(Whole::Negative(value))) => visitor.visit_i64(value),
-                Some(Ok(Whole::Positive(value))) => visitor.visit_u64(value),
-                Some(Err(error)) => Err(unplaced(error)),
-                None => visitor.visit_f64(number.to_f64().map_err(unplaced)?),
-            },
-            None if self.is_top() => visitor.visit_borrowed_str(self.whole()),
-            None => visitor.visit_borrowed_str(text),
+        let mut number = Number::ZERO;
+        if !number.read(text) {
+            let text = if self.is_top() { self.whole() } else { text };
+            return visitor.visit_borrowed_str(text);
         }
+        let float = match number.whole() {
+            Some(Some(Whole::Negative(value))) => return visitor.visit_i64(value),
+            Some(Some(Whole::Positive(value))) => return visitor.visit_u64(value),
+            Some(None) => None,
+            None => number.nearest(&F64),
+        };
+        let Some(bits) = float else {
+            self.text.at = at;
+            return Err(Fault::OutOfRange.into());
+        };
+        visitor.visit_f64(f64::from_bits(bits))
     }
 
     fn deserialize_bool<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value> {
-        let read = |text: &str| to_bool(text).or_else(|| word_to_bool(text));
-        visitor.visit_bool(self.scalar(Expected::Bool, read)?)
+        visitor.visit_bool(self.scalar(|text| {
+            let value = to_bool(text).or_else(|| word_to_bool(text));
+            value.ok_or(Fault::Expected(Expected::Bool))
+        })?)
     }
 
     integers! {
@@ -193,11 +219,11 @@ impl<'de> Deserializer<'de> for &mut Reader<'de> {
     }
 
     fn deserialize_f32<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value> {
-        visitor.visit_f32(self.number()?.to_f32().map_err(unplaced)?)
+        visitor.visit_f32(f32::from_bits(self.float(&F32)? as u32))
     }
 
     fn deserialize_f64<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value> {
-        visitor.visit_f64(self.number()?.to_f64().map_err(unplaced)?)
+        visitor.visit_f64(f64::from_bits(self.float(&F64)?))
     }
 
     fn deserialize_char<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value> {
@@ -217,8 +243,8 @@ impl<'de> Deserializer<'de> for &mut Reader<'de> {
     }
 
     fn deserialize_bytes<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value> {
-        match self.skip_blanks() {
-            Some(b'[' | b'(') => self.deserialize_seq(visitor),
+        match self.text.peek() {
+            b'[' | b'(' => self.deserialize_seq(visitor),
             _ => self.deserialize_str(visitor),
         }
     }
@@ -237,7 +263,7 @@ impl<'de> Deserializer<'de> for &mut Reader<'de> {
 
     fn deserialize_unit<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value> {
         if !self.take_none() {
-            return Err(GoalError::expected(self.at(), Expected::Nothing));
+            return Err(Fault::Expected(Expected::Nothing).into());
         }
         visitor.visit_unit()
     }
@@ -251,7 +277,7 @@ impl<'de> Deserializer<'de> for &mut Reader<'de> {
     }
 
     fn deserialize_seq<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value> {
-        self.sequence(Expected::Sequence, visitor)
+        self.collection(Expected::Sequence, visitor)
     }
 
     fn deserialize_tuple<V: Visitor<'de>>(self, _: usize, visitor: V) -> Result<V::Value> {
@@ -268,7 +294,7 @@ impl<'de> Deserializer<'de> for &mut Reader<'de> {
     }
 
     fn deserialize_map<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value> {
-        self.mapping(Expected::Mapping, visitor)
+        self.collection(Expected::Mapping, visitor)
     }
 
     fn deserialize_struct<V: Visitor<'de>>(
@@ -277,10 +303,7 @@ impl<'de> Deserializer<'de> for &mut Reader<'de> {
         _: &[&str],
         visitor: V,
     ) -> Result<V::Value> {
-        match self.skip_blanks() {
-            Some(b'{') => self.mapping(Expected::Struct, visitor),
-            _ => self.sequence(Expected::Struct, visitor),
-        }
+        self.collection(Expected::Struct, visitor)
     }
 
     fn deserialize_enum<V: Visitor<'de>>(
@@ -289,28 +312,30 @@ impl<'de> Deserializer<'de> for &mut Reader<'de> {
         _: &[&str],
         visitor: V,
     ) -> Result<V::Value> {
-        let Some(open) = self.open(b"{")? else {
+        if self.text.peek() != b'{' {
             return visitor.visit_enum(Lone(self));
-        };
-        let mut entry = Items::new(self, open);
+        }
+        let open = self.open(Expected::Mapping)?;
+        let mut entry = Items { reader: self, open };
         if !entry.more()? {
-            return Err(GoalError::expected(self.at(), Expected::VariantWithValue));
+            return Err(Fault::Expected(Expected::VariantWithValue).into());
         }
         let value = visitor.visit_enum(&mut entry)?;
-        if entry.more()? {
-            return Err(GoalError::expected(self.at(), Expected::Close));
-        }
-        self.close();
+        let Items { reader, open } = &mut entry;
+        reader.close(open).map_err(|fault| match fault {
+            Fault::WrongLength => Fault::Expected(Expected::Close),
+            fault => fault,
+        })?;
         Ok(value)
     }
 
     fn deserialize_ignored_any<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value> {
-        match self.skip_blanks() {
-            Some(b'[' | b'(' | b'{') => return self.deserialize_any(visitor),
+        match self.text.peek() {
+            b'[' | b'(' | b'{' => return self.collection(Expected::Value, visitor),
             // Nobody needs what is meant, so it needs no scratch.
-            Some(b'\'' | b'"') => self.skip_quoted()?.inner,
-            _ => self.plain()?,
-        };
+            b'\'' | b'"' => drop(self.skip_quoted()?),
+            _ => drop(self.some_plain()?),
+        }
         visitor.visit_unit()
     }
 }

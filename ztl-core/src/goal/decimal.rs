@@ -3,7 +3,7 @@
 //! The standard library's reader and writer take 20 KB of a Cortex-M0's flash, and a multiplication
 //! of floats there is a library call as well.
 
-use core::num::NonZeroU32;
+use crate::cursor::Cursor;
 
 /// A format of binary floating-point numbers.
 #[derive(Debug)]
@@ -27,48 +27,43 @@ pub(super) const F64: Format = Format {
 /// Digits that tell any number from all others.
 const LONGEST: usize = 17;
 
-const TEN: NonZeroU32 = NonZeroU32::MIN.saturating_add(9);
-const TEN_THOUSAND: NonZeroU32 = NonZeroU32::MIN.saturating_add(9999);
-
 impl Format {
     /// The bits of infinity: an exponent field of ones.
     pub(super) const fn infinity(&self) -> u64 {
         ((2 - 2 * self.least) as u64 + 1) << self.fraction
     }
 
-    /// The bits of the number nearest to `mantissa × 10^exponent`, of two equally near ones the
-    /// even; `None` beyond the greatest. `more` says that the mantissa was cut: the number is
-    /// greater, by less than one mantissa unit.
+    /// The bit that says below zero.
+    pub(super) const fn sign(&self) -> u64 {
+        self.infinity() + (1 << self.fraction)
+    }
+
+    /// The bits of the number nearest to `wide`, of two equally near ones the even; `None` beyond the
+    /// greatest.
     ///
-    /// Exact unless `more`: no product of 64 bits and a power of ten in the range of `f64` comes
+    /// Exact for up to 64 bits: no product of these and a power of ten in the range of `f64` comes
     /// closer to the middle of two neighbours than some 2^-128 of itself (Mushtak and Lemire, "Fast
     /// number parsing without fallback"), unless it is the middle; [`Wide`] errs by less than
-    /// 2^-180, and knows when not at all.
-    pub(super) fn nearest(&self, mantissa: u64, exponent: i32, more: bool) -> Option<u64> {
-        // Far beyond either end, which bounds the work.
-        if mantissa == 0 || exponent < -400 {
+    /// 2^-140, and knows when not at all.
+    pub(super) fn nearest(&self, wide: &mut Wide) -> Option<u64> {
+        if wide.is_zero() {
             return Some(0);
         }
-        if exponent > 400 {
-            return None;
+        // Beyond this it is zero or too much, which bounds the work.
+        wide.tens = wide.tens.clamp(-400, 400);
+        wide.scale();
+        // Bit by bit, and one bit more than the number has: it is `kept × 2^power`, and `0.wide` more.
+        let lowest = self.least - self.fraction as i32 - 1;
+        let mut power = wide.exponent + 8 * BYTES as i32;
+        let mut kept = 0;
+        while kept >> self.fraction < 2 && power > lowest {
+            kept = kept << 1 | u64::from(wide.step(2, 0));
+            power -= 1;
         }
-        let mut wide = Wide::new(mantissa, 0, more);
-        wide.scale(exponent);
-        let (top, binary, more) = wide.top();
-        // `top × 2^binary` with bit 63 set is `1.… × 2^power`.
-        let power = binary + 63;
-        let below = (self.least - power).max(0);
-        let dropped = 63 - self.fraction + below.unsigned_abs();
-        if dropped > 64 {
-            return Some(0);
-        }
-        let kept = top.checked_shr(dropped).unwrap_or(0);
-        let half = 1 << (dropped - 1);
-        let rest = top & (half - 1);
-        let up = top & half != 0 && (rest != 0 || more || kept & 1 != 0);
+        let field = (power - lowest).max(0) as u64;
+        let up = kept & 1 != 0 && (kept & 2 != 0 || wide.more || !wide.is_zero());
         // The leading one adds itself to the exponent field; so does a carry.
-        let field = u64::from((power - self.least).max(0).unsigned_abs());
-        let bits = (field << self.fraction) + kept + u64::from(up);
+        let bits = (field << self.fraction) + (kept >> 1) + u64::from(up);
         (bits < self.infinity()).then_some(bits)
     }
 
@@ -83,8 +78,10 @@ impl Format {
         // The logarithm of the highest bit, rounded down: 78913 / 2^18 is that of 2.
         let highest = binary + 63 - mantissa.leading_zeros() as i32;
         let power = (highest * 78913) >> 18;
-        let mut wide = Wide::new(mantissa, binary, false);
-        wide.scale(Digits::COUNT as i32 - 1 - power);
+        let mut wide = Wide::new(mantissa);
+        wide.exponent = binary;
+        wide.tens = Digits::COUNT as i32 - 1 - power;
+        wide.scale();
         let (whole, more) = wide.whole();
         // One digit more, when the number is above the next power of ten.
         let text = Whole::of(whole);
@@ -108,7 +105,11 @@ impl Format {
             let unit = all.power + 1 - count as i32;
             let near = down + u64::from(up);
             let far = down + u64::from(!up);
-            let reads_back = |&digits: &u64| self.nearest(digits, unit, false) == Some(bits);
+            let reads_back = |&digits: &u64| {
+                let mut wide = Wide::new(digits);
+                wide.tens = unit;
+                self.nearest(&mut wide) == Some(bits)
+            };
             match [near, far].into_iter().find(reads_back) {
                 Some(digits) => {
                     shortest = all.carried(digits, count);
@@ -209,122 +210,137 @@ fn power_of_ten(power: usize) -> u64 {
     (0..power).fold(1, |product, _| product * 10)
 }
 
-/// Limbs of a [`Wide`]: a division may empty the first, and leave the next with two bits.
-const LIMBS: usize = 14;
+/// Bytes of a [`Wide`].
+const BYTES: usize = 20;
 
-/// A number above zero to more than 190 bits: `limbs × 2^exponent`, and perhaps a bit more.
+/// A number to more than 150 bits: `bytes × 2^exponent × 10^tens`, and perhaps a bit more.
 ///
-/// Limbs of 16 bits, so that a Cortex-M0 can multiply and divide them.
-struct Wide {
-    /// Least significant first.
-    limbs: [u16; LIMBS],
+/// Bytes, so that no product or quotient takes more than a Cortex-M0 has an instruction for.
+pub(super) struct Wide {
+    /// Most significant first.
+    bytes: [u8; BYTES],
     exponent: i32,
-    /// Whether bits other than 0 were cut off below.
+    pub(super) tens: i32,
+    /// Whether the number is greater, by less than one.
     more: bool,
 }
 
 impl Wide {
-    fn new(mantissa: u64, exponent: i32, more: bool) -> Self {
-        let mut limbs = [0; LIMBS];
-        for (place, limb) in (0..4).zip(&mut limbs) {
-            *limb = (mantissa >> (16 * place)) as u16;
+    pub(super) const ZERO: Self = Self {
+        bytes: [0; BYTES],
+        exponent: 0,
+        tens: 0,
+        more: false,
+    };
+
+    fn new(whole: u64) -> Self {
+        let mut wide = Self::ZERO;
+        if let Some(low) = wide.bytes.last_chunk_mut() {
+            *low = whole.to_be_bytes();
         }
-        Self {
-            limbs,
-            exponent,
-            more,
-        }
+        wide
     }
 
-    /// Multiplies by a power of ten.
-    fn scale(&mut self, power: i32) {
-        for _ in 0..power.unsigned_abs() / 4 {
-            self.scale_once(power, TEN_THOUSAND);
-        }
-        for _ in 0..power.unsigned_abs() % 4 {
-            self.scale_once(power, TEN);
-        }
+    pub(super) fn is_zero(&self) -> bool {
+        self.bytes.iter().all(|&byte| byte == 0)
     }
 
-    fn scale_once(&mut self, power: i32, by: NonZeroU32) {
-        if power > 0 {
-            self.multiply(by.get());
-        } else {
-            self.divide(by);
+    /// Appends digits with single `_` between them, and says how many there were.
+    pub(super) fn read(&mut self, text: &mut Cursor<'_>, radix: u8) -> i32 {
+        let mut count = 0;
+        while let Some(digit) = digit(text, radix, count > 0) {
+            count += 1;
+            if let [0, ..] = self.bytes {
+                self.step(radix.into(), digit);
+            } else {
+                // There is no room for it.
+                self.more |= digit != 0;
+                self.tens += 1;
+            }
         }
+        count
     }
 
-    fn multiply(&mut self, factor: u32) {
-        let mut carry = 0;
-        for limb in &mut self.limbs {
-            let product = u32::from(*limb) * factor + carry;
-            *limb = product as u16;
-            carry = product >> 16;
-        }
-        if carry > 0 {
-            let lowest = self.shift(carry as u16, true);
-            self.more |= lowest != 0;
-            self.exponent += 16;
-        }
+    /// The number, if it is whole and fits.
+    pub(super) fn to_u64(&self) -> Option<u64> {
+        let (high, low) = self.bytes.split_last_chunk()?;
+        high.iter()
+            .all(|&byte| byte == 0)
+            .then_some(u64::from_be_bytes(*low))
     }
 
-    fn divide(&mut self, divisor: NonZeroU32) {
-        self.fill();
+    /// Multiplies by up to 256, adds, and gives what has no room.
+    fn step(&mut self, factor: u16, plus: u8) -> u8 {
+        let mut carry = u16::from(plus);
+        for byte in self.bytes.iter_mut().rev() {
+            let product = u16::from(*byte) * factor + carry;
+            *byte = product as u8;
+            carry = product >> 8;
+        }
+        carry as u8
+    }
+
+    /// Divides by 5 or 8. `inverse` is 2^18 by the divisor, rounded up: a division is a library call.
+    fn divide(&mut self, divisor: u32, inverse: u32) {
         let mut rest = 0;
-        for limb in self.limbs.iter_mut().rev() {
-            let part = rest << 16 | u32::from(*limb);
-            *limb = (part / divisor) as u16;
-            rest = part % divisor;
+        for byte in &mut self.bytes {
+            let part = rest << 8 | u32::from(*byte);
+            let quotient = (part * inverse) >> 18;
+            *byte = quotient as u8;
+            rest = part - quotient * divisor;
         }
         self.more |= rest != 0;
     }
 
-    /// Moves the number up until its highest limb is in use.
+    /// Moves the number, which is above zero, up until its highest byte is in use.
     fn fill(&mut self) {
-        for _ in 0..LIMBS {
-            let [.., highest] = self.limbs;
-            if highest != 0 {
-                break;
+        while let [0, ..] = self.bytes {
+            self.step(256, 0);
+            self.exponent -= 8;
+        }
+    }
+
+    /// Makes the power of ten part of the number, which is above zero.
+    fn scale(&mut self) {
+        while self.tens != 0 {
+            self.fill();
+            if self.tens > 0 {
+                // By 5/8 and 16.
+                self.divide(8, 1 << 15);
+                self.step(5, 0);
+                self.exponent += 4;
+                self.tens -= 1;
+            } else {
+                self.divide(5, 52429);
+                self.exponent -= 1;
+                self.tens += 1;
             }
-            self.shift(0, false);
-            self.exponent -= 16;
         }
-    }
-
-    /// Moves all limbs by one place, takes the new one and gives the one that has no place left.
-    /// Limb by limb, since `rotate_left` takes 2 KB of flash.
-    fn shift(&mut self, new: u16, down: bool) -> u16 {
-        let mut moved = new;
-        let mut each = |limb: &mut u16| core::mem::swap(limb, &mut moved);
-        if down {
-            self.limbs.iter_mut().rev().for_each(&mut each);
-        } else {
-            self.limbs.iter_mut().for_each(&mut each);
-        }
-        moved
-    }
-
-    /// As `top × 2^exponent` with bit 63 of `top` set, and whether that is less than the number.
-    fn top(mut self) -> (u64, i32, bool) {
-        self.fill();
-        let [rest @ .., fifth, fourth, third, second, first] = self.limbs;
-        let shift = first.leading_zeros();
-        let high = [first, second, third, fourth];
-        let high = high
-            .iter()
-            .fold(0, |high, &limb| high << 16 | u64::from(limb));
-        let low = u32::from(fifth) << shift;
-        let top = high << shift | u64::from(low >> 16);
-        let more = self.more || low as u16 != 0 || rest.iter().any(|&limb| limb != 0);
-        let below = 16 * (LIMBS as i32 - 4) - shift as i32;
-        (top, self.exponent + below, more)
     }
 
     /// The whole part of a number from 1 to below 2^64, and whether there is a fraction.
-    fn whole(self) -> (u64, bool) {
-        let (top, exponent, more) = self.top();
-        let shift = exponent.min(0).unsigned_abs().min(63);
-        let whole = top >> shift;
-        (whole, more || whole << shift != top)
+    fn whole(mut self) -> (u64, bool) {
+        let mut whole = 0;
+        for _ in 0..self.exponent + 8 * BYTES as i32 {
+            whole = whole << 1 | u64::from(self.step(2, 0));
+        }
+        let more = self.more || !self.is_zero();
+        (whole, more)
     }
+}
+
+/// Reads a digit, and a `_` before it if it is `inner`.
+#[inline(never)]
+pub(super) fn digit(text: &mut Cursor<'_>, radix: u8, inner: bool) -> Option<u8> {
+    let mark = usize::from(inner && text.peek() == b'_');
+    let digit = match text.ahead(mark) {
+        byte @ b'0'..=b'9' => byte - b'0',
+        // Letters follow; what is none is too much.
+        byte => (byte | 0x20).wrapping_sub(b'a').saturating_add(10),
+    };
+    if digit >= radix {
+        return None;
+    }
+    text.at += mark + 1;
+    Some(digit)
 }

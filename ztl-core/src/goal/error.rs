@@ -96,49 +96,71 @@ pub enum Expected {
     End,
 }
 
-/// Place of an error that serde made, before the reader says where it was.
-const NOWHERE: usize = usize::MAX;
+/// What is wrong at the place where the reader stands.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Error {
+    /// Found by the reader itself, which stands there.
+    Own(Fault),
+    /// Found by serde or the target's own code, which know no places.
+    Serde(GoalErrorKind),
+}
 
-impl GoalError {
-    pub(super) const fn new(at: usize, kind: GoalErrorKind) -> Self {
-        Self { at, kind }
+/// What the reader itself finds wrong, in one byte.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Fault {
+    Expected(Expected),
+    Unterminated,
+    BadEscape,
+    NeedsScratch,
+    ScratchTooSmall,
+    TooDeep,
+    OutOfRange,
+    WrongLength,
+}
+
+impl From<Fault> for Error {
+    fn from(fault: Fault) -> Self {
+        Self::Own(fault)
     }
+}
 
-    pub(super) const fn expected(at: usize, expected: Expected) -> Self {
-        Self::new(at, GoalErrorKind::Expected(expected))
-    }
-
-    /// An error that gets its place from whoever called.
-    pub(super) const fn unplaced(kind: GoalErrorKind) -> Self {
-        Self::new(NOWHERE, kind)
-    }
-
-    /// The error with this place, unless it has one: the innermost value is the one to name.
-    pub(super) const fn or_at(self, at: usize) -> Self {
-        if self.at == NOWHERE {
-            Self { at, ..self }
-        } else {
-            self
-        }
+impl Error {
+    /// For the caller. `scratch` is what the texts with escapes take, and what there is.
+    pub(super) fn at(self, at: usize, scratch: Option<(usize, usize)>) -> GoalError {
+        let (needed, available) = scratch.unwrap_or_default();
+        let kind = match self {
+            Self::Serde(kind) => kind,
+            Self::Own(fault) => match fault {
+                Fault::Expected(expected) => GoalErrorKind::Expected(expected),
+                Fault::Unterminated => GoalErrorKind::Unterminated,
+                Fault::BadEscape => GoalErrorKind::BadEscape,
+                Fault::NeedsScratch => GoalErrorKind::NeedsScratch,
+                Fault::ScratchTooSmall => GoalErrorKind::ScratchTooSmall { needed, available },
+                Fault::TooDeep => GoalErrorKind::TooDeep,
+                Fault::OutOfRange => GoalErrorKind::OutOfRange,
+                Fault::WrongLength => GoalErrorKind::WrongLength,
+            },
+        };
+        GoalError { at, kind }
     }
 }
 
 // Always inlined, so that nothing refers to the code that would write `expected` and the messages.
-impl serde::de::Error for GoalError {
+impl serde::de::Error for Error {
     #[inline(always)]
     fn custom<T: fmt::Display>(_: T) -> Self {
-        Self::unplaced(GoalErrorKind::Refused)
+        Self::Serde(GoalErrorKind::Refused)
     }
 
     #[inline(always)]
     fn invalid_type(_: serde::de::Unexpected<'_>, _: &dyn serde::de::Expected) -> Self {
-        Self::unplaced(GoalErrorKind::WrongType)
+        Self::Serde(GoalErrorKind::WrongType)
     }
 
     #[inline(always)]
     fn invalid_value(found: serde::de::Unexpected<'_>, _: &dyn serde::de::Expected) -> Self {
         use serde::de::Unexpected::{Float, Signed, Unsigned};
-        Self::unplaced(match found {
+        Self::Serde(match found {
             Unsigned(_) | Signed(_) | Float(_) => GoalErrorKind::OutOfRange,
             _ => GoalErrorKind::WrongValue,
         })
@@ -146,29 +168,37 @@ impl serde::de::Error for GoalError {
 
     #[inline(always)]
     fn invalid_length(_: usize, _: &dyn serde::de::Expected) -> Self {
-        Self::unplaced(GoalErrorKind::WrongLength)
+        Self::Serde(GoalErrorKind::WrongLength)
     }
 
     #[inline(always)]
     fn unknown_variant(_: &str, expected: &'static [&'static str]) -> Self {
-        Self::unplaced(GoalErrorKind::UnknownVariant(expected))
+        Self::Serde(GoalErrorKind::UnknownVariant(expected))
     }
 
     #[inline(always)]
     fn unknown_field(_: &str, expected: &'static [&'static str]) -> Self {
-        Self::unplaced(GoalErrorKind::UnknownField(expected))
+        Self::Serde(GoalErrorKind::UnknownField(expected))
     }
 
     #[inline(always)]
     fn missing_field(field: &'static str) -> Self {
-        Self::unplaced(GoalErrorKind::MissingField(field))
+        Self::Serde(GoalErrorKind::MissingField(field))
     }
 
     #[inline(always)]
     fn duplicate_field(field: &'static str) -> Self {
-        Self::unplaced(GoalErrorKind::DuplicateField(field))
+        Self::Serde(GoalErrorKind::DuplicateField(field))
     }
 }
+
+impl fmt::Display for Error {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.at(0, None).fmt(f)
+    }
+}
+
+impl core::error::Error for Error {}
 
 impl GoalError {
     /// Writes where it is and what is wrong, as `Display` does, but without `core::fmt`: for the

@@ -49,7 +49,8 @@
 //! `,` `]` `}`, before `:` with a blank or a bracket behind it, and before a `)` that it did not open;
 //! it contains no `[` `{`, no comma within `( )`, no ` #` and no line break, and does not begin with one
 //! of ``# & * ! | > % @ ` ``, with `- `, `? ` or with `b'`. Comments, tags, anchors, `[a: b]`, empty values
-//! (`{a: , b}`) and Python's other literals (bytes, sets, `datetime.date(2020, 1, 1)`) are errors.
+//! (`{a: , b}`), Python's other literals (bytes, sets, `datetime.date(2020, 1, 1)`), and a NUL, which neither of
+//! the two takes, are errors.
 //!
 //! **Within `'…'`** a backslash is Python's: `\\ \' \" \n \r \t \a \b \f \v \xNN \uNNNN \UNNNNNNNN`. Any other
 //! stays as it stands, which is what Python and YAML agree on, but `\N`, octal `\0` to `\7` and one before a
@@ -73,9 +74,8 @@
 //! | `deserialize_any` | what the text looks like, integers as `u64` or `i64`, floats as `f64` |
 //!
 //! Numbers of up to 19 significant digits are rounded correctly: to the nearest `f32` or `f64`, of two
-//! equally near ones to the even. Of longer ones, the digits that do not fit into 64 bits count only as "a
-//! little more": about one in 2000 becomes the second nearest `f64`; for an `f32` it takes an example made for
-//! it. What is greater than the greatest is an error, not infinity.
+//! equally near ones to the even. Longer ones are too, unless they were made not to be; digits behind the 45th
+//! count only as "a little more". What is greater than the greatest is an error, not infinity.
 //!
 //! Reading takes time linear in the text's length for any target of bounded size, no heap, and stack for at
 //! most [`MAX_DEPTH`] levels.
@@ -146,9 +146,11 @@ pub fn from_str_with<'de, T: Deserialize<'de>>(
 }
 
 fn read<'de, T: Deserialize<'de>>(mut reader: Reader<'de>) -> Result<T, GoalError> {
-    let value = reader.value(PhantomData)?;
-    reader.end()?;
-    Ok(value)
+    let read = reader.value(PhantomData).and_then(|value| {
+        reader.end()?;
+        Ok(value)
+    });
+    read.map_err(|error| error.at(reader.text.at, reader.scratch_too_small()))
 }
 
 /// Writes a result, with floats as Python writes them.

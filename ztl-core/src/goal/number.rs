@@ -1,34 +1,23 @@
 //! Numbers as Python and YAML write them.
 
-use super::decimal::{F32, F64};
+use super::decimal::{Format, Wide, digit};
+use crate::cursor::Cursor;
 
 /// What a text says that is a number.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Number {
-    /// A whole number of 64 bits.
-    Whole {
-        negative: bool,
-        magnitude: u64,
-    },
-    /// Any other, as `mantissa × 10^exponent`.
-    Decimal {
-        negative: bool,
-        mantissa: u64,
-        exponent: i32,
-        /// Whether there are digits that the mantissa does not hold.
-        more: bool,
-        /// Whether it was written without point and exponent: a whole number of more than 64 bits.
-        whole: bool,
-    },
-    Infinity {
-        negative: bool,
-    },
-    Nan,
+pub(super) struct Number {
+    form: Form,
+    negative: bool,
+    magnitude: Wide,
 }
 
-/// A whole number beyond the target's range.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct OutOfRange;
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Form {
+    /// Written without point and exponent.
+    Whole,
+    Decimal,
+    Infinity,
+    Nan,
+}
 
 /// A whole number, as serde takes it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -38,214 +27,120 @@ pub(super) enum Whole {
 }
 
 impl Number {
-    /// Reads the whole text; `None` when it is no number.
-    pub(super) fn parse(text: &str) -> Option<Self> {
-        let (negative, unsigned) = match text.as_bytes() {
-            b"nan" | b".nan" | b".NaN" | b".NAN" => return Some(Self::Nan),
-            [b'-', unsigned @ ..] => (true, unsigned),
-            [b'+', unsigned @ ..] | unsigned => (false, unsigned),
-        };
-        let radix = match unsigned {
-            b"inf" | b".inf" | b".Inf" | b".INF" => return Some(Self::Infinity { negative }),
-            [b'0', b'x' | b'X', ..] => 16,
-            [b'0', b'o' | b'O', ..] => 8,
-            [b'0', b'b' | b'B', ..] => 2,
-            _ => 10,
-        };
-        match unsigned {
-            [_, _, digits @ ..] if radix != 10 => Digits::new(digits).in_radix(negative, radix),
-            digits => Digits::new(digits).in_decimal(negative),
+    pub(super) const ZERO: Self = Self {
+        form: Form::Whole,
+        negative: false,
+        magnitude: Wide::ZERO,
+    };
+
+    /// Reads the whole text into what was zero; whether it is a number.
+    pub(super) fn read(&mut self, text: &str) -> bool {
+        let mut text = Cursor::new(text);
+        self.negative = text.take_sign();
+        if self.is_word(&text) {
+            // No sign there.
+            return self.form == Form::Infinity || text.at == 0;
         }
+        self.read_digits(&mut text) && text.is_at_end()
     }
 
-    /// The number when it is whole; `None` when it is none.
-    pub(super) fn whole(self) -> Option<Result<Whole, OutOfRange>> {
-        match self {
-            Self::Whole {
-                negative: false,
-                magnitude,
-            } => Some(Ok(Whole::Positive(magnitude))),
-            Self::Whole { magnitude, .. } => {
-                let value = 0i64.checked_sub_unsigned(magnitude);
-                Some(value.map(Whole::Negative).ok_or(OutOfRange))
+    /// Whether it is a number that is a word: behind a point, or in small letters without.
+    fn is_word(&mut self, text: &Cursor<'_>) -> bool {
+        // Behind the end there are zeros.
+        const INFINITIES: [u32; 4] = [word(b"inf\0"), word(b".inf"), word(b".Inf"), word(b".INF")];
+        const NANS: [u32; 4] = [word(b"nan\0"), word(b".nan"), word(b".NaN"), word(b".NAN")];
+        let next = (0..4).fold(0, |word, place| word << 8 | u32::from(text.ahead(place)));
+        if INFINITIES.contains(&next) {
+            self.form = Form::Infinity;
+        } else if NANS.contains(&next) {
+            self.form = Form::Nan;
+        }
+        self.form != Form::Whole && text.ahead(4) == 0
+    }
+
+    fn read_digits(&mut self, text: &mut Cursor<'_>) -> bool {
+        let zero = text.peek() == b'0';
+        let radix = radix(text);
+        let mut digits = self.magnitude.read(text, radix);
+        if radix != 10 {
+            // More than there is room for is nobody's float, but too great for any.
+            self.magnitude.tens = 1000 * i32::from(self.magnitude.tens > 0);
+            return digits > 0;
+        }
+        let whole = text.at;
+        if text.take(b'.') {
+            let behind = self.magnitude.read(text, 10);
+            self.magnitude.tens -= behind;
+            digits += behind;
+        }
+        if digits == 0 {
+            return false;
+        }
+        if text.take(b'e') || text.take(b'E') {
+            let below = text.take_sign();
+            let start = text.at;
+            let mut power = 0;
+            while let Some(digit) = digit(text, 10, text.at > start) {
+                // Bounded, and beyond the length of any text.
+                power = i32::min(power * 10 + i32::from(digit), 1 << 27);
             }
-            Self::Decimal { whole: true, .. } => Some(Err(OutOfRange)),
-            _ => None,
-        }
-    }
-
-    /// The nearest `f32`.
-    pub(super) fn to_f32(self) -> Result<f32, OutOfRange> {
-        let (negative, magnitude) = match self.parts() {
-            Ok((negative, mantissa, exponent, more)) => {
-                let bits = F32.nearest(mantissa, exponent, more).ok_or(OutOfRange)?;
-                (negative, f32::from_bits(bits as u32))
+            if text.at == start {
+                return false;
             }
-            Err(Some(negative)) => (negative, f32::INFINITY),
-            Err(None) => (false, f32::NAN),
-        };
-        Ok(if negative { -magnitude } else { magnitude })
-    }
-
-    /// The nearest `f64`.
-    pub(super) fn to_f64(self) -> Result<f64, OutOfRange> {
-        let (negative, magnitude) = match self.parts() {
-            Ok((negative, mantissa, exponent, more)) => {
-                let bits = F64.nearest(mantissa, exponent, more).ok_or(OutOfRange)?;
-                (negative, f64::from_bits(bits))
-            }
-            Err(Some(negative)) => (negative, f64::INFINITY),
-            Err(None) => (false, f64::NAN),
-        };
-        Ok(if negative { -magnitude } else { magnitude })
-    }
-
-    /// Sign, mantissa, exponent and whether digits are left; else the sign of infinity, else none.
-    fn parts(self) -> Result<(bool, u64, i32, bool), Option<bool>> {
-        match self {
-            Self::Whole {
-                negative,
-                magnitude,
-            } => Ok((negative, magnitude, 0, false)),
-            Self::Decimal {
-                negative,
-                mantissa,
-                exponent,
-                more,
-                ..
-            } => Ok((negative, mantissa, exponent, more)),
-            Self::Infinity { negative } => Err(Some(negative)),
-            Self::Nan => Err(None),
+            self.magnitude.tens += if below { -power } else { power };
         }
-    }
-}
-
-/// Digits with single `_` between them.
-struct Digits<'a> {
-    rest: core::slice::Iter<'a, u8>,
-    after_digit: bool,
-}
-
-impl<'a> Digits<'a> {
-    fn new(bytes: &'a [u8]) -> Self {
-        Self {
-            rest: bytes.iter(),
-            after_digit: false,
-        }
-    }
-
-    /// The next byte that is no `_` between two digits.
-    fn next(&mut self, radix: u32) -> Option<(u8, Option<u32>)> {
-        let digit = |byte: u8| match byte {
-            b'0'..=b'9' => Some(u32::from(byte - b'0')).filter(|&digit| digit < radix),
-            b'a'..=b'f' if radix == 16 => Some(u32::from(byte - b'a') + 10),
-            b'A'..=b'F' if radix == 16 => Some(u32::from(byte - b'A') + 10),
-            _ => None,
-        };
-        let mut byte = *self.rest.next()?;
-        if byte == b'_' && self.after_digit {
-            let following = self.rest.clone().next();
-            if let Some(&following) = following.filter(|&&byte| digit(byte).is_some()) {
-                byte = following;
-                self.rest.next();
-            }
-        }
-        self.after_digit = digit(byte).is_some();
-        Some((byte, digit(byte)))
-    }
-
-    fn in_radix(mut self, negative: bool, radix: u32) -> Option<Number> {
-        let mut magnitude = Some(0u64);
-        let mut digits = 0usize;
-        while let Some((_, digit)) = self.next(radix) {
-            let digit = u64::from(digit?);
-            magnitude = magnitude
-                .and_then(|value| value.checked_mul(radix.into()))
-                .and_then(|value| value.checked_add(digit));
-            digits += 1;
-        }
-        (digits > 0).then_some(match magnitude {
-            Some(magnitude) => Number::Whole {
-                negative,
-                magnitude,
-            },
-            // Beyond the range of every target but a float's, for which nobody writes this.
-            None => Number::Decimal {
-                negative,
-                mantissa: 1,
-                exponent: i32::MAX,
-                more: true,
-                whole: true,
-            },
-        })
-    }
-
-    fn in_decimal(mut self, negative: bool) -> Option<Number> {
-        let (mut mantissa, mut exponent, mut full, mut more) = (0u64, 0i32, false, false);
-        let (mut digits, mut point, mut whole, mut leading_zero) = (0usize, false, true, false);
-        while let Some((byte, digit)) = self.next(10) {
-            match (byte, digit) {
-                (_, Some(digit)) => {
-                    let longer = mantissa
-                        .checked_mul(10)
-                        .and_then(|value| value.checked_add(digit.into()));
-                    match longer.filter(|_| !full) {
-                        Some(longer) => {
-                            mantissa = longer;
-                            exponent = exponent.saturating_sub(point.into());
-                        }
-                        None => {
-                            full = true;
-                            more |= digit != 0;
-                            exponent = exponent.saturating_add((!point).into());
-                        }
-                    }
-                    leading_zero |= digits == 0 && digit == 0;
-                    digits += 1;
-                }
-                (b'.', _) if !point => (point, whole) = (true, false),
-                (b'e' | b'E', _) if digits > 0 => {
-                    whole = false;
-                    exponent = exponent.saturating_add(self.exponent()?);
-                    break;
-                }
-                _ => return None,
-            }
+        if text.at != whole {
+            self.form = Form::Decimal;
+            return true;
         }
         // 010 is 8 for YAML, 10 for a person, and an error for Python.
-        if digits == 0 || whole && leading_zero && mantissa > 0 {
+        !zero || self.magnitude.is_zero()
+    }
+
+    /// The number when it is whole, and then when it fits.
+    pub(super) fn whole(&self) -> Option<Option<Whole>> {
+        if self.form != Form::Whole {
             return None;
         }
-        Some(if whole && !full {
-            Number::Whole {
-                negative,
-                magnitude: mantissa,
-            }
+        let magnitude = self.magnitude.to_u64();
+        Some(if self.negative {
+            let value = magnitude.and_then(|magnitude| 0i64.checked_sub_unsigned(magnitude));
+            value.map(Whole::Negative)
         } else {
-            Number::Decimal {
-                negative,
-                mantissa,
-                exponent,
-                more,
-                whole,
-            }
+            magnitude.map(Whole::Positive)
         })
     }
 
-    /// What stands behind an `e`.
-    fn exponent(&mut self) -> Option<i32> {
-        let (negative, digits) = match self.rest.as_slice() {
-            [b'-', digits @ ..] => (true, digits),
-            [b'+', digits @ ..] | digits => (false, digits),
+    /// The bits of the nearest number of this format; `None` beyond its greatest.
+    pub(super) fn nearest(&mut self, format: &Format) -> Option<u64> {
+        let magnitude = match self.form {
+            Form::Infinity => format.infinity(),
+            Form::Nan => format.sign() - 1,
+            _ => format.nearest(&mut self.magnitude)?,
         };
-        let mut digits = Digits::new(digits);
-        let mut exponent = 0i32;
-        let mut any = false;
-        while let Some((_, digit)) = digits.next(10) {
-            let digit = digit? as i32;
-            exponent = exponent.saturating_mul(10).saturating_add(digit);
-            any = true;
-        }
-        any.then_some(if negative { -exponent } else { exponent })
+        Some(if self.negative {
+            magnitude | format.sign()
+        } else {
+            magnitude
+        })
     }
+}
+
+const fn word(bytes: &[u8; 4]) -> u32 {
+    u32::from_be_bytes(*bytes)
+}
+
+/// Reads what stands before digits that are not decimal.
+fn radix(text: &mut Cursor<'_>) -> u8 {
+    let radix = match text.ahead(1) | 0x20 {
+        b'x' => 16,
+        b'o' => 8,
+        b'b' => 2,
+        _ => 10,
+    };
+    if radix == 10 || text.peek() != b'0' {
+        return 10;
+    }
+    text.at += 2;
+    radix
 }

@@ -2,47 +2,23 @@
 
 use core::str::CharIndices;
 
-use super::error::{GoalError, GoalErrorKind};
+use super::error::Fault;
+use crate::cursor::Cursor;
 
 /// A text in quotes, as it is written.
-pub(super) struct Quoted<'a> {
+struct Quoted<'a> {
     quote: u8,
     /// What stands between the quotes.
-    pub(super) inner: &'a str,
-    /// Where in it the first thing stands that is not what is meant: an escape, a doubled quote, a
-    /// line break.
-    pub(super) special: Option<usize>,
+    inner: &'a str,
 }
 
 impl<'a> Quoted<'a> {
-    /// The text in quotes that `text` begins with; `None` when it does not end.
-    pub(super) fn find(text: &'a str) -> Option<Self> {
-        let (&quote, bytes) = text.as_bytes().split_first()?;
-        let mut special = None;
-        let mut place = 0;
-        while let Some(&byte) = bytes.get(place) {
-            let next = bytes.get(place + 1);
-            let len = match byte {
-                b'\\' => 2,
-                b'\'' if byte == quote && next == Some(&quote) => 2,
-                b'\n' => 1,
-                _ if byte == quote => {
-                    let inner = text.get(1..=place)?;
-                    return Some(Self {
-                        quote,
-                        inner,
-                        special,
-                    });
-                }
-                _ => {
-                    place += 1;
-                    continue;
-                }
-            };
-            special.get_or_insert(place);
-            place += len;
+    /// Of a text with its quotes.
+    fn new(text: &'a str) -> Self {
+        Self {
+            quote: text.bytes().next().unwrap_or_default(),
+            inner: text.get(1..text.len() - 1).unwrap_or_default(),
         }
-        None
     }
 
     /// Writes what is meant, and says how many bytes that takes, which may be more than there are.
@@ -112,48 +88,61 @@ impl<'a> Quoted<'a> {
     }
 }
 
+/// Writes what the text means that begins there with its quote, and ends here with it.
+type Unescape<'de> =
+    fn(&mut Scratch<'de>, start: usize, text: &mut Cursor<'_>) -> Result<&'de str, Fault>;
+
 /// Where texts with escapes are written to.
 pub(super) struct Scratch<'de> {
     /// What is not in use.
     room: &'de mut [u8],
-    /// Bytes in use.
+    /// Bytes in use, or needed.
     used: usize,
-    unescape: fn(&mut Self, &Quoted<'_>, usize) -> Result<&'de str, GoalError>,
+    available: usize,
+    unescape: Unescape<'de>,
 }
 
 impl<'de> Scratch<'de> {
     pub(super) fn new(room: &'de mut [u8]) -> Self {
+        let available = room.len();
         Self {
             room,
             used: 0,
+            available,
             // By its address, so that firmware that never has scratch does not link it.
             unescape: Self::unescape_here,
         }
     }
 
-    /// What the text in quotes that begins at `start` means.
+    /// What the text means that begins there with its quote, and ends here with it.
     pub(super) fn unescape(
         &mut self,
-        quoted: &Quoted<'_>,
         start: usize,
-    ) -> Result<&'de str, GoalError> {
-        (self.unescape)(self, quoted, start)
+        text: &mut Cursor<'_>,
+    ) -> Result<&'de str, Fault> {
+        (self.unescape)(self, start, text)
     }
 
-    fn unescape_here(&mut self, quoted: &Quoted<'_>, start: usize) -> Result<&'de str, GoalError> {
+    /// Bytes in use or needed, and bytes that there were.
+    pub(super) fn room(&self) -> (usize, usize) {
+        (self.used, self.available)
+    }
+
+    fn unescape_here(&mut self, start: usize, text: &mut Cursor<'_>) -> Result<&'de str, Fault> {
         let room = core::mem::take(&mut self.room);
-        let available = self.used + room.len();
-        let bad = |at| GoalError::new(start + 1 + at, GoalErrorKind::BadEscape);
-        let len = quoted.unescape(room).map_err(bad)?;
+        let quoted = Quoted::new(text.part(start, text.at));
+        let len = quoted.unescape(room).map_err(|at| {
+            text.at = start + 1 + at;
+            Fault::BadEscape
+        })?;
         self.used += len;
-        let needed = self.used;
-        let Some((text, left)) = room.split_at_mut_checked(len) else {
-            let kind = GoalErrorKind::ScratchTooSmall { needed, available };
-            return Err(GoalError::new(start, kind));
+        let Some((meant, left)) = room.split_at_mut_checked(len) else {
+            text.at = start;
+            return Err(Fault::ScratchTooSmall);
         };
         self.room = left;
         // Whole characters were written.
-        Ok(core::str::from_utf8(text).unwrap_or_default())
+        Ok(core::str::from_utf8(meant).unwrap_or_default())
     }
 }
 

@@ -11,7 +11,7 @@ const FIELDS: &[&str] = &["x", "y", "theta"];
 #[track_caller]
 fn fails<T: DeserializeOwned>(text: &str, at: usize, kind: GoalErrorKind) {
     let error = read::<T>(text).err();
-    assert_eq!(error, Some(GoalError::new(at, kind)), "{text}");
+    assert_eq!(error, Some(GoalError { at, kind }), "{text}");
 }
 
 #[track_caller]
@@ -93,6 +93,16 @@ fn what_is_never_closed_is_named_by_where_it_opens() {
             "{text}"
         );
     }
+}
+
+#[test]
+fn a_nul_is_as_the_end_and_stays_only_in_a_goal_that_is_a_text() {
+    for (text, at) in [("[a\0]", 0), ("[1, '\0']", 4), ("{a: 1\0}", 0)] {
+        fails::<serde_json::Value>(text, at, GoalErrorKind::Unterminated);
+    }
+    expects::<f32>("7\0", 1, Expected::End);
+    expects::<bool>("True\0", 4, Expected::End);
+    assert_eq!(crate::goal::from_str("a\0"), Ok("a\0"));
 }
 
 #[test]

@@ -221,6 +221,25 @@ fn of_more_than_nineteen_digits_the_rest_counts_as_a_little_more() {
     agrees(&long);
     let zeros = String::from("0.") + &"0".repeat(100_000) + "1e100001";
     agrees(&zeros);
+    // More than there is room for, which only in decimal is a float.
+    agrees(&"9".repeat(300));
+    let hex = "0x".to_string() + &"f".repeat(60);
+    let error = from_str::<f64>(&hex).unwrap_err();
+    assert_eq!(error.kind, GoalErrorKind::OutOfRange);
+    assert_eq!(from_str("0x1_0000_0000_0000_0000"), Ok(2f64.powi(64)));
+}
+
+#[test]
+fn random_decimals_of_up_to_forty_digits_are_rounded_as_the_standard_library_rounds_them() {
+    let mut random = Random::seeded();
+    for _ in 0..10_000 {
+        let digits = random.below(40) + 1;
+        let digits: String = (0..digits)
+            .map(|_| char::from(b'0' + random.below(10) as u8))
+            .collect();
+        let exponent = random.below(100) as i32 - 70;
+        agrees(&std::format!("0.{digits}e{exponent}"));
+    }
 }
 
 #[test]
