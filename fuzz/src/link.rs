@@ -2,7 +2,8 @@
 //! turned over.
 
 use ztl_core::link::{
-    ADDR_ONLY_NODE, Body, BodyError, Decoder, Frame, FrameError, NO_SESSION, encode, session_key, session_number,
+    ADDR_ONLY_NODE, Body, BodyError, Decoder, Frame, FrameError, NO_SESSION, encode, session_key,
+    session_number,
 };
 
 /// The sessions of the example in `docs/link.md`, so that its frames are a corpus.

@@ -40,30 +40,46 @@ pub(crate) fn build(
     Ok((core.with_linker(dirs, build)?, path))
 }
 
-/// Checks that the images are built with the same crates as everything else: they have a lock
-/// file of their own.
-pub(crate) fn check_lock() -> Outcome {
+/// Checks that the images of a workspace of its own are built with the same crates as everything else:
+/// they have a lock file of their own.
+pub(crate) fn check_lock(manifest: &str) -> Outcome {
     let read = |path: &Path| {
         fs::read_to_string(path).map_err(|error| format!("cannot read {}: {error}", path.display()))
     };
-    let ours = read(&Path::new(MANIFEST).with_extension("lock"))?;
+    let ours = locked(&read(&Path::new(manifest).with_extension("lock"))?);
     let others = locked(&read(Path::new("Cargo.lock"))?);
-    for (name, version) in locked(&ours) {
-        let same_name = || others.iter().filter(|(other, _)| *other == name);
-        if same_name().next().is_some() && !same_name().any(|(_, other)| *other == version) {
-            let versions: Vec<&str> = same_name().map(|(_, version)| version.as_str()).collect();
-            return Err(format!(
-                "the images are built with {name} {version}, everything else with {}; to mend it: \
-                 cargo update --manifest-path {MANIFEST} {name} --precise VERSION",
-                versions.join(" and ")
-            ));
-        }
+    match differing(&ours, &others) {
+        None => Ok(()),
+        Some([name, ours, others]) => Err(format!(
+            "the images are built with {name} {ours}, everything else with {others}; to mend it: \
+             cargo update --manifest-path {manifest} {name} --precise VERSION"
+        )),
     }
-    Ok(())
+}
+
+type Packages = BTreeSet<(String, String)>;
+
+/// A package that both have, in versions that could be the same and are not: its name and the two.
+fn differing<'a>(ours: &'a Packages, others: &'a Packages) -> Option<[&'a str; 3]> {
+    ours.difference(others).find_map(|(name, version)| {
+        let mut same = others.iter().filter(|(other, _)| other == name);
+        let (_, other) = same.find(|(_, other)| series(other) == series(version))?;
+        Some([name.as_str(), version, other])
+    })
+}
+
+/// What Cargo chooses one version of: `1` of 1.2.3, `0.2` of 0.2.3.
+fn series(version: &str) -> &str {
+    let mut ends = version.match_indices('.').map(|(index, _)| index);
+    let end = match version.starts_with("0.") {
+        true => ends.nth(1),
+        false => ends.next(),
+    };
+    end.and_then(|end| version.get(..end)).unwrap_or(version)
 }
 
 /// Name and version of each package in a lock file.
-fn locked(lock: &str) -> BTreeSet<(String, String)> {
+fn locked(lock: &str) -> Packages {
     let value = |package: &str, key: &str| {
         let mut lines = package.lines();
         let value = lines.find_map(|line| line.strip_prefix(key)?.strip_prefix(" = \""))?;
@@ -194,6 +210,25 @@ mod tests {
             locked(lock),
             BTreeSet::from([pair("a", "1.0.0"), pair("crc", "3.4.0")])
         );
+    }
+
+    #[test]
+    fn versions_that_could_be_the_same_have_to_be() {
+        let packages = |pairs: &[(&str, &str)]| -> Packages {
+            let pair = |(name, version): &(&str, &str)| (name.to_string(), version.to_string());
+            pairs.iter().map(pair).collect()
+        };
+        let others = packages(&[("a", "1.2.3"), ("b", "0.2.7"), ("b", "1.0.0")]);
+        for fine in [
+            packages(&[("a", "1.2.3"), ("c", "7.0.0")]),
+            packages(&[("b", "0.2.7"), ("b", "0.3.0")]),
+        ] {
+            assert_eq!(differing(&fine, &others), None);
+        }
+        for (name, version, other) in [("a", "1.3.0", "1.2.3"), ("b", "0.2.8", "0.2.7")] {
+            let ours = packages(&[(name, version)]);
+            assert_eq!(differing(&ours, &others), Some([name, version, other]));
+        }
     }
 
     #[test]

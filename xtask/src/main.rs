@@ -9,6 +9,7 @@ mod clients;
 mod cmd;
 mod cross;
 mod curve;
+mod firmware;
 mod fuzz;
 mod image;
 mod proof;
@@ -57,6 +58,16 @@ const CHORES: &[Chore] = &[
         name: "size",
         about: "flash and RAM that the standard image takes, against the record (--accept)",
         run: size::run,
+    },
+    Chore {
+        name: "firmware",
+        about: "the images of examples/firmware ([BOARD])",
+        run: firmware::run,
+    },
+    Chore {
+        name: "qemu",
+        about: "run a board's image, and say how to reach it (BOARD [PORT])",
+        run: firmware::run_in_qemu,
     },
     Chore {
         name: "soak",

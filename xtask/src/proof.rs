@@ -16,7 +16,7 @@ const IMAGE: &str = "no-panic";
 const SYMBOL: &str = "undefined symbol: a_panic_is_reachable";
 
 pub(crate) fn prove(dirs: &Dirs) -> Outcome {
-    image::check_lock()?;
+    image::check_lock(image::MANIFEST)?;
     let core = Core::provide(SMALLEST)?;
     lint(dirs, &core)?;
 

@@ -65,7 +65,7 @@ fn accept(dirs: &Dirs) -> Outcome {
 
 /// Builds the image for every target.
 fn measure(dirs: &Dirs) -> Outcome<Record> {
-    image::check_lock()?;
+    image::check_lock(image::MANIFEST)?;
     cross::add_all();
     let mut record = Record {
         compiler: String::new(),

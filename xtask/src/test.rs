@@ -4,7 +4,9 @@ use std::net::TcpListener;
 use std::time::{Duration, Instant};
 
 use crate::cmd::{Cmd, Outcome};
-use crate::{Dirs, bare, clients, curve, fuzz, image, proof, python, simulate, size, tools};
+use crate::{
+    Dirs, bare, clients, curve, firmware, fuzz, image, proof, python, simulate, size, tools,
+};
 
 /// The crates that have to do without `std` and without an allocator.
 pub(crate) const BARE_CRATES: &[&str] = &["ztl-core", "ztl-mcu"];
@@ -25,7 +27,7 @@ struct Step {
 const STEPS: &[Step] = &[
     Step {
         name: "tools",
-        about: "compilers, libzmq for C, Python 3 with venv, Node with npm, rustfmt and clippy are there",
+        about: "compilers, libzmq for C, Python 3 with venv, Node with npm, QEMU, rustfmt and clippy are there",
         run: |_| tools::check(),
     },
     Step {
@@ -33,8 +35,8 @@ const STEPS: &[Step] = &[
         about: "all code is formatted",
         run: |_| {
             Cmd::new("cargo fmt --all --check").run()?;
-            for apart in [image::MANIFEST, fuzz::MANIFEST] {
-                Cmd::new("cargo fmt --check --manifest-path")
+            for apart in [image::MANIFEST, fuzz::MANIFEST, firmware::MANIFEST] {
+                Cmd::new("cargo fmt --all --check --manifest-path")
                     .arg(apart)
                     .run()?;
             }
@@ -79,6 +81,11 @@ const STEPS: &[Step] = &[
         name: "size",
         about: "the standard firmware image is as small as the record says",
         run: size::check,
+    },
+    Step {
+        name: "firmware",
+        about: "the images of examples/firmware build",
+        run: firmware::check,
     },
     Step {
         name: "test",

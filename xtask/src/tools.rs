@@ -71,7 +71,26 @@ const NEEDS: &[Need] = &[
         component: Some("clippy"),
         packages: &["rust-web-clippy"],
     },
+    QEMU,
 ];
+
+/// Runs the firmware.
+const QEMU: Need = Need {
+    what: "QEMU for ARM and RISC-V, which runs the firmware",
+    check: || {
+        Cmd::new("sh -c").arg("qemu-system-riscv32 --version >&2 && qemu-system-arm --version")
+    },
+    component: None,
+    packages: &["qemu-system-arm", "qemu-system-misc"],
+};
+
+/// Makes sure that the boards can be run.
+pub(crate) fn provide_qemu() -> Outcome {
+    match QEMU.version() {
+        Ok(_) => Ok(()),
+        Err(_) => install(QEMU.packages),
+    }
+}
 
 /// Makes sure that every program is there.
 pub(crate) fn check() -> Outcome {

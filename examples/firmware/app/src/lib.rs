@@ -1,0 +1,131 @@
+//! The firmware of a desk robot, the same on each board: a gripper on a servo, a stage on a stepper
+//! with a limit switch, and a lamp. A board brings the pins, a serial port and a clock.
+#![no_std]
+
+use core::convert::Infallible;
+
+use embedded_hal::digital::{InputPin, OutputPin};
+use embedded_hal::pwm::SetDutyCycle;
+use embedded_io::Write;
+use ztl_mcu::components::{
+    DigitalOutput, DigitalOutputConfig, Scale, Servo, ServoConfig, StepMotor, Stepper,
+    StepperConfig, Switch,
+};
+use ztl_mcu::pump::Pump;
+use ztl_mcu::shared::{ReceiveQueue, StopFlag};
+use ztl_mcu::{Identity, Instant, Node};
+
+/// Where a board's serial port puts the bytes that it receives.
+pub static RECEIVED: ReceiveQueue<128> = ReceiveQueue::new();
+
+/// What a board's emergency button raises.
+pub static STOP: StopFlag = StopFlag::new();
+
+#[cfg(feature = "defmt")]
+static LOG: ztl_mcu::log::LogQueue<256> = ztl_mcu::log::LogQueue::new();
+#[cfg(feature = "defmt")]
+ztl_mcu::defmt_logger!(LOG);
+
+/// Opens and closes by 90 degrees.
+const GRIPPER: ServoConfig = ServoConfig {
+    range: (0, 90),
+    speed: 90,
+    acceleration: 360,
+    ..ServoConfig::DEFAULT
+};
+
+/// A slide of 200 mm.
+const STAGE: StepperConfig = StepperConfig {
+    scale: Scale::new(40, 1, "mm"),
+    range: (0, 200),
+    speed: 1600,
+    acceleration: 8000,
+    home_speed: 800,
+    ..StepperConfig::DEFAULT
+};
+
+/// Tasks that it holds at most, and the longest frame.
+const TASKS: usize = 4;
+const FRAME: usize = 256;
+
+/// How long before something is due the processor still goes to sleep: a tick of its clock wakes it.
+const SLEEP_US: u64 = 2000;
+
+/// What the robot is connected to.
+#[derive(Debug)]
+pub struct Pins<P, S, D, L, O> {
+    /// The gripper's servo: a PWM output of 50 Hz.
+    pub gripper: P,
+    /// The stage's driver takes a step.
+    pub step: S,
+    /// Which way it goes.
+    pub direction: D,
+    /// Low when the stage is at its low end.
+    pub limit: L,
+    /// The lamp.
+    pub lamp: O,
+}
+
+/// What else a board has.
+pub trait Board {
+    /// Its serial port. `write` takes what it has room for and may say 0; so no motion waits for it.
+    type Port: Write<Error = Infallible>;
+
+    /// Where the answers go.
+    fn port(&mut self) -> &mut Self::Port;
+
+    /// The time since the reset.
+    fn now(&mut self) -> Instant;
+
+    /// Whether the emergency stop is to end: its button is released, and another was pressed.
+    fn may_resume(&mut self) -> bool;
+
+    /// Waits for an interrupt. A clock's tick has to come at least each millisecond.
+    fn sleep(&mut self);
+}
+
+/// Runs for ever. `boot` differs from reset to reset.
+pub fn run<P, S, D, L, O>(boot: u32, pins: Pins<P, S, D, L, O>, board: &mut impl Board) -> !
+where
+    P: SetDutyCycle,
+    S: OutputPin,
+    D: OutputPin,
+    L: InputPin,
+    O: OutputPin,
+{
+    let stage = StepMotor::new(pins.step, pins.direction, &STAGE)
+        .with_low_limit(Switch::active_low(pins.limit));
+    let components = (
+        Servo::new("gripper", pins.gripper, GRIPPER),
+        Stepper::new("stage", stage, STAGE),
+        DigitalOutput::new("lamp", pins.lamp, DigitalOutputConfig::DEFAULT),
+    );
+    let identity = Identity::new("desk", env!("CARGO_PKG_VERSION"), boot);
+    let mut node = Node::<_, TASKS, FRAME>::new(identity, components);
+    let pump = Pump::new().with_stop(&STOP);
+    #[cfg(feature = "defmt")]
+    let pump = pump.with_log(&LOG);
+    #[cfg(feature = "defmt")]
+    defmt::info!("desk robot started, boot {=u32:x}", boot);
+    let mut stopped = false;
+    loop {
+        let now = board.now();
+        // Neither half of the port can fail.
+        let due = pump.turn_split(&mut node, &mut &RECEIVED, board.port(), now);
+        if node.is_stopped() && board.may_resume() {
+            node.clear_stop();
+        }
+        if node.is_stopped() != stopped {
+            stopped = !stopped;
+            #[cfg(feature = "defmt")]
+            match stopped {
+                true => defmt::warn!("emergency stop"),
+                false => defmt::info!("emergency stop is over"),
+            }
+        }
+        let due = due.unwrap_or(now);
+        if due.as_micros().saturating_sub(now.as_micros()) > SLEEP_US {
+            board.sleep();
+        }
+    }
+}

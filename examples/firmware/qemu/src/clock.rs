@@ -1,0 +1,55 @@
+//! The time since the reset, by the timer that each Cortex-M has.
+
+use core::cell::Cell;
+
+use cortex_m::peripheral::SYST;
+use cortex_m::peripheral::syst::SystClkSource;
+use critical_section::Mutex;
+use ztl_mcu::Instant;
+
+static MILLIS: Mutex<Cell<u64>> = Mutex::new(Cell::new(0));
+
+/// SysTick at so many cycles a millisecond, with a tick each millisecond.
+#[derive(Debug)]
+pub struct Clock<const CYCLES: u32>(());
+
+impl<const CYCLES: u32> Clock<CYCLES> {
+    /// Starts it. The board's `SysTick` handler has to call [`tick`].
+    #[must_use]
+    pub fn start(mut timer: SYST) -> Self {
+        timer.set_clock_source(SystClkSource::Core);
+        timer.set_reload(CYCLES - 1);
+        timer.clear_current();
+        timer.enable_counter();
+        timer.enable_interrupt();
+        Self(())
+    }
+
+    /// The time since it was started. Not to be asked where interrupts are held off.
+    #[must_use]
+    pub fn now(&self) -> Instant {
+        loop {
+            let before = millis();
+            let cycles = CYCLES.saturating_sub(SYST::get_current() + 1);
+            // Else a tick has come in between.
+            if before == millis() {
+                let micros = cycles * 1000 / CYCLES;
+                return Instant::from_micros(before * 1000 + u64::from(micros));
+            }
+        }
+    }
+}
+
+/// A millisecond has passed.
+pub fn tick() {
+    critical_section::with(|cs| {
+        let millis = MILLIS.borrow(cs);
+        millis.set(millis.get().wrapping_add(1));
+    });
+}
+
+/// Milliseconds since the start.
+#[must_use]
+pub fn millis() -> u64 {
+    critical_section::with(|cs| MILLIS.borrow(cs).get())
+}

@@ -1,0 +1,14 @@
+//! What the boards in QEMU have in common: registers, a clock, and pins that a test can press and see.
+#![no_std]
+
+pub mod boots;
+#[cfg(target_arch = "arm")]
+pub mod clock;
+pub mod panel;
+mod register;
+#[cfg(target_arch = "arm")]
+mod vectors;
+
+pub use register::Register;
+#[cfg(target_arch = "arm")]
+pub use vectors::unexpected;

@@ -1,0 +1,181 @@
+//! `cargo xtask firmware` and `cargo xtask qemu`: the images of `examples/firmware`, one a board.
+
+use std::fs;
+use std::path::PathBuf;
+
+use crate::Dirs;
+use crate::cmd::{Cmd, Outcome};
+use crate::cross::Core;
+use crate::image::{self, Image};
+use crate::tools;
+
+/// The packages of the boards, which are no members of the workspace.
+pub(crate) const MANIFEST: &str = "examples/firmware/Cargo.toml";
+
+/// Which boards there are.
+const BOARDS: &str = "examples/firmware/boards.txt";
+
+/// Below the target directory: where the images are built, each in its target's directory.
+const BUILT: &str = "firmware";
+
+/// A line of [`BOARDS`].
+#[derive(Debug, PartialEq, Eq)]
+pub(crate) struct Board {
+    pub(crate) name: String,
+    pub(crate) target: String,
+    /// The command that runs it in QEMU, without the image; `None` where nothing does.
+    pub(crate) machine: Option<String>,
+}
+
+/// Builds one board's image, or all.
+pub(crate) fn run(dirs: &Dirs, args: &[String]) -> Outcome {
+    let boards = match args {
+        [] => boards()?,
+        [name] => vec![board(name)?],
+        _ => return Err("`cargo xtask firmware` takes a board's name, or nothing for all".into()),
+    };
+    for board in boards {
+        let path = build(dirs, &board)?;
+        let Image { flash, ram, .. } = Image::read(&path)?;
+        println!(
+            "{}: {flash} bytes of flash, {ram} of static RAM",
+            path.display()
+        );
+    }
+    Ok(())
+}
+
+/// Builds one board's image and runs it in QEMU, until that is ended.
+pub(crate) fn run_in_qemu(dirs: &Dirs, args: &[String]) -> Outcome {
+    let usage = || "`cargo xtask qemu` takes a board's name and perhaps a port: microbit 5555";
+    let (name, port) = match args {
+        [name] => (name, 5555),
+        [name, port] => (name, port.parse::<u16>().map_err(|_| usage())?),
+        _ => return Err(usage().into()),
+    };
+    let board = board(name)?;
+    let Some(machine) = &board.machine else {
+        return Err(format!(
+            "QEMU has no {name}; its README says how to flash one"
+        ));
+    };
+    tools::provide_qemu()?;
+    let image = build(dirs, &board)?;
+    println!(
+        "\n{name} runs, with its serial port at TCP port {port}. In another terminal:\n\n    \
+         cargo run --bin ztl -- gateway -d desk=tcp:127.0.0.1:{port} -p 12345 -s /lab\n    \
+         cargo run --bin ztl -- task-client -r localhost -p 12345 -s /lab desk:stage:home\n\n\
+         Ctrl-A X ends QEMU."
+    );
+    Cmd::new(machine)
+        .args("-nographic -monitor none -serial")
+        .arg(format!(
+            "tcp:127.0.0.1:{port},server=on,wait=off,nodelay=on"
+        ))
+        .arg("-kernel")
+        .arg(image)
+        .run()
+}
+
+/// Lints and builds all of them.
+pub(crate) fn check(dirs: &Dirs) -> Outcome {
+    for board in boards()? {
+        let core = Core::provide(&board.target)?;
+        // Debian's compiler is not the one that clippy belongs to.
+        if let Core::Compiled(_) = core {
+            let clippy = cargo(dirs, &core, "clippy", &board);
+            clippy.args("-- -D warnings").run()?;
+        }
+        build(dirs, &board)?;
+    }
+    Ok(())
+}
+
+/// Builds a board's image: the path of its ELF file.
+pub(crate) fn build(dirs: &Dirs, board: &Board) -> Outcome<PathBuf> {
+    image::check_lock(MANIFEST)?;
+    let core = Core::provide(&board.target)?;
+    let build = cargo(dirs, &core, "build", board);
+    core.with_linker(dirs, build)?.run()?;
+    let built = dirs.target.join(BUILT).join(&board.target);
+    Ok(built.join("release").join(&board.name))
+}
+
+fn cargo(dirs: &Dirs, core: &Core, command: &str, board: &Board) -> Cmd {
+    core.cargo(command, &board.target, &dirs.target.join(BUILT))
+        .args("--locked --release --manifest-path")
+        .arg(MANIFEST)
+        .arg("--package")
+        .arg(&board.name)
+}
+
+fn board(name: &str) -> Outcome<Board> {
+    let mut boards = boards()?;
+    if let Some(index) = boards.iter().position(|board| board.name == name) {
+        return Ok(boards.swap_remove(index));
+    }
+    let names: Vec<&str> = boards.iter().map(|board| board.name.as_str()).collect();
+    Err(format!(
+        "there is no board `{name}`; there are: {}",
+        names.join(", ")
+    ))
+}
+
+pub(crate) fn boards() -> Outcome<Vec<Board>> {
+    let text =
+        fs::read_to_string(BOARDS).map_err(|error| format!("cannot read {BOARDS}: {error}"))?;
+    parse(&text)
+}
+
+fn parse(text: &str) -> Outcome<Vec<Board>> {
+    let lines = text.lines().filter(|line| !line.starts_with('#'));
+    let board = |line: &str| {
+        let words: Vec<&str> = line.split_whitespace().collect();
+        let (name, target, machine) = match words.as_slice() {
+            [name, target, "-"] => (name, target, None),
+            [name, target, machine @ ..] if !machine.is_empty() => {
+                (name, target, Some(machine.join(" ")))
+            }
+            _ => {
+                return Err(format!(
+                    "{BOARDS} needs a board, a target and a machine or `-` in each line, not: {line}"
+                ));
+            }
+        };
+        Ok(Board {
+            name: (*name).to_owned(),
+            target: (*target).to_owned(),
+            machine,
+        })
+    };
+    lines.map(board).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_board_is_a_line() {
+        let boards =
+            parse("# x\nmicrobit thumbv6m-none-eabi  qemu-system-arm -M microbit\npico t -");
+        let board = |name: &str, target: &str, machine: Option<&str>| Board {
+            name: name.to_owned(),
+            target: target.to_owned(),
+            machine: machine.map(str::to_owned),
+        };
+        assert_eq!(
+            boards.unwrap(),
+            [
+                board(
+                    "microbit",
+                    "thumbv6m-none-eabi",
+                    Some("qemu-system-arm -M microbit")
+                ),
+                board("pico", "t", None),
+            ]
+        );
+        let message = parse("pico t").unwrap_err();
+        assert!(message.ends_with("not: pico t"), "{message}");
+    }
+}
