@@ -284,8 +284,9 @@ pub const MUTANTS: &[Mutant] = &[
             "for (_, task) in self.tasks.iter_mut() {
                 task.extra.due = now;",
             "while ON {
-                let ended = self.tasks.iter().find(|(_, task)| task.state.is_final());
-                let Some(id) = ended.map(|(id, _)| *id) else {
+                let mut tasks = ztl_core::tasks::Tasks::iter(&self.tasks);
+                let ended = tasks.find(|(_, task)| task.state.is_final());
+                let Some(id) = ended.map(|(id, _)| id) else {
                     break;
                 };
                 self.tasks.acknowledge(id);
