@@ -104,6 +104,24 @@ fn what_neither_the_file_nor_an_option_says_is_asked_for() {
 }
 
 #[test]
+fn the_journal_is_kept_where_the_file_says() {
+    let scratch = Scratch::new();
+    let text = "scope: /lab\nport: 0\ndevices: {head: sim:head}\njournal: ";
+    for (journal, said) in [
+        (
+            "state/lab.jsonl".to_owned(),
+            format!("Journal: {}", scratch.path("state/lab.jsonl").display()),
+        ),
+        ("off".to_owned(), "Without a journal".to_owned()),
+    ] {
+        let file = written(&scratch, &format!("{text}{journal}\n"));
+        let gateway = Process::start(ztl().arg("gateway").arg(file));
+        gateway.wait_for(&said);
+        gateway.wait_for("Serving head");
+    }
+}
+
+#[test]
 fn a_file_and_options_are_served_together_and_an_option_wins() {
     let scratch = Scratch::new();
     let file = written(

@@ -6,6 +6,8 @@
 mod file;
 mod firmware;
 mod lines;
+#[cfg(all(target_os = "linux", target_env = "gnu", target_arch = "x86_64"))]
+mod logs;
 mod neighbours;
 mod readings;
 mod service;

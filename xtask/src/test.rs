@@ -35,7 +35,12 @@ const STEPS: &[Step] = &[
         about: "all code is formatted",
         run: |_| {
             Cmd::new("cargo fmt --all --check").run()?;
-            for apart in [image::MANIFEST, fuzz::MANIFEST, firmware::MANIFEST] {
+            for apart in [
+                image::MANIFEST,
+                fuzz::MANIFEST,
+                firmware::MANIFEST,
+                "tests/log-device/Cargo.toml",
+            ] {
                 Cmd::new("cargo fmt --all --check --manifest-path")
                     .arg(apart)
                     .run()?;

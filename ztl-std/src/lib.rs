@@ -46,6 +46,8 @@
 
 mod clock;
 pub mod controller;
+#[cfg(feature = "defmt")]
+pub mod defmt;
 pub mod gateway;
 pub mod keys;
 #[cfg(feature = "sim")]

@@ -16,6 +16,7 @@ use ztl_core::{Instant, State, TaskId, TaskSpec};
 
 use super::endpoint::{READ_TIMEOUT, is_pause};
 use super::journal::FileBook;
+use super::logs::DeviceLog;
 use super::reader::{Opener, Permit, read_line};
 use super::readings::Observers;
 use super::report::Window;
@@ -71,6 +72,7 @@ pub struct Device {
     url: String,
     inputs: Sender<Input>,
     window: Window,
+    log: DeviceLog,
     thread: Option<JoinHandle<()>>,
 }
 
@@ -104,8 +106,10 @@ impl Device {
             stopping: None,
             window: Window::default(),
             observers,
+            log: DeviceLog::default(),
         };
         let (url, window) = (worker.url().to_owned(), worker.window.clone());
+        let log = worker.log.clone();
         let thread = std::thread::Builder::new()
             .name(format!("ztl-device-{name}"))
             .spawn(move || worker.run(&inbox))?;
@@ -113,12 +117,17 @@ impl Device {
             url,
             inputs,
             window,
+            log,
             thread: Some(thread),
         })
     }
 
     pub(super) fn url(&self) -> String {
         self.url.clone()
+    }
+
+    pub(super) fn log(&self) -> DeviceLog {
+        self.log.clone()
     }
 
     pub(super) fn window(&self) -> Window {
@@ -193,6 +202,7 @@ struct Worker {
     stopping: Option<Instant>,
     window: Window,
     observers: Observers,
+    log: DeviceLog,
 }
 
 impl Worker {
@@ -475,6 +485,10 @@ impl Worker {
             Event::Lost => self.set_trouble("it no longer answers".to_owned()),
             Event::Reset => self.voice.say(now(), Grave::Warn, " was reset.".to_owned()),
             Event::Refused(reason) => self.set_trouble(reason),
+            Event::Log { lost, bytes } => {
+                let boot = self.session.device().map_or(0, |device| device.boot);
+                self.log.put(boot, lost, bytes);
+            }
             Event::Reading(topic, bytes) => {
                 let device = self.session.device();
                 // Before the device has described itself nobody knows what it is.

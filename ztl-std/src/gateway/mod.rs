@@ -7,6 +7,7 @@ pub mod config;
 mod device;
 mod endpoint;
 mod journal;
+mod logs;
 mod reader;
 mod readings;
 mod report;
@@ -22,8 +23,11 @@ use ztl_core::{State, TaskId, TaskSpec};
 
 pub use device::Device;
 pub use endpoint::{BAUD, Endpoint, EndpointError, Line};
+#[cfg(feature = "sim")]
 pub(crate) use endpoint::{READ_TIMEOUT, is_pause};
 pub use journal::{DeviceBook, Journal, JournalError, Log, Moment, Storage};
+use logs::DeviceLog;
+pub use logs::RawLog;
 use reader::Opener;
 use readings::Observers;
 pub use readings::{Reading, Readings};
@@ -158,6 +162,21 @@ impl Gateway {
         }
     }
 
+    /// Logs what the device's firmware logs by defmt, made readable with its ELF file. To be called after
+    /// the device was added.
+    ///
+    /// # Errors
+    /// When the file is no use for that, or there is no such device.
+    #[cfg(feature = "defmt")]
+    pub fn read_log(&mut self, device: &str, elf: &std::path::Path) -> Result<(), String> {
+        let wrong = |error: &dyn std::fmt::Display| format!("{}: {error}", elf.display());
+        let found = self.devices.get(device).ok_or("no such device")?;
+        let decoder = crate::defmt::Decoder::of_file(elf).map_err(|error| wrong(&error))?;
+        let name = elf.display().to_string();
+        let reading = found.log().read_by(device, decoder, name);
+        reading.map_err(|error| wrong(&error))
+    }
+
     /// What becomes of running tasks when the gateway ends. Default: each is aborted, which is waited
     /// for, for a second. With `true` they are left alone: what their components do then by
     /// themselves is logged, and no client is told an end.
@@ -169,7 +188,12 @@ impl Gateway {
     #[must_use]
     pub fn watch(&self) -> Watch {
         let devices = self.devices.iter();
-        let seen = devices.map(|(name, device)| (name.clone(), device.url(), device.window()));
+        let seen = devices.map(|(name, device)| Seen {
+            name: name.clone(),
+            url: device.url(),
+            window: device.window(),
+            log: device.log(),
+        });
         Watch(seen.collect())
     }
 
@@ -181,16 +205,30 @@ impl Gateway {
 
 /// Sees a gateway's devices from outside.
 #[derive(Debug, Clone)]
-pub struct Watch(Arc<[(String, String, Window)]>);
+pub struct Watch(Arc<[Seen]>);
+
+/// What is seen of one device.
+#[derive(Debug)]
+struct Seen {
+    name: String,
+    url: String,
+    window: Window,
+    log: DeviceLog,
+}
 
 impl Watch {
     /// What there is to be said of each device now.
     #[must_use]
     pub fn reports(&self) -> DeviceReports {
-        let report = |(name, url, window): &(String, String, Window)| {
-            (name.clone(), window.report(url.clone()))
-        };
+        let report = |seen: &Seen| (seen.name.clone(), seen.window.report(seen.url.clone()));
         self.0.iter().map(report).collect()
+    }
+
+    /// The latest of what a device's firmware has logged; `None` when there is no such device.
+    #[must_use]
+    pub fn raw_log(&self, device: &str) -> Option<RawLog> {
+        let seen = self.0.iter().find(|seen| seen.name == device)?;
+        Some(seen.log.raw())
     }
 }
 
@@ -199,6 +237,7 @@ impl Drop for Gateway {
         // All at once; each is waited for as it is dropped.
         for device in self.devices.values().chain(self.absent.values()) {
             device.stop(self.leave_running);
+            device.log().close();
         }
         self.observers.close();
     }

@@ -104,6 +104,13 @@ pub enum Event {
     Refused(String),
     /// A reading, under the topic of this number.
     Reading(u8, Vec<u8>),
+    /// The next bytes of the firmware's log, and how many it has lost since its boot, which wraps.
+    Log {
+        /// Since the boot.
+        lost: u32,
+        /// Cut anywhere.
+        bytes: Vec<u8>,
+    },
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

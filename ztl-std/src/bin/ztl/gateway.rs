@@ -33,6 +33,11 @@ pub(crate) struct Gateway {
     #[arg(short, long = "device", value_name = "NAME=URL", value_parser = device)]
     devices: Vec<DeviceConfig>,
 
+    /// The ELF file of a device's firmware: what it logs by defmt goes to the log (repeatable)
+    #[cfg(feature = "defmt")]
+    #[arg(long = "elf", value_name = "NAME=FILE", value_parser = elf)]
+    elfs: Vec<(String, PathBuf)>,
+
     /// Port to serve at
     #[arg(short, long, value_parser = port)]
     port: Option<u16>,
@@ -84,6 +89,14 @@ fn device(text: &str) -> Result<DeviceConfig, String> {
     Ok(DeviceConfig::new(name, endpoint))
 }
 
+#[cfg(feature = "defmt")]
+fn elf(text: &str) -> Result<(String, PathBuf), String> {
+    let (name, path) = text
+        .split_once('=')
+        .ok_or("write NAME=FILE, as gripper=target/thumbv6m-none-eabi/release/gripper")?;
+    Ok((name.to_owned(), path.into()))
+}
+
 fn fits(text: &str, mistake: fn(&str) -> Option<String>) -> Result<String, String> {
     mistake(text).map_or_else(|| Ok(text.to_owned()), Err)
 }
@@ -111,6 +124,32 @@ fn one_of<T: Copy>(text: &str, known: &[(&str, T)]) -> Result<T, String> {
         || Err(format!("there are: {}", words().join(", "))),
         |(_, value)| Ok(*value),
     )
+}
+
+/// Adds the ELF files of the command line to the devices, and looks whether all are of use.
+#[cfg(feature = "defmt")]
+fn with_elfs(devices: &mut [DeviceConfig], elfs: Vec<(String, PathBuf)>) -> Result<(), Unfit> {
+    for (name, path) in elfs {
+        let Some(device) = devices.iter_mut().find(|device| device.name == name) else {
+            let names: Vec<&str> = devices.iter().map(|d| d.name.as_str()).collect();
+            let names = names.join(", ");
+            let mistake = format!("--elf: no device '{name}'; there are: {names}");
+            return Err(Unfit::Whole(mistake));
+        };
+        device.elf = Some(path);
+    }
+    for device in devices {
+        let Some(path) = &device.elf else { continue };
+        if let Err(error) = ztl_std::defmt::Decoder::of_file(path) {
+            let mistake = format!(
+                "the firmware of '{}', {}: {error}",
+                device.name,
+                path.display()
+            );
+            return Err(Unfit::Whole(mistake));
+        }
+    }
+    Ok(())
 }
 
 /// Why a configuration cannot be served.
@@ -194,6 +233,8 @@ impl Gateway {
             }
             devices.push(device);
         }
+        #[cfg(feature = "defmt")]
+        with_elfs(&mut devices, self.elfs)?;
         if devices.is_empty() {
             let key = "devices:";
             return Err(missing("device", "--device <NAME=URL>", key));
@@ -238,6 +279,10 @@ impl Plan {
         devices.set_leave_running(self.leave_running);
         for device in &self.devices {
             devices.add(&device.name, device.endpoint.clone())?;
+            #[cfg(feature = "defmt")]
+            if let Some(elf) = &device.elf {
+                devices.read_log(&device.name, elf)?;
+            }
         }
         if let Some(port) = self.publish {
             let endpoint = format!("tcp://{}:{port}", self.bind);

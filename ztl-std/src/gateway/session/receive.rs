@@ -50,6 +50,10 @@ impl<B: Book> Session<B> {
             (0, NO_SEQ, Body::Publish { topic, bytes }) => {
                 self.events.push_back(Event::Reading(topic, bytes.to_vec()));
             }
+            (0, NO_SEQ, Body::Log { lost, bytes }) => {
+                let bytes = bytes.to_vec();
+                self.events.push_back(Event::Log { lost, bytes });
+            }
             (0, seq, body) if seq != NO_SEQ => self.on_answer(now, seq, &body),
             // Echoes of one's own frames.
             _ => {}

@@ -1,0 +1,207 @@
+//! What a device logs by defmt, over the link and made readable: a program of this machine that defmt's
+//! own macros have made a log of (`tests/log-device`).
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::sync::OnceLock;
+use std::time::Duration;
+
+use ztl_std::gateway::Gateway;
+use ztl_tests::lab::{PATIENCE, Process, SCOPE, Scratch, built, ztl};
+
+use crate::lines::{complete, serve};
+
+/// The program, built here, since nothing else in the project may be built with its features.
+#[track_caller]
+fn elf() -> &'static Path {
+    static BUILT: OnceLock<PathBuf> = OnceLock::new();
+    BUILT.get_or_init(|| {
+        let manifest = concat!(env!("CARGO_MANIFEST_DIR"), "/log-device/Cargo.toml");
+        let target = built("ztl").with_file_name("log-device");
+        let host = "x86_64-unknown-linux-gnu";
+        let mut cargo = Command::new(env!("CARGO"));
+        // With a target, the flags are not for what runs while it is built.
+        cargo
+            .args([
+                "build",
+                "--locked",
+                "--manifest-path",
+                manifest,
+                "--target",
+                host,
+            ])
+            .arg("--target-dir")
+            .arg(&target)
+            .env("RUSTFLAGS", "-C relocation-model=static");
+        let ended = Process::start(&mut cargo).end(Duration::from_secs(300));
+        assert_eq!(ended.code, Some(0), "{}", ended.stderr);
+        target.join(host).join("debug/ztl-log-device")
+    })
+}
+
+/// The device, and its address.
+#[track_caller]
+fn device() -> (Process, String) {
+    let device = Process::start(Command::new(elf()).arg("127.0.0.1:0"));
+    let line = device.wait_for("logging at ");
+    (device, line.trim_start_matches("logging at ").to_owned())
+}
+
+/// A gateway that reads the device's log with this file.
+#[track_caller]
+fn gateway(address: &str, elf: &Path, more: &[&str]) -> (Process, ztl_std::RemoteTask) {
+    let mut command = ztl();
+    command.args([
+        "gateway",
+        "-p",
+        "0",
+        "-s",
+        SCOPE,
+        "-d",
+        &format!("arm={address}"),
+    ]);
+    command.args(["--elf", &format!("arm={}", elf.display())]);
+    let gateway = Process::start(command.args(more));
+    let line = gateway.wait_for("Serving arm at ");
+    let endpoint = line
+        .split([' ', ','])
+        .find(|word| word.starts_with("tcp://"));
+    let endpoint = endpoint.expect("it is said");
+    let remote = ztl_std::RemoteTask::connect(endpoint, SCOPE).expect("an address");
+    (gateway, remote)
+}
+
+#[test]
+fn every_kind_of_value_is_readable_with_its_level_and_place() {
+    let (_device, address) = device();
+    let (gateway, mut remote) = gateway(&address, elf(), &["--log", "debug"]);
+    gateway.wait_for("INFO:firmware:arm: [1.500] started (src/main.rs:");
+    complete(&mut remote, "arm", "motor", "all");
+    for line in [
+        "ERROR:firmware:arm: [1.500] Sample { way: Up { steps: 300 }, raw: [1, 2, 255], scale: 0.5, name: \"left\", next: Some(-3) } (src/main.rs:",
+        "WARNING:firmware:arm: [1.500] 0xab 0042 fe true ä (src/main.rs:",
+        "DEBUG:firmware:arm: [1.500] 5 1010 interned (src/main.rs:",
+        "INFO:firmware:arm: [1.500] b\"a\\n\\\"\" [07, 08] [Some(1), None] (src/main.rs:",
+        "INFO:firmware:arm: [1.500] HOT | LOCKED 1:01:01:01.000002 2000-02-29T00:00:00Z (src/main.rs:",
+        "INFO:firmware:arm: [1.500] 1.25 {} (src/main.rs:",
+    ] {
+        gateway.wait_for(line);
+    }
+}
+
+#[test]
+fn a_log_is_there_for_machines_too_and_a_task_says_whats_its() {
+    let (_device, address) = device();
+    let (gateway, mut remote) = gateway(&address, elf(), &["--log-format", "json"]);
+    complete(&mut remote, "arm", "motor", "left");
+    let line = gateway.wait_for("goes to left");
+    let event: serde_json::Value = serde_json::from_str(&line).expect("JSON");
+    assert_eq!(event["target"], "firmware", "{line}");
+    assert_eq!(event["device"], "arm", "{line}");
+    let place = event["place"].as_str().expect("a text");
+    assert!(place.starts_with("src/main.rs:"), "{line}");
+}
+
+#[test]
+fn a_flood_is_cut_short_and_what_the_device_has_lost_is_said() {
+    let (_device, address) = device();
+    let (gateway, mut remote) = gateway(&address, elf(), &[]);
+    complete(&mut remote, "arm", "motor", "flood");
+    gateway.wait_for("WARNING:firmware:arm: ");
+    gateway.wait_for("bytes of its log were lost, since it had no room for them");
+    gateway.signal("TERM");
+    let ended = gateway.end(PATIENCE);
+    let numbers = ended.stderr.matches(": [1.500] number ").count();
+    assert!((1..200).contains(&numbers), "{numbers}");
+    // What was cut in the middle is no message, and no reason to suspect the file.
+    assert!(!ended.stderr.contains("makes no sense"), "{ended:?}");
+}
+
+#[test]
+fn a_file_that_is_of_no_use_is_refused_before_anything_is_served() {
+    let scratch = Scratch::new();
+    let text = scratch.path("text");
+    std::fs::write(&text, "no ELF file").expect("to write");
+    for (name, file, part) in [
+        ("arm", text.display().to_string(), "it is no ELF file"),
+        (
+            "arm",
+            built("ztl").display().to_string(),
+            "logs nothing by defmt",
+        ),
+        (
+            "arm",
+            "/no/such.elf".to_owned(),
+            "cannot read it: No such file",
+        ),
+        (
+            "leg",
+            text.display().to_string(),
+            "no device 'leg'; there are: arm",
+        ),
+    ] {
+        let elf = format!("--elf={name}={file}");
+        let mut command = ztl();
+        command.args([
+            "gateway",
+            "-p",
+            "0",
+            "-s",
+            SCOPE,
+            "-d",
+            "arm=sim:head",
+            &elf,
+        ]);
+        let ended = Process::run(&mut command);
+        assert_eq!(ended.code, Some(2), "{ended:?}");
+        assert!(ended.stderr.contains(part), "{part}: {ended:?}");
+    }
+}
+
+#[test]
+fn another_firmwares_file_is_suspected() {
+    let (_device, address) = device();
+    let scratch = Scratch::new();
+    // As of a firmware that has other messages: of those that this one logs there are none.
+    let mut other = std::fs::read(elf()).expect("the file");
+    let (known, unknown) = (b"\"defmt_info\"", b"\"other_info\"");
+    for place in 0..other.len().saturating_sub(known.len()) {
+        if other[place..].starts_with(known) {
+            other[place..place + unknown.len()].copy_from_slice(unknown);
+        }
+    }
+    let file = scratch.path("other.elf");
+    std::fs::write(&file, other).expect("to write");
+    let (gateway, mut remote) = gateway(&address, &file, &[]);
+    for _ in 0..3 {
+        complete(&mut remote, "arm", "motor", "left");
+    }
+    let line = gateway.wait_for("makes no sense by");
+    assert!(
+        line.contains("probably it is not the ELF file of its firmware"),
+        "{line}"
+    );
+}
+
+#[test]
+fn the_raw_log_is_kept_and_read_later() {
+    let (_device, address) = device();
+    let mut gateway = Gateway::new();
+    gateway
+        .add("arm", address.parse().expect("a URL"))
+        .expect("a thread");
+    let watch = gateway.watch();
+    let (_server, mut remote) = serve(gateway);
+    complete(&mut remote, "arm", "motor", "left");
+    let mut decoder = ztl_std::defmt::Decoder::of_file(elf()).expect("a firmware");
+    ztl_tests::lab::until("its log", PATIENCE, || {
+        let mut texts = Vec::new();
+        let raw = watch.raw_log("arm").expect("a device");
+        decoder.skip();
+        decoder.push(&raw.bytes, &mut |message| {
+            texts.extend(message.map(|message| message.text));
+        });
+        (texts == ["started", "goes to left"]).then_some(())
+    });
+    assert_eq!(watch.raw_log("leg"), None);
+}
