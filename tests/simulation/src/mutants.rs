@@ -284,9 +284,10 @@ pub const MUTANTS: &[Mutant] = &[
             "for (_, task) in self.tasks.iter_mut() {
                 task.extra.due = now;",
             "while ON {
-                let mut tasks = ztl_core::tasks::Tasks::iter(&self.tasks);
-                let ended = tasks.find(|(_, task)| task.state.is_final());
-                let Some(id) = ended.map(|(id, _)| id) else {
+                let ended = ztl_core::tasks::Tasks::iter(&self.tasks)
+                    .find(|(_, task)| task.state.is_final())
+                    .map(|(id, _)| id);
+                let Some(id) = ended else {
                     break;
                 };
                 self.tasks.acknowledge(id);
