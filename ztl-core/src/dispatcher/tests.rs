@@ -601,17 +601,17 @@ fn tasks_from_before_a_restart_are_known_and_their_ids_are_given_to_nobody() {
     let restore = |lab: &mut Lab, id, state, ended| {
         let mut task = Task::<_, heapless::String<16>>::new(Scope(1));
         task.state = state;
-        task.text.set("before");
+        crate::tasks::Text::set(&mut task.text, "before");
         task.ended = ended;
         lab.dispatcher.restore(TaskId::new(id).unwrap(), task)
     };
-    let half_an_hour_ago = Some(Instant::from_millis(5_400_000));
-    assert!(restore(&mut lab, 7, State::Accepted, None));
+    let half_an_hour_ago = Instant::from_millis(5_400_000);
+    assert!(restore(&mut lab, 7, State::Accepted, Instant::NEVER));
     assert!(restore(&mut lab, 5, State::Completed, half_an_hour_ago));
     lab.dispatcher.skip_to(TaskId::new(20).unwrap());
     lab.accepted(21);
     assert!(
-        !restore(&mut lab, 30, State::Accepted, None),
+        !restore(&mut lab, 30, State::Accepted, Instant::NEVER),
         "there is no room"
     );
     lab.ask(2, "/other;2;7;");
