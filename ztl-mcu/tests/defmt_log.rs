@@ -73,9 +73,13 @@ fn records_are_whole_and_those_that_do_not_fit_are_counted() {
         defmt::error!("a number: {=u32}", 0x0101_0101 * number + 0x2020_2020);
     }
     let lost = LOG.lost();
-    assert!(lost > 100, "{lost}");
     let bytes = read();
     assert_eq!(bytes.last(), Some(&0), "the last record is whole");
+    // All are of one length, which depends on where the linker puts the text.
+    let records = bytes.split(|byte| *byte == 0).filter(|f| !f.is_empty());
+    let len = bytes.len() / records.count();
+    assert!(bytes.len() + len > 64, "as many as fit are kept");
+    assert_eq!(bytes.len() + lost as usize, 20 * len);
     let mut again = bytes.split(|byte| *byte == 0).filter(|f| !f.is_empty());
     assert!(again.all(|frame| decoded(frame).len() >= 7));
     // There is room again.
