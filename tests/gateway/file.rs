@@ -122,6 +122,15 @@ fn the_journal_is_kept_where_the_file_says() {
 }
 
 #[test]
+fn only_whom_the_file_and_the_options_allow_may_connect() {
+    let scratch = Scratch::new();
+    let text = "scope: /lab\nport: 0\nallow: 192.0.2.0/24\ndevices: {head: sim:head}\n";
+    let file = written(&scratch, text);
+    let gateway = Process::start(ztl().args(["gateway", &file, "--allow", "198.51.100.7"]));
+    gateway.wait_for("if its address is in 198.51.100.7/32 or 192.0.2.0/24");
+}
+
+#[test]
 fn a_file_and_options_are_served_together_and_an_option_wins() {
     let scratch = Scratch::new();
     let file = written(

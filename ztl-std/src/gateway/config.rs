@@ -1,7 +1,10 @@
 //! A gateway's configuration file: which devices there are, and where they are served.
 //! `docs/gateway.md` describes each key.
 
+use std::net::IpAddr;
 use std::path::{Path, PathBuf};
+
+use ipnet::IpNet;
 
 use super::endpoint::{BAUD_WANTED, Endpoint};
 use crate::server::scope_mistake;
@@ -17,6 +20,12 @@ pub struct Config {
     pub port: Option<u16>,
     /// Address to serve at; `*` is every one that this machine has.
     pub bind: Option<String>,
+    /// Networks that clients must be in; none is every network.
+    pub allow: Vec<IpNet>,
+    /// The server's secret key, with which it encrypts.
+    pub key: Option<PathBuf>,
+    /// Clients that are allowed, as `--client-key` takes them: `[SCOPE=]FILE` or a directory.
+    pub client_keys: Vec<String>,
     /// Port to publish readings at; without it they are not published.
     pub publish: Option<u16>,
     /// Where the journal of tasks is kept.
@@ -124,6 +133,39 @@ fn config<'d>(reading: &mut Reading<'d>, root: &'d Node, base: &Path) -> Option<
             bind_mistake(text).map_or_else(|| Ok(text.to_owned()), Err)
         });
     }
+    if let Some(node) = fields.optional("allow") {
+        let what = "a network, as 192.168.1.0/24, or one address";
+        for node in one_or_more(node) {
+            let network = reading.parsed(node, what, |text| {
+                let one = || text.parse::<IpAddr>().map(IpNet::from);
+                let network = text.parse().or_else(|_| one());
+                network.map_err(|_| format!("'{text}' is not {what}"))
+            });
+            config.allow.extend(network);
+        }
+    }
+    if let Some(node) = fields.optional("key") {
+        let text = reading.text(node, "the file of the server's secret key");
+        config.key = text.map(|text| base.join(text));
+    }
+    if let Some(node) = fields.optional("client-keys") {
+        for node in one_or_more(node) {
+            let text = reading.text(node, "a client's key, as anna.key or /lab=anna.key");
+            config.client_keys.extend(text.map(|text| {
+                let (scope, path) = match text.split_once('=') {
+                    Some((scope, path)) => (format!("{scope}="), path),
+                    None => (String::new(), text),
+                };
+                format!("{scope}{}", base.join(path).display())
+            }));
+        }
+        if config.key.is_none() {
+            reading.wrong(
+                node,
+                "clients have keys only where the server has one; write key: robot.key_secret",
+            );
+        }
+    }
     if let Some(node) = fields.optional("publish") {
         config.publish = reading.whole(node, PORT);
     }
@@ -156,6 +198,14 @@ fn config<'d>(reading: &mut Reading<'d>, root: &'d Node, base: &Path) -> Option<
     }
     fields.finish(reading);
     Some(config)
+}
+
+/// The items of a list, or a value that stands for a list of one.
+fn one_or_more(node: &Node) -> &[Node] {
+    match &node.value {
+        Value::List(nodes) => nodes,
+        _ => std::slice::from_ref(node),
+    }
 }
 
 /// A device, and where its URL stands.
@@ -255,7 +305,8 @@ mod tests {
     fn every_key_is_read() {
         let own_program = std::env::current_exe().expect("a file that is there");
         let text = format!(
-            "scope: /lab\nport: 12345\nbind: '*'\npublish: 12346\njournal: state\nlog: debug\n\
+            "scope: /lab\nport: 12345\nbind: '*'\nallow: [192.168.7.0/24, 10.1.2.3]\n\
+             key: robot.key_secret\nclient-keys: /lab=anna.key\npublish: 12346\njournal: state\nlog: debug\n\
              log-format: json\ndevices:\n  gripper: serial:/dev/serial/by-id/usb-x?baud=9600\n  \
              head:\n    url: serial:/dev/ttyUSB0\n    baud: 57600\n    elf: {}\n  \
              arm: {{url: 'tcp:localhost:7000'}}\n",
@@ -274,6 +325,12 @@ mod tests {
             scope: Some("/lab".to_owned()),
             port: Some(12345),
             bind: Some("*".to_owned()),
+            allow: vec![
+                "192.168.7.0/24".parse().unwrap(),
+                "10.1.2.3/32".parse().unwrap(),
+            ],
+            key: Some(PathBuf::from("/lab/robot.key_secret")),
+            client_keys: vec!["/lab=/lab/anna.key".to_owned()],
             publish: Some(12346),
             journal: Some(JournalPlace::At(PathBuf::from("/lab/state"))),
             log: Some(tracing::Level::DEBUG),
@@ -361,6 +418,14 @@ devices:
                 "'0' is not a line rate",
             ),
             ("scope: $ztl", "belongs to the protocol itself"),
+            (
+                "allow: [10.0.0.0/8, lan]",
+                "lab.yaml:1:21: 'lan' is not a network",
+            ),
+            (
+                "client-keys: a.key",
+                "lab.yaml:1:14: clients have keys only where",
+            ),
             ("[a]: 1", "lab.yaml:1:1: a key is a single word"),
         ] {
             let mistakes = parse(text).expect_err(text).to_string();

@@ -215,6 +215,7 @@ impl Gateway {
             };
             Unfit::Whole(format!("no {what}: give {option}, or {key}"))
         };
+        let reach = self.reach.with(&config);
         let mut devices = config.devices;
         for device in self.devices {
             if devices.iter().any(|known| known.name == device.name) {
@@ -250,8 +251,7 @@ impl Gateway {
             leave_running: self.leave_running,
             publish: self.publish.or(config.publish),
             devices,
-            access: self
-                .reach
+            access: reach
                 .access()
                 .map_err(|mistake| Unfit::Whole(mistake.to_string()))?,
             journal: self.journal.or(config.journal),

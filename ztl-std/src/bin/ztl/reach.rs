@@ -4,6 +4,7 @@ use std::net::IpAddr;
 use std::path::{Path, PathBuf};
 
 use ipnet::IpNet;
+use ztl_std::gateway::config::Config;
 use ztl_std::keys::{KeyPair, PublicKey};
 use ztl_std::{Access, RemoteTask, RequestError};
 
@@ -31,6 +32,15 @@ fn network(text: &str) -> Result<IpNet, &'static str> {
 }
 
 impl Reach {
+    /// With what the configuration file says: its networks and clients too, and its key, if no option
+    /// names one.
+    pub(crate) fn with(mut self, config: &Config) -> Self {
+        self.allow.extend(&config.allow);
+        self.client_key.extend(config.client_keys.iter().cloned());
+        self.key = self.key.or_else(|| config.key.clone());
+        self
+    }
+
     pub(crate) fn access(&self) -> Result<Access, Box<dyn std::error::Error>> {
         let mut access = Access::everybody();
         for network in &self.allow {
