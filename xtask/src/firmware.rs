@@ -63,9 +63,10 @@ pub(crate) fn run_in_qemu(dirs: &Dirs, args: &[String]) -> Outcome {
     let image = build(dirs, &board)?;
     println!(
         "\n{name} runs, with its serial port at TCP port {port}. In another terminal:\n\n    \
-         cargo run --bin ztl -- gateway -d desk=tcp:127.0.0.1:{port} -p 12345 -s /lab\n    \
+         cargo run --bin ztl -- gateway -d desk=tcp:127.0.0.1:{port} -p 12345 -s /lab --elf desk={elf}\n    \
          cargo run --bin ztl -- task-client -r localhost -p 12345 -s /lab desk:stage:home\n\n\
-         Ctrl-A X ends QEMU."
+         Ctrl-A X ends QEMU.",
+        elf = image.display()
     );
     Cmd::new(machine)
         .args("-nographic -monitor none -serial")
@@ -87,6 +88,14 @@ pub(crate) fn check(dirs: &Dirs) -> Outcome {
             clippy.args("-- -D warnings").run()?;
         }
         build(dirs, &board)?;
+    }
+    Ok(())
+}
+
+/// Builds all that the tests run.
+pub(crate) fn build_for_qemu(dirs: &Dirs) -> Outcome {
+    for board in boards()?.iter().filter(|board| board.machine.is_some()) {
+        build(dirs, board)?;
     }
     Ok(())
 }

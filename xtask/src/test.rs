@@ -215,6 +215,7 @@ fn tests(dirs: &Dirs) -> Outcome {
     let python = python::ensure(dirs)?;
     let clients = clients::ensure(dirs)?;
     build_programs()?;
+    firmware::build_for_qemu(dirs)?;
     Cmd::new("cargo test --workspace --locked --exclude")
         .arg(simulate::PACKAGE)
         .env("ZTL_PYTHON", python)

@@ -3,11 +3,15 @@
 //!
 //! Whatever waits here waits for a condition, and for no longer than it says.
 
+#[cfg(unix)]
+mod board;
 mod original;
 mod process;
 mod server;
 mod tools;
 
+#[cfg(unix)]
+pub use board::{Board, Pin};
 pub use original::{
     ABORTED, ACCEPTED, Answer, COMPLETED, FAILED, OriginalClient, REJECTED, original_tool, python,
 };

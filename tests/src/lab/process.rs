@@ -120,6 +120,11 @@ impl Process {
         self.heard.0.lock().unwrap().text(Stream::Out)
     }
 
+    /// What it has written to stderr so far.
+    pub fn stderr(&self) -> String {
+        self.heard.0.lock().unwrap().text(Stream::Err)
+    }
+
     /// Waits for its end.
     #[track_caller]
     pub fn end(mut self, limit: Duration) -> Ended {

@@ -1,0 +1,56 @@
+//! The original's Python client, unchanged, drives firmware on boards in QEMU: by ZeroMQ to the process of
+//! `ztl gateway`, and from there over the board's serial port.
+//!
+//! What really moves is seen at the board's pins.
+
+#![cfg(unix)]
+
+mod ends;
+mod faults;
+mod rig;
+
+/// Each test on each board.
+macro_rules! boards {
+    ($($board:ident)+) => {
+        $(mod $board {
+            const BOARD: &str = stringify!($board);
+
+            #[test]
+            fn a_goal_is_reached_and_seen_on_its_way() {
+                crate::ends::completes(BOARD);
+            }
+
+            #[test]
+            fn an_abort_stops_the_stage_where_it_is() {
+                crate::ends::aborts(BOARD);
+            }
+
+            #[test]
+            fn what_it_does_not_take_is_refused_with_what_would_be_right() {
+                crate::ends::refuses(BOARD);
+            }
+
+            #[test]
+            fn the_limit_switch_stops_the_stage() {
+                crate::ends::reaches_its_limit(BOARD);
+            }
+
+            #[test]
+            fn an_emergency_stop_stays_until_the_firmware_ends_it() {
+                crate::faults::stops(BOARD);
+            }
+
+            #[test]
+            fn after_a_reset_its_tasks_have_failed_and_it_serves_again() {
+                crate::faults::resets(BOARD);
+            }
+
+            #[test]
+            fn without_its_link_it_stops_by_itself_and_serves_again_with_it() {
+                crate::faults::loses_its_link(BOARD);
+            }
+        })+
+    };
+}
+
+boards! { microbit lm3s6965evb }

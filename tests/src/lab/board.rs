@@ -1,0 +1,161 @@
+//! Firmware on a board in QEMU: the images of `examples/firmware`, with their serial port at a TCP
+//! port, and their pins under the test's fingers.
+
+use std::cell::RefCell;
+use std::fs;
+use std::io::{BufRead, BufReader, Read, Write};
+use std::os::unix::net::UnixStream;
+use std::path::PathBuf;
+use std::process::Command;
+
+use object::{Object, ObjectSymbol};
+
+use super::{PATIENCE, Process, Scratch, ancestor, free_port, until};
+
+/// Board, target, machine.
+const BOARDS: &str = include_str!("../../../examples/firmware/boards.txt");
+
+/// The words of the panel (`examples/firmware/qemu/src/panel.rs`), in their order.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Pin {
+    /// 1 presses the stage's limit switch.
+    Limit,
+    /// 1 presses the emergency button.
+    Stop,
+    /// 1 presses the button that ends an emergency stop.
+    Resume,
+    /// The gripper's pulse in µs, 0 when there is none.
+    Pulse,
+    /// Where the stage is: steps above its switch.
+    Place,
+    /// 1 when the lamp is lit.
+    Lamp,
+}
+
+/// A board under power. It loses it when this is dropped.
+#[derive(Debug)]
+pub struct Board {
+    /// QEMU.
+    pub process: Process,
+    /// The TCP port of its serial port.
+    pub port: u16,
+    /// Its firmware's ELF file.
+    pub elf: PathBuf,
+    panel: u64,
+    scratch: Scratch,
+    probe: RefCell<BufReader<UnixStream>>,
+}
+
+impl Board {
+    /// A board by its name in `boards.txt`.
+    ///
+    /// # Panics
+    /// When its image is not there; a test of firmware is never left out silently.
+    #[track_caller]
+    pub fn start(name: &str) -> Self {
+        let lines = BOARDS.lines().map(|line| line.split_whitespace().collect());
+        let mut lines = lines.filter(|words: &Vec<&str>| words.first() == Some(&name));
+        let words = lines.next().expect("a board of boards.txt");
+        let [_, target, program, machine @ ..] = words.as_slice() else {
+            panic!("QEMU does not run {name}");
+        };
+        // Where `cargo xtask firmware` builds it: <target>/firmware.
+        let elf = ancestor(3).join("firmware").join(target);
+        let elf = elf.join("release").join(name);
+        let image = fs::read(&elf).unwrap_or_else(|error| {
+            let run = "run `cargo xtask firmware`, and `cargo xtask test --only tools` for QEMU";
+            panic!("{}: {error}: {run}", elf.display())
+        });
+
+        let scratch = Scratch::new();
+        let port = free_port();
+        let socket =
+            |name: &str| format!("unix:{},server=on,wait=off", scratch.path(name).display());
+        let mut qemu = Command::new(program);
+        qemu.args(machine).args(["-nographic", "-serial"]);
+        qemu.arg(format!(
+            "tcp:127.0.0.1:{port},server=on,wait=off,nodelay=on"
+        ));
+        qemu.args(["-monitor", &socket("monitor")]);
+        // Reads and writes memory while the machine runs.
+        qemu.args(["-qtest", &socket("probe"), "-qtest-log", "none"]);
+        qemu.arg("-kernel").arg(&elf);
+        let process = Process::start(&mut qemu);
+        let probe = until("QEMU's probe", PATIENCE, || {
+            UnixStream::connect(scratch.path("probe")).ok()
+        });
+        probe.set_read_timeout(Some(PATIENCE)).expect("a socket");
+        Self {
+            process,
+            port,
+            elf,
+            panel: address(&image, "PANEL"),
+            probe: RefCell::new(BufReader::new(probe)),
+            scratch,
+        }
+    }
+
+    /// For `ztl gateway --device`.
+    pub fn device(&self) -> String {
+        format!("desk=tcp:127.0.0.1:{}", self.port)
+    }
+
+    /// What a pin says.
+    #[track_caller]
+    pub fn read(&self, pin: Pin) -> u32 {
+        let answer = self.probe(&format!("readl {:#x}", self.address(pin)));
+        let number = answer.trim_start_matches("0x");
+        let number = u64::from_str_radix(number, 16).expect("a number in hexadecimal");
+        u32::try_from(number).expect("32 bits")
+    }
+
+    /// Presses a button, or releases it.
+    #[track_caller]
+    pub fn write(&self, pin: Pin, value: u32) {
+        self.probe(&format!("writel {:#x} {value:#x}", self.address(pin)));
+    }
+
+    fn address(&self, pin: Pin) -> u64 {
+        self.panel + 4 * pin as u64
+    }
+
+    /// Presses the board's reset button.
+    #[track_caller]
+    pub fn reset(&self) {
+        let mut monitor =
+            UnixStream::connect(self.scratch.path("monitor")).expect("QEMU's monitor");
+        monitor.set_read_timeout(Some(PATIENCE)).expect("a socket");
+        let prompt = |monitor: &mut UnixStream| {
+            let mut seen = Vec::new();
+            while !seen.ends_with(b"(qemu) ") {
+                let mut byte = [0];
+                monitor.read_exact(&mut byte).expect("QEMU's prompt");
+                seen.extend(byte);
+            }
+        };
+        prompt(&mut monitor);
+        monitor.write_all(b"system_reset\n").expect("a command");
+        prompt(&mut monitor);
+    }
+
+    /// Asks QEMU and gives its answer.
+    #[track_caller]
+    fn probe(&self, question: &str) -> String {
+        let mut probe = self.probe.borrow_mut();
+        let asked = writeln!(probe.get_mut(), "{question}");
+        asked.expect("QEMU's probe");
+        let mut answer = String::new();
+        probe.read_line(&mut answer).expect("an answer");
+        let answer = answer.trim_end().strip_prefix("OK");
+        let answer = answer.unwrap_or_else(|| panic!("QEMU does not know: {question}"));
+        answer.trim_start().to_owned()
+    }
+}
+
+/// Where a symbol of an image is.
+#[track_caller]
+fn address(image: &[u8], name: &str) -> u64 {
+    let elf = object::File::parse(image).expect("an ELF file");
+    let symbol = elf.symbols().find(|symbol| symbol.name() == Ok(name));
+    symbol.expect("the symbol").address()
+}
