@@ -11,9 +11,9 @@ mod rig;
 
 /// Each test on each board.
 macro_rules! boards {
-    ($($board:ident)+) => {
-        $(mod $board {
-            const BOARD: &str = stringify!($board);
+    ($($module:ident: $board:literal),+) => {
+        $(mod $module {
+            const BOARD: &str = $board;
 
             #[test]
             fn a_goal_is_reached_and_seen_on_its_way() {
@@ -53,4 +53,6 @@ macro_rules! boards {
     };
 }
 
-boards! { microbit lm3s6965evb }
+boards! {
+    microbit: "microbit", lm3s6965evb: "lm3s6965evb", mps2_an386: "mps2-an386", sifive_e: "sifive-e"
+}

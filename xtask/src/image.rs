@@ -127,7 +127,9 @@ impl Image {
                     image.flash += section.size();
                     in_flash.push(section.index());
                 }
-                if sh_flags.contains(SHF_WRITE) {
+                // Where a linker script lays out the rest of the RAM, that is no part of the image.
+                let rest = matches!(section.name(), Ok(".stack" | ".heap"));
+                if sh_flags.contains(SHF_WRITE) && !rest {
                     image.ram += section.size();
                 }
             }

@@ -9,47 +9,19 @@ mod uart;
 
 use core::panic::PanicInfo;
 
-use app::Pins;
 use cortex_m::Peripherals;
 use cortex_m::peripheral::SCB;
 use cortex_m_rt::{entry, exception};
+use qemu::board;
 use qemu::boots;
-use qemu::clock::{self, Clock};
-use qemu::panel::{Direction, Lamp, Limit, PANEL, Pulse, Step};
-use ztl_mcu::Instant;
-
+use qemu::clock::{self, SysTick};
 use uart::Uart;
 
 #[cfg(feature = "defmt")]
 defmt::timestamp!("{=u64:ms}", clock::millis());
 
 /// Cycles a millisecond in QEMU, where the core runs at 12.5 MHz after a reset.
-type BoardClock = Clock<12_500>;
-
-struct Board {
-    uart: Uart,
-    clock: BoardClock,
-}
-
-impl app::Board for Board {
-    type Port = Uart;
-
-    fn port(&mut self) -> &mut Uart {
-        &mut self.uart
-    }
-
-    fn now(&mut self) -> Instant {
-        self.clock.now()
-    }
-
-    fn may_resume(&mut self) -> bool {
-        !PANEL.is_stop_pressed() && PANEL.is_resume_pressed()
-    }
-
-    fn sleep(&mut self) {
-        cortex_m::asm::wfi();
-    }
-}
+const CYCLES: u32 = 12_500;
 
 #[entry]
 fn main() -> ! {
@@ -57,27 +29,12 @@ fn main() -> ! {
         SCB::sys_reset()
     };
     let boot = boots::count();
-    let mut board = Board {
-        clock: Clock::start(core.SYST),
-        uart: Uart::start(),
-    };
-    let pins = Pins {
-        gripper: Pulse,
-        step: Step,
-        direction: Direction,
-        limit: Limit,
-        lamp: Lamp,
-    };
-    app::run(boot, pins, &mut board)
+    board::run(boot, Uart::start(), SysTick::<CYCLES>::start(core.SYST))
 }
 
-/// Each millisecond.
 #[exception]
 fn SysTick() {
     clock::tick();
-    if PANEL.is_stop_pressed() {
-        app::STOP.raise();
-    }
 }
 
 /// After a reset the gateway knows what to tell of the tasks that ran.

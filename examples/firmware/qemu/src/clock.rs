@@ -7,13 +7,15 @@ use cortex_m::peripheral::syst::SystClkSource;
 use critical_section::Mutex;
 use ztl_mcu::Instant;
 
+use crate::board::{Clock, look_at_buttons};
+
 static MILLIS: Mutex<Cell<u64>> = Mutex::new(Cell::new(0));
 
 /// SysTick at so many cycles a millisecond, with a tick each millisecond.
 #[derive(Debug)]
-pub struct Clock<const CYCLES: u32>(());
+pub struct SysTick<const CYCLES: u32>(());
 
-impl<const CYCLES: u32> Clock<CYCLES> {
+impl<const CYCLES: u32> SysTick<CYCLES> {
     /// Starts it. The board's `SysTick` handler has to call [`tick`].
     #[must_use]
     pub fn start(mut timer: SYST) -> Self {
@@ -24,10 +26,10 @@ impl<const CYCLES: u32> Clock<CYCLES> {
         timer.enable_interrupt();
         Self(())
     }
+}
 
-    /// The time since it was started. Not to be asked where interrupts are held off.
-    #[must_use]
-    pub fn now(&self) -> Instant {
+impl<const CYCLES: u32> Clock for SysTick<CYCLES> {
+    fn now(&mut self) -> Instant {
         loop {
             let before = millis();
             let cycles = CYCLES.saturating_sub(SYST::get_current() + 1);
@@ -38,6 +40,10 @@ impl<const CYCLES: u32> Clock<CYCLES> {
             }
         }
     }
+
+    fn sleep(&mut self) {
+        cortex_m::asm::wfi();
+    }
 }
 
 /// A millisecond has passed.
@@ -46,6 +52,7 @@ pub fn tick() {
         let millis = MILLIS.borrow(cs);
         millis.set(millis.get().wrapping_add(1));
     });
+    look_at_buttons();
 }
 
 /// Milliseconds since the start.

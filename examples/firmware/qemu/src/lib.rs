@@ -1,6 +1,7 @@
 //! What the boards in QEMU have in common: registers, a clock, and pins that a test can press and see.
 #![no_std]
 
+pub mod board;
 pub mod boots;
 #[cfg(target_arch = "arm")]
 pub mod clock;

@@ -1,0 +1,44 @@
+//! The desk robot on Arm's MPS2 with the image AN386: Cortex-M4 with a floating-point unit.
+//!
+//! `cargo xtask qemu mps2-an386` runs it in QEMU. Its pins are those of the panel, for a test to press
+//! and see.
+#![no_std]
+#![no_main]
+
+mod uart;
+
+use core::panic::PanicInfo;
+
+use cortex_m::Peripherals;
+use cortex_m::peripheral::SCB;
+use cortex_m_rt::{entry, exception};
+use qemu::board;
+use qemu::boots;
+use qemu::clock::{self, SysTick};
+use uart::Uart;
+
+#[cfg(feature = "defmt")]
+defmt::timestamp!("{=u64:ms}", clock::millis());
+
+/// Cycles a millisecond.
+const CYCLES: u32 = 25_000;
+
+#[entry]
+fn main() -> ! {
+    let Some(core) = Peripherals::take() else {
+        SCB::sys_reset()
+    };
+    let boot = boots::count();
+    board::run(boot, Uart::start(), SysTick::<CYCLES>::start(core.SYST))
+}
+
+#[exception]
+fn SysTick() {
+    clock::tick();
+}
+
+/// After a reset the gateway knows what to tell of the tasks that ran.
+#[panic_handler]
+fn panic(_: &PanicInfo<'_>) -> ! {
+    SCB::sys_reset()
+}

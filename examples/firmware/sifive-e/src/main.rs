@@ -1,0 +1,35 @@
+//! The desk robot on a SiFive E: FE310, RISC-V.
+//!
+//! `cargo xtask qemu sifive-e` runs it in QEMU. Its pins are those of the panel, for a test to press
+//! and see.
+#![no_std]
+#![no_main]
+
+mod clock;
+mod uart;
+
+use core::panic::PanicInfo;
+
+use qemu::{board, boots};
+use riscv_rt::entry;
+
+use clock::Clock;
+use uart::Uart;
+
+#[cfg(feature = "defmt")]
+defmt::timestamp!("{=u64:ms}", clock::micros() / 1000);
+
+#[entry]
+fn main() -> ! {
+    let boot = boots::count();
+    let uart = Uart::start();
+    board::run(boot, uart, Clock::start())
+}
+
+/// It cannot reset itself. The gateway finds that it does not answer.
+#[panic_handler]
+fn panic(_: &PanicInfo<'_>) -> ! {
+    loop {
+        riscv::asm::wfi();
+    }
+}
