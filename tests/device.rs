@@ -355,3 +355,25 @@ fn a_second_gateway_does_not_take_a_device_away_on_a_pty() {
 fn a_second_gateway_does_not_take_a_device_away_on_tcp() {
     a_second_gateway_gets_nothing(&Place::tcp());
 }
+
+#[test]
+fn a_device_that_has_more_to_say_than_anybody_hears_still_listens() {
+    let scratch = Scratch::new();
+    let link = scratch.path("sensor");
+    let mut device = ztl();
+    device.args(["device", "sim:sensor", "--baud", "921600"]);
+    let device = device.args(["--on", &format!("pty:{}", link.display())]);
+    let device = Process::start(device);
+    device.wait_for("Serve it with");
+    let gateway = Server::gateway(&[&format!("sensor=serial:{}", link.display())]);
+    gateway.wait_ready("sensor");
+    // The gateway stands still with the line open, which takes some KiB more, and then nothing.
+    gateway.process.signal("STOP");
+    let still = Instant::now();
+    until("half a second", PATIENCE, || {
+        (still.elapsed() > Duration::from_millis(500)).then_some(())
+    });
+    device.signal("TERM");
+    let ended = device.end(Duration::from_secs(5));
+    assert_eq!(ended.code, Some(0), "{ended:?}");
+}

@@ -1,7 +1,8 @@
 //! Real processes on a bad line: clients, `ztl gateway`, `ztl line`, `ztl device`, and what the
 //! devices themselves have recorded as the only witness.
 //!
-//! `ZTL_TASKS` and `ZTL_RESETS` say how many; `cargo xtask soak` runs the long form.
+//! `ZTL_TASKS` and `ZTL_RESETS` say how many, `ZTL_FILL` how many tasks there were before the resets;
+//! `cargo xtask soak` runs the long form.
 
 #![cfg(target_os = "linux")]
 

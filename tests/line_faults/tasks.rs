@@ -18,7 +18,7 @@ const LIMIT: Duration = Duration::from_secs(30);
 /// Runs tasks one after the other until so many have been taken; each goal is one that nobody else
 /// has.
 #[track_caller]
-fn drive(mut remote: RemoteTask, device: &str, client: usize, tasks: usize) -> Books {
+pub fn drive(mut remote: RemoteTask, device: &str, client: usize, tasks: usize) -> Books {
     let mut books = Books::default();
     let mut taken = 0;
     for number in 0..tasks * TRIES {

@@ -85,24 +85,20 @@ fn run_until_reset(
     let mut buffer = [0; PIECE as usize];
     loop {
         node.handle_timeout(now());
-        let mut wake = None;
-        loop {
-            let time = now();
-            if time < port.ready() {
-                wake = Some(port.ready());
-                break;
-            }
-            let count = node.poll_transmit(time, &mut buffer);
-            if count == 0 {
-                break;
-            }
-            port.send(time, buffer.get(..count).unwrap_or_default());
-        }
         let time = now();
-        let wait = match wake {
+        let wait = if time < port.ready() {
             // What it has to send waits for the port.
-            Some(wake) => wake.since(time),
-            None => node.poll_timeout(time).since(time),
+            port.ready().since(time)
+        } else {
+            // One piece at a time: a line that takes nothing, and readings without end, must not
+            // keep it from what comes in.
+            match node.poll_transmit(time, &mut buffer) {
+                0 => node.poll_timeout(time).since(time),
+                count => {
+                    port.send(time, buffer.get(..count).unwrap_or_default());
+                    Duration::ZERO
+                }
+            }
         };
         match inbox.recv_timeout(wait) {
             Ok(Input::Bytes(bytes)) => node.handle_bytes(now(), &bytes),
