@@ -205,3 +205,51 @@ fn the_raw_log_is_kept_and_read_later() {
     });
     assert_eq!(watch.raw_log("leg"), None);
 }
+
+#[test]
+fn the_log_is_shown_from_elsewhere_too() {
+    let (_device, address) = device();
+    let (gateway, mut remote) = gateway(&address, elf(), &["--log", "debug"]);
+    complete(&mut remote, "arm", "motor", "all");
+    gateway.wait_for("INFO:firmware:arm: [1.500] 1.25 {}");
+    let line = gateway.wait_for("Serving arm at ");
+    let port = line
+        .rsplit_once("tcp://127.0.0.1:")
+        .and_then(|(_, rest)| rest.split(',').next());
+    let port = port.expect("it is said");
+
+    let elf = elf().display().to_string();
+    let ask = |more: &[&str]| {
+        let mut command = ztl();
+        command.args(["devices", "-p", port, "--log"]).args(more);
+        Process::start(&mut command)
+    };
+    let once = ask(&["arm", "--elf", &elf, "--once"]).end(PATIENCE);
+    assert_eq!(once.code, Some(0), "{once:?}");
+    assert!(
+        once.stdout.contains("1.500 INFO  started (src/main.rs:"),
+        "{once:?}"
+    );
+    assert!(
+        once.stdout
+            .contains("1.500 ERROR Sample { way: Up { steps: 300 }"),
+        "{once:?}"
+    );
+
+    // What comes afterwards is seen when it comes.
+    let follows = ask(&["arm", "--elf", &elf]);
+    follows.wait_for("1.25 {}");
+    complete(&mut remote, "arm", "motor", "all");
+    ztl_tests::lab::until("the second round", PATIENCE, || {
+        (follows.stdout().matches("1.25 {}").count() == 2).then_some(())
+    });
+
+    let ended = ask(&["leg", "--elf", &elf]).end(PATIENCE);
+    assert_eq!(ended.code, Some(1));
+    assert!(
+        ended.stderr.contains("no device 'leg' with a log"),
+        "{ended:?}"
+    );
+    let ended = ask(&["arm", "--elf", "/nowhere"]).end(PATIENCE);
+    assert!(ended.stderr.contains("/nowhere: "), "{ended:?}");
+}

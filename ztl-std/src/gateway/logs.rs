@@ -4,6 +4,10 @@
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
+use serde::{Deserialize, Serialize};
+use ztl_core::base64::{Encoder, decode};
+use ztl_core::sink::Sink;
+
 #[cfg(feature = "defmt")]
 use super::ring::RingIn;
 
@@ -14,10 +18,56 @@ const KEPT: usize = 64 * 1024;
 /// beginning may be cut.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct RawLog {
+    /// How many bytes have come before these, since the gateway was started.
+    pub from: u64,
     /// At most 64 KiB.
     pub bytes: Vec<u8>,
+    /// The device's boot in which the last of them came.
+    pub boot: u32,
     /// How many bytes the device had no room for, since its boot; wraps.
     pub lost: u32,
+}
+
+/// What the gateway answers when `$ztl` is asked for `log NAME FROM`: the log's bytes from the FROMth on,
+/// as far as they are kept.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct LogPiece {
+    /// How many bytes have come before these; more than was asked for where those are no longer
+    /// kept.
+    pub from: u64,
+    /// The bytes, in base64.
+    pub base64: String,
+    /// The device's boot in which the last of them came.
+    pub boot: u32,
+    /// How many bytes the device had no room for, since its boot.
+    pub lost: u32,
+}
+
+impl LogPiece {
+    pub(super) fn of(log: &RawLog, from: u64) -> Self {
+        let end = log.from + log.bytes.len() as u64;
+        let from = from.clamp(log.from, end);
+        let skipped = usize::try_from(from - log.from).unwrap_or(usize::MAX);
+        let mut base64 = Vec::new();
+        let mut out = |bytes: &[u8]| base64.extend_from_slice(bytes);
+        let mut encoder = Encoder::new(&mut out);
+        encoder.put(log.bytes.get(skipped..).unwrap_or_default());
+        encoder.finish();
+        Self {
+            from,
+            base64: String::from_utf8_lossy(&base64).into_owned(),
+            boot: log.boot,
+            lost: log.lost,
+        }
+    }
+
+    /// The bytes; `None` when they are no base64.
+    #[must_use]
+    pub fn bytes(&self) -> Option<Vec<u8>> {
+        let mut buffer = vec![0; self.base64.len()];
+        let bytes = decode(self.base64.as_bytes(), &mut buffer).ok()?;
+        Some(bytes.to_vec())
+    }
 }
 
 /// Bytes for whoever reads them.
@@ -34,6 +84,8 @@ pub(super) struct Piece {
 #[derive(Debug, Default)]
 struct Inner {
     kept: VecDeque<u8>,
+    /// How many bytes are no longer kept.
+    passed: u64,
     /// Of the boot of this number.
     boot: u32,
     lost: u32,
@@ -74,14 +126,18 @@ impl DeviceLog {
         let dropped = (inner.kept.len() + bytes.len()).saturating_sub(KEPT);
         let dropped = dropped.min(inner.kept.len());
         inner.kept.drain(..dropped);
-        inner.kept.extend(bytes.iter().take(KEPT));
+        let too_many = bytes.len().saturating_sub(KEPT);
+        inner.passed += (dropped + too_many) as u64;
+        inner.kept.extend(bytes.iter().skip(too_many));
         inner.pass_on(lost, reset, bytes);
     }
 
     pub(super) fn raw(&self) -> RawLog {
         let inner = self.inner();
         RawLog {
+            from: inner.passed,
             bytes: inner.kept.iter().copied().collect(),
+            boot: inner.boot,
             lost: inner.lost,
         }
     }
@@ -282,6 +338,7 @@ mod tests {
         }
         let raw = log.raw();
         assert_eq!((raw.bytes.len(), raw.lost), (KEPT, 255));
+        assert_eq!(raw.from, 256_000 - KEPT as u64);
         assert_eq!(raw.bytes.last(), Some(&255));
         assert_eq!(raw.bytes.first(), Some(&190));
         log.put(8, 0, vec![1; 2 * KEPT]);

@@ -27,7 +27,7 @@ pub use endpoint::{BAUD, Endpoint, EndpointError, Line};
 pub(crate) use endpoint::{READ_TIMEOUT, is_pause};
 pub use journal::{DeviceBook, Journal, JournalError, Log, Moment, Storage};
 use logs::DeviceLog;
-pub use logs::RawLog;
+pub use logs::{LogPiece, RawLog};
 use reader::Opener;
 use readings::Observers;
 pub use readings::{Reading, Readings};
@@ -282,7 +282,12 @@ impl TaskHandler for Gateway {
         let watch = self.watch();
         Box::new(move |question| match question {
             "devices" => serde_json::to_string(&watch.reports()).ok(),
-            _ => None,
+            // `log NAME FROM`
+            other => {
+                let (name, from) = other.strip_prefix("log ")?.rsplit_once(' ')?;
+                let piece = LogPiece::of(&watch.raw_log(name)?, from.parse().ok()?);
+                serde_json::to_string(&piece).ok()
+            }
         })
     }
 

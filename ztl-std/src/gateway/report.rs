@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
 use ztl_core::Instant;
-use ztl_core::link::Loss;
+use ztl_core::link::{Busy, Loss};
 
 use super::session::{Book, ComponentInfo, DeviceInfo, LinkCounters, RoundTrips, Session};
 use crate::clock::now;
@@ -59,6 +59,9 @@ pub struct ComponentReport {
     pub unit: String,
     /// Words that it takes.
     pub words: Vec<String>,
+    /// What happens to a second task while one runs: `refuse`, `queue N` or `replace`.
+    #[serde(default)]
+    pub busy: String,
     /// What it does when the link is lost: `abort`, `hold` or `carry on`.
     pub loss: String,
     /// Topics under which it publishes readings.
@@ -167,6 +170,11 @@ impl Window {
 }
 
 fn component(component: &ComponentInfo) -> ComponentReport {
+    let busy = match component.busy {
+        Busy::Queue(most) => format!("queue {most}"),
+        Busy::Replace => "replace".to_owned(),
+        _ => "refuse".to_owned(),
+    };
     let loss = match component.loss {
         Loss::Abort => "abort",
         Loss::Hold => "hold",
@@ -178,6 +186,7 @@ fn component(component: &ComponentInfo) -> ComponentReport {
         unit: component.unit.clone(),
         words: component.words.clone(),
         topics: component.topics.clone(),
+        busy,
         loss: loss.to_owned(),
     }
 }

@@ -15,7 +15,7 @@ mod send;
 use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
 
-use ztl_core::link::{Decoder, LINK_TIMEOUT, LinkId, Loss, NO_SEQ, NO_SESSION};
+use ztl_core::link::{Busy, Decoder, LINK_TIMEOUT, LinkId, Loss, NO_SEQ, NO_SESSION};
 use ztl_core::time::earliest;
 use ztl_core::{Instant, State, TaskId};
 
@@ -44,6 +44,8 @@ pub struct ComponentInfo {
     pub unit: String,
     /// Words that it takes.
     pub words: Vec<String>,
+    /// What happens to a second task while one runs.
+    pub busy: Busy,
     /// What it does when the link is lost.
     pub loss: Loss,
     /// Topics under which it publishes readings.

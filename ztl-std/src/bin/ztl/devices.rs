@@ -1,14 +1,24 @@
 //! `ztl devices`: what a gateway has connected, and how the links do.
 
 use std::collections::BTreeMap;
+#[cfg(feature = "defmt")]
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+#[cfg(feature = "defmt")]
+use std::time::Duration;
 
 use ztl_std::ListedTask;
+#[cfg(feature = "defmt")]
+use ztl_std::defmt::{Decoder, Level, Message};
+#[cfg(feature = "defmt")]
+use ztl_std::gateway::LogPiece;
 use ztl_std::gateway::{ComponentReport, DeviceReport, DeviceReports};
 
 use crate::Done;
 use crate::ask::{Server, read, spoken};
 use crate::ps::{flat, state};
+#[cfg(feature = "defmt")]
+use crate::signals;
 use crate::terminal::line;
 
 #[derive(Debug, clap::Args)]
@@ -23,10 +33,29 @@ pub(crate) struct Devices {
     /// What the gateway says, in JSON
     #[arg(long)]
     json: bool,
+
+    /// Show what this device's firmware has logged by defmt, and go on until Ctrl-C
+    #[cfg(feature = "defmt")]
+    #[arg(long, value_name = "NAME", requires = "elf", conflicts_with_all = ["name", "json"])]
+    log: Option<String>,
+
+    /// The firmware's ELF file, which makes its log readable
+    #[cfg(feature = "defmt")]
+    #[arg(long, value_name = "FIRMWARE", requires = "log")]
+    elf: Option<PathBuf>,
+
+    /// Show only what it has logged so far
+    #[cfg(feature = "defmt")]
+    #[arg(long, requires = "log")]
+    once: bool,
 }
 
 impl Devices {
     pub(crate) fn run(self) -> Done {
+        #[cfg(feature = "defmt")]
+        if let (Some(name), Some(elf)) = (&self.log, &self.elf) {
+            return show_log(&self.server, name, elf, self.once);
+        }
         let json = self.server.ask("devices")?.ok_or_else(|| {
             format!(
                 "the server at {} has no devices: it is no gateway of this version",
@@ -64,6 +93,80 @@ impl Devices {
             _ => Ok(ExitCode::SUCCESS),
         }
     }
+}
+
+/// Pause between two questions about a log.
+#[cfg(feature = "defmt")]
+const LOG_AGAIN: Duration = Duration::from_millis(200);
+
+/// Shows a device's log, made readable.
+#[cfg(feature = "defmt")]
+fn show_log(server: &Server, name: &str, elf: &Path, once: bool) -> Done {
+    let mut decoder =
+        Decoder::of_file(elf).map_err(|error| format!("{}: {error}", elf.display()))?;
+    signals::catch()?;
+    let mut remote = server.connect("$ztl")?;
+    let (mut next, mut known) = (0, None);
+    while !signals::stopped() {
+        let json = remote.ask_server(&format!("log {name} {next}"))?;
+        let json = json.ok_or_else(|| {
+            format!(
+                "no device '{name}' with a log is known at {}; `ztl devices` lists them",
+                server.endpoint()
+            )
+        })?;
+        let pieces: BTreeMap<String, LogPiece> = read(&json)?;
+        // A device of that name in the first scope that has one.
+        let piece = pieces.into_values().next().ok_or("the answer is empty")?;
+        let bytes = piece.bytes().ok_or("the answer is no log")?;
+        if let Some((boot, lost)) = known
+            && (piece.boot, piece.lost) != (boot, lost)
+        {
+            match piece.boot == boot {
+                true => line(format_args!(
+                    "({} bytes were lost: the device had no room for them)",
+                    piece.lost.wrapping_sub(lost)
+                )),
+                false => line("(the device was reset)"),
+            }
+        }
+        known = Some((piece.boot, piece.lost));
+        if piece.from > next {
+            decoder.skip();
+        }
+        next = piece.from + bytes.len() as u64;
+        decoder.push(&bytes, &mut |message| {
+            if let Ok(message) = message {
+                line(logged(&message));
+            }
+        });
+        if once {
+            break;
+        }
+        std::thread::sleep(LOG_AGAIN);
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+#[cfg(feature = "defmt")]
+fn logged(message: &Message) -> String {
+    let level = match message.level {
+        Some(Level::Error) => "ERROR",
+        Some(Level::Warn) => "WARN ",
+        Some(Level::Info) => "INFO ",
+        Some(Level::Debug) => "DEBUG",
+        Some(Level::Trace) => "TRACE",
+        None => "     ",
+    };
+    let time = message.timestamp.as_deref().unwrap_or_default();
+    let place = message.place.as_deref().map(|place| format!(" ({place})"));
+    flat(&format!(
+        "{time} {level} {}{}",
+        message.text,
+        place.unwrap_or_default()
+    ))
+    .trim()
+    .to_owned()
 }
 
 fn show<'a>(
@@ -148,8 +251,18 @@ fn described(component: &ComponentReport) -> String {
         "carry on" => "carries on",
         other => other,
     };
+    let busy = match component.busy.as_str() {
+        "" => "",
+        "refuse" => "; a second task is refused",
+        "replace" => "; a second task replaces the first",
+        _ => "; a second task waits",
+    };
+    let topics = match component.topics.as_slice() {
+        [] => String::new(),
+        topics => format!("; publishes {}", topics.join(", ")),
+    };
     flat(&format!(
-        "{}: {goals}; without link it {loss}",
+        "{}: {goals}{busy}; without link it {loss}{topics}",
         component.name
     ))
 }

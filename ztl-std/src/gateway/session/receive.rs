@@ -226,6 +226,7 @@ impl<B: Book> Session<B> {
                             .split_whitespace()
                             .map(str::to_owned)
                             .collect(),
+                        busy: offer.busy,
                         loss: offer.loss,
                         topics: offer.topics.split_whitespace().map(str::to_owned).collect(),
                     });
