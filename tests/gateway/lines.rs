@@ -171,6 +171,34 @@ fn a_device_that_comes_and_goes_without_pause_fills_no_log() {
 }
 
 #[test]
+fn a_name_that_leads_elsewhere_is_followed() {
+    let scratch = ztl_tests::lab::Scratch::new();
+    let (link, silent) = (scratch.path("gripper"), scratch.path("silent"));
+    // A port that is there and never answers, as one that is another's by now.
+    let nobody = TcpListener::bind("127.0.0.1:0").expect("a port");
+    let mut line = ztl();
+    let address = nobody.local_addr().expect("its address");
+    line.args([
+        "line",
+        &format!("pty:{}", silent.display()),
+        &format!("tcp:{address}"),
+    ]);
+    let _line = Process::start(&mut line);
+    until("the silent port", PATIENCE, || {
+        silent.exists().then_some(())
+    });
+    std::os::unix::fs::symlink(&silent, &link).expect("a link");
+    let gateway = Server::gateway(&[&format!("gripper=serial:{}", link.display())]);
+    gateway.process.wait_for("nothing there answers");
+
+    let (_device, pty) = Device::new(Kind::Gripper).on_pty(None).expect("a pty");
+    std::fs::remove_file(&link).expect("the link");
+    std::os::unix::fs::symlink(pty, &link).expect("a link");
+    let mut remote = RemoteTask::connect(&gateway.endpoint(), SCOPE).expect("an address");
+    assert_eq!(complete(&mut remote, "gripper", "finger", "3"), "3.0");
+}
+
+#[test]
 fn a_pty_made_anew_under_the_same_name_is_found_again() {
     let scratch = ztl_tests::lab::Scratch::new();
     let link = scratch.path("gripper");

@@ -2,6 +2,7 @@
 
 use std::collections::HashMap;
 use std::io::{self, Write};
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
@@ -99,6 +100,7 @@ impl Device {
             number: 0,
             pause: RETRY.0,
             silences: 0,
+            leads_to: None,
             trouble: None,
             voice: Voice::new(name, now()),
             tasks: HashMap::new(),
@@ -192,6 +194,8 @@ struct Worker {
     pause: Duration,
     /// How often in a row the greeting was not answered.
     silences: u32,
+    /// Where the line's name led to when it was opened.
+    leads_to: Option<PathBuf>,
     /// What is wrong with the line or the device, for reasons; said once in the log.
     trouble: Option<String>,
     voice: Voice,
@@ -375,6 +379,7 @@ impl Worker {
                 if let Wire::Opening { stop, .. } = &self.line {
                     let stop = Arc::clone(stop);
                     self.line = Wire::Open { writer, stop };
+                    self.leads_to = self.opener.as_ref().and_then(Opener::leads_to);
                     self.session.handle_connected(now());
                 }
             }
@@ -475,8 +480,11 @@ impl Worker {
                 self.silences += 1;
                 let trouble = "nothing there answers";
                 let opener = self.opener.as_ref();
-                if opener.is_some_and(|opener| opener.may_be_half_open) && self.silences >= SILENCES
-                {
+                let half_open = opener.is_some_and(|opener| opener.may_be_half_open);
+                // Unplugged and plugged in again, while what was opened is another's now.
+                let now_leads_to = opener.and_then(Opener::leads_to);
+                let moved = now_leads_to.is_some() && now_leads_to != self.leads_to;
+                if moved || (half_open && self.silences >= SILENCES) {
                     let kind = io::ErrorKind::TimedOut;
                     return self.on_closed(&io::Error::new(kind, trouble));
                 }

@@ -119,6 +119,7 @@ impl Gateway {
             label: label.to_owned(),
             baud: None,
             may_be_half_open: false,
+            path: None,
             open: Arc::new(open),
         };
         self.serve(name, opener)

@@ -1,6 +1,7 @@
 //! A line's thread: opens it and passes on what arrives.
 
 use std::io;
+use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::Sender;
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
@@ -21,7 +22,16 @@ pub(super) struct Opener {
     pub(super) baud: Option<u32>,
     /// Whether it may look open when it is not, and nothing is lost by opening it anew.
     pub(super) may_be_half_open: bool,
+    /// The name under which the system has it, which may come to lead elsewhere.
+    pub(super) path: Option<PathBuf>,
     pub(super) open: Arc<dyn Fn() -> io::Result<Line> + Send + Sync>,
+}
+
+impl Opener {
+    /// Where its name leads to now.
+    pub(super) fn leads_to(&self) -> Option<PathBuf> {
+        std::fs::canonicalize(self.path.as_ref()?).ok()
+    }
 }
 
 impl From<Endpoint> for Opener {
@@ -30,6 +40,10 @@ impl From<Endpoint> for Opener {
             label: endpoint.to_string(),
             baud: endpoint.baud(),
             may_be_half_open: matches!(endpoint, Endpoint::Tcp { .. }),
+            path: match &endpoint {
+                Endpoint::Serial { path, .. } => Some(PathBuf::from(path)),
+                _ => None,
+            },
             open: Arc::new(move || endpoint.open()),
         }
     }
