@@ -328,6 +328,9 @@ fn help_is_there_for_every_command() {
         ("task-server --help", "--scope"),
         ("task-client --help", "--exit-status"),
         ("task-client -h", "--timeout"),
+        ("simple-server --help", "<PORT> <SCOPE>"),
+        ("simple-client --help", "<HOST> <PORT> <SCOPE> <REQUEST>"),
+        ("remote-task --help", "--config"),
         ("--version", env!("CARGO_PKG_VERSION")),
     ] {
         let ended = run(line);

@@ -161,11 +161,8 @@ fn a_server_takes_options_by_the_same_rules() {
 fn a_tool_that_is_not_there_yet_says_so_under_each_of_its_names() {
     let scratch = Scratch::new();
     for tool in [
-        "simple_server",
-        "simple_client",
         "simple_publisher",
         "simple_subscriber",
-        "remote_task",
         "run_script",
     ] {
         let mut plain = ztl();

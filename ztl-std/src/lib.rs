@@ -56,6 +56,7 @@ pub mod line;
 mod pty;
 mod random;
 mod remote;
+pub mod remotes;
 pub mod server;
 #[cfg(feature = "sim")]
 pub mod sim;
@@ -65,5 +66,6 @@ pub use controller::{
     Aborted, ExecutableTask, TaskContext, TaskController, TaskError, TaskRequest,
 };
 pub use remote::{RemoteTask, RequestError, Status, TriggerError, Triggered, WaitError};
+pub use remotes::Remotes;
 pub use server::{Access, BindError, ListedTask, Listing, RunningServer, TaskServer};
 pub use ztl_core::{State, TaskId, TaskSpec};

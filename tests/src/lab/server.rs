@@ -31,6 +31,29 @@ impl Server {
         Self::test_server(original_tool("ztl_task_server"))
     }
 
+    /// `ztl simple-server`.
+    #[track_caller]
+    pub fn simple_ours() -> Self {
+        let mut command = ztl();
+        command.arg("simple-server");
+        Self::simple(command)
+    }
+
+    /// The original's `ztl_simple_server`.
+    #[track_caller]
+    pub fn simple_original() -> Self {
+        Self::simple(original_tool("ztl_simple_server"))
+    }
+
+    #[track_caller]
+    fn simple(mut command: Command) -> Self {
+        let port = free_port();
+        command.args([&port.to_string(), SCOPE]);
+        let process = Process::start(&mut command);
+        process.wait_for("Registering controller for scope '/test'");
+        Self { process, port }
+    }
+
     /// Any command that serves the original's test tasks with the original's options.
     #[track_caller]
     pub fn test_server(mut command: Command) -> Self {

@@ -4,6 +4,7 @@
 
 mod abort;
 mod ask;
+mod conversation;
 mod demo;
 mod device;
 mod devices;
@@ -14,9 +15,12 @@ mod line;
 mod log;
 mod ps;
 mod reach;
+mod remote_task;
 mod scene;
 mod service;
 mod signals;
+mod simple_client;
+mod simple_server;
 mod task_client;
 mod task_server;
 mod terminal;

@@ -5,14 +5,13 @@ use std::time::Duration;
 
 use tracing::{Level, error};
 use ztl_core::integer::Integer;
-use ztl_core::repr::put_quoted;
 use ztl_std::server::scope_mistake;
 use ztl_std::{
     ExecutableTask, TaskContext, TaskController, TaskError, TaskRequest, TaskServer as Server,
 };
 
 use crate::terminal::line;
-use crate::tool::port;
+use crate::tool::{no_number, port};
 use crate::{Done, log, signals};
 
 #[derive(Debug, clap::Args)]
@@ -74,14 +73,7 @@ impl ExecutableTask for TestTask {
                 Ok("True".to_owned())
             }
             "sleep" => {
-                let number = Integer::parse(&self.goal).map_err(|_| {
-                    let mut literal = Vec::new();
-                    put_quoted(&self.goal, &mut |bytes: &[u8]| {
-                        literal.extend_from_slice(bytes)
-                    });
-                    let literal = String::from_utf8_lossy(&literal);
-                    format!("invalid literal for int() with base 10: {literal}")
-                })?;
+                let number = Integer::parse(&self.goal).map_err(|_| no_number(&self.goal))?;
                 let seconds = number.value().map(u64::try_from);
                 match seconds {
                     Some(Ok(seconds)) => std::thread::sleep(Duration::from_secs(seconds)),

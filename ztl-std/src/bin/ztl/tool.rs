@@ -11,8 +11,10 @@ use std::process::ExitCode;
 use clap::error::{ContextKind, ContextValue, ErrorKind};
 use clap::{CommandFactory, Parser, Subcommand};
 use ztl_core::integer::Integer;
+use ztl_core::repr::put_quoted;
+use ztl_std::TaskSpec;
 
-use crate::{Done, task_client, task_server, terminal};
+use crate::{Done, remote_task, simple_client, simple_server, task_client, task_server, terminal};
 
 /// The original's tools by the names of this command.
 #[derive(Debug, Subcommand)]
@@ -23,16 +25,17 @@ pub(crate) enum Tool {
     /// Run a task on a server and wait for it
     #[command(args_override_self = true)]
     TaskClient(task_client::TaskClient),
-    #[command(hide = true)]
-    SimpleServer(NotYet),
-    #[command(hide = true)]
-    SimpleClient(NotYet),
+    /// Run a task of the configured remote servers and wait for it
+    #[command(args_override_self = true)]
+    RemoteTask(remote_task::RemoteTask),
+    /// The original's simplest server: a task lasts as many seconds as it is asked to
+    SimpleServer(simple_server::SimpleServer),
+    /// Ask for a task with a payload as it is, and wait 5 s for it
+    SimpleClient(simple_client::SimpleClient),
     #[command(hide = true)]
     SimplePublisher(NotYet),
     #[command(hide = true)]
     SimpleSubscriber(NotYet),
-    #[command(hide = true)]
-    RemoteTask(NotYet),
     #[command(hide = true)]
     RunScript(NotYet),
 }
@@ -69,6 +72,9 @@ impl Tool {
         match self {
             Self::TaskServer(server) => server.run(),
             Self::TaskClient(client) => client.run(called),
+            Self::RemoteTask(client) => client.run(called),
+            Self::SimpleServer(server) => server.run(),
+            Self::SimpleClient(client) => client.run(),
             _ => Err("this tool is not there yet; the original's works with this server and gateway: pip install ztl".into()),
         }
     }
@@ -78,6 +84,31 @@ impl Tool {
 fn whole<N: TryFrom<i64>>(text: &str) -> Option<N> {
     let number = Integer::parse(text).ok()?.value()?;
     N::try_from(number).ok()
+}
+
+/// The INIT's payload for a task that a person has written as `handler:component:goal`, or the exit
+/// code when it is none.
+pub(crate) fn specification(payload: &str, called: &str, tool: &str) -> Result<String, ExitCode> {
+    let Ok(spec) = TaskSpec::split(payload) else {
+        terminal::line(
+            "Error: Invalid task specification. Payload needs to specify handler, component and goal separated by ':', e.g. 'handler:component:goal'",
+        );
+        eprintln!("{}", help(called, tool));
+        return Err(ExitCode::from(255));
+    };
+    let mut request = vec![0; spec.encoded_len()];
+    Ok(spec
+        .encode_into(&mut request)
+        .unwrap_or_default()
+        .to_owned())
+}
+
+/// What Python says of a text that is no whole number.
+pub(crate) fn no_number(text: &str) -> String {
+    let mut literal = Vec::new();
+    put_quoted(text, &mut |bytes: &[u8]| literal.extend_from_slice(bytes));
+    let literal = String::from_utf8_lossy(&literal);
+    format!("invalid literal for int() with base 10: {literal}")
 }
 
 /// A port.
@@ -147,12 +178,14 @@ fn parse(called: &str, tool: &str, rest: &[OsString]) -> Result<Tool, ExitCode> 
             .filter(|line| !line.is_empty())
             .collect();
         eprintln!("{usage}\n{called}: error: {}", wrong.join(" "));
-        return Err(ExitCode::from(2));
+        // These two of the original's take no options, and die of what is missing.
+        let without_options = matches!(tool, "simple-server" | "simple-client");
+        return Err(ExitCode::from(if without_options { 1 } else { 2 }));
     }
 }
 
 /// What a tool's `--help` says, under the name by which it was called.
-pub(crate) fn help(called: &str, tool: &str) -> String {
+fn help(called: &str, tool: &str) -> String {
     let mut command = ToolOnly::command();
     let tool = command.find_subcommand_mut(tool);
     let help = tool.map(|tool| tool.clone().bin_name(called).render_long_help().to_string());

@@ -1,0 +1,116 @@
+//! `ztl remote-task`: a task on a server that the configuration names, with the original's options
+//! and output (wire specification 7.3).
+
+use std::path::PathBuf;
+
+use tracing::{Level, info, warn};
+use ztl_std::Remotes;
+use ztl_std::remotes::{Remote, usual_path};
+
+use crate::conversation::{Conversation, FATES, Words, connect};
+use crate::reach::Identity;
+use crate::tool::{port, seconds, specification};
+use crate::{Done, log, signals};
+
+/// Name under which the original logs.
+const LOG: &str = "remote-config";
+
+#[derive(Debug, clap::Args)]
+#[command(after_help = FATES)]
+pub(crate) struct RemoteTask {
+    /// Seconds to wait for the task to end before it is aborted; 0 or less waits for ever
+    #[arg(short, long, default_value_t = -1, allow_negative_numbers = true, value_parser = seconds)]
+    timeout: i64,
+
+    #[command(flatten)]
+    endpoints: Endpoints,
+
+    /// Tell the task's fate by the exit code (the original's is always 0)
+    #[arg(long)]
+    exit_status: bool,
+
+    #[command(flatten)]
+    identity: Identity,
+
+    /// The server, by its name in the configuration
+    remote: String,
+
+    /// The task: handler, component and goal separated by ':', e.g. 'handler:component:goal'
+    payload: String,
+}
+
+/// Where the servers and publishers are that have names.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Endpoints {
+    /// The configuration file [default: zmq-remotes.yaml in $XDG_CONFIG_HOME or ~/.config]
+    #[arg(short, long)]
+    config: Option<PathBuf>,
+
+    /// Add or replace a server (repeatable)
+    #[arg(long, num_args = 4, value_names = ["NAME", "HOST", "PORT", "SCOPE"])]
+    task: Vec<String>,
+
+    /// Add or replace a publisher (repeatable)
+    #[arg(long, num_args = 4, value_names = ["NAME", "HOST", "PORT", "SCOPE"])]
+    publisher: Vec<String>,
+}
+
+impl Endpoints {
+    /// Reads the file, and adds what the options say. Without the file there is only that, with a
+    /// warning, as the original does.
+    pub(crate) fn read(&self) -> Result<Remotes, Box<dyn std::error::Error>> {
+        let path = self.config.clone().unwrap_or_else(usual_path);
+        let mut remotes = Remotes::load(&path).unwrap_or_else(|mistakes| {
+            let path = path.display();
+            warn!(target: LOG, "WARNING: Configuration file '{path}' not found/accessible, remote services will not be accessible.");
+            eprint!("{mistakes}");
+            Remotes::named(&path.to_string())
+        });
+        for words in self.task.chunks(4) {
+            let (name, remote) = endpoint(words)?;
+            remotes.set_task(name, remote);
+        }
+        for words in self.publisher.chunks(4) {
+            let (name, publisher) = endpoint(words)?;
+            remotes.set_publisher(name, publisher);
+        }
+        Ok(remotes)
+    }
+}
+
+/// NAME HOST PORT SCOPE.
+fn endpoint(words: &[String]) -> Result<(&str, Remote), Box<dyn std::error::Error>> {
+    let [name, host, given, scope] = words else {
+        return Err("an endpoint is NAME HOST PORT SCOPE".into());
+    };
+    let remote = Remote {
+        host: host.clone(),
+        port: port(given).map_err(|wrong| format!("'{given}': {wrong}"))?,
+        scope: scope.clone(),
+    };
+    Ok((name, remote))
+}
+
+impl RemoteTask {
+    pub(crate) fn run(self, called: &str) -> Done {
+        log::init(Level::INFO);
+        signals::catch()?;
+        let remotes = self.endpoints.read()?;
+        let request = match specification(&self.payload, called, "remote-task") {
+            Ok(request) => request,
+            Err(code) => return Ok(code),
+        };
+        let name = &self.remote;
+        let Remote { host, port, scope } = remotes.task(name)?;
+        info!(target: LOG, "Initialising remote task interface '{name}'...");
+        let mut remote = self.identity.apply(connect(host, *port, scope)?)?;
+        let conversation = Conversation {
+            host,
+            port: *port,
+            request: &request,
+            words: Words::RemoteTask(self.timeout),
+            exit_status: self.exit_status,
+        };
+        conversation.run(&mut remote)
+    }
+}

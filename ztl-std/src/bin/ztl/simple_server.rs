@@ -1,0 +1,90 @@
+//! `ztl simple-server`: the original's simplest server (wire specification 7.5). The payload of an
+//! INIT is no `handler:component:goal`, but how many seconds the task lasts.
+
+use std::collections::HashMap;
+use std::process::ExitCode;
+use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
+use std::time::{Duration, Instant};
+
+use tracing::{Level, error};
+use ztl_std::server::{TaskHandler, TaskReporter, scope_mistake};
+use ztl_std::{TaskId, TaskServer};
+
+use crate::terminal::line;
+use crate::tool::{no_number, port, seconds};
+use crate::{Done, log, signals};
+
+#[derive(Debug, clap::Args)]
+pub(crate) struct SimpleServer {
+    /// The port on the local machine that the server should listen to
+    #[arg(value_parser = port)]
+    port: u16,
+
+    /// The scope that the server should respond to
+    scope: String,
+}
+
+impl SimpleServer {
+    pub(crate) fn run(self) -> Done {
+        log::init(Level::INFO);
+        if let Some(error) = scope_mistake(&self.scope) {
+            return Err(error.into());
+        }
+        signals::catch()?;
+        // Every interface, as the original.
+        let mut server = TaskServer::bind(&format!("tcp://*:{}", self.port))?;
+        server.register_handler(&self.scope, Naps::default());
+        let stopper = server.stopper();
+        signals::then(move || stopper.stop());
+        server.listen()?;
+        error!(target: "root", "Interrupted, exiting.");
+        Ok(ExitCode::FAILURE)
+    }
+}
+
+/// How often the original's task looks at the clock.
+const LOOK: Duration = Duration::from_millis(100);
+
+/// Tasks that do nothing for a while.
+#[derive(Default)]
+struct Naps {
+    /// Dropped, it wakes its task.
+    running: HashMap<TaskId, Sender<()>>,
+}
+
+impl TaskHandler for Naps {
+    fn start(&mut self, task: TaskReporter, payload: &str) {
+        let id = task.id();
+        line(format_args!("Initialising Task ID '{id}' ({payload})..."));
+        let Ok(seconds) = seconds(payload) else {
+            return task.threw(no_number(payload));
+        };
+        // Those that have ended need no waking.
+        self.running.retain(|_, waking| waking.send(()).is_ok());
+        let (waking, woken) = channel();
+        self.running.insert(id, waking);
+        // The reporter goes to the thread; if there is none, dropping it tells the client.
+        let _ = std::thread::Builder::new().spawn(move || {
+            // A status is the state's name, as long as the task has not completed.
+            task.progress("ACCEPTED");
+            task.accepted(format!(
+                "Initiated task '{id}' to be active for {seconds} seconds"
+            ));
+            let start = Instant::now();
+            let time = Duration::from_secs(u64::try_from(seconds).unwrap_or(0));
+            while start.elapsed() < time {
+                if woken.recv_timeout(LOOK) == Err(RecvTimeoutError::Disconnected) {
+                    line("Task aborted successfully.");
+                    return task.aborted("ABORTED");
+                }
+            }
+            task.completed("True");
+        });
+    }
+
+    fn abort(&mut self, id: TaskId) {
+        // An ABORT's own payload is not passed on; this is what every client sends.
+        line(format_args!("Aborting Task ID '{id}' (abort command)..."));
+        self.running.remove(&id);
+    }
+}

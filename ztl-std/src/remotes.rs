@@ -1,0 +1,360 @@
+//! Servers by name: `zmq-remotes.yaml`, the original's configuration file (wire specification 7.7,
+//! 7.8).
+//!
+//! ```
+//! use ztl_std::Remotes;
+//! use ztl_std::yaml::Document;
+//!
+//! let file = b"
+//! remotes:
+//!   robot: {host: cob4-1, port: 12345, scope: /robot}
+//!   light: {host: lamp, prot: 12345, scope: /light}
+//! ";
+//! let remotes = Remotes::read(&Document::parse("zmq-remotes.yaml", file).unwrap()).unwrap();
+//! assert_eq!(remotes.task("robot").unwrap().endpoint(), "tcp://cob4-1:12345");
+//! assert_eq!(
+//!     remotes.task("robto").unwrap_err().to_string(),
+//!     "no remote 'robto' in zmq-remotes.yaml; did you mean 'robot'?"
+//! );
+//! // A mistake in one entry is the concern of those who use it.
+//! assert_eq!(remotes.task("light").unwrap_err().to_string(), "\
+//! zmq-remotes.yaml:4:23: unknown key 'prot'; did you mean 'port'?
+//!   4 |   light: {host: lamp, prot: 12345, scope: /light}
+//!     |                       ^^^^
+//! ");
+//! ```
+
+use std::collections::BTreeMap;
+use std::ffi::OsString;
+use std::fmt;
+use std::path::{Path, PathBuf};
+
+use ztl_core::integer::Integer;
+
+use crate::yaml::{Diagnostics, Document, Node, Value, closest};
+
+/// Where a scope is served, or published.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Remote {
+    /// A name or an address, without brackets.
+    pub host: String,
+    /// TCP port.
+    pub port: u16,
+    /// Scope there.
+    pub scope: String,
+}
+
+impl Remote {
+    /// The ZeroMQ address: `tcp://HOST:PORT`.
+    #[must_use]
+    pub fn endpoint(&self) -> String {
+        format!("tcp://{}:{}", self.host, self.port)
+    }
+}
+
+/// What stands behind a name: an endpoint, or what is wrong with it.
+type Entry = Result<Remote, Diagnostics>;
+
+/// Servers of tasks, and publishers, by name.
+#[derive(Debug, Clone, Default)]
+pub struct Remotes {
+    /// Where they were read from.
+    name: String,
+    tasks: BTreeMap<String, Entry>,
+    publishers: BTreeMap<String, Entry>,
+}
+
+impl Remotes {
+    /// None yet; `name` is what stands for a file in messages.
+    #[must_use]
+    pub fn named(name: &str) -> Self {
+        Self {
+            name: name.to_owned(),
+            ..Self::default()
+        }
+    }
+
+    /// Reads a file.
+    ///
+    /// # Errors
+    /// When it cannot be read, is no YAML, or no mapping of `remotes` and `publishers`. What is wrong
+    /// with one entry is told by [`task`](Self::task) and [`mistakes`](Self::mistakes).
+    pub fn load(path: &Path) -> Result<Self, Diagnostics> {
+        Self::read(&Document::load(path)?)
+    }
+
+    /// Takes them out of a document.
+    ///
+    /// # Errors
+    /// As [`load`](Self::load).
+    pub fn read(document: &Document) -> Result<Self, Diagnostics> {
+        let mut reading = document.reading();
+        let pairs = reading.pairs(document.root(), "remotes and publishers");
+        let mut remotes = Self::named(document.name());
+        // Other keys are passed over, as by the original.
+        for (key, value) in pairs.into_iter().flatten() {
+            let place = match word(key) {
+                Some("remotes") => &mut remotes.tasks,
+                Some("publishers") => &mut remotes.publishers,
+                _ => continue,
+            };
+            // Nothing behind the key is none of them.
+            if value.is_null() {
+                continue;
+            }
+            let entries = reading.pairs(value, "NAME: {host: lamp, port: 12345, scope: /lab}");
+            for (name, entry) in entries.into_iter().flatten() {
+                match word(name) {
+                    Some(name) => {
+                        place.insert(name.to_owned(), endpoint(document, entry));
+                    }
+                    None => reading.wrong(name, "a name is a single word"),
+                }
+            }
+        }
+        reading.finish(Some(remotes))
+    }
+
+    /// Adds or replaces a server of tasks.
+    pub fn set_task(&mut self, name: &str, remote: Remote) {
+        self.tasks.insert(name.to_owned(), Ok(remote));
+    }
+
+    /// Adds or replaces a publisher.
+    pub fn set_publisher(&mut self, name: &str, publisher: Remote) {
+        self.publishers.insert(name.to_owned(), Ok(publisher));
+    }
+
+    /// The server of tasks with this name.
+    ///
+    /// # Errors
+    /// When there is none, with what was probably meant, or what is wrong with it.
+    pub fn task(&self, name: &str) -> Result<&Remote, NoRemote> {
+        self.find("remote", &self.tasks, name)
+    }
+
+    /// The publisher with this name.
+    ///
+    /// # Errors
+    /// As [`task`](Self::task).
+    pub fn publisher(&self, name: &str) -> Result<&Remote, NoRemote> {
+        self.find("publisher", &self.publishers, name)
+    }
+
+    /// The names of the servers of tasks.
+    pub fn task_names(&self) -> impl Iterator<Item = &str> {
+        self.tasks.keys().map(String::as_str)
+    }
+
+    /// The names of the publishers.
+    pub fn publisher_names(&self) -> impl Iterator<Item = &str> {
+        self.publishers.keys().map(String::as_str)
+    }
+
+    /// What is wrong with entries, whether somebody uses them or not.
+    pub fn mistakes(&self) -> impl Iterator<Item = &Diagnostics> {
+        let entries = self.tasks.values().chain(self.publishers.values());
+        entries.filter_map(|entry| entry.as_ref().err())
+    }
+
+    fn find<'r>(
+        &'r self,
+        kind: &'static str,
+        known: &'r BTreeMap<String, Entry>,
+        name: &str,
+    ) -> Result<&'r Remote, NoRemote> {
+        match known.get(name) {
+            Some(Ok(remote)) => Ok(remote),
+            Some(Err(mistakes)) => Err(NoRemote::Wrong(mistakes.clone())),
+            None => Err(NoRemote::Unknown {
+                kind,
+                name: name.to_owned(),
+                file: self.name.clone(),
+                known: known.keys().cloned().collect(),
+            }),
+        }
+    }
+}
+
+/// Why a name stands for no endpoint.
+#[derive(Debug, Clone, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum NoRemote {
+    /// Nothing has this name.
+    Unknown {
+        /// `remote` or `publisher`.
+        kind: &'static str,
+        /// What was asked for.
+        name: String,
+        /// Where it was looked for.
+        file: String,
+        /// The names that there are.
+        known: Vec<String>,
+    },
+    /// What stands behind the name is wrong.
+    Wrong(Diagnostics),
+}
+
+impl fmt::Display for NoRemote {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Wrong(mistakes) => mistakes.fmt(f),
+            Self::Unknown {
+                kind,
+                name,
+                file,
+                known,
+            } => {
+                write!(f, "no {kind} '{name}' in {file}; ")?;
+                match closest(name, known.iter().map(String::as_str)) {
+                    Some(meant) => write!(f, "did you mean '{meant}'?"),
+                    None if known.is_empty() => f.write_str("there are none"),
+                    None => write!(f, "there are: {}", known.join(", ")),
+                }
+            }
+        }
+    }
+}
+
+impl std::error::Error for NoRemote {}
+
+/// The file that is read when none is named: `zmq-remotes.yaml` in `$XDG_CONFIG_HOME`, else in
+/// `$HOME/.config`, else in `/home/demo/.config`.
+#[must_use]
+pub fn usual_path() -> PathBuf {
+    usual_path_by(|name| std::env::var_os(name))
+}
+
+fn usual_path_by(variable: impl Fn(&str) -> Option<OsString>) -> PathBuf {
+    let mut path = variable("XDG_CONFIG_HOME").unwrap_or_else(|| {
+        let mut home = variable("HOME").unwrap_or_else(|| "/home/demo".into());
+        home.push("/.config");
+        home
+    });
+    // Put together as the original does: a variable that is set and empty means the root.
+    path.push("/zmq-remotes.yaml");
+    path.into()
+}
+
+/// One entry. Its mistakes are its own; keys beyond the three are passed over, unless one is missing
+/// and was probably meant.
+fn endpoint(document: &Document, node: &Node) -> Entry {
+    let mut reading = document.reading();
+    let what = "{host: lamp, port: 12345, scope: /lab}";
+    let remote = (|| {
+        let mut fields = reading.fields(node, what)?;
+        let host = fields.required("host", "host: lamp");
+        let number = fields.required("port", "port: 12345");
+        let scope = fields.required("scope", "scope: /lab");
+        let (Some(host), Some(number), Some(scope)) = (host, number, scope) else {
+            fields.finish(&mut reading);
+            return None;
+        };
+        let host = reading.text(host, "a host, as lamp or 192.168.1.7");
+        let number = reading.parsed(number, "a port, as 12345", port);
+        let scope = reading.text(scope, "a scope, as /lab");
+        Some(Remote {
+            host: host?.to_owned(),
+            port: number?,
+            scope: scope?.to_owned(),
+        })
+    })();
+    reading.finish(remote)
+}
+
+fn port(text: &str) -> Result<u16, String> {
+    let number = Integer::parse(text).ok().and_then(Integer::value);
+    let port = number.and_then(|number| u16::try_from(number).ok());
+    port.ok_or_else(|| format!("'{text}' is no port: a whole number from 0 to 65535 is"))
+}
+
+fn word(node: &Node) -> Option<&str> {
+    match &node.value {
+        Value::Scalar { text, .. } => Some(text),
+        _ => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn read(text: &str) -> Result<Remotes, String> {
+        let document = Document::parse("remotes.yaml", text.as_bytes());
+        let read = document.and_then(|document| Remotes::read(&document));
+        read.map_err(|mistakes| mistakes.to_string())
+    }
+
+    #[test]
+    fn a_file_of_the_original_is_read_with_all_that_it_allows() {
+        let text = "
+other: [1, 2]
+remotes:
+  robot: {host: cob4-1, port: '12345', scope: /robot, colour: red}
+  7: {host: 127.0.0.1, port: 1_000, scope: ''}
+publishers:
+";
+        let remotes = read(text).unwrap();
+        assert_eq!(remotes.task_names().collect::<Vec<_>>(), ["7", "robot"]);
+        let seven = remotes.task("7").unwrap();
+        assert_eq!((seven.port, seven.scope.as_str()), (1000, ""));
+        assert_eq!(remotes.publisher_names().count(), 0);
+        assert_eq!(remotes.mistakes().count(), 0);
+        assert_eq!(read("").unwrap().task_names().count(), 0);
+    }
+
+    #[test]
+    fn what_is_wrong_is_shown_where_it_stands() {
+        for (text, message) in [
+            ("remotes: {a: {host: h", "remotes.yaml:1:"),
+            (
+                "- a",
+                "remotes.yaml:1:1: here is a list; wanted is a mapping",
+            ),
+            ("remotes: 7", "remotes.yaml:1:10: here is a single value"),
+        ] {
+            let error = read(text).unwrap_err();
+            assert!(error.starts_with(message), "{text}: {error}");
+        }
+        for (entry, message) in [
+            ("", "remotes.yaml:2:4: here is nothing; wanted is a mapping"),
+            (
+                "{host: h, scope: s}",
+                "remotes.yaml:2:6: 'port' is missing; write port: 12345",
+            ),
+            (
+                "{host: h, port: 65536, scope: s}",
+                "remotes.yaml:2:22: '65536' is no port",
+            ),
+            (
+                "{host: [], port: 1, scope: s}",
+                "remotes.yaml:2:13: here is a list",
+            ),
+        ] {
+            let remotes = read(&format!(
+                "remotes:\n  a: {entry}\n  b: {{host: h, port: 1, scope: /s}}"
+            ));
+            let remotes = remotes.unwrap();
+            let error = remotes.task("a").unwrap_err().to_string();
+            assert!(error.starts_with(message), "{entry}: {error}");
+            assert_eq!(remotes.mistakes().count(), 1);
+            assert!(remotes.task("b").is_ok(), "{entry}");
+        }
+    }
+
+    #[test]
+    fn the_usual_file_is_found_as_the_original_finds_it() {
+        let usual = |known: &[(&str, &str)]| {
+            let variable = |name: &str| {
+                let mut found = known.iter().filter(|(known, _)| *known == name);
+                found.next().map(|(_, value)| OsString::from(value))
+            };
+            usual_path_by(variable).display().to_string()
+        };
+        let both = [("XDG_CONFIG_HOME", "/x"), ("HOME", "/h")];
+        assert_eq!(usual(&both), "/x/zmq-remotes.yaml");
+        assert_eq!(usual(&both[1..]), "/h/.config/zmq-remotes.yaml");
+        assert_eq!(usual(&[]), "/home/demo/.config/zmq-remotes.yaml");
+        assert_eq!(usual(&[("XDG_CONFIG_HOME", "")]), "/zmq-remotes.yaml");
+    }
+}
