@@ -55,6 +55,11 @@ const CHORES: &[Chore] = &[
         run: simulate::model,
     },
     Chore {
+        name: "simulate",
+        about: "play whole laboratories with faults (--seeds N, --first SEED, --show SEED)",
+        run: simulate::simulate,
+    },
+    Chore {
         name: "size",
         about: "flash and RAM that the standard image takes, against the record (--accept)",
         run: size::run,

@@ -15,7 +15,13 @@ pub(crate) fn model(_: &Dirs, args: &[String]) -> Outcome {
     run("model", args)
 }
 
-/// As `cargo xtask test` does it: everything with one fault, and that mistakes are caught.
+/// Plays whole laboratories, each from a seed.
+pub(crate) fn simulate(_: &Dirs, args: &[String]) -> Outcome {
+    run("simulate", args)
+}
+
+/// As `cargo xtask test` does it: everything with one fault, that mistakes are caught, and 2,000
+/// laboratories.
 pub(crate) fn check(_: &Dirs) -> Outcome {
     Cmd::new("cargo test")
         .args(PROFILE)

@@ -248,7 +248,8 @@ const fn is_letter(byte: u8) -> bool {
 fn relative(moment: u64, now: u64) -> u64 {
     let past = PAST.as_micros() as u64;
     let future = FUTURE.as_micros() as u64;
-    (moment + past).saturating_sub(now).min(past + future)
+    let after = moment.saturating_add(past).saturating_sub(now);
+    after.min(past + future)
 }
 
 impl Write for Fingerprint {

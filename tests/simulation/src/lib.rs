@@ -7,21 +7,17 @@
 
 pub mod explore;
 pub mod fingerprint;
-
-/// The gateway's end of the link. Compiled here from its source, which needs nothing else of
-/// `ztl-std`: this package then builds in seconds, without ZeroMQ.
-#[path = "../../../ztl-std/src/gateway"]
-pub mod gateway {
-    pub mod session;
-}
+pub mod lab;
+pub mod plan;
+pub mod shrink;
 
 /// The model over the ends as they are.
 #[path = "."]
 pub mod real {
     /// The two ends of the link.
     pub(crate) mod ends {
-        pub(crate) use crate::gateway::session;
         pub(crate) use ztl_mcu as mcu;
+        pub(crate) use ztl_std::gateway::session;
     }
     pub mod model;
 }

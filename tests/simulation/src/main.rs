@@ -1,27 +1,37 @@
-//! `cargo xtask model`, which explores with as many faults as one likes.
+//! `cargo xtask model` and `cargo xtask simulate`.
 
 use std::process::ExitCode;
 use std::sync::Mutex;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::thread;
 use std::time::Instant;
 
 use ztl_simulation::explore::{Explored, explore};
+use ztl_simulation::lab::Summary;
+use ztl_simulation::plan::Plan;
 use ztl_simulation::real::model::{Action, Lab, SCENARIOS, Scenario};
+use ztl_simulation::shrink::{attempt, report, shrink};
 
 /// Some 10 GiB are needed for these.
 const STATES: usize = 60_000_000;
 
-const USAGE: &str = "usage: ztl-simulation model [SCENARIO] [--depth FAULTS]";
+/// Seeds that are simulated unless told otherwise.
+const SEEDS: u64 = 2000;
+
+const USAGE: &str = "usage: ztl-simulation model [SCENARIO] [--depth FAULTS]\n       \
+                     ztl-simulation simulate [--seeds NUMBER] [--first SEED] | --show SEED";
 
 fn main() -> ExitCode {
     let words: Vec<String> = std::env::args().skip(1).collect();
     let words: Vec<&str> = words.iter().map(String::as_str).collect();
     let done = match words.split_first() {
         Some((&"model", rest)) => model(rest),
+        Some((&"simulate", rest)) => simulate(rest),
         _ => Err(USAGE.to_owned()),
     };
     match done {
-        Ok(code) => code,
+        Ok(true) => ExitCode::SUCCESS,
+        Ok(false) => ExitCode::FAILURE,
         Err(message) => {
             eprintln!("{message}");
             ExitCode::from(2)
@@ -29,17 +39,34 @@ fn main() -> ExitCode {
     }
 }
 
-fn model(words: &[&str]) -> Result<ExitCode, String> {
+fn cores() -> usize {
+    thread::available_parallelism().map_or(1, usize::from)
+}
+
+/// Whether every worker says that all is well.
+fn on_all_cores(work: impl Fn() -> bool + Sync) -> bool {
+    thread::scope(|scope| {
+        let workers: Vec<_> = (0..cores()).map(|_| scope.spawn(&work)).collect();
+        let done: Vec<_> = workers.into_iter().map(|worker| worker.join()).collect();
+        done.into_iter().all(|done| done.is_ok_and(|well| well))
+    })
+}
+
+fn number(option: &str, word: Option<&&str>) -> Result<u64, String> {
+    let word = word.copied().unwrap_or_default();
+    word.parse()
+        .map_err(|_| format!("`{option}` needs a whole number, not `{word}`\n{USAGE}"))
+}
+
+fn model(words: &[&str]) -> Result<bool, String> {
     let mut times = 1;
     let mut wanted = None;
     let mut words = words.iter();
     while let Some(word) = words.next() {
         match *word {
             "--depth" => {
-                let number = words.next().ok_or(USAGE)?;
-                times = number
-                    .parse()
-                    .map_err(|_| format!("`--depth` needs a number of faults, not `{number}`"))?;
+                let faults = number(word, words.next())?;
+                times = u8::try_from(faults).map_err(|_| "more than 255 faults".to_owned())?;
             }
             name if SCENARIOS.iter().any(|scenario| scenario.name == name) => wanted = Some(name),
             name => {
@@ -52,8 +79,7 @@ fn model(words: &[&str]) -> Result<ExitCode, String> {
     let chosen = |scenario: &&Scenario| wanted.is_none_or(|name| name == scenario.name);
     let scenarios: Vec<&Scenario> = SCENARIOS.iter().filter(chosen).collect();
     let open = Mutex::new(scenarios.into_iter());
-    let cores = thread::available_parallelism().map_or(1, usize::from);
-    let work = || {
+    Ok(on_all_cores(|| {
         let mut well = true;
         let next = || open.lock().ok()?.next();
         while let Some(scenario) = next() {
@@ -61,25 +87,14 @@ fn model(words: &[&str]) -> Result<ExitCode, String> {
             let begin = Instant::now();
             let first = Lab::new(scenario);
             let explored = explore(&first, STATES);
-            print!("{}", report(scenario, &first, &explored, begin));
+            print!("{}", told(scenario, &first, &explored, begin));
             well &= explored.broken.is_none() && explored.complete;
         }
         well
-    };
-    let well = thread::scope(|scope| {
-        let workers: Vec<_> = (0..cores).map(|_| scope.spawn(work)).collect();
-        workers
-            .into_iter()
-            .all(|worker| worker.join().is_ok_and(|well| well))
-    });
-    Ok(if well {
-        ExitCode::SUCCESS
-    } else {
-        ExitCode::FAILURE
-    })
+    }))
 }
 
-fn report(scenario: &Scenario, first: &Lab, explored: &Explored<Action>, begin: Instant) -> String {
+fn told(scenario: &Scenario, first: &Lab, explored: &Explored<Action>, begin: Instant) -> String {
     let seconds = begin.elapsed().as_secs_f32();
     let mut text = format!(
         "{}, {} faults: {explored}; {seconds:.1} s\n",
@@ -92,4 +107,54 @@ fn report(scenario: &Scenario, first: &Lab, explored: &Explored<Action>, begin: 
         }
     }
     text
+}
+
+fn simulate(words: &[&str]) -> Result<bool, String> {
+    let (mut seeds, mut first) = (SEEDS, 1);
+    let mut words = words.iter();
+    while let Some(word) = words.next() {
+        match *word {
+            "--seeds" => seeds = number(word, words.next())?,
+            "--first" => first = number(word, words.next())?,
+            "--show" => {
+                print!("{}", report(&Plan::new(number(word, words.next())?)));
+                return Ok(true);
+            }
+            _ => return Err(format!("what is `{word}`?\n{USAGE}")),
+        }
+    }
+    // A panic in what is tested is caught and told below.
+    std::panic::set_hook(Box::new(|_| {}));
+    let begin = Instant::now();
+    let next = AtomicU64::new(first);
+    let total = Mutex::new(Summary::default());
+    let well = on_all_cores(|| {
+        let mut mine = Summary::default();
+        let mut well = true;
+        loop {
+            let seed = next.fetch_add(1, Ordering::Relaxed);
+            if seed >= first.saturating_add(seeds) {
+                break;
+            }
+            let plan = Plan::new(seed);
+            match attempt(&plan, false) {
+                Ok((summary, _)) => mine += summary,
+                Err(_) => {
+                    well = false;
+                    print!("{}", report(&shrink(&plan)));
+                }
+            }
+        }
+        if let Ok(mut total) = total.lock() {
+            *total += mine;
+        }
+        well
+    });
+    let total = total.into_inner().unwrap_or_default();
+    let seconds = begin.elapsed().as_secs_f32();
+    println!(
+        "seeds {first} to {}: {total}; {seconds:.1} s",
+        first + seeds - 1
+    );
+    Ok(well)
 }

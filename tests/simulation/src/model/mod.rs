@@ -4,14 +4,18 @@
 //! beside it.
 
 mod gateway;
+mod happen;
+mod judge;
 mod lab;
 mod line;
 mod motor;
 mod scenarios;
+mod words;
 
 use super::ends;
 
-pub use lab::{Act, Action, Fault, Lab, Scenario};
+pub use lab::Lab;
 pub use line::Way;
 pub use motor::Kind;
 pub use scenarios::SCENARIOS;
+pub use words::{Act, Action, Fault, Scenario};

@@ -1,0 +1,195 @@
+//! A device with its line: the real node, and its power.
+
+use std::ops::Range;
+use std::rc::Rc;
+use std::time::Duration;
+
+use ztl_core::Instant;
+use ztl_core::link::{LINK_TIMEOUT, Loss};
+use ztl_core::time::earliest;
+use ztl_mcu::{Identity, Node};
+use ztl_std::line::{Faults, FaultyLine};
+
+use super::motor::{Motor, Shared, Truth};
+use crate::plan::{MotorPlan, Way};
+
+type SmallNode = Node<'static, [Motor; 2], 4, 160>;
+
+/// Bytes are handed on in pieces of about this time.
+const BURST: Duration = Duration::from_millis(1);
+/// A node hears a last new command at most this long after a direction is cut: a `Start` that waits
+/// in the line, and a `Ping` that was due.
+const LAST_COMMAND: Duration = Duration::from_millis(1300);
+
+pub(super) struct Device {
+    number: usize,
+    motors: [MotorPlan; 2],
+    node: SmallNode,
+    boots: u32,
+    /// When its clock was 0.
+    booted: Instant,
+    down: FaultyLine,
+    up: FaultyLine,
+    cuts: [Range<Instant>; 2],
+    /// Open ends of the line; more than one thing may keep it closed.
+    unplugged: u32,
+    truth: Shared,
+}
+
+impl Device {
+    pub(super) fn new(
+        now: Instant,
+        seed: u64,
+        number: usize,
+        motors: [MotorPlan; 2],
+        truth: Shared,
+    ) -> Self {
+        let line = |way: u64| {
+            FaultyLine::new(Faults::default(), seed ^ way << 50 ^ (number as u64) << 60)
+                .with_baud(115_200)
+        };
+        Self {
+            number,
+            motors,
+            node: node(number, motors, 1, &truth),
+            boots: 1,
+            booted: now,
+            down: line(1),
+            up: line(2),
+            cuts: [now..now, now..now],
+            unplugged: 0,
+            truth,
+        }
+    }
+
+    fn clock(&self, now: Instant) -> Instant {
+        Instant::ZERO + now.since(self.booted)
+    }
+
+    /// Bytes arrive, motors move, bytes go out.
+    pub(super) fn turn(&mut self, now: Instant) {
+        let clock = self.clock(now);
+        let mut buffer = [0xA5; 64];
+        loop {
+            let count = self.down.poll_bytes(now, &mut buffer);
+            if count == 0 {
+                break;
+            }
+            self.node.handle_bytes(clock, &buffer[..count]);
+        }
+        self.node.handle_timeout(clock);
+        loop {
+            let count = self.node.poll_transmit(clock, &mut buffer);
+            if count == 0 {
+                break;
+            }
+            if self.is_plugged() {
+                self.up.handle_bytes(now, &buffer[..count]);
+            }
+        }
+    }
+
+    /// What has arrived at the gateway's end.
+    pub(super) fn arrived(&mut self, now: Instant) -> Vec<u8> {
+        let mut bytes = Vec::new();
+        let mut buffer = [0xA5; 64];
+        loop {
+            let count = self.up.poll_bytes(now, &mut buffer);
+            if count == 0 {
+                return bytes;
+            }
+            bytes.extend_from_slice(&buffer[..count]);
+        }
+    }
+
+    pub(super) fn send(&mut self, now: Instant, bytes: &[u8]) {
+        if self.is_plugged() {
+            self.down.handle_bytes(now, bytes);
+        }
+    }
+
+    pub(super) fn wake(&self, now: Instant) -> Option<Instant> {
+        let clock = self.clock(now);
+        let node = now + self.node.poll_timeout(clock).since(clock);
+        let lines = [&self.down, &self.up].map(|line| line.poll_timeout(BURST));
+        lines.into_iter().fold(Some(node), earliest)
+    }
+
+    pub(super) fn reset(&mut self, now: Instant) {
+        self.boots += 1;
+        self.booted = now;
+        for motor in 0..self.motors.len() {
+            self.truth.borrow_mut().end((self.number, motor), None);
+        }
+        // Boot ids are random: none that was there before.
+        let boot = self.boots.wrapping_mul(0x85EB_CA6B);
+        self.node = node(self.number, self.motors, boot, &self.truth);
+    }
+
+    pub(super) fn unplug(&mut self) {
+        self.unplugged += 1;
+        self.down.lose();
+        self.up.lose();
+    }
+
+    /// Says whether the line is open again.
+    pub(super) fn plug(&mut self) -> bool {
+        self.unplugged -= 1;
+        self.is_plugged()
+    }
+
+    pub(super) const fn is_plugged(&self) -> bool {
+        self.unplugged == 0
+    }
+
+    pub(super) fn way(&mut self, way: Way) -> &mut FaultyLine {
+        match way {
+            Way::Down => &mut self.down,
+            Way::Up => &mut self.up,
+        }
+    }
+
+    pub(super) fn cut(&mut self, way: Way, time: Range<Instant>) {
+        self.cuts[way as usize] = time.clone();
+        self.way(way).cut(time);
+    }
+
+    /// From now on the line is good.
+    pub(super) fn mend(&mut self, now: Instant) {
+        for way in [Way::Down, Way::Up] {
+            self.cut(way, now..now);
+            self.way(way).set_faults(Faults::default());
+        }
+    }
+
+    /// Promise 4: a device that has heard no new command for so long has acted.
+    pub(super) fn judge(&self, now: Instant, truth: &Truth) -> Result<(), String> {
+        let cut = |cut: &Range<Instant>| {
+            cut.contains(&now) && now > cut.start + LAST_COMMAND + LINK_TIMEOUT
+        };
+        if !self.cuts.iter().any(cut) {
+            return Ok(());
+        }
+        for (plan, moving) in self.motors.iter().zip(truth.moving[self.number]) {
+            if plan.loss != Loss::CarryOn
+                && let Some(task) = moving
+            {
+                return Err(format!(
+                    "promise 4: device {} moves for task {task} without a link",
+                    self.number
+                ));
+            }
+        }
+        Ok(())
+    }
+}
+
+fn node(number: usize, motors: [MotorPlan; 2], boot: u32, truth: &Shared) -> SmallNode {
+    let motor = |place: usize| Motor {
+        plan: motors[place],
+        place: (number, place),
+        truth: Rc::clone(truth),
+        ends: None,
+    };
+    Node::new(Identity::new("lab", "1", boot), [motor(0), motor(1)])
+}

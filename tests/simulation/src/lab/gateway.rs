@@ -1,0 +1,259 @@
+//! The gateway's process: the real dispatcher, sessions and journal, with what its threads do
+//! between them.
+
+use std::cell::Cell;
+use std::collections::HashMap;
+use std::io;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, UNIX_EPOCH};
+
+use ztl_core::dispatcher::{Action, Body, Config, Dispatcher, TaskEvent};
+use ztl_core::envelope::Envelope;
+use ztl_core::memory::{Fixed, Scope};
+use ztl_core::reply::Reply;
+use ztl_core::tasks::{Task, Text};
+use ztl_core::time::earliest;
+use ztl_core::{Instant, State, TaskId, TaskSpec};
+use ztl_std::gateway::session::{Event, Session};
+use ztl_std::gateway::{DeviceBook, Log, Moment, Storage};
+
+pub(super) const SCOPE: &str = "/lab";
+
+/// As many tasks as no plan asks for.
+type Room = Fixed<Envelope, 1, 48, 160, 24>;
+pub(super) type LabSession = Session<Option<DeviceBook<Disk>>>;
+
+/// A disk that outlives the gateways, and may be full.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Disk(Arc<Mutex<(Vec<u8>, bool)>>);
+
+impl Disk {
+    fn with<T>(&self, act: impl FnOnce(&mut (Vec<u8>, bool)) -> T) -> T {
+        act(&mut self.0.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+
+    pub(super) fn fill(&self, full: bool) {
+        self.with(|(_, is_full)| *is_full = full);
+    }
+
+    /// The gateway dies while it writes a line.
+    pub(super) fn tear(&self, len: usize) {
+        let torn = b"{\"event\":\"start\",\"task\":1";
+        self.with(|(written, _)| written.extend_from_slice(&torn[..len.min(torn.len())]));
+    }
+}
+
+impl Storage for Disk {
+    fn add(&mut self, lines: &[u8], _needed: bool) -> io::Result<()> {
+        self.with(|(written, full)| {
+            if *full {
+                return Err(io::ErrorKind::StorageFull.into());
+            }
+            written.extend_from_slice(lines);
+            Ok(())
+        })
+    }
+
+    fn cut(&mut self, len: u64) -> io::Result<()> {
+        self.with(|(written, _)| written.truncate(len as usize));
+        Ok(())
+    }
+
+    fn replace(&mut self, lines: &[u8]) -> io::Result<()> {
+        self.cut(0)?;
+        self.add(lines, true)
+    }
+
+    fn place(&self) -> String {
+        "on a simulated disk".to_owned()
+    }
+}
+
+thread_local! {
+    static NOW: Cell<Instant> = const { Cell::new(Instant::ZERO) };
+}
+
+/// What clocks show from now on, also to the journals.
+pub(super) fn set_clocks(now: Instant) {
+    NOW.set(now);
+}
+
+fn moment() -> Moment {
+    let running = Duration::from_micros(NOW.get().as_micros());
+    Moment {
+        wall: UNIX_EPOCH + running,
+        running,
+    }
+}
+
+/// A message and whose it is.
+pub(super) type Letter = (Envelope, Vec<u8>);
+
+/// A gateway that runs.
+pub(super) struct Gateway {
+    dispatcher: Dispatcher<Room>,
+    pub(super) sessions: Vec<LabSession>,
+    /// Of each task that a session has: its INIT's answer, for its client.
+    replies: HashMap<TaskId, String>,
+    /// Answers to be sent.
+    pub(super) out: Vec<Letter>,
+    /// What sessions have told, with the device; for the trace and the judge.
+    pub(super) told: Vec<(usize, Event)>,
+}
+
+impl Gateway {
+    /// Started for the `boot`-th time, with devices whose lines are not open.
+    pub(super) fn new(now: Instant, devices: usize, disk: Option<&Disk>, boot: u32) -> Self {
+        // No id is one from before, as a random number between 1 and 2^30 is not either.
+        let first = TaskId::new(boot * 100_000).expect("boots count from 1");
+        let log = disk.map(|disk| {
+            let written = disk.with(|(written, _)| written.clone());
+            Log::open(disk.clone(), &written, moment(), 77)
+        });
+        let id = log.as_ref().map_or(u64::from(boot), Log::gateway);
+        let (unended, ended) = log.as_ref().map_or_else(Default::default, |log| {
+            let ended = log.ended(moment()).into_iter().map(|(_, task)| task);
+            (log.unended(), ended.collect::<Vec<_>>())
+        });
+        let log = log.map(|log| Arc::new(Mutex::new(log)));
+        let sessions = (0..devices).map(|device| {
+            let book = log
+                .clone()
+                .map(|log| DeviceBook::new(log, &name(device), moment));
+            Session::with_book(book, id, Some(115_200), super::number)
+        });
+        let mut gateway = Self {
+            dispatcher: Dispatcher::new(Fixed::new([SCOPE]), Config::new(first, boot)),
+            sessions: sessions.collect(),
+            replies: HashMap::new(),
+            out: Vec::new(),
+            told: Vec::new(),
+        };
+        for task in ended {
+            gateway.restore(now, task.id, task.state, &task.text);
+        }
+        for (device, task) in unended {
+            gateway.restore(now, task.id, State::Accepted, "device is not answering yet");
+            gateway.replies.insert(task.id, String::new());
+            let device = (0..devices).find(|number| name(*number) == device);
+            if let Some(session) = device.and_then(|device| gateway.sessions.get_mut(device)) {
+                session.restore(now, task);
+            }
+        }
+        gateway
+    }
+
+    fn restore(&mut self, now: Instant, id: TaskId, state: State, text: &str) {
+        let mut task = Task::new(Scope(0));
+        task.state = state;
+        Text::set(&mut task.text, text);
+        if state.is_final() {
+            task.ended = now;
+        }
+        assert!(self.dispatcher.restore(id, task), "there is room");
+    }
+
+    /// A client's message has come. Says which task a handler was asked for, and of which number.
+    pub(super) fn handle_request(&mut self, now: Instant, (envelope, body): Letter) {
+        let out = &mut self.out;
+        let mut put = |peer, reply: &Reply<'_>| out.push((peer, written(reply)));
+        let body = Body::One(&body);
+        let action = self
+            .dispatcher
+            .handle_request(now, envelope, Some(envelope), body, &mut put);
+        match action {
+            Some(Action::Start { id, payload, .. }) => self.start(now, id, payload),
+            Some(Action::Abort { id, .. }) => {
+                for session in &mut self.sessions {
+                    session.abort(now, id);
+                }
+            }
+            None => {}
+        }
+    }
+
+    fn start(&mut self, now: Instant, id: TaskId, payload: &str) {
+        let mut buffer = vec![0; payload.len()];
+        let spec = match TaskSpec::decode(payload, &mut buffer) {
+            Ok(spec) => spec,
+            Err(error) => {
+                let message = &error.to_string();
+                return self.report(now, id, TaskEvent::Threw { message });
+            }
+        };
+        let device = (0..self.sessions.len()).find(|device| name(*device) == spec.handler);
+        match device {
+            Some(device) => {
+                let mut reply = Vec::new();
+                spec.put_initiated(id, &mut |bytes: &[u8]| reply.extend_from_slice(bytes));
+                let reply = String::from_utf8_lossy(&reply).into_owned();
+                self.replies.insert(id, reply);
+                self.sessions[device].start(now, id, spec.component, spec.goal);
+            }
+            None => {
+                let reason = "no such device";
+                self.report(now, id, TaskEvent::Rejected { reason });
+            }
+        }
+    }
+
+    fn report(&mut self, now: Instant, id: TaskId, event: TaskEvent<'_>) {
+        let out = &mut self.out;
+        let mut put = |peer, reply: &Reply<'_>| out.push((peer, written(reply)));
+        self.dispatcher.handle_event(now, id, event, &mut put);
+    }
+
+    /// Time has passed, or a session was given something: what comes of it.
+    pub(super) fn handle_timeout(&mut self, now: Instant) {
+        for device in 0..self.sessions.len() {
+            self.sessions[device].handle_timeout(now);
+            while let Some(event) = self.sessions[device].poll_event() {
+                self.on_event(now, &event);
+                self.told.push((device, event));
+            }
+        }
+        let out = &mut self.out;
+        let mut put = |peer, reply: &Reply<'_>| out.push((peer, written(reply)));
+        self.dispatcher.handle_timeout(now, &mut put);
+    }
+
+    fn on_event(&mut self, now: Instant, event: &Event) {
+        match event {
+            Event::Accepted(id) => {
+                let reply = self.replies.get(id).cloned().unwrap_or_default();
+                self.report(now, *id, TaskEvent::Accepted { reply: &reply });
+            }
+            Event::Rejected(id, reason) => {
+                self.replies.remove(id);
+                self.report(now, *id, TaskEvent::Rejected { reason });
+            }
+            Event::Progress(id, text) => self.report(now, *id, TaskEvent::Progress { text }),
+            Event::Ended(id, state, text) => {
+                self.replies.remove(id);
+                let event = match state {
+                    State::Completed => TaskEvent::Completed { result: text },
+                    State::Aborted => TaskEvent::Aborted { result: text },
+                    _ => TaskEvent::Failed { reason: text },
+                };
+                self.report(now, *id, event);
+            }
+            _ => {}
+        }
+    }
+
+    pub(super) fn poll_timeout(&self) -> Option<Instant> {
+        let sessions = self.sessions.iter().map(LabSession::poll_timeout);
+        sessions.fold(self.dispatcher.poll_timeout(), earliest)
+    }
+}
+
+/// What a device is called.
+pub(super) fn name(device: usize) -> String {
+    format!("device{device}")
+}
+
+fn written(reply: &Reply<'_>) -> Vec<u8> {
+    let mut out = Vec::new();
+    reply.put(&mut |bytes: &[u8]| out.extend_from_slice(bytes));
+    out
+}

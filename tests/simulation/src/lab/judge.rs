@@ -1,0 +1,215 @@
+//! What clients were told, against what really happened.
+
+use ztl_core::{State, TaskId};
+use ztl_std::gateway::session::Event;
+
+use super::Summary;
+use super::client::Known;
+use super::motor::Truth;
+
+/// The books over all tasks that were asked for.
+pub(super) struct Books {
+    journal: bool,
+    tasks: Vec<Book>,
+    /// The ends that gateways have told, by the task's id.
+    decided: Vec<(TaskId, State, String)>,
+}
+
+struct Book {
+    client: usize,
+    known: Known,
+    /// The id that it had.
+    id: Option<TaskId>,
+}
+
+impl Books {
+    pub(super) fn new(journal: bool) -> Self {
+        Self {
+            journal,
+            tasks: Vec::new(),
+            decided: Vec::new(),
+        }
+    }
+
+    pub(super) fn ask(&mut self, client: usize) -> usize {
+        self.tasks.push(Book {
+            client,
+            known: Known::Asked,
+            id: None,
+        });
+        self.tasks.len() - 1
+    }
+
+    pub(super) fn id(&self, task: usize) -> Option<TaskId> {
+        self.tasks.get(task).and_then(|book| book.id)
+    }
+
+    pub(super) fn all(&self) -> Vec<(usize, usize, Known)> {
+        let tasks = self.tasks.iter().enumerate();
+        tasks
+            .map(|(task, book)| (task, book.client, book.known.clone()))
+            .collect()
+    }
+
+    /// The gateway is dead: without a journal it has forgotten all.
+    pub(super) fn killed(&mut self) {
+        if !self.journal {
+            self.decided.clear();
+        }
+    }
+
+    /// A session has told something.
+    pub(super) fn on_event(&mut self, event: &Event, truth: &Truth) -> Result<(), String> {
+        let (id, state, text) = match event {
+            Event::Rejected(id, text) => (*id, State::Rejected, text),
+            Event::Ended(id, state, text) => (*id, *state, text),
+            _ => return Ok(()),
+        };
+        if let Some((_, before, why)) = self.decided.iter().find(|(known, ..)| *known == id) {
+            return Err(format!(
+                "promise 2: {id} had ended as {before} ({why}), and ends as {state} ({text})"
+            ));
+        }
+        self.decided.push((id, state, text.clone()));
+        let task = self.tasks.iter().position(|book| book.id == Some(id));
+        match task {
+            Some(task) => judge_end(task, state, text, truth),
+            None => Ok(()),
+        }
+    }
+
+    /// A client has learnt something.
+    pub(super) fn on_news(
+        &mut self,
+        task: usize,
+        known: Known,
+        truth: &Truth,
+    ) -> Result<(), String> {
+        let journal = self.journal;
+        let book = &mut self.tasks[task];
+        let before = &book.known;
+        let wrong = |promise: u8, what: &str| {
+            Err(format!(
+                "promise {promise}: the client of task {task}, who knew {before:?}, hears {known:?}{what}"
+            ))
+        };
+        match (before, &known) {
+            (Known::Ended(id, state, text), Known::Ended(other, again, now)) => {
+                if (id, state) != (other, again) || (text != now && !journal) {
+                    return wrong(2, "");
+                }
+                return Ok(());
+            }
+            (Known::Asked, _) | (Known::Open(_), Known::Ended(..)) => {}
+            (_, Known::Forgotten(_)) if !journal => {}
+            _ => return wrong(2, ""),
+        }
+        match &known {
+            Known::Never(_) => {
+                let begun = truth.tasks.get(task).is_some_and(|fate| fate.begun > 0);
+                if begun {
+                    return wrong(6, ", but it was begun");
+                }
+            }
+            Known::Ended(_, state, text) => judge_end(task, *state, text, truth)?,
+            _ => {}
+        }
+        book.id = known.id().or(book.id);
+        // Its end stays what it was.
+        if !matches!(book.known, Known::Ended(..)) {
+            book.known = known;
+        }
+        Ok(())
+    }
+
+    /// What must be true at any time.
+    pub(super) fn judge(&self, truth: &Truth) -> Result<(), String> {
+        if let Some(task) = truth.tasks.iter().position(|fate| fate.begun > 1) {
+            return Err(format!("promise 1: task {task} is begun twice"));
+        }
+        for task in truth.moving.iter().flatten().flatten() {
+            let Some(book) = self.tasks.get(*task) else {
+                continue;
+            };
+            let end = match &book.known {
+                Known::Never(why) => (6, why),
+                Known::Ended(_, State::Rejected, why) => (6, why),
+                Known::Ended(.., why) => (4, why),
+                _ => continue,
+            };
+            let (promise, why) = end;
+            return Err(format!(
+                "promise {promise}: task {task} moves, and its client was told: {why}"
+            ));
+        }
+        Ok(())
+    }
+
+    /// When nothing has gone wrong for long: every task has ended.
+    pub(super) fn settled(&self, truth: &Truth) -> Result<(), String> {
+        for (task, book) in self.tasks.iter().enumerate() {
+            let fate = truth.tasks.get(task).copied().unwrap_or_default();
+            match &book.known {
+                Known::Asked => return Err(format!("task {task}: its INIT is never answered")),
+                Known::Open(_) => return Err(format!("promise 2: task {task} never ends")),
+                Known::Never(why) if fate.begun > 0 => {
+                    return Err(format!(
+                        "promise 6: task {task} was refused ({why}) and begun"
+                    ));
+                }
+                _ => {}
+            }
+            if truth.moves(task) {
+                return Err(format!("promise 4: task {task} moves for ever"));
+            }
+        }
+        Ok(())
+    }
+
+    /// Promise 3: after all that it serves.
+    pub(super) fn completed(&self, task: usize) -> Result<(), String> {
+        match &self.tasks[task].known {
+            Known::Ended(_, State::Completed, _) => Ok(()),
+            known => Err(format!("promise 3: a new task, {task}, comes to {known:?}")),
+        }
+    }
+
+    pub(super) fn summary(&self, truth: &Truth) -> Summary {
+        let mut summary = Summary {
+            begun: truth.tasks.iter().map(|fate| fate.begun).sum(),
+            ..Summary::default()
+        };
+        for book in &self.tasks {
+            match &book.known {
+                Known::Ended(_, State::Completed, _) => summary.completed += 1,
+                Known::Ended(_, State::Rejected, _) | Known::Never(_) => summary.refused += 1,
+                Known::Ended(..) => summary.ended += 1,
+                _ => summary.unknown += 1,
+            }
+        }
+        summary
+    }
+}
+
+/// Whether an end is true.
+fn judge_end(task: usize, state: State, text: &str, truth: &Truth) -> Result<(), String> {
+    let fate = truth.tasks.get(task).copied().unwrap_or_default();
+    let lie = |promise: u8, why: &str| {
+        Err(format!(
+            "promise {promise}: task {task} is told {state} ({text}), {why}"
+        ))
+    };
+    if truth.moves(task) {
+        return lie(4, "and moves");
+    }
+    match state {
+        State::Rejected if fate.begun > 0 => lie(6, "and was begun"),
+        State::Completed if fate.came_to != Some(State::Completed) => {
+            lie(2, "and did not come to its goal")
+        }
+        State::Aborted if fate.begun > 0 && fate.came_to != Some(State::Aborted) => {
+            lie(2, "and was not stopped")
+        }
+        _ => Ok(()),
+    }
+}

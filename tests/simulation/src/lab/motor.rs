@@ -1,0 +1,139 @@
+//! What moves, and the truth about it.
+
+use std::cell::RefCell;
+use std::rc::Rc;
+use std::time::Duration;
+
+use ztl_core::link::{GoalShape, Offer};
+use ztl_core::{Instant, State};
+use ztl_mcu::{Component, Refused, Report, Run};
+
+use crate::plan::MotorPlan;
+
+/// What really happened to a task.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub(super) struct Fate {
+    /// How often it was begun.
+    pub(super) begun: u32,
+    /// How it came to its end at the motor.
+    pub(super) came_to: Option<State>,
+}
+
+/// What really happened.
+#[derive(Debug, Default)]
+pub(super) struct Truth {
+    /// By the number that was asked for.
+    pub(super) tasks: Vec<Fate>,
+    /// The task that each motor moves for, by device.
+    pub(super) moving: Vec<[Option<usize>; 2]>,
+}
+
+impl Truth {
+    pub(super) fn moves(&self, task: usize) -> bool {
+        self.moving.iter().flatten().flatten().any(|t| *t == task)
+    }
+
+    fn fate(&mut self, task: usize) -> &mut Fate {
+        if self.tasks.len() <= task {
+            self.tasks.resize(task + 1, Fate::default());
+        }
+        &mut self.tasks[task]
+    }
+
+    fn begin(&mut self, (device, motor): (usize, usize), task: usize) {
+        self.fate(task).begun += 1;
+        self.moving[device][motor] = Some(task);
+    }
+
+    pub(super) fn end(&mut self, (device, motor): (usize, usize), state: Option<State>) {
+        if let Some(task) = self.moving[device][motor].take() {
+            self.fate(task).came_to = state;
+        }
+    }
+}
+
+/// The truth, shared by all motors of a laboratory.
+pub(super) type Shared = Rc<RefCell<Truth>>;
+
+/// A motor that moves for some time.
+pub(super) struct Motor {
+    pub(super) plan: MotorPlan,
+    pub(super) place: (usize, usize),
+    pub(super) truth: Shared,
+    pub(super) ends: Option<(Instant, State)>,
+}
+
+/// The names of a device's motors.
+pub(super) const NAMES: [&str; 2] = ["arm", "belt"];
+
+/// A goal is `TASK MILLISECONDS`.
+fn read(goal: &str) -> Option<(usize, u64)> {
+    let (task, millis) = goal.split_once(' ')?;
+    Some((task.parse().ok()?, millis.parse().ok()?))
+}
+
+impl Component for Motor {
+    fn offer(&self) -> Offer<'_> {
+        Offer {
+            name: NAMES[self.place.1],
+            goal: GoalShape {
+                range: None,
+                unit: "ms",
+                words: "",
+            },
+            busy: self.plan.busy,
+            loss: self.plan.loss,
+            topics: "",
+        }
+    }
+
+    fn check(&self, goal: &str, why: &mut Report<'_>) -> Result<(), Refused> {
+        read(goal).map(drop).ok_or_else(|| {
+            why.text("TASK MILLISECONDS");
+            Refused
+        })
+    }
+
+    fn start(&mut self, now: Instant, goal: &str, _: &mut Report<'_>) -> Result<(), Refused> {
+        let (task, millis) = read(goal).ok_or(Refused)?;
+        self.truth.borrow_mut().begin(self.place, task);
+        self.ends = Some((now + Duration::from_millis(millis), State::Completed));
+        Ok(())
+    }
+
+    fn poll(&mut self, now: Instant, report: &mut Report<'_>) -> Run {
+        let Some((at, state)) = self.ends else {
+            return Run::Failed;
+        };
+        // Progress, now and then.
+        report.number((now.as_micros() / 400_000) as f32, 0);
+        if now < at {
+            return Run::Running;
+        }
+        self.ends = None;
+        self.truth.borrow_mut().end(self.place, Some(state));
+        match state {
+            State::Aborted => Run::Aborted,
+            _ => Run::Completed,
+        }
+    }
+
+    fn abort(&mut self, now: Instant) {
+        if let Some((at, _)) = self.ends {
+            let stopped = now + self.plan.slow;
+            // It may come to its goal before it has stopped.
+            if stopped < at {
+                self.ends = Some((stopped, State::Aborted));
+            }
+        }
+    }
+
+    fn make_safe(&mut self, _now: Instant) {
+        self.ends = None;
+        self.truth.borrow_mut().end(self.place, Some(State::Failed));
+    }
+
+    fn poll_timeout(&self, now: Instant) -> Instant {
+        now + self.plan.slow.max(Duration::from_millis(10))
+    }
+}

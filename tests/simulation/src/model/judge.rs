@@ -1,0 +1,121 @@
+//! The promises, as what must be true of a laboratory.
+
+use ztl_core::State;
+use ztl_core::link::{LINK_TIMEOUT, Loss};
+
+use super::ends::session::Event;
+use super::gateway::Told;
+use super::lab::{Lab, gateway_of};
+use super::line::Parcel;
+
+impl Lab {
+    pub(super) fn on_sent(&mut self, parcel: &Parcel) -> Result<(), String> {
+        let opens = parcel.is("Welcome") && parcel.session != self.answered.0;
+        let executed = parcel.seq != 0 && (parcel.session, parcel.seq) != self.answered && !opens;
+        if opens {
+            let gateway = gateway_of(parcel.session);
+            let live = |heard| self.now < heard + LINK_TIMEOUT;
+            if let Some((holder, heard)) = self.holder
+                && holder != gateway
+                && live(heard)
+            {
+                return Err("promise: the device of one gateway is given to another".to_owned());
+            }
+            self.holder = Some((gateway, self.now));
+            self.answered = (parcel.session, 0);
+        } else if executed {
+            self.answered = (parcel.session, parcel.seq);
+            self.commanded = self.now;
+            if let Some((_, heard)) = &mut self.holder {
+                *heard = self.now;
+            }
+        }
+        Ok(())
+    }
+
+    /// Lets a session act, and takes what comes of it.
+    pub(super) fn on_event(&mut self, event: Event) -> Result<(), String> {
+        let (id, told, text) = match event {
+            Event::Accepted(id) => (id, Told::Accepted, String::new()),
+            Event::Rejected(id, text) => (id, Told::Rejected, text),
+            Event::Ended(id, state, text) => (id, Told::Ended(state), text),
+            _ => return Ok(()),
+        };
+        let task = id.get() as usize - 1;
+        let client = self.clients[task];
+        let again = client.told == told && told == Told::Accepted && self.scenario.journal;
+        let first = match told {
+            Told::Accepted | Told::Rejected => client.told == Told::Nothing,
+            _ => !client.told.is_final(),
+        };
+        if !first && !again {
+            return Err(format!(
+                "promise 2: task {task} was told {:?} and is told {told:?} ({text})",
+                client.told
+            ));
+        }
+        self.clients[task].told = told;
+        self.judge_end(task, told, &text)
+    }
+
+    /// Whether what is told is true.
+    fn judge_end(&self, task: usize, told: Told, text: &str) -> Result<(), String> {
+        let client = self.clients[task];
+        let fate = self.truth.tasks[task];
+        let lie = |promise: u8, why: &str| {
+            Err(format!(
+                "promise {promise}: task {task} is told {told:?} ({text}), {why}"
+            ))
+        };
+        let Told::Ended(state) = told else {
+            return Ok(());
+        };
+        match (state, text) {
+            (State::Completed, _) if fate.came_to != Some(State::Completed) => {
+                lie(2, "but its motor did not come to its goal")
+            }
+            (State::Failed, "the device no longer holds the task") => {
+                lie(2, "but it does until that is known here")
+            }
+            (State::Aborted, _) if fate.begun > 0 && fate.came_to != Some(State::Aborted) => {
+                lie(2, "but its motor was not stopped by that")
+            }
+            (State::Failed, "device was reset") if client.boot == self.boot => {
+                lie(3, "but it was not")
+            }
+            (State::Failed, "device is not answering") => {
+                let kind = self.scenario.motors[client.motor];
+                match kind.loss {
+                    Loss::CarryOn => lie(4, "but it carries on"),
+                    _ => Ok(()),
+                }
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// What must be true at any time.
+    pub(super) fn judge(&self) -> Result<(), String> {
+        for (task, (fate, client)) in self.truth.tasks.iter().zip(&self.clients).enumerate() {
+            if fate.begun > 1 {
+                return Err(format!("promise 1: task {task} is begun twice"));
+            }
+            if client.told == Told::Rejected && fate.begun > 0 {
+                return Err(format!("promise 6: task {task} was rejected and moves"));
+            }
+            if client.told.is_final() && self.truth.moves(task) {
+                return Err(format!(
+                    "promise 4: task {task} was told {:?} and its motor moves",
+                    client.told
+                ));
+            }
+        }
+        for (motor, moving) in self.truth.moving.iter().enumerate() {
+            let lost = self.now > self.commanded + LINK_TIMEOUT;
+            if moving.is_some() && lost && self.scenario.motors[motor].loss != Loss::CarryOn {
+                return Err(format!("promise 4: motor {motor} moves without a link"));
+            }
+        }
+        Ok(())
+    }
+}

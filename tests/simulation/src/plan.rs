@@ -1,0 +1,207 @@
+//! What happens in a simulated laboratory, from one seed: a list that can be shortened.
+
+use std::fmt;
+use std::time::Duration;
+
+use ztl_core::link::{Busy, Loss};
+use ztl_std::line::Faults;
+
+#[path = "../../../ztl-std/src/line/dice.rs"]
+mod dice;
+
+pub(crate) use dice::Dice;
+
+/// A direction of a line.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Way {
+    /// To the device.
+    Down,
+    /// To the gateway.
+    Up,
+}
+
+/// What a motor is like.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct MotorPlan {
+    /// What it does when the link is lost.
+    pub loss: Loss,
+    /// What it does with a second task.
+    pub busy: Busy,
+    /// How long it takes to stop, and how often it is looked at.
+    pub slow: Duration,
+}
+
+/// Something that happens.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum What {
+    /// A client asks for a task.
+    Ask {
+        /// Which client.
+        client: usize,
+        /// Of which device.
+        device: usize,
+        /// Which motor; one beyond the last does not exist.
+        motor: usize,
+        /// How long it moves.
+        millis: u64,
+        /// Whether the client wishes a quick end with the answer.
+        to_end: bool,
+    },
+    /// A client aborts the task that was asked for as this, counted from 0, by whom ever.
+    Abort {
+        /// Which client.
+        client: usize,
+        /// Which task.
+        task: usize,
+    },
+    /// The device loses its power and has it again.
+    Reset(usize),
+    /// The line is closed, what is under way is lost, and it is opened again after this time.
+    Unplug(usize, Duration),
+    /// What is sent is lost for this time.
+    Cut(usize, Way, Duration),
+    /// What is sent is held back for this time.
+    Stall(usize, Way, Duration),
+    /// The line is that bad for this time.
+    Noise(usize, Way, Faults, Duration),
+    /// The gateway is killed, with this many bytes of a journal's line half written, and started
+    /// again after this time.
+    Kill(usize, Duration),
+    /// The disk is full for this time.
+    Full(Duration),
+    /// Messages between clients and gateway are lost for this time.
+    Deaf(Duration),
+}
+
+/// When it happens.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Happening {
+    /// After the begin.
+    pub at: Duration,
+    /// What.
+    pub what: What,
+}
+
+/// A whole run.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Plan {
+    /// From which it was made; the faults of the lines follow from it too.
+    pub seed: u64,
+    /// The devices and their motors.
+    pub devices: Vec<[MotorPlan; 2]>,
+    /// How many clients there are.
+    pub clients: usize,
+    /// Whether the gateway has a journal.
+    pub journal: bool,
+    /// What happens, in this order.
+    pub happenings: Vec<Happening>,
+}
+
+impl Plan {
+    /// The plan of a seed.
+    #[must_use]
+    pub fn new(seed: u64) -> Self {
+        let mut dice = Dice::new(seed);
+        let devices: Vec<_> = (0..1 + dice.below(2))
+            .map(|_| [motor(&mut dice), motor(&mut dice)])
+            .collect();
+        let clients = 1 + dice.below(3) as usize;
+        let journal = dice.chance(0.75);
+        let mut happenings = Vec::new();
+        let mut at = Duration::ZERO;
+        let mut asked = 0;
+        for _ in 0..6 + dice.below(20) {
+            at += Duration::from_millis(dice.below(700));
+            let what = what(&mut dice, devices.len(), clients, journal, asked);
+            asked += usize::from(matches!(what, What::Ask { .. }));
+            happenings.push(Happening { at, what });
+        }
+        Self {
+            seed,
+            devices,
+            clients,
+            journal,
+            happenings,
+        }
+    }
+}
+
+fn motor(dice: &mut Dice) -> MotorPlan {
+    let loss = match dice.below(4) {
+        0 | 1 => Loss::Abort,
+        2 => Loss::Hold,
+        _ => Loss::CarryOn,
+    };
+    let busy = match dice.below(4) {
+        0 | 1 => Busy::Refuse,
+        2 => Busy::Queue(1 + dice.below(2) as u8),
+        _ => Busy::Replace,
+    };
+    let slow = Duration::from_millis([10, 10, 50, 300][dice.below(4) as usize]);
+    MotorPlan { loss, busy, slow }
+}
+
+fn what(dice: &mut Dice, devices: usize, clients: usize, journal: bool, asked: usize) -> What {
+    let client = dice.below(clients as u64) as usize;
+    let device = dice.below(devices as u64) as usize;
+    let way = [Way::Down, Way::Up][dice.below(2) as usize];
+    let time = |dice: &mut Dice, most| Duration::from_millis(dice.below(most));
+    match dice.below(24) {
+        0..=7 => What::Ask {
+            client,
+            device,
+            // Rarely one that does not exist.
+            motor: if dice.chance(0.03) {
+                2
+            } else {
+                dice.below(2) as usize
+            },
+            millis: [0, 30, 400, 1500, 4000][dice.below(5) as usize] + dice.below(60),
+            to_end: dice.chance(0.5),
+        },
+        8..=10 => What::Abort {
+            client,
+            task: asked.saturating_sub(1 + dice.below(3) as usize),
+        },
+        11 | 12 => What::Reset(device),
+        13 => What::Unplug(device, time(dice, 2500)),
+        14 | 15 => What::Cut(device, way, time(dice, 5000)),
+        16 => What::Stall(device, way, time(dice, 4000)),
+        17..=19 => {
+            let faults = noise(dice);
+            What::Noise(device, way, faults, time(dice, 6000))
+        }
+        20 | 21 => What::Kill(dice.below(25) as usize, time(dice, 1500)),
+        22 if journal => What::Full(time(dice, 2000)),
+        _ => What::Deaf(time(dice, 2500)),
+    }
+}
+
+fn noise(dice: &mut Dice) -> Faults {
+    let rate = |dice: &mut Dice| [0.0, 0.0, 2e-2, 5e-3, 1e-3, 2e-4][dice.below(6) as usize];
+    Faults {
+        flip: rate(dice) / 8.0,
+        drop: rate(dice),
+        double: rate(dice),
+        stall: rate(dice) / 4.0,
+        stall_for: Duration::from_millis(dice.below(4000)),
+    }
+}
+
+impl fmt::Display for Plan {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let journal = if self.journal { "a" } else { "no" };
+        writeln!(
+            f,
+            "seed {}: {} clients, {journal} journal",
+            self.seed, self.clients
+        )?;
+        for (number, [arm, belt]) in self.devices.iter().enumerate() {
+            writeln!(f, "device {number}: arm {arm:?}, belt {belt:?}")?;
+        }
+        for Happening { at, what } in &self.happenings {
+            writeln!(f, "{:>8} ms  {what:?}", at.as_millis())?;
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,45 @@
+//! What `cargo xtask simulate` plays, with few seeds; and what its shrinking does.
+
+use ztl_simulation::lab::Summary;
+use ztl_simulation::plan::Plan;
+use ztl_simulation::shrink::{attempt, report, shrink, shrink_by};
+
+#[test]
+#[cfg_attr(not(optimised), ignore = "too long; cargo xtask test --only model")]
+fn two_thousand_laboratories_keep_their_promises() {
+    let mut total = Summary::default();
+    for seed in 1..=2000 {
+        let plan = Plan::new(seed);
+        match attempt(&plan, false) {
+            Ok((summary, _)) => total += summary,
+            Err(_) => panic!("{}", report(&shrink(&plan))),
+        }
+    }
+    println!("2000 seeds: {total}");
+    // It would be no test if nothing moved, or all went well.
+    assert!(total.begun > 8000, "{total}");
+    assert!(total.ended > 800 && total.unknown > 500, "{total}");
+}
+
+#[test]
+fn a_seed_plays_the_same_each_time() {
+    for seed in [3, 4711] {
+        let plan = Plan::new(seed);
+        let first = attempt(&plan, true).expect("it keeps its promises");
+        assert!(first.1.len() > 20, "there is a trace");
+        assert_eq!(attempt(&plan, true), Ok(first));
+    }
+}
+
+#[test]
+fn a_failing_plan_is_shortened_to_what_makes_it_fail() {
+    // As if a promise was broken whenever two of these happen.
+    let plan = Plan::new(12);
+    let kinds = |plan: &Plan| {
+        let asks = plan.happenings.iter();
+        asks.filter(|h| format!("{h:?}").contains("Ask")).count()
+    };
+    assert!(kinds(&plan) > 2 && plan.happenings.len() > 5);
+    let short = shrink_by(&plan, |plan| kinds(plan) >= 2);
+    assert_eq!((kinds(&short), short.happenings.len()), (2, 2));
+}
