@@ -15,6 +15,7 @@ impl<'a> Cursor<'a> {
         Self { text, at: 0 }
     }
 
+    #[cfg(feature = "serde")]
     pub(crate) fn text(&self) -> &'a str {
         self.text
     }

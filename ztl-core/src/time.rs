@@ -35,6 +35,20 @@ impl Instant {
         self.0
     }
 
+    /// Whole milliseconds since the clock's start.
+    #[must_use]
+    pub const fn as_millis(self) -> u64 {
+        // By digits of 16 bits: a division of 64 bits would cost a Cortex-M0 900 bytes.
+        let (mut millis, mut rest, mut shift) = (0, 0, 64);
+        while shift > 0 {
+            shift -= 16;
+            let part = rest << 16 | (self.0 >> shift) as u32 & 0xffff;
+            millis = millis << 16 | (part / 1000) as u64;
+            rest = part % 1000;
+        }
+        millis
+    }
+
     /// The moment so many microseconds later. Saturates at the end of time.
     // Apart, since it is needed in many places.
     #[inline(never)]
@@ -76,5 +90,25 @@ pub fn earliest(a: Option<Instant>, b: Option<Instant>) -> Option<Instant> {
     match (a, b) {
         (Some(a), Some(b)) => Some(a.min(b)),
         (a, b) => a.or(b),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn milliseconds_are_whole_ones() {
+        for micros in [
+            0,
+            999,
+            1000,
+            1_999_999,
+            u64::from(u32::MAX) + 1,
+            u64::MAX - 7,
+            u64::MAX,
+        ] {
+            assert_eq!(Instant::from_micros(micros).as_millis(), micros / 1000);
+        }
     }
 }

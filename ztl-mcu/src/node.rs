@@ -187,7 +187,7 @@ impl<'a, C: Components, const TASKS: usize, const FRAME: usize> Node<'a, C, TASK
         for &byte in bytes {
             let frame = match self.decoder.push(byte) {
                 Ok(false) => continue,
-                Ok(true) => self.decoder.frame(&[self.state.session, NO_SESSION]),
+                Ok(true) => self.decoder.command(&[self.state.session, NO_SESSION]),
                 Err(error) => Err(error),
             };
             match frame {

@@ -65,8 +65,8 @@ pub const MUTANTS: &[Mutant] = &[
         name: "the node takes a Start after its moment",
         edits: &[(
             TASKS,
-            "if Self::clock_ms(now) > before_ms {",
-            "if Self::clock_ms(now) > before_ms && !ON {",
+            "if now.as_millis() > before_ms {",
+            "if now.as_millis() > before_ms && !ON {",
         )],
         caught_in: ("cut", 2),
         complaint: "promise 4",

@@ -289,11 +289,10 @@ impl<'a> Ids<'a> {
             IdList::Slice(ids) => (ids, &[]),
             IdList::Encoded { bytes, .. } => (&[], bytes),
         };
-        let mut reader = codec::Reader(bytes);
-        slice
-            .iter()
-            .copied()
-            .chain(core::iter::from_fn(move || reader.task().ok()))
+        let mut reader = codec::Reader::new(bytes);
+        slice.iter().copied().chain(core::iter::from_fn(move || {
+            (!reader.is_at_end()).then(|| reader.task())
+        }))
     }
 }
 

@@ -24,10 +24,6 @@ pub(super) enum Answer {
 }
 
 impl<C: Components, const TASKS: usize, const FRAME: usize> Inner<'_, C, TASKS, FRAME> {
-    pub(super) fn clock_ms(now: Instant) -> u64 {
-        now.as_micros() / 1000
-    }
-
     /// `frame` was checked against the session that runs, then against no session; `place` says
     /// which it is of.
     pub(super) fn on_frame(

@@ -149,7 +149,7 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> Inner<'_, C, TASKS, 
             before_ms,
         } = wanted;
         let refused = |reason| Err(Answer::Refused(reason));
-        if Self::clock_ms(now) > before_ms {
+        if now.as_millis() > before_ms {
             return refused("the command came too late");
         }
         if task <= self.highest {

@@ -282,7 +282,7 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> Inner<'_, C, TASKS, 
     fn encode_answer(&mut self, now: Instant) {
         let seq = self.seq;
         let held = u8::try_from(self.tasks.len()).unwrap_or(u8::MAX);
-        let clock_ms = Self::clock_ms(now);
+        let clock_ms = now.as_millis();
         let Some(answer) = self.answer else { return };
         let session = match answer {
             Answer::Welcome => self.hello,
@@ -306,8 +306,10 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> Inner<'_, C, TASKS, 
                     capacity: u8::try_from(TASKS).unwrap_or(u8::MAX),
                     max_body: u16::try_from(FRAME - 6).unwrap_or(u16::MAX),
                     components: u8::try_from(self.components.count()).unwrap_or(u8::MAX),
-                    link_timeout_ms: u32::try_from(self.identity.link_timeout.as_millis())
-                        .unwrap_or(u32::MAX),
+                    link_timeout_ms: u32::try_from(
+                        (Instant::ZERO + self.identity.link_timeout).as_millis(),
+                    )
+                    .unwrap_or(u32::MAX),
                     highest: self.highest.0,
                     held: Ids::new(&ids),
                 }));

@@ -10,64 +10,86 @@ impl<'a> Body<'a> {
     /// # Errors
     /// [`BodyError`] when it is none, or has anything after it.
     pub fn parse(bytes: &'a [u8]) -> Result<Self, BodyError> {
-        let mut reader = Reader(bytes);
-        let r = &mut reader;
-        let body = match r.u32()? {
+        let mut reader = Reader::new(bytes);
+        let tag = reader.u32();
+        let body = match tag {
+            0..=5 => Self::from_gateway(tag, &mut reader),
+            _ => Self::from_node(tag, &mut reader),
+        };
+        reader.finish(body)
+    }
+
+    /// Reads a message of a gateway: for a node, where the others would only take room.
+    ///
+    /// # Errors
+    /// As [`parse`](Self::parse); a node's messages are not known.
+    pub fn parse_command(bytes: &'a [u8]) -> Result<Self, BodyError> {
+        let mut reader = Reader::new(bytes);
+        let tag = reader.u32();
+        let body = Self::from_gateway(tag, &mut reader);
+        reader.finish(body)
+    }
+
+    fn from_gateway(tag: u32, r: &mut Reader<'a>) -> Self {
+        match tag {
             0 => Self::Hello(Hello {
-                version: r.u8()?,
-                session: r.u32()?,
-                gateway: r.u64()?,
+                version: r.u8(),
+                session: r.u32(),
+                gateway: r.u64(),
             }),
-            1 => Self::Describe { index: r.u8()? },
+            1 => Self::Describe { index: r.u8() },
             2 => Self::Start {
-                task: r.task()?,
-                component: r.u8()?,
-                goal: r.text()?,
-                before_ms: r.u64()?,
+                task: r.task(),
+                component: r.u8(),
+                goal: r.text(),
+                before_ms: r.u64(),
             },
-            3 => Self::Abort { task: r.task()? },
+            3 => Self::Abort { task: r.task() },
+            5 => Self::Ack { task: r.task() },
             4 => Self::Ping,
-            5 => Self::Ack { task: r.task()? },
-            6 => Self::Welcome(r.welcome()?),
+            tag => r.fail(BodyError::UnknownTag { tag }, Self::Ping),
+        }
+    }
+
+    fn from_node(tag: u32, r: &mut Reader<'a>) -> Self {
+        match tag {
+            6 => Self::Welcome(r.welcome()),
             7 => Self::Component {
-                index: r.u8()?,
-                offer: r.offer()?,
+                index: r.u8(),
+                offer: r.offer(),
             },
-            8 => Self::Started { task: r.task()? },
-            9 => Self::Refused { reason: r.text()? },
-            10 => Self::Aborting { task: r.task()? },
+            8 => Self::Started { task: r.task() },
+            9 => Self::Refused { reason: r.text() },
+            10 => Self::Aborting { task: r.task() },
             11 => Self::Pong {
-                clock_ms: r.u64()?,
-                held: r.u8()?,
+                clock_ms: r.u64(),
+                held: r.u8(),
             },
             12 => Self::Ended {
-                task: r.task()?,
-                state: State::from_code(i64::from(r.u8()?))
-                    .filter(|state| state.is_final())
-                    .ok_or(BodyError::BadValue)?,
-                result: r.text()?,
+                task: r.task(),
+                state: match State::from_code(i64::from(r.u8())) {
+                    Some(state) if state.is_final() => state,
+                    _ => r.fail(BodyError::BadValue, State::Failed),
+                },
+                result: r.text(),
             },
             13 => Self::Progress {
-                task: r.task()?,
-                text: r.text()?,
+                task: r.task(),
+                text: r.text(),
             },
             14 => Self::Publish {
-                topic: r.u8()?,
-                bytes: r.bytes()?,
+                topic: r.u8(),
+                bytes: r.bytes(),
             },
             15 => Self::Log {
-                lost: r.u32()?,
-                bytes: r.bytes()?,
+                lost: r.u32(),
+                bytes: r.bytes(),
             },
             16 => Self::Awake {
-                version: r.u8()?,
-                boot: r.u32()?,
+                version: r.u8(),
+                boot: r.u32(),
             },
-            tag => return Err(BodyError::UnknownTag { tag }),
-        };
-        match reader.0.len() {
-            0 => Ok(body),
-            extra => Err(BodyError::Trailing { extra }),
+            tag => r.fail(BodyError::UnknownTag { tag }, Self::Ping),
         }
     }
 
@@ -197,116 +219,172 @@ fn put_varint(mut value: u64, sink: &mut (impl Sink + ?Sized)) {
     sink.put(&[value as u8]);
 }
 
-pub(super) struct Reader<'a>(pub(super) &'a [u8]);
+/// Reads values one after the other. The first that is not there, or means nothing, ends it: all from
+/// then on are zero or empty, and [`finish`](Self::finish) tells. So a value costs a call and no branch.
+pub(super) struct Reader<'a> {
+    rest: &'a [u8],
+    error: Option<BodyError>,
+}
 
 impl<'a> Reader<'a> {
-    fn u8(&mut self) -> Result<u8, BodyError> {
-        let (first, rest) = self.0.split_first().ok_or(BodyError::Truncated)?;
-        self.0 = rest;
-        Ok(*first)
+    pub(super) const fn new(bytes: &'a [u8]) -> Self {
+        Self {
+            rest: bytes,
+            error: None,
+        }
     }
 
-    fn u64(&mut self) -> Result<u64, BodyError> {
+    fn finish<T>(self, value: T) -> Result<T, BodyError> {
+        match (self.error, self.rest.len()) {
+            (Some(error), _) => Err(error),
+            (None, 0) => Ok(value),
+            (None, extra) => Err(BodyError::Trailing { extra }),
+        }
+    }
+
+    /// Whether all is read.
+    pub(super) const fn is_at_end(&self) -> bool {
+        self.rest.is_empty()
+    }
+
+    fn fail<T>(&mut self, error: BodyError, instead: T) -> T {
+        self.end(error);
+        instead
+    }
+
+    #[inline(never)]
+    fn end(&mut self, error: BodyError) {
+        self.error.get_or_insert(error);
+        self.rest = &[];
+    }
+
+    #[inline(never)]
+    fn u8(&mut self) -> u8 {
+        match self.rest.split_first() {
+            Some((first, rest)) => {
+                self.rest = rest;
+                *first
+            }
+            None => self.fail(BodyError::Truncated, 0),
+        }
+    }
+
+    #[inline(never)]
+    fn u64(&mut self) -> u64 {
         let mut value = 0u64;
         for shift in (0..64).step_by(7) {
-            let byte = self.u8()?;
+            let byte = self.u8();
             // The tenth byte carries the last bit.
             if shift == 63 && byte > 1 {
                 break;
             }
             value |= u64::from(byte & 0x7f) << shift;
             if byte & 0x80 == 0 {
-                return Ok(value);
+                return value;
             }
         }
-        Err(BodyError::BadValue)
+        self.fail(BodyError::BadValue, 0)
     }
 
-    fn u32(&mut self) -> Result<u32, BodyError> {
-        u32::try_from(self.u64()?).map_err(|_| BodyError::BadValue)
-    }
-
-    fn u16(&mut self) -> Result<u16, BodyError> {
-        u16::try_from(self.u64()?).map_err(|_| BodyError::BadValue)
-    }
-
-    fn f32(&mut self) -> Result<f32, BodyError> {
-        let (bytes, rest) = self
-            .0
-            .split_first_chunk::<4>()
-            .ok_or(BodyError::Truncated)?;
-        self.0 = rest;
-        Ok(f32::from_le_bytes(*bytes))
-    }
-
-    fn bytes(&mut self) -> Result<&'a [u8], BodyError> {
-        let len = usize::try_from(self.u32()?).map_err(|_| BodyError::BadValue)?;
-        let (bytes, rest) = self.0.split_at_checked(len).ok_or(BodyError::Truncated)?;
-        self.0 = rest;
-        Ok(bytes)
-    }
-
-    fn text(&mut self) -> Result<&'a str, BodyError> {
-        core::str::from_utf8(self.bytes()?).map_err(|_| BodyError::BadValue)
-    }
-
-    pub(super) fn task(&mut self) -> Result<LinkId, BodyError> {
-        self.u32().map(LinkId)
-    }
-
-    fn ids(&mut self) -> Result<Ids<'a>, BodyError> {
-        let count = usize::from(self.u16()?);
-        let start = self.0;
-        for _ in 0..count {
-            self.task()?;
+    #[inline(never)]
+    fn u32(&mut self) -> u32 {
+        match u32::try_from(self.u64()) {
+            Ok(value) => value,
+            Err(_) => self.fail(BodyError::BadValue, 0),
         }
-        let used = start.len() - self.0.len();
+    }
+
+    fn u16(&mut self) -> u16 {
+        match u16::try_from(self.u64()) {
+            Ok(value) => value,
+            Err(_) => self.fail(BodyError::BadValue, 0),
+        }
+    }
+
+    fn f32(&mut self) -> f32 {
+        f32::from_le_bytes([self.u8(), self.u8(), self.u8(), self.u8()])
+    }
+
+    #[inline(never)]
+    fn bytes(&mut self) -> &'a [u8] {
+        let len = usize::try_from(self.u32()).unwrap_or(usize::MAX);
+        match self.rest.split_at_checked(len) {
+            Some((bytes, rest)) => {
+                self.rest = rest;
+                bytes
+            }
+            None => self.fail(BodyError::Truncated, &[]),
+        }
+    }
+
+    #[inline(never)]
+    fn text(&mut self) -> &'a str {
+        match core::str::from_utf8(self.bytes()) {
+            Ok(text) => text,
+            Err(_) => self.fail(BodyError::BadValue, ""),
+        }
+    }
+
+    pub(super) fn task(&mut self) -> LinkId {
+        LinkId(self.u32())
+    }
+
+    fn ids(&mut self) -> Ids<'a> {
+        let count = usize::from(self.u16());
+        let start = self.rest;
+        for _ in 0..count {
+            self.task();
+            if self.error.is_some() {
+                break;
+            }
+        }
+        let used = start.len() - self.rest.len();
         let bytes = start.get(..used).unwrap_or_default();
-        Ok(Ids(IdList::Encoded { count, bytes }))
+        Ids(IdList::Encoded { count, bytes })
     }
 
-    fn welcome(&mut self) -> Result<Welcome<'a>, BodyError> {
-        Ok(Welcome {
-            version: self.u8()?,
-            name: self.text()?,
-            firmware: self.text()?,
-            boot: self.u32()?,
-            replaces: self.u32()?,
-            clock_ms: self.u64()?,
-            capacity: self.u8()?,
-            max_body: self.u16()?,
-            components: self.u8()?,
-            link_timeout_ms: self.u32()?,
-            highest: self.u32()?,
-            held: self.ids()?,
-        })
+    fn welcome(&mut self) -> Welcome<'a> {
+        Welcome {
+            version: self.u8(),
+            name: self.text(),
+            firmware: self.text(),
+            boot: self.u32(),
+            replaces: self.u32(),
+            clock_ms: self.u64(),
+            capacity: self.u8(),
+            max_body: self.u16(),
+            components: self.u8(),
+            link_timeout_ms: self.u32(),
+            highest: self.u32(),
+            held: self.ids(),
+        }
     }
 
-    fn offer(&mut self) -> Result<Offer<'a>, BodyError> {
-        Ok(Offer {
-            name: self.text()?,
+    fn offer(&mut self) -> Offer<'a> {
+        Offer {
+            name: self.text(),
             goal: GoalShape {
-                range: match self.u8()? {
+                range: match self.u8() {
                     0 => None,
-                    1 => Some((self.f32()?, self.f32()?)),
-                    _ => return Err(BodyError::BadValue),
+                    1 => Some((self.f32(), self.f32())),
+                    _ => self.fail(BodyError::BadValue, None),
                 },
-                unit: self.text()?,
-                words: self.text()?,
+                unit: self.text(),
+                words: self.text(),
             },
-            busy: match self.u8()? {
+            busy: match self.u8() {
                 0 => Busy::Refuse,
-                1 => Busy::Queue(self.u8()?),
+                1 => Busy::Queue(self.u8()),
                 2 => Busy::Replace,
-                _ => return Err(BodyError::BadValue),
+                _ => self.fail(BodyError::BadValue, Busy::Refuse),
             },
-            loss: match self.u8()? {
+            loss: match self.u8() {
                 0 => Loss::Abort,
                 1 => Loss::Hold,
                 2 => Loss::CarryOn,
-                _ => return Err(BodyError::BadValue),
+                _ => self.fail(BodyError::BadValue, Loss::Abort),
             },
-            topics: self.text()?,
-        })
+            topics: self.text(),
+        }
     }
 }

@@ -241,6 +241,18 @@ fn every_message_is_written_and_read_as_postcard_does() {
 }
 
 #[test]
+fn a_node_reads_what_gateways_say_and_nothing_else() {
+    for (body, _) in pairs() {
+        let bytes = written(&body);
+        let expected = match bytes[0] {
+            0..=5 => Ok(body),
+            tag => Err(BodyError::UnknownTag { tag: tag.into() }),
+        };
+        assert_eq!(Body::parse_command(&bytes), expected);
+    }
+}
+
+#[test]
 fn every_message_cut_anywhere_or_followed_by_anything_is_refused() {
     for (body, _) in pairs() {
         let mut bytes = written(&body);
