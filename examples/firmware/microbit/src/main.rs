@@ -5,17 +5,15 @@
 #![no_std]
 #![no_main]
 
-mod random;
-mod uart;
-
 use core::panic::PanicInfo;
 
 use cortex_m::Peripherals;
 use cortex_m::peripheral::SCB;
 use cortex_m_rt::{entry, exception};
+use microbit::random;
+use microbit::uart::Uart;
 use qemu::board;
 use qemu::clock::{self, SysTick};
-use uart::Uart;
 
 #[cfg(feature = "defmt")]
 defmt::timestamp!("{=u64:ms}", clock::millis());

@@ -12,7 +12,8 @@ const READY: Register = unsafe { Register::at(0x4000_D100) };
 const VALUE: Register = unsafe { Register::at(0x4000_D508) };
 
 /// 32 random bits; takes some milliseconds.
-pub(crate) fn word() -> u32 {
+#[must_use]
+pub fn word() -> u32 {
     READY.write(0);
     START.write(1);
     let mut word = 0;

@@ -42,13 +42,15 @@ unsafe impl InterruptNumber for Uart0 {
 vectors! { 3: 2 => on_uart }
 
 /// The sending half. What is received comes to [`app::RECEIVED`].
-pub(crate) struct Uart {
+#[derive(Debug)]
+pub struct Uart {
     busy: bool,
 }
 
 impl Uart {
     /// Starts both halves, 115200 baud.
-    pub(crate) fn start() -> Self {
+    #[must_use]
+    pub fn start() -> Self {
         TX_PIN.write(24);
         RX_PIN.write(25);
         BAUD.write(BAUD_115200);
