@@ -14,9 +14,12 @@ use crate::clock::now;
 use crate::random;
 
 /// Bytes that the node gives at once.
-const PIECE: u32 = 32;
+const PIECE: usize = 32;
 /// Bytes that its serial port takes ahead of the line, as a small ring in firmware does.
-const AHEAD: u32 = 4 * PIECE;
+const AHEAD: u64 = 3 * PIECE as u64;
+/// The same in nanoseconds, for a line so fast that the ring would be empty before a busy system
+/// looks at it again.
+const AHEAD_NS: u64 = 4_000_000;
 
 /// Where the node's bytes go, and when it may send more.
 struct Port {
@@ -39,7 +42,7 @@ impl Port {
 
     /// When it takes another piece.
     fn ready(&self) -> Instant {
-        let ahead = u64::from(AHEAD - PIECE) * self.byte_ns;
+        let ahead = (AHEAD * self.byte_ns).max(AHEAD_NS);
         Instant::from_micros(self.sent_ns.saturating_sub(ahead) / 1000)
     }
 
@@ -82,7 +85,7 @@ fn run_until_reset(
     let name = device.kind.name();
     let identity = Identity::new(name, env!("CARGO_PKG_VERSION"), random::nonzero());
     let mut node = Node::<_, 4, 256>::new(identity, [component]);
-    let mut buffer = [0; PIECE as usize];
+    let mut buffer = [0; PIECE];
     loop {
         node.handle_timeout(now());
         let time = now();
