@@ -160,11 +160,7 @@ fn a_server_takes_options_by_the_same_rules() {
 #[test]
 fn a_tool_that_is_not_there_yet_says_so_under_each_of_its_names() {
     let scratch = Scratch::new();
-    for tool in [
-        "simple_publisher",
-        "simple_subscriber",
-        "run_script",
-    ] {
+    for tool in ["simple_publisher", "simple_subscriber", "run_script"] {
         let mut plain = ztl();
         plain.arg(tool.replace('_', "-"));
         for mut command in [
