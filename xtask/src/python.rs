@@ -9,10 +9,16 @@ use crate::cmd::{Cmd, Outcome};
 
 const REQUIREMENTS: &str = "tests/requirements.txt";
 
+/// The archive with the original's own tests, which its installed package has not.
+const SUITE: &str = "tests/original_suite/requirements.txt";
+
 /// Makes the environment unless it is there already; returns the path of its Python.
 pub(crate) fn ensure(dirs: &Dirs) -> Outcome<PathBuf> {
-    let wanted = fs::read_to_string(REQUIREMENTS)
-        .map_err(|error| format!("cannot read {REQUIREMENTS}: {error}"))?;
+    let mut wanted = String::new();
+    for file in [REQUIREMENTS, SUITE] {
+        wanted +=
+            &fs::read_to_string(file).map_err(|error| format!("cannot read {file}: {error}"))?;
+    }
     let venv = dirs.target.join("venv");
     let python = venv.join("bin/python");
     // Written last, so that an environment without it is known to be half made.
@@ -22,7 +28,7 @@ pub(crate) fn ensure(dirs: &Dirs) -> Outcome<PathBuf> {
     let works = || {
         Cmd::program(&python)
             .args("-c")
-            .arg("import ztl, zmq, oyaml")
+            .arg("import ztl, zmq, oyaml, pytest")
     };
     if fs::read_to_string(&stamp).is_ok_and(|installed| installed == wanted)
         && works().stdout().is_ok()
@@ -36,10 +42,22 @@ pub(crate) fn ensure(dirs: &Dirs) -> Outcome<PathBuf> {
             _ => {}
         }
         Cmd::new("python3 -m venv").arg(&venv).run()?;
-        // Every package is listed with its version; what they would pull in besides is pytest.
+        // Every package is listed with its version, and nothing else is pulled in.
         Cmd::program(&python)
             .args("-m pip install --disable-pip-version-check --no-deps --requirement")
             .arg(REQUIREMENTS)
+            .run()?;
+        let suite = venv.join("original");
+        Cmd::program(&python)
+            .args("-m pip download --disable-pip-version-check --no-deps --no-binary ztl --requirement")
+            .arg(SUITE)
+            .arg("--dest")
+            .arg(&suite)
+            .run()?;
+        Cmd::program(&python)
+            .args("-m tarfile --extract")
+            .arg(suite.join("ztl-0.3.3.tar.gz"))
+            .arg(&suite)
             .run()?;
         works().run()?;
         fs::write(&stamp, wanted)
