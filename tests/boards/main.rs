@@ -8,6 +8,7 @@
 mod ends;
 mod faults;
 mod rig;
+mod stack;
 
 /// Each test on each board.
 macro_rules! boards {
@@ -49,10 +50,25 @@ macro_rules! boards {
             fn without_its_link_it_stops_by_itself_and_serves_again_with_it() {
                 crate::faults::loses_its_link(BOARD);
             }
+
+            #[test]
+            fn it_uses_as_much_stack_as_is_recorded() {
+                crate::stack::of_the_robot(BOARD);
+            }
         })+
     };
 }
 
 boards! {
     microbit: "microbit", lm3s6965evb: "lm3s6965evb", mps2_an386: "mps2-an386", sifive_e: "sifive-e"
+}
+
+#[test]
+fn without_a_log_it_uses_as_much_stack_as_is_recorded() {
+    stack::of_the_quiet_robot();
+}
+
+#[test]
+fn the_smallest_node_serves_on_as_little_stack_as_is_recorded() {
+    stack::of_the_smallest_node();
 }

@@ -30,6 +30,17 @@ impl Rig {
     pub(crate) fn with(board: Board, device: &str) -> Self {
         let elf = format!("desk={}", board.elf.display());
         let gateway = Server::gateway_with(&[device], &["--elf", &elf]);
+        Self::at(gateway, board)
+    }
+
+    /// The same with firmware that logs nothing.
+    #[track_caller]
+    pub(crate) fn quiet(board: Board, device: &str) -> Self {
+        Self::at(Server::gateway(&[device]), board)
+    }
+
+    #[track_caller]
+    fn at(gateway: Server, board: Board) -> Self {
         gateway.wait_ready("desk");
         Self {
             client: gateway.original_client(),

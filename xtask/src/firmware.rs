@@ -18,6 +18,9 @@ const BOARDS: &str = "examples/firmware/boards.txt";
 /// Below the target directory: where the images are built, each in its target's directory.
 const BUILT: &str = "firmware";
 
+/// The board that also has images that log nothing: the robot, and the smallest node of use.
+const WEIGHED: &str = "microbit";
+
 /// A line of [`BOARDS`].
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) struct Board {
@@ -35,12 +38,13 @@ pub(crate) fn run(dirs: &Dirs, args: &[String]) -> Outcome {
         _ => return Err("`cargo xtask firmware` takes a board's name, or nothing for all".into()),
     };
     for board in boards {
-        let path = build(dirs, &board)?;
-        let Image { flash, ram, .. } = Image::read(&path)?;
-        println!(
-            "{}: {flash} bytes of flash, {ram} of static RAM",
-            path.display()
-        );
+        for path in build(dirs, &board)? {
+            let Image { flash, ram, .. } = Image::read(&path)?;
+            println!(
+                "{}: {flash} bytes of flash, {ram} of static RAM",
+                path.display()
+            );
+        }
     }
     Ok(())
 }
@@ -60,7 +64,8 @@ pub(crate) fn run_in_qemu(dirs: &Dirs, args: &[String]) -> Outcome {
         ));
     };
     tools::provide_qemu()?;
-    let image = build(dirs, &board)?;
+    let images = build(dirs, &board)?;
+    let image = images.first().ok_or("the board has no image")?;
     println!(
         "\n{name} runs, with its serial port at TCP port {port}. In another terminal:\n\n    \
          cargo run --bin ztl -- gateway -d desk=tcp:127.0.0.1:{port} -p 12345 -s /lab --elf desk={elf}\n    \
@@ -100,14 +105,25 @@ pub(crate) fn build_for_qemu(dirs: &Dirs) -> Outcome {
     Ok(())
 }
 
-/// Builds a board's image: the path of its ELF file.
-pub(crate) fn build(dirs: &Dirs, board: &Board) -> Outcome<PathBuf> {
+/// Builds a board's images: the paths of their ELF files, the robot's first.
+pub(crate) fn build(dirs: &Dirs, board: &Board) -> Outcome<Vec<PathBuf>> {
     image::check_lock(MANIFEST)?;
     let core = Core::provide(&board.target)?;
-    let build = cargo(dirs, &core, "build", board);
-    core.with_linker(dirs, build)?.run()?;
-    let built = dirs.target.join(BUILT).join(&board.target);
-    Ok(built.join("release").join(&board.name))
+    let built = dirs.target.join(BUILT).join(&board.target).join("release");
+    let mut images = vec![(board.name.clone(), "")];
+    if board.name == WEIGHED {
+        for more in ["quiet", "smallest"] {
+            images.push((format!("{WEIGHED}-{more}"), "--no-default-features"));
+        }
+    }
+    let mut paths = Vec::new();
+    for (image, features) in images {
+        let build = cargo(dirs, &core, "build", board);
+        let build = build.arg("--bin").arg(&image).args(features);
+        core.with_linker(dirs, build)?.run()?;
+        paths.push(built.join(image));
+    }
+    Ok(paths)
 }
 
 fn cargo(dirs: &Dirs, core: &Core, command: &str, board: &Board) -> Cmd {

@@ -1,4 +1,5 @@
-//! `cargo xtask size`: what the standard image takes on each target, against the committed record.
+//! `cargo xtask size`: what images take, against committed records: the standard image on each target, and
+//! the firmware of each board.
 
 use std::fmt::Write as _;
 use std::fs;
@@ -6,10 +7,34 @@ use std::fs;
 use crate::Dirs;
 use crate::cmd::Outcome;
 use crate::cross::{self, Core, TARGETS};
+use crate::firmware;
 use crate::image::{self, Image};
 
-/// The record: for each target, bytes of flash and of static RAM, as the named compiler made them.
-const RECORD: &str = "proof/sizes.txt";
+/// Where sizes are recorded, and shown.
+struct Book {
+    /// Image, bytes of flash and of static RAM, as the named compiler made them.
+    record: &'static str,
+    /// Its first line.
+    about: &'static str,
+    /// Shows the record, within marks.
+    readme: &'static str,
+    /// What an image is called in the table.
+    column: &'static str,
+}
+
+const STANDARD: Book = Book {
+    record: "proof/sizes.txt",
+    about: "What proof/src/bin/standard.rs takes: target, bytes of flash, bytes of static RAM.",
+    readme: "README.md",
+    column: "target",
+};
+
+const FIRMWARE: Book = Book {
+    record: "examples/firmware/sizes.txt",
+    about: "What the images of examples/firmware take: image, bytes of flash, bytes of static RAM.",
+    readme: "examples/firmware/README.md",
+    column: "image",
+};
 
 const IMAGE: &str = "standard";
 
@@ -22,7 +47,7 @@ const TOLERANCE_ELSEWHERE: u64 = 10;
 /// How many symbols are listed.
 const LISTED: usize = 10;
 
-/// Within these, README.md shows the record.
+/// Within these, a README shows the record.
 const README_MARKS: (&str, &str) = ("<!-- sizes -->", "<!-- /sizes -->");
 
 const ACCEPT: &str = "cargo xtask size --accept";
@@ -38,39 +63,22 @@ pub(crate) fn run(dirs: &Dirs, args: &[String]) -> Outcome {
     }
 }
 
-/// Compares with the record and with README.md.
+/// Compares with the records and with what the READMEs show.
 pub(crate) fn check(dirs: &Dirs) -> Outcome {
-    let measured = measure(dirs)?;
-    let text = fs::read_to_string(RECORD)
-        .map_err(|error| format!("cannot read {RECORD} ({error}); to make it: {ACCEPT}"))?;
-    let record = Record::parse(&text)?;
-    println!("{}", record.compare(&measured)?);
-    let readme = fs::read_to_string("README.md")
-        .map_err(|error| format!("cannot read README.md: {error}"))?;
-    check_readme(&readme, &record.table())
+    measure(dirs)?.check(&STANDARD)?;
+    measure_firmware(dirs)?.check(&FIRMWARE)
 }
 
 fn accept(dirs: &Dirs) -> Outcome {
-    let measured = measure(dirs)?;
-    fs::write(RECORD, measured.to_string())
-        .map_err(|error| format!("cannot write {RECORD}: {error}"))?;
-    println!(
-        "{RECORD} now holds these sizes. Between {} and {}, README.md has to hold:\n\n{}",
-        README_MARKS.0,
-        README_MARKS.1,
-        measured.table()
-    );
-    Ok(())
+    measure(dirs)?.accept(&STANDARD)?;
+    measure_firmware(dirs)?.accept(&FIRMWARE)
 }
 
 /// Builds the image for every target.
 fn measure(dirs: &Dirs) -> Outcome<Record> {
     image::check_lock(image::MANIFEST)?;
     cross::add_all();
-    let mut record = Record {
-        compiler: String::new(),
-        sizes: Vec::new(),
-    };
+    let mut record = Record::default();
     for target in TARGETS {
         let core = Core::provide(target)?;
         record.compiler = core.compiler()?;
@@ -79,11 +87,22 @@ fn measure(dirs: &Dirs) -> Outcome<Record> {
         let image = Image::read(&path)?;
         println!("{}", breakdown(target, &image));
         refuse_formatting(&image)?;
-        record.sizes.push(Size {
-            target: target.to_owned(),
-            flash: image.flash,
-            ram: image.ram,
-        });
+        record.add(target, &image);
+    }
+    Ok(record)
+}
+
+/// Builds the image of every board.
+fn measure_firmware(dirs: &Dirs) -> Outcome<Record> {
+    let mut record = Record::default();
+    for board in firmware::boards()? {
+        record.compiler = Core::provide(&board.target)?.compiler()?;
+        for path in firmware::build(dirs, &board)? {
+            let image = Image::read(&path)?;
+            let name = path.file_name().unwrap_or_default().to_string_lossy();
+            refuse_formatting(&image)?;
+            record.add(&name, &image);
+        }
     }
     Ok(record)
 }
@@ -122,7 +141,7 @@ fn refuse_formatting(image: &Image) -> Outcome {
 }
 
 /// What was measured, with which compiler.
-#[derive(Debug, PartialEq, Eq)]
+#[derive(Debug, Default, PartialEq, Eq)]
 struct Record {
     compiler: String,
     sizes: Vec<Size>,
@@ -130,36 +149,75 @@ struct Record {
 
 #[derive(Debug, PartialEq, Eq)]
 struct Size {
-    target: String,
+    image: String,
     flash: u64,
     ram: u64,
 }
 
 impl Record {
+    fn add(&mut self, name: &str, image: &Image) {
+        self.sizes.push(Size {
+            image: name.to_owned(),
+            flash: image.flash,
+            ram: image.ram,
+        });
+    }
+
+    /// Compares with the book's record and README.
+    fn check(&self, book: &Book) -> Outcome {
+        let path = book.record;
+        let text = fs::read_to_string(path)
+            .map_err(|error| format!("cannot read {path} ({error}); to make it: {ACCEPT}"))?;
+        let known = Self::parse(&text).map_err(|line| {
+            format!("{path} has a line that is no size: `{line}`; to write it anew: {ACCEPT}")
+        })?;
+        let compared = known.compare(self);
+        println!("{}", compared.map_err(|error| format!("{path}: {error}"))?);
+        let readme = fs::read_to_string(book.readme)
+            .map_err(|error| format!("cannot read {}: {error}", book.readme))?;
+        check_readme(&readme, &known.table(book.column))
+            .map_err(|error| format!("{}: {error}", book.readme))
+    }
+
+    fn accept(&self, book: &Book) -> Outcome {
+        let path = book.record;
+        fs::write(path, self.file(book.about))
+            .map_err(|error| format!("cannot write {path}: {error}"))?;
+        println!(
+            "{path} now holds these sizes. Between {} and {}, {} has to hold:\n\n{}\n",
+            README_MARKS.0,
+            README_MARKS.1,
+            book.readme,
+            self.table(book.column)
+        );
+        Ok(())
+    }
+
+    /// Reads a record's file.
+    ///
+    /// # Errors
+    /// The line that is none.
     fn parse(text: &str) -> Outcome<Self> {
-        let mut record = Self {
-            compiler: String::new(),
-            sizes: Vec::new(),
-        };
+        let mut record = Self::default();
         for line in text.lines().filter(|line| !line.starts_with('#')) {
             let words: Vec<&str> = line.split_whitespace().collect();
             match (line.strip_prefix("compiler "), words.as_slice()) {
                 (Some(compiler), _) => record.compiler = compiler.to_owned(),
-                (None, [target, flash, ram]) => record.sizes.push(Size {
-                    target: (*target).to_owned(),
-                    flash: flash.parse().map_err(|_| bad_line(line))?,
-                    ram: ram.parse().map_err(|_| bad_line(line))?,
+                (None, [image, flash, ram]) => record.sizes.push(Size {
+                    image: (*image).to_owned(),
+                    flash: flash.parse().map_err(|_| line)?,
+                    ram: ram.parse().map_err(|_| line)?,
                 }),
-                _ => return Err(bad_line(line)),
+                _ => return Err(line.to_owned()),
             }
         }
         Ok(record)
     }
 
-    /// A line for each target.
+    /// A line for each image.
     ///
     /// # Errors
-    /// Names each target whose size is not that of the record, and says how to accept it.
+    /// Names each image whose size is not that of the record, and says how to accept it.
     fn compare(&self, measured: &Self) -> Outcome<String> {
         let same_compiler = self.compiler == measured.compiler;
         let tolerance = if same_compiler {
@@ -177,9 +235,9 @@ impl Record {
         }
         let mut deviates = false;
         for size in &measured.sizes {
-            let target = &size.target;
-            let Some(known) = self.sizes.iter().find(|known| known.target == *target) else {
-                return Err(format!("{RECORD} lacks {target}; to add it: {ACCEPT}"));
+            let image = &size.image;
+            let Some(known) = self.sizes.iter().find(|known| known.image == *image) else {
+                return Err(format!("it lacks {image}; to add it: {ACCEPT}"));
             };
             for (what, known, now) in [
                 ("flash", known.flash, size.flash),
@@ -188,49 +246,41 @@ impl Record {
                 let beyond = known.abs_diff(now) * 100 > known * tolerance;
                 deviates |= beyond;
                 let verdict = if beyond { "  BEYOND" } else { "" };
-                let _ = writeln!(text, "{target}: {what} {now}, record {known}{verdict}");
+                let _ = writeln!(text, "{image}: {what} {now}, record {known}{verdict}");
             }
         }
         if deviates {
             return Err(format!(
-                "the standard image deviates from {RECORD} by more than {tolerance} %:\n{text}\
+                "an image deviates from it by more than {tolerance} %:\n{text}\
                  If that is as it should be: {ACCEPT}"
             ));
         }
         Ok(text)
     }
 
-    /// The table for README.md.
-    fn table(&self) -> String {
-        let mut text = "| target | flash | static RAM |\n|---|---|---|".to_owned();
-        for Size { target, flash, ram } in &self.sizes {
-            let _ = write!(text, "\n| `{target}` | {flash} bytes | {ram} bytes |");
+    /// The table for a README.
+    fn table(&self, column: &str) -> String {
+        let mut text = format!("| {column} | flash | static RAM |\n|---|---|---|");
+        for Size { image, flash, ram } in &self.sizes {
+            let _ = write!(text, "\n| `{image}` | {flash} bytes | {ram} bytes |");
+        }
+        text
+    }
+
+    /// The record's file.
+    fn file(&self, about: &str) -> String {
+        let mut text = format!(
+            "# {about}\n# `cargo xtask size` compares; `{ACCEPT}` rewrites.\ncompiler {}\n",
+            self.compiler
+        );
+        for Size { image, flash, ram } in &self.sizes {
+            let _ = writeln!(text, "{image} {flash} {ram}");
         }
         text
     }
 }
 
-/// The record's file.
-impl std::fmt::Display for Record {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        writeln!(
-            f,
-            "# What proof/src/bin/standard.rs takes: target, bytes of flash, bytes of static RAM."
-        )?;
-        writeln!(f, "# `cargo xtask size` compares; `{ACCEPT}` rewrites.")?;
-        writeln!(f, "compiler {}", self.compiler)?;
-        for Size { target, flash, ram } in &self.sizes {
-            writeln!(f, "{target} {flash} {ram}")?;
-        }
-        Ok(())
-    }
-}
-
-fn bad_line(line: &str) -> String {
-    format!("{RECORD} has a line that is no size: `{line}`; to write it anew: {ACCEPT}")
-}
-
-/// Whether the marked part of the README, if it has one, is the record's table.
+/// Whether the marked part of a README, if it has one, is the record's table.
 fn check_readme(readme: &str, table: &str) -> Outcome {
     let (begin, end) = README_MARKS;
     let Some((_, rest)) = readme.split_once(begin) else {
@@ -238,13 +288,12 @@ fn check_readme(readme: &str, table: &str) -> Outcome {
     };
     let (shown, _) = rest
         .split_once(end)
-        .ok_or_else(|| format!("README.md has {begin} and no {end} after it"))?;
+        .ok_or_else(|| format!("it has {begin} and no {end} after it"))?;
     if shown.trim() == table {
         return Ok(());
     }
     Err(format!(
-        "README.md shows other sizes than {RECORD}; between {begin} and {end} there has to be:\n\n\
-         {table}\n"
+        "it shows other sizes than are recorded; between {begin} and {end} there has to be:\n\n{table}\n"
     ))
 }
 
@@ -257,7 +306,7 @@ mod tests {
         Record {
             compiler: compiler.to_owned(),
             sizes: vec![Size {
-                target: "thumbv6m-none-eabi".to_owned(),
+                image: "thumbv6m-none-eabi".to_owned(),
                 flash,
                 ram,
             }],
@@ -267,9 +316,9 @@ mod tests {
     #[test]
     fn a_record_comes_back_from_its_file() {
         let record = record("rustc 1.95.0 (59807616e 2026-04-14)", 6000, 900);
-        assert_eq!(Record::parse(&record.to_string()).unwrap(), record);
-        let message = Record::parse("thumbv6m-none-eabi 6000").unwrap_err();
-        assert!(message.contains("--accept"), "{message}");
+        assert_eq!(Record::parse(&record.file("x")).unwrap(), record);
+        let line = Record::parse("thumbv6m-none-eabi 6000").unwrap_err();
+        assert_eq!(line, "thumbv6m-none-eabi 6000");
     }
 
     #[test]
@@ -324,7 +373,7 @@ mod tests {
 
     #[test]
     fn the_readme_shows_the_record_or_nothing() {
-        let table = record("a", 5000, 1000).table();
+        let table = record("a", 5000, 1000).table("target");
         let marked = |inner: &str| format!("# T\n<!-- sizes -->\n{inner}\n<!-- /sizes -->\nmore");
         assert!(check_readme("# T\n", &table).is_ok());
         assert!(check_readme(&marked(&table), &table).is_ok());

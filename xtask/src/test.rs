@@ -84,7 +84,7 @@ const STEPS: &[Step] = &[
     },
     Step {
         name: "size",
-        about: "the standard firmware image is as small as the record says",
+        about: "the standard image and the boards' are as small as the records say",
         run: size::check,
     },
     Step {

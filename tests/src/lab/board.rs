@@ -4,6 +4,7 @@
 use std::cell::RefCell;
 use std::fs;
 use std::io::{BufRead, BufReader, Read, Write};
+use std::ops::Range;
 use std::os::unix::net::UnixStream;
 use std::path::PathBuf;
 use std::process::Command;
@@ -11,6 +12,9 @@ use std::process::Command;
 use object::{Object, ObjectSymbol};
 
 use super::{PATIENCE, Process, Scratch, ancestor, free_port, until};
+
+/// What nobody writes to a stack.
+const PAINT: u8 = 0xC5;
 
 /// Board, target, machine.
 const BOARDS: &str = include_str!("../../../examples/firmware/boards.txt");
@@ -42,6 +46,8 @@ pub struct Board {
     /// Its firmware's ELF file.
     pub elf: PathBuf,
     panel: u64,
+    /// From the end of what is static to the stack's start.
+    stack: Range<u64>,
     scratch: Scratch,
     probe: RefCell<BufReader<UnixStream>>,
 }
@@ -53,6 +59,12 @@ impl Board {
     /// When its image is not there; a test of firmware is never left out silently.
     #[track_caller]
     pub fn start(name: &str) -> Self {
+        Self::with_image(name, name)
+    }
+
+    /// The same with another image of its package.
+    #[track_caller]
+    pub fn with_image(name: &str, image: &str) -> Self {
         let lines = BOARDS.lines().map(|line| line.split_whitespace().collect());
         let mut lines = lines.filter(|words: &Vec<&str>| words.first() == Some(&name));
         let words = lines.next().expect("a board of boards.txt");
@@ -61,7 +73,7 @@ impl Board {
         };
         // Where `cargo xtask firmware` builds it: <target>/firmware.
         let elf = ancestor(3).join("firmware").join(target);
-        let elf = elf.join("release").join(name);
+        let elf = elf.join("release").join(image);
         let image = fs::read(&elf).unwrap_or_else(|error| {
             let run = "run `cargo xtask firmware`, and `cargo xtask test --only tools` for QEMU";
             panic!("{}: {error}: {run}", elf.display())
@@ -80,6 +92,21 @@ impl Board {
         // Reads and writes memory while the machine runs.
         qemu.args(["-qtest", &socket("probe"), "-qtest-log", "none"]);
         qemu.arg("-kernel").arg(&elf);
+        // The stack's memory is painted before the board starts.
+        let heap = ["__sheap", "_sheap"]
+            .iter()
+            .find_map(|name| find(&image, name));
+        let top = find(&image, "_stack_start").expect("a stack");
+        let stack = heap.expect("the end of what is static").next_multiple_of(4)..top;
+        // A large RAM is not used to its end.
+        let stack = stack.start.max(stack.end - 8192)..stack.end;
+        let paint = vec![PAINT; usize::try_from(stack.end - stack.start).expect("a size")];
+        fs::write(scratch.path("paint"), paint).expect("a file");
+        qemu.arg("-device").arg(format!(
+            "loader,file={},addr={:#x},force-raw=on",
+            scratch.path("paint").display(),
+            stack.start
+        ));
         let process = Process::start(&mut qemu);
         let probe = until("QEMU's probe", PATIENCE, || {
             UnixStream::connect(scratch.path("probe")).ok()
@@ -89,7 +116,8 @@ impl Board {
             process,
             port,
             elf,
-            panel: address(&image, "PANEL"),
+            panel: find(&image, "PANEL").expect("its pins"),
+            stack,
             probe: RefCell::new(BufReader::new(probe)),
             scratch,
         }
@@ -117,6 +145,19 @@ impl Board {
 
     fn address(&self, pin: Pin) -> u64 {
         self.panel + 4 * pin as u64
+    }
+
+    /// How many bytes of stack were used at most, since the board was started.
+    #[track_caller]
+    pub fn stack_used(&self) -> u64 {
+        let Range { start, end } = self.stack;
+        let memory = self.probe(&format!("read {start:#x} {:#x}", end - start));
+        let memory = memory.trim_start_matches("0x").as_bytes();
+        let paint = format!("{PAINT:02x}");
+        let untouched = memory
+            .chunks(2)
+            .take_while(|byte| *byte == paint.as_bytes());
+        end - start - untouched.count() as u64
     }
 
     /// Presses the board's reset button.
@@ -153,9 +194,8 @@ impl Board {
 }
 
 /// Where a symbol of an image is.
-#[track_caller]
-fn address(image: &[u8], name: &str) -> u64 {
+fn find(image: &[u8], name: &str) -> Option<u64> {
     let elf = object::File::parse(image).expect("an ELF file");
     let symbol = elf.symbols().find(|symbol| symbol.name() == Ok(name));
-    symbol.expect("the symbol").address()
+    symbol.map(|symbol| symbol.address())
 }

@@ -1,0 +1,6 @@
+//! The same robot, built without a log (`--no-default-features`), for what it weighs.
+#![no_std]
+#![no_main]
+
+#[path = "../robot.rs"]
+mod robot;

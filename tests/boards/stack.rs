@@ -1,0 +1,74 @@
+//! How much stack the images use.
+
+use ztl_tests::lab::{ABORTED, Board, COMPLETED, PATIENCE, Pin, Server, until};
+
+use crate::rig::Rig;
+
+/// Has a table of images and bytes between marks.
+const README: &str = include_str!("../../examples/firmware/README.md");
+
+/// What interrupts add depends on where they come.
+const TOLERANCE: u64 = 64;
+
+/// Compares with what is recorded.
+#[track_caller]
+fn check(image: &str, board: &Board) {
+    let (_, table) = README.split_once("<!-- stacks -->").expect("a table");
+    let mut rows = table
+        .lines()
+        .map(|row| row.split('|').map(str::trim).collect());
+    let row = rows.find(|row: &Vec<&str>| row.get(1) == Some(&format!("`{image}`").as_str()));
+    let row = row.unwrap_or_else(|| panic!("no row for {image}"));
+    let known: u64 = row[2].trim_end_matches(" bytes").parse().expect("bytes");
+    let used = board.stack_used();
+    println!("{image}: {used} bytes of stack, {known} recorded");
+    assert!(
+        used.abs_diff(known) <= TOLERANCE,
+        "{image} uses {used} bytes of stack; examples/firmware/README.md says {known}"
+    );
+}
+
+/// After all that a robot does.
+pub(crate) fn of_the_robot(board: &str) {
+    let rig = Rig::start(board);
+    rig.wait_logged("desk robot started", 1);
+    do_all(board, rig);
+}
+
+pub(crate) fn of_the_quiet_robot() {
+    let image = "microbit-quiet";
+    let board = Board::with_image("microbit", image);
+    let device = board.device();
+    do_all(image, Rig::quiet(board, &device));
+}
+
+fn do_all(image: &str, mut rig: Rig) {
+    let home = rig.client.start("desk", "stage", "home");
+    let gripper = rig.client.start("desk", "gripper", "90");
+    assert_eq!(rig.client.wait(home, 10.0), (COMPLETED, "0.00"));
+    assert_eq!(rig.client.wait(gripper, 10.0), (COMPLETED, "90.0"));
+    assert_eq!(rig.client.trigger("desk", "stage", "9999").number, -1);
+    let id = rig.start_stage("200", 100);
+    assert_eq!(rig.client.abort(id), (ABORTED, "True"));
+    let id = rig.start_stage("0", 10);
+    rig.board.write(Pin::Stop, 1);
+    assert_eq!(rig.client.wait(id, 10.0), (ABORTED, "emergency stop"));
+    check(image, &rig.board);
+}
+
+pub(crate) fn of_the_smallest_node() {
+    let image = "microbit-smallest";
+    let board = Board::with_image("microbit", image);
+    let gateway = Server::gateway(&[&board.device()]);
+    gateway.wait_ready("desk");
+    let mut client = gateway.original_client();
+    assert_eq!(client.trigger("desk", "lamp", "blue").number, -1);
+    let id = client.start("desk", "lamp", "pulse 3600000");
+    until("light", PATIENCE, || {
+        (board.read(Pin::Lamp) == 1).then_some(())
+    });
+    assert_eq!(client.abort(id), (ABORTED, "True"));
+    let id = client.start("desk", "lamp", "on");
+    assert_eq!(client.wait(id, 10.0), (COMPLETED, "on"));
+    check(image, &board);
+}
