@@ -73,16 +73,21 @@ pub const DIFFERENCES: &[Difference] = &[
         },
     },
     Difference {
-        why: "floats of Python that YAML 1.1 takes for texts: without a point, or an exponent's sign",
+        why: "floats of Python that YAML 1.1 takes for texts: without a point or an exponent's sign, \
+              or a point right behind the sign",
         reader: Yaml,
         examples: &[
             ("1e3", Text("1e3"), Float("1000.0")),
             ("1.5e3", Text("1.5e3"), Float("1500.0")),
             ("-1e+16", Text("-1e+16"), Float("-1e+16")),
+            ("-.0", Text("-.0"), Float("-0.0")),
+            ("+.5", Text("+.5"), Float("0.5")),
         ],
         excuses: |value| {
             is_text(value, |text| {
-                text.contains(['e', 'E']) && text.replace('_', "").parse::<f64>().is_ok()
+                let unlike =
+                    text.contains(['e', 'E']) || text.starts_with("-.") || text.starts_with("+.");
+                unlike && text.replace('_', "").parse::<f64>().is_ok()
             })
         },
     },

@@ -36,7 +36,7 @@
 //! | `True` `true` `TRUE` `False` `false` `FALSE` | bool |
 //! | `yes` `on` `no` `off`, also as `Yes` `YES`… | bool for a bool, else text |
 //! | `7` `+7` `-1_000` `0x1F` `0o17` `0b1` | whole number of 64 bits; beyond is an error, except for a float |
-//! | `1.5` `1.` `.5` `1e3` `-1.5E-3` `1_0.5` | float; a whole number is one too, when a float is asked for |
+//! | `1.5` `1.` `.5` `-.0` `1e3` `-1.5E-3` `1_0.5` | float; a whole number is one too, when a float is asked for |
 //! | `inf` `-inf` `nan` `.inf` `.Inf` `.INF` `.nan` `.NaN` `.NAN` | float |
 //! | `010` | text, and an error for a number: 8 to YAML, 10 to a person, nothing to Python |
 //! | `[a, b]` `(a, b)` `(a,)` `[a, b,]` | sequence; `(a)` is an error |

@@ -122,6 +122,8 @@ fn what_is_not_asked_for_is_read_as_it_looks() {
         ("{}", json!({})),
         ("(1,)", json!([1])),
         ("[1, -2, 3.5, 1e3]", json!([1, -2, 3.5, 1000.0])),
+        // The second is YAML's for the text, which is what the first one is there.
+        ("[-.0, '-.0']", json!([-0.0, "-.0"])),
         ("[0x1F, 0o17, 0b11, 1_000]", json!([31, 15, 3, 1000])),
         (
             "[010, 1__0, 1:30, 2020-01-01]",
