@@ -178,15 +178,19 @@ pub enum TaskEvent<'a> {
 /// [`handle_timeout`](Self::handle_timeout). *Outputs*: answers through the `out` argument, at once
 /// or later; an [`Action`] for the handler. *Next wake-up*: [`poll_timeout`](Self::poll_timeout),
 /// to be asked again after each input. A call's work is bounded by the number of held answers.
+// In this order: a Cortex-M0 reaches what comes first with shorter code.
 #[derive(Debug)]
+#[repr(C)]
 pub struct Dispatcher<M> {
-    memory: M,
-    next: Option<TaskId>,
-    boot: u32,
+    /// The time of the input that is being handled.
+    now: Instant,
     /// The times of [`Config`] in microseconds: what a `Duration` would be turned into each time.
     hold: u64,
     early: u64,
     keep: u64,
+    boot: u32,
+    next: Option<TaskId>,
+    memory: M,
 }
 
 /// A request, and what is to be done with it: a refusal, until something better is found.
@@ -194,7 +198,6 @@ pub struct Dispatcher<M> {
 /// One place that is filled in by whoever finds it: a Cortex-M0 pays for each value that is handed
 /// back and taken apart again.
 struct Asked<'r, 'a> {
-    now: Instant,
     envelope: Option<&'r Envelope>,
     /// What it is answered if it does not wait.
     reply: Reply<'r>,
@@ -211,6 +214,7 @@ impl<M: Memory> Dispatcher<M> {
             memory,
             next: Some(config.first),
             boot: config.boot,
+            now: Instant::ZERO,
             hold: micros(config.hold),
             early: micros(config.early),
             keep: micros(config.keep),
@@ -227,12 +231,12 @@ impl<M: Memory> Dispatcher<M> {
         body: Body<'a>,
         out: &mut impl FnMut(M::Peer, &Reply<'_>),
     ) -> Option<Action<'a>> {
+        self.now = now;
         let bytes = match body {
             Body::One(bytes) => bytes,
             Body::Several => b"",
         };
         let mut asked = Asked {
-            now,
             envelope: envelope.as_ref(),
             reply: Reply::refusal(self.boot),
             wait: None,
@@ -266,6 +270,7 @@ impl<M: Memory> Dispatcher<M> {
         event: TaskEvent<'_>,
         out: &mut impl FnMut(M::Peer, &Reply<'_>),
     ) {
+        self.now = now;
         let (told, step, text) = match event {
             TaskEvent::Accepted { reply } => (State::Accepted, Some(Event::Accept), reply),
             TaskEvent::Rejected { reason } => (State::Rejected, Some(Event::Reject), reason),
@@ -287,12 +292,13 @@ impl<M: Memory> Dispatcher<M> {
                 return;
             }
         }
-        self.on_change(now, id, (told, text), step.is_none(), out);
+        self.on_change(id, (told, text), step.is_none(), out);
     }
 
     /// Answers what has been held long enough, and forgets what ended long ago.
     pub fn handle_timeout(&mut self, now: Instant, out: &mut impl FnMut(M::Peer, &Reply<'_>)) {
-        self.answer_late(now, None, out);
+        self.now = now;
+        self.answer_late(None, out);
         if let Some(end) = now.before(self.keep) {
             self.memory.tasks_mut().forget_until(end);
         }
@@ -356,8 +362,8 @@ impl<M: Memory> Dispatcher<M> {
         };
         reply.scope = message.scope;
         let code = message.code();
-        let request = code.ok().and_then(Integer::value);
-        let request = request.and_then(Request::from_code);
+        let request = code.ok().and_then(Integer::natural);
+        let request = request.and_then(|code| Request::from_code(code as i64));
         if message.scope == RESERVED_SCOPE {
             return self.on_reserved(request, message.payload, asked, out);
         }
@@ -396,12 +402,13 @@ impl<M: Memory> Dispatcher<M> {
             && let Some(wait) = argument(message.payload, "wait ")
         {
             asked.wait = Some((id, Awaited::End));
-            asked.deadline = asked.now.after(wait.min(LONGEST_WAIT_MS) * 1000);
+            let wait = wait.min(LONGEST_WAIT_MS) as u32;
+            asked.deadline = self.now.after(u64::from(wait * 1000));
         }
     }
 
     fn find(&self, scope: Scope, asked: Integer<'_>) -> Option<(TaskId, &Task<Scope, M::Text>)> {
-        let number = u32::try_from(asked.value()?).ok()?;
+        let number = u32::try_from(asked.natural()?).ok()?;
         let id = TaskId::new(number)?;
         let task = self.memory.tasks().get(id)?;
         (task.extra == scope).then_some((id, task))
@@ -410,8 +417,7 @@ impl<M: Memory> Dispatcher<M> {
 
 /// The number that follows `word` in a payload.
 fn argument(payload: &str, word: &str) -> Option<u64> {
-    let number = Integer::parse(payload.strip_prefix(word)?).ok()?;
-    u64::try_from(number.value()?).ok()
+    Integer::parse(payload.strip_prefix(word)?).ok()?.natural()
 }
 
 #[cfg(test)]

@@ -34,7 +34,12 @@ impl Envelope {
     #[must_use]
     pub fn parse(first: &[u8], second: &[u8]) -> Option<Self> {
         let client = first.strip_prefix(&MARK)?.try_into().ok()?;
-        let number = u64::from_be_bytes(second.try_into().ok()?);
+        if second.len() != 8 {
+            return None;
+        }
+        // A byte at a time: they may stand anywhere, which a Cortex-M0 cannot read at once.
+        let append = |number, &byte: &u8| number << 8 | u64::from(byte);
+        let number = second.iter().fold(0, append);
         Some(Self {
             client: ClientId(client),
             number: number & !EARLY_END,

@@ -10,12 +10,11 @@ pub const MAX_DIGITS: usize = 4300;
 ///
 /// The original's ids have no bound, and an answer repeats the id of the request, so the digits are
 /// kept where they stand.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Integer<'a> {
-    negative: bool,
-    /// Digits and single `_` between them, without leading zeros (empty is zero).
-    digits: &'a str,
+    /// A sign, if there is one, and digits with single `_` between them; nothing for zero.
+    text: &'a str,
 }
 
 /// The text is no whole number.
@@ -48,16 +47,10 @@ impl core::error::Error for ParseIntegerError {}
 
 impl<'a> Integer<'a> {
     /// The id of an INIT, and of an answer that is about no task.
-    pub const MINUS_ONE: Integer<'static> = Integer {
-        negative: true,
-        digits: "1",
-    };
+    pub const MINUS_ONE: Integer<'static> = Integer { text: "-1" };
 
     /// The id of an answer of the reserved scope that is about no INIT.
-    pub const ZERO: Integer<'static> = Integer {
-        negative: false,
-        digits: "",
-    };
+    pub const ZERO: Integer<'static> = Integer { text: "" };
 
     /// Reads blanks, one sign, digits with single `_` between them, blanks.
     ///
@@ -70,16 +63,15 @@ impl<'a> Integer<'a> {
         // By bytes: `trim` and its like decode characters, which costs a Cortex-M0 0.5 KiB.
         let mut text = Cursor::new(text);
         text.skip_blanks();
-        let negative = text.take_sign();
-        let (mut first, mut count) = (usize::MAX, 0);
+        let start = text.at;
+        text.take_sign();
+        let (mut count, mut zero) = (0, true);
         let mut before = 0;
         loop {
             let byte = text.peek();
             if byte.is_ascii_digit() {
                 count += 1;
-                if byte > b'0' {
-                    first = first.min(text.at);
-                }
+                zero &= byte == b'0';
             } else if byte != b'_' || !u8::is_ascii_digit(&before) {
                 break;
             }
@@ -97,8 +89,7 @@ impl<'a> Integer<'a> {
         match count {
             0 => Err(ParseIntegerError::Empty),
             1..=MAX_DIGITS => Ok(Self {
-                negative: negative && first < end,
-                digits: text.part(first.min(end), end),
+                text: text.part(if zero { end } else { start }, end),
             }),
             _ => Err(ParseIntegerError::TooLong),
         }
@@ -107,37 +98,60 @@ impl<'a> Integer<'a> {
     /// The number, when it fits.
     #[must_use]
     pub fn value(self) -> Option<i64> {
-        let (mut magnitude, mut count) = (0u64, 0);
-        for byte in self.digits.bytes() {
-            if byte != b'_' {
-                let digit = u64::from(byte & 0xf);
-                magnitude = magnitude.wrapping_mul(10).wrapping_add(digit);
-                count += 1;
-            }
+        match self.magnitude() {
+            Some(magnitude) if self.is_negative() => 0i64.checked_sub_unsigned(magnitude),
+            Some(magnitude) => i64::try_from(magnitude).ok(),
+            None => None,
         }
-        // So many digits always fit into 64 bits; whether into one less, the sign tells.
-        let mut value = magnitude as i64;
-        if self.negative {
-            value = value.wrapping_neg();
+    }
+
+    /// The number, when it is from 0 to 2^63 - 1.
+    #[inline(never)]
+    pub(crate) fn natural(self) -> Option<u64> {
+        let number = self.magnitude()?;
+        (number >> 63 == 0 && !self.is_negative()).then_some(number)
+    }
+
+    /// The number without its sign, when that has up to 19 digits.
+    fn magnitude(self) -> Option<u64> {
+        let (mut number, mut count) = (0u64, 0);
+        for digit in self.text.bytes().filter(u8::is_ascii_digit) {
+            number = number.wrapping_mul(10).wrapping_add(u64::from(digit & 0xf));
+            count += u32::from(number != 0);
         }
-        (count <= 19 && (value < 0) == self.negative).then_some(value)
+        (count <= 19).then_some(number)
+    }
+
+    fn is_negative(self) -> bool {
+        self.text.as_bytes().first() == Some(&b'-')
     }
 
     /// Writes the number in plain ASCII digits with an optional `-`.
     pub fn put(self, sink: &mut (impl Sink + ?Sized)) {
-        if self.negative {
-            sink.put(b"-");
-        }
-        if self.digits.is_empty() {
+        if self.text.is_empty() {
             sink.put(b"0");
         }
-        for byte in self.digits.bytes() {
-            if byte != b'_' {
+        let mut begun = false;
+        for byte in self.text.bytes() {
+            begun |= matches!(byte, b'1'..=b'9');
+            if byte == b'-' || begun && byte != b'_' {
                 sink.put(&[byte]);
             }
         }
     }
 }
+
+impl PartialEq for Integer<'_> {
+    fn eq(&self, other: &Self) -> bool {
+        let digits = |number: &Self| {
+            let digits = number.text.bytes().filter(u8::is_ascii_digit);
+            digits.skip_while(|&digit| digit == b'0')
+        };
+        self.is_negative() == other.is_negative() && digits(self).eq(digits(other))
+    }
+}
+
+impl Eq for Integer<'_> {}
 
 #[cfg(test)]
 mod tests {
@@ -155,6 +169,7 @@ mod tests {
             (" 1_0 ", "10", Some(10)),
             ("+007", "7", Some(7)),
             ("-0", "0", Some(0)),
+            ("-0_01_0", "-10", Some(-10)),
             ("0_0", "0", Some(0)),
             ("\t-12\n", "-12", Some(-12)),
             ("9223372036854775807", "9223372036854775807", Some(i64::MAX)),
@@ -168,6 +183,21 @@ mod tests {
             let integer = Integer::parse(written).unwrap();
             assert_eq!((text(integer).as_str(), integer.value()), (plain, value));
         }
+    }
+
+    #[test]
+    fn equal_numbers_are_equal_however_they_are_written() {
+        for (one, other, equal) in [
+            ("-0_012", " -12 ", true),
+            ("+0", "-0", true),
+            ("12", "-12", false),
+            ("1", "10", false),
+        ] {
+            let [one, other] = [one, other].map(|text| Integer::parse(text).unwrap());
+            assert_eq!(one == other, equal, "{one:?} {other:?}");
+        }
+        assert_eq!(Integer::parse("-01"), Ok(Integer::MINUS_ONE));
+        assert_eq!(Integer::parse("00"), Ok(Integer::ZERO));
     }
 
     #[test]

@@ -62,6 +62,14 @@ impl TaskId {
     }
 }
 
+/// The text that the bytes begin with: all of them, if they are UTF-8.
+///
+/// `from_utf8` is faster with long texts, but larger.
+fn valid_start(bytes: &[u8]) -> &str {
+    let chunk = bytes.utf8_chunks().next();
+    chunk.map_or("", |chunk| chunk.valid())
+}
+
 /// Parts `text` at the first `mark`, an ASCII character.
 ///
 /// As `str::split_once`, of which the compiler cannot see that it never panics.

@@ -150,11 +150,13 @@ pub trait Memory {
 
 /// A memory without a heap: `SCOPES` scopes, `TASKS` tasks with texts of at most `TEXT` bytes, and
 /// `HELD` answers held at a time; the last INIT of as many clients.
+// In this order, the largest last: a Cortex-M0 reaches what comes first with shorter code.
 #[derive(Debug)]
+#[repr(C)]
 pub struct Fixed<P, const SCOPES: usize, const TASKS: usize, const TEXT: usize, const HELD: usize> {
     scopes: [&'static str; SCOPES],
-    tasks: TaskTable<TaskId, Scope, TASKS, TEXT>,
     held: heapless::Vec<Waiter<P>, HELD>,
+    tasks: TaskTable<TaskId, Scope, TASKS, TEXT>,
     inits: heapless::Vec<LastInit<heapless::String<TEXT>>, HELD>,
 }
 

@@ -5,7 +5,7 @@
 
 use crate::integer::{Integer, ParseIntegerError};
 use crate::sink::{BufferTooSmall, Sink, SliceSink};
-use crate::split_at_mark;
+use crate::{split_at_mark, valid_start};
 
 /// A message as a view over its bytes. Numbers stay text until they are asked for, since which
 /// answer a bad one gets depends on the scope.
@@ -73,12 +73,15 @@ impl<'a> Message<'a> {
     /// # Errors
     /// [`ParseError`] when it is not UTF-8 or has fewer than four fields.
     pub fn parse(bytes: &'a [u8]) -> Result<Self, ParseError<'a>> {
-        let text = core::str::from_utf8(bytes).map_err(|error| ParseError::NotUtf8 {
-            at: error.valid_up_to(),
-            scope: first_field(bytes),
-        })?;
+        let text = valid_start(bytes);
+        let first = split_at_mark(text, ';');
+        if text.len() < bytes.len() {
+            let scope = first.map(|(scope, _)| scope);
+            let at = text.len();
+            return Err(ParseError::NotUtf8 { at, scope });
+        }
         let missing = |found, scope| ParseError::MissingFields { found, scope };
-        let (scope, rest) = split_at_mark(text, ';').ok_or(missing(1, text))?;
+        let (scope, rest) = first.ok_or(missing(1, text))?;
         let (state, rest) = split_at_mark(rest, ';').ok_or(missing(2, scope))?;
         let (id, payload) = split_at_mark(rest, ';').ok_or(missing(3, scope))?;
         Ok(Self {
@@ -129,9 +132,4 @@ impl<'a> Message<'a> {
         }
         sink.put(self.payload.as_bytes());
     }
-}
-
-fn first_field(bytes: &[u8]) -> Option<&str> {
-    let first = bytes.split(|&byte| byte == b';').next()?;
-    core::str::from_utf8(first).ok()
 }

@@ -1,9 +1,9 @@
 //! Answers as views over what is remembered; nothing is copied before it is written.
 
-use crate::TaskId;
 use crate::integer::Integer;
 use crate::lifecycle::State;
 use crate::sink::{Sink, put_decimal};
+use crate::{TaskId, split_at_mark};
 
 /// The text that answers an `outcome` about an INIT that never came; the boot id follows.
 pub const NEVER_SEEN: &str = "never seen since boot ";
@@ -18,63 +18,56 @@ pub enum RefusalOf {
     Scope,
 }
 
-/// All that a server says; the words are in [`template`](Self::template).
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Text {
-    Words,
-    Threw,
-    Undecided,
-    Aborting,
-    True,
-    False,
-    UnknownProtocol,
-    UnknownScope,
-    UnknownId,
-    Invalid,
-    ManyTasks,
-    ManyWaiting,
-    ManyClients,
-    NoMoreIds,
-    GivenUp,
-    NumberTaken,
-    Settled,
-    NeverSeen,
-    Probed,
-    InvalidReserved,
+/// Names texts, and keeps them one behind the other: a table of places takes 8 bytes for each.
+macro_rules! texts {
+    ($($name:ident => $text:expr,)*) => {
+        /// All that a server says; the words are in [`template`](Self::template).
+        #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+        pub(crate) enum Text {
+            $($name,)*
+        }
+
+        /// Each ends with a line break.
+        const TEXTS: &str = concat!($($text, "\n",)*);
+    };
+}
+
+texts! {
+    Words => "%",
+    Threw => "Controller threw exception: %",
+    Undecided => "Initiated task '#', nobody has taken it yet",
+    Aborting => "aborting",
+    True => "True",
+    False => "False",
+    UnknownProtocol => "Unknown protocol",
+    UnknownScope => "No controller for scope: @",
+    UnknownId => "Invalid ID '#'",
+    Invalid => "Invalid request",
+    ManyTasks => "too many tasks are running, wait for one to end",
+    ManyWaiting => "too many requests are waiting, try again",
+    ManyClients => "too many clients at a time, try again in a minute",
+    NoMoreIds => "all task ids are used up, restart the server",
+    GivenUp => "this INIT was given up by its client",
+    NumberTaken => "another INIT has this number",
+    Settled => "settled by a later INIT",
+    NeverSeen => "never seen since boot ^",
+    Probed => concat!(
+        "{ztl: 1, version: '",
+        env!("CARGO_PKG_VERSION"),
+        "', boot: ^, scopes: %}}"
+    ),
+    InvalidReserved => "Invalid request: $ztl takes STATUS with the payload 'probe' or 'outcome N'",
 }
 
 impl Text {
     /// What is written, but that marks stand for parts of the [`Reply`]: `@` its scope, `!` its state,
     /// `#` its id, `^` the boot id, `%` the words.
-    pub(crate) const fn template(self) -> &'static str {
-        match self {
-            Self::Words => "%",
-            Self::Threw => "Controller threw exception: %",
-            Self::Undecided => "Initiated task '#', nobody has taken it yet",
-            Self::Aborting => "aborting",
-            Self::True => "True",
-            Self::False => "False",
-            Self::UnknownProtocol => "Unknown protocol",
-            Self::UnknownScope => "No controller for scope: @",
-            Self::UnknownId => "Invalid ID '#'",
-            Self::Invalid => "Invalid request",
-            Self::ManyTasks => "too many tasks are running, wait for one to end",
-            Self::ManyWaiting => "too many requests are waiting, try again",
-            Self::ManyClients => "too many clients at a time, try again in a minute",
-            Self::NoMoreIds => "all task ids are used up, restart the server",
-            Self::GivenUp => "this INIT was given up by its client",
-            Self::NumberTaken => "another INIT has this number",
-            Self::Settled => "settled by a later INIT",
-            Self::NeverSeen => "never seen since boot ^",
-            Self::Probed => concat!(
-                "{ztl: 1, version: '",
-                env!("CARGO_PKG_VERSION"),
-                "', boot: ^, scopes: %}}"
-            ),
-            Self::InvalidReserved => {
-                "Invalid request: $ztl takes STATUS with the payload 'probe' or 'outcome N'"
-            }
+    pub(crate) fn template(self) -> &'static str {
+        let (mut text, mut rest) = ("", TEXTS);
+        for _ in 0..=self as u8 {
+            (text, rest) = split_at_mark(rest, '\n').unwrap_or_default();
         }
+        text
     }
 }
 
@@ -112,8 +105,6 @@ pub(crate) trait Put {
 
 impl<'a> Reply<'a> {
     /// State 2, id -1, no scope: the answer to what cannot be read.
-    // Apart, as `decide` is: it is needed in several places.
-    #[inline(never)]
     pub(crate) const fn refusal(boot: u32) -> Self {
         Self {
             scope: "",
@@ -132,6 +123,7 @@ impl<'a> Reply<'a> {
     }
 
     /// Makes it the answer to the INIT of this task: accepted, or refused with another state.
+    // Apart, since it is needed in several places.
     #[inline(never)]
     pub(crate) fn decide(&mut self, told: State, task: TaskId, words: &'a str) {
         self.state = told;

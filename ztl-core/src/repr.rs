@@ -33,21 +33,15 @@ pub fn put_quoted(text: &str, sink: &mut (impl Sink + ?Sized)) {
     put_char(quote, sink);
 }
 
-/// Writes `text` in double quotes as YAML reads it: the quote, the backslash and what YAML cannot
-/// carry are escaped.
+/// Writes `text` in double quotes as YAML reads it: the quote, the backslash and all beyond printable
+/// ASCII are escaped.
 pub fn put_yaml(text: &str, sink: &mut (impl Sink + ?Sized)) {
     sink.put(b"\"");
     for c in text.chars() {
         match c {
-            '"' | '\\' => {
-                sink.put(b"\\");
-                put_char(c, sink);
-            }
-            '\0'..='\x1f' | '\x7f'..='\u{9f}' => put_escape(b"\\x", u32::from(c), 2, sink),
-            '\u{2028}' | '\u{2029}' | '\u{feff}' | '\u{fffe}' | '\u{ffff}' => {
-                put_escape(b"\\u", u32::from(c), 4, sink);
-            }
-            c => put_char(c, sink),
+            '"' | '\\' => sink.put(&[b'\\', c as u8]),
+            ' '..='~' => sink.put(&[c as u8]),
+            _ => put_escape(b"\\U", u32::from(c), 8, sink),
         }
     }
     sink.put(b"\"");
@@ -60,8 +54,9 @@ fn put_char(c: char, sink: &mut (impl Sink + ?Sized)) {
 fn put_escape(prefix: &[u8], code: u32, digits: u32, sink: &mut (impl Sink + ?Sized)) {
     sink.put(prefix);
     for place in (0..digits).rev() {
-        let digit = char::from_digit(code >> (4 * place) & 0xf, 16).unwrap_or('0');
-        put_char(digit, sink);
+        let digit = (code >> (4 * place)) as u8 & 0xf;
+        let letter = if digit < 10 { b'0' } else { b'a' - 10 };
+        sink.put(&[letter + digit]);
     }
 }
 
@@ -85,6 +80,20 @@ mod tests {
         ] {
             let mut out = std::vec::Vec::new();
             put_quoted(text, &mut |bytes: &[u8]| out.extend_from_slice(bytes));
+            assert_eq!(std::str::from_utf8(&out), Ok(quoted));
+        }
+    }
+
+    #[test]
+    fn text_for_yaml_is_ascii_and_has_no_end_within() {
+        for (text, quoted) in [
+            ("/base", r#""/base""#),
+            (r#"say "hi" \n"#, r#""say \"hi\" \\n""#),
+            ("\0\n~\x7f", r#""\U00000000\U0000000a~\U0000007f""#),
+            ("ü\u{2028}🤖", r#""\U000000fc\U00002028\U0001f916""#),
+        ] {
+            let mut out = std::vec::Vec::new();
+            put_yaml(text, &mut |bytes: &[u8]| out.extend_from_slice(bytes));
             assert_eq!(std::str::from_utf8(&out), Ok(quoted));
         }
     }

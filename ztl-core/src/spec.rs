@@ -3,7 +3,7 @@
 use crate::base64;
 use crate::repr::put_quoted;
 use crate::sink::{BufferTooSmall, Sink, SliceSink};
-use crate::{TaskId, sink, split_at_mark};
+use crate::{TaskId, sink, split_at_mark, valid_start};
 
 /// Separates the three parts; a goal may contain it, handler and component may not.
 pub const SEPARATOR: char = ':';
@@ -81,9 +81,10 @@ impl<'a> TaskSpec<'a> {
     /// As [`SpecError`] says.
     pub fn decode(payload: &str, buffer: &'a mut [u8]) -> Result<Self, SpecError> {
         let bytes = base64::decode(payload.as_bytes(), buffer).map_err(SpecError::Base64)?;
-        let text = core::str::from_utf8(bytes).map_err(|error| SpecError::NotUtf8 {
-            at: error.valid_up_to(),
-        })?;
+        let text = valid_start(bytes);
+        if text.len() < bytes.len() {
+            return Err(SpecError::NotUtf8 { at: text.len() });
+        }
         Self::split(text)
     }
 

@@ -1,18 +1,17 @@
 //! When the held answers go out, and what they say.
 
 use super::{Dispatcher, RESERVED_SCOPE};
+use crate::TaskId;
 use crate::lifecycle::State;
 use crate::memory::{Awaited, First, Memory, Waiter};
 use crate::reply::{Reply, ReplyId, Text};
 use crate::tasks::Tasks;
-use crate::{Instant, TaskId};
 
 impl<M: Memory> Dispatcher<M> {
     /// A task was decided about, or has ended, or both at once, or will not be aborted: those who
     /// waited for it are answered, INITs with `told` and `text`.
     pub(super) fn on_change(
         &mut self,
-        now: Instant,
         id: TaskId,
         (told, text): (State, &str),
         abort_refused: bool,
@@ -23,8 +22,8 @@ impl<M: Memory> Dispatcher<M> {
         };
         let decided = task.state != State::Initiated;
         let ended = task.state.is_final();
-        let kept = decided && self.settle(now, id, told, text);
-        let early = now.after(self.early);
+        let kept = decided && self.settle(id, told, text);
+        let early = self.now.after(self.early);
         let is_over = |waiter: &mut Waiter<M::Peer>| {
             waiter.task == id
                 && match waiter.awaited {
@@ -54,10 +53,10 @@ impl<M: Memory> Dispatcher<M> {
     /// INIT is `settled` by another.
     pub(super) fn answer_late(
         &mut self,
-        now: Instant,
         settled: Option<TaskId>,
         out: &mut impl FnMut(M::Peer, &Reply<'_>),
     ) {
+        let now = self.now;
         let is_over = |waiter: &mut Waiter<M::Peer>| {
             waiter.deadline <= now
                 || (Some(waiter.task) == settled && waiter.awaited == Awaited::EarlyEnd)
@@ -68,7 +67,7 @@ impl<M: Memory> Dispatcher<M> {
     }
 
     /// Remembers the answer to an enveloped INIT; says whether there is such a one.
-    fn settle(&mut self, now: Instant, task: TaskId, told: State, answer: &str) -> bool {
+    fn settle(&mut self, task: TaskId, told: State, answer: &str) -> bool {
         let Some(init) = self.memory.init_of(task) else {
             return false;
         };
@@ -76,7 +75,7 @@ impl<M: Memory> Dispatcher<M> {
             let (client, number) = (init.client, (init.number, init.check));
             let first = First::Answered(told);
             let task = (told == State::Accepted).then_some(task);
-            self.remember(now, &client, number, first, task, answer);
+            self.remember(&client, number, first, task, answer);
         }
         true
     }

@@ -19,10 +19,8 @@ pub(super) enum Known {
     Settled,
     /// Its number is another one's.
     Taken,
-    /// This task was started for it, and nobody has decided.
-    Pending(TaskId),
-    /// It was answered so.
-    Answered(State, TaskId),
+    /// It is the client's last, and has a task or an answer: see `tell_again`.
+    Last,
 }
 
 impl<M: Memory> Dispatcher<M> {
@@ -41,19 +39,13 @@ impl<M: Memory> Dispatcher<M> {
                 awaited = Awaited::EarlyEnd;
             }
             match self.known(&envelope.client, envelope.number, Some(check)) {
-                Known::New => self.settle_last(asked.now, &envelope.client, out),
+                Known::New => self.settle_last(&envelope.client, out),
                 Known::Void | Known::Settled => return,
                 Known::Taken => {
                     asked.reply.text = Text::NumberTaken;
                     return;
                 }
-                Known::Pending(task) => {
-                    asked.wait = Some((task, awaited));
-                    return;
-                }
-                Known::Answered(told, task) => {
-                    return self.tell_again(&envelope.client, (told, task), &mut asked.reply);
-                }
+                Known::Last => return self.tell_again(&envelope.client, awaited, asked),
             }
         }
         let Some(id) = self.next else {
@@ -73,7 +65,7 @@ impl<M: Memory> Dispatcher<M> {
                 None => (First::Pending, Some(id), ""),
                 Some(reason) => (First::Answered(State::Rejected), None, reason.template()),
             };
-            if !self.remember(asked.now, client, (*number, check), first, task, text) {
+            if !self.remember(client, (*number, check), first, task, text) {
                 refused = Some(Text::ManyClients);
             }
         }
@@ -92,22 +84,18 @@ impl<M: Memory> Dispatcher<M> {
         let Some(init) = self.memory.last_init(client) else {
             return Known::New;
         };
-        // Without a task it was refused, and its answer has no id.
-        let task = init.task.unwrap_or(TaskId::MAX);
         match init.first {
             _ if init.number < number => Known::New,
             _ if init.number > number => Known::Settled,
             First::Void => Known::Void,
             _ if check.is_some_and(|check| check != init.check) => Known::Taken,
-            First::Pending => Known::Pending(task),
-            First::Answered(told) => Known::Answered(told, task),
+            First::Pending | First::Answered(_) => Known::Last,
         }
     }
 
     /// Remembers a client's last INIT by its number and check sum; says whether there is room.
     pub(super) fn remember(
         &mut self,
-        now: Instant,
         client: &ClientId,
         (number, check): (u64, u32),
         first: First,
@@ -124,35 +112,41 @@ impl<M: Memory> Dispatcher<M> {
         init.text.set(text);
         init.until = match first {
             First::Pending => Instant::NEVER,
-            _ => now.after(micros(KEEP_INIT)),
+            _ => self.now.after(micros(KEEP_INIT)),
         };
         self.memory.on_remembered(client);
         true
     }
 
-    /// Gives the answer that a client's last INIT got.
+    /// Gives the answer that a client's last INIT got, or lets it wait for that.
     pub(super) fn tell_again<'r>(
         &'r self,
         client: &ClientId,
-        (told, task): (State, TaskId),
-        reply: &mut Reply<'r>,
+        awaited: Awaited,
+        asked: &mut Asked<'r, '_>,
     ) {
-        let text = self.memory.last_init(client).map(|init| init.text.as_ref());
-        reply.decide(told, task, text.unwrap_or_default());
+        let Some(init) = self.memory.last_init(client) else {
+            return;
+        };
+        // Without a task it was refused, and its answer has no id.
+        let task = init.task.unwrap_or(TaskId::MAX);
+        match init.first {
+            First::Answered(told) => asked.reply.decide(told, task, init.text.as_ref()),
+            _ => asked.wait = Some((task, awaited)),
+        }
     }
 
     /// A client's last INIT is about to be settled by another: those who wait for a quick end of its
     /// task are answered while the text for them is known.
     pub(super) fn settle_last(
         &mut self,
-        now: Instant,
         client: &ClientId,
         out: &mut impl FnMut(M::Peer, &Reply<'_>),
     ) {
         if let Some(last) = self.memory.last_init(client)
             && last.first != First::Pending
         {
-            self.answer_late(now, last.task, out);
+            self.answer_late(last.task, out);
         }
     }
 }

@@ -41,14 +41,13 @@ impl<M: Memory> Dispatcher<M> {
         let client = &envelope.client;
         match self.known(client, number, None) {
             Known::Settled => reply.text = Text::Settled,
-            Known::Pending(task) => asked.wait = Some((task, Awaited::Outcome)),
-            Known::Answered(told, task) => self.tell_again(client, (told, task), reply),
+            Known::Last => self.tell_again(client, Awaited::Outcome, asked),
             // From now on it is refused, for as long as an answer would be kept.
             Known::New | Known::Void | Known::Taken => {
-                self.settle_last(asked.now, client, out);
+                self.settle_last(client, out);
                 let number = (number, 0);
                 let first = First::Void;
-                reply.text = if self.remember(asked.now, client, number, first, None, "") {
+                reply.text = if self.remember(client, number, first, None, "") {
                     Text::NeverSeen
                 } else {
                     Text::ManyClients
