@@ -100,7 +100,8 @@ fn measure_firmware(dirs: &Dirs) -> Outcome<Record> {
         for path in firmware::build(dirs, &board)? {
             let image = Image::read(&path)?;
             let name = path.file_name().unwrap_or_default().to_string_lossy();
-            refuse_formatting(&image)?;
+            let refused = refuse_formatting(&image).and_then(|()| refuse_panics(&image));
+            refused.map_err(|error| format!("{name}: {error}"))?;
             record.add(&name, &image);
         }
     }
@@ -125,19 +126,32 @@ fn breakdown(target: &str, image: &Image) -> String {
 
 /// The formatting of the standard library costs more than everything it would be used for.
 fn refuse_formatting(image: &Image) -> Outcome {
+    refuse(image, &["core::fmt"]).map_err(|found| {
+        format!(
+            "the image formats text with `core::fmt`; numbers go through `ztl_core::sink`:\n{found}"
+        )
+    })
+}
+
+/// What panics calls one of these, so an image without them has no panic that can be reached.
+fn refuse_panics(image: &Image) -> Outcome {
+    refuse(image, &["core::panicking", "rust_begin_unwind"])
+        .map_err(|found| format!("a panic can be reached; the image has what it calls:\n{found}"))
+}
+
+/// # Errors
+/// The symbols whose name contains one of the `parts`.
+fn refuse(image: &Image, parts: &[&str]) -> Outcome {
     let found: Vec<String> = image
         .symbols
         .iter()
-        .filter(|symbol| symbol.name.contains("core::fmt"))
+        .filter(|symbol| parts.iter().any(|part| symbol.name.contains(part)))
         .map(|symbol| format!("{:>8}  {}", symbol.size, symbol.name))
         .collect();
     if found.is_empty() {
         return Ok(());
     }
-    Err(format!(
-        "the image formats text with `core::fmt`; numbers go through `ztl_core::sink`:\n{}",
-        found.join("\n")
-    ))
+    Err(found.join("\n"))
 }
 
 /// What was measured, with which compiler.
@@ -351,7 +365,7 @@ mod tests {
     }
 
     #[test]
-    fn formatting_is_refused_by_the_symbols_it_leaves() {
+    fn formatting_and_panics_are_refused_by_the_symbols_they_leave() {
         let image = |name: &str| Image {
             flash: 100,
             ram: 0,
@@ -369,6 +383,9 @@ mod tests {
         ] {
             assert!(refuse_formatting(&image(name)).is_err(), "{name}");
         }
+        let panics = image("_RNvNtCseold96UKqg_4core9panicking5panic");
+        assert!(refuse_panics(&panics).is_err());
+        assert!(refuse_formatting(&panics).is_ok());
     }
 
     #[test]
