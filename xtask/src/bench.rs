@@ -1,7 +1,7 @@
 //! `cargo xtask bench`: figures side by side in one run, never a pass or a failure by time.
 
 use crate::cmd::{Cmd, Outcome};
-use crate::{Dirs, python};
+use crate::{Dirs, firmware, python};
 
 /// Runs every benchmark.
 pub(crate) fn run(dirs: &Dirs, args: &[String]) -> Outcome {
@@ -15,5 +15,6 @@ pub(crate) fn run(dirs: &Dirs, args: &[String]) -> Outcome {
     Cmd::new("cargo build --release --workspace --bins --locked").run()?;
     Cmd::new("cargo bench --locked --package ztl-tests")
         .env("ZTL_PYTHON", &python)
-        .run()
+        .run()?;
+    firmware::bench(dirs)
 }

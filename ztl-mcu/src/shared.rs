@@ -29,14 +29,13 @@
 //!
 //! The main loop gives both to a [`Pump`](crate::pump::Pump).
 
-use core::cell::{Cell, RefCell};
+use core::cell::Cell;
 use core::convert::Infallible;
 #[cfg(feature = "async")]
 use core::task::{Context, Poll, Waker};
 
 use critical_section::Mutex;
 use embedded_io::{ErrorType, Read, ReadReady};
-use heapless::Deque;
 
 pub use crate::log::LogQueue;
 
@@ -44,17 +43,48 @@ pub use crate::log::LogQueue;
 ///
 /// When it overflows, all that comes up to the next delimiter (`00`) is dropped and counted, so that
 /// a node behind it sees one damaged frame and never two halves as one.
-#[derive(Debug)]
 pub struct ReceiveQueue<const N: usize> {
-    state: Mutex<RefCell<Received<N>>>,
+    state: Mutex<Received<N>>,
 }
 
-#[derive(Debug)]
+/// Cells, since each access is a few instructions of an interrupt, at each byte.
 struct Received<const N: usize> {
-    bytes: Deque<u8, N>,
-    lost: u32,
+    bytes: [Cell<u8>; N],
+    start: Cell<usize>,
+    len: Cell<usize>,
+    lost: Cell<u32>,
     /// Something was dropped since the last delimiter.
-    gap: bool,
+    gap: Cell<bool>,
+}
+
+impl<const N: usize> Received<N> {
+    /// `false` when it is full.
+    fn push(&self, byte: u8) -> bool {
+        let len = self.len.get();
+        let Some(place) = self.bytes.get(Self::wrapped(self.start.get() + len)) else {
+            return false;
+        };
+        if len == N {
+            return false;
+        }
+        place.set(byte);
+        self.len.set(len + 1);
+        true
+    }
+
+    fn pop(&self) -> Option<u8> {
+        let len = self.len.get().checked_sub(1)?;
+        let start = self.start.get();
+        let byte = self.bytes.get(start)?.get();
+        self.start.set(Self::wrapped(start + 1));
+        self.len.set(len);
+        Some(byte)
+    }
+
+    /// `place` is below `2 * N`.
+    const fn wrapped(place: usize) -> usize {
+        if place >= N { place - N } else { place }
+    }
 }
 
 impl<const N: usize> ReceiveQueue<N> {
@@ -62,57 +92,58 @@ impl<const N: usize> ReceiveQueue<N> {
     #[must_use]
     pub const fn new() -> Self {
         Self {
-            state: Mutex::new(RefCell::new(Received {
-                bytes: Deque::new(),
-                lost: 0,
-                gap: false,
-            })),
+            state: Mutex::new(Received {
+                bytes: [const { Cell::new(0) }; N],
+                start: Cell::new(0),
+                len: Cell::new(0),
+                lost: Cell::new(0),
+                gap: Cell::new(false),
+            }),
         }
-    }
-
-    fn with<T>(&self, act: impl FnOnce(&mut Received<N>) -> T) -> Option<T> {
-        critical_section::with(|cs| {
-            // It is borrowed nowhere else.
-            let mut state = self.state.borrow(cs).try_borrow_mut().ok()?;
-            Some(act(&mut state))
-        })
     }
 
     /// Adds a received byte.
     pub fn push(&self, byte: u8) {
-        self.with(|state| {
-            let kept = (!state.gap || byte == 0) && state.bytes.push_back(byte).is_ok();
-            state.gap = !kept;
+        critical_section::with(|cs| {
+            let state = self.state.borrow(cs);
+            let kept = (!state.gap.get() || byte == 0) && state.push(byte);
+            state.gap.set(!kept);
             if !kept {
-                state.lost = state.lost.wrapping_add(1);
+                state.lost.set(state.lost.get().wrapping_add(1));
             }
         });
     }
 
     /// Takes the first bytes into `buffer` and says how many; 0 when there are none.
     pub fn take(&self, buffer: &mut [u8]) -> usize {
-        let taken = self.with(|state| {
+        critical_section::with(|cs| {
+            let state = self.state.borrow(cs);
             let mut count = 0;
             for place in buffer {
-                let Some(byte) = state.bytes.pop_front() else {
+                let Some(byte) = state.pop() else {
                     break;
                 };
                 *place = byte;
                 count += 1;
             }
             count
-        });
-        taken.unwrap_or_default()
+        })
     }
 
     /// Whether there are no bytes.
     pub fn is_empty(&self) -> bool {
-        self.with(|state| state.bytes.is_empty()).unwrap_or(true)
+        critical_section::with(|cs| self.state.borrow(cs).len.get() == 0)
     }
 
     /// How many bytes were dropped; wraps.
     pub fn lost(&self) -> u32 {
-        self.with(|state| state.lost).unwrap_or_default()
+        critical_section::with(|cs| self.state.borrow(cs).lost.get())
+    }
+}
+
+impl<const N: usize> core::fmt::Debug for ReceiveQueue<N> {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.write_str("ReceiveQueue")
     }
 }
 

@@ -2,7 +2,7 @@
 //!
 //! The check covers the session's number too, which is not sent: a frame of another session fails
 //! it at no cost. COBS is a dozen lines each way, and the crate's streaming decoder reports a
-//! truncated frame as complete after an overrun. So is the check, without a table, which would cost a node
+//! truncated frame as complete after an overrun. So is the check, with a table of 64 bytes in place of
 //! 1 KiB; a test compares it with the crate `crc`, whose own form without one takes 300 bytes.
 
 use super::body::{Body, BodyError};
@@ -85,16 +85,38 @@ impl Check {
     }
 }
 
+/// What four bits do to the check. A byte takes a Cortex-M0 a third of the time that it does bit by bit.
+static NIBBLES: [u32; 16] = {
+    let mut table = [0; 16];
+    let mut rest = table.as_mut_slice();
+    let mut nibble = 0u32;
+    while let Some((entry, others)) = rest.split_first_mut() {
+        let mut value = nibble;
+        let mut bit = 0;
+        while bit < 4 {
+            value = value >> 1 ^ 0xEDB8_8320 & (value & 1).wrapping_neg();
+            bit += 1;
+        }
+        *entry = value;
+        nibble += 1;
+        rest = others;
+    }
+    table
+};
+
 impl Sink for Check {
     #[inline(never)]
     fn put(&mut self, bytes: &[u8]) {
+        let mut check = self.0;
         for &byte in bytes {
-            self.0 ^= u32::from(byte);
-            for _ in 0..8 {
-                let odd = self.0 & 1;
-                self.0 = self.0 >> 1 ^ 0xEDB8_8320 & odd.wrapping_neg();
+            check ^= u32::from(byte);
+            for _ in 0..2 {
+                // Always there.
+                let entry = NIBBLES.get(check as usize & 15).copied();
+                check = check >> 4 ^ entry.unwrap_or_default();
             }
         }
+        self.0 = check;
     }
 }
 
