@@ -1,6 +1,9 @@
 //! The wire itself, through libzmq's own sockets and through bare TCP streams: what silences the
 //! original, and the table of the wire specification (11) that the original and ours must answer.
 
+mod fuzz;
+mod hostile;
+mod limits;
 mod malformed;
 mod stream;
 mod table;

@@ -8,7 +8,7 @@ use ztl_tests::lab::Server;
 use crate::{Socket, TIMEOUT, assert_serves};
 
 /// A TCP stream that has shaken hands as a libzmq REQ socket does.
-fn shake_hands(port: u16) -> TcpStream {
+pub(crate) fn shake_hands(port: u16) -> TcpStream {
     let mut stream = TcpStream::connect(("127.0.0.1", port)).expect("a connection");
     stream.set_read_timeout(Some(TIMEOUT)).unwrap();
     let mut greeting = [0; 64];

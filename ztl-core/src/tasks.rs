@@ -119,6 +119,10 @@ pub trait Tasks {
     fn get(&self, id: Self::Id) -> Option<&TaskOf<Self>>;
     /// The task with this id, to be changed.
     fn get_mut(&mut self, id: Self::Id) -> Option<&mut TaskOf<Self>>;
+    /// Whether one more task may run, whether or not there is room to remember it. Default: yes.
+    fn may_run(&self) -> bool {
+        true
+    }
     /// Whether no more tasks fit.
     fn is_full(&self) -> bool;
     /// Adds a task; `None` when no more fit.
@@ -140,6 +144,9 @@ pub trait TaskRules: Tasks {
     /// # Errors
     /// [`NoRoom`] when every task runs, or its end is unacknowledged.
     fn admit(&mut self, id: Self::Id, task: TaskOf<Self>) -> Result<&mut TaskOf<Self>, NoRoom> {
+        if !self.may_run() {
+            return Err(NoRoom::Running);
+        }
         if self.is_full() {
             let Some((oldest, _)) = self.oldest_end() else {
                 let ended = self.iter().any(|(_, task)| task.state.is_final());

@@ -67,5 +67,5 @@ pub use controller::{
 };
 pub use remote::{RemoteTask, RequestError, Status, TriggerError, Triggered, WaitError};
 pub use remotes::Remotes;
-pub use server::{Access, BindError, ListedTask, Listing, RunningServer, TaskServer};
+pub use server::{Access, BindError, Limits, ListedTask, Listing, RunningServer, TaskServer};
 pub use ztl_core::{State, TaskId, TaskSpec};

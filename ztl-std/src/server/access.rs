@@ -10,6 +10,7 @@ use ipnet::IpNet;
 use tracing::warn;
 
 use super::LOG;
+use super::connections::Connections;
 use crate::keys::{KeyPair, PublicKey};
 
 /// Where ZeroMQ asks (RFC 27).
@@ -130,34 +131,43 @@ pub(super) enum Who {
 /// The door of a server: decides on connections, and who a message is from.
 pub(super) struct Door {
     access: Access,
-    /// Where ZeroMQ asks; `None` when everybody may come in.
-    desk: Option<zmq::Socket>,
+    /// Where ZeroMQ asks.
+    desk: zmq::Socket,
+    connections: Connections,
+}
+
+/// What ZeroMQ is answered about a connection.
+enum Decision {
+    /// It is let in, with this mark.
+    In(String),
+    /// Not now: it tries again.
+    Later,
+    /// Never.
+    Out,
 }
 
 impl Door {
-    /// Prepares a socket that is to be bound afterwards.
+    /// Prepares a socket that is to be bound afterwards, for so many connections.
     pub(super) fn new(
         access: Access,
+        connections: usize,
         context: &zmq::Context,
         socket: &zmq::Socket,
     ) -> Result<Self, zmq::Error> {
-        if access.is_open() {
-            return Ok(Self { access, desk: None });
-        }
         let desk = context.socket(zmq::REP)?;
         desk.set_linger(0)?;
         desk.bind(DESK)?;
-        let desk = Some(desk);
-        let door = Self { access, desk };
+        let door = Self {
+            access,
+            desk,
+            connections: Connections::of(socket, context, connections)?,
+        };
         door.guard(socket)?;
         Ok(door)
     }
 
     /// Lets only those connect to a socket, which is to be bound afterwards, who may connect at all.
     pub(super) fn guard(&self, socket: &zmq::Socket) -> Result<(), zmq::Error> {
-        if self.desk.is_none() {
-            return Ok(());
-        }
         // Without a domain ZeroMQ does not ask.
         socket.set_zap_domain("ztl")?;
         if let Some(keys) = &self.access.keys {
@@ -168,19 +178,20 @@ impl Door {
     }
 
     /// What is to be waited for besides requests.
-    pub(super) const fn desk(&self) -> Option<&zmq::Socket> {
-        self.desk.as_ref()
+    pub(super) const fn sockets(&self) -> [&zmq::Socket; 2] {
+        [&self.desk, self.connections.socket()]
     }
 
     /// Answers what ZeroMQ has asked.
     pub(super) fn decide(&self) {
-        let Some(desk) = &self.desk else { return };
-        while let Ok(asked) = desk.recv_multipart(zmq::DONTWAIT) {
+        self.connections.count();
+        while let Ok(asked) = self.desk.recv_multipart(zmq::DONTWAIT) {
             let decision = self.decision(&asked);
             let number = asked.get(1).map_or(&b""[..], Vec::as_slice);
             let (code, text, who) = match &decision {
-                Some(who) => ("200", "", who.as_str()),
-                None => ("400", "not allowed", ""),
+                Decision::In(who) => ("200", "", who.as_str()),
+                Decision::Later => ("300", "too many connections", ""),
+                Decision::Out => ("400", "not allowed", ""),
             };
             let frames: [&[u8]; 6] = [
                 b"1.0",
@@ -191,12 +202,11 @@ impl Door {
                 b"",
             ];
             // ZeroMQ waits for it and takes it.
-            let _ = desk.send_multipart(frames, zmq::DONTWAIT);
+            let _ = self.desk.send_multipart(frames, zmq::DONTWAIT);
         }
     }
 
-    /// The mark for a connection, if it is let in.
-    fn decision(&self, asked: &[Vec<u8>]) -> Option<String> {
+    fn decision(&self, asked: &[Vec<u8>]) -> Decision {
         let [
             version,
             _number,
@@ -207,7 +217,7 @@ impl Door {
             credentials @ ..,
         ] = asked
         else {
-            return None;
+            return Decision::Out;
         };
         let address = String::from_utf8_lossy(address);
         let key = match (mechanism.as_slice(), credentials) {
@@ -221,14 +231,17 @@ impl Door {
                 |key| format!("with the key {key}"),
             );
             warn!(target: LOG, "A client at {address} {who} is not allowed, and was not let in.");
-            return None;
+            return Decision::Out;
         }
-        Some(key.map_or_else(|| NO_KEY.to_owned(), |key| key.to_string()))
+        if self.connections.are_too_many() {
+            return Decision::Later;
+        }
+        Decision::In(key.map_or_else(|| NO_KEY.to_owned(), |key| key.to_string()))
     }
 
     /// Who a message is from; `None` when it has not come through this door.
     pub(super) fn who(&self, message: &mut zmq::Message) -> Option<Who> {
-        if self.desk.is_none() {
+        if self.access.is_open() {
             return Some(Who::Anybody);
         }
         match (message.gets("User-Id")?, &self.access.keys) {

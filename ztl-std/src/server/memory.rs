@@ -2,22 +2,15 @@
 
 use std::collections::{BTreeSet, HashMap};
 
-use super::Answers;
 use super::listing::{Asked, ListedTask, Listing, millis, told};
 use super::now;
+use super::{Answers, Limits};
 
 use ztl_core::envelope::ClientId;
 use ztl_core::memory::{LastInit, Memory, Scope, Waiter};
 use ztl_core::sink::Sink;
 use ztl_core::tasks::{Task, Tasks, Text};
 use ztl_core::{Instant, TaskId};
-
-/// How many tasks are remembered, running and ended together.
-const MAX_TASKS: usize = 10_000;
-/// How many answers are held at a time.
-const MAX_HELD: usize = 10_000;
-/// How many clients' last INIT is remembered.
-const MAX_CLIENTS: usize = 10_000;
 
 /// The way back to a client: its ROUTER identity, its envelope, the empty delimiter.
 pub(super) type Peer = Vec<Vec<u8>>;
@@ -57,8 +50,9 @@ impl Text for Grown {
 }
 
 /// Tasks by their id, and the ends in their order.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub(super) struct HeapTasks {
+    limits: Limits,
     tasks: HashMap<TaskId, Task<Scope, Grown>>,
     ends: BTreeSet<(Instant, TaskId)>,
     /// What each was asked for, to be shown.
@@ -80,8 +74,12 @@ impl Tasks for HeapTasks {
         self.tasks.get_mut(&id)
     }
 
+    fn may_run(&self) -> bool {
+        self.tasks.len().saturating_sub(self.ends.len()) < self.limits.running
+    }
+
     fn is_full(&self) -> bool {
-        self.tasks.len() >= MAX_TASKS
+        self.tasks.len() >= self.limits.remembered
     }
 
     fn insert(&mut self, id: TaskId, task: Task<Scope, Grown>) -> Option<&mut Task<Scope, Grown>> {
@@ -116,8 +114,8 @@ impl Tasks for HeapTasks {
     }
 }
 
-#[derive(Default)]
 pub(super) struct Heap {
+    limits: Limits,
     /// Names and descriptions, by scope.
     scopes: Vec<(String, About)>,
     /// What the last question was answered, to be told.
@@ -133,6 +131,26 @@ pub(super) struct Heap {
 }
 
 impl Heap {
+    pub(super) fn new(limits: Limits) -> Self {
+        Self {
+            limits,
+            scopes: Vec::new(),
+            answer: None,
+            places: HashMap::new(),
+            tasks: HeapTasks {
+                limits,
+                tasks: HashMap::new(),
+                ends: BTreeSet::new(),
+                asked: HashMap::new(),
+                hidden: Vec::new(),
+            },
+            held: Vec::new(),
+            inits: HashMap::new(),
+            clients: HashMap::new(),
+            until: BTreeSet::new(),
+        }
+    }
+
     /// Makes a scope known, or describes it anew, and says its place.
     pub(super) fn register(&mut self, name: &str, about: About) -> Scope {
         if let Some(scope) = self.places.get(name).copied() {
@@ -257,7 +275,7 @@ impl Memory for Heap {
     }
 
     fn can_hold(&self) -> bool {
-        self.held.len() < MAX_HELD
+        self.held.len() < self.limits.held
     }
 
     fn hold(&mut self, waiter: Waiter<Peer>) -> Result<(), Waiter<Peer>> {
@@ -288,7 +306,7 @@ impl Memory for Heap {
     }
 
     fn remember(&mut self, client: &ClientId) -> Option<&mut LastInit<Grown>> {
-        if self.inits.len() >= MAX_CLIENTS && !self.inits.contains_key(client) {
+        if self.inits.len() >= self.limits.clients && !self.inits.contains_key(client) {
             return None;
         }
         self.unlink(*client);

@@ -4,6 +4,8 @@
 //! return at once, and report from wherever they work.
 
 mod access;
+mod connections;
+mod limits;
 mod listing;
 mod memory;
 mod report;
@@ -27,13 +29,14 @@ use crate::random;
 
 pub use access::Access;
 use access::{Door, Who};
+pub use limits::Limits;
 pub use listing::{ListedTask, Listing};
 pub(crate) use memory::quoted;
 use memory::{About, Grown, Heap, Peer};
 pub use report::TaskReporter;
 use report::{Inbox, Mailbox, Waker};
 
-/// Longest message taken from the network, in bytes.
+/// Longest message that clients and servers of this crate take from the network, in bytes.
 pub const MAX_MESSAGE: usize = 1 << 20;
 
 /// Requests, and reports of handlers, taken before the others are looked at again.
@@ -225,14 +228,22 @@ impl TaskServer {
     /// # Errors
     /// As [`BindError`] says: keys without encryption are one.
     pub fn bind_for(endpoint: &str, access: Access) -> Result<Self, BindError> {
+        Self::bind_with(endpoint, access, Limits::default())
+    }
+
+    /// The same, with limits of one's own.
+    ///
+    /// # Errors
+    /// As [`bind_for`](Self::bind_for).
+    pub fn bind_with(endpoint: &str, access: Access, limits: Limits) -> Result<Self, BindError> {
         if access.encrypts() && !can_encrypt() {
             return Err(BindError::NoCurve);
         }
         let context = zmq::Context::new();
         let socket = context.socket(zmq::ROUTER)?;
         socket.set_linger(0)?;
-        socket.set_maxmsgsize(MAX_MESSAGE as i64)?;
-        let door = Door::new(access, &context, &socket)?;
+        limits.set(&socket)?;
+        let door = Door::new(access, limits.connections, &context, &socket)?;
         let bound = bind(&socket, endpoint)?;
         let bell = context.socket(zmq::PULL)?;
         bell.bind("inproc://wake")?;
@@ -242,16 +253,15 @@ impl TaskServer {
         let waker = Waker::new(ringer);
         let (mailbox, inbox) = Mailbox::new(Arc::clone(&waker));
         info!(target: LOG, "Task Server listening at '{endpoint}'");
+        let mut config = Config::new(random::first_task_id(), random::nonzero());
+        config.keep = limits.keep;
         Ok(Self {
             socket,
             door,
             bell,
             context,
             endpoint: bound,
-            dispatcher: Dispatcher::new(
-                Heap::default(),
-                Config::new(random::first_task_id(), random::nonzero()),
-            ),
+            dispatcher: Dispatcher::new(Heap::new(limits), config),
             handlers: Vec::new(),
             waker,
             mailbox,
@@ -434,7 +444,8 @@ impl TaskServer {
             self.socket.as_poll_item(zmq::POLLIN),
             self.bell.as_poll_item(zmq::POLLIN),
         ];
-        items.extend(self.door.desk().map(|desk| desk.as_poll_item(zmq::POLLIN)));
+        let door = self.door.sockets();
+        items.extend(door.map(|socket| socket.as_poll_item(zmq::POLLIN)));
         match zmq::poll(&mut items, timeout) {
             Ok(_) | Err(zmq::Error::EINTR) => Ok(()),
             Err(cause) => Err(cause),

@@ -1,0 +1,177 @@
+//! Random and damaged bytes on the socket, from a seed. After each attack a neighbour that was there
+//! before is answered, and now and then a new client is, within the 2 s of the original's.
+//!
+//! `ZTL_FUZZ_SEED=7 ZTL_FUZZ_ROUNDS=100000 cargo test -p ztl-tests --test wire fuzz` for more.
+
+use std::io::{Read, Write};
+use std::net::TcpStream;
+use std::time::Duration;
+
+use ztl_tests::lab::Server;
+
+use crate::stream::shake_hands;
+use crate::{Socket, assert_serves};
+
+/// SplitMix64.
+struct Dice(u64);
+
+impl Dice {
+    fn next(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
+        let mut mixed = self.0;
+        mixed = (mixed ^ (mixed >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        mixed = (mixed ^ (mixed >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+        mixed ^ (mixed >> 31)
+    }
+
+    fn below(&mut self, limit: usize) -> usize {
+        usize::try_from(self.next() % limit.max(1) as u64).expect("small")
+    }
+
+    fn byte(&mut self) -> u8 {
+        self.next().to_le_bytes()[0]
+    }
+
+    fn bytes(&mut self, most: usize) -> Vec<u8> {
+        let length = self.below(most);
+        (0..length).map(|_| self.byte()).collect()
+    }
+
+    fn one_of<'a, T>(&mut self, all: &'a [T]) -> &'a T {
+        let place = self.below(all.len());
+        &all[place]
+    }
+}
+
+const BODIES: &[&[u8]] = &[
+    b"/test;2;99;x",
+    b"/test;1;-1;dGVzdDplY2hvOmhp",
+    b"/test;3;1;abort command",
+    b"$ztl;2;-1;probe",
+    b"$ztl;2;-1;outcome 1",
+    b"/test;abc;1;x",
+    b"\xff\xfe;1;1;",
+    b"",
+    b";;;",
+];
+
+/// A message as a client of ours, of the original, or of nobody sends it.
+fn message(dice: &mut Dice) -> Vec<u8> {
+    let mut frames: Vec<Vec<u8>> = Vec::new();
+    for _ in 0..dice.below(4) {
+        frames.push(match dice.below(3) {
+            0 => [b"ztl1".to_vec(), dice.bytes(17)].concat(),
+            1 => dice.next().to_be_bytes().to_vec(),
+            _ => dice.bytes(40),
+        });
+    }
+    if dice.below(8) > 0 {
+        frames.push(Vec::new());
+    }
+    for _ in 0..1 + dice.below(2) {
+        frames.push(dice.one_of(BODIES).to_vec());
+    }
+    let mut bytes = Vec::new();
+    let last = frames.len() - 1;
+    for (place, frame) in frames.iter().enumerate() {
+        let more = u8::from(place < last);
+        match u8::try_from(frame.len()) {
+            Ok(length) if dice.below(4) > 0 => bytes.extend([more, length]),
+            _ => {
+                bytes.push(more | 2);
+                bytes.extend((frame.len() as u64).to_be_bytes());
+            }
+        }
+        bytes.extend(frame);
+    }
+    bytes
+}
+
+/// Damages some of it.
+fn damage(bytes: &mut Vec<u8>, dice: &mut Dice) {
+    for _ in 0..dice.below(6) {
+        if bytes.is_empty() {
+            return;
+        }
+        let place = dice.below(bytes.len());
+        match dice.below(5) {
+            0 => bytes.truncate(place),
+            1 => bytes.insert(place, dice.byte()),
+            2 => drop(bytes.remove(place)),
+            3 => bytes[place] ^= 1 << dice.below(8),
+            _ => bytes[place] = *dice.one_of(&[0, 1, 2, 4, 0x7f, 0x80, 0xff]),
+        }
+    }
+}
+
+fn greeting() -> Vec<u8> {
+    let mut greeting = vec![0; 64];
+    greeting[0] = 0xFF;
+    greeting[9] = 0x7F;
+    greeting[10] = 3;
+    greeting[12..16].copy_from_slice(b"NULL");
+    greeting
+}
+
+/// One connection that does something; whether it is closed by the server is not looked at.
+fn attack(port: u16, dice: &mut Dice) {
+    let mut stream = match dice.below(3) {
+        0 => {
+            let mut stream = TcpStream::connect(("127.0.0.1", port)).expect("a connection");
+            let mut bytes = greeting();
+            bytes.extend(b"\x04\x1c\x05READY\x0bSocket-Type\x00\x00\x00\x06DEALER");
+            if dice.below(4) == 0 {
+                bytes = dice.bytes(300);
+            }
+            damage(&mut bytes, dice);
+            let _ = stream.write_all(&bytes);
+            stream
+        }
+        _ => shake_hands(port),
+    };
+    let mut bytes = Vec::new();
+    for _ in 0..dice.below(5) {
+        bytes.extend(message(dice));
+    }
+    if dice.below(2) == 0 {
+        damage(&mut bytes, dice);
+    }
+    // In pieces, as a network may deliver it.
+    for piece in bytes.chunks(1 + dice.below(200)) {
+        if stream.write_all(piece).is_err() {
+            return;
+        }
+    }
+    if dice.below(2) == 0 {
+        let _ = stream.set_read_timeout(Some(Duration::from_millis(2)));
+        let _ = stream.read(&mut [0; 512]);
+    }
+}
+
+fn number(name: &str, usual: u64) -> u64 {
+    let given = std::env::var(name).ok();
+    given.map_or(usual, |text| text.parse().expect("a whole number"))
+}
+
+#[test]
+fn bytes_of_any_kind_keep_no_good_client_waiting() {
+    let (seed, rounds) = (number("ZTL_FUZZ_SEED", 1), number("ZTL_FUZZ_ROUNDS", 400));
+    for server in [Server::ours(), Server::simulated()] {
+        let neighbour = Socket::req(&server.endpoint());
+        for round in 0..rounds {
+            let mut dice = Dice(seed.wrapping_mul(1 << 32) + round);
+            attack(server.port, &mut dice);
+            neighbour.send(&["/test;2;99;x"]);
+            let answer = neighbour.0.recv_multipart(0);
+            let expected = b"/test;2;99;Invalid ID '99'".to_vec();
+            assert_eq!(
+                answer,
+                Ok(vec![expected]),
+                "ZTL_FUZZ_SEED={seed}, round {round}"
+            );
+            if round % 50 == 0 {
+                assert_serves(&server.endpoint(), "an attack");
+            }
+        }
+    }
+}

@@ -1,0 +1,124 @@
+//! Clients that mean no good, or are broken: whatever they do, a good client is answered before the
+//! original's would give up.
+
+use std::io::{ErrorKind, Read, Write};
+use std::net::TcpStream;
+use std::time::{Duration, Instant};
+
+use ztl_std::{Access, Limits, TaskServer};
+use ztl_tests::lab::{PATIENCE, Server, until};
+
+use crate::stream::shake_hands;
+use crate::{Socket, TIMEOUT, assert_serves};
+
+const ASK: &[u8] = b"\x01\x00\x00\x0c/test;2;99;x";
+const ANSWER: usize = 30;
+
+fn connect(port: u16) -> TcpStream {
+    TcpStream::connect(("127.0.0.1", port)).expect("a connection")
+}
+
+#[test]
+fn a_connection_that_does_not_shake_hands_is_ended() {
+    let mut limits = Limits::default();
+    limits.handshake = Duration::from_millis(300);
+    let server = TaskServer::bind_with("tcp://127.0.0.1:*", Access::everybody(), limits);
+    let server = server.expect("a port").spawn().expect("a thread");
+    let port = server.endpoint().rsplit(':').next().expect("a port");
+    let port = port.parse().expect("a number");
+    for said in [&b""[..], b"\xff", &[0xff, 0, 0, 0, 0, 0, 0, 0, 0, 0x7f, 3]] {
+        let mut stream = connect(port);
+        stream.write_all(said).expect("to write");
+        stream.set_read_timeout(Some(PATIENCE)).expect("a time");
+        let mut theirs = Vec::new();
+        match stream.read_to_end(&mut theirs) {
+            Ok(_) => {}
+            Err(error) if error.kind() == ErrorKind::ConnectionReset => {}
+            Err(error) => panic!("{said:?}: the connection lives: {error}"),
+        }
+    }
+}
+
+#[test]
+fn slow_senders_and_half_open_connections_harm_nobody() {
+    let server = Server::ours();
+    let half_open: Vec<TcpStream> = (0..100).map(|_| connect(server.port)).collect();
+    let mut slow: Vec<TcpStream> = (0..20).map(|_| shake_hands(server.port)).collect();
+    for place in 0..ASK.len() {
+        for stream in &mut slow {
+            stream.write_all(&ASK[place..=place]).expect("to write");
+        }
+        assert_serves(&server.endpoint(), "a byte of each slow sender");
+    }
+    for stream in &mut slow {
+        stream.read_exact(&mut [0; ANSWER]).expect("an answer");
+    }
+    drop(half_open);
+}
+
+#[test]
+fn a_thousand_connections_at_once_are_all_served() {
+    let server = Server::ours();
+    let start = Instant::now();
+    let mut streams: Vec<TcpStream> = (0..1000).map(|_| shake_hands(server.port)).collect();
+    let shaken = start.elapsed();
+    for stream in &mut streams {
+        stream.write_all(ASK).expect("to write");
+    }
+    assert_serves(&server.endpoint(), "a thousand questions");
+    for stream in &mut streams {
+        stream.read_exact(&mut [0; ANSWER]).expect("an answer");
+    }
+    println!("1000 handshakes in {shaken:?}");
+    drop(streams);
+    assert_serves(&server.endpoint(), "a thousand farewells");
+}
+
+/// What a process has in memory, in KiB.
+#[cfg(target_os = "linux")]
+fn resident(server: &Server) -> u64 {
+    let path = format!("/proc/{}/status", server.process.id());
+    let status = std::fs::read_to_string(path).expect("its status");
+    let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:"));
+    let kib = line.and_then(|line| line.split_whitespace().next());
+    kib.and_then(|kib| kib.parse().ok()).expect("a number")
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn a_client_that_never_reads_costs_little_and_harms_nobody() {
+    let server = Server::ours();
+    let neighbour = Socket::req(&server.endpoint());
+    // Answers of 60 KB each: their text is the goal.
+    let goal = "x".repeat(60_000);
+    let mut client = server.original_client();
+    let id = client.start("test", "echo", &goal);
+    until("its end", PATIENCE, || {
+        (client.status(id).number == 5).then_some(())
+    });
+    let before = resident(&server);
+    let body = format!("/test;2;{id};x");
+    let mut ask = vec![0x01, 0x00, 0x00, u8::try_from(body.len()).expect("short")];
+    ask.extend(body.as_bytes());
+    let mut stream = shake_hands(server.port);
+    stream
+        .set_write_timeout(Some(Duration::from_millis(500)))
+        .expect("a time");
+    let many = ask.repeat(1000);
+    let (start, mut asked) = (Instant::now(), 0);
+    // 20,000 answers would be 1.2 GB.
+    while asked < 20_000 && start.elapsed() < Duration::from_secs(10) {
+        match stream.write_all(&many) {
+            Ok(()) => asked += 1000,
+            Err(_) => break,
+        }
+        let asked_at = Instant::now();
+        assert_eq!(neighbour.ask("/test;2;99;x"), "/test;2;99;Invalid ID '99'");
+        assert!(asked_at.elapsed() < TIMEOUT);
+    }
+    assert_serves(&server.endpoint(), "a client that never reads");
+    let grown = resident(&server).saturating_sub(before);
+    println!("{asked} questions, nothing read: {grown} KiB more");
+    // The queue's 256 answers, twice, and some room.
+    assert!(grown < 64 << 10, "{grown} KiB more");
+}

@@ -1,0 +1,146 @@
+//! A server's limits: what is too much is refused with the reason, and nothing else suffers.
+
+use std::time::Duration;
+
+use ztl_std::{
+    Access, ExecutableTask, Limits, RemoteTask, RunningServer, State, TaskContext, TaskController,
+    TaskError, TaskId, TaskRequest, TaskServer, TriggerError,
+};
+use ztl_tests::lab::{PATIENCE, SCOPE, until};
+
+use crate::{Socket, assert_serves};
+
+/// Tasks that end when they are aborted; those that echo end at once.
+struct Patient;
+
+impl TaskController for Patient {
+    fn assign(&self, request: &TaskRequest) -> Result<Box<dyn ExecutableTask>, TaskError> {
+        let TaskRequest {
+            component, goal, ..
+        } = request.clone();
+        Ok(Box::new(move |context: &TaskContext| {
+            if component == "wait" {
+                context.sleep(Duration::MAX)?;
+            }
+            Ok(goal)
+        }))
+    }
+}
+
+fn serve(change: impl FnOnce(&mut Limits)) -> RunningServer {
+    let mut limits = Limits::default();
+    change(&mut limits);
+    let server = TaskServer::bind_with("tcp://127.0.0.1:*", Access::everybody(), limits);
+    let mut server = server.expect("a port");
+    server.register(SCOPE, Patient);
+    server.spawn().expect("a thread")
+}
+
+fn client(server: &RunningServer) -> RemoteTask {
+    RemoteTask::connect(server.endpoint(), SCOPE).expect("an address")
+}
+
+#[track_caller]
+fn start(remote: &mut RemoteTask, component: &str) -> TaskId {
+    remote.trigger("h", component, "g").expect("taken").id
+}
+
+#[track_caller]
+fn refused(remote: &mut RemoteTask) -> String {
+    match remote.trigger("h", "wait", "g") {
+        Err(TriggerError::Refused { id: -1, reason }) => reason,
+        other => panic!("not refused: {other:?}"),
+    }
+}
+
+fn is_known(remote: &mut RemoteTask, id: TaskId) -> bool {
+    let status = remote.status(id).expect("an answer");
+    status.state != State::Rejected
+}
+
+#[test]
+fn one_task_too_many_is_refused_until_one_ends_and_no_end_is_forgotten_for_it() {
+    let server = serve(|limits| (limits.running, limits.remembered) = (2, 4));
+    let mut remote = client(&server);
+    let ended = [0, 1].map(|_| {
+        let id = start(&mut remote, "echo");
+        remote.wait(id, Some(PATIENCE)).expect("its end");
+        id
+    });
+    let running = [0, 1].map(|_| start(&mut remote, "wait"));
+    for _ in 0..10 {
+        let reason = "too many tasks are running, wait for one to end";
+        assert_eq!(refused(&mut remote), reason);
+    }
+    assert!(ended.iter().all(|id| is_known(&mut remote, *id)));
+    let aborted = remote.abort(running[0]).expect("an answer");
+    assert_eq!(aborted.state, State::Aborted);
+    start(&mut remote, "wait");
+    // Five would be one too many: what ended first is gone.
+    assert!(!is_known(&mut remote, ended[0]) && is_known(&mut remote, ended[1]));
+}
+
+#[test]
+fn an_end_is_remembered_for_its_time() {
+    let server = serve(|limits| limits.keep = Duration::from_millis(300));
+    let mut remote = client(&server);
+    let (running, id) = (start(&mut remote, "wait"), start(&mut remote, "echo"));
+    let end = remote.wait(id, Some(PATIENCE)).expect("its end");
+    assert_eq!(end.state, State::Completed);
+    until("it is forgotten", PATIENCE, || {
+        (!is_known(&mut remote, id)).then_some(())
+    });
+    // Time counts from the end.
+    assert!(is_known(&mut remote, running));
+}
+
+#[test]
+fn requests_that_would_wait_are_refused_when_too_many_do() {
+    let server = serve(|limits| limits.held = 1);
+    let (mut remote, mut other) = (client(&server), client(&server));
+    let id = start(&mut remote, "wait");
+    let waiting = std::thread::spawn(move || remote.wait(id, Some(Duration::from_secs(3))));
+    let reason = until("the wait", PATIENCE, || {
+        match other.trigger("h", "echo", "g") {
+            Err(TriggerError::Refused { reason, .. }) => Some(reason),
+            _ => None,
+        }
+    });
+    assert_eq!(reason, "too many requests are waiting, try again");
+    assert_eq!(other.status(id).expect("an answer").state, State::Accepted);
+    assert!(waiting.join().expect("no panic").is_err(), "it still runs");
+}
+
+#[test]
+fn a_message_that_is_too_long_ends_its_connection_alone() {
+    let server = serve(|limits| limits.message = 1000);
+    let (fits, too_long) = (vec![b'x'; 1000], vec![b'x'; 1001]);
+    let req = Socket::req(server.endpoint());
+    assert!(req.ask(fits).ends_with(";2;-1;Unknown protocol"));
+    req.send(&[too_long]);
+    assert_eq!(req.0.recv_multipart(0), Err(zmq::Error::EAGAIN));
+    assert_serves(server.endpoint(), "a message that is too long");
+}
+
+#[test]
+fn a_connection_too_many_waits_until_there_is_room() {
+    let server = serve(|limits| {
+        limits.connections = 4;
+        limits.handshake = Duration::from_millis(500);
+    });
+    let ask = |socket: &Socket| {
+        socket.send(&["", "/test;2;99;x"]);
+        socket.0.recv_multipart(0).is_ok()
+    };
+    let mut inside: Vec<Socket> = (0..4).map(|_| Socket::dealer(server.endpoint())).collect();
+    assert!(inside.iter().all(ask));
+    let outside = Socket::dealer(server.endpoint());
+    assert!(!ask(&outside), "one too many is served");
+    assert!(inside.iter().all(ask), "those inside suffer");
+    inside.pop();
+    // What it asked waits in its own queue.
+    let answer = until("it is let in", PATIENCE, || {
+        outside.0.recv_multipart(0).ok()
+    });
+    assert_eq!(answer[1], b"/test;2;99;Invalid ID '99'");
+}

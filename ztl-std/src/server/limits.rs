@@ -1,0 +1,107 @@
+//! What a server allows at most, so that no number of clients takes all of a small machine.
+
+use std::time::Duration;
+
+use ztl_core::dispatcher::Config;
+
+use super::{MAX_MESSAGE, random};
+
+/// Files that a process needs besides its connections: programs, ports, logs.
+const OTHER_FILES: usize = 128;
+
+/// Connections at a time, where the system allows as many.
+const CONNECTIONS: usize = 4096;
+
+/// What a [`TaskServer`](super::TaskServer) allows at most. What is too much is refused with the
+/// reason, where there is somebody to be told.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct Limits {
+    /// Longest message, in bytes: a longer one ends its connection.
+    /// Default and most: [`MAX_MESSAGE`], which is what clients take.
+    pub message: usize,
+    /// Tasks that have not ended. Default 10,000.
+    pub running: usize,
+    /// Tasks that are remembered, whether they run or have ended; for a new one the end that is
+    /// longest ago is forgotten. Default 10,000.
+    pub remembered: usize,
+    /// How long a task is remembered, counted from its end. Default 1 h.
+    pub keep: Duration,
+    /// Requests whose answer is held: undecided INITs, ABORTs, STATUSes that wait. Default 10,000.
+    pub held: usize,
+    /// Clients whose last INIT is remembered, see `docs/protocol.md` 9.1. Default 10,000.
+    pub clients: usize,
+    /// Messages of one connection that wait to be read, and answers that wait to be taken: of a
+    /// client that takes none, what is more is dropped. Default 256.
+    pub queue: usize,
+    /// Connections at a time, also those that have not shaken hands. One more is not let in, and
+    /// tries again. Default 4096, or what the system's limit on open files leaves.
+    pub connections: usize,
+    /// How long a connection may take to shake hands. Default 5 s.
+    pub handshake: Duration,
+}
+
+impl Default for Limits {
+    fn default() -> Self {
+        let files = open_files().unwrap_or(CONNECTIONS + OTHER_FILES);
+        Self {
+            message: MAX_MESSAGE,
+            running: 10_000,
+            remembered: 10_000,
+            keep: Config::new(random::FIRST, 0).keep,
+            held: 10_000,
+            clients: 10_000,
+            queue: 256,
+            connections: files.saturating_sub(OTHER_FILES).clamp(16, CONNECTIONS),
+            handshake: Duration::from_secs(5),
+        }
+    }
+}
+
+impl Limits {
+    /// Sets what ZeroMQ sees to, on a socket that is to be bound afterwards.
+    pub(super) fn set(&self, socket: &zmq::Socket) -> Result<(), zmq::Error> {
+        let message = self.message.min(MAX_MESSAGE);
+        socket.set_maxmsgsize(i64::try_from(message).unwrap_or(i64::MAX))?;
+        let queue = i32::try_from(self.queue.max(1)).unwrap_or(i32::MAX);
+        socket.set_rcvhwm(queue)?;
+        socket.set_sndhwm(queue)?;
+        let handshake = i32::try_from(self.handshake.as_millis()).unwrap_or(i32::MAX);
+        // ZeroMQ takes 0 for no limit at all.
+        socket.set_handshake_ivl(handshake.max(1))
+    }
+}
+
+/// How many files this process may open, where that can be read.
+fn open_files() -> Option<usize> {
+    let limits = std::fs::read_to_string("/proc/self/limits").ok()?;
+    soft_limit(&limits)
+}
+
+/// The second word behind the name: `Max open files  1024  524288  files`.
+fn soft_limit(limits: &str) -> Option<usize> {
+    let line = limits
+        .lines()
+        .find_map(|line| line.strip_prefix("Max open files"))?;
+    line.split_whitespace().next()?.parse().ok()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_systems_limit_is_read_where_it_tells_one() {
+        let limits = "Limit  Soft Limit  Hard Limit  Units\n\
+                      Max processes   31000  31000  processes\n\
+                      Max open files            1024                 524288               files\n";
+        assert_eq!(soft_limit(limits), Some(1024));
+        assert_eq!(
+            soft_limit("Max open files  unlimited  unlimited  files"),
+            None
+        );
+        assert_eq!(soft_limit(""), None);
+        let limits = Limits::default();
+        assert!((16..=CONNECTIONS).contains(&limits.connections));
+    }
+}
