@@ -165,7 +165,7 @@ fn what(dice: &mut Dice, devices: usize, clients: usize, journal: bool, asked: u
         },
         11 | 12 => What::Reset(device),
         13 => What::Unplug(device, time(dice, 2500)),
-        14 | 15 => What::Cut(device, way, time(dice, 5000)),
+        14 | 15 => What::Cut(device, way, time(dice, 6500)),
         16 => What::Stall(device, way, time(dice, 4000)),
         17..=19 => {
             let faults = noise(dice);

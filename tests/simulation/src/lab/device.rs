@@ -21,6 +21,10 @@ const BURST: Duration = Duration::from_millis(1);
 /// in the line, and a `Ping` that was due.
 const LAST_COMMAND: Duration = Duration::from_millis(1300);
 
+/// A task has ended for its client at most this long after a direction is cut: an answer that waits in
+/// the line for a second, two link timeouts after that, and one second.
+const GIVEN_UP: Duration = Duration::from_millis(4100);
+
 pub(super) struct Device {
     number: usize,
     motors: [MotorPlan; 2],
@@ -160,6 +164,19 @@ impl Device {
             self.cut(way, now..now);
             self.way(way).set_faults(Faults::default());
         }
+    }
+
+    /// Whether one of its directions has been cut for so long that its gateway, able to all that
+    /// time, must have ended its tasks.
+    pub(super) fn is_silent(&self, now: Instant, able: Instant) -> bool {
+        let long =
+            |cut: &Range<Instant>| cut.contains(&now) && now > cut.start.max(able) + GIVEN_UP;
+        self.cuts.iter().any(long)
+    }
+
+    /// Which motors act by themselves when the link is lost.
+    pub(super) fn acts(&self) -> [bool; 2] {
+        self.motors.map(|motor| motor.loss != Loss::CarryOn)
     }
 
     /// Promise 4: a device that has heard no new command for so long has acted.

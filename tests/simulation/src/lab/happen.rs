@@ -1,5 +1,6 @@
 //! What goes wrong in a laboratory, begins and is over.
 
+use ztl_core::Instant;
 use ztl_std::line::Faults;
 
 use super::Lab;
@@ -56,6 +57,7 @@ impl Lab {
                         disk.tear(torn);
                     }
                     self.books.killed();
+                    self.able_since = Instant::NEVER;
                     self.to_gateway.clear();
                     self.to_people.clear();
                     self.reverts.push((now + time, Revert::Start));
@@ -64,6 +66,7 @@ impl Lab {
             What::Full(time) => {
                 if let Some(disk) = &self.disk {
                     disk.fill(true);
+                    self.able_since = Instant::NEVER;
                     self.reverts.push((now + time, Revert::Empty));
                 }
             }
@@ -81,6 +84,7 @@ impl Lab {
             }
         }
         self.gateway = Some(gateway);
+        self.able_since = self.now;
         let boots = self.boots;
         self.note(|| format!("the gateway is started, number {boots}"));
     }
@@ -106,6 +110,7 @@ impl Lab {
                     if let Some(disk) = &self.disk {
                         disk.fill(false);
                     }
+                    self.able_since = now;
                 }
             }
         }

@@ -13,10 +13,14 @@ pub(super) struct Books {
     tasks: Vec<Book>,
     /// The ends that gateways have told, by the task's id.
     decided: Vec<(TaskId, State, String)>,
+    /// Whether a gateway was killed; else every client can learn what became of its INIT.
+    killed: bool,
 }
 
 struct Book {
     client: usize,
+    /// Of which motor, by device.
+    motor: (usize, usize),
     known: Known,
     /// The id that it had.
     id: Option<TaskId>,
@@ -28,12 +32,14 @@ impl Books {
             journal,
             tasks: Vec::new(),
             decided: Vec::new(),
+            killed: false,
         }
     }
 
-    pub(super) fn ask(&mut self, client: usize) -> usize {
+    pub(super) fn ask(&mut self, client: usize, motor: (usize, usize)) -> usize {
         self.tasks.push(Book {
             client,
+            motor,
             known: Known::Asked,
             id: None,
         });
@@ -53,6 +59,7 @@ impl Books {
 
     /// The gateway is dead: without a journal it has forgotten all.
     pub(super) fn killed(&mut self) {
+        self.killed = true;
         if !self.journal {
             self.decided.clear();
         }
@@ -112,6 +119,7 @@ impl Books {
                 }
             }
             Known::Ended(_, state, text) => judge_end(task, *state, text, truth)?,
+            Known::Unknown if !self.killed => return wrong(2, ", though its server lives"),
             _ => {}
         }
         book.id = known.id().or(book.id);
@@ -141,6 +149,27 @@ impl Books {
             return Err(format!(
                 "promise {promise}: task {task} moves, and its client was told: {why}"
             ));
+        }
+        Ok(())
+    }
+
+    /// Promise 4: of a device that has not been heard for so long, the tasks of motors that act by
+    /// themselves have ended.
+    pub(super) fn judge_silent(&self, device: usize, acts: [bool; 2]) -> Result<(), String> {
+        if self.killed && !self.journal {
+            // Nobody has told the clients that their tasks are forgotten.
+            return Ok(());
+        }
+        for (task, book) in self.tasks.iter().enumerate() {
+            let its = book.motor.0 == device && acts.get(book.motor.1) == Some(&true);
+            let (true, Known::Open(id)) = (its, &book.known) else {
+                continue;
+            };
+            if !self.decided.iter().any(|(ended, ..)| ended == id) {
+                return Err(format!(
+                    "promise 4: task {task} has no end, and device {device} is not heard"
+                ));
+            }
         }
         Ok(())
     }

@@ -115,6 +115,8 @@ struct Lab {
     gateway: Option<Gateway>,
     boots: u32,
     disk: Option<Disk>,
+    /// Since when the gateway runs and could write.
+    able_since: Instant,
     people: Vec<Person>,
     /// Messages under way, with the moment when they arrive.
     to_gateway: VecDeque<(Instant, Letter)>,
@@ -144,6 +146,7 @@ impl Lab {
             gateway: None,
             boots: 0,
             disk: plan.journal.then(Disk::default),
+            able_since: BEGIN,
             people: (0..plan.clients).map(Person::new).collect(),
             to_gateway: VecDeque::new(),
             to_people: VecDeque::new(),
@@ -214,7 +217,7 @@ impl Lab {
         millis: u64,
         to_end: bool,
     ) -> usize {
-        let task = self.books.ask(client);
+        let task = self.books.ask(client, (device, motor));
         let component = NAMES.get(motor).copied().unwrap_or("leg");
         self.people[client].wish(Wish {
             task,
@@ -277,8 +280,11 @@ impl Lab {
         }
         self.carry_answers()?;
         let truth = self.truth.borrow();
-        for device in &self.devices {
+        for (number, device) in self.devices.iter().enumerate() {
             device.judge(self.now, &truth)?;
+            if device.is_silent(self.now, self.able_since) {
+                self.books.judge_silent(number, device.acts())?;
+            }
         }
         self.books.judge(&truth)
     }
