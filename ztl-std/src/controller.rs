@@ -51,6 +51,12 @@ pub trait ExecutableTask: Send + 'static {
     fn can_abort(&self) -> bool {
         true
     }
+
+    /// For how long the client that started the task may be silent before the task is aborted, see
+    /// [`TaskReporter::needs_client`]. Default: the task is carried on without it.
+    fn needs_client(&self) -> Option<Duration> {
+        None
+    }
 }
 
 impl<F> ExecutableTask for F
@@ -271,6 +277,9 @@ fn run(controller: &dyn TaskController, task: TaskReporter, wish: &Arc<Wish>, pa
         Err(panic) => return task.threw(panic_message(&*panic)),
     };
     let can_abort = executable.can_abort();
+    if let Some(silence) = executable.needs_client() {
+        task.needs_client(silence);
+    }
     let aborted_already = {
         let mut state = wish.lock();
         state.can_abort = Some(can_abort);

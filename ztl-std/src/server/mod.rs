@@ -9,6 +9,7 @@ mod limits;
 mod listing;
 mod memory;
 mod report;
+mod touch;
 
 use std::sync::Arc;
 use std::thread::JoinHandle;
@@ -17,9 +18,9 @@ use std::time::Duration;
 use tracing::{debug, info, warn};
 use ztl_core::dispatcher::{Action, Body, Config, Dispatcher};
 use ztl_core::envelope::Envelope;
-use ztl_core::memory::Scope;
+use ztl_core::memory::{Memory, Scope};
 use ztl_core::reply::{RefusalOf, Reply};
-use ztl_core::tasks::{Task, Text};
+use ztl_core::tasks::{Task, Tasks, Text};
 use ztl_core::{Instant, State, TaskId};
 
 use crate::clock;
@@ -34,7 +35,8 @@ pub use listing::{ListedTask, Listing};
 pub(crate) use memory::quoted;
 use memory::{About, Grown, Heap, Peer};
 pub use report::TaskReporter;
-use report::{Inbox, Mailbox, Waker};
+use report::{Inbox, Mailbox, Report, Waker};
+use touch::Touch;
 
 /// Longest message that clients and servers of this crate take from the network, in bytes.
 pub const MAX_MESSAGE: usize = 1 << 20;
@@ -209,6 +211,7 @@ pub struct TaskServer {
     waker: Arc<Waker>,
     mailbox: Mailbox,
     inbox: Inbox,
+    touch: Touch,
     /// Whether the last turn took a report.
     reported: bool,
 }
@@ -266,6 +269,7 @@ impl TaskServer {
             waker,
             mailbox,
             inbox,
+            touch: Touch::default(),
             reported: false,
         })
     }
@@ -383,7 +387,20 @@ impl TaskServer {
             dispatcher, socket, ..
         } = self;
         dispatcher.handle_timeout(now(), &mut |peer, reply| answer(socket, peer, reply));
+        self.abort_for_those_who_are_gone();
         Ok(more)
+    }
+
+    fn abort_for_those_who_are_gone(&mut self) {
+        let tasks = self.dispatcher.memory().tasks();
+        let runs = |id| tasks.get(id).is_some_and(|task| !task.state.is_final());
+        for id in self.touch.gone(now(), runs) {
+            warn!(target: LOG, "The client that started task '{id}' is gone, so it is aborted.");
+            let scope = tasks.get(id).map(|task| usize::from(task.extra.0));
+            if let Some(handler) = scope.and_then(|scope| self.handlers.get_mut(scope)) {
+                handler.abort(id);
+            }
+        }
     }
 
     /// Handlers stop their tasks as they are dropped; meanwhile clients are told.
@@ -432,7 +449,8 @@ impl TaskServer {
 
     /// Until a request, a report or the dispatcher's next wake-up, at most for `longest`.
     fn wait(&self, longest: Duration) -> Result<(), zmq::Error> {
-        let wake = self.dispatcher.poll_timeout();
+        let wakes = [self.dispatcher.poll_timeout(), self.touch.poll_timeout()];
+        let wake = wakes.into_iter().flatten().min();
         let time = wake.map_or(longest, |wake| wake.since(now()).min(longest));
         let timeout = match time {
             Duration::MAX => -1,
@@ -458,11 +476,16 @@ impl TaskServer {
             dispatcher,
             socket,
             inbox,
+            touch,
             ..
         } = self;
         let mut taken = 0;
         for (id, report) in inbox.waiting().take(BATCH) {
             taken += 1;
+            if let Report::NeedsClient(client, silence) = report {
+                touch.watch(now(), client, id, silence);
+                continue;
+            }
             report.tell(|event| {
                 dispatcher.handle_event(now(), id, event, &mut |peer, reply| {
                     answer(socket, peer, reply);
@@ -516,6 +539,11 @@ impl TaskServer {
             .dispatcher
             .handle_request(now(), frames, envelope, body, &mut out);
         self.dispatcher.memory_mut().hide(|_| false);
+        if let Some(envelope) = envelope
+            && !matches!(action, Some(Action::Start { .. }))
+        {
+            self.touch.on_heard(now(), envelope.client);
+        }
         match action {
             Some(Action::Start { id, scope, payload }) => {
                 let heap = self.dispatcher.memory_mut();

@@ -22,6 +22,8 @@ pub(super) enum Report {
     Failed(String),
     Aborted(String),
     AbortRefused,
+    /// To be aborted when this client is silent for so long.
+    NeedsClient(ClientId, Duration),
 }
 
 /// A task's latest progress that the server has not taken yet. However often a task reports, one
@@ -45,6 +47,8 @@ impl Report {
             Self::Failed(reason) => tell(TaskEvent::Failed { reason: &reason }),
             Self::Aborted(result) => tell(TaskEvent::Aborted { result: &result }),
             Self::AbortRefused => tell(TaskEvent::AbortRefused),
+            // The dispatcher knows no such rule.
+            Self::NeedsClient(..) => {}
         }
     }
 }
@@ -189,6 +193,17 @@ impl TaskReporter {
         drop(slot);
         if !on_its_way {
             self.post(Report::Progress(Arc::clone(&self.progress)));
+        }
+    }
+
+    /// The task is aborted when the client that started it is gone, instead of being carried on:
+    /// when nothing has come from it for `silence`, though it had asked for something after the INIT.
+    /// Should be 5 s or more, since a client that waits asks every second, and a network may pause.
+    ///
+    /// Never happens to a client that does not say who it is, as the original's.
+    pub fn needs_client(&self, silence: Duration) {
+        if let Some(client) = self.client {
+            self.post(Report::NeedsClient(client, silence));
         }
     }
 
