@@ -2,7 +2,8 @@
 
 /// A text, and how much of it is read.
 ///
-/// Its methods are functions of their own in firmware: inlined, each is larger than a call.
+/// Its methods are functions of their own in firmware, where each inlined is larger than a call;
+/// elsewhere they are inlined, since a call takes longer.
 #[derive(Clone, Copy)]
 pub(crate) struct Cursor<'a> {
     text: &'a str,
@@ -30,7 +31,7 @@ impl<'a> Cursor<'a> {
     }
 
     /// The byte so far ahead; 0 behind the end, and for a 0 in the text.
-    #[inline(never)]
+    #[cfg_attr(target_os = "none", inline(never))]
     pub(crate) fn ahead(&self, bytes: usize) -> u8 {
         let at = self.at.wrapping_add(bytes);
         self.text.as_bytes().get(at).copied().unwrap_or(0)
@@ -42,7 +43,7 @@ impl<'a> Cursor<'a> {
     }
 
     /// Reads this byte, if it is the next.
-    #[inline(never)]
+    #[cfg_attr(target_os = "none", inline(never))]
     pub(crate) fn take(&mut self, byte: u8) -> bool {
         let there = self.peek() == byte;
         self.at += usize::from(there);
@@ -50,7 +51,7 @@ impl<'a> Cursor<'a> {
     }
 
     /// Reads a sign, if there is one; whether it is `-`.
-    #[inline(never)]
+    #[cfg_attr(target_os = "none", inline(never))]
     pub(crate) fn take_sign(&mut self) -> bool {
         let negative = self.take(b'-');
         if !negative {
@@ -60,7 +61,7 @@ impl<'a> Cursor<'a> {
     }
 
     /// Goes to the next byte that is no blank, and shows it.
-    #[inline(never)]
+    #[cfg_attr(target_os = "none", inline(never))]
     pub(crate) fn skip_blanks(&mut self) -> u8 {
         while is_blank(self.peek()) {
             self.at += 1;
@@ -70,7 +71,7 @@ impl<'a> Cursor<'a> {
 }
 
 /// Python's blanks, within ASCII.
-#[inline(never)]
+#[cfg_attr(target_os = "none", inline(never))]
 pub(crate) fn is_blank(byte: u8) -> bool {
     matches!(byte, b' ' | b'\t'..=b'\r')
 }

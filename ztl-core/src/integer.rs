@@ -106,7 +106,7 @@ impl<'a> Integer<'a> {
     }
 
     /// The number, when it is from 0 to 2^63 - 1.
-    #[inline(never)]
+    #[cfg_attr(target_os = "none", inline(never))]
     pub(crate) fn natural(self) -> Option<u64> {
         let number = self.magnitude()?;
         (number >> 63 == 0 && !self.is_negative()).then_some(number)

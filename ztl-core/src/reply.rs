@@ -123,8 +123,8 @@ impl<'a> Reply<'a> {
     }
 
     /// Makes it the answer to the INIT of this task: accepted, or refused with another state.
-    // Apart, since it is needed in several places.
-    #[inline(never)]
+    // Apart in firmware, since it is needed in several places.
+    #[cfg_attr(target_os = "none", inline(never))]
     pub(crate) fn decide(&mut self, told: State, task: TaskId, words: &'a str) {
         self.state = told;
         self.say(words);

@@ -50,8 +50,8 @@ impl Instant {
     }
 
     /// The moment so many microseconds later. Saturates at the end of time.
-    // Apart, since it is needed in many places.
-    #[inline(never)]
+    // Apart in firmware, since it is needed in many places.
+    #[cfg_attr(target_os = "none", inline(never))]
     pub(crate) const fn after(self, micros: u64) -> Self {
         Self(self.0.saturating_add(micros))
     }
