@@ -13,7 +13,7 @@ use ztl_mcu::components::{
 };
 use ztl_mcu::pump::Pump;
 use ztl_mcu::shared::{ReceiveQueue, StopFlag};
-use ztl_mcu::{Identity, Instant, Node};
+use ztl_mcu::{Components, Identity, Instant, Node};
 
 /// Where a board's serial port puts the bytes that it receives.
 pub static RECEIVED: ReceiveQueue<128> = ReceiveQueue::new();
@@ -84,8 +84,11 @@ pub trait Board {
     fn sleep(&mut self);
 }
 
-/// Runs for ever. `boot` differs from reset to reset.
-pub fn run<P, S, D, L, O>(boot: u32, pins: Pins<P, S, D, L, O>, board: &mut impl Board) -> !
+/// The node of the robot. `boot` differs from reset to reset.
+fn robot<P, S, D, L, O>(
+    boot: u32,
+    pins: Pins<P, S, D, L, O>,
+) -> Node<'static, impl Components, TASKS, FRAME>
 where
     P: SetDutyCycle,
     S: OutputPin,
@@ -100,13 +103,32 @@ where
         Stepper::new("stage", stage, STAGE),
         DigitalOutput::new("lamp", pins.lamp, DigitalOutputConfig::DEFAULT),
     );
-    let identity = Identity::new("desk", env!("CARGO_PKG_VERSION"), boot);
-    let mut node = Node::<_, TASKS, FRAME>::new(identity, components);
+    #[cfg(feature = "defmt")]
+    defmt::info!("desk robot started, boot {=u32:x}", boot);
+    Node::new(
+        Identity::new("desk", env!("CARGO_PKG_VERSION"), boot),
+        components,
+    )
+}
+
+fn pump() -> Pump<'static> {
     let pump = Pump::new().with_stop(&STOP);
     #[cfg(feature = "defmt")]
     let pump = pump.with_log(&LOG);
-    #[cfg(feature = "defmt")]
-    defmt::info!("desk robot started, boot {=u32:x}", boot);
+    pump
+}
+
+/// Runs for ever.
+pub fn run<P, S, D, L, O>(boot: u32, pins: Pins<P, S, D, L, O>, board: &mut impl Board) -> !
+where
+    P: SetDutyCycle,
+    S: OutputPin,
+    D: OutputPin,
+    L: InputPin,
+    O: OutputPin,
+{
+    let mut node = robot(boot, pins);
+    let pump = pump();
     let mut stopped = false;
     loop {
         let now = board.now();
@@ -126,6 +148,39 @@ where
         let due = due.unwrap_or(now);
         if due.as_micros().saturating_sub(now.as_micros()) > SLEEP_US {
             board.sleep();
+        }
+    }
+}
+
+/// Runs for ever, as a future. `resume` is ready when an emergency stop is to end.
+#[cfg(feature = "async")]
+pub async fn run_async<P, S, D, L, O>(
+    boot: u32,
+    pins: Pins<P, S, D, L, O>,
+    rx: &mut impl embedded_io_async::Read,
+    tx: &mut impl embedded_io_async::Write,
+    mut delay: impl embedded_hal_async::delay::DelayNs,
+    now: impl Fn() -> Instant,
+    mut resume: impl AsyncFnMut(),
+) -> !
+where
+    P: SetDutyCycle,
+    S: OutputPin,
+    D: OutputPin,
+    L: InputPin,
+    O: OutputPin,
+{
+    let mut node = robot(boot, pins);
+    let pump = pump();
+    loop {
+        // A port that fails is tried again: what moves must go on moving.
+        let running = pump.run(&mut node, rx, tx, &mut delay, &now);
+        if let embassy_futures::select::Either::Second(()) =
+            embassy_futures::select::select(running, resume()).await
+        {
+            node.clear_stop();
+            #[cfg(feature = "defmt")]
+            defmt::info!("emergency stop is over");
         }
     }
 }
