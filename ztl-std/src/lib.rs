@@ -65,7 +65,10 @@ pub mod yaml;
 pub use controller::{
     Aborted, ExecutableTask, TaskContext, TaskController, TaskError, TaskRequest,
 };
-pub use remote::{RemoteTask, RequestError, Status, TriggerError, Triggered, WaitError};
+pub use remote::{
+    Fate, InBackground, RemoteTask, RequestError, Status, TaskGuard, TriggerError, Triggered,
+    WaitError,
+};
 pub use remotes::Remotes;
 pub use server::{Access, BindError, Limits, ListedTask, Listing, RunningServer, TaskServer};
 pub use ztl_core::{State, TaskId, TaskSpec};

@@ -1,6 +1,8 @@
 //! The client: tasks on a server that may be ours or the original's.
 
+mod background;
 mod error;
+mod guard;
 
 use std::time::{Duration, Instant};
 
@@ -13,7 +15,9 @@ use ztl_core::{Request, State, TaskId, TaskSpec};
 use crate::clock::now;
 use crate::keys::{KeyPair, PublicKey, can_encrypt};
 use crate::random;
+pub use background::{Fate, InBackground};
 pub use error::{RequestError, TriggerError, WaitError};
+pub use guard::TaskGuard;
 
 /// Default longest time for a server to answer, as the original's.
 const TIMEOUT: Duration = Duration::from_secs(2);
@@ -27,6 +31,9 @@ const HELD: Duration = Duration::from_millis(1000);
 /// The same when somebody wants to see the progress.
 const HELD_FOR_PROGRESS: Duration = Duration::from_millis(100);
 
+/// Pauses between two tries to connect to a server that is not there: from, and at most.
+const RETRY: (i32, i32) = (20, 1000);
+
 /// How often it is asked what became of an INIT, each time over a new connection.
 const OUTCOMES: u32 = 3;
 
@@ -39,6 +46,9 @@ const LOG: &str = "remote-task";
 /// sent to a server that is not connected, and an INIT is never sent twice. When its answer does not
 /// come, a server of ours is asked what it was; else it is *unknown*, which is an error of its own
 /// and never a state.
+///
+/// One is for one thread at a time; a [`clone`](Clone::clone) is another client of the same server,
+/// which connects when it is used first.
 pub struct RemoteTask {
     context: zmq::Context,
     socket: Option<zmq::Socket>,
@@ -77,10 +87,6 @@ impl RemoteTask {
     /// # Errors
     /// [`RequestError::Transport`] when the endpoint is no ZeroMQ address.
     pub fn connect(endpoint: &str, scope: &str) -> Result<Self, RequestError> {
-        let mut id = [0; 16];
-        for (to, from) in id.iter_mut().zip(random::bytes()) {
-            *to = from;
-        }
         let mut remote = Self {
             context: zmq::Context::new(),
             socket: None,
@@ -88,7 +94,7 @@ impl RemoteTask {
             scope: scope.to_owned(),
             timeout: TIMEOUT,
             keys: None,
-            client: Client::new(ClientId(id), TIMEOUT),
+            client: Client::new(new_id(), TIMEOUT),
             met: false,
         };
         remote.socket = Some(remote.open()?);
@@ -294,6 +300,9 @@ impl RemoteTask {
         // Nothing is queued for a server that is not there: it would act on it when it comes.
         socket.set_immediate(true)?;
         socket.set_maxmsgsize(crate::server::MAX_MESSAGE as i64)?;
+        // A server that comes back is not met by all its clients in the same moment.
+        socket.set_reconnect_ivl(RETRY.0)?;
+        socket.set_reconnect_ivl_max(RETRY.1)?;
         if let Some((own, server)) = &self.keys {
             socket.set_curve_publickey(own.public().as_bytes())?;
             socket.set_curve_secretkey(own.secret())?;
@@ -363,10 +372,19 @@ impl RemoteTask {
         let said = self.converse(&socket, start, envelope, body);
         match &said {
             Ok(_) => self.socket = Some(socket),
-            // What is still on its way in this socket is dropped with it.
-            Err(Unanswered { error, .. }) => {
-                warn!(target: LOG, "Networking error, disconnecting: {error}");
+            // Nothing was sent, so nothing late can come: it goes on trying, ever more slowly.
+            Err(Unanswered {
+                error: RequestError::NotConnected { .. },
+                ..
+            }) => {
+                self.met = false;
+                self.socket = Some(socket);
             }
+            // What is still on its way in this socket is dropped with it.
+            Err(_) => {}
+        }
+        if let Err(Unanswered { error, .. }) = &said {
+            warn!(target: LOG, "Networking error, disconnecting: {error}");
         }
         said
     }
@@ -471,6 +489,30 @@ impl From<zmq::Error> for Unanswered {
     fn from(cause: zmq::Error) -> Self {
         RequestError::from(cause).into()
     }
+}
+
+impl Clone for RemoteTask {
+    fn clone(&self) -> Self {
+        Self {
+            context: self.context.clone(),
+            socket: None,
+            endpoint: self.endpoint.clone(),
+            scope: self.scope.clone(),
+            timeout: self.timeout,
+            keys: self.keys.clone(),
+            client: Client::new(new_id(), self.timeout),
+            met: false,
+        }
+    }
+}
+
+/// The id of a client that is new.
+fn new_id() -> ClientId {
+    let mut id = [0; 16];
+    for (to, from) in id.iter_mut().zip(random::bytes()) {
+        *to = from;
+    }
+    ClientId(id)
 }
 
 impl std::fmt::Debug for RemoteTask {
