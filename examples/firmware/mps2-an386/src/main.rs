@@ -35,6 +35,7 @@ fn main() -> ! {
 #[exception]
 fn SysTick() {
     clock::tick();
+    board::look_at_buttons();
 }
 
 /// After a reset the gateway knows what to tell of the tasks that ran.

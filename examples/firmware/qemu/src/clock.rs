@@ -7,7 +7,7 @@ use cortex_m::peripheral::syst::SystClkSource;
 use critical_section::Mutex;
 use ztl_mcu::Instant;
 
-use crate::board::{Clock, look_at_buttons};
+use crate::board::Clock;
 
 static MILLIS: Mutex<Cell<u64>> = Mutex::new(Cell::new(0));
 
@@ -52,7 +52,6 @@ pub fn tick() {
         let millis = MILLIS.borrow(cs);
         millis.set(millis.get().wrapping_add(1));
     });
-    look_at_buttons();
 }
 
 /// Milliseconds since the start.

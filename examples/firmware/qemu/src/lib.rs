@@ -1,4 +1,5 @@
-//! What the boards in QEMU have in common: registers, a clock, and pins that a test can press and see.
+//! What boards without a HAL have in common: registers, a clock; and for those in QEMU pins that a test can
+//! press and see.
 #![no_std]
 
 pub mod board;
