@@ -121,7 +121,11 @@ fn tasks_run_in_the_background_and_tell_their_progress() {
         let end = fate.expect("taken").expect("its end");
         assert_eq!((end.state, end.text.as_str()), (State::Completed, goal));
     }
-    assert!(seen.lock().unwrap().contains(&Some("on the way".to_owned())));
+    assert!(
+        seen.lock()
+            .unwrap()
+            .contains(&Some("on the way".to_owned()))
+    );
     let end = remote
         .start("h", "echo", "3", Some(PATIENCE), |_| {})
         .wait();

@@ -76,7 +76,7 @@ const CHORES: &[Chore] = &[
     },
     Chore {
         name: "soak",
-        about: "many tasks and resets of real processes on a bad line (--tasks N, --resets N)",
+        about: "many tasks and resets of real processes (--tasks N, --resets N, --many N)",
         run: soak::run,
     },
     Chore {

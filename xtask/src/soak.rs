@@ -1,4 +1,5 @@
-//! `cargo xtask soak`: the tests on a bad line, with real processes, in their long form.
+//! `cargo xtask soak`: the tests on a bad line, and of a server with a great many tasks, with real
+//! processes, in their long form.
 
 use crate::Dirs;
 use crate::cmd::{Cmd, Outcome};
@@ -10,9 +11,12 @@ const RESETS: &str = "1000";
 /// Tasks before the resets: as many as a gateway keeps the results of, so that it has its full size.
 const FILL: &str = "10500";
 
-/// Runs both; each prints a short report.
+/// Tasks through one server.
+const MANY: &str = "1000000";
+
+/// Runs all; each prints a short report.
 pub(crate) fn run(_dirs: &Dirs, args: &[String]) -> Outcome {
-    let [tasks, resets] = counts(args)?;
+    let [tasks, resets, many] = counts(args)?;
     Cmd::new("cargo build --release --workspace --bins --locked").run()?;
     Cmd::new("cargo test --release --locked --package ztl-tests --test line_faults")
         .args("-- --nocapture --test-threads 1")
@@ -22,17 +26,18 @@ pub(crate) fn run(_dirs: &Dirs, args: &[String]) -> Outcome {
         .run()
 }
 
-/// Tasks and resets.
-fn counts(args: &[String]) -> Outcome<[&str; 2]> {
-    let mut counts = [TASKS, RESETS];
+/// Tasks, resets, and tasks through one server.
+fn counts(args: &[String]) -> Outcome<[&str; 3]> {
+    let mut counts = [TASKS, RESETS, MANY];
     let mut words = args.iter().map(String::as_str);
     while let Some(word) = words.next() {
         let place = match word {
             "--tasks" => &mut counts[0],
             "--resets" => &mut counts[1],
+            "--many" => &mut counts[2],
             _ => {
                 return Err(format!(
-                    "`cargo xtask soak` does not know `{word}`; it takes `--tasks N` and `--resets N`"
+                    "`cargo xtask soak` does not know `{word}`; it takes `--tasks N`, `--resets N` and `--many N`"
                 ));
             }
         };
@@ -48,15 +53,15 @@ fn counts(args: &[String]) -> Outcome<[&str; 2]> {
 mod tests {
     use super::*;
 
-    fn said(line: &str) -> Outcome<[String; 2]> {
+    fn said(line: &str) -> Outcome<[String; 3]> {
         let args: Vec<String> = line.split_whitespace().map(str::to_owned).collect();
         counts(&args).map(|counts| counts.map(str::to_owned))
     }
 
     #[test]
     fn each_count_has_a_default_and_mistakes_say_what_would_be_right() {
-        assert_eq!(said("").unwrap(), [TASKS, RESETS]);
-        assert_eq!(said("--resets 50 --tasks 20").unwrap(), ["20", "50"]);
+        assert_eq!(said("").unwrap(), [TASKS, RESETS, MANY]);
+        assert_eq!(said("--resets 50 --tasks 20").unwrap(), ["20", "50", MANY]);
         for wrong in ["--tasks", "--tasks many", "--tasks 0", "50"] {
             let message = said(wrong).unwrap_err();
             assert!(message.contains("--tasks"), "{wrong}: {message}");
