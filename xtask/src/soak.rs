@@ -23,6 +23,10 @@ pub(crate) fn run(_dirs: &Dirs, args: &[String]) -> Outcome {
         .env("ZTL_TASKS", tasks)
         .env("ZTL_RESETS", resets)
         .env("ZTL_FILL", FILL)
+        .run()?;
+    Cmd::new("cargo test --release --locked --package ztl-tests --test many_tasks")
+        .args("-- --nocapture --test-threads 1")
+        .env("ZTL_MANY_TASKS", many)
         .run()
 }
 
