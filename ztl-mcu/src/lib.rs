@@ -38,8 +38,10 @@
 //!     }
 //! }
 //!
-//! // At most 2 tasks, frames of at most 128 bytes.
-//! let identity = Identity::new("desk", "1.0.0", 4711);
+//! # fn boots() -> u32 { 4711 }
+//! // Another number at each boot: random, or counted in flash. At most 2 tasks, frames of at most
+//! // 128 bytes.
+//! let identity = Identity::new("desk", "1.0.0", boots());
 //! let mut node = Node::<_, 2, 128>::new(identity, [Lamp { on: false }]);
 //!
 //! // The main loop: bytes in, time passes, bytes out.

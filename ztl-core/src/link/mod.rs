@@ -11,6 +11,7 @@ mod frame;
 pub use body::{Body, BodyError, Busy, GoalShape, Hello, Ids, LinkId, Loss, Offer, Welcome};
 pub use frame::{ADDR_ONLY_NODE, Decoder, Frame, FrameError, OVERHEAD, encode};
 
+use core::ops::RangeInclusive;
 use core::time::Duration;
 
 /// Version of the link protocol, told in `Hello`, `Welcome` and `Awake`.
@@ -19,6 +20,15 @@ pub const VERSION: u8 = 1;
 /// Longest time a node goes without a new command before it acts by itself, unless its firmware
 /// says otherwise.
 pub const LINK_TIMEOUT: Duration = Duration::from_secs(1);
+
+/// Link timeouts that a gateway takes: a shorter one leaves no time for its pings, a longer one
+/// leaves tasks without an end for too long.
+pub const LINK_TIMEOUTS: RangeInclusive<Duration> =
+    Duration::from_millis(50)..=Duration::from_secs(60);
+
+/// By how much a node that another gateway takes over raises the highest task id: numbers that the
+/// gateway before gave to tasks that never came are not given to others.
+pub const OTHER_GATEWAY: u32 = 1 << 16;
 
 /// The session under which `Hello` and `Awake` are checked; `Welcome` is checked under the number
 /// that the `Hello` brought, everything else under [`session_key`].

@@ -2,8 +2,8 @@
 
 use ztl_core::Instant;
 use ztl_core::link::{
-    ADDR_ONLY_NODE, Body, Frame, Hello, LinkId, NO_SEQ, NO_SESSION, VERSION, next_seq, session_key,
-    session_number,
+    ADDR_ONLY_NODE, Body, Frame, Hello, LinkId, NO_SEQ, NO_SESSION, OTHER_GATEWAY, VERSION,
+    next_seq, session_key, session_number,
 };
 use ztl_core::tasks::TaskRules;
 
@@ -62,6 +62,10 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> Inner<'_, C, TASKS, 
                 self.refusal = Some((hello.session, "another gateway holds this device"));
                 return;
             }
+            if hello.gateway != self.gateway && self.hello != NO_SESSION {
+                // The one before may have given numbers to tasks that never came; they stay its.
+                self.highest = LinkId(self.highest.0.saturating_add(OTHER_GATEWAY));
+            }
             self.replaced = self.hello;
             self.hello = hello.session;
             self.session = session_key(hello.session, self.identity.boot);
@@ -90,6 +94,8 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> Inner<'_, C, TASKS, 
             counters.out_of_sequence = counters.out_of_sequence.wrapping_add(1);
             return;
         }
+        // A command that comes after the link timer has run out does not undo that.
+        self.look_at_link(now);
         let answer = match body {
             Body::Describe { index } if usize::from(index) < self.components.count() => {
                 Answer::Component(index)

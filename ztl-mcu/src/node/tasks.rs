@@ -70,12 +70,7 @@ pub(super) struct Wanted<'a> {
 
 impl<C: Components, const TASKS: usize, const FRAME: usize> Inner<'_, C, TASKS, FRAME> {
     pub(super) fn handle_timeout(&mut self, now: Instant) {
-        if let Some(commanded) = self.commanded
-            && now >= commanded + self.identity.link_timeout
-        {
-            self.commanded = None;
-            self.on_link_lost(now);
-        }
+        self.look_at_link(now);
         for (_, task) in self.tasks.iter_mut().filter(|(_, task)| moves(task)) {
             let place = usize::from(task.extra.component);
             let Some(component) = self.components.component_mut(place) else {
@@ -95,6 +90,17 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> Inner<'_, C, TASKS, 
         // Each of them moves then, or has ended.
         while let Some(task) = self.next_in_turn() {
             self.begin(now, task);
+        }
+    }
+
+    /// Acts when the link timer has run out. Looked at before a command is carried out too: after
+    /// a pause of the firmware the bytes that waited come first.
+    pub(super) fn look_at_link(&mut self, now: Instant) {
+        if let Some(commanded) = self.commanded
+            && now >= commanded + self.identity.link_timeout
+        {
+            self.commanded = None;
+            self.on_link_lost(now);
         }
     }
 

@@ -492,7 +492,7 @@ fn another_gateway_is_refused_while_the_session_lives() {
         desk.pass(1000);
         assert_said(
             desk.hello(6, 2),
-            &["Welcome boot 77 replaces 5 highest 0 []"],
+            &["Welcome boot 77 replaces 5 highest 65536 []"],
         );
     });
 }
@@ -528,5 +528,18 @@ fn any_bytes_leave_it_able_to_be_greeted() {
         said(desk.node, desk.now, 0);
         let heard = desk.hello(5, 1).join(",").to_string();
         assert!(heard.starts_with("Welcome"), "{heard}");
+    });
+}
+
+#[test]
+fn a_command_that_comes_after_the_link_timeout_does_not_save_the_task() {
+    with_node(|desk, _| {
+        desk.hello(5, 1);
+        desk.start(1, 7, 0, "50000");
+        // The firmware was busy with something else.
+        desk.now = desk.now + Duration::from_millis(1400);
+        let heard = desk.command(2, Body::Ping);
+        let lost = heard.iter().any(|line| line.contains("link was lost"));
+        assert!(lost, "{heard:?}");
     });
 }

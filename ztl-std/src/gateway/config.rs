@@ -240,8 +240,8 @@ fn device<'d>(
         });
         match (&mut endpoint, rate) {
             (Some(Endpoint::Serial { baud, .. }), Some(rate)) => *baud = rate,
-            (Some(_), _) => reading.wrong(node, "only a serial port has a line rate"),
-            (None, _) => {}
+            (Some(_), Some(_)) => reading.wrong(node, "only a serial port has a line rate"),
+            _ => {}
         }
     }
     let mut path = None;

@@ -311,7 +311,7 @@ impl TaskHandler for Gateway {
             task
         });
         let (ended, unended) = (tasks.len(), self.unended.len());
-        info!(target: LOG, "Journal {}: {unended} tasks have no end yet, {ended} ends are remembered.", journal.path().display());
+        info!(target: LOG, "Journal {}: tasks without an end {unended}, ends remembered {ended}.", journal.path().display());
         tasks.extend(self.unended.values().map(|(device, task)| {
             let text = if self.devices.contains_key(device) {
                 "device is not answering yet".to_owned()

@@ -3,7 +3,7 @@
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
-use ztl_core::link::{LinkId, Loss};
+use ztl_core::link::{LINK_TIMEOUTS, LinkId, Loss};
 use ztl_core::{State, TaskId};
 
 use crate::clock;
@@ -154,7 +154,9 @@ impl TaskLine {
                 link: LinkId(sent.link),
                 boot: sent.boot,
                 loss: sent.loss,
-                link_timeout: Duration::from_millis(sent.link_timeout_ms),
+                // As a device can have told it.
+                link_timeout: Duration::from_millis(sent.link_timeout_ms)
+                    .clamp(*LINK_TIMEOUTS.start(), *LINK_TIMEOUTS.end()),
             },
             accepted: self.state == State::Accepted,
         })

@@ -2,11 +2,13 @@
 
 use std::time::Duration;
 
-use ztl_core::link::{Body, Frame, FrameError, LinkId, NO_SEQ, VERSION, Welcome, session_key};
+use ztl_core::link::{
+    Body, Frame, FrameError, LINK_TIMEOUTS, LinkId, NO_SEQ, VERSION, Welcome, session_key,
+};
 use ztl_core::{Instant, State, TaskId};
 
 use super::send::frame_bytes;
-use super::{Book, Command, ComponentInfo, DeviceInfo, Event, Phase, Session, Stage, Task};
+use super::{Book, Command, ComponentInfo, DeviceInfo, Event, Phase, Sent, Session, Stage, Task};
 
 /// Pause before a device that answers nonsense is greeted again.
 const BAD_ANSWER: Duration = Duration::from_secs(1);
@@ -89,25 +91,42 @@ impl<B: Book> Session<B> {
             self.events.push_back(Event::Refused(reason));
             return;
         }
+        let link_timeout = Duration::from_millis(u64::from(welcome.link_timeout_ms));
+        if !LINK_TIMEOUTS.contains(&link_timeout) {
+            let reason = format!(
+                "its link timeout of {link_timeout:?} is none: it takes {:?} to {:?}",
+                LINK_TIMEOUTS.start(),
+                LINK_TIMEOUTS.end()
+            );
+            self.events.push_back(Event::Refused(reason));
+            return;
+        }
         self.session = session_key(self.session, welcome.boot);
         self.clock = Some((welcome.clock_ms, now));
         // It lives, and its link timer runs from an earlier command; the next one is still to come.
         self.heard = now;
-        self.next_link = self.next_link.max(welcome.highest.saturating_add(1));
         let before = self.device.take();
         let was_known = before.is_some();
-        let known = before.filter(|device| device.boot == welcome.boot);
-        if known.is_none() {
-            self.counters.resets += u64::from(was_known);
-        }
-        self.on_reset(now, welcome.boot);
+        // Without a session before this one it has been reset, also where its firmware gives each
+        // boot the same id.
+        let same_boot = |device: &DeviceInfo| device.boot == welcome.boot && welcome.replaces != 0;
+        let known = before.filter(same_boot);
+        self.counters.resets += u64::from(was_known && known.is_none());
+        // A reborn device counts anew.
+        let last = if welcome.replaces == 0 {
+            0
+        } else {
+            self.next_link
+        };
+        self.next_link = last.max(welcome.highest.saturating_add(1));
+        self.on_reset(now, welcome);
         let components = known.map(|device| device.components).unwrap_or_default();
         self.device = Some(DeviceInfo {
             name: welcome.name.to_owned(),
             firmware: welcome.firmware.to_owned(),
             boot: welcome.boot,
             max_body: usize::from(welcome.max_body),
-            link_timeout: Duration::from_millis(u64::from(welcome.link_timeout_ms)),
+            link_timeout,
             count: welcome.components,
             components,
         });
@@ -119,8 +138,9 @@ impl<B: Book> Session<B> {
     }
 
     /// What the device held in another boot is gone.
-    pub(super) fn on_reset(&mut self, now: Instant, boot: u32) {
-        let gone = |task: &Task| task.stage.sent().is_some_and(|sent| sent.boot != boot);
+    pub(super) fn on_reset(&mut self, now: Instant, welcome: &Welcome<'_>) {
+        let other = |sent: Sent| sent.boot != welcome.boot || welcome.replaces == 0;
+        let gone = |task: &Task| task.stage.sent().is_some_and(other);
         let held: Vec<TaskId> = self
             .tasks
             .iter()

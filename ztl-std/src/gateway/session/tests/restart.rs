@@ -227,3 +227,80 @@ fn a_task_that_never_started_and_a_new_one_are_not_taken_for_each_other() {
         lab.check();
     }
 }
+
+#[test]
+fn a_start_that_died_with_its_gateway_is_not_taken_for_anothers_task() {
+    let mut lab = Lab::new(7);
+    lab.pass(Duration::from_millis(300));
+    // The Start is written down, and the gateway dies before the line takes it.
+    let mine = lab.ask("belt", 700);
+    lab.down.lose();
+    assert_eq!(lab.world.borrow().begun.len(), 0);
+    // Another gateway, with a journal of its own, takes the device over.
+    let other = Disk::default();
+    let disk = std::mem::replace(&mut lab.disk, other.clone());
+    lab.session = session(&other);
+    lab.session.handle_connected(lab.now);
+    lab.settle();
+    lab.pass(Duration::from_millis(1500));
+    assert!(lab.session.is_up());
+    let anothers = lab.ask("belt", 3000);
+    lab.pass(Duration::from_millis(200));
+    assert_eq!(lab.accepted.get(&anothers), Some(&1));
+    // It dies too, and the first one comes back.
+    lab.disk = disk.clone();
+    let log = Log::open(disk.clone(), &disk.written(), moment(), 0);
+    lab.session = session(&disk);
+    for (_, task) in log.unended() {
+        lab.session.restore(lab.now, task);
+    }
+    lab.session.handle_connected(lab.now);
+    lab.settle();
+    lab.pass(Duration::from_millis(6000));
+    assert_eq!(lab.ended.get(&mine).map(|end| end.0), Some(State::Failed));
+}
+
+#[test]
+fn a_reset_with_the_same_boot_id_is_no_rejection() {
+    let mut lab = Lab::new(7);
+    lab.pass(Duration::from_millis(300));
+    let task = lab.ask("belt", 700);
+    // It moves, and the answer is still on the line.
+    while lab.world.borrow().begun.is_empty() {
+        lab.now = lab.now + Duration::from_micros(50);
+        lab.settle();
+    }
+    lab.up.lose();
+    // The firmware's boot id is a constant.
+    lab.boots -= 1;
+    lab.reset();
+    lab.pass(Duration::from_millis(6000));
+    assert_eq!(lab.rejected.get(&task), None);
+    assert_eq!(lab.ended.get(&task).map(|end| end.0), Some(State::Failed));
+}
+
+#[test]
+fn a_device_whose_link_timeout_is_none_is_refused() {
+    for (millis, taken) in [
+        (0, false),
+        (49, false),
+        (50, true),
+        (60_000, true),
+        (60_001, false),
+    ] {
+        let mut lab = Lab::new(7);
+        let mut identity = Identity::new("lab", "1", 1);
+        identity.link_timeout = Duration::from_millis(millis);
+        let motor = |place, loss| Motor {
+            place,
+            loss,
+            world: Rc::clone(&lab.world),
+            ends_at: Instant::ZERO,
+            aborted: false,
+        };
+        let motors = [motor(0, Loss::Abort), motor(1, Loss::CarryOn)];
+        lab.node = Node::new(identity, motors);
+        lab.pass(Duration::from_millis(500));
+        assert_eq!(lab.session.is_up(), taken, "{millis} ms");
+    }
+}
