@@ -5,7 +5,7 @@
 //! |---|---|
 //! | `i`, `s`, `a` | INIT, STATUS or ABORT of task 7, its payload behind it; `I` is an INIT that waits for a quick end |
 //! | `p` | a probe |
-//! | `o` | what became of the last unanswered INIT? |
+//! | `o` | what became of the last INIT? |
 //! | `!0 $ztl;5;-1;{boot: 4711}` | this reply comes in the envelope of the last request, `!1` of the one before … |
 //! | `~0 /lab;1;7;ok` | the same, but of a stranger |
 //! | `t2000` | so many milliseconds pass, and the client looks at the clock |
@@ -13,6 +13,7 @@
 use core::time::Duration;
 
 use ztl_core::client::{Client, Heard, Late, Server};
+use ztl_core::dispatcher::KEEP_INIT;
 use ztl_core::envelope::{ClientId, Envelope};
 use ztl_core::sink::Sink;
 use ztl_core::{Instant, Message, Request, TaskId};
@@ -67,9 +68,11 @@ enum Kind {
 struct Sent {
     number: u64,
     kind: Kind,
+    sent: Instant,
     deadline: Instant,
-    /// Passed over in silence.
-    late: bool,
+    /// What was known of the server then.
+    server: Server,
+    answered: bool,
 }
 
 struct Desk {
@@ -105,12 +108,9 @@ impl Desk {
     }
 
     fn outcome(&mut self) {
-        // The last INIT that a timeout passed over.
-        let unanswered = self
-            .sent
-            .iter()
-            .rev()
-            .find(|sent| sent.kind == Kind::Init && sent.late);
+        // The last INIT, if it was not answered.
+        let mut inits = self.sent.iter().filter(|sent| sent.kind == Kind::Init);
+        let unanswered = inits.next_back().filter(|init| !init.answered);
         let about = unanswered.map_or(0, |init| init.number);
         self.send(Kind::Outcome(about), |client, now, sink| {
             client.outcome(now, sink)
@@ -148,14 +148,15 @@ impl Desk {
             Kind::Other => assert_ne!(body.state, "1", "an INIT that nobody asked for"),
             Kind::Init => {}
         }
-        let deadline = self.now + TIMEOUT;
         let number = envelope.number;
         self.pending = Some(self.sent.len());
         self.sent.push(Sent {
             number,
             kind,
-            deadline,
-            late: false,
+            sent: self.now,
+            deadline: self.now + TIMEOUT,
+            server: self.client.server(),
+            answered: false,
         });
     }
 
@@ -179,14 +180,18 @@ impl Desk {
         }
         self.pending = None;
         let heard = heard.expect("the answer to the request that is under way");
-        let server = self.client.server();
         match heard {
             Heard::NeverStarted | Heard::FateUnknown => {
-                assert!(matches!(kind, Kind::Outcome(_)), "nobody asked for it");
+                let Kind::Outcome(about) = kind else {
+                    panic!("nobody asked for it");
+                };
                 if heard == Heard::NeverStarted {
-                    let Server::Ours { boot } = server else {
-                        panic!("a server that does not know said so");
+                    let mut sent = self.sent.iter();
+                    let init = sent.find(|sent| sent.number == about).expect("an INIT");
+                    let Server::Ours { boot } = init.server else {
+                        panic!("a server that was not known to the INIT said so");
                     };
+                    assert!(self.now <= init.sent + KEEP_INIT, "it may have forgotten");
                     let said = text(body);
                     let (_, said) = said
                         .rsplit_once("never seen since boot ")
@@ -196,6 +201,7 @@ impl Desk {
                 }
             }
             Heard::Answer(answer) => {
+                self.sent[place].answered = true;
                 let message = Message::parse(body).expect("a message");
                 assert_eq!(message.payload, answer.text);
                 assert_eq!(
@@ -225,7 +231,6 @@ impl Desk {
             return;
         };
         self.pending = None;
-        self.sent[place].late = true;
         let ours = matches!(self.client.server(), Server::Ours { .. });
         let expected = match self.sent[place].kind {
             Kind::Init if ours => Late::AskOutcome,

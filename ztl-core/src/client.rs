@@ -114,7 +114,6 @@ struct Pending {
     /// The INIT whose outcome is asked for.
     outcome_of: Option<u64>,
     probe: bool,
-    sent: Instant,
     deadline: Instant,
 }
 
@@ -131,8 +130,17 @@ pub struct Client {
     timeout: Duration,
     server: Server,
     pending: Option<Pending>,
-    /// The last INIT that was not answered, and when it was sent.
-    unanswered: Option<(u64, Instant)>,
+    unanswered: Option<Unanswered>,
+}
+
+/// The last INIT, as long as its answer is not known.
+#[derive(Debug, Clone, Copy)]
+struct Unanswered {
+    number: u64,
+    sent: Instant,
+    /// What was known of the server when it was sent: only this start of it can say that it never
+    /// came.
+    server: Server,
 }
 
 /// How long after an INIT it makes sense to ask for its outcome: a server may have forgotten it
@@ -215,21 +223,29 @@ impl Client {
         self.begin(now, Request::Status, None, false)
     }
 
-    /// Asks what became of the last INIT that was not answered; `None` when there is none, or it
-    /// was sent so long ago that nobody can know: its fate stays unknown.
+    /// Asks what became of the last INIT, if its answer is not known: it is late, or still under way,
+    /// or was given up for another request. `None` when it was answered, or was sent so long ago
+    /// that nobody can know: its fate stays unknown. An earlier INIT cannot be asked about: the
+    /// last one settled it.
     pub fn outcome(&mut self, now: Instant, sink: &mut (impl Sink + ?Sized)) -> Option<Envelope> {
-        let (number, sent) = self.unanswered?;
+        let Unanswered { number, sent, .. } = self.unanswered?;
         if now > sent + ASK_WITHIN {
             self.unanswered = None;
             return None;
         }
         put_reserved("outcome ", sink);
         put_u64(number, sink);
-        Some(self.begin(now, Request::Init, Some(number), false))
+        let envelope = self.begin(now, Request::Init, Some(number), false);
+        if let Some(pending) = &mut self.pending {
+            // Later the server may have forgotten the INIT, and its word counts no more.
+            pending.deadline = pending.deadline.min(sent + KEEP_INIT);
+        }
+        Some(envelope)
     }
 
     /// A reply has arrived in this envelope. `None` when it answers nothing that is under way: it
-    /// is late, or somebody else's.
+    /// is late, or somebody else's. Late is what comes after [`handle_timeout`](Self::handle_timeout):
+    /// call that first, if the time may have come to which [`poll_timeout`](Self::poll_timeout) points.
     pub fn handle_reply<'a>(&mut self, envelope: Envelope, body: &'a [u8]) -> Option<Heard<'a>> {
         let asked = |pending: &mut Pending| pending.number == envelope.number;
         if envelope.client != self.id {
@@ -245,6 +261,9 @@ impl Client {
         if pending.outcome_of.is_some() {
             return Some(self.on_outcome(scope, answer));
         }
+        if pending.request == Request::Init {
+            self.unanswered = None;
+        }
         Some(Heard::Answer(answer))
     }
 
@@ -254,14 +273,11 @@ impl Client {
             return Late::NotYet;
         };
         match (pending.request, pending.outcome_of) {
-            (Request::Init, None) => {
-                self.unanswered = Some((pending.number, pending.sent));
-                match self.server {
-                    Server::Ours { .. } => Late::AskOutcome,
-                    // The original would not know, and an unknown one could have been started anew.
-                    Server::Original | Server::Unknown => Late::NoAnswer,
-                }
-            }
+            (Request::Init, None) => match self.server {
+                Server::Ours { .. } => Late::AskOutcome,
+                // The original would not know, and an unknown one could have been started anew.
+                Server::Original | Server::Unknown => Late::NoAnswer,
+            },
             // Asked again, over another connection.
             (_, Some(_)) => Late::AskOutcome,
             _ => Late::NoAnswer,
@@ -289,12 +305,18 @@ impl Client {
     ) -> Envelope {
         self.number = self.number.saturating_add(1);
         let number = self.number;
+        if request == Request::Init && outcome_of.is_none() {
+            self.unanswered = Some(Unanswered {
+                number,
+                sent: now,
+                server: self.server,
+            });
+        }
         self.pending = Some(Pending {
             number,
             request,
             outcome_of,
             probe,
-            sent: now,
             deadline: now + self.timeout,
         });
         Envelope {
@@ -313,11 +335,11 @@ impl Client {
         if answer.id == 0
             && let Some(boot) = answer.text.strip_prefix(NEVER_SEEN)
         {
-            self.unanswered = None;
+            let asked = self.unanswered.take().map(|init| init.server);
             let boot = Integer::parse(boot).ok().and_then(Integer::value);
-            // Another boot id: the server that may have seen it is gone.
-            return match self.server {
-                Server::Ours { boot: known } if boot == Some(i64::from(known)) => {
+            // Another boot id than when it was sent: the server that may have seen it is gone.
+            return match asked {
+                Some(Server::Ours { boot: known }) if boot == Some(i64::from(known)) => {
                     Heard::NeverStarted
                 }
                 _ => Heard::FateUnknown,

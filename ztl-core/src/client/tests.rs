@@ -218,3 +218,77 @@ fn a_question_that_was_not_understood_leaves_the_fate_unknown() {
         assert_eq!(heard, Some(Heard::FateUnknown));
     }
 }
+
+/// The client believed a server that was started after the INIT: the last probe counted, and not what
+/// was known when the INIT was sent.
+#[test]
+fn a_server_that_was_probed_after_the_init_cannot_say_that_it_never_came() {
+    let mut desk = Desk::new();
+    desk.probe(111);
+    desk.init();
+    assert_eq!(desk.late(), Late::AskOutcome);
+    desk.probe(222);
+    let (asked, body) = desk.written(|client, now, sink| client.outcome(now, sink));
+    assert_eq!(body, "$ztl;2;-1;outcome 2");
+    let reply = b"$ztl;2;0;never seen since boot 222";
+    let heard = desk.client.handle_reply(asked, reply);
+    assert_eq!(heard, Some(Heard::FateUnknown));
+}
+
+#[test]
+fn of_an_init_that_went_to_a_stranger_nobody_can_say_that_it_never_came() {
+    let mut desk = Desk::new();
+    desk.init();
+    assert_eq!(desk.late(), Late::NoAnswer);
+    desk.probe(222);
+    let (asked, _) = desk.written(|client, now, sink| client.outcome(now, sink));
+    let reply = b"$ztl;2;0;never seen since boot 222";
+    let heard = desk.client.handle_reply(asked, reply);
+    assert_eq!(heard, Some(Heard::FateUnknown));
+}
+
+/// With a timeout above 10 s an answer counted that was given when the server may have forgotten.
+#[test]
+fn an_outcome_counts_no_longer_than_the_server_remembers() {
+    let mut desk = Desk::new();
+    desk.client.set_timeout(Duration::from_secs(45));
+    desk.probe(4711);
+    desk.init();
+    assert_eq!(desk.late(), Late::AskOutcome);
+    let (asked, _) = desk.written(|client, now, sink| client.outcome(now, sink));
+    let forgotten = Instant::ZERO + KEEP_INIT;
+    assert_eq!(desk.client.poll_timeout(), Some(forgotten));
+    assert_eq!(desk.late(), Late::AskOutcome);
+    let reply = b"$ztl;2;0;never seen since boot 4711";
+    assert_eq!(desk.client.handle_reply(asked, reply), None);
+    let mut none = |_: &[u8]| {};
+    assert_eq!(desk.client.outcome(desk.now, &mut none), None);
+}
+
+#[test]
+fn an_init_that_is_under_way_or_given_up_can_be_asked_about() {
+    for given_up in [false, true] {
+        let mut desk = Desk::new();
+        desk.probe(4711);
+        let (init, _) = desk.init();
+        if given_up {
+            desk.probe(4711);
+        }
+        let (asked, body) = desk.written(|client, now, sink| client.outcome(now, sink));
+        assert_eq!(body, "$ztl;2;-1;outcome 2");
+        assert_eq!(desk.client.handle_reply(init, b"/lab;1;12;late"), None);
+        let heard = desk.client.handle_reply(asked, b"$ztl;1;12;Initiated");
+        assert!(matches!(heard, Some(Heard::Answer(_))), "{heard:?}");
+    }
+}
+
+#[test]
+fn an_init_that_was_answered_is_not_asked_about() {
+    let mut desk = Desk::new();
+    desk.probe(4711);
+    let (init, _) = desk.init();
+    let heard = desk.client.handle_reply(init, b"/lab;1;12;Initiated");
+    assert!(matches!(heard, Some(Heard::Answer(_))), "{heard:?}");
+    let mut none = |_: &[u8]| {};
+    assert_eq!(desk.client.outcome(desk.now, &mut none), None);
+}
