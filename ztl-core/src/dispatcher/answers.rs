@@ -67,7 +67,7 @@ impl<M: Memory> Dispatcher<M> {
     }
 
     /// Remembers the answer to an enveloped INIT; says whether there is such a one.
-    fn settle(&mut self, task: TaskId, told: State, answer: &str) -> bool {
+    pub(super) fn settle(&mut self, task: TaskId, told: State, answer: &str) -> bool {
         let Some(init) = self.memory.init_of(task) else {
             return false;
         };

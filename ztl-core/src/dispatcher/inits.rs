@@ -5,7 +5,7 @@ use crate::envelope::{ClientId, Envelope};
 use crate::lifecycle::State;
 use crate::memory::{Awaited, First, Memory, Scope};
 use crate::reply::{Reply, Text};
-use crate::tasks::{Task, TaskRules, Tasks, Text as _};
+use crate::tasks::{Task, TaskRules, Text as _};
 use crate::time::micros;
 use crate::{Instant, TaskId};
 
@@ -52,25 +52,25 @@ impl<M: Memory> Dispatcher<M> {
             asked.reply.text = Text::NoMoreIds;
             return;
         };
-        let mut refused = None;
-        match self.memory.tasks_mut().admit(id, Task::new(scope)) {
-            Ok(task) => task.text.set(NOTHING_KNOWN),
-            Err(_) => refused = Some(Text::ManyTasks),
+        // What can refuse it comes before `admit`, which may give up an end for it.
+        if let Some(Envelope { client, number, .. }) = asked.envelope
+            && !self.remember(client, (*number, check), First::Pending, Some(id), "")
+        {
+            asked.reply.text = Text::ManyClients;
+            return;
         }
-        if refused.is_none() && !self.memory.can_hold() {
-            refused = Some(Text::ManyWaiting);
-        }
-        if let Some(Envelope { client, number, .. }) = asked.envelope {
-            let (first, task, text) = match refused {
-                None => (First::Pending, Some(id), ""),
-                Some(reason) => (First::Answered(State::Rejected), None, reason.template()),
+        let mut refused = Some(Text::ManyWaiting);
+        if self.memory.can_hold() {
+            refused = match self.memory.tasks_mut().admit(id, Task::new(scope)) {
+                Ok(task) => {
+                    task.text.set(NOTHING_KNOWN);
+                    None
+                }
+                Err(_) => Some(Text::ManyTasks),
             };
-            if !self.remember(client, (*number, check), first, task, text) {
-                refused = Some(Text::ManyClients);
-            }
         }
         if let Some(reason) = refused {
-            self.memory.tasks_mut().remove(id);
+            self.settle(id, State::Rejected, reason.template());
             asked.reply.text = reason;
             return;
         }

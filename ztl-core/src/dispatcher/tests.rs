@@ -301,10 +301,7 @@ fn when_no_more_answers_can_be_held_requests_are_still_answered() {
     lab.ask(3, "/test;3;3;");
     assert_eq!(lab.ask(4, "/test;3;1;"), Some(("abort", 1)));
     lab.told(&[
-        (
-            3,
-            "/test;2;-1;too many tasks are running, wait for one to end",
-        ),
+        (3, "/test;2;-1;too many requests are waiting, try again"),
         (1, "/test;2;-1;no"),
         (4, "/test;1;1;aborting"),
     ]);
@@ -561,6 +558,49 @@ fn a_server_with_too_many_clients_refuses_what_it_could_not_keep_its_word_about(
         3,
         "/test;2;-1;too many clients at a time, try again in a minute",
     )]);
+}
+
+/// The table is full with two ends, and so is what else the INIT takes: its refusal cost an end.
+#[test]
+fn a_refused_init_gives_up_no_end() {
+    for held in [false, true] {
+        let memory = Fixed::<u8, 1, 2, 16, 1>::new(["/test"]);
+        let config = Config::new(TaskId::new(1).unwrap(), 4711);
+        let mut dispatcher = Dispatcher::new(memory, config);
+        let mut answers = Vec::new();
+        let mut ask = |number: u64, enveloped: bool, body: &str| {
+            let mut out = |_, reply: &Reply<'_>| answers.push(text(reply));
+            let envelope = enveloped.then_some(Envelope {
+                client: ClientId([number as u8; 16]),
+                number,
+                early_end: false,
+            });
+            let body = Body::One(body.as_bytes());
+            let now = Instant::ZERO;
+            let action = dispatcher.handle_request(now, 1, envelope, body, &mut out);
+            if let Some(Action::Start { id, .. }) = action
+                && !(held && id.get() == 2)
+            {
+                dispatcher.handle_event(now, id, TaskEvent::Completed { result: "x" }, &mut out);
+            }
+            answers.pop()
+        };
+        let end = |id| Some(std::format!("/test;5;{id};x"));
+        assert!(ask(1, !held, "/test;1;-1;x").is_some());
+        let second = ask(2, false, "/test;1;-1;x");
+        assert_eq!(second.is_none(), held, "undecided");
+        let refused = ask(3, true, "/test;1;-1;x").expect("an answer");
+        let why = if held {
+            "too many requests"
+        } else {
+            "too many clients"
+        };
+        assert!(refused.contains(why), "{refused}");
+        assert_eq!(ask(4, false, "/test;2;1;"), end(1));
+        if !held {
+            assert_eq!(ask(4, false, "/test;2;2;"), end(2));
+        }
+    }
 }
 
 #[test]
