@@ -65,6 +65,8 @@ int main(int count, char **args)
         text = "status update";
         state = ask(server, args[2], 2, &id, &text);
     }
-    printf("%s: %s\n", STATES[state], text);
+    /* A server that was started anew does not know what became of it. */
+    int lost = id > 0 && !strncmp(text, "Invalid ID", 10);
+    printf("%s: %s\n", lost ? "UNKNOWN" : STATES[state], text);
     return state != 5;
 }

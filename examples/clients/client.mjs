@@ -35,5 +35,7 @@ while (answer.state <= 1) {
   await sleep(100)
   answer = await ask(2, id, "status update").catch(() => answer) // No answer is not an end.
 }
-console.log(`${STATES[answer.state]}: ${answer.text}`)
+// A server that was started anew does not know what became of it.
+const lost = answer.id > 0 && answer.text.startsWith("Invalid ID")
+console.log(`${lost ? "UNKNOWN" : STATES[answer.state]}: ${answer.text}`)
 process.exit(answer.state === 5 ? 0 : 1)

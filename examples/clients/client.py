@@ -35,5 +35,7 @@ while state <= 1:
         state, _id, text = ask(2, id, "status update")
     except zmq.Again:
         pass  # No answer is not an end.
-print(f"{STATES[state]}: {text}")
+# A server that was started anew does not know what became of it.
+lost = id > 0 and text.startswith("Invalid ID")
+print(f"{'UNKNOWN' if lost else STATES[state]}: {text}")
 sys.exit(state != 5)

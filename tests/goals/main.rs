@@ -67,7 +67,8 @@ fn reads(text: &str, value: &Value) -> bool {
 #[test]
 fn what_python_and_yaml_write_is_read_and_what_is_written_is_pythons() {
     let seed = seed();
-    println!("ZTL_SEED={seed}");
+    // Not by a macro, which libtest would keep to itself.
+    let _ = writeln!(std::io::stderr(), "ZTL_SEED={seed}");
     let makers = (0..PROCESSES).map(|process| {
         let seed = seed.wrapping_add(process as u64).to_string();
         thread::spawn(move || generate(&["values", &seed, &VALUES.to_string()], ""))

@@ -295,11 +295,13 @@ impl Record {
     }
 }
 
-/// Whether the marked part of a README, if it has one, is the record's table.
+/// Whether the marked part of a README is the record's table.
 fn check_readme(readme: &str, table: &str) -> Outcome {
     let (begin, end) = README_MARKS;
     let Some((_, rest)) = readme.split_once(begin) else {
-        return Ok(());
+        return Err(format!(
+            "it does not show the sizes; between {begin} and {end} there has to be:\n\n{table}\n"
+        ));
     };
     let (shown, _) = rest
         .split_once(end)
@@ -390,10 +392,10 @@ mod tests {
     }
 
     #[test]
-    fn the_readme_shows_the_record_or_nothing() {
+    fn the_readme_shows_the_record() {
         let table = record("a", 5000, 1000).table("target");
         let marked = |inner: &str| format!("# T\n<!-- sizes -->\n{inner}\n<!-- /sizes -->\nmore");
-        assert!(check_readme("# T\n", &table).is_ok());
+        assert!(check_readme("# T\n", &table).is_err());
         assert!(check_readme(&marked(&table), &table).is_ok());
         assert!(check_readme(&marked("| old |"), &table).is_err());
         assert!(check_readme("<!-- sizes -->", &table).is_err());

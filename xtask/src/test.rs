@@ -13,7 +13,12 @@ pub(crate) const BARE_CRATES: &[&str] = &["ztl-core", "ztl-mcu"];
 
 /// The sets of features such a crate is checked with. One package at a time: in a build of the
 /// whole workspace, a feature that another crate turns on would hide what is missing here.
-pub(crate) const FEATURES: &[&str] = &["", "--no-default-features", "--all-features"];
+pub(crate) const FEATURES: &[&str] = &[
+    "",
+    "--no-default-features",
+    "--no-default-features --features defmt",
+    "--all-features",
+];
 
 /// Ample for the demo, which takes seconds; short enough not to stall a run that hangs.
 const DEMO_LIMIT: Duration = Duration::from_secs(60);

@@ -2,7 +2,7 @@
 //!
 //! The dispatcher decides every case of the wire specification's table (4.3) and keeps the five
 //! rules of the design: a final state never changes, what is repeated does not act twice, every
-//! request is answered exactly once and in bounded time. It has no socket and no clock, and calls
+//! request is answered exactly once and within 2 s. It has no socket and no clock, and calls
 //! no user code.
 //!
 //! ```
@@ -53,6 +53,13 @@ pub const HOLD: Duration = Duration::from_millis(1500);
 pub const LONGEST_WAIT: Duration = Duration::from_millis(LONGEST_WAIT_MS);
 const LONGEST_WAIT_MS: u64 = 1999;
 
+/// How long the answer to an INIT waits for a quick end where the client wishes it, if nothing else
+/// is chosen: about a round trip.
+pub const EARLY: Duration = Duration::from_millis(3);
+
+/// How long an ended task is remembered if nothing else is chosen.
+pub const KEEP: Duration = Duration::from_secs(3600);
+
 /// How long the answer to an INIT is kept for its client, counted from the answer.
 pub const KEEP_INIT: Duration = Duration::from_secs(60);
 
@@ -74,9 +81,9 @@ pub struct Config {
     /// Longest time that an answer is held. Default [`HOLD`].
     pub hold: Duration,
     /// How long the answer to an INIT waits for a quick end, where the client wishes it.
-    /// Default 3 ms.
+    /// Default [`EARLY`].
     pub early: Duration,
-    /// How long an ended task is remembered, counted from its end. Default one hour.
+    /// How long an ended task is remembered, counted from its end. Default [`KEEP`].
     pub keep: Duration,
 }
 
@@ -88,8 +95,8 @@ impl Config {
             first,
             boot,
             hold: HOLD,
-            early: Duration::from_millis(3),
-            keep: Duration::from_secs(3600),
+            early: EARLY,
+            keep: KEEP,
         }
     }
 }
@@ -177,7 +184,11 @@ pub enum TaskEvent<'a> {
 /// *Inputs*: [`handle_request`](Self::handle_request), [`handle_event`](Self::handle_event),
 /// [`handle_timeout`](Self::handle_timeout). *Outputs*: answers through the `out` argument, at once
 /// or later; an [`Action`] for the handler. *Next wake-up*: [`poll_timeout`](Self::poll_timeout),
-/// to be asked again after each input. A call's work is bounded by the number of held answers.
+/// to be asked again after each input.
+///
+/// A call goes through the held answers, the tasks and the remembered INITs again for each answer
+/// that it gives and each task that it forgets; `probe` and other questions write what the memory
+/// holds. So the memory's capacities bound its work; one with indexes makes the searches short.
 // In this order: a Cortex-M0 reaches what comes first with shorter code.
 #[derive(Debug)]
 #[repr(C)]

@@ -12,7 +12,7 @@ use crate::{split_at_mark, valid_start};
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Message<'a> {
-    /// Whom it is for; compared byte for byte.
+    /// Whom it is for; compared byte for byte. Without `;`, which would end it: writing does not look.
     pub scope: &'a str,
     /// In a request the request's code, in a reply the task's state.
     pub state: &'a str,

@@ -12,7 +12,8 @@ pub const SEPARATOR: char = ':';
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct TaskSpec<'a> {
-    /// Who does it: a robot, a device, a program. `cob`
+    /// Who does it: a robot, a device, a program. `cob`. Neither it nor the component has a `:`, which
+    /// would end it: writing does not look.
     pub handler: &'a str,
     /// Which part of it. `head`
     pub component: &'a str,

@@ -81,12 +81,32 @@ impl<const N: usize> Text for heapless::String<N> {
 /// Why there is no room for another task.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
 pub enum NoRoom {
     /// Every task runs.
     Running,
     /// Some have ended, and their ends are not acknowledged yet.
     Unacknowledged,
 }
+
+impl NoRoom {
+    /// What is wrong, as a text.
+    #[must_use]
+    pub const fn as_str(self) -> &'static str {
+        match self {
+            Self::Running => "too many tasks are running",
+            Self::Unacknowledged => "ends not yet acknowledged",
+        }
+    }
+}
+
+impl core::fmt::Display for NoRoom {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.write_str(self.as_str())
+    }
+}
+
+impl core::error::Error for NoRoom {}
 
 /// A task as a keeper of the type `K` has it.
 pub type TaskOf<K> = Task<<K as Tasks>::Extra, <K as Tasks>::Text>;
@@ -125,7 +145,7 @@ pub trait Tasks {
     }
     /// Whether no more tasks fit.
     fn is_full(&self) -> bool;
-    /// Adds a task; `None` when no more fit.
+    /// Adds a task whose id is not kept yet; `None` when no more fit.
     fn insert(&mut self, id: Self::Id, task: TaskOf<Self>) -> Option<&mut TaskOf<Self>>;
     /// Forgets a task.
     fn remove(&mut self, id: Self::Id);

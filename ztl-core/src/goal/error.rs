@@ -17,6 +17,11 @@ pub struct GoalError {
 }
 
 /// What is wrong with a goal.
+///
+/// What would be right is told where it costs no flash: what was to stand there, and the names of
+/// fields and variants. Not told are the range of a number, the length of a sequence, the kind and
+/// the values that a target takes: serde hands these on as texts to be formatted by `core::fmt`, which
+/// would take a microcontroller more than all the rest. [`GoalError::at`] says where to look.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]

@@ -1,7 +1,7 @@
 //! What becomes of tasks: how they begin, wait, replace each other and end.
 
 use ztl_core::link::{Busy, LinkId, Loss};
-use ztl_core::tasks::{NoRoom, Task, TaskRules, Tasks, Text};
+use ztl_core::tasks::{Task, TaskRules, Tasks, Text};
 use ztl_core::time::earliest;
 use ztl_core::{Event, Instant};
 
@@ -195,10 +195,7 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> Inner<'_, C, TASKS, 
         });
         job.unacknowledged = true;
         if let Err(full) = self.tasks.admit(task, job) {
-            return refused(match full {
-                NoRoom::Running => "too many tasks are running",
-                NoRoom::Unacknowledged => "ends not yet acknowledged",
-            });
+            return refused(full.as_str());
         }
         if busy {
             if policy == Busy::Replace {
