@@ -15,6 +15,9 @@ use ztl_simulation::shrink::{attempt, report, shrink};
 /// Some 10 GiB are needed for these.
 const STATES: usize = 60_000_000;
 
+/// Failing seeds that are shortened and told; then it stops.
+const TOLD: u64 = 3;
+
 /// Seeds that are simulated unless told otherwise.
 const SEEDS: u64 = 2000;
 
@@ -127,13 +130,14 @@ fn simulate(words: &[&str]) -> Result<bool, String> {
     std::panic::set_hook(Box::new(|_| {}));
     let begin = Instant::now();
     let next = AtomicU64::new(first);
+    let failed = AtomicU64::new(0);
     let total = Mutex::new(Summary::default());
     let well = on_all_cores(|| {
         let mut mine = Summary::default();
         let mut well = true;
         loop {
             let seed = next.fetch_add(1, Ordering::Relaxed);
-            if seed >= first.saturating_add(seeds) {
+            if seed >= first.saturating_add(seeds) || failed.load(Ordering::Relaxed) >= TOLD {
                 break;
             }
             let plan = Plan::new(seed);
@@ -141,6 +145,7 @@ fn simulate(words: &[&str]) -> Result<bool, String> {
                 Ok((summary, _)) => mine += summary,
                 Err(_) => {
                     well = false;
+                    failed.fetch_add(1, Ordering::Relaxed);
                     print!("{}", report(&shrink(&plan)));
                 }
             }
@@ -152,9 +157,7 @@ fn simulate(words: &[&str]) -> Result<bool, String> {
     });
     let total = total.into_inner().unwrap_or_default();
     let seconds = begin.elapsed().as_secs_f32();
-    println!(
-        "seeds {first} to {}: {total}; {seconds:.1} s",
-        first + seeds - 1
-    );
+    let last = next.load(Ordering::Relaxed).min(first + seeds) - 1;
+    println!("seeds {first} to {last}: {total}; {seconds:.1} s");
     Ok(well)
 }

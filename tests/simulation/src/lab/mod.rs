@@ -28,8 +28,8 @@ use crate::plan::{Happening, Plan};
 const QUIET: Duration = Duration::from_secs(14);
 /// A message between client and gateway takes this long.
 const NETWORK: Duration = Duration::from_millis(1);
-/// Most turns of one run; some ten times what the longest takes.
-const TURNS: usize = 400_000;
+/// Most turns between two happenings; some ten times what the longest takes.
+const TURNS: usize = 40_000;
 
 /// What a run came to.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
