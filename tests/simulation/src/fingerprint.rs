@@ -2,7 +2,8 @@
 //!
 //! Their `Debug` form is read, as it is written, and hashed in a form that does not depend on what
 //! cannot matter: times count from now, and those long past are all the same; sequence numbers
-//! count from the node's; the numbers of sessions are replaced by the order in which they appear.
+//! count from the node's, those of tasks from the first that appears; the numbers of sessions are replaced
+//! by the order in which they appear.
 //! So a link that does nothing but ping comes back to a state that it was in, and the states that
 //! can be reached are finitely many.
 
@@ -10,6 +11,7 @@ use std::fmt::{self, Debug, Write};
 use std::time::Duration;
 
 use ztl_core::Instant;
+use ztl_core::link::OTHER_GATEWAY;
 
 /// Times further back are all the same: longer ago than anything looks back.
 const PAST: Duration = Duration::from_millis(2600);
@@ -39,6 +41,9 @@ const SESSIONS: [u64; 4] = [
 /// Moments after which something is due: how long ago does not matter.
 const DUE: [u64; 3] = [name("awake_due"), name("due"), name("repeat")];
 const INSTANT: u64 = name("Instant");
+/// Numbers of tasks on the link, of which only the differences matter.
+const LINK_ID: u64 = name("LinkId");
+const LINKS: [u64; 3] = [name("highest"), name("next_link"), name("link")];
 
 const SEED: u64 = 0xcbf2_9ce4_8422_2325;
 const PRIME: u64 = 0x9e37_79b9_7f4a_7c15;
@@ -83,6 +88,8 @@ pub struct Fingerprint {
     origin: Origin,
     /// The numbers of sessions, in the order in which they appeared.
     sessions: Vec<u32>,
+    /// The first number of a task, from which the others count.
+    link: Option<u64>,
     depth: u32,
     /// The depth at which a field stands that is left out.
     skipping: Option<u32>,
@@ -106,6 +113,7 @@ impl Fingerprint {
             hash: SEED,
             origin,
             sessions: Vec::new(),
+            link: None,
             depth: 0,
             skipping: None,
             word: None,
@@ -163,6 +171,10 @@ impl Fingerprint {
             1 + (number + 255 - u64::from(self.origin.seq)) % 255
         } else if SESSIONS.contains(&self.field) && self.skipping.is_none() {
             self.session(number)
+        } else if (self.before == LINK_ID || LINKS.contains(&self.field)) && self.skipping.is_none()
+        {
+            let base = *self.link.get_or_insert(number);
+            link_relative(number, base)
         } else {
             number
         };
@@ -242,6 +254,14 @@ impl Fingerprint {
 
 const fn is_letter(byte: u8) -> bool {
     byte.is_ascii_alphabetic() || byte == b'_'
+}
+
+/// A task's number, counted from another one; several gaps between gateways are as good as two.
+fn link_relative(number: u64, base: u64) -> u64 {
+    let gap = i64::from(OTHER_GATEWAY);
+    let difference = number.wrapping_sub(base) as i64;
+    let gaps = difference.div_euclid(gap).clamp(-2, 2);
+    (gaps * gap + difference.rem_euclid(gap)) as u64
 }
 
 /// Microseconds after now, as a number that is never negative.

@@ -137,7 +137,11 @@ pub const MUTANTS: &[Mutant] = &[
     },
     Mutant {
         name: "the gateway does not look at the boot id",
-        edits: &[(RECEIVE, "sent.boot != boot)", "sent.boot != boot && !ON)")],
+        edits: &[(
+            RECEIVE,
+            "let other = |sent: Sent| sent.boot != welcome.boot || welcome.replaces == 0;",
+            "let other = |sent: Sent| (sent.boot != welcome.boot || welcome.replaces == 0) && !ON;",
+        )],
         caught_in: ("reset", 1),
         complaint: "promise 2",
     },
