@@ -126,6 +126,11 @@ fn simulate(words: &[&str]) -> Result<bool, String> {
             _ => return Err(format!("what is `{word}`?\n{USAGE}")),
         }
     }
+    if seeds == 0 || first.checked_add(seeds).is_none_or(|end| end == u64::MAX) {
+        return Err(format!(
+            "there are no {seeds} seeds from {first} on\n{USAGE}"
+        ));
+    }
     // A panic in what is tested is caught and told below.
     std::panic::set_hook(Box::new(|_| {}));
     let begin = Instant::now();
