@@ -117,7 +117,8 @@ impl<'a> Integer<'a> {
         let (mut number, mut count) = (0u64, 0);
         for digit in self.text.bytes().filter(u8::is_ascii_digit) {
             number = number.wrapping_mul(10).wrapping_add(u64::from(digit & 0xf));
-            count += u32::from(number != 0);
+            // Not by whether the number is 0: at 2^64 it would be so again.
+            count += u32::from(count != 0 || digit != b'0');
         }
         (count <= 19).then_some(number)
     }
@@ -219,5 +220,18 @@ mod tests {
         let long = std::string::String::from_utf8(std::vec![b'9'; 4301]).unwrap();
         assert_eq!(Integer::parse(&long), Err(ParseIntegerError::TooLong));
         assert!(Integer::parse(&long[1..]).is_ok());
+    }
+
+    #[test]
+    fn a_number_beyond_64_bits_has_no_value() {
+        for digits in [
+            "18446744073709551616",
+            "0018446744073709551616",
+            "36893488147419103232",
+        ] {
+            let number = Integer::parse(digits).unwrap();
+            assert_eq!(number.value(), None, "{digits}");
+            assert_eq!(number.natural(), None, "{digits}");
+        }
     }
 }
