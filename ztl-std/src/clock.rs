@@ -1,6 +1,7 @@
 //! The operating system's monotonic clock as the state machines want it.
 
 use std::sync::OnceLock;
+use std::time::Duration;
 
 use ztl_core::Instant;
 
@@ -9,4 +10,9 @@ pub(crate) fn now() -> Instant {
     static START: OnceLock<std::time::Instant> = OnceLock::new();
     let elapsed = START.get_or_init(std::time::Instant::now).elapsed();
     Instant::from_micros(u64::try_from(elapsed.as_micros()).unwrap_or(u64::MAX))
+}
+
+/// A time in whole milliseconds, as it is told to others.
+pub(crate) fn millis(time: Duration) -> u64 {
+    u64::try_from(time.as_millis()).unwrap_or(u64::MAX)
 }

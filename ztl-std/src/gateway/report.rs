@@ -10,7 +10,7 @@ use ztl_core::Instant;
 use ztl_core::link::{Busy, Loss};
 
 use super::session::{Book, ComponentInfo, DeviceInfo, LinkCounters, RoundTrips, Session};
-use crate::clock::now;
+use crate::clock::{millis, now};
 
 /// Each device of a gateway, by the name under which clients know it.
 pub type DeviceReports = BTreeMap<String, DeviceReport>;
@@ -189,8 +189,4 @@ fn component(component: &ComponentInfo) -> ComponentReport {
         busy,
         loss: loss.to_owned(),
     }
-}
-
-fn millis(time: Duration) -> u64 {
-    u64::try_from(time.as_millis()).unwrap_or(u64::MAX)
 }

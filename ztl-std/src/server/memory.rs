@@ -2,9 +2,9 @@
 
 use std::collections::{BTreeSet, HashMap};
 
-use super::listing::{Asked, ListedTask, Listing, millis, told};
-use super::now;
+use super::listing::{Asked, ListedTask, Listing, told};
 use super::{Answers, Limits};
+use crate::clock::{millis, now};
 
 use ztl_core::envelope::ClientId;
 use ztl_core::memory::{LastInit, Memory, Scope, Waiter};

@@ -127,7 +127,7 @@ impl TaskLine {
                 link: sent.link.0,
                 boot: sent.boot,
                 loss: sent.loss,
-                link_timeout_ms: u64::try_from(sent.link_timeout.as_millis()).unwrap_or(u64::MAX),
+                link_timeout_ms: clock::millis(sent.link_timeout),
             }),
             client,
         }
