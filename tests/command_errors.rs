@@ -351,6 +351,12 @@ fn the_demo_completes_every_act() {
     let mut command = ztl();
     let demo = Process::start(command.args(["demo", "--once", "--port", &port]));
     let ended = demo.end(Duration::from_secs(40));
+    // Those that the scene moves, as the README says.
+    let devices = ended
+        .stdout
+        .lines()
+        .filter(|line| line.starts_with("device "));
+    assert_eq!(devices.count(), 2, "{ended:?}");
     assert_eq!(ended.code, Some(0), "{ended:?}");
     let acts: Vec<&str> = ended
         .stdout

@@ -58,6 +58,9 @@ const SCENE: [(&str, &[Act]); 4] = [
     ("look straight ahead", &[pan("straight", (-90.0, 0.0))]),
 ];
 
+/// Those that the scene moves.
+const DEVICES: [Kind; 2] = [Kind::Gripper, Kind::Head];
+
 impl Demo {
     pub(crate) fn run(self) -> Done {
         log::init(Level::WARN);
@@ -69,7 +72,7 @@ impl Demo {
         line("");
         let mut gateway = Gateway::new();
         let mut devices = Vec::new();
-        for kind in Kind::ALL {
+        for kind in DEVICES {
             let (url, device) = simulate(kind)?;
             line(format_args!("device   {kind:<8} at {url}"));
             gateway.add(kind.name(), url.parse::<Endpoint>()?)?;
