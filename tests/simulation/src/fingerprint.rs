@@ -43,7 +43,7 @@ const DUE: [u64; 3] = [name("awake_due"), name("due"), name("repeat")];
 const INSTANT: u64 = name("Instant");
 /// Numbers of tasks on the link, of which only the differences matter.
 const LINK_ID: u64 = name("LinkId");
-const LINKS: [u64; 3] = [name("highest"), name("next_link"), name("link")];
+const LINKS: [u64; 2] = [name("highest"), name("next_link")];
 
 const SEED: u64 = 0xcbf2_9ce4_8422_2325;
 const PRIME: u64 = 0x9e37_79b9_7f4a_7c15;
