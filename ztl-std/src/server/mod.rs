@@ -4,38 +4,44 @@
 //! return at once, and report from wherever they work.
 
 mod access;
+mod bind;
 mod connections;
+mod handler;
 mod limits;
 mod listing;
 mod memory;
 mod report;
+mod running;
 mod touch;
 
 use std::sync::Arc;
-use std::thread::JoinHandle;
 use std::time::Duration;
 
 use tracing::{debug, info, warn};
+use ztl_core::Instant;
 use ztl_core::dispatcher::{Action, Body, Config, Dispatcher};
 use ztl_core::envelope::Envelope;
 use ztl_core::memory::{Memory, Scope};
 use ztl_core::reply::{RefusalOf, Reply};
 use ztl_core::tasks::{Task, Tasks, Text};
-use ztl_core::{Instant, State, TaskId};
 
 use crate::clock;
 use crate::controller::{TaskController, Threads};
-use crate::keys::{KeyError, can_encrypt};
+use crate::keys::can_encrypt;
 use crate::random;
 
 pub use access::Access;
 use access::{Door, Who};
+pub use bind::BindError;
+use bind::bind;
+pub use handler::{Answers, Restored, RestoredTask, TaskHandler};
 pub use limits::Limits;
 pub use listing::{ListedTask, Listing};
 pub(crate) use memory::quoted;
 use memory::{About, Grown, Heap, Peer};
 pub use report::TaskReporter;
 use report::{Inbox, Mailbox, Report, Waker};
+pub use running::{Pulse, RunningServer, Stopper};
 use touch::Touch;
 
 /// Longest message that clients and servers of this crate take from the network, in bytes.
@@ -65,135 +71,6 @@ fn now() -> Instant {
 
 /// Name under which the original logs.
 const LOG: &str = "remote-task";
-
-/// Answers questions of clients to `$ztl` that are not the protocol's own: in JSON, or `None`
-/// where the question is not known.
-pub type Answers = Box<dyn Fn(&str) -> Option<String> + Send>;
-
-/// What takes the tasks of a scope, on the server's own thread: it must return at once and work
-/// elsewhere. For tasks that run on threads there is [`TaskController`].
-pub trait TaskHandler: Send {
-    /// A client asks for a task. The decision and all that follows go to `task`, from any thread;
-    /// an INIT without a decision is answered after 1.5 s, with the id.
-    fn start(&mut self, task: TaskReporter, payload: &str);
-
-    /// A client asks to stop a task that this handler was given and that has not ended.
-    fn abort(&mut self, id: TaskId);
-
-    /// The tasks from before a restart that this handler still knows; asked once, when it is
-    /// registered. Default: none.
-    fn restored(&mut self) -> Restored {
-        Restored::default()
-    }
-
-    /// One of those tasks has not ended: from now on what becomes of it goes to `task`. Its decision
-    /// has been told, or never will be. Default: it ends as FAILED.
-    fn resume(&mut self, task: TaskReporter) {
-        drop(task);
-    }
-
-    /// What will tell a client that asks `$ztl` which handlers and components there are: a mapping
-    /// in YAML's flow style, `{gripper: [finger]}`. Called often, from the server's thread, so it
-    /// must be quick. Default: nothing is told.
-    fn description(&self) -> Box<dyn Fn() -> String + Send> {
-        Box::new(|| "{}".to_owned())
-    }
-
-    /// What will answer questions about this handler, as `devices`. Called from the server's
-    /// thread, so it must be quick. Default: no question is known.
-    fn answers(&self) -> Answers {
-        Box::new(|_| None)
-    }
-}
-
-/// What a handler knows from before a restart.
-#[derive(Debug, Clone, PartialEq, Eq, Default)]
-pub struct Restored {
-    /// The tasks.
-    pub tasks: Vec<RestoredTask>,
-    /// No task is given an id up to this one.
-    pub last_id: Option<TaskId>,
-}
-
-/// A task from before a restart.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct RestoredTask {
-    /// The id that its client knows.
-    pub id: TaskId,
-    /// Its payload, to be shown to people.
-    pub payload: String,
-    /// Where it is in its life.
-    pub state: State,
-    /// Progress, result or reason.
-    pub text: String,
-    /// How long ago it ended; `None` when it has not.
-    pub ended: Option<Duration>,
-}
-
-/// Why a server could not be opened.
-#[derive(Debug)]
-#[non_exhaustive]
-pub enum BindError {
-    /// Something else listens there.
-    InUse {
-        /// Where.
-        endpoint: String,
-    },
-    /// No interface of this machine has that address, or it is no address.
-    Address {
-        /// Where.
-        endpoint: String,
-        /// What ZeroMQ says.
-        cause: zmq::Error,
-    },
-    /// Keys were given, and this build cannot encrypt.
-    NoCurve,
-    /// ZeroMQ gives no more sockets, or has no more memory.
-    Socket(zmq::Error),
-}
-
-impl std::fmt::Display for BindError {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        match self {
-            Self::InUse { endpoint } => write!(
-                f,
-                "cannot listen at {endpoint}: the port is in use; stop what uses it, or choose another port"
-            ),
-            Self::Address { endpoint, cause } => {
-                write!(f, "cannot listen at {endpoint}: ")?;
-                let address = endpoint.rsplit_once(':').map_or("", |(address, _)| address);
-                let address = address.trim_start_matches("tcp://");
-                match cause {
-                    zmq::Error::ENODEV => {
-                        write!(f, "'{address}' is no address of this machine")?;
-                    }
-                    zmq::Error::EADDRNOTAVAIL => {
-                        write!(f, "this machine does not have the address {address}")?;
-                    }
-                    cause => f.write_str(cause.message())?,
-                }
-                f.write_str("; use 127.0.0.1 for this machine only, or * for every interface")
-            }
-            Self::NoCurve => KeyError::NoCurve.fmt(f),
-            Self::Socket(cause) => write!(f, "cannot open a socket: {}", cause.message()),
-        }
-    }
-}
-
-impl std::error::Error for BindError {
-    fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
-        match self {
-            Self::InUse { .. } | Self::NoCurve => None,
-            Self::Address { cause, .. } | Self::Socket(cause) => Some(cause),
-        }
-    }
-}
-
-impl From<zmq::Error> for BindError {
-    fn from(cause: zmq::Error) -> Self {
-        Self::Socket(cause)
-    }
-}
 
 /// A task server that is bound and does not serve yet.
 ///
@@ -577,21 +454,6 @@ pub fn scope_mistake(scope: &str) -> Option<String> {
     Some(format!("the scope '{scope}' {wrong}; write it as /lab"))
 }
 
-/// Binds a socket, and says where.
-fn bind(socket: &zmq::Socket, endpoint: &str) -> Result<String, BindError> {
-    socket.bind(endpoint).map_err(|cause| match cause {
-        zmq::Error::EADDRINUSE => BindError::InUse {
-            endpoint: endpoint.to_owned(),
-        },
-        cause => BindError::Address {
-            endpoint: endpoint.to_owned(),
-            cause,
-        },
-    })?;
-    let bound = socket.get_last_endpoint()?;
-    Ok(bound.unwrap_or_default())
-}
-
 /// Logs what the original logs of a request that it cannot use (wire specification 7.1).
 fn log_refusal(reply: &Reply<'_>, body: Body<'_>) {
     match reply.refusal_of() {
@@ -617,74 +479,5 @@ fn answer(socket: &zmq::Socket, mut peer: Peer, reply: &Reply<'_>) {
     peer.push(body);
     if let Err(cause) = socket.send_multipart(peer, zmq::DONTWAIT) {
         debug!(target: LOG, "an answer was not taken: {}", cause.message());
-    }
-}
-
-/// Ends a server from another thread.
-#[derive(Clone)]
-pub struct Stopper(Arc<Waker>);
-
-impl Stopper {
-    /// Ends the server; what it serves at the moment is still answered.
-    pub fn stop(&self) {
-        self.0.stop();
-    }
-}
-
-impl std::fmt::Debug for Stopper {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str("Stopper")
-    }
-}
-
-/// Feels whether a server's thread goes its rounds, in which it answers its clients.
-#[derive(Clone)]
-pub struct Pulse(Arc<Waker>);
-
-impl Pulse {
-    /// Whether it does so within `limit`.
-    #[must_use]
-    pub fn is_felt(&self, limit: Duration) -> bool {
-        self.0.is_taken(limit)
-    }
-}
-
-impl std::fmt::Debug for Pulse {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str("Pulse")
-    }
-}
-
-/// A server on a thread of its own; stops when it is dropped.
-#[derive(Debug)]
-pub struct RunningServer {
-    endpoint: String,
-    stopper: Stopper,
-    thread: Option<JoinHandle<()>>,
-}
-
-impl RunningServer {
-    /// Where it listens.
-    #[must_use]
-    pub fn endpoint(&self) -> &str {
-        &self.endpoint
-    }
-
-    /// Whether its thread still serves.
-    #[must_use]
-    pub fn is_running(&self) -> bool {
-        self.thread
-            .as_ref()
-            .is_some_and(|thread| !thread.is_finished())
-    }
-}
-
-impl Drop for RunningServer {
-    fn drop(&mut self) {
-        self.stopper.stop();
-        if let Some(thread) = self.thread.take() {
-            // A panic there has been printed already.
-            let _ = thread.join();
-        }
     }
 }

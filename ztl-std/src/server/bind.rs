@@ -1,0 +1,83 @@
+//! Binding a socket, and why it may fail.
+
+use crate::keys::KeyError;
+
+/// Why a server could not be opened.
+#[derive(Debug)]
+#[non_exhaustive]
+pub enum BindError {
+    /// Something else listens there.
+    InUse {
+        /// Where.
+        endpoint: String,
+    },
+    /// No interface of this machine has that address, or it is no address.
+    Address {
+        /// Where.
+        endpoint: String,
+        /// What ZeroMQ says.
+        cause: zmq::Error,
+    },
+    /// Keys were given, and this build cannot encrypt.
+    NoCurve,
+    /// ZeroMQ gives no more sockets, or has no more memory.
+    Socket(zmq::Error),
+}
+
+impl std::fmt::Display for BindError {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::InUse { endpoint } => write!(
+                f,
+                "cannot listen at {endpoint}: the port is in use; stop what uses it, or choose another port"
+            ),
+            Self::Address { endpoint, cause } => {
+                write!(f, "cannot listen at {endpoint}: ")?;
+                let address = endpoint.rsplit_once(':').map_or("", |(address, _)| address);
+                let address = address.trim_start_matches("tcp://");
+                match cause {
+                    zmq::Error::ENODEV => {
+                        write!(f, "'{address}' is no address of this machine")?;
+                    }
+                    zmq::Error::EADDRNOTAVAIL => {
+                        write!(f, "this machine does not have the address {address}")?;
+                    }
+                    cause => f.write_str(cause.message())?,
+                }
+                f.write_str("; use 127.0.0.1 for this machine only, or * for every interface")
+            }
+            Self::NoCurve => KeyError::NoCurve.fmt(f),
+            Self::Socket(cause) => write!(f, "cannot open a socket: {}", cause.message()),
+        }
+    }
+}
+
+impl std::error::Error for BindError {
+    fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
+        match self {
+            Self::InUse { .. } | Self::NoCurve => None,
+            Self::Address { cause, .. } | Self::Socket(cause) => Some(cause),
+        }
+    }
+}
+
+impl From<zmq::Error> for BindError {
+    fn from(cause: zmq::Error) -> Self {
+        Self::Socket(cause)
+    }
+}
+
+/// Binds a socket, and says where.
+pub(super) fn bind(socket: &zmq::Socket, endpoint: &str) -> Result<String, BindError> {
+    socket.bind(endpoint).map_err(|cause| match cause {
+        zmq::Error::EADDRINUSE => BindError::InUse {
+            endpoint: endpoint.to_owned(),
+        },
+        cause => BindError::Address {
+            endpoint: endpoint.to_owned(),
+            cause,
+        },
+    })?;
+    let bound = socket.get_last_endpoint()?;
+    Ok(bound.unwrap_or_default())
+}
