@@ -52,6 +52,7 @@ pub mod gateway;
 pub mod keys;
 #[cfg(feature = "sim")]
 pub mod line;
+pub mod listen;
 #[cfg(all(unix, feature = "sim"))]
 mod pty;
 mod random;

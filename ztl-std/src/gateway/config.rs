@@ -1,12 +1,10 @@
 //! A gateway's configuration file: which devices there are, and where they are served.
 //! `docs/gateway.md` describes each key.
 
-use std::net::IpAddr;
 use std::path::{Path, PathBuf};
 
-use ipnet::IpNet;
-
 use super::endpoint::{BAUD_WANTED, Endpoint};
+use crate::listen::{Listen, PORT};
 use crate::server::scope_mistake;
 use crate::yaml::{Diagnostics, Document, Node, Reading, Value};
 
@@ -16,24 +14,12 @@ use crate::yaml::{Diagnostics, Document, Node, Reading, Value};
 pub struct Config {
     /// Scope to serve, as `/lab`.
     pub scope: Option<String>,
-    /// Port to serve at; 0 is any free one.
-    pub port: Option<u16>,
-    /// Address to serve at; `*` is every one that this machine has.
-    pub bind: Option<String>,
-    /// Networks that clients must be in; none is every network.
-    pub allow: Vec<IpNet>,
-    /// The server's secret key, with which it encrypts.
-    pub key: Option<PathBuf>,
-    /// Clients that are allowed, as `--client-key` takes them: `[SCOPE=]FILE` or a directory.
-    pub client_keys: Vec<String>,
+    /// Where it listens, who may use it, and what it logs.
+    pub listen: Listen,
     /// Port to publish readings at; without it they are not published.
     pub publish: Option<u16>,
     /// Where the journal of tasks is kept.
     pub journal: Option<JournalPlace>,
-    /// What is logged.
-    pub log: Option<tracing::Level>,
-    /// How it is logged.
-    pub log_format: Option<LogFormat>,
     /// The devices, in the file's order.
     pub devices: Vec<DeviceConfig>,
 }
@@ -45,16 +31,6 @@ pub enum JournalPlace {
     Off,
     /// In this file, or in a file of the gateway's own in this directory.
     At(PathBuf),
-}
-
-/// How log lines look.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum LogFormat {
-    /// `LEVEL:logger:text`, as the original's.
-    #[default]
-    Text,
-    /// A JSON object a line.
-    Json,
 }
 
 /// One device of a configuration file.
@@ -80,20 +56,6 @@ impl DeviceConfig {
         }
     }
 }
-
-/// What a level is called in files and on the command line.
-pub const LEVELS: [(&str, tracing::Level); 4] = [
-    ("error", tracing::Level::ERROR),
-    ("warn", tracing::Level::WARN),
-    ("info", tracing::Level::INFO),
-    ("debug", tracing::Level::DEBUG),
-];
-
-/// What a format is called there.
-pub const LOG_FORMATS: [(&str, LogFormat); 2] =
-    [("text", LogFormat::Text), ("json", LogFormat::Json)];
-
-const PORT: &str = "a port, a whole number from 0 to 65535";
 
 impl Config {
     /// Reads a file. Paths in it are relative to its directory.
@@ -124,48 +86,7 @@ fn config<'d>(reading: &mut Reading<'d>, root: &'d Node, base: &Path) -> Option<
             scope_mistake(text).map_or_else(|| Ok(text.to_owned()), Err)
         });
     }
-    if let Some(node) = fields.optional("port") {
-        config.port = reading.whole(node, PORT);
-    }
-    if let Some(node) = fields.optional("bind") {
-        let what = "an address of this machine, as 127.0.0.1, or '*' for every interface";
-        config.bind = reading.parsed(node, what, |text| {
-            bind_mistake(text).map_or_else(|| Ok(text.to_owned()), Err)
-        });
-    }
-    if let Some(node) = fields.optional("allow") {
-        let what = "a network, as 192.168.1.0/24, or one address";
-        for node in one_or_more(node) {
-            let network = reading.parsed(node, what, |text| {
-                let one = || text.parse::<IpAddr>().map(IpNet::from);
-                let network = text.parse().or_else(|_| one());
-                network.map_err(|_| format!("'{text}' is not {what}"))
-            });
-            config.allow.extend(network);
-        }
-    }
-    if let Some(node) = fields.optional("key") {
-        let text = reading.text(node, "the file of the server's secret key");
-        config.key = text.map(|text| base.join(text));
-    }
-    if let Some(node) = fields.optional("client-keys") {
-        for node in one_or_more(node) {
-            let text = reading.text(node, "a client's key, as anna.key or /lab=anna.key");
-            config.client_keys.extend(text.map(|text| {
-                let (scope, path) = match text.split_once('=') {
-                    Some((scope, path)) => (format!("{scope}="), path),
-                    None => (String::new(), text),
-                };
-                format!("{scope}{}", base.join(path).display())
-            }));
-        }
-        if config.key.is_none() {
-            reading.wrong(
-                node,
-                "clients have keys only where the server has one; write key: robot.key_secret",
-            );
-        }
-    }
+    config.listen = Listen::read(reading, &mut fields, base);
     if let Some(node) = fields.optional("publish") {
         config.publish = reading.whole(node, PORT);
     }
@@ -177,12 +98,6 @@ fn config<'d>(reading: &mut Reading<'d>, root: &'d Node, base: &Path) -> Option<
                     "off" | "no" | "false" => JournalPlace::Off,
                     place => JournalPlace::At(base.join(place)),
                 });
-    }
-    if let Some(node) = fields.optional("log") {
-        config.log = reading.one_of(node, &LEVELS);
-    }
-    if let Some(node) = fields.optional("log-format") {
-        config.log_format = reading.one_of(node, &LOG_FORMATS);
     }
     if let Some(node) = fields.optional("devices") {
         let what = "the name of each device and where it is, as gripper: serial:/dev/ttyACM0";
@@ -198,14 +113,6 @@ fn config<'d>(reading: &mut Reading<'d>, root: &'d Node, base: &Path) -> Option<
     }
     fields.finish(reading);
     Some(config)
-}
-
-/// The items of a list, or a value that stands for a list of one.
-fn one_or_more(node: &Node) -> &[Node] {
-    match &node.value {
-        Value::List(nodes) => nodes,
-        _ => std::slice::from_ref(node),
-    }
 }
 
 /// A device, and where its URL stands.
@@ -278,20 +185,10 @@ pub fn name_mistake(name: &str) -> Option<String> {
         .then(|| format!("'{name}' is no name for a device: one word without ':' and '/'"))
 }
 
-/// Why nothing can be served there, as far as it can be seen without trying.
-#[must_use]
-pub fn bind_mistake(bind: &str) -> Option<String> {
-    let odd = |c: char| !(c.is_ascii_alphanumeric() || "*.-_:[]%".contains(c));
-    (bind.is_empty() || bind.contains(odd) || bind.contains("//")).then(|| {
-        format!(
-            "'{bind}' is no address; use 127.0.0.1 for this machine only, or '*' for every interface"
-        )
-    })
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::listen::LogFormat;
     use crate::yaml::tests::Numbers;
 
     fn parse(text: &str) -> Result<Config, Diagnostics> {
@@ -323,18 +220,20 @@ mod tests {
         head.elf = Some(own_program);
         let expected = Config {
             scope: Some("/lab".to_owned()),
-            port: Some(12345),
-            bind: Some("*".to_owned()),
-            allow: vec![
-                "192.168.7.0/24".parse().unwrap(),
-                "10.1.2.3/32".parse().unwrap(),
-            ],
-            key: Some(PathBuf::from("/lab/robot.key_secret")),
-            client_keys: vec!["/lab=/lab/anna.key".to_owned()],
+            listen: Listen {
+                port: Some(12345),
+                bind: Some("*".to_owned()),
+                allow: vec![
+                    "192.168.7.0/24".parse().unwrap(),
+                    "10.1.2.3/32".parse().unwrap(),
+                ],
+                key: Some(PathBuf::from("/lab/robot.key_secret")),
+                client_keys: vec!["/lab=/lab/anna.key".to_owned()],
+                log: Some(tracing::Level::DEBUG),
+                log_format: Some(LogFormat::Json),
+            },
             publish: Some(12346),
             journal: Some(JournalPlace::At(PathBuf::from("/lab/state"))),
-            log: Some(tracing::Level::DEBUG),
-            log_format: Some(LogFormat::Json),
             devices: vec![
                 DeviceConfig::new("gripper", serial("/dev/serial/by-id/usb-x", 9600)),
                 head,

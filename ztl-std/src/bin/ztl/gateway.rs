@@ -5,16 +5,13 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::{Mutex, PoisonError};
 
-use tracing::Level;
+use ztl_std::TaskServer;
 use ztl_std::gateway::Endpoint;
-use ztl_std::gateway::config::{
-    Config, DeviceConfig, LEVELS, LOG_FORMATS, LogFormat, bind_mistake, name_mistake, same_line,
-};
+use ztl_std::gateway::config::{Config, DeviceConfig, name_mistake, same_line};
 use ztl_std::server::scope_mistake;
 use ztl_std::yaml::Diagnostics;
-use ztl_std::{Access, TaskServer};
 
-use crate::reach::{Reach, reachable};
+use crate::reach;
 use crate::service::Service;
 use crate::terminal::line;
 use crate::tool::port;
@@ -38,20 +35,12 @@ pub(crate) struct Gateway {
     #[arg(long = "elf", value_name = "NAME=FILE", value_parser = elf)]
     elfs: Vec<(String, PathBuf)>,
 
-    /// Port to serve at
-    #[arg(short, long, value_parser = port)]
-    port: Option<u16>,
-
     /// Scope to serve, as /lab
     #[arg(short, long, value_parser = scope)]
     scope: Option<String>,
 
-    /// Address to serve at; '*' is every interface of this machine [default: 127.0.0.1]
-    #[arg(long, value_name = "ADDR", value_parser = bind)]
-    bind: Option<String>,
-
     #[command(flatten)]
-    reach: Reach,
+    listen: reach::Options,
 
     /// Publish the devices' readings at this port, for any ZeroMQ subscriber
     #[arg(long, value_name = "PORT", value_parser = port)]
@@ -64,14 +53,6 @@ pub(crate) struct Gateway {
     /// Only say what is wrong with the configuration
     #[arg(long)]
     check: bool,
-
-    /// What is logged: error, warn, info or debug [default: info]
-    #[arg(long, value_name = "LEVEL", value_parser = level)]
-    log: Option<Level>,
-
-    /// How it is logged: text, or json (an object a line) [default: text]
-    #[arg(long, value_name = "FORMAT", value_parser = format)]
-    log_format: Option<LogFormat>,
 
     #[command(flatten)]
     journal: journal::Options,
@@ -103,27 +84,6 @@ fn fits(text: &str, mistake: fn(&str) -> Option<String>) -> Result<String, Strin
 
 fn scope(text: &str) -> Result<String, String> {
     fits(text, scope_mistake)
-}
-
-fn bind(text: &str) -> Result<String, String> {
-    fits(text, bind_mistake)
-}
-
-fn level(text: &str) -> Result<Level, String> {
-    one_of(text, &LEVELS)
-}
-
-fn format(text: &str) -> Result<LogFormat, String> {
-    one_of(text, &LOG_FORMATS)
-}
-
-fn one_of<T: Copy>(text: &str, known: &[(&str, T)]) -> Result<T, String> {
-    let found = known.iter().find(|(word, _)| *word == text);
-    let words = || known.iter().map(|(word, _)| *word).collect::<Vec<_>>();
-    found.map_or_else(
-        || Err(format!("there are: {}", words().join(", "))),
-        |(_, value)| Ok(*value),
-    )
 }
 
 /// Adds the ELF files of the command line to the devices, and looks whether all are of use.
@@ -171,14 +131,10 @@ impl fmt::Display for Unfit {
 /// All that is needed to serve.
 struct Plan {
     scope: String,
-    port: u16,
-    bind: String,
-    log: Level,
-    log_format: LogFormat,
+    place: reach::Place,
     leave_running: bool,
     publish: Option<u16>,
     devices: Vec<DeviceConfig>,
-    access: Access,
     journal: journal::Options,
 }
 
@@ -196,7 +152,7 @@ impl Gateway {
             line(format_args!("Nothing is wrong: {plan}."));
             return Ok(ExitCode::SUCCESS);
         }
-        log::init_as(plan.log, plan.log_format);
+        log::init_as(plan.place.log, plan.place.log_format);
         signals::catch()?;
         plan.serve()
     }
@@ -215,7 +171,6 @@ impl Gateway {
             };
             Unfit::Whole(format!("no {what}: give {option}, or {key}"))
         };
-        let reach = self.reach.with(&config);
         let mut devices = config.devices;
         for device in self.devices {
             if devices.iter().any(|known| known.name == device.name) {
@@ -240,20 +195,15 @@ impl Gateway {
             let key = "devices:";
             return Err(missing("device", "--device <NAME=URL>", key));
         }
-        let port = self.port.or(config.port);
+        let place = self.listen.with(config.listen);
+        let place = place.map_err(|mistake| Unfit::Whole(mistake.to_string()))?;
         let scope = self.scope.or(config.scope);
         Ok(Plan {
-            port: port.ok_or_else(|| missing("port", "--port <PORT>", "port: 12345"))?,
+            place: place.ok_or_else(|| missing("port", "--port <PORT>", "port: 12345"))?,
             scope: scope.ok_or_else(|| missing("scope", "--scope <SCOPE>", "scope: /lab"))?,
-            bind: self.bind.or(config.bind).unwrap_or("127.0.0.1".to_owned()),
-            log: self.log.or(config.log).unwrap_or(Level::INFO),
-            log_format: self.log_format.or(config.log_format).unwrap_or_default(),
             leave_running: self.leave_running,
             publish: self.publish.or(config.publish),
             devices,
-            access: reach
-                .access()
-                .map_err(|mistake| Unfit::Whole(mistake.to_string()))?,
             journal: self.journal.or(config.journal),
         })
     }
@@ -262,20 +212,19 @@ impl Gateway {
 impl fmt::Display for Plan {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let names: Vec<&str> = self.devices.iter().map(|d| d.name.as_str()).collect();
-        let Self {
-            scope, bind, port, ..
-        } = self;
+        let Self { scope, place, .. } = self;
+        let (bind, port) = (&place.bind, place.port);
         write!(f, "{}, scope {scope}, at {bind}:{port}", names.join(", "))
     }
 }
 
 impl Plan {
     fn serve(self) -> Done {
-        let who = reachable(&self.bind, &self.access);
-        let endpoint = format!("tcp://{}:{}", self.bind, self.port);
-        let mut server = TaskServer::bind_for(&endpoint, self.access)?;
+        let place = self.place;
+        let who = place.reachable();
+        let mut server = TaskServer::bind_for(&place.endpoint(), place.access)?;
         let names: Vec<&str> = self.devices.iter().map(|d| d.name.as_str()).collect();
-        let mut devices = self.journal.gateway(self.port, &self.scope)?;
+        let mut devices = self.journal.gateway(place.port, &self.scope)?;
         devices.set_leave_running(self.leave_running);
         for device in &self.devices {
             devices.add(&device.name, device.endpoint.clone())?;
@@ -285,7 +234,7 @@ impl Plan {
             }
         }
         if let Some(port) = self.publish {
-            let endpoint = format!("tcp://{}:{port}", self.bind);
+            let endpoint = format!("tcp://{}:{port}", place.bind);
             let endpoint = devices.publish(&server, &endpoint)?;
             line(format_args!("Publishing readings at {endpoint}."));
         }

@@ -7,7 +7,7 @@ use tracing::{Event, Level, Subscriber};
 use tracing_subscriber::fmt::FmtContext;
 use tracing_subscriber::fmt::format::{FormatEvent, FormatFields, Writer};
 use tracing_subscriber::registry::LookupSpan;
-use ztl_std::gateway::config::LogFormat;
+use ztl_std::listen::LogFormat;
 
 struct PythonForm;
 

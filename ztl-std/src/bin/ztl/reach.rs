@@ -3,14 +3,104 @@
 use std::net::IpAddr;
 use std::path::{Path, PathBuf};
 
+use crate::tool::port;
 use ipnet::IpNet;
-use ztl_std::gateway::config::Config;
+use tracing::Level;
 use ztl_std::keys::{KeyPair, PublicKey};
+use ztl_std::listen::{LEVELS, LOG_FORMATS, Listen, LogFormat, bind_mistake};
 use ztl_std::{Access, RemoteTask, RequestError};
+
+/// Where a server listens, who may use it, and what it logs.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Options {
+    /// Port to serve at
+    #[arg(short, long, value_parser = port)]
+    port: Option<u16>,
+
+    /// Address to serve at; '*' is every interface of this machine [default: 127.0.0.1]
+    #[arg(long, value_name = "ADDR", value_parser = bind)]
+    bind: Option<String>,
+
+    #[command(flatten)]
+    reach: Reach,
+
+    /// What is logged: error, warn, info or debug [default: info]
+    #[arg(long, value_name = "LEVEL", value_parser = level)]
+    log: Option<Level>,
+
+    /// How it is logged: text, or json (an object a line) [default: text]
+    #[arg(long, value_name = "FORMAT", value_parser = format)]
+    log_format: Option<LogFormat>,
+}
+
+fn bind(text: &str) -> Result<String, String> {
+    bind_mistake(text).map_or_else(|| Ok(text.to_owned()), Err)
+}
+
+fn level(text: &str) -> Result<Level, String> {
+    one_of(text, &LEVELS)
+}
+
+fn format(text: &str) -> Result<LogFormat, String> {
+    one_of(text, &LOG_FORMATS)
+}
+
+fn one_of<T: Copy>(text: &str, known: &[(&str, T)]) -> Result<T, String> {
+    let found = known.iter().find(|(word, _)| *word == text);
+    let words = || known.iter().map(|(word, _)| *word).collect::<Vec<_>>();
+    found.map_or_else(
+        || Err(format!("there are: {}", words().join(", "))),
+        |(_, value)| Ok(*value),
+    )
+}
+
+impl Options {
+    /// With what the configuration file says: an option wins, but networks and clients are added to the
+    /// file's. `None` when neither names a port.
+    ///
+    /// # Errors
+    /// A key that cannot be read.
+    pub(crate) fn with(self, file: Listen) -> Result<Option<Place>, Box<dyn std::error::Error>> {
+        let mut reach = self.reach;
+        reach.allow.extend(file.allow);
+        reach.client_key.extend(file.client_keys);
+        reach.key = reach.key.or(file.key);
+        let Some(port) = self.port.or(file.port) else {
+            return Ok(None);
+        };
+        Ok(Some(Place {
+            port,
+            bind: self.bind.or(file.bind).unwrap_or("127.0.0.1".to_owned()),
+            access: reach.access()?,
+            log: self.log.or(file.log).unwrap_or(Level::INFO),
+            log_format: self.log_format.or(file.log_format).unwrap_or_default(),
+        }))
+    }
+}
+
+/// Where a server listens, for whom, and what it logs.
+pub(crate) struct Place {
+    pub(crate) port: u16,
+    pub(crate) bind: String,
+    pub(crate) access: Access,
+    pub(crate) log: Level,
+    pub(crate) log_format: LogFormat,
+}
+
+impl Place {
+    /// Who reaches it, for people: what follows `Reachable for`.
+    pub(crate) fn reachable(&self) -> String {
+        reachable(&self.bind, &self.access)
+    }
+
+    pub(crate) fn endpoint(&self) -> String {
+        format!("tcp://{}:{}", self.bind, self.port)
+    }
+}
 
 /// Who may use a server.
 #[derive(Debug, clap::Args)]
-pub(crate) struct Reach {
+struct Reach {
     /// Only clients with an address in this network, as 192.168.1.0/24 (repeatable)
     #[arg(long, value_name = "NETWORK", value_parser = network)]
     allow: Vec<IpNet>,
@@ -32,16 +122,7 @@ fn network(text: &str) -> Result<IpNet, &'static str> {
 }
 
 impl Reach {
-    /// With what the configuration file says: its networks and clients too, and its key, if no option
-    /// names one.
-    pub(crate) fn with(mut self, config: &Config) -> Self {
-        self.allow.extend(&config.allow);
-        self.client_key.extend(config.client_keys.iter().cloned());
-        self.key = self.key.or_else(|| config.key.clone());
-        self
-    }
-
-    pub(crate) fn access(&self) -> Result<Access, Box<dyn std::error::Error>> {
+    fn access(&self) -> Result<Access, Box<dyn std::error::Error>> {
         let mut access = Access::everybody();
         for network in &self.allow {
             access = access.from_network(*network);
@@ -67,8 +148,8 @@ impl Reach {
     }
 }
 
-/// Who reaches a server that listens at this address, for people: what follows `Reachable for`.
-pub(crate) fn reachable(bind: &str, access: &Access) -> String {
+/// Who reaches a server that listens at this address.
+fn reachable(bind: &str, access: &Access) -> String {
     access.describe(match bind {
         "*" | "0.0.0.0" | "[::]" => "everybody in its networks",
         bind if bind.starts_with("127.") || bind == "localhost" || bind == "[::1]" => {
