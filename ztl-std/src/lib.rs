@@ -58,6 +58,8 @@ mod pty;
 mod random;
 mod remote;
 pub mod remotes;
+#[cfg(all(unix, feature = "serve"))]
+pub mod serve;
 pub mod server;
 #[cfg(feature = "sim")]
 pub mod sim;

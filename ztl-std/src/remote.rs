@@ -87,8 +87,17 @@ impl RemoteTask {
     /// # Errors
     /// [`RequestError::Transport`] when the endpoint is no ZeroMQ address.
     pub fn connect(endpoint: &str, scope: &str) -> Result<Self, RequestError> {
+        Self::connect_in(zmq::Context::new(), endpoint, scope)
+    }
+
+    /// The same with ZeroMQ's threads, which several clients may share.
+    pub(crate) fn connect_in(
+        context: zmq::Context,
+        endpoint: &str,
+        scope: &str,
+    ) -> Result<Self, RequestError> {
         let mut remote = Self {
-            context: zmq::Context::new(),
+            context,
             socket: None,
             endpoint: endpoint.to_owned(),
             scope: scope.to_owned(),

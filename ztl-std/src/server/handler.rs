@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use ztl_core::{State, TaskId};
 
-use super::TaskReporter;
+use super::{STOPPING, TaskReporter};
 
 /// Answers questions of clients to `$ztl` that are not the protocol's own: in JSON, or `None`
 /// where the question is not known.
@@ -38,6 +38,12 @@ pub trait TaskHandler: Send {
     /// must be quick. Default: nothing is told.
     fn description(&self) -> Box<dyn Fn() -> String + Send> {
         Box::new(|| "{}".to_owned())
+    }
+
+    /// The server is about to stop, and drops its handlers: begin to stop the tasks, and say how long
+    /// clients may wait to hear of their ends. Default: nothing, 1.5 s.
+    fn stop(&mut self) -> Duration {
+        STOPPING
     }
 
     /// What will answer questions about this handler, as `devices`. Called from the server's

@@ -50,7 +50,8 @@ pub const MAX_MESSAGE: usize = 1 << 20;
 /// Requests, and reports of handlers, taken before the others are looked at again.
 const BATCH: usize = 64;
 
-/// How long a server that is stopped goes on answering while its handlers stop their tasks, at most.
+/// How long a server that is stopped goes on answering while its handlers stop their tasks, at most,
+/// unless they say otherwise.
 const STOPPING: Duration = Duration::from_millis(1500);
 
 /// How long it goes on after that, when tasks were stopped, so that clients that ask every 100 ms
@@ -282,13 +283,14 @@ impl TaskServer {
 
     /// Handlers stop their tasks as they are dropped; meanwhile clients are told.
     fn stop_handlers(&mut self) -> Result<(), zmq::Error> {
-        let handlers = std::mem::take(&mut self.handlers);
+        let mut handlers = std::mem::take(&mut self.handlers);
+        let longest = handlers.iter_mut().map(|handler| handler.stop()).max();
         let stopping = std::thread::Builder::new().spawn(move || drop(handlers));
         // Without a thread they were dropped, and so stopped, right here.
         let Ok(stopping) = stopping else {
             return Ok(());
         };
-        let end = now() + STOPPING;
+        let end = now() + longest.unwrap_or_default();
         let pause = Duration::from_millis(10);
         let mut told = false;
         while now() < end && !stopping.is_finished() {

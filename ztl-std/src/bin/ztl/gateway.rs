@@ -9,9 +9,8 @@ use ztl_std::TaskServer;
 use ztl_std::gateway::Endpoint;
 use ztl_std::gateway::config::{Config, DeviceConfig, name_mistake, same_line};
 use ztl_std::server::scope_mistake;
-use ztl_std::yaml::Diagnostics;
 
-use crate::reach;
+use crate::reach::{self, MISCONFIGURED, Unfit};
 use crate::service::Service;
 use crate::terminal::line;
 use crate::tool::port;
@@ -40,7 +39,7 @@ pub(crate) struct Gateway {
     scope: Option<String>,
 
     #[command(flatten)]
-    listen: reach::Options,
+    listen: reach::Listening,
 
     /// Publish the devices' readings at this port, for any ZeroMQ subscriber
     #[arg(long, value_name = "PORT", value_parser = port)]
@@ -57,9 +56,6 @@ pub(crate) struct Gateway {
     #[command(flatten)]
     journal: journal::Options,
 }
-
-/// Exit code for a configuration that cannot be served, however often it is tried.
-const MISCONFIGURED: u8 = 2;
 
 fn device(text: &str) -> Result<DeviceConfig, String> {
     let (name, url) = text
@@ -112,22 +108,6 @@ fn with_elfs(devices: &mut [DeviceConfig], elfs: Vec<(String, PathBuf)>) -> Resu
     Ok(())
 }
 
-/// Why a configuration cannot be served.
-enum Unfit {
-    File(Diagnostics),
-    Whole(String),
-}
-
-impl fmt::Display for Unfit {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            // For editors: the place comes first in the line.
-            Self::File(mistakes) => f.write_str(mistakes.to_string().trim_end()),
-            Self::Whole(mistake) => write!(f, "ztl: {mistake}"),
-        }
-    }
-}
-
 /// All that is needed to serve.
 struct Plan {
     scope: String,
@@ -165,11 +145,7 @@ impl Gateway {
         };
         let file = self.file.map(|path| path.display().to_string());
         let missing = |what: &str, option: &str, key: &str| {
-            let key = match &file {
-                Some(file) => format!("`{key}` in {file}"),
-                None => format!("a configuration file (docs/gateway.md) with `{key}`"),
-            };
-            Unfit::Whole(format!("no {what}: give {option}, or {key}"))
+            Unfit::missing(file.as_deref(), what, option, key)
         };
         let mut devices = config.devices;
         for device in self.devices {
@@ -195,8 +171,7 @@ impl Gateway {
             let key = "devices:";
             return Err(missing("device", "--device <NAME=URL>", key));
         }
-        let place = self.listen.with(config.listen);
-        let place = place.map_err(|mistake| Unfit::Whole(mistake.to_string()))?;
+        let place = self.listen.with(config.listen)?;
         let scope = self.scope.or(config.scope);
         Ok(Plan {
             place: place.ok_or_else(|| missing("port", "--port <PORT>", "port: 12345"))?,

@@ -17,6 +17,8 @@ mod ps;
 mod reach;
 mod remote_task;
 mod scene;
+#[cfg(unix)]
+mod serve;
 mod service;
 mod signals;
 mod simple_client;
@@ -50,6 +52,9 @@ enum Command {
     Demo(demo::Demo),
     /// Serve microcontrollers as handlers of a task server
     Gateway(gateway::Gateway),
+    /// Serve the scripts and command-line tools of a robot as handlers of a task server
+    #[cfg(unix)]
+    Serve(serve::Serve),
     /// Run a simulated device by itself, for whoever has no hardware
     Device(device::Device),
     /// Put a bad cable between a gateway and its device: bytes lost, altered, repeated, held back
@@ -75,6 +80,8 @@ fn main() -> ExitCode {
     let done = match Cli::parse_from(args).command {
         Command::Demo(demo) => demo.run(),
         Command::Gateway(gateway) => gateway.run(),
+        #[cfg(unix)]
+        Command::Serve(serve) => serve.run(),
         Command::Device(device) => device.run(),
         Command::Line(line) => line.run(),
         Command::Devices(devices) => devices.run(),

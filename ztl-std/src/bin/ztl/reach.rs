@@ -1,5 +1,6 @@
 //! Who reaches a server, and how a client says who it is: options that commands share.
 
+use std::fmt;
 use std::net::IpAddr;
 use std::path::{Path, PathBuf};
 
@@ -8,11 +9,42 @@ use ipnet::IpNet;
 use tracing::Level;
 use ztl_std::keys::{KeyPair, PublicKey};
 use ztl_std::listen::{LEVELS, LOG_FORMATS, Listen, LogFormat, bind_mistake};
+use ztl_std::yaml::Diagnostics;
 use ztl_std::{Access, RemoteTask, RequestError};
+
+/// Exit code for a configuration that cannot be served, however often it is tried.
+pub(crate) const MISCONFIGURED: u8 = 2;
+
+/// Why a configuration cannot be served.
+pub(crate) enum Unfit {
+    File(Diagnostics),
+    Whole(String),
+}
+
+impl Unfit {
+    /// Neither an option nor the file says something.
+    pub(crate) fn missing(file: Option<&str>, what: &str, option: &str, key: &str) -> Self {
+        let key = match file {
+            Some(file) => format!("`{key}` in {file}"),
+            None => format!("a configuration file (docs/gateway.md) with `{key}`"),
+        };
+        Self::Whole(format!("no {what}: give {option}, or {key}"))
+    }
+}
+
+impl fmt::Display for Unfit {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            // For editors: the place comes first in the line.
+            Self::File(mistakes) => f.write_str(mistakes.to_string().trim_end()),
+            Self::Whole(mistake) => write!(f, "ztl: {mistake}"),
+        }
+    }
+}
 
 /// Where a server listens, who may use it, and what it logs.
 #[derive(Debug, clap::Args)]
-pub(crate) struct Options {
+pub(crate) struct Listening {
     /// Port to serve at
     #[arg(short, long, value_parser = port)]
     port: Option<u16>,
@@ -54,13 +86,13 @@ fn one_of<T: Copy>(text: &str, known: &[(&str, T)]) -> Result<T, String> {
     )
 }
 
-impl Options {
+impl Listening {
     /// With what the configuration file says: an option wins, but networks and clients are added to the
     /// file's. `None` when neither names a port.
     ///
     /// # Errors
     /// A key that cannot be read.
-    pub(crate) fn with(self, file: Listen) -> Result<Option<Place>, Box<dyn std::error::Error>> {
+    pub(crate) fn with(self, file: Listen) -> Result<Option<Place>, Unfit> {
         let mut reach = self.reach;
         reach.allow.extend(file.allow);
         reach.client_key.extend(file.client_keys);
@@ -71,7 +103,9 @@ impl Options {
         Ok(Some(Place {
             port,
             bind: self.bind.or(file.bind).unwrap_or("127.0.0.1".to_owned()),
-            access: reach.access()?,
+            access: reach
+                .access()
+                .map_err(|mistake| Unfit::Whole(mistake.to_string()))?,
             log: self.log.or(file.log).unwrap_or(Level::INFO),
             log_format: self.log_format.or(file.log_format).unwrap_or_default(),
         }))

@@ -9,12 +9,15 @@ struct Flag {
     impatient: bool,
     /// What is to be done when it is raised.
     then: Option<Box<dyn Fn() + Send>>,
+    /// What is to be done before the process ends at the second.
+    last: Option<Box<dyn Fn() + Send>>,
 }
 
 static FLAG: Mutex<Flag> = Mutex::new(Flag {
     raised: false,
     impatient: false,
     then: None,
+    last: None,
 });
 static CHANGED: Condvar = Condvar::new();
 
@@ -28,6 +31,9 @@ pub(crate) fn catch() -> Result<(), ctrlc::Error> {
     ctrlc::set_handler(|| {
         let mut flag = flag();
         if flag.raised && flag.impatient {
+            if let Some(last) = &flag.last {
+                last();
+            }
             // As a shell reports it.
             std::process::exit(130);
         }
@@ -51,6 +57,14 @@ pub(crate) fn then(act: impl Fn() + Send + 'static) {
 /// From now on a second signal ends the process at once, whatever it is doing.
 pub(crate) fn leave_at_the_second() {
     flag().impatient = true;
+}
+
+/// The same; before that, `act` is done.
+#[cfg(unix)]
+pub(crate) fn leave_at_the_second_after(act: impl Fn() + Send + 'static) {
+    let mut flag = flag();
+    flag.impatient = true;
+    flag.last = Some(Box::new(act));
 }
 
 /// Whether somebody wants this process to end.

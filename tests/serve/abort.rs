@@ -1,0 +1,228 @@
+//! How programs are stopped: nothing of them survives.
+
+use std::time::{Duration, Instant};
+
+use ztl_std::State::{Aborted, Accepted, Completed, Failed};
+use ztl_tests::lab::{ABORTED, ACCEPTED, PATIENCE, until};
+
+use crate::rig::{Lab, SOON, dies, end, lives, progress, told, trigger};
+
+#[test]
+fn a_program_that_heeds_the_signal_is_aborted_with_its_last_words() {
+    let lab = Lab::new(
+        r#"
+        int: {run: [sh, -c, 'trap "echo stopped at 3; exit 0" INT; echo $$ > pid; while :; do sleep 0.01; done'], abort: INT}
+        term: [sleep, '60']
+        "#,
+    );
+    let mut remote = lab.remote();
+    let id = trigger(&mut remote, "int", "");
+    let process = lab.process("pid");
+    assert_eq!(
+        told(remote.abort(id).expect("an answer")),
+        (Aborted, "True".to_owned())
+    );
+    assert!(!lives(process));
+    assert_eq!(end(&mut remote, id), (Aborted, "stopped at 3".to_owned()));
+    let mut client = lab.server.original_client();
+    let id = client.start("p", "term", "");
+    assert_eq!(client.abort(id), (ABORTED, "True"));
+    assert_eq!(client.status(id), (ABORTED, "aborted"));
+}
+
+#[test]
+fn a_grandchild_that_ignores_the_signal_is_killed_after_the_grace_with_the_whole_group() {
+    let stubborn = "trap '' TERM INT; echo $$ > child; while :; do sleep 0.01; done";
+    let lab = Lab::new(&format!(
+        r#"
+        group: {{run: [sh, -c, '(sh -c "$SCRIPT" & echo on its way; wait)'], environment: {{SCRIPT: "{stubborn}"}}, abort: {{signal: TERM, grace: 300 ms}}}}
+        "#
+    ));
+    let mut remote = lab.remote();
+    let id = trigger(&mut remote, "group", "");
+    let child = lab.process("child");
+    let start = Instant::now();
+    assert_eq!(remote.abort(id).expect("an answer").state, Aborted);
+    // Its parent was gone at once; it had its grace.
+    assert!(start.elapsed() >= Duration::from_millis(300));
+    assert!(!lives(child));
+    let (state, text) = end(&mut remote, id);
+    assert_eq!(state, Aborted);
+    let killed = "on its way (killed: not ended within 300 ms of SIGTERM)";
+    assert_eq!(text, killed);
+}
+
+#[test]
+fn a_child_that_needs_a_moment_to_stop_its_motors_has_it() {
+    let careful =
+        "trap 'sleep 0.3; echo > parked; exit' TERM; echo $$ > child; while :; do sleep 0.01; done";
+    let lab = Lab::new(&format!(
+        r#"
+        wrapped: {{run: [sh, -c, 'sh -c "$SCRIPT" & wait'], environment: {{SCRIPT: "{careful}"}}}}
+        "#
+    ));
+    let mut remote = lab.remote();
+    let id = trigger(&mut remote, "wrapped", "");
+    lab.process("child");
+    assert_eq!(remote.abort(id).expect("an answer").state, Aborted);
+    assert!(
+        lab.scratch.path("parked").exists(),
+        "it was killed before its time"
+    );
+}
+
+#[test]
+fn a_program_can_be_stopped_by_another_one() {
+    let lab = Lab::new(
+        r#"
+        driver: {run: [sh, -c, 'echo $$ > pid; until [ -e stop ]; do sleep 0.01; done; echo parked'], abort: {run: [sh, -c, 'echo "$0 $ZTL_GOAL" > stop', '{id}'], grace: 10 s}}
+        lost: {run: [sleep, '60'], abort: {run: [no-such-program], grace: 10 s}}
+        hung: {run: [sleep, '60'], abort: {run: [sh, -c, 'echo $$ > hung; sleep 60'], grace: 300 ms}}
+        "#,
+    );
+    let mut remote = lab.remote();
+    let id = trigger(&mut remote, "driver", "fast");
+    lab.process("pid");
+    assert_eq!(remote.abort(id).expect("an answer").state, Aborted);
+    assert_eq!(end(&mut remote, id), (Aborted, "parked".to_owned()));
+    assert_eq!(lab.written("stop"), format!("{id} fast"));
+
+    // One that cannot be started is replaced by a signal, and one that hangs is killed as well.
+    let start = Instant::now();
+    let id = trigger(&mut remote, "lost", "");
+    assert_eq!(remote.abort(id).expect("an answer").state, Aborted);
+    assert!(start.elapsed() < SOON);
+    lab.server
+        .process
+        .wait_for("its abort program cannot be started: no-such-program: not found");
+    let id = trigger(&mut remote, "hung", "");
+    assert_eq!(remote.abort(id).expect("an answer").state, Aborted);
+    let killed = "aborted (killed: not ended within 300 ms of its abort program)";
+    assert_eq!(end(&mut remote, id), (Aborted, killed.to_owned()));
+    dies(lab.process("hung"));
+}
+
+#[test]
+fn an_abort_that_takes_longer_than_its_answer_says_so() {
+    let lab = Lab::new(
+        r#"
+        slow: {run: [sh, -c, 'trap "" TERM; echo $$ > pid; while :; do sleep 0.01; done']}
+        "#,
+    );
+    let mut client = lab.server.original_client();
+    let id = client.start("p", "slow", "");
+    let process = lab.process("pid");
+    assert_eq!(client.abort(id), (ACCEPTED, "aborting"));
+    assert_eq!(client.wait(id, 5.0).number, ABORTED);
+    assert!(!lives(process));
+}
+
+#[test]
+fn what_cannot_be_aborted_goes_on() {
+    let lab = Lab::new(
+        r#"
+        never: {run: [sh, -c, 'echo > on; until [ -e go ]; do sleep 0.01; done; echo done'], abort: no}
+        "#,
+    );
+    let mut remote = lab.remote();
+    let id = trigger(&mut remote, "never", "");
+    lab.written("on");
+    let answer = remote.abort(id).expect("an answer");
+    assert_eq!(told(answer), (Accepted, "False".to_owned()));
+    std::fs::write(lab.scratch.path("go"), "").expect("to write");
+    assert_eq!(end(&mut remote, id), (Completed, "done".to_owned()));
+}
+
+#[test]
+fn a_limit_ends_what_never_ends() {
+    let lab = Lab::new(
+        r#"
+        never: {run: [sh, -c, 'sleep 60 & echo $! > child; wait'], limit: 300 ms}
+        stubborn: {run: [sh, -c, 'trap "" TERM; while :; do sleep 0.01; done'], limit: 200 ms, abort: {grace: 200 ms}}
+        "#,
+    );
+    assert_eq!(
+        lab.run("never", ""),
+        (Failed, "not done within 300 ms".to_owned())
+    );
+    assert!(!lives(lab.process("child")));
+    let killed = "not done within 200 ms (killed: not ended within 200 ms of SIGTERM)";
+    assert_eq!(lab.run("stubborn", ""), (Failed, killed.to_owned()));
+}
+
+#[test]
+fn what_a_program_leaves_behind_does_not_keep_its_task_and_is_killed_unless_it_may_stay() {
+    let lab = Lab::new(
+        r#"
+        kills: [sh, -c, 'sleep 60 & echo $! > killed; echo done']
+        leaves: {run: [sh, -c, 'sleep 60 & echo $! > left; echo done'], left-behind: leave}
+        talks: {run: [sh, -c, 'yes & echo $! > talks; exit 0'], left-behind: leave, result: nothing}
+        daemon: [sh, -c, 'setsid sh -c "echo \$\$ > daemon; exec sleep 60" & until [ -s daemon ]; do sleep 0.01; done; echo done']
+        "#,
+    );
+    let done = (Completed, "done".to_owned());
+    // Each of them holds its task's pipes open.
+    assert_eq!(lab.run("kills", ""), done);
+    dies(lab.process("killed"));
+    assert_eq!(lab.run("leaves", ""), done);
+    assert!(lives(lab.process("left")));
+    assert_eq!(lab.run("talks", ""), (Completed, "None".to_owned()));
+    dies(lab.process("talks"));
+    assert_eq!(lab.run("daemon", ""), done);
+    assert!(lives(lab.process("daemon")));
+    for name in ["left", "daemon"] {
+        kill(lab.process(name));
+    }
+}
+
+#[test]
+fn the_group_of_a_program_that_forks_without_end_is_killed() {
+    // At most a hundred, each of which starts the next.
+    let fork = "if [ $1 -gt 0 ]; then trap '' TERM; sh fork.sh $(($1 - 1)) & fi; echo $$ >> pids; sleep 60; sleep 60";
+    let lab = Lab::new("forks: {run: [sh, fork.sh, '100'], abort: {grace: 200 ms}}");
+    std::fs::write(lab.scratch.path("fork.sh"), fork).expect("to write");
+    let mut remote = lab.remote();
+    let id = trigger(&mut remote, "forks", "");
+    until("some have been started", PATIENCE, || {
+        let pids = std::fs::read_to_string(lab.scratch.path("pids")).ok()?;
+        (pids.lines().count() > 20).then_some(())
+    });
+    remote.abort(id).expect("an answer");
+    assert_eq!(end(&mut remote, id).0, Aborted);
+    for process in lab.written("pids").lines() {
+        dies(process.parse().expect("a number"));
+    }
+}
+
+#[test]
+fn a_stopped_process_is_no_obstacle() {
+    let lab =
+        Lab::new("stops: {run: [sh, -c, 'echo $$ > pid; kill -STOP $$'], abort: {grace: 200 ms}}");
+    let mut remote = lab.remote();
+    let id = trigger(&mut remote, "stops", "");
+    let process = lab.process("pid");
+    assert_eq!(remote.abort(id).expect("an answer").state, Aborted);
+    assert!(!lives(process));
+}
+
+#[test]
+fn one_that_replaces_and_one_that_is_aborted_while_it_waits() {
+    let lab = Lab::new(
+        "go: {run: [sh, -c, 'echo \"@ $0\"; sleep 60', '{goal}'], progress: '@ ', busy: queue 1}",
+    );
+    let mut remote = lab.remote();
+    let first = trigger(&mut remote, "go", "one");
+    progress(&mut remote, first, "one");
+    let second = trigger(&mut remote, "go", "two");
+    progress(&mut remote, second, "waiting, 0 before it");
+    assert_eq!(remote.abort(second).expect("an answer").state, Aborted);
+    assert_eq!(end(&mut remote, second).1, "aborted before it began");
+    assert_eq!(remote.status(first).expect("an answer").state, Accepted);
+    assert_eq!(remote.abort(first).expect("an answer").state, Aborted);
+}
+
+fn kill(process: u32) {
+    let mut kill = std::process::Command::new("sh");
+    kill.args(["-c", "kill -KILL $0"]).arg(process.to_string());
+    assert!(kill.status().expect("`sh`").success());
+}

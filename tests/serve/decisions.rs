@@ -1,0 +1,141 @@
+//! When an INIT is answered, and with what.
+
+use std::time::{Duration, Instant};
+
+use ztl_std::State::{Completed, Failed};
+use ztl_tests::lab::{COMPLETED, PATIENCE, until};
+
+use crate::rig::{Lab, end, trigger};
+
+#[test]
+fn what_cannot_be_started_is_refused_with_what_is_to_be_done() {
+    let lab = Lab::new(
+        "
+        missing: [no-such-program, x]
+        path: [./no/such/program]
+        plain: [./plain]
+        odd: [./odd]
+        nowhere: {run: [sh], directory: no/such}
+        ",
+    );
+    let path = lab.scratch.path("");
+    let file = path.join("robot.yaml").display().to_string();
+    std::fs::write(path.join("plain"), "#!/bin/sh\n").expect("to write");
+    write_executable(&path.join("odd"), "#!/no/such/interpreter\n");
+    for (component, line, part) in [
+        (
+            "missing",
+            4,
+            "no-such-program: not found; install it or correct the path at ",
+        ),
+        (
+            "path",
+            5,
+            "/no/such/program: not found; install it or correct the path at ",
+        ),
+        ("plain", 6, "plain: not executable; use chmod +x, "),
+        (
+            "odd",
+            7,
+            "odd: what its first line names (#!) is not there; install that or correct the line at ",
+        ),
+        ("nowhere", 8, "sh: the directory "),
+    ] {
+        let reason = lab.refusal(component, "x");
+        assert!(reason.contains(part), "{component}: {reason}");
+        assert!(
+            reason.ends_with(&format!("at {file}:{line}")),
+            "{component}: {reason}"
+        );
+    }
+    // It is looked for anew each time.
+    write_executable(&path.join("odd"), "#!/bin/sh\necho mended\n");
+    assert_eq!(lab.run("odd", ""), (Completed, "mended".to_owned()));
+    assert_eq!(
+        lab.server
+            .original_client()
+            .trigger("p", "missing", "x")
+            .number,
+        -1
+    );
+}
+
+fn write_executable(path: &std::path::Path, text: &str) {
+    use std::os::unix::fs::PermissionsExt;
+    std::fs::write(path, text).expect("to write");
+    let executable = std::fs::Permissions::from_mode(0o755);
+    std::fs::set_permissions(path, executable).expect("to change");
+}
+
+#[test]
+fn an_unknown_handler_or_component_is_refused_with_those_there_are() {
+    let lab = Lab::new("one: echo\ntwo: echo");
+    assert_eq!(
+        lab.refusal("three", ""),
+        "no component 'three' on 'p'; it has: one, two"
+    );
+    let other = lab
+        .remote()
+        .trigger("q", "one", "")
+        .expect_err("no such handler");
+    assert_eq!(other.to_string(), "refused: no handler 'q'; there are: p");
+}
+
+#[test]
+fn a_program_refuses_by_its_exit_code_as_long_as_nothing_was_said_to_be_taken() {
+    let lab = Lab::new(
+        r#"
+        refuses: {run: [sh, -c, 'echo "the arm is locked" >&2; exit 2'], refused-by: [2, 3]}
+        fails: {run: [sh, -c, 'exit 1'], refused-by: 2}
+        works: {run: [echo, fine], refused-by: 2}
+        late: {run: [sh, -c, 'echo "@ moving"; sleep 0.2; exit 2'], refused-by: 2, progress: '@ ', decide: 1500 ms}
+        slow: {run: [sh, -c, 'until [ -e go ]; do sleep 0.01; done; exit 2'], refused-by: 2, decide: 50 ms}
+        "#,
+    );
+    assert_eq!(lab.refusal("refuses", ""), "the arm is locked");
+    assert_eq!(lab.run("fails", ""), (Failed, "exit code 1".to_owned()));
+    assert_eq!(lab.run("works", ""), (Completed, "fine".to_owned()));
+    assert_eq!(
+        lab.run("late", ""),
+        (Failed, "exit code 2: @ moving".replace(": @ moving", ""))
+    );
+    let mut remote = lab.remote();
+    let start = Instant::now();
+    let id = trigger(&mut remote, "slow", "");
+    assert!(
+        start.elapsed() < Duration::from_secs(1),
+        "{:?}",
+        start.elapsed()
+    );
+    std::fs::write(lab.scratch.path("go"), "").expect("to write");
+    assert_eq!(end(&mut remote, id), (Failed, "exit code 2".to_owned()));
+    let refused = lab.server.original_client().trigger("p", "refuses", "");
+    assert_eq!(refused, (-1, "the arm is locked"));
+}
+
+#[test]
+fn what_needs_no_program_is_served_too() {
+    let lab =
+        Lab::new("echo: echo\nsleep: sleep\nprint: print\n'*': {built-in: echo, goal: whole}");
+    assert_eq!(lab.run("echo", "a;b:c"), (Completed, "a;b:c".to_owned()));
+    assert_eq!(lab.run("sleep", "0.05"), (Completed, "True".to_owned()));
+    assert_eq!(
+        lab.refusal("sleep", "-1"),
+        "p:sleep: the goal '-1' is not a number of at least 0"
+    );
+    assert_eq!(lab.run("print", "hello"), (Completed, "True".to_owned()));
+    until("it is printed", PATIENCE, || {
+        lab.server
+            .process
+            .stdout()
+            .contains("component: print\ngoal: hello\n")
+            .then_some(())
+    });
+    assert_eq!(lab.run("any", "12"), (Completed, "12".to_owned()));
+    assert!(lab.refusal("any", "x").contains("a whole number"));
+    let mut client = lab.server.original_client();
+    let id = client.start("p", "sleep", "60");
+    assert_eq!(client.abort(id).text, "True");
+    let id = client.start("p", "echo", "hi");
+    assert_eq!(client.wait(id, 5.0), (COMPLETED, "hi"));
+}

@@ -1,0 +1,129 @@
+//! The examples as they stand, by our client and the original's.
+
+use ztl_std::State::{Aborted, Completed};
+use ztl_std::{RemoteTask, TriggerError};
+use ztl_tests::lab::{
+    ABORTED, COMPLETED, OriginalClient, PATIENCE, Process, Scratch, Server, python, ztl,
+};
+
+use crate::rig::{end, progress, project};
+
+/// The example in a directory of its own, with a `python` on the path.
+fn example() -> (Scratch, Server) {
+    let scratch = Scratch::new();
+    for name in ["robot.yaml", "speak", "turn.py", "rostopic"] {
+        let from = project("examples/serve").join(name);
+        std::fs::copy(from, scratch.path(name)).expect("to copy");
+    }
+    let mut path = python()
+        .parent()
+        .expect("its directory")
+        .as_os_str()
+        .to_owned();
+    path.push(":");
+    path.push(std::env::var_os("PATH").unwrap_or_default());
+    let mut command = ztl();
+    command
+        .args(["serve", "-p", "0"])
+        .arg(scratch.path("robot.yaml"))
+        .env("PATH", path);
+    let process = Process::start(&mut command);
+    let line = process.wait_for("Serving 5 components at /robot at ");
+    let port = line.split_once("tcp://127.0.0.1:").expect("its address").1;
+    let port = port
+        .split('.')
+        .next()
+        .and_then(|port| port.parse().ok())
+        .expect("a port");
+    (scratch, Server { process, port })
+}
+
+const TASKS: [(&str, &str, &str, &str); 4] = [
+    (
+        "tts",
+        "say",
+        "good morning",
+        "said 'good morning' at 150 words a minute",
+    ),
+    ("base", "turn", "-45", "{'turned': -45.0}"),
+    (
+        "ros",
+        "cmd_vel",
+        "{x: 0.1, turn: -0.5}",
+        "/cmd_vel geometry_msgs/Twist {linear: {x: 0.1}, angular: {z: -0.5}}",
+    ),
+    (
+        "ros",
+        "cmd_vel",
+        "{'x': -0.2}",
+        "/cmd_vel geometry_msgs/Twist {linear: {x: -0.2}, angular: {z: 0}}",
+    ),
+];
+
+#[test]
+fn our_client_runs_them() {
+    let (scratch, server) = example();
+    let mut remote = RemoteTask::connect(&server.endpoint(), "/robot").expect("an address");
+    for (handler, component, goal, result) in TASKS {
+        let ran = remote.run(handler, component, goal, Some(PATIENCE));
+        let ended = ran.expect("taken").expect("its end");
+        assert_eq!(
+            (ended.state, ended.text.as_str()),
+            (Completed, result),
+            "{goal}"
+        );
+    }
+    let refused = |remote: &mut RemoteTask, handler: &str, component: &str, goal: &str| match remote
+        .trigger(handler, component, goal)
+    {
+        Err(TriggerError::Refused { reason, .. }) => reason,
+        other => panic!("{other:?}"),
+    };
+    let said = refused(&mut remote, "ros", "cmd_vel", "{x: 3}");
+    assert_eq!(
+        said,
+        "ros:cmd_vel: '3' for x is not a number from -0.3 to 0.3"
+    );
+    let said = refused(&mut remote, "base", "turn", "270");
+    assert_eq!(
+        said,
+        "base:turn: the goal '270' is not a number from -180 to 180"
+    );
+    let turn = remote.trigger("base", "turn", "180").expect("taken").id;
+    progress(&mut remote, turn, "20 degrees");
+    assert_eq!(remote.abort(turn).expect("an answer").state, Aborted);
+    let (_, text) = end(&mut remote, turn);
+    assert!(text.starts_with("stopped at "), "{text}");
+    std::fs::write(scratch.path("brake"), "").expect("to write");
+    assert_eq!(
+        refused(&mut remote, "base", "turn", "10"),
+        "the brake is on"
+    );
+}
+
+#[test]
+fn the_originals_client_runs_them() {
+    let (_scratch, server) = example();
+    let mut client = OriginalClient::connect(server.port, "/robot");
+    for (handler, component, goal, result) in TASKS {
+        let id = client.start(handler, component, goal);
+        assert_eq!(client.wait(id, 10.0), (COMPLETED, result), "{goal}");
+    }
+    let turn = client.start("base", "turn", "180");
+    assert_eq!(client.abort(turn), (ABORTED, "True"));
+    assert_eq!(client.trigger("base", "turn", "270").number, -1);
+    assert_eq!(client.status(turn).number, ABORTED);
+}
+
+#[test]
+fn the_example_is_right() {
+    let file = project("examples/serve/robot.yaml");
+    let ended = Process::run(ztl().arg("serve").arg(file).arg("--check"));
+    assert_eq!(ended.code, Some(0), "{ended:?}");
+    assert!(
+        ended
+            .stdout
+            .ends_with(": 5 components at /robot, at 127.0.0.1:12345.\n"),
+        "{ended:?}"
+    );
+}

@@ -1,0 +1,183 @@
+//! The file, as a person meets it, and how much memory the server takes.
+
+use ztl_std::{RemoteTask, State};
+use ztl_tests::lab::{Ended, PATIENCE, Process, SCOPE, Scratch, ztl};
+
+use crate::rig::{Lab, project};
+
+#[track_caller]
+fn run(words: &[&str]) -> Ended {
+    Process::run(ztl().arg("serve").args(words))
+}
+
+#[track_caller]
+fn written(scratch: &Scratch, text: &str) -> String {
+    let path = scratch.path("robot.yaml");
+    std::fs::write(&path, text).expect("to write");
+    path.display().to_string()
+}
+
+#[test]
+fn checking_says_what_is_wrong_and_what_may_be() {
+    let scratch = Scratch::new();
+    let file = written(
+        &scratch,
+        "port: 1\nscopes:\n  /a: {h: {c: [no-such-program]}}\n  /b: {h: {c: echo, d: echo}}\n",
+    );
+    let ended = run(&[&file, "--check"]);
+    let warning = format!(
+        "{file}:3:16: warning: no-such-program is not there; install it or correct the path\n  \
+         3 |   /a: {{h: {{c: [no-such-program]}}}}\n    |                ^^^^^^^^^^^^^^^\n"
+    );
+    let said = "Nothing is wrong but for a warning: 1 component at /a, 2 components at /b, at 127.0.0.1:1.\n";
+    assert_eq!(
+        (ended.code, ended.stdout.as_str(), ended.stderr),
+        (Some(0), said, warning)
+    );
+
+    let file = written(&scratch, "prot: 1\nscopes: {/a: {h: {c: {rnu: x}}}}\n");
+    for check in [&["--check"][..], &[]] {
+        let mut words = vec![file.as_str()];
+        words.extend_from_slice(check);
+        let ended = run(&words);
+        assert_eq!((ended.code, ended.stdout.as_str()), (Some(2), ""));
+        assert!(
+            ended.stderr.starts_with(&format!(
+                "{file}:1:1: unknown key 'prot'; did you mean 'port'?\n"
+            )),
+            "{ended:?}"
+        );
+        assert!(
+            ended
+                .stderr
+                .contains(":2:23: unknown key 'rnu'; did you mean 'run'?"),
+            "{ended:?}"
+        );
+    }
+    let ended = run(&["/no/such/file.yaml"]);
+    assert_eq!(ended.code, Some(2));
+    assert!(
+        ended
+            .stderr
+            .starts_with("/no/such/file.yaml: cannot read it: "),
+        "{ended:?}"
+    );
+}
+
+#[test]
+fn options_override_the_file_and_what_is_missing_is_asked_for() {
+    let scratch = Scratch::new();
+    let file = written(&scratch, "scopes: {/a: {h: {c: echo}}}\n");
+    let ended = run(&[&file, "--check"]);
+    let said = format!("ztl: no port: give --port <PORT>, or `port: 12345` in {file}\n");
+    assert_eq!((ended.code, ended.stderr), (Some(2), said));
+    let ended = run(&[
+        &file,
+        "-p",
+        "7",
+        "-s",
+        "/b",
+        "--bind",
+        "localhost",
+        "--check",
+    ]);
+    assert_eq!(
+        ended.stdout,
+        "Nothing is wrong: 1 component at /b, at localhost:7.\n"
+    );
+    let file = written(
+        &scratch,
+        "scopes: {/a: {h: {c: echo}}, /b: {h: {c: echo}}}\n",
+    );
+    let ended = run(&[&file, "-p", "7", "-s", "/c"]);
+    assert_eq!(ended.code, Some(2));
+    assert!(
+        ended
+            .stderr
+            .contains("--scope names the only scope of a file"),
+        "{ended:?}"
+    );
+    let lab = Lab::with("echo: echo", &["--allow", "192.0.2.0/24"]);
+    lab.server
+        .process
+        .wait_for("if its address is in 192.0.2.0/24");
+}
+
+#[test]
+fn every_key_stands_in_the_manual() {
+    let scratch = Scratch::new();
+    let file = written(
+        &scratch,
+        "zzzzzz: 1\nscopes: {/a: {h: {c: {run: [sh], zzzzzz: 1, goal: {zzzzzz: 1}, abort: {zzzzzz: 1}}, d: {forward: {zzzzzz: 1}}}}}\n",
+    );
+    let ended = run(&[&file, "--check"]);
+    let manual = std::fs::read_to_string(project("docs/serve.md")).expect("the manual");
+    let lists = ended
+        .stderr
+        .lines()
+        .filter_map(|line| line.split_once("; there are: "));
+    let keys: Vec<&str> = lists.flat_map(|(_, keys)| keys.split(", ")).collect();
+    for key in &keys {
+        let plain = manual.contains(&format!("`{key}`")) || manual.contains(&format!("{key}: "));
+        assert!(plain, "{key}");
+    }
+    assert!(keys.len() > 35, "{keys:?}");
+}
+
+#[test]
+fn a_client_that_asks_is_told_handlers_and_components() {
+    let lab = Lab::new("one: echo\n'*': echo");
+    let mut probe = zmq_ask(lab.server.port, "$ztl;2;-1;probe");
+    probe.truncate(probe.find(", running").expect("the running tasks"));
+    assert!(
+        probe.ends_with(r#"scopes: {"/test": {"p": ["*", "one"]}}"#),
+        "{probe}"
+    );
+}
+
+fn zmq_ask(port: u16, question: &str) -> String {
+    let socket = zmq::Context::new().socket(zmq::REQ).expect("a socket");
+    socket.set_rcvtimeo(5000).expect("a limit");
+    socket
+        .connect(&format!("tcp://127.0.0.1:{port}"))
+        .expect("an address");
+    socket.send(question, 0).expect("to send");
+    socket.recv_string(0).expect("an answer").expect("UTF-8")
+}
+
+#[test]
+fn a_thousand_remembered_tasks_fit_into_eight_mebibytes() {
+    let lab = Lab::new("echo: {run: [echo, 'said {goal}']}");
+    let mut remote = RemoteTask::connect(&lab.server.endpoint(), SCOPE).expect("an address");
+    for number in 0..1000 {
+        let ran = remote.run("p", "echo", &number.to_string(), Some(PATIENCE));
+        assert_eq!(
+            ran.expect("taken").expect("its end").state,
+            State::Completed
+        );
+    }
+    let status = std::fs::read_to_string(format!("/proc/{}/status", lab.server.process.id()));
+    let status = status.expect("its status");
+    let kib = |name: &str| -> u64 {
+        let line = status
+            .lines()
+            .find(|line| line.starts_with(name))
+            .expect(name);
+        line.split_whitespace()
+            .nth(1)
+            .and_then(|kib| kib.parse().ok())
+            .expect("a number")
+    };
+    println!(
+        "resident: {} KiB, of its own {} KiB",
+        kib("VmRSS:"),
+        kib("RssAnon:")
+    );
+    // A debug build's program alone is larger; a release build is measured as a whole.
+    let own = if cfg!(debug_assertions) {
+        "RssAnon:"
+    } else {
+        "VmRSS:"
+    };
+    assert!(kib(own) <= 8 * 1024, "{status}");
+}

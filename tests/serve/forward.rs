@@ -1,0 +1,141 @@
+//! Tasks that another server does.
+
+use std::time::{Duration, Instant};
+
+use ztl_std::State::{Aborted, Accepted, Completed, Failed};
+use ztl_tests::lab::{ABORTED, COMPLETED, SCOPE, Server, free_port};
+
+use crate::rig::{Lab, SOON, dies, end, progress, start, told, trigger};
+
+/// A server that forwards all to another; `p` there is `p` here.
+fn relay(far: u16) -> Lab {
+    Lab::new(&format!(
+        "'*': {{forward: {{to: 'tcp://127.0.0.1:{far}', scope: {SCOPE}}}}}\n\
+         other: {{forward: {{to: 'tcp://127.0.0.1:{far}', scope: {SCOPE}, handler: test, component: echo}}}}"
+    ))
+}
+
+const FAR: &str = r#"
+    echo: echo
+    go: {run: [sh, -c, 'echo "@ half way"; trap "echo parked; exit" TERM; while :; do sleep 0.02; done'], progress: '@ '}
+    never: {run: [sleep, '60'], abort: no}
+    bad: [sh, -c, 'echo broken >&2; exit 1']
+    "#;
+
+#[test]
+fn a_task_is_done_there_as_if_it_were_done_here() {
+    let far = Lab::new(FAR);
+    let near = relay(far.server.port);
+    assert_eq!(near.run("echo", "a:b;c"), (Completed, "a:b;c".to_owned()));
+    assert_eq!(
+        near.run("bad", ""),
+        (Failed, "exit code 1: broken".to_owned())
+    );
+    assert_eq!(
+        near.refusal("nope", ""),
+        "no component 'nope' on 'p'; it has: bad, echo, go, never"
+    );
+    let mut remote = near.remote();
+    let id = trigger(&mut remote, "go", "");
+    progress(&mut remote, id, "half way");
+    assert_eq!(remote.abort(id).expect("an answer").state, Aborted);
+    let id = trigger(&mut remote, "never", "");
+    assert_eq!(
+        told(remote.abort(id).expect("an answer")),
+        (Accepted, "False".to_owned())
+    );
+    // It goes on here and there.
+    assert_eq!(remote.status(id).expect("an answer").state, Accepted);
+    let mut client = near.server.original_client();
+    let id = client.start("p", "echo", "hi");
+    assert_eq!(client.wait(id, 5.0), (COMPLETED, "hi"));
+    let id = client.start("p", "go", "");
+    assert_eq!(client.abort(id), (ABORTED, "True"));
+}
+
+#[test]
+fn the_other_server_may_be_the_originals() {
+    let far = Server::original();
+    let near = relay(far.port);
+    assert_eq!(near.run("other", "hi"), (Completed, "hi".to_owned()));
+    let refused = near.refusal("echo", "hi");
+    assert!(
+        refused.contains("No such handler 'p', try 'test'."),
+        "{refused}"
+    );
+}
+
+#[test]
+fn a_server_that_is_not_there_refuses_and_nothing_is_sent() {
+    let near = relay(free_port());
+    let mut remote = near.remote();
+    let start = Instant::now();
+    // Known after its INIT was answered, with the id.
+    let id = trigger(&mut remote, "echo", "hi");
+    assert!(start.elapsed() < Duration::from_secs(2));
+    let ended = remote.wait(id, Some(SOON)).expect("its end");
+    assert!(ended.text.contains("nothing was sent"), "{ended:?}");
+    assert_ne!(ended.state, Completed);
+}
+
+#[test]
+fn a_server_that_falls_silent_leaves_its_task_unknown_until_it_speaks() {
+    let far = Lab::new(FAR);
+    let near = relay(far.server.port);
+    let mut remote = near.remote();
+    let id = trigger(&mut remote, "go", "");
+    progress(&mut remote, id, "half way");
+    far.server.process.signal("STOP");
+    progress(&mut remote, id, "unknown: no answer from ");
+    let answer = remote.abort(id).expect("an answer");
+    assert_eq!(told(answer), (Accepted, "aborting".to_owned()));
+    far.server.process.signal("CONT");
+    // The abort reaches it all the same.
+    assert_eq!(end(&mut remote, id).0, Aborted);
+}
+
+#[test]
+fn a_server_that_was_started_anew_has_not_done_what_it_was_doing() {
+    let mut far = Lab::new(FAR);
+    let near = relay(far.server.port);
+    let mut remote = near.remote();
+    let id = trigger(&mut remote, "go", "");
+    progress(&mut remote, id, "half way");
+    let port = far.server.port.to_string();
+    far.server.process.signal("TERM");
+    let (state, text) = end(&mut remote, id);
+    // It was stopped, and said so.
+    assert_eq!((state, text.as_str()), (Aborted, "the server was stopped"));
+    dies(far.server.process.id());
+
+    far.server = start(&far.scratch.path("robot.yaml"), &["-p", &port]);
+    let id = trigger(&mut remote, "never", "");
+    far.server.process.kill();
+    progress(&mut remote, id, "unknown: ");
+    far.server = start(&far.scratch.path("robot.yaml"), &["-p", &port]);
+    let (state, text) = end(&mut remote, id);
+    assert_eq!(state, Failed);
+    assert!(
+        text.starts_with("unknown: ") && text.contains("started anew"),
+        "{text}"
+    );
+}
+
+#[test]
+fn a_server_that_forwards_to_itself_comes_to_an_end() {
+    let port = free_port();
+    let file = format!(
+        "scopes: {{{SCOPE}: {{p: {{'*': {{forward: {{to: 'tcp://127.0.0.1:{port}', scope: {SCOPE}}}}}}}}}}}"
+    );
+    let lab = Lab::of_file(&file, &["-p", &port.to_string()]);
+    let mut remote = lab.remote();
+    let ended = match remote.trigger("p", "x", "") {
+        Ok(task) => remote
+            .wait(task.id, Some(SOON))
+            .map(|status| status.text)
+            .ok(),
+        Err(refused) => Some(refused.to_string()),
+    };
+    let ended = ended.expect("an end");
+    assert!(ended.contains("p:x is busy with task"), "{ended}");
+}

@@ -1,0 +1,12 @@
+//! `ztl serve`: programs as handlers, with real processes and real clients.
+#![cfg(target_os = "linux")]
+
+mod abort;
+mod decisions;
+mod examples;
+mod file;
+mod forward;
+mod results;
+mod rig;
+mod several;
+mod stop;

@@ -1,0 +1,195 @@
+//! What a program is given, and what becomes of what it says.
+
+use std::time::Instant;
+
+use ztl_std::State::{Completed, Failed};
+use ztl_tests::lab::{COMPLETED, FAILED};
+
+use crate::rig::{Lab, SOON};
+
+#[test]
+fn the_goal_reaches_a_program_unchanged_and_no_shell_reads_it() {
+    let lab = Lab::new(
+        r#"
+        args: {run: [printf, '<%s>', 'x{goal}', '{handler}', '{component}', '{scope}']}
+        env: {run: [sh, -c, 'printf "%s|%s|%s|%s" "$ZTL_GOAL" "$ZTL_HANDLER" "$ZTL_COMPONENT" "$ZTL_SCOPE"'], result: all}
+        shell: {shell: 'echo "$ZTL_GOAL" $OWN', environment: {OWN: own}, result: all}
+        field: {run: [printf, '<%s>', 'a={goal.a}', '{linear: {x: {goal.b.0}}}']}
+        number: {run: [printf, '%s', '{goal}'], goal: {type: number, most: 100}}
+        "#,
+    );
+    for goal in [
+        "hi",
+        "$(touch owned) `touch owned`; touch owned & '\" \\ *",
+        "grüße 👍",
+        "a:b:c",
+        "",
+    ] {
+        let said = format!("<x{goal}><p><args></test>");
+        assert_eq!(lab.run("args", goal), (Completed, said));
+        assert_eq!(
+            lab.run("env", goal),
+            (Completed, format!("{goal}|p|env|/test"))
+        );
+        assert_eq!(lab.run("shell", goal), (Completed, format!("{goal} own")));
+    }
+    assert!(!lab.scratch.path("owned").exists());
+    let said = "<a=it's><{linear: {x: -2}}>".to_owned();
+    assert_eq!(
+        lab.run("field", "{a: 'it''s', b: [-2, 3]}"),
+        (Completed, said)
+    );
+    assert_eq!(lab.refusal("field", "{a: 1}"), "the goal has no 'b.0'");
+    assert!(lab.refusal("field", "{a: ").contains("has no fields"));
+    assert_eq!(lab.run("number", "0x1F"), (Completed, "31".to_owned()));
+    assert_eq!(lab.run("number", "-45"), (Completed, "-45".to_owned()));
+    let said = "p:number: the goal '101' is not a number of at most 100";
+    assert_eq!(lab.refusal("number", "101"), said);
+}
+
+#[test]
+fn a_goal_that_would_be_an_option_or_cannot_be_an_argument_is_refused() {
+    let lab = Lab::new(
+        "
+        say: [echo, '{goal}']
+        bold: {run: [printf, '%s', '{goal}'], dashes: allowed}
+        ",
+    );
+    let refused = lab.refusal("say", "-n");
+    assert!(refused.starts_with("'-n' begins with '-'"), "{refused}");
+    assert!(refused.contains("dashes: allowed"), "{refused}");
+    assert_eq!(lab.run("bold", "-n"), (Completed, "-n".to_owned()));
+    assert_eq!(lab.run("say", "a-b"), (Completed, "a-b".to_owned()));
+    assert!(lab.refusal("say", "a\0b").contains("NUL"));
+    let long = "x".repeat(200_000);
+    assert!(lab.refusal("say", &long).contains("too long"));
+}
+
+#[test]
+fn the_last_line_is_the_result_or_all_or_json_or_nothing() {
+    let script = "sh, -c, 'echo one; echo; echo \"[1, true, {\\\"a\\\": null}]\"; echo'";
+    let lab = Lab::new(&format!(
+        "last: [{script}]
+         all: {{run: [{script}], result: all}}
+         json: {{run: [{script}], result: json}}
+         nothing: {{run: [{script}], result: nothing}}
+         bad: {{run: [echo, '{{goal}}'], result: json}}"
+    ));
+    let last = "[1, true, {\"a\": null}]";
+    assert_eq!(lab.run("last", ""), (Completed, last.to_owned()));
+    assert_eq!(lab.run("all", ""), (Completed, format!("one\n\n{last}")));
+    assert_eq!(
+        lab.run("json", ""),
+        (Completed, "[1, True, {'a': None}]".to_owned())
+    );
+    assert_eq!(lab.run("nothing", ""), (Completed, "None".to_owned()));
+    let (state, reason) = lab.run("bad", "{a: 1}");
+    assert_eq!(state, Failed);
+    assert!(reason.starts_with("its output is no JSON: "), "{reason}");
+    let mut client = lab.server.original_client();
+    let id = client.start("p", "json", "");
+    assert_eq!(client.wait(id, 5.0), (COMPLETED, "[1, True, {'a': None}]"));
+    let id = client.start("p", "bad", "{");
+    assert_eq!(client.wait(id, 5.0).number, FAILED);
+}
+
+#[test]
+fn a_program_that_fails_or_crashes_says_how_and_why() {
+    let lab = Lab::new(
+        r#"
+        exit: [sh, -c, 'echo out; echo "cannot open /dev/dsp" >&2; exit 3']
+        quiet: [sh, -c, 'exit 7']
+        crash: [sh, -c, 'kill -SEGV $$']
+        closes: [sh, -c, 'exec >&- 2>&-; sleep 0.1; exit 4']
+        "#,
+    );
+    assert_eq!(
+        lab.run("exit", ""),
+        (Failed, "exit code 3: cannot open /dev/dsp".to_owned())
+    );
+    assert_eq!(lab.run("quiet", ""), (Failed, "exit code 7".to_owned()));
+    assert_eq!(
+        lab.run("crash", ""),
+        (Failed, "ended by SIGSEGV".to_owned())
+    );
+    assert_eq!(lab.run("closes", ""), (Failed, "exit code 4".to_owned()));
+}
+
+#[test]
+fn output_without_end_and_bytes_that_are_no_text_harm_nobody() {
+    let lab = Lab::new(
+        r#"
+        flood: {run: [sh, -c, 'yes 0123456789 | head -c 50000000; echo; echo the end']}
+        all: {run: [sh, -c, 'yes 0123456789 | head -c 5000000'], result: all, output: 1 KiB}
+        line: {run: [sh, -c, 'head -c 5000000 /dev/zero | tr "\0" x'], output: 100 bytes}
+        noise: {run: [sh, -c, 'head -c 100000 /dev/urandom; printf "\nb\377\000end\n"']}
+        errors: {run: [sh, -c, 'head -c 5000000 /dev/urandom >&2; printf "\nlast\n" >&2; exit 1']}
+        endless: {run: [yes], limit: 300 ms}
+        "#,
+    );
+    assert_eq!(lab.run("flood", ""), (Completed, "the end".to_owned()));
+    let (_, all) = lab.run("all", "");
+    assert!(all.starts_with("0123456789\n0123456789\n"), "{all}");
+    assert!(all.ends_with(" … (cut at 1 KiB)"), "{all}");
+    assert!(all.len() < 1100);
+    let cut = format!("{} … (cut at 100 bytes)", "x".repeat(100));
+    assert_eq!(lab.run("line", ""), (Completed, cut));
+    assert_eq!(
+        lab.run("noise", ""),
+        (Completed, "b\u{fffd}\0end".to_owned())
+    );
+    assert_eq!(
+        lab.run("errors", ""),
+        (Failed, "exit code 1: last".to_owned())
+    );
+    let (state, reason) = lab.run("endless", "");
+    assert_eq!((state, reason.as_str()), (Failed, "not done within 300 ms"));
+}
+
+#[test]
+fn stdin_is_empty_and_signals_are_as_a_program_expects_them() {
+    // Whoever starts the server may have these ignored: then nobody could wait for a child.
+    let lab = Lab::new(
+        r#"
+        reads: [sh, -c, 'cat; echo read']
+        ignored: [sh, -c, 'grep SigIgn /proc/self/status | cut -f 2']
+        pipe: [sh, -c, 'yes | head -n 1']
+        "#,
+    );
+    assert_eq!(lab.run("reads", ""), (Completed, "read".to_owned()));
+    assert_eq!(lab.run("pipe", ""), (Completed, "y".to_owned()));
+    let (_, ignored) = lab.run("ignored", "");
+    let ignored = u64::from_str_radix(&ignored, 16).expect("a mask");
+    // SIGINT, SIGPIPE, SIGTERM, SIGCHLD
+    for signal in [2, 13, 15, 17] {
+        assert_eq!(
+            ignored >> (signal - 1) & 1,
+            0,
+            "signal {signal} in {ignored:x}"
+        );
+    }
+}
+
+#[test]
+fn progress_is_seen_when_it_is_printed_and_is_no_result() {
+    let lab = Lab::new(
+        r#"
+        go: {run: [sh, -c, 'echo "@ 1 of 2"; until [ -e go ]; do sleep 0.01; done; echo done; echo "@ 2 of 2"'], progress: '@ '}
+        python: {run: [python3, -c, 'import time; print("@ here"); time.sleep(60)'], progress: '@ '}
+        "#,
+    );
+    let mut remote = lab.remote();
+    let id = crate::rig::trigger(&mut remote, "go", "");
+    crate::rig::progress(&mut remote, id, "1 of 2");
+    std::fs::write(lab.scratch.path("go"), "").expect("to write");
+    assert_eq!(
+        crate::rig::end(&mut remote, id),
+        (Completed, "done".to_owned())
+    );
+    // Python keeps back what goes into a pipe, unless it is told not to.
+    let start = Instant::now();
+    let id = crate::rig::trigger(&mut remote, "python", "");
+    crate::rig::progress(&mut remote, id, "here");
+    assert!(start.elapsed() < SOON);
+    remote.abort(id).expect("an answer");
+}

@@ -1,0 +1,153 @@
+//! A server of programs, and what can be seen of the processes that it starts.
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use ztl_std::{RemoteTask, State, Status, TaskId, TriggerError};
+use ztl_tests::lab::{PATIENCE, Process, SCOPE, Scratch, Server, until, ztl};
+
+/// `ztl serve` with a file of its own, in a directory in which its programs run.
+pub struct Lab {
+    pub server: Server,
+    pub scratch: Scratch,
+}
+
+impl Lab {
+    /// Serves the components of a handler `p`, written as in the file: `name: {run: […]}`, a line each.
+    #[track_caller]
+    pub fn new(components: &str) -> Self {
+        Self::with(components, &[])
+    }
+
+    /// The same with options.
+    #[track_caller]
+    pub fn with(components: &str, options: &[&str]) -> Self {
+        let lines = components.trim().lines();
+        let lines: Vec<String> = lines.map(|line| format!("      {}", line.trim())).collect();
+        let text = format!("scopes:\n  {SCOPE}:\n    p:\n{}\n", lines.join("\n"));
+        Self::of_file(&text, options)
+    }
+
+    /// Serves a file.
+    #[track_caller]
+    pub fn of_file(text: &str, options: &[&str]) -> Self {
+        let scratch = Scratch::new();
+        let path = scratch.path("robot.yaml");
+        std::fs::write(&path, text).expect("to write");
+        let server = start(&path, options);
+        Self { server, scratch }
+    }
+
+    /// A client.
+    #[track_caller]
+    pub fn remote(&self) -> RemoteTask {
+        RemoteTask::connect(&self.server.endpoint(), SCOPE).expect("an address")
+    }
+
+    /// Has a task done, from its beginning to its end.
+    #[track_caller]
+    pub fn run(&self, component: &str, goal: &str) -> (State, String) {
+        let ran = self.remote().run("p", component, goal, Some(PATIENCE));
+        let ended = ran.unwrap_or_else(|error| panic!("{component}:{goal}: {error}"));
+        told(ended.unwrap_or_else(|error| panic!("{component}:{goal}: {error}")))
+    }
+
+    /// Why a task is refused.
+    #[track_caller]
+    pub fn refusal(&self, component: &str, goal: &str) -> String {
+        refusal(&mut self.remote(), component, goal)
+    }
+
+    /// What a program has written into a file of its directory; waits for it.
+    #[track_caller]
+    pub fn written(&self, name: &str) -> String {
+        let path = self.scratch.path(name);
+        until(name, PATIENCE, || {
+            let text = std::fs::read_to_string(&path).ok()?;
+            text.ends_with('\n').then(|| text.trim_end().to_owned())
+        })
+    }
+
+    /// The process whose number a program has written into a file.
+    #[track_caller]
+    pub fn process(&self, name: &str) -> u32 {
+        self.written(name).parse().expect("a number")
+    }
+}
+
+/// Starts `ztl serve` at any free port, unless the options name one.
+#[track_caller]
+pub fn start(file: &std::path::Path, options: &[&str]) -> Server {
+    let mut command = ztl();
+    command.arg("serve").arg(file).args(options);
+    if !options.contains(&"-p") {
+        command.args(["-p", "0"]);
+    }
+    let process = Process::start(&mut command);
+    let line = process.wait_for("Serving ");
+    let port = line.split_once("tcp://127.0.0.1:");
+    let port = port.and_then(|(_, rest)| rest.split('.').next()?.parse().ok());
+    let port = port.unwrap_or_else(|| panic!("no port in '{line}'"));
+    Server { process, port }
+}
+
+pub fn told(status: Status) -> (State, String) {
+    (status.state, status.text)
+}
+
+#[track_caller]
+pub fn trigger(remote: &mut RemoteTask, component: &str, goal: &str) -> TaskId {
+    let task = remote.trigger("p", component, goal);
+    task.unwrap_or_else(|error| panic!("{component}:{goal}: {error}"))
+        .id
+}
+
+#[track_caller]
+pub fn refusal(remote: &mut RemoteTask, component: &str, goal: &str) -> String {
+    match remote.trigger("p", component, goal) {
+        Err(TriggerError::Refused { reason, .. }) => reason,
+        other => panic!("{component}:{goal}: {other:?}"),
+    }
+}
+
+/// Waits for a task's end.
+#[track_caller]
+pub fn end(remote: &mut RemoteTask, id: TaskId) -> (State, String) {
+    told(remote.wait(id, Some(PATIENCE)).expect("its end"))
+}
+
+/// Waits until a task says where it is.
+#[track_caller]
+pub fn progress(remote: &mut RemoteTask, id: TaskId, part: &str) {
+    until(part, PATIENCE, || {
+        let status = remote.status(id).ok()?;
+        assert_eq!(status.state, State::Accepted, "{status:?}");
+        status.text.contains(part).then_some(())
+    });
+}
+
+/// Whether a process runs; one that has ended and was not reaped does not.
+pub fn lives(process: u32) -> bool {
+    let stat = std::fs::read_to_string(format!("/proc/{process}/stat"));
+    stat.is_ok_and(|stat| {
+        let rest = stat.rsplit_once(") ").map(|(_, rest)| rest.to_owned());
+        !rest.is_none_or(|rest| rest.starts_with('Z') || rest.starts_with('X'))
+    })
+}
+
+#[track_caller]
+pub fn dies(process: u32) {
+    until("the process ends", PATIENCE, || {
+        (!lives(process)).then_some(())
+    });
+}
+
+/// How long something may take that is done at once, on a machine that is busy.
+pub const SOON: Duration = Duration::from_secs(5);
+
+/// A file of the project.
+pub fn project(path: &str) -> PathBuf {
+    std::path::Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("..")
+        .join(path)
+}

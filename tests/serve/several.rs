@@ -1,0 +1,170 @@
+//! Many tasks at once: how many, and what becomes of the next.
+
+use std::time::Instant;
+
+use ztl_std::State::{Aborted, Accepted, Completed};
+use ztl_std::{RemoteTask, TaskId};
+use ztl_tests::lab::{PATIENCE, until};
+
+use crate::rig::{Lab, SOON, dies, end, progress, refusal, trigger};
+
+/// Runs until a file of its goal's name is there.
+const WAITS: &str = r#"run: [sh, -c, 'echo "@ on"; until [ -e "$0" ]; do sleep 0.02; done; echo "$0 done"', '{goal}'], progress: '@ '"#;
+
+#[track_caller]
+fn started(remote: &mut RemoteTask, goal: &str) -> TaskId {
+    let id = trigger(remote, "go", goal);
+    progress(remote, id, "on");
+    id
+}
+
+fn lab(rules: &str) -> Lab {
+    Lab::new(&format!("go: {{{WAITS}, {rules}}}"))
+}
+
+fn let_go(lab: &Lab, goal: &str) {
+    std::fs::write(lab.scratch.path(goal), "").expect("to write");
+}
+
+#[test]
+fn one_at_a_time_unless_more_are_allowed_and_the_next_is_refused() {
+    let lab = lab("at-once: 2");
+    let mut remote = lab.remote();
+    let one = started(&mut remote, "one");
+    let two = started(&mut remote, "two");
+    let said = format!("p:go is busy with task {two}");
+    assert_eq!(refusal(&mut remote, "go", "three"), said);
+    let_go(&lab, "one");
+    assert_eq!(end(&mut remote, one), (Completed, "one done".to_owned()));
+    let three = started(&mut remote, "three");
+    for (goal, id) in [("two", two), ("three", three)] {
+        let_go(&lab, goal);
+        assert_eq!(end(&mut remote, id).0, Completed);
+    }
+}
+
+#[test]
+fn a_queue_is_done_in_its_order() {
+    let lab = lab("busy: queue 2");
+    let mut remote = lab.remote();
+    let one = started(&mut remote, "one");
+    let two = trigger(&mut remote, "go", "two");
+    let three = trigger(&mut remote, "go", "three");
+    progress(&mut remote, three, "waiting, 1 before it");
+    refusal(&mut remote, "go", "four");
+    let_go(&lab, "one");
+    assert_eq!(end(&mut remote, one).0, Completed);
+    progress(&mut remote, two, "on");
+    progress(&mut remote, three, "waiting");
+    let_go(&lab, "two");
+    let_go(&lab, "three");
+    assert_eq!(
+        end(&mut remote, three),
+        (Completed, "three done".to_owned())
+    );
+    assert_eq!(end(&mut remote, two), (Completed, "two done".to_owned()));
+}
+
+#[test]
+fn the_latest_replaces_the_one_that_runs_once_that_has_ended() {
+    let lab = Lab::new(
+        r#"
+        go: {run: [sh, -c, 'trap "sleep 0.3; rmdir lock; exit" TERM; mkdir lock || exit 9; echo "@ on"; while :; do sleep 0.02; done'], progress: '@ ', busy: replace}
+        "#,
+    );
+    let mut remote = lab.remote();
+    let one = started(&mut remote, "one");
+    let two = trigger(&mut remote, "go", "two");
+    let three = trigger(&mut remote, "go", "three");
+    let text = format!("replaced by task {three} before it began");
+    assert_eq!(end(&mut remote, two), (Aborted, text));
+    let text = format!("replaced by task {two}");
+    assert_eq!(end(&mut remote, one), (Aborted, text));
+    progress(&mut remote, three, "on");
+    assert_eq!(remote.abort(three).expect("an answer").state, Aborted);
+}
+
+/// How many files the server has open, with this client connected.
+fn open_files(lab: &Lab, remote: &mut RemoteTask) -> usize {
+    let ran = remote.run("p", "echo", "", Some(PATIENCE));
+    assert_eq!(ran.expect("taken").expect("its end").state, Completed);
+    let id = lab.server.process.id();
+    let open = std::fs::read_dir(format!("/proc/{id}/fd")).expect("its files");
+    open.count()
+}
+
+#[test]
+fn two_hundred_at_once_are_served_and_not_one_more() {
+    let text = format!(
+        "at-once: 200\nscopes: {{/test: {{p: {{go: {{{WAITS}, at-once: 400}}, echo: echo}}}}}}"
+    );
+    let lab = Lab::of_file(&text, &[]);
+    let mut remote = lab.remote();
+    let before = open_files(&lab, &mut remote);
+    let tasks: Vec<TaskId> = (0..200)
+        .map(|_| trigger(&mut remote, "go", "all"))
+        .collect();
+    let said = "200 tasks are under way, and more are not allowed (at-once)";
+    assert_eq!(refusal(&mut remote, "go", "all"), said);
+    assert_eq!(refusal(&mut remote, "echo", "all"), said);
+    // Somebody else is answered at once meanwhile.
+    let start = Instant::now();
+    let one = *tasks.first().expect("200");
+    assert_eq!(lab.remote().status(one).expect("an answer").state, Accepted);
+    assert!(start.elapsed() < SOON);
+    let_go(&lab, "all");
+    for id in tasks {
+        assert_eq!(end(&mut remote, id), (Completed, "all done".to_owned()));
+    }
+    assert_eq!(
+        lab.run("echo", "free again"),
+        (Completed, "free again".to_owned())
+    );
+    // Nothing is left open, and no child.
+    until("its files are closed", PATIENCE, || {
+        (open_files(&lab, &mut remote) <= before).then_some(())
+    });
+    let id = lab.server.process.id();
+    let children = std::fs::read_to_string(format!("/proc/{id}/task/{id}/children"));
+    assert_eq!(children.unwrap_or_default(), "");
+}
+
+#[test]
+fn a_thousand_quick_ones_one_after_the_other_lose_nothing() {
+    let lab = Lab::new("echo: {run: [echo, 'said {goal}'], at-once: 8, busy: queue 8}");
+    let endpoint = lab.server.endpoint();
+    let clients = (0..4).map(|client| {
+        let mut remote = RemoteTask::connect(&endpoint, "/test").expect("an address");
+        std::thread::spawn(move || {
+            for number in 0..250 {
+                let goal = format!("{client}.{number}");
+                let ran = remote.run("p", "echo", &goal, Some(PATIENCE));
+                let status = ran.expect("taken").expect("its end");
+                assert_eq!(
+                    (status.state, status.text),
+                    (Completed, format!("said {goal}"))
+                );
+            }
+        })
+    });
+    for client in clients.collect::<Vec<_>>() {
+        client.join().expect("no client fails");
+    }
+}
+
+#[test]
+fn all_at_once_are_aborted() {
+    let lab = lab("at-once: 30");
+    let mut remote = lab.remote();
+    let tasks: Vec<TaskId> = (0..30)
+        .map(|_| trigger(&mut remote, "go", "never"))
+        .collect();
+    for id in &tasks {
+        assert_eq!(remote.abort(*id).expect("an answer").state, Aborted);
+    }
+    let id = lab.server.process.id();
+    let children = std::fs::read_to_string(format!("/proc/{id}/task/{id}/children"));
+    for child in children.unwrap_or_default().split_whitespace() {
+        dies(child.parse().expect("a number"));
+    }
+}

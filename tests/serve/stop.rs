@@ -1,0 +1,113 @@
+//! The server stops, dies, and is started anew.
+
+use std::time::{Duration, Instant};
+
+use ztl_std::RequestError;
+use ztl_std::State::{Aborted, Completed};
+use ztl_tests::lab::{PATIENCE, until};
+
+use crate::rig::{Lab, dies, end, lives, start, trigger};
+
+const CAREFUL: &str = r#"
+    careful: {run: [sh, -c, 'trap "sleep 0.5; echo parked > parked; exit" TERM; echo $$ > careful; while :; do sleep 0.02; done'], abort: {grace: 5 s}}
+    stubborn: {run: [sh, -c, 'trap "" TERM; echo $$ > stubborn; while :; do sleep 0.02; done'], abort: {grace: 2500 ms}}
+    waits: {run: [sleep, '60'], busy: queue 1}
+    sleep: sleep
+    "#;
+
+#[test]
+fn asked_to_stop_it_stops_every_task_within_its_grace_and_says_so() {
+    let lab = Lab::new(CAREFUL);
+    let mut remote = lab.remote();
+    let careful = trigger(&mut remote, "careful", "");
+    let stubborn = trigger(&mut remote, "stubborn", "");
+    let waits = trigger(&mut remote, "waits", "");
+    let queued = trigger(&mut remote, "waits", "");
+    let sleep = trigger(&mut remote, "sleep", "60");
+    let processes = [lab.process("careful"), lab.process("stubborn")];
+    let start = Instant::now();
+    lab.server.process.signal("TERM");
+    let stopped = "the server was stopped";
+    for (id, text) in [
+        (queued, "the server was stopped before it began"),
+        (waits, stopped),
+        (sleep, "aborted"),
+        (careful, stopped),
+        (
+            stubborn,
+            "the server was stopped (killed: not ended within 2500 ms of SIGTERM)",
+        ),
+    ] {
+        assert_eq!(end(&mut remote, id), (Aborted, text.to_owned()));
+    }
+    assert!(start.elapsed() >= Duration::from_millis(2500));
+    assert_eq!(lab.written("parked"), "parked");
+    let Lab { server, scratch } = lab;
+    let ended = server.process.end(PATIENCE);
+    assert_eq!(ended.code, Some(0), "{ended:?}");
+    assert!(ended.stdout.ends_with("Stopped.\n"), "{ended:?}");
+    assert_eq!(
+        ended.stderr.matches("has ended as ABORTED").count(),
+        5,
+        "{ended:?}"
+    );
+    for process in processes {
+        assert!(!lives(process));
+    }
+    drop(scratch);
+}
+
+#[test]
+fn a_second_signal_kills_all_and_leaves_at_once() {
+    let lab = Lab::new(CAREFUL);
+    let mut remote = lab.remote();
+    trigger(&mut remote, "stubborn", "");
+    let process = lab.process("stubborn");
+    lab.server.process.signal("INT");
+    lab.server.process.wait_for("Stopping;");
+    lab.server.process.signal("INT");
+    let Lab { server, scratch } = lab;
+    let ended = server.process.end(PATIENCE);
+    assert_eq!(ended.code, Some(130), "{ended:?}");
+    dies(process);
+    drop(scratch);
+}
+
+#[test]
+fn while_it_stops_nothing_new_begins() {
+    let lab = Lab::new(CAREFUL);
+    let mut remote = lab.remote();
+    trigger(&mut remote, "stubborn", "");
+    lab.process("stubborn");
+    lab.server.process.signal("TERM");
+    lab.server.process.wait_for("Stopping;");
+    let mut other = lab.remote();
+    let refused = until("it is refused", PATIENCE, || {
+        other.trigger("p", "sleep", "60").err()
+    });
+    assert_eq!(refused.to_string(), "refused: the server is stopping");
+}
+
+#[test]
+fn started_anew_after_it_was_killed_it_does_not_claim_to_know_what_became_of_a_task() {
+    let mut lab = Lab::new("go: {run: [sh, -c, 'echo $$ > pid; exec sleep 60']}\necho: echo");
+    let mut remote = lab.remote();
+    let id = trigger(&mut remote, "go", "");
+    let process = lab.process("pid");
+    lab.server.process.kill();
+    // Nobody could stop it: that is for a service manager to do.
+    assert!(lives(process));
+    lab.server = start(&lab.scratch.path("robot.yaml"), &[]);
+    let mut remote = lab.remote();
+    let unknown = remote
+        .wait(id, Some(PATIENCE))
+        .expect_err("it is not known");
+    assert!(
+        matches!(unknown.last, Err(RequestError::UnknownTask { .. })),
+        "{unknown:?}"
+    );
+    assert_eq!(lab.run("echo", "again"), (Completed, "again".to_owned()));
+    let mut kill = std::process::Command::new("sh");
+    kill.args(["-c", "kill -KILL $0"]).arg(process.to_string());
+    assert!(kill.status().expect("`sh`").success());
+}

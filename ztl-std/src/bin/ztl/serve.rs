@@ -1,0 +1,123 @@
+//! `ztl serve`: the scripts and command-line tools of a robot as handlers of a task server.
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use ztl_std::TaskServer;
+use ztl_std::serve::{Config, Groups};
+use ztl_std::server::scope_mistake;
+
+use crate::reach::{self, MISCONFIGURED, Unfit};
+use crate::terminal::line;
+use crate::{Done, log, signals};
+
+#[derive(Debug, clap::Args)]
+#[command(after_help = "An option overrides what FILE says.")]
+pub(crate) struct Serve {
+    /// What is served, in YAML: which program does which task (docs/serve.md)
+    #[arg(value_name = "FILE")]
+    file: PathBuf,
+
+    /// Scope to serve, as /robot, in place of the file's only one
+    #[arg(short, long, value_parser = scope)]
+    scope: Option<String>,
+
+    #[command(flatten)]
+    listen: reach::Listening,
+
+    /// Only say what is wrong with the file
+    #[arg(long)]
+    check: bool,
+}
+
+fn scope(text: &str) -> Result<String, String> {
+    scope_mistake(text).map_or_else(|| Ok(text.to_owned()), Err)
+}
+
+impl Serve {
+    pub(crate) fn run(self) -> Done {
+        let check = self.check;
+        let (config, place) = match self.plan() {
+            Ok(plan) => plan,
+            Err(unfit) => {
+                eprintln!("{unfit}");
+                return Ok(ExitCode::from(MISCONFIGURED));
+            }
+        };
+        for warning in &config.warnings {
+            eprint!("{warning}");
+        }
+        if check {
+            let wrong = match config.warnings.len() {
+                0 => "Nothing is wrong".to_owned(),
+                1 => "Nothing is wrong but for a warning".to_owned(),
+                many => format!("Nothing is wrong but for {many} warnings"),
+            };
+            let (bind, port) = (&place.bind, place.port);
+            line(format_args!(
+                "{wrong}: {}, at {bind}:{port}.",
+                served(&config)
+            ));
+            return Ok(ExitCode::SUCCESS);
+        }
+        log::init_as(place.log, place.log_format);
+        signals::catch()?;
+        serve(&config, place)
+    }
+
+    /// What the file and the options say together.
+    fn plan(self) -> Result<(Config, reach::Place), Unfit> {
+        let mut config = Config::load(&self.file).map_err(Unfit::File)?;
+        let file = self.file.display().to_string();
+        if let Some(name) = &self.scope {
+            match config.scopes.as_mut_slice() {
+                [scope] => scope.rename(name),
+                scopes => {
+                    let many = scopes.len();
+                    let mistake = format!(
+                        "--scope names the only scope of a file, and {file} has {many}; name them there"
+                    );
+                    return Err(Unfit::Whole(mistake));
+                }
+            }
+        }
+        let place = self.listen.with(std::mem::take(&mut config.listen))?;
+        let missing = || Unfit::missing(Some(&file), "port", "--port <PORT>", "port: 12345");
+        Ok((config, place.ok_or_else(missing)?))
+    }
+}
+
+/// What is served, for people.
+fn served(config: &Config) -> String {
+    let scopes = config.scopes.iter().map(|scope| {
+        let name = scope.name();
+        match scope.components() {
+            1 => format!("1 component at {name}"),
+            many => format!("{many} components at {name}"),
+        }
+    });
+    scopes.collect::<Vec<_>>().join(", ")
+}
+
+fn serve(config: &Config, place: reach::Place) -> Done {
+    let who = place.reachable();
+    let mut server = TaskServer::bind_for(&place.endpoint(), place.access)?;
+    let groups = Groups::default();
+    for (scope, programs) in config.programs(&groups)? {
+        server.register_handler(&scope, programs);
+    }
+    line(format_args!(
+        "Serving {} at {}. Reachable for {who}.",
+        served(config),
+        server.endpoint()
+    ));
+    let stopper = server.stopper();
+    signals::leave_at_the_second_after(move || groups.kill());
+    signals::then(move || {
+        line("Stopping; once more (Ctrl-C, SIGTERM) leaves at once.");
+        stopper.stop();
+    });
+    server.listen()?;
+    line("Stopped.");
+    Ok(ExitCode::SUCCESS)
+}

@@ -1,0 +1,169 @@
+//! How a task begins: programs are started on threads, and what blocks is done by threads.
+
+use std::io::{self, Write};
+use std::process::Child;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+use std::time::{Duration, Instant};
+
+use rustix::process::Signal;
+use tracing::{debug, warn};
+use ztl_core::TaskId;
+
+use super::super::forward::Told;
+use super::super::program::{AbortBy, Invocation, Program};
+use super::super::run::End;
+use super::super::template::Call;
+use super::super::{LOG, Work, group};
+use super::{Doing, Helper, Message, Supervisor, group_of};
+
+impl Supervisor {
+    /// It is a task's turn.
+    pub(super) fn begin(&mut self, id: TaskId) {
+        let Some(task) = self.tasks.get_mut(&id) else {
+            return;
+        };
+        let Some(entry) = self.entries.get(task.entry) else {
+            return;
+        };
+        debug!(target: LOG, "Task {id}, {}, begins.", task.name());
+        match entry.work.clone() {
+            Work::Echo => {
+                let goal = task.call.goal.text.clone();
+                self.finish(id, End::Completed(goal));
+            }
+            Work::Sleep => {
+                task.accept();
+                let seconds = task.call.goal.text.parse().unwrap_or_default();
+                let time = Duration::try_from_secs_f64(seconds).unwrap_or_default();
+                task.doing = Doing::Sleeping(Instant::now().checked_add(time));
+            }
+            Work::Program(program) => {
+                task.doing = Doing::Starting(None);
+                match program.run.arguments(&task.call) {
+                    Ok(arguments) => {
+                        {
+                            let invocation = Arc::clone(&program.run);
+                            self.launch(id, invocation, arguments, Message::Started)
+                        };
+                    }
+                    Err(reason) => self.finish(id, End::Rejected(reason)),
+                }
+            }
+            Work::Print => self.delegate(id, |_, call, _, _| {
+                let text = format!("component: {}\ngoal: {}\n", call.component, call.goal.text);
+                let mut out = io::stdout().lock();
+                match out.write_all(text.as_bytes()).and_then(|()| out.flush()) {
+                    Ok(()) => End::Completed("True".to_owned()),
+                    Err(error) => End::Failed(format!("cannot print: {error}")),
+                }
+            }),
+            Work::Forward(forward) => self.delegate(id, move |context, call, abort, tell| {
+                forward.run(context, call, abort, tell)
+            }),
+        }
+    }
+
+    /// Has a program started, on a thread of its own.
+    fn launch(
+        &mut self,
+        id: TaskId,
+        invocation: Arc<Invocation>,
+        arguments: Vec<String>,
+        message: fn(TaskId, Result<Child, String>) -> Message,
+    ) {
+        let Some(task) = self.tasks.get(&id) else {
+            return;
+        };
+        let (call, groups) = (Arc::clone(&task.call), self.groups.clone());
+        let heard = matches!(task.doing, Doing::Starting(_));
+        let spawned = self.link.try_clone().and_then(|link| {
+            let thread = std::thread::Builder::new().name(format!("ztl-start-{id}"));
+            thread.spawn(move || {
+                let started = invocation.spawn(&arguments, &call, heard);
+                if let Ok(child) = &started {
+                    groups.add(group_of(child));
+                }
+                if let Some(
+                    Message::Started(_, Ok(mut child)) | Message::Helper(_, Ok(mut child)),
+                ) = link.try_send(message(id, started))
+                {
+                    let _ = groups.end(group_of(&child), true, || child.wait());
+                }
+            })
+        });
+        if let Err(error) = spawned {
+            self.handle(message(
+                id,
+                Err(format!("the system gives no more threads: {error}")),
+            ));
+        }
+    }
+
+    /// Has a task done by a thread.
+    fn delegate(
+        &mut self,
+        id: TaskId,
+        work: impl FnOnce(zmq::Context, &Call, &AtomicBool, &dyn Fn(Told)) -> End + Send + 'static,
+    ) {
+        let Some(task) = self.tasks.get_mut(&id) else {
+            return;
+        };
+        let abort = Arc::new(AtomicBool::new(false));
+        task.doing = Doing::Thread(Arc::clone(&abort), None);
+        let (call, context) = (Arc::clone(&task.call), self.context.clone());
+        let spawned = self.link.try_clone().and_then(|link| {
+            let thread = std::thread::Builder::new().name(format!("ztl-task-{id}"));
+            thread.spawn(move || {
+                let tell = |told| link.send(Message::Told(id, told));
+                let end = work(context, &call, &abort, &tell);
+                tell(Told::End(end));
+            })
+        });
+        if let Err(error) = spawned {
+            let reason = format!("the system gives no more threads: {error}");
+            self.finish(id, End::Rejected(reason));
+        }
+    }
+
+    pub(super) fn on_helper(&mut self, id: TaskId, child: Result<Child, String>) {
+        let running = self.tasks.get(&id).and_then(|task| match &task.doing {
+            Doing::Program(running) => Some(running),
+            _ => None,
+        });
+        match child {
+            Ok(child) => {
+                let grace = running.map_or(Duration::ZERO, |running| running.program.abort.grace);
+                let place = running.map(|running| running.program.run.place.clone());
+                self.helpers.push(Helper {
+                    group: group_of(&child),
+                    child,
+                    until: Instant::now().checked_add(grace),
+                    place: place.unwrap_or_default(),
+                });
+            }
+            Err(reason) => {
+                warn!(target: LOG, "Task {id} is stopped by SIGTERM, for its abort program cannot be started: {reason}");
+                if let Some(running) = running {
+                    group::signal(running.group, Signal::TERM);
+                }
+            }
+        }
+    }
+
+    pub(super) fn run_abort(&mut self, id: TaskId, program: Arc<Program>) {
+        let Some(task) = self.tasks.get(&id) else {
+            return;
+        };
+        let AbortBy::Program(invocation) = &program.abort.by else {
+            return;
+        };
+        match invocation.arguments(&task.call) {
+            Ok(arguments) => {
+                let invocation = Arc::clone(invocation);
+                self.launch(id, invocation, arguments, Message::Helper);
+            }
+            Err(reason) => self.on_helper(id, Err(reason)),
+        }
+    }
+}
