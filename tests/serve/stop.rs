@@ -78,7 +78,7 @@ fn while_it_stops_nothing_new_begins() {
     let lab = Lab::new(CAREFUL);
     let mut remote = lab.remote();
     trigger(&mut remote, "stubborn", "");
-    lab.process("stubborn");
+    let process = lab.process("stubborn");
     lab.server.process.signal("TERM");
     lab.server.process.wait_for("Stopping;");
     let mut other = lab.remote();
@@ -86,6 +86,10 @@ fn while_it_stops_nothing_new_begins() {
         other.trigger("p", "sleep", "60").err()
     });
     assert_eq!(refused.to_string(), "refused: the server is stopping");
+    let Lab { server, scratch } = lab;
+    assert_eq!(server.process.end(PATIENCE).code, Some(0));
+    assert!(!lives(process));
+    drop(scratch);
 }
 
 #[test]
