@@ -58,11 +58,13 @@ mod pty;
 mod random;
 mod remote;
 pub mod remotes;
+pub mod script;
 #[cfg(all(unix, feature = "serve"))]
 pub mod serve;
 pub mod server;
 #[cfg(feature = "sim")]
 pub mod sim;
+mod wall;
 pub mod yaml;
 
 pub use controller::{

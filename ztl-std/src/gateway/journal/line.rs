@@ -1,6 +1,6 @@
 //! The lines of a journal: JSON, each one complete in itself.
 
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, SystemTime};
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
 use ztl_core::link::{LINK_TIMEOUTS, LinkId, Loss};
@@ -51,7 +51,7 @@ pub(super) enum Line {
 
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) struct Opened {
-    #[serde(with = "wall")]
+    #[serde(with = "crate::wall")]
     at: SystemTime,
     running_us: u64,
     journal: u32,
@@ -78,7 +78,7 @@ impl Opened {
 
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) struct TaskLine {
-    #[serde(with = "wall")]
+    #[serde(with = "crate::wall")]
     at: SystemTime,
     running_us: u64,
     #[serde(with = "id")]
@@ -201,28 +201,6 @@ enum LossName {
     Hold,
     #[serde(rename = "carry on")]
     CarryOn,
-}
-
-/// Moments as RFC 3339 writes them, in UTC, to the microsecond.
-mod wall {
-    use std::fmt::Write;
-
-    use super::{Deserialize, Deserializer, Serializer, SystemTime, UNIX_EPOCH, de};
-
-    pub(super) fn serialize<S: Serializer>(at: &SystemTime, to: S) -> Result<S::Ok, S::Error> {
-        // A clock from before 1970 or after 9999 has no such form; it is wrong anyway.
-        let at = (*at).max(UNIX_EPOCH);
-        let mut text = String::new();
-        if write!(text, "{}", humantime::format_rfc3339_micros(at)).is_err() {
-            "9999-12-31T23:59:59.999999Z".clone_into(&mut text);
-        }
-        to.serialize_str(&text)
-    }
-
-    pub(super) fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<SystemTime, D::Error> {
-        let text = String::deserialize(from)?;
-        humantime::parse_rfc3339(&text).map_err(de::Error::custom)
-    }
 }
 
 mod hex {

@@ -1,0 +1,3 @@
+//! Scripts: scenes of steps of tasks, as people write them who do not program.
+
+pub mod event;

@@ -1,0 +1,21 @@
+//! Moments as RFC 3339 writes them, in UTC, to the microsecond; for `#[serde(with = …)]`.
+
+use std::fmt::Write;
+use std::time::{SystemTime, UNIX_EPOCH};
+
+use serde::{Deserialize, Deserializer, Serializer, de};
+
+pub(crate) fn serialize<S: Serializer>(at: &SystemTime, to: S) -> Result<S::Ok, S::Error> {
+    // A clock from before 1970 or after 9999 has no such form; it is wrong anyway.
+    let at = (*at).max(UNIX_EPOCH);
+    let mut text = String::new();
+    if write!(text, "{}", humantime::format_rfc3339_micros(at)).is_err() {
+        "9999-12-31T23:59:59.999999Z".clone_into(&mut text);
+    }
+    to.serialize_str(&text)
+}
+
+pub(crate) fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<SystemTime, D::Error> {
+    let text = String::deserialize(from)?;
+    humantime::parse_rfc3339(&text).map_err(de::Error::custom)
+}
