@@ -1,0 +1,321 @@
+//! The record of a run: one [`Stamped`] event a line, as JSON. `docs/record.md` is the schema.
+
+use std::fmt;
+use std::fs::{File, OpenOptions};
+use std::io::{self, BufRead, ErrorKind, Write};
+use std::path::Path;
+
+use super::event::{Event, FORMAT, RunStarted, Stamped};
+
+/// Longest line that is read. None that is written comes near, but for the outline of a huge script.
+const LONGEST: usize = 64 << 20;
+
+/// Where a record can be written.
+trait Target: Write {
+    /// Puts what was written where a loss of power does not reach it.
+    fn settle(&mut self) {}
+}
+
+impl Target for File {
+    fn settle(&mut self) {
+        // A pipe or a terminal cannot; what matters is told by writing.
+        let _ = self.sync_data();
+    }
+}
+
+/// Most lines of a record that are complained of one by one.
+const MOST: usize = 100;
+
+/// Writes the record of a run. What cannot be written is counted, and the run goes on.
+pub struct Recorder {
+    target: Box<dyn Target + Send>,
+    name: String,
+    /// Events that are lacking in the record since the last that it has.
+    lost: u64,
+    /// The last event could not be written, and that was told.
+    told: bool,
+    /// A line was cut off in its middle.
+    cut: bool,
+}
+
+impl Recorder {
+    /// Makes the file.
+    ///
+    /// # Errors
+    /// When it cannot be made, or is there already: a record is never overwritten.
+    pub fn create(path: &Path) -> io::Result<Self> {
+        let file = OpenOptions::new().write(true).create_new(true).open(path);
+        let file = file.map_err(|error| {
+            let path = path.display();
+            let text = match error.kind() {
+                ErrorKind::AlreadyExists => {
+                    format!("{path} exists, and a record is not overwritten; give another name")
+                }
+                _ => format!("cannot make the record {path}: {error}"),
+            };
+            io::Error::new(error.kind(), text)
+        })?;
+        Ok(Self::new(file, path.display().to_string()))
+    }
+
+    fn new(target: impl Target + Send + 'static, name: String) -> Self {
+        Self {
+            target: Box::new(target),
+            name,
+            lost: 0,
+            told: false,
+            cut: false,
+        }
+    }
+
+    /// Writes an event. Each line is with the operating system when this returns, so a crash of
+    /// this process loses none; at the end of a scene and of the run it is also on the disk.
+    ///
+    /// # Errors
+    /// When this is the first event after a good one that could not be written: one message, for
+    /// the operator. The run need not care; the next event is tried again, and before it the
+    /// record says how many are lacking.
+    pub fn write(&mut self, event: &Stamped) -> Result<(), Unrecorded> {
+        let written = self.try_write(event);
+        let told = std::mem::replace(&mut self.told, written.is_err());
+        let Err(cause) = written else { return Ok(()) };
+        self.lost += 1;
+        if told {
+            return Ok(());
+        }
+        Err(Unrecorded {
+            file: self.name.clone(),
+            cause,
+        })
+    }
+
+    fn try_write(&mut self, event: &Stamped) -> io::Result<()> {
+        if self.lost > 0 {
+            let note = Stamped {
+                event: Event::Note {
+                    text: format!("{} events are lacking in the record here", self.lost),
+                },
+                ..*event
+            };
+            self.line(&note)?;
+            self.lost = 0;
+        }
+        self.line(event)?;
+        if matches!(
+            event.event,
+            Event::RunStarted(_) | Event::SceneEnded { .. } | Event::RunEnded { .. }
+        ) {
+            self.target.settle();
+        }
+        Ok(())
+    }
+
+    fn line(&mut self, event: &Stamped) -> io::Result<()> {
+        // A line that was cut off stays as it is; the next one is whole again.
+        let mut line = if self.cut { vec![b'\n'] } else { Vec::new() };
+        serde_json::to_writer(&mut line, event)?;
+        line.push(b'\n');
+        let mut left = line.as_slice();
+        while !left.is_empty() {
+            match self.target.write(left) {
+                Ok(0) => return Err(ErrorKind::WriteZero.into()),
+                Ok(count) => left = left.get(count..).unwrap_or_default(),
+                Err(error) if error.kind() == ErrorKind::Interrupted => {}
+                Err(error) => {
+                    self.cut |= left.len() < line.len();
+                    return Err(error);
+                }
+            }
+        }
+        self.cut = false;
+        self.target.flush()
+    }
+}
+
+impl fmt::Debug for Recorder {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Recorder")
+            .field("name", &self.name)
+            .field("lost", &self.lost)
+            .finish_non_exhaustive()
+    }
+}
+
+/// From here on events are lacking in a record.
+#[derive(Debug)]
+pub struct Unrecorded {
+    /// The record.
+    pub file: String,
+    /// What the system says.
+    pub cause: io::Error,
+}
+
+impl fmt::Display for Unrecorded {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { file, cause } = self;
+        write!(
+            f,
+            "the record {file} cannot be written: {cause}; the show goes on, and the record will \
+             say what it lacks"
+        )
+    }
+}
+
+impl std::error::Error for Unrecorded {
+    fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
+        Some(&self.cause)
+    }
+}
+
+/// A run as its record tells it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Record {
+    /// The file; of a second run in the same file `FILE#2`.
+    pub name: String,
+    /// What the first event says.
+    pub started: RunStarted,
+    /// All events, in the order of the file, which is that of their happening.
+    pub events: Vec<Stamped>,
+}
+
+/// What is wrong in a record. What can be read is read all the same.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Damage {
+    /// The file.
+    pub file: String,
+    /// The line, from 1.
+    pub line: u64,
+    /// What is wrong there.
+    pub text: String,
+}
+
+impl fmt::Display for Damage {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}:{}: {}", self.file, self.line, self.text)
+    }
+}
+
+/// Reads the runs of a record: usually one; several where files were joined. Lines that cannot be
+/// read are passed over and reported; a run without an end is one that was cut off.
+///
+/// # Errors
+/// When the source cannot be read at all.
+pub fn read(name: &str, mut from: impl BufRead) -> io::Result<(Vec<Record>, Vec<Damage>)> {
+    let mut runs: Vec<Record> = Vec::new();
+    let mut damage = Vec::new();
+    let mut more = 0_u64;
+    let mut line = Vec::new();
+    let mut number = 0;
+    loop {
+        line.clear();
+        let mut limited = io::Read::take(&mut from, LONGEST as u64);
+        if limited.read_until(b'\n', &mut line)? == 0 {
+            break;
+        }
+        number += 1;
+        let mut complain = |text: String| {
+            if damage.len() == MOST {
+                more += 1;
+                return;
+            }
+            damage.push(Damage {
+                file: name.to_owned(),
+                line: number,
+                text,
+            });
+        };
+        let whole = line.ends_with(b"\n");
+        if line.trim_ascii().is_empty() {
+            continue;
+        }
+        let event = match parse(&line) {
+            Ok(event) => event,
+            Err(_) if !whole => {
+                complain("the line is cut off; it is passed over".to_owned());
+                continue;
+            }
+            Err(error) => {
+                complain(format!("no event: {error}; the line is passed over"));
+                continue;
+            }
+        };
+        if let Event::RunStarted(started) = &event.event {
+            if started.format != FORMAT {
+                complain(format!(
+                    "format {}, and this version reads {FORMAT}: it may be misread",
+                    started.format
+                ));
+            }
+            let name = match runs.len() {
+                0 => name.to_owned(),
+                runs => format!("{name}#{}", runs + 1),
+            };
+            runs.push(Record {
+                name,
+                started: (**started).clone(),
+                events: vec![event],
+            });
+            continue;
+        }
+        let Some(run) = runs.last_mut() else {
+            complain("an event before the start of a run; it is passed over".to_owned());
+            continue;
+        };
+        if let Event::Unknown = event.event {
+            complain("an event that only a newer version knows; it is passed over".to_owned());
+        } else if run.events.last().is_some_and(|last| last.at > event.at) {
+            complain("an event from before the one above it; it is passed over".to_owned());
+        } else {
+            run.events.push(event);
+        }
+    }
+    if more > 0 {
+        damage.push(Damage {
+            file: name.to_owned(),
+            line: number,
+            text: format!("{more} more lines could not be used"),
+        });
+    }
+    if number == 0 {
+        damage.push(Damage {
+            file: name.to_owned(),
+            line: 1,
+            text: "the file is empty".to_owned(),
+        });
+    } else if runs.is_empty() && damage.is_empty() {
+        damage.push(Damage {
+            file: name.to_owned(),
+            line: 1,
+            text: "no run starts here".to_owned(),
+        });
+    }
+    for run in &runs {
+        let ended = |event: &Stamped| matches!(event.event, Event::RunEnded { .. });
+        if !run.events.last().is_some_and(ended) {
+            damage.push(Damage {
+                file: name.to_owned(),
+                line: number,
+                text: format!(
+                    "the end of {} is lacking: it is read as far as it goes",
+                    run.name
+                ),
+            });
+        }
+    }
+    Ok((runs, damage))
+}
+
+fn parse(line: &[u8]) -> Result<Stamped, String> {
+    let text = std::str::from_utf8(line).map_err(|_| "not UTF-8".to_owned())?;
+    serde_json::from_str(text.trim_end()).map_err(|error| {
+        // The line's number in a text of one line says nothing.
+        let text = error.to_string();
+        match text.rsplit_once(" at line 1 column ") {
+            Some((what, column)) => format!("{what} at column {column}"),
+            None => text,
+        }
+    })
+}
+
+#[cfg(test)]
+mod tests;
