@@ -1,4 +1,16 @@
 //! Scripts: scenes of steps of tasks, as people write them who do not program.
 
 pub mod event;
+mod finding;
+mod model;
+mod params;
+pub mod player;
+mod read;
 pub mod record;
+mod scalar;
+mod value;
+
+pub use finding::Finding;
+pub use model::{Defaults, Handler, OnFailure, Scene, Script, Step, Task};
+pub use player::Player;
+pub use value::{Date, Timestamp, Value};

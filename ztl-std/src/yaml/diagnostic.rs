@@ -147,7 +147,7 @@ fn visible(c: char) -> char {
 pub struct Diagnostics(Vec<Diagnostic>);
 
 impl Diagnostics {
-    pub(super) fn new(mut mistakes: Vec<Diagnostic>) -> Self {
+    pub(crate) fn new(mut mistakes: Vec<Diagnostic>) -> Self {
         mistakes.sort_by_key(|mistake| mistake.span.map(|span| span.start));
         Self(mistakes)
     }

@@ -55,7 +55,23 @@ pub struct Node {
     pub span: Span,
     /// What.
     pub value: Value,
+    /// Its tag, as `tag:yaml.org,2002:str` for `!!str`; kept by [`Rules::Python`] alone.
+    pub tag: Option<String>,
 }
+
+/// Whose rules a file follows.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Rules {
+    /// Those of our own files: a repeated key and a tag that is not YAML's own are mistakes.
+    Ours,
+    /// PyYAML's: of a repeated key the last value counts, tags decide, and `&a [*a]` stands for
+    /// itself, which is a scalar with the tag [`LOOP`]. All that is left to the reader.
+    Python,
+}
+
+/// Tag of a scalar that stands for a collection around itself; its text is what Python writes in its
+/// place.
+pub const LOOP: &str = "loop";
 
 /// What a YAML file is made of. A scalar stays the text that was written: whether `12` is a number
 /// and `on` a word is for the one who asks, who knows what belongs there.
@@ -87,7 +103,7 @@ impl Node {
     }
 
     /// What it is, for people.
-    fn kind(&self) -> &'static str {
+    pub(crate) fn kind(&self) -> &'static str {
         match &self.value {
             _ if self.is_null() => "nothing",
             Value::Scalar { .. } => "a single value",
@@ -111,22 +127,15 @@ impl Document {
     /// # Errors
     /// What keeps it from being read, or what is no YAML in it.
     pub fn load(path: &Path) -> Result<Self, Diagnostics> {
-        let name = path.display().to_string();
-        let too_long = |len| format!("the file has {len} bytes; at most {MAX_FILE} are read");
-        let read = std::fs::metadata(path).and_then(|about| {
-            let len = about.len();
-            if len > MAX_FILE {
-                return Ok(Err(too_long(len)));
-            }
-            std::fs::read(path).map(Ok)
-        });
-        match read {
-            Ok(Ok(bytes)) => Self::parse(&name, &bytes),
-            Ok(Err(message)) => Err(Diagnostic::of_file(&name, message).into()),
-            Err(error) => {
-                Err(Diagnostic::of_file(&name, format!("cannot read it: {error}")).into())
-            }
-        }
+        Self::load_by(path, Rules::Ours)
+    }
+
+    /// The same by other rules.
+    ///
+    /// # Errors
+    /// As [`load`](Self::load), where these rules have it so.
+    pub fn load_by(path: &Path, rules: Rules) -> Result<Self, Diagnostics> {
+        Self::parse_by(&path.display().to_string(), &read_file(path)?, rules)
     }
 
     /// Parses the content of a file; `name` is the file's, for mistakes.
@@ -135,12 +144,20 @@ impl Document {
     /// Where and why it is no YAML, has more than one document, repeats a key, or is nested deeper
     /// than any file of ours needs.
     pub fn parse(name: &str, bytes: &[u8]) -> Result<Self, Diagnostics> {
+        Self::parse_by(name, bytes, Rules::Ours)
+    }
+
+    /// The same by other rules.
+    ///
+    /// # Errors
+    /// As [`parse`](Self::parse), where these rules have it so.
+    pub fn parse_by(name: &str, bytes: &[u8], rules: Rules) -> Result<Self, Diagnostics> {
         let text = match std::str::from_utf8(bytes) {
             Ok(text) => text,
             Err(error) => return Err(not_utf8(name, bytes, error.valid_up_to()).into()),
         };
         let text = text.strip_prefix('\u{feff}').unwrap_or(text);
-        let (root, mistakes) = tree::parse(text);
+        let (root, mistakes) = tree::parse(text, rules);
         let shown = |(span, message)| Diagnostic::at(name, text, span, message);
         let mistakes: Vec<Diagnostic> = mistakes.into_iter().map(shown).collect();
         match root {
@@ -165,6 +182,12 @@ impl Document {
         &self.root
     }
 
+    /// The content.
+    #[must_use]
+    pub fn text(&self) -> &str {
+        &self.text
+    }
+
     /// To take values out of it, and to collect what is wrong with them.
     #[must_use]
     pub fn reading(&self) -> Reading<'_> {
@@ -175,6 +198,21 @@ impl Document {
     pub fn mistake(&self, span: Span, message: impl Into<String>) -> Diagnostic {
         Diagnostic::at(&self.name, &self.text, span, message.into())
     }
+}
+
+/// Reads a file of at most [`MAX_FILE`] bytes.
+///
+/// # Errors
+/// What keeps it from being read.
+pub(crate) fn read_file(path: &Path) -> Result<Vec<u8>, Diagnostics> {
+    let wrong = |message: String| Diagnostic::of_file(&path.display().to_string(), message).into();
+    let unreadable = |error| wrong(format!("cannot read it: {error}"));
+    let len = std::fs::metadata(path).map_err(unreadable)?.len();
+    if len > MAX_FILE {
+        let message = format!("the file has {len} bytes; at most {MAX_FILE} are read");
+        return Err(wrong(message));
+    }
+    std::fs::read(path).map_err(unreadable)
 }
 
 /// Where the first byte stands that is no UTF-8.

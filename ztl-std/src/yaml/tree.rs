@@ -2,9 +2,9 @@
 
 use std::collections::{HashMap, HashSet};
 
-use saphyr_parser::{Event, Marker, Parser, ScalarStyle, ScanError};
+use saphyr_parser::{Event, Marker, Parser, ScalarStyle, ScanError, Tag};
 
-use super::{Mark, Node, Span, Value};
+use super::{LOOP, Mark, Node, Rules, Span, Value};
 
 /// Deepest nesting.
 const DEPTH: usize = 64;
@@ -18,10 +18,12 @@ struct Open {
     start: Span,
     anchor: usize,
     map: bool,
+    tag: Option<String>,
     nodes: Vec<Node>,
 }
 
 struct Builder {
+    rules: Rules,
     open: Vec<Open>,
     /// What `&name` stands for, and how many values it is.
     anchors: HashMap<usize, (Node, usize)>,
@@ -31,8 +33,9 @@ struct Builder {
 }
 
 /// The tree, if there is one, and what is wrong with the text.
-pub(super) fn parse(text: &str) -> (Option<Node>, Vec<Mistake>) {
+pub(super) fn parse(text: &str, rules: Rules) -> (Option<Node>, Vec<Mistake>) {
     let mut builder = Builder {
+        rules,
         open: Vec::new(),
         anchors: HashMap::new(),
         count: 0,
@@ -54,7 +57,11 @@ pub(super) fn parse(text: &str) -> (Option<Node>, Vec<Mistake>) {
     let root = builder.root.unwrap_or(Node {
         span: Span::default(),
         value: Value::Map(Vec::new()),
+        tag: None,
     });
+    if rules == Rules::Python {
+        return (Some(root), builder.mistakes);
+    }
     // An empty file says nothing, which is a mapping without keys.
     let root = match root.is_null() {
         true => Node {
@@ -98,23 +105,29 @@ impl Builder {
                 ));
             }
             Event::Scalar(text, style, anchor, tag) => {
-                check_tag(tag.as_deref(), span)?;
+                let tag = self.tag(tag.as_deref(), span)?;
                 let value = Value::Scalar {
                     text: text.into_owned(),
                     plain: style == ScalarStyle::Plain,
                 };
-                self.put(Node { span, value }, anchor, 1)?;
+                self.put(Node { span, value, tag }, anchor, 1)?;
             }
             Event::SequenceStart(anchor, tag) => {
-                check_tag(tag.as_deref(), span)?;
-                self.begin(span, anchor, false)?;
+                let tag = self.tag(tag.as_deref(), span)?;
+                self.begin(span, anchor, tag, false)?;
             }
             Event::MappingStart(anchor, tag) => {
-                check_tag(tag.as_deref(), span)?;
-                self.begin(span, anchor, true)?;
+                let tag = self.tag(tag.as_deref(), span)?;
+                self.begin(span, anchor, tag, true)?;
             }
             Event::SequenceEnd | Event::MappingEnd => self.end(span)?,
             Event::Alias(anchor) => {
+                if let Some(text) = self.around(anchor) {
+                    let text = text.to_owned();
+                    let value = Value::Scalar { text, plain: false };
+                    let tag = Some(LOOP.to_owned());
+                    return self.put(Node { span, value, tag }, 0, 1);
+                }
                 let Some((node, count)) = self.anchors.get(&anchor).cloned() else {
                     return Err((
                         span,
@@ -128,7 +141,28 @@ impl Builder {
         Ok(())
     }
 
-    fn begin(&mut self, start: Span, anchor: usize, map: bool) -> Result<(), Mistake> {
+    /// What stands for the open collection with this anchor, if there is one and rules allow it.
+    fn around(&self, anchor: usize) -> Option<&'static str> {
+        let open = self.open.iter().find(|open| open.anchor == anchor)?;
+        let text = if open.map { "{...}" } else { "[...]" };
+        (self.rules == Rules::Python).then_some(text)
+    }
+
+    /// The tag to keep.
+    fn tag(&self, tag: Option<&Tag>, span: Span) -> Result<Option<String>, Mistake> {
+        match self.rules {
+            Rules::Ours => check_tag(tag, span).map(|()| None),
+            Rules::Python => Ok(tag.map(|tag| format!("{}{}", tag.handle, tag.suffix))),
+        }
+    }
+
+    fn begin(
+        &mut self,
+        start: Span,
+        anchor: usize,
+        tag: Option<String>,
+        map: bool,
+    ) -> Result<(), Mistake> {
         if self.open.len() >= DEPTH {
             return Err((start, format!("nested deeper than {DEPTH}")));
         }
@@ -137,6 +171,7 @@ impl Builder {
             start,
             anchor,
             map,
+            tag,
             nodes,
         });
         Ok(())
@@ -152,7 +187,9 @@ impl Builder {
             while let (Some(key), Some(value)) = (nodes.next(), nodes.next()) {
                 pairs.push((key, value));
             }
-            self.refuse_repeated(&pairs);
+            if self.rules == Rules::Ours {
+                self.refuse_repeated(&pairs);
+            }
             Value::Map(pairs)
         } else {
             Value::List(open.nodes)
@@ -161,7 +198,11 @@ impl Builder {
             start: open.start.start,
             end: end.end,
         };
-        let node = Node { span, value };
+        let node = Node {
+            span,
+            value,
+            tag: open.tag,
+        };
         let count = count(&node);
         // Its parts were counted when they were put.
         self.count -= (count - 1).min(self.count);
@@ -210,7 +251,7 @@ fn count(node: &Node) -> usize {
 }
 
 /// YAML's own tags say what is seen anyway; others would be passed over in silence.
-fn check_tag(tag: Option<&saphyr_parser::Tag>, span: Span) -> Result<(), Mistake> {
+fn check_tag(tag: Option<&Tag>, span: Span) -> Result<(), Mistake> {
     match tag {
         Some(tag) if !tag.is_yaml_core_schema() => Err((
             span,

@@ -1,0 +1,265 @@
+//! A script as it was read: scenes of steps of tasks, each with its place in the file.
+
+use std::path::Path;
+use std::time::Duration;
+
+use super::event::{Outline, SceneOutline, StepOutline, TaskOutline};
+use super::finding::Finding;
+use super::read;
+use crate::remotes::Remotes;
+use crate::yaml::{Diagnostics, Document, Rules, Span};
+
+/// A script: what is played, in the order of its file.
+///
+/// Names are what is shown and sent; keys are what stands in the file, parameters included.
+#[derive(Debug, Clone)]
+pub struct Script {
+    /// In the order of the file.
+    pub scenes: Vec<Scene>,
+    document: Document,
+    doubts: Vec<Finding>,
+}
+
+/// A scene: steps, one after the other.
+#[derive(Debug, Clone)]
+pub struct Scene {
+    /// As in the file, with parameters.
+    pub key: String,
+    /// Without them.
+    pub name: String,
+    /// Time before its first step.
+    pub delay: Duration,
+    /// In the order of the file.
+    pub steps: Vec<Step>,
+    /// Where its key stands.
+    pub span: Span,
+}
+
+/// A step: tasks that belong together.
+#[derive(Debug, Clone)]
+pub struct Step {
+    /// As in the file, with parameters.
+    pub key: String,
+    /// Without them.
+    pub name: String,
+    /// Time before its first task's own delay.
+    pub delay: Duration,
+    /// Whether the next step waits for the end of this one.
+    pub wait: bool,
+    /// Whether its tasks start together, each after its own delay; else one after the other.
+    pub parallel: bool,
+    /// What is done when a task that it waits for fails.
+    pub on_failure: OnFailure,
+    /// Those whose tasks these are.
+    pub handlers: Vec<Handler>,
+    /// All tasks of all handlers, in the order of the file.
+    pub tasks: Vec<Task>,
+    /// Where its key stands.
+    pub span: Span,
+}
+
+/// A handler within a step.
+#[derive(Debug, Clone)]
+pub struct Handler {
+    /// As in the file, with parameters.
+    pub key: String,
+    /// The handler's name, as it is sent.
+    pub name: String,
+    /// The name of its server in the configuration.
+    pub remote: String,
+    /// Where its key stands.
+    pub span: Span,
+}
+
+/// A task: what a component of a handler is to do.
+#[derive(Debug, Clone)]
+pub struct Task {
+    /// Whose it is: a place in [`Step::handlers`].
+    pub handler: usize,
+    /// The component as in the file, with parameters.
+    pub key: String,
+    /// The component's name, as it is sent.
+    pub component: String,
+    /// Time before it is sent.
+    pub delay: Duration,
+    /// Whether its step waits for its end.
+    pub wait: bool,
+    /// Longest time from its start to its end.
+    pub limit: Option<Duration>,
+    /// The goal's text, as it is sent.
+    pub goal: String,
+    /// Where its key stands.
+    pub span: Span,
+}
+
+/// What is done when a task that a step waits for fails, is refused, or takes too long.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum OnFailure {
+    /// The operator is asked.
+    Ask,
+    /// Everything is stopped.
+    Stop,
+    /// It is told, and the script goes on: as the original does.
+    #[default]
+    GoOn,
+    /// It is tried again, so many times; then the operator is asked.
+    Retry(u32),
+}
+
+/// What holds where a script says nothing.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Defaults {
+    /// Longest time of a task.
+    pub timeout: Option<Duration>,
+    /// For every step.
+    pub on_failure: OnFailure,
+    /// For every step.
+    pub parallel: bool,
+}
+
+impl Script {
+    /// Reads a script that can be played; `defaults` hold where it says nothing.
+    ///
+    /// ```
+    /// use ztl_std::script::{Defaults, Script};
+    ///
+    /// let file = b"
+    /// scene:
+    ///   step (delay = 1.5; wait = false):
+    ///     robot:
+    ///       say: hello
+    ///       turn: [0, 90.0]
+    /// ";
+    /// let script = Script::read("scene.yaml", file, Defaults::default()).unwrap();
+    /// let step = &script.scenes[0].steps[0];
+    /// assert_eq!((step.name.as_str(), step.delay.as_millis(), step.wait), ("step ", 1500, false));
+    /// assert_eq!(step.tasks[1].goal, "[0, 90.0]");
+    /// ```
+    ///
+    /// # Errors
+    /// Every mistake that keeps it from being played, each with its place.
+    pub fn read(file: &str, bytes: &[u8], defaults: Defaults) -> Result<Self, Diagnostics> {
+        let document = Document::parse_by(file, bytes, Rules::Python)?;
+        let (scenes, findings) = read::scenes(&document, defaults);
+        let (doubts, mistakes): (Vec<_>, Vec<_>) =
+            findings.into_iter().partition(Finding::is_doubt);
+        if !mistakes.is_empty() {
+            return Err(Diagnostics::new(
+                mistakes.into_iter().map(Finding::into_diagnostic).collect(),
+            ));
+        }
+        Ok(Self {
+            scenes,
+            document,
+            doubts,
+        })
+    }
+
+    /// The same from a file.
+    ///
+    /// # Errors
+    /// As [`read`](Self::read), and when the file cannot be read.
+    pub fn load(path: &Path, defaults: Defaults) -> Result<Self, Diagnostics> {
+        let name = path.display().to_string();
+        Self::read(&name, &crate::yaml::read_file(path)?, defaults)
+    }
+
+    /// What is played, but was probably not meant so; in the order of the file.
+    #[must_use]
+    pub fn doubts(&self) -> &[Finding] {
+        &self.doubts
+    }
+
+    /// Names of servers that `remotes` has not, or has wrongly: once for each place.
+    #[must_use]
+    pub fn unknown_remotes(&self, remotes: &Remotes) -> Vec<Finding> {
+        let steps = self.scenes.iter().flat_map(|scene| &scene.steps);
+        let handlers = steps.flat_map(|step| &step.handlers);
+        handlers
+            .filter_map(|handler| {
+                let error = remotes.task(&handler.remote).err()?;
+                let message = error.to_string();
+                let mut message = message.trim_end().to_owned();
+                if handler.key != handler.name && handler.remote == handler.key {
+                    message += "; in parentheses, write (remote=NAME)";
+                }
+                Some(Finding::mistake(
+                    self.document.mistake(handler.span, message),
+                ))
+            })
+            .collect()
+    }
+
+    /// The names of the servers that it uses, each once, in the order of the file.
+    #[must_use]
+    pub fn remotes(&self) -> Vec<&str> {
+        let mut names: Vec<&str> = Vec::new();
+        let steps = self.scenes.iter().flat_map(|scene| &scene.steps);
+        for handler in steps.flat_map(|step| &step.handlers) {
+            if !names.contains(&handler.remote.as_str()) {
+                names.push(&handler.remote);
+            }
+        }
+        names
+    }
+
+    /// The file that it was read from.
+    #[must_use]
+    pub const fn document(&self) -> &Document {
+        &self.document
+    }
+
+    /// What it says is to be done.
+    #[must_use]
+    pub fn outline(&self) -> Outline {
+        Outline {
+            scenes: self.scenes.iter().map(Scene::outline).collect(),
+        }
+    }
+
+    /// A step, if there is such a one.
+    #[must_use]
+    pub fn step(&self, scene: usize, step: usize) -> Option<&Step> {
+        self.scenes.get(scene)?.steps.get(step)
+    }
+}
+
+impl Scene {
+    fn outline(&self) -> SceneOutline {
+        SceneOutline {
+            name: self.name.clone(),
+            delay: self.delay,
+            steps: self.steps.iter().map(Step::outline).collect(),
+        }
+    }
+}
+
+impl Step {
+    fn outline(&self) -> StepOutline {
+        let tasks = self.tasks.iter().filter_map(|task| {
+            let handler = self.handler(task)?;
+            Some(TaskOutline {
+                handler: handler.name.clone(),
+                component: task.component.clone(),
+                goal: task.goal.clone(),
+                remote: handler.remote.clone(),
+                delay: task.delay,
+                wait: task.wait,
+                limit: task.limit,
+            })
+        });
+        StepOutline {
+            name: self.name.clone(),
+            delay: self.delay,
+            wait: self.wait,
+            parallel: self.parallel,
+            tasks: tasks.collect(),
+        }
+    }
+
+    /// Whose task it is.
+    #[must_use]
+    pub fn handler(&self, task: &Task) -> Option<&Handler> {
+        self.handlers.get(task.handler)
+    }
+}

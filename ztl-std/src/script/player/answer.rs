@@ -1,0 +1,190 @@
+//! What servers say, and that they say nothing.
+
+use ztl_core::{Instant, State};
+
+use super::super::event::{Event, RequestNumber, ServerState, TaskNumber, TaskState, Why};
+use super::{Answer, POLL, Phase, Player, Sent, Server, What};
+
+/// An answer that was to be held and came sooner than this was not held.
+const NOT_HELD: std::time::Duration = std::time::Duration::from_millis(20);
+
+impl Player {
+    /// What came of a request. One that is not under way (any more) is ignored.
+    pub fn handle_answer(&mut self, now: Instant, request: RequestNumber, answer: Answer) {
+        let Some(sent) = self.under_way.remove(&request) else {
+            return;
+        };
+        self.tell_answer(now, request, &sent, &answer);
+        if matches!(self.phase, Phase::Over(_)) {
+            return;
+        }
+        self.note_server(&sent, &answer);
+        match sent.what {
+            What::Init => self.on_init(now, sent.task, answer),
+            What::Status { held } => self.on_status(now, &sent, held, answer),
+            What::Abort => self.on_abort(now, sent.task, answer),
+        }
+        self.watch(now);
+        self.advance(now);
+    }
+
+    fn tell_answer(&mut self, now: Instant, request: RequestNumber, sent: &Sent, answer: &Answer) {
+        let latency = now.since(sent.at);
+        let task_id = self.tasks.get(&sent.task).and_then(|task| task.id);
+        let task_id = task_id.map_or(-1, |id| i64::from(id.get()));
+        let (state, id, text) = match answer {
+            Answer::Started { id, text, .. } => (State::Accepted, i64::from(id.get()), text),
+            Answer::Refused { id, text } => (State::Failed, *id, text),
+            Answer::Task { state, text } => (*state, task_id, text),
+            Answer::TaskUnknown { text, .. } => (State::Rejected, task_id, text),
+            Answer::NotStarted { text } => {
+                return self.tell_nothing(now, request, sent, false, text);
+            }
+            Answer::Nothing {
+                sent: was_sent,
+                text,
+            } => {
+                return self.tell_nothing(now, request, sent, *was_sent, text);
+            }
+        };
+        let state = i64::from(state.code());
+        let text = text.clone();
+        self.events.push_back(Event::Answered {
+            request,
+            latency,
+            state,
+            id,
+            text,
+        });
+    }
+
+    fn tell_nothing(
+        &mut self,
+        now: Instant,
+        request: RequestNumber,
+        sent: &Sent,
+        was_sent: bool,
+        text: &str,
+    ) {
+        let (waited, text) = (now.since(sent.at), text.to_owned());
+        self.events.push_back(Event::Unanswered {
+            request,
+            waited,
+            sent: was_sent,
+            text,
+        });
+    }
+
+    /// What an answer says of the server.
+    fn note_server(&mut self, sent: &Sent, answer: &Answer) {
+        let Some(remote) = self.tasks.get(&sent.task).map(|task| task.remote.clone()) else {
+            return;
+        };
+        let known = self.servers.get(&remote);
+        let answering = || match known {
+            Some(known @ ServerState::Answering { .. }) => known.clone(),
+            _ => ServerState::Answering { version: None },
+        };
+        let state = match answer {
+            Answer::Started {
+                server: Server::Ours(version),
+                ..
+            } => ServerState::Answering {
+                version: Some(version.clone()),
+            },
+            Answer::Started { .. } => ServerState::Answering { version: None },
+            Answer::Refused { .. } | Answer::Task { .. } => answering(),
+            Answer::TaskUnknown {
+                restarted: true, ..
+            } => ServerState::Restarted,
+            Answer::TaskUnknown { .. } => answering(),
+            Answer::NotStarted { .. } | Answer::Nothing { sent: false, .. } => ServerState::Absent,
+            Answer::Nothing { .. } => ServerState::Silent,
+        };
+        if known != Some(&state) {
+            self.servers.insert(remote.clone(), state.clone());
+            self.events.push_back(Event::Server { remote, state });
+        }
+    }
+
+    fn on_init(&mut self, now: Instant, number: TaskNumber, answer: Answer) {
+        let stopping = matches!(self.phase, Phase::Stopping(_));
+        let Some(task) = self.tasks.get_mut(&number) else {
+            return;
+        };
+        let part = (task.scene, task.step, task.part);
+        match answer {
+            Answer::Started { id, text, server } => {
+                task.id = Some(id);
+                task.ours = matches!(server, Server::Ours(_));
+                task.next = now;
+                let plan = self
+                    .script
+                    .step(part.0, part.1)
+                    .and_then(|step| step.tasks.get(part.2));
+                task.deadline = plan.and_then(|plan| plan.limit).map(|limit| now + limit);
+                self.set_state(number, TaskState::Accepted, &text);
+                if stopping {
+                    self.abort(now, number);
+                }
+            }
+            Answer::Refused { text, .. } => self.set_state(number, TaskState::Refused, &text),
+            Answer::NotStarted { text } | Answer::Nothing { sent: false, text } => {
+                self.set_state(number, TaskState::NotStarted, &text);
+            }
+            Answer::Nothing { text, .. } => {
+                self.set_unknown(now, number, Why::StartUnknown, &text);
+                self.unresolved.insert(number);
+            }
+            // Not an answer to an INIT.
+            Answer::Task { .. } | Answer::TaskUnknown { .. } => {}
+        }
+    }
+
+    fn on_status(&mut self, now: Instant, sent: &Sent, held: bool, answer: Answer) {
+        let number = sent.task;
+        let Some(task) = self.tasks.get_mut(&number) else {
+            return;
+        };
+        task.asked = None;
+        if task.state.is_over() {
+            return;
+        }
+        // An answer that was held has taken its time.
+        let was_held = held && now.since(sent.at) >= NOT_HELD;
+        task.next = if was_held { now } else { now + POLL };
+        if task.ours && task.unknown.is_some() {
+            task.next = now;
+        }
+        self.on_known(now, number, answer);
+    }
+
+    /// What a server says of a task that it took.
+    pub(super) fn on_known(&mut self, now: Instant, number: TaskNumber, answer: Answer) {
+        let Some(task) = self.tasks.get(&number) else {
+            return;
+        };
+        if task.state.is_over() {
+            return;
+        }
+        let remote = task.remote.clone();
+        match answer {
+            Answer::Task { state, text } => self.set_state(number, state.into(), &text),
+            Answer::TaskUnknown { restarted, text } => {
+                let silent = matches!(task.unknown, Some((Why::ServerSilent { .. }, _)));
+                let why = match restarted || silent {
+                    true => Why::ServerRestarted { remote },
+                    false => Why::TaskUnknown,
+                };
+                self.set_unknown(now, number, why, &text);
+                self.unresolved.insert(number);
+            }
+            Answer::Nothing { text, .. } => {
+                if task.can_be_asked() {
+                    self.set_unknown(now, number, Why::ServerSilent { remote }, &text);
+                }
+            }
+            Answer::Started { .. } | Answer::Refused { .. } | Answer::NotStarted { .. } => {}
+        }
+    }
+}
