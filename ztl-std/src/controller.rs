@@ -1,6 +1,8 @@
 //! Handlers whose tasks run on threads: the counterpart of the original's `TaskController` and
 //! `ExecutableTask`.
 
+mod pool;
+
 use std::any::Any;
 use std::collections::HashMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -9,7 +11,8 @@ use std::time::{Duration, Instant};
 
 use ztl_core::{TaskId, TaskSpec};
 
-use crate::server::{TaskHandler, TaskReporter};
+use crate::server::{Hush, TaskHandler, TaskReporter};
+use pool::{Job, Pool};
 
 /// What a client asks for.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -37,7 +40,8 @@ pub trait TaskController: Send + Sync + 'static {
 
 /// A task that can be executed.
 pub trait ExecutableTask: Send + 'static {
-    /// Does it, on a thread of its own, and says what came of it. A panic is an error too.
+    /// Does it, on a thread that is its own until it has ended, and says what came of it. A panic is an
+    /// error too.
     ///
     /// A task that can be stopped asks `context` whether it should; see [`TaskContext::sleep`].
     ///
@@ -201,10 +205,23 @@ impl Wish {
 type Running = Arc<Mutex<HashMap<TaskId, (Arc<Wish>, AbortRefusal)>>>;
 type AbortRefusal = Box<dyn Fn() + Send>;
 
-/// Runs each task of a controller on a thread of its own.
-pub(crate) struct Threads<C> {
+/// Runs the tasks of a controller on threads, each on one that is its own as long as it runs.
+pub(crate) struct Threads<C: TaskController> {
     controller: Arc<C>,
     running: Running,
+    /// Those that have just come.
+    new: Vec<NewTask<C>>,
+    pool: Pool<NewTask<C>>,
+}
+
+/// A task that is to be run.
+struct NewTask<C> {
+    controller: Arc<C>,
+    running: Running,
+    reporter: TaskReporter,
+    wish: Arc<Wish>,
+    payload: String,
+    hush: Hush,
 }
 
 impl<C: TaskController> Threads<C> {
@@ -212,27 +229,44 @@ impl<C: TaskController> Threads<C> {
         Self {
             controller: Arc::new(controller),
             running: Running::default(),
+            new: Vec::new(),
+            pool: Pool::new(),
         }
+    }
+}
+
+impl<C: TaskController> Job for NewTask<C> {
+    fn run(self) {
+        let id = self.reporter.id();
+        drop(self.hush);
+        run(&*self.controller, self.reporter, &self.wish, &self.payload);
+        lock(&self.running).remove(&id);
+    }
+
+    fn refuse(self) {
+        lock(&self.running).remove(&self.reporter.id());
+        self.reporter
+            .rejected("the system gives no more threads; fewer tasks at a time may run");
     }
 }
 
 impl<C: TaskController> TaskHandler for Threads<C> {
     fn start(&mut self, task: TaskReporter, payload: &str) {
-        let id = task.id();
         let wish = Arc::new(Wish::default());
-        lock(&self.running).insert(id, (Arc::clone(&wish), task.abort_refusal()));
-        let controller = Arc::clone(&self.controller);
-        let running = Arc::clone(&self.running);
-        let payload = payload.to_owned();
-        // The reporter goes to the thread; if there is none, dropping it tells the client.
-        let spawned = std::thread::Builder::new()
-            .name(format!("ztl-task-{id}"))
-            .spawn(move || {
-                run(&*controller, task, &wish, &payload);
-                lock(&running).remove(&id);
-            });
-        if spawned.is_err() {
-            lock(&self.running).remove(&id);
+        lock(&self.running).insert(task.id(), (Arc::clone(&wish), task.abort_refusal()));
+        self.new.push(NewTask {
+            controller: Arc::clone(&self.controller),
+            running: Arc::clone(&self.running),
+            hush: task.hush(),
+            reporter: task,
+            wish,
+            payload: payload.to_owned(),
+        });
+    }
+
+    fn all_started(&mut self) {
+        if !self.new.is_empty() {
+            self.pool.begin(&mut self.new);
         }
     }
 

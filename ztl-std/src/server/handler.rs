@@ -18,6 +18,10 @@ pub trait TaskHandler: Send {
     /// an INIT without a decision is answered after 1.5 s, with the id.
     fn start(&mut self, task: TaskReporter, payload: &str);
 
+    /// After one or more calls of [`start`](Self::start), before anything is waited for: a handler that
+    /// has to wake somebody can do it once for all of them. Default: nothing.
+    fn all_started(&mut self) {}
+
     /// A client asks to stop a task that this handler was given and that has not ended.
     fn abort(&mut self, id: TaskId);
 

@@ -13,7 +13,7 @@ use ztl_core::tasks::{Task, Tasks, Text};
 use ztl_core::{Instant, TaskId};
 
 /// The way back to a client: its ROUTER identity, its envelope, the empty delimiter.
-pub(super) type Peer = Vec<Vec<u8>>;
+pub(super) type Peer = Vec<zmq::Message>;
 
 /// What a scope's handler tells of itself.
 pub(super) struct About {

@@ -39,6 +39,7 @@ pub use limits::Limits;
 pub use listing::{ListedTask, Listing};
 pub(crate) use memory::quoted;
 use memory::{About, Grown, Heap, Peer};
+pub(crate) use report::Hush;
 pub use report::TaskReporter;
 use report::{Inbox, Mailbox, Report, Waker};
 pub use running::{Pulse, RunningServer, Stopper};
@@ -248,18 +249,25 @@ impl TaskServer {
 
     /// Waits for something, at most for `longest`, and serves it; says whether there is more.
     fn turn(&mut self, longest: Duration) -> Result<bool, zmq::Error> {
-        self.wait(longest)?;
-        if self.bell.recv_msg(zmq::DONTWAIT).is_ok() {
-            self.waker.taken();
+        let [requests, bell, at_the_door] = self.wait(longest)?;
+        if bell {
+            // It says nothing but that it is time to wake up.
+            let _ = self.bell.recv_msg(zmq::DONTWAIT);
         }
+        self.waker.awake();
         let more = self.take_reports();
-        self.door.decide();
-        for _ in 0..BATCH {
+        if at_the_door {
+            self.door.decide();
+        }
+        for _ in 0..if requests { BATCH } else { 0 } {
             match self.receive() {
                 Ok((frames, Some(who))) => self.serve(frames, who),
                 Ok((_, None)) => debug!(target: LOG, "dropped a message of somebody unknown"),
                 Err(_) => break,
             }
+        }
+        for handler in &mut self.handlers {
+            handler.all_started();
         }
         let Self {
             dispatcher, socket, ..
@@ -326,8 +334,9 @@ impl TaskServer {
         })
     }
 
-    /// Until a request, a report or the dispatcher's next wake-up, at most for `longest`.
-    fn wait(&self, longest: Duration) -> Result<(), zmq::Error> {
+    /// Until a request, a report or the dispatcher's next wake-up, at most for `longest`. Says whether
+    /// there are requests, the bell, and somebody at the door.
+    fn wait(&self, longest: Duration) -> Result<[bool; 3], zmq::Error> {
         let wakes = [self.dispatcher.poll_timeout(), self.touch.poll_timeout()];
         let wake = wakes.into_iter().flatten().min();
         let time = wake.map_or(longest, |wake| wake.since(now()).min(longest));
@@ -337,16 +346,20 @@ impl TaskServer {
                 .unwrap_or(i64::MAX)
                 .min(3_600_000),
         };
-        let mut items = vec![
-            self.socket.as_poll_item(zmq::POLLIN),
-            self.bell.as_poll_item(zmq::POLLIN),
-        ];
-        let door = self.door.sockets();
-        items.extend(door.map(|socket| socket.as_poll_item(zmq::POLLIN)));
+        let timeout = if timeout == 0 || self.waker.may_sleep() {
+            timeout
+        } else {
+            0
+        };
+        let [desk, monitor] = self.door.sockets();
+        let mut items = [&self.socket, &self.bell, desk, monitor]
+            .map(|socket| socket.as_poll_item(zmq::POLLIN));
         match zmq::poll(&mut items, timeout) {
-            Ok(_) | Err(zmq::Error::EINTR) => Ok(()),
-            Err(cause) => Err(cause),
+            Ok(_) | Err(zmq::Error::EINTR) => {}
+            Err(cause) => return Err(cause),
         }
+        let [requests, bell, desk, monitor] = items.map(|item| item.is_readable());
+        Ok([requests, bell, desk || monitor])
     }
 
     /// Takes a bounded number of reports; says whether there may be more.
@@ -376,21 +389,23 @@ impl TaskServer {
     }
 
     /// The next message, and who sent it, unless that is not known.
-    fn receive(&self) -> Result<(Vec<Vec<u8>>, Option<Who>), zmq::Error> {
-        let mut frames = Vec::new();
+    fn receive(&self) -> Result<(Vec<zmq::Message>, Option<Who>), zmq::Error> {
+        // As many as a client of ours sends.
+        let mut frames = Vec::with_capacity(5);
         loop {
             let mut frame = self.socket.recv_msg(zmq::DONTWAIT)?;
-            frames.push(frame.to_vec());
-            if !frame.get_more() {
-                return Ok((frames, self.door.who(&mut frame)));
+            let who = (!frame.get_more()).then(|| self.door.who(&mut frame));
+            frames.push(frame);
+            if let Some(who) = who {
+                return Ok((frames, who));
             }
         }
     }
 
-    fn serve(&mut self, mut frames: Vec<Vec<u8>>, who: Who) {
+    fn serve(&mut self, mut frames: Vec<zmq::Message>, who: Who) {
         // Identity, any envelope, an empty frame, and then the body. Without the empty frame it
         // is no request: a REP socket drops it too.
-        let Some(delimiter) = frames.iter().position(Vec::is_empty) else {
+        let Some(delimiter) = frames.iter().position(|frame| frame.is_empty()) else {
             debug!(target: LOG, "dropped a message without a delimiter");
             return;
         };
@@ -478,7 +493,7 @@ fn log_refusal(reply: &Reply<'_>, body: Body<'_>) {
 fn answer(socket: &zmq::Socket, mut peer: Peer, reply: &Reply<'_>) {
     let mut body = Vec::new();
     reply.put(&mut |bytes: &[u8]| body.extend_from_slice(bytes));
-    peer.push(body);
+    peer.push(body.into());
     if let Err(cause) = socket.send_multipart(peer, zmq::DONTWAIT) {
         debug!(target: LOG, "an answer was not taken: {}", cause.message());
     }

@@ -1,6 +1,6 @@
 //! How a handler tells its server what became of a task, from any thread.
 
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, Sender, TryIter, channel};
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::Duration;
@@ -60,63 +60,109 @@ pub(super) struct Mailbox {
     waker: Arc<Waker>,
 }
 
-/// Ends the server's poll from another thread.
+/// Wakes the server's thread from its poll, where it sleeps.
 pub(super) struct Waker {
-    /// A wake-up is on its way and has not been taken.
-    pending: AtomicBool,
+    /// The server's thread is in its poll, or about to be, and was not woken.
+    asleep: AtomicBool,
+    /// Something has been posted since it looked last.
+    posted: AtomicBool,
+    /// Those who will wake it when something was posted.
+    hushed: AtomicUsize,
     stop: AtomicBool,
     bell: Mutex<zmq::Socket>,
-    /// How often the server has taken a wake-up.
-    turns: Mutex<u64>,
-    turned: Condvar,
+    /// Somebody feels the pulse.
+    felt: AtomicBool,
+    /// How often the server has beaten for somebody who felt.
+    beats: Mutex<u64>,
+    beaten: Condvar,
 }
 
 impl Waker {
     pub(super) fn new(bell: zmq::Socket) -> Arc<Self> {
         Arc::new(Self {
-            pending: AtomicBool::new(false),
+            asleep: AtomicBool::new(false),
+            posted: AtomicBool::new(false),
+            hushed: AtomicUsize::new(0),
             stop: AtomicBool::new(false),
             bell: Mutex::new(bell),
-            turns: Mutex::new(0),
-            turned: Condvar::new(),
+            felt: AtomicBool::new(false),
+            beats: Mutex::new(0),
+            beaten: Condvar::new(),
         })
     }
 
+    /// Something was posted. The thread is woken, unless somebody will do it in a moment.
+    fn on_posted(&self) {
+        self.posted.store(true, Ordering::SeqCst);
+        if self.hushed.load(Ordering::SeqCst) == 0 {
+            self.wake();
+        }
+    }
+
     fn wake(&self) {
-        if !self.pending.swap(true, Ordering::AcqRel) {
+        if self.asleep.swap(false, Ordering::SeqCst) {
             let bell = self.bell.lock().unwrap_or_else(PoisonError::into_inner);
-            // The queue cannot be full: one wake-up is pending at a time.
+            // The queue cannot be full: it rings once for each sleep.
             let _ = bell.send(&b""[..], zmq::DONTWAIT);
         }
     }
 
-    /// The wake-up has been taken: what comes from now on rings again. To be called before the
-    /// mailbox is emptied.
-    pub(super) fn taken(&self) {
-        self.pending.store(false, Ordering::Release);
-        let mut turns = self.turns.lock().unwrap_or_else(PoisonError::into_inner);
-        *turns = turns.wrapping_add(1);
-        self.turned.notify_all();
+    /// The server's thread is about to poll: says whether it may sleep, which is so when nothing was
+    /// posted since it was [awake](Self::awake).
+    pub(super) fn may_sleep(&self) -> bool {
+        self.asleep.store(true, Ordering::SeqCst);
+        if self.posted.load(Ordering::SeqCst) {
+            self.asleep.store(false, Ordering::SeqCst);
+        }
+        self.asleep.load(Ordering::SeqCst)
     }
 
-    /// Whether the server takes a wake-up within `limit`.
-    pub(super) fn is_taken(&self, limit: Duration) -> bool {
-        let turns = self.turns.lock().unwrap_or_else(PoisonError::into_inner);
-        let before = *turns;
-        self.wake();
+    /// It has woken up, and looks at all that was posted before.
+    pub(super) fn awake(&self) {
+        self.asleep.store(false, Ordering::SeqCst);
+        self.posted.store(false, Ordering::SeqCst);
+        if self.felt.swap(false, Ordering::SeqCst) {
+            let mut beats = self.beats.lock().unwrap_or_else(PoisonError::into_inner);
+            *beats = beats.wrapping_add(1);
+            self.beaten.notify_all();
+        }
+    }
+
+    /// Whether the server's thread goes its rounds within `limit`.
+    pub(super) fn beats(&self, limit: Duration) -> bool {
+        let beats = self.beats.lock().unwrap_or_else(PoisonError::into_inner);
+        let before = *beats;
+        self.felt.store(true, Ordering::SeqCst);
+        self.on_posted();
         let waited = self
-            .turned
-            .wait_timeout_while(turns, limit, |turns| *turns == before);
+            .beaten
+            .wait_timeout_while(beats, limit, |beats| *beats == before);
         !waited.unwrap_or_else(PoisonError::into_inner).1.timed_out()
     }
 
     pub(super) fn stop(&self) {
-        self.stop.store(true, Ordering::Release);
+        self.stop.store(true, Ordering::SeqCst);
+        self.posted.store(true, Ordering::SeqCst);
         self.wake();
     }
 
     pub(super) fn stopped(&self) -> bool {
-        self.stop.load(Ordering::Acquire)
+        self.stop.load(Ordering::SeqCst)
+    }
+}
+
+/// As long as one of them is there, reports do not wake the server; the last one does, if there were
+/// any. For a task that waits for a thread: in the meantime others' reports gather, and all are taken
+/// at once.
+#[must_use = "dropped, it wakes the server"]
+pub(crate) struct Hush(Arc<Waker>);
+
+impl Drop for Hush {
+    fn drop(&mut self) {
+        let last = self.0.hushed.fetch_sub(1, Ordering::SeqCst) == 1;
+        if last && self.0.posted.load(Ordering::SeqCst) {
+            self.0.wake();
+        }
     }
 }
 
@@ -129,7 +175,7 @@ impl Mailbox {
     fn post(&self, id: TaskId, report: Report) {
         // A server that is gone needs no reports.
         if self.reports.send((id, report)).is_ok() {
-            self.waker.wake();
+            self.waker.on_posted();
         }
     }
 }
@@ -241,6 +287,13 @@ impl TaskReporter {
         self.end(Report::Aborted(result.into()));
     }
 
+    /// Lets reports gather for as long as this task waits to be begun, which must be short.
+    pub(crate) fn hush(&self) -> Hush {
+        let waker = &self.mailbox.waker;
+        waker.hushed.fetch_add(1, Ordering::SeqCst);
+        Hush(Arc::clone(waker))
+    }
+
     /// Refuses an ABORT from elsewhere than where the reporter is.
     pub(crate) fn abort_refusal(&self) -> Box<dyn Fn() + Send> {
         let (id, mailbox) = (self.id, self.mailbox.clone());
@@ -268,5 +321,68 @@ impl Drop for TaskReporter {
 impl std::fmt::Debug for TaskReporter {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_tuple("TaskReporter").field(&self.id).finish()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A server's side: its bell, and what wakes it.
+    fn server() -> (zmq::Socket, Arc<Waker>, Mailbox, Inbox) {
+        let context = zmq::Context::new();
+        let bell = context.socket(zmq::PULL).unwrap();
+        bell.bind("inproc://wake").unwrap();
+        let ringer = context.socket(zmq::PUSH).unwrap();
+        ringer.connect("inproc://wake").unwrap();
+        let waker = Waker::new(ringer);
+        let (mailbox, inbox) = Mailbox::new(Arc::clone(&waker));
+        (bell, waker, mailbox, inbox)
+    }
+
+    fn rings(bell: &zmq::Socket) -> usize {
+        std::iter::from_fn(|| bell.recv_msg(zmq::DONTWAIT).ok()).count()
+    }
+
+    fn task(mailbox: &Mailbox) -> TaskReporter {
+        TaskReporter::new(TaskId::new(1).unwrap(), mailbox.clone(), None)
+    }
+
+    #[test]
+    fn a_server_is_woken_once_for_each_sleep_and_never_while_it_is_awake() {
+        let (bell, waker, mailbox, inbox) = server();
+        let task = task(&mailbox);
+        task.accepted("while awake");
+        assert_eq!(rings(&bell), 0);
+        assert!(!waker.may_sleep(), "something was posted");
+        waker.awake();
+        assert_eq!(inbox.waiting().count(), 1);
+        assert!(waker.may_sleep());
+        task.accepted("while asleep");
+        task.accepted("and again");
+        assert_eq!(rings(&bell), 1);
+        waker.awake();
+        assert_eq!(inbox.waiting().count(), 2);
+        assert!(waker.may_sleep());
+        task.leave();
+    }
+
+    #[test]
+    fn reports_gather_while_other_tasks_wait_to_be_begun_and_none_is_left_unheard() {
+        let (bell, waker, mailbox, _inbox) = server();
+        let (task, others) = (task(&mailbox), [task(&mailbox), task(&mailbox)]);
+        let [one, two] = [others[0].hush(), others[1].hush()];
+        assert!(waker.may_sleep());
+        task.completed("done");
+        drop(one);
+        assert_eq!(rings(&bell), 0, "one is still to be begun");
+        drop(two);
+        assert_eq!(rings(&bell), 1);
+
+        waker.awake();
+        assert!(waker.may_sleep());
+        drop(others[0].hush());
+        assert_eq!(rings(&bell), 0, "there is nothing to be heard");
+        others.into_iter().for_each(TaskReporter::leave);
     }
 }

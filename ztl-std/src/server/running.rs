@@ -31,7 +31,7 @@ impl Pulse {
     /// Whether it does so within `limit`.
     #[must_use]
     pub fn is_felt(&self, limit: Duration) -> bool {
-        self.0.is_taken(limit)
+        self.0.beats(limit)
     }
 }
 
