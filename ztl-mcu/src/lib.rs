@@ -64,6 +64,7 @@
 //! | what interrupts share with it | `shared`: received bytes, emergency stop, limit switches, log | `critical-section` |
 //! | defmt's log over the link | `defmt_logger!` | `defmt` |
 //! | the protocol itself | [`link`], and `docs/link.md` | |
+//! | clients without a gateway, over TCP or USB | `zmtp`, and `docs/zmtp.md` | `zmtp` |
 #![no_std]
 
 #[cfg(test)]
@@ -80,6 +81,8 @@ mod reading;
 pub mod shared;
 #[cfg(feature = "serde")]
 mod typed;
+#[cfg(feature = "zmtp")]
+pub mod zmtp;
 
 pub use component::{Component, Components, Reading, Refused, Report, Run};
 pub use node::{Counters, Identity, Node, Reason};

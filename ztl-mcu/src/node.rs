@@ -1,6 +1,8 @@
 //! The device end of the link.
 
 mod commands;
+#[cfg(feature = "zmtp")]
+mod local;
 mod tasks;
 mod transmit;
 
@@ -14,7 +16,10 @@ use ztl_core::tasks::TaskTable;
 use crate::component::Components;
 use crate::log::LogSource;
 use commands::Answer;
-use tasks::{Job, TEXT};
+#[cfg(feature = "zmtp")]
+pub(crate) use local::LocalTasks;
+use tasks::Job;
+pub(crate) use tasks::TEXT;
 use transmit::{Transmit, longest};
 
 /// Why a component does not take a goal; at most 96 bytes.
@@ -141,14 +146,9 @@ struct Inner<'a, C, const TASKS: usize, const FRAME: usize> {
     transmit: Transmit<FRAME>,
 }
 
-impl<'a, C: Components, const TASKS: usize, const FRAME: usize> Node<'a, C, TASKS, FRAME> {
-    /// Longest reading that a component can publish, in bytes.
-    pub const LONGEST_READING: usize = longest::reading(FRAME);
-
-    /// A node after its reset. `components` are at most 255.
-    pub const fn new(identity: Identity<'a>, components: C) -> Self {
-        const { assert!(FRAME >= 128 && TASKS >= 1 && TASKS <= 255) };
-        let state = Inner {
+impl<'a, C, const TASKS: usize, const FRAME: usize> Inner<'a, C, TASKS, FRAME> {
+    const fn new(identity: Identity<'a>, components: C) -> Self {
+        Self {
             identity,
             components,
             session: NO_SESSION,
@@ -170,10 +170,20 @@ impl<'a, C: Components, const TASKS: usize, const FRAME: usize> Node<'a, C, TASK
             publisher: 0,
             readings: false,
             transmit: Transmit::new(),
-        };
+        }
+    }
+}
+
+impl<'a, C: Components, const TASKS: usize, const FRAME: usize> Node<'a, C, TASKS, FRAME> {
+    /// Longest reading that a component can publish, in bytes.
+    pub const LONGEST_READING: usize = longest::reading(FRAME);
+
+    /// A node after its reset. `components` are at most 255.
+    pub const fn new(identity: Identity<'a>, components: C) -> Self {
+        const { assert!(FRAME >= 128 && TASKS >= 1 && TASKS <= 255) };
         Self {
             decoder: Decoder::new(),
-            state,
+            state: Inner::new(identity, components),
             counters: Counters {
                 frames: 0,
                 errors: 0,

@@ -40,6 +40,7 @@ use ztl_mcu::link::{Busy, GoalShape, Loss, Offer};
 use ztl_mcu::log::LogSource;
 use ztl_mcu::pump::Pump;
 use ztl_mcu::shared::{EndFlag, LogQueue, ReceiveQueue, StopFlag};
+use ztl_mcu::zmtp::{Connection, Dealer, Line as ZmtpLine, Peer, Rep, Req, Server, Socket};
 use ztl_mcu::{
     Actuator, Component, Components, Identity, Latest, Node, Queued, Reading, Refused, Report, Run,
     Typed,
@@ -75,6 +76,11 @@ extern "C" fn main() -> ! {
     // Frames longer than a COBS block.
     let mut long_framed = Node::<_, 1, 600>::new(identity(), (Part::new(), Typed(Part::new())));
     let mut ready_node = Node::<_, 2, 128>::new(identity(), ready_parts());
+    let mut server = Server::<_, 3, 4, 256, 4>::new("/one", identity(), ready_parts());
+    let mut reply = Connection::<Rep, _>::new(room());
+    let mut ask = Connection::<Req, _>::new([0; 300]);
+    let mut deal = Connection::<Dealer, _>::new([0; 128]);
+    let mut zmtp_line = ZmtpLine::new();
     let mut decoder = Decoder::<600>::new();
     let mut table = TaskTable::new();
     let config = Config::new(id(), any());
@@ -84,6 +90,8 @@ extern "C" fn main() -> ! {
         // In whatever state, as far as the compiler knows.
         black_box((&mut node, &mut long_framed, &mut ready_node, &mut decoder));
         black_box((&mut table, &mut dispatcher, &mut client));
+        black_box((&mut server, &mut zmtp_line));
+        black_box((&mut reply, &mut ask, &mut deal));
         let mut received = [0; 512];
         received.fill_with(receive);
         // Of any length, as far as the compiler knows.
@@ -104,6 +112,12 @@ extern "C" fn main() -> ! {
         run_node(&mut node, input);
         run_node(&mut long_framed, input);
         run_node(&mut ready_node, input);
+        run_server(&mut server, input);
+        let _ = black_box(zmtp_line.turn(&mut server, &mut &RECEIVED, &mut Line, now()));
+        let _ = black_box(zmtp_line.turn(&mut server, &mut Line, &mut Line, now()));
+        run_connection(&mut reply, input);
+        run_connection(&mut ask, input);
+        run_connection(&mut deal, input);
     }
 }
 
@@ -413,6 +427,57 @@ fn run_node<C: Components, const TASKS: usize, const FRAME: usize>(
     let _ = black_box(pump.turn_split(node, &mut &RECEIVED, &mut Line, now()));
 }
 
+/// A server for ZeroMQ clients, whoever of them connects or goes.
+fn run_server<C: Components>(server: &mut Server<'_, C, 3, 4, 256, 4>, input: &[u8]) {
+    let peer = server.vacant().unwrap_or(Peer(receive()));
+    match receive() {
+        0 => server.open(now(), peer),
+        1 => server.close(peer),
+        2 => server.stop_everything(now()),
+        3 => server.clear_stop(),
+        _ => {}
+    }
+    black_box(server.handle_bytes(now(), Peer(receive()), input));
+    server.handle_timeout(now());
+    send(server.transmit_buf(Peer(receive())));
+    server.consume(Peer(receive()), any() as usize);
+    black_box((
+        server.is_open(peer),
+        server.fault(peer),
+        server.is_stopped(),
+    ));
+    black_box((server.poll_timeout(now()), server.components_mut().count()));
+}
+
+fn run_connection<S: Socket, B: AsRef<[u8]> + AsMut<[u8]>>(
+    connection: &mut Connection<S, B>,
+    input: &[u8],
+) {
+    match receive() {
+        0 => connection.open(now()),
+        1 => connection.close(),
+        2 => connection.hold(),
+        3 => connection.discard(),
+        _ => {}
+    }
+    black_box(connection.handle_bytes(now(), input));
+    connection.handle_timeout(now());
+    if let Some(message) = connection.message() {
+        black_box((message.envelope(), message.content));
+        black_box(message.envelope.count());
+    }
+    connection.reply(&mut |sink| sink.put(input));
+    black_box(connection.request(&[input, input], &mut |sink| sink.put(input)));
+    send(connection.transmit_buf());
+    connection.consume(any() as usize);
+    black_box((
+        connection.is_open(),
+        connection.is_ready(),
+        connection.fault(),
+    ));
+    black_box(connection.poll_timeout());
+}
+
 static RECEIVED: ReceiveQueue<64> = ReceiveQueue::new();
 static LOG: LogQueue<100> = LogQueue::new();
 static STOP: StopFlag = StopFlag::new();
@@ -567,6 +632,18 @@ fn room() -> Room {
 }
 
 struct Room([u8; 256]);
+
+impl AsRef<[u8]> for Room {
+    fn as_ref(&self) -> &[u8] {
+        self
+    }
+}
+
+impl AsMut<[u8]> for Room {
+    fn as_mut(&mut self) -> &mut [u8] {
+        self
+    }
+}
 
 impl core::ops::Deref for Room {
     type Target = [u8];

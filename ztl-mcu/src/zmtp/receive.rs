@@ -1,0 +1,246 @@
+//! What a connection makes of the bytes that arrive.
+
+use ztl_core::Instant;
+
+use super::SKIPPED;
+use super::connection::{Connection, Fault, Flaw, Next, Part, Phase, Turn};
+use super::wire::{
+    COMMAND, DELIMITER, GREETING, LONG, LONGEST_PING, MECHANISM, MORE, PING, SIGNATURE, Socket,
+};
+
+impl<S: Socket, B: AsRef<[u8]> + AsMut<[u8]>> Connection<S, B> {
+    /// Takes the first of these bytes, and perhaps more; says how many. None while they have to wait.
+    pub(super) fn take(&mut self, bytes: &[u8]) -> usize {
+        let Some(&first) = bytes.first() else {
+            return 0;
+        };
+        match self.phase {
+            // Nobody reads them.
+            Phase::Closed | Phase::Ending => return bytes.len(),
+            Phase::Greeting(place) => self.on_greeting(place, first),
+            Phase::OldSocket => {
+                self.phase = Phase::OldIdentity;
+                if !S::PARTNERS.iter().any(|(_, code)| *code == first) {
+                    self.fail(Fault::SocketType);
+                }
+            }
+            _ => return self.take_of_frame(first, bytes),
+        }
+        1
+    }
+
+    /// A byte of the greeting (RFC 37, Formal Grammar and Version Negotiation).
+    fn on_greeting(&mut self, place: u8, byte: u8) {
+        let at = usize::from(place);
+        self.phase = Phase::Greeting(place + 1);
+        if at == 0 && byte != 0xFF || at == SIGNATURE - 1 && byte & 1 == 0 {
+            // So a peer of ZMTP 1.0 begins (RFC 37, Detecting ZMTP 1.0 and 2.0 Peers).
+            self.fail(Fault::NotZmtp);
+        } else if at == SIGNATURE {
+            match byte {
+                0 => return self.fail(Fault::NotZmtp),
+                1 | 2 => self.phase = Phase::OldSocket,
+                _ => {}
+            }
+            self.hello_due = 2;
+        } else if MECHANISM.contains(&at) && GREETING.get(at) != Some(&byte) {
+            // The peer may rely on the rest of our greeting (RFC 37, Authentication and Confidentiality).
+            self.end(Fault::Mechanism, 2);
+        } else if at + 1 == GREETING.len() {
+            self.phase = Phase::Handshake;
+            if !S::BINDS {
+                self.hello_due = 3;
+            }
+        }
+    }
+
+    /// Takes bytes of a frame (RFC 37, Framing).
+    fn take_of_frame(&mut self, first: u8, bytes: &[u8]) -> usize {
+        match self.next {
+            Next::Flags => {
+                let command = first & COMMAND != 0;
+                // A message waits for its turn, and all for the `PONG` to be gone.
+                if self.pong > 0 || !command && self.turn != Turn::Receive {
+                    return 0;
+                }
+                let old = matches!(self.phase, Phase::OldIdentity | Phase::OldTraffic);
+                if first & !(COMMAND | LONG | MORE) != 0
+                    || command && (old || first & MORE != 0)
+                    || self.phase == Phase::OldIdentity && first & MORE != 0
+                {
+                    self.fail(Fault::Flags);
+                } else if !command && self.phase == Phase::Handshake {
+                    self.fail(Fault::Unexpected);
+                } else {
+                    self.flags = first;
+                    self.size = 0;
+                    self.next = Next::Size(if first & LONG == 0 { 1 } else { 8 });
+                }
+                1
+            }
+            Next::Size(left) => {
+                // Stays beyond all limits once it is.
+                self.size = match self.size >> 24 {
+                    0 => self.size << 8 | u32::from(first),
+                    _ => u32::MAX,
+                };
+                self.next = Next::Size(left - 1);
+                if left <= 1 {
+                    self.next = Next::Body;
+                    self.on_header();
+                }
+                1
+            }
+            Next::Body => {
+                let count = bytes.len().min(self.size as usize);
+                let piece = bytes.get(..count).unwrap_or_default();
+                if self.keep {
+                    if self.flags & COMMAND == 0 {
+                        // It fits: that was seen when its header came.
+                        self.keep_bytes(piece);
+                    } else {
+                        self.keep_command(piece);
+                    }
+                }
+                self.size -= count as u32;
+                if self.size == 0 {
+                    self.on_frame_end();
+                }
+                count
+            }
+        }
+    }
+
+    /// A frame begins, of which the size is known.
+    fn on_header(&mut self) {
+        if self.size > SKIPPED {
+            return self.fail(Fault::TooLong);
+        }
+        self.keep = true;
+        let mut fits = true;
+        let more = self.flags & MORE != 0;
+        if self.flags & COMMAND != 0 {
+            self.command = 0;
+        } else if self.phase == Phase::OldIdentity {
+            self.keep = false;
+        } else {
+            match self.part {
+                // No delimiter, or nothing behind it: that can be no request (RFC 28).
+                Part::Envelope if !more => self.part = Part::Nothing,
+                Part::Envelope if self.size == 0 => {
+                    self.keep = self.keep_bytes(&DELIMITER);
+                    self.envelope = self.filled;
+                }
+                Part::Envelope => fits = self.keep_header(self.size),
+                Part::Body if more => self.flaw = Flaw::Several,
+                Part::Body if self.size as usize > self.room().saturating_sub(self.filled) => {
+                    self.flaw = Flaw::TooLong;
+                }
+                _ => {}
+            }
+            self.keep &= self.flaw == Flaw::None && self.part != Part::Nothing;
+        }
+        if !fits {
+            self.fail(Fault::TooLong);
+        } else if self.size == 0 {
+            self.on_frame_end();
+        }
+    }
+
+    fn on_frame_end(&mut self) {
+        self.next = Next::Flags;
+        if self.flags & COMMAND != 0 {
+            return self.on_command();
+        }
+        if self.phase == Phase::OldIdentity {
+            return self.on_handshake(Phase::OldTraffic);
+        }
+        let delimiter = self.part == Part::Envelope && self.envelope > 0;
+        match self.part {
+            Part::Envelope if delimiter => self.part = Part::Body,
+            Part::Body => self.part = Part::Rest,
+            _ => {}
+        }
+        if self.flags & MORE == 0 {
+            match self.part {
+                Part::Rest => self.turn = Turn::Received,
+                _ => self.forget(),
+            }
+        }
+    }
+
+    /// Where a command is kept, and where that ends. In the handshake there is no message yet.
+    fn command_place(&self) -> (usize, usize) {
+        match self.phase {
+            Phase::Handshake => (0, self.room()),
+            _ => (self.room(), self.room() + LONGEST_PING),
+        }
+    }
+
+    /// Keeps as much of a command as there is room for: of none is more of interest.
+    fn keep_command(&mut self, piece: &[u8]) {
+        let (begin, end) = self.command_place();
+        let room = self.buffer.as_mut().get_mut(begin + self.command..end);
+        for (to, from) in room.unwrap_or_default().iter_mut().zip(piece) {
+            *to = *from;
+            self.command += 1;
+        }
+    }
+
+    /// A command has come (RFC 37, Commands).
+    fn on_command(&mut self) {
+        let (begin, _) = self.command_place();
+        let buffer = self.buffer.as_mut();
+        let body = buffer.get_mut(begin..begin + self.command);
+        let body = body.unwrap_or_default();
+        if body.starts_with(b"\x05ERROR") {
+            return self.fail(Fault::Refused);
+        }
+        if self.phase != Phase::Handshake {
+            // Unknown ones are ignored.
+            if body.starts_with(PING)
+                && let [four, p, i, n, g, ttl, low, ..] = body
+            {
+                self.ttl = u16::from_be_bytes([*ttl, *low]);
+                // A `PONG` is as long as the `PING` without flags and size; the context stays where it is.
+                (*four, *p) = (COMMAND, self.command as u8 - 2);
+                (*i, *n, *g, *ttl, *low) = (4, b'P', b'O', b'N', b'G');
+                self.pong = self.command as u8;
+            }
+            return;
+        }
+        let Some(metadata) = body.strip_prefix(b"\x05READY") else {
+            return self.fail(Fault::Unexpected);
+        };
+        let name = property(metadata, b"Socket-Type");
+        let known = |name| S::PARTNERS.iter().any(|(partner, _)| *partner == name);
+        if name.is_some_and(known) {
+            return self.on_handshake(Phase::Traffic);
+        }
+        self.end(Fault::SocketType, if S::BINDS { 3 } else { 4 });
+    }
+
+    fn on_handshake(&mut self, phase: Phase) {
+        self.phase = phase;
+        self.deadline = Instant::NEVER;
+        if phase == Phase::Traffic {
+            self.hello_due = 3;
+        }
+    }
+}
+
+/// The value of a property (RFC 37, The NULL Security Mechanism); upper and lower case are the same in
+/// its name.
+fn property<'a>(mut metadata: &'a [u8], wanted: &[u8]) -> Option<&'a [u8]> {
+    loop {
+        let (&length, rest) = metadata.split_first()?;
+        let (name, rest) = rest.split_at_checked(usize::from(length))?;
+        let (size, rest) = rest.split_at_checked(4)?;
+        let append = |size: usize, &byte: &u8| size << 8 | usize::from(byte);
+        let (value, rest) = rest.split_at_checked(size.iter().fold(0, append))?;
+        if name.eq_ignore_ascii_case(wanted) {
+            return Some(value);
+        }
+        metadata = rest;
+    }
+}

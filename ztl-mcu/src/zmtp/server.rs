@@ -1,0 +1,402 @@
+//! A device that is a ZTL server by itself: clients, tasks, components.
+
+use ztl_core::dispatcher::{Action, Body, Config, Dispatcher, TaskEvent};
+use ztl_core::memory::{Fixed, Memory};
+use ztl_core::reply::Reply;
+use ztl_core::sink::Sink;
+use ztl_core::spec::{SpecError, TaskSpec};
+use ztl_core::{Instant, State, TaskId};
+
+use super::connection::{Connection, CutSink, Fault};
+use super::message::Content;
+use super::wire::Rep;
+use crate::component::Components;
+use crate::node::{Identity, LocalTasks};
+
+/// Longest text that is remembered of a task, in bytes.
+const TEXT: usize = crate::node::TEXT;
+
+/// Which of a server's clients, from 0.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Peer(pub u8);
+
+/// Every place for a client is taken, or there is none of this number.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct NotServed;
+
+impl core::fmt::Display for NotServed {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.write_str("no more clients are served at a time")
+    }
+}
+
+impl core::error::Error for NotServed {}
+
+/// A ZTL server over ZMTP, without I/O: up to `PEERS` clients at a time, each with a buffer of `BUFFER`
+/// bytes, give tasks to the components `C`; `TASKS` are remembered.
+///
+/// Its scope is that of [`new`](Self::new), its handler the identity's name: `gripper:finger:80` moves the
+/// component `finger` of the device `gripper`. Tasks go on when their client leaves.
+///
+/// Of our own clients, which never send an INIT twice, the last answer is kept for a minute, of
+/// `CLIENTS` at a time; further ones are refused. Others need no such place.
+///
+/// *Inputs*: [`open`](Self::open) and [`close`](Self::close) as connections come and go,
+/// [`handle_bytes`](Self::handle_bytes), [`handle_timeout`](Self::handle_timeout) in every turn of the main loop.
+/// *Outputs*, after each input and for each client: [`transmit_buf`](Self::transmit_buf) and
+/// [`consume`](Self::consume); [`is_open`](Self::is_open), else its stream is to be closed. *Next wake-up*:
+/// [`poll_timeout`](Self::poll_timeout).
+///
+/// **Work.** `handle_bytes` copies the bytes, and at the end of a request goes through the tasks, and calls
+/// `check` and `start`, or `abort`, once. `handle_timeout` calls `poll` once for each task that moves.
+///
+/// ```
+/// # use ztl_mcu::{Component, Identity, Refused, Report, Run, Instant};
+/// # use ztl_mcu::link::{Busy, GoalShape, Loss, Offer};
+/// # struct Lamp;
+/// # impl Component for Lamp {
+/// #     fn offer(&self) -> Offer<'_> {
+/// #         let goal = GoalShape { range: None, unit: "", words: "on off" };
+/// #         Offer { name: "lamp", goal, busy: Busy::Refuse, loss: Loss::Abort, topics: "" }
+/// #     }
+/// #     fn check(&self, _: &str, _: &mut Report<'_>) -> Result<(), Refused> { Ok(()) }
+/// #     fn start(&mut self, _: Instant, _: &str, _: &mut Report<'_>) -> Result<(), Refused> { Ok(()) }
+/// #     fn poll(&mut self, _: Instant, report: &mut Report<'_>) -> Run { report.text("on"); Run::Completed }
+/// #     fn abort(&mut self, _: Instant) {}
+/// #     fn make_safe(&mut self, _: Instant) {}
+/// # }
+/// use ztl_mcu::zmtp::{Peer, Server};
+///
+/// // Two clients, four tasks, requests and answers of up to some 200 bytes.
+/// let identity = Identity::new("desk", "1.0.0", 4711);
+/// let mut server = Server::<_, 2, 4, 256, 4>::new("/lab", identity, [Lamp]);
+///
+/// // A TCP connection has come: bytes in, time passes, bytes out.
+/// let now = Instant::ZERO;
+/// server.open(now, Peer(0));
+/// let taken = server.handle_bytes(now, Peer(0), b"\xFF\0\0\0\0\0\0\0\x01\x7F\x03");
+/// server.handle_timeout(now);
+/// assert_eq!(taken, 11);
+/// assert_eq!(server.transmit_buf(Peer(0)), b"\xFF\0\0\0\0\0\0\0\x01\x7F\x03");
+/// ```
+#[derive(Debug)]
+#[repr(C)]
+pub struct Server<
+    'a,
+    C,
+    const PEERS: usize,
+    const TASKS: usize,
+    const BUFFER: usize,
+    const CLIENTS: usize,
+> {
+    name: &'a str,
+    dispatcher: Dispatcher<Fixed<Peer, 1, TASKS, TEXT, CLIENTS>>,
+    tasks: LocalTasks<'a, C, TASKS>,
+    peers: [Connection<Rep, [u8; BUFFER]>; PEERS],
+    /// A copy of the request that is dealt with, so that every client can be answered meanwhile.
+    request: [u8; BUFFER],
+}
+
+impl<
+    'a,
+    C: Components,
+    const PEERS: usize,
+    const TASKS: usize,
+    const BUFFER: usize,
+    const CLIENTS: usize,
+> Server<'a, C, PEERS, TASKS, BUFFER, CLIENTS>
+{
+    /// A server after its reset. `components` are at most 255; the link timeout of the identity does
+    /// not matter.
+    pub const fn new(scope: &'static str, identity: Identity<'a>, components: C) -> Self {
+        const { assert!(BUFFER >= 128 && PEERS >= 1 && PEERS <= 255 && CLIENTS >= PEERS) };
+        Self {
+            name: identity.name,
+            dispatcher: Dispatcher::new(
+                Fixed::new([scope]),
+                Config::new(first_id(identity.boot), identity.boot),
+            ),
+            tasks: LocalTasks::new(identity, components),
+            peers: [const { Connection::new([0; BUFFER]) }; PEERS],
+            request: [0; BUFFER],
+        }
+    }
+
+    /// A place for another client, if one is free. Without one its stream is to be closed at once,
+    /// which a ZeroMQ client takes for a passing trouble (RFC 37, Error Handling).
+    pub fn vacant(&self) -> Option<Peer> {
+        let place = self.peers.iter().position(|peer| !peer.is_open())?;
+        u8::try_from(place).ok().map(Peer)
+    }
+
+    /// A client has connected, in this place; whoever was there is forgotten.
+    pub fn open(&mut self, now: Instant, peer: Peer) {
+        self.close(peer);
+        if let Some(connection) = self.peers.get_mut(usize::from(peer.0)) {
+            connection.open(now);
+        }
+    }
+
+    /// A client's stream has ended.
+    pub fn close(&mut self, peer: Peer) {
+        if let Some(connection) = self.peers.get_mut(usize::from(peer.0)) {
+            connection.close();
+        }
+        self.forget_waiting(peer);
+    }
+
+    /// Bytes of a client have arrived, in pieces of any length; says how many were taken. The others
+    /// are to be given again when an answer has been sent.
+    pub fn handle_bytes(&mut self, now: Instant, peer: Peer, bytes: &[u8]) -> usize {
+        let Some(connection) = self.peers.get_mut(usize::from(peer.0)) else {
+            return bytes.len();
+        };
+        let taken = connection.handle_bytes(now, bytes);
+        if !connection.is_open() {
+            self.forget_waiting(peer);
+        } else if connection.message().is_some() {
+            self.on_request(now, peer);
+        }
+        taken
+    }
+
+    /// Time has passed: moves the components on, answers what was held long enough, and closes
+    /// connections that never got beyond their greeting.
+    pub fn handle_timeout(&mut self, now: Instant) {
+        for place in 0..PEERS {
+            if let Some(connection) = self.peers.get_mut(place)
+                && connection.poll_timeout() <= now
+            {
+                connection.handle_timeout(now);
+                self.forget_waiting(Peer(place as u8));
+            }
+        }
+        self.tasks.handle_timeout(now);
+        self.tell_news(now);
+        self.dispatcher
+            .handle_timeout(now, &mut answer(&mut self.peers));
+    }
+
+    /// The next bytes for a client; empty when there are none. To be followed by
+    /// [`consume`](Self::consume).
+    pub fn transmit_buf(&mut self, peer: Peer) -> &[u8] {
+        let connection = self.peers.get_mut(usize::from(peer.0));
+        connection.map_or(&[], |connection| connection.transmit_buf())
+    }
+
+    /// The first `count` bytes of [`transmit_buf`](Self::transmit_buf) are sent.
+    pub fn consume(&mut self, peer: Peer, count: usize) {
+        if let Some(connection) = self.peers.get_mut(usize::from(peer.0)) {
+            connection.consume(count);
+        }
+    }
+
+    /// Whether a client's stream is still needed; else it is to be closed.
+    pub fn is_open(&self, peer: Peer) -> bool {
+        let connection = self.peers.get(usize::from(peer.0));
+        connection.is_some_and(Connection::is_open)
+    }
+
+    /// Why this end has closed a client's connection, if it has.
+    pub fn fault(&self, peer: Peer) -> Option<Fault> {
+        self.peers.get(usize::from(peer.0))?.fault()
+    }
+
+    /// When [`handle_timeout`](Self::handle_timeout) is to be called even if no byte arrives;
+    /// [`Instant::NEVER`] if there is nothing to do.
+    pub fn poll_timeout(&self, now: Instant) -> Instant {
+        let peers = self.peers.iter().map(Connection::poll_timeout);
+        let wake = [self.tasks.next_move(now), self.dispatcher.poll_timeout()];
+        let wake = wake.into_iter().flatten();
+        peers.chain(wake).fold(Instant::NEVER, Ord::min)
+    }
+
+    /// Emergency stop, as [`Node::stop_everything`](crate::Node::stop_everything).
+    pub fn stop_everything(&mut self, now: Instant) {
+        self.tasks.stop_everything(now);
+        self.tell_news(now);
+    }
+
+    /// Ends the emergency stop.
+    pub const fn clear_stop(&mut self) {
+        self.tasks.clear_stop();
+    }
+
+    /// Whether there was an emergency stop that is not cleared.
+    #[must_use]
+    pub const fn is_stopped(&self) -> bool {
+        self.tasks.is_stopped()
+    }
+
+    /// What it moves.
+    #[must_use]
+    pub const fn components(&self) -> &C {
+        self.tasks.components()
+    }
+
+    /// What it moves, for what firmware has to tell a component.
+    pub const fn components_mut(&mut self) -> &mut C {
+        self.tasks.components_mut()
+    }
+
+    /// Nobody is left whom a held answer could reach.
+    fn forget_waiting(&mut self, peer: Peer) {
+        let memory = self.dispatcher.memory_mut();
+        while memory.release(|waiter| waiter.peer == peer).is_some() {}
+    }
+
+    /// Deals with the request of a client that has come whole.
+    fn on_request(&mut self, now: Instant, peer: Peer) {
+        let Some(connection) = self.peers.get_mut(usize::from(peer.0)) else {
+            return;
+        };
+        let Some(message) = connection.message() else {
+            return;
+        };
+        let envelope = message.envelope();
+        let body = match message.content {
+            Content::One(body) => {
+                for (to, from) in self.request.iter_mut().zip(body) {
+                    *to = *from;
+                }
+                Body::One(self.request.get(..body.len()).unwrap_or_default())
+            }
+            Content::Several => Body::Several,
+            Content::TooLong => {
+                return connection
+                    .reply(&mut |sink| sink.put(b";2;-1;the request is too long for this device"));
+            }
+        };
+        connection.hold();
+        {
+            let out = &mut answer(&mut self.peers);
+            let action = self
+                .dispatcher
+                .handle_request(now, peer, envelope, body, out);
+            match action {
+                Some(Action::Start { id, payload, .. }) => {
+                    let mut spec = [0; BUFFER];
+                    let spec = TaskSpec::decode(payload, &mut spec);
+                    // The request is read: its place is free for what is said.
+                    let text = CutSink::new(&mut self.request);
+                    let event = start(now, self.name, &mut self.tasks, id, spec, text);
+                    self.dispatcher.handle_event(now, id, event, out);
+                }
+                Some(Action::Abort { id, .. }) => self.tasks.abort(now, id),
+                None => return,
+            }
+        }
+        self.tell_news(now);
+    }
+
+    /// Tells the dispatcher what has become of tasks.
+    fn tell_news(&mut self, now: Instant) {
+        let out = &mut answer(&mut self.peers);
+        while let Some((id, state, text)) = self.tasks.news() {
+            let event = match state {
+                State::Completed => TaskEvent::Completed { result: text },
+                State::Aborted => TaskEvent::Aborted { result: text },
+                State::Failed | State::Rejected => TaskEvent::Failed { reason: text },
+                State::Initiated | State::Accepted => TaskEvent::Progress { text },
+            };
+            // What is not known yet stays `None`, as the original says.
+            if !text.is_empty() || state.is_final() {
+                self.dispatcher.handle_event(now, id, event, out);
+            }
+            self.tasks.told(id);
+        }
+    }
+}
+
+/// How the dispatcher's answers get to the clients.
+fn answer<const PEERS: usize, const BUFFER: usize>(
+    peers: &mut [Connection<Rep, [u8; BUFFER]>; PEERS],
+) -> impl FnMut(Peer, &Reply<'_>) {
+    |peer, reply| {
+        if let Some(connection) = peers.get_mut(usize::from(peer.0)) {
+            connection.reply(&mut |sink| reply.put(sink));
+        }
+    }
+}
+
+/// Starts a task, or says why not, in `text`.
+fn start<'t, C: Components, const TASKS: usize>(
+    now: Instant,
+    name: &str,
+    tasks: &mut LocalTasks<'_, C, TASKS>,
+    id: TaskId,
+    spec: Result<TaskSpec<'_>, SpecError>,
+    mut text: CutSink<'t>,
+) -> TaskEvent<'t> {
+    let spec = match spec {
+        Ok(spec) => spec,
+        // The original's words where it has some (wire specification 4.6).
+        Err(error) => {
+            let message = match error {
+                SpecError::NoComponent => "'component'",
+                SpecError::NoGoal => "'goal'",
+                SpecError::NotUtf8 { .. } => "the task is not UTF-8",
+                _ => "Incorrect padding",
+            };
+            return TaskEvent::Threw { message };
+        }
+    };
+    if spec.handler != name {
+        put_all(
+            &mut text,
+            &["no device '", spec.handler, "'; this is ", name],
+        );
+        return TaskEvent::Rejected {
+            reason: text.text(),
+        };
+    }
+    let named = |index: &usize| {
+        let component = tasks.components().component(*index);
+        component.is_some_and(|component| component.offer().name == spec.component)
+    };
+    let Some(index) = (0..tasks.components().count()).find(named) else {
+        put_all(
+            &mut text,
+            &["no component '", spec.component, "'; it has: "],
+        );
+        for index in 0..tasks.components().count() {
+            if let Some(component) = tasks.components().component(index) {
+                let comma = if index > 0 { ", " } else { "" };
+                put_all(&mut text, &[comma, component.offer().name]);
+            }
+        }
+        return TaskEvent::Rejected {
+            reason: text.text(),
+        };
+    };
+    match tasks.start(now, id, index as u8, spec.goal) {
+        Ok(()) => {
+            spec.put_initiated(id, &mut text);
+            TaskEvent::Accepted { reply: text.text() }
+        }
+        Err(reason) => {
+            text.put(reason.as_bytes());
+            TaskEvent::Rejected {
+                reason: text.text(),
+            }
+        }
+    }
+}
+
+fn put_all(sink: &mut CutSink<'_>, parts: &[&str]) {
+    for part in parts {
+        sink.put(part.as_bytes());
+    }
+}
+
+/// The first id of a boot: far from those of the boots before, also where those are counted
+/// (Fibonacci hashing).
+const fn first_id(boot: u32) -> TaskId {
+    match TaskId::new(boot.wrapping_mul(0x9E37_79B1) >> 2 | 1) {
+        Some(id) => id,
+        // Never: it is odd.
+        None => TaskId::MAX,
+    }
+}

@@ -1,0 +1,571 @@
+//! One connection, as a peer sees it from outside.
+
+use core::time::Duration;
+use std::vec::Vec;
+
+use super::{BOTH, End, NOW, Pieces, command, frame, greeting, property, ready, request};
+use crate::zmtp::wire::GREETING;
+use crate::zmtp::{Connection, Content, Dealer, Fault, HANDSHAKE, Rep, Req, SKIPPED, Socket};
+
+type Server = Connection<Rep, [u8; 128]>;
+
+fn open() -> Server {
+    let mut server = Server::new([0xA5; 128]);
+    server.open(NOW);
+    server
+}
+
+/// One whose handshake is done.
+fn met(socket: &str) -> Server {
+    let mut server = open();
+    let heard = server.talk(Pieces::Whole, &[greeting(), ready(socket)].concat());
+    assert_eq!(heard, [GREETING, Rep::READY].concat());
+    assert!(server.is_ready());
+    server
+}
+
+/// Answers what has come with this.
+fn answer(server: &mut Server, text: &str) -> Vec<u8> {
+    server.reply(&mut |sink| sink.put(text.as_bytes()));
+    server.drain()
+}
+
+#[track_caller]
+fn assert_body(server: &Server, body: &[u8]) {
+    let message = server.message().expect("a message");
+    assert_eq!(message.content, Content::One(body));
+}
+
+#[test]
+fn a_request_gets_its_answer_however_its_bytes_arrive() {
+    for pieces in BOTH {
+        let mut server = open();
+        let all = [greeting(), ready("REQ"), request(b"what?")].concat();
+        let heard = server.talk(pieces, &all);
+        assert_eq!(heard, [GREETING, Rep::READY].concat());
+        assert_body(&server, b"what?");
+        assert_eq!(answer(&mut server, "that"), b"\x01\0\0\x04that");
+        assert_eq!(server.message(), None);
+    }
+}
+
+#[test]
+fn before_the_peers_version_is_known_only_the_partial_greeting_goes_out() {
+    let mut server = open();
+    assert_eq!(server.drain(), b"\xFF\0\0\0\0\0\0\0\x01\x7F\x03");
+    assert!(server.talk(Pieces::Single, &greeting()[..10]).is_empty());
+    assert_eq!(
+        server.talk(Pieces::Whole, &greeting()[10..11]),
+        &GREETING[11..]
+    );
+}
+
+#[test]
+fn padding_as_server_minor_version_and_filler_of_a_peer_do_not_matter() {
+    for place in (1..9).chain([11]).chain(32..64) {
+        let mut strange = greeting();
+        strange[place] = 0xEE;
+        strange[10] = 9;
+        let mut server = open();
+        server.talk(Pieces::Whole, &[strange, ready("REQ")].concat());
+        assert!(server.is_ready(), "byte {place}");
+    }
+}
+
+#[test]
+fn what_is_no_zmtp_or_version_1_is_given_up() {
+    let mut old = greeting();
+    old[10] = 0;
+    let mut even = greeting();
+    even[9] = 0x7E;
+    for first in [&b"GET / HTTP/1.1\r\n"[..], b"\x01\0", &old, &even] {
+        let mut server = open();
+        server.talk(Pieces::Whole, first);
+        assert!(!server.is_open());
+        assert_eq!(server.fault(), Some(Fault::NotZmtp));
+    }
+}
+
+#[test]
+fn a_peer_that_wants_a_password_gets_the_whole_greeting_and_is_closed() {
+    for pieces in BOTH {
+        let mut plain = greeting();
+        plain[12..17].copy_from_slice(b"PLAIN");
+        let mut server = open();
+        assert_eq!(server.talk(pieces, &plain), GREETING);
+        assert!(!server.is_open());
+        assert_eq!(server.fault(), Some(Fault::Mechanism));
+    }
+}
+
+#[test]
+fn a_longer_mechanism_that_begins_with_null_is_another() {
+    let mut longer = greeting();
+    longer[16] = b'S';
+    let mut server = open();
+    server.talk(Pieces::Whole, &longer);
+    assert_eq!(server.fault(), Some(Fault::Mechanism));
+}
+
+#[test]
+fn properties_come_in_any_order_and_unknown_ones_are_ignored() {
+    let metadata = [
+        property("Identity", b"me"),
+        property("X-Purpose", &[0xFF; 30]),
+        property("Resource", b""),
+        property("sOCKET-tYPE", b"DEALER"),
+    ];
+    for pieces in BOTH {
+        let mut server = open();
+        let all = [greeting(), command("READY", &metadata.concat())].concat();
+        server.talk(pieces, &all);
+        assert!(server.is_ready());
+    }
+}
+
+#[test]
+fn a_long_ready_is_read_as_far_as_it_fits() {
+    let metadata = [
+        property("Socket-Type", b"REQ"),
+        property("X-Long", &[7; 600]),
+    ]
+    .concat();
+    for pieces in BOTH {
+        let mut server = open();
+        server.talk(pieces, &[greeting(), command("READY", &metadata)].concat());
+        assert!(server.is_ready());
+        server.talk(pieces, &request(b"hello"));
+        assert_body(&server, b"hello");
+    }
+}
+
+#[test]
+fn another_kind_of_socket_is_told_so_and_closed() {
+    let cut = &property("Socket-Type", b"REQ")[..14];
+    for metadata in [&property("Socket-Type", b"PUB")[..], b"", b"\xFF", cut] {
+        let mut server = open();
+        let all = [greeting(), command("READY", metadata)].concat();
+        let heard = server.talk(Pieces::Whole, &all);
+        assert_eq!(heard, [GREETING, Rep::ERROR].concat());
+        assert!(!server.is_open());
+        assert_eq!(server.fault(), Some(Fault::SocketType));
+    }
+}
+
+#[test]
+fn the_fixed_commands_are_what_the_grammar_says() {
+    fn check<S: Socket>() {
+        let name = std::str::from_utf8(S::NAME).unwrap();
+        assert_eq!(S::READY, ready(name));
+        let partners: Vec<&str> = S::PARTNERS
+            .iter()
+            .map(|(name, _)| std::str::from_utf8(name).unwrap())
+            .collect();
+        let reason = std::format!("{name} takes {}", partners.join(", "));
+        let data = [&[reason.len() as u8], reason.as_bytes()].concat();
+        assert_eq!(S::ERROR, command("ERROR", &data));
+    }
+    check::<Rep>();
+    check::<Req>();
+    check::<Dealer>();
+}
+
+#[test]
+fn an_error_of_the_peer_ends_it_at_any_time() {
+    let error = command("ERROR", b"\x02no");
+    let mut server = open();
+    server.talk(Pieces::Whole, &[greeting(), error.clone()].concat());
+    assert_eq!(server.fault(), Some(Fault::Refused));
+    let mut server = met("REQ");
+    server.talk(Pieces::Whole, &error);
+    assert_eq!(server.fault(), Some(Fault::Refused));
+}
+
+#[test]
+fn nothing_but_ready_belongs_into_the_handshake() {
+    for first in [
+        request(b"early"),
+        command("PING", b"\0\0"),
+        command("HELLO", b""),
+    ] {
+        let mut server = open();
+        server.talk(Pieces::Whole, &[greeting(), first].concat());
+        assert_eq!(server.fault(), Some(Fault::Unexpected));
+    }
+}
+
+#[test]
+fn who_never_finishes_the_handshake_is_given_up() {
+    for first in [0, 5, 30, 64, 70] {
+        let mut server = open();
+        let all = [greeting(), ready("REQ")].concat();
+        server.talk(Pieces::Whole, &all[..first]);
+        assert_eq!(server.poll_timeout(), NOW + HANDSHAKE);
+        server.handle_timeout(NOW + (HANDSHAKE - Duration::from_micros(1)));
+        assert!(server.is_open());
+        server.handle_timeout(NOW + HANDSHAKE);
+        assert!(!server.is_open());
+        assert_eq!(server.fault(), Some(Fault::Silent));
+    }
+    let server = met("REQ");
+    assert_eq!(server.poll_timeout(), crate::Instant::NEVER);
+}
+
+#[test]
+fn a_ping_is_answered_with_its_context() {
+    for pieces in BOTH {
+        let mut server = met("DEALER");
+        for context in [&b""[..], b"x", b"sixteen bytes ..", b"\0\xFF"] {
+            let ping = command("PING", &[b"\0\0", context].concat());
+            let pong = command("PONG", context);
+            assert_eq!(server.talk(pieces, &ping), pong);
+        }
+        // Each is answered before the next is taken.
+        let pings = [command("PING", b"\0\0one"), command("PING", b"\0\0two")].concat();
+        let pongs = [command("PONG", b"one"), command("PONG", b"two")].concat();
+        assert_eq!(server.talk(pieces, &pings), pongs);
+    }
+}
+
+#[test]
+fn a_ping_comes_through_between_frames_and_while_an_answer_is_held() {
+    let ping = command("PING", b"\0\0hi");
+    let pong = command("PONG", b"hi");
+    for pieces in BOTH {
+        let mut server = met("DEALER");
+        assert!(server.talk(pieces, &frame(1, b"me")).is_empty());
+        assert_eq!(server.talk(pieces, &ping), pong);
+        server.talk(pieces, &request(&[b'x'; 60]));
+        server.hold();
+        assert_eq!(server.talk(pieces, &ping), pong);
+        assert_eq!(
+            answer(&mut server, "yes"),
+            [&frame(1, b"me")[..], b"\x01\0\0\x03yes"].concat()
+        );
+        assert_eq!(server.talk(pieces, &ping), pong);
+    }
+}
+
+#[test]
+fn after_the_time_to_live_that_a_peer_asked_for_it_is_given_up() {
+    let mut server = met("REQ");
+    server.talk(Pieces::Whole, &command("PING", b"\0\x05"));
+    let later = NOW + Duration::from_millis(500);
+    assert_eq!(server.poll_timeout(), later);
+    server.handle_bytes(
+        NOW + Duration::from_millis(400),
+        &request(b"still here")[..4],
+    );
+    server.handle_timeout(later);
+    assert!(server.is_open());
+    server.handle_timeout(NOW + Duration::from_millis(900));
+    assert_eq!(server.fault(), Some(Fault::Silent));
+    // It may take that back.
+    let mut server = met("REQ");
+    server.talk(Pieces::Whole, &command("PING", b"\0\x05"));
+    server.talk(Pieces::Whole, &command("PING", b"\0\0"));
+    assert_eq!(server.poll_timeout(), crate::Instant::NEVER);
+}
+
+#[test]
+fn unknown_commands_are_ignored_and_so_is_a_ping_without_a_time() {
+    for pieces in BOTH {
+        let mut server = met("REQ");
+        for strange in [
+            command("SUBSCRIBE", b"all"),
+            command("X", &[0xEE; 300]),
+            command("READY", b""),
+            command("PING", b"\0"),
+            frame(4, b""),
+            frame(4, b"\xFF"),
+            frame(6, b"\x04PANG"),
+        ] {
+            assert!(server.talk(pieces, &strange).is_empty());
+        }
+        server.talk(pieces, &request(b"well?"));
+        assert_body(&server, b"well?");
+    }
+}
+
+#[test]
+fn an_envelope_comes_back_as_it_was() {
+    for pieces in BOTH {
+        let mut server = met("DEALER");
+        let envelope = [frame(1, b"c"), frame(1, b"\0u\xFF"), frame(1, b"")].concat();
+        server.talk(pieces, &[envelope.clone(), frame(0, b"body")].concat());
+        let message = server.message().unwrap();
+        let frames: Vec<&[u8]> = message.envelope.collect();
+        assert_eq!(frames, [&b"c"[..], b"\0u\xFF"]);
+        assert_eq!(message.content, Content::One(b"body"));
+        assert_eq!(
+            answer(&mut server, "reply"),
+            [envelope, frame(0, b"reply")].concat()
+        );
+    }
+}
+
+#[test]
+fn long_frames_are_taken_and_written_where_they_have_to_be() {
+    for pieces in BOTH {
+        let mut server = Connection::<Rep, _>::new(std::vec![0xA5; 1000]);
+        server.open(NOW);
+        server.talk(pieces, &[greeting(), ready("DEALER")].concat());
+        let (address, body) = ([b'a'; 300], [b'b'; 400]);
+        // A size of 8 bytes where one would do is read too, and answered with one.
+        let wordy = [
+            frame(3, b"id"),
+            frame(1, &address),
+            frame(3, b""),
+            frame(0, &body),
+        ];
+        server.talk(pieces, &wordy.concat());
+        assert_eq!(server.message().unwrap().content, Content::One(&body));
+        server.reply(&mut |sink| sink.put(&[b'r'; 256]));
+        let plain = [
+            frame(1, b"id"),
+            frame(1, &address),
+            frame(1, b""),
+            frame(0, &[b'r'; 256]),
+        ];
+        assert_eq!(server.drain(), plain.concat());
+    }
+}
+
+#[test]
+fn a_body_of_several_frames_is_one_message_to_be_answered_once() {
+    for pieces in BOTH {
+        let mut server = met("REQ");
+        let frames = [
+            frame(1, b""),
+            frame(1, b"one"),
+            frame(1, b""),
+            frame(0, &[0; 300]),
+        ];
+        server.talk(pieces, &frames.concat());
+        assert_eq!(server.message().unwrap().content, Content::Several);
+        assert_eq!(answer(&mut server, "no"), b"\x01\0\0\x02no");
+        server.talk(pieces, &request(b"one"));
+        assert_body(&server, b"one");
+    }
+}
+
+#[test]
+fn what_is_too_long_for_the_buffer_is_skipped_and_can_be_answered() {
+    for pieces in BOTH {
+        let mut server = met("REQ");
+        for size in [104, 300, SKIPPED as usize] {
+            server.talk(pieces, &request(&std::vec![b'x'; size]));
+            assert_eq!(
+                server.message().unwrap().content,
+                Content::TooLong,
+                "{size}"
+            );
+            assert_eq!(answer(&mut server, "no"), b"\x01\0\0\x02no");
+        }
+        server.talk(pieces, &request(&[b'x'; 103]));
+        assert_body(&server, &[b'x'; 103]);
+    }
+}
+
+#[test]
+fn a_frame_beyond_all_measure_ends_the_connection_whatever_it_announces() {
+    for size in [
+        u64::from(SKIPPED) + 1,
+        1 << 32,
+        1 << 40,
+        1 << 56,
+        1 << 63,
+        u64::MAX,
+    ] {
+        for flags in [2, 3, 6] {
+            let mut server = met("REQ");
+            let header = [&[1, 0, flags][..], &size.to_be_bytes()].concat();
+            server.talk(Pieces::Single, &header);
+            assert_eq!(server.fault(), Some(Fault::TooLong), "{size} {flags}");
+        }
+    }
+}
+
+#[test]
+fn an_envelope_that_cannot_be_kept_ends_the_connection() {
+    let mut server = met("DEALER");
+    server.talk(Pieces::Whole, &frame(1, &[1; 100]));
+    assert_eq!(server.fault(), Some(Fault::TooLong));
+    let mut server = met("DEALER");
+    server.talk(Pieces::Whole, &frame(1, b"x").repeat(40));
+    assert_eq!(server.fault(), Some(Fault::TooLong));
+}
+
+#[test]
+fn a_message_without_a_delimiter_or_a_body_is_dropped_and_the_next_is_served() {
+    for pieces in BOTH {
+        let mut server = met("DEALER");
+        for strange in [
+            frame(0, b"body"),
+            frame(0, b""),
+            frame(2, &[0; 300]),
+            [frame(1, b"c"), frame(0, b"body")].concat(),
+            [frame(1, b"c"), frame(0, b"")].concat(),
+        ] {
+            assert!(server.talk(pieces, &strange).is_empty());
+            assert_eq!(server.message(), None);
+        }
+        server.talk(pieces, &request(b"good"));
+        assert_body(&server, b"good");
+    }
+}
+
+#[test]
+fn flags_that_do_not_exist_end_the_connection() {
+    for flags in (8..=255).chain([5, 7]) {
+        let mut server = met("REQ");
+        server.talk(Pieces::Whole, &[flags]);
+        assert_eq!(server.fault(), Some(Fault::Flags), "{flags}");
+    }
+}
+
+#[test]
+fn pipelined_requests_wait_in_the_stream() {
+    for pieces in BOTH {
+        let mut server = met("DEALER");
+        let two = [request(b"one"), request(b"two")].concat();
+        let taken = match pieces {
+            Pieces::Whole => server.handle_bytes(NOW, &two),
+            Pieces::Single => {
+                let one = |byte: &&u8| server.handle_bytes(NOW, &[**byte]) == 1;
+                two.iter().take_while(one).count()
+            }
+        };
+        assert_eq!(taken, 7);
+        assert_body(&server, b"one");
+        server.hold();
+        assert_eq!(server.message(), None);
+        assert_eq!(server.handle_bytes(NOW, &two[taken..]), 0);
+        server.reply(&mut |sink| sink.put(b"1"));
+        assert_eq!(server.handle_bytes(NOW, &two[taken..]), 0);
+        assert_eq!(server.drain(), b"\x01\0\0\x011");
+        assert_eq!(server.handle_bytes(NOW, &two[taken..]), 7);
+        assert_body(&server, b"two");
+    }
+}
+
+#[test]
+fn an_answer_that_does_not_fit_is_cut_at_a_character_and_marked() {
+    let mut server = met("REQ");
+    for (unit, kept) in [
+        ("x", "x".repeat(91)),
+        ("ä", "ä".repeat(45)),
+        ("€", "€".repeat(30)),
+    ] {
+        server.talk(Pieces::Whole, &request(b"?"));
+        let heard = answer(&mut server, &unit.repeat(100));
+        let body = std::string::String::from_utf8(heard[4..].to_vec()).unwrap();
+        assert_eq!(body, std::format!("{kept}…"));
+    }
+}
+
+#[test]
+fn a_peer_of_zmtp_2_gets_its_answer() {
+    let begin = b"\xFF\0\0\0\0\0\0\0\x01\x7F\x01";
+    for identity in [&b"\0\0"[..], b"\0\x02me", b"\x02\0\0\0\0\0\0\0\x03abc"] {
+        for pieces in BOTH {
+            for socket in [3, 5] {
+                let mut server = open();
+                let all = [&begin[..], &[socket], identity, &request(b"what?")].concat();
+                let heard = server.talk(pieces, &all);
+                assert_eq!(heard, [&GREETING[..11], b"\x04\0\0"].concat());
+                assert_body(&server, b"what?");
+                assert_eq!(answer(&mut server, "that"), b"\x01\0\0\x04that");
+            }
+        }
+    }
+    for (rest, fault) in [
+        (&b"\x01"[..], Fault::SocketType),
+        (b"\x03\x01", Fault::Flags),
+        (b"\x03\0\0\x04", Fault::Flags),
+    ] {
+        let mut server = open();
+        server.talk(Pieces::Whole, &[&begin[..], rest].concat());
+        assert_eq!(server.fault(), Some(fault));
+    }
+}
+
+#[test]
+fn after_it_was_opened_again_nothing_is_left_of_the_one_before() {
+    let whole = [
+        greeting(),
+        ready("DEALER"),
+        frame(1, b"me"),
+        request(b"what?"),
+    ]
+    .concat();
+    for cut in 0..=whole.len() {
+        let mut server = open();
+        server.handle_bytes(NOW, &whole[..cut]);
+        server.handle_bytes(NOW, &whole[cut..]);
+        server.reply(&mut |sink| sink.put(b"never read"));
+        server.transmit_buf();
+        server.consume(1);
+        server.open(NOW);
+        let heard = server.talk(
+            Pieces::Whole,
+            &[greeting(), ready("REQ"), request(b"new")].concat(),
+        );
+        assert_eq!(heard, [GREETING, Rep::READY].concat(), "cut at {cut}");
+        assert_body(&server, b"new");
+    }
+}
+
+#[test]
+fn both_sides_meet_as_every_pair_of_sockets_that_may() {
+    fn meet<S: Socket, T: Socket>() -> bool {
+        let mut one = Connection::<S, _>::new([0xA5; 128]);
+        let mut two = Connection::<T, _>::new([0xA5; 128]);
+        one.open(NOW);
+        two.open(NOW);
+        for _ in 0..8 {
+            let said = one.drain();
+            two.handle_bytes(NOW, &said);
+            let said = two.drain();
+            one.handle_bytes(NOW, &said);
+        }
+        assert_eq!(one.is_ready(), two.is_ready());
+        assert_eq!(one.is_open(), one.is_ready());
+        one.is_ready()
+    }
+    assert!(meet::<Req, Rep>());
+    assert!(meet::<Dealer, Rep>());
+    assert!(meet::<Dealer, Dealer>());
+    assert!(!meet::<Req, Dealer>());
+    assert!(!meet::<Req, Req>());
+}
+
+#[test]
+fn a_dealer_sends_an_envelope_of_its_own_and_knows_its_answer() {
+    let mut server = open();
+    let mut client = Connection::<Dealer, _>::new([0xA5; 128]);
+    client.open(NOW);
+    assert!(
+        !client.request(&[], &mut |_| {}),
+        "not before the handshake"
+    );
+    for _ in 0..4 {
+        let said = client.drain();
+        server.handle_bytes(NOW, &said);
+        let said = server.drain();
+        client.handle_bytes(NOW, &said);
+    }
+    assert!(!client.request(&[&[0; 99]], &mut |_| {}), "does not fit");
+    assert!(client.request(&[b"me", b"7"], &mut |sink| sink.put(b"what?")));
+    assert!(!client.request(&[], &mut |_| {}), "one at a time");
+    let said = client.drain();
+    assert_eq!(said, b"\x01\x02me\x01\x017\x01\0\0\x05what?");
+    server.handle_bytes(NOW, &said);
+    let said = answer(&mut server, "that");
+    client.handle_bytes(NOW, &said);
+    let message = client.message().unwrap();
+    assert!(message.envelope.eq([&b"me"[..], b"7"]));
+    assert_eq!(message.content, Content::One(b"that"));
+    client.discard();
+    assert!(client.request(&[], &mut |sink| sink.put(b"next")));
+}

@@ -1,0 +1,131 @@
+//! A serial port, on which clients come and go without a sign.
+
+use std::collections::VecDeque;
+use std::string::String;
+use std::vec::Vec;
+
+use embedded_io::{ErrorType, Read, ReadReady, Write};
+
+use super::{Desk, NOW, desk, frame, greeting, init, ready, request, text};
+use crate::zmtp::{
+    Line,
+    wire::{GREETING, Socket},
+};
+
+/// Both directions of a port.
+#[derive(Default)]
+struct Port {
+    received: VecDeque<u8>,
+    sent: Vec<u8>,
+}
+
+impl ErrorType for Port {
+    type Error = core::convert::Infallible;
+}
+
+impl Read for Port {
+    fn read(&mut self, buffer: &mut [u8]) -> Result<usize, Self::Error> {
+        let count = buffer.len().min(self.received.len());
+        for (to, from) in buffer.iter_mut().zip(self.received.drain(..count)) {
+            *to = from;
+        }
+        Ok(count)
+    }
+}
+
+impl ReadReady for Port {
+    fn read_ready(&mut self) -> Result<bool, Self::Error> {
+        Ok(!self.received.is_empty())
+    }
+}
+
+impl Write for Port {
+    fn write(&mut self, bytes: &[u8]) -> Result<usize, Self::Error> {
+        self.sent.extend(bytes);
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> Result<(), Self::Error> {
+        Ok(())
+    }
+}
+
+struct Rig {
+    line: Line,
+    desk: Desk,
+    port: Port,
+}
+
+impl Rig {
+    fn new() -> Self {
+        Self {
+            line: Line::new(),
+            desk: desk(),
+            port: Port::default(),
+        }
+    }
+
+    /// Sends the bytes; what comes back within some turns of the main loop.
+    fn send(&mut self, bytes: &[u8]) -> Vec<u8> {
+        self.port.received.extend(bytes);
+        for _ in 0..40 {
+            let mut rx = Port::default();
+            core::mem::swap(&mut rx.received, &mut self.port.received);
+            self.line
+                .turn(&mut self.desk, &mut rx, &mut self.port, NOW)
+                .expect("the port never fails");
+            core::mem::swap(&mut rx.received, &mut self.port.received);
+        }
+        core::mem::take(&mut self.port.sent)
+    }
+
+    fn ask(&mut self, body: &str) -> String {
+        text(&self.send(&request(body.as_bytes())))
+    }
+}
+
+#[test]
+fn nothing_is_said_before_a_client_has_begun() {
+    let mut rig = Rig::new();
+    assert!(rig.send(b"").is_empty());
+    assert!(rig.send(b"noise \xFF\0\0\xFF").is_empty());
+    let heard = rig.send(&[greeting(), ready("REQ")].concat());
+    assert_eq!(heard, [GREETING, crate::zmtp::Rep::READY].concat());
+    assert_eq!(rig.ask("/lab;2;1;"), "/lab;2;1;Invalid ID '1'");
+}
+
+#[test]
+fn the_next_client_is_served_wherever_the_one_before_broke_off() {
+    let all = [
+        greeting(),
+        ready("DEALER"),
+        frame(1, b"me"),
+        request(init("desk:motor:up").as_bytes()),
+        // It waits for its answer.
+        request(b"/lab;3;1;"),
+        frame(1, b"")[..1].to_vec(),
+    ]
+    .concat();
+    for cut in 0..=all.len() {
+        let mut rig = Rig::new();
+        rig.port.received.extend(&all[..cut]);
+        rig.send(b"");
+        let begin = [greeting(), ready("REQ")].concat();
+        let heard = rig.send(&begin);
+        assert!(heard.ends_with(crate::zmtp::Rep::READY), "cut at {cut}");
+        assert_eq!(
+            rig.ask("/lab;2;77;"),
+            "/lab;2;77;Invalid ID '77'",
+            "cut at {cut}"
+        );
+    }
+}
+
+#[test]
+fn a_signature_with_an_identity_counts_too_and_a_doubled_first_byte() {
+    let mut rig = Rig::new();
+    let mut begin = [&b"\xFF"[..], &greeting(), &ready("REQ")].concat();
+    begin[9] = 0x21;
+    let heard = rig.send(&begin);
+    assert!(heard.ends_with(crate::zmtp::Rep::READY));
+}

@@ -1,0 +1,314 @@
+//! The whole device: clients, tasks, components.
+
+use core::time::Duration;
+
+use ztl_core::envelope::{ClientId, Envelope};
+
+use super::{
+    BOTH, Client, Desk, End, NOW, Pieces, connect, desk, frame, greeting, init, ready, request,
+    text,
+};
+use crate::Instant;
+use crate::zmtp::{Fault, HANDSHAKE, Peer};
+
+const STARTED: &str = "/lab;1;1;Initiated task '1' with request: {'handler': 'desk', 'component': 'motor', 'goal': 'up'}";
+
+fn later(millis: u64) -> Instant {
+    NOW + Duration::from_millis(millis)
+}
+
+/// Lets the motor make so many steps.
+fn steps(desk: &mut Desk, count: usize) {
+    for _ in 0..count {
+        desk.handle_timeout(NOW);
+    }
+}
+
+#[test]
+fn a_task_completes() {
+    let mut desk = desk();
+    let mut client = connect(&mut desk, 0);
+    assert_eq!(client.ask(&init("desk:motor:up")), STARTED);
+    assert_eq!(client.ask("/lab;2;1;"), "/lab;1;1;None");
+    steps(client.desk, 1);
+    assert_eq!(client.ask("/lab;2;1;"), "/lab;1;1;1 of 3");
+    steps(client.desk, 2);
+    assert_eq!(client.ask("/lab;2;1;"), "/lab;5;1;3 of 3");
+    assert_eq!(
+        client.ask("/lab;3;1;"),
+        "/lab;5;1;False",
+        "an end is an end"
+    );
+}
+
+#[test]
+fn a_task_is_aborted_and_the_answer_comes_when_it_has_stopped() {
+    let mut desk = desk();
+    let mut client = connect(&mut desk, 0);
+    client.ask(&init("desk:motor:up"));
+    assert_eq!(client.ask("/lab;3;1;"), "", "held");
+    steps(client.desk, 1);
+    assert_eq!(text(&client.drain()), "/lab;4;1;True");
+    assert_eq!(client.ask("/lab;2;1;"), "/lab;4;1;stopped half way");
+}
+
+#[test]
+fn an_abort_is_answered_in_time_by_a_motor_that_does_not_stop() {
+    let mut desk = desk();
+    let mut client = connect(&mut desk, 0);
+    client.desk.components_mut()[0].stubborn = true;
+    client.ask(&init("desk:motor:up"));
+    assert_eq!(client.ask("/lab;3;1;"), "");
+    let due = later(1500);
+    assert!(client.desk.poll_timeout(NOW) <= due);
+    client.desk.handle_timeout(due);
+    assert_eq!(text(&client.drain()), "/lab;1;1;aborting");
+}
+
+#[test]
+fn what_cannot_be_done_is_refused_with_the_reason() {
+    let mut desk = desk();
+    let mut client = connect(&mut desk, 0);
+    for (task, answer) in [
+        ("desk:motor:sideways", "/lab;2;-1;motor takes up or down"),
+        ("desk:arm:up", "/lab;2;-1;no component 'arm'; it has: motor"),
+        (
+            "table:motor:up",
+            "/lab;2;-1;no device 'table'; this is desk",
+        ),
+    ] {
+        assert_eq!(client.ask(&init(task)), answer);
+    }
+    client.ask(&init("desk:motor:up"));
+    assert_eq!(
+        client.ask(&init("desk:motor:down")),
+        "/lab;2;-1;busy with another task"
+    );
+}
+
+/// Wire specification 4.3, 4.4 and 11.
+#[test]
+fn each_kind_of_request_is_answered_as_the_original_does_or_should() {
+    let mut desk = desk();
+    let mut client = connect(&mut desk, 0);
+    for (body, answer) in [
+        ("/nope;1;-1;x", "/nope;2;-1;No controller for scope: /nope"),
+        ("/lab;9;1;x", "/lab;2;1;Invalid request"),
+        ("/lab;2;99;x", "/lab;2;99;Invalid ID '99'"),
+        ("/lab;2; 1_0 ;x", "/lab;2;10;Invalid ID '10'"),
+        ("/lab;x;1;p", "/lab;2;-1;Invalid request"),
+        ("/lab;2;;p", "/lab;2;-1;Invalid request"),
+        ("/lab;1", "/lab;2;-1;Unknown protocol"),
+        ("", ";2;-1;Unknown protocol"),
+        (
+            "/lab;1;-1;abc",
+            "/lab;3;-1;Controller threw exception: Incorrect padding",
+        ),
+        (
+            "/lab;1;-1;/w==",
+            "/lab;3;-1;Controller threw exception: the task is not UTF-8",
+        ),
+        (
+            "/lab;1;-1;YTpi",
+            "/lab;3;-1;Controller threw exception: 'goal'",
+        ),
+        (
+            "/lab;1;-1;YQ==",
+            "/lab;3;-1;Controller threw exception: 'component'",
+        ),
+    ] {
+        assert_eq!(client.ask(body), answer, "{body}");
+    }
+    let heard = client.talk(Pieces::Whole, &request(b"/lab;\xFF;1;x"));
+    assert_eq!(text(&heard), "/lab;2;-1;Unknown protocol");
+    let several = [frame(1, b""), frame(1, b"/lab;2;1;"), frame(0, b"x")].concat();
+    let heard = client.talk(Pieces::Whole, &several);
+    assert_eq!(text(&heard), ";2;-1;Unknown protocol");
+    let heard = client.talk(Pieces::Whole, &request(&[b'x'; 300]));
+    assert_eq!(
+        text(&heard),
+        ";2;-1;the request is too long for this device"
+    );
+}
+
+#[test]
+fn the_reply_to_a_long_goal_is_cut_and_still_tells_the_id() {
+    let mut desk = desk();
+    let mut client = connect(&mut desk, 0);
+    let goal = "u".repeat(140);
+    let answer = client.ask(&init(&std::format!("desk:motor:{goal}")));
+    assert!(
+        answer.starts_with("/lab;1;1;Initiated task '1' with"),
+        "{answer}"
+    );
+    assert!(answer.ends_with("u…"), "{answer}");
+}
+
+#[test]
+fn clients_are_served_side_by_side_and_a_further_one_finds_no_place() {
+    for pieces in BOTH {
+        let mut desk = desk();
+        assert_eq!(desk.vacant(), Some(Peer(0)));
+        connect(&mut desk, 0).ask(&init("desk:motor:up"));
+        assert_eq!(desk.vacant(), Some(Peer(1)));
+        let mut second = connect(&mut desk, 1);
+        let heard = second.talk(pieces, &request(b"/lab;2;1;"));
+        assert_eq!(text(&heard), "/lab;1;1;None");
+        assert_eq!(desk.vacant(), None);
+        // No place: nothing happens to the others.
+        desk.open(NOW, Peer(2));
+        assert_eq!(desk.handle_bytes(NOW, Peer(2), b"abc"), 3);
+        assert!(desk.transmit_buf(Peer(2)).is_empty());
+        assert!(!desk.is_open(Peer(2)));
+        desk.close(Peer(0));
+        assert_eq!(desk.vacant(), Some(Peer(0)));
+    }
+}
+
+#[test]
+fn the_held_answer_of_one_who_left_does_not_reach_who_comes_after() {
+    let mut desk = desk();
+    let mut client = connect(&mut desk, 0);
+    client.ask(&init("desk:motor:up"));
+    assert_eq!(client.ask("/lab;3;1;"), "");
+    desk.close(Peer(0));
+    let mut next = connect(&mut desk, 0);
+    next.talk(Pieces::Whole, &request(b"/lab;2;1;wait 1000")[..6]);
+    steps(next.desk, 1);
+    assert!(next.drain().is_empty());
+}
+
+#[test]
+fn a_request_that_breaks_off_anywhere_harms_nobody() {
+    let whole = [
+        greeting(),
+        ready("REQ"),
+        request(init("desk:motor:up").as_bytes()),
+    ]
+    .concat();
+    for cut in 0..whole.len() {
+        let mut desk = desk();
+        desk.open(NOW, Peer(0));
+        desk.handle_bytes(NOW, Peer(0), &whole[..cut]);
+        desk.close(Peer(0));
+        assert_eq!(
+            connect(&mut desk, 0).ask("/lab;2;1;"),
+            "/lab;2;1;Invalid ID '1'"
+        );
+    }
+}
+
+#[test]
+fn a_thousand_clients_come_and_go() {
+    let mut desk = desk();
+    for round in 0..1000 {
+        let peer = desk.vacant().expect("a place");
+        let mut client = connect(&mut desk, peer.0);
+        assert_eq!(
+            client.ask("/lab;2;1;"),
+            "/lab;2;1;Invalid ID '1'",
+            "{round}"
+        );
+        desk.close(peer);
+    }
+}
+
+#[test]
+fn one_who_never_finishes_the_greeting_gives_its_place_up() {
+    let mut desk = desk();
+    desk.open(NOW, Peer(0));
+    desk.handle_bytes(NOW, Peer(0), &greeting()[..20]);
+    assert_eq!(desk.poll_timeout(NOW), NOW + HANDSHAKE);
+    desk.handle_timeout(NOW + HANDSHAKE);
+    assert!(!desk.is_open(Peer(0)));
+    assert_eq!(desk.fault(Peer(0)), Some(Fault::Silent));
+    assert_eq!(desk.vacant(), Some(Peer(0)));
+}
+
+/// A request of our own client.
+fn enveloped(client: u8, number: u64, body: &str) -> std::vec::Vec<u8> {
+    let envelope = Envelope {
+        client: ClientId([client; 16]),
+        number,
+        early_end: false,
+    };
+    let (first, second) = envelope.frames();
+    [
+        frame(1, &first),
+        frame(1, &second),
+        request(body.as_bytes()),
+    ]
+    .concat()
+}
+
+#[test]
+fn an_init_of_our_client_that_comes_twice_acts_once() {
+    for pieces in BOTH {
+        let mut desk = desk();
+        let mut client = connect(&mut desk, 0);
+        let ask = enveloped(7, 1, &init("desk:motor:up"));
+        let first = client.talk(pieces, &ask);
+        let envelope = &ask[..32];
+        assert_eq!(&first[..32], envelope);
+        assert_eq!(text(&first[32..]), STARTED);
+        let again = client.talk(pieces, &ask);
+        let again = text(&again[32..]);
+        // What is kept of the text is shorter.
+        assert!(again.starts_with("/lab;1;1;Initiated task '1'"), "{again}");
+        steps(client.desk, 3);
+        assert_eq!(client.ask("/lab;2;1;"), "/lab;5;1;3 of 3");
+        assert_eq!(client.ask("/lab;2;2;"), "/lab;2;2;Invalid ID '2'");
+    }
+}
+
+#[test]
+fn a_status_of_our_client_waits_for_the_end() {
+    let mut desk = desk();
+    let mut client = connect(&mut desk, 0);
+    client.ask(&init("desk:motor:up"));
+    let ask = enveloped(7, 1, "/lab;2;1;wait 1000");
+    assert!(client.talk(Pieces::Whole, &ask).is_empty());
+    steps(client.desk, 3);
+    assert_eq!(text(&client.drain()[32..]), "/lab;5;1;3 of 3");
+    // Whoever else has a place is answered meanwhile.
+    client.ask(&init("desk:motor:up"));
+    assert!(
+        client
+            .talk(Pieces::Whole, &enveloped(7, 2, "/lab;2;2;wait 1000"))
+            .is_empty()
+    );
+    assert_eq!(connect(&mut desk, 1).ask("/lab;2;2;"), "/lab;1;2;None");
+    desk.handle_timeout(later(1000));
+    let mut client = Client {
+        desk: &mut desk,
+        peer: Peer(0),
+    };
+    assert_eq!(text(&client.drain()[32..]), "/lab;1;2;1 of 3");
+}
+
+#[test]
+fn an_emergency_stop_is_latched() {
+    let mut desk = desk();
+    let mut client = connect(&mut desk, 0);
+    client.ask(&init("desk:motor:up"));
+    client.desk.stop_everything(NOW);
+    assert!(client.desk.is_stopped());
+    assert_eq!(client.ask("/lab;2;1;"), "/lab;4;1;emergency stop");
+    assert_eq!(
+        client.ask(&init("desk:motor:up")),
+        "/lab;2;-1;emergency stop"
+    );
+    client.desk.clear_stop();
+    assert!(client.ask(&init("desk:motor:up")).starts_with("/lab;1;3;"));
+}
+
+#[test]
+fn the_probe_tells_what_it_is() {
+    let mut desk = desk();
+    let mut client = connect(&mut desk, 0);
+    let answer = client.ask("$ztl;2;-1;probe");
+    assert!(
+        answer.contains("boot: 976010564, scopes: {\"/lab\": {}}"),
+        "{answer}"
+    );
+}
