@@ -7,6 +7,7 @@ mod params;
 pub mod player;
 mod read;
 pub mod record;
+pub mod report;
 mod scalar;
 mod value;
 

@@ -16,6 +16,7 @@ mod log;
 mod ps;
 mod reach;
 mod remote_task;
+mod report;
 mod scene;
 #[cfg(unix)]
 mod serve;
@@ -67,6 +68,8 @@ enum Command {
     Abort(abort::Abort),
     /// Make a pair of keys for encrypted connections
     Keys(keys::Keys),
+    /// Make a page of what happened in recorded runs of scripts, and tables for statistics
+    Report(report::Report),
     #[command(flatten)]
     Tool(tool::Tool),
 }
@@ -88,6 +91,7 @@ fn main() -> ExitCode {
         Command::Keys(keys) => keys.run(),
         Command::Ps(ps) => ps.run(),
         Command::Abort(abort) => abort.run(),
+        Command::Report(report) => report.run(),
         Command::Tool(tool) => tool.run("ztl"),
     };
     match done {
