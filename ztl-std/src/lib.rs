@@ -71,8 +71,8 @@ pub use controller::{
     Aborted, ExecutableTask, TaskContext, TaskController, TaskError, TaskRequest,
 };
 pub use remote::{
-    Fate, InBackground, RemoteTask, RequestError, Status, TaskGuard, TriggerError, Triggered,
-    WaitError,
+    Fate, InBackground, RemoteTask, RequestError, ServerInfo, Status, TaskGuard, TriggerError,
+    Triggered, WaitError,
 };
 pub use remotes::Remotes;
 pub use server::{Access, BindError, Limits, ListedTask, Listing, RunningServer, TaskServer};

@@ -60,6 +60,17 @@ pub struct RemoteTask {
     client: Client,
     /// Whether the server at the other end of the present connection has been asked who it is.
     met: bool,
+    /// What it said, if it is ours.
+    version: Option<String>,
+}
+
+/// Who a server of ours is.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct ServerInfo {
+    /// Its version.
+    pub version: String,
+    /// Differs from start to start of the server.
+    pub boot: u32,
 }
 
 /// A server took a task.
@@ -105,6 +116,7 @@ impl RemoteTask {
             keys: None,
             client: Client::new(new_id(), TIMEOUT),
             met: false,
+            version: None,
         };
         remote.socket = Some(remote.open()?);
         info!(target: LOG, "Remote task interface initialised at '{endpoint}'.");
@@ -204,6 +216,32 @@ impl RemoteTask {
     /// REJECTED, `Invalid ID`.
     pub fn status(&mut self, id: TaskId) -> Result<Status, RequestError> {
         self.about(Request::Status, id, "status update")
+    }
+
+    /// The same with a payload of one's own; to a server of ours, `wait MS` has it hold the answer until the task
+    /// ends, at most so many milliseconds (below 2000).
+    ///
+    /// # Errors
+    /// As [`status`](Self::status).
+    pub fn status_with(&mut self, id: TaskId, payload: &str) -> Result<Status, RequestError> {
+        self.about(Request::Status, id, payload)
+    }
+
+    /// Asks the server who it is, unless this connection knows that; `None` when it is not one of ours. A server
+    /// that was started anew has another `boot`; `anew`: asks in any case.
+    ///
+    /// # Errors
+    /// As [`RequestError`] says.
+    pub fn server_info(&mut self, anew: bool) -> Result<Option<ServerInfo>, RequestError> {
+        self.met &= !anew;
+        self.meet()?;
+        Ok(match (self.client.server(), &self.version) {
+            (Server::Ours { boot }, Some(version)) => Some(ServerInfo {
+                version: version.clone(),
+                boot,
+            }),
+            _ => None,
+        })
     }
 
     /// Asks to stop a task, and says where it is then: ABORTED, or a state that it had already
@@ -342,7 +380,9 @@ impl RemoteTask {
     fn meet(&mut self) -> Result<(), RequestError> {
         if self.socket.is_none() || !self.met {
             let said = self.ask(|client, _, body| client.probe(now(), body));
-            said.map_err(|unanswered| unanswered.error)?;
+            if let Said::Answer { text, .. } = said.map_err(|unanswered| unanswered.error)? {
+                self.version = version_of(&text);
+            }
             self.met = true;
         }
         Ok(())
@@ -511,6 +551,7 @@ impl Clone for RemoteTask {
             keys: self.keys.clone(),
             client: Client::new(new_id(), self.timeout),
             met: false,
+            version: None,
         }
     }
 }
@@ -539,6 +580,13 @@ fn unknown_to_server(id: TaskId) -> Status {
         state: State::Rejected,
         text: format!("Invalid ID '{id}'"),
     }
+}
+
+/// The version in the answer to a probe.
+fn version_of(probed: &str) -> Option<String> {
+    let (_, rest) = probed.split_once("version: ")?;
+    let version = rest.split([',', '}']).next()?;
+    Some(version.trim_matches(['\'', '"', ' ']).to_owned())
 }
 
 pub(crate) fn encoded(handler: &str, component: &str, goal: &str) -> String {

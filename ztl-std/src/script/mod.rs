@@ -9,9 +9,11 @@ mod read;
 pub mod record;
 pub mod report;
 mod scalar;
+mod show;
 mod value;
 
 pub use finding::Finding;
 pub use model::{Defaults, Handler, OnFailure, Scene, Script, Step, Task};
 pub use player::Player;
+pub use show::{Connect, Inputs, Show};
 pub use value::{Date, Timestamp, Value};

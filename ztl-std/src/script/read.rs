@@ -1,6 +1,7 @@
 //! From a YAML document to scenes, by PyYAML's rules (wire specification 8.1 to 8.3); with all that is
 //! wrong or doubtful in it, each at its place.
 
+use std::collections::HashMap;
 use std::time::Duration;
 
 use super::finding::Finding;
@@ -400,33 +401,41 @@ impl<'d> Reader<'d> {
         let mut pairs = Vec::new();
         self.flatten(node, &mut pairs);
         let mut entries: Vec<Entry<'d>> = Vec::new();
+        // Where each is, and in which line of this very mapping it stands.
+        let mut seen: HashMap<String, (usize, Option<usize>)> = HashMap::new();
         for (name, value, merged) in pairs {
             let key = self.value(name, tell.then_some(false));
             if !key.is_hashable() {
                 self.mistake(name.span, "a collection cannot be a key", None);
                 continue;
             }
-            match entries.iter_mut().find(|entry| entry.key.same_key(&key)) {
-                Some(first) => {
-                    let overrides = std::mem::replace(&mut first.value, value);
-                    // What was merged is there to be replaced.
-                    if !merged && !std::ptr::eq(overrides, value) && first.name.span != name.span {
-                        let before = first.name.span.start;
-                        if before < name.span.start && same_map(node, first.name) {
-                            let message = format!(
-                                "'{}' stands here for the second time: this one counts, in the place of the first (line {}), whose content is lost",
-                                short(&key.to_string()),
-                                before.line
-                            );
-                            self.doubt(
-                                name.span,
-                                message,
-                                Some("give them different names".to_owned()),
-                            );
-                        }
-                    }
+            let line = (!merged).then_some(name.span.start.line);
+            let identity = key.identity();
+            let first = identity
+                .as_ref()
+                .and_then(|identity| seen.get(identity).copied());
+            let Some((index, first)) = first else {
+                if let Some(identity) = identity {
+                    seen.insert(identity, (entries.len(), line));
                 }
-                None => entries.push(Entry { key, name, value }),
+                entries.push(Entry { key, name, value });
+                continue;
+            };
+            if let Some(entry) = entries.get_mut(index) {
+                entry.value = value;
+            }
+            // What was merged is there to be replaced.
+            if let (Some(first), false) = (first, merged) {
+                let key = key.to_string();
+                let message = format!(
+                    "'{}' stands here for the second time: this one counts, in the place of the first (line {first}), whose content is lost",
+                    short(&key)
+                );
+                self.doubt(
+                    name.span,
+                    message,
+                    Some("give them different names".to_owned()),
+                );
             }
         }
         entries
@@ -556,11 +565,6 @@ impl<'d> Reader<'d> {
         }
         value
     }
-}
-
-/// Whether this key stands in this mapping itself, and was not merged into it.
-fn same_map(map: &Node, key: &Node) -> bool {
-    matches!(&map.value, Yaml::Map(pairs) if pairs.iter().any(|(name, _)| std::ptr::eq(name, key)))
 }
 
 fn is_merge(key: &Node) -> bool {

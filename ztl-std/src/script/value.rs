@@ -61,13 +61,13 @@ pub struct Timestamp {
 }
 
 impl Value {
-    /// Whether Python takes the two for the same key: `1`, `1.0` and `True` are.
-    #[must_use]
-    pub fn same_key(&self, other: &Self) -> bool {
-        match (self.number(), other.number()) {
-            (Some(one), Some(other)) => one == other,
-            (None, None) => self == other,
-            _ => false,
+    /// What tells it from other keys of a mapping: to Python `1`, `1.0` and `True` are one. `None` is
+    /// equal to no key, as a float that is no number.
+    pub(super) fn identity(&self) -> Option<String> {
+        match self {
+            Self::Float(value) if value.is_nan() => None,
+            Self::Text(text) => Some(format!("'{text}")),
+            other => Some(other.number().unwrap_or_else(|| other.quoted().to_string())),
         }
     }
 

@@ -77,9 +77,10 @@ impl Player {
 
     /// What an answer says of the server.
     fn note_server(&mut self, sent: &Sent, answer: &Answer) {
-        let Some(remote) = self.tasks.get(&sent.task).map(|task| task.remote.clone()) else {
+        let Some(task) = self.tasks.get(&sent.task) else {
             return;
         };
+        let remote = task.remote.clone();
         let known = self.servers.get(&remote);
         let answering = || match known {
             Some(known @ ServerState::Answering { .. }) => known.clone(),
@@ -87,16 +88,16 @@ impl Player {
         };
         let state = match answer {
             Answer::Started {
-                server: Server::Ours(version),
+                server: Server::Ours { version, .. },
                 ..
             } => ServerState::Answering {
                 version: Some(version.clone()),
             },
             Answer::Started { .. } => ServerState::Answering { version: None },
             Answer::Refused { .. } | Answer::Task { .. } => answering(),
-            Answer::TaskUnknown {
-                restarted: true, ..
-            } => ServerState::Restarted,
+            Answer::TaskUnknown { boot, .. } if task.is_of_an_older(*boot) => {
+                ServerState::Restarted
+            }
             Answer::TaskUnknown { .. } => answering(),
             Answer::NotStarted { .. } | Answer::Nothing { sent: false, .. } => ServerState::Absent,
             Answer::Nothing { .. } => ServerState::Silent,
@@ -116,7 +117,11 @@ impl Player {
         match answer {
             Answer::Started { id, text, server } => {
                 task.id = Some(id);
-                task.ours = matches!(server, Server::Ours(_));
+                task.ours = matches!(server, Server::Ours { .. });
+                task.boot = match server {
+                    Server::Ours { boot, .. } => Some(boot),
+                    Server::Original => None,
+                };
                 task.next = now;
                 let plan = self
                     .script
@@ -170,9 +175,8 @@ impl Player {
         let remote = task.remote.clone();
         match answer {
             Answer::Task { state, text } => self.set_state(number, state.into(), &text),
-            Answer::TaskUnknown { restarted, text } => {
-                let silent = matches!(task.unknown, Some((Why::ServerSilent { .. }, _)));
-                let why = match restarted || silent {
+            Answer::TaskUnknown { boot, text } => {
+                let why = match task.is_of_an_older(boot) {
                     true => Why::ServerRestarted { remote },
                     false => Why::TaskUnknown,
                 };

@@ -10,7 +10,13 @@ impl Player {
     #[must_use]
     pub fn choices(&self) -> Vec<Command> {
         let mut choices = Vec::new();
-        let jumps = || (0..self.script.scenes.len()).map(|scene| Command::Jump { scene });
+        // Nobody jumps where nobody is asked.
+        let scenes = if self.options.unattended {
+            0
+        } else {
+            self.script.scenes.len()
+        };
+        let jumps = || (0..scenes).map(|scene| Command::Jump { scene });
         match (&self.phase, self.question) {
             (Phase::Over(_), _) => {}
             (Phase::Stopping(_) | Phase::Settling(_), _) => choices.push(Command::Leave),

@@ -119,8 +119,8 @@ pub enum Answer {
     },
     /// The server does not know the task.
     TaskUnknown {
-        /// It is known to have been started anew.
-        restarted: bool,
+        /// Which start of the server says so, where it is one of ours.
+        boot: Option<u32>,
         /// In words.
         text: String,
     },
@@ -138,8 +138,13 @@ pub enum Answer {
 pub enum Server {
     /// The original's, or another's.
     Original,
-    /// Ours, with its version: it holds answers to STATUS.
-    Ours(String),
+    /// Ours: it holds answers to STATUS.
+    Ours {
+        /// Its version.
+        version: String,
+        /// Differs from start to start.
+        boot: u32,
+    },
 }
 
 /// Plays one script once.

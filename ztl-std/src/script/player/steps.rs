@@ -372,6 +372,7 @@ impl Player {
             text: String::new(),
             id: None,
             ours: false,
+            boot: None,
             status_text: format!("{}:{}:{}", handler.key, task.component, task.goal),
             asked: None,
             next: now,

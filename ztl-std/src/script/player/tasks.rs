@@ -26,6 +26,8 @@ pub(super) struct Live {
     pub(super) id: Option<TaskId>,
     /// Its server holds answers.
     pub(super) ours: bool,
+    /// Which start of its server has it, where that is known.
+    pub(super) boot: Option<u32>,
     /// The payload of its STATUS where it does not.
     pub(super) status_text: String,
     /// A STATUS that is under way.
@@ -65,6 +67,12 @@ impl Live {
     pub(super) const fn is_failure(&self) -> bool {
         let never_began = matches!(self.state, TaskState::NotStarted | TaskState::Refused);
         never_began || (self.awaited && self.state.is_failure())
+    }
+
+    /// It was taken by an earlier start of its server than this one, as far as can be told.
+    pub(super) fn is_of_an_older(&self, boot: Option<u32>) -> bool {
+        let silent = matches!(self.unknown, Some((Why::ServerSilent { .. }, _)));
+        silent || matches!((self.boot, boot), (Some(own), Some(boot)) if own != boot)
     }
 
     /// Its step waits for it still.

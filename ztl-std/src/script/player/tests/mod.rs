@@ -1,0 +1,441 @@
+//! The player on virtual time.
+
+mod trouble;
+mod world;
+
+use std::time::Duration;
+
+use super::super::event::{Command, Event, Outcome, Question, SceneEnd, StepEnd, TaskState, Why};
+use super::Options;
+use world::World;
+
+const SCENE: &str = "
+first:
+  one:
+    robot: {base: 2, arm(delay=1): 1}
+    lamp: {light: 3}
+  two (delay=2):
+    lamp: {light: 1}
+second (delay=1):
+  three:
+    robot: {base: 1}
+";
+
+/// Every scene is played.
+fn on(_: &World, question: Question) -> Option<Command> {
+    Some(match question {
+        Question::Scene { .. } => Command::Start,
+        Question::End => Command::Leave,
+        Question::Step { .. } => Command::GoOn,
+        Question::Pause => Command::Resume,
+    })
+}
+
+fn unattended() -> Options {
+    Options {
+        unattended: true,
+        ..Options::default()
+    }
+}
+
+#[test]
+fn steps_follow_each_other_when_all_that_they_wait_for_has_ended() {
+    for options in [Options::default(), unattended()] {
+        let mut world = World::new(SCENE, options);
+        world.begin();
+        world.run(on);
+        assert_eq!(
+            world.timeline(),
+            [
+                (1, "robot:base:2"),
+                // Its delay begins when the first was answered.
+                (1002, "robot:arm:1"),
+                (1003, "lamp:light:3"),
+                // The light ends after 4003 ms, when its answer comes that was held.
+                (6004, "lamp:light:1"),
+                (8005, "robot:base:1"),
+            ]
+        );
+        assert_eq!(world.player.outcome(), Some(Outcome::Completed));
+    }
+}
+
+#[test]
+fn a_step_that_starts_together_starts_each_task_after_its_own_delay() {
+    let script =
+        "s: {a (parallel): {robot: {base(delay=1): 1, arm: 1}, lamp: {light(delay=0.5): 1}}}";
+    let mut world = World::new(script, unattended());
+    world.begin();
+    world.run(on);
+    let expected = [
+        (1, "robot:arm:1"),
+        (501, "lamp:light:1"),
+        (1001, "robot:base:1"),
+    ];
+    assert_eq!(world.timeline(), expected);
+}
+
+#[test]
+fn what_runs_in_the_background_is_not_waited_for() {
+    let script = "s: {a (wait=no): {robot: {base: 9}}, b: {lamp: {x(wait=no): 9, light: 1}}, c: {robot: {arm: 1}}}";
+    let mut world = World::new(script, unattended());
+    world.begin();
+    world.run(on);
+    let expected = [
+        (1, "robot:base:9"),
+        (2, "lamp:x:9"),
+        (3, "lamp:light:1"),
+        (1004, "robot:arm:1"),
+    ];
+    assert_eq!(world.timeline(), expected);
+    let Some((
+        _,
+        Event::RunEnded {
+            outcome, running, ..
+        },
+    )) = world.events.last()
+    else {
+        panic!("{:?}", world.events.last());
+    };
+    assert_eq!((*outcome, running.len()), (Outcome::Completed, 2));
+}
+
+#[test]
+fn the_originals_server_is_asked_about_one_task_after_the_other() {
+    let script = "s: {a: {robot: {base: 2, arm: 3}, lamp: {light: 1}}}";
+    let mut world = World::new(script, unattended());
+    world.begin();
+    world.run(on);
+    let mut asked = Vec::new();
+    for (at, event) in &world.events {
+        if let Event::RequestSent {
+            kind: super::super::event::Kind::Status,
+            text,
+            ..
+        } = event
+        {
+            asked.push((at.as_millis(), text.as_str()));
+        }
+    }
+    let base: Vec<_> = asked
+        .iter()
+        .filter(|(_, text)| text.starts_with("robot:base"))
+        .collect();
+    let arm: Vec<_> = asked
+        .iter()
+        .filter(|(_, text)| text.starts_with("robot:arm"))
+        .collect();
+    assert!((19..=21).contains(&base.len()), "{base:?}");
+    assert!((9..=12).contains(&arm.len()), "{arm:?}");
+    assert!(base.iter().all(|base| base.0 <= arm[0].0));
+    // Ours holds the answer until the end.
+    let lamp: Vec<_> = asked
+        .iter()
+        .filter(|(_, text)| text.starts_with("wait "))
+        .collect();
+    assert!(lamp.len() <= 2, "{lamp:?}");
+}
+
+#[test]
+fn a_scene_can_be_skipped_replayed_and_jumped_to() {
+    let mut world = World::new(SCENE, Options::default());
+    world.begin();
+    assert_eq!(world.until_asked(), Some(Question::Scene { scene: 0 }));
+    assert!(!world.player.choices().contains(&Command::Replay));
+    world.command(Command::Skip);
+    assert_eq!(world.until_asked(), Some(Question::Scene { scene: 1 }));
+    world.command(Command::Start);
+    assert_eq!(world.until_asked(), Some(Question::End));
+    world.command(Command::Replay);
+    assert_eq!(world.until_asked(), Some(Question::End));
+    world.command(Command::Jump { scene: 1 });
+    assert_eq!(world.until_asked(), Some(Question::Scene { scene: 1 }));
+    world.command(Command::Replay);
+    // The same scene is asked about again.
+    assert_eq!(world.until_asked(), Some(Question::Scene { scene: 1 }));
+    world.command(Command::Restart);
+    assert_eq!(world.until_asked(), Some(Question::Scene { scene: 0 }));
+    assert!(!world.player.choices().contains(&Command::Replay));
+    assert_eq!(world.began.len(), 3);
+    let takes = world.seen(|event| {
+        matches!(
+            event,
+            Event::SceneStarted {
+                scene: 1,
+                take: 3,
+                replay: true
+            }
+        )
+    });
+    assert_eq!(takes.len(), 1);
+}
+
+#[test]
+fn a_pause_comes_after_the_step_and_can_be_taken_back() {
+    let mut world = World::new(SCENE, Options::default());
+    world.begin();
+    world.command(Command::Start);
+    world.command(Command::Pause);
+    world.command(Command::Resume);
+    world.command(Command::Pause);
+    assert_eq!(world.until_asked(), Some(Question::Pause));
+    assert_eq!(world.began.len(), 3, "the first step was played");
+    let at = world.now;
+    world.pass(Duration::from_secs(60));
+    assert_eq!(world.began.len(), 3);
+    assert_eq!(world.player.question(), Some(Question::Pause), "{at:?}");
+    world.command(Command::Resume);
+    assert_eq!(world.until_asked(), Some(Question::Scene { scene: 1 }));
+}
+
+#[test]
+fn what_was_not_asked_for_does_nothing() {
+    let mut world = World::new(SCENE, Options::default());
+    world.begin();
+    for command in [
+        Command::Replay,
+        Command::GoOn,
+        Command::Retry,
+        Command::Pause,
+        Command::Jump { scene: 2 },
+    ] {
+        assert!(
+            !world
+                .player
+                .handle_command(world.now, command, super::By::Operator),
+            "{command:?}"
+        );
+    }
+    world.command(Command::Start);
+    for command in [
+        Command::Start,
+        Command::Skip,
+        Command::Leave,
+        Command::Jump { scene: 1 },
+    ] {
+        assert!(
+            !world
+                .player
+                .handle_command(world.now, command, super::By::Operator),
+            "{command:?}"
+        );
+    }
+    assert_eq!(world.until_asked(), Some(Question::Scene { scene: 1 }));
+}
+
+#[test]
+fn one_scene_alone_and_from_a_step_on() {
+    let options = Options {
+        scene: Some(0),
+        from: Some((0, 1)),
+        ..Options::default()
+    };
+    let mut world = World::new(SCENE, options);
+    world.begin();
+    world.run(on);
+    assert_eq!(world.timeline(), [(2001, "lamp:light:1")]);
+
+    let mut world = World::new(
+        SCENE,
+        Options {
+            from: Some((1, 0)),
+            ..Options::default()
+        },
+    );
+    world.begin();
+    world.run(on);
+    assert_eq!(world.timeline(), [(1001, "robot:base:1")]);
+    let skipped = world.seen(|event| matches!(event, Event::SceneSkipped { scene: 0, .. }));
+    assert_eq!(skipped.len(), 1);
+}
+
+#[test]
+fn thousands_of_empty_scenes_do_not_exhaust_the_stack() {
+    let script: String = (0..3000).map(|scene| format!("s{scene}: {{}}\n")).collect();
+    let mut world = World::new(&script, unattended());
+    world.begin();
+    assert_eq!(world.player.outcome(), Some(Outcome::Completed));
+}
+
+/// What a script does about a failure, by its parameter.
+fn failing(policy: &str, goal: &str, options: Options) -> World {
+    let script = format!(
+        "s: {{a ({policy}): {{robot: {{base: {goal}, arm: 1}}}}, b: {{robot: {{head: 1}}}}}}"
+    );
+    let mut world = World::new(&script, options);
+    world.begin();
+    world
+}
+
+#[test]
+fn a_failure_is_told_and_the_script_goes_on_as_the_originals_does() {
+    let mut world = failing("", "1 fail", Options::default());
+    world.run(on);
+    assert_eq!(world.began.len(), 3);
+    assert_eq!(world.player.outcome(), Some(Outcome::Failures));
+    let ends = world.seen(|event| {
+        matches!(
+            event,
+            Event::StepEnded {
+                end: StepEnd::Failures,
+                ..
+            }
+        )
+    });
+    assert_eq!(ends.len(), 1);
+    let ends = world.seen(|event| {
+        matches!(
+            event,
+            Event::SceneEnded {
+                end: SceneEnd::Failures,
+                ..
+            }
+        )
+    });
+    assert_eq!(ends.len(), 1);
+}
+
+#[test]
+fn after_a_failure_the_operator_may_be_asked_and_try_again() {
+    let mut world = failing("on_failure=ask", "1 fail", Options::default());
+    world.command(Command::Start);
+    assert_eq!(
+        world.until_asked(),
+        Some(Question::Step { scene: 0, step: 0 })
+    );
+    assert_eq!(world.began.len(), 2);
+    let why = world.seen(|event| {
+        matches!(
+            event,
+            Event::StepWaiting {
+                why: Why::Failed,
+                ..
+            }
+        )
+    });
+    assert_eq!(why.len(), 1);
+    world.command(Command::Retry);
+    assert_eq!(
+        world.until_asked(),
+        Some(Question::Step { scene: 0, step: 0 })
+    );
+    assert_eq!(world.began.len(), 3, "only what failed");
+    world.command(Command::GoOn);
+    assert_eq!(world.until_asked(), Some(Question::End));
+    assert_eq!(world.began.len(), 4);
+    // What failed can be tried again afterwards, too.
+    world.command(Command::Retry);
+    world.until_asked();
+    assert_eq!(
+        world.began.last().map(|began| began.task.as_str()),
+        Some("robot:base:1 fail")
+    );
+}
+
+#[test]
+fn a_step_may_try_again_by_itself_and_what_succeeds_then_is_no_failure() {
+    for times in 0..4 {
+        let script =
+            "s: {a (on_failure=retry 2): {robot: {base: 1, arm: 1}}, b: {robot: {head: 1}}}";
+        let mut world = World::new(script, unattended());
+        world.machine("robot").refusals.insert("arm", times);
+        world.begin();
+        world.run(on);
+        let expected = if times <= 2 {
+            Outcome::Completed
+        } else {
+            Outcome::Stopped
+        };
+        assert_eq!(world.player.outcome(), Some(expected), "{times}");
+        let heads = world
+            .began
+            .iter()
+            .filter(|began| began.task.contains("head"))
+            .count();
+        assert_eq!(heads, usize::from(times <= 2));
+    }
+}
+
+#[test]
+fn a_failure_may_stop_everything_at_once() {
+    let mut world = failing("on_failure=stop", "1 fail", Options::default());
+    world.machine("robot").refusals.insert("arm", 0);
+    world.run(|_, question| match question {
+        Question::Scene { .. } => Some(Command::Start),
+        _ => panic!("nobody is asked"),
+    });
+    assert_eq!(world.player.outcome(), Some(Outcome::Stopped));
+    assert_eq!(world.began.len(), 2, "the next step was not started");
+}
+
+#[test]
+fn a_task_that_takes_too_long_is_stopped() {
+    for server in ["robot", "lamp"] {
+        let script =
+            format!("s: {{a: {{{server}: {{base (timeout=1.5): 9}}}}, b: {{robot: {{head: 1}}}}}}");
+        let mut world = World::new(&script, unattended());
+        world.begin();
+        world.run(on);
+        assert_eq!(world.began.len(), 2);
+        let base = &world.began[0];
+        assert!(
+            (1500..1510).contains(&base.until.since(base.at).as_millis()),
+            "{base:?}"
+        );
+        assert!(world.began[1].at >= base.until);
+        assert_eq!(world.player.outcome(), Some(Outcome::Failures));
+    }
+}
+
+#[test]
+fn one_that_takes_too_long_and_cannot_be_stopped_is_waited_for_until_the_operator_decides() {
+    let script = "s: {a: {robot: {base (timeout=1): 9 forever}}, b: {robot: {head: 1}}}";
+    let mut world = World::new(script, Options::default());
+    world.begin();
+    world.command(Command::Start);
+    assert_eq!(
+        world.until_asked(),
+        Some(Question::Step { scene: 0, step: 0 })
+    );
+    let why = world.seen(|event| {
+        matches!(
+            event,
+            Event::StepWaiting {
+                why: Why::TooLong,
+                ..
+            }
+        )
+    });
+    assert_eq!(why.len(), 1);
+    // It ends after all, which settles the question.
+    world.pass(Duration::from_secs(9));
+    assert_eq!(world.until_asked(), Some(Question::End));
+    assert_eq!(world.player.outcome(), None);
+    assert!(world.began[1].at >= world.began[0].until);
+    // With nobody there everything is stopped.
+    let mut world = World::new(script, unattended());
+    world.begin();
+    world.run(on);
+    assert_eq!(world.player.outcome(), Some(Outcome::Stopped));
+    assert_eq!(world.began.len(), 1);
+}
+
+#[test]
+fn a_task_for_a_server_that_is_not_configured_is_not_started_and_holds_nothing_up() {
+    let script = "s: {a: {nobody: {base (delay=5): 1}, robot: {arm: 1}}}";
+    let mut world = World::new(script, unattended());
+    world.begin();
+    world.run(on);
+    assert_eq!(world.timeline(), [(1, "robot:arm:1")]);
+    assert_eq!(world.player.outcome(), Some(Outcome::Failures));
+    let not = world.seen(|event| {
+        matches!(
+            event,
+            Event::TaskState {
+                state: TaskState::NotStarted,
+                ..
+            }
+        )
+    });
+    assert_eq!(not.len(), 1);
+}

@@ -1,0 +1,382 @@
+//! Servers that pause, are started anew and refuse, at every point; and stopping everything.
+
+use std::time::Duration;
+
+use ztl_core::Instant;
+
+use super::super::super::event::{By, Command, Event, Outcome, Question, Why};
+use super::super::Options;
+use super::world::World;
+use super::{on, unattended};
+
+const SCRIPT: &str = "
+s:
+  a: {robot: {base: 0.4}, lamp: {light: 0.3}}
+  b (delay=0.2): {lamp: {light: 0.5, fan(wait=no): 2}}
+  c: {robot: {arm(delay=0.1): 0.3}}
+";
+
+/// Step by step what awaited tasks each has, by their handlers and components.
+const AWAITED: [&[&str]; 3] = [
+    &["robot:base", "lamp:light:0.3"],
+    &["lamp:light:0.5"],
+    &["robot:arm"],
+];
+
+/// No step starts before what the one before waited for has really ended, and nothing is started twice.
+#[track_caller]
+fn assert_in_order(world: &World, about: &str) {
+    let find = |task: &str| {
+        let mut began = world
+            .began
+            .iter()
+            .filter(|began| began.task.starts_with(task));
+        let first = began.next();
+        assert_eq!(began.next(), None, "{about}: started twice");
+        first
+    };
+    for (step, next) in AWAITED.iter().zip(AWAITED.iter().skip(1)) {
+        for later in next.iter().filter_map(|task| find(task)) {
+            for earlier in step.iter().map(|task| find(task)) {
+                let Some(earlier) = earlier else {
+                    panic!("{about}: {} before its step's turn", later.task);
+                };
+                assert!(
+                    later.at >= earlier.until,
+                    "{about}: {} while {} runs",
+                    later.task,
+                    earlier.task
+                );
+            }
+        }
+    }
+}
+
+/// Moments of the script, every 25 ms of its 1.6 s.
+fn moments() -> impl Iterator<Item = Instant> {
+    (0..68).map(|at| Instant::from_millis(at * 25))
+}
+
+/// The operator waits while waiting may help, and goes on where it cannot.
+fn patient(world: &World, question: Question) -> Option<Command> {
+    match (question, world.why()) {
+        (Question::Step { .. }, Some(Why::ServerSilent { .. } | Why::TooLong)) => None,
+        _ => on(world, question),
+    }
+}
+
+#[test]
+fn a_server_that_pauses_at_any_point_is_waited_for() {
+    for name in ["robot", "lamp"] {
+        for length in [300, 1900, 2500, 7000] {
+            for at in moments() {
+                let about = format!("{name} silent for {length} ms from {at:?}");
+                let mut world = World::new(SCRIPT, Options::default());
+                let pause = (at, at + Duration::from_millis(length));
+                world.machine(name).pauses.push(pause);
+                world.begin();
+                world.run(patient);
+                // An INIT that the original's server never answered: the operator went on.
+                let guessed = world.seen(|event| {
+                    matches!(
+                        event,
+                        Event::StepWaiting {
+                            why: Why::StartUnknown,
+                            ..
+                        }
+                    )
+                });
+                let never = world.began.len() < 5;
+                if guessed.is_empty() && !never {
+                    assert_in_order(&world, &about);
+                    assert_eq!(world.player.outcome(), Some(Outcome::Completed), "{about}");
+                } else {
+                    assert_eq!(world.player.outcome(), Some(Outcome::Failures), "{about}");
+                }
+                assert!(world.began.len() <= 5, "{about}: {:?}", world.timeline());
+                assert!(guessed.is_empty() || name == "robot", "{about}");
+            }
+        }
+    }
+}
+
+#[test]
+fn a_step_says_that_it_waits_while_a_server_is_silent_and_goes_on_when_it_is_back() {
+    for name in ["robot", "lamp"] {
+        let script = format!("s: {{a: {{{name}: {{base: 1}}}}, b: {{robot: {{arm: 1}}}}}}");
+        let mut world = World::new(&script, Options::default());
+        let pause = (Instant::from_millis(500), Instant::from_millis(30_000));
+        world.machine(name).pauses.push(pause);
+        world.begin();
+        world.command(Command::Start);
+        assert_eq!(
+            world.until_asked(),
+            Some(Question::Step { scene: 0, step: 0 })
+        );
+        assert_eq!(
+            world.why(),
+            Some(&Why::ServerSilent {
+                remote: name.to_owned()
+            })
+        );
+        assert!(
+            world.now < Instant::from_millis(5000),
+            "it is told soon: {:?}",
+            world.now
+        );
+        world.pass(Duration::from_secs(20));
+        assert_eq!(world.began.len(), 1);
+        assert_eq!(
+            world.until_asked(),
+            Some(Question::Step { scene: 0, step: 0 })
+        );
+        world.run(patient);
+        assert_eq!(world.began.len(), 2);
+        assert!(world.began[1].at >= Instant::from_millis(30_000));
+        let settled = world.seen(|event| matches!(event, Event::StepGoesOn { .. }));
+        assert_eq!(settled.len(), 1);
+        assert_eq!(world.player.outcome(), Some(Outcome::Completed));
+    }
+}
+
+#[test]
+fn a_server_that_is_started_anew_at_any_point_is_noticed_and_nothing_follows_unasked() {
+    for name in ["robot", "lamp"] {
+        for at in moments() {
+            let about = format!("{name} started anew at {at:?}");
+            let mut world = World::new(SCRIPT, Options::default());
+            world.machine(name).restarts.push(at);
+            world.begin();
+            let mut asked = 0;
+            world.run(|world, question| {
+                if matches!(question, Question::Step { .. }) {
+                    asked += 1;
+                }
+                patient(world, question)
+            });
+            // The server's tasks ended when it did.
+            for began in &mut world.began {
+                let of = if began.task.starts_with("robot") {
+                    "robot"
+                } else {
+                    "lamp"
+                };
+                if of == name && began.at < at {
+                    began.until = began.until.min(at);
+                }
+            }
+            assert_in_order(&world, &about);
+            assert_eq!(world.began.len(), 5, "{about}");
+            let waiting = world.seen(|event| matches!(event, Event::StepWaiting { .. }));
+            let outcome = world.player.outcome();
+            let expected = match waiting.is_empty() {
+                true => Outcome::Completed,
+                false => Outcome::Failures,
+            };
+            // The fan in the background may have been forgotten, which is no more than unknown.
+            let fan = outcome == Some(Outcome::Failures) && name == "lamp";
+            assert!(outcome == Some(expected) || fan, "{about}: {outcome:?}");
+            assert_eq!(asked > 0, !waiting.is_empty(), "{about}");
+        }
+    }
+}
+
+#[test]
+fn with_nobody_there_what_nobody_can_decide_stops_everything() {
+    let mut world = World::new(SCRIPT, unattended());
+    world
+        .machine("robot")
+        .restarts
+        .push(Instant::from_millis(200));
+    world.begin();
+    world.run(patient);
+    assert_eq!(world.player.outcome(), Some(Outcome::Stopped));
+    assert_eq!(world.began.len(), 2);
+    assert!(
+        world.began[1].until < Instant::from_millis(300),
+        "the light was stopped"
+    );
+
+    // A silent one is waited for a while.
+    let mut world = World::new(SCRIPT, unattended());
+    let pause = (Instant::from_millis(200), Instant::from_millis(300_000));
+    world.machine("robot").pauses.push(pause);
+    world.begin();
+    world.run(patient);
+    assert_eq!(world.player.outcome(), Some(Outcome::Stopped));
+    let ended = world.now.since(Instant::ZERO);
+    assert!((60..75).contains(&ended.as_secs()), "{ended:?}");
+}
+
+#[test]
+fn an_init_without_an_answer_is_never_sent_again() {
+    let script = "s: {a (on_failure=retry 5): {robot: {base: 1}}, b: {robot: {arm: 1}}}";
+    let mut world = World::new(script, Options::default());
+    world
+        .machine("robot")
+        .pauses
+        .push((Instant::ZERO, Instant::from_millis(2500)));
+    world.begin();
+    world.command(Command::Start);
+    assert_eq!(
+        world.until_asked(),
+        Some(Question::Step { scene: 0, step: 0 })
+    );
+    assert_eq!(world.why(), Some(&Why::StartUnknown));
+    assert!(
+        !world.player.choices().contains(&Command::Retry),
+        "nobody knows that it failed"
+    );
+    world.pass(Duration::from_secs(600));
+    assert_eq!(world.timeline(), [(2501, "robot:base:1")]);
+    world.run(patient);
+    assert_eq!(world.player.outcome(), Some(Outcome::Failures));
+    assert_eq!(world.began.len(), 2);
+}
+
+#[test]
+fn everything_can_be_stopped_at_any_point_and_each_end_is_confirmed() {
+    for at in moments() {
+        let about = format!("stopped at {at:?}");
+        let mut world = World::new(SCRIPT, Options::default());
+        world.begin();
+        world.command(Command::Start);
+        world.pass(at.since(Instant::ZERO));
+        let began = world.began.len();
+        if world.player.question().is_some() {
+            break;
+        }
+        world.command(Command::Stop);
+        world.run(|_, question| panic!("{about}: {question:?}"));
+        assert_eq!(world.player.outcome(), Some(Outcome::Stopped), "{about}");
+        assert_eq!(
+            world.began.len(),
+            began,
+            "{about}: nothing was started afterwards"
+        );
+        let still: Vec<_> = world
+            .began
+            .iter()
+            .filter(|began| began.until > world.now)
+            .collect();
+        assert!(still.is_empty(), "{about}: {still:?}");
+        let confirmed = world.seen(|event| {
+            matches!(
+                event,
+                Event::StopAnswered {
+                    confirmed: true,
+                    ..
+                }
+            )
+        });
+        let Some(Event::Stopping { tasks }) = world
+            .seen(|event| matches!(event, Event::Stopping { .. }))
+            .first()
+            .copied()
+        else {
+            panic!("{about}");
+        };
+        assert_eq!(confirmed.len(), tasks.len(), "{about}");
+        let Some((_, Event::RunEnded { running, .. })) = world.events.last() else {
+            panic!("{about}");
+        };
+        assert!(running.is_empty(), "{about}");
+    }
+}
+
+#[test]
+fn stopping_reaches_what_runs_in_the_background_after_its_scene() {
+    let script = "s: {a (wait=no): {robot: {base: 60}, lamp: {fan: 60}}}";
+    let mut world = World::new(script, Options::default());
+    world.begin();
+    world.command(Command::Start);
+    assert_eq!(world.until_asked(), Some(Question::End));
+    world.command(Command::Stop);
+    world.run(|_, question| panic!("{question:?}"));
+    assert!(
+        world.began.iter().all(|began| began.until <= world.now),
+        "{:?}",
+        world.began
+    );
+    assert_eq!(world.began.len(), 2);
+}
+
+#[test]
+fn stopping_tells_what_cannot_be_stopped_and_who_does_not_answer() {
+    let script = "s: {a: {robot: {base: 60 forever}, lamp: {light: 60}}}";
+    let mut world = World::new(script, Options::default());
+    world.begin();
+    world.command(Command::Start);
+    world.pass(Duration::from_millis(50));
+    let silent = (world.now, world.now + Duration::from_secs(600));
+    world.machine("lamp").pauses.push(silent);
+    world.command(Command::Stop);
+    world.run(|_, question| panic!("{question:?}"));
+    let said: Vec<_> = world.seen(|event| {
+        matches!(
+            event,
+            Event::StopAnswered {
+                confirmed: false,
+                ..
+            }
+        )
+    });
+    assert_eq!(said.len(), 2, "{said:?}");
+    let Some((
+        _,
+        Event::RunEnded {
+            running, outcome, ..
+        },
+    )) = world.events.last()
+    else {
+        panic!("{:?}", world.events.last());
+    };
+    assert_eq!((running.len(), *outcome), (2, Outcome::Stopped));
+    assert!(world.now < Instant::from_millis(10_000), "{:?}", world.now);
+}
+
+#[test]
+fn a_second_stop_leaves_at_once() {
+    let script = "s: {a: {lamp: {light: 60}}}";
+    let mut world = World::new(script, Options::default());
+    world.begin();
+    world.command(Command::Start);
+    world.pass(Duration::from_millis(50));
+    world
+        .machine("lamp")
+        .pauses
+        .push((Instant::ZERO, Instant::from_millis(600_000)));
+    world.command(Command::Stop);
+    world.pass(Duration::from_millis(50));
+    assert_eq!(world.player.outcome(), None);
+    assert!(
+        world
+            .player
+            .handle_command(world.now, Command::Stop, By::Signal)
+    );
+    assert_eq!(world.player.outcome(), Some(Outcome::Left));
+    assert!(
+        !world
+            .player
+            .handle_command(world.now, Command::Stop, By::Signal)
+    );
+}
+
+#[test]
+fn an_init_that_is_under_way_when_everything_is_stopped_is_stopped_too() {
+    for name in ["robot", "lamp"] {
+        let script = format!("s: {{a: {{{name}: {{base: 60}}}}}}");
+        let mut world = World::new(&script, Options::default());
+        world
+            .machine(name)
+            .pauses
+            .push((Instant::ZERO, Instant::from_millis(1000)));
+        world.begin();
+        world.command(Command::Start);
+        world.pass(Duration::from_millis(100));
+        world.command(Command::Stop);
+        world.run(|_, question| panic!("{question:?}"));
+        assert_eq!(world.began.len(), 1, "it was acted on late");
+        assert!(world.began[0].until <= world.now);
+    }
+}

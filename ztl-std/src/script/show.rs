@@ -1,0 +1,316 @@
+//! A player in the world: the clock, connections to servers, and what the operator wants.
+
+use std::collections::{BTreeMap, VecDeque};
+use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender};
+use std::time::{Duration, SystemTime};
+
+use ztl_core::{Instant, State, TaskId};
+
+use super::event::{By, Command, Event, RequestNumber, Stamped};
+use super::player::{Answer, Ask, Player, Request, Server};
+use crate::clock::now;
+use crate::{RemoteTask, RequestError, Status, TriggerError};
+
+/// Plays a script on real servers: give it [`begin`](Self::begin), then take what happens from
+/// [`next`](Self::next) until the run has ended.
+pub struct Show {
+    player: Player,
+    start: Instant,
+    inbox: Receiver<Input>,
+    inputs: Inputs,
+    crew: Crew,
+    happened: VecDeque<Stamped>,
+}
+
+/// Hands in what is wanted, from any thread.
+#[derive(Debug, Clone)]
+pub struct Inputs(Sender<Input>);
+
+#[derive(Debug)]
+enum Input {
+    Wanted(Command, By),
+    Heard(RequestNumber, Answer, Worker),
+    Wake,
+}
+
+impl Inputs {
+    /// Somebody wants something; what cannot be done just now does nothing.
+    pub fn command(&self, command: Command, by: By) {
+        // Without a show there is nothing to be done.
+        let _ = self.0.send(Input::Wanted(command, by));
+    }
+
+    /// Makes [`Show::next`] return at once.
+    pub fn wake(&self) {
+        let _ = self.0.send(Input::Wake);
+    }
+}
+
+/// Makes a client of the server with this name; says why it cannot.
+pub type Connect = Box<dyn FnMut(&str) -> Result<RemoteTask, String>>;
+
+impl Show {
+    /// A show of this player, whose servers `connect` reaches: each is connected to when it is first used.
+    #[must_use]
+    pub fn new(player: Player, connect: Connect) -> Self {
+        let (sender, inbox) = mpsc::channel();
+        let inputs = Inputs(sender);
+        Self {
+            player,
+            start: now(),
+            inbox,
+            crew: Crew {
+                connect,
+                known: BTreeMap::new(),
+                inputs: inputs.clone(),
+            },
+            inputs,
+            happened: VecDeque::new(),
+        }
+    }
+
+    /// To hand in commands from other threads.
+    #[must_use]
+    pub fn inputs(&self) -> Inputs {
+        self.inputs.clone()
+    }
+
+    /// What is played, and how it is.
+    #[must_use]
+    pub const fn player(&self) -> &Player {
+        &self.player
+    }
+
+    /// Begins. To be called once.
+    pub fn begin(&mut self) {
+        self.player.begin(now());
+        self.pump();
+    }
+
+    /// Adds something that the player does not know: the run's start, a key, a note.
+    pub fn tell(&mut self, event: Event) {
+        let (at, wall) = (now().since(self.start), SystemTime::now());
+        self.happened.push_back(Stamped { at, wall, event });
+    }
+
+    /// Somebody wants something; whether it is done.
+    pub fn command(&mut self, command: Command, by: By) -> bool {
+        let done = self.player.handle_command(now(), command, by);
+        self.pump();
+        done
+    }
+
+    /// The next thing that happens, within `limit`; `None` when nothing does, or somebody has
+    /// [waken](Inputs::wake) it.
+    pub fn next(&mut self, limit: Duration) -> Option<Stamped> {
+        let until = now() + limit;
+        loop {
+            if let Some(happened) = self.happened.pop_front() {
+                return Some(happened);
+            }
+            let wake = self
+                .player
+                .poll_timeout()
+                .map_or(until, |wake| wake.min(until));
+            match self.inbox.recv_timeout(wake.since(now())) {
+                Ok(Input::Wanted(command, by)) => {
+                    self.player.handle_command(now(), command, by);
+                }
+                Ok(Input::Heard(request, answer, worker)) => {
+                    self.crew.rest(worker);
+                    self.player.handle_answer(now(), request, answer);
+                }
+                Ok(Input::Wake) => return self.happened.pop_front(),
+                Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => {
+                    let now = now();
+                    if self.player.poll_timeout().is_some_and(|wake| wake <= now) {
+                        self.player.handle_time(now);
+                    } else if now >= until {
+                        return None;
+                    }
+                }
+            }
+            self.pump();
+        }
+    }
+
+    fn pump(&mut self) {
+        while let Some(event) = self.player.poll_event() {
+            self.tell(event);
+        }
+        while let Some(request) = self.player.poll_request() {
+            let number = request.number;
+            if let Err(text) = self.crew.send(request) {
+                let answer = Answer::Nothing { sent: false, text };
+                self.player.handle_answer(now(), number, answer);
+                while let Some(event) = self.player.poll_event() {
+                    self.tell(event);
+                }
+            }
+        }
+    }
+}
+
+impl std::fmt::Debug for Show {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Show")
+            .field("player", &self.player)
+            .finish_non_exhaustive()
+    }
+}
+
+/// Connections to servers, each with a thread: as many as have requests under way at once.
+struct Crew {
+    connect: Connect,
+    known: BTreeMap<String, Known>,
+    inputs: Inputs,
+}
+
+struct Known {
+    template: RemoteTask,
+    idle: Vec<Worker>,
+}
+
+/// A thread with a connection of its own.
+#[derive(Debug)]
+struct Worker {
+    remote: String,
+    requests: Sender<(Request, Worker)>,
+}
+
+impl Crew {
+    fn send(&mut self, request: Request) -> Result<(), String> {
+        let worker = match self.known.get_mut(&request.remote) {
+            Some(known) => match known.idle.pop() {
+                Some(worker) => worker,
+                None => hire(&request.remote, known.template.clone(), &self.inputs)?,
+            },
+            None => {
+                let first = (self.connect)(&request.remote)?;
+                let known = Known {
+                    template: first.clone(),
+                    idle: Vec::new(),
+                };
+                self.known.insert(request.remote.clone(), known);
+                hire(&request.remote, first, &self.inputs)?
+            }
+        };
+        // It comes back with the answer. While it is away nobody else holds its end of the channel, so that its
+        // thread ends with the show.
+        let requests = worker.requests.clone();
+        requests
+            .send((request, worker))
+            .map_err(|_| "its thread has ended".to_owned())
+    }
+
+    fn rest(&mut self, worker: Worker) {
+        if let Some(known) = self.known.get_mut(&worker.remote) {
+            known.idle.push(worker);
+        }
+    }
+}
+
+fn hire(name: &str, mut remote: RemoteTask, inputs: &Inputs) -> Result<Worker, String> {
+    let (requests, orders) = mpsc::channel::<(Request, Worker)>();
+    let worker = Worker {
+        remote: name.to_owned(),
+        requests,
+    };
+    let inputs = inputs.clone();
+    std::thread::Builder::new()
+        .name(format!("ztl-{name}"))
+        .spawn(move || {
+            for (request, worker) in orders {
+                let answer = perform(&mut remote, &request.ask);
+                let heard = Input::Heard(request.number, answer, worker);
+                if inputs.0.send(heard).is_err() {
+                    return;
+                }
+            }
+        })
+        .map_err(|error| format!("no thread for it: {error}"))?;
+    Ok(worker)
+}
+
+/// Asks, and says what came of it.
+fn perform(remote: &mut RemoteTask, ask: &Ask) -> Answer {
+    match ask {
+        Ask::Init {
+            handler,
+            component,
+            goal,
+        } => init(remote, handler, component, goal),
+        Ask::Status { id, text, hold } => {
+            let payload = match hold.is_zero() {
+                true => text.clone(),
+                false => format!("wait {}", hold.as_millis()),
+            };
+            let said = remote.status_with(*id, &payload);
+            about(remote, *id, said)
+        }
+        Ask::Abort { id } => {
+            let said = remote.abort(*id);
+            about(remote, *id, said)
+        }
+    }
+}
+
+fn init(remote: &mut RemoteTask, handler: &str, component: &str, goal: &str) -> Answer {
+    // Whoever does not say who he is, is sent no INIT.
+    let server = match remote.server_info(false) {
+        Ok(Some(info)) => Server::Ours {
+            version: info.version,
+            boot: info.boot,
+        },
+        Ok(None) => Server::Original,
+        Err(error) => {
+            return Answer::Nothing {
+                sent: false,
+                text: error.to_string(),
+            };
+        }
+    };
+    match remote.trigger(handler, component, goal) {
+        Ok(task) => Answer::Started {
+            id: task.id,
+            text: task.reply,
+            server,
+        },
+        Err(TriggerError::Refused { id, reason }) => Answer::Refused { id, text: reason },
+        Err(error @ TriggerError::NeverCame) => Answer::NotStarted {
+            text: error.to_string(),
+        },
+        Err(TriggerError::Request(error)) => {
+            let sent = !matches!(error, RequestError::NotConnected { .. });
+            Answer::Nothing {
+                sent,
+                text: error.to_string(),
+            }
+        }
+    }
+}
+
+fn about(remote: &mut RemoteTask, id: TaskId, said: Result<Status, RequestError>) -> Answer {
+    match said {
+        Ok(Status {
+            state: State::Rejected,
+            text,
+        }) if text == format!("Invalid ID '{id}'") => {
+            // Which start of the server says so is worth knowing; whether it answers that is not.
+            let info = remote.server_info(true).ok().flatten();
+            let text = RequestError::UnknownTask { id }.to_string();
+            Answer::TaskUnknown {
+                boot: info.map(|info| info.boot),
+                text,
+            }
+        }
+        Ok(Status { state, text }) => Answer::Task { state, text },
+        Err(error) => {
+            let sent = !matches!(error, RequestError::NotConnected { .. });
+            Answer::Nothing {
+                sent,
+                text: error.to_string(),
+            }
+        }
+    }
+}
