@@ -137,6 +137,35 @@ fn after_a_restart_of_the_server_its_fate_is_unknown_and_not_never_started() {
 }
 
 #[test]
+fn a_task_that_is_not_wanted_any_more_is_found_without_waiting_for_its_answer() {
+    let started = Arc::default();
+    let server = server(&started);
+    let (_running, stop) = std::sync::mpsc::channel();
+    let endpoint = server.endpoint().to_owned();
+    let endpoint = wire(Fault::AnswerLost, endpoint.clone(), endpoint, stop);
+    let patient = Duration::from_secs(3600);
+    let mut remote = RemoteTask::connect(&endpoint, "/lab")
+        .unwrap()
+        .with_timeout(patient);
+    let begun = || started.load(Ordering::SeqCst) > 0;
+    let spec = ztl_std::TaskSpec {
+        handler: "h",
+        component: "c",
+        goal: "g",
+    };
+    let mut payload = vec![0; spec.encoded_len()];
+    let payload = spec.encode_into(&mut payload).unwrap();
+    let task = remote.trigger_while(payload, || !begun()).unwrap();
+    let end = remote.wait(task.id, Some(Duration::from_secs(5))).unwrap();
+    assert_eq!(end.state, State::Completed);
+    assert_eq!(started.load(Ordering::SeqCst), 1);
+    // It is not sent at all when it was not wanted before.
+    let given_up = remote.trigger_while(payload, || false);
+    assert_eq!(given_up, Err(TriggerError::GivenUp));
+    assert_eq!(started.load(Ordering::SeqCst), 1);
+}
+
+#[test]
 fn a_quick_task_is_run_in_a_single_round_trip() {
     let started = Arc::default();
     let server = server(&started);

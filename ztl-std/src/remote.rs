@@ -2,12 +2,13 @@
 
 mod background;
 mod error;
+mod exchange;
 mod guard;
 
 use std::time::{Duration, Instant};
 
-use tracing::{info, warn};
-use ztl_core::client::{Answer, Client, Heard, Late, Server};
+use tracing::info;
+use ztl_core::client::{Client, Server};
 use ztl_core::envelope::{ClientId, Envelope};
 use ztl_core::sink::Sink;
 use ztl_core::{Request, State, TaskId, TaskSpec};
@@ -17,6 +18,7 @@ use crate::keys::{KeyPair, PublicKey, can_encrypt};
 use crate::random;
 pub use background::{Fate, InBackground};
 pub use error::{RequestError, TriggerError, WaitError};
+use exchange::{Said, Unanswered, Wanted};
 pub use guard::TaskGuard;
 
 /// Default longest time for a server to answer, as the original's.
@@ -30,9 +32,6 @@ const HELD: Duration = Duration::from_millis(1000);
 
 /// The same when somebody wants to see the progress.
 const HELD_FOR_PROGRESS: Duration = Duration::from_millis(100);
-
-/// Pauses between two tries to connect to a server that is not there: from, and at most.
-const RETRY: (i32, i32) = (20, 1000);
 
 /// How often it is asked what became of an INIT, each time over a new connection.
 const OUTCOMES: u32 = 3;
@@ -162,7 +161,26 @@ impl RemoteTask {
     /// # Errors
     /// As [`trigger`](Self::trigger).
     pub fn trigger_payload(&mut self, payload: &str) -> Result<Triggered, TriggerError> {
-        let (task, _) = self.init(|client, scope, body| {
+        let (task, _) = self.init(None, |client, scope, body| {
+            client.request(now(), Request::Init, scope, None, payload, body)
+        })?;
+        Ok(task)
+    }
+
+    /// The same for as long as it is `wanted`, which is asked while there is no answer, several times
+    /// a second. When it is not wanted any more, a server of ours is asked at once what became of it,
+    /// so that the task can be aborted: it is taken, refused, or will never be. The answer of the
+    /// original's server is waited for, since nothing else tells the task's id.
+    ///
+    /// # Errors
+    /// As [`trigger`](Self::trigger); [`TriggerError::GivenUp`] when it was not wanted before it was
+    /// sent.
+    pub fn trigger_while(
+        &mut self,
+        payload: &str,
+        wanted: impl Fn() -> bool,
+    ) -> Result<Triggered, TriggerError> {
+        let (task, _) = self.init(Some(&wanted), |client, scope, body| {
             client.request(now(), Request::Init, scope, None, payload, body)
         })?;
         Ok(task)
@@ -181,8 +199,9 @@ impl RemoteTask {
         limit: Option<Duration>,
     ) -> Result<Result<Status, WaitError>, TriggerError> {
         let payload = encoded(handler, component, goal);
-        let (task, ended) =
-            self.init(|client, scope, body| client.init_to_end(now(), scope, &payload, body))?;
+        let (task, ended) = self.init(None, |client, scope, body| {
+            client.init_to_end(now(), scope, &payload, body)
+        })?;
         Ok(match ended {
             Some(status) => Ok(status),
             None => self.wait(task.id, limit),
@@ -192,10 +211,18 @@ impl RemoteTask {
     /// Asks for a task, and for what became of that where no answer comes.
     fn init(
         &mut self,
+        wanted: Wanted<'_>,
         request: impl FnOnce(&mut Client, &str, &mut dyn Sink) -> Envelope,
     ) -> Result<(Triggered, Option<Status>), TriggerError> {
-        self.meet().map_err(TriggerError::Request)?;
-        let mut said = self.ask(request);
+        // Also when it is not answered, nothing was asked for yet.
+        let met = self.meet(wanted);
+        if let Some(wanted) = wanted
+            && !wanted()
+        {
+            return Err(TriggerError::GivenUp);
+        }
+        met.map_err(TriggerError::Request)?;
+        let mut said = self.ask_while(wanted, request);
         let mut outcomes = 0;
         while let Err(Unanswered { outcome: true, .. }) = said
             && outcomes < OUTCOMES
@@ -234,7 +261,7 @@ impl RemoteTask {
     /// As [`RequestError`] says.
     pub fn server_info(&mut self, anew: bool) -> Result<Option<ServerInfo>, RequestError> {
         self.met &= !anew;
-        self.meet()?;
+        self.meet(None)?;
         Ok(match (self.client.server(), &self.version) {
             (Server::Ours { boot }, Some(version)) => Some(ServerInfo {
                 version: version.clone(),
@@ -341,24 +368,6 @@ impl RemoteTask {
         }
     }
 
-    fn open(&self) -> Result<zmq::Socket, zmq::Error> {
-        let socket = self.context.socket(zmq::DEALER)?;
-        socket.set_linger(0)?;
-        // Nothing is queued for a server that is not there: it would act on it when it comes.
-        socket.set_immediate(true)?;
-        socket.set_maxmsgsize(crate::server::MAX_MESSAGE as i64)?;
-        // A server that comes back is not met by all its clients in the same moment.
-        socket.set_reconnect_ivl(RETRY.0)?;
-        socket.set_reconnect_ivl_max(RETRY.1)?;
-        if let Some((own, server)) = &self.keys {
-            socket.set_curve_publickey(own.public().as_bytes())?;
-            socket.set_curve_secretkey(own.secret())?;
-            socket.set_curve_serverkey(server.as_bytes())?;
-        }
-        socket.connect(&self.endpoint)?;
-        Ok(socket)
-    }
-
     fn about(
         &mut self,
         request: Request,
@@ -374,169 +383,6 @@ impl RemoteTask {
                 answer: String::new(),
             }),
         }
-    }
-
-    /// Connects, and asks a server that was not met yet who it is.
-    fn meet(&mut self) -> Result<(), RequestError> {
-        if self.socket.is_none() || !self.met {
-            let said = self.ask(|client, _, body| client.probe(now(), body));
-            if let Said::Answer { text, .. } = said.map_err(|unanswered| unanswered.error)? {
-                self.version = version_of(&text);
-            }
-            self.met = true;
-        }
-        Ok(())
-    }
-
-    fn ask_outcome(&mut self) -> Result<Said, Unanswered> {
-        let mut body = Vec::new();
-        let mut sink = |bytes: &[u8]| body.extend_from_slice(bytes);
-        match self.client.outcome(now(), &mut sink) {
-            Some(envelope) => self.exchange(envelope, &body),
-            None => Err(self.no_answer(Instant::now()).into()),
-        }
-    }
-
-    /// Sends one request and waits for its answer.
-    fn ask(
-        &mut self,
-        request: impl FnOnce(&mut Client, &str, &mut dyn Sink) -> Envelope,
-    ) -> Result<Said, Unanswered> {
-        let mut body = Vec::new();
-        let mut sink = |bytes: &[u8]| body.extend_from_slice(bytes);
-        let envelope = request(&mut self.client, &self.scope, &mut sink);
-        self.exchange(envelope, &body)
-    }
-
-    fn exchange(&mut self, envelope: Envelope, body: &[u8]) -> Result<Said, Unanswered> {
-        let start = Instant::now();
-        let socket = match self.socket.take() {
-            Some(socket) => socket,
-            None => {
-                // Another connection may lead to another server.
-                self.met = false;
-                self.open()?
-            }
-        };
-        let said = self.converse(&socket, start, envelope, body);
-        match &said {
-            Ok(_) => self.socket = Some(socket),
-            // Nothing was sent, so nothing late can come: it goes on trying, ever more slowly.
-            Err(Unanswered {
-                error: RequestError::NotConnected { .. },
-                ..
-            }) => {
-                self.met = false;
-                self.socket = Some(socket);
-            }
-            // What is still on its way in this socket is dropped with it.
-            Err(_) => {}
-        }
-        if let Err(Unanswered { error, .. }) = &said {
-            warn!(target: LOG, "Networking error, disconnecting: {error}");
-        }
-        said
-    }
-
-    fn converse(
-        &mut self,
-        socket: &zmq::Socket,
-        start: Instant,
-        envelope: Envelope,
-        body: &[u8],
-    ) -> Result<Said, Unanswered> {
-        if !self.ready(socket, zmq::POLLOUT)? {
-            return Err(Unanswered::from(RequestError::NotConnected {
-                endpoint: self.endpoint.clone(),
-                waited: start.elapsed(),
-            }));
-        }
-        let (client, number) = envelope.frames();
-        let frames: [&[u8]; 4] = [&client, &number, b"", body];
-        socket.send_multipart(frames, zmq::DONTWAIT)?;
-        while self.ready(socket, zmq::POLLIN)? {
-            let frames = socket.recv_multipart(zmq::DONTWAIT)?;
-            let [client, number, _delimiter, body] = frames.as_slice() else {
-                continue;
-            };
-            // Anything else answers an earlier request, which has been given up.
-            if let Some(envelope) = Envelope::parse(client, number)
-                && let Some(heard) = self.client.handle_reply(envelope, body)
-            {
-                return self.said(heard, body, start);
-            }
-        }
-        let late = self.client.handle_timeout(now());
-        Err(Unanswered {
-            outcome: late == Late::AskOutcome,
-            error: self.no_answer(start),
-        })
-    }
-
-    fn said(&self, heard: Heard<'_>, body: &[u8], start: Instant) -> Result<Said, Unanswered> {
-        match heard {
-            Heard::Answer(Answer { state, id, text }) => Ok(Said::Answer {
-                state,
-                id,
-                text: text.to_owned(),
-            }),
-            Heard::NeverStarted => Ok(Said::NeverStarted),
-            Heard::FateUnknown => Err(self.no_answer(start).into()),
-            Heard::Unreadable => Err(RequestError::Unreadable {
-                answer: String::from_utf8_lossy(body).into_owned(),
-            }
-            .into()),
-        }
-    }
-
-    fn no_answer(&self, start: Instant) -> RequestError {
-        RequestError::NoAnswer {
-            endpoint: self.endpoint.clone(),
-            waited: start.elapsed(),
-        }
-    }
-
-    /// Waits until the socket is ready, or the request's time has passed.
-    fn ready(&self, socket: &zmq::Socket, events: zmq::PollEvents) -> Result<bool, zmq::Error> {
-        loop {
-            let deadline = self.client.poll_timeout();
-            let left = deadline.map_or(Duration::ZERO, |deadline| deadline.since(now()));
-            let millis = i64::try_from(left.as_micros().div_ceil(1000)).unwrap_or(i64::MAX);
-            match socket.poll(events, millis) {
-                Ok(0) if left.is_zero() => return Ok(false),
-                Ok(0) | Err(zmq::Error::EINTR) => {}
-                Ok(_) => return Ok(true),
-                Err(cause) => return Err(cause),
-            }
-        }
-    }
-}
-
-/// What a server said.
-enum Said {
-    Answer { state: i64, id: i64, text: String },
-    NeverStarted,
-}
-
-/// There was no answer.
-struct Unanswered {
-    error: RequestError,
-    /// It is worth asking what became of it.
-    outcome: bool,
-}
-
-impl From<RequestError> for Unanswered {
-    fn from(error: RequestError) -> Self {
-        Self {
-            error,
-            outcome: false,
-        }
-    }
-}
-
-impl From<zmq::Error> for Unanswered {
-    fn from(cause: zmq::Error) -> Self {
-        RequestError::from(cause).into()
     }
 }
 

@@ -59,8 +59,9 @@ impl RemoteTask {
         let spawned = std::thread::Builder::new()
             .name("ztl-task".to_owned())
             .spawn(move || {
-                let fate = remote.trigger_payload(&payload).map(|task| {
-                    let given_up = || told.given_up.load(Ordering::Acquire);
+                let given_up = || told.given_up.load(Ordering::Acquire);
+                let triggered = remote.trigger_while(&payload, || !given_up());
+                let fate = triggered.map(|task| {
                     let end = remote.wait_with(task.id, limit, |answer| {
                         seen(answer);
                         !given_up()

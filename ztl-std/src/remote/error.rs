@@ -94,6 +94,8 @@ pub enum TriggerError {
     },
     /// The server has not got it, and will refuse it if it still comes: it does not run.
     NeverCame,
+    /// It was not wanted any more before it was sent: nothing was done.
+    GivenUp,
     /// There was no usable answer: after [`RequestError::NotConnected`] it does not run, after any
     /// other it may.
     Request(RequestError),
@@ -104,6 +106,7 @@ impl std::fmt::Display for TriggerError {
         match self {
             Self::Refused { reason, .. } => write!(f, "refused: {reason}"),
             Self::NeverCame => f.write_str("it never came to the server, and was not started"),
+            Self::GivenUp => f.write_str("it was given up before it was sent"),
             Self::Request(cause) => cause.fmt(f),
         }
     }
@@ -112,7 +115,7 @@ impl std::fmt::Display for TriggerError {
 impl std::error::Error for TriggerError {
     fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
         match self {
-            Self::Refused { .. } | Self::NeverCame => None,
+            Self::Refused { .. } | Self::NeverCame | Self::GivenUp => None,
             Self::Request(cause) => Some(cause),
         }
     }

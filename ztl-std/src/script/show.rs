@@ -277,7 +277,7 @@ fn init(remote: &mut RemoteTask, handler: &str, component: &str, goal: &str) -> 
             server,
         },
         Err(TriggerError::Refused { id, reason }) => Answer::Refused { id, text: reason },
-        Err(error @ TriggerError::NeverCame) => Answer::NotStarted {
+        Err(error @ (TriggerError::NeverCame | TriggerError::GivenUp)) => Answer::NotStarted {
             text: error.to_string(),
         },
         Err(TriggerError::Request(error)) => {

@@ -70,7 +70,8 @@ impl Forward {
         let id = match remote.trigger(handler, component, &call.goal.text) {
             Ok(task) => task.id,
             Err(TriggerError::Refused { reason, .. }) => return End::Rejected(reason),
-            Err(TriggerError::NeverCame) => {
+            // It is wanted until an answer says what became of it.
+            Err(TriggerError::NeverCame | TriggerError::GivenUp) => {
                 return End::Rejected(format!("{to} did not get it, and will not start it"));
             }
             Err(TriggerError::Request(error @ RequestError::NotConnected { .. })) => {

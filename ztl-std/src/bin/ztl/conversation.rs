@@ -1,213 +1,306 @@
-//! What the original's three clients do and say: ask for a task, wait for it, abort it when the
-//! time is over (wire specification 7.2, 7.3, 7.5). Each says it in words of its own.
+//! What the original's three clients do: ask for a task, wait for it, abort it when the time is over
+//! (wire specification 7.2, 7.3, 7.5). Each says it in words of its own, or as JSON for programs.
 
+mod json;
+mod words;
+
+use std::cell::{Cell, RefCell};
 use std::net::ToSocketAddrs;
 use std::process::ExitCode;
 use std::time::Duration;
 
-use ztl_std::{RemoteTask, State, Status, TaskId, TriggerError};
+use ztl_std::{RemoteTask, RequestError, State, Status, TaskId, TriggerError, WaitError};
 
-use crate::terminal::{is_live, line, part, rewrite};
 use crate::{Done, signals};
+pub(crate) use words::Words;
 
 /// What is said at the end of a client's help.
-pub(crate) const FATES: &str =
-    "With --exit-status: 0 completed, 1 refused, 3 failed, 4 aborted, 5 unknown.";
+pub(crate) const AFTER_HELP: &str = "\
+With --exit-status: 0 completed, 1 refused, 3 failed, 4 aborted, 5 unknown, or no server was reached.
+Ctrl-C aborts the task, a second one leaves at once; without --exit-status the code is then 130.";
 
 /// As long as the original waits after an abort that was refused.
 const AFTER_ABORT: Duration = Duration::from_secs(5);
 
-/// The exit code for a task whose end is not known.
-const UNKNOWN: u8 = 5;
+/// How a task ended for its client.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Fate {
+    Completed,
+    Refused,
+    Failed,
+    Aborted,
+    /// It may run, or have ended in any way.
+    Unknown,
+    /// It does not run, and was not refused: no server was reached, or the INIT never came to it.
+    NotStarted,
+}
 
-/// How it ended, as an exit code.
-fn fate(state: State) -> u8 {
-    match state {
-        State::Completed => 0,
-        State::Rejected => 1,
-        State::Failed => 3,
-        State::Aborted => 4,
-        State::Initiated | State::Accepted => UNKNOWN,
+impl Fate {
+    /// Of a task that was taken.
+    const fn of(state: State) -> Self {
+        match state {
+            State::Completed => Self::Completed,
+            State::Rejected => Self::Refused,
+            State::Failed => Self::Failed,
+            State::Aborted => Self::Aborted,
+            State::Initiated | State::Accepted => Self::Unknown,
+        }
+    }
+
+    /// As an exit code.
+    const fn code(self) -> u8 {
+        match self {
+            Self::Completed => 0,
+            Self::Refused => 1,
+            Self::Failed => 3,
+            Self::Aborted => 4,
+            Self::Unknown | Self::NotStarted => 5,
+        }
     }
 }
 
-/// In whose words.
-#[derive(Debug, Clone, Copy)]
-pub(crate) enum Words {
-    /// `task-client`'s; with the seconds that it waits, as they were given.
-    TaskClient(i64),
-    /// `remote-task`'s; the same.
-    RemoteTask(i64),
-    /// `simple-client`'s, which waits for 5 s.
-    Simple,
+/// Something that a person or a program is told.
+#[derive(Debug)]
+enum News<'a> {
+    /// The task is asked for.
+    Asking,
+    /// Ctrl-C, before the INIT was answered.
+    Interrupted,
+    Started {
+        id: TaskId,
+        reply: &'a str,
+    },
+    /// Where it is; told as often as the server is asked.
+    Progress {
+        id: TaskId,
+        status: &'a Status,
+    },
+    /// The limit was reached, or Ctrl-C was pressed.
+    Aborting {
+        id: TaskId,
+        interrupted: bool,
+    },
+    /// It goes on all the same, and is waited for a little longer.
+    NotAborted {
+        id: TaskId,
+        reply: &'a str,
+    },
+    /// The last news.
+    Over(Over<'a>),
 }
 
-impl Words {
-    /// How long is waited, for ever if this is `None`.
-    fn limit(self) -> Option<Duration> {
-        let seconds = match self {
-            Self::TaskClient(seconds) | Self::RemoteTask(seconds) => seconds,
-            Self::Simple => 5,
-        };
-        let seconds = u64::try_from(seconds).ok().filter(|seconds| *seconds > 0);
-        seconds.map(Duration::from_secs)
+/// How it is over.
+#[derive(Debug)]
+enum Over<'a> {
+    /// The INIT led to no task, or nobody knows to which.
+    NotTriggered {
+        /// As the original tells it: the server's, or -1.
+        id: i64,
+        reason: &'a str,
+        fate: Fate,
+    },
+    /// It ended while it was waited for.
+    Ended { id: TaskId, status: &'a Status },
+    /// The server did not answer until the limit was reached.
+    Lost { id: TaskId, reason: &'a str },
+    /// It ended when it was aborted: as ABORTED, or otherwise just before.
+    Stopped { id: TaskId, status: &'a Status },
+    /// What is known of it some time after an abort that was refused or not answered.
+    After {
+        id: TaskId,
+        /// The state, if the server told one.
+        state: Option<State>,
+        text: &'a str,
+        /// What the abort was answered.
+        reply: &'a str,
+    },
+}
+
+impl Over<'_> {
+    fn fate(&self) -> Fate {
+        match self {
+            Self::NotTriggered { fate, .. } => *fate,
+            Self::Ended { status, .. } | Self::Stopped { status, .. } => Fate::of(status.state),
+            Self::Lost { .. } => Fate::Unknown,
+            Self::After { state, .. } => state.map_or(Fate::Unknown, Fate::of),
+        }
+    }
+}
+
+/// How a client tells what happens.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Telling {
+    /// Tell the task's fate by the exit code (the original's is always 0)
+    #[arg(long)]
+    exit_status: bool,
+
+    /// Tell what happens as JSON, one object a line (docs/tools.md)
+    #[arg(long)]
+    json: bool,
+}
+
+/// Which server is meant, as a person has named it.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Target<'a> {
+    pub(crate) host: &'a str,
+    pub(crate) port: u16,
+    pub(crate) scope: &'a str,
+}
+
+impl Target<'_> {
+    /// A client of it.
+    pub(crate) fn connect(&self) -> Result<RemoteTask, Box<dyn std::error::Error>> {
+        let Self { host, port, scope } = self;
+        let remote = RemoteTask::connect(&format!("tcp://{host}:{port}"), scope);
+        Ok(remote.map_err(|_| format!("'{host}' is no name or address of a host"))?)
     }
 }
 
 /// A task to be asked for.
 pub(crate) struct Conversation<'a> {
-    pub(crate) host: &'a str,
-    pub(crate) port: u16,
+    pub(crate) target: Target<'a>,
     /// The payload of the INIT.
     pub(crate) request: &'a str,
     pub(crate) words: Words,
-    /// Whether the exit code is to tell the task's fate.
-    pub(crate) exit_status: bool,
-}
-
-/// A client for a host that a person has named.
-pub(crate) fn connect(
-    host: &str,
-    port: u16,
-    scope: &str,
-) -> Result<RemoteTask, Box<dyn std::error::Error>> {
-    let remote = RemoteTask::connect(&format!("tcp://{host}:{port}"), scope);
-    Ok(remote.map_err(|_| format!("'{host}' is no name or address of a host"))?)
+    pub(crate) telling: &'a Telling,
 }
 
 impl Conversation<'_> {
-    pub(crate) fn run(&self, remote: &mut RemoteTask) -> Done {
-        let fate = self.play(remote);
-        Ok(match (self.exit_status, signals::stopped()) {
-            (true, _) => ExitCode::from(fate),
+    /// Says where it connects to, connects, and does the rest.
+    pub(crate) fn run(
+        &self,
+        identify: impl FnOnce(RemoteTask) -> Result<RemoteTask, Box<dyn std::error::Error>>,
+    ) -> Done {
+        // Whoever is in a hurry leaves, and the task goes on.
+        signals::leave_at_the_second();
+        if !self.telling.json {
+            words::connecting(self);
+        }
+        let mut remote = identify(self.target.connect()?)?;
+        let fate = self.play(&mut remote);
+        Ok(match (self.telling.exit_status, signals::stopped()) {
+            (true, _) => ExitCode::from(fate.code()),
             // As a shell reports it.
             (false, true) => ExitCode::from(130),
             (false, false) => ExitCode::SUCCESS,
         })
     }
 
-    fn play(&self, remote: &mut RemoteTask) -> u8 {
-        let request = self.request;
-        line(format_args!("Triggering task with request '{request}'..."));
-        let (id, reply) = match remote.trigger_payload(request) {
-            Ok(task) => (task.id, task.reply),
-            Err(error) => return self.not_triggered(error),
-        };
-        match self.words {
-            Words::TaskClient(seconds) | Words::RemoteTask(seconds) => line(format_args!(
-                "Initialised task with ID '{id}' for {seconds}s. Reply is '{reply}'."
-            )),
-            Words::Simple => {
-                line(format_args!(
-                    "Initialised task with ID '{id}'. Reply is '{reply}'."
-                ));
-                line("Waiting maximum 5s for the task to finish...");
+    fn play(&self, remote: &mut RemoteTask) -> Fate {
+        let teller = RefCell::new(self.teller());
+        let tell = |news: News<'_>| teller.borrow_mut()(news);
+        tell(News::Asking);
+        let told = Cell::new(false);
+        let triggered = remote.trigger_while(self.request, || {
+            let stopped = signals::stopped();
+            if stopped && !told.replace(true) {
+                teller.borrow_mut()(News::Interrupted);
             }
+            !stopped
+        });
+        let (id, reply) = match triggered {
+            Ok(task) => (task.id, task.reply),
+            Err(error) => return self.not_triggered(error, tell),
+        };
+        let reply = &reply;
+        tell(News::Started { id, reply });
+        if signals::stopped() {
+            return self.abort(remote, id, tell);
         }
-        let live = is_live();
         let ended = remote.wait_with(id, self.words.limit(), |answer| {
-            if let (true, Ok(Status { state, text })) = (live, answer) {
-                rewrite(&format!("{state}: {}", shown(text)), "");
+            if let Ok(status) = answer
+                && !status.state.is_final()
+            {
+                tell(News::Progress { id, status });
             }
             !signals::stopped()
         });
-        if live {
-            // The line of the progress makes room.
-            part("\r\x1b[K");
-        }
         match ended {
-            Ok(Status { state, text }) => {
-                line(format_args!(
-                    "Task with ID '{id}' finished{} while waiting. Result is '{text}'.",
-                    self.in_state(state.name())
-                ));
-                fate(state)
-            }
+            Ok(status) => over(
+                tell,
+                Over::Ended {
+                    id,
+                    status: &status,
+                },
+            ),
             Err(error) if error.last.is_err() && !signals::stopped() => {
-                line(format_args!(
-                    "Could not wait for task with ID '{id}'. Reply is '{error}'."
-                ));
-                UNKNOWN
+                let reason = &error.to_string();
+                over(tell, Over::Lost { id, reason })
             }
-            Err(_) => self.abort(remote, id),
+            Err(_) => self.abort(remote, id, tell),
         }
     }
 
-    fn not_triggered(&self, error: TriggerError) -> u8 {
-        let (id, reason, fate) = match error {
-            TriggerError::Refused { id, reason } => (id, reason, 1),
-            other => (-1, format!("{other}{}", self.nameless()), UNKNOWN),
+    fn teller(&self) -> Box<dyn FnMut(News<'_>) + '_> {
+        if self.telling.json {
+            let mut teller = json::Teller::new(self);
+            Box::new(move |news| teller.tell(&news))
+        } else {
+            let mut teller = words::Teller::new(self);
+            Box::new(move |news| teller.tell(&news))
+        }
+    }
+
+    fn not_triggered(&self, error: TriggerError, tell: impl FnMut(News<'_>)) -> Fate {
+        let fate = match &error {
+            TriggerError::Refused { .. } => Fate::Refused,
+            TriggerError::NeverCame
+            | TriggerError::GivenUp
+            | TriggerError::Request(RequestError::NotConnected { .. }) => Fate::NotStarted,
+            _ => Fate::Unknown,
         };
-        let which = match self.words {
-            Words::TaskClient(_) => format!(" '{id}'"),
-            Words::RemoteTask(_) => String::new(),
-            Words::Simple => format!(" '{}'", self.request),
+        let (id, reason) = match error {
+            TriggerError::Refused { id, reason } => (id, reason),
+            other => (-1, format!("{other}{}", self.nameless())),
         };
-        line(format_args!(
-            "Task{which} could not be triggered: '{reason}'."
-        ));
-        fate
+        let reason = &reason;
+        over(tell, Over::NotTriggered { id, reason, fate })
     }
 
     /// What is wrong with the host's name, if it has no address.
     fn nameless(&self) -> String {
-        match (self.host, self.port).to_socket_addrs() {
+        let Target { host, port, .. } = self.target;
+        match (host, port).to_socket_addrs() {
             Ok(_) => String::new(),
-            Err(_) => format!("; no host '{}' is known", self.host),
-        }
-    }
-
-    /// The state, where these words tell it.
-    fn in_state(&self, name: &str) -> String {
-        match self.words {
-            Words::TaskClient(_) | Words::RemoteTask(_) => format!(" in state '{name}'"),
-            Words::Simple => String::new(),
+            Err(_) => format!("; no host '{host}' is known"),
         }
     }
 
     /// The limit was reached, or Ctrl-C was pressed.
-    fn abort(&self, remote: &mut RemoteTask, id: TaskId) -> u8 {
-        line(format_args!("Aborting task with ID '{id}'..."));
-        let aborted = remote.abort(id);
-        let reply = match &aborted {
-            Ok(status) => status.text.clone(),
+    fn abort(&self, remote: &mut RemoteTask, id: TaskId, mut tell: impl FnMut(News<'_>)) -> Fate {
+        let interrupted = signals::stopped();
+        tell(News::Aborting { id, interrupted });
+        let reply = match remote.abort(id) {
+            Ok(status) if status.state.is_final() => {
+                let status = &status;
+                return over(tell, Over::Stopped { id, status });
+            }
+            Ok(status) => status.text,
             Err(error) => error.to_string(),
         };
-        match aborted.as_ref().map(|status| status.state) {
-            Ok(State::Aborted) => {
-                line(format_args!(
-                    "Task with ID '{id}' aborted. Reply is '{reply}'."
-                ));
-                fate(State::Aborted)
-            }
-            Ok(state) if state.is_final() => fate(state),
-            _ => {
-                line(format_args!(
-                    "Could not abort Task with ID '{id}', waiting for completion. Reply is '{reply}'."
-                ));
-                let (name, text, fate) = match remote.wait(id, Some(AFTER_ABORT)) {
-                    Ok(status) => (status.state.name(), status.text, fate(status.state)),
-                    Err(error) => match error.last {
-                        Ok(status) => (status.state.name(), status.text, UNKNOWN),
-                        Err(cause) => ("None", cause.to_string(), UNKNOWN),
-                    },
-                };
-                let text = match self.words {
-                    Words::TaskClient(_) | Words::RemoteTask(_) => text,
-                    // The original's says once more what the abort was answered.
-                    Words::Simple => reply,
-                };
-                line(format_args!(
-                    "Task with ID '{id}' finished{} after unsuccessful abort signal. Reply is '{text}'.",
-                    self.in_state(name)
-                ));
-                fate
-            }
-        }
+        let reply = &reply;
+        tell(News::NotAborted { id, reply });
+        let (state, text) = match remote.wait(id, Some(AFTER_ABORT)) {
+            Ok(Status { state, text })
+            | Err(WaitError {
+                last: Ok(Status { state, text }),
+            }) => (Some(state), text),
+            Err(WaitError { last: Err(cause) }) => (None, cause.to_string()),
+        };
+        let text = &text;
+        let after = Over::After {
+            id,
+            state,
+            text,
+            reply,
+        };
+        over(tell, after)
     }
 }
 
-/// A progress as one line of a terminal.
-fn shown(text: &str) -> String {
-    text.replace(char::is_control, " ")
+/// Tells the last news.
+fn over(mut tell: impl FnMut(News<'_>), over: Over<'_>) -> Fate {
+    let fate = over.fate();
+    tell(News::Over(over));
+    fate
 }

@@ -7,7 +7,7 @@ use tracing::{Level, info, warn};
 use ztl_std::Remotes;
 use ztl_std::remotes::{Remote, usual_path};
 
-use crate::conversation::{Conversation, FATES, Words, connect};
+use crate::conversation::{AFTER_HELP, Conversation, Target, Telling, Words};
 use crate::reach::Identity;
 use crate::tool::{port, seconds, specification};
 use crate::{Done, log, signals};
@@ -16,7 +16,7 @@ use crate::{Done, log, signals};
 const LOG: &str = "remote-config";
 
 #[derive(Debug, clap::Args)]
-#[command(after_help = FATES)]
+#[command(after_help = AFTER_HELP)]
 pub(crate) struct RemoteTask {
     /// Seconds to wait for the task to end before it is aborted; 0 or less waits for ever
     #[arg(short, long, default_value_t = -1, allow_negative_numbers = true, value_parser = seconds)]
@@ -25,9 +25,8 @@ pub(crate) struct RemoteTask {
     #[command(flatten)]
     endpoints: Endpoints,
 
-    /// Tell the task's fate by the exit code (the original's is always 0)
-    #[arg(long)]
-    exit_status: bool,
+    #[command(flatten)]
+    telling: Telling,
 
     #[command(flatten)]
     identity: Identity,
@@ -103,14 +102,16 @@ impl RemoteTask {
         let name = &self.remote;
         let Remote { host, port, scope } = remotes.task(name)?;
         info!(target: LOG, "Initialising remote task interface '{name}'...");
-        let mut remote = self.identity.apply(connect(host, *port, scope)?)?;
         let conversation = Conversation {
-            host,
-            port: *port,
+            target: Target {
+                host,
+                port: *port,
+                scope,
+            },
             request: &request,
             words: Words::RemoteTask(self.timeout),
-            exit_status: self.exit_status,
+            telling: &self.telling,
         };
-        conversation.run(&mut remote)
+        conversation.run(|remote| self.identity.apply(remote))
     }
 }

@@ -3,14 +3,13 @@
 
 use tracing::Level;
 
-use crate::conversation::{Conversation, FATES, Words, connect};
+use crate::conversation::{AFTER_HELP, Conversation, Target, Telling, Words};
 use crate::reach::Identity;
-use crate::terminal::line;
 use crate::tool::port;
 use crate::{Done, log, signals};
 
 #[derive(Debug, clap::Args)]
-#[command(after_help = FATES)]
+#[command(after_help = AFTER_HELP)]
 pub(crate) struct SimpleClient {
     /// The hostname or IP of the server
     host: String,
@@ -26,9 +25,8 @@ pub(crate) struct SimpleClient {
     #[arg(allow_hyphen_values = true)]
     request: String,
 
-    /// Tell the task's fate by the exit code (the original's is always 0)
-    #[arg(long)]
-    exit_status: bool,
+    #[command(flatten)]
+    telling: Telling,
 
     #[command(flatten)]
     identity: Identity,
@@ -38,19 +36,16 @@ impl SimpleClient {
     pub(crate) fn run(self) -> Done {
         log::init(Level::INFO);
         signals::catch()?;
-        let (host, port) = (self.host.as_str(), self.port);
-        line(format_args!(
-            "Connecting to host '{host}:{port}' at scope '{}'...",
-            self.scope
-        ));
-        let mut remote = self.identity.apply(connect(host, port, &self.scope)?)?;
         let conversation = Conversation {
-            host,
-            port,
+            target: Target {
+                host: &self.host,
+                port: self.port,
+                scope: &self.scope,
+            },
             request: &self.request,
             words: Words::Simple,
-            exit_status: self.exit_status,
+            telling: &self.telling,
         };
-        conversation.run(&mut remote)
+        conversation.run(|remote| self.identity.apply(remote))
     }
 }

@@ -3,14 +3,13 @@
 
 use tracing::Level;
 
-use crate::conversation::{Conversation, FATES, Words, connect};
+use crate::conversation::{AFTER_HELP, Conversation, Target, Telling, Words};
 use crate::reach::Identity;
-use crate::terminal::line;
 use crate::tool::{port, seconds, specification};
 use crate::{Done, log, signals};
 
 #[derive(Debug, clap::Args)]
-#[command(after_help = FATES)]
+#[command(after_help = AFTER_HELP)]
 pub(crate) struct TaskClient {
     /// The hostname or IP of the server to execute the task
     #[arg(short, long)]
@@ -28,9 +27,8 @@ pub(crate) struct TaskClient {
     #[arg(short, long, default_value_t = -1, allow_negative_numbers = true, value_parser = seconds)]
     timeout: i64,
 
-    /// Tell the task's fate by the exit code (the original's is always 0)
-    #[arg(long)]
-    exit_status: bool,
+    #[command(flatten)]
+    telling: Telling,
 
     #[command(flatten)]
     identity: Identity,
@@ -47,19 +45,16 @@ impl TaskClient {
             Ok(request) => request,
             Err(code) => return Ok(code),
         };
-        let (host, port) = (self.remote.as_str(), self.port);
-        line(format_args!(
-            "Connecting to host '{host}:{port}' at scope '{}'...",
-            self.scope
-        ));
-        let mut remote = self.identity.apply(connect(host, port, &self.scope)?)?;
         let conversation = Conversation {
-            host,
-            port,
+            target: Target {
+                host: &self.remote,
+                port: self.port,
+                scope: &self.scope,
+            },
             request: &request,
             words: Words::TaskClient(self.timeout),
-            exit_status: self.exit_status,
+            telling: &self.telling,
         };
-        conversation.run(&mut remote)
+        conversation.run(|remote| self.identity.apply(remote))
     }
 }

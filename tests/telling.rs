@@ -1,0 +1,354 @@
+//! What the command-line clients tell: programs by JSON, a person on a terminal, and whoever presses
+//! Ctrl-C.
+
+use std::collections::BTreeMap;
+use std::process::Command;
+use std::sync::mpsc::{Receiver, Sender, channel};
+use std::sync::{Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+use serde_json::Value;
+use ztl_std::{
+    ExecutableTask, RunningServer, TaskContext, TaskController, TaskError, TaskRequest, TaskServer,
+};
+use ztl_tests::lab::{Ended, PATIENCE, Process, SCOPE, Server, free_port, our_client, until, ztl};
+
+/// The names that a program may rely on, as `docs/tools.md` tells them.
+const DOCUMENT: &str = include_str!("../docs/tools.md");
+
+/// Runs a client with `--json --exit-status`; what it told, line by line, and its exit code.
+#[track_caller]
+fn told(line: &str) -> (Vec<Value>, Option<i32>) {
+    let mut command = ztl();
+    command
+        .args(line.split(' '))
+        .args(["--json", "--exit-status"]);
+    let ended = Process::run(&mut command);
+    (objects(&ended), ended.code)
+}
+
+#[track_caller]
+fn objects(ended: &Ended) -> Vec<Value> {
+    let lines = ended.stdout.lines();
+    let objects: Vec<Value> = lines
+        .map(|line| serde_json::from_str(line).unwrap_or_else(|e| panic!("{e}: {line}")))
+        .collect();
+    for object in &objects {
+        assert_documented(object);
+    }
+    objects
+}
+
+/// An object's names are those of the document, each where it stands there.
+#[track_caller]
+fn assert_documented(object: &Value) {
+    let mut names: BTreeMap<_, _> = object
+        .as_object()
+        .expect("an object")
+        .clone()
+        .into_iter()
+        .collect();
+    let event = names.remove("event").expect("an event");
+    let event = event.as_str().expect("a name");
+    let row = DOCUMENT
+        .lines()
+        .find(|line| line.starts_with(&format!("| `{event}` |")))
+        .unwrap_or_else(|| panic!("`{event}` is not in the document"));
+    let with = row.rsplit(" | ").next().expect("a last column");
+    for name in names.keys() {
+        assert!(with.contains(&format!("`{name}`")), "{name} in {row}");
+    }
+    if let Some(fate) = names.get("fate") {
+        let row = format!(
+            "| {} | {} |",
+            fate.to_string().replace('"', "`"),
+            names["exit_status"]
+        );
+        assert!(DOCUMENT.contains(&row), "{row}");
+    }
+}
+
+fn events(objects: &[Value]) -> Vec<&str> {
+    objects
+        .iter()
+        .filter_map(|object| object["event"].as_str())
+        .collect()
+}
+
+#[test]
+fn a_program_is_told_a_tasks_life_by_each_client() {
+    let server = Server::ours();
+    let port = server.port;
+    for (line, request) in [
+        (
+            format!("task-client -r localhost -p {port} -s {SCOPE} test:echo:hi"),
+            "dGVzdDplY2hvOmhp",
+        ),
+        (
+            format!("remote-task --task robot localhost {port} {SCOPE} robot test:echo:hi"),
+            "dGVzdDplY2hvOmhp",
+        ),
+        (
+            format!("simple-client localhost {port} {SCOPE} dGVzdDplY2hvOmhp"),
+            "dGVzdDplY2hvOmhp",
+        ),
+    ] {
+        let (objects, code) = told(&line);
+        assert_eq!(
+            events(&objects),
+            ["asking", "started", "over"],
+            "{objects:?}"
+        );
+        let [asking, started, over] = objects.as_slice() else {
+            panic!("{objects:?}")
+        };
+        assert_eq!(asking["host"], "localhost");
+        assert_eq!(asking["port"], port);
+        assert_eq!(asking["scope"], SCOPE);
+        assert_eq!(asking["request"], request);
+        assert!(
+            started["reply"]
+                .as_str()
+                .expect("a text")
+                .starts_with("Initiated")
+        );
+        assert_eq!(started["id"], over["id"]);
+        assert_eq!(
+            (over["fate"].as_str(), over["text"].as_str()),
+            (Some("completed"), Some("hi"))
+        );
+        assert_eq!((over["exit_status"].as_i64(), code), (Some(0), Some(0)));
+    }
+}
+
+#[test]
+fn a_program_is_told_each_fate_and_the_exit_code_is_the_same() {
+    let server = Server::ours();
+    let at = |port: u16| format!("-r localhost -p {port} -s {SCOPE}");
+    let here = at(server.port);
+    for (line, names, fate, code) in [
+        (
+            format!("{here} test:nothing:x"),
+            "asking started over",
+            "failed",
+            3,
+        ),
+        (format!("{here} other:echo:x"), "asking over", "refused", 1),
+        (
+            format!("{} test:echo:x", at(free_port())),
+            "asking over",
+            "not_started",
+            5,
+        ),
+        // It refuses to be aborted, and sleeps longer than that is waited for.
+        (
+            format!("{here} -t 1 test:sleep:30"),
+            "asking started progress aborting not_aborted over",
+            "unknown",
+            5,
+        ),
+    ] {
+        let (objects, exit) = told(&format!("task-client {line}"));
+        assert_eq!(events(&objects).join(" "), names, "{line}: {objects:?}");
+        let over = objects.last().expect("a last line");
+        assert_eq!(over["fate"], fate, "{over}");
+        assert_eq!(
+            (over["exit_status"].as_i64(), exit),
+            (Some(code), Some(code as i32))
+        );
+    }
+}
+
+#[test]
+fn progress_is_told_when_it_changes() {
+    let gateway = Server::simulated();
+    let line = format!(
+        "task-client -r localhost -p {} -s {SCOPE} gripper:finger:30",
+        gateway.port
+    );
+    let (objects, code) = told(&line);
+    assert_eq!(code, Some(0));
+    let mut texts: Vec<_> = objects
+        .iter()
+        .filter(|o| o["event"] == "progress")
+        .collect();
+    assert!(texts.len() >= 3, "{objects:?}");
+    let count = texts.len();
+    texts.dedup();
+    assert_eq!(texts.len(), count, "{objects:?}");
+    assert!(
+        texts.iter().all(|object| object["text"].is_string()),
+        "{texts:?}"
+    );
+}
+
+/// A controller that decides only when it is told to; its tasks last until they are aborted.
+struct Slow {
+    asked: Sender<()>,
+    decide: Mutex<Receiver<()>>,
+    ended: Sender<bool>,
+}
+
+impl TaskController for Slow {
+    fn assign(&self, _request: &TaskRequest) -> Result<Box<dyn ExecutableTask>, TaskError> {
+        let _ = self.asked.send(());
+        let _ = self
+            .decide
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .recv();
+        let ended = self.ended.clone();
+        Ok(Box::new(move |context: &TaskContext| {
+            let aborted = context.sleep(PATIENCE);
+            let _ = ended.send(aborted.is_err());
+            aborted?;
+            Ok(String::new())
+        }))
+    }
+}
+
+struct SlowServer {
+    server: RunningServer,
+    asked: Receiver<()>,
+    decide: Sender<()>,
+    /// For each task whether it was aborted.
+    ended: Receiver<bool>,
+}
+
+fn slow() -> SlowServer {
+    let (asked, was_asked) = channel();
+    let (decide, decided) = channel();
+    let (ended, ends) = channel();
+    let mut server = TaskServer::bind("tcp://127.0.0.1:*").expect("a port");
+    let decided = Mutex::new(decided);
+    server.register(
+        SCOPE,
+        Slow {
+            asked,
+            decide: decided,
+            ended,
+        },
+    );
+    SlowServer {
+        server: server.spawn().expect("a thread"),
+        asked: was_asked,
+        decide,
+        ended: ends,
+    }
+}
+
+impl SlowServer {
+    fn client(&self, options: &[&str]) -> Process {
+        let port = self.server.endpoint().rsplit(':').next().expect("a port");
+        let mut command = our_client();
+        command.args(["-r", "localhost", "-p", port, "-s", SCOPE]);
+        Process::start(command.args(options).arg("robot:base:forward"))
+    }
+}
+
+#[test]
+fn ctrl_c_before_the_answer_finds_the_task_and_aborts_it() {
+    for (options, code) in [(&[][..], 130), (&["--json", "--exit-status"], 4)] {
+        let lab = slow();
+        let client = lab.client(options);
+        lab.asked.recv_timeout(PATIENCE).expect("its INIT");
+        client.signal("INT");
+        until("a word about it", PATIENCE, || {
+            let said = client.stdout();
+            (said.contains("Interrupted") || said.contains("interrupted")).then_some(())
+        });
+        lab.decide.send(()).expect("it waits");
+        let ended = client.end(PATIENCE);
+        assert_eq!(ended.code, Some(code), "{ended:?}");
+        assert_eq!(lab.ended.recv_timeout(PATIENCE), Ok(true), "it was aborted");
+        if options.is_empty() {
+            assert!(
+                ended.stdout.contains("aborted. Reply is 'True'."),
+                "{ended:?}"
+            );
+        } else {
+            let names = ["asking", "interrupted", "started", "aborting", "over"];
+            let objects = objects(&ended);
+            assert_eq!(events(&objects), names);
+            assert_eq!(objects[3]["interrupted"], true);
+            assert_eq!(objects[4]["fate"], "aborted");
+        }
+    }
+}
+
+#[test]
+fn ctrl_c_where_no_server_is_ends_at_once() {
+    let mut command = our_client();
+    let port = free_port().to_string();
+    command.args([
+        "-r",
+        "localhost",
+        "-p",
+        &port,
+        "-s",
+        SCOPE,
+        "--json",
+        "a:b:c",
+    ]);
+    let start = Instant::now();
+    let mut client = Process::start(&mut command);
+    client.next_line(PATIENCE);
+    client.signal("INT");
+    let ended = client.end(PATIENCE);
+    // A whole try takes 2 s.
+    assert!(
+        start.elapsed() < Duration::from_millis(1900),
+        "{:?}",
+        start.elapsed()
+    );
+    assert_eq!(ended.code, Some(130));
+    let objects = objects(&ended);
+    assert_eq!(
+        objects.last().expect("a line")["fate"],
+        "not_started",
+        "{ended:?}"
+    );
+}
+
+#[test]
+fn a_second_ctrl_c_leaves_at_once() {
+    let lab = slow();
+    let client = lab.client(&[]);
+    lab.asked.recv_timeout(PATIENCE).expect("its INIT");
+    client.signal("INT");
+    client.wait_for("Interrupted");
+    client.signal("INT");
+    let ended = client.end(Duration::from_secs(1));
+    assert_eq!(ended.code, Some(130));
+    assert!(!ended.stdout.contains("Aborting"), "{ended:?}");
+    drop(lab.decide);
+}
+
+/// What a person sees on a terminal.
+fn on_a_terminal(server: &Server, environment: &[(&str, &str)], task: &str) -> String {
+    let program = ztl().get_program().to_string_lossy().into_owned();
+    let port = server.port;
+    let line = format!("{program} task-client -r localhost -p {port} -s {SCOPE} {task}");
+    let mut command = Command::new("script");
+    command.args(["--quiet", "--return", "--command", &line, "/dev/null"]);
+    command.env("TERM", "xterm").env_remove("NO_COLOR");
+    command.envs(environment.iter().copied());
+    let ended = Process::run(&mut command);
+    assert_eq!(ended.code, Some(0), "{ended:?}");
+    ended.stdout
+}
+
+#[test]
+fn a_person_sees_progress_and_colours_unless_declined() {
+    let gateway = Server::simulated();
+    let seen = on_a_terminal(&gateway, &[], "gripper:finger:30");
+    assert!(seen.contains("\r\x1b[KACCEPTED 0 s: "), "{seen:?}");
+    assert!(
+        seen.contains("finished in state '\x1b[32mCOMPLETED\x1b[0m'"),
+        "{seen:?}"
+    );
+    let plain = on_a_terminal(&gateway, &[("NO_COLOR", "1")], "gripper:finger:0");
+    assert!(plain.contains("finished in state 'COMPLETED'"), "{plain:?}");
+    let dumb = on_a_terminal(&gateway, &[("TERM", "dumb")], "gripper:finger:10");
+    assert!(dumb.contains("finished in state 'COMPLETED'"), "{dumb:?}");
+}

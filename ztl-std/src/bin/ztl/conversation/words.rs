@@ -1,0 +1,171 @@
+//! The original's lines, and a line that shows the progress on a terminal.
+
+use std::time::{Duration, Instant};
+
+use ztl_core::dispatcher::NOTHING_KNOWN;
+use ztl_std::{State, Status, TaskId};
+
+use super::{Conversation, News, Over, Target};
+use crate::terminal::{is_live, line, painted, part, rewrite};
+
+/// In whose words.
+#[derive(Debug, Clone, Copy)]
+pub(crate) enum Words {
+    /// `task-client`'s; with the seconds that it waits, as they were given.
+    TaskClient(i64),
+    /// `remote-task`'s; the same.
+    RemoteTask(i64),
+    /// `simple-client`'s, which waits for 5 s.
+    Simple,
+}
+
+impl Words {
+    /// How long is waited, for ever if this is `None`.
+    pub(super) fn limit(self) -> Option<Duration> {
+        let seconds = match self {
+            Self::TaskClient(seconds) | Self::RemoteTask(seconds) => seconds,
+            Self::Simple => 5,
+        };
+        let seconds = u64::try_from(seconds).ok().filter(|seconds| *seconds > 0);
+        seconds.map(Duration::from_secs)
+    }
+
+    /// The state, where these words tell it.
+    fn in_state(self, state: Option<State>) -> String {
+        match self {
+            Self::TaskClient(_) | Self::RemoteTask(_) => {
+                let name = state.map_or_else(|| "None".to_owned(), painted);
+                format!(" in state '{name}'")
+            }
+            Self::Simple => String::new(),
+        }
+    }
+}
+
+/// `remote-task` does not say this.
+pub(super) fn connecting(conversation: &Conversation<'_>) {
+    let Target { host, port, scope } = conversation.target;
+    if !matches!(conversation.words, Words::RemoteTask(_)) {
+        line(format_args!(
+            "Connecting to host '{host}:{port}' at scope '{scope}'..."
+        ));
+    }
+}
+
+/// Tells it to a person.
+pub(super) struct Teller<'a> {
+    request: &'a str,
+    words: Words,
+    start: Instant,
+    /// Whether the line of the progress is there.
+    shown: bool,
+}
+
+impl<'a> Teller<'a> {
+    pub(super) fn new(conversation: &Conversation<'a>) -> Self {
+        Self {
+            request: conversation.request,
+            words: conversation.words,
+            start: Instant::now(),
+            shown: false,
+        }
+    }
+
+    pub(super) fn tell(&mut self, news: &News<'_>) {
+        if let News::Progress { status, .. } = news {
+            return self.progress(status);
+        }
+        if std::mem::take(&mut self.shown) {
+            // It makes room.
+            part("\r\x1b[K");
+        }
+        let request = self.request;
+        match news {
+            News::Asking => line(format_args!("Triggering task with request '{request}'...")),
+            News::Interrupted => {
+                line("Interrupted, asking the server what became of the request...");
+            }
+            News::Started { id, reply } => self.started(*id, reply),
+            News::Progress { .. } => {}
+            News::Aborting { id, .. } => line(format_args!("Aborting task with ID '{id}'...")),
+            News::NotAborted { id, reply } => line(format_args!(
+                "Could not abort Task with ID '{id}', waiting for completion. Reply is '{reply}'."
+            )),
+            News::Over(over) => self.over(over),
+        }
+    }
+
+    fn started(&mut self, id: TaskId, reply: &str) {
+        self.start = Instant::now();
+        match self.words {
+            Words::TaskClient(seconds) | Words::RemoteTask(seconds) => line(format_args!(
+                "Initialised task with ID '{id}' for {seconds}s. Reply is '{reply}'."
+            )),
+            Words::Simple => {
+                line(format_args!(
+                    "Initialised task with ID '{id}'. Reply is '{reply}'."
+                ));
+                line("Waiting maximum 5s for the task to finish...");
+            }
+        }
+    }
+
+    fn progress(&mut self, Status { state, text }: &Status) {
+        if !is_live() {
+            return;
+        }
+        self.shown = true;
+        let seconds = self.start.elapsed().as_secs();
+        let text = match text.as_str() {
+            NOTHING_KNOWN => String::new(),
+            // As one line.
+            text => format!(": {}", text.replace(char::is_control, " ")),
+        };
+        rewrite(&format!("{state} {seconds} s{text}"), "");
+    }
+
+    fn over(&self, over: &Over<'_>) {
+        match over {
+            Over::NotTriggered { id, reason, .. } => {
+                let which = match self.words {
+                    Words::TaskClient(_) => format!(" '{id}'"),
+                    Words::RemoteTask(_) => String::new(),
+                    Words::Simple => format!(" '{}'", self.request),
+                };
+                line(format_args!(
+                    "Task{which} could not be triggered: '{reason}'."
+                ));
+            }
+            Over::Ended { id, status } => line(format_args!(
+                "Task with ID '{id}' finished{} while waiting. Result is '{}'.",
+                self.words.in_state(Some(status.state)),
+                status.text
+            )),
+            Over::Lost { id, reason } => line(format_args!(
+                "Could not wait for task with ID '{id}'. Reply is '{reason}'."
+            )),
+            Over::Stopped { id, status } if status.state == State::Aborted => line(format_args!(
+                "Task with ID '{id}' aborted. Reply is '{}'.",
+                status.text
+            )),
+            // Nor does the original say anything.
+            Over::Stopped { .. } => {}
+            Over::After {
+                id,
+                state,
+                text,
+                reply,
+            } => {
+                let text = match self.words {
+                    Words::TaskClient(_) | Words::RemoteTask(_) => text,
+                    // The original's says once more what the abort was answered.
+                    Words::Simple => reply,
+                };
+                line(format_args!(
+                    "Task with ID '{id}' finished{} after unsuccessful abort signal. Reply is '{text}'.",
+                    self.words.in_state(*state)
+                ));
+            }
+        }
+    }
+}

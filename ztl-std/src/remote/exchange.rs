@@ -1,0 +1,249 @@
+//! How a request goes out and its answer comes back, over a connection that may have to be made.
+
+use std::time::{Duration, Instant};
+
+use tracing::warn;
+use ztl_core::client::{Answer, Client, Heard, Late, Server};
+use ztl_core::envelope::Envelope;
+use ztl_core::sink::Sink;
+
+use super::{LOG, RemoteTask, RequestError, version_of};
+use crate::clock::now;
+
+/// Pauses between two tries to connect to a server that is not there: from, and at most.
+const RETRY: (i32, i32) = (20, 1000);
+
+/// How often it is asked whether a request is still wanted: soon enough for whoever has pressed Ctrl-C.
+const ASK_WANTED: Duration = Duration::from_millis(50);
+
+/// Whether a request is still wanted; `None` for one that is in any case.
+pub(super) type Wanted<'a> = Option<&'a dyn Fn() -> bool>;
+
+impl RemoteTask {
+    pub(super) fn open(&self) -> Result<zmq::Socket, zmq::Error> {
+        let socket = self.context.socket(zmq::DEALER)?;
+        socket.set_linger(0)?;
+        // Nothing is queued for a server that is not there: it would act on it when it comes.
+        socket.set_immediate(true)?;
+        socket.set_maxmsgsize(crate::server::MAX_MESSAGE as i64)?;
+        // A server that comes back is not met by all its clients in the same moment.
+        socket.set_reconnect_ivl(RETRY.0)?;
+        socket.set_reconnect_ivl_max(RETRY.1)?;
+        if let Some((own, server)) = &self.keys {
+            socket.set_curve_publickey(own.public().as_bytes())?;
+            socket.set_curve_secretkey(own.secret())?;
+            socket.set_curve_serverkey(server.as_bytes())?;
+        }
+        socket.connect(&self.endpoint)?;
+        Ok(socket)
+    }
+
+    /// Connects, and asks a server that was not met yet who it is.
+    pub(super) fn meet(&mut self, wanted: Wanted<'_>) -> Result<(), RequestError> {
+        if self.socket.is_none() || !self.met {
+            let said = self.ask_while(wanted, |client, _, body| client.probe(now(), body));
+            if let Said::Answer { text, .. } = said.map_err(|unanswered| unanswered.error)? {
+                self.version = version_of(&text);
+            }
+            self.met = true;
+        }
+        Ok(())
+    }
+
+    pub(super) fn ask_outcome(&mut self) -> Result<Said, Unanswered> {
+        let mut body = Vec::new();
+        let mut sink = |bytes: &[u8]| body.extend_from_slice(bytes);
+        match self.client.outcome(now(), &mut sink) {
+            Some(envelope) => self.exchange(None, envelope, &body),
+            None => Err(self.no_answer(Instant::now()).into()),
+        }
+    }
+
+    /// Sends one request and waits for its answer.
+    pub(super) fn ask(
+        &mut self,
+        request: impl FnOnce(&mut Client, &str, &mut dyn Sink) -> Envelope,
+    ) -> Result<Said, Unanswered> {
+        self.ask_while(None, request)
+    }
+
+    /// The same for as long as it is wanted.
+    pub(super) fn ask_while(
+        &mut self,
+        wanted: Wanted<'_>,
+        request: impl FnOnce(&mut Client, &str, &mut dyn Sink) -> Envelope,
+    ) -> Result<Said, Unanswered> {
+        let mut body = Vec::new();
+        let mut sink = |bytes: &[u8]| body.extend_from_slice(bytes);
+        let envelope = request(&mut self.client, &self.scope, &mut sink);
+        self.exchange(wanted, envelope, &body)
+    }
+
+    fn exchange(
+        &mut self,
+        wanted: Wanted<'_>,
+        envelope: Envelope,
+        body: &[u8],
+    ) -> Result<Said, Unanswered> {
+        let start = Instant::now();
+        let socket = match self.socket.take() {
+            Some(socket) => socket,
+            None => {
+                // Another connection may lead to another server.
+                self.met = false;
+                self.open()?
+            }
+        };
+        let said = self.converse(wanted, &socket, start, envelope, body);
+        match &said {
+            Ok(_) => self.socket = Some(socket),
+            // Nothing was sent, so nothing late can come: it goes on trying, ever more slowly.
+            Err(Unanswered {
+                error: RequestError::NotConnected { .. },
+                ..
+            }) => {
+                self.met = false;
+                self.socket = Some(socket);
+            }
+            // What is still on its way in this socket is dropped with it.
+            Err(_) => {}
+        }
+        if let Err(Unanswered { error, .. }) = &said {
+            warn!(target: LOG, "Networking error, disconnecting: {error}");
+        }
+        said
+    }
+
+    fn converse(
+        &mut self,
+        wanted: Wanted<'_>,
+        socket: &zmq::Socket,
+        start: Instant,
+        envelope: Envelope,
+        body: &[u8],
+    ) -> Result<Said, Unanswered> {
+        if self.ready(wanted, socket, zmq::POLLOUT)? != Ready::Yes {
+            return Err(Unanswered::from(RequestError::NotConnected {
+                endpoint: self.endpoint.clone(),
+                waited: start.elapsed(),
+            }));
+        }
+        let (client, number) = envelope.frames();
+        let frames: [&[u8]; 4] = [&client, &number, b"", body];
+        socket.send_multipart(frames, zmq::DONTWAIT)?;
+        loop {
+            match self.ready(wanted, socket, zmq::POLLIN)? {
+                Ready::Yes => {}
+                Ready::Late => break,
+                Ready::Unwanted => {
+                    return Err(Unanswered {
+                        outcome: true,
+                        error: self.no_answer(start),
+                    });
+                }
+            }
+            let frames = socket.recv_multipart(zmq::DONTWAIT)?;
+            let [client, number, _delimiter, body] = frames.as_slice() else {
+                continue;
+            };
+            // Anything else answers an earlier request, which has been given up.
+            if let Some(envelope) = Envelope::parse(client, number)
+                && let Some(heard) = self.client.handle_reply(envelope, body)
+            {
+                return self.said(heard, body, start);
+            }
+        }
+        let late = self.client.handle_timeout(now());
+        Err(Unanswered {
+            outcome: late == Late::AskOutcome,
+            error: self.no_answer(start),
+        })
+    }
+
+    fn said(&self, heard: Heard<'_>, body: &[u8], start: Instant) -> Result<Said, Unanswered> {
+        match heard {
+            Heard::Answer(Answer { state, id, text }) => Ok(Said::Answer {
+                state,
+                id,
+                text: text.to_owned(),
+            }),
+            Heard::NeverStarted => Ok(Said::NeverStarted),
+            Heard::FateUnknown => Err(self.no_answer(start).into()),
+            Heard::Unreadable => Err(RequestError::Unreadable {
+                answer: String::from_utf8_lossy(body).into_owned(),
+            }
+            .into()),
+        }
+    }
+
+    fn no_answer(&self, start: Instant) -> RequestError {
+        RequestError::NoAnswer {
+            endpoint: self.endpoint.clone(),
+            waited: start.elapsed(),
+        }
+    }
+
+    /// Waits until the socket is ready, the request's time has passed, or it is not wanted any more and
+    /// there is another way to learn what becomes of it.
+    fn ready(
+        &self,
+        wanted: Wanted<'_>,
+        socket: &zmq::Socket,
+        events: zmq::PollEvents,
+    ) -> Result<Ready, zmq::Error> {
+        let sent = events == zmq::POLLIN;
+        loop {
+            let unwanted = wanted.is_some_and(|wanted| !wanted());
+            // Only the answer tells the id that an original's server has given.
+            if unwanted && !(sent && self.client.server() == Server::Original) {
+                return Ok(Ready::Unwanted);
+            }
+            let deadline = self.client.poll_timeout();
+            let left = deadline.map_or(Duration::ZERO, |deadline| deadline.since(now()));
+            let time = wanted.map_or(left, |_| left.min(ASK_WANTED));
+            let millis = i64::try_from(time.as_micros().div_ceil(1000));
+            match socket.poll(events, millis.unwrap_or(i64::MAX)) {
+                Ok(0) if left.is_zero() => return Ok(Ready::Late),
+                Ok(0) | Err(zmq::Error::EINTR) => {}
+                Ok(_) => return Ok(Ready::Yes),
+                Err(cause) => return Err(cause),
+            }
+        }
+    }
+}
+
+/// What came of waiting for a socket.
+#[derive(PartialEq)]
+enum Ready {
+    Yes,
+    Late,
+    Unwanted,
+}
+
+/// What a server said.
+pub(super) enum Said {
+    Answer { state: i64, id: i64, text: String },
+    NeverStarted,
+}
+
+/// There was no answer.
+pub(super) struct Unanswered {
+    pub(super) error: RequestError,
+    /// It is worth asking what became of it.
+    pub(super) outcome: bool,
+}
+
+impl From<RequestError> for Unanswered {
+    fn from(error: RequestError) -> Self {
+        Self {
+            error,
+            outcome: false,
+        }
+    }
+}
+
+impl From<zmq::Error> for Unanswered {
+    fn from(cause: zmq::Error) -> Self {
+        RequestError::from(cause).into()
+    }
+}
