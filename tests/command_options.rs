@@ -158,6 +158,63 @@ fn a_server_takes_options_by_the_same_rules() {
 }
 
 #[test]
+fn a_servers_limits_are_chosen_by_options() {
+    let mut command = ztl();
+    command.args(["task-server", "--limit", "running=1", "--limit=keep=10min"]);
+    let server = Server::test_server(command);
+    let mut client = server.original_client();
+    let sleeping = client.start("test", "sleep", "20");
+    let ended = server.start_client(our_client(), &["test:echo:hi"]);
+    let told = Told::of(&ended.end(PATIENCE), server.port);
+    told.assert_ends_with("too many tasks are running, wait for one to end'.");
+    assert_eq!(client.status(sleeping).number, 1);
+
+    for (tool, wrong) in [
+        (
+            "task-server -p 0 -s /x --limit tasks=1",
+            "there is no limit 'tasks'; there are: message",
+        ),
+        (
+            "task-server -p 0 -s /x --limit running",
+            "write a limit as running=100",
+        ),
+        (
+            "simple-server 0 /x --limit running=none",
+            "'none' is no whole number above 0",
+        ),
+        (
+            "gateway -p 0 -s /x -d a=sim:gripper --limit keep=long",
+            "'long' is no time; write 10min or 1h",
+        ),
+    ] {
+        let ended = Process::run(ztl().args(tool.split(' ')));
+        assert_ne!(ended.code, Some(0), "{ended:?}");
+        assert!(ended.stderr.contains(wrong), "{tool}: {ended:?}");
+    }
+    let scratch = Scratch::new();
+    let file = scratch.path("lab.yaml");
+    std::fs::write(
+        &file,
+        "scope: /lab\nport: 1\nlimits:\n  runing: 3\n  held: 0\n",
+    )
+    .expect("a file");
+    let ended = Process::run(ztl().arg("gateway").arg(&file).arg("--check"));
+    assert_eq!(ended.code, Some(2), "{ended:?}");
+    assert!(
+        ended
+            .stderr
+            .contains("lab.yaml:4:3: unknown key 'runing'; did you mean 'running'?"),
+        "{ended:?}"
+    );
+    assert!(
+        ended
+            .stderr
+            .contains("lab.yaml:5:9: '0' is no whole number above 0"),
+        "{ended:?}"
+    );
+}
+
+#[test]
 fn a_tool_that_is_not_there_yet_says_so_under_each_of_its_names() {
     let scratch = Scratch::new();
     for tool in ["simple_publisher", "simple_subscriber", "run_script"] {

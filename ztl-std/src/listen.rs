@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 
 use ipnet::IpNet;
 
+use crate::server::{LIMITS, Limits};
 use crate::yaml::{Fields, Node, Reading, Value};
 
 /// What a configuration file says of it. All of it can be left out there, and said elsewhere.
@@ -22,6 +23,8 @@ pub struct Listen {
     pub key: Option<PathBuf>,
     /// Clients that are allowed, as `--client-key` takes them: `[SCOPE=]FILE` or a directory.
     pub client_keys: Vec<String>,
+    /// What the server allows at most.
+    pub limits: Limits,
     /// What is logged.
     pub log: Option<tracing::Level>,
     /// How it is logged.
@@ -102,6 +105,9 @@ impl Listen {
                 );
             }
         }
+        if let Some(node) = fields.optional("limits") {
+            listen.limits = limits(reading, node);
+        }
         if let Some(node) = fields.optional("log") {
             listen.log = reading.one_of(node, &LEVELS);
         }
@@ -112,12 +118,41 @@ impl Listen {
     }
 }
 
+/// The limits that a file sets.
+fn limits<'d>(reading: &mut Reading<'d>, node: &'d Node) -> Limits {
+    let mut limits = Limits::default();
+    let Some(mut fields) = reading.fields(node, "each limit and its value, as running: 100") else {
+        return limits;
+    };
+    for (name, example) in LIMITS {
+        if let Some(node) = fields.optional(name) {
+            let what = format!("the limit, as {example}");
+            reading.parsed(node, &what, |text| limits.choose(name, text));
+        }
+    }
+    fields.finish(reading);
+    limits
+}
+
 /// The items of a list, or a value that stands for a list of one.
 pub(crate) fn one_or_more(node: &Node) -> &[Node] {
     match &node.value {
         Value::List(nodes) => nodes,
         _ => std::slice::from_ref(node),
     }
+}
+
+/// A size as a person writes it, in bytes: `64 KiB`.
+pub(crate) fn bytes(text: &str) -> Option<usize> {
+    let split = text.find(|c: char| !c.is_ascii_digit())?;
+    let (number, unit) = text.split_at(split);
+    let unit = match unit.trim() {
+        "B" | "bytes" | "byte" => 1,
+        "KiB" | "kB" | "KB" | "K" => 1024,
+        "MiB" => 1024 * 1024,
+        _ => return None,
+    };
+    number.parse::<usize>().ok()?.checked_mul(unit)
 }
 
 /// Why nothing can be served there, as far as it can be seen without trying.

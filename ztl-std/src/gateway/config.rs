@@ -188,7 +188,10 @@ pub fn name_mistake(name: &str) -> Option<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::time::Duration;
+
     use crate::listen::LogFormat;
+    use crate::server::Limits;
     use crate::yaml::tests::Numbers;
 
     fn parse(text: &str) -> Result<Config, Diagnostics> {
@@ -204,6 +207,7 @@ mod tests {
         let text = format!(
             "scope: /lab\nport: 12345\nbind: '*'\nallow: [192.168.7.0/24, 10.1.2.3]\n\
              key: robot.key_secret\nclient-keys: /lab=anna.key\npublish: 12346\njournal: state\nlog: debug\n\
+             limits: {{running: 20, keep: 10min}}\n\
              log-format: json\ndevices:\n  gripper: serial:/dev/serial/by-id/usb-x?baud=9600\n  \
              head:\n    url: serial:/dev/ttyUSB0\n    baud: 57600\n    elf: {}\n  \
              arm: {{url: 'tcp:localhost:7000'}}\n",
@@ -218,6 +222,8 @@ mod tests {
         };
         let mut head = DeviceConfig::new("head", serial("/dev/ttyUSB0", 57600));
         head.elf = Some(own_program);
+        let mut limits = Limits::default();
+        (limits.running, limits.keep) = (20, Duration::from_secs(600));
         let expected = Config {
             scope: Some("/lab".to_owned()),
             listen: Listen {
@@ -229,6 +235,7 @@ mod tests {
                 ],
                 key: Some(PathBuf::from("/lab/robot.key_secret")),
                 client_keys: vec!["/lab=/lab/anna.key".to_owned()],
+                limits,
                 log: Some(tracing::Level::DEBUG),
                 log_format: Some(LogFormat::Json),
             },

@@ -5,6 +5,7 @@ use std::time::Duration;
 use ztl_core::dispatcher::Config;
 
 use super::{MAX_MESSAGE, random};
+use crate::listen::bytes;
 
 /// Files that a process needs besides its connections: programs, ports, logs.
 const OTHER_FILES: usize = 128;
@@ -58,7 +59,58 @@ impl Default for Limits {
     }
 }
 
+/// What a person may choose about [`Limits`]: its name in files and options, and a value as an example.
+pub const LIMITS: [(&str, &str); 9] = [
+    ("message", "64 KiB"),
+    ("running", "100"),
+    ("remembered", "1000"),
+    ("keep", "10min"),
+    ("held", "1000"),
+    ("clients", "1000"),
+    ("queue", "64"),
+    ("connections", "64"),
+    ("handshake", "5s"),
+];
+
 impl Limits {
+    /// Sets one by its name in [`LIMITS`], to a value that a person has written.
+    ///
+    /// # Errors
+    /// What is wrong, and what would be right.
+    pub fn choose(&mut self, name: &str, value: &str) -> Result<(), String> {
+        let count = || match value.parse::<usize>() {
+            Ok(count) if count > 0 => Ok(count),
+            _ => Err(format!("'{value}' is no whole number above 0")),
+        };
+        let time = || match humantime::parse_duration(value) {
+            Ok(time) if !time.is_zero() => Ok(time),
+            Ok(_) => Err("no time at all lets nothing happen; write 1s".to_owned()),
+            Err(_) => Err(format!("'{value}' is no time; write 10min or 1h")),
+        };
+        let size = || match bytes(value) {
+            Some(size) if (1..=MAX_MESSAGE).contains(&size) => Ok(size),
+            _ => Err(format!(
+                "'{value}' is no size from 1 byte to 1 MiB, which is what clients take; write 64 KiB"
+            )),
+        };
+        match name {
+            "message" => self.message = size()?,
+            "running" => self.running = count()?,
+            "remembered" => self.remembered = count()?,
+            "keep" => self.keep = time()?,
+            "held" => self.held = count()?,
+            "clients" => self.clients = count()?,
+            "queue" => self.queue = count()?,
+            "connections" => self.connections = count()?,
+            "handshake" => self.handshake = time()?,
+            _ => {
+                let names = LIMITS.map(|(name, _)| name).join(", ");
+                return Err(format!("there is no limit '{name}'; there are: {names}"));
+            }
+        }
+        Ok(())
+    }
+
     /// Sets what ZeroMQ sees to, on a socket that is to be bound afterwards.
     pub(super) fn set(&self, socket: &zmq::Socket) -> Result<(), zmq::Error> {
         let message = self.message.min(MAX_MESSAGE);
@@ -89,6 +141,35 @@ fn soft_limit(limits: &str) -> Option<usize> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn every_limit_is_chosen_by_its_name() {
+        let usual = Limits::default();
+        for (name, example) in LIMITS {
+            let mut limits = usual;
+            limits.choose(name, example).expect(name);
+            if name != "handshake" {
+                assert_ne!(limits, usual, "{name}");
+            }
+            for wrong in ["", "0", "-1", "many", "0s"] {
+                let mistake = limits.choose(name, wrong).expect_err(name);
+                let named = mistake.contains(wrong) || mistake.starts_with("no time at all");
+                assert!(named, "{name}: {mistake}");
+            }
+        }
+        let mut limits = usual;
+        limits.choose("message", "64 KiB").unwrap();
+        limits.choose("keep", "10min").unwrap();
+        assert_eq!(
+            (limits.message, limits.keep),
+            (65_536, Duration::from_secs(600))
+        );
+        assert!(limits.choose("message", "2 MiB").is_err());
+        let unknown = limits.choose("tasks", "3").unwrap_err();
+        assert!(unknown.ends_with(
+            "message, running, remembered, keep, held, clients, queue, connections, handshake"
+        ));
+    }
 
     #[test]
     fn the_systems_limit_is_read_where_it_tells_one() {

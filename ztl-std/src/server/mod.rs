@@ -35,7 +35,7 @@ use access::{Door, Who};
 pub use bind::BindError;
 use bind::bind;
 pub use handler::{Answers, Restored, RestoredTask, TaskHandler};
-pub use limits::Limits;
+pub use limits::{LIMITS, Limits};
 pub use listing::{ListedTask, Listing};
 pub(crate) use memory::quoted;
 use memory::{About, Grown, Heap, Peer};

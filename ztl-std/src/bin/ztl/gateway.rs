@@ -197,7 +197,7 @@ impl Plan {
     fn serve(self) -> Done {
         let place = self.place;
         let who = place.reachable();
-        let mut server = TaskServer::bind_for(&place.endpoint(), place.access)?;
+        let mut server = place.listen()?;
         let names: Vec<&str> = self.devices.iter().map(|d| d.name.as_str()).collect();
         let mut devices = self.journal.gateway(place.port, &self.scope)?;
         devices.set_leave_running(self.leave_running);

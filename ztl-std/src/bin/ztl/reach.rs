@@ -10,7 +10,7 @@ use tracing::Level;
 use ztl_std::keys::{KeyPair, PublicKey};
 use ztl_std::listen::{LEVELS, LOG_FORMATS, Listen, LogFormat, bind_mistake};
 use ztl_std::yaml::Diagnostics;
-use ztl_std::{Access, RemoteTask, RequestError};
+use ztl_std::{Access, BindError, Limits, RemoteTask, RequestError, TaskServer};
 
 /// Exit code for a configuration that cannot be served, however often it is tried.
 pub(crate) const MISCONFIGURED: u8 = 2;
@@ -55,6 +55,9 @@ pub(crate) struct Listening {
 
     #[command(flatten)]
     reach: Reach,
+
+    #[command(flatten)]
+    bounds: Bounds,
 
     /// What is logged: error, warn, info or debug [default: info]
     #[arg(long, value_name = "LEVEL", value_parser = level)]
@@ -101,6 +104,7 @@ impl Listening {
             return Ok(None);
         };
         Ok(Some(Place {
+            limits: self.bounds.over(file.limits),
             port,
             bind: self.bind.or(file.bind).unwrap_or("127.0.0.1".to_owned()),
             access: reach
@@ -117,6 +121,7 @@ pub(crate) struct Place {
     pub(crate) port: u16,
     pub(crate) bind: String,
     pub(crate) access: Access,
+    pub(crate) limits: Limits,
     pub(crate) log: Level,
     pub(crate) log_format: LogFormat,
 }
@@ -127,8 +132,38 @@ impl Place {
         reachable(&self.bind, &self.access)
     }
 
-    pub(crate) fn endpoint(&self) -> String {
-        format!("tcp://{}:{}", self.bind, self.port)
+    /// Listens there.
+    ///
+    /// # Errors
+    /// As [`BindError`] says.
+    pub(crate) fn listen(&self) -> Result<TaskServer, BindError> {
+        let endpoint = format!("tcp://{}:{}", self.bind, self.port);
+        TaskServer::bind_with(&endpoint, self.access.clone(), self.limits)
+    }
+}
+
+/// What a server allows at most.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Bounds {
+    /// What the server allows at most, as running=100 (repeatable; docs/limits.md)
+    #[arg(long, value_name = "NAME=VALUE", value_parser = bound)]
+    limit: Vec<(String, String)>,
+}
+
+fn bound(text: &str) -> Result<(String, String), String> {
+    let (name, value) = text.split_once('=').ok_or("write a limit as running=100")?;
+    Limits::default().choose(name, value)?;
+    Ok((name.to_owned(), value.to_owned()))
+}
+
+impl Bounds {
+    /// In place of what was chosen elsewhere.
+    pub(crate) fn over(&self, mut limits: Limits) -> Limits {
+        for (name, value) in &self.limit {
+            // It was tried when the option was read.
+            let _ = limits.choose(name, value);
+        }
+        limits
     }
 }
 

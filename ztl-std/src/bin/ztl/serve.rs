@@ -101,7 +101,7 @@ fn served(config: &Config) -> String {
 
 fn serve(config: &Config, place: reach::Place) -> Done {
     let who = place.reachable();
-    let mut server = TaskServer::bind_for(&place.endpoint(), place.access)?;
+    let mut server = place.listen()?;
     let groups = Groups::default();
     for (scope, programs) in config.programs(&groups)? {
         server.register_handler(&scope, programs);

@@ -8,8 +8,9 @@ use std::time::{Duration, Instant};
 
 use tracing::{Level, error};
 use ztl_std::server::{TaskHandler, TaskReporter, scope_mistake};
-use ztl_std::{TaskId, TaskServer};
+use ztl_std::{Access, Limits, TaskId, TaskServer};
 
+use crate::reach::Bounds;
 use crate::terminal::line;
 use crate::tool::{no_number, port, seconds};
 use crate::{Done, log, signals};
@@ -22,6 +23,9 @@ pub(crate) struct SimpleServer {
 
     /// The scope that the server should respond to
     scope: String,
+
+    #[command(flatten)]
+    bounds: Bounds,
 }
 
 impl SimpleServer {
@@ -32,7 +36,11 @@ impl SimpleServer {
         }
         signals::catch()?;
         // Every interface, as the original.
-        let mut server = TaskServer::bind(&format!("tcp://*:{}", self.port))?;
+        let mut server = TaskServer::bind_with(
+            &format!("tcp://*:{}", self.port),
+            Access::everybody(),
+            self.bounds.over(Limits::default()),
+        )?;
         server.register_handler(&self.scope, Naps::default());
         let stopper = server.stopper();
         signals::then(move || stopper.stop());

@@ -7,9 +7,11 @@ use tracing::{Level, error};
 use ztl_core::integer::Integer;
 use ztl_std::server::scope_mistake;
 use ztl_std::{
-    ExecutableTask, TaskContext, TaskController, TaskError, TaskRequest, TaskServer as Server,
+    Access, ExecutableTask, Limits, TaskContext, TaskController, TaskError, TaskRequest,
+    TaskServer as Server,
 };
 
+use crate::reach::Bounds;
 use crate::terminal::line;
 use crate::tool::{no_number, port};
 use crate::{Done, log, signals};
@@ -23,6 +25,9 @@ pub(crate) struct TaskServer {
     /// The scope that the server should respond to
     #[arg(short, long)]
     scope: String,
+
+    #[command(flatten)]
+    bounds: Bounds,
 }
 
 impl TaskServer {
@@ -33,7 +38,11 @@ impl TaskServer {
         }
         signals::catch()?;
         // Every interface, as the original.
-        let mut server = Server::bind(&format!("tcp://*:{}", self.port))?;
+        let mut server = Server::bind_with(
+            &format!("tcp://*:{}", self.port),
+            Access::everybody(),
+            self.bounds.over(Limits::default()),
+        )?;
         server.register(&self.scope, TestController);
         let stopper = server.stopper();
         signals::then(move || stopper.stop());

@@ -12,7 +12,7 @@ use super::super::program::{
 use super::super::rule::Rule;
 use super::super::template::Template;
 use super::{Source, Wild};
-use crate::listen::one_or_more;
+use crate::listen::{bytes, one_or_more};
 use crate::yaml::{Fields, Node, Value};
 
 /// How long a program has to end after it was asked to.
@@ -337,18 +337,7 @@ impl<'d> Source<'d> {
     fn size(&mut self, node: &'d Node) -> Option<usize> {
         let what = "a size from 1 byte to 1000 KiB, as 64 KiB";
         self.reading.parsed(node, what, |text| {
-            let split = text
-                .find(|c: char| !c.is_ascii_digit())
-                .unwrap_or(text.len());
-            let (number, unit) = text.split_at(split);
-            let unit = match unit.trim() {
-                "B" | "bytes" | "byte" => Some(1),
-                "KiB" | "kB" | "KB" | "K" => Some(1024),
-                "MiB" => Some(1024 * 1024),
-                _ => None,
-            };
-            let size = number.parse().ok().zip(unit);
-            let size = size.and_then(|(number, unit): (usize, usize)| number.checked_mul(unit));
+            let size = bytes(text);
             let size = size.filter(|size| (1..=MOST_OUTPUT).contains(size));
             size.ok_or_else(|| format!("'{text}' is not {what}"))
         })
