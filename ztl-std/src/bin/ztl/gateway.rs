@@ -5,7 +5,6 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::{Mutex, PoisonError};
 
-use ztl_std::TaskServer;
 use ztl_std::gateway::Endpoint;
 use ztl_std::gateway::config::{Config, DeviceConfig, name_mistake, same_line};
 use ztl_std::server::scope_mistake;

@@ -3,7 +3,6 @@
 use std::path::PathBuf;
 use std::process::ExitCode;
 
-use ztl_std::TaskServer;
 use ztl_std::serve::{Config, Groups};
 use ztl_std::server::scope_mistake;
 
