@@ -9,8 +9,8 @@ use std::net::IpAddr;
 use ipnet::IpNet;
 use tracing::warn;
 
-use super::LOG;
 use super::connections::Connections;
+use super::{LOG, Limits};
 use crate::keys::{KeyPair, PublicKey};
 
 /// Where ZeroMQ asks (RFC 27).
@@ -131,6 +131,8 @@ pub(super) enum Who {
 /// The door of a server: decides on connections, and who a message is from.
 pub(super) struct Door {
     access: Access,
+    /// Whether ZeroMQ asks for each connection.
+    asks: bool,
     /// Where ZeroMQ asks.
     desk: zmq::Socket,
     connections: Connections,
@@ -158,6 +160,7 @@ impl Door {
         desk.set_linger(0)?;
         desk.bind(DESK)?;
         let door = Self {
+            asks: !access.is_open() || connections < Limits::default().connections,
             access,
             desk,
             connections: Connections::of(socket, context, connections)?,
@@ -168,8 +171,11 @@ impl Door {
 
     /// Lets only those connect to a socket, which is to be bound afterwards, who may connect at all.
     pub(super) fn guard(&self, socket: &zmq::Socket) -> Result<(), zmq::Error> {
-        // Without a domain ZeroMQ does not ask.
-        socket.set_zap_domain("ztl")?;
+        // Without a domain ZeroMQ does not ask. With one it lets in nobody who is older than ZMTP
+        // 3.0 and cannot say who he is: libzmq 3, JeroMQ 0.3.
+        if self.asks {
+            socket.set_zap_domain("ztl")?;
+        }
         if let Some(keys) = &self.access.keys {
             socket.set_curve_server(true)?;
             socket.set_curve_secretkey(keys.secret())?;

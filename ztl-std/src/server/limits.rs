@@ -36,7 +36,9 @@ pub struct Limits {
     /// client that takes none, what is more is dropped. Default 256.
     pub queue: usize,
     /// Connections at a time, also those that have not shaken hands. One more is not let in, and
-    /// tries again. Default 4096, or what the system's limit on open files leaves.
+    /// tries again. Default 4096, or what the system's limit on open files leaves: a server for
+    /// everybody then leaves it to the system, which takes no more when there are no files left. With a
+    /// lower one, as with networks and keys, peers older than ZMTP 3.0 (libzmq 3) are not let in.
     pub connections: usize,
     /// How long a connection may take to shake hands. Default 5 s.
     pub handshake: Duration,
