@@ -219,27 +219,21 @@ impl Drop for Running {
     }
 }
 
-/// Starts a device in this process and gives the line to it.
+/// Starts a device in this process and gives the line to it: a pty, as a real device would be; where
+/// the system has none to give, as in a container without `/dev/ptmx`, TCP on this machine.
 ///
 /// # Errors
-/// When the system has no more ptys or threads.
-#[cfg(unix)]
+/// When the system has no more threads, and nothing can listen there.
 pub(crate) fn line(kind: Kind) -> io::Result<Line> {
-    let (running, path) = Device::new(kind).on_pty(None)?;
-    let port = serialport::new(path, crate::gateway::BAUD)
-        .timeout(crate::gateway::READ_TIMEOUT)
-        .open()?;
-    let mut line = Line::serial(port)?;
-    line.device = Some(running);
-    Ok(line)
-}
-
-/// Without ptys, over TCP on this machine.
-///
-/// # Errors
-/// When nothing can listen there.
-#[cfg(not(unix))]
-pub(crate) fn line(kind: Kind) -> io::Result<Line> {
+    #[cfg(unix)]
+    if let Ok((running, path)) = Device::new(kind).on_pty(None) {
+        let port = serialport::new(path, crate::gateway::BAUD)
+            .timeout(crate::gateway::READ_TIMEOUT)
+            .open()?;
+        let mut line = Line::serial(port)?;
+        line.device = Some(running);
+        return Ok(line);
+    }
     let (running, address) = Device::new(kind).on_tcp("127.0.0.1:0")?;
     let mut line = Line::tcp(std::net::TcpStream::connect(address)?)?;
     line.device = Some(running);

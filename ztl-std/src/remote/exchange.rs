@@ -34,7 +34,12 @@ impl RemoteTask {
             socket.set_curve_secretkey(own.secret())?;
             socket.set_curve_serverkey(server.as_bytes())?;
         }
-        socket.connect(&self.endpoint)?;
+        // RFC 6761: this name is this machine, also where no file of the system says so, as in an
+        // empty root. ZeroMQ would ask a name server that is not there.
+        match self.endpoint.strip_prefix("tcp://localhost:") {
+            Some(port) => socket.connect(&format!("tcp://127.0.0.1:{port}"))?,
+            None => socket.connect(&self.endpoint)?,
+        }
         Ok(socket)
     }
 

@@ -73,7 +73,7 @@ impl Demo {
         let mut gateway = Gateway::new();
         let mut devices = Vec::new();
         for kind in DEVICES {
-            let (url, device) = simulate(kind)?;
+            let (url, device) = simulate(kind);
             line(format_args!("device   {kind:<8} at {url}"));
             gateway.add(kind.name(), url.parse::<Endpoint>()?)?;
             devices.extend(device);
@@ -113,16 +113,14 @@ impl Demo {
     }
 }
 
-/// A device on a pty of its own, to be opened by its path like a real one.
-#[cfg(unix)]
-fn simulate(kind: Kind) -> std::io::Result<(String, Option<ztl_std::sim::Running>)> {
-    let (device, path) = ztl_std::sim::Device::new(kind).on_pty(None)?;
-    Ok((format!("serial:{path}?baud={BAUD}"), Some(device)))
-}
-
-#[cfg(not(unix))]
-fn simulate(kind: Kind) -> std::io::Result<(String, Option<ztl_std::sim::Running>)> {
-    Ok((format!("sim:{kind}"), None))
+/// A device on a pty of its own, to be opened by its path like a real one; where the system has no
+/// ptys, one in the gateway's process.
+fn simulate(kind: Kind) -> (String, Option<ztl_std::sim::Running>) {
+    #[cfg(unix)]
+    if let Ok((device, path)) = ztl_std::sim::Device::new(kind).on_pty(None) {
+        return (format!("serial:{path}?baud={BAUD}"), Some(device));
+    }
+    (format!("sim:{kind}"), None)
 }
 
 /// What to try next.
