@@ -12,6 +12,7 @@ mod curve;
 mod firmware;
 mod fuzz;
 mod image;
+mod peers;
 mod proof;
 mod python;
 mod simulate;

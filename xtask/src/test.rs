@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use crate::cmd::{Cmd, Outcome};
 use crate::{
-    Dirs, bare, clients, curve, firmware, fuzz, image, proof, python, simulate, size, tools,
+    Dirs, bare, clients, curve, firmware, fuzz, image, peers, proof, python, simulate, size, tools,
 };
 
 /// The crates that have to do without `std` and without an allocator.
@@ -76,6 +76,11 @@ const STEPS: &[Step] = &[
         name: "clients",
         about: "the npm package of the client in JavaScript is installed",
         run: |dirs| clients::ensure(dirs).map(drop),
+    },
+    Step {
+        name: "peers",
+        about: "old and other peers are installed: libzmq 4.1.6, Python 2.7 where there is one, JeroMQ",
+        run: |dirs| peers::ensure(dirs).map(drop),
     },
     Step {
         name: "bare",
@@ -219,12 +224,14 @@ fn build_programs() -> Outcome {
 fn tests(dirs: &Dirs) -> Outcome {
     let python = python::ensure(dirs)?;
     let clients = clients::ensure(dirs)?;
+    let peers = peers::ensure(dirs)?;
     build_programs()?;
     firmware::build_for_qemu(dirs)?;
     Cmd::new("cargo test --workspace --locked --exclude")
         .arg(simulate::PACKAGE)
         .env("ZTL_PYTHON", python)
         .env("ZTL_CLIENTS", clients)
+        .env("ZTL_PEERS", peers)
         .run()?;
     // What the programs do not ask for: components, an async loop, what interrupts share, defmt.
     Cmd::new("cargo test --package ztl-mcu --all-features --locked").run()

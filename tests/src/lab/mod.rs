@@ -6,6 +6,7 @@
 #[cfg(unix)]
 mod board;
 mod original;
+mod peers;
 mod process;
 mod server;
 mod tools;
@@ -15,6 +16,7 @@ pub use board::{Board, Pin};
 pub use original::{
     ABORTED, ACCEPTED, Answer, COMPLETED, FAILED, OriginalClient, REJECTED, original_tool, python,
 };
+pub use peers::Peer;
 pub use process::{Ended, Process};
 pub use server::{SCOPE, Server};
 pub use tools::{Told, original_client, our_client};

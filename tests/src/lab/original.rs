@@ -1,7 +1,7 @@
 //! The original: Python's `ztl` 0.3.3, unchanged, from its virtual environment.
 
 use std::ffi::OsString;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Duration;
 
@@ -84,34 +84,21 @@ pub struct OriginalClient {
     process: Process,
 }
 
-const DRIVER: &str = r#"
-import sys
-from ztl.core.client import RemoteTask
-from ztl.core.protocol import Task
-
-host, port, scope = sys.argv[1:]
-remote = RemoteTask(host, int(port), scope)
-text = lambda word: bytes.fromhex(word).decode("utf-8")
-for line in sys.stdin:
-    verb, *words = line.rstrip("\n").split(" ")
-    if verb == "trigger":
-        number, reply = remote.trigger(Task.encode(*map(text, words)))
-    elif verb == "status":
-        number, reply = remote.status(int(words[0]))
-    elif verb == "abort":
-        number, reply = remote.abort(int(words[0]))
-    elif verb == "wait":
-        number, reply = remote.wait(int(words[0]), timeout=float(words[1]))
-    print(number, str(reply).encode("utf-8").hex(), flush=True)
-"#;
-
 impl OriginalClient {
     /// A client of a scope at a port of this machine.
     #[track_caller]
     pub fn connect(port: u16, scope: &str) -> Self {
+        let driver = Path::new(env!("CARGO_MANIFEST_DIR")).join("peers/driver.py");
         let mut command = Command::new(python());
-        command.args(["-c", DRIVER, "127.0.0.1", &port.to_string(), scope]);
-        let process = Process::start(&mut command);
+        command.arg(driver);
+        command.args(["127.0.0.1", &port.to_string(), scope]);
+        Self::of(&mut command)
+    }
+
+    /// Any client that is driven in the same way.
+    #[track_caller]
+    pub(super) fn of(command: &mut Command) -> Self {
+        let process = Process::start(command);
         process.wait_for("Remote task interface initialised at");
         Self { process }
     }

@@ -1,0 +1,73 @@
+//! Old and other ZeroMQ implementations against ours, both ways (`tests/peers/README.md`).
+
+use ztl_std::{RemoteTask, State};
+use ztl_tests::lab::{ABORTED, ACCEPTED, COMPLETED, PATIENCE, Peer, REJECTED, SCOPE, Server};
+
+/// Runs the test with each peer, and says with which it failed.
+#[track_caller]
+fn with_each(test: impl Fn(Peer)) {
+    let peers = Peer::here();
+    assert!(peers.len() >= Peer::ALL.len() - 1, "only {peers:?}");
+    for peer in peers {
+        println!("with {peer:?}");
+        test(peer);
+    }
+}
+
+#[test]
+fn each_peers_client_runs_tasks_on_our_server() {
+    let server = Server::ours();
+    with_each(|peer| {
+        let mut client = peer.client(server.port, SCOPE);
+        let id = client.start("test", "echo", "with : and ; in it");
+        assert_eq!(client.wait(id, 5.0), (COMPLETED, "with : and ; in it"));
+        let long = "long ".repeat(20_000);
+        let id = client.start("test", "echo", &long);
+        assert_eq!(client.wait(id, 5.0), (COMPLETED, long.as_str()));
+        let id = client.start("test", "sleep", "1");
+        assert_eq!(client.status(id), (ACCEPTED, "None"));
+        assert_eq!(client.abort(id).number, ACCEPTED);
+        assert_eq!(client.wait(id, 5.0), (COMPLETED, "True"));
+        assert_eq!(client.status(99), (REJECTED, "Invalid ID '99'"));
+        assert_eq!(client.trigger("robot", "echo", "hi").number, -1);
+    });
+}
+
+#[test]
+fn each_peers_client_drives_a_device_through_the_gateway() {
+    let gateway = Server::gateway(&["gripper=sim:gripper"]);
+    gateway.wait_ready("gripper");
+    with_each(|peer| {
+        let mut client = peer.client(gateway.port, SCOPE);
+        let id = client.start("gripper", "finger", "3");
+        let end = client.wait(id, 10.0);
+        assert_eq!(end.number, COMPLETED, "{end:?}");
+        let id = client.start("gripper", "finger", "100");
+        assert_eq!(client.abort(id).number, ABORTED);
+        let id = client.start("gripper", "finger", "0");
+        assert_eq!(client.wait(id, 10.0).number, COMPLETED);
+    });
+}
+
+#[test]
+fn our_client_runs_tasks_on_each_peers_server() {
+    with_each(|peer| {
+        let server = peer.server();
+        let mut remote = RemoteTask::connect(&server.endpoint(), SCOPE).expect("an address");
+        let long = "long ".repeat(20_000);
+        for goal in ["with : and ; in it", &long] {
+            let id = remote.trigger("test", "echo", goal).expect("taken").id;
+            let end = remote.wait(id, Some(PATIENCE)).expect("its end");
+            assert_eq!((end.state, end.text.as_str()), (State::Completed, goal));
+        }
+        let id = remote.trigger("test", "sleep", "1").expect("taken").id;
+        let now = remote.status(id).expect("an answer");
+        assert_eq!(now.state, State::Accepted);
+        let end = remote.wait(id, Some(PATIENCE)).expect("its end");
+        assert_eq!((end.state, end.text.as_str()), (State::Completed, "True"));
+        let refused = remote.trigger("robot", "echo", "hi");
+        assert!(refused.is_err(), "{refused:?}");
+        // It is no server of ours, and that is found without harm.
+        assert_eq!(remote.ask_server("tasks").expect("an answer"), None);
+    });
+}

@@ -1,0 +1,123 @@
+//! Other ends, old and new, as `tests/peers/README.md` lists them: each is a client and a server.
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use super::{OriginalClient, Server, ancestor, python};
+
+/// Another ZeroMQ than ours, with a ZTL client and a ZTL server on it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Peer {
+    /// The original under Python 2.7, over libzmq 4.1.6. Left out where the machine has no such Python.
+    Python27,
+    /// The original under today's Python, over libzmq 4.1.6.
+    OldLibzmq,
+    /// JeroMQ 0.3.6, which speaks as libzmq 3.2.5: ZMTP 2.0.
+    JeroMq,
+    /// zeromq.js 6.
+    JavaScript,
+}
+
+impl Peer {
+    /// All of them.
+    pub const ALL: [Self; 4] = [
+        Self::Python27,
+        Self::OldLibzmq,
+        Self::JeroMq,
+        Self::JavaScript,
+    ];
+
+    /// Those that this machine can have: all, but Python 2.7 only where there is one.
+    pub fn here() -> Vec<Self> {
+        let lacking = |peer: &Self| *peer == Self::Python27 && !home().join("python27").exists();
+        let (lacking, here): (Vec<_>, Vec<_>) = Self::ALL.into_iter().partition(lacking);
+        for peer in lacking {
+            eprintln!("left out: {peer:?}, which this machine has not");
+        }
+        here
+    }
+
+    /// Its client, of a scope at a port of this machine.
+    #[track_caller]
+    pub fn client(self, port: u16, scope: &str) -> OriginalClient {
+        let mut command = self.command();
+        match self {
+            Self::Python27 | Self::OldLibzmq => command.arg(source("driver.py")),
+            Self::JeroMq | Self::JavaScript => command.arg("client"),
+        };
+        command.args(["127.0.0.1", &port.to_string(), scope]);
+        OriginalClient::of(&mut command)
+    }
+
+    /// Its server of the original's test tasks, `test:echo:…` and `test:sleep:SECONDS`.
+    #[track_caller]
+    pub fn server(self) -> Server {
+        let mut command = self.command();
+        match self {
+            Self::Python27 | Self::OldLibzmq => command.args(["-m", "ztl.example.task_server"]),
+            Self::JeroMq | Self::JavaScript => command.arg("server"),
+        };
+        Server::test_server(command)
+    }
+
+    fn command(self) -> Command {
+        let home = home();
+        match self {
+            Self::Python27 => {
+                let mut command = Command::new(home.join("python27/python2.7"));
+                command.env("PYTHONPATH", home.join("python27")).arg("-u");
+                command
+            }
+            Self::OldLibzmq => {
+                let mut command = Command::new(python());
+                command.env("PYTHONPATH", source("old_libzmq")).arg("-u");
+                command.env("ZTL_OLD_LIBZMQ", there(home.join("libzmq-4.1.6.so")));
+                command
+            }
+            Self::JeroMq => {
+                let mut command = Command::new("java");
+                let classes = there(home.join("java"));
+                let path = format!("{}:/usr/share/java/jeromq.jar", classes.display());
+                // It starts sooner and takes fewer threads: its programs live for seconds.
+                command.args(["-XX:+UseSerialGC", "-XX:TieredStopAtLevel=1", "-cp", &path]);
+                command.arg("Peer");
+                command
+            }
+            Self::JavaScript => {
+                let mut command = Command::new("node");
+                command
+                    .env("ZTL_CLIENTS", packages())
+                    .arg(source("peer.mjs"));
+                command
+            }
+        }
+    }
+}
+
+fn source(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("peers")
+        .join(name)
+}
+
+/// Where `cargo xtask test` puts what they need: <target>/peers.
+fn home() -> PathBuf {
+    let named = std::env::var_os("ZTL_PEERS").filter(|path| !path.is_empty());
+    named.map_or_else(|| ancestor(3).join("peers"), PathBuf::from)
+}
+
+/// The directory with zeromq.js in its `node_modules`.
+fn packages() -> PathBuf {
+    let named = std::env::var_os("ZTL_CLIENTS").filter(|path| !path.is_empty());
+    there(named.map_or_else(|| ancestor(3).join("clients"), PathBuf::from))
+}
+
+#[track_caller]
+fn there(path: PathBuf) -> PathBuf {
+    assert!(
+        path.exists(),
+        "there is no {}: run `cargo xtask test --only clients --only peers`",
+        path.display()
+    );
+    path
+}
