@@ -45,12 +45,12 @@ pub(crate) fn test(dirs: &Dirs) -> Outcome {
         .run()
 }
 
-fn target(dirs: &Dirs) -> PathBuf {
+pub(crate) fn target(dirs: &Dirs) -> PathBuf {
     dirs.target.join("curve")
 }
 
 /// `cargo WORD`, linking to a libzmq with CURVE.
-fn cargo(dirs: &Dirs, word: &str) -> Outcome<Cmd> {
+pub(crate) fn cargo(dirs: &Dirs, word: &str) -> Outcome<Cmd> {
     let build = Cmd::new("cargo run --release --quiet --locked --manifest-path")
         .arg(MANIFEST)
         .arg("--target-dir")

@@ -5,6 +5,7 @@
 
 mod bare;
 mod bench;
+mod capi;
 mod clients;
 mod cmd;
 mod cross;
@@ -39,6 +40,11 @@ const CHORES: &[Chore] = &[
         name: "build",
         about: "the `ztl` command, optimised (--curve: with encryption)",
         run: curve::run,
+    },
+    Chore {
+        name: "c",
+        about: "the libraries for programs in C, with their headers",
+        run: capi::run,
     },
     Chore {
         name: "test",

@@ -5,7 +5,8 @@ use std::time::{Duration, Instant};
 
 use crate::cmd::{Cmd, Outcome};
 use crate::{
-    Dirs, bare, clients, curve, firmware, fuzz, image, peers, proof, python, simulate, size, tools,
+    Dirs, bare, capi, clients, curve, firmware, fuzz, image, peers, proof, python, simulate, size,
+    tools,
 };
 
 /// The crates that have to do without `std` and without an allocator.
@@ -111,6 +112,11 @@ const STEPS: &[Step] = &[
         name: "curve",
         about: "with libzmq built for encryption: who has no allowed key gets nothing",
         run: curve::test,
+    },
+    Step {
+        name: "c",
+        about: "the C interface: examples and misuse, with the original's client, under sanitizers and valgrind",
+        run: capi::test,
     },
     Step {
         name: "model",
@@ -229,6 +235,8 @@ fn tests(dirs: &Dirs) -> Outcome {
     firmware::build_for_qemu(dirs)?;
     Cmd::new("cargo test --workspace --locked --exclude")
         .arg(simulate::PACKAGE)
+        // Its tests need the libraries, which the step `c` makes.
+        .args("--exclude ztl-c")
         .env("ZTL_PYTHON", python)
         .env("ZTL_CLIENTS", clients)
         .env("ZTL_PEERS", peers)

@@ -48,6 +48,12 @@ const NEEDS: &[Need] = &[
         packages: &["gcc", "libc6-dev", "libzmq3-dev"],
     },
     Need {
+        what: "`valgrind` and `pkg-config`, for the tests in C",
+        check: || Cmd::new("sh -c").arg("pkg-config --version >&2 && valgrind --version"),
+        component: None,
+        packages: &["valgrind", "pkg-config"],
+    },
+    Need {
         what: "`node`, for the client in JavaScript",
         check: || Cmd::new("node --eval").arg("console.log('Node', process.version)"),
         component: None,

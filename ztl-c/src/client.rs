@@ -1,0 +1,497 @@
+//! A client of a task server for C.
+
+use std::ffi::{CStr, CString, c_char, c_int, c_uint, c_void};
+use std::path::Path;
+use std::ptr;
+use std::sync::{Mutex, TryLockError};
+use std::time::Duration;
+
+use ztl_core::{State, TaskId};
+use ztl_std::keys::{KeyPair, PublicKey};
+use ztl_std::{RemoteTask, RequestError, Status, WaitError};
+
+use crate::border::{for_c, guard, null, text};
+use crate::error::{
+    Failure, ZTL_E_ARGUMENT, ZTL_E_BUSY, ZTL_E_NOT_ENDED, ZTL_E_NULL, ZTL_E_PANIC, ZTL_E_STATE,
+    ZTL_OK,
+};
+use crate::server::read_keys;
+use crate::{ZTL_NO_TASK, ZTL_UNKNOWN};
+
+/// A client of one scope of one server. From ztl_client_new to ztl_client_free, and for one thread at a
+/// time: a call while another is under way is ZTL_E_BUSY. Threads that talk at the same time have a
+/// client each (ztl_client_clone).
+pub struct Client(Mutex<Line>);
+
+/// Is shown each answer of a wait, on the thread that waits: ZTL_OK with the task's state and text, or an
+/// error, ZTL_UNKNOWN, and what went wrong. The text is the library's, and lasts for the call. 0 goes on
+/// waiting; anything else ends the wait, which then says ZTL_E_NOT_ENDED. It must not use the client.
+pub type Seen = Option<
+    unsafe extern "C" fn(
+        context: *mut c_void,
+        error: c_int,
+        state: c_int,
+        text: *const c_char,
+    ) -> c_int,
+>;
+
+#[derive(Default)]
+struct Line {
+    remote: Option<RemoteTask>,
+    timeout: Option<Duration>,
+    keys: Option<(KeyPair, PublicKey)>,
+    /// What the last call was answered.
+    text: CString,
+    /// What the last call that failed said.
+    error: CString,
+}
+
+impl Line {
+    fn remote(&mut self) -> Result<&mut RemoteTask, Failure> {
+        let text = "the client is not connected: ztl_client_connect comes first";
+        self.remote
+            .as_mut()
+            .ok_or_else(|| Failure::new(ZTL_E_STATE, text))
+    }
+
+    fn said(&mut self, status: &Status) -> c_int {
+        self.text = for_c(&status.text);
+        code(status.state)
+    }
+}
+
+/// Why a wait has ended without an end of the task, and where the task was last.
+struct NotEnded {
+    failure: Failure,
+    last: Option<Status>,
+}
+
+impl From<WaitError> for NotEnded {
+    fn from(error: WaitError) -> Self {
+        match error.last {
+            Ok(status) => Self {
+                failure: Failure::new(ZTL_E_NOT_ENDED, format!("still {}", status.state)),
+                last: Some(status),
+            },
+            Err(cause) => Self {
+                failure: cause.into(),
+                last: None,
+            },
+        }
+    }
+}
+
+impl From<Failure> for NotEnded {
+    fn from(failure: Failure) -> Self {
+        Self {
+            failure,
+            last: None,
+        }
+    }
+}
+
+impl Client {
+    /// Does something with a client, and keeps what went wrong.
+    ///
+    /// # Safety
+    /// `client` is NULL, or was made by this library and is not freed.
+    unsafe fn with(
+        client: *const Self,
+        work: impl FnOnce(&mut Line) -> Result<(), Failure>,
+    ) -> c_int {
+        // SAFETY: as the caller promises; only shared references are made of it.
+        let Some(Self(line)) = (unsafe { client.as_ref() }) else {
+            return ZTL_E_NULL;
+        };
+        let mut line = match line.try_lock() {
+            Ok(line) => line,
+            Err(TryLockError::Poisoned(line)) => line.into_inner(),
+            // What it has said belongs to the thread that has it.
+            Err(TryLockError::WouldBlock) => return ZTL_E_BUSY,
+        };
+        let panicked = || Failure::new(ZTL_E_PANIC, "a mistake in the library; see stderr");
+        match guard(Err(panicked()), || work(&mut line)) {
+            Ok(()) => ZTL_OK,
+            Err(failure) => {
+                line.error = for_c(&failure.text);
+                failure.code
+            }
+        }
+    }
+
+    /// The same, with where a task is: ZTL_UNKNOWN unless that is known.
+    ///
+    /// # Safety
+    /// As [`with`](Self::with); and nobody else uses `state`, unless it is NULL.
+    unsafe fn ask(
+        client: *const Self,
+        state: *mut c_int,
+        work: impl FnOnce(&mut Line) -> Result<Status, NotEnded>,
+    ) -> c_int {
+        let mut known = ZTL_UNKNOWN;
+        let done = |line: &mut Line| match work(line) {
+            Ok(status) => {
+                known = line.said(&status);
+                Ok(())
+            }
+            Err(NotEnded { failure, last }) => {
+                if let Some(status) = last {
+                    known = line.said(&status);
+                }
+                Err(failure)
+            }
+        };
+        // SAFETY: as the caller promises.
+        let code = unsafe { Self::with(client, done) };
+        if !state.is_null() {
+            // SAFETY: not NULL, and the caller's.
+            unsafe { state.write(known) };
+        }
+        code
+    }
+
+    /// A text that the client holds.
+    ///
+    /// # Safety
+    /// As [`with`](Self::with).
+    unsafe fn held(client: *const Self, which: fn(&Line) -> &CStr) -> *const c_char {
+        guard(c"".as_ptr(), || {
+            // SAFETY: as the caller promises.
+            let Some(Self(line)) = (unsafe { client.as_ref() }) else {
+                return c"the client is NULL".as_ptr();
+            };
+            match line.try_lock() {
+                Ok(line) => which(&line).as_ptr(),
+                Err(TryLockError::Poisoned(line)) => which(&line.into_inner()).as_ptr(),
+                Err(TryLockError::WouldBlock) => c"another thread uses this client".as_ptr(),
+            }
+        })
+    }
+}
+
+const fn code(state: State) -> c_int {
+    state.code() as c_int
+}
+
+fn id(task: c_uint) -> Result<TaskId, Failure> {
+    TaskId::new(task).ok_or_else(|| Failure::new(ZTL_E_ARGUMENT, "no task has the id 0"))
+}
+
+/// Less than 0 is for ever.
+fn limit(limit_ms: c_int) -> Option<Duration> {
+    u64::try_from(limit_ms).ok().map(Duration::from_millis)
+}
+
+/// Makes a client, which is not connected; NULL when there is no memory. Any thread. It is the caller's,
+/// to be given to ztl_client_free.
+#[unsafe(no_mangle)]
+pub extern "C" fn ztl_client_new() -> *mut Client {
+    guard(ptr::null_mut(), || {
+        Box::into_raw(Box::new(Client(Mutex::default())))
+    })
+}
+
+/// Makes another client of the same server and scope, with the same keys and time. NULL when this one
+/// is NULL or in use, or there is no memory. It is the caller's, and lasts longer than this one if need be.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ztl_client_clone(client: *const Client) -> *mut Client {
+    let mut clone = ptr::null_mut();
+    let copy = |line: &mut Line| {
+        let copy = Line {
+            remote: line.remote.clone(),
+            timeout: line.timeout,
+            keys: line.keys.clone(),
+            ..Line::default()
+        };
+        clone = Box::into_raw(Box::new(Client(Mutex::new(copy))));
+        Ok(())
+    };
+    // SAFETY: NULL, or a client that is not freed, as its caller promises.
+    unsafe { Client::with(client, copy) };
+    clone
+}
+
+/// Frees a client and the texts that it gave; its tasks go on. Any thread. NULL is allowed, and nothing
+/// is done.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ztl_client_free(client: *mut Client) {
+    if !client.is_null() {
+        // SAFETY: made by `Box::into_raw` above and not freed before, as its caller promises.
+        guard((), || drop(unsafe { Box::from_raw(client) }));
+    }
+}
+
+/// What the last call was answered: progress, result, or a server's reason; at first "". It is the
+/// client's, and lasts until the next call with it other than this and ztl_client_error.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ztl_client_text(client: *const Client) -> *const c_char {
+    // SAFETY: NULL, or a client that is not freed, as its caller promises.
+    unsafe { Client::held(client, |line| &line.text) }
+}
+
+/// What the last call that failed said; at first "". It is the client's, and lasts until the next call with
+/// it other than this and ztl_client_text.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ztl_client_error(client: *const Client) -> *const c_char {
+    // SAFETY: NULL, or a client that is not freed, as its caller promises.
+    unsafe { Client::held(client, |line| &line.error) }
+}
+
+/// Sets the longest time for the server to answer, in milliseconds; default 2000. It is not a task's time:
+/// that is the limit of ztl_client_wait. Before ztl_client_connect.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ztl_client_set_timeout(client: *mut Client, timeout_ms: c_uint) -> c_int {
+    // SAFETY: NULL, or a client that is not freed, as its caller promises.
+    unsafe {
+        Client::with(client, |line| {
+            not_connected(line)?;
+            line.timeout = Some(Duration::from_millis(timeout_ms.into()));
+            Ok(())
+        })
+    }
+}
+
+/// Encrypts with one's own keys, as "ann.key_secret" (`ztl keys ann` makes it), towards the server with the
+/// public key in the other file, as "robot.key", and no other. Before ztl_client_connect. The texts are
+/// copied.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ztl_client_use_keys(
+    client: *mut Client,
+    own_secret_file: *const c_char,
+    server_public_file: *const c_char,
+) -> c_int {
+    // SAFETY: NULL, or a client that is not freed and texts, as their caller promises.
+    unsafe {
+        Client::with(client, |line| {
+            not_connected(line)?;
+            let own = read_keys(text(own_secret_file, "own_secret_file")?)?;
+            let server = text(server_public_file, "server_public_file")?;
+            line.keys = Some((own, PublicKey::read(Path::new(server))?));
+            Ok(())
+        })
+    }
+}
+
+/// Says which server, as "tcp://robot:12345", and which scope, as "/robot"; before anything is asked. The server
+/// need not be there yet. Once for a client. The texts are copied.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ztl_client_connect(
+    client: *mut Client,
+    endpoint: *const c_char,
+    scope: *const c_char,
+) -> c_int {
+    // SAFETY: NULL, or a client that is not freed and texts, as their caller promises.
+    unsafe {
+        Client::with(client, |line| {
+            not_connected(line)?;
+            let (endpoint, scope) = (text(endpoint, "endpoint")?, text(scope, "scope")?);
+            let connected = crate::signals::blocked(|| RemoteTask::connect(endpoint, scope));
+            let mut remote = connected.map_err(|error| no_address(endpoint, error))?;
+            if let Some(timeout) = line.timeout {
+                remote = remote.with_timeout(timeout);
+            }
+            if let Some((own, server)) = line.keys.clone() {
+                remote = remote.with_keys(own, server)?;
+            }
+            line.remote = Some(remote);
+            Ok(())
+        })
+    }
+}
+
+/// Asks for a task, as "robot", "head", "left", and gives its id: ZTL_NO_TASK with any error. After
+/// ZTL_E_NO_ANSWER, ZTL_E_UNREADABLE and ZTL_E_SYSTEM the task may run; after any other error it does not. A
+/// request is never sent twice. The texts are copied; `task` may be NULL, they may not.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ztl_client_trigger(
+    client: *mut Client,
+    handler: *const c_char,
+    component: *const c_char,
+    goal: *const c_char,
+    task: *mut c_uint,
+) -> c_int {
+    let mut given = ZTL_NO_TASK;
+    // SAFETY: NULL, or a client that is not freed and texts, as their caller promises.
+    let code = unsafe {
+        Client::with(client, |line| {
+            let (handler, component) = (text(handler, "handler")?, text(component, "component")?);
+            let goal = text(goal, "goal")?;
+            given = trigger(line, handler, component, goal)?.get();
+            Ok(())
+        })
+    };
+    if !task.is_null() {
+        // SAFETY: not NULL, and the caller's.
+        unsafe { task.write(given) };
+    }
+    code
+}
+
+/// Asks where a task is. A task that the server does not know is ZTL_REJECTED, "Invalid ID". With any error
+/// the state is ZTL_UNKNOWN: no answer is never taken for an end. `state` may be NULL; the text is
+/// ztl_client_text's.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ztl_client_status(
+    client: *mut Client,
+    task: c_uint,
+    state: *mut c_int,
+) -> c_int {
+    // SAFETY: NULL, or a client that is not freed, and a number, as their caller promises.
+    unsafe {
+        Client::ask(client, state, |line| {
+            let status = line.remote()?.status(id(task)?);
+            Ok(status.map_err(Failure::from)?)
+        })
+    }
+}
+
+/// Asks to stop a task, and where it is then: ZTL_ABORTED, an end that it had reached before, or ZTL_ACCEPTED
+/// while it is not stopped yet, or cannot be. Else as ztl_client_status.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ztl_client_abort(
+    client: *mut Client,
+    task: c_uint,
+    state: *mut c_int,
+) -> c_int {
+    // SAFETY: NULL, or a client that is not freed, and a number, as their caller promises.
+    unsafe {
+        Client::ask(client, state, |line| {
+            let status = line.remote()?.abort(id(task)?);
+            Ok(status.map_err(Failure::from)?)
+        })
+    }
+}
+
+/// Waits for a task to end, at most for so many milliseconds; less than 0 is for ever. ZTL_OK: it has ended,
+/// and `state` says how. ZTL_E_NOT_ENDED: it goes on, and `state` says where it is. ZTL_E_UNKNOWN_TASK: the
+/// server does not know it. Any other error: the server did not answer when the time was over, and the state
+/// is ZTL_UNKNOWN. A server that does not answer does not end the wait before. `state` may be NULL; the
+/// text is ztl_client_text's.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ztl_client_wait(
+    client: *mut Client,
+    task: c_uint,
+    limit_ms: c_int,
+    state: *mut c_int,
+) -> c_int {
+    // SAFETY: NULL, or a client that is not freed, and a number, as their caller promises.
+    unsafe {
+        Client::ask(client, state, |line| {
+            Ok(line.remote()?.wait(id(task)?, limit(limit_ms))?)
+        })
+    }
+}
+
+/// The same; each answer on the way is shown to `seen`, which must not be NULL. `context` is handed to
+/// it, stays the program's, and may be NULL.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ztl_client_wait_seeing(
+    client: *mut Client,
+    task: c_uint,
+    limit_ms: c_int,
+    seen: Seen,
+    context: *mut c_void,
+    state: *mut c_int,
+) -> c_int {
+    // SAFETY: NULL, or a client that is not freed, and a number, as their caller promises.
+    unsafe {
+        Client::ask(client, state, |line| {
+            let seen = seen.ok_or_else(|| null("seen"))?;
+            let show = |answer: &Result<Status, RequestError>| {
+                let (error, state, text) = match answer {
+                    Ok(status) => (ZTL_OK, code(status.state), for_c(&status.text)),
+                    Err(error) => {
+                        let failure = Failure::from(error.clone());
+                        (failure.code, ZTL_UNKNOWN, for_c(&failure.text))
+                    }
+                };
+                // The program's function, called as the header says; the text outlives the call.
+                seen(context, error, state, text.as_ptr()) == 0
+            };
+            Ok(line.remote()?.wait_with(id(task)?, limit(limit_ms), show)?)
+        })
+    }
+}
+
+/// Asks for a task and waits for its end: ztl_client_trigger, then ztl_client_wait, with the errors of both.
+/// `task` gets the id as soon as there is one, so that a task that has not ended can be stopped; it and
+/// `state` may be NULL.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ztl_client_run(
+    client: *mut Client,
+    handler: *const c_char,
+    component: *const c_char,
+    goal: *const c_char,
+    limit_ms: c_int,
+    task: *mut c_uint,
+    state: *mut c_int,
+) -> c_int {
+    let mut given = ZTL_NO_TASK;
+    // SAFETY: NULL, or a client that is not freed, texts, and numbers, as their caller promises.
+    unsafe {
+        let code = ztl_client_trigger(client, handler, component, goal, &raw mut given);
+        if !task.is_null() {
+            task.write(given);
+        }
+        if code == ZTL_OK {
+            return ztl_client_wait(client, given, limit_ms, state);
+        }
+        if !state.is_null() {
+            state.write(ZTL_UNKNOWN);
+        }
+        code
+    }
+}
+
+/// Asks the server about itself, as "tasks" or "devices": ztl_client_text is the answer in JSON, "" where
+/// it does not know the question (the Python original knows none). The text is copied.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ztl_client_ask(client: *mut Client, question: *const c_char) -> c_int {
+    // SAFETY: NULL, or a client that is not freed and a text, as their caller promises.
+    unsafe {
+        Client::with(client, |line| {
+            let question = text(question, "question")?;
+            let answer = line.remote()?.ask_server(question)?;
+            line.text = for_c(&answer.unwrap_or_default());
+            Ok(())
+        })
+    }
+}
+
+fn trigger(line: &mut Line, handler: &str, component: &str, goal: &str) -> Result<TaskId, Failure> {
+    for (name, part) in [("handler", handler), ("component", component)] {
+        if part.contains(':') {
+            let text = format!("the {name} '{part}' must not contain ':', which would end it");
+            return Err(Failure::new(ZTL_E_ARGUMENT, text));
+        }
+    }
+    let triggered = line.remote()?.trigger(handler, component, goal);
+    let triggered = triggered.map_err(Failure::from);
+    // A refusal is an answer, too.
+    line.text = match &triggered {
+        Ok(triggered) => for_c(&triggered.reply),
+        Err(failure) => for_c(&failure.text),
+    };
+    Ok(triggered?.id)
+}
+
+fn not_connected(line: &Line) -> Result<(), Failure> {
+    match line.remote {
+        None => Ok(()),
+        Some(_) => Err(Failure::new(
+            ZTL_E_STATE,
+            "the client is connected already; this has to be said before",
+        )),
+    }
+}
+
+fn no_address(endpoint: &str, error: RequestError) -> Failure {
+    let failure = Failure::from(error);
+    match failure.code {
+        ZTL_E_ARGUMENT => {
+            let text = format!("'{endpoint}' is no address; write it as tcp://robot:12345");
+            Failure::new(ZTL_E_ARGUMENT, text)
+        }
+        _ => failure,
+    }
+}

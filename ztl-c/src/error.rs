@@ -1,0 +1,140 @@
+//! What went wrong, as a number and a text.
+
+use std::ffi::{c_char, c_int};
+
+use ztl_std::keys::KeyError;
+use ztl_std::{BindError, RequestError, TriggerError};
+
+/// It is done.
+pub const ZTL_OK: c_int = 0;
+/// An argument is NULL that must not be.
+pub const ZTL_E_NULL: c_int = -1;
+/// An argument is wrong: no UTF-8, no address, no such setting.
+pub const ZTL_E_ARGUMENT: c_int = -2;
+/// The call does not fit here: too early, too late, or from within a callback.
+pub const ZTL_E_STATE: c_int = -3;
+/// Another thread is using this just now.
+pub const ZTL_E_BUSY: c_int = -4;
+/// Nothing can listen at this address, or something else does.
+pub const ZTL_E_ADDRESS: c_int = -5;
+/// The system gives no socket, thread or memory.
+pub const ZTL_E_SYSTEM: c_int = -6;
+/// Keys were given, and this library cannot encrypt.
+pub const ZTL_E_NO_CURVE: c_int = -7;
+/// A key or its file is wrong.
+pub const ZTL_E_KEY: c_int = -8;
+/// Server: the task has ended, or this server never had it.
+pub const ZTL_E_ENDED: c_int = -9;
+/// Server: somebody asked to stop the task.
+pub const ZTL_E_ABORTED: c_int = -10;
+/// Client: no connection within the time. Nothing was sent: a task that was asked for does not run, and
+/// nothing is known of one that does.
+pub const ZTL_E_NOT_CONNECTED: c_int = -11;
+/// Client: sent, and not answered within the time. Whether it was acted on is unknown: the task may run.
+pub const ZTL_E_NO_ANSWER: c_int = -12;
+/// Client: the server refused the task, and nothing was done.
+pub const ZTL_E_REFUSED: c_int = -13;
+/// Client: the request never came to the server, which will refuse it from now on: nothing runs.
+pub const ZTL_E_NEVER_CAME: c_int = -14;
+/// Client: the server does not know the task: it was started anew, or has forgotten it. Whether and how
+/// the task ended is unknown.
+pub const ZTL_E_UNKNOWN_TASK: c_int = -15;
+/// Client: the answer is no message of ZTL.
+pub const ZTL_E_UNREADABLE: c_int = -16;
+/// Client: the task had not ended when the limit of the wait had passed. It goes on.
+pub const ZTL_E_NOT_ENDED: c_int = -17;
+/// A mistake in this library; it has written a line about it to stderr.
+pub const ZTL_E_PANIC: c_int = -18;
+
+/// The name of an error, as "ZTL_E_NULL"; "ZTL_E_?" for a number that is none. Any thread. The text is
+/// the library's, and stays.
+#[unsafe(no_mangle)]
+pub extern "C" fn ztl_error_name(error: c_int) -> *const c_char {
+    let name = match error {
+        ZTL_OK => c"ZTL_OK",
+        ZTL_E_NULL => c"ZTL_E_NULL",
+        ZTL_E_ARGUMENT => c"ZTL_E_ARGUMENT",
+        ZTL_E_STATE => c"ZTL_E_STATE",
+        ZTL_E_BUSY => c"ZTL_E_BUSY",
+        ZTL_E_ADDRESS => c"ZTL_E_ADDRESS",
+        ZTL_E_SYSTEM => c"ZTL_E_SYSTEM",
+        ZTL_E_NO_CURVE => c"ZTL_E_NO_CURVE",
+        ZTL_E_KEY => c"ZTL_E_KEY",
+        ZTL_E_ENDED => c"ZTL_E_ENDED",
+        ZTL_E_ABORTED => c"ZTL_E_ABORTED",
+        ZTL_E_NOT_CONNECTED => c"ZTL_E_NOT_CONNECTED",
+        ZTL_E_NO_ANSWER => c"ZTL_E_NO_ANSWER",
+        ZTL_E_REFUSED => c"ZTL_E_REFUSED",
+        ZTL_E_NEVER_CAME => c"ZTL_E_NEVER_CAME",
+        ZTL_E_UNKNOWN_TASK => c"ZTL_E_UNKNOWN_TASK",
+        ZTL_E_UNREADABLE => c"ZTL_E_UNREADABLE",
+        ZTL_E_NOT_ENDED => c"ZTL_E_NOT_ENDED",
+        ZTL_E_PANIC => c"ZTL_E_PANIC",
+        _ => c"ZTL_E_?",
+    };
+    name.as_ptr()
+}
+
+/// Why a call has not done what it was asked for.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) struct Failure {
+    pub(crate) code: c_int,
+    pub(crate) text: String,
+}
+
+impl Failure {
+    pub(crate) fn new(code: c_int, text: impl Into<String>) -> Self {
+        Self {
+            code,
+            text: text.into(),
+        }
+    }
+}
+
+impl From<BindError> for Failure {
+    fn from(error: BindError) -> Self {
+        let code = match error {
+            BindError::InUse { .. } | BindError::Address { .. } => ZTL_E_ADDRESS,
+            BindError::NoCurve => ZTL_E_NO_CURVE,
+            _ => ZTL_E_SYSTEM,
+        };
+        Self::new(code, error.to_string())
+    }
+}
+
+impl From<KeyError> for Failure {
+    fn from(error: KeyError) -> Self {
+        let code = match error {
+            KeyError::NoCurve => ZTL_E_NO_CURVE,
+            _ => ZTL_E_KEY,
+        };
+        Self::new(code, error.to_string())
+    }
+}
+
+impl From<RequestError> for Failure {
+    fn from(error: RequestError) -> Self {
+        let code = match &error {
+            RequestError::NotConnected { .. } => ZTL_E_NOT_CONNECTED,
+            RequestError::NoAnswer { .. } => ZTL_E_NO_ANSWER,
+            RequestError::UnknownTask { .. } => ZTL_E_UNKNOWN_TASK,
+            RequestError::Unreadable { .. } => ZTL_E_UNREADABLE,
+            RequestError::NoCurve => ZTL_E_NO_CURVE,
+            RequestError::Transport(zmq::Error::EINVAL | zmq::Error::EPROTONOSUPPORT) => {
+                ZTL_E_ARGUMENT
+            }
+            _ => ZTL_E_SYSTEM,
+        };
+        Self::new(code, error.to_string())
+    }
+}
+
+impl From<TriggerError> for Failure {
+    fn from(error: TriggerError) -> Self {
+        match error {
+            TriggerError::Refused { reason, .. } => Self::new(ZTL_E_REFUSED, reason),
+            TriggerError::Request(cause) => cause.into(),
+            never_came => Self::new(ZTL_E_NEVER_CAME, never_came.to_string()),
+        }
+    }
+}

@@ -1,0 +1,625 @@
+//! A task server for C: set up, started, its calls made, freed.
+
+use std::cell::Cell;
+use std::ffi::{c_char, c_int, c_uint, c_void};
+use std::path::Path;
+use std::ptr;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use ztl_core::TaskId;
+use ztl_std::keys::{KeyPair, PublicKey};
+use ztl_std::server::scope_mistake;
+use ztl_std::{Access, Limits, RunningServer, TaskServer};
+
+use crate::border::{copy_out, guard, null, text};
+use crate::error::{
+    Failure, ZTL_E_ADDRESS, ZTL_E_ARGUMENT, ZTL_E_BUSY, ZTL_E_NULL, ZTL_E_PANIC, ZTL_E_STATE,
+    ZTL_E_SYSTEM, ZTL_OK,
+};
+use crate::signals;
+use crate::tasks::{Asked, Call, Context, Handle, Handler, Scope, Tasks, Way};
+
+/// Longest message of a client, in bytes. Default and most: 1048576.
+pub const ZTL_MAX_MESSAGE: c_int = 1;
+/// Tasks that have not ended. Default 10000.
+pub const ZTL_MAX_RUNNING: c_int = 2;
+/// Tasks that are remembered, whether they run or have ended. Default 10000.
+pub const ZTL_MAX_REMEMBERED: c_int = 3;
+/// How long a task is remembered after its end, in milliseconds. Default 3600000, an hour.
+pub const ZTL_KEEP_MS: c_int = 4;
+/// Requests whose answer is held. Default 10000.
+pub const ZTL_MAX_HELD: c_int = 5;
+/// Clients whose last request for a task is remembered. Default 10000.
+pub const ZTL_MAX_CLIENTS: c_int = 6;
+/// Messages of one connection that wait. Default 256.
+pub const ZTL_MAX_QUEUE: c_int = 7;
+/// Connections at a time. Default 4096, or what the system's limit on open files leaves.
+pub const ZTL_MAX_CONNECTIONS: c_int = 8;
+/// How long a connection may take to shake hands, in milliseconds. Default 5000.
+pub const ZTL_HANDSHAKE_MS: c_int = 9;
+/// How often a running task's `poll` is called, in milliseconds. Default 10.
+pub const ZTL_POLL_MS: c_int = 10;
+
+/// A task server. From ztl_server_new to ztl_server_free; its functions may be called from any thread.
+pub struct Server {
+    setup: Mutex<Setup>,
+    running: Mutex<Option<Running>>,
+    /// Once it was started, until it is freed.
+    tasks: Mutex<Option<Arc<Tasks>>>,
+    /// Held while a call is made.
+    turn: Mutex<()>,
+    error: Mutex<String>,
+}
+
+/// What a client asks for. It and its texts are the library's, and last for the call that is given them.
+#[repr(C)]
+pub struct Request {
+    /// The task's id, by which all else is told of it.
+    pub task: c_uint,
+    /// Who is to do it, as "robot".
+    pub handler: *const c_char,
+    /// With which part, as "head".
+    pub component: *const c_char,
+    /// To what end, as "left".
+    pub goal: *const c_char,
+}
+
+/// Carries out a whole task, from its beginning to its end, on a thread of its own. It tells what becomes of
+/// the task by ztl_task_...(server, request->task, ...), ends it by ztl_task_end, and returns. It should
+/// look at ztl_task_is_aborted often, or wait by ztl_task_sleep. A task that it has not ended when it
+/// returns ends as FAILED.
+pub type WorkCall = Option<
+    unsafe extern "C" fn(context: *mut c_void, server: *mut Server, request: *const Request),
+>;
+
+/// Begins a task, and returns at once. A task that it has not ended by ztl_task_end is accepted.
+pub type StartCall = Option<
+    unsafe extern "C" fn(context: *mut c_void, server: *mut Server, request: *const Request),
+>;
+
+/// Moves a task on that runs, and returns at once; called again and again until the task has ended.
+pub type PollCall =
+    Option<unsafe extern "C" fn(context: *mut c_void, server: *mut Server, task: c_uint)>;
+
+/// Somebody wants a task to stop: stops it, or begins to, and returns at once. Called at most once
+/// for a task. When it has stopped, ztl_task_end says so, here or later.
+pub type AbortCall =
+    Option<unsafe extern "C" fn(context: *mut c_void, server: *mut Server, task: c_uint)>;
+
+#[derive(Default)]
+struct Setup {
+    limits: Limits,
+    access: Access,
+    poll_every: Option<Duration>,
+    scopes: Vec<(String, Scope)>,
+}
+
+struct Running {
+    server: RunningServer,
+    /// Makes the calls, where the program does not.
+    caller: Option<JoinHandle<()>>,
+}
+
+thread_local! {
+    /// Whether this thread is in a callback of a server, so that it must not wait for the end of it.
+    static CALLED: Cell<*mut Server> = const { Cell::new(ptr::null_mut()) };
+}
+
+impl Server {
+    /// Does something with a server, and keeps what went wrong.
+    ///
+    /// # Safety
+    /// `server` is NULL, or was made by `ztl_server_new` and is not freed.
+    pub(crate) unsafe fn with(
+        server: *const Self,
+        work: impl FnOnce(&Self) -> Result<(), Failure>,
+    ) -> c_int {
+        // SAFETY: as the caller promises; only shared references are made of it.
+        let Some(server) = (unsafe { server.as_ref() }) else {
+            return ZTL_E_NULL;
+        };
+        let panicked = || Failure::new(ZTL_E_PANIC, "a mistake in the library; see stderr");
+        match guard(Err(panicked()), || work(server)) {
+            Ok(()) => ZTL_OK,
+            Err(failure) => {
+                *lock(&server.error) = failure.text;
+                failure.code
+            }
+        }
+    }
+
+    /// Its tasks, once it was started.
+    pub(crate) fn tasks(&self) -> Result<Arc<Tasks>, Failure> {
+        lock(&self.tasks).clone().ok_or_else(not_started)
+    }
+
+    /// What is set up, as long as it can be.
+    fn set_up(&self, work: impl FnOnce(&mut Setup) -> Result<(), Failure>) -> Result<(), Failure> {
+        if lock(&self.running).is_some() {
+            let text = "the server is started; this has to be said before";
+            return Err(Failure::new(ZTL_E_STATE, text));
+        }
+        work(&mut lock(&self.setup))
+    }
+
+    fn add(&self, scope: &str, way: Way, context: *mut c_void) -> Result<(), Failure> {
+        if let Some(mistake) = scope_mistake(scope) {
+            return Err(Failure::new(ZTL_E_ARGUMENT, mistake));
+        }
+        self.set_up(|setup| {
+            if setup.scopes.iter().any(|(known, _)| known == scope) {
+                let text = format!("the scope '{scope}' is served already");
+                return Err(Failure::new(ZTL_E_ARGUMENT, text));
+            }
+            let context = Context(context);
+            setup
+                .scopes
+                .push((scope.to_owned(), Scope { way, context }));
+            Ok(())
+        })
+    }
+
+    fn start(&self, handle: Handle, endpoint: &str, on_thread: bool) -> Result<(), Failure> {
+        let mut running = lock(&self.running);
+        if running.is_some() {
+            return Err(Failure::new(ZTL_E_STATE, "the server is started already"));
+        }
+        let setup = lock(&self.setup);
+        let scopes = setup.scopes.iter().map(|(_, scope)| *scope).collect();
+        let poll_every = setup.poll_every.unwrap_or(Duration::from_millis(10));
+        let tasks = Arc::new(Tasks::new(scopes, handle, poll_every));
+        let system = |error: std::io::Error| {
+            Failure::new(ZTL_E_SYSTEM, format!("the system gives no thread: {error}"))
+        };
+        *running = Some(signals::blocked(|| {
+            let mut server = TaskServer::bind_with(endpoint, setup.access.clone(), setup.limits)
+                .map_err(|error| match error.into() {
+                    // Not "use 127.0.0.1": it is no address at all.
+                    Failure { code, .. } if code == ZTL_E_ADDRESS && !endpoint.contains("://") => {
+                        let text =
+                            format!("'{endpoint}' is no address; write it as tcp://0.0.0.0:12345");
+                        Failure::new(ZTL_E_ARGUMENT, text)
+                    }
+                    failure => failure,
+                })?;
+            for (index, (scope, _)) in setup.scopes.iter().enumerate() {
+                let handler = Handler {
+                    tasks: Arc::clone(&tasks),
+                    scope: index,
+                    work,
+                };
+                server.register_handler(scope, handler);
+            }
+            let caller = if on_thread {
+                let tasks = Arc::clone(&tasks);
+                let caller = std::thread::Builder::new().name("ztl-calls".to_owned());
+                let caller = caller.spawn(move || {
+                    while !tasks.is_finished() {
+                        make_next_call(&tasks, Instant::now() + Duration::from_secs(60));
+                    }
+                });
+                Some(caller.map_err(system)?)
+            } else {
+                None
+            };
+            // Callbacks may come before this returns.
+            *lock(&self.tasks) = Some(Arc::clone(&tasks));
+            let server = server
+                .spawn()
+                .map_err(system)
+                .inspect_err(|_| tasks.finish())?;
+            Ok::<_, Failure>(Running { server, caller })
+        })?);
+        Ok(())
+    }
+
+    /// Makes the calls that are due, after waiting for the first of them.
+    fn poll(&self, wait: Duration) -> Result<(), Failure> {
+        let (tasks, calls) = {
+            let running = lock(&self.running);
+            let running = running.as_ref().ok_or_else(not_started)?;
+            if !running.server.is_running() {
+                let text = "the server has ended: ZeroMQ could no longer wait";
+                return Err(Failure::new(ZTL_E_SYSTEM, text));
+            }
+            (self.tasks()?, running.caller.is_none())
+        };
+        let deadline = Instant::now() + wait;
+        if !calls {
+            std::thread::sleep(wait);
+            return Ok(());
+        }
+        let Ok(_turn) = self.turn.try_lock() else {
+            let text =
+                "ztl_server_poll is under way already, in another thread or around this callback";
+            return Err(Failure::new(ZTL_E_BUSY, text));
+        };
+        let begin = Instant::now();
+        let mut made = make_next_call(&tasks, deadline);
+        // What has become due by now; not what becomes due by it, which would never end.
+        while made && begin.elapsed() < tasks.poll_every() {
+            made = make_next_call(&tasks, begin);
+        }
+        Ok(())
+    }
+
+    /// Stops it, and waits for all that it has begun.
+    fn stop(&self) {
+        let running = lock(&self.running).take();
+        let Some((Running { server, caller }, tasks)) = running.zip(self.tasks().ok()) else {
+            return;
+        };
+        tasks.stop();
+        if caller.is_some() {
+            drop(server);
+        } else {
+            // The calls are this thread's now, so that tasks can stop.
+            let stopping = std::thread::Builder::new().spawn(move || drop(server));
+            while stopping
+                .as_ref()
+                .is_ok_and(|stopping| !stopping.is_finished())
+            {
+                make_next_call(&tasks, Instant::now() + Duration::from_millis(5));
+            }
+        }
+        tasks.finish();
+        tasks.join();
+        // A panic there has been printed.
+        let _ = caller.map(JoinHandle::join);
+    }
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+fn not_started() -> Failure {
+    Failure::new(ZTL_E_STATE, "the server is not started")
+}
+
+fn millis(time: c_uint) -> Duration {
+    Duration::from_millis(time.into())
+}
+
+/// Calls back; meanwhile this thread must not free the server.
+fn call(handle: Handle, callback: impl FnOnce()) {
+    let before = CALLED.replace(handle.0);
+    callback();
+    CALLED.set(before);
+}
+
+/// The whole of a task, on its thread.
+fn work(tasks: &Tasks, scope: Scope, asked: Asked) {
+    if let Way::Threads(Some(work)) = scope.way {
+        let Handle(server) = tasks.handle();
+        let request = asked.request();
+        // SAFETY: the program's function, called as the header says: the server outlives its tasks'
+        // threads, and the request the call.
+        call(tasks.handle(), || unsafe {
+            work(scope.context.0, server, &raw const request)
+        });
+    }
+}
+
+/// Makes the next call, waited for until `deadline`; says whether there was one.
+fn make_next_call(tasks: &Tasks, deadline: Instant) -> bool {
+    let Some((scope, next)) = tasks.next_call(deadline) else {
+        return false;
+    };
+    let Way::Calls { start, poll, abort } = scope.way else {
+        return true;
+    };
+    let (Handle(server), context) = (tasks.handle(), scope.context.0);
+    match next {
+        Call::Start(asked) => {
+            let request = asked.request();
+            if let Some(start) = start {
+                // SAFETY: the program's function, called as the header says: the server outlives the
+                // calls, and the request this one.
+                call(tasks.handle(), || unsafe {
+                    start(context, server, &raw const request)
+                });
+            }
+            if let Some(id) = TaskId::new(request.task) {
+                tasks.begun(id);
+            }
+        }
+        Call::Poll(id) => {
+            if let Some(poll) = poll {
+                // SAFETY: as above.
+                call(tasks.handle(), || unsafe {
+                    poll(context, server, id.get())
+                });
+            }
+        }
+        Call::Abort(id) => {
+            if let Some(abort) = abort.filter(|_| tasks.is_open(id)) {
+                // SAFETY: as above.
+                call(tasks.handle(), || unsafe {
+                    abort(context, server, id.get())
+                });
+            }
+        }
+    }
+    true
+}
+
+/// Makes a server, which does nothing yet; NULL when there is no memory. Any thread. It is the
+/// caller's, to be given to ztl_server_free.
+#[unsafe(no_mangle)]
+pub extern "C" fn ztl_server_new() -> *mut Server {
+    guard(ptr::null_mut(), || {
+        Box::into_raw(Box::new(Server {
+            setup: Mutex::default(),
+            running: Mutex::default(),
+            tasks: Mutex::default(),
+            turn: Mutex::default(),
+            error: Mutex::default(),
+        }))
+    })
+}
+
+/// Stops a server and frees it. Tasks that run are asked to stop (their `abort` is called, from within
+/// this call where calls are made by ztl_server_poll); what has not ended after 1.4 s ends as FAILED.
+/// Then it waits until every callback has returned, however long that takes. Any thread, but not
+/// from within a callback, which is ZTL_E_STATE, and nothing is freed. No other call with this
+/// server may be under way, except those of its callbacks, nor come later. NULL is ZTL_OK.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ztl_server_free(server: *mut Server) -> c_int {
+    if server.is_null() {
+        return ZTL_OK;
+    }
+    // SAFETY: not NULL, and not freed before, as its caller promises.
+    let stopped = unsafe {
+        Server::with(server, |handle| {
+            if CALLED.get() == server {
+                let text = "a server cannot be freed by its own callback, which it waits for";
+                return Err(Failure::new(ZTL_E_STATE, text));
+            }
+            handle.stop();
+            Ok(())
+        })
+    };
+    if stopped != ZTL_E_STATE {
+        // SAFETY: made by `Box::into_raw` in `ztl_server_new`; nobody has it any more.
+        drop(guard(None, || Some(unsafe { Box::from_raw(server) })));
+        return ZTL_OK;
+    }
+    stopped
+}
+
+/// Copies what the last call that failed with this server said into a buffer of so many bytes, cut
+/// to fit and ended by a zero, and says how long all of it is. Any thread. The buffer is the
+/// caller's; NULL, or a size of 0, only asks for the length. For a server that is NULL: 0, and an
+/// empty text.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ztl_server_error(
+    server: *const Server,
+    buffer: *mut c_char,
+    size: usize,
+) -> usize {
+    guard(0, || {
+        // SAFETY: NULL, or a server that is not freed, as its caller promises.
+        let error = unsafe { server.as_ref() }.map(|server| lock(&server.error).clone());
+        // SAFETY: the buffer is the caller's, and as long as is said.
+        unsafe { copy_out(&error.unwrap_or_default(), buffer, size) }
+    })
+}
+
+/// Sets one of the numbers above, as ZTL_MAX_RUNNING. Any thread; before the start.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ztl_server_set(
+    server: *mut Server,
+    setting: c_int,
+    value: c_uint,
+) -> c_int {
+    // SAFETY: NULL, or a server that is not freed, as its caller promises.
+    unsafe {
+        Server::with(server, |server| {
+            server.set_up(|setup| {
+                let count = usize::try_from(value).unwrap_or(usize::MAX);
+                let limits = &mut setup.limits;
+                match setting {
+                    ZTL_MAX_MESSAGE => limits.message = count,
+                    ZTL_MAX_RUNNING => limits.running = count,
+                    ZTL_MAX_REMEMBERED => limits.remembered = count,
+                    ZTL_KEEP_MS => limits.keep = millis(value),
+                    ZTL_MAX_HELD => limits.held = count,
+                    ZTL_MAX_CLIENTS => limits.clients = count,
+                    ZTL_MAX_QUEUE => limits.queue = count,
+                    ZTL_MAX_CONNECTIONS => limits.connections = count,
+                    ZTL_HANDSHAKE_MS => limits.handshake = millis(value),
+                    ZTL_POLL_MS => setup.poll_every = Some(millis(value.max(1))),
+                    other => {
+                        let text = format!("there is no setting {other}; see ztl.h");
+                        return Err(Failure::new(ZTL_E_ARGUMENT, text));
+                    }
+                }
+                Ok(())
+            })
+        })
+    }
+}
+
+/// Lets only clients connect whose address is in this network, as "192.168.1.0/24", or in another
+/// one that is given so. Any thread; before the start. The text is copied.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ztl_server_allow_network(
+    server: *mut Server,
+    network: *const c_char,
+) -> c_int {
+    // SAFETY: NULL, or a server that is not freed and a text, as their caller promises.
+    unsafe {
+        Server::with(server, |server| {
+            let network = text(network, "network")?;
+            let network = network.parse().map_err(|_| {
+                let text = format!("'{network}' is no network; write it as 192.168.1.0/24");
+                Failure::new(ZTL_E_ARGUMENT, text)
+            })?;
+            server.set_up(|setup| {
+                setup.access = std::mem::take(&mut setup.access).from_network(network);
+                Ok(())
+            })
+        })
+    }
+}
+
+/// Encrypts with the keys of this file, as "robot.key_secret" (`ztl keys robot` makes it). From then on only
+/// clients whose keys are allowed may use anything. Any thread; before the start. The text is
+/// copied.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ztl_server_use_keys(
+    server: *mut Server,
+    secret_file: *const c_char,
+) -> c_int {
+    // SAFETY: NULL, or a server that is not freed and a text, as their caller promises.
+    unsafe {
+        Server::with(server, |server| {
+            let keys = read_keys(text(secret_file, "secret_file")?)?;
+            server.set_up(|setup| {
+                setup.access = std::mem::take(&mut setup.access).with_keys(keys);
+                Ok(())
+            })
+        })
+    }
+}
+
+/// Allows the client whose public key is in this file, as "ann.key", or every client of a directory of
+/// such files. `scope` is what it may use; NULL is all. Any thread; before the start. The texts are copied.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ztl_server_allow_key(
+    server: *mut Server,
+    scope: *const c_char,
+    public_file: *const c_char,
+) -> c_int {
+    // SAFETY: NULL, or a server that is not freed and texts, as their caller promises.
+    unsafe {
+        Server::with(server, |server| {
+            let scope = match scope.is_null() {
+                true => None,
+                false => Some(text(scope, "scope")?),
+            };
+            let keys = PublicKey::read_all(Path::new(text(public_file, "public_file")?))?;
+            server.set_up(|setup| {
+                for key in keys {
+                    let access = std::mem::take(&mut setup.access);
+                    setup.access = match scope {
+                        Some(scope) => access.allow_scope(scope, key),
+                        None => access.allow(key),
+                    };
+                }
+                Ok(())
+            })
+        })
+    }
+}
+
+/// Serves a scope, as "/robot", by a function that carries out a whole task: each task has a thread of
+/// its own, with all signals blocked. `context` is handed to it, stays the program's, and may be NULL;
+/// `work` may not. Any thread; before the start. The text is copied.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ztl_server_add_worker(
+    server: *mut Server,
+    scope: *const c_char,
+    work: WorkCall,
+    context: *mut c_void,
+) -> c_int {
+    // SAFETY: NULL, or a server that is not freed and a text, as their caller promises.
+    unsafe {
+        Server::with(server, |server| {
+            work.ok_or_else(|| null("work"))?;
+            server.add(text(scope, "scope")?, Way::Threads(work), context)
+        })
+    }
+}
+
+/// Serves a scope by short calls, one at a time for the whole server: on a thread of the library after
+/// ztl_server_start, or in ztl_server_poll after ztl_server_start_polled. `poll` and `abort` may be NULL: then
+/// the program moves its tasks on by itself, and looks at ztl_task_is_aborted. `context` is handed to
+/// them, stays the program's, and may be NULL; `start` may not. Any thread; before the start. The text is
+/// copied.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ztl_server_add_handler(
+    server: *mut Server,
+    scope: *const c_char,
+    start: StartCall,
+    poll: PollCall,
+    abort: AbortCall,
+    context: *mut c_void,
+) -> c_int {
+    // SAFETY: NULL, or a server that is not freed and a text, as their caller promises.
+    unsafe {
+        Server::with(server, |server| {
+            start.ok_or_else(|| null("start"))?;
+            let way = Way::Calls { start, poll, abort };
+            server.add(text(scope, "scope")?, way, context)
+        })
+    }
+}
+
+/// Listens at an address, as "tcp://0.0.0.0:12345" (every interface), "tcp://127.0.0.1:12345" (this machine only) or
+/// "tcp://127.0.0.1:*" (any free port), and serves from now on, on threads of the library, which have
+/// all signals blocked. Any thread, once: a start that failed may be tried again. The text is copied.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ztl_server_start(server: *mut Server, endpoint: *const c_char) -> c_int {
+    // SAFETY: NULL, or a server that is not freed and a text, as their caller promises.
+    unsafe {
+        Server::with(server, |it| {
+            it.start(Handle(server), text(endpoint, "endpoint")?, true)
+        })
+    }
+}
+
+/// The same, but the calls of ztl_server_add_handler are made only within ztl_server_poll: for a program that
+/// has a main loop and shares nothing between threads. Clients are answered all the while.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ztl_server_start_polled(
+    server: *mut Server,
+    endpoint: *const c_char,
+) -> c_int {
+    // SAFETY: NULL, or a server that is not freed and a text, as their caller promises.
+    unsafe {
+        Server::with(server, |it| {
+            it.start(Handle(server), text(endpoint, "endpoint")?, false)
+        })
+    }
+}
+
+/// Makes the calls that are due and returns; waits for the first of them for so many milliseconds at most,
+/// 0 not at all. After ztl_server_start there are none, and it only waits. Any thread, one at a time
+/// (ZTL_E_BUSY). ZTL_E_SYSTEM when the server can no longer serve.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ztl_server_poll(server: *mut Server, wait_ms: c_uint) -> c_int {
+    // SAFETY: NULL, or a server that is not freed, as its caller promises.
+    unsafe { Server::with(server, |server| server.poll(millis(wait_ms))) }
+}
+
+/// Copies where a started server listens, with the port that was chosen, into a buffer, as
+/// ztl_server_error does; an empty text before the start. Any thread.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ztl_server_endpoint(
+    server: *const Server,
+    buffer: *mut c_char,
+    size: usize,
+) -> usize {
+    guard(0, || {
+        // SAFETY: NULL, or a server that is not freed, as its caller promises.
+        let endpoint = unsafe { server.as_ref() }.and_then(|server| {
+            let running = lock(&server.running);
+            let running = running.as_ref()?;
+            Some(running.server.endpoint().to_owned())
+        });
+        // SAFETY: the buffer is the caller's, and as long as is said.
+        unsafe { copy_out(&endpoint.unwrap_or_default(), buffer, size) }
+    })
+}
+
+/// Reads a pair of keys, where they can be used at all.
+pub(crate) fn read_keys(file: &str) -> Result<KeyPair, Failure> {
+    if !ztl_std::keys::can_encrypt() {
+        return Err(ztl_std::keys::KeyError::NoCurve.into());
+    }
+    Ok(KeyPair::read(Path::new(file))?)
+}

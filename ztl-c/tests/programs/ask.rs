@@ -1,0 +1,84 @@
+//! A client in C, and the original's server.
+
+use ztl_tests::lab::{Process, SCOPE, Server, free_port};
+
+use crate::build::{Build, PATIENCE};
+use crate::serve::started;
+
+/// Runs the client to its end: its exit status, and what it has printed.
+#[track_caller]
+fn run(build: Build, endpoint: &str, component: &str, goal: &str, limit_ms: u32) -> (i32, String) {
+    run_at(build, endpoint, SCOPE, [component, goal], limit_ms)
+}
+
+#[track_caller]
+fn run_at(
+    build: Build,
+    endpoint: &str,
+    scope: &str,
+    [component, goal]: [&str; 2],
+    limit_ms: u32,
+) -> (i32, String) {
+    let mut command = build.example("client.c");
+    let limit = limit_ms.to_string();
+    command.args([endpoint, scope, "test", component, goal, &limit]);
+    let ended = Process::start(&mut command).end(PATIENCE);
+    assert_eq!(ended.stderr, "", "{}", ended.stdout);
+    (ended.code.expect("an exit status"), ended.stdout)
+}
+
+#[track_caller]
+pub(crate) fn tells_every_fate(build: Build) {
+    for server in [Server::original(), Server::ours()] {
+        let endpoint = server.endpoint();
+        let (status, printed) = run(build, &endpoint, "echo", "0.3", 20_000);
+        assert!(
+            status == 0 && printed.ends_with("COMPLETED: 0.3\n"),
+            "{printed}"
+        );
+
+        let (status, printed) = run(build, &endpoint, "sleep", "soon", 20_000);
+        assert!(status == 1 && printed.contains("\nFAILED: "), "{printed}");
+
+        // This task cannot be stopped, and the client does not say that it was.
+        let (status, printed) = run(build, &endpoint, "sleep", "30", 300);
+        assert!(
+            status == 2 && printed.contains("\ntoo long: it is aborted\nACCEPTED: "),
+            "{printed}"
+        );
+    }
+
+    let (worker, port) = started(build, "worker.c");
+    let endpoint = format!("tcp://127.0.0.1:{port}");
+    let (status, printed) = run_at(build, &endpoint, "/robot", ["base", "back"], 300);
+    assert!(
+        status == 1 && printed.contains("\ntoo long: it is aborted\nABORTED: "),
+        "{printed}"
+    );
+    let (status, printed) = run_at(build, &endpoint, "/robot", ["arm", "up"], 300);
+    assert!(
+        status == 1 && printed.starts_with("ZTL_E_REFUSED: no such component"),
+        "{printed}"
+    );
+    drop(worker);
+
+    let nowhere = format!("tcp://127.0.0.1:{}", free_port());
+    let (status, printed) = run(build, &nowhere, "echo", "1", 1_000);
+    assert!(
+        status == 1 && printed.starts_with("ZTL_E_NOT_CONNECTED: "),
+        "{printed}"
+    );
+
+    // No answer is never an end: the server says nothing any more.
+    let server = Server::original();
+    let mut command = build.example("client.c");
+    command.args([&server.endpoint(), SCOPE, "test", "sleep", "30", "3000"]);
+    let client = Process::start(&mut command);
+    client.wait_for("ACCEPTED ");
+    server.process.signal("STOP");
+    let ended = client.end(PATIENCE);
+    server.process.signal("CONT");
+    assert_eq!(ended.code, Some(2), "{}", ended.stdout);
+    assert!(!ended.stdout.contains("FAILED"), "{}", ended.stdout);
+    assert!(ended.stdout.contains("\nZTL_E_NO"), "{}", ended.stdout);
+}

@@ -1,0 +1,57 @@
+//! The examples and tests in C, compiled as a stranger would and run against real peers, in each of these
+//! ways: as C89, as C++98, with the shared library, under the compiler's sanitizers and under valgrind.
+
+#![cfg(target_os = "linux")]
+
+mod ask;
+mod build;
+mod misuse;
+mod serve;
+mod symbols;
+
+use build::Build;
+
+/// Each test in each way.
+macro_rules! ways {
+    ($($module:ident: $build:expr),+) => {
+        $(mod $module {
+            use super::Build;
+
+            const BUILD: Build = $build;
+
+            #[test]
+            fn an_old_program_serves_the_originals_client_from_its_main_loop() {
+                crate::serve::from_its_main_loop(BUILD);
+            }
+
+            #[test]
+            fn a_task_on_a_thread_of_its_own_is_served_to_the_originals_client() {
+                crate::serve::on_threads(BUILD);
+            }
+
+            #[test]
+            fn a_client_tells_every_fate_of_a_task_at_the_originals_server() {
+                crate::ask::tells_every_fate(BUILD);
+            }
+
+            #[test]
+            fn no_misuse_goes_unsaid_and_nothing_is_freed_too_early() {
+                crate::misuse::is_said(BUILD);
+            }
+
+            #[test]
+            fn many_threads_ask_at_the_same_time() {
+                crate::misuse::of_many_threads(BUILD);
+            }
+
+            #[test]
+            fn only_clients_with_an_allowed_key_are_served() {
+                crate::misuse::of_keys(BUILD);
+            }
+        })+
+    };
+}
+
+ways! {
+    c89: Build::C89, cpp98: Build::Cpp98, shared: Build::Shared, sanitized: Build::Sanitized, valgrind: Build::Valgrind
+}
