@@ -1,5 +1,7 @@
 //! The headers are what the code says.
 
+#![expect(clippy::expect_used, reason = "a test says what is wrong by panicking")]
+
 use std::path::Path;
 
 #[track_caller]
