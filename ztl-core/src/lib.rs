@@ -65,7 +65,8 @@ impl TaskId {
 /// The text that the bytes begin with: all of them, if they are UTF-8.
 ///
 /// `from_utf8` is faster with long texts, but larger.
-fn valid_start(bytes: &[u8]) -> &str {
+#[must_use]
+pub fn valid_start(bytes: &[u8]) -> &str {
     let chunk = bytes.utf8_chunks().next();
     chunk.map_or("", |chunk| chunk.valid())
 }

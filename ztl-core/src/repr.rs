@@ -8,6 +8,16 @@ use printable::is_printable;
 /// Writes `text` in quotes: `'...'`, or `"..."` when it has a `'` and no `"`; the quote in use, the
 /// backslash and whatever cannot be printed are escaped.
 pub fn put_quoted(text: &str, sink: &mut (impl Sink + ?Sized)) {
+    put_quoted_by(is_printable, text, sink);
+}
+
+/// The same for firmware, which has no 2 KiB for the table of what Python does not print: there
+/// that is what is not printed of ASCII.
+pub fn put_quoted_small(text: &str, sink: &mut (impl Sink + ?Sized)) {
+    put_quoted_by(|c| c >= ' ' && c != '\x7f', text, sink);
+}
+
+fn put_quoted_by(is_printable: impl Fn(char) -> bool, text: &str, sink: &mut (impl Sink + ?Sized)) {
     let quote = if text.contains('\'') && !text.contains('"') {
         '"'
     } else {
@@ -62,6 +72,8 @@ fn put_escape(prefix: &[u8], code: u32, digits: u32, sink: &mut (impl Sink + ?Si
 
 #[cfg(test)]
 mod tests {
+    use std::string::ToString;
+
     use super::*;
 
     #[test]
@@ -82,6 +94,25 @@ mod tests {
             put_quoted(text, &mut |bytes: &[u8]| out.extend_from_slice(bytes));
             assert_eq!(std::str::from_utf8(&out), Ok(quoted));
         }
+    }
+
+    #[test]
+    fn without_the_table_it_is_the_same_but_for_strange_characters() {
+        let quoted = |put: fn(&str, &mut dyn Sink), text: &str| {
+            let mut out = std::vec::Vec::new();
+            put(text, &mut |bytes: &[u8]| out.extend_from_slice(bytes));
+            std::string::String::from_utf8(out).unwrap()
+        };
+        let ascii = |c: u8| char::from(c).to_string();
+        for text in (0..128)
+            .map(ascii)
+            .chain(["it's".into(), "'\"".into(), "ä 🤖".into()])
+        {
+            let small = quoted(|text, sink| put_quoted_small(text, sink), &text);
+            assert_eq!(small, quoted(|text, sink| put_quoted(text, sink), &text));
+        }
+        let small = quoted(|text, sink| put_quoted_small(text, sink), "\u{200b}");
+        assert_eq!(small, "'\u{200b}'");
     }
 
     #[test]

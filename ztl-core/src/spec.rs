@@ -1,7 +1,7 @@
 //! What a client asks for: a `handler:component:goal`, which travels as base64 in an INIT's payload.
 
 use crate::base64;
-use crate::repr::put_quoted;
+use crate::repr::{put_quoted, put_quoted_small};
 use crate::sink::{BufferTooSmall, Sink, SliceSink};
 use crate::{TaskId, sink, split_at_mark, valid_start};
 
@@ -123,14 +123,30 @@ impl<'a> TaskSpec<'a> {
     /// (wire specification 4.6):
     /// `Initiated task '7' with request: {'handler': 'cob', 'component': 'head', 'goal': 'left'}`.
     pub fn put_initiated(&self, id: TaskId, sink: &mut (impl Sink + ?Sized)) {
+        self.put_initiated_by(put_quoted, id, sink);
+    }
+
+    /// The same for firmware, as [`put_quoted_small`] quotes.
+    pub fn put_initiated_small(&self, id: TaskId, sink: &mut (impl Sink + ?Sized)) {
+        self.put_initiated_by(put_quoted_small, id, sink);
+    }
+
+    fn put_initiated_by<S: Sink + ?Sized>(
+        &self,
+        quote: impl Fn(&str, &mut S),
+        id: TaskId,
+        sink: &mut S,
+    ) {
         sink.put(b"Initiated task '");
         sink::put_decimal(sink, id.get());
-        sink.put(b"' with request: {'handler': ");
-        put_quoted(self.handler, sink);
-        sink.put(b", 'component': ");
-        put_quoted(self.component, sink);
-        sink.put(b", 'goal': ");
-        put_quoted(self.goal, sink);
+        for (before, part) in [
+            ("' with request: {'handler': ", self.handler),
+            (", 'component': ", self.component),
+            (", 'goal': ", self.goal),
+        ] {
+            sink.put(before.as_bytes());
+            quote(part, sink);
+        }
         sink.put(b"}");
     }
 }

@@ -1,10 +1,8 @@
 //! One connection: bytes in, messages out, and the other way round.
 
 use core::marker::PhantomData;
-use core::time::Duration;
-
-use ztl_core::Instant;
 use ztl_core::sink::Sink;
+use ztl_core::{Instant, valid_start};
 
 use super::HANDSHAKE;
 use super::message::{Content, Frames, Message};
@@ -284,7 +282,10 @@ impl<S: Socket, B: AsRef<[u8]> + AsMut<[u8]>> Connection<S, B> {
         if !bytes.is_empty() && self.is_ready() {
             self.deadline = match self.ttl {
                 0 => Instant::NEVER,
-                ttl => now + Duration::from_millis(u64::from(ttl) * 100),
+                ttl => {
+                    let ttl = u64::from(u32::from(ttl) * 100_000);
+                    Instant::from_micros(now.as_micros().saturating_add(ttl))
+                }
             };
         }
         bytes.len() - rest.len()
@@ -328,6 +329,16 @@ impl<S: Socket, B: AsRef<[u8]> + AsMut<[u8]>> Connection<S, B> {
         if self.turn == Turn::Received {
             self.turn = Turn::Held;
         }
+    }
+
+    /// What of the buffer is not needed while a message is held.
+    pub(super) fn spare(&mut self) -> &mut [u8] {
+        let (room, envelope) = (self.room(), self.envelope);
+        let spare = match self.turn {
+            Turn::Held => self.buffer.as_mut().get_mut(envelope..room),
+            _ => None,
+        };
+        spare.unwrap_or_default()
     }
 
     /// Answers the message, in its envelope. What does not fit into the buffer is cut, and `…` marks the
@@ -557,7 +568,7 @@ impl<'a> CutSink<'a> {
     pub(super) fn text(mut self) -> &'a str {
         let len = self.finish();
         let buffer: &'a [u8] = self.buffer;
-        core::str::from_utf8(buffer.get(..len).unwrap_or_default()).unwrap_or_default()
+        valid_start(buffer.get(..len).unwrap_or_default())
     }
 
     /// How many bytes there are.

@@ -270,23 +270,25 @@ impl<
             }
         };
         connection.hold();
-        {
+        let action = {
             let out = &mut answer(&mut self.peers);
-            let action = self
-                .dispatcher
-                .handle_request(now, peer, envelope, body, out);
-            match action {
-                Some(Action::Start { id, payload, .. }) => {
-                    let mut spec = [0; BUFFER];
-                    let spec = TaskSpec::decode(payload, &mut spec);
-                    // The request is read: its place is free for what is said.
-                    let text = CutSink::new(&mut self.request);
-                    let event = start(now, self.name, &mut self.tasks, id, spec, text);
-                    self.dispatcher.handle_event(now, id, event, out);
-                }
-                Some(Action::Abort { id, .. }) => self.tasks.abort(now, id),
-                None => return,
+            self.dispatcher
+                .handle_request(now, peer, envelope, body, out)
+        };
+        match action {
+            Some(Action::Start { id, payload, .. }) => {
+                // Its answer is held, so there is room in its buffer.
+                let connection = self.peers.get_mut(usize::from(peer.0));
+                let room = connection.map_or(&mut [][..], Connection::spare);
+                let spec = TaskSpec::decode(payload, room);
+                // The request is read: its place is free for what is said.
+                let text = CutSink::new(&mut self.request);
+                let event = start(now, self.name, &mut self.tasks, id, spec, text);
+                let out = &mut answer(&mut self.peers);
+                self.dispatcher.handle_event(now, id, event, out);
             }
+            Some(Action::Abort { id, .. }) => self.tasks.abort(now, id),
+            None => return,
         }
         self.tell_news(now);
     }
@@ -373,7 +375,7 @@ fn start<'t, C: Components, const TASKS: usize>(
     };
     match tasks.start(now, id, index as u8, spec.goal) {
         Ok(()) => {
-            spec.put_initiated(id, &mut text);
+            spec.put_initiated_small(id, &mut text);
             TaskEvent::Accepted { reply: text.text() }
         }
         Err(reason) => {
