@@ -1,0 +1,228 @@
+//! A device that is a ZTL server by itself, without a gateway: ZMTP over TCP, with the standard library
+//! and `ztl-mcu`, which would do the same in firmware. It moves a slide, 100 mm a second.
+//!
+//!     cargo run --example zmtp
+//!
+//! serves /desk at tcp://127.0.0.1:7002, for up to 4 clients of any ZeroMQ library:
+//!
+//!     ztl task-client -r 127.0.0.1 -p 7002 -s /desk desk:slide:80
+
+use std::io::{Read, Write};
+use std::net::{Shutdown, TcpListener, TcpStream};
+use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+use ztl_mcu::link::{Busy, GoalShape, Loss, Offer};
+use ztl_mcu::zmtp::{Peer, Server};
+use ztl_mcu::{Component, Identity, Instant, Refused, Report, Run};
+
+const PEERS: usize = 4;
+/// Longest sleep, and longest time for a client to take an answer.
+const SECOND: Duration = Duration::from_secs(1);
+
+/// Goes to a place between 0 and 100 mm.
+#[derive(Default)]
+struct Slide {
+    from: f32,
+    to: f32,
+    start: Instant,
+    stopped: bool,
+}
+
+impl Slide {
+    fn place(&self, now: Instant) -> f32 {
+        let way = now.since(self.start).as_secs_f32() * 100.0;
+        self.from + (self.to - self.from).clamp(-way, way)
+    }
+}
+
+impl Component for Slide {
+    fn offer(&self) -> Offer<'_> {
+        Offer {
+            name: "slide",
+            goal: GoalShape {
+                range: Some((0.0, 100.0)),
+                unit: "mm",
+                words: "",
+            },
+            busy: Busy::Refuse,
+            loss: Loss::Abort,
+            topics: "",
+        }
+    }
+
+    fn check(&self, goal: &str, why: &mut Report<'_>) -> Result<(), Refused> {
+        let place = goal.parse();
+        if !place.is_ok_and(|place: f32| (0.0..=100.0).contains(&place)) {
+            why.text("slide takes 0 to 100 mm");
+            return Err(Refused);
+        }
+        Ok(())
+    }
+
+    fn start(&mut self, now: Instant, goal: &str, _: &mut Report<'_>) -> Result<(), Refused> {
+        self.from = self.place(now);
+        self.to = goal.parse().map_err(|_| Refused)?;
+        self.start = now;
+        self.stopped = false;
+        Ok(())
+    }
+
+    fn poll(&mut self, now: Instant, report: &mut Report<'_>) -> Run {
+        let place = self.place(now);
+        report.number(place, 1);
+        report.text(" mm");
+        if self.stopped {
+            (self.from, self.to) = (place, place);
+            Run::Aborted
+        } else if place == self.to {
+            Run::Completed
+        } else {
+            Run::Running
+        }
+    }
+
+    fn abort(&mut self, _now: Instant) {
+        self.stopped = true;
+    }
+
+    fn make_safe(&mut self, now: Instant) {
+        (self.from, self.to) = (self.place(now), self.place(now));
+    }
+}
+
+/// The server, and the stream of each client.
+struct Desk {
+    server: Server<'static, [Slide; 1], PEERS, 8, 512, 16>,
+    streams: [Option<TcpStream>; PEERS],
+    /// Until when the main thread sleeps.
+    wake: Instant,
+}
+
+struct Shared {
+    desk: Mutex<Desk>,
+    /// Something was sent, or is due earlier.
+    changed: Condvar,
+    begin: std::time::Instant,
+}
+
+impl Shared {
+    fn lock(&self) -> MutexGuard<'_, Desk> {
+        self.desk.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn now(&self) -> Instant {
+        Instant::from_micros(self.begin.elapsed().as_micros() as u64)
+    }
+}
+
+impl Desk {
+    /// Sends what there is for each client. One that takes nothing for a second is closed.
+    fn send(&mut self) {
+        for (place, stream) in self.streams.iter_mut().enumerate() {
+            let peer = Peer(place as u8);
+            let Some(stream) = stream else {
+                continue;
+            };
+            loop {
+                let pending = self.server.transmit_buf(peer);
+                if pending.is_empty() {
+                    break;
+                }
+                match stream.write(pending) {
+                    Ok(count) if count > 0 => self.server.consume(peer, count),
+                    _ => self.server.close(peer),
+                }
+            }
+            if !self.server.is_open(peer) {
+                // Its thread notices.
+                let _ = stream.shutdown(Shutdown::Both);
+            }
+        }
+    }
+
+    /// A place for another client: free, and with no thread that still looks after it.
+    fn vacant(&self) -> Option<usize> {
+        self.streams.iter().position(Option::is_none)
+    }
+}
+
+/// Looks after a client until it goes.
+fn attend(shared: &Shared, place: usize, mut stream: TcpStream) {
+    let peer = Peer(place as u8);
+    let mut buffer = [0; 512];
+    while let Ok(count) = stream.read(&mut buffer)
+        && count > 0
+    {
+        let mut rest = &buffer[..count];
+        let mut desk = shared.lock();
+        while !rest.is_empty() {
+            let now = shared.now();
+            let taken = desk.server.handle_bytes(now, peer, rest);
+            rest = &rest[taken..];
+            desk.send();
+            if desk.server.poll_timeout(now) < desk.wake {
+                shared.changed.notify_all();
+            }
+            if taken == 0 {
+                // An answer is held back, and goes out before the next request is taken.
+                let waited = shared.changed.wait_timeout(desk, SECOND);
+                desk = waited.unwrap_or_else(PoisonError::into_inner).0;
+            }
+        }
+    }
+    let mut desk = shared.lock();
+    desk.server.close(peer);
+    desk.streams[place] = None;
+}
+
+/// Lets the slide move and answers what was held back, whenever something is due.
+fn keep_moving(shared: &Shared) {
+    let mut desk = shared.lock();
+    loop {
+        let now = shared.now();
+        desk.server.handle_timeout(now);
+        desk.send();
+        shared.changed.notify_all();
+        desk.wake = desk.server.poll_timeout(now).min(now + SECOND);
+        let pause = desk.wake.since(now);
+        let waited = shared.changed.wait_timeout(desk, pause);
+        desk = waited.unwrap_or_else(PoisonError::into_inner).0;
+    }
+}
+
+fn main() -> std::io::Result<()> {
+    let address = std::env::args().nth(1);
+    let listener = TcpListener::bind(address.as_deref().unwrap_or("127.0.0.1:7002"))?;
+    println!("serving /desk at tcp://{}", listener.local_addr()?);
+
+    // Firmware would take a random number.
+    let identity = Identity::new("desk", "1.0.0", std::process::id());
+    let shared = Shared {
+        desk: Mutex::new(Desk {
+            server: Server::new("/desk", identity, [Slide::default()]),
+            streams: [const { None }; PEERS],
+            wake: Instant::ZERO,
+        }),
+        changed: Condvar::new(),
+        begin: std::time::Instant::now(),
+    };
+    let shared = &shared;
+    std::thread::scope(|threads| {
+        threads.spawn(|| keep_moving(shared));
+        loop {
+            let (stream, _) = listener.accept()?;
+            let mut desk = shared.lock();
+            // No place: it is closed, and a ZeroMQ client tries again after a while.
+            let Some(place) = desk.vacant() else {
+                continue;
+            };
+            stream.set_nodelay(true)?;
+            stream.set_write_timeout(Some(SECOND))?;
+            desk.streams[place] = Some(stream.try_clone()?);
+            desk.server.open(shared.now(), Peer(place as u8));
+            desk.send();
+            threads.spawn(move || attend(shared, place, stream));
+        }
+    })
+}
