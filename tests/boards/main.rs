@@ -9,6 +9,7 @@ mod ends;
 mod faults;
 mod rig;
 mod stack;
+mod zmtp;
 
 /// Each test on each board.
 macro_rules! boards {

@@ -1,6 +1,6 @@
 //! How much stack the images use.
 
-use ztl_tests::lab::{ABORTED, Board, COMPLETED, PATIENCE, Pin, Server, until};
+use ztl_tests::lab::{ABORTED, Board, COMPLETED, OriginalClient, PATIENCE, Pin, Server, until};
 
 use crate::rig::Rig;
 
@@ -61,7 +61,33 @@ pub(crate) fn of_the_smallest_node() {
     let board = Board::with_image("microbit", image);
     let gateway = Server::gateway(&[&board.device()]);
     gateway.wait_ready("desk");
-    let mut client = gateway.original_client();
+    do_with_lamp(image, &board, gateway.original_client());
+}
+
+/// The robot with a network stack.
+pub(crate) fn of_the_networked_robot() {
+    let image = "lm3s6965evb-ethernet";
+    let board = Board::with_network("lm3s6965evb", image, 7002);
+    let mut clients = [(); 2].map(|()| OriginalClient::connect(board.network, "/lab"));
+    for client in &mut clients {
+        let id = client.start("desk", "gripper", "90");
+        assert_eq!(client.wait(id, 10.0), (COMPLETED, "90.0"));
+        assert_eq!(client.trigger("desk", "stage", "9999").number, -1);
+        let id = client.start("desk", "stage", "200");
+        assert_eq!(client.abort(id), (ABORTED, "True"));
+    }
+    check(image, &board);
+}
+
+/// The lamp without a gateway.
+pub(crate) fn of_the_smallest_server(board: &str) {
+    let image = format!("{board}-zmtp");
+    let board = Board::with_image(board, &image);
+    let client = OriginalClient::connect(board.port, "/lab");
+    do_with_lamp(&image, &board, client);
+}
+
+fn do_with_lamp(image: &str, board: &Board, mut client: OriginalClient) {
     assert_eq!(client.trigger("desk", "lamp", "blue").number, -1);
     let id = client.start("desk", "lamp", "pulse 3600000");
     until("light", PATIENCE, || {
@@ -70,5 +96,5 @@ pub(crate) fn of_the_smallest_node() {
     assert_eq!(client.abort(id), (ABORTED, "True"));
     let id = client.start("desk", "lamp", "on");
     assert_eq!(client.wait(id, 10.0), (COMPLETED, "on"));
-    check(image, &board);
+    check(image, board);
 }

@@ -18,8 +18,19 @@ const BOARDS: &str = "examples/firmware/boards.txt";
 /// Below the target directory: where the images are built, each in its target's directory.
 const BUILT: &str = "firmware";
 
-/// The board that also has images that log nothing: the robot, and the smallest node of use.
+/// The board whose images are weighed and counted.
 const WEIGHED: &str = "microbit";
+
+/// An image with a network stack, which it is the only one to have.
+const NETWORKED: &str = "ethernet";
+
+/// Boards that have further images, which log nothing: the robot, the smallest node of use, a bare
+/// serial port, and servers for ZeroMQ clients without a gateway.
+const MORE: &[(&str, &[&str])] = &[
+    (WEIGHED, &["quiet", "smallest", "uart", "zmtp"]),
+    ("lm3s6965evb", &["zmtp", NETWORKED]),
+    ("mps2-an386", &["uart", "zmtp"]),
+];
 
 /// What takes the log out of an image.
 const QUIET: &str = "--no-default-features";
@@ -89,6 +100,11 @@ pub(crate) fn run_in_qemu(dirs: &Dirs, args: &[String]) -> Outcome {
         .run()
 }
 
+/// Whether an image has much code that is not ours: a network stack, which may panic and formats text.
+pub(crate) fn has_foreign_code(image: &str) -> bool {
+    image.ends_with(NETWORKED)
+}
+
 /// Lints and builds all of them.
 pub(crate) fn check(dirs: &Dirs) -> Outcome {
     for board in boards()? {
@@ -115,13 +131,17 @@ pub(crate) fn build_for_qemu(dirs: &Dirs) -> Outcome {
 pub(crate) fn build(dirs: &Dirs, board: &Board) -> Outcome<Vec<PathBuf>> {
     image::check_lock(MANIFEST)?;
     let mut paths = vec![build_image(dirs, board, &board.name, "")?];
-    if board.name == WEIGHED {
-        for more in ["quiet", "smallest"] {
+    for (name, images) in MORE.iter().filter(|(name, _)| *name == board.name) {
+        for image in *images {
+            let mut features = QUIET.to_owned();
+            if *image == NETWORKED {
+                features += " --features ethernet";
+            }
             paths.push(build_image(
                 dirs,
                 board,
-                &format!("{WEIGHED}-{more}"),
-                QUIET,
+                &format!("{name}-{image}"),
+                &features,
             )?);
         }
     }

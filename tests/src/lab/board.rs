@@ -43,6 +43,8 @@ pub struct Board {
     pub process: Process,
     /// The TCP port of its serial port.
     pub port: u16,
+    /// The TCP port at which its network port is reached, if it has one.
+    pub network: u16,
     /// Its firmware's ELF file.
     pub elf: PathBuf,
     panel: u64,
@@ -65,6 +67,18 @@ impl Board {
     /// The same with another image of its package.
     #[track_caller]
     pub fn with_image(name: &str, image: &str) -> Self {
+        Self::launch(name, image, None)
+    }
+
+    /// The same with a network port; what is at this TCP port of the board is reached at
+    /// [`network`](Self::network).
+    #[track_caller]
+    pub fn with_network(name: &str, image: &str, port: u16) -> Self {
+        Self::launch(name, image, Some(port))
+    }
+
+    #[track_caller]
+    fn launch(name: &str, image: &str, served: Option<u16>) -> Self {
         let lines = BOARDS.lines().map(|line| line.split_whitespace().collect());
         let mut lines = lines.filter(|words: &Vec<&str>| words.first() == Some(&name));
         let words = lines.next().expect("a board of boards.txt");
@@ -92,6 +106,11 @@ impl Board {
         // Reads and writes memory while the machine runs.
         qemu.args(["-qtest", &socket("probe"), "-qtest-log", "none"]);
         qemu.arg("-kernel").arg(&elf);
+        let network = free_port();
+        if let Some(served) = served {
+            let forward = format!("hostfwd=tcp:127.0.0.1:{network}-:{served}");
+            qemu.args(["-nic", &format!("user,restrict=on,{forward}")]);
+        }
         // The stack's memory is painted before the board starts.
         let heap = ["__sheap", "_sheap"]
             .iter()
@@ -99,7 +118,7 @@ impl Board {
         let top = find(&image, "_stack_start").expect("a stack");
         let stack = heap.expect("the end of what is static").next_multiple_of(4)..top;
         // A large RAM is not used to its end.
-        let stack = stack.start.max(stack.end - 8192)..stack.end;
+        let stack = stack.start.max(stack.end - 16384)..stack.end;
         let paint = vec![PAINT; usize::try_from(stack.end - stack.start).expect("a size")];
         fs::write(scratch.path("paint"), paint).expect("a file");
         qemu.arg("-device").arg(format!(
@@ -115,6 +134,7 @@ impl Board {
         Self {
             process,
             port,
+            network,
             elf,
             panel: find(&image, "PANEL").expect("its pins"),
             stack,

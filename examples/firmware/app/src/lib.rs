@@ -2,6 +2,9 @@
 //! with a limit switch, and a lamp. A board brings the pins, a serial port and a clock.
 #![no_std]
 
+#[cfg(feature = "tcp")]
+pub mod tcp;
+
 use core::convert::Infallible;
 
 use embedded_hal::digital::{InputPin, OutputPin};
@@ -13,6 +16,7 @@ use ztl_mcu::components::{
 };
 use ztl_mcu::pump::Pump;
 use ztl_mcu::shared::{ReceiveQueue, StopFlag};
+use ztl_mcu::zmtp::{Line, Server};
 use ztl_mcu::{Components, Identity, Instant, Node};
 
 /// Where a board's serial port puts the bytes that it receives.
@@ -96,18 +100,29 @@ where
     L: InputPin,
     O: OutputPin,
 {
-    let stage = StepMotor::new(pins.step, pins.direction, &STAGE)
-        .with_low_limit(Switch::active_low(pins.limit));
-    let components = (
-        Servo::new("gripper", pins.gripper, GRIPPER),
-        Stepper::new("stage", stage, STAGE),
-        DigitalOutput::new("lamp", pins.lamp, DigitalOutputConfig::DEFAULT),
-    );
     #[cfg(feature = "defmt")]
     defmt::info!("desk robot started, boot {=u32:x}", boot);
     Node::new(
         Identity::new("desk", env!("CARGO_PKG_VERSION"), boot),
-        components,
+        components(pins),
+    )
+}
+
+/// What the robot moves.
+fn components<P, S, D, L, O>(pins: Pins<P, S, D, L, O>) -> impl Components
+where
+    P: SetDutyCycle,
+    S: OutputPin,
+    D: OutputPin,
+    L: InputPin,
+    O: OutputPin,
+{
+    let stage = StepMotor::new(pins.step, pins.direction, &STAGE)
+        .with_low_limit(Switch::active_low(pins.limit));
+    (
+        Servo::new("gripper", pins.gripper, GRIPPER),
+        Stepper::new("stage", stage, STAGE),
+        DigitalOutput::new("lamp", pins.lamp, DigitalOutputConfig::DEFAULT),
     )
 }
 
@@ -145,6 +160,59 @@ where
                 false => defmt::info!("emergency stop is over"),
             }
         }
+        let due = due.unwrap_or(now);
+        if due.as_micros().saturating_sub(now.as_micros()) > SLEEP_US {
+            board.sleep();
+        }
+    }
+}
+
+/// The robot as a server for up to so many ZeroMQ clients, without a gateway.
+pub fn server<const PEERS: usize, P, S, D, L, O>(
+    boot: u32,
+    pins: Pins<P, S, D, L, O>,
+) -> Server<'static, impl Components, PEERS, TASKS, FRAME, TASKS>
+where
+    P: SetDutyCycle,
+    S: OutputPin,
+    D: OutputPin,
+    L: InputPin,
+    O: OutputPin,
+{
+    let identity = Identity::new("desk", env!("CARGO_PKG_VERSION"), boot);
+    Server::new("/lab", identity, components(pins))
+}
+
+/// Looks at the emergency stop: it begins when its button was pressed, and ends when the board says so.
+pub fn look_at_stop<C: Components, const PEERS: usize>(
+    server: &mut Server<'_, C, PEERS, TASKS, FRAME, TASKS>,
+    board: &mut impl Board,
+    now: Instant,
+) {
+    if STOP.take() {
+        server.stop_everything(now);
+    }
+    if server.is_stopped() && board.may_resume() {
+        server.clear_stop();
+    }
+}
+
+/// Runs for ever: a ZeroMQ client talks to the robot over the serial port.
+pub fn serve<P, S, D, L, O>(boot: u32, pins: Pins<P, S, D, L, O>, board: &mut impl Board) -> !
+where
+    P: SetDutyCycle,
+    S: OutputPin,
+    D: OutputPin,
+    L: InputPin,
+    O: OutputPin,
+{
+    let mut server = server::<1, _, _, _, _, _>(boot, pins);
+    let mut line = Line::new();
+    loop {
+        let now = board.now();
+        // Neither half of the port can fail.
+        let due = line.turn(&mut server, &mut &RECEIVED, board.port(), now);
+        look_at_stop(&mut server, board, now);
         let due = due.unwrap_or(now);
         if due.as_micros().saturating_sub(now.as_micros()) > SLEEP_US {
             board.sleep();

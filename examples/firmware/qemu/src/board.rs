@@ -42,16 +42,60 @@ impl<U: Write<Error = Infallible>, C: Clock> app::Board for Board<U, C> {
     }
 }
 
-/// Runs for ever, with the pins of the panel. `boot` differs from reset to reset.
-pub fn run(boot: u32, uart: impl Write<Error = Infallible>, clock: impl Clock) -> ! {
-    let pins = Pins {
+/// The pins of the panel.
+const fn pins() -> Pins<Pulse, Step, Direction, Limit, Lamp> {
+    Pins {
         gripper: Pulse,
         step: Step,
         direction: Direction,
         limit: Limit,
         lamp: Lamp,
+    }
+}
+
+/// Runs for ever, with the pins of the panel. `boot` differs from reset to reset.
+pub fn run(boot: u32, uart: impl Write<Error = Infallible>, clock: impl Clock) -> ! {
+    app::run(boot, pins(), &mut Board { uart, clock })
+}
+
+/// The same without a gateway: a ZeroMQ client talks to it over the serial port.
+pub fn serve(boot: u32, uart: impl Write<Error = Infallible>, clock: impl Clock) -> ! {
+    app::serve(boot, pins(), &mut Board { uart, clock })
+}
+
+/// The same for several clients over TCP, through a network device.
+#[cfg(feature = "tcp")]
+pub fn serve_tcp(
+    boot: u32,
+    device: impl smoltcp::phy::Device,
+    address: app::tcp::Address,
+    clock: impl Clock,
+) -> ! {
+    let mut board = Board {
+        uart: NoPort,
+        clock,
     };
-    app::run(boot, pins, &mut Board { uart, clock })
+    app::tcp::serve(boot, pins(), &mut board, device, address)
+}
+
+/// A serial port that goes nowhere.
+#[cfg(feature = "tcp")]
+struct NoPort;
+
+#[cfg(feature = "tcp")]
+impl embedded_io::ErrorType for NoPort {
+    type Error = Infallible;
+}
+
+#[cfg(feature = "tcp")]
+impl Write for NoPort {
+    fn write(&mut self, bytes: &[u8]) -> Result<usize, Infallible> {
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> Result<(), Infallible> {
+        Ok(())
+    }
 }
 
 /// To be called by the clock's interrupt, each millisecond: looks at the emergency button.

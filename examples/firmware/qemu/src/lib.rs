@@ -6,6 +6,7 @@ pub mod board;
 pub mod boots;
 #[cfg(target_arch = "arm")]
 pub mod clock;
+pub mod lamp;
 pub mod panel;
 mod register;
 #[cfg(target_arch = "arm")]

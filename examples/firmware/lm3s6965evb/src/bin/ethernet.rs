@@ -1,0 +1,53 @@
+//! The desk robot as a server that ZeroMQ clients talk to over Ethernet and TCP, without a gateway: two at
+//! a time, at port 7002 of 10.0.2.15, which is the address in QEMU's network.
+#![no_std]
+#![no_main]
+
+#[path = "../ethernet.rs"]
+mod ethernet;
+
+use core::panic::PanicInfo;
+
+use app::tcp::Address;
+use cortex_m::Peripherals;
+use cortex_m::peripheral::SCB;
+use cortex_m_rt::{entry, exception};
+use ethernet::Ethernet;
+use qemu::board;
+use qemu::boots;
+use qemu::clock::{self, SysTick};
+use qemu::vectors;
+
+/// Cycles a millisecond in QEMU, where the core runs at 12.5 MHz after a reset.
+const CYCLES: u32 = 12_500;
+
+/// One of those for local use.
+const ADDRESS: Address = Address {
+    mac: [0x02, 0, 0, 0, 0, 1],
+    ip: [10, 0, 2, 15],
+    prefix: 24,
+};
+
+// None is used: the clock wakes the main loop each millisecond, and that asks the controller.
+vectors! { 1: 0 => qemu::unexpected }
+
+#[entry]
+fn main() -> ! {
+    let Some(core) = Peripherals::take() else {
+        SCB::sys_reset()
+    };
+    let clock = SysTick::<CYCLES>::start(core.SYST);
+    let ethernet = Ethernet::start(ADDRESS.mac);
+    board::serve_tcp(boots::count(), ethernet, ADDRESS, clock)
+}
+
+#[exception]
+fn SysTick() {
+    clock::tick();
+    board::look_at_buttons();
+}
+
+#[panic_handler]
+fn panic(_: &PanicInfo<'_>) -> ! {
+    SCB::sys_reset()
+}

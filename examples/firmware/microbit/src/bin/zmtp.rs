@@ -1,0 +1,35 @@
+//! The smallest server that a ZeroMQ client talks to without a gateway: a lamp. Its size is recorded.
+#![no_std]
+#![no_main]
+
+use core::panic::PanicInfo;
+
+use cortex_m::Peripherals;
+use cortex_m::peripheral::SCB;
+use cortex_m_rt::{entry, exception};
+use microbit::random;
+use microbit::uart::Uart;
+use qemu::clock::{self, SysTick};
+use qemu::lamp;
+
+#[entry]
+fn main() -> ! {
+    let Some(core) = Peripherals::take() else {
+        SCB::sys_reset()
+    };
+    lamp::serve(
+        random::word(),
+        Uart::start(),
+        SysTick::<16_000>::start(core.SYST),
+    )
+}
+
+#[exception]
+fn SysTick() {
+    clock::tick();
+}
+
+#[panic_handler]
+fn panic(_: &PanicInfo<'_>) -> ! {
+    SCB::sys_reset()
+}

@@ -1,0 +1,33 @@
+//! A serial port and a clock: what every image has. Its size is recorded, to be taken off from others.
+#![no_std]
+#![no_main]
+
+#[path = "../uart.rs"]
+mod uart;
+
+use core::panic::PanicInfo;
+
+use cortex_m::Peripherals;
+use cortex_m::peripheral::SCB;
+use cortex_m_rt::{entry, exception};
+use qemu::clock::{self, SysTick};
+use qemu::lamp;
+use uart::Uart;
+
+#[entry]
+fn main() -> ! {
+    let Some(core) = Peripherals::take() else {
+        SCB::sys_reset()
+    };
+    lamp::echo(Uart::start(), SysTick::<25_000>::start(core.SYST))
+}
+
+#[exception]
+fn SysTick() {
+    clock::tick();
+}
+
+#[panic_handler]
+fn panic(_: &PanicInfo<'_>) -> ! {
+    SCB::sys_reset()
+}

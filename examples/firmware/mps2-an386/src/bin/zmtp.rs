@@ -1,0 +1,38 @@
+//! The smallest server that a ZeroMQ client talks to without a gateway: a lamp. Its size is recorded.
+#![no_std]
+#![no_main]
+
+#[path = "../uart.rs"]
+mod uart;
+
+use core::panic::PanicInfo;
+
+use cortex_m::Peripherals;
+use cortex_m::peripheral::SCB;
+use cortex_m_rt::{entry, exception};
+use qemu::boots;
+use qemu::clock::{self, SysTick};
+use qemu::lamp;
+use uart::Uart;
+
+#[entry]
+fn main() -> ! {
+    let Some(core) = Peripherals::take() else {
+        SCB::sys_reset()
+    };
+    lamp::serve(
+        boots::count(),
+        Uart::start(),
+        SysTick::<25_000>::start(core.SYST),
+    )
+}
+
+#[exception]
+fn SysTick() {
+    clock::tick();
+}
+
+#[panic_handler]
+fn panic(_: &PanicInfo<'_>) -> ! {
+    SCB::sys_reset()
+}

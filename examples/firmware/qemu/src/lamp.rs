@@ -1,0 +1,42 @@
+//! The smallest server of use that ZeroMQ clients talk to, and what it is measured against: its size is
+//! recorded.
+
+use core::convert::Infallible;
+
+use embedded_io::{Read, Write};
+use ztl_mcu::Identity;
+use ztl_mcu::components::{DigitalOutput, DigitalOutputConfig};
+use ztl_mcu::zmtp::{Line, Server};
+
+use crate::board::Clock;
+use crate::panel::Lamp;
+
+/// A lamp, for one client at a time, two tasks, and messages of some 160 bytes. `boot` differs from reset
+/// to reset.
+pub fn serve(boot: u32, mut uart: impl Write<Error = Infallible>, mut clock: impl Clock) -> ! {
+    let lamp = DigitalOutput::new("lamp", Lamp, DigitalOutputConfig::DEFAULT);
+    let identity = Identity::new("desk", env!("CARGO_PKG_VERSION"), boot);
+    let mut server = Server::<_, 1, 2, 192, 1>::new("/lab", identity, [lamp]);
+    let mut line = Line::new();
+    loop {
+        // Neither half of the port can fail.
+        let _ = line.turn(&mut server, &mut &app::RECEIVED, &mut uart, clock.now());
+    }
+}
+
+/// A serial port and a clock, and nothing else: what comes goes back.
+pub fn echo(mut uart: impl Write<Error = Infallible>, mut clock: impl Clock) -> ! {
+    let mut received = &app::RECEIVED;
+    let mut buffer = [0; 32];
+    loop {
+        let count = received.read(&mut buffer).unwrap_or_default();
+        let mut rest = buffer.get(..count).unwrap_or_default();
+        while !rest.is_empty() {
+            let written = uart.write(rest).unwrap_or_default();
+            rest = rest.get(written..).unwrap_or_default();
+        }
+        if count == 0 && clock.now().as_micros() & 1 == 0 {
+            clock.sleep();
+        }
+    }
+}
