@@ -26,7 +26,7 @@ fn place(board: &Board) -> f32 {
 /// Tasks end in each way, as a client and the pins see it.
 fn drive(board: &Board, client: &mut OriginalClient) {
     let id = client.start("desk", "stage", "home");
-    assert_eq!(client.wait(id, 10.0), (COMPLETED, "0.00"));
+    assert_eq!(client.wait(id, 60.0), (COMPLETED, "0.00"));
     assert_eq!(client.status(id), (COMPLETED, "0.00"));
     assert_eq!(client.abort(id), (COMPLETED, "False"), "an end is an end");
 
@@ -65,7 +65,7 @@ fn drive(board: &Board, client: &mut OriginalClient) {
         task.number
     );
     assert_eq!(task.text, told);
-    assert_eq!(client.wait(task.number, 10.0), (COMPLETED, "on"));
+    assert_eq!(client.wait(task.number, 60.0), (COMPLETED, "on"));
     assert_eq!(board.read(Pin::Lamp), 1);
 }
 
@@ -81,7 +81,7 @@ fn over_its_serial_port_the_next_client_is_served_whatever_the_one_before_left()
     let board = serial();
     let task = {
         let mut client = OriginalClient::connect(board.port, SCOPE);
-        client.start("desk", "stage", "150")
+        client.start("desk", "stage", "40")
     };
     for _ in 0..10 {
         let mut client = OriginalClient::connect(board.port, SCOPE);
@@ -89,7 +89,7 @@ fn over_its_serial_port_the_next_client_is_served_whatever_the_one_before_left()
         assert!([ACCEPTED, COMPLETED].contains(&number), "{number}");
     }
     let mut client = OriginalClient::connect(board.port, SCOPE);
-    assert_eq!(client.wait(task, 10.0), (COMPLETED, "150.00"));
+    assert_eq!(client.wait(task, 60.0), (COMPLETED, "40.00"));
 }
 
 #[test]
@@ -121,8 +121,8 @@ fn over_ethernet_two_clients_are_served_at_once_and_a_third_when_one_has_gone() 
     let stage = one.start("desk", "stage", "home");
     let gripper = two.start("desk", "gripper", "90");
     // Either sees the other's task.
-    assert_eq!(two.wait(stage, 10.0), (COMPLETED, "0.00"));
-    assert_eq!(one.wait(gripper, 10.0), (COMPLETED, "90.0"));
+    assert_eq!(two.wait(stage, 60.0), (COMPLETED, "0.00"));
+    assert_eq!(one.wait(gripper, 60.0), (COMPLETED, "90.0"));
     assert_eq!(two.status(gripper), (COMPLETED, "90.0"));
 
     let mut three = OriginalClient::connect(board.network, SCOPE);
@@ -144,7 +144,7 @@ fn over_ethernet_an_emergency_stop_ends_all_and_is_latched() {
     let mut client = OriginalClient::connect(board.network, SCOPE);
     let id = client.start("desk", "stage", "200");
     board.write(Pin::Stop, 1);
-    assert_eq!(client.wait(id, 10.0), (ABORTED, "emergency stop"));
+    assert_eq!(client.wait(id, 60.0), (ABORTED, "emergency stop"));
     board.write(Pin::Stop, 0);
     assert_eq!(client.trigger("desk", "lamp", "on"), (-1, "emergency stop"));
     board.write(Pin::Resume, 1);
