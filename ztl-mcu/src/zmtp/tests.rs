@@ -9,6 +9,7 @@ use super::{Connection, Peer, Server, Socket};
 use crate::{Component, Identity, Instant, Refused, Report, Run};
 
 mod connection;
+mod document;
 mod line;
 mod server;
 

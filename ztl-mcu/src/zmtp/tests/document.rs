@@ -1,0 +1,88 @@
+//! The example bytes of `docs/zmtp.md` are what a server takes and says.
+
+use std::vec::Vec;
+
+use super::{BOTH, Client, End, NOW, Pieces, desk};
+use crate::zmtp::Peer;
+
+const DOCUMENT: &str = include_str!("../../../../docs/zmtp.md");
+
+/// `ff 7*00 "text"`, up to a `;` outside of quotes.
+#[track_caller]
+fn bytes(line: &str) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    // Every second piece stands in quotes.
+    for (place, piece) in line.split('"').enumerate() {
+        if place % 2 == 1 {
+            bytes.extend(piece.as_bytes());
+            continue;
+        }
+        let (piece, comment) = piece.split_once(';').unwrap_or((piece, ""));
+        for word in piece.split_whitespace() {
+            let (count, number) = word.split_once('*').unwrap_or(("1", word));
+            let count = count.parse().expect("a count");
+            let number = u8::from_str_radix(number, 16).expect("a byte in hexadecimal");
+            bytes.extend(std::vec![number; count]);
+        }
+        if !comment.is_empty() {
+            break;
+        }
+    }
+    bytes
+}
+
+/// Plays a block; says how many bytes were compared.
+fn play(block: &str, pieces: Pieces) -> usize {
+    let mut desk = desk();
+    desk.open(NOW, Peer(0));
+    let mut client = Client {
+        desk: &mut desk,
+        peer: Peer(0),
+    };
+    let (mut heard, mut expected, mut compared) = (client.drain(), Vec::new(), 0);
+    for line in block.lines() {
+        match line.split_once(' ') {
+            Some(("S", line)) => expected.extend(bytes(line)),
+            Some(("C", line)) => {
+                assert_eq!(heard, expected, "before {line}, of\n{block}");
+                compared += heard.len();
+                expected.clear();
+                heard = client.talk(pieces, &bytes(line));
+            }
+            _ => {
+                assert_eq!(line, "closed");
+                assert!(!client.desk.is_open(Peer(0)), "{block}");
+            }
+        }
+    }
+    assert_eq!(heard, expected, "at the end of\n{block}");
+    compared + heard.len()
+}
+
+#[test]
+fn the_conversations_of_the_document_are_what_a_server_says() {
+    let blocks = DOCUMENT.split("```zmtp\n").skip(1);
+    let blocks: Vec<&str> = blocks
+        .filter_map(|block| block.split("```").next())
+        .collect();
+    assert!(blocks.len() >= 8, "{}", blocks.len());
+    for pieces in BOTH {
+        for block in &blocks {
+            assert!(play(block, pieces) >= 11);
+        }
+    }
+}
+
+/// Each behaviour names where it comes from.
+#[test]
+fn every_clause_of_the_document_cites_its_source() {
+    let (_, clauses) = DOCUMENT.split_once("## What it does").expect("the clauses");
+    let (clauses, _) = clauses.split_once("## In bytes").expect("their end");
+    let clauses: Vec<&str> = clauses.split("\n- [").skip(1).collect();
+    assert!(clauses.len() > 20);
+    for clause in clauses {
+        let sourced = ["(37 ", "(23 ", "(15 ", "(28", "(ours"];
+        let cites = sourced.iter().any(|source| clause.contains(source));
+        assert!(cites, "[{clause}");
+    }
+}
