@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 use ztl_std::State::{Aborted, Accepted, Completed, Failed};
 use ztl_tests::lab::{ABORTED, ACCEPTED, PATIENCE, until};
 
-use crate::rig::{Lab, SOON, dies, end, lives, progress, told, trigger};
+use crate::rig::{Lab, SOON, dies, end, kill, lives, progress, told, trigger};
 
 #[test]
 fn a_program_that_heeds_the_signal_is_aborted_with_its_last_words() {
@@ -219,10 +219,4 @@ fn one_that_replaces_and_one_that_is_aborted_while_it_waits() {
     assert_eq!(end(&mut remote, second).1, "aborted before it began");
     assert_eq!(remote.status(first).expect("an answer").state, Accepted);
     assert_eq!(remote.abort(first).expect("an answer").state, Aborted);
-}
-
-fn kill(process: u32) {
-    let mut kill = std::process::Command::new("sh");
-    kill.args(["-c", "kill -KILL $0"]).arg(process.to_string());
-    assert!(kill.status().expect("`sh`").success());
 }

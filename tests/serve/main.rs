@@ -6,6 +6,7 @@ mod decisions;
 mod examples;
 mod file;
 mod forward;
+mod killed;
 mod results;
 mod rig;
 mod several;

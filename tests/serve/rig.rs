@@ -68,6 +68,28 @@ impl Lab {
         })
     }
 
+    /// The server's child processes, its guard among them.
+    pub fn children(&self) -> Vec<u32> {
+        let threads = format!("/proc/{}/task", self.server.process.id());
+        let threads = std::fs::read_dir(threads).into_iter().flatten().flatten();
+        let children =
+            threads.map(|thread| std::fs::read_to_string(thread.path().join("children")));
+        let all: String = children.flatten().collect::<Vec<_>>().join(" ");
+        all.split_whitespace()
+            .map(|child| child.parse().expect("a number"))
+            .collect()
+    }
+
+    /// All processes that run in the programs' directory, whoever is their parent.
+    pub fn at_home(&self) -> Vec<PathBuf> {
+        let home = std::fs::canonicalize(self.scratch.path("")).expect("a directory");
+        let all = std::fs::read_dir("/proc").expect("/proc").flatten();
+        let at_home = |process: &PathBuf| {
+            std::fs::read_link(process.join("cwd")).is_ok_and(|directory| directory == home)
+        };
+        all.map(|process| process.path()).filter(at_home).collect()
+    }
+
     /// The process whose number a program has written into a file.
     #[track_caller]
     pub fn process(&self, name: &str) -> u32 {
@@ -140,6 +162,21 @@ pub fn dies(process: u32) {
     until("the process ends", PATIENCE, || {
         (!lives(process)).then_some(())
     });
+}
+
+/// Ends a process.
+#[track_caller]
+pub fn kill(process: u32) {
+    signal(process, "KILL");
+}
+
+/// Sends a process a signal by name.
+#[track_caller]
+pub fn signal(process: u32, name: &str) {
+    let mut kill = std::process::Command::new("sh");
+    kill.args(["-c", "kill -$0 $1", name])
+        .arg(process.to_string());
+    assert!(kill.status().expect("`sh`").success(), "{kill:?}");
 }
 
 /// How long something may take that is done at once, on a machine that is busy.

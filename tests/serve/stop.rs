@@ -1,12 +1,11 @@
-//! The server stops, dies, and is started anew.
+//! The server is asked to stop.
 
 use std::time::{Duration, Instant};
 
-use ztl_std::RequestError;
-use ztl_std::State::{Aborted, Completed};
+use ztl_std::State::Aborted;
 use ztl_tests::lab::{PATIENCE, until};
 
-use crate::rig::{Lab, dies, end, lives, start, trigger};
+use crate::rig::{Lab, dies, end, lives, trigger};
 
 const CAREFUL: &str = r#"
     careful: {run: [sh, -c, 'trap "sleep 0.5; echo parked > parked; exit" TERM; echo $$ > careful; while :; do sleep 0.02; done'], abort: {grace: 5 s}}
@@ -90,28 +89,4 @@ fn while_it_stops_nothing_new_begins() {
     assert_eq!(server.process.end(PATIENCE).code, Some(0));
     assert!(!lives(process));
     drop(scratch);
-}
-
-#[test]
-fn started_anew_after_it_was_killed_it_does_not_claim_to_know_what_became_of_a_task() {
-    let mut lab = Lab::new("go: {run: [sh, -c, 'echo $$ > pid; exec sleep 60']}\necho: echo");
-    let mut remote = lab.remote();
-    let id = trigger(&mut remote, "go", "");
-    let process = lab.process("pid");
-    lab.server.process.kill();
-    // Nobody could stop it: that is for a service manager to do.
-    assert!(lives(process));
-    lab.server = start(&lab.scratch.path("robot.yaml"), &[]);
-    let mut remote = lab.remote();
-    let unknown = remote
-        .wait(id, Some(PATIENCE))
-        .expect_err("it is not known");
-    assert!(
-        matches!(unknown.last, Err(RequestError::UnknownTask { .. })),
-        "{unknown:?}"
-    );
-    assert_eq!(lab.run("echo", "again"), (Completed, "again".to_owned()));
-    let mut kill = std::process::Command::new("sh");
-    kill.args(["-c", "kill -KILL $0"]).arg(process.to_string());
-    assert!(kill.status().expect("`sh`").success());
 }

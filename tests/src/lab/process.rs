@@ -138,9 +138,7 @@ impl Process {
             panic!("not ended within {limit:?}: {}", self.story());
         };
         // What it has said may still be on its way.
-        until("the end of its output", PATIENCE, || {
-            (self.heard.0.lock().unwrap().closed == 2).then_some(())
-        });
+        self.wait_for_silence();
         let heard = self.heard.0.lock().unwrap();
         Ended {
             code: status.code(),
@@ -154,6 +152,14 @@ impl Process {
     pub fn kill(&mut self) {
         self.child.kill().expect("to kill it");
         self.child.wait().expect("its end");
+    }
+
+    /// Waits until nobody holds its output open any more: neither it nor what it has started.
+    #[track_caller]
+    pub fn wait_for_silence(&self) {
+        until("the end of its output", PATIENCE, || {
+            (self.heard.0.lock().unwrap().closed == 2).then_some(())
+        });
     }
 
     /// Sends a signal by name: `INT`, `STOP`, `CONT`.

@@ -1,40 +1,138 @@
 //! A program and all that it has started: its process group.
 
-use std::collections::BTreeSet;
+use std::collections::BTreeMap;
+#[cfg(target_os = "linux")]
+use std::ffi::OsStr;
 use std::io;
+#[cfg(target_os = "linux")]
+use std::path::PathBuf;
+use std::process::{Child, Command};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use rustix::process::{Pid, Signal, WaitId, WaitIdOptions, kill_process_group, waitid};
+use serde::{Deserialize, Serialize};
 
-/// The groups of all programs that run: to be killed when there is no time for more.
+use super::guard::{Charge, Guard};
+use super::program::Launch;
+
+/// What is known of all programs that run: to be killed when there is no time for more, and by whom
+/// when nobody is left to do it.
 #[derive(Debug, Clone, Default)]
-pub struct Groups(Arc<Mutex<BTreeSet<i32>>>);
+pub struct Groups(Arc<Shared>);
+
+#[derive(Debug, Default)]
+struct Shared {
+    /// By the group, the guard's number of it.
+    groups: Mutex<BTreeMap<i32, u64>>,
+    guard: Option<Mutex<Guard>>,
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
 
 impl Groups {
-    fn lock(&self) -> MutexGuard<'_, BTreeSet<i32>> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    /// With a guard: a process that stops all programs when this one is gone without having done so,
+    /// killed or crashed. It is started by this command, which must do nothing but call
+    /// [`guard`](super::guard).
+    ///
+    /// # Errors
+    /// When it cannot be started.
+    pub fn guarded(command: Command) -> io::Result<Self> {
+        let guard = Guard::start(command)?;
+        Ok(Self(Arc::new(Shared {
+            groups: Mutex::default(),
+            guard: Some(Mutex::new(guard)),
+        })))
     }
 
     /// Kills them all, at once (SIGKILL).
     pub fn kill(&self) {
-        for group in self.lock().iter() {
+        for group in lock(&self.0.groups).keys() {
             signal(*group, Signal::KILL);
         }
     }
 
-    pub(super) fn add(&self, group: i32) {
-        self.lock().insert(group);
+    /// Starts a program, as [`Launch::spawn`] does, with the guard in the know all the time.
+    pub(super) fn start(
+        &self,
+        charge: Charge,
+        launch: &Launch,
+        heard: bool,
+    ) -> Result<Child, String> {
+        let guard = self.0.guard.as_ref();
+        let number = guard.map_or(0, |guard| lock(guard).begins(charge));
+        let started = launch.spawn(heard);
+        match &started {
+            Ok(child) => {
+                let group = of(child);
+                lock(&self.0.groups).insert(group, number);
+                if let Some(guard) = guard {
+                    lock(guard).runs(number, group);
+                }
+            }
+            Err(_) => self.over(number),
+        }
+        started
     }
 
     /// The group's first process has ended: kills what is left of it, if that is wanted, and lets `reap`
     /// free its number, which may belong to others from then on.
     pub(super) fn end<T>(&self, group: i32, kill: bool, reap: impl FnOnce() -> T) -> T {
-        let mut groups = self.lock();
+        let mut groups = lock(&self.0.groups);
         if kill {
             signal(group, Signal::KILL);
         }
-        groups.remove(&group);
-        reap()
+        let number = groups.remove(&group);
+        let reaped = reap();
+        drop(groups);
+        if let Some(number) = number {
+            self.over(number);
+        }
+        reaped
+    }
+
+    fn over(&self, number: u64) {
+        if let Some(guard) = &self.0.guard {
+            lock(guard).over(number);
+        }
+    }
+
+    /// Some process has ended: another guard is started if it was that.
+    pub(super) fn look_for_guard(&self) {
+        if let Some(guard) = &self.0.guard {
+            lock(guard).look();
+        }
+    }
+}
+
+/// The group of a program that was started in one of its own.
+pub(super) fn of(child: &Child) -> i32 {
+    // The system has no greater numbers.
+    i32::try_from(child.id()).unwrap_or(i32::MAX)
+}
+
+/// A group of somebody else's children, whose number may be another's by now.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub(super) struct Group {
+    pub(super) number: i32,
+    /// When its first process began, as the system counts.
+    began: Option<u64>,
+}
+
+impl Group {
+    /// The group that this process leads.
+    pub(super) fn of(leader: i32) -> Self {
+        Self {
+            number: leader,
+            began: began(leader),
+        }
+    }
+
+    /// Whether its first process is the same, or has ended.
+    pub(super) fn is_same(self) -> bool {
+        let now = began(self.number);
+        now.is_none() || self.began.is_none() || now == self.began
     }
 }
 
@@ -62,17 +160,9 @@ pub(super) fn has_ended(group: i32) -> io::Result<bool> {
 /// count.
 #[cfg(target_os = "linux")]
 pub(super) fn is_alive(group: i32) -> bool {
-    let Ok(processes) = std::fs::read_dir("/proc") else {
-        return false;
-    };
-    processes.flatten().any(|process| {
-        let name = process.file_name();
-        let is_process = name
-            .to_str()
-            .is_some_and(|name| name.starts_with(|c: char| c.is_ascii_digit()));
-        is_process
-            && std::fs::read(process.path().join("stat"))
-                .is_ok_and(|stat| group_of_living(&stat) == Some(group))
+    processes().any(|process| {
+        let stat = std::fs::read(process.join("stat"));
+        stat.is_ok_and(|stat| group_of_living(&stat) == Some(group))
     })
 }
 
@@ -82,16 +172,65 @@ pub(super) fn is_alive(_group: i32) -> bool {
     false
 }
 
+/// The group of a process that has this in its environment.
+#[cfg(target_os = "linux")]
+pub(super) fn with_variable(name: &str, value: &str) -> Option<Group> {
+    let wanted = format!("{name}={value}");
+    let has_it = |process: &PathBuf| {
+        let environment = std::fs::read(process.join("environ")).unwrap_or_default();
+        let mut variables = environment.split(|byte| *byte == 0);
+        variables.any(|variable| variable == wanted.as_bytes())
+    };
+    let process = processes().find(has_it)?;
+    let stat = std::fs::read(process.join("stat")).ok()?;
+    group_of_living(&stat).map(Group::of)
+}
+
+/// That cannot be known here.
+#[cfg(not(target_os = "linux"))]
+pub(super) fn with_variable(_name: &str, _value: &str) -> Option<Group> {
+    None
+}
+
+/// The directories of all processes.
+#[cfg(target_os = "linux")]
+fn processes() -> impl Iterator<Item = PathBuf> {
+    let is_process = |path: &PathBuf| {
+        let name = path.file_name().and_then(OsStr::to_str);
+        name.is_some_and(|name| name.starts_with(|c: char| c.is_ascii_digit()))
+    };
+    let all = std::fs::read_dir("/proc").into_iter().flatten().flatten();
+    all.map(|entry| entry.path()).filter(is_process)
+}
+
+/// When a process began.
+#[cfg(target_os = "linux")]
+fn began(process: i32) -> Option<u64> {
+    let stat = std::fs::read(format!("/proc/{process}/stat")).ok()?;
+    words_of(&stat)?.nth(19)?.parse().ok()
+}
+
+/// That cannot be known here.
+#[cfg(not(target_os = "linux"))]
+fn began(_process: i32) -> Option<u64> {
+    None
+}
+
 /// The group of a process by its `/proc/PID/stat`; `None` when it has ended.
 #[cfg(target_os = "linux")]
 fn group_of_living(stat: &[u8]) -> Option<i32> {
-    // `7 (name) S 1 7 …`; the name may contain anything.
-    let end = stat.iter().rposition(|byte| *byte == b')')?;
-    let rest = std::str::from_utf8(stat.get(end + 1..)?).ok()?;
-    let mut words = rest.split_ascii_whitespace();
+    let mut words = words_of(stat)?;
     let state = words.next()?;
     let group = words.nth(1)?.parse().ok()?;
     (!matches!(state, "Z" | "X" | "x")).then_some(group)
+}
+
+/// What follows the name in `7 (name) S 1 7 …`; the name may contain anything.
+#[cfg(target_os = "linux")]
+fn words_of(stat: &[u8]) -> Option<impl Iterator<Item = &str>> {
+    let end = stat.iter().rposition(|byte| *byte == b')')?;
+    let rest = std::str::from_utf8(stat.get(end + 1..)?).ok()?;
+    Some(rest.split_ascii_whitespace())
 }
 
 #[cfg(test)]

@@ -7,8 +7,8 @@ use std::process::{Child, Command, Stdio};
 use std::sync::Arc;
 use std::time::Duration;
 
-use nix::unistd::User;
 use rustix::process::Signal;
+use serde::{Deserialize, Serialize};
 
 use super::template::{Call, Template};
 
@@ -63,9 +63,28 @@ pub(super) struct Invocation {
     pub(super) arguments: Vec<Argument>,
     pub(super) directory: PathBuf,
     pub(super) environment: Vec<(String, String)>,
-    pub(super) user: Option<User>,
+    pub(super) user: Option<Account>,
     /// Where it stands: `robot.yaml:9`.
     pub(super) place: String,
+}
+
+/// A user of this machine.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub(super) struct Account {
+    pub(super) name: String,
+    pub(super) uid: u32,
+    pub(super) gid: u32,
+    pub(super) home: PathBuf,
+}
+
+/// A program with all that it is given for one task.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub(super) struct Launch {
+    arguments: Vec<String>,
+    directory: PathBuf,
+    environment: Vec<(String, String)>,
+    user: Option<Account>,
+    place: String,
 }
 
 /// One argument.
@@ -107,8 +126,8 @@ pub(super) fn signal_name(number: i32) -> String {
 }
 
 impl Invocation {
-    /// The arguments for a task, or why it is refused.
-    pub(super) fn arguments(&self, call: &Call) -> Result<Vec<String>, String> {
+    /// What is started for a task, or why that is refused.
+    pub(super) fn launch(&self, call: &Call) -> Result<Launch, String> {
         let fill = |argument: &Argument| {
             let text = argument.template.fill(call)?;
             if argument.guarded && text.starts_with('-') {
@@ -119,20 +138,28 @@ impl Invocation {
             }
             Ok(text)
         };
-        self.arguments.iter().map(fill).collect()
+        let mut environment = self.environment.clone();
+        let of_task = call.environment();
+        environment.extend(of_task.map(|(name, value)| (name.to_owned(), value)));
+        Ok(Launch {
+            arguments: self.arguments.iter().map(fill).collect::<Result<_, _>>()?,
+            directory: self.directory.clone(),
+            environment,
+            user: self.user.clone(),
+            place: self.place.clone(),
+        })
     }
+}
 
+impl Launch {
     /// Starts it in a process group of its own. May take its time where the program lies on a slow disk.
+    /// To be called on a thread that does nothing else afterwards: it may belong to another user then.
+    /// `heard`: whether what it says goes into pipes, or nowhere.
     ///
     /// # Errors
     /// Why it could not be started, and what is to be done.
-    pub(super) fn spawn(
-        &self,
-        arguments: &[String],
-        call: &Call,
-        heard: bool,
-    ) -> Result<Child, String> {
-        let Some((program, rest)) = arguments.split_first() else {
+    pub(super) fn spawn(&self, heard: bool) -> Result<Child, String> {
+        let Some((program, rest)) = self.arguments.split_first() else {
             return Err("there is no program".to_owned());
         };
         let pipe = || if heard { Stdio::piped() } else { Stdio::null() };
@@ -151,7 +178,7 @@ impl Invocation {
         if let Some(user) = &self.user {
             let name = &user.name;
             command
-                .env("HOME", &user.dir)
+                .env("HOME", &user.home)
                 .env("USER", name)
                 .env("LOGNAME", name);
             become_user(user, &mut command).map_err(|error| {
@@ -159,7 +186,6 @@ impl Invocation {
             })?;
         }
         command.envs(self.environment.iter().map(|(name, value)| (name, value)));
-        command.envs(call.environment());
         command
             .spawn()
             .map_err(|error| self.cannot_start(program, &error))
@@ -217,22 +243,20 @@ pub(super) fn program_path(program: &str, base: &Path) -> String {
 }
 
 /// What is started by this thread from now on belongs to the user, who has all their groups: the
-/// kernel keeps these for each thread. To be called on a thread that does nothing else afterwards.
+/// kernel keeps these for each thread.
 /// (`Command::uid` would take the groups away, as that of the sound card.)
 #[cfg(target_os = "linux")]
-fn become_user(user: &User, _command: &mut Command) -> io::Result<()> {
+fn become_user(user: &Account, _command: &mut Command) -> io::Result<()> {
     use rustix::process::{Gid, Uid, getgid, getuid};
     use rustix::thread::{set_thread_groups, set_thread_res_gid, set_thread_res_uid};
 
-    let (uid, gid) = (
-        Uid::from_raw(user.uid.as_raw()),
-        Gid::from_raw(user.gid.as_raw()),
-    );
+    let (uid, gid) = (Uid::from_raw(user.uid), Gid::from_raw(user.gid));
     if getuid() == uid && getgid() == gid {
         return Ok(());
     }
     let name = std::ffi::CString::new(user.name.as_str())?;
-    let groups = nix::unistd::getgrouplist(&name, user.gid).map_err(io::Error::from)?;
+    let groups = nix::unistd::getgrouplist(&name, nix::unistd::Gid::from_raw(user.gid))
+        .map_err(io::Error::from)?;
     let groups: Vec<Gid> = groups
         .iter()
         .map(|group| Gid::from_raw(group.as_raw()))
@@ -245,7 +269,7 @@ fn become_user(user: &User, _command: &mut Command) -> io::Result<()> {
 
 /// The user with their first group.
 #[cfg(not(target_os = "linux"))]
-fn become_user(user: &User, command: &mut Command) -> io::Result<()> {
-    command.uid(user.uid.as_raw()).gid(user.gid.as_raw());
+fn become_user(user: &Account, command: &mut Command) -> io::Result<()> {
+    command.uid(user.uid).gid(user.gid);
     Ok(())
 }

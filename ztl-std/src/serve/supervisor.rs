@@ -291,7 +291,7 @@ impl Supervisor {
     }
 
     fn on_started(&mut self, id: TaskId, mut child: Child) {
-        let group = group_of(&child);
+        let group = group::of(&child);
         let task = self.tasks.get_mut(&id);
         let Some((task, stop)) = task.and_then(|task| match task.doing {
             Doing::Starting(stop) => Some((task, stop)),
@@ -475,10 +475,4 @@ impl Task {
     fn name(&self) -> String {
         format!("{}:{}", self.call.handler, self.call.component)
     }
-}
-
-/// The group of a program that was started in one of its own.
-fn group_of(child: &Child) -> i32 {
-    // The system has no greater numbers.
-    i32::try_from(child.id()).unwrap_or(i32::MAX)
 }

@@ -76,7 +76,7 @@ fn level(text: &str) -> Result<Level, String> {
     one_of(text, &LEVELS)
 }
 
-fn format(text: &str) -> Result<LogFormat, String> {
+pub(crate) fn format(text: &str) -> Result<LogFormat, String> {
     one_of(text, &LOG_FORMATS)
 }
 

@@ -1,8 +1,12 @@
 //! `ztl serve`: the scripts and command-line tools of a robot as handlers of a task server.
 
-use std::path::PathBuf;
-use std::process::ExitCode;
+use std::io;
+use std::os::unix::process::CommandExt;
+use std::path::{Path, PathBuf};
+use std::process::{Command, ExitCode};
 
+use tracing::Level;
+use ztl_std::listen::{LOG_FORMATS, LogFormat};
 use ztl_std::serve::{Config, Groups};
 use ztl_std::server::scope_mistake;
 
@@ -27,6 +31,36 @@ pub(crate) struct Serve {
     /// Only say what is wrong with the file
     #[arg(long)]
     check: bool,
+}
+
+/// A process that its `ztl serve` talks to, by stdin, and that ends with it.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Guard {
+    /// How it logs
+    #[arg(value_parser = reach::format)]
+    format: LogFormat,
+}
+
+impl Guard {
+    pub(crate) fn run(self) -> Done {
+        log::init_as(Level::INFO, self.format);
+        ztl_std::serve::guard();
+        Ok(ExitCode::SUCCESS)
+    }
+
+    /// How it is started: by the program that runs, wherever that is by now.
+    fn command(format: LogFormat) -> io::Result<Command> {
+        let own = Path::new("/proc/self/exe");
+        let program = match own.exists() {
+            true => own.to_owned(),
+            false => std::env::current_exe()?,
+        };
+        let mut command = Command::new(program);
+        let known = LOG_FORMATS.iter().find(|(_, known)| *known == format);
+        let format = known.map_or("text", |(word, _)| *word);
+        command.arg0("ztl").args(["serve-guard", format]);
+        Ok(command)
+    }
 }
 
 fn scope(text: &str) -> Result<String, String> {
@@ -100,8 +134,11 @@ fn served(config: &Config) -> String {
 
 fn serve(config: &Config, place: reach::Place) -> Done {
     let who = place.reachable();
+    let guard = Guard::command(place.log_format);
     let mut server = place.listen()?;
-    let groups = Groups::default();
+    let groups = guard
+        .and_then(Groups::guarded)
+        .map_err(|error| format!("cannot start the guard of programs: {error}"))?;
     for (scope, programs) in config.programs(&groups)? {
         server.register_handler(&scope, programs);
     }

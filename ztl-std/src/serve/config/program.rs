@@ -7,7 +7,7 @@ use std::time::Duration;
 use nix::unistd::User;
 
 use super::super::program::{
-    Abort, AbortBy, Argument, Invocation, Program, ResultKind, SIGNALS, find, program_path,
+    Abort, AbortBy, Account, Argument, Invocation, Program, ResultKind, SIGNALS, find, program_path,
 };
 use super::super::rule::Rule;
 use super::super::template::Template;
@@ -35,7 +35,7 @@ const TERM: (&str, rustix::process::Signal) = ("TERM", rustix::process::Signal::
 struct Surroundings<'a> {
     directory: PathBuf,
     environment: Vec<(String, String)>,
-    user: Option<User>,
+    user: Option<Account>,
     rule: &'a Rule,
     wild: Wild,
     dashes: bool,
@@ -251,7 +251,7 @@ impl<'d> Source<'d> {
         }
     }
 
-    fn user(&mut self, node: &'d Node) -> Option<User> {
+    fn user(&mut self, node: &'d Node) -> Option<Account> {
         let user =
             self.reading.parsed(node, "the name of a user", |name| {
                 match User::from_name(name) {
@@ -265,7 +265,12 @@ impl<'d> Source<'d> {
             let message = format!("only root can run programs as '{}'", user.name);
             self.warn(node, message);
         }
-        Some(user)
+        Some(Account {
+            name: user.name,
+            uid: user.uid.as_raw(),
+            gid: user.gid.as_raw(),
+            home: user.dir,
+        })
     }
 
     fn abort(&mut self, node: &'d Node, around: &Surroundings<'_>) -> Option<Abort> {

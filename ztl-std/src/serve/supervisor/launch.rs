@@ -11,11 +11,12 @@ use tracing::{debug, warn};
 use ztl_core::TaskId;
 
 use super::super::forward::Told;
-use super::super::program::{AbortBy, Invocation, Program};
+use super::super::guard::Charge;
+use super::super::program::{AbortBy, Launch, Program};
 use super::super::run::End;
 use super::super::template::Call;
 use super::super::{LOG, Work, group};
-use super::{Doing, Helper, Message, Supervisor, group_of};
+use super::{Doing, Helper, Message, Supervisor};
 
 impl Supervisor {
     /// It is a task's turn.
@@ -40,12 +41,10 @@ impl Supervisor {
             }
             Work::Program(program) => {
                 task.doing = Doing::Starting(None);
-                match program.run.arguments(&task.call) {
-                    Ok(arguments) => {
-                        {
-                            let invocation = Arc::clone(&program.run);
-                            self.launch(id, invocation, arguments, Message::Started)
-                        };
+                match program.run.launch(&task.call) {
+                    Ok(launch) => {
+                        let charge = Charge::of(&program, &task.call);
+                        self.launch(id, launch, charge, Message::Started);
                     }
                     Err(reason) => self.finish(id, End::Rejected(reason)),
                 }
@@ -68,27 +67,24 @@ impl Supervisor {
     fn launch(
         &mut self,
         id: TaskId,
-        invocation: Arc<Invocation>,
-        arguments: Vec<String>,
+        launch: Launch,
+        charge: Charge,
         message: fn(TaskId, Result<Child, String>) -> Message,
     ) {
         let Some(task) = self.tasks.get(&id) else {
             return;
         };
-        let (call, groups) = (Arc::clone(&task.call), self.groups.clone());
+        let groups = self.groups.clone();
         let heard = matches!(task.doing, Doing::Starting(_));
         let spawned = self.link.try_clone().and_then(|link| {
             let thread = std::thread::Builder::new().name(format!("ztl-start-{id}"));
             thread.spawn(move || {
-                let started = invocation.spawn(&arguments, &call, heard);
-                if let Ok(child) = &started {
-                    groups.add(group_of(child));
-                }
+                let started = groups.start(charge, &launch, heard);
                 if let Some(
                     Message::Started(_, Ok(mut child)) | Message::Helper(_, Ok(mut child)),
                 ) = link.try_send(message(id, started))
                 {
-                    let _ = groups.end(group_of(&child), true, || child.wait());
+                    let _ = groups.end(group::of(&child), true, || child.wait());
                 }
             })
         });
@@ -136,7 +132,7 @@ impl Supervisor {
                 let grace = running.map_or(Duration::ZERO, |running| running.program.abort.grace);
                 let place = running.map(|running| running.program.run.place.clone());
                 self.helpers.push(Helper {
-                    group: group_of(&child),
+                    group: group::of(&child),
                     child,
                     until: Instant::now().checked_add(grace),
                     place: place.unwrap_or_default(),
@@ -158,10 +154,10 @@ impl Supervisor {
         let AbortBy::Program(invocation) = &program.abort.by else {
             return;
         };
-        match invocation.arguments(&task.call) {
-            Ok(arguments) => {
-                let invocation = Arc::clone(invocation);
-                self.launch(id, invocation, arguments, Message::Helper);
+        match invocation.launch(&task.call) {
+            Ok(launch) => {
+                let charge = Charge::of_helper(id, program.abort.grace);
+                self.launch(id, launch, charge, Message::Helper);
             }
             Err(reason) => self.on_helper(id, Err(reason)),
         }

@@ -167,6 +167,7 @@ impl Supervisor {
 
     /// Finds the programs that have ended.
     pub(super) fn look_for_ends(&mut self) {
+        self.groups.look_for_guard();
         let ids: Vec<TaskId> = self.running().map(|(id, _)| id).collect();
         for id in ids {
             self.look_for_end(id);

@@ -1,0 +1,202 @@
+//! The server is killed, and has no time to stop anything: its guard does.
+
+use std::time::{Duration, Instant};
+
+use ztl_std::State::{Aborted, Completed};
+use ztl_std::{RequestError, TaskId};
+use ztl_tests::lab::{PATIENCE, until};
+
+use crate::rig::{Lab, dies, end, kill, lives, progress, signal, start, told, trigger};
+
+/// The guard of a server.
+#[track_caller]
+fn guard(lab: &Lab) -> u32 {
+    until("a guard", PATIENCE, || {
+        let mut guards = lab.children().into_iter().filter(|child| {
+            let line = std::fs::read_to_string(format!("/proc/{child}/cmdline"));
+            line.is_ok_and(|line| line.contains("serve-guard"))
+        });
+        guards.next()
+    })
+}
+
+#[test]
+fn every_program_is_asked_to_end_and_killed_after_its_grace() {
+    let lab = Lab::new(
+        r#"
+        careful: {run: [sh, -c, 'trap "sleep 0.3; echo parked > parked; exit" INT; echo $$ > careful; while :; do sleep 0.02; done'], abort: INT}
+        stubborn: {run: [sh, -c, 'trap "" TERM; (sleep 60) & echo $! > child; echo $$ > stubborn; while :; do sleep 0.02; done'], abort: {grace: 500 ms}}
+        driver: {run: [sh, -c, 'echo $$ > driver; until [ -e halt ]; do sleep 0.02; done; rm driver'], abort: {run: [sh, -c, 'echo "$0 $ZTL_GOAL" > halt; sleep 0.1; echo > stopped', '{id}'], grace: 10 s}}
+        stopped: {run: [sh, -c, 'echo $$ > halted; kill -STOP $$'], abort: {grace: 100 ms}}
+        waits: {run: [sh, -c, 'echo begun >> begun; sleep 60'], busy: queue 1}
+        ended: {run: [sh, -c, 'sleep 60 & echo $! > left; echo done'], left-behind: leave}
+        "#,
+    );
+    let mut remote = lab.remote();
+    assert_eq!(lab.run("ended", ""), (Completed, "done".to_owned()));
+    for component in ["careful", "stubborn", "stopped"] {
+        trigger(&mut remote, component, "");
+    }
+    let driver = trigger(&mut remote, "driver", "fast");
+    trigger(&mut remote, "waits", "");
+    trigger(&mut remote, "waits", "");
+    let names = ["careful", "stubborn", "child", "halted"];
+    let processes = names.map(|name| lab.process(name));
+    lab.process("driver");
+    lab.written("begun");
+    let Lab {
+        mut server,
+        scratch,
+    } = lab;
+    let begun = Instant::now();
+    server.process.kill();
+    let lab = Lab { server, scratch };
+    assert_eq!(lab.written("parked"), "parked");
+    assert_eq!(lab.written("halt"), format!("{driver} fast"));
+    // That program had its time, although the other one was gone before.
+    lab.written("stopped");
+    for process in processes {
+        dies(process);
+    }
+    assert!(begun.elapsed() >= Duration::from_millis(500));
+    assert!(!lab.scratch.path("driver").exists());
+    lab.server
+        .process
+        .wait_for("The server has ended and left programs behind. Stopping them.");
+    lab.server.process.wait_for("have ended.");
+    // What was waiting never began, and what may stay is still there.
+    assert_eq!(lab.written("begun").lines().count(), 1);
+    assert!(lives(lab.process("left")));
+    kill(lab.process("left"));
+}
+
+#[test]
+fn a_program_that_is_just_being_started_is_found() {
+    for delay in 0..12 {
+        let mut lab = Lab::new("go: {run: [sh, -c, 'echo > begun; sleep 60; true']}");
+        let mut remote = lab.remote();
+        // It waits for an answer in vain, and nobody for it.
+        std::thread::spawn(move || drop(remote.trigger("p", "go", "")));
+        // At another moment of its start each time.
+        std::thread::sleep(Duration::from_micros(delay * 400));
+        lab.server.process.kill();
+        lab.server.process.wait_for_silence();
+        let begun = lab.scratch.path("begun").exists();
+        println!("after {delay} times 400 µs: begun: {begun}");
+        assert!(lab.at_home().is_empty(), "{delay}: {:?}", lab.at_home());
+    }
+}
+
+#[test]
+fn a_guard_that_is_killed_or_does_not_listen_is_replaced() {
+    let mut lab = Lab::new(
+        r#"
+        go: {run: [sh, -c, 'echo $$ > pid; exec sleep 60']}
+        many: {run: [sh, -c, ': "$ZTL_GOAL"'], abort: {run: ['true']}}
+        "#,
+    );
+    let mut remote = lab.remote();
+    trigger(&mut remote, "go", "");
+    let process = lab.process("pid");
+    let first = guard(&lab);
+    // It is not replaced within a second of its own start.
+    until("another guard", PATIENCE, || {
+        if lives(first) {
+            kill(first);
+        }
+        assert_eq!(lab.run("many", ""), (Completed, String::new()));
+        lab.children().into_iter().find(|child| {
+            let line = std::fs::read_to_string(format!("/proc/{child}/cmdline"));
+            *child != first && line.is_ok_and(|line| line.contains("serve-guard"))
+        })
+    });
+    lab.server
+        .process
+        .wait_for("The guard had ended and was started anew.");
+
+    // One that is stopped is noticed once it has been told more than fits, and harms nobody.
+    let second = guard(&lab);
+    signal(second, "STOP");
+    let long = "x".repeat(50_000);
+    until("another guard", PATIENCE, || {
+        assert_eq!(lab.run("many", &long), (Completed, String::new()));
+        (!lives(second)).then_some(())
+    });
+    until("another guard", PATIENCE, || {
+        lab.run("many", "");
+        (guard(&lab) != second).then_some(())
+    });
+    assert!(lives(process));
+    lab.server.process.kill();
+    dies(process);
+}
+
+#[test]
+fn started_anew_it_does_not_claim_to_know_what_became_of_a_task() {
+    let mut lab = Lab::new("go: {run: [sh, -c, 'echo $$ > pid; exec sleep 60']}\necho: echo");
+    let mut remote = lab.remote();
+    let id = trigger(&mut remote, "go", "");
+    let process = lab.process("pid");
+    lab.server.process.kill();
+    dies(process);
+    lab.server = start(&lab.scratch.path("robot.yaml"), &[]);
+    let mut remote = lab.remote();
+    let unknown = remote
+        .wait(id, Some(PATIENCE))
+        .expect_err("it is not known");
+    assert!(
+        matches!(unknown.last, Err(RequestError::UnknownTask { .. })),
+        "{unknown:?}"
+    );
+    assert_eq!(lab.run("echo", "again"), (Completed, "again".to_owned()));
+}
+
+#[test]
+fn a_server_that_was_stopped_for_a_while_knows_what_has_happened() {
+    let lab = Lab::new(
+        r#"
+        go: {run: [sh, -c, 'echo "@ on"; until [ -e go ]; do sleep 0.01; done; echo done > done; echo done'], progress: '@ ', at-once: 2}
+        limited: {run: [sh, -c, 'echo "@ on"; exec sleep 60'], progress: '@ ', limit: 400 ms}
+        "#,
+    );
+    let mut remote = lab.remote();
+    let mut started = |component: &str| -> TaskId {
+        let id = trigger(&mut remote, component, "");
+        progress(&mut remote, id, "on");
+        id
+    };
+    let ends = started("go");
+    let limited = started("limited");
+    lab.server.process.signal("STOP");
+    let silent = remote.status(ends).expect_err("nobody answers");
+    assert!(
+        matches!(silent, RequestError::NoAnswer { .. }),
+        "{silent:?}"
+    );
+    // Both end, or should have, while nobody looks.
+    std::fs::write(lab.scratch.path("go"), "").expect("to write");
+    lab.written("done");
+    lab.server.process.signal("CONT");
+    assert_eq!(end(&mut remote, ends), (Completed, "done".to_owned()));
+    let (_, text) = end(&mut remote, limited);
+    assert_eq!(text, "not done within 400 ms");
+}
+
+#[test]
+fn an_abort_to_a_stopped_server_is_done_once_it_goes_on() {
+    let lab = Lab::new("go: {run: [sh, -c, 'echo $$ > pid; exec sleep 60']}");
+    let mut remote = lab.remote();
+    let id = trigger(&mut remote, "go", "");
+    let process = lab.process("pid");
+    lab.server.process.signal("STOP");
+    remote.abort(id).expect_err("nobody answers");
+    assert!(lives(process));
+    lab.server.process.signal("CONT");
+    assert_eq!(end(&mut remote, id), (Aborted, "aborted".to_owned()));
+    assert!(!lives(process));
+    assert_eq!(
+        told(remote.abort(id).expect("an answer")).0,
+        Aborted,
+        "an end stays"
+    );
+}

@@ -1,0 +1,212 @@
+//! The guard itself: it hears of programs until the pipe closes, and then ends those that are left.
+
+use std::collections::BTreeMap;
+use std::io::{BufRead, BufReader};
+use std::process::Child;
+use std::time::{Duration, Instant};
+
+use rustix::process::Signal;
+use tracing::{error, warn};
+
+use super::super::LOG;
+use super::super::group::{self, Group};
+use super::super::program::{Launch, SIGNALS};
+use super::{Charge, Ending, Message};
+
+/// How long a program that was about to be started when the server ended may take to appear.
+const APPEARING: Duration = Duration::from_secs(1);
+/// How often it is looked who is left.
+const LOOK: Duration = Duration::from_millis(20);
+
+/// What the process does that [`Groups::guarded`](super::super::Groups::guarded) starts: it reads on
+/// stdin which programs run, and when that ends and some are left, each is asked to end as its task
+/// would be, and killed after its grace. Returns when that is done.
+pub fn guard() {
+    let charges = listen(BufReader::new(std::io::stdin()));
+    if charges.is_empty() {
+        return;
+    }
+    error!(target: LOG, "The server has ended and left programs behind. Stopping them.");
+    end_all(charges);
+    warn!(target: LOG, "The programs that the server had left behind have ended.");
+}
+
+fn end_all(charges: BTreeMap<u64, Charge>) {
+    let begun = Instant::now();
+    let mut orphans: Vec<Orphan> = charges.into_values().map(Orphan::new).collect();
+    while !orphans.is_empty() {
+        let now = Instant::now();
+        let mut helpers = Vec::new();
+        orphans.retain_mut(|orphan| orphan.is_left(now, begun, &mut helpers));
+        orphans.append(&mut helpers);
+        std::thread::sleep(LOOK);
+    }
+}
+
+/// What is left when the server has gone.
+fn listen(lines: impl BufRead) -> BTreeMap<u64, Charge> {
+    let mut charges: BTreeMap<u64, Charge> = BTreeMap::new();
+    // A line that breaks off was its last.
+    for line in lines.lines().map_while(Result::ok) {
+        match serde_json::from_str(&line) {
+            Ok(Message::Begins(number, charge)) => {
+                charges.insert(number, charge);
+            }
+            Ok(Message::Runs(number, group)) => {
+                if let Some(charge) = charges.get_mut(&number) {
+                    charge.group = Some(group);
+                }
+            }
+            Ok(Message::Over(number)) => {
+                charges.remove(&number);
+            }
+            Err(_) => break,
+        }
+    }
+    charges
+}
+
+/// A program without a server.
+struct Orphan {
+    charge: Charge,
+    /// Since when it knows that it is to end.
+    asked: Option<Instant>,
+}
+
+impl Orphan {
+    fn new(charge: Charge) -> Self {
+        Self {
+            charge,
+            asked: None,
+        }
+    }
+
+    /// Does what is due; says whether something of it is left. `helpers`: what was started to end it.
+    fn is_left(&mut self, now: Instant, begun: Instant, helpers: &mut Vec<Self>) -> bool {
+        let Some(group) = self.group() else {
+            return now < begun + APPEARING;
+        };
+        if !group.is_same() || !group::is_alive(group.number) {
+            return false;
+        }
+        match self.asked {
+            None => {
+                self.asked = Some(now);
+                helpers.extend(self.ask(group));
+                true
+            }
+            Some(asked) if now >= asked + self.charge.grace => {
+                warn!(target: LOG, "Task {} is killed: not ended within its grace.", self.charge.task);
+                group::signal(group.number, Signal::KILL);
+                false
+            }
+            Some(_) => true,
+        }
+    }
+
+    fn group(&mut self) -> Option<Group> {
+        let found = self.charge.group.or_else(|| {
+            // The server has ended while it was starting this.
+            group::with_variable("ZTL_ID", &self.charge.task.to_string())
+        });
+        self.charge.group = found;
+        found
+    }
+
+    /// Asks it to end. The program that does so, if it takes one, has its time as well.
+    fn ask(&self, group: Group) -> Option<Self> {
+        let charge = &self.charge;
+        let mut wanted = Signal::TERM;
+        match &charge.end {
+            Ending::Wait => return None,
+            Ending::Signal(name) => {
+                let known = SIGNALS.iter().find(|(known, _)| known == name);
+                wanted = known.map_or(wanted, |(_, signal)| *signal);
+            }
+            Ending::Run(launch) => match spawn(launch) {
+                Ok(child) => {
+                    let mut helper = Charge::new(charge.task, Ending::Wait, charge.grace);
+                    helper.group = Some(Group::of(group::of(&child)));
+                    return Some(Self::new(helper));
+                }
+                Err(reason) => {
+                    warn!(target: LOG, "Task {} is stopped by SIGTERM, for its abort program cannot be started: {reason}", charge.task);
+                }
+            },
+        }
+        group::signal(group.number, wanted);
+        None
+    }
+}
+
+fn spawn(launch: &Launch) -> Result<Child, String> {
+    // On a thread of its own: it may become another user.
+    std::thread::scope(|scope| {
+        let spawned = scope.spawn(|| launch.spawn(false)).join();
+        spawned.unwrap_or_else(|_| Err("it cannot be started".to_owned()))
+    })
+}
+
+#[cfg(test)]
+#[cfg(target_os = "linux")]
+mod tests {
+    use std::os::unix::process::{CommandExt, ExitStatusExt};
+    use std::process::Command;
+
+    use ztl_core::TaskId;
+
+    use super::*;
+
+    fn sleeper(task: TaskId) -> Child {
+        let mut command = Command::new("sleep");
+        command.arg("60").env("ZTL_ID", task.to_string());
+        command.process_group(0).spawn().expect("`sleep`")
+    }
+
+    fn message(message: &Message) -> String {
+        serde_json::to_string(message).expect("JSON") + "\n"
+    }
+
+    #[test]
+    fn only_what_is_not_over_is_ended_also_when_its_group_was_never_told() {
+        let grace = Duration::from_secs(10);
+        // No server of another test gives such numbers.
+        let [told, untold, over] = [3, 2, 1].map(|less| TaskId::new(u32::MAX - less).expect("one"));
+        let mut children = [told, untold, over].map(sleeper);
+        let group = |child: &Child| Group::of(group::of(child));
+        let [of_told, _, of_over] = [0, 1, 2].map(|place| group(&children[place]));
+        let charge =
+            |task: TaskId| Charge::new(task.get(), Ending::Signal("INT".to_owned()), grace);
+        let lines = [
+            Message::Begins(1, charge(told)),
+            Message::Begins(3, charge(over)),
+            Message::Runs(3, of_over),
+            Message::Runs(1, of_told),
+            Message::Over(3),
+            Message::Begins(2, charge(untold)),
+        ];
+        let mut lines = lines.map(|line| message(&line)).concat();
+        // The server died within a word.
+        lines.push_str("{\"Ov");
+        end_all(listen(lines.as_bytes()));
+        let mut signal = |place: usize| children[place].try_wait().expect("its status");
+        assert_eq!(signal(0).expect("it has ended").signal(), Some(2));
+        assert_eq!(signal(1).expect("it has ended").signal(), Some(2));
+        assert_eq!(signal(2), None);
+        children[2].kill().expect("to kill");
+        children[2].wait().expect("its end");
+    }
+
+    #[test]
+    fn a_group_whose_number_is_anothers_by_now_is_left_alone() {
+        let task = TaskId::new(u32::MAX - 9).expect("one");
+        let mut child = sleeper(task);
+        let mut charge = Charge::new(task.get(), Ending::Signal("INT".to_owned()), Duration::ZERO);
+        let stale = format!("{{\"number\":{},\"began\":1}}", child.id());
+        charge.group = Some(serde_json::from_str(&stale).expect("a group"));
+        end_all(BTreeMap::from([(1, charge)]));
+        assert_eq!(child.try_wait().expect("its status"), None);
+        child.kill().expect("to kill");
+        child.wait().expect("its end");
+    }
+}
