@@ -217,7 +217,7 @@ fn a_servers_limits_are_chosen_by_options() {
 #[test]
 fn a_tool_that_is_not_there_yet_says_so_under_each_of_its_names() {
     let scratch = Scratch::new();
-    for tool in ["simple_publisher", "simple_subscriber", "run_script"] {
+    for tool in ["simple_publisher", "simple_subscriber"] {
         let mut plain = ztl();
         plain.arg(tool.replace('_', "-"));
         for mut command in [

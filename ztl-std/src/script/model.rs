@@ -139,20 +139,43 @@ impl Script {
     /// # Errors
     /// Every mistake that keeps it from being played, each with its place.
     pub fn read(file: &str, bytes: &[u8], defaults: Defaults) -> Result<Self, Diagnostics> {
-        let document = Document::parse_by(file, bytes, Rules::Python)?;
-        let (scenes, findings) = read::scenes(&document, defaults);
-        let (doubts, mistakes): (Vec<_>, Vec<_>) =
-            findings.into_iter().partition(Finding::is_doubt);
-        if !mistakes.is_empty() {
-            return Err(Diagnostics::new(
-                mistakes.into_iter().map(Finding::into_diagnostic).collect(),
-            ));
+        let (script, findings) = Self::examine(file, bytes, defaults);
+        let mistakes = findings.into_iter().filter(|finding| !finding.is_doubt());
+        match script {
+            Some(script) => Ok(script),
+            None => Err(Diagnostics::new(
+                mistakes.map(Finding::into_diagnostic).collect(),
+            )),
         }
-        Ok(Self {
+    }
+
+    /// Reads a file, and says all that is wrong and doubtful in it, in its order; without a script, where
+    /// a mistake keeps it from being played.
+    #[must_use]
+    pub fn check(path: &Path, defaults: Defaults) -> (Option<Self>, Vec<Finding>) {
+        match crate::yaml::read_file(path) {
+            Ok(bytes) => Self::examine(&path.display().to_string(), &bytes, defaults),
+            Err(mistakes) => (None, mistakes.into_iter().map(Finding::mistake).collect()),
+        }
+    }
+
+    fn examine(file: &str, bytes: &[u8], defaults: Defaults) -> (Option<Self>, Vec<Finding>) {
+        let document = match Document::parse_by(file, bytes, Rules::Python) {
+            Ok(document) => document,
+            Err(mistakes) => return (None, mistakes.into_iter().map(Finding::mistake).collect()),
+        };
+        let (scenes, findings) = read::scenes(&document, defaults);
+        let doubts = findings
+            .iter()
+            .filter(|finding| finding.is_doubt())
+            .cloned();
+        let script = Self {
             scenes,
             document,
-            doubts,
-        })
+            doubts: doubts.collect(),
+        };
+        let playable = script.doubts.len() == findings.len();
+        (playable.then_some(script), findings)
     }
 
     /// The same from a file.

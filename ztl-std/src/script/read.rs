@@ -31,12 +31,13 @@ pub(super) fn scenes(document: &Document, defaults: Defaults) -> (Vec<Scene>, Ve
     }
     let entries = match root.is_null() {
         true => Vec::new(),
-        false => reader.level(root, "a script", "scenes"),
+        false => reader.level(root, root.span, "a script", "scenes"),
     };
-    let scenes = entries
-        .into_iter()
-        .map(|entry| reader.scene(entry))
-        .collect();
+    let mut scenes = Vec::new();
+    for mut entry in entries {
+        reader.look_through(&mut entry, |reader, lost| drop(reader.scene(lost)));
+        scenes.push(reader.scene(entry));
+    }
     let mut findings = reader.findings;
     findings.sort_by_key(|finding| finding.diagnostic().span.map(|span| span.start));
     (scenes, findings)
@@ -81,6 +82,8 @@ struct Entry<'d> {
     key: Value,
     name: &'d Node,
     value: &'d Node,
+    /// What stood there before under the same key, and is not played.
+    lost: Vec<(&'d Node, &'d Node)>,
 }
 
 impl<'d> Reader<'d> {
@@ -97,10 +100,12 @@ impl<'d> Reader<'d> {
     }
 
     /// The entries of one of the four nested mappings.
-    fn level(&mut self, node: &'d Node, whose: &str, of: &str) -> Vec<Entry<'d>> {
+    fn level(&mut self, node: &'d Node, at: Span, whose: &str, of: &str) -> Vec<Entry<'d>> {
         let Yaml::Map(_) = &node.value else {
             let message = format!("{whose} is a mapping of {of}; here is {}", node.kind());
-            self.mistake(node.span, message, Some(SHAPE.to_owned()));
+            // Where nothing is written, its key is shown.
+            let span = if node.is_null() { at } else { node.span };
+            self.mistake(span, message, Some(SHAPE.to_owned()));
             return Vec::new();
         };
         let entries = self.entries(node, true);
@@ -113,6 +118,27 @@ impl<'d> Reader<'d> {
             );
         }
         entries
+    }
+
+    /// Looks for mistakes in what another key of the same name has replaced: they keep nothing from being
+    /// played, but are there once the names differ.
+    fn look_through(&mut self, entry: &mut Entry<'d>, look: impl Fn(&mut Self, Entry<'d>)) {
+        for (name, value) in std::mem::take(&mut entry.lost) {
+            let before = self.findings.len();
+            let (key, lost) = (entry.key.clone(), Vec::new());
+            look(
+                self,
+                Entry {
+                    key,
+                    name,
+                    value,
+                    lost,
+                },
+            );
+            let found = self.findings.split_off(before).into_iter();
+            self.findings
+                .extend(found.map(|found| Finding::doubt(found.into_diagnostic())));
+        }
     }
 
     fn scene(&mut self, entry: Entry<'d>) -> Scene {
@@ -140,9 +166,12 @@ impl<'d> Reader<'d> {
                 _ => self.unknown(&entry, &key, *piece, "a scene", &["delay"]),
             }
         }
-        let whose = format!("scene '{}'", short(&scene.name));
-        let steps = self.level(entry.value, &whose, "steps");
-        scene.steps = steps.into_iter().map(|entry| self.step(entry)).collect();
+        let whose = format!("scene '{}'", short(scene.name.trim()));
+        let steps = self.level(entry.value, entry.name.span, &whose, "steps");
+        for mut entry in steps {
+            self.look_through(&mut entry, |reader, lost| drop(reader.step(lost)));
+            scene.steps.push(self.step(entry));
+        }
         scene
     }
 
@@ -180,8 +209,12 @@ impl<'d> Reader<'d> {
                 }
             }
         }
-        let whose = format!("step '{}'", short(&step.name));
-        for entry in self.level(entry.value, &whose, "handlers") {
+        let whose = format!("step '{}'", short(step.name.trim()));
+        for mut entry in self.level(entry.value, entry.name.span, &whose, "handlers") {
+            let before = step.clone();
+            self.look_through(&mut entry, |reader, lost| {
+                reader.handler(&lost, limit, &mut before.clone());
+            });
             self.handler(&entry, limit, &mut step);
         }
         step
@@ -203,15 +236,21 @@ impl<'d> Reader<'d> {
             }
         }
         self.sent(entry.name, "handler", &handler.name);
-        let whose = format!("handler '{}'", short(&handler.name));
-        let tasks = self.level(entry.value, &whose, "components with their goals");
+        let whose = format!("handler '{}'", short(handler.name.trim()));
+        let tasks = self.level(
+            entry.value,
+            entry.name.span,
+            &whose,
+            "components with their goals",
+        );
         let index = step.handlers.len();
         step.handlers.push(handler);
-        step.tasks.extend(
-            tasks
-                .into_iter()
-                .map(|entry| self.task(&entry, index, limit)),
-        );
+        for mut entry in tasks {
+            self.look_through(&mut entry, |reader, lost| {
+                drop(reader.task(&lost, index, limit))
+            });
+            step.tasks.push(self.task(&entry, index, limit));
+        }
     }
 
     fn task(&mut self, entry: &Entry<'d>, handler: usize, limit: Option<Duration>) -> Task {
@@ -335,6 +374,7 @@ impl<'d> Reader<'d> {
         truth
     }
 
+    /// A parameter that has no effect: why, and what was probably meant.
     fn unknown(
         &mut self,
         entry: &Entry<'_>,
@@ -343,45 +383,35 @@ impl<'d> Reader<'d> {
         whose: &str,
         known: &[&str],
     ) {
-        let (written, message) = match (piece.name, piece.value) {
-            (None, _) => (
-                piece.text,
-                format!(
-                    "'{}' has more than one '=', and has no effect",
-                    short(piece.text)
-                ),
-            ),
+        let all = || {
+            let first = known.first().unwrap_or(&"");
+            format!("write as ({first}=…); there are: {}", known.join(", "))
+        };
+        let (text, message, help) = match (piece.name, piece.value) {
+            (None, _) => {
+                let message = format!("'{}' has more than one '='", short(piece.text));
+                (piece.text, message, all())
+            }
+            (Some(name), None) if name.bytes().all(|c| c.is_ascii_digit()) => {
+                let message = format!("'{name}' is a parameter of its own here");
+                (
+                    name,
+                    message,
+                    "write a fraction with a point, as 1.5".to_owned(),
+                )
+            }
             (Some(name), None) if known.contains(&name) => {
-                (name, format!("'{name}' has no value, and has no effect"))
+                (name, format!("'{name}' has no value"), all())
             }
-            (Some(name), _) => (
-                name,
-                format!(
-                    "{whose} has no parameter '{}': it has no effect",
-                    short(name)
-                ),
-            ),
-        };
-        let help = match closest(written, known.iter().copied()) {
-            Some(meant) if piece.name.is_some_and(|name| name != meant) => {
-                format!("did you mean '{meant}'?")
+            (Some(name), _) => {
+                let message = format!("{whose} has no parameter '{}'", short(name));
+                let meant = closest(name, known.iter().copied());
+                let help = meant.map(|meant| format!("did you mean '{meant}'?"));
+                (name, message, help.unwrap_or_else(all))
             }
-            _ => format!(
-                "write as ({}=…); there are: {}",
-                known.first().unwrap_or(&""),
-                known.join(", ")
-            ),
         };
-        self.doubt_at(
-            entry,
-            key,
-            Piece {
-                text: written,
-                ..piece
-            },
-            &message,
-            Some(help),
-        );
+        let message = format!("{message}: it has no effect");
+        self.doubt_at(entry, key, Piece { text, ..piece }, &message, Some(help));
     }
 
     fn doubt_at(
@@ -418,10 +448,19 @@ impl<'d> Reader<'d> {
                 if let Some(identity) = identity {
                     seen.insert(identity, (entries.len(), line));
                 }
-                entries.push(Entry { key, name, value });
+                entries.push(Entry {
+                    key,
+                    name,
+                    value,
+                    lost: Vec::new(),
+                });
                 continue;
             };
             if let Some(entry) = entries.get_mut(index) {
+                if first.is_some() && !merged {
+                    entry.lost.push((entry.name, entry.value));
+                }
+                entry.name = if merged { entry.name } else { name };
                 entry.value = value;
             }
             // What was merged is there to be replaced.
@@ -557,9 +596,13 @@ impl<'d> Reader<'d> {
         if let (Some(within), None, true) = (tell, kind, plain)
             && let Some(message) = surprise(text, &value, within)
         {
-            let help = match text {
-                "" => "write '' for an empty text, or None".to_owned(),
-                text => format!("if you mean the text, put it in quotes: '{}'", short(text)),
+            let help = match (text, &value) {
+                ("", _) => "write '' for an empty text, or None".to_owned(),
+                (text, Value::Text(_)) => match text.parse().map(Value::Float) {
+                    Ok(number) => format!("if you mean the number, write {number}"),
+                    Err(_) => "put it in quotes".to_owned(),
+                },
+                (text, _) => format!("if you mean the text, put it in quotes: '{}'", short(text)),
             };
             self.doubt(node.span, message, Some(help));
         }

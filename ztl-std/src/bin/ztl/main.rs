@@ -4,12 +4,14 @@
 
 mod abort;
 mod ask;
+mod check;
 mod conversation;
 mod demo;
 mod device;
 mod devices;
 mod gateway;
 mod journal;
+mod keyboard;
 mod keys;
 mod line;
 mod log;
@@ -17,6 +19,7 @@ mod ps;
 mod reach;
 mod remote_task;
 mod report;
+mod run_script;
 mod scene;
 #[cfg(unix)]
 mod serve;
@@ -74,6 +77,8 @@ enum Command {
     Keys(keys::Keys),
     /// Make a page of what happened in recorded runs of scripts, and tables for statistics
     Report(report::Report),
+    /// Find the mistakes in a script before the show
+    Check(check::Check),
     #[command(flatten)]
     Tool(tool::Tool),
 }
@@ -98,6 +103,7 @@ fn main() -> ExitCode {
         Command::Ps(ps) => ps.run(),
         Command::Abort(abort) => abort.run(),
         Command::Report(report) => report.run(),
+        Command::Check(check) => check.run(),
         Command::Tool(tool) => tool.run("ztl"),
     };
     match done {

@@ -50,15 +50,25 @@ pub(crate) struct Endpoints {
     task: Vec<String>,
 
     /// Add or replace a publisher (repeatable)
-    #[arg(long, num_args = 4, value_names = ["NAME", "HOST", "PORT", "SCOPE"])]
+    #[arg(long, alias = "p", num_args = 4, value_names = ["NAME", "HOST", "PORT", "SCOPE"])]
     publisher: Vec<String>,
 }
 
 impl Endpoints {
+    /// The configuration file, named or the usual one.
+    pub(crate) fn path(&self) -> PathBuf {
+        self.config.clone().unwrap_or_else(usual_path)
+    }
+
+    /// Whether the options say where servers are, or the usual file is there.
+    pub(crate) fn is_given(&self) -> bool {
+        self.config.is_some() || !self.task.is_empty() || self.path().exists()
+    }
+
     /// Reads the file, and adds what the options say. Without the file there is only that, with a
     /// warning, as the original does.
     pub(crate) fn read(&self) -> Result<Remotes, Box<dyn std::error::Error>> {
-        let path = self.config.clone().unwrap_or_else(usual_path);
+        let path = self.path();
         let mut remotes = Remotes::load(&path).unwrap_or_else(|mistakes| {
             let path = path.display();
             warn!(target: LOG, "WARNING: Configuration file '{path}' not found/accessible, remote services will not be accessible.");

@@ -14,7 +14,9 @@ use ztl_core::integer::Integer;
 use ztl_core::repr::put_quoted;
 use ztl_std::TaskSpec;
 
-use crate::{Done, remote_task, simple_client, simple_server, task_client, task_server, terminal};
+use crate::{
+    Done, remote_task, run_script, simple_client, simple_server, task_client, task_server, terminal,
+};
 
 /// The original's tools by the names of this command.
 #[derive(Debug, Subcommand)]
@@ -36,8 +38,9 @@ pub(crate) enum Tool {
     SimplePublisher(NotYet),
     #[command(hide = true)]
     SimpleSubscriber(NotYet),
-    #[command(hide = true)]
-    RunScript(NotYet),
+    /// Play the scenes of a script, one key each
+    #[command(args_override_self = true)]
+    RunScript(run_script::RunScript),
 }
 
 /// A tool that is still to come; takes any arguments, to say so.
@@ -75,6 +78,7 @@ impl Tool {
             Self::RemoteTask(client) => client.run(called),
             Self::SimpleServer(server) => server.run(),
             Self::SimpleClient(client) => client.run(),
+            Self::RunScript(script) => script.run(called),
             _ => Err("this tool is not there yet; the original's works with this server and gateway: pip install ztl".into()),
         }
     }

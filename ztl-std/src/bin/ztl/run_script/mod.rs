@@ -1,0 +1,295 @@
+//! `ztl run-script`: plays the scenes of a script, with the original's options, lines and keys (wire
+//! specification 7.4 and 8).
+
+mod plain;
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::time::Duration;
+
+use tracing::{Level, error, info};
+use ztl_std::remotes::Remote;
+use ztl_std::script::event::{
+    By, Command, Event, FORMAT, Outcome, RemoteOutline, RunStarted, sha256,
+};
+use ztl_std::script::player::Options;
+use ztl_std::script::{Connect, Defaults, Player, Scene, Script, Show, StandIns, timeline};
+use ztl_std::yaml::closest;
+use ztl_std::{RemoteTask, Remotes};
+
+use crate::keyboard::Keyboard;
+use crate::remote_task::Endpoints;
+use crate::terminal::line;
+use crate::{Done, log, signals};
+
+/// Name under which the original logs.
+const LOG: &str = "script-exec";
+
+#[derive(Debug, clap::Args)]
+#[command(after_help = AFTER)]
+pub(crate) struct RunScript {
+    /// The script
+    #[arg(short, long, aliases = ["s", "sc"], value_name = "FILE")]
+    script: PathBuf,
+
+    #[command(flatten)]
+    endpoints: Endpoints,
+
+    /// Play every scene without asking; what nobody can decide stops everything
+    #[arg(long)]
+    yes: bool,
+
+    /// Only this scene
+    #[arg(long, value_name = "NAME")]
+    scene: Option<String>,
+
+    /// From this step on
+    #[arg(long, value_name = "STEP")]
+    from: Option<String>,
+
+    /// What holds where the script says nothing: timeout, on_failure, parallel
+    #[arg(long, value_name = "FILE")]
+    defaults: Option<PathBuf>,
+
+    /// Show what would be sent when, and send nothing
+    #[arg(long)]
+    dry_run: bool,
+
+    /// Rehearse: play on stand-ins for all servers, whose tasks last so many seconds
+    #[arg(long, value_name = "SECONDS", num_args = 0..=1, require_equals = true, default_missing_value = "1", value_parser = simulated)]
+    simulate: Option<Duration>,
+}
+
+const AFTER: &str =
+    "Keys: Enter plays the scene that is shown, R the last one again, any other passes over it.
+Ctrl-C stops all tasks that this run has started, on all servers; a second one leaves at once.
+Exit code: 0 if all went well, 1 if something failed, was stopped or is unknown.
+How to write scripts: docs/scripts.md; to check one: ztl check FILE.";
+
+fn simulated(text: &str) -> Result<Duration, &'static str> {
+    let seconds = text
+        .parse()
+        .ok()
+        .and_then(|seconds| Duration::try_from_secs_f64(seconds).ok());
+    seconds.ok_or("write a number of seconds, as 1 or 0.2")
+}
+
+impl RunScript {
+    pub(crate) fn run(self, called: &str) -> Done {
+        log::init(Level::INFO);
+        signals::catch()?;
+        let mut remotes = self.endpoints.read()?;
+        let defaults = match &self.defaults {
+            Some(path) => Defaults::load(path)
+                .map_err(|mistakes| format!("mistakes in the defaults:\n{mistakes}"))?,
+            None => Defaults::default(),
+        };
+        let script = match Script::load(&self.script, defaults) {
+            Ok(script) => Arc::new(script),
+            Err(mistakes) => {
+                eprint!("{mistakes}");
+                let file = self.script.display();
+                return Err(format!(
+                    "{file} cannot be played; `ztl check {file}` says all that is wrong"
+                )
+                .into());
+            }
+        };
+        if self.simulate.is_none() {
+            for unknown in script.unknown_remotes(&remotes) {
+                eprint!("{called}: warning: {unknown}");
+            }
+        }
+        if !script.doubts().is_empty() {
+            let (count, file) = (script.doubts().len(), self.script.display());
+            let (s, them) = if count == 1 {
+                ("", "it")
+            } else {
+                ("s", "them")
+            };
+            eprintln!(
+                "{called}: warning: {count} doubtful place{s} in {file}; `ztl check {file}` shows {them}"
+            );
+        }
+        let (scene, from) = self.places(&script)?;
+        let mut options = Options {
+            unattended: self.yes,
+            scene,
+            from,
+            ..Options::default()
+        };
+        if self.dry_run {
+            for text in timeline(&script, &options, &remotes) {
+                line(text);
+            }
+            return Ok(ExitCode::SUCCESS);
+        }
+        let stand_ins = self
+            .simulate
+            .map(|time| StandIns::start(&script, &mut remotes, time))
+            .transpose()?;
+        let known = script
+            .remotes()
+            .into_iter()
+            .filter(|name| remotes.task(name).is_ok());
+        options.remotes = known.map(str::to_owned).collect();
+        let started = self.started(&script, &remotes);
+        let player = Player::new(Arc::clone(&script), options);
+        let mut show = Show::new(player, connect(remotes));
+        let outcome = self.play(&mut show, &script, started)?;
+        drop(stand_ins);
+        Ok(ExitCode::from(u8::from(outcome != Outcome::Completed)))
+    }
+
+    /// Plays it with the original's lines and keys.
+    fn play(
+        &self,
+        show: &mut Show,
+        script: &Script,
+        started: RunStarted,
+    ) -> Result<Outcome, Box<dyn std::error::Error>> {
+        let inputs = show.inputs();
+        let keyboard = match self.yes {
+            true => None,
+            false => Some(Keyboard::open(move || inputs.wake()).map_err(no_keyboard)?),
+        };
+        let inputs = show.inputs();
+        signals::then(move || inputs.command(Command::Stop, By::Signal));
+        show.tell(Event::RunStarted(Box::new(started)));
+        show.begin();
+        let mut plain = plain::Plain::new(script);
+        loop {
+            while let Some(key) = keyboard.as_ref().and_then(Keyboard::next) {
+                if let Some(command) = plain.meaning(&key) {
+                    show.command(command, By::Operator);
+                }
+            }
+            let Some(stamped) = show.next(Duration::from_secs(3600)) else {
+                continue;
+            };
+            plain.tell(&stamped.event, keyboard.as_ref());
+            if let Event::RunEnded { outcome, .. } = stamped.event {
+                return Ok(outcome);
+            }
+        }
+    }
+
+    /// The scene to play alone, and the step to begin with.
+    #[expect(clippy::type_complexity, reason = "as the player wants them")]
+    fn places(&self, script: &Script) -> Result<(Option<usize>, Option<(usize, usize)>), String> {
+        let scene = match &self.scene {
+            None => None,
+            Some(name) => {
+                let names = script.scenes.iter().map(|scene| scene.name.trim());
+                let found = script
+                    .scenes
+                    .iter()
+                    .position(|scene| is(name, &scene.key, &scene.name));
+                Some(found.ok_or_else(|| no_such("scene", name, names))?)
+            }
+        };
+        let from = match &self.from {
+            None => None,
+            Some(name) => {
+                let among = |index: &usize| scene.is_none_or(|scene| scene == *index);
+                let scenes = script
+                    .scenes
+                    .iter()
+                    .enumerate()
+                    .filter(|(index, _)| among(index));
+                let place = |(index, scene): (usize, &Scene)| {
+                    let step = scene
+                        .steps
+                        .iter()
+                        .position(|step| is(name, &step.key, &step.name))?;
+                    Some((index, step))
+                };
+                let found = scenes.clone().find_map(place);
+                let names =
+                    scenes.flat_map(|(_, scene)| scene.steps.iter().map(|step| step.name.trim()));
+                Some(found.ok_or_else(|| no_such("step", name, names))?)
+            }
+        };
+        Ok((scene, from))
+    }
+
+    /// What is known when the run starts.
+    fn started(&self, script: &Script, remotes: &Remotes) -> RunStarted {
+        let outline = |name: &str| {
+            let remote = remotes.task(name).ok();
+            RemoteOutline {
+                name: name.to_owned(),
+                endpoint: remote.map(Remote::endpoint),
+                scope: remote
+                    .map(|remote| remote.scope.clone())
+                    .unwrap_or_default(),
+            }
+        };
+        let mut options = Vec::new();
+        let named = [
+            ("--scene", self.scene.as_ref()),
+            ("--from", self.from.as_ref()),
+        ];
+        for (option, value) in named
+            .into_iter()
+            .filter_map(|(option, value)| Some((option, value?)))
+        {
+            options.extend([option.to_owned(), value.clone()]);
+        }
+        let flags = [("--yes", self.yes), ("--simulate", self.simulate.is_some())];
+        options.extend(
+            flags
+                .into_iter()
+                .filter(|(_, on)| *on)
+                .map(|(flag, _)| flag.to_owned()),
+        );
+        if let Some(path) = &self.defaults {
+            options.extend(["--defaults".to_owned(), path.display().to_string()]);
+        }
+        let path = self.endpoints.path();
+        RunStarted {
+            format: FORMAT,
+            script: self.script.display().to_string(),
+            sha256: sha256(script.document().text().as_bytes()),
+            config: path.exists().then(|| path.display().to_string()),
+            options,
+            versions: vec![("ztl".to_owned(), env!("CARGO_PKG_VERSION").to_owned())],
+            remotes: script.remotes().into_iter().map(outline).collect(),
+            outline: script.outline(),
+        }
+    }
+}
+
+/// Whether a person means this scene or step.
+fn is(said: &str, key: &str, name: &str) -> bool {
+    said == key || said.trim() == name.trim()
+}
+
+fn no_such<'a>(what: &str, name: &str, known: impl Iterator<Item = &'a str>) -> String {
+    let known: Vec<&str> = known.collect();
+    let help = match closest(name, known.iter().copied()) {
+        Some(meant) => format!("did you mean '{meant}'?"),
+        None => format!("there are: {}", known.join(", ")),
+    };
+    format!("no {what} '{name}'; {help}")
+}
+
+fn no_keyboard(error: std::io::Error) -> String {
+    // As the original says it, for scripts that look for it.
+    let (code, text) = (
+        error.raw_os_error().unwrap_or_default(),
+        "Inappropriate ioctl for device",
+    );
+    error!(target: LOG, "({code}, '{text}')");
+    "stdin is no terminal, so nobody can be asked; use --yes to play without asking".to_owned()
+}
+
+/// Connects to servers when they are first used.
+fn connect(remotes: Remotes) -> Connect {
+    Box::new(move |name| {
+        let remote = remotes.task(name).map_err(|error| error.to_string())?;
+        info!(target: "remote-config", "Initialising remote task interface '{name}'...");
+        RemoteTask::connect(&remote.endpoint(), &remote.scope).map_err(|error| error.to_string())
+    })
+}

@@ -1,0 +1,338 @@
+//! A run as lines, as the original writes them (wire specification 8.4 to 8.6), and its keys.
+
+use std::collections::BTreeMap;
+use std::time::{Duration, Instant};
+
+use tracing::{error, info, warn};
+use ztl_std::script::event::{By, Command, Event, Question, TaskNumber, TaskState, Why};
+use ztl_std::script::{Scene, Script, Step, Task};
+
+use super::LOG;
+use crate::keyboard::{Key, Keyboard};
+use crate::terminal::line;
+
+pub(super) struct Plain<'s> {
+    script: &'s Script,
+    /// What is asked, what can be answered, and since when.
+    asked: Option<(Question, Vec<Command>, Instant)>,
+    last: Option<usize>,
+    tasks: BTreeMap<TaskNumber, Started>,
+    /// A handler without a server is told of once in a step.
+    told: Option<(usize, usize, usize)>,
+    playing: bool,
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Started {
+    scene: usize,
+    step: usize,
+    part: usize,
+    state: TaskState,
+}
+
+impl<'s> Plain<'s> {
+    pub(super) const fn new(script: &'s Script) -> Self {
+        Self {
+            script,
+            asked: None,
+            last: None,
+            tasks: BTreeMap::new(),
+            told: None,
+            playing: false,
+        }
+    }
+
+    /// What a key means. One that was pressed before the question was asked means nothing.
+    pub(super) fn meaning(&self, key: &Key) -> Option<Command> {
+        let (question, choices, since) = self.asked.as_ref()?;
+        if key.at < *since {
+            return None;
+        }
+        let first = key.bytes.first()?.to_ascii_lowercase();
+        let command = match (question, first) {
+            (Question::Scene { .. }, b'\r') => Command::Start,
+            (Question::Scene { .. } | Question::End, b'r')
+                if choices.contains(&Command::Replay) =>
+            {
+                Command::Replay
+            }
+            (Question::Scene { .. }, _) => Command::Skip,
+            (Question::End, b'a') => Command::Restart,
+            (Question::End, _) => Command::Leave,
+            (Question::Step { .. }, b'g') => Command::GoOn,
+            (Question::Step { .. }, b'r') => Command::Retry,
+            (Question::Step { .. }, b'k') => Command::Skip,
+            (Question::Step { .. }, b's') => Command::Stop,
+            (Question::Pause, _) => Command::Resume,
+            _ => return None,
+        };
+        choices.contains(&command).then_some(command)
+    }
+
+    /// Writes what there is to say of an event.
+    pub(super) fn tell(&mut self, event: &Event, keyboard: Option<&Keyboard>) {
+        match event {
+            Event::SceneShown { scene } if keyboard.is_some() => self.show(*scene),
+            Event::Asked { question, choices } => {
+                self.ask(*question, choices, keyboard.is_some());
+                if let Some(keyboard) = keyboard {
+                    keyboard.forget();
+                }
+                self.asked = Some((*question, choices.clone(), Instant::now()));
+            }
+            Event::Decided {
+                command, by, scene, ..
+            } => self.decided(*command, *by, *scene),
+            Event::SceneStarted { scene, .. } => {
+                self.playing = true;
+                self.last = Some(*scene);
+                if let Some(scene) = self.scene(*scene) {
+                    let delay = with_delay(scene.delay);
+                    line(format_args!("EXECUTING SCENE '{}'{delay}...", scene.name));
+                }
+            }
+            Event::SceneEnded { .. } => self.playing = false,
+            Event::StepStarted { scene, step } => {
+                self.told = None;
+                if let Some(step) = self.script.step(*scene, *step) {
+                    let background = if step.wait { "" } else { " IN BACKGROUND" };
+                    let delay = with_delay(step.delay);
+                    line(format_args!(
+                        "STARTING STEP '{}'{background}{delay}...",
+                        step.name
+                    ));
+                }
+            }
+            Event::StepWaiting {
+                scene,
+                step,
+                why,
+                tasks,
+            } => self.waiting(*scene, *step, why, tasks),
+            Event::StepGoesOn { scene, step } => {
+                self.asked = None;
+                if let Some(step) = self.script.step(*scene, *step) {
+                    warn!(target: LOG, "Step '{}' goes on.", step.name);
+                }
+            }
+            Event::TaskStarting {
+                task,
+                scene,
+                step,
+                part,
+                ..
+            } => {
+                let state = TaskState::Asked;
+                let started = Started {
+                    scene: *scene,
+                    step: *step,
+                    part: *part,
+                    state,
+                };
+                self.tasks.insert(*task, started);
+            }
+            Event::TaskState {
+                task, state, text, ..
+            } => self.state(*task, *state, text),
+            Event::Stopping { tasks } if !tasks.is_empty() => {
+                let s = if tasks.len() == 1 { "" } else { "S" };
+                line(format_args!("STOPPING {} TASK{s}...", tasks.len()));
+            }
+            Event::StopAnswered {
+                task,
+                confirmed,
+                text,
+            } => {
+                let word = if *confirmed {
+                    "STOPPED"
+                } else {
+                    "NOT CONFIRMED"
+                };
+                line(format_args!("{word}: {}: {text}", self.about(*task)));
+            }
+            Event::Note { text } => warn!(target: LOG, "{text}"),
+            Event::RunEnded { running, .. } => {
+                for task in running {
+                    warn!(target: LOG, "{} may still run.", self.about(*task));
+                }
+            }
+            _ => {}
+        }
+    }
+
+    fn scene(&self, scene: usize) -> Option<&'s Scene> {
+        self.script.scenes.get(scene)
+    }
+
+    /// What a task is, for people.
+    fn about(&self, number: TaskNumber) -> String {
+        match self.task(number) {
+            Some((step, task)) => {
+                let handler = step.handler(task).map_or("", |handler| &handler.key);
+                format!(
+                    "Component '{}' on handler '{handler}' for step '{}'",
+                    task.component, step.name
+                )
+            }
+            None => format!("Task {}", number.0),
+        }
+    }
+
+    fn task(&self, number: TaskNumber) -> Option<(&'s Step, &'s Task)> {
+        let Started {
+            scene, step, part, ..
+        } = *self.tasks.get(&number)?;
+        let step = self.script.step(scene, step)?;
+        Some((step, step.tasks.get(part)?))
+    }
+
+    fn show(&self, scene: usize) {
+        let Some(scene) = self.scene(scene) else {
+            return;
+        };
+        line("\n----------------------------");
+        line(format_args!("ABOUT TO EXECUTE SCENE '{}'", scene.key));
+        for step in &scene.steps {
+            line(format_args!("STEP: {}", step.key));
+            for task in &step.tasks {
+                let handler = step.handler(task).map_or("", |handler| &handler.key);
+                line(format_args!("\t{handler} [{}]: -> {}", task.key, task.goal));
+            }
+        }
+    }
+
+    fn ask(&self, question: Question, choices: &[Command], attended: bool) {
+        let replay = choices.contains(&Command::Replay);
+        match question {
+            _ if !attended => {}
+            Question::Scene { .. } if replay => {
+                line(
+                    "PRESS <ENTER> TO CONFIRM, PRESS <R> TO REPLAY LAST SCENE OR ANY OTHER KEY TO SKIP",
+                );
+            }
+            Question::Scene { .. } => line("PRESS <ENTER> TO CONFIRM or ANY OTHER KEY TO SKIP"),
+            Question::End if replay => {
+                line(
+                    "PRESS <R> TO REPLAY THE LAST SCENE, PRESS <A> TO RESTART THE SCRIPT OR ANY OTHER KEY TO EXIT",
+                );
+            }
+            Question::End => line("PRESS <A> TO RESTART THE SCRIPT OR ANY OTHER KEY TO EXIT"),
+            Question::Step { .. } => {
+                let retry = if choices.contains(&Command::Retry) {
+                    "<R> TO TRY AGAIN WHAT FAILED, "
+                } else {
+                    ""
+                };
+                line(format_args!(
+                    "PRESS <G> TO GO ON ANYWAY, {retry}<K> TO SKIP THE REST OF THE SCENE OR <S> TO STOP EVERYTHING"
+                ));
+            }
+            Question::Pause => line("PRESS ANY KEY TO GO ON"),
+        }
+    }
+
+    fn decided(&mut self, command: Command, by: By, scene: Option<usize>) {
+        let asked = self.asked.take().map(|(question, _, _)| question);
+        let about_scene = matches!(asked, Some(Question::Scene { .. }));
+        let key = |scene: Option<usize>| {
+            scene
+                .and_then(|scene| self.scene(scene))
+                .map_or("", |scene| &scene.key)
+        };
+        match command {
+            Command::Skip if about_scene => line(format_args!("\nSKIPPING SCENE '{}'", key(scene))),
+            Command::Replay => line(format_args!("\n Repeating Scene '{}", key(self.last))),
+            Command::Restart => {
+                line("\n Repeating Script");
+                self.last = None;
+            }
+            Command::Stop if by == By::Signal && self.playing => {
+                error!(target: LOG, "Interrupted, exiting.");
+            }
+            Command::Stop if by == By::Script => {
+                error!(target: LOG, "Nobody is there to decide, or the script says so: everything is stopped.");
+            }
+            _ => {}
+        }
+    }
+
+    fn waiting(&mut self, scene: usize, step: usize, why: &Why, tasks: &[TaskNumber]) {
+        let Some(step) = self.script.step(scene, step) else {
+            return;
+        };
+        let tasks: Vec<&str> = tasks
+            .iter()
+            .filter_map(|task| self.task(*task))
+            .map(|(_, task)| task.component.trim())
+            .collect();
+        let (name, tasks) = (&step.name, tasks.join(", "));
+        let why = match why {
+            Why::ServerSilent { remote } => {
+                format!("'{remote}' does not answer, so how it is with {tasks} is unknown")
+            }
+            Why::ServerRestarted { remote } => {
+                format!("'{remote}' was started anew, so what became of {tasks} is unknown")
+            }
+            Why::TaskUnknown => format!(
+                "the server does not know {tasks} any more, so what became of it is unknown"
+            ),
+            Why::StartUnknown => format!("there was no answer whether {tasks} was started"),
+            Why::Failed => format!("{tasks} failed"),
+            Why::TooLong => format!("{tasks} takes longer than its limit and has not stopped"),
+        };
+        warn!(target: LOG, "Step '{name}' waits: {why}.");
+    }
+
+    fn state(&mut self, number: TaskNumber, state: TaskState, text: &str) {
+        let Some(started) = self.tasks.get_mut(&number) else {
+            return;
+        };
+        let before = std::mem::replace(&mut started.state, state);
+        let Started {
+            scene, step: index, ..
+        } = *started;
+        let Some((step, task)) = self.task(number) else {
+            return;
+        };
+        let Some(handler) = step.handler(task) else {
+            return;
+        };
+        let (name, key, component) = (&step.name, &handler.key, &task.component);
+        match state {
+            TaskState::NotStarted
+                if before == TaskState::Asked && text.starts_with("there is no server") =>
+            {
+                let place = (scene, index, task.handler);
+                if self.told != Some(place) {
+                    self.told = Some(place);
+                    error!(target: LOG, "No remote for handler '{key}'. Step '{name}' COULD NOT BE TRIGGERED. REPLY: '{text}'");
+                }
+            }
+            TaskState::NotStarted | TaskState::Refused => could_not(name, key, component, text),
+            TaskState::Unknown if before == TaskState::Asked => {
+                could_not(name, key, component, text)
+            }
+            state
+                if before == TaskState::Asked && !state.is_over() && !(step.wait && task.wait) =>
+            {
+                info!(target: LOG, "Component '{component}' on handler '{key}' for step '{name}' TRIGGERED TO RUN IN BACKGROUND.");
+            }
+            state if state.is_failure() => {
+                let word = state.name().to_uppercase();
+                warn!(target: LOG, "Component '{component}' on handler '{key}' for step '{name}' ended {word}. REPLY: '{text}'");
+            }
+            _ => {}
+        }
+    }
+}
+
+fn could_not(step: &str, handler: &str, component: &str, reply: &str) {
+    error!(target: LOG, "Component '{component}' on handler '{handler}' for step '{step}' COULD NOT BE TRIGGERED. REPLY: '{reply}'");
+}
+
+fn with_delay(delay: Duration) -> String {
+    match delay.is_zero() {
+        true => String::new(),
+        false => format!(" WITH DELAY {}s", delay.as_secs_f64()),
+    }
+}
