@@ -2,10 +2,15 @@
 //!
 //! `cargo xtask soak` runs it with a million tasks; the figure is printed.
 
+use std::collections::BTreeMap;
+use std::sync::{Arc, Condvar, Mutex};
 use std::time::{Duration, Instant};
 
-use ztl_std::{RemoteTask, State};
-use ztl_tests::lab::{PATIENCE, SCOPE, Server};
+use ztl_std::{
+    ExecutableTask, Limits, RemoteTask, State, TaskContext, TaskController, TaskError, TaskRequest,
+    TaskServer, TaskSpec,
+};
+use ztl_tests::lab::{ACCEPTED, OriginalClient, PATIENCE, SCOPE, Server, until};
 
 /// Clients side by side.
 const CLIENTS: u32 = 8;
@@ -79,67 +84,164 @@ fn a_server_stays_as_large_as_it_was_when_its_memory_was_full() {
     assert!(took < Duration::from_secs(3600));
 }
 
-/// More at once than the limit: all that were taken end, the others are refused with the reason.
-#[test]
-fn tasks_at_once_beyond_the_limit_are_refused_and_none_is_lost() {
-    use std::sync::{Arc, Condvar, Mutex};
-    use ztl_std::{
-        Access, ExecutableTask, Limits, TaskContext, TaskController, TaskError, TaskRequest,
-        TaskServer, TriggerError,
-    };
+/// Tasks that all last until the door is opened.
+#[derive(Clone, Default)]
+struct Door(Arc<(Mutex<bool>, Condvar)>);
 
-    type Door = Arc<(Mutex<bool>, Condvar)>;
-    struct Gate(Door);
-    impl TaskController for Gate {
-        fn assign(&self, request: &TaskRequest) -> Result<Box<dyn ExecutableTask>, TaskError> {
-            let (door, goal) = (Arc::clone(&self.0), request.goal.clone());
-            Ok(Box::new(move |_: &TaskContext| {
-                let open = door.0.lock().expect("no panic");
-                drop(door.1.wait_while(open, |open| !*open));
-                Ok(goal)
-            }))
+impl Door {
+    fn open(&self) {
+        *self.0.0.lock().expect("no panic") = true;
+        self.0.1.notify_all();
+    }
+}
+
+impl TaskController for Door {
+    fn assign(&self, request: &TaskRequest) -> Result<Box<dyn ExecutableTask>, TaskError> {
+        let (door, goal) = (Arc::clone(&self.0), request.goal.clone());
+        Ok(Box::new(move |_: &TaskContext| {
+            let open = door.0.lock().expect("no panic");
+            drop(door.1.wait_while(open, |open| !*open));
+            Ok(goal)
+        }))
+    }
+}
+
+/// Connections of plain libzmq, which send without waiting for answers.
+struct Crowd {
+    sockets: Vec<zmq::Socket>,
+}
+
+/// What a server said, and how long that took.
+struct Said {
+    state: i64,
+    id: i64,
+    text: String,
+    after: Duration,
+}
+
+impl Crowd {
+    fn of(connections: usize, endpoint: &str) -> Self {
+        let context = zmq::Context::new();
+        let open = |_| {
+            let socket = context.socket(zmq::DEALER).expect("a socket");
+            socket.set_linger(0).expect("an option");
+            socket.connect(endpoint).expect("an address");
+            let patience = i32::try_from(PATIENCE.as_millis()).expect("a short time");
+            socket.set_rcvtimeo(patience).expect("an option");
+            socket
+        };
+        Self {
+            sockets: (0..connections).map(open).collect(),
         }
     }
 
-    let most = 200;
-    let mut limits = Limits::default();
-    limits.running = most;
-    let door = Door::default();
-    let server = TaskServer::bind_with("tcp://127.0.0.1:*", Access::everybody(), limits);
-    let mut server = server.expect("a port");
-    server.register(SCOPE, Gate(Arc::clone(&door)));
-    let server = server.spawn().expect("a thread");
-    let remote = RemoteTask::connect(server.endpoint(), SCOPE).expect("an address");
-    let threads: Vec<_> = (0..CLIENTS)
-        .map(|client| {
-            let mut remote = remote.clone();
-            std::thread::spawn(move || {
-                let ask = |round| {
-                    let goal = format!("{client}.{round}");
-                    match remote.trigger("h", "c", &goal) {
-                        Ok(task) => Some((task.id, goal)),
-                        Err(TriggerError::Refused { reason, .. }) => {
-                            let expected = "too many tasks are running, wait for one to end";
-                            assert_eq!(reason, expected);
-                            None
-                        }
-                        Err(error) => panic!("{error}"),
-                    }
-                };
-                (0..most / 4).filter_map(ask).collect::<Vec<_>>()
-            })
-        })
-        .collect();
-    let taken: Vec<_> = threads
-        .into_iter()
-        .flat_map(|thread| thread.join().expect("no panic"))
-        .collect();
-    assert_eq!(taken.len(), most);
-    *door.0.lock().expect("no panic") = true;
-    door.1.notify_all();
-    let mut remote = remote;
-    for (id, goal) in taken {
-        let end = remote.wait(id, Some(PATIENCE)).expect("its end");
-        assert_eq!((end.state, end.text), (State::Completed, goal));
+    /// Asks all at once; the answers in the order of the questions, exactly one for each.
+    #[track_caller]
+    fn ask(&self, bodies: &[String]) -> Vec<Said> {
+        let start = Instant::now();
+        for ((number, body), socket) in (0u32..).zip(bodies).zip(self.sockets.iter().cycle()) {
+            let frames: [&[u8]; 3] = [&number.to_le_bytes(), b"", body.as_bytes()];
+            socket.send_multipart(frames, 0).expect("to send");
+        }
+        let mut said: Vec<Option<Said>> = bodies.iter().map(|_| None).collect();
+        for socket in self.sockets.iter().cycle().take(bodies.len()) {
+            let frames = socket.recv_multipart(0).expect("an answer to each");
+            let [number, _, body] = frames.as_slice() else {
+                panic!("{frames:?}")
+            };
+            let number = u32::from_le_bytes(number.as_slice().try_into().expect("a number"));
+            let body = std::str::from_utf8(body).expect("a text");
+            let fields: Vec<&str> = body.splitn(4, ';').collect();
+            let answer = Said {
+                state: fields[1].parse().expect("a number"),
+                id: fields[2].parse().expect("a number"),
+                text: fields[3].to_owned(),
+                after: start.elapsed(),
+            };
+            let place = &mut said[number as usize];
+            assert!(place.replace(answer).is_none(), "answered twice: {body}");
+        }
+        for socket in &self.sockets {
+            assert!(socket.recv_bytes(zmq::DONTWAIT).is_err(), "one answer more");
+        }
+        said.into_iter()
+            .map(|said| said.expect("an answer"))
+            .collect()
     }
+}
+
+fn payload(goal: &str) -> String {
+    let spec = TaskSpec {
+        handler: "h",
+        component: "c",
+        goal,
+    };
+    let mut payload = vec![0; spec.encoded_len()];
+    spec.encode_into(&mut payload).expect("it fits").to_owned()
+}
+
+/// As many at once as a server takes if nothing else is chosen, asked for at once, over plain libzmq:
+/// each is answered once and in time, has its end, and those beyond the limit are refused.
+#[test]
+fn ten_thousand_tasks_at_once_are_answered_once_and_none_is_lost() {
+    let door = Door::default();
+    let mut server = TaskServer::bind("tcp://127.0.0.1:*").expect("a port");
+    server.register(SCOPE, door.clone());
+    let server = server.spawn().expect("a thread");
+    let crowd = Crowd::of(100, server.endpoint());
+    let (most, beyond) = (Limits::default().running, 50);
+
+    let goals: Vec<String> = (0..most + beyond).map(|n| format!("goal {n}")).collect();
+    let inits = goals
+        .iter()
+        .map(|goal| format!("{SCOPE};1;-1;{}", payload(goal)));
+    let said = crowd.ask(&inits.collect::<Vec<_>>());
+    let slowest = said.iter().map(|said| said.after).max();
+    let mut taken = BTreeMap::new();
+    for (said, goal) in said.into_iter().zip(&goals) {
+        if said.state == 1 {
+            assert!(
+                taken.insert(said.id, goal).is_none(),
+                "an id twice: {}",
+                said.id
+            );
+        } else {
+            assert_eq!(said.text, "too many tasks are running, wait for one to end");
+        }
+    }
+    assert_eq!(taken.len(), most);
+
+    // One of the original's, in the middle of it.
+    let port = server
+        .endpoint()
+        .rsplit(':')
+        .next()
+        .and_then(|port| port.parse().ok());
+    let mut original = OriginalClient::connect(port.expect("a port"), SCOPE);
+    let one = *taken.keys().next().expect("a task");
+    assert_eq!(original.status(one).number, ACCEPTED);
+
+    // A door takes no notice of an ABORT; who sent it is answered before the original's client gives up.
+    let aborts = taken.keys().take(2000).map(|id| format!("{SCOPE};3;{id};"));
+    let answers = crowd.ask(&aborts.collect::<Vec<_>>());
+    let last = answers.iter().map(|said| said.after).max();
+    println!("{most} taken within {slowest:?}, 2000 aborts answered within {last:?}");
+    for said in answers {
+        assert_eq!((said.state, said.text.as_str()), (1, "aborting"));
+        let time = said.after;
+        assert!(time > Duration::from_millis(1400), "{time:?}");
+        // A busy machine may add to it.
+        assert!(time < Duration::from_secs(3), "{time:?}");
+    }
+
+    door.open();
+    until("the end of each", PATIENCE, || {
+        let questions = taken.keys().map(|id| format!("{SCOPE};2;{id};"));
+        let said = crowd.ask(&questions.collect::<Vec<_>>());
+        let all = said.iter().all(|said| said.state == 5);
+        for said in said.iter().filter(|said| said.state == 5) {
+            assert_eq!(said.text, *taken[&said.id]);
+        }
+        all.then_some(())
+    });
 }
