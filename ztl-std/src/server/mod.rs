@@ -18,12 +18,14 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use tracing::{debug, info, warn};
-use ztl_core::Instant;
 use ztl_core::dispatcher::{Action, Body, Config, Dispatcher};
 use ztl_core::envelope::Envelope;
+use ztl_core::integer::Integer;
 use ztl_core::memory::{Memory, Scope};
+use ztl_core::message::Message;
 use ztl_core::reply::{RefusalOf, Reply};
 use ztl_core::tasks::{Task, Tasks, Text};
+use ztl_core::{Instant, Request, TaskId};
 
 use crate::clock;
 use crate::controller::{TaskController, Threads};
@@ -74,6 +76,9 @@ fn now() -> Instant {
 /// Name under which the original logs.
 const LOG: &str = "remote-task";
 
+/// What is shown the requests about tasks.
+type Witness = Box<dyn FnMut(Request, TaskId, &str) + Send>;
+
 /// A task server that is bound and does not serve yet.
 ///
 /// Register what it is to serve, then [`listen`](Self::listen) or [`spawn`](Self::spawn).
@@ -91,6 +96,8 @@ pub struct TaskServer {
     mailbox: Mailbox,
     inbox: Inbox,
     touch: Touch,
+    /// Is shown what is asked of tasks.
+    witness: Option<Witness>,
     /// Whether the last turn took a report.
     reported: bool,
 }
@@ -149,6 +156,7 @@ impl TaskServer {
             mailbox,
             inbox,
             touch: Touch::default(),
+            witness: None,
             reported: false,
         })
     }
@@ -220,6 +228,13 @@ impl TaskServer {
                 handler.resume(TaskReporter::new(id, self.mailbox.clone(), None));
             }
         }
+    }
+
+    /// Shows each STATUS and ABORT of a task that is remembered to `witness`, before it is answered: the
+    /// task and the request's payload, which no handler sees. Called on the server's thread, so it must
+    /// be quick.
+    pub fn show_requests(&mut self, witness: impl FnMut(Request, TaskId, &str) + Send + 'static) {
+        self.witness = Some(Box::new(witness));
     }
 
     /// A handle that ends [`listen`](Self::listen) from another thread.
@@ -402,6 +417,25 @@ impl TaskServer {
         }
     }
 
+    fn show(&mut self, body: Body<'_>) {
+        let (Some(witness), Body::One(body)) = (&mut self.witness, body) else {
+            return;
+        };
+        let Ok(message) = Message::parse(body) else {
+            return;
+        };
+        let value = |integer: Result<Integer<'_>, _>| integer.ok().and_then(Integer::value);
+        let request = value(message.code()).and_then(Request::from_code);
+        let id = value(message.number()).and_then(|id| u32::try_from(id).ok());
+        if let (Some(request), Some(id)) = (request, id.and_then(TaskId::new))
+            && request != Request::Init
+            && let Some(task) = self.dispatcher.memory().tasks().get(id)
+            && self.dispatcher.memory().scope_name(task.extra) == message.scope
+        {
+            witness(request, id, message.payload);
+        }
+    }
+
     fn serve(&mut self, mut frames: Vec<zmq::Message>, who: Who) {
         // Identity, any envelope, an empty frame, and then the body. Without the empty frame it
         // is no request: a REP socket drops it too.
@@ -414,6 +448,7 @@ impl TaskServer {
             [one] => Body::One(one),
             _ => Body::Several,
         };
+        self.show(body);
         let socket = &self.socket;
         let envelope = match frames.as_slice() {
             // A proxy on the way puts its own frames before these two.

@@ -7,6 +7,7 @@ use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
 use std::time::{Duration, Instant};
 
 use tracing::{Level, error};
+use ztl_core::Request;
 use ztl_std::server::{TaskHandler, TaskReporter, scope_mistake};
 use ztl_std::{Access, Limits, TaskId, TaskServer};
 
@@ -42,6 +43,13 @@ impl SimpleServer {
             self.bounds.over(Limits::default()),
         )?;
         server.register_handler(&self.scope, Naps::default());
+        server.show_requests(|request, id, payload| {
+            let what = match request {
+                Request::Abort => "Aborting",
+                Request::Init | Request::Status => "Status",
+            };
+            line(format_args!("{what} Task ID '{id}' ({payload})..."));
+        });
         let stopper = server.stopper();
         signals::then(move || stopper.stop());
         server.listen()?;
@@ -91,8 +99,6 @@ impl TaskHandler for Naps {
     }
 
     fn abort(&mut self, id: TaskId) {
-        // An ABORT's own payload is not passed on; this is what every client sends.
-        line(format_args!("Aborting Task ID '{id}' (abort command)..."));
         self.running.remove(&id);
     }
 }
