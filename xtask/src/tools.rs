@@ -66,6 +66,18 @@ const NEEDS: &[Need] = &[
         packages: &["npm"],
     },
     Need {
+        what: "`chromium`, which shows the page of `ztl report`",
+        check: || Cmd::new("chromium --version"),
+        component: None,
+        packages: &["chromium"],
+    },
+    Need {
+        what: "`setsid`, which gives a program a terminal of its own",
+        check: || Cmd::new("setsid --version"),
+        component: None,
+        packages: &["util-linux"],
+    },
+    Need {
         what: "`cargo fmt`",
         check: || Cmd::new("cargo fmt --version"),
         component: Some("rustfmt"),

@@ -340,7 +340,8 @@ fn scenes(run: &Run) -> String {
         let planned = take.planned(run);
         let length = take.length();
         out += &format!(
-            "<section class=\"scene\"><h3>{}</h3>\n<p class=\"note\">{}{replay}; from {} s, {} long, planned {} ({} s)</p>\n",
+            "<section class=\"scene\"><h3>{}. {}</h3>\n<p class=\"note\">{}{replay}; from {} s, {} long, planned {} ({} s)</p>\n",
+            take.scene + 1,
             escape(&svg::take_name(run, take)),
             words::scene_end(take.end),
             seconds(take.from),

@@ -13,7 +13,7 @@ use crate::script::event::{StepEnd, TaskState};
 const WIDTH: f64 = 1180.0;
 /// What the names have, and what is said beside the bars.
 const NAMES: f64 = 300.0;
-const REMARKS: f64 = 230.0;
+const REMARKS: f64 = 256.0;
 const ROW: f64 = 21.0;
 /// Most rows of one drawing: what fits on a page.
 const ROWS: usize = 26;
@@ -92,12 +92,17 @@ impl Drawing {
         );
     }
 
-    /// Text cut to what fits, whole where the mouse rests on it.
-    fn cut(&mut self, class: &str, x: f64, y: f64, text: &str, most: usize) {
+    /// Text cut to what fits in so much width, whole where the mouse rests on it. Where letters are
+    /// wider than they mostly are, its end is hidden and covers nothing.
+    fn cut(&mut self, class: &str, x: f64, y: f64, text: &str, width: f64) {
+        // Names of steps are bold.
+        let letter = if class == "name step" { 7.8 } else { 6.6 };
+        let most = (width / letter).max(1.0) as usize;
         let (short, whole) = (escape(&shorten(text, most)), escape(text));
         let _ = writeln!(
             self.out,
-            "<text class=\"{class}\" x=\"{x:.1}\" y=\"{y:.1}\">{short}<title>{whole}</title></text>"
+            "<svg x=\"{x:.1}\" y=\"{:.1}\" width=\"{width:.1}\" height=\"20\"><text class=\"{class}\" y=\"14\">{short}<title>{whole}</title></text></svg>",
+            y - 14.0
         );
     }
 
@@ -211,7 +216,7 @@ pub(super) fn overview(run: &Run) -> String {
             _ => (take.scene + 1).to_string(),
         };
         if short.chars().count() <= room || room >= 12 {
-            drawing.cut("in-bar", x.0 + 4.0, top + 16.0, &short, room);
+            drawing.cut("in-bar", x.0 + 4.0, top + 16.0, &short, x.1 - x.0 - 6.0);
         }
     }
     let y = top + 24.0;
@@ -244,7 +249,7 @@ pub(super) fn overview(run: &Run) -> String {
     let mut y = y + 24.0;
     for task in background.iter().take(shown) {
         let name = task_name(run, task);
-        drawing.cut("name small", 0.0, y + 16.0, &name, 16);
+        drawing.cut("name small", 0.0, y + 16.0, &name, 104.0);
         draw_task(
             &mut drawing,
             &axis,
@@ -339,7 +344,7 @@ fn steps_drawing(
         for task in run.tasks_of(nth, *index) {
             let name = task_name(run, task);
             let shown = task.retry_of.map_or(name.clone(), |_| format!("↻ {name}"));
-            drawing.cut("name task", 14.0, y + 14.0, &shown, 42);
+            drawing.cut("name task", 14.0, y + 14.0, &shown, NAMES - 20.0);
             if let Some(planned) = task.planned_from
                 && task.from > planned
             {
@@ -360,7 +365,7 @@ fn steps_drawing(
                 WIDTH - REMARKS + 20.0,
                 y + 14.0,
                 &remark(task),
-                36,
+                REMARKS - 20.0,
             );
             y += ROW;
         }
@@ -370,7 +375,13 @@ fn steps_drawing(
         let y = 30.0 + lane as f64 * 14.0;
         drawing.line("mark-line", (at, y - 8.0), (at, drawing.height));
         let what = action.command.map(|command| words::command(run, command));
-        drawing.cut("mark-text", x, y, &what.unwrap_or_default(), LABEL);
+        drawing.cut(
+            "mark-text",
+            x,
+            y,
+            &what.unwrap_or_default(),
+            LABEL as f64 * 6.6,
+        );
     }
     drawing.end(&format!("Timeline of {}", take_name(run, take)))
 }
@@ -401,7 +412,7 @@ fn label_lanes<'a>(run: &Run, axis: &Axis, marks: &[&'a Action]) -> Vec<(&'a Act
 
 fn draw_step(drawing: &mut Drawing, run: &Run, take: &Take, axis: &Axis, step: &Step, y: f64) {
     let name = run.step_name(take.scene, step.step);
-    drawing.cut("name step", 0.0, y + 15.0, &name, 38);
+    drawing.cut("name step", 0.0, y + 15.0, &name, NAMES - 6.0);
     let planned = (axis.x(step.from), axis.x(step.from + step.planned));
     let title = format!("{name}: {} planned", spoken(step.planned));
     let attributes = data("plan", step.step + 1, step.from, step.from + step.planned);
@@ -431,7 +442,7 @@ fn draw_step(drawing: &mut Drawing, run: &Run, take: &Take, axis: &Axis, step: &
         WIDTH - REMARKS + 20.0,
         y + 15.0,
         &remark.replace("  ", " "),
-        38,
+        REMARKS - 20.0,
     );
 }
 
