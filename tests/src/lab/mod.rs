@@ -9,6 +9,8 @@ mod original;
 mod peers;
 mod process;
 mod server;
+#[cfg(unix)]
+mod terminal;
 mod tools;
 
 #[cfg(unix)]
@@ -19,6 +21,8 @@ pub use original::{
 pub use peers::Peer;
 pub use process::{Ended, Process};
 pub use server::{SCOPE, Server};
+#[cfg(unix)]
+pub use terminal::Terminal;
 pub use tools::{Told, original_client, our_client};
 
 use std::net::TcpListener;

@@ -11,9 +11,12 @@ mod device;
 mod devices;
 mod gateway;
 mod journal;
+mod key_name;
 mod keyboard;
 mod keys;
 mod line;
+#[cfg(unix)]
+mod live;
 mod log;
 mod ps;
 mod reach;

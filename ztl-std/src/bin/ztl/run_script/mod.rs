@@ -2,6 +2,7 @@
 //! specification 7.4 and 8).
 
 mod plain;
+mod stage;
 
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -14,14 +15,16 @@ use ztl_std::script::event::{
     By, Command, Event, FORMAT, Outcome, RemoteOutline, RunStarted, sha256,
 };
 use ztl_std::script::player::Options;
+use ztl_std::script::record::Recorder;
 use ztl_std::script::{Connect, Defaults, Player, Scene, Script, Show, StandIns, timeline};
 use ztl_std::yaml::closest;
 use ztl_std::{RemoteTask, Remotes};
 
-use crate::keyboard::Keyboard;
+use crate::key_name::Pressed;
 use crate::remote_task::Endpoints;
 use crate::terminal::line;
 use crate::{Done, log, signals};
+use stage::Stage;
 
 /// Name under which the original logs.
 const LOG: &str = "script-exec";
@@ -56,6 +59,14 @@ pub(crate) struct RunScript {
     #[arg(long)]
     dry_run: bool,
 
+    /// Write down all that happens, a line for each event (docs/record.md); FILE must not be there yet
+    #[arg(long, value_name = "FILE")]
+    record: Option<PathBuf>,
+
+    /// Write the original's lines, and take its keys, also on a terminal
+    #[arg(long)]
+    plain: bool,
+
     /// Rehearse: play on stand-ins for all servers, whose tasks last so many seconds
     #[arg(long, value_name = "SECONDS", num_args = 0..=1, require_equals = true, default_missing_value = "1", value_parser = simulated)]
     simulate: Option<Duration>,
@@ -77,7 +88,12 @@ fn simulated(text: &str) -> Result<Duration, &'static str> {
 
 impl RunScript {
     pub(crate) fn run(self, called: &str) -> Done {
-        log::init(Level::INFO);
+        // By the original's name it is the original's tool.
+        let live = !self.plain && called.contains(' ') && stage::can_be_live();
+        if !live {
+            // On the live view there is no place for lines; all that matters is shown there.
+            log::init(Level::INFO);
+        }
         signals::catch()?;
         let mut remotes = self.endpoints.read()?;
         let defaults = match &self.defaults {
@@ -117,6 +133,7 @@ impl RunScript {
             unattended: self.yes,
             scene,
             from,
+            watch: live,
             ..Options::default()
         };
         if self.dry_run {
@@ -137,39 +154,43 @@ impl RunScript {
         let started = self.started(&script, &remotes);
         let player = Player::new(Arc::clone(&script), options);
         let mut show = Show::new(player, connect(remotes));
-        let outcome = self.play(&mut show, &script, started)?;
+        let outcome = self.play(&mut show, &script, started, live)?;
         drop(stand_ins);
         Ok(ExitCode::from(u8::from(outcome != Outcome::Completed)))
     }
 
-    /// Plays it with the original's lines and keys.
+    /// Plays it, on the live view or with the original's lines and keys.
     fn play(
         &self,
         show: &mut Show,
         script: &Script,
         started: RunStarted,
+        live: bool,
     ) -> Result<Outcome, Box<dyn std::error::Error>> {
-        let inputs = show.inputs();
-        let keyboard = match self.yes {
-            true => None,
-            false => Some(Keyboard::open(move || inputs.wake()).map_err(no_keyboard)?),
-        };
+        let mut record = self.record.as_deref().map(Recorder::create).transpose()?;
+        let mut stage = Stage::open(script, show.inputs(), live, self.yes)?;
         let inputs = show.inputs();
         signals::then(move || inputs.command(Command::Stop, By::Signal));
         show.tell(Event::RunStarted(Box::new(started)));
         show.begin();
-        let mut plain = plain::Plain::new(script);
         loop {
-            while let Some(key) = keyboard.as_ref().and_then(Keyboard::next) {
-                if let Some(command) = plain.meaning(&key) {
+            while let Some(Pressed { key, command }) = stage.pressed() {
+                show.tell(Event::Key { key, command });
+                if let Some(command) = command {
                     show.command(command, By::Operator);
                 }
             }
             let Some(stamped) = show.next(Duration::from_secs(3600)) else {
                 continue;
             };
-            plain.tell(&stamped.event, keyboard.as_ref());
+            if let Some(record) = &mut record
+                && let Err(unrecorded) = record.write(&stamped)
+            {
+                stage.warn(stamped.at, &unrecorded.to_string());
+            }
+            stage.tell(&stamped);
             if let Event::RunEnded { outcome, .. } = stamped.event {
+                stage.close();
                 return Ok(outcome);
             }
         }

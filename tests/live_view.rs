@@ -1,0 +1,365 @@
+//! `ztl run-script` on a terminal: its live view, driven by keys and looked at, on a real gateway
+//! with a simulated gripper; and the record that it writes.
+
+#![cfg(unix)]
+
+use std::fs;
+use std::process::Command;
+
+use serde_json::Value;
+use ztl_tests::lab::{PATIENCE, SCOPE, Scratch, Server, Terminal, until, ztl};
+
+/// From 0 to 80 percent the simulated gripper takes 1.6 s.
+const SCRIPT: &str = "\
+open:
+  wide: {gripper: {finger: 80}}
+shake:
+  no hand (on_failure=ask): {gripper: {thumb: 1}}
+  half: {gripper: {finger: 40}}
+close:
+  shut: {gripper: {finger: 0}}
+";
+
+struct Stage {
+    files: Scratch,
+    _server: Server,
+}
+
+impl Stage {
+    #[track_caller]
+    fn new(script: &str) -> Self {
+        let server = Server::gateway(&["gripper=sim:gripper"]);
+        server.wait_ready("gripper");
+        let files = Scratch::new();
+        fs::write(files.path("show.yaml"), script).unwrap();
+        let port = server.port;
+        let remotes =
+            format!("remotes: {{gripper: {{host: 127.0.0.1, port: {port}, scope: {SCOPE}}}}}\n");
+        fs::write(files.path("remotes.yaml"), remotes).unwrap();
+        Self {
+            files,
+            _server: server,
+        }
+    }
+
+    /// The command that plays the script, in its directory; it writes a record.
+    fn command(&self) -> Command {
+        let mut command = ztl();
+        command.args([
+            "run-script",
+            "-s",
+            "show.yaml",
+            "-c",
+            "remotes.yaml",
+            "--record",
+            "run.jsonl",
+        ]);
+        command
+            .current_dir(self.files.path(""))
+            .env("LANG", "C.UTF-8")
+            .env_remove("LC_ALL");
+        command.env_remove("NO_COLOR");
+        command
+    }
+
+    #[track_caller]
+    fn play(&self) -> Terminal {
+        Terminal::start(&self.command(), (80, 24))
+    }
+
+    /// What the record says by now.
+    #[track_caller]
+    fn record(&self) -> Vec<Value> {
+        let text = fs::read_to_string(self.files.path("run.jsonl")).unwrap();
+        text.lines()
+            .map(|line| serde_json::from_str(line).expect(line))
+            .collect()
+    }
+
+    /// What was decided, and by whom.
+    fn decided(&self) -> Vec<String> {
+        let decided = |line: &Value| {
+            let (what, by) = (&line["command"]["do"], &line["by"]);
+            (line["event"] == "decided")
+                .then(|| format!("{} {}", what.as_str().unwrap(), by.as_str().unwrap()))
+        };
+        self.record().iter().filter_map(decided).collect()
+    }
+}
+
+/// The lines that tell scenes, steps and tasks, without their times.
+fn without_times(screen: &str) -> Vec<String> {
+    let body = screen
+        .lines()
+        .skip(2)
+        .take_while(|line| !line.starts_with('─'));
+    let words = body.map(|line| {
+        let end = line.trim_end();
+        let time = end
+            .rsplit_once("  ")
+            .filter(|(_, time)| time.ends_with(" s"));
+        time.map_or(end, |(rest, _)| rest.trim_end()).to_owned()
+    });
+    words.filter(|line| !line.is_empty()).collect()
+}
+
+#[test]
+fn a_show_is_played_by_single_keys() {
+    let stage = Stage::new(SCRIPT);
+    let mut terminal = stage.play();
+    let screen = terminal.shows(" Next: open");
+    assert!(terminal.is_full_screen() && !terminal.has_cursor());
+    assert_eq!(
+        without_times(&screen),
+        [
+            " · 1 open",
+            "     · wide",
+            "         gripper [finger] -> 80",
+            " · 2 shake",
+            " · 3 close",
+        ]
+    );
+    assert!(screen.contains(" Next: open"), "{screen}");
+    for key in [
+        "Enter  start",
+        "s  skip",
+        "j  jump to a scene",
+        "x  stop everything",
+    ] {
+        assert!(screen.contains(key), "{key} in\n{screen}");
+    }
+    assert!(!screen.contains("replay"), "nothing to replay:\n{screen}");
+
+    terminal.type_in("\r");
+    terminal.shows("▶ gripper:finger:80  accepted");
+    let screen = terminal.shows(" Next: shake");
+    assert!(
+        screen.contains(" ✓ 1 open") && screen.contains("gripper ✓"),
+        "{screen}"
+    );
+
+    // A step fails: it is tried again, in vain, and left.
+    terminal.type_in("\r");
+    let screen = terminal.shows("WAITING: ");
+    assert!(screen.contains("✗ gripper:thumb:1  refused"), "{screen}");
+    assert!(
+        screen.contains("t  retry what failed") && screen.contains("g  go on anyway"),
+        "{screen}"
+    );
+    terminal.type_in("t");
+    terminal.shows("✗ ↻ gripper:thumb:1");
+    terminal.shows("g  go on anyway");
+    terminal.type_in("g");
+    // A pause after the step that runs.
+    terminal.shows("▶ gripper:finger:40");
+    terminal.type_in("p");
+    terminal.shows("There will be a pause after this step.");
+    terminal.type_in("p");
+    terminal.shows("p  pause after this step");
+    terminal.shows(" Next: close");
+    terminal.type_in("r");
+    terminal.shows(", take 2");
+    terminal.shows("WAITING: ");
+    terminal.type_in("g");
+    terminal.shows(" Next: close");
+    terminal.type_in("s");
+    terminal.shows("The last scene is over.");
+    terminal.type_in("j");
+    let screen = terminal.shows("Esc  do not jump");
+    assert!(screen.contains("  3  close"), "{screen}");
+    terminal.type_in("3");
+    terminal.shows(" Next: close");
+    terminal.type_in("\r");
+    terminal.shows("▶ gripper:finger:0");
+    terminal.shows("The last scene is over.");
+    terminal.type_in("q");
+    let status = terminal.end();
+    terminal.waits_until_as_before();
+    assert_eq!(status.code(), Some(1), "not all went well");
+    let screen = terminal.shows("Over: ");
+    assert!(
+        screen.contains(" ✗ 2 shake") && screen.contains(" ✓ 3 close"),
+        "{screen}"
+    );
+    assert_eq!(
+        stage.decided(),
+        [
+            "start operator",
+            "start operator",
+            "retry operator",
+            "go_on operator",
+            "pause operator",
+            "resume operator",
+            "replay operator",
+            "go_on operator",
+            "skip operator",
+            "jump operator",
+            "start operator",
+            "leave operator",
+        ]
+    );
+}
+
+#[test]
+fn keys_that_come_at_once_decide_once() {
+    let stage = Stage::new(SCRIPT);
+    let mut terminal = stage.play();
+    terminal.shows(" Next: open");
+    // An arrow key has three bytes, and is no decision at all.
+    terminal.type_in("\x1b[C");
+    terminal.shows("Right means nothing now");
+    terminal.type_in("\r\r\rss");
+    terminal.shows("▶ gripper:finger:80");
+    // While it plays they mean nothing, and later neither.
+    terminal.type_in("\r");
+    terminal.type_in("s");
+    terminal.shows(" Next: shake");
+    until("the record of all keys", PATIENCE, || {
+        let keys = stage
+            .record()
+            .iter()
+            .filter(|line| line["event"] == "key")
+            .count();
+        (keys == 8).then_some(())
+    });
+    assert_eq!(stage.decided(), ["start operator"]);
+    let screen = terminal.screen();
+    assert!(
+        screen.contains(" · 2 shake") && screen.contains(" · 3 close"),
+        "{screen}"
+    );
+    terminal.type_in("\x03");
+    terminal.end();
+}
+
+#[test]
+fn ctrl_c_stops_what_was_started_and_shows_it() {
+    let stage = Stage::new(&SCRIPT.replace("wide:", "wide (wait=no):"));
+    let mut terminal = stage.play();
+    terminal.shows(" Next: open");
+    terminal.type_in("\r");
+    // It runs in the background, and the next scene is asked about.
+    terminal.shows(" Next: shake");
+    let screen = terminal.shows("in the background: 1");
+    assert!(screen.contains("▶ gripper:finger:80  accepted"), "{screen}");
+    terminal.type_in("\x03");
+    let status = terminal.end();
+    assert_eq!(status.code(), Some(1));
+    terminal.waits_until_as_before();
+    let screen = terminal.shows("Over: everything was stopped.");
+    assert!(screen.contains("■ gripper:finger:80  aborted"), "{screen}");
+    let record = stage.record();
+    let answer = record
+        .iter()
+        .find(|line| line["event"] == "stop_answered")
+        .unwrap();
+    assert_eq!(answer["confirmed"], true, "{answer}");
+    let last = record.last().unwrap();
+    assert_eq!(
+        (&last["event"], &last["outcome"]),
+        (&"run_ended".into(), &"stopped".into())
+    );
+}
+
+#[test]
+fn the_terminal_is_as_before_however_it_ends() {
+    for signal in ["TERM", "HUP", "INT", "QUIT"] {
+        let stage = Stage::new(SCRIPT);
+        let mut terminal = stage.play();
+        terminal.shows(" Next: open");
+        terminal.type_in("\r");
+        terminal.shows("▶ gripper:finger:80");
+        assert!(!terminal.is_as_before());
+        terminal.signal(signal);
+        terminal.end();
+        terminal.waits_until_as_before();
+        if signal != "QUIT" {
+            assert_eq!(stage.decided().last().unwrap(), "stop signal", "{signal}");
+        }
+    }
+}
+
+#[test]
+fn stopped_by_ctrl_z_it_gives_the_terminal_back_and_takes_it_again() {
+    let stage = Stage::new(SCRIPT);
+    let mut shell = Command::new("bash");
+    shell
+        .args(["--norc", "--noprofile", "-i"])
+        .env("PS1", "ready> ")
+        .env("LANG", "C.UTF-8");
+    shell.current_dir(stage.files.path(""));
+    let mut terminal = Terminal::start(&shell, (80, 24));
+    terminal.shows("ready>");
+    let play = stage.command();
+    let words: Vec<&str> = play.get_args().map(|word| word.to_str().unwrap()).collect();
+    terminal.type_in(format!(
+        "'{}' {}\n",
+        play.get_program().display(),
+        words.join(" ")
+    ));
+    terminal.shows(" Next: open");
+    terminal.type_in("\x1a");
+    terminal.shows("Stopped");
+    assert!(!terminal.is_full_screen() && terminal.has_cursor());
+    terminal.type_in("fg\n");
+    terminal.shows(" Next: open");
+    assert!(terminal.is_full_screen());
+    // It takes single keys again.
+    terminal.type_in("s");
+    terminal.shows(" Next: shake");
+    terminal.type_in("x");
+    terminal.shows("Over: everything was stopped.");
+    // How keys are taken is the shell's concern again.
+    assert!(!terminal.is_full_screen() && terminal.has_cursor());
+    terminal.type_in("exit\n");
+    terminal.end();
+}
+
+#[test]
+fn the_view_fits_the_window_whatever_becomes_of_it() {
+    let stage = Stage::new(SCRIPT);
+    let mut terminal = stage.play();
+    terminal.shows(" Next: open");
+    for size in [(40, 12), (132, 43), (30, 9), (80, 24)] {
+        terminal.resize(size);
+        let width = usize::from(size.0);
+        terminal.shows_that("the title with the time at its right", |screen| {
+            let title = screen.lines().next().unwrap_or_default();
+            let keys = screen.lines().last().unwrap_or_default();
+            title.chars().count() >= width - 2
+                && title.ends_with('s')
+                && keys.contains("stop everything")
+        });
+    }
+    terminal.type_in("x");
+    terminal.end();
+}
+
+#[test]
+fn there_is_no_colour_where_none_is_wanted_and_no_sign_that_cannot_be_shown() {
+    let stage = Stage::new(SCRIPT);
+    let mut terminal = Terminal::start(
+        stage.command().env("NO_COLOR", "1").env("LANG", "C"),
+        (80, 24),
+    );
+    terminal.shows(" Next: open");
+    terminal.type_in("\r");
+    let screen = terminal.shows("> gripper:finger:80");
+    assert!(screen.is_ascii(), "{screen}");
+    assert!(!terminal.has_colour());
+    terminal.type_in("x");
+    terminal.end();
+}
+
+#[test]
+fn a_record_that_is_there_is_kept_and_nothing_is_played() {
+    let stage = Stage::new(SCRIPT);
+    fs::write(stage.files.path("run.jsonl"), "mine").unwrap();
+    let mut terminal = stage.play();
+    let screen = terminal.shows("not overwritten");
+    assert_eq!(terminal.end().code(), Some(1), "{screen}");
+    assert_eq!(
+        fs::read_to_string(stage.files.path("run.jsonl")).unwrap(),
+        "mine"
+    );
+}

@@ -1,0 +1,344 @@
+//! The live view of a show: a screen that a thread of its own draws, and the keys that it reads.
+//!
+//! The show never waits for the terminal: it only says what happened ([`Live::handle`]), and asks
+//! what was pressed ([`Live::pressed`]).
+
+mod board;
+mod draw;
+mod keys;
+mod text;
+pub(crate) mod tty;
+
+use std::io;
+use std::sync::mpsc::{self, Receiver, Sender};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use ztl_std::script::event::{Command, Stamped};
+
+use self::board::Board;
+use self::keys::{Chooser, Chosen};
+use self::text::Line;
+use crate::key_name::{self, Pressed};
+use crate::terminal::line;
+
+/// Longest time between something happening and its being seen.
+const PAUSE: Duration = Duration::from_millis(40);
+/// How often the clocks on the screen go on.
+const TICK: Duration = Duration::from_millis(100);
+/// How long the rest of a key's bytes is waited for.
+const REST: Duration = Duration::from_millis(40);
+
+/// The view; the terminal is given back when it is dropped.
+#[derive(Debug)]
+pub(crate) struct Live {
+    shared: Arc<Mutex<Shared>>,
+    pressed: Receiver<Pressed>,
+    thread: Option<JoinHandle<()>>,
+}
+
+#[derive(Debug)]
+struct Shared {
+    board: Board,
+    /// When its last event came, to tell the time of the run.
+    came: Instant,
+    changed: bool,
+    over: bool,
+}
+
+impl Live {
+    /// Takes the terminal. `wake` is called whenever a key was pressed.
+    ///
+    /// # Errors
+    /// When the terminal cannot be taken; it is then as it was.
+    pub(crate) fn open(wake: impl Fn() + Send + 'static) -> io::Result<Self> {
+        tty::take()?;
+        let shared = Arc::new(Mutex::new(Shared {
+            board: Board::default(),
+            came: Instant::now(),
+            changed: true,
+            over: false,
+        }));
+        let (sender, pressed) = mpsc::channel();
+        let screen = Screen {
+            shared: Arc::clone(&shared),
+            pressed: sender,
+            wake: Box::new(wake),
+            chooser: None,
+            seen: 0,
+            answered: None,
+            drawn: Vec::new(),
+            size: (0, 0),
+            taken: 0,
+            last: None,
+            colour: has_colour(),
+            ascii: !speaks_utf8(),
+        };
+        let thread = std::thread::Builder::new()
+            .name("ztl-live".to_owned())
+            .spawn(move || screen.run());
+        let thread = thread.inspect_err(|_| tty::restore())?;
+        Ok(Self {
+            shared,
+            pressed,
+            thread: Some(thread),
+        })
+    }
+
+    /// Something has happened; it is shown soon.
+    pub(crate) fn handle(&self, event: &Stamped) {
+        let mut shared = lock(&self.shared);
+        shared.board.handle(event);
+        shared.came = Instant::now();
+        shared.changed = true;
+    }
+
+    /// The next key that was pressed, if any was.
+    pub(crate) fn pressed(&self) -> Option<Pressed> {
+        self.pressed.try_recv().ok()
+    }
+}
+
+impl Live {
+    /// Gives the terminal back, and leaves on it how it went.
+    pub(crate) fn close(mut self) {
+        self.end();
+        let (colour, ascii) = (has_colour(), !speaks_utf8());
+        let (width, _) = tty::size();
+        for text in draw::summary(&lock(&self.shared).board, width) {
+            line(text.encoded(colour, ascii));
+        }
+    }
+
+    fn end(&mut self) {
+        lock(&self.shared).over = true;
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+        tty::restore();
+    }
+}
+
+impl Drop for Live {
+    fn drop(&mut self) {
+        self.end();
+    }
+}
+
+/// Whether colours are wanted (`NO_COLOR`).
+fn has_colour() -> bool {
+    std::env::var_os("NO_COLOR").is_none_or(|value| value.is_empty())
+}
+
+fn lock(shared: &Mutex<Shared>) -> MutexGuard<'_, Shared> {
+    shared.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Whether the terminal shows more than ASCII, by what the locale says.
+fn speaks_utf8() -> bool {
+    let set = ["LC_ALL", "LC_CTYPE", "LANG"]
+        .into_iter()
+        .filter_map(|name| std::env::var(name).ok())
+        .find(|value| !value.is_empty());
+    set.is_some_and(|locale| {
+        let locale = locale.to_ascii_lowercase();
+        locale.contains("utf-8") || locale.contains("utf8")
+    })
+}
+
+/// What the thread has.
+struct Screen {
+    shared: Arc<Mutex<Shared>>,
+    pressed: Sender<Pressed>,
+    wake: Box<dyn Fn() + Send>,
+    chooser: Option<Chooser>,
+    /// The question that is on the screen, by its number; 0: none.
+    seen: u64,
+    /// The question that was answered last.
+    answered: Option<u64>,
+    drawn: Vec<String>,
+    size: (usize, usize),
+    taken: u64,
+    last: Option<Instant>,
+    colour: bool,
+    ascii: bool,
+}
+
+impl Screen {
+    fn run(mut self) {
+        loop {
+            if lock(&self.shared).over || tty::is_closed() {
+                return;
+            }
+            // Before the screen changes: what was typed by then was meant for what was seen.
+            let typed = match self.draw() {
+                Ok(()) => self.read(PAUSE),
+                Err(error) => Err(error),
+            };
+            match typed {
+                Ok(typed) => self.type_in(&typed),
+                // Nobody sees anything any more. That is told by a signal; the show goes on.
+                Err(_) => std::thread::sleep(TICK),
+            }
+        }
+    }
+
+    /// What was typed, with the rest of a key whose bytes come in pieces.
+    fn read(&mut self, limit: Duration) -> io::Result<Vec<u8>> {
+        let mut typed = tty::read(limit)?;
+        let mut at = 0;
+        while at < typed.len() {
+            match key_name::first(typed.get(at..).unwrap_or_default()) {
+                Some((_, length)) => at += length,
+                None => {
+                    let rest = tty::read(REST)?;
+                    if rest.is_empty() {
+                        break;
+                    }
+                    typed.extend(rest);
+                }
+            }
+        }
+        Ok(typed)
+    }
+
+    /// Only the first of what came at once is a decision: a person has not seen what it led to.
+    fn type_in(&mut self, typed: &[u8]) {
+        let mut rest = typed;
+        let mut nth = 0;
+        while !rest.is_empty() {
+            let (key, length) = key_name::first(rest).unwrap_or_else(|| match rest {
+                [0x1b] => ("Esc".to_owned(), 1),
+                _ => ("?".to_owned(), rest.len()),
+            });
+            rest = rest.get(length..).unwrap_or_default();
+            match key.as_str() {
+                // No key of the show: the whole program is stopped, as in any other.
+                "Ctrl-Z" => tty::suspend(),
+                "Ctrl-L" => self.drawn.clear(),
+                // Whatever came before it: whoever wants to stop must not be unheard.
+                "Ctrl-C" => self.press(key),
+                _ if nth == 0 => self.press(key),
+                _ => self.tell(key, None),
+            }
+            nth += 1;
+        }
+    }
+
+    fn press(&mut self, key: String) {
+        let (command, scenes, current) = {
+            let shared = lock(&self.shared);
+            let board = &shared.board;
+            let question = board.question;
+            let mut choices = board.choices();
+            // What is asked is not what was seen, or was answered before: only stopping counts.
+            let number = board.questions;
+            let fresh = self.seen == number && self.answered != Some(number);
+            if question.is_some() && !fresh {
+                choices.clear();
+            }
+            let jumps = choices
+                .iter()
+                .any(|choice| matches!(choice, Command::Jump { .. }));
+            if self.chooser.is_none() && jumps && matches!(key.as_str(), "j" | "J") {
+                let cursor = board.scene.unwrap_or(0);
+                drop(shared);
+                self.chooser = Some(Chooser { cursor });
+                self.drawn.clear();
+                return;
+            }
+            let command = keys::command(&key, &choices, question);
+            (command, board.outline.scenes.len(), number)
+        };
+        if let Some(chooser) = self.chooser
+            && key != "Ctrl-C"
+        {
+            self.last = None;
+            match chooser.press(&key, scenes) {
+                Chosen::Stay(chooser) => self.chooser = Some(chooser),
+                Chosen::Nothing => {
+                    self.chooser = None;
+                    self.tell(format!("j {key}"), None);
+                }
+                Chosen::Scene(scene) => {
+                    self.chooser = None;
+                    self.answered = Some(current);
+                    self.tell(format!("j {key}"), Some(Command::Jump { scene }));
+                }
+            }
+            return;
+        }
+        self.chooser = None;
+        if command.is_some_and(|command| !matches!(command, Command::Pause | Command::Resume)) {
+            self.answered = Some(current);
+        }
+        self.tell(key, command);
+    }
+
+    fn tell(&self, key: String, command: Option<Command>) {
+        // Without a show there is nothing to be done.
+        let _ = self.pressed.send(Pressed { key, command });
+        (self.wake)();
+    }
+
+    fn draw(&mut self) -> io::Result<()> {
+        let size = tty::size();
+        let taken = tty::taken();
+        let again = taken != self.taken || size != self.size || self.drawn.is_empty();
+        let due = self.last.is_none_or(|last| last.elapsed() >= TICK);
+        let lines = {
+            let mut shared = lock(&self.shared);
+            if !(again || due || shared.changed) {
+                return Ok(());
+            }
+            shared.changed = false;
+            let board = &shared.board;
+            if board.question.is_none() {
+                // A question that settled itself takes its chooser with it.
+                self.chooser = None;
+            }
+            self.seen = board.questions;
+            let now = match board.ended {
+                Some(_) => board.at,
+                None => board.at + shared.came.elapsed(),
+            };
+            draw::draw(board, self.chooser, now, size)
+        };
+        self.last = Some(Instant::now());
+        if again {
+            self.drawn.clear();
+            self.size = size;
+            self.taken = taken;
+        }
+        let (out, drawn) = difference(&self.drawn, &lines, self.colour, self.ascii);
+        self.drawn = drawn;
+        if out.is_empty() || tty::is_closed() {
+            return Ok(());
+        }
+        tty::write(out.as_bytes())
+    }
+}
+
+/// What a terminal has to be told, to show these lines in place of those.
+fn difference(
+    drawn: &[String],
+    lines: &[Line],
+    colour: bool,
+    ascii: bool,
+) -> (String, Vec<String>) {
+    let mut out = String::new();
+    if drawn.is_empty() {
+        out.push_str("\x1b[0m\x1b[2J");
+    }
+    let lines: Vec<String> = lines
+        .iter()
+        .map(|line| line.encoded(colour, ascii))
+        .collect();
+    for (nth, line) in lines.iter().enumerate() {
+        if drawn.get(nth) != Some(line) {
+            out.push_str(&format!("\x1b[{};1H\x1b[2K{line}", nth + 1));
+        }
+    }
+    (out, lines)
+}

@@ -1,0 +1,102 @@
+//! Where a show is seen and its operator heard: the live view, or lines and single keys.
+
+use std::time::{Duration, SystemTime};
+
+use tracing::warn;
+use ztl_std::script::event::{Event, Stamped};
+use ztl_std::script::{Inputs, Script};
+
+use super::plain::Plain;
+use super::{LOG, no_keyboard};
+use crate::key_name::{self, Pressed};
+use crate::keyboard::Keyboard;
+#[cfg(unix)]
+use crate::live::{self, Live};
+
+/// Whether there is a terminal for the live view.
+pub(super) fn can_be_live() -> bool {
+    #[cfg(unix)]
+    return live::tty::is_there();
+    #[cfg(not(unix))]
+    false
+}
+
+pub(super) enum Stage<'s> {
+    #[cfg(unix)]
+    Live(Live),
+    Plain(Box<Plain<'s>>, Option<Keyboard>),
+}
+
+impl<'s> Stage<'s> {
+    /// Takes the terminal; `unattended`: nobody presses keys on lines.
+    ///
+    /// # Errors
+    /// When there is no terminal to read keys from.
+    pub(super) fn open(
+        script: &'s Script,
+        inputs: Inputs,
+        live: bool,
+        unattended: bool,
+    ) -> Result<Self, Box<dyn std::error::Error>> {
+        #[cfg(unix)]
+        if live {
+            return Ok(Self::Live(Live::open(move || inputs.wake())?));
+        }
+        #[cfg(not(unix))]
+        let _ = live;
+        let keyboard = match unattended {
+            true => None,
+            false => Some(Keyboard::open(move || inputs.wake()).map_err(no_keyboard)?),
+        };
+        Ok(Self::Plain(Box::new(Plain::new(script)), keyboard))
+    }
+
+    /// The next key that was pressed, if any was.
+    pub(super) fn pressed(&self) -> Option<Pressed> {
+        match self {
+            #[cfg(unix)]
+            Self::Live(live) => live.pressed(),
+            Self::Plain(plain, keyboard) => {
+                let key = keyboard.as_ref()?.next()?;
+                Some(Pressed {
+                    command: plain.meaning(&key),
+                    // A lone ESC has nothing after it.
+                    key: key_name::first(&key.bytes).map_or("Esc".to_owned(), |(name, _)| name),
+                })
+            }
+        }
+    }
+
+    /// Something has happened.
+    pub(super) fn tell(&mut self, event: &Stamped) {
+        match self {
+            #[cfg(unix)]
+            Self::Live(live) => live.handle(event),
+            Self::Plain(plain, keyboard) => plain.tell(&event.event, keyboard.as_ref()),
+        }
+    }
+
+    /// Something that is no part of the run.
+    pub(super) fn warn(&mut self, at: Duration, text: &str) {
+        match self {
+            #[cfg(unix)]
+            Self::Live(live) => live.handle(&Stamped {
+                at,
+                wall: SystemTime::now(),
+                event: Event::Note {
+                    text: text.to_owned(),
+                },
+            }),
+            Self::Plain(..) => warn!(target: LOG, "{text}"),
+        }
+    }
+
+    /// The show is over: the terminal is as it was before.
+    pub(super) fn close(self) {
+        match self {
+            #[cfg(unix)]
+            Self::Live(live) => live.close(),
+            Self::Plain(..) => {}
+        }
+    }
+}
