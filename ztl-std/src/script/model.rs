@@ -250,7 +250,7 @@ impl Script {
 impl Scene {
     fn outline(&self) -> SceneOutline {
         SceneOutline {
-            name: self.name.clone(),
+            name: self.name.trim().to_owned(),
             delay: self.delay,
             steps: self.steps.iter().map(Step::outline).collect(),
         }
@@ -272,7 +272,7 @@ impl Step {
             })
         });
         StepOutline {
-            name: self.name.clone(),
+            name: self.name.trim().to_owned(),
             delay: self.delay,
             wait: self.wait,
             parallel: self.parallel,

@@ -1,9 +1,10 @@
 //! The screen, as a function of what is known: no terminal, no clock.
 
+use std::collections::BTreeMap;
 use std::time::Duration;
 
 use ztl_std::script::event::{
-    Outcome, Question, SceneOutline, ServerState, StepOutline, TaskState, Why,
+    Outcome, Question, SceneOutline, ServerState, StepOutline, TaskOutline, TaskState, Why,
 };
 
 use super::board::{Board, Look, Played, Server, Step, Task};
@@ -34,9 +35,10 @@ pub(super) fn draw(
     let background = take(background(board, now, width, most), 4);
     let rule = take(vec![rule(width)], 6);
     let body = match chooser {
-        Some(chooser) => window(scene_list(board, chooser, width), left, width),
-        None => window(body(board, now, width), left, width),
+        Some(chooser) => scene_list(board, chooser),
+        None => body(board),
     };
+    let body = window(board, &body, now, left, width);
     let mut lines = title;
     lines.extend(servers);
     lines.extend(body);
@@ -133,68 +135,81 @@ fn server_words(server: &Server, now: Duration) -> (Style, String) {
     }
 }
 
-/// Lines of which a part is shown, around the one that matters.
-struct Body {
-    lines: Vec<Line>,
+/// A line of what is shown in the middle.
+enum Row<'a> {
+    Scene(usize, &'a SceneOutline),
+    /// To choose among.
+    Choice(usize, &'a SceneOutline),
+    Step(&'a StepOutline, Option<&'a Step>),
+    Planned(&'a TaskOutline),
+    Task(&'a Task),
+}
+
+/// Rows of which a part is shown, around the one that matters. Only what is shown is made into lines:
+/// a scene may have thousands.
+struct Body<'a> {
+    rows: Vec<Row<'a>>,
     focus: usize,
 }
 
-fn window(body: Body, height: usize, width: usize) -> Vec<Line> {
-    let count = body.lines.len();
-    if count <= height {
-        return body.lines;
-    }
+fn window(board: &Board, body: &Body<'_>, now: Duration, height: usize, width: usize) -> Vec<Line> {
+    let count = body.rows.len();
     // A third of what can be seen lies above the line that matters.
-    let from = body.focus.saturating_sub(height / 3).min(count - height);
+    let from = body.focus.saturating_sub(height / 3);
+    let from = from.min(count.saturating_sub(height));
     let to = from + height;
-    let mut shown: Vec<Line> = body.lines.into_iter().skip(from).take(height).collect();
     let more = |sign: char, lines: usize| {
         Line::new(width).and(Style::Soft, &format!(" {sign} {lines} more lines"))
     };
-    // Never in place of the line that matters.
-    if from > 0
-        && body.focus > from
-        && height > 2
-        && let Some(first) = shown.first_mut()
-    {
-        *first = more('↑', from + 1);
-    }
-    if to < count
-        && body.focus + 1 < to
-        && height > 2
-        && let Some(last) = shown.last_mut()
-    {
-        *last = more('↓', count - to + 1);
-    }
-    shown
+    let rows = body.rows.iter().enumerate().skip(from).take(height);
+    // What tells of more is never in place of the line that matters.
+    let lines = rows.map(|(nth, row)| match nth {
+        _ if nth == body.focus || height <= 2 => line(board, row, body.focus == nth, now, width),
+        _ if nth == from && from > 0 => more('↑', from + 1),
+        _ if nth + 1 == to && to < count => more('↓', count - to + 1),
+        _ => line(board, row, false, now, width),
+    });
+    lines.collect()
 }
 
-fn scene_list(board: &Board, chooser: Chooser, width: usize) -> Body {
+fn line(board: &Board, row: &Row<'_>, focus: bool, now: Duration, width: usize) -> Line {
+    match *row {
+        Row::Scene(nth, scene) => scene_line(board, nth, scene, now, width),
+        Row::Choice(nth, scene) => {
+            let (style, sign) = if focus {
+                (Style::Bar, '▶')
+            } else {
+                (Style::Plain, ' ')
+            };
+            let text = format!(" {sign} {:>2}  {} ", nth + 1, scene.name);
+            Line::new(width).and(style, &text)
+        }
+        Row::Step(step, shown) => step_line(step, shown, now, width),
+        Row::Planned(task) => {
+            let text = format!("{} [{}] -> {}", task.handler, task.component, task.goal);
+            Line::new(width).and(Style::Soft, &format!("         {text}"))
+        }
+        Row::Task(task) => task_line(task, 6, now, width),
+    }
+}
+
+fn scene_list(board: &Board, chooser: Chooser) -> Body<'_> {
     let scenes = board.outline.scenes.iter().enumerate();
-    let lines = scenes.map(|(nth, scene)| {
-        let style = if nth == chooser.cursor {
-            Style::Bar
-        } else {
-            Style::Plain
-        };
-        let sign = if nth == chooser.cursor { '▶' } else { ' ' };
-        Line::new(width).and(style, &format!(" {sign} {:>2}  {} ", nth + 1, scene.name))
-    });
     Body {
-        lines: lines.collect(),
+        rows: scenes.map(|(nth, scene)| Row::Choice(nth, scene)).collect(),
         focus: chooser.cursor,
     }
 }
 
-fn body(board: &Board, now: Duration, width: usize) -> Body {
-    let mut lines = Vec::new();
+fn body(board: &Board) -> Body<'_> {
+    let mut rows = Vec::new();
     let mut focus = 0;
     for (nth, scene) in board.outline.scenes.iter().enumerate() {
         let here = board.scene == Some(nth);
         if here {
-            focus = lines.len();
+            focus = rows.len();
         }
-        lines.push(scene_line(board, nth, scene, now, width));
+        rows.push(Row::Scene(nth, scene));
         if !here {
             continue;
         }
@@ -203,43 +218,43 @@ fn body(board: &Board, now: Duration, width: usize) -> Body {
             .played
             .as_ref()
             .filter(|played| played.scene == nth && !asked);
+        let mut tasks = by_step(board, nth);
         for (index, step) in scene.steps.iter().enumerate() {
             let shown = played.and_then(|played| played.steps.get(index));
-            lines.push(step_line(step, shown, now, width));
-            match (played, shown) {
-                (Some(played), Some(shown)) => {
-                    let playing = shown.look == Look::Playing;
-                    if playing {
-                        focus = lines.len() - 1;
-                    }
-                    let tasks = step_tasks(board, played, index, shown);
-                    for task in tasks {
-                        lines.push(task_line(task, 6, now, width));
-                        if playing && task.state != TaskState::Completed {
-                            focus = focus.max(lines.len() - 1);
-                        }
-                    }
+            rows.push(Row::Step(step, shown));
+            let Some(shown) = shown else {
+                rows.extend(step.tasks.iter().map(Row::Planned));
+                continue;
+            };
+            let playing = shown.look == Look::Playing;
+            if playing {
+                focus = rows.len() - 1;
+            }
+            for task in tasks.remove(&index).unwrap_or_default() {
+                // Those that run on when their step is over are shown in the background.
+                if playing || task.state.is_over() {
+                    rows.push(Row::Task(task));
                 }
-                _ => lines.extend(step.tasks.iter().map(|task| {
-                    let text = format!("{} [{}] -> {}", task.handler, task.component, task.goal);
-                    let mut line = Line::new(width).and(Style::Soft, "         ");
-                    line.put(Style::Soft, &text);
-                    line
-                })),
+                if playing && task.state != TaskState::Completed {
+                    focus = rows.len() - 1;
+                }
             }
         }
     }
-    Body { lines, focus }
+    Body { rows, focus }
 }
 
-/// The tasks of a step; those that run on when it is over are shown in the background.
-fn step_tasks<'a>(board: &'a Board, played: &Played, index: usize, step: &Step) -> Vec<&'a Task> {
-    let mine = board
+/// The tasks of the scene that is played, by their steps.
+fn by_step(board: &Board, scene: usize) -> BTreeMap<usize, Vec<&Task>> {
+    let mut steps: BTreeMap<usize, Vec<&Task>> = BTreeMap::new();
+    for task in board
         .tasks
         .values()
-        .filter(|task| task.current && task.scene == played.scene && task.step == index);
-    let shown = mine.filter(|task| step.look == Look::Playing || task.state.is_over());
-    shown.collect()
+        .filter(|task| task.current && task.scene == scene)
+    {
+        steps.entry(task.step).or_default().push(task);
+    }
+    steps
 }
 
 fn sign(look: Look) -> (Style, &'static str) {

@@ -275,7 +275,7 @@ impl RunScript {
             sha256: sha256(script.document().text().as_bytes()),
             config: path.exists().then(|| path.display().to_string()),
             options,
-            versions: vec![("ztl".to_owned(), env!("CARGO_PKG_VERSION").to_owned())],
+            versions: versions(),
             remotes: script.remotes().into_iter().map(outline).collect(),
             outline: script.outline(),
         }
@@ -304,6 +304,18 @@ fn no_keyboard(error: std::io::Error) -> String {
     );
     error!(target: LOG, "({code}, '{text}')");
     "stdin is no terminal, so nobody can be asked; use --yes to play without asking".to_owned()
+}
+
+/// What may matter when a run is looked at long afterwards.
+fn versions() -> Vec<(String, String)> {
+    use std::env::consts::{ARCH, OS};
+    let (major, minor, patch) = zmq::version();
+    let version = |name: &str, version: String| (name.to_owned(), version);
+    vec![
+        version("ztl", env!("CARGO_PKG_VERSION").to_owned()),
+        version("libzmq", format!("{major}.{minor}.{patch}")),
+        version("system", format!("{OS} {ARCH}")),
+    ]
 }
 
 /// Connects to servers when they are first used.
