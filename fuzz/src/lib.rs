@@ -14,6 +14,7 @@ pub mod link;
 pub mod message;
 mod script;
 pub mod spec;
+pub mod zmtp;
 
 /// The gateway's end of the link. Compiled here from its source, which needs nothing else of
 /// `ztl-std`, and so no ZeroMQ.

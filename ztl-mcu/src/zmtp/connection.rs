@@ -283,7 +283,7 @@ impl<S: Socket, B: AsRef<[u8]> + AsMut<[u8]>> Connection<S, B> {
             self.deadline = match self.ttl {
                 0 => Instant::NEVER,
                 ttl => {
-                    let ttl = u64::from(u32::from(ttl) * 100_000);
+                    let ttl = u64::from(ttl) * 100_000;
                     Instant::from_micros(now.as_micros().saturating_add(ttl))
                 }
             };

@@ -260,6 +260,13 @@ fn after_the_time_to_live_that_a_peer_asked_for_it_is_given_up() {
     assert!(server.is_open());
     server.handle_timeout(NOW + Duration::from_millis(900));
     assert_eq!(server.fault(), Some(Fault::Silent));
+    // The longest is 109 minutes.
+    let mut server = met("REQ");
+    server.talk(Pieces::Whole, &command("PING", b"\xFF\xFF"));
+    assert_eq!(
+        server.poll_timeout(),
+        NOW + Duration::from_millis(6_553_500)
+    );
     // It may take that back.
     let mut server = met("REQ");
     server.talk(Pieces::Whole, &command("PING", b"\0\x05"));

@@ -1,0 +1,313 @@
+//! ZMTP, from the first byte of a greeting on: any stream into a server, into a serial line, and into both sides of
+//! a connection. Whatever came, what a server says is ZMTP, all is taken in time, and a good client is served
+//! afterwards.
+
+use std::time::Duration;
+
+use embedded_io::{ErrorType, Read, ReadReady, Write};
+use ztl_mcu::link::{Busy, GoalShape, Loss, Offer};
+use ztl_mcu::zmtp::{Connection, Dealer, Line, Peer, Rep, Req, Server, Socket};
+use ztl_mcu::{Component, Identity, Instant, Refused, Report, Run};
+
+/// With this number the first task has the id 1, as in `docs/zmtp.md`.
+const BOOT: u32 = 0x3A2C_BD44;
+
+/// Longest time for which an answer is held.
+const HELD: Duration = Duration::from_secs(2);
+
+/// Takes any goal, and a second for it.
+#[derive(Default)]
+struct Motor {
+    ends: Instant,
+    aborted: bool,
+}
+
+impl Component for Motor {
+    fn offer(&self) -> Offer<'_> {
+        let goal = GoalShape {
+            range: None,
+            unit: "",
+            words: "any",
+        };
+        Offer {
+            name: "motor",
+            goal,
+            busy: Busy::Queue(1),
+            loss: Loss::Abort,
+            topics: "",
+        }
+    }
+
+    fn check(&self, goal: &str, why: &mut Report<'_>) -> Result<(), Refused> {
+        if goal.is_empty() {
+            why.text("motor takes a goal");
+            return Err(Refused);
+        }
+        Ok(())
+    }
+
+    fn start(&mut self, now: Instant, _goal: &str, _: &mut Report<'_>) -> Result<(), Refused> {
+        self.ends = now + Duration::from_secs(1);
+        self.aborted = false;
+        Ok(())
+    }
+
+    fn poll(&mut self, now: Instant, report: &mut Report<'_>) -> Run {
+        report.text("on its way");
+        if self.aborted {
+            return Run::Aborted;
+        }
+        if now < self.ends {
+            return Run::Running;
+        }
+        Run::Completed
+    }
+
+    fn abort(&mut self, _now: Instant) {
+        self.aborted = true;
+    }
+
+    fn make_safe(&mut self, _now: Instant) {}
+}
+
+type Desk = Server<'static, [Motor; 1], 2, 3, 256, 2>;
+
+fn desk() -> Desk {
+    Server::new("/lab", Identity::new("desk", "1", BOOT), [Motor::default()])
+}
+
+/// Any stream.
+pub fn zmtp(stream: &[u8]) {
+    let (whole, lives) = serve(stream, stream.len().max(1));
+    let (single, lives_too) = serve(stream, 1);
+    assert_eq!(lives, lives_too, "it matters how the bytes arrive");
+    for (whole, single) in whole.iter().zip(single) {
+        // What was not sent yet is dropped with a connection.
+        assert!(single.starts_with(whole), "it matters how the bytes arrive");
+        assert!(
+            !lives || *whole == single,
+            "it matters how the bytes arrive"
+        );
+    }
+    line(stream);
+    connection::<Rep>(stream);
+    connection::<Req>(stream);
+    connection::<Dealer>(stream);
+}
+
+/// A server's first client sends the stream in pieces; all that it hears, and whether it is still connected.
+fn serve(stream: &[u8], piece: usize) -> ([Vec<u8>; 2], bool) {
+    let mut desk = desk();
+    let mut now = Instant::ZERO;
+    desk.open(now, Peer(0));
+    let mut heard = drain(&mut desk, Peer(0));
+    for piece in stream.chunks(piece) {
+        let mut rest = piece;
+        while !rest.is_empty() {
+            let taken = desk.handle_bytes(now, Peer(0), rest);
+            let said = drain(&mut desk, Peer(0));
+            if taken == 0 && said.is_empty() {
+                // An answer is held, and nothing else: it comes in time.
+                now = now + HELD;
+                desk.handle_timeout(now);
+                let held = drain(&mut desk, Peer(0));
+                assert!(!held.is_empty() || !desk.is_open(Peer(0)), "it hangs");
+                heard.extend(held);
+            }
+            heard.extend(said);
+            rest = &rest[taken..];
+        }
+    }
+    desk.handle_timeout(now + HELD);
+    heard.extend(drain(&mut desk, Peer(0)));
+    let heard = parts(&heard);
+    let lives = desk.is_open(Peer(0));
+
+    // Beside it and in its place a good client is served.
+    assert_serves(&mut desk, Peer(1), now + HELD);
+    assert_serves(&mut desk, Peer(0), now + HELD);
+    (heard, lives)
+}
+
+fn drain(desk: &mut Desk, peer: Peer) -> Vec<u8> {
+    let mut heard = Vec::new();
+    loop {
+        let pending = desk.transmit_buf(peer);
+        let count = pending.len().min(50);
+        heard.extend(&pending[..count]);
+        if count == 0 {
+            return heard;
+        }
+        desk.consume(peer, count);
+    }
+}
+
+/// What a server says is a greeting and frames, by a second and plainer reading: messages, and apart from them
+/// commands, which may overtake.
+fn parts(heard: &[u8]) -> [Vec<u8>; 2] {
+    let (mut messages, mut commands) = (Vec::new(), Vec::new());
+    const BEGIN: &[u8] = b"\xFF\0\0\0\0\0\0\0\x01\x7F\x03";
+    let mut rest = heard.strip_prefix(BEGIN).expect("a partial greeting");
+    rest = match rest {
+        [] => return [messages, commands],
+        // ZMTP 2.0: REP, and no identity.
+        [4, 0, 0, rest @ ..] => rest,
+        [1, b'N', b'U', b'L', b'L', ..] => &rest[53..],
+        other => panic!("no greeting: {other:?}"),
+    };
+    let mut more = false;
+    while let [flags, rest_of_it @ ..] = rest {
+        assert!(*flags < 5, "flags {flags}");
+        let (size, body) = match flags & 2 {
+            0 => (usize::from(rest_of_it[0]), &rest_of_it[1..]),
+            _ => {
+                let (size, body) = rest_of_it.split_first_chunk::<8>().expect("a size");
+                (u64::from_be_bytes(*size) as usize, body)
+            }
+        };
+        assert_eq!(
+            flags & 2 != 0,
+            size > 255,
+            "a size in as few bytes as it needs"
+        );
+        assert!(size <= body.len(), "a frame is cut");
+        if *flags == 4 {
+            assert!(!more, "a command within a message");
+        } else {
+            if flags & 1 == 0 {
+                let text = std::str::from_utf8(&body[..size]).expect("a text");
+                assert!(text.splitn(4, ';').count() == 4, "no answer: {text}");
+            }
+            more = flags & 1 != 0;
+        }
+        let frame = rest.len() - body.len() + size;
+        let kind = if *flags == 4 {
+            &mut commands
+        } else {
+            &mut messages
+        };
+        kind.extend(&rest[..frame]);
+        rest = &rest[frame..];
+    }
+    assert!(!more, "a message is cut");
+    [messages, commands]
+}
+
+/// What a good client says before its first question.
+fn greeting() -> Vec<u8> {
+    let mut bytes = b"\xFF\0\0\0\0\0\0\0\x01\x7F\x03\x01NULL".to_vec();
+    bytes.resize(64, 0);
+    bytes.extend(b"\x04\x19\x05READY\x0BSocket-Type\0\0\0\x03REQ");
+    bytes
+}
+
+const QUESTION: &[u8] = b"\x01\0\0\x13/lab;2;4294967295;x";
+const ANSWER: &[u8] = b"\x01\0\0\x29/lab;2;4294967295;Invalid ID '4294967295'";
+
+fn assert_serves(desk: &mut Desk, peer: Peer, now: Instant) {
+    desk.open(now, peer);
+    desk.handle_bytes(now, peer, &greeting());
+    let hello = drain(desk, peer);
+    assert!(hello.ends_with(b"REP"), "{hello:?}");
+    desk.handle_bytes(now, peer, QUESTION);
+    assert_eq!(drain(desk, peer), ANSWER);
+}
+
+struct Port<'s> {
+    received: &'s [u8],
+    sent: Vec<u8>,
+}
+
+impl ErrorType for Port<'_> {
+    type Error = std::convert::Infallible;
+}
+
+impl Read for Port<'_> {
+    fn read(&mut self, buffer: &mut [u8]) -> Result<usize, Self::Error> {
+        // As many as come, as a serial port has them.
+        let count = buffer.len().min(self.received.len()).min(7);
+        buffer[..count].copy_from_slice(&self.received[..count]);
+        self.received = &self.received[count..];
+        Ok(count)
+    }
+}
+
+impl ReadReady for Port<'_> {
+    fn read_ready(&mut self) -> Result<bool, Self::Error> {
+        Ok(!self.received.is_empty())
+    }
+}
+
+impl Write for Port<'_> {
+    fn write(&mut self, bytes: &[u8]) -> Result<usize, Self::Error> {
+        self.sent.extend(bytes);
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> Result<(), Self::Error> {
+        Ok(())
+    }
+}
+
+/// A serial port brings the stream, and then a good client, without a sign between them.
+fn line(stream: &[u8]) {
+    let mut desk = desk();
+    let mut line = Line::new();
+    let mut now = Instant::ZERO;
+    let good = [&greeting(), QUESTION].concat();
+    let mut bring = |bytes: &[u8]| {
+        let mut sent = Vec::new();
+        let mut port = Port {
+            received: bytes,
+            sent: Vec::new(),
+        };
+        // Long enough for answers that are held, however many there are.
+        for _ in 0..bytes.len() + 20 {
+            let mut out = Port {
+                received: &[],
+                sent: Vec::new(),
+            };
+            line.turn(&mut desk, &mut port, &mut out, now)
+                .expect("the port never fails");
+            sent.extend(out.sent);
+            now = now + HELD;
+        }
+        sent
+    };
+    let before = bring(stream);
+    assert!(before.is_empty() || before.starts_with(b"\xFF"));
+    assert!(bring(&good).ends_with(ANSWER));
+}
+
+/// Either side of a connection takes all of it, whatever is done with its messages.
+fn connection<S: Socket>(stream: &[u8]) {
+    let mut connection = Connection::<S, _>::new([0xA5; 128]);
+    connection.open(Instant::ZERO);
+    let mut rest = stream;
+    let mut turn = 0;
+    while !rest.is_empty() {
+        let taken = connection.handle_bytes(Instant::ZERO, rest);
+        rest = &rest[taken..];
+        let mut moved = taken > 0;
+        if let Some(message) = connection.message() {
+            assert!(message.envelope.map(<[u8]>::len).sum::<usize>() < 128);
+            moved = true;
+            match turn % 3 {
+                0 => connection.discard(),
+                1 => connection.hold(),
+                _ => {}
+            }
+            connection.reply(&mut |sink| sink.put(b"an answer"));
+        }
+        turn += 1;
+        while let Some(count) = Some(connection.transmit_buf().len()).filter(|count| *count > 0) {
+            connection.consume(count.min(9));
+            moved = true;
+        }
+        assert!(moved, "it hangs");
+    }
+    if connection.is_ready() && connection.request(&[b"me"], &mut |sink| sink.put(b"what?")) {
+        assert_eq!(connection.transmit_buf(), b"\x01\x02me\x01\0\0\x05what?");
+    }
+    connection.handle_timeout(Instant::NEVER);
+}
