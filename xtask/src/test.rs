@@ -46,6 +46,7 @@ const STEPS: &[Step] = &[
                 fuzz::MANIFEST,
                 firmware::MANIFEST,
                 "tests/log-device/Cargo.toml",
+                capi::NODE,
             ] {
                 Cmd::new("cargo fmt --all --check --manifest-path")
                     .arg(apart)
@@ -57,7 +58,7 @@ const STEPS: &[Step] = &[
     Step {
         name: "clippy",
         about: "no lint fires, in the workspace and in each no_std crate alone",
-        run: |_| clippy(),
+        run: clippy,
     },
     Step {
         name: "doc",
@@ -208,8 +209,14 @@ fn seconds(time: Duration) -> String {
     format!("{:.1} s", time.as_secs_f64())
 }
 
-fn clippy() -> Outcome {
+fn clippy(dirs: &Dirs) -> Outcome {
     Cmd::new("cargo clippy --workspace --all-targets --locked -- -D warnings").run()?;
+    Cmd::new("cargo clippy --locked --target-dir")
+        .arg(dirs.target.join("node"))
+        .arg("--manifest-path")
+        .arg(capi::NODE)
+        .args("-- -D warnings")
+        .run()?;
     for package in BARE_CRATES {
         for features in FEATURES {
             Cmd::new("cargo clippy --locked --package")

@@ -54,6 +54,12 @@ const NEEDS: &[Need] = &[
         packages: &["valgrind", "pkg-config"],
     },
     Need {
+        what: "`arm-none-eabi-gcc`, for firmware in C",
+        check: || Cmd::new("arm-none-eabi-gcc --version"),
+        component: None,
+        packages: &["gcc-arm-none-eabi"],
+    },
+    Need {
         what: "`node`, for the client in JavaScript",
         check: || Cmd::new("node --eval").arg("console.log('Node', process.version)"),
         component: None,

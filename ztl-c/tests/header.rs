@@ -41,3 +41,8 @@ fn assert_is_made_of(package: &str, header: &str) {
 fn the_header_is_what_the_code_says() {
     assert_is_made_of("ztl-c", "ztl.h");
 }
+
+#[test]
+fn the_nodes_header_is_what_the_code_says() {
+    assert_is_made_of("ztl-node-c", "ztl_node.h");
+}

@@ -32,24 +32,32 @@ impl Build {
     /// An example by its name, ready to be started.
     #[track_caller]
     pub(crate) fn example(self, name: &str) -> Command {
-        self.program(&root().join("examples/c").join(name))
+        self.program(&[root().join("examples/c").join(name)], "ztl")
     }
 
     /// A program of these tests by its name, ready to be started.
     #[track_caller]
     pub(crate) fn test(self, name: &str) -> Command {
-        self.program(&root().join("ztl-c/tests/c").join(name))
+        self.program(&[root().join("ztl-c/tests/c").join(name)], "ztl")
+    }
+
+    /// A program that is a node, of these sources in one directory, ready to be started.
+    #[track_caller]
+    pub(crate) fn node(self, directory: &str, names: &[&str]) -> Command {
+        let source = |name| root().join(directory).join(name);
+        let sources: Vec<PathBuf> = names.iter().map(source).collect();
+        self.program(&sources, "ztl_node")
     }
 
     #[track_caller]
-    fn program(self, source: &Path) -> Command {
+    fn program(self, sources: &[PathBuf], library: &str) -> Command {
         static NEXT: AtomicU32 = AtomicU32::new(0);
         let number = NEXT.fetch_add(1, Ordering::Relaxed);
         let name = format!("{}-{number}", std::process::id());
         let program = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
-        let is_cpp = source
-            .extension()
-            .is_some_and(|extension| extension == "cpp");
+        let is_cpp = sources
+            .iter()
+            .any(|source| source.extension().is_some_and(|end| end == "cpp"));
         let mut compiler = match self {
             _ if is_cpp => Command::new("g++"),
             Self::Cpp98 => Command::new("g++"),
@@ -64,16 +72,17 @@ impl Build {
         if self == Self::Sanitized {
             compiler.args(["-fsanitize=address,undefined", "-fno-sanitize-recover"]);
         }
-        let place = library();
+        let place = self::library();
         compiler.arg("-I").arg(place.join("include"));
-        compiler.arg("-o").arg(&program).arg(source);
+        compiler.arg("-o").arg(&program).args(sources);
         let lib = place.join("lib");
         if self == Self::Shared {
-            compiler.arg("-L").arg(&lib).arg("-lztl");
+            compiler.arg("-L").arg(&lib).arg(format!("-l{library}"));
             compiler.arg(format!("-Wl,-rpath,{}", lib.display()));
         } else {
             // Not as a source of the language that `-x` tells.
-            compiler.args(["-x", "none"]).arg(lib.join("libztl.a"));
+            let archive = lib.join(format!("lib{library}.a"));
+            compiler.args(["-x", "none"]).arg(archive);
         }
         compiler.args(["-lpthread", "-ldl", "-lm", "-lrt"]);
         let ended = Process::start(&mut compiler).end(PATIENCE);

@@ -11,6 +11,7 @@
 mod ask;
 mod build;
 mod misuse;
+mod node;
 mod serve;
 mod symbols;
 
@@ -55,6 +56,29 @@ macro_rules! ways {
             }
         })+
     };
+}
+
+/// Each test of a node in each way; there is no shared library.
+macro_rules! node_ways {
+    ($($module:ident: $build:expr),+) => {
+        $(mod $module {
+            use super::Build;
+
+            #[test]
+            fn firmware_on_the_desk_serves_the_originals_client() {
+                crate::node::on_the_desk($build);
+            }
+
+            #[test]
+            fn no_misuse_of_a_node_goes_unsaid_and_noise_changes_nothing() {
+                crate::node::misused($build);
+            }
+        })+
+    };
+}
+
+node_ways! {
+    node_c89: Build::C89, node_cpp98: Build::Cpp98, node_sanitized: Build::Sanitized, node_valgrind: Build::Valgrind
 }
 
 ways! {

@@ -99,7 +99,7 @@
 //! Then `ztl task-client … desk:slide:home`, `desk:slide:120.5`, `desk:lamp:'pulse 500'`.
 
 mod input;
-mod number;
+pub mod number;
 mod output;
 mod profile;
 mod servo;

@@ -8,7 +8,7 @@ use crate::component::Report;
 /// too great.
 ///
 /// It takes what [`ztl_core::goal`] takes for a float in decimal digits without `_`.
-pub(super) fn parse(text: &str, decimals: u8) -> Option<i32> {
+pub fn parse(text: &str, decimals: u8) -> Option<i32> {
     let (negative, mut rest) = sign(text.trim_ascii().as_bytes());
     let (mut value, mut exponent) = (0u32, i32::from(decimals));
     let (mut count, mut whole, mut point, mut zero) = (0u32, true, false, false);
@@ -79,7 +79,7 @@ fn power(text: &[u8]) -> Option<i32> {
 }
 
 /// Adds `value` with the point before its last `decimals` digits.
-pub(super) fn report(report: &mut Report<'_>, value: i32, decimals: u8) {
+pub fn report(report: &mut Report<'_>, value: i32, decimals: u8) {
     if value < 0 {
         report.text("-");
     }

@@ -1,0 +1,117 @@
+//! Joins all that a library needs into one object, and hides all of it but what its header declares.
+
+use std::ffi::OsString;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use crate::cmd::{Cmd, Outcome};
+
+/// What rustc leaves in its standard library for optimising it once more; a linker of another LLVM
+/// stumbles over it.
+const BITCODE: &str = "--remove-section .llvmbc --remove-section .llvmcmd";
+
+/// GNU's tools for a processor.
+pub(super) struct Tools {
+    /// Before the name of each.
+    pub(super) prefix: &'static str,
+    /// For the linker.
+    pub(super) emulation: &'static str,
+}
+
+impl Tools {
+    /// This machine's.
+    pub(super) const HOST: Self = Self {
+        prefix: "",
+        emulation: "",
+    };
+
+    fn command(&self, name: &str) -> Cmd {
+        Cmd::program(format!("{}{name}", self.prefix))
+    }
+}
+
+/// Makes a static library of all that the header's functions need of these archives, and puts the header into
+/// `include/` beside its directory. Also gives the one object that is in it.
+pub(super) fn join(
+    tools: &Tools,
+    header: &str,
+    archives: &[PathBuf],
+    library: &Path,
+) -> Outcome<PathBuf> {
+    let failed = |error| format!("cannot write {}: {error}", library.display());
+    let lib = library.parent().ok_or("a library lies in a directory")?;
+    let include = lib.with_file_name("include");
+    for directory in [lib, &include] {
+        fs::create_dir_all(directory).map_err(failed)?;
+    }
+    let text = fs::read_to_string(header).map_err(|error| format!("{header}: {error}"))?;
+    let name = Path::new(header).file_name().unwrap_or_default();
+    fs::write(include.join(name), &text).map_err(failed)?;
+    let symbols = functions(&text);
+    let [listed, all, weak, object] =
+        ["symbols", "all.o", "weak.o", "o"].map(|end| library.with_extension(end));
+    fs::write(&listed, symbols.join("\n") + "\n").map_err(failed)?;
+
+    // No group either, whose place another program's C++ could take.
+    let mut link = tools
+        .command("ld")
+        .args("-r --force-group-allocation --gc-sections")
+        .args(tools.emulation);
+    for symbol in &symbols {
+        link = link.arg("-u").arg(symbol);
+    }
+    link = link.arg("-o").arg(&all);
+    for archive in archives {
+        link = link.arg(archive);
+    }
+    link.run()?;
+    // C++ marks some names as the only ones in the whole process; that is taken from them first.
+    tools
+        .command("objcopy")
+        .args("--strip-debug --wildcard --weaken-symbol _Z*")
+        .args(BITCODE)
+        .arg(&all)
+        .arg(&weak)
+        .run()?;
+    let mut keep = OsString::from("--keep-global-symbols=");
+    keep.push(&listed);
+    let hide = tools.command("objcopy").arg(keep);
+    hide.arg(&weak).arg(&object).run()?;
+    // `ar` would add to an older one.
+    let _ = fs::remove_file(library);
+    tools
+        .command("ar")
+        .arg("crs")
+        .arg(library)
+        .arg(&object)
+        .run()?;
+    for done in [listed, all, weak] {
+        fs::remove_file(done).map_err(failed)?;
+    }
+    Ok(object)
+}
+
+/// The names of the functions that a header declares.
+fn functions(header: &str) -> Vec<&str> {
+    let is_name = |c: char| c.is_ascii_lowercase() || c == '_';
+    // Comments stand in lines that begin with a blank; a declaration's first line does not.
+    let lines = header.lines();
+    let lines = lines.filter(|line| !line.starts_with([' ', '#', '/']));
+    let names = lines.filter_map(|line| {
+        let (before, _) = line.split_once('(')?;
+        before.rsplit(|c| !is_name(c)).next()
+    });
+    names.filter(|name| name.starts_with("ztl_")).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn functions_are_told_from_types_and_comments() {
+        let header = "/**\n * See ztl_not(this).\n */\nint ztl_first(int a,\n              int b);\n\
+                      typedef void (*ztl_call)(void *context);\nconst char *ztl_second(void);\n";
+        assert_eq!(functions(header), ["ztl_first", "ztl_second"]);
+    }
+}

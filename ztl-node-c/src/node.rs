@@ -1,0 +1,349 @@
+//! A node in RAM of the firmware's.
+
+use core::ffi::{c_char, c_int, c_uchar, c_uint, c_void};
+use core::mem::{align_of, size_of};
+use core::ptr;
+use core::time::Duration;
+
+use ztl_mcu::{Identity, Instant};
+
+use crate::part::{Part, is_text, text};
+use crate::report::Report;
+use crate::{
+    ZTL_NODE_E_COUNT, ZTL_NODE_E_NULL, ZTL_NODE_E_RAM, ZTL_NODE_E_TEXT, ZTL_NODE_FRAME,
+    ZTL_NODE_OK, ZTL_NODE_TASKS,
+};
+
+/// Bytes of RAM of a node without its components, at most, on any machine: see ZTL_NODE_RAM.
+pub const ZTL_NODE_RAM_BASE: usize = 1280;
+
+/// Something that carries out one task at a time. The firmware keeps it, and what it points to, unchanged for as long as
+/// there is the node: best a `static const`. Its functions are called from within those of the node, and must
+/// return soon: each is called between two bytes of the line.
+#[repr(C)]
+pub struct Component {
+    /// As a client writes it. Not NULL.
+    pub name: *const c_char,
+    /// Words that it takes as goals, with blanks between them; NULL when none. Only told to people.
+    pub words: *const c_char,
+    /// Unit of the numbers that it takes; NULL when none. Only told to people.
+    pub unit: *const c_char,
+    /// Names under which it publishes readings, with blanks between them; NULL when none.
+    pub topics: *const c_char,
+    /// Smallest number that it takes; only told to people.
+    pub least: f32,
+    /// Greatest number that it takes; the same as `least` when it takes none.
+    pub most: f32,
+    /// What becomes of a second task: ZTL_NODE_REFUSE, ZTL_NODE_REPLACE, or how many may wait.
+    pub busy: c_int,
+    /// What it does without its link: one of ZTL_NODE_LOSS_....
+    pub loss: c_int,
+    /// How often `poll` is to be called, in milliseconds; 0 is 10.
+    pub poll_ms: c_uint,
+    /// Handed to each of the functions; the firmware's, may be NULL.
+    pub context: *mut c_void,
+    /// Whether it takes a goal: ZTL_NODE_TAKEN or ZTL_NODE_REFUSED; moves nothing. NULL takes every goal, which `start` may
+    /// still refuse. The goal is the library's, and lasts for the call.
+    pub check: Option<
+        unsafe extern "C" fn(context: *mut c_void, goal: *const c_char, why: *mut Report) -> c_int,
+    >,
+    /// Begins a task whose goal was checked, while none runs: ZTL_NODE_TAKEN or ZTL_NODE_REFUSED. Not NULL. The goal is the
+    /// library's, and lasts for the call.
+    pub start: Option<
+        unsafe extern "C" fn(
+            context: *mut c_void,
+            now_ms: c_uint,
+            goal: *const c_char,
+            why: *mut Report,
+        ) -> c_int,
+    >,
+    /// Moves the task on and reports: ZTL_NODE_RUNNING, or how it has ended. Not NULL.
+    pub poll: Option<
+        unsafe extern "C" fn(context: *mut c_void, now_ms: c_uint, report: *mut Report) -> c_int,
+    >,
+    /// Stops the task as soon as it is safe; a later `poll` says ZTL_NODE_ABORTED. Not NULL.
+    pub abort: Option<unsafe extern "C" fn(context: *mut c_void, now_ms: c_uint)>,
+    /// Goes to the safe state at once, whatever runs: the link was lost, or an emergency stop. A task that ran is over,
+    /// without another `poll`. Not NULL.
+    pub make_safe: Option<unsafe extern "C" fn(context: *mut c_void, now_ms: c_uint)>,
+    /// Writes the next reading, if one is due and fits, and which of the topics it is, from 0; says how many bytes it
+    /// wrote, 0 for none. NULL when it publishes nothing.
+    pub reading: Option<
+        unsafe extern "C" fn(
+            context: *mut c_void,
+            now_ms: c_uint,
+            topic: *mut c_uchar,
+            buffer: *mut c_uchar,
+            size: usize,
+        ) -> usize,
+    >,
+}
+
+/// Who a node is. Its texts stay the firmware's, unchanged for as long as there is the node.
+#[repr(C)]
+pub struct NodeIdentity {
+    /// What the device is called. Not NULL.
+    pub name: *const c_char,
+    /// Version of its firmware. Not NULL.
+    pub firmware: *const c_char,
+    /// Differs from boot to boot: random, or counted where a reset does not clear it.
+    pub boot: c_uint,
+    /// After how many milliseconds without a new command the node acts by itself, 50 to 60000; 0 is 1000.
+    pub link_timeout_ms: c_uint,
+}
+
+/// What a node has seen on its line since boot; the counts wrap.
+#[repr(C)]
+pub struct NodeCounters {
+    /// Frames whose check was right.
+    pub frames: c_uint,
+    /// Frames dropped: damaged, of another session, too long.
+    pub errors: c_uint,
+    /// Commands answered again without being executed again.
+    pub repeats: c_uint,
+    /// Commands out of sequence, dropped.
+    pub out_of_sequence: c_uint,
+}
+
+/// The node end of the link. One context calls its functions, best the main loop, and no interrupt: what an interrupt
+/// receives goes through a queue. Callbacks must not call them.
+pub struct Node {
+    inner: Inner,
+    /// The time that was told last, in milliseconds; more than the firmware's counter has bits for. `None` at first.
+    time: Option<u64>,
+}
+
+type Inner = ztl_mcu::Node<'static, &'static mut [Part], ZTL_NODE_TASKS, ZTL_NODE_FRAME>;
+
+/// Bytes that may be lost in finding the right address.
+const SLACK: usize = align_of::<Node>() - 1;
+
+const _: () = assert!(size_of::<Node>() + SLACK <= ZTL_NODE_RAM_BASE);
+// The parts follow the node.
+const _: () = assert!(align_of::<Node>() >= align_of::<Part>());
+const _: () = assert!(size_of::<Node>().is_multiple_of(align_of::<Part>()));
+
+impl Node {
+    /// The time of now: the counter may have wrapped, and is taken to stand still when it seems to have gone back.
+    fn now(&mut self, now_ms: c_uint) -> Instant {
+        let mut time = self.time.unwrap_or(now_ms.into());
+        let passed = now_ms.wrapping_sub(time as c_uint);
+        if passed <= c_uint::MAX / 2 {
+            time = time.saturating_add(passed.into());
+        }
+        self.time = Some(time);
+        Instant::from_millis(time)
+    }
+}
+
+/// How many bytes of RAM a node with so many components needs. ZTL_NODE_RAM says it, rounded up, to the compiler.
+#[unsafe(no_mangle)]
+pub extern "C" fn ztl_node_size(components: usize) -> usize {
+    let parts = components.saturating_mul(size_of::<Part>());
+    parts.saturating_add(size_of::<Node>() + SLACK)
+}
+
+/// Makes a node in RAM of the firmware's, which is the library's from now on, for as long as the node is used: there is
+/// nothing to free. The RAM may have any alignment. What else is given stays the firmware's, and unchanged; see there.
+/// Writes where the node is, NULL with any error: ZTL_NODE_E_NULL, _RAM, _TEXT, _COUNT, _POLICY.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ztl_node_init(
+    node: *mut *mut Node,
+    ram: *mut c_void,
+    size: usize,
+    identity: *const NodeIdentity,
+    components: *const Component,
+    count: usize,
+) -> c_int {
+    if node.is_null() {
+        return ZTL_NODE_E_NULL;
+    }
+    // SAFETY: as the firmware promises.
+    let made = unsafe { make(ram, size, identity, components, count) };
+    let (made, code) = match made {
+        Ok(made) => (made, ZTL_NODE_OK),
+        Err(code) => (ptr::null_mut(), code),
+    };
+    // SAFETY: not NULL, and the caller's.
+    unsafe { node.write(made) };
+    code
+}
+
+/// # Safety
+/// As the header says of `ztl_node_init`.
+unsafe fn make(
+    ram: *mut c_void,
+    size: usize,
+    identity: *const NodeIdentity,
+    components: *const Component,
+    count: usize,
+) -> Result<*mut Node, c_int> {
+    // SAFETY: NULL or the firmware's, as it promises.
+    let identity = unsafe { identity.as_ref() }.ok_or(ZTL_NODE_E_NULL)?;
+    if ram.is_null()
+        || components.is_null()
+        || identity.name.is_null()
+        || identity.firmware.is_null()
+    {
+        return Err(ZTL_NODE_E_NULL);
+    }
+    if count == 0 || count > 255 {
+        return Err(ZTL_NODE_E_COUNT);
+    }
+    if size < ztl_node_size(count) {
+        return Err(ZTL_NODE_E_RAM);
+    }
+    // SAFETY: texts, as the firmware promises.
+    let (name, firmware) = unsafe {
+        if !is_text(identity.name, false) || !is_text(identity.firmware, false) {
+            return Err(ZTL_NODE_E_TEXT);
+        }
+        (text(identity.name), text(identity.firmware))
+    };
+    let past = ram.addr() % align_of::<Node>();
+    let skip = if past == 0 {
+        0
+    } else {
+        align_of::<Node>() - past
+    };
+    // SAFETY: within the RAM, since its size has room for the slack.
+    let place = unsafe { ram.cast::<u8>().add(skip) };
+    // SAFETY: behind the node, and within the RAM, which has room for the parts.
+    let first = unsafe { place.add(size_of::<Node>()) }.cast::<Part>();
+    for index in 0..count {
+        // SAFETY: one of the firmware's array, and of the RAM's room for as many parts, aligned as the constants above
+        // have shown; the firmware promises that it keeps what the part points to.
+        unsafe { first.add(index).write(Part::new(components.add(index))?) };
+    }
+    // SAFETY: all of them were written just now; the RAM is the library's alone from now on.
+    let parts = unsafe { core::slice::from_raw_parts_mut(first, count) };
+    let mut who = Identity::new(
+        name.unwrap_or_default(),
+        firmware.unwrap_or_default(),
+        identity.boot,
+    );
+    if identity.link_timeout_ms != 0 {
+        let timeout = identity.link_timeout_ms.clamp(50, 60_000);
+        who.link_timeout = Duration::from_millis(timeout.into());
+    }
+    let node = place.cast::<Node>();
+    // SAFETY: aligned, with room, and not within the parts.
+    unsafe {
+        node.write(Node {
+            inner: Inner::new(who, parts),
+            time: None,
+        });
+    }
+    Ok(node)
+}
+
+/// Bytes have arrived, in pieces of any length, at a time in milliseconds by any clock: one that starts anywhere and
+/// wraps, as HAL_GetTick(), will do. The bytes are not kept. Nothing happens when the node or they are NULL; so it is
+/// with NULL everywhere below.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ztl_node_receive(
+    node: *mut Node,
+    now_ms: c_uint,
+    bytes: *const c_uchar,
+    count: usize,
+) {
+    // SAFETY: NULL or a node, which nobody else uses for now, as the firmware promises.
+    let node = unsafe { node.as_mut() };
+    if let Some(node) = node.filter(|_| !bytes.is_null()) {
+        let now = node.now(now_ms);
+        // SAFETY: not NULL, and so many bytes long, as the firmware promises.
+        let bytes = unsafe { core::slice::from_raw_parts(bytes, count) };
+        node.inner.handle_bytes(now, bytes);
+    }
+}
+
+/// Time has passed: moves the components on, and acts when the link is lost. In every turn of the main loop.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ztl_node_run(node: *mut Node, now_ms: c_uint) {
+    // SAFETY: as in `ztl_node_receive`.
+    if let Some(node) = unsafe { node.as_mut() } {
+        let now = node.now(now_ms);
+        node.inner.handle_timeout(now);
+    }
+}
+
+/// Writes the next bytes to be sent into a buffer, and says how many: it is full, or nothing more is to be sent now. After
+/// each ztl_node_receive and ztl_node_run. Where components always have readings there is always something: a main loop
+/// must not wait for the end of it.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ztl_node_send(
+    node: *mut Node,
+    now_ms: c_uint,
+    buffer: *mut c_uchar,
+    size: usize,
+) -> usize {
+    // SAFETY: as in `ztl_node_receive`.
+    let node = unsafe { node.as_mut() };
+    let Some(node) = node.filter(|_| !buffer.is_null()) else {
+        return 0;
+    };
+    let now = node.now(now_ms);
+    // SAFETY: not NULL, so many bytes long, and nobody else's for now, as the firmware promises.
+    let buffer = unsafe { core::slice::from_raw_parts_mut(buffer, size) };
+    node.inner.poll_transmit(now, buffer)
+}
+
+/// After how many milliseconds ztl_node_run is to be called even if no byte arrives, and then ztl_node_send; 0 is at
+/// once, 1000 the most (also for NULL).
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ztl_node_wait(node: *mut Node, now_ms: c_uint) -> c_uint {
+    // SAFETY: as in `ztl_node_receive`.
+    let Some(node) = (unsafe { node.as_mut() }) else {
+        return 1000;
+    };
+    let now = node.now(now_ms);
+    let due = node.inner.poll_timeout(now).as_millis();
+    let wait = due.saturating_sub(now.as_millis());
+    c_uint::try_from(wait).unwrap_or(1000).min(1000)
+}
+
+/// Emergency stop: every component is made safe, every task ends as aborted, and no other starts until
+/// ztl_node_clear_stop.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ztl_node_stop(node: *mut Node, now_ms: c_uint) {
+    // SAFETY: as in `ztl_node_receive`.
+    if let Some(node) = unsafe { node.as_mut() } {
+        let now = node.now(now_ms);
+        node.inner.stop_everything(now);
+    }
+}
+
+/// Ends the emergency stop. Only the firmware may: the link has no command for it.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ztl_node_clear_stop(node: *mut Node) {
+    // SAFETY: as in `ztl_node_receive`.
+    if let Some(node) = unsafe { node.as_mut() } {
+        node.inner.clear_stop();
+    }
+}
+
+/// 1 when there was an emergency stop that is not cleared, else 0.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ztl_node_is_stopped(node: *const Node) -> c_int {
+    // SAFETY: as in `ztl_node_receive`.
+    let node = unsafe { node.as_ref() };
+    c_int::from(node.is_some_and(|node| node.inner.is_stopped()))
+}
+
+/// Writes what the line has brought.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ztl_node_counters(node: *const Node, counters: *mut NodeCounters) {
+    // SAFETY: as in `ztl_node_receive`.
+    let node = unsafe { node.as_ref() };
+    if let Some(node) = node.filter(|_| !counters.is_null()) {
+        let seen = node.inner.counters();
+        let seen = NodeCounters {
+            frames: seen.frames,
+            errors: seen.errors,
+            repeats: seen.repeats,
+            out_of_sequence: seen.out_of_sequence,
+        };
+        // SAFETY: not NULL, and the caller's.
+        unsafe { counters.write(seen) };
+    }
+}

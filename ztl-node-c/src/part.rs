@@ -1,0 +1,212 @@
+//! A component in C, as the node sees it.
+
+use core::ffi::{CStr, c_char, c_int};
+use core::time::Duration;
+
+use ztl_mcu::link::{Busy, GoalShape, Loss, Offer};
+use ztl_mcu::{Instant, Reading, Refused, Run};
+
+use crate::node::Component;
+use crate::report::Report;
+use crate::{
+    ZTL_NODE_ABORTED, ZTL_NODE_COMPLETED, ZTL_NODE_E_NULL, ZTL_NODE_E_POLICY, ZTL_NODE_E_TEXT,
+    ZTL_NODE_FAILED, ZTL_NODE_FRAME, ZTL_NODE_LOSS_ABORT, ZTL_NODE_LOSS_CARRY_ON,
+    ZTL_NODE_LOSS_HOLD, ZTL_NODE_REFUSE, ZTL_NODE_REPLACE, ZTL_NODE_TAKEN,
+};
+
+/// Longest name, unit, list of words or of topics, in bytes.
+const LONGEST: usize = 64;
+
+/// A text from C; `None` when it is NULL or no UTF-8.
+///
+/// # Safety
+/// `text` is NULL, or ends with a zero and is not changed while it is used.
+pub(crate) unsafe fn text<'a>(text: *const c_char) -> Option<&'a str> {
+    if text.is_null() {
+        return None;
+    }
+    // SAFETY: not NULL; all else is promised by the caller.
+    let bytes = unsafe { CStr::from_ptr(text) }.to_bytes();
+    core::str::from_utf8(bytes).ok()
+}
+
+/// Whether a text can be told of a component: NULL where it may be left out.
+///
+/// # Safety
+/// As of [`text`].
+pub(crate) unsafe fn is_text(it: *const c_char, may_lack: bool) -> bool {
+    // SAFETY: as the caller promises.
+    let told = unsafe { text(it) };
+    told.map_or(may_lack && it.is_null(), |told| told.len() <= LONGEST)
+}
+
+/// The time as C has it.
+fn millis(now: Instant) -> u32 {
+    now.as_millis() as u32
+}
+
+/// Goes to the description that the firmware keeps. It was looked at when the node was made.
+#[derive(Clone, Copy)]
+pub(crate) struct Part(*const Component);
+
+impl Part {
+    /// Takes a component up, or says what is wrong with it.
+    ///
+    /// # Safety
+    /// `component` and its texts last as long as the part, and are not changed.
+    pub(crate) unsafe fn new(component: *const Component) -> Result<Self, c_int> {
+        let part = Self(component);
+        let it = part.get();
+        // SAFETY: texts or NULL, as the caller promises.
+        let texts = unsafe {
+            is_text(it.name, false)
+                && is_text(it.words, true)
+                && is_text(it.unit, true)
+                && is_text(it.topics, true)
+        };
+        let complete =
+            it.start.is_some() && it.poll.is_some() && it.abort.is_some() && it.make_safe.is_some();
+        let policies = (ZTL_NODE_REPLACE..=255).contains(&it.busy)
+            && (ZTL_NODE_LOSS_ABORT..=ZTL_NODE_LOSS_CARRY_ON).contains(&it.loss);
+        match (complete && !it.name.is_null(), texts, policies) {
+            (false, ..) => Err(ZTL_NODE_E_NULL),
+            (_, false, _) => Err(ZTL_NODE_E_TEXT),
+            (.., false) => Err(ZTL_NODE_E_POLICY),
+            _ => Ok(part),
+        }
+    }
+
+    const fn get(&self) -> &Component {
+        // SAFETY: it lasts as long as this, by the condition of `new`, and nobody changes it.
+        unsafe { &*self.0 }
+    }
+
+    /// Calls with the goal as C wants it, with a zero behind it.
+    fn with_goal(
+        goal: &str,
+        why: &mut ztl_mcu::Report<'_>,
+        call: impl FnOnce(*const c_char, *mut Report) -> c_int,
+    ) -> Result<(), Refused> {
+        // Longer than any goal that fits into a frame.
+        let mut buffer = [0u8; ZTL_NODE_FRAME];
+        let bytes = goal.as_bytes();
+        if bytes.len() >= buffer.len() || bytes.contains(&0) {
+            why.text("a goal must not contain a zero byte");
+            return Err(Refused);
+        }
+        for (to, from) in buffer.iter_mut().zip(bytes) {
+            *to = *from;
+        }
+        match call(buffer.as_ptr().cast(), Report::of(why)) {
+            ZTL_NODE_TAKEN => Ok(()),
+            _ => Err(Refused),
+        }
+    }
+}
+
+impl ztl_mcu::Component for Part {
+    fn offer(&self) -> Offer<'_> {
+        let it = self.get();
+        // SAFETY: texts or NULL that last as long as the component, by the condition of `new`.
+        let told = |pointer| unsafe { text(pointer) }.unwrap_or_default();
+        let goal = GoalShape {
+            // Equal: none. Compared as bits, which costs a small core no arithmetic of floats.
+            range: (it.least.to_bits() != it.most.to_bits()).then_some((it.least, it.most)),
+            unit: told(it.unit),
+            words: told(it.words),
+        };
+        Offer {
+            name: told(it.name),
+            goal,
+            busy: match it.busy {
+                ZTL_NODE_REFUSE => Busy::Refuse,
+                ZTL_NODE_REPLACE => Busy::Replace,
+                count => Busy::Queue(u8::try_from(count).unwrap_or(u8::MAX)),
+            },
+            loss: match it.loss {
+                ZTL_NODE_LOSS_HOLD => Loss::Hold,
+                ZTL_NODE_LOSS_CARRY_ON => Loss::CarryOn,
+                _ => Loss::Abort,
+            },
+            topics: told(it.topics),
+        }
+    }
+
+    fn check(&self, goal: &str, why: &mut ztl_mcu::Report<'_>) -> Result<(), Refused> {
+        let Some(check) = self.get().check else {
+            return Ok(());
+        };
+        Self::with_goal(goal, why, |goal, why| {
+            // SAFETY: the firmware's function, called as the header says; goal and report outlive it.
+            unsafe { check(self.get().context, goal, why) }
+        })
+    }
+
+    fn start(
+        &mut self,
+        now: Instant,
+        goal: &str,
+        why: &mut ztl_mcu::Report<'_>,
+    ) -> Result<(), Refused> {
+        let Some(start) = self.get().start else {
+            return Err(Refused);
+        };
+        Self::with_goal(goal, why, |goal, why| {
+            // SAFETY: as in `check`.
+            unsafe { start(self.get().context, millis(now), goal, why) }
+        })
+    }
+
+    fn poll(&mut self, now: Instant, report: &mut ztl_mcu::Report<'_>) -> Run {
+        let Some(poll) = self.get().poll else {
+            return Run::Failed;
+        };
+        // SAFETY: the firmware's function, called as the header says; the report outlives it.
+        let state = unsafe { poll(self.get().context, millis(now), Report::of(report)) };
+        match state {
+            ZTL_NODE_COMPLETED => Run::Completed,
+            ZTL_NODE_FAILED => Run::Failed,
+            ZTL_NODE_ABORTED => Run::Aborted,
+            _ => Run::Running,
+        }
+    }
+
+    fn abort(&mut self, now: Instant) {
+        if let Some(abort) = self.get().abort {
+            // SAFETY: the firmware's function, called as the header says.
+            unsafe { abort(self.get().context, millis(now)) };
+        }
+    }
+
+    fn make_safe(&mut self, now: Instant) {
+        if let Some(make_safe) = self.get().make_safe {
+            // SAFETY: the firmware's function, called as the header says.
+            unsafe { make_safe(self.get().context, millis(now)) };
+        }
+    }
+
+    fn poll_timeout(&self, now: Instant) -> Instant {
+        let every = match self.get().poll_ms {
+            0 => 10,
+            every => u64::from(every),
+        };
+        now + Duration::from_millis(every)
+    }
+
+    fn poll_reading(&mut self, now: Instant, buffer: &mut [u8]) -> Option<Reading> {
+        let reading = self.get().reading?;
+        let (mut topic, size) = (0, buffer.len());
+        // SAFETY: the firmware's function, called as the header says: it writes a topic, and at most `size`
+        // bytes, which are the buffer's.
+        let len = unsafe {
+            reading(
+                self.get().context,
+                millis(now),
+                &raw mut topic,
+                buffer.as_mut_ptr(),
+                size,
+            )
+        };
+        (len > 0 && len <= size).then_some(Reading { topic, len })
+    }
+}
