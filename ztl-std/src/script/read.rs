@@ -57,11 +57,11 @@ impl Value {
             findings,
         };
         let value = reader.value(document.root(), None);
-        let mistakes: Vec<_> = reader
+        let mistakes = reader
             .findings
             .into_iter()
-            .map(Finding::into_diagnostic)
-            .collect();
+            .filter(|finding| !finding.is_doubt());
+        let mistakes: Vec<_> = mistakes.map(Finding::into_diagnostic).collect();
         match mistakes.is_empty() {
             true => Ok(value),
             false => Err(Diagnostics::new(mistakes)),
@@ -434,7 +434,11 @@ impl<'d> Reader<'d> {
         // Where each is, and in which line of this very mapping it stands.
         let mut seen: HashMap<String, (usize, Option<usize>)> = HashMap::new();
         for (name, value, merged) in pairs {
-            let key = self.value(name, tell.then_some(false));
+            let key = match &name.value {
+                // As a value it would have a meaning of its own.
+                Yaml::Scalar { text, plain: true } if text == "=" => Value::Text(text.clone()),
+                _ => self.value(name, tell.then_some(false)),
+            };
             if !key.is_hashable() {
                 self.mistake(name.span, "a collection cannot be a key", None);
                 continue;
@@ -543,6 +547,10 @@ impl<'d> Reader<'d> {
             (Yaml::Map(_), None | Some("map")) => {
                 let entries = self.entries(node, tell.is_some());
                 let pairs = entries.into_iter().map(|entry| {
+                    // What is lost must be valid as well.
+                    for (_, lost) in &entry.lost {
+                        self.value(lost, None);
+                    }
                     let value = self.value(entry.value, tell.map(|_| true));
                     (entry.key, value)
                 });

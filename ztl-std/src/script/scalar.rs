@@ -400,6 +400,9 @@ fn timestamp(text: &str) -> Result<Value, String> {
 }
 
 fn binary(text: &str) -> Result<Value, String> {
+    if !text.is_ascii() {
+        return Err("this is no base64: it is ASCII".to_owned());
+    }
     let mut buffer = vec![0; text.len()];
     match base64::decode(text.as_bytes(), &mut buffer) {
         Ok(bytes) => Ok(Value::Bytes(bytes.to_vec())),

@@ -157,6 +157,11 @@ impl Document {
             Err(error) => return Err(not_utf8(name, bytes, error.valid_up_to()).into()),
         };
         let text = text.strip_prefix('\u{feff}').unwrap_or(text);
+        if rules == Rules::Python
+            && let Some(mistake) = unprintable(name, text)
+        {
+            return Err(mistake.into());
+        }
         let (root, mistakes) = tree::parse(text, rules);
         let shown = |(span, message)| Diagnostic::at(name, text, span, message);
         let mistakes: Vec<Diagnostic> = mistakes.into_iter().map(shown).collect();
@@ -213,6 +218,28 @@ pub(crate) fn read_file(path: &Path) -> Result<Vec<u8>, Diagnostics> {
         return Err(wrong(message));
     }
     std::fs::read(path).map_err(unreadable)
+}
+
+/// The first character that PyYAML does not take.
+fn unprintable(name: &str, text: &str) -> Option<Diagnostic> {
+    let taken = |c: char| match c {
+        '\t' | '\n' | '\r' | ' '..='~' | '\u{85}' => true,
+        c => c >= '\u{a0}' && !matches!(c, '\u{fffe}' | '\u{ffff}'),
+    };
+    let (at, c) = text.char_indices().find(|(_, c)| !taken(*c))?;
+    let before = text.get(..at).unwrap_or_default();
+    let line = before.matches('\n').count() + 1;
+    let column = before.chars().rev().take_while(|c| *c != '\n').count() + 1;
+    let start = Mark { line, column };
+    let end = Mark {
+        line,
+        column: column + 1,
+    };
+    let message = format!(
+        "the character U+{:04X} cannot stand in a file; within \"…\" write it as an escape",
+        u32::from(c)
+    );
+    Some(Diagnostic::at(name, text, Span { start, end }, message))
 }
 
 /// Where the first byte stands that is no UTF-8.

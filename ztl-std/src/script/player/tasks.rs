@@ -28,7 +28,7 @@ pub(super) struct Live {
     pub(super) ours: bool,
     /// Which start of its server has it, where that is known.
     pub(super) boot: Option<u32>,
-    /// The payload of its STATUS where it does not.
+    /// The payload of its STATUS where it does not, after its id.
     pub(super) status_text: String,
     /// A STATUS that is under way.
     pub(super) asked: Option<RequestNumber>,
@@ -188,11 +188,9 @@ impl Player {
             true if self.options.watch => HELD_FOR_PROGRESS,
             true => HELD,
         };
-        let ask = Ask::Status {
-            id: task.id?,
-            text: task.status_text.clone(),
-            hold,
-        };
+        let id = task.id?;
+        let text = format!("{}:{}", id.get(), task.status_text);
+        let ask = Ask::Status { id, text, hold };
         let sent = self.send(now, number, ask);
         self.tasks.get_mut(&number)?.asked = sent;
         sent

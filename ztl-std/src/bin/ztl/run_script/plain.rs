@@ -74,11 +74,11 @@ impl<'s> Plain<'s> {
         match event {
             Event::SceneShown { scene } if keyboard.is_some() => self.show(*scene),
             Event::Asked { question, choices } => {
-                self.ask(*question, choices, keyboard.is_some());
                 if let Some(keyboard) = keyboard {
                     keyboard.forget();
                 }
                 self.asked = Some((*question, choices.clone(), Instant::now()));
+                self.ask(*question, choices, keyboard.is_some());
             }
             Event::Decided {
                 command, by, scene, ..

@@ -119,11 +119,11 @@ fn the_originals_server_is_asked_about_one_task_after_the_other() {
     }
     let base: Vec<_> = asked
         .iter()
-        .filter(|(_, text)| text.starts_with("robot:base"))
+        .filter(|(_, text)| text.ends_with("robot:base:2"))
         .collect();
     let arm: Vec<_> = asked
         .iter()
-        .filter(|(_, text)| text.starts_with("robot:arm"))
+        .filter(|(_, text)| text.ends_with("robot:arm:3"))
         .collect();
     assert!((19..=21).contains(&base.len()), "{base:?}");
     assert!((9..=12).contains(&arm.len()), "{arm:?}");

@@ -1,0 +1,237 @@
+//! Scripts as the original reads and plays them.
+//!
+//! `drive.py` plays each script twice at once, by the original's own engine and by ours: each on a
+//! terminal of its own, with the same keys at the same prompts, and towards servers that answer as the
+//! original's do and write down each request. `scalars.py` has PyYAML say what values mean.
+
+mod corpus;
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::io::Write as _;
+use std::process::{Command, Stdio};
+use std::time::{SystemTime, UNIX_EPOCH};
+
+use serde::Deserialize;
+use ztl_std::script::Value;
+use ztl_tests::lab::{built, python};
+
+/// Scripts that are made up, and how many engines run at a time: they mostly wait.
+const MADE_UP: usize = 200;
+const AT_ONCE: usize = 24;
+
+/// Values that are made up.
+const VALUES: usize = 5000;
+
+/// Two gaps between tasks are of one class when they differ by less: all delays and tasks last a
+/// multiple of half a second. The original takes up to 0.2 s more for a step.
+const CLASS: f64 = 0.45;
+
+const INIT: u32 = 1;
+const STATUS: u32 = 2;
+
+/// What became of a script in both engines.
+#[derive(Debug, Deserialize)]
+struct Played {
+    name: String,
+    text: String,
+    keys: Vec<String>,
+    original: Engine,
+    ours: Engine,
+}
+
+#[derive(Debug, Deserialize)]
+struct Engine {
+    exit: i32,
+    out: String,
+    err: String,
+    /// Time, scope, code, id, payload.
+    requests: Vec<(f64, String, u32, String, String)>,
+}
+
+impl Engine {
+    /// What was started, and when.
+    fn started(&self) -> (Vec<(&str, &str)>, Vec<f64>) {
+        let inits = self.requests.iter().filter(|request| request.2 == INIT);
+        inits
+            .map(|(at, scope, _, _, payload)| ((scope.as_str(), payload.as_str()), at))
+            .unzip()
+    }
+
+    /// What was asked of each task, tasks in the order of being asked first.
+    fn asked(&self) -> Vec<((&str, &str), BTreeSet<&str>)> {
+        let mut asked: Vec<((&str, &str), BTreeSet<&str>)> = Vec::new();
+        for (_, scope, _, id, payload) in self.requests.iter().filter(|request| request.2 == STATUS)
+        {
+            let task = (scope.as_str(), id.as_str());
+            match asked.iter_mut().find(|(known, _)| *known == task) {
+                Some((_, payloads)) => {
+                    payloads.insert(payload);
+                }
+                None => asked.push((task, BTreeSet::from([payload.as_str()]))),
+            }
+        }
+        asked
+    }
+}
+
+/// The seed from `ZTL_SEED`, else of this moment.
+fn seed() -> u64 {
+    let named = std::env::var("ZTL_SEED").ok();
+    let now = || SystemTime::now().duration_since(UNIX_EPOCH).ok();
+    let seed = named.and_then(|seed| seed.parse().ok());
+    let seed = seed
+        .or_else(|| now().map(|now| now.as_millis() as u64))
+        .unwrap_or_default();
+    // Not by a macro, which libtest would keep to itself.
+    let _ = writeln!(std::io::stderr(), "ZTL_SEED={seed}");
+    seed
+}
+
+/// Runs Python, and gives the lines that it writes.
+fn lines(program: &str, args: &[&str], input: &str) -> Vec<String> {
+    let mut command = Command::new(python());
+    command.args(["-c", program]).args(args);
+    command.stdin(Stdio::piped()).stdout(Stdio::piped());
+    let mut process = command.spawn().expect("Python starts");
+    let mut stdin = process.stdin.take().expect("a pipe");
+    stdin.write_all(input.as_bytes()).expect("Python reads");
+    drop(stdin);
+    let output = process.wait_with_output().expect("Python ends");
+    assert!(output.status.success(), "{args:?} failed");
+    let text = String::from_utf8(output.stdout).expect("UTF-8");
+    text.lines().map(str::to_owned).collect()
+}
+
+/// In what the two differ.
+fn differences(played: &Played) -> Vec<String> {
+    let Played { original, ours, .. } = played;
+    let mut found = Vec::new();
+    let ((theirs, their_times), (started, times)) = (original.started(), ours.started());
+    if theirs != started {
+        found.push(format!("started:\n{theirs:#?}\nours:\n{started:#?}"));
+    }
+    let gaps =
+        |times: &[f64]| -> Vec<f64> { times.windows(2).map(|pair| pair[1] - pair[0]).collect() };
+    for (theirs, ours) in gaps(&their_times).into_iter().zip(gaps(&times)) {
+        if (theirs - ours).abs() >= CLASS {
+            found.push(format!(
+                "a task {theirs:.2} s after the one before, ours {ours:.2} s"
+            ));
+        }
+    }
+    let theirs = original.asked();
+    let known: BTreeSet<_> = theirs.iter().map(|(task, _)| *task).collect();
+    let (asked, background): (Vec<_>, Vec<_>) = ours
+        .asked()
+        .into_iter()
+        .partition(|(task, _)| known.contains(task));
+    if asked != theirs {
+        found.push(format!("asked about:\n{theirs:#?}\nours:\n{asked:#?}"));
+    }
+    // What runs in the background is asked about once, at the very end, for the exit code.
+    let last = times.last().copied().unwrap_or_default();
+    for (task, _) in &background {
+        let of_it = |request: &&(f64, String, u32, String, String)| {
+            request.2 == STATUS && (request.1.as_str(), request.3.as_str()) == *task
+        };
+        let requests: Vec<_> = ours.requests.iter().filter(of_it).collect();
+        if requests.len() != 1 || requests[0].0 < last {
+            found.push(format!("about {task:?} in the background: {requests:?}"));
+        }
+    }
+    if original.out != ours.out {
+        found.push(format!("out:\n{}\nours:\n{}", original.out, ours.out));
+    }
+    let failed = ours.err.contains(" ended ") || ours.err.contains("COULD NOT BE TRIGGERED");
+    if original.exit != 0 || ours.exit != i32::from(failed) {
+        found.push(format!("exit codes {} and {}", original.exit, ours.exit));
+    }
+    found
+}
+
+/// Plays all, and fails with all that differs.
+#[track_caller]
+fn play(scripts: &BTreeMap<&str, (&str, Vec<&str>)>, made_up: usize) {
+    let engine = built("ztl");
+    let args = [
+        engine.to_str().expect("a path"),
+        &seed().to_string(),
+        &made_up.to_string(),
+        &AT_ONCE.to_string(),
+    ];
+    let input = serde_json::to_string(scripts).expect("JSON");
+    let mut wrong = String::new();
+    let (mut count, mut tasks) = (0, 0);
+    for line in lines(include_str!("drive.py"), &args, &input) {
+        let played: Played = serde_json::from_str(&line).expect("JSON");
+        count += 1;
+        tasks += played.ours.started().0.len();
+        let found = differences(&played);
+        if !found.is_empty() {
+            let Played {
+                name,
+                text,
+                keys,
+                original,
+                ours,
+            } = &played;
+            wrong += &format!("--- {name}, keys {keys:?}:\n{text}\n{}\n", found.join("\n"));
+            wrong += &format!("errors:\n{}\nours:\n{}\n", original.err, ours.err);
+        }
+    }
+    assert!(wrong.is_empty(), "{wrong}");
+    assert_eq!(count, scripts.len() + made_up);
+    assert!(tasks > count, "only {tasks} tasks were started");
+}
+
+#[test]
+fn every_rule_of_scripts_is_played_as_the_original_plays_it() {
+    let scripts = corpus::SCRIPTS.iter().map(|(name, text, keys)| {
+        let keys = keys.split(' ').map(corpus::key).collect();
+        (*name, (*text, keys))
+    });
+    play(&scripts.collect(), 0);
+}
+
+#[test]
+fn scripts_that_are_made_up_are_played_as_the_original_plays_them() {
+    play(&BTreeMap::new(), MADE_UP);
+}
+
+#[test]
+fn values_are_what_pyyaml_makes_of_them() {
+    let args = [seed().to_string(), VALUES.to_string()];
+    let args: Vec<&str> = args.iter().map(String::as_str).collect();
+    let mut wrong = Vec::new();
+    let (mut count, mut errors) = (0, 0);
+    for line in lines(include_str!("scalars.py"), &args, "") {
+        let (text, plain, quoted): (String, Option<String>, String) =
+            serde_json::from_str(&line).expect("JSON");
+        count += 1;
+        let read = Value::read("value", format!("k: {text}\n").as_bytes());
+        let ours = match &read {
+            Ok(Value::Map(pairs)) => match pairs.as_slice() {
+                [(_, value)] => Some(value.to_string()),
+                _ => None,
+            },
+            _ => None,
+        };
+        errors += usize::from(plain.is_none());
+        let same = match (&plain, &read) {
+            (None, Err(_)) => true,
+            (Some(plain), Ok(value)) => ours.as_ref() == Some(plain) && value.to_string() == quoted,
+            _ => false,
+        };
+        if !same {
+            wrong.push(format!("{text:?}: {plain:?} {quoted:?}, ours {read:?}"));
+        }
+    }
+    assert!(
+        wrong.is_empty(),
+        "{} differ:\n{}",
+        wrong.len(),
+        wrong.join("\n")
+    );
+    assert_eq!(count, VALUES);
+    assert!(errors < VALUES / 4, "{errors} are no values");
+}
