@@ -41,7 +41,7 @@ class Play:
             try:
                 os.dup2(errors, 2)
                 if ours:
-                    os.execv(ours, [ours] + args)
+                    os.execv(ours, [ours] + args + ['--plain'])
                 sys.argv = args
                 original.main_cli()
                 sys.stdout.flush()
