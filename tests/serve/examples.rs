@@ -1,9 +1,12 @@
 //! The examples as they stand, by our client and the original's.
 
+use std::process::Command;
+
 use ztl_std::State::{Aborted, Completed};
 use ztl_std::{RemoteTask, TriggerError};
 use ztl_tests::lab::{
-    ABORTED, COMPLETED, OriginalClient, PATIENCE, Process, Scratch, Server, python, ztl,
+    ABORTED, COMPLETED, OriginalClient, PATIENCE, Process, Scratch, Server, built, free_port,
+    python, ztl,
 };
 
 use crate::rig::{end, progress, project};
@@ -126,4 +129,55 @@ fn the_example_is_right() {
             .ends_with(": 5 components at /robot, at 127.0.0.1:12345.\n"),
         "{ended:?}"
     );
+}
+
+#[test]
+fn systemd_finds_nothing_wrong_with_the_unit() {
+    let scratch = Scratch::new();
+    let unit = std::fs::read_to_string(project("examples/systemd/ztl-serve.service"));
+    let installed = "/usr/local/bin/ztl";
+    let unit = unit.expect("the unit");
+    assert!(unit.contains(installed));
+    let unit = unit.replace(installed, &built("ztl").display().to_string());
+    let path = scratch.path("ztl-serve.service");
+    std::fs::write(&path, unit).expect("to write");
+    let ended = Process::run(Command::new("systemd-analyze").arg("verify").arg(path));
+    assert_eq!((ended.code, ended.stderr.as_str()), (Some(0), ""));
+}
+
+#[test]
+fn the_first_example_of_the_manual_can_be_pasted() {
+    let manual = std::fs::read_to_string(project("docs/serve.md")).expect("the manual");
+    let block = manual
+        .split("```")
+        .nth(1)
+        .and_then(|block| block.strip_prefix("sh\n"));
+    let script = block
+        .expect("commands")
+        .replace("12345", &free_port().to_string());
+    let scratch = Scratch::new();
+    std::os::unix::fs::symlink(built("ztl"), scratch.path("ztl")).expect("a link");
+    std::fs::copy(project("examples/serve/speak"), scratch.path("espeak-ng")).expect("a copy");
+    let mut path = scratch.path("").into_os_string();
+    path.push(":");
+    path.push(std::env::var_os("PATH").unwrap_or_default());
+    let mut shell = Command::new("sh");
+    shell.args(["-ec", &format!("{script}kill $!\nwait")]);
+    let ended = Process::run(shell.current_dir(scratch.path("")).env("PATH", path));
+    assert_eq!(ended.code, Some(0), "{ended:?}");
+    assert!(
+        ended
+            .stdout
+            .starts_with("Nothing is wrong: 2 components at /robot"),
+        "{ended:?}"
+    );
+    assert_eq!(
+        ended
+            .stdout
+            .matches("finished in state 'COMPLETED'")
+            .count(),
+        2,
+        "{ended:?}"
+    );
+    assert!(ended.stdout.ends_with("Stopped.\n"), "{ended:?}");
 }

@@ -1,7 +1,6 @@
 //! The file, as a person meets it, and how much memory the server takes.
 
-use ztl_std::{RemoteTask, State};
-use ztl_tests::lab::{Ended, PATIENCE, Process, SCOPE, Scratch, ztl};
+use ztl_tests::lab::{Ended, Process, Scratch, ztl};
 
 use crate::rig::{Lab, project};
 
@@ -143,41 +142,4 @@ fn zmq_ask(port: u16, question: &str) -> String {
         .expect("an address");
     socket.send(question, 0).expect("to send");
     socket.recv_string(0).expect("an answer").expect("UTF-8")
-}
-
-#[test]
-fn a_thousand_remembered_tasks_fit_into_eight_mebibytes() {
-    let lab = Lab::new("echo: {run: [echo, 'said {goal}']}");
-    let mut remote = RemoteTask::connect(&lab.server.endpoint(), SCOPE).expect("an address");
-    for number in 0..1000 {
-        let ran = remote.run("p", "echo", &number.to_string(), Some(PATIENCE));
-        assert_eq!(
-            ran.expect("taken").expect("its end").state,
-            State::Completed
-        );
-    }
-    let status = std::fs::read_to_string(format!("/proc/{}/status", lab.server.process.id()));
-    let status = status.expect("its status");
-    let kib = |name: &str| -> u64 {
-        let line = status
-            .lines()
-            .find(|line| line.starts_with(name))
-            .expect(name);
-        line.split_whitespace()
-            .nth(1)
-            .and_then(|kib| kib.parse().ok())
-            .expect("a number")
-    };
-    println!(
-        "resident: {} KiB, of its own {} KiB",
-        kib("VmRSS:"),
-        kib("RssAnon:")
-    );
-    // A debug build's program alone is larger; a release build is measured as a whole.
-    let own = if cfg!(debug_assertions) {
-        "RssAnon:"
-    } else {
-        "VmRSS:"
-    };
-    assert!(kib(own) <= 8 * 1024, "{status}");
 }

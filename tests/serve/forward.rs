@@ -3,7 +3,8 @@
 use std::time::{Duration, Instant};
 
 use ztl_std::State::{Aborted, Accepted, Completed, Failed};
-use ztl_tests::lab::{ABORTED, COMPLETED, SCOPE, Server, free_port};
+use ztl_std::keys::can_encrypt;
+use ztl_tests::lab::{ABORTED, COMPLETED, Process, SCOPE, Scratch, Server, free_port, ztl};
 
 use crate::rig::{Lab, SOON, dies, end, progress, start, told, trigger};
 
@@ -138,4 +139,66 @@ fn a_server_that_forwards_to_itself_comes_to_an_end() {
     };
     let ended = ended.expect("an end");
     assert!(ended.contains("p:x is busy with task"), "{ended}");
+}
+
+/// A server with a key, for one client, and what `forward` needs to be that client, or another one.
+fn encrypted() -> Option<(Lab, [String; 2])> {
+    let demanded = std::env::var_os("ZTL_CURVE").is_some();
+    assert!(can_encrypt() || !demanded, "this build does not encrypt");
+    if !can_encrypt() {
+        return None;
+    }
+    let keys = Scratch::new();
+    for name in ["far", "near", "mallory"] {
+        let ended = Process::run(ztl().arg("keys").arg(keys.path(name)));
+        assert_eq!(ended.code, Some(0), "{ended:?}");
+    }
+    let path = |name: &str| keys.path(name).display().to_string();
+    let (own, client) = (path("far.key_secret"), path("near.key"));
+    let far = Lab::with(FAR, &["--key", &own, "--client-key", &client]);
+    let to = format!("to: 'tcp://127.0.0.1:{}', scope: {SCOPE}", far.server.port);
+    let server = path("far.key");
+    let forward = ["near", "mallory"].map(|name| {
+        let own = path(&format!("{name}.key_secret"));
+        format!("{{forward: {{{to}, key: '{own}', server-key: '{server}'}}}}")
+    });
+    // The server has read its own; a relay reads them for each task.
+    let far = Lab {
+        server: far.server,
+        scratch: keys,
+    };
+    Some((far, forward))
+}
+
+#[test]
+fn with_keys_it_is_the_client_that_the_other_server_knows() {
+    let Some((far, [near, mallory])) = encrypted() else {
+        // Said at the start, and no task goes out in the clear.
+        let to = "to: 'tcp://127.0.0.1:1', scope: /a, key: a.key_secret, server-key: b.key";
+        let lab = Lab::new(&format!("echo: {{forward: {{{to}}}}}"));
+        lab.server
+            .process
+            .wait_for("its tasks will be refused: this build of ztl cannot encrypt");
+        let mut remote = lab.remote();
+        let refused = remote
+            .run("p", "echo", "x", Some(SOON))
+            .expect_err("refused");
+        assert!(refused.to_string().contains("cannot encrypt"), "{refused}");
+        return;
+    };
+    let plain = format!(
+        "{{forward: {{to: 'tcp://127.0.0.1:{}', scope: {SCOPE}}}}}",
+        far.server.port
+    );
+    let lab = Lab::new(&format!("'*': {near}\necho: {mallory}\nbad: {plain}"));
+    let mut remote = lab.remote();
+    let id = trigger(&mut remote, "go", "");
+    progress(&mut remote, id, "half way");
+    assert_eq!(remote.abort(id).expect("an answer").state, Aborted);
+    // Whoever has another key, or none, gets nothing, and nothing is said to be done.
+    for component in ["echo", "bad"] {
+        let id = trigger(&mut remote, component, "x");
+        let (state, text) = end(&mut remote, id);
+        assert_ne!(state, Completed, "{text}");
+    }
 }

@@ -22,7 +22,7 @@ fn guard(lab: &Lab) -> u32 {
 
 #[test]
 fn every_program_is_asked_to_end_and_killed_after_its_grace() {
-    let lab = Lab::new(
+    let mut lab = Lab::new(
         r#"
         careful: {run: [sh, -c, 'trap "sleep 0.3; echo parked > parked; exit" INT; echo $$ > careful; while :; do sleep 0.02; done'], abort: INT}
         stubborn: {run: [sh, -c, 'trap "" TERM; (sleep 60) & echo $! > child; echo $$ > stubborn; while :; do sleep 0.02; done'], abort: {grace: 500 ms}}
@@ -44,13 +44,8 @@ fn every_program_is_asked_to_end_and_killed_after_its_grace() {
     let processes = names.map(|name| lab.process(name));
     lab.process("driver");
     lab.written("begun");
-    let Lab {
-        mut server,
-        scratch,
-    } = lab;
     let begun = Instant::now();
-    server.process.kill();
-    let lab = Lab { server, scratch };
+    lab.server.process.kill();
     assert_eq!(lab.written("parked"), "parked");
     assert_eq!(lab.written("halt"), format!("{driver} fast"));
     // That program had its time, although the other one was gone before.

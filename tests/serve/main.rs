@@ -7,6 +7,8 @@ mod examples;
 mod file;
 mod forward;
 mod killed;
+mod memory;
+mod processes;
 mod results;
 mod rig;
 mod several;

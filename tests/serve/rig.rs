@@ -1,6 +1,7 @@
 //! A server of programs, and what can be seen of the processes that it starts.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
+use std::process::Command;
 use std::time::Duration;
 
 use ztl_std::{RemoteTask, State, Status, TaskId, TriggerError};
@@ -22,19 +23,27 @@ impl Lab {
     /// The same with options.
     #[track_caller]
     pub fn with(components: &str, options: &[&str]) -> Self {
-        let lines = components.trim().lines();
-        let lines: Vec<String> = lines.map(|line| format!("      {}", line.trim())).collect();
-        let text = format!("scopes:\n  {SCOPE}:\n    p:\n{}\n", lines.join("\n"));
-        Self::of_file(&text, options)
+        Self::of_file(&file(components), options)
+    }
+
+    /// Serves components by a `ztl` of one's own.
+    #[track_caller]
+    pub fn of_program(program: &Path, components: &str) -> Self {
+        Self::start(Command::new(program), &file(components), &[])
     }
 
     /// Serves a file.
     #[track_caller]
     pub fn of_file(text: &str, options: &[&str]) -> Self {
+        Self::start(ztl(), text, options)
+    }
+
+    #[track_caller]
+    fn start(ztl: Command, text: &str, options: &[&str]) -> Self {
         let scratch = Scratch::new();
         let path = scratch.path("robot.yaml");
         std::fs::write(&path, text).expect("to write");
-        let server = start(&path, options);
+        let server = start_by(ztl, &path, options);
         Self { server, scratch }
     }
 
@@ -97,10 +106,21 @@ impl Lab {
     }
 }
 
+/// A file of one handler, `p`, with these components.
+fn file(components: &str) -> String {
+    let lines = components.trim().lines();
+    let lines: Vec<String> = lines.map(|line| format!("      {}", line.trim())).collect();
+    format!("scopes:\n  {SCOPE}:\n    p:\n{}\n", lines.join("\n"))
+}
+
 /// Starts `ztl serve` at any free port, unless the options name one.
 #[track_caller]
-pub fn start(file: &std::path::Path, options: &[&str]) -> Server {
-    let mut command = ztl();
+pub fn start(file: &Path, options: &[&str]) -> Server {
+    start_by(ztl(), file, options)
+}
+
+#[track_caller]
+fn start_by(mut command: Command, file: &Path, options: &[&str]) -> Server {
     command.arg("serve").arg(file).args(options);
     if !options.contains(&"-p") {
         command.args(["-p", "0"]);
@@ -173,7 +193,7 @@ pub fn kill(process: u32) {
 /// Sends a process a signal by name.
 #[track_caller]
 pub fn signal(process: u32, name: &str) {
-    let mut kill = std::process::Command::new("sh");
+    let mut kill = Command::new("sh");
     kill.args(["-c", "kill -$0 $1", name])
         .arg(process.to_string());
     assert!(kill.status().expect("`sh`").success(), "{kill:?}");
@@ -184,7 +204,5 @@ pub const SOON: Duration = Duration::from_secs(5);
 
 /// A file of the project.
 pub fn project(path: &str) -> PathBuf {
-    std::path::Path::new(env!("CARGO_MANIFEST_DIR"))
-        .join("..")
-        .join(path)
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("..").join(path)
 }

@@ -42,6 +42,10 @@ pub(crate) fn test(dirs: &Dirs) -> Outcome {
         .args("--locked --package ztl-tests --test access")
         .env("ZTL_PYTHON", python)
         .env("ZTL_CURVE", "1")
+        .run()?;
+    cargo(dirs, "test")?
+        .args("--locked --package ztl-tests --test serve -- forward::with_keys")
+        .env("ZTL_CURVE", "1")
         .run()
 }
 

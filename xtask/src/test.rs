@@ -33,7 +33,7 @@ struct Step {
 const STEPS: &[Step] = &[
     Step {
         name: "tools",
-        about: "compilers, libzmq for C, Python 3 with venv, Node with npm, QEMU, Chromium, rustfmt and clippy are there",
+        about: "compilers, libzmq for C, Python 3 with venv, Node with npm, systemd-analyze, QEMU, Chromium, rustfmt and clippy are there",
         run: |_| tools::check(),
     },
     Step {

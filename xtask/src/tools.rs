@@ -84,6 +84,12 @@ const NEEDS: &[Need] = &[
         packages: &["util-linux"],
     },
     Need {
+        what: "`systemd-analyze`, for the units in examples",
+        check: || Cmd::new("systemd-analyze --version"),
+        component: None,
+        packages: &["systemd"],
+    },
+    Need {
         what: "`cargo fmt`",
         check: || Cmd::new("cargo fmt --version"),
         component: Some("rustfmt"),

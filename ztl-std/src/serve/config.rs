@@ -12,6 +12,7 @@ use super::forward::Forward;
 use super::program::Program;
 use super::rule::Rule;
 use super::{Entry, Groups, Programs, Room, WILD, Work};
+use crate::keys::{KeyError, KeyPair, PublicKey, can_encrypt};
 use crate::listen::Listen;
 use crate::server::scope_mistake;
 use crate::yaml::{Diagnostic, Diagnostics, Document, Fields, Node, Reading, Value};
@@ -343,6 +344,15 @@ impl<'d> Source<'d> {
             self.reading.wrong(node, message);
         }
         fields.finish(&mut self.reading);
+        if let (Some(node), Some((own, server))) = (own, &keys) {
+            let mistake = match can_encrypt() {
+                true => KeyPair::read(own).err().or(PublicKey::read(server).err()),
+                false => Some(KeyError::NoCurve),
+            };
+            if let Some(mistake) = mistake {
+                self.warn(node, format!("its tasks will be refused: {mistake}"));
+            }
+        }
         Some(Forward {
             to: to?,
             scope: scope?.to_owned(),

@@ -3,6 +3,7 @@
 //! What is not known of a task is never told as its end: while the other server does not answer, the task
 //! goes on. Only when nothing can ever be learned it is FAILED, with a reason that begins `unknown:`.
 
+use std::error::Error;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -11,7 +12,7 @@ use ztl_core::State;
 
 use super::run::{End, time};
 use super::template::Call;
-use crate::keys::{KeyPair, PublicKey};
+use crate::keys::{KeyError, KeyPair, PublicKey, can_encrypt};
 use crate::remote::{RemoteTask, RequestError, Status, TriggerError};
 use crate::server::KEEP;
 
@@ -38,18 +39,16 @@ pub(super) enum Told {
 }
 
 impl Forward {
-    /// A client of the server.
-    fn remote(&self, context: zmq::Context) -> Result<RemoteTask, RequestError> {
+    /// A client of the server, or why there can be none.
+    fn remote(&self, context: zmq::Context) -> Result<RemoteTask, Box<dyn Error>> {
         let remote = RemoteTask::connect_in(context, &self.to, &self.scope)?;
         let Some((own, server)) = &self.keys else {
             return Ok(remote);
         };
-        let unreadable = |error: &dyn std::fmt::Display| RequestError::Unreadable {
-            answer: error.to_string(),
-        };
-        let own = KeyPair::read(own).map_err(|error| unreadable(&error))?;
-        let server = PublicKey::read(server).map_err(|error| unreadable(&error))?;
-        remote.with_keys(own, server)
+        if !can_encrypt() {
+            return Err(KeyError::NoCurve.into());
+        }
+        Ok(remote.with_keys(KeyPair::read(own)?, PublicKey::read(server)?)?)
     }
 
     /// Has a task done there, and says how it ended. `abort` may be set at any time.

@@ -1,0 +1,189 @@
+//! Programs as processes of the system: whose they are, and what they may do to the server.
+
+use std::os::unix::fs::PermissionsExt;
+use std::time::Duration;
+
+use ztl_std::State::{Accepted, Completed, Failed};
+use ztl_tests::lab::{PATIENCE, Process, until, ztl};
+
+use crate::rig::{Lab, dies, end, lives, progress, trigger};
+
+#[test]
+fn a_program_of_another_user_has_their_rights_and_no_others() {
+    let mut lab = Lab::new(
+        r#"
+        own: {run: [sh, -c, 'echo "$(id -un) $(id -G)"'], user: nobody}
+        home: {run: [sh, -c, 'echo "$HOME $USER $LOGNAME"'], user: nobody}
+        secret: {run: [cat, /etc/shadow], user: nobody, result: nothing}
+        mine: [sh, -c, 'echo "$(id -un) $(id -G)"']
+        stays: {run: [sh, -c, 'echo "@ $$"; trap "" TERM; while :; do sleep 0.02; done'], user: nobody, progress: '@ ', abort: {run: [sh, -c, 'id -un > aborter'], grace: 200 ms}}
+        "#,
+    );
+    let id = |options: &str| {
+        let ended = Process::run(std::process::Command::new("id").args(options.split(' ')));
+        ended.stdout.trim().to_owned()
+    };
+    if id("-u") != "0" {
+        let why = lab.refusal("own", "");
+        assert!(why.contains("must run as that user or as root"), "{why}");
+        return;
+    }
+    let everybody = std::fs::Permissions::from_mode(0o777);
+    std::fs::set_permissions(lab.scratch.path(""), everybody).expect("to change it");
+    let nobody = format!("nobody {}", id("-G nobody"));
+    assert_eq!(lab.run("own", ""), (Completed, nobody.clone()));
+    let (state, home) = lab.run("home", "");
+    assert_eq!(state, Completed);
+    assert!(
+        home.ends_with(" nobody nobody") && home.starts_with('/'),
+        "{home}"
+    );
+    let (state, why) = lab.run("secret", "");
+    assert_eq!(state, Failed);
+    assert!(why.ends_with("Permission denied"), "{why}");
+    // Only the thread that started them was somebody else.
+    let own = format!("{} {}", id("-un"), id("-G"));
+    assert_eq!(lab.run("mine", ""), (Completed, own));
+    assert_eq!(lab.run("own", ""), (Completed, nobody));
+    let mut remote = lab.remote();
+    let task = trigger(&mut remote, "stays", "");
+    progress(&mut remote, task, "");
+    let process = until("its number", PATIENCE, || {
+        remote.status(task).expect("an answer").text.parse().ok()
+    });
+    // So does what stops it, also when the guard has to.
+    lab.server.process.kill();
+    assert_eq!(lab.written("aborter"), "nobody");
+    dies(process);
+}
+
+#[test]
+fn whatever_programs_leave_nothing_of_them_remains() {
+    let lab = Lab::new(
+        r#"
+        leaves: [sh, -c, 'for i in 1 2 3; do sleep 60 & done; (sleep 60; sleep 60) & echo done']
+        fails: [sh, -c, 'sleep 60 & exit 1']
+        ends: {run: [sh, -c, 'true & sleep 60'], limit: 50 ms}
+        "#,
+    );
+    for _ in 0..10 {
+        assert_eq!(lab.run("leaves", "").0, Completed);
+        assert_eq!(lab.run("fails", "").0, Failed);
+        assert_eq!(lab.run("ends", "").0, Failed);
+    }
+    until("all have ended", PATIENCE, || {
+        lab.at_home().is_empty().then_some(())
+    });
+    // Nor a zombie: only the guard is a child of the server.
+    assert_eq!(lab.children().len(), 1);
+}
+
+/// Processor time that a process has taken, in hundredths of a second.
+fn worked(process: u32) -> u64 {
+    let stat = std::fs::read_to_string(format!("/proc/{process}/stat")).expect("its stat");
+    let words = stat.rsplit_once(") ").expect("its name").1.split(' ');
+    let times = words
+        .skip(11)
+        .take(2)
+        .map(|time| time.parse::<u64>().expect("a number"));
+    times.sum()
+}
+
+#[test]
+fn a_program_that_says_nothing_or_closes_what_it_speaks_into_costs_no_time() {
+    let lab = Lab::new(
+        r#"
+        silent: {run: [sh, -c, 'echo > silent; until [ -e go ]; do sleep 0.2; done; echo end']}
+        closes: {run: [sh, -c, 'exec <&- >&- 2>&-; until [ -e go ]; do sleep 0.2; done']}
+        half: {run: [sh, -c, 'printf "no end of line"; until [ -e go ]; do sleep 0.2; done']}
+        passes: {run: [sh, -c, 'sleep 60 & echo $! > holder; echo end'], left-behind: leave}
+        "#,
+    );
+    let mut remote = lab.remote();
+    let tasks = ["silent", "closes", "half"].map(|name| trigger(&mut remote, name, ""));
+    // Its output is held open by what it left behind, for nobody to read.
+    assert_eq!(lab.run("passes", ""), (Completed, "end".to_owned()));
+    lab.written("silent");
+    let process = lab.server.process.id();
+    let before = worked(process);
+    std::thread::sleep(Duration::from_secs(1));
+    let cost = worked(process) - before;
+    // A loop would take all hundred.
+    assert!(cost <= 10, "{cost}");
+    for task in tasks {
+        assert_eq!(remote.status(task).expect("an answer").state, Accepted);
+    }
+    std::fs::write(lab.scratch.path("go"), "").expect("to write");
+    let [silent, closes, half] = tasks;
+    assert_eq!(end(&mut remote, silent), (Completed, "end".to_owned()));
+    assert_eq!(end(&mut remote, closes), (Completed, String::new()));
+    assert_eq!(
+        end(&mut remote, half),
+        (Completed, "no end of line".to_owned())
+    );
+    crate::rig::kill(lab.process("holder"));
+}
+
+#[test]
+fn a_crowd_that_shouts_is_heard_within_bounds_and_others_are_served() {
+    let lab = Lab::new(
+        r#"
+        crowd: {run: [sh, -c, 'for i in $(seq 40); do yes "$i is here" & yes >&2 & done; wait'], result: all, output: 4 KiB, abort: {grace: 100 ms}}
+        progress: {run: [yes, '@ on'], progress: '@ '}
+        echo: echo
+        "#,
+    );
+    let mut remote = lab.remote();
+    let crowd = trigger(&mut remote, "crowd", "");
+    let other = trigger(&mut remote, "progress", "");
+    progress(&mut remote, other, "on");
+    for number in 0..5 {
+        let said = number.to_string();
+        assert_eq!(lab.run("echo", &said), (Completed, said));
+    }
+    let kept = std::fs::read_to_string(format!("/proc/{}/status", lab.server.process.id()));
+    let kept = kept.expect("its status");
+    let own = kept.lines().find_map(|line| line.strip_prefix("RssAnon:"));
+    let own: u64 = own
+        .and_then(|own| own.split_whitespace().next()?.parse().ok())
+        .expect("KiB");
+    assert!(own < 8 * 1024, "{own} KiB");
+    for task in [crowd, other] {
+        remote.abort(task).expect("an answer");
+        remote.wait(task, Some(PATIENCE)).expect("its end");
+    }
+    assert!(lab.at_home().is_empty());
+}
+
+#[test]
+fn ztl_ps_shows_where_a_program_is() {
+    let lab = Lab::new("go: {run: [sh, -c, 'echo \"@ 3 of 7\"; sleep 60'], progress: '@ '}");
+    let mut remote = lab.remote();
+    let task = trigger(&mut remote, "go", "fast");
+    progress(&mut remote, task, "3 of 7");
+    let port = lab.server.port.to_string();
+    let listed = Process::run(ztl().args(["ps", "-r", "127.0.0.1", "-p", &port])).stdout;
+    let row = listed
+        .lines()
+        .find(|line| line.starts_with(&task.to_string()));
+    let row = row.unwrap_or_else(|| panic!("{listed}"));
+    assert!(row.contains("p:go:fast") && row.contains("3 of 7"), "{row}");
+    let ended = Process::run(ztl().args(["abort", "-r", "127.0.0.1", "-p", &port, "--all"]));
+    assert_eq!(ended.code, Some(0), "{ended:?}");
+    assert!(lab.at_home().is_empty());
+}
+
+#[test]
+fn whichever_signal_ends_the_server_no_program_survives_it() {
+    for signal in ["ABRT", "QUIT", "HUP"] {
+        let mut lab =
+            Lab::new("go: {run: [sh, -c, 'echo $$ > pid; exec sleep 60'], abort: {grace: 2 s}}");
+        let mut remote = lab.remote();
+        trigger(&mut remote, "go", "");
+        let process = lab.process("pid");
+        assert!(lives(process));
+        lab.server.process.signal(signal);
+        dies(process);
+        lab.server.process.kill();
+    }
+}
