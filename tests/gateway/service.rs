@@ -1,55 +1,16 @@
 //! What a service manager and whoever stops the gateway see of it.
 
 use std::os::linux::net::SocketAddrExt;
-use std::os::unix::net::{SocketAddr, UnixDatagram};
+use std::os::unix::net::SocketAddr;
 use std::path::Path;
 use std::process::Command;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use ztl_mcu::link::Loss;
 use ztl_std::{RemoteTask, State};
-use ztl_tests::lab::{PATIENCE, Process, SCOPE, Scratch, Server, until, ztl};
+use ztl_tests::lab::{Manager, PATIENCE, Process, SCOPE, Scratch, Server, until, verify_unit, ztl};
 
 use crate::firmware::{Endless, Firmware};
-
-/// Stands for systemd: hears what a service says.
-struct Manager {
-    socket: UnixDatagram,
-    heard: Vec<String>,
-}
-
-impl Manager {
-    fn at(address: &SocketAddr) -> Self {
-        let socket = UnixDatagram::bind_addr(address).expect("a socket");
-        socket.set_read_timeout(Some(PATIENCE)).expect("a limit");
-        Self {
-            socket,
-            heard: Vec::new(),
-        }
-    }
-
-    /// Waits until so many lines were heard that begin so; the last message of them.
-    #[track_caller]
-    fn wait_for(&mut self, begin: &str, times: usize) -> String {
-        let mut buffer = [0xA5; 4096];
-        let start = Instant::now();
-        loop {
-            let said = |message: &&String| message.lines().any(|line| line.starts_with(begin));
-            let mut found = self.heard.iter().filter(said);
-            if let Some(message) = found.nth(times - 1) {
-                return message.clone();
-            }
-            assert!(
-                start.elapsed() < PATIENCE,
-                "no '{begin}' in {:?}",
-                self.heard
-            );
-            let count = self.socket.recv(&mut buffer).expect("what it says");
-            let message = String::from_utf8_lossy(&buffer[..count]).into_owned();
-            self.heard.push(message);
-        }
-    }
-}
 
 fn gateway(devices: &[&str]) -> Command {
     let mut command = ztl();
@@ -112,10 +73,10 @@ fn a_watchdog_meant_for_another_process_is_not_fed() {
     process.signal("INT");
     manager.wait_for("STOPPING=1", 1);
     let fed = manager
-        .heard
+        .heard()
         .iter()
         .any(|message| message.contains("WATCHDOG"));
-    assert!(!fed, "{:?}", manager.heard);
+    assert!(!fed, "{:?}", manager.heard());
 }
 
 /// A task that the gateway has taken.
@@ -271,23 +232,5 @@ fn the_unit_starts_a_command_that_there_is() {
 
 #[test]
 fn systemd_finds_nothing_wrong_with_the_unit() {
-    let scratch = Scratch::new();
-    let (_, text) = unit();
-    // As installed: the program where the unit says, which is here the one that was built.
-    let program = ztl().get_program().to_string_lossy().into_owned();
-    let installed = scratch.path("ztl-gateway.service");
-    std::fs::write(&installed, text.replace("/usr/local/bin/ztl", &program)).expect("to write");
-    let mut verify = Command::new("systemd-analyze");
-    verify.arg("verify").arg(&installed);
-    match verify.output() {
-        Ok(output) => {
-            let said = String::from_utf8_lossy(&output.stderr).into_owned();
-            let ours: Vec<&str> = said
-                .lines()
-                .filter(|line| line.contains("ztl-gateway"))
-                .collect();
-            assert!(ours.is_empty() && output.status.success(), "{said}");
-        }
-        Err(error) => eprintln!("left out: systemd-analyze: {error}"),
-    }
+    verify_unit(&unit().0);
 }

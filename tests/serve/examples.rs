@@ -6,7 +6,7 @@ use ztl_std::State::{Aborted, Completed};
 use ztl_std::{RemoteTask, TriggerError};
 use ztl_tests::lab::{
     ABORTED, COMPLETED, OriginalClient, PATIENCE, Process, Scratch, Server, built, free_port,
-    python, ztl,
+    python, verify_unit, ztl,
 };
 
 use crate::rig::{end, progress, project};
@@ -133,16 +133,7 @@ fn the_example_is_right() {
 
 #[test]
 fn systemd_finds_nothing_wrong_with_the_unit() {
-    let scratch = Scratch::new();
-    let unit = std::fs::read_to_string(project("examples/systemd/ztl-serve.service"));
-    let installed = "/usr/local/bin/ztl";
-    let unit = unit.expect("the unit");
-    assert!(unit.contains(installed));
-    let unit = unit.replace(installed, &built("ztl").display().to_string());
-    let path = scratch.path("ztl-serve.service");
-    std::fs::write(&path, unit).expect("to write");
-    let ended = Process::run(Command::new("systemd-analyze").arg("verify").arg(path));
-    assert_eq!((ended.code, ended.stderr.as_str()), (Some(0), ""));
+    verify_unit(&project("examples/systemd/ztl-serve.service"));
 }
 
 #[test]

@@ -1,6 +1,7 @@
 //! What the server keeps in memory.
 
 use std::path::PathBuf;
+use std::process::Command;
 
 use ztl_std::{RemoteTask, State};
 use ztl_tests::lab::{PATIENCE, SCOPE, built};
@@ -22,7 +23,7 @@ fn a_thousand_remembered_tasks_fit_into_eight_mebibytes() {
     // A program that was built for tests is larger by itself; the released one counts as a whole.
     let released = std::env::var_os("ZTL_RELEASED").map(PathBuf::from);
     let program = released.clone().unwrap_or_else(|| built("ztl"));
-    let lab = Lab::of_program(&program, "echo: {run: [echo, 'said {goal}']}");
+    let lab = Lab::of_command(Command::new(program), "echo: {run: [echo, 'said {goal}']}");
     let mut remote = RemoteTask::connect(&lab.server.endpoint(), SCOPE).expect("an address");
     for number in 0..1000 {
         let ran = remote.run("p", "echo", &number.to_string(), Some(PATIENCE));

@@ -28,8 +28,8 @@ impl Lab {
 
     /// Serves components by a `ztl` of one's own.
     #[track_caller]
-    pub fn of_program(program: &Path, components: &str) -> Self {
-        Self::start(Command::new(program), &file(components), &[])
+    pub fn of_command(ztl: Command, components: &str) -> Self {
+        Self::start(ztl, &file(components), &[])
     }
 
     /// Serves a file.

@@ -1,9 +1,10 @@
 //! The server is asked to stop.
 
+use std::os::unix::net::SocketAddr;
 use std::time::{Duration, Instant};
 
 use ztl_std::State::Aborted;
-use ztl_tests::lab::{PATIENCE, until};
+use ztl_tests::lab::{Manager, PATIENCE, Scratch, until, ztl};
 
 use crate::rig::{Lab, dies, end, lives, trigger};
 
@@ -89,4 +90,22 @@ fn while_it_stops_nothing_new_begins() {
     assert_eq!(server.process.end(PATIENCE).code, Some(0));
     assert!(!lives(process));
     drop(scratch);
+}
+
+#[test]
+fn systemd_hears_what_is_served_that_it_lives_and_that_it_stops() {
+    let scratch = Scratch::new();
+    let path = scratch.path("notify");
+    let mut manager = Manager::at(&SocketAddr::from_pathname(&path).expect("an address"));
+    let mut command = ztl();
+    command
+        .env("NOTIFY_SOCKET", &path)
+        .env("WATCHDOG_USEC", "200000");
+    let lab = Lab::of_command(command, "echo: echo");
+    let ready = manager.wait_for("READY=1", 1);
+    assert!(ready.contains("\nSTATUS=1 component at /test"), "{ready}");
+    manager.wait_for("WATCHDOG=1", 2);
+    lab.server.process.signal("TERM");
+    manager.wait_for("STOPPING=1", 1);
+    assert_eq!(lab.server.process.end(PATIENCE).code, Some(0));
 }

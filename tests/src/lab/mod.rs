@@ -5,6 +5,8 @@
 
 #[cfg(unix)]
 mod board;
+#[cfg(unix)]
+mod manager;
 mod original;
 mod peers;
 mod process;
@@ -15,6 +17,8 @@ mod tools;
 
 #[cfg(unix)]
 pub use board::{Board, Pin};
+#[cfg(unix)]
+pub use manager::{Manager, verify_unit};
 pub use original::{
     ABORTED, ACCEPTED, Answer, COMPLETED, FAILED, OriginalClient, REJECTED, original_tool, python,
 };

@@ -3,14 +3,13 @@
 use std::fmt;
 use std::path::PathBuf;
 use std::process::ExitCode;
-use std::sync::{Mutex, PoisonError};
 
 use ztl_std::gateway::Endpoint;
 use ztl_std::gateway::config::{Config, DeviceConfig, name_mistake, same_line};
 use ztl_std::server::scope_mistake;
 
 use crate::reach::{self, MISCONFIGURED, Unfit};
-use crate::service::Service;
+use crate::service::{self, Service};
 use crate::terminal::line;
 use crate::tool::port;
 use crate::{Done, journal, log, signals};
@@ -221,17 +220,11 @@ impl Plan {
             self.scope
         ));
         let stopper = server.stopper();
-        let service = Mutex::new(Some(Service::ready(server.pulse(), watch)?));
+        let service = Service::ready(server.pulse(), move || {
+            service::of_devices(&watch.reports())
+        })?;
         signals::leave_at_the_second();
-        signals::then(move || {
-            let service = service
-                .lock()
-                .unwrap_or_else(PoisonError::into_inner)
-                .take();
-            service.into_iter().for_each(Service::stopping);
-            line("Stopping; once more (Ctrl-C, SIGTERM) leaves at once.");
-            stopper.stop();
-        });
+        service.stops(stopper);
         server.listen()?;
         line("Stopped.");
         Ok(ExitCode::SUCCESS)

@@ -11,6 +11,7 @@ use ztl_std::serve::{Config, Groups};
 use ztl_std::server::scope_mistake;
 
 use crate::reach::{self, MISCONFIGURED, Unfit};
+use crate::service::Service;
 use crate::terminal::line;
 use crate::{Done, log, signals};
 
@@ -149,10 +150,8 @@ fn serve(config: &Config, place: reach::Place) -> Done {
     ));
     let stopper = server.stopper();
     signals::leave_at_the_second_after(move || groups.kill());
-    signals::then(move || {
-        line("Stopping; once more (Ctrl-C, SIGTERM) leaves at once.");
-        stopper.stop();
-    });
+    let served = served(config);
+    Service::ready(server.pulse(), move || served.clone())?.stops(stopper);
     server.listen()?;
     line("Stopped.");
     Ok(ExitCode::SUCCESS)

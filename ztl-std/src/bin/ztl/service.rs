@@ -1,10 +1,14 @@
 //! What systemd is told of a service: `sd_notify(3)`, over a datagram socket.
 
 use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
+use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-use ztl_std::gateway::{DeviceReports, Watch};
-use ztl_std::server::Pulse;
+use ztl_std::gateway::DeviceReports;
+use ztl_std::server::{Pulse, Stopper};
+
+use crate::signals;
+use crate::terminal::line;
 
 /// How often it is looked whether there is something new to say.
 const LOOK: Duration = Duration::from_secs(1);
@@ -17,9 +21,12 @@ pub(crate) struct Service {
 }
 
 impl Service {
-    /// Says that the gateway serves, and from then on how it does: its devices as the status, and, if
-    /// that is watched, that its server lives.
-    pub(crate) fn ready(pulse: Pulse, watch: Watch) -> std::io::Result<Self> {
+    /// Says that this process serves, and from then on how it does, as the status, and, if that is
+    /// watched, that its server lives.
+    pub(crate) fn ready(
+        pulse: Pulse,
+        tell: impl Fn() -> String + Send + 'static,
+    ) -> std::io::Result<Self> {
         let manager = Manager::from_environment();
         let (attending, ended) = channel();
         if !manager.is_there() {
@@ -28,7 +35,9 @@ impl Service {
                 _attending: attending,
             });
         }
-        let mut status = status(&watch.reports());
+        // It is one line of the message.
+        let now = move || tell().replace(char::is_control, " ");
+        let mut status = now();
         manager.tell(&format!("READY=1\nSTATUS={status}"));
         let teller = manager.clone();
         let watchdog = watchdog();
@@ -39,7 +48,7 @@ impl Service {
             .spawn(move || {
                 let mut told = Instant::now();
                 while ended.recv_timeout(pause) == Err(RecvTimeoutError::Timeout) {
-                    let new = self::status(&watch.reports());
+                    let new = now();
                     if new != status {
                         status = new;
                         teller.tell(&format!("STATUS={status}"));
@@ -57,22 +66,29 @@ impl Service {
         })
     }
 
-    /// Says that the service ends; the last that is said.
-    pub(crate) fn stopping(self) {
-        self.manager.tell("STOPPING=1\nSTATUS=Stopping.");
+    /// When somebody wants this process to end, that is said, and the server is stopped.
+    pub(crate) fn stops(self, stopper: Stopper) {
+        let service = Mutex::new(Some(self));
+        signals::then(move || {
+            let mut service = service.lock().unwrap_or_else(PoisonError::into_inner);
+            if let Some(service) = service.take() {
+                service.manager.tell("STOPPING=1\nSTATUS=Stopping.");
+            }
+            line("Stopping; once more (Ctrl-C, SIGTERM) leaves at once.");
+            stopper.stop();
+        });
     }
 }
 
-/// One line on all devices.
-fn status(devices: &DeviceReports) -> String {
+/// How a gateway does: one line on all devices.
+pub(crate) fn of_devices(devices: &DeviceReports) -> String {
     let ready = devices.values().filter(|device| device.ready).count();
     let mut text = format!("{ready} of {} devices ready", devices.len());
     for (name, device) in devices.iter().filter(|(_, device)| !device.ready) {
         let trouble = device.trouble.as_deref().unwrap_or("not ready yet");
         text.push_str(&format!("; {name}: {trouble}"));
     }
-    // It is one line of the message.
-    text.replace(char::is_control, " ")
+    text
 }
 
 /// After how long without a word systemd restarts this process, if it does.

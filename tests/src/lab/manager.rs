@@ -1,0 +1,77 @@
+//! A service manager, as services see it.
+
+use std::os::unix::net::{SocketAddr, UnixDatagram};
+use std::path::Path;
+use std::process::Command;
+use std::time::Instant;
+
+use super::{PATIENCE, Process, Scratch, built};
+
+/// Stands for systemd: hears what a service says.
+#[derive(Debug)]
+pub struct Manager {
+    socket: UnixDatagram,
+    heard: Vec<String>,
+}
+
+impl Manager {
+    /// Listens there.
+    #[track_caller]
+    pub fn at(address: &SocketAddr) -> Self {
+        let socket = UnixDatagram::bind_addr(address).expect("a socket");
+        socket.set_read_timeout(Some(PATIENCE)).expect("a limit");
+        Self {
+            socket,
+            heard: Vec::new(),
+        }
+    }
+
+    /// Waits until so many lines were heard that begin so; the last message of them.
+    #[track_caller]
+    pub fn wait_for(&mut self, begin: &str, times: usize) -> String {
+        let mut buffer = [0xA5; 4096];
+        let start = Instant::now();
+        loop {
+            let said = |message: &&String| message.lines().any(|line| line.starts_with(begin));
+            let mut found = self.heard.iter().filter(said);
+            if let Some(message) = found.nth(times - 1) {
+                return message.clone();
+            }
+            assert!(
+                start.elapsed() < PATIENCE,
+                "no '{begin}' in {:?}",
+                self.heard
+            );
+            let count = self.socket.recv(&mut buffer).expect("what it says");
+            let message = String::from_utf8_lossy(&buffer[..count]).into_owned();
+            self.heard.push(message);
+        }
+    }
+
+    /// All that it has heard so far.
+    pub fn heard(&self) -> &[String] {
+        &self.heard
+    }
+}
+
+/// Has systemd look at a unit of the examples, as it is once `ztl` is installed.
+///
+/// # Panics
+/// When something is wrong with it.
+#[track_caller]
+pub fn verify_unit(unit: &Path) {
+    let scratch = Scratch::new();
+    let name = unit.file_name().expect("its name");
+    let text = std::fs::read_to_string(unit).expect("the unit");
+    let installed = "/usr/local/bin/ztl";
+    assert!(text.contains(installed), "{text}");
+    // The one that was built stands for it.
+    let text = text.replace(installed, &built("ztl").display().to_string());
+    let path = scratch.path(name);
+    std::fs::write(&path, text).expect("to write");
+    let ended = Process::run(Command::new("systemd-analyze").arg("verify").arg(path));
+    // It may find something in the units of this machine, too.
+    let name = name.to_string_lossy();
+    let ours = ended.stderr.lines().any(|line| line.contains(&*name));
+    assert!(!ours && ended.code == Some(0), "{ended:?}");
+}
