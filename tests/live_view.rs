@@ -5,6 +5,7 @@
 
 use std::fs;
 use std::process::Command;
+use std::time::{Duration, Instant};
 
 use serde_json::Value;
 use ztl_tests::lab::{PATIENCE, SCOPE, Scratch, Server, Terminal, until, ztl};
@@ -229,6 +230,41 @@ fn keys_that_come_at_once_decide_once() {
         "{screen}"
     );
     terminal.type_in("\x03");
+    terminal.end();
+}
+
+#[test]
+fn a_key_that_is_held_down_decides_once() {
+    let stage = Stage::new(SCRIPT);
+    let mut terminal = stage.play();
+    terminal.shows(" Next: open");
+    // As a keyboard repeats it: over the end of the scene, and on while the next one is asked about. On a
+    // machine that is too busy it comes as if it were let go.
+    let mut asked = None;
+    let mut last = Instant::now();
+    let mut steady = true;
+    until("a while at the next question", PATIENCE, || {
+        steady &= last.elapsed() < Duration::from_millis(120);
+        last = Instant::now();
+        terminal.type_in("\r");
+        std::thread::sleep(Duration::from_millis(30));
+        if terminal.screen().contains(" Next: shake") {
+            asked.get_or_insert_with(Instant::now);
+        }
+        let done = |asked: Instant| asked.elapsed() > Duration::from_millis(400);
+        (!steady || asked.is_some_and(done)).then_some(())
+    });
+    if steady {
+        assert_eq!(stage.decided(), ["start operator"]);
+        assert!(terminal.screen().contains(" Next: shake"));
+    }
+    // Let go, and pressed again.
+    until("the next scene", PATIENCE, || {
+        std::thread::sleep(Duration::from_millis(300));
+        terminal.type_in("\r");
+        (stage.decided().len() > 1).then_some(())
+    });
+    terminal.type_in("x");
     terminal.end();
 }
 

@@ -29,6 +29,13 @@ const PAUSE: Duration = Duration::from_millis(40);
 const TICK: Duration = Duration::from_millis(100);
 /// How long the rest of a key's bytes is waited for.
 const REST: Duration = Duration::from_millis(40);
+/// A key that comes again sooner is held down. Keyboards repeat every 30 to 50 ms; a busy machine may be
+/// late in reading them.
+const HELD: Duration = Duration::from_millis(250);
+/// The same when several came at once, so that they were read late.
+const LATE: Duration = Duration::from_secs(2);
+/// When a question still stands so long after its answer, that was not taken.
+const UNHEARD: Duration = Duration::from_millis(500);
 
 /// The view; the terminal is given back when it is dropped.
 #[derive(Debug)]
@@ -68,6 +75,7 @@ impl Live {
             chooser: None,
             seen: 0,
             answered: None,
+            key: None,
             drawn: Vec::new(),
             size: (0, 0),
             taken: 0,
@@ -155,8 +163,10 @@ struct Screen {
     chooser: Option<Chooser>,
     /// The question that is on the screen, by its number; 0: none.
     seen: u64,
-    /// The question that was answered last.
-    answered: Option<u64>,
+    /// The question that was answered last, and when.
+    answered: Option<(u64, Instant)>,
+    /// The last key, and when it came.
+    key: Option<(String, Instant)>,
     drawn: Vec<String>,
     size: (usize, usize),
     taken: u64,
@@ -171,17 +181,21 @@ impl Screen {
             if lock(&self.shared).over || tty::is_closed() {
                 return;
             }
-            // Before the screen changes: what was typed by then was meant for what was seen.
-            let typed = match self.draw() {
-                Ok(()) => self.read(PAUSE),
-                Err(error) => Err(error),
-            };
-            match typed {
-                Ok(typed) => self.type_in(&typed),
+            if self.turn().is_err() {
                 // Nobody sees anything any more. That is told by a signal; the show goes on.
-                Err(_) => std::thread::sleep(TICK),
+                std::thread::sleep(TICK);
             }
         }
+    }
+
+    fn turn(&mut self) -> io::Result<()> {
+        // What was typed before the screen changes was meant for what was seen.
+        let typed = self.read(Duration::ZERO)?;
+        self.type_in(&typed);
+        self.draw()?;
+        let typed = self.read(PAUSE)?;
+        self.type_in(&typed);
+        Ok(())
     }
 
     /// What was typed, with the rest of a key whose bytes come in pieces.
@@ -218,15 +232,30 @@ impl Screen {
                 "Ctrl-Z" => tty::suspend(),
                 "Ctrl-L" => self.drawn.clear(),
                 // Whatever came before it: whoever wants to stop must not be unheard.
-                "Ctrl-C" => self.press(key),
-                _ if nth == 0 => self.press(key),
-                _ => self.tell(key, None),
+                "Ctrl-C" => self.press(key, nth > 0),
+                _ if nth == 0 => self.press(key, !rest.is_empty()),
+                _ => {
+                    self.key = Some((key.clone(), Instant::now()));
+                    self.tell(key, None);
+                }
             }
             nth += 1;
         }
     }
 
-    fn press(&mut self, key: String) {
+    /// Whether a key is held down, or came twice by a slip. Moving and pausing are no harm then.
+    /// `several`: it came with others at once, so this is late in reading it.
+    fn is_held(&mut self, key: &str, several: bool) -> bool {
+        let before = self.key.replace((key.to_owned(), Instant::now()));
+        let again =
+            before.is_some_and(|(before, at)| before == key && (several || at.elapsed() < HELD));
+        again && self.chooser.is_none() && !matches!(key, "p" | "P")
+    }
+
+    fn press(&mut self, key: String, several: bool) {
+        if self.is_held(&key, several) {
+            return self.tell(key, None);
+        }
         let (command, scenes, current) = {
             let shared = lock(&self.shared);
             let board = &shared.board;
@@ -234,7 +263,10 @@ impl Screen {
             let mut choices = board.choices();
             // What is asked is not what was seen, or was answered before: only stopping counts.
             let number = board.questions;
-            let fresh = self.seen == number && self.answered != Some(number);
+            let answered = self
+                .answered
+                .is_some_and(|(answered, at)| answered == number && at.elapsed() < UNHEARD);
+            let fresh = self.seen == number && !answered;
             if question.is_some() && !fresh {
                 choices.clear();
             }
@@ -263,7 +295,7 @@ impl Screen {
                 }
                 Chosen::Scene(scene) => {
                     self.chooser = None;
-                    self.answered = Some(current);
+                    self.answered = Some((current, Instant::now()));
                     self.tell(format!("j {key}"), Some(Command::Jump { scene }));
                 }
             }
@@ -271,7 +303,7 @@ impl Screen {
         }
         self.chooser = None;
         if command.is_some_and(|command| !matches!(command, Command::Pause | Command::Resume)) {
-            self.answered = Some(current);
+            self.answered = Some((current, Instant::now()));
         }
         self.tell(key, command);
     }
