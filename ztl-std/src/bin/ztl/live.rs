@@ -247,8 +247,8 @@ impl Screen {
     /// `several`: it came with others at once, so this is late in reading it.
     fn is_held(&mut self, key: &str, several: bool) -> bool {
         let before = self.key.replace((key.to_owned(), Instant::now()));
-        let again =
-            before.is_some_and(|(before, at)| before == key && (several || at.elapsed() < HELD));
+        let limit = if several { LATE } else { HELD };
+        let again = before.is_some_and(|(before, at)| before == key && at.elapsed() < limit);
         again && self.chooser.is_none() && !matches!(key, "p" | "P")
     }
 
