@@ -23,6 +23,8 @@ const WEIGHED: &str = "microbit";
 
 /// An image with a network stack, which it is the only one to have.
 const NETWORKED: &str = "ethernet";
+/// What it needs.
+const NETWORK: &str = "--features ethernet";
 
 /// Boards that have further images, which log nothing: the robot, the smallest node of use, a bare
 /// serial port, and servers for ZeroMQ clients without a gateway.
@@ -111,8 +113,12 @@ pub(crate) fn check(dirs: &Dirs) -> Outcome {
         let core = Core::provide(&board.target)?;
         // Debian's compiler is not the one that clippy belongs to.
         if let Core::Compiled(_) = core {
-            let clippy = cargo(dirs, &core, "clippy", &board);
-            clippy.args("-- -D warnings").run()?;
+            for features in ["", NETWORK] {
+                if features.is_empty() || images(&board).contains(&NETWORKED) {
+                    let clippy = cargo(dirs, &core, "clippy", &board).args(features);
+                    clippy.args("-- -D warnings").run()?;
+                }
+            }
         }
         build(dirs, &board)?;
     }
@@ -131,21 +137,21 @@ pub(crate) fn build_for_qemu(dirs: &Dirs) -> Outcome {
 pub(crate) fn build(dirs: &Dirs, board: &Board) -> Outcome<Vec<PathBuf>> {
     image::check_lock(MANIFEST)?;
     let mut paths = vec![build_image(dirs, board, &board.name, "")?];
-    for (name, images) in MORE.iter().filter(|(name, _)| *name == board.name) {
-        for image in *images {
-            let mut features = QUIET.to_owned();
-            if *image == NETWORKED {
-                features += " --features ethernet";
-            }
-            paths.push(build_image(
-                dirs,
-                board,
-                &format!("{name}-{image}"),
-                &features,
-            )?);
+    for image in images(board) {
+        let mut features = QUIET.to_owned();
+        if *image == NETWORKED {
+            features = format!("{QUIET} {NETWORK}");
         }
+        let image = format!("{}-{image}", board.name);
+        paths.push(build_image(dirs, board, &image, &features)?);
     }
     Ok(paths)
+}
+
+/// A board's further images.
+fn images(board: &Board) -> &'static [&'static str] {
+    let more = MORE.iter().find(|(name, _)| *name == board.name);
+    more.map_or(&[], |(_, images)| images)
 }
 
 fn build_image(dirs: &Dirs, board: &Board, image: &str, features: &str) -> Outcome<PathBuf> {
