@@ -21,6 +21,9 @@ const BOOT: u32 = 0x3A2C_BD44;
 const STATUS: &str = "/test;2;1;status update";
 const ANSWER: &str = "/test;5;1;hello world";
 
+/// A question that is answered.
+type Ask = Box<dyn FnMut()>;
+
 /// Says hello.
 struct Echo;
 
@@ -199,7 +202,7 @@ fn main() {
     raw_engine();
     let engine_for_libzmq = ours();
     drop(raw(engine_for_libzmq, true));
-    let mut subjects: [(&str, Box<dyn FnMut()>); 4] = [
+    let mut subjects: [(&str, Ask); 4] = [
         (
             "bare TCP echo, raw client",
             Box::new(raw(bare_tcp(), false)),
