@@ -40,13 +40,14 @@ pub(crate) fn add_all() {
     add(&lacking);
 }
 
-fn add(targets: &[&str]) {
+/// Asks rustup for these targets; what it does not give stays lacking.
+pub(crate) fn add(targets: &[&str]) {
     if targets.is_empty() || !tools::has("rustup") {
         return;
     }
     let add = Cmd::new("rustup target add").args(&targets.join(" "));
     if let Err(error) = add.run() {
-        println!("{error}; trying Debian's packages instead");
+        println!("{error}; it is done without");
     }
 }
 
@@ -112,7 +113,7 @@ impl Core {
 }
 
 /// The directory with the compiler's libraries for the target, if it has them.
-fn compiled_core(target: &str) -> Option<PathBuf> {
+pub(crate) fn compiled_core(target: &str) -> Option<PathBuf> {
     let libraries = Cmd::new("rustc --print target-libdir --target")
         .arg(target)
         .stdout()

@@ -11,8 +11,10 @@ mod cmd;
 mod cross;
 mod curve;
 mod firmware;
+mod foreign;
 mod fuzz;
 mod image;
+mod package;
 mod peers;
 mod proof;
 mod python;
@@ -88,7 +90,7 @@ const CHORES: &[Chore] = &[
     },
     Chore {
         name: "bench",
-        about: "measure what matters beside the original, in one run",
+        about: "measure what matters beside the original, in one run ([PART]...)",
         run: bench::run,
     },
 ];

@@ -5,8 +5,8 @@ use std::time::{Duration, Instant};
 
 use crate::cmd::{Cmd, Outcome};
 use crate::{
-    Dirs, bare, capi, clients, curve, firmware, fuzz, image, peers, proof, python, simulate, size,
-    tools,
+    Dirs, bare, capi, clients, curve, firmware, foreign, fuzz, image, package, peers, proof,
+    python, simulate, size, tools,
 };
 
 /// The crates that have to do without `std` and without an allocator.
@@ -68,6 +68,16 @@ const STEPS: &[Step] = &[
                 .env("RUSTDOCFLAGS", "-D warnings")
                 .run()
         },
+    },
+    Step {
+        name: "package",
+        about: "the crates could be published: what is packed is described, and enough to compile",
+        run: package::check,
+    },
+    Step {
+        name: "foreign",
+        about: "the library and the command type-check for Windows and macOS, where rustup gives these targets",
+        run: foreign::check,
     },
     Step {
         name: "python",

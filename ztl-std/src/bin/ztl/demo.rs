@@ -5,7 +5,7 @@ use std::process::ExitCode;
 use std::time::Instant;
 
 use tracing::Level;
-use ztl_std::gateway::{BAUD, Endpoint, Gateway};
+use ztl_std::gateway::{Endpoint, Gateway};
 use ztl_std::sim::Kind;
 use ztl_std::{RemoteTask, TaskServer};
 
@@ -118,7 +118,8 @@ impl Demo {
 fn simulate(kind: Kind) -> (String, Option<ztl_std::sim::Running>) {
     #[cfg(unix)]
     if let Ok((device, path)) = ztl_std::sim::Device::new(kind).on_pty(None) {
-        return (format!("serial:{path}?baud={BAUD}"), Some(device));
+        let baud = ztl_std::gateway::BAUD;
+        return (format!("serial:{path}?baud={baud}"), Some(device));
     }
     (format!("sim:{kind}"), None)
 }
