@@ -1,0 +1,105 @@
+//! What a server costs: CPU time for each request, on one core with its client, and when nobody asks.
+
+use std::process::Command;
+use std::time::Duration;
+
+use crate::load::{connect, measure, rounds};
+use crate::numbers::{Interval, verdict};
+use crate::{Lab, find, show};
+
+/// How long an idle server is watched.
+const IDLE: Duration = Duration::from_secs(10);
+
+/// Keeps a process, with its threads, on these cores.
+fn pin(process: u32, cores: &str) {
+    let done = Command::new("taskset")
+        .args(["--all-tasks", "--cpu-list", "--pid", cores])
+        .arg(process.to_string())
+        .output();
+    let done = done.expect("`taskset` of util-linux");
+    assert!(done.status.success(), "{done:?}");
+}
+
+/// All cores that there are.
+fn everywhere() -> String {
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    format!("0-{}", cores - 1)
+}
+
+fn with_pinned(lab: &Lab, servers: &str, load: &str, measure: impl FnOnce(&Lab)) {
+    let processes: Vec<u32> = lab.statuses().iter().map(|subject| subject.id).collect();
+    let pin_all = |servers: &str, load: &str| {
+        for process in &processes {
+            pin(*process, servers);
+        }
+        pin(std::process::id(), load);
+    };
+    pin_all(servers, load);
+    measure(lab);
+    pin_all(&everywhere(), &everywhere());
+}
+
+/// STATUS, 64 clients, server and load on cores of their own.
+pub(crate) fn cpu_per_request(lab: &Lab) {
+    if std::thread::available_parallelism().map_or(1, usize::from) < 2 {
+        return println!("CPU per request: LEFT OUT, there is one core only");
+    }
+    with_pinned(lab, "1", "0", |lab| {
+        println!("CPU time of the server for a STATUS, 64 clients, load on another core:");
+        let mut statuses = lab.statuses();
+        rounds(&mut statuses, 64, lab.slice);
+        for subject in &statuses {
+            let cpu = Interval::of(subject.seen.iter().map(|seen| seen.cpu));
+            println!("  {:<14}{cpu} µs", subject.name);
+        }
+        let (ours, bare) = (find(&statuses, "ours"), find(&statuses, "bare ROUTER"));
+        let pairs = ours.seen.iter().zip(&bare.seen);
+        let ratio = Interval::of(pairs.map(|(ours, bare)| ours.cpu / bare.cpu));
+        let reached = verdict(ratio.stays_below(1.15));
+        println!("  ours of bare ROUTER: {ratio}; wanted at most 1.15: {reached}");
+    });
+}
+
+/// One client, and all of it on one core, so that no core has to be woken up.
+pub(crate) fn on_one_core(lab: &Lab) {
+    with_pinned(lab, "0", "0", |lab| {
+        println!("STATUS, 1 client, on one core:");
+        let mut statuses = lab.statuses();
+        rounds(&mut statuses, 1, lab.slice);
+        show(&statuses, "bare ROUTER");
+        println!("INIT of a trivial task, 1 client, on one core:");
+        let mut inits = lab.inits();
+        rounds(&mut inits, 1, lab.slice);
+        show(&inits, "the original");
+    });
+}
+
+/// How often the threads of a process have been put on a core, and how long they were there.
+fn turns(process: u32) -> (u64, u64) {
+    let threads = std::fs::read_dir(format!("/proc/{process}/task")).expect("its threads");
+    let each = threads.flatten().filter_map(|thread| {
+        let text = std::fs::read_to_string(thread.path().join("schedstat")).ok()?;
+        let numbers: Vec<u64> = text.split_whitespace().flat_map(str::parse).collect();
+        Some((*numbers.get(2)?, *numbers.first()?))
+    });
+    each.fold((0, 0), |sum, one| (sum.0 + one.0, sum.1 + one.1))
+}
+
+/// Sixty-four clients are connected, have had tasks done, and ask nothing.
+pub(crate) fn idle(lab: &Lab) {
+    println!("Idle for {IDLE:?}, 64 clients connected:");
+    for subject in lab.inits() {
+        let (_, sockets) = measure(&subject, connect(&subject, 64), lab.slice);
+        // Until threads that wait for more tasks have given up.
+        std::thread::sleep(Duration::from_secs(12));
+        let before = turns(subject.id);
+        std::thread::sleep(IDLE);
+        let after = turns(subject.id);
+        let (wakes, time) = (after.0 - before.0, (after.1 - before.1) / 1000);
+        println!(
+            "  {:<14}{wakes} wake-ups, {time} µs of CPU time",
+            subject.name
+        );
+        drop(sockets);
+    }
+}
