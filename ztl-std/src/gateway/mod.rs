@@ -37,7 +37,9 @@ use voice::LOG;
 
 use crate::random;
 use crate::remote::encoded;
-use crate::server::{Answers, Restored, RestoredTask, TaskHandler, TaskReporter, quoted};
+use crate::server::{
+    Answers, Restored, RestoredTask, TaskHandler, TaskReporter, quoted, would_take,
+};
 
 /// Task ids that are left out at each start.
 const SKIPPED: u32 = 1000;
@@ -281,8 +283,11 @@ impl TaskHandler for Gateway {
 
     fn answers(&self) -> Answers {
         let watch = self.watch();
+        let asked = self.watch();
+        let takes = would_take(move |spec| report::would_take(&asked.reports(), spec));
         Box::new(move |question| match question {
             "devices" => serde_json::to_string(&watch.reports()).ok(),
+            question if question.starts_with("takes ") => takes(question),
             // `log NAME FROM`
             other => {
                 let (name, from) = other.strip_prefix("log ")?.rsplit_once(' ')?;

@@ -6,8 +6,8 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
-use ztl_core::Instant;
 use ztl_core::link::{Busy, Loss};
+use ztl_core::{Instant, TaskSpec};
 
 use super::session::{Book, ComponentInfo, DeviceInfo, LinkCounters, RoundTrips, Session};
 use crate::clock::{millis, now};
@@ -67,6 +67,69 @@ pub struct ComponentReport {
     /// Topics under which it publishes readings.
     #[serde(default)]
     pub topics: Vec<String>,
+}
+
+/// Whether a device would take a task, by what it has told of itself.
+pub(super) fn would_take(devices: &DeviceReports, spec: &TaskSpec<'_>) -> Result<(), String> {
+    let names = |names: Vec<&str>| names.join(", ");
+    let Some(device) = devices.get(spec.handler) else {
+        let there = names(devices.keys().map(String::as_str).collect());
+        return Err(format!("no device '{}'; there are: {there}", spec.handler));
+    };
+    if !device.ready {
+        let trouble = device
+            .trouble
+            .as_deref()
+            .unwrap_or("it has not told of itself yet");
+        return Err(format!(
+            "device '{}' takes no tasks now: {trouble}",
+            spec.handler
+        ));
+    }
+    let mut components = device.components.iter();
+    let Some(component) = components.find(|component| component.name == spec.component) else {
+        let there = names(
+            device
+                .components
+                .iter()
+                .map(|known| known.name.as_str())
+                .collect(),
+        );
+        let (part, of) = (spec.component, spec.handler);
+        return Err(format!("no component '{part}' on '{of}'; it has: {there}"));
+    };
+    component.would_take(spec.goal)
+}
+
+impl ComponentReport {
+    /// Whether it would take a goal, as far as its description tells.
+    fn would_take(&self, goal: &str) -> Result<(), String> {
+        let goal = goal.trim();
+        // Without either it has not said what it takes.
+        let says = self.range.is_some() || !self.words.is_empty();
+        if !says || self.words.iter().any(|word| word == goal) {
+            return Ok(());
+        }
+        let words = self.words.join(", ");
+        let Some((least, most)) = self.range else {
+            return Err(format!("'{goal}' is none of its words: {words}"));
+        };
+        let fits = |number: &f32| (least..=most).contains(number);
+        match goal.parse::<f32>() {
+            Ok(number) if fits(&number) => Ok(()),
+            _ => {
+                let or = if words.is_empty() {
+                    String::new()
+                } else {
+                    format!(", or {words}")
+                };
+                let unit = &self.unit;
+                Err(format!(
+                    "'{goal}' is not a number from {least} to {most} {unit}{or}"
+                ))
+            }
+        }
+    }
 }
 
 /// How a link does.

@@ -1,5 +1,6 @@
 //! Scripts: scenes of steps of tasks, as people write them who do not program.
 
+mod ask;
 pub mod event;
 mod finding;
 mod model;
@@ -14,6 +15,7 @@ mod show;
 mod stand_ins;
 mod value;
 
+pub use ask::Said;
 pub use finding::Finding;
 pub use model::{Defaults, Handler, OnFailure, Scene, Script, Step, Task};
 pub use plan::timeline;

@@ -51,7 +51,7 @@ use program::Program;
 use rule::{Rule, shown};
 use supervisor::{Link, Message, Supervisor};
 
-use crate::server::{TaskHandler, TaskReporter, quoted};
+use crate::server::{Answers, TaskHandler, TaskReporter, quoted, would_take};
 
 /// Name under which it logs.
 const LOG: &str = "serve";
@@ -108,11 +108,15 @@ impl Room {
     }
 }
 
+/// Places of entries, by handler and component.
+type Places = BTreeMap<String, BTreeMap<String, usize>>;
+
 /// The handlers of a scope, as [`Config`] says.
 #[derive(Debug)]
 pub struct Programs {
     /// Places of entries, by handler and component.
-    places: BTreeMap<String, BTreeMap<String, usize>>,
+    places: Arc<Places>,
+    entries: Arc<[Arc<Entry>]>,
     link: Link,
     thread: Option<JoinHandle<()>>,
     /// How long stopping may take.
@@ -121,7 +125,7 @@ pub struct Programs {
 
 impl Programs {
     fn new(scope: &Scope, room: Room, groups: Groups) -> io::Result<Self> {
-        let mut places: BTreeMap<String, BTreeMap<String, usize>> = BTreeMap::new();
+        let mut places = Places::new();
         let mut longest = Duration::ZERO;
         for (place, (handler, component, entry)) in scope.entries().enumerate() {
             let components = places.entry(handler.to_owned()).or_default();
@@ -130,38 +134,42 @@ impl Programs {
                 longest = longest.max(program.abort.grace);
             }
         }
-        let entries = scope.entries().map(|(_, _, entry)| Arc::clone(entry));
-        let (link, supervisor) = Supervisor::new(scope.name(), entries.collect(), room, groups)?;
+        let entries: Vec<Arc<Entry>> = scope
+            .entries()
+            .map(|(_, _, entry)| Arc::clone(entry))
+            .collect();
+        let (link, supervisor) = Supervisor::new(scope.name(), entries.clone(), room, groups)?;
         let thread = std::thread::Builder::new()
             .name("ztl-serve".to_owned())
             .spawn(move || supervisor.run())?;
         Ok(Self {
-            places,
+            places: Arc::new(places),
+            entries: entries.into(),
             link,
             thread: Some(thread),
             stopping: longest + run::GOING + supervisor::LEAVING,
         })
     }
+}
 
-    /// The entry for a task, or why there is none.
-    fn find(&self, spec: &TaskSpec<'_>) -> Result<usize, String> {
-        let (handler, component) = (spec.handler, spec.component);
-        let named = |names: Vec<&String>| {
-            let names: Vec<&str> = names.into_iter().map(String::as_str).collect();
-            names.join(", ")
-        };
-        let Some(components) = self.places.get(handler).or_else(|| self.places.get(WILD)) else {
-            let handler = shown(handler);
-            let there = named(self.places.keys().collect());
-            return Err(format!("no handler '{handler}'; there are: {there}"));
-        };
-        let place = components.get(component).or_else(|| components.get(WILD));
-        place.copied().ok_or_else(|| {
-            let (handler, component) = (shown(handler), shown(component));
-            let there = named(components.keys().collect());
-            format!("no component '{component}' on '{handler}'; it has: {there}")
-        })
-    }
+/// The entry for a task, or why there is none.
+fn find(places: &Places, spec: &TaskSpec<'_>) -> Result<usize, String> {
+    let (handler, component) = (spec.handler, spec.component);
+    let named = |names: Vec<&String>| {
+        let names: Vec<&str> = names.into_iter().map(String::as_str).collect();
+        names.join(", ")
+    };
+    let Some(components) = places.get(handler).or_else(|| places.get(WILD)) else {
+        let handler = shown(handler);
+        let there = named(places.keys().collect());
+        return Err(format!("no handler '{handler}'; there are: {there}"));
+    };
+    let place = components.get(component).or_else(|| components.get(WILD));
+    place.copied().ok_or_else(|| {
+        let (handler, component) = (shown(handler), shown(component));
+        let there = named(components.keys().collect());
+        format!("no component '{component}' on '{handler}'; it has: {there}")
+    })
 }
 
 impl TaskHandler for Programs {
@@ -171,7 +179,7 @@ impl TaskHandler for Programs {
             Ok(spec) => spec,
             Err(error) => return task.threw(error.to_string()),
         };
-        match self.find(&spec) {
+        match find(&self.places, &spec) {
             Ok(entry) => self.link.send(Message::Start {
                 task,
                 entry,
@@ -194,6 +202,17 @@ impl TaskHandler for Programs {
         });
         let all = format!("{{{}}}", handlers.collect::<Vec<_>>().join(", "));
         Box::new(move || all.clone())
+    }
+
+    fn answers(&self) -> Answers {
+        let (places, entries) = (Arc::clone(&self.places), Arc::clone(&self.entries));
+        would_take(move |spec| {
+            let place = find(&places, spec)?;
+            let Some(entry) = entries.get(place) else {
+                return Ok(());
+            };
+            entry.rule.check(spec.goal, entry.wants_fields).map(|_| ())
+        })
     }
 
     fn stop(&mut self) -> Duration {

@@ -3,7 +3,7 @@
 
 use std::time::Duration;
 
-use ztl_core::{State, TaskId};
+use ztl_core::{State, TaskId, TaskSpec};
 
 use super::{STOPPING, TaskReporter};
 
@@ -79,4 +79,20 @@ pub struct RestoredTask {
     pub text: String,
     /// How long ago it ended; `None` when it has not.
     pub ended: Option<Duration>,
+}
+
+/// Answers the question `takes PAYLOAD`: whether a handler would take this task, as far as it can tell
+/// without starting it; JSON's `null`, or the reason why not.
+pub(crate) fn would_take(
+    takes: impl Fn(&TaskSpec<'_>) -> Result<(), String> + Send + 'static,
+) -> Answers {
+    Box::new(move |question| {
+        let payload = question.strip_prefix("takes ")?;
+        let mut buffer = vec![0; payload.len()];
+        let spec = TaskSpec::decode(payload, &mut buffer);
+        let why = spec
+            .map_err(|error| error.to_string())
+            .and_then(|spec| takes(&spec));
+        serde_json::to_string(&why.err()).ok()
+    })
 }

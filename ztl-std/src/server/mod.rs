@@ -36,6 +36,7 @@ pub use access::Access;
 use access::{Door, Who};
 pub use bind::BindError;
 use bind::bind;
+pub(crate) use handler::would_take;
 pub use handler::{Answers, Restored, RestoredTask, TaskHandler};
 pub use limits::{LIMITS, Limits};
 pub use listing::{ListedTask, Listing};

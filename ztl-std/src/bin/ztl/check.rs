@@ -20,6 +20,10 @@ pub(crate) struct Check {
     #[command(flatten)]
     endpoints: Endpoints,
 
+    /// Ask each server too whether it is there, and ours whether they would take the tasks
+    #[arg(long)]
+    live: bool,
+
     /// The defaults file that it will be played with
     #[arg(long, value_name = "FILE")]
     defaults: Option<PathBuf>,
@@ -53,6 +57,11 @@ impl Check {
                 "No configuration at {}: the names of servers are not checked (-c FILE).",
                 self.endpoints.path().display()
             )),
+        }
+        if let (true, Some(script), Some(remotes)) = (self.live, &script, &remotes) {
+            let said = script.ask_servers(remotes);
+            said.servers.iter().for_each(line);
+            findings.extend(said.findings);
         }
         findings.sort_by_key(|finding| finding.diagnostic().span.map(|span| span.start));
         for finding in &findings {

@@ -1,0 +1,401 @@
+//! `ztl check` and `ztl run-script` as people use them before and without a show: every mistake at its
+//! place, servers asked, rehearsals, and what a run costs. (How it plays: `scripts`; its live view: `live_view`.)
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::io::Write as _;
+use std::path::PathBuf;
+use std::process::Command;
+use std::time::Instant;
+
+use serde_json::Value;
+use ztl_std::{
+    ExecutableTask, RemoteTask, TaskContext, TaskController, TaskError, TaskRequest, TaskServer,
+};
+use ztl_tests::lab::{Ended, Process, SCOPE, Scratch, Server, free_port, ztl};
+
+/// The example's script and where its servers are.
+fn example(name: &str) -> PathBuf {
+    PathBuf::from(env!("CARGO_MANIFEST_DIR"))
+        .join("../examples/scripts")
+        .join(name)
+}
+
+/// A command on a script and servers, in a directory of its own.
+struct Desk {
+    files: Scratch,
+}
+
+impl Desk {
+    fn new(script: &str) -> Self {
+        let files = Scratch::new();
+        fs::write(files.path("show.yaml"), script).unwrap();
+        Self { files }
+    }
+
+    /// With these servers, by name, port and scope.
+    fn with(script: &str, remotes: &[(&str, u16, &str)]) -> Self {
+        let desk = Self::new(script);
+        let mut text = "remotes:\n".to_owned();
+        for (name, port, scope) in remotes {
+            text += &format!("  {name}: {{host: 127.0.0.1, port: {port}, scope: {scope}}}\n");
+        }
+        fs::write(desk.files.path("remotes.yaml"), text).unwrap();
+        desk
+    }
+
+    fn command(&self, words: &str) -> Command {
+        let mut command = ztl();
+        command.args(words.split(' ').filter(|word| !word.is_empty()));
+        command
+            .current_dir(self.files.path(""))
+            .env("XDG_CONFIG_HOME", self.files.path("nothing"));
+        command
+    }
+
+    fn run(&self, words: &str) -> Ended {
+        Process::run(&mut self.command(words))
+    }
+}
+
+const PLAY: &str = "run-script -s show.yaml -c remotes.yaml --yes --plain";
+
+#[test]
+fn the_example_plays_on_the_devices_of_the_demo() {
+    let gateway = Server::simulated();
+    let script = fs::read_to_string(example("welcome.yaml")).unwrap();
+    let desk = Desk::new(&script);
+    let remotes = fs::read_to_string(example("zmq-remotes.yaml")).unwrap();
+    let remotes = remotes.replace("12345", &gateway.port.to_string());
+    let remotes = remotes.replace("/lab", SCOPE);
+    fs::write(desk.files.path("remotes.yaml"), remotes).unwrap();
+
+    let checked = desk.run("check show.yaml -c remotes.yaml --live");
+    assert_eq!(checked.code, Some(0), "{checked:?}");
+    assert!(
+        checked.stdout.ends_with("Nothing is wrong.\n"),
+        "{checked:?}"
+    );
+    let played = desk.run(PLAY);
+    assert_eq!(played.code, Some(0), "{played:?}");
+    for line in [
+        "EXECUTING SCENE 'welcome'...",
+        "STARTING STEP 'look at the hand' WITH DELAY 1s...",
+        "STARTING STEP 'close a little' IN BACKGROUND WITH DELAY 0.5s...",
+        "STARTING STEP 'let go'...",
+    ] {
+        assert!(
+            played.stdout.lines().any(|said| said == line),
+            "{line}: {played:?}"
+        );
+    }
+}
+
+#[test]
+fn a_check_shows_everything_at_its_place_with_what_was_meant() {
+    let desk = Desk::with(
+        "\
+greeting:
+  hello (wait=ture; dealy=2):
+    robto: {say: no, at: 12:30}
+    robot: {on: 010, x(delay=soon): [1e3]}
+  hello (wait=ture; dealy=2):
+    - a
+  last:
+",
+        &[("robot", 1, "/r")],
+    );
+    let ended = desk.run("check show.yaml -c remotes.yaml");
+    assert_eq!(ended.code, Some(1));
+    let found: Vec<&str> = ended
+        .stdout
+        .lines()
+        .filter(|line| line.contains("show.yaml:"))
+        .collect();
+    for (place, words) in [
+        (
+            "doubtful: show.yaml:2:15:",
+            "'ture' is neither yes nor no, and is taken for no; did you mean 'true'?",
+        ),
+        (
+            "doubtful: show.yaml:2:21:",
+            "a step has no parameter 'dealy': it has no effect; did you mean 'delay'?",
+        ),
+        (
+            "doubtful: show.yaml:3:18:",
+            "YAML reads 'no' as False; if you mean the text, put it in quotes: 'no'",
+        ),
+        ("doubtful: show.yaml:3:26:", "YAML reads '12:30' as 750"),
+        ("doubtful: show.yaml:4:13:", "YAML reads 'on' as True"),
+        ("doubtful: show.yaml:4:17:", "YAML reads '010' as 8"),
+        (
+            "doubtful: show.yaml:4:30:",
+            "'soon' is no number of seconds; write 2 or 1.5",
+        ),
+        (
+            "doubtful: show.yaml:4:38:",
+            "YAML reads '1e3' as a text, which is sent in quotes; if you mean the number, write 1000.0",
+        ),
+        (
+            "doubtful: show.yaml:5:3:",
+            "stands here for the second time: this one counts, in the place of the first (line 2)",
+        ),
+        (
+            "mistake: show.yaml:6:5:",
+            "step 'hello' is a mapping of handlers; here is a list",
+        ),
+        (
+            "mistake: show.yaml:7:3:",
+            "step 'last' is a mapping of handlers; here is nothing",
+        ),
+    ] {
+        let told = found
+            .iter()
+            .any(|line| line.starts_with(place) && line.contains(words));
+        assert!(told, "{place} {words}: {}", ended.stdout);
+    }
+    // A mark stands below what is meant.
+    let marked = "  2 |   hello (wait=ture; dealy=2):\n    |               ^^^^\n";
+    assert!(ended.stdout.contains(marked), "{}", ended.stdout);
+    assert!(
+        ended.stdout.ends_with("2 mistakes, 11 doubtful places.\n"),
+        "{}",
+        ended.stdout
+    );
+    // What has mistakes is not played, and says why.
+    let played = desk.run(PLAY);
+    assert_eq!((played.code, played.stdout.as_str()), (Some(1), ""));
+    assert!(
+        played
+            .stderr
+            .contains("show.yaml:6:5: step 'hello' is a mapping"),
+        "{}",
+        played.stderr
+    );
+}
+
+#[test]
+fn names_of_servers_are_checked_where_there_is_a_configuration() {
+    let desk = Desk::with("s: {a: {robto: {say: hi}}}\n", &[("robot", 1, "/r")]);
+    let ended = desk.run("check show.yaml -c remotes.yaml");
+    assert_eq!(ended.code, Some(1));
+    let line = "mistake: show.yaml:1:9: no remote 'robto' in remotes.yaml; did you mean 'robot'?";
+    assert!(ended.stdout.starts_with(line), "{ended:?}");
+    let ended = desk.run("check show.yaml");
+    assert_eq!(ended.code, Some(0), "{ended:?}");
+    assert!(
+        ended
+            .stdout
+            .contains("the names of servers are not checked (-c FILE)"),
+        "{ended:?}"
+    );
+}
+
+#[test]
+fn servers_are_asked_whether_they_would_take_it_and_nothing_moves() {
+    let gateway = Server::simulated();
+    let original = Server::original();
+    let script = "\
+s:
+  a:
+    gripper: {finger: 400, fingre: 1}
+    hand(remote=gripper): {x: 1}
+    head: {pan: lift}
+    nobody: {x: 1}
+    other: {x: 1}
+    lost: {x: 1}
+";
+    let desk = Desk::with(
+        script,
+        &[
+            ("gripper", gateway.port, SCOPE),
+            ("head", gateway.port, SCOPE),
+            ("nobody", free_port(), "/x"),
+            ("other", original.port, SCOPE),
+            ("lost", original.port, "/lost"),
+        ],
+    );
+    let ended = desk.run("check show.yaml -c remotes.yaml --live");
+    assert_eq!(ended.code, Some(1));
+    for words in [
+        "show.yaml:3:15: server 'gripper': '400' is not a number from 0 to 100 percent",
+        "show.yaml:3:28: server 'gripper': 'gripper' has no component 'fingre'; did you mean 'finger'?",
+        "show.yaml:4:5: server 'gripper': it has no handler 'hand'; there are: gripper, head",
+        "show.yaml:5:12: server 'head': 'lift' is not a number from -90 to 90 degrees, or left, straight, right",
+        "show.yaml:6:5: server 'nobody' does not answer: no server at tcp://127.0.0.1:",
+        "one of the original's: it is there, and cannot be asked what it takes",
+        "show.yaml:8:5: the server at tcp://127.0.0.1:",
+        "6 mistakes.",
+    ] {
+        assert!(ended.stdout.contains(words), "{words}: {}", ended.stdout);
+    }
+    let port = gateway.port.to_string();
+    let tasks = Process::run(ztl().args(["ps", "--all", "-p", &port]));
+    assert_eq!(tasks.stdout, "No task is running.\n", "{tasks:?}");
+}
+
+#[test]
+fn a_dry_run_tells_when_and_sends_nothing() {
+    let desk = Desk::with(
+        "s(delay=2): {a(delay=1): {robot: {x(delay=0.5): 1, y(wait=no; delay=1): [2]}, gone: {z: 3}}, b(parallel): {robot: {x(timeout=3): 4, y(delay=2): 5}}}\n",
+        &[("robot", 9, "/r")],
+    );
+    let ended = desk.run("run-script -s show.yaml -c remotes.yaml --dry-run");
+    assert_eq!(ended.code, Some(0), "{ended:?}");
+    let expected = "\
+scene 's', after 2 s
+  step 'a'
+    +  1.50 s  robot:x:1  -> tcp://127.0.0.1:9 /r
+    +  2.50 s  robot:y:[2]  -> tcp://127.0.0.1:9 /r
+    +  2.50 s  gone:z:3  -> no server 'gone'
+    then waits for the end of x
+  step 'b', its tasks together
+    +  0.00 s  robot:x:4  -> tcp://127.0.0.1:9 /r
+    +  2.00 s  robot:y:5  -> tcp://127.0.0.1:9 /r
+    then waits for the end of x (at most 3 s), y
+";
+    assert_eq!(ended.stdout, expected);
+}
+
+#[test]
+fn a_rehearsal_needs_no_robot_and_no_configuration() {
+    let desk = Desk::new(
+        "s: {a: {robot: {say: hi}, lamp: {light: 1}}, b: {robot: {wave: 1}}}\nt: {c: {robot: {x: 1}}}\n",
+    );
+    let ended = desk.run("run-script -s show.yaml --simulate=0.05 --yes --plain");
+    assert_eq!(ended.code, Some(0), "{ended:?}");
+    assert_eq!(ended.stdout.lines().count(), 5, "{ended:?}");
+    let ended =
+        desk.run("run-script -s show.yaml --simulate=0.05 --yes --plain --scene s --from b");
+    assert_eq!(
+        ended.stdout,
+        "EXECUTING SCENE 's'...\nSTARTING STEP 'b'...\n"
+    );
+    // A limit that a task does not keep is a failure.
+    fs::write(desk.files.path("defaults.yaml"), "timeout: 0.1\n").unwrap();
+    let words =
+        "run-script -s show.yaml --simulate=5 --yes --plain --scene t --defaults defaults.yaml";
+    let ended = desk.run(words);
+    assert_eq!(ended.code, Some(1), "{ended:?}");
+    assert!(ended.stderr.contains("ended ABORTED"), "{ended:?}");
+}
+
+#[test]
+fn what_cannot_be_is_said_before_anything_begins() {
+    let desk = Desk::with(
+        "s one: {first: {robot: {say: hi}}}\n",
+        &[("robot", 9, "/r")],
+    );
+    fs::write(
+        desk.files.path("wrong.yaml"),
+        "timeuot: 3\non_failure: retri 2\n",
+    )
+    .unwrap();
+    for (words, said) in [
+        ("--yes --scene one", "no scene 'one'; there are: s one"),
+        (
+            "--yes --from frist",
+            "no step 'frist'; did you mean 'first'?",
+        ),
+        (
+            "--yes --defaults wrong.yaml",
+            "wrong.yaml:1:1: unknown key 'timeuot'; did you mean 'timeout'?",
+        ),
+        (
+            "--yes --defaults wrong.yaml",
+            "wrong.yaml:2:13: 'retri 2' is not known here; did you mean 'retry 2'?",
+        ),
+        ("--simulate=soon", "write a number of seconds, as 1 or 0.2"),
+        ("--plain", "(25, 'Inappropriate ioctl for device')"),
+        (
+            "--plain",
+            "stdin is no terminal, so nobody can be asked; use --yes",
+        ),
+    ] {
+        let words = format!("run-script -s show.yaml -c remotes.yaml {words}");
+        let mut command = desk.command(&words);
+        let ended = Process::run(command.stdin(std::process::Stdio::null()));
+        assert!(matches!(ended.code, Some(1 | 2)), "{words}: {ended:?}");
+        assert!(ended.stderr.contains(said), "{words}: {ended:?}");
+        assert!(!ended.stdout.contains("EXECUTING"), "{words}: {ended:?}");
+    }
+}
+
+/// Ends every task at once.
+struct Quick;
+
+impl TaskController for Quick {
+    fn assign(&self, request: &TaskRequest) -> Result<Box<dyn ExecutableTask>, TaskError> {
+        let goal = request.goal.clone();
+        Ok(Box::new(
+            move |_: &TaskContext| -> Result<String, TaskError> { Ok(goal) },
+        ))
+    }
+}
+
+#[test]
+fn a_step_costs_two_requests_and_no_pause() {
+    const STEPS: usize = 1000;
+    let mut server = TaskServer::bind("tcp://127.0.0.1:*").unwrap();
+    server.register("/r", Quick);
+    let server = server.spawn().unwrap();
+    let port: u16 = server
+        .endpoint()
+        .rsplit(':')
+        .next()
+        .unwrap()
+        .parse()
+        .unwrap();
+    // The same requests by a client alone, to compare.
+    let mut client = RemoteTask::connect(server.endpoint(), "/r").unwrap();
+    client.trigger("robot", "x", "0").unwrap();
+    let start = Instant::now();
+    for step in 0..STEPS {
+        let task = client.trigger("robot", "x", &step.to_string()).unwrap();
+        client.wait(task.id, None).unwrap();
+    }
+    let bare = start.elapsed().as_secs_f64() * 1000.0 / STEPS as f64;
+    let steps: String = (0..STEPS)
+        .map(|step| format!("  step {step}: {{robot: {{x: {step}}}}}\n"))
+        .collect();
+    let desk = Desk::with(&format!("s:\n{steps}"), &[("robot", port, "/r")]);
+    let ended = desk.run(&format!("{PLAY} --record run.jsonl"));
+    assert_eq!(ended.code, Some(0), "{ended:?}");
+    let record = fs::read_to_string(desk.files.path("run.jsonl")).unwrap();
+    let (mut sent, mut requests, mut begun, mut own) = (0, 0.0, 0.0, Vec::new());
+    let (mut first, mut last) = (f64::MAX, 0.0);
+    let mut kinds: BTreeMap<String, usize> = BTreeMap::new();
+    for line in record.lines() {
+        let event: Value = serde_json::from_str(line).unwrap();
+        let at = event["at_ms"].as_f64().unwrap();
+        match event["event"].as_str().unwrap() {
+            "step_started" => {
+                (requests, begun) = (0.0, at);
+                first = at.min(first);
+            }
+            "request_sent" => {
+                sent += 1;
+                *kinds.entry(event["kind"].to_string()).or_default() += 1;
+            }
+            "answered" => requests += event["latency_ms"].as_f64().unwrap(),
+            "step_ended" => {
+                own.push(at - begun - requests);
+                last = at;
+            }
+            _ => {}
+        }
+    }
+    assert_eq!(own.len(), STEPS);
+    // A second STATUS only where the first one came before the end, and was held in vain.
+    assert!(sent <= 2 * STEPS + STEPS / 50, "{kinds:?}");
+    own.sort_by(f64::total_cmp);
+    let most = own[STEPS * 99 / 100];
+    let each = (last - first) / STEPS as f64;
+    // Not by a macro, which libtest would keep to itself.
+    let _ = writeln!(
+        std::io::stderr(),
+        "a step: {each:.3} ms; by a client alone {bare:.3} ms; between requests 99 of 100 below {most:.3} ms"
+    );
+    // The original's is 100 ms at least; this bound is wide, since other programs run beside it.
+    assert!(each - bare < 20.0, "{each} ms, {bare} ms");
+}

@@ -1,0 +1,212 @@
+//! Whether the servers of a script are there and would take its tasks: `ztl check --live`.
+
+use std::collections::BTreeMap;
+
+use ztl_core::TaskId;
+
+use super::finding::Finding;
+use super::model::{Handler, Script, Task};
+use crate::remote::encoded;
+use crate::yaml::{Document, Node, Value, closest};
+use crate::{RemoteTask, Remotes, RequestError};
+
+/// What the servers of a script say.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Said {
+    /// What is wrong, by the servers' words.
+    pub findings: Vec<Finding>,
+    /// How it is with each server, in lines for people.
+    pub servers: Vec<String>,
+}
+
+/// Handlers of a scope and their components; no components: nothing is known of them.
+type Known = BTreeMap<String, Vec<String>>;
+
+impl Script {
+    /// Asks each server that the script uses whether it is there, and if it is one of ours, whether it has
+    /// the handlers and components and would take the goals. Nothing is started. A server that does not
+    /// answer costs 2 s.
+    #[must_use]
+    pub fn ask_servers(&self, remotes: &Remotes) -> Said {
+        let mut said = Said {
+            findings: Vec::new(),
+            servers: Vec::new(),
+        };
+        for name in self.remotes() {
+            // What is wrong with its entry is found without asking.
+            let Ok(remote) = remotes.task(name) else {
+                continue;
+            };
+            let endpoint = remote.endpoint();
+            let met = RemoteTask::connect(&endpoint, &remote.scope).and_then(|mut client| {
+                let info = client.server_info(true)?;
+                let there = serves(&mut client)?;
+                Ok((client, info, there))
+            });
+            match met {
+                Err(error) => {
+                    said.servers.push(format!("{name}: {error}"));
+                    self.at_first_use(name, &format!("server '{name}' does not answer: {error}"), &mut said);
+                }
+                Ok((_, _, false)) => {
+                    said.servers.push(format!("{name}: at {endpoint}, without scope '{}'", remote.scope));
+                    let message = format!("the server at {endpoint} has no scope '{}'", remote.scope);
+                    self.at_first_use(name, &message, &mut said);
+                }
+                Ok((_, None, true)) => said.servers.push(format!(
+                    "{name}: at {endpoint}, one of the original's: it is there, and cannot be asked what it takes"
+                )),
+                Ok((mut client, Some(info), true)) => {
+                    said.servers.push(format!("{name}: at {endpoint}, ztl {}", info.version));
+                    self.ask_server(name, &mut client, &remote.scope, &mut said);
+                }
+            }
+        }
+        said
+    }
+
+    fn at_first_use(&self, name: &str, message: &str, said: &mut Said) {
+        let handlers = self
+            .scenes
+            .iter()
+            .flat_map(|scene| &scene.steps)
+            .flat_map(|step| &step.handlers);
+        if let Some(handler) = handlers.into_iter().find(|handler| handler.remote == name) {
+            said.findings.push(Finding::mistake(
+                self.document().mistake(handler.span, message),
+            ));
+        }
+    }
+
+    /// Asks a server of ours about each task that the script has for it.
+    fn ask_server(&self, name: &str, client: &mut RemoteTask, scope: &str, said: &mut Said) {
+        let known = client
+            .ask_server("probe")
+            .ok()
+            .flatten()
+            .and_then(|text| known(&text, scope));
+        let mut silent = false;
+        for step in self.scenes.iter().flat_map(|scene| &scene.steps) {
+            for task in &step.tasks {
+                let Some(handler) = step.handler(task).filter(|handler| handler.remote == name)
+                else {
+                    continue;
+                };
+                let wrong = match known
+                    .as_ref()
+                    .and_then(|known| missing(known, handler, task))
+                {
+                    Some(wrong) => Some(wrong),
+                    None if silent => None,
+                    None => match ask_task(client, scope, handler, task) {
+                        Takes::Yes => None,
+                        Takes::No(why) => Some((task.span, why, None)),
+                        Takes::Unknown => {
+                            silent = known.as_ref().is_none_or(BTreeMap::is_empty);
+                            None
+                        }
+                    },
+                };
+                if let Some((span, message, help)) = wrong {
+                    let mut found = self
+                        .document()
+                        .mistake(span, format!("server '{name}': {message}"));
+                    found.help = help;
+                    said.findings.push(Finding::mistake(found));
+                }
+            }
+        }
+        if silent && let Some(line) = said.servers.last_mut() {
+            line.push_str("; its handlers do not tell what they take");
+        }
+    }
+}
+
+/// Whether a server has the client's scope.
+fn serves(client: &mut RemoteTask) -> Result<bool, RequestError> {
+    // Nobody gives this id, and to ask about it does nothing.
+    let status = client.status(TaskId::MAX)?;
+    Ok(!status.text.starts_with("No controller for scope"))
+}
+
+enum Takes {
+    Yes,
+    No(String),
+    /// The server cannot tell.
+    Unknown,
+}
+
+fn ask_task(client: &mut RemoteTask, scope: &str, handler: &Handler, task: &Task) -> Takes {
+    let payload = encoded(&handler.name, &task.component, &task.goal);
+    let Ok(Some(answer)) = client.ask_server(&format!("takes {payload}")) else {
+        return Takes::Unknown;
+    };
+    let scopes: Option<BTreeMap<String, Option<String>>> = serde_json::from_str(&answer).ok();
+    match scopes.and_then(|mut scopes| scopes.remove(scope)) {
+        Some(Some(why)) => Takes::No(why),
+        Some(None) => Takes::Yes,
+        None => Takes::Unknown,
+    }
+}
+
+type Wrong = (crate::yaml::Span, String, Option<String>);
+
+/// What of a task the server has not.
+fn missing(known: &Known, handler: &Handler, task: &Task) -> Option<Wrong> {
+    // `*` stands for each that has no entry of its own; an empty list for what is not known.
+    let any = |names: &[String]| names.iter().any(|name| name == "*");
+    let help = |written: &str, names: &[&str]| match closest(written, names.iter().copied()) {
+        Some(meant) => format!("did you mean '{meant}'?"),
+        None => format!("there are: {}", names.join(", ")),
+    };
+    if known.is_empty() {
+        return None;
+    }
+    let Some(components) = known.get(&handler.name).or_else(|| known.get("*")) else {
+        let names: Vec<&str> = known.keys().map(String::as_str).collect();
+        let message = format!("it has no handler '{}'", handler.name);
+        return Some((handler.span, message, Some(help(&handler.name, &names))));
+    };
+    if components.is_empty() || any(components) || components.contains(&task.component) {
+        return None;
+    }
+    let names: Vec<&str> = components.iter().map(String::as_str).collect();
+    let message = format!("'{}' has no component '{}'", handler.name, task.component);
+    Some((task.span, message, Some(help(&task.component, &names))))
+}
+
+/// The handlers of a scope, from what a server says of itself.
+fn known(probed: &str, scope: &str) -> Option<Known> {
+    let document = Document::parse("$ztl", probed.as_bytes()).ok()?;
+    let handlers = get(get(document.root(), "scopes")?, scope)?;
+    let Value::Map(pairs) = &handlers.value else {
+        return None;
+    };
+    let all = pairs.iter().filter_map(|(name, components)| {
+        let Value::List(items) = &components.value else {
+            return None;
+        };
+        Some((
+            text(name)?.to_owned(),
+            items.iter().filter_map(text).map(str::to_owned).collect(),
+        ))
+    });
+    Some(all.collect())
+}
+
+fn get<'n>(node: &'n Node, key: &str) -> Option<&'n Node> {
+    let Value::Map(pairs) = &node.value else {
+        return None;
+    };
+    pairs
+        .iter()
+        .find(|(name, _)| text(name) == Some(key))
+        .map(|(_, value)| value)
+}
+
+fn text(node: &Node) -> Option<&str> {
+    match &node.value {
+        Value::Scalar { text, .. } => Some(text),
+        _ => None,
+    }
+}
