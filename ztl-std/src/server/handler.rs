@@ -12,7 +12,7 @@ use super::{STOPPING, TaskReporter};
 pub type Answers = Box<dyn Fn(&str) -> Option<String> + Send>;
 
 /// What takes the tasks of a scope, on the server's own thread: it must return at once and work
-/// elsewhere. For tasks that run on threads there is [`TaskController`].
+/// elsewhere. For tasks that run on threads there is [`TaskController`](crate::TaskController).
 pub trait TaskHandler: Send {
     /// A client asks for a task. The decision and all that follows go to `task`, from any thread;
     /// an INIT without a decision is answered after 1.5 s, with the id.
