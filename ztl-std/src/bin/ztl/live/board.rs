@@ -18,6 +18,8 @@ pub(super) struct Board {
     /// When the last event happened.
     pub(super) at: Duration,
     pub(super) scenes: Vec<Look>,
+    /// How long each took when it was played last.
+    pub(super) lengths: Vec<Option<Duration>>,
     /// The scene that is shown, or played.
     pub(super) scene: Option<usize>,
     /// Of the scene that is played, or was last.
@@ -101,6 +103,7 @@ impl Board {
                 self.script.clone_from(&started.script);
                 self.outline.clone_from(&started.outline);
                 self.scenes = vec![Look::ToCome; self.outline.scenes.len()];
+                self.lengths = vec![None; self.scenes.len()];
                 let remotes = started.remotes.iter();
                 self.servers = remotes
                     .map(|remote| (remote.name.clone(), Server::default()))
@@ -118,6 +121,9 @@ impl Board {
             Event::SceneEnded { scene, end, .. } => {
                 if let Some(played) = &mut self.played {
                     played.to = Some(at);
+                    if let Some(length) = self.lengths.get_mut(*scene) {
+                        *length = Some(at.saturating_sub(played.from));
+                    }
                 }
                 let look = match end {
                     SceneEnd::Completed => Look::Well,

@@ -9,7 +9,7 @@ use ztl_std::script::event::{
 
 use super::board::{Board, Look, Played, Server, Step, Task};
 use super::keys::{self, Chooser};
-use super::text::{Line, Style, clip};
+use super::text::{self, Line, Style, clip};
 
 /// Draws it all: exactly `height` lines, none wider than `width`. `now` is the time of the run.
 pub(super) fn draw(
@@ -280,15 +280,15 @@ fn scene_line(
     let (style, sign) = sign(look);
     let mut line = Line::new(width).and(style, &format!(" {sign} "));
     let name = if here { Style::Strong } else { Style::Plain };
-    let right = match (&board.played, look) {
-        (_, Look::Skipped) => "skipped".to_owned(),
-        (Some(played), _) if played.scene == nth => {
+    let length = board.lengths.get(nth).copied().flatten();
+    let right = match (&board.played, look, length) {
+        (_, Look::Skipped, _) => "skipped".to_owned(),
+        (Some(played), Look::Playing, _) if played.scene == nth => {
             clock(played.to.unwrap_or(now).saturating_sub(played.from))
         }
-        _ if !scene.delay.is_zero() && look == Look::ToCome => {
-            format!("after {}", clock(scene.delay))
-        }
-        _ => String::new(),
+        (_, Look::ToCome, _) if scene.delay.is_zero() => String::new(),
+        (_, Look::ToCome, _) => format!("after {}", clock(scene.delay)),
+        (.., length) => length.map(clock).unwrap_or_default(),
     };
     let room = width.saturating_sub(line.width() + right.chars().count() + 2);
     line.put(name, &clip(&format!("{} {}", nth + 1, scene.name), room));
@@ -343,7 +343,11 @@ fn task_sign(state: TaskState) -> (Style, &'static str) {
 
 /// How far a task has come, if it says so in percent.
 fn percent(text: &str) -> Option<u8> {
-    let number = text.trim().strip_suffix('%')?.trim();
+    let text = text.trim();
+    let number = text
+        .strip_suffix('%')
+        .or_else(|| text.strip_suffix("percent"))?
+        .trim();
     let value: f32 = number.parse().ok()?;
     (0.0..=100.0).contains(&value).then_some(value as u8)
 }
@@ -411,7 +415,14 @@ fn background(board: &Board, now: Duration, width: usize, most: usize) -> Vec<Li
 /// What the operator has to know now.
 fn message(board: &Board, now: Duration, width: usize) -> Vec<Line> {
     let mut lines = Vec::new();
-    let mut say = |style, text: &str| lines.push(Line::new(width).and(style, &format!(" {text}")));
+    let mut say = |style, text: &str| {
+        let pieces = text::wrap(text, width.saturating_sub(1), 3);
+        lines.extend(
+            pieces
+                .iter()
+                .map(|text| Line::new(width).and(style, &format!(" {text}"))),
+        );
+    };
     if let Some((outcome, running, text)) = &board.ended {
         let (style, words) = outcome_words(*outcome);
         say(style, words);

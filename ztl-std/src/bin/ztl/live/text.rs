@@ -155,6 +155,27 @@ pub(super) fn clip(text: &str, most: usize) -> String {
     out
 }
 
+/// Text on lines of at most so many columns, broken at blanks, what comes after the first a little to the
+/// right; the last of `most` lines is cut.
+pub(super) fn wrap(text: &str, width: usize, most: usize) -> Vec<String> {
+    let text = shown(text);
+    let indent = text.chars().take_while(|char| *char == ' ').count();
+    let mut lines = Vec::new();
+    let mut line = String::new();
+    for word in text.split_inclusive(' ') {
+        let full = line.width() + word.trim_end().width() > width;
+        if full && !line.trim().is_empty() && lines.len() + 1 < most {
+            lines.push(std::mem::replace(&mut line, " ".repeat(indent + 2)));
+        }
+        line.push_str(word);
+    }
+    lines.push(line);
+    lines
+        .iter()
+        .map(|line| clip(line.trim_end(), width))
+        .collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -174,6 +195,18 @@ mod tests {
                 assert!(line.width() <= most);
             }
         }
+    }
+
+    #[test]
+    fn a_message_is_broken_at_blanks_and_cut_after_some_lines() {
+        assert_eq!(wrap("one line", 20, 3), ["one line"]);
+        assert_eq!(
+            wrap("  two lines of this", 11, 3),
+            ["  two lines", "    of this"]
+        );
+        assert_eq!(wrap("a b c d e f g h", 5, 2), ["a b c", "  d …"]);
+        assert_eq!(wrap("unbreakable", 5, 3), ["unbr…"]);
+        assert_eq!(wrap("", 5, 3), [""]);
     }
 
     #[test]

@@ -73,7 +73,8 @@ pub(crate) struct RunScript {
 }
 
 const AFTER: &str =
-    "Keys: Enter plays the scene that is shown, R the last one again, any other passes over it.
+    "Keys: on a terminal those that can be pressed are always shown (docs/show.md). With --plain Enter plays
+the scene that is shown, R the last one again, and any other passes over it.
 Ctrl-C stops all tasks that this run has started, on all servers; a second one leaves at once.
 Exit code: 0 if all went well, 1 if something failed, was stopped or is unknown.
 How to write scripts: docs/scripts.md; to check one: ztl check FILE.";

@@ -97,7 +97,7 @@ fn a_silent_server_is_told_with_what_waits_for_it() {
         "
  evening.yaml   scene 2 of 4                                             21.0 s
  servers  robot silent for 1.2 s  light ✓ 2 ms  speech ·
- ✗ 1 Welcome
+ ✗ 1 Welcome                                                               6.5 s
  ▶ 2 Dance                                                                 6.2 s
      ▶ turn                                                                5.2 s
          ? robot:base:[0, 0, 1.57]  unknown  no answer for 2.0 s           4.7 s
@@ -109,15 +109,19 @@ fn a_silent_server_is_told_with_what_waits_for_it() {
 
 
 
-
 ─ in the background: 1 ─────────────────────────────────────────────────────────
    ▶ light:ring:{'colour': 'warm', 'level': 0.8}  accepted                15.8 s
 ────────────────────────────────────────────────────────────────────────────────
- WAITING: server 'robot' is silent for 1.2 s; what its tasks do is unknown. Dec…
+ WAITING: server 'robot' is silent for 1.2 s; what its tasks do is unknown.
+   Decide.
    robot:base:[0, 0, 1.57] is unknown: no answer for 2.0 s
    robot:arm:up is accepted
   g  go on anyway   x  stop everything"
     );
+    let seen = screen(&board, at + Duration::from_millis(1200), (80, 22));
+    let seen: Vec<&str> = seen.lines().filter(|line| !line.is_empty()).collect();
+    let docs = include_str!("../../../../../../docs/show.md");
+    assert!(docs.contains(&seen.join("\n")), "docs/show.md shows this");
 }
 
 #[test]
@@ -156,11 +160,11 @@ fn on_a_small_screen_what_has_to_be_decided_stays() {
         format!("\n{}", screen(&board, at, (44, 8))),
         "
  evening.yaml   scene 1 of 4, take 2 11.9 s
- ↑ 7 more lines
          ✗ light:r…  refused  busy: '… 0.0 s
- ↓ 3 more lines
  WAITING: something did not go well. Decide.
-   light:ring:{'colour': 'warm', 'level': 0…
+   light:ring:{'colour': 'warm', 'level':
+     0.8} is refused: busy: 'ring' is in
+     use; it takes one task at a time
   t  retry what failed   g  go on anyway
   x  stop everything"
     );
