@@ -60,9 +60,9 @@ impl<'s> Plain<'s> {
             (Question::End, b'a') => Command::Restart,
             (Question::End, _) => Command::Leave,
             (Question::Step { .. }, b'g') => Command::GoOn,
-            (Question::Step { .. }, b'r') => Command::Retry,
-            (Question::Step { .. }, b'k') => Command::Skip,
-            (Question::Step { .. }, b's') => Command::Stop,
+            (Question::Step { .. }, b't') => Command::Retry,
+            (Question::Step { .. }, b's') => Command::Skip,
+            (Question::Step { .. }, b'x') => Command::Stop,
             (Question::Pause, _) => Command::Resume,
             _ => return None,
         };
@@ -219,12 +219,12 @@ impl<'s> Plain<'s> {
             Question::End => line("PRESS <A> TO RESTART THE SCRIPT OR ANY OTHER KEY TO EXIT"),
             Question::Step { .. } => {
                 let retry = if choices.contains(&Command::Retry) {
-                    "<R> TO TRY AGAIN WHAT FAILED, "
+                    "<T> TO TRY AGAIN WHAT FAILED, "
                 } else {
                     ""
                 };
                 line(format_args!(
-                    "PRESS <G> TO GO ON ANYWAY, {retry}<K> TO SKIP THE REST OF THE SCENE OR <S> TO STOP EVERYTHING"
+                    "PRESS <G> TO GO ON ANYWAY, {retry}<S> TO SKIP THE REST OF THE SCENE OR <X> TO STOP EVERYTHING"
                 ));
             }
             Question::Pause => line("PRESS ANY KEY TO GO ON"),
