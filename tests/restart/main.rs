@@ -6,6 +6,7 @@
 mod device;
 mod disk;
 mod handler;
+mod stopped;
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
