@@ -6,6 +6,7 @@ use super::wire::LONG;
 
 /// A message: what stood before the empty delimiter, and what came after it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Message<'a> {
     /// The frames before the delimiter.
     pub envelope: Frames<'a>,
@@ -15,6 +16,7 @@ pub struct Message<'a> {
 
 /// What stood after the delimiter.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub enum Content<'a> {
     /// One frame.
@@ -40,6 +42,7 @@ impl Message<'_> {
 
 /// Frames one after the other, as they stand on the wire.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Frames<'a> {
     pub(super) bytes: &'a [u8],
 }

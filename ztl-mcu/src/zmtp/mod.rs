@@ -23,7 +23,7 @@ mod wire;
 pub use connection::{Connection, Fault};
 pub use line::Line;
 pub use message::{Content, Frames, Message};
-pub use server::{NotServed, Peer, Server};
+pub use server::{Peer, Server};
 pub use wire::{Dealer, Rep, Req, Socket};
 
 /// How long a peer may take from the beginning of a connection to its `READY`.

@@ -21,19 +21,6 @@ const TEXT: usize = crate::node::TEXT;
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Peer(pub u8);
 
-/// Every place for a client is taken, or there is none of this number.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct NotServed;
-
-impl core::fmt::Display for NotServed {
-    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
-        f.write_str("no more clients are served at a time")
-    }
-}
-
-impl core::error::Error for NotServed {}
-
 /// A ZTL server over ZMTP, without I/O: up to `PEERS` clients at a time, each with a buffer of `BUFFER`
 /// bytes, give tasks to the components `C`; `TASKS` are remembered.
 ///
