@@ -37,7 +37,8 @@ pub(super) struct Board {
     pub(super) stopping: Option<BTreeMap<TaskNumber, Option<(bool, String)>>>,
     /// The last key, and when it was pressed.
     pub(super) key: Option<(String, Option<Command>, Duration)>,
-    pub(super) note: Option<String>,
+    /// Until the next key.
+    pub(super) notes: Vec<String>,
     pub(super) ended: Option<(Outcome, Vec<TaskNumber>, String)>,
     requests: BTreeMap<RequestNumber, String>,
 }
@@ -115,7 +116,11 @@ impl Board {
                 self.choices.clone_from(choices);
                 self.questions += 1;
             }
-            Event::Key { key, command } => self.key = Some((key.clone(), *command, at)),
+            Event::Key { key, command } => {
+                self.key = Some((key.clone(), *command, at));
+                // They have been seen.
+                self.notes.clear();
+            }
             Event::Decided { command, by, .. } => self.decide(*command, *by),
             Event::SceneStarted { scene, take, .. } => self.start_scene(at, *scene, *take),
             Event::SceneEnded { scene, end, .. } => {
@@ -222,7 +227,7 @@ impl Board {
                 let stopping = self.stopping.get_or_insert_default();
                 stopping.insert(*task, Some((*confirmed, text.clone())));
             }
-            Event::Note { text } => self.note = Some(text.clone()),
+            Event::Note { text } => self.notes.push(text.clone()),
             Event::RunEnded {
                 outcome,
                 running,

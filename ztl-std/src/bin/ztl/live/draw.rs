@@ -497,7 +497,8 @@ fn message(board: &Board, now: Duration, width: usize) -> Vec<Line> {
             None => {}
         }
     }
-    if let Some(note) = &board.note {
+    // The newest, for which there is room.
+    for note in board.notes.iter().rev().take(3).rev() {
         say(Style::Warning, note);
     }
     if let Some((key, None, at)) = &board.key

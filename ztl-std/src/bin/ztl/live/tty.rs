@@ -178,3 +178,73 @@ pub(super) fn write(bytes: &[u8]) -> io::Result<()> {
     out.write_all(bytes)?;
     out.flush()
 }
+
+#[cfg(test)]
+mod tests {
+    use std::fs::File;
+    use std::io::Read;
+    use std::process::Command;
+
+    use rustix::fs::{Mode, OFlags};
+    use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
+    use rustix::termios::LocalModes;
+
+    use super::*;
+
+    #[test]
+    #[ignore = "is run in a terminal of its own by the next"]
+    fn panics_with_the_terminal() {
+        take().unwrap();
+        std::thread::spawn(|| panic!("as it was asked to"))
+            .join()
+            .unwrap_err();
+    }
+
+    #[test]
+    fn a_panic_on_any_thread_gives_the_terminal_back() {
+        let master = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY).unwrap();
+        grantpt(&master).and_then(|()| unlockpt(&master)).unwrap();
+        let path = ptsname(&master, Vec::new()).unwrap();
+        let open =
+            || rustix::fs::open(&path, OFlags::RDWR | OFlags::NOCTTY, Mode::empty()).unwrap();
+        let terminal = open();
+        let before = tcgetattr(&terminal).unwrap().local_modes;
+        let mut child = Command::new("setsid");
+        child.arg("--ctty").arg(std::env::current_exe().unwrap());
+        child.args([
+            "--exact",
+            "--ignored",
+            "--nocapture",
+            "live::tty::tests::panics_with_the_terminal",
+        ]);
+        child
+            .env("RUST_BACKTRACE", "0")
+            .stdin(open())
+            .stdout(open())
+            .stderr(open());
+        let mut running = child.spawn().unwrap();
+        // The ends that the child has are its own now.
+        drop(child);
+        let mut output = File::from(master);
+        let reader = std::thread::spawn(move || {
+            let mut text = Vec::new();
+            // Ends by an error when nobody has the other end.
+            let _ = output.read_to_end(&mut text);
+            String::from_utf8_lossy(&text).into_owned()
+        });
+        assert!(running.wait().unwrap().success());
+        let after = tcgetattr(&terminal).unwrap().local_modes;
+        drop(terminal);
+        let text = reader.join().unwrap();
+        let at = |part: &str| {
+            text.find(part)
+                .unwrap_or_else(|| panic!("no {part:?} in {text:?}"))
+        };
+        assert!(
+            at(ENTER) < at(LEAVE) && at(LEAVE) < at("as it was asked to"),
+            "{text:?}"
+        );
+        assert_eq!(before, after);
+        assert!(after.contains(LocalModes::ICANON | LocalModes::ECHO));
+    }
+}

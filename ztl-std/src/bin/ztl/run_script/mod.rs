@@ -113,9 +113,12 @@ impl RunScript {
                 .into());
             }
         };
+        // On the live view lines before it are not seen.
+        let mut notes = Vec::new();
         if self.simulate.is_none() {
             for unknown in script.unknown_remotes(&remotes) {
                 eprint!("{called}: warning: {unknown}");
+                notes.extend(unknown.to_string().lines().next().map(str::to_owned));
             }
         }
         if !script.doubts().is_empty() {
@@ -125,9 +128,10 @@ impl RunScript {
             } else {
                 ("s", "them")
             };
-            eprintln!(
-                "{called}: warning: {count} doubtful place{s} in {file}; `ztl check {file}` shows {them}"
-            );
+            let note =
+                format!("{count} doubtful place{s} in {file}; `ztl check {file}` shows {them}");
+            eprintln!("{called}: warning: {note}");
+            notes.push(note);
         }
         let (scene, from) = self.places(&script)?;
         let mut options = Options {
@@ -155,7 +159,10 @@ impl RunScript {
         let started = self.started(&script, &remotes);
         let player = Player::new(Arc::clone(&script), options);
         let mut show = Show::new(player, connect(remotes));
-        let outcome = self.play(&mut show, &script, started, live)?;
+        if !live {
+            notes.clear();
+        }
+        let outcome = self.play(&mut show, &script, (started, notes), live)?;
         drop(stand_ins);
         Ok(ExitCode::from(u8::from(outcome != Outcome::Completed)))
     }
@@ -165,14 +172,17 @@ impl RunScript {
         &self,
         show: &mut Show,
         script: &Script,
-        started: RunStarted,
+        (started, notes): (RunStarted, Vec<String>),
         live: bool,
     ) -> Result<Outcome, Box<dyn std::error::Error>> {
-        let mut record = self.record.as_deref().map(Recorder::create).transpose()?;
         let mut stage = Stage::open(script, show.inputs(), live, self.yes)?;
+        let mut record = self.record.as_deref().map(Recorder::create).transpose()?;
         let inputs = show.inputs();
         signals::then(move || inputs.command(Command::Stop, By::Signal));
         show.tell(Event::RunStarted(Box::new(started)));
+        for text in notes {
+            show.tell(Event::Note { text });
+        }
         show.begin();
         loop {
             while let Some(Pressed { key, command }) = stage.pressed() {
