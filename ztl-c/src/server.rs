@@ -256,7 +256,8 @@ impl Server {
             drop(server);
         } else {
             // The calls are this thread's now, so that tasks can stop.
-            let stopping = std::thread::Builder::new().spawn(move || drop(server));
+            let stopping = || std::thread::Builder::new().spawn(move || drop(server));
+            let stopping = signals::blocked(stopping);
             while stopping
                 .as_ref()
                 .is_ok_and(|stopping| !stopping.is_finished())

@@ -125,9 +125,14 @@ extern "C" {
 #define ZTL_NODE_LOSS_CARRY_ON 2
 
 /**
- * Bytes of RAM of a node without its components, at most, on any machine: see ZTL_NODE_RAM.
+ * Bytes of RAM of a node without its components and pointers, at most: see ZTL_NODE_RAM.
  */
-#define ZTL_NODE_RAM_BASE 1280
+#define ZTL_NODE_RAM_BYTES 848
+
+/**
+ * Its pointers, at most: see ZTL_NODE_RAM.
+ */
+#define ZTL_NODE_RAM_POINTERS 26
 
 /**
  * The node end of the link. One context calls its functions, best the main loop, and no interrupt: what an interrupt
@@ -362,7 +367,8 @@ int ztl_goal_number(const char *goal,
 /**
  * Bytes of RAM that are enough for a node with so many components, for `static unsigned char ram[ZTL_NODE_RAM(2)];`.
  */
-#define ZTL_NODE_RAM(components) (ZTL_NODE_RAM_BASE + (components) * sizeof(void *))
+#define ZTL_NODE_RAM(components) \
+    (ZTL_NODE_RAM_BYTES + (ZTL_NODE_RAM_POINTERS + (components)) * sizeof(void *))
 
 #ifdef __cplusplus
 }

@@ -14,8 +14,10 @@ use crate::{
     ZTL_NODE_OK, ZTL_NODE_TASKS,
 };
 
-/// Bytes of RAM of a node without its components, at most, on any machine: see ZTL_NODE_RAM.
-pub const ZTL_NODE_RAM_BASE: usize = 1280;
+/// Bytes of RAM of a node without its components and pointers, at most: see ZTL_NODE_RAM.
+pub const ZTL_NODE_RAM_BYTES: usize = 848;
+/// Its pointers, at most: see ZTL_NODE_RAM.
+pub const ZTL_NODE_RAM_POINTERS: usize = 26;
 
 /// Something that carries out one task at a time. The firmware keeps it, and what it points to, unchanged for as long as
 /// there is the node: best a `static const`. Its functions are called from within those of the node, and must
@@ -118,7 +120,10 @@ type Inner = ztl_mcu::Node<'static, &'static mut [Part], ZTL_NODE_TASKS, ZTL_NOD
 /// Bytes that may be lost in finding the right address.
 const SLACK: usize = align_of::<Node>() - 1;
 
-const _: () = assert!(size_of::<Node>() + SLACK <= ZTL_NODE_RAM_BASE);
+const _: () = assert!(
+    size_of::<Node>() + SLACK
+        <= ZTL_NODE_RAM_BYTES + ZTL_NODE_RAM_POINTERS * size_of::<*const ()>()
+);
 // The parts follow the node.
 const _: () = assert!(align_of::<Node>() >= align_of::<Part>());
 const _: () = assert!(size_of::<Node>().is_multiple_of(align_of::<Part>()));
