@@ -311,6 +311,8 @@ fn answer<const PEERS: usize, const BUFFER: usize>(
 }
 
 /// Starts a task, or says why not, in `text`.
+// Apart in firmware, so that its stack is free again when the answer is written.
+#[cfg_attr(target_os = "none", inline(never))]
 fn start<'t, C: Components, const TASKS: usize>(
     now: Instant,
     name: &str,
