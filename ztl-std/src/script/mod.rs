@@ -23,3 +23,6 @@ pub use player::Player;
 pub use show::{Connect, Inputs, Show};
 pub use stand_ins::StandIns;
 pub use value::{Date, Timestamp, Value};
+
+#[cfg(test)]
+mod tests;

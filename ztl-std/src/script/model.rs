@@ -99,8 +99,11 @@ pub enum OnFailure {
     Ask,
     /// Everything is stopped.
     Stop,
-    /// It is told, and the script goes on: as the original does.
+    /// It is told, and the script goes on, as the original does; but where a server is not there, the
+    /// operator is asked.
     #[default]
+    Usual,
+    /// It is told, and the script goes on.
     GoOn,
     /// It is tried again, so many times; then the operator is asked.
     Retry(u32),

@@ -40,7 +40,8 @@ fn put_step(step: &Step, remotes: &Remotes, lines: &mut Vec<String>) {
         ""
     };
     let policy = match step.on_failure {
-        OnFailure::GoOn => String::new(),
+        OnFailure::Usual => String::new(),
+        OnFailure::GoOn => ", on failure: go on".to_owned(),
         OnFailure::Ask => ", on failure: ask".to_owned(),
         OnFailure::Stop => ", on failure: stop".to_owned(),
         OnFailure::Retry(count) => format!(", on failure: retry {count}"),

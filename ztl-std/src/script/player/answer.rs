@@ -135,6 +135,7 @@ impl Player {
             }
             Answer::Refused { text, .. } => self.set_state(number, TaskState::Refused, &text),
             Answer::NotStarted { text } | Answer::Nothing { sent: false, text } => {
+                task.absent = true;
                 self.set_state(number, TaskState::NotStarted, &text);
             }
             Answer::Nothing { text, .. } => {

@@ -382,6 +382,7 @@ impl Player {
             excused: false,
             aborts: 0,
             aborting: false,
+            absent: false,
             stop_told: false,
         };
         self.tasks.insert(number, live);
@@ -435,7 +436,12 @@ impl Player {
                 self.wait_for_operator(now, Why::Failed, failed);
                 false
             }
-            OnFailure::GoOn | OnFailure::Stop => {
+            // The others of this server would fare no better.
+            OnFailure::Usual if !of(&|task| !task.excused && task.absent).is_empty() => {
+                self.wait_for_operator(now, Why::Failed, failed);
+                false
+            }
+            OnFailure::Usual | OnFailure::GoOn | OnFailure::Stop => {
                 self.end_step();
                 true
             }

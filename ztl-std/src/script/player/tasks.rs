@@ -45,6 +45,8 @@ pub(super) struct Live {
     pub(super) aborts: u32,
     /// An ABORT is under way.
     pub(super) aborting: bool,
+    /// It was not started since its server is not there.
+    pub(super) absent: bool,
     /// It was told what became of stopping it.
     pub(super) stop_told: bool,
 }

@@ -380,3 +380,37 @@ fn an_init_that_is_under_way_when_everything_is_stopped_is_stopped_too() {
         assert!(world.began[0].until <= world.now);
     }
 }
+
+#[test]
+fn a_server_that_is_not_there_is_asked_about_unless_the_script_says_to_go_on() {
+    for (policy, asked) in [("", true), ("(on_failure=go on)", false)] {
+        let script =
+            format!("s: {{'a{policy}': {{lamp: {{light: 1}}}}, b: {{robot: {{arm: 1}}}}}}");
+        let mut world = World::new(&script, Options::default());
+        world
+            .machine("lamp")
+            .pauses
+            .push((Instant::ZERO, Instant::from_millis(7000)));
+        world.begin();
+        world.command(Command::Start);
+        let question = world.until_asked();
+        assert_eq!(
+            question == Some(Question::Step { scene: 0, step: 0 }),
+            asked
+        );
+        if asked {
+            assert!(world.began.is_empty());
+            world.command(Command::Retry);
+            assert_eq!(world.until_asked(), Some(Question::End));
+            assert_eq!(world.began.len(), 2);
+        }
+        let mut world = World::new(&script, unattended());
+        world
+            .machine("lamp")
+            .pauses
+            .push((Instant::ZERO, Instant::from_millis(7000)));
+        world.begin();
+        world.run(on);
+        assert_eq!(world.began.len(), usize::from(!asked), "{policy}");
+    }
+}
