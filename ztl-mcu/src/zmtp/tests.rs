@@ -116,6 +116,8 @@ pub(super) struct Motor {
     aborted: bool,
     /// It does not stop when it is told to.
     pub(super) stubborn: bool,
+    /// One more task may wait.
+    pub(super) patient: bool,
 }
 
 impl Component for Motor {
@@ -127,7 +129,10 @@ impl Component for Motor {
                 unit: "",
                 words: "up down",
             },
-            busy: Busy::Refuse,
+            busy: match self.patient {
+                true => Busy::Queue(1),
+                false => Busy::Refuse,
+            },
             loss: Loss::Abort,
             topics: "",
         }

@@ -209,6 +209,11 @@ fn who_never_finishes_the_handshake_is_given_up() {
     }
     let server = met("REQ");
     assert_eq!(server.poll_timeout(), crate::Instant::NEVER);
+    // One that has gone by itself is not given up later.
+    let mut server = open();
+    server.close();
+    server.handle_timeout(NOW + HANDSHAKE);
+    assert_eq!(server.fault(), None);
 }
 
 #[test]
@@ -494,6 +499,21 @@ fn a_peer_of_zmtp_2_gets_its_answer() {
         let mut server = open();
         server.talk(Pieces::Whole, &[&begin[..], rest].concat());
         assert_eq!(server.fault(), Some(fault));
+    }
+}
+
+#[test]
+fn a_client_talks_to_a_server_of_zmtp_2_too() {
+    for pieces in BOTH {
+        let mut client = Connection::<Req, _>::new([0xA5; 128]);
+        client.open(NOW);
+        let heard = client.talk(pieces, b"\xFF\0\0\0\0\0\0\0\x01\x7F\x01\x04\0\0");
+        assert_eq!(heard, [&GREETING[..11], b"\x03\0\0"].concat());
+        assert!(client.request(&[], &mut |sink| sink.put(b"what?")));
+        assert_eq!(client.drain(), b"\x01\0\0\x05what?");
+        client.talk(pieces, &request(b"that"));
+        let message = client.message().unwrap();
+        assert_eq!(message.content, Content::One(b"that"));
     }
 }
 

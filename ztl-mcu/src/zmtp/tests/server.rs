@@ -66,6 +66,26 @@ fn an_abort_is_answered_in_time_by_a_motor_that_does_not_stop() {
 }
 
 #[test]
+fn a_task_that_waits_tells_nothing_before_it_begins() {
+    let mut desk = desk();
+    let mut client = connect(&mut desk, 0);
+    client.desk.components_mut()[0].patient = true;
+    client.ask(&init("desk:motor:up"));
+    assert!(
+        client
+            .ask(&init("desk:motor:down"))
+            .starts_with("/lab;1;2;")
+    );
+    steps(client.desk, 1);
+    assert_eq!(client.ask("/lab;2;2;"), "/lab;1;2;None");
+    steps(client.desk, 3);
+    assert_eq!(client.ask("/lab;2;1;"), "/lab;5;1;3 of 3");
+    assert_eq!(client.ask("/lab;2;2;"), "/lab;1;2;1 of 3");
+    steps(client.desk, 2);
+    assert_eq!(client.ask("/lab;2;2;"), "/lab;5;2;3 of 3");
+}
+
+#[test]
 fn what_cannot_be_done_is_refused_with_the_reason() {
     let mut desk = desk();
     let mut client = connect(&mut desk, 0);
@@ -173,9 +193,11 @@ fn the_held_answer_of_one_who_left_does_not_reach_who_comes_after() {
     assert_eq!(client.ask("/lab;3;1;"), "");
     desk.close(Peer(0));
     let mut next = connect(&mut desk, 0);
-    next.talk(Pieces::Whole, &request(b"/lab;2;1;wait 1000")[..6]);
+    let ask = enveloped(7, 1, "/lab;2;1;wait 1000");
+    assert!(next.talk(Pieces::Whole, &ask).is_empty(), "held too");
     steps(next.desk, 1);
-    assert!(next.drain().is_empty());
+    // Not `True`, which the one before would have been told.
+    assert_eq!(text(&next.drain()[32..]), "/lab;4;1;stopped half way");
 }
 
 #[test]
