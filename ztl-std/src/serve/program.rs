@@ -162,12 +162,21 @@ impl Launch {
         let Some((program, rest)) = self.arguments.split_first() else {
             return Err("there is no program".to_owned());
         };
-        let pipe = || if heard { Stdio::piped() } else { Stdio::null() };
+        // In an empty root: pipes, whose other ends are dropped below.
+        let is_bare = !Path::new("/dev/null").exists();
+        let pipe = || match heard || is_bare {
+            true => Stdio::piped(),
+            false => Stdio::null(),
+        };
         let mut command = Command::new(program);
         command
             .args(rest)
             .current_dir(&self.directory)
-            .stdin(Stdio::null())
+            .stdin(if is_bare {
+                Stdio::piped()
+            } else {
+                Stdio::null()
+            })
             .stdout(pipe())
             .stderr(pipe())
             .process_group(0);
@@ -186,9 +195,14 @@ impl Launch {
             })?;
         }
         command.envs(self.environment.iter().map(|(name, value)| (name, value)));
-        command
+        let mut child = command
             .spawn()
-            .map_err(|error| self.cannot_start(program, &error))
+            .map_err(|error| self.cannot_start(program, &error))?;
+        drop(child.stdin.take());
+        if !heard {
+            drop((child.stdout.take(), child.stderr.take()));
+        }
+        Ok(child)
     }
 
     /// Why it could not be started, in words.

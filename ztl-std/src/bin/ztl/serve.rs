@@ -5,7 +5,7 @@ use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode};
 
-use tracing::Level;
+use tracing::{Level, warn};
 use ztl_std::listen::{LOG_FORMATS, LogFormat};
 use ztl_std::serve::{Config, Groups};
 use ztl_std::server::scope_mistake;
@@ -137,9 +137,11 @@ fn serve(config: &Config, place: reach::Place) -> Done {
     let who = place.reachable();
     let guard = Guard::command(place.log_format);
     let mut server = place.listen()?;
-    let groups = guard
-        .and_then(Groups::guarded)
-        .map_err(|error| format!("cannot start the guard of programs: {error}"))?;
+    // Without /proc, as in an empty root, there is none; everything else is as with it.
+    let groups = guard.and_then(Groups::guarded).unwrap_or_else(|error| {
+        warn!(target: "serve", "Without a guard, which cannot be started: {error}. Should this server be killed, its programs go on.");
+        Groups::default()
+    });
     for (scope, programs) in config.programs(&groups)? {
         server.register_handler(&scope, programs);
     }
