@@ -55,7 +55,7 @@ impl Options {
                 ));
                 return Ok(Gateway::new());
             }
-            None => place(|variable| env::var_os(variable))
+            None => directory()
                 .ok_or("no place for the journal: neither STATE_DIRECTORY nor XDG_STATE_HOME nor HOME is set; give --journal FILE, or --no-journal")?
                 .join(name(port, scope)),
         };
@@ -77,6 +77,11 @@ fn ends_as_directory(path: &Path) -> bool {
     let text = path.as_os_str().as_encoded_bytes();
     text.last()
         .is_some_and(|last| std::path::is_separator(char::from(*last)))
+}
+
+/// The directory for journals, if there is a place for one.
+pub(crate) fn directory() -> Option<PathBuf> {
+    place(|variable| env::var_os(variable))
 }
 
 /// The directory for journals: the service manager's, else the user's.

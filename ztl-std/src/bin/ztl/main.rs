@@ -3,12 +3,15 @@
 //! Called by one of the original's names (`ztl_task_client`, `task_client.py`, …) it is that tool.
 
 mod abort;
+mod about;
 mod ask;
 mod check;
 mod conversation;
 mod demo;
 mod device;
 mod devices;
+#[cfg(target_os = "linux")]
+mod doctor;
 mod gateway;
 mod journal;
 mod key_name;
@@ -45,6 +48,7 @@ use clap::{Parser, Subcommand};
 #[command(
     name = "ztl",
     version,
+    long_version = about::version(),
     infer_long_args = true,
     arg_required_else_help = true
 )]
@@ -76,6 +80,9 @@ enum Command {
     Ps(ps::Ps),
     /// Stop tasks of a server, whoever started them
     Abort(abort::Abort),
+    /// Tell what matters on a strange robot, and what is wrong there: clock, ports, permissions, a server
+    #[cfg(target_os = "linux")]
+    Doctor(doctor::Doctor),
     /// Make a pair of keys for encrypted connections
     Keys(keys::Keys),
     /// Make a page of what happened in recorded runs of scripts, and tables for statistics
@@ -87,6 +94,10 @@ enum Command {
 }
 
 fn main() -> ExitCode {
+    if let Some(mistake) = about::kernel_is_too_old() {
+        eprintln!("ztl: {mistake}");
+        return ExitCode::FAILURE;
+    }
     let args: Vec<OsString> = std::env::args_os().collect();
     // The original's tools, by link or as `ztl task-client`, share its rules for options.
     if let Some(code) = tool::run(&args) {
@@ -102,6 +113,8 @@ fn main() -> ExitCode {
         Command::Device(device) => device.run(),
         Command::Line(line) => line.run(),
         Command::Devices(devices) => devices.run(),
+        #[cfg(target_os = "linux")]
+        Command::Doctor(doctor) => doctor.run(),
         Command::Keys(keys) => keys.run(),
         Command::Ps(ps) => ps.run(),
         Command::Abort(abort) => abort.run(),

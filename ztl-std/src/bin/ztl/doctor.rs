@@ -1,0 +1,178 @@
+//! `ztl doctor`: what a person needs to know on a strange robot, each trouble with its remedy.
+
+mod network;
+mod serial;
+mod storage;
+mod system;
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use serde_json::{Value, json};
+
+use crate::reach::Identity;
+use crate::terminal::line;
+use crate::tool::port;
+use crate::{Done, about};
+
+#[derive(Debug, clap::Args)]
+#[command(
+    after_help = "Exit code 0: nothing is wrong; 1: something is, and each trouble is told with its remedy."
+)]
+pub(crate) struct Doctor {
+    /// Host of a server to be reached
+    #[arg(short, long, default_value = "localhost", value_name = "HOST")]
+    remote: String,
+
+    /// Port of that server; without it no server is asked
+    #[arg(short, long, value_parser = port)]
+    port: Option<u16>,
+
+    #[command(flatten)]
+    identity: Identity,
+
+    /// A port that a server on this machine shall use: is it free? (repeatable)
+    #[arg(long, value_name = "PORT", value_parser = port)]
+    listen: Vec<u16>,
+
+    /// A serial port that shall be used (repeatable) [default: all that there are]
+    #[arg(long, value_name = "PATH")]
+    serial: Vec<PathBuf>,
+
+    /// The directory of the journal [default: in $STATE_DIRECTORY, else in ~/.local/state/ztl]
+    #[arg(long, value_name = "DIR")]
+    journal: Option<PathBuf>,
+
+    /// All of it in JSON
+    #[arg(long)]
+    json: bool,
+}
+
+/// How something is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Health {
+    Good,
+    /// Worth knowing, and no trouble.
+    Note,
+    Trouble,
+}
+
+/// What was found about one thing.
+#[derive(Debug)]
+struct Finding {
+    about: &'static str,
+    health: Health,
+    text: String,
+    remedy: Option<String>,
+    /// Numbers and names, for programs.
+    data: Value,
+}
+
+impl Finding {
+    fn good(about: &'static str, text: impl Into<String>) -> Self {
+        Self {
+            about,
+            health: Health::Good,
+            text: text.into(),
+            remedy: None,
+            data: Value::Null,
+        }
+    }
+
+    fn note(about: &'static str, text: impl Into<String>) -> Self {
+        Self {
+            health: Health::Note,
+            ..Self::good(about, text)
+        }
+    }
+
+    fn trouble(about: &'static str, text: impl Into<String>, remedy: impl Into<String>) -> Self {
+        Self {
+            health: Health::Trouble,
+            remedy: Some(remedy.into()),
+            ..Self::good(about, text)
+        }
+    }
+
+    /// What may be done about it, although it is no trouble.
+    fn with_remedy(mut self, remedy: impl Into<String>) -> Self {
+        self.remedy = Some(remedy.into());
+        self
+    }
+
+    fn with(mut self, data: Value) -> Self {
+        self.data = data;
+        self
+    }
+
+    fn to_json(&self) -> Value {
+        json!({
+            "about": self.about,
+            "health": match self.health {
+                Health::Good => "good",
+                Health::Note => "note",
+                Health::Trouble => "trouble",
+            },
+            "text": self.text,
+            "remedy": self.remedy,
+            "data": self.data,
+        })
+    }
+}
+
+impl Doctor {
+    pub(crate) fn run(self) -> Done {
+        let mut found = vec![
+            Finding::good("ztl", about::version().replace('\n', "; ")),
+            system::kernel(),
+            system::processor(),
+            system::memory(),
+            system::wall_clock(),
+            system::monotonic_clock(),
+            system::randomness(),
+            system::files(),
+        ];
+        found.extend(network::names());
+        found.push(network::addresses());
+        found.extend(network::ports(&self.listen));
+        found.extend(serial::ports(&self.serial));
+        found.push(storage::journal(self.journal.as_deref()));
+        if let Some(port) = self.port {
+            found.push(network::server(&self.remote, port, &self.identity));
+        }
+        let troubles = found.iter().filter(|f| f.health == Health::Trouble).count();
+        if self.json {
+            let findings: Vec<Value> = found.iter().map(Finding::to_json).collect();
+            line(json!({ "troubles": troubles, "findings": findings }));
+        } else {
+            show(&found, troubles);
+        }
+        Ok(ExitCode::from(u8::from(troubles > 0)))
+    }
+}
+
+fn show(found: &[Finding], troubles: usize) {
+    for Finding {
+        about,
+        health,
+        text,
+        remedy,
+        ..
+    } in found
+    {
+        let mark = match health {
+            Health::Good => "ok",
+            Health::Note => "note",
+            Health::Trouble => "WRONG",
+        };
+        line(format_args!("{mark:<6}{about:<10} {text}"));
+        if let Some(remedy) = remedy {
+            line(format_args!("{:<17}-> {remedy}", ""));
+        }
+    }
+    match troubles {
+        0 => line("Nothing is wrong."),
+        1 => line("One thing is wrong."),
+        many => line(format_args!("{many} things are wrong.")),
+    }
+}

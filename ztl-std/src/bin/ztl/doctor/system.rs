@@ -1,0 +1,207 @@
+//! The machine: kernel, processor, memory, clocks, random numbers, open files.
+
+use std::fs;
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+
+use serde_json::json;
+
+use super::Finding;
+use crate::about;
+
+/// Below it a clock has never been set: this program is younger.
+const YOUNGEST: u64 = 1_704_067_200; // 2024-01-01
+
+/// How long the monotonic clock is watched.
+const WATCH: Duration = Duration::from_millis(60);
+
+pub(super) fn kernel() -> Finding {
+    let name = rustix::system::uname();
+    let release = name.release().to_string_lossy();
+    let text = format!(
+        "{} {release} on {}",
+        name.sysname().to_string_lossy(),
+        name.machine().to_string_lossy()
+    );
+    let data = json!({ "release": release, "machine": name.machine().to_string_lossy() });
+    match about::too_old(&release) {
+        Some(mistake) => Finding::trouble(
+            "kernel",
+            format!("{text}: {mistake}"),
+            "run ztl on a newer machine beside this one",
+        ),
+        None => Finding::good("kernel", text),
+    }
+    .with(data)
+}
+
+pub(super) fn processor() -> Finding {
+    let Ok(text) = fs::read_to_string("/proc/cpuinfo") else {
+        return Finding::note("cpu", "/proc/cpuinfo cannot be read")
+            .with_remedy("mount -t proc proc /proc");
+    };
+    let value = |keys: &[&str]| {
+        let mut pairs = text.lines().filter_map(|line| line.split_once(':'));
+        let found = pairs.find(|(key, _)| keys.contains(&key.trim()));
+        found.map(|(_, value)| value.trim().to_owned())
+    };
+    let model = value(&["model name", "Model", "Processor", "Hardware", "cpu model"]);
+    let features = value(&["flags", "Features"]).unwrap_or_default();
+    let has = |name: &str| features.split_whitespace().any(|feature| feature == name);
+    let known = [
+        "sse2", "ssse3", "aes", "avx2", "vfp", "vfpv3", "neon", "asimd", "crc32", "edsp",
+    ];
+    let known: Vec<&str> = known.into_iter().filter(|name| has(name)).collect();
+    let count = std::thread::available_parallelism().map_or(1, usize::from);
+    let text = format!(
+        "{}, {count} in use; {}",
+        model.unwrap_or_else(|| "unknown model".to_owned()),
+        match known.as_slice() {
+            [] => "no features that matter here".to_owned(),
+            some => some.join(" "),
+        }
+    );
+    // A program for too new a processor would hardly come this far, but it may.
+    let lacking = match about::target().split('-').next().unwrap_or_default() {
+        "i686" if !has("sse2") => Some(("sse2", "i586")),
+        "armv7" if !has("vfpv3") && !has("vfpv3d16") && !has("asimd") => Some(("vfpv3", "arm")),
+        "arm" if !has("vfp") && !has("asimd") => Some(("vfp", "armv5te")),
+        _ => None,
+    };
+    let data =
+        json!({ "features": features.split_whitespace().collect::<Vec<_>>(), "count": count });
+    match lacking {
+        Some((feature, other)) if !features.is_empty() => Finding::trouble(
+            "cpu",
+            format!("{text}: it lacks {feature}, which this program was built for"),
+            format!("take the program for {other}"),
+        ),
+        _ => Finding::good("cpu", text),
+    }
+    .with(data)
+}
+
+pub(super) fn memory() -> Finding {
+    let text = fs::read_to_string("/proc/meminfo").unwrap_or_default();
+    let kib = |key: &str| {
+        let line = text.lines().find_map(|line| line.strip_prefix(key))?;
+        line.split_whitespace().next()?.parse::<u64>().ok()
+    };
+    // Kernels before 3.14 do not tell what is available.
+    let estimate = || Some(kib("MemFree:")? + kib("Cached:")?);
+    let Some((total, left)) = kib("MemTotal:").zip(kib("MemAvailable:").or_else(estimate)) else {
+        return Finding::note("memory", "/proc/meminfo cannot be read")
+            .with_remedy("mount -t proc proc /proc");
+    };
+    let said = format!("{} MiB of {} MiB are free", left / 1024, total / 1024);
+    let data = json!({ "free_kib": left, "total_kib": total });
+    if left < 16 * 1024 {
+        let remedy = "stop what needs most: `ps -eo rss,args | sort -n`";
+        return Finding::trouble("memory", said, remedy).with(data);
+    }
+    Finding::good("memory", said).with(data)
+}
+
+pub(super) fn wall_clock() -> Finding {
+    let now = SystemTime::now();
+    let seconds = now
+        .duration_since(UNIX_EPOCH)
+        .map_or(0, |since| since.as_secs());
+    let text = humantime::format_rfc3339_seconds(now).to_string();
+    let data = json!({ "unix_s": seconds });
+    if seconds < YOUNGEST {
+        return Finding::trouble(
+            "clock",
+            format!("it says {text}, and has not been set since the machine was started"),
+            "`date -s '2026-01-31 12:00'`, or ntpd; tasks run by another clock, but logs, journals and records are dated by this one",
+        )
+        .with(data);
+    }
+    Finding::good("clock", text).with(data)
+}
+
+/// Tasks, links and timeouts run by it.
+pub(super) fn monotonic_clock() -> Finding {
+    use rustix::time::{ClockId, clock_getres, clock_gettime};
+    let nanos = |time: rustix::time::Timespec| {
+        i128::from(time.tv_sec) * 1_000_000_000 + i128::from(time.tv_nsec)
+    };
+    let begin = (Instant::now(), SystemTime::now());
+    let mut last = nanos(clock_gettime(ClockId::Monotonic));
+    let (mut back, mut longest) = (0, 0);
+    while begin.0.elapsed() < WATCH && begin.1.elapsed().is_ok_and(|passed| passed < 10 * WATCH) {
+        let now = nanos(clock_gettime(ClockId::Monotonic));
+        back += u32::from(now < last);
+        longest = longest.max(now - last);
+        last = now;
+    }
+    let resolution = nanos(clock_getres(ClockId::Monotonic));
+    let source = "/sys/devices/system/clocksource/clocksource0/current_clocksource";
+    let source = fs::read_to_string(source).unwrap_or_default();
+    let source = match source.trim() {
+        "" => String::new(),
+        name => format!(", from {name}"),
+    };
+    let text = format!(
+        "monotonic, in steps of {} us{source}; the longest pause of this program in {} ms was {} us",
+        (resolution + 999) / 1000,
+        WATCH.as_millis(),
+        longest / 1000
+    );
+    let data = json!({
+        "resolution_ns": i64::try_from(resolution).unwrap_or(i64::MAX),
+        "longest_pause_us": i64::try_from(longest / 1000).unwrap_or(i64::MAX),
+        "steps_back": back,
+    });
+    if back > 0 {
+        return Finding::trouble(
+            "timer",
+            format!("the clock that tasks run by went back {back} times"),
+            "another clock source: boot with `clocksource=hpet` or `clocksource=acpi_pm`",
+        )
+        .with(data);
+    }
+    if resolution > 1_000_000 {
+        return Finding::note("timer", text)
+            .with_remedy(
+                "a kernel with high-resolution timers; commands over links are repeated later",
+            )
+            .with(data);
+    }
+    Finding::good("timer", text).with(data)
+}
+
+/// Ids of tasks and sessions are random; a young machine may have no random numbers yet.
+pub(super) fn randomness() -> Finding {
+    let begin = Instant::now();
+    let mut bytes = [0; 16];
+    match getrandom::fill(&mut bytes) {
+        Ok(()) if begin.elapsed() < Duration::from_secs(1) => {
+            Finding::good("random", "the system gives random numbers")
+        }
+        Ok(()) => Finding::note(
+            "random",
+            format!("random numbers took {:.1} s", begin.elapsed().as_secs_f32()),
+        )
+        .with_remedy("start servers later while the machine starts; or haveged"),
+        Err(error) => Finding::trouble(
+            "random",
+            format!("the system gives no random numbers: {error}"),
+            "`mknod -m 666 /dev/random c 1 8; mknod -m 666 /dev/urandom c 1 9`: kernels before 3.17 give them by these alone",
+        ),
+    }
+}
+
+/// Each connection is an open file.
+pub(super) fn files() -> Finding {
+    let limit = rustix::process::getrlimit(rustix::process::Resource::Nofile).current;
+    let text = match limit {
+        Some(limit) => format!("{limit} may be open"),
+        None => "any number may be open".to_owned(),
+    };
+    let data = json!({ "limit": limit });
+    if limit.is_some_and(|limit| limit < 256) {
+        let remedy = "`ulimit -n 1024` before a server is started; each client takes one";
+        return Finding::trouble("files", text, remedy).with(data);
+    }
+    Finding::good("files", text).with(data)
+}
