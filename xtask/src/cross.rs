@@ -20,7 +20,7 @@ pub(crate) const TARGETS: [&str; 3] = [
 pub(crate) const SMALLEST: &str = "thumbv6m-none-eabi";
 
 /// Debian's compiler and, for where rustup has no such target to give, the source of `core`.
-const DEBIAN_RUSTC: &str = "/usr/bin/rustc";
+pub(crate) const DEBIAN_RUSTC: &str = "/usr/bin/rustc";
 const DEBIAN_PACKAGES: &[&str] = &["rustc-web", "rust-web-src"];
 
 /// Where `core` comes from.
@@ -61,11 +61,9 @@ impl Core {
         if let Some(libraries) = compiled_core(target) {
             return Ok(Self::Compiled(libraries));
         }
-        if !debian_source_fits() {
-            tools::install(DEBIAN_PACKAGES).map_err(|error| {
-                format!("there is no `core` for {target}, and rustup does not provide it; {error}")
-            })?;
-        }
+        provide_debian().map_err(|error| {
+            format!("there is no `core` for {target}, and rustup does not provide it; {error}")
+        })?;
         Ok(Self::Source)
     }
 
@@ -110,6 +108,14 @@ impl Core {
         };
         rustc.arg("--version").stdout()
     }
+}
+
+/// Makes sure that Debian's compiler is there, and the source of its libraries.
+pub(crate) fn provide_debian() -> Outcome {
+    if debian_source_fits() {
+        return Ok(());
+    }
+    tools::install(DEBIAN_PACKAGES)
 }
 
 /// The directory with the compiler's libraries for the target, if it has them.

@@ -6,9 +6,8 @@
 
 use std::path::PathBuf;
 
-use crate::Dirs;
 use crate::cmd::{Cmd, Outcome};
-use crate::python;
+use crate::{Dirs, python};
 
 /// The package that compiles libzmq with CURVE; no member of the workspace.
 const MANIFEST: &str = "libzmq/Cargo.toml";
@@ -55,17 +54,8 @@ pub(crate) fn target(dirs: &Dirs) -> PathBuf {
 
 /// `cargo WORD`, linking to a libzmq with CURVE.
 pub(crate) fn cargo(dirs: &Dirs, word: &str) -> Outcome<Cmd> {
-    let build = Cmd::new("cargo run --release --quiet --locked --manifest-path")
-        .arg(MANIFEST)
-        .arg("--target-dir")
-        .arg(dirs.target.join("libzmq"));
-    println!("$ {build}");
-    let places = build.stdout()?;
-    let Some((zmq, sodium)) = places.split_once('\n') else {
-        return Err(format!(
-            "`{build}` has not said where libzmq and libsodium are"
-        ));
-    };
+    let build = Cmd::new("cargo build --release --locked");
+    let libraries = libraries(build.arg("--target-dir").arg(dirs.target.join("libzmq")))?;
     let version = Cmd::new("rustc -vV").stdout()?;
     let host = version.lines().find_map(|line| line.strip_prefix("host: "));
     let host = host.ok_or("`rustc -vV` does not tell its host")?;
@@ -74,15 +64,47 @@ pub(crate) fn cargo(dirs: &Dirs, word: &str) -> Outcome<Cmd> {
     } else {
         "stdc++"
     };
-    // As TOML: paths in single quotes are taken as they are.
-    let search = format!("target.{host}.zmq.rustc-link-search=['{zmq}', '{sodium}']");
-    let link = format!("target.{host}.zmq.rustc-link-lib=['static=zmq', 'static=sodium', '{cpp}']");
-    Ok(Cmd::new("cargo")
-        .arg(word)
-        .arg("--config")
-        .arg(search)
-        .arg("--config")
-        .arg(link)
-        .arg("--target-dir")
-        .arg(target(dirs)))
+    let cargo = libraries.link(Cmd::new("cargo").arg(word), host, cpp);
+    Ok(cargo.arg("--target-dir").arg(target(dirs)))
+}
+
+/// Where compiled libraries lie.
+pub(crate) struct Libraries {
+    /// The directory with libzmq.
+    pub(crate) zmq: String,
+    /// The directory with libsodium.
+    pub(crate) sodium: String,
+}
+
+/// Compiles libzmq and libsodium by this `cargo build`, and says where they are.
+pub(crate) fn libraries(build: Cmd) -> Outcome<Libraries> {
+    // The build script of `libzmq/` says it; it is no program, which another processor could not run.
+    let build = build
+        .arg("--manifest-path")
+        .arg(MANIFEST)
+        .args("--quiet --message-format json");
+    println!("$ {build}");
+    let messages = build.stdout()?;
+    let said = |name: &str| {
+        let (_, rest) = messages.split_once(&format!("[\"{name}\",\""))?;
+        Some(rest.split_once('"')?.0.to_owned())
+    };
+    match (said("ZTL_ZMQ"), said("ZTL_SODIUM")) {
+        (Some(zmq), Some(sodium)) => Ok(Libraries { zmq, sodium }),
+        _ => Err(format!(
+            "`{build}` has not said where libzmq and libsodium are"
+        )),
+    }
+}
+
+impl Libraries {
+    /// Gives them to `zmq-sys` in a build for that target, with its library for C++.
+    pub(crate) fn link(&self, cargo: Cmd, target: &str, cpp: &str) -> Cmd {
+        let Self { zmq, sodium } = self;
+        // As TOML: paths in single quotes are taken as they are.
+        let search = format!("target.{target}.zmq.rustc-link-search=['{zmq}', '{sodium}']");
+        let link =
+            format!("target.{target}.zmq.rustc-link-lib=['static=zmq', 'static=sodium', '{cpp}']");
+        cargo.arg("--config").arg(search).arg("--config").arg(link)
+    }
 }

@@ -1,6 +1,6 @@
 //! The project's chores, started as `cargo xtask <command>`.
 //!
-//! Depends on two small crates, which read firmware images, and nothing more: it has to compile
+//! Depends on few small crates, which read firmware images and JSON, and nothing more: it has to compile
 //! fast on a machine that has built nothing yet.
 
 mod bare;
@@ -10,6 +10,7 @@ mod clients;
 mod cmd;
 mod cross;
 mod curve;
+mod dist;
 mod firmware;
 mod foreign;
 mod fuzz;
@@ -23,6 +24,7 @@ mod size;
 mod soak;
 mod test;
 mod tools;
+mod zig;
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -82,6 +84,11 @@ const CHORES: &[Chore] = &[
         name: "qemu",
         about: "run a board's image, and say how to reach it (BOARD [PORT])",
         run: firmware::run_in_qemu,
+    },
+    Chore {
+        name: "dist",
+        about: "`ztl` as one static file for each processor ([TARGET…]; --check: and run it)",
+        run: dist::run,
     },
     Chore {
         name: "soak",

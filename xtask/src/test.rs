@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use crate::cmd::{Cmd, Outcome};
 use crate::{
-    Dirs, bare, capi, clients, curve, firmware, foreign, fuzz, image, package, peers, proof,
+    Dirs, bare, capi, clients, curve, dist, firmware, foreign, fuzz, image, package, peers, proof,
     python, simulate, size, tools,
 };
 
@@ -128,6 +128,11 @@ const STEPS: &[Step] = &[
         name: "c",
         about: "the C interface: examples and misuse, with the original's client, under sanitizers and valgrind",
         run: capi::test,
+    },
+    Step {
+        name: "dist",
+        about: "the static `ztl` for x86-64 and i686 does its work in an empty root, and on old kernels",
+        run: dist::test,
     },
     Step {
         name: "model",

@@ -122,6 +122,14 @@ pub(crate) fn provide_qemu() -> Outcome {
     }
 }
 
+/// Makes sure that programs for other processors can be run.
+pub(crate) fn provide_emulators() -> Outcome {
+    if has("qemu-i386-static") {
+        return Ok(());
+    }
+    install(&["qemu-user-static"])
+}
+
 /// Makes sure that every program is there.
 pub(crate) fn check() -> Outcome {
     let mut packages = Vec::new();

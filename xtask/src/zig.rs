@@ -1,0 +1,204 @@
+//! What it takes to build fully static programs for old Linux machines: zig, which brings a C++
+//! compiler, musl and libc++ for every processor, Debian's Rust compiler with the source of `std`,
+//! and libzmq with CURVE.
+
+use std::env;
+use std::ffi::OsString;
+use std::path::{Path, PathBuf};
+
+use crate::cmd::{Cmd, Outcome};
+use crate::curve::{self, Libraries};
+use crate::{Dirs, cross};
+
+/// From 0.16 on, zig's `malloc` aligns to 8 bytes on 32-bit x86, and libzmq wants more.
+const PACKAGES: &str = "ziglang==0.15.2 cargo-zigbuild==0.24.0";
+
+/// The version of musl that this zig has.
+pub(crate) const MUSL: &str = "1.2.5";
+
+/// libzmq aligns its commands to 64 bytes for SSE, but the memory of its queues only with the first.
+const CXX_FLAGS: &str = "-DHAVE_POSIX_MEMALIGN=1 -DZMQ_CACHELINE_SIZE=64";
+
+/// The profile of `Cargo.toml`, and of `libzmq/Cargo.toml`: the two share what both compile.
+pub(crate) const PROFILE: &str = "dist";
+
+/// A processor that programs are built for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Target {
+    /// As people call it.
+    pub(crate) name: &'static str,
+    /// As the compiler calls it.
+    pub(crate) triple: &'static str,
+    /// The emulator that runs it, with the weakest processor that it is for; of Debian's `qemu-user-static`.
+    pub(crate) emulator: &'static str,
+}
+
+pub(crate) const TARGETS: [Target; 7] = [
+    Target {
+        name: "x86_64",
+        triple: "x86_64-unknown-linux-musl",
+        emulator: "qemu-x86_64-static -cpu qemu64",
+    },
+    Target {
+        name: "i686",
+        triple: "i686-unknown-linux-musl",
+        emulator: "qemu-i386-static -cpu n270",
+    },
+    Target {
+        name: "i586",
+        triple: "i586-unknown-linux-musl",
+        emulator: "qemu-i386-static -cpu pentium",
+    },
+    Target {
+        name: "aarch64",
+        triple: "aarch64-unknown-linux-musl",
+        emulator: "qemu-aarch64-static -cpu cortex-a53",
+    },
+    Target {
+        name: "armv7",
+        triple: "armv7-unknown-linux-musleabihf",
+        emulator: "qemu-arm-static -cpu cortex-a7",
+    },
+    Target {
+        name: "arm",
+        triple: "arm-unknown-linux-musleabihf",
+        emulator: "qemu-arm-static -cpu arm1176",
+    },
+    Target {
+        name: "armv5te",
+        triple: "armv5te-unknown-linux-musleabi",
+        emulator: "qemu-arm-static -cpu arm926",
+    },
+];
+
+/// The targets that are named, or all.
+pub(crate) fn targets(names: &[&str]) -> Outcome<Vec<Target>> {
+    if names.is_empty() {
+        return Ok(TARGETS.to_vec());
+    }
+    let find = |name: &&str| {
+        let mut known = TARGETS.into_iter();
+        let found = known.find(|target| target.name == *name || target.triple == *name);
+        let all = TARGETS.map(|target| target.name).join(", ");
+        found.ok_or_else(|| format!("no target `{name}`; there are: {all}"))
+    };
+    names.iter().map(find).collect()
+}
+
+/// The tools, ready.
+pub(crate) struct Zig {
+    /// The virtual environment's programs.
+    programs: PathBuf,
+    /// Where everything is built.
+    pub(crate) target_dir: PathBuf,
+    flags: Flags,
+}
+
+/// So that no program tells where on which machine it was built.
+struct Flags {
+    rust: String,
+    c: String,
+}
+
+impl Flags {
+    fn of(dirs: &Dirs) -> Self {
+        let home = env::var_os("CARGO_HOME").map(PathBuf::from);
+        let home = home.or_else(|| Some(PathBuf::from(env::var_os("HOME")?).join(".cargo")));
+        let mut places = vec![(dirs.root.clone(), "ztl")];
+        places.extend(home.map(|home| (home, "cargo")));
+        let mut flags = Self {
+            rust: "-C link-self-contained=no -C relocation-model=static".to_owned(),
+            c: String::new(),
+        };
+        for (path, name) in places {
+            let path = path.display();
+            flags.rust += &format!(" --remap-path-prefix={path}={name}");
+            flags.c += &format!(" -ffile-prefix-map={path}={name}");
+        }
+        flags
+    }
+}
+
+impl Zig {
+    /// Finds the tools, and installs what is lacking.
+    pub(crate) fn provide(dirs: &Dirs) -> Outcome<Self> {
+        cross::provide_debian()?;
+        let venv = dirs.absolute("zig");
+        let programs = venv.join("bin");
+        let works = || {
+            Cmd::program(programs.join("cargo-zigbuild"))
+                .arg("--version")
+                .stdout()
+        };
+        let version = || {
+            Cmd::program(programs.join("python"))
+                .args("-m ziglang version")
+                .stdout()
+        };
+        let wanted = |(zig, build): (String, String)| zig == "0.15.2" && build.ends_with("0.24.0");
+        let there = version().ok().zip(works().ok());
+        if !there.is_some_and(wanted) {
+            Cmd::new("python3 -m venv --clear").arg(&venv).run()?;
+            Cmd::program(programs.join("python"))
+                .args("-m pip install --disable-pip-version-check --quiet")
+                .args(PACKAGES)
+                .run()?;
+            works()?;
+        }
+        Ok(Self {
+            programs,
+            target_dir: dirs.absolute("dist"),
+            flags: Flags::of(dirs),
+        })
+    }
+
+    /// `cargo zigbuild` for a target, without profile and package.
+    pub(crate) fn build(&self, target: Target) -> Outcome<Cmd> {
+        let mut path = vec![self.programs.clone()];
+        path.extend(env::split_paths(&env::var_os("PATH").unwrap_or_default()));
+        let path: OsString = env::join_paths(path)
+            .map_err(|error| format!("cannot put zig on the PATH: {error}"))?;
+        Ok(
+            Cmd::new("cargo zigbuild --locked -Zbuild-std=std,panic_unwind --target")
+                .arg(target.triple)
+                .arg("--target-dir")
+                .arg(&self.target_dir)
+                .env("PATH", path)
+                .env("RUSTC", cross::DEBIAN_RUSTC)
+                // Building `std` is not stable yet; this lets a stable compiler do it.
+                .env("RUSTC_BOOTSTRAP", "1")
+                .env("RUSTFLAGS", &self.flags.rust)
+                .env("CFLAGS", &self.flags.c)
+                // Nothing here is position-independent, and zig would build its libc once more to try it.
+                .env("SODIUM_DISABLE_PIE", "1")
+                .env("CXXFLAGS", format!("{CXX_FLAGS}{}", self.flags.c)),
+        )
+    }
+
+    /// libzmq and libsodium for a target.
+    pub(crate) fn libraries(&self, target: Target) -> Outcome<Libraries> {
+        curve::libraries(self.build(target)?.args("--profile").arg(PROFILE))
+    }
+
+    /// `cargo zigbuild` for a target with the profile, linking to these libraries.
+    pub(crate) fn build_with(&self, target: Target, libraries: &Libraries) -> Outcome<Cmd> {
+        let build = self.build(target)?.args("--profile").arg(PROFILE);
+        Ok(libraries.link(build, target.triple, "c++"))
+    }
+
+    /// Where a program of that profile is.
+    pub(crate) fn program(&self, target: Target, name: &str) -> PathBuf {
+        self.target_dir.join(target.triple).join(PROFILE).join(name)
+    }
+
+    /// The directory with the sources that zig brings: musl, libc++, libunwind.
+    pub(crate) fn sources(&self) -> Outcome<PathBuf> {
+        let find =
+            "import os, ziglang; print(os.path.join(os.path.dirname(ziglang.__file__), 'lib'))";
+        let path = Cmd::program(self.programs.join("python"))
+            .args("-c")
+            .arg(find)
+            .stdout()?;
+        Ok(Path::new(&path).to_path_buf())
+    }
+}
