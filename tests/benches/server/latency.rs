@@ -24,6 +24,7 @@ logging.disable(logging.CRITICAL)
 from ztl.core.client import RemoteTask
 from ztl.core.server import TaskServer
 from ztl.core.task import TaskController, ExecutableTask
+from ztl.core.protocol import Task
 
 ended = [0.0]
 class Sleep(ExecutableTask):
@@ -47,10 +48,10 @@ for line in sys.stdin:
     for _ in range(int(count)):
         if what == "goal":
             begin = time.perf_counter()
-            id, _ = quick.trigger("test", "echo", "hi")
+            id, _ = quick.trigger(Task.encode("test", "echo", "hi"))
             quick.wait(id, timeout=5)
         else:
-            id, _ = slow.trigger("test", "sleep", str(0.03 + random.random() / 10))
+            id, _ = slow.trigger(Task.encode("test", "sleep", str(0.03 + random.random() / 10)))
             slow.wait(id, timeout=5)
             begin = ended[0]
         times.append((time.perf_counter() - begin) * 1e6)

@@ -5,6 +5,8 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::net::IpAddr;
+use std::sync::Arc;
+use std::thread::JoinHandle;
 
 use ipnet::IpNet;
 use tracing::warn;
@@ -14,7 +16,9 @@ use super::{LOG, Limits};
 use crate::keys::{KeyPair, PublicKey};
 
 /// Where ZeroMQ asks (RFC 27).
-const DESK: &str = "inproc://zeromq.zap.01";
+const QUESTIONS: &str = "inproc://zeromq.zap.01";
+/// Where the door's thread hears that it is over.
+const END: &str = "inproc://door";
 /// The mark of a connection that has no key.
 const NO_KEY: &str = "-";
 
@@ -128,14 +132,24 @@ pub(super) enum Who {
     Client(PublicKey),
 }
 
-/// The door of a server: decides on connections, and who a message is from.
+/// The door of a server: lets connections in, on a thread of its own, and knows who a message is from.
 pub(super) struct Door {
-    access: Access,
+    access: Arc<Access>,
     /// Whether ZeroMQ asks for each connection.
     asks: bool,
+    /// Ends the thread.
+    end: zmq::Socket,
+    thread: Option<JoinHandle<()>>,
+}
+
+/// Where it is decided about connections.
+struct Desk {
+    access: Arc<Access>,
     /// Where ZeroMQ asks.
-    desk: zmq::Socket,
+    questions: zmq::Socket,
     connections: Connections,
+    /// Something comes when it is over.
+    end: zmq::Socket,
 }
 
 /// What ZeroMQ is answered about a connection.
@@ -156,14 +170,29 @@ impl Door {
         context: &zmq::Context,
         socket: &zmq::Socket,
     ) -> Result<Self, zmq::Error> {
-        let desk = context.socket(zmq::REP)?;
-        desk.set_linger(0)?;
-        desk.bind(DESK)?;
+        let access = Arc::new(access);
+        let questions = context.socket(zmq::REP)?;
+        questions.set_linger(0)?;
+        questions.bind(QUESTIONS)?;
+        let [end, over] = [context.socket(zmq::PAIR)?, context.socket(zmq::PAIR)?];
+        over.bind(END)?;
+        end.set_linger(0)?;
+        end.connect(END)?;
+        let desk = Desk {
+            access: Arc::clone(&access),
+            questions,
+            connections: Connections::of(socket, context, connections)?,
+            end: over,
+        };
+        let thread = std::thread::Builder::new()
+            .name("ztl-door".to_owned())
+            .spawn(move || desk.serve());
         let door = Self {
             asks: !access.is_open() || connections < Limits::default().connections,
             access,
-            desk,
-            connections: Connections::of(socket, context, connections)?,
+            end,
+            // The system gives no more threads.
+            thread: Some(thread.map_err(|_| zmq::Error::EAGAIN)?),
         };
         door.guard(socket)?;
         Ok(door)
@@ -183,15 +212,59 @@ impl Door {
         Ok(())
     }
 
-    /// What is to be waited for besides requests.
-    pub(super) const fn sockets(&self) -> [&zmq::Socket; 2] {
-        [&self.desk, self.connections.socket()]
+    /// Who a message is from; `None` when it has not come through this door.
+    pub(super) fn who(&self, message: &mut zmq::Message) -> Option<Who> {
+        if self.access.is_open() {
+            return Some(Who::Anybody);
+        }
+        match (message.gets("User-Id")?, &self.access.keys) {
+            (NO_KEY, None) => Some(Who::Anybody),
+            (key, Some(_)) => key.parse().ok().map(Who::Client),
+            (_, None) => None,
+        }
+    }
+
+    /// Whether somebody may use a scope.
+    pub(super) fn lets_use(&self, who: Who, scope: &str) -> bool {
+        match who {
+            Who::Anybody => true,
+            Who::Client(client) => self.access.may_use(&client, scope),
+        }
+    }
+}
+
+impl Drop for Door {
+    fn drop(&mut self) {
+        let _ = self.end.send(&b""[..], zmq::DONTWAIT);
+        if let Some(thread) = self.thread.take() {
+            // A panic there has been printed already.
+            let _ = thread.join();
+        }
+    }
+}
+
+impl Desk {
+    /// Until the door is closed.
+    fn serve(self) {
+        loop {
+            let sockets = [&self.questions, self.connections.socket(), &self.end];
+            let mut items = sockets.map(|socket| socket.as_poll_item(zmq::POLLIN));
+            match zmq::poll(&mut items, -1) {
+                Ok(_) | Err(zmq::Error::EINTR) => {}
+                Err(_) => return,
+            }
+            let [_, _, end] = items;
+            if end.is_readable() {
+                return;
+            }
+            self.decide();
+        }
     }
 
     /// Answers what ZeroMQ has asked.
-    pub(super) fn decide(&self) {
+    fn decide(&self) {
         self.connections.count();
-        while let Ok(asked) = self.desk.recv_multipart(zmq::DONTWAIT) {
+        while let Ok(asked) = self.questions.recv_multipart(zmq::DONTWAIT) {
             let decision = self.decision(&asked);
             let number = asked.get(1).map_or(&b""[..], Vec::as_slice);
             let (code, text, who) = match &decision {
@@ -208,7 +281,7 @@ impl Door {
                 b"",
             ];
             // ZeroMQ waits for it and takes it.
-            let _ = self.desk.send_multipart(frames, zmq::DONTWAIT);
+            let _ = self.questions.send_multipart(frames, zmq::DONTWAIT);
         }
     }
 
@@ -243,25 +316,5 @@ impl Door {
             return Decision::Later;
         }
         Decision::In(key.map_or_else(|| NO_KEY.to_owned(), |key| key.to_string()))
-    }
-
-    /// Who a message is from; `None` when it has not come through this door.
-    pub(super) fn who(&self, message: &mut zmq::Message) -> Option<Who> {
-        if self.access.is_open() {
-            return Some(Who::Anybody);
-        }
-        match (message.gets("User-Id")?, &self.access.keys) {
-            (NO_KEY, None) => Some(Who::Anybody),
-            (key, Some(_)) => key.parse().ok().map(Who::Client),
-            (_, None) => None,
-        }
-    }
-
-    /// Whether somebody may use a scope.
-    pub(super) fn lets_use(&self, who: Who, scope: &str) -> bool {
-        match who {
-            Who::Anybody => true,
-            Who::Client(client) => self.access.may_use(&client, scope),
-        }
     }
 }

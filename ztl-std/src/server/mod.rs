@@ -77,6 +77,12 @@ fn now() -> Instant {
 /// Name under which the original logs.
 const LOG: &str = "remote-task";
 
+/// Where the server hears that it is to wake up.
+const BELL: &str = "inproc://bell";
+
+/// A message's frames, and who sent it, unless that is not known.
+type Received = (Vec<zmq::Message>, Option<Who>);
+
 /// What is shown the requests about tasks.
 type Witness = Box<dyn FnMut(Request, TaskId, &str) + Send>;
 
@@ -86,7 +92,6 @@ type Witness = Box<dyn FnMut(Request, TaskId, &str) + Send>;
 pub struct TaskServer {
     socket: zmq::Socket,
     door: Door,
-    bell: zmq::Socket,
     /// After the sockets: a context ends when its sockets are closed.
     context: zmq::Context,
     endpoint: String,
@@ -134,13 +139,13 @@ impl TaskServer {
         socket.set_linger(0)?;
         limits.set(&socket)?;
         let door = Door::new(access, limits.connections, &context, &socket)?;
+        // The bell rings among the requests: what comes from it is none, since it has no delimiter.
+        socket.bind(BELL)?;
+        let bell = context.socket(zmq::DEALER)?;
+        bell.set_linger(0)?;
+        bell.connect(BELL)?;
+        let waker = Waker::new(bell);
         let bound = bind(&socket, endpoint)?;
-        let bell = context.socket(zmq::PULL)?;
-        bell.bind("inproc://wake")?;
-        let ringer = context.socket(zmq::PUSH)?;
-        ringer.set_linger(0)?;
-        ringer.connect("inproc://wake")?;
-        let waker = Waker::new(ringer);
         let (mailbox, inbox) = Mailbox::new(Arc::clone(&waker));
         info!(target: LOG, "Task Server listening at '{endpoint}'");
         let mut config = Config::new(random::first_task_id(), random::nonzero());
@@ -148,7 +153,6 @@ impl TaskServer {
         Ok(Self {
             socket,
             door,
-            bell,
             context,
             endpoint: bound,
             dispatcher: Dispatcher::new(Heap::new(limits), config),
@@ -265,22 +269,20 @@ impl TaskServer {
 
     /// Waits for something, at most for `longest`, and serves it; says whether there is more.
     fn turn(&mut self, longest: Duration) -> Result<bool, zmq::Error> {
-        let [requests, bell, at_the_door] = self.wait(longest)?;
-        if bell {
-            // It says nothing but that it is time to wake up.
-            let _ = self.bell.recv_msg(zmq::DONTWAIT);
-        }
+        let mut next = self.wait(longest)?;
         self.waker.awake();
         let more = self.take_reports();
-        if at_the_door {
-            self.door.decide();
-        }
-        for _ in 0..if requests { BATCH } else { 0 } {
-            match self.receive() {
-                Ok((frames, Some(who))) => self.serve(frames, who),
-                Ok((_, None)) => debug!(target: LOG, "dropped a message of somebody unknown"),
-                Err(_) => break,
+        let mut taken = 0;
+        while let Some((frames, who)) = next {
+            match who {
+                Some(who) => self.serve(frames, who),
+                None => debug!(target: LOG, "dropped a message of somebody unknown"),
             }
+            taken += 1;
+            if taken == BATCH {
+                break;
+            }
+            next = self.receive(zmq::DONTWAIT)?;
         }
         for handler in &mut self.handlers {
             handler.all_started();
@@ -350,32 +352,22 @@ impl TaskServer {
         })
     }
 
-    /// Until a request, a report or the dispatcher's next wake-up, at most for `longest`. Says whether
-    /// there are requests, the bell, and somebody at the door.
-    fn wait(&self, longest: Duration) -> Result<[bool; 3], zmq::Error> {
+    /// Until a request, a report or the dispatcher's next wake-up, at most for `longest`; the request.
+    fn wait(&self, longest: Duration) -> Result<Option<Received>, zmq::Error> {
         let wakes = [self.dispatcher.poll_timeout(), self.touch.poll_timeout()];
         let wake = wakes.into_iter().flatten().min();
         let time = wake.map_or(longest, |wake| wake.since(now()).min(longest));
+        if time.is_zero() || !self.waker.may_sleep() {
+            return self.receive(zmq::DONTWAIT);
+        }
         let timeout = match time {
             Duration::MAX => -1,
-            time => i64::try_from(time.as_micros().div_ceil(1000))
-                .unwrap_or(i64::MAX)
+            time => i32::try_from(time.as_micros().div_ceil(1000))
+                .unwrap_or(i32::MAX)
                 .min(3_600_000),
         };
-        let timeout = if timeout == 0 || self.waker.may_sleep() {
-            timeout
-        } else {
-            0
-        };
-        let [desk, monitor] = self.door.sockets();
-        let mut items = [&self.socket, &self.bell, desk, monitor]
-            .map(|socket| socket.as_poll_item(zmq::POLLIN));
-        match zmq::poll(&mut items, timeout) {
-            Ok(_) | Err(zmq::Error::EINTR) => {}
-            Err(cause) => return Err(cause),
-        }
-        let [requests, bell, desk, monitor] = items.map(|item| item.is_readable());
-        Ok([requests, bell, desk || monitor])
+        self.socket.set_rcvtimeo(timeout)?;
+        self.receive(0)
     }
 
     /// Takes a bounded number of reports; says whether there may be more.
@@ -404,16 +396,20 @@ impl TaskServer {
         taken == BATCH
     }
 
-    /// The next message, and who sent it, unless that is not known.
-    fn receive(&self) -> Result<(Vec<zmq::Message>, Option<Who>), zmq::Error> {
+    /// The next message, and who sent it, unless that is not known; `None` when there is none.
+    fn receive(&self, flags: i32) -> Result<Option<Received>, zmq::Error> {
         // As many as a client of ours sends.
         let mut frames = Vec::with_capacity(5);
         loop {
-            let mut frame = self.socket.recv_msg(zmq::DONTWAIT)?;
+            let mut frame = match self.socket.recv_msg(flags) {
+                Ok(frame) => frame,
+                Err(zmq::Error::EAGAIN | zmq::Error::EINTR) => return Ok(None),
+                Err(cause) => return Err(cause),
+            };
             let who = (!frame.get_more()).then(|| self.door.who(&mut frame));
             frames.push(frame);
             if let Some(who) = who {
-                return Ok((frames, who));
+                return Ok(Some((frames, who)));
             }
         }
     }
