@@ -197,7 +197,7 @@ fn medians(runs: &[Run]) -> String {
                 let of = steps.entry(key).or_default();
                 // What was left before its end says nothing of how long it takes.
                 if matches!(step.end, Some(StepEnd::Completed | StepEnd::Failures)) {
-                    of.planned.push(step.planned);
+                    of.planned.extend(step.planned);
                     of.actual.push(step.length());
                 }
                 of.failures += usize::from(step.end == Some(StepEnd::Failures));
@@ -337,17 +337,22 @@ fn scenes(run: &Run) -> String {
     let mut out = String::new();
     for (nth, take) in run.takes.iter().enumerate() {
         let replay = if take.replay { ", replayed" } else { "" };
-        let planned = take.planned(run);
         let length = take.length();
+        let planned = take.planned(run).map(|planned| {
+            format!(
+                ", planned {} ({} s)",
+                spoken(planned),
+                difference(length, planned)
+            )
+        });
         out += &format!(
-            "<section class=\"scene\"><h3>{}. {}</h3>\n<p class=\"note\">{}{replay}; from {} s, {} long, planned {} ({} s)</p>\n",
+            "<section class=\"scene\"><h3>{}. {}</h3>\n<p class=\"note\">{}{replay}; from {} s, {} long{}</p>\n",
             take.scene + 1,
             escape(&svg::take_name(run, take)),
             words::scene_end(take.end),
             seconds(take.from),
             spoken(length),
-            spoken(planned),
-            difference(length, planned),
+            planned.unwrap_or_default(),
         );
         if take.steps.is_empty() {
             out += "<p class=\"note\">No step was started.</p>\n";
@@ -463,6 +468,7 @@ fn wait_table(run: &Run) -> String {
 }
 
 fn steps_table(run: &Run) -> String {
+    let none = || "–".to_owned();
     let columns = [
         "~scene",
         "~step",
@@ -485,9 +491,10 @@ fn steps_table(run: &Run) -> String {
                     seconds(step.planned_from),
                     seconds(step.from),
                     difference(step.from, step.planned_from),
-                    seconds(step.planned),
+                    step.planned.map_or_else(none, seconds),
                     seconds(step.length()),
-                    difference(step.length(), step.planned),
+                    step.planned
+                        .map_or_else(none, |planned| difference(step.length(), planned)),
                     words::step_end(step.end).to_owned(),
                 ],
             );

@@ -51,8 +51,9 @@ pub(super) struct Step {
     pub(super) from: Duration,
     pub(super) to: Duration,
     pub(super) end: Option<StepEnd>,
-    /// What its delays and its tasks' own times add up to.
-    pub(super) planned: Duration,
+    /// What its delays and its tasks' own times add up to; `None` when it was left before its end, and
+    /// nobody knows what they would have been.
+    pub(super) planned: Option<Duration>,
 }
 
 /// A task, sent once.
@@ -230,12 +231,16 @@ impl Take {
         self.to.saturating_sub(self.from)
     }
 
-    /// What its delay and its steps' plans add up to.
-    pub(super) fn planned(&self, run: &Run) -> Duration {
+    /// What its delay and its steps' plans add up to; `None` when it was left before its end.
+    pub(super) fn planned(&self, run: &Run) -> Option<Duration> {
+        if !matches!(self.end, Some(SceneEnd::Completed | SceneEnd::Failures)) {
+            return None;
+        }
         let delay = run
             .scene(self.scene)
             .map_or(Duration::ZERO, |scene| scene.delay);
-        self.steps.iter().map(|step| step.planned).sum::<Duration>() + delay
+        let steps = self.steps.iter().filter_map(|step| step.planned);
+        Some(steps.sum::<Duration>() + delay)
     }
 }
 
@@ -446,7 +451,7 @@ impl Reader {
                 from: at,
                 to: at,
                 end: None,
-                planned: Duration::ZERO,
+                planned: None,
             });
             self.step_open = true;
         }
@@ -612,7 +617,8 @@ impl Reader {
         }
         let steps = self.run.takes.iter_mut().flat_map(|take| &mut take.steps);
         for (step, planned) in steps.zip(plans) {
-            step.planned = planned;
+            let whole = matches!(step.end, Some(StepEnd::Completed | StepEnd::Failures));
+            step.planned = whole.then_some(planned);
         }
     }
 }

@@ -413,10 +413,13 @@ fn label_lanes<'a>(run: &Run, axis: &Axis, marks: &[&'a Action]) -> Vec<(&'a Act
 fn draw_step(drawing: &mut Drawing, run: &Run, take: &Take, axis: &Axis, step: &Step, y: f64) {
     let name = run.step_name(take.scene, step.step);
     drawing.cut("name step", 0.0, y + 15.0, &name, NAMES - 6.0);
-    let planned = (axis.x(step.from), axis.x(step.from + step.planned));
-    let title = format!("{name}: {} planned", spoken(step.planned));
-    let attributes = data("plan", step.step + 1, step.from, step.from + step.planned);
-    drawing.bar("plan", planned, (y + 4.0, y + 8.0), &attributes, &title);
+    if let Some(planned) = step.planned {
+        let to = step.from + planned;
+        let title = format!("{name}: {} planned", spoken(planned));
+        let attributes = data("plan", step.step + 1, step.from, to);
+        let place = (axis.x(step.from), axis.x(to));
+        drawing.bar("plan", place, (y + 4.0, y + 8.0), &attributes, &title);
+    }
     let actual = (axis.x(step.from), axis.x(step.to));
     let attributes = data("step", step.step + 1, step.from, step.to);
     let title = format!(
@@ -432,10 +435,10 @@ fn draw_step(drawing: &mut Drawing, run: &Run, take: &Take, axis: &Axis, step: &
         Some(StepEnd::Completed) if background => "in the background",
         end => words::step_end(end),
     };
-    let more = match step.end {
-        Some(_) => format!(" ({})", difference(step.length(), step.planned)),
-        None => String::new(),
-    };
+    let more = step
+        .planned
+        .map(|planned| format!("({})", difference(step.length(), planned)));
+    let more = more.unwrap_or_default();
     let remark = format!("{} {more} {end}", spoken(step.length()));
     drawing.cut(
         "remark step",

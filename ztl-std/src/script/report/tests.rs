@@ -268,6 +268,19 @@ fn a_step_is_planned_from_its_delays_and_its_tasks_own_times() {
 }
 
 #[test]
+fn what_was_left_before_its_end_has_no_plan_to_compare_with() {
+    let html = report(&[("evening.jsonl", EVENING)]).html();
+    let (_, stopped) = html.split_once("<h3>4. Goodbye</h3>").unwrap();
+    let (note, drawing) = stopped.split_once("</p>").unwrap();
+    assert!(
+        note.contains("stopped; from") && !note.contains("planned"),
+        "{note}"
+    );
+    let (drawing, _) = drawing.split_once("</section>").unwrap();
+    assert!(drawing.contains("data-step") && !drawing.contains("data-plan"));
+}
+
+#[test]
 fn several_runs_are_compared_step_by_step() {
     let html = report(&[("evening.jsonl", EVENING), ("matinee.jsonl", MATINEE)]).html();
     assert!(html.contains("<a href=\"#run-2\">matinee.jsonl</a>"));

@@ -477,7 +477,7 @@ fn message(board: &Board, now: Duration, width: usize) -> Vec<Line> {
             let colon = if task.text.is_empty() { "" } else { ": " };
             say(
                 Style::Plain,
-                &format!("  {} is {}{colon}{}", task.name, task.state, task.text),
+                &format!("  {} {}{colon}{}", task.name, task.state, task.text),
             );
         }
     } else {
@@ -554,7 +554,7 @@ fn key_lines(board: &Board, chooser: Option<Chooser>, width: usize) -> Vec<Line>
     let mut lines = Vec::new();
     let mut line = Line::new(width);
     for (key, words) in keys {
-        let length = key.len() + words.chars().count() + 4;
+        let length = key.len() + words.chars().count() + 5;
         if line.width() > 0 && line.width() + length > width {
             lines.push(std::mem::replace(&mut line, Line::new(width)));
         }

@@ -114,8 +114,8 @@ fn a_silent_server_is_told_with_what_waits_for_it() {
 ────────────────────────────────────────────────────────────────────────────────
  WAITING: server 'robot' is silent for 1.2 s; what its tasks do is unknown.
    Decide.
-   robot:base:[0, 0, 1.57] is unknown: no answer for 2.0 s
-   robot:arm:up is accepted
+   robot:base:[0, 0, 1.57] unknown: no answer for 2.0 s
+   robot:arm:up accepted
   g  go on anyway   x  stop everything"
     );
     let seen = screen(&board, at + Duration::from_millis(1200), (80, 22));
@@ -163,8 +163,8 @@ fn on_a_small_screen_what_has_to_be_decided_stays() {
          ✗ light:r…  refused  busy: '… 0.0 s
  WAITING: something did not go well. Decide.
    light:ring:{'colour': 'warm', 'level':
-     0.8} is refused: busy: 'ring' is in
-     use; it takes one task at a time
+     0.8} refused: busy: 'ring' is in use;
+     it takes one task at a time
   t  retry what failed   g  go on anyway
   x  stop everything"
     );
