@@ -232,7 +232,7 @@ impl Screen {
                 "Ctrl-Z" => tty::suspend(),
                 "Ctrl-L" => self.drawn.clear(),
                 // Whatever came before it: whoever wants to stop must not be unheard.
-                "Ctrl-C" => self.press(key, nth > 0),
+                "Ctrl-C" | "x" | "X" => self.press(key, nth > 0),
                 _ if nth == 0 => self.press(key, !rest.is_empty()),
                 _ => {
                     self.key = Some((key.clone(), Instant::now()));
