@@ -1,12 +1,18 @@
 //! What servers say, and that they say nothing.
 
+use std::time::Duration;
+
 use ztl_core::{Instant, State};
 
 use super::super::event::{Event, RequestNumber, ServerState, TaskNumber, TaskState, Why};
+use super::stop::UNNAMED;
 use super::{Answer, POLL, Phase, Player, Sent, Server, What};
 
 /// An answer that was to be held and came sooner than this was not held.
-const NOT_HELD: std::time::Duration = std::time::Duration::from_millis(20);
+const NOT_HELD: Duration = Duration::from_millis(20);
+
+/// Pause between two questions about a task in the background whose server does not answer.
+const PATIENT_POLL: Duration = Duration::from_secs(5);
 
 impl Player {
     /// What came of a request. One that is not under way (any more) is ignored.
@@ -141,6 +147,9 @@ impl Player {
             Answer::Nothing { text, .. } => {
                 self.set_unknown(now, number, Why::StartUnknown, &text);
                 self.unresolved.insert(number);
+                if stopping {
+                    self.tell_stop(number, false, UNNAMED);
+                }
             }
             // Not an answer to an INIT.
             Answer::Task { .. } | Answer::TaskUnknown { .. } => {}
@@ -159,8 +168,9 @@ impl Player {
         // An answer that was held has taken its time.
         let was_held = held && now.since(sent.at) >= NOT_HELD;
         task.next = if was_held { now } else { now + POLL };
-        if task.ours && task.unknown.is_some() {
-            task.next = now;
+        // What nobody waits for is not asked after all the time while its server is silent.
+        if task.unknown.is_some() && !task.is_open() {
+            task.next = now + PATIENT_POLL;
         }
         self.on_known(now, number, answer);
     }

@@ -7,6 +7,7 @@
 
 mod answer;
 mod commands;
+mod ends;
 mod steps;
 mod stop;
 mod tasks;

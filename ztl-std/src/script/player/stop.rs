@@ -8,6 +8,10 @@ use super::{Answer, POLL, Phase, Player};
 /// How often a task is told to stop before it is given up.
 const TRIES: u32 = 3;
 
+/// Of a task whose INIT was not answered.
+pub(super) const UNNAMED: &str =
+    "whether it was started is unknown, and it cannot be named to the server";
+
 impl Player {
     /// Stops everything.
     pub(super) fn stop(&mut self, now: Instant, by: By) {
@@ -34,17 +38,13 @@ impl Player {
             if task.id.is_some() {
                 self.abort(now, number);
             } else if task.state == TaskState::Unknown {
-                self.tell_stop(
-                    number,
-                    false,
-                    "whether it was started is unknown, and it cannot be named to the server",
-                );
+                self.tell_stop(number, false, UNNAMED);
             }
         }
         self.settle();
     }
 
-    fn tell_stop(&mut self, number: TaskNumber, confirmed: bool, text: &str) {
+    pub(super) fn tell_stop(&mut self, number: TaskNumber, confirmed: bool, text: &str) {
         let Some(task) = self.tasks.get_mut(&number) else {
             return;
         };

@@ -414,3 +414,27 @@ fn a_server_that_is_not_there_is_asked_about_unless_the_script_says_to_go_on() {
         assert_eq!(world.began.len(), usize::from(!asked), "{policy}");
     }
 }
+
+#[test]
+fn an_init_that_nobody_answers_does_not_keep_the_stop_from_its_end() {
+    let script = "s: {a: {robot: {base: 60}}}";
+    let mut world = World::new(script, Options::default());
+    let pause = (Instant::ZERO, Instant::from_millis(600_000));
+    world.machine("robot").pauses.push(pause);
+    world.begin();
+    world.command(Command::Start);
+    world.pass(Duration::from_millis(100));
+    world.command(Command::Stop);
+    world.run(|_, question| panic!("{question:?}"));
+    let said = world.seen(|event| {
+        matches!(
+            event,
+            Event::StopAnswered {
+                confirmed: false,
+                ..
+            }
+        )
+    });
+    assert_eq!(said.len(), 1);
+    assert!(world.now <= Instant::from_millis(2001), "{:?}", world.now);
+}
