@@ -1,6 +1,9 @@
 //! Firmware that is a server by itself: the original's client talks to the board with nothing between them,
 //! over the serial port's bytes, and over Ethernet frames, TCP and the board's own network stack.
 
+use std::io::Write;
+use std::net::TcpStream;
+
 use ztl_tests::lab::{
     ABORTED, ACCEPTED, Board, COMPLETED, OriginalClient, PATIENCE, Pin, REJECTED, until,
 };
@@ -136,6 +139,33 @@ fn over_ethernet_two_clients_are_served_at_once_and_a_third_when_one_has_gone() 
         (three.status(stage) == (COMPLETED, "0.00")).then_some(())
     });
     assert_eq!(one.status(stage), (COMPLETED, "0.00"));
+}
+
+#[test]
+fn over_ethernet_streams_that_are_no_client_harm_nobody() {
+    let board = ethernet();
+    let mut client = OriginalClient::connect(board.network, SCOPE);
+    let id = client.start("desk", "gripper", "90");
+    assert_eq!(client.wait(id, 60.0), (COMPLETED, "90.0"));
+    let greeting = b"\xFF\0\0\0\0\0\0\0\x01\x7F\x03\x01NULL\0\0\0\0\0\0";
+    for bytes in [
+        &b"GET / HTTP/1.1\r\n\r\n"[..],
+        greeting,
+        &[0xFF; 3000],
+        &[0x00; 3000],
+        b"",
+    ] {
+        for _ in 0..10 {
+            let stream = TcpStream::connect(("127.0.0.1", board.network));
+            // The board may have closed it already.
+            let _ = stream.expect("a connection").write_all(bytes);
+        }
+        assert_eq!(client.status(id), (COMPLETED, "90.0"));
+    }
+    until("a place for another", PATIENCE, || {
+        let mut other = OriginalClient::connect(board.network, SCOPE);
+        (other.status(id) == (COMPLETED, "90.0")).then_some(())
+    });
 }
 
 #[test]

@@ -103,7 +103,8 @@ fn attend<C: Components>(
     let socket: &mut Socket<'_> = sockets.get_mut(handle);
     let peer = Peer(place as u8);
     match socket.state() {
-        State::Established if !*served => {
+        // The latter when it has gone again already.
+        State::Established | State::CloseWait if !*served => {
             *served = true;
             server.open(now, peer);
         }
