@@ -13,12 +13,12 @@ use ztl_core::sink::{Sink, SliceSink, put_fixed};
 pub enum Run {
     /// Under way; the report is where it is now.
     Running,
-    /// The goal is reached; the report is the result.
-    Completed,
     /// The goal will not be reached; the report says why.
     Failed,
     /// Stopped after [`Component::abort`]; the report is where.
     Aborted,
+    /// The goal is reached; the report is the result.
+    Completed,
 }
 
 /// The component does not take the goal; why stands in the report.
@@ -229,7 +229,8 @@ tuples! {
 
 /// Where a component writes its progress, result, or reason to refuse; of fixed length.
 ///
-/// What does not fit is cut, and `…` marks the cut. It starts empty at each call.
+/// What does not fit is cut, and `…` marks the cut; for the mark the last 3 bytes are kept free. It starts empty at each
+/// call.
 #[derive(Debug)]
 pub struct Report<'a> {
     text: &'a mut StringView,
@@ -252,16 +253,19 @@ impl<'a> Report<'a> {
     }
 
     /// Adds text.
+    #[cfg_attr(target_os = "none", inline(never))]
     pub fn text(&mut self, text: &str) {
-        if self.cut || self.text.push_str(text).is_ok() {
+        if self.cut {
             return;
         }
-        self.cut = true;
         let room = self.text.capacity().saturating_sub(MARK.len());
         let fitting = text.floor_char_boundary(room.saturating_sub(self.text.len()));
+        // Neither can fail: there is room for both.
         let _ = self.text.push_str(text.get(..fitting).unwrap_or_default());
-        while self.text.len() > room && self.text.pop().is_some() {}
-        let _ = self.text.push_str(MARK);
+        if fitting < text.len() {
+            self.cut = true;
+            let _ = self.text.push_str(MARK);
+        }
     }
 
     /// Adds a number with this many decimals (at most 6).
@@ -351,12 +355,12 @@ mod tests {
     fn a_report_that_does_not_fit_is_cut_and_marked() {
         for (parts, expected) in [
             (&["12345678"][..], "12345678"),
-            (&["123456789"], "12345…"),
-            (&["1234567", "89"], "12345…"),
-            (&["1234", "ä", "ä", "ä"], "1234…"),
-            (&["ääää", "x", "y"], "ää…"),
+            (&["123456789"], "12345678…"),
+            (&["1234567", "89", "10"], "12345678…"),
+            (&["1234567", "ä", "x"], "1234567…"),
+            (&["ääää", "x", "y"], "ääää…"),
         ] {
-            let mut text = heapless::String::<8>::new();
+            let mut text = heapless::String::<11>::new();
             let mut report = Report::new(&mut text);
             for part in parts {
                 report.text(part);

@@ -4,26 +4,27 @@ mod commands;
 #[cfg(feature = "zmtp")]
 mod local;
 mod tasks;
+mod text;
 mod transmit;
 
 use core::hash::{Hash, Hasher};
 use core::time::Duration;
 
 use ztl_core::Instant;
-use ztl_core::link::{Decoder, LINK_TIMEOUT, LinkId, NO_SEQ, NO_SESSION};
-use ztl_core::tasks::TaskTable;
+use ztl_core::link::{Decoder, LINK_TIMEOUT, LinkId, NO_SEQ, NO_SESSION, Pushed};
+use ztl_core::time::micros;
 
 use crate::component::Components;
 use crate::log::LogSource;
 use commands::Answer;
 #[cfg(feature = "zmtp")]
 pub(crate) use local::LocalTasks;
-use tasks::Job;
 pub(crate) use tasks::TEXT;
-use transmit::{Transmit, longest};
+use tasks::Table;
+use transmit::{PAUSE, Transmit, longest};
 
-/// Why a component does not take a goal; at most 96 bytes.
-pub type Reason = heapless::String<96>;
+/// Why a component does not take a goal; at most 96 bytes, and the mark of a cut.
+pub type Reason = heapless::String<99>;
 
 /// Who a node is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -68,6 +69,10 @@ pub struct Counters {
     pub out_of_sequence: u32,
 }
 
+fn count(counter: &mut u32) {
+    *counter = counter.wrapping_add(1);
+}
+
 /// The device end of the link, without I/O: it moves the components `C`, holds at most `TASKS` tasks
 /// and frames of at most `FRAME` bytes (128 and more; a goal may be some 24 bytes shorter).
 ///
@@ -88,10 +93,10 @@ pub struct Counters {
 /// Two nodes are equal when they will do the same from now on; what they have counted does not matter.
 #[derive(Debug, Clone)]
 pub struct Node<'a, C, const TASKS: usize, const FRAME: usize> {
+    counters: Counters,
     decoder: Decoder<FRAME>,
     /// Apart from the decoder, whose buffer a frame borrows while it is acted on.
     state: Inner<'a, C, TASKS, FRAME>,
-    counters: Counters,
 }
 
 impl<C: PartialEq, const TASKS: usize, const FRAME: usize> PartialEq for Node<'_, C, TASKS, FRAME> {
@@ -109,66 +114,75 @@ impl<C: Hash, const TASKS: usize, const FRAME: usize> Hash for Node<'_, C, TASKS
     }
 }
 
+// What is small stands first: there a Cortex-M0 reaches it with one instruction.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
+#[repr(C)]
 struct Inner<'a, C, const TASKS: usize, const FRAME: usize> {
-    identity: Identity<'a>,
-    components: C,
+    /// `seq` of the last command executed.
+    seq: u8,
+    answer_due: bool,
+    stopped: bool,
+    /// A delimiter was sent before the next announcement.
+    flushed: bool,
+    /// The last time there was a reading, so there may be another.
+    readings: bool,
+    /// Whose readings are sent next, so that each gets its turn.
+    publisher: u8,
     /// The session that runs, [`NO_SESSION`] after a reset.
     session: u32,
     /// The number of the `Hello` that opened it.
     hello: u32,
     /// The same of the session before.
     replaced: u32,
+    highest: LinkId,
+    answer: Answer,
     gateway: u64,
-    /// `seq` of the last command executed.
-    seq: u8,
-    answer: Option<Answer>,
-    /// What the component said when it did not take the last goal.
-    reason: Reason,
-    answer_due: bool,
-    /// A `Hello` to be refused: its session, and why.
-    refusal: Option<(u32, &'static str)>,
+    /// In µs.
+    link_timeout: u64,
+    awake_due: Instant,
     /// When a new command was last executed, or a session opened; until the link timeout has
     /// passed no other gateway gets in.
     heard: Instant,
-    /// When the last new command was executed: the link timer. `None` once it has fired.
-    commanded: Option<Instant>,
-    /// When the last byte of a frame came that is not complete yet.
-    receiving: Option<Instant>,
-    stopped: bool,
-    tasks: TaskTable<LinkId, Job, TASKS, TEXT>,
-    highest: LinkId,
-    awake_due: Instant,
-    /// Whose readings are sent next, so that each gets its turn.
-    publisher: usize,
-    /// The last time there was a reading, so there may be another.
-    readings: bool,
+    /// When the link timer runs out: the link timeout after the last new command was executed.
+    /// [`Instant::NEVER`] once it has.
+    lost_at: Instant,
+    /// Until when what stands in the decoder is a command that is coming in.
+    receiving: Instant,
+    /// A `Hello` to be refused: its session, and why.
+    refusal: Option<(u32, &'static str)>,
+    identity: Identity<'a>,
+    components: C,
+    /// What the component said when it did not take the last goal.
+    reason: Reason,
+    tasks: Table<TASKS>,
     transmit: Transmit<FRAME>,
 }
 
 impl<'a, C, const TASKS: usize, const FRAME: usize> Inner<'a, C, TASKS, FRAME> {
     const fn new(identity: Identity<'a>, components: C) -> Self {
         Self {
-            identity,
-            components,
+            seq: NO_SEQ,
+            answer_due: false,
+            stopped: false,
+            flushed: false,
+            readings: false,
+            publisher: 0,
             session: NO_SESSION,
             hello: NO_SESSION,
             replaced: NO_SESSION,
-            gateway: 0,
-            seq: NO_SEQ,
-            answer: None,
-            reason: Reason::new(),
-            answer_due: false,
-            refusal: None,
-            heard: Instant::ZERO,
-            commanded: None,
-            receiving: None,
-            stopped: false,
-            tasks: TaskTable::new(),
             highest: LinkId(0),
+            answer: Answer::Nothing,
+            gateway: 0,
+            link_timeout: micros(identity.link_timeout),
             awake_due: Instant::ZERO,
-            publisher: 0,
-            readings: false,
+            heard: Instant::ZERO,
+            lost_at: Instant::NEVER,
+            receiving: Instant::ZERO,
+            refusal: None,
+            identity,
+            components,
+            reason: Reason::new(),
+            tasks: Table::new(),
             transmit: Transmit::new(),
         }
     }
@@ -182,37 +196,50 @@ impl<'a, C: Components, const TASKS: usize, const FRAME: usize> Node<'a, C, TASK
     pub const fn new(identity: Identity<'a>, components: C) -> Self {
         const { assert!(FRAME >= 128 && TASKS >= 1 && TASKS <= 255) };
         Self {
-            decoder: Decoder::new(),
-            state: Inner::new(identity, components),
             counters: Counters {
                 frames: 0,
                 errors: 0,
                 repeats: 0,
                 out_of_sequence: 0,
             },
+            decoder: Decoder::new(),
+            state: Inner::new(identity, components),
         }
     }
 
     /// Bytes have arrived, in pieces of any length.
-    pub fn handle_bytes(&mut self, now: Instant, bytes: &[u8]) {
-        for &byte in bytes {
-            let frame = match self.decoder.push(byte) {
-                Ok(false) => continue,
-                Ok(true) => self.decoder.command(&[self.state.session, NO_SESSION]),
-                Err(error) => Err(error),
-            };
-            match frame {
-                Ok((place, frame)) => {
-                    self.counters.frames = self.counters.frames.wrapping_add(1);
-                    self.state.on_frame(now, place, frame, &mut self.counters);
-                }
-                Err(_) => self.counters.errors = self.counters.errors.wrapping_add(1),
+    // This and others are functions of their own in firmware, where what they become in a main loop's is larger.
+    #[cfg_attr(target_os = "none", inline(never))]
+    pub fn handle_bytes(&mut self, now: Instant, mut bytes: &[u8]) {
+        if bytes.is_empty() {
+            return;
+        }
+        while !bytes.is_empty() {
+            match self.decoder.push_all(&mut bytes) {
+                Pushed::Nothing => {}
+                Pushed::Frame => self.on_frame(now),
+                Pushed::Truncated | Pushed::TooLong => self.on_damage(),
             }
-            self.decoder.reset();
         }
-        if !bytes.is_empty() {
-            self.state.receiving = self.decoder.has_begun().then_some(now);
+        self.state.receiving = Instant::ZERO;
+        if self.decoder.has_begun() {
+            self.state.receiving = now + PAUSE;
         }
+    }
+
+    /// A frame has come to its end.
+    fn on_frame(&mut self, now: Instant) {
+        let sessions = [self.state.session, NO_SESSION];
+        match self.decoder.command(&sessions) {
+            Ok(frame) => self.state.on_frame(now, &frame, &mut self.counters),
+            Err(_) => self.on_damage(),
+        }
+        self.decoder.reset();
+    }
+
+    /// A frame is dropped.
+    fn on_damage(&mut self) {
+        count(&mut self.counters.errors);
     }
 
     /// Time has passed: moves the components on, and acts by itself when the link is lost.
@@ -256,18 +283,19 @@ impl<'a, C: Components, const TASKS: usize, const FRAME: usize> Node<'a, C, TASK
     /// When [`handle_timeout`](Self::handle_timeout) and [`poll_transmit`](Self::poll_transmit) are
     /// to be called even if no byte arrives; after 1 s if there is nothing to do.
     pub fn poll_timeout(&self, now: Instant) -> Instant {
-        let wake = [self.next_move(now), self.next_transmit(now)];
-        let wake = wake.into_iter().flatten().min();
-        wake.unwrap_or(now + Duration::from_secs(1))
+        match self.next_move(now).min(self.next_transmit(now)) {
+            Instant::NEVER => now + Duration::from_secs(1),
+            wake => wake,
+        }
     }
 
-    /// When `handle_timeout` has something to do.
-    pub(crate) fn next_move(&self, now: Instant) -> Option<Instant> {
+    /// When `handle_timeout` has something to do; perhaps [`Instant::NEVER`].
+    pub(crate) fn next_move(&self, now: Instant) -> Instant {
         self.state.next_move(now)
     }
 
-    /// When there is something to be sent.
-    pub(crate) fn next_transmit(&self, now: Instant) -> Option<Instant> {
+    /// When there is something to be sent; perhaps [`Instant::NEVER`].
+    pub(crate) fn next_transmit(&self, now: Instant) -> Instant {
         self.state.next_transmit(now)
     }
 

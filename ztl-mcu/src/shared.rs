@@ -34,12 +34,12 @@ use core::convert::Infallible;
 #[cfg(feature = "async")]
 use core::task::{Context, Poll, Waker};
 
-use critical_section::Mutex;
+use critical_section::{CriticalSection, Mutex};
 use embedded_io::{ErrorType, Read, ReadReady};
 
 pub use crate::log::LogQueue;
 
-/// Bytes that an interrupt has received, until the main loop takes them; at most `N`.
+/// Bytes that an interrupt has received, until the main loop takes them; at most `N`, which is a power of two.
 ///
 /// When it overflows, all that comes up to the next delimiter (`00`) is dropped and counted, so that
 /// a node behind it sees one damaged frame and never two halves as one.
@@ -47,43 +47,58 @@ pub struct ReceiveQueue<const N: usize> {
     state: Mutex<Received<N>>,
 }
 
-/// Cells, since each access is a few instructions of an interrupt, at each byte.
+/// Cells, since each access is a few instructions of an interrupt, at each byte. What is small stands first: there a
+/// Cortex-M0 reaches it with one instruction.
+#[repr(C)]
 struct Received<const N: usize> {
-    bytes: [Cell<u8>; N],
-    start: Cell<usize>,
-    len: Cell<usize>,
+    /// How many bytes were taken, and how many were kept; wrap.
+    taken: Cell<usize>,
+    kept: Cell<usize>,
+    /// Places that are not to be used: all since something was dropped, until a delimiter comes; else none. So that the
+    /// whole begins with zeros, for which no flash is needed.
+    closed: Cell<usize>,
     lost: Cell<u32>,
-    /// Something was dropped since the last delimiter.
-    gap: Cell<bool>,
+    bytes: [Cell<u8>; N],
 }
 
 impl<const N: usize> Received<N> {
-    /// `false` when it is full.
-    fn push(&self, byte: u8) -> bool {
-        let len = self.len.get();
-        let Some(place) = self.bytes.get(Self::wrapped(self.start.get() + len)) else {
-            return false;
-        };
-        if len == N {
-            return false;
+    fn len(&self) -> usize {
+        self.kept.get().wrapping_sub(self.taken.get())
+    }
+
+    #[inline(always)] // So that for most bytes nothing is called.
+    fn push(&self, byte: u8) {
+        let kept = self.kept.get();
+        if self.len().wrapping_add(self.closed.get()) >= N && !self.reopen(byte) {
+            return;
         }
-        place.set(byte);
-        self.len.set(len + 1);
-        true
+        if let Some(place) = self.bytes.get(kept & (N - 1)) {
+            place.set(byte);
+        }
+        self.kept.set(kept.wrapping_add(1));
     }
 
-    fn pop(&self) -> Option<u8> {
-        let len = self.len.get().checked_sub(1)?;
-        let start = self.start.get();
-        let byte = self.bytes.get(start)?.get();
-        self.start.set(Self::wrapped(start + 1));
-        self.len.set(len);
-        Some(byte)
+    /// Says whether a byte that is not simply kept is kept; if not, it is dropped.
+    #[inline(never)]
+    fn reopen(&self, byte: u8) -> bool {
+        let kept = byte == 0 && self.len() < N;
+        self.closed.set(if kept { 0 } else { N });
+        if !kept {
+            self.lost.set(self.lost.get().wrapping_add(1));
+        }
+        kept
     }
 
-    /// `place` is below `2 * N`.
-    const fn wrapped(place: usize) -> usize {
-        if place >= N { place - N } else { place }
+    fn take(&self, buffer: &mut [u8]) -> usize {
+        let count = self.len().min(buffer.len());
+        let mut taken = self.taken.get();
+        for to in buffer.get_mut(..count).unwrap_or_default() {
+            let from = self.bytes.get(taken & (N - 1));
+            *to = from.map_or(0, Cell::get);
+            taken = taken.wrapping_add(1);
+        }
+        self.taken.set(taken);
+        count
     }
 }
 
@@ -91,48 +106,38 @@ impl<const N: usize> ReceiveQueue<N> {
     /// Empty.
     #[must_use]
     pub const fn new() -> Self {
+        const { assert!(N.is_power_of_two()) }
         Self {
             state: Mutex::new(Received {
-                bytes: [const { Cell::new(0) }; N],
-                start: Cell::new(0),
-                len: Cell::new(0),
+                taken: Cell::new(0),
+                kept: Cell::new(0),
+                closed: Cell::new(0),
                 lost: Cell::new(0),
-                gap: Cell::new(false),
+                bytes: [const { Cell::new(0) }; N],
             }),
         }
     }
 
     /// Adds a received byte.
     pub fn push(&self, byte: u8) {
-        critical_section::with(|cs| {
-            let state = self.state.borrow(cs);
-            let kept = (!state.gap.get() || byte == 0) && state.push(byte);
-            state.gap.set(!kept);
-            if !kept {
-                state.lost.set(state.lost.get().wrapping_add(1));
-            }
-        });
+        critical_section::with(|cs| self.push_in(cs, byte));
+    }
+
+    /// The same within a critical section that there is already: for several bytes at once, and for an interrupt that
+    /// no other can interrupt.
+    #[inline(always)]
+    pub fn push_in(&self, cs: CriticalSection<'_>, byte: u8) {
+        self.state.borrow(cs).push(byte);
     }
 
     /// Takes the first bytes into `buffer` and says how many; 0 when there are none.
     pub fn take(&self, buffer: &mut [u8]) -> usize {
-        critical_section::with(|cs| {
-            let state = self.state.borrow(cs);
-            let mut count = 0;
-            for place in buffer {
-                let Some(byte) = state.pop() else {
-                    break;
-                };
-                *place = byte;
-                count += 1;
-            }
-            count
-        })
+        critical_section::with(|cs| self.state.borrow(cs).take(buffer))
     }
 
     /// Whether there are no bytes.
     pub fn is_empty(&self) -> bool {
-        critical_section::with(|cs| self.state.borrow(cs).len.get() == 0)
+        critical_section::with(|cs| self.state.borrow(cs).len() == 0)
     }
 
     /// How many bytes were dropped; wraps.

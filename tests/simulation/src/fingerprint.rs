@@ -39,7 +39,12 @@ const SESSIONS: [u64; 4] = [
     name("replaces"),
 ];
 /// Moments after which something is due: how long ago does not matter.
-const DUE: [u64; 3] = [name("awake_due"), name("due"), name("repeat")];
+const DUE: [u64; 4] = [
+    name("awake_due"),
+    name("due"),
+    name("receiving"),
+    name("repeat"),
+];
 const INSTANT: u64 = name("Instant");
 /// Numbers of tasks on the link, of which only the differences matter.
 const LINK_ID: u64 = name("LinkId");

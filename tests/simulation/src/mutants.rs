@@ -181,10 +181,10 @@ pub const MUTANTS: &[Mutant] = &[
         name: "the node's link timer is restarted by repeated commands",
         edits: &[(
             COMMANDS,
-            "counters.repeats = counters.repeats.wrapping_add(1);",
-            "counters.repeats = counters.repeats.wrapping_add(1);
+            "count(&mut counters.repeats);",
+            "count(&mut counters.repeats);
             if ON {
-                self.commanded = Some(now);
+                self.lost_at = now.after(self.link_timeout);
             }",
         )],
         caught_in: ("cut", 1),
@@ -275,8 +275,11 @@ pub const MUTANTS: &[Mutant] = &[
         name: "the node gives up an end that is not acknowledged",
         edits: &[(
             TASKS,
-            "job.unacknowledged = true;",
-            "job.unacknowledged = !ON;",
+            "full = NoRoom::Unacknowledged;",
+            "full = NoRoom::Unacknowledged;
+                if ON {
+                    free = place;
+                }",
         )],
         caught_in: ("full", 1),
         complaint: "promise 2",
@@ -285,19 +288,14 @@ pub const MUTANTS: &[Mutant] = &[
         name: "the node forgets its ends in a new session",
         edits: &[(
             COMMANDS,
-            "for (_, task) in self.tasks.iter_mut() {
-                task.extra.due = now;",
-            "while ON {
-                let ended = ztl_core::tasks::Tasks::iter(&self.tasks)
-                    .find(|(_, task)| task.state.is_final())
-                    .map(|(id, _)| id);
-                let Some(id) = ended else {
-                    break;
-                };
-                self.tasks.acknowledge(id);
-            }
-            for (_, task) in self.tasks.iter_mut() {
-                task.extra.due = now;",
+            "for task in self.tasks.held_mut() {
+                task.due = now;",
+            "for task in self.tasks.held_mut() {
+                if ON && task.end().is_some() {
+                    task.forget();
+                    continue;
+                }
+                task.due = now;",
         )],
         caught_in: ("unplug", 1),
         complaint: "promise 2",

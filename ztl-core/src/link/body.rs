@@ -213,6 +213,44 @@ pub enum Body<'a> {
     },
 }
 
+/// What a gateway says, as a node reads it: a [`Body`] whose goal is not looked at yet.
+///
+/// A node looks at it with less than `core` does, which takes 560 bytes of a Cortex-M0.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Command<'a> {
+    /// [`Body::Hello`].
+    Hello(Hello),
+    /// [`Body::Describe`].
+    Describe {
+        /// From 0.
+        index: u8,
+    },
+    /// [`Body::Start`].
+    Start {
+        /// Above every id started since the node's boot.
+        task: LinkId,
+        /// Number of the component.
+        component: u8,
+        /// The goal, which must be UTF-8.
+        goal: &'a [u8],
+        /// The node's clock, in milliseconds, after which it must refuse.
+        before_ms: u64,
+    },
+    /// [`Body::Abort`].
+    Abort {
+        /// Which.
+        task: LinkId,
+    },
+    /// [`Body::Ping`].
+    Ping,
+    /// [`Body::Ack`].
+    Ack {
+        /// Which.
+        task: LinkId,
+    },
+}
+
 /// Why bytes are no message.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]

@@ -5,7 +5,7 @@
 //! truncated frame as complete after an overrun. So is the check, with a table of 64 bytes in place of
 //! 1 KiB; a test compares it with the crate `crc`, whose own form without one takes 300 bytes.
 
-use super::body::{Body, BodyError};
+use super::body::{Body, BodyError, Command};
 use crate::sink::{BufferTooSmall, Sink};
 
 /// `addr` when there is one node on the line; others are kept for shared buses.
@@ -24,6 +24,20 @@ pub struct Frame<'a> {
     pub seq: u8,
     /// The message.
     pub body: Body<'a>,
+}
+
+/// The same of a gateway, as a node reads it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct CommandFrame<'a> {
+    /// Which of the sessions it is of, by its place.
+    pub place: usize,
+    /// Which node; [`ADDR_ONLY_NODE`].
+    pub addr: u8,
+    /// Which command it is; 0 for `Hello` and `Ack`.
+    pub seq: u8,
+    /// The message.
+    pub command: Command<'a>,
 }
 
 /// Why received bytes are no frame. Nothing changes by them, but a counter.
@@ -59,29 +73,101 @@ impl core::error::Error for FrameError {}
 /// # Errors
 /// [`BufferTooSmall`] with the length needed.
 pub fn encode(session: u32, frame: &Frame<'_>, buffer: &mut [u8]) -> Result<usize, BufferTooSmall> {
-    let mut writer = Writer {
-        cobs: Cobs::new(buffer),
-        check: Check::of(session),
-    };
-    writer.put(&[frame.addr, frame.seq]);
+    let mut writer = FrameWriter::new(session, frame.addr, frame.seq, buffer);
     frame.body.put(&mut writer);
-    let Writer { mut cobs, check } = writer;
-    cobs.put(&check.value().to_le_bytes());
-    cobs.finish()
+    let (needed, available) = (writer.end(), writer.buffer.len());
+    if needed <= available {
+        Ok(needed)
+    } else {
+        Err(BufferTooSmall { needed, available })
+    }
 }
 
-/// CRC-32/ISO-HDLC over the session's number and what is put.
-struct Check(u32);
+/// Writes a frame into a caller's buffer, piece by piece; counts on when that is full.
+///
+/// What is put is the body: [`Body::put`] does it, of whose code a firmware that knows the message takes only what that
+/// needs. [`encode`] does all of it for any message.
+#[derive(Debug)]
+pub struct FrameWriter<'a> {
+    check: u32,
+    buffer: &'a mut [u8],
+    /// Where the present block's code byte stands.
+    code_at: usize,
+    /// Where the next byte goes.
+    len: usize,
+}
 
-impl Check {
-    fn of(session: u32) -> Self {
-        let mut check = Self(u32::MAX);
-        check.put(&session.to_le_bytes());
-        check
+impl<'a> FrameWriter<'a> {
+    /// Begins a frame of `session`.
+    #[cfg_attr(target_os = "none", inline(never))]
+    #[must_use]
+    pub fn new(session: u32, addr: u8, seq: u8, buffer: &'a mut [u8]) -> Self {
+        let mut writer = Self {
+            check: begin(session),
+            buffer,
+            code_at: 0,
+            len: 1,
+        };
+        writer.put(&[addr, seq]);
+        writer
     }
 
-    fn value(&self) -> u32 {
-        !self.0
+    /// Takes so many bytes that stand in the buffer already, from this place on: at least 4 bytes, and one for each 254,
+    /// further back than what was put is long. Those nearer to the front are overwritten before they are taken.
+    #[cfg_attr(target_os = "none", inline(never))]
+    pub fn put_own(&mut self, place: usize, count: usize) {
+        for at in place..place.saturating_add(count) {
+            let byte = self.buffer.get(at).copied().unwrap_or_default();
+            self.put(&[byte]);
+        }
+    }
+
+    /// Ends the frame and returns its length, its delimiter included; `None` when it does not fit into the buffer.
+    #[cfg_attr(target_os = "none", inline(never))]
+    pub fn finish(mut self) -> Option<usize> {
+        let len = self.end();
+        (len <= self.buffer.len()).then_some(len)
+    }
+
+    fn end(&mut self) -> usize {
+        let check = !self.check;
+        self.put(&check.to_le_bytes());
+        self.close_block();
+        self.set(self.code_at, 0);
+        self.len
+    }
+
+    fn set(&mut self, at: usize, byte: u8) {
+        if let Some(place) = self.buffer.get_mut(at) {
+            *place = byte;
+        }
+    }
+
+    /// Writes the block's code, 1 and the bytes in it, and makes room for the next one's.
+    #[cfg_attr(target_os = "none", inline(never))]
+    fn close_block(&mut self) {
+        self.set(self.code_at, (self.len - self.code_at) as u8);
+        self.code_at = self.len;
+        self.len += 1;
+    }
+}
+
+impl Sink for FrameWriter<'_> {
+    #[cfg_attr(target_os = "none", inline(never))]
+    fn put(&mut self, bytes: &[u8]) {
+        self.check = checked(self.check, bytes);
+        for &byte in bytes {
+            // A full block is closed only when another byte follows.
+            if self.len - self.code_at == 0xff {
+                self.close_block();
+            }
+            if byte == 0 {
+                self.close_block();
+            } else {
+                self.set(self.len, byte);
+                self.len += 1;
+            }
+        }
     }
 }
 
@@ -104,97 +190,61 @@ static NIBBLES: [u32; 16] = {
     table
 };
 
-impl Sink for Check {
-    #[inline(never)]
-    fn put(&mut self, bytes: &[u8]) {
-        let mut check = self.0;
-        for &byte in bytes {
-            check ^= u32::from(byte);
-            for _ in 0..2 {
-                // Always there.
-                let entry = NIBBLES.get(check as usize & 15).copied();
-                check = check >> 4 ^ entry.unwrap_or_default();
-            }
-        }
-        self.0 = check;
-    }
+/// The check before the first byte: CRC-32/ISO-HDLC begins with the session's number.
+fn begin(session: u32) -> u32 {
+    checked(u32::MAX, &session.to_le_bytes())
 }
 
-struct Writer<'a> {
-    cobs: Cobs<'a>,
-    check: Check,
+/// The check after these bytes; its value is the complement.
+#[inline(never)]
+fn checked(mut check: u32, mut bytes: &[u8]) -> u32 {
+    // By twos, and no loop within, since this is a good part of what receiving a byte takes.
+    while let [first, second, rest @ ..] = bytes {
+        check = step(step(check, *first), *second);
+        bytes = rest;
+    }
+    if let [last] = bytes {
+        check = step(check, *last);
+    }
+    check
 }
 
-impl Sink for Writer<'_> {
-    fn put(&mut self, bytes: &[u8]) {
-        self.check.put(bytes);
-        self.cobs.put(bytes);
-    }
+#[inline(always)]
+fn step(check: u32, byte: u8) -> u32 {
+    // Both are always there.
+    let nibble = |check: u32| {
+        let entry = NIBBLES.get(check as usize & 15).copied();
+        check >> 4 ^ entry.unwrap_or_default()
+    };
+    nibble(nibble(check ^ u32::from(byte)))
 }
 
-/// Consistent Overhead Byte Stuffing into a caller's buffer; counts on when that is full.
-struct Cobs<'a> {
-    buffer: &'a mut [u8],
-    /// Where the present block's code byte stands.
-    code_at: usize,
-    /// The present block's code: 1 and the bytes in it.
-    code: u8,
-    /// Where the next byte goes.
-    len: usize,
+/// What bytes have ended, by [`Decoder::push_all`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Pushed {
+    /// No frame yet.
+    Nothing,
+    /// A frame, which is now to be read.
+    Frame,
+    /// One that is dropped: [`FrameError::Truncated`].
+    Truncated,
+    /// One that is dropped: [`FrameError::TooLong`].
+    TooLong,
 }
 
-impl<'a> Cobs<'a> {
-    fn new(buffer: &'a mut [u8]) -> Self {
-        Self {
-            buffer,
-            code_at: 0,
-            code: 1,
-            len: 1,
+/// Copies at most so many bytes, up to the first zero, as far as there is room; how many.
+#[cfg_attr(target_os = "none", inline(never))]
+fn copy(to: &mut [u8], from: &[u8], most: usize) -> usize {
+    let mut count = 0;
+    for (to, from) in to.iter_mut().zip(from).take(most) {
+        if *from == 0 {
+            break;
         }
+        *to = *from;
+        count += 1;
     }
-
-    fn set(&mut self, at: usize, byte: u8) {
-        if let Some(place) = self.buffer.get_mut(at) {
-            *place = byte;
-        }
-    }
-
-    fn close_block(&mut self) {
-        self.set(self.code_at, self.code);
-        self.code_at = self.len;
-        self.code = 1;
-        self.len += 1;
-    }
-
-    fn finish(mut self) -> Result<usize, BufferTooSmall> {
-        self.set(self.code_at, self.code);
-        self.set(self.len, 0);
-        let needed = self.len + 1;
-        let available = self.buffer.len();
-        if needed <= available {
-            Ok(needed)
-        } else {
-            Err(BufferTooSmall { needed, available })
-        }
-    }
-}
-
-impl Sink for Cobs<'_> {
-    fn put(&mut self, bytes: &[u8]) {
-        for &byte in bytes {
-            // A full block is closed only when another byte follows.
-            if self.code == 0xff {
-                self.close_block();
-            }
-            if byte == 0 {
-                self.close_block();
-            } else {
-                self.set(self.len, byte);
-                self.len += 1;
-                self.code += 1;
-            }
-        }
-    }
+    count
 }
 
 /// Takes a stream apart into frames of at most `N` decoded bytes (address, sequence, body, check).
@@ -204,21 +254,21 @@ impl Sink for Cobs<'_> {
 #[derive(Clone)]
 pub struct Decoder<const N: usize> {
     buffer: [u8; N],
+    /// `N + 1` after an overrun.
     len: usize,
     /// Bytes left in the present COBS block.
     left: u8,
     /// Whether the present block ends in a zero that was taken out.
     zero: bool,
-    poisoned: bool,
     /// The last byte completed a frame; the next one begins anew.
     complete: bool,
 }
 
 impl<const N: usize> Decoder<N> {
     /// What decides about all that is still to come; not what is left of frames before.
-    fn state(&self) -> (&[u8], u8, bool, bool, bool) {
+    fn state(&self) -> (&[u8], usize, u8, bool, bool) {
         let frame = self.buffer.get(..self.len).unwrap_or_default();
-        (frame, self.left, self.zero, self.poisoned, self.complete)
+        (frame, self.len, self.left, self.zero, self.complete)
     }
 }
 
@@ -228,7 +278,7 @@ impl<const N: usize> core::fmt::Debug for Decoder<N> {
         let (frame, ..) = self.state();
         f.debug_struct("Decoder")
             .field("frame", &frame)
-            .field("poisoned", &self.poisoned)
+            .field("overrun", &(self.len > N))
             .finish_non_exhaustive()
     }
 }
@@ -262,7 +312,6 @@ impl<const N: usize> Decoder<N> {
             len: 0,
             left: 0,
             zero: false,
-            poisoned: false,
             complete: false,
         }
     }
@@ -272,14 +321,13 @@ impl<const N: usize> Decoder<N> {
         self.len = 0;
         self.left = 0;
         self.zero = false;
-        self.poisoned = false;
         self.complete = false;
     }
 
     /// Whether part of a frame has come, and not its end.
     #[must_use]
     pub const fn has_begun(&self) -> bool {
-        !self.complete && (self.len > 0 || self.left > 0 || self.zero || self.poisoned)
+        !self.complete && (self.len | self.left as usize | self.zero as usize) > 0
     }
 
     /// Takes the next byte. `true` when it ended a frame that is now to be read with
@@ -288,48 +336,77 @@ impl<const N: usize> Decoder<N> {
     /// # Errors
     /// [`FrameError::Truncated`] or [`FrameError::TooLong`], told at the delimiter.
     pub fn push(&mut self, byte: u8) -> Result<bool, FrameError> {
+        match self.push_all(&mut [byte].as_slice()) {
+            Pushed::Nothing => Ok(false),
+            Pushed::Frame => Ok(true),
+            Pushed::Truncated => Err(FrameError::Truncated),
+            Pushed::TooLong => Err(FrameError::TooLong),
+        }
+    }
+
+    /// Takes the next bytes, up to the end of a frame; those behind it are left in `bytes`. To be called again until
+    /// none is left; the frame is to be read before.
+    pub fn push_all(&mut self, bytes: &mut &[u8]) -> Pushed {
         if self.complete {
             self.reset();
         }
-        if byte != 0 {
-            self.push_data(byte);
-            return Ok(false);
+        let (mut len, mut left) = (self.len, usize::from(self.left));
+        let mut taken = 0;
+        let ended = loop {
+            // Most bytes stand within a block.
+            if let (Some(to), Some(from)) = (self.buffer.get_mut(len..), bytes.get(taken..)) {
+                let count = copy(to, from, left);
+                (taken, len, left) = (taken + count, len + count, left - count);
+            }
+            let Some(&byte) = bytes.get(taken) else {
+                break false;
+            };
+            taken += 1;
+            if byte == 0 {
+                break true;
+            }
+            if left == 0 {
+                left = usize::from(byte);
+                len = self.begin_block(len, byte);
+            } else {
+                // There is no room for it.
+                len = N + 1;
+            }
+            left -= 1;
+        };
+        *bytes = bytes.get(taken..).unwrap_or_default();
+        (self.len, self.left) = (len, left as u8);
+        if !ended {
+            return Pushed::Nothing;
         }
-        let (poisoned, left, len) = (self.poisoned, self.left, self.len);
-        let empty = len == 0 && !self.zero && left == 0;
-        if poisoned || left != 0 || empty {
-            self.reset();
-            return match (poisoned, empty) {
-                (true, _) => Err(FrameError::TooLong),
-                // A delimiter by itself flushes the line.
-                (false, true) => Ok(false),
-                (false, false) => Err(FrameError::Truncated),
+        if len <= N && left == 0 {
+            // A delimiter by itself flushes the line.
+            self.complete = len > 0 || self.zero;
+            return if self.complete {
+                Pushed::Frame
+            } else {
+                Pushed::Nothing
             };
         }
-        self.complete = true;
-        Ok(true)
-    }
-
-    fn push_data(&mut self, byte: u8) {
-        if self.left == 0 {
-            if self.zero {
-                self.keep(0);
-            }
-            self.left = byte - 1;
-            self.zero = byte != 0xff;
+        self.reset();
+        if len > N {
+            Pushed::TooLong
         } else {
-            self.left -= 1;
-            self.keep(byte);
+            Pushed::Truncated
         }
     }
 
-    fn keep(&mut self, byte: u8) {
-        match self.buffer.get_mut(self.len) {
+    /// Keeps the zero that the block before stands for; how many bytes there are then.
+    fn begin_block(&mut self, len: usize, code: u8) -> usize {
+        if !core::mem::replace(&mut self.zero, code != 0xff) {
+            return len;
+        }
+        match self.buffer.get_mut(len) {
             Some(place) => {
-                *place = byte;
-                self.len += 1;
+                *place = 0;
+                len + 1
             }
-            None => self.poisoned = true,
+            None => N + 1,
         }
     }
 
@@ -340,23 +417,28 @@ impl<const N: usize> Decoder<N> {
     /// # Errors
     /// As [`FrameError`] says.
     pub fn frame(&self, sessions: &[u32]) -> Result<(usize, Frame<'_>), FrameError> {
-        self.read(sessions, Body::parse)
+        let (place, addr, seq, body) = self.checked(sessions)?;
+        let body = Body::parse(body).map_err(FrameError::Body)?;
+        Ok((place, Frame { addr, seq, body }))
     }
 
     /// As [`frame`](Self::frame), of a gateway only: for a node.
     ///
     /// # Errors
     /// As [`FrameError`] says; a node's messages are not known.
-    pub fn command(&self, sessions: &[u32]) -> Result<(usize, Frame<'_>), FrameError> {
-        self.read(sessions, Body::parse_command)
+    pub fn command(&self, sessions: &[u32]) -> Result<CommandFrame<'_>, FrameError> {
+        let (place, addr, seq, body) = self.checked(sessions)?;
+        let command = Command::parse(body).map_err(FrameError::Body)?;
+        Ok(CommandFrame {
+            place,
+            addr,
+            seq,
+            command,
+        })
     }
 
-    #[inline(always)] // Else both readers stand in a node's firmware.
-    fn read<'a>(
-        &'a self,
-        sessions: &[u32],
-        parse: impl Fn(&'a [u8]) -> Result<Body<'a>, BodyError>,
-    ) -> Result<(usize, Frame<'a>), FrameError> {
+    /// Which session it is of, the address, `seq`, and the body.
+    fn checked(&self, sessions: &[u32]) -> Result<(usize, u8, u8, &[u8]), FrameError> {
         let whole = self.buffer.get(..self.len).unwrap_or_default();
         let (covered, sent) = whole.split_last_chunk::<4>().ok_or(FrameError::Truncated)?;
         let [addr, seq, body @ ..] = covered else {
@@ -365,15 +447,9 @@ impl<const N: usize> Decoder<N> {
         let sent = u32::from_le_bytes(*sent);
         let place = sessions
             .iter()
-            .position(|session| {
-                let mut check = Check::of(*session);
-                check.put(covered);
-                check.value() == sent
-            })
+            .position(|session| !checked(begin(*session), covered) == sent)
             .ok_or(FrameError::Check)?;
-        let body = parse(body).map_err(FrameError::Body)?;
-        let (addr, seq) = (*addr, *seq);
-        Ok((place, Frame { addr, seq, body }))
+        Ok((place, *addr, *seq, body))
     }
 }
 
@@ -386,11 +462,11 @@ mod tests {
     fn the_check_is_crc_32_iso_hdlc() {
         let crate_check = crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC);
         let mut bytes = 0x0403_0201u32.to_le_bytes().to_vec();
-        let mut check = Check::of(0x0403_0201);
+        let mut check = begin(0x0403_0201);
         for byte in 0..=255 {
             bytes.push(byte);
-            check.put(&[byte]);
-            assert_eq!(check.value(), crate_check.checksum(&bytes));
+            check = checked(check, &[byte]);
+            assert_eq!(!check, crate_check.checksum(&bytes));
         }
     }
 

@@ -8,8 +8,12 @@
 mod body;
 mod frame;
 
-pub use body::{Body, BodyError, Busy, GoalShape, Hello, Ids, LinkId, Loss, Offer, Welcome};
-pub use frame::{ADDR_ONLY_NODE, Decoder, Frame, FrameError, OVERHEAD, encode};
+pub use body::{
+    Body, BodyError, Busy, Command, GoalShape, Hello, Ids, LinkId, Loss, Offer, Welcome,
+};
+pub use frame::{
+    ADDR_ONLY_NODE, CommandFrame, Decoder, Frame, FrameError, FrameWriter, OVERHEAD, Pushed, encode,
+};
 
 use core::ops::RangeInclusive;
 use core::time::Duration;

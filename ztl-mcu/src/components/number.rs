@@ -2,6 +2,8 @@
 //!
 //! A Cortex-M0 has no floating-point unit; the reader through `f32` costs it five times as much.
 
+use ztl_core::sink::div_10;
+
 use crate::component::Report;
 
 /// Reads a number, times `10^decimals` and rounded half away from zero; `None` when it is none, or
@@ -9,73 +11,82 @@ use crate::component::Report;
 ///
 /// It takes what [`ztl_core::goal`] takes for a float in decimal digits without `_`.
 pub fn parse(text: &str, decimals: u8) -> Option<i32> {
-    let (negative, mut rest) = sign(text.trim_ascii().as_bytes());
-    let (mut value, mut exponent) = (0u32, i32::from(decimals));
-    let (mut count, mut whole, mut point, mut zero) = (0u32, true, false, false);
-    while let [byte, behind @ ..] = rest {
-        rest = behind;
-        match byte {
-            b'0'..=b'9' => {
-                zero |= count == 0 && *byte == b'0';
-                count += 1;
-                // Further digits are below what is asked for, or the number is too great.
-                let fits = value < u32::MAX / 10;
-                if fits {
-                    value = value * 10 + u32::from(byte - b'0');
-                }
-                exponent += i32::from(!fits) - i32::from(point);
-            }
-            b'.' if !point => (point, whole) = (true, false),
-            b'e' | b'E' if count > 0 => {
-                exponent += power(behind)?;
-                whole = false;
-                break;
-            }
-            _ => return None,
-        }
-    }
+    parse_bytes(text.as_bytes(), decimals)
+}
+
+/// The same of bytes.
+pub(super) fn parse_bytes(text: &[u8], decimals: u8) -> Option<i32> {
+    let (negative, mut rest) = sign(text.trim_ascii());
+    let octal = rest.first() == Some(&b'0');
+    let mut value = 0;
+    let (mut count, kept) = digits(&mut rest, &mut value);
+    let mut exponent = i32::from(decimals) + count - kept;
     // 010 is 8 for YAML, and 10 for a person.
-    if count == 0 || whole && zero && value > 0 {
+    if octal && rest.is_empty() && value > 0 {
         return None;
     }
-    let mut dropped = 0;
+    if let [b'.', behind @ ..] = rest {
+        rest = behind;
+        let (more, parts) = digits(&mut rest, &mut value);
+        count += more;
+        exponent -= parts;
+    }
+    if count == 0 {
+        return None;
+    }
+    if let [b'e' | b'E', behind @ ..] = rest {
+        let (negative, behind) = sign(behind);
+        rest = behind;
+        // Of a great one, that it is beyond any use.
+        let mut power = 0;
+        if digits(&mut rest, &mut power).0 == 0 {
+            return None;
+        }
+        let power = power.min(1_000_000_000).cast_signed();
+        exponent += if negative { -power } else { power };
+    }
+    if !rest.is_empty() {
+        return None;
+    }
+    let mut dropped = 0u8;
     while exponent < 0 && (value > 0 || dropped > 0) {
-        (value, dropped) = (value / 10, value % 10);
+        (value, dropped) = div_10(value);
         exponent += 1;
     }
     while exponent > 0 && value > 0 {
-        value = Some(value).filter(|&value| value < u32::MAX / 10)? * 10;
+        value = Some(value).filter(|&value| value < LONG)? * 10;
         exponent -= 1;
     }
     let value = i32::try_from(value + u32::from(dropped >= 5)).ok()?;
     Some(if negative { -value } else { value })
 }
 
+/// From here on another digit might not fit.
+const LONG: u32 = u32::MAX / 10;
+
+/// Reads digits behind those that `value` has, as far as they fit: how many there are, and how many of them it has
+/// now. The others are below what is asked for, or the number is too great.
+#[cfg_attr(target_os = "none", inline(never))]
+fn digits(rest: &mut &[u8], value: &mut u32) -> (i32, i32) {
+    let (mut count, mut kept) = (0, 0);
+    while let [digit @ b'0'..=b'9', behind @ ..] = *rest {
+        *rest = behind;
+        count += 1;
+        if *value < LONG {
+            *value = *value * 10 + u32::from(digit - b'0');
+            kept += 1;
+        }
+    }
+    (count, kept)
+}
+
 /// Whether there is a minus, and what is behind the sign.
+#[cfg_attr(target_os = "none", inline(never))]
 const fn sign(bytes: &[u8]) -> (bool, &[u8]) {
     match bytes {
         [b'-', rest @ ..] => (true, rest),
         [b'+', rest @ ..] | rest => (false, rest),
     }
-}
-
-/// A whole number; of a great one, that it is beyond any use.
-fn power(text: &[u8]) -> Option<i32> {
-    let (negative, digits) = sign(text);
-    if digits.is_empty() {
-        return None;
-    }
-    let mut value = 0;
-    for byte in digits {
-        let digit = byte.wrapping_sub(b'0');
-        if digit > 9 {
-            return None;
-        }
-        if value < 100_000_000 {
-            value = value * 10 + i32::from(digit);
-        }
-    }
-    Some(if negative { -value } else { value })
 }
 
 /// Adds `value` with the point before its last `decimals` digits.
@@ -91,7 +102,7 @@ pub fn report(report: &mut Report<'_>, value: i32, decimals: u8) {
         if rest == 0 && count > decimals {
             break;
         }
-        (rest, *digit) = (rest / 10, (rest % 10) as u8);
+        (rest, *digit) = div_10(rest);
         count += 1;
     }
     while count > 0 {
@@ -214,7 +225,7 @@ mod tests {
             text in "[-+]?[0-9]{0,4}(\\.[0-9]{0,4})?([eE][-+]?[0-9]{0,5})?|[-+0-9.eE]{0,8}",
         ) {
             let theirs = ztl_core::goal::from_str::<f64>(&text);
-            match parse(&text, 2) {
+            match parse(text, 2) {
                 Some(ours) => {
                     let theirs = theirs.unwrap();
                     prop_assert!((theirs * 100.0 - f64::from(ours)).abs() <= 0.5 + 1e-6, "{text}: {ours}");

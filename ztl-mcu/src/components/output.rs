@@ -6,11 +6,14 @@ use embedded_hal::digital::{OutputPin, PinState};
 use ztl_core::Instant;
 use ztl_core::link::{Busy, GoalShape, Loss, Offer};
 
-use super::{number, range, takes};
+use super::{number, takes};
 use crate::component::{Component, Refused, Report, Run};
 
 /// Longest pulse: an hour.
 const LONGEST_MS: u32 = 3_600_000;
+
+/// The goals that would be right.
+const TAKEN: &str = "on, off, or pulse 1 to 3600000 ms";
 
 /// What [`make_safe`](Component::make_safe) does to an output.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -116,6 +119,7 @@ impl<P: OutputPin> DigitalOutput<P> {
         self.on
     }
 
+    #[cfg_attr(target_os = "none", inline(never))]
     fn set(&mut self, on: bool) {
         self.on = on;
         self.until = None;
@@ -156,27 +160,27 @@ impl<P: OutputPin> Component for DigitalOutput<P> {
             return Ok(());
         }
         takes(why, self.name);
-        why.text("on, off, or pulse ");
-        range(why, 1, LONGEST_MS as i32, "ms");
+        why.text(TAKEN);
         Err(Refused)
     }
 
     fn start(&mut self, now: Instant, goal: &str, why: &mut Report<'_>) -> Result<(), Refused> {
         self.check(goal, why)?;
+        let goal = parse(goal).unwrap_or(Goal::Off);
         self.aborted = false;
-        match parse(goal) {
-            Some(Goal::Pulse { ms }) => {
-                self.set(true);
-                let end = now.as_micros().saturating_add(u64::from(ms) * 1000);
-                self.until = Some(Instant::from_micros(end));
-            }
-            goal => self.set(matches!(goal, Some(Goal::On))),
+        self.set(!matches!(goal, Goal::Off));
+        if let Goal::Pulse { ms } = goal {
+            // 32 bits hold an hour of them.
+            self.until = Some(now.after((ms * 1000).into()));
         }
         Ok(())
     }
 
     fn poll(&mut self, now: Instant, report: &mut Report<'_>) -> Run {
-        let left = self.until.map_or(0, |until| millis_between(now, until));
+        let left = match self.until {
+            Some(until) if now < until => millis_between(now, until),
+            _ => 0,
+        };
         if left == 0 && self.until.is_some() {
             self.set(false);
         }
@@ -215,34 +219,34 @@ impl<P: OutputPin> Component for DigitalOutput<P> {
     }
 }
 
-/// Up to an hour, rounded up; 32 bits of microseconds hold it, and divide quicker than 64.
+/// Rounded up; the second is the later.
 fn millis_between(now: Instant, until: Instant) -> u32 {
-    let micros = until.as_micros().saturating_sub(now.as_micros());
-    (micros as u32).div_ceil(1000)
+    let micros = until.as_micros().wrapping_sub(now.as_micros());
+    Instant::from_micros(micros).after(999).as_millis() as u32
 }
 
+/// What switches off, on, off and on, in lower case.
+const WORDS: [&str; 4] = ["off", "on", "false", "true"];
+
+/// What may stand before the number of a pulse.
+const PULSES: [&[u8]; 3] = [b"pulse ", b"{'pulse': ", b"{pulse: "];
+
 fn parse(goal: &str) -> Option<Goal> {
-    let goal = goal.trim_ascii();
-    let is = |word| goal.eq_ignore_ascii_case(word);
-    if is("on") || is("true") {
-        return Some(Goal::On);
-    }
-    if is("off") || is("false") {
-        return Some(Goal::Off);
-    }
-    let blank = goal.bytes().rposition(|byte| byte == b' ');
-    let ms = match blank {
-        Some(blank) => {
-            let number = goal.get(blank + 1..)?;
-            match goal.get(..blank)? {
-                "pulse" => number,
-                "{pulse:" | "{'pulse':" => number.strip_suffix('}')?,
-                _ => return None,
-            }
+    let mut goal = goal.as_bytes().trim_ascii();
+    for (place, word) in WORDS.iter().enumerate() {
+        if goal.eq_ignore_ascii_case(word.as_bytes()) {
+            return Some(if place & 1 == 0 { Goal::Off } else { Goal::On });
         }
-        None => goal,
-    };
-    let ms = u32::try_from(number::parse(ms, 0)?).ok()?;
+    }
+    for before in &PULSES {
+        goal = match goal.strip_prefix(*before) {
+            Some([number @ .., b'}']) if before.len() > 6 => number,
+            Some(number) if before.len() == 6 => number,
+            _ => continue,
+        };
+        break;
+    }
+    let ms = number::parse_bytes(goal, 0)? as u32;
     (1..=LONGEST_MS).contains(&ms).then_some(Goal::Pulse { ms })
 }
 

@@ -1,49 +1,55 @@
 //! What the gateway wants.
 
+use heapless::String;
 use ztl_core::Instant;
 use ztl_core::link::{
-    ADDR_ONLY_NODE, Body, Frame, Hello, LinkId, NO_SEQ, NO_SESSION, OTHER_GATEWAY, VERSION,
-    next_seq, session_key, session_number,
+    ADDR_ONLY_NODE, Command, CommandFrame, Hello, LinkId, NO_SEQ, NO_SESSION, OTHER_GATEWAY,
+    VERSION, next_seq, session_key, session_number,
 };
-use ztl_core::tasks::TaskRules;
 
 use super::tasks::Wanted;
-use super::{Components, Counters, Inner};
+use super::text::push_bytes;
+use super::{Components, Counters, Inner, count};
+
+/// In place of a reason: the component has given one.
+pub(super) const NOT_TAKEN: &str = "";
 
 /// The answer to the last command, kept to be repeated.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub(super) enum Answer {
+    /// There was no command.
+    Nothing,
     Welcome,
     Component(u8),
     Started(LinkId),
+    /// For this reason; if it is [`NOT_TAKEN`], for the component's.
     Refused(&'static str),
-    /// For the reason that the component gave.
-    NotTaken,
     Aborting(LinkId),
     Pong,
 }
 
 impl<C: Components, const TASKS: usize, const FRAME: usize> Inner<'_, C, TASKS, FRAME> {
-    /// `frame` was checked against the session that runs, then against no session; `place` says
-    /// which it is of.
+    /// `frame` was checked against the session that runs, then against no session.
     pub(super) fn on_frame(
         &mut self,
         now: Instant,
-        place: usize,
-        frame: Frame<'_>,
+        frame: &CommandFrame<'_>,
         counters: &mut Counters,
     ) {
-        let in_session = place == 0 && self.session != NO_SESSION;
+        count(&mut counters.frames);
         if frame.addr != ADDR_ONLY_NODE {
             return;
         }
-        match (in_session, frame.seq, frame.body) {
-            (false, NO_SEQ, Body::Hello(hello)) => self.on_hello(now, hello),
-            (true, NO_SEQ, Body::Ack { task }) => {
+        let in_session = frame.place == 0 && self.session != NO_SESSION;
+        match (in_session, frame.seq, frame.command) {
+            (false, NO_SEQ, Command::Hello(hello)) => self.on_hello(now, hello),
+            (true, NO_SEQ, Command::Ack { task }) => {
                 // Known or not; a task that still runs is not let go.
                 self.tasks.acknowledge(task);
             }
-            (true, seq, body) if seq != NO_SEQ => self.on_command(now, seq, body, counters),
+            (true, seq, command) if seq != NO_SEQ => {
+                self.on_command(now, seq, command, counters);
+            }
             _ => {}
         }
     }
@@ -57,7 +63,7 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> Inner<'_, C, TASKS, 
             return;
         }
         if hello.session != self.hello {
-            let live = self.session != NO_SESSION && now < self.heard + self.identity.link_timeout;
+            let live = self.session != NO_SESSION && now < self.heard.after(self.link_timeout);
             if live && hello.gateway != self.gateway {
                 self.refusal = Some((hello.session, "another gateway holds this device"));
                 return;
@@ -73,60 +79,70 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> Inner<'_, C, TASKS, 
             self.seq = NO_SEQ;
             // A new session proves nothing about the way back, so the link timer runs on.
             self.heard = now;
-            for (_, task) in self.tasks.iter_mut() {
-                task.extra.due = now;
-                task.extra.news = true;
+            for task in self.tasks.held_mut() {
+                task.due = now;
+                task.news = true;
             }
         }
         if self.seq == NO_SEQ {
-            self.answer = Some(Answer::Welcome);
+            self.answer = Answer::Welcome;
             self.answer_due = true;
         }
     }
 
-    fn on_command(&mut self, now: Instant, seq: u8, body: Body<'_>, counters: &mut Counters) {
+    fn on_command(&mut self, now: Instant, seq: u8, command: Command<'_>, counters: &mut Counters) {
         if seq == self.seq {
-            counters.repeats = counters.repeats.wrapping_add(1);
-            self.answer_due = self.answer.is_some();
+            count(&mut counters.repeats);
+            self.answer_due = true;
             return;
         }
         if seq != next_seq(self.seq) {
-            counters.out_of_sequence = counters.out_of_sequence.wrapping_add(1);
+            count(&mut counters.out_of_sequence);
             return;
+        }
+        let mut text = String::<FRAME>::new();
+        if let Command::Start { goal, .. } = command
+            && push_bytes(&mut text, goal).is_none()
+        {
+            // Not even its encoding is right.
+            return count(&mut counters.errors);
         }
         // A command that comes after the link timer has run out does not undo that.
         self.look_at_link(now);
-        let answer = match body {
-            Body::Describe { index } if usize::from(index) < self.components.count() => {
-                Answer::Component(index)
-            }
-            Body::Describe { .. } => Answer::Refused("no such component"),
-            Body::Start {
+        let (answer, followed) = match command {
+            Command::Describe { index } => (
+                Answer::Component(index),
+                if usize::from(index) < self.components.count() {
+                    Ok(())
+                } else {
+                    Err("no such component")
+                },
+            ),
+            Command::Start {
                 task,
                 component,
-                goal,
                 before_ms,
+                ..
             } => {
                 let wanted = Wanted {
                     task,
                     component,
-                    goal,
+                    goal: &text,
                     before_ms,
                 };
-                match self.start(now, wanted) {
-                    Ok(()) => Answer::Started(task),
-                    Err(answer) => answer,
-                }
+                (Answer::Started(task), self.start(&wanted, now))
             }
-            Body::Abort { task } => self.abort(now, task),
-            Body::Ping => Answer::Pong,
-            // The node's own messages, come back as an echo.
-            _ => return,
+            Command::Abort { task } => (Answer::Aborting(task), self.abort(task, now)),
+            Command::Ping => (Answer::Pong, Ok(())),
+            Command::Hello(_) | Command::Ack { .. } => return,
+        };
+        self.answer = match followed {
+            Ok(()) => answer,
+            Err(reason) => Answer::Refused(reason),
         };
         self.seq = seq;
-        self.answer = Some(answer);
         self.answer_due = true;
         self.heard = now;
-        self.commanded = Some(now);
+        self.lost_at = now.after(self.link_timeout);
     }
 }

@@ -1,11 +1,10 @@
 //! A node's tasks without the link: for a server in the same firmware, which keeps their ends itself.
 
 use ztl_core::link::LinkId;
-use ztl_core::tasks::{TaskRules, Tasks};
 use ztl_core::{Instant, State, TaskId};
 
-use super::commands::Answer;
-use super::tasks::{Wanted, has_ended, waits};
+use super::commands::NOT_TAKEN;
+use super::tasks::Wanted;
 use super::{Components, Identity, Inner};
 
 /// The components of a node, and their tasks by the same rules, with no room for frames.
@@ -34,17 +33,16 @@ impl<'a, C: Components, const TASKS: usize> LocalTasks<'a, C, TASKS> {
             goal,
             before_ms: u64::MAX,
         };
-        match self.0.start(now, wanted) {
-            Ok(()) => Ok(()),
-            Err(Answer::Refused(reason)) => Err(reason),
-            Err(_) => Err(&self.0.reason),
+        match self.0.start(&wanted, now) {
+            Err(NOT_TAKEN) => Err(&self.0.reason),
+            started => started,
         }
     }
 
     /// Stops a task, or begins to.
     pub(crate) fn abort(&mut self, now: Instant, id: TaskId) {
         // One that has ended was told about, or will be.
-        self.0.abort(now, LinkId(id.get()));
+        let _ = self.0.abort(LinkId(id.get()), now);
     }
 
     /// Moves the components on.
@@ -54,24 +52,24 @@ impl<'a, C: Components, const TASKS: usize> LocalTasks<'a, C, TASKS> {
 
     /// When [`handle_timeout`](Self::handle_timeout) has something to do.
     pub(crate) fn next_move(&self, now: Instant) -> Option<Instant> {
-        self.0.next_move(now)
+        Some(self.0.next_move(now)).filter(|at| *at != Instant::NEVER)
     }
 
     /// A task of which something has changed since it was told; to be followed by
     /// [`told`](Self::told).
     pub(crate) fn news(&self) -> Option<(TaskId, State, &str)> {
-        let mut news = self.0.tasks.iter();
-        let (id, task) = news.find(|(_, task)| task.extra.news || has_ended(task))?;
+        let task = self.0.tasks.held().find(|task| task.is_due())?;
         // One that waits keeps its goal there.
-        let text = if waits(task) { "" } else { task.text.as_str() };
-        Some((TaskId::new(id.0)?, task.state, text))
+        let text = if task.waits() { "" } else { task.text.as_str() };
+        let state = task.end().unwrap_or(State::Accepted);
+        Some((TaskId::new(task.id.0)?, state, text))
     }
 
     /// What was new of a task is told; its end is let go.
     pub(crate) fn told(&mut self, id: TaskId) {
         let id = LinkId(id.get());
         if let Some(task) = self.0.tasks.get_mut(id) {
-            task.extra.news = false;
+            task.news = false;
         }
         self.0.tasks.acknowledge(id);
     }

@@ -3,16 +3,13 @@
 use core::hash::{Hash, Hasher};
 use core::time::Duration;
 
-use heapless::Vec;
 use ztl_core::Instant;
 use ztl_core::link::{
-    ADDR_ONLY_NODE, Body, Frame, Ids, LinkId, NO_SEQ, NO_SESSION, VERSION, Welcome, encode,
+    ADDR_ONLY_NODE, Body, FrameWriter, Ids, LinkId, NO_SEQ, NO_SESSION, VERSION, Welcome,
 };
-use ztl_core::tasks::Tasks;
-use ztl_core::time::earliest;
 
-use super::commands::Answer;
-use super::tasks::{Slot, has_ended, waits};
+use super::commands::{Answer, NOT_TAKEN};
+use super::tasks::Task;
 use super::{Components, Inner};
 use crate::component::Component;
 use crate::log::LogSource;
@@ -24,10 +21,13 @@ const PROGRESS_AGAIN: Duration = Duration::from_millis(50);
 /// How often a node without a session announces itself.
 const AWAKE_AGAIN: Duration = Duration::from_millis(250);
 /// Longest pause within a command; what stands in the decoder longer is noise.
-const PAUSE: Duration = Duration::from_millis(20);
+pub(super) const PAUSE: Duration = Duration::from_millis(20);
 /// Longest frame of what may be lost while a command is under way, so that its answer waits for no
 /// more than that. A `Progress` is never longer.
 const SHORT_FRAME: usize = 64;
+
+/// The progress of a task that has not begun.
+const WAITS: &str = "waits for another task to end";
 
 /// How much fits into a frame.
 pub(super) mod longest {
@@ -50,18 +50,19 @@ pub(super) mod longest {
 
 /// The frame on its way out.
 #[derive(Clone)]
+#[repr(C)]
 pub(super) struct Transmit<const FRAME: usize> {
-    buffer: [u8; FRAME],
     len: usize,
     sent: usize,
+    buffer: [u8; FRAME],
 }
 
 impl<const FRAME: usize> Transmit<FRAME> {
     pub(super) const fn new() -> Self {
         Self {
-            buffer: [0; FRAME],
             len: 0,
             sent: 0,
+            buffer: [0; FRAME],
         }
     }
 
@@ -74,28 +75,27 @@ impl<const FRAME: usize> Transmit<FRAME> {
         self.sent = self.sent.saturating_add(count).min(self.len);
     }
 
-    /// A body that does not fit is not sent; firmware learns of it from its gateway, which then
-    /// gets no answer. Names and reasons are constants, so it shows on the first try.
-    fn frame(&mut self, session: u32, seq: u8, body: Body<'_>) {
-        self.frame_after(0, session, seq, body);
+    /// A delimiter alone.
+    fn flush(&mut self) {
+        if let Some(first) = self.buffer.first_mut() {
+            *first = 0;
+            (self.len, self.sent) = (1, 0);
+        }
     }
 
-    /// The same with this many delimiters before it.
-    fn frame_after(&mut self, delimiters: usize, session: u32, seq: u8, body: Body<'_>) {
-        let frame = Frame {
-            addr: ADDR_ONLY_NODE,
-            seq,
-            body,
-        };
-        self.sent = 0;
-        self.len = 0;
-        let Some((before, rest)) = self.buffer.split_at_mut_checked(delimiters) else {
-            return;
-        };
-        if let Ok(len) = encode(session, &frame, rest) {
-            before.fill(0);
-            self.len = delimiters + len;
-        }
+    /// A frame that does not fit is not sent; firmware learns of it from its gateway, which then
+    /// gets no answer. Names and reasons are constants, so it shows on the first try.
+    fn frame(&mut self, session: u32, seq: u8, put: impl FnOnce(&mut FrameWriter<'_>)) {
+        let mut frame = FrameWriter::new(session, ADDR_ONLY_NODE, seq, &mut self.buffer);
+        put(&mut frame);
+        let len = frame.finish();
+        (self.len, self.sent) = (len.unwrap_or_default(), 0);
+    }
+
+    /// Room for so many bytes at the end, from where [`FrameWriter::put_own`] takes them; where it begins.
+    fn room(&mut self, bytes: usize) -> (usize, &mut [u8]) {
+        let begin = FRAME.saturating_sub(bytes);
+        (begin, self.buffer.get_mut(begin..).unwrap_or_default())
     }
 }
 
@@ -121,16 +121,12 @@ impl<const FRAME: usize> Hash for Transmit<FRAME> {
     }
 }
 
-/// Whether there is something to tell of a task, at once or later.
-fn is_due(task: &Slot) -> bool {
-    task.extra.news || has_ended(task)
-}
-
 fn topics(component: &dyn Component) -> usize {
     component.offer().topics.split_ascii_whitespace().count()
 }
 
 impl<C: Components, const TASKS: usize, const FRAME: usize> Inner<'_, C, TASKS, FRAME> {
+    #[cfg_attr(target_os = "none", inline(never))]
     pub(super) fn transmit_buf(&mut self, now: Instant, log: &dyn LogSource) -> &[u8] {
         if self.transmit.pending().is_empty() {
             self.next_frame(now, log);
@@ -138,56 +134,58 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> Inner<'_, C, TASKS, 
         self.transmit.pending()
     }
 
-    /// When there is something to be sent.
-    pub(super) fn next_transmit(&self, now: Instant) -> Option<Instant> {
+    /// When there is something to be sent; perhaps never.
+    pub(super) fn next_transmit(&self, now: Instant) -> Instant {
         let at_once = self.answer_due
             || self.refusal.is_some()
             || self.readings
             || !self.transmit.pending().is_empty();
         if at_once {
-            return Some(now);
+            return now;
         }
         if self.session == NO_SESSION {
-            return Some(self.awake_due);
+            return self.awake_due;
         }
-        let tasks = self.tasks.iter().filter(|(_, task)| is_due(task));
-        let mut wake = tasks.map(|(_, task)| task.extra.due).min();
+        let tasks = self.tasks.held().filter(|task| task.is_due());
+        let mut wake = tasks.fold(Instant::NEVER, |wake, task| wake.min(task.due));
         for place in 0..self.components.count() {
             let component = self.components.component(place);
             if let Some(component) = component.filter(|c| self.is_heard() && topics(*c) > 0) {
-                wake = earliest(wake, Some(component.poll_timeout(now)));
+                wake = wake.min(component.poll_timeout(now));
             }
         }
         wake
     }
 
     /// Whether anybody listens, as far as the node knows.
-    const fn is_heard(&self) -> bool {
-        self.session != NO_SESSION && self.commanded.is_some()
+    fn is_heard(&self) -> bool {
+        self.session != NO_SESSION && self.lost_at != Instant::NEVER
     }
 
     /// Encodes what is most urgent into the transmit buffer.
     fn next_frame(&mut self, now: Instant, log: &dyn LogSource) {
         if let Some((session, reason)) = self.refusal.take() {
-            let body = Body::Refused { reason };
-            return self.transmit.frame(session, NO_SEQ, body);
+            return self.encode_answer(session, now, NO_SEQ, Answer::Refused(reason));
         }
         if self.session == NO_SESSION {
             return self.announce(now);
         }
         if core::mem::take(&mut self.answer_due) {
-            return self.encode_answer(now);
+            let session = match self.answer {
+                Answer::Welcome => self.hello,
+                _ => self.session,
+            };
+            return self.encode_answer(session, now, self.seq, self.answer);
         }
-        if self.encode_task(now, has_ended) || self.encode_task(now, |task| !has_ended(task)) {
+        if self.encode_task(now) {
             return;
         }
         self.readings = false;
         if self.is_heard() {
-            let command = self.receiving.is_some_and(|last| now < last + PAUSE);
-            let most = if command { SHORT_FRAME } else { FRAME };
-            self.readings = self.encode_reading(now, most);
+            let command = now < self.receiving;
+            self.readings = self.encode_reading(now, command);
             if !self.readings {
-                self.encode_log(log, most);
+                self.encode_log(log, command);
             }
         }
     }
@@ -196,51 +194,71 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> Inner<'_, C, TASKS, 
         if now < self.awake_due {
             return;
         }
-        self.awake_due = now + AWAKE_AGAIN;
-        let body = Body::Awake {
-            version: VERSION,
-            boot: self.identity.boot,
-        };
         // A delimiter first: it flushes what the line made of the reset.
-        self.transmit.frame_after(1, NO_SESSION, NO_SEQ, body);
+        self.flushed = !self.flushed;
+        if self.flushed {
+            return self.transmit.flush();
+        }
+        self.awake_due = now + AWAKE_AGAIN;
+        let version = VERSION;
+        let boot = self.identity.boot;
+        self.transmit.frame(NO_SESSION, NO_SEQ, |frame| {
+            Body::Awake { version, boot }.put(frame);
+        });
     }
 
-    /// Tells of a task that is one of `those`.
-    fn encode_task(&mut self, now: Instant, those: fn(&Slot) -> bool) -> bool {
-        let due = |task: &Slot| those(task) && is_due(task) && now >= task.extra.due;
-        let Some((task, slot)) = self.tasks.iter_mut().find(|(_, task)| due(task)) else {
-            return false;
-        };
-        let task = *task;
-        slot.extra.news = false;
-        let (state, text) = (slot.state, slot.text.as_str());
-        let (again, body) = if has_ended(slot) {
-            let result = text;
-            let ended = Body::Ended {
-                task,
-                state,
-                result,
+    /// Tells of a task: of one that has ended, if there is one.
+    fn encode_task(&mut self, now: Instant) -> bool {
+        let mut first: Option<&mut Task> = None;
+        for task in self.tasks.held_mut() {
+            let more_urgent = |known: &&mut Task| known.end().is_none() && task.end().is_some();
+            if task.is_due() && now >= task.due && first.as_ref().is_none_or(more_urgent) {
+                first = Some(task);
+            }
+        }
+        let Some(slot) = first else { return false };
+        slot.news = false;
+        let task = slot.id;
+        let end = slot.end();
+        let waits = slot.waits();
+        slot.due = now
+            + if end.is_some() {
+                ENDED_AGAIN
+            } else {
+                PROGRESS_AGAIN
             };
-            (ENDED_AGAIN, ended)
-        } else if waits(slot) {
-            let text = "waits for another task to end";
-            (PROGRESS_AGAIN, Body::Progress { task, text })
-        } else {
-            (PROGRESS_AGAIN, Body::Progress { task, text })
-        };
-        self.transmit.frame(self.session, NO_SEQ, body);
-        slot.extra.due = now + again;
+        self.transmit.frame(self.session, NO_SEQ, |frame| {
+            let text = if waits { WAITS } else { slot.text.as_str() };
+            match end {
+                Some(state) => Body::Ended {
+                    task,
+                    state,
+                    result: text,
+                }
+                .put(frame),
+                None => Body::Progress { task, text }.put(frame),
+            }
+        });
         true
     }
 
-    /// Sends the next reading in a frame of at most `most` bytes; each component gets its turn.
-    fn encode_reading(&mut self, now: Instant, most: usize) -> bool {
-        let mut buffer = [0; FRAME];
-        let room = buffer.get_mut(..longest::reading(most));
-        let room = room.unwrap_or_default();
+    /// Sends the next reading, in a short frame while a command is under way; each component gets its turn.
+    fn encode_reading(&mut self, now: Instant, short: bool) -> bool {
+        let most = if short {
+            const { longest::reading(SHORT_FRAME) }
+        } else {
+            const { longest::reading(FRAME) }
+        };
+        let (begin, room) = self.transmit.room(most);
         let count = self.components.count();
-        for place in (self.publisher..count).chain(0..self.publisher.min(count)) {
-            let Some(component) = self.components.component_mut(place) else {
+        let mut place = usize::from(self.publisher);
+        for _ in 0..count {
+            if place >= count {
+                place = 0;
+            }
+            let here = place;
+            place += 1;
+            let Some(component) = self.components.component_mut(here) else {
                 continue;
             };
             let own = topics(component);
@@ -250,83 +268,82 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> Inner<'_, C, TASKS, 
             let Some(reading) = component.poll_reading(now, room) else {
                 continue;
             };
-            let Some(bytes) = room.get(..reading.len) else {
-                continue;
-            };
             let topic = usize::from(reading.topic);
-            let before = (0..place).filter_map(|place| self.components.component(place));
+            if reading.len > room.len() || topic >= own {
+                continue;
+            }
+            let before = (0..here).filter_map(|place| self.components.component(place));
             let number = before.map(topics).sum::<usize>() + topic;
-            let Some(topic) = u8::try_from(number).ok().filter(|_| topic < own) else {
+            let Ok(topic) = u8::try_from(number) else {
                 continue;
             };
-            self.publisher = place + 1;
-            let body = Body::Publish { topic, bytes };
-            self.transmit.frame(self.session, NO_SEQ, body);
+            self.publisher = place as u8;
+            self.transmit.frame(self.session, NO_SEQ, |frame| {
+                Body::put_publish(topic, reading.len, frame);
+                frame.put_own(begin, reading.len);
+            });
             return true;
         }
         false
     }
 
-    fn encode_log(&mut self, log: &dyn LogSource, most: usize) {
-        let mut buffer = [0; FRAME];
-        let room = buffer.get_mut(..longest::log(most));
-        let room = room.unwrap_or_default();
-        let count = log.read(room);
-        if let Some(bytes) = room.get(..count).filter(|bytes| !bytes.is_empty()) {
+    fn encode_log(&mut self, log: &dyn LogSource, short: bool) {
+        let most = if short {
+            const { longest::log(SHORT_FRAME) }
+        } else {
+            const { longest::log(FRAME) }
+        };
+        let (begin, room) = self.transmit.room(most);
+        let count = log.read(room).min(room.len());
+        if count > 0 {
             let lost = log.lost();
-            let body = Body::Log { lost, bytes };
-            self.transmit.frame(self.session, NO_SEQ, body);
+            self.transmit.frame(self.session, NO_SEQ, |frame| {
+                Body::put_log(lost, count, frame);
+                frame.put_own(begin, count);
+            });
         }
     }
 
-    fn encode_answer(&mut self, now: Instant) {
-        let seq = self.seq;
-        let held = u8::try_from(self.tasks.len()).unwrap_or(u8::MAX);
+    #[cfg_attr(target_os = "none", inline(never))]
+    fn encode_answer(&mut self, session: u32, now: Instant, seq: u8, answer: Answer) {
+        let mut ids = [LinkId(0); TASKS];
+        let mut held = 0u8;
+        for (id, task) in ids.iter_mut().zip(self.tasks.held()) {
+            *id = task.id;
+            held += 1;
+        }
         let clock_ms = now.as_millis();
-        let Some(answer) = self.answer else { return };
-        let session = match answer {
-            Answer::Welcome => self.hello,
-            _ => self.session,
-        };
-        let mut frame = |body| self.transmit.frame(session, seq, body);
-        match answer {
-            Answer::Welcome => {
-                // Pushed, since `collect` panics where the compiler cannot see that all fit.
-                let mut ids = Vec::<LinkId, TASKS>::new();
-                for (id, _) in self.tasks.iter() {
-                    let _ = ids.push(id);
-                }
-                frame(Body::Welcome(Welcome {
-                    version: VERSION,
-                    name: self.identity.name,
-                    firmware: self.identity.firmware,
-                    boot: self.identity.boot,
-                    replaces: self.replaced,
-                    clock_ms,
-                    capacity: u8::try_from(TASKS).unwrap_or(u8::MAX),
-                    max_body: u16::try_from(FRAME - 6).unwrap_or(u16::MAX),
-                    components: u8::try_from(self.components.count()).unwrap_or(u8::MAX),
-                    link_timeout_ms: u32::try_from(
-                        (Instant::ZERO + self.identity.link_timeout).as_millis(),
-                    )
-                    .unwrap_or(u32::MAX),
-                    highest: self.highest.0,
-                    held: Ids::new(&ids),
-                }));
-            }
+        self.transmit.frame(session, seq, |frame| match answer {
+            Answer::Nothing => {}
+            Answer::Welcome => Body::Welcome(Welcome {
+                version: VERSION,
+                name: self.identity.name,
+                firmware: self.identity.firmware,
+                boot: self.identity.boot,
+                replaces: self.replaced,
+                clock_ms,
+                capacity: TASKS as u8,
+                max_body: u16::try_from(FRAME - 6).unwrap_or(u16::MAX),
+                components: u8::try_from(self.components.count()).unwrap_or(u8::MAX),
+                link_timeout_ms: Instant::from_micros(self.link_timeout).as_millis() as u32,
+                highest: self.highest.0,
+                held: Ids::new(ids.get(..usize::from(held)).unwrap_or_default()),
+            })
+            .put(frame),
             Answer::Component(index) => {
                 if let Some(component) = self.components.component(usize::from(index)) {
                     let offer = component.offer();
-                    frame(Body::Component { index, offer });
+                    Body::Component { index, offer }.put(frame);
                 }
             }
-            Answer::Started(task) => frame(Body::Started { task }),
-            Answer::Refused(reason) => frame(Body::Refused { reason }),
-            Answer::NotTaken => frame(Body::Refused {
-                reason: &self.reason,
-            }),
-            Answer::Aborting(task) => frame(Body::Aborting { task }),
-            Answer::Pong => frame(Body::Pong { clock_ms, held }),
-        }
+            Answer::Started(task) => Body::Started { task }.put(frame),
+            Answer::Refused(reason) => {
+                let own = reason.len() == NOT_TAKEN.len();
+                let reason = if own { self.reason.as_str() } else { reason };
+                Body::Refused { reason }.put(frame);
+            }
+            Answer::Aborting(task) => Body::Aborting { task }.put(frame),
+            Answer::Pong => Body::Pong { clock_ms, held }.put(frame),
+        });
     }
 }

@@ -95,10 +95,11 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> Shared<'_, '_, C, TA
                 self.pump.take_stop(node, now);
                 node.handle_timeout(now);
                 // What is due to be sent already is the sender's affair.
-                let send = node.next_transmit(now).filter(|at| *at > now);
+                let send = Some(node.next_transmit(now)).filter(|at| *at > now);
                 let log = self.pump.log.map(|_| now + LOG_AGAIN);
-                let wake = [node.next_move(now), send, log].into_iter().flatten().min();
-                wake.map(|at| at.as_micros().saturating_sub(now.as_micros()))
+                let moving = node.next_move(now);
+                let wake = [send, log].into_iter().flatten().fold(moving, Instant::min);
+                (wake != Instant::NEVER).then(|| wake.as_micros().saturating_sub(now.as_micros()))
             });
             self.send.set(true);
             let pause = pause.flatten().unwrap_or(1_000_000);

@@ -39,7 +39,7 @@ fn drain<const N: usize>(queue: &ReceiveQueue<N>, decoder: &mut Decoder<32>, see
 fn an_overflow_is_counted_and_what_comes_after_the_gap_is_read() {
     // Wherever the overflow begins and ends, what is lost are whole frames.
     for room in 0..30usize {
-        let queue = ReceiveQueue::<40>::new();
+        let queue = ReceiveQueue::<32>::new();
         let mut decoder = Decoder::new();
         let mut seen = Vec::new();
         for byte in std::iter::repeat_n(0, room).chain((1..=5).flat_map(ping)) {

@@ -1,6 +1,8 @@
 //! Messages as bytes.
 
-use super::{Body, BodyError, Busy, GoalShape, Hello, IdList, Ids, LinkId, Loss, Offer, Welcome};
+use super::{
+    Body, BodyError, Busy, Command, GoalShape, Hello, IdList, Ids, LinkId, Loss, Offer, Welcome,
+};
 use crate::lifecycle::State;
 use crate::sink::Sink;
 
@@ -19,35 +21,24 @@ impl<'a> Body<'a> {
         reader.finish(body)
     }
 
-    /// Reads a message of a gateway: for a node, where the others would only take room.
-    ///
-    /// # Errors
-    /// As [`parse`](Self::parse); a node's messages are not known.
-    pub fn parse_command(bytes: &'a [u8]) -> Result<Self, BodyError> {
-        let mut reader = Reader::new(bytes);
-        let tag = reader.u32();
-        let body = Self::from_gateway(tag, &mut reader);
-        reader.finish(body)
-    }
-
     fn from_gateway(tag: u32, r: &mut Reader<'a>) -> Self {
-        match tag {
-            0 => Self::Hello(Hello {
-                version: r.u8(),
-                session: r.u32(),
-                gateway: r.u64(),
-            }),
-            1 => Self::Describe { index: r.u8() },
-            2 => Self::Start {
-                task: r.task(),
-                component: r.u8(),
-                goal: r.text(),
-                before_ms: r.u64(),
+        match r.command(tag) {
+            Command::Hello(hello) => Self::Hello(hello),
+            Command::Describe { index } => Self::Describe { index },
+            Command::Start {
+                task,
+                component,
+                goal,
+                before_ms,
+            } => Self::Start {
+                task,
+                component,
+                goal: r.valid(goal),
+                before_ms,
             },
-            3 => Self::Abort { task: r.task() },
-            5 => Self::Ack { task: r.task() },
-            4 => Self::Ping,
-            tag => r.fail(BodyError::UnknownTag { tag }, Self::Ping),
+            Command::Abort { task } => Self::Abort { task },
+            Command::Ping => Self::Ping,
+            Command::Ack { task } => Self::Ack { task },
         }
     }
 
@@ -94,129 +85,198 @@ impl<'a> Body<'a> {
     }
 
     /// Writes the message.
+    // In firmware each message is written where it is made, so that nothing is left of the others.
+    #[cfg_attr(target_os = "none", inline(always))]
     pub fn put(&self, sink: &mut (impl Sink + ?Sized)) {
         match *self {
             Self::Hello(hello) => {
-                sink.put(&[0, hello.version]);
-                put_varint(u64::from(hello.session), sink);
-                put_varint(hello.gateway, sink);
+                let opened = sink.byte(0).byte(hello.version).number(hello.session);
+                opened.long(hello.gateway);
             }
-            Self::Describe { index } => sink.put(&[1, index]),
+            Self::Describe { index } => {
+                sink.byte(1).byte(index);
+            }
             Self::Start {
                 task,
                 component,
                 goal,
                 before_ms,
             } => {
-                put_tagged(2, task, sink);
-                sink.put(&[component]);
-                put_bytes(goal.as_bytes(), sink);
-                put_varint(before_ms, sink);
+                let started = sink.tagged(2, task).byte(component);
+                started.bytes(goal.as_bytes()).long(before_ms);
             }
-            Self::Abort { task } => put_tagged(3, task, sink),
-            Self::Ping => sink.put(&[4]),
-            Self::Ack { task } => put_tagged(5, task, sink),
+            Self::Abort { task } => {
+                sink.tagged(3, task);
+            }
+            Self::Ping => {
+                sink.byte(4);
+            }
+            Self::Ack { task } => {
+                sink.tagged(5, task);
+            }
             Self::Welcome(welcome) => put_welcome(&welcome, sink),
-            Self::Component { index, offer } => {
-                sink.put(&[7, index]);
-                put_offer(&offer, sink);
+            Self::Component { index, offer } => put_offer(index, &offer, sink),
+            Self::Started { task } => {
+                sink.tagged(8, task);
             }
-            Self::Started { task } => put_tagged(8, task, sink),
             Self::Refused { reason } => {
-                sink.put(&[9]);
-                put_bytes(reason.as_bytes(), sink);
+                sink.byte(9).bytes(reason.as_bytes());
             }
-            Self::Aborting { task } => put_tagged(10, task, sink),
+            Self::Aborting { task } => {
+                sink.tagged(10, task);
+            }
             Self::Pong { clock_ms, held } => {
-                sink.put(&[11]);
-                put_varint(clock_ms, sink);
-                sink.put(&[held]);
+                sink.byte(11).long(clock_ms).byte(held);
             }
             Self::Ended {
                 task,
                 state,
                 result,
             } => {
-                put_tagged(12, task, sink);
-                sink.put(&[state.code()]);
-                put_bytes(result.as_bytes(), sink);
+                let ended = sink.tagged(12, task).byte(state.code());
+                ended.bytes(result.as_bytes());
             }
             Self::Progress { task, text } => {
-                put_tagged(13, task, sink);
-                put_bytes(text.as_bytes(), sink);
+                sink.tagged(13, task).bytes(text.as_bytes());
             }
             Self::Publish { topic, bytes } => {
-                sink.put(&[14, topic]);
-                put_bytes(bytes, sink);
+                Self::put_publish(topic, bytes.len(), sink);
+                sink.put(bytes);
             }
             Self::Log { lost, bytes } => {
-                sink.put(&[15]);
-                put_varint(u64::from(lost), sink);
-                put_bytes(bytes, sink);
+                Self::put_log(lost, bytes.len(), sink);
+                sink.put(bytes);
             }
             Self::Awake { version, boot } => {
-                sink.put(&[16, version]);
-                put_varint(u64::from(boot), sink);
+                sink.byte(16).byte(version).number(boot);
             }
         }
+    }
+}
+
+impl<'a> Command<'a> {
+    /// Reads a message of a gateway.
+    ///
+    /// # Errors
+    /// As [`Body::parse`]; a node's messages are not known.
+    pub fn parse(bytes: &'a [u8]) -> Result<Self, BodyError> {
+        let mut reader = Reader::new(bytes);
+        let tag = reader.u32();
+        let command = reader.command(tag);
+        reader.finish(command)
+    }
+}
+
+/// For who has the bytes already where they are sent from.
+impl Body<'_> {
+    /// Writes the beginning of a [`Publish`](Self::Publish) of so many bytes, which have to follow.
+    pub fn put_publish(topic: u8, count: usize, sink: &mut (impl Sink + ?Sized)) {
+        sink.byte(14).byte(topic).number(count as u32);
+    }
+
+    /// Writes the beginning of a [`Log`](Self::Log) of so many bytes, which have to follow.
+    pub fn put_log(lost: u32, count: usize, sink: &mut (impl Sink + ?Sized)) {
+        sink.byte(15).number(lost).number(count as u32);
     }
 }
 
 fn put_welcome(welcome: &Welcome<'_>, sink: &mut (impl Sink + ?Sized)) {
-    sink.put(&[6, welcome.version]);
-    put_bytes(welcome.name.as_bytes(), sink);
-    put_bytes(welcome.firmware.as_bytes(), sink);
-    put_varint(u64::from(welcome.boot), sink);
-    put_varint(u64::from(welcome.replaces), sink);
-    put_varint(welcome.clock_ms, sink);
-    sink.put(&[welcome.capacity]);
-    put_varint(u64::from(welcome.max_body), sink);
-    sink.put(&[welcome.components]);
-    put_varint(u64::from(welcome.link_timeout_ms), sink);
-    put_varint(u64::from(welcome.highest), sink);
-    put_varint(welcome.held.len() as u64, sink);
-    for task in welcome.held.iter() {
-        put_varint(u64::from(task.0), sink);
-    }
-}
-
-fn put_offer(offer: &Offer<'_>, sink: &mut (impl Sink + ?Sized)) {
-    put_bytes(offer.name.as_bytes(), sink);
-    match offer.goal.range {
-        None => sink.put(&[0]),
-        Some((least, most)) => {
-            sink.put(&[1]);
-            sink.put(&least.to_le_bytes());
-            sink.put(&most.to_le_bytes());
+    let sink = sink
+        .byte(6)
+        .byte(welcome.version)
+        .bytes(welcome.name.as_bytes())
+        .bytes(welcome.firmware.as_bytes())
+        .number(welcome.boot)
+        .number(welcome.replaces)
+        .long(welcome.clock_ms)
+        .byte(welcome.capacity)
+        .number(welcome.max_body.into())
+        .byte(welcome.components)
+        .number(welcome.link_timeout_ms)
+        .number(welcome.highest)
+        .number(welcome.held.len() as u32);
+    match welcome.held.0 {
+        IdList::Slice(ids) => {
+            for task in ids {
+                sink.number(task.0);
+            }
         }
+        IdList::Encoded { bytes, .. } => sink.put(bytes),
     }
-    put_bytes(offer.goal.unit.as_bytes(), sink);
-    put_bytes(offer.goal.words.as_bytes(), sink);
-    match offer.busy {
-        Busy::Refuse => sink.put(&[0]),
-        Busy::Queue(most) => sink.put(&[1, most]),
-        Busy::Replace => sink.put(&[2]),
-    }
-    sink.put(&[offer.loss as u8]);
-    put_bytes(offer.topics.as_bytes(), sink);
 }
 
-fn put_tagged(tag: u8, task: LinkId, sink: &mut (impl Sink + ?Sized)) {
-    sink.put(&[tag]);
-    put_varint(u64::from(task.0), sink);
+fn put_offer(index: u8, offer: &Offer<'_>, sink: &mut (impl Sink + ?Sized)) {
+    let sink = sink.byte(7).byte(index).bytes(offer.name.as_bytes());
+    let sink = match offer.goal.range {
+        None => sink.byte(0),
+        Some((least, most)) => {
+            let sink = sink.byte(1);
+            for bound in [least, most] {
+                sink.put(&bound.to_le_bytes());
+            }
+            sink
+        }
+    };
+    let sink = sink
+        .bytes(offer.goal.unit.as_bytes())
+        .bytes(offer.goal.words.as_bytes());
+    let sink = match offer.busy {
+        Busy::Refuse => sink.byte(0),
+        Busy::Queue(most) => sink.byte(1).byte(most),
+        Busy::Replace => sink.byte(2),
+    };
+    sink.byte(offer.loss as u8).bytes(offer.topics.as_bytes());
 }
 
-fn put_bytes(bytes: &[u8], sink: &mut (impl Sink + ?Sized)) {
-    put_varint(bytes.len() as u64, sink);
-    sink.put(bytes);
+/// Writes values one after the other.
+///
+/// Each gives the sink on: a Cortex-M0 then has it in its register for the next call.
+trait Values: Sink {
+    fn byte(&mut self, byte: u8) -> &mut Self;
+
+    fn long(&mut self, number: u64) -> &mut Self;
+
+    fn number(&mut self, number: u32) -> &mut Self;
+
+    fn bytes(&mut self, bytes: &[u8]) -> &mut Self;
+
+    fn tagged(&mut self, tag: u8, task: LinkId) -> &mut Self;
 }
 
-fn put_varint(mut value: u64, sink: &mut (impl Sink + ?Sized)) {
-    while value >= 0x80 {
-        sink.put(&[value as u8 | 0x80]);
-        value >>= 7;
+impl<S: Sink + ?Sized> Values for S {
+    #[cfg_attr(target_os = "none", inline(never))]
+    fn byte(&mut self, byte: u8) -> &mut Self {
+        self.put(&[byte]);
+        self
     }
-    sink.put(&[value as u8]);
+
+    #[cfg_attr(target_os = "none", inline(never))]
+    fn long(&mut self, number: u64) -> &mut Self {
+        // By halves, since a Cortex-M0 shifts 64 bits by a call.
+        let (mut low, mut high) = (number as u32, (number >> 32) as u32);
+        while high > 0 || low >= 0x80 {
+            self.byte(low as u8 | 0x80);
+            low = low >> 7 | high << 25;
+            high >>= 7;
+        }
+        self.byte(low as u8)
+    }
+
+    #[cfg_attr(target_os = "none", inline(never))]
+    fn number(&mut self, number: u32) -> &mut Self {
+        self.long(number.into())
+    }
+
+    #[cfg_attr(target_os = "none", inline(never))]
+    fn bytes(&mut self, bytes: &[u8]) -> &mut Self {
+        self.number(bytes.len() as u32).put(bytes);
+        self
+    }
+
+    #[cfg_attr(target_os = "none", inline(never))]
+    fn tagged(&mut self, tag: u8, task: LinkId) -> &mut Self {
+        self.byte(tag).number(task.0)
+    }
 }
 
 /// Reads values one after the other. The first that is not there, or means nothing, ends it: all from
@@ -271,19 +331,23 @@ impl<'a> Reader<'a> {
 
     #[inline(never)]
     fn u64(&mut self) -> u64 {
-        let mut value = 0u64;
-        for shift in (0..64).step_by(7) {
-            let byte = self.u8();
-            // The tenth byte carries the last bit.
-            if shift == 63 && byte > 1 {
-                break;
-            }
-            value |= u64::from(byte & 0x7f) << shift;
-            if byte & 0x80 == 0 {
-                return value;
-            }
+        let end = self.rest.iter().position(|byte| *byte < 0x80);
+        let number = end.and_then(|end| self.rest.split_at_checked(end + 1));
+        let Some((bytes, rest)) = number else {
+            return self.fail(BodyError::Truncated, 0);
+        };
+        // The tenth byte carries the last bit.
+        if bytes.len() > 10 || bytes.get(9).is_some_and(|tenth| *tenth > 1) {
+            return self.fail(BodyError::BadValue, 0);
         }
-        self.fail(BodyError::BadValue, 0)
+        self.rest = rest;
+        // By halves, since a Cortex-M0 shifts 64 bits by a call.
+        let (mut low, mut high) = (0u32, 0u32);
+        for byte in bytes.iter().rev() {
+            high = high << 7 | low >> 25;
+            low = low << 7 | u32::from(byte & 0x7f);
+        }
+        u64::from(high) << 32 | u64::from(low)
     }
 
     #[inline(never)]
@@ -317,9 +381,14 @@ impl<'a> Reader<'a> {
         }
     }
 
-    #[inline(never)]
     fn text(&mut self) -> &'a str {
-        match core::str::from_utf8(self.bytes()) {
+        let bytes = self.bytes();
+        self.valid(bytes)
+    }
+
+    #[inline(never)]
+    fn valid(&mut self, bytes: &'a [u8]) -> &'a str {
+        match core::str::from_utf8(bytes) {
             Ok(text) => text,
             Err(_) => self.fail(BodyError::BadValue, ""),
         }
@@ -341,6 +410,27 @@ impl<'a> Reader<'a> {
         let used = start.len() - self.rest.len();
         let bytes = start.get(..used).unwrap_or_default();
         Ids(IdList::Encoded { count, bytes })
+    }
+
+    fn command(&mut self, tag: u32) -> Command<'a> {
+        match tag {
+            0 => Command::Hello(Hello {
+                version: self.u8(),
+                session: self.u32(),
+                gateway: self.u64(),
+            }),
+            1 => Command::Describe { index: self.u8() },
+            2 => Command::Start {
+                task: self.task(),
+                component: self.u8(),
+                goal: self.bytes(),
+                before_ms: self.u64(),
+            },
+            3 => Command::Abort { task: self.task() },
+            4 => Command::Ping,
+            5 => Command::Ack { task: self.task() },
+            tag => self.fail(BodyError::UnknownTag { tag }, Command::Ping),
+        }
     }
 
     fn welcome(&mut self) -> Welcome<'a> {
