@@ -6,11 +6,19 @@ use crate::{Dirs, firmware, python};
 /// The parts of the comparison of whole servers that can be asked for alone.
 const PARTS: [&str; 6] = ["rates", "cpu", "core", "goal", "end", "idle"];
 
-/// Runs every benchmark, or parts of the comparison of servers.
+/// The cycles of a microcontroller, alone.
+const FIRMWARE: &str = "firmware";
+
+/// Runs every benchmark, parts of the comparison of servers, or only the microcontroller's.
 pub(crate) fn run(dirs: &Dirs, args: &[String]) -> Outcome {
+    if let [word] = args
+        && word == FIRMWARE
+    {
+        return firmware::bench(dirs);
+    }
     if let Some(word) = args.iter().find(|word| !PARTS.contains(&word.as_str())) {
         return Err(format!(
-            "`cargo xtask bench` does not know `{word}`; it measures everything, or of whole servers {}",
+            "`cargo xtask bench` does not know `{word}`; it measures everything, alone {FIRMWARE}, or of whole servers {}",
             PARTS.join(", ")
         ));
     }

@@ -2,6 +2,7 @@
 
 use std::ffi::{OsStr, OsString};
 use std::fmt;
+use std::io::{Read, Write};
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::thread;
 use std::time::{Duration, Instant};
@@ -69,6 +70,34 @@ impl Cmd {
                 limit.as_secs()
             )),
             Err(error) => Err(format!("cannot wait for `{self}`: {error}")),
+        }
+    }
+
+    /// Gives it `input`, and returns what it writes to stdout, which has to be little; ends it when the time is up.
+    pub(crate) fn answer_within(&self, input: &[u8], limit: Duration) -> Outcome<String> {
+        println!("$ {self}    (at most {} s)", limit.as_secs());
+        let mut child = self
+            .command()
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .spawn()
+            .map_err(|e| self.no_start(&e))?;
+        let lost = |error: std::io::Error| format!("cannot speak with `{self}`: {error}");
+        if let Some(mut stdin) = child.stdin.take() {
+            stdin.write_all(input).map_err(lost)?;
+        }
+        let ended = wait_until(&mut child, Instant::now() + limit).map_err(lost)?;
+        let mut output = Vec::new();
+        if let Some(mut stdout) = child.stdout.take() {
+            stdout.read_to_end(&mut output).map_err(lost)?;
+        }
+        let output = String::from_utf8_lossy(&output).into_owned();
+        match ended {
+            Some(status) => self.judge(status).map(|()| output),
+            None => Err(format!(
+                "`{self}` was still running after {} s and has been ended; it has said:\n{output}",
+                limit.as_secs()
+            )),
         }
     }
 
@@ -194,6 +223,17 @@ mod tests {
             .run_within(Duration::from_millis(100))
             .unwrap_err();
         assert!(message.contains("still running"), "{message}");
+        let message = Cmd::new("sh -c")
+            .arg("head -c 3; sleep 30 >&-")
+            .answer_within(b"abc", Duration::from_millis(300))
+            .unwrap_err();
+        assert!(message.ends_with("it has said:\nabc"), "{message}");
         assert!(begin.elapsed() < Duration::from_secs(10));
+    }
+
+    #[test]
+    fn a_program_that_is_asked_answers() {
+        let answer = Cmd::new("head -c 2").answer_within(b"abc", Duration::from_secs(10));
+        assert_eq!(answer.unwrap(), "ab");
     }
 }

@@ -6,6 +6,7 @@ use std::path::PathBuf;
 use crate::Dirs;
 use crate::cmd::{Cmd, Outcome};
 use crate::cross::Core;
+use crate::cycles::{self, Count};
 use crate::image::{self, Image};
 use crate::tools;
 
@@ -37,8 +38,8 @@ const MORE: &[(&str, &[&str])] = &[
 /// What takes the log out of an image.
 const QUIET: &str = "--no-default-features";
 
-/// Instructions by which the UART's interrupt gets at a byte.
-const HANDLER: u32 = 15;
+/// Says what the images take.
+const README: &str = "examples/firmware/README.md";
 
 /// A line of [`BOARDS`].
 #[derive(Debug, PartialEq, Eq)]
@@ -122,7 +123,7 @@ pub(crate) fn check(dirs: &Dirs) -> Outcome {
         }
         build(dirs, &board)?;
     }
-    Ok(())
+    bench(dirs)
 }
 
 /// Builds all that the tests run.
@@ -163,38 +164,98 @@ fn build_image(dirs: &Dirs, board: &Board, image: &str, features: &str) -> Outco
     Ok(built.join(image))
 }
 
-/// Counts the instructions of a Cortex-M0: in QEMU, where each takes the same time.
+/// What a Cortex-M0 takes for a byte and for a task: counted, against what the README says.
 pub(crate) fn bench(dirs: &Dirs) -> Outcome {
     tools::provide_qemu()?;
     image::check_lock(MANIFEST)?;
     let image = build_image(dirs, &board(WEIGHED)?, &format!("{WEIGHED}-bench"), QUIET)?;
-    let qemu = Cmd::new("qemu-system-arm -M microbit -nographic -monitor none -serial stdio")
-        .args("-semihosting -icount shift=6 -kernel")
-        .arg(image);
-    println!("$ {qemu}");
-    let counts = qemu.stdout()?;
-    println!("\nInstructions of a Cortex-M0, optimised for size:\n\n{counts}\n");
+    let counts = cycles::count(dirs, &image)?;
+    println!("\nA Cortex-M0, optimised for size:\n\n{}\n", table(&counts));
     println!("{}", rate(&counts)?);
-    Ok(())
+    let readme =
+        fs::read_to_string(README).map_err(|error| format!("cannot read {README}: {error}"))?;
+    check_counts(&readme, &counts).map_err(|error| format!("{README}: {error}"))
 }
 
-/// What the counts of a received byte, which come first, say of the line's rate.
-fn rate(counts: &str) -> Outcome<String> {
-    let count = |line: &str| line.split(' ').next()?.parse::<u32>().ok();
-    let bytes: Option<Vec<u32>> = counts.lines().take(3).map(count).collect();
-    let bytes = bytes.filter(|bytes| bytes.len() == 3);
-    let bytes = bytes.ok_or_else(|| format!("the image has counted nothing: `{counts}`"))?;
-    // 3 cycles to 2 instructions; 32 to enter and leave the interrupt.
-    let interrupt = (bytes.iter().take(1).sum::<u32>() + HANDLER) * 3 / 2 + 32;
-    let all = (bytes.iter().sum::<u32>() + HANDLER) * 3 / 2 + 32;
+fn table(counts: &[Count]) -> String {
+    let rows = counts.iter().map(|count| {
+        let Count {
+            what,
+            cycles,
+            instructions,
+        } = count;
+        format!("\n| {what} | {cycles} | {instructions} |")
+    });
+    format!(
+        "| | cycles | instructions |\n|---|---|---|{}",
+        rows.collect::<String>()
+    )
+}
+
+/// Cycles between two bytes at 1 Mbaud and 16 MHz.
+const PAUSE: u64 = 160;
+
+/// Bytes that wait in the images' queue at most.
+const QUEUE: u64 = 128;
+
+/// Bytes that a turn of the main loop reads at most.
+const READ: u64 = 256;
+
+/// What the counts say of the line's rate. The first three are of a received byte, the next of a task's start, the
+/// longest time in which no byte is taken from the queue, and the last of an idle turn.
+fn rate(counts: &[Count]) -> Outcome<String> {
+    let [interrupt, queue, node, start, .., turn] = counts else {
+        return Err("the image has counted too little".to_owned());
+    };
+    let byte = interrupt.cycles + queue.cycles + node.cycles;
+    let left = PAUSE.saturating_sub(byte);
+    let caught_up = turn.cycles.checked_div(left).unwrap_or(u64::MAX);
+    let waiting = (start.cycles + turn.cycles) / PAUSE;
+    if caught_up > READ || waiting > QUEUE {
+        return Err(format!(
+            "at 1 Mbaud and 16 MHz a byte comes every {PAUSE} cycles. One takes {byte}; while a task starts {waiting} come, and \
+             {QUEUE} can wait; what a turn takes is caught up after {caught_up} bytes, and one reads {READ}."
+        ));
+    }
     Ok(format!(
-        "At 16 MHz, with 3 cycles to 2 instructions, {HANDLER} instructions for the UART's registers and 32 cycles to \
-         enter and leave its interrupt,\na byte takes {all} cycles, of which the interrupt has {interrupt}. At 1 Mbaud \
-         one comes every 160: the interrupt keeps up\n(margin {} %), and what the main loop leaves of a frame waits in \
-         the queue; without a pause, {} kbaud can be taken.",
-        (160 - i64::from(interrupt)) * 100 / 160,
-        160_000 / all,
+        "At 16 MHz a received byte takes {byte} of the {PAUSE} cycles that it has at 1 Mbaud: a margin of {} %. So {} kbaud \
+         can last.\nWhile a task starts {waiting} bytes come, and {QUEUE} can wait; what a turn of the main loop takes besides \
+         is caught up after {caught_up} bytes.",
+        left * 100 / PAUSE,
+        16_000 * 10 / byte,
     ))
+}
+
+/// What a README says may be so many percent off: another compiler counts otherwise.
+const TOLERANCE: u64 = 10;
+
+/// Whether what the README says between these marks is true.
+fn check_counts(readme: &str, counts: &[Count]) -> Outcome {
+    let shown = readme
+        .split_once("<!-- cycles -->")
+        .and_then(|(_, rest)| rest.split_once("<!-- /cycles -->"));
+    let Some((shown, _)) = shown else {
+        return Err("it shows no cycles, between <!-- cycles --> and <!-- /cycles -->".to_owned());
+    };
+    let row = |line: &str| -> Option<(String, u64)> {
+        let mut cells = line.split('|').map(str::trim);
+        let what = cells.nth(1)?.to_owned();
+        Some((what, cells.next()?.parse().ok()?))
+    };
+    let rows: Vec<(String, u64)> = shown.lines().filter_map(row).collect();
+    let true_row = |count: &Count| {
+        rows.iter().any(|(what, cycles)| {
+            *what == count.what && cycles.abs_diff(count.cycles) * 100 <= cycles * TOLERANCE
+        })
+    };
+    match counts.iter().find(|count| !true_row(count)) {
+        None if rows.len() == counts.len() => Ok(()),
+        _ => Err(format!(
+            "it shows other cycles than are counted; between <!-- cycles --> and <!-- /cycles --> \
+             there has to be:\n\n{}\n",
+            table(counts)
+        )),
+    }
 }
 
 fn cargo(dirs: &Dirs, core: &Core, command: &str, board: &Board) -> Cmd {
@@ -251,15 +312,44 @@ fn parse(text: &str) -> Outcome<Vec<Board>> {
 mod tests {
     use super::*;
 
+    fn counts(cycles: &[u64]) -> Vec<Count> {
+        let count = |cycles: &u64| Count {
+            what: format!("thing of {cycles}"),
+            cycles: *cycles,
+            instructions: 1,
+        };
+        cycles.iter().map(count).collect()
+    }
+
     #[test]
-    fn a_rate_follows_from_the_first_three_counts() {
-        let text = rate("55 in\n17 out\n56 node\n9000 start").unwrap();
-        assert!(
-            text.contains("a byte takes 246 cycles, of which the interrupt has 137."),
-            "{text}"
-        );
-        assert!(text.contains("without a pause, 650 kbaud"), "{text}");
-        assert!(rate("qemu: no").is_err());
+    fn a_rate_follows_from_the_counts() {
+        let text = rate(&counts(&[70, 20, 38, 8000, 3000, 1600])).unwrap();
+        assert!(text.contains("takes 128 of the 160 cycles"), "{text}");
+        assert!(text.contains("a margin of 20 %. So 1250 kbaud"), "{text}");
+        assert!(text.contains("starts 60 bytes come"), "{text}");
+        assert!(text.contains("after 50 bytes"), "{text}");
+        for slow in [
+            [100, 20, 40, 8000, 1600],
+            [70, 20, 38, 20_000, 1600],
+            [70, 20, 68, 8000, 1600],
+        ] {
+            assert!(rate(&counts(&slow)).is_err(), "{slow:?}");
+        }
+        assert!(rate(&counts(&[100])).is_err());
+    }
+
+    #[test]
+    fn the_readme_shows_what_is_counted() {
+        let readme = |table: &str| format!("x\n<!-- cycles -->\n{table}\n<!-- /cycles -->\n");
+        let now = counts(&[100, 30]);
+        assert_eq!(check_counts(&readme(&table(&now)), &now), Ok(()));
+        let near = table(&now).replace("| 100 |", "| 92 |");
+        assert_eq!(check_counts(&readme(&near), &now), Ok(()));
+        let far = table(&now).replace("| 100 |", "| 90 |");
+        for wrong in [far, table(&counts(&[100])), table(&counts(&[100, 30, 5]))] {
+            assert!(check_counts(&readme(&wrong), &now).is_err(), "{wrong}");
+        }
+        assert!(check_counts("x", &now).is_err());
     }
 
     #[test]

@@ -3,6 +3,7 @@
 use std::cmp::Reverse;
 use std::collections::BTreeSet;
 use std::fs;
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use object::Endianness;
@@ -151,6 +152,55 @@ impl Image {
             image
         })
     }
+}
+
+/// What an image lays down, and where its functions are.
+#[derive(Debug, Default)]
+pub(crate) struct Memory {
+    pub(crate) contents: Vec<(u32, Vec<u8>)>,
+    pub(crate) functions: Vec<(String, Range<u32>)>,
+}
+
+impl Memory {
+    /// The two bytes at this address.
+    pub(crate) fn halfword(&self, address: u32) -> Option<u16> {
+        self.contents.iter().find_map(|(start, bytes)| {
+            let at = usize::try_from(address.checked_sub(*start)?).ok()?;
+            let bytes = bytes.get(at..)?.first_chunk::<2>()?;
+            Some(u16::from_le_bytes(*bytes))
+        })
+    }
+
+    /// Where the function of this name is, whatever module it is in.
+    pub(crate) fn function(&self, name: &str) -> Option<Range<u32>> {
+        let mut functions = self.functions.iter();
+        let (_, place) = functions.find(|(known, _)| known.rsplit("::").next() == Some(name))?;
+        Some(place.clone())
+    }
+}
+
+/// Reads what an image lays down.
+pub(crate) fn memory(path: &Path) -> Outcome<Memory> {
+    with_elf(path, |elf| {
+        let address = |address: u64| u32::try_from(address).unwrap_or_default();
+        let mut memory = Memory::default();
+        for section in elf.sections() {
+            if let (SectionKind::Text, Ok(data)) = (section.kind(), section.data()) {
+                let content = (address(section.address()), data.to_owned());
+                memory.contents.push(content);
+            }
+        }
+        for symbol in elf.symbols() {
+            if symbol.kind() == SymbolKind::Text {
+                // The lowest bit says that it is Thumb code.
+                let start = address(symbol.address() & !1);
+                let name = demangled(symbol.name().unwrap_or_default());
+                let place = start..start + address(symbol.size());
+                memory.functions.push((name, place));
+            }
+        }
+        memory
+    })
 }
 
 /// The places in the sources where an image can panic, as `file:line:column`, where the compiler

@@ -10,6 +10,7 @@ mod clients;
 mod cmd;
 mod cross;
 mod curve;
+mod cycles;
 mod dist;
 mod firmware;
 mod foreign;
@@ -97,7 +98,7 @@ const CHORES: &[Chore] = &[
     },
     Chore {
         name: "bench",
-        about: "measure what matters beside the original, in one run ([PART]...)",
+        about: "measure what matters beside the original, in one run ([PART]...; firmware: cycles of a Cortex-M0)",
         run: bench::run,
     },
 ];

@@ -111,7 +111,7 @@ const STEPS: &[Step] = &[
     },
     Step {
         name: "firmware",
-        about: "the images of examples/firmware build",
+        about: "the images of examples/firmware build, and a Cortex-M0 is as quick as it is said to be",
         run: firmware::check,
     },
     Step {

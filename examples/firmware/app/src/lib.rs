@@ -89,6 +89,8 @@ pub trait Board {
 }
 
 /// The node of the robot. `boot` differs from reset to reset.
+// Apart, so that nothing but the node stays on the stack.
+#[inline(never)]
 fn robot<P, S, D, L, O>(
     boot: u32,
     pins: Pins<P, S, D, L, O>,

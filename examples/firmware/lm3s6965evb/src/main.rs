@@ -18,7 +18,7 @@ use qemu::clock::{self, SysTick};
 use uart::Uart;
 
 #[cfg(feature = "defmt")]
-defmt::timestamp!("{=u64:ms}", clock::millis());
+defmt::timestamp!("{=u64:us}", clock::micros());
 
 /// Cycles a millisecond in QEMU, where the core runs at 12.5 MHz after a reset.
 const CYCLES: u32 = 12_500;

@@ -11,7 +11,7 @@ use qemu::board;
 use qemu::clock::{self, SysTick};
 
 #[cfg(feature = "defmt")]
-defmt::timestamp!("{=u64:ms}", clock::millis());
+defmt::timestamp!("{=u64:us}", clock::micros());
 
 /// Cycles a millisecond.
 const CYCLES: u32 = 16_000;

@@ -4,6 +4,7 @@ use core::convert::Infallible;
 
 use cortex_m::interrupt::InterruptNumber;
 use cortex_m::peripheral::NVIC;
+use critical_section::CriticalSection;
 use embedded_io::{ErrorType, Write};
 use qemu::{Register, vectors};
 
@@ -64,13 +65,13 @@ impl Uart {
     }
 }
 
-/// A byte was received.
+/// A byte was received. Those that the UART keeps are announced one by one.
 extern "C" fn on_uart() {
-    while RECEIVED.read() != 0 {
-        // First, since reading the byte announces the next one.
-        RECEIVED.write(0);
-        app::RECEIVED.push(RX.read() as u8);
-    }
+    // First, since reading the byte announces the next one.
+    RECEIVED.write(0);
+    // SAFETY: all interrupts have the priority that they have after a reset, so none interrupts this one.
+    let alone = unsafe { CriticalSection::new() };
+    app::RECEIVED.push_in(alone, RX.read() as u8);
 }
 
 impl ErrorType for Uart {

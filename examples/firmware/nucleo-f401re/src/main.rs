@@ -24,7 +24,7 @@ use pins::{Input, Output, Servo};
 use uart::Uart;
 
 #[cfg(feature = "defmt")]
-defmt::timestamp!("{=u64:ms}", clock::millis());
+defmt::timestamp!("{=u64:us}", clock::micros());
 
 /// 16 MHz.
 const CYCLES: u32 = 16_000;

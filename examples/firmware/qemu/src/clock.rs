@@ -9,7 +9,8 @@ use ztl_mcu::Instant;
 
 use crate::board::Clock;
 
-static MILLIS: Mutex<Cell<u64>> = Mutex::new(Cell::new(0));
+/// In µs, at the last tick.
+static TICKED: Mutex<Cell<u64>> = Mutex::new(Cell::new(0));
 
 /// SysTick at so many cycles a millisecond, with a tick each millisecond.
 #[derive(Debug)]
@@ -31,12 +32,12 @@ impl<const CYCLES: u32> SysTick<CYCLES> {
 impl<const CYCLES: u32> Clock for SysTick<CYCLES> {
     fn now(&mut self) -> Instant {
         loop {
-            let before = millis();
+            let before = micros();
             let cycles = CYCLES.saturating_sub(SYST::get_current() + 1);
             // Else a tick has come in between.
-            if before == millis() {
-                let micros = cycles * 1000 / CYCLES;
-                return Instant::from_micros(before * 1000 + u64::from(micros));
+            if before == micros() {
+                let since = cycles * 1000 / CYCLES;
+                return Instant::from_micros(before + u64::from(since));
             }
         }
     }
@@ -49,13 +50,13 @@ impl<const CYCLES: u32> Clock for SysTick<CYCLES> {
 /// A millisecond has passed.
 pub fn tick() {
     critical_section::with(|cs| {
-        let millis = MILLIS.borrow(cs);
-        millis.set(millis.get().wrapping_add(1));
+        let ticked = TICKED.borrow(cs);
+        ticked.set(ticked.get().wrapping_add(1000));
     });
 }
 
-/// Milliseconds since the start.
+/// Microseconds from the start to the last tick: for timestamps.
 #[must_use]
-pub fn millis() -> u64 {
-    critical_section::with(|cs| MILLIS.borrow(cs).get())
+pub fn micros() -> u64 {
+    critical_section::with(|cs| TICKED.borrow(cs).get())
 }

@@ -7,6 +7,8 @@ pub mod boots;
 #[cfg(target_arch = "arm")]
 pub mod clock;
 pub mod lamp;
+#[cfg(target_arch = "arm")]
+mod memory;
 pub mod panel;
 mod register;
 #[cfg(target_arch = "arm")]

@@ -17,7 +17,7 @@ use clock::Clock;
 use uart::Uart;
 
 #[cfg(feature = "defmt")]
-defmt::timestamp!("{=u64:ms}", clock::micros() / 1000);
+defmt::timestamp!("{=u64:us}", clock::micros());
 
 #[entry]
 fn main() -> ! {

@@ -7,13 +7,13 @@ use core::panic::PanicInfo;
 use cortex_m::Peripherals;
 use cortex_m::peripheral::SCB;
 use cortex_m_rt::{entry, exception};
+use embedded_io::Write;
 use microbit::random;
 use microbit::uart::Uart;
 use qemu::board::Clock;
 use qemu::clock::{self, SysTick};
 use qemu::panel::Lamp;
 use ztl_mcu::components::{DigitalOutput, DigitalOutputConfig};
-use ztl_mcu::pump::Pump;
 use ztl_mcu::{Identity, Node};
 
 #[entry]
@@ -21,16 +21,27 @@ fn main() -> ! {
     let Some(core) = Peripherals::take() else {
         SCB::sys_reset()
     };
-    let lamp = DigitalOutput::new("lamp", Lamp, DigitalOutputConfig::DEFAULT);
-    let identity = Identity::new("desk", env!("CARGO_PKG_VERSION"), random::word());
-    let mut node = Node::<_, 2, 128>::new(identity, [lamp]);
+    let mut node = node();
     let mut uart = Uart::start();
     let mut clock = SysTick::<16_000>::start(core.SYST);
-    let pump = Pump::new();
+    let mut received = [0; 32];
     loop {
-        // Neither half of the port can fail.
-        let _ = pump.turn_split(&mut node, &mut &app::RECEIVED, &mut uart, clock.now());
+        // What a `Pump` does, without its errors, its log and its sleep.
+        let now = clock.now();
+        let count = app::RECEIVED.take(&mut received);
+        node.handle_bytes(now, received.get(..count).unwrap_or_default());
+        node.handle_timeout(now);
+        let Ok(sent) = uart.write(node.transmit_buf(now, &()));
+        node.consume(sent);
     }
+}
+
+// Apart, so that nothing but the node stays on the stack.
+#[inline(never)]
+fn node() -> Node<'static, [DigitalOutput<Lamp>; 1], 2, 128> {
+    let lamp = DigitalOutput::new("lamp", Lamp, DigitalOutputConfig::DEFAULT);
+    let identity = Identity::new("desk", env!("CARGO_PKG_VERSION"), random::word());
+    Node::new(identity, [lamp])
 }
 
 #[exception]

@@ -1,0 +1,247 @@
+//! Counts what code on a Cortex-M0 takes, in cycles: QEMU tells each instruction, a table what it takes.
+//!
+//! QEMU itself knows no cycles. The table is that of the Cortex-M0's Technical Reference Manual (r0p0, table 3-1), for a
+//! flash without wait states and the multiplier of one cycle, as the nRF51 has both. What the bus to a UART's registers
+//! adds is not in it.
+
+use std::fs;
+use std::path::Path;
+use std::time::Duration;
+
+use crate::Dirs;
+use crate::cmd::{Cmd, Outcome};
+use crate::image::{self, Memory};
+
+/// An image takes a second; ample for a machine that does something else too.
+const LIMIT: Duration = Duration::from_secs(120);
+
+/// Functions of the image between which it counts, and the interrupt that it counts as well.
+const BEGIN: &str = "count_begin";
+const END: &str = "count_end";
+const INTERRUPT: &str = "on_uart";
+
+/// Cycles to enter an interrupt, and to leave it.
+const ENTER_AND_LEAVE: u64 = 16 + 16;
+
+/// What was counted of one thing.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) struct Count {
+    pub(crate) what: String,
+    pub(crate) cycles: u64,
+    pub(crate) instructions: u64,
+}
+
+/// Instructions and cycles.
+#[derive(Debug, Default, Clone, Copy, PartialEq, Eq)]
+struct Sum {
+    instructions: u64,
+    cycles: u64,
+}
+
+/// Runs an image on the micro:bit, which gets one byte over its UART. It says a line for each thing that it
+/// counts: how often it does it, and what it is. The interrupt comes first.
+pub(crate) fn count(dirs: &Dirs, path: &Path) -> Outcome<Vec<Count>> {
+    let trace = dirs.absolute("cycles.trace");
+    // What an earlier run left.
+    let _ = fs::remove_file(&trace);
+    let said = Cmd::new("qemu-system-arm -M microbit -nographic -monitor none -semihosting")
+        .args("-serial stdio -singlestep -d exec,nochain -D")
+        .arg(&trace)
+        .arg("-kernel")
+        .arg(path)
+        .answer_within(b"x", LIMIT)?;
+    let trace = fs::read_to_string(&trace)
+        .map_err(|error| format!("QEMU has left no {}: {error}", trace.display()))?;
+    counts(&image::memory(path)?, &addresses(&trace)?, &said)
+}
+
+/// The address of each instruction, in order.
+fn addresses(trace: &str) -> Outcome<Vec<u32>> {
+    // Trace 0: 0x7f2594000240 [00800400/0000199a/00000510/ff000201] SysTick
+    let address = |line: &str| {
+        let (_, rest) = line.split_once('[')?;
+        u32::from_str_radix(rest.split('/').nth(1)?, 16).ok()
+    };
+    let lines = trace.lines().filter(|line| line.starts_with("Trace "));
+    lines
+        .map(|line| address(line).ok_or_else(|| format!("QEMU's trace has no address: {line}")))
+        .collect()
+}
+
+fn counts(memory: &Memory, addresses: &[u32], said: &str) -> Outcome<Vec<Count>> {
+    let function = |name: &str| {
+        memory
+            .function(name)
+            .ok_or_else(|| format!("the image has no function `{name}`"))
+    };
+    let (begin, end, interrupt) = (function(BEGIN)?, function(END)?, function(INTERRUPT)?);
+    let (mut regions, mut region) = (Vec::new(), None::<Sum>);
+    let (mut entered, mut within) = (Sum::default(), false);
+    for (address, next) in addresses.iter().zip(addresses.iter().skip(1)) {
+        if *address == begin.start {
+            region = Some(Sum::default());
+        } else if *address == end.start {
+            regions.extend(region.take());
+        }
+        let cycles = cycles(memory, *address, *next)?;
+        within |= *address == interrupt.start && entered.cycles == 0;
+        let sum = if within {
+            Some(&mut entered)
+        } else {
+            region.as_mut()
+        };
+        if let Some(sum) = sum {
+            sum.instructions += 1;
+            sum.cycles += cycles;
+        }
+        // It returns from its own code, and to none of it.
+        within &= !(interrupt.contains(address) && returns(memory, *address));
+    }
+    entered.cycles += ENTER_AND_LEAVE;
+    // The first region is empty: what counting takes.
+    let Some((nothing, regions)) = regions.split_first() else {
+        return Err("the image has counted nothing".to_owned());
+    };
+    let lines: Vec<&str> = said
+        .lines()
+        .filter(|line| !line.trim().is_empty())
+        .collect();
+    if lines.len() != regions.len() + 1 {
+        return Err(format!(
+            "the image has counted {} things and said {}:\n{said}",
+            regions.len(),
+            lines.len()
+        ));
+    }
+    let sums = regions.iter().map(|region| Sum {
+        instructions: region.instructions.saturating_sub(nothing.instructions),
+        cycles: region.cycles.saturating_sub(nothing.cycles),
+    });
+    let counted = lines.iter().zip(std::iter::once(entered).chain(sums));
+    counted.map(|(line, sum)| named(line, sum)).collect()
+}
+
+/// `120 a byte into the queue`: of so many, rounded.
+fn named(line: &str, sum: Sum) -> Outcome<Count> {
+    let wrong = || format!("the image says `{line}`, and not how often and what");
+    let (times, what) = line.trim().split_once(' ').ok_or_else(wrong)?;
+    let times: u64 = times.parse().map_err(|_| wrong())?;
+    let each = |sum: u64| (sum + times / 2).checked_div(times).ok_or_else(wrong);
+    Ok(Count {
+        what: what.to_owned(),
+        cycles: each(sum.cycles)?,
+        instructions: each(sum.instructions)?,
+    })
+}
+
+fn halfword(memory: &Memory, address: u32) -> Outcome<u16> {
+    memory
+        .halfword(address)
+        .ok_or_else(|| format!("the image has no code at {address:#x}, where QEMU has run some"))
+}
+
+/// `POP {…, pc}` or `BX LR`.
+fn returns(memory: &Memory, address: u32) -> bool {
+    let code = memory.halfword(address).unwrap_or_default();
+    code & 0xFF00 == 0xBD00 || code == 0x4770
+}
+
+/// What the instruction takes when the one at `next` follows.
+fn cycles(memory: &Memory, address: u32, next: u32) -> Outcome<u64> {
+    let code = halfword(memory, address)?;
+    let listed = u64::from((code & 0xFF).count_ones());
+    Ok(match code {
+        // To the program counter, else from one register to another.
+        0x4400..=0x46FF if code & 0x87 == 0x87 => 3,
+        0x0000..=0x46FF => 1,
+        0x4700..=0x47FF => 3,                                     // BX, BLX
+        0x4800..=0x9FFF => 2,                                     // loads and stores
+        0xB400..=0xB5FF => 1 + listed + u64::from(code >> 8 & 1), // PUSH
+        0xBC00..=0xBCFF => 1 + listed,                            // POP
+        0xBD00..=0xBDFF => 4 + listed + 1,                        // POP, the program counter too
+        0xBF20 | 0xBF30 => 2,                                     // WFE, WFI
+        0xA000..=0xBFFF => 1,
+        0xC000..=0xCFFF => 1 + listed,               // several at once
+        0xD000..=0xDFFF if next == address + 2 => 1, // a branch that is not taken
+        0xD000..=0xE7FF => 3,
+        // BL, and what speaks to the system.
+        0xE800..=0xFFFF => 4,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Laid down from 0x100.
+    fn memory(code: &[u16], functions: &[(&str, u32, u32)]) -> Memory {
+        let bytes = code.iter().flat_map(|code| code.to_le_bytes()).collect();
+        let mut memory = Memory::default();
+        memory.contents.push((0x100, bytes));
+        for (name, start, end) in functions {
+            memory.functions.push(((*name).to_owned(), *start..*end));
+        }
+        memory
+    }
+
+    #[test]
+    fn each_kind_of_instruction_takes_what_the_manual_says() {
+        for (code, taken, expected) in [
+            (0x2001, false, 1), // MOVS r0, #1
+            (0x4348, false, 1), // MULS r0, r1
+            (0x4608, false, 1), // MOV r0, r1
+            (0x4687, true, 3),  // MOV pc, r0
+            (0x4770, true, 3),  // BX lr
+            (0x4801, false, 2), // LDR r0, [pc, #4]
+            (0x7008, false, 2), // STRB r0, [r1]
+            (0xB510, false, 3), // PUSH {r4, lr}
+            (0xBD10, true, 6),  // POP {r4, pc}
+            (0xBC10, false, 2), // POP {r4}
+            (0xC903, false, 3), // LDM r1!, {r0, r1}
+            (0xD001, false, 1), // BEQ
+            (0xD001, true, 3),
+            (0xE7FE, true, 3),  // B
+            (0xF000, true, 4),  // BL
+            (0xF3EF, false, 4), // MRS
+            (0xB672, false, 1), // CPSID i
+        ] {
+            let next = if taken { 0x200 } else { 0x102 };
+            let counted = cycles(&memory(&[code], &[]), 0x100, next);
+            assert_eq!(counted, Ok(expected), "{code:#x}");
+        }
+        assert!(cycles(&memory(&[], &[]), 0x100, 0x102).is_err());
+    }
+
+    #[test]
+    fn what_stands_between_the_marks_is_counted_but_for_the_marks_themselves() {
+        let functions = [
+            ("count_begin", 0x100, 0x102),
+            ("count_end", 0x102, 0x104),
+            ("on_uart", 0x104, 0x108),
+        ];
+        // BX lr; BX lr; MOVS, BX lr; LDR.
+        let memory = memory(&[0x4770, 0x4770, 0x2001, 0x4770, 0x6808], &functions);
+        let addresses = [
+            0x104, 0x106, // the interrupt
+            0x100, 0x102, // nothing
+            0x100, 0x108, 0x108, 0x102, 0x108,
+        ];
+        let counts = counts(&memory, &addresses, "1 interrupt\n2 loads\n").unwrap();
+        let count = |what: &str, cycles, instructions| Count {
+            what: what.to_owned(),
+            cycles,
+            instructions,
+        };
+        assert_eq!(counts, [count("interrupt", 36, 2), count("loads", 2, 1)]);
+        let none = super::counts(&memory, &addresses, "1 interrupt\n");
+        assert!(none.is_err(), "{none:?}");
+    }
+
+    #[test]
+    fn qemus_trace_is_read() {
+        let trace =
+            "Trace 0: 0x7f2594000100 [00800400/0000004c/00000510/ff000201] Reset\nStopped\n";
+        assert_eq!(addresses(trace), Ok(vec![0x4C]));
+        assert!(addresses("Trace 0: x").is_err());
+    }
+}
