@@ -19,6 +19,7 @@ use crate::log::LogSource;
 use commands::Answer;
 #[cfg(feature = "zmtp")]
 pub(crate) use local::LocalTasks;
+#[cfg(any(feature = "zmtp", test))]
 pub(crate) use tasks::TEXT;
 use tasks::Table;
 use transmit::{PAUSE, Transmit, longest};
@@ -158,9 +159,10 @@ struct Inner<'a, C, const TASKS: usize, const FRAME: usize> {
     transmit: Transmit<FRAME>,
 }
 
-impl<'a, C, const TASKS: usize, const FRAME: usize> Inner<'a, C, TASKS, FRAME> {
-    const fn new(identity: Identity<'a>, components: C) -> Self {
-        Self {
+/// The state after a reset. No function, since what one returns is copied, and a Cortex-M0's stack then has it twice.
+macro_rules! after_reset {
+    ($identity:ident, $components:ident) => {
+        Inner {
             seq: NO_SEQ,
             answer_due: false,
             stopped: false,
@@ -173,18 +175,24 @@ impl<'a, C, const TASKS: usize, const FRAME: usize> Inner<'a, C, TASKS, FRAME> {
             highest: LinkId(0),
             answer: Answer::Nothing,
             gateway: 0,
-            link_timeout: micros(identity.link_timeout),
+            link_timeout: micros($identity.link_timeout),
             awake_due: Instant::ZERO,
             heard: Instant::ZERO,
             lost_at: Instant::NEVER,
             receiving: Instant::ZERO,
             refusal: None,
-            identity,
-            components,
+            identity: $identity,
+            components: $components,
             reason: Reason::new(),
             tasks: Table::new(),
             transmit: Transmit::new(),
         }
+    };
+}
+#[cfg(feature = "zmtp")]
+impl<'a, C, const TASKS: usize, const FRAME: usize> Inner<'a, C, TASKS, FRAME> {
+    const fn new(identity: Identity<'a>, components: C) -> Self {
+        after_reset!(identity, components)
     }
 }
 
@@ -203,7 +211,7 @@ impl<'a, C: Components, const TASKS: usize, const FRAME: usize> Node<'a, C, TASK
                 out_of_sequence: 0,
             },
             decoder: Decoder::new(),
-            state: Inner::new(identity, components),
+            state: after_reset!(identity, components),
         }
     }
 

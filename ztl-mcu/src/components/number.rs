@@ -225,7 +225,7 @@ mod tests {
             text in "[-+]?[0-9]{0,4}(\\.[0-9]{0,4})?([eE][-+]?[0-9]{0,5})?|[-+0-9.eE]{0,8}",
         ) {
             let theirs = ztl_core::goal::from_str::<f64>(&text);
-            match parse(text, 2) {
+            match parse(&text, 2) {
                 Some(ours) => {
                     let theirs = theirs.unwrap();
                     prop_assert!((theirs * 100.0 - f64::from(ours)).abs() <= 0.5 + 1e-6, "{text}: {ours}");

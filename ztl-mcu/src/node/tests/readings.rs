@@ -2,7 +2,6 @@
 
 use super::*;
 use crate::component::Reading;
-use crate::node::tasks::TEXT;
 use crate::reading::Queued;
 use core::cell::{Cell, RefCell};
 
