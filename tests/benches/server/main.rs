@@ -24,8 +24,11 @@ const CLIENTS: [usize; 3] = [1, 8, 64];
 /// `test:echo:hi`
 const INIT: &str = "/test;1;-1;dGVzdDplY2hvOmhp";
 
+/// Something that can be measured.
+type Part = fn(&Lab);
+
 /// What can be measured, by name.
-const PARTS: [(&str, fn(&Lab)); 6] = [
+const PARTS: [(&str, Part); 6] = [
     ("rates", rates),
     ("cpu", alone::cpu_per_request),
     ("core", alone::on_one_core),
