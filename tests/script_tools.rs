@@ -321,6 +321,38 @@ fn what_cannot_be_is_said_before_anything_begins() {
     }
 }
 
+#[cfg(unix)]
+#[test]
+fn by_the_originals_names_it_is_the_originals_tool() {
+    let desk = Desk::with("s: {a: {robot: {say: hi}}}\n", &[("robot", 9, "/r")]);
+    for name in ["ztl_run_script", "run_script.py"] {
+        let link = desk.files.path(name);
+        std::os::unix::fs::symlink(ztl_tests::lab::built("ztl"), &link).unwrap();
+        for options in [
+            "--sc show.yaml --conf remotes.yaml",
+            "--s=show.yaml -c remotes.yaml --unknown",
+        ] {
+            let mut command = Command::new(&link);
+            command
+                .args(options.split(' '))
+                .arg("--dry-run")
+                .current_dir(desk.files.path(""));
+            let ended = Process::run(&mut command);
+            assert_eq!(ended.code, Some(0), "{options}: {ended:?}");
+            assert!(
+                ended.stdout.contains("robot:say:hi"),
+                "{options}: {ended:?}"
+            );
+        }
+        let ended = Process::run(&mut Command::new(&link));
+        assert_eq!(ended.code, Some(2), "{ended:?}");
+        assert!(
+            ended.stderr.starts_with(&format!("usage: {name} ")),
+            "{ended:?}"
+        );
+    }
+}
+
 /// Ends every task at once.
 struct Quick;
 

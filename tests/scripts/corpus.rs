@@ -7,6 +7,7 @@ pub(crate) fn key(name: &str) -> &str {
         "linefeed" => "\n",
         "space" => " ",
         "up" => "\u{1b}",
+        "ctrl-c" => "\u{3}",
         other => other,
     }
 }
@@ -68,4 +69,27 @@ s: {a: &a {robot: &r {blink: 3}, lamp: {blink: 4}}, b: {<<: *a, lamp: {blink: 5}
 ", "enter"),
     ("the_last_of_a_key_wins_in_the_place_of_the_first", "s: {a: {robot: {blink: 1}}, b: {robot: {blink: 2}}, a: {lamp: {blink: 3, blink b: 4, blink: 5}}}", "enter"),
     ("the_order_is_that_of_the_file", "z: {z: {robot: {blink z: 1, blink a: 2}}, a: {robot: {blink: 3}}}\na: {b: {lamp: {blink: 4}}}", "enter enter"),
+];
+
+/// Scripts that end with exit code 1; ours before anything is played, since all of it is looked at first.
+pub(crate) const WRONG: &[(&str, &str, &str)] = &[
+    ("no_yaml", "s: {a", "enter"),
+    ("a_tab", "s:\n\ta: 1\n", "enter"),
+    ("nothing", "", "enter"),
+    ("an_empty_scene", "s:\n", "enter"),
+    ("a_list", "s: [a]", "enter"),
+    ("a_text", "s: {a: b}", "enter"),
+    ("a_number", "s: {a: {robot: 5}}", "enter"),
+    (
+        "a_delay",
+        "s: {a: {robot: {'blink(delay=soon)': 1}}}",
+        "enter",
+    ),
+    ("two_documents", "s: {}\n---\nt: {}\n", "enter"),
+    ("a_tag", "s: {a: {robot: {blink: !x 1}}}", "enter"),
+    ("a_key", "s: {[a]: {}}", "enter"),
+    ("a_day", "s: {a: {robot: {blink: 2020-02-30}}}", "enter"),
+    ("a_value", "s: {a: {robot: {blink: =}}}", "enter"),
+    ("a_character", "s: {a: {robot: {blink: '\u{7}'}}}", "enter"),
+    ("ctrl_c", "s: {a: {robot: {blink: 1}}}", "ctrl-c"),
 ];

@@ -56,7 +56,10 @@ pub(super) fn parse(text: &str, rules: Rules) -> (Option<Node>, Vec<Mistake>) {
     }
     let root = builder.root.unwrap_or(Node {
         span: Span::default(),
-        value: Value::Map(Vec::new()),
+        value: Value::Scalar {
+            text: String::new(),
+            plain: true,
+        },
         tag: None,
     });
     if rules == Rules::Python {
