@@ -6,6 +6,7 @@
 mod board;
 mod draw;
 mod keys;
+mod rows;
 mod text;
 pub(crate) mod tty;
 

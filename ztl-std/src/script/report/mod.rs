@@ -7,8 +7,10 @@ mod csv;
 mod html;
 mod numbers;
 mod page;
+mod reader;
 mod run;
 mod svg;
+mod tables;
 mod words;
 
 use self::run::Run;
@@ -26,7 +28,7 @@ impl Report {
     #[must_use]
     pub fn new(records: Vec<Record>, damage: Vec<Damage>) -> Self {
         Self {
-            runs: records.into_iter().map(Run::new).collect(),
+            runs: records.into_iter().map(reader::read).collect(),
             damage,
         }
     }

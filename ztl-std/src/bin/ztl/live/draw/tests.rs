@@ -1,6 +1,8 @@
-use ztl_std::script::event::{Event, Stamped};
+use ztl_std::script::event::{Event, Stamped, StepOutline};
 use ztl_std::script::record::read;
 
+use super::super::board::{Look, Step};
+use super::super::rows::percent;
 use super::*;
 
 const EVENING: &str = include_str!("../../../../script/fixtures/evening.jsonl");
