@@ -20,10 +20,13 @@ fn pin(process: u32, cores: &str) {
     assert!(done.status.success(), "{done:?}");
 }
 
-/// All cores that there are.
-fn everywhere() -> String {
-    let cores = std::thread::available_parallelism().map_or(1, usize::from);
-    format!("0-{}", cores - 1)
+/// The cores that this process may use: `0-1`.
+fn cores() -> String {
+    let status = std::fs::read_to_string("/proc/self/status").expect("its status");
+    let allowed = status
+        .lines()
+        .find_map(|line| line.strip_prefix("Cpus_allowed_list:"));
+    allowed.expect("its cores").trim().to_owned()
 }
 
 fn with_pinned(lab: &Lab, servers: &str, load: &str, measure: impl FnOnce(&Lab)) {
@@ -34,9 +37,10 @@ fn with_pinned(lab: &Lab, servers: &str, load: &str, measure: impl FnOnce(&Lab))
         }
         pin(std::process::id(), load);
     };
+    let everywhere = cores();
     pin_all(servers, load);
     measure(lab);
-    pin_all(&everywhere(), &everywhere());
+    pin_all(&everywhere, &everywhere);
 }
 
 /// STATUS, 64 clients, server and load on cores of their own.
