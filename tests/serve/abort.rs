@@ -3,7 +3,8 @@
 use std::time::{Duration, Instant};
 
 use ztl_std::State::{Aborted, Accepted, Completed, Failed};
-use ztl_tests::lab::{ABORTED, ACCEPTED, PATIENCE, until};
+use ztl_std::TaskId;
+use ztl_tests::lab::{ABORTED, ACCEPTED, PATIENCE, Process, SCOPE, our_client, until};
 
 use crate::rig::{Lab, SOON, dies, end, kill, lives, progress, told, trigger};
 
@@ -219,4 +220,38 @@ fn one_that_replaces_and_one_that_is_aborted_while_it_waits() {
     assert_eq!(end(&mut remote, second).1, "aborted before it began");
     assert_eq!(remote.status(first).expect("an answer").state, Accepted);
     assert_eq!(remote.abort(first).expect("an answer").state, Aborted);
+}
+
+#[test]
+fn without_its_client_a_task_is_aborted_if_it_needs_that() {
+    let lab = Lab::new(
+        r#"
+        needs: {run: [sh, -c, 'echo $$ > needs; exec sleep 60'], needs-client: 1500 ms}
+        carries: {run: [sh, -c, 'echo $$ > carries; exec sleep 60']}
+        sleeps: {built-in: sleep, needs-client: 1500 ms}
+        "#,
+    );
+    let mut other = lab.remote();
+    let clients = ["needs:", "carries:", "sleeps:60"].map(|task| {
+        let mut command = our_client();
+        let port = lab.server.port.to_string();
+        command.args(["-r", "localhost", "-p", &port, "-s", SCOPE]);
+        let client = Process::start(command.arg(format!("p:{task}")));
+        let line = client.wait_for("Initialised task with ID");
+        let id = line.split('\'').nth(1).and_then(|id| id.parse().ok());
+        (client, id.and_then(TaskId::new).expect("an id"))
+    });
+    let [needs, carries] = ["needs", "carries"].map(|name| lab.process(name));
+    // It is heard as long as it waits.
+    std::thread::sleep(Duration::from_secs(2));
+    assert!(lives(needs));
+    let ids = clients.each_ref().map(|(_, id)| *id);
+    for (mut client, _) in clients {
+        client.kill();
+    }
+    assert_eq!(end(&mut other, ids[0]).0, Aborted);
+    assert_eq!(end(&mut other, ids[2]).0, Aborted);
+    assert!(!lives(needs));
+    assert!(lives(carries));
+    assert_eq!(other.status(ids[1]).expect("an answer").state, Accepted);
 }

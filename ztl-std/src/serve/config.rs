@@ -1,18 +1,18 @@
 //! The file that says which programs do which tasks. `docs/serve.md` describes each key.
 
+mod forward;
 mod goal;
 mod program;
 
 use std::io;
 use std::path::Path;
 use std::sync::Arc;
+use std::time::Duration;
 
 use super::desk::Busy;
-use super::forward::Forward;
 use super::program::Program;
 use super::rule::Rule;
 use super::{Entry, Groups, Programs, Room, WILD, Work};
-use crate::keys::{KeyError, KeyPair, PublicKey, can_encrypt};
 use crate::listen::Listen;
 use crate::server::scope_mistake;
 use crate::yaml::{Diagnostic, Diagnostics, Document, Fields, Node, Reading, Value};
@@ -244,6 +244,8 @@ impl<'d> Source<'d> {
         let at_once_given = at_once.and_then(|node| self.count(node, MOST));
         let busy_node = fields.optional("busy");
         let busy = busy_node.and_then(|node| self.busy(node));
+        let needs_client = fields.optional("needs-client");
+        let silence = needs_client.and_then(|node| self.silence(node));
         let run = fields.optional("run");
         let shell = fields.optional("shell");
         let built_in = fields.optional("built-in");
@@ -284,10 +286,17 @@ impl<'d> Source<'d> {
             let message = "what cannot be aborted cannot be replaced; leave out abort: no";
             self.reading.wrong(node, message);
         }
+        if let (Some(Work::Program(program)), Some(node)) = (&work, needs_client)
+            && !program.abort.allowed
+        {
+            let message = "what cannot be aborted cannot need its client; leave out abort: no";
+            self.reading.wrong(node, message);
+        }
         let work = work?;
         let mut entry = entry(work, rule?.or(implied).unwrap_or_default());
         entry.at_once = at_once_given.unwrap_or(entry.at_once);
         entry.busy = busy.unwrap_or(entry.busy);
+        entry.needs_client = silence;
         Some(entry)
     }
 
@@ -305,61 +314,16 @@ impl<'d> Source<'d> {
         })
     }
 
-    fn forward(&mut self, node: &'d Node) -> Option<Forward> {
-        let mut fields = self.reading.fields(node, "to: tcp://HOST:PORT, scope")?;
-        let to = fields.required("to", "to: tcp://10.0.0.7:12345");
-        let to = to.and_then(|node| {
-            let what = "an address, as tcp://10.0.0.7:12345";
-            self.reading.parsed(node, what, |text| {
-                let port = text
-                    .strip_prefix("tcp://")
-                    .and_then(|rest| rest.rsplit_once(':'));
-                let port = port.filter(|(host, _)| !host.is_empty());
-                match port.map(|(_, port)| port.parse::<u16>()) {
-                    Some(Ok(1..)) => Ok(text.to_owned()),
-                    _ => Err(format!("'{text}' is not {what}")),
-                }
-            })
-        });
-        let scope = fields.required("scope", "scope: /cob");
-        let scope = scope.and_then(|node| self.reading.text(node, "a scope, as /cob"));
-        let handler = fields.optional("handler");
-        let handler = handler.and_then(|node| self.name(node, "a handler"));
-        let component = fields.optional("component");
-        let component = component.and_then(|node| self.name(node, "a component"));
-        let base = self.base;
-        let own = fields.optional("key");
-        let server = fields.optional("server-key");
-        let mut path = |node: Option<&'d Node>| {
-            let text = self.reading.text(node?, "a file of `ztl keys`")?;
-            Some(base.join(text))
-        };
-        let keys = match (path(own), path(server)) {
-            (Some(own), Some(server)) => Some((own, server)),
-            _ => None,
-        };
-        if let (Some(node), None) | (None, Some(node)) = (own, server) {
+    /// How long a client may be silent that waits: it asks every second.
+    fn silence(&mut self, node: &'d Node) -> Option<Duration> {
+        let silence = self.time(node, Duration::MAX)?;
+        if silence < Duration::from_secs(1) {
             let message =
-                "an encrypted connection needs both: key: robot.key_secret, server-key: far.key";
+                "this must be at least 1s, and should be 5s: a client that waits asks every second";
             self.reading.wrong(node, message);
+            return None;
         }
-        fields.finish(&mut self.reading);
-        if let (Some(node), Some((own, server))) = (own, &keys) {
-            let mistake = match can_encrypt() {
-                true => KeyPair::read(own).err().or(PublicKey::read(server).err()),
-                false => Some(KeyError::NoCurve),
-            };
-            if let Some(mistake) = mistake {
-                self.warn(node, format!("its tasks will be refused: {mistake}"));
-            }
-        }
-        Some(Forward {
-            to: to?,
-            scope: scope?.to_owned(),
-            handler,
-            component,
-            keys,
-        })
+        Some(silence)
     }
 
     /// What may be otherwise than it was meant.
@@ -386,6 +350,7 @@ fn entry(work: Work, rule: Rule) -> Entry {
         rule,
         wants_fields,
         busy: Busy::Refuse,
+        needs_client: None,
     }
 }
 

@@ -68,6 +68,8 @@ struct Entry {
     wants_fields: bool,
     at_once: usize,
     busy: Busy,
+    /// It is aborted when its client is silent for so long.
+    needs_client: Option<Duration>,
 }
 
 #[derive(Debug, Clone)]

@@ -258,6 +258,9 @@ impl Supervisor {
             self.room.leave();
             return reporter.rejected(format!("{handler}:{component} is busy with task {other}"));
         }
+        if let Some(silence) = entry.needs_client {
+            reporter.needs_client(silence);
+        }
         let task = Task {
             reporter,
             call: Arc::new(Call {

@@ -322,7 +322,7 @@ impl<'d> Source<'d> {
         None
     }
 
-    fn time(&mut self, node: &'d Node, most: Duration) -> Option<Duration> {
+    pub(super) fn time(&mut self, node: &'d Node, most: Duration) -> Option<Duration> {
         let what = "a time, as 30 s, 300 ms or 5 min";
         let time = self.reading.parsed(node, what, |text| {
             let time = humantime::parse_duration(text);

@@ -54,6 +54,7 @@ scopes:
         result: json
         abort: {run: [sh, stop.sh, '{id}'], grace: 3 s}
         left-behind: leave
+        needs-client: 5 s
     far:
       '*': {forward: {to: 'tcp://10.0.0.7:12345', scope: /cob, handler: base, component: wheels, key: own.key_secret, server-key: far.key}}
 ";
@@ -68,6 +69,7 @@ fn every_key_is_read() {
     };
     assert_eq!((say.at_once, say.busy), (2, Busy::Queue(3)));
     assert!(say.wants_fields);
+    assert_eq!(say.needs_client, Some(Duration::from_secs(5)));
     let Rule::Fields(fields) = &say.rule else {
         panic!("{:?}", say.rule);
     };
@@ -196,6 +198,8 @@ scopes:
       eleven: {forward: {to: 10.0.0.7, scope: /cob, key: a}}
       twelve: {run: [sh], output: 2 GiB, decide: 1 s}
       thirteen: {run: [sh], abort: no, busy: replace}
+      fourteen: {run: [sh], abort: no, needs-client: 5 s}
+      fifteen: {built-in: sleep, needs-client: 5 ms}
       'a:b': echo
 ";
     let mistakes = parse(text).expect_err("mistakes").to_string();
@@ -227,7 +231,9 @@ scopes:
         "robot.yaml:17:35: '2 GiB' is not a size from 1 byte to 1000 KiB, as 64 KiB",
         "robot.yaml:17:50: it decides only where an exit code refuses; write refused-by: [2]",
         "robot.yaml:18:46: what cannot be aborted cannot be replaced; leave out abort: no",
-        "robot.yaml:19:7: 'a:b' is no name for a component: no client can say it",
+        "robot.yaml:19:54: what cannot be aborted cannot need its client; leave out abort: no",
+        "robot.yaml:20:48: this must be at least 1s, and should be 5s: a client that waits asks every second",
+        "robot.yaml:21:7: 'a:b' is no name for a component: no client can say it",
     ];
     assert_eq!(first, expected, "{mistakes}");
     let none = parse("port: 1").expect_err("no scopes").to_string();
