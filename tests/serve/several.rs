@@ -164,3 +164,27 @@ fn all_at_once_are_aborted() {
         (lab.children().len() == 1).then_some(())
     });
 }
+
+#[test]
+fn children_that_end_cost_no_answer() {
+    let lab = Lab::new("echo: {run: [echo, 'said {goal}']}");
+    // A client that asks once, and waits: ZeroMQ gave up a frame of an answer when a child ended.
+    let socket = zmq::Context::new().socket(zmq::REQ).expect("a socket");
+    socket.set_rcvtimeo(10_000).expect("a limit");
+    socket.connect(&lab.server.endpoint()).expect("an address");
+    let ask = |question: &str| -> String {
+        socket.send(question, 0).expect("to send");
+        let answer = socket.recv_string(0);
+        let answer = answer.unwrap_or_else(|error| panic!("{question}: {error}"));
+        answer.expect("text")
+    };
+    for _ in 0..1500 {
+        // p:echo:x
+        let accepted = ask("/test;1;-1;cDplY2hvOng=");
+        let id = accepted.split(';').nth(2).expect("an id");
+        until("its end", PATIENCE, || {
+            let answer = ask(&format!("/test;2;{id};"));
+            answer.ends_with(";said x").then_some(())
+        });
+    }
+}

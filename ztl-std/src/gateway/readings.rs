@@ -8,6 +8,7 @@ use tracing::warn;
 
 use super::ring::{Empty, RingIn, RingOut, ring};
 use super::voice::LOG;
+use crate::frames;
 use crate::server::{BindError, TaskServer};
 
 /// How many readings a publisher may be behind.
@@ -88,7 +89,7 @@ impl Readings {
                     Ok(reading) => {
                         let frames = [reading.topic.as_bytes(), &reading.bytes];
                         // Never waits: each slow subscriber has a queue of its own, which loses.
-                        if let Err(cause) = socket.send_multipart(frames, zmq::DONTWAIT) {
+                        if let Err(cause) = frames::send(&socket, &frames) {
                             warn!(target: LOG, "Readings are no longer published: {}", cause.message());
                             return;
                         }

@@ -9,6 +9,7 @@ use ztl_core::sink::Sink;
 
 use super::{LOG, RemoteTask, RequestError, version_of};
 use crate::clock::now;
+use crate::frames;
 
 /// Pauses between two tries to connect to a server that is not there: from, and at most.
 const RETRY: (i32, i32) = (20, 1000);
@@ -135,7 +136,7 @@ impl RemoteTask {
         }
         let (client, number) = envelope.frames();
         let frames: [&[u8]; 4] = [&client, &number, b"", body];
-        socket.send_multipart(frames, zmq::DONTWAIT)?;
+        frames::send(socket, &frames)?;
         loop {
             match self.ready(wanted, socket, zmq::POLLIN)? {
                 Ready::Yes => {}
@@ -147,7 +148,7 @@ impl RemoteTask {
                     });
                 }
             }
-            let frames = socket.recv_multipart(zmq::DONTWAIT)?;
+            let frames = frames::receive(socket)?;
             let [client, number, _delimiter, body] = frames.as_slice() else {
                 continue;
             };

@@ -13,6 +13,7 @@ use tracing::warn;
 
 use super::connections::Connections;
 use super::{LOG, Limits};
+use crate::frames;
 use crate::keys::{KeyPair, PublicKey};
 
 /// Where ZeroMQ asks (RFC 27).
@@ -264,7 +265,7 @@ impl Desk {
     /// Answers what ZeroMQ has asked.
     fn decide(&self) {
         self.connections.count();
-        while let Ok(asked) = self.questions.recv_multipart(zmq::DONTWAIT) {
+        while let Ok(asked) = frames::receive(&self.questions) {
             let decision = self.decision(&asked);
             let number = asked.get(1).map_or(&b""[..], Vec::as_slice);
             let (code, text, who) = match &decision {
@@ -281,7 +282,7 @@ impl Desk {
                 b"",
             ];
             // ZeroMQ waits for it and takes it.
-            let _ = self.questions.send_multipart(frames, zmq::DONTWAIT);
+            let _ = frames::send(&self.questions, &frames);
         }
     }
 

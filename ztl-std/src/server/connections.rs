@@ -6,6 +6,8 @@ use tracing::warn;
 
 use super::LOG;
 
+use crate::frames;
+
 const MONITOR: &str = "inproc://connections";
 
 /// Counts the connections of a socket.
@@ -45,7 +47,7 @@ impl Connections {
     /// Counts what has happened.
     pub(super) fn count(&self) {
         // Each is two frames: the event's number and a value, then the address.
-        while let Ok(frames) = self.monitor.recv_multipart(zmq::DONTWAIT) {
+        while let Ok(frames) = frames::receive(&self.monitor) {
             let event = frames.first().and_then(|frame| frame.first_chunk::<2>());
             let Some(event) = event.map(|event| u16::from_le_bytes(*event)) else {
                 continue;

@@ -29,6 +29,7 @@ use ztl_core::{Instant, Request, TaskId};
 
 use crate::clock;
 use crate::controller::{TaskController, Threads};
+use crate::frames;
 use crate::keys::can_encrypt;
 use crate::random;
 
@@ -399,17 +400,19 @@ impl TaskServer {
     /// The next message, and who sent it, unless that is not known; `None` when there is none.
     fn receive(&self, flags: i32) -> Result<Option<Received>, zmq::Error> {
         // As many as a client of ours sends.
-        let mut frames = Vec::with_capacity(5);
+        let mut message = Vec::with_capacity(5);
         loop {
             let mut frame = match self.socket.recv_msg(flags) {
                 Ok(frame) => frame,
+                // A signal in the middle costs nothing: the rest is there already.
+                Err(zmq::Error::EINTR) if !message.is_empty() => continue,
                 Err(zmq::Error::EAGAIN | zmq::Error::EINTR) => return Ok(None),
                 Err(cause) => return Err(cause),
             };
             let who = (!frame.get_more()).then(|| self.door.who(&mut frame));
-            frames.push(frame);
+            message.push(frame);
             if let Some(who) = who {
-                return Ok(Some((frames, who)));
+                return Ok(Some((message, who)));
             }
         }
     }
@@ -526,7 +529,8 @@ fn answer(socket: &zmq::Socket, mut peer: Peer, reply: &Reply<'_>) {
     let mut body = Vec::new();
     reply.put(&mut |bytes: &[u8]| body.extend_from_slice(bytes));
     peer.push(body.into());
-    if let Err(cause) = socket.send_multipart(peer, zmq::DONTWAIT) {
+    let frames: Vec<&[u8]> = peer.iter().map(|frame| &frame[..]).collect();
+    if let Err(cause) = frames::send(socket, &frames) {
         debug!(target: LOG, "an answer was not taken: {}", cause.message());
     }
 }

@@ -10,6 +10,8 @@ use ztl_core::TaskId;
 use ztl_core::dispatcher::TaskEvent;
 use ztl_core::envelope::ClientId;
 
+use crate::frames;
+
 /// What a handler says, on its way to the server's thread.
 #[derive(Debug)]
 pub(super) enum Report {
@@ -103,7 +105,7 @@ impl Waker {
         if self.asleep.swap(false, Ordering::SeqCst) {
             let bell = self.bell.lock().unwrap_or_else(PoisonError::into_inner);
             // The queue cannot be full: it rings once for each sleep.
-            let _ = bell.send(&b""[..], zmq::DONTWAIT);
+            let _ = frames::send(&bell, &[b""]);
         }
     }
 

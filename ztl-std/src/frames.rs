@@ -1,0 +1,75 @@
+//! Messages of several frames, through signals: ZeroMQ gives up a call that a signal interrupts, which
+//! a process with children or a terminal has often. In the middle of a message that would cost the rest.
+
+/// Calls ZeroMQ until no signal interrupts it.
+pub(crate) fn unbroken<T>(mut call: impl FnMut() -> zmq::Result<T>) -> zmq::Result<T> {
+    loop {
+        match call() {
+            Err(zmq::Error::EINTR) => {}
+            done => return done,
+        }
+    }
+}
+
+/// Sends a message without waiting.
+///
+/// # Errors
+/// As ZeroMQ says, before the first frame: what has begun is sent as a whole.
+pub(crate) fn send<F: AsRef<[u8]>>(socket: &zmq::Socket, frames: &[F]) -> zmq::Result<()> {
+    let more = frames.len().saturating_sub(1);
+    for (place, frame) in frames.iter().enumerate() {
+        let flags = match place < more {
+            true => zmq::DONTWAIT | zmq::SNDMORE,
+            false => zmq::DONTWAIT,
+        };
+        unbroken(|| socket.send(frame.as_ref(), flags))?;
+    }
+    Ok(())
+}
+
+/// The next message, if there is one.
+///
+/// # Errors
+/// `EAGAIN` when there is none, or as ZeroMQ says.
+pub(crate) fn receive(socket: &zmq::Socket) -> zmq::Result<Vec<Vec<u8>>> {
+    let mut frames = Vec::new();
+    loop {
+        let frame = unbroken(|| socket.recv_msg(zmq::DONTWAIT))?;
+        let more = frame.get_more();
+        frames.push(frame.to_vec());
+        if !more {
+            return Ok(frames);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_signal_ends_no_call_and_an_error_does() {
+        let mut answers = [Err(zmq::Error::EINTR), Err(zmq::Error::EINTR), Ok(7)].into_iter();
+        assert_eq!(unbroken(|| answers.next().expect("no more calls")), Ok(7));
+        let mut answers = [Err(zmq::Error::EINTR), Err(zmq::Error::EAGAIN)].into_iter();
+        let called: zmq::Result<()> = unbroken(|| answers.next().expect("no more calls"));
+        assert_eq!(called, Err(zmq::Error::EAGAIN));
+    }
+
+    #[test]
+    fn a_message_arrives_as_it_was_sent() {
+        let context = zmq::Context::new();
+        let [to, from] = [zmq::PUSH, zmq::PULL].map(|kind| context.socket(kind).expect("one"));
+        from.bind("inproc://frames").expect("a name");
+        to.connect("inproc://frames").expect("it");
+        assert_eq!(receive(&from), Err(zmq::Error::EAGAIN));
+        let frames: [&[u8]; 3] = [b"one", b"", &[0xA5; 100]];
+        send(&to, &frames).expect("room");
+        send(&to, &[b"last"]).expect("room");
+        assert_eq!(receive(&from).expect("a message"), frames);
+        assert_eq!(receive(&from).expect("a message"), [b"last"]);
+        let none: [&[u8]; 0] = [];
+        send(&to, &none).expect("nothing");
+        assert_eq!(receive(&from), Err(zmq::Error::EAGAIN));
+    }
+}
