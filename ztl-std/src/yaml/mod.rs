@@ -117,6 +117,8 @@ impl Node {
 #[derive(Debug, Clone)]
 pub struct Document {
     name: String,
+    /// It began with a byte order mark, which is no part of the text.
+    marked: bool,
     text: String,
     root: Node,
 }
@@ -156,7 +158,8 @@ impl Document {
             Ok(text) => text,
             Err(error) => return Err(not_utf8(name, bytes, error.valid_up_to()).into()),
         };
-        let text = text.strip_prefix('\u{feff}').unwrap_or(text);
+        let plain = text.strip_prefix('\u{feff}').unwrap_or(text);
+        let (marked, text) = (plain.len() < text.len(), plain);
         if rules == Rules::Python
             && let Some(mistake) = unprintable(name, text)
         {
@@ -168,6 +171,7 @@ impl Document {
         match root {
             Some(root) if mistakes.is_empty() => Ok(Self {
                 name: name.to_owned(),
+                marked,
                 text: text.to_owned(),
                 root,
             }),
@@ -187,10 +191,11 @@ impl Document {
         &self.root
     }
 
-    /// The content.
+    /// The bytes that the file had.
     #[must_use]
-    pub fn text(&self) -> &str {
-        &self.text
+    pub fn bytes(&self) -> Vec<u8> {
+        let mark = if self.marked { "\u{feff}" } else { "" };
+        [mark.as_bytes(), self.text.as_bytes()].concat()
     }
 
     /// To take values out of it, and to collect what is wrong with them.

@@ -60,6 +60,13 @@ fn an_empty_file_is_an_empty_mapping() {
 }
 
 #[test]
+fn a_document_gives_back_the_bytes_of_its_file() {
+    for text in ["\u{feff}a: 1\r\n", "a: 1\n"] {
+        assert_eq!(document(text).bytes(), text.as_bytes());
+    }
+}
+
+#[test]
 fn an_alias_is_what_it_stands_for_and_cannot_grow_without_end() {
     let document = document("a: &x {b: 1}\nc: *x\n");
     let pairs = map(document.root());

@@ -283,7 +283,7 @@ impl RunScript {
         RunStarted {
             format: FORMAT,
             script: self.script.display().to_string(),
-            sha256: sha256(script.document().text().as_bytes()),
+            sha256: sha256(&script.document().bytes()),
             config: path.exists().then(|| path.display().to_string()),
             options,
             versions: versions(),
