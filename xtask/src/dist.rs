@@ -185,6 +185,12 @@ fn try_out(dirs: &Dirs, made: &[Made]) -> Outcome {
                 test(kernel, "ZTL_DIST_KERNEL")?;
             }
         }
+        if cfg!(target_arch = "x86_64") && target.name == "x86_64" {
+            println!("{}, memory:", target.name);
+            Cmd::new("cargo test --quiet --locked --package ztl-tests --test serve -- --nocapture memory::")
+                .env("ZTL_RELEASED", path)
+                .run()?;
+        }
     }
     Ok(())
 }
