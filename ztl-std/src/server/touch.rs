@@ -2,6 +2,9 @@
 //!
 //! A client is known to be gone only by its silence, and only if it kept in touch before: one of the
 //! original's never says who it is, and one that asked for a task and nothing more may not care.
+//!
+//! A rule of the protocol (12.7) that is kept here and not in `ztl-core`: it needs a list of tasks for
+//! each client, for which every small image would pay, and no firmware's tasks ask for it.
 
 use std::collections::HashMap;
 use std::time::Duration;
