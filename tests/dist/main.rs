@@ -50,6 +50,9 @@ fn it_says_what_it_was_built_from() {
 #[ignore = "for `cargo xtask dist --check`"]
 fn programs_are_served() {
     let place = Place::new();
+    if !place.can_catch_signals() {
+        return; // The end of a program is one.
+    }
     let port = ztl_tests::lab::free_port();
     let own = place.words_inside();
     let own = own.join("\", \"");
@@ -99,6 +102,9 @@ fn a_gateway_moves_a_simulated_device() {
     let port = port.to_string();
     let told = Process::run(ztl().args(["devices", "-p", &port]));
     assert!(told.stdout.contains("sim:gripper: ready"), "{told:?}");
+    if !place.can_catch_signals() {
+        return;
+    }
     server.process.signal("TERM");
     assert_eq!(server.process.end(PATIENCE).code, Some(0));
 }
