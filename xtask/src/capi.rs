@@ -4,6 +4,7 @@
 //! those of a robot's program. So all of it is linked into one object in which only the functions of
 //! `ztl.h` can be seen; of that the static and the shared library are made.
 
+mod cross;
 mod join;
 mod node;
 
@@ -12,6 +13,7 @@ use std::os::unix::fs::symlink;
 use std::path::Path;
 
 use crate::cmd::{Cmd, Outcome};
+use crate::zig::{self, Zig};
 use crate::{Dirs, curve, python};
 use join::Tools;
 pub(crate) use node::MANIFEST as NODE;
@@ -24,33 +26,61 @@ const ABI: &str = "1";
 /// What a program links to besides.
 const SYSTEM: &str = "-lpthread -ldl -lm -lrt";
 
-/// Makes the libraries of this machine, or a microcontroller's.
+/// Makes the libraries of this machine, a microcontroller's, or old Linux machines'.
 pub(crate) fn run(dirs: &Dirs, args: &[String]) -> Outcome {
-    let place = dirs.target.join("c");
-    match args {
-        [] => {
-            curve::cargo(dirs, "build")?
-                .args("--release --locked --package ztl-c")
-                .env("CARGO_PROFILE_RELEASE_LTO", "fat")
-                .env("CARGO_PROFILE_RELEASE_CODEGEN_UNITS", "1")
-                .env("CARGO_PROFILE_RELEASE_DEBUG", "false")
-                .run()?;
-            assemble(&curve::target(dirs).join("release/libztl_c.a"), &place)?;
-            node::assemble(dirs, None, &place)?;
-        }
-        [target] if target.contains("-none-") => {
-            let place = place.join(target);
-            node::assemble(dirs, Some(target), &place)?;
-            return show(&place);
-        }
-        _ => {
-            return Err(
-                "`cargo xtask c` takes nothing, or a microcontroller's target: thumbv7m-none-eabi"
-                    .to_owned(),
-            );
+    let mut check = false;
+    let mut names = Vec::new();
+    for word in args {
+        match word.as_str() {
+            "--check" => check = true,
+            option if option.starts_with('-') => {
+                return Err(format!(
+                    "`cargo xtask c` does not know `{option}`; it takes names of targets, and `--check`"
+                ));
+            }
+            name => names.push(name),
         }
     }
-    show(&place)
+    if names.is_empty() && check {
+        return test(dirs);
+    }
+    let place = dirs.target.join("c");
+    if names.is_empty() {
+        curve::cargo(dirs, "build")?
+            .args("--locked --package ztl-c --profile")
+            .arg(zig::PROFILE)
+            .run()?;
+        let built = curve::target(dirs).join(zig::PROFILE);
+        assemble(&built.join("libztl_c.a"), &place)?;
+        node::assemble(dirs, None, &place)?;
+        return show(&place);
+    }
+    for name in names {
+        if name.contains("-none-") {
+            let place = place.join(name);
+            node::assemble(dirs, Some(name), &place)?;
+            show(&place)?;
+        } else {
+            linux(dirs, name, check)?;
+        }
+    }
+    Ok(())
+}
+
+/// Makes, and perhaps runs, the library of one of the machines that `cargo xtask dist` knows.
+fn linux(dirs: &Dirs, name: &str, check: bool) -> Outcome {
+    let targets = zig::targets(&[name]).map_err(|error| {
+        format!("{error}; or a microcontroller's target, as thumbv7m-none-eabi")
+    })?;
+    let zig = Zig::provide(dirs)?;
+    for target in targets {
+        let place = cross::assemble(dirs, &zig, target)?;
+        show(&place)?;
+        if check {
+            cross::check(dirs, &zig, target, &place)?;
+        }
+    }
+    Ok(())
 }
 
 /// Runs the examples and the tests in C, with encryption, checked from all sides.

@@ -48,7 +48,7 @@ const CHORES: &[Chore] = &[
     },
     Chore {
         name: "c",
-        about: "the libraries for programs in C, with their headers",
+        about: "the libraries for programs in C ([TARGET]...; --check: also run)",
         run: capi::run,
     },
     Chore {

@@ -191,6 +191,11 @@ impl Zig {
         self.target_dir.join(target.triple).join(PROFILE).join(name)
     }
 
+    /// Python with zig, and these arguments.
+    pub(crate) fn command(&self, args: &str) -> Cmd {
+        Cmd::program(self.programs.join("python")).args(args)
+    }
+
     /// The directory with the sources that zig brings: musl, libc++, libunwind.
     pub(crate) fn sources(&self) -> Outcome<PathBuf> {
         let find =

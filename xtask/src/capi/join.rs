@@ -16,6 +16,8 @@ pub(super) struct Tools {
     pub(super) prefix: &'static str,
     /// For the linker.
     pub(super) emulation: &'static str,
+    /// For `objcopy`, before names are hidden.
+    pub(super) unmark: &'static str,
 }
 
 impl Tools {
@@ -23,6 +25,9 @@ impl Tools {
     pub(super) const HOST: Self = Self {
         prefix: "",
         emulation: "",
+        // GNU's C++ marks some names as the only ones in the whole process, which `objcopy` does not hide. Only where the
+        // C++ library is inside: a name that is lacking would become one that may be lacking, and stay 0.
+        unmark: "--wildcard --weaken-symbol _Z*",
     };
 
     fn command(&self, name: &str) -> Cmd {
@@ -65,10 +70,10 @@ pub(super) fn join(
         link = link.arg(archive);
     }
     link.run()?;
-    // C++ marks some names as the only ones in the whole process; that is taken from them first.
     tools
         .command("objcopy")
-        .args("--strip-debug --wildcard --weaken-symbol _Z*")
+        .arg("--strip-debug")
+        .args(tools.unmark)
         .args(BITCODE)
         .arg(&all)
         .arg(&weak)

@@ -8,7 +8,7 @@ use object::{Object, ObjectSymbol};
 use super::join::{self, Tools};
 use crate::cmd::{Cmd, Outcome};
 use crate::cross::Core;
-use crate::{Dirs, image};
+use crate::{Dirs, image, tools};
 
 /// The package of the node, which is no member of the workspace.
 pub(crate) const MANIFEST: &str = "ztl-node-c/Cargo.toml";
@@ -35,22 +35,31 @@ pub(super) fn assemble(dirs: &Dirs, target: Option<&str>, place: &Path) -> Outco
         .args("--release --locked --manifest-path")
         .arg(MANIFEST)
         .run()?;
-    let tools = match target {
+    let gnu = match target.map(|target| target.split('-').next().unwrap_or_default()) {
         None => Tools::HOST,
-        Some(target) if target.starts_with("thumb") => Tools {
+        Some(arm) if arm.starts_with("thumb") => Tools {
             prefix: "arm-none-eabi-",
             emulation: "",
+            unmark: "",
         },
-        Some(target) => {
+        Some(riscv) if riscv.starts_with("riscv32") => Tools {
+            prefix: "riscv64-unknown-elf-",
+            emulation: "-m elf32lriscv",
+            unmark: "",
+        },
+        Some(other) => {
             return Err(format!(
-                "no linker is known here that joins the library for {target}; cargo builds it with {MANIFEST}"
+                "no linker is known here that joins the library for {other}; cargo builds it with {MANIFEST}"
             ));
         }
     };
+    if !tools::has(&format!("{}ld", gnu.prefix)) {
+        tools::install(&[&format!("binutils-{}", gnu.prefix.trim_end_matches('-'))])?;
+    }
     let built = target.map_or_else(|| below.clone(), |target| below.join(target));
     let archives = [built.join("release/libztl_node_c.a")];
     let library = place.join("lib/libztl_node.a");
-    let object = join::join(&tools, HEADER, &archives, &library)?;
+    let object = join::join(&gnu, HEADER, &archives, &library)?;
     prove(&object)?;
     let removed = fs::remove_file(&object);
     removed.map_err(|error| format!("{}: {error}", object.display()))

@@ -10,6 +10,7 @@
 
 mod ask;
 mod build;
+mod cross;
 mod docs;
 mod misuse;
 mod node;

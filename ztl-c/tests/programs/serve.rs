@@ -8,19 +8,25 @@ use crate::build::{Build, ended_well};
 #[track_caller]
 pub(crate) fn started(build: Build, example: &str) -> (Process, u16) {
     let process = Process::start(build.example(example).arg("tcp://127.0.0.1:*"));
+    let port = port_of(&process);
+    (process, port)
+}
+
+/// Where a program serves.
+#[track_caller]
+pub(crate) fn port_of(process: &Process) -> u16 {
     let line = process.wait_for("serving /robot at ");
     let port = line.split("tcp://127.0.0.1:").nth(1).and_then(|rest| {
         let digits = rest.split(|c: char| !c.is_ascii_digit()).next()?;
         digits.parse().ok()
     });
-    let port = port.unwrap_or_else(|| panic!("no port in '{line}'"));
-    (process, port)
+    port.unwrap_or_else(|| panic!("no port in '{line}'"))
 }
 
 /// Asks for what is refused, until it is in time: the original's client waits for 2 s, and valgrind has to
 /// translate the program first.
 #[track_caller]
-fn warm_up(client: &mut OriginalClient, reason: &str) {
+pub(crate) fn warm_up(client: &mut OriginalClient, reason: &str) {
     until("a refusal", PATIENCE, || {
         let answer = client.trigger("robot", "arm", "1");
         assert!(answer.number <= 0, "{answer:?}");

@@ -1,0 +1,99 @@
+//! The libraries for old Linux machines: static, of musl, built as `cargo xtask dist` builds `ztl`; and the
+//! examples linked with them, and run.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use super::join::{self, Tools};
+use super::{HEADER, SYSTEM};
+use crate::cmd::Outcome;
+use crate::zig::{Target, Zig};
+use crate::{Dirs, curve, python, tools};
+
+/// What the examples are compiled as: the language's options, and the sources.
+const PROGRAMS: [(&str, &str); 3] = [
+    ("-x c -std=c89", "worker"),
+    ("-x c -std=c89", "client"),
+    ("-x c++ -std=c++98", "handler"),
+];
+
+/// How zig calls a target, and the processor.
+fn zig_target(target: Target) -> Outcome<&'static str> {
+    Ok(match target.name {
+        "x86_64" => "x86_64-linux-musl",
+        "i686" => "x86-linux-musl -mcpu=pentium4",
+        "i586" => "x86-linux-musl -mcpu=pentium",
+        "aarch64" => "aarch64-linux-musl",
+        "armv7" => "arm-linux-musleabihf -mcpu=generic+v7a+vfp3-d32+thumb2-neon",
+        "arm" => "arm-linux-musleabihf -mcpu=generic+v6+strict_align",
+        "armv5te" => "arm-linux-musleabi -mcpu=generic+soft_float+strict_align",
+        other => return Err(format!("xtask/src/capi/cross.rs does not know {other}")),
+    })
+}
+
+/// GNU's tools for a target, and the Debian package that has them.
+fn gnu_tools(target: Target) -> (Tools, &'static str) {
+    let (prefix, emulation, package) = match target.triple.split('-').next() {
+        Some("i686" | "i586") => ("", "-m elf_i386", "binutils"),
+        Some("aarch64") => ("aarch64-linux-gnu-", "", "binutils-aarch64-linux-gnu"),
+        Some(arm) if arm.starts_with("arm") => {
+            ("arm-linux-gnueabi-", "", "binutils-arm-linux-gnueabi")
+        }
+        _ => ("", "", "binutils"),
+    };
+    let unmark = "";
+    let tools = Tools {
+        prefix,
+        emulation,
+        unmark,
+    };
+    (tools, package)
+}
+
+/// Makes the static library of a target.
+pub(super) fn assemble(dirs: &Dirs, zig: &Zig, target: Target) -> Outcome<PathBuf> {
+    let (gnu, package) = gnu_tools(target);
+    if !tools::has(&format!("{}ld", gnu.prefix)) {
+        tools::install(&[package])?;
+    }
+    let libraries = zig.libraries(target)?;
+    zig.build_with(target, &libraries)?
+        .args("--package ztl-c")
+        .run()?;
+    let place = dirs.target.join("c").join(target.name);
+    let archives = [zig.program(target, "libztl_c.a")];
+    let object = join::join(&gnu, HEADER, &archives, &place.join("lib/libztl.a"))?;
+    fs::remove_file(&object).map_err(|error| format!("{}: {error}", object.display()))?;
+    Ok(place)
+}
+
+/// Links the examples with it, and runs them on its processor.
+pub(super) fn check(dirs: &Dirs, zig: &Zig, target: Target, place: &Path) -> Outcome {
+    tools::provide_emulators()?;
+    let programs = dirs.absolute("c").join(target.name).join("examples");
+    fs::create_dir_all(&programs).map_err(|error| format!("{}: {error}", programs.display()))?;
+    for (language, name) in PROGRAMS {
+        zig.command("-m ziglang c++")
+            .args("-target")
+            .args(zig_target(target)?)
+            .args("-static -Os -s -pedantic -Wall -Wextra -Werror")
+            .args(language)
+            .arg("-I")
+            .arg(place.join("include"))
+            .arg(format!("examples/c/{name}.c"))
+            .args("-x none")
+            .arg(place.join("lib/libztl.a"))
+            .args("-lunwind")
+            .args(SYSTEM)
+            .arg("-o")
+            .arg(programs.join(name))
+            .run()?;
+    }
+    let python = python::ensure(dirs)?;
+    curve::cargo(dirs, "test")?
+        .args("--quiet --locked --package ztl-c --test programs -- --ignored")
+        .env("ZTL_C_PROGRAMS", &programs)
+        .env("ZTL_C_EMULATOR", target.emulator)
+        .env("ZTL_PYTHON", python)
+        .run()
+}
