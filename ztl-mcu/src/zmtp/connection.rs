@@ -521,11 +521,11 @@ impl<S: Socket, B: AsRef<[u8]> + AsMut<[u8]>> Connection<S, B> {
         let mut sink = CutSink::new(tail.get_mut(..tail_room).unwrap_or_default());
         put(&mut sink);
         let size = sink.finish();
-        let [.., c, d] = (size as u32).to_be_bytes();
+        let [a, b, c, d] = (size as u32).to_be_bytes();
         let header = if size < 256 {
             [0, 0, 0, 0, 0, 0, 0, 0, d]
         } else {
-            [LONG, 0, 0, 0, 0, 0, 0, c, d]
+            [LONG, 0, 0, 0, 0, a, b, c, d]
         };
         if let Some(to) = head.get_mut(envelope..) {
             for (to, from) in to.iter_mut().zip(header) {

@@ -53,7 +53,7 @@ impl<'a> Iterator for Frames<'a> {
     /// The next frame's body; none at the delimiter.
     fn next(&mut self) -> Option<&'a [u8]> {
         let (&flags, rest) = self.bytes.split_first()?;
-        // Longer than 255 bytes only where a size of 8 bytes says so; no buffer has 65536.
+        // Longer than 255 bytes only where a size of 8 bytes says so.
         let (size, rest) = match flags & LONG {
             0 => rest.split_at_checked(1)?,
             _ => rest.split_at_checked(8)?,

@@ -344,6 +344,21 @@ fn long_frames_are_taken_and_written_where_they_have_to_be() {
 }
 
 #[test]
+fn a_message_beyond_65535_bytes_says_its_whole_size() {
+    let mut client = Connection::<Req, _>::new(std::vec![0; 70_000]);
+    let mut server = Connection::<Rep, _>::new(std::vec![0; 70_000]);
+    server.open(NOW);
+    client.open(NOW);
+    server.talk(Pieces::Whole, &[greeting(), ready("REQ")].concat());
+    client.talk(Pieces::Whole, &[greeting(), ready("REP")].concat());
+    let body = [b'b'; 65_536];
+    assert!(client.request(&[], &mut |sink| sink.put(&body)));
+    server.talk(Pieces::Whole, &client.drain());
+    // Not `assert_eq`, which would print them.
+    assert!(server.message().unwrap().content == Content::One(&body));
+}
+
+#[test]
 fn a_body_of_several_frames_is_one_message_to_be_answered_once() {
     for pieces in BOTH {
         let mut server = met("REQ");
