@@ -1,7 +1,7 @@
 //! Firmware that is a server by itself: the original's client talks to the board with nothing between them,
 //! over the serial port's bytes, and over Ethernet frames, TCP and the board's own network stack.
 
-use std::io::Write;
+use std::io::{Read, Write};
 use std::net::TcpStream;
 
 use ztl_tests::lab::{
@@ -165,6 +165,30 @@ fn over_ethernet_streams_that_are_no_client_harm_nobody() {
     until("a place for another", PATIENCE, || {
         let mut other = OriginalClient::connect(board.network, SCOPE);
         (other.status(id) == (COMPLETED, "90.0")).then_some(())
+    });
+}
+
+#[test]
+fn over_ethernet_streams_that_never_end_keep_no_place() {
+    let board = ethernet();
+    let mut client = OriginalClient::connect(board.network, SCOPE);
+    let id = client.start("desk", "lamp", "on");
+    assert_eq!(client.wait(id, 60.0), (COMPLETED, "on"));
+    drop(client);
+    // They have both places, and say nothing. The board closes them; they do not.
+    let _streams = [(); 2].map(|()| {
+        until("a place", PATIENCE, || {
+            let mut stream = TcpStream::connect(("127.0.0.1", board.network)).ok()?;
+            stream.set_read_timeout(Some(PATIENCE)).ok()?;
+            let mut partial = [0; 11];
+            stream.read_exact(&mut partial).ok()?;
+            Some(stream)
+        })
+    });
+    // 20 s: 5 for the greeting, 15 for the end.
+    until("a place for a client", 3 * PATIENCE, || {
+        let mut other = OriginalClient::connect(board.network, SCOPE);
+        (other.status(id) == (COMPLETED, "on")).then_some(())
     });
 }
 

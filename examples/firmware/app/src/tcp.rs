@@ -68,7 +68,6 @@ where
         let received = SocketBuffer::new(received.as_mut_slice());
         let mut socket = Socket::new(received, SocketBuffer::new(sent.as_mut_slice()));
         socket.set_nagle_enabled(false);
-        socket.set_keep_alive(Some(KEEP_ALIVE));
         socket.set_timeout(Some(GONE));
         (sockets.add(socket), false)
     });
@@ -112,6 +111,7 @@ fn attend<C: Components>(
         State::Closed => {
             *served = false;
             server.close(peer);
+            socket.set_keep_alive(Some(KEEP_ALIVE));
             let _ = socket.listen(PORT);
         }
         // The place is needed.
@@ -131,6 +131,8 @@ fn attend<C: Components>(
     }
     if *served && !(socket.may_recv() && server.is_open(peer)) {
         server.close(peer);
+        // A client that does not close its end too would answer for ever, and keep its place.
+        socket.set_keep_alive(None);
         socket.close();
     }
 }
