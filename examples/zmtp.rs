@@ -17,8 +17,11 @@ use ztl_mcu::zmtp::{Peer, Server};
 use ztl_mcu::{Component, Identity, Instant, Refused, Report, Run};
 
 const PEERS: usize = 4;
-/// Longest sleep, and longest time for a client to take an answer.
+/// Longest sleep.
 const SECOND: Duration = Duration::from_secs(1);
+/// Longest time for a client to take an answer, in which the others wait. The system's buffers hold
+/// many; whoever fills them does not read.
+const TAKE: Duration = Duration::from_millis(50);
 
 /// Goes to a place between 0 and 100 mm.
 #[derive(Default)]
@@ -117,7 +120,7 @@ impl Shared {
 }
 
 impl Desk {
-    /// Sends what there is for each client. One that takes nothing for a second is closed.
+    /// Sends what there is for each client. One that takes nothing for [`TAKE`] is closed.
     fn send(&mut self) {
         for (place, stream) in self.streams.iter_mut().enumerate() {
             let peer = Peer(place as u8);
@@ -156,6 +159,10 @@ fn attend(shared: &Shared, place: usize, mut stream: TcpStream) {
     {
         let mut rest = &buffer[..count];
         let mut desk = shared.lock();
+        if !desk.server.is_open(peer) {
+            // Closed, and it still sends.
+            break;
+        }
         while !rest.is_empty() {
             let now = shared.now();
             let taken = desk.server.handle_bytes(now, peer, rest);
@@ -191,6 +198,15 @@ fn keep_moving(shared: &Shared) {
     }
 }
 
+/// The next client's stream, to read and to write.
+fn accept(listener: &TcpListener) -> std::io::Result<(TcpStream, TcpStream)> {
+    let (stream, _) = listener.accept()?;
+    stream.set_nodelay(true)?;
+    stream.set_write_timeout(Some(TAKE))?;
+    let second = stream.try_clone()?;
+    Ok((stream, second))
+}
+
 fn main() -> std::io::Result<()> {
     let address = std::env::args().nth(1);
     let listener = TcpListener::bind(address.as_deref().unwrap_or("127.0.0.1:7002"))?;
@@ -211,15 +227,21 @@ fn main() -> std::io::Result<()> {
     std::thread::scope(|threads| {
         threads.spawn(|| keep_moving(shared));
         loop {
-            let (stream, _) = listener.accept()?;
+            let (stream, second) = match accept(&listener) {
+                Ok(streams) => streams,
+                // It has gone already, or the system has no more to give: the others are still served.
+                Err(error) => {
+                    eprintln!("cannot take a client: {error}");
+                    std::thread::sleep(TAKE);
+                    continue;
+                }
+            };
             let mut desk = shared.lock();
             // No place: it is closed, and a ZeroMQ client tries again after a while.
             let Some(place) = desk.vacant() else {
                 continue;
             };
-            stream.set_nodelay(true)?;
-            stream.set_write_timeout(Some(SECOND))?;
-            desk.streams[place] = Some(stream.try_clone()?);
+            desk.streams[place] = Some(second);
             desk.server.open(shared.now(), Peer(place as u8));
             desk.send();
             threads.spawn(move || attend(shared, place, stream));

@@ -68,6 +68,20 @@ fn a_held_answer_keeps_no_other_client_waiting() {
     );
 }
 
+#[cfg(unix)]
+#[test]
+fn a_client_for_whom_the_system_has_no_file_left_ends_nothing() {
+    let example = ztl_tests::lab::example("zmtp");
+    let mut few = std::process::Command::new("sh");
+    few.args(["-c", "ulimit -n 7 && exec \"$0\" 127.0.0.1:0"]);
+    let desk = Desk::of(few.arg(example.get_program()));
+    let connect = || std::net::TcpStream::connect(("127.0.0.1", desk.port)).expect("a connection");
+    let crowd = [(); PLACES].map(|()| connect());
+    desk.process.wait_for("cannot take a client");
+    drop(crowd);
+    desk.assert_serves("there are files again");
+}
+
 #[test]
 fn places_of_clients_that_never_finish_their_greeting_are_free_after_a_while() {
     let desk = Desk::start();

@@ -7,6 +7,7 @@ mod strangers;
 
 use std::io::{Read, Write};
 use std::net::{Shutdown, TcpListener, TcpStream};
+use std::process::Command;
 use std::time::Duration;
 
 use ztl_tests::lab::{Process, example};
@@ -22,19 +23,24 @@ const TIMEOUT: Duration = Duration::from_secs(2);
 
 /// The example in a process of its own.
 struct Desk {
-    _process: Process,
+    process: Process,
     port: u16,
 }
 
 impl Desk {
     #[track_caller]
     fn start() -> Self {
-        let process = Process::start(example("zmtp").arg("127.0.0.1:0"));
+        Self::of(example("zmtp").arg("127.0.0.1:0"))
+    }
+
+    #[track_caller]
+    fn of(command: &mut Command) -> Self {
+        let process = Process::start(command);
         let line = process.wait_for("serving /desk at ");
         let port = line.rsplit(':').next().and_then(|port| port.parse().ok());
         Self {
             port: port.unwrap_or_else(|| panic!("no port in '{line}'")),
-            _process: process,
+            process,
         }
     }
 

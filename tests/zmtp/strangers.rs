@@ -2,6 +2,7 @@
 
 use std::io::{ErrorKind, Read, Write};
 use std::net::TcpStream;
+use std::time::{Duration, Instant};
 
 use crate::{Desk, Socket, TIMEOUT};
 
@@ -112,4 +113,30 @@ fn what_silences_the_original_is_answered() {
     dealer.send(&["/desk;2;1;x"]);
     dealer.send(&["", "/desk;2;2;x"]);
     assert_eq!(dealer.receive(), [&b""[..], b"/desk;2;2;Invalid ID '2'"]);
+}
+
+/// Requests without end, of which no answer is read.
+#[test]
+fn one_that_never_reads_stops_nobody_for_long_and_keeps_no_place() {
+    let desk = Desk::start();
+    let neighbour = desk.req();
+    let met = [greeting(), READY.to_vec()].concat();
+    let request = b"\x01\0\0\x0B/desk;2;1;x".repeat(1000);
+    let longest = std::thread::scope(|threads| {
+        let deaf = threads.spawn(|| {
+            let mut stream = connect(&desk);
+            stream.set_write_timeout(Some(20 * TIMEOUT)).unwrap();
+            stream.write_all(&met).expect("to write");
+            // Ends when the desk closes it.
+            while stream.write_all(&request).is_ok() {}
+        });
+        let mut longest = Duration::ZERO;
+        while !deaf.is_finished() {
+            let start = Instant::now();
+            assert_eq!(neighbour.ask("/desk;2;1;x"), "/desk;2;1;Invalid ID '1'");
+            longest = longest.max(start.elapsed());
+        }
+        longest
+    });
+    assert!(longest < Duration::from_millis(500), "{longest:?}");
 }
