@@ -3,7 +3,7 @@
 mod commands;
 #[cfg(feature = "zmtp")]
 mod local;
-mod tasks;
+pub(crate) mod tasks;
 mod text;
 mod transmit;
 
@@ -19,8 +19,6 @@ use crate::log::LogSource;
 use commands::Answer;
 #[cfg(feature = "zmtp")]
 pub(crate) use local::LocalTasks;
-#[cfg(any(feature = "zmtp", test))]
-pub(crate) use tasks::TEXT;
 use tasks::Table;
 use transmit::{PAUSE, Transmit, longest};
 

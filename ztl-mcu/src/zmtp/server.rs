@@ -14,7 +14,7 @@ use crate::component::Components;
 use crate::node::{Identity, LocalTasks};
 
 /// Longest text that is remembered of a task, in bytes.
-const TEXT: usize = crate::node::TEXT;
+const TEXT: usize = crate::node::tasks::TEXT;
 
 /// Which of a server's clients, from 0.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]

@@ -214,7 +214,7 @@ fn while_a_command_comes_in_what_may_be_lost_is_short() {
 #[test]
 fn a_progress_is_never_longer_than_what_may_be_lost() {
     let mut buffer = [0xA5; 128];
-    let text = "x".repeat(TEXT);
+    let text = "x".repeat(tasks::TEXT);
     let progress = Frame {
         addr: ADDR_ONLY_NODE,
         seq: NO_SEQ,
