@@ -39,7 +39,12 @@ pub(super) fn parse(key: &str) -> Key<'_> {
     let (open, close) = (key.find('('), key.find(')'));
     let (Some(open), Some(close)) = (open.filter(|o| *o > 0), close.filter(|c| *c > 0)) else {
         let doubt = match (open, close) {
-            (Some(_), None) => Some("the ')' is missing, so this is a part of the name"),
+            (Some(_), None) => Some(
+                "the ')' is missing, so this is a part of the name; within { } write ';' between parameters, not ','",
+            ),
+            (None, None) if key.contains(['（', '）']) => {
+                Some("these are not the parentheses ( and ), so this is a part of the name")
+            }
             (None, Some(_)) => Some("the '(' is missing, so this is a part of the name"),
             (Some(0), _) => Some("nothing stands before the '(', so this is the name"),
             _ => None,

@@ -89,3 +89,15 @@ fn a_reader_of_yaml_that_would_grow_without_end_is_stopped() {
         "{mistakes}"
     );
 }
+
+#[test]
+fn parentheses_that_are_none_are_doubtful() {
+    let file = "s: {t（wait=no）: {h: {c(delay=1, wait=no): 1}}}";
+    let script = Script::read("f", file.as_bytes(), Defaults::default()).expect("a script");
+    let doubts: Vec<String> = script.doubts().iter().map(ToString::to_string).collect();
+    assert!(
+        doubts[0].contains("f:1:5: these are not the parentheses"),
+        "{doubts:?}"
+    );
+    assert!(doubts[1].contains("within { } write ';'"), "{doubts:?}");
+}

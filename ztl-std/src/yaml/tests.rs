@@ -88,6 +88,12 @@ fn what_is_no_yaml_is_shown_where_it_stands() {
     for (text, shown) in [
         ("a: 1\nb: [1, 2\nc: 3\n", "f:3:2: this is no YAML: "),
         ("a: 1\n\tb: 2\n", "found a tab"),
+        ("a:\n\tb: 2\n", "indent with blanks, never with the tab key"),
+        ("a\n  b: 1\n", "the line before may lack a ':'"),
+        ("a: b: c\n", "or a text with ': ' in it lacks its quotes"),
+        ("a:\n  b: 1\n c: 2\n", "begins in another column"),
+        ("a: 'it's'\n", "write an apostrophe as ''"),
+        ("a: *hi\n", "that begins with '*' needs quotes"),
         (
             "a: 1\na: 2\n",
             "f:2:1: 'a' stands here for the second time\n  2 | a: 2\n    | ^\n",

@@ -94,8 +94,34 @@ fn not_yaml(error: &ScanError) -> Mistake {
     let marker = *error.marker();
     (
         span_of(marker, marker),
-        format!("this is no YAML: {}", error.info()),
+        format!("this is no YAML: {}", in_plain_words(error.info())),
     )
+}
+
+/// What was probably not meant so, for those who do not know how a parser speaks.
+fn in_plain_words(info: &str) -> &str {
+    let words = [
+        (
+            "tab",
+            "found a tab; indent with blanks, never with the tab key",
+        ),
+        (
+            "mapping values are not allowed",
+            "this ':' cannot stand here; the line before may lack a ':' at its end, or a text with ': ' in it lacks its quotes",
+        ),
+        (
+            "did not find expected key",
+            "this line begins in another column than those that it belongs to",
+        ),
+        (
+            "trailing content after",
+            "something stands behind the closing quote; within '…' write an apostrophe as ''",
+        ),
+        ("expected ',' or", "a ',' or the closing bracket is missing"),
+        ("unknown anchor", "a text that begins with '*' needs quotes"),
+    ];
+    let found = words.into_iter().find(|(said, _)| info.contains(said));
+    found.map_or(info, |(_, words)| words)
 }
 
 impl Builder {
