@@ -155,6 +155,11 @@ fn a_show_is_played_by_single_keys() {
     terminal.shows("▶ gripper:finger:40");
     terminal.type_in("p");
     terminal.shows("There will be a pause after this step.");
+    // At once again it would be held down.
+    terminal.type_in("pp");
+    terminal.type_in("\x1b[C");
+    terminal.shows("Right means nothing now");
+    assert_eq!(stage.decided().last().unwrap(), "pause operator");
     terminal.type_in("p");
     terminal.shows("p  pause after this step");
     terminal.shows(" Next: close");
@@ -268,6 +273,36 @@ fn a_key_that_is_held_down_decides_once() {
     });
     terminal.type_in("x");
     terminal.end();
+}
+
+#[test]
+fn a_key_is_held_down_before_its_keyboard_repeats_it_too_and_stopping_is_heard_while_choosing() {
+    let stage = Stage::new(SCRIPT);
+    let mut terminal = stage.play();
+    terminal.shows(" Next: open");
+    // Half a second is what most keyboards wait.
+    terminal.type_in("s");
+    terminal.shows(" Next: shake");
+    std::thread::sleep(Duration::from_millis(400));
+    for _ in 0..3 {
+        terminal.type_in("s");
+        std::thread::sleep(Duration::from_millis(30));
+    }
+    let pressed = until("the record of all keys", PATIENCE, || {
+        let record = stage.record();
+        let keys = record.iter().filter(|line| line["event"] == "key");
+        let at: Vec<f64> = keys.filter_map(|line| line["at_ms"].as_f64()).collect();
+        (at.len() == 4).then_some(at)
+    });
+    // On a machine that is too busy they come as if it were let go.
+    if pressed[1] - pressed[0] < 650.0 && pressed[3] - pressed[1] < 200.0 {
+        assert_eq!(stage.decided(), ["skip operator"]);
+    }
+    terminal.type_in("j");
+    terminal.shows("Esc  do not jump");
+    terminal.type_in("x");
+    terminal.end();
+    assert_eq!(stage.decided().last().unwrap(), "stop operator");
 }
 
 #[test]

@@ -6,7 +6,7 @@ use std::time::{Duration, SystemTime};
 
 use ztl_core::{Instant, State, TaskId};
 
-use super::event::{By, Command, Event, RequestNumber, Stamped};
+use super::event::{By, Command, Event, Question, RequestNumber, Stamped};
 use super::player::{Answer, Ask, Player, Request, Server};
 use crate::clock::now;
 use crate::{RemoteTask, RequestError, Status, TriggerError};
@@ -98,6 +98,14 @@ impl Show {
         let done = self.player.handle_command(now(), command, by);
         self.pump();
         done
+    }
+
+    /// The operator has decided, when this was asked as far as was seen; whether it is done. What settled
+    /// itself meanwhile is not answered, and what is asked since then neither.
+    pub fn decide(&mut self, command: Command, seen: Option<Question>) -> bool {
+        let of_no_question = matches!(command, Command::Stop | Command::Leave | Command::Pause);
+        let meant = of_no_question || seen == self.player.question();
+        meant && self.command(command, By::Operator)
     }
 
     /// The next thing that happens, within `limit`; `None` when nothing does, or somebody has
@@ -304,6 +312,10 @@ fn about(remote: &mut RemoteTask, id: TaskId, said: Result<Status, RequestError>
                 text,
             }
         }
+        Ok(status) if !is_about_the_task(&status) => Answer::Nothing {
+            sent: true,
+            text: status.text,
+        },
         Ok(Status { state, text }) => Answer::Task { state, text },
         Err(error) => {
             let sent = !matches!(error, RequestError::NotConnected { .. });
@@ -311,6 +323,81 @@ fn about(remote: &mut RemoteTask, id: TaskId, said: Result<Status, RequestError>
                 sent,
                 text: error.to_string(),
             }
+        }
+    }
+}
+
+/// Whether an answer tells how the task is. A server that has not its scope (yet), or whose controller has
+/// thrown an exception when it was asked, gives a final state although the task may run on.
+fn is_about_the_task(status: &Status) -> bool {
+    let begins = |words| status.text.starts_with(words);
+    match status.state {
+        State::Rejected => {
+            !begins("No controller for scope: ")
+                && status.text != "Invalid request"
+                && status.text != "Unknown protocol"
+        }
+        State::Failed => !begins("Controller threw exception: "),
+        _ => true,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::player::Options;
+    use super::super::{Defaults, Script};
+    use super::*;
+
+    #[test]
+    fn a_decision_is_about_what_was_seen_and_nothing_that_came_since() {
+        let file = b"one: {a(on_failure=ask): {nobody: {x: 1}}}\ntwo: {b: {nobody: {x: 1}}}";
+        let script = Script::read("f", file, Defaults::default()).unwrap();
+        let player = Player::new(script.into(), Options::default());
+        let mut show = Show::new(player, Box::new(|_| Err("nobody is there".to_owned())));
+        show.begin();
+        let scene = Some(Question::Scene { scene: 0 });
+        assert!(show.decide(Command::Start, scene));
+        // It could not be started, and the operator has not seen that yet.
+        let step = Some(Question::Step { scene: 0, step: 0 });
+        assert_eq!(show.player().question(), step);
+        assert!(!show.decide(Command::Skip, scene));
+        assert_eq!(show.player().question(), step);
+        assert!(show.decide(Command::Skip, step));
+        assert_eq!(show.player().question(), Some(Question::Scene { scene: 1 }));
+        assert!(show.decide(Command::Stop, step), "at any time");
+    }
+
+    #[test]
+    fn a_server_that_cannot_say_how_a_task_is_has_not_said_its_end() {
+        let id = TaskId::MAX;
+        // None of these is asked anything more.
+        let mut nobody = RemoteTask::connect("inproc://nobody", "/lab").expect("a socket");
+        let mut of = |state, text: &str| {
+            let text = text.to_owned();
+            about(&mut nobody, id, Ok(Status { state, text }))
+        };
+        for (state, text) in [
+            (State::Rejected, "No controller for scope: /lab"),
+            (State::Rejected, "Invalid request"),
+            (State::Rejected, "Unknown protocol"),
+            (State::Failed, "Controller threw exception: no link"),
+        ] {
+            let nothing = Answer::Nothing {
+                sent: true,
+                text: text.to_owned(),
+            };
+            assert_eq!(of(state, text), nothing);
+        }
+        for (state, text) in [
+            (State::Failed, "no link"),
+            (State::Rejected, "no such hand"),
+            (State::Completed, "Controller threw exception: as asked"),
+        ] {
+            let ended = Answer::Task {
+                state,
+                text: text.to_owned(),
+            };
+            assert_eq!(of(state, text), ended);
         }
     }
 }

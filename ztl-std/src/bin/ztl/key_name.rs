@@ -1,6 +1,6 @@
 //! Keys that are pressed, and what they are called.
 
-use ztl_std::script::event::Command;
+use ztl_std::script::event::{Command, Question};
 
 /// A key that was pressed.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -9,6 +9,8 @@ pub(crate) struct Pressed {
     pub(crate) key: String,
     /// What it meant by what the operator saw; `None`: nothing.
     pub(crate) command: Option<Command>,
+    /// What was asked on the screen that the operator saw.
+    pub(crate) question: Option<Question>,
 }
 
 /// Takes the first key from what a terminal sent; `None` when it is not whole yet.

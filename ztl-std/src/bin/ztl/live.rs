@@ -16,7 +16,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use ztl_std::script::event::{Command, Stamped};
+use ztl_std::script::event::{Command, Question, Stamped};
 
 use self::board::Board;
 use self::keys::{Chooser, Chosen};
@@ -30,8 +30,10 @@ const PAUSE: Duration = Duration::from_millis(40);
 const TICK: Duration = Duration::from_millis(100);
 /// How long the rest of a key's bytes is waited for.
 const REST: Duration = Duration::from_millis(40);
-/// A key that comes again sooner is held down. Keyboards repeat every 30 to 50 ms; a busy machine may be
-/// late in reading them.
+/// A key that comes again sooner is held down: keyboards wait that long at most before they repeat a key.
+const FIRST_REPEAT: Duration = Duration::from_millis(700);
+/// The same of one that came again already. Keyboards repeat every 30 to 50 ms; a busy machine may be late in
+/// reading them.
 const HELD: Duration = Duration::from_millis(250);
 /// The same when several came at once, so that they were read late.
 const LATE: Duration = Duration::from_secs(2);
@@ -156,6 +158,32 @@ fn speaks_utf8() -> bool {
     })
 }
 
+/// A key that was pressed.
+struct Last {
+    key: String,
+    at: Instant,
+    /// It was held down.
+    again: bool,
+}
+
+impl Last {
+    fn new(key: &str) -> Self {
+        Self {
+            key: key.to_owned(),
+            at: Instant::now(),
+            again: false,
+        }
+    }
+
+    /// When the same key comes again sooner than this, it is held down.
+    const fn limit(&self) -> Duration {
+        match self.again {
+            true => HELD,
+            false => FIRST_REPEAT,
+        }
+    }
+}
+
 /// What the thread has.
 struct Screen {
     shared: Arc<Mutex<Shared>>,
@@ -166,8 +194,8 @@ struct Screen {
     seen: u64,
     /// The question that was answered last, and when.
     answered: Option<(u64, Instant)>,
-    /// The last key, and when it came.
-    key: Option<(String, Instant)>,
+    /// The last key.
+    key: Option<Last>,
     drawn: Vec<String>,
     size: (usize, usize),
     taken: u64,
@@ -236,28 +264,32 @@ impl Screen {
                 "Ctrl-C" | "x" | "X" => self.press(key, nth > 0),
                 _ if nth == 0 => self.press(key, !rest.is_empty()),
                 _ => {
-                    self.key = Some((key.clone(), Instant::now()));
-                    self.tell(key, None);
+                    self.key = Some(Last::new(&key));
+                    self.tell(key, None, None);
                 }
             }
             nth += 1;
         }
     }
 
-    /// Whether a key is held down, or came twice by a slip. Moving and pausing are no harm then.
+    /// Whether a key is held down, or came twice by a slip. Moving is no harm then.
     /// `several`: it came with others at once, so this is late in reading it.
     fn is_held(&mut self, key: &str, several: bool) -> bool {
-        let before = self.key.replace((key.to_owned(), Instant::now()));
-        let limit = if several { LATE } else { HELD };
-        let again = before.is_some_and(|(before, at)| before == key && at.elapsed() < limit);
-        again && self.chooser.is_none() && !matches!(key, "p" | "P")
+        let mut last = Last::new(key);
+        let before = self.key.take();
+        let limit = before.as_ref().map_or(HELD, Last::limit);
+        let limit = if several { LATE } else { limit };
+        last.again = before.is_some_and(|before| before.key == key && last.at - before.at < limit);
+        let held = last.again && self.chooser.is_none();
+        self.key = Some(last);
+        held
     }
 
     fn press(&mut self, key: String, several: bool) {
         if self.is_held(&key, several) {
-            return self.tell(key, None);
+            return self.tell(key, None, None);
         }
-        let (command, scenes, current) = {
+        let (command, scenes, current, question) = {
             let shared = lock(&self.shared);
             let board = &shared.board;
             let question = board.question;
@@ -282,22 +314,23 @@ impl Screen {
                 return;
             }
             let command = keys::command(&key, &choices, question);
-            (command, board.outline.scenes.len(), number)
+            (command, board.outline.scenes.len(), number, question)
         };
         if let Some(chooser) = self.chooser
-            && key != "Ctrl-C"
+            && !matches!(key.as_str(), "Ctrl-C" | "x" | "X")
         {
             self.last = None;
             match chooser.press(&key, scenes) {
                 Chosen::Stay(chooser) => self.chooser = Some(chooser),
                 Chosen::Nothing => {
                     self.chooser = None;
-                    self.tell(format!("j {key}"), None);
+                    self.tell(format!("j {key}"), None, None);
                 }
                 Chosen::Scene(scene) => {
                     self.chooser = None;
                     self.answered = Some((current, Instant::now()));
-                    self.tell(format!("j {key}"), Some(Command::Jump { scene }));
+                    let jump = Some(Command::Jump { scene });
+                    self.tell(format!("j {key}"), jump, question);
                 }
             }
             return;
@@ -306,12 +339,16 @@ impl Screen {
         if command.is_some_and(|command| !matches!(command, Command::Pause | Command::Resume)) {
             self.answered = Some((current, Instant::now()));
         }
-        self.tell(key, command);
+        self.tell(key, command, question);
     }
 
-    fn tell(&self, key: String, command: Option<Command>) {
+    fn tell(&self, key: String, command: Option<Command>, question: Option<Question>) {
         // Without a show there is nothing to be done.
-        let _ = self.pressed.send(Pressed { key, command });
+        let _ = self.pressed.send(Pressed {
+            key,
+            command,
+            question,
+        });
         (self.wake)();
     }
 

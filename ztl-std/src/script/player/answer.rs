@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use ztl_core::{Instant, State};
+use ztl_core::{Instant, State, TaskId};
 
 use super::super::event::{Event, RequestNumber, ServerState, TaskNumber, TaskState, Why};
 use super::stop::UNNAMED;
@@ -123,6 +123,7 @@ impl Player {
         match answer {
             Answer::Started { id, text, server } => {
                 task.id = Some(id);
+                let remote = task.remote.clone();
                 task.ours = matches!(server, Server::Ours { .. });
                 task.boot = match server {
                     Server::Ours { boot, .. } => Some(boot),
@@ -135,6 +136,7 @@ impl Player {
                     .and_then(|step| step.tasks.get(part.2));
                 task.deadline = plan.and_then(|plan| plan.limit).map(|limit| now + limit);
                 self.set_state(number, TaskState::Accepted, &text);
+                self.forget_namesakes(now, number, id, &remote);
                 if stopping {
                     self.abort(now, number);
                 }
@@ -156,13 +158,33 @@ impl Player {
         }
     }
 
+    /// A server that gives an id twice was started anew, as the original's, which counts from 1. What it says of
+    /// the id from now on is about the new task: nobody will ever know of the one that had it.
+    fn forget_namesakes(&mut self, now: Instant, number: TaskNumber, id: TaskId, remote: &str) {
+        let is_namesake = |other: &TaskNumber| {
+            let task = self.tasks.get(other);
+            *other != number
+                && task.is_some_and(|task| {
+                    task.id == Some(id) && task.remote == remote && task.is_open()
+                })
+        };
+        let namesakes: Vec<TaskNumber> = self.live.iter().copied().filter(is_namesake).collect();
+        for other in namesakes {
+            let remote = remote.to_owned();
+            let text = format!("another task has its id {id} now");
+            self.set_unknown(now, other, Why::ServerRestarted { remote }, &text);
+            self.unresolved.insert(other);
+        }
+    }
+
     fn on_status(&mut self, now: Instant, sent: &Sent, held: bool, answer: Answer) {
         let number = sent.task;
         let Some(task) = self.tasks.get_mut(&number) else {
             return;
         };
         task.asked = None;
-        if task.state.is_over() {
+        // Of one that is forgotten, what was asked before that tells nothing.
+        if task.state.is_over() || !task.can_be_asked() {
             return;
         }
         // An answer that was held has taken its time.

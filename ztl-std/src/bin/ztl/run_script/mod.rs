@@ -185,10 +185,15 @@ impl RunScript {
         }
         show.begin();
         loop {
-            while let Some(Pressed { key, command }) = stage.pressed() {
+            while let Some(pressed) = stage.pressed() {
+                let Pressed {
+                    key,
+                    command,
+                    question,
+                } = pressed;
                 show.tell(Event::Key { key, command });
                 if let Some(command) = command {
-                    show.command(command, By::Operator);
+                    show.decide(command, question);
                 }
             }
             let Some(stamped) = show.next(Duration::from_secs(3600)) else {

@@ -42,6 +42,11 @@ impl<'s> Plain<'s> {
         }
     }
 
+    /// What is asked, as far as it was written.
+    pub(super) fn question(&self) -> Option<Question> {
+        self.asked.as_ref().map(|(question, _, _)| *question)
+    }
+
     /// What a key means. One that was pressed before the question was asked means nothing.
     pub(super) fn meaning(&self, key: &Key) -> Option<Command> {
         let (question, choices, since) = self.asked.as_ref()?;

@@ -60,6 +60,7 @@ impl<'s> Stage<'s> {
                 let key = keyboard.as_ref()?.next()?;
                 Some(Pressed {
                     command: plain.meaning(&key),
+                    question: plain.question(),
                     // A lone ESC has nothing after it.
                     key: key_name::first(&key.bytes).map_or("Esc".to_owned(), |(name, _)| name),
                 })

@@ -182,6 +182,24 @@ fn a_server_that_is_started_anew_at_any_point_is_noticed_and_nothing_follows_una
 }
 
 #[test]
+fn a_server_that_counts_from_1_again_does_not_end_the_task_that_had_the_id_before() {
+    let script = "s: {a: {robot: {base: 2, arm(delay=0.5): 0.1}}, b: {robot: {base: 0}}}";
+    let mut world = World::new(script, Options::default());
+    world
+        .machine("robot")
+        .restarts
+        .push(Instant::from_millis(250));
+    world.begin();
+    world.command(Command::Start);
+    let step = Some(Question::Step { scene: 0, step: 0 });
+    assert_eq!(world.until_asked(), step);
+    world.pass(Duration::from_secs(5));
+    assert_eq!(world.player.question(), step, "what became of the base?");
+    assert!(matches!(world.why(), Some(Why::ServerRestarted { .. })));
+    assert_eq!(world.began.len(), 2, "{:?}", world.timeline());
+}
+
+#[test]
 fn with_nobody_there_what_nobody_can_decide_stops_everything() {
     let mut world = World::new(SCRIPT, unattended());
     world

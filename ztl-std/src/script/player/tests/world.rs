@@ -78,6 +78,10 @@ impl Machine {
             self.restarts.remove(0);
             self.boot += 1;
             self.tasks.clear();
+            if !self.ours {
+                // The original's counts from 1 again.
+                self.next = 0;
+            }
             let _ = restart;
         }
     }
