@@ -353,6 +353,21 @@ fn the_terminal_is_as_before_however_it_ends() {
 }
 
 #[test]
+fn the_terminal_is_as_before_after_lines_too_however_they_end() {
+    for signal in ["TERM", "HUP", "INT", "QUIT"] {
+        let stage = Stage::new(SCRIPT);
+        let mut command = stage.command();
+        command.arg("--plain");
+        let mut terminal = Terminal::start(&command, (80, 24));
+        terminal.shows("PRESS <ENTER> TO CONFIRM");
+        assert!(!terminal.is_as_before());
+        terminal.signal(signal);
+        terminal.end();
+        terminal.waits_until_as_before();
+    }
+}
+
+#[test]
 fn stopped_by_ctrl_z_it_gives_the_terminal_back_and_takes_it_again() {
     let stage = Stage::new(SCRIPT);
     let mut shell = Command::new("bash");

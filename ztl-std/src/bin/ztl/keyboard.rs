@@ -70,6 +70,8 @@ mod mode {
         InputModes, LocalModes, OptionalActions, QueueSelector, SpecialCodeIndex, Termios, isatty,
         tcflush, tcgetattr, tcsetattr,
     };
+    use signal_hook::consts::SIGQUIT;
+    use signal_hook::low_level::emulate_default_handler;
 
     /// How the terminal was, while it is not so.
     static BEFORE: Mutex<Option<Termios>> = Mutex::new(None);
@@ -101,6 +103,7 @@ mod mode {
             keys.special_codes[SpecialCodeIndex::VTIME] = 0;
             lock().replace(before);
             restore_at_panic();
+            restore_at_quit()?;
             tcsetattr(stdin, OptionalActions::Flush, &keys)?;
             Ok(Self)
         }
@@ -142,6 +145,27 @@ mod mode {
                 told(panic);
             }));
         });
+    }
+
+    /// SIGQUIT ends this process as ever, with the terminal as it was.
+    fn restore_at_quit() -> io::Result<()> {
+        static ONCE: Once = Once::new();
+        let mut watched = Ok(());
+        ONCE.call_once(|| watched = watch_quit());
+        watched
+    }
+
+    fn watch_quit() -> io::Result<()> {
+        let mut signals = signal_hook::iterator::Signals::new([SIGQUIT])?;
+        std::thread::Builder::new()
+            .name("ztl-terminal".to_owned())
+            .spawn(move || {
+                for signal in signals.forever() {
+                    restore();
+                    let _ = emulate_default_handler(signal);
+                }
+            })?;
+        Ok(())
     }
 
     pub(super) fn flush() {
