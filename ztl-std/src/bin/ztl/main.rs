@@ -14,6 +14,8 @@ mod devices;
 mod doctor;
 mod gateway;
 mod journal;
+#[cfg(target_os = "linux")]
+mod kernel;
 mod key_name;
 mod keyboard;
 mod keys;
@@ -94,7 +96,8 @@ enum Command {
 }
 
 fn main() -> ExitCode {
-    if let Some(mistake) = about::kernel_is_too_old() {
+    #[cfg(target_os = "linux")]
+    if let Some(mistake) = kernel::is_too_old() {
         eprintln!("ztl: {mistake}");
         return ExitCode::FAILURE;
     }

@@ -10,7 +10,6 @@ use serde_json::json;
 use ztl_std::RemoteTask;
 
 use super::Finding;
-use crate::about;
 use crate::reach::Identity;
 
 /// How long a connection may take.
@@ -55,7 +54,8 @@ pub(super) fn names() -> Vec<Finding> {
     let mut sources = switch
         .lines()
         .filter_map(|line| line.strip_prefix("hosts:"));
-    if about::is_static()
+    // Such a program resolves names by itself.
+    if cfg!(target_env = "musl")
         && sources
             .next()
             .is_some_and(|sources| sources.contains("mdns"))

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 use serde_json::json;
 
 use super::Finding;
-use crate::about;
+use crate::{about, kernel};
 
 /// Below it a clock has never been set: this program is younger.
 const YOUNGEST: u64 = 1_704_067_200; // 2024-01-01
@@ -23,7 +23,7 @@ pub(super) fn kernel() -> Finding {
         name.machine().to_string_lossy()
     );
     let data = json!({ "release": release, "machine": name.machine().to_string_lossy() });
-    match about::too_old(&release) {
+    match kernel::too_old(&release) {
         Some(mistake) => Finding::trouble(
             "kernel",
             format!("{text}: {mistake}"),

@@ -1,9 +1,13 @@
 //! Where a show is seen and its operator heard: the live view, or lines and single keys.
 
-use std::time::{Duration, SystemTime};
+use std::time::Duration;
+#[cfg(unix)]
+use std::time::SystemTime;
 
 use tracing::warn;
-use ztl_std::script::event::{Event, Stamped};
+#[cfg(unix)]
+use ztl_std::script::event::Event;
+use ztl_std::script::event::Stamped;
 use ztl_std::script::{Inputs, Script};
 
 use super::plain::Plain;
@@ -79,6 +83,8 @@ impl<'s> Stage<'s> {
 
     /// Something that is no part of the run.
     pub(super) fn warn(&mut self, at: Duration, text: &str) {
+        #[cfg(not(unix))]
+        let _ = at;
         match self {
             #[cfg(unix)]
             Self::Live(live) => live.handle(&Stamped {
