@@ -265,6 +265,10 @@ fn a_rehearsal_needs_no_robot_and_no_configuration() {
     let ended = desk.run("run-script -s show.yaml --simulate=0.05 --yes --plain");
     assert_eq!(ended.code, Some(0), "{ended:?}");
     assert_eq!(ended.stdout.lines().count(), 5, "{ended:?}");
+    assert_eq!(
+        ended.stderr, "",
+        "nothing is wrong, and who stands in is no news"
+    );
     let ended =
         desk.run("run-script -s show.yaml --simulate=0.05 --yes --plain --scene s --from b");
     assert_eq!(

@@ -4,8 +4,11 @@
 #![cfg(unix)]
 
 use std::fs;
-use std::process::Command;
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
 
+use ztl_std::{ExecutableTask, TaskContext, TaskController, TaskError, TaskRequest, TaskServer};
 use ztl_tests::lab::{
     PATIENCE, Process, SCOPE, Scratch, Server, Terminal, original_tool, until, ztl,
 };
@@ -236,4 +239,122 @@ fn the_operator_decides_about_a_step_that_waits() {
     terminal.shows("PRESS <R> TO REPLAY THE LAST SCENE");
     terminal.type_in("x");
     assert_eq!(terminal.end().code(), Some(1), "something failed");
+}
+
+/// What was started, and what an ABORT has stopped; `short` is done at once, all else lasts until then.
+#[derive(Clone, Default)]
+struct Recording(Arc<Mutex<Vec<String>>>);
+
+impl Recording {
+    fn wait_for(&self, what: &str) {
+        let said = |what: &str| self.0.lock().unwrap().iter().any(|said| said == what);
+        until(what, PATIENCE, || said(what).then_some(()));
+    }
+}
+
+impl TaskController for Recording {
+    fn assign(&self, request: &TaskRequest) -> Result<Box<dyn ExecutableTask>, TaskError> {
+        let (record, name) = (self.clone(), request.component.clone());
+        Ok(Box::new(move |task: &TaskContext| {
+            record.0.lock().unwrap().push(name.clone());
+            if name != "short"
+                && let Err(aborted) = task.sleep(Duration::from_secs(600))
+            {
+                record.0.lock().unwrap().push(format!("{name} aborted"));
+                return Err(aborted.into());
+            }
+            Ok(String::new())
+        }))
+    }
+}
+
+/// A program whose output nobody reads. It is killed when this is dropped.
+struct Unread(Child);
+
+impl Unread {
+    fn start(command: &mut Command) -> Self {
+        command.stdin(Stdio::null());
+        Self(command.spawn().unwrap())
+    }
+
+    fn interrupt(&self) {
+        let mut kill = Command::new("sh");
+        kill.args(["-c", "kill -INT $0", &self.0.id().to_string()]);
+        assert!(kill.status().unwrap().success());
+    }
+
+    fn ended(&mut self) -> Option<ExitStatus> {
+        self.0.try_wait().unwrap()
+    }
+}
+
+impl Drop for Unread {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+#[test]
+fn ctrl_c_stops_everything_also_when_nobody_reads_what_is_said() {
+    // More than a pipe takes, on stdout by the names of scenes, on stderr by what runs in the background.
+    let mut script = "first: {a: {robot: {long(wait=no): 1}}}\n".to_owned();
+    for nth in 0..80 {
+        let name = format!("{nth}-{}", "x".repeat(1000));
+        script += &format!("{name}: {{{name}: {{robot: {{short(wait=no): 1}}}}}}\n");
+    }
+    script += "last: {a: {robot: {last: 1}}}\n";
+    for unread in ["stdout", "stderr", "both"] {
+        let record = Recording::default();
+        let mut server = TaskServer::bind("tcp://127.0.0.1:*").unwrap();
+        server.register(SCOPE, record.clone());
+        let server = server.spawn().unwrap();
+        let port = server.endpoint().rsplit(':').next().unwrap();
+        let files = Scratch::new();
+        fs::write(files.path("show.yaml"), &script).unwrap();
+        let mut command = ztl();
+        command
+            .current_dir(files.path(""))
+            .args(["run-script", "-s", "show.yaml", "--yes"])
+            .args(["--task", "robot", "127.0.0.1", port, SCOPE]);
+        let stream = |name| match [name, "both"].contains(&unread) {
+            true => Stdio::piped(),
+            false => Stdio::null(),
+        };
+        command.stdout(stream("stdout")).stderr(stream("stderr"));
+        let mut play = Unread::start(&mut command);
+        record.wait_for("last");
+        play.interrupt();
+        record.wait_for("long aborted");
+        record.wait_for("last aborted");
+        let status = until("its end", PATIENCE, || play.ended());
+        assert_eq!(status.code(), Some(1), "{unread}");
+    }
+}
+
+#[test]
+fn a_second_ctrl_c_leaves_whatever_stands_still() {
+    let files = Scratch::new();
+    let fifo = files.path("show.yaml");
+    assert!(
+        Command::new("mkfifo")
+            .arg(&fifo)
+            .status()
+            .unwrap()
+            .success()
+    );
+    let mut command = ztl();
+    command.args(["run-script", "--yes", "-s"]).arg(&fifo);
+    command.stdout(Stdio::null()).stderr(Stdio::null());
+    // Nobody ever writes a script.
+    let mut play = Unread::start(&mut command);
+    let status = until("its end", PATIENCE, || {
+        // Slower than a key that is held down.
+        std::thread::sleep(Duration::from_secs(1));
+        play.ended().or_else(|| {
+            play.interrupt();
+            None
+        })
+    });
+    assert_eq!(status.code(), Some(130));
 }

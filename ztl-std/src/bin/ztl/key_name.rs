@@ -1,6 +1,14 @@
 //! Keys that are pressed, and what they are called.
 
+use std::time::Duration;
+
 use ztl_std::script::event::{Command, Question};
+
+/// A key that comes again sooner is held down: keyboards wait that long at most before they repeat a key.
+pub(crate) const FIRST_REPEAT: Duration = Duration::from_millis(700);
+/// The same of one that came again already. Keyboards repeat every 30 to 50 ms; a busy machine may be late in
+/// reading them.
+pub(crate) const HELD: Duration = Duration::from_millis(250);
 
 /// A key that was pressed.
 #[derive(Debug, Clone, PartialEq, Eq)]

@@ -49,6 +49,11 @@ impl Keyboard {
         Ok(Self { keys, _mode: mode })
     }
 
+    /// Leaves the terminal as it was before anybody took its keys.
+    pub(crate) fn restore() {
+        mode::restore();
+    }
+
     /// The next key, if one was pressed.
     pub(crate) fn next(&self) -> Option<Key> {
         self.keys.try_recv().ok()
@@ -131,7 +136,9 @@ mod mode {
 
     pub(super) fn restore() {
         if let Some(before) = lock().take() {
-            let _ = tcsetattr(io::stdin(), OptionalActions::Flush, &before);
+            // That would wait for the output, which may stand still, if it flushed by itself.
+            flush();
+            let _ = tcsetattr(io::stdin(), OptionalActions::Now, &before);
         }
     }
 
@@ -198,6 +205,8 @@ mod mode {
             ))
         }
     }
+
+    pub(super) fn restore() {}
 
     pub(super) fn flush() {}
 

@@ -21,7 +21,7 @@ use ztl_std::script::event::{Command, Question, Stamped};
 use self::board::Board;
 use self::keys::{Chooser, Chosen};
 use self::text::Line;
-use crate::key_name::{self, Pressed};
+use crate::key_name::{self, FIRST_REPEAT, HELD, Pressed};
 use crate::terminal::line;
 
 /// Longest time between something happening and its being seen.
@@ -30,11 +30,6 @@ const PAUSE: Duration = Duration::from_millis(40);
 const TICK: Duration = Duration::from_millis(100);
 /// How long the rest of a key's bytes is waited for.
 const REST: Duration = Duration::from_millis(40);
-/// A key that comes again sooner is held down: keyboards wait that long at most before they repeat a key.
-const FIRST_REPEAT: Duration = Duration::from_millis(700);
-/// The same of one that came again already. Keyboards repeat every 30 to 50 ms; a busy machine may be late in
-/// reading them.
-const HELD: Duration = Duration::from_millis(250);
 /// The same when several came at once, so that they were read late.
 const LATE: Duration = Duration::from_secs(2);
 /// When a question still stands so long after its answer, that was not taken.

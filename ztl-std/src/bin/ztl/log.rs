@@ -4,9 +4,12 @@ use std::fmt;
 
 use tracing::field::{Field, Visit};
 use tracing::{Event, Level, Subscriber};
-use tracing_subscriber::fmt::FmtContext;
+use tracing_subscriber::filter::Targets;
 use tracing_subscriber::fmt::format::{FormatEvent, FormatFields, Writer};
+use tracing_subscriber::fmt::{FmtContext, MakeWriter};
+use tracing_subscriber::layer::SubscriberExt;
 use tracing_subscriber::registry::LookupSpan;
+use tracing_subscriber::util::SubscriberInitExt;
 use ztl_std::listen::LogFormat;
 
 struct PythonForm;
@@ -68,4 +71,19 @@ pub(crate) fn init_as(level: Level, format: LogFormat) {
         LogFormat::Text => log.event_format(PythonForm).init(),
         LogFormat::Json => log.json().flatten_event(true).init(),
     }
+}
+
+/// Logs in the original's form to anywhere; of the loggers in `quiet` only warnings and errors.
+pub(crate) fn init_to<W>(level: Level, quiet: &[&str], writer: W)
+where
+    W: for<'w> MakeWriter<'w> + Send + Sync + 'static,
+{
+    let quiet = quiet.iter().map(|logger| (*logger, Level::WARN));
+    tracing_subscriber::fmt()
+        .with_max_level(level)
+        .with_writer(writer)
+        .event_format(PythonForm)
+        .finish()
+        .with(Targets::new().with_default(level).with_targets(quiet))
+        .init();
 }

@@ -1,7 +1,9 @@
 //! Ctrl-C and SIGTERM, as a flag that can be waited for; SIGUSR1, as something to do.
 
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
-use std::time::Duration;
+use std::time::{Duration, Instant};
+
+use crate::key_name::{FIRST_REPEAT, HELD};
 
 struct Flag {
     raised: bool,
@@ -11,13 +13,22 @@ struct Flag {
     then: Option<Box<dyn Fn() + Send>>,
     /// What is to be done before the process ends at the second.
     last: Option<Box<dyn Fn() + Send>>,
+    /// How long the second may take, where it is not obeyed at once.
+    patience: Option<Duration>,
+    /// A key that is held down is one signal: when the last came, and whether it was such a repeat.
+    held: Option<Option<(Instant, bool)>>,
 }
+
+/// How long what is done at last may take, where the process is ended however it stands.
+const LAST: Duration = Duration::from_millis(500);
 
 static FLAG: Mutex<Flag> = Mutex::new(Flag {
     raised: false,
     impatient: false,
     then: None,
     last: None,
+    patience: None,
+    held: None,
 });
 static CHANGED: Condvar = Condvar::new();
 
@@ -37,12 +48,58 @@ pub(crate) fn catch() -> Result<(), ctrlc::Error> {
             // As a shell reports it.
             std::process::exit(130);
         }
+        if flag.is_repeated(Instant::now()) {
+            return;
+        }
+        if flag.raised {
+            flag.leave_soon();
+        }
         flag.raised = true;
         if let Some(then) = &flag.then {
             then();
         }
         CHANGED.notify_all();
     })
+}
+
+impl Flag {
+    /// Whether a signal comes of a key that is held down.
+    fn is_repeated(&mut self, now: Instant) -> bool {
+        let Some(last) = &mut self.held else {
+            return false;
+        };
+        let again = last.is_some_and(|(at, again)| {
+            let limit = if again { HELD } else { FIRST_REPEAT };
+            now.saturating_duration_since(at) < limit
+        });
+        *last = Some((now, again));
+        again
+    }
+
+    /// Ends the process a little later, if it is not ended by then.
+    fn leave_soon(&mut self) {
+        let Some(patience) = self.patience.take() else {
+            return;
+        };
+        let last = self.last.take();
+        let leave = move || {
+            std::thread::sleep(patience);
+            if let Some(last) = last {
+                // A terminal that stands still keeps nobody.
+                let (done, wait) = std::sync::mpsc::channel();
+                let _ = std::thread::Builder::new().spawn(move || {
+                    last();
+                    done.send(())
+                });
+                let _ = wait.recv_timeout(LAST);
+            }
+            std::process::exit(130);
+        };
+        let thread = std::thread::Builder::new().name("ztl-leave".to_owned());
+        if thread.spawn(leave).is_err() {
+            std::process::exit(130);
+        }
+    }
 }
 
 /// What is to be done when somebody wants this process to end; at once if somebody did already.
@@ -64,6 +121,20 @@ pub(crate) fn leave_at_the_second() {
 pub(crate) fn leave_at_the_second_after(act: impl Fn() + Send + 'static) {
     let mut flag = flag();
     flag.impatient = true;
+    flag.last = Some(Box::new(act));
+}
+
+/// From now on a second signal does again what [`then`] says, and ends the process when it still lives
+/// after `patience`, however it stands; before that, `act` is done, as far as it can be. `keys`: the repeats
+/// of a key that is held down are no signals.
+pub(crate) fn leave_soon_after_the_second(
+    patience: Duration,
+    keys: bool,
+    act: impl Fn() + Send + 'static,
+) {
+    let mut flag = flag();
+    flag.patience = Some(patience);
+    flag.held = keys.then_some(None);
     flag.last = Some(Box::new(act));
 }
 
@@ -99,4 +170,33 @@ pub(crate) fn at_usr1(mut act: impl FnMut() + Send + 'static) -> std::io::Result
 #[cfg(not(unix))]
 pub(crate) fn at_usr1(_act: impl FnMut() + Send + 'static) -> std::io::Result<()> {
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_key_that_is_held_down_is_one_signal_and_pressed_again_another() {
+        let mut flag = Flag {
+            raised: false,
+            impatient: false,
+            then: None,
+            last: None,
+            patience: None,
+            held: Some(None),
+        };
+        let start = Instant::now();
+        let mut at = |ms| flag.is_repeated(start + Duration::from_millis(ms));
+        assert!(!at(0));
+        // As a keyboard repeats it.
+        for ms in [660, 700, 740, 780] {
+            assert!(at(ms), "{ms}");
+        }
+        assert!(!at(1100));
+        assert!(!at(1800));
+        flag.held = None;
+        assert!(!flag.is_repeated(start));
+        assert!(!flag.is_repeated(start), "a program's, not a key's");
+    }
 }

@@ -1,6 +1,7 @@
 //! `ztl run-script`: plays the scenes of a script, with the original's options, lines and keys (wire
 //! specification 7.4 and 8).
 
+mod lines;
 mod plain;
 mod stage;
 
@@ -24,10 +25,15 @@ use crate::key_name::Pressed;
 use crate::remote_task::Endpoints;
 use crate::terminal::line;
 use crate::{Done, log, signals};
+use lines::Lines;
 use stage::Stage;
 
 /// Name under which the original logs.
 const LOG: &str = "script-exec";
+/// How long the last lines of a run may take.
+const LAST_LINES: Duration = Duration::from_secs(2);
+/// When a second Ctrl-C ends the process however it stands: later than the run's own end.
+const AT_THE_LATEST: Duration = Duration::from_secs(3);
 
 #[derive(Debug, clap::Args)]
 #[command(after_help = AFTER)]
@@ -91,12 +97,31 @@ impl RunScript {
     pub(crate) fn run(self, called: &str) -> Done {
         // By the original's name it is the original's tool.
         let live = !self.plain && called.contains(' ') && stage::can_be_live();
-        if !live {
-            // On the live view there is no place for lines; all that matters is shown there.
-            log::init(Level::INFO);
-        }
         signals::catch()?;
-        let mut remotes = self.endpoints.read()?;
+        signals::leave_soon_after_the_second(AT_THE_LATEST, !live, stage::restore);
+        // On the live view there is no place for lines; all that matters is shown there.
+        let lines = (!live).then(Lines::start).transpose()?;
+        if let Some(lines) = lines.clone() {
+            // Where stand-ins are is of no use.
+            let quiet: &[&str] = match self.simulate {
+                Some(_) => &["remote-task", "remote-config"],
+                None => &[],
+            };
+            log::init_to(Level::INFO, quiet, lines);
+        }
+        let done = self.play(called, lines.as_ref());
+        if let Some(lines) = lines {
+            lines.finish(LAST_LINES);
+        }
+        done
+    }
+
+    fn play(&self, called: &str, lines: Option<&Lines>) -> Done {
+        let live = lines.is_none();
+        let mut remotes = match self.simulate {
+            Some(_) if !self.endpoints.is_given() => Remotes::named("no configuration"),
+            _ => self.endpoints.read()?,
+        };
         let defaults = match &self.defaults {
             Some(path) => Defaults::load(path)
                 .map_err(|mistakes| format!("mistakes in the defaults:\n{mistakes}"))?,
@@ -162,20 +187,20 @@ impl RunScript {
         if !live {
             notes.clear();
         }
-        let outcome = self.play(&mut show, &script, (started, notes), live)?;
+        let outcome = self.perform(&mut show, &script, (started, notes), lines)?;
         drop(stand_ins);
         Ok(ExitCode::from(u8::from(outcome != Outcome::Completed)))
     }
 
     /// Plays it, on the live view or with the original's lines and keys.
-    fn play(
+    fn perform(
         &self,
         show: &mut Show,
         script: &Script,
         (started, notes): (RunStarted, Vec<String>),
-        live: bool,
+        lines: Option<&Lines>,
     ) -> Result<Outcome, Box<dyn std::error::Error>> {
-        let mut stage = Stage::open(script, show.inputs(), live, self.yes)?;
+        let mut stage = Stage::open(script, show.inputs(), lines.cloned(), self.yes)?;
         let mut record = self.record.as_deref().map(Recorder::create).transpose()?;
         let inputs = show.inputs();
         signals::then(move || inputs.command(Command::Stop, By::Signal));

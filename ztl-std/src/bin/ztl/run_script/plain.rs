@@ -1,26 +1,32 @@
 //! A run as lines, as the original writes them (wire specification 8.4 to 8.6), and its keys.
 
 use std::collections::BTreeMap;
+use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
 
 use tracing::{error, info, warn};
 use ztl_std::script::event::{By, Command, Event, Question, TaskNumber, TaskState, Why};
-use ztl_std::script::{Scene, Script, Step, Task};
+use ztl_std::script::{Inputs, Scene, Script, Step, Task};
 
 use super::LOG;
+use super::lines::Lines;
 use crate::keyboard::{Key, Keyboard};
-use crate::terminal::line;
 
 pub(super) struct Plain<'s> {
     script: &'s Script,
-    /// What is asked, what can be answered, and since when.
-    asked: Option<(Question, Vec<Command>, Instant)>,
+    lines: Lines,
+    /// The show, to be woken when a question can be seen.
+    inputs: Inputs,
+    /// What is asked, what can be answered, and since when, as soon as it is written.
+    asked: Option<(Question, Vec<Command>, Since)>,
     last: Option<usize>,
     tasks: BTreeMap<TaskNumber, Started>,
     /// A handler without a server is told of once in a step.
     told: Option<(usize, usize, usize)>,
     playing: bool,
 }
+
+type Since = Arc<OnceLock<Instant>>;
 
 #[derive(Debug, Clone, Copy)]
 struct Started {
@@ -31,9 +37,11 @@ struct Started {
 }
 
 impl<'s> Plain<'s> {
-    pub(super) const fn new(script: &'s Script) -> Self {
+    pub(super) const fn new(script: &'s Script, lines: Lines, inputs: Inputs) -> Self {
         Self {
             script,
+            lines,
+            inputs,
             asked: None,
             last: None,
             tasks: BTreeMap::new(),
@@ -47,10 +55,16 @@ impl<'s> Plain<'s> {
         self.asked.as_ref().map(|(question, _, _)| *question)
     }
 
+    /// Whether a question is not written yet: what was pressed is looked at afterwards.
+    pub(super) fn is_asking(&self) -> bool {
+        let asked = self.asked.as_ref();
+        asked.is_some_and(|(_, _, since)| since.get().is_none())
+    }
+
     /// What a key means. One that was pressed before the question was asked means nothing.
     pub(super) fn meaning(&self, key: &Key) -> Option<Command> {
         let (question, choices, since) = self.asked.as_ref()?;
-        if key.at < *since {
+        if since.get().is_none_or(|since| key.at < *since) {
             return None;
         }
         let first = key.bytes.first()?.to_ascii_lowercase();
@@ -82,8 +96,16 @@ impl<'s> Plain<'s> {
                 if let Some(keyboard) = keyboard {
                     keyboard.forget();
                 }
-                self.asked = Some((*question, choices.clone(), Instant::now()));
-                self.ask(*question, choices, keyboard.is_some());
+                let since = Since::default();
+                if keyboard.is_some() {
+                    let (seen, inputs) = (Arc::clone(&since), self.inputs.clone());
+                    self.lines.ask(prompt(*question, choices), move |at| {
+                        // It is written once.
+                        let _ = seen.set(at);
+                        inputs.wake();
+                    });
+                }
+                self.asked = Some((*question, choices.clone(), since));
             }
             Event::Decided {
                 command, by, scene, ..
@@ -93,7 +115,8 @@ impl<'s> Plain<'s> {
                 self.last = Some(*scene);
                 if let Some(scene) = self.scene(*scene) {
                     let delay = with_delay(scene.delay);
-                    line(format_args!("EXECUTING SCENE '{}'{delay}...", scene.name));
+                    self.lines
+                        .line(format_args!("EXECUTING SCENE '{}'{delay}...", scene.name));
                 }
             }
             Event::SceneEnded { .. } => self.playing = false,
@@ -102,7 +125,7 @@ impl<'s> Plain<'s> {
                 if let Some(step) = self.script.step(*scene, *step) {
                     let background = if step.wait { "" } else { " IN BACKGROUND" };
                     let delay = with_delay(step.delay);
-                    line(format_args!(
+                    self.lines.line(format_args!(
                         "STARTING STEP '{}'{background}{delay}...",
                         step.name
                     ));
@@ -141,7 +164,8 @@ impl<'s> Plain<'s> {
             } => self.state(*task, *state, text),
             Event::Stopping { tasks } if !tasks.is_empty() => {
                 let s = if tasks.len() == 1 { "" } else { "S" };
-                line(format_args!("STOPPING {} TASK{s}...", tasks.len()));
+                self.lines
+                    .line(format_args!("STOPPING {} TASK{s}...", tasks.len()));
             }
             Event::StopAnswered {
                 task,
@@ -153,7 +177,8 @@ impl<'s> Plain<'s> {
                 } else {
                     "NOT CONFIRMED"
                 };
-                line(format_args!("{word}: {}: {text}", self.about(*task)));
+                self.lines
+                    .line(format_args!("{word}: {}: {text}", self.about(*task)));
             }
             Event::Note { text } => warn!(target: LOG, "{text}"),
             Event::RunEnded { running, .. } => {
@@ -195,44 +220,16 @@ impl<'s> Plain<'s> {
         let Some(scene) = self.scene(scene) else {
             return;
         };
-        line("\n----------------------------");
-        line(format_args!("ABOUT TO EXECUTE SCENE '{}'", scene.key));
+        self.lines.line("\n----------------------------");
+        self.lines
+            .line(format_args!("ABOUT TO EXECUTE SCENE '{}'", scene.key));
         for step in &scene.steps {
-            line(format_args!("STEP: {}", step.key));
+            self.lines.line(format_args!("STEP: {}", step.key));
             for task in &step.tasks {
                 let handler = step.handler(task).map_or("", |handler| &handler.key);
-                line(format_args!("\t{handler} [{}]: -> {}", task.key, task.goal));
+                self.lines
+                    .line(format_args!("\t{handler} [{}]: -> {}", task.key, task.goal));
             }
-        }
-    }
-
-    fn ask(&self, question: Question, choices: &[Command], attended: bool) {
-        let replay = choices.contains(&Command::Replay);
-        match question {
-            _ if !attended => {}
-            Question::Scene { .. } if replay => {
-                line(
-                    "PRESS <ENTER> TO CONFIRM, PRESS <R> TO REPLAY LAST SCENE OR ANY OTHER KEY TO SKIP",
-                );
-            }
-            Question::Scene { .. } => line("PRESS <ENTER> TO CONFIRM or ANY OTHER KEY TO SKIP"),
-            Question::End if replay => {
-                line(
-                    "PRESS <R> TO REPLAY THE LAST SCENE, PRESS <A> TO RESTART THE SCRIPT OR ANY OTHER KEY TO EXIT",
-                );
-            }
-            Question::End => line("PRESS <A> TO RESTART THE SCRIPT OR ANY OTHER KEY TO EXIT"),
-            Question::Step { .. } => {
-                let retry = if choices.contains(&Command::Retry) {
-                    "<T> TO TRY AGAIN WHAT FAILED, "
-                } else {
-                    ""
-                };
-                line(format_args!(
-                    "PRESS <G> TO GO ON ANYWAY, {retry}<S> TO SKIP THE REST OF THE SCENE OR <X> TO STOP EVERYTHING"
-                ));
-            }
-            Question::Pause => line("PRESS ANY KEY TO GO ON"),
         }
     }
 
@@ -245,10 +242,14 @@ impl<'s> Plain<'s> {
                 .map_or("", |scene| &scene.key)
         };
         match command {
-            Command::Skip if about_scene => line(format_args!("\nSKIPPING SCENE '{}'", key(scene))),
-            Command::Replay => line(format_args!("\n Repeating Scene '{}", key(self.last))),
+            Command::Skip if about_scene => self
+                .lines
+                .line(format_args!("\nSKIPPING SCENE '{}'", key(scene))),
+            Command::Replay => self
+                .lines
+                .line(format_args!("\n Repeating Scene '{}", key(self.last))),
             Command::Restart => {
-                line("\n Repeating Script");
+                self.lines.line("\n Repeating Script");
                 self.last = None;
             }
             Command::Stop if by == By::Signal && self.playing => {
@@ -328,6 +329,28 @@ impl<'s> Plain<'s> {
             }
             _ => {}
         }
+    }
+}
+
+/// What is asked, with the keys.
+fn prompt(question: Question, choices: &[Command]) -> &'static str {
+    let can = |command| choices.contains(&command);
+    match question {
+        Question::Scene { .. } if can(Command::Replay) => {
+            "PRESS <ENTER> TO CONFIRM, PRESS <R> TO REPLAY LAST SCENE OR ANY OTHER KEY TO SKIP"
+        }
+        Question::Scene { .. } => "PRESS <ENTER> TO CONFIRM or ANY OTHER KEY TO SKIP",
+        Question::End if can(Command::Replay) => {
+            "PRESS <R> TO REPLAY THE LAST SCENE, PRESS <A> TO RESTART THE SCRIPT OR ANY OTHER KEY TO EXIT"
+        }
+        Question::End => "PRESS <A> TO RESTART THE SCRIPT OR ANY OTHER KEY TO EXIT",
+        Question::Step { .. } if can(Command::Retry) => {
+            "PRESS <G> TO GO ON ANYWAY, <T> TO TRY AGAIN WHAT FAILED, <S> TO SKIP THE REST OF THE SCENE OR <X> TO STOP EVERYTHING"
+        }
+        Question::Step { .. } => {
+            "PRESS <G> TO GO ON ANYWAY, <S> TO SKIP THE REST OF THE SCENE OR <X> TO STOP EVERYTHING"
+        }
+        Question::Pause => "PRESS ANY KEY TO GO ON",
     }
 }
 

@@ -10,6 +10,7 @@ use ztl_std::script::event::Event;
 use ztl_std::script::event::Stamped;
 use ztl_std::script::{Inputs, Script};
 
+use super::lines::Lines;
 use super::plain::Plain;
 use super::{LOG, no_keyboard};
 use crate::key_name::{self, Pressed};
@@ -25,6 +26,13 @@ pub(super) fn can_be_live() -> bool {
     false
 }
 
+/// Gives the terminal back, whatever has it.
+pub(super) fn restore() {
+    Keyboard::restore();
+    #[cfg(unix)]
+    live::tty::restore();
+}
+
 pub(super) enum Stage<'s> {
     #[cfg(unix)]
     Live(Live),
@@ -32,27 +40,32 @@ pub(super) enum Stage<'s> {
 }
 
 impl<'s> Stage<'s> {
-    /// Takes the terminal; `unattended`: nobody presses keys on lines.
+    /// Takes the terminal for the live view, or the keyboard when there are `lines`; `unattended`: nobody
+    /// presses keys on lines.
     ///
     /// # Errors
     /// When there is no terminal to read keys from.
     pub(super) fn open(
         script: &'s Script,
         inputs: Inputs,
-        live: bool,
+        lines: Option<Lines>,
         unattended: bool,
     ) -> Result<Self, Box<dyn std::error::Error>> {
-        #[cfg(unix)]
-        if live {
+        let Some(lines) = lines else {
+            #[cfg(unix)]
             return Ok(Self::Live(Live::open(move || inputs.wake())?));
-        }
-        #[cfg(not(unix))]
-        let _ = live;
+            #[cfg(not(unix))]
+            return Err("there is no live view here; use --plain".into());
+        };
         let keyboard = match unattended {
             true => None,
-            false => Some(Keyboard::open(move || inputs.wake()).map_err(no_keyboard)?),
+            false => {
+                let inputs = inputs.clone();
+                Some(Keyboard::open(move || inputs.wake()).map_err(no_keyboard)?)
+            }
         };
-        Ok(Self::Plain(Box::new(Plain::new(script)), keyboard))
+        let plain = Plain::new(script, lines, inputs);
+        Ok(Self::Plain(Box::new(plain), keyboard))
     }
 
     /// The next key that was pressed, if any was.
@@ -60,6 +73,7 @@ impl<'s> Stage<'s> {
         match self {
             #[cfg(unix)]
             Self::Live(live) => live.pressed(),
+            Self::Plain(plain, _) if plain.is_asking() => None,
             Self::Plain(plain, keyboard) => {
                 let key = keyboard.as_ref()?.next()?;
                 Some(Pressed {
