@@ -61,13 +61,12 @@ pub struct Timestamp {
 }
 
 impl Value {
-    /// What tells it from other keys of a mapping: to Python `1`, `1.0` and `True` are one. `None` is
-    /// equal to no key, as a float that is no number.
-    pub(super) fn identity(&self) -> Option<String> {
+    /// What tells it from other keys of a mapping: to Python `1`, `1.0` and `True` are one, and so is
+    /// each `.nan`, since PyYAML makes it only once.
+    pub(super) fn identity(&self) -> String {
         match self {
-            Self::Float(value) if value.is_nan() => None,
-            Self::Text(text) => Some(format!("'{text}")),
-            other => Some(other.number().unwrap_or_else(|| other.quoted().to_string())),
+            Self::Text(text) => format!("'{text}"),
+            other => other.number().unwrap_or_else(|| other.quoted().to_string()),
         }
     }
 

@@ -56,13 +56,8 @@ impl<'d> Reader<'d> {
             }
             let line = (!merged).then_some(name.span.start.line);
             let identity = key.identity();
-            let first = identity
-                .as_ref()
-                .and_then(|identity| seen.get(identity).copied());
-            let Some((index, first)) = first else {
-                if let Some(identity) = identity {
-                    seen.insert(identity, (entries.len(), line));
-                }
+            let Some((index, first)) = seen.get(&identity).copied() else {
+                seen.insert(identity, (entries.len(), line));
                 entries.push(Entry {
                     key,
                     name,
