@@ -69,13 +69,14 @@ fn a_queue_is_done_in_its_order() {
 fn the_latest_replaces_the_one_that_runs_once_that_has_ended() {
     let lab = Lab::new(
         r#"
-        go: {run: [sh, -c, 'trap "sleep 0.3; rmdir lock; exit" TERM; mkdir lock || exit 9; echo "@ on"; while :; do sleep 0.02; done'], progress: '@ ', busy: replace}
+        go: {run: [sh, -c, 'trap "until [ -e ends ]; do sleep 0.02; done; rmdir lock; exit" TERM; mkdir lock || exit 9; echo "@ on"; while :; do sleep 0.02; done'], progress: '@ ', busy: replace, abort: {signal: TERM, grace: 20 s}}
         "#,
     );
     let mut remote = lab.remote();
     let one = started(&mut remote, "one");
     let two = trigger(&mut remote, "go", "two");
     let three = trigger(&mut remote, "go", "three");
+    let_go(&lab, "ends");
     let text = format!("replaced by task {three} before it began");
     assert_eq!(end(&mut remote, two), (Aborted, text));
     let text = format!("replaced by task {two}");
