@@ -76,9 +76,9 @@ fn the_latest_replaces_the_one_that_runs_once_that_has_ended() {
     let one = started(&mut remote, "one");
     let two = trigger(&mut remote, "go", "two");
     let three = trigger(&mut remote, "go", "three");
-    let_go(&lab, "ends");
     let text = format!("replaced by task {three} before it began");
     assert_eq!(end(&mut remote, two), (Aborted, text));
+    let_go(&lab, "ends");
     let text = format!("replaced by task {two}");
     assert_eq!(end(&mut remote, one), (Aborted, text));
     progress(&mut remote, three, "on");
