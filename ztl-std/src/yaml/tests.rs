@@ -196,6 +196,19 @@ impl Numbers {
         usize::try_from(self.0 >> 33).unwrap_or(0) % limit.max(1)
     }
 
+    /// A file with some places written over.
+    pub(crate) fn spoil(&mut self, whole: &str) -> Vec<u8> {
+        let mut bytes = whole.as_bytes().to_vec();
+        for _ in 0..=self.below(4) {
+            let from = self.below(bytes.len());
+            let to = (from + self.below(6)).min(bytes.len());
+            let piece = self.bytes();
+            let piece = piece.get(..self.below(6)).unwrap_or_default().to_vec();
+            bytes.splice(from..to, piece);
+        }
+        bytes
+    }
+
     /// Text of YAML's own pieces, with some bytes thrown in.
     pub(crate) fn bytes(&mut self) -> Vec<u8> {
         const PIECES: [&str; 36] = [

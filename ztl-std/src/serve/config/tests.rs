@@ -262,14 +262,7 @@ fn what_is_not_there_yet_is_a_warning() {
 fn no_file_at_all_makes_it_panic() {
     let mut numbers = Numbers(0x2545_f491_4f6c_dd1d);
     for _ in 0..3_000 {
-        let mut bytes = WHOLE.as_bytes().to_vec();
-        for _ in 0..=numbers.below(4) {
-            let from = numbers.below(bytes.len());
-            let to = (from + numbers.below(6)).min(bytes.len());
-            let piece = numbers.bytes();
-            let piece = piece.get(..numbers.below(6)).unwrap_or_default().to_vec();
-            bytes.splice(from..to, piece);
-        }
+        let bytes = numbers.spoil(WHOLE);
         if let Ok(document) = Document::parse("f", &bytes) {
             let _ = Config::read(&document, Path::new("")).map_err(|m| m.to_string());
         }
