@@ -15,7 +15,7 @@
 //! | `R` | the server is started anew, and all connections break |
 
 use core::time::Duration;
-use std::collections::HashMap;
+use std::collections::BTreeMap;
 
 use ztl_core::client::{Client, Heard, Server};
 use ztl_core::dispatcher::{Action, Body, Config, Dispatcher, KEEP_INIT, TaskEvent};
@@ -76,12 +76,12 @@ struct Street {
     now: Instant,
     requests: Vec<Letter>,
     answers: Vec<Letter>,
-    asked: HashMap<u64, Asked>,
+    asked: BTreeMap<u64, Asked>,
     /// Of the client's own INITs.
-    started: HashMap<u64, Started>,
+    started: BTreeMap<u64, Started>,
     /// INITs of which the client was told that they never count, and when it had asked; the server
     /// keeps its word for [`KEEP_INIT`] from then, or a little longer.
-    void: HashMap<u64, Instant>,
+    void: BTreeMap<u64, Instant>,
     /// Every task of the present server.
     tasks: Vec<TaskId>,
     strangers: u64,
@@ -97,9 +97,9 @@ impl Street {
             now: Instant::ZERO,
             requests: Vec::new(),
             answers: Vec::new(),
-            asked: HashMap::new(),
-            started: HashMap::new(),
-            void: HashMap::new(),
+            asked: BTreeMap::new(),
+            started: BTreeMap::new(),
+            void: BTreeMap::new(),
             tasks: Vec::new(),
             strangers: 0,
         }

@@ -19,6 +19,18 @@ const TARGETS: &str = "fuzz/fuzz_targets";
 /// Seconds for each target, unless told otherwise.
 const SECONDS: u32 = 5;
 
+/// Inputs for each target in the test command: some seconds.
+const INPUTS: u32 = 30_000;
+
+/// How far a target goes.
+#[derive(Clone, Copy)]
+enum Length {
+    /// On from what was found before, to find more.
+    Seconds(u32),
+    /// The same inputs each time, from the committed corpus on: what it says is said of the code, not of the day.
+    Inputs(u32),
+}
+
 /// One input takes less than a millisecond; this long, it hangs, on however busy a machine.
 const HANGS_AFTER: &str = "-timeout=25";
 
@@ -41,22 +53,22 @@ pub(crate) fn run(dirs: &Dirs, args: &[String]) -> Outcome {
             ));
         }
     };
-    fuzz(dirs, &wanted, seconds)
+    fuzz(dirs, &wanted, Length::Seconds(seconds))
 }
 
-/// Lints the targets, and runs each for a few seconds.
+/// Lints the targets, and runs each on inputs that are the same each time.
 pub(crate) fn smoke(dirs: &Dirs) -> Outcome {
     // They belong to no workspace, so that no other step lints them.
     cargo(dirs, "clippy")?
         .args("--all-targets -- -D warnings")
         .run()?;
-    fuzz(dirs, &targets()?, SECONDS)
+    fuzz(dirs, &targets()?, Length::Inputs(INPUTS))
 }
 
-fn fuzz(dirs: &Dirs, targets: &[String], seconds: u32) -> Outcome {
+fn fuzz(dirs: &Dirs, targets: &[String], length: Length) -> Outcome {
     cargo(dirs, "build")?.args("--bins").run()?;
     for target in targets {
-        fuzz_one(dirs, target, seconds)?;
+        fuzz_one(dirs, target, length)?;
     }
     Ok(())
 }
@@ -92,21 +104,32 @@ fn names(directory: &Path) -> std::io::Result<Vec<String>> {
     Ok(names)
 }
 
-fn fuzz_one(dirs: &Dirs, target: &str, seconds: u32) -> Outcome {
+fn fuzz_one(dirs: &Dirs, target: &str, length: Length) -> Outcome {
     let directory = dirs.target.join("fuzz");
     let program = directory.join(host()?).join("release").join(target);
-    // What is found grows here, and is tried again the next time.
-    let grown = directory.join("corpus").join(target);
+    // libFuzzer keeps what reaches something new in the first directory that it is given.
+    let (kept, how_long) = match length {
+        Length::Seconds(seconds) => ("corpus", format!("-max_total_time={seconds}")),
+        // What is compared would not be the same each time: addresses are among it.
+        Length::Inputs(inputs) => ("same", format!("-seed=1 -use_cmp=0 -runs={inputs}")),
+    };
+    let kept = directory.join(kept).join(target);
+    if let Length::Inputs(_) = length
+        && kept.exists()
+    {
+        fs::remove_dir_all(&kept)
+            .map_err(|error| format!("cannot remove {}: {error}", kept.display()))?;
+    }
     let findings = directory.join("findings").join(target);
-    for path in [&grown, &findings] {
+    for path in [&kept, &findings] {
         fs::create_dir_all(path)
             .map_err(|error| format!("cannot make {}: {error}", path.display()))?;
     }
     let run = Cmd::program(&program)
-        .arg(format!("-max_total_time={seconds}"))
+        .args(&how_long)
         .arg(HANGS_AFTER)
         .arg(format!("-artifact_prefix={}/", findings.display()))
-        .arg(&grown)
+        .arg(&kept)
         .arg(Path::new("fuzz/corpus").join(target));
     println!("$ {run}");
     let (success, _, said) = run.capture()?;

@@ -141,7 +141,7 @@ const STEPS: &[Step] = &[
     },
     Step {
         name: "fuzz",
-        about: "no fuzz target finds an input that breaks a promise within a few seconds",
+        about: "no fuzz target breaks a promise on its corpus, and on what libFuzzer makes of that with one seed",
         run: fuzz::smoke,
     },
     Step {

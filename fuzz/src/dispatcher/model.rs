@@ -4,7 +4,7 @@
 mod answers;
 mod questions;
 
-use std::collections::HashMap;
+use std::collections::BTreeMap;
 
 use ztl_core::dispatcher::{Body, Config, KEEP_INIT, TaskEvent};
 use ztl_core::envelope::{ClientId, Envelope};
@@ -98,7 +98,7 @@ pub(super) struct Model {
     limits: Limits,
     asks: Vec<Ask>,
     tasks: Vec<Task>,
-    inits: HashMap<ClientId, LastInit>,
+    inits: BTreeMap<ClientId, LastInit>,
     /// INITs that had not come before.
     new_inits: usize,
     /// The task whose handler is just refusing to abort it.
@@ -111,7 +111,7 @@ impl Model {
             limits,
             asks: Vec::new(),
             tasks: Vec::new(),
-            inits: HashMap::new(),
+            inits: BTreeMap::new(),
             new_inits: 0,
             refusing: None,
         }

@@ -150,13 +150,16 @@ impl<const N: usize> Table<N> {
 
     /// The lowest task that waits for a component that no task moves.
     fn next_in_turn(&mut self) -> Option<&mut Task> {
-        let mut lowest = LinkId(u32::MAX);
-        for task in &self.0 {
-            if task.waits() && task.id <= lowest && !self.is_taken(task.component) {
-                lowest = task.id;
+        let mut next: Option<(LinkId, usize)> = None;
+        for (place, task) in self.0.iter().enumerate() {
+            if task.waits()
+                && next.is_none_or(|(lowest, _)| task.id < lowest)
+                && !self.is_taken(task.component)
+            {
+                next = Some((task.id, place));
             }
         }
-        self.get_mut(lowest).filter(|task| task.waits())
+        self.0.get_mut(next?.1)
     }
 
     pub(super) fn get_mut(&mut self, id: LinkId) -> Option<&mut Task> {

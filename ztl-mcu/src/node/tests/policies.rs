@@ -99,6 +99,18 @@ fn a_queued_task_that_is_refused_at_its_start_fails_with_the_reason() {
 }
 
 #[test]
+fn the_highest_id_of_all_waits_as_every_other() {
+    with_motor(Busy::Queue(2), Loss::Abort, |desk, trace| {
+        desk.start(1, 7, 0, "50");
+        desk.start(2, u32::MAX, 0, "60");
+        desk.pass(10);
+        assert_eq!(trace.borrow().as_slice(), ["m 50"]);
+        desk.pass(50);
+        assert_eq!(trace.borrow().as_slice(), ["m 50", "m 60"]);
+    });
+}
+
+#[test]
 fn abort_of_a_queued_task_ends_it_at_once() {
     with_motor(Busy::Queue(2), Loss::Abort, |desk, trace| {
         desk.start(1, 7, 0, "50");
