@@ -111,7 +111,10 @@ fn fuzz_one(dirs: &Dirs, target: &str, length: Length) -> Outcome {
     let (kept, how_long) = match length {
         Length::Seconds(seconds) => ("corpus", format!("-max_total_time={seconds}")),
         // What is compared would not be the same each time: addresses are among it.
-        Length::Inputs(inputs) => ("same", format!("-seed=1 -use_cmp=0 -runs={inputs}")),
+        Length::Inputs(inputs) => (
+            "same",
+            format!("-seed=1 -use_cmp=0 -reload=0 -runs={inputs}"),
+        ),
     };
     let kept = directory.join(kept).join(target);
     if let Length::Inputs(_) = length
