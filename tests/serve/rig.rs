@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Duration;
 
+use ztl_core::dispatcher::NOTHING_KNOWN;
 use ztl_std::{RemoteTask, State, Status, TaskId, TriggerError};
 use ztl_tests::lab::{PATIENCE, Process, SCOPE, Scratch, Server, until, ztl};
 
@@ -158,13 +159,14 @@ pub fn end(remote: &mut RemoteTask, id: TaskId) -> (State, String) {
     told(remote.wait(id, Some(PATIENCE)).expect("its end"))
 }
 
-/// Waits until a task says where it is.
+/// Waits until a task says where it is. (The text of one that has said nothing is `None`, and there
+/// is an `on` in that, too.)
 #[track_caller]
 pub fn progress(remote: &mut RemoteTask, id: TaskId, part: &str) {
     until(part, PATIENCE, || {
         let status = remote.status(id).ok()?;
         assert_eq!(status.state, State::Accepted, "{status:?}");
-        status.text.contains(part).then_some(())
+        (status.text != NOTHING_KNOWN && status.text.contains(part)).then_some(())
     });
 }
 

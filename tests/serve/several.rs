@@ -76,13 +76,14 @@ fn the_latest_replaces_the_one_that_runs_once_that_has_ended() {
     let one = started(&mut remote, "one");
     let two = trigger(&mut remote, "go", "two");
     let three = trigger(&mut remote, "go", "three");
+    let_go(&lab, "ends");
     let text = format!("replaced by task {three} before it began");
     assert_eq!(end(&mut remote, two), (Aborted, text));
-    let_go(&lab, "ends");
     let text = format!("replaced by task {two}");
     assert_eq!(end(&mut remote, one), (Aborted, text));
     progress(&mut remote, three, "on");
-    assert_eq!(remote.abort(three).expect("an answer").state, Aborted);
+    remote.abort(three).expect("an answer");
+    assert_eq!(end(&mut remote, three), (Aborted, "aborted".to_owned()));
 }
 
 /// How many files the server has open, with this client connected.
