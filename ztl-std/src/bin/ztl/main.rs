@@ -106,7 +106,11 @@ fn main() -> ExitCode {
     if let Some(code) = tool::run(&args) {
         return code;
     }
-    let done = match Cli::parse_from(args).command {
+    #[cfg(unix)]
+    if let Some(guard) = serve::Guard::of(&args) {
+        return exit(guard.run());
+    }
+    exit(match Cli::parse_from(args).command {
         Command::Demo(demo) => demo.run(),
         Command::Gateway(gateway) => gateway.run(),
         #[cfg(unix)]
@@ -124,7 +128,11 @@ fn main() -> ExitCode {
         Command::Report(report) => report.run(),
         Command::Check(check) => check.run(),
         Command::Tool(tool) => tool.run("ztl"),
-    };
+    })
+}
+
+/// How it ended, for the system and for the person who called it.
+fn exit(done: Done) -> ExitCode {
     match done {
         Ok(code) => code,
         Err(error) => {

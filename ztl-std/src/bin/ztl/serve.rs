@@ -1,5 +1,6 @@
 //! `ztl serve`: the scripts and command-line tools of a robot as handlers of a task server.
 
+use std::ffi::OsString;
 use std::io;
 use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
@@ -34,6 +35,9 @@ pub(crate) struct Serve {
     check: bool,
 }
 
+/// What the guard is called.
+const GUARD: &str = "serve-guard";
+
 /// A process that its `ztl serve` talks to, by stdin, and that ends with it.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Guard {
@@ -43,6 +47,16 @@ pub(crate) struct Guard {
 }
 
 impl Guard {
+    /// As [`command`](Self::command) calls it, read without the parser for people's options: what that
+    /// touches would stay in memory for as long as the server runs.
+    pub(crate) fn of(args: &[OsString]) -> Option<Self> {
+        let [_, name, format] = args else {
+            return None;
+        };
+        let format = reach::format(format.to_str()?).ok()?;
+        (name == GUARD).then_some(Self { format })
+    }
+
     pub(crate) fn run(self) -> Done {
         log::init_as(Level::INFO, self.format);
         ztl_std::serve::guard();
@@ -59,7 +73,7 @@ impl Guard {
         let mut command = Command::new(program);
         let known = LOG_FORMATS.iter().find(|(_, known)| *known == format);
         let format = known.map_or("text", |(word, _)| *word);
-        command.arg0("ztl").args(["serve-guard", format]);
+        command.arg0("ztl").args([GUARD, format]);
         Ok(command)
     }
 }
