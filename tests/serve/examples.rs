@@ -1,28 +1,29 @@
-//! The examples as they stand, by our client and the original's.
+//! The examples as they stand, by our client and the original's, under today's Python and that of an
+//! old robot.
 
+use std::path::Path;
 use std::process::Command;
 
 use ztl_std::State::{Aborted, Completed};
 use ztl_std::{RemoteTask, TriggerError};
 use ztl_tests::lab::{
     ABORTED, COMPLETED, OriginalClient, PATIENCE, Process, Scratch, Server, built, free_port,
-    python, verify_unit, ztl,
+    python, python27, verify_unit, ztl,
 };
 
 use crate::rig::{end, progress, project};
 
-/// The example in a directory of its own, with a `python` on the path.
-fn example() -> (Scratch, Server) {
+/// The example in a directory of its own, with this one on the path as `python`.
+fn example(python: &Path) -> (Scratch, Server) {
     let scratch = Scratch::new();
+    let tools = scratch.path("tools");
+    std::fs::create_dir(&tools).expect("a directory");
+    std::os::unix::fs::symlink(python, tools.join("python")).expect("a link");
     for name in ["robot.yaml", "speak", "turn.py", "rostopic"] {
         let from = project("examples/serve").join(name);
         std::fs::copy(from, scratch.path(name)).expect("to copy");
     }
-    let mut path = python()
-        .parent()
-        .expect("its directory")
-        .as_os_str()
-        .to_owned();
+    let mut path = tools.into_os_string();
     path.push(":");
     path.push(std::env::var_os("PATH").unwrap_or_default());
     let mut command = ztl();
@@ -65,7 +66,23 @@ const TASKS: [(&str, &str, &str, &str); 4] = [
 
 #[test]
 fn our_client_runs_them() {
-    let (scratch, server) = example();
+    runs_them(&python());
+}
+
+/// The scripts of an old robot are older than Python 3.
+#[test]
+fn under_python_2_they_run_as_well() {
+    let Some(python) = python27() else {
+        return eprintln!("left out: the examples under Python 2.7, which this machine has not");
+    };
+    let version = Process::run(Command::new(&python).arg("--version"));
+    assert!(version.stderr.starts_with("Python 2.7."), "{version:?}");
+    runs_them(&python);
+}
+
+#[track_caller]
+fn runs_them(python: &Path) {
+    let (scratch, server) = example(python);
     let mut remote = RemoteTask::connect(&server.endpoint(), "/robot").expect("an address");
     for (handler, component, goal, result) in TASKS {
         let ran = remote.run(handler, component, goal, Some(PATIENCE));
@@ -106,7 +123,7 @@ fn our_client_runs_them() {
 
 #[test]
 fn the_originals_client_runs_them() {
-    let (_scratch, server) = example();
+    let (_scratch, server) = example(&python());
     let mut client = OriginalClient::connect(server.port, "/robot");
     for (handler, component, goal, result) in TASKS {
         let id = client.start(handler, component, goal);

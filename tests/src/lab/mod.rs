@@ -22,7 +22,7 @@ pub use manager::{Manager, verify_unit};
 pub use original::{
     ABORTED, ACCEPTED, Answer, COMPLETED, FAILED, OriginalClient, REJECTED, original_tool, python,
 };
-pub use peers::Peer;
+pub use peers::{Peer, python27};
 pub use process::{Ended, Process};
 pub use server::{SCOPE, Server};
 #[cfg(unix)]

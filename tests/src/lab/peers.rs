@@ -5,6 +5,9 @@ use std::process::Command;
 
 use super::{OriginalClient, Server, ancestor, python};
 
+/// What Python 2.7 is called where its packages are.
+const PYTHON27: &str = "python2.7";
+
 /// Another ZeroMQ than ours, with a ZTL client and a ZTL server on it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Peer {
@@ -29,7 +32,7 @@ impl Peer {
 
     /// Those that this machine can have: all, but Python 2.7 only where there is one.
     pub fn here() -> Vec<Self> {
-        let lacking = |peer: &Self| *peer == Self::Python27 && !home().join("python27").exists();
+        let lacking = |peer: &Self| *peer == Self::Python27 && python27().is_none();
         let (lacking, here): (Vec<_>, Vec<_>) = Self::ALL.into_iter().partition(lacking);
         for peer in lacking {
             eprintln!("left out: {peer:?}, which this machine has not");
@@ -64,8 +67,9 @@ impl Peer {
         let home = home();
         match self {
             Self::Python27 => {
-                let mut command = Command::new(home.join("python27/python2.7"));
-                command.env("PYTHONPATH", home.join("python27")).arg("-u");
+                let packages = home.join("python27");
+                let mut command = Command::new(packages.join(PYTHON27));
+                command.env("PYTHONPATH", packages).arg("-u");
                 command
             }
             Self::OldLibzmq => {
@@ -92,6 +96,13 @@ impl Peer {
             }
         }
     }
+}
+
+/// Python 2.7, where the machine has one.
+#[must_use]
+pub fn python27() -> Option<PathBuf> {
+    let python = home().join("python27").join(PYTHON27);
+    python.exists().then_some(python)
 }
 
 fn source(name: &str) -> PathBuf {
