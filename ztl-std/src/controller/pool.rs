@@ -3,13 +3,21 @@
 //! A task that blocks keeps its thread and delays nobody: whoever takes one while more are waiting
 //! calls another thread first, which is woken, or started if all are busy. A task that is quick costs
 //! neither, since its thread comes back and takes the next.
+//!
+//! Where quick tasks come by the dozen, calling would cost more than they do. So one who was called and
+//! finds nothing left stays on watch for a while: as long as it does, nobody calls, and it steps in itself
+//! when a task has waited from one look to the next.
 
 use std::collections::VecDeque;
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
-use std::time::Duration;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread::Thread;
+use std::time::{Duration, Instant};
 
 /// How long a thread waits for a task before it ends.
 const IDLE: Duration = Duration::from_secs(10);
+
+/// From one look of the thread on watch to its next. A task behind one that blocks waits for two at most.
+const LOOK: Duration = Duration::from_micros(500);
 
 /// Something to be done on a thread.
 pub(super) trait Job: Send + 'static {
@@ -26,17 +34,21 @@ pub(super) struct Pool<J: Job>(Arc<Shared<J>>);
 
 struct Shared<J> {
     state: Mutex<State<J>>,
-    called: Condvar,
 }
 
 struct State<J> {
     waiting: VecDeque<J>,
-    /// Threads that wait to be called.
-    idle: usize,
-    /// Calls that no thread has heard yet.
-    calls: usize,
+    /// How many were begun, ever.
+    begun: u64,
+    /// Threads that wait to be called, which is to be taken out of here. The last to come is called
+    /// first: what it needs is still at hand.
+    idle: Vec<Thread>,
     /// A thread was called or started and has not looked at what is waiting.
     coming: bool,
+    /// A job was begun while more were waiting, since the thread on watch looked.
+    crowded: bool,
+    /// A thread is on watch.
+    watched: bool,
     closed: bool,
 }
 
@@ -44,14 +56,15 @@ impl<J: Job> Pool<J> {
     pub(super) fn new() -> Self {
         let state = State {
             waiting: VecDeque::new(),
-            idle: 0,
-            calls: 0,
+            begun: 0,
+            idle: Vec::new(),
             coming: false,
+            crowded: false,
+            watched: false,
             closed: false,
         };
         Self(Arc::new(Shared {
             state: Mutex::new(state),
-            called: Condvar::new(),
         }))
     }
 
@@ -68,8 +81,9 @@ impl<J: Job> Drop for Pool<J> {
         let mut state = self.0.lock();
         state.closed = true;
         let never = std::mem::take(&mut state.waiting);
+        let idle = std::mem::take(&mut state.idle);
         drop(state);
-        self.0.called.notify_all();
+        idle.iter().for_each(Thread::unpark);
         drop(never);
     }
 }
@@ -86,11 +100,9 @@ fn call<J: Job>(shared: &Arc<Shared<J>>, mut state: MutexGuard<'_, State<J>>) {
         return;
     }
     state.coming = true;
-    if state.idle > 0 {
-        state.idle -= 1;
-        state.calls += 1;
+    if let Some(thread) = state.idle.pop() {
         drop(state);
-        shared.called.notify_one();
+        thread.unpark();
         return;
     }
     drop(state);
@@ -110,27 +122,76 @@ fn call<J: Job>(shared: &Arc<Shared<J>>, mut state: MutexGuard<'_, State<J>>) {
 /// What a thread does.
 fn work<J: Job>(shared: &Arc<Shared<J>>) {
     let mut state = shared.lock();
+    // Here it is.
+    state.coming = false;
     loop {
-        // Here it is.
-        state.coming = false;
         while let Some(job) = state.waiting.pop_front() {
-            call(shared, state);
+            state.begun += 1;
+            state.crowded |= !state.waiting.is_empty();
+            if state.watched {
+                drop(state);
+            } else {
+                call(shared, state);
+            }
             job.run();
             state = shared.lock();
         }
         if state.closed {
             return;
         }
-        state.idle += 1;
-        let nothing = |state: &mut State<J>| state.calls == 0 && !state.closed;
-        let waited = shared.called.wait_timeout_while(state, IDLE, nothing);
-        state = waited.unwrap_or_else(PoisonError::into_inner).0;
-        if state.calls == 0 {
-            state.idle -= 1;
-            return;
+        if state.crowded && !state.watched {
+            state = watch(shared, state);
+            continue;
         }
-        // Who called has counted it out already.
-        state.calls -= 1;
+        match rest(shared, state) {
+            Some(called) => state = called,
+            None => return,
+        }
+        state.coming = false;
+    }
+}
+
+/// Until a job has waited from one look to the next, which is to be begun now, or none has waited for
+/// another since the last look.
+fn watch<'s, J>(
+    shared: &'s Shared<J>,
+    mut state: MutexGuard<'s, State<J>>,
+) -> MutexGuard<'s, State<J>> {
+    state.watched = true;
+    loop {
+        let all = state.begun + state.waiting.len() as u64;
+        state.crowded = false;
+        drop(state);
+        std::thread::sleep(LOOK);
+        state = shared.lock();
+        if state.begun < all || !state.crowded || state.closed {
+            state.watched = false;
+            return state;
+        }
+    }
+}
+
+/// Waits to be called; `None` when nobody has for too long, or nobody will.
+fn rest<'s, J>(
+    shared: &'s Shared<J>,
+    mut state: MutexGuard<'s, State<J>>,
+) -> Option<MutexGuard<'s, State<J>>> {
+    let me = std::thread::current();
+    let start = Instant::now();
+    state.idle.push(me.clone());
+    loop {
+        drop(state);
+        let waited = start.elapsed();
+        std::thread::park_timeout(IDLE.saturating_sub(waited));
+        state = shared.lock();
+        // Called, or the pool is closed.
+        let Some(place) = state.idle.iter().rposition(|idle| idle.id() == me.id()) else {
+            return (!state.closed).then_some(state);
+        };
+        if waited >= IDLE {
+            state.idle.remove(place);
+            return None;
+        }
     }
 }
 
@@ -198,8 +259,44 @@ mod tests {
         }
         drop(ran);
         // One runs and one may be on its way back; a busy machine may need a few more.
-        let idle = pool.0.lock().idle;
+        let idle = pool.0.lock().idle.len();
         assert!(idle <= 10, "{idle} threads");
+    }
+
+    #[test]
+    fn a_job_that_blocks_delays_no_other_while_quick_ones_are_watched_either() {
+        let pool = Pool::new();
+        let (ran, runs) = channel();
+        let quick = |number: u32| {
+            let ran = ran.clone();
+            Work(Box::new(move || ran.send(number).unwrap()))
+        };
+        let start = Instant::now();
+        while !pool.0.lock().watched {
+            assert!(start.elapsed() < PATIENCE, "nobody watches");
+            pool.begin(&mut (0..50).map(quick).collect());
+            for _ in 0..50 {
+                runs.recv_timeout(PATIENCE).expect("each is run");
+            }
+        }
+        let (begun, begins) = channel();
+        let (gate, go) = channel();
+        let mut jobs: Vec<Work> = (0..50).map(quick).collect();
+        jobs.insert(0, blocking(begun, 7, go));
+        pool.begin(&mut jobs);
+        assert_eq!(begins.recv_timeout(PATIENCE), Ok(7));
+        let mut seen: Vec<u32> = (0..50)
+            .map(|_| runs.recv_timeout(PATIENCE).expect("each is run"))
+            .collect();
+        seen.sort_unstable();
+        assert_eq!(seen, (0..50).collect::<Vec<_>>());
+        drop(gate);
+        // Nobody watches for ever.
+        let start = Instant::now();
+        while pool.0.lock().watched {
+            assert!(start.elapsed() < PATIENCE, "somebody still watches");
+            std::thread::yield_now();
+        }
     }
 
     #[test]
