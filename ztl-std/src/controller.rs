@@ -4,14 +4,14 @@
 mod pool;
 
 use std::any::Any;
-use std::collections::HashMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::string::FromUtf8Error;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use ztl_core::{TaskId, TaskSpec};
 
-use crate::server::{Hush, TaskHandler, TaskReporter};
+use crate::server::{AbortRefusal, ById, Hush, TaskHandler, TaskReporter};
 use pool::{Job, Pool};
 
 /// What a client asks for.
@@ -202,8 +202,7 @@ impl Wish {
     }
 }
 
-type Running = Arc<Mutex<HashMap<TaskId, (Arc<Wish>, AbortRefusal)>>>;
-type AbortRefusal = Box<dyn Fn() + Send>;
+type Running = Arc<Mutex<ById<(Arc<Wish>, AbortRefusal)>>>;
 
 /// Runs the tasks of a controller on threads, each on one that is its own as long as it runs.
 pub(crate) struct Threads<C: TaskController> {
@@ -277,7 +276,7 @@ impl<C: TaskController> TaskHandler for Threads<C> {
         };
         let mut state = wish.lock();
         if state.can_abort == Some(false) {
-            refuse();
+            refuse.tell();
         } else {
             state.abort = true;
             wish.changed.notify_all();
@@ -319,11 +318,13 @@ fn run(controller: &dyn TaskController, task: TaskReporter, wish: &Arc<Wish>, pa
         state.can_abort = Some(can_abort);
         state.abort
     };
-    let mut reply = Vec::new();
+    // As long as it is where nothing has to be escaped.
+    let mut reply = Vec::with_capacity(96 + payload.len());
     spec.put_initiated(task.id(), &mut |bytes: &[u8]| {
         reply.extend_from_slice(bytes)
     });
-    task.accepted(String::from_utf8_lossy(&reply));
+    let lossy = |error: FromUtf8Error| String::from_utf8_lossy(error.as_bytes()).into_owned();
+    task.accepted(String::from_utf8(reply).unwrap_or_else(lossy));
     if aborted_already && can_abort {
         return task.aborted("aborted before it began");
     }

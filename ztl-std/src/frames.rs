@@ -1,6 +1,8 @@
 //! Messages of several frames, through signals: ZeroMQ gives up a call that a signal interrupts, which
 //! a process with children or a terminal has often. In the middle of a message that would cost the rest.
 
+use std::ops::Deref;
+
 /// Calls ZeroMQ until no signal interrupts it.
 pub(crate) fn unbroken<T>(mut call: impl FnMut() -> zmq::Result<T>) -> zmq::Result<T> {
     loop {
@@ -15,14 +17,14 @@ pub(crate) fn unbroken<T>(mut call: impl FnMut() -> zmq::Result<T>) -> zmq::Resu
 ///
 /// # Errors
 /// As ZeroMQ says, before the first frame: what has begun is sent as a whole.
-pub(crate) fn send<F: AsRef<[u8]>>(socket: &zmq::Socket, frames: &[F]) -> zmq::Result<()> {
+pub(crate) fn send<F: Deref<Target = [u8]>>(socket: &zmq::Socket, frames: &[F]) -> zmq::Result<()> {
     let more = frames.len().saturating_sub(1);
     for (place, frame) in frames.iter().enumerate() {
         let flags = match place < more {
             true => zmq::DONTWAIT | zmq::SNDMORE,
             false => zmq::DONTWAIT,
         };
-        unbroken(|| socket.send(frame.as_ref(), flags))?;
+        unbroken(|| socket.send(&**frame, flags))?;
     }
     Ok(())
 }
@@ -65,7 +67,7 @@ mod tests {
         assert_eq!(receive(&from), Err(zmq::Error::EAGAIN));
         let frames: [&[u8]; 3] = [b"one", b"", &[0xA5; 100]];
         send(&to, &frames).expect("room");
-        send(&to, &[b"last"]).expect("room");
+        send(&to, &[&b"last"[..]]).expect("room");
         assert_eq!(receive(&from).expect("a message"), frames);
         assert_eq!(receive(&from).expect("a message"), [b"last"]);
         let none: [&[u8]; 0] = [];

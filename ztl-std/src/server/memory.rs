@@ -1,6 +1,7 @@
 //! A dispatcher's memory on the heap: the same rules, as many tasks as are allowed.
 
-use std::collections::{BTreeSet, HashMap};
+use std::collections::{BTreeSet, HashMap, VecDeque};
+use std::hash::{BuildHasherDefault, Hasher};
 
 use super::listing::{Asked, ListedTask, Listing, told};
 use super::{Answers, Limits};
@@ -49,14 +50,44 @@ impl Text for Grown {
     }
 }
 
+/// Something for each of some tasks. The ids are given by the server one after the other, so nobody can
+/// choose some that meet in one place.
+pub(crate) type ById<T> = HashMap<TaskId, T, BuildHasherDefault<IdHasher>>;
+
+/// Numbers that follow each other lie side by side, where the newest are still in the cache.
+#[derive(Debug, Default)]
+pub(crate) struct IdHasher(u64);
+
+impl Hasher for IdHasher {
+    fn finish(&self) -> u64 {
+        self.0
+    }
+
+    fn write(&mut self, bytes: &[u8]) {
+        bytes.iter().for_each(|byte| self.write_u32((*byte).into()));
+    }
+
+    fn write_u32(&mut self, number: u32) {
+        // The map takes the place from the low bits, and tells neighbours apart by the seven highest.
+        let number = u64::from(number) ^ self.0.rotate_left(8);
+        self.0 = number ^ number << 57;
+    }
+}
+
+/// A task, and what it was asked for, to be shown.
+#[derive(Debug)]
+struct Kept {
+    task: Task<Scope, Grown>,
+    asked: Option<Asked>,
+}
+
 /// Tasks by their id, and the ends in their order.
 #[derive(Debug)]
 pub(super) struct HeapTasks {
     limits: Limits,
-    tasks: HashMap<TaskId, Task<Scope, Grown>>,
-    ends: BTreeSet<(Instant, TaskId)>,
-    /// What each was asked for, to be shown.
-    asked: HashMap<TaskId, Asked>,
+    tasks: ById<Kept>,
+    /// Sorted. A new end is the latest, or nearly so.
+    ends: VecDeque<(Instant, TaskId)>,
     /// Scopes that the client whose request is served may not use.
     hidden: Vec<Scope>,
 }
@@ -67,11 +98,11 @@ impl Tasks for HeapTasks {
     type Text = Grown;
 
     fn get(&self, id: TaskId) -> Option<&Task<Scope, Grown>> {
-        self.tasks.get(&id)
+        self.tasks.get(&id).map(|kept| &kept.task)
     }
 
     fn get_mut(&mut self, id: TaskId) -> Option<&mut Task<Scope, Grown>> {
-        self.tasks.get_mut(&id)
+        self.tasks.get_mut(&id).map(|kept| &mut kept.task)
     }
 
     fn may_run(&self) -> bool {
@@ -83,34 +114,35 @@ impl Tasks for HeapTasks {
     }
 
     fn insert(&mut self, id: TaskId, task: Task<Scope, Grown>) -> Option<&mut Task<Scope, Grown>> {
-        self.tasks.insert(id, task);
-        self.tasks.get_mut(&id)
+        let kept = Kept { task, asked: None };
+        let place = self.tasks.entry(id).insert_entry(kept);
+        Some(&mut place.into_mut().task)
     }
 
     fn remove(&mut self, id: TaskId) {
-        self.asked.remove(&id);
-        if let Some(task) = self.tasks.remove(&id) {
-            self.ends.remove(&(task.ended, id));
+        if let Some(kept) = self.tasks.remove(&id)
+            && let Ok(place) = self.ends.binary_search(&(kept.task.ended, id))
+        {
+            self.ends.remove(place);
         }
     }
 
     fn on_ended(&mut self, id: TaskId) {
-        if let Some(task) = self.tasks.get(&id) {
-            self.ends.insert((task.ended, id));
+        if let Some(kept) = self.tasks.get(&id) {
+            let end = (kept.task.ended, id);
+            let place = self.ends.partition_point(|before| *before < end);
+            self.ends.insert(place, end);
         }
     }
 
     fn oldest_end(&self) -> Option<(TaskId, Instant)> {
         // No end here needs an acknowledgement.
-        self.ends.first().map(|(ended, id)| (*id, *ended))
+        self.ends.front().map(|(ended, id)| (*id, *ended))
     }
 
     fn iter(&self) -> impl Iterator<Item = (TaskId, &Task<Scope, Grown>)> {
-        let shown = |(_, task): &(_, &Task<Scope, Grown>)| !self.hidden.contains(&task.extra);
-        self.tasks
-            .iter()
-            .filter(shown)
-            .map(|(id, task)| (*id, task))
+        let tasks = self.tasks.iter().map(|(id, kept)| (*id, &kept.task));
+        tasks.filter(|(_, task)| !self.hidden.contains(&task.extra))
     }
 }
 
@@ -125,7 +157,7 @@ pub(super) struct Heap {
     held: Vec<Waiter<Peer>>,
     inits: HashMap<ClientId, LastInit<Grown>>,
     /// Which client's last INIT led to a task.
-    clients: HashMap<TaskId, ClientId>,
+    clients: ById<ClientId>,
     /// When an answered INIT may be forgotten.
     until: BTreeSet<(Instant, ClientId)>,
 }
@@ -139,14 +171,13 @@ impl Heap {
             places: HashMap::new(),
             tasks: HeapTasks {
                 limits,
-                tasks: HashMap::new(),
-                ends: BTreeSet::new(),
-                asked: HashMap::new(),
+                tasks: ById::default(),
+                ends: VecDeque::new(),
                 hidden: Vec::new(),
             },
             held: Vec::new(),
             inits: HashMap::new(),
-            clients: HashMap::new(),
+            clients: ById::default(),
             until: BTreeSet::new(),
         }
     }
@@ -189,14 +220,17 @@ impl Heap {
 
     /// Keeps what a task was asked for, to be shown.
     pub(super) fn note_payload(&mut self, id: TaskId, payload: &str, now: Instant) {
-        self.tasks.asked.insert(id, Asked::new(payload, now));
+        if let Some(kept) = self.tasks.tasks.get_mut(&id) {
+            kept.asked = Some(Asked::new(payload, now));
+        }
     }
 
     fn listing(&self) -> Listing {
         let now = now();
-        let shown = |(_, task): &(_, &Task<Scope, Grown>)| !self.tasks.hidden.contains(&task.extra);
-        let tasks = self.tasks.tasks.iter().filter(shown).map(|(id, task)| {
-            let asked = self.tasks.asked.get(id);
+        let kept = self.tasks.tasks.iter();
+        let shown = kept.filter(|(_, kept)| !self.tasks.hidden.contains(&kept.task.extra));
+        let tasks = shown.map(|(id, Kept { task, asked })| {
+            let asked = asked.as_ref();
             ListedTask {
                 id: id.get(),
                 scope: self.scope_name(task.extra).to_owned(),

@@ -41,10 +41,10 @@ pub(crate) use handler::would_take;
 pub use handler::{Answers, Restored, RestoredTask, TaskHandler};
 pub use limits::{LIMITS, Limits};
 pub use listing::{ListedTask, Listing};
-pub(crate) use memory::quoted;
 use memory::{About, Grown, Heap, Peer};
-pub(crate) use report::Hush;
+pub(crate) use memory::{ById, quoted};
 pub use report::TaskReporter;
+pub(crate) use report::{AbortRefusal, Hush};
 use report::{Inbox, Mailbox, Report, Waker};
 pub use running::{Pulse, RunningServer, Stopper};
 use touch::Touch;
@@ -107,6 +107,8 @@ pub struct TaskServer {
     witness: Option<Witness>,
     /// Whether the last turn took a report.
     reported: bool,
+    /// Whether a handler was given a task since it was last told that these are all.
+    started: bool,
 }
 
 impl TaskServer {
@@ -164,6 +166,7 @@ impl TaskServer {
             touch: Touch::default(),
             witness: None,
             reported: false,
+            started: false,
         })
     }
 
@@ -280,26 +283,29 @@ impl TaskServer {
                 None => debug!(target: LOG, "dropped a message of somebody unknown"),
             }
             taken += 1;
-            if taken == BATCH {
+            if taken == BATCH || !self.started {
                 break;
             }
             next = self.receive(zmq::DONTWAIT)?;
         }
-        for handler in &mut self.handlers {
-            handler.all_started();
+        if std::mem::take(&mut self.started) {
+            for handler in &mut self.handlers {
+                handler.all_started();
+            }
         }
         let Self {
             dispatcher, socket, ..
         } = self;
-        dispatcher.handle_timeout(now(), &mut |peer, reply| answer(socket, peer, reply));
-        self.abort_for_those_who_are_gone();
+        let now = now();
+        dispatcher.handle_timeout(now, &mut |peer, reply| answer(socket, peer, reply));
+        self.abort_for_those_who_are_gone(now);
         Ok(more)
     }
 
-    fn abort_for_those_who_are_gone(&mut self) {
+    fn abort_for_those_who_are_gone(&mut self, now: Instant) {
         let tasks = self.dispatcher.memory().tasks();
         let runs = |id| tasks.get(id).is_some_and(|task| !task.state.is_final());
-        for id in self.touch.gone(now(), runs) {
+        for id in self.touch.gone(now, runs) {
             warn!(target: LOG, "The client that started task '{id}' is gone, so it is aborted.");
             let scope = tasks.get(id).map(|task| usize::from(task.extra.0));
             if let Some(handler) = scope.and_then(|scope| self.handlers.get_mut(scope)) {
@@ -381,14 +387,17 @@ impl TaskServer {
             ..
         } = self;
         let mut taken = 0;
-        for (id, report) in inbox.waiting().take(BATCH) {
+        let now = now();
+        while taken < BATCH
+            && let Some((id, report)) = inbox.next()
+        {
             taken += 1;
             if let Report::NeedsClient(client, silence) = report {
-                touch.watch(now(), client, id, silence);
+                touch.watch(now, client, id, silence);
                 continue;
             }
             report.tell(|event| {
-                dispatcher.handle_event(now(), id, event, &mut |peer, reply| {
+                dispatcher.handle_event(now, id, event, &mut |peer, reply| {
                     answer(socket, peer, reply);
                 });
             });
@@ -443,9 +452,10 @@ impl TaskServer {
             debug!(target: LOG, "dropped a message without a delimiter");
             return;
         };
-        let content = frames.split_off(delimiter + 1);
-        let body = match content.as_slice() {
-            [one] => Body::One(one),
+        let content = (frames.len() == delimiter + 2).then(|| frames.pop());
+        frames.truncate(delimiter + 1);
+        let body = match &content {
+            Some(Some(content)) => Body::One(content),
             _ => Body::Several,
         };
         self.show(body);
@@ -480,7 +490,10 @@ impl TaskServer {
                 let client = envelope.map(|envelope| envelope.client);
                 let task = TaskReporter::new(id, self.mailbox.clone(), client);
                 match self.handlers.get_mut(usize::from(scope.0)) {
-                    Some(handler) => handler.start(task, payload),
+                    Some(handler) => {
+                        handler.start(task, payload);
+                        self.started = true;
+                    }
                     None => task.rejected("the server is stopping"),
                 }
             }
@@ -526,11 +539,10 @@ fn log_refusal(reply: &Reply<'_>, body: Body<'_>) {
 
 /// Sends an answer, or drops it when its client is gone or takes nothing.
 fn answer(socket: &zmq::Socket, mut peer: Peer, reply: &Reply<'_>) {
-    let mut body = Vec::new();
+    let mut body = Vec::with_capacity(256);
     reply.put(&mut |bytes: &[u8]| body.extend_from_slice(bytes));
-    peer.push(body.into());
-    let frames: Vec<&[u8]> = peer.iter().map(|frame| &frame[..]).collect();
-    if let Err(cause) = frames::send(socket, &frames) {
+    peer.push(body.as_slice().into());
+    if let Err(cause) = frames::send(socket, &peer) {
         debug!(target: LOG, "an answer was not taken: {}", cause.message());
     }
 }

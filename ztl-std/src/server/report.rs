@@ -1,8 +1,8 @@
 //! How a handler tells its server what became of a task, from any thread.
 
+use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
-use std::sync::mpsc::{Receiver, Sender, TryIter, channel};
-use std::sync::{Arc, Condvar, Mutex, PoisonError};
+use std::sync::{Arc, Condvar, Mutex, OnceLock, PoisonError};
 use std::time::Duration;
 
 use tracing::error;
@@ -58,9 +58,12 @@ impl Report {
 /// Reports for the server's thread; wakes it when it sleeps in its poll.
 #[derive(Clone)]
 pub(super) struct Mailbox {
-    reports: Sender<(TaskId, Report)>,
+    post: Arc<Post>,
     waker: Arc<Waker>,
 }
+
+/// Reports on their way, in their order; `None` when the server is gone, which needs none.
+type Post = Mutex<Option<VecDeque<(TaskId, Report)>>>;
 
 /// Wakes the server's thread from its poll, where it sleeps.
 pub(super) struct Waker {
@@ -106,7 +109,7 @@ impl Waker {
             let bell = self.bell.lock().unwrap_or_else(PoisonError::into_inner);
             // The queue cannot be full: it rings once for each sleep. An empty frame would be taken for the
             // delimiter of a request without a body.
-            let _ = frames::send(&bell, &[b"bell"]);
+            let _ = frames::send(&bell, &[&b"bell"[..]]);
         }
     }
 
@@ -171,23 +174,57 @@ impl Drop for Hush {
 
 impl Mailbox {
     pub(super) fn new(waker: Arc<Waker>) -> (Self, Inbox) {
-        let (reports, inbox) = channel();
-        (Self { reports, waker }, Inbox(inbox))
+        let post = Arc::new(Mutex::new(Some(VecDeque::new())));
+        let inbox = Inbox {
+            post: Arc::clone(&post),
+            taken: VecDeque::new(),
+        };
+        (Self { post, waker }, inbox)
     }
 
     fn post(&self, id: TaskId, report: Report) {
-        // A server that is gone needs no reports.
-        if self.reports.send((id, report)).is_ok() {
-            self.waker.on_posted();
-        }
+        let mut post = self.post.lock().unwrap_or_else(PoisonError::into_inner);
+        let Some(reports) = post.as_mut() else {
+            return;
+        };
+        reports.push_back((id, report));
+        drop(post);
+        self.waker.on_posted();
     }
 }
 
-pub(super) struct Inbox(Receiver<(TaskId, Report)>);
+/// For how many reports there is always room, once it was needed.
+const KEPT: usize = 1024;
+
+/// The server's end.
+pub(super) struct Inbox {
+    post: Arc<Post>,
+    /// Those that it has taken all at once and not looked at.
+    taken: VecDeque<(TaskId, Report)>,
+}
 
 impl Inbox {
-    pub(super) fn waiting(&self) -> TryIter<'_, (TaskId, Report)> {
-        self.0.try_iter()
+    /// The next report, if there is one.
+    pub(super) fn next(&mut self) -> Option<(TaskId, Report)> {
+        if self.taken.is_empty() {
+            self.taken.shrink_to(KEPT);
+            let mut post = self.post.lock().unwrap_or_else(PoisonError::into_inner);
+            if let Some(reports) = post.as_mut() {
+                std::mem::swap(reports, &mut self.taken);
+            }
+        }
+        self.taken.pop_front()
+    }
+}
+
+impl Drop for Inbox {
+    fn drop(&mut self) {
+        let never = self
+            .post
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .take();
+        drop(never);
     }
 }
 
@@ -196,7 +233,8 @@ impl Inbox {
 pub struct TaskReporter {
     id: TaskId,
     mailbox: Mailbox,
-    progress: Slot,
+    /// Made when it is first needed.
+    progress: OnceLock<Slot>,
     ended: bool,
     client: Option<ClientId>,
 }
@@ -207,7 +245,7 @@ impl TaskReporter {
             id,
             client,
             mailbox,
-            progress: Slot::default(),
+            progress: OnceLock::new(),
             ended: false,
         }
     }
@@ -237,11 +275,12 @@ impl TaskReporter {
 
     /// Where the task is now; the latest wins.
     pub fn progress(&self, text: impl Into<String>) {
-        let mut slot = self.progress.lock().unwrap_or_else(PoisonError::into_inner);
-        let on_its_way = slot.replace(text.into()).is_some();
-        drop(slot);
+        let slot = self.progress.get_or_init(Slot::default);
+        let mut latest = slot.lock().unwrap_or_else(PoisonError::into_inner);
+        let on_its_way = latest.replace(text.into()).is_some();
+        drop(latest);
         if !on_its_way {
-            self.post(Report::Progress(Arc::clone(&self.progress)));
+            self.post(Report::Progress(Arc::clone(slot)));
         }
     }
 
@@ -298,9 +337,8 @@ impl TaskReporter {
     }
 
     /// Refuses an ABORT from elsewhere than where the reporter is.
-    pub(crate) fn abort_refusal(&self) -> Box<dyn Fn() + Send> {
-        let (id, mailbox) = (self.id, self.mailbox.clone());
-        Box::new(move || mailbox.post(id, Report::AbortRefused))
+    pub(crate) fn abort_refusal(&self) -> AbortRefusal {
+        AbortRefusal(self.id, self.mailbox.clone())
     }
 
     fn post(&self, report: Report) {
@@ -310,6 +348,16 @@ impl TaskReporter {
     fn end(mut self, report: Report) {
         self.ended = true;
         self.post(report);
+    }
+}
+
+/// Refuses an ABORT of a task from elsewhere than where its reporter is.
+pub(crate) struct AbortRefusal(TaskId, Mailbox);
+
+impl AbortRefusal {
+    /// The task cannot be stopped and goes on.
+    pub(crate) fn tell(&self) {
+        self.1.post(self.0, Report::AbortRefused);
     }
 }
 
@@ -355,19 +403,19 @@ mod tests {
 
     #[test]
     fn a_server_is_woken_once_for_each_sleep_and_never_while_it_is_awake() {
-        let (bell, waker, mailbox, inbox) = server();
+        let (bell, waker, mailbox, mut inbox) = server();
         let task = task(&mailbox);
         task.accepted("while awake");
         assert_eq!(rings(&bell), 0);
         assert!(!waker.may_sleep(), "something was posted");
         waker.awake();
-        assert_eq!(inbox.waiting().count(), 1);
+        assert_eq!(std::iter::from_fn(|| inbox.next()).count(), 1);
         assert!(waker.may_sleep());
         task.accepted("while asleep");
         task.accepted("and again");
         assert_eq!(rings(&bell), 1);
         waker.awake();
-        assert_eq!(inbox.waiting().count(), 2);
+        assert_eq!(std::iter::from_fn(|| inbox.next()).count(), 2);
         assert!(waker.may_sleep());
         task.leave();
     }
