@@ -61,6 +61,9 @@ fn checking_says_what_is_wrong_and_what_may_be() {
             .starts_with("/no/such/file.yaml: cannot read it: "),
         "{ended:?}"
     );
+    let ended = run(&["/dev/zero"]);
+    let said = "/dev/zero: it has more than 1048576 bytes, and no more are read\n";
+    assert_eq!((ended.code, ended.stderr.as_str()), (Some(2), said));
 }
 
 #[test]

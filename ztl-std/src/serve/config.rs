@@ -141,8 +141,7 @@ impl<'d> Source<'d> {
         let mut scopes = Vec::new();
         let example = "scopes: {/robot: {tts: {say: [espeak-ng, '{goal}']}}}";
         if let Some(node) = fields.required("scopes", example) {
-            let pairs = self.reading.pairs(node, "scopes, as /robot");
-            for (name, node) in pairs.unwrap_or_default() {
+            for (name, node) in self.some(node, "scopes, as /robot") {
                 scopes.extend(self.scope(name, node));
             }
         }
@@ -160,11 +159,9 @@ impl<'d> Source<'d> {
             scope_mistake(text).map_or_else(|| Ok(text.to_owned()), Err)
         });
         let mut entries = Vec::new();
-        let handlers = self.reading.pairs(node, "its handlers");
-        for (handler, node) in handlers.unwrap_or_default() {
+        for (handler, node) in self.some(node, "its handlers") {
             let handler = self.name(handler, "a handler");
-            let components = self.reading.pairs(node, "the handler's components");
-            for (component, node) in components.unwrap_or_default() {
+            for (component, node) in self.some(node, "the handler's components") {
                 let component = self.name(component, "a component");
                 let wild = [&handler, &component].map(|name| name.as_deref() == Some(WILD));
                 let entry = self.entry(node, Wild(wild.contains(&true)));
@@ -178,6 +175,16 @@ impl<'d> Source<'d> {
             name: known?,
             entries,
         })
+    }
+
+    /// What a mapping has in it; with nothing in it, nothing would be served.
+    fn some(&mut self, node: &'d Node, what: &str) -> &'d [(Node, Node)] {
+        let pairs = self.reading.pairs(node, what);
+        if pairs.is_some_and(<[_]>::is_empty) {
+            let message = format!("there is nothing in it; wanted are {what}");
+            self.reading.wrong(node, message);
+        }
+        pairs.unwrap_or_default()
     }
 
     /// What clients say between two `:`.

@@ -45,6 +45,17 @@ enum Part {
 
 const KNOWN: [&str; 6] = ["goal", "goal.x", "handler", "component", "id", "scope"];
 
+impl Part {
+    /// Whether it may be anything that a client writes.
+    fn is_open(&self, rule: &Rule, wild: bool) -> bool {
+        match self {
+            Self::Goal(path) => !rule.part(path).is_some_and(Rule::is_closed),
+            Self::Handler | Self::Component => wild,
+            Self::Text(_) | Self::Id | Self::Scope => false,
+        }
+    }
+}
+
 impl Template {
     /// Reads an argument. Only a single word within braces is a place to fill; any other brace is one.
     pub(super) fn parse(text: &str) -> Result<Self, String> {
@@ -98,14 +109,24 @@ impl Template {
         })
     }
 
+    /// What stands at its beginning.
+    pub(super) fn beginning(&self) -> &str {
+        match self.0.first() {
+            Some(Part::Text(text)) => text,
+            _ => "",
+        }
+    }
+
+    /// Whether a client's own words are put into it. `wild`: handler or component are, too.
+    pub(super) fn takes_text(&self, rule: &Rule, wild: bool) -> bool {
+        self.0.iter().any(|part| part.is_open(rule, wild))
+    }
+
     /// Whether a client chooses with what it begins, so that it may begin with a `-`, which a program
     /// takes for an option. `wild`: handler or component are the client's choice, too.
     pub(super) fn is_open(&self, rule: &Rule, wild: bool) -> bool {
-        match self.0.first() {
-            Some(Part::Goal(path)) => !rule.part(path).is_some_and(Rule::is_closed),
-            Some(Part::Handler | Part::Component) => wild,
-            _ => false,
-        }
+        let first = self.0.first();
+        first.is_some_and(|part| part.is_open(rule, wild))
     }
 
     /// The argument for a task.

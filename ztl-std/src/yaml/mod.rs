@@ -25,6 +25,8 @@ mod tree;
 pub use diagnostic::{Diagnostic, Diagnostics, closest};
 pub use reading::{Fields, Reading};
 
+use std::fs::File;
+use std::io::Read;
 use std::path::Path;
 
 /// Longest file that is read, in bytes.
@@ -222,7 +224,15 @@ pub(crate) fn read_file(path: &Path) -> Result<Vec<u8>, Diagnostics> {
         let message = format!("the file has {len} bytes; at most {MAX_FILE} are read");
         return Err(wrong(message));
     }
-    std::fs::read(path).map_err(unreadable)
+    // A pipe or a device does not tell how much it has.
+    let file = File::open(path).map_err(unreadable)?;
+    let mut bytes = Vec::new();
+    let most = file.take(MAX_FILE + 1).read_to_end(&mut bytes);
+    if most.map_err(unreadable)? as u64 > MAX_FILE {
+        let message = format!("it has more than {MAX_FILE} bytes, and no more are read");
+        return Err(wrong(message));
+    }
+    Ok(bytes)
 }
 
 /// The first character that PyYAML does not take.

@@ -68,10 +68,6 @@ enum Command {
     /// Serve the scripts and command-line tools of a robot as handlers of a task server
     #[cfg(unix)]
     Serve(serve::Serve),
-    /// What `ztl serve` starts to look after its programs, should it be killed
-    #[cfg(unix)]
-    #[command(hide = true)]
-    ServeGuard(serve::Guard),
     /// Run a simulated device by itself, for whoever has no hardware
     Device(device::Device),
     /// Put a bad cable between a gateway and its device: bytes lost, altered, repeated, held back
@@ -115,8 +111,6 @@ fn main() -> ExitCode {
         Command::Gateway(gateway) => gateway.run(),
         #[cfg(unix)]
         Command::Serve(serve) => serve.run(),
-        #[cfg(unix)]
-        Command::ServeGuard(guard) => guard.run(),
         Command::Device(device) => device.run(),
         Command::Line(line) => line.run(),
         Command::Devices(devices) => devices.run(),

@@ -39,16 +39,13 @@ pub(crate) struct Serve {
 const GUARD: &str = "serve-guard";
 
 /// A process that its `ztl serve` talks to, by stdin, and that ends with it.
-#[derive(Debug, clap::Args)]
 pub(crate) struct Guard {
-    /// How it logs
-    #[arg(value_parser = reach::format)]
     format: LogFormat,
 }
 
 impl Guard {
-    /// As [`command`](Self::command) calls it, read without the parser for people's options: what that
-    /// touches would stay in memory for as long as the server runs.
+    /// As [`command`](Self::command) calls it. Nobody else does, so this goes without the parser for
+    /// people's options: what that touches would stay in memory for as long as the server runs.
     pub(crate) fn of(args: &[OsString]) -> Option<Self> {
         let [_, name, format] = args else {
             return None;

@@ -5,7 +5,7 @@ use super::super::value::Value as GoalValue;
 use super::Source;
 use crate::yaml::{Node, Value};
 
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, PartialEq)]
 enum Kind {
     Any,
     Text,
@@ -29,7 +29,12 @@ impl<'d> Source<'d> {
             let kind = self.reading.one_of(node, &KINDS)?;
             return Some(rule(kind));
         }
-        self.rule_with_default(node).map(|(rule, _)| rule)
+        let (rule, default) = self.rule_with_default(node)?;
+        if default.is_some() {
+            let message = "only a field may be left out, so there is no default here";
+            self.reading.wrong(node, message);
+        }
+        Some(rule)
     }
 
     /// The same of a field, which may say what is taken when it is left out.
@@ -50,8 +55,8 @@ impl<'d> Source<'d> {
         let mut fields = self
             .reading
             .fields(node, "type: number, or one-of, or fields")?;
-        let kind = fields.optional("type");
-        let kind = kind.map(|node| self.reading.one_of(node, &KINDS));
+        let named = fields.optional("type");
+        let kind = named.map(|node| self.reading.one_of(node, &KINDS));
         let least = fields.optional("least");
         let most = fields.optional("most");
         let longest = fields.optional("longest");
@@ -59,6 +64,12 @@ impl<'d> Source<'d> {
         let parts = fields.optional("fields");
         let default = fields.optional("default");
         fields.finish(&mut self.reading);
+        let beside = [
+            ("type", named),
+            ("least", least),
+            ("most", most),
+            ("longest", longest),
+        ];
         let bounds = [least, most].map(|node| node.map(|node| self.bound(node)));
         let longest = longest.map(|node| {
             let what = "a number of characters";
@@ -73,9 +84,13 @@ impl<'d> Source<'d> {
             Some(kind) => kind?,
             None => implied,
         };
+        self.idle(kind, words, parts, beside);
         let rule = match (words, parts) {
             (Some(node), _) => {
                 let nodes = self.reading.list(node, "words, as [left, right]")?;
+                if nodes.is_empty() {
+                    self.reading.wrong(node, "there is no word in this list");
+                }
                 let mut words = Vec::new();
                 for node in nodes {
                     words.push(self.reading.text(node, "a word")?.to_owned());
@@ -122,6 +137,36 @@ impl<'d> Source<'d> {
             None => None,
         };
         Some((rule, default))
+    }
+
+    /// A key that nothing is compared with is a mistake: it would let every goal through.
+    fn idle(
+        &mut self,
+        kind: Kind,
+        words: Option<&'d Node>,
+        parts: Option<&'d Node>,
+        beside: [(&str, Option<&'d Node>); 4],
+    ) {
+        if let (Some(_), Some(node)) = (words, parts) {
+            let message = "one-of and fields cannot both say what is taken";
+            self.reading.wrong(node, message);
+        }
+        let whole = words.map(|_| "one-of").or(parts.map(|_| "fields"));
+        for (key, node) in beside {
+            let Some(node) = node else { continue };
+            if let Some(whole) = whole {
+                let message = format!("{whole} says all that is taken; leave out {key}");
+                self.reading.wrong(node, message);
+                continue;
+            }
+            let wanted = match key {
+                "least" | "most" if !matches!(kind, Kind::Number | Kind::Whole) => "number",
+                "longest" if kind != Kind::Text => "text",
+                _ => continue,
+            };
+            let message = format!("{key} is only for a {wanted}; write type: {wanted}");
+            self.reading.wrong(node, message);
+        }
     }
 
     fn bound(&mut self, node: &'d Node) -> Option<f64> {

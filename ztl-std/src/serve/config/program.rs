@@ -169,6 +169,11 @@ impl<'d> Source<'d> {
                 let message = format!("no goal has '{part}': it is {}", around.rule);
                 self.reading.wrong(node, message);
             }
+            if runs_in_shell(&arguments) && template.takes_text(around.rule, around.wild.0) {
+                let message =
+                    "a shell executes what a client writes here; write \"$ZTL_GOAL\" in its place";
+                self.warn(node, message.to_owned());
+            }
             let guarded = !around.dashes && template.is_open(around.rule, around.wild.0);
             arguments.push(Argument { template, guarded });
         }
@@ -329,11 +334,12 @@ impl<'d> Source<'d> {
             time.map_err(|_| format!("'{text}' is not {what}"))
         })?;
         if time > most || time.is_zero() {
-            let most = humantime::format_duration(most.min(Duration::from_secs(3600 * 24 * 365)));
-            self.reading.wrong(
-                node,
-                format!("this must be more than nothing and at most {most}"),
-            );
+            let mut message = "this must be more than nothing".to_owned();
+            if most < Duration::MAX {
+                let most = humantime::format_duration(most);
+                message.push_str(&format!(" and at most {most}"));
+            }
+            self.reading.wrong(node, message);
             return None;
         }
         Some(time)
@@ -347,6 +353,21 @@ impl<'d> Source<'d> {
             size.ok_or_else(|| format!("'{text}' is not {what}"))
         })
     }
+}
+
+/// Whether the argument behind these is a shell's command, as in `sh -c`.
+fn runs_in_shell(before: &[Argument]) -> bool {
+    const SHELLS: [&str; 6] = ["sh", "bash", "dash", "ash", "ksh", "zsh"];
+    let [program, options @ ..] = before else {
+        return false;
+    };
+    let program = program.template.beginning();
+    let name = program.rsplit('/').next().unwrap_or_default();
+    let is_option = |option: &Argument| option.template.beginning().starts_with('-');
+    let last = options.last().map(|option| option.template.beginning());
+    SHELLS.contains(&name)
+        && options.iter().all(is_option)
+        && last.is_some_and(|last| !last.starts_with("--") && last.ends_with('c'))
 }
 
 /// A program with the limits that it has when nothing else is said.

@@ -243,6 +243,85 @@ scopes:
     );
 }
 
+/// The mistakes in a rule for goals.
+#[track_caller]
+fn mistakes_of(goal: &str) -> Vec<String> {
+    let text = format!("scopes: {{/r: {{h: {{c: {{run: [sh], goal: {goal}}}}}}}}}");
+    let mistakes = parse(&text).expect_err("a mistake").to_string();
+    let first = mistakes.lines().filter_map(|line| {
+        let message = line.strip_prefix("robot.yaml:1:")?.split_once(": ")?.1;
+        Some(message.to_owned())
+    });
+    first.collect()
+}
+
+#[test]
+fn a_key_that_no_goal_would_be_compared_with_is_a_mistake() {
+    for (goal, mistakes) in [
+        (
+            "{type: text, least: 5}",
+            &["least is only for a number; write type: number"][..],
+        ),
+        (
+            "{type: any, least: -180, most: 180}",
+            &[
+                "least is only for a number; write type: number",
+                "most is only for a number; write type: number",
+            ],
+        ),
+        (
+            "{type: whole, longest: 3}",
+            &["longest is only for a text; write type: text"],
+        ),
+        (
+            "{type: number, one-of: [1, 2]}",
+            &["one-of says all that is taken; leave out type"],
+        ),
+        (
+            "{most: 2, fields: {x: number}}",
+            &["fields says all that is taken; leave out most"],
+        ),
+        (
+            "{one-of: [a], fields: {x: number}}",
+            &["one-of and fields cannot both say what is taken"],
+        ),
+        ("{one-of: []}", &["there is no word in this list"]),
+        (
+            "{type: number, default: 3}",
+            &["only a field may be left out, so there is no default here"],
+        ),
+    ] {
+        assert_eq!(mistakes_of(goal), mistakes, "{goal}");
+    }
+}
+
+#[test]
+fn a_file_that_serves_nothing_is_wrong() {
+    for (text, wanted) in [
+        ("scopes: {}", "scopes, as /robot"),
+        ("scopes: {/r: {}}", "its handlers"),
+        ("scopes: {/r: {h: {}}}", "the handler's components"),
+    ] {
+        let mistakes = parse(text).expect_err("a mistake").to_string();
+        let message = format!("there is nothing in it; wanted are {wanted}\n");
+        assert!(mistakes.contains(&message), "{mistakes}");
+    }
+}
+
+#[test]
+fn what_a_client_writes_into_a_shells_command_is_a_warning() {
+    let warnings = |entry: &str| {
+        let config = parse(&format!("scopes: {{/r: {{h: {{c: {entry}}}}}}}"));
+        config.expect("it is right").warnings.len()
+    };
+    assert_eq!(warnings("[sh, -c, 'say {goal}']"), 1);
+    assert_eq!(warnings("[/bin/sh, -e, -c, 'say {goal}']"), 1);
+    assert_eq!(warnings("[sh, -c, 'say \"$0\"', '{goal}']"), 0);
+    assert_eq!(warnings("[sh, say, '{goal}']"), 0);
+    assert_eq!(warnings("{run: [sh, -c, 'turn {goal}'], goal: number}"), 0);
+    assert_eq!(warnings("{run: [sh, -c, 'task {id}']}"), 0);
+}
+
 #[test]
 fn what_is_not_there_yet_is_a_warning() {
     let config = parse("scopes: {/r: {h: {c: {run: [./no/such, x], directory: /no/such}}}}");
