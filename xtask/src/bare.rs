@@ -10,10 +10,10 @@ use std::io::ErrorKind;
 use std::os::unix::fs::symlink;
 use std::path::{Path, PathBuf};
 
-use crate::Dirs;
 use crate::cmd::{Cmd, Outcome};
 use crate::cross::{self, Core, TARGETS};
 use crate::test::{BARE_CRATES, FEATURES};
+use crate::{Dirs, capi};
 
 pub(crate) fn build(dirs: &Dirs) -> Outcome {
     cross::add_all();
@@ -29,6 +29,11 @@ pub(crate) fn build(dirs: &Dirs) -> Outcome {
                     .run()?;
             }
         }
+        // Also tells whether ZTL_NODE_RAM is what a node needs there.
+        bare.cargo_build(dirs)
+            .args("--locked --manifest-path")
+            .arg(capi::NODE)
+            .run()?;
         for library in ["alloc", "std"] {
             bare.prove_lacking(dirs, library)?;
         }

@@ -125,14 +125,14 @@ extern "C" {
 #define ZTL_NODE_LOSS_CARRY_ON 2
 
 /**
- * Bytes of RAM of a node without its components and pointers, at most: see ZTL_NODE_RAM.
+ * Bytes of RAM of a node without its components and pointers: see ZTL_NODE_RAM.
  */
-#define ZTL_NODE_RAM_BYTES 848
+#define ZTL_NODE_RAM_BYTES 759
 
 /**
- * Its pointers, at most: see ZTL_NODE_RAM.
+ * Its pointers: see ZTL_NODE_RAM.
  */
-#define ZTL_NODE_RAM_POINTERS 26
+#define ZTL_NODE_RAM_POINTERS 24
 
 /**
  * The node end of the link. One context calls its functions, best the main loop, and no interrupt: what an interrupt
@@ -270,7 +270,7 @@ typedef struct {
 } ztl_counters;
 
 /**
- * How many bytes of RAM a node with so many components needs. ZTL_NODE_RAM says it, rounded up, to the compiler.
+ * How many bytes of RAM a node with so many components needs. ZTL_NODE_RAM says it to the compiler.
  */
 size_t ztl_node_size(size_t components);
 

@@ -64,6 +64,7 @@ static void init(void)
 
     parts[0] = parts[1] = parts[2] = component();
     CHECK(size <= ZTL_NODE_RAM(3) && ztl_node_size(1) < size);
+    CHECK(size == ZTL_NODE_RAM(3) || sizeof(void *) < 8);
     CHECK(ztl_node_init(NULL, ram, size, &identity, parts, 3) == ZTL_NODE_E_NULL);
     CHECK(ztl_node_init(&node, NULL, size, &identity, parts, 3) == ZTL_NODE_E_NULL && node == NULL);
     CHECK(ztl_node_init(&node, ram, size, NULL, parts, 3) == ZTL_NODE_E_NULL);
