@@ -1,5 +1,10 @@
 //! `cargo xtask model` and `cargo xtask simulate`.
 
+#![expect(
+    clippy::disallowed_types,
+    reason = "seeds have 64 bits, and this is no program for a robot"
+)]
+
 use std::process::ExitCode;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};

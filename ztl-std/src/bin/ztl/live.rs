@@ -193,7 +193,7 @@ struct Screen {
     key: Option<Last>,
     drawn: Vec<String>,
     size: (usize, usize),
-    taken: u64,
+    taken: u32,
     last: Option<Instant>,
     colour: bool,
     ascii: bool,

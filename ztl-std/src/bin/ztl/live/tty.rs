@@ -1,7 +1,7 @@
 //! The terminal: taken for a screen, and given back whatever happens.
 
 use std::io::{self, IsTerminal, Write};
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::sync::{Mutex, MutexGuard, Once, PoisonError};
 use std::time::Duration;
 
@@ -15,7 +15,7 @@ static BEFORE: Mutex<Option<Termios>> = Mutex::new(None);
 /// Somebody wants the terminal to be as it was, for good.
 static CLOSED: AtomicBool = AtomicBool::new(false);
 /// Counts how often the screen was taken: what was drawn before is gone.
-static TAKEN: AtomicU64 = AtomicU64::new(0);
+static TAKEN: AtomicU32 = AtomicU32::new(0);
 
 /// Another screen than that of the shell, without a cursor.
 const ENTER: &str = "\x1b[?1049h\x1b[?25l\x1b[2J";
@@ -64,7 +64,7 @@ pub(super) fn is_closed() -> bool {
 }
 
 /// Changes whenever all has to be drawn again.
-pub(super) fn taken() -> u64 {
+pub(super) fn taken() -> u32 {
     TAKEN.load(Ordering::SeqCst)
 }
 
