@@ -16,7 +16,8 @@ use ztl_tests::lab::{Ended, PATIENCE, Process, SCOPE, Server, free_port, our_cli
 /// The names that a program may rely on, as `docs/tools.md` tells them.
 const DOCUMENT: &str = include_str!("../docs/tools.md");
 
-/// Runs a client with `--json --exit-status`; what it told, line by line, and its exit code.
+/// Runs a client with `--json --exit-status`; what it told, line by line, and its exit code. That a
+/// task still runs and has said nothing is left out: on a busy machine one that ends at once does so too.
 #[track_caller]
 fn told(line: &str) -> (Vec<Value>, Option<i32>) {
     let mut command = ztl();
@@ -24,7 +25,9 @@ fn told(line: &str) -> (Vec<Value>, Option<i32>) {
         .args(line.split(' '))
         .args(["--json", "--exit-status"]);
     let ended = Process::run(&mut command);
-    (objects(&ended), ended.code)
+    let mut objects = objects(&ended);
+    objects.retain(|object| object["event"] != "progress" || !object["text"].is_null());
+    (objects, ended.code)
 }
 
 #[track_caller]
@@ -143,7 +146,7 @@ fn a_program_is_told_each_fate_and_the_exit_code_is_the_same() {
         // It refuses to be aborted, and sleeps longer than that is waited for.
         (
             format!("{here} -t 1 test:sleep:30"),
-            "asking started progress aborting not_aborted over",
+            "asking started aborting not_aborted over",
             "unknown",
             5,
         ),
@@ -317,8 +320,7 @@ fn a_second_ctrl_c_leaves_at_once() {
     lab.asked.recv_timeout(PATIENCE).expect("its INIT");
     client.signal("INT");
     client.wait_for("Interrupted");
-    client.signal("INT");
-    let ended = client.end(Duration::from_secs(1));
+    let ended = client.insist("INT", Duration::from_secs(1));
     assert_eq!(ended.code, Some(130));
     assert!(!ended.stdout.contains("Aborting"), "{ended:?}");
     drop(lab.decide);

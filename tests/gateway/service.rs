@@ -171,8 +171,7 @@ fn a_second_signal_leaves_at_once() {
     device.signal("STOP");
     gateway.process.signal("INT");
     gateway.process.wait_for("Stopping;");
-    gateway.process.signal("INT");
-    let ended = gateway.process.end(PATIENCE);
+    let ended = gateway.process.insist("INT", PATIENCE);
     assert_eq!(ended.code, Some(130), "{ended:?}");
     assert!(!ended.stdout.contains("Stopped."), "{ended:?}");
     device.signal("CONT");

@@ -65,9 +65,8 @@ fn a_second_signal_kills_all_and_leaves_at_once() {
     let process = lab.process("stubborn");
     lab.server.process.signal("INT");
     lab.server.process.wait_for("Stopping;");
-    lab.server.process.signal("INT");
     let Lab { server, scratch } = lab;
-    let ended = server.process.end(PATIENCE);
+    let ended = server.process.insist("INT", PATIENCE);
     assert_eq!(ended.code, Some(130), "{ended:?}");
     dies(process);
     drop(scratch);

@@ -172,6 +172,16 @@ impl Process {
         assert!(kill.status().expect("`sh`").success(), "{kill:?}");
     }
 
+    /// Sends it a signal until it has ended: one that comes at once after another is the same.
+    #[track_caller]
+    pub fn insist(mut self, name: &str, limit: Duration) -> Ended {
+        until("its end", limit, || {
+            self.signal(name);
+            self.child.try_wait().expect("its status").map(drop)
+        });
+        self.end(limit)
+    }
+
     /// Its number in the system.
     pub fn id(&self) -> u32 {
         self.child.id()

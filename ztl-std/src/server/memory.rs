@@ -4,8 +4,8 @@ use std::collections::{BTreeSet, HashMap, VecDeque};
 use std::hash::{BuildHasherDefault, Hasher};
 
 use super::listing::{Asked, ListedTask, Listing, told};
-use super::{Answers, Limits};
-use crate::clock::{millis, now};
+use super::{Answers, Limits, now};
+use crate::clock::millis;
 
 use ztl_core::envelope::ClientId;
 use ztl_core::memory::{LastInit, Memory, Scope, Waiter};

@@ -6,7 +6,8 @@ use std::time::{Duration, Instant};
 use crate::key_name::{FIRST_REPEAT, HELD};
 
 struct Flag {
-    raised: bool,
+    /// When it was raised.
+    raised: Option<Instant>,
     /// Whether raising it once more ends the process.
     impatient: bool,
     /// What is to be done when it is raised.
@@ -19,11 +20,15 @@ struct Flag {
     held: Option<Option<(Instant, bool)>>,
 }
 
+/// A signal that comes so soon after the first is the same one, sent twice: as by `timeout`, once to the
+/// process and once to its group.
+const TWICE: Duration = Duration::from_millis(50);
+
 /// How long what is done at last may take, where the process is ended however it stands.
 const LAST: Duration = Duration::from_millis(500);
 
 static FLAG: Mutex<Flag> = Mutex::new(Flag {
-    raised: false,
+    raised: None,
     impatient: false,
     then: None,
     last: None,
@@ -41,20 +46,24 @@ fn flag() -> MutexGuard<'static, Flag> {
 pub(crate) fn catch() -> Result<(), ctrlc::Error> {
     ctrlc::set_handler(|| {
         let mut flag = flag();
-        if flag.raised && flag.impatient {
+        let now = Instant::now();
+        if flag.raised.is_some() && flag.impatient {
+            if flag.is_doubled(now) {
+                return;
+            }
             if let Some(last) = &flag.last {
                 last();
             }
             // As a shell reports it.
             std::process::exit(130);
         }
-        if flag.is_repeated(Instant::now()) {
+        if flag.is_repeated(now) {
             return;
         }
-        if flag.raised {
+        if flag.raised.is_some() {
             flag.leave_soon();
         }
-        flag.raised = true;
+        flag.raised.get_or_insert(now);
         if let Some(then) = &flag.then {
             then();
         }
@@ -63,6 +72,12 @@ pub(crate) fn catch() -> Result<(), ctrlc::Error> {
 }
 
 impl Flag {
+    /// Whether a signal is the first one once more.
+    fn is_doubled(&self, now: Instant) -> bool {
+        let since = self.raised.map(|at| now.saturating_duration_since(at));
+        since.is_some_and(|since| since < TWICE)
+    }
+
     /// Whether a signal comes of a key that is held down.
     fn is_repeated(&mut self, now: Instant) -> bool {
         let Some(last) = &mut self.held else {
@@ -105,7 +120,7 @@ impl Flag {
 /// What is to be done when somebody wants this process to end; at once if somebody did already.
 pub(crate) fn then(act: impl Fn() + Send + 'static) {
     let mut flag = flag();
-    if flag.raised {
+    if flag.raised.is_some() {
         act();
     }
     flag.then = Some(Box::new(act));
@@ -140,20 +155,24 @@ pub(crate) fn leave_soon_after_the_second(
 
 /// Whether somebody wants this process to end.
 pub(crate) fn stopped() -> bool {
-    flag().raised
+    flag().raised.is_some()
 }
 
 /// Until somebody wants this process to end.
 pub(crate) fn wait() {
-    drop(CHANGED.wait_while(flag(), |flag| !flag.raised));
+    drop(CHANGED.wait_while(flag(), |flag| flag.raised.is_none()));
 }
 
 /// Until somebody wants this process to end, at most for `limit`; says whether somebody does.
 pub(crate) fn wait_for(limit: Duration) -> bool {
     // A limit beyond the end of time is none.
     let limit = limit.min(Duration::from_secs(1 << 32));
-    let waited = CHANGED.wait_timeout_while(flag(), limit, |flag| !flag.raised);
-    waited.unwrap_or_else(PoisonError::into_inner).0.raised
+    let waited = CHANGED.wait_timeout_while(flag(), limit, |flag| flag.raised.is_none());
+    waited
+        .unwrap_or_else(PoisonError::into_inner)
+        .0
+        .raised
+        .is_some()
 }
 
 /// What is to be done at each SIGUSR1, on a thread of its own.
@@ -176,16 +195,31 @@ pub(crate) fn at_usr1(_act: impl FnMut() + Send + 'static) -> std::io::Result<()
 mod tests {
     use super::*;
 
-    #[test]
-    fn a_key_that_is_held_down_is_one_signal_and_pressed_again_another() {
-        let mut flag = Flag {
-            raised: false,
+    fn flag_of(held: Option<Option<(Instant, bool)>>) -> Flag {
+        Flag {
+            raised: None,
             impatient: false,
             then: None,
             last: None,
             patience: None,
-            held: Some(None),
-        };
+            held,
+        }
+    }
+
+    #[test]
+    fn a_signal_that_is_sent_twice_at_once_is_one() {
+        let mut flag = flag_of(None);
+        let start = Instant::now();
+        assert!(!flag.is_doubled(start));
+        flag.raised = Some(start);
+        assert!(flag.is_doubled(start));
+        assert!(flag.is_doubled(start + Duration::from_millis(49)));
+        assert!(!flag.is_doubled(start + Duration::from_millis(50)));
+    }
+
+    #[test]
+    fn a_key_that_is_held_down_is_one_signal_and_pressed_again_another() {
+        let mut flag = flag_of(Some(None));
         let start = Instant::now();
         let mut at = |ms| flag.is_repeated(start + Duration::from_millis(ms));
         assert!(!at(0));
