@@ -341,6 +341,11 @@ impl<S: Socket, B: AsRef<[u8]> + AsMut<[u8]>> Connection<S, B> {
         spare.unwrap_or_default()
     }
 
+    /// How long an answer to the message may be that is not cut.
+    pub(super) fn answer_room(&self) -> usize {
+        self.room().saturating_sub(self.envelope + LONGEST_HEADER)
+    }
+
     /// Answers the message, in its envelope. What does not fit into the buffer is cut, and `…` marks the
     /// cut. Without a message nothing happens.
     pub fn reply(&mut self, put: &mut dyn FnMut(&mut dyn Sink)) {

@@ -16,6 +16,10 @@ use crate::node::{Identity, LocalTasks};
 /// Longest text that is remembered of a task, in bytes.
 const TEXT: usize = crate::node::tasks::TEXT;
 
+/// By how much scope, state and id can be longer in an answer than in its request: it has all of them, and the id
+/// can be a task's; and `…` stands behind them where it is cut.
+const HEADER_GROWS: usize = ";2;4294967295;…".len();
+
 /// Which of a server's clients, from 0.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -243,15 +247,18 @@ impl<
             return;
         };
         let envelope = message.envelope();
+        // The answer repeats these fields, and has to be one that can be read after it was cut.
+        let room = connection.answer_room();
+        let fits = |body| header_len(body) + HEADER_GROWS <= room;
         let body = match message.content {
-            Content::One(body) => {
+            Content::One(body) if fits(body) => {
                 for (to, from) in self.request.iter_mut().zip(body) {
                     *to = *from;
                 }
                 Body::One(self.request.get(..body.len()).unwrap_or_default())
             }
             Content::Several => Body::Several,
-            Content::TooLong => {
+            Content::One(_) | Content::TooLong => {
                 return connection
                     .reply(&mut |sink| sink.put(b";2;-1;the request is too long for this device"));
             }
@@ -374,6 +381,12 @@ fn start<'t, C: Components, const TASKS: usize>(
             }
         }
     }
+}
+
+/// How long scope, state and id of a request are, with their marks.
+fn header_len(body: &[u8]) -> usize {
+    let mut marks = body.iter().enumerate().filter(|(_, byte)| **byte == b';');
+    marks.nth(2).map_or(body.len(), |(at, _)| at + 1)
 }
 
 fn put_all(sink: &mut CutSink<'_>, parts: &[&str]) {

@@ -165,6 +165,29 @@ fn the_reply_to_a_long_goal_is_cut_and_still_tells_the_id() {
 }
 
 #[test]
+fn however_long_a_scope_or_an_id_is_the_answer_is_one_that_clients_can_read() {
+    let mut desk = desk();
+    let mut client = connect(&mut desk, 0);
+    for length in 0..256 {
+        let (scope, id) = ("s".repeat(length), "9".repeat(length));
+        for asked in [
+            scope.clone(),
+            std::format!("{scope};2;1;"),
+            std::format!("{scope};;;"),
+            std::format!("/lab;2;{id};"),
+            std::format!("/lab;3;{id}"),
+        ] {
+            let answer = client.ask(&asked);
+            let fields: std::vec::Vec<_> = answer.splitn(4, ';').collect();
+            assert!(
+                matches!(fields[..], [_, "2", id, _] if id.parse::<f64>().is_ok()),
+                "{asked}: {answer}"
+            );
+        }
+    }
+}
+
+#[test]
 fn clients_are_served_side_by_side_and_a_further_one_finds_no_place() {
     for pieces in BOTH {
         let mut desk = desk();
