@@ -120,9 +120,14 @@ impl Tasks for HeapTasks {
     }
 
     fn remove(&mut self, id: TaskId) {
-        if let Some(kept) = self.tasks.remove(&id)
-            && let Ok(place) = self.ends.binary_search(&(kept.task.ended, id))
-        {
+        let Some(kept) = self.tasks.remove(&id) else {
+            return;
+        };
+        let end = (kept.task.ended, id);
+        // Mostly the oldest makes room.
+        if self.ends.front() == Some(&end) {
+            self.ends.pop_front();
+        } else if let Ok(place) = self.ends.binary_search(&end) {
             self.ends.remove(place);
         }
     }
@@ -130,8 +135,8 @@ impl Tasks for HeapTasks {
     fn on_ended(&mut self, id: TaskId) {
         if let Some(kept) = self.tasks.get(&id) {
             let end = (kept.task.ended, id);
-            let place = self.ends.partition_point(|before| *before < end);
-            self.ends.insert(place, end);
+            let later = self.ends.iter().rev().take_while(|other| **other > end);
+            self.ends.insert(self.ends.len() - later.count(), end);
         }
     }
 

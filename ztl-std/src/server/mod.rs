@@ -11,6 +11,7 @@ mod limits;
 mod listing;
 mod memory;
 mod report;
+mod router;
 mod running;
 mod touch;
 
@@ -29,7 +30,6 @@ use ztl_core::{Instant, Request, TaskId};
 
 use crate::clock;
 use crate::controller::{TaskController, Threads};
-use crate::frames;
 use crate::keys::can_encrypt;
 use crate::random;
 
@@ -41,11 +41,12 @@ pub(crate) use handler::would_take;
 pub use handler::{Answers, Restored, RestoredTask, TaskHandler};
 pub use limits::{LIMITS, Limits};
 pub use listing::{ListedTask, Listing};
-use memory::{About, Grown, Heap, Peer};
+use memory::{About, Grown, Heap};
 pub(crate) use memory::{ById, quoted};
 pub use report::TaskReporter;
 pub(crate) use report::{AbortRefusal, Hush};
 use report::{Inbox, Mailbox, Report, Waker};
+use router::{Received, Router};
 pub use running::{Pulse, RunningServer, Stopper};
 use touch::Touch;
 
@@ -81,9 +82,6 @@ const LOG: &str = "remote-task";
 /// Where the server hears that it is to wake up.
 const BELL: &str = "inproc://bell";
 
-/// A message's frames, and who sent it, unless that is not known.
-type Received = (Vec<zmq::Message>, Option<Who>);
-
 /// What is shown the requests about tasks.
 type Witness = Box<dyn FnMut(Request, TaskId, &str) + Send>;
 
@@ -91,7 +89,7 @@ type Witness = Box<dyn FnMut(Request, TaskId, &str) + Send>;
 ///
 /// Register what it is to serve, then [`listen`](Self::listen) or [`spawn`](Self::spawn).
 pub struct TaskServer {
-    socket: zmq::Socket,
+    router: Router,
     door: Door,
     /// After the sockets: a context ends when its sockets are closed.
     context: zmq::Context,
@@ -154,7 +152,7 @@ impl TaskServer {
         let mut config = Config::new(random::first_task_id(), random::nonzero());
         config.keep = limits.keep;
         Ok(Self {
-            socket,
+            router: Router::new(socket),
             door,
             context,
             endpoint: bound,
@@ -286,7 +284,7 @@ impl TaskServer {
             if taken == BATCH || !self.started {
                 break;
             }
-            next = self.receive(zmq::DONTWAIT)?;
+            next = self.router.receive(&self.door, zmq::DONTWAIT)?;
         }
         if std::mem::take(&mut self.started) {
             for handler in &mut self.handlers {
@@ -294,10 +292,10 @@ impl TaskServer {
             }
         }
         let Self {
-            dispatcher, socket, ..
+            dispatcher, router, ..
         } = self;
         let now = now();
-        dispatcher.handle_timeout(now, &mut |peer, reply| answer(socket, peer, reply));
+        dispatcher.handle_timeout(now, &mut |peer, reply| router.answer(peer, reply));
         self.abort_for_those_who_are_gone(now);
         Ok(more)
     }
@@ -365,7 +363,7 @@ impl TaskServer {
         let wake = wakes.into_iter().flatten().min();
         let time = wake.map_or(longest, |wake| wake.since(now()).min(longest));
         if time.is_zero() || !self.waker.may_sleep() {
-            return self.receive(zmq::DONTWAIT);
+            return self.router.receive(&self.door, zmq::DONTWAIT);
         }
         let timeout = match time {
             Duration::MAX => -1,
@@ -373,15 +371,15 @@ impl TaskServer {
                 .unwrap_or(i32::MAX)
                 .min(3_600_000),
         };
-        self.socket.set_rcvtimeo(timeout)?;
-        self.receive(0)
+        self.router.wait_at_most(timeout)?;
+        self.router.receive(&self.door, 0)
     }
 
     /// Takes a bounded number of reports; says whether there may be more.
     fn take_reports(&mut self) -> bool {
         let Self {
             dispatcher,
-            socket,
+            router,
             inbox,
             touch,
             ..
@@ -398,32 +396,12 @@ impl TaskServer {
             }
             report.tell(|event| {
                 dispatcher.handle_event(now, id, event, &mut |peer, reply| {
-                    answer(socket, peer, reply);
+                    router.answer(peer, reply);
                 });
             });
         }
         self.reported = taken > 0;
         taken == BATCH
-    }
-
-    /// The next message, and who sent it, unless that is not known; `None` when there is none.
-    fn receive(&self, flags: i32) -> Result<Option<Received>, zmq::Error> {
-        // As many as a client of ours sends.
-        let mut message = Vec::with_capacity(5);
-        loop {
-            let mut frame = match self.socket.recv_msg(flags) {
-                Ok(frame) => frame,
-                // A signal in the middle costs nothing: the rest is there already.
-                Err(zmq::Error::EINTR) if !message.is_empty() => continue,
-                Err(zmq::Error::EAGAIN | zmq::Error::EINTR) => return Ok(None),
-                Err(cause) => return Err(cause),
-            };
-            let who = (!frame.get_more()).then(|| self.door.who(&mut frame));
-            message.push(frame);
-            if let Some(who) = who {
-                return Ok(Some((message, who)));
-            }
-        }
     }
 
     fn show(&mut self, body: Body<'_>) {
@@ -459,7 +437,7 @@ impl TaskServer {
             _ => Body::Several,
         };
         self.show(body);
-        let socket = &self.socket;
+        let router = &self.router;
         let envelope = match frames.as_slice() {
             // A proxy on the way puts its own frames before these two.
             [_identity, .., client, number, _delimiter] => Envelope::parse(client, number),
@@ -467,7 +445,7 @@ impl TaskServer {
         };
         let mut out = |peer, reply: &Reply<'_>| {
             log_refusal(reply, body);
-            answer(socket, peer, reply);
+            router.answer(peer, reply);
         };
         if let Who::Client(_) = who {
             let door = &self.door;
@@ -534,15 +512,5 @@ fn log_refusal(reply: &Reply<'_>, body: Body<'_>) {
             warn!(target: LOG, "Unknown command received 'b'{bytes}'', ignoring.");
         }
         None => {}
-    }
-}
-
-/// Sends an answer, or drops it when its client is gone or takes nothing.
-fn answer(socket: &zmq::Socket, mut peer: Peer, reply: &Reply<'_>) {
-    let mut body = Vec::with_capacity(256);
-    reply.put(&mut |bytes: &[u8]| body.extend_from_slice(bytes));
-    peer.push(body.as_slice().into());
-    if let Err(cause) = frames::send(socket, &peer) {
-        debug!(target: LOG, "an answer was not taken: {}", cause.message());
     }
 }
