@@ -298,7 +298,8 @@ typedef void (*ztl_poll_call)(void *context, ztl_server *server, unsigned int ta
 
 /**
  * Somebody wants a task to stop: stops it, or begins to, and returns at once. Called at most once
- * for a task. When it has stopped, ztl_task_end says so, here or later.
+ * for a task, after its `start`; a task that is to stop before that is ABORTED, and neither is called.
+ * When it has stopped, ztl_task_end says so, here or later.
  */
 typedef void (*ztl_abort_call)(void *context, ztl_server *server, unsigned int task);
 
@@ -515,13 +516,14 @@ void ztl_client_free(ztl_client *client);
 
 /**
  * What the last call was answered: progress, result, or a server's reason; at first "". It is the
- * client's, and lasts until the next call with it other than this and ztl_client_error.
+ * client's, and lasts until the next call with it other than this and ztl_client_error. Never NULL: for a
+ * client that is NULL, or that another thread is using, it is a text that says so, and stays.
  */
 const char *ztl_client_text(const ztl_client *client);
 
 /**
  * What the last call that failed said; at first "". It is the client's, and lasts until the next call with
- * it other than this and ztl_client_text.
+ * it other than this and ztl_client_text. Never NULL, as ztl_client_text.
  */
 const char *ztl_client_error(const ztl_client *client);
 

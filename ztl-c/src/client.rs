@@ -222,7 +222,8 @@ pub unsafe extern "C" fn ztl_client_free(client: *mut Client) {
 }
 
 /// What the last call was answered: progress, result, or a server's reason; at first "". It is the
-/// client's, and lasts until the next call with it other than this and ztl_client_error.
+/// client's, and lasts until the next call with it other than this and ztl_client_error. Never NULL: for a
+/// client that is NULL, or that another thread is using, it is a text that says so, and stays.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ztl_client_text(client: *const Client) -> *const c_char {
     // SAFETY: NULL, or a client that is not freed, as its caller promises.
@@ -230,7 +231,7 @@ pub unsafe extern "C" fn ztl_client_text(client: *const Client) -> *const c_char
 }
 
 /// What the last call that failed said; at first "". It is the client's, and lasts until the next call with
-/// it other than this and ztl_client_text.
+/// it other than this and ztl_client_text. Never NULL, as ztl_client_text.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ztl_client_error(client: *const Client) -> *const c_char {
     // SAFETY: NULL, or a client that is not freed, as its caller promises.

@@ -1,6 +1,6 @@
 //! A task server for C: set up, started, its calls made, freed.
 
-use std::cell::Cell;
+use std::cell::RefCell;
 use std::ffi::{c_char, c_int, c_uint, c_void};
 use std::path::Path;
 use std::ptr;
@@ -84,7 +84,8 @@ pub type PollCall =
     Option<unsafe extern "C" fn(context: *mut c_void, server: *mut Server, task: c_uint)>;
 
 /// Somebody wants a task to stop: stops it, or begins to, and returns at once. Called at most once
-/// for a task. When it has stopped, ztl_task_end says so, here or later.
+/// for a task, after its `start`; a task that is to stop before that is ABORTED, and neither is called.
+/// When it has stopped, ztl_task_end says so, here or later.
 pub type AbortCall =
     Option<unsafe extern "C" fn(context: *mut c_void, server: *mut Server, task: c_uint)>;
 
@@ -103,8 +104,8 @@ struct Running {
 }
 
 thread_local! {
-    /// Whether this thread is in a callback of a server, so that it must not wait for the end of it.
-    static CALLED: Cell<*mut Server> = const { Cell::new(ptr::null_mut()) };
+    /// The servers in whose callbacks this thread is, one within the other: it must not wait for their ends.
+    static CALLED: RefCell<Vec<*mut Server>> = const { RefCell::new(Vec::new()) };
 }
 
 impl Server {
@@ -286,9 +287,9 @@ fn millis(time: c_uint) -> Duration {
 
 /// Calls back; meanwhile this thread must not free the server.
 fn call(handle: Handle, callback: impl FnOnce()) {
-    let before = CALLED.replace(handle.0);
+    CALLED.with_borrow_mut(|called| called.push(handle.0));
     callback();
-    CALLED.set(before);
+    CALLED.with_borrow_mut(Vec::pop);
 }
 
 /// The whole of a task, on its thread.
@@ -336,7 +337,7 @@ fn make_next_call(tasks: &Tasks, deadline: Instant) -> bool {
             }
         }
         Call::Abort(id) => {
-            if let Some(abort) = abort.filter(|_| tasks.is_open(id)) {
+            if let Some(abort) = abort {
                 // SAFETY: as above.
                 call(tasks.handle(), || unsafe {
                     abort(context, server, id.get())
@@ -375,7 +376,7 @@ pub unsafe extern "C" fn ztl_server_free(server: *mut Server) -> c_int {
     // SAFETY: not NULL, and not freed before, as its caller promises.
     let stopped = unsafe {
         Server::with(server, |handle| {
-            if CALLED.get() == server {
+            if CALLED.with_borrow(|called| called.contains(&server)) {
                 let text = "a server cannot be freed by its own callback, which it waits for";
                 return Err(Failure::new(ZTL_E_STATE, text));
             }

@@ -91,8 +91,31 @@ struct Open {
     /// What the client is told when the task is accepted; `None` once it was.
     welcome: Option<String>,
     abort: bool,
+    /// Whether the program was told of it: of what was not, nothing has to be stopped.
+    begun: bool,
     /// When it is polled next; `None` before its start and where there is no `poll`.
     poll: Option<Instant>,
+}
+
+impl Open {
+    /// Tells the end of the task, as its first word if need be.
+    fn end(self, end: State, text: &str) {
+        let Self {
+            reporter, welcome, ..
+        } = self;
+        if let Some(welcome) = welcome {
+            // Nothing was told yet, so it can still be refused.
+            if end == State::Rejected {
+                return reporter.rejected(text);
+            }
+            reporter.accepted(welcome);
+        }
+        match end {
+            State::Completed => reporter.completed(text),
+            State::Aborted => reporter.aborted(text),
+            _ => reporter.failed(text),
+        }
+    }
 }
 
 #[derive(Default)]
@@ -102,6 +125,31 @@ struct Book {
     workers: Vec<JoinHandle<()>>,
     stopping: Option<Instant>,
     done: bool,
+}
+
+impl Book {
+    /// Whether a call is still to be made. What was to stop before it has begun ends here: a robot must not
+    /// begin to move for that.
+    fn is_due(&mut self, call: &Call) -> bool {
+        match call {
+            Call::Start(asked) => match self.open.remove(&asked.id) {
+                None => false,
+                Some(open) if open.abort => {
+                    open.end(State::Aborted, "stopped before it had begun");
+                    false
+                }
+                Some(open) => {
+                    let begun = Open {
+                        begun: true,
+                        ..open
+                    };
+                    self.open.insert(asked.id, begun);
+                    true
+                }
+            },
+            Call::Poll(id) | Call::Abort(id) => self.open.get(id).is_some_and(|open| open.begun),
+        }
+    }
 }
 
 /// All tasks of one server.
@@ -157,26 +205,9 @@ impl Tasks {
     /// Ends the task in a final state.
     pub(crate) fn end(&self, id: TaskId, end: State, text: &str) -> Result<(), Failure> {
         let open = self.lock().open.remove(&id).ok_or_else(|| ended(id))?;
-        match open.welcome {
-            // Nothing was told yet, so it can still be refused.
-            Some(_) if end == State::Rejected => open.reporter.rejected(text),
-            welcome => {
-                if let Some(welcome) = welcome {
-                    open.reporter.accepted(welcome);
-                }
-                match end {
-                    State::Completed => open.reporter.completed(text),
-                    State::Aborted => open.reporter.aborted(text),
-                    _ => open.reporter.failed(text),
-                }
-            }
-        }
+        open.end(end, text);
         self.changed.notify_all();
         Ok(())
-    }
-
-    pub(crate) fn is_open(&self, id: TaskId) -> bool {
-        self.lock().open.contains_key(&id)
     }
 
     pub(crate) fn is_aborted(&self, id: TaskId) -> bool {
@@ -221,8 +252,10 @@ impl Tasks {
     pub(crate) fn next_call(&self, deadline: Instant) -> Option<(Scope, Call)> {
         let mut book = self.lock();
         loop {
-            if let Some((scope, call)) = book.calls.pop_front() {
-                return self.scope(scope).map(|scope| (scope, call));
+            while let Some((scope, call)) = book.calls.pop_front() {
+                if book.is_due(&call) {
+                    return self.scope(scope).map(|scope| (scope, call));
+                }
             }
             let now = Instant::now();
             let polled = book.open.iter_mut();
@@ -375,14 +408,18 @@ impl Handler {
             component: for_c(spec.component),
             goal: for_c(spec.goal),
         };
+        let mut book = self.tasks.lock();
         let open = Open {
             reporter: task,
             scope: self.scope,
             welcome: Some(String::from_utf8_lossy(&welcome).into_owned()),
-            abort: false,
+            // It may have come while the server is being freed.
+            abort: book.stopping.is_some(),
+            begun: false,
             poll: None,
         };
-        self.tasks.lock().open.insert(id, open);
+        book.open.insert(id, open);
+        drop(book);
         Some(asked)
     }
 }

@@ -246,13 +246,14 @@ static void end_it(void *context, ztl_server *server, unsigned int task)
     ztl_task_end(server, task, ZTL_ABORTED, "stopped");
 }
 
-/* Calls are made within ztl_server_poll alone; freeing stops the task. */
+/* Calls are made within ztl_server_poll alone; what is to stop before its start is never begun; freeing stops the task. */
 static void polled(void)
 {
     unsigned int task;
-    int starts = 0;
+    int state, starts = 0;
     ztl_server *server = ztl_server_new();
     ztl_client *client = ztl_client_new();
+    ztl_client *hasty = ztl_client_new();
 
     CHECK(ztl_server_set(server, ZTL_POLL_MS, 1) == ZTL_OK);
     CHECK(ztl_server_add_handler(server, "/x", count_up, NULL, end_it, &starts) == ZTL_OK);
@@ -261,10 +262,53 @@ static void polled(void)
     CHECK(ztl_client_connect(client, text, "/x") == ZTL_OK);
     /* Nobody polls: the server itself answers after 1.5 s. */
     CHECK(ztl_client_trigger(client, "a", "b", "c", &task) == ZTL_OK);
-    CHECK(starts == 0);
+    CHECK(ztl_client_abort(client, task, &state) == ZTL_OK && state == ZTL_ACCEPTED);
+    CHECK(ztl_server_poll(server, 0) == ZTL_OK && starts == 0);
+    CHECK(ztl_client_wait(client, task, 10000, &state) == ZTL_OK && state == ZTL_ABORTED);
+    CHECK(strcmp(ztl_client_text(client), "stopped before it had begun") == 0);
+    CHECK(ztl_client_set_timeout(hasty, 200) == ZTL_OK && ztl_client_connect(hasty, text, "/x") == ZTL_OK);
+    CHECK(ztl_client_trigger(hasty, "a", "b", "c", NULL) == ZTL_E_NO_ANSWER);
     CHECK(ztl_server_poll(server, 10000) == ZTL_OK && starts == 1);
-    CHECK(ztl_server_free(server) == ZTL_OK);
+    CHECK(ztl_client_trigger(hasty, "a", "b", "c", NULL) == ZTL_E_NO_ANSWER);
+    CHECK(ztl_server_free(server) == ZTL_OK && starts == 1);
     ztl_client_free(client);
+    ztl_client_free(hasty);
+}
+
+/* Runs the other server for a while, in whose callback this one is freed, or not. */
+static void run_other(void *context, ztl_server *server, const ztl_request *request)
+{
+    CHECK(ztl_server_poll((ztl_server *)context, 10000) == ZTL_OK);
+    CHECK(ztl_task_end(server, request->task, ZTL_COMPLETED, "still here") == ZTL_OK);
+}
+
+static void free_other(void *context, ztl_server *server, const ztl_request *request)
+{
+    CHECK(ztl_server_free(*(ztl_server **)context) == ZTL_E_STATE);
+    CHECK(ztl_task_end(server, request->task, ZTL_COMPLETED, "not freed") == ZTL_OK);
+}
+
+/* A callback within a callback frees neither server. */
+static void nested(void)
+{
+    ztl_server *outer = ztl_server_new();
+    ztl_server *inner = ztl_server_new();
+    ztl_client *client;
+    int i;
+
+    CHECK(ztl_server_add_handler(outer, "/x", run_other, NULL, NULL, inner) == ZTL_OK);
+    CHECK(ztl_server_add_handler(inner, "/x", free_other, NULL, NULL, &outer) == ZTL_OK);
+    CHECK(ztl_server_start_polled(outer, "tcp://127.0.0.1:*") == ZTL_OK);
+    CHECK(ztl_server_start_polled(inner, "tcp://127.0.0.1:*") == ZTL_OK);
+    for (i = 0; i < 2; i++) {
+        client = ztl_client_new();
+        ztl_server_endpoint(i == 0 ? outer : inner, text, sizeof text);
+        CHECK(ztl_client_set_timeout(client, 200) == ZTL_OK && ztl_client_connect(client, text, "/x") == ZTL_OK);
+        CHECK(ztl_client_trigger(client, "a", "b", "c", NULL) == ZTL_E_NO_ANSWER);
+        ztl_client_free(client);
+    }
+    CHECK(ztl_server_poll(outer, 10000) == ZTL_OK);
+    CHECK(ztl_server_free(outer) == ZTL_OK && ztl_server_free(inner) == ZTL_OK);
 }
 
 static void log_line(void *context, int level, const char *line)
@@ -287,6 +331,7 @@ int main(int count, char **words)
     unanswered();
     orders();
     polled();
+    nested();
     printf("all is said\n");
     return 0;
 }
