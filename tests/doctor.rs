@@ -150,3 +150,10 @@ fn who_answers_nothing_is_no_server() {
     );
     assert_eq!(code, Some(1));
 }
+
+#[test]
+fn a_host_without_a_port_is_no_question() {
+    let ended = doctor(&["-r", "robot"]);
+    assert_eq!(ended.code, Some(2), "{ended:?}");
+    assert!(ended.stderr.contains("--port <PORT>"), "{ended:?}");
+}

@@ -17,11 +17,17 @@ use crate::{Done, about};
 
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "Exit code 0: nothing is wrong; 1: something is, and each trouble is told with its remedy."
+    after_help = "Exit code 0: nothing is wrong; 1: something is, and each trouble is told with its remedy; 2: the options are wrong."
 )]
 pub(crate) struct Doctor {
-    /// Host of a server to be reached
-    #[arg(short, long, default_value = "localhost", value_name = "HOST")]
+    /// Host of a server to be reached, at the port of --port
+    #[arg(
+        short,
+        long,
+        default_value = "localhost",
+        value_name = "HOST",
+        requires = "port"
+    )]
     remote: String,
 
     /// Port of that server; without it no server is asked

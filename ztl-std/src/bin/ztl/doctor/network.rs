@@ -4,6 +4,7 @@ use std::collections::BTreeSet;
 use std::fs;
 use std::io::ErrorKind;
 use std::net::{IpAddr, TcpListener, TcpStream, ToSocketAddrs, UdpSocket};
+use std::path::Path;
 use std::time::{Duration, Instant};
 
 use serde_json::json;
@@ -104,13 +105,17 @@ pub(super) fn addresses() -> Finding {
 
 /// Which ports are taken, and whether those that are wished for are free.
 pub(super) fn ports(wished: &[u16]) -> Vec<Finding> {
-    let taken = listening();
-    let shown: Vec<String> = taken.iter().map(u16::to_string).collect();
-    let text = match shown.as_slice() {
-        [] => "nothing listens here".to_owned(),
-        some => format!("taken here: {}", some.join(", ")),
+    let taken = listening(Path::new("/proc/net"));
+    let shown = taken
+        .as_ref()
+        .map(|ports| ports.iter().map(u16::to_string).collect::<Vec<_>>());
+    let all = match shown.as_deref() {
+        Some([]) => Finding::good("ports", "nothing listens here"),
+        Some(some) => Finding::good("ports", format!("taken here: {}", some.join(", "))),
+        None => Finding::note("ports", "/proc/net/tcp cannot be read")
+            .with_remedy("mount -t proc proc /proc; or ask for one: `ztl doctor --listen 12345`"),
     };
-    let mut found = vec![Finding::good("ports", text).with(json!({ "taken": taken }))];
+    let mut found = vec![all.with(json!({ "taken": taken }))];
     found.extend(wished.iter().map(|&port| {
         let data = json!({ "port": port });
         match TcpListener::bind(("0.0.0.0", port)) {
@@ -137,11 +142,15 @@ pub(super) fn ports(wished: &[u16]) -> Vec<Finding> {
     found
 }
 
-/// The TCP ports that somebody listens at, as the kernel tells it.
-fn listening() -> BTreeSet<u16> {
+/// The TCP ports that somebody listens at, as the kernel tells it; `None` where it does not.
+fn listening(told: &Path) -> Option<BTreeSet<u16>> {
     let mut ports = BTreeSet::new();
-    for file in ["/proc/net/tcp", "/proc/net/tcp6"] {
-        let text = fs::read_to_string(file).unwrap_or_default();
+    // A kernel may do without IPv6.
+    let texts = [
+        fs::read_to_string(told.join("tcp")).ok()?,
+        fs::read_to_string(told.join("tcp6")).unwrap_or_default(),
+    ];
+    for text in texts {
         for line in text.lines().skip(1) {
             let mut fields = line.split_whitespace();
             let (local, state) = (fields.nth(1), fields.nth(1));
@@ -154,7 +163,7 @@ fn listening() -> BTreeSet<u16> {
             }
         }
     }
-    ports
+    Some(ports)
 }
 
 /// Whether a server is reached, how long it takes, and who it is.
@@ -263,4 +272,20 @@ fn ask(
 
 fn micros(time: Duration) -> u64 {
     u64::try_from(time.as_micros()).unwrap_or(u64::MAX)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn where_the_kernel_tells_no_ports_none_are_said_to_be_free() {
+        let none = Path::new("/no/such/directory");
+        assert_eq!(listening(none), None);
+        let listener = TcpListener::bind(("127.0.0.1", 0)).expect("a port");
+        let port = listener.local_addr().expect("its address").port();
+        if let Some(ports) = listening(Path::new("/proc/net")) {
+            assert!(ports.contains(&port), "{ports:?}");
+        }
+    }
 }
