@@ -40,6 +40,10 @@ fn it_says_what_it_was_built_from() {
         "commit: ",
         &format!("target: {target}"),
         "libzmq: 4.3.5, with CURVE",
+        "with: rustc ",
+        ", zig ",
+        ", musl ",
+        ", libsodium ",
     ] {
         assert!(ended.stdout.contains(part), "{part} in {ended:?}");
     }

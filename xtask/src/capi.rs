@@ -13,7 +13,7 @@ use std::os::unix::fs::symlink;
 use std::path::Path;
 
 use crate::cmd::{Cmd, Outcome};
-use crate::zig::{self, Zig};
+use crate::zig::{self, Target, Zig};
 use crate::{Dirs, curve, python};
 use join::Tools;
 pub(crate) use node::MANIFEST as NODE;
@@ -65,6 +65,11 @@ pub(crate) fn run(dirs: &Dirs, args: &[String]) -> Outcome {
         }
     }
     Ok(())
+}
+
+/// Makes the library for a machine, links the examples with it and runs them.
+pub(crate) fn check(dirs: &Dirs, target: Target) -> Outcome {
+    linux(dirs, target.name, true)
 }
 
 /// Makes, and perhaps runs, the library of one of the machines that `cargo xtask dist` knows.

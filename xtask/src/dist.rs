@@ -1,5 +1,6 @@
 //! `cargo xtask dist`: `ztl` as one static file for each processor that old robots have.
 
+mod bill;
 mod contents;
 
 use std::fs;
@@ -11,7 +12,8 @@ use object::read::elf::{FileHeader, ProgramHeader};
 
 use crate::cmd::{Cmd, Outcome};
 use crate::zig::{Target, Zig, targets};
-use crate::{Dirs, python, tools};
+use crate::{Dirs, capi, places, python, tools};
+use contents::Contents;
 
 /// The largest that a program may be, in bytes.
 const MOST: u64 = 6 * 1024 * 1024;
@@ -19,7 +21,10 @@ const MOST: u64 = 6 * 1024 * 1024;
 /// What the test command builds and runs.
 const TESTED: [&str; 2] = ["x86_64", "i686"];
 
-/// Builds the targets that are named, or all; with `--check` each is also run.
+/// For what it also links programs in C.
+const LINKED: [&str; 1] = ["i686"];
+
+/// Builds the targets that are named, or all; with `--check` each is also run, and the C interface linked for it.
 pub(crate) fn run(dirs: &Dirs, args: &[String]) -> Outcome {
     let mut check = false;
     let mut names = Vec::new();
@@ -34,9 +39,13 @@ pub(crate) fn run(dirs: &Dirs, args: &[String]) -> Outcome {
             name => names.push(name),
         }
     }
-    let made = build(dirs, &targets(&names)?)?;
+    let targets = targets(&names)?;
+    let made = build(dirs, &targets)?;
     if check {
         try_out(dirs, &made)?;
+        for target in targets {
+            capi::check(dirs, target)?;
+        }
     }
     Ok(())
 }
@@ -44,7 +53,12 @@ pub(crate) fn run(dirs: &Dirs, args: &[String]) -> Outcome {
 /// What the test command does.
 pub(crate) fn test(dirs: &Dirs) -> Outcome {
     let made = build(dirs, &targets(&TESTED)?)?;
-    try_out(dirs, &made)
+    try_out(dirs, &made)?;
+    // One of them is enough to see that programs in C can be linked so; `dist --check` does all.
+    for target in targets(&LINKED)? {
+        capi::check(dirs, target)?;
+    }
+    Ok(())
 }
 
 /// The kernels that are played, oldest last (`tests/dist/old_kernel.py`).
@@ -66,16 +80,19 @@ fn build(dirs: &Dirs, targets: &[Target]) -> Outcome<Vec<Made>> {
     let mut made = Vec::new();
     for &target in targets {
         let libraries = zig.libraries(target)?;
+        let contents = Contents::of(&zig, target, &libraries)?;
         zig.build_with(target, &libraries)?
             .args("--package ztl-std --bin ztl")
             .env("ZTL_BUILD_COMMIT", &commit)
             .env("ZTL_BUILD_TARGET", target.triple)
+            .env("ZTL_BUILD_WITH", contents.tools())
             .run()?;
         let path = release.join(format!("ztl-{}", target.name));
         let program = zig.program(target, "ztl");
         copy(&program, &path)?;
         is_fit(&path)?;
-        contents::write(&zig, target, &libraries, &commit, &release)?;
+        places::check(dirs, &path)?;
+        contents.write(&path, &commit)?;
         made.push(Made { target, path });
     }
     checksums(&release)?;
@@ -168,6 +185,14 @@ fn try_out(dirs: &Dirs, made: &[Made]) -> Outcome {
     tools::provide_emulators()?;
     Cmd::new("cargo build --locked --package ztl-std --bin ztl").run()?;
     let python = python::ensure(dirs)?;
+    if let Some(Made { path, .. }) = made.first() {
+        let release = path.parent().ok_or("a program lies in a directory")?;
+        Cmd::new("env --chdir")
+            .arg(release)
+            .args("sha256sum --check --strict --quiet SHA256SUMS")
+            .run()?;
+        bill::check(dirs, release)?;
+    }
     for Made { target, path } in made {
         let test = |how: &str, variable: &'static str| {
             println!("{}, {variable}={how}:", target.name);
@@ -180,7 +205,7 @@ fn try_out(dirs: &Dirs, made: &[Made]) -> Outcome {
         };
         test(target.emulator, "ZTL_DIST_EMULATOR")?;
         // Only a machine of that kind has a kernel for it, which can be made to look old.
-        if cfg!(target_arch = "x86_64") && ["x86_64", "i686"].contains(&target.name) {
+        if cfg!(target_arch = "x86_64") && ["x86_64", "i686", "i586"].contains(&target.name) {
             for kernel in KERNELS {
                 test(kernel, "ZTL_DIST_KERNEL")?;
             }

@@ -18,6 +18,7 @@ mod fuzz;
 mod image;
 mod package;
 mod peers;
+mod places;
 mod proof;
 mod python;
 mod simulate;

@@ -131,7 +131,7 @@ const STEPS: &[Step] = &[
     },
     Step {
         name: "dist",
-        about: "the static `ztl` for x86-64 and i686 does its work in an empty root, and on old kernels",
+        about: "the static `ztl` for x86-64 and i686, and C for i686, do their work in an empty root, and on old kernels",
         run: dist::test,
     },
     Step {

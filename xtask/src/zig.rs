@@ -10,8 +10,11 @@ use crate::cmd::{Cmd, Outcome};
 use crate::curve::{self, Libraries};
 use crate::{Dirs, cross};
 
-/// From 0.16 on, zig's `malloc` aligns to 8 bytes on 32-bit x86, and libzmq wants more.
-const PACKAGES: &str = "ziglang==0.15.2 cargo-zigbuild==0.24.0";
+/// The version of zig. From 0.16 on, its `malloc` aligns to 8 bytes on 32-bit x86, and libzmq wants more.
+pub(crate) const ZIG: &str = "0.15.2";
+
+/// The version of `cargo-zigbuild`, which lets cargo use it.
+const ZIGBUILD: &str = "0.24.0";
 
 /// The version of musl that this zig has.
 pub(crate) const MUSL: &str = "1.2.5";
@@ -29,6 +32,8 @@ pub(crate) struct Target {
     pub(crate) name: &'static str,
     /// As the compiler calls it.
     pub(crate) triple: &'static str,
+    /// As zig calls it, and the processor.
+    pub(crate) zig: &'static str,
     /// The emulator that runs it, with the weakest processor that it is for; of Debian's `qemu-user-static`.
     pub(crate) emulator: &'static str,
 }
@@ -37,36 +42,43 @@ pub(crate) const TARGETS: [Target; 7] = [
     Target {
         name: "x86_64",
         triple: "x86_64-unknown-linux-musl",
+        zig: "x86_64-linux-musl",
         emulator: "qemu-x86_64-static -cpu qemu64",
     },
     Target {
         name: "i686",
         triple: "i686-unknown-linux-musl",
+        zig: "x86-linux-musl -mcpu=pentium4",
         emulator: "qemu-i386-static -cpu n270",
     },
     Target {
         name: "i586",
         triple: "i586-unknown-linux-musl",
+        zig: "x86-linux-musl -mcpu=pentium",
         emulator: "qemu-i386-static -cpu pentium",
     },
     Target {
         name: "aarch64",
         triple: "aarch64-unknown-linux-musl",
+        zig: "aarch64-linux-musl",
         emulator: "qemu-aarch64-static -cpu cortex-a53",
     },
     Target {
         name: "armv7",
         triple: "armv7-unknown-linux-musleabihf",
+        zig: "arm-linux-musleabihf -mcpu=generic+v7a+vfp3-d32+thumb2-neon",
         emulator: "qemu-arm-static -cpu cortex-a7",
     },
     Target {
         name: "arm",
         triple: "arm-unknown-linux-musleabihf",
+        zig: "arm-linux-musleabihf -mcpu=generic+v6+strict_align",
         emulator: "qemu-arm-static -cpu arm1176",
     },
     Target {
         name: "armv5te",
         triple: "armv5te-unknown-linux-musleabi",
+        zig: "arm-linux-musleabi -mcpu=generic+soft_float+strict_align",
         emulator: "qemu-arm-static -cpu arm926",
     },
 ];
@@ -135,13 +147,14 @@ impl Zig {
                 .args("-m ziglang version")
                 .stdout()
         };
-        let wanted = |(zig, build): (String, String)| zig == "0.15.2" && build.ends_with("0.24.0");
+        let wanted = |(zig, build): (String, String)| zig == ZIG && build.ends_with(ZIGBUILD);
         let there = version().ok().zip(works().ok());
         if !there.is_some_and(wanted) {
             Cmd::new("python3 -m venv --clear").arg(&venv).run()?;
             Cmd::program(programs.join("python"))
                 .args("-m pip install --disable-pip-version-check --quiet")
-                .args(PACKAGES)
+                .arg(format!("ziglang=={ZIG}"))
+                .arg(format!("cargo-zigbuild=={ZIGBUILD}"))
                 .run()?;
             works()?;
         }
@@ -158,6 +171,7 @@ impl Zig {
         path.extend(env::split_paths(&env::var_os("PATH").unwrap_or_default()));
         let path: OsString = env::join_paths(path)
             .map_err(|error| format!("cannot put zig on the PATH: {error}"))?;
+        let Flags { rust, c } = &self.flags;
         Ok(
             Cmd::new("cargo zigbuild --locked -Zbuild-std=std,panic_unwind --target")
                 .arg(target.triple)
@@ -167,11 +181,11 @@ impl Zig {
                 .env("RUSTC", cross::DEBIAN_RUSTC)
                 // Building `std` is not stable yet; this lets a stable compiler do it.
                 .env("RUSTC_BOOTSTRAP", "1")
-                .env("RUSTFLAGS", &self.flags.rust)
-                .env("CFLAGS", &self.flags.c)
+                .env("RUSTFLAGS", rust)
+                .env("CFLAGS", c)
                 // Nothing here is position-independent, and zig would build its libc once more to try it.
                 .env("SODIUM_DISABLE_PIE", "1")
-                .env("CXXFLAGS", format!("{CXX_FLAGS}{}", self.flags.c)),
+                .env("CXXFLAGS", format!("{CXX_FLAGS}{c}")),
         )
     }
 

@@ -6,9 +6,9 @@ use std::path::{Path, PathBuf};
 
 use super::join::{self, Tools};
 use super::{HEADER, SYSTEM};
-use crate::cmd::Outcome;
+use crate::cmd::{Cmd, Outcome};
 use crate::zig::{Target, Zig};
-use crate::{Dirs, curve, python, tools};
+use crate::{Dirs, places, python, tools};
 
 /// What the examples are compiled as: the language's options, and the sources.
 const PROGRAMS: [(&str, &str); 3] = [
@@ -16,20 +16,6 @@ const PROGRAMS: [(&str, &str); 3] = [
     ("-x c -std=c89", "client"),
     ("-x c++ -std=c++98", "handler"),
 ];
-
-/// How zig calls a target, and the processor.
-fn zig_target(target: Target) -> Outcome<&'static str> {
-    Ok(match target.name {
-        "x86_64" => "x86_64-linux-musl",
-        "i686" => "x86-linux-musl -mcpu=pentium4",
-        "i586" => "x86-linux-musl -mcpu=pentium",
-        "aarch64" => "aarch64-linux-musl",
-        "armv7" => "arm-linux-musleabihf -mcpu=generic+v7a+vfp3-d32+thumb2-neon",
-        "arm" => "arm-linux-musleabihf -mcpu=generic+v6+strict_align",
-        "armv5te" => "arm-linux-musleabi -mcpu=generic+soft_float+strict_align",
-        other => return Err(format!("xtask/src/capi/cross.rs does not know {other}")),
-    })
-}
 
 /// GNU's tools for a target, and the Debian package that has them.
 fn gnu_tools(target: Target) -> (Tools, &'static str) {
@@ -62,8 +48,10 @@ pub(super) fn assemble(dirs: &Dirs, zig: &Zig, target: Target) -> Outcome<PathBu
         .run()?;
     let place = dirs.target.join("c").join(target.name);
     let archives = [zig.program(target, "libztl_c.a")];
-    let object = join::join(&gnu, HEADER, &archives, &place.join("lib/libztl.a"))?;
+    let library = place.join("lib/libztl.a");
+    let object = join::join(&gnu, HEADER, &archives, &library)?;
     fs::remove_file(&object).map_err(|error| format!("{}: {error}", object.display()))?;
+    places::check(dirs, &library)?;
     Ok(place)
 }
 
@@ -75,7 +63,7 @@ pub(super) fn check(dirs: &Dirs, zig: &Zig, target: Target, place: &Path) -> Out
     for (language, name) in PROGRAMS {
         zig.command("-m ziglang c++")
             .args("-target")
-            .args(zig_target(target)?)
+            .args(target.zig)
             .args("-static -Os -s -pedantic -Wall -Wextra -Werror")
             .args(language)
             .arg("-I")
@@ -90,8 +78,7 @@ pub(super) fn check(dirs: &Dirs, zig: &Zig, target: Target, place: &Path) -> Out
             .run()?;
     }
     let python = python::ensure(dirs)?;
-    curve::cargo(dirs, "test")?
-        .args("--quiet --locked --package ztl-c --test programs -- --ignored")
+    Cmd::new("cargo test --quiet --locked --package ztl-c --test programs -- --ignored")
         .env("ZTL_C_PROGRAMS", &programs)
         .env("ZTL_C_EMULATOR", target.emulator)
         .env("ZTL_PYTHON", python)

@@ -1,8 +1,12 @@
 //! Joins all that a library needs into one object, and hides all of it but what its header declares.
 
+use std::collections::BTreeSet;
 use std::ffi::OsString;
+use std::fmt::Display;
 use std::fs;
 use std::path::{Path, PathBuf};
+
+use object::{Object, ObjectSymbol};
 
 use crate::cmd::{Cmd, Outcome};
 
@@ -93,7 +97,27 @@ pub(super) fn join(
     for done in [listed, all, weak] {
         fs::remove_file(done).map_err(failed)?;
     }
+    shows_only(&object, &symbols)?;
     Ok(object)
+}
+
+/// Whether an object has these functions, and nothing else that can be seen.
+fn shows_only(path: &Path, symbols: &[&str]) -> Outcome {
+    let failed = |error: &dyn Display| format!("{}: {error}", path.display());
+    let bytes = fs::read(path).map_err(|error| failed(&error))?;
+    let file = object::File::parse(&*bytes).map_err(|error| failed(&error))?;
+    let seen = file.symbols();
+    let seen = seen.filter(|symbol| symbol.is_global() && symbol.is_definition());
+    let seen: BTreeSet<&str> = seen.filter_map(|symbol| symbol.name().ok()).collect();
+    let wanted: BTreeSet<&str> = symbols.iter().copied().collect();
+    match (
+        wanted.difference(&seen).next(),
+        seen.difference(&wanted).next(),
+    ) {
+        (None, None) => Ok(()),
+        (Some(lacking), _) => Err(failed(&format!("`{lacking}` is lacking"))),
+        (_, Some(other)) => Err(failed(&format!("`{other}` can be seen, too"))),
+    }
 }
 
 /// The names of the functions that a header declares.

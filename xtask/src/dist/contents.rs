@@ -15,7 +15,7 @@ use serde_json::{Value, json};
 use crate::cmd::{Cmd, Outcome};
 use crate::cross;
 use crate::curve::Libraries;
-use crate::zig::{MUSL, Target, Zig};
+use crate::zig::{MUSL, Target, ZIG, Zig};
 
 /// Something that is inside.
 struct Part {
@@ -31,29 +31,57 @@ struct Part {
     texts: Vec<PathBuf>,
 }
 
-/// Writes `ztl-TARGET.cdx.json`, and `LICENSES.txt`, which is the same for every target.
-pub(super) fn write(
-    zig: &Zig,
+/// All that is inside the program for a target.
+pub(super) struct Contents {
     target: Target,
-    libraries: &Libraries,
-    commit: &str,
-    release: &Path,
-) -> Outcome {
-    let mut parts = crates(target)?;
-    let own = parts.iter().position(|part| part.name == "ztl-std");
-    let own = own.ok_or("cargo does not tell the package ztl-std")?;
-    let own = parts.remove(own);
-    parts.extend(foreign(zig, libraries)?);
-    let save = |name: String, text: String| {
-        let path = release.join(name);
-        fs::write(&path, text).map_err(|error| format!("cannot write {}: {error}", path.display()))
-    };
-    let bill = bill(&own, &parts, target, commit);
-    save(
-        format!("ztl-{}.cdx.json", target.name),
-        format!("{bill:#}\n"),
-    )?;
-    save("LICENSES.txt".to_owned(), licences(&own, &parts)?)
+    own: Part,
+    crates: Vec<Part>,
+    /// What is no Rust package.
+    foreign: Vec<Part>,
+}
+
+impl Contents {
+    /// Finds out.
+    pub(super) fn of(zig: &Zig, target: Target, libraries: &Libraries) -> Outcome<Self> {
+        let mut crates = crates(target)?;
+        let own = crates.iter().position(|part| part.name == "ztl-std");
+        let own = own.ok_or("cargo does not tell the package ztl-std")?;
+        Ok(Self {
+            target,
+            own: crates.remove(own),
+            crates,
+            foreign: foreign(zig, libraries)?,
+        })
+    }
+
+    /// The compilers and the libraries that are no Rust packages, with their versions, for `ztl --version`, which tells
+    /// libzmq by itself.
+    pub(super) fn tools(&self) -> String {
+        let foreign = self.foreign.iter().filter(|part| part.name != "libzmq");
+        let tools = foreign.map(|part| match part.name.as_str() {
+            "rust-std" => format!("rustc {}", part.version),
+            name => format!("{name} {}", part.version),
+        });
+        tools.collect::<Vec<_>>().join(", ")
+    }
+
+    /// Writes `ztl-TARGET.cdx.json`, and `LICENSES.txt`, which is the same for every target.
+    pub(super) fn write(&self, program: &Path, commit: &str) -> Outcome {
+        let parts: Vec<&Part> = self.crates.iter().chain(&self.foreign).collect();
+        let sum = Cmd::new("sha256sum").arg(program).stdout()?;
+        let sum = sum.split_whitespace().next().unwrap_or_default();
+        let bill = bill(&self.own, &parts, self.target, commit, sum);
+        let name = format!("ztl-{}.cdx.json", self.target.name);
+        for (name, text) in [
+            (name.as_str(), format!("{bill:#}\n")),
+            ("LICENSES.txt", licences(&self.own, &parts)?),
+        ] {
+            let path = program.with_file_name(name);
+            fs::write(&path, text)
+                .map_err(|error| format!("cannot write {}: {error}", path.display()))?;
+        }
+        Ok(())
+    }
 }
 
 /// The Rust packages, `ztl`'s own among them.
@@ -97,11 +125,19 @@ fn crates(target: Target) -> Outcome<Vec<Part>> {
         let package = packages.get(id)?;
         let (name, version) = (text(&package["name"]), text(&package["version"]));
         let home = PathBuf::from(text(&package["manifest_path"]));
+        let licence = text(&package["license"]).replace('/', " OR ");
+        let texts = |home: &Path| match texts_in(home) {
+            // One that has none with it: Apache's names nobody.
+            none if none.is_empty() && licence.contains("Apache-2.0") => {
+                vec![PathBuf::from("LICENSE-APACHE")]
+            }
+            some => some,
+        };
         Some(Part {
-            licence: text(&package["license"]).replace('/', " OR "),
             url: format!("pkg:cargo/{name}@{version}"),
             sha256: checksums.get(&(name.clone(), version.clone())).cloned(),
-            texts: home.parent().map(texts_in).unwrap_or_default(),
+            texts: home.parent().map(texts).unwrap_or_default(),
+            licence,
             name,
             version,
         })
@@ -235,6 +271,13 @@ fn foreign(zig: &Zig, libraries: &Libraries) -> Outcome<Vec<Part>> {
     };
     Ok(vec![
         part(
+            "rust-std",
+            &rust,
+            "MIT OR Apache-2.0",
+            format!("pkg:github/rust-lang/rust@{rust}#library"),
+            PathBuf::from("/usr/share/doc/rustc-web/copyright"),
+        ),
+        part(
             "libzmq",
             zmq,
             "MPL-2.0",
@@ -258,12 +301,13 @@ fn foreign(zig: &Zig, libraries: &Libraries) -> Outcome<Vec<Part>> {
         from_llvm("libc++", "libcxx"),
         from_llvm("libc++abi", "libcxxabi"),
         from_llvm("libunwind", "libunwind"),
+        // Its compiler's helpers, and what it has in place of some of musl.
         part(
-            "rust-std",
-            &rust,
-            "MIT OR Apache-2.0",
-            format!("pkg:github/rust-lang/rust@{rust}#library"),
-            PathBuf::from("/usr/share/doc/rustc-web/copyright"),
+            "zig",
+            ZIG,
+            "MIT",
+            format!("pkg:pypi/ziglang@{ZIG}"),
+            sources.with_file_name("LICENSE"),
         ),
     ])
 }
@@ -273,7 +317,7 @@ fn env_home() -> PathBuf {
     set("CARGO_HOME").unwrap_or_else(|| set("HOME").unwrap_or_default().join(".cargo"))
 }
 
-fn bill(own: &Part, parts: &[Part], target: Target, commit: &str) -> Value {
+fn bill(own: &Part, parts: &[&Part], target: Target, commit: &str, sum: &str) -> Value {
     let component = |kind: &str, part: &Part| {
         let mut component = json!({
             "type": kind,
@@ -290,13 +334,14 @@ fn bill(own: &Part, parts: &[Part], target: Target, commit: &str) -> Value {
     };
     let mut program = component("application", own);
     program["name"] = json!("ztl");
+    program["hashes"] = json!([{ "alg": "SHA-256", "content": sum }]);
     program["properties"] = json!([
         { "name": "ztl:target", "value": target.triple },
         { "name": "ztl:commit", "value": commit },
     ]);
     let parts: Vec<Value> = parts
         .iter()
-        .map(|part| component("library", part))
+        .map(|&part| component("library", part))
         .collect();
     json!({
         "$schema": "http://cyclonedx.org/schema/bom-1.6.schema.json",
@@ -309,15 +354,18 @@ fn bill(own: &Part, parts: &[Part], target: Target, commit: &str) -> Value {
 }
 
 /// All texts, each once, with those whom it is about.
-fn licences(own: &Part, parts: &[Part]) -> Outcome<String> {
+fn licences(own: &Part, parts: &[&Part]) -> Outcome<String> {
     let mut all = format!(
         "What is inside ztl {}, and under which licence. libzmq is unchanged; its source is in the crate\n\
          zeromq-src at crates.io, and at https://github.com/zeromq/libzmq.\n\n",
         own.version
     );
     let mut texts: BTreeMap<String, BTreeSet<String>> = BTreeMap::new();
-    for part in std::iter::once(own).chain(parts) {
+    for part in std::iter::once(&own).chain(parts) {
         let name = format!("{} {}", part.name, part.version);
+        if part.texts.is_empty() {
+            return Err(format!("{name} comes without its licence's text"));
+        }
         all += &format!("  {name}: {}\n", part.licence);
         for path in &part.texts {
             let text = fs::read(path)
@@ -374,7 +422,8 @@ mod tests {
             .position(|part| part.name == "ztl-std")
             .unwrap();
         let own = parts.remove(own);
-        let bill = bill(&own, &parts, TARGETS[0], "0123");
+        let parts: Vec<&Part> = parts.iter().collect();
+        let bill = bill(&own, &parts, TARGETS[0], "0123", "4567");
         assert_eq!(bill["metadata"]["component"]["name"], "ztl");
         assert_eq!(bill["components"].as_array().unwrap().len(), parts.len());
         let text = licences(&own, &parts).unwrap();

@@ -10,11 +10,14 @@ pub(crate) fn version() -> &'static str {
             Some(true) => "with CURVE: it can encrypt",
             _ => "without CURVE: it cannot encrypt",
         };
+        // Of a release: its compilers and the other libraries in it.
+        let with = option_env!("ZTL_BUILD_WITH").map(|with| format!("\nwith: {with}"));
         format!(
-            "{}\ncommit: {}\ntarget: {}\nlibzmq: {major}.{minor}.{patch}, {encrypts}",
+            "{}\ncommit: {}\ntarget: {}\nlibzmq: {major}.{minor}.{patch}, {encrypts}{}",
             env!("CARGO_PKG_VERSION"),
             option_env!("ZTL_BUILD_COMMIT").unwrap_or("unknown, built by cargo alone"),
             target(),
+            with.unwrap_or_default(),
         )
     });
     &VERSION
