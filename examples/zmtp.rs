@@ -6,9 +6,12 @@
 //! serves /desk at tcp://127.0.0.1:7002, for up to 4 clients of any ZeroMQ library:
 //!
 //!     ztl task-client -r 127.0.0.1 -p 7002 -s /desk desk:slide:80
+//!
+//! A client that was switched off keeps its place here: the standard library cannot turn on TCP's keep-alive.
 
 use std::io::{Read, Write};
 use std::net::{Shutdown, TcpListener, TcpStream};
+use std::process::ExitCode;
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
@@ -207,9 +210,16 @@ fn accept(listener: &TcpListener) -> std::io::Result<(TcpStream, TcpStream)> {
     Ok((stream, second))
 }
 
-fn main() -> std::io::Result<()> {
+fn main() -> std::io::Result<ExitCode> {
     let address = std::env::args().nth(1);
-    let listener = TcpListener::bind(address.as_deref().unwrap_or("127.0.0.1:7002"))?;
+    let address = address.as_deref().unwrap_or("127.0.0.1:7002");
+    let listener = match TcpListener::bind(address) {
+        Ok(listener) => listener,
+        Err(error) => {
+            eprintln!("cannot serve at '{address}': {error} (it takes an ADDRESS:PORT)");
+            return Ok(ExitCode::FAILURE);
+        }
+    };
     println!("serving /desk at tcp://{}", listener.local_addr()?);
 
     // Firmware would take a random number.

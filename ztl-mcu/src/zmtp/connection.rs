@@ -139,8 +139,8 @@ enum Out {
 /// *Inputs*: [`open`](Self::open), [`handle_bytes`](Self::handle_bytes),
 /// [`handle_timeout`](Self::handle_timeout), [`close`](Self::close). *Outputs*:
 /// [`message`](Self::message); [`transmit_buf`](Self::transmit_buf) and [`consume`](Self::consume), to be asked
-/// after each input; [`is_open`](Self::is_open). *Commands*: [`reply`](Self::reply), [`request`](Self::request),
-/// [`discard`](Self::discard). *Next wake-up*: [`poll_timeout`](Self::poll_timeout).
+/// after each input; [`is_open`](Self::is_open). *Commands*: [`reply`](Self::reply), [`hold`](Self::hold) for a later one,
+/// [`request`](Self::request), [`discard`](Self::discard). *Next wake-up*: [`poll_timeout`](Self::poll_timeout).
 ///
 /// **The buffer** holds a message with its envelope, 24 bytes less than it has; the envelope at most half of
 /// that. An array or a `&mut [u8]`, of 128 bytes or more.

@@ -26,7 +26,8 @@ const HEADER_GROWS: usize = ";2;4294967295;…".len();
 pub struct Peer(pub u8);
 
 /// A ZTL server over ZMTP, without I/O: up to `PEERS` clients at a time, each with a buffer of `BUFFER`
-/// bytes, give tasks to the components `C`; `TASKS` are remembered.
+/// bytes, give tasks to the components `C`; `TASKS` are remembered. It compiles with `PEERS` from 1 to 255, `BUFFER`
+/// from 128, and `CLIENTS` from `PEERS`.
 ///
 /// Its scope is that of [`new`](Self::new), its handler the identity's name: `gripper:finger:80` moves the
 /// component `finger` of the device `gripper`. Tasks go on when their client leaves.
@@ -102,7 +103,14 @@ impl<
     /// A server after its reset. `components` are at most 255; the link timeout of the identity does
     /// not matter.
     pub const fn new(scope: &'static str, identity: Identity<'a>, components: C) -> Self {
-        const { assert!(BUFFER >= 128 && PEERS >= 1 && PEERS <= 255 && CLIENTS >= PEERS) };
+        const {
+            assert!(BUFFER >= 128, "a buffer has at least 128 bytes");
+            assert!(PEERS >= 1 && PEERS <= 255, "there are 1 to 255 peers");
+            assert!(
+                CLIENTS >= PEERS,
+                "there are at least as many clients as peers"
+            );
+        };
         Self {
             name: identity.name,
             dispatcher: Dispatcher::new(
@@ -115,8 +123,9 @@ impl<
         }
     }
 
-    /// A place for another client, if one is free. Without one its stream is to be closed at once,
-    /// which a ZeroMQ client takes for a passing trouble (RFC 37, Error Handling).
+    /// A place for another client, if one is free; the stream that had it before is to be closed first.
+    /// Without one the client's stream is to be closed at once, which a ZeroMQ client takes for a passing
+    /// trouble (RFC 37, Error Handling).
     pub fn vacant(&self) -> Option<Peer> {
         let place = self.peers.iter().position(|peer| !peer.is_open())?;
         u8::try_from(place).ok().map(Peer)
