@@ -32,6 +32,28 @@ fn a_program_that_heeds_the_signal_is_aborted_with_its_last_words() {
 }
 
 #[test]
+fn a_program_that_asks_by_json_hears_the_last_words_of_what_it_aborted() {
+    let lab = Lab::new(
+        r#"
+        int: {run: [sh, -c, 'trap "echo stopped at 3; exit 0" INT; echo "@ on"; while :; do sleep 0.01; done'], abort: INT, progress: '@ '}
+        "#,
+    );
+    let mut command = our_client();
+    command.args(["-r", "localhost", "-p", &lab.server.port.to_string()]);
+    command.args(["-s", SCOPE, "--json", "p:int:"]);
+    let client = Process::start(&mut command);
+    client.wait_for(r#""text":"on""#);
+    client.signal("INT");
+    let ended = client.end(PATIENCE);
+    assert!(
+        ended
+            .stdout
+            .ends_with("\"fate\":\"aborted\",\"exit_status\":4,\"text\":\"stopped at 3\"}\n"),
+        "{ended:?}"
+    );
+}
+
+#[test]
 fn a_grandchild_that_ignores_the_signal_is_killed_after_the_grace_with_the_whole_group() {
     let stubborn = "trap '' TERM INT; echo $$ > child; while :; do sleep 0.01; done";
     let lab = Lab::new(&format!(

@@ -9,6 +9,7 @@ use std::net::ToSocketAddrs;
 use std::process::ExitCode;
 use std::time::Duration;
 
+use ztl_core::dispatcher::NOTHING_KNOWN;
 use ztl_std::{RemoteTask, RequestError, State, Status, TaskId, TriggerError, WaitError};
 
 use crate::{Done, signals};
@@ -104,7 +105,12 @@ enum Over<'a> {
     /// The server did not answer until the limit was reached.
     Lost { id: TaskId, reason: &'a str },
     /// It ended when it was aborted: as ABORTED, or otherwise just before.
-    Stopped { id: TaskId, status: &'a Status },
+    Stopped {
+        id: TaskId,
+        status: &'a Status,
+        /// Its last words, for programs; the answer to an abort does not tell them.
+        words: &'a str,
+    },
     /// What is known of it some time after an abort that was refused or not answered.
     After {
         id: TaskId,
@@ -272,8 +278,9 @@ impl Conversation<'_> {
         tell(News::Aborting { id, interrupted });
         let reply = match remote.abort(id) {
             Ok(status) if status.state.is_final() => {
-                let status = &status;
-                return over(tell, Over::Stopped { id, status });
+                let words = self.last_words(remote, id, status.state);
+                let (status, words) = (&status, words.as_str());
+                return over(tell, Over::Stopped { id, status, words });
             }
             Ok(status) => status.text,
             Err(error) => error.to_string(),
@@ -295,6 +302,17 @@ impl Conversation<'_> {
             reply,
         };
         over(tell, after)
+    }
+
+    /// What a task said that was aborted, if a program is to hear it. People see what the original's
+    /// tools say, which do not ask.
+    fn last_words(&self, remote: &mut RemoteTask, id: TaskId, state: State) -> String {
+        if !self.telling.json || state != State::Aborted {
+            return String::new();
+        }
+        let told = remote.status(id).ok();
+        let told = told.filter(|last| last.state == state && last.text != NOTHING_KNOWN);
+        told.map(|last| last.text).unwrap_or_default()
     }
 }
 

@@ -107,16 +107,16 @@ impl<'a> Teller<'a> {
 fn end<'a>(over: &'a Over<'a>) -> Line<'a> {
     let (id, text): (Option<TaskId>, &str) = match over {
         Over::NotTriggered { reason, .. } => (None, reason),
-        Over::Ended { id, status } | Over::Stopped { id, status } => (Some(*id), &status.text),
+        Over::Ended { id, status } => (Some(*id), &status.text),
+        // What an abort is answered is no result.
+        Over::Stopped { id, status, words } => match status.state {
+            State::Aborted => (Some(*id), words),
+            _ => (Some(*id), &status.text),
+        },
         Over::Lost { id, reason } => (Some(*id), reason),
         Over::After { id, text, .. } => (Some(*id), text),
     };
     let fate = over.fate();
-    // What an abort is answered is no result.
-    let text = match over {
-        Over::Stopped { status, .. } if status.state == State::Aborted => "",
-        _ => text,
-    };
     Line::Over {
         id: id.map(TaskId::get),
         fate: name(fate),

@@ -144,10 +144,9 @@ impl<'a> Teller<'a> {
             Over::Lost { id, reason } => line(format_args!(
                 "Could not wait for task with ID '{id}'. Reply is '{reason}'."
             )),
-            Over::Stopped { id, status } if status.state == State::Aborted => line(format_args!(
-                "Task with ID '{id}' aborted. Reply is '{}'.",
-                status.text
-            )),
+            Over::Stopped { id, status, .. } if status.state == State::Aborted => line(
+                format_args!("Task with ID '{id}' aborted. Reply is '{}'.", status.text),
+            ),
             // Nor does the original say anything.
             Over::Stopped { .. } => {}
             Over::After {
