@@ -149,6 +149,9 @@ fn who_answers_nothing_is_no_server() {
         "/etc/hosts",
     );
     assert_eq!(code, Some(1));
+    let (told, code) = self::told(&["-r", "::1", "-p", "1"]);
+    assert_trouble(&told, "server", "ztl uses IPv4", "its address of IPv4");
+    assert_eq!(code, Some(1));
 }
 
 #[test]

@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 use std::fs;
 use std::io::ErrorKind;
-use std::net::{IpAddr, TcpListener, TcpStream, ToSocketAddrs, UdpSocket};
+use std::net::{IpAddr, SocketAddr, TcpListener, TcpStream, ToSocketAddrs, UdpSocket};
 use std::path::Path;
 use std::time::{Duration, Instant};
 
@@ -74,19 +74,16 @@ pub(super) fn names() -> Vec<Finding> {
     found
 }
 
-/// By which address others see this machine. Nothing is sent.
+/// By which address others see this machine: of IPv4, which servers listen at. Nothing is sent.
 pub(super) fn addresses() -> Finding {
-    let toward = |to: &str, from: &str| {
-        let socket = UdpSocket::bind(from).ok()?;
+    let toward = |to: &str| {
+        let socket = UdpSocket::bind("0.0.0.0:0").ok()?;
         socket.connect(to).ok()?;
         let own = socket.local_addr().ok()?.ip();
         (!own.is_unspecified()).then_some(own)
     };
-    // Addresses for documentation, which belong to nobody.
-    let own: Vec<IpAddr> = [("192.0.2.1:9", "0.0.0.0:0"), ("[2001:db8::1]:9", "[::]:0")]
-        .into_iter()
-        .filter_map(|(to, from)| toward(to, from))
-        .collect();
+    // An address for documentation, which belongs to nobody.
+    let own: Vec<IpAddr> = toward("192.0.2.1:9").into_iter().collect();
     let shown: Vec<String> = own.iter().map(IpAddr::to_string).collect();
     let data = json!({ "addresses": shown });
     match shown.as_slice() {
@@ -182,6 +179,18 @@ pub(super) fn server(host: &str, port: u16, identity: &Identity) -> Finding {
         }
     };
     let resolved = begin.elapsed();
+    let (addresses, others): (Vec<_>, Vec<_>) =
+        addresses.into_iter().partition(SocketAddr::is_ipv4);
+    if let (true, Some(other)) = (addresses.is_empty(), others.first()) {
+        return Finding::trouble(
+            "server",
+            format!(
+                "'{host}' has only addresses of IPv6 ({}); ztl uses IPv4",
+                other.ip()
+            ),
+            "write its address of IPv4: on that machine, `ztl doctor` tells it",
+        );
+    }
     let mut refused = None;
     let connected = addresses.iter().find_map(|address| {
         let begin = Instant::now();
