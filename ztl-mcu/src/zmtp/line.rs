@@ -1,5 +1,7 @@
 //! A stream that does not tell when a client comes and goes: a serial port.
 
+use core::time::Duration;
+
 use embedded_io::{Read, ReadReady, Write};
 use ztl_core::Instant;
 
@@ -13,11 +15,15 @@ const PIECE: usize = 32;
 /// Pieces that a turn reads at most.
 const PIECES: usize = 8;
 
+/// How long after its last byte what may be the beginning of a signature is waited for.
+const PAUSE: Duration = Duration::from_millis(100);
+
 /// A serial port as a server's client number 0.
 ///
 /// Nobody tells the device that a program has opened the port, or left it. But each begins with the
 /// signature, which stands in no task: `FF` is no UTF-8. So wherever one is read, a new connection
-/// begins, and what was left of the one before is dropped.
+/// begins, and what was left of the one before is dropped. Nothing is sent while a signature may have
+/// begun, so that the next program does not hear what its first bytes made of the last one's request.
 ///
 /// ```no_run
 /// # use embedded_io::{Read, ReadReady, Write};
@@ -39,6 +45,8 @@ pub struct Line {
     end: usize,
     /// How many bytes of a signature have come.
     matched: usize,
+    /// Until when the rest of it is waited for.
+    pause: Instant,
 }
 
 impl Default for Line {
@@ -56,6 +64,7 @@ impl Line {
             begin: 0,
             end: 0,
             matched: 0,
+            pause: Instant::ZERO,
         }
     }
 
@@ -101,6 +110,9 @@ impl Line {
             }
         }
         server.handle_timeout(now);
+        if self.matched > 0 && now < self.pause {
+            return Ok(server.poll_timeout(now).min(self.pause));
+        }
         let mut left = BUFFER;
         while left > 0 {
             let pending = server.transmit_buf(Peer(0));
@@ -139,13 +151,15 @@ impl Line {
         now: Instant,
     ) {
         while let Some(&byte) = self.piece.get(self.begin..self.end).and_then(<[u8]>::first) {
-            let before = self.matched;
             if self.is_signature(byte) {
                 server.open(now, Peer(0));
                 let signature = GREETING.get(..SIGNATURE).unwrap_or_default();
                 server.handle_bytes(now, Peer(0), signature);
+            } else if self.matched > 0 {
+                self.pause = now + PAUSE;
+                // Taken or not: behind a request that is dealt with nothing else begins so.
+                server.handle_bytes(now, Peer(0), &[byte]);
             } else if server.handle_bytes(now, Peer(0), &[byte]) == 0 {
-                self.matched = before;
                 return;
             }
             self.begin += 1;

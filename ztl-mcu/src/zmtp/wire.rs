@@ -40,7 +40,8 @@ pub trait Socket {
     const READY: &'static [u8];
     /// The kinds that it talks to, by name and number (RFC 37, The Socket-Type Property).
     const PARTNERS: &'static [(&'static [u8], u8)];
-    /// Its `ERROR` command for those that it does not talk to.
+    /// Its `ERROR` command for those that it does not talk to. The reason has no blanks (RFC 37, Formal
+    /// Grammar: VCHAR).
     const ERROR: &'static [u8];
     /// Whether it is the one that binds, and waits for the other's `READY`.
     const BINDS: bool;
@@ -66,7 +67,7 @@ impl Socket for Rep {
     const CODE: u8 = 4;
     const READY: &'static [u8] = b"\x04\x19\x05READY\x0BSocket-Type\0\0\0\x03REP";
     const PARTNERS: &'static [(&'static [u8], u8)] = &[(Req::NAME, 3), (Dealer::NAME, 5)];
-    const ERROR: &'static [u8] = b"\x04\x1C\x05ERROR\x15REP takes REQ, DEALER";
+    const ERROR: &'static [u8] = b"\x04\x1B\x05ERROR\x14REP-takes-REQ,DEALER";
     const BINDS: bool = true;
 }
 
@@ -75,7 +76,7 @@ impl Socket for Req {
     const CODE: u8 = 3;
     const READY: &'static [u8] = b"\x04\x19\x05READY\x0BSocket-Type\0\0\0\x03REQ";
     const PARTNERS: &'static [(&'static [u8], u8)] = &[(Rep::NAME, 4), (b"ROUTER", 6)];
-    const ERROR: &'static [u8] = b"\x04\x1C\x05ERROR\x15REQ takes REP, ROUTER";
+    const ERROR: &'static [u8] = b"\x04\x1B\x05ERROR\x14REQ-takes-REP,ROUTER";
     const BINDS: bool = false;
 }
 
@@ -85,7 +86,7 @@ impl Socket for Dealer {
     const READY: &'static [u8] = b"\x04\x1C\x05READY\x0BSocket-Type\0\0\0\x06DEALER";
     const PARTNERS: &'static [(&'static [u8], u8)] =
         &[(Rep::NAME, 4), (Self::NAME, 5), (b"ROUTER", 6)];
-    const ERROR: &'static [u8] = b"\x04\x27\x05ERROR\x20DEALER takes REP, DEALER, ROUTER";
+    const ERROR: &'static [u8] = b"\x04\x25\x05ERROR\x1EDEALER-takes-REP,DEALER,ROUTER";
     const BINDS: bool = false;
 }
 

@@ -161,7 +161,9 @@ fn the_fixed_commands_are_what_the_grammar_says() {
             .iter()
             .map(|(name, _)| std::str::from_utf8(name).unwrap())
             .collect();
-        let reason = std::format!("{name} takes {}", partners.join(", "));
+        let reason = std::format!("{name}-takes-{}", partners.join(","));
+        // RFC 37: error-reason = OCTET 0*255VCHAR
+        assert!(reason.bytes().all(|byte| (0x21..=0x7E).contains(&byte)));
         let data = [&[reason.len() as u8], reason.as_bytes()].concat();
         assert_eq!(S::ERROR, command("ERROR", &data));
     }

@@ -1,5 +1,6 @@
 //! A serial port, on which clients come and go without a sign.
 
+use core::time::Duration;
 use std::collections::VecDeque;
 use std::string::String;
 use std::vec::Vec;
@@ -7,8 +8,9 @@ use std::vec::Vec;
 use embedded_io::{ErrorType, Read, ReadReady, Write};
 
 use super::{Desk, NOW, desk, frame, greeting, init, ready, request, text};
+use crate::Instant;
 use crate::zmtp::{
-    Line,
+    Line, Rep,
     wire::{GREETING, Socket},
 };
 
@@ -51,6 +53,7 @@ impl Write for Port {
 }
 
 struct Rig {
+    now: Instant,
     line: Line,
     desk: Desk,
     port: Port,
@@ -59,6 +62,7 @@ struct Rig {
 impl Rig {
     fn new() -> Self {
         Self {
+            now: NOW,
             line: Line::new(),
             desk: desk(),
             port: Port::default(),
@@ -72,7 +76,7 @@ impl Rig {
             let mut rx = Port::default();
             core::mem::swap(&mut rx.received, &mut self.port.received);
             self.line
-                .turn(&mut self.desk, &mut rx, &mut self.port, NOW)
+                .turn(&mut self.desk, &mut rx, &mut self.port, self.now)
                 .expect("the port never fails");
             core::mem::swap(&mut rx.received, &mut self.port.received);
         }
@@ -90,7 +94,7 @@ fn nothing_is_said_before_a_client_has_begun() {
     assert!(rig.send(b"").is_empty());
     assert!(rig.send(b"noise \xFF\0\0\xFF").is_empty());
     let heard = rig.send(&[greeting(), ready("REQ")].concat());
-    assert_eq!(heard, [GREETING, crate::zmtp::Rep::READY].concat());
+    assert_eq!(heard, [GREETING, Rep::READY].concat());
     assert_eq!(rig.ask("/lab;2;1;"), "/lab;2;1;Invalid ID '1'");
 }
 
@@ -111,8 +115,9 @@ fn the_next_client_is_served_wherever_the_one_before_broke_off() {
         rig.port.received.extend(&all[..cut]);
         rig.send(b"");
         let begin = [greeting(), ready("REQ")].concat();
+        // And hears nothing that was meant for that one.
         let heard = rig.send(&begin);
-        assert!(heard.ends_with(crate::zmtp::Rep::READY), "cut at {cut}");
+        assert!(heard == [GREETING, Rep::READY].concat(), "cut at {cut}");
         assert_eq!(
             rig.ask("/lab;2;77;"),
             "/lab;2;77;Invalid ID '77'",
@@ -127,5 +132,53 @@ fn a_signature_with_an_identity_counts_too_and_a_doubled_first_byte() {
     let mut begin = [&b"\xFF"[..], &greeting(), &ready("REQ")].concat();
     begin[9] = 0x21;
     let heard = rig.send(&begin);
-    assert!(heard.ends_with(crate::zmtp::Rep::READY));
+    assert!(heard.ends_with(Rep::READY));
+}
+
+#[test]
+fn what_ends_as_a_signature_begins_is_answered_after_a_pause_or_with_the_next_byte() {
+    let mut ready = ready("REQ");
+    ready.extend(b"\x08Identity\0\0\0\x01\xFF");
+    ready[1] = ready.len() as u8 - 2;
+    let mut rig = Rig::new();
+    assert_eq!(rig.send(&greeting()), GREETING);
+    assert!(rig.send(&ready).is_empty());
+    rig.now = NOW + Duration::from_millis(99);
+    assert!(rig.send(b"").is_empty());
+    let due = rig.line.turn(
+        &mut rig.desk,
+        &mut Port::default(),
+        &mut Port::default(),
+        rig.now,
+    );
+    assert_eq!(due, Ok(NOW + Duration::from_millis(100)));
+    rig.now = NOW + Duration::from_millis(100);
+    assert_eq!(rig.send(b""), Rep::READY);
+    assert_eq!(rig.ask("/lab;2;1;"), "/lab;2;1;Invalid ID '1'");
+
+    let heard = rig.send(&request(b"/lab;\xFF;1;\xFF\0\0;"));
+    assert_eq!(text(&heard), "/lab;2;-1;Unknown protocol");
+}
+
+/// As on a very slow line.
+#[test]
+fn a_signature_is_one_however_slowly_it_comes() {
+    let mut rig = Rig::new();
+    rig.send(
+        &[
+            greeting(),
+            ready("REQ"),
+            request(b"/lab;2;1;")[..3].to_vec(),
+        ]
+        .concat(),
+    );
+    let begin = [greeting(), ready("REQ")].concat();
+    let mut heard = Vec::new();
+    let (signature, rest) = begin.split_at(10);
+    for byte in signature {
+        rig.now = rig.now + Duration::from_millis(99);
+        heard.extend(rig.send(&[*byte]));
+    }
+    heard.extend(rig.send(rest));
+    assert!(heard.ends_with(&[GREETING, Rep::READY].concat()));
 }
