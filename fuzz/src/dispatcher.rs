@@ -7,6 +7,7 @@
 //! |---|---|
 //! | `?/lab;1;-1;open` | a request without an envelope |
 //! | `A5?/lab;1;-1;open` | request 5 of our client A (or B, C, D); with `!` it wishes to be told a quick end |
+//! | `A5.1?/lab;1;-1;open` | the same over connection 1; without a number A and B share one, and C and D another |
 //! | `&` | a request of several frames |
 //! | `a0 ok` | accepted; likewise `r` rejected, `x` threw, `p` progress, `c` completed, `f` failed, `o` aborted, `n` cannot be aborted |
 //! | `t1500` | so many milliseconds pass |
@@ -38,8 +39,18 @@ const BOOT: u32 = 4711;
 /// Longest step in milliseconds: beyond every time that the dispatcher knows.
 const LONGEST_STEP: u64 = 4_000_000;
 
-/// How clients are told apart: a number for each request.
-type Peer = usize;
+/// From where a request came: its number, to tell the answers apart, and its connection.
+#[derive(Debug, Clone, Copy)]
+struct Peer {
+    ask: usize,
+    place: u64,
+}
+
+impl PartialEq for Peer {
+    fn eq(&self, other: &Self) -> bool {
+        self.place == other.place
+    }
+}
 
 /// Plays a scenario on a server that often has no room, and on one that seldom lacks any.
 pub fn check(script: &[u8]) {
@@ -81,17 +92,23 @@ impl<const TASKS: usize, const HELD: usize> Stage<TASKS, HELD> {
                 b'&' => stage.request(None, Body::Several),
                 b'A'..=b'D' => {
                     let client = ClientId([verb; 16]);
-                    let number = number(&mut rest);
+                    // As many bits as an envelope has for it.
+                    let asked = number(&mut rest) & (u64::MAX >> 1);
+                    let mut place = u64::from(verb - b'A') / 2;
+                    if let Some(after) = rest.strip_prefix(b".") {
+                        rest = after;
+                        place = number(&mut rest);
+                    }
                     let Some((mark @ (b'?' | b'!'), body)) = rest.split_first() else {
                         continue;
                     };
                     let early_end = *mark == b'!';
                     let envelope = Envelope {
                         client,
-                        number,
+                        number: asked,
                         early_end,
                     };
-                    stage.request(Some(envelope), Body::One(body));
+                    stage.request(Some((envelope, place)), Body::One(body));
                 }
                 b't' | b'T' => {
                     let time = Duration::from_millis(number(&mut rest).min(LONGEST_STEP));
@@ -105,23 +122,29 @@ impl<const TASKS: usize, const HELD: usize> Stage<TASKS, HELD> {
         stage.model.assert_all_answered();
     }
 
-    fn request(&mut self, envelope: Option<Envelope>, body: Body<'_>) {
+    fn request(&mut self, ours: Option<(Envelope, u64)>, body: Body<'_>) {
         let Self {
             dispatcher,
             now,
             model,
         } = self;
-        let peer = model.ask(*now, envelope, body);
-        let mut out = |peer, reply: &Reply<'_>| model.on_answer(*now, peer, reply);
+        if ours.is_some_and(|ours| model.is_impossible(ours, body)) {
+            return;
+        }
+        let (envelope, place) = ours.unzip();
+        let ask = model.ask(*now, ours, body);
+        let place = place.unwrap_or_default();
+        let peer = Peer { ask, place };
+        let mut out = |peer: Peer, reply: &Reply<'_>| model.on_answer(*now, peer.ask, reply);
         let action = dispatcher.handle_request(*now, peer, envelope, body, &mut out);
         match action {
             Some(Action::Start { id, scope, payload }) => {
-                model.on_start(peer, id, SCOPES[usize::from(scope.0)], payload);
+                model.on_start(ask, id, SCOPES[usize::from(scope.0)], payload);
             }
             Some(Action::Abort { id, scope }) => {
-                model.on_abort(peer, id, SCOPES[usize::from(scope.0)]);
+                model.on_abort(ask, id, SCOPES[usize::from(scope.0)]);
             }
-            None => model.on_no_action(*now, peer),
+            None => model.on_no_action(*now, ask),
         }
         // A STATUS that wants to wait for no time at all.
         if dispatcher.poll_timeout().is_some_and(|wake| wake <= *now) {
@@ -152,7 +175,7 @@ impl<const TASKS: usize, const HELD: usize> Stage<TASKS, HELD> {
             _ => return,
         };
         model.on_event(*now, id, event);
-        let mut out = |peer, reply: &Reply<'_>| model.on_answer(*now, peer, reply);
+        let mut out = |peer: Peer, reply: &Reply<'_>| model.on_answer(*now, peer.ask, reply);
         dispatcher.handle_event(*now, id, event, &mut out);
         model.after_event();
     }
@@ -175,7 +198,7 @@ impl<const TASKS: usize, const HELD: usize> Stage<TASKS, HELD> {
         } = self;
         self.now = now;
         model.forget(now);
-        let mut out = |peer, reply: &Reply<'_>| model.on_answer(now, peer, reply);
+        let mut out = |peer: Peer, reply: &Reply<'_>| model.on_answer(now, peer.ask, reply);
         dispatcher.handle_timeout(now, &mut out);
         model.assert_in_time(now);
         let next = dispatcher.poll_timeout();

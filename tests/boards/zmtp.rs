@@ -5,7 +5,8 @@ use std::io::{Read, Write};
 use std::net::TcpStream;
 
 use ztl_tests::lab::{
-    ABORTED, ACCEPTED, Board, COMPLETED, OriginalClient, PATIENCE, Pin, REJECTED, until,
+    ABORTED, ACCEPTED, Board, COMPLETED, OriginalClient, PATIENCE, Pin, Process, REJECTED,
+    our_client, until,
 };
 
 use crate::stack;
@@ -93,6 +94,26 @@ fn over_its_serial_port_the_next_client_is_served_whatever_the_one_before_left()
     }
     let mut client = OriginalClient::connect(board.port, SCOPE);
     assert_eq!(client.wait(task, 60.0), (COMPLETED, "40.00"));
+}
+
+/// `ztl task-client` ten times, each time a new client, where there are places for fewer.
+#[track_caller]
+fn drive_by_command(port: u16) {
+    for goal in ["on", "off"].into_iter().cycle().take(10) {
+        let mut client = our_client();
+        client.args(["--exit-status", "-r", "127.0.0.1", "-s", SCOPE, "-p"]);
+        client.arg(port.to_string());
+        let ended = Process::run(client.arg(format!("desk:lamp:{goal}")));
+        assert_eq!(ended.code, Some(0), "{ended:?}");
+    }
+}
+
+#[test]
+fn our_command_is_started_more_often_in_a_minute_than_a_board_has_places() {
+    drive_by_command(serial().port);
+    drive_by_command(ethernet().network);
+    // It has one.
+    drive_by_command(Board::with_image("microbit", "microbit-zmtp").port);
 }
 
 #[test]

@@ -2,6 +2,8 @@
 
 use std::time::Duration;
 
+use ztl_tests::lab::{Process, our_client};
+
 use crate::{Desk, PLACES, Socket};
 
 #[test]
@@ -42,6 +44,27 @@ fn all_places_are_served_side_by_side_and_one_more_when_a_place_is_free() {
     clients.pop();
     further.0.set_rcvtimeo(20_000).unwrap();
     assert_eq!(further.receive(), [b"/desk;2;99;Invalid ID '99'"]);
+}
+
+/// Each is a new one to the desk, which knows four.
+#[test]
+fn our_command_is_started_more_often_in_a_minute_than_there_are_places() {
+    let desk = Desk::start();
+    let run = |goal: &str| {
+        let mut client = our_client();
+        client.args(["--exit-status", "-r", "127.0.0.1", "-s", "/desk", "-p"]);
+        client.arg(desk.port.to_string());
+        Process::run(client.arg(format!("desk:slide:{goal}")))
+    };
+    for goal in 1..=10 {
+        let ended = run(&goal.to_string());
+        assert_eq!(ended.code, Some(0), "{ended:?}");
+        // One that is refused keeps no place either.
+        let ended = run("far");
+        assert_eq!(ended.code, Some(1), "{ended:?}");
+        let told = ended.stdout.contains("slide takes 0 to 100 mm");
+        assert!(told, "{ended:?}");
+    }
 }
 
 #[test]

@@ -41,7 +41,7 @@ use crate::lifecycle::{Event, Request, State};
 use crate::memory::{Awaited, Memory, Scope, Waiter};
 use crate::message::Message;
 use crate::reply::{Reply, ReplyId, Text};
-use crate::tasks::{Task, TaskOf, TaskRules, Tasks};
+use crate::tasks::{TaskOf, TaskRules, Tasks};
 use crate::time::micros;
 use crate::{Instant, TaskId};
 
@@ -210,6 +210,8 @@ pub struct Dispatcher<M> {
 /// back and taken apart again.
 struct Asked<'r, 'a> {
     envelope: Option<&'r Envelope>,
+    /// From which number on an INIT of its client is new, if none is remembered.
+    new_from: u64,
     /// What it is answered if it does not wait.
     reply: Reply<'r>,
     /// It waits for this to happen to this task, until the deadline.
@@ -249,12 +251,13 @@ impl<M: Memory> Dispatcher<M> {
         };
         let mut asked = Asked {
             envelope: envelope.as_ref(),
+            new_from: 0,
             reply: Reply::refusal(self.boot),
             wait: None,
             deadline: now.after(self.hold),
             action: None,
         };
-        self.decide(bytes, &mut asked, out);
+        self.decide(&peer, bytes, &mut asked, out);
         let Some((task, awaited)) = asked.wait else {
             out(peer, &asked.reply);
             return None;
@@ -359,6 +362,7 @@ impl<M: Memory> Dispatcher<M> {
     /// The table of what a server answers (`docs/protocol.md`, 4.1), row by row.
     fn decide<'r, 'a: 'r>(
         &'r mut self,
+        peer: &M::Peer,
         body: &'a [u8],
         asked: &mut Asked<'r, 'a>,
         out: &mut impl FnMut(M::Peer, &Reply<'_>),
@@ -375,6 +379,10 @@ impl<M: Memory> Dispatcher<M> {
         let code = message.code();
         let request = code.ok().and_then(Integer::natural);
         let request = request.and_then(|code| Request::from_code(code as i64));
+        if let Some(envelope) = asked.envelope {
+            let is_init = request == Some(Request::Init);
+            asked.new_from = self.memory.on_heard(self.now, peer, envelope, is_init);
+        }
         if message.scope == RESERVED_SCOPE {
             return self.on_reserved(request, message.payload, asked, out);
         }
@@ -394,7 +402,18 @@ impl<M: Memory> Dispatcher<M> {
             return;
         };
         reply.text = Text::UnknownId;
-        let Some((id, task)) = self.find(scope, id) else {
+        let number = id.natural().and_then(|id| u32::try_from(id).ok());
+        let Some(id) = number.and_then(TaskId::new) else {
+            return;
+        };
+        // Whoever names the task has the answer to its INIT.
+        if let Some(envelope) = asked.envelope
+            && self.memory.on_asked_about(&envelope.client, id)
+        {
+            self.answer_late(Some(id), out);
+        }
+        let task = self.memory.tasks().get(id);
+        let Some(task) = task.filter(|task| task.extra == scope) else {
             return;
         };
         reply.id = ReplyId::Task(id);
@@ -416,13 +435,6 @@ impl<M: Memory> Dispatcher<M> {
             let wait = wait.min(LONGEST_WAIT_MS) as u32;
             asked.deadline = self.now.after(u64::from(wait * 1000));
         }
-    }
-
-    fn find(&self, scope: Scope, asked: Integer<'_>) -> Option<(TaskId, &Task<Scope, M::Text>)> {
-        let number = u32::try_from(asked.natural()?).ok()?;
-        let id = TaskId::new(number)?;
-        let task = self.memory.tasks().get(id)?;
-        (task.extra == scope).then_some((id, task))
     }
 }
 

@@ -3,7 +3,7 @@
 //! The rules are the dispatcher's; a memory only keeps. [`Fixed`] needs no heap and is for a
 //! microcontroller; `ztl-std` has one that grows.
 
-use crate::envelope::ClientId;
+use crate::envelope::{ClientId, Envelope};
 use crate::lifecycle::State;
 use crate::repr::put_yaml;
 use crate::sink::Sink;
@@ -69,6 +69,8 @@ pub struct LastInit<T> {
     pub first: First,
     /// Its task, if it has one.
     pub task: Option<TaskId>,
+    /// Whether the client has shown that it has the answer: it has asked about the task.
+    pub received: bool,
     /// The answer's text.
     pub text: T,
     /// Until when it is remembered; [`Instant::NEVER`] while it is pending.
@@ -85,6 +87,7 @@ impl<T: Text> LastInit<T> {
             check: 0,
             first: First::Void,
             task: None,
+            received: false,
             text: T::default(),
             until: Instant::NEVER,
         }
@@ -138,23 +141,60 @@ pub trait Memory {
     /// The last INIT of a client that led to this task, if it is still its last.
     fn init_of(&self, task: TaskId) -> Option<&LastInit<Self::Text>>;
     /// A client's last INIT, to be changed; a void one if it has none, and `None` when no more clients
-    /// fit.
+    /// fit. For it a memory may forget what [`on_heard`](Self::on_heard) makes up for.
     fn remember(&mut self, client: &ClientId) -> Option<&mut LastInit<Self::Text>>;
     /// Told when the last INIT of a client has been changed, so that a memory can keep an order.
     fn on_remembered(&mut self, client: &ClientId);
+    /// Told of each request in our envelope, before it is acted upon. Says from which number on an INIT
+    /// of this client is surely a new one, if none of its is remembered.
+    ///
+    /// Default: any, as is right for a memory that forgets none before its time.
+    fn on_heard(
+        &mut self,
+        _now: Instant,
+        _peer: &Self::Peer,
+        _envelope: &Envelope,
+        _is_init: bool,
+    ) -> u64 {
+        0
+    }
+    /// Told that a client asks about a task. Says whether it had that from its last INIT, and whoever
+    /// still waits for the INIT's answer is to be answered, since it may be forgotten from now on.
+    ///
+    /// Default: that never matters.
+    fn on_asked_about(&mut self, _client: &ClientId, _task: TaskId) -> bool {
+        false
+    }
     /// Forgets those whose time has passed.
     fn forget_inits(&mut self, now: Instant);
     /// The first time at which one may be forgotten; [`Instant::NEVER`] when there is none.
     fn next_forgetting(&self) -> Instant;
 }
 
+/// The highest number of a client's requests.
+#[derive(Debug, Clone)]
+struct Heard<P> {
+    /// The beginning of its id, which is random.
+    client: u32,
+    number: u32,
+    /// From where its last request came.
+    peer: P,
+}
+
 /// A memory without a heap: `SCOPES` scopes, `TASKS` tasks with texts of at most `TEXT` bytes, and
 /// `HELD` answers held at a time; the last INIT of as many clients.
+///
+/// When it needs a place for an INIT, it forgets one whose client has its answer, or that was refused or
+/// given up. What then comes of a client of which it knows no INIT is new only if all that was heard of
+/// this client has a lower number (`docs/protocol.md`, 9.5).
 // In this order, the largest last: a Cortex-M0 reaches what comes first with shorter code.
 #[derive(Debug)]
 #[repr(C)]
 pub struct Fixed<P, const SCOPES: usize, const TASKS: usize, const TEXT: usize, const HELD: usize> {
     scopes: [&'static str; SCOPES],
+    /// Until when what was forgotten for another would have been remembered.
+    forgotten: Instant,
+    heard: heapless::Vec<Heard<P>, HELD>,
     held: heapless::Vec<Waiter<P>, HELD>,
     tasks: TaskTable<TaskId, Scope, TASKS, TEXT>,
     inits: heapless::Vec<LastInit<heapless::String<TEXT>>, HELD>,
@@ -168,6 +208,8 @@ impl<P, const SCOPES: usize, const TASKS: usize, const TEXT: usize, const HELD: 
     pub const fn new(scopes: [&'static str; SCOPES]) -> Self {
         Self {
             scopes,
+            forgotten: Instant::ZERO,
+            heard: heapless::Vec::new(),
             tasks: TaskTable::new(),
             held: heapless::Vec::new(),
             inits: heapless::Vec::new(),
@@ -175,8 +217,13 @@ impl<P, const SCOPES: usize, const TASKS: usize, const TEXT: usize, const HELD: 
     }
 }
 
-impl<P, const SCOPES: usize, const TASKS: usize, const TEXT: usize, const HELD: usize> Memory
-    for Fixed<P, SCOPES, TASKS, TEXT, HELD>
+impl<
+    P: Clone + PartialEq,
+    const SCOPES: usize,
+    const TASKS: usize,
+    const TEXT: usize,
+    const HELD: usize,
+> Memory for Fixed<P, SCOPES, TASKS, TEXT, HELD>
 {
     type Peer = P;
     type Text = heapless::String<TEXT>;
@@ -242,13 +289,56 @@ impl<P, const SCOPES: usize, const TASKS: usize, const TEXT: usize, const HELD: 
     fn remember(&mut self, client: &ClientId) -> Option<&mut LastInit<Self::Text>> {
         let known = self.inits.iter().position(|init| init.client == *client);
         let place = known.unwrap_or(self.inits.len());
-        if known.is_none() {
-            self.inits.push(LastInit::new(*client)).ok()?;
+        if known.is_some() || !self.inits.is_full() {
+            // There is room.
+            let _ = known.is_some() || self.inits.push(LastInit::new(*client)).is_ok();
+            return self.inits.get_mut(place);
         }
-        self.inits.get_mut(place)
+        // One whose answer its client has, or that has no task.
+        let over = |init: &&mut LastInit<_>| {
+            init.task.is_none() || init.received && init.first != First::Pending
+        };
+        let init = self.inits.iter_mut().find(over)?;
+        self.forgotten = self.forgotten.max(init.until);
+        init.client = *client;
+        Some(init)
     }
 
     fn on_remembered(&mut self, _client: &ClientId) {}
+
+    fn on_heard(&mut self, now: Instant, peer: &P, envelope: &Envelope, is_init: bool) -> u64 {
+        let number = u32::try_from(envelope.number).unwrap_or(u32::MAX);
+        let [a, b, c, d, ..] = envelope.client.0;
+        let client = u32::from_ne_bytes([a, b, c, d]);
+        let peer = peer.clone();
+        let mut new_from = u64::MAX;
+        if let Some(known) = self.heard.iter_mut().find(|heard| heard.client == client) {
+            new_from = known.number.checked_add(1).map_or(u64::MAX, u64::from);
+            known.number = known.number.max(number);
+            known.peer = peer;
+        } else if !is_init {
+            // Not by an INIT, which may come again when it and those after it are forgotten.
+            let heard = Heard {
+                client,
+                number,
+                peer,
+            };
+            if let Err(heard) = self.heard.push(heard) {
+                // Who had its connection before has gone.
+                let gone = self.heard.iter().position(|gone| gone.peer == heard.peer);
+                if let Some(gone) = self.heard.get_mut(gone.unwrap_or_default()) {
+                    *gone = heard;
+                }
+            }
+        }
+        if now < self.forgotten { new_from } else { 0 }
+    }
+
+    fn on_asked_about(&mut self, client: &ClientId, task: TaskId) -> bool {
+        let its = |init: &&mut LastInit<_>| init.client == *client && init.task == Some(task);
+        let init = self.inits.iter_mut().find(its);
+        init.map(|init| init.received = true).is_some()
+    }
 
     fn forget_inits(&mut self, now: Instant) {
         while take_out(&mut self.inits, |init| init.until <= now).is_some() {}

@@ -2,6 +2,7 @@
 //! last INIT of each of our clients, for ever.
 
 mod answers;
+mod places;
 mod questions;
 
 use std::collections::BTreeMap;
@@ -10,7 +11,8 @@ use ztl_core::dispatcher::{Body, Config, KEEP_INIT, TaskEvent};
 use ztl_core::envelope::{ClientId, Envelope};
 use ztl_core::{Instant, Message, State, TaskId};
 
-use super::{BOOT, Peer, TEXT};
+use super::{BOOT, TEXT};
+use places::{Places, is_init};
 use questions::only;
 
 /// The room that the server has.
@@ -74,6 +76,11 @@ struct Ask {
     scope: String,
     payload: String,
     asked: Asked,
+    /// The INIT that it is about may have been forgotten for another client's: its client was told, or
+    /// nothing more can come of it.
+    forgettable: bool,
+    /// What the client said before shows that the INIT has not come.
+    surely_new: bool,
     answered: bool,
 }
 
@@ -87,6 +94,8 @@ enum First {
 
 struct LastInit {
     number: u64,
+    /// Its client has asked about its task.
+    received: bool,
     /// Its scope and payload, which another one with its number does not share.
     of: (String, String),
     first: First,
@@ -99,6 +108,7 @@ pub(super) struct Model {
     asks: Vec<Ask>,
     tasks: Vec<Task>,
     inits: BTreeMap<ClientId, LastInit>,
+    places: Places,
     /// INITs that had not come before.
     new_inits: usize,
     /// The task whose handler is just refusing to abort it.
@@ -108,6 +118,7 @@ pub(super) struct Model {
 impl Model {
     pub(super) fn new(limits: Limits) -> Self {
         Self {
+            places: Places::new(limits.held),
             limits,
             asks: Vec::new(),
             tasks: Vec::new(),
@@ -122,7 +133,13 @@ impl Model {
     }
 
     /// A request is about to come; returns its number.
-    pub(super) fn ask(&mut self, now: Instant, envelope: Option<Envelope>, body: Body<'_>) -> Peer {
+    pub(super) fn ask(
+        &mut self,
+        now: Instant,
+        ours: Option<(Envelope, u64)>,
+        body: Body<'_>,
+    ) -> usize {
+        let envelope = ours.map(|(envelope, _)| envelope);
         let bytes = match body {
             Body::One(bytes) => bytes,
             Body::Several => b"",
@@ -134,6 +151,19 @@ impl Model {
             Ok(message) => self.asked(envelope, message),
             Err(_) => only(format!("{scope};2;-1;Unknown protocol")),
         };
+        let about = message.ok().zip(envelope);
+        let about = about.and_then(|(message, envelope)| self.about(envelope, message));
+        let surely_new = about.is_some_and(|(client, number)| self.places.is_new(client, number));
+        let forgettable = about.is_some_and(|(client, number)| {
+            let last = self.inits.get(&client);
+            last.is_some_and(|last| last.number >= number && self.is_released(last))
+        });
+        if let Some((envelope, place)) = ours {
+            if let Ok(message) = message {
+                self.places.hear(envelope, place, is_init(message));
+                self.on_asked_about(envelope, message);
+            }
+        }
         self.new_inits += usize::from(matches!(asked, Asked::Init(None)));
         self.asks.push(Ask {
             due: now + hold,
@@ -141,12 +171,14 @@ impl Model {
             scope: scope.to_owned(),
             payload: payload.to_owned(),
             asked,
+            forgettable,
+            surely_new,
             answered: false,
         });
         self.asks.len() - 1
     }
 
-    pub(super) fn on_start(&mut self, peer: Peer, id: TaskId, scope: &'static str, payload: &str) {
+    pub(super) fn on_start(&mut self, ask: usize, id: TaskId, scope: &'static str, payload: &str) {
         let place = self.tasks.len();
         let expected = match self.tasks.last() {
             Some(last) => last.id.get() + 1,
@@ -154,7 +186,7 @@ impl Model {
         };
         // A refused INIT may use up a number, but none is ever given again.
         assert!(id.get() >= expected, "{id} was given before");
-        let ask = &mut self.asks[peer];
+        let ask = &mut self.asks[ask];
         assert!(
             matches!(ask.asked, Asked::Init(None)),
             "it must not start: {ask:?}"
@@ -170,6 +202,7 @@ impl Model {
                 client,
                 LastInit {
                     number,
+                    received: false,
                     of,
                     first,
                     until: None,
@@ -191,18 +224,19 @@ impl Model {
     }
 
     fn remember(&mut self, client: ClientId, init: LastInit) {
+        self.make_room(client);
         self.inits.insert(client, init);
     }
 
-    pub(super) fn on_abort(&mut self, peer: Peer, id: TaskId, scope: &str) {
-        let Asked::Abort { task, ended: false } = self.asks[peer].asked else {
+    pub(super) fn on_abort(&mut self, ask: usize, id: TaskId, scope: &str) {
+        let Asked::Abort { task, ended: false } = self.asks[ask].asked else {
             panic!("nobody asked to abort {id}");
         };
         assert_eq!((self.tasks[task].id, self.tasks[task].scope), (id, scope));
     }
 
-    pub(super) fn on_no_action(&mut self, now: Instant, peer: Peer) {
-        let ask = &self.asks[peer];
+    pub(super) fn on_no_action(&mut self, now: Instant, ask: usize) {
+        let ask = &self.asks[ask];
         match ask.asked {
             Asked::Abort { ended, .. } => assert!(ended, "the handler is not told: {ask:?}"),
             Asked::Init(None) => assert!(ask.answered, "neither started nor answered"),

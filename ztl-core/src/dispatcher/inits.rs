@@ -13,6 +13,8 @@ use crate::{Instant, TaskId};
 pub(super) enum Known {
     /// It has not come, or is forgotten.
     New,
+    /// It may have come, and was forgotten for another client's.
+    Forgotten,
     /// Its client was told so, and it never counts.
     Void,
     /// A later one has come.
@@ -38,9 +40,13 @@ impl<M: Memory> Dispatcher<M> {
             if envelope.early_end {
                 awaited = Awaited::EarlyEnd;
             }
-            match self.known(&envelope.client, envelope.number, Some(check)) {
+            match self.known(asked, envelope.number, Some(check)) {
                 Known::New => self.settle_last(&envelope.client, out),
                 Known::Void | Known::Settled => return,
+                Known::Forgotten => {
+                    asked.reply.text = Text::ManyClients;
+                    return;
+                }
                 Known::Taken => {
                     asked.reply.text = Text::NumberTaken;
                     return;
@@ -79,10 +85,15 @@ impl<M: Memory> Dispatcher<M> {
         asked.action = Some(Action::Start { id, scope, payload });
     }
 
-    /// What is known of a client's INIT with this number, and this check sum if it has come again.
-    pub(super) fn known(&self, client: &ClientId, number: u64, check: Option<u32>) -> Known {
-        let Some(init) = self.memory.last_init(client) else {
-            return Known::New;
+    /// What is known of the asking client's INIT with this number, and this check sum if it has come
+    /// again.
+    pub(super) fn known(&self, asked: &Asked<'_, '_>, number: u64, check: Option<u32>) -> Known {
+        let last = |envelope: &Envelope| self.memory.last_init(&envelope.client);
+        let Some(init) = asked.envelope.and_then(last) else {
+            return match number < asked.new_from {
+                true => Known::Forgotten,
+                false => Known::New,
+            };
         };
         match init.first {
             _ if init.number < number => Known::New,
@@ -108,6 +119,7 @@ impl<M: Memory> Dispatcher<M> {
         init.number = number;
         init.check = check;
         init.first = first;
+        init.received &= matches!(first, First::Answered(_));
         init.task = task;
         init.text.set(text);
         init.until = match first {

@@ -39,15 +39,16 @@ impl<M: Memory> Dispatcher<M> {
             return;
         };
         let client = &envelope.client;
-        match self.known(client, number, None) {
-            Known::Settled => reply.text = Text::Settled,
+        match self.known(asked, number, None) {
+            Known::Forgotten => asked.reply.text = Text::ManyClients,
+            Known::Settled => asked.reply.text = Text::Settled,
             Known::Last => self.tell_again(client, Awaited::Outcome, asked),
             // From now on it is refused, for as long as an answer would be kept.
             Known::New | Known::Void | Known::Taken => {
                 self.settle_last(client, out);
                 let number = (number, 0);
                 let first = First::Void;
-                reply.text = if self.remember(client, number, first, None, "") {
+                asked.reply.text = if self.remember(client, number, first, None, "") {
                     Text::NeverSeen
                 } else {
                     Text::ManyClients

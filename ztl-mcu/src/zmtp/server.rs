@@ -32,8 +32,9 @@ pub struct Peer(pub u8);
 /// Its scope is that of [`new`](Self::new), its handler the identity's name: `gripper:finger:80` moves the
 /// component `finger` of the device `gripper`. Tasks go on when their client leaves.
 ///
-/// Of our own clients, which never send an INIT twice, the last answer is kept for a minute, of
-/// `CLIENTS` at a time; further ones are refused. Others need no such place.
+/// Of our own clients, which never send an INIT twice, the last answer is kept: until the client has
+/// asked about the task and another needs the place, and for a minute at most. There is room for
+/// `CLIENTS` of them; without it an INIT is refused. Others need no such place.
 ///
 /// *Inputs*: [`open`](Self::open) and [`close`](Self::close) as connections come and go,
 /// [`handle_bytes`](Self::handle_bytes), [`handle_timeout`](Self::handle_timeout) in every turn of the main loop.

@@ -6,7 +6,7 @@ use ztl_core::reply::Reply;
 use ztl_core::{Instant, Message, State};
 
 use super::{Asked, First, LastInit, Model, Task, config, cut};
-use crate::dispatcher::{BOOT, Peer};
+use crate::dispatcher::BOOT;
 
 /// An answer's state, id and payload.
 type Told<'a> = (&'a str, &'a str, &'a str);
@@ -17,11 +17,16 @@ const NO_WAITERS: &str = "too many requests are waiting, try again";
 const NO_IDS: &str = "all task ids are used up, restart the server";
 
 impl Model {
-    pub(in crate::dispatcher) fn on_answer(&mut self, now: Instant, peer: Peer, reply: &Reply<'_>) {
+    pub(in crate::dispatcher) fn on_answer(
+        &mut self,
+        now: Instant,
+        place: usize,
+        reply: &Reply<'_>,
+    ) {
         let mut text = Vec::new();
         reply.put(&mut |bytes: &[u8]| text.extend_from_slice(bytes));
         let text = String::from_utf8(text).expect("UTF-8");
-        let ask = &mut self.asks[peer];
+        let ask = &mut self.asks[place];
         assert!(!ask.answered, "a second answer, {text}, to {ask:?}");
         assert!(now <= ask.due, "a late answer to {ask:?}");
         ask.answered = true;
@@ -31,9 +36,14 @@ impl Model {
         let told = Message::parse(text.as_bytes()).expect("a message");
         assert_eq!(told.scope, scope, "{text}");
         let told = (told.state, told.id, told.payload);
+        if told.2 == NO_CLIENTS && self.asks[place].forgettable {
+            assert_eq!(told.0, "2");
+            assert_eq!(told.1, if scope == "$ztl" { "0" } else { "-1" });
+            return self.assert_no_place(now, place);
+        }
         match asked {
             Asked::Only(expected) => assert_eq!(text, expected),
-            Asked::Init(None) => self.assert_refusal(now, peer, told),
+            Asked::Init(None) => self.assert_refusal(now, place, told),
             Asked::Init(Some(task)) => self.assert_first(task, wish, told),
             Asked::Again { scope, task } => self.assert_first(task, wish && scope != "$ztl", told),
             Asked::Refusal {
@@ -42,7 +52,9 @@ impl Model {
             } => {
                 assert_eq!(text, format!("{scope};2;-1;{}", cut(&reason)));
             }
-            Asked::NeverSeen(client, number) => self.assert_never_seen(now, client, number, told),
+            Asked::NeverSeen(client, number) => {
+                self.assert_never_seen(now, place, (client, number), told)
+            }
             Asked::Status { task, wait } => self.assert_status(now, task, wait && early, told),
             Asked::Abort { task, ended } => self.assert_abort(now, task, ended, told),
             Asked::Probe => self.assert_probe(told),
@@ -50,7 +62,7 @@ impl Model {
     }
 
     /// An INIT that did not start.
-    fn assert_refusal(&mut self, now: Instant, peer: Peer, told: Told<'_>) {
+    fn assert_refusal(&mut self, now: Instant, place: usize, told: Told<'_>) {
         let (state, id, text) = told;
         assert_eq!((state, id), ("2", "-1"));
         let held = self.asks.iter().filter(|ask| !ask.answered).count();
@@ -60,15 +72,12 @@ impl Model {
                 assert_eq!(last, Some(u32::MAX));
                 return;
             }
-            NO_CLIENTS => {
-                assert_eq!(self.inits.len(), self.limits.held);
-                return;
-            }
+            NO_CLIENTS => return self.assert_no_place(now, place),
             NO_TASKS => assert_eq!(self.running().count(), self.limits.tasks),
             NO_WAITERS => assert_eq!(held, self.limits.held),
             other => panic!("refused for {other}"),
         }
-        let ask = &self.asks[peer];
+        let ask = &self.asks[place];
         if let Some(Envelope { client, number, .. }) = ask.envelope {
             let of = (ask.scope.clone(), ask.payload.clone());
             let first = First::Refused(text.to_owned());
@@ -77,6 +86,7 @@ impl Model {
                 client,
                 LastInit {
                     number,
+                    received: false,
                     of,
                     first,
                     until,
@@ -120,18 +130,23 @@ impl Model {
         }
     }
 
-    fn assert_never_seen(&mut self, now: Instant, client: ClientId, number: u64, told: Told<'_>) {
+    fn assert_never_seen(
+        &mut self,
+        now: Instant,
+        place: usize,
+        (client, number): (ClientId, u64),
+        told: Told<'_>,
+    ) {
         let (state, id, text) = told;
         assert_eq!((state, id), ("2", "0"));
         if text == NO_CLIENTS {
-            assert_eq!(self.inits.len(), self.limits.held);
-            assert!(!self.inits.contains_key(&client));
-            return;
+            return self.assert_no_place(now, place);
         }
         assert_eq!(text, format!("never seen since boot {BOOT}"));
         let until = Some(now + KEEP_INIT);
         let void = LastInit {
             number,
+            received: false,
             of: Default::default(),
             first: First::Void,
             until,

@@ -128,7 +128,7 @@ pub(super) fn only(answer: String) -> (Asked, Duration) {
     (Asked::Only(answer), Duration::ZERO)
 }
 
-fn plain(number: Integer<'_>) -> String {
+pub(super) fn plain(number: Integer<'_>) -> String {
     let mut out = Vec::new();
     number.put(&mut |bytes: &[u8]| out.extend_from_slice(bytes));
     String::from_utf8(out).expect("ASCII")

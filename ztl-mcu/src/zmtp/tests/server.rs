@@ -357,3 +357,39 @@ fn the_probe_tells_what_it_is() {
         "{answer}"
     );
 }
+
+#[test]
+fn more_of_our_clients_than_there_are_places_come_within_a_minute() {
+    let mut desk = desk();
+    let mut asked = std::vec::Vec::<std::vec::Vec<u8>>::new();
+    for number in 1..=100 {
+        let mut client = connect(&mut desk, number % 2);
+        client.talk(Pieces::Whole, &enveloped(number, 1, "$ztl;2;-1;probe"));
+        let ask = enveloped(number, 2, &init("desk:motor:up"));
+        let heard = client.talk(Pieces::Whole, &ask);
+        let started = text(&heard[32..]);
+        let id = std::format!("/lab;1;{number};Initiated task");
+        assert!(started.starts_with(&id), "{started}");
+        let wait = std::format!("/lab;2;{number};wait 1000");
+        assert!(
+            client
+                .talk(Pieces::Whole, &enveloped(number, 3, &wait))
+                .is_empty()
+        );
+        steps(client.desk, 3);
+        let end = std::format!("/lab;5;{number};3 of 3");
+        assert_eq!(text(&client.drain()[32..]), end);
+        desk.close(Peer(number % 2));
+        // The INIT of the last but one comes again, of which nothing is left.
+        if let [_, _, _, .., again, _] = &asked[..] {
+            let mut client = connect(&mut desk, 1 - number % 2);
+            let heard = client.talk(Pieces::Whole, again);
+            let refused = text(&heard[32..]);
+            assert!(
+                refused.starts_with("/lab;2;-1;too many clients"),
+                "{refused}"
+            );
+        }
+        asked.push(ask);
+    }
+}

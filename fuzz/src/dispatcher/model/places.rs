@@ -1,0 +1,184 @@
+//! For whom there is room, and whose INIT may be forgotten for another's (`docs/protocol.md`, 9.5).
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use ztl_core::dispatcher::Body;
+use ztl_core::envelope::{ClientId, Envelope};
+use ztl_core::integer::Integer;
+use ztl_core::{Instant, Message, Request};
+
+use super::questions::plain;
+use super::{First, LastInit, Model};
+use crate::dispatcher::SCOPES;
+
+/// What is known of clients by what they said.
+pub(super) struct Places {
+    /// Of how many the server knows it.
+    room: usize,
+    /// The highest number of each, and over which connection its last request came.
+    heard: BTreeMap<ClientId, (u64, u64)>,
+    /// Of these the server may have forgotten it.
+    lost: BTreeSet<ClientId>,
+    /// Until when something that was forgotten for another would have been remembered.
+    pub(super) until: Option<Instant>,
+}
+
+impl Places {
+    pub(super) fn new(room: usize) -> Self {
+        Self {
+            room,
+            heard: BTreeMap::new(),
+            lost: BTreeSet::new(),
+            until: None,
+        }
+    }
+
+    /// Whether the server knows for certain that this INIT has not come.
+    pub(super) fn is_new(&self, client: ClientId, number: u64) -> bool {
+        let highest = self.heard.get(&client);
+        // A device keeps 32 bits of it.
+        let below = |highest: u64| highest < number && highest < u64::from(u32::MAX);
+        highest.is_some_and(|(highest, _)| below(*highest)) && !self.lost.contains(&client)
+    }
+
+    /// Whether no client of ours says so: only an INIT may come again when the server has forgotten what it
+    /// heard, since numbers rise.
+    fn is_impossible(&self, envelope: Envelope) -> bool {
+        let highest = self.heard.get(&envelope.client);
+        highest.is_some_and(|(highest, _)| *highest >= envelope.number)
+            && self.lost.contains(&envelope.client)
+    }
+
+    pub(super) fn hear(&mut self, envelope: Envelope, place: u64, is_init: bool) {
+        let Envelope { client, number, .. } = envelope;
+        let known = self.heard.contains_key(&client) && !self.lost.contains(&client);
+        if is_init && !known {
+            // By an INIT nobody is known.
+            let highest = self.heard.get(&client).map_or(0, |(highest, _)| *highest);
+            self.lost.insert(client);
+            self.heard.insert(client, (highest.max(number), place));
+            return;
+        }
+        if !known && self.heard.len() >= self.room {
+            let mut others: Vec<ClientId> = self.heard.keys().copied().collect();
+            others.retain(|other| *other != client);
+            let here = |other: &ClientId| self.heard[other].1 == place;
+            // Those that had its connection before, if it is known of one.
+            if others
+                .iter()
+                .any(|other| here(other) && !self.lost.contains(other))
+            {
+                others.retain(here);
+            }
+            self.lost.extend(others);
+        }
+        self.lost.remove(&client);
+        let highest = self.heard.get(&client).map_or(0, |(highest, _)| *highest);
+        self.heard.insert(client, (highest.max(number), place));
+    }
+}
+
+impl Model {
+    pub(in crate::dispatcher) fn is_impossible(
+        &self,
+        (envelope, _): (Envelope, u64),
+        body: Body<'_>,
+    ) -> bool {
+        let Body::One(bytes) = body else {
+            return false;
+        };
+        let Ok(message) = Message::parse(bytes) else {
+            return false;
+        };
+        // Nor asks what became of an INIT that it has not sent.
+        let ahead = self.about(envelope, message);
+        let ahead = ahead.is_some_and(|(_, number)| number > envelope.number);
+        ahead || !is_init(message) && self.places.is_impossible(envelope)
+    }
+
+    /// Whose INIT a request is, or asks after, and its number.
+    pub(super) fn about(
+        &self,
+        envelope: Envelope,
+        message: Message<'_>,
+    ) -> Option<(ClientId, u64)> {
+        let client = envelope.client;
+        if message.scope == "$ztl" {
+            let number = message.payload.strip_prefix("outcome ")?;
+            let number = Integer::parse(number).ok()?.value()?;
+            return Some((client, u64::try_from(number).ok()?));
+        }
+        let asked = is_init(message) && SCOPES.contains(&message.scope);
+        asked.then_some((client, envelope.number))
+    }
+
+    /// A client asks about a task: if it is that of its last INIT, it has the answer.
+    pub(super) fn on_asked_about(&mut self, envelope: Envelope, message: Message<'_>) {
+        let (Some(Request::Status | Request::Abort), Ok(id)) = (request(message), message.number())
+        else {
+            return;
+        };
+        if let Some(last) = self.inits.get_mut(&envelope.client)
+            && let First::Started(task) = last.first
+            && SCOPES.contains(&message.scope)
+        {
+            last.received |= self.tasks[task].id.to_string() == plain(id);
+        }
+    }
+
+    /// Whether the server may forget it before its time.
+    pub(super) fn is_released(&self, init: &LastInit) -> bool {
+        match init.first {
+            // Its client has the answer, or it is that it was refused.
+            First::Started(task) => {
+                let refused = self.tasks[task].refused.is_some();
+                init.until.is_some() && (init.received || refused)
+            }
+            First::Refused(_) | First::Void => true,
+        }
+    }
+
+    /// Another client's INIT comes to be remembered: another may have been forgotten for it.
+    pub(super) fn make_room(&mut self, client: ClientId) {
+        let released = self
+            .inits
+            .iter()
+            .filter(|(other, init)| **other != client && self.is_released(init));
+        let until = released.filter_map(|(_, init)| init.until).max();
+        let known = self.inits.contains_key(&client) && self.places.until.is_none();
+        if !known && self.inits.len() >= self.limits.held {
+            self.places.until = self.places.until.max(until);
+        }
+    }
+
+    /// A client is told that there is no room for its INIT.
+    pub(super) fn assert_no_place(&self, now: Instant, ask: usize) {
+        let ask = &self.asks[ask];
+        let client = ask.envelope.expect("only our clients need a place").client;
+        let forgot = self.places.until.is_some_and(|until| now < until) && !ask.surely_new;
+        let last = self.inits.get(&client);
+        assert!(
+            last.is_none_or(|last| self.is_released(last)),
+            "it has a place: {ask:?}"
+        );
+        let all_needed = self.needed(client) == self.limits.held;
+        assert!(
+            forgot || all_needed,
+            "there is a place, and its INIT is new: {ask:?}"
+        );
+    }
+
+    /// How many INITs of other clients have to be remembered.
+    fn needed(&self, client: ClientId) -> usize {
+        let others = self.inits.iter().filter(|(other, _)| **other != client);
+        others.filter(|(_, init)| !self.is_released(init)).count()
+    }
+}
+
+fn request(message: Message<'_>) -> Option<Request> {
+    Request::from_code(message.code().ok()?.value()?)
+}
+
+pub(super) fn is_init(message: Message<'_>) -> bool {
+    request(message) == Some(Request::Init)
+}
