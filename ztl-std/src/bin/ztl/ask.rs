@@ -41,7 +41,8 @@ impl Server {
     pub(crate) fn tasks(&self) -> Result<(String, Listing), Box<dyn std::error::Error>> {
         let json = self.ask("tasks")?.ok_or_else(|| {
             format!(
-                "the server at {} does not tell its tasks: it is the original's, or older than this command",
+                "the server at {} does not tell its tasks: it is the original's, a device without a gateway, \
+                 or older than this command",
                 self.endpoint()
             )
         })?;
