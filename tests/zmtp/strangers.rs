@@ -138,5 +138,6 @@ fn one_that_never_reads_stops_nobody_for_long_and_keeps_no_place() {
         }
         longest
     });
-    assert!(longest < Duration::from_millis(500), "{longest:?}");
+    // An original's client beside it never gives up. Also on a busy machine, so no less than that.
+    assert!(longest < TIMEOUT, "{longest:?}");
 }
