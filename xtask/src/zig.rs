@@ -78,7 +78,7 @@ pub(crate) const TARGETS: [Target; 7] = [
     Target {
         name: "armv5te",
         triple: "armv5te-unknown-linux-musleabi",
-        zig: "arm-linux-musleabi -mcpu=generic+soft_float+strict_align",
+        zig: "arm-linux-musleabi -mcpu=generic+v5te+soft_float+strict_align",
         emulator: "qemu-arm-static -cpu arm926",
     },
 ];
