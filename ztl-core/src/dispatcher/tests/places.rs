@@ -178,6 +178,8 @@ fn a_client_that_stays_connected_is_served_however_many_come_and_go_beside_it() 
     for client in 2..=99 {
         lab.comes_and_goes(client, 1);
     }
+    // What it said since its INIT is known, so that this is none that was not heard yet.
+    lab.is_refused(1, 0, 2, INIT);
     let next = lab.of(1, 0, 4, false, INIT);
     assert_eq!(next, Some(("start", 100)));
 }
