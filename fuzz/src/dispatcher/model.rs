@@ -158,11 +158,11 @@ impl Model {
             let last = self.inits.get(&client);
             last.is_some_and(|last| last.number >= number && self.is_released(last))
         });
-        if let Some((envelope, place)) = ours {
-            if let Ok(message) = message {
-                self.places.hear(envelope, place, is_init(message));
-                self.on_asked_about(envelope, message);
-            }
+        if let Some((envelope, place)) = ours
+            && let Ok(message) = message
+        {
+            self.places.hear(envelope, place, is_init(message));
+            self.on_asked_about(envelope, message);
         }
         self.new_inits += usize::from(matches!(asked, Asked::Init(None)));
         self.asks.push(Ask {
