@@ -43,7 +43,7 @@ use crate::message::Message;
 use crate::reply::{Reply, ReplyId, Text};
 use crate::tasks::{TaskOf, TaskRules, Tasks};
 use crate::time::micros;
-use crate::{Instant, TaskId};
+use crate::{Instant, TaskId, valid_start};
 
 /// Longest time that the answer to an INIT or an ABORT is held; below the 2 s after which the
 /// original's client gives up.
@@ -244,11 +244,30 @@ impl<M: Memory> Dispatcher<M> {
         body: Body<'a>,
         out: &mut impl FnMut(M::Peer, &Reply<'_>),
     ) -> Option<Action<'a>> {
-        self.now = now;
-        let bytes = match body {
-            Body::One(bytes) => bytes,
-            Body::Several => b"",
+        let (text, whole) = match body {
+            Body::One(bytes) => {
+                let text = valid_start(bytes);
+                (text, text.len() == bytes.len())
+            }
+            Body::Several => ("", true),
         };
+        self.handle_text(now, peer, envelope, (text, whole), out)
+    }
+
+    /// The same for firmware that has the body as a text already, since the table by which others are looked
+    /// at takes 0.5 KiB: what the body begins with up to the first byte that is not UTF-8, and whether that is
+    /// all. A body of several frames is an empty text.
+    // Apart in firmware, so that its stack is free again when a task is started.
+    #[cfg_attr(target_os = "none", inline(never))]
+    pub fn handle_text<'a>(
+        &mut self,
+        now: Instant,
+        peer: M::Peer,
+        envelope: Option<Envelope>,
+        body: (&'a str, bool),
+        out: &mut impl FnMut(M::Peer, &Reply<'_>),
+    ) -> Option<Action<'a>> {
+        self.now = now;
         let mut asked = Asked {
             envelope: envelope.as_ref(),
             new_from: 0,
@@ -257,7 +276,7 @@ impl<M: Memory> Dispatcher<M> {
             deadline: now.after(self.hold),
             action: None,
         };
-        self.decide(&peer, bytes, &mut asked, out);
+        self.decide(&peer, body, &mut asked, out);
         let Some((task, awaited)) = asked.wait else {
             out(peer, &asked.reply);
             return None;
@@ -363,12 +382,12 @@ impl<M: Memory> Dispatcher<M> {
     fn decide<'r, 'a: 'r>(
         &'r mut self,
         peer: &M::Peer,
-        body: &'a [u8],
+        (text, whole): (&'a str, bool),
         asked: &mut Asked<'r, 'a>,
         out: &mut impl FnMut(M::Peer, &Reply<'_>),
     ) {
         let reply = &mut asked.reply;
-        let message = match Message::parse(body) {
+        let message = match Message::parse_text(text, whole) {
             Ok(message) => message,
             Err(error) => {
                 reply.scope = error.scope();
@@ -377,8 +396,7 @@ impl<M: Memory> Dispatcher<M> {
         };
         reply.scope = message.scope;
         let code = message.code();
-        let request = code.ok().and_then(Integer::natural);
-        let request = request.and_then(|code| Request::from_code(code as i64));
+        let request = code.map_or(None, |code| Request::from_code(code.natural() as i64));
         if let Some(envelope) = asked.envelope {
             let is_init = request == Some(Request::Init);
             asked.new_from = self.memory.on_heard(self.now, peer, envelope, is_init);
@@ -440,7 +458,8 @@ impl<M: Memory> Dispatcher<M> {
 
 /// The number that follows `word` in a payload.
 fn argument(payload: &str, word: &str) -> Option<u64> {
-    Integer::parse(payload.strip_prefix(word)?).ok()?.natural()
+    let number = Integer::parse(payload.strip_prefix(word)?).ok()?.natural();
+    (number != u64::MAX).then_some(number)
 }
 
 #[cfg(test)]

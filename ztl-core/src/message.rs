@@ -74,8 +74,16 @@ impl<'a> Message<'a> {
     /// [`ParseError`] when it is not UTF-8 or has fewer than four fields.
     pub fn parse(bytes: &'a [u8]) -> Result<Self, ParseError<'a>> {
         let text = valid_start(bytes);
+        Self::parse_text(text, text.len() == bytes.len())
+    }
+
+    /// The same of bytes that are known to be UTF-8 so far; `whole` says whether they are to their end.
+    ///
+    /// # Errors
+    /// As [`parse`](Self::parse).
+    pub fn parse_text(text: &'a str, whole: bool) -> Result<Self, ParseError<'a>> {
         let first = split_at_mark(text, ';');
-        if text.len() < bytes.len() {
+        if !whole {
             let scope = first.map(|(scope, _)| scope);
             let at = text.len();
             return Err(ParseError::NotUtf8 { at, scope });

@@ -8,48 +8,101 @@ use printable::is_printable;
 /// Writes `text` in quotes: `'...'`, or `"..."` when it has a `'` and no `"`; the quote in use, the
 /// backslash and whatever cannot be printed are escaped.
 pub fn put_quoted(text: &str, sink: &mut (impl Sink + ?Sized)) {
-    put_quoted_by(is_printable, text, sink);
+    let quote = char::from(quote(text));
+    put_char(quote, sink);
+    for c in text.chars() {
+        let (prefix, digits) = match c {
+            '\\' => (&b"\\\\"[..], 0),
+            '\n' => (&b"\\n"[..], 0),
+            '\r' => (&b"\\r"[..], 0),
+            '\t' => (&b"\\t"[..], 0),
+            _ if c == quote => {
+                sink.put(b"\\");
+                put_char(c, sink);
+                continue;
+            }
+            _ if is_printable(c) => {
+                put_char(c, sink);
+                continue;
+            }
+            ..='\u{ff}' => (&b"\\x"[..], 2),
+            ..='\u{ffff}' => (&b"\\u"[..], 4),
+            _ => (&b"\\U"[..], 8),
+        };
+        sink.put(prefix);
+        put_hex(u32::from(c), digits, sink);
+    }
+    put_char(quote, sink);
 }
 
 /// The same for firmware, which has no 2 KiB for the table of what Python does not print: there
-/// that is what is not printed of ASCII.
+/// that is what is not printed of ASCII. Byte by byte, since to look at letters costs a Cortex-M0 0.3 KiB.
 pub fn put_quoted_small(text: &str, sink: &mut (impl Sink + ?Sized)) {
-    put_quoted_by(|c| c >= ' ' && c != '\x7f', text, sink);
+    let quote = quote(text);
+    sink.put(&[quote]);
+    let mut rest = text;
+    loop {
+        let mut letter = 0;
+        let is_escaped = |byte| {
+            letter = match byte {
+                b'\n' => b'n',
+                b'\r' => b'r',
+                b'\t' => b't',
+                ..b' ' | 0x7f => b'x',
+                b'\\' => byte,
+                _ if byte == quote => byte,
+                _ => 0,
+            };
+            letter > 0
+        };
+        let plain = rest.bytes().position(is_escaped).unwrap_or(rest.len());
+        sink.put(rest.as_bytes().get(..plain).unwrap_or_default());
+        let Some(&byte) = rest.as_bytes().get(plain) else {
+            break;
+        };
+        sink.put(&[b'\\', letter]);
+        if letter == b'x' {
+            put_hex(byte.into(), 2, sink);
+        }
+        rest = rest.get(plain + 1..).unwrap_or_default();
+    }
+    sink.put(&[quote]);
 }
 
-fn put_quoted_by(is_printable: impl Fn(char) -> bool, text: &str, sink: &mut (impl Sink + ?Sized)) {
+/// The quote in which a text stands.
+fn quote(text: &str) -> u8 {
     // Not `contains`, which is faster with long texts, but larger.
     let has = |mark| text.bytes().any(|byte| byte == mark);
-    let quote = if has(b'\'') && !has(b'"') { '"' } else { '\'' };
-    put_char(quote, sink);
-    for c in text.chars() {
-        match c {
-            '\\' => sink.put(b"\\\\"),
-            '\n' => sink.put(b"\\n"),
-            '\r' => sink.put(b"\\r"),
-            '\t' => sink.put(b"\\t"),
-            c if c == quote => {
-                sink.put(b"\\");
-                put_char(c, sink);
-            }
-            c if is_printable(c) => put_char(c, sink),
-            c if u32::from(c) <= 0xff => put_escape(b"\\x", u32::from(c), 2, sink),
-            c if u32::from(c) <= 0xffff => put_escape(b"\\u", u32::from(c), 4, sink),
-            c => put_escape(b"\\U", u32::from(c), 8, sink),
-        }
+    if has(b'\'') && !has(b'"') {
+        b'"'
+    } else {
+        b'\''
     }
-    put_char(quote, sink);
 }
 
 /// Writes `text` in double quotes as YAML reads it: the quote, the backslash and all beyond printable
 /// ASCII are escaped.
 pub fn put_yaml(text: &str, sink: &mut (impl Sink + ?Sized)) {
     sink.put(b"\"");
-    for c in text.chars() {
-        match c {
-            '"' | '\\' => sink.put(&[b'\\', c as u8]),
-            ' '..='~' => sink.put(&[c as u8]),
-            _ => put_escape(b"\\U", u32::from(c), 8, sink),
+    let mut code = 0;
+    for (at, byte) in text.bytes().enumerate() {
+        // Not `chars`, which is larger.
+        code = match byte {
+            0x80..0xc0 => code << 6 | u32::from(byte & 0x3f),
+            0xc0..0xf0 => u32::from(byte & 0x1f),
+            // Of four bytes more bits than a letter has.
+            _ => u32::from(byte & 0x7f),
+        };
+        if !text.is_char_boundary(at + 1) {
+            continue;
+        }
+        match byte {
+            b'"' | b'\\' => sink.put(&[b'\\', byte]),
+            b' '..=b'~' => sink.put(&[byte]),
+            _ => {
+                sink.put(b"\\U");
+                put_hex(code & 0x1f_ffff, 8, sink);
+            }
         }
     }
     sink.put(b"\"");
@@ -59,8 +112,9 @@ fn put_char(c: char, sink: &mut (impl Sink + ?Sized)) {
     sink.put(c.encode_utf8(&mut [0; 4]).as_bytes());
 }
 
-fn put_escape(prefix: &[u8], code: u32, digits: u32, sink: &mut (impl Sink + ?Sized)) {
-    sink.put(prefix);
+// Apart in firmware, since it is needed in two places.
+#[cfg_attr(target_os = "none", inline(never))]
+fn put_hex(code: u32, digits: u32, sink: &mut (impl Sink + ?Sized)) {
     for place in (0..digits).rev() {
         let digit = (code >> (4 * place)) as u8 & 0xf;
         let letter = if digit < 10 { b'0' } else { b'a' - 10 };

@@ -68,14 +68,25 @@ const CUT: &str = "…";
 impl<const N: usize> Text for heapless::String<N> {
     fn set(&mut self, text: &str) {
         self.clear();
-        if self.push_str(text).is_ok() {
-            return;
+        if self.push_str(text).is_err() {
+            push_cut(self, text);
         }
-        let fitting = text.floor_char_boundary(N.saturating_sub(CUT.len()));
-        // Neither can fail: there is room for both.
-        let _ = self.push_str(text.get(..fitting).unwrap_or_default());
-        let _ = self.push_str(CUT);
     }
+}
+
+/// Adds of a text what fits, at whole characters, when the mark of a cut has its room behind it; if that is not
+/// all, the mark, and says so.
+#[cfg_attr(target_os = "none", inline(never))]
+pub fn push_cut(kept: &mut heapless::string::StringView, text: &str) -> bool {
+    let room = kept.capacity().saturating_sub(CUT.len());
+    let fitting = text.floor_char_boundary(room.saturating_sub(kept.len()));
+    // Neither can fail: there is room for both.
+    let _ = kept.push_str(text.get(..fitting).unwrap_or_default());
+    let is_cut = fitting < text.len();
+    if is_cut {
+        let _ = kept.push_str(CUT);
+    }
+    is_cut
 }
 
 /// Why there is no room for another task.
@@ -314,11 +325,13 @@ impl<I: Copy + Ord, X, const N: usize, const TEXT: usize> Tasks for TaskTable<I,
     fn on_ended(&mut self, _id: I) {}
 
     fn oldest_end(&self) -> Option<(I, Instant)> {
-        let ends = self.entries.iter().filter(|(_, task)| task.is_over());
         let mut oldest: Option<&Entry<I, X, TEXT>> = None;
-        for end in ends {
+        for end in self.entries.iter().filter(|(_, task)| task.is_over()) {
             let (id, task) = end;
-            if oldest.is_none_or(|(known, first)| (task.ended, *id) < (first.ended, *known)) {
+            let is_older = |(known, first): &Entry<I, X, TEXT>| {
+                task.ended < first.ended || task.ended == first.ended && id < known
+            };
+            if oldest.is_none_or(is_older) {
                 oldest = Some(end);
             }
         }
