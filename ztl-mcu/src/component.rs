@@ -6,6 +6,7 @@ use heapless::string::StringView;
 use ztl_core::Instant;
 use ztl_core::link::Offer;
 use ztl_core::sink::{Sink, SliceSink, put_fixed};
+use ztl_core::tasks::push_cut;
 
 /// How a component's task goes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -237,8 +238,6 @@ pub struct Report<'a> {
     cut: bool,
 }
 
-const MARK: &str = "…";
-
 impl<'a> Report<'a> {
     /// An empty report, kept in `text`. The node makes them; tests of a component may.
     pub fn new(text: &'a mut StringView) -> Self {
@@ -258,14 +257,7 @@ impl<'a> Report<'a> {
         if self.cut {
             return;
         }
-        let room = self.text.capacity().saturating_sub(MARK.len());
-        let fitting = text.floor_char_boundary(room.saturating_sub(self.text.len()));
-        // Neither can fail: there is room for both.
-        let _ = self.text.push_str(text.get(..fitting).unwrap_or_default());
-        if fitting < text.len() {
-            self.cut = true;
-            let _ = self.text.push_str(MARK);
-        }
+        self.cut = push_cut(self.text, text);
     }
 
     /// Adds a number with this many decimals (at most 6).

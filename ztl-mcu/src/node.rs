@@ -3,8 +3,9 @@
 mod commands;
 #[cfg(feature = "zmtp")]
 mod local;
+mod runner;
 pub(crate) mod tasks;
-mod text;
+pub(crate) mod text;
 mod transmit;
 
 use core::hash::{Hash, Hasher};
@@ -17,9 +18,7 @@ use ztl_core::time::micros;
 use crate::component::Components;
 use crate::log::LogSource;
 use commands::Answer;
-#[cfg(feature = "zmtp")]
-pub(crate) use local::LocalTasks;
-use tasks::Table;
+pub(crate) use runner::Runner;
 use transmit::{PAUSE, Transmit, longest};
 
 /// Why a component does not take a goal; at most 96 bytes, and the mark of a cut.
@@ -120,7 +119,6 @@ struct Inner<'a, C, const TASKS: usize, const FRAME: usize> {
     /// `seq` of the last command executed.
     seq: u8,
     answer_due: bool,
-    stopped: bool,
     /// A delimiter was sent before the next announcement.
     flushed: bool,
     /// The last time there was a reading, so there may be another.
@@ -150,48 +148,8 @@ struct Inner<'a, C, const TASKS: usize, const FRAME: usize> {
     /// A `Hello` to be refused: its session, and why.
     refusal: Option<(u32, &'static str)>,
     identity: Identity<'a>,
-    components: C,
-    /// What the component said when it did not take the last goal.
-    reason: Reason,
-    tasks: Table<TASKS>,
+    runner: Runner<C, TASKS>,
     transmit: Transmit<FRAME>,
-}
-
-/// The state after a reset. No function, since what one returns is copied, and a Cortex-M0's stack then has it twice.
-macro_rules! after_reset {
-    ($identity:ident, $components:ident) => {
-        Inner {
-            seq: NO_SEQ,
-            answer_due: false,
-            stopped: false,
-            flushed: false,
-            readings: false,
-            publisher: 0,
-            session: NO_SESSION,
-            hello: NO_SESSION,
-            replaced: NO_SESSION,
-            highest: LinkId(0),
-            answer: Answer::Nothing,
-            gateway: 0,
-            link_timeout: micros($identity.link_timeout),
-            awake_due: Instant::ZERO,
-            heard: Instant::ZERO,
-            lost_at: Instant::NEVER,
-            receiving: Instant::ZERO,
-            refusal: None,
-            identity: $identity,
-            components: $components,
-            reason: Reason::new(),
-            tasks: Table::new(),
-            transmit: Transmit::new(),
-        }
-    };
-}
-#[cfg(feature = "zmtp")]
-impl<'a, C, const TASKS: usize, const FRAME: usize> Inner<'a, C, TASKS, FRAME> {
-    const fn new(identity: Identity<'a>, components: C) -> Self {
-        after_reset!(identity, components)
-    }
 }
 
 impl<'a, C: Components, const TASKS: usize, const FRAME: usize> Node<'a, C, TASKS, FRAME> {
@@ -209,7 +167,28 @@ impl<'a, C: Components, const TASKS: usize, const FRAME: usize> Node<'a, C, TASK
                 out_of_sequence: 0,
             },
             decoder: Decoder::new(),
-            state: after_reset!(identity, components),
+            state: Inner {
+                seq: NO_SEQ,
+                answer_due: false,
+                flushed: false,
+                readings: false,
+                publisher: 0,
+                session: NO_SESSION,
+                hello: NO_SESSION,
+                replaced: NO_SESSION,
+                highest: LinkId(0),
+                answer: Answer::Nothing,
+                gateway: 0,
+                link_timeout: micros(identity.link_timeout),
+                awake_due: Instant::ZERO,
+                heard: Instant::ZERO,
+                lost_at: Instant::NEVER,
+                receiving: Instant::ZERO,
+                refusal: None,
+                identity,
+                runner: Runner::new(components),
+                transmit: Transmit::new(),
+            },
         }
     }
 
@@ -250,7 +229,8 @@ impl<'a, C: Components, const TASKS: usize, const FRAME: usize> Node<'a, C, TASK
 
     /// Time has passed: moves the components on, and acts by itself when the link is lost.
     pub fn handle_timeout(&mut self, now: Instant) {
-        self.state.handle_timeout(now);
+        self.state.look_at_link(now);
+        self.state.runner.handle_timeout(now);
     }
 
     /// Writes the next bytes to be sent into `buffer` and says how many: it is full, or nothing more
@@ -297,7 +277,7 @@ impl<'a, C: Components, const TASKS: usize, const FRAME: usize> Node<'a, C, TASK
 
     /// When `handle_timeout` has something to do; perhaps [`Instant::NEVER`].
     pub(crate) fn next_move(&self, now: Instant) -> Instant {
-        self.state.next_move(now)
+        self.state.lost_at.min(self.state.runner.next_move(now))
     }
 
     /// When there is something to be sent; perhaps [`Instant::NEVER`].
@@ -308,18 +288,18 @@ impl<'a, C: Components, const TASKS: usize, const FRAME: usize> Node<'a, C, TASK
     /// Emergency stop: every component goes to its safe state, every task ends as ABORTED, also one
     /// that waits, and no other starts until [`clear_stop`](Self::clear_stop).
     pub fn stop_everything(&mut self, now: Instant) {
-        self.state.stop_everything(now);
+        self.state.runner.stop_everything(now);
     }
 
     /// Ends the emergency stop. Only the firmware may: the link has no command for it.
     pub const fn clear_stop(&mut self) {
-        self.state.stopped = false;
+        self.state.runner.clear_stop();
     }
 
     /// Whether there was an emergency stop that is not cleared.
     #[must_use]
     pub const fn is_stopped(&self) -> bool {
-        self.state.stopped
+        self.state.runner.is_stopped()
     }
 
     /// What the line has brought.
@@ -331,13 +311,13 @@ impl<'a, C: Components, const TASKS: usize, const FRAME: usize> Node<'a, C, TASK
     /// What it moves.
     #[must_use]
     pub const fn components(&self) -> &C {
-        &self.state.components
+        self.state.runner.components()
     }
 
     /// What it moves, for what firmware has to tell a component: a setting, a reading. What a task
     /// moves is the node's alone.
     pub const fn components_mut(&mut self) -> &mut C {
-        &mut self.state.components
+        self.state.runner.components_mut()
     }
 }
 

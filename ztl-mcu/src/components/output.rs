@@ -5,6 +5,7 @@ use core::time::Duration;
 use embedded_hal::digital::{OutputPin, PinState};
 use ztl_core::Instant;
 use ztl_core::link::{Busy, GoalShape, Loss, Offer};
+use ztl_core::sink::div_10;
 
 use super::{number, takes};
 use crate::component::{Component, Refused, Report, Run};
@@ -219,10 +220,14 @@ impl<P: OutputPin> Component for DigitalOutput<P> {
     }
 }
 
-/// Rounded up; the second is the later.
+/// Rounded up; the second is the later, by an hour at most.
 fn millis_between(now: Instant, until: Instant) -> u32 {
     let micros = until.as_micros().wrapping_sub(now.as_micros());
-    Instant::from_micros(micros).after(999).as_millis() as u32
+    let mut left = (micros as u32).saturating_add(999);
+    for _ in 0..3 {
+        (left, _) = div_10(left);
+    }
+    left
 }
 
 /// What switches off, on, off and on, in lower case.

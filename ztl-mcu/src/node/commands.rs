@@ -6,13 +6,15 @@ use ztl_core::link::{
     ADDR_ONLY_NODE, Command, CommandFrame, Hello, LinkId, NO_SEQ, NO_SESSION, OTHER_GATEWAY,
     VERSION, next_seq, session_key, session_number,
 };
+use ztl_core::tasks::NoRoom;
 
-use super::tasks::Wanted;
 use super::text::push_bytes;
 use super::{Components, Counters, Inner, count};
 
 /// In place of a reason: the component has given one.
 pub(super) const NOT_TAKEN: &str = "";
+/// There is no place for another task; where some have ended, that is the reason.
+pub(super) const NO_PLACE: &str = NoRoom::Running.as_str();
 
 /// The answer to the last command, kept to be repeated.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -45,7 +47,7 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> Inner<'_, C, TASKS, 
             (false, NO_SEQ, Command::Hello(hello)) => self.on_hello(now, hello),
             (true, NO_SEQ, Command::Ack { task }) => {
                 // Known or not; a task that still runs is not let go.
-                self.tasks.acknowledge(task);
+                self.runner.tasks.acknowledge(task);
             }
             (true, seq, command) if seq != NO_SEQ => {
                 self.on_command(now, seq, command, counters);
@@ -79,7 +81,7 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> Inner<'_, C, TASKS, 
             self.seq = NO_SEQ;
             // A new session proves nothing about the way back, so the link timer runs on.
             self.heard = now;
-            for task in self.tasks.held_mut() {
+            for task in self.runner.tasks.held_mut() {
                 task.due = now;
                 task.news = true;
             }
@@ -112,7 +114,7 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> Inner<'_, C, TASKS, 
         let (answer, followed) = match command {
             Command::Describe { index } => (
                 Answer::Component(index),
-                if usize::from(index) < self.components.count() {
+                if usize::from(index) < self.runner.components.count() {
                     Ok(())
                 } else {
                     Err("no such component")
@@ -124,25 +126,43 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> Inner<'_, C, TASKS, 
                 before_ms,
                 ..
             } => {
-                let wanted = Wanted {
-                    task,
-                    component,
-                    goal: &text,
-                    before_ms,
+                let started = if now.as_millis() > before_ms {
+                    Err("the command came too late")
+                } else if task <= self.highest {
+                    Err("a task of this or a later id was started already")
+                } else {
+                    self.runner.start(now, task, component, &text)
                 };
-                (Answer::Started(task), self.start(&wanted, now))
+                if started.is_ok() {
+                    self.highest = task;
+                }
+                (Answer::Started(task), started)
             }
-            Command::Abort { task } => (Answer::Aborting(task), self.abort(task, now)),
+            Command::Abort { task } => (Answer::Aborting(task), self.runner.abort(task, now)),
             Command::Ping => (Answer::Pong, Ok(())),
             Command::Hello(_) | Command::Ack { .. } => return,
         };
         self.answer = match followed {
             Ok(()) => answer,
+            // An end that is not acknowledged is never given up.
+            Err(NO_PLACE) if self.runner.tasks.held().any(|task| task.end().is_some()) => {
+                Answer::Refused(NoRoom::Unacknowledged.as_str())
+            }
             Err(reason) => Answer::Refused(reason),
         };
         self.seq = seq;
         self.answer_due = true;
         self.heard = now;
         self.lost_at = now.after(self.link_timeout);
+    }
+
+    /// Acts when the link timer has run out. Looked at before a command is carried out too: after
+    /// a pause of the firmware the bytes that waited come first.
+    #[cfg_attr(target_os = "none", inline(never))]
+    pub(super) fn look_at_link(&mut self, now: Instant) {
+        if now >= self.lost_at {
+            self.lost_at = Instant::NEVER;
+            self.runner.on_link_lost(now);
+        }
     }
 }

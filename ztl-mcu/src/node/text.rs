@@ -2,29 +2,22 @@
 
 use heapless::string::StringView;
 
-/// Adds the text that these bytes are; `None` when they are not UTF-8, or more than fit.
+/// Adds the text that these bytes are; `None` when they are not UTF-8, or more than fit. What came before is added.
 ///
 /// Letter by letter: `core::str::from_utf8` takes 560 bytes of a Cortex-M0, of which its table has 256.
 #[cfg_attr(target_os = "none", inline(never))]
-pub(super) fn push_bytes(text: &mut StringView, mut bytes: &[u8]) -> Option<()> {
+pub(crate) fn push_bytes(text: &mut StringView, mut bytes: &[u8]) -> Option<()> {
     while let [first, behind @ ..] = bytes {
         bytes = behind;
-        if first.is_ascii() {
-            text.push(char::from(*first)).ok()?;
-            continue;
-        }
-        // As many bits as there are bytes, behind them a zero.
+        // It begins with as many bits as the letter has bytes, or with none, and then a zero.
         let mut letter = u32::from(*first);
-        let (mut more, mut bit) = (0, 0x40);
+        let (mut len, mut bit) = (0, 0x80);
         while letter & bit != 0 {
             bit >>= 1;
-            more += 1;
-        }
-        if more == 0 {
-            return None;
+            len += 1;
         }
         letter &= bit.wrapping_sub(1);
-        for _ in 0..more {
+        for _ in 1..len {
             let [next @ 0x80..=0xbf, behind @ ..] = bytes else {
                 return None;
             };
@@ -33,8 +26,8 @@ pub(super) fn push_bytes(text: &mut StringView, mut bytes: &[u8]) -> Option<()> 
         }
         let mut buffer = [0; 4];
         let letter = char::from_u32(letter)?.encode_utf8(&mut buffer);
-        // Else it was written longer than it has to be.
-        if letter.len() != more + 1 {
+        // Else it was written longer than it has to be, or this was no letter's first byte.
+        if len != if letter.len() == 1 { 0 } else { letter.len() } {
             return None;
         }
         text.push_str(letter).ok()?;

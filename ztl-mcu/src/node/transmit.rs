@@ -146,10 +146,10 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> Inner<'_, C, TASKS, 
         if self.session == NO_SESSION {
             return self.awake_due;
         }
-        let tasks = self.tasks.held().filter(|task| task.is_due());
+        let tasks = self.runner.tasks.held().filter(|task| task.is_due());
         let mut wake = tasks.fold(Instant::NEVER, |wake, task| wake.min(task.due));
-        for place in 0..self.components.count() {
-            let component = self.components.component(place);
+        for place in 0..self.runner.components.count() {
+            let component = self.runner.components.component(place);
             if let Some(component) = component.filter(|c| self.is_heard() && topics(*c) > 0) {
                 wake = wake.min(component.poll_timeout(now));
             }
@@ -210,7 +210,7 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> Inner<'_, C, TASKS, 
     /// Tells of a task: of one that has ended, if there is one.
     fn encode_task(&mut self, now: Instant) -> bool {
         let mut first: Option<&mut Task> = None;
-        for task in self.tasks.held_mut() {
+        for task in self.runner.tasks.held_mut() {
             let more_urgent = |known: &&mut Task| known.end().is_none() && task.end().is_some();
             if task.is_due() && now >= task.due && first.as_ref().is_none_or(more_urgent) {
                 first = Some(task);
@@ -250,7 +250,7 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> Inner<'_, C, TASKS, 
             const { longest::reading(FRAME) }
         };
         let (begin, room) = self.transmit.room(most);
-        let count = self.components.count();
+        let count = self.runner.components.count();
         let mut place = usize::from(self.publisher);
         for _ in 0..count {
             if place >= count {
@@ -258,7 +258,7 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> Inner<'_, C, TASKS, 
             }
             let here = place;
             place += 1;
-            let Some(component) = self.components.component_mut(here) else {
+            let Some(component) = self.runner.components.component_mut(here) else {
                 continue;
             };
             let own = topics(component);
@@ -272,7 +272,7 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> Inner<'_, C, TASKS, 
             if reading.len > room.len() || topic >= own {
                 continue;
             }
-            let before = (0..here).filter_map(|place| self.components.component(place));
+            let before = (0..here).filter_map(|place| self.runner.components.component(place));
             let number = before.map(topics).sum::<usize>() + topic;
             let Ok(topic) = u8::try_from(number) else {
                 continue;
@@ -308,7 +308,7 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> Inner<'_, C, TASKS, 
     fn encode_answer(&mut self, session: u32, now: Instant, seq: u8, answer: Answer) {
         let mut ids = [LinkId(0); TASKS];
         let mut held = 0u8;
-        for (id, task) in ids.iter_mut().zip(self.tasks.held()) {
+        for (id, task) in ids.iter_mut().zip(self.runner.tasks.held()) {
             *id = task.id;
             held += 1;
         }
@@ -324,14 +324,14 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> Inner<'_, C, TASKS, 
                 clock_ms,
                 capacity: TASKS as u8,
                 max_body: u16::try_from(FRAME - 6).unwrap_or(u16::MAX),
-                components: u8::try_from(self.components.count()).unwrap_or(u8::MAX),
+                components: u8::try_from(self.runner.components.count()).unwrap_or(u8::MAX),
                 link_timeout_ms: Instant::from_micros(self.link_timeout).as_millis() as u32,
                 highest: self.highest.0,
                 held: Ids::new(ids.get(..usize::from(held)).unwrap_or_default()),
             })
             .put(frame),
             Answer::Component(index) => {
-                if let Some(component) = self.components.component(usize::from(index)) {
+                if let Some(component) = self.runner.components.component(usize::from(index)) {
                     let offer = component.offer();
                     Body::Component { index, offer }.put(frame);
                 }
@@ -339,7 +339,11 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> Inner<'_, C, TASKS, 
             Answer::Started(task) => Body::Started { task }.put(frame),
             Answer::Refused(reason) => {
                 let own = reason.len() == NOT_TAKEN.len();
-                let reason = if own { self.reason.as_str() } else { reason };
+                let reason = if own {
+                    self.runner.reason.as_str()
+                } else {
+                    reason
+                };
                 Body::Refused { reason }.put(frame);
             }
             Answer::Aborting(task) => Body::Aborting { task }.put(frame),

@@ -1,8 +1,8 @@
 //! One connection: bytes in, messages out, and the other way round.
 
 use core::marker::PhantomData;
+use ztl_core::Instant;
 use ztl_core::sink::Sink;
-use ztl_core::{Instant, valid_start};
 
 use super::HANDSHAKE;
 use super::message::{Content, Frames, Message};
@@ -10,6 +10,9 @@ use super::wire::{DELIMITER, GREETING, LONG, LONGEST_PING, MORE, PARTIAL, Socket
 
 /// The longest header of a frame: flags, and a size of 8 bytes.
 const LONGEST_HEADER: usize = 9;
+
+/// A tenth of a second, in microseconds.
+const TENTH_US: u32 = 100_000;
 
 /// Marks where an answer was cut.
 const CUT: &[u8] = "…".as_bytes();
@@ -20,7 +23,8 @@ const CUT: &[u8] = "…".as_bytes();
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Fault {
     /// What came first is no signature: no ZMTP at all, or ZMTP 1.0.
-    NotZmtp,
+    // From 1, so that no fault is 0, and a new connection all zeros, which take no flash.
+    NotZmtp = 1,
     /// The peer's mechanism is not NULL: it wants a password or keys.
     Mechanism,
     /// The peer is a kind of socket that this kind does not talk to.
@@ -205,12 +209,15 @@ pub struct Connection<S, B> {
     /// Of the message: bytes of its envelope with the delimiter, and of all.
     pub(super) envelope: usize,
     pub(super) filled: usize,
+    /// Where the last two frames of the envelope begin.
+    pub(super) last: [usize; 2],
     /// Bytes of the command that are kept.
     pub(super) command: usize,
     /// Where the message that goes out begins; it ends at `filled`.
     begin: usize,
     /// Of what is on its way out.
     sent: usize,
+    /// Of the handshake, then of the peer's time to live: see [`poll_timeout`](Self::poll_timeout).
     pub(super) deadline: Instant,
     pub(super) buffer: B,
     socket: PhantomData<S>,
@@ -236,10 +243,11 @@ impl<S: Socket, B: AsRef<[u8]> + AsMut<[u8]>> Connection<S, B> {
             size: 0,
             envelope: 0,
             filled: 0,
+            last: [0; 2],
             command: 0,
             begin: 0,
             sent: 0,
-            deadline: Instant::NEVER,
+            deadline: Instant::ZERO,
             buffer,
             socket: PhantomData,
         }
@@ -255,6 +263,7 @@ impl<S: Socket, B: AsRef<[u8]> + AsMut<[u8]>> Connection<S, B> {
     }
 
     /// The stream is gone.
+    #[cfg_attr(target_os = "none", inline(never))]
     pub fn close(&mut self) {
         self.phase = Phase::Closed;
         self.next = Next::Flags;
@@ -263,12 +272,12 @@ impl<S: Socket, B: AsRef<[u8]> + AsMut<[u8]>> Connection<S, B> {
         (self.hello_due, self.hello_done) = (0, 0);
         self.pong = 0;
         self.ttl = 0;
-        self.deadline = Instant::NEVER;
         self.forget();
     }
 
     /// Bytes have arrived, in pieces of any length; says how many were taken. The others are to be
     /// given again after the next output: a message has to be answered first.
+    #[cfg_attr(target_os = "none", inline(never))]
     pub fn handle_bytes(&mut self, now: Instant, bytes: &[u8]) -> usize {
         let mut rest = bytes;
         while !rest.is_empty() {
@@ -280,27 +289,27 @@ impl<S: Socket, B: AsRef<[u8]> + AsMut<[u8]>> Connection<S, B> {
         }
         // Those that wait are a sign of life too.
         if !bytes.is_empty() && self.is_ready() {
-            self.deadline = match self.ttl {
-                0 => Instant::NEVER,
-                ttl => {
-                    let ttl = u64::from(ttl) * 100_000;
-                    Instant::from_micros(now.as_micros().saturating_add(ttl))
-                }
-            };
+            // In two steps, since a multiplication of 64 bits is a library call.
+            let ttl = u64::from(u32::from(self.ttl) * (TENTH_US / 4)) * 4;
+            self.deadline = now.after(ttl);
         }
         bytes.len() - rest.len()
     }
 
     /// Closes the connection when the peer has been silent for too long.
     pub fn handle_timeout(&mut self, now: Instant) {
-        if self.deadline <= now {
+        if self.poll_timeout() <= now {
             self.fail(Fault::Silent);
         }
     }
 
     /// When [`handle_timeout`](Self::handle_timeout) has something to do; [`Instant::NEVER`] if nothing.
     pub const fn poll_timeout(&self) -> Instant {
-        self.deadline
+        match self.phase {
+            Phase::Closed => Instant::NEVER,
+            Phase::Traffic | Phase::OldTraffic if self.ttl == 0 => Instant::NEVER,
+            _ => self.deadline,
+        }
     }
 
     /// The message that has come and is not held, answered or discarded yet.
@@ -315,7 +324,10 @@ impl<S: Socket, B: AsRef<[u8]> + AsMut<[u8]>> Connection<S, B> {
             .get(..self.filled)?
             .split_at_checked(self.envelope)?;
         Some(Message {
-            envelope: Frames { bytes: envelope },
+            envelope: Frames {
+                bytes: envelope,
+                last: self.last,
+            },
             content: match self.flaw {
                 Flaw::None => Content::One(body),
                 Flaw::Several => Content::Several,
@@ -460,6 +472,7 @@ impl<S: Socket, B: AsRef<[u8]> + AsMut<[u8]>> Connection<S, B> {
     }
 
     /// Gives the connection up.
+    #[cfg_attr(target_os = "none", inline(never))]
     pub(super) fn fail(&mut self, fault: Fault) {
         self.close();
         self.fault = Some(fault);
@@ -482,6 +495,7 @@ impl<S: Socket, B: AsRef<[u8]> + AsMut<[u8]>> Connection<S, B> {
         self.flaw = Flaw::None;
         self.envelope = 0;
         self.filled = 0;
+        self.last = [0; 2];
     }
 
     /// How much of the buffer messages may take: behind it there is room for a `PING`.
@@ -491,13 +505,15 @@ impl<S: Socket, B: AsRef<[u8]> + AsMut<[u8]>> Connection<S, B> {
 
     /// Adds the header of an envelope's frame to what is kept; says whether it and the frame fit.
     pub(super) fn keep_header(&mut self, size: u32) -> bool {
-        let [.., low] = size.to_be_bytes();
-        let short = [MORE, low];
+        // First, so that with a small buffer the compiler sees that none is long.
+        let most = self.room() / 2;
+        if size as usize > most {
+            return false;
+        }
         let [a, b, c, d] = size.to_be_bytes();
-        let long = [MORE | LONG, 0, 0, 0, 0, a, b, c, d];
+        let (short, long) = ([MORE, d], [MORE | LONG, 0, 0, 0, 0, a, b, c, d]);
         let header = if size < 256 { short.as_slice() } else { &long };
-        let end = self.filled + header.len() + size as usize;
-        end <= self.room() / 2 && self.keep_bytes(header)
+        self.filled + header.len() + size as usize <= most && self.keep_bytes(header)
     }
 
     /// Adds to what is kept; says whether it fits.
@@ -525,7 +541,8 @@ impl<S: Socket, B: AsRef<[u8]> + AsMut<[u8]>> Connection<S, B> {
         let tail_room = room.saturating_sub(head.len());
         let mut sink = CutSink::new(tail.get_mut(..tail_room).unwrap_or_default());
         put(&mut sink);
-        let size = sink.finish();
+        // It is no longer; with a small buffer the compiler sees that it is short.
+        let size = sink.finish().min(tail_room);
         let [a, b, c, d] = (size as u32).to_be_bytes();
         let header = if size < 256 {
             [0, 0, 0, 0, 0, 0, 0, 0, d]
@@ -554,26 +571,19 @@ impl<S: Socket, B: AsRef<[u8]> + AsMut<[u8]>> Connection<S, B> {
 }
 
 /// A sink that keeps the beginning of what does not fit, and marks the cut.
-pub(super) struct CutSink<'a> {
+struct CutSink<'a> {
     buffer: &'a mut [u8],
     len: usize,
     cut: bool,
 }
 
 impl<'a> CutSink<'a> {
-    pub(super) fn new(buffer: &'a mut [u8]) -> Self {
+    fn new(buffer: &'a mut [u8]) -> Self {
         Self {
             buffer,
             len: 0,
             cut: false,
         }
-    }
-
-    /// What was written, of which each piece was a text.
-    pub(super) fn text(mut self) -> &'a str {
-        let len = self.finish();
-        let buffer: &'a [u8] = self.buffer;
-        valid_start(buffer.get(..len).unwrap_or_default())
     }
 
     /// How many bytes there are.

@@ -2,7 +2,7 @@
 
 use ztl_core::envelope::Envelope;
 
-use super::wire::LONG;
+use super::wire::{DELIMITER, LONG};
 
 /// A message: what stood before the empty delimiter, and what came after it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -31,12 +31,12 @@ impl Message<'_> {
     /// Our clients' envelope: the two frames before the delimiter, if they are one.
     #[must_use]
     pub fn envelope(&self) -> Option<Envelope> {
-        let (mut client, mut number) = (&[][..], &[][..]);
-        for frame in self.envelope {
-            client = number;
-            number = frame;
-        }
-        Envelope::parse(client, number)
+        let Frames { bytes, last } = self.envelope;
+        let [client, number] = last;
+        let end = bytes.strip_suffix(&DELIMITER)?.len();
+        // Theirs are short, with a header of two bytes.
+        let (client, number) = (client + 2..number, number + 2..end);
+        Envelope::parse(bytes.get(client)?, bytes.get(number)?)
     }
 }
 
@@ -45,6 +45,8 @@ impl Message<'_> {
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Frames<'a> {
     pub(super) bytes: &'a [u8],
+    /// Where the last two begin, of more than one.
+    pub(super) last: [usize; 2],
 }
 
 impl<'a> Iterator for Frames<'a> {

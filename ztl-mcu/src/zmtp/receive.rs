@@ -1,7 +1,5 @@
 //! What a connection makes of the bytes that arrive.
 
-use ztl_core::Instant;
-
 use super::SKIPPED;
 use super::connection::{Connection, Fault, Flaw, Next, Part, Phase, Turn};
 use super::wire::{
@@ -55,6 +53,7 @@ impl<S: Socket, B: AsRef<[u8]> + AsMut<[u8]>> Connection<S, B> {
     }
 
     /// Takes bytes of a frame (RFC 37, Framing).
+    #[cfg_attr(target_os = "none", inline(never))]
     fn take_of_frame(&mut self, first: u8, bytes: &[u8]) -> usize {
         match self.next {
             Next::Flags => {
@@ -112,6 +111,7 @@ impl<S: Socket, B: AsRef<[u8]> + AsMut<[u8]>> Connection<S, B> {
     }
 
     /// A frame begins, of which the size is known.
+    #[cfg_attr(target_os = "none", inline(never))]
     fn on_header(&mut self) {
         if self.size > SKIPPED {
             return self.fail(Fault::TooLong);
@@ -131,7 +131,11 @@ impl<S: Socket, B: AsRef<[u8]> + AsMut<[u8]>> Connection<S, B> {
                     self.keep = self.keep_bytes(&DELIMITER);
                     self.envelope = self.filled;
                 }
-                Part::Envelope => fits = self.keep_header(self.size),
+                Part::Envelope => {
+                    let [_, last] = self.last;
+                    self.last = [last, self.filled];
+                    fits = self.keep_header(self.size);
+                }
                 Part::Body if more => self.flaw = Flaw::Several,
                 Part::Body if self.size as usize > self.room().saturating_sub(self.filled) => {
                     self.flaw = Flaw::TooLong;
@@ -222,7 +226,6 @@ impl<S: Socket, B: AsRef<[u8]> + AsMut<[u8]>> Connection<S, B> {
 
     fn on_handshake(&mut self, phase: Phase) {
         self.phase = phase;
-        self.deadline = Instant::NEVER;
         if phase == Phase::Traffic {
             self.hello_due = 3;
         }

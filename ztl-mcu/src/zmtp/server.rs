@@ -1,17 +1,19 @@
 //! A device that is a ZTL server by itself: clients, tasks, components.
 
-use ztl_core::dispatcher::{Action, Body, Config, Dispatcher, TaskEvent};
+use ztl_core::base64::{self, DecodeError};
+use ztl_core::dispatcher::{Action, Config, Dispatcher, TaskEvent};
 use ztl_core::memory::{Fixed, Memory};
 use ztl_core::reply::Reply;
 use ztl_core::sink::Sink;
 use ztl_core::spec::{SpecError, TaskSpec};
 use ztl_core::{Instant, State, TaskId};
 
-use super::connection::{Connection, CutSink, Fault};
+use super::connection::{Connection, Fault};
 use super::message::Content;
 use super::wire::Rep;
 use crate::component::Components;
-use crate::node::{Identity, LocalTasks};
+use crate::node::text::push_bytes;
+use crate::node::{Identity, Runner};
 
 /// Longest text that is remembered of a task, in bytes.
 const TEXT: usize = crate::node::tasks::TEXT;
@@ -19,6 +21,8 @@ const TEXT: usize = crate::node::tasks::TEXT;
 /// By how much scope, state and id can be longer in an answer than in its request: it has all of them, and the id
 /// can be a task's; and `…` stands behind them where it is cut.
 const HEADER_GROWS: usize = ";2;4294967295;…".len();
+
+type Words<const N: usize> = heapless::String<N>;
 
 /// Which of a server's clients, from 0.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -86,10 +90,11 @@ pub struct Server<
 > {
     name: &'a str,
     dispatcher: Dispatcher<Fixed<Peer, 1, TASKS, TEXT, CLIENTS>>,
-    tasks: LocalTasks<'a, C, TASKS>,
+    tasks: Runner<C, TASKS>,
     peers: [Connection<Rep, [u8; BUFFER]>; PEERS],
-    /// A copy of the request that is dealt with, so that every client can be answered meanwhile.
-    request: [u8; BUFFER],
+    /// A copy of the request that is dealt with, so that every client can be answered meanwhile; then what is said
+    /// of it.
+    request: Words<BUFFER>,
 }
 
 impl<
@@ -118,9 +123,9 @@ impl<
                 Fixed::new([scope]),
                 Config::new(first_id(identity.boot), identity.boot),
             ),
-            tasks: LocalTasks::new(identity, components),
+            tasks: Runner::new(components),
             peers: [const { Connection::new([0; BUFFER]) }; PEERS],
-            request: [0; BUFFER],
+            request: Words::new(),
         }
     }
 
@@ -209,9 +214,9 @@ impl<
     /// [`Instant::NEVER`] if there is nothing to do.
     pub fn poll_timeout(&self, now: Instant) -> Instant {
         let peers = self.peers.iter().map(Connection::poll_timeout);
-        let wake = [self.tasks.next_move(now), self.dispatcher.poll_timeout()];
-        let wake = wake.into_iter().flatten();
-        peers.chain(wake).fold(Instant::NEVER, Ord::min)
+        let wake = peers.fold(self.tasks.next_move(now), Ord::min);
+        let answers = self.dispatcher.poll_timeout();
+        answers.map_or(wake, |at| wake.min(at))
     }
 
     /// Emergency stop, as [`Node::stop_everything`](crate::Node::stop_everything).
@@ -260,14 +265,13 @@ impl<
         // The answer repeats these fields, and has to be one that can be read after it was cut.
         let room = connection.answer_room();
         let fits = |body| header_len(body) + HEADER_GROWS <= room;
+        self.request.clear();
         let body = match message.content {
             Content::One(body) if fits(body) => {
-                for (to, from) in self.request.iter_mut().zip(body) {
-                    *to = *from;
-                }
-                Body::One(self.request.get(..body.len()).unwrap_or_default())
+                let whole = push_bytes(&mut self.request, body).is_some();
+                (self.request.as_str(), whole)
             }
-            Content::Several => Body::Several,
+            Content::Several => ("", true),
             Content::One(_) | Content::TooLong => {
                 return connection
                     .reply(&mut |sink| sink.put(b";2;-1;the request is too long for this device"));
@@ -276,22 +280,20 @@ impl<
         connection.hold();
         let action = {
             let out = &mut answer(&mut self.peers);
-            self.dispatcher
-                .handle_request(now, peer, envelope, body, out)
+            self.dispatcher.handle_text(now, peer, envelope, body, out)
         };
         match action {
             Some(Action::Start { id, payload, .. }) => {
                 // Its answer is held, so there is room in its buffer.
                 let connection = self.peers.get_mut(usize::from(peer.0));
                 let room = connection.map_or(&mut [][..], Connection::spare);
-                let spec = TaskSpec::decode(payload, room);
-                // The request is read: its place is free for what is said.
-                let text = CutSink::new(&mut self.request);
-                let event = start(now, self.name, &mut self.tasks, id, spec, text);
+                let spec = base64::decode(payload.as_bytes(), room);
+                let said = &mut self.request;
+                let event = start(now, self.name, &mut self.tasks, id, spec, said);
                 let out = &mut answer(&mut self.peers);
                 self.dispatcher.handle_event(now, id, event, out);
             }
-            Some(Action::Abort { id, .. }) => self.tasks.abort(now, id),
+            Some(Action::Abort { id, .. }) => self.tasks.abort_local(now, id),
             None => return,
         }
         self.tell_news(now);
@@ -327,17 +329,24 @@ fn answer<const PEERS: usize, const BUFFER: usize>(
     }
 }
 
-/// Starts a task, or says why not, in `text`.
+/// Starts a task, or says why not. What is `said` is a place for that; it needs no mark of a cut, since an answer
+/// has less room, and is marked where it is cut.
 // Apart in firmware, so that its stack is free again when the answer is written.
 #[cfg_attr(target_os = "none", inline(never))]
-fn start<'t, C: Components, const TASKS: usize>(
+fn start<'t, C: Components, const TASKS: usize, const BUFFER: usize>(
     now: Instant,
     name: &str,
-    tasks: &mut LocalTasks<'_, C, TASKS>,
+    tasks: &mut Runner<C, TASKS>,
     id: TaskId,
-    spec: Result<TaskSpec<'_>, SpecError>,
-    mut text: CutSink<'t>,
+    spec: Result<&[u8], DecodeError>,
+    said: &'t mut Words<BUFFER>,
 ) -> TaskEvent<'t> {
+    let mut text = Words::<BUFFER>::new();
+    let spec = match spec {
+        Ok(bytes) if push_bytes(&mut text, bytes).is_some() => TaskSpec::split(&text),
+        Ok(_) => Err(SpecError::NotUtf8 { at: text.len() }),
+        Err(error) => Err(SpecError::Base64(error)),
+    };
     let spec = match spec {
         Ok(spec) => spec,
         // The original's words where it has some (wire specification 4.6).
@@ -351,46 +360,54 @@ fn start<'t, C: Components, const TASKS: usize>(
             return TaskEvent::Threw { message };
         }
     };
-    if spec.handler != name {
-        put_all(
-            &mut text,
-            &["no device '", spec.handler, "'; this is ", name],
-        );
-        return TaskEvent::Rejected {
-            reason: text.text(),
+    said.clear();
+    let accepted = {
+        let sink: &mut dyn Sink = &mut |bytes: &[u8]| {
+            let _ = push_bytes(said, bytes);
         };
+        try_start(now, name, tasks, id, &spec, sink)
+    };
+    let text = said.as_str();
+    if accepted {
+        TaskEvent::Accepted { reply: text }
+    } else {
+        TaskEvent::Rejected { reason: text }
+    }
+}
+
+/// Starts a task; says whether it did.
+fn try_start<C: Components, const TASKS: usize>(
+    now: Instant,
+    name: &str,
+    tasks: &mut Runner<C, TASKS>,
+    id: TaskId,
+    spec: &TaskSpec<'_>,
+    sink: &mut dyn Sink,
+) -> bool {
+    if spec.handler != name {
+        put_all(sink, &["no device '", spec.handler, "'; this is ", name]);
+        return false;
     }
     let named = |index: &usize| {
         let component = tasks.components().component(*index);
         component.is_some_and(|component| component.offer().name == spec.component)
     };
     let Some(index) = (0..tasks.components().count()).find(named) else {
-        put_all(
-            &mut text,
-            &["no component '", spec.component, "'; it has: "],
-        );
+        put_all(sink, &["no component '", spec.component, "'; it has: "]);
         for index in 0..tasks.components().count() {
             if let Some(component) = tasks.components().component(index) {
                 let comma = if index > 0 { ", " } else { "" };
-                put_all(&mut text, &[comma, component.offer().name]);
+                put_all(sink, &[comma, component.offer().name]);
             }
         }
-        return TaskEvent::Rejected {
-            reason: text.text(),
-        };
+        return false;
     };
-    match tasks.start(now, id, index as u8, spec.goal) {
-        Ok(()) => {
-            spec.put_initiated_small(id, &mut text);
-            TaskEvent::Accepted { reply: text.text() }
-        }
-        Err(reason) => {
-            text.put(reason.as_bytes());
-            TaskEvent::Rejected {
-                reason: text.text(),
-            }
-        }
+    let started = tasks.start_local(now, id, index as u8, spec.goal);
+    match started {
+        Ok(()) => spec.put_initiated_small(id, sink),
+        Err(reason) => sink.put(reason.as_bytes()),
     }
+    started.is_ok()
 }
 
 /// How long scope, state and id of a request are, with their marks.
@@ -399,7 +416,7 @@ fn header_len(body: &[u8]) -> usize {
     marks.nth(2).map_or(body.len(), |(at, _)| at + 1)
 }
 
-fn put_all(sink: &mut CutSink<'_>, parts: &[&str]) {
+fn put_all(sink: &mut dyn Sink, parts: &[&str]) {
     for part in parts {
         sink.put(part.as_bytes());
     }

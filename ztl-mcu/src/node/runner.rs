@@ -1,0 +1,233 @@
+//! What becomes of tasks: how they begin, wait, replace each other and end.
+
+use ztl_core::Instant;
+use ztl_core::link::{Busy, LinkId, Loss};
+
+use super::commands::{NO_PLACE, NOT_TAKEN};
+use super::tasks::{Stage, TEXT, Table, Text};
+use super::{Components, Reason};
+use crate::component::{Refused, Report, Run};
+
+const STOPPED: &str = "emergency stop";
+const LINK_LOST: &str = "link was lost";
+const REPLACED: &str = "replaced by a later task";
+
+/// The components and their tasks, whoever wants these: a gateway, or a server in the same firmware.
+// What is small stands first: there a Cortex-M0 reaches it with one instruction.
+#[derive(Debug, Clone, PartialEq, Eq, Hash)]
+#[repr(C)]
+pub(crate) struct Runner<C, const TASKS: usize> {
+    pub(super) stopped: bool,
+    pub(super) components: C,
+    /// What the component said when it did not take the last goal.
+    pub(super) reason: Reason,
+    pub(super) tasks: Table<TASKS>,
+}
+
+impl<C, const TASKS: usize> Runner<C, TASKS> {
+    /// After a reset.
+    pub(crate) const fn new(components: C) -> Self {
+        Self {
+            stopped: false,
+            components,
+            reason: Reason::new(),
+            tasks: Table::new(),
+        }
+    }
+
+    pub(crate) const fn clear_stop(&mut self) {
+        self.stopped = false;
+    }
+
+    pub(crate) const fn is_stopped(&self) -> bool {
+        self.stopped
+    }
+
+    pub(crate) const fn components(&self) -> &C {
+        &self.components
+    }
+
+    pub(crate) const fn components_mut(&mut self) -> &mut C {
+        &mut self.components
+    }
+}
+
+impl<C: Components, const TASKS: usize> Runner<C, TASKS> {
+    #[cfg_attr(target_os = "none", inline(never))]
+    pub(crate) fn handle_timeout(&mut self, now: Instant) {
+        for task in self.tasks.0.iter_mut().filter(|task| task.moves()) {
+            let place = usize::from(task.component);
+            let Some(component) = self.components.component_mut(place) else {
+                continue;
+            };
+            let mut text = Text::new();
+            let run = component.poll(now, &mut Report::new(&mut text));
+            task.news |= text != task.text;
+            task.text = text;
+            let end = match run {
+                Run::Running => continue,
+                Run::Failed => Stage::Failed,
+                Run::Aborted => Stage::Aborted,
+                Run::Completed => Stage::Completed,
+            };
+            let replaced = task.stage == Stage::Replaced && end == Stage::Aborted;
+            task.set_end(end, now, if replaced { REPLACED } else { "" });
+        }
+        // Each of them moves then, or has ended.
+        while let Some(task) = self.tasks.next_in_turn() {
+            let goal = core::mem::take(&mut task.text);
+            let mut why = Report::new(&mut task.text);
+            let component = self.components.component_mut(usize::from(task.component));
+            match component.map(|component| component.start(now, &goal, &mut why)) {
+                Some(Ok(())) => {
+                    task.text.clear();
+                    task.stage = Stage::Moving;
+                    task.news = true;
+                }
+                Some(Err(Refused)) | None => task.set_end(Stage::Failed, now, ""),
+            }
+        }
+    }
+
+    /// The gateway is gone: what its tasks become is the components' choice.
+    pub(super) fn on_link_lost(&mut self, now: Instant) {
+        for task in self.tasks.open_mut() {
+            let place = usize::from(task.component);
+            let Some(component) = self.components.component_mut(place) else {
+                continue;
+            };
+            if component.offer().loss == Loss::CarryOn {
+                continue;
+            }
+            if task.moves() {
+                component.make_safe(now);
+            }
+            task.set_end(Stage::Failed, now, LINK_LOST);
+        }
+    }
+
+    /// When `handle_timeout` has something to do; perhaps never.
+    pub(crate) fn next_move(&self, now: Instant) -> Instant {
+        let moving = self.tasks.0.iter().filter(|task| task.moves());
+        moving.fold(Instant::NEVER, |wake, task| {
+            let component = self.components.component(usize::from(task.component));
+            component.map_or(wake, |component| wake.min(component.poll_timeout(now)))
+        })
+    }
+
+    /// Starts a task on the component of this number. Its id is new.
+    ///
+    /// # Errors
+    /// Why it is refused; [`NOT_TAKEN`] if the component has said so, [`NO_PLACE`] if there is none.
+    pub(super) fn start(
+        &mut self,
+        now: Instant,
+        id: LinkId,
+        component: u8,
+        goal: &str,
+    ) -> Result<(), &'static str> {
+        if self.stopped {
+            return Err(STOPPED);
+        }
+        let Some(part) = self.components.component_mut(usize::from(component)) else {
+            return Err("no such component");
+        };
+        let (mut open, mut free) = (0, TASKS);
+        for (place, known) in self.tasks.0.iter().enumerate() {
+            if known.is_free() {
+                free = free.min(place);
+            } else if known.component == component && known.is_open() {
+                open += 1;
+            }
+        }
+        let policy = part.offer().busy;
+        // All but one of them wait.
+        let busy = open > 0;
+        if busy {
+            match policy {
+                Busy::Refuse => return Err("busy with another task"),
+                Busy::Queue(most) if open > most => {
+                    return Err("busy, and no more tasks may wait");
+                }
+                _ if goal.len() > TEXT => {
+                    return Err("busy, and the goal is too long to wait: more than 48 bytes");
+                }
+                _ => {}
+            }
+        }
+        if free >= TASKS {
+            return Err(NO_PLACE);
+        }
+        let mut why = Report::new(&mut self.reason);
+        if part.check(goal, &mut why).is_err() {
+            return Err(NOT_TAKEN);
+        }
+        if !busy {
+            let mut why = Report::new(&mut self.reason);
+            if part.start(now, goal, &mut why).is_err() {
+                return Err(NOT_TAKEN);
+            }
+        } else if policy == Busy::Replace {
+            self.replace(component, now);
+        }
+        if let Some(free) = self.tasks.0.get_mut(free) {
+            free.id = id;
+            free.component = component;
+            free.due = now;
+            free.news = busy;
+            free.stage = Stage::Moving;
+            free.text.clear();
+            if busy {
+                free.stage = Stage::Waiting;
+                // It was seen to fit.
+                let _ = free.text.push_str(goal);
+            }
+        }
+        Ok(())
+    }
+
+    /// Makes way for a later task.
+    fn replace(&mut self, component: u8, now: Instant) {
+        for task in self
+            .tasks
+            .open_mut()
+            .filter(|task| task.component == component)
+        {
+            if task.waits() {
+                task.set_end(Stage::Aborted, now, REPLACED);
+            } else if task.stage == Stage::Moving {
+                task.stage = Stage::Replaced;
+                if let Some(part) = self.components.component_mut(usize::from(component)) {
+                    part.abort(now);
+                }
+            }
+        }
+    }
+
+    pub(super) fn abort(&mut self, id: LinkId, now: Instant) -> Result<(), &'static str> {
+        let Some(task) = self.tasks.get_mut(id) else {
+            return Err("no such task");
+        };
+        if task.waits() {
+            task.set_end(Stage::Aborted, now, "aborted before it began");
+        } else if task.stage == Stage::Moving {
+            task.stage = Stage::Aborting;
+            if let Some(part) = self.components.component_mut(usize::from(task.component)) {
+                part.abort(now);
+            }
+        }
+        Ok(())
+    }
+
+    pub(crate) fn stop_everything(&mut self, now: Instant) {
+        self.stopped = true;
+        for place in 0..self.components.count() {
+            if let Some(component) = self.components.component_mut(place) {
+                component.make_safe(now);
+            }
+        }
+        for task in self.tasks.open_mut() {
+            task.set_end(Stage::Aborted, now, STOPPED);
+        }
+    }
+}
