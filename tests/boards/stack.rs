@@ -1,5 +1,8 @@
 //! How much stack the images use.
 
+use std::io::{Read, Write};
+use std::net::TcpStream;
+
 use ztl_tests::lab::{ABORTED, Board, COMPLETED, OriginalClient, PATIENCE, Pin, Server, until};
 
 use crate::rig::Rig;
@@ -85,6 +88,19 @@ pub(crate) fn of_the_smallest_server(board: &str) {
     let board = Board::with_image(board, &image);
     let client = OriginalClient::connect(board.port, "/lab");
     do_with_lamp(&image, &board, client);
+}
+
+/// What that is weighed against: what comes goes back.
+pub(crate) fn of_the_bare_port(board: &str) {
+    let image = format!("{board}-uart");
+    let board = Board::with_image(board, &image);
+    let mut stream = TcpStream::connect(("127.0.0.1", board.port)).expect("the serial port");
+    stream.set_read_timeout(Some(PATIENCE)).expect("a timeout");
+    let mut back = [0; 100];
+    stream.write_all(&[0xA5; 100]).expect("sent");
+    stream.read_exact(&mut back).expect("what was sent");
+    assert_eq!(back, [0xA5; 100]);
+    check(&image, &board);
 }
 
 fn do_with_lamp(image: &str, board: &Board, mut client: OriginalClient) {

@@ -237,4 +237,6 @@ fn with_a_network_stack_it_uses_as_much_stack_as_is_recorded() {
 fn the_smallest_servers_use_as_much_stack_as_is_recorded() {
     stack::of_the_smallest_server("microbit");
     stack::of_the_smallest_server("mps2-an386");
+    stack::of_the_bare_port("microbit");
+    stack::of_the_bare_port("mps2-an386");
 }

@@ -420,7 +420,7 @@ impl<M: Memory> Dispatcher<M> {
             return;
         };
         reply.text = Text::UnknownId;
-        let number = id.natural().and_then(|id| u32::try_from(id).ok());
+        let number = u32::try_from(id.natural()).ok();
         let Some(id) = number.and_then(TaskId::new) else {
             return;
         };

@@ -47,7 +47,8 @@ pub struct Board {
     pub network: u16,
     /// Its firmware's ELF file.
     pub elf: PathBuf,
-    panel: u64,
+    /// Of an image that has pins.
+    panel: Option<u64>,
     /// From the end of what is static to the stack's start.
     stack: Range<u64>,
     scratch: Scratch,
@@ -136,7 +137,7 @@ impl Board {
             port,
             network,
             elf,
-            panel: find(&image, "PANEL").expect("its pins"),
+            panel: find(&image, "PANEL"),
             stack,
             probe: RefCell::new(BufReader::new(probe)),
             scratch,
@@ -164,7 +165,7 @@ impl Board {
     }
 
     fn address(&self, pin: Pin) -> u64 {
-        self.panel + 4 * pin as u64
+        self.panel.expect("its pins") + 4 * pin as u64
     }
 
     /// How many bytes of stack were used at most, since the board was started.

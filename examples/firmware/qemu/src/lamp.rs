@@ -14,14 +14,20 @@ use crate::panel::Lamp;
 /// A lamp, for one client at a time, two tasks, and messages of some 160 bytes. `boot` differs from reset
 /// to reset.
 pub fn serve(boot: u32, mut uart: impl Write<Error = Infallible>, mut clock: impl Clock) -> ! {
-    let lamp = DigitalOutput::new("lamp", Lamp, DigitalOutputConfig::DEFAULT);
-    let identity = Identity::new("desk", env!("CARGO_PKG_VERSION"), boot);
-    let mut server = Server::<_, 1, 2, 192, 1>::new("/lab", identity, [lamp]);
+    let mut server = server(boot);
     let mut line = Line::new();
     loop {
         // Neither half of the port can fail.
         let _ = line.turn(&mut server, &mut &app::RECEIVED, &mut uart, clock.now());
     }
+}
+
+/// Apart, so that nothing but the server stays on the stack.
+#[inline(never)]
+fn server(boot: u32) -> Server<'static, [DigitalOutput<Lamp>; 1], 1, 2, 192, 1> {
+    let lamp = DigitalOutput::new("lamp", Lamp, DigitalOutputConfig::DEFAULT);
+    let identity = Identity::new("desk", env!("CARGO_PKG_VERSION"), boot);
+    Server::new("/lab", identity, [lamp])
 }
 
 /// A serial port and a clock, and nothing else: what comes goes back.
