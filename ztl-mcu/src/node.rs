@@ -19,6 +19,7 @@ use crate::component::Components;
 use crate::log::LogSource;
 use commands::Answer;
 pub(crate) use runner::Runner;
+use tasks::Table;
 use transmit::{PAUSE, Transmit, longest};
 
 /// Why a component does not take a goal; at most 96 bytes, and the mark of a cut.
@@ -186,7 +187,13 @@ impl<'a, C: Components, const TASKS: usize, const FRAME: usize> Node<'a, C, TASK
                 receiving: Instant::ZERO,
                 refusal: None,
                 identity,
-                runner: Runner::new(components),
+                // No call, since what one returns is copied, and a Cortex-M0's stack then has it twice.
+                runner: Runner {
+                    stopped: false,
+                    components,
+                    reason: Reason::new(),
+                    tasks: Table::new(),
+                },
                 transmit: Transmit::new(),
             },
         }

@@ -26,6 +26,7 @@ pub(crate) struct Runner<C, const TASKS: usize> {
 
 impl<C, const TASKS: usize> Runner<C, TASKS> {
     /// After a reset.
+    #[cfg(feature = "zmtp")]
     pub(crate) const fn new(components: C) -> Self {
         Self {
             stopped: false,
