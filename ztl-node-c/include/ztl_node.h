@@ -127,7 +127,7 @@ extern "C" {
 /**
  * Bytes of RAM of a node without its components and pointers: see ZTL_NODE_RAM.
  */
-#define ZTL_NODE_RAM_BYTES 759
+#define ZTL_NODE_RAM_BYTES 767
 
 /**
  * Its pointers: see ZTL_NODE_RAM.
