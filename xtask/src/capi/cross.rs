@@ -17,6 +17,16 @@ const PROGRAMS: [(&str, &str); 3] = [
     ("-x c++ -std=c++98", "handler"),
 ];
 
+/// ARMv5 has no instructions for atomics. Rust's runtime library has functions in their place, which call the kernel;
+/// zig's has none, and its C++ library wants these.
+const ATOMICS: &[&str] = &[
+    "__sync_fetch_and_add_4",
+    "__sync_lock_test_and_set_1",
+    "__sync_lock_test_and_set_4",
+    "__sync_val_compare_and_swap_1",
+    "__sync_val_compare_and_swap_4",
+];
+
 /// GNU's tools for a target, and the Debian package that has them.
 fn gnu_tools(target: Target) -> (Tools, &'static str) {
     let (prefix, emulation, package) = match target.triple.split('-').next() {
@@ -27,11 +37,15 @@ fn gnu_tools(target: Target) -> (Tools, &'static str) {
         }
         _ => ("", "", "binutils"),
     };
-    let unmark = "";
     let tools = Tools {
         prefix,
         emulation,
-        unmark,
+        unmark: "",
+        runtime: if target.name == "armv5te" {
+            ATOMICS
+        } else {
+            &[]
+        },
     };
     (tools, package)
 }

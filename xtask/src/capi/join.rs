@@ -22,6 +22,9 @@ pub(super) struct Tools {
     pub(super) emulation: &'static str,
     /// For `objcopy`, before names are hidden.
     pub(super) unmark: &'static str,
+    /// What stays visible, weak, beside what the header declares: of the compiler's runtime library, what the target's
+    /// C++ library needs and would have from nobody else.
+    pub(super) runtime: &'static [&'static str],
 }
 
 impl Tools {
@@ -32,6 +35,7 @@ impl Tools {
         // GNU's C++ marks some names as the only ones in the whole process, which `objcopy` does not hide. Only where the
         // C++ library is inside: a name that is lacking would become one that may be lacking, and stay 0.
         unmark: "--wildcard --weaken-symbol _Z*",
+        runtime: &[],
     };
 
     fn command(&self, name: &str) -> Cmd {
@@ -56,7 +60,8 @@ pub(super) fn join(
     let text = fs::read_to_string(header).map_err(|error| format!("{header}: {error}"))?;
     let name = Path::new(header).file_name().unwrap_or_default();
     fs::write(include.join(name), &text).map_err(failed)?;
-    let symbols = functions(&text);
+    let mut symbols = functions(&text);
+    symbols.extend(tools.runtime);
     let [listed, all, weak, object] =
         ["symbols", "all.o", "weak.o", "o"].map(|end| library.with_extension(end));
     fs::write(&listed, symbols.join("\n") + "\n").map_err(failed)?;
@@ -74,14 +79,15 @@ pub(super) fn join(
         link = link.arg(archive);
     }
     link.run()?;
-    tools
+    let mut weaken = tools
         .command("objcopy")
         .arg("--strip-debug")
         .args(tools.unmark)
-        .args(BITCODE)
-        .arg(&all)
-        .arg(&weak)
-        .run()?;
+        .args(BITCODE);
+    for symbol in tools.runtime {
+        weaken = weaken.arg("--weaken-symbol").arg(symbol);
+    }
+    weaken.arg(&all).arg(&weak).run()?;
     let mut keep = OsString::from("--keep-global-symbols=");
     keep.push(&listed);
     let hide = tools.command("objcopy").arg(keep);

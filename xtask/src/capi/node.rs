@@ -41,11 +41,13 @@ pub(super) fn assemble(dirs: &Dirs, target: Option<&str>, place: &Path) -> Outco
             prefix: "arm-none-eabi-",
             emulation: "",
             unmark: "",
+            runtime: &[],
         },
         Some(riscv) if riscv.starts_with("riscv32") => Tools {
             prefix: "riscv64-unknown-elf-",
             emulation: "-m elf32lriscv",
             unmark: "",
+            runtime: &[],
         },
         Some(other) => {
             return Err(format!(
