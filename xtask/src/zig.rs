@@ -72,7 +72,7 @@ pub(crate) const TARGETS: [Target; 7] = [
     Target {
         name: "arm",
         triple: "arm-unknown-linux-musleabihf",
-        zig: "arm-linux-musleabihf -mcpu=generic+v6+strict_align",
+        zig: "arm-linux-musleabihf -mcpu=generic+v6+vfp2+strict_align",
         emulator: "qemu-arm-static -cpu arm1176",
     },
     Target {
