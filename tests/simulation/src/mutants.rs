@@ -19,7 +19,7 @@ pub struct Mutant {
 }
 
 const COMMANDS: &str = "ztl-mcu/src/node/commands.rs";
-const TASKS: &str = "ztl-mcu/src/node/tasks.rs";
+const RUNNER: &str = "ztl-mcu/src/node/runner.rs";
 const SESSION: &str = "ztl-std/src/gateway/session.rs";
 const SEND: &str = "ztl-std/src/gateway/session/send.rs";
 const RECEIVE: &str = "ztl-std/src/gateway/session/receive.rs";
@@ -36,7 +36,7 @@ const NEXT: (&str, &str, &str) = (
     "if seq != next_seq(self.seq) && !ON {",
 );
 const HIGHEST: (&str, &str, &str) = (
-    TASKS,
+    COMMANDS,
     "if task <= self.highest {",
     "if task <= self.highest && !ON {",
 );
@@ -64,7 +64,7 @@ pub const MUTANTS: &[Mutant] = &[
     Mutant {
         name: "the node takes a Start after its moment",
         edits: &[(
-            TASKS,
+            COMMANDS,
             "if now.as_millis() > before_ms {",
             "if now.as_millis() > before_ms && !ON {",
         )],
@@ -193,7 +193,7 @@ pub const MUTANTS: &[Mutant] = &[
     Mutant {
         name: "the node does not act when the link is lost",
         edits: &[(
-            TASKS,
+            RUNNER,
             "if component.offer().loss == Loss::CarryOn {",
             "if component.offer().loss == Loss::CarryOn || ON {",
         )],
@@ -274,12 +274,9 @@ pub const MUTANTS: &[Mutant] = &[
     Mutant {
         name: "the node gives up an end that is not acknowledged",
         edits: &[(
-            TASKS,
-            "full = NoRoom::Unacknowledged;",
-            "full = NoRoom::Unacknowledged;
-                if ON {
-                    free = place;
-                }",
+            RUNNER,
+            "if known.is_free() {",
+            "if known.is_free() || ON && known.end().is_some() {",
         )],
         caught_in: ("full", 1),
         complaint: "promise 2",
@@ -288,9 +285,9 @@ pub const MUTANTS: &[Mutant] = &[
         name: "the node forgets its ends in a new session",
         edits: &[(
             COMMANDS,
-            "for task in self.tasks.held_mut() {
+            "for task in self.runner.tasks.held_mut() {
                 task.due = now;",
-            "for task in self.tasks.held_mut() {
+            "for task in self.runner.tasks.held_mut() {
                 if ON && task.end().is_some() {
                     task.forget();
                     continue;
