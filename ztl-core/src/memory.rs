@@ -143,6 +143,11 @@ pub trait Memory {
     /// A client's last INIT, to be changed; a void one if it has none, and `None` when no more clients
     /// fit. For it a memory may forget what [`on_heard`](Self::on_heard) makes up for.
     fn remember(&mut self, client: &ClientId) -> Option<&mut LastInit<Self::Text>>;
+    /// An INIT was refused because [`remember`](Self::remember) had no room, and may come again until then: as for
+    /// one that was forgotten, [`on_heard`](Self::on_heard) makes up for it.
+    ///
+    /// Default: nothing.
+    fn on_full(&mut self, _until: Instant) {}
     /// Told when the last INIT of a client has been changed, so that a memory can keep an order.
     fn on_remembered(&mut self, client: &ClientId);
     /// Told of each request in our envelope, before it is acted upon. Says from which number on an INIT
@@ -302,6 +307,10 @@ impl<
         self.forgotten = self.forgotten.max(init.until);
         init.client = *client;
         Some(init)
+    }
+
+    fn on_full(&mut self, until: Instant) {
+        self.forgotten = self.forgotten.max(until);
     }
 
     fn on_remembered(&mut self, _client: &ClientId) {}

@@ -62,6 +62,8 @@ impl<M: Memory> Dispatcher<M> {
         if let Some(Envelope { client, number, .. }) = asked.envelope
             && !self.remember(client, (*number, check), First::Pending, Some(id), "")
         {
+            // It must not count when it comes again and there is room.
+            self.memory.on_full(self.now.after(micros(KEEP_INIT)));
             asked.reply.text = Text::ManyClients;
             return;
         }

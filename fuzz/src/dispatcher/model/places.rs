@@ -2,13 +2,13 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use ztl_core::dispatcher::Body;
+use ztl_core::dispatcher::{Body, KEEP_INIT};
 use ztl_core::envelope::{ClientId, Envelope};
 use ztl_core::integer::Integer;
 use ztl_core::{Instant, Message, Request};
 
 use super::questions::plain;
-use super::{First, LastInit, Model};
+use super::{Asked, First, LastInit, Model};
 use crate::dispatcher::SCOPES;
 
 /// What is known of clients by what they said.
@@ -152,7 +152,7 @@ impl Model {
     }
 
     /// A client is told that there is no room for its INIT.
-    pub(super) fn assert_no_place(&self, now: Instant, ask: usize) {
+    pub(super) fn assert_no_place(&mut self, now: Instant, ask: usize) {
         let ask = &self.asks[ask];
         let client = ask.envelope.expect("only our clients need a place").client;
         let forgot = self.places.until.is_some_and(|until| now < until) && !ask.surely_new;
@@ -166,6 +166,10 @@ impl Model {
             forgot || all_needed,
             "there is a place, and its INIT is new: {ask:?}"
         );
+        if matches!(ask.asked, Asked::Init(_)) {
+            // It may come again when there is one.
+            self.places.until = self.places.until.max(Some(now + KEEP_INIT));
+        }
     }
 
     /// How many INITs of other clients have to be remembered.

@@ -69,6 +69,19 @@ fn an_init_that_comes_again_is_told_of_its_task_while_nobody_knows_that_its_clie
 }
 
 #[test]
+fn an_init_that_found_no_room_never_acts_when_it_comes_again_and_there_is_some() {
+    let mut lab = Lab::new();
+    let (one, _) = (lab.begins(1, 0), lab.begins(2, 1));
+    lab.of(3, 2, 1, false, PROBE);
+    lab.is_refused(3, 2, 2, INIT);
+    lab.of(1, 0, 3, false, &format!("/test;2;{one};x"));
+    lab.is_refused(3, 2, 2, INIT);
+    // Whoever asks anew is served.
+    lab.of(3, 2, 3, false, PROBE);
+    assert_eq!(lab.of(3, 2, 4, false, INIT), Some(("start", 3)));
+}
+
+#[test]
 fn a_refused_task_keeps_no_place() {
     let mut lab = Lab::new();
     for client in 1..=20 {
@@ -93,8 +106,9 @@ fn a_task_that_runs_leaves_its_place_when_its_client_has_asked_about_it() {
     lab.of(1, 0, 3, false, "/test;2;2;x");
     lab.is_refused(3, 2, 3, INIT);
     lab.of(1, 0, 4, false, &format!("/test;2;{one};x"));
+    lab.of(3, 2, 4, false, PROBE);
     lab.answers.clear();
-    assert_eq!(lab.of(3, 2, 4, false, INIT), Some(("start", 3)));
+    assert_eq!(lab.of(3, 2, 5, false, INIT), Some(("start", 3)));
     lab.event(3, TaskEvent::Accepted { reply: "ok" });
     lab.told(&[(2, "/test;1;3;ok")]);
     // The other's is still there.
@@ -205,7 +219,8 @@ fn an_undecided_init_keeps_its_place_also_when_its_id_was_told() {
     }
     lab.is_refused(3, 0, 2, INIT);
     lab.event(1, TaskEvent::Accepted { reply: "ok" });
-    assert_eq!(lab.of(3, 0, 3, false, INIT), Some(("start", 3)));
+    lab.of(3, 0, 3, false, PROBE);
+    assert_eq!(lab.of(3, 0, 4, false, INIT), Some(("start", 3)));
 }
 
 #[test]
