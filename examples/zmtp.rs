@@ -99,7 +99,7 @@ impl Component for Slide {
 
 /// The server, and the stream of each client.
 struct Desk {
-    server: Server<'static, [Slide; 1], PEERS, 8, 512, 4>,
+    server: Server<'static, [Slide; 1], PEERS, 8, 512, PEERS>,
     streams: [Option<TcpStream>; PEERS],
     /// Until when the main thread sleeps.
     wake: Instant,

@@ -145,24 +145,19 @@ pub trait Memory {
     fn remember(&mut self, client: &ClientId) -> Option<&mut LastInit<Self::Text>>;
     /// An INIT was refused because [`remember`](Self::remember) had no room, and may come again until then: as for
     /// one that was forgotten, [`on_heard`](Self::on_heard) makes up for it.
-    ///
-    /// Default: nothing.
-    fn on_full(&mut self, _until: Instant) {}
+    fn on_full(&mut self, until: Instant);
     /// Told when the last INIT of a client has been changed, so that a memory can keep an order.
     fn on_remembered(&mut self, client: &ClientId);
     /// Told of each request in our envelope, before it is acted upon. Says from which number on an INIT
-    /// of this client is surely a new one, if none of its is remembered.
-    ///
-    /// Default: any, as is right for a memory that forgets none before its time.
+    /// of this client is surely a new one, if none of its is remembered: 0 while none was forgotten before its
+    /// time, and none found no room.
     fn on_heard(
         &mut self,
-        _now: Instant,
-        _peer: &Self::Peer,
-        _envelope: &Envelope,
-        _is_init: bool,
-    ) -> u64 {
-        0
-    }
+        now: Instant,
+        peer: &Self::Peer,
+        envelope: &Envelope,
+        is_init: bool,
+    ) -> u64;
     /// Told that a client asks about a task. Says whether it had that from its last INIT, and whoever
     /// still waits for the INIT's answer is to be answered, since it may be forgotten from now on.
     ///

@@ -7,7 +7,7 @@ use super::listing::{Asked, ListedTask, Listing, told};
 use super::{Answers, Limits, now};
 use crate::clock::millis;
 
-use ztl_core::envelope::ClientId;
+use ztl_core::envelope::{ClientId, Envelope};
 use ztl_core::memory::{LastInit, Memory, Scope, Waiter};
 use ztl_core::sink::Sink;
 use ztl_core::tasks::{Task, Tasks, Text};
@@ -165,6 +165,8 @@ pub(super) struct Heap {
     clients: ById<ClientId>,
     /// When an answered INIT may be forgotten.
     until: BTreeSet<(Instant, ClientId)>,
+    /// Until when an INIT that found no room may come again.
+    full: Instant,
 }
 
 impl Heap {
@@ -184,6 +186,7 @@ impl Heap {
             inits: HashMap::new(),
             clients: ById::default(),
             until: BTreeSet::new(),
+            full: Instant::ZERO,
         }
     }
 
@@ -353,6 +356,15 @@ impl Memory for Heap {
         Some(init.or_insert_with(|| LastInit::new(*client)))
     }
 
+    fn on_full(&mut self, until: Instant) {
+        self.full = self.full.max(until);
+    }
+
+    fn on_heard(&mut self, now: Instant, _peer: &Peer, _envelope: &Envelope, _init: bool) -> u64 {
+        // Nobody is forgotten before their time; but whose INIT had no room is not known.
+        if now < self.full { u64::MAX } else { 0 }
+    }
+
     fn on_remembered(&mut self, client: &ClientId) {
         let Some(init) = self.inits.get(client) else {
             return;
@@ -386,4 +398,53 @@ pub(crate) fn quoted(text: &str) -> String {
     let mut bytes = Vec::new();
     ztl_core::repr::put_yaml(text, &mut |part: &[u8]| bytes.extend_from_slice(part));
     String::from_utf8_lossy(&bytes).into_owned()
+}
+
+#[cfg(test)]
+mod tests {
+    use core::time::Duration;
+
+    use ztl_core::dispatcher::{Action, Body, Config, Dispatcher, KEEP_INIT, TaskEvent};
+    use ztl_core::reply::Reply;
+
+    use super::*;
+
+    #[test]
+    fn an_init_that_found_no_room_never_acts_when_it_comes_again_and_there_is_some() {
+        let mut heap = Heap::new(Limits {
+            clients: 1,
+            ..Limits::default()
+        });
+        let about = About {
+            describe: Box::new(String::new),
+            answer: Box::new(|_| None),
+        };
+        heap.register("/lab", about);
+        let first = TaskId::new(1).expect("not 0");
+        let mut server = Dispatcher::new(heap, Config::new(first, 1));
+        let start = Instant::from_micros(1);
+        let mut init = |now: Instant, client: u8, number: u64| {
+            let envelope = Envelope {
+                client: ClientId([client; 16]),
+                number,
+                early_end: false,
+            };
+            let body = Body::One(b"/lab;1;-1;x");
+            let out = &mut |_: Peer, _: &Reply<'_>| {};
+            server.handle_timeout(now, out);
+            let action = server.handle_request(now, Vec::new(), Some(envelope), body, out);
+            let began = action.is_some();
+            if let Some(Action::Start { id, .. }) = action {
+                let event = TaskEvent::Rejected { reason: "busy" };
+                server.handle_event(now, id, event, out);
+            }
+            began
+        };
+        assert!(init(start, 1, 2));
+        let later = start + (KEEP_INIT - Duration::from_secs(1));
+        assert!(!init(later, 2, 2), "there is room for one");
+        let later = start + (KEEP_INIT + Duration::from_secs(1));
+        assert!(!init(later, 2, 2), "it was told that there was none");
+        assert!(init(later + KEEP_INIT, 3, 2));
+    }
 }
