@@ -3,6 +3,7 @@
 use std::process::Command;
 
 use ztl_std::keys::{KeyPair, can_encrypt};
+use ztl_std::server::MAX_MESSAGE;
 use ztl_std::{RemoteTask, TriggerError};
 use ztl_tests::lab::{Ended, Process, SCOPE, Scratch, Server, python, ztl};
 
@@ -164,6 +165,37 @@ fn with_keys_and_nobody_allowed_nobody_is_served() {
     let server = gateway(&["--key", &keys.path("robot.key_secret")]);
     server.process.wait_for("nobody gets in");
     assert_eq!(client_as(&server, &keys.of("anna", "robot")).code, Some(5));
+}
+
+/// libzmq counts what encryption adds to a message.
+#[test]
+fn the_longest_message_comes_through_encrypted_and_one_byte_more_is_told() {
+    if !encrypts() {
+        return;
+    }
+    let keys = Keys::make(&["robot", "anna"]);
+    let anna = format!("{SCOPE}={}", keys.path("anna.key"));
+    let own = keys.path("robot.key_secret");
+    let server = gateway(&["--key", &own, "--client-key", &anna]);
+    let [anna, robot] = ["anna.key_secret", "robot.key_secret"]
+        .map(|name| KeyPair::read(keys.0.path(name).as_path()).expect("keys"));
+    let remote = RemoteTask::connect(&server.endpoint(), SCOPE).expect("an address");
+    let mut remote = remote.with_keys(anna, robot.public()).expect("encryption");
+    let most = MAX_MESSAGE - 33;
+    let payload = |bytes| "x".repeat(bytes - SCOPE.len() - ";1;-1;".len());
+    let refused = remote.trigger_payload(&payload(most));
+    assert!(
+        matches!(refused, Err(TriggerError::Refused { .. })),
+        "it is no task: {refused:?}"
+    );
+    let error = remote.trigger_payload(&payload(most + 1));
+    let told = format!(
+        "has {} bytes, and the server at {} takes at most {most}",
+        most + 1,
+        server.endpoint()
+    );
+    let error = error.expect_err("it is too long").to_string();
+    assert!(error.contains(&told), "{error}");
 }
 
 #[test]

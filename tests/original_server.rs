@@ -68,6 +68,18 @@ fn a_wait_that_is_over_too_soon_is_no_end() {
     assert_eq!(end, Ok(status(State::Completed, "True")));
 }
 
+/// The original has no limit, and quotes the goal in its answer: here each byte as four.
+#[test]
+fn a_goal_of_any_length_is_taken() {
+    let server = Server::original();
+    let mut remote = connect(&server);
+    for goal in ["x".repeat(1_000_000), "\u{1}".repeat(1_500_000)] {
+        let end = remote.run("test", "echo", &goal, LIMIT);
+        let end = end.expect("the task is taken").expect("its end");
+        assert!(end == status(State::Completed, &goal), "{}", end.text.len());
+    }
+}
+
 #[test]
 fn a_refusal_is_no_task() {
     let server = Server::original();

@@ -1,10 +1,11 @@
 //! A server's limits: what is too much is refused with the reason, and nothing else suffers.
 
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
+use ztl_std::server::MAX_MESSAGE;
 use ztl_std::{
-    Access, ExecutableTask, Limits, RemoteTask, RunningServer, State, TaskContext, TaskController,
-    TaskError, TaskId, TaskRequest, TaskServer, TriggerError,
+    Access, ExecutableTask, Limits, RemoteTask, RequestError, RunningServer, State, TaskContext,
+    TaskController, TaskError, TaskId, TaskRequest, TaskServer, TriggerError,
 };
 use ztl_tests::lab::{PATIENCE, SCOPE, until};
 
@@ -120,6 +121,68 @@ fn a_message_that_is_too_long_ends_its_connection_alone() {
     req.send(&[too_long]);
     assert_eq!(req.0.recv_multipart(0), Err(zmq::Error::EAGAIN));
     assert_serves(server.endpoint(), "a message that is too long");
+}
+
+/// The length of a goal that makes a message of so many bytes, in which it goes as base64.
+fn goal(message: usize) -> String {
+    let task = (message - "/test;1;-1;".len()) / 4 * 3;
+    "x".repeat(task - "h:echo:".len())
+}
+
+#[test]
+fn a_client_sends_nothing_that_the_server_says_is_too_long() {
+    // The longest that is a whole number of base64's fours, and one more of them.
+    let (fits, too_long) = (11 + 4 * 247, 11 + 4 * 248);
+    let server = serve(|limits| limits.message = 1000);
+    let endpoint = server.endpoint().to_owned();
+    let mut remote = client(&server);
+    let mut run = |bytes| remote.run("h", "echo", &goal(bytes), Some(PATIENCE));
+    let end = run(fits).expect("it is taken").expect("its end");
+    assert_eq!(end.text, goal(fits));
+    let asked = Instant::now();
+    let error = run(too_long).expect_err("it is too long");
+    assert!(asked.elapsed() < Duration::from_secs(2), "it waited");
+    let told = RequestError::TooLong {
+        endpoint: endpoint.clone(),
+        bytes: too_long,
+        most: 1000,
+    };
+    assert!(told.nothing_was_sent());
+    assert_eq!(error, TriggerError::Request(told));
+    assert!(run(fits).is_ok(), "it goes on");
+
+    // Another start of the server may take more, and the client stays connected through it.
+    drop(server);
+    let mut limits = Limits::default();
+    limits.message = too_long;
+    let started = || TaskServer::bind_with(&endpoint, Access::everybody(), limits).ok();
+    let mut again = until("the port", PATIENCE, started);
+    again.register(SCOPE, Patient);
+    let _server = again.spawn().expect("a thread");
+    let end = run(too_long).expect("it is taken").expect("its end");
+    assert_eq!(end.text, goal(too_long));
+}
+
+#[test]
+fn the_longest_message_of_all_comes_through_and_one_byte_more_is_told() {
+    let server = serve(|_| ());
+    let mut remote = client(&server);
+    let payload = |length: usize| "x".repeat(length - "/test;1;-1;".len());
+    let refused = remote.trigger_payload(&payload(MAX_MESSAGE));
+    assert!(
+        matches!(refused, Err(TriggerError::Refused { .. })),
+        "it is no task: {refused:?}"
+    );
+    let error = remote.trigger_payload(&payload(MAX_MESSAGE + 1));
+    let error = error.expect_err("it is too long").to_string();
+    assert!(
+        error.starts_with("the message has 1048577 bytes, and the server at tcp://127.0.0.1:"),
+        "{error}"
+    );
+    assert!(
+        error.ends_with("takes at most 1048576, of which a goal can be somewhat less than 786432, since it goes as base64; nothing was sent"),
+        "{error}"
+    );
 }
 
 #[test]

@@ -175,6 +175,11 @@ extern "C" {
 #define ZTL_E_PANIC (-18)
 
 /**
+ * Client: the request is longer than the server takes. Nothing was sent.
+ */
+#define ZTL_E_TOO_LONG (-19)
+
+/**
  * Longest message of a client, in bytes. Default and most: 1048576.
  */
 #define ZTL_MAX_MESSAGE 1

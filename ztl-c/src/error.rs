@@ -45,6 +45,8 @@ pub const ZTL_E_UNREADABLE: c_int = -16;
 pub const ZTL_E_NOT_ENDED: c_int = -17;
 /// A mistake in this library; it has written a line about it to stderr.
 pub const ZTL_E_PANIC: c_int = -18;
+/// Client: the request is longer than the server takes. Nothing was sent.
+pub const ZTL_E_TOO_LONG: c_int = -19;
 
 /// The name of an error, as "ZTL_E_NULL"; "ZTL_E_?" for a number that is none. Any thread. The text is
 /// the library's, and stays.
@@ -70,6 +72,7 @@ pub extern "C" fn ztl_error_name(error: c_int) -> *const c_char {
         ZTL_E_UNREADABLE => c"ZTL_E_UNREADABLE",
         ZTL_E_NOT_ENDED => c"ZTL_E_NOT_ENDED",
         ZTL_E_PANIC => c"ZTL_E_PANIC",
+        ZTL_E_TOO_LONG => c"ZTL_E_TOO_LONG",
         _ => c"ZTL_E_?",
     };
     name.as_ptr()
@@ -116,6 +119,7 @@ impl From<RequestError> for Failure {
     fn from(error: RequestError) -> Self {
         let code = match &error {
             RequestError::NotConnected { .. } => ZTL_E_NOT_CONNECTED,
+            RequestError::TooLong { .. } => ZTL_E_TOO_LONG,
             RequestError::NoAnswer { .. } => ZTL_E_NO_ANSWER,
             RequestError::UnknownTask { .. } => ZTL_E_UNKNOWN_TASK,
             RequestError::Unreadable { .. } => ZTL_E_UNREADABLE,

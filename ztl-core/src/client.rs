@@ -129,6 +129,7 @@ pub struct Client {
     number: u64,
     timeout: Duration,
     server: Server,
+    longest: Option<u32>,
     pending: Option<Pending>,
     unanswered: Option<Unanswered>,
 }
@@ -156,6 +157,7 @@ impl Client {
             number: 0,
             timeout,
             server: Server::Unknown,
+            longest: None,
             pending: None,
             unanswered: None,
         }
@@ -257,6 +259,7 @@ impl Client {
         };
         if pending.probe {
             self.server = server(&answer);
+            self.longest = longest(&answer, self.server);
         }
         if pending.outcome_of.is_some() {
             return Some(self.on_outcome(scope, answer));
@@ -294,6 +297,13 @@ impl Client {
     #[must_use]
     pub const fn server(&self) -> Server {
         self.server
+    }
+
+    /// The longest message that the server takes, in bytes: a longer one ends the connection, and is not to
+    /// be sent. `None` where it tells none, as the original, which takes any.
+    #[must_use]
+    pub const fn longest_message(&self) -> Option<u32> {
+        self.longest
     }
 
     fn begin(
@@ -390,25 +400,33 @@ fn read(body: &[u8]) -> Option<(&str, Answer<'_>)> {
 /// Who answered a probe so.
 fn server(answer: &Answer<'_>) -> Server {
     let boot = (answer.state() == Some(State::Completed))
-        .then(|| boot_of(answer.text))
-        .flatten()
-        .and_then(|digits| Integer::parse(digits).ok())
-        .and_then(Integer::value)
-        .and_then(|boot| u32::try_from(boot).ok());
+        .then(|| number_after(answer.text, b"boot: "))
+        .flatten();
     boot.map_or(Server::Original, |boot| Server::Ours { boot })
 }
 
-/// The digits after `boot: `. By bytes, since of `str::split_once` the compiler cannot see that it
-/// never panics.
-fn boot_of(probed: &str) -> Option<&str> {
-    const KEY: &[u8; 6] = b"boot: ";
-    let at = probed
-        .as_bytes()
-        .windows(KEY.len())
-        .position(|window| window == KEY)?;
-    let rest = probed.get(at + KEY.len()..)?;
+/// What a server of ours tells of the longest message that it takes, before its scopes: their names could
+/// read like that, too.
+fn longest(answer: &Answer<'_>, server: Server) -> Option<u32> {
+    if !matches!(server, Server::Ours { .. }) {
+        return None;
+    }
+    let end = position(answer.text, b"scopes: ").unwrap_or(answer.text.len());
+    number_after(answer.text.get(..end)?, b"message: ")
+}
+
+fn number_after<const N: usize>(text: &str, key: &[u8; N]) -> Option<u32> {
+    let rest = text.get(position(text, key)? + N..)?;
     let end = rest.bytes().position(|byte| matches!(byte, b',' | b'}'));
-    rest.get(..end.unwrap_or(rest.len()))
+    let digits = rest.get(..end.unwrap_or(rest.len()))?;
+    let number = Integer::parse(digits).ok().and_then(Integer::value)?;
+    u32::try_from(number).ok()
+}
+
+/// Where it stands first. By bytes, since of `str::find` the compiler cannot see that it never panics.
+fn position<const N: usize>(text: &str, key: &[u8; N]) -> Option<usize> {
+    let mut windows = text.as_bytes().windows(N);
+    windows.position(|window| window == key)
 }
 
 #[cfg(test)]

@@ -115,6 +115,12 @@ pub trait Memory {
     /// Writes what the scopes offer, for `$ztl`: a mapping in YAML's flow style.
     fn put_scopes(&self, sink: &mut dyn Sink);
 
+    /// The longest message that comes through to here, in bytes, for `$ztl`; `None`, the default, where none is
+    /// too long, or what is too long is answered.
+    fn longest_message(&self) -> Option<u32> {
+        None
+    }
+
     /// What the reserved scope answers to a question that is not the protocol's own, or `None`
     /// where it is not known. Default: no question is known.
     fn answer(&mut self, _question: &str) -> Option<&str> {

@@ -54,7 +54,7 @@ texts! {
     Probed => concat!(
         "{ztl: 1, version: '",
         env!("CARGO_PKG_VERSION"),
-        "', boot: ^, scopes: %}}"
+        "', boot: ^%}}"
     ),
     InvalidReserved => "Invalid request: $ztl takes STATUS with the payload 'probe' or 'outcome N'",
 }

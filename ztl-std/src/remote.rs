@@ -16,6 +16,7 @@ use ztl_core::{Request, State, TaskId, TaskSpec};
 use crate::clock::now;
 use crate::keys::{KeyPair, PublicKey, can_encrypt};
 use crate::random;
+use crate::server::MAX_MESSAGE;
 pub use background::{Fate, InBackground};
 pub use error::{RequestError, TriggerError, WaitError};
 use exchange::{Said, Unanswered, Wanted};
@@ -61,6 +62,8 @@ pub struct RemoteTask {
     met: bool,
     /// What it said, if it is ours.
     version: Option<String>,
+    /// Longest answer that is taken, in bytes.
+    takes: usize,
 }
 
 /// Who a server of ours is.
@@ -116,6 +119,7 @@ impl RemoteTask {
             client: Client::new(new_id(), TIMEOUT),
             met: false,
             version: None,
+            takes: MAX_MESSAGE,
         };
         remote.socket = Some(remote.open()?);
         info!(target: LOG, "Remote task interface initialised at '{endpoint}'.");
@@ -161,7 +165,7 @@ impl RemoteTask {
     /// # Errors
     /// As [`trigger`](Self::trigger).
     pub fn trigger_payload(&mut self, payload: &str) -> Result<Triggered, TriggerError> {
-        let (task, _) = self.init(None, |client, scope, body| {
+        let (task, _) = self.init(None, payload, |client, scope, body| {
             client.request(now(), Request::Init, scope, None, payload, body)
         })?;
         Ok(task)
@@ -180,7 +184,7 @@ impl RemoteTask {
         payload: &str,
         wanted: impl Fn() -> bool,
     ) -> Result<Triggered, TriggerError> {
-        let (task, _) = self.init(Some(&wanted), |client, scope, body| {
+        let (task, _) = self.init(Some(&wanted), payload, |client, scope, body| {
             client.request(now(), Request::Init, scope, None, payload, body)
         })?;
         Ok(task)
@@ -199,7 +203,7 @@ impl RemoteTask {
         limit: Option<Duration>,
     ) -> Result<Result<Status, WaitError>, TriggerError> {
         let payload = encoded(handler, component, goal);
-        let (task, ended) = self.init(None, |client, scope, body| {
+        let (task, ended) = self.init(None, &payload, |client, scope, body| {
             client.init_to_end(now(), scope, &payload, body)
         })?;
         Ok(match ended {
@@ -212,10 +216,14 @@ impl RemoteTask {
     fn init(
         &mut self,
         wanted: Wanted<'_>,
+        payload: &str,
         request: impl FnOnce(&mut Client, &str, &mut dyn Sink) -> Envelope,
     ) -> Result<(Triggered, Option<Status>), TriggerError> {
         // Also when it is not answered, nothing was asked for yet.
-        let met = self.meet(wanted);
+        let length = self.scope.len() + ";1;-1;".len() + payload.len();
+        let met = self
+            .meet(wanted)
+            .and_then(|()| self.make_room(wanted, length));
         if let Some(wanted) = wanted
             && !wanted()
         {
@@ -398,6 +406,7 @@ impl Clone for RemoteTask {
             client: Client::new(new_id(), self.timeout),
             met: false,
             version: None,
+            takes: self.takes,
         }
     }
 }

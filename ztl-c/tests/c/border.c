@@ -231,6 +231,30 @@ static void orders(void)
     ztl_client_free(later);
 }
 
+/* What is too long for the server is not sent, and the client goes on. */
+static void too_long(void)
+{
+    static char goal[1000001];
+    unsigned int task = 7;
+    int state;
+    ztl_server *server = ztl_server_new();
+    ztl_client *client = ztl_client_new();
+
+    CHECK(ztl_server_add_worker(server, "/x", wrong, NULL) == ZTL_OK);
+    CHECK(ztl_server_start(server, "tcp://127.0.0.1:*") == ZTL_OK);
+    ztl_server_endpoint(server, text, sizeof text);
+    CHECK(ztl_client_connect(client, text, "/x") == ZTL_OK);
+    memset(goal, 'x', sizeof goal - 1);
+    CHECK(ztl_client_trigger(client, "a", "twice", goal, &task) == ZTL_E_TOO_LONG && task == ZTL_NO_TASK);
+    CHECK(strstr(ztl_client_error(client), "has 1333352 bytes") != NULL);
+    CHECK(strstr(ztl_client_error(client), "takes at most 1048576") != NULL);
+    goal[786000] = '\0';
+    CHECK(ztl_client_run(client, "a", "twice", goal, 10000, &task, &state) == ZTL_OK);
+    CHECK(task != ZTL_NO_TASK && state == ZTL_COMPLETED);
+    ztl_client_free(client);
+    CHECK(ztl_server_free(server) == ZTL_OK);
+}
+
 static void count_up(void *context, ztl_server *server, const ztl_request *request)
 {
     (void)server;
@@ -329,6 +353,7 @@ int main(int count, char **words)
     nulls();
     mistakes();
     unanswered();
+    too_long();
     orders();
     polled();
     nested();

@@ -45,6 +45,14 @@ impl Desk {
         assert_eq!(self.client.server(), Server::Ours { boot });
     }
 
+    /// The longest message of a server that answers so behind its boot id.
+    fn longest(&mut self, rest: &str) -> Option<u32> {
+        let (envelope, _) = self.written(|client, now, sink| Some(client.probe(now, sink)));
+        let reply = std::format!("$ztl;5;0;{{ztl: 1, version: '0.1.0', boot: 7{rest}}}");
+        self.client.handle_reply(envelope, reply.as_bytes());
+        self.client.longest_message()
+    }
+
     fn late(&mut self) -> Late {
         self.now = self.client.poll_timeout().expect("something is under way");
         self.client.handle_timeout(self.now)
@@ -291,4 +299,28 @@ fn an_init_that_was_answered_is_not_asked_about() {
     assert!(matches!(heard, Some(Heard::Answer(_))), "{heard:?}");
     let mut none = |_: &[u8]| {};
     assert_eq!(desk.client.outcome(desk.now, &mut none), None);
+}
+
+#[test]
+fn the_longest_message_is_what_the_server_told_last_and_no_name_of_a_scope() {
+    let mut desk = Desk::new();
+    assert_eq!(desk.client.longest_message(), None);
+    assert_eq!(desk.longest(", message: 65536, scopes: {}"), Some(65_536));
+    assert_eq!(desk.longest(", message: 4096"), Some(4096));
+    for none in [
+        ", scopes: {}",
+        ", scopes: {\"/a, message: 5,\": {}}",
+        ", message: -1, scopes: {}",
+        ", message: 1 MiB, scopes: {}",
+        ", message: 4294967296, scopes: {}",
+        ", message: ",
+    ] {
+        assert_eq!(desk.longest(none), None, "{none}");
+    }
+    // Another server is at the other end now.
+    desk.longest(", message: 65536, scopes: {}");
+    let (envelope, _) = desk.written(|client, now, sink| Some(client.probe(now, sink)));
+    let refused = b"$ztl;2;-1;No controller for scope: $ztl, boot: 7, message: 5";
+    desk.client.handle_reply(envelope, refused);
+    assert_eq!(desk.client.longest_message(), None);
 }

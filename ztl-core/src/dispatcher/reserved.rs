@@ -58,10 +58,15 @@ impl<M: Memory> Dispatcher<M> {
     }
 }
 
-/// What `probe` is answered, from the scopes on: a mapping in YAML's flow style, which
+/// What `probe` is answered, behind the boot id: a mapping in YAML's flow style, which
 /// [`Text::Probed`] begins and ends.
 impl<M: Memory> Put for Dispatcher<M> {
     fn put(&self, sink: &mut dyn Sink) {
+        if let Some(most) = self.memory.longest_message() {
+            sink.put(b", message: ");
+            put_decimal(sink, most);
+        }
+        sink.put(b", scopes: ");
         self.memory.put_scopes(sink);
         sink.put(b", running: {");
         let mut separator = "";

@@ -18,6 +18,15 @@ pub enum RequestError {
         /// How long it was tried.
         waited: Duration,
     },
+    /// Longer than the server says that it takes: nothing was sent.
+    TooLong {
+        /// The server.
+        endpoint: String,
+        /// How long the message is.
+        bytes: usize,
+        /// How long one may be that the server takes.
+        most: usize,
+    },
     /// Sent, and not answered within the time: whether it was acted on is unknown.
     NoAnswer {
         /// The server.
@@ -42,6 +51,14 @@ pub enum RequestError {
     Transport(zmq::Error),
 }
 
+impl RequestError {
+    /// Whether nothing was sent: then nothing was done.
+    #[must_use]
+    pub const fn nothing_was_sent(&self) -> bool {
+        matches!(self, Self::NotConnected { .. } | Self::TooLong { .. })
+    }
+}
+
 impl std::fmt::Display for RequestError {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
@@ -49,6 +66,16 @@ impl std::fmt::Display for RequestError {
                 f,
                 "no server at {endpoint} (tried for {:.1} s); nothing was sent",
                 waited.as_secs_f32()
+            ),
+            Self::TooLong {
+                endpoint,
+                bytes,
+                most,
+            } => write!(
+                f,
+                "the message has {bytes} bytes, and the server at {endpoint} takes at most {most}, of which a \
+                 goal can be somewhat less than {}, since it goes as base64; nothing was sent",
+                most / 4 * 3
             ),
             Self::NoAnswer { endpoint, waited } => write!(
                 f,
@@ -96,8 +123,8 @@ pub enum TriggerError {
     NeverCame,
     /// It was not wanted any more before it was sent: nothing was done.
     GivenUp,
-    /// There was no usable answer: after [`RequestError::NotConnected`] it does not run, after any
-    /// other it may.
+    /// There was no usable answer: it does not run if [nothing was sent](RequestError::nothing_was_sent), else
+    /// it may.
     Request(RequestError),
 }
 

@@ -17,6 +17,13 @@ const RETRY: (i32, i32) = (20, 1000);
 /// How often it is asked whether a request is still wanted: soon enough for whoever has pressed Ctrl-C.
 const ASK_WANTED: Duration = Duration::from_millis(50);
 
+/// What encryption adds to a message, in bytes (RFC 26, MESSAGE: a name, a nonce, a signature, flags).
+const ENCRYPTION: usize = 8 + 8 + 16 + 1;
+
+/// Bytes that the original's answer to an INIT has for one of the INIT, at most: it quotes the goal as
+/// Python writes it.
+const QUOTED: usize = 4;
+
 /// Whether a request is still wanted; `None` for one that is in any case.
 pub(super) type Wanted<'a> = Option<&'a dyn Fn() -> bool>;
 
@@ -26,7 +33,7 @@ impl RemoteTask {
         socket.set_linger(0)?;
         // Nothing is queued for a server that is not there: it would act on it when it comes.
         socket.set_immediate(true)?;
-        socket.set_maxmsgsize(crate::server::MAX_MESSAGE as i64)?;
+        socket.set_maxmsgsize(i64::try_from(self.takes).unwrap_or(i64::MAX))?;
         // A server that comes back is not met by all its clients in the same moment.
         socket.set_reconnect_ivl(RETRY.0)?;
         socket.set_reconnect_ivl_max(RETRY.1)?;
@@ -56,6 +63,36 @@ impl RemoteTask {
         Ok(())
     }
 
+    /// Makes the connection fit for an INIT of so many bytes: the server is asked anew how long a message it
+    /// takes, since what it said may be true of an earlier start of it; and the answer of an original's server,
+    /// which takes any, has to be taken here.
+    pub(super) fn make_room(
+        &mut self,
+        wanted: Wanted<'_>,
+        length: usize,
+    ) -> Result<(), RequestError> {
+        let answer = length.saturating_mul(QUOTED);
+        let quotes = self.client.server() == Server::Original && answer > self.takes;
+        if quotes {
+            self.takes = answer;
+            self.socket = None;
+        }
+        if quotes || self.most().is_some_and(|most| length > most) {
+            self.met = false;
+            self.meet(wanted)?;
+        }
+        Ok(())
+    }
+
+    /// The longest message that can be sent, in bytes, where the server tells one.
+    fn most(&self) -> Option<usize> {
+        let most = usize::try_from(self.client.longest_message()?).ok()?;
+        Some(match self.keys {
+            Some(_) => most.saturating_sub(ENCRYPTION),
+            None => most,
+        })
+    }
+
     pub(super) fn ask_outcome(&mut self) -> Result<Said, Unanswered> {
         let mut body = Vec::new();
         let mut sink = |bytes: &[u8]| body.extend_from_slice(bytes);
@@ -82,7 +119,16 @@ impl RemoteTask {
         let mut body = Vec::new();
         let mut sink = |bytes: &[u8]| body.extend_from_slice(bytes);
         let envelope = request(&mut self.client, &self.scope, &mut sink);
-        self.exchange(wanted, envelope, &body)
+        match self.most() {
+            // The server would only end the connection.
+            Some(most) if body.len() > most => Err(RequestError::TooLong {
+                endpoint: self.endpoint.clone(),
+                bytes: body.len(),
+                most,
+            }
+            .into()),
+            _ => self.exchange(wanted, envelope, &body),
+        }
     }
 
     fn exchange(

@@ -288,8 +288,13 @@ fn init(remote: &mut RemoteTask, handler: &str, component: &str, goal: &str) -> 
         Err(error @ (TriggerError::NeverCame | TriggerError::GivenUp)) => Answer::NotStarted {
             text: error.to_string(),
         },
+        // It is there, and would not take it: that is for whoever wrote the goal.
+        Err(TriggerError::Request(error @ RequestError::TooLong { .. })) => Answer::Refused {
+            id: -1,
+            text: error.to_string(),
+        },
         Err(TriggerError::Request(error)) => {
-            let sent = !matches!(error, RequestError::NotConnected { .. });
+            let sent = !error.nothing_was_sent();
             Answer::Nothing {
                 sent,
                 text: error.to_string(),
@@ -318,7 +323,7 @@ fn about(remote: &mut RemoteTask, id: TaskId, said: Result<Status, RequestError>
         },
         Ok(Status { state, text }) => Answer::Task { state, text },
         Err(error) => {
-            let sent = !matches!(error, RequestError::NotConnected { .. });
+            let sent = !error.nothing_was_sent();
             Answer::Nothing {
                 sent,
                 text: error.to_string(),

@@ -73,7 +73,7 @@ impl Forward {
             Err(TriggerError::NeverCame | TriggerError::GivenUp) => {
                 return End::Rejected(format!("{to} did not get it, and will not start it"));
             }
-            Err(TriggerError::Request(error @ RequestError::NotConnected { .. })) => {
+            Err(TriggerError::Request(error)) if error.nothing_was_sent() => {
                 return End::Rejected(error.to_string());
             }
             Err(TriggerError::Request(error)) => {

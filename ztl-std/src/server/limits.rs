@@ -18,8 +18,8 @@ const CONNECTIONS: usize = 4096;
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Limits {
-    /// Longest message, in bytes: a longer one ends its connection.
-    /// Default and most: [`MAX_MESSAGE`], which is what clients take.
+    /// Longest message, in bytes: a longer one ends its connection; clients of ours are told before they
+    /// send one. Default and most: [`MAX_MESSAGE`], which is what clients take.
     pub message: usize,
     /// Tasks that have not ended. Default 10,000.
     pub running: usize,
@@ -113,9 +113,14 @@ impl Limits {
         Ok(())
     }
 
+    /// The longest message that is taken, in bytes.
+    pub(super) fn longest_message(&self) -> usize {
+        self.message.min(MAX_MESSAGE)
+    }
+
     /// Sets what ZeroMQ sees to, on a socket that is to be bound afterwards.
     pub(super) fn set(&self, socket: &zmq::Socket) -> Result<(), zmq::Error> {
-        let message = self.message.min(MAX_MESSAGE);
+        let message = self.longest_message();
         socket.set_maxmsgsize(i64::try_from(message).unwrap_or(i64::MAX))?;
         let queue = i32::try_from(self.queue.max(1)).unwrap_or(i32::MAX);
         socket.set_rcvhwm(queue)?;

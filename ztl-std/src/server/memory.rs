@@ -308,6 +308,10 @@ impl Memory for Heap {
         sink.put(format!("{{{}}}", scopes.join(", ")).as_bytes());
     }
 
+    fn longest_message(&self) -> Option<u32> {
+        u32::try_from(self.tasks.limits.longest_message()).ok()
+    }
+
     fn answer(&mut self, question: &str) -> Option<&str> {
         self.answer = match question {
             "tasks" => self.listing().into_json(),

@@ -10,7 +10,7 @@ use std::process::ExitCode;
 use std::time::Duration;
 
 use ztl_core::dispatcher::NOTHING_KNOWN;
-use ztl_std::{RemoteTask, RequestError, State, Status, TaskId, TriggerError, WaitError};
+use ztl_std::{RemoteTask, State, Status, TaskId, TriggerError, WaitError};
 
 use crate::{Done, signals};
 pub(crate) use words::Words;
@@ -250,9 +250,8 @@ impl Conversation<'_> {
     fn not_triggered(&self, error: TriggerError, tell: impl FnMut(News<'_>)) -> Fate {
         let fate = match &error {
             TriggerError::Refused { .. } => Fate::Refused,
-            TriggerError::NeverCame
-            | TriggerError::GivenUp
-            | TriggerError::Request(RequestError::NotConnected { .. }) => Fate::NotStarted,
+            TriggerError::NeverCame | TriggerError::GivenUp => Fate::NotStarted,
+            TriggerError::Request(cause) if cause.nothing_was_sent() => Fate::NotStarted,
             _ => Fate::Unknown,
         };
         let (id, reason) = match error {
