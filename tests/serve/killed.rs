@@ -94,6 +94,15 @@ fn a_guard_that_is_killed_or_does_not_listen_is_replaced() {
     trigger(&mut remote, "go", "");
     let process = lab.process("pid");
     let first = guard(&lab);
+    // It is the same program as its server, and under the same filter where an old kernel is played.
+    let of = |process: u32| {
+        let status = std::fs::read_to_string(format!("/proc/{process}/status"));
+        let status = status.expect("its status");
+        let filter = status.lines().find(|line| line.starts_with("Seccomp:"));
+        let program = std::fs::read_link(format!("/proc/{process}/exe"));
+        (program.expect("its program"), filter.map(str::to_owned))
+    };
+    assert_eq!(of(first), of(lab.server.process.id()));
     // It is not replaced within a second of its own start.
     until("another guard", PATIENCE, || {
         if lives(first) {

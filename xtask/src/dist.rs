@@ -208,6 +208,7 @@ fn try_out(dirs: &Dirs, made: &[Made]) -> Outcome {
         if cfg!(target_arch = "x86_64") && ["x86_64", "i686", "i586"].contains(&target.name) {
             for kernel in KERNELS {
                 test(kernel, "ZTL_DIST_KERNEL")?;
+                guards(dirs, &python, kernel, path)?;
             }
         }
         if cfg!(target_arch = "x86_64") && target.name == "x86_64" {
@@ -218,4 +219,20 @@ fn try_out(dirs: &Dirs, made: &[Made]) -> Outcome {
         }
     }
     Ok(())
+}
+
+/// Kills servers as on a kernel, which an empty root cannot show: without `/proc` there is no guard, which stops
+/// the programs of a server that was killed.
+fn guards(dirs: &Dirs, python: &Path, kernel: &str, program: &Path) -> Outcome {
+    let script = dirs.root.join("tests/dist/old_kernel.py");
+    let program = dirs.root.join(program);
+    let words = [python, &script, Path::new(kernel), &program];
+    let lines = words.map(|word| word.display().to_string()).join("\n");
+    println!(
+        "{} on {kernel}, servers that are killed:",
+        program.display()
+    );
+    Cmd::new("cargo test --quiet --locked --package ztl-tests --test serve -- killed::")
+        .env("ZTL_COMMAND", lines)
+        .run()
 }
