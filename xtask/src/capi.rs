@@ -5,6 +5,7 @@
 //! `ztl.h` can be seen; of that the static and the shared library are made.
 
 mod cross;
+mod glibc;
 mod join;
 mod node;
 
@@ -28,18 +29,26 @@ const SYSTEM: &str = "-lpthread -ldl -lm -lrt";
 
 /// Makes the libraries of this machine, a microcontroller's, or old Linux machines'.
 pub(crate) fn run(dirs: &Dirs, args: &[String]) -> Outcome {
-    let mut check = false;
+    let (mut check, mut glibc) = (false, false);
     let mut names = Vec::new();
     for word in args {
         match word.as_str() {
             "--check" => check = true,
+            "--glibc" => glibc = true,
             option if option.starts_with('-') => {
                 return Err(format!(
-                    "`cargo xtask c` does not know `{option}`; it takes names of targets, and `--check`"
+                    "`cargo xtask c` does not know `{option}`; it takes names of targets, `--check` and `--glibc`"
                 ));
             }
             name => names.push(name),
         }
+    }
+    if names.is_empty() && glibc {
+        let known = zig::TARGETS.map(|target| target.name).join(", ");
+        return Err(format!(
+            "`--glibc` needs a target, whose shared library is made for glibc {} and newer: {known}",
+            zig::GLIBC
+        ));
     }
     if names.is_empty() && check {
         return test(dirs);
@@ -61,28 +70,38 @@ pub(crate) fn run(dirs: &Dirs, args: &[String]) -> Outcome {
             node::assemble(dirs, Some(name), &place)?;
             show(&place)?;
         } else {
-            linux(dirs, name, check)?;
+            linux(dirs, name, glibc, check)?;
         }
     }
     Ok(())
 }
 
-/// Makes the library for a machine, links the examples with it and runs them.
+/// Makes the libraries for a machine, links the examples with them and runs these: with the shared one where this
+/// machine is of that kind.
 pub(crate) fn check(dirs: &Dirs, target: Target) -> Outcome {
-    linux(dirs, target.name, true)
+    linux(dirs, target.name, false, true)?;
+    match target.name == std::env::consts::ARCH {
+        true => linux(dirs, target.name, true, true),
+        false => Ok(()),
+    }
 }
 
 /// Makes, and perhaps runs, the library of one of the machines that `cargo xtask dist` knows.
-fn linux(dirs: &Dirs, name: &str, check: bool) -> Outcome {
+fn linux(dirs: &Dirs, name: &str, glibc: bool, check: bool) -> Outcome {
     let targets = zig::targets(&[name]).map_err(|error| {
         format!("{error}; or a microcontroller's target, as thumbv7m-none-eabi")
     })?;
     let zig = Zig::provide(dirs)?;
     for target in targets {
-        let place = cross::assemble(dirs, &zig, target)?;
+        let place = match glibc {
+            true => glibc::assemble(dirs, &zig, target)?,
+            false => cross::assemble(dirs, &zig, target)?,
+        };
         show(&place)?;
-        if check {
-            cross::check(dirs, &zig, target, &place)?;
+        match (check, glibc) {
+            (true, true) => glibc::check(dirs, target, &place)?,
+            (true, false) => cross::check(dirs, &zig, target, &place)?,
+            (false, _) => {}
         }
     }
     Ok(())
@@ -131,7 +150,7 @@ fn shared() -> String {
 fn assemble(archive: &Path, place: &Path) -> Outcome {
     let failed = |error| format!("cannot write {}: {error}", place.display());
     let lib = place.join("lib");
-    fs::create_dir_all(lib.join("pkgconfig")).map_err(failed)?;
+    fs::create_dir_all(&lib).map_err(failed)?;
     // The C++ library goes inside, too: nothing else has to be on the robot.
     let mut archives = vec![archive.to_owned()];
     for (compiler, name) in [
@@ -152,9 +171,16 @@ fn assemble(archive: &Path, place: &Path) -> Outcome {
         .args(SYSTEM)
         .run()?;
     fs::remove_file(&object).map_err(failed)?;
+    name(&lib)
+}
+
+/// Gives the shared library in `lib/` the names by which it is found.
+fn name(lib: &Path) -> Outcome {
+    let failed = |error| format!("cannot write {}: {error}", lib.display());
+    fs::create_dir_all(lib.join("pkgconfig")).map_err(failed)?;
     let link = lib.join("libztl.so");
     let _ = fs::remove_file(&link);
-    symlink(&shared, &link).map_err(failed)?;
+    symlink(shared(), &link).map_err(failed)?;
     fs::write(lib.join("pkgconfig/ztl.pc"), pkg_config()).map_err(failed)
 }
 

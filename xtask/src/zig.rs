@@ -1,5 +1,5 @@
-//! What it takes to build fully static programs for old Linux machines: zig, which brings a C++
-//! compiler, musl and libc++ for every processor, Debian's Rust compiler with the source of `std`,
+//! What it takes to build for old Linux machines, fully static programs and shared libraries: zig, which brings a
+//! C++ compiler, musl, what glibc was in each version, and libc++ for every processor, Debian's Rust compiler with the source of `std`,
 //! and libzmq with CURVE.
 
 use std::env;
@@ -21,6 +21,9 @@ pub(crate) const MUSL: &str = "1.2.5";
 
 /// libzmq aligns its commands to 64 bytes for SSE, but the memory of its queues only with the first.
 const CXX_FLAGS: &str = "-DHAVE_POSIX_MEMALIGN=1 -DZMQ_CACHELINE_SIZE=64";
+
+/// The oldest glibc for which Rust's library is written: <https://doc.rust-lang.org/rustc/platform-support.html>.
+pub(crate) const GLIBC: &str = "2.17";
 
 /// The profile of `Cargo.toml`, and of `libzmq/Cargo.toml`: the two share what both compile.
 pub(crate) const PROFILE: &str = "dist";
@@ -83,6 +86,36 @@ pub(crate) const TARGETS: [Target; 7] = [
     },
 ];
 
+impl Target {
+    /// The same processor, with glibc in place of musl.
+    pub(crate) fn with_glibc(self) -> Self {
+        let triple = match self.name {
+            "x86_64" => "x86_64-unknown-linux-gnu",
+            "i686" => "i686-unknown-linux-gnu",
+            "i586" => "i586-unknown-linux-gnu",
+            "aarch64" => "aarch64-unknown-linux-gnu",
+            "armv7" => "armv7-unknown-linux-gnueabihf",
+            "arm" => "arm-unknown-linux-gnueabihf",
+            _ => "armv5te-unknown-linux-gnueabi",
+        };
+        Self { triple, ..self }
+    }
+
+    fn has_glibc(&self) -> bool {
+        self.triple.contains("-gnu")
+    }
+
+    /// The options of zig's compiler for it.
+    pub(crate) fn zig_options(&self) -> String {
+        if !self.has_glibc() {
+            return format!("-target {}", self.zig);
+        }
+        let (system, processor) = self.zig.split_once(' ').unwrap_or((self.zig, ""));
+        let system = system.replace("musl", "gnu");
+        format!("-target {system}.{GLIBC} {processor}")
+    }
+}
+
 /// The targets that are named, or all.
 pub(crate) fn targets(names: &[&str]) -> Outcome<Vec<Target>> {
     if names.is_empty() {
@@ -119,7 +152,7 @@ impl Flags {
         let mut places = vec![(dirs.root.clone(), "ztl")];
         places.extend(home.map(|home| (home, "cargo")));
         let mut flags = Self {
-            rust: "-C link-self-contained=no -C relocation-model=static".to_owned(),
+            rust: String::new(),
             c: String::new(),
         };
         for (path, name) in places {
@@ -172,9 +205,16 @@ impl Zig {
         let path: OsString = env::join_paths(path)
             .map_err(|error| format!("cannot put zig on the PATH: {error}"))?;
         let Flags { rust, c } = &self.flags;
+        // What is made for glibc becomes a shared library.
+        let (triple, code, pic) = match target.has_glibc() {
+            true => (format!("{}.{GLIBC}", target.triple), "pic", " -fPIC"),
+            false => (target.triple.to_owned(), "static", ""),
+        };
+        let rust = format!("-C link-self-contained=no -C relocation-model={code}{rust}");
+        let c = format!("{pic}{c}");
         Ok(
             Cmd::new("cargo zigbuild --locked -Zbuild-std=std,panic_unwind --target")
-                .arg(target.triple)
+                .arg(triple)
                 .arg("--target-dir")
                 .arg(&self.target_dir)
                 .env("PATH", path)
@@ -182,8 +222,8 @@ impl Zig {
                 // Building `std` is not stable yet; this lets a stable compiler do it.
                 .env("RUSTC_BOOTSTRAP", "1")
                 .env("RUSTFLAGS", rust)
-                .env("CFLAGS", c)
-                // Nothing here is position-independent, and zig would build its libc once more to try it.
+                .env("CFLAGS", &c)
+                // No program here is position-independent, and zig would build its libc once more to try it.
                 .env("SODIUM_DISABLE_PIE", "1")
                 .env("CXXFLAGS", format!("{CXX_FLAGS}{c}")),
         )
@@ -219,5 +259,25 @@ impl Zig {
             .arg(find)
             .stdout()?;
         Ok(Path::new(&path).to_path_buf())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_target_with_glibc_is_the_same_processor() {
+        let armv7 = targets(&["armv7"]).unwrap()[0];
+        let processor = "-mcpu=generic+v7a+vfp3-d32+thumb2-neon";
+        let options = armv7.zig_options();
+        assert_eq!(options, format!("-target arm-linux-musleabihf {processor}"));
+        let options = armv7.with_glibc().zig_options();
+        let glibc = format!("-target arm-linux-gnueabihf.2.17 {processor}");
+        assert_eq!(options, glibc);
+        for target in TARGETS {
+            let triple = target.triple.replace("musl", "gnu");
+            assert_eq!(target.with_glibc().triple, triple);
+        }
     }
 }

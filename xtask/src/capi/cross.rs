@@ -1,4 +1,4 @@
-//! The libraries for old Linux machines: static, of musl, built as `cargo xtask dist` builds `ztl`; and the
+//! The static libraries for old Linux machines, of musl, built as `cargo xtask dist` builds `ztl`; and the
 //! examples linked with them, and run.
 
 use std::fs;
@@ -52,6 +52,16 @@ fn gnu_tools(target: Target) -> (Tools, &'static str) {
 
 /// Makes the static library of a target.
 pub(super) fn assemble(dirs: &Dirs, zig: &Zig, target: Target) -> Outcome<PathBuf> {
+    let place = dirs.target.join("c").join(target.name);
+    let object = joined(zig, target, &place)?;
+    fs::remove_file(&object).map_err(|error| format!("{}: {error}", object.display()))?;
+    places::check(dirs, &place.join("lib/libztl.a"))?;
+    Ok(place)
+}
+
+/// Makes `include/` and `lib/libztl.a` of a target, in which zig's C++ library is not inside; and gives the one object
+/// that is in it.
+pub(super) fn joined(zig: &Zig, target: Target, place: &Path) -> Outcome<PathBuf> {
     let (gnu, package) = gnu_tools(target);
     if !tools::has(&format!("{}ld", gnu.prefix)) {
         tools::install(&[package])?;
@@ -60,13 +70,8 @@ pub(super) fn assemble(dirs: &Dirs, zig: &Zig, target: Target) -> Outcome<PathBu
     zig.build_with(target, &libraries)?
         .args("--package ztl-c")
         .run()?;
-    let place = dirs.target.join("c").join(target.name);
     let archives = [zig.program(target, "libztl_c.a")];
-    let library = place.join("lib/libztl.a");
-    let object = join::join(&gnu, HEADER, &archives, &library)?;
-    fs::remove_file(&object).map_err(|error| format!("{}: {error}", object.display()))?;
-    places::check(dirs, &library)?;
-    Ok(place)
+    join::join(&gnu, HEADER, &archives, &place.join("lib/libztl.a"))
 }
 
 /// Links the examples with it, and runs them on its processor.
@@ -76,8 +81,7 @@ pub(super) fn check(dirs: &Dirs, zig: &Zig, target: Target, place: &Path) -> Out
     fs::create_dir_all(&programs).map_err(|error| format!("{}: {error}", programs.display()))?;
     for (language, name) in PROGRAMS {
         zig.command("-m ziglang c++")
-            .args("-target")
-            .args(target.zig)
+            .args(&target.zig_options())
             .args("-static -Os -s -pedantic -Wall -Wextra -Werror")
             .args(language)
             .arg("-I")

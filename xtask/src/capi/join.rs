@@ -107,12 +107,12 @@ pub(super) fn join(
     Ok(object)
 }
 
-/// Whether an object has these functions, and nothing else that can be seen.
-fn shows_only(path: &Path, symbols: &[&str]) -> Outcome {
+/// Whether an object, or a shared library, has these functions, and nothing else that can be seen.
+pub(super) fn shows_only(path: &Path, symbols: &[&str]) -> Outcome {
     let failed = |error: &dyn Display| format!("{}: {error}", path.display());
     let bytes = fs::read(path).map_err(|error| failed(&error))?;
     let file = object::File::parse(&*bytes).map_err(|error| failed(&error))?;
-    let seen = file.symbols();
+    let seen = file.symbols().chain(file.dynamic_symbols());
     let seen = seen.filter(|symbol| symbol.is_global() && symbol.is_definition());
     let seen: BTreeSet<&str> = seen.filter_map(|symbol| symbol.name().ok()).collect();
     let wanted: BTreeSet<&str> = symbols.iter().copied().collect();
@@ -127,7 +127,7 @@ fn shows_only(path: &Path, symbols: &[&str]) -> Outcome {
 }
 
 /// The names of the functions that a header declares.
-fn functions(header: &str) -> Vec<&str> {
+pub(super) fn functions(header: &str) -> Vec<&str> {
     let is_name = |c: char| c.is_ascii_lowercase() || c == '_';
     // Comments stand in lines that begin with a blank; a declaration's first line does not.
     let lines = header.lines();
