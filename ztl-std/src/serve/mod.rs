@@ -25,6 +25,7 @@ mod desk;
 mod forward;
 mod group;
 mod guard;
+mod ignored;
 mod output;
 mod program;
 mod rule;

@@ -4,12 +4,13 @@ use std::io;
 use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
-use std::sync::Arc;
+use std::sync::{Arc, Once};
 use std::time::Duration;
 
 use rustix::process::Signal;
 use serde::{Deserialize, Serialize};
 
+use super::ignored;
 use super::template::{Call, Template};
 
 /// A program that does a task.
@@ -159,6 +160,8 @@ impl Launch {
     /// # Errors
     /// Why it could not be started, and what is to be done.
     pub(super) fn spawn(&self, heard: bool) -> Result<Child, String> {
+        static SIGNALS: Once = Once::new();
+        SIGNALS.call_once(ignored::keep_to_oneself);
         let Some((program, rest)) = self.arguments.split_first() else {
             return Err("there is no program".to_owned());
         };
