@@ -10,6 +10,7 @@ use std::time::Instant as Clock;
 use ztl_mcu::link::{Busy, GoalShape, Loss, Offer};
 use ztl_mcu::zmtp::{Peer, Server};
 use ztl_mcu::{Component, Identity, Instant, Refused, Report, Run};
+use ztl_tests::lab::shake_hands;
 
 /// Measured this often, all in turn.
 const ROUNDS: usize = 41;
@@ -141,15 +142,12 @@ fn bare_libzmq() -> u16 {
 
 /// A client without libzmq: bytes out, bytes in.
 fn raw(port: u16, zmtp: bool) -> impl FnMut() {
-    let mut stream = TcpStream::connect(("127.0.0.1", port)).expect("a connection");
+    let mut stream = match zmtp {
+        true => shake_hands(port),
+        false => TcpStream::connect(("127.0.0.1", port)).expect("a connection"),
+    };
     stream.set_nodelay(true).expect("an option");
     if zmtp {
-        let mut hello = b"\xFF\0\0\0\0\0\0\0\x01\x7F\x03\0NULL".to_vec();
-        hello.resize(64, 0);
-        hello.extend(b"\x04\x19\x05READY\x0BSocket-Type\0\0\0\x03REQ");
-        stream.write_all(&hello).expect("to write");
-        let mut theirs = [0; 64 + 27];
-        stream.read_exact(&mut theirs).expect("a handshake");
         // The task whose end is asked for.
         stream
             .write_all(&message("/test;1;-1;dGVzdDplY2hvOmhp"))

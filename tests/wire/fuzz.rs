@@ -7,9 +7,8 @@ use std::io::{Read, Write};
 use std::net::TcpStream;
 use std::time::Duration;
 
-use ztl_tests::lab::Server;
+use ztl_tests::lab::{Server, shake_hands};
 
-use crate::stream::shake_hands;
 use crate::{Socket, assert_serves};
 
 /// SplitMix64.

@@ -6,9 +6,8 @@ use std::net::TcpStream;
 use std::time::{Duration, Instant};
 
 use ztl_std::{Access, Limits, TaskServer};
-use ztl_tests::lab::{PATIENCE, Server, until};
+use ztl_tests::lab::{PATIENCE, Server, shake_hands, until};
 
-use crate::stream::shake_hands;
 use crate::{Socket, TIMEOUT, assert_serves};
 
 const ASK: &[u8] = b"\x01\x00\x00\x0c/test;2;99;x";

@@ -14,6 +14,7 @@ mod server;
 #[cfg(unix)]
 mod terminal;
 mod tools;
+mod zmtp;
 
 #[cfg(unix)]
 pub use board::{Board, Pin};
@@ -28,6 +29,7 @@ pub use server::{SCOPE, Server};
 #[cfg(unix)]
 pub use terminal::Terminal;
 pub use tools::{Told, original_client, our_client};
+pub use zmtp::shake_hands;
 
 use std::net::TcpListener;
 use std::path::{Path, PathBuf};
