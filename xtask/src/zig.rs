@@ -19,8 +19,10 @@ const ZIGBUILD: &str = "0.24.0";
 /// The version of musl that this zig has.
 pub(crate) const MUSL: &str = "1.2.5";
 
-/// libzmq aligns its commands to 64 bytes for SSE, but the memory of its queues only with the first.
-const CXX_FLAGS: &str = "-DHAVE_POSIX_MEMALIGN=1 -DZMQ_CACHELINE_SIZE=64";
+/// libzmq aligns its commands to 64 bytes for SSE, but the memory of its queues only with the first. It wakes its
+/// threads by eventfd, which Linux has from 2.6.27 on, only with the last two.
+const CXX_FLAGS: &str = "-DHAVE_POSIX_MEMALIGN=1 -DZMQ_CACHELINE_SIZE=64 \
+    -DZMQ_HAVE_EVENTFD=1 -DZMQ_HAVE_EVENTFD_CLOEXEC=1";
 
 /// The oldest glibc for which Rust's library is written: <https://doc.rust-lang.org/rustc/platform-support.html>.
 pub(crate) const GLIBC: &str = "2.17";
