@@ -4,7 +4,7 @@ use crate::cmd::{Cmd, Outcome};
 use crate::{Dirs, firmware, python};
 
 /// The parts of the comparison of whole servers that can be asked for alone.
-const PARTS: [&str; 6] = ["rates", "cpu", "core", "goal", "end", "idle"];
+const PARTS: [&str; 7] = ["rates", "most", "cpu", "core", "goal", "end", "idle"];
 
 /// The cycles of a microcontroller, alone.
 const FIRMWARE: &str = "firmware";

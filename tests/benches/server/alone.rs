@@ -3,9 +3,10 @@
 use std::process::Command;
 use std::time::Duration;
 
-use crate::load::{connect, measure, rounds};
+use crate::load::{Clients, Libzmq, measure, rounds};
 use crate::numbers::{Interval, verdict};
-use crate::{Lab, find, show};
+use crate::plain::Plain;
+use crate::{INIT, Lab, find, ratio, show};
 
 /// How long an idle server is watched.
 const IDLE: Duration = Duration::from_secs(10);
@@ -29,6 +30,15 @@ fn cores() -> String {
     allowed.expect("its cores").trim().to_owned()
 }
 
+/// Whether server and load can have cores of their own; else says that this part is left out.
+fn has_two_cores(part: &str) -> bool {
+    let enough = std::thread::available_parallelism().is_ok_and(|cores| cores.get() > 1);
+    if !enough {
+        println!("{part}: LEFT OUT, there is one core only");
+    }
+    enough
+}
+
 fn with_pinned(lab: &Lab, servers: &str, load: &str, measure: impl FnOnce(&Lab)) {
     let processes: Vec<u32> = lab.statuses().iter().map(|subject| subject.id).collect();
     let pin_all = |servers: &str, load: &str| {
@@ -45,13 +55,13 @@ fn with_pinned(lab: &Lab, servers: &str, load: &str, measure: impl FnOnce(&Lab))
 
 /// STATUS, 64 clients, server and load on cores of their own.
 pub(crate) fn cpu_per_request(lab: &Lab) {
-    if std::thread::available_parallelism().map_or(1, usize::from) < 2 {
-        return println!("CPU per request: LEFT OUT, there is one core only");
+    if !has_two_cores("CPU per request") {
+        return;
     }
     with_pinned(lab, "1", "0", |lab| {
         println!("CPU time of the server for a STATUS, 64 clients, load on another core:");
         let mut statuses = lab.statuses();
-        rounds(&mut statuses, 64, lab.slice);
+        rounds::<Libzmq>(&mut statuses, 64, lab.slice);
         for subject in &statuses {
             let cpu = Interval::of(subject.seen.iter().map(|seen| seen.cpu));
             println!("  {:<14}{cpu} µs", subject.name);
@@ -64,16 +74,51 @@ pub(crate) fn cpu_per_request(lab: &Lab) {
     });
 }
 
+/// 64 clients that cost less than the server, which has a core of its own: what it can do at most.
+pub(crate) fn most(lab: &Lab) {
+    if !has_two_cores("The most that a server answers") {
+        return;
+    }
+    with_pinned(lab, "1", "0", |lab| {
+        println!(
+            "The most that a server answers on a core of its own, 64 clients without libzmq on another:"
+        );
+        println!("STATUS:");
+        let mut statuses = lab.statuses();
+        rounds::<Plain>(&mut statuses, 64, lab.slice);
+        show(&statuses, "bare ROUTER");
+        let level = ratio(&statuses, "ours", "bare ROUTER");
+        let reached = verdict(level.reaches(0.97));
+        println!("  ours of bare ROUTER: {level}; wanted 0.97: {reached}");
+        println!("INIT of a trivial task:");
+        let [original, ours] = lab.inits();
+        let bare = [
+            lab.rep.subject("bare REP", INIT),
+            lab.router.subject("bare ROUTER", INIT),
+        ];
+        let mut inits: Vec<_> = bare.into_iter().chain([original, ours]).collect();
+        rounds::<Plain>(&mut inits, 64, lab.slice);
+        show(&inits, "the original");
+        let times = ratio(&inits, "ours", "the original");
+        let reached = verdict(times.reaches(8.0));
+        println!("  ours of the original: {times}; wanted 8: {reached}");
+        let all = statuses.iter().chain(&inits);
+        let load = all.flat_map(|subject| &subject.seen).map(|seen| seen.load);
+        let load = load.fold(0.0, f64::max) * 100.0;
+        println!("The clients never took more than {load:.0} % of their core.");
+    });
+}
+
 /// One client, and all of it on one core, so that no core has to be woken up.
 pub(crate) fn on_one_core(lab: &Lab) {
     with_pinned(lab, "0", "0", |lab| {
         println!("STATUS, 1 client, on one core:");
         let mut statuses = lab.statuses();
-        rounds(&mut statuses, 1, lab.slice);
+        rounds::<Libzmq>(&mut statuses, 1, lab.slice);
         show(&statuses, "bare ROUTER");
         println!("INIT of a trivial task, 1 client, on one core:");
         let mut inits = lab.inits();
-        rounds(&mut inits, 1, lab.slice);
+        rounds::<Libzmq>(&mut inits, 1, lab.slice);
         show(&inits, "the original");
     });
 }
@@ -93,7 +138,8 @@ fn turns(process: u32) -> (u64, u64) {
 pub(crate) fn idle(lab: &Lab) {
     println!("Idle for {IDLE:?}, 64 clients connected:");
     for subject in lab.inits() {
-        let (_, sockets) = measure(&subject, connect(&subject, 64), lab.slice);
+        let mut clients = Libzmq::connect(&subject, 64);
+        measure(&subject, &mut clients, lab.slice);
         // Until threads that wait for more tasks have given up.
         std::thread::sleep(Duration::from_secs(12));
         let before = turns(subject.id);
@@ -104,6 +150,6 @@ pub(crate) fn idle(lab: &Lab) {
             "  {:<14}{wakes} wake-ups, {time} µs of CPU time",
             subject.name
         );
-        drop(sockets);
+        drop(clients);
     }
 }

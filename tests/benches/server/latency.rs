@@ -11,7 +11,7 @@ use ztl_std::{
 };
 use ztl_tests::lab::{PATIENCE, Process, SCOPE, python};
 
-use crate::load::{connect, measure};
+use crate::load::{Clients, Libzmq, measure};
 use crate::numbers::{Interval, percentile, verdict};
 use crate::{INIT, Lab, ROUNDS};
 
@@ -120,7 +120,7 @@ fn hand_over(slice: Duration) -> f64 {
 pub(crate) fn goal_to_result(lab: &Lab) {
     let mut remote = RemoteTask::connect(&lab.ours.endpoint(), SCOPE).expect("an address");
     let bare = lab.rep.subject("bare REP", INIT);
-    let mut sockets = connect(&bare, 1);
+    let mut client = Libzmq::connect(&bare, 1);
     let mut original = Original::start(lab);
     original.measure("goal", 50);
     let mut seen: Vec<[f64; 4]> = Vec::new();
@@ -134,8 +134,7 @@ pub(crate) fn goal_to_result(lab: &Lab) {
             assert_eq!(end.state, State::Completed);
         }
         times.sort_by(f64::total_cmp);
-        let (trip, back) = measure(&bare, sockets, lab.slice);
-        sockets = back;
+        let trip = measure(&bare, &mut client, lab.slice);
         let [theirs, _] = original.measure("goal", 100);
         seen.push([
             percentile(&times, 50),

@@ -1,5 +1,4 @@
-//! Clients that ask as fast as they are answered: libzmq REQ sockets, each on a thread of its own; and
-//! the bare servers.
+//! Clients that ask as fast as they are answered, and what is seen of it; and the bare servers.
 
 use std::process::Command;
 use std::sync::Barrier;
@@ -20,6 +19,8 @@ pub(crate) struct Seen {
     pub(crate) p99: f64,
     /// Microseconds of the server's CPU time for an answer.
     pub(crate) cpu: f64,
+    /// How much of a core the clients took, those of them whose threads go on.
+    pub(crate) load: f64,
 }
 
 /// Something to be measured.
@@ -49,6 +50,23 @@ impl Subject {
             answer,
             seen: Vec::new(),
         }
+    }
+
+    /// The TCP port where it listens.
+    pub(crate) fn port(&self) -> u16 {
+        let port = self.endpoint.rsplit(':').next();
+        port.and_then(|port| port.parse().ok()).expect("a port")
+    }
+
+    /// What is asked, again and again.
+    pub(crate) fn request(&self) -> &str {
+        &self.request
+    }
+
+    /// Whether it is the right answer.
+    #[track_caller]
+    pub(crate) fn check(&self, answer: &[u8]) {
+        assert!(answer.starts_with(self.answer.as_bytes()), "{answer:?}");
     }
 }
 
@@ -99,17 +117,60 @@ pub(crate) fn echo(kind: &str) {
     }
 }
 
-/// Sockets that connect.
-pub(crate) fn connect(subject: &Subject, clients: usize) -> Vec<zmq::Socket> {
-    let context = zmq::Context::new();
-    let open = |_| {
-        let socket = context.socket(zmq::REQ).expect("a socket");
-        socket.set_linger(0).expect("an option");
-        socket.set_rcvtimeo(10_000).expect("an option");
-        socket.connect(&subject.endpoint).expect("an address");
-        socket
-    };
-    (0..clients).map(open).collect()
+/// Clients that ask as fast as they are answered.
+pub(crate) trait Clients {
+    /// So many, connected.
+    fn connect(subject: &Subject, count: usize) -> Self;
+
+    /// Lets all of them ask for so long; microseconds until each answer.
+    fn ask(&mut self, subject: &Subject, slice: Duration) -> Vec<f64>;
+}
+
+/// As people have them: libzmq's REQ sockets, each on a thread of its own.
+pub(crate) struct Libzmq(Vec<zmq::Socket>);
+
+impl Clients for Libzmq {
+    fn connect(subject: &Subject, count: usize) -> Self {
+        let context = zmq::Context::new();
+        let open = |_| {
+            let socket = context.socket(zmq::REQ).expect("a socket");
+            socket.set_linger(0).expect("an option");
+            socket.set_rcvtimeo(10_000).expect("an option");
+            socket.connect(&subject.endpoint).expect("an address");
+            socket
+        };
+        Self((0..count).map(open).collect())
+    }
+
+    fn ask(&mut self, subject: &Subject, slice: Duration) -> Vec<f64> {
+        let ready = Barrier::new(self.0.len());
+        std::thread::scope(|scope| {
+            let begin = |socket| {
+                let ready = &ready;
+                scope.spawn(move || {
+                    ready.wait();
+                    ask_again_and_again(subject, socket, slice)
+                })
+            };
+            let threads: Vec<_> = self.0.iter_mut().map(begin).collect();
+            let times = threads
+                .into_iter()
+                .map(|thread| thread.join().expect("no panic"));
+            times.flatten().collect()
+        })
+    }
+}
+
+fn ask_again_and_again(subject: &Subject, socket: &mut zmq::Socket, slice: Duration) -> Vec<f64> {
+    let (start, mut times) = (Instant::now(), Vec::new());
+    while start.elapsed() < slice {
+        let asked = Instant::now();
+        socket.send(&subject.request, 0).expect("to send");
+        let answer = socket.recv_bytes(0).expect("an answer");
+        times.push(asked.elapsed().as_secs_f64() * 1e6);
+        subject.check(&answer);
+    }
+    times
 }
 
 /// CPU time that a process has taken, in microseconds.
@@ -123,66 +184,37 @@ fn cpu(process: u32) -> f64 {
     spent.sum::<f64>() / 1000.0
 }
 
-/// Lets the sockets ask for so long, and gives them back.
-pub(crate) fn measure(
-    subject: &Subject,
-    sockets: Vec<zmq::Socket>,
-    slice: Duration,
-) -> (Seen, Vec<zmq::Socket>) {
-    let ready = Barrier::new(sockets.len());
-    let mut times = Vec::new();
-    let mut back = Vec::new();
-    let (start, before) = (Instant::now(), cpu(subject.id));
-    std::thread::scope(|scope| {
-        let threads: Vec<_> = sockets
-            .into_iter()
-            .map(|socket| {
-                let ready = &ready;
-                scope.spawn(move || {
-                    ready.wait();
-                    let (start, mut times) = (Instant::now(), Vec::new());
-                    while start.elapsed() < slice {
-                        let asked = Instant::now();
-                        socket.send(&subject.request, 0).expect("to send");
-                        let answer = socket.recv_bytes(0).expect("an answer");
-                        times.push(asked.elapsed().as_secs_f64() * 1e6);
-                        assert!(answer.starts_with(subject.answer.as_bytes()));
-                    }
-                    (times, socket)
-                })
-            })
-            .collect();
-        for thread in threads {
-            let (mut part, socket) = thread.join().expect("no panic");
-            times.append(&mut part);
-            back.push(socket);
-        }
-    });
-    let (took, spent) = (start.elapsed().as_secs_f64(), cpu(subject.id) - before);
+/// Lets the clients ask for so long.
+pub(crate) fn measure(subject: &Subject, clients: &mut impl Clients, slice: Duration) -> Seen {
+    let own = std::process::id();
+    let (start, before) = (Instant::now(), [cpu(subject.id), cpu(own)]);
+    let mut times = clients.ask(subject, slice);
+    let took = start.elapsed().as_secs_f64();
+    let [spent, load] = [cpu(subject.id) - before[0], cpu(own) - before[1]];
     times.sort_by(f64::total_cmp);
-    let seen = Seen {
+    Seen {
         rate: times.len() as f64 / took,
         p50: percentile(&times, 50),
         p99: percentile(&times, 99),
         cpu: spent / times.len() as f64,
-    };
-    (seen, back)
+        load: load / 1e6 / took,
+    }
 }
 
 /// Measures all of them in turn, again and again.
-pub(crate) fn rounds(subjects: &mut [Subject], clients: usize, slice: Duration) {
-    let mut sockets: Vec<_> = subjects
+pub(crate) fn rounds<C: Clients>(subjects: &mut [Subject], clients: usize, slice: Duration) {
+    let mut all: Vec<C> = subjects
         .iter()
-        .map(|subject| measure(subject, connect(subject, clients), slice).1)
+        .map(|subject| C::connect(subject, clients))
         .collect();
-    for subject in subjects.iter_mut() {
+    for (subject, clients) in subjects.iter_mut().zip(&mut all) {
+        measure(subject, clients, slice);
         subject.seen.clear();
     }
     for _ in 0..ROUNDS {
-        for (subject, sockets) in subjects.iter_mut().zip(&mut sockets) {
-            let (seen, back) = measure(subject, std::mem::take(sockets), slice);
+        for (subject, clients) in subjects.iter_mut().zip(&mut all) {
+            let seen = measure(subject, clients, slice);
             subject.seen.push(seen);
-            *sockets = back;
         }
     }
 }
