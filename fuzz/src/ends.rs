@@ -18,10 +18,10 @@
 
 use core::time::Duration;
 use std::cell::Cell;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use ztl_core::link::{ADDR_ONLY_NODE, Body, Busy, GoalShape, Hello, Loss, Offer};
-use ztl_core::link::{Frame, NO_SESSION, encode, next_seq, session_key, session_number};
+use ztl_core::link::{Decoder, Frame, NO_SESSION, encode, next_seq, session_key, session_number};
 use ztl_core::{Instant, State, TaskId};
 use ztl_mcu::{Component, Identity, Node, Refused, Report, Run};
 
@@ -156,40 +156,73 @@ fn framed(session: u32, seq: u8, body: &[u8]) -> Vec<u8> {
     bytes
 }
 
+/// The numbers of all `Hello`s that came over a line: the session that runs has one of them.
+#[derive(Default)]
+struct Hellos {
+    decoder: Decoder<1024>,
+    numbers: BTreeSet<u32>,
+}
+
+impl Hellos {
+    fn on_bytes(&mut self, bytes: &[u8]) {
+        for &byte in bytes {
+            if self.decoder.push(byte) == Ok(true)
+                && let Ok((_, frame)) = self.decoder.frame(&[NO_SESSION])
+                && let Body::Hello(hello) = frame.body
+            {
+                self.numbers.insert(hello.session);
+            }
+        }
+    }
+
+    /// From now on [`number`] gives others.
+    fn leave_out(&self) {
+        let heard = |upper: &u32| self.numbers.iter().any(|number| number >> 16 == *upper);
+        let upper = (1..u32::from(u16::MAX)).find(|upper| !heard(upper));
+        let first = upper.expect("an input has fewer") << 16;
+        NUMBER.set(EXAMPLE ^ first);
+    }
+}
+
 /// Whatever bytes a node is given, it then serves a gateway.
 pub fn node(input: &[u8]) {
     let mut node = new_node(BOOT);
     let mut now = Instant::ZERO;
     let (mut hello, mut seq) = (EXAMPLE, 0);
+    let mut hellos = Hellos::default();
     let mut steps = Steps {
         rest: input,
         left: MOST_STEPS,
     };
     while let Some(step) = steps.next() {
-        match step {
-            b'b' => node.handle_bytes(now, steps.bytes()),
+        let bytes = match step {
+            b'b' => steps.bytes().to_vec(),
             b'f' => {
                 let wanted = steps.byte().unwrap_or(0);
                 seq = if wanted == 0 { next_seq(seq) } else { wanted };
-                let bytes = framed(session_key(hello, BOOT), seq, steps.bytes());
-                node.handle_bytes(now, &bytes);
+                framed(session_key(hello, BOOT), seq, steps.bytes())
             }
             b'h' => {
                 let body = steps.bytes();
                 if let Ok(Body::Hello(Hello { session, .. })) = Body::parse(body) {
                     (hello, seq) = (session, 0);
                 }
-                node.handle_bytes(now, &framed(NO_SESSION, 0, body));
+                framed(NO_SESSION, 0, body)
             }
-            b't' => now = now + Duration::from_millis(16) * u32::from(steps.byte().unwrap_or(0)),
-            _ => {}
-        }
+            b't' => {
+                now = now + Duration::from_millis(16) * u32::from(steps.byte().unwrap_or(0));
+                Vec::new()
+            }
+            _ => Vec::new(),
+        };
+        hellos.on_bytes(&bytes);
+        node.handle_bytes(now, &bytes);
         node.handle_timeout(now);
         let _ = said(&mut node, now);
     }
     // Another gateway gets in when the one before has been silent for long enough. Its session's
-    // number is another one.
-    NUMBER.set(!(hello ^ EXAMPLE));
+    // number is another one, whichever of those that were heard the node has taken.
+    hellos.leave_out();
     let mut session = Session::new(7, None, number);
     session.handle_connected(now);
     let mut lab = Lab { now, session, node };

@@ -159,11 +159,14 @@ impl Model {
         let task = &self.tasks[place];
         let (state, id, text) = told;
         assert_eq!(id, task.id.to_string());
-        if task.state.is_final() && (state, text) == ("2", &format!("Invalid ID '{id}'")) {
+        let unknown = (state, text) == ("2", &format!("Invalid ID '{id}'"));
+        // A handler may have refused the task in these very words: until its time has passed, they say nothing.
+        let ambiguous = task.state == State::Rejected && task.text == text;
+        let over = self.is_over(now, place);
+        if task.state.is_final() && unknown && (over || !ambiguous) {
             return self.on_forgotten(now, place);
         }
-        assert!(!self.is_over(now, place), "remembered for too long");
-        let task = &self.tasks[place];
+        assert!(!over, "remembered for too long");
         assert_eq!(state, task.state.code().to_string());
         assert_eq!(text, task.text);
         if early && !task.state.is_final() {
