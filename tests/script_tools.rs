@@ -235,6 +235,31 @@ s:
 }
 
 #[test]
+fn a_goal_that_is_too_long_for_its_server_is_told_before_the_show_and_in_it() {
+    let gateway = Server::gateway_with(&["gripper=sim:gripper"], &["--limit", "message=2 KiB"]);
+    gateway.wait_ready("gripper");
+    let script = format!(
+        "s: {{a: {{gripper: {{finger: '{}'}}}}}}\n",
+        "5".repeat(2000)
+    );
+    let desk = Desk::with(&script, &[("gripper", gateway.port, SCOPE)]);
+    let reason = "takes at most 2048, of which a goal can be somewhat less than 1536, since it goes as base64";
+    let ended = desk.run("check show.yaml -c remotes.yaml --live");
+    assert_eq!(ended.code, Some(1));
+    for words in [
+        "mistake: show.yaml:1:19: server 'gripper': the message has ",
+        reason,
+    ] {
+        assert!(ended.stdout.contains(words), "{words}: {}", ended.stdout);
+    }
+    let ended = desk.run("run-script --yes -s show.yaml -c remotes.yaml");
+    assert_eq!(ended.code, Some(1), "{ended:?}");
+    for words in ["COULD NOT BE TRIGGERED. REPLY: 'the message has ", reason] {
+        assert!(ended.stderr.contains(words), "{words}: {ended:?}");
+    }
+}
+
+#[test]
 fn a_dry_run_tells_when_and_sends_nothing() {
     let desk = Desk::with(
         "s(delay=2): {a(delay=1): {robot: {x(delay=0.5): 1, y(wait=no; delay=1): [2]}, gone: {z: 3}}, b(parallel): {robot: {x(timeout=3): 4, y(delay=2): 5}}}\n",
