@@ -99,7 +99,7 @@ fn linux(dirs: &Dirs, name: &str, glibc: bool, check: bool) -> Outcome {
         };
         show(&place)?;
         match (check, glibc) {
-            (true, true) => glibc::check(dirs, target, &place)?,
+            (true, true) => glibc::check(dirs, &zig, target, &place)?,
             (true, false) => cross::check(dirs, &zig, target, &place)?,
             (false, _) => {}
         }

@@ -76,29 +76,50 @@ pub(super) fn joined(zig: &Zig, target: Target, place: &Path) -> Outcome<PathBuf
 
 /// Links the examples with it, and runs them on its processor.
 pub(super) fn check(dirs: &Dirs, zig: &Zig, target: Target, place: &Path) -> Outcome {
-    tools::provide_emulators()?;
-    let programs = dirs.absolute("c").join(target.name).join("examples");
+    let library = place.join("lib/libztl.a").display().to_string();
+    let programs = link(dirs, zig, target, place, &["-static", &library, "-lunwind"])?;
+    run_programs(dirs, target.emulator, &programs)
+}
+
+/// Compiles the examples with the headers of a place, links them by these options, and says where they are.
+pub(super) fn link(
+    dirs: &Dirs,
+    zig: &Zig,
+    target: Target,
+    place: &Path,
+    options: &[&str],
+) -> Outcome<PathBuf> {
+    let programs = dirs.root.join(place).join("examples");
     fs::create_dir_all(&programs).map_err(|error| format!("{}: {error}", programs.display()))?;
     for (language, name) in PROGRAMS {
-        zig.command("-m ziglang c++")
+        let mut compile = zig
+            .command("-m ziglang c++")
             .args(&target.zig_options())
-            .args("-static -Os -s -pedantic -Wall -Wextra -Werror")
+            .args("-Os -s -pedantic -Wall -Wextra -Werror")
             .args(language)
             .arg("-I")
             .arg(place.join("include"))
             .arg(format!("examples/c/{name}.c"))
-            .args("-x none")
-            .arg(place.join("lib/libztl.a"))
-            .args("-lunwind")
+            .args("-x none");
+        for option in options {
+            compile = compile.arg(option);
+        }
+        compile
             .args(SYSTEM)
             .arg("-o")
             .arg(programs.join(name))
             .run()?;
     }
+    Ok(programs)
+}
+
+/// Runs examples that were linked for another processor.
+pub(super) fn run_programs(dirs: &Dirs, emulator: &str, programs: &Path) -> Outcome {
+    tools::provide_emulators()?;
     let python = python::ensure(dirs)?;
     Cmd::new("cargo test --quiet --locked --package ztl-c --test programs -- --ignored")
-        .env("ZTL_C_PROGRAMS", &programs)
-        .env("ZTL_C_EMULATOR", target.emulator)
+        .env("ZTL_C_PROGRAMS", programs)
+        .env("ZTL_C_EMULATOR", emulator)
         .env("ZTL_PYTHON", python)
         .run()
 }

@@ -11,7 +11,7 @@ use object::read::elf::{ElfFile, FileHeader};
 use super::{HEADER, SYSTEM, cross, join};
 use crate::cmd::Outcome;
 use crate::zig::{GLIBC, Target, Zig};
-use crate::{Dirs, curve, places, python};
+use crate::{Dirs, curve, places, python, tools};
 
 /// Makes the shared library of a target.
 pub(super) fn assemble(dirs: &Dirs, zig: &Zig, target: Target) -> Outcome<PathBuf> {
@@ -47,14 +47,30 @@ pub(super) fn assemble(dirs: &Dirs, zig: &Zig, target: Target) -> Outcome<PathBu
     Ok(place)
 }
 
-/// Runs the examples and the tests in C with it, where this machine can.
-pub(super) fn check(dirs: &Dirs, target: Target, place: &Path) -> Outcome {
-    if target.name != std::env::consts::ARCH {
+/// Runs programs in C with it: all tests on this machine's processor, else the examples by an emulator, with Debian's
+/// glibc for that processor.
+pub(super) fn check(dirs: &Dirs, zig: &Zig, target: Target, place: &Path) -> Outcome {
+    if target.name == std::env::consts::ARCH {
+        return check_here(dirs, place);
+    }
+    let Some((package, root, loader)) = debians(target) else {
         return Err(format!(
-            "only a machine of that kind can run the shared library for {}; it is made",
+            "the shared library for {} is made, and cannot be run: Debian's glibc is for newer processors",
             target.name
         ));
+    };
+    if !Path::new(root).join(loader).exists() {
+        tools::install(&[package])?;
     }
+    let lib = dirs.root.join(place).join("lib");
+    let library = lib.join("libztl.so").display().to_string();
+    let found = format!("-Wl,-rpath,{}", lib.display());
+    let programs = cross::link(dirs, zig, target.with_glibc(), place, &[&library, &found])?;
+    cross::run_programs(dirs, &format!("{} -L {root}", target.emulator), &programs)
+}
+
+/// The examples and the tests in C, compiled by this machine's compiler.
+fn check_here(dirs: &Dirs, place: &Path) -> Outcome {
     curve::cargo(dirs, "build")?
         .args("--locked --package ztl-std --bin ztl")
         .run()?;
@@ -64,6 +80,29 @@ pub(super) fn check(dirs: &Dirs, target: Target, place: &Path) -> Outcome {
         .env("ZTL_CURVE", "1")
         .env("ZTL_C", dirs.root.join(place))
         .run()
+}
+
+/// The Debian package with glibc for a processor, the root below which it is, and its loader there.
+fn debians(target: Target) -> Option<(&'static str, &'static str, &'static str)> {
+    match target.name {
+        "i686" => Some(("libc6-i386", "/", "lib/ld-linux.so.2")),
+        "aarch64" => Some((
+            "libc6-arm64-cross",
+            "/usr/aarch64-linux-gnu",
+            "lib/ld-linux-aarch64.so.1",
+        )),
+        "armv7" => Some((
+            "libc6-armhf-cross",
+            "/usr/arm-linux-gnueabihf",
+            "lib/ld-linux-armhf.so.3",
+        )),
+        "armv5te" => Some((
+            "libc6-armel-cross",
+            "/usr/arm-linux-gnueabi",
+            "lib/ld-linux.so.3",
+        )),
+        _ => None,
+    }
 }
 
 /// The newest version of glibc whose names a library asks for, which may be this one.
