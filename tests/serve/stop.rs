@@ -1,10 +1,11 @@
 //! The server is asked to stop.
 
 use std::os::unix::net::SocketAddr;
+use std::process::Command;
 use std::time::{Duration, Instant};
 
-use ztl_std::State::Aborted;
-use ztl_tests::lab::{Manager, PATIENCE, Scratch, until, ztl};
+use ztl_std::State::{Aborted, Completed};
+use ztl_tests::lab::{Manager, PATIENCE, Scratch, built, until, ztl};
 
 use crate::rig::{Lab, dies, end, lives, trigger};
 
@@ -14,6 +15,20 @@ const CAREFUL: &str = r#"
     waits: {run: [sleep, '60'], busy: queue 1}
     sleep: sleep
     "#;
+
+#[test]
+fn under_nohup_it_outlives_the_one_who_started_it() {
+    let mut nohup = Command::new("sh");
+    nohup
+        .args(["-c", r#"trap '' HUP; exec "$@""#, "sh"])
+        .arg(built("ztl"));
+    let lab = Lab::of_command(nohup, CAREFUL);
+    lab.server.process.signal("HUP");
+    // Long enough for it to have heard.
+    assert_eq!(lab.run("sleep", "0.3").0, Completed);
+    lab.server.process.signal("TERM");
+    assert_eq!(lab.server.process.end(PATIENCE).code, Some(0));
+}
 
 #[test]
 fn asked_to_stop_it_stops_every_task_within_its_grace_and_says_so() {

@@ -12,11 +12,20 @@ use signal_hook::flag;
 ///
 /// Without `/proc`, it is not known which they are, and nothing is done.
 pub(super) fn keep_to_oneself() {
-    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
-    for signal in ignored(&status).filter(|signal| !FORBIDDEN.contains(signal)) {
-        // The C library refuses those that it uses itself.
-        let _ = flag::register(signal, Arc::new(AtomicBool::new(false)));
+    for signal in ignored_signals() {
+        if !FORBIDDEN.contains(&signal) {
+            // The C library refuses those that it uses itself.
+            let _ = flag::register(signal, Arc::new(AtomicBool::new(false)));
+        }
     }
+}
+
+/// The numbers of the signals that this process ignores; as soon as it has begun, of those that whoever started
+/// it had it ignore (and of SIGPIPE, by Rust). Without `/proc` none is known.
+#[must_use]
+pub fn ignored_signals() -> Vec<i32> {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    ignored(&status).collect()
 }
 
 /// The numbers in the mask that a process's status tells, of which bit 0 is signal 1.

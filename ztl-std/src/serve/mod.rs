@@ -48,6 +48,7 @@ use desk::Busy;
 use forward::Forward;
 pub use group::Groups;
 pub use guard::guard;
+pub use ignored::ignored_signals;
 use program::Program;
 use rule::{Rule, shown};
 use supervisor::{Link, Message, Supervisor};

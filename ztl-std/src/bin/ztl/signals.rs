@@ -41,34 +41,55 @@ fn flag() -> MutexGuard<'static, Flag> {
     FLAG.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// From now on Ctrl-C and SIGTERM only raise the flag. To be called before anything is started or
-/// said, so that none of them is missed.
+/// From now on Ctrl-C, SIGTERM and a hang-up only raise the flag. To be called before anything is started or
+/// said, so that none of them is missed. Under `nohup`, a hang-up goes on to be nothing.
+#[cfg(unix)]
+pub(crate) fn catch() -> std::io::Result<()> {
+    use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
+
+    let mut caught = vec![SIGINT, SIGTERM, SIGHUP];
+    if ztl_std::serve::ignored_signals().contains(&SIGHUP) {
+        caught.retain(|signal| *signal != SIGHUP);
+    }
+    let mut signals = signal_hook::iterator::Signals::new(caught)?;
+    std::thread::Builder::new()
+        .name("ztl-signals".to_owned())
+        .spawn(move || signals.forever().for_each(|_| on_signal()))?;
+    Ok(())
+}
+
+/// From now on Ctrl-C only raises the flag. To be called before anything is started or said, so that none is
+/// missed.
+#[cfg(not(unix))]
 pub(crate) fn catch() -> Result<(), ctrlc::Error> {
-    ctrlc::set_handler(|| {
-        let mut flag = flag();
-        let now = Instant::now();
-        if flag.raised.is_some() && flag.impatient {
-            if flag.is_doubled(now) {
-                return;
-            }
-            if let Some(last) = &flag.last {
-                last();
-            }
-            // As a shell reports it.
-            std::process::exit(130);
-        }
-        if flag.is_repeated(now) {
+    ctrlc::set_handler(on_signal)
+}
+
+/// Somebody wants this process to end.
+fn on_signal() {
+    let mut flag = flag();
+    let now = Instant::now();
+    if flag.raised.is_some() && flag.impatient {
+        if flag.is_doubled(now) {
             return;
         }
-        if flag.raised.is_some() {
-            flag.leave_soon();
+        if let Some(last) = &flag.last {
+            last();
         }
-        flag.raised.get_or_insert(now);
-        if let Some(then) = &flag.then {
-            then();
-        }
-        CHANGED.notify_all();
-    })
+        // As a shell reports it.
+        std::process::exit(130);
+    }
+    if flag.is_repeated(now) {
+        return;
+    }
+    if flag.raised.is_some() {
+        flag.leave_soon();
+    }
+    flag.raised.get_or_insert(now);
+    if let Some(then) = &flag.then {
+        then();
+    }
+    CHANGED.notify_all();
 }
 
 impl Flag {
