@@ -9,6 +9,9 @@
 //! Every server is asked by the same clients in the same part. Most parts have libzmq's REQ sockets, as people
 //! have them. 64 of those on a core of their own keep it busy before a server's core is, so the rate is theirs;
 //! what a server can do at most is measured with clients that speak ZMTP themselves and take half a core (`most`).
+//!
+//! The machine should be quiet: what else it does slows the quick more than the slow, and so INITs of the original,
+//! at a tenth of the others' rate, hardly at all.
 
 mod alone;
 mod latency;
