@@ -11,12 +11,7 @@ use crate::component::Report;
 ///
 /// It takes what [`ztl_core::goal`] takes for a float in decimal digits without `_`.
 pub fn parse(text: &str, decimals: u8) -> Option<i32> {
-    parse_bytes(text.as_bytes(), decimals)
-}
-
-/// The same of bytes.
-pub(super) fn parse_bytes(text: &[u8], decimals: u8) -> Option<i32> {
-    let (negative, mut rest) = sign(text.trim_ascii());
+    let (negative, mut rest) = sign(text.as_bytes().trim_ascii());
     let octal = rest.first() == Some(&b'0');
     let mut value = 0;
     let (mut count, kept) = digits(&mut rest, &mut value);
@@ -61,12 +56,21 @@ pub(super) fn parse_bytes(text: &[u8], decimals: u8) -> Option<i32> {
     Some(if negative { -value } else { value })
 }
 
+/// Reads a whole number, also as Python writes it where it counts in floats: `200.0`. `None` when it is none, or too
+/// great; so is 010, which is 8 for YAML, and 10 for a person.
+pub(super) fn parse_whole(text: &[u8]) -> Option<u32> {
+    let (mut rest, mut value) = (text, 0);
+    let (count, kept) = digits(&mut rest, &mut value);
+    let octal = text.first() == Some(&b'0') && count > 1;
+    let whole = matches!(rest, [] | [b'.', b'0']);
+    (count > 0 && count == kept && !octal && whole).then_some(value)
+}
+
 /// From here on another digit might not fit.
 const LONG: u32 = u32::MAX / 10;
 
 /// Reads digits behind those that `value` has, as far as they fit: how many there are, and how many of them it has
 /// now. The others are below what is asked for, or the number is too great.
-#[cfg_attr(target_os = "none", inline(never))]
 fn digits(rest: &mut &[u8], value: &mut u32) -> (i32, i32) {
     let (mut count, mut kept) = (0, 0);
     while let [digit @ b'0'..=b'9', behind @ ..] = *rest {

@@ -120,7 +120,6 @@ impl<P: OutputPin> DigitalOutput<P> {
         self.on
     }
 
-    #[cfg_attr(target_os = "none", inline(never))]
     fn set(&mut self, on: bool) {
         self.on = on;
         self.until = None;
@@ -165,9 +164,9 @@ impl<P: OutputPin> Component for DigitalOutput<P> {
         Err(Refused)
     }
 
-    fn start(&mut self, now: Instant, goal: &str, why: &mut Report<'_>) -> Result<(), Refused> {
-        self.check(goal, why)?;
-        let goal = parse(goal).unwrap_or(Goal::Off);
+    fn start(&mut self, now: Instant, goal: &str, _why: &mut Report<'_>) -> Result<(), Refused> {
+        // It was checked.
+        let goal = parse(goal).ok_or(Refused)?;
         self.aborted = false;
         self.set(!matches!(goal, Goal::Off));
         if let Goal::Pulse { ms } = goal {
@@ -251,7 +250,7 @@ fn parse(goal: &str) -> Option<Goal> {
         };
         break;
     }
-    let ms = number::parse_bytes(goal, 0)? as u32;
+    let ms = number::parse_whole(goal)?;
     (1..=LONGEST_MS).contains(&ms).then_some(Goal::Pulse { ms })
 }
 

@@ -42,11 +42,15 @@ impl OutputPin for Pin<'_> {
     }
 }
 
+/// As a node does it.
 fn start(lamp: &mut DigitalOutput<Pin<'_>>, ms: u64, goal: &str) -> Result<(), String> {
     let mut text = heapless::String::<48>::new();
     let now = Instant::from_millis(ms);
-    let start = lamp.start(now, goal, &mut Report::new(&mut text));
-    start.map_err(|Refused| text.as_str().into())
+    let mut checked = lamp.check(goal, &mut Report::new(&mut text));
+    if checked.is_ok() {
+        checked = lamp.start(now, goal, &mut Report::new(&mut text));
+    }
+    checked.map_err(|Refused| text.as_str().into())
 }
 
 fn poll(lamp: &mut DigitalOutput<Pin<'_>>, ms: u64) -> (Run, String) {
@@ -96,7 +100,7 @@ fn a_pulse_is_as_long_as_asked_for_and_tells_what_is_left() {
         "200",
         "{pulse: 200}",
         "{'pulse': 200}",
-        "{'pulse': 2e2}",
+        "{'pulse': 200.0}",
     ] {
         start(&mut lamp, 1000, goal).unwrap();
         assert!(high.get());
@@ -207,6 +211,11 @@ fn any_other_goal_is_refused_with_what_would_be_right() {
         "pulse200",
         "pulse 0",
         "pulse x",
+        "pulse 010",
+        "pulse 0.5",
+        "pulse 1.",
+        "pulse 2e2",
+        "pulse 99999999999",
         "{pulse: x}",
         "{pulse:200}",
         "{'pulse: 200}",
