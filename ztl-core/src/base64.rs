@@ -55,6 +55,7 @@ impl core::error::Error for DecodeError {}
 ///
 /// # Errors
 /// As [`DecodeError`] says.
+#[cfg_attr(target_os = "none", inline(never))]
 pub fn decode<'b>(text: &[u8], buffer: &'b mut [u8]) -> Result<&'b [u8], DecodeError> {
     let available = buffer.len();
     let mut len = 0;

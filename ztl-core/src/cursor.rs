@@ -1,5 +1,7 @@
 //! A place in a text.
 
+use crate::is_blank;
+
 /// A text, and how much of it is read.
 ///
 /// Its methods are functions of their own in firmware, where each inlined is larger than a call;
@@ -16,7 +18,6 @@ impl<'a> Cursor<'a> {
         Self { text, at: 0 }
     }
 
-    #[cfg(feature = "serde")]
     pub(crate) fn text(&self) -> &'a str {
         self.text
     }
@@ -51,7 +52,6 @@ impl<'a> Cursor<'a> {
     }
 
     /// Reads a sign, if there is one; whether it is `-`.
-    #[cfg_attr(target_os = "none", inline(never))]
     pub(crate) fn take_sign(&mut self) -> bool {
         let negative = self.take(b'-');
         if !negative {
@@ -68,10 +68,4 @@ impl<'a> Cursor<'a> {
         }
         self.peek()
     }
-}
-
-/// Python's blanks, within ASCII.
-#[cfg_attr(target_os = "none", inline(never))]
-pub(crate) fn is_blank(byte: u8) -> bool {
-    matches!(byte, b' ' | b'\t'..=b'\r')
 }

@@ -83,13 +83,15 @@ pub struct Config {
     /// How long the answer to an INIT waits for a quick end, where the client wishes it.
     /// Default [`EARLY`].
     pub early: Duration,
-    /// How long an ended task is remembered, counted from its end. Default [`KEEP`].
+    /// How long an ended task is remembered, counted from its end, where [ends expire](Memory::ENDS_EXPIRE).
+    /// Default [`KEEP`].
     pub keep: Duration,
 }
 
 impl Config {
     /// The defaults.
     #[must_use]
+    #[cfg_attr(target_os = "none", inline(always))]
     pub const fn new(first: TaskId, boot: u32) -> Self {
         Self {
             first,
@@ -303,7 +305,6 @@ impl<M: Memory> Dispatcher<M> {
         event: TaskEvent<'_>,
         out: &mut impl FnMut(M::Peer, &Reply<'_>),
     ) {
-        self.now = now;
         let (told, step, text) = match event {
             TaskEvent::Accepted { reply } => (State::Accepted, Some(Event::Accept), reply),
             TaskEvent::Rejected { reason } => (State::Rejected, Some(Event::Reject), reason),
@@ -317,6 +318,22 @@ impl<M: Memory> Dispatcher<M> {
                 return;
             }
         };
+        self.handle_step(now, id, told, step, text, out);
+    }
+
+    /// The same for firmware, which has its events as those of the lifecycle already: a held INIT is answered
+    /// with the state `told`, by which a task that is refused is REJECTED or FAILED. Without an event the task
+    /// cannot be stopped, and goes on. Progress is that of the tasks.
+    pub fn handle_step(
+        &mut self,
+        now: Instant,
+        id: TaskId,
+        told: State,
+        step: Option<Event>,
+        text: &str,
+        out: &mut impl FnMut(M::Peer, &Reply<'_>),
+    ) {
+        self.now = now;
         let tasks = self.memory.tasks_mut();
         if let Some(step) = step {
             // A handler that reports an end has taken the task, whether it said so or not.
@@ -332,7 +349,9 @@ impl<M: Memory> Dispatcher<M> {
     pub fn handle_timeout(&mut self, now: Instant, out: &mut impl FnMut(M::Peer, &Reply<'_>)) {
         self.now = now;
         self.answer_late(None, out);
-        if let Some(end) = now.before(self.keep) {
+        if M::ENDS_EXPIRE
+            && let Some(end) = now.before(self.keep)
+        {
             self.memory.tasks_mut().forget_until(end);
         }
         self.memory.forget_inits(now);
@@ -341,9 +360,12 @@ impl<M: Memory> Dispatcher<M> {
     /// When [`handle_timeout`](Self::handle_timeout) has something to do; `None` while nothing is
     /// held or remembered.
     pub fn poll_timeout(&self) -> Option<Instant> {
-        let end = self.memory.tasks().oldest_end();
-        let forget = end.map_or(Instant::NEVER, |(_, end)| end.after(self.keep));
-        let wake = self.memory.next_answer().min(forget);
+        let mut wake = self.memory.next_answer();
+        if M::ENDS_EXPIRE
+            && let Some((_, end)) = self.memory.tasks().oldest_end()
+        {
+            wake = wake.min(end.after(self.keep));
+        }
         let wake = wake.min(self.memory.next_forgetting());
         (wake != Instant::NEVER).then_some(wake)
     }

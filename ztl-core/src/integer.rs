@@ -1,6 +1,6 @@
 //! Whole numbers as Python's `int()` reads them (wire specification 3.4).
 
-use crate::cursor::Cursor;
+use crate::is_blank;
 use crate::sink::Sink;
 
 /// Longest number read, in digits; Python's own limit (`sys.int_info.default_max_str_digits`).
@@ -61,26 +61,30 @@ impl<'a> Integer<'a> {
     /// [`ParseIntegerError`] says where the text stops being a number.
     pub fn parse(text: &'a str) -> Result<Self, ParseIntegerError> {
         // By bytes: `trim` and its like decode characters, which costs a Cortex-M0 0.5 KiB.
-        let mut text = Cursor::new(text);
-        text.skip_blanks();
-        let start = text.at;
-        text.take_sign();
+        let mut rest = text.as_bytes();
+        while let [blank, behind @ ..] = rest
+            && is_blank(*blank)
+        {
+            rest = behind;
+        }
+        let start = text.len() - rest.len();
+        if let [b'-' | b'+', behind @ ..] = rest {
+            rest = behind;
+        }
         let (mut count, mut zero) = (0, true);
         let mut before = 0;
-        loop {
-            let byte = text.peek();
+        while let [byte, behind @ ..] = rest {
             if byte.is_ascii_digit() {
                 count += 1;
-                zero &= byte == b'0';
-            } else if byte != b'_' || !u8::is_ascii_digit(&before) {
+                zero &= *byte == b'0';
+            } else if *byte != b'_' || !u8::is_ascii_digit(&before) {
                 break;
             }
-            before = byte;
-            text.at += 1;
+            before = *byte;
+            rest = behind;
         }
-        let end = text.at;
-        text.skip_blanks();
-        if !text.is_at_end() {
+        let end = text.len() - rest.len();
+        if !rest.iter().all(|&byte| is_blank(byte)) {
             return Err(ParseIntegerError::Unexpected { at: end });
         }
         if before == b'_' {
@@ -89,7 +93,9 @@ impl<'a> Integer<'a> {
         match count {
             0 => Err(ParseIntegerError::Empty),
             1..=MAX_DIGITS => Ok(Self {
-                text: text.part(if zero { end } else { start }, end),
+                text: text
+                    .get(if zero { end } else { start }..end)
+                    .unwrap_or_default(),
             }),
             _ => Err(ParseIntegerError::TooLong),
         }

@@ -6,6 +6,7 @@ extern crate std;
 
 pub mod base64;
 pub mod client;
+#[cfg(feature = "serde")]
 mod cursor;
 pub mod dispatcher;
 pub mod envelope;
@@ -69,6 +70,11 @@ impl TaskId {
 pub fn valid_start(bytes: &[u8]) -> &str {
     let chunk = bytes.utf8_chunks().next();
     chunk.map_or("", |chunk| chunk.valid())
+}
+
+/// Python's blanks, within ASCII.
+pub(crate) fn is_blank(byte: u8) -> bool {
+    matches!(byte, b' ' | b'\t'..=b'\r')
 }
 
 /// Parts `text` at the first `mark`, an ASCII character.

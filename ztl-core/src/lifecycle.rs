@@ -85,19 +85,20 @@ pub enum Party {
 }
 
 /// What can happen to a task.
+// Each is the code of the state that it leads to: so that needs no table in flash.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Event {
     /// The handler took the task.
-    Accept,
+    Accept = 1,
     /// The handler will not do it, and has not begun.
-    Reject,
+    Reject = 2,
     /// The goal is reached.
-    Complete,
+    Complete = 5,
     /// The goal will not be reached.
-    Fail,
+    Fail = 3,
     /// The handler has stopped because it was asked to.
-    Abort,
+    Abort = 4,
 }
 
 impl Event {
@@ -175,17 +176,23 @@ impl State {
     /// Total: every pair has an entry. A final state answers `None` to everything.
     #[must_use]
     pub const fn after(self, event: Event) -> Option<Self> {
-        match (self, event) {
-            (Self::Initiated, Event::Accept) => Some(Self::Accepted),
-            (Self::Initiated, Event::Reject) => Some(Self::Rejected),
-            (Self::Initiated | Self::Accepted, Event::Fail) => Some(Self::Failed),
-            (Self::Initiated | Self::Accepted, Event::Abort) => Some(Self::Aborted),
-            (Self::Accepted, Event::Complete) => Some(Self::Completed),
-            // A task that runs can no longer be refused, and one that never ran is not done.
-            (Self::Accepted, Event::Accept | Event::Reject)
-            | (Self::Initiated, Event::Complete)
-            | (Self::Rejected | Self::Failed | Self::Aborted | Self::Completed, _) => None,
+        let possible = match self {
+            // One that never ran is not done.
+            Self::Initiated => !matches!(event, Event::Complete),
+            // One that runs can no longer be refused.
+            Self::Accepted => !matches!(event, Event::Accept | Event::Reject),
+            Self::Rejected | Self::Failed | Self::Aborted | Self::Completed => false,
+        };
+        if !possible {
+            return None;
         }
+        Some(match event {
+            Event::Accept => Self::Accepted,
+            Event::Reject => Self::Rejected,
+            Event::Fail => Self::Failed,
+            Event::Abort => Self::Aborted,
+            Event::Complete => Self::Completed,
+        })
     }
 }
 

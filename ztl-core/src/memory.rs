@@ -5,7 +5,7 @@
 
 use crate::envelope::{ClientId, Envelope};
 use crate::lifecycle::State;
-use crate::repr::put_yaml;
+use crate::repr::{put_yaml, put_yaml_small};
 use crate::sink::Sink;
 use crate::tasks::{TaskTable, Tasks, Text, take_out};
 use crate::{Instant, TaskId};
@@ -102,6 +102,8 @@ pub trait Memory {
     type Text: Text;
     /// The tasks.
     type Tasks: Tasks<Id = TaskId, Extra = Scope, Text = Self::Text>;
+    /// Whether an ended task is forgotten when its time has passed; else only when another needs its place.
+    const ENDS_EXPIRE: bool = true;
 
     /// The tasks.
     fn tasks(&self) -> &Self::Tasks;
@@ -112,6 +114,10 @@ pub trait Memory {
     fn scope(&self, name: &str) -> Option<Scope>;
     /// The name of a scope; empty for one that was never registered.
     fn scope_name(&self, scope: Scope) -> &str;
+    /// Writes the name of a scope in YAML's double quotes, for `$ztl`.
+    fn put_scope(&self, scope: Scope, sink: &mut dyn Sink) {
+        put_yaml(self.scope_name(scope), sink);
+    }
     /// Writes what the scopes offer, for `$ztl`: a mapping in YAML's flow style.
     fn put_scopes(&self, sink: &mut dyn Sink);
 
@@ -147,11 +153,9 @@ pub trait Memory {
     /// The last INIT of a client that led to this task, if it is still its last.
     fn init_of(&self, task: TaskId) -> Option<&LastInit<Self::Text>>;
     /// A client's last INIT, to be changed; a void one if it has none, and `None` when no more clients
-    /// fit. For it a memory may forget what [`on_heard`](Self::on_heard) makes up for.
-    fn remember(&mut self, client: &ClientId) -> Option<&mut LastInit<Self::Text>>;
-    /// An INIT was refused because [`remember`](Self::remember) had no room, and may come again until then: as for
-    /// one that was forgotten, [`on_heard`](Self::on_heard) makes up for it.
-    fn on_full(&mut self, until: Instant);
+    /// fit. For it a memory may forget another's. That one, and one for which there is no room, may come again
+    /// `until` then: [`on_heard`](Self::on_heard) makes up for it.
+    fn remember(&mut self, client: &ClientId, until: Instant) -> Option<&mut LastInit<Self::Text>>;
     /// Told when the last INIT of a client has been changed, so that a memory can keep an order.
     fn on_remembered(&mut self, client: &ClientId);
     /// Told of each request in our envelope, before it is acted upon. Says from which number on an INIT
@@ -188,7 +192,8 @@ struct Heard<P> {
 }
 
 /// A memory without a heap: `SCOPES` scopes, `TASKS` tasks with texts of at most `TEXT` bytes, and
-/// `HELD` answers held at a time; the last INIT of as many clients.
+/// `HELD` answers held at a time; the last INIT of as many clients. A task that has ended is remembered until
+/// another needs its place.
 ///
 /// When it needs a place for an INIT, it forgets one whose client has its answer, or that was refused or
 /// given up. What then comes of a client of which it knows no INIT is new only if all that was heard of
@@ -198,12 +203,12 @@ struct Heard<P> {
 #[repr(C)]
 pub struct Fixed<P, const SCOPES: usize, const TASKS: usize, const TEXT: usize, const HELD: usize> {
     scopes: [&'static str; SCOPES],
-    /// Until when what was forgotten for another would have been remembered.
+    /// Until when what was forgotten for another, or had no room, may come again.
     forgotten: Instant,
     heard: heapless::Vec<Heard<P>, HELD>,
-    held: heapless::Vec<Waiter<P>, HELD>,
+    held: [Option<Waiter<P>>; HELD],
     tasks: TaskTable<TaskId, Scope, TASKS, TEXT>,
-    inits: heapless::Vec<LastInit<heapless::String<TEXT>>, HELD>,
+    inits: [Option<LastInit<heapless::String<TEXT>>>; HELD],
 }
 
 impl<P, const SCOPES: usize, const TASKS: usize, const TEXT: usize, const HELD: usize>
@@ -217,8 +222,8 @@ impl<P, const SCOPES: usize, const TASKS: usize, const TEXT: usize, const HELD: 
             forgotten: Instant::ZERO,
             heard: heapless::Vec::new(),
             tasks: TaskTable::new(),
-            held: heapless::Vec::new(),
-            inits: heapless::Vec::new(),
+            held: [const { None }; HELD],
+            inits: [const { None }; HELD],
         }
     }
 }
@@ -234,6 +239,7 @@ impl<
     type Peer = P;
     type Text = heapless::String<TEXT>;
     type Tasks = TaskTable<TaskId, Scope, TASKS, TEXT>;
+    const ENDS_EXPIRE: bool = false;
 
     fn tasks(&self) -> &Self::Tasks {
         &self.tasks
@@ -255,24 +261,33 @@ impl<
             .unwrap_or_default()
     }
 
+    /// Letters beyond ASCII stay what they are.
+    fn put_scope(&self, scope: Scope, sink: &mut dyn Sink) {
+        put_yaml_small(self.scope_name(scope), sink);
+    }
+
     fn put_scopes(&self, sink: &mut dyn Sink) {
         sink.put(b"{");
-        for (place, scope) in self.scopes.iter().enumerate() {
+        for place in 0..SCOPES {
             if place > 0 {
                 sink.put(b", ");
             }
-            put_yaml(scope, sink);
+            self.put_scope(Scope(place as u16), sink);
             sink.put(b": {}");
         }
         sink.put(b"}");
     }
 
     fn can_hold(&self) -> bool {
-        !self.held.is_full()
+        self.held.iter().any(Option::is_none)
     }
 
     fn hold(&mut self, waiter: Waiter<P>) -> Result<(), Waiter<P>> {
-        self.held.push(waiter)
+        match self.held.iter_mut().find(|place| place.is_none()) {
+            Some(place) => *place = Some(waiter),
+            None => return Err(waiter),
+        }
+        Ok(())
     }
 
     fn release(&mut self, wanted: impl Fn(&mut Waiter<P>) -> bool) -> Option<Waiter<P>> {
@@ -280,38 +295,41 @@ impl<
     }
 
     fn next_answer(&self) -> Instant {
-        let deadlines = self.held.iter().map(|waiter| waiter.deadline);
+        let deadlines = self.held.iter().flatten().map(|waiter| waiter.deadline);
         deadlines.fold(Instant::NEVER, Ord::min)
     }
 
     fn last_init(&self, client: &ClientId) -> Option<&LastInit<Self::Text>> {
-        self.inits.iter().find(|init| init.client == *client)
+        self.inits
+            .iter()
+            .flatten()
+            .find(|init| init.client == *client)
     }
 
     fn init_of(&self, task: TaskId) -> Option<&LastInit<Self::Text>> {
-        self.inits.iter().find(|init| init.task == Some(task))
+        self.inits
+            .iter()
+            .flatten()
+            .find(|init| init.task == Some(task))
     }
 
-    fn remember(&mut self, client: &ClientId) -> Option<&mut LastInit<Self::Text>> {
-        let known = self.inits.iter().position(|init| init.client == *client);
-        let place = known.unwrap_or(self.inits.len());
-        if known.is_some() || !self.inits.is_full() {
-            // There is room.
-            let _ = known.is_some() || self.inits.push(LastInit::new(*client)).is_ok();
-            return self.inits.get_mut(place);
+    fn remember(&mut self, client: &ClientId, until: Instant) -> Option<&mut LastInit<Self::Text>> {
+        let is_its =
+            |place: &Option<LastInit<_>>| matches!(place, Some(init) if init.client == *client);
+        let known = self.inits.iter().position(is_its);
+        let place = known.or_else(|| self.inits.iter().position(Option::is_none));
+        if let Some(place) = place {
+            let place = self.inits.get_mut(place)?;
+            return Some(place.get_or_insert_with(|| LastInit::new(*client)));
         }
+        self.forgotten = until;
         // One whose answer its client has, or that has no task.
         let over = |init: &&mut LastInit<_>| {
             init.task.is_none() || init.received && init.first != First::Pending
         };
-        let init = self.inits.iter_mut().find(over)?;
-        self.forgotten = self.forgotten.max(init.until);
+        let init = self.inits.iter_mut().flatten().find(over)?;
         init.client = *client;
         Some(init)
-    }
-
-    fn on_full(&mut self, until: Instant) {
-        self.forgotten = self.forgotten.max(until);
     }
 
     fn on_remembered(&mut self, _client: &ClientId) {}
@@ -346,7 +364,7 @@ impl<
 
     fn on_asked_about(&mut self, client: &ClientId, task: TaskId) -> bool {
         let its = |init: &&mut LastInit<_>| init.client == *client && init.task == Some(task);
-        let init = self.inits.iter_mut().find(its);
+        let init = self.inits.iter_mut().flatten().find(its);
         init.map(|init| init.received = true).is_some()
     }
 
@@ -355,7 +373,7 @@ impl<
     }
 
     fn next_forgetting(&self) -> Instant {
-        let times = self.inits.iter().map(|init| init.until);
+        let times = self.inits.iter().flatten().map(|init| init.until);
         times.fold(Instant::NEVER, Ord::min)
     }
 }

@@ -38,34 +38,40 @@ pub fn put_quoted(text: &str, sink: &mut (impl Sink + ?Sized)) {
 /// The same for firmware, which has no 2 KiB for the table of what Python does not print: there
 /// that is what is not printed of ASCII. Byte by byte, since to look at letters costs a Cortex-M0 0.3 KiB.
 pub fn put_quoted_small(text: &str, sink: &mut (impl Sink + ?Sized)) {
-    let quote = quote(text);
+    put_in_quotes(text, quote(text), sink);
+}
+
+/// The same in double quotes, which is what YAML reads too if the text has nothing strange beyond ASCII.
+pub(crate) fn put_yaml_small(text: &str, sink: &mut (impl Sink + ?Sized)) {
+    put_in_quotes(text, b'"', sink);
+}
+
+// Apart in firmware, since it is needed in two places.
+#[cfg_attr(target_os = "none", inline(never))]
+fn put_in_quotes(text: &str, quote: u8, sink: &mut (impl Sink + ?Sized)) {
     sink.put(&[quote]);
-    let mut rest = text;
-    loop {
-        let mut letter = 0;
-        let is_escaped = |byte| {
-            letter = match byte {
-                b'\n' => b'n',
-                b'\r' => b'r',
-                b'\t' => b't',
-                ..b' ' | 0x7f => b'x',
-                b'\\' => byte,
-                _ if byte == quote => byte,
-                _ => 0,
-            };
-            letter > 0
+    // From here on it is not written yet.
+    let mut plain = 0;
+    for (at, byte) in text.bytes().enumerate() {
+        let letter = match byte {
+            b'\n' => b'n',
+            b'\r' => b'r',
+            b'\t' => b't',
+            ..b' ' | 0x7f => b'x',
+            b'\\' => byte,
+            _ if byte == quote => byte,
+            _ => continue,
         };
-        let plain = rest.bytes().position(is_escaped).unwrap_or(rest.len());
-        sink.put(rest.as_bytes().get(..plain).unwrap_or_default());
-        let Some(&byte) = rest.as_bytes().get(plain) else {
-            break;
-        };
-        sink.put(&[b'\\', letter]);
-        if letter == b'x' {
-            put_hex(byte.into(), 2, sink);
-        }
-        rest = rest.get(plain + 1..).unwrap_or_default();
+        sink.put(text.as_bytes().get(plain..at).unwrap_or_default());
+        plain = at + 1;
+        // Such bytes begin with 0, 1 or 7.
+        let code = [b'\\', letter, b'0' + (byte >> 4), hex(byte & 0xf)];
+        sink.put(
+            code.get(..if letter == b'x' { 4 } else { 2 })
+                .unwrap_or_default(),
+        );
     }
+    sink.put(text.as_bytes().get(plain..).unwrap_or_default());
     sink.put(&[quote]);
 }
 
@@ -112,14 +118,14 @@ fn put_char(c: char, sink: &mut (impl Sink + ?Sized)) {
     sink.put(c.encode_utf8(&mut [0; 4]).as_bytes());
 }
 
-// Apart in firmware, since it is needed in two places.
-#[cfg_attr(target_os = "none", inline(never))]
 fn put_hex(code: u32, digits: u32, sink: &mut (impl Sink + ?Sized)) {
     for place in (0..digits).rev() {
-        let digit = (code >> (4 * place)) as u8 & 0xf;
-        let letter = if digit < 10 { b'0' } else { b'a' - 10 };
-        sink.put(&[letter + digit]);
+        sink.put(&[hex((code >> (4 * place)) as u8 & 0xf)]);
     }
+}
+
+const fn hex(digit: u8) -> u8 {
+    digit + if digit < 10 { b'0' } else { b'a' - 10 }
 }
 
 #[cfg(test)]

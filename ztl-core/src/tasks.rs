@@ -2,8 +2,7 @@
 //!
 //! The rules are written once, in [`TaskRules`], over any place where tasks are kept ([`Tasks`]):
 //! [`TaskTable`] needs no heap, and `ztl-std` has a keeper for thousands. When there is no room for
-//! another, the oldest end is given up; a running task and an end that must still be
-//! acknowledged never are.
+//! another, the oldest end is given up; a running task never is.
 
 use crate::Instant;
 use crate::lifecycle::{Event, State};
@@ -17,27 +16,19 @@ pub struct Task<X, T> {
     pub text: T,
     /// When it ended, [`Instant::NEVER`] while it runs; what ended first is given up first.
     pub ended: Instant,
-    /// Its end is not given up before it has been acknowledged.
-    pub unacknowledged: bool,
     /// What the owner needs besides.
     pub extra: X,
 }
 
 impl<X, T: Text> Task<X, T> {
-    /// A task that nobody has decided about, and whose end needs no acknowledgement.
+    /// A task that nobody has decided about.
     pub fn new(extra: X) -> Self {
         Self {
             state: State::Initiated,
             text: T::default(),
             ended: Instant::NEVER,
-            unacknowledged: false,
             extra,
         }
-    }
-
-    /// Whether it has ended, and may be given up.
-    fn is_over(&self) -> bool {
-        self.state.is_final() && !self.unacknowledged
     }
 
     /// Moves the task on, and says whether that changed anything: a final state never changes.
@@ -89,25 +80,16 @@ pub fn push_cut(kept: &mut heapless::string::StringView, text: &str) -> bool {
     is_cut
 }
 
-/// Why there is no room for another task.
+/// There is no room for another task: every one that is remembered runs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-#[non_exhaustive]
-pub enum NoRoom {
-    /// Every task runs.
-    Running,
-    /// Some have ended, and their ends are not acknowledged yet.
-    Unacknowledged,
-}
+pub struct NoRoom;
 
 impl NoRoom {
     /// What is wrong, as a text.
     #[must_use]
     pub const fn as_str(self) -> &'static str {
-        match self {
-            Self::Running => "too many tasks are running",
-            Self::Unacknowledged => "ends not yet acknowledged",
-        }
+        "too many tasks are running"
     }
 }
 
@@ -122,19 +104,17 @@ impl core::error::Error for NoRoom {}
 /// A task as a keeper of the type `K` has it.
 pub type TaskOf<K> = Task<<K as Tasks>::Extra, <K as Tasks>::Text>;
 
-/// Takes out the first entry that is wanted; the last one moves there. Not with `swap_remove`, which
-/// calls `memmove`: that costs a Cortex-M0 0.7 KiB.
-pub(crate) fn take_out<T, const N: usize>(
-    entries: &mut heapless::Vec<T, N>,
-    wanted: impl FnMut(&mut T) -> bool,
+/// Takes out the first entry that is wanted.
+pub(crate) fn take_out<T>(
+    places: &mut [Option<T>],
+    mut wanted: impl FnMut(&mut T) -> bool,
 ) -> Option<T> {
-    let place = entries.iter_mut().position(wanted)?;
-    if let Some((last, others)) = entries.split_last_mut()
-        && let Some(here) = others.get_mut(place)
-    {
-        core::mem::swap(here, last);
+    for place in places {
+        if place.as_mut().is_some_and(&mut wanted) {
+            return place.take();
+        }
     }
-    entries.pop()
+    None
 }
 
 /// Where tasks are kept. Only keeps; the rules are in [`TaskRules`].
@@ -154,15 +134,15 @@ pub trait Tasks {
     fn may_run(&self) -> bool {
         true
     }
-    /// Whether no more tasks fit.
-    fn is_full(&self) -> bool;
+    /// Makes room for one more, if need be by forgetting the oldest end; says whether there is some now.
+    fn make_room(&mut self) -> bool;
     /// Adds a task whose id is not kept yet; `None` when no more fit.
     fn insert(&mut self, id: Self::Id, task: TaskOf<Self>) -> Option<&mut TaskOf<Self>>;
     /// Forgets a task.
     fn remove(&mut self, id: Self::Id);
     /// Told once when a task has ended, so that a keeper can keep the order of the ends.
     fn on_ended(&mut self, id: Self::Id);
-    /// Of the ends that need no acknowledgement, the first.
+    /// The first of the ends.
     fn oldest_end(&self) -> Option<(Self::Id, Instant)>;
     /// Every task, in any order.
     fn iter(&self) -> impl Iterator<Item = (Self::Id, &TaskOf<Self>)>;
@@ -173,23 +153,12 @@ pub trait TaskRules: Tasks {
     /// Adds a task. When there is no room, the oldest end is given up for it.
     ///
     /// # Errors
-    /// [`NoRoom`] when every task runs, or its end is unacknowledged.
+    /// [`NoRoom`] when every task runs.
     fn admit(&mut self, id: Self::Id, task: TaskOf<Self>) -> Result<&mut TaskOf<Self>, NoRoom> {
-        if !self.may_run() {
-            return Err(NoRoom::Running);
+        if !self.may_run() || !self.make_room() {
+            return Err(NoRoom);
         }
-        if self.is_full() {
-            let Some((oldest, _)) = self.oldest_end() else {
-                let ended = self.iter().any(|(_, task)| task.state.is_final());
-                return Err(if ended {
-                    NoRoom::Unacknowledged
-                } else {
-                    NoRoom::Running
-                });
-            };
-            self.remove(oldest);
-        }
-        self.insert(id, task).ok_or(NoRoom::Running)
+        self.insert(id, task).ok_or(NoRoom)
     }
 
     /// Moves a task on, as [`Task::apply`] does.
@@ -215,14 +184,7 @@ pub trait TaskRules: Tasks {
         }
     }
 
-    /// The end of a task is known where it must be: it is forgotten. One that runs is kept.
-    fn acknowledge(&mut self, id: Self::Id) {
-        if self.get(id).is_some_and(|task| task.state.is_final()) {
-            self.remove(id);
-        }
-    }
-
-    /// Forgets what ended at `end` or before and needs no acknowledgement.
+    /// Forgets what ended at `end` or before.
     fn forget_until(&mut self, end: Instant) {
         while let Some((id, ended)) = self.oldest_end()
             && ended <= end
@@ -255,7 +217,8 @@ impl<T: Tasks + ?Sized> TaskRules for T {}
 /// ```
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub struct TaskTable<I, X, const N: usize, const TEXT: usize> {
-    entries: heapless::Vec<Entry<I, X, TEXT>, N>,
+    // Places, and no list: to close a gap costs a Cortex-M0 more code than to pass over it.
+    places: [Option<Entry<I, X, TEXT>>; N],
 }
 
 type Entry<I, X, const TEXT: usize> = (I, Task<X, heapless::String<TEXT>>);
@@ -265,25 +228,25 @@ impl<I, X, const N: usize, const TEXT: usize> TaskTable<I, X, N, TEXT> {
     #[must_use]
     pub const fn new() -> Self {
         Self {
-            entries: heapless::Vec::new(),
+            places: [const { None }; N],
         }
     }
 
     /// How many tasks there are.
     #[must_use]
     pub fn len(&self) -> usize {
-        self.entries.len()
+        self.places.iter().flatten().count()
     }
 
     /// Whether there are none.
     #[must_use]
     pub fn is_empty(&self) -> bool {
-        self.entries.is_empty()
+        self.places.iter().all(Option::is_none)
     }
 
     /// Every task, to be changed.
     pub fn iter_mut(&mut self) -> impl Iterator<Item = &mut Entry<I, X, TEXT>> {
-        self.entries.iter_mut()
+        self.places.iter_mut().flatten()
     }
 }
 
@@ -308,38 +271,45 @@ impl<I: Copy + Ord, X, const N: usize, const TEXT: usize> Tasks for TaskTable<I,
         Some(task)
     }
 
-    fn is_full(&self) -> bool {
-        self.entries.is_full()
+    fn make_room(&mut self) -> bool {
+        let (mut oldest, mut end) = (None, Instant::NEVER);
+        for place in &mut self.places {
+            match place {
+                None => return true,
+                Some((_, task)) if task.ended < end => {
+                    end = task.ended;
+                    oldest = Some(place);
+                }
+                Some(_) => {}
+            }
+        }
+        if let Some(place) = oldest {
+            *place = None;
+            return true;
+        }
+        false
     }
 
     fn insert(&mut self, id: I, task: Task<X, Self::Text>) -> Option<&mut Task<X, Self::Text>> {
-        self.entries.push((id, task)).ok()?;
-        let (_, task) = self.entries.last_mut()?;
+        let place = self.places.iter_mut().find(|place| place.is_none())?;
+        let (_, task) = place.insert((id, task));
         Some(task)
     }
 
     fn remove(&mut self, id: I) {
-        take_out(&mut self.entries, |(known, _)| *known == id);
+        take_out(&mut self.places, |(known, _)| *known == id);
     }
 
     fn on_ended(&mut self, _id: I) {}
 
     fn oldest_end(&self) -> Option<(I, Instant)> {
-        let mut oldest: Option<&Entry<I, X, TEXT>> = None;
-        for end in self.entries.iter().filter(|(_, task)| task.is_over()) {
-            let (id, task) = end;
-            let is_older = |(known, first): &Entry<I, X, TEXT>| {
-                task.ended < first.ended || task.ended == first.ended && id < known
-            };
-            if oldest.is_none_or(is_older) {
-                oldest = Some(end);
-            }
-        }
-        oldest.map(|(id, task)| (*id, task.ended))
+        let ends = self.iter().filter(|(_, task)| task.state.is_final());
+        let (id, task) = ends.min_by_key(|(_, task)| task.ended)?;
+        Some((id, task.ended))
     }
 
     fn iter(&self) -> impl Iterator<Item = (I, &Task<X, Self::Text>)> {
-        self.entries.iter().map(|(id, task)| (*id, task))
+        self.places.iter().flatten().map(|(id, task)| (*id, task))
     }
 }
 
@@ -348,29 +318,6 @@ mod tests {
     use super::*;
 
     type Table = TaskTable<u8, (), 2, 16>;
-
-    fn unacknowledged() -> Task<(), heapless::String<16>> {
-        let mut task = Task::new(());
-        task.unacknowledged = true;
-        task
-    }
-
-    #[test]
-    fn an_end_that_must_be_acknowledged_is_not_given_up() {
-        let mut table = Table::new();
-        table.admit(1, unacknowledged()).unwrap();
-        table.admit(2, unacknowledged()).unwrap();
-        assert_eq!(table.admit(3, unacknowledged()), Err(NoRoom::Running));
-        table.apply(Instant::ZERO, 1, Event::Fail, Some("no"));
-        assert_eq!(
-            table.admit(3, unacknowledged()),
-            Err(NoRoom::Unacknowledged)
-        );
-        table.acknowledge(2);
-        assert!(table.get(2).is_some(), "it runs");
-        table.acknowledge(1);
-        table.admit(3, unacknowledged()).unwrap();
-    }
 
     #[test]
     fn the_oldest_end_goes_first_and_time_goes_over_all() {

@@ -1,7 +1,11 @@
 //! [`TaskTable`] beside a plain list with the same rules: what is remembered, and which end is
 //! given up when.
 
-#![expect(clippy::unwrap_used, reason = "a test says what is wrong by panicking")]
+#![expect(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    reason = "a test says what is wrong by panicking"
+)]
 
 use core::time::Duration;
 use std::collections::BTreeMap;
@@ -21,10 +25,9 @@ type Table = TaskTable<u32, (), TASKS, TEXT>;
 /// What can be done to a table; a task is meant by how many came after it.
 #[derive(Debug, Clone)]
 enum Step {
-    Admit { unacknowledged: bool },
+    Admit,
     Apply(u32, Event, Option<String>),
     Progress(u32, String),
-    Acknowledge(u32),
     Pass(u64),
     Forget(u64),
 }
@@ -34,11 +37,10 @@ fn step() -> impl Strategy<Value = Step> {
     let event = prop::sample::select(Event::ALL.to_vec());
     let text = "[a-zü…🤖]{0,6}";
     prop_oneof![
-        any::<bool>().prop_map(|unacknowledged| Step::Admit { unacknowledged }),
+        Just(Step::Admit),
         (back.clone(), event, prop::option::of(text))
             .prop_map(|(back, event, text)| Step::Apply(back, event, text)),
-        (back.clone(), text).prop_map(|(back, text)| Step::Progress(back, text)),
-        back.prop_map(Step::Acknowledge),
+        (back, text).prop_map(|(back, text)| Step::Progress(back, text)),
         (0u64..3).prop_map(Step::Pass),
         (0u64..6).prop_map(Step::Forget),
     ]
@@ -50,39 +52,33 @@ struct Known {
     state: State,
     text: String,
     ended: Option<Instant>,
-    unacknowledged: bool,
 }
 
 #[derive(Default)]
 struct List(BTreeMap<u32, Known>);
 
 impl List {
-    /// The first of the ends that need no acknowledgement; of two at once, that of the older task.
-    fn oldest_end(&self) -> Option<(Instant, u32)> {
-        let ends = self.0.iter().filter(|(_, task)| !task.unacknowledged);
-        ends.filter_map(|(id, task)| Some((task.ended?, *id))).min()
+    /// When the first of the ends was.
+    fn oldest_end(&self) -> Option<Instant> {
+        self.0.values().filter_map(|task| task.ended).min()
     }
 
-    fn admit(&mut self, id: u32, unacknowledged: bool) -> Result<(), NoRoom> {
+    /// Adds a task. Which of several ends at the same moment is given up for it, the table chooses.
+    fn admit(&mut self, id: u32, table: &Table) -> Result<(), NoRoom> {
         if self.0.len() == TASKS {
-            match self.oldest_end() {
-                Some((_, oldest)) => self.0.remove(&oldest),
-                None if self.0.values().any(|task| task.state.is_final()) => {
-                    return Err(NoRoom::Unacknowledged);
-                }
-                None => return Err(NoRoom::Running),
+            let oldest = self.oldest_end().ok_or(NoRoom)?;
+            let gone = |(id, task): (&u32, &Known)| {
+                (task.ended == Some(oldest) && table.get(*id).is_none()).then_some(*id)
             };
+            let gone = self
+                .0
+                .iter()
+                .find_map(gone)
+                .expect("one of the oldest is gone");
+            self.0.remove(&gone);
         }
         let (state, text, ended) = (State::Initiated, String::new(), None);
-        self.0.insert(
-            id,
-            Known {
-                state,
-                text,
-                ended,
-                unacknowledged,
-            },
-        );
+        self.0.insert(id, Known { state, text, ended });
         Ok(())
     }
 
@@ -127,18 +123,13 @@ fn remembered(table: &Table) -> BTreeMap<u32, Known> {
     let mut all = BTreeMap::new();
     for (id, task) in table.iter() {
         let Task {
-            state,
-            text,
-            ended,
-            unacknowledged,
-            ..
+            state, text, ended, ..
         } = task;
         let (state, text) = (*state, text.as_str().to_owned());
         let known = Known {
             state,
             text,
             ended: (*ended != Instant::NEVER).then_some(*ended),
-            unacknowledged: *unacknowledged,
         };
         assert!(all.insert(id, known).is_none(), "{id} is there twice");
     }
@@ -157,11 +148,10 @@ proptest! {
         let (mut now, mut last) = (Instant::ZERO, 0);
         for step in steps {
             match step {
-                Step::Admit { unacknowledged } => {
+                Step::Admit => {
                     last += 1;
-                    let task = Task { unacknowledged, ..Task::new(()) };
-                    let admitted = table.admit(last, task).map(|_| ());
-                    prop_assert_eq!(admitted, list.admit(last, unacknowledged));
+                    let admitted = table.admit(last, Task::new(())).map(|_| ());
+                    prop_assert_eq!(admitted, list.admit(last, &table));
                 }
                 Step::Apply(back, event, text) => {
                     let (id, text) = (last - back.min(last), text.as_deref());
@@ -174,24 +164,21 @@ proptest! {
                     let id = last - back.min(last);
                     prop_assert_eq!(table.progress(id, &text), list.progress(id, &text));
                 }
-                Step::Acknowledge(back) => {
-                    let id = last - back.min(last);
-                    table.acknowledge(id);
-                    list.0.retain(|known, task| *known != id || !task.state.is_final());
-                }
                 Step::Pass(millis) => now = now + Duration::from_millis(millis),
                 Step::Forget(millis) => {
                     let end = Instant::from_millis(millis);
                     table.forget_until(end);
                     list.0.retain(|_, task| {
-                        task.unacknowledged || task.ended.is_none_or(|ended| ended > end)
+                        task.ended.is_none_or(|ended| ended > end)
                     });
                 }
             }
             prop_assert_eq!(remembered(&table), list.0.clone());
             prop_assert_eq!(table.len(), list.0.len());
-            let oldest = list.oldest_end().map(|(ended, id)| (id, ended));
-            prop_assert_eq!(table.oldest_end(), oldest);
+            prop_assert_eq!(table.oldest_end().map(|(_, end)| end), list.oldest_end());
+            if let Some((id, end)) = table.oldest_end() {
+                prop_assert_eq!(list.0.get(&id).and_then(|task| task.ended), Some(end));
+            }
         }
     }
 

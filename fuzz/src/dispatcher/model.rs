@@ -32,8 +32,8 @@ pub(super) struct Task {
     /// What its INIT is answered: when accepted, and when refused with the state.
     accepted: Option<String>,
     refused: Option<(State, String)>,
-    /// When it ended, and how many INITs had come by then.
-    ended: Option<(Instant, usize)>,
+    /// How many INITs had come when it ended.
+    ended: Option<usize>,
     /// Refused while its INIT still waited: the client never had an id to ask for.
     nameless: bool,
     /// An answer said that it is not known any more.
@@ -288,7 +288,7 @@ impl Model {
         }
         task.state = state;
         task.nameless = nameless && state == State::Rejected;
-        task.ended = state.is_final().then_some((now, self.new_inits));
+        task.ended = state.is_final().then_some(self.new_inits);
         if let Some(text) = text {
             task.text = cut(text);
         }

@@ -312,17 +312,14 @@ fn goals(text: &str) {
     }
 }
 
-/// The table of tasks, with an owner that acknowledges ends.
+/// The table of tasks.
 fn tasks(table: &mut TaskTable<LinkId, u8, 4, 16>, text: &str) {
     let id = LinkId(any());
-    let mut task = Task::new(receive());
-    task.unacknowledged = receive() != 0;
-    let _ = black_box(table.admit(id, task));
+    let _ = black_box(table.admit(id, Task::new(receive())));
     for event in events() {
         black_box(table.apply(now(), LinkId(any()), event, Some(text)));
     }
     black_box(table.progress(id, text));
-    table.acknowledge(LinkId(any()));
     table.forget_until(now());
     for (id, task) in table.iter() {
         black_box((id, task.extra));

@@ -1,11 +1,27 @@
 //! When the held answers go out, and what they say.
 
 use super::{Dispatcher, RESERVED_SCOPE};
-use crate::TaskId;
 use crate::lifecycle::State;
 use crate::memory::{Awaited, First, Memory, Waiter};
 use crate::reply::{Reply, ReplyId, Text};
 use crate::tasks::Tasks;
+use crate::{Instant, TaskId};
+
+/// Whose wait is over.
+struct Over {
+    /// Of those who wait for this task, ...
+    task: Option<TaskId>,
+    /// ... these, a bit for each [`kind`].
+    kinds: u8,
+    /// And until when those of them wait at most who would be told a quick end.
+    early: Instant,
+    /// Of all, whose time ends before this.
+    late: Instant,
+}
+
+const fn kind(awaited: Awaited) -> u8 {
+    1 << awaited as u8
+}
 
 impl<M: Memory> Dispatcher<M> {
     /// A task was decided about, or has ended, or both at once, or will not be aborted: those who
@@ -23,28 +39,30 @@ impl<M: Memory> Dispatcher<M> {
         let decided = task.state != State::Initiated;
         let ended = task.state.is_final();
         let kept = decided && self.settle(id, told, text);
-        let early = self.now.after(self.early);
-        let is_over = |waiter: &mut Waiter<M::Peer>| {
-            waiter.task == id
-                && match waiter.awaited {
-                    Awaited::Decision | Awaited::Outcome => decided,
-                    Awaited::Abort => ended || abort_refused,
-                    Awaited::End => ended,
-                    Awaited::EarlyEnd if kept => {
-                        waiter.deadline = waiter.deadline.min(early);
-                        ended
-                    }
-                    // Nobody keeps the text for a moment.
-                    Awaited::EarlyEnd => decided,
-                }
+        let mut over = Over {
+            task: Some(id),
+            kinds: 0,
+            early: Instant::NEVER,
+            late: Instant::ZERO,
         };
-        let mut nobody_knows = false;
-        while let Some(waiter) = self.memory.release(is_over) {
-            nobody_knows |= !matches!(waiter.awaited, Awaited::Abort | Awaited::End);
-            self.answer(waiter, Some((told, text)), out);
+        if kept {
+            over.early = self.now.after(self.early);
+        }
+        if decided {
+            over.kinds = kind(Awaited::Decision) | kind(Awaited::Outcome);
+        }
+        // Otherwise nobody keeps the text for a moment.
+        if ended || decided && !kept {
+            over.kinds |= kind(Awaited::EarlyEnd);
+        }
+        if ended || abort_refused {
+            over.kinds |= kind(Awaited::Abort);
+        }
+        if ended {
+            over.kinds |= kind(Awaited::End);
         }
         // Without a held INIT the client has the id already, and learns it by STATUS.
-        if nobody_knows && told != State::Accepted {
+        if self.answer_over(&over, Some((told, text)), out) && told != State::Accepted {
             self.memory.tasks_mut().remove(id);
         }
     }
@@ -56,14 +74,37 @@ impl<M: Memory> Dispatcher<M> {
         settled: Option<TaskId>,
         out: &mut impl FnMut(M::Peer, &Reply<'_>),
     ) {
-        let now = self.now;
-        let is_over = |waiter: &mut Waiter<M::Peer>| {
-            waiter.deadline <= now
-                || (Some(waiter.task) == settled && waiter.awaited == Awaited::EarlyEnd)
+        let over = Over {
+            task: settled,
+            kinds: kind(Awaited::EarlyEnd),
+            early: Instant::NEVER,
+            late: self.now.after(1),
         };
+        self.answer_over(&over, None, out);
+    }
+
+    /// Answers those whose wait is over; says whether one of them did not know yet that its task is decided.
+    // Apart in firmware, since it is needed in two places.
+    #[cfg_attr(target_os = "none", inline(never))]
+    fn answer_over(
+        &mut self,
+        over: &Over,
+        said: Option<(State, &str)>,
+        out: &mut impl FnMut(M::Peer, &Reply<'_>),
+    ) -> bool {
+        let is_over = |waiter: &mut Waiter<M::Peer>| {
+            let its = Some(waiter.task) == over.task;
+            if its && waiter.awaited == Awaited::EarlyEnd {
+                waiter.deadline = waiter.deadline.min(over.early);
+            }
+            its && over.kinds & kind(waiter.awaited) != 0 || waiter.deadline < over.late
+        };
+        let mut nobody_knew = false;
         while let Some(waiter) = self.memory.release(is_over) {
-            self.answer(waiter, None, out);
+            nobody_knew |= !matches!(waiter.awaited, Awaited::Abort | Awaited::End);
+            self.answer(waiter, said, out);
         }
+        nobody_knew
     }
 
     /// Remembers the answer to an enveloped INIT; says whether there is such a one.

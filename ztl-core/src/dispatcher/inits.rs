@@ -62,8 +62,6 @@ impl<M: Memory> Dispatcher<M> {
         if let Some(Envelope { client, number, .. }) = asked.envelope
             && !self.remember(client, (*number, check), First::Pending, Some(id), "")
         {
-            // It must not count when it comes again and there is room.
-            self.memory.on_full(self.now.after(micros(KEEP_INIT)));
             asked.reply.text = Text::ManyClients;
             return;
         }
@@ -89,6 +87,7 @@ impl<M: Memory> Dispatcher<M> {
 
     /// What is known of the asking client's INIT with this number, and this check sum if it has come
     /// again.
+    #[cfg_attr(target_os = "none", inline(always))]
     pub(super) fn known(&self, asked: &Asked<'_, '_>, number: u64, check: Option<u32>) -> Known {
         let last = |envelope: &Envelope| self.memory.last_init(&envelope.client);
         let Some(init) = asked.envelope.and_then(last) else {
@@ -107,6 +106,7 @@ impl<M: Memory> Dispatcher<M> {
     }
 
     /// Remembers a client's last INIT by its number and check sum; says whether there is room.
+    #[cfg_attr(target_os = "none", inline(never))]
     pub(super) fn remember(
         &mut self,
         client: &ClientId,
@@ -115,7 +115,8 @@ impl<M: Memory> Dispatcher<M> {
         task: Option<TaskId>,
         text: &str,
     ) -> bool {
-        let Some(init) = self.memory.remember(client) else {
+        let until = self.now.after(micros(KEEP_INIT));
+        let Some(init) = self.memory.remember(client, until) else {
             return false;
         };
         init.number = number;
@@ -126,7 +127,7 @@ impl<M: Memory> Dispatcher<M> {
         init.text.set(text);
         init.until = match first {
             First::Pending => Instant::NEVER,
-            _ => self.now.after(micros(KEEP_INIT)),
+            _ => until,
         };
         self.memory.on_remembered(client);
         true
@@ -152,6 +153,7 @@ impl<M: Memory> Dispatcher<M> {
 
     /// A client's last INIT is about to be settled by another: those who wait for a quick end of its
     /// task are answered while the text for them is known.
+    #[cfg_attr(target_os = "none", inline(always))]
     pub(super) fn settle_last(
         &mut self,
         client: &ClientId,

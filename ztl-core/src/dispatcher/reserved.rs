@@ -6,7 +6,6 @@ use crate::integer::Integer;
 use crate::lifecycle::{Request, State};
 use crate::memory::{Awaited, First, Memory};
 use crate::reply::{Put, Reply, ReplyId, Text, Words};
-use crate::repr::put_yaml;
 use crate::sink::{Sink, put_decimal};
 use crate::tasks::Tasks;
 
@@ -76,7 +75,7 @@ impl<M: Memory> Put for Dispatcher<M> {
                 separator = ", ";
                 put_decimal(sink, id.get());
                 sink.put(b": ");
-                put_yaml(self.memory.scope_name(task.extra), sink);
+                self.memory.put_scope(task.extra, sink);
             }
         }
     }

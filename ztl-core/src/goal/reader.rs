@@ -3,7 +3,8 @@
 use super::MAX_DEPTH;
 use super::error::{Expected, Fault};
 use super::quoted::Scratch;
-use crate::cursor::{Cursor, is_blank};
+use crate::cursor::Cursor;
+use crate::is_blank;
 
 /// A place in a goal's text, and what is needed to go on from there.
 ///

@@ -14,7 +14,7 @@ use super::{Components, Counters, Inner, count};
 /// In place of a reason: the component has given one.
 pub(super) const NOT_TAKEN: &str = "";
 /// There is no place for another task; where some have ended, that is the reason.
-pub(super) const NO_PLACE: &str = NoRoom::Running.as_str();
+pub(super) const NO_PLACE: &str = NoRoom.as_str();
 
 /// The answer to the last command, kept to be repeated.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -146,7 +146,7 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> Inner<'_, C, TASKS, 
             Ok(()) => answer,
             // An end that is not acknowledged is never given up.
             Err(NO_PLACE) if self.runner.tasks.held().any(|task| task.end().is_some()) => {
-                Answer::Refused(NoRoom::Unacknowledged.as_str())
+                Answer::Refused("ends not yet acknowledged")
             }
             Err(reason) => Answer::Refused(reason),
         };

@@ -31,22 +31,19 @@ impl<C: Components, const TASKS: usize> Runner<C, TASKS> {
         let _ = self.abort(LinkId(id.get()), now);
     }
 
-    /// A task of which something has changed since it was told; to be followed by
-    /// [`told`](Self::told).
-    pub(crate) fn news(&self) -> Option<(TaskId, State, &str)> {
-        let task = self.tasks.held().find(|task| task.is_due())?;
-        // One that waits keeps its goal there.
-        let text = if task.waits() { "" } else { task.text.as_str() };
-        let state = task.end().unwrap_or(State::Accepted);
-        Some((TaskId::new(task.id.0)?, state, text))
-    }
-
-    /// What was new of a task is told; its end is let go.
-    pub(crate) fn told(&mut self, id: TaskId) {
-        let id = LinkId(id.get());
-        if let Some(task) = self.tasks.get_mut(id) {
+    /// Tells of each task of which something has changed since the last time; what has ended is let go.
+    pub(crate) fn tell_news(&mut self, mut tell: impl FnMut(TaskId, State, &str)) {
+        for task in self.tasks.held_mut().filter(|task| task.is_due()) {
             task.news = false;
+            let end = task.end();
+            if end.is_some() {
+                task.forget();
+            }
+            // One that waits keeps its goal there.
+            let text = if task.waits() { "" } else { task.text.as_str() };
+            if let Some(id) = TaskId::new(task.id.0) {
+                tell(id, end.unwrap_or(State::Accepted), text);
+            }
         }
-        self.tasks.acknowledge(id);
     }
 }

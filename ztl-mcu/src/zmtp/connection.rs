@@ -8,6 +8,8 @@ use super::HANDSHAKE;
 use super::message::{Content, Frames, Message};
 use super::wire::{DELIMITER, GREETING, LONG, LONGEST_PING, MORE, PARTIAL, Socket, old_greeting};
 
+/// The header of a frame of up to 255 bytes: flags, and the size.
+const SHORT_HEADER: usize = 2;
 /// The longest header of a frame: flags, and a size of 8 bytes.
 const LONGEST_HEADER: usize = 9;
 
@@ -209,12 +211,8 @@ pub struct Connection<S, B> {
     /// Of the message: bytes of its envelope with the delimiter, and of all.
     pub(super) envelope: usize,
     pub(super) filled: usize,
-    /// Where the last two frames of the envelope begin.
-    pub(super) last: [usize; 2],
     /// Bytes of the command that are kept.
     pub(super) command: usize,
-    /// Where the message that goes out begins; it ends at `filled`.
-    begin: usize,
     /// Of what is on its way out.
     sent: usize,
     /// Of the handshake, then of the peer's time to live: see [`poll_timeout`](Self::poll_timeout).
@@ -243,9 +241,7 @@ impl<S: Socket, B: AsRef<[u8]> + AsMut<[u8]>> Connection<S, B> {
             size: 0,
             envelope: 0,
             filled: 0,
-            last: [0; 2],
             command: 0,
-            begin: 0,
             sent: 0,
             deadline: Instant::ZERO,
             buffer,
@@ -277,7 +273,6 @@ impl<S: Socket, B: AsRef<[u8]> + AsMut<[u8]>> Connection<S, B> {
 
     /// Bytes have arrived, in pieces of any length; says how many were taken. The others are to be
     /// given again after the next output: a message has to be answered first.
-    #[cfg_attr(target_os = "none", inline(never))]
     pub fn handle_bytes(&mut self, now: Instant, bytes: &[u8]) -> usize {
         let mut rest = bytes;
         while !rest.is_empty() {
@@ -324,10 +319,7 @@ impl<S: Socket, B: AsRef<[u8]> + AsMut<[u8]>> Connection<S, B> {
             .get(..self.filled)?
             .split_at_checked(self.envelope)?;
         Some(Message {
-            envelope: Frames {
-                bytes: envelope,
-                last: self.last,
-            },
+            envelope: Frames { bytes: envelope },
             content: match self.flaw {
                 Flaw::None => Content::One(body),
                 Flaw::Several => Content::Several,
@@ -412,12 +404,13 @@ impl<S: Socket, B: AsRef<[u8]> + AsMut<[u8]>> Connection<S, B> {
                 let begin = buffer.len().saturating_sub(LONGEST_PING);
                 buffer.get(begin..begin + usize::from(self.pong))
             }
-            Out::Message => buffer.get(self.begin..self.filled),
+            Out::Message => buffer.get(..self.filled),
         };
         all.and_then(|all| all.get(self.sent..)).unwrap_or_default()
     }
 
     /// The first `count` bytes of [`transmit_buf`](Self::transmit_buf) are sent.
+    #[cfg_attr(target_os = "none", inline(never))]
     pub fn consume(&mut self, count: usize) {
         if count < self.transmit_buf().len() {
             self.sent += count;
@@ -495,7 +488,6 @@ impl<S: Socket, B: AsRef<[u8]> + AsMut<[u8]>> Connection<S, B> {
         self.flaw = Flaw::None;
         self.envelope = 0;
         self.filled = 0;
-        self.last = [0; 2];
     }
 
     /// How much of the buffer messages may take: behind it there is room for a `PING`.
@@ -517,6 +509,7 @@ impl<S: Socket, B: AsRef<[u8]> + AsMut<[u8]>> Connection<S, B> {
     }
 
     /// Adds to what is kept; says whether it fits.
+    #[cfg_attr(target_os = "none", inline(always))]
     pub(super) fn keep_bytes(&mut self, bytes: &[u8]) -> bool {
         let room = self.room();
         let rest = self.buffer.as_mut().get_mut(self.filled..room);
@@ -531,41 +524,34 @@ impl<S: Socket, B: AsRef<[u8]> + AsMut<[u8]>> Connection<S, B> {
         true
     }
 
-    /// Writes a message behind the envelope, and moves that up to it.
+    /// Writes a message behind the envelope.
     fn send(&mut self, put: &mut dyn FnMut(&mut dyn Sink)) {
-        let (room, envelope) = (self.room(), self.envelope);
+        let (room, envelope) = (self.answer_room(), self.envelope);
+        let begin = envelope + SHORT_HEADER;
         let all = self.buffer.as_mut();
-        let Some((head, tail)) = all.split_at_mut_checked(envelope + LONGEST_HEADER) else {
-            return;
-        };
-        let tail_room = room.saturating_sub(head.len());
-        let mut sink = CutSink::new(tail.get_mut(..tail_room).unwrap_or_default());
+        let mut sink = CutSink::new(all.get_mut(begin..begin + room).unwrap_or_default());
         put(&mut sink);
         // It is no longer; with a small buffer the compiler sees that it is short.
-        let size = sink.finish().min(tail_room);
+        let size = sink.finish().min(room);
         let [a, b, c, d] = (size as u32).to_be_bytes();
-        let header = if size < 256 {
-            [0, 0, 0, 0, 0, 0, 0, 0, d]
-        } else {
-            [LONG, 0, 0, 0, 0, a, b, c, d]
-        };
-        if let Some(to) = head.get_mut(envelope..) {
-            for (to, from) in to.iter_mut().zip(header) {
-                *to = from;
-            }
-        }
-        let gap = if size < 256 { LONGEST_HEADER - 2 } else { 0 };
-        if gap > 0 {
+        let (short, long) = ([0, d], [LONG, 0, 0, 0, 0, a, b, c, d]);
+        let mut header = short.as_slice();
+        if size > 255 {
+            header = &long;
             // From the end, since the two overlap.
-            for place in (0..envelope).rev() {
-                let byte = head.get(place).copied().unwrap_or_default();
-                if let Some(to) = head.get_mut(place + gap) {
+            for place in (begin..begin + size).rev() {
+                let byte = all.get(place).copied().unwrap_or_default();
+                if let Some(to) = all.get_mut(place + LONGEST_HEADER - SHORT_HEADER) {
                     *to = byte;
                 }
             }
         }
-        self.begin = gap;
-        self.filled = envelope + LONGEST_HEADER + size;
+        if let Some(to) = all.get_mut(envelope..) {
+            for (to, from) in to.iter_mut().zip(header) {
+                *to = *from;
+            }
+        }
+        self.filled = envelope + header.len() + size;
         self.turn = Turn::Send;
     }
 }

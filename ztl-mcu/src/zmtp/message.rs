@@ -2,7 +2,7 @@
 
 use ztl_core::envelope::Envelope;
 
-use super::wire::{DELIMITER, LONG};
+use super::wire::{DELIMITER, LONG, MORE};
 
 /// A message: what stood before the empty delimiter, and what came after it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -31,12 +31,13 @@ impl Message<'_> {
     /// Our clients' envelope: the two frames before the delimiter, if they are one.
     #[must_use]
     pub fn envelope(&self) -> Option<Envelope> {
-        let Frames { bytes, last } = self.envelope;
-        let [client, number] = last;
-        let end = bytes.strip_suffix(&DELIMITER)?.len();
-        // Theirs are short, with a header of two bytes.
-        let (client, number) = (client + 2..number, number + 2..end);
-        Envelope::parse(bytes.get(client)?, bytes.get(number)?)
+        // As long as two of theirs with their headers, and the delimiter.
+        let tail: &[u8; 34] = self.envelope.bytes.last_chunk()?;
+        let headers = (&tail[..2], &tail[22..24], &tail[32..]);
+        if headers != (&[MORE, 20], &[MORE, 8], &DELIMITER) {
+            return None;
+        }
+        Envelope::parse(&tail[2..22], &tail[24..32])
     }
 }
 
@@ -45,8 +46,6 @@ impl Message<'_> {
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Frames<'a> {
     pub(super) bytes: &'a [u8],
-    /// Where the last two begin, of more than one.
-    pub(super) last: [usize; 2],
 }
 
 impl<'a> Iterator for Frames<'a> {

@@ -131,11 +131,7 @@ impl<S: Socket, B: AsRef<[u8]> + AsMut<[u8]>> Connection<S, B> {
                     self.keep = self.keep_bytes(&DELIMITER);
                     self.envelope = self.filled;
                 }
-                Part::Envelope => {
-                    let [_, last] = self.last;
-                    self.last = [last, self.filled];
-                    fits = self.keep_header(self.size);
-                }
+                Part::Envelope => fits = self.keep_header(self.size),
                 Part::Body if more => self.flaw = Flaw::Several,
                 Part::Body if self.size as usize > self.room().saturating_sub(self.filled) => {
                     self.flaw = Flaw::TooLong;
@@ -192,6 +188,7 @@ impl<S: Socket, B: AsRef<[u8]> + AsMut<[u8]>> Connection<S, B> {
     }
 
     /// A command has come (RFC 37, Commands).
+    #[cfg_attr(target_os = "none", inline(never))]
     fn on_command(&mut self) {
         let (begin, _) = self.command_place();
         let buffer = self.buffer.as_mut();

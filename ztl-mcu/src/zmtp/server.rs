@@ -1,12 +1,13 @@
 //! A device that is a ZTL server by itself: clients, tasks, components.
 
 use ztl_core::base64::{self, DecodeError};
-use ztl_core::dispatcher::{Action, Config, Dispatcher, TaskEvent};
+use ztl_core::dispatcher::{Action, Config, Dispatcher};
 use ztl_core::memory::{Fixed, Memory};
 use ztl_core::reply::Reply;
 use ztl_core::sink::Sink;
 use ztl_core::spec::{SpecError, TaskSpec};
-use ztl_core::{Instant, State, TaskId};
+use ztl_core::tasks::TaskRules;
+use ztl_core::{Event, Instant, State, TaskId};
 
 use super::connection::{Connection, Fault};
 use super::message::Content;
@@ -289,9 +290,10 @@ impl<
                 let room = connection.map_or(&mut [][..], Connection::spare);
                 let spec = base64::decode(payload.as_bytes(), room);
                 let said = &mut self.request;
-                let event = start(now, self.name, &mut self.tasks, id, spec, said);
+                let (told, step, text) = start(now, self.name, &mut self.tasks, id, spec, said);
                 let out = &mut answer(&mut self.peers);
-                self.dispatcher.handle_event(now, id, event, out);
+                self.dispatcher
+                    .handle_step(now, id, told, Some(step), text, out);
             }
             Some(Action::Abort { id, .. }) => self.tasks.abort_local(now, id),
             None => return,
@@ -302,19 +304,22 @@ impl<
     /// Tells the dispatcher what has become of tasks.
     fn tell_news(&mut self, now: Instant) {
         let out = &mut answer(&mut self.peers);
-        while let Some((id, state, text)) = self.tasks.news() {
+        let dispatcher = &mut self.dispatcher;
+        self.tasks.tell_news(|id, state, text| {
             let event = match state {
-                State::Completed => TaskEvent::Completed { result: text },
-                State::Aborted => TaskEvent::Aborted { result: text },
-                State::Failed | State::Rejected => TaskEvent::Failed { reason: text },
-                State::Initiated | State::Accepted => TaskEvent::Progress { text },
+                State::Completed => Event::Complete,
+                State::Aborted => Event::Abort,
+                State::Failed | State::Rejected => Event::Fail,
+                State::Initiated | State::Accepted => {
+                    // What is not known yet stays `None`, as the original says.
+                    if !text.is_empty() {
+                        dispatcher.memory_mut().tasks_mut().progress(id, text);
+                    }
+                    return;
+                }
             };
-            // What is not known yet stays `None`, as the original says.
-            if !text.is_empty() || state.is_final() {
-                self.dispatcher.handle_event(now, id, event, out);
-            }
-            self.tasks.told(id);
-        }
+            dispatcher.handle_step(now, id, State::Accepted, Some(event), text, out);
+        });
     }
 }
 
@@ -340,7 +345,7 @@ fn start<'t, C: Components, const TASKS: usize, const BUFFER: usize>(
     id: TaskId,
     spec: Result<&[u8], DecodeError>,
     said: &'t mut Words<BUFFER>,
-) -> TaskEvent<'t> {
+) -> (State, Event, &'t str) {
     let mut text = Words::<BUFFER>::new();
     let spec = match spec {
         Ok(bytes) if push_bytes(&mut text, bytes).is_some() => TaskSpec::split(&text),
@@ -357,7 +362,7 @@ fn start<'t, C: Components, const TASKS: usize, const BUFFER: usize>(
                 SpecError::NotUtf8 { .. } => "the task is not UTF-8",
                 _ => "Incorrect padding",
             };
-            return TaskEvent::Threw { message };
+            return (State::Failed, Event::Reject, message);
         }
     };
     said.clear();
@@ -369,9 +374,9 @@ fn start<'t, C: Components, const TASKS: usize, const BUFFER: usize>(
     };
     let text = said.as_str();
     if accepted {
-        TaskEvent::Accepted { reply: text }
+        (State::Accepted, Event::Accept, text)
     } else {
-        TaskEvent::Rejected { reason: text }
+        (State::Rejected, Event::Reject, text)
     }
 }
 

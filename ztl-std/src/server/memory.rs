@@ -109,8 +109,14 @@ impl Tasks for HeapTasks {
         self.tasks.len().saturating_sub(self.ends.len()) < self.limits.running
     }
 
-    fn is_full(&self) -> bool {
-        self.tasks.len() >= self.limits.remembered
+    fn make_room(&mut self) -> bool {
+        if self.tasks.len() >= self.limits.remembered {
+            let Some((_, oldest)) = self.ends.front().copied() else {
+                return false;
+            };
+            self.remove(oldest);
+        }
+        true
     }
 
     fn insert(&mut self, id: TaskId, task: Task<Scope, Grown>) -> Option<&mut Task<Scope, Grown>> {
@@ -141,7 +147,6 @@ impl Tasks for HeapTasks {
     }
 
     fn oldest_end(&self) -> Option<(TaskId, Instant)> {
-        // No end here needs an acknowledgement.
         self.ends.front().map(|(ended, id)| (*id, *ended))
     }
 
@@ -351,17 +356,14 @@ impl Memory for Heap {
         self.inits.get(client)
     }
 
-    fn remember(&mut self, client: &ClientId) -> Option<&mut LastInit<Grown>> {
+    fn remember(&mut self, client: &ClientId, until: Instant) -> Option<&mut LastInit<Grown>> {
         if self.inits.len() >= self.limits.clients && !self.inits.contains_key(client) {
+            self.full = until;
             return None;
         }
         self.unlink(*client);
         let init = self.inits.entry(*client);
         Some(init.or_insert_with(|| LastInit::new(*client)))
-    }
-
-    fn on_full(&mut self, until: Instant) {
-        self.full = self.full.max(until);
     }
 
     fn on_heard(&mut self, now: Instant, _peer: &Peer, _envelope: &Envelope, _init: bool) -> u64 {

@@ -5,7 +5,7 @@ use ztl_core::envelope::{ClientId, Envelope};
 use ztl_core::reply::Reply;
 use ztl_core::{Instant, Message, State};
 
-use super::{Asked, First, LastInit, Model, Task, config, cut};
+use super::{Asked, First, LastInit, Model, Task, cut};
 use crate::dispatcher::BOOT;
 
 /// An answer's state, id and payload.
@@ -55,8 +55,8 @@ impl Model {
             Asked::NeverSeen(client, number) => {
                 self.assert_never_seen(now, place, (client, number), told)
             }
-            Asked::Status { task, wait } => self.assert_status(now, task, wait && early, told),
-            Asked::Abort { task, ended } => self.assert_abort(now, task, ended, told),
+            Asked::Status { task, wait } => self.assert_status(task, wait && early, told),
+            Asked::Abort { task, ended } => self.assert_abort(task, ended, told),
             Asked::Probe => self.assert_probe(told),
         }
     }
@@ -154,19 +154,17 @@ impl Model {
         self.remember(client, void);
     }
 
-    fn assert_status(&mut self, now: Instant, place: usize, early: bool, told: Told<'_>) {
+    fn assert_status(&mut self, place: usize, early: bool, told: Told<'_>) {
         let held = self.asks.iter().filter(|ask| !ask.answered).count();
         let task = &self.tasks[place];
         let (state, id, text) = told;
         assert_eq!(id, task.id.to_string());
         let unknown = (state, text) == ("2", &format!("Invalid ID '{id}'"));
-        // A handler may have refused the task in these very words: until its time has passed, they say nothing.
+        // A handler may have refused the task in these very words: then they say nothing.
         let ambiguous = task.state == State::Rejected && task.text == text;
-        let over = self.is_over(now, place);
-        if task.state.is_final() && unknown && (over || !ambiguous) {
-            return self.on_forgotten(now, place);
+        if task.state.is_final() && unknown && !ambiguous {
+            return self.on_forgotten(place);
         }
-        assert!(!over, "remembered for too long");
         assert_eq!(state, task.state.code().to_string());
         assert_eq!(text, task.text);
         if early && !task.state.is_final() {
@@ -174,12 +172,12 @@ impl Model {
         }
     }
 
-    fn assert_abort(&mut self, now: Instant, place: usize, ended: bool, told: Told<'_>) {
+    fn assert_abort(&mut self, place: usize, ended: bool, told: Told<'_>) {
         let task = &self.tasks[place];
         let (state, id, text) = told;
         assert_eq!(id, task.id.to_string());
         if ended && (state, text) == ("2", &format!("Invalid ID '{id}'")) {
-            return self.on_forgotten(now, place);
+            return self.on_forgotten(place);
         }
         if !task.state.is_final() {
             let refused = self.refusing == Some(place)
@@ -196,19 +194,13 @@ impl Model {
         }
     }
 
-    /// A task that has ended is not known any more: its time has passed, or its place was needed.
-    fn on_forgotten(&mut self, now: Instant, place: usize) {
-        let over = self.is_over(now, place);
+    /// A task that has ended is not known any more: its place was needed.
+    fn on_forgotten(&mut self, place: usize) {
         let task = &mut self.tasks[place];
         task.forgotten = true;
-        let (_, before) = task.ended.expect("an end");
+        let before = task.ended.expect("an end");
         let needed = self.new_inits > before && self.new_inits > self.limits.tasks;
-        assert!(over || needed || task.nameless, "forgotten too early");
-    }
-
-    fn is_over(&self, now: Instant, place: usize) -> bool {
-        let ended = self.tasks[place].ended;
-        ended.is_some_and(|(ended, _)| now >= ended + config().keep)
+        assert!(needed || task.nameless, "forgotten too early");
     }
 
     fn assert_end(&self, task: &Task, state: &str, text: &str) {
