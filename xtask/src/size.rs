@@ -22,6 +22,13 @@ struct Book {
     column: &'static str,
 }
 
+impl Book {
+    fn readme(&self) -> Outcome<String> {
+        let path = self.readme;
+        fs::read_to_string(path).map_err(|error| format!("cannot read {path}: {error}"))
+    }
+}
+
 const STANDARD: Book = Book {
     record: "proof/sizes.txt",
     about: "What proof/src/bin/standard.rs takes: target, bytes of flash, bytes of static RAM.",
@@ -191,23 +198,24 @@ impl Record {
         })?;
         let compared = known.compare(self);
         println!("{}", compared.map_err(|error| format!("{path}: {error}"))?);
-        let readme = fs::read_to_string(book.readme)
-            .map_err(|error| format!("cannot read {}: {error}", book.readme))?;
-        check_readme(&readme, &known.table(book.column))
-            .map_err(|error| format!("{}: {error}", book.readme))
+        let readme = book.readme()?;
+        let table = known.table(book.column);
+        if shown(&readme, &table).map_err(|error| format!("{}: {error}", book.readme))? == readme {
+            return Ok(());
+        }
+        Err(format!(
+            "{} shows other sizes than are recorded; to show these: {ACCEPT}",
+            book.readme
+        ))
     }
 
     fn accept(&self, book: &Book) -> Outcome {
-        let path = book.record;
-        fs::write(path, self.file(book.about))
-            .map_err(|error| format!("cannot write {path}: {error}"))?;
-        println!(
-            "{path} now holds these sizes. Between {} and {}, {} has to hold:\n\n{}\n",
-            README_MARKS.0,
-            README_MARKS.1,
-            book.readme,
-            self.table(book.column)
-        );
+        let readme = shown(&book.readme()?, &self.table(book.column))
+            .map_err(|error| format!("{}: {error}", book.readme))?;
+        for (path, text) in [(book.record, self.file(book.about)), (book.readme, readme)] {
+            fs::write(path, text).map_err(|error| format!("cannot write {path}: {error}"))?;
+        }
+        println!("{} and {} now hold these sizes.", book.record, book.readme);
         Ok(())
     }
 
@@ -298,23 +306,14 @@ impl Record {
     }
 }
 
-/// Whether the marked part of a README is the record's table.
-fn check_readme(readme: &str, table: &str) -> Outcome {
+/// The README with this table in its marked part.
+fn shown(readme: &str, table: &str) -> Outcome<String> {
     let (begin, end) = README_MARKS;
-    let Some((_, rest)) = readme.split_once(begin) else {
-        return Err(format!(
-            "it does not show the sizes; between {begin} and {end} there has to be:\n\n{table}\n"
-        ));
-    };
-    let (shown, _) = rest
-        .split_once(end)
-        .ok_or_else(|| format!("it has {begin} and no {end} after it"))?;
-    if shown.trim() == table {
-        return Ok(());
-    }
-    Err(format!(
-        "it shows other sizes than are recorded; between {begin} and {end} there has to be:\n\n{table}\n"
-    ))
+    let marked = readme.split_once(begin);
+    let marked = marked.and_then(|(before, rest)| Some((before, rest.split_once(end)?.1)));
+    let (before, behind) =
+        marked.ok_or_else(|| format!("it has no {begin} with a {end} after it"))?;
+    Ok(format!("{before}{begin}\n{table}\n{end}{behind}"))
 }
 
 #[cfg(test)]
@@ -398,9 +397,11 @@ mod tests {
     fn the_readme_shows_the_record() {
         let table = record("a", 5000, 1000).table("target");
         let marked = |inner: &str| format!("# T\n<!-- sizes -->\n{inner}\n<!-- /sizes -->\nmore");
-        assert!(check_readme("# T\n", &table).is_err());
-        assert!(check_readme(&marked(&table), &table).is_ok());
-        assert!(check_readme(&marked("| old |"), &table).is_err());
-        assert!(check_readme("<!-- sizes -->", &table).is_err());
+        let readme = marked(&table);
+        assert_eq!(shown(&readme, &table).as_ref(), Ok(&readme));
+        assert_eq!(shown(&marked("| old |"), &table).as_ref(), Ok(&readme));
+        for without in ["# T\n", "<!-- sizes -->", "<!-- /sizes --><!-- sizes -->"] {
+            assert!(shown(without, &table).is_err(), "{without}");
+        }
     }
 }
