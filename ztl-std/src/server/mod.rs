@@ -359,13 +359,8 @@ impl TaskServer {
 
     /// Until a request, a report or the dispatcher's next wake-up, at most for `longest`; the request.
     fn wait(&self, longest: Duration) -> Result<Option<Received>, zmq::Error> {
-        // To forget in time what has ended is worth no wake-up, nor a timer for each request: the next one does it.
-        let answer =
-            Some(self.dispatcher.memory().next_answer()).filter(|at| *at != Instant::NEVER);
-        let wake = [answer, self.touch.poll_timeout()]
-            .into_iter()
-            .flatten()
-            .min();
+        let wakes = [self.dispatcher.poll_timeout(), self.touch.poll_timeout()];
+        let wake = wakes.into_iter().flatten().min();
         let time = wake.map_or(longest, |wake| wake.since(now()).min(longest));
         if time.is_zero() || !self.waker.may_sleep() {
             return self.router.receive(&self.door, zmq::DONTWAIT);
