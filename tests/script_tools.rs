@@ -259,6 +259,23 @@ fn a_goal_that_is_too_long_for_its_server_is_told_before_the_show_and_in_it() {
     }
 }
 
+/// The question is longer than the INIT, and perhaps too long itself.
+#[test]
+fn a_goal_that_just_fits_its_server_is_no_mistake_of_the_script() {
+    let gateway = Server::gateway_with(&["gripper=sim:gripper"], &["--limit", "message=2 KiB"]);
+    gateway.wait_ready("gripper");
+    for (goal, mistake) in [(1511, false), (1513, true)] {
+        // As a message: the scope, `;1;-1;`, and the task in base64.
+        let bytes = SCOPE.len() + 6 + ("gripper:finger:".len() + goal).div_ceil(3) * 4;
+        assert_eq!(bytes > 2048, mistake, "{bytes}");
+        let script = format!("s: {{a: {{gripper: {{finger: {}}}}}}}\n", "x".repeat(goal));
+        let desk = Desk::with(&script, &[("gripper", gateway.port, SCOPE)]);
+        let ended = desk.run("check show.yaml -c remotes.yaml --live");
+        let told = ended.stdout.contains("the message has ");
+        assert_eq!(told, mistake, "{goal}: {}", ended.stdout);
+    }
+}
+
 #[test]
 fn a_dry_run_tells_when_and_sends_nothing() {
     let desk = Desk::with(

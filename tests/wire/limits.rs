@@ -207,3 +207,53 @@ fn a_connection_too_many_waits_until_there_is_room() {
     });
     assert_eq!(answer[1], b"/test;2;99;Invalid ID '99'");
 }
+
+/// What answers a client's probes so, one after the other, then nothing more; it sees to it that nothing else comes.
+fn probed(answers: &'static [&'static str]) -> (String, std::thread::JoinHandle<()>) {
+    let context = zmq::Context::new();
+    let socket = context.socket(zmq::ROUTER).expect("a socket");
+    socket.set_rcvtimeo(1000).expect("a time");
+    socket.bind("tcp://127.0.0.1:*").expect("a port");
+    let endpoint = socket.get_last_endpoint().expect("it").expect("text");
+    let server = std::thread::spawn(move || {
+        let mut answers = answers.iter();
+        while let Ok(mut frames) = socket.recv_multipart(0) {
+            let body = frames.pop().expect("a body");
+            assert_eq!(body, b"$ztl;2;-1;probe", "{}", body.escape_ascii());
+            if let Some(limit) = answers.next() {
+                let answer = format!(
+                    "$ztl;5;0;{{ztl: 1, version: '0.1.0', boot: 7, message: {limit}, scopes: {{}}}}"
+                );
+                frames.push(answer.into_bytes());
+                socket.send_multipart(frames, 0).expect("sent");
+            }
+        }
+    });
+    (endpoint, server)
+}
+
+#[test]
+fn a_limit_that_no_probe_would_keep_does_not_end_the_probing() {
+    let (endpoint, server) = probed(&["10", "4096"]);
+    let mut remote = RemoteTask::connect(&endpoint, SCOPE).expect("an address");
+    for _ in 0..2 {
+        assert!(remote.server_info(true).expect("an answer").is_some());
+    }
+    drop(remote);
+    server.join().expect("only probes");
+}
+
+#[test]
+fn when_the_limit_cannot_be_asked_anew_the_client_says_that_nothing_was_sent() {
+    let (endpoint, server) = probed(&["100"]);
+    let remote = RemoteTask::connect(&endpoint, SCOPE).expect("an address");
+    let mut remote = remote.with_timeout(Duration::from_millis(300));
+    let error = remote
+        .trigger_payload(&"x".repeat(200))
+        .expect_err("no word");
+    assert!(
+        matches!(&error, TriggerError::Request(error) if error.nothing_was_sent()),
+        "{error:?}"
+    );
+    server.join().expect("only probes");
+}

@@ -358,7 +358,7 @@ impl<M: Memory> Dispatcher<M> {
     }
 
     /// When [`handle_timeout`](Self::handle_timeout) has something to do; `None` while nothing is
-    /// held or remembered.
+    /// held, and nothing remembered that expires.
     pub fn poll_timeout(&self) -> Option<Instant> {
         let mut wake = self.memory.next_answer();
         if M::ENDS_EXPIRE

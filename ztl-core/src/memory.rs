@@ -214,7 +214,8 @@ pub struct Fixed<P, const SCOPES: usize, const TASKS: usize, const TEXT: usize, 
 impl<P, const SCOPES: usize, const TASKS: usize, const TEXT: usize, const HELD: usize>
     Fixed<P, SCOPES, TASKS, TEXT, HELD>
 {
-    /// An empty memory that knows these scopes.
+    /// An empty memory that knows these scopes. What of their names is beyond ASCII has to be letters and signs that can be
+    /// printed: `$ztl` shows it as it is, and a reader of YAML refuses others.
     #[must_use]
     pub const fn new(scopes: [&'static str; SCOPES]) -> Self {
         Self {

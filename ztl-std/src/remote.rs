@@ -219,8 +219,7 @@ impl RemoteTask {
         payload: &str,
         request: impl FnOnce(&mut Client, &str, &mut dyn Sink) -> Envelope,
     ) -> Result<(Triggered, Option<Status>), TriggerError> {
-        // Also when it is not answered, nothing was asked for yet.
-        let length = self.scope.len() + ";1;-1;".len() + payload.len();
+        let length = self.init_length(payload);
         let met = self
             .meet(wanted)
             .and_then(|()| self.make_room(wanted, length));
@@ -229,7 +228,14 @@ impl RemoteTask {
         {
             return Err(TriggerError::GivenUp);
         }
-        met.map_err(TriggerError::Request)?;
+        met.map_err(|error| match error {
+            // The task was not asked for yet.
+            RequestError::NoAnswer { endpoint, waited } => {
+                RequestError::NotConnected { endpoint, waited }
+            }
+            error => error,
+        })
+        .map_err(TriggerError::Request)?;
         let mut said = self.ask_while(wanted, request);
         let mut outcomes = 0;
         while let Err(Unanswered { outcome: true, .. }) = said

@@ -54,7 +54,11 @@ impl RemoteTask {
     /// Connects, and asks a server that was not met yet who it is.
     pub(super) fn meet(&mut self, wanted: Wanted<'_>) -> Result<(), RequestError> {
         if self.socket.is_none() || !self.met {
-            let said = self.ask_while(wanted, |client, _, body| client.probe(now(), body));
+            let mut body = Vec::new();
+            let mut sink = |bytes: &[u8]| body.extend_from_slice(bytes);
+            // However long a message may be: it is this that learns it.
+            let envelope = self.client.probe(now(), &mut sink);
+            let said = self.exchange(wanted, envelope, &body);
             if let Said::Answer { text, .. } = said.map_err(|unanswered| unanswered.error)? {
                 self.version = version_of(&text);
             }
@@ -119,15 +123,30 @@ impl RemoteTask {
         let mut body = Vec::new();
         let mut sink = |bytes: &[u8]| body.extend_from_slice(bytes);
         let envelope = request(&mut self.client, &self.scope, &mut sink);
+        self.fits(body.len())?;
+        self.exchange(wanted, envelope, &body)
+    }
+
+    /// How many bytes the INIT of this task has.
+    pub(super) const fn init_length(&self, payload: &str) -> usize {
+        self.scope.len() + ";1;-1;".len() + payload.len()
+    }
+
+    /// Whether the server would take the INIT of this task, as far as it told how long one may be.
+    pub(crate) fn takes_length_of(&self, payload: &str) -> Result<(), RequestError> {
+        self.fits(self.init_length(payload))
+    }
+
+    /// # Errors
+    /// A message of so many bytes is too long: the server would only end the connection.
+    fn fits(&self, bytes: usize) -> Result<(), RequestError> {
         match self.most() {
-            // The server would only end the connection.
-            Some(most) if body.len() > most => Err(RequestError::TooLong {
+            Some(most) if bytes > most => Err(RequestError::TooLong {
                 endpoint: self.endpoint.clone(),
-                bytes: body.len(),
+                bytes,
                 most,
-            }
-            .into()),
-            _ => self.exchange(wanted, envelope, &body),
+            }),
+            _ => Ok(()),
         }
     }
 

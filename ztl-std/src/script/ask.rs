@@ -138,10 +138,11 @@ enum Takes {
 
 fn ask_task(client: &mut RemoteTask, scope: &str, handler: &Handler, task: &Task) -> Takes {
     let payload = encoded(&handler.name, &task.component, &task.goal);
-    let answer = match client.ask_server(&format!("takes {payload}")) {
-        Ok(Some(answer)) => answer,
-        Err(error @ RequestError::TooLong { .. }) => return Takes::No(error.to_string()),
-        _ => return Takes::Unknown,
+    if let Err(error) = client.takes_length_of(&payload) {
+        return Takes::No(error.to_string());
+    }
+    let Ok(Some(answer)) = client.ask_server(&format!("takes {payload}")) else {
+        return Takes::Unknown;
     };
     let scopes: Option<BTreeMap<String, Option<String>>> = serde_json::from_str(&answer).ok();
     match scopes.and_then(|mut scopes| scopes.remove(scope)) {
