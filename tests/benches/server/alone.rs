@@ -6,7 +6,7 @@ use std::time::Duration;
 use crate::load::{Clients, Libzmq, measure, rounds};
 use crate::numbers::{Interval, verdict};
 use crate::plain::Plain;
-use crate::{INIT, Lab, find, ratio, show};
+use crate::{INIT, Lab, ROUNDS, find, ratio, show};
 
 /// How long an idle server is watched.
 const IDLE: Duration = Duration::from_secs(10);
@@ -61,7 +61,7 @@ pub(crate) fn cpu_per_request(lab: &Lab) {
     with_pinned(lab, "1", "0", |lab| {
         println!("CPU time of the server for a STATUS, 64 clients, load on another core:");
         let mut statuses = lab.statuses();
-        rounds::<Libzmq>(&mut statuses, 64, lab.slice);
+        rounds::<Libzmq>(&mut statuses, 64, lab.slice, ROUNDS);
         for subject in &statuses {
             let cpu = Interval::of(subject.seen.iter().map(|seen| seen.cpu));
             println!("  {:<14}{cpu} µs", subject.name);
@@ -85,7 +85,7 @@ pub(crate) fn most(lab: &Lab) {
         );
         println!("STATUS:");
         let mut statuses = lab.statuses();
-        rounds::<Plain>(&mut statuses, 64, lab.slice);
+        rounds::<Plain>(&mut statuses, 64, lab.slice, ROUNDS);
         show(&statuses, "bare ROUTER");
         let level = ratio(&statuses, "ours", "bare ROUTER");
         let reached = verdict(level.reaches(0.97));
@@ -97,7 +97,7 @@ pub(crate) fn most(lab: &Lab) {
             lab.router.subject("bare ROUTER", INIT),
         ];
         let mut inits: Vec<_> = bare.into_iter().chain([original, ours]).collect();
-        rounds::<Plain>(&mut inits, 64, lab.slice);
+        rounds::<Plain>(&mut inits, 64, lab.slice, ROUNDS);
         show(&inits, "the original");
         let times = ratio(&inits, "ours", "the original");
         let reached = verdict(times.reaches(8.0));
@@ -114,11 +114,11 @@ pub(crate) fn on_one_core(lab: &Lab) {
     with_pinned(lab, "0", "0", |lab| {
         println!("STATUS, 1 client, on one core:");
         let mut statuses = lab.statuses();
-        rounds::<Libzmq>(&mut statuses, 1, lab.slice);
+        rounds::<Libzmq>(&mut statuses, 1, lab.slice, ROUNDS);
         show(&statuses, "bare ROUTER");
         println!("INIT of a trivial task, 1 client, on one core:");
         let mut inits = lab.inits();
-        rounds::<Libzmq>(&mut inits, 1, lab.slice);
+        rounds::<Libzmq>(&mut inits, 1, lab.slice, ROUNDS);
         show(&inits, "the original");
     });
 }

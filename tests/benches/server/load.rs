@@ -6,7 +6,6 @@ use std::time::{Duration, Instant};
 
 use ztl_tests::lab::{PATIENCE, Process, SCOPE, Server};
 
-use crate::ROUNDS;
 use crate::numbers::percentile;
 
 /// What was seen in one measurement.
@@ -201,17 +200,21 @@ pub(crate) fn measure(subject: &Subject, clients: &mut impl Clients, slice: Dura
     }
 }
 
-/// Measures all of them in turn, again and again.
-pub(crate) fn rounds<C: Clients>(subjects: &mut [Subject], clients: usize, slice: Duration) {
+/// Measures all of them in turn, so many times, after one that does not count.
+pub(crate) fn rounds<C: Clients>(
+    subjects: &mut [Subject],
+    clients: usize,
+    slice: Duration,
+    count: usize,
+) {
     let mut all: Vec<C> = subjects
         .iter()
         .map(|subject| C::connect(subject, clients))
         .collect();
     for (subject, clients) in subjects.iter_mut().zip(&mut all) {
         measure(subject, clients, slice);
-        subject.seen.clear();
     }
-    for _ in 0..ROUNDS {
+    for _ in 0..count {
         for (subject, clients) in subjects.iter_mut().zip(&mut all) {
             let seen = measure(subject, clients, slice);
             subject.seen.push(seen);
