@@ -174,6 +174,16 @@ mod tests {
     }
 
     #[test]
+    fn the_name_of_a_devices_scope_has_no_end_within_either() {
+        let mut out = std::vec::Vec::new();
+        put_yaml_small("it's \"a\"\n\\\x7fü", &mut |bytes: &[u8]| {
+            out.extend_from_slice(bytes)
+        });
+        let quoted = r#""it's \"a\"\n\\\x7fü""#;
+        assert_eq!(std::str::from_utf8(&out), Ok(quoted));
+    }
+
+    #[test]
     fn text_for_yaml_is_ascii_and_has_no_end_within() {
         for (text, quoted) in [
             ("/base", r#""/base""#),

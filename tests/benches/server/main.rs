@@ -4,8 +4,7 @@
 //! All are measured in turn, round by round, so that what else the machine does meets all of them; a
 //! ratio is the median of the rounds' ratios. Behind it stands the interval in which the true median lies
 //! with 95 % (of 21 rounds the 6th and the 16th). For their rates the servers are started anew every third
-//! round. What is wanted is said beside what was seen, and
-//! nothing fails by time.
+//! round. What is wanted is said beside what was seen, and nothing fails by time.
 //!
 //! Every server is asked by the same clients in the same part. Most parts have libzmq's REQ sockets, as people
 //! have them. 64 of those on a core of their own keep it busy before a server's core is, so the rate is theirs;

@@ -56,7 +56,7 @@ impl Default for DigitalOutputConfig {
 }
 
 /// An output that is switched: its goals are `on`, `off`, and `pulse 200`, or only `200`, for on
-/// during so many milliseconds, up to an hour.
+/// during so many milliseconds, a whole number, up to an hour.
 ///
 /// `on` and `off` are COMPLETED at once, and the output stays so. A pulse is COMPLETED when it has
 /// ended; its progress is `on, 120 ms left`; an abort switches off. `True` and `False` are taken for

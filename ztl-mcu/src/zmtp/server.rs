@@ -108,7 +108,7 @@ impl<
 > Server<'a, C, PEERS, TASKS, BUFFER, CLIENTS>
 {
     /// A server after its reset. `components` are at most 255; the link timeout of the identity does
-    /// not matter.
+    /// not matter. The scope's name is of letters and signs that can be printed.
     pub const fn new(scope: &'static str, identity: Identity<'a>, components: C) -> Self {
         const {
             assert!(BUFFER >= 128, "a buffer has at least 128 bytes");
