@@ -209,6 +209,20 @@ fn who_asks_about_a_task_whose_quick_end_is_waited_for_has_its_answer_first() {
 }
 
 #[test]
+fn whose_init_was_settled_while_it_was_undecided_waits_for_no_quick_end() {
+    let mut lab = Lab::new();
+    lab.of(1, 0, 2, true, INIT);
+    lab.of(1, 0, 3, true, INIT);
+    // Its text is kept by nobody, so it is told at once.
+    lab.event(1, TaskEvent::Accepted { reply: "ok" });
+    lab.told(&[(0, "/test;1;1;ok")]);
+    lab.event(2, TaskEvent::Accepted { reply: "ok" });
+    lab.told(&[]);
+    lab.event(2, TaskEvent::Completed { result: "done" });
+    lab.told(&[(0, "/test;5;2;done")]);
+}
+
+#[test]
 fn an_undecided_init_keeps_its_place_also_when_its_id_was_told() {
     let mut lab = Lab::new();
     for client in [1, 2] {
