@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use ztl_std::{RemoteTask, State};
-use ztl_tests::lab::{Ended, PATIENCE, Process, SCOPE, Scratch, free_port, until, ztl};
+use ztl_tests::lab::{Ended, PATIENCE, Process, SCOPE, Scratch, reserve_port, until, ztl};
 
 fn example(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR"))
@@ -16,7 +16,7 @@ fn example(name: &str) -> PathBuf {
 /// A directory with a configuration, and its port.
 fn robot() -> (Scratch, u16) {
     let scratch = Scratch::new();
-    let port = free_port();
+    let port = reserve_port();
     let config = format!("port: {port}\nscopes:\n  {SCOPE}:\n    test: {{echo: echo}}\n");
     std::fs::write(scratch.path("robot.yaml"), config).expect("a file");
     (scratch, port)

@@ -12,7 +12,7 @@ use ztl_std::{
     ExecutableTask, RemoteTask, RunningServer, State, TaskContext, TaskController, TaskError,
     TaskRequest, TaskServer, TriggerError,
 };
-use ztl_tests::lab::{PATIENCE, SCOPE, free_port, until};
+use ztl_tests::lab::{PATIENCE, SCOPE, reserve_port, until};
 
 struct Robot;
 
@@ -147,7 +147,7 @@ fn a_future_that_is_dropped_aborts_its_task() {
 
 #[test]
 fn a_server_that_comes_late_is_met() {
-    let port = free_port();
+    let port = reserve_port();
     let endpoint = format!("tcp://127.0.0.1:{port}");
     let remote = RemoteTask::connect(&endpoint, SCOPE).expect("an address");
     let mut remote = remote.with_timeout(Duration::from_millis(300));

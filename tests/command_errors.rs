@@ -5,7 +5,7 @@ use std::process::Command;
 use std::time::{Duration, Instant};
 
 use ztl_tests::lab::{
-    Ended, PATIENCE, Process, SCOPE, Scratch, Server, free_port, our_client, until, ztl,
+    Ended, PATIENCE, Process, SCOPE, Scratch, Server, our_client, reserve_port, until, ztl,
 };
 
 /// `ztl` with these words, which has to end by itself.
@@ -242,7 +242,7 @@ fn the_exit_status_tells_a_tasks_fate() {
 
 #[test]
 fn a_server_that_is_not_there_is_unknown() {
-    let nobody = free_port();
+    let nobody = reserve_port();
     let words = format!("task-client --exit-status -r localhost -p {nobody} -s {SCOPE} a:b:c");
     let start = Instant::now();
     let ended = run(&words);
@@ -347,9 +347,8 @@ fn help_is_there_for_every_command() {
 
 #[test]
 fn the_demo_completes_every_act() {
-    let port = free_port().to_string();
     let mut command = ztl();
-    let demo = Process::start(command.args(["demo", "--once", "--port", &port]));
+    let demo = Process::start(command.args(["demo", "--once", "--port", "0"]));
     let ended = demo.end(Duration::from_secs(40));
     // Those that the scene moves, as the README says.
     let devices = ended
@@ -382,9 +381,8 @@ fn the_demo_completes_every_act() {
 
 #[test]
 fn the_demo_goes_on_serving_and_what_it_says_to_try_works() {
-    let port = free_port();
     let mut command = ztl();
-    let demo = Process::start(command.args(["demo", "--port", &port.to_string()]));
+    let demo = Process::start(command.args(["demo", "--port", "0"]));
     // The line to be typed in another terminal, word by word as printed.
     let words = until("the invitation", Duration::from_secs(40), || {
         let text = demo.stdout();

@@ -6,7 +6,7 @@
 use std::time::{Duration, Instant};
 
 use ztl_std::{RemoteTask, State, Status, TaskId};
-use ztl_tests::lab::{PATIENCE, Process, SCOPE, Scratch, Server, free_port, until, ztl};
+use ztl_tests::lab::{PATIENCE, Process, SCOPE, Scratch, Server, reserve_port, until, ztl};
 
 /// Where a device is, also after it was started again.
 enum Place {
@@ -20,7 +20,7 @@ impl Place {
     }
 
     fn tcp() -> Self {
-        Self::Tcp(free_port())
+        Self::Tcp(reserve_port())
     }
 
     /// For `ztl device --on`.

@@ -1,7 +1,7 @@
 //! `ztl doctor`: what it finds on this machine, and that each trouble comes with its remedy.
 
 use serde_json::Value;
-use ztl_tests::lab::{Ended, Process, Scratch, Server, free_port, ztl};
+use ztl_tests::lab::{Ended, Process, Scratch, Server, reserve_port, ztl};
 
 #[track_caller]
 fn doctor(options: &[&str]) -> Ended {
@@ -46,7 +46,7 @@ fn a_machine_in_order_is_told_as_such() {
     let journal = scratch.path("new/journal");
     let journal = journal.to_str().expect("a path");
     let server = Server::ours();
-    let (port, free) = (server.port.to_string(), free_port().to_string());
+    let (port, free) = (server.port.to_string(), reserve_port().to_string());
     let options = ["-p", &port, "--journal", journal, "--listen", &free];
     let (told, code) = told(&options);
     assert_eq!(
@@ -102,7 +102,7 @@ fn each_trouble_comes_with_its_remedy() {
     let inside = scratch.path("file/journal");
     let inside = inside.to_str().expect("a path");
     let server = Server::ours();
-    let (taken, nobody) = (server.port.to_string(), free_port().to_string());
+    let (taken, nobody) = (server.port.to_string(), reserve_port().to_string());
     let (told, code) = told(&[
         "-p",
         &nobody,

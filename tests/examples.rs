@@ -73,7 +73,7 @@ fn the_handler_refuses_what_it_cannot_do_and_stops_when_asked() {
 
 #[test]
 fn the_client_says_when_there_is_no_handler() {
-    let nobody = format!("tcp://127.0.0.1:{}", ztl_tests::lab::free_port());
+    let nobody = format!("tcp://127.0.0.1:{}", ztl_tests::lab::reserve_port());
     let ended = Process::run(example("client").arg(&nobody));
     assert_eq!(ended.code, Some(1), "{ended:?}");
     assert_eq!(ended.stdout, "");

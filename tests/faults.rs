@@ -5,7 +5,7 @@ use std::process::Command;
 use std::time::{Duration, Instant};
 
 use ztl_std::{RemoteTask, RequestError, State, TriggerError, WaitError};
-use ztl_tests::lab::{PATIENCE, Process, SCOPE, Server, free_port, our_client, until, ztl};
+use ztl_tests::lab::{PATIENCE, Process, SCOPE, Server, our_client, reserve_port, until, ztl};
 
 /// When the fault comes, in microseconds after the client has begun: from before its INIT arrives until after the
 /// task has ended.
@@ -18,12 +18,8 @@ fn serve(port: u16) -> Process {
         let mut command: Command = ztl();
         command.args(["task-server", "-p", &port.to_string(), "-s", SCOPE]);
         let server = Process::start(&mut command);
-        let said = until("a word of the server", PATIENCE, || {
-            let text = server.stderr();
-            let up = text.contains("Registering controller");
-            (up || text.contains("in use")).then_some(up)
-        });
-        said.then_some(server)
+        let said = server.wait_for_unless_taken("Registering controller");
+        said.map(|_| server)
     })
 }
 
@@ -69,7 +65,7 @@ fn run(
 
 #[test]
 fn a_server_that_is_stopped_for_a_while_does_each_task_once() {
-    let port = free_port();
+    let port = reserve_port();
     let server = serve(port);
     // A shell that is there already is quicker than a program that has to start.
     let mut shell = Process::start(&mut Command::new("sh"));
@@ -111,7 +107,7 @@ fn a_server_that_is_stopped_for_a_while_does_each_task_once() {
 #[test]
 fn a_server_that_is_killed_and_started_again_does_no_task_twice_and_invents_no_end() {
     for point in POINTS {
-        let port = free_port();
+        let port = reserve_port();
         let mut server = serve(port);
         let mut next = None;
         let goal = format!("killed at {point}");
@@ -142,7 +138,7 @@ fn a_server_that_is_killed_and_started_again_does_no_task_twice_and_invents_no_e
 
 #[test]
 fn a_task_that_ran_when_its_server_was_killed_is_unknown_to_its_client() {
-    let port = free_port();
+    let port = reserve_port();
     let mut server = serve(port);
     let endpoint = format!("tcp://127.0.0.1:{port}");
     let mut remote = RemoteTask::connect(&endpoint, SCOPE).expect("an address");

@@ -8,7 +8,7 @@ use std::net::{TcpListener, TcpStream};
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use ztl_tests::lab::{PATIENCE, Process, Scratch, free_port, until, ztl};
+use ztl_tests::lab::{PATIENCE, Process, Scratch, until, ztl};
 
 /// `ztl line`, ready.
 #[track_caller]
@@ -23,9 +23,8 @@ fn line(args: &str) -> Process {
 fn between(options: &str) -> (Process, TcpStream, TcpStream) {
     let far = TcpListener::bind(("127.0.0.1", 0)).unwrap();
     let to = far.local_addr().unwrap().port();
-    let from = free_port();
-    let args = format!("tcp-listen:{from} tcp:127.0.0.1:{to} {options}");
-    let process = line(&args);
+    let process = line(&format!("tcp-listen:0 tcp:127.0.0.1:{to} {options}"));
+    let from = process.wait_for_port("A: ");
     let near = TcpStream::connect(("127.0.0.1", from)).unwrap();
     let (far, _) = far.accept().unwrap();
     for stream in [&near, &far] {

@@ -3,7 +3,7 @@
 use std::process::Command;
 
 use ztl_tests::lab::{
-    Ended, PATIENCE, Process, SCOPE, Scratch, Server, Told, free_port, original_tool, until, ztl,
+    Ended, PATIENCE, Process, SCOPE, Scratch, Server, Told, original_tool, reserve_port, until, ztl,
 };
 
 /// One of our tools by its own name.
@@ -141,7 +141,7 @@ fn both_tell(port: u16, config: &str, words: &[&str], last: &str) -> [Ended; 2] 
 fn servers_are_found_by_their_names_as_the_original_finds_them() {
     let server = Server::ours();
     let port = server.port;
-    let nobody = free_port();
+    let nobody = reserve_port();
     let file = format!(
         "remotes:\n  robot: {{host: localhost, port: {port}, scope: /test}}\n  \
          quoted: {{host: localhost, port: '{port}', scope: /test, more: 1}}\n  \

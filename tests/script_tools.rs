@@ -12,7 +12,7 @@ use serde_json::Value;
 use ztl_std::{
     ExecutableTask, RemoteTask, TaskContext, TaskController, TaskError, TaskRequest, TaskServer,
 };
-use ztl_tests::lab::{Ended, Process, SCOPE, Scratch, Server, free_port, ztl};
+use ztl_tests::lab::{Ended, Process, SCOPE, Scratch, Server, reserve_port, ztl};
 
 /// The example's script and where its servers are.
 fn example(name: &str) -> PathBuf {
@@ -210,7 +210,7 @@ s:
         &[
             ("gripper", gateway.port, SCOPE),
             ("head", gateway.port, SCOPE),
-            ("nobody", free_port(), "/x"),
+            ("nobody", reserve_port(), "/x"),
             ("other", original.port, SCOPE),
             ("lost", original.port, "/lost"),
         ],

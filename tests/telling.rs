@@ -11,7 +11,9 @@ use serde_json::Value;
 use ztl_std::{
     ExecutableTask, RunningServer, TaskContext, TaskController, TaskError, TaskRequest, TaskServer,
 };
-use ztl_tests::lab::{Ended, PATIENCE, Process, SCOPE, Server, free_port, our_client, until, ztl};
+use ztl_tests::lab::{
+    Ended, PATIENCE, Process, SCOPE, Server, our_client, reserve_port, until, ztl,
+};
 
 /// The names that a program may rely on, as `docs/tools.md` tells them.
 const DOCUMENT: &str = include_str!("../docs/tools.md");
@@ -138,7 +140,7 @@ fn a_program_is_told_each_fate_and_the_exit_code_is_the_same() {
         ),
         (format!("{here} other:echo:x"), "asking over", "refused", 1),
         (
-            format!("{} test:echo:x", at(free_port())),
+            format!("{} test:echo:x", at(reserve_port())),
             "asking over",
             "not_started",
             5,
@@ -282,7 +284,7 @@ fn ctrl_c_before_the_answer_finds_the_task_and_aborts_it() {
 #[test]
 fn ctrl_c_where_no_server_is_ends_at_once() {
     let mut command = our_client();
-    let port = free_port().to_string();
+    let port = reserve_port().to_string();
     command.args([
         "-r",
         "localhost",

@@ -2,7 +2,7 @@
 //! whoever started it.
 
 use ztl_std::{RemoteTask, State};
-use ztl_tests::lab::{Ended, PATIENCE, Process, SCOPE, Server, free_port, until, ztl};
+use ztl_tests::lab::{Ended, PATIENCE, Process, SCOPE, Server, reserve_port, until, ztl};
 
 /// `ztl` with these words and the server's port.
 #[track_caller]
@@ -33,7 +33,7 @@ fn client(server: &Server) -> RemoteTask {
 
 #[test]
 fn devices_tells_what_is_connected_and_what_is_not() {
-    let nobody = format!("ghost=tcp:127.0.0.1:{}", free_port());
+    let nobody = format!("ghost=tcp:127.0.0.1:{}", reserve_port());
     let gateway = Server::gateway(&["gripper=sim:gripper", "head=sim:head", &nobody]);
     gateway.wait_ready("gripper");
     gateway.wait_ready("head");

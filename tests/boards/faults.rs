@@ -1,6 +1,6 @@
 //! What else happens to a robot.
 
-use ztl_tests::lab::{ABORTED, Board, FAILED, PATIENCE, Pin, Process, free_port, until, ztl};
+use ztl_tests::lab::{ABORTED, Board, FAILED, PATIENCE, Pin, Process, reserve_port, until, ztl};
 
 use crate::rig::{Rig, STEPS};
 
@@ -50,7 +50,7 @@ pub(crate) fn resets(board: &str) {
 
 pub(crate) fn loses_its_link(board: &str) {
     let board = Board::start(board);
-    let (near, far) = (free_port(), board.port);
+    let (near, far) = (reserve_port(), board.port);
     let plug = || {
         let ends = [format!("tcp-listen:{near}"), format!("tcp:127.0.0.1:{far}")];
         let line = Process::start(ztl().arg("line").args(ends));

@@ -57,11 +57,10 @@ fn programs_are_served() {
     if !place.can_catch_signals() {
         return; // The end of a program is one.
     }
-    let port = ztl_tests::lab::free_port();
     let own = place.words_inside();
     let own = own.join("\", \"");
     let config = format!(
-        "port: {port}\nscopes:\n  {SCOPE}:\n    own:\n      \
+        "port: 0\nscopes:\n  {SCOPE}:\n    own:\n      \
          version: {{run: [\"{own}\", \"-V\"]}}\n      \
          wrong: {{run: [\"{own}\", \"keys\"]}}\n      \
          long: {{run: [\"{own}\", \"device\", \"sim:gripper\", \"--on\", \"tcp:127.0.0.1:0\"]}}\n    \
@@ -71,7 +70,7 @@ fn programs_are_served() {
     let robot = place.path_inside("robot.yaml");
     let mut command = place.ztl("serve");
     let process = Process::start(command.arg(robot));
-    process.wait_for("Serving");
+    let port = process.wait_for_port("Serving ");
     let server = Server { process, port };
 
     let mut remote = client(&server);
@@ -93,13 +92,10 @@ fn programs_are_served() {
 #[ignore = "for `cargo xtask dist --check`"]
 fn a_gateway_moves_a_simulated_device() {
     let place = Place::new();
-    let port = ztl_tests::lab::free_port();
     let mut command = place.ztl("gateway --device gripper=sim:gripper --no-journal -s");
-    command.args([SCOPE, "-p", &port.to_string()]);
-    let server = Server {
-        process: Process::start(&mut command),
-        port,
-    };
+    let process = Process::start(command.args([SCOPE, "-p", "0"]));
+    let port = process.wait_for_port("Serving ");
+    let server = Server { process, port };
     server.wait_ready("gripper");
     let end = run(&mut client(&server), ["gripper", "finger", "3"]);
     assert_eq!(end.state, State::Completed, "{end:?}");
@@ -162,10 +158,10 @@ fn both_ends_encrypt() {
         assert_eq!(ended.code, Some(0), "{ended:?}");
     }
     let inside = |name: &str| place.path_inside(name);
-    let port = ztl_tests::lab::free_port().to_string();
     let mut command = place.ztl("gateway --device gripper=sim:gripper --no-journal -s");
-    command.args([SCOPE, "-p", &port, "--key", &inside("robot.key_secret")]);
+    command.args([SCOPE, "-p", "0", "--key", &inside("robot.key_secret")]);
     let server = Process::start(command.args(["--client-key", &inside("anna.key")]));
+    let port = server.wait_for_port("Serving ").to_string();
     server.wait_for("Device 'gripper' is ready");
     let ask = |options: &[&str]| {
         let mut command = place.ztl("task-client --exit-status -r localhost -s");

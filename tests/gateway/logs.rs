@@ -212,16 +212,12 @@ fn the_log_is_shown_from_elsewhere_too() {
     let (gateway, mut remote) = gateway(&address, elf(), &["--log", "debug"]);
     complete(&mut remote, "arm", "motor", "all");
     gateway.wait_for("INFO:firmware:arm: [1.500] 1.25 {}");
-    let line = gateway.wait_for("Serving arm at ");
-    let port = line
-        .rsplit_once("tcp://127.0.0.1:")
-        .and_then(|(_, rest)| rest.split(',').next());
-    let port = port.expect("it is said");
+    let port = gateway.wait_for_port("Serving arm at ").to_string();
 
     let elf = elf().display().to_string();
     let ask = |more: &[&str]| {
         let mut command = ztl();
-        command.args(["devices", "-p", port, "--log"]).args(more);
+        command.args(["devices", "-p", &port, "--log"]).args(more);
         Process::start(&mut command)
     };
     let once = ask(&["arm", "--elf", &elf, "--once"]).end(PATIENCE);

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use ztl_std::RemoteTask;
-use ztl_tests::lab::{Process, SCOPE, Scratch, Server, free_port, ztl};
+use ztl_tests::lab::{Process, SCOPE, Scratch, Server, reserve_port, ztl};
 
 /// A simulated gripper behind a line.
 pub struct Branch {
@@ -18,11 +18,12 @@ impl Branch {
     #[track_caller]
     fn new(scratch: &Scratch, name: String, faults: &str) -> Self {
         let record = scratch.path(format!("{name}.record"));
-        let (near, far) = (free_port(), free_port());
         let mut device = ztl();
-        device.args(["device", "sim:gripper", "--on", &format!("tcp:{far}")]);
+        device.args(["device", "sim:gripper", "--on", "tcp:0"]);
         let device = Process::start(device.arg("--record").arg(&record));
-        device.wait_for("Simulated gripper at");
+        let far = device.wait_for_port("Simulated gripper at");
+        // The line is started again there.
+        let near = reserve_port();
         let ends = [
             "line".to_owned(),
             format!("tcp-listen:{near}"),

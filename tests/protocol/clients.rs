@@ -8,7 +8,7 @@ use std::time::Duration;
 use ztl_std::{
     ExecutableTask, RunningServer, TaskContext, TaskController, TaskError, TaskRequest, TaskServer,
 };
-use ztl_tests::lab::{Process, Server, free_port, python};
+use ztl_tests::lab::{Process, Server, python, reserve_port};
 
 use crate::{TIMEOUT, side_by_side, socket};
 
@@ -218,7 +218,7 @@ fn each_client_drives_the_original() {
 
 #[test]
 fn each_client_says_when_there_is_no_server() {
-    let nobody = format!("tcp://127.0.0.1:{}", free_port());
+    let nobody = format!("tcp://127.0.0.1:{}", reserve_port());
     each_prints(&nobody, "/robot", "robot:base:forward", UNKNOWN, 1);
 }
 

@@ -8,7 +8,7 @@ use ztl_core::memory::Fixed;
 use ztl_core::reply::Reply;
 use ztl_core::{Event, Instant, Request, State, TaskId};
 use ztl_std::{RemoteTask, RequestError};
-use ztl_tests::lab::free_port;
+use ztl_tests::lab::reserve_port;
 
 use crate::TIMEOUT;
 
@@ -91,7 +91,7 @@ fn the_times_are_those_of_the_code() {
     assert_eq!((HOLD.as_millis(), KEEP_INIT.as_secs()), (1500, 60));
     assert_eq!(config.keep, Duration::from_secs(3600));
 
-    let nobody = format!("tcp://127.0.0.1:{}", free_port());
+    let nobody = format!("tcp://127.0.0.1:{}", reserve_port());
     let mut remote = RemoteTask::connect(&nobody, "/robot").expect("an address");
     match remote.status(TaskId::new(7).unwrap()) {
         Err(RequestError::NotConnected { waited, .. }) => assert!(waited >= TIMEOUT, "{waited:?}"),

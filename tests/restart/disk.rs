@@ -23,7 +23,7 @@ fn start_limited(lab_device: &Device, scratch: &Scratch, port: u16, blocks: u32)
 #[test]
 fn on_a_full_disk_tasks_are_refused_and_what_runs_keeps_its_end() {
     let device = Device::power_on(LONG);
-    let (scratch, port) = (Scratch::new(), free_port());
+    let (scratch, port) = (Scratch::new(), reserve_port());
     let blocks = 4;
     let mut gateway = start_limited(&device, &scratch, port, blocks);
     let mut client = RemoteTask::connect(&gateway.endpoint(), SCOPE).unwrap();
@@ -82,7 +82,7 @@ fn on_a_full_disk_tasks_are_refused_and_what_runs_keeps_its_end() {
 fn the_journal_lies_where_the_service_manager_or_the_user_has_room_for_it() {
     let scratch = Scratch::new();
     let device = Device::power_on(USUAL);
-    let port = free_port();
+    let port = reserve_port();
     let name = format!("gateway-{port}-test.jsonl");
     let home = scratch.path("home");
     let state = scratch.path("state");
@@ -116,7 +116,7 @@ fn without_a_place_for_the_journal_it_says_what_to_do() {
             "(--journal FILE, or --no-journal)",
         ),
     ] {
-        let mut command = command(&device, free_port());
+        let mut command = command(&device, reserve_port());
         command.env_clear().args(&args);
         let ended = Process::run(&mut command);
         assert_eq!(ended.code, Some(1), "{}", ended.stderr);
@@ -129,7 +129,7 @@ fn without_a_journal_it_says_what_is_not_promised() {
     let device = Device::power_on(USUAL);
     for (port, args, said) in [
         (
-            free_port(),
+            reserve_port(),
             vec!["--no-journal"],
             "Without a journal: after a restart",
         ),

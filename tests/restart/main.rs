@@ -14,7 +14,9 @@ use std::time::{Duration, Instant};
 
 use device::{Deed, Device};
 use ztl_std::{RemoteTask, RequestError, State, Status, TaskId, TriggerError};
-use ztl_tests::lab::{COMPLETED, PATIENCE, Process, SCOPE, Scratch, Server, free_port, until, ztl};
+use ztl_tests::lab::{
+    COMPLETED, PATIENCE, Process, SCOPE, Scratch, Server, reserve_port, until, ztl,
+};
 
 const LIMIT: Option<Duration> = Some(PATIENCE);
 
@@ -35,7 +37,7 @@ impl Lab {
     #[track_caller]
     fn new(link_timeout: Duration) -> Self {
         let device = Device::power_on(link_timeout);
-        let (scratch, port) = (Scratch::new(), free_port());
+        let (scratch, port) = (Scratch::new(), reserve_port());
         let gateway = start(&device, &scratch, port);
         gateway.wait_ready("motors");
         Self {
@@ -331,7 +333,7 @@ fn a_task_of_a_device_that_is_not_served_any_more_ends_as_one_that_does_not_answ
 #[test]
 fn a_second_gateway_on_the_same_journal_ends_with_what_is_wrong() {
     let lab = Lab::new(USUAL);
-    let mut command = command(&lab.device, free_port());
+    let mut command = command(&lab.device, reserve_port());
     command.arg("--journal").arg(lab.journal());
     let ended = Process::run(&mut command);
     assert_eq!(ended.code, Some(1));

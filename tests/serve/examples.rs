@@ -7,8 +7,8 @@ use std::process::Command;
 use ztl_std::State::{Aborted, Completed};
 use ztl_std::{RemoteTask, TriggerError};
 use ztl_tests::lab::{
-    ABORTED, COMPLETED, OriginalClient, PATIENCE, Process, Scratch, Server, built, free_port,
-    python, python27, verify_unit, ztl,
+    ABORTED, COMPLETED, OriginalClient, PATIENCE, Process, Scratch, Server, built, python,
+    python27, reserve_port, verify_unit, ztl,
 };
 
 use crate::rig::{end, progress, project};
@@ -32,13 +32,7 @@ fn example(python: &Path) -> (Scratch, Server) {
         .arg(scratch.path("robot.yaml"))
         .env("PATH", path);
     let process = Process::start(&mut command);
-    let line = process.wait_for("Serving 5 components at /robot at ");
-    let port = line.split_once("tcp://127.0.0.1:").expect("its address").1;
-    let port = port
-        .split('.')
-        .next()
-        .and_then(|port| port.parse().ok())
-        .expect("a port");
+    let port = process.wait_for_port("Serving 5 components at /robot at ");
     (scratch, Server { process, port })
 }
 
@@ -162,7 +156,7 @@ fn the_first_example_of_the_manual_can_be_pasted() {
         .and_then(|block| block.strip_prefix("sh\n"));
     let script = block
         .expect("commands")
-        .replace("12345", &free_port().to_string());
+        .replace("12345", &reserve_port().to_string());
     let scratch = Scratch::new();
     std::os::unix::fs::symlink(built("ztl"), scratch.path("ztl")).expect("a link");
     std::fs::copy(project("examples/serve/speak"), scratch.path("espeak-ng")).expect("a copy");

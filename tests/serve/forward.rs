@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 use ztl_std::State::{Aborted, Accepted, Completed, Failed};
 use ztl_std::keys::can_encrypt;
 use ztl_tests::lab::{
-    ABORTED, COMPLETED, PATIENCE, Process, SCOPE, Scratch, Server, free_port, ztl,
+    ABORTED, COMPLETED, PATIENCE, Process, SCOPE, Scratch, Server, reserve_port, ztl,
 };
 
 use crate::rig::{Lab, SOON, dies, end, progress, start, told, trigger};
@@ -70,7 +70,7 @@ fn the_other_server_may_be_the_originals() {
 
 #[test]
 fn a_server_that_is_not_there_refuses_and_nothing_is_sent() {
-    let near = relay(free_port());
+    let near = relay(reserve_port());
     let mut remote = near.remote();
     let start = Instant::now();
     // Known after its INIT was answered, with the id.
@@ -126,7 +126,7 @@ fn a_server_that_was_started_anew_has_not_done_what_it_was_doing() {
 
 #[test]
 fn a_server_that_forwards_to_itself_comes_to_an_end() {
-    let port = free_port();
+    let port = reserve_port();
     let file = format!(
         "scopes: {{{SCOPE}: {{p: {{'*': {{forward: {{to: 'tcp://127.0.0.1:{port}', scope: {SCOPE}}}}}}}}}}}"
     );

@@ -127,10 +127,7 @@ fn start_by(mut command: Command, file: &Path, options: &[&str]) -> Server {
         command.args(["-p", "0"]);
     }
     let process = Process::start(&mut command);
-    let line = process.wait_for("Serving ");
-    let port = line.split_once("tcp://127.0.0.1:");
-    let port = port.and_then(|(_, rest)| rest.split('.').next()?.parse().ok());
-    let port = port.unwrap_or_else(|| panic!("no port in '{line}'"));
+    let port = process.wait_for_port("Serving ");
     Server { process, port }
 }
 

@@ -36,12 +36,8 @@ impl Desk {
     #[track_caller]
     fn of(command: &mut Command) -> Self {
         let process = Process::start(command);
-        let line = process.wait_for("serving /desk at ");
-        let port = line.rsplit(':').next().and_then(|port| port.parse().ok());
-        Self {
-            port: port.unwrap_or_else(|| panic!("no port in '{line}'")),
-            process,
-        }
+        let port = process.wait_for_port("serving /desk at ");
+        Self { process, port }
     }
 
     fn endpoint(&self) -> String {

@@ -1,6 +1,5 @@
 //! `cargo xtask test`: every check the project has, in the order that fails soonest.
 
-use std::net::TcpListener;
 use std::time::{Duration, Instant};
 
 use crate::cmd::{Cmd, Outcome};
@@ -270,17 +269,8 @@ fn tests(dirs: &Dirs) -> Outcome {
 fn demo(dirs: &Dirs) -> Outcome {
     build_programs()?;
     Cmd::program(dirs.target.join("debug/ztl"))
-        .args("demo --once --port")
-        .arg(free_port()?.to_string())
+        .args("demo --once --port 0")
         .run_within(DEMO_LIMIT)
-}
-
-/// A port that nothing listens on just now.
-fn free_port() -> Outcome<u16> {
-    TcpListener::bind(("127.0.0.1", 0))
-        .and_then(|listener| listener.local_addr())
-        .map(|address| address.port())
-        .map_err(|error| format!("cannot get a free TCP port on 127.0.0.1: {error}"))
 }
 
 #[cfg(test)]

@@ -65,7 +65,7 @@ impl Original {
     fn start(lab: &Lab) -> Self {
         let mut command = Command::new(python());
         command.args(["-c", ORIGINAL, &lab.original.port.to_string()]);
-        let mut process = Process::start(command.arg(ztl_tests::lab::free_port().to_string()));
+        let mut process = Process::start(command.arg(ztl_tests::lab::reserve_port().to_string()));
         assert_eq!(process.next_line(PATIENCE), "ready");
         Self(process)
     }

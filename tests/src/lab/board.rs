@@ -6,12 +6,12 @@ use std::fs;
 use std::io::{BufRead, BufReader, Read, Write};
 use std::ops::Range;
 use std::os::unix::net::UnixStream;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use object::{Object, ObjectSymbol};
 
-use super::{PATIENCE, Process, Scratch, ancestor, free_port, until};
+use super::{PATIENCE, Process, Scratch, ancestor, reserve_port, until};
 
 /// What nobody writes to a stack.
 const PAINT: u8 = 0xC5;
@@ -95,23 +95,14 @@ impl Board {
         });
 
         let scratch = Scratch::new();
-        let port = free_port();
         let socket =
             |name: &str| format!("unix:{},server=on,wait=off", scratch.path(name).display());
         let mut qemu = Command::new(program);
-        qemu.args(machine).args(["-nographic", "-serial"]);
-        qemu.arg(format!(
-            "tcp:127.0.0.1:{port},server=on,wait=off,nodelay=on"
-        ));
+        qemu.args(machine).arg("-nographic");
         qemu.args(["-monitor", &socket("monitor")]);
         // Reads and writes memory while the machine runs.
         qemu.args(["-qtest", &socket("probe"), "-qtest-log", "none"]);
         qemu.arg("-kernel").arg(&elf);
-        let network = free_port();
-        if let Some(served) = served {
-            let forward = format!("hostfwd=tcp:127.0.0.1:{network}-:{served}");
-            qemu.args(["-nic", &format!("user,restrict=on,{forward}")]);
-        }
         // The stack's memory is painted before the board starts.
         let heap = ["__sheap", "_sheap"]
             .iter()
@@ -127,11 +118,7 @@ impl Board {
             scratch.path("paint").display(),
             stack.start
         ));
-        let process = Process::start(&mut qemu);
-        let probe = until("QEMU's probe", PATIENCE, || {
-            UnixStream::connect(scratch.path("probe")).ok()
-        });
-        probe.set_read_timeout(Some(PATIENCE)).expect("a socket");
+        let (process, probe, [port, network]) = power_on(&qemu, &scratch.path("probe"), served);
         Self {
             process,
             port,
@@ -139,7 +126,7 @@ impl Board {
             elf,
             panel: find(&image, "PANEL"),
             stack,
-            probe: RefCell::new(BufReader::new(probe)),
+            probe: RefCell::new(probe),
             scratch,
         }
     }
@@ -212,6 +199,51 @@ impl Board {
         let answer = answer.unwrap_or_else(|| panic!("QEMU does not know: {question}"));
         answer.trim_start().to_owned()
     }
+}
+
+/// Starts QEMU, with the board's serial port and the port that it serves at ports of this machine.
+#[track_caller]
+fn power_on(
+    qemu: &Command,
+    probe: &Path,
+    served: Option<u16>,
+) -> (Process, BufReader<UnixStream>, [u16; 2]) {
+    loop {
+        let ports @ [port, network] = [reserve_port(), reserve_port()];
+        let mut qemu_there = Command::new(qemu.get_program());
+        qemu_there.args(qemu.get_args()).arg("-serial");
+        qemu_there.arg(format!(
+            "tcp:127.0.0.1:{port},server=on,wait=off,nodelay=on"
+        ));
+        if let Some(served) = served {
+            let forward = format!("hostfwd=tcp:127.0.0.1:{network}-:{served}");
+            qemu_there.args(["-nic", &format!("user,restrict=on,{forward}")]);
+        }
+        let process = Process::start(&mut qemu_there);
+        let probe = until("QEMU's probe", PATIENCE, || {
+            let said = process.stderr();
+            let taken = said.contains("in use") || said.contains("set up host forwarding");
+            if taken {
+                Some(None)
+            } else {
+                knock(probe).map(Some)
+            }
+        });
+        if let Some(probe) = probe {
+            return (process, probe, ports);
+        }
+    }
+}
+
+/// QEMU's probe, once it answers: it does when the machine has all its ports.
+fn knock(probe: &Path) -> Option<BufReader<UnixStream>> {
+    let mut probe = UnixStream::connect(probe).ok()?;
+    probe.set_read_timeout(Some(PATIENCE)).ok()?;
+    probe.write_all(b"endianness\n").ok()?;
+    let mut probe = BufReader::new(probe);
+    let mut answer = String::new();
+    probe.read_line(&mut answer).ok()?;
+    answer.starts_with("OK").then_some(probe)
 }
 
 /// Where a symbol of an image is.

@@ -9,6 +9,7 @@ mod board;
 mod manager;
 mod original;
 mod peers;
+mod ports;
 mod process;
 mod server;
 #[cfg(unix)]
@@ -24,6 +25,7 @@ pub use original::{
     ABORTED, ACCEPTED, Answer, COMPLETED, FAILED, OriginalClient, REJECTED, original_tool, python,
 };
 pub use peers::{Peer, python27};
+pub use ports::reserve_port;
 pub use process::{Ended, Process};
 pub use server::{SCOPE, Server};
 #[cfg(unix)]
@@ -31,7 +33,6 @@ pub use terminal::Terminal;
 pub use tools::{Told, original_client, our_client};
 pub use zmtp::shake_hands;
 
-use std::net::TcpListener;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::atomic::{AtomicU32, Ordering};
@@ -99,12 +100,6 @@ fn ancestor(levels: usize) -> PathBuf {
     let program = std::env::current_exe().expect("this program's path");
     let directory = program.ancestors().nth(levels);
     directory.expect("cargo puts tests below target").to_owned()
-}
-
-/// A port of this machine that nobody listens on just now.
-pub fn free_port() -> u16 {
-    let listener = TcpListener::bind(("127.0.0.1", 0)).expect("a free port");
-    listener.local_addr().expect("its address").port()
 }
 
 /// A directory of a test's own, removed with all that is in it when it is dropped.

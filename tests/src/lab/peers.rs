@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use super::{OriginalClient, Server, ancestor, python};
+use super::{OriginalClient, SCOPE, Server, ancestor, python};
 
 /// What Python 2.7 is called where its packages are.
 const PYTHON27: &str = "python2.7";
@@ -55,12 +55,15 @@ impl Peer {
     /// Its server of the original's test tasks, `test:echo:…` and `test:sleep:SECONDS`.
     #[track_caller]
     pub fn server(self) -> Server {
-        let mut command = self.command();
-        match self {
-            Self::Python27 | Self::OldLibzmq => command.args(["-m", "ztl.example.task_server"]),
-            Self::JeroMq | Self::JavaScript => command.arg("server"),
-        };
-        Server::test_server(command)
+        Server::told_its_port(|port| {
+            let mut command = self.command();
+            match self {
+                Self::Python27 | Self::OldLibzmq => command.args(["-m", "ztl.example.task_server"]),
+                Self::JeroMq | Self::JavaScript => command.arg("server"),
+            };
+            command.args(["-p", port, "-s", SCOPE]);
+            command
+        })
     }
 
     fn command(self) -> Command {

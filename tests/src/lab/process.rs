@@ -84,12 +84,30 @@ impl Process {
     /// The first line, on either stream, that contains `part`; waits for it.
     #[track_caller]
     pub fn wait_for(&self, part: &str) -> String {
-        let line = self.wait(PATIENCE, |heard| {
-            let mut lines = heard.lines.iter();
-            let line = lines.find(|(_, line)| line.contains(part));
-            line.map(|(_, line)| line.trim_end().to_owned())
-        });
+        let line = self.line_with(part);
         line.unwrap_or_else(|| panic!("no '{part}' from {}", self.story()))
+    }
+
+    /// As [`wait_for`](Self::wait_for), for a program that was told its port: `None` if it ends because the
+    /// port is in use.
+    #[track_caller]
+    pub fn wait_for_unless_taken(&self, part: &str) -> Option<String> {
+        let line = self.line_with(part);
+        let taken = self.stderr().contains("in use");
+        assert!(line.is_some() || taken, "no '{part}' from {}", self.story());
+        line
+    }
+
+    /// The port in the first line that contains `part`, as in `tcp://127.0.0.1:4242`; waits for it.
+    #[track_caller]
+    pub fn wait_for_port(&self, part: &str) -> u16 {
+        let line = self.wait_for(part);
+        let port = line.split_once("tcp:").and_then(|(_, address)| {
+            let (_, port) = address.split_once(':')?;
+            let digits = port.split(|c: char| !c.is_ascii_digit()).next()?;
+            digits.parse().ok()
+        });
+        port.unwrap_or_else(|| panic!("no port in '{line}'"))
     }
 
     /// The next line of stdout; waits for it.
@@ -196,6 +214,14 @@ impl Process {
             heard.text(Stream::Out),
             heard.text(Stream::Err)
         )
+    }
+
+    fn line_with(&self, part: &str) -> Option<String> {
+        self.wait(PATIENCE, |heard| {
+            let mut lines = heard.lines.iter();
+            let line = lines.find(|(_, line)| line.contains(part));
+            line.map(|(_, line)| line.trim_end().to_owned())
+        })
     }
 
     /// Waits until what was heard is enough; gives up early when nothing more can come.

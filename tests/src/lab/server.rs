@@ -2,10 +2,13 @@
 
 use std::process::Command;
 
-use super::{OriginalClient, Process, free_port, original_tool, ztl};
+use super::{OriginalClient, Process, original_tool, reserve_port, ztl};
 
 /// The scope of every server here.
 pub const SCOPE: &str = "/test";
+
+/// What a server of test tasks says when it serves.
+const REGISTERED: &str = "Registering controller for scope '/test'";
 
 /// A task server in a process of its own, at a port of its own.
 #[derive(Debug)]
@@ -28,41 +31,58 @@ impl Server {
     /// The original's `ztl_task_server`.
     #[track_caller]
     pub fn original() -> Self {
-        Self::test_server(original_tool("ztl_task_server"))
+        Self::told_its_port(|port| {
+            let mut command = original_tool("ztl_task_server");
+            command.args(["-p", port, "-s", SCOPE]);
+            command
+        })
     }
 
     /// `ztl simple-server`.
     #[track_caller]
     pub fn simple_ours() -> Self {
         let mut command = ztl();
-        command.arg("simple-server");
-        Self::simple(command)
+        command.args(["simple-server", "0", SCOPE]);
+        Self::says_its_port(command)
     }
 
     /// The original's `ztl_simple_server`.
     #[track_caller]
     pub fn simple_original() -> Self {
-        Self::simple(original_tool("ztl_simple_server"))
+        Self::told_its_port(|port| {
+            let mut command = original_tool("ztl_simple_server");
+            command.args([port, SCOPE]);
+            command
+        })
     }
 
-    #[track_caller]
-    fn simple(mut command: Command) -> Self {
-        let port = free_port();
-        command.args([&port.to_string(), SCOPE]);
-        let process = Process::start(&mut command);
-        process.wait_for("Registering controller for scope '/test'");
-        Self { process, port }
-    }
-
-    /// Any command that serves the original's test tasks with the original's options.
+    /// Any command of ours that serves the original's test tasks with the original's options.
     #[track_caller]
     pub fn test_server(mut command: Command) -> Self {
-        let port = free_port();
-        command.args(["-p", &port.to_string(), "-s", SCOPE]);
+        // It chooses its port itself, and says it.
+        command.args(["-p", "0", "-s", SCOPE]);
+        Self::says_its_port(command)
+    }
+
+    #[track_caller]
+    fn says_its_port(mut command: Command) -> Self {
         let process = Process::start(&mut command);
         // Bound before this is said.
-        process.wait_for("Registering controller for scope '/test'");
+        process.wait_for(REGISTERED);
+        let port = process.wait_for_port("Task Server listening at");
         Self { process, port }
+    }
+
+    /// A server that has to be told its port, which something else may take before it does.
+    #[track_caller]
+    pub(super) fn told_its_port(command: impl Fn(&str) -> Command) -> Self {
+        loop {
+            let port = reserve_port();
+            let process = Process::start(&mut command(&port.to_string()));
+            if process.wait_for_unless_taken(REGISTERED).is_some() {
+                return Self { process, port };
+            }
+        }
     }
 
     /// `ztl gateway` with these devices, as `gripper=sim:gripper`; which need not be there yet.
@@ -75,19 +95,13 @@ impl Server {
     #[track_caller]
     pub fn gateway_with(devices: &[&str], options: &[&str]) -> Self {
         let mut command = ztl();
-        // It chooses its port itself, and says it.
         command.args(["gateway", "-p", "0", "-s", SCOPE]);
         for device in devices {
             command.args(["--device", device]);
         }
         command.args(options);
         let process = Process::start(&mut command);
-        let line = process.wait_for("Serving ");
-        let port = line
-            .split_once("tcp://127.0.0.1:")
-            .and_then(|(_, rest)| rest.split(',').next())
-            .and_then(|port| port.parse().ok());
-        let port = port.unwrap_or_else(|| panic!("no port in '{line}'"));
+        let port = process.wait_for_port("Serving ");
         Self { process, port }
     }
 
@@ -116,5 +130,30 @@ impl Server {
     #[track_caller]
     pub fn original_client(&self) -> OriginalClient {
         OriginalClient::connect(self.port, SCOPE)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::cell::Cell;
+    use std::net::TcpListener;
+
+    use super::*;
+
+    #[test]
+    fn a_server_that_finds_its_port_taken_is_started_at_another() {
+        let taken = TcpListener::bind(("0.0.0.0", 0)).expect("a port");
+        let taken = taken.local_addr().expect("its address").port().to_string();
+        let starts = Cell::new(0);
+        let server = Server::told_its_port(|port| {
+            starts.set(starts.get() + 1);
+            let port = if starts.get() == 1 { &taken } else { port };
+            let mut command = original_tool("ztl_task_server");
+            command.args(["-p", port, "-s", SCOPE]);
+            command
+        });
+        assert_eq!(starts.get(), 2);
+        let id = server.original_client().start("test", "echo", "hi");
+        assert!(id > 0, "{id}");
     }
 }

@@ -1,6 +1,6 @@
 //! A client in C, and the original's server.
 
-use ztl_tests::lab::{Process, SCOPE, Server, free_port};
+use ztl_tests::lab::{Process, SCOPE, Server, reserve_port};
 
 use crate::build::{Build, PATIENCE};
 use crate::serve::started;
@@ -62,7 +62,7 @@ pub(crate) fn tells_every_fate(build: Build) {
     );
     drop(worker);
 
-    let nowhere = format!("tcp://127.0.0.1:{}", free_port());
+    let nowhere = format!("tcp://127.0.0.1:{}", reserve_port());
     let (status, printed) = run(build, &nowhere, "echo", "1", 1_000);
     assert!(
         status == 1 && printed.starts_with("ZTL_E_NOT_CONNECTED: "),

@@ -15,12 +15,7 @@ pub(crate) fn started(build: Build, example: &str) -> (Process, u16) {
 /// Where a program serves.
 #[track_caller]
 pub(crate) fn port_of(process: &Process) -> u16 {
-    let line = process.wait_for("serving /robot at ");
-    let port = line.split("tcp://127.0.0.1:").nth(1).and_then(|rest| {
-        let digits = rest.split(|c: char| !c.is_ascii_digit()).next()?;
-        digits.parse().ok()
-    });
-    port.unwrap_or_else(|| panic!("no port in '{line}'"))
+    process.wait_for_port("serving /robot at ")
 }
 
 /// Asks for what is refused, until it is in time: the original's client waits for 2 s, and valgrind has to

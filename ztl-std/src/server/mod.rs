@@ -148,7 +148,12 @@ impl TaskServer {
         let waker = Waker::new(bell);
         let bound = bind(&socket, endpoint)?;
         let (mailbox, inbox) = Mailbox::new(Arc::clone(&waker));
-        info!(target: LOG, "Task Server listening at '{endpoint}'");
+        // As the original says it, and with the port that was chosen.
+        let named = endpoint
+            .rsplit_once(':')
+            .map_or(endpoint, |(address, _)| address);
+        let port = bound.rsplit_once(':').map_or("", |(_, port)| port);
+        info!(target: LOG, "Task Server listening at '{named}:{port}'");
         let mut config = Config::new(random::first_task_id(), random::nonzero());
         config.keep = limits.keep;
         Ok(Self {
