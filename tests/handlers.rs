@@ -8,7 +8,7 @@ use ztl_std::{
     TaskError, TaskId, TaskRequest, TaskServer, TriggerError,
 };
 use ztl_tests::lab::{
-    ABORTED, ACCEPTED, COMPLETED, FAILED, OriginalClient, PATIENCE, SCOPE, until,
+    ABORTED, ACCEPTED, COMPLETED, FAILED, OriginalClient, PATIENCE, SCOPE, in_time, until,
 };
 
 /// A door that tasks wait at until the test opens it.
@@ -147,18 +147,24 @@ fn an_assign_that_blocks_for_3_s_keeps_nobody_waiting() {
     let lab = Lab::new();
     let mut remote = lab.connect();
     let bystander = start(&mut remote, "sleep", "");
-    std::thread::scope(|scope| {
-        let asked = Instant::now();
-        let blocked = scope.spawn(|| lab.connect().trigger("any", "block-in-assign", "done"));
-        let slowest = slowest_status(&mut remote, bystander, Duration::from_secs(2));
-        assert!(slowest < Duration::from_secs(1), "{slowest:?}");
+    let mut slowest_of_others = || {
+        std::thread::scope(|scope| {
+            let asked = Instant::now();
+            let blocked = scope.spawn(|| lab.connect().trigger("any", "block-in-assign", "done"));
+            let slowest = slowest_status(&mut remote, bystander, Duration::from_secs(2));
 
-        // Its own client has been answered before it would have given up, and has an id.
-        let task = blocked.join().unwrap().expect("an id");
-        assert_ne!(task.id, bystander);
-        let end = status(State::Completed, "done");
-        assert_eq!(remote.wait(task.id, LIMIT), Ok(end));
-        assert!(asked.elapsed() > Duration::from_secs(3));
+            // Its own client has been answered before it would have given up, and has an id.
+            let task = blocked.join().unwrap().expect("an id");
+            assert_ne!(task.id, bystander);
+            let end = status(State::Completed, "done");
+            assert_eq!(remote.wait(task.id, LIMIT), Ok(end));
+            assert!(asked.elapsed() > Duration::from_secs(3));
+            slowest
+        })
+    };
+    // A busy machine delays some tries, a server that waits all.
+    until("quick answers", PATIENCE, || {
+        (slowest_of_others() < Duration::from_secs(1)).then_some(())
     });
 }
 
@@ -207,11 +213,11 @@ fn an_abort_that_is_not_heeded_is_answered_all_the_same() {
         assert!(asked.elapsed() > Duration::from_secs(1));
 
         // Meanwhile anybody else is served.
-        let other = start(&mut remote, "sleep", "");
-        let asked = Instant::now();
-        let aborted = remote.abort(other);
+        let aborted = in_time(Duration::from_secs(1), || {
+            let other = start(&mut remote, "sleep", "");
+            remote.abort(other)
+        });
         assert_eq!(aborted, Ok(status(State::Aborted, "True")));
-        assert!(asked.elapsed() < Duration::from_secs(1));
     }
 }
 

@@ -10,7 +10,7 @@ use std::time::Duration;
 
 use ztl_std::{ExecutableTask, TaskContext, TaskController, TaskError, TaskRequest, TaskServer};
 use ztl_tests::lab::{
-    PATIENCE, Process, SCOPE, Scratch, Server, Terminal, original_tool, until, ztl,
+    PATIENCE, Process, SCOPE, Scratch, Server, Terminal, original_tool, reserve_port, until, ztl,
 };
 
 /// A script and a configuration with the server `test`.
@@ -52,7 +52,7 @@ const TAKEN: &str =
     "Component 'echo' on handler 'test' for step 'a' TRIGGERED TO RUN IN BACKGROUND.";
 
 fn servers() -> [Server; 2] {
-    [Server::ours(), Server::original()]
+    [Server::ours_at(reserve_port()), Server::original()]
 }
 
 #[test]

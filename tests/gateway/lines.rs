@@ -4,7 +4,6 @@ use std::io::{Cursor, Read};
 use std::net::{TcpListener, TcpStream};
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Arc, Mutex};
-use std::time::Duration;
 
 use ztl_std::gateway::{Endpoint, Gateway, Line, Watch};
 use ztl_std::sim::{Device, Kind};
@@ -224,6 +223,3 @@ fn a_pty_made_anew_under_the_same_name_is_found_again() {
     let ready = ended.stderr.matches("Device 'gripper' is ready").count();
     assert_eq!(ready, 4, "{ended:?}");
 }
-
-/// Only so that the limits of the tests here are in one place.
-pub(crate) const SOON: Duration = Duration::from_millis(1700);

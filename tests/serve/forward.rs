@@ -1,7 +1,5 @@
 //! Tasks that another server does.
 
-use std::time::{Duration, Instant};
-
 use ztl_std::State::{Aborted, Accepted, Completed, Failed};
 use ztl_std::keys::can_encrypt;
 use ztl_tests::lab::{
@@ -72,10 +70,8 @@ fn the_other_server_may_be_the_originals() {
 fn a_server_that_is_not_there_refuses_and_nothing_is_sent() {
     let near = relay(reserve_port());
     let mut remote = near.remote();
-    let start = Instant::now();
     // Known after its INIT was answered, with the id.
     let id = trigger(&mut remote, "echo", "hi");
-    assert!(start.elapsed() < Duration::from_secs(2));
     let ended = remote.wait(id, Some(SOON)).expect("its end");
     assert!(ended.text.contains("nothing was sent"), "{ended:?}");
     assert_ne!(ended.state, Completed);
@@ -99,12 +95,12 @@ fn a_server_that_falls_silent_leaves_its_task_unknown_until_it_speaks() {
 
 #[test]
 fn a_server_that_was_started_anew_has_not_done_what_it_was_doing() {
-    let mut far = Lab::new(FAR);
+    let port = reserve_port().to_string();
+    let mut far = Lab::with(FAR, &["-p", &port]);
     let near = relay(far.server.port);
     let mut remote = near.remote();
     let id = trigger(&mut remote, "go", "");
     progress(&mut remote, id, "half way");
-    let port = far.server.port.to_string();
     far.server.process.signal("TERM");
     let (state, text) = end(&mut remote, id);
     // It was stopped, and said so.

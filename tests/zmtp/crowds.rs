@@ -108,10 +108,10 @@ fn a_client_for_whom_the_system_has_no_file_left_ends_nothing() {
 #[test]
 fn places_of_clients_that_never_finish_their_greeting_are_free_after_a_while() {
     let desk = Desk::start();
+    let start = std::time::Instant::now();
     let silent: Vec<_> = (0..PLACES)
         .map(|_| std::net::TcpStream::connect(("127.0.0.1", desk.port)).expect("a connection"))
         .collect();
-    let start = std::time::Instant::now();
     let client = desk.req();
     assert_eq!(client.ask("/desk;2;1;x"), "/desk;2;1;Invalid ID '1'");
     let waited = start.elapsed();

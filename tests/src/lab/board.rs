@@ -4,6 +4,7 @@
 use std::cell::RefCell;
 use std::fs;
 use std::io::{BufRead, BufReader, Read, Write};
+use std::net::TcpStream;
 use std::ops::Range;
 use std::os::unix::net::UnixStream;
 use std::path::{Path, PathBuf};
@@ -229,9 +230,14 @@ fn power_on(
                 knock(probe).map(Some)
             }
         });
-        if let Some(probe) = probe {
-            return (process, probe, ports);
+        let Some(probe) = probe else {
+            continue;
+        };
+        if served.is_some() {
+            // A SYN that comes before the board's network does is sent again only seconds later.
+            until("the board's network", PATIENCE, || hear(network));
         }
+        return (process, probe, ports);
     }
 }
 
@@ -244,6 +250,13 @@ fn knock(probe: &Path) -> Option<BufReader<UnixStream>> {
     let mut answer = String::new();
     probe.read_line(&mut answer).ok()?;
     answer.starts_with("OK").then_some(probe)
+}
+
+/// A byte that the board sends to whoever connects; not for long, as the next try may come through sooner.
+fn hear(network: u16) -> Option<()> {
+    let mut stream = TcpStream::connect(("127.0.0.1", network)).ok()?;
+    stream.set_read_timeout(Some(PATIENCE / 40)).ok()?;
+    stream.read_exact(&mut [0]).ok()
 }
 
 /// Where a symbol of an image is.

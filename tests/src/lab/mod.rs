@@ -60,6 +60,19 @@ pub fn until<T>(what: &str, limit: Duration, mut look: impl FnMut() -> Option<T>
     }
 }
 
+/// Repeats something until it takes less than `limit`: a busy machine delays some tries, a fault delays all.
+///
+/// # Panics
+/// When no try within [`PATIENCE`] is quick enough.
+#[track_caller]
+pub fn in_time<T>(limit: Duration, mut attempt: impl FnMut() -> T) -> T {
+    until(&format!("it takes less than {limit:?}"), PATIENCE, || {
+        let start = Instant::now();
+        let value = attempt();
+        (start.elapsed() < limit).then_some(value)
+    })
+}
+
 /// The `ztl` command that was built beside this test; or what `ZTL_COMMAND` says, a word in each line: a
 /// released file, perhaps as on an old kernel.
 #[track_caller]

@@ -23,19 +23,21 @@ impl Server {
     /// `ztl task-server`.
     #[track_caller]
     pub fn ours() -> Self {
-        let mut command = ztl();
-        command.arg("task-server");
-        Self::test_server(command)
+        Self::ours_at(0)
     }
 
-    /// The original's `ztl_task_server`.
+    /// The same at a port of the test's own, so that another can follow it there.
+    #[track_caller]
+    pub fn ours_at(port: u16) -> Self {
+        let mut command = ztl();
+        command.args(["task-server", "-p", &port.to_string(), "-s", SCOPE]);
+        Self::says_its_port(command)
+    }
+
+    /// The original's `ztl_task_server`, at a port of the test's own.
     #[track_caller]
     pub fn original() -> Self {
-        Self::told_its_port(|port| {
-            let mut command = original_tool("ztl_task_server");
-            command.args(["-p", port, "-s", SCOPE]);
-            command
-        })
+        Self::told_its_port(original_at)
     }
 
     /// `ztl simple-server`.
@@ -133,6 +135,14 @@ impl Server {
     }
 }
 
+/// The original's `ztl_task_server` at a port.
+#[track_caller]
+fn original_at(port: &str) -> Command {
+    let mut command = original_tool("ztl_task_server");
+    command.args(["-p", port, "-s", SCOPE]);
+    command
+}
+
 #[cfg(test)]
 mod tests {
     use std::cell::Cell;
@@ -147,10 +157,7 @@ mod tests {
         let starts = Cell::new(0);
         let server = Server::told_its_port(|port| {
             starts.set(starts.get() + 1);
-            let port = if starts.get() == 1 { &taken } else { port };
-            let mut command = original_tool("ztl_task_server");
-            command.args(["-p", port, "-s", SCOPE]);
-            command
+            original_at(if starts.get() == 1 { &taken } else { port })
         });
         assert_eq!(starts.get(), 2);
         let id = server.original_client().start("test", "echo", "hi");
