@@ -85,7 +85,7 @@ fn an_unknown_handler_or_component_is_refused_with_those_there_are() {
 fn a_program_refuses_by_its_exit_code_as_long_as_nothing_was_said_to_be_taken() {
     let lab = Lab::new(
         r#"
-        refuses: {run: [sh, -c, 'echo "the arm is locked" >&2; exit 2'], refused-by: [2, 3]}
+        refuses: {run: [sh, -c, 'echo "the arm is locked" >&2; exit 2'], refused-by: [2, 3], decide: 1500 ms}
         fails: {run: [sh, -c, 'exit 1'], refused-by: 2}
         works: {run: [echo, fine], refused-by: 2}
         late: {run: [sh, -c, 'echo "@ moving"; sleep 0.2; exit 2'], refused-by: 2, progress: '@ ', decide: 1500 ms}

@@ -4,11 +4,11 @@
 use std::path::Path;
 use std::process::Command;
 
-use ztl_std::State::{Aborted, Completed};
+use ztl_std::State::{Aborted, Completed, Failed};
 use ztl_std::{RemoteTask, TriggerError};
 use ztl_tests::lab::{
     ABORTED, COMPLETED, OriginalClient, PATIENCE, Process, Scratch, Server, built, python,
-    python27, reserve_port, verify_unit, ztl,
+    python27, reserve_port, until, verify_unit, ztl,
 };
 
 use crate::rig::{end, progress, project};
@@ -23,6 +23,11 @@ fn example(python: &Path) -> (Scratch, Server) {
         let from = project("examples/serve").join(name);
         std::fs::copy(from, scratch.path(name)).expect("to copy");
     }
+    // Slower, so that a busy machine sees it on its way.
+    let turn = std::fs::read_to_string(scratch.path("turn.py")).expect("Python");
+    let slower = turn.replace("sleep(0.05)", "sleep(0.3)");
+    assert_ne!(slower, turn);
+    std::fs::write(scratch.path("turn.py"), slower).expect("to write");
     let mut path = tools.into_os_string();
     path.push(":");
     path.push(std::env::var_os("PATH").unwrap_or_default());
@@ -104,15 +109,23 @@ fn runs_them(python: &Path) {
         "base:turn: the goal '270' is not a number from -180 to 180"
     );
     let turn = remote.trigger("base", "turn", "180").expect("taken").id;
-    progress(&mut remote, turn, "20 degrees");
+    progress(&mut remote, turn, " degrees");
     assert_eq!(remote.abort(turn).expect("an answer").state, Aborted);
     let (_, text) = end(&mut remote, turn);
     assert!(text.starts_with("stopped at "), "{text}");
     std::fs::write(scratch.path("brake"), "").expect("to write");
-    assert_eq!(
-        refused(&mut remote, "base", "turn", "10"),
-        "the brake is on"
-    );
+    // Python may start too slowly to refuse in time.
+    let said = until("a refusal", PATIENCE, || {
+        match remote.trigger("base", "turn", "10") {
+            Err(TriggerError::Refused { reason, .. }) => Some(reason),
+            taken => {
+                let late = end(&mut remote, taken.expect("an answer").id);
+                assert_eq!(late.0, Failed, "{late:?}");
+                None
+            }
+        }
+    });
+    assert_eq!(said, "the brake is on");
 }
 
 #[test]
