@@ -91,12 +91,12 @@ fn the_component_is_a_lamp_behind_a_gateway() {
 
     let mut client: OriginalClient = gateway.original_client();
     let id = client.start("desk", "lamp", "on");
-    assert_eq!(client.wait(id, 5.0), (5, "on"));
+    assert_eq!(client.wait(id, 20.0), (5, "on"));
     component.wait_for("lamp on");
     let reason = "'desk:lamp:dim' refused: lamp takes on or off";
     assert_eq!(client.trigger("desk", "lamp", "dim"), (-1, reason));
     let id = client.start("desk", "lamp", "off");
-    assert_eq!(client.wait(id, 5.0), (5, "off"));
+    assert_eq!(client.wait(id, 20.0), (5, "off"));
     component.wait_for("lamp off");
 
     // Its loop takes the next gateway when this one is gone.
@@ -105,5 +105,5 @@ fn the_component_is_a_lamp_behind_a_gateway() {
     gateway.wait_ready("desk");
     let mut client = OriginalClient::connect(gateway.port, SCOPE);
     let id = client.start("desk", "lamp", "on");
-    assert_eq!(client.wait(id, 5.0), (5, "on"));
+    assert_eq!(client.wait(id, 20.0), (5, "on"));
 }

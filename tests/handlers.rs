@@ -177,7 +177,7 @@ fn the_originals_client_gets_an_id_of_an_assign_that_hangs() {
     assert_eq!(client.status(id), (0, "None"));
     lab.door.open();
     // To its wait, INITIATED is not an end either.
-    assert_eq!(client.wait(id, 10.0), (COMPLETED, "done"));
+    assert_eq!(client.wait(id, 20.0), (COMPLETED, "done"));
 }
 
 #[test]
@@ -240,7 +240,7 @@ fn a_task_that_ends_in_spite_of_an_abort_tells_its_true_end() {
         assert_eq!(told.state, State::Completed);
         assert!(["done after all", "False"].contains(&told.text.as_str()));
     });
-    assert_eq!(client.wait(id, 5.0), (COMPLETED, "done after all"));
+    assert_eq!(client.wait(id, 20.0), (COMPLETED, "done after all"));
     assert_eq!(client.abort(id), (COMPLETED, "False"));
 }
 
@@ -275,7 +275,7 @@ fn an_abort_wakes_a_task_and_its_end_never_changes() {
     assert_eq!(client.abort(id), (ABORTED, "False"));
     let id = client.start("any", "panic-in-execute", "bad luck");
     let reason = "the handler panicked: execute has bad luck";
-    assert_eq!(client.wait(id, 5.0), (FAILED, reason));
+    assert_eq!(client.wait(id, 20.0), (FAILED, reason));
     assert_eq!(client.abort(id), (FAILED, "False"));
     assert_eq!(client.status(id), (FAILED, reason));
 }

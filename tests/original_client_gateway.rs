@@ -77,7 +77,7 @@ fn any_client_may_abort() {
     wait_beyond(&mut starter, id, 1.0);
     let mut other = gateway.original_client();
     assert_eq!(other.abort(id), (ABORTED, "True"));
-    assert_eq!(starter.wait(id, 5.0).number, ABORTED);
+    assert_eq!(starter.wait(id, 20.0).number, ABORTED);
 }
 
 #[test]
@@ -126,8 +126,8 @@ fn two_clients_move_two_devices_at_once() {
     assert!(first < 60.0 && second < 90.0, "{first}, {second}");
     // The first still moves while the second does.
     wait_beyond(&mut one, finger, first);
-    assert_eq!(one.wait(finger, 5.0), (COMPLETED, "60.0"));
-    assert_eq!(other.wait(pan, 5.0), (COMPLETED, "90.0"));
+    assert_eq!(one.wait(finger, 20.0), (COMPLETED, "60.0"));
+    assert_eq!(other.wait(pan, 20.0), (COMPLETED, "90.0"));
 }
 
 #[test]
@@ -138,9 +138,9 @@ fn a_second_task_on_the_same_component_is_refused_and_the_first_goes_on() {
     let finger = one.start("gripper", "finger", "60");
     let reason = "'gripper:finger:20' refused: busy with another task";
     assert_eq!(other.trigger("gripper", "finger", "20"), (-1, reason));
-    assert_eq!(one.wait(finger, 5.0), (COMPLETED, "60.0"));
+    assert_eq!(one.wait(finger, 20.0), (COMPLETED, "60.0"));
     let finger = other.start("gripper", "finger", "20");
-    assert_eq!(other.wait(finger, 5.0), (COMPLETED, "20.0"));
+    assert_eq!(other.wait(finger, 20.0), (COMPLETED, "20.0"));
 }
 
 #[test]

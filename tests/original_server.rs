@@ -44,7 +44,7 @@ fn a_task_is_taken_runs_and_ends() {
 fn a_wait_lasts_until_the_task_has_ended() {
     let server = Server::original();
     let mut remote = connect(&server);
-    let id = start(&mut remote, "sleep", "1");
+    let id = start(&mut remote, "sleep", "3");
     let mut seen = Vec::new();
     let end = remote.wait_with(id, LIMIT, |answer| {
         seen.push(answer.clone().expect("an answer").state);
@@ -60,7 +60,7 @@ fn a_wait_lasts_until_the_task_has_ended() {
 fn a_wait_that_is_over_too_soon_is_no_end() {
     let server = Server::original();
     let mut remote = connect(&server);
-    let id = start(&mut remote, "sleep", "1");
+    let id = start(&mut remote, "sleep", "3");
     let error = remote.wait(id, Some(Duration::from_millis(300)));
     let error = error.expect_err("it still runs");
     assert_eq!(error.last, Ok(status(State::Accepted, "None")));
@@ -100,7 +100,7 @@ fn a_refusal_is_no_task() {
 fn an_abort_that_is_refused_tells_that_the_task_goes_on() {
     let server = Server::original();
     let mut remote = connect(&server);
-    let id = start(&mut remote, "sleep", "1");
+    let id = start(&mut remote, "sleep", "3");
     assert_eq!(remote.abort(id), Ok(status(State::Accepted, "False")));
     let end = status(State::Completed, "True");
     assert_eq!(remote.wait(id, LIMIT), Ok(end));

@@ -20,14 +20,14 @@ fn each_peers_client_runs_tasks_on_our_server() {
     with_each(|peer| {
         let mut client = peer.client(server.port, SCOPE);
         let id = client.start("test", "echo", "with : and ; in it");
-        assert_eq!(client.wait(id, 5.0), (COMPLETED, "with : and ; in it"));
+        assert_eq!(client.wait(id, 20.0), (COMPLETED, "with : and ; in it"));
         let long = "long ".repeat(20_000);
         let id = client.start("test", "echo", &long);
-        assert_eq!(client.wait(id, 5.0), (COMPLETED, long.as_str()));
-        let id = client.start("test", "sleep", "1");
+        assert_eq!(client.wait(id, 20.0), (COMPLETED, long.as_str()));
+        let id = client.start("test", "sleep", "3");
         assert_eq!(client.status(id), (ACCEPTED, "None"));
         assert_eq!(client.abort(id).number, ACCEPTED);
-        assert_eq!(client.wait(id, 5.0), (COMPLETED, "True"));
+        assert_eq!(client.wait(id, 20.0), (COMPLETED, "True"));
         assert_eq!(client.status(99), (REJECTED, "Invalid ID '99'"));
         assert_eq!(client.trigger("robot", "echo", "hi").number, -1);
     });
@@ -40,12 +40,12 @@ fn each_peers_client_drives_a_device_through_the_gateway() {
     with_each(|peer| {
         let mut client = peer.client(gateway.port, SCOPE);
         let id = client.start("gripper", "finger", "3");
-        let end = client.wait(id, 10.0);
+        let end = client.wait(id, 20.0);
         assert_eq!(end.number, COMPLETED, "{end:?}");
         let id = client.start("gripper", "finger", "100");
         assert_eq!(client.abort(id).number, ABORTED);
         let id = client.start("gripper", "finger", "0");
-        assert_eq!(client.wait(id, 10.0).number, COMPLETED);
+        assert_eq!(client.wait(id, 20.0).number, COMPLETED);
     });
 }
 
@@ -60,7 +60,7 @@ fn our_client_runs_tasks_on_each_peers_server() {
             let end = remote.wait(id, Some(PATIENCE)).expect("its end");
             assert_eq!((end.state, end.text.as_str()), (State::Completed, goal));
         }
-        let id = remote.trigger("test", "sleep", "1").expect("taken").id;
+        let id = remote.trigger("test", "sleep", "3").expect("taken").id;
         let now = remote.status(id).expect("an answer");
         assert_eq!(now.state, State::Accepted);
         let end = remote.wait(id, Some(PATIENCE)).expect("its end");

@@ -47,7 +47,7 @@ impl Desk {
 }
 
 /// What goes on in the background is told when it was taken, and so was the other by then.
-const TWO_STEPS: &str = "s: {a: {test: {sleep: 2, echo(wait=no): x}}, b: {test: {echo: after}}}\n";
+const TWO_STEPS: &str = "s: {a: {test: {sleep: 5, echo(wait=no): x}}, b: {test: {echo: after}}}\n";
 const TAKEN: &str =
     "Component 'echo' on handler 'test' for step 'a' TRIGGERED TO RUN IN BACKGROUND.";
 
@@ -158,7 +158,7 @@ fn ctrl_c_stops_what_was_started_in_the_background_too_and_says_what_cannot_be_s
     assert_eq!(tasks.stdout, "No task is running.\n");
 }
 
-const SCENES: &str = "one: {a: {test: {sleep: 1}}}\ntwo: {a: {test: {echo: 1}}}\nthree: {a: {test: {echo: 1}}}\nfour: {a: {test: {echo: 1}}}\n";
+const SCENES: &str = "one: {a: {test: {sleep: 4}}}\ntwo: {a: {test: {echo: 1}}}\nthree: {a: {test: {echo: 1}}}\nfour: {a: {test: {echo: 1}}}\n";
 
 #[test]
 fn a_key_answers_one_question_and_never_the_next() {

@@ -159,7 +159,7 @@ fn the_originals_client_that_asks_by_status_hears_the_true_end() {
     lab.kill();
     lab.start_again();
     let mut client = lab.gateway.original_client();
-    assert_eq!(client.wait(id, 10.0), (COMPLETED, "7"));
+    assert_eq!(client.wait(id, 20.0), (COMPLETED, "7"));
     assert_eq!(client.status(id), (COMPLETED, "7"));
     assert_eq!(lab.device.deed("7 1000"), ONCE);
 }

@@ -140,5 +140,5 @@ fn what_needs_no_program_is_served_too() {
     let id = client.start("p", "sleep", "60");
     assert_eq!(client.abort(id).text, "True");
     let id = client.start("p", "echo", "hi");
-    assert_eq!(client.wait(id, 5.0), (COMPLETED, "hi"));
+    assert_eq!(client.wait(id, 20.0), (COMPLETED, "hi"));
 }

@@ -134,7 +134,7 @@ fn the_originals_client_runs_them() {
     let mut client = OriginalClient::connect(server.port, "/robot");
     for (handler, component, goal, result) in TASKS {
         let id = client.start(handler, component, goal);
-        assert_eq!(client.wait(id, 10.0), (COMPLETED, result), "{goal}");
+        assert_eq!(client.wait(id, 20.0), (COMPLETED, result), "{goal}");
     }
     let turn = client.start("base", "turn", "180");
     assert_eq!(client.abort(turn), (ABORTED, "True"));

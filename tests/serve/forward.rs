@@ -49,7 +49,7 @@ fn a_task_is_done_there_as_if_it_were_done_here() {
     assert_eq!(remote.status(id).expect("an answer").state, Accepted);
     let mut client = near.server.original_client();
     let id = client.start("p", "echo", "hi");
-    assert_eq!(client.wait(id, 5.0), (COMPLETED, "hi"));
+    assert_eq!(client.wait(id, 20.0), (COMPLETED, "hi"));
     let id = client.start("p", "go", "");
     assert_eq!(client.abort(id), (ABORTED, "True"));
 }

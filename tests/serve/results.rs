@@ -89,9 +89,9 @@ fn the_last_line_is_the_result_or_all_or_json_or_nothing() {
     assert!(reason.starts_with("its output is no JSON: "), "{reason}");
     let mut client = lab.server.original_client();
     let id = client.start("p", "json", "");
-    assert_eq!(client.wait(id, 5.0), (COMPLETED, "[1, True, {'a': None}]"));
+    assert_eq!(client.wait(id, 20.0), (COMPLETED, "[1, True, {'a': None}]"));
     let id = client.start("p", "bad", "{");
-    assert_eq!(client.wait(id, 5.0).number, FAILED);
+    assert_eq!(client.wait(id, 20.0).number, FAILED);
 }
 
 #[test]

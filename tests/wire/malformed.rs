@@ -93,7 +93,7 @@ fn a_task_server_answers_whatever_is_malformed_and_serves_on() {
     let port = server.endpoint().rsplit(':').next().unwrap();
     let mut client = OriginalClient::connect(port.parse().unwrap(), SCOPE);
     let id = client.start("any", "echo", "hi");
-    assert_eq!(client.wait(id, 5.0), (COMPLETED, "hi"));
+    assert_eq!(client.wait(id, 20.0), (COMPLETED, "hi"));
 }
 
 #[test]
@@ -102,7 +102,7 @@ fn a_gateway_answers_whatever_is_malformed_and_serves_on() {
     let mut client = gateway.original_client();
     let id = client.start("gripper", "finger", "100");
     answers_what_is_malformed(&gateway.endpoint());
-    assert_eq!(client.wait(id, 5.0), (COMPLETED, "100.0"));
+    assert_eq!(client.wait(id, 20.0), (COMPLETED, "100.0"));
 
     // A payload that no controller can read.
     let req = Socket::req(&gateway.endpoint());
