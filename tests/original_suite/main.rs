@@ -1,17 +1,22 @@
-//! The original's own test-suite, unchanged, with our servers in place of its own; and our client
-//! against its servers, where the suite has the original's.
+//! The original's own test-suite, unchanged but for its ports, with our servers in place of its own; and our
+//! client against its servers, where the suite has the original's.
 
 use std::path::PathBuf;
 use std::process::Command;
 use std::time::Duration;
 
 use ztl_std::{RemoteTask, State};
-use ztl_tests::lab::{Ended, PATIENCE, Process, SCOPE, Scratch, Server, built, python};
+use ztl_tests::lab::{
+    Ended, PATIENCE, Process, SCOPE, Scratch, Server, built, python, reserve_port,
+};
 
 /// The suite lasts 11 s by itself.
 const LIMIT: Duration = Duration::from_secs(120);
 
 const FIXTURES: &str = include_str!("conftest.py");
+
+/// The ports that the suite and its fixtures name.
+const PORTS: [&str; 3] = ["7777", "7778", "7779"];
 
 /// The original's tests, from its archive, which lies beside its Python.
 #[track_caller]
@@ -31,12 +36,19 @@ fn suite() -> PathBuf {
 #[track_caller]
 fn pytest(words: &[&str], change: impl Fn(&str, String) -> String) -> Ended {
     let scratch = Scratch::new();
-    std::fs::write(scratch.path("conftest.py"), FIXTURES).expect("to write");
+    let ports = PORTS.map(|port| (port, reserve_port().to_string()));
+    let write = |name: &str, text: String| {
+        let text = ports
+            .iter()
+            .fold(text, |text, (named, own)| text.replace(named, own));
+        std::fs::write(scratch.path(name), text).expect("to write");
+    };
+    write("conftest.py", FIXTURES.to_owned());
     for file in std::fs::read_dir(suite()).expect("the suite") {
         let file = file.expect("a file");
         let name = file.file_name().into_string().expect("a name");
         let text = std::fs::read_to_string(file.path()).expect("Python");
-        std::fs::write(scratch.path(&name), change(&name, text)).expect("to write");
+        write(&name, change(&name, text));
     }
     let mut command = Command::new(python());
     command.args(["-m", "pytest", "-q", "-p", "no:cacheprovider"]);
