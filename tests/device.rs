@@ -83,7 +83,7 @@ fn status(state: State, text: &str) -> Status {
 /// Starts a task, as soon as the gateway takes it.
 #[track_caller]
 fn start_when_served(remote: &mut RemoteTask, goal: &str) -> TaskId {
-    until("a task is taken", Duration::from_secs(10), || {
+    until("a task is taken", PATIENCE, || {
         remote.trigger("gripper", "finger", goal).ok()
     })
     .id
@@ -373,6 +373,6 @@ fn a_device_that_has_more_to_say_than_anybody_hears_still_listens() {
         (still.elapsed() > Duration::from_millis(500)).then_some(())
     });
     device.signal("TERM");
-    let ended = device.end(Duration::from_secs(5));
+    let ended = device.end(PATIENCE);
     assert_eq!(ended.code, Some(0), "{ended:?}");
 }

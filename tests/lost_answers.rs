@@ -9,6 +9,7 @@ use ztl_std::{
     ExecutableTask, RemoteTask, RequestError, State, TaskContext, TaskController, TaskError,
     TaskRequest, TaskServer, TriggerError,
 };
+use ztl_tests::lab::PATIENCE;
 
 /// What the wire does to the first INIT that passes.
 #[derive(Clone, Copy, PartialEq)]
@@ -104,9 +105,9 @@ fn trigger(fault: Fault) -> (Result<State, TriggerError>, u32) {
         stop,
     );
     let remote = RemoteTask::connect(&endpoint, "/lab").unwrap();
-    let mut remote = remote.with_timeout(Duration::from_millis(300));
+    let mut remote = remote.with_timeout(Duration::from_secs(1));
     let told = remote.trigger("h", "c", "g").map(|task| {
-        let limit = Some(Duration::from_secs(5));
+        let limit = Some(PATIENCE);
         remote.wait(task.id, limit).expect("it ends").state
     });
     (told, started.load(Ordering::SeqCst))
@@ -156,7 +157,7 @@ fn a_task_that_is_not_wanted_any_more_is_found_without_waiting_for_its_answer() 
     let mut payload = vec![0; spec.encoded_len()];
     let payload = spec.encode_into(&mut payload).unwrap();
     let task = remote.trigger_while(payload, || !begun()).unwrap();
-    let end = remote.wait(task.id, Some(Duration::from_secs(5))).unwrap();
+    let end = remote.wait(task.id, Some(PATIENCE)).unwrap();
     assert_eq!(end.state, State::Completed);
     assert_eq!(started.load(Ordering::SeqCst), 1);
     // It is not sent at all when it was not wanted before.
@@ -170,7 +171,7 @@ fn a_quick_task_is_run_in_a_single_round_trip() {
     let started = Arc::default();
     let server = server(&started);
     let mut remote = RemoteTask::connect(server.endpoint(), "/lab").unwrap();
-    let end = remote.run("h", "c", "g", Some(Duration::from_secs(5)));
+    let end = remote.run("h", "c", "g", Some(PATIENCE));
     let end = end.expect("it is taken").expect("it ends");
     assert_eq!((end.state, end.text.as_str()), (State::Completed, "done"));
 }

@@ -318,7 +318,7 @@ fn a_second_ctrl_c_leaves_at_once() {
     lab.asked.recv_timeout(PATIENCE).expect("its INIT");
     client.signal("INT");
     client.wait_for("Interrupted");
-    let ended = client.insist("INT", Duration::from_secs(1));
+    let ended = client.insist("INT", PATIENCE);
     assert_eq!(ended.code, Some(130));
     assert!(!ended.stdout.contains("Aborting"), "{ended:?}");
     drop(lab.decide);

@@ -1,7 +1,6 @@
 //! Readings on their way from a device to whoever wants them.
 
 use std::process::Command;
-use std::time::Duration;
 
 use ztl_mcu::link::Loss;
 use ztl_std::gateway::{Gateway, Readings};
@@ -144,7 +143,7 @@ fn a_port_for_readings_that_is_taken_is_named() {
         "--publish",
         &port,
     ]);
-    let ended = Process::start(&mut command).end(Duration::from_secs(10));
+    let ended = Process::start(&mut command).end(PATIENCE);
     assert_eq!(ended.code, Some(1), "{ended:?}");
     assert!(
         ended

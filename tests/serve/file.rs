@@ -139,7 +139,7 @@ fn a_client_that_asks_is_told_handlers_and_components() {
 
 fn zmq_ask(port: u16, question: &str) -> String {
     let socket = zmq::Context::new().socket(zmq::REQ).expect("a socket");
-    socket.set_rcvtimeo(5000).expect("a limit");
+    socket.set_rcvtimeo(20_000).expect("a limit");
     socket
         .connect(&format!("tcp://127.0.0.1:{port}"))
         .expect("an address");

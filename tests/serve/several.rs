@@ -172,7 +172,7 @@ fn children_that_end_cost_no_answer() {
     let lab = Lab::new("echo: {run: [echo, 'said {goal}']}");
     // A client that asks once, and waits: ZeroMQ gave up a frame of an answer when a child ended.
     let socket = zmq::Context::new().socket(zmq::REQ).expect("a socket");
-    socket.set_rcvtimeo(10_000).expect("a limit");
+    socket.set_rcvtimeo(20_000).expect("a limit");
     socket.connect(&lab.server.endpoint()).expect("an address");
     let ask = |question: &str| -> String {
         socket.send(question, 0).expect("to send");
