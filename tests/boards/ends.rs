@@ -28,16 +28,16 @@ pub(crate) fn completes(board: &str) {
     until("light", PATIENCE, || {
         (rig.board.read(Pin::Lamp) == 1).then_some(())
     });
-    assert_eq!(rig.client.wait(id, 20.0), (COMPLETED, "off"));
+    assert_eq!(rig.client.wait(id, 60.0), (COMPLETED, "off"));
     assert_eq!(rig.board.read(Pin::Lamp), 0);
 }
 
 pub(crate) fn aborts(board: &str) {
     let mut rig = Rig::start(board);
     let home = rig.client.start("desk", "stage", "home");
-    assert_eq!(rig.client.wait(home, 20.0), (COMPLETED, "0.00"));
+    assert_eq!(rig.client.wait(home, 60.0), (COMPLETED, "0.00"));
     let id = rig.start_stage("200", 100);
-    assert_eq!(rig.client.abort(id), (ABORTED, "True"));
+    assert_eq!(rig.client.stop(id), ABORTED);
     rig.assert_rests();
     let end = rig.client.status(id);
     assert_eq!(end.number, ABORTED);
@@ -74,28 +74,28 @@ pub(crate) fn refuses(board: &str) {
     let reason = "'desk:stage:30' refused: busy with another task";
     assert_eq!(rig.client.trigger("desk", "stage", "30"), (-1, reason));
     rig.assert_serves();
-    assert_eq!(rig.client.wait(id, 20.0), (COMPLETED, "20.00"));
+    assert_eq!(rig.client.wait(id, 60.0), (COMPLETED, "20.00"));
 }
 
 pub(crate) fn reaches_its_limit(board: &str) {
     let mut rig = Rig::start(board);
     assert!(rig.place() > 0, "it starts above its switch");
     let id = rig.client.start("desk", "stage", "home");
-    assert_eq!(rig.client.wait(id, 20.0), (COMPLETED, "0.00"));
+    assert_eq!(rig.client.wait(id, 60.0), (COMPLETED, "0.00"));
     assert_eq!(rig.place(), 0);
 
     let id = rig.client.start("desk", "stage", "25");
-    assert_eq!(rig.client.wait(id, 20.0), (COMPLETED, "25.00"));
+    assert_eq!(rig.client.wait(id, 60.0), (COMPLETED, "25.00"));
     assert_eq!(rig.place(), 1000);
     // Something is in the way, and presses the switch.
     let id = rig.start_stage("0", 100);
     rig.board.write(Pin::Limit, 1);
-    let end = rig.client.wait(id, 20.0);
+    let end = rig.client.wait(id, 60.0);
     assert_eq!(end.number, FAILED);
     assert!(end.text.starts_with("limit switch at "), "{end:?}");
     rig.assert_rests();
     // Away from the switch it may go.
     let id = rig.client.start("desk", "stage", "30");
-    assert_eq!(rig.client.wait(id, 20.0), (COMPLETED, "30.00"));
+    assert_eq!(rig.client.wait(id, 60.0), (COMPLETED, "30.00"));
     assert_eq!(rig.place(), 1200);
 }

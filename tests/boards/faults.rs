@@ -11,7 +11,7 @@ pub(crate) fn stops(board: &str) {
     let gripper = rig.client.start("desk", "gripper", "0");
     rig.board.write(Pin::Stop, 1);
     for id in [stage, gripper] {
-        assert_eq!(rig.client.wait(id, 20.0), (ABORTED, "emergency stop"));
+        assert_eq!(rig.client.wait(id, 60.0), (ABORTED, "emergency stop"));
     }
     rig.assert_rests();
     assert_eq!(rig.board.read(Pin::Lamp), 0, "its safe state");
@@ -37,7 +37,7 @@ pub(crate) fn resets(board: &str) {
     rig.wait_logged(started, 1);
     let id = rig.start_stage("200", 50);
     rig.board.reset();
-    assert_eq!(rig.client.wait(id, 20.0), (FAILED, "device was reset"));
+    assert_eq!(rig.client.wait(id, 60.0), (FAILED, "device was reset"));
     rig.assert_rests();
     let log = rig.wait_logged(started, 2);
     let boot = |line: &str| line.split(started).nth(1).map(str::to_owned);
@@ -65,7 +65,7 @@ pub(crate) fn loses_its_link(board: &str) {
     let place = rig.wait_rest();
     assert!(place < 200 * STEPS as u32, "it has gone all the way");
     let _plugged = plug();
-    let end = rig.client.wait(id, 20.0);
+    let end = rig.client.wait(id, 60.0);
     assert_eq!(end.number, FAILED);
     let reasons = ["device is not answering", "link was lost"];
     assert!(reasons.contains(&end.text.as_str()), "{end:?}");

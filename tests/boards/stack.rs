@@ -48,14 +48,14 @@ pub(crate) fn of_the_quiet_robot() {
 fn do_all(image: &str, mut rig: Rig) {
     let home = rig.client.start("desk", "stage", "home");
     let gripper = rig.client.start("desk", "gripper", "90");
-    assert_eq!(rig.client.wait(home, 20.0), (COMPLETED, "0.00"));
-    assert_eq!(rig.client.wait(gripper, 20.0), (COMPLETED, "90.0"));
+    assert_eq!(rig.client.wait(home, 60.0), (COMPLETED, "0.00"));
+    assert_eq!(rig.client.wait(gripper, 60.0), (COMPLETED, "90.0"));
     assert_eq!(rig.client.trigger("desk", "stage", "9999").number, -1);
     let id = rig.start_stage("200", 100);
-    assert_eq!(rig.client.abort(id), (ABORTED, "True"));
+    assert_eq!(rig.client.stop(id), ABORTED);
     let id = rig.start_stage("0", 10);
     rig.board.write(Pin::Stop, 1);
-    assert_eq!(rig.client.wait(id, 20.0), (ABORTED, "emergency stop"));
+    assert_eq!(rig.client.wait(id, 60.0), (ABORTED, "emergency stop"));
     check(image, &rig.board);
 }
 
@@ -74,10 +74,10 @@ pub(crate) fn of_the_networked_robot() {
     let mut clients = [(); 2].map(|()| OriginalClient::connect(board.network, "/lab"));
     for client in &mut clients {
         let id = client.start("desk", "gripper", "90");
-        assert_eq!(client.wait(id, 20.0), (COMPLETED, "90.0"));
+        assert_eq!(client.wait(id, 60.0), (COMPLETED, "90.0"));
         assert_eq!(client.trigger("desk", "stage", "9999").number, -1);
         let id = client.start("desk", "stage", "200");
-        assert_eq!(client.abort(id), (ABORTED, "True"));
+        assert_eq!(client.stop(id), ABORTED);
     }
     check(image, &board);
 }
@@ -109,8 +109,8 @@ fn do_with_lamp(image: &str, board: &Board, mut client: OriginalClient) {
     until("light", PATIENCE, || {
         (board.read(Pin::Lamp) == 1).then_some(())
     });
-    assert_eq!(client.abort(id), (ABORTED, "True"));
+    assert_eq!(client.stop(id), ABORTED);
     let id = client.start("desk", "lamp", "on");
-    assert_eq!(client.wait(id, 20.0), (COMPLETED, "on"));
+    assert_eq!(client.wait(id, 60.0), (COMPLETED, "on"));
     check(image, board);
 }

@@ -41,7 +41,7 @@ fn drive(board: &Board, client: &mut OriginalClient) {
     assert_eq!(client.status(id).number, ACCEPTED);
     let busy = client.trigger("desk", "stage", "100");
     assert_eq!(busy, (-1, "busy with another task"));
-    assert_eq!(client.abort(id), (ABORTED, "True"));
+    assert_eq!(client.stop(id), ABORTED);
     let end = client.status(id);
     assert_eq!(end.number, ABORTED);
     let told: f32 = end.text.parse().expect("a position");

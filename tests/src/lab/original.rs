@@ -133,6 +133,13 @@ impl OriginalClient {
         self.ask(&format!("abort {id}"), PATIENCE)
     }
 
+    /// Aborts a task and waits for its final state, which a busy machine may reach after the answer to the abort.
+    #[track_caller]
+    pub fn stop(&mut self, id: i64) -> i64 {
+        self.abort(id);
+        self.wait(id, 60.0).number
+    }
+
     /// `RemoteTask.wait` with its limit in seconds; 0 or less waits for ever.
     #[track_caller]
     pub fn wait(&mut self, id: i64, limit: f32) -> Answer {
