@@ -10,7 +10,7 @@ use ztl_std::{
     ExecutableTask, Limits, RemoteTask, State, TaskContext, TaskController, TaskError, TaskRequest,
     TaskServer, TaskSpec,
 };
-use ztl_tests::lab::{ACCEPTED, OriginalClient, PATIENCE, SCOPE, Server, until};
+use ztl_tests::lab::{ACCEPTED, OriginalClient, PATIENCE, SCOPE, Server, in_time, until};
 
 /// Clients side by side.
 const CLIENTS: u32 = 8;
@@ -223,16 +223,17 @@ fn ten_thousand_tasks_at_once_are_answered_once_and_none_is_lost() {
 
     // A door takes no notice of an ABORT; who sent it is answered before the original's client gives up.
     let aborts = taken.keys().take(2000).map(|id| format!("{SCOPE};3;{id};"));
-    let answers = crowd.ask(&aborts.collect::<Vec<_>>());
-    let last = answers.iter().map(|said| said.after).max();
-    println!("{most} taken within {slowest:?}, 2000 aborts answered within {last:?}");
-    for said in answers {
-        assert_eq!((said.state, said.text.as_str()), (1, "aborting"));
-        let time = said.after;
-        assert!(time > Duration::from_millis(1400), "{time:?}");
-        // A busy machine may add to it.
-        assert!(time < Duration::from_secs(3), "{time:?}");
-    }
+    let aborts: Vec<String> = aborts.collect();
+    in_time(Duration::from_secs(3), || {
+        let answers = crowd.ask(&aborts);
+        let last = answers.iter().map(|said| said.after).max();
+        println!("{most} taken within {slowest:?}, 2000 aborts answered within {last:?}");
+        for said in answers {
+            assert_eq!((said.state, said.text.as_str()), (1, "aborting"));
+            let time = said.after;
+            assert!(time > Duration::from_millis(1400), "{time:?}");
+        }
+    });
 
     door.open();
     until("the end of each", PATIENCE, || {
