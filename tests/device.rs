@@ -52,12 +52,12 @@ impl Place {
     /// Takes the device away as a pulled plug does.
     #[track_caller]
     fn unplug(&self, device: &mut Process) {
-        device.kill();
         // The system removes the name of a USB port, too. Left behind, it would lead to whoever
         // is given a pty of the same number next.
         if let Self::Pty(scratch) = self {
             std::fs::remove_file(scratch.path("gripper")).expect("the link");
         }
+        device.kill();
     }
 
     #[track_caller]
@@ -204,7 +204,7 @@ fn a_quick_reset_is_noticed(place: &Place) {
         let id = start_when_served(&mut remote, "100");
         wait_beyond(&mut remote, id, 10.0);
         let killed = Instant::now();
-        device.kill();
+        place.unplug(&mut device);
         device = place.power_on();
         let (ended, end) = watch_end(&mut remote, id);
         assert_eq!(end.state, State::Failed, "round {round}: {end:?}");

@@ -212,7 +212,9 @@ fn a_pty_made_anew_under_the_same_name_is_found_again() {
             complete(&mut remote, "gripper", "finger", &goal),
             format!("{goal}.0")
         );
-        // Unplugged; its name stays behind, and leads nowhere.
+        // Unplugged; its name stays behind, and leads nowhere. (The pty's own number would soon be another's.)
+        std::fs::remove_file(&link).expect("the link");
+        std::os::unix::fs::symlink(scratch.path("nowhere"), &link).expect("a link");
         drop(device);
         until("it is missed", PATIENCE, || {
             remote.trigger("gripper", "finger", "1").err()
