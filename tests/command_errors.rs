@@ -255,7 +255,7 @@ fn a_server_that_is_not_there_is_unknown() {
 
 #[test]
 fn a_server_that_dies_leaves_its_task_unknown() {
-    let mut server = Server::ours();
+    let mut server = Server::ours_at(reserve_port());
     let mut client = our_client();
     client.arg("--exit-status");
     let client = server.start_client(client, &["-t", "1", "test:sleep:60"]);

@@ -8,7 +8,7 @@ use std::sync::{Arc, Mutex};
 use ztl_std::gateway::{Endpoint, Gateway, Line, Watch};
 use ztl_std::sim::{Device, Kind};
 use ztl_std::{RemoteTask, RunningServer, State, TaskServer};
-use ztl_tests::lab::{PATIENCE, Process, SCOPE, Server, until, ztl};
+use ztl_tests::lab::{PATIENCE, Process, SCOPE, Server, reserve_port, until, ztl};
 
 /// What the gateway says is wrong with a device.
 #[track_caller]
@@ -147,8 +147,8 @@ fn a_connection_whose_other_end_has_vanished_is_made_anew() {
 
 #[test]
 fn a_device_that_comes_and_goes_without_pause_fills_no_log() {
-    let peer = TcpListener::bind("127.0.0.1:0").expect("a port");
-    let port = peer.local_addr().expect("its address").port();
+    let port = reserve_port();
+    let peer = TcpListener::bind(("127.0.0.1", port)).expect("a port");
     let mut command = ztl();
     command.args(["gateway", "-p", "0", "-s", SCOPE, "-d"]);
     let gateway = Process::start(command.arg(format!("arm=tcp:127.0.0.1:{port}")));
