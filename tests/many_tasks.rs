@@ -10,7 +10,7 @@ use ztl_std::{
     ExecutableTask, Limits, RemoteTask, State, TaskContext, TaskController, TaskError, TaskRequest,
     TaskServer, TaskSpec,
 };
-use ztl_tests::lab::{ACCEPTED, OriginalClient, PATIENCE, SCOPE, Server, in_time, until};
+use ztl_tests::lab::{ACCEPTED, OriginalClient, PATIENCE, SCOPE, Server, until};
 
 /// Clients side by side.
 const CLIENTS: u32 = 8;
@@ -222,17 +222,24 @@ fn ten_thousand_tasks_at_once_are_answered_once_and_none_is_lost() {
     assert_eq!(original.status(one).number, ACCEPTED);
 
     // A door takes no notice of an ABORT; who sent it is answered before the original's client gives up.
-    let aborts = taken.keys().take(2000).map(|id| format!("{SCOPE};3;{id};"));
-    let aborts: Vec<String> = aborts.collect();
-    in_time(Duration::from_secs(3), || {
-        let answers = crowd.ask(&aborts);
+    let ask = |what: &str| {
+        let ids = taken.keys().take(2000);
+        let bodies: Vec<String> = ids.map(|id| format!("{SCOPE};{what};{id};")).collect();
+        let answers = crowd.ask(&bodies);
         let last = answers.iter().map(|said| said.after).max();
+        (answers, last.unwrap_or_default())
+    };
+    // 1.5 s later than a STATUS is; a busy machine takes its time for either.
+    until("an answer to each ABORT in time", 2 * PATIENCE, || {
+        let (_, status) = ask("2");
+        let (answers, last) = ask("3");
         println!("{most} taken within {slowest:?}, 2000 aborts answered within {last:?}");
         for said in answers {
             assert_eq!((said.state, said.text.as_str()), (1, "aborting"));
             let time = said.after;
             assert!(time > Duration::from_millis(1400), "{time:?}");
         }
+        (last < Duration::from_millis(2500) + 2 * status).then_some(())
     });
 
     door.open();
