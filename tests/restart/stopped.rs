@@ -73,13 +73,13 @@ fn a_gateway_that_is_stopped_for_longer_than_the_link_timeout_tells_what_the_dev
         .expect("taken")
         .id;
     let belt = client
-        .trigger("motors", "belt", "8 1500")
+        .trigger("motors", "belt", "8 5000")
         .expect("taken")
         .id;
     lab.gateway.process.signal("STOP");
     // The belt carries on, and arrives; the arm has stopped long before.
     until("the belt has arrived", PATIENCE, || {
-        (lab.device.deed("8 1500") == ONCE).then_some(())
+        (lab.device.deed("8 5000") == ONCE).then_some(())
     });
     lab.gateway.process.signal("CONT");
     let end = client.wait(arm, LIMIT).expect("its end");
