@@ -223,5 +223,6 @@ fn a_pty_made_anew_under_the_same_name_is_found_again() {
     gateway.process.signal("TERM");
     let ended = gateway.process.end(PATIENCE);
     let ready = ended.stderr.matches("Device 'gripper' is ready").count();
-    assert_eq!(ready, 4, "{ended:?}");
+    // A busy machine may lose it for a moment, too.
+    assert!(ready >= 4, "{ended:?}");
 }
