@@ -123,7 +123,7 @@ impl Script {
 }
 
 /// Whether a server has the client's scope.
-fn serves(client: &mut RemoteTask) -> Result<bool, RequestError> {
+pub(super) fn serves(client: &mut RemoteTask) -> Result<bool, RequestError> {
     // Nobody gives this id, and to ask about it does nothing.
     let status = client.status(TaskId::MAX)?;
     Ok(!status.text.starts_with("No controller for scope"))
