@@ -274,8 +274,8 @@ impl Screen {
                 "Ctrl-L" => self.drawn.clear(),
                 // Whatever came before it: whoever wants to stop must not be unheard.
                 name if stops(name) => self.press(key, nth > 0),
-                // Text, and where it leads is shown before anything is played.
-                _ if self.is_choosing() => self.press(key, nth > 0),
+                // Where these lead is shown before anything is played.
+                name if self.is_choosing() || scrolls(name) => self.press(key, nth > 0),
                 _ if nth == 0 => self.press(key, !rest.is_empty()),
                 _ => {
                     self.key = Some(Last::new(&key));

@@ -437,6 +437,11 @@ impl Board {
     fn task_state(&mut self, at: Duration, number: TaskNumber, state: TaskState, text: &str) {
         if let Some(task) = self.tasks.get_mut(&number) {
             task.state = state;
+            // A gateway repeats the request before its reason; it stands beside it anyway.
+            let text = match text.split_once("' refused: ") {
+                Some((request, reason)) if request.starts_with('\'') => reason,
+                _ => text,
+            };
             text.clone_into(&mut task.text);
             if state.is_over() && task.to.is_none() {
                 task.to = Some(at);

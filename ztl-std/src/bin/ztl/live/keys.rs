@@ -123,15 +123,9 @@ pub(super) fn looking() -> Vec<(&'static str, String)> {
 /// All keys, for the page that `?` shows.
 pub(super) const ALL: [(&str, &str); 19] = [
     ("Enter", "start the scene that is shown"),
-    (
-        "s",
-        "skip it; when a step waits: skip the rest of its scene",
-    ),
+    ("s", "skip it; while a step waits: the rest of its scene"),
     ("r", "play the last scene again"),
-    (
-        "j",
-        "choose a scene by number or name; Enter shows it, and the next Enter starts it",
-    ),
+    ("j", "choose a scene by number or name; Enter only shows it"),
     ("a", "begin again with the first scene"),
     ("p", "pause after this step, or go on"),
     ("t", "retry what failed"),
@@ -142,12 +136,12 @@ pub(super) const ALL: [(&str, &str); 19] = [
     ),
     (
         "x",
-        "stop all tasks of this run, and others in its servers' scopes; stay in the show",
+        "stop everything on the servers of the show, and stay in it",
     ),
     ("Ctrl-X", "the same, also while a scene is chosen"),
     (
         "Ctrl-C",
-        "stop all tasks of this run, and leave; again: leave at once",
+        "stop all that this run started, and leave; again: at once",
     ),
     ("q", "between scenes: leave; tasks in the background go on"),
     ("PageUp, PageDown", "look around; so do Up, Down, Home, End"),

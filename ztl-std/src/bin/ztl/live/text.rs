@@ -164,16 +164,14 @@ pub(super) fn wrap(text: &str, width: usize, most: usize) -> Vec<String> {
     let mut line = String::new();
     let next = " ".repeat((indent + 2).min(width / 2));
     for word in text.split_inclusive(' ') {
-        let full = line.width() + word.trim_end().width() > width;
-        if full && !line.trim().is_empty() && lines.len() + 1 < most {
+        let length = word.trim_end().width();
+        let fits = |line: &str| line.width() + length <= width;
+        // One that fits on no line is broken where this one ends.
+        if !fits(&line) && fits(&next) && !line.trim().is_empty() && lines.len() + 1 < most {
             lines.push(std::mem::replace(&mut line, next.clone()));
         }
-        if line.width() + word.trim_end().width() <= width || lines.len() + 1 >= most {
-            line.push_str(word);
-            continue;
-        }
         for char in word.chars() {
-            let full = line.width() + char.width().unwrap_or(0) > width;
+            let full = char != ' ' && line.width() + char.width().unwrap_or(0) > width;
             if full && !line.trim().is_empty() && lines.len() + 1 < most {
                 lines.push(std::mem::replace(&mut line, next.clone()));
             }
