@@ -79,3 +79,26 @@ fn a_server_that_stands_still_is_noticed_and_keys_are_taken() {
     terminal.type_in("\x03");
     terminal.end();
 }
+
+#[test]
+fn a_check_says_what_is_missing_whatever_else_is_wrong_with_the_file() {
+    let server = Server::ours();
+    let gone = reserve_port();
+    let mistaken = "one: {a (dealy=2): {test: {echo: 1}, robot: {echo: 1}}}\n";
+    let unreadable = "one: {a: {test: {echo: 1}, robot: {echo: 1}}\n";
+    for script in [mistaken, unreadable] {
+        let stage = Stage::with(script, &[("test", server.port), ("robot", gone)]);
+        let mut check = ztl();
+        check.current_dir(stage.files.path(""));
+        check.args(["check", "show.yaml", "-c", "remotes.yaml", "--live"]);
+        let ended = Process::run(&mut check);
+        assert_eq!(ended.code, Some(1), "{ended:?}");
+        for words in [
+            format!("test: at tcp://127.0.0.1:{}, ztl ", server.port),
+            format!("robot: MISSING: no server at tcp://127.0.0.1:{gone}"),
+            "show.yaml:1:".to_owned(),
+        ] {
+            assert!(ended.stdout.contains(&words), "{words}: {ended:?}");
+        }
+    }
+}
