@@ -222,10 +222,8 @@ impl Player {
                 self.set_unknown(now, number, why, &text);
                 self.unresolved.insert(number);
             }
-            Answer::Nothing { text, .. } => {
-                if task.can_be_asked() {
-                    self.set_unknown(now, number, Why::ServerSilent { remote }, &text);
-                }
+            Answer::Nothing { text, .. } if task.can_be_asked() => {
+                self.set_unknown(now, number, Why::ServerSilent { remote }, &text);
             }
             // Not an answer about a task.
             _ => {}

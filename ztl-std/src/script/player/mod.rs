@@ -9,6 +9,7 @@ mod answer;
 mod commands;
 mod ends;
 mod probe;
+mod send;
 mod steps;
 mod stop;
 mod tasks;
@@ -19,7 +20,7 @@ use std::time::Duration;
 
 use ztl_core::{Instant, State, TaskId};
 
-use super::event::{By, Event, Kind, Outcome, Question, RequestNumber, ServerState, TaskNumber};
+use super::event::{By, Event, Outcome, Question, RequestNumber, ServerState, TaskNumber};
 use super::model::Script;
 use steps::Play;
 use stop::Stopping;
@@ -358,69 +359,6 @@ impl Player {
         self.question = Some(question);
         let choices = self.choices();
         self.events.push_back(Event::Asked { question, choices });
-    }
-
-    /// Sends a request about a task.
-    fn send(&mut self, now: Instant, task: TaskNumber, ask: Ask) -> Option<RequestNumber> {
-        let remote = self.tasks.get(&task)?.remote.clone();
-        Some(self.send_to(now, &remote, Some(task), ask))
-    }
-
-    /// Sends a request. Those about a task are events too.
-    fn send_to(
-        &mut self,
-        now: Instant,
-        remote: &str,
-        task: Option<TaskNumber>,
-        ask: Ask,
-    ) -> RequestNumber {
-        let number = RequestNumber(self.next_request);
-        self.next_request += 1;
-        let (what, told) = match &ask {
-            Ask::Init {
-                handler,
-                component,
-                goal,
-            } => (
-                What::Init,
-                Some((Kind::Init, format!("{handler}:{component}:{goal}"))),
-            ),
-            Ask::Status { text, hold, .. } => {
-                let held = !hold.is_zero();
-                let text = match held {
-                    true => format!("wait {}", hold.as_millis()),
-                    false => text.clone(),
-                };
-                (What::Status { held }, Some((Kind::Status, text)))
-            }
-            Ask::Abort { .. } => (What::Abort, Some((Kind::Abort, "abort command".to_owned()))),
-            Ask::Probe => (What::Probe, None),
-            Ask::Tasks => (What::Tasks, None),
-        };
-        let remote = remote.to_owned();
-        let sent = Sent {
-            task,
-            remote: remote.clone(),
-            what,
-            at: now,
-        };
-        self.under_way.insert(number, sent);
-        if let Some((kind, text)) = told {
-            self.events.push_back(Event::RequestSent {
-                request: number,
-                kind,
-                remote: remote.clone(),
-                task,
-                text,
-            });
-        }
-        self.requests.push_back(Request {
-            number,
-            task,
-            remote,
-            ask,
-        });
-        number
     }
 
     fn over(&mut self, outcome: Outcome) {

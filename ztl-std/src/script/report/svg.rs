@@ -4,76 +4,13 @@ use std::fmt::Write;
 use std::time::Duration;
 
 use super::html::{escape, shorten};
+use super::layout::{Layout, NARROW, WIDE};
 use super::numbers::{difference, spoken};
 use super::run::{Action, Cause, Run, Step, Take, Task, Wait};
 use super::words;
 use crate::script::event::{StepEnd, TaskState};
 
-/// Where names, bars and remarks go, in units of the drawing; the page scales them.
-struct Layout {
-    class: &'static str,
-    width: f64,
-    /// What the names have, left of the bars; `None`: names and remarks stand above their bars.
-    names: Option<f64>,
-    /// The same of the names in the overview.
-    overview: f64,
-    /// What is said beside the bars.
-    remarks: f64,
-    row: f64,
-    /// Most times on the scale.
-    ticks: f64,
-}
-
-const WIDE: Layout = Layout {
-    class: "wide",
-    width: 1180.0,
-    names: Some(300.0),
-    overview: 110.0,
-    remarks: 256.0,
-    row: 21.0,
-    ticks: 9.0,
-};
-
-/// For the window of a phone, where it is as large as it says.
-const NARROW: Layout = Layout {
-    class: "narrow",
-    width: 366.0,
-    names: None,
-    overview: 58.0,
-    remarks: 176.0,
-    row: 38.0,
-    ticks: 4.0,
-};
-
-impl Layout {
-    /// From where to where the bars of steps go; beyond is a sign.
-    const fn bars(&self) -> (f64, f64) {
-        match self.names {
-            Some(names) => (names, self.width - self.remarks),
-            None => (2.0, self.width - 14.0),
-        }
-    }
-
-    /// How far the bars of a row are below its names.
-    const fn lift(&self) -> f64 {
-        match self.names {
-            Some(_) => 0.0,
-            None => 15.0,
-        }
-    }
-
-    /// What the name of a row has.
-    fn name_width(&self) -> f64 {
-        self.names.unwrap_or(self.width - self.remarks)
-    }
-
-    /// Where the remark of a row is, and what it has.
-    fn remark(&self) -> (f64, f64) {
-        let gap = if self.names.is_some() { 20.0 } else { 6.0 };
-        (self.width - self.remarks + gap, self.remarks - gap)
-    }
-}
-
+/// Height of a row of the overview.
 const ROW: f64 = 24.0;
 /// Most rows of one drawing: what fits on a page.
 const ROWS: usize = 26;

@@ -19,6 +19,8 @@ pub(super) fn command(
         "p" | "P" => Command::Pause,
         "t" | "T" => Command::Retry,
         "g" | "G" => Command::GoOn,
+        // Where it is not known what can be wanted, the player decides.
+        "c" | "C" if choices.is_empty() => return Some(Command::StopScene),
         "c" | "C" => Command::StopScene,
         // All of it is being stopped already.
         "x" | "X" | "Ctrl-X" if matches!(choices, [Command::Leave] | [Command::Stop]) => {
@@ -168,6 +170,7 @@ mod tests {
         assert_eq!(command("c", &choices, at_scene), None, "nothing is played");
         let playing = Command::WHILE_RUNNING;
         assert_eq!(command("c", &playing, None), Some(Command::StopScene));
+        assert_eq!(command("c", &[], at_step), Some(Command::StopScene));
         for key in ["x", "X", "Ctrl-X"] {
             assert_eq!(command(key, &[], None), Some(Command::StopAll));
             assert_eq!(command(key, &[Command::Stop], None), None, "it is stopped");
