@@ -40,34 +40,55 @@ fn browse(page: &Path, files: &Scratch) -> String {
     stdout
 }
 
-/// A page that shows another in a frame, measures it, and writes down what it found.
+/// The widths of a phone's, a tablet's and a desk's window.
+const WIDTHS: [u64; 3] = [390, 820, 1440];
+
+/// A page that shows another in a frame of each width, measures it, and writes down what it found.
 fn measuring(page: &str) -> String {
     format!(
         r#"<!DOCTYPE html><body style="margin:0"><pre id="found"></pre>
-<iframe src="{page}" style="width:1280px;height:900px;border:0"></iframe>
+<iframe src="{page}" style="height:900px;border:0"></iframe>
 <script>onload = () => {{
-  const page = document.querySelector('iframe').contentDocument;
-  const count = (what) => page.querySelectorAll(what).length;
-  for (const details of page.querySelectorAll('details')) details.open = true;
-  const beyond = [...page.querySelectorAll('svg.timeline')].filter((drawing) => {{
-    const frame = drawing.getBoundingClientRect();
-    return [...drawing.querySelectorAll('rect')].some((bar) => {{
-      const at = bar.getBoundingClientRect();
-      return at.left < frame.left - 1 || at.right > frame.right + 1 || at.bottom > frame.bottom + 1;
+  const frame = document.querySelector('iframe');
+  const page = frame.contentDocument;
+  const all = (what) => [...page.querySelectorAll(what)];
+  const place = (it) => it.getBoundingClientRect();
+  const seen = (it) => place(it).width > 0;
+  const measure = (width) => {{
+    frame.style.width = width + 'px';
+    for (const details of all('details')) details.open = true;
+    const timelines = all('svg.timeline').filter(seen);
+    const beyond = timelines.filter((drawing) => {{
+      const frame = place(drawing);
+      return [...drawing.querySelectorAll('rect, text')].some((part) => {{
+        const at = place(part);
+        // The name of a bar is cut by the box around it.
+        const cut = part.parentNode.closest('svg') !== drawing;
+        // The last number of a scale may use the margin of the page.
+        const [left, right] = part.matches('text') ? [0, width] : [frame.left - 1, frame.right + 1];
+        return !cut && (at.left < left || at.right > right || at.bottom > frame.bottom + 1);
+      }});
     }});
-  }});
-  document.getElementById('found').textContent = JSON.stringify({{
-    width: page.documentElement.scrollWidth, evil: count('x-evil'), scripts: count('script'),
-    timelines: count('svg.timeline'), rows: count('table.tasks tbody tr'), beyond: beyond.length,
-    height: page.documentElement.scrollHeight,
-  }});
+    const scale = (drawing) => place(drawing).width / drawing.viewBox.baseVal.width;
+    const outside = (it) => place(it).left < 0 || place(it).right > width + 0.5;
+    const clipped = all('.scroll').filter((it) => it.scrollWidth > it.clientWidth + 1);
+    return {{
+      width: page.documentElement.scrollWidth, height: page.documentElement.scrollHeight,
+      evil: all('x-evil').length, scripts: all('script').length,
+      timelines: timelines.length, beyond: beyond.length, scale: Math.min(...timelines.map(scale)),
+      rows: all('table.tasks tbody tr').length, clipped: clipped.length,
+      outside: all('table, td, dl, li, h1, h2, h3').filter(outside).length,
+      failures: place(page.querySelector('.failures')).top, first: place(timelines[0]).top,
+    }};
+  }};
+  document.getElementById('found').textContent = JSON.stringify({WIDTHS:?}.map(measure));
 }}</script>"#
     )
 }
 
 /// What is measured of the page for these records.
 #[track_caller]
-fn measured(records: &[(&str, String)]) -> Value {
+fn measured(records: &[(&str, String)]) -> Vec<(u64, Value)> {
     let files = Scratch::new();
     let mut report = ztl();
     report.current_dir(files.path("")).arg("report");
@@ -83,7 +104,24 @@ fn measured(records: &[(&str, String)]) -> Value {
         .split_once("<pre id=\"found\">")
         .expect("the measuring page");
     let (found, _) = found.split_once("</pre>").unwrap();
-    serde_json::from_str(found).unwrap_or_else(|error| panic!("{error}: {found:?}"))
+    let found: Vec<Value> =
+        serde_json::from_str(found).unwrap_or_else(|error| panic!("{error}: {found:?}"));
+    WIDTHS.into_iter().zip(found).collect()
+}
+
+/// All of the page is within a window of this width, and large enough to be read.
+#[track_caller]
+fn fits(width: u64, found: &Value) {
+    assert_eq!(found["width"], width, "{found}");
+    for none in ["beyond", "clipped", "outside", "evil", "scripts"] {
+        assert_eq!(found[none], 0, "{none} at {width}: {found}");
+    }
+    // Letters have 11 units and more.
+    assert!(found["scale"].as_f64() >= Some(0.8), "{width}: {found}");
+    assert!(
+        found["failures"].as_f64() < found["first"].as_f64(),
+        "what failed is on top: {found}"
+    );
 }
 
 #[test]
@@ -92,20 +130,13 @@ fn the_page_is_laid_out_in_a_browser() {
         ("evening.jsonl", EVENING.to_owned()),
         ("matinee.jsonl", MATINEE.to_owned()),
     ];
-    let found = measured(&records);
-    assert_eq!(
-        found["width"], 1280,
-        "nothing is wider than the window: {found}"
-    );
-    // An overview for each run, and each scene that was played.
-    assert_eq!(found["timelines"], 2 + 4 + 3, "{found}");
-    assert_eq!(found["rows"], 14 + 11, "{found}");
-    assert_eq!(
-        (&found["beyond"], &found["scripts"]),
-        (&0.into(), &0.into()),
-        "{found}"
-    );
-    assert!(found["height"].as_u64() > Some(2000), "{found}");
+    for (width, found) in measured(&records) {
+        fits(width, &found);
+        // An overview for each run, and each scene that was played.
+        assert_eq!(found["timelines"], 2 + 4 + 3, "{found}");
+        assert_eq!(found["rows"], 14 + 11, "{found}");
+        assert!(found["height"].as_u64() > Some(2000), "{found}");
+    }
 }
 
 #[test]
@@ -126,17 +157,12 @@ fn names_that_are_long_or_hostile_are_shown_and_harm_nothing() {
     let evening = texts.iter().fold(EVENING.to_owned(), |text, old| {
         text.replace(&format!(":\"{old}\""), &format!(":\"{name}\""))
     });
-    let found = measured(&[("<x-evil>.jsonl", evening)]);
-    assert_eq!(found["width"], 1280, "{found}");
-    assert_eq!(
-        (&found["evil"], &found["scripts"]),
-        (&0.into(), &0.into()),
-        "{found}"
-    );
-    assert_eq!(
-        (&found["timelines"], &found["rows"]),
-        (&5.into(), &14.into()),
-        "{found}"
-    );
-    assert_eq!(found["beyond"], 0, "{found}");
+    for (width, found) in measured(&[("<x-evil>.jsonl", evening)]) {
+        fits(width, &found);
+        assert_eq!(
+            (&found["timelines"], &found["rows"]),
+            (&5.into(), &14.into()),
+            "{found}"
+        );
+    }
 }

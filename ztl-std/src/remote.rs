@@ -126,6 +126,16 @@ impl RemoteTask {
         Ok(remote)
     }
 
+    /// Where its server is.
+    pub(crate) fn endpoint(&self) -> &str {
+        &self.endpoint
+    }
+
+    /// The scope that it asks.
+    pub(crate) fn scope(&self) -> &str {
+        &self.scope
+    }
+
     /// Sets the longest time for the server to answer; default 2 s, as the original's.
     #[must_use]
     pub fn with_timeout(mut self, timeout: Duration) -> Self {

@@ -7,6 +7,7 @@ use ztl_core::TaskId;
 use super::finding::Finding;
 use super::model::{Handler, Script, Task};
 use crate::remote::encoded;
+use crate::remotes::Remote;
 use crate::yaml::{Document, Node, Value, closest};
 use crate::{RemoteTask, Remotes, RequestError};
 
@@ -37,27 +38,12 @@ impl Script {
             let Ok(remote) = remotes.task(name) else {
                 continue;
             };
-            let endpoint = remote.endpoint();
-            let met = RemoteTask::connect(&endpoint, &remote.scope).and_then(|mut client| {
-                let info = client.server_info(true)?;
-                let there = serves(&mut client)?;
-                Ok((client, info, there))
-            });
+            let (line, met) = meet(name, remote);
+            said.servers.push(line);
             match met {
-                Err(error) => {
-                    said.servers.push(format!("{name}: {error}"));
-                    self.at_first_use(name, &format!("server '{name}' does not answer: {error}"), &mut said);
-                }
-                Ok((_, _, false)) => {
-                    said.servers.push(format!("{name}: at {endpoint}, without scope '{}'", remote.scope));
-                    let message = format!("the server at {endpoint} has no scope '{}'", remote.scope);
-                    self.at_first_use(name, &message, &mut said);
-                }
-                Ok((_, None, true)) => said.servers.push(format!(
-                    "{name}: at {endpoint}, one of the original's: it is there, and cannot be asked what it takes"
-                )),
-                Ok((mut client, Some(info), true)) => {
-                    said.servers.push(format!("{name}: at {endpoint}, ztl {}", info.version));
+                Err(message) => self.at_first_use(name, &message, &mut said),
+                Ok(None) => {}
+                Ok(Some(mut client)) => {
                     self.ask_server(name, &mut client, &remote.scope, &mut said);
                 }
             }
@@ -122,8 +108,47 @@ impl Script {
     }
 }
 
+/// How it is with each server of a configuration, in lines for people: what can be said without a script.
+#[must_use]
+pub fn ask_all(remotes: &Remotes) -> Vec<String> {
+    let names = remotes.task_names();
+    let lines = names.filter_map(|name| Some(meet(name, remotes.task(name).ok()?).0));
+    lines.collect()
+}
+
+/// Asks a server whether it is there. A line for people, and the client of a server of ours; `None` for
+/// the original's, which cannot be asked more; or why it is missing.
+fn meet(name: &str, remote: &Remote) -> (String, Result<Option<RemoteTask>, String>) {
+    let endpoint = remote.endpoint();
+    let met = RemoteTask::connect(&endpoint, &remote.scope).and_then(|mut client| {
+        let info = client.server_info(true)?;
+        let there = serves(&mut client)?;
+        Ok((client, info, there))
+    });
+    match met {
+        Err(error) => (
+            format!("{name}: MISSING: {error}"),
+            Err(format!("server '{name}' does not answer: {error}")),
+        ),
+        Ok((_, _, false)) => {
+            let message = format!("the server at {endpoint} has no scope '{}'", remote.scope);
+            (format!("{name}: MISSING: {message}"), Err(message))
+        }
+        Ok((_, None, true)) => (
+            format!(
+                "{name}: at {endpoint}, one of the original's: it is there, and cannot be asked what it takes"
+            ),
+            Ok(None),
+        ),
+        Ok((client, Some(info), true)) => (
+            format!("{name}: at {endpoint}, ztl {}", info.version),
+            Ok(Some(client)),
+        ),
+    }
+}
+
 /// Whether a server has the client's scope.
-fn serves(client: &mut RemoteTask) -> Result<bool, RequestError> {
+pub(super) fn serves(client: &mut RemoteTask) -> Result<bool, RequestError> {
     // Nobody gives this id, and to ask about it does nothing.
     let status = client.status(TaskId::MAX)?;
     Ok(!status.text.starts_with("No controller for scope"))

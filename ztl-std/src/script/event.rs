@@ -233,7 +233,19 @@ pub enum Event {
         /// How it is with it.
         state: ServerState,
     },
-    /// All that this run has started and that may still be under way is being stopped.
+    /// When everything is stopped, a server lists a running task that this run has not started. It is
+    /// stopped too.
+    TaskFound {
+        /// Its number from now on.
+        task: TaskNumber,
+        /// The name of the server.
+        remote: String,
+        /// Its id there.
+        id: i64,
+        /// `handler:component:goal`, as the server lists it.
+        text: String,
+    },
+    /// Tasks that may still be under way are being stopped.
     Stopping {
         /// Which tasks.
         tasks: Vec<TaskNumber>,
@@ -403,6 +415,11 @@ pub enum Command {
     Retry,
     /// Go on although something failed or is unknown.
     GoOn,
+    /// Stop the tasks of the scene that is played, and return to the scene that was shown before it.
+    StopScene,
+    /// Stop all tasks that this run has started, and all others that run in the scopes of its servers;
+    /// the run goes on as after [`StopScene`](Self::StopScene).
+    StopAll,
     /// Stop all tasks that this run has started, on all servers, and end.
     Stop,
     /// End now, without waiting for anything.
@@ -411,7 +428,13 @@ pub enum Command {
 
 impl Command {
     /// What can be wanted while a step runs and nothing is asked.
-    pub const WHILE_RUNNING: [Self; 3] = [Self::Pause, Self::Resume, Self::Stop];
+    pub const WHILE_RUNNING: [Self; 5] = [
+        Self::Pause,
+        Self::Resume,
+        Self::StopScene,
+        Self::StopAll,
+        Self::Stop,
+    ];
 }
 
 /// Who decided.
@@ -583,8 +606,12 @@ pub enum ServerState {
     },
     /// It was there, and does not answer.
     Silent,
-    /// It is not there.
-    Absent,
+    /// It is not there, or does not serve the scope.
+    Absent {
+        /// How that is known.
+        #[serde(default, skip_serializing_if = "String::is_empty")]
+        text: String,
+    },
     /// It answers, and is another than before: it has forgotten all tasks.
     Restarted,
 }

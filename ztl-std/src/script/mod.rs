@@ -15,7 +15,7 @@ mod show;
 mod stand_ins;
 mod value;
 
-pub use ask::Said;
+pub use ask::{Said, ask_all};
 pub use finding::Finding;
 pub use model::{Defaults, Handler, OnFailure, Scene, Script, Step, Task};
 pub use plan::timeline;

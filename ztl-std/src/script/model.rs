@@ -144,16 +144,16 @@ impl Script {
     pub fn read(file: &str, bytes: &[u8], defaults: Defaults) -> Result<Self, Diagnostics> {
         let (script, findings) = Self::examine(file, bytes, defaults);
         let mistakes = findings.into_iter().filter(|finding| !finding.is_doubt());
+        let mistakes: Vec<_> = mistakes.map(Finding::into_diagnostic).collect();
         match script {
-            Some(script) => Ok(script),
-            None => Err(Diagnostics::new(
-                mistakes.map(Finding::into_diagnostic).collect(),
-            )),
+            Some(script) if mistakes.is_empty() => Ok(script),
+            _ => Err(Diagnostics::new(mistakes)),
         }
     }
 
-    /// Reads a file, and says all that is wrong and doubtful in it, in its order; without a script, where
-    /// a mistake keeps it from being played.
+    /// Reads a file, and says all that is wrong and doubtful in it, in its order. The script is what can be
+    /// made out, to look further; one with mistakes is not to be played ([`read`](Self::read)). There is
+    /// none where the file cannot be read or is invalid YAML.
     #[must_use]
     pub fn check(path: &Path, defaults: Defaults) -> (Option<Self>, Vec<Finding>) {
         match crate::yaml::read_file(path) {
@@ -177,8 +177,7 @@ impl Script {
             document,
             doubts: doubts.collect(),
         };
-        let playable = script.doubts.len() == findings.len();
-        (playable.then_some(script), findings)
+        (Some(script), findings)
     }
 
     /// The same from a file.

@@ -6,10 +6,11 @@ use std::time::{Duration, SystemTime};
 
 use ztl_core::{Instant, State, TaskId};
 
+use super::ask::serves;
 use super::event::{By, Command, Event, Question, RequestNumber, Stamped};
 use super::player::{Answer, Ask, Player, Request, Server};
 use crate::clock::now;
-use crate::{RemoteTask, RequestError, Status, TriggerError};
+use crate::{Listing, RemoteTask, RequestError, Status, TriggerError};
 
 /// Plays a script on real servers: give it [`begin`](Self::begin), then take what happens from
 /// [`next`](Self::next) until the run has ended.
@@ -103,7 +104,10 @@ impl Show {
     /// The operator has decided, when this was asked as far as was seen; whether it is done. What settled
     /// itself meanwhile is not answered, and what is asked since then neither.
     pub fn decide(&mut self, command: Command, seen: Option<Question>) -> bool {
-        let of_no_question = matches!(command, Command::Stop | Command::Leave | Command::Pause);
+        let of_no_question = matches!(
+            command,
+            Command::StopScene | Command::StopAll | Command::Stop | Command::Leave | Command::Pause
+        );
         let meant = of_no_question || seen == self.player.question();
         meant && self.command(command, By::Operator)
     }
@@ -260,17 +264,70 @@ fn perform(remote: &mut RemoteTask, ask: &Ask) -> Answer {
             let said = remote.abort(*id);
             about(remote, *id, said)
         }
+        Ask::Probe => probe(remote),
+        Ask::Tasks => tasks(remote),
     }
+}
+
+/// Whether the server is there and serves the scope: nothing is started by either question.
+fn probe(remote: &mut RemoteTask) -> Answer {
+    let met = who(remote).and_then(|server| Ok((server, serves(remote)?)));
+    match met {
+        Ok((server, true)) => Answer::There { server },
+        Ok((_, false)) => Answer::NoScope {
+            text: format!(
+                "the server at {} has no scope '{}'",
+                remote.endpoint(),
+                remote.scope()
+            ),
+        },
+        Err(error) => nothing(&error),
+    }
+}
+
+/// The tasks that run in the scope, whoever has started them.
+fn tasks(remote: &mut RemoteTask) -> Answer {
+    let said = remote
+        .server_info(true)
+        .and_then(|info| Ok(info.zip(remote.ask_server("tasks")?)));
+    let listed = match said {
+        Ok(listed) => listed,
+        Err(error) => return nothing(&error),
+    };
+    let listed = listed.and_then(|(info, json)| {
+        let listing: Listing = serde_json::from_str(&json).ok()?;
+        let here = listing
+            .tasks
+            .into_iter()
+            .filter(|task| task.ended_ms.is_none() && task.scope == remote.scope());
+        let tasks = here.filter_map(|task| Some((TaskId::new(task.id)?, task.task)));
+        Some((info.boot, tasks.collect()))
+    });
+    Answer::Tasks { listed }
+}
+
+fn nothing(error: &RequestError) -> Answer {
+    Answer::Nothing {
+        sent: !error.nothing_was_sent(),
+        text: error.to_string(),
+    }
+}
+
+/// Who the server is; a connection knows it from the first answer on.
+fn who(remote: &mut RemoteTask) -> Result<Server, RequestError> {
+    Ok(match remote.server_info(false)? {
+        Some(info) => Server::Ours {
+            version: info.version,
+            boot: info.boot,
+        },
+        None => Server::Original,
+    })
 }
 
 fn init(remote: &mut RemoteTask, handler: &str, component: &str, goal: &str) -> Answer {
     // Whoever does not say who he is, is sent no INIT.
-    let server = match remote.server_info(false) {
-        Ok(Some(info)) => Server::Ours {
-            version: info.version,
-            boot: info.boot,
-        },
-        Ok(None) => Server::Original,
+    let server = match who(remote) {
+        Ok(server) => server,
         Err(error) => {
             return Answer::Nothing {
                 sent: false,
@@ -293,13 +350,7 @@ fn init(remote: &mut RemoteTask, handler: &str, component: &str, goal: &str) -> 
             id: -1,
             text: error.to_string(),
         },
-        Err(TriggerError::Request(error)) => {
-            let sent = !error.nothing_was_sent();
-            Answer::Nothing {
-                sent,
-                text: error.to_string(),
-            }
-        }
+        Err(TriggerError::Request(error)) => nothing(&error),
     }
 }
 
@@ -322,13 +373,7 @@ fn about(remote: &mut RemoteTask, id: TaskId, said: Result<Status, RequestError>
             text: status.text,
         },
         Ok(Status { state, text }) => Answer::Task { state, text },
-        Err(error) => {
-            let sent = !error.nothing_was_sent();
-            Answer::Nothing {
-                sent,
-                text: error.to_string(),
-            }
-        }
+        Err(error) => nothing(&error),
     }
 }
 

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use tracing::Level;
-use ztl_std::script::{Defaults, Script};
+use ztl_std::script::{Defaults, Script, ask_all};
 
 use crate::remote_task::Endpoints;
 use crate::terminal::{line, part};
@@ -58,10 +58,15 @@ impl Check {
                 self.endpoints.path().display()
             )),
         }
-        if let (true, Some(script), Some(remotes)) = (self.live, &script, &remotes) {
-            let said = script.ask_servers(remotes);
-            said.servers.iter().for_each(line);
-            findings.extend(said.findings);
+        match (self.live, &script, &remotes) {
+            (true, Some(script), Some(remotes)) => {
+                let said = script.ask_servers(remotes);
+                said.servers.iter().for_each(line);
+                findings.extend(said.findings);
+            }
+            // Which of them the script uses cannot be told.
+            (true, None, Some(remotes)) => ask_all(remotes).iter().for_each(line),
+            _ => {}
         }
         findings.sort_by_key(|finding| finding.diagnostic().span.map(|span| span.start));
         for finding in &findings {

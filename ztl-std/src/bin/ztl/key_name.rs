@@ -61,13 +61,15 @@ fn escape(rest: &[u8]) -> Option<(String, usize)> {
             let end = sequence
                 .iter()
                 .position(|byte| (0x40..=0x7e).contains(byte))?;
-            let key = match sequence.get(end) {
-                Some(b'A') => "Up",
-                Some(b'B') => "Down",
-                Some(b'C') => "Right",
-                Some(b'D') => "Left",
-                Some(b'H') => "Home",
-                Some(b'F') => "End",
+            let key = match sequence.get(..=end).unwrap_or_default() {
+                [.., b'A'] => "Up",
+                [.., b'B'] => "Down",
+                [.., b'C'] => "Right",
+                [.., b'D'] => "Left",
+                [.., b'H'] | b"1~" | b"7~" => "Home",
+                [.., b'F'] | b"4~" | b"8~" => "End",
+                b"5~" => "PageUp",
+                b"6~" => "PageDown",
                 _ => "a function key",
             };
             name(key, end + 3)
@@ -96,6 +98,10 @@ mod tests {
         assert_eq!(names(b"\x1b[A"), ["Up"]);
         assert_eq!(names(b"\x1bOB\r"), ["Down", "Enter"]);
         assert_eq!(names(b"\x1b[15;2~s"), ["a function key", "s"]);
+        assert_eq!(names(b"\x1b[5~\x1b[6~"), ["PageUp", "PageDown"]);
+        // Terminals differ in these.
+        assert_eq!(names(b"\x1b[H\x1bOH\x1b[1~\x1b[7~"), ["Home"; 4]);
+        assert_eq!(names(b"\x1b[F\x1bOF\x1b[4~\x1b[8~"), ["End"; 4]);
         assert_eq!(names("é\x03\x1a".as_bytes()), ["é", "Ctrl-C", "Ctrl-Z"]);
         assert_eq!(names(b"\x1bx\xff "), ["Alt-x", "?", "Space"]);
         // Not whole: the rest may come.

@@ -4,8 +4,11 @@
 //! what was pressed ([`Live::pressed`]).
 
 mod board;
+mod choose;
 mod draw;
 mod keys;
+mod look;
+mod message;
 mod rows;
 mod text;
 pub(crate) mod tty;
@@ -19,7 +22,9 @@ use std::time::{Duration, Instant};
 use ztl_std::script::event::{Command, Question, Stamped};
 
 use self::board::Board;
-use self::keys::{Chooser, Chosen};
+use self::draw::View;
+use self::look::{scrolls, stops};
+use self::rows::Seen;
 use self::text::Line;
 use crate::key_name::{self, FIRST_REPEAT, HELD, Pressed};
 use crate::terminal::line;
@@ -70,7 +75,8 @@ impl Live {
             shared: Arc::clone(&shared),
             pressed: sender,
             wake: Box::new(wake),
-            chooser: None,
+            view: View::default(),
+            body: Seen::default(),
             seen: 0,
             answered: None,
             key: None,
@@ -184,7 +190,9 @@ struct Screen {
     shared: Arc<Mutex<Shared>>,
     pressed: Sender<Pressed>,
     wake: Box<dyn Fn() + Send>,
-    chooser: Option<Chooser>,
+    view: View,
+    /// What was seen of the middle of the screen.
+    body: Seen,
     /// The question that is on the screen, by its number; 0: none.
     seen: u64,
     /// The question that was answered last, and when.
@@ -256,7 +264,9 @@ impl Screen {
                 "Ctrl-Z" => tty::suspend(),
                 "Ctrl-L" => self.drawn.clear(),
                 // Whatever came before it: whoever wants to stop must not be unheard.
-                "Ctrl-C" | "x" | "X" => self.press(key, nth > 0),
+                name if stops(name) => self.press(key, nth > 0),
+                // Where these lead is shown before anything is played.
+                name if self.is_choosing() || scrolls(name) => self.press(key, nth > 0),
                 _ if nth == 0 => self.press(key, !rest.is_empty()),
                 _ => {
                     self.key = Some(Last::new(&key));
@@ -275,7 +285,8 @@ impl Screen {
         let limit = before.as_ref().map_or(HELD, Last::limit);
         let limit = if several { LATE } else { limit };
         last.again = before.is_some_and(|before| before.key == key && last.at - before.at < limit);
-        let held = last.again && self.chooser.is_none();
+        let moves = self.is_choosing() || scrolls(key);
+        let held = last.again && !moves;
         self.key = Some(last);
         held
     }
@@ -284,7 +295,10 @@ impl Screen {
         if self.is_held(&key, several) {
             return self.tell(key, None, None);
         }
-        let (command, scenes, current, question) = {
+        if self.choose(&key) {
+            return;
+        }
+        let (command, current, question) = {
             let shared = lock(&self.shared);
             let board = &shared.board;
             let question = board.question;
@@ -301,36 +315,17 @@ impl Screen {
             let jumps = choices
                 .iter()
                 .any(|choice| matches!(choice, Command::Jump { .. }));
-            if self.chooser.is_none() && jumps && matches!(key.as_str(), "j" | "J") {
-                let cursor = board.scene.unwrap_or(0);
-                drop(shared);
-                self.chooser = Some(Chooser { cursor });
-                self.drawn.clear();
+            let scene = board.scene;
+            let command = keys::command(&key, &choices, question);
+            drop(shared);
+            if command.is_none() && self.look(&key, jumps, scene) {
                 return;
             }
-            let command = keys::command(&key, &choices, question);
-            (command, board.outline.scenes.len(), number, question)
+            (command, number, question)
         };
-        if let Some(chooser) = self.chooser
-            && !matches!(key.as_str(), "Ctrl-C" | "x" | "X")
-        {
-            self.last = None;
-            match chooser.press(&key, scenes) {
-                Chosen::Stay(chooser) => self.chooser = Some(chooser),
-                Chosen::Nothing => {
-                    self.chooser = None;
-                    self.tell(format!("j {key}"), None, None);
-                }
-                Chosen::Scene(scene) => {
-                    self.chooser = None;
-                    self.answered = Some((current, Instant::now()));
-                    let jump = Some(Command::Jump { scene });
-                    self.tell(format!("j {key}"), jump, question);
-                }
-            }
-            return;
+        if command.is_some() {
+            self.view = View::default();
         }
-        self.chooser = None;
         if command.is_some_and(|command| !matches!(command, Command::Pause | Command::Resume)) {
             self.answered = Some((current, Instant::now()));
         }
@@ -359,16 +354,18 @@ impl Screen {
             }
             shared.changed = false;
             let board = &shared.board;
-            if board.question.is_none() {
-                // A question that settled itself takes its chooser with it.
-                self.chooser = None;
+            if board.question.is_none() && self.is_choosing() || self.seen != board.questions {
+                // What happens is seen, and a question that settled itself takes its chooser with it.
+                self.view = View::default();
             }
             self.seen = board.questions;
             let now = match board.ended {
                 Some(_) => board.at,
                 None => board.at + shared.came.elapsed(),
             };
-            draw::draw(board, self.chooser, now, size)
+            let (lines, seen) = draw::draw(board, &self.view, now, size);
+            self.body = seen;
+            lines
         };
         self.last = Some(Instant::now());
         if again {

@@ -25,10 +25,16 @@ impl Player {
             return;
         }
         self.note_server(&sent, &answer);
-        match sent.what {
-            What::Init => self.on_init(now, sent.task, answer),
-            What::Status { held } => self.on_status(now, &sent, held, answer),
-            What::Abort => self.on_abort(now, sent.task, answer),
+        match (sent.what, sent.task) {
+            (What::Init, Some(task)) => self.on_init(now, task, answer),
+            (What::Status { held }, Some(task)) => {
+                let waited = now.since(sent.at);
+                self.on_status(now, task, (held && waited >= NOT_HELD, answer));
+            }
+            (What::Abort, Some(task)) => self.on_abort(now, task, answer),
+            (What::Probe, _) => self.on_probe(now, &sent.remote),
+            (What::Tasks, _) => self.on_tasks(now, &sent.remote, answer),
+            _ => {}
         }
         self.watch(now);
         self.advance(now);
@@ -36,7 +42,8 @@ impl Player {
 
     fn tell_answer(&mut self, now: Instant, request: RequestNumber, sent: &Sent, answer: &Answer) {
         let latency = now.since(sent.at);
-        let task_id = self.tasks.get(&sent.task).and_then(|task| task.id);
+        let Some(task) = sent.task else { return };
+        let task_id = self.tasks.get(&task).and_then(|task| task.id);
         let task_id = task_id.map_or(-1, |id| i64::from(id.get()));
         let (state, id, text) = match answer {
             Answer::Started { id, text, .. } => (State::Accepted, i64::from(id.get()), text),
@@ -52,6 +59,8 @@ impl Player {
             } => {
                 return self.tell_nothing(now, request, sent, *was_sent, text);
             }
+            // Not about a task.
+            Answer::There { .. } | Answer::NoScope { .. } | Answer::Tasks { .. } => return,
         };
         let state = i64::from(state.code());
         let text = text.clone();
@@ -83,29 +92,30 @@ impl Player {
 
     /// What an answer says of the server.
     fn note_server(&mut self, sent: &Sent, answer: &Answer) {
-        let Some(task) = self.tasks.get(&sent.task) else {
-            return;
-        };
-        let remote = task.remote.clone();
+        let remote = sent.remote.clone();
+        let task = sent.task.and_then(|task| self.tasks.get(&task));
         let known = self.servers.get(&remote);
         let answering = || match known {
             Some(known @ ServerState::Answering { .. }) => known.clone(),
             _ => ServerState::Answering { version: None },
         };
         let state = match answer {
-            Answer::Started {
-                server: Server::Ours { version, .. },
-                ..
-            } => ServerState::Answering {
-                version: Some(version.clone()),
+            Answer::Started { server, .. } | Answer::There { server } => ServerState::Answering {
+                version: match server {
+                    Server::Ours { version, .. } => Some(version.clone()),
+                    Server::Original => None,
+                },
             },
-            Answer::Started { .. } => ServerState::Answering { version: None },
-            Answer::Refused { .. } | Answer::Task { .. } => answering(),
-            Answer::TaskUnknown { boot, .. } if task.is_of_an_older(*boot) => {
+            Answer::Refused { .. } | Answer::Task { .. } | Answer::Tasks { .. } => answering(),
+            Answer::TaskUnknown { boot, .. }
+                if task.is_some_and(|task| task.is_of_an_older(*boot)) =>
+            {
                 ServerState::Restarted
             }
             Answer::TaskUnknown { .. } => answering(),
-            Answer::NotStarted { .. } | Answer::Nothing { sent: false, .. } => ServerState::Absent,
+            Answer::NotStarted { text }
+            | Answer::NoScope { text }
+            | Answer::Nothing { sent: false, text } => ServerState::Absent { text: text.clone() },
             Answer::Nothing { .. } => ServerState::Silent,
         };
         if known != Some(&state) {
@@ -115,11 +125,10 @@ impl Player {
     }
 
     fn on_init(&mut self, now: Instant, number: TaskNumber, answer: Answer) {
-        let stopping = matches!(self.phase, Phase::Stopping(_));
+        let stopping = self.is_stopping(number);
         let Some(task) = self.tasks.get_mut(&number) else {
             return;
         };
-        let part = (task.scene, task.step, task.part);
         match answer {
             Answer::Started { id, text, server } => {
                 task.id = Some(id);
@@ -130,10 +139,9 @@ impl Player {
                     Server::Original => None,
                 };
                 task.next = now;
-                let plan = self
-                    .script
-                    .step(part.0, part.1)
-                    .and_then(|step| step.tasks.get(part.2));
+                let plan = task
+                    .place
+                    .and_then(|(scene, step, part)| self.script.step(scene, step)?.tasks.get(part));
                 task.deadline = plan.and_then(|plan| plan.limit).map(|limit| now + limit);
                 self.set_state(number, TaskState::Accepted, &text);
                 self.forget_namesakes(now, number, id, &remote);
@@ -154,7 +162,7 @@ impl Player {
                 }
             }
             // Not an answer to an INIT.
-            Answer::Task { .. } | Answer::TaskUnknown { .. } => {}
+            _ => {}
         }
     }
 
@@ -177,8 +185,8 @@ impl Player {
         }
     }
 
-    fn on_status(&mut self, now: Instant, sent: &Sent, held: bool, answer: Answer) {
-        let number = sent.task;
+    /// `was_held`: an answer that has taken its time.
+    fn on_status(&mut self, now: Instant, number: TaskNumber, (was_held, answer): (bool, Answer)) {
         let Some(task) = self.tasks.get_mut(&number) else {
             return;
         };
@@ -187,8 +195,6 @@ impl Player {
         if task.state.is_over() || !task.can_be_asked() {
             return;
         }
-        // An answer that was held has taken its time.
-        let was_held = held && now.since(sent.at) >= NOT_HELD;
         task.next = if was_held { now } else { now + POLL };
         // What nobody waits for is not asked after all the time while its server is silent.
         if task.unknown.is_some() && !task.is_open() {
@@ -216,12 +222,11 @@ impl Player {
                 self.set_unknown(now, number, why, &text);
                 self.unresolved.insert(number);
             }
-            Answer::Nothing { text, .. } => {
-                if task.can_be_asked() {
-                    self.set_unknown(now, number, Why::ServerSilent { remote }, &text);
-                }
+            Answer::Nothing { text, .. } if task.can_be_asked() => {
+                self.set_unknown(now, number, Why::ServerSilent { remote }, &text);
             }
-            Answer::Started { .. } | Answer::Refused { .. } | Answer::NotStarted { .. } => {}
+            // Not an answer about a task.
+            _ => {}
         }
     }
 }

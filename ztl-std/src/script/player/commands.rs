@@ -19,7 +19,8 @@ impl Player {
         let jumps = || (0..scenes).map(|scene| Command::Jump { scene });
         match (&self.phase, self.question) {
             (Phase::Over(_), _) => {}
-            (Phase::Stopping(_) | Phase::Settling(_), _) => choices.push(Command::Leave),
+            (Phase::Stopping(stopping), _) => choices.extend(stopping.choices()),
+            (Phase::Settling(_), _) => choices.push(Command::Leave),
             (_, Some(Question::Scene { .. } | Question::End)) => {
                 if matches!(self.question, Some(Question::Scene { .. })) {
                     choices.extend([Command::Start, Command::Skip]);
@@ -30,33 +31,44 @@ impl Player {
                 if !self.failed.is_empty() {
                     choices.push(Command::Retry);
                 }
-                choices.extend([Command::Restart, Command::Stop, Command::Leave]);
+                choices.push(Command::Restart);
                 choices.extend(jumps());
+                choices.extend([Command::StopAll, Command::Stop, Command::Leave]);
             }
             (_, Some(Question::Step { .. })) => {
                 if self.can_try_again() {
                     choices.push(Command::Retry);
                 }
-                choices.extend([Command::GoOn, Command::Skip, Command::Stop, Command::Leave]);
+                choices.extend([Command::GoOn, Command::Skip]);
+                choices.extend([Command::StopScene, Command::StopAll]);
+                choices.extend([Command::Stop, Command::Leave]);
             }
             (_, Some(Question::Pause)) => {
                 choices.extend([Command::Resume, Command::Skip, Command::Restart]);
-                choices.extend([Command::Stop, Command::Leave]);
                 choices.extend(jumps());
+                choices.extend([Command::StopScene, Command::StopAll]);
+                choices.extend([Command::Stop, Command::Leave]);
             }
             (Phase::Playing(_), None) => choices.extend(Command::WHILE_RUNNING),
             (Phase::Idle, None) => {}
+        }
+        // Without an operator the scene would be played again at once.
+        if self.options.unattended {
+            choices.retain(|choice| !matches!(choice, Command::StopScene | Command::StopAll));
         }
         choices
     }
 
     /// Somebody wants something. What is none of the [`choices`](Self::choices) does nothing, and says so
-    /// with `false`; but a [`Command::Stop`] is taken at any time, and a second one leaves.
+    /// with `false`; but a [`Command::Stop`] is taken at any time, and a second one leaves. A
+    /// [`Command::StopAll`] where nothing is left to return to is a [`Command::Stop`].
     pub fn handle_command(&mut self, now: Instant, command: Command, by: By) -> bool {
         let over = matches!(self.phase, Phase::Over(_));
-        let ends = matches!(self.phase, Phase::Stopping(_) | Phase::Settling(_));
+        let settling = matches!(self.phase, Phase::Settling(_));
+        let ends = settling || matches!(&self.phase, Phase::Stopping(it) if it.then.is_none());
         let command = match command {
             Command::Stop if ends => Command::Leave,
+            Command::StopAll if settling || (self.options.unattended && !ends) => Command::Stop,
             command => command,
         };
         let urgent = command == Command::Stop || (command == Command::Leave && ends);
@@ -69,8 +81,11 @@ impl Player {
     }
 
     pub(super) fn obey(&mut self, now: Instant, command: Command, by: By) {
-        if command == Command::Stop {
-            return self.stop(now, by);
+        if matches!(
+            command,
+            Command::StopScene | Command::StopAll | Command::Stop
+        ) {
+            return self.stop(now, command, by);
         }
         let (scene, step) = self.place();
         self.events.push_back(Event::Decided {
@@ -85,7 +100,7 @@ impl Player {
             _ => self.script.scenes.len(),
         };
         match command {
-            Command::Start => self.play(now, shown, self.after(shown), false),
+            Command::Start => self.play(now, shown, (shown, self.after(shown)), false),
             Command::Skip => match question {
                 Some(Question::Scene { .. }) => {
                     self.events
@@ -101,7 +116,7 @@ impl Player {
             },
             Command::Replay => {
                 if let Some(last) = self.last {
-                    self.play(now, last, shown, true);
+                    self.play(now, last, (shown, shown), true);
                 }
             }
             Command::Retry if matches!(question, Some(Question::Step { .. })) => {
@@ -134,7 +149,7 @@ impl Player {
                     self.over(Outcome::Left);
                 }
             },
-            Command::Stop => {}
+            Command::StopScene | Command::StopAll | Command::Stop => {}
         }
     }
 

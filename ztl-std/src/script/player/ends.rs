@@ -2,7 +2,9 @@
 
 use ztl_core::Instant;
 
-use super::super::event::{By, Event, Question, SceneEnd, StepEnd, TaskNumber, TaskState, Why};
+use super::super::event::{
+    By, Command, Event, Question, SceneEnd, StepEnd, TaskNumber, TaskState, Why,
+};
 use super::super::model::OnFailure;
 use super::steps::{Stage, Todo};
 use super::tasks::Live;
@@ -119,7 +121,7 @@ impl Player {
         });
         if self.options.unattended {
             if !may_mend {
-                self.stop(now, By::Script);
+                self.stop(now, Command::Stop, By::Script);
             }
             return;
         }
@@ -149,9 +151,9 @@ impl Player {
         step.tasks = rest;
         step.retries += 1;
         for number in again {
-            if let Some(task) = self.tasks.get(&number) {
+            if let Some((.., part)) = self.tasks.get(&number).and_then(|task| task.place) {
                 let todo = Todo {
-                    part: task.part,
+                    part,
                     at: Some(now),
                     retry_of: Some(number),
                 };
@@ -195,9 +197,9 @@ impl Player {
             let unknown = task.state == TaskState::Unknown && task.id.is_none();
             failures |= unknown || (task.awaited && task.state != TaskState::Completed);
             // What is unknown is never started again by a word that means all that failed.
-            if task.is_failure() {
+            if let (true, Some((.., part))) = (task.is_failure(), task.place) {
                 failures = true;
-                self.failed.push((step.step, task.part, *number));
+                self.failed.push((step.step, part, *number));
             }
         }
         play.failures |= failures;

@@ -8,6 +8,8 @@
 mod answer;
 mod commands;
 mod ends;
+mod probe;
+mod send;
 mod steps;
 mod stop;
 mod tasks;
@@ -21,6 +23,7 @@ use ztl_core::{Instant, State, TaskId};
 use super::event::{By, Event, Outcome, Question, RequestNumber, ServerState, TaskNumber};
 use super::model::Script;
 use steps::Play;
+use stop::Stopping;
 use tasks::Live;
 
 /// Pause between two questions about a task where the server does not hold the answer, as the
@@ -51,8 +54,8 @@ pub struct Options {
 pub struct Request {
     /// Its number.
     pub number: RequestNumber,
-    /// The task that it is about.
-    pub task: TaskNumber,
+    /// The task that it is about, where it is about one.
+    pub task: Option<TaskNumber>,
     /// The name of the server.
     pub remote: String,
     /// What is asked.
@@ -85,6 +88,10 @@ pub enum Ask {
         /// Which.
         id: TaskId,
     },
+    /// Whether the server is there and serves the scope. Starts nothing.
+    Probe,
+    /// Which tasks run in the scope.
+    Tasks,
 }
 
 /// What came of a request.
@@ -124,6 +131,22 @@ pub enum Answer {
         boot: Option<u32>,
         /// In words.
         text: String,
+    },
+    /// To a probe: the server is there.
+    There {
+        /// Who it is.
+        server: Server,
+    },
+    /// To a probe: it is there, but does not serve the scope.
+    NoScope {
+        /// In words.
+        text: String,
+    },
+    /// To [`Ask::Tasks`].
+    Tasks {
+        /// Which start of the server lists them, and those that run in the scope: id and
+        /// `handler:component:goal`. `None`: the server does not list its tasks, as the original's.
+        listed: Option<(u32, Vec<(TaskId, String)>)>,
     },
     /// There was no usable answer.
     Nothing {
@@ -173,6 +196,8 @@ pub struct Player {
     requests: VecDeque<Request>,
     events: VecDeque<Event>,
     servers: BTreeMap<String, ServerState>,
+    /// When each server is probed the next time; `None` while a probe is under way.
+    probes: BTreeMap<String, Option<Instant>>,
     /// The last scene that was played.
     last: Option<usize>,
     /// What failed in it, by step and part.
@@ -189,8 +214,7 @@ enum Phase {
     Playing(Box<Play>),
     /// The last answers about tasks in the background are waited for.
     Settling(BTreeSet<RequestNumber>),
-    /// These are stopped.
-    Stopping(BTreeSet<TaskNumber>),
+    Stopping(Stopping),
     Over(Outcome),
 }
 
@@ -199,11 +223,14 @@ enum What {
     Init,
     Status { held: bool },
     Abort,
+    Probe,
+    Tasks,
 }
 
 #[derive(Debug)]
 struct Sent {
-    task: TaskNumber,
+    task: Option<TaskNumber>,
+    remote: String,
     what: What,
     at: Instant,
 }
@@ -225,6 +252,7 @@ impl Player {
             requests: VecDeque::new(),
             events: VecDeque::new(),
             servers: BTreeMap::new(),
+            probes: BTreeMap::new(),
             last: None,
             failed: Vec::new(),
             takes: BTreeMap::new(),
@@ -242,11 +270,16 @@ impl Player {
             });
         }
         self.show(first);
+        if self.options.watch {
+            let remotes = self.options.remotes.iter();
+            self.probes = remotes.map(|name| (name.clone(), Some(now))).collect();
+        }
         self.advance(now);
     }
 
     /// The time has come to which [`poll_timeout`](Self::poll_timeout) pointed.
     pub fn handle_time(&mut self, now: Instant) {
+        self.probe(now);
         self.watch(now);
         self.advance(now);
     }
@@ -275,7 +308,7 @@ impl Player {
             .live
             .iter()
             .filter_map(|number| self.task_wake(*number));
-        tasks.chain(step).min()
+        tasks.chain(step).chain(self.probe_wake()).min()
     }
 
     /// How the run ended, if it has.
@@ -326,61 +359,6 @@ impl Player {
         self.question = Some(question);
         let choices = self.choices();
         self.events.push_back(Event::Asked { question, choices });
-    }
-
-    /// Sends a request about a task.
-    fn send(&mut self, now: Instant, task: TaskNumber, ask: Ask) -> Option<RequestNumber> {
-        let number = RequestNumber(self.next_request);
-        let live = self.tasks.get(&task)?;
-        let remote = live.remote.clone();
-        let (kind, what, text) = match &ask {
-            Ask::Init {
-                handler,
-                component,
-                goal,
-            } => (
-                super::event::Kind::Init,
-                What::Init,
-                format!("{handler}:{component}:{goal}"),
-            ),
-            Ask::Status { text, hold, .. } => {
-                let held = !hold.is_zero();
-                let text = match held {
-                    true => format!("wait {}", hold.as_millis()),
-                    false => text.clone(),
-                };
-                (super::event::Kind::Status, What::Status { held }, text)
-            }
-            Ask::Abort { .. } => (
-                super::event::Kind::Abort,
-                What::Abort,
-                "abort command".to_owned(),
-            ),
-        };
-        self.next_request += 1;
-        self.under_way.insert(
-            number,
-            Sent {
-                task,
-                what,
-                at: now,
-            },
-        );
-        let sent = Event::RequestSent {
-            request: number,
-            kind,
-            remote: remote.clone(),
-            task: Some(task),
-            text,
-        };
-        self.events.push_back(sent);
-        self.requests.push_back(Request {
-            number,
-            task,
-            remote,
-            ask,
-        });
-        Some(number)
     }
 
     fn over(&mut self, outcome: Outcome) {

@@ -16,7 +16,9 @@ pub(super) struct Play {
     pub(super) take: u32,
     /// Steps to come, and which parts of them: all, or those that are tried again.
     pub(super) steps: VecDeque<(usize, Option<Vec<Todo>>)>,
-    /// What is shown afterwards: a scene, or beyond the last the end.
+    /// The scene that was shown before, or beyond the last the end: that is shown when this is stopped.
+    pub(super) before: usize,
+    /// What is shown when it is over.
     pub(super) then: usize,
     pub(super) stage: Stage,
     /// The step that is under way, or was last.
@@ -81,8 +83,8 @@ impl StepPlay {
 }
 
 impl Player {
-    /// Plays a scene; `then` is shown afterwards.
-    pub(super) fn play(&mut self, now: Instant, scene: usize, then: usize, replay: bool) {
+    /// Plays a scene, with the scenes that are shown before and after it.
+    pub(super) fn play(&mut self, now: Instant, scene: usize, shown: (usize, usize), replay: bool) {
         let from = match self.options.from {
             Some((of, step)) if of == scene && !self.takes.contains_key(&scene) => step,
             _ => 0,
@@ -106,11 +108,11 @@ impl Player {
             .get(scene)
             .map(|scene| scene.delay)
             .unwrap_or_default();
-        self.begin_play(now + delay, scene, then, replay, steps);
+        self.begin_play(now + delay, scene, shown, replay, steps);
     }
 
     /// Tries again what failed in the last scene.
-    pub(super) fn play_failed(&mut self, now: Instant, scene: usize, then: usize) {
+    pub(super) fn play_failed(&mut self, now: Instant, scene: usize, shown: usize) {
         let mut steps: VecDeque<(usize, Option<Vec<Todo>>)> = VecDeque::new();
         for (step, part, number) in std::mem::take(&mut self.failed) {
             let todo = Todo {
@@ -123,14 +125,14 @@ impl Player {
                 _ => steps.push_back((step, Some(vec![todo]))),
             }
         }
-        self.begin_play(now, scene, then, true, steps);
+        self.begin_play(now, scene, (shown, shown), true, steps);
     }
 
     fn begin_play(
         &mut self,
         start: Instant,
         scene: usize,
-        then: usize,
+        (before, then): (usize, usize),
         replay: bool,
         steps: VecDeque<(usize, Option<Vec<Todo>>)>,
     ) {
@@ -148,6 +150,7 @@ impl Player {
             scene,
             take,
             steps,
+            before,
             then,
             stage: Stage::Delay(start),
             step: None,
@@ -277,7 +280,7 @@ impl Player {
                 .is_some_and(|task| !task.excused && task.is_failure())
         };
         if plan.on_failure == OnFailure::Stop && step.tasks.iter().any(failed) {
-            self.stop(now, By::Script);
+            self.stop(now, Command::Stop, By::Script);
             return false;
         }
         let asked = |number: &TaskNumber| {
@@ -361,27 +364,10 @@ impl Player {
             retry_of,
         });
         let live = Live {
-            scene,
-            step,
-            part,
-            remote: handler.remote.clone(),
+            place: Some((scene, step, part)),
             awaited: plan.wait && task.wait,
-            state: TaskState::Asked,
-            text: String::new(),
-            id: None,
-            ours: false,
-            boot: None,
             status_text: format!("{}:{}:{}", handler.key, task.component, task.goal),
-            asked: None,
-            next: now,
-            deadline: None,
-            late: false,
-            unknown: None,
-            excused: false,
-            aborts: 0,
-            aborting: false,
-            absent: false,
-            stop_told: false,
+            ..Live::new(now, &handler.remote)
         };
         self.tasks.insert(number, live);
         self.live.insert(number);

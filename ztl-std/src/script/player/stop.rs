@@ -2,8 +2,13 @@
 
 use ztl_core::{Instant, State};
 
-use super::super::event::{By, Command, Event, Outcome, TaskNumber, TaskState};
-use super::{Answer, POLL, Phase, Player};
+use std::collections::BTreeSet;
+
+use super::super::event::{
+    By, Command, Event, Outcome, Question, RequestNumber, TaskNumber, TaskState,
+};
+use super::tasks::Live;
+use super::{Answer, Ask, POLL, Phase, Player};
 
 /// How often a task is told to stop before it is given up.
 const TRIES: u32 = 3;
@@ -12,28 +17,89 @@ const TRIES: u32 = 3;
 pub(super) const UNNAMED: &str =
     "whether it was started is unknown, and it cannot be named to the server";
 
+/// What is being stopped.
+#[derive(Debug)]
+pub(super) struct Stopping {
+    tasks: BTreeSet<TaskNumber>,
+    /// Questions to servers about tasks that others have started.
+    asked: BTreeSet<RequestNumber>,
+    /// It is everything.
+    all: bool,
+    /// What is shown afterwards: a scene, or beyond the last the end; `None`: the run is over.
+    pub(super) then: Option<usize>,
+}
+
+impl Stopping {
+    pub(super) fn choices(&self) -> Vec<Command> {
+        match (self.then, self.all) {
+            (None, _) => vec![Command::Leave],
+            (Some(_), true) => vec![Command::Stop],
+            (Some(_), false) => vec![Command::StopAll, Command::Stop],
+        }
+    }
+}
+
 impl Player {
-    /// Stops everything.
-    pub(super) fn stop(&mut self, now: Instant, by: By) {
+    /// Whether a task is being stopped.
+    pub(super) fn is_stopping(&self, number: TaskNumber) -> bool {
+        matches!(&self.phase, Phase::Stopping(stopping) if stopping.tasks.contains(&number))
+    }
+
+    /// What is shown when all that is under way is stopped.
+    fn before(&self) -> usize {
+        match (&self.phase, self.question) {
+            (Phase::Playing(play), _) => play.before,
+            (
+                Phase::Stopping(Stopping {
+                    then: Some(scene), ..
+                }),
+                _,
+            ) => *scene,
+            (_, Some(Question::Scene { scene })) => scene,
+            _ => self.script.scenes.len(),
+        }
+    }
+
+    /// Stops the tasks of a scene or all, as the command says.
+    pub(super) fn stop(&mut self, now: Instant, command: Command, by: By) {
         let (scene, step) = self.place();
         self.events.push_back(Event::Decided {
-            command: Command::Stop,
+            command,
             by,
             scene,
             step,
         });
+        let all = command != Command::StopScene;
+        let then = (command != Command::Stop).then(|| self.before());
+        let here = |number: &TaskNumber| {
+            let place = self.tasks.get(number).and_then(|task| task.place);
+            place.is_some_and(|(of, ..)| Some(of) == scene)
+        };
+        let tasks = self.live.iter().copied();
+        let tasks: BTreeSet<TaskNumber> = tasks.filter(|number| all || here(number)).collect();
         self.leave_play();
         self.question = None;
-        self.phase = Phase::Stopping(self.live.clone());
-        let tasks: Vec<TaskNumber> = self.live.iter().copied().collect();
-        self.events.push_back(Event::Stopping {
+        let mut asked = BTreeSet::new();
+        if command == Command::StopAll {
+            for remote in self.options.remotes.clone() {
+                asked.insert(self.send_to(now, &remote, None, Ask::Tasks));
+            }
+        }
+        self.phase = Phase::Stopping(Stopping {
             tasks: tasks.clone(),
+            asked,
+            all,
+            then,
+        });
+        self.events.push_back(Event::Stopping {
+            tasks: tasks.iter().copied().collect(),
         });
         for number in tasks {
             let Some(task) = self.tasks.get_mut(&number) else {
                 continue;
             };
             task.aborts = 0;
+            task.stop_told = false;
             // One that was asked for and not answered yet is stopped when its id is known.
             if task.id.is_some() {
                 self.abort(now, number);
@@ -67,7 +133,7 @@ impl Player {
         task.aborting = false;
         task.next = now + POLL;
         let gives_up = task.aborts >= TRIES;
-        let stopping = matches!(self.phase, Phase::Stopping(_));
+        let stopping = self.is_stopping(number);
         let unstoppable =
             matches!(&answer, Answer::Task { state, text } if !state.is_final() && text == "False");
         let words = match &answer {
@@ -95,7 +161,7 @@ impl Player {
             // A step that cannot be ended by its limit, and nobody who could decide.
             let nobody = self.options.unattended && unstoppable && !stopping;
             if nobody && matches!(self.phase, Phase::Playing(_)) {
-                self.stop(now, By::Script);
+                self.stop(now, Command::Stop, By::Script);
             }
             return;
         };
@@ -107,8 +173,12 @@ impl Player {
     /// Tells of tasks that have ended, and ends when there is nothing more to wait for.
     pub(super) fn settle(&mut self) {
         match &self.phase {
-            Phase::Stopping(tasks) => {
-                let all = tasks.clone();
+            Phase::Stopping(stopping) => {
+                let (all, then) = (stopping.tasks.clone(), stopping.then);
+                let asking = stopping
+                    .asked
+                    .iter()
+                    .any(|request| self.under_way.contains_key(request));
                 for number in &all {
                     let Some(task) = self.tasks.get(number) else {
                         continue;
@@ -122,8 +192,12 @@ impl Player {
                     }
                 }
                 let told = |number| self.tasks.get(number).is_none_or(|task| task.stop_told);
-                if all.iter().all(told) {
-                    self.over(Outcome::Stopped);
+                if asking || !all.iter().all(told) {
+                    return;
+                }
+                match then {
+                    Some(scene) => self.show(scene),
+                    None => self.over(Outcome::Stopped),
                 }
             }
             Phase::Settling(asked)
@@ -134,6 +208,52 @@ impl Player {
                 self.over(self.fate());
             }
             _ => {}
+        }
+    }
+
+    /// What a server lists: what this run has not started is stopped too.
+    pub(super) fn on_tasks(&mut self, now: Instant, remote: &str, answer: Answer) {
+        let (boot, tasks) = match answer {
+            Answer::Tasks {
+                listed: Some(listed),
+            } => listed,
+            answer => {
+                let why = match answer {
+                    Answer::Nothing { text, .. } => text,
+                    _ => "the server does not list its tasks".to_owned(),
+                };
+                let text = format!("tasks that others started on '{remote}' may still run: {why}");
+                return self.events.push_back(Event::Note { text });
+            }
+        };
+        for (id, text) in tasks {
+            // Two names may be one server.
+            let is_known = |task: &Live| task.id == Some(id) && task.boot == Some(boot);
+            if self.tasks.values().any(is_known) {
+                continue;
+            }
+            let Phase::Stopping(stopping) = &mut self.phase else {
+                return;
+            };
+            let task = TaskNumber(self.next_task);
+            self.next_task += 1;
+            stopping.tasks.insert(task);
+            self.live.insert(task);
+            let live = Live {
+                state: TaskState::Accepted,
+                id: Some(id),
+                ours: true,
+                boot: Some(boot),
+                ..Live::new(now, remote)
+            };
+            self.tasks.insert(task, live);
+            self.events.push_back(Event::TaskFound {
+                task,
+                remote: remote.to_owned(),
+                id: i64::from(id.get()),
+                text,
+            });
+            self.abort(now, task);
         }
     }
 

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use ztl_core::{Instant, TaskId};
 
-use super::super::event::{By, Event, RequestNumber, TaskNumber, TaskState, Why};
+use super::super::event::{By, Command, Event, RequestNumber, TaskNumber, TaskState, Why};
 use super::{Ask, PATIENCE, POLL, Phase, Player};
 
 /// Longest time that a server of ours is asked to hold an answer.
@@ -15,9 +15,8 @@ const HELD_FOR_PROGRESS: Duration = POLL;
 /// A task that was started, or tried to.
 #[derive(Debug)]
 pub(super) struct Live {
-    pub(super) scene: usize,
-    pub(super) step: usize,
-    pub(super) part: usize,
+    /// Its scene, step and part; `None` where another run or client has started it.
+    pub(super) place: Option<(usize, usize, usize)>,
     pub(super) remote: String,
     /// Its step waits for it.
     pub(super) awaited: bool,
@@ -52,6 +51,31 @@ pub(super) struct Live {
 }
 
 impl Live {
+    /// A task that is about to be sent.
+    pub(super) fn new(now: Instant, remote: &str) -> Self {
+        Self {
+            place: None,
+            remote: remote.to_owned(),
+            awaited: false,
+            state: TaskState::Asked,
+            text: String::new(),
+            id: None,
+            ours: false,
+            boot: None,
+            status_text: String::new(),
+            asked: None,
+            next: now,
+            deadline: None,
+            late: false,
+            unknown: None,
+            excused: false,
+            aborts: 0,
+            aborting: false,
+            absent: false,
+            stop_told: false,
+        }
+    }
+
     /// Asking may tell how it is.
     pub(super) const fn can_be_asked(&self) -> bool {
         let hopeless = matches!(
@@ -158,7 +182,7 @@ impl Player {
     /// When a task is told to stop once more.
     fn abort_wake(&self, number: TaskNumber) -> Option<Instant> {
         let task = self.tasks.get(&number)?;
-        let again = matches!(self.phase, Phase::Stopping(_)) && !task.stop_told;
+        let again = self.is_stopping(number) && !task.stop_told;
         (again && task.id.is_some() && !task.aborting).then_some(task.next)
     }
 
@@ -209,7 +233,7 @@ impl Player {
                 "'{remote}' has not told an end for {patience} s, and nobody is there to decide"
             );
             self.events.push_back(Event::Note { text });
-            return self.stop(now, By::Script);
+            return self.stop(now, Command::Stop, By::Script);
         }
         if self.limit_wake(task).is_none_or(|limit| now < limit) {
             return;
@@ -258,7 +282,7 @@ impl Player {
         }
         match state {
             TaskState::Completed => self.unresolved.remove(&number),
-            state if state.is_failure() => self.unresolved.insert(number),
+            state if state.is_failure() && task.place.is_some() => self.unresolved.insert(number),
             _ => false,
         };
     }

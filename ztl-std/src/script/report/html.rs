@@ -37,8 +37,8 @@ pub(super) fn shorten(text: &str, most: usize) -> String {
 /// A table with its head; cells are HTML already.
 pub(super) struct Table {
     out: String,
-    /// The attribute of each column's cells.
-    classes: Vec<&'static str>,
+    /// The attributes of each column's cells; their name is told where there is no room for a head.
+    attributes: Vec<String>,
 }
 
 impl Table {
@@ -52,9 +52,12 @@ impl Table {
         out.push_str("</tr></thead><tbody>\n");
         Self {
             out,
-            classes: columns
+            attributes: columns
                 .iter()
-                .map(|column| column_class(column).0)
+                .map(|column| {
+                    let (class, name) = column_class(column);
+                    format!("{class} data-name=\"{}\"", escape(name))
+                })
                 .collect(),
         }
     }
@@ -66,8 +69,8 @@ impl Table {
                 let _ = write!(self.out, "<tr class=\"{class}\">");
             }
         }
-        for (cell, class) in cells.iter().zip(&self.classes) {
-            let _ = write!(self.out, "<td{class}>{cell}</td>");
+        for (cell, attributes) in cells.iter().zip(&self.attributes) {
+            let _ = write!(self.out, "<td{attributes}>{cell}</td>");
         }
         self.out.push_str("</tr>\n");
     }

@@ -5,6 +5,7 @@
 
 mod csv;
 mod html;
+mod layout;
 mod numbers;
 mod page;
 mod reader;

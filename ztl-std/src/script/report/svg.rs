@@ -4,17 +4,14 @@ use std::fmt::Write;
 use std::time::Duration;
 
 use super::html::{escape, shorten};
+use super::layout::{Layout, NARROW, WIDE};
 use super::numbers::{difference, spoken};
 use super::run::{Action, Cause, Run, Step, Take, Task, Wait};
 use super::words;
 use crate::script::event::{StepEnd, TaskState};
 
-/// Width of all timelines, in units of the drawing; the page scales them.
-const WIDTH: f64 = 1180.0;
-/// What the names have, and what is said beside the bars.
-const NAMES: f64 = 300.0;
-const REMARKS: f64 = 256.0;
-const ROW: f64 = 21.0;
+/// Height of a row of the overview.
+const ROW: f64 = 24.0;
 /// Most rows of one drawing: what fits on a page.
 const ROWS: usize = 26;
 /// Most background tasks that the overview shows.
@@ -59,13 +56,15 @@ impl Axis {
 }
 
 struct Drawing {
+    layout: &'static Layout,
     out: String,
     height: f64,
 }
 
 impl Drawing {
-    fn new() -> Self {
+    fn new(layout: &'static Layout) -> Self {
         Self {
+            layout,
             out: String::new(),
             height: 0.0,
         }
@@ -116,7 +115,9 @@ impl Drawing {
 
     fn end(self, label: &str) -> String {
         format!(
-            "<svg class=\"timeline\" viewBox=\"0 0 {WIDTH} {:.0}\" role=\"img\" aria-label=\"{}\">\n{}</svg>\n",
+            "<svg class=\"timeline {}\" viewBox=\"0 0 {} {:.0}\" role=\"img\" aria-label=\"{}\">\n{}</svg>\n",
+            self.layout.class,
+            self.layout.width,
             self.height,
             escape(label),
             self.out
@@ -126,7 +127,7 @@ impl Drawing {
     /// Lines for round times, and the times above them.
     fn scale(&mut self, axis: &Axis, top: f64, bottom: f64) {
         let length = axis.to.saturating_sub(axis.from).as_secs_f64();
-        let step = round_step(length / 9.0);
+        let step = round_step(length / self.layout.ticks);
         let mut tick = (axis.from.as_secs_f64() / step).ceil();
         while tick * step <= axis.to.as_secs_f64() + step * 1e-6 {
             let at = tick * step;
@@ -189,8 +190,19 @@ fn clock(at: f64, step: f64) -> String {
 
 /// The whole run: its scenes, waits, what the operator did, and what ran in the background.
 pub(super) fn overview(run: &Run) -> String {
-    let mut drawing = Drawing::new();
-    let axis = Axis::new(Duration::ZERO, run.length, 110.0, WIDTH - 10.0);
+    [&WIDE, &NARROW]
+        .map(|layout| overview_in(run, layout))
+        .concat()
+}
+
+fn overview_in(run: &Run, layout: &'static Layout) -> String {
+    let mut drawing = Drawing::new(layout);
+    let axis = Axis::new(
+        Duration::ZERO,
+        run.length,
+        layout.overview,
+        layout.width - 14.0,
+    );
     let background: Vec<&Task> = run
         .tasks
         .iter()
@@ -199,7 +211,7 @@ pub(super) fn overview(run: &Run) -> String {
     let shown = background.len().min(IN_BACKGROUND);
     let rows = 3.0 + shown as f64 + if background.len() > shown { 1.0 } else { 0.0 };
     let top = 18.0;
-    drawing.height = top + rows * 24.0 + 20.0;
+    drawing.height = top + rows * ROW + 20.0;
     drawing.scale(&axis, 0.0, drawing.height - 4.0);
 
     drawing.text("name", 0.0, top + 16.0, "scenes");
@@ -219,12 +231,12 @@ pub(super) fn overview(run: &Run) -> String {
             drawing.cut("in-bar", x.0 + 4.0, top + 16.0, &short, x.1 - x.0 - 6.0);
         }
     }
-    let y = top + 24.0;
+    let y = top + ROW;
     drawing.text("name", 0.0, y + 16.0, "waits");
     for wait in &run.waits {
         draw_wait(&mut drawing, &axis, wait, (y + 5.0, y + 19.0));
     }
-    let y = y + 24.0;
+    let y = y + ROW;
     drawing.text("name", 0.0, y + 16.0, "operator");
     for action in run.actions.iter().filter(|action| action.decided) {
         let x = axis.x(action.at);
@@ -246,10 +258,10 @@ pub(super) fn overview(run: &Run) -> String {
             escape(&title)
         );
     }
-    let mut y = y + 24.0;
+    let mut y = y + ROW;
     for task in background.iter().take(shown) {
         let name = task_name(run, task);
-        drawing.cut("name small", 0.0, y + 16.0, &name, 104.0);
+        drawing.cut("name small", 0.0, y + 16.0, &name, layout.overview - 6.0);
         draw_task(
             &mut drawing,
             &axis,
@@ -258,7 +270,7 @@ pub(super) fn overview(run: &Run) -> String {
             &name,
             run.length,
         );
-        y += 24.0;
+        y += ROW;
     }
     if background.len() > shown {
         let more = background.len() - shown;
@@ -301,32 +313,37 @@ pub(super) fn take(run: &Run, nth: usize, take: &Take) -> String {
             Some(step) if part + 1 < count => step.to,
             _ => take.to,
         };
-        out += &steps_drawing(run, nth, take, steps, (from, to));
+        for layout in [&WIDE, &NARROW] {
+            out += &steps_drawing(run, (nth, take), steps, (from, to), layout);
+        }
     }
     out
 }
 
 fn steps_drawing(
     run: &Run,
-    nth: usize,
-    take: &Take,
+    (nth, take): (usize, &Take),
     steps: &[usize],
     (from, to): (Duration, Duration),
+    layout: &'static Layout,
 ) -> String {
-    let mut drawing = Drawing::new();
-    let axis = Axis::new(from, to, NAMES, WIDTH - REMARKS);
+    let mut drawing = Drawing::new(layout);
+    let (left, right) = layout.bars();
+    let axis = Axis::new(from, to, left, right);
+    let lift = layout.lift();
+    let (remarks, remark_width) = layout.remark();
     let marks: Vec<&Action> = run
         .actions
         .iter()
         .filter(|action| action.decided && action.deviation && axis.shows(action.at, action.at))
         .collect();
-    let lanes = label_lanes(run, &axis, &marks);
+    let lanes = label_lanes(run, &axis, &marks, layout.width);
     let top = 20.0 + lanes.iter().map(|(_, _, lane)| lane + 1).max().unwrap_or(0) as f64 * 14.0;
     let rows: usize = steps
         .iter()
         .map(|step| 1 + run.tasks_of(nth, *step).count())
         .sum();
-    drawing.height = top + rows as f64 * ROW + 6.0;
+    drawing.height = top + rows as f64 * layout.row + 6.0;
     drawing.scale(&axis, 0.0, drawing.height);
 
     let mut y = top;
@@ -337,37 +354,28 @@ fn steps_drawing(
         draw_step(&mut drawing, run, take, &axis, step, y);
         for wait in &run.waits {
             if wait.from >= step.from && wait.from <= step.to {
+                let y = y + lift;
                 draw_wait(&mut drawing, &axis, wait, (y + 9.0, y + 18.0));
             }
         }
-        y += ROW;
+        y += layout.row;
         for task in run.tasks_of(nth, *index) {
             let name = task_name(run, task);
             let shown = task.retry_of.map_or(name.clone(), |_| format!("↻ {name}"));
-            drawing.cut("name task", 14.0, y + 14.0, &shown, NAMES - 20.0);
+            let width = layout.name_width() - 20.0;
+            drawing.cut("name task", 14.0, y + 14.0, &shown, width);
+            drawing.cut("remark", remarks, y + 14.0, &remark(task), remark_width);
+            let bars = y + lift;
             if let Some(planned) = task.planned_from
                 && task.from > planned
             {
                 let x = (axis.x(planned), axis.x(task.from));
-                drawing.line("late", (x.0, y + 10.0), (x.1, y + 10.0));
-                drawing.line("due", (x.0, y + 5.0), (x.0, y + 15.0));
+                drawing.line("late", (x.0, bars + 10.0), (x.1, bars + 10.0));
+                drawing.line("due", (x.0, bars + 5.0), (x.0, bars + 15.0));
             }
-            draw_task(
-                &mut drawing,
-                &axis,
-                task,
-                (y + 5.0, y + 15.0),
-                &name,
-                run.length,
-            );
-            drawing.cut(
-                "remark",
-                WIDTH - REMARKS + 20.0,
-                y + 14.0,
-                &remark(task),
-                REMARKS - 20.0,
-            );
-            y += ROW;
+            let place = (bars + 5.0, bars + 15.0);
+            draw_task(&mut drawing, &axis, task, place, &name, run.length);
+            y += layout.row;
         }
     }
     for (action, x, lane) in lanes {
@@ -390,7 +398,12 @@ fn steps_drawing(
 const LABEL: usize = 24;
 
 /// Where the texts of marks go, so that none covers another: place and lane.
-fn label_lanes<'a>(run: &Run, axis: &Axis, marks: &[&'a Action]) -> Vec<(&'a Action, f64, usize)> {
+fn label_lanes<'a>(
+    run: &Run,
+    axis: &Axis,
+    marks: &[&'a Action],
+    width: f64,
+) -> Vec<(&'a Action, f64, usize)> {
     let mut ends: Vec<f64> = Vec::new();
     let mut lanes = Vec::new();
     for action in marks {
@@ -398,7 +411,7 @@ fn label_lanes<'a>(run: &Run, axis: &Axis, marks: &[&'a Action]) -> Vec<(&'a Act
         let length = what.map_or(0, |what| what.chars().count().min(LABEL)) as f64 * 6.4;
         // A text that would leave the drawing goes to the left of its mark.
         let at = axis.x(action.at);
-        let x = (at + 4.0).min(WIDTH - length);
+        let x = (at + 4.0).min(width - length).max(0.0);
         let free = ends.iter().position(|end| *end + 6.0 < x);
         let lane = free.unwrap_or(ends.len());
         match ends.get_mut(lane) {
@@ -411,14 +424,16 @@ fn label_lanes<'a>(run: &Run, axis: &Axis, marks: &[&'a Action]) -> Vec<(&'a Act
 }
 
 fn draw_step(drawing: &mut Drawing, run: &Run, take: &Take, axis: &Axis, step: &Step, y: f64) {
+    let layout = drawing.layout;
     let name = run.step_name(take.scene, step.step);
-    drawing.cut("name step", 0.0, y + 15.0, &name, NAMES - 6.0);
+    drawing.cut("name step", 0.0, y + 15.0, &name, layout.name_width() - 6.0);
+    let bars = y + layout.lift();
     if let Some(planned) = step.planned {
         let to = step.from + planned;
         let title = format!("{name}: {} planned", spoken(planned));
         let attributes = data("plan", step.step + 1, step.from, to);
         let place = (axis.x(step.from), axis.x(to));
-        drawing.bar("plan", place, (y + 4.0, y + 8.0), &attributes, &title);
+        drawing.bar("plan", place, (bars + 4.0, bars + 8.0), &attributes, &title);
     }
     let actual = (axis.x(step.from), axis.x(step.to));
     let attributes = data("step", step.step + 1, step.from, step.to);
@@ -427,7 +442,13 @@ fn draw_step(drawing: &mut Drawing, run: &Run, take: &Take, axis: &Axis, step: &
         words::step_end(step.end),
         spoken(step.length())
     );
-    drawing.bar("actual", actual, (y + 9.0, y + 18.0), &attributes, &title);
+    drawing.bar(
+        "actual",
+        actual,
+        (bars + 9.0, bars + 18.0),
+        &attributes,
+        &title,
+    );
     let background = run
         .step(take.scene, step.step)
         .is_some_and(|step| !step.wait);
@@ -435,17 +456,20 @@ fn draw_step(drawing: &mut Drawing, run: &Run, take: &Take, axis: &Axis, step: &
         Some(StepEnd::Completed) if background => "in the background",
         end => words::step_end(end),
     };
+    // There is no room for it above a bar.
     let more = step
         .planned
+        .filter(|_| layout.names.is_some())
         .map(|planned| format!("({})", difference(step.length(), planned)));
     let more = more.unwrap_or_default();
     let remark = format!("{} {more} {end}", spoken(step.length()));
+    let (x, width) = layout.remark();
     drawing.cut(
         "remark step",
-        WIDTH - REMARKS + 20.0,
+        x,
         y + 15.0,
         &remark.replace("  ", " "),
-        REMARKS - 20.0,
+        width,
     );
 }
 

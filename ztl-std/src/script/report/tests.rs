@@ -55,6 +55,16 @@ fn table(text: &str) -> Vec<BTreeMap<String, String>> {
     rows.into_iter().map(named).collect()
 }
 
+/// The page without the names of columns in each cell.
+fn unnamed(html: &str) -> String {
+    let mut pieces = html.split(" data-name=\"");
+    let mut out = pieces.next().unwrap().to_owned();
+    for piece in pieces {
+        out += piece.split_once('"').unwrap().1;
+    }
+    out
+}
+
 fn millis(text: &str) -> f64 {
     text.parse::<f64>().unwrap() * 1000.0
 }
@@ -154,11 +164,18 @@ fn the_table_of_the_operator_says_what_the_record_says() {
 
 #[test]
 fn each_task_and_step_is_drawn_where_it_was() {
+    for class in ["wide", "narrow"] {
+        each_is_drawn_where_it_was(class);
+    }
+}
+
+fn each_is_drawn_where_it_was(class: &str) {
     let lines = lines(EVENING);
     let html = report(&[("evening.jsonl", EVENING)]).html();
     let mut tasks = 0;
     let mut steps = Vec::new();
-    for drawing in html.split("<svg class=\"timeline\"").skip(1) {
+    let drawings = html.split("<svg class=\"timeline ").skip(1);
+    for drawing in drawings.filter(|drawing| drawing.starts_with(class)) {
         let bars: Vec<&str> = drawing.split("<rect ").skip(1).collect();
         // By the first bar that has both a time and a length, where all others must be.
         let places: Vec<(f64, f64)> = bars
@@ -242,6 +259,7 @@ fn the_figures_of_a_run_are_those_of_its_record() {
 #[test]
 fn a_step_is_planned_from_its_delays_and_its_tasks_own_times() {
     let html = report(&[("matinee.jsonl", MATINEE)]).html();
+    let html = unnamed(&html);
     // Turn: 0.5 s, then the base; 1 s later the arm, which takes as long as its server says.
     let lines = lines(MATINEE);
     let at = |event: &str, pick: &dyn Fn(&Value) -> bool| {
@@ -283,6 +301,7 @@ fn what_was_left_before_its_end_has_no_plan_to_compare_with() {
 #[test]
 fn several_runs_are_compared_step_by_step() {
     let html = report(&[("evening.jsonl", EVENING), ("matinee.jsonl", MATINEE)]).html();
+    let html = unnamed(&html);
     assert!(html.contains("<a href=\"#run-2\">matinee.jsonl</a>"));
     let mut lengths = Vec::new();
     for text in [EVENING, MATINEE] {
@@ -408,4 +427,26 @@ fn whatever_is_lacking_in_a_record_a_page_is_made() {
     let bare = EVENING.replacen(&rest[..end], "{\"scenes\":[]}", 1);
     let html = report(&[("run.jsonl", &bare)]).html();
     assert!(html.contains("scene 2 / step 1"), "{html}");
+}
+
+#[test]
+fn what_failed_stands_on_top_with_its_reason() {
+    let html = report(&[("evening.jsonl", EVENING)]).html();
+    let (top, rest) = html.split_once("<section class=\"run\"").unwrap();
+    for words in [
+        "2 tasks failed or unknown",
+        "<b>refused</b>: busy: &#39;ring&#39; is in use; it takes one task at a time",
+        "<b>failed</b>: ",
+    ] {
+        assert!(top.contains(words), "{words} in {top}");
+    }
+    assert!(!top.contains("<b>aborted</b>"), "{top}");
+    assert!(rest.contains("<table class=\"tasks\">"));
+    let well = EVENING.replace("\"state\":\"refused\"", "\"state\":\"completed\"");
+    let well = well.replace("\"state\":\"failed\"", "\"state\":\"completed\"");
+    let html = report(&[("evening.jsonl", &well)]).html();
+    assert!(html.contains("No task failed or is unknown."));
+    // Of several runs, whose it was.
+    let html = report(&[("evening.jsonl", EVENING), ("matinee.jsonl", MATINEE)]).html();
+    assert!(html.contains("evening.jsonl, Welcome"), "{html}");
 }

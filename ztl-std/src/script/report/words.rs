@@ -14,6 +14,8 @@ pub(super) fn command(run: &Run, command: Command) -> String {
         Command::Resume => "go on after the pause",
         Command::Retry => "retry what failed",
         Command::GoOn => "go on anyway",
+        Command::StopScene => "stop the scene",
+        Command::StopAll => "stop everything, and stay",
         Command::Stop => "stop everything",
         Command::Leave => "leave",
     };
@@ -32,6 +34,8 @@ pub(super) const fn command_name(command: Command) -> &'static str {
         Command::Resume => "resume",
         Command::Retry => "retry",
         Command::GoOn => "go_on",
+        Command::StopScene => "stop_scene",
+        Command::StopAll => "stop_all",
         Command::Stop => "stop",
         Command::Leave => "leave",
     }

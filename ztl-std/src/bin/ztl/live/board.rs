@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 
 use ztl_std::script::event::{
-    By, Command, Event, Outcome, Outline, Question, RequestNumber, SceneEnd, ServerState, Stamped,
-    StepEnd, TaskNumber, TaskState, Why,
+    By, Command, Event, Outcome, Outline, Question, RemoteOutline, RequestNumber, SceneEnd,
+    ServerState, Stamped, StepEnd, TaskNumber, TaskState, Why,
 };
 
 /// The state of a run.
@@ -33,14 +33,24 @@ pub(super) struct Board {
     pub(super) pause: bool,
     pub(super) paused: bool,
     pub(super) waiting: Option<(Why, Vec<TaskNumber>)>,
-    /// What became of stopping each task; `None`: no word yet.
-    pub(super) stopping: Option<BTreeMap<TaskNumber, Option<(bool, String)>>>,
+    /// What is being stopped, or was stopped last; until the next decision.
+    pub(super) stopping: Option<Stopping>,
     /// The last key, and when it was pressed.
     pub(super) key: Option<(String, Option<Command>, Duration)>,
     /// Until the next key.
     pub(super) notes: Vec<String>,
     pub(super) ended: Option<(Outcome, Vec<TaskNumber>, String)>,
     requests: BTreeMap<RequestNumber, String>,
+}
+
+/// What is being stopped.
+#[derive(Debug)]
+pub(super) struct Stopping {
+    pub(super) command: Command,
+    /// What became of stopping each task; `None`: no word yet.
+    pub(super) answers: BTreeMap<TaskNumber, Option<(bool, String)>>,
+    /// Nothing more is waited for.
+    pub(super) over: bool,
 }
 
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
@@ -94,6 +104,22 @@ pub(super) struct Task {
     pub(super) text: String,
 }
 
+impl Task {
+    fn new(from: Duration) -> Self {
+        Self {
+            name: String::new(),
+            scene: 0,
+            step: 0,
+            current: false,
+            again: false,
+            from,
+            to: None,
+            state: TaskState::Asked,
+            text: String::new(),
+        }
+    }
+}
+
 impl Board {
     /// An event has happened. Costs at most work linear in the tasks that run and in one scene.
     pub(super) fn handle(&mut self, Stamped { at, event, .. }: &Stamped) {
@@ -105,16 +131,24 @@ impl Board {
                 self.outline.clone_from(&started.outline);
                 self.scenes = vec![Look::ToCome; self.outline.scenes.len()];
                 self.lengths = vec![None; self.scenes.len()];
-                let remotes = started.remotes.iter();
-                self.servers = remotes
-                    .map(|remote| (remote.name.clone(), Server::default()))
-                    .collect();
+                let server = |remote: &RemoteOutline| {
+                    let mut server = Server::default();
+                    if remote.endpoint.is_none() {
+                        let text = "it is not in the configuration".to_owned();
+                        server.state = Some(ServerState::Absent { text });
+                    }
+                    (remote.name.clone(), server)
+                };
+                self.servers = started.remotes.iter().map(server).collect();
             }
             Event::SceneShown { scene } => self.scene = Some(*scene),
             Event::Asked { question, choices } => {
                 self.question = Some(*question);
                 self.choices.clone_from(choices);
                 self.questions += 1;
+                if let Some(stopping) = &mut self.stopping {
+                    stopping.over = true;
+                }
             }
             Event::Key { key, command } => {
                 self.key = Some((key.clone(), *command, at));
@@ -216,17 +250,25 @@ impl Board {
                     None => self.servers.push((remote.clone(), server)),
                 }
             }
+            Event::TaskFound { task, text, .. } => {
+                let found = Task {
+                    name: text.clone(),
+                    state: TaskState::Accepted,
+                    ..Task::new(at)
+                };
+                self.tasks.insert(*task, found);
+                self.stop_answer(*task, None);
+            }
             Event::Stopping { tasks } => {
-                self.stopping = Some(tasks.iter().map(|task| (*task, None)).collect());
+                for task in tasks {
+                    self.stop_answer(*task, None);
+                }
             }
             Event::StopAnswered {
                 task,
                 confirmed,
                 text,
-            } => {
-                let stopping = self.stopping.get_or_insert_default();
-                stopping.insert(*task, Some((*confirmed, text.clone())));
-            }
+            } => self.stop_answer(*task, Some((*confirmed, text.clone()))),
             Event::Note { text } => self.notes.push(text.clone()),
             Event::RunEnded {
                 outcome,
@@ -244,14 +286,31 @@ impl Board {
     pub(super) fn choices(&self) -> Vec<Command> {
         if self.ended.is_some() {
             Vec::new()
-        } else if self.stopping.is_some() {
-            vec![Command::Leave]
+        } else if let Some(stopping) = self.stopping.as_ref().filter(|it| !it.over) {
+            match stopping.command {
+                Command::StopScene => vec![Command::StopAll, Command::Stop],
+                Command::StopAll => vec![Command::Stop],
+                _ => vec![Command::Leave],
+            }
         } else if self.question.is_some() {
             self.choices.clone()
-        } else if self.pause {
-            vec![Command::Resume, Command::Stop]
         } else {
-            vec![Command::Pause, Command::Stop]
+            let mut choices = vec![match self.pause {
+                true => Command::Resume,
+                false => Command::Pause,
+            }];
+            // Not where nobody is asked between scenes.
+            if self.choices.contains(&Command::StopAll) {
+                choices.extend([Command::StopScene, Command::StopAll]);
+            }
+            choices.push(Command::Stop);
+            choices
+        }
+    }
+
+    fn stop_answer(&mut self, task: TaskNumber, answer: Option<(bool, String)>) {
+        if let Some(stopping) = &mut self.stopping {
+            stopping.answers.insert(task, answer);
         }
     }
 
@@ -262,6 +321,12 @@ impl Board {
             let here = task.current && Some((task.scene, task.step)) == step;
             !task.state.is_over() && !here
         })
+    }
+
+    /// Whether there is more to say of what went wrong.
+    pub(super) fn has_failures(&self) -> bool {
+        let wrong = |task: &Task| task.state.is_failure() || task.state == TaskState::Unknown;
+        self.tasks.values().any(wrong)
     }
 
     /// Scene and step that are played just now.
@@ -276,6 +341,17 @@ impl Board {
             Command::Pause => self.pause = true,
             Command::Resume => self.pause = false,
             _ => {}
+        }
+        if !matches!(command, Command::Pause | Command::Resume | Command::Leave) {
+            let stops = matches!(
+                command,
+                Command::StopScene | Command::StopAll | Command::Stop
+            );
+            self.stopping = stops.then(|| Stopping {
+                command,
+                answers: BTreeMap::new(),
+                over: false,
+            });
         }
         // A pause ordered while a step waits is no answer to its question.
         if command != Command::Pause || self.question == Some(Question::Pause) {
@@ -347,25 +423,25 @@ impl Board {
             Some(task) => format!("{}:{}:{}", task.handler, task.component, task.goal),
             None => format!("task {}", number.0),
         };
-        self.tasks.insert(
-            number,
-            Task {
-                name,
-                scene,
-                step,
-                current: true,
-                again,
-                from: at,
-                to: None,
-                state: TaskState::Asked,
-                text: String::new(),
-            },
-        );
+        let task = Task {
+            name,
+            scene,
+            step,
+            current: true,
+            again,
+            ..Task::new(at)
+        };
+        self.tasks.insert(number, task);
     }
 
     fn task_state(&mut self, at: Duration, number: TaskNumber, state: TaskState, text: &str) {
         if let Some(task) = self.tasks.get_mut(&number) {
             task.state = state;
+            // A gateway repeats the request before its reason; it stands beside it anyway.
+            let text = match text.split_once("' refused: ") {
+                Some((request, reason)) if request.starts_with('\'') => reason,
+                _ => text,
+            };
             text.clone_into(&mut task.text);
             if state.is_over() && task.to.is_none() {
                 task.to = Some(at);

@@ -2,22 +2,52 @@
 
 use std::time::Duration;
 
-use ztl_std::script::event::{Outcome, Question, ServerState, TaskState, Why};
+use ztl_std::script::event::{ServerState, TaskState};
 
 use super::board::{Board, Played, Server, Task};
-use super::keys::{self, Chooser};
-use super::rows::{body, clock, scene_line, scene_list, task_line, window};
-use super::text::{self, Line, Style, clip};
+use super::choose::Chooser;
+use super::keys;
+use super::message::{self, Paragraph, message};
+use super::rows::{Seen, body, clock, page, scene_line, scene_list, task_line, window};
+use super::text::{Line, Style, clip};
 
-/// Draws it all: exactly `height` lines, none wider than `width`. `now` is the time of the run.
+/// What the middle of the screen shows.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub(super) enum Pane {
+    #[default]
+    Show,
+    Choose(Chooser),
+    /// All keys.
+    Keys,
+    /// All that went wrong.
+    Details,
+}
+
+/// What is looked at.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub(super) struct View {
+    pub(super) pane: Pane,
+    /// The first row that is seen, where the operator looks around.
+    pub(super) top: Option<usize>,
+}
+
+/// Draws it all: exactly `height` lines, none wider than `width`; and what of the middle is seen. `now` is the
+/// time of the run.
 pub(super) fn draw(
     board: &Board,
-    chooser: Option<Chooser>,
+    view: &View,
     now: Duration,
     (width, height): (usize, usize),
-) -> Vec<Line> {
-    let keys = key_lines(board, chooser, width);
-    let message = message(board, now, width);
+) -> (Vec<Line>, Seen) {
+    let keys = key_lines(board, view, width);
+    let room = height.saturating_sub(keys.len());
+    let said = match &view.pane {
+        Pane::Choose(chooser) => message::choosing(board, chooser),
+        _ => message(board, now),
+    };
+    // Of a long one some lines are left for the show.
+    let most = if room < 8 { room } else { room * 3 / 4 };
+    let message = message::lines(&said, width, most);
     // What has to be seen comes first; on a small screen the rest goes.
     let mut left = height.saturating_sub(keys.len() + message.len());
     let mut take = |lines: Vec<Line>, least: usize| {
@@ -28,15 +58,17 @@ pub(super) fn draw(
         lines
     };
     let title = take(vec![title(board, now, width)], 1);
-    let servers = take(vec![servers(board, now, width)], 4);
+    let servers = take(servers(board, now, width), 4);
     let most = if height < 16 { 2 } else { height / 4 };
     let background = take(background(board, now, width, most), 4);
     let rule = take(vec![rule(width)], 6);
-    let body = match chooser {
-        Some(chooser) => scene_list(board, chooser),
-        None => body(board),
+    let body = match &view.pane {
+        Pane::Show => body(board, view.top.is_some()),
+        Pane::Choose(chooser) => scene_list(board, chooser),
+        Pane::Keys => page(&all_keys(), width),
+        Pane::Details => page(&details(board, now), width),
     };
-    let body = window(board, &body, now, left, width);
+    let (body, seen) = window(board, &body, view.top, now, (left, width));
     let mut lines = title;
     lines.extend(servers);
     lines.extend(body);
@@ -49,7 +81,22 @@ pub(super) fn draw(
     // Of a screen that is too small even for keys, the last line of them.
     let surplus = lines.len().saturating_sub(height);
     lines.drain(..surplus);
-    lines
+    (lines, seen)
+}
+
+/// The page of all keys.
+fn all_keys() -> Vec<Paragraph> {
+    let words = |(key, does): &(&str, &str)| (Style::Plain, format!("{key:<18}{does}"));
+    keys::ALL.iter().map(words).collect()
+}
+
+/// The page of all that went wrong.
+fn details(board: &Board, now: Duration) -> Vec<Paragraph> {
+    let mut said = message::details(board, now);
+    if said.is_empty() {
+        said.push((Style::Good, "Nothing went wrong.".to_owned()));
+    }
+    said
 }
 
 /// What is left on the terminal when the view has gone: how each scene went, what did not go well, and
@@ -64,7 +111,7 @@ pub(super) fn summary(board: &Board, width: usize) -> Vec<Line> {
         .values()
         .filter(|task| task.state != TaskState::Completed);
     lines.extend(bad.map(|task| task_line(task, 0, board.at, width)));
-    lines.extend(message(board, board.at, width));
+    lines.extend(message::lines(&message(board, board.at), width, usize::MAX));
     lines
 }
 
@@ -89,14 +136,22 @@ fn title(board: &Board, now: Duration, width: usize) -> Line {
     line
 }
 
-fn servers(board: &Board, now: Duration, width: usize) -> Line {
+/// The servers, on as many lines as they need.
+fn servers(board: &Board, now: Duration, width: usize) -> Vec<Line> {
+    let mut lines = Vec::new();
     let mut line = Line::new(width).and(Style::Soft, " servers");
     for (name, server) in &board.servers {
         let (style, says) = server_words(server, now);
+        let length = name.chars().count() + says.chars().count() + 3;
+        if line.width() + length > width && line.width() > 8 {
+            let next = Line::new(width).and(Style::Soft, "        ");
+            lines.push(std::mem::replace(&mut line, next));
+        }
         line.put(Style::Plain, &format!("  {name} "));
         line.put(style, &says);
     }
-    line
+    lines.push(line);
+    lines
 }
 
 fn server_words(server: &Server, now: Duration) -> (Style, String) {
@@ -113,8 +168,8 @@ fn server_words(server: &Server, now: Duration) -> (Style, String) {
             let since = clock(now.saturating_sub(server.since));
             (Style::Warning, format!("silent for {since}"))
         }
-        Some(ServerState::Absent) => (Style::Bad, "✗ not there".to_owned()),
-        Some(ServerState::Restarted) => (Style::Warning, "started anew".to_owned()),
+        Some(ServerState::Absent { .. }) => (Style::Bad, "✗ MISSING".to_owned()),
+        Some(ServerState::Restarted) => (Style::Warning, "restarted".to_owned()),
     }
 }
 
@@ -147,145 +202,17 @@ fn background(board: &Board, now: Duration, width: usize, most: usize) -> Vec<Li
     lines
 }
 
-/// What the operator has to know now.
-fn message(board: &Board, now: Duration, width: usize) -> Vec<Line> {
-    let mut lines = Vec::new();
-    let mut say = |style, text: &str| {
-        let pieces = text::wrap(text, width.saturating_sub(1), 3);
-        lines.extend(
-            pieces
-                .iter()
-                .map(|text| Line::new(width).and(style, &format!(" {text}"))),
-        );
+fn key_lines(board: &Board, view: &View, width: usize) -> Vec<Line> {
+    let mut keys = match view {
+        View {
+            pane: Pane::Choose(_),
+            ..
+        } => keys::choosing(),
+        _ => keys::help(board),
     };
-    if let Some((outcome, running, text)) = &board.ended {
-        let (style, words) = outcome_words(*outcome);
-        say(style, words);
-        if !running.is_empty() {
-            say(
-                Style::Warning,
-                &format!("{} tasks may still be under way", running.len()),
-            );
-        }
-        if !text.is_empty() {
-            say(Style::Bad, text);
-        }
-    } else if let Some(stopping) = &board.stopping {
-        let open = stopping.values().filter(|answer| answer.is_none()).count();
-        match open {
-            0 => say(Style::Strong, "STOPPED EVERYTHING"),
-            open => say(
-                Style::Warning,
-                &format!("STOPPING EVERYTHING: {open} not confirmed yet"),
-            ),
-        }
-        // The last ones are those that somebody waits for.
-        for (number, answer) in stopping.iter().take(6) {
-            let name = board
-                .tasks
-                .get(number)
-                .map_or_else(|| format!("task {}", number.0), |task| task.name.clone());
-            match answer {
-                None => say(Style::Warning, &format!("  ? {name}: no word yet")),
-                Some((true, text)) => say(Style::Good, &format!("  ✓ {name}: {text}")),
-                Some((false, text)) => say(Style::Bad, &format!("  ✗ {name}: {text}")),
-            }
-        }
-        if stopping.len() > 6 {
-            say(Style::Soft, &format!("  and {} more", stopping.len() - 6));
-        }
-    } else if let Some((why, tasks)) = &board.waiting {
-        let decide = if board.question.is_some() {
-            " Decide."
-        } else {
-            ""
-        };
-        say(
-            Style::Warning,
-            &format!("WAITING: {}.{decide}", why_words(board, why, now)),
-        );
-        for task in tasks
-            .iter()
-            .filter_map(|number| board.tasks.get(number))
-            .take(3)
-        {
-            let colon = if task.text.is_empty() { "" } else { ": " };
-            say(
-                Style::Plain,
-                &format!("  {} {}{colon}{}", task.name, task.state, task.text),
-            );
-        }
-    } else {
-        match board.question {
-            Some(Question::Scene { scene }) => {
-                let name = board
-                    .outline
-                    .scenes
-                    .get(scene)
-                    .map_or("", |scene| scene.name.as_str());
-                say(Style::Strong, &format!("Next: {name}"));
-            }
-            Some(Question::End) => say(Style::Strong, "The last scene is over."),
-            Some(Question::Pause) => say(Style::Warning, "PAUSE"),
-            Some(Question::Step { .. }) => say(Style::Warning, "Decide how to go on."),
-            None if board.pause => say(Style::Warning, "There will be a pause after this step."),
-            None => {}
-        }
+    if matches!(view.pane, Pane::Keys | Pane::Details) || view.top.is_some() {
+        keys.splice(0..0, keys::looking());
     }
-    // The newest, for which there is room.
-    for note in board.notes.iter().rev().take(3).rev() {
-        say(Style::Warning, note);
-    }
-    if let Some((key, None, at)) = &board.key
-        && board.ended.is_none()
-        && now.saturating_sub(*at) < Duration::from_secs(3)
-    {
-        say(Style::Soft, &format!("{key} means nothing now"));
-    }
-    lines
-}
-
-const fn outcome_words(outcome: Outcome) -> (Style, &'static str) {
-    match outcome {
-        Outcome::Completed => (Style::Good, "Over: all went well."),
-        Outcome::Failures => (Style::Bad, "Over: not all went well."),
-        Outcome::Stopped => (Style::Warning, "Over: everything was stopped."),
-        Outcome::Left => (Style::Warning, "Left."),
-        Outcome::Error => (Style::Bad, "Ended by an error."),
-    }
-}
-
-fn why_words(board: &Board, why: &Why, now: Duration) -> String {
-    match why {
-        Why::ServerSilent { remote } => {
-            let server = board.servers.iter().find(|(name, _)| name == remote);
-            let since = server.map(|(_, server)| clock(now.saturating_sub(server.since)));
-            let since = since
-                .map(|since| format!(" for {since}"))
-                .unwrap_or_default();
-            format!("server '{remote}' is silent{since}; what its tasks do is unknown")
-        }
-        Why::ServerRestarted { remote } => {
-            format!("server '{remote}' was started anew; what became of its tasks is unknown")
-        }
-        Why::TaskUnknown => "a server does not know its task any more".to_owned(),
-        Why::StartUnknown => "nobody knows whether a task was started".to_owned(),
-        Why::Failed => "something did not go well".to_owned(),
-        Why::TooLong => "a task takes longer than its limit".to_owned(),
-    }
-}
-
-fn key_lines(board: &Board, chooser: Option<Chooser>, width: usize) -> Vec<Line> {
-    let keys = match chooser {
-        Some(_) => vec![
-            ("1-9", "jump there".to_owned()),
-            ("Up Down", "choose".to_owned()),
-            ("Enter", "jump".to_owned()),
-            ("Esc", "do not jump".to_owned()),
-            ("Ctrl-C", "stop everything".to_owned()),
-        ],
-        None => keys::help(board),
-    };
     let mut lines = Vec::new();
     let mut line = Line::new(width);
     for (key, words) in keys {

@@ -19,10 +19,18 @@ pub(super) fn command(
         "p" | "P" => Command::Pause,
         "t" | "T" => Command::Retry,
         "g" | "G" => Command::GoOn,
+        // Where it is not known what can be wanted, the player decides.
+        "c" | "C" if choices.is_empty() => return Some(Command::StopScene),
+        "c" | "C" => Command::StopScene,
+        // All of it is being stopped already.
+        "x" | "X" | "Ctrl-X" if matches!(choices, [Command::Leave] | [Command::Stop]) => {
+            return None;
+        }
+        // These two work at any time.
+        "x" | "X" | "Ctrl-X" => return Some(Command::StopAll),
         // The second time leaves, whatever still runs.
-        "x" | "X" | "Ctrl-C" if choices == [Command::Leave] => Command::Leave,
-        // Works at any time.
-        "x" | "X" | "Ctrl-C" => return Some(Command::Stop),
+        "Ctrl-C" if choices == [Command::Leave] => Command::Leave,
+        "Ctrl-C" => return Some(Command::Stop),
         "q" | "Q" if may_leave(question) => Command::Leave,
         _ => return None,
     };
@@ -76,49 +84,75 @@ pub(super) fn help(board: &Board) -> Vec<(&'static str, String)> {
         };
         keys.push(("q", words));
     }
-    if choices == [Command::Leave] {
-        keys.push(("Ctrl-C", "leave without waiting".to_owned()));
-    } else if board.ended.is_none() {
-        keys.push(("x", "stop everything".to_owned()));
+    match choices.as_slice() {
+        _ if board.ended.is_some() => {}
+        [Command::Leave] => keys.push(("Ctrl-C", "leave without waiting".to_owned())),
+        [Command::Stop] => keys.push(("Ctrl-C", "stop and leave".to_owned())),
+        choices => {
+            if choices.contains(&Command::StopScene) {
+                keys.push(("c", "stop this scene".to_owned()));
+            }
+            keys.push(("x", "stop everything".to_owned()));
+        }
+    }
+    if board.has_failures() {
+        keys.push(("d", "details".to_owned()));
+    }
+    if board.ended.is_none() {
+        keys.push(("?", "keys".to_owned()));
     }
     keys
 }
 
-/// Choosing a scene to jump to.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Chooser {
-    pub(super) cursor: usize,
+/// While a scene is chosen.
+pub(super) fn choosing() -> Vec<(&'static str, String)> {
+    let keys = [
+        ("Enter", "show it"),
+        ("0-9", "its number"),
+        ("a-z", "search"),
+        ("Up Down Page Home End", "move"),
+        ("Esc", "do not jump"),
+        ("Ctrl-X", "stop everything"),
+    ];
+    keys.map(|(key, words)| (key, words.to_owned())).to_vec()
 }
 
-/// What a key did to the chooser.
-#[derive(Debug, PartialEq, Eq)]
-pub(super) enum Chosen {
-    Stay(Chooser),
-    Scene(usize),
-    Nothing,
+/// On a page of its own, or when something else is looked at than what is played.
+pub(super) fn looking() -> Vec<(&'static str, String)> {
+    vec![("Esc", "back".to_owned())]
 }
 
-impl Chooser {
-    pub(super) fn press(self, key: &str, scenes: usize) -> Chosen {
-        let last = scenes.saturating_sub(1);
-        let to = |cursor: usize| {
-            Chosen::Stay(Self {
-                cursor: cursor.min(last),
-            })
-        };
-        match key {
-            "Up" | "k" => to(self.cursor.saturating_sub(1)),
-            "Down" | "j" => to(self.cursor + 1),
-            "Home" => to(0),
-            "End" => to(last),
-            "Enter" => Chosen::Scene(self.cursor.min(last)),
-            digit => match digit.parse::<usize>() {
-                Ok(digit @ 1..) if digit <= scenes => Chosen::Scene(digit - 1),
-                _ => Chosen::Nothing,
-            },
-        }
-    }
-}
+/// All keys, for the page that `?` shows.
+pub(super) const ALL: [(&str, &str); 19] = [
+    ("Enter", "start the scene that is shown"),
+    ("s", "skip it; while a step waits: the rest of its scene"),
+    ("r", "play the last scene again"),
+    ("j", "choose a scene by number or name; Enter only shows it"),
+    ("a", "begin again with the first scene"),
+    ("p", "pause after this step, or go on"),
+    ("t", "retry what failed"),
+    ("g", "go on although something failed or is unknown"),
+    (
+        "c",
+        "stop the tasks of this scene, and return to the scenes",
+    ),
+    (
+        "x",
+        "stop everything on the servers of the show, and stay in it",
+    ),
+    ("Ctrl-X", "the same, also while a scene is chosen"),
+    (
+        "Ctrl-C",
+        "stop all that this run started, and leave; again: at once",
+    ),
+    ("q", "between scenes: leave; tasks in the background go on"),
+    ("PageUp, PageDown", "look around; so do Up, Down, Home, End"),
+    ("d", "all that went wrong, in full"),
+    ("?", "these keys"),
+    ("Esc", "back to what is played"),
+    ("Ctrl-L", "draw the screen again"),
+    ("Ctrl-Z", "suspend this program; the servers go on"),
+];
 
 #[cfg(test)]
 mod tests {
@@ -133,20 +167,17 @@ mod tests {
         assert_eq!(command("q", &choices, at_scene), Some(Command::Leave));
         let at_step = Some(Question::Step { scene: 0, step: 0 });
         assert_eq!(command("q", &choices, at_step), None, "the robot may move");
-        for key in ["x", "Ctrl-C"] {
-            assert_eq!(command(key, &[], None), Some(Command::Stop));
-            assert_eq!(command(key, &[Command::Leave], None), Some(Command::Leave));
+        assert_eq!(command("c", &choices, at_scene), None, "nothing is played");
+        let playing = Command::WHILE_RUNNING;
+        assert_eq!(command("c", &playing, None), Some(Command::StopScene));
+        assert_eq!(command("c", &[], at_step), Some(Command::StopScene));
+        for key in ["x", "X", "Ctrl-X"] {
+            assert_eq!(command(key, &[], None), Some(Command::StopAll));
+            assert_eq!(command(key, &[Command::Stop], None), None, "it is stopped");
+            assert_eq!(command(key, &[Command::Leave], None), None);
         }
-    }
-
-    #[test]
-    fn a_scene_is_chosen_by_its_number_or_by_moving_to_it() {
-        let at = |cursor| Chooser { cursor };
-        assert_eq!(at(0).press("3", 4), Chosen::Scene(2));
-        assert_eq!(at(0).press("5", 4), Chosen::Nothing);
-        assert_eq!(at(3).press("Down", 4), Chosen::Stay(at(3)));
-        assert_eq!(at(3).press("Up", 4), Chosen::Stay(at(2)));
-        assert_eq!(at(2).press("Enter", 4), Chosen::Scene(2));
-        assert_eq!(at(2).press("Esc", 4), Chosen::Nothing);
+        let leaves = Some(Command::Leave);
+        assert_eq!(command("Ctrl-C", &[], None), Some(Command::Stop));
+        assert_eq!(command("Ctrl-C", &[Command::Leave], None), leaves);
     }
 }

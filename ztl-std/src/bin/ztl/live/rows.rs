@@ -6,8 +6,9 @@ use std::time::Duration;
 use ztl_std::script::event::{Question, SceneOutline, StepOutline, TaskOutline, TaskState};
 
 use super::board::{Board, Look, Step, Task};
-use super::keys::Chooser;
-use super::text::{Line, Style, clip};
+use super::choose::Chooser;
+use super::message::Paragraph;
+use super::text::{self, Line, Style, clip};
 
 /// A line of what is shown in the middle.
 enum Row<'a> {
@@ -17,26 +18,36 @@ enum Row<'a> {
     Step(&'a StepOutline, Option<&'a Step>),
     Planned(&'a TaskOutline),
     Task(&'a Task),
+    Words(Style, String),
 }
 
 /// Rows of which a part is shown, around the one that matters. Only what is shown is made into lines:
 /// a scene may have thousands.
 pub(super) struct Body<'a> {
     rows: Vec<Row<'a>>,
-    focus: usize,
+    focus: Option<usize>,
 }
 
+/// What is seen of a body: where it begins, and how many lines it has.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub(super) struct Seen {
+    pub(super) from: usize,
+    pub(super) height: usize,
+}
+
+/// The rows from `top` on; without it, those around the one that matters.
 pub(super) fn window(
     board: &Board,
     body: &Body<'_>,
+    top: Option<usize>,
     now: Duration,
-    height: usize,
-    width: usize,
-) -> Vec<Line> {
+    (height, width): (usize, usize),
+) -> (Vec<Line>, Seen) {
     let count = body.rows.len();
     // A third of what can be seen lies above the line that matters.
-    let from = body.focus.saturating_sub(height / 3);
-    let from = from.min(count.saturating_sub(height));
+    let usual = || body.focus.unwrap_or(0).saturating_sub(height / 3);
+    let from = top.unwrap_or_else(usual).min(count.saturating_sub(height));
+    let focus = body.focus;
     let to = from + height;
     let more = |sign: char, lines: usize| {
         Line::new(width).and(Style::Soft, &format!(" {sign} {lines} more lines"))
@@ -44,12 +55,12 @@ pub(super) fn window(
     let rows = body.rows.iter().enumerate().skip(from).take(height);
     // What tells of more is never in place of the line that matters.
     let lines = rows.map(|(nth, row)| match nth {
-        _ if nth == body.focus || height <= 2 => line(board, row, body.focus == nth, now, width),
+        _ if Some(nth) == focus || height <= 2 => line(board, row, focus == Some(nth), now, width),
         _ if nth == from && from > 0 => more('↑', from + 1),
         _ if nth + 1 == to && to < count => more('↓', count - to + 1),
         _ => line(board, row, false, now, width),
     });
-    lines.collect()
+    (lines.collect(), Seen { from, height })
 }
 
 fn line(board: &Board, row: &Row<'_>, focus: bool, now: Duration, width: usize) -> Line {
@@ -70,18 +81,36 @@ fn line(board: &Board, row: &Row<'_>, focus: bool, now: Duration, width: usize) 
             Line::new(width).and(Style::Soft, &format!("         {text}"))
         }
         Row::Task(task) => task_line(task, 6, now, width),
+        Row::Words(style, ref words) => Line::new(width).and(style, words),
     }
 }
 
-pub(super) fn scene_list(board: &Board, chooser: Chooser) -> Body<'_> {
-    let scenes = board.outline.scenes.iter().enumerate();
+/// The scenes that can be chosen.
+pub(super) fn scene_list<'b>(board: &'b Board, chooser: &Chooser) -> Body<'b> {
+    let scenes = &board.outline.scenes;
+    let chosen = chooser.rows(scenes);
+    let row = |nth: &usize| Some(Row::Choice(*nth, scenes.get(*nth)?));
     Body {
-        rows: scenes.map(|(nth, scene)| Row::Choice(nth, scene)).collect(),
-        focus: chooser.cursor,
+        rows: chosen.iter().filter_map(row).collect(),
+        focus: chosen.iter().position(|nth| Some(*nth) == chooser.cursor),
     }
 }
 
-pub(super) fn body(board: &Board) -> Body<'_> {
+/// Paragraphs on a page of their own.
+pub(super) fn page<'b>(said: &[Paragraph], width: usize) -> Body<'b> {
+    let lines = said.iter().flat_map(|(style, text)| {
+        let pieces = text::wrap(text, width.saturating_sub(1), usize::MAX);
+        let row = |piece: String| Row::Words(*style, format!(" {piece}"));
+        pieces.into_iter().map(row).collect::<Vec<_>>()
+    });
+    Body {
+        rows: lines.collect(),
+        focus: None,
+    }
+}
+
+/// Scenes, steps and tasks; `all`: also every task in the background.
+pub(super) fn body(board: &Board, all: bool) -> Body<'_> {
     let mut rows = Vec::new();
     let mut focus = 0;
     for (nth, scene) in board.outline.scenes.iter().enumerate() {
@@ -121,7 +150,18 @@ pub(super) fn body(board: &Board) -> Body<'_> {
             }
         }
     }
-    Body { rows, focus }
+    if all {
+        let mut tasks = board.in_background().peekable();
+        if tasks.peek().is_some() {
+            let words = " in the background:".to_owned();
+            rows.push(Row::Words(Style::Soft, words));
+        }
+        rows.extend(tasks.map(Row::Task));
+    }
+    Body {
+        rows,
+        focus: Some(focus),
+    }
 }
 
 /// The tasks of the scene that is played, by their steps.

@@ -155,19 +155,28 @@ pub(super) fn clip(text: &str, most: usize) -> String {
     out
 }
 
-/// Text on lines of at most so many columns, broken at blanks, what comes after the first a little to the
-/// right; the last of `most` lines is cut.
+/// Text on lines of at most so many columns, broken at blanks or where a word is too long, what comes after the
+/// first a little to the right; the last of `most` lines is cut.
 pub(super) fn wrap(text: &str, width: usize, most: usize) -> Vec<String> {
     let text = shown(text);
     let indent = text.chars().take_while(|char| *char == ' ').count();
     let mut lines = Vec::new();
     let mut line = String::new();
+    let next = " ".repeat((indent + 2).min(width / 2));
     for word in text.split_inclusive(' ') {
-        let full = line.width() + word.trim_end().width() > width;
-        if full && !line.trim().is_empty() && lines.len() + 1 < most {
-            lines.push(std::mem::replace(&mut line, " ".repeat(indent + 2)));
+        let length = word.trim_end().width();
+        let fits = |line: &str| line.width() + length <= width;
+        // One that fits on no line is broken where this one ends.
+        if !fits(&line) && fits(&next) && !line.trim().is_empty() && lines.len() + 1 < most {
+            lines.push(std::mem::replace(&mut line, next.clone()));
         }
-        line.push_str(word);
+        for char in word.chars() {
+            let full = char != ' ' && line.width() + char.width().unwrap_or(0) > width;
+            if full && !line.trim().is_empty() && lines.len() + 1 < most {
+                lines.push(std::mem::replace(&mut line, next.clone()));
+            }
+            line.push(char);
+        }
     }
     lines.push(line);
     lines
@@ -205,7 +214,9 @@ mod tests {
             ["  two lines", "    of this"]
         );
         assert_eq!(wrap("a b c d e f g h", 5, 2), ["a b c", "  d …"]);
-        assert_eq!(wrap("unbreakable", 5, 3), ["unbr…"]);
+        assert_eq!(wrap("unbreakable", 5, 9), ["unbre", "  aka", "  ble"]);
+        assert_eq!(wrap("unbreakable", 5, 2), ["unbre", "  ak…"]);
+        assert_eq!(wrap("too narrow", 0, 3), ["", "", ""]);
         assert_eq!(wrap("", 5, 3), [""]);
     }
 

@@ -1,5 +1,7 @@
 //! The player on virtual time.
 
+mod preflight;
+mod stopping;
 mod trouble;
 mod world;
 

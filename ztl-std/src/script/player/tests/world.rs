@@ -32,6 +32,10 @@ pub(super) struct Machine {
     pub(super) restarts: Vec<Instant>,
     /// What is refused at INIT, by component: so many times.
     pub(super) refusals: BTreeMap<&'static str, u32>,
+    /// Nobody listens at its address.
+    pub(super) missing: bool,
+    /// When it was probed.
+    pub(super) probed: Vec<Instant>,
 }
 
 struct Job {
@@ -113,6 +117,8 @@ impl World {
                 pauses: Vec::new(),
                 restarts: Vec::new(),
                 refusals: BTreeMap::new(),
+                missing: false,
+                probed: Vec::new(),
             };
             (name.to_owned(), machine)
         });
@@ -230,7 +236,27 @@ impl World {
         // It is acted on when the server comes back, and answered if somebody still listens.
         let acts = resumes.unwrap_or(now) + LATENCY;
         let late = acts.since(now) >= TIMEOUT;
+        if machine.missing {
+            return (now + TIMEOUT, nothing(false));
+        }
+        if request.ask == Ask::Probe {
+            machine.probed.push(now);
+        }
         match &request.ask {
+            Ask::Probe | Ask::Tasks if late => (now + TIMEOUT, nothing(true)),
+            Ask::Probe => {
+                let server = machine.who();
+                (acts, Answer::There { server })
+            }
+            Ask::Tasks => {
+                let runs = |job: &Job| now < job.ends && job.aborted.is_none();
+                let tasks = machine.tasks.iter().filter(|(_, job)| runs(job));
+                let tasks = tasks
+                    .filter_map(|(id, _)| Some((TaskId::new(*id)?, format!("job:{id}"))))
+                    .collect();
+                let listed = machine.ours.then_some((machine.boot, tasks));
+                (acts, Answer::Tasks { listed })
+            }
             Ask::Init {
                 handler,
                 component,
@@ -292,8 +318,11 @@ impl World {
                 {
                     job.aborted = Some(acts);
                     let begun = job.begun;
+                    // Another client's is not among them.
                     let began = self.began.iter_mut().find(|began| began.at == begun);
-                    began.expect("it has begun").until = acts;
+                    if let Some(began) = began {
+                        began.until = acts;
+                    }
                 }
                 let answer = match machine.tasks.get(&id.get()) {
                     Some(job) if job.unstoppable && acts < job.ends => Answer::Task {
@@ -365,18 +394,32 @@ impl Machine {
         };
         self.tasks.insert(self.next, job);
         let id = TaskId::new(self.next).expect("above 0");
-        let server = match self.ours {
+        Answer::Started {
+            id,
+            text: "initiated".to_owned(),
+            server: self.who(),
+        }
+    }
+
+    fn who(&self) -> Server {
+        match self.ours {
             true => Server::Ours {
                 version: "1".to_owned(),
                 boot: self.boot,
             },
             false => Server::Original,
-        };
-        Answer::Started {
-            id,
-            text: "initiated".to_owned(),
-            server,
         }
+    }
+
+    /// Another client starts a task.
+    pub(super) fn begins(&mut self, now: Instant, goal: &str) {
+        self.init(now, "other", goal);
+    }
+
+    /// How many of its tasks run.
+    pub(super) fn running(&self, now: Instant) -> usize {
+        let runs = |job: &&Job| now < job.ends && job.aborted.is_none_or(|at| now < at);
+        self.tasks.values().filter(runs).count()
     }
 
     fn tell(&mut self, id: TaskId, now: Instant) -> Answer {

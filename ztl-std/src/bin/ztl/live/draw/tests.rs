@@ -1,4 +1,4 @@
-use ztl_std::script::event::{Event, Stamped, StepOutline};
+use ztl_std::script::event::{Event, Question, Stamped, StepOutline, Why};
 use ztl_std::script::record::read;
 
 use super::super::board::{Look, Step};
@@ -27,7 +27,7 @@ fn board(mut until: impl FnMut(&Event) -> bool) -> (Board, Duration) {
 
 /// The screen as text; each line without the blanks at its end.
 fn screen(board: &Board, now: Duration, size: (usize, usize)) -> String {
-    let lines = draw(board, None, now, size);
+    let (lines, _) = draw(board, &View::default(), now, size);
     assert_eq!(lines.len(), size.1);
     let text = lines.iter().map(|line| {
         assert!(line.width() <= size.0, "{line:?}");
@@ -55,7 +55,7 @@ fn a_scene_is_shown_with_all_that_it_would_do() {
         ),
         "
  evening.yaml   scene 1 of 4                                              0.3 s
- servers  robot ·  light ·  speech ·
+ servers  robot ·  light ·  speech ✗ MISSING
  · 1 Welcome
      · look up
          robot [head] -> [0, 0.4]
@@ -68,10 +68,10 @@ fn a_scene_is_shown_with_all_that_it_would_do() {
  · 3 Questions
  · 4 Goodbye
 
-
 ────────────────────────────────────────────────────────────────────────────────
  Next: Welcome
-  Enter  start   s  skip   j  jump to a scene   x  stop everything"
+ MISSING: server 'speech': it is not in the configuration
+  Enter  start   s  skip   j  jump to a scene   x  stop everything   ?  keys"
     );
 }
 
@@ -98,7 +98,7 @@ fn a_silent_server_is_told_with_what_waits_for_it() {
         ),
         "
  evening.yaml   scene 2 of 4                                             21.0 s
- servers  robot silent for 1.2 s  light ✓ 2 ms  speech ·
+ servers  robot silent for 1.2 s  light ✓ 2 ms  speech ✗ MISSING
  ✗ 1 Welcome                                                               6.5 s
  ▶ 2 Dance                                                                 6.2 s
      ▶ turn                                                                5.2 s
@@ -110,15 +110,15 @@ fn a_silent_server_is_told_with_what_waits_for_it() {
 
 
 
-
 ─ in the background: 1 ─────────────────────────────────────────────────────────
    ▶ light:ring:{'colour': 'warm', 'level': 0.8}  accepted                15.8 s
 ────────────────────────────────────────────────────────────────────────────────
  WAITING: server 'robot' is silent for 1.2 s; what its tasks do is unknown.
    Decide.
-   robot:base:[0, 0, 1.57] unknown: no answer for 2.0 s
-   robot:arm:up accepted
-  g  go on anyway   x  stop everything"
+   unknown: no answer for 2.0 s (robot:base:[0, 0, 1.57])
+   accepted (robot:arm:up)
+  g  go on anyway   c  stop this scene   x  stop everything   d  details
+  ?  keys"
     );
     let seen = screen(&board, at + Duration::from_millis(1200), (80, 22));
     let seen: Vec<&str> = seen.lines().filter(|line| !line.is_empty()).collect();
@@ -139,10 +139,10 @@ fn each_confirmation_of_stopping_is_shown() {
         message,
         [
             " STOPPING EVERYTHING: 1 not confirmed yet",
+            "   ? robot:say:Goodbye: no word yet",
             "   ✓ light:ring:{'colour': 'warm', 'level': 0.8}: aborted",
             "   ✓ robot:arm:wave: aborted",
-            "   ? robot:say:Goodbye: no word yet",
-            "  Ctrl-C  leave without waiting",
+            "  Ctrl-C  leave without waiting   d  details   ?  keys",
         ]
     );
 }
@@ -161,14 +161,14 @@ fn on_a_small_screen_what_has_to_be_decided_stays() {
     assert_eq!(
         format!("\n{}", screen(&board, at, (44, 8))),
         "
- evening.yaml   scene 1 of 4, take 2 11.9 s
-         ✗ light:r…  refused  busy: '… 0.0 s
  WAITING: something did not go well. Decide.
-   light:ring:{'colour': 'warm', 'level':
-     0.8} refused: busy: 'ring' is in use;
-     it takes one task at a time
+   refused: busy: 'ring' is in use; it takes
+     one task at a time
+     (light:ring:{'colour': 'warm', 'level':
+     0.8})
   t  retry what failed   g  go on anyway
-  x  stop everything"
+  c  stop this scene   x  stop everything
+  d  details   ?  keys"
     );
     // What can be pressed is there on the smallest.
     assert!(screen(&board, at, (80, 1)).contains("x  stop everything"));
@@ -189,8 +189,17 @@ fn a_terminal_of_any_size_is_filled_and_not_overrun() {
             (300, 2),
             (33, 11),
         ] {
-            for chooser in [None, Some(Chooser { cursor: 3 })] {
-                let lines = draw(&board, chooser, event.at, size);
+            let panes = [
+                Pane::Show,
+                Pane::Choose(Chooser::at(3)),
+                Pane::Keys,
+                Pane::Details,
+            ];
+            for (pane, top) in panes
+                .into_iter()
+                .flat_map(|pane| [(pane.clone(), None), (pane, Some(7))])
+            {
+                let (lines, _) = draw(&board, &View { pane, top }, event.at, size);
                 assert_eq!(lines.len(), size.1);
                 assert!(lines.iter().all(|line| line.width() <= size.0), "{size:?}");
             }
@@ -253,5 +262,81 @@ fn what_is_left_on_the_terminal_tells_how_it_went() {
         "Over: everything was stopped.",
     ] {
         assert!(text.contains(part), "{part} in {text}");
+    }
+}
+
+#[test]
+fn what_is_long_is_looked_through_by_pages() {
+    let (mut board, at) = board(|event| matches!(event, Event::Asked { .. }));
+    let scene = board.outline.scenes[0].clone();
+    let many = (0..200).map(|nth| ztl_std::script::event::SceneOutline {
+        name: format!("scene {nth}"),
+        ..scene.clone()
+    });
+    board.outline.scenes = many.collect();
+    board.scenes = vec![Look::ToCome; 200];
+    let seen = |top| {
+        let view = View {
+            pane: Pane::Show,
+            top,
+        };
+        let (lines, seen) = draw(&board, &view, at, (80, 24));
+        let text: Vec<String> = lines.iter().map(|line| line.encoded(false, true)).collect();
+        (text.join("\n"), seen)
+    };
+    let (screen, usual) = seen(None);
+    assert!(screen.contains("1 scene 0") && usual.from == 0, "{screen}");
+    let (screen, next) = seen(Some(usual.height - 1));
+    assert!(!screen.contains("1 scene 0"), "{screen}");
+    assert!(
+        screen.contains("Next: scene 0"),
+        "what Enter starts: {screen}"
+    );
+    assert_eq!(next.from, usual.height - 1);
+    let (screen, last) = seen(Some(usize::MAX));
+    assert!(screen.contains("200 scene 199"), "{screen}");
+    assert!(last.from > 150);
+}
+
+#[test]
+fn a_reason_is_told_first_and_in_full_on_a_page_of_its_own() {
+    let (mut board, at) = board(|event| {
+        matches!(
+            event,
+            Event::Asked {
+                question: Question::Step { step: 2, .. },
+                ..
+            }
+        )
+    });
+    let long = "because ".repeat(40) + "of this";
+    for task in board.tasks.values_mut() {
+        task.text.clone_from(&long);
+        task.name = "n".repeat(500);
+    }
+    let shown = screen(&board, at, (60, 24));
+    let flat = |screen: &str| screen.split_whitespace().collect::<Vec<_>>().join(" ");
+    let expected = format!("refused: {long} (nnn");
+    assert!(flat(&shown).contains(&expected), "{shown}");
+    // On a small one as much as there is room for, and the page has the rest.
+    let shown = screen(&board, at, (40, 9));
+    assert!(shown.contains("refused: because") && shown.contains("d shows the rest"));
+    let view = View {
+        pane: Pane::Details,
+        top: Some(0),
+    };
+    let (lines, _) = draw(&board, &view, at, (60, 60));
+    let page: Vec<String> = lines.iter().map(|line| line.encoded(false, true)).collect();
+    assert!(flat(&page.join("\n")).contains(&expected), "{page:?}");
+}
+
+#[test]
+fn every_key_that_can_be_pressed_is_explained() {
+    let mut board = Board::default();
+    for event in evening() {
+        board.handle(&event);
+        for (key, _) in keys::help(&board) {
+            assert!(keys::ALL.iter().any(|(known, _)| *known == key), "{key}");
+        }
     }
 }

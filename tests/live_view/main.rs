@@ -3,90 +3,18 @@
 
 #![cfg(unix)]
 
+mod choose;
+mod preflight;
+mod stage;
+mod stop;
+
 use std::fs;
 use std::process::Command;
 use std::time::{Duration, Instant};
 
-use serde_json::Value;
-use ztl_tests::lab::{PATIENCE, SCOPE, Scratch, Server, Terminal, until, ztl};
+use ztl_tests::lab::{PATIENCE, Terminal, until};
 
-/// From 0 to 80 percent the simulated gripper takes 1.6 s.
-const SCRIPT: &str = "\
-open:
-  wide: {gripper: {finger: 80}}
-shake:
-  no hand (on_failure=ask): {gripper: {thumb: 1}}
-  half: {gripper: {finger: 40}}
-close:
-  shut: {gripper: {finger: 0}}
-";
-
-struct Stage {
-    files: Scratch,
-    _server: Server,
-}
-
-impl Stage {
-    #[track_caller]
-    fn new(script: &str) -> Self {
-        let server = Server::gateway(&["gripper=sim:gripper"]);
-        server.wait_ready("gripper");
-        let files = Scratch::new();
-        fs::write(files.path("show.yaml"), script).unwrap();
-        let port = server.port;
-        let remotes =
-            format!("remotes: {{gripper: {{host: 127.0.0.1, port: {port}, scope: {SCOPE}}}}}\n");
-        fs::write(files.path("remotes.yaml"), remotes).unwrap();
-        Self {
-            files,
-            _server: server,
-        }
-    }
-
-    /// The command that plays the script, in its directory; it writes a record.
-    fn command(&self) -> Command {
-        let mut command = ztl();
-        command.args([
-            "run-script",
-            "-s",
-            "show.yaml",
-            "-c",
-            "remotes.yaml",
-            "--record",
-            "run.jsonl",
-        ]);
-        command
-            .current_dir(self.files.path(""))
-            .env("LANG", "C.UTF-8")
-            .env_remove("LC_ALL");
-        command.env_remove("NO_COLOR");
-        command
-    }
-
-    #[track_caller]
-    fn play(&self) -> Terminal {
-        Terminal::start(&self.command(), (80, 24))
-    }
-
-    /// What the record says by now.
-    #[track_caller]
-    fn record(&self) -> Vec<Value> {
-        let text = fs::read_to_string(self.files.path("run.jsonl")).unwrap();
-        text.lines()
-            .map(|line| serde_json::from_str(line).expect(line))
-            .collect()
-    }
-
-    /// What was decided, and by whom.
-    fn decided(&self) -> Vec<String> {
-        let decided = |line: &Value| {
-            let (what, by) = (&line["command"]["do"], &line["by"]);
-            (line["event"] == "decided")
-                .then(|| format!("{} {}", what.as_str().unwrap(), by.as_str().unwrap()))
-        };
-        self.record().iter().filter_map(decided).collect()
-    }
-}
+use stage::{SCRIPT, Stage, start_scene};
 
 /// The lines that tell scenes, steps and tasks, without their times.
 fn without_times(screen: &str) -> Vec<String> {
@@ -174,8 +102,10 @@ fn a_show_is_played_by_single_keys() {
     let screen = terminal.shows("Esc  do not jump");
     assert!(screen.contains("  3  close"), "{screen}");
     terminal.type_in("3");
-    terminal.shows(" Next: close");
+    terminal.shows("Jump to: 3  ▶ 3 close");
     terminal.type_in("\r");
+    terminal.shows(" Next: close");
+    start_scene(&mut terminal, &stage);
     terminal.shows("▶ gripper:finger:0");
     terminal.shows("The last scene is over.");
     terminal.type_in("q");
@@ -235,7 +165,7 @@ fn keys_that_come_at_once_decide_once() {
         "{screen}"
     );
     // Whoever wants to stop is heard, whatever else is pressed.
-    terminal.type_in("sx");
+    terminal.type_in("s\x03");
     terminal.end();
     assert_eq!(stage.decided().last().unwrap(), "stop operator");
 }
@@ -271,7 +201,7 @@ fn a_key_that_is_held_down_decides_once() {
         terminal.type_in("\r");
         (stage.decided().len() > 1).then_some(())
     });
-    terminal.type_in("x");
+    terminal.type_in("\x03");
     terminal.end();
 }
 
@@ -300,7 +230,15 @@ fn a_key_is_held_down_before_its_keyboard_repeats_it_too_and_stopping_is_heard_w
     }
     terminal.type_in("j");
     terminal.shows("Esc  do not jump");
+    // A letter searches there.
     terminal.type_in("x");
+    terminal.shows("Jump to: x");
+    terminal.type_in("\x18");
+    terminal.shows("STOPPED EVERYTHING");
+    assert_eq!(stage.decided().last().unwrap(), "stop_all operator");
+    terminal.type_in("j");
+    terminal.shows("Esc  do not jump");
+    terminal.type_in("\x03");
     terminal.end();
     assert_eq!(stage.decided().last().unwrap(), "stop operator");
 }
@@ -395,7 +333,7 @@ fn stopped_by_ctrl_z_it_gives_the_terminal_back_and_takes_it_again() {
     // It takes single keys again.
     terminal.type_in("s");
     terminal.shows(" Next: shake");
-    terminal.type_in("x");
+    terminal.type_in("\x03");
     terminal.shows("Over: everything was stopped.");
     // How keys are taken is the shell's concern again.
     assert!(!terminal.is_full_screen() && terminal.has_cursor());
@@ -414,12 +352,10 @@ fn the_view_fits_the_window_whatever_becomes_of_it() {
         terminal.shows_that("the title with the time at its right", |screen| {
             let title = screen.lines().next().unwrap_or_default();
             let keys = screen.lines().last().unwrap_or_default();
-            title.chars().count() >= width - 2
-                && title.ends_with('s')
-                && keys.contains("stop everything")
+            title.chars().count() >= width - 2 && title.ends_with('s') && keys.contains("keys")
         });
     }
-    terminal.type_in("x");
+    terminal.type_in("\x03");
     terminal.end();
 }
 
@@ -435,7 +371,7 @@ fn there_is_no_colour_where_none_is_wanted_and_no_sign_that_cannot_be_shown() {
     let screen = terminal.shows("> gripper:finger:80");
     assert!(screen.is_ascii(), "{screen}");
     assert!(!terminal.has_colour());
-    terminal.type_in("x");
+    terminal.type_in("\x03");
     terminal.end();
 }
 

@@ -1,0 +1,110 @@
+//! A script, a server, and the command that plays the one on the other in a terminal.
+
+use std::fs;
+use std::process::Command;
+
+use serde_json::Value;
+use ztl_tests::lab::{PATIENCE, SCOPE, Scratch, Server, Terminal, until, ztl};
+
+/// From 0 to 80 percent the simulated gripper takes 1.6 s.
+pub const SCRIPT: &str = "\
+open:
+  wide: {gripper: {finger: 80}}
+shake:
+  no hand (on_failure=ask): {gripper: {thumb: 1}}
+  half: {gripper: {finger: 40}}
+close:
+  shut: {gripper: {finger: 0}}
+";
+
+pub struct Stage {
+    pub files: Scratch,
+    _server: Option<Server>,
+}
+
+impl Stage {
+    #[track_caller]
+    pub fn new(script: &str) -> Self {
+        let server = Server::gateway(&["gripper=sim:gripper"]);
+        server.wait_ready("gripper");
+        let port = server.port;
+        Self {
+            _server: Some(server),
+            ..Self::with(script, &[("gripper", port)])
+        }
+    }
+
+    /// For these servers.
+    #[track_caller]
+    pub fn with(script: &str, remotes: &[(&str, u16)]) -> Self {
+        let files = Scratch::new();
+        fs::write(files.path("show.yaml"), script).unwrap();
+        let entry = |(name, port): &(&str, u16)| {
+            format!("  {name}: {{host: 127.0.0.1, port: {port}, scope: {SCOPE}}}\n")
+        };
+        let entries: String = remotes.iter().map(entry).collect();
+        fs::write(files.path("remotes.yaml"), format!("remotes:\n{entries}")).unwrap();
+        Self {
+            files,
+            _server: None,
+        }
+    }
+
+    /// The command that plays the script, in its directory; it writes a record.
+    pub fn command(&self) -> Command {
+        let mut command = ztl();
+        command.args([
+            "run-script",
+            "-s",
+            "show.yaml",
+            "-c",
+            "remotes.yaml",
+            "--record",
+            "run.jsonl",
+        ]);
+        command
+            .current_dir(self.files.path(""))
+            .env("LANG", "C.UTF-8")
+            .env_remove("LC_ALL");
+        command.env_remove("NO_COLOR");
+        command
+    }
+
+    #[track_caller]
+    pub fn play(&self) -> Terminal {
+        Terminal::start(&self.command(), (80, 24))
+    }
+
+    /// What the record says by now.
+    #[track_caller]
+    pub fn record(&self) -> Vec<Value> {
+        let text = fs::read_to_string(self.files.path("run.jsonl")).unwrap();
+        text.lines()
+            .map(|line| serde_json::from_str(line).expect(line))
+            .collect()
+    }
+
+    /// What was decided, and by whom.
+    pub fn decided(&self) -> Vec<String> {
+        let decided = |line: &Value| {
+            let (what, by) = (&line["command"]["do"], &line["by"]);
+            (line["event"] == "decided")
+                .then(|| format!("{} {}", what.as_str().unwrap(), by.as_str().unwrap()))
+        };
+        self.record().iter().filter_map(decided).collect()
+    }
+}
+
+/// Presses Enter for the scene that is shown, again while it counts as held down.
+pub fn start_scene(terminal: &mut Terminal, stage: &Stage) {
+    let starts = || {
+        let decided = stage.decided();
+        decided.iter().filter(|it| *it == "start operator").count()
+    };
+    let before = starts();
+    until("the start of the scene", PATIENCE, || {
+        terminal.type_in("\r");
+        std::thread::sleep(std::time::Duration::from_millis(800));
+        (starts() > before).then_some(())
+    });
+}

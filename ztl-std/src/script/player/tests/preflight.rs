@@ -1,0 +1,89 @@
+//! Servers are probed while the operator is asked.
+
+use std::time::Duration;
+
+use super::super::super::event::{Command, Event, Question, ServerState};
+use super::super::Options;
+use super::world::World;
+
+const SHOW: &str = "one: {a: {robot: {base: 30}, lamp: {arm: 1}}}\ntwo: {b: {lamp: {arm: 1}}}";
+
+fn watched() -> Options {
+    Options {
+        watch: true,
+        ..Options::default()
+    }
+}
+
+/// What became known of a server, in order.
+fn states<'w>(world: &'w World, name: &str) -> Vec<&'w ServerState> {
+    let states = world.events.iter().filter_map(|(_, event)| match event {
+        Event::Server { remote, state } if remote == name => Some(state),
+        _ => None,
+    });
+    states.collect()
+}
+
+#[test]
+fn what_is_missing_is_known_before_the_first_scene_and_when_it_comes() {
+    let mut world = World::new(SHOW, watched());
+    world.machine("robot").missing = true;
+    world.begin();
+    world.pass(Duration::from_secs(3));
+    assert_eq!(world.player.question(), Some(Question::Scene { scene: 0 }));
+    assert!(matches!(
+        states(&world, "robot")[..],
+        [ServerState::Absent { .. }]
+    ));
+    assert!(matches!(
+        states(&world, "lamp")[..],
+        [ServerState::Answering { version: Some(_) }]
+    ));
+    world.machine("robot").missing = false;
+    world.pass(Duration::from_secs(6));
+    assert!(matches!(
+        states(&world, "robot")[..],
+        [
+            ServerState::Absent { .. },
+            ServerState::Answering { version: None }
+        ]
+    ));
+    // Nothing was started by that.
+    assert_eq!(world.timeline(), []);
+}
+
+#[test]
+fn one_that_falls_silent_while_nothing_is_played_is_noticed() {
+    let mut world = World::new(SHOW, watched());
+    world.begin();
+    world.pass(Duration::from_secs(10));
+    let now = world.now;
+    let pause = (now, now + Duration::from_secs(20));
+    world.machine("robot").pauses.push(pause);
+    world.pass(Duration::from_secs(40));
+    assert!(matches!(
+        states(&world, "robot")[..],
+        [
+            ServerState::Answering { .. },
+            ServerState::Silent,
+            ServerState::Answering { .. }
+        ]
+    ));
+}
+
+#[test]
+fn a_server_is_probed_once_at_a_time_and_not_while_a_scene_is_played() {
+    let mut world = World::new(SHOW, watched());
+    world.begin();
+    world.pass(Duration::from_secs(600));
+    let probed = world.machine("robot").probed.clone();
+    assert!((100..=200).contains(&probed.len()), "{}", probed.len());
+    world.command(Command::Start);
+    world.pass(Duration::from_secs(20));
+    assert_eq!(world.machine("robot").probed, probed);
+    // Without a view nobody sees it.
+    let mut world = World::new(SHOW, Options::default());
+    world.begin();
+    world.pass(Duration::from_secs(600));
+    assert_eq!(world.machine("robot").probed, []);
+}

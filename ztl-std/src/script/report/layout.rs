@@ -1,0 +1,66 @@
+//! How a timeline is laid out in a wide window and in a narrow one.
+
+/// Where names, bars and remarks go, in units of the drawing; the page scales them.
+pub(super) struct Layout {
+    pub(super) class: &'static str,
+    pub(super) width: f64,
+    /// What the names have, left of the bars; `None`: names and remarks stand above their bars.
+    pub(super) names: Option<f64>,
+    /// The same of the names in the overview.
+    pub(super) overview: f64,
+    /// What is said beside the bars.
+    pub(super) remarks: f64,
+    pub(super) row: f64,
+    /// Most times on the scale.
+    pub(super) ticks: f64,
+}
+
+pub(super) const WIDE: Layout = Layout {
+    class: "wide",
+    width: 1180.0,
+    names: Some(300.0),
+    overview: 110.0,
+    remarks: 256.0,
+    row: 21.0,
+    ticks: 9.0,
+};
+
+/// For the window of a phone, where it is as large as it says.
+pub(super) const NARROW: Layout = Layout {
+    class: "narrow",
+    width: 366.0,
+    names: None,
+    overview: 58.0,
+    remarks: 176.0,
+    row: 38.0,
+    ticks: 4.0,
+};
+
+impl Layout {
+    /// From where to where the bars of steps go; beyond is a sign.
+    pub(super) const fn bars(&self) -> (f64, f64) {
+        match self.names {
+            Some(names) => (names, self.width - self.remarks),
+            None => (2.0, self.width - 14.0),
+        }
+    }
+
+    /// How far the bars of a row are below its names.
+    pub(super) const fn lift(&self) -> f64 {
+        match self.names {
+            Some(_) => 0.0,
+            None => 15.0,
+        }
+    }
+
+    /// What the name of a row has.
+    pub(super) fn name_width(&self) -> f64 {
+        self.names.unwrap_or(self.width - self.remarks)
+    }
+
+    /// Where the remark of a row is, and what it has.
+    pub(super) fn remark(&self) -> (f64, f64) {
+        let gap = if self.names.is_some() { 20.0 } else { 6.0 };
+        (self.width - self.remarks + gap, self.remarks - gap)
+    }
+}
