@@ -2,7 +2,8 @@
 //!
 //! `drive.py` plays each script twice at once, by the original's own engine and by ours: each on a
 //! terminal of its own, with the same keys at the same prompts, and towards servers that answer as the
-//! original's do and write down each request. `scalars.py` has PyYAML say what values mean.
+//! original's do and write down each request. `scalars.py` and `documents.py` have PyYAML say what values
+//! and whole files mean.
 
 mod corpus;
 
@@ -19,8 +20,9 @@ use ztl_tests::lab::{PATIENCE, built, python, until};
 const MADE_UP: usize = 200;
 const AT_ONCE: usize = 24;
 
-/// Values that are made up.
+/// Values and whole documents that are made up.
 const VALUES: usize = 5000;
+const DOCUMENTS: usize = 8000;
 
 /// Two gaps between tasks are of one class when they differ by less: all delays and tasks last a
 /// multiple of half a second. The original takes up to 0.2 s more for a step.
@@ -296,4 +298,51 @@ fn values_are_what_pyyaml_makes_of_them() {
     );
     assert_eq!(count, VALUES);
     assert!(errors < VALUES / 4, "{errors} are no values");
+}
+
+/// In what ours differ from PyYAML's, as docs/compatibility.md lists it: they refuse more.
+fn is_listed(text: &str, error: &str) -> bool {
+    // A mapping cannot merge itself.
+    let merges_itself = error.contains("'<<' takes a mapping") && text.contains("*x");
+    let surrogate = error.contains("there is no such character");
+    merges_itself || surrogate
+}
+
+#[test]
+fn documents_are_what_pyyaml_makes_of_them() {
+    let args = [seed().to_string(), DOCUMENTS.to_string()];
+    let args: Vec<&str> = args.iter().map(String::as_str).collect();
+    let mut wrong = Vec::new();
+    let (mut count, mut read_by_both) = (0, 0);
+    for line in lines(include_str!("documents.py"), &args, "") {
+        let mut line: Vec<Option<String>> = serde_json::from_str(&line).expect("JSON");
+        let (text, theirs) = (line[0].take().expect("a text"), line[1].take());
+        count += 1;
+        let ours = Value::read("f", text.as_bytes());
+        let same = match (&theirs, ours.as_ref()) {
+            (Some(theirs), Ok(value)) => {
+                read_by_both += 1;
+                *theirs == Value::List(vec![value.clone()]).to_string()
+            }
+            (Some(_), Err(error)) => is_listed(&text, &error.to_string()),
+            (None, ours) => ours.is_err(),
+        };
+        if !same {
+            wrong.push(format!(
+                "{text:?}: {theirs:?} {:?}, ours {ours:?}",
+                line.get(2)
+            ));
+        }
+    }
+    assert!(
+        wrong.is_empty(),
+        "{} differ:\n{}",
+        wrong.len(),
+        wrong.join("\n")
+    );
+    assert_eq!(count, DOCUMENTS);
+    assert!(
+        read_by_both > DOCUMENTS / 10,
+        "only {read_by_both} are read"
+    );
 }

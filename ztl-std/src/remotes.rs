@@ -317,7 +317,7 @@ publishers:
             assert!(error.starts_with(message), "{text}: {error}");
         }
         for (entry, message) in [
-            ("", "remotes.yaml:2:4: here is nothing; wanted is a mapping"),
+            ("", "remotes.yaml:2:5: here is nothing; wanted is a mapping"),
             (
                 "{host: h, scope: s}",
                 "remotes.yaml:2:6: 'port' is missing; write port: 12345",

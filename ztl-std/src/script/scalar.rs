@@ -4,9 +4,6 @@ use ztl_core::base64;
 
 use super::value::{Date, Timestamp, Value};
 
-/// Prefix of YAML's own tags.
-pub(super) const CORE: &str = "tag:yaml.org,2002:";
-
 /// Longest whole number, in digits, that Python writes as text.
 const MAX_DIGITS: usize = ztl_core::integer::MAX_DIGITS;
 

@@ -18,8 +18,15 @@
 //! ");
 //! ```
 
+mod chars;
 mod diagnostic;
+mod explain;
+mod flow;
+mod merge;
 mod reading;
+mod scalars;
+mod scanner;
+mod token;
 mod tree;
 
 pub use diagnostic::{Diagnostic, Diagnostics, closest};
@@ -66,14 +73,16 @@ pub struct Node {
 pub enum Rules {
     /// Those of our own files: a repeated key and a tag that is not YAML's own are mistakes.
     Ours,
-    /// PyYAML's: of a repeated key the last value counts, tags decide, and `&a [*a]` stands for
-    /// itself, which is a scalar with the tag [`LOOP`]. All that is left to the reader.
+    /// PyYAML's: of a repeated key the last value counts, tags decide, and `&a [*a]` contains itself.
+    /// All that is left to the reader.
     Python,
 }
 
-/// Tag of a scalar that stands for a collection around itself; its text is what Python writes in its
-/// place.
-pub const LOOP: &str = "loop";
+/// Prefix of YAML's own tags.
+pub(crate) const CORE: &str = "tag:yaml.org,2002:";
+
+/// What is wrong, and where.
+type Mistake = (Span, String);
 
 /// What a YAML file is made of. A scalar stays the text that was written: whether `12` is a number
 /// and `on` a word is for the one who asks, who knows what belongs there.
@@ -88,8 +97,10 @@ pub enum Value {
     },
     /// In order.
     List(Vec<Node>),
-    /// In order; keys that are scalars are different from each other.
+    /// In order, with what `<<` merges.
     Map(Vec<(Node, Node)>),
+    /// The collection with this opening bracket, around itself.
+    Loop(char),
 }
 
 impl Node {
@@ -111,6 +122,7 @@ impl Node {
             Value::Scalar { .. } => "a single value",
             Value::List(_) => "a list",
             Value::Map(_) => "a mapping",
+            Value::Loop(_) => "a collection within itself",
         }
     }
 }
@@ -162,9 +174,7 @@ impl Document {
         };
         let plain = text.strip_prefix('\u{feff}').unwrap_or(text);
         let (marked, text) = (plain.len() < text.len(), plain);
-        if rules == Rules::Python
-            && let Some(mistake) = unprintable(name, text)
-        {
+        if let Some(mistake) = unprintable(name, text) {
             return Err(mistake.into());
         }
         let (root, mistakes) = tree::parse(text, rules);

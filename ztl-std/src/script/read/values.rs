@@ -5,10 +5,10 @@ use std::collections::HashMap;
 
 use super::super::finding::Finding;
 use super::super::model::Defaults;
-use super::super::scalar::{self, CORE};
+use super::super::scalar;
 use super::super::value::Value;
 use super::{Entry, Reader, short, short_quoted};
-use crate::yaml::{Diagnostics, Document, LOOP, Node, Rules, Value as Yaml};
+use crate::yaml::{CORE, Diagnostics, Document, Node, Rules, Value as Yaml};
 
 impl Value {
     /// What PyYAML's `safe_load` makes of a file: a goal as it would stand in a script.
@@ -39,12 +39,12 @@ impl Value {
 impl<'d> Reader<'d> {
     /// The entries of a mapping: `<<` merged, of equal keys the last value at the place of the first.
     pub(super) fn entries(&mut self, node: &'d Node, tell: bool) -> Vec<Entry<'d>> {
-        let mut pairs = Vec::new();
-        self.flatten(node, &mut pairs);
+        let Yaml::Map(pairs) = &node.value else {
+            return Vec::new();
+        };
         let mut entries: Vec<Entry<'d>> = Vec::new();
-        // Where each is, and in which line of this very mapping it stands.
-        let mut seen: HashMap<String, (usize, Option<usize>)> = HashMap::new();
-        for (name, value, merged) in pairs {
+        let mut seen: HashMap<String, usize> = HashMap::new();
+        for (name, value) in pairs {
             let key = match &name.value {
                 // As a value it would have a meaning of its own.
                 Yaml::Scalar { text, plain: true } if text == "=" => Value::Text(text.clone()),
@@ -54,10 +54,10 @@ impl<'d> Reader<'d> {
                 self.mistake(name.span, "a collection cannot be a key", None);
                 continue;
             }
-            let line = (!merged).then_some(name.span.start.line);
             let identity = key.identity();
-            let Some((index, first)) = seen.get(&identity).copied() else {
-                seen.insert(identity, (entries.len(), line));
+            let first = seen.get(&identity).copied();
+            let Some(entry) = first.and_then(|first| entries.get_mut(first)) else {
+                seen.insert(identity, entries.len());
                 entries.push(Entry {
                     key,
                     name,
@@ -66,67 +66,24 @@ impl<'d> Reader<'d> {
                 });
                 continue;
             };
-            if let Some(entry) = entries.get_mut(index) {
-                if first.is_some() && !merged {
-                    entry.lost.push((entry.name, entry.value));
-                }
-                entry.name = if merged { entry.name } else { name };
-                entry.value = value;
-            }
-            // What was merged is there to be replaced.
-            if let (Some(first), false) = (first, merged) {
-                let key = key.to_string();
-                let message = format!(
-                    "'{}' stands here for the second time: this one counts, in the place of the first (line {first}), whose content is lost",
-                    short(&key)
-                );
-                self.doubt(
-                    name.span,
-                    message,
-                    Some("give them different names".to_owned()),
-                );
-            }
+            let line = entry.name.span.start.line;
+            entry.lost.push((entry.name, entry.value));
+            (entry.name, entry.value) = (name, value);
+            let key = key.to_string();
+            let message = format!(
+                "'{}' stands here for the second time: this one counts, in the place of the first (line {line}), whose content is lost",
+                short(&key)
+            );
+            let help = "give them different names".to_owned();
+            self.doubt(name.span, message, Some(help));
         }
         entries
-    }
-
-    /// Puts what is merged in front, as PyYAML does.
-    pub(super) fn flatten(&mut self, node: &'d Node, pairs: &mut Vec<(&'d Node, &'d Node, bool)>) {
-        let Yaml::Map(own) = &node.value else { return };
-        let (merges, rest): (Vec<_>, Vec<_>) = own.iter().partition(|(key, _)| is_merge(key));
-        for (_, value) in merges {
-            let maps: Vec<&Node> = match &value.value {
-                Yaml::Map(_) => vec![value],
-                // The first ones win.
-                Yaml::List(maps) => maps.iter().rev().collect(),
-                Yaml::Scalar { .. } => Vec::new(),
-            };
-            if maps.is_empty() || maps.iter().any(|map| !matches!(map.value, Yaml::Map(_))) {
-                if !matches!(&value.value, Yaml::List(maps) if maps.is_empty()) {
-                    self.mistake(
-                        value.span,
-                        "'<<' takes a mapping or a list of mappings",
-                        None,
-                    );
-                }
-                continue;
-            }
-            for map in maps {
-                let mut merged = Vec::new();
-                self.flatten(map, &mut merged);
-                pairs.extend(merged.into_iter().map(|(key, value, _)| (key, value, true)));
-            }
-        }
-        pairs.extend(rest.into_iter().map(|(key, value)| (key, value, false)));
     }
 
     /// A value as Python has it. `tell`: whether to say what became something else than what stands
     /// there, and whether it is within a collection.
     pub(super) fn value(&mut self, node: &'d Node, tell: Option<bool>) -> Value {
-        let tag = node
-            .tag
-            .as_deref()
-            .filter(|tag| !matches!(*tag, "!" | "" | LOOP));
+        let tag = node.tag.as_deref().filter(|tag| *tag != "!");
         let kind = match tag {
             None => None,
             Some(tag) => match tag.strip_prefix(CORE) {
@@ -139,9 +96,10 @@ impl<'d> Reader<'d> {
             },
         };
         match (&node.value, kind) {
-            (Yaml::Scalar { text, .. }, None) if node.tag.as_deref() == Some(LOOP) => {
-                Value::Loop(text.clone())
-            }
+            (Yaml::Loop(bracket), _) => Value::Loop(match bracket {
+                '{' => "{...}".to_owned(),
+                _ => "[...]".to_owned(),
+            }),
             (Yaml::Scalar { text, plain }, kind) => self.scalar(node, text, *plain, kind, tell),
             (Yaml::List(items), None | Some("seq")) => Value::List(
                 items
@@ -221,14 +179,6 @@ impl<'d> Reader<'d> {
             self.doubt(node.span, message, Some(help));
         }
         value
-    }
-}
-
-fn is_merge(key: &Node) -> bool {
-    match (&key.value, key.tag.as_deref()) {
-        (Yaml::Scalar { text, plain: true }, None) => text == "<<",
-        (Yaml::Scalar { .. }, Some(tag)) => tag.strip_prefix(CORE) == Some("merge"),
-        _ => false,
     }
 }
 
