@@ -115,6 +115,12 @@ impl Remotes {
         reading.finish(Some(remotes))
     }
 
+    /// The file that they were read from, or what stands for it.
+    #[must_use]
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
     /// Adds or replaces a server of tasks.
     pub fn set_task(&mut self, name: &str, remote: Remote) {
         self.tasks.insert(name.to_owned(), Ok(remote));

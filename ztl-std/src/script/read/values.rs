@@ -7,6 +7,7 @@ use super::super::finding::Finding;
 use super::super::model::Defaults;
 use super::super::scalar;
 use super::super::value::Value;
+use super::keys::{lacks_colon, without_colon};
 use super::{Entry, Reader, short, short_quoted};
 use crate::yaml::{CORE, Diagnostics, Document, Node, Rules, Value as Yaml};
 
@@ -48,7 +49,8 @@ impl<'d> Reader<'d> {
             let key = match &name.value {
                 // As a value it would have a meaning of its own.
                 Yaml::Scalar { text, plain: true } if text == "=" => Value::Text(text.clone()),
-                _ => self.value(name, tell.then_some(false)),
+                // Of a key without a ':' that is said, and no more.
+                _ => self.value(name, (tell && !lacks_colon(name, value)).then_some(false)),
             };
             if !key.is_hashable() {
                 self.mistake(name.span, "a collection cannot be a key", None);
@@ -115,7 +117,12 @@ impl<'d> Reader<'d> {
                     for (_, lost) in &entry.lost {
                         self.value(lost, None);
                     }
-                    let value = self.value(entry.value, tell.map(|_| true));
+                    let mut within = tell.map(|_| true);
+                    if lacks_colon(entry.name, entry.value) && within.take().is_some() {
+                        let message = without_colon(&entry.key.to_string());
+                        self.doubt(entry.name.span, message, None);
+                    }
+                    let value = self.value(entry.value, within);
                     (entry.key, value)
                 });
                 Value::Map(pairs.collect())
@@ -161,15 +168,22 @@ impl<'d> Reader<'d> {
             None if plain || node.tag.is_some() => scalar::plain(text),
             None => Ok(Value::Text(text.to_owned())),
         };
-        let value = read.unwrap_or_else(|message| {
-            self.mistake(node.span, message, None);
-            Value::Null
-        });
+        let value = match read {
+            Ok(value) => value,
+            Err(message) => {
+                self.mistake(node.span, message, None);
+                return Value::Null;
+            }
+        };
         if let (Some(within), None, true) = (tell, kind, plain)
             && let Some(message) = surprise(text, &value, within)
         {
             let help = match (text, &value) {
                 ("", _) => "write '' for an empty text, or None".to_owned(),
+                (text, Value::Text(_)) if is_in_curly_quotes(text) => {
+                    let text = text.trim_matches(CURLY_QUOTES);
+                    format!("write straight quotes: {}", short_quoted(text))
+                }
                 (text, Value::Text(_)) => match text.parse().map(Value::Float) {
                     Ok(number) => format!("if you mean the number, write {number}"),
                     Err(_) => "put it in quotes".to_owned(),
@@ -205,6 +219,9 @@ fn surprise(text: &str, value: &Value, within: bool) -> Option<String> {
             short_quoted(text),
             Value::List(vec![value.clone()])
         )),
+        Value::Text(_) if is_in_curly_quotes(text) => {
+            Some("YAML takes these quotes for a part of the text".to_owned())
+        }
         Value::Text(_) if within && is_almost_number(text) => Some(format!(
             "YAML reads {} as a text, which is sent in quotes",
             short_quoted(text)
@@ -216,4 +233,14 @@ fn surprise(text: &str, value: &Value, within: bool) -> Option<String> {
 /// `1e3`, `-.5`, `08`: numbers to people and to most programs, and not to YAML 1.1.
 fn is_almost_number(text: &str) -> bool {
     text.contains(|c: char| c.is_ascii_digit()) && text.parse::<f64>().is_ok()
+}
+
+/// What a word processor makes of " and '.
+const CURLY_QUOTES: [char; 8] = ['“', '”', '„', '‟', '‘', '’', '‚', '‛'];
+
+/// Whether a text begins and ends so, or one half of what a ',' has cut does. A single ’ is an apostrophe.
+fn is_in_curly_quotes(text: &str) -> bool {
+    let double = ['“', '”', '„', '‟'];
+    let both = text.starts_with(CURLY_QUOTES) && text.ends_with(CURLY_QUOTES);
+    both || text.starts_with(double) || text.ends_with(double)
 }
