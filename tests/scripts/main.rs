@@ -13,7 +13,9 @@ use std::process::{Command, Stdio};
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use serde::Deserialize;
+use ztl_std::Remotes;
 use ztl_std::script::Value;
+use ztl_std::yaml::Document;
 use ztl_tests::lab::{PATIENCE, built, python, until};
 
 /// Scripts that are made up, and how many engines run at a time: they mostly wait.
@@ -345,4 +347,47 @@ fn documents_are_what_pyyaml_makes_of_them() {
         read_by_both > DOCUMENTS / 10,
         "only {read_by_both} are read"
     );
+}
+
+/// Configurations of the original, and one line of JSON with what it finds in each.
+const CONFIGURATIONS: &[&str] = &[
+    "remotes: {a: {host: h, port: 1, scope: /s}}",
+    "base: &b {host: h, port: 1}\nremotes:\n  a: {<<: *b, scope: /a}\n  b: {scope: /b, <<: *b, port: 2}",
+    "x: &x {host: x, scope: /x}\ny: &y {host: y, port: 2}\nremotes:\n  a: {<<: [*x, *y]}\n  b: {<<: [*y, *x]}\n  c: {<<: *x, <<: *y}",
+    "x: &x {host: x}\ny: &y {<<: *x, port: 2}\nz: &z {<<: *y, scope: /z}\nremotes: {a: *z, b: {<<: *z, port: 010}}",
+    "more: &m {b: {host: h, port: 2, scope: /b}, a: {}}\nremotes:\n  <<: *m\n  a: {host: h, port: 1, scope: /a}",
+    "remotes:\n  on: {host: no, port: 0x10, scope: 1:30}\n  07: {host: 1.50, port: '2', scope: \"1\"}\n  ~: {host: !!str no, port: 3, scope: 2020-01-01}",
+    "remotes:\n- a: 1\n",
+];
+
+#[test]
+fn configurations_name_the_servers_that_the_original_finds() {
+    let program = "
+import json, sys, tempfile
+from ztl.core.config import ZMQEndpoints
+for text in json.load(sys.stdin):
+    with tempfile.NamedTemporaryFile('w', suffix='.yaml') as file:
+        file.write(text); file.flush()
+        sys.argv = ['run', '--config', file.name]
+        remotes = ZMQEndpoints().config['remotes']
+        found = remotes.items() if isinstance(remotes, dict) else []
+        print(json.dumps({str(n): [str(r['host']), int(r['port']), str(r['scope'])] for n, r in found}))
+";
+    let input = serde_json::to_string(CONFIGURATIONS).expect("JSON");
+    let found = lines(program, &[], &input);
+    assert_eq!(found.len(), CONFIGURATIONS.len());
+    for (text, theirs) in CONFIGURATIONS.iter().zip(found) {
+        let theirs: BTreeMap<String, (String, u16, String)> =
+            serde_json::from_str(&theirs).expect("JSON");
+        let document = Document::parse("remotes.yaml", text.as_bytes()).expect(text);
+        let ours = Remotes::read(&document).unwrap_or_default();
+        let ours: BTreeMap<_, _> = ours
+            .task_names()
+            .map(|name| {
+                let remote = ours.task(name).expect(text).clone();
+                (name.to_owned(), (remote.host, remote.port, remote.scope))
+            })
+            .collect();
+        assert_eq!(ours, theirs, "{text}");
+    }
 }

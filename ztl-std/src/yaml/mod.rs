@@ -64,7 +64,7 @@ pub struct Node {
     pub span: Span,
     /// What.
     pub value: Value,
-    /// Its tag, as `tag:yaml.org,2002:str` for `!!str`; kept by [`Rules::Python`] alone.
+    /// Its tag, as `tag:yaml.org,2002:str` for `!!str`.
     pub tag: Option<String>,
 }
 

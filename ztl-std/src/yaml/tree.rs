@@ -326,15 +326,14 @@ impl Parser {
         }
     }
 
-    /// The tag to keep. YAML's own tags say what is seen anyway; others would be passed over in silence.
+    /// In our own files only YAML's own tags are known; others would be passed over in silence.
     fn tag(&self, properties: Properties) -> Result<Option<String>, Mistake> {
-        match (self.rules, properties.tag, properties.span) {
-            (Rules::Python, tag, _) => Ok(tag),
-            (Rules::Ours, Some(tag), Some(span)) if !tag.starts_with(CORE) => Err(at(
-                span,
-                format!("the tag '{tag}' is not known here; leave it out"),
-            )),
-            (Rules::Ours, ..) => Ok(None),
+        match (properties.tag, properties.span) {
+            (Some(tag), Some(span)) if self.rules == Rules::Ours && !tag.starts_with(CORE) => {
+                let message = format!("the tag '{tag}' is not known here; leave it out");
+                Err(at(span, message))
+            }
+            (tag, _) => Ok(tag),
         }
     }
 

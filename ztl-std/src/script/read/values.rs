@@ -163,12 +163,7 @@ impl<'d> Reader<'d> {
         kind: Option<&str>,
         tell: Option<bool>,
     ) -> Value {
-        let read = match kind {
-            Some(kind) => scalar::tagged(kind, text),
-            None if plain || node.tag.is_some() => scalar::plain(text),
-            None => Ok(Value::Text(text.to_owned())),
-        };
-        let value = match read {
+        let value = match scalar::read(text, plain, node.tag.as_deref()) {
             Ok(value) => value,
             Err(message) => {
                 self.mistake(node.span, message, None);
