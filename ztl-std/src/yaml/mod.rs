@@ -73,8 +73,7 @@ pub struct Node {
 pub enum Rules {
     /// Those of our own files: a repeated key and a tag that is not YAML's own are mistakes.
     Ours,
-    /// PyYAML's: of a repeated key the last value counts, tags decide, and `&a [*a]` contains itself.
-    /// All that is left to the reader.
+    /// PyYAML's: of a repeated key the last value counts, and tags decide. That is left to the reader.
     Python,
 }
 
@@ -99,8 +98,6 @@ pub enum Value {
     List(Vec<Node>),
     /// In order, with what `<<` merges.
     Map(Vec<(Node, Node)>),
-    /// The collection with this opening bracket, around itself.
-    Loop(char),
 }
 
 impl Node {
@@ -122,7 +119,6 @@ impl Node {
             Value::Scalar { .. } => "a single value",
             Value::List(_) => "a list",
             Value::Map(_) => "a mapping",
-            Value::Loop(_) => "a collection within itself",
         }
     }
 }

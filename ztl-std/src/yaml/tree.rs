@@ -16,9 +16,8 @@ struct Anchor {
     place: Mark,
     /// How many values that is.
     count: usize,
-    /// While the collection is open, itself.
-    node: Node,
-    open: bool,
+    /// Nothing yet while its collection is open.
+    node: Option<Node>,
 }
 
 pub(super) struct Parser {
@@ -195,18 +194,10 @@ impl Parser {
         let span = self.span()?;
         let anchor = properties.anchor.clone();
         if let Some((name, place)) = &anchor {
-            let bracket = match self.peek()? {
-                Kind::MapStart | Kind::Open(Bracket::Curly) => Bracket::Curly,
-                _ => Bracket::Square,
-            };
             let anchor = Anchor {
                 place: *place,
-                count: 1,
-                node: Node {
-                    value: Value::Loop(bracket.open()),
-                    ..nothing(span)
-                },
-                open: true,
+                count: 0,
+                node: None,
             };
             if let Some(first) = self.anchors.insert(name.clone(), anchor) {
                 let line = first.place.line;
@@ -246,8 +237,7 @@ impl Parser {
             && let Some(anchor) = self.anchors.get_mut(&name)
         {
             anchor.count = self.count - before;
-            anchor.node = node.clone();
-            anchor.open = false;
+            anchor.node = Some(node.clone());
         }
         Ok(node)
     }
@@ -287,10 +277,10 @@ impl Parser {
             );
             return Err(at(span, message));
         };
-        if anchor.open && self.rules == Rules::Ours {
+        let Some(node) = anchor.node.clone() else {
             return Err(at(span, format!("'*{name}' stands within itself")));
-        }
-        let (node, count) = (anchor.node.clone(), anchor.count);
+        };
+        let count = anchor.count;
         self.counted(count, span)?;
         Ok(Node { span, ..node })
     }

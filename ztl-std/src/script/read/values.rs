@@ -98,10 +98,6 @@ impl<'d> Reader<'d> {
             },
         };
         match (&node.value, kind) {
-            (Yaml::Loop(bracket), _) => Value::Loop(match bracket {
-                '{' => "{...}".to_owned(),
-                _ => "[...]".to_owned(),
-            }),
             (Yaml::Scalar { text, plain }, kind) => self.scalar(node, text, *plain, kind, tell),
             (Yaml::List(items), None | Some("seq")) => Value::List(
                 items
