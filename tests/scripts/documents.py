@@ -88,7 +88,7 @@ def made_up():
 # What was once different.
 KNOWN = ['\ufeff\ufeffa', 'k: [-]', 'k: {a: -}', 'k: !!int |\n  12', 'k: a\ufeffb', 'k: [?a, b]', 'k: a\tb', 'k:\tb', 'k: a\t', 'k: a\u0085b', 'k: a\u2028b', 'k: {a: [\n1\n]}',
          'k: {\na: 1\n}', '%s: 1' % ('x' * 1025), '{%s: 1}' % ('x' * 1025), '%s: 1' % ('x' * 1023), '[[%s]]' % ('x' * 1025), 'a: "b\nc"', 'a: &x 1\nb: &x 2',
-         '? a\n- b', '- a\n-\tb', '"a"#b', 'k: "x"y', 'k: |1\n a', 'k: >\n\n a\n\n  b\n c\n', '&a [*a]', '&a {x: *a}', '{a, b}', '[a: b, c]', '{a b: c: d}', '...', '---', '']
+         '? a\n- b', '- a\n-\tb', '"a"#b', 'k: "x"y', 'k: |1\n a', 'k: >\n\n a\n\n  b\n c\n', '&a [*a]', '&a {x: *a}', '{a, b}', '[a: b, c]', '{a b: c: d}', '...', '---', '', '{! "<<": {a: 1}}', '{! =: 1, ! "=": 2}', '{!!int =: 1}', '{!!str =: 1}', '{!!str <<: {a: 1}}']
 
 for number in range(int(sys.argv[2])):
     text = KNOWN[number] if number < len(KNOWN) else made_up()

@@ -6,10 +6,11 @@ use super::{CORE, Mistake, Node, Value};
 
 /// Whether a key says that mappings are to be merged.
 pub(super) fn is_merge(key: &Node) -> bool {
-    match (&key.value, key.tag.as_deref()) {
-        (Value::Scalar { text, plain: true }, None) => text == "<<",
-        (Value::Scalar { .. }, Some(tag)) => tag.strip_prefix(CORE) == Some("merge"),
-        _ => false,
+    match key.tag.as_deref() {
+        Some(tag) if tag.strip_prefix(CORE) == Some("merge") => {
+            matches!(key.value, Value::Scalar { .. })
+        }
+        _ => key.is_plainly("<<"),
     }
 }
 

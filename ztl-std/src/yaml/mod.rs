@@ -112,6 +112,16 @@ impl Node {
         }
     }
 
+    /// Whether it is this text and may mean something else than a text: without quotes, or after a
+    /// single `!`, and without another tag.
+    pub(crate) fn is_plainly(&self, written: &str) -> bool {
+        match (&self.value, self.tag.as_deref()) {
+            (Value::Scalar { text, plain: true }, None) => text == written,
+            (Value::Scalar { text, .. }, Some("!")) => text == written,
+            _ => false,
+        }
+    }
+
     /// What it is, for people.
     pub(crate) fn kind(&self) -> &'static str {
         match &self.value {

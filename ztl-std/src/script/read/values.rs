@@ -46,11 +46,11 @@ impl<'d> Reader<'d> {
         let mut entries: Vec<Entry<'d>> = Vec::new();
         let mut seen: HashMap<String, usize> = HashMap::new();
         for (name, value) in pairs {
-            let key = match &name.value {
+            let key = match name.is_plainly("=") {
                 // As a value it would have a meaning of its own.
-                Yaml::Scalar { text, plain: true } if text == "=" => Value::Text(text.clone()),
+                true => Value::Text("=".to_owned()),
                 // Of a key without a ':' that is said, and no more.
-                _ => self.value(name, (tell && !lacks_colon(name, value)).then_some(false)),
+                false => self.value(name, (tell && !lacks_colon(name, value)).then_some(false)),
             };
             if !key.is_hashable() {
                 self.mistake(name.span, "a collection cannot be a key", None);
