@@ -258,34 +258,32 @@ fn unprintable(name: &str, text: &str) -> Option<Diagnostic> {
         c => c >= '\u{a0}' && !matches!(c, '\u{fffe}' | '\u{ffff}'),
     };
     let (at, c) = text.char_indices().find(|(_, c)| !taken(*c))?;
-    let before = text.get(..at).unwrap_or_default();
-    let line = before.matches('\n').count() + 1;
-    let column = before.chars().rev().take_while(|c| *c != '\n').count() + 1;
-    let start = Mark { line, column };
-    let end = Mark {
-        line,
-        column: column + 1,
-    };
+    let span = character_after(text.get(..at).unwrap_or_default());
     let message = format!(
         "the character U+{:04X} cannot stand in a file; within \"…\" write it as an escape",
         u32::from(c)
     );
-    Some(Diagnostic::at(name, text, Span { start, end }, message))
+    Some(Diagnostic::at(name, text, span, message))
 }
 
 /// Where the first byte stands that is no UTF-8.
 fn not_utf8(name: &str, bytes: &[u8], place: usize) -> Diagnostic {
     let before = String::from_utf8_lossy(bytes.get(..place).unwrap_or_default());
-    let line = before.matches('\n').count() + 1;
-    let column = before.chars().rev().take_while(|c| *c != '\n').count() + 1;
-    let start = Mark { line, column };
-    let end = Mark {
-        line,
-        column: column + 1,
-    };
+    let span = character_after(&before);
     let text = String::from_utf8_lossy(bytes);
     let message = "this is no UTF-8; save the file as UTF-8".to_owned();
-    Diagnostic::at(name, &text, Span { start, end }, message)
+    Diagnostic::at(name, &text, span, message)
+}
+
+/// The place of the character that follows this text.
+fn character_after(before: &str) -> Span {
+    // The mark makes it a part of the line that it stands in.
+    let end = diagnostic::end_of(&format!("{before}x"));
+    let start = Mark {
+        column: end.column - 1,
+        ..end
+    };
+    Span { start, end }
 }
 
 #[cfg(test)]

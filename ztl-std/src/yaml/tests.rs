@@ -183,6 +183,20 @@ fn invalid_yaml_is_shown_where_its_cause_stands() {
 }
 
 #[test]
+fn a_line_ends_as_yaml_has_it() {
+    let shown = "f:3:4: there is no '&x' before this; a text that begins with '*' needs quotes\n  3 | b: *x\n    |    ^^\n";
+    for end in ["\n", "\r\n", "\r", "\u{85}", "\u{2028}"] {
+        let text = ["a: 1", "", "b: *x", "c: 1"].join(end);
+        assert_eq!(refused(&text), shown, "{end:?}");
+        let text = ["a: 1", "", "b: \u{1}"].join(end);
+        assert!(
+            refused(&text).starts_with("f:3:4: the character U+0001"),
+            "{end:?}"
+        );
+    }
+}
+
+#[test]
 fn merged_keys_stand_in_front_and_give_way() {
     let text = "
 base: &base {host: h, port: 1}
