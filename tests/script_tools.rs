@@ -130,7 +130,7 @@ greeting:
         ("doubtful: show.yaml:4:17:", "YAML reads '010' as 8"),
         (
             "doubtful: show.yaml:4:30:",
-            "'soon' is no number of seconds; write 2 or 1.5",
+            "'soon' is not a number of seconds; write 2 or 1.5",
         ),
         (
             "doubtful: show.yaml:4:38:",
@@ -189,6 +189,124 @@ fn names_of_servers_are_checked_where_there_is_a_configuration() {
             .contains("the names of servers are not checked (-c FILE)"),
         "{ended:?}"
     );
+}
+
+#[test]
+fn one_cause_is_one_finding() {
+    let mut script = "s:\n".to_owned();
+    for step in 0..26 {
+        script += &format!("  step {step}: {{robto: {{say: hi}}, lamp: {{light: 1}}}}\n");
+    }
+    let desk = Desk::with(&script, &[("robot", 1, "/r")]);
+    let write = |name: &str, text: &str| fs::write(desk.files.path(name), text).unwrap();
+    write("empty.yaml", "");
+    write("broken.yaml", "remotes:\n  a: {host: h\n  b: {host: h}\n");
+    write(
+        "wrong.yaml",
+        "remotes:\n  robto: &r {host: h, prot: 1, scope: /r}\n  lamp: *r\n",
+    );
+    for (config, found) in [
+        (
+            "missing.yaml",
+            ["mistake: missing.yaml: cannot read it:"].as_slice(),
+        ),
+        (
+            "empty.yaml",
+            &[
+                "mistake: empty.yaml: it names no server under 'remotes'; the script uses: robto, lamp",
+            ],
+        ),
+        (
+            "broken.yaml",
+            &[
+                "mistake: broken.yaml:2:6: this '{' is not closed, or a ',' is missing before line 3",
+            ],
+        ),
+        (
+            "wrong.yaml",
+            &["mistake: wrong.yaml:2:23: unknown key 'prot'; did you mean 'port'?"],
+        ),
+        (
+            "remotes.yaml",
+            &[
+                "mistake: show.yaml:2:12: no remote 'robto' in remotes.yaml; did you mean 'robot'? \
+                 (also in line 3, 4, 5, 6, 7, 8, 9, 10, 11, 12 and 15 more)",
+                "mistake: show.yaml:2:30: no remote 'lamp' in remotes.yaml; there are: robot (also in line 3,",
+            ],
+        ),
+    ] {
+        let ended = desk.run(&format!("check show.yaml -c {config}"));
+        assert_eq!(ended.code, Some(1), "{ended:?}");
+        let lines: Vec<&str> = ended
+            .stdout
+            .lines()
+            .filter(|line| line.starts_with("mistake") || line.starts_with("doubtful"))
+            .collect();
+        assert_eq!(lines.len(), found.len(), "{config}: {}", ended.stdout);
+        for (line, found) in lines.iter().zip(found) {
+            assert!(line.starts_with(found), "{config}: {line}");
+        }
+        assert_eq!(ended.stderr, "", "{config}");
+    }
+}
+
+#[test]
+fn no_mistake_hides_another() {
+    let gateway = Server::simulated();
+    let script = "\
+s:
+  a: [list]
+  b: {robto: {say: 2020-02-30}, gripper: {finger: 400}}
+  c: {gripper: {fingre: 1}}
+";
+    let desk = Desk::with(script, &[("gripper", gateway.port, SCOPE)]);
+    fs::write(desk.files.path("defaults.yaml"), "timeuot: 3\n").unwrap();
+    let ended = desk.run("check show.yaml -c remotes.yaml --defaults defaults.yaml --live");
+    for words in [
+        "defaults.yaml:1:1: unknown key 'timeuot'",
+        "show.yaml:2:6: step 'a' is a mapping of handlers; here is a list",
+        "show.yaml:3:7: no remote 'robto' in remotes.yaml",
+        "show.yaml:3:20: '2020-02-30' looks like a date",
+        "show.yaml:3:43: server 'gripper': '400' is not a number",
+        "show.yaml:4:17: server 'gripper': 'gripper' has no component 'fingre'",
+        "6 mistakes.",
+    ] {
+        assert!(ended.stdout.contains(words), "{words}: {}", ended.stdout);
+    }
+}
+
+#[test]
+fn what_cannot_be_meant_is_doubtful() {
+    let script = "\
+s(delay=-3):
+  delay: 2
+  a(delay=99999, timeout=0):
+    robot: {say: “hello, world”, delay: -3, wait: 5}
+    lamp(remote=robot): {'delay': 7}
+  b(timeout=none, delay=600):
+    robot: {say(timeout=-5): “hi”, tell: ’tis fine, 'x': '“quoted”', list: {hello, world}}
+";
+    let desk = Desk::with(script, &[("robot", 1, "/r")]);
+    let ended = desk.run("check show.yaml -c remotes.yaml");
+    let found: Vec<&str> = ended
+        .stdout
+        .lines()
+        .filter(|line| line.contains("show.yaml:"))
+        .collect();
+    let expected = [
+        "doubtful: show.yaml:1:3: a delay below 0 is no delay; write the seconds to wait, as delay=3",
+        "mistake: show.yaml:2:10: step 'delay' is a mapping of handlers; if it is a parameter, write it in parentheses, as name (delay=2)",
+        "doubtful: show.yaml:3:5: this waits 27 h 46 min; a delay is in seconds, as delay=1.5",
+        "doubtful: show.yaml:3:18: a limit of 0 seconds is no limit; write timeout=30, or timeout=none if that is meant",
+        "doubtful: show.yaml:4:18: YAML takes these quotes for a part of the text; write straight quotes: 'hello'",
+        "doubtful: show.yaml:4:26: 'world”' has no ':' behind it; a text with ',' in it needs quotes within { }",
+        "doubtful: show.yaml:4:34: this is sent as a task of a component 'delay'; if it is a parameter, write it in parentheses, as name (delay=-3)",
+        "mistake: show.yaml:7:25: '-5' is below 0; write seconds, as 30, or none",
+        "doubtful: show.yaml:7:30: YAML takes these quotes for a part of the text; write straight quotes: 'hi'",
+        "doubtful: show.yaml:7:77: 'hello' has no ':' behind it; a text with ',' in it needs quotes within { }",
+        "doubtful: show.yaml:7:84: 'world' has no ':' behind it; a text with ',' in it needs quotes within { }",
+    ];
+    assert_eq!(found, expected, "{}", ended.stdout);
 }
 
 #[test]

@@ -47,7 +47,7 @@ s:
     robot:
       a: {a: 1, b: [x, \"it's\", 'say \"hi\"']}
       b: [\"it's\", \"\\\"\", \"'\\\"\"]
-      c: &a [1, *a]
+      c: [&a [1], *a]
       d: |
         two
         lines
@@ -68,6 +68,10 @@ s:
 s: {a: &a {robot: &r {blink: 3}, lamp: {blink: 4}}, b: {<<: *a, lamp: {blink: 5}}, c: {robot: {<<: [*r, {blink: 6, blink b: 7}], blink c: 8}}}
 ", "enter"),
     ("the_last_of_a_key_wins_in_the_place_of_the_first", "s: {a: {robot: {blink: 1}}, b: {robot: {blink: 2}}, a: {lamp: {blink: 3, blink b: 4, blink: 5}}}", "enter"),
+    ("odd_names", "1: {~: {robot: {~: , 3: 4, 5.0: 6, 0x7: 8}}, ' ': {robot: {blink: 1}}}\n!!binary aGk=: {2020-01-02: {robot: {.inf: -0.0, !!binary aGk=: 1e3}}, \"c\\nd\": {robot: {\"e\\nf\": \"g\\nh\"}}}\n'': {'': {robot: {'': ''}}}", "enter enter enter r"),
+    ("equal_names_of_different_kinds", "1: {a: {robot: {blink: 1, ~: 2, null: 3, '': 4}}}\ntrue: {a: {robot: {blink: 2}}}\n1.0: {a: {robot: {blink: 3}}}", "enter enter"),
+    ("the_same_scene_by_an_alias", "s: &s {a: {robot: {blink: 1}}}\nt: *s", "enter enter r"),
+    ("no_scenes_at_all", "{}", "a A x"),
     ("the_order_is_that_of_the_file", "z: {z: {robot: {blink z: 1, blink a: 2}}, a: {robot: {blink: 3}}}\na: {b: {lamp: {blink: 4}}}", "enter enter"),
 ];
 
@@ -85,6 +89,20 @@ pub(crate) const WRONG: &[(&str, &str, &str)] = &[
         "s: {a: {robot: {'blink(delay=soon)': 1}}}",
         "enter",
     ),
+    ("a_list_of_scenes", "[a]", "enter"),
+    (
+        "scenes_in_order",
+        "!!omap [s: {a: {robot: {blink: 1}}}]",
+        "enter",
+    ),
+    ("a_set_of_steps", "s: !!set {a, b}", "enter"),
+    (
+        "nothing_behind_a_step",
+        "s: {a: , b: {robot: {blink: 1}}}",
+        "enter",
+    ),
+    ("nothing_behind_a_handler", "s: {a: {robot: }}", "enter"),
+    ("a_step_within_itself", "s: &s {a: *s}", "enter"),
     ("two_documents", "s: {}\n---\nt: {}\n", "enter"),
     ("a_tag", "s: {a: {robot: {blink: !x 1}}}", "enter"),
     ("a_key", "s: {[a]: {}}", "enter"),

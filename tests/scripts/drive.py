@@ -92,7 +92,7 @@ class Play:
 
     def press(self):
         """Answers a prompt, when the terminal waits for a single key."""
-        if self.out.count(b'\nPRESS <') <= self.prompts:
+        if (b'\n' + self.out).count(b'\nPRESS <') <= self.prompts:
             return
         if termios.tcgetattr(self.terminal)[3] & termios.ICANON:
             return

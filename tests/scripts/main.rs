@@ -2,7 +2,8 @@
 //!
 //! `drive.py` plays each script twice at once, by the original's own engine and by ours: each on a
 //! terminal of its own, with the same keys at the same prompts, and towards servers that answer as the
-//! original's do and write down each request. `scalars.py` has PyYAML say what values mean.
+//! original's do and write down each request. `scalars.py` and `documents.py` have PyYAML say what values
+//! and whole files mean.
 
 mod corpus;
 
@@ -12,15 +13,18 @@ use std::process::{Command, Stdio};
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use serde::Deserialize;
+use ztl_std::Remotes;
 use ztl_std::script::Value;
+use ztl_std::yaml::Document;
 use ztl_tests::lab::{PATIENCE, built, python, until};
 
 /// Scripts that are made up, and how many engines run at a time: they mostly wait.
 const MADE_UP: usize = 200;
 const AT_ONCE: usize = 24;
 
-/// Values that are made up.
+/// Values and whole documents that are made up.
 const VALUES: usize = 5000;
+const DOCUMENTS: usize = 8000;
 
 /// Two gaps between tasks are of one class when they differ by less: all delays and tasks last a
 /// multiple of half a second. The original takes up to 0.2 s more for a step.
@@ -296,4 +300,142 @@ fn values_are_what_pyyaml_makes_of_them() {
     );
     assert_eq!(count, VALUES);
     assert!(errors < VALUES / 4, "{errors} are no values");
+}
+
+/// What is refused here and read by PyYAML, as docs/compatibility.md lists it.
+fn is_refused(text: &str, error: &str) -> bool {
+    let within_itself = error.contains("stands within itself") && text.contains('*');
+    let half_a_character = error.contains("there is no such character");
+    within_itself || half_a_character
+}
+
+/// What is read here and refused by PyYAML: for what it finds in `!!omap` or in what a merge replaces.
+fn is_read(text: &str) -> bool {
+    text.contains("<<")
+}
+
+#[test]
+fn documents_are_what_pyyaml_makes_of_them() {
+    let args = [seed().to_string(), DOCUMENTS.to_string()];
+    let args: Vec<&str> = args.iter().map(String::as_str).collect();
+    let mut wrong = Vec::new();
+    let (mut count, mut read_by_both) = (0, 0);
+    for line in lines(include_str!("documents.py"), &args, "") {
+        let mut line: Vec<Option<String>> = serde_json::from_str(&line).expect("JSON");
+        let (text, theirs) = (line[0].take().expect("a text"), line[1].take());
+        count += 1;
+        let ours = Value::read("f", text.as_bytes());
+        let same = match (&theirs, ours.as_ref()) {
+            (Some(theirs), Ok(value)) => {
+                read_by_both += 1;
+                *theirs == Value::List(vec![value.clone()]).to_string()
+            }
+            (Some(_), Err(error)) => is_refused(&text, &error.to_string()),
+            (None, Ok(_)) => is_read(&text),
+            (None, Err(_)) => true,
+        };
+        if !same {
+            wrong.push(format!(
+                "{text:?}: {theirs:?} {:?}, ours {ours:?}",
+                line.get(2)
+            ));
+        }
+    }
+    assert!(
+        wrong.is_empty(),
+        "{} differ:\n{}",
+        wrong.len(),
+        wrong.join("\n")
+    );
+    assert_eq!(count, DOCUMENTS);
+    assert!(
+        read_by_both > DOCUMENTS / 10,
+        "only {read_by_both} are read"
+    );
+}
+
+/// Configurations of the original, and one line of JSON with what it finds in each.
+const CONFIGURATIONS: &[&str] = &[
+    "remotes: {a: {host: h, port: 1, scope: /s}}",
+    "base: &b {host: h, port: 1}\nremotes:\n  a: {<<: *b, scope: /a}\n  b: {scope: /b, <<: *b, port: 2}",
+    "x: &x {host: x, scope: /x}\ny: &y {host: y, port: 2}\nremotes:\n  a: {<<: [*x, *y]}\n  b: {<<: [*y, *x]}\n  c: {<<: *x, <<: *y}",
+    "x: &x {host: x}\ny: &y {<<: *x, port: 2}\nz: &z {<<: *y, scope: /z}\nremotes: {a: *z, b: {<<: *z, port: 010}}",
+    "more: &m {b: {host: h, port: 2, scope: /b}, a: {}}\nremotes:\n  <<: *m\n  a: {host: h, port: 1, scope: /a}",
+    "remotes:\n  on: {host: no, port: 0x10, scope: 1:30}\n  07: {host: 1.50, port: '2', scope: \"1\"}\n  ~: {host: !!str no, port: 3, scope: 2020-01-01}",
+    "remotes:\n- a: 1\n",
+];
+
+#[test]
+fn configurations_name_the_servers_that_the_original_finds() {
+    let program = "
+import json, sys, tempfile
+from ztl.core.config import ZMQEndpoints
+for text in json.load(sys.stdin):
+    with tempfile.NamedTemporaryFile('w', suffix='.yaml') as file:
+        file.write(text); file.flush()
+        sys.argv = ['run', '--config', file.name]
+        remotes = ZMQEndpoints().config['remotes']
+        found = remotes.items() if isinstance(remotes, dict) else []
+        print(json.dumps({str(n): [str(r['host']), int(r['port']), str(r['scope'])] for n, r in found}))
+";
+    let input = serde_json::to_string(CONFIGURATIONS).expect("JSON");
+    let found = lines(program, &[], &input);
+    assert_eq!(found.len(), CONFIGURATIONS.len());
+    for (text, theirs) in CONFIGURATIONS.iter().zip(found) {
+        let theirs: BTreeMap<String, (String, u16, String)> =
+            serde_json::from_str(&theirs).expect("JSON");
+        let document = Document::parse("remotes.yaml", text.as_bytes()).expect(text);
+        let ours = Remotes::read(&document).unwrap_or_default();
+        let ours: BTreeMap<_, _> = ours
+            .task_names()
+            .map(|name| {
+                let remote = ours.task(name).expect(text).clone();
+                (name.to_owned(), (remote.host, remote.port, remote.scope))
+            })
+            .collect();
+        assert_eq!(ours, theirs, "{text}");
+    }
+}
+
+/// The rows of docs/compatibility.md on YAML: whether the original reads it, and whether we do.
+#[test]
+fn differences_in_yaml_are_those_that_are_listed() {
+    let nested = |depth: usize| format!("{}{}", "[".repeat(depth), "]".repeat(depth));
+    let listed = [
+        ("&a [*a]".to_owned(), true, false),
+        ("&a {<<: *a, x: 1}".to_owned(), true, false),
+        (nested(64), true, true),
+        (nested(65), true, false),
+        (nested(600), false, false),
+        ("\"\\ud800\"".to_owned(), true, false),
+        ("!!int {=: 5}".to_owned(), true, false),
+        ("!!omap [<<: {a: 1}]".to_owned(), false, true),
+        ("{<<: {a: 2020-02-30}, a: 1}".to_owned(), false, true),
+        ("a:\tb".to_owned(), false, false),
+        ("a: !x b".to_owned(), false, false),
+        ("a: 1\na: 2".to_owned(), true, true),
+    ];
+    let program = "
+import json, sys, oyaml as yaml
+for text in json.load(sys.stdin):
+    try: yaml.safe_load(text); print('true')
+    except Exception: print('false')
+";
+    let texts: Vec<&str> = listed.iter().map(|(text, ..)| text.as_str()).collect();
+    let found = lines(program, &[], &serde_json::to_string(&texts).expect("JSON"));
+    let found: Vec<(String, bool, bool)> = texts
+        .iter()
+        .zip(found)
+        .map(|(text, theirs)| {
+            let ours = Value::read("f", text.as_bytes()).is_ok();
+            ((*text).to_owned(), theirs == "true", ours)
+        })
+        .collect();
+    assert_eq!(found, listed);
+    // In our own files.
+    let own = |text: &str| Document::parse("f", text.as_bytes()).is_ok();
+    assert_eq!(
+        [own("a:\tb"), own("a: !x b"), own("a: 1\na: 2")],
+        [true, false, false]
+    );
 }

@@ -24,8 +24,7 @@ TAGS = {
 
 def quoted(text):
     double = json.dumps(text, ensure_ascii=max(text or ' ') <= '\uffff')
-    # Line breaks in single quotes are left out: where they may stand, YAML's versions differ.
-    return dice.choice([double] if set(text) & set('\n\u2028') else [double, "'%s'" % text.replace("'", "''")])
+    return dice.choice([double, "'%s'" % text.replace("'", "''")])
 
 
 def scalar(depth):

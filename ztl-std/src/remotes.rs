@@ -31,7 +31,8 @@ use std::path::{Path, PathBuf};
 
 use ztl_core::integer::Integer;
 
-use crate::yaml::{Diagnostics, Document, Node, Value, closest};
+use crate::script::scalar;
+use crate::yaml::{Diagnostics, Document, Node, Reading, Value, closest};
 
 /// Where a scope is served, or published.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -104,15 +105,22 @@ impl Remotes {
             }
             let entries = reading.pairs(value, "NAME: {host: lamp, port: 12345, scope: /lab}");
             for (name, entry) in entries.into_iter().flatten() {
-                match word(name) {
-                    Some(name) => {
-                        place.insert(name.to_owned(), endpoint(document, entry));
+                match scalar::text(name) {
+                    Some(Ok(name)) => {
+                        place.insert(name, endpoint(document, entry));
                     }
+                    Some(Err(wrong)) => reading.wrong(name, wrong),
                     None => reading.wrong(name, "a name is a single word"),
                 }
             }
         }
         reading.finish(Some(remotes))
+    }
+
+    /// The file that they were read from, or what stands for it.
+    #[must_use]
+    pub fn name(&self) -> &str {
+        &self.name
     }
 
     /// Adds or replaces a server of tasks.
@@ -250,22 +258,41 @@ fn endpoint(document: &Document, node: &Node) -> Entry {
             fields.finish(&mut reading);
             return None;
         };
-        let host = reading.text(host, "a host, as lamp or 192.168.1.7");
-        let number = reading.parsed(number, "a port, as 12345", port);
-        let scope = reading.text(scope, "a scope, as /lab");
+        let host = text(&mut reading, host, "a host, as lamp or 192.168.1.7");
+        let port = text(&mut reading, number, "a port, as 12345");
+        let port = port.and_then(|text| match port_of(&text) {
+            Ok(port) => Some(port),
+            Err(wrong) => {
+                reading.wrong(number, wrong);
+                None
+            }
+        });
+        let scope = text(&mut reading, scope, "a scope, as /lab");
         Some(Remote {
-            host: host?.to_owned(),
-            port: number?,
-            scope: scope?.to_owned(),
+            host: host?,
+            port: port?,
+            scope: scope?,
         })
     })();
     reading.finish(remote)
 }
 
-fn port(text: &str) -> Result<u16, String> {
+fn port_of(text: &str) -> Result<u16, String> {
     let number = Integer::parse(text).ok().and_then(Integer::value);
     let port = number.and_then(|number| u16::try_from(number).ok());
-    port.ok_or_else(|| format!("'{text}' is no port: a whole number from 0 to 65535 is"))
+    port.ok_or_else(|| format!("invalid port '{text}': expected 0 to 65535"))
+}
+
+/// A text as the original would have it.
+fn text<'d>(reading: &mut Reading<'d>, node: &'d Node, what: &str) -> Option<String> {
+    reading.text(node, what)?;
+    match scalar::text(node)? {
+        Ok(text) => Some(text),
+        Err(wrong) => {
+            reading.wrong(node, wrong);
+            None
+        }
+    }
 }
 
 fn word(node: &Node) -> Option<&str> {
@@ -317,14 +344,14 @@ publishers:
             assert!(error.starts_with(message), "{text}: {error}");
         }
         for (entry, message) in [
-            ("", "remotes.yaml:2:4: here is nothing; wanted is a mapping"),
+            ("", "remotes.yaml:2:5: here is nothing; wanted is a mapping"),
             (
                 "{host: h, scope: s}",
                 "remotes.yaml:2:6: 'port' is missing; write port: 12345",
             ),
             (
                 "{host: h, port: 65536, scope: s}",
-                "remotes.yaml:2:22: '65536' is no port",
+                "remotes.yaml:2:22: invalid port '65536'",
             ),
             (
                 "{host: [], port: 1, scope: s}",
@@ -340,6 +367,33 @@ publishers:
             assert_eq!(remotes.mistakes().count(), 1);
             assert!(remotes.task("b").is_ok(), "{entry}");
         }
+    }
+
+    #[test]
+    fn merged_entries_and_values_are_what_pyyaml_makes_of_them() {
+        let text = "
+base: &base {host: lab-1, port: 010}
+remotes:
+  <<: &more {spare: {host: h, port: 0x10, scope: /s}, robot: {}}
+  robot: {<<: *base, scope: /robot}
+  on: {<<: [{port: 1:40}, *base], scope: 'on'}
+  ~: {<<: *base, scope: no, port: !!str 0777}
+";
+        let remotes = read(text).unwrap();
+        let found: Vec<String> = ["robot", "True", "None", "spare"]
+            .iter()
+            .map(|name| {
+                let Remote { host, port, scope } = remotes.task(name).unwrap();
+                format!("{host} {port} {scope}")
+            })
+            .collect();
+        let expected = [
+            "lab-1 8 /robot",
+            "lab-1 100 on",
+            "lab-1 777 False",
+            "h 16 /s",
+        ];
+        assert_eq!(found, expected);
     }
 
     #[test]

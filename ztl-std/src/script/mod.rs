@@ -10,7 +10,7 @@ pub mod player;
 mod read;
 pub mod record;
 pub mod report;
-mod scalar;
+pub(crate) mod scalar;
 mod show;
 mod stand_ins;
 mod value;

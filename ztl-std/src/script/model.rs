@@ -1,13 +1,17 @@
 //! A script as it was read: scenes of steps of tasks, each with its place in the file.
 
+use std::collections::BTreeSet;
 use std::path::Path;
 use std::time::Duration;
 
 use super::event::{Outline, SceneOutline, StepOutline, TaskOutline};
 use super::finding::Finding;
 use super::read;
-use crate::remotes::Remotes;
-use crate::yaml::{Diagnostics, Document, Rules, Span};
+use crate::remotes::{NoRemote, Remotes};
+use crate::yaml::{Diagnostic, Diagnostics, Document, Rules, Span};
+
+/// Most lines that are named where one name stands in many.
+const LINES: usize = 10;
 
 /// A script: what is played, in the order of its file.
 ///
@@ -195,24 +199,56 @@ impl Script {
         &self.doubts
     }
 
-    /// Names of servers that `remotes` has not, or has wrongly: once for each place.
+    /// What keeps its tasks from their servers: names that `remotes` does not have, and entries that are
+    /// wrong. Each is said once, however often the script uses it.
     #[must_use]
     pub fn unknown_remotes(&self, remotes: &Remotes) -> Vec<Finding> {
-        let steps = self.scenes.iter().flat_map(|scene| &scene.steps);
-        let handlers = steps.flat_map(|step| &step.handlers);
-        handlers
-            .filter_map(|handler| {
-                let error = remotes.task(&handler.remote).err()?;
-                let message = error.to_string();
-                let mut message = message.trim_end().to_owned();
-                if handler.key != handler.name && handler.remote == handler.key {
-                    message += "; in parentheses, write (remote=NAME)";
+        let names = self.remotes();
+        if remotes.task_names().next().is_none() && !names.is_empty() {
+            let message = "it names no server under 'remotes'";
+            let needed = format!("the script uses: {}", names.join(", "));
+            let found = Diagnostic::of_file(remotes.name(), message).with_help(needed);
+            return vec![Finding::mistake(found)];
+        }
+        let mut findings: Vec<Finding> = Vec::new();
+        for name in names {
+            match remotes.task(name) {
+                Ok(_) => {}
+                Err(NoRemote::Wrong(mistakes)) => {
+                    // Two names may stand for one entry.
+                    for found in mistakes.into_iter().map(Finding::mistake) {
+                        if !findings.contains(&found) {
+                            findings.push(found);
+                        }
+                    }
                 }
-                Some(Finding::mistake(
-                    self.document.mistake(handler.span, message),
-                ))
-            })
-            .collect()
+                Err(unknown) => findings.extend(self.unknown_remote(name, &unknown)),
+            }
+        }
+        findings
+    }
+
+    /// A name that the configuration does not have, at its first place.
+    fn unknown_remote(&self, name: &str, unknown: &NoRemote) -> Option<Finding> {
+        let steps = self.scenes.iter().flat_map(|scene| &scene.steps);
+        let mut handlers = steps
+            .flat_map(|step| &step.handlers)
+            .filter(|handler| handler.remote == name);
+        let first = handlers.next()?;
+        let mut message = unknown.to_string();
+        if first.key != first.name && first.remote == first.key {
+            message += "; in parentheses, write (remote=NAME)";
+        }
+        let lines: BTreeSet<usize> = handlers.map(|handler| handler.span.start.line).collect();
+        if !lines.is_empty() {
+            let shown: Vec<String> = lines.iter().take(LINES).map(usize::to_string).collect();
+            let more = match lines.len().saturating_sub(LINES) {
+                0 => String::new(),
+                more => format!(" and {more} more"),
+            };
+            message += &format!(" (also in line {}{more})", shown.join(", "));
+        }
+        Some(Finding::mistake(self.document.mistake(first.span, message)))
     }
 
     /// The names of the servers that it uses, each once, in the order of the file.

@@ -12,6 +12,16 @@ use crate::yaml::{Diagnostics, Document, closest};
 /// Longest delay or limit, in seconds: a century or so.
 const LONGEST: f64 = 4e9;
 
+/// Names of parameters, which stand in parentheses.
+pub(super) const NAMES: [&str; 6] = [
+    "delay",
+    "wait",
+    "timeout",
+    "parallel",
+    "on_failure",
+    "remote",
+];
+
 /// A key taken apart.
 #[derive(Debug, Default)]
 pub(super) struct Key<'k> {
@@ -90,11 +100,11 @@ pub(super) fn parse(key: &str) -> Key<'_> {
     }
 }
 
-/// `delay=2`, `delay=1.5`: below 0 it is none.
-pub(super) fn seconds(text: &str) -> Result<Duration, String> {
-    let wrong = || format!("'{text}' is no number of seconds; write 2 or 1.5");
+/// `2`, `1.5`: seconds, also below 0.
+pub(super) fn seconds(text: &str) -> Result<f64, String> {
+    let wrong = || format!("'{text}' is not a number of seconds; write 2 or 1.5");
     let whole = Integer::parse(text).is_ok();
-    // What Python's float() has beyond digits is none: `inf`, `nan`, `infinity`.
+    // Not what Python's float() has beyond digits: `inf`, `nan`, `infinity`.
     let plain: String = text.trim().chars().filter(|c| *c != '_').collect();
     let digits = plain
         .bytes()
@@ -107,7 +117,26 @@ pub(super) fn seconds(text: &str) -> Result<Duration, String> {
     if seconds > LONGEST {
         return Err(format!("'{text}' seconds are more than a century"));
     }
-    Ok(Duration::try_from_secs_f64(seconds.max(0.0)).unwrap_or_default())
+    Ok(seconds)
+}
+
+/// A time to wait: below 0 there is none.
+pub(super) fn delay(seconds: f64) -> Duration {
+    Duration::try_from_secs_f64(seconds.max(0.0)).unwrap_or_default()
+}
+
+/// A limit of time: `none` and 0 set none.
+pub(super) fn limit(text: &str) -> Result<Option<Duration>, String> {
+    if text == "none" {
+        return Ok(None);
+    }
+    let seconds = seconds(text)?;
+    if seconds < 0.0 {
+        return Err(format!(
+            "'{text}' is below 0; write seconds, as 30, or none"
+        ));
+    }
+    Ok(Some(delay(seconds)).filter(|limit| !limit.is_zero()))
 }
 
 /// True for `true 1 t y yes on` in any case, false for all else; whether it is a word that says so.
@@ -161,7 +190,7 @@ impl Defaults {
             .map(|mut fields| {
                 let mut defaults = Self::default();
                 if let Some(node) = fields.optional("timeout") {
-                    let limit = reading.parsed(node, "seconds, as 30", limit);
+                    let limit = reading.parsed(node, "seconds, as 30, or none", limit);
                     defaults.timeout = limit.flatten();
                 }
                 if let Some(node) = fields.optional("on_failure") {
@@ -177,9 +206,4 @@ impl Defaults {
             });
         reading.finish(defaults)
     }
-}
-
-/// A limit of time: 0 is none.
-pub(super) fn limit(text: &str) -> Result<Option<Duration>, String> {
-    seconds(text).map(|limit| Some(limit).filter(|limit| !limit.is_zero()))
 }

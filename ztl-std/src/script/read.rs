@@ -34,7 +34,7 @@ pub(super) fn scenes(document: &Document, defaults: Defaults) -> (Vec<Scene>, Ve
     }
     let entries = match root.is_null() {
         true => Vec::new(),
-        false => reader.level(root, root.span, "a script", "scenes"),
+        false => reader.level(root, root.span, ("script", ""), "scenes"),
     };
     let mut scenes = Vec::new();
     for mut entry in entries {
@@ -74,13 +74,40 @@ impl<'d> Reader<'d> {
         self.findings.push(Finding::doubt(found));
     }
 
-    /// The entries of one of the four nested mappings.
-    fn level(&mut self, node: &'d Node, at: Span, whose: &str, of: &str) -> Vec<Entry<'d>> {
+    fn mistakes(&self) -> usize {
+        let mistakes = self.findings.iter().filter(|found| !found.is_doubt());
+        mistakes.count()
+    }
+
+    /// The entries of one of the four nested mappings: what its key is, and what its entries are.
+    fn level(
+        &mut self,
+        node: &'d Node,
+        at: Span,
+        (what, name): (&str, &str),
+        of: &str,
+    ) -> Vec<Entry<'d>> {
+        let name = name.trim();
+        let whose = match what {
+            "script" => "a script".to_owned(),
+            what => format!("{what} '{}'", short(name)),
+        };
         let Yaml::Map(_) = &node.value else {
-            let message = format!("{whose} is a mapping of {of}; here is {}", node.kind());
+            let is = format!("{whose} is a mapping of {of}");
+            let (message, help) = match () {
+                () if node.is_null() && node.span == at => (keys::without_colon(name), None),
+                () if params::NAMES.contains(&name) => {
+                    let value = self.value(node, None);
+                    (is, Some(keys::in_parentheses(name, value)))
+                }
+                () => (
+                    format!("{is}; here is {}", node.kind()),
+                    Some(SHAPE.to_owned()),
+                ),
+            };
             // Where nothing is written, its key is shown.
             let span = if node.is_null() { at } else { node.span };
-            self.mistake(span, message, Some(SHAPE.to_owned()));
+            self.mistake(span, message, help);
             return Vec::new();
         };
         let entries = self.entries(node, true);
@@ -129,7 +156,7 @@ impl<'d> Reader<'d> {
         for piece in &parsed.pieces {
             match piece.name {
                 Some("delay") => {
-                    scene.delay = self.seconds(&entry, &key, *piece).unwrap_or(scene.delay)
+                    scene.delay = self.delay(&entry, &key, *piece).unwrap_or(scene.delay)
                 }
                 Some("wait") => self.doubt_at(
                     &entry,
@@ -141,8 +168,12 @@ impl<'d> Reader<'d> {
                 _ => self.unknown(&entry, &key, *piece, "a scene", &["delay"]),
             }
         }
-        let whose = format!("scene '{}'", short(scene.name.trim()));
-        let steps = self.level(entry.value, entry.name.span, &whose, "steps");
+        let steps = self.level(
+            entry.value,
+            entry.name.span,
+            ("scene", &scene.name),
+            "steps",
+        );
         for mut entry in steps {
             self.look_through(&mut entry, |reader, lost| drop(reader.step(lost)));
             scene.steps.push(self.step(entry));
@@ -168,7 +199,7 @@ impl<'d> Reader<'d> {
         for piece in &parsed.pieces {
             match (piece.name, piece.value) {
                 (Some("delay"), _) => {
-                    step.delay = self.seconds(&entry, &key, *piece).unwrap_or(step.delay)
+                    step.delay = self.delay(&entry, &key, *piece).unwrap_or(step.delay)
                 }
                 (Some("wait"), Some(value)) => step.wait = self.truth(&entry, &key, value),
                 (Some("parallel"), None) => step.parallel = true,
@@ -184,8 +215,8 @@ impl<'d> Reader<'d> {
                 }
             }
         }
-        let whose = format!("step '{}'", short(step.name.trim()));
-        for mut entry in self.level(entry.value, entry.name.span, &whose, "handlers") {
+        let at = entry.name.span;
+        for mut entry in self.level(entry.value, at, ("step", parsed.name), "handlers") {
             let before = step.clone();
             self.look_through(&mut entry, |reader, lost| {
                 reader.handler(&lost, limit, &mut before.clone());
@@ -211,11 +242,10 @@ impl<'d> Reader<'d> {
             }
         }
         self.sent(entry.name, "handler", &handler.name);
-        let whose = format!("handler '{}'", short(handler.name.trim()));
         let tasks = self.level(
             entry.value,
             entry.name.span,
-            &whose,
+            ("handler", &handler.name),
             "components with their goals",
         );
         let index = step.handlers.len();
@@ -224,7 +254,12 @@ impl<'d> Reader<'d> {
             self.look_through(&mut entry, |reader, lost| {
                 drop(reader.task(&lost, index, limit))
             });
-            step.tasks.push(self.task(&entry, index, limit));
+            let before = self.mistakes();
+            let task = self.task(&entry, index, limit);
+            // What its server says of it would be about what was made of the mistake.
+            if self.mistakes() == before {
+                step.tasks.push(task);
+            }
         }
     }
 
@@ -244,7 +279,7 @@ impl<'d> Reader<'d> {
         for piece in &parsed.pieces {
             match (piece.name, piece.value) {
                 (Some("delay"), _) => {
-                    task.delay = self.seconds(entry, &key, *piece).unwrap_or(task.delay)
+                    task.delay = self.delay(entry, &key, *piece).unwrap_or(task.delay)
                 }
                 (Some("wait"), Some(value)) => task.wait = self.truth(entry, &key, value),
                 (Some("timeout"), _) => {
@@ -260,7 +295,16 @@ impl<'d> Reader<'d> {
             }
         }
         self.sent(entry.name, "component", &task.component);
-        task.goal = self.value(entry.value, Some(false)).to_string();
+        let tell = match keys::lacks_colon(entry.name, entry.value) {
+            true => {
+                self.doubt(entry.name.span, keys::without_colon(&key), None);
+                None
+            }
+            false => Some(false),
+        };
+        let goal = self.value(entry.value, tell);
+        self.parameter(entry.name, &goal);
+        task.goal = goal.to_string();
         task
     }
 }

@@ -3,12 +3,34 @@
 use ztl_core::base64;
 
 use super::value::{Date, Timestamp, Value};
-
-/// Prefix of YAML's own tags.
-pub(super) const CORE: &str = "tag:yaml.org,2002:";
+use crate::yaml::{self, CORE, Node};
 
 /// Longest whole number, in digits, that Python writes as text.
 const MAX_DIGITS: usize = ztl_core::integer::MAX_DIGITS;
+
+/// The text that Python makes of a scalar: to PyYAML `010` is 8, and `on` is `True`. `None` for a
+/// collection.
+///
+/// # Errors
+/// As [`plain`].
+pub(crate) fn text(node: &Node) -> Option<Result<String, String>> {
+    let yaml::Value::Scalar { text, plain } = &node.value else {
+        return None;
+    };
+    Some(read(text, *plain, node.tag.as_deref()).map(|value| value.to_string()))
+}
+
+/// What a scalar means; a tag other than YAML's own is the caller's concern.
+///
+/// # Errors
+/// As [`plain`].
+pub(super) fn read(text: &str, plain: bool, tag: Option<&str>) -> Result<Value, String> {
+    match tag.and_then(|tag| tag.strip_prefix(CORE)) {
+        Some(kind) => tagged(kind, text),
+        None if plain || tag.is_some() => self::plain(text),
+        None => Ok(Value::Text(text.to_owned())),
+    }
+}
 
 /// What a plain scalar means.
 ///

@@ -69,7 +69,7 @@ fn mistakes_in_what_a_second_key_replaces_are_told_too_and_keep_nothing_from_bei
     let doubts: Vec<String> = script.doubts().iter().map(Finding::to_string).collect();
     assert_eq!(doubts.len(), 3, "{doubts:?}");
     assert!(
-        doubts[0].starts_with("f:1:21: 'soon' is no number of seconds"),
+        doubts[0].starts_with("f:1:21: 'soon' is not a number of seconds"),
         "{doubts:?}"
     );
     assert_eq!(script.scenes[0].steps[0].tasks[0].goal, "1");

@@ -32,8 +32,6 @@ pub enum Value {
     Pairs(Vec<(Value, Value)>),
     /// `!!set`.
     Set(Vec<Value>),
-    /// A collection within itself: `[...]` or `{...}`.
-    Loop(String),
 }
 
 /// A day of Python's calendar, which begins with the year 1.
@@ -75,7 +73,7 @@ impl Value {
     pub const fn is_hashable(&self) -> bool {
         !matches!(
             self,
-            Self::List(_) | Self::Map(_) | Self::Pairs(_) | Self::Set(_) | Self::Loop(_)
+            Self::List(_) | Self::Map(_) | Self::Pairs(_) | Self::Set(_)
         )
     }
 
@@ -104,7 +102,7 @@ impl Display for Value {
             Self::Null => f.write_str("None"),
             Self::Bool(true) => f.write_str("True"),
             Self::Bool(false) => f.write_str("False"),
-            Self::Int(text) | Self::Text(text) | Self::Loop(text) => f.write_str(text),
+            Self::Int(text) | Self::Text(text) => f.write_str(text),
             Self::Float(value) => f.write_str(&float(*value)),
             Self::Date(date) => date.fmt(f),
             Self::Time(time) => time.fmt(f),

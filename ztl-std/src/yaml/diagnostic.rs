@@ -2,6 +2,7 @@
 
 use std::fmt;
 
+use super::chars::is_line_break;
 use super::{Mark, Span};
 
 /// Longest part of a line that is shown, in characters.
@@ -59,16 +60,30 @@ impl Diagnostic {
 
 /// A place that is in the file, and its line: a parser that has come to the end stands behind it.
 fn place(text: &str, mark: Mark) -> (Mark, &str) {
-    match text.lines().nth(mark.line.saturating_sub(1)) {
+    match lines(text).nth(mark.line.saturating_sub(1)) {
         Some(line) => (mark, line),
-        None => {
-            let line = text.lines().last().unwrap_or_default();
-            let mark = Mark {
-                line: text.lines().count().max(1),
-                column: line.chars().count() + 1,
-            };
-            (mark, line)
-        }
+        None => (end_of(text), lines(text).last().unwrap_or_default()),
+    }
+}
+
+/// The lines of a text, without what ends them: YAML knows more than '\n'.
+fn lines(text: &str) -> impl Iterator<Item = &str> {
+    let ended = text.split_inclusive(is_line_break);
+    // What "\r\n" ends is cut in two.
+    let mut after_return = false;
+    ended.filter_map(move |line| {
+        let second_half = after_return && line == "\n";
+        after_return = line.ends_with('\r');
+        (!second_half).then(|| line.trim_end_matches(is_line_break))
+    })
+}
+
+/// Where a text ends: behind its last character.
+pub(super) fn end_of(text: &str) -> Mark {
+    let last = lines(text).last().unwrap_or_default();
+    Mark {
+        line: lines(text).count().max(1),
+        column: last.chars().count() + 1,
     }
 }
 

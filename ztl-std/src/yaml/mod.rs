@@ -18,8 +18,15 @@
 //! ");
 //! ```
 
+mod chars;
 mod diagnostic;
+mod explain;
+mod flow;
+mod merge;
 mod reading;
+mod scalars;
+mod scanner;
+mod token;
 mod tree;
 
 pub use diagnostic::{Diagnostic, Diagnostics, closest};
@@ -57,7 +64,7 @@ pub struct Node {
     pub span: Span,
     /// What.
     pub value: Value,
-    /// Its tag, as `tag:yaml.org,2002:str` for `!!str`; kept by [`Rules::Python`] alone.
+    /// Its tag, as `tag:yaml.org,2002:str` for `!!str`.
     pub tag: Option<String>,
 }
 
@@ -66,14 +73,15 @@ pub struct Node {
 pub enum Rules {
     /// Those of our own files: a repeated key and a tag that is not YAML's own are mistakes.
     Ours,
-    /// PyYAML's: of a repeated key the last value counts, tags decide, and `&a [*a]` stands for
-    /// itself, which is a scalar with the tag [`LOOP`]. All that is left to the reader.
+    /// PyYAML's: of a repeated key the last value counts, and tags decide. That is left to the reader.
     Python,
 }
 
-/// Tag of a scalar that stands for a collection around itself; its text is what Python writes in its
-/// place.
-pub const LOOP: &str = "loop";
+/// Prefix of YAML's own tags.
+pub(crate) const CORE: &str = "tag:yaml.org,2002:";
+
+/// What is wrong, and where.
+type Mistake = (Span, String);
 
 /// What a YAML file is made of. A scalar stays the text that was written: whether `12` is a number
 /// and `on` a word is for the one who asks, who knows what belongs there.
@@ -88,7 +96,7 @@ pub enum Value {
     },
     /// In order.
     List(Vec<Node>),
-    /// In order; keys that are scalars are different from each other.
+    /// In order, with what `<<` merges.
     Map(Vec<(Node, Node)>),
 }
 
@@ -100,6 +108,16 @@ impl Node {
             Value::Scalar { text, plain: true } => {
                 matches!(text.as_str(), "" | "~" | "null" | "Null" | "NULL")
             }
+            _ => false,
+        }
+    }
+
+    /// Whether it is this text and may mean something else than a text: without quotes, or after a
+    /// single `!`, and without another tag.
+    pub(crate) fn is_plainly(&self, written: &str) -> bool {
+        match (&self.value, self.tag.as_deref()) {
+            (Value::Scalar { text, plain: true }, None) => text == written,
+            (Value::Scalar { text, .. }, Some("!")) => text == written,
             _ => false,
         }
     }
@@ -162,9 +180,7 @@ impl Document {
         };
         let plain = text.strip_prefix('\u{feff}').unwrap_or(text);
         let (marked, text) = (plain.len() < text.len(), plain);
-        if rules == Rules::Python
-            && let Some(mistake) = unprintable(name, text)
-        {
+        if let Some(mistake) = unprintable(name, text) {
             return Err(mistake.into());
         }
         let (root, mistakes) = tree::parse(text, rules);
@@ -242,34 +258,32 @@ fn unprintable(name: &str, text: &str) -> Option<Diagnostic> {
         c => c >= '\u{a0}' && !matches!(c, '\u{fffe}' | '\u{ffff}'),
     };
     let (at, c) = text.char_indices().find(|(_, c)| !taken(*c))?;
-    let before = text.get(..at).unwrap_or_default();
-    let line = before.matches('\n').count() + 1;
-    let column = before.chars().rev().take_while(|c| *c != '\n').count() + 1;
-    let start = Mark { line, column };
-    let end = Mark {
-        line,
-        column: column + 1,
-    };
+    let span = character_after(text.get(..at).unwrap_or_default());
     let message = format!(
         "the character U+{:04X} cannot stand in a file; within \"…\" write it as an escape",
         u32::from(c)
     );
-    Some(Diagnostic::at(name, text, Span { start, end }, message))
+    Some(Diagnostic::at(name, text, span, message))
 }
 
 /// Where the first byte stands that is no UTF-8.
 fn not_utf8(name: &str, bytes: &[u8], place: usize) -> Diagnostic {
     let before = String::from_utf8_lossy(bytes.get(..place).unwrap_or_default());
-    let line = before.matches('\n').count() + 1;
-    let column = before.chars().rev().take_while(|c| *c != '\n').count() + 1;
-    let start = Mark { line, column };
-    let end = Mark {
-        line,
-        column: column + 1,
-    };
+    let span = character_after(&before);
     let text = String::from_utf8_lossy(bytes);
     let message = "this is no UTF-8; save the file as UTF-8".to_owned();
-    Diagnostic::at(name, &text, Span { start, end }, message)
+    Diagnostic::at(name, &text, span, message)
+}
+
+/// The place of the character that follows this text.
+fn character_after(before: &str) -> Span {
+    // The mark makes it a part of the line that it stands in.
+    let end = diagnostic::end_of(&format!("{before}x"));
+    let start = Mark {
+        column: end.column - 1,
+        ..end
+    };
+    Span { start, end }
 }
 
 #[cfg(test)]

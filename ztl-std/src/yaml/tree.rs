@@ -1,291 +1,414 @@
-//! From a parser's events to a tree of values with their places.
+//! From tokens to a tree of values with their places, by the rules of PyYAML's parser and composer.
 
 use std::collections::{HashMap, HashSet};
 
-use saphyr_parser::{Event, Marker, Parser, ScalarStyle, ScanError, Tag};
-
-use super::{LOOP, Mark, Node, Rules, Span, Value};
+use super::scanner::Scanner;
+use super::token::{Bracket, Directive, Kind, Token};
+use super::{CORE, Mark, Mistake, Node, Rules, Span, Value, merge};
 
 /// Deepest nesting.
 const DEPTH: usize = 64;
 /// Most values, those repeated by `*alias` included.
 const NODES: usize = 100_000;
 
-type Mistake = (Span, String);
-
-/// A list or mapping that has begun.
-struct Open {
-    start: Span,
-    anchor: usize,
-    map: bool,
-    tag: Option<String>,
-    nodes: Vec<Node>,
+/// What `&name` stands for.
+struct Anchor {
+    place: Mark,
+    /// How many values that is.
+    count: usize,
+    /// Nothing yet while its collection is open.
+    node: Option<Node>,
 }
 
-struct Builder {
+pub(super) struct Parser {
+    scanner: Scanner,
     rules: Rules,
-    open: Vec<Open>,
-    /// What `&name` stands for, and how many values it is.
-    anchors: HashMap<usize, (Node, usize)>,
+    /// What `!`, `!!` and `!name!` stand for.
+    handles: HashMap<String, String>,
+    anchors: HashMap<String, Anchor>,
+    depth: usize,
     count: usize,
-    root: Option<Node>,
+    /// Where the token before stands, and whether it was a text in quotes.
+    pub(super) last: (Span, bool),
     mistakes: Vec<Mistake>,
+}
+
+/// `&name` and `!tag` in front of a value.
+#[derive(Default)]
+struct Properties {
+    anchor: Option<(String, Mark)>,
+    tag: Option<String>,
+    span: Option<Span>,
 }
 
 /// The tree, if there is one, and what is wrong with the text.
 pub(super) fn parse(text: &str, rules: Rules) -> (Option<Node>, Vec<Mistake>) {
-    let mut builder = Builder {
+    let mut parser = Parser {
+        scanner: Scanner::new(text, rules),
         rules,
-        open: Vec::new(),
+        handles: HashMap::new(),
         anchors: HashMap::new(),
+        depth: 0,
         count: 0,
-        root: None,
+        last: (Span::default(), false),
         mistakes: Vec::new(),
     };
-    let mut parser = Parser::new_from_str(text);
-    while let Some(event) = parser.next_event() {
-        let taken = match event {
-            Ok((Event::StreamEnd, _)) => break,
-            Ok((event, span)) => builder.take(event, span_of(span.start, span.end)),
-            Err(error) => Err(not_yaml(&error)),
-        };
-        if let Err(mistake) = taken {
-            builder.mistakes.push(mistake);
-            break;
+    match parser.stream() {
+        // An empty file says nothing, which is a mapping without keys.
+        Ok(root) if rules == Rules::Ours && root.is_null() => {
+            let value = Value::Map(Vec::new());
+            (Some(Node { value, ..root }), parser.mistakes)
+        }
+        Ok(root) => (Some(root), parser.mistakes),
+        Err(mistake) => {
+            parser.mistakes.push(mistake);
+            (None, parser.mistakes)
         }
     }
-    let root = builder.root.unwrap_or(Node {
-        span: Span::default(),
-        value: Value::Scalar {
-            text: String::new(),
-            plain: true,
-        },
-        tag: None,
-    });
-    if rules == Rules::Python {
-        return (Some(root), builder.mistakes);
-    }
-    // An empty file says nothing, which is a mapping without keys.
-    let root = match root.is_null() {
-        true => Node {
-            value: Value::Map(Vec::new()),
-            ..root
-        },
-        false => root,
-    };
-    (Some(root), builder.mistakes)
 }
 
-fn mark(marker: Marker) -> Mark {
-    Mark {
-        line: marker.line().max(1),
-        column: marker.col() + 1,
-    }
+pub(super) fn at(span: Span, message: impl Into<String>) -> Mistake {
+    (span, message.into())
 }
 
-fn span_of(start: Marker, end: Marker) -> Span {
+pub(super) const fn point(mark: Mark) -> Span {
     Span {
-        start: mark(start),
-        end: mark(end),
+        start: mark,
+        end: mark,
     }
 }
 
-fn not_yaml(error: &ScanError) -> Mistake {
-    let marker = *error.marker();
-    (
-        span_of(marker, marker),
-        format!("this is no YAML: {}", in_plain_words(error.info())),
-    )
+/// Nothing is written; where a key has no ':' it stands at the key.
+const fn nothing(span: Span) -> Node {
+    let text = String::new();
+    Node {
+        span,
+        value: Value::Scalar { text, plain: true },
+        tag: None,
+    }
 }
 
-/// What was probably not meant so, for those who do not know how a parser speaks.
-fn in_plain_words(info: &str) -> &str {
-    let words = [
-        (
-            "tab",
-            "found a tab; indent with blanks, never with the tab key",
-        ),
-        (
-            "mapping values are not allowed",
-            "this ':' cannot stand here; the line before may lack a ':' at its end, or a text with ': ' in it lacks its quotes",
-        ),
-        (
-            "did not find expected key",
-            "this line begins in another column than those that it belongs to",
-        ),
-        (
-            "trailing content after",
-            "something stands behind the closing quote; within '…' write an apostrophe as ''",
-        ),
-        ("expected ',' or", "a ',' or the closing bracket is missing"),
-        ("unknown anchor", "a text that begins with '*' needs quotes"),
-    ];
-    let found = words.into_iter().find(|(said, _)| info.contains(said));
-    found.map_or(info, |(_, words)| words)
-}
+impl Parser {
+    pub(super) fn peek(&mut self) -> Result<&Kind, Mistake> {
+        Ok(&self.scanner.peek_token()?.kind)
+    }
 
-impl Builder {
-    fn take(&mut self, event: Event<'_>, span: Span) -> Result<(), Mistake> {
-        match event {
-            Event::DocumentStart(_) if self.root.is_some() => {
-                return Err((
-                    span,
-                    "a second document begins; use one file for each".to_owned(),
-                ));
+    pub(super) fn span(&mut self) -> Result<Span, Mistake> {
+        Ok(self.scanner.peek_token()?.span)
+    }
+
+    pub(super) fn next(&mut self) -> Result<Token, Mistake> {
+        let token = self.scanner.token()?;
+        let quoted = matches!(token.kind, Kind::Scalar { plain: false, .. });
+        // Tokens that only indentation makes are not written.
+        if token.span.start < token.span.end {
+            self.last = (token.span, quoted);
+        }
+        Ok(token)
+    }
+
+    /// Takes the next token if it is this one.
+    pub(super) fn takes(&mut self, kind: &Kind) -> Result<bool, Mistake> {
+        let is = self.peek()? == kind;
+        if is {
+            self.next()?;
+        }
+        Ok(is)
+    }
+
+    fn stream(&mut self) -> Result<Node, Mistake> {
+        let explicit = matches!(
+            self.peek()?,
+            Kind::Directive(_) | Kind::DocumentStart | Kind::StreamEnd
+        );
+        if explicit {
+            let start = self.span()?.start;
+            if *self.peek()? == Kind::StreamEnd {
+                return Ok(nothing(point(start)));
             }
-            Event::Scalar(text, style, anchor, tag) => {
-                let tag = self.tag(tag.as_deref(), span)?;
-                let value = Value::Scalar {
-                    text: text.into_owned(),
-                    plain: style == ScalarStyle::Plain,
-                };
-                self.put(Node { span, value, tag }, anchor, 1)?;
+            self.directives()?;
+        }
+        for (handle, prefix) in [("!", "!"), ("!!", CORE)] {
+            let entry = self.handles.entry(handle.to_owned());
+            entry.or_insert_with(|| prefix.to_owned());
+        }
+        let start = self.span()?;
+        let root = match self.peek()? {
+            Kind::Directive(_) | Kind::DocumentStart | Kind::DocumentEnd | Kind::StreamEnd
+                if explicit =>
+            {
+                nothing(start)
             }
-            Event::SequenceStart(anchor, tag) => {
-                let tag = self.tag(tag.as_deref(), span)?;
-                self.begin(span, anchor, tag, false)?;
-            }
-            Event::MappingStart(anchor, tag) => {
-                let tag = self.tag(tag.as_deref(), span)?;
-                self.begin(span, anchor, tag, true)?;
-            }
-            Event::SequenceEnd | Event::MappingEnd => self.end(span)?,
-            Event::Alias(anchor) => {
-                if let Some(text) = self.around(anchor) {
-                    let text = text.to_owned();
-                    let value = Value::Scalar { text, plain: false };
-                    let tag = Some(LOOP.to_owned());
-                    return self.put(Node { span, value, tag }, 0, 1);
+            _ => self.node(true, false)?,
+        };
+        let mut ended = self.takes(&Kind::DocumentEnd)?;
+        while ended && self.takes(&Kind::DocumentEnd)? {}
+        ended |= *self.peek()? == Kind::DocumentStart;
+        match self.peek()? {
+            Kind::StreamEnd => Ok(root),
+            _ if ended => Err(at(
+                self.span()?,
+                "a second document begins; use one file for each",
+            )),
+            _ => Err(self.unexpected(root.span.start)?),
+        }
+    }
+
+    /// `%YAML`, `%TAG`, and the `---` behind them.
+    fn directives(&mut self) -> Result<(), Mistake> {
+        let mut version = false;
+        while let Kind::Directive(directive) = self.peek()?.clone() {
+            let span = self.next()?.span;
+            match directive {
+                Directive::Yaml(_) if version => {
+                    return Err(at(span, "the version stands here for the second time"));
                 }
-                let Some((node, count)) = self.anchors.get(&anchor).cloned() else {
-                    return Err((
-                        span,
-                        "this stands for nothing that was written before".to_owned(),
-                    ));
+                Directive::Yaml(false) => {
+                    return Err(at(span, "the version of YAML is 1.1 or 1.2"));
+                }
+                Directive::Yaml(true) => version = true,
+                Directive::Tag(handle, prefix) => {
+                    if self.handles.insert(handle, prefix).is_some() {
+                        return Err(at(span, "this handle stands here for the second time"));
+                    }
+                }
+                Directive::Other => {}
+            }
+        }
+        match self.takes(&Kind::DocumentStart)? {
+            true => Ok(()),
+            false => Err(at(self.span()?, "a line '---' is missing before this")),
+        }
+    }
+
+    /// A value. `block`: indentation may make it a collection; `list`: its `- ` may stand as far left as
+    /// its key.
+    pub(super) fn node(&mut self, block: bool, list: bool) -> Result<Node, Mistake> {
+        if let Kind::Alias(name) = self.peek()? {
+            let name = name.clone();
+            let span = self.next()?.span;
+            return self.alias(&name, span);
+        }
+        let properties = self.properties()?;
+        let before = self.count;
+        let span = self.span()?;
+        let anchor = properties.anchor.clone();
+        if let Some((name, place)) = &anchor {
+            let anchor = Anchor {
+                place: *place,
+                count: 0,
+                node: None,
+            };
+            if let Some(first) = self.anchors.insert(name.clone(), anchor) {
+                let line = first.place.line;
+                let message = format!("'&{name}' stands for something else since line {line}");
+                return Err(at(point(*place), message));
+            }
+        }
+        let mut node = match self.peek()? {
+            Kind::Entry if list => self.nested(span, |parser| parser.list_entries(None))?,
+            Kind::Scalar { .. } => {
+                let Token { span, kind } = self.next()?;
+                let Kind::Scalar { text, plain } = kind else {
+                    return Err(at(span, "expected a text"));
                 };
-                self.put(Node { span, ..node }, 0, count)?;
+                Node {
+                    span,
+                    value: Value::Scalar { text, plain },
+                    tag: None,
+                }
             }
-            _ => {}
+            Kind::Open(Bracket::Square) => self.nested(span, Self::square)?,
+            Kind::Open(Bracket::Curly) => self.nested(span, Self::curly)?,
+            Kind::ListStart if block => {
+                self.nested(span, |parser| parser.list_entries(Some(span.start)))?
+            }
+            Kind::MapStart if block => {
+                self.nested(span, |parser| parser.map_entries(span.start))?
+            }
+            _ => match properties.span {
+                Some(span) => nothing(point(span.end)),
+                None => return Err(self.no_value()?),
+            },
+        };
+        node.tag = self.tag(properties)?;
+        self.counted(1, node.span)?;
+        if let Some((name, _)) = anchor
+            && let Some(anchor) = self.anchors.get_mut(&name)
+        {
+            anchor.count = self.count - before;
+            anchor.node = Some(node.clone());
         }
-        Ok(())
+        Ok(node)
     }
 
-    /// What stands for the open collection with this anchor, if there is one and rules allow it.
-    fn around(&self, anchor: usize) -> Option<&'static str> {
-        let open = self.open.iter().find(|open| open.anchor == anchor)?;
-        let text = if open.map { "{...}" } else { "[...]" };
-        (self.rules == Rules::Python).then_some(text)
-    }
-
-    /// The tag to keep.
-    fn tag(&self, tag: Option<&Tag>, span: Span) -> Result<Option<String>, Mistake> {
-        match self.rules {
-            Rules::Ours => check_tag(tag, span).map(|()| None),
-            Rules::Python => Ok(tag.map(|tag| format!("{}{}", tag.handle, tag.suffix))),
-        }
-    }
-
-    fn begin(
+    /// Reads a collection that begins at `span`.
+    pub(super) fn nested(
         &mut self,
-        start: Span,
-        anchor: usize,
-        tag: Option<String>,
-        map: bool,
-    ) -> Result<(), Mistake> {
-        if self.open.len() >= DEPTH {
-            return Err((start, format!("nested deeper than {DEPTH}")));
+        span: Span,
+        read: impl FnOnce(&mut Self) -> Result<Value, Mistake>,
+    ) -> Result<Node, Mistake> {
+        if self.depth >= DEPTH {
+            return Err(at(span, format!("nested deeper than {DEPTH}")));
         }
-        let nodes = Vec::new();
-        self.open.push(Open {
-            start,
-            anchor,
-            map,
-            tag,
-            nodes,
-        });
-        Ok(())
-    }
-
-    fn end(&mut self, end: Span) -> Result<(), Mistake> {
-        let Some(open) = self.open.pop() else {
-            return Ok(());
-        };
-        let value = if open.map {
-            let mut nodes = open.nodes.into_iter();
-            let mut pairs = Vec::new();
-            while let (Some(key), Some(value)) = (nodes.next(), nodes.next()) {
-                pairs.push((key, value));
-            }
-            if self.rules == Rules::Ours {
-                self.refuse_repeated(&pairs);
-            }
-            Value::Map(pairs)
-        } else {
-            Value::List(open.nodes)
-        };
-        let span = Span {
-            start: open.start.start,
-            end: end.end,
-        };
-        let node = Node {
-            span,
+        self.depth += 1;
+        let value = read(self)?;
+        self.depth -= 1;
+        let (start, end) = (span.start, self.last.0.end);
+        Ok(Node {
+            span: Span { start, end },
             value,
-            tag: open.tag,
-        };
-        let count = count(&node);
-        // Its parts were counted when they were put.
-        self.count -= (count - 1).min(self.count);
-        self.put(node, open.anchor, count)
+            tag: None,
+        })
     }
 
-    /// Puts a value where one is expected.
-    fn put(&mut self, node: Node, anchor: usize, count: usize) -> Result<(), Mistake> {
-        self.count += count;
-        if self.count > NODES {
-            return Err((node.span, format!("more than {NODES} values")));
+    pub(super) fn counted(&mut self, more: usize, span: Span) -> Result<(), Mistake> {
+        self.count += more;
+        match self.count > NODES {
+            true => Err(at(span, format!("more than {NODES} values"))),
+            false => Ok(()),
         }
-        if anchor != 0 {
-            self.anchors.insert(anchor, (node.clone(), count));
+    }
+
+    fn alias(&mut self, name: &str, span: Span) -> Result<Node, Mistake> {
+        let Some(anchor) = self.anchors.get(name) else {
+            let message = format!(
+                "there is no '&{name}' before this; a text that begins with '*' needs quotes"
+            );
+            return Err(at(span, message));
+        };
+        let Some(node) = anchor.node.clone() else {
+            return Err(at(span, format!("'*{name}' stands within itself")));
+        };
+        let count = anchor.count;
+        self.counted(count, span)?;
+        Ok(Node { span, ..node })
+    }
+
+    fn properties(&mut self) -> Result<Properties, Mistake> {
+        let mut found = Properties::default();
+        loop {
+            match self.peek()?.clone() {
+                Kind::Anchor(name) if found.anchor.is_none() => {
+                    found.anchor = Some((name, self.span()?.start));
+                }
+                Kind::Tag(handle, suffix) if found.tag.is_none() => {
+                    let prefix = match handle {
+                        None => "",
+                        Some(handle) => match self.handles.get(&handle) {
+                            Some(prefix) => prefix,
+                            None => {
+                                let message = format!(
+                                    "the tag '{handle}{suffix}' is not known; leave it out"
+                                );
+                                return Err(at(self.span()?, message));
+                            }
+                        },
+                    };
+                    found.tag = Some(format!("{prefix}{suffix}"));
+                }
+                _ => return Ok(found),
+            }
+            let span = self.next()?.span;
+            let start = found.span.map_or(span.start, |span| span.start);
+            let end = span.end;
+            found.span = Some(Span { start, end });
         }
-        match self.open.last_mut() {
-            Some(open) => open.nodes.push(node),
-            None => self.root = Some(node),
+    }
+
+    /// In our own files only YAML's own tags are known; others would be passed over in silence.
+    fn tag(&self, properties: Properties) -> Result<Option<String>, Mistake> {
+        match (properties.tag, properties.span) {
+            (Some(tag), Some(span)) if self.rules == Rules::Ours && !tag.starts_with(CORE) => {
+                let message = format!("the tag '{tag}' is not known here; leave it out");
+                Err(at(span, message))
+            }
+            (tag, _) => Ok(tag),
         }
-        Ok(())
+    }
+
+    /// `- a`, `- b`; without a block of its own where they stand as far left as their key.
+    fn list_entries(&mut self, block: Option<Mark>) -> Result<Value, Mistake> {
+        if block.is_some() {
+            self.next()?;
+        }
+        let mut items = Vec::new();
+        while *self.peek()? == Kind::Entry {
+            let end = self.next()?.span.end;
+            let empty = match self.peek()? {
+                Kind::Entry | Kind::BlockEnd => true,
+                Kind::Key | Kind::Value => block.is_none(),
+                _ => false,
+            };
+            let item = match empty {
+                true => self.empty(point(end))?,
+                false => self.node(true, false)?,
+            };
+            items.push(item);
+        }
+        if let Some(start) = block
+            && !self.takes(&Kind::BlockEnd)?
+        {
+            return Err(self.unexpected(start)?);
+        }
+        Ok(Value::List(items))
+    }
+
+    pub(super) fn empty(&mut self, span: Span) -> Result<Node, Mistake> {
+        self.counted(1, span)?;
+        Ok(nothing(span))
+    }
+
+    fn map_entries(&mut self, start: Mark) -> Result<Value, Mistake> {
+        self.next()?;
+        let mut pairs = Vec::new();
+        let ends = |kind: &Kind| matches!(kind, Kind::Key | Kind::Value | Kind::BlockEnd);
+        loop {
+            // A value may stand without its key.
+            let key = match self.peek()? {
+                Kind::Key => {
+                    let end = self.next()?.span.end;
+                    match ends(self.peek()?) {
+                        true => self.empty(point(end))?,
+                        false => self.node(true, true)?,
+                    }
+                }
+                Kind::BlockEnd => break,
+                _ => return Err(self.unexpected(start)?),
+            };
+            let value = match self.peek()? {
+                Kind::Value => {
+                    let end = self.next()?.span.end;
+                    match ends(self.peek()?) {
+                        true => self.empty(point(end))?,
+                        false => self.node(true, true)?,
+                    }
+                }
+                _ => self.empty(key.span)?,
+            };
+            pairs.push((key, value));
+        }
+        self.next()?;
+        Ok(self.map(pairs))
+    }
+
+    pub(super) fn map(&mut self, pairs: Vec<(Node, Node)>) -> Value {
+        if self.rules == Rules::Ours {
+            self.refuse_repeated(&pairs);
+        }
+        Value::Map(merge::merged(pairs, &mut self.mistakes))
     }
 
     fn refuse_repeated(&mut self, pairs: &[(Node, Node)]) {
         let mut seen = HashSet::new();
         for (key, _) in pairs {
             if let Value::Scalar { text, .. } = &key.value
+                && !merge::is_merge(key)
                 && !seen.insert(text)
             {
                 let message = format!("'{text}' stands here for the second time");
                 self.mistakes.push((key.span, message));
             }
         }
-    }
-}
-
-/// How many values a value is.
-fn count(node: &Node) -> usize {
-    1 + match &node.value {
-        Value::Scalar { .. } => 0,
-        Value::List(nodes) => nodes.iter().map(count).sum(),
-        Value::Map(pairs) => pairs
-            .iter()
-            .map(|(key, value)| count(key) + count(value))
-            .sum(),
-    }
-}
-
-/// YAML's own tags say what is seen anyway; others would be passed over in silence.
-fn check_tag(tag: Option<&Tag>, span: Span) -> Result<(), Mistake> {
-    match tag {
-        Some(tag) if !tag.is_yaml_core_schema() => Err((
-            span,
-            format!("the tag '{tag}' is not known here; leave it out"),
-        )),
-        _ => Ok(()),
     }
 }

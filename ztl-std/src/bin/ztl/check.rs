@@ -4,7 +4,9 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use tracing::Level;
-use ztl_std::script::{Defaults, Script, ask_all};
+use ztl_std::Remotes;
+use ztl_std::script::{Defaults, Finding, Script, ask_all};
+use ztl_std::yaml::Diagnostics;
 
 use crate::remote_task::Endpoints;
 use crate::terminal::{line, part};
@@ -32,43 +34,34 @@ pub(crate) struct Check {
 impl Check {
     pub(crate) fn run(self) -> Done {
         log::init(Level::ERROR);
-        // Without a configuration there are no names to check.
-        let remotes = self
-            .endpoints
-            .is_given()
-            .then(|| self.endpoints.read())
-            .transpose()?;
-        let mut defaults = Defaults::default();
-        let mut mistakes = 0;
-        if let Some(path) = &self.defaults {
-            match Defaults::load(path) {
-                Ok(read) => defaults = read,
-                Err(found) => {
-                    mistakes += found.iter().count();
-                    part(found);
+        let mut findings = Vec::new();
+        let remotes = match self.remotes(&mut findings) {
+            Some(remotes) => Some(self.endpoints.added_to(remotes)?),
+            None => None,
+        };
+        let defaults = self.defaults.as_deref().map(Defaults::load);
+        let defaults = defaults.and_then(|read| taken(read, &mut findings));
+        let (script, found) = Script::check(&self.script, defaults.unwrap_or_default());
+        findings.extend(found);
+        if let Some(remotes) = &remotes {
+            if let Some(script) = &script {
+                findings.extend(script.unknown_remotes(remotes));
+            }
+            match (self.live, &script) {
+                (true, Some(script)) => {
+                    let said = script.ask_servers(remotes);
+                    said.servers.iter().for_each(line);
+                    findings.extend(said.findings);
                 }
+                // Which of them the script uses is unknown.
+                (true, None) => ask_all(remotes).iter().for_each(line),
+                (false, _) => {}
             }
         }
-        let (script, mut findings) = Script::check(&self.script, defaults);
-        match (&script, &remotes) {
-            (Some(script), Some(remotes)) => findings.extend(script.unknown_remotes(remotes)),
-            (_, Some(_)) => {}
-            (_, None) => line(format_args!(
-                "No configuration at {}: the names of servers are not checked (-c FILE).",
-                self.endpoints.path().display()
-            )),
-        }
-        match (self.live, &script, &remotes) {
-            (true, Some(script), Some(remotes)) => {
-                let said = script.ask_servers(remotes);
-                said.servers.iter().for_each(line);
-                findings.extend(said.findings);
-            }
-            // Which of them the script uses cannot be told.
-            (true, None, Some(remotes)) => ask_all(remotes).iter().for_each(line),
-            _ => {}
-        }
-        findings.sort_by_key(|finding| finding.diagnostic().span.map(|span| span.start));
+        findings.sort_by_cached_key(|finding| {
+            let found = finding.diagnostic();
+            (found.file.clone(), found.span.map(|span| span.start))
+        });
         for finding in &findings {
             let word = if finding.is_doubt() {
                 "doubtful"
@@ -78,9 +71,37 @@ impl Check {
             part(format_args!("{word}: {finding}"));
         }
         let doubts = findings.iter().filter(|finding| finding.is_doubt()).count();
-        mistakes += findings.len() - doubts;
+        let mistakes = findings.len() - doubts;
         line(summary(mistakes, doubts));
         Ok(ExitCode::from(u8::from(mistakes + doubts > 0)))
+    }
+
+    /// The configuration. Without one there are no names to check; one that cannot be read is one mistake,
+    /// and not one for each name.
+    fn remotes(&self, findings: &mut Vec<Finding>) -> Option<Remotes> {
+        let path = self.endpoints.path();
+        if self.endpoints.has_file() {
+            return taken(Remotes::load(&path), findings);
+        }
+        if self.endpoints.is_given() {
+            return Some(Remotes::named("the options"));
+        }
+        line(format_args!(
+            "No configuration at {}: the names of servers are not checked (-c FILE).",
+            path.display()
+        ));
+        None
+    }
+}
+
+/// What was read, or nothing and why.
+fn taken<T>(read: Result<T, Diagnostics>, findings: &mut Vec<Finding>) -> Option<T> {
+    match read {
+        Ok(read) => Some(read),
+        Err(mistakes) => {
+            findings.extend(mistakes.into_iter().map(Finding::mistake));
+            None
+        }
     }
 }
 

@@ -62,19 +62,32 @@ impl Endpoints {
 
     /// Whether the options say where servers are, or the usual file is there.
     pub(crate) fn is_given(&self) -> bool {
-        self.config.is_some() || !self.task.is_empty() || self.path().exists()
+        !self.task.is_empty() || self.has_file()
+    }
+
+    /// Whether a file is named, or the usual one is there.
+    pub(crate) fn has_file(&self) -> bool {
+        self.config.is_some() || self.path().exists()
     }
 
     /// Reads the file, and adds what the options say. Without the file there is only that, with a
     /// warning, as the original does.
     pub(crate) fn read(&self) -> Result<Remotes, Box<dyn std::error::Error>> {
         let path = self.path();
-        let mut remotes = Remotes::load(&path).unwrap_or_else(|mistakes| {
+        let remotes = Remotes::load(&path).unwrap_or_else(|mistakes| {
             let path = path.display();
             warn!(target: LOG, "WARNING: Configuration file '{path}' not found/accessible, remote services will not be accessible.");
             eprint!("{mistakes}");
             Remotes::named(&path.to_string())
         });
+        self.added_to(remotes)
+    }
+
+    /// Adds what the options say.
+    pub(crate) fn added_to(
+        &self,
+        mut remotes: Remotes,
+    ) -> Result<Remotes, Box<dyn std::error::Error>> {
         for words in self.task.chunks(4) {
             let (name, remote) = endpoint(words)?;
             remotes.set_task(name, remote);

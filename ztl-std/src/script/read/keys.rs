@@ -1,11 +1,16 @@
 //! Keys with parameters: what is wrong with them, and where.
 
+use std::fmt::Display;
 use std::time::Duration;
 
 use super::super::params::{self, Piece};
-use super::super::value::quoted;
+use super::super::report::spoken;
+use super::super::value::{Value, quoted};
 use super::{Entry, Reader, short};
 use crate::yaml::{Mark, Node, Span, Value as Yaml, closest};
+
+/// A longer delay was probably written in milliseconds.
+const LONG_DELAY: Duration = Duration::from_secs(600);
 
 impl Reader<'_> {
     /// A name that goes over the wire in front of a ':'.
@@ -33,18 +38,26 @@ impl Reader<'_> {
         parsed
     }
 
-    pub(super) fn seconds(
+    /// A delay. What the original plays otherwise than it is written is doubtful.
+    pub(super) fn delay(
         &mut self,
         entry: &Entry<'_>,
         key: &str,
         piece: Piece<'_>,
     ) -> Option<Duration> {
-        self.parsed(
-            entry,
-            key,
-            piece,
-            params::seconds(piece.value.unwrap_or_default()),
-        )
+        let read = params::seconds(piece.value.unwrap_or_default());
+        let seconds = self.parsed(entry, key, piece, read)?;
+        let delay = params::delay(seconds);
+        if seconds < 0.0 {
+            let message = "a delay below 0 is no delay";
+            let help = "write the seconds to wait, as delay=3".to_owned();
+            self.doubt_at(entry, key, piece, message, Some(help));
+        } else if delay > LONG_DELAY {
+            let message = format!("this waits {}", spoken(delay));
+            let help = "a delay is in seconds, as delay=1.5".to_owned();
+            self.doubt_at(entry, key, piece, &message, Some(help));
+        }
+        Some(delay)
     }
 
     pub(super) fn limit(
@@ -53,12 +66,27 @@ impl Reader<'_> {
         key: &str,
         piece: Piece<'_>,
     ) -> Option<Option<Duration>> {
-        self.parsed(
-            entry,
-            key,
-            piece,
-            params::limit(piece.value.unwrap_or_default()),
-        )
+        let text = piece.value.unwrap_or_default();
+        let limit = self.parsed(entry, key, piece, params::limit(text))?;
+        if limit.is_none() && text != "none" {
+            let message = "a limit of 0 seconds is no limit";
+            let help = "write timeout=30, or timeout=none if that is meant".to_owned();
+            self.doubt_at(entry, key, piece, message, Some(help));
+        }
+        Some(limit)
+    }
+
+    /// A component with the name of a parameter is a task, and was probably meant to be none.
+    pub(super) fn parameter(&mut self, node: &Node, value: &Value) {
+        let Yaml::Scalar { text, plain: true } = &node.value else {
+            return;
+        };
+        // A robot may well have something that waits.
+        let meant = text != "wait" || matches!(value, Value::Bool(_));
+        if params::NAMES.contains(&text.as_str()) && meant {
+            let message = format!("this is sent as a task of a component '{text}'");
+            self.doubt(node.span, message, Some(in_parentheses(text, value)));
+        }
     }
 
     pub(super) fn parsed<T>(
@@ -149,6 +177,24 @@ impl Reader<'_> {
         let span = within(entry.name, key, piece.text);
         self.doubt(span, message, help);
     }
+}
+
+/// Whether nothing is written behind a key, not even a ':'. Then its value stands where the key does.
+pub(super) fn lacks_colon(name: &Node, value: &Node) -> bool {
+    value.is_null() && value.span == name.span
+}
+
+/// What is said of a key without a ':'.
+pub(super) fn without_colon(key: &str) -> String {
+    format!(
+        "'{}' has no ':' behind it; a text with ',' in it needs quotes within {{ }}",
+        short(key)
+    )
+}
+
+/// How a parameter is written.
+pub(super) fn in_parentheses(name: &str, value: impl Display) -> String {
+    format!("if it is a parameter, write it in parentheses, as name ({name}={value})")
 }
 
 /// Where a part of a key stands; the whole key where that cannot be told.

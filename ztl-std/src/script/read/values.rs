@@ -5,10 +5,11 @@ use std::collections::HashMap;
 
 use super::super::finding::Finding;
 use super::super::model::Defaults;
-use super::super::scalar::{self, CORE};
+use super::super::scalar;
 use super::super::value::Value;
+use super::keys::{lacks_colon, without_colon};
 use super::{Entry, Reader, short, short_quoted};
-use crate::yaml::{Diagnostics, Document, LOOP, Node, Rules, Value as Yaml};
+use crate::yaml::{CORE, Diagnostics, Document, Node, Rules, Value as Yaml};
 
 impl Value {
     /// What PyYAML's `safe_load` makes of a file: a goal as it would stand in a script.
@@ -39,25 +40,26 @@ impl Value {
 impl<'d> Reader<'d> {
     /// The entries of a mapping: `<<` merged, of equal keys the last value at the place of the first.
     pub(super) fn entries(&mut self, node: &'d Node, tell: bool) -> Vec<Entry<'d>> {
-        let mut pairs = Vec::new();
-        self.flatten(node, &mut pairs);
+        let Yaml::Map(pairs) = &node.value else {
+            return Vec::new();
+        };
         let mut entries: Vec<Entry<'d>> = Vec::new();
-        // Where each is, and in which line of this very mapping it stands.
-        let mut seen: HashMap<String, (usize, Option<usize>)> = HashMap::new();
-        for (name, value, merged) in pairs {
-            let key = match &name.value {
+        let mut seen: HashMap<String, usize> = HashMap::new();
+        for (name, value) in pairs {
+            let key = match name.is_plainly("=") {
                 // As a value it would have a meaning of its own.
-                Yaml::Scalar { text, plain: true } if text == "=" => Value::Text(text.clone()),
-                _ => self.value(name, tell.then_some(false)),
+                true => Value::Text("=".to_owned()),
+                // Of a key without a ':' that is said, and no more.
+                false => self.value(name, (tell && !lacks_colon(name, value)).then_some(false)),
             };
             if !key.is_hashable() {
                 self.mistake(name.span, "a collection cannot be a key", None);
                 continue;
             }
-            let line = (!merged).then_some(name.span.start.line);
             let identity = key.identity();
-            let Some((index, first)) = seen.get(&identity).copied() else {
-                seen.insert(identity, (entries.len(), line));
+            let first = seen.get(&identity).copied();
+            let Some(entry) = first.and_then(|first| entries.get_mut(first)) else {
+                seen.insert(identity, entries.len());
                 entries.push(Entry {
                     key,
                     name,
@@ -66,67 +68,24 @@ impl<'d> Reader<'d> {
                 });
                 continue;
             };
-            if let Some(entry) = entries.get_mut(index) {
-                if first.is_some() && !merged {
-                    entry.lost.push((entry.name, entry.value));
-                }
-                entry.name = if merged { entry.name } else { name };
-                entry.value = value;
-            }
-            // What was merged is there to be replaced.
-            if let (Some(first), false) = (first, merged) {
-                let key = key.to_string();
-                let message = format!(
-                    "'{}' stands here for the second time: this one counts, in the place of the first (line {first}), whose content is lost",
-                    short(&key)
-                );
-                self.doubt(
-                    name.span,
-                    message,
-                    Some("give them different names".to_owned()),
-                );
-            }
+            let line = entry.name.span.start.line;
+            entry.lost.push((entry.name, entry.value));
+            (entry.name, entry.value) = (name, value);
+            let key = key.to_string();
+            let message = format!(
+                "'{}' stands here for the second time: this one counts, in the place of the first (line {line}), whose content is lost",
+                short(&key)
+            );
+            let help = "give them different names".to_owned();
+            self.doubt(name.span, message, Some(help));
         }
         entries
-    }
-
-    /// Puts what is merged in front, as PyYAML does.
-    pub(super) fn flatten(&mut self, node: &'d Node, pairs: &mut Vec<(&'d Node, &'d Node, bool)>) {
-        let Yaml::Map(own) = &node.value else { return };
-        let (merges, rest): (Vec<_>, Vec<_>) = own.iter().partition(|(key, _)| is_merge(key));
-        for (_, value) in merges {
-            let maps: Vec<&Node> = match &value.value {
-                Yaml::Map(_) => vec![value],
-                // The first ones win.
-                Yaml::List(maps) => maps.iter().rev().collect(),
-                Yaml::Scalar { .. } => Vec::new(),
-            };
-            if maps.is_empty() || maps.iter().any(|map| !matches!(map.value, Yaml::Map(_))) {
-                if !matches!(&value.value, Yaml::List(maps) if maps.is_empty()) {
-                    self.mistake(
-                        value.span,
-                        "'<<' takes a mapping or a list of mappings",
-                        None,
-                    );
-                }
-                continue;
-            }
-            for map in maps {
-                let mut merged = Vec::new();
-                self.flatten(map, &mut merged);
-                pairs.extend(merged.into_iter().map(|(key, value, _)| (key, value, true)));
-            }
-        }
-        pairs.extend(rest.into_iter().map(|(key, value)| (key, value, false)));
     }
 
     /// A value as Python has it. `tell`: whether to say what became something else than what stands
     /// there, and whether it is within a collection.
     pub(super) fn value(&mut self, node: &'d Node, tell: Option<bool>) -> Value {
-        let tag = node
-            .tag
-            .as_deref()
-            .filter(|tag| !matches!(*tag, "!" | "" | LOOP));
+        let tag = node.tag.as_deref().filter(|tag| *tag != "!");
         let kind = match tag {
             None => None,
             Some(tag) => match tag.strip_prefix(CORE) {
@@ -139,9 +98,6 @@ impl<'d> Reader<'d> {
             },
         };
         match (&node.value, kind) {
-            (Yaml::Scalar { text, .. }, None) if node.tag.as_deref() == Some(LOOP) => {
-                Value::Loop(text.clone())
-            }
             (Yaml::Scalar { text, plain }, kind) => self.scalar(node, text, *plain, kind, tell),
             (Yaml::List(items), None | Some("seq")) => Value::List(
                 items
@@ -157,7 +113,12 @@ impl<'d> Reader<'d> {
                     for (_, lost) in &entry.lost {
                         self.value(lost, None);
                     }
-                    let value = self.value(entry.value, tell.map(|_| true));
+                    let mut within = tell.map(|_| true);
+                    if lacks_colon(entry.name, entry.value) && within.take().is_some() {
+                        let message = without_colon(&entry.key.to_string());
+                        self.doubt(entry.name.span, message, None);
+                    }
+                    let value = self.value(entry.value, within);
                     (entry.key, value)
                 });
                 Value::Map(pairs.collect())
@@ -198,20 +159,22 @@ impl<'d> Reader<'d> {
         kind: Option<&str>,
         tell: Option<bool>,
     ) -> Value {
-        let read = match kind {
-            Some(kind) => scalar::tagged(kind, text),
-            None if plain || node.tag.is_some() => scalar::plain(text),
-            None => Ok(Value::Text(text.to_owned())),
+        let value = match scalar::read(text, plain, node.tag.as_deref()) {
+            Ok(value) => value,
+            Err(message) => {
+                self.mistake(node.span, message, None);
+                return Value::Null;
+            }
         };
-        let value = read.unwrap_or_else(|message| {
-            self.mistake(node.span, message, None);
-            Value::Null
-        });
         if let (Some(within), None, true) = (tell, kind, plain)
             && let Some(message) = surprise(text, &value, within)
         {
             let help = match (text, &value) {
                 ("", _) => "write '' for an empty text, or None".to_owned(),
+                (text, Value::Text(_)) if is_in_curly_quotes(text) => {
+                    let text = text.trim_matches(CURLY_QUOTES);
+                    format!("write straight quotes: {}", short_quoted(text))
+                }
                 (text, Value::Text(_)) => match text.parse().map(Value::Float) {
                     Ok(number) => format!("if you mean the number, write {number}"),
                     Err(_) => "put it in quotes".to_owned(),
@@ -221,14 +184,6 @@ impl<'d> Reader<'d> {
             self.doubt(node.span, message, Some(help));
         }
         value
-    }
-}
-
-fn is_merge(key: &Node) -> bool {
-    match (&key.value, key.tag.as_deref()) {
-        (Yaml::Scalar { text, plain: true }, None) => text == "<<",
-        (Yaml::Scalar { .. }, Some(tag)) => tag.strip_prefix(CORE) == Some("merge"),
-        _ => false,
     }
 }
 
@@ -255,6 +210,9 @@ fn surprise(text: &str, value: &Value, within: bool) -> Option<String> {
             short_quoted(text),
             Value::List(vec![value.clone()])
         )),
+        Value::Text(_) if is_in_curly_quotes(text) => {
+            Some("YAML takes these quotes for a part of the text".to_owned())
+        }
         Value::Text(_) if within && is_almost_number(text) => Some(format!(
             "YAML reads {} as a text, which is sent in quotes",
             short_quoted(text)
@@ -266,4 +224,14 @@ fn surprise(text: &str, value: &Value, within: bool) -> Option<String> {
 /// `1e3`, `-.5`, `08`: numbers to people and to most programs, and not to YAML 1.1.
 fn is_almost_number(text: &str) -> bool {
     text.contains(|c: char| c.is_ascii_digit()) && text.parse::<f64>().is_ok()
+}
+
+/// What a word processor makes of " and '.
+const CURLY_QUOTES: [char; 8] = ['“', '”', '„', '‟', '‘', '’', '‚', '‛'];
+
+/// Whether a text begins and ends so, or one half of what a ',' has cut does. A single ’ is an apostrophe.
+fn is_in_curly_quotes(text: &str) -> bool {
+    let double = ['“', '”', '„', '‟'];
+    let both = text.starts_with(CURLY_QUOTES) && text.ends_with(CURLY_QUOTES);
+    both || text.starts_with(double) || text.ends_with(double)
 }

@@ -14,6 +14,7 @@ mod svg;
 mod tables;
 mod words;
 
+pub(super) use self::numbers::spoken;
 use self::run::Run;
 use super::record::{Damage, Record};
 

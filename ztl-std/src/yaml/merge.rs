@@ -1,0 +1,69 @@
+//! `<<: *base`: the keys of other mappings, which stand in front and give way to a mapping's own.
+
+use std::collections::HashMap;
+
+use super::{CORE, Mistake, Node, Value};
+
+/// Whether a key says that mappings are to be merged.
+pub(super) fn is_merge(key: &Node) -> bool {
+    match key.tag.as_deref() {
+        Some(tag) if tag.strip_prefix(CORE) == Some("merge") => {
+            matches!(key.value, Value::Scalar { .. })
+        }
+        _ => key.is_plainly("<<"),
+    }
+}
+
+/// The pairs of a mapping with what it merges, in the order that PyYAML gives them: of a list of
+/// mappings the first one wins.
+pub(super) fn merged(pairs: Vec<(Node, Node)>, mistakes: &mut Vec<Mistake>) -> Vec<(Node, Node)> {
+    if !pairs.iter().any(|(key, _)| is_merge(key)) {
+        return pairs;
+    }
+    let (merges, own): (Vec<_>, Vec<_>) = pairs.into_iter().partition(|(key, _)| is_merge(key));
+    let mut all: Vec<(Node, Node)> = Vec::new();
+    // Where each merged key is.
+    let mut places = HashMap::new();
+    for (_, value) in merges {
+        let span = value.span;
+        let maps = match value.value {
+            Value::List(maps) => maps.into_iter().rev().collect(),
+            _ => vec![value],
+        };
+        for map in maps {
+            let Value::Map(pairs) = map.value else {
+                let message = "'<<' takes a mapping or a list of mappings".to_owned();
+                mistakes.push((span, message));
+                break;
+            };
+            for pair in pairs {
+                let name = identity(&pair.0);
+                let place = name.as_ref().and_then(|name| places.get(name).copied());
+                match place.and_then(|place: usize| all.get_mut(place)) {
+                    Some(place) => place.1 = pair.1,
+                    None => {
+                        name.map(|name| places.insert(name, all.len()));
+                        all.push(pair);
+                    }
+                }
+            }
+        }
+    }
+    for pair in own {
+        // The first of its own; a second one is repeated.
+        let place = identity(&pair.0).and_then(|name| places.remove(&name));
+        match place.and_then(|place| all.get_mut(place)) {
+            Some(place) => *place = pair,
+            None => all.push(pair),
+        }
+    }
+    all
+}
+
+/// What tells a key from others.
+fn identity(key: &Node) -> Option<(String, bool, Option<String>)> {
+    match &key.value {
+        Value::Scalar { text, plain } => Some((text.clone(), *plain, key.tag.clone())),
+        _ => None,
+    }
+}

@@ -1,0 +1,410 @@
+//! From text to tokens, by the rules of PyYAML's scanner (PyYAML 6.0, © Kirill Simonov, MIT license):
+//! what the original reads is read here, and to the same tokens.
+
+use std::collections::{BTreeMap, VecDeque};
+
+use super::chars::{is_break, is_space};
+use super::token::{Bracket, Kind, Token};
+use super::{Mark, Mistake, Rules, Span};
+
+/// Longest key without `?`, in characters.
+const LONGEST_KEY: usize = 1024;
+
+/// A place where a key may have begun, of which a `:` on the same line would be the end.
+struct SimpleKey {
+    token: usize,
+    /// Nothing but a key can stand there.
+    required: bool,
+    index: usize,
+    mark: Mark,
+}
+
+pub(super) struct Scanner {
+    pub(super) chars: Vec<char>,
+    pub(super) index: usize,
+    pub(super) mark: Mark,
+    /// Whether a tab between tokens is a blank; to PyYAML it is a mistake.
+    tabs: bool,
+    pub(super) done: bool,
+    /// How many `[` and `{` are open.
+    pub(super) flow: usize,
+    tokens: VecDeque<Token>,
+    taken: usize,
+    /// Column of the innermost block, 0 outside of all.
+    pub(super) indent: usize,
+    indents: Vec<usize>,
+    pub(super) allow_key: bool,
+    /// At most one for each level of brackets.
+    keys: BTreeMap<usize, SimpleKey>,
+    /// Where the token before stands.
+    last: Span,
+}
+
+impl Scanner {
+    pub(super) fn new(text: &str, rules: Rules) -> Self {
+        Self {
+            chars: text.chars().collect(),
+            index: 0,
+            mark: Mark { line: 1, column: 1 },
+            tabs: rules == Rules::Ours,
+            done: false,
+            flow: 0,
+            tokens: VecDeque::new(),
+            taken: 0,
+            indent: 0,
+            indents: Vec::new(),
+            allow_key: true,
+            keys: BTreeMap::new(),
+            last: Span::default(),
+        }
+    }
+
+    /// The next token, left in its place.
+    pub(super) fn peek_token(&mut self) -> Result<&Token, Mistake> {
+        while self.needs_more()? {
+            self.fetch()?;
+        }
+        // After the end the same comes for ever.
+        if self.tokens.is_empty() {
+            self.push(Kind::StreamEnd, self.mark);
+        }
+        match self.tokens.front() {
+            Some(token) => Ok(token),
+            None => Err(self.here("unexpected end of the file")),
+        }
+    }
+
+    /// Takes the next token.
+    pub(super) fn token(&mut self) -> Result<Token, Mistake> {
+        self.peek_token()?;
+        self.taken += 1;
+        match self.tokens.pop_front() {
+            Some(token) => Ok(token),
+            None => Err(self.here("unexpected end of the file")),
+        }
+    }
+
+    fn needs_more(&mut self) -> Result<bool, Mistake> {
+        if self.done {
+            return Ok(false);
+        }
+        if self.tokens.is_empty() {
+            return Ok(true);
+        }
+        // The next token may yet turn out to be a key.
+        self.drop_stale_keys()?;
+        let first = self.keys.values().map(|key| key.token).min();
+        Ok(first == Some(self.taken))
+    }
+
+    /// Adds a token that has begun at `start` and ends here.
+    fn push(&mut self, kind: Kind, start: Mark) {
+        self.push_to(kind, start, self.mark);
+    }
+
+    fn push_to(&mut self, kind: Kind, start: Mark, end: Mark) {
+        let span = Span { start, end };
+        self.last = span;
+        self.tokens.push_back(Token { span, kind });
+    }
+
+    fn push_forward(&mut self, kind: Kind, len: usize) {
+        let start = self.mark;
+        self.forward(len);
+        self.push(kind, start);
+    }
+
+    /// Scans the next token; sometimes several, or one that goes before others.
+    fn fetch(&mut self) -> Result<(), Mistake> {
+        self.skip_to_token();
+        self.drop_stale_keys()?;
+        self.unwind(self.mark.column);
+        let c = self.peek(0);
+        let alone = is_space(self.peek(1));
+        match c {
+            '\0' => self.fetch_end(),
+            '%' if self.mark.column == 1 => self.fetch_directive(),
+            '-' if self.at_document_mark() => self.fetch_document_mark(Kind::DocumentStart),
+            '.' if self.at_document_mark() => self.fetch_document_mark(Kind::DocumentEnd),
+            '[' => self.fetch_open(Bracket::Square),
+            '{' => self.fetch_open(Bracket::Curly),
+            ']' => self.fetch_close(Bracket::Square),
+            '}' => self.fetch_close(Bracket::Curly),
+            ',' => {
+                self.allow_key = true;
+                self.remove_key()?;
+                self.push_forward(Kind::Comma, 1);
+                Ok(())
+            }
+            '-' if alone => self.fetch_entry(),
+            '?' if alone || self.flow > 0 => self.fetch_key(),
+            ':' if alone || self.flow > 0 => self.fetch_value(),
+            '*' | '&' => {
+                self.save_key()?;
+                self.allow_key = false;
+                let start = self.mark;
+                let kind = self.scan_anchor()?;
+                self.push(kind, start);
+                Ok(())
+            }
+            '!' => {
+                self.save_key()?;
+                self.allow_key = false;
+                let start = self.mark;
+                let kind = self.scan_tag()?;
+                self.push(kind, start);
+                Ok(())
+            }
+            '|' | '>' if self.flow == 0 => {
+                self.allow_key = true;
+                self.remove_key()?;
+                let start = self.mark;
+                let (text, end) = self.scan_block_scalar(c == '>')?;
+                self.push_to(Kind::Scalar { text, plain: false }, start, end);
+                Ok(())
+            }
+            '\'' | '"' => {
+                self.save_key()?;
+                self.allow_key = false;
+                let start = self.mark;
+                let text = self.scan_quoted(c == '"')?;
+                self.push(Kind::Scalar { text, plain: false }, start);
+                Ok(())
+            }
+            _ if self.at_plain(c, alone) => {
+                self.save_key()?;
+                self.allow_key = false;
+                let start = self.mark;
+                let (text, end) = self.scan_plain();
+                self.push_to(Kind::Scalar { text, plain: true }, start, end);
+                Ok(())
+            }
+            '\t' => Err(self.here("found a tab; indent with spaces, never with the tab key")),
+            '|' | '>' => Err(self.here(format!(
+                "a text after '{c}' cannot stand within [ ] or {{ }}; put it in quotes"
+            ))),
+            c => Err(self.here(format!("a text that begins with '{c}' needs quotes"))),
+        }
+    }
+
+    fn at_plain(&self, c: char, alone: bool) -> bool {
+        let indicator = matches!(
+            c,
+            '-' | '?' | ':' | ',' | '[' | ']' | '{' | '}' | '#' | '&' | '*' | '!' | '|' | '>'
+        ) || matches!(c, '\'' | '"' | '%' | '@' | '`');
+        let block = self.flow == 0 && matches!(c, '?' | ':');
+        (!indicator && !is_space(c)) || (!alone && (c == '-' || block))
+    }
+
+    /// Goes over blanks, comments and line breaks.
+    fn skip_to_token(&mut self) {
+        loop {
+            // Indentation with tabs is a mistake to all.
+            let tabs = self.tabs && (self.flow > 0 || !self.allow_key);
+            self.skip(|c| c == ' ' || (tabs && c == '\t'));
+            if self.peek(0) == '#' {
+                self.skip(|c| !is_break(c));
+            }
+            if self.scan_break().is_none() {
+                return;
+            }
+            if self.flow == 0 {
+                self.allow_key = true;
+            }
+        }
+    }
+
+    // Keys that are known by the ':' behind them.
+
+    fn without_colon(&self, key: &SimpleKey) -> Mistake {
+        let place = key.token.checked_sub(self.taken);
+        let token = place.and_then(|place| self.tokens.get(place));
+        let span = token.map_or_else(
+            || Span {
+                start: key.mark,
+                end: key.mark,
+            },
+            |token| token.span,
+        );
+        match key.mark.line == self.mark.line && self.index - key.index > LONGEST_KEY {
+            true => (span, format!("a key has at most {LONGEST_KEY} characters")),
+            false => (span, "the ':' is missing behind this".to_owned()),
+        }
+    }
+
+    /// A key ends in its line, after 1024 characters at most.
+    fn drop_stale_keys(&mut self) -> Result<(), Mistake> {
+        let (line, index) = (self.mark.line, self.index);
+        let stale = |key: &SimpleKey| key.mark.line != line || index - key.index > LONGEST_KEY;
+        if let Some(key) = self.keys.values().find(|key| stale(key) && key.required) {
+            return Err(self.without_colon(key));
+        }
+        self.keys.retain(|_, key| !stale(key));
+        Ok(())
+    }
+
+    fn save_key(&mut self) -> Result<(), Mistake> {
+        if self.allow_key {
+            self.remove_key()?;
+            let key = SimpleKey {
+                token: self.taken + self.tokens.len(),
+                required: self.flow == 0 && self.indent == self.mark.column,
+                index: self.index,
+                mark: self.mark,
+            };
+            self.keys.insert(self.flow, key);
+        }
+        Ok(())
+    }
+
+    fn remove_key(&mut self) -> Result<(), Mistake> {
+        match self.keys.remove(&self.flow) {
+            Some(key) if key.required => Err(self.without_colon(&key)),
+            _ => Ok(()),
+        }
+    }
+
+    // Indentation.
+
+    /// Ends the blocks that are further to the right. Between brackets indentation means nothing.
+    fn unwind(&mut self, column: usize) {
+        while self.flow == 0 && self.indent > column {
+            self.indent = self.indents.pop().unwrap_or(0);
+            self.push(Kind::BlockEnd, self.mark);
+        }
+    }
+
+    /// Whether a block begins here.
+    fn indents_to(&mut self, column: usize) -> bool {
+        let deeper = self.indent < column;
+        if deeper {
+            self.indents.push(self.indent);
+            self.indent = column;
+        }
+        deeper
+    }
+
+    // Tokens.
+
+    fn fetch_end(&mut self) -> Result<(), Mistake> {
+        self.unwind(0);
+        self.remove_key()?;
+        self.allow_key = false;
+        self.keys.clear();
+        self.push(Kind::StreamEnd, self.mark);
+        self.done = true;
+        Ok(())
+    }
+
+    fn fetch_directive(&mut self) -> Result<(), Mistake> {
+        self.unwind(0);
+        self.remove_key()?;
+        self.allow_key = false;
+        let start = self.mark;
+        let directive = self.scan_directive()?;
+        self.push(Kind::Directive(directive), start);
+        Ok(())
+    }
+
+    fn fetch_document_mark(&mut self, kind: Kind) -> Result<(), Mistake> {
+        self.unwind(0);
+        self.remove_key()?;
+        self.allow_key = false;
+        self.push_forward(kind, 3);
+        Ok(())
+    }
+
+    fn fetch_open(&mut self, bracket: Bracket) -> Result<(), Mistake> {
+        self.save_key()?;
+        self.flow += 1;
+        self.allow_key = true;
+        self.push_forward(Kind::Open(bracket), 1);
+        Ok(())
+    }
+
+    fn fetch_close(&mut self, bracket: Bracket) -> Result<(), Mistake> {
+        self.remove_key()?;
+        let Some(flow) = self.flow.checked_sub(1) else {
+            let open = bracket.open();
+            return Err(self.here(format!(
+                "'{}' without a '{open}' before it",
+                bracket.close()
+            )));
+        };
+        self.flow = flow;
+        self.allow_key = false;
+        self.push_forward(Kind::Close(bracket), 1);
+        Ok(())
+    }
+
+    fn fetch_entry(&mut self) -> Result<(), Mistake> {
+        if self.flow == 0 {
+            if !self.allow_key {
+                return Err(self.here("a list cannot begin here; write each '- ' on its own line"));
+            }
+            if self.indents_to(self.mark.column) {
+                self.push(Kind::ListStart, self.mark);
+            }
+        }
+        self.allow_key = true;
+        self.remove_key()?;
+        self.push_forward(Kind::Entry, 1);
+        Ok(())
+    }
+
+    fn fetch_key(&mut self) -> Result<(), Mistake> {
+        if self.flow == 0 {
+            if !self.allow_key {
+                return Err(self.here("a text that begins with '? ' needs quotes"));
+            }
+            if self.indents_to(self.mark.column) {
+                self.push(Kind::MapStart, self.mark);
+            }
+        }
+        self.allow_key = self.flow == 0;
+        self.remove_key()?;
+        self.push_forward(Kind::Key, 1);
+        Ok(())
+    }
+
+    fn fetch_value(&mut self) -> Result<(), Mistake> {
+        if let Some(key) = self.keys.remove(&self.flow) {
+            let place = key.token - self.taken.min(key.token);
+            let place = place.min(self.tokens.len());
+            let span = Span {
+                start: key.mark,
+                end: key.mark,
+            };
+            let begin = |kind| Token { span, kind };
+            self.tokens.insert(place, begin(Kind::Key));
+            if self.flow == 0 && self.indents_to(key.mark.column) {
+                self.tokens.insert(place, begin(Kind::MapStart));
+            }
+            self.allow_key = false;
+        } else {
+            if self.flow == 0 {
+                if !self.allow_key {
+                    return Err(self.misplaced_colon());
+                }
+                if self.indents_to(self.mark.column) {
+                    self.push(Kind::MapStart, self.mark);
+                }
+            }
+            self.allow_key = self.flow == 0;
+            self.remove_key()?;
+        }
+        self.push_forward(Kind::Value, 1);
+        Ok(())
+    }
+
+    /// The text before it belongs to the line before, which may lack its own ':'.
+    fn misplaced_colon(&self) -> Mistake {
+        match self.last {
+            last if last.start.line < self.mark.line => (
+                last,
+                "the ':' is missing behind this, or the next line is indented too far".to_owned(),
+            ),
+            _ => self.here("a second ':' in one line; put a text with ': ' in it in quotes"),
+        }
+    }
+}
