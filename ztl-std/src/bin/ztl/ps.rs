@@ -5,13 +5,13 @@ use std::process::ExitCode;
 use ztl_std::{ListedTask, State};
 
 use crate::Done;
-use crate::ask::{Server, spoken, table};
-use crate::terminal::line;
+use crate::ask::{Asking, spoken, table};
+use crate::terminal::{flat, line};
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct Ps {
     #[command(flatten)]
-    server: Server,
+    server: Asking,
 
     /// Show the ended ones too, as long as the server remembers them
     #[arg(short, long)]
@@ -24,7 +24,7 @@ pub(crate) struct Ps {
 
 impl Ps {
     pub(crate) fn run(self) -> Done {
-        let (json, listing) = self.server.tasks()?;
+        let (json, listing) = self.server.server()?.tasks()?;
         if self.json {
             line(json);
             return Ok(ExitCode::SUCCESS);
@@ -35,13 +35,14 @@ impl Ps {
             line("No task is running.");
             return Ok(ExitCode::SUCCESS);
         }
+        let shown_all = rows.len() == listing.tasks.len();
         let head = ["ID", "SCOPE", "TASK", "STATE", "SINCE", "TEXT"].map(str::to_owned);
         let mut all = vec![head.to_vec()];
         all.extend(rows);
         for text in table(&all) {
             line(text);
         }
-        if self.all && listing.more > 0 {
+        if listing.more > 0 && (self.all || shown_all) {
             line(format_args!("{} more are remembered.", listing.more));
         }
         Ok(ExitCode::SUCCESS)
@@ -53,20 +54,13 @@ pub(crate) fn state(task: &ListedTask) -> String {
     known.map_or_else(|| task.state.to_string(), |state| state.name().to_owned())
 }
 
-/// One line, whatever a handler says.
-pub(crate) fn flat(text: &str) -> String {
-    text.chars()
-        .map(|c| if c.is_control() { ' ' } else { c })
-        .collect()
-}
-
 fn row(task: &ListedTask) -> Vec<String> {
     vec![
         task.id.to_string(),
-        flat(&task.scope),
-        flat(&task.task),
+        flat(&task.scope).into_owned(),
+        flat(&task.task).into_owned(),
         state(task),
         spoken(task.ended_ms.unwrap_or(task.age_ms)),
-        flat(&task.text),
+        flat(&task.text).into_owned(),
     ]
 }
