@@ -115,6 +115,9 @@ fn as_original(tool: clap::Command) -> clap::Command {
                 tool.mut_arg(name, |arg| arg.required(true))
             })
             .mut_arg("port", any_port)
+            .mut_arg("remote", |arg| {
+                arg.value_name("REMOTE").help("Host of the server")
+            })
             .mut_arg("config", |arg| arg.hide(true))
     } else if tool.get_name() == "simple-client" {
         tool.mut_arg("port", any_port)
