@@ -472,6 +472,35 @@ fn text_from_elsewhere_never_commands_a_terminal() {
 }
 
 #[test]
+fn an_event_of_a_log_is_one_line_that_commands_no_terminal() {
+    let scratch = Scratch::new();
+    let file = scratch.path("serve.yaml");
+    // What a program says on stderr becomes the reason of its failure, which is logged.
+    let says = r"printf 'a\\033[2J\\302\\233b\\342\\200\\256\\r' >&2; exit 3";
+    let text = format!("port: 0\nscopes: {{/test: {{h: {{c: {{shell: \"{says}\"}}}}}}}}\n");
+    std::fs::write(&file, text).expect("a file");
+    for format in ["text", "json"] {
+        let mut command = ztl();
+        command
+            .arg("serve")
+            .arg(&file)
+            .args(["--log-format", format]);
+        let serve = Process::start(&mut command);
+        let server = Server {
+            port: serve.wait_for_port("Serving "),
+            process: serve,
+        };
+        let client = server.start_client(our_client(), &["--exit-status", "h:c:x"]);
+        assert_eq!(client.end(PATIENCE).code, Some(3));
+        let line = server.process.wait_for("has ended as FAILED");
+        assert!(line.contains("a\\u001b[2J\\u009bb\\u202e"), "{line:?}");
+        let log = server.process.stderr();
+        let commands = |c: char| (c.is_control() && c != '\n') || c == '\u{202e}';
+        assert!(!log.contains(commands), "{log:?}");
+    }
+}
+
+#[test]
 fn a_person_sees_progress_and_colours_unless_declined() {
     let gateway = Server::simulated();
     let seen = on_a_terminal(&gateway, &[], "gripper:finger:30");

@@ -3,7 +3,7 @@
 
 use ztl_std::{RemoteTask, State};
 use ztl_tests::lab::{
-    Ended, PATIENCE, Process, SCOPE, Scratch, Server, ours_named, reserve_port, until, ztl,
+    Ended, PATIENCE, Process, SCOPE, Scratch, Server, example, ours_named, reserve_port, until, ztl,
 };
 
 /// `ztl` with these words and the server's port.
@@ -360,6 +360,44 @@ fn every_server_of_ours_says_what_it_offers() {
     );
     let told = json(&tell(&tests, "describe --json"));
     assert_eq!(told["running"][task.id.get().to_string()], SCOPE, "{told}");
+}
+
+#[test]
+fn a_device_that_speaks_zeromq_itself_is_described_and_its_tasks_are_stopped() {
+    let device = Process::start(example("zmtp").arg("127.0.0.1:0"));
+    let device = Server {
+        port: device.wait_for_port("tcp://"),
+        process: device,
+    };
+    let told = tell(&device, "describe");
+    assert!(
+        told.contains("\n/desk\n  its handlers are not told\n"),
+        "{told}"
+    );
+    assert_eq!(tell(&device, "ps"), "No task is running.\n");
+    let mut other = RemoteTask::connect(&device.endpoint(), "/desk").expect("an address");
+    let mut goals = ["100", "0"].into_iter().cycle();
+    // A way takes it a second, which may be over before anybody has asked.
+    let mut start = || {
+        let goal = goals.next().expect("one after the other");
+        other.trigger("desk", "slide", goal).expect("accepted").id
+    };
+    until("it is listed", PATIENCE, || {
+        let id = start();
+        let listed = tell(&device, "ps");
+        let as_json = json(&tell(&device, "ps --json"));
+        tell(&device, "abort --all");
+        let id = id.to_string();
+        let row = listed.lines().nth(1).unwrap_or_default();
+        let row: Vec<&str> = row.split_whitespace().collect();
+        (row == [id.as_str(), "/desk"] && as_json["tasks"][0]["scope"] == "/desk").then_some(())
+    });
+    until("it is stopped on its way", PATIENCE, || {
+        let id = start();
+        let said = tell(&device, "abort --all");
+        said.starts_with(&format!("{id}: ABORTED, ")).then_some(())
+    });
+    assert_eq!(tell(&device, "ps"), "No task is running.\n");
 }
 
 #[test]

@@ -65,6 +65,7 @@ pub mod serve;
 pub mod server;
 #[cfg(feature = "sim")]
 pub mod sim;
+pub mod terminal;
 mod wall;
 pub mod yaml;
 

@@ -73,7 +73,7 @@ fn abort_all(server: &Server, scope: Option<&str>) -> Result<bool, Box<dyn std::
     let mut tried = BTreeSet::new();
     let mut all_ended = true;
     loop {
-        let (_, listing) = server.tasks()?;
+        let listing = server.tasks()?;
         let runs = |task: &&ListedTask| {
             task.ended_ms.is_none() && scope.is_none_or(|scope| scope == task.scope)
         };
@@ -110,16 +110,14 @@ fn abort_these(
     };
     let wanted = match scope {
         Some(scope) => in_scope(&scope),
-        None => match server.tasks_if_told()? {
-            Some((_, listing)) => {
+        None => match server.tasks_if_any()? {
+            Some(listing) => {
                 let find = |id: &TaskId| listing.tasks.iter().find(|task| task.id == id.get());
                 ids.iter().map(|id| find(id).and_then(Wanted::of)).collect()
             }
             None => match server.place.scope(None)? {
                 Some(scope) => in_scope(&scope),
-                None => {
-                    return Err(format!("{}; give --scope", server.does_not_tell()).into());
-                }
+                None => return Err(format!("{}; give --scope", server.original()).into()),
             },
         },
     };

@@ -2,7 +2,7 @@
 //! answers look.
 
 use serde::de::DeserializeOwned;
-use ztl_std::{Description, Listing, RemoteTask};
+use ztl_std::{Description, ListedTask, Listing, RemoteTask, State};
 
 use crate::Misuse;
 use crate::address::{Address, Place};
@@ -52,10 +52,13 @@ impl Server {
     /// What the server says of itself.
     pub(crate) fn describe(&self) -> Result<Description, Box<dyn std::error::Error>> {
         let told = self.connect("$ztl")?.describe()?;
-        Ok(told.ok_or_else(|| {
-            let endpoint = self.endpoint();
-            format!("the server at {endpoint} is an original ztl; it does not say what it offers")
-        })?)
+        Ok(told.ok_or_else(|| self.original())?)
+    }
+
+    /// Why a server tells nothing.
+    pub(crate) fn original(&self) -> String {
+        let endpoint = self.endpoint();
+        format!("the server at {endpoint} is an original ztl; it does not say what it offers")
     }
 
     /// What the server answers to a question, as JSON; `None` where it does not know it.
@@ -74,21 +77,31 @@ impl Server {
         Ok(Some((json, listing)))
     }
 
-    /// The tasks that the server remembers.
-    pub(crate) fn tasks(&self) -> Result<(String, Listing), Box<dyn std::error::Error>> {
-        Ok(self.tasks_if_told()?.ok_or_else(|| self.does_not_tell())?)
+    /// The tasks that the server remembers; of a device that speaks ZeroMQ itself ids and scopes of those
+    /// that run. `None`: it is an original server.
+    pub(crate) fn tasks_if_any(&self) -> Result<Option<Listing>, Box<dyn std::error::Error>> {
+        if let Some((_, listing)) = self.tasks_if_told()? {
+            return Ok(Some(listing));
+        }
+        let task = |(id, scope)| ListedTask {
+            id,
+            scope,
+            task: String::new(),
+            state: State::Accepted as u8,
+            text: String::new(),
+            age_ms: 0,
+            ended_ms: None,
+        };
+        let told = self.connect("$ztl")?.describe()?;
+        Ok(told.map(|told| Listing {
+            tasks: told.running.into_iter().map(task).collect(),
+            more: 0,
+        }))
     }
 
-    /// Why a server does not tell its tasks or devices.
-    pub(crate) fn does_not_tell(&self) -> String {
-        let endpoint = self.endpoint();
-        match self.describe() {
-            Ok(told) => format!(
-                "the server at {endpoint} is ztl {} and does not tell that; `ztl describe` shows what it offers",
-                told.version
-            ),
-            Err(original) => original.to_string(),
-        }
+    /// The same; an original server is an error.
+    pub(crate) fn tasks(&self) -> Result<Listing, Box<dyn std::error::Error>> {
+        Ok(self.tasks_if_any()?.ok_or_else(|| self.original())?)
     }
 }
 

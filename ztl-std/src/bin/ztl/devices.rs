@@ -66,7 +66,7 @@ impl Devices {
             return Ok(ExitCode::SUCCESS);
         }
         let scopes: BTreeMap<String, DeviceReports> = read(&json)?;
-        let (_, listing) = server.tasks()?;
+        let listing = server.tasks()?;
         let mut found = false;
         let mut names = Vec::new();
         for (scope, devices) in &scopes {

@@ -2,6 +2,9 @@
 //!
 //! Called by one of the original's names (`ztl_task_client`, `task_client.py`, …) it is that tool.
 
+// Text for people goes through `terminal`, which keeps what comes from elsewhere from commanding a terminal.
+#![warn(clippy::print_stdout, clippy::print_stderr)]
+
 mod abort;
 mod about;
 mod address;

@@ -1,7 +1,9 @@
 //! `ztl ps`: the tasks of a server.
 
+use std::collections::BTreeMap;
 use std::process::ExitCode;
 
+use serde_json::json;
 use ztl_std::{ListedTask, State};
 
 use crate::Done;
@@ -24,7 +26,10 @@ pub(crate) struct Ps {
 
 impl Ps {
     pub(crate) fn run(self) -> Done {
-        let (json, listing) = self.server.server()?.tasks()?;
+        let server = self.server.server()?;
+        let Some((json, listing)) = server.tasks_if_told()? else {
+            return show_running(&server.describe()?.running, self.json);
+        };
         if self.json {
             line(json);
             return Ok(ExitCode::SUCCESS);
@@ -47,6 +52,26 @@ impl Ps {
         }
         Ok(ExitCode::SUCCESS)
     }
+}
+
+/// All that a device tells that speaks ZeroMQ itself.
+fn show_running(running: &BTreeMap<u32, String>, as_json: bool) -> Done {
+    if as_json {
+        let tasks = running
+            .iter()
+            .map(|(id, scope)| json!({ "id": id, "scope": scope }));
+        line(json!({ "tasks": tasks.collect::<Vec<_>>(), "more": 0 }));
+    } else if running.is_empty() {
+        line("No task is running.");
+    } else {
+        let head = ["ID", "SCOPE"].map(str::to_owned).to_vec();
+        let row = |(id, scope): (&u32, &String)| vec![id.to_string(), flat(scope).into_owned()];
+        let rows: Vec<_> = std::iter::once(head)
+            .chain(running.iter().map(row))
+            .collect();
+        table(&rows).iter().for_each(line);
+    }
+    Ok(ExitCode::SUCCESS)
 }
 
 pub(crate) fn state(task: &ListedTask) -> String {

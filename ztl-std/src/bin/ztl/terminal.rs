@@ -1,14 +1,14 @@
 //! Text for people, on stdout and stderr. A reader that has gone (`| head`) is not an error here.
 //!
 //! Everything this program prints goes through here, because results, device names and answers come
-//! from elsewhere and a terminal obeys what it is sent. On a terminal such characters are shown as
-//! JSON escapes (`\u001b`), so that JSON stays JSON. Pipes and files get the bytes as they are.
+//! from elsewhere and a terminal obeys what it is sent: see [`ztl_std::terminal`].
 
-use std::borrow::Cow;
-use std::fmt::{Display, Write as _};
+use std::fmt::Display;
 use std::io::{IsTerminal, Write};
 
 use ztl_std::State;
+pub(crate) use ztl_std::terminal::flat;
+use ztl_std::terminal::{shown, write_shown};
 
 /// Prints a line at once, also into a pipe.
 pub(crate) fn line(text: impl Display) {
@@ -59,52 +59,9 @@ pub(crate) fn line_with_state(before: &str, state: State, after: &str) {
         .and_then(|()| out.flush());
 }
 
-/// Writes text to a stream, where only what a terminal may get reaches one.
-pub(crate) fn put(mut to: impl Write + IsTerminal, text: &[u8]) {
-    let _ = if to.is_terminal() {
-        let text = String::from_utf8_lossy(text);
-        to.write_all(shown(&text).as_bytes())
-    } else {
-        to.write_all(text)
-    }
-    .and_then(|()| to.flush());
-}
-
-/// Text as a terminal may get it: lines and tabs stay.
-fn shown(text: &str) -> Cow<'_, str> {
-    escaped(text, &['\n', '\t'])
-}
-
-/// Text as part of one line, wherever it is written: line breaks are escaped as well.
-pub(crate) fn flat(text: &str) -> Cow<'_, str> {
-    escaped(text, &[])
-}
-
-/// Escapes what a terminal obeys instead of showing it, but for the characters in `kept`.
-fn escaped<'t>(text: &'t str, kept: &[char]) -> Cow<'t, str> {
-    let escapes = |c: char| commands(c) && !kept.contains(&c);
-    if !text.contains(escapes) {
-        return Cow::Borrowed(text);
-    }
-    let mut out = String::with_capacity(text.len() + 16);
-    for c in text.chars() {
-        // Writing to a `String` does not fail.
-        let _ = match c {
-            c if !escapes(c) => out.write_char(c),
-            '\n' => out.write_str("\\n"),
-            '\r' => out.write_str("\\r"),
-            '\t' => out.write_str("\\t"),
-            c => write!(out, "\\u{:04x}", u32::from(c)),
-        };
-    }
-    Cow::Owned(out)
-}
-
-/// Whether a character changes how a terminal shows others: control characters (C0, DEL, C1), line
-/// separators, and what reorders text (Unicode's bidirectional controls).
-pub(crate) fn commands(c: char) -> bool {
-    c.is_control()
-        || matches!(c, '\u{61c}' | '\u{200e}' | '\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2066}'..='\u{2069}')
+/// Writes text to a stream. A reader that has gone is not an error.
+pub(crate) fn put(to: impl Write + IsTerminal, text: &[u8]) {
+    let _ = write_shown(to, text);
 }
 
 /// Whether a person sees stdout, so that lines can be rewritten.
@@ -138,38 +95,4 @@ fn colour(state: State) -> Option<u8> {
         State::Aborted => 33,
         State::Initiated | State::Accepted => 36,
     })
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn what_a_terminal_obeys_is_escaped_and_all_else_stays() {
-        for (text, on_terminal, in_a_line) in [
-            (
-                "grüße 👍\u{200d} a\u{a0}b",
-                "grüße 👍\u{200d} a\u{a0}b",
-                "grüße 👍\u{200d} a\u{a0}b",
-            ),
-            ("a\n\tb", "a\n\tb", "a\\n\\tb"),
-            ("\x1b]0;x\x07", "\\u001b]0;x\\u0007", "\\u001b]0;x\\u0007"),
-            (
-                "\u{9b}2J\x7f\r",
-                "\\u009b2J\\u007f\\r",
-                "\\u009b2J\\u007f\\r",
-            ),
-            (
-                "\u{202e}abc\u{2066}",
-                "\\u202eabc\\u2066",
-                "\\u202eabc\\u2066",
-            ),
-        ] {
-            assert_eq!(shown(text), on_terminal);
-            assert_eq!(flat(text), in_a_line);
-        }
-        // An escape is one in JSON too.
-        let json = shown("\"\u{9b}\"").into_owned();
-        assert_eq!(serde_json::from_str::<String>(&json).unwrap(), "\u{9b}");
-    }
 }
