@@ -48,6 +48,7 @@ mod clock;
 pub mod controller;
 #[cfg(feature = "defmt")]
 pub mod defmt;
+mod endpoint;
 mod frames;
 pub mod gateway;
 pub mod keys;

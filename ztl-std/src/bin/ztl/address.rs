@@ -41,6 +41,13 @@ pub(crate) struct Place {
     pub(crate) scope: Option<String>,
 }
 
+/// What the configuration file says of a name.
+enum Lookup {
+    Found(Place),
+    /// It has no such server, and why that matters.
+    Unknown(Misuse),
+}
+
 /// How to name a server.
 const HOW: &str =
     "give --port, or --remote NAME for a server in the configuration file, or set ZTL_PORT";
@@ -62,8 +69,8 @@ impl Address {
     pub(crate) fn place_if_any(&self) -> Result<Option<Place>, Misuse> {
         let unknown = match (&self.remote, self.port) {
             (Some(name), None) => match self.named(name)? {
-                Ok(place) => return Ok(Some(place)),
-                Err(unknown) => Some(unknown),
+                Lookup::Found(place) => return Ok(Some(place)),
+                Lookup::Unknown(why) => Some(why),
             },
             _ => None,
         };
@@ -87,24 +94,25 @@ impl Address {
         }
     }
 
-    /// The server of this name in the configuration file, or why there is none.
-    fn named(&self, name: &str) -> Result<Result<Place, Misuse>, Misuse> {
+    /// Looks for the server of this name in the configuration file.
+    fn named(&self, name: &str) -> Result<Lookup, Misuse> {
         let path = self.config.clone().unwrap_or_else(usual_path);
         if self.config.is_none() && !path.exists() {
             let path = path.display();
             let mistake =
                 format!("no port for host '{name}', and no {path} to look it up as a name: {HOW}");
-            return Ok(Err(Misuse(mistake)));
+            return Ok(Lookup::Unknown(Misuse(mistake)));
         }
         let remotes = Remotes::load(&path).map_err(|mistakes| Misuse(mistakes.to_string()))?;
         match remotes.task(name) {
-            Ok(Remote { host, port, scope }) => Ok(Ok(Place {
+            Ok(Remote { host, port, scope }) => Ok(Lookup::Found(Place {
                 host: host.clone(),
                 port: i64::from(*port),
                 scope: Some(scope.clone()),
             })),
             Err(unknown @ NoRemote::Unknown { .. }) => {
-                Ok(Err(Misuse(format!("{unknown} (a host needs --port)"))))
+                let mistake = format!("{unknown} (a host needs --port)");
+                Ok(Lookup::Unknown(Misuse(mistake)))
             }
             Err(wrong) => Err(Misuse(wrong.to_string())),
         }
