@@ -20,6 +20,13 @@ pub(crate) fn part(text: impl Display) {
     put(std::io::stdout().lock(), text.to_string().as_bytes());
 }
 
+/// Prints a line that was made for a terminal, with colours: what is in it from elsewhere was made harmless
+/// before.
+pub(crate) fn drawn_line(text: &str) {
+    let mut out = std::io::stdout().lock();
+    let _ = writeln!(out, "{text}").and_then(|()| out.flush());
+}
+
 /// Prints a line on stderr.
 pub(crate) fn error_line(text: impl Display) {
     put(std::io::stderr().lock(), format!("{text}\n").as_bytes());
@@ -54,9 +61,10 @@ pub(crate) fn line_with_state(before: &str, state: State, after: &str) {
         return line(format_args!("{before}{}{after}", state.name()));
     };
     let (before, after) = (shown(before), shown(after));
-    let mut out = std::io::stdout().lock();
-    let _ = writeln!(out, "{before}\x1b[{colour}m{}\x1b[0m{after}", state.name())
-        .and_then(|()| out.flush());
+    drawn_line(&format!(
+        "{before}\x1b[{colour}m{}\x1b[0m{after}",
+        state.name()
+    ));
 }
 
 /// Writes text to a stream. A reader that has gone is not an error.
