@@ -85,7 +85,7 @@ fn what_naoqi_starts_takes_naoqis_options() {
     });
     assert_serves(port);
     process.signal("TERM");
-    assert_eq!(process.end(PATIENCE).code, Some(0));
+    assert_eq!(process.end(PATIENCE).code, Some(143));
 }
 
 #[test]

@@ -374,5 +374,5 @@ fn a_device_that_has_more_to_say_than_anybody_hears_still_listens() {
     });
     device.signal("TERM");
     let ended = device.end(PATIENCE);
-    assert_eq!(ended.code, Some(0), "{ended:?}");
+    assert_eq!(ended.code, Some(143), "{ended:?}");
 }

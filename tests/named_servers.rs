@@ -3,7 +3,8 @@
 use std::process::Command;
 
 use ztl_tests::lab::{
-    Ended, PATIENCE, Process, SCOPE, Scratch, Server, Told, original_tool, reserve_port, until, ztl,
+    Ended, PATIENCE, Process, REJECTED, SCOPE, Scratch, Server, Told, original_tool, ours_named,
+    reserve_port, until, ztl,
 };
 
 /// One of our tools by its own name.
@@ -99,10 +100,27 @@ fn a_simple_tool_without_its_arguments_ends_as_the_originals() {
         ("simple_server", &["12345"]),
         ("simple_client", &["localhost", "1", "/test"]),
     ] {
-        let original = Process::run(original_tool(&format!("ztl_{tool}")).args(args));
-        let ours = Process::run(our_tool(&tool.replace('_', "-")).args(args));
+        let scratch = Scratch::new();
+        let tool = format!("ztl_{tool}");
+        let original = Process::run(original_tool(&tool).args(args));
+        let ours = Process::run(ours_named(&scratch, &tool).args(args));
         assert_eq!((original.code, ours.code), (Some(1), Some(1)), "{ours:?}");
-        assert!(ours.stderr.starts_with("usage: ztl simple-"), "{ours:?}");
+        assert!(ours.stderr.starts_with("usage: ztl_simple_"), "{ours:?}");
+    }
+}
+
+#[test]
+fn a_simple_server_says_of_an_id_that_it_does_not_know_what_the_originals_says() {
+    for server in [Server::simple_original(), Server::simple_ours()] {
+        let mut client = server.original_client();
+        assert_eq!(client.status(77), (REJECTED, "Invalid ID"));
+        assert_eq!(client.abort(77), (REJECTED, "Invalid ID"));
+    }
+    for server in [Server::original(), Server::ours()] {
+        assert_eq!(
+            server.original_client().status(77),
+            (REJECTED, "Invalid ID '77'")
+        );
     }
 }
 

@@ -12,7 +12,8 @@ use ztl_std::{
     ExecutableTask, RunningServer, TaskContext, TaskController, TaskError, TaskRequest, TaskServer,
 };
 use ztl_tests::lab::{
-    Ended, PATIENCE, Process, SCOPE, Server, in_time, our_client, reserve_port, until, ztl,
+    Ended, PATIENCE, Process, SCOPE, Scratch, Server, in_time, our_client, ours_named,
+    reserve_port, until, ztl,
 };
 
 /// The names that a program may rely on, as `docs/tools.md` tells them.
@@ -324,18 +325,179 @@ fn a_second_ctrl_c_leaves_at_once() {
     drop(lab.decide);
 }
 
-/// What a person sees on a terminal.
-fn on_a_terminal(server: &Server, environment: &[(&str, &str)], task: &str) -> String {
+#[test]
+fn sigterm_aborts_the_task_says_what_became_of_it_and_the_exit_code_is_143() {
+    let scratch = Scratch::new();
+    let gateway = Server::simulated();
+    let server = Server::ours();
+    let stops = ["aborted. Reply is 'True'."];
+    // This one cannot be aborted, and whoever sends SIGTERM does not wait for its end.
+    let goes_on = [
+        "Could not abort Task with ID '",
+        "'. Reply is 'False'.",
+        "may still run.",
+    ];
+    for (server, task, said) in [
+        (&gateway, "head:pan:left", &stops[..]),
+        (&server, "test:sleep:20", &goes_on),
+    ] {
+        for client in [our_client(), ours_named(&scratch, "ztl_task_client")] {
+            let client = server.start_client(client, &[task]);
+            client.wait_for("Initialised task with ID");
+            client.signal("TERM");
+            let ended = client.end(PATIENCE);
+            assert_eq!(ended.code, Some(143), "{ended:?}");
+            for part in said {
+                assert!(ended.stdout.contains(part), "{part}: {ended:?}");
+            }
+            for part in ["waiting for completion", "finished in state"] {
+                assert!(!ended.stdout.contains(part), "{part}: {ended:?}");
+            }
+        }
+    }
+    for (options, code) in [(&["--json"][..], 143), (&["--json", "--exit-status"], 5)] {
+        let mut client = our_client();
+        client.args(options);
+        let client = server.start_client(client, &["test:sleep:20"]);
+        client.wait_for("started");
+        client.signal("TERM");
+        let ended = client.end(PATIENCE);
+        let mut objects = objects(&ended);
+        objects.retain(|object| object["event"] != "progress");
+        let names = ["asking", "started", "aborting", "not_aborted", "over"];
+        assert_eq!(events(&objects), names);
+        assert_eq!(objects[4]["fate"], "unknown");
+        assert_eq!(ended.code, Some(code), "{ended:?}");
+    }
+}
+
+#[test]
+fn sigterm_ends_the_wait_after_an_abort_too() {
+    let server = Server::ours();
+    let client = server.start_client(our_client(), &["-t", "1", "test:sleep:20"]);
+    client.wait_for("waiting for completion");
+    client.signal("TERM");
+    let ended = client.end(PATIENCE);
+    assert_eq!(ended.code, Some(143), "{ended:?}");
+    assert!(ended.stdout.ends_with("may still run.\n"), "{ended:?}");
+}
+
+/// What `ztl` with these words writes to a terminal.
+fn to_a_terminal(words: &[&str], environment: &[(&str, &str)]) -> Ended {
     let program = ztl().get_program().to_string_lossy().into_owned();
-    let port = server.port;
-    let line = format!("{program} task-client -r localhost -p {port} -s {SCOPE} {task}");
+    let quoted = |word: &&str| format!("'{}'", word.replace('\'', "'\\''"));
+    let words: Vec<String> = [program.as_str()].iter().chain(words).map(quoted).collect();
     let mut command = Command::new("script");
-    command.args(["--quiet", "--return", "--command", &line, "/dev/null"]);
+    command.args([
+        "--quiet",
+        "--return",
+        "--command",
+        &words.join(" "),
+        "/dev/null",
+    ]);
     command.env("TERM", "xterm").env_remove("NO_COLOR");
     command.envs(environment.iter().copied());
-    let ended = Process::run(&mut command);
+    Process::run(&mut command)
+}
+
+/// What a person sees on a terminal.
+fn on_a_terminal(server: &Server, environment: &[(&str, &str)], task: &str) -> String {
+    let port = server.port.to_string();
+    let words = [
+        "task-client",
+        "-r",
+        "localhost",
+        "-p",
+        &port,
+        "-s",
+        SCOPE,
+        task,
+    ];
+    let ended = to_a_terminal(&words, environment);
     assert_eq!(ended.code, Some(0), "{ended:?}");
     ended.stdout
+}
+
+/// Text that commands a terminal: its title, a cleared screen (by an 8-bit control too), a line that is
+/// written over, the bell, DEL, and text that is reordered.
+const COMMANDS: &str = "a\x1b]0;owned\x07\x1b[2J\u{9b}2J\rb\x7f\u{202e}c\u{2066}";
+/// The same as a terminal may see it.
+const SHOWN: &str = "a\\u001b]0;owned\\u0007\\u001b[2J\\u009b2J\\rb\\u007f\\u202ec\\u2066";
+
+#[test]
+fn text_from_elsewhere_never_commands_a_terminal() {
+    let server = Server::ours();
+    let port = server.port.to_string();
+    let at = ["-r", "localhost", "-p", &port];
+    let echo = format!("test:echo:{COMMANDS}");
+    let refused = format!("{COMMANDS}:echo:x");
+    let plain = [("NO_COLOR", "1")];
+    let mut said = vec![
+        on_a_terminal(&server, &plain, &echo),
+        on_a_terminal(&server, &plain, &refused),
+    ];
+    for words in [
+        &["ps", "--all"][..],
+        &["ps", "--all", "--json"],
+        &["describe"],
+        &["abort", "--scope", COMMANDS, "5"],
+        &["task-client", "--json", "-s", SCOPE, &echo],
+        // On stderr.
+        &["devices", COMMANDS],
+    ] {
+        said.push(to_a_terminal(&[words, &at[..]].concat(), &plain).stdout);
+    }
+    said.push(to_a_terminal(&["ps", "-r", COMMANDS, "-c", "/dev/null"], &plain).stdout);
+    said.push(to_a_terminal(&["check", COMMANDS], &plain).stdout);
+    said.push(to_a_terminal(&["ps", COMMANDS], &plain).stdout);
+    for text in &said {
+        // Where the client writes its progress over.
+        let text = text.replace("\r\x1b[K", "").replace("\r\n", "\n");
+        let command = |c: char| {
+            (c.is_control() && c != '\n')
+                || matches!(c, '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}')
+        };
+        assert!(!text.contains(command), "{text:?}");
+    }
+    for shown in [
+        &said[0], &said[1], &said[2], &said[3], &said[6], &said[8], &said[9],
+    ] {
+        assert!(shown.contains(SHOWN), "{shown:?}");
+    }
+
+    // A program gets the bytes as they are, as from the original.
+    let ended = server.start_client(our_client(), &[&echo]).end(PATIENCE);
+    let result = format!("Result is '{COMMANDS}'.\n");
+    assert!(ended.stdout.ends_with(&result), "{ended:?}");
+}
+
+#[test]
+fn an_event_of_a_log_is_one_line_that_commands_no_terminal() {
+    let scratch = Scratch::new();
+    let file = scratch.path("serve.yaml");
+    // What a program says on stderr becomes the reason of its failure, which is logged.
+    let says = r"printf 'a\\033[2J\\302\\233b\\342\\200\\256\\r' >&2; exit 3";
+    let text = format!("port: 0\nscopes: {{/test: {{h: {{c: {{shell: \"{says}\"}}}}}}}}\n");
+    std::fs::write(&file, text).expect("a file");
+    for format in ["text", "json"] {
+        let mut command = ztl();
+        command
+            .arg("serve")
+            .arg(&file)
+            .args(["--log-format", format]);
+        let serve = Process::start(&mut command);
+        let server = Server {
+            port: serve.wait_for_port("Serving "),
+            process: serve,
+        };
+        let client = server.start_client(our_client(), &["--exit-status", "h:c:x"]);
+        assert_eq!(client.end(PATIENCE).code, Some(3));
+        let line = server.process.wait_for("has ended as FAILED");
+        assert!(line.contains("a\\u001b[2J\\u009bb\\u202e"), "{line:?}");
+        let log = server.process.stderr();
+        let commands = |c: char| (c.is_control() && c != '\n') || c == '\u{202e}';
+        assert!(!log.contains(commands), "{log:?}");
+    }
 }
 
 #[test]

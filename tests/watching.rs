@@ -2,7 +2,9 @@
 //! whoever started it.
 
 use ztl_std::{RemoteTask, State};
-use ztl_tests::lab::{Ended, PATIENCE, Process, SCOPE, Server, reserve_port, until, ztl};
+use ztl_tests::lab::{
+    Ended, PATIENCE, Process, SCOPE, Scratch, Server, example, ours_named, reserve_port, until, ztl,
+};
 
 /// `ztl` with these words and the server's port.
 #[track_caller]
@@ -143,6 +145,262 @@ fn a_task_that_nobody_knows_is_no_task_to_stop() {
 }
 
 #[test]
+fn an_id_that_is_not_known_fails_and_the_others_are_stopped_all_the_same() {
+    let gateway = Server::simulated();
+    for server in [
+        Server::original(),
+        Server::simple_original(),
+        Server::ours(),
+    ] {
+        let ended = ask(&server, "abort -s /test 2");
+        assert_eq!(ended.code, Some(1), "{ended:?}");
+        assert!(
+            ended.stderr.starts_with("ztl: no task 2 is known at "),
+            "{ended:?}"
+        );
+        let ended = ask(&server, "abort -s /nowhere 2");
+        assert_eq!(ended.code, Some(1), "{ended:?}");
+        assert_eq!(ended.stdout, "2: the server has no scope '/nowhere'\n");
+    }
+    let mut other = client(&gateway);
+    let task = other.trigger("gripper", "finger", "100").expect("accepted");
+    for scope in ["", "-s /test "] {
+        let ended = ask(&gateway, &format!("abort {scope}7 {}", task.id));
+        assert_eq!(ended.code, Some(1), "{ended:?}");
+        assert!(
+            ended.stderr.starts_with("ztl: no task 7 is known at "),
+            "{ended:?}"
+        );
+        assert!(ended.stdout.contains(": ABORTED, "), "{ended:?}");
+    }
+    assert_eq!(
+        other.status(task.id).expect("an answer").state,
+        State::Aborted
+    );
+}
+
+#[test]
+fn a_server_is_named_by_the_configuration_file_or_the_environment() {
+    let gateway = Server::simulated();
+    let port = gateway.port.to_string();
+    let nobody = reserve_port().to_string();
+    let scratch = Scratch::new();
+    let file = scratch.path("zmq-remotes.yaml");
+    let text = format!(
+        "remotes:\n  lab: {{host: localhost, port: {port}, scope: /test}}\n  \
+         gone: {{host: localhost, port: {nobody}, scope: /test}}\n"
+    );
+    std::fs::write(&file, text).expect("a file");
+    let config = file.display().to_string();
+    let run = |line: &str, environment: &[(&str, &str)]| {
+        let mut command = ztl();
+        for name in ["ZTL_HOST", "ZTL_PORT", "ZTL_SCOPE", "XDG_CONFIG_HOME"] {
+            command.env_remove(name);
+        }
+        command.env("HOME", scratch.path("home"));
+        command.envs(environment.iter().copied());
+        let words = line.split(' ').map(|word| match word {
+            "CONFIG" => config.as_str(),
+            word => word,
+        });
+        Process::run(command.args(words))
+    };
+    let usual = [("XDG_CONFIG_HOME", scratch.path("").display().to_string())];
+    let usual = usual
+        .each_ref()
+        .map(|(name, value)| (*name, value.as_str()));
+    let variables = [
+        ("ZTL_HOST", "localhost"),
+        ("ZTL_PORT", port.as_str()),
+        ("ZTL_SCOPE", SCOPE),
+    ];
+    for (command, said) in [
+        ("ps", "No task is running."),
+        ("describe", "gripper"),
+        ("abort --all", "No task is running."),
+        ("devices", "/test gripper at sim:gripper: ready"),
+        ("doctor", "round trip"),
+        ("task-client --exit-status gripper:finger:10", "COMPLETED"),
+    ] {
+        for (options, environment) in [
+            (" -r lab -c CONFIG", &[][..]),
+            (" --remote lab --config CONFIG", &[]),
+            (" -r lab", &usual),
+            ("", &variables),
+            // An explicit option wins.
+            (
+                " -r lab -c CONFIG",
+                &[("ZTL_PORT", nobody.as_str()), ("ZTL_SCOPE", "/x")],
+            ),
+        ] {
+            let ended = run(&format!("{command}{options}"), environment);
+            // The doctor looks at this machine too.
+            let fine = ended.code == Some(0) || command == "doctor";
+            assert!(
+                fine && ended.stdout.contains(said),
+                "{command}{options}: {ended:?}"
+            );
+        }
+        let option = format!("{command} -p {nobody}");
+        let ended = run(&option, &variables);
+        assert_ne!(ended.code, Some(0), "{option}: {ended:?}");
+
+        for (options, environment, wrong) in [
+            (" -r labb -c CONFIG", &[][..], "did you mean 'lab'?"),
+            (" -r lab -c /no/such/file", &[], "/no/such/file: "),
+            (" -r lab", &[], "no port for host 'lab'"),
+            (
+                "",
+                &[("ZTL_PORT", "http")],
+                "invalid ZTL_PORT 'http': expected 0 to 65535",
+            ),
+            (
+                "",
+                &[("ZTL_PORT", "70000")],
+                "invalid ZTL_PORT '70000': expected 0 to 65535",
+            ),
+            ("", &[("ZTL_HOST", "localhost")], "no port: "),
+        ] {
+            let ended = run(&format!("{command}{options}"), environment);
+            assert_eq!(ended.code, Some(2), "{command}{options}: {ended:?}");
+            assert!(
+                ended.stderr.contains(wrong),
+                "{command}{options}: {ended:?}"
+            );
+            assert_eq!(ended.stdout, "", "{command}{options}");
+        }
+        if command != "doctor" {
+            let ended = run(command, &[]);
+            assert_eq!(ended.code, Some(2), "{ended:?}");
+            assert!(ended.stderr.contains("no port: give --port"), "{ended:?}");
+        }
+    }
+    let ended = run("task-client -r localhost a:b:c", &variables[1..2]);
+    assert_eq!(ended.code, Some(2), "{ended:?}");
+    assert!(ended.stderr.contains("no scope: give --scope"), "{ended:?}");
+
+    // By the original's name it is the original's client, which knows nothing of this.
+    let mut original = ours_named(&scratch, "ztl_task_client");
+    original.envs(variables).envs(usual);
+    let ended = Process::run(original.arg("gripper:finger:10"));
+    assert_eq!(ended.code, Some(2), "{ended:?}");
+    let missing = ended.stderr.lines().last().unwrap_or_default();
+    for option in ["--remote <REMOTE>", "--port <PORT>", "--scope <SCOPE>"] {
+        assert!(missing.contains(option), "{option}: {ended:?}");
+    }
+}
+
+#[test]
+fn a_scope_of_the_environment_does_not_narrow_what_abort_all_stops() {
+    let gateway = Server::simulated();
+    let mut other = client(&gateway);
+    let task = other.trigger("gripper", "finger", "100").expect("accepted");
+    let port = gateway.port.to_string();
+    let mut command = ztl();
+    command.env("ZTL_SCOPE", "/elsewhere").env("ZTL_PORT", port);
+    let ended = Process::run(command.args(["abort", "--all"]));
+    assert_eq!(ended.code, Some(0), "{ended:?}");
+    assert_eq!(
+        other.status(task.id).expect("an answer").state,
+        State::Aborted
+    );
+}
+
+#[test]
+fn every_server_of_ours_says_what_it_offers() {
+    let scratch = Scratch::new();
+    let file = scratch.path("robot.yaml");
+    let text = "port: 0\nscopes:\n  /robot:\n    tts: {say: echo, hush: echo}\n    \"*\": {stop: sleep}\n  /lamp:\n    led: {\"*\": echo}\n";
+    std::fs::write(&file, text).expect("a file");
+    let mut serve = ztl();
+    let serve = Process::start(serve.arg("serve").arg(&file));
+    let serve_port = serve.wait_for_port("Serving ");
+    let (gateway, tests, simple) = (Server::simulated(), Server::ours(), Server::simple_ours());
+    for (port, text, scopes) in [
+        (
+            gateway.port,
+            "/test\n  gripper  finger\n  head     pan\n",
+            json(r#"{"/test": {"gripper": ["finger"], "head": ["pan"]}}"#),
+        ),
+        (
+            tests.port,
+            "/test\n  test  echo, print, sleep\n",
+            json(r#"{"/test": {"test": ["echo", "print", "sleep"]}}"#),
+        ),
+        (
+            simple.port,
+            "/test\n  its handlers are not told\n",
+            json(r#"{"/test": {}}"#),
+        ),
+        (
+            serve_port,
+            "/lamp\n  led  *\n/robot\n  *    stop\n  tts  hush, say\n",
+            json(r#"{"/robot": {"tts": ["hush", "say"], "*": ["stop"]}, "/lamp": {"led": ["*"]}}"#),
+        ),
+    ] {
+        let port = port.to_string();
+        let run = |words: &[&str]| Process::run(ztl().args(words).args(["-p", &port]));
+        let told = run(&["describe"]);
+        let version = env!("CARGO_PKG_VERSION");
+        let head = format!("ztl {version} at tcp://localhost:{port}\n");
+        let expected = format!("{head}{text}No task is running.\n");
+        assert_eq!((told.code, told.stdout), (Some(0), expected));
+        let told = json(&run(&["describe", "--json"]).stdout);
+        assert_eq!(told["scopes"], scopes, "{told}");
+        assert_eq!(told["version"], version);
+        let listed = run(&["ps"]);
+        assert_eq!(listed.stdout, "No task is running.\n", "{listed:?}");
+    }
+    let mut other = client(&tests);
+    let task = other.trigger("test", "sleep", "20").expect("accepted");
+    let told = tell(&tests, "describe");
+    assert!(
+        told.ends_with("1 task is running; `ztl ps` shows it.\n"),
+        "{told}"
+    );
+    let told = json(&tell(&tests, "describe --json"));
+    assert_eq!(told["running"][task.id.get().to_string()], SCOPE, "{told}");
+}
+
+#[test]
+fn a_device_that_speaks_zeromq_itself_is_described_and_its_tasks_are_stopped() {
+    let device = Process::start(example("zmtp").arg("127.0.0.1:0"));
+    let device = Server {
+        port: device.wait_for_port("tcp://"),
+        process: device,
+    };
+    let told = tell(&device, "describe");
+    assert!(
+        told.contains("\n/desk\n  its handlers are not told\n"),
+        "{told}"
+    );
+    assert_eq!(tell(&device, "ps"), "No task is running.\n");
+    let mut other = RemoteTask::connect(&device.endpoint(), "/desk").expect("an address");
+    let mut goals = ["100", "0"].into_iter().cycle();
+    // A way takes it a second, which may be over before anybody has asked.
+    let mut start = || {
+        let goal = goals.next().expect("one after the other");
+        other.trigger("desk", "slide", goal).expect("accepted").id
+    };
+    until("it is listed", PATIENCE, || {
+        let id = start();
+        let listed = tell(&device, "ps");
+        let as_json = json(&tell(&device, "ps --json"));
+        tell(&device, "abort --all");
+        let id = id.to_string();
+        let row = listed.lines().nth(1).unwrap_or_default();
+        let row: Vec<&str> = row.split_whitespace().collect();
+        (row == [id.as_str(), "/desk"] && as_json["tasks"][0]["scope"] == "/desk").then_some(())
+    });
+    until("it is stopped on its way", PATIENCE, || {
+        let id = start();
+        let said = tell(&device, "abort --all");
+        said.starts_with(&format!("{id}: ABORTED, ")).then_some(())
+    });
+    assert_eq!(tell(&device, "ps"), "No task is running.\n");
+}
+
+#[test]
 fn the_exit_code_tells_whether_the_task_has_stopped() {
     let server = Server::ours();
     let mut other = client(&server);
@@ -157,11 +415,19 @@ fn the_exit_code_tells_whether_the_task_has_stopped() {
 #[test]
 fn the_original_server_is_said_to_tell_nothing() {
     let server = Server::original();
-    for line in ["ps", "abort --all"] {
+    for line in [
+        "ps",
+        "abort --all",
+        "abort 5",
+        "describe",
+        "describe --json",
+    ] {
         let ended = ask(&server, line);
         assert_eq!(ended.code, Some(1), "{line}");
         assert!(
-            ended.stderr.contains("does not tell its tasks"),
+            ended
+                .stderr
+                .contains("is an original ztl; it does not say what it offers"),
             "{line}: {ended:?}"
         );
     }

@@ -106,7 +106,7 @@ fn a_gateway_moves_a_simulated_device() {
         return;
     }
     server.process.signal("TERM");
-    assert_eq!(server.process.end(PATIENCE).code, Some(0));
+    assert_eq!(server.process.end(PATIENCE).code, Some(143));
 }
 
 #[test]

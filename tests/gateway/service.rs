@@ -54,7 +54,7 @@ fn systemd_hears_that_it_is_ready_how_it_does_that_it_lives_and_that_it_stops() 
         manager.wait_for(&trouble, 1);
         process.signal("TERM");
         manager.wait_for("STOPPING=1", 1);
-        assert_eq!(process.end(PATIENCE).code, Some(0));
+        assert_eq!(process.end(PATIENCE).code, Some(143));
     }
 }
 
@@ -100,7 +100,7 @@ fn asked_to_stop_it_stops_every_task_and_says_so() {
         assert_eq!(end.state, State::Aborted);
     }
     let ended = gateway.process.end(PATIENCE);
-    assert_eq!(ended.code, Some(0));
+    assert_eq!(ended.code, Some(143));
     for task in ["'head:pan:left'", "'gripper:finger:100'"] {
         let line = format!("{task} has ended as ABORTED: ");
         assert_eq!(ended.stderr.matches(&line).count(), 1, "{ended:?}");
@@ -136,7 +136,7 @@ fn asked_to_leave_tasks_running_it_says_what_becomes_of_each_and_tells_no_end() 
         }
     }
     let ended = process.end(PATIENCE);
-    assert_eq!(ended.code, Some(0));
+    assert_eq!(ended.code, Some(143));
     let stops = "stops by itself when it has heard nothing for its link timeout";
     for (task, becomes) in [
         ("arm", format!("{stops} (abort).")),
@@ -199,7 +199,7 @@ fn a_device_that_does_not_confirm_is_named_and_its_task_is_not_told_to_have_fail
     let ended = gateway.process.end(PATIENCE);
     let line = "Device 'gripper' has not confirmed that 'gripper:finger:100' stopped";
     assert!(ended.stderr.contains(line), "{ended:?}");
-    assert_eq!(ended.code, Some(0));
+    assert_eq!(ended.code, Some(143));
     device.signal("CONT");
 }
 

@@ -27,7 +27,7 @@ fn under_nohup_it_outlives_the_one_who_started_it() {
     // Long enough for it to have heard.
     assert_eq!(lab.run("sleep", "0.3").0, Completed);
     lab.server.process.signal("TERM");
-    assert_eq!(lab.server.process.end(PATIENCE).code, Some(0));
+    assert_eq!(lab.server.process.end(PATIENCE).code, Some(143));
 }
 
 #[test]
@@ -59,7 +59,7 @@ fn asked_to_stop_it_stops_every_task_within_its_grace_and_says_so() {
     assert_eq!(lab.written("parked"), "parked");
     let Lab { server, scratch } = lab;
     let ended = server.process.end(PATIENCE);
-    assert_eq!(ended.code, Some(0), "{ended:?}");
+    assert_eq!(ended.code, Some(143), "{ended:?}");
     assert!(ended.stdout.ends_with("Stopped.\n"), "{ended:?}");
     assert_eq!(
         ended.stderr.matches("has ended as ABORTED").count(),
@@ -101,7 +101,7 @@ fn while_it_stops_nothing_new_begins() {
     });
     assert_eq!(refused.to_string(), "refused: the server is stopping");
     let Lab { server, scratch } = lab;
-    assert_eq!(server.process.end(PATIENCE).code, Some(0));
+    assert_eq!(server.process.end(PATIENCE).code, Some(143));
     assert!(!lives(process));
     drop(scratch);
 }
@@ -121,5 +121,5 @@ fn systemd_hears_what_is_served_that_it_lives_and_that_it_stops() {
     manager.wait_for("WATCHDOG=1", 2);
     lab.server.process.signal("TERM");
     manager.wait_for("STOPPING=1", 1);
-    assert_eq!(lab.server.process.end(PATIENCE).code, Some(0));
+    assert_eq!(lab.server.process.end(PATIENCE).code, Some(143));
 }

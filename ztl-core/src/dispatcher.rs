@@ -441,7 +441,10 @@ impl<M: Memory> Dispatcher<M> {
         let Some(request) = request else {
             return;
         };
-        reply.text = Text::UnknownId;
+        reply.text = match self.memory.names_unknown_ids(scope) {
+            true => Text::UnknownId,
+            false => Text::UnknownIdAlone,
+        };
         let number = u32::try_from(id.natural()).ok();
         let Some(id) = number.and_then(TaskId::new) else {
             return;

@@ -121,6 +121,12 @@ pub trait Memory {
     /// Writes what the scopes offer, for `$ztl`: a mapping in YAML's flow style.
     fn put_scopes(&self, sink: &mut dyn Sink);
 
+    /// Whether the answer about an id that the scope does not know names that id, as the original's task
+    /// server does, or not, as its simple server. Default: it does.
+    fn names_unknown_ids(&self, _scope: Scope) -> bool {
+        true
+    }
+
     /// The longest message that comes through to here, in bytes, for `$ztl`; `None`, the default, where none is
     /// too long, or what is too long is answered.
     fn longest_message(&self) -> Option<u32> {

@@ -42,6 +42,7 @@ texts! {
     UnknownProtocol => "Unknown protocol",
     UnknownScope => "No controller for scope: @",
     UnknownId => "Invalid ID '#'",
+    UnknownIdAlone => "Invalid ID",
     Invalid => "Invalid request",
     ManyTasks => "too many tasks are running, wait for one to end",
     ManyWaiting => "too many requests are waiting, try again",

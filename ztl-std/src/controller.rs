@@ -11,7 +11,8 @@ use std::time::{Duration, Instant};
 
 use ztl_core::{TaskId, TaskSpec};
 
-use crate::server::{AbortRefusal, ById, Hush, TaskHandler, TaskReporter};
+use crate::Offers;
+use crate::server::{AbortRefusal, ById, Hush, TaskHandler, TaskReporter, offered};
 use pool::{Job, Pool};
 
 /// What a client asks for.
@@ -36,6 +37,12 @@ pub trait TaskController: Send + Sync + 'static {
     /// What was wrong and what would be right. The client is refused with `Controller threw
     /// exception:` and this text, as the original does. A panic is refused in the same way.
     fn assign(&self, request: &TaskRequest) -> Result<Box<dyn ExecutableTask>, TaskError>;
+
+    /// The handlers and their components, for clients that ask what the server offers (`ztl describe`).
+    /// Asked once, when the controller is registered. Default: nothing is told.
+    fn offers(&self) -> Offers {
+        Offers::new()
+    }
 }
 
 /// A task that can be executed.
@@ -250,6 +257,15 @@ impl<C: TaskController> Job for NewTask<C> {
 }
 
 impl<C: TaskController> TaskHandler for Threads<C> {
+    fn description(&self) -> Box<dyn Fn() -> String + Send> {
+        let offers = self.controller.offers();
+        let handlers = offers
+            .iter()
+            .map(|(handler, components)| (handler.as_str(), components.iter().map(String::as_str)));
+        let all = offered(handlers);
+        Box::new(move || all.clone())
+    }
+
     fn start(&mut self, task: TaskReporter, payload: &str) {
         let wish = Arc::new(Wish::default());
         lock(&self.running).insert(task.id(), (Arc::clone(&wish), task.abort_refusal()));

@@ -48,6 +48,7 @@ mod clock;
 pub mod controller;
 #[cfg(feature = "defmt")]
 pub mod defmt;
+mod endpoint;
 mod frames;
 pub mod gateway;
 pub mod keys;
@@ -65,6 +66,7 @@ pub mod serve;
 pub mod server;
 #[cfg(feature = "sim")]
 pub mod sim;
+pub mod terminal;
 mod wall;
 pub mod yaml;
 
@@ -72,8 +74,8 @@ pub use controller::{
     Aborted, ExecutableTask, TaskContext, TaskController, TaskError, TaskRequest,
 };
 pub use remote::{
-    Fate, InBackground, RemoteTask, RequestError, ServerInfo, Status, TaskGuard, TriggerError,
-    Triggered, WaitError,
+    Description, Fate, InBackground, Offers, RemoteTask, RequestError, ServerInfo, Status,
+    TaskGuard, TriggerError, Triggered, WaitError,
 };
 pub use remotes::Remotes;
 pub use server::{Access, BindError, Limits, ListedTask, Listing, RunningServer, TaskServer};

@@ -1,6 +1,7 @@
 //! The client: tasks on a server that may be ours or the original's.
 
 mod background;
+mod description;
 mod error;
 mod exchange;
 mod guard;
@@ -18,6 +19,7 @@ use crate::keys::{KeyPair, PublicKey, can_encrypt};
 use crate::random;
 use crate::server::MAX_MESSAGE;
 pub use background::{Fate, InBackground};
+pub use description::{Description, Offers};
 pub use error::{RequestError, TriggerError, WaitError};
 use exchange::{Said, Unanswered, Wanted};
 pub use guard::TaskGuard;
@@ -318,6 +320,18 @@ impl RemoteTask {
             }
             Said::NeverStarted => Ok(None),
         }
+    }
+
+    /// Asks the server what it offers; `None` when it is not one of ours.
+    ///
+    /// # Errors
+    /// As [`RequestError`] says.
+    pub fn describe(&mut self) -> Result<Option<Description>, RequestError> {
+        let Some(answer) = self.ask_server("probe")? else {
+            return Ok(None);
+        };
+        let told = Description::parse(&answer);
+        told.map(Some).ok_or(RequestError::Unreadable { answer })
     }
 
     /// Waits for a task to end, at most for `limit`, or for ever.

@@ -65,6 +65,8 @@ pub fn verify_unit(unit: &Path) {
     let text = std::fs::read_to_string(unit).expect("the unit");
     let installed = "/usr/local/bin/ztl";
     assert!(text.contains(installed), "{text}");
+    // How it ends when systemd stops it.
+    assert!(text.contains("\nSuccessExitStatus=143\n"), "{text}");
     // The one that was built stands for it.
     let text = text.replace(installed, &built("ztl").display().to_string());
     let path = scratch.path(name);

@@ -30,7 +30,7 @@ pub use process::{Ended, Process};
 pub use server::{SCOPE, Server};
 #[cfg(unix)]
 pub use terminal::Terminal;
-pub use tools::{Told, original_client, our_client};
+pub use tools::{Told, original_client, our_client, ours_named};
 pub use zmtp::shake_hands;
 
 use std::path::{Path, PathBuf};

@@ -2,7 +2,7 @@
 
 use std::process::Command;
 
-use super::{Ended, Process, SCOPE, Server, original_tool, ztl};
+use super::{Ended, Process, SCOPE, Scratch, Server, built, original_tool, ztl};
 
 /// `ztl task-client`
 #[track_caller]
@@ -10,6 +10,16 @@ pub fn our_client() -> Command {
     let mut command = ztl();
     command.arg("task-client");
     command
+}
+
+/// Our command under another name, as `ztl_task_client`: by one of the original's it is that tool.
+#[track_caller]
+pub fn ours_named(scratch: &Scratch, name: &str) -> Command {
+    let link = scratch.path(name);
+    if !link.exists() {
+        std::os::unix::fs::symlink(built("ztl"), &link).expect("a link");
+    }
+    Command::new(link)
 }
 
 /// The original's `ztl_task_client`.

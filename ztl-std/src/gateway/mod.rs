@@ -38,7 +38,7 @@ use voice::LOG;
 use crate::random;
 use crate::remote::encoded;
 use crate::server::{
-    Answers, Restored, RestoredTask, TaskHandler, TaskReporter, quoted, would_take,
+    Answers, Restored, RestoredTask, TaskHandler, TaskReporter, offered, would_take,
 };
 
 /// Task ids that are left out at each start.
@@ -266,18 +266,16 @@ impl TaskHandler for Gateway {
         let devices: Vec<(String, Window)> = self
             .devices
             .iter()
-            .map(|(name, device)| (quoted(name), device.window()))
+            .map(|(name, device)| (name.clone(), device.window()))
             .collect();
         Box::new(move || {
-            let devices: Vec<String> = devices
+            let components: Vec<_> = devices
                 .iter()
-                .map(|(name, window)| {
-                    let names: Vec<String> =
-                        window.components().iter().map(|n| quoted(n)).collect();
-                    format!("{name}: [{}]", names.join(", "))
-                })
+                .map(|(_, window)| window.components())
                 .collect();
-            format!("{{{}}}", devices.join(", "))
+            let names = devices.iter().map(|(name, _)| name.as_str());
+            let components = components.iter().map(|all| all.iter().map(AsRef::as_ref));
+            offered(names.zip(components))
         })
     }
 

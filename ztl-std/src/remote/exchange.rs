@@ -9,6 +9,7 @@ use ztl_core::sink::Sink;
 
 use super::{LOG, RemoteTask, RequestError, version_of};
 use crate::clock::now;
+use crate::endpoint::check_port;
 use crate::frames;
 
 /// Pauses between two tries to connect to a server that is not there: from, and at most.
@@ -29,6 +30,7 @@ pub(super) type Wanted<'a> = Option<&'a dyn Fn() -> bool>;
 
 impl RemoteTask {
     pub(super) fn open(&self) -> Result<zmq::Socket, zmq::Error> {
+        check_port(&self.endpoint)?;
         let socket = self.context.socket(zmq::DEALER)?;
         socket.set_linger(0)?;
         // Nothing is queued for a server that is not there: it would act on it when it comes.

@@ -9,7 +9,7 @@ use super::model::{Handler, Script, Task};
 use crate::remote::encoded;
 use crate::remotes::Remote;
 use crate::yaml::{Document, Node, Value, closest};
-use crate::{RemoteTask, Remotes, RequestError};
+use crate::{Offers, RemoteTask, Remotes, RequestError};
 
 /// What the servers of a script say.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -19,9 +19,6 @@ pub struct Said {
     /// How it is with each server, in lines for people.
     pub servers: Vec<String>,
 }
-
-/// Handlers of a scope and their components; no components: nothing is known of them.
-type Known = BTreeMap<String, Vec<String>>;
 
 impl Script {
     /// Asks each server that the script uses whether it is there, and if it is one of ours, whether it has
@@ -66,11 +63,8 @@ impl Script {
 
     /// Asks a server of ours about each task that the script has for it.
     fn ask_server(&self, name: &str, client: &mut RemoteTask, scope: &str, said: &mut Said) {
-        let known = client
-            .ask_server("probe")
-            .ok()
-            .flatten()
-            .and_then(|text| known(&text, scope));
+        let told = client.describe().ok().flatten();
+        let known = told.and_then(|mut told| told.scopes.remove(scope));
         let mut silent = false;
         for step in self.scenes.iter().flat_map(|scene| &scene.steps) {
             for task in &step.tasks {
@@ -180,7 +174,7 @@ fn ask_task(client: &mut RemoteTask, scope: &str, handler: &Handler, task: &Task
 type Wrong = (crate::yaml::Span, String, Option<String>);
 
 /// What of a task the server has not.
-fn missing(known: &Known, handler: &Handler, task: &Task) -> Option<Wrong> {
+fn missing(known: &Offers, handler: &Handler, task: &Task) -> Option<Wrong> {
     // `*` stands for each that has no entry of its own; an empty list for what is not known.
     let any = |names: &[String]| names.iter().any(|name| name == "*");
     let help = |written: &str, names: &[&str]| match closest(written, names.iter().copied()) {
@@ -201,40 +195,4 @@ fn missing(known: &Known, handler: &Handler, task: &Task) -> Option<Wrong> {
     let names: Vec<&str> = components.iter().map(String::as_str).collect();
     let message = format!("'{}' has no component '{}'", handler.name, task.component);
     Some((task.span, message, Some(help(&task.component, &names))))
-}
-
-/// The handlers of a scope, from what a server says of itself.
-fn known(probed: &str, scope: &str) -> Option<Known> {
-    let document = Document::parse("$ztl", probed.as_bytes()).ok()?;
-    let handlers = get(get(document.root(), "scopes")?, scope)?;
-    let Value::Map(pairs) = &handlers.value else {
-        return None;
-    };
-    let all = pairs.iter().filter_map(|(name, components)| {
-        let Value::List(items) = &components.value else {
-            return None;
-        };
-        Some((
-            text(name)?.to_owned(),
-            items.iter().filter_map(text).map(str::to_owned).collect(),
-        ))
-    });
-    Some(all.collect())
-}
-
-fn get<'n>(node: &'n Node, key: &str) -> Option<&'n Node> {
-    let Value::Map(pairs) = &node.value else {
-        return None;
-    };
-    pairs
-        .iter()
-        .find(|(name, _)| text(name) == Some(key))
-        .map(|(_, value)| value)
-}
-
-fn text(node: &Node) -> Option<&str> {
-    match &node.value {
-        Value::Scalar { text, .. } => Some(text),
-        _ => None,
-    }
 }

@@ -53,7 +53,7 @@ use program::Program;
 use rule::{Rule, shown};
 use supervisor::{Link, Message, Supervisor};
 
-use crate::server::{Answers, TaskHandler, TaskReporter, quoted, would_take};
+use crate::server::{Answers, TaskHandler, TaskReporter, offered, would_take};
 
 /// Name under which it logs.
 const LOG: &str = "serve";
@@ -200,11 +200,11 @@ impl TaskHandler for Programs {
     }
 
     fn description(&self) -> Box<dyn Fn() -> String + Send> {
-        let handlers = self.places.iter().map(|(handler, components)| {
-            let names: Vec<String> = components.keys().map(|name| quoted(name)).collect();
-            format!("{}: [{}]", quoted(handler), names.join(", "))
-        });
-        let all = format!("{{{}}}", handlers.collect::<Vec<_>>().join(", "));
+        let handlers = self
+            .places
+            .iter()
+            .map(|(handler, components)| (handler.as_str(), components.keys().map(String::as_str)));
+        let all = offered(handlers);
         Box::new(move || all.clone())
     }
 

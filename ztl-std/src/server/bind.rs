@@ -1,5 +1,6 @@
 //! Binding a socket, and why it may fail.
 
+use crate::endpoint::check_port;
 use crate::keys::KeyError;
 
 /// Why a server could not be opened.
@@ -69,7 +70,8 @@ impl From<zmq::Error> for BindError {
 
 /// Binds a socket, and says where.
 pub(super) fn bind(socket: &zmq::Socket, endpoint: &str) -> Result<String, BindError> {
-    socket.bind(endpoint).map_err(|cause| match cause {
+    let bound = check_port(endpoint).and_then(|()| socket.bind(endpoint));
+    bound.map_err(|cause| match cause {
         zmq::Error::EADDRINUSE => BindError::InUse {
             endpoint: endpoint.to_owned(),
         },

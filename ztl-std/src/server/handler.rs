@@ -44,6 +44,12 @@ pub trait TaskHandler: Send {
         Box::new(|| "{}".to_owned())
     }
 
+    /// Whether the answer about an id that is not known names that id: `Invalid ID '7'`, as the original's
+    /// `TaskController` says it, or `Invalid ID`, as its simple server does. Default: it names the id.
+    fn names_unknown_ids(&self) -> bool {
+        true
+    }
+
     /// The server is about to stop, and drops its handlers: begin to stop the tasks, and say how long
     /// clients may wait to hear of their ends. Default: nothing, 1.5 s.
     fn stop(&mut self) -> Duration {

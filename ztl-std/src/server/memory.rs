@@ -22,6 +22,8 @@ pub(super) struct About {
     pub(super) describe: Box<dyn Fn() -> String + Send>,
     /// Answers to further questions.
     pub(super) answer: Answers,
+    /// Whether the answer about an unknown id names it.
+    pub(super) names_unknown_ids: bool,
 }
 
 /// Longest text that is kept, in bytes: an answer must fit a message that a client of ours takes.
@@ -313,6 +315,11 @@ impl Memory for Heap {
         sink.put(format!("{{{}}}", scopes.join(", ")).as_bytes());
     }
 
+    fn names_unknown_ids(&self, scope: Scope) -> bool {
+        let scope = self.scopes.get(usize::from(scope.0));
+        scope.is_none_or(|(_, about)| about.names_unknown_ids)
+    }
+
     fn longest_message(&self) -> Option<u32> {
         u32::try_from(self.tasks.limits.longest_message()).ok()
     }
@@ -399,8 +406,20 @@ impl Memory for Heap {
     }
 }
 
+/// What a scope offers, in YAML's flow style: `{gripper: [finger]}`.
+pub(crate) fn offered<'n, C>(handlers: impl IntoIterator<Item = (&'n str, C)>) -> String
+where
+    C: IntoIterator<Item = &'n str>,
+{
+    let handlers = handlers.into_iter().map(|(handler, components)| {
+        let names: Vec<String> = components.into_iter().map(quoted).collect();
+        format!("{}: [{}]", quoted(handler), names.join(", "))
+    });
+    format!("{{{}}}", handlers.collect::<Vec<_>>().join(", "))
+}
+
 /// A text in quotes, as YAML reads it.
-pub(crate) fn quoted(text: &str) -> String {
+fn quoted(text: &str) -> String {
     let mut bytes = Vec::new();
     ztl_core::repr::put_yaml(text, &mut |part: &[u8]| bytes.extend_from_slice(part));
     String::from_utf8_lossy(&bytes).into_owned()
@@ -424,6 +443,7 @@ mod tests {
         let about = About {
             describe: Box::new(String::new),
             answer: Box::new(|_| None),
+            names_unknown_ids: true,
         };
         heap.register("/lab", about);
         let first = TaskId::new(1).expect("not 0");

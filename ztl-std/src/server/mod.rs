@@ -42,7 +42,7 @@ pub use handler::{Answers, Restored, RestoredTask, TaskHandler};
 pub use limits::{LIMITS, Limits};
 pub use listing::{ListedTask, Listing};
 use memory::{About, Grown, Heap};
-pub(crate) use memory::{ById, quoted};
+pub(crate) use memory::{ById, offered};
 pub use report::TaskReporter;
 pub(crate) use report::{AbortRefusal, Hush};
 use report::{Inbox, Mailbox, Report, Waker};
@@ -205,6 +205,7 @@ impl TaskServer {
         let about = About {
             describe: handler.description(),
             answer: handler.answers(),
+            names_unknown_ids: handler.names_unknown_ids(),
         };
         let scope = self.dispatcher.memory_mut().register(scope, about);
         self.restore(scope, restored, &mut handler);

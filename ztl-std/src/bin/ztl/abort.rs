@@ -1,19 +1,21 @@
 //! `ztl abort`: stops tasks of a server, whoever started them.
 
+use std::collections::BTreeSet;
 use std::process::ExitCode;
 
 use ztl_std::{ListedTask, RequestError, State, Status, TaskId};
 
 use crate::Done;
-use crate::ask::Server;
-use crate::ps::flat;
-use crate::terminal::line;
+use crate::ask::{Asking, Server};
+use crate::terminal::{error_line, flat, line};
 
 #[derive(Debug, clap::Args)]
-#[command(after_help = "Exit codes: 0 every task has ended, 1 at least one may still run.")]
+#[command(
+    after_help = "Exit codes: 0 every task has ended, 1 at least one is not known or may still run."
+)]
 pub(crate) struct Abort {
     #[command(flatten)]
-    server: Server,
+    server: Asking,
 
     /// The tasks to stop, by their ids
     #[arg(value_name = "ID", required_unless_present = "all", value_parser = id)]
@@ -24,6 +26,7 @@ pub(crate) struct Abort {
     all: bool,
 
     /// The tasks' scope; needed only for a server that does not tell it, as the original
+    /// [default: the configuration file's, else $ZTL_SCOPE; with --all every scope]
     #[arg(short, long)]
     scope: Option<String>,
 }
@@ -36,12 +39,14 @@ struct Wanted {
     task: String,
 }
 
-fn wanted_task(task: &ListedTask) -> Option<Wanted> {
-    Some(Wanted {
-        scope: task.scope.clone(),
-        id: TaskId::new(task.id)?,
-        task: task.task.clone(),
-    })
+impl Wanted {
+    fn of(task: &ListedTask) -> Option<Self> {
+        Some(Self {
+            scope: task.scope.clone(),
+            id: TaskId::new(task.id)?,
+            task: task.task.clone(),
+        })
+    }
 }
 
 fn id(text: &str) -> Result<TaskId, &'static str> {
@@ -51,76 +56,147 @@ fn id(text: &str) -> Result<TaskId, &'static str> {
 
 impl Abort {
     pub(crate) fn run(self) -> Done {
-        let mut all_ended = true;
-        for Wanted { scope, id, task } in self.wanted()? {
-            let mut remote = self.server.connect(&scope)?;
-            let answer = remote.abort(id).and_then(|status| match status.state {
-                // The answer to an ABORT does not tell the result.
-                State::Aborted => remote.status(id),
-                _ => Ok(status),
-            });
-            let (ended, said) = told(&answer);
-            all_ended &= ended;
-            let name = format!("{id} {task}");
-            line(format_args!("{}: {said}", flat(name.trim_end())));
-        }
-        Ok(if all_ended {
-            ExitCode::SUCCESS
-        } else {
-            ExitCode::FAILURE
+        let server = self.server.server()?;
+        let all_ended = match self.all {
+            true => abort_all(&server, self.scope.as_deref())?,
+            false => abort_these(&server, &self.ids, self.scope)?,
+        };
+        Ok(match all_ended {
+            true => ExitCode::SUCCESS,
+            false => ExitCode::FAILURE,
         })
-    }
-
-    fn wanted(&self) -> Result<Vec<Wanted>, Box<dyn std::error::Error>> {
-        if let Some(scope) = &self.scope
-            && !self.all
-        {
-            let named = |id: &TaskId| Wanted {
-                scope: scope.clone(),
-                id: *id,
-                task: String::new(),
-            };
-            return Ok(self.ids.iter().map(named).collect());
-        }
-        let (_, listing) = self.server.tasks()?;
-        let mut wanted = Vec::new();
-        if self.all {
-            let runs = |task: &&ListedTask| {
-                let here = self.scope.as_ref().is_none_or(|scope| *scope == task.scope);
-                task.ended_ms.is_none() && here
-            };
-            for task in listing.tasks.iter().filter(runs) {
-                wanted.extend(wanted_task(task));
-            }
-            if wanted.is_empty() {
-                line("No task is running.");
-            }
-            return Ok(wanted);
-        }
-        for id in &self.ids {
-            let known = listing.tasks.iter().find(|task| task.id == id.get());
-            let known = known.ok_or_else(|| {
-                format!(
-                    "no task {id} is known at {}; `ztl ps --all` lists them",
-                    self.server.endpoint()
-                )
-            })?;
-            wanted.extend(wanted_task(known));
-        }
-        Ok(wanted)
     }
 }
 
-/// Whether the task has certainly ended, and what is said about it.
-fn told(answer: &Result<Status, RequestError>) -> (bool, String) {
-    match answer {
-        Ok(Status { state, text }) if *state == State::Accepted => {
-            (false, format!("not stopped yet: {}", flat(text)))
+/// Stops every task that runs; says whether all have ended.
+fn abort_all(server: &Server, scope: Option<&str>) -> Result<bool, Box<dyn std::error::Error>> {
+    let mut tried = BTreeSet::new();
+    let mut all_ended = true;
+    loop {
+        let listing = server.tasks()?;
+        let runs = |task: &&ListedTask| {
+            task.ended_ms.is_none() && scope.is_none_or(|scope| scope == task.scope)
+        };
+        let running = listing.tasks.iter().filter(runs).filter_map(Wanted::of);
+        let new: Vec<Wanted> = running.filter(|task| tried.insert(task.id)).collect();
+        for task in &new {
+            all_ended &= abort(server, task)?;
         }
-        Ok(Status { state, text }) => {
-            let said = format!("{}, {}", state.name(), flat(text));
-            (state.is_final(), said)
+        if tried.is_empty() {
+            line("No task is running.");
         }
-        Err(error) => (false, error.to_string()),
+        // The running ones come first; a server with very many tells only some of them.
+        let told_all =
+            listing.more == 0 || listing.tasks.iter().any(|task| task.ended_ms.is_some());
+        if told_all || new.is_empty() {
+            return Ok(all_ended && told_all);
+        }
+    }
+}
+
+/// Stops the tasks with these ids; says whether all have ended.
+fn abort_these(
+    server: &Server,
+    ids: &[TaskId],
+    scope: Option<String>,
+) -> Result<bool, Box<dyn std::error::Error>> {
+    let in_scope = |scope: &str| -> Vec<Option<Wanted>> {
+        let named = |id: &TaskId| Wanted {
+            scope: scope.to_owned(),
+            id: *id,
+            task: String::new(),
+        };
+        ids.iter().map(|id| Some(named(id))).collect()
+    };
+    let wanted = match scope {
+        Some(scope) => in_scope(&scope),
+        None => match server.tasks_if_any()? {
+            Some(listing) => {
+                let find = |id: &TaskId| listing.tasks.iter().find(|task| task.id == id.get());
+                ids.iter().map(|id| find(id).and_then(Wanted::of)).collect()
+            }
+            None => match server.place.scope(None)? {
+                Some(scope) => in_scope(&scope),
+                None => return Err(format!("{}; give --scope", server.original()).into()),
+            },
+        },
+    };
+    let mut all_ended = true;
+    // One that is not known keeps nobody from stopping the others.
+    for (id, wanted) in ids.iter().zip(&wanted) {
+        all_ended &= match wanted {
+            Some(wanted) => abort(server, wanted)?,
+            None => {
+                unknown(server, *id);
+                false
+            }
+        };
+    }
+    Ok(all_ended)
+}
+
+fn unknown(server: &Server, id: TaskId) {
+    let endpoint = server.endpoint();
+    error_line(format_args!(
+        "ztl: no task {id} is known at {endpoint}; `ztl ps --all` lists them"
+    ));
+}
+
+/// Stops a task, and says what became of it; whether it has certainly ended.
+fn abort(server: &Server, wanted: &Wanted) -> Result<bool, Box<dyn std::error::Error>> {
+    let Wanted { scope, id, task } = wanted;
+    let mut remote = server.connect(scope)?;
+    let answer = match remote.abort(*id) {
+        // The answer to an ABORT does not tell the result.
+        Ok(aborted) if aborted.state == State::Aborted => remote.status(*id).or(Ok(aborted)),
+        answer => answer,
+    };
+    let name = format!("{id} {task}");
+    let name = flat(name.trim_end());
+    let (ended, said) = match About::of(&answer, *id) {
+        About::Task(Status { state, text }) if state.is_final() => {
+            (true, format!("{}, {}", state.name(), flat(text)))
+        }
+        About::Task(Status { text, .. }) => (false, format!("not stopped yet: {}", flat(text))),
+        About::NoTask => {
+            unknown(server, *id);
+            return Ok(false);
+        }
+        About::NoScope => (false, format!("the server has no scope '{}'", flat(scope))),
+        About::Nothing(why) => (false, format!("it may still run: {}", flat(&why))),
+    };
+    line(format_args!("{name}: {said}"));
+    Ok(ended)
+}
+
+/// What an answer to an ABORT is about.
+enum About<'a> {
+    Task(&'a Status),
+    /// The server does not know the task.
+    NoTask,
+    /// The server does not serve the scope.
+    NoScope,
+    /// It says nothing of the task.
+    Nothing(String),
+}
+
+impl<'a> About<'a> {
+    fn of(answer: &'a Result<Status, RequestError>, id: TaskId) -> Self {
+        let status = match answer {
+            Ok(status) => status,
+            Err(error) => return Self::Nothing(error.to_string()),
+        };
+        let text = status.text.as_str();
+        match status.state {
+            State::Rejected if text == "Invalid ID" || text == format!("Invalid ID '{id}'") => {
+                Self::NoTask
+            }
+            State::Rejected if text.starts_with("No controller for scope: ") => Self::NoScope,
+            // The original's server, of its own trouble.
+            State::Failed if text.starts_with("Controller threw exception: ") => {
+                Self::Nothing(text.to_owned())
+            }
+            _ => Self::Task(status),
+        }
     }
 }

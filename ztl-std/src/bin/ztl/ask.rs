@@ -1,35 +1,64 @@
-//! What `ztl devices`, `ztl ps` and `ztl abort` share: which server is asked, and how answers look.
+//! What `ztl devices`, `ztl describe`, `ztl ps` and `ztl abort` share: which server is asked, and how
+//! answers look.
 
 use serde::de::DeserializeOwned;
-use ztl_std::{Listing, RemoteTask};
+use ztl_std::{Description, ListedTask, Listing, RemoteTask, State};
 
+use crate::Misuse;
+use crate::address::{Address, Place};
 use crate::reach::Identity;
-use crate::tool::port;
 
+/// Options that say which server is asked, and by whom.
 #[derive(Debug, clap::Args)]
-pub(crate) struct Server {
-    /// Host name or address of the server
-    #[arg(short, long, default_value = "localhost", value_name = "HOST")]
-    remote: String,
-
-    /// Port of the server
-    #[arg(short, long, value_parser = port)]
-    port: u16,
+pub(crate) struct Asking {
+    #[command(flatten)]
+    address: Address,
 
     #[command(flatten)]
     identity: Identity,
 }
 
+impl Asking {
+    /// The server that is asked.
+    ///
+    /// # Errors
+    /// When nothing says which it is.
+    pub(crate) fn server(self) -> Result<Server, Misuse> {
+        Ok(Server {
+            place: self.address.place()?,
+            identity: self.identity,
+        })
+    }
+}
+
+/// A server that is asked.
+pub(crate) struct Server {
+    pub(crate) place: Place,
+    identity: Identity,
+}
+
 impl Server {
     pub(crate) fn endpoint(&self) -> String {
-        format!("tcp://{}:{}", self.remote, self.port)
+        self.place.endpoint()
     }
 
     /// A client of `scope` there.
     pub(crate) fn connect(&self, scope: &str) -> Result<RemoteTask, Box<dyn std::error::Error>> {
         let remote = RemoteTask::connect(&self.endpoint(), scope)
-            .map_err(|_| format!("'{}' is no name or address of a host", self.remote))?;
+            .map_err(|_| format!("'{}' is no name or address of a host", self.place.host))?;
         self.identity.apply(remote)
+    }
+
+    /// What the server says of itself.
+    pub(crate) fn describe(&self) -> Result<Description, Box<dyn std::error::Error>> {
+        let told = self.connect("$ztl")?.describe()?;
+        Ok(told.ok_or_else(|| self.original())?)
+    }
+
+    /// Why a server tells nothing.
+    pub(crate) fn original(&self) -> String {
+        let endpoint = self.endpoint();
+        format!("the server at {endpoint} is an original ztl; it does not say what it offers")
     }
 
     /// What the server answers to a question, as JSON; `None` where it does not know it.
@@ -37,17 +66,42 @@ impl Server {
         Ok(self.connect("$ztl")?.ask_server(question)?)
     }
 
-    /// The tasks that the server remembers.
-    pub(crate) fn tasks(&self) -> Result<(String, Listing), Box<dyn std::error::Error>> {
-        let json = self.ask("tasks")?.ok_or_else(|| {
-            format!(
-                "the server at {} does not tell its tasks: it is the original's, a device without a gateway, \
-                 or older than this command",
-                self.endpoint()
-            )
-        })?;
+    /// The tasks that the server remembers; `None` where it does not tell them.
+    pub(crate) fn tasks_if_told(
+        &self,
+    ) -> Result<Option<(String, Listing)>, Box<dyn std::error::Error>> {
+        let Some(json) = self.ask("tasks")? else {
+            return Ok(None);
+        };
         let listing = read(&json)?;
-        Ok((json, listing))
+        Ok(Some((json, listing)))
+    }
+
+    /// The tasks that the server remembers; of a device that speaks ZeroMQ itself ids and scopes of those
+    /// that run. `None`: it is an original server.
+    pub(crate) fn tasks_if_any(&self) -> Result<Option<Listing>, Box<dyn std::error::Error>> {
+        if let Some((_, listing)) = self.tasks_if_told()? {
+            return Ok(Some(listing));
+        }
+        let task = |(id, scope)| ListedTask {
+            id,
+            scope,
+            task: String::new(),
+            state: State::Accepted as u8,
+            text: String::new(),
+            age_ms: 0,
+            ended_ms: None,
+        };
+        let told = self.connect("$ztl")?.describe()?;
+        Ok(told.map(|told| Listing {
+            tasks: told.running.into_iter().map(task).collect(),
+            more: 0,
+        }))
+    }
+
+    /// The same; an original server is an error.
+    pub(crate) fn tasks(&self) -> Result<Listing, Box<dyn std::error::Error>> {
+        Ok(self.tasks_if_any()?.ok_or_else(|| self.original())?)
     }
 }
 

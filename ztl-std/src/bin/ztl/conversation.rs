@@ -18,9 +18,10 @@ pub(crate) use words::Words;
 /// What is said at the end of a client's help.
 pub(crate) const AFTER_HELP: &str = "\
 With --exit-status: 0 completed, 1 refused, 3 failed, 4 aborted, 5 unknown, or no server was reached.
-Ctrl-C aborts the task, a second one leaves at once; without --exit-status the code is then 130.";
+Ctrl-C aborts the task, a second one leaves at once; without --exit-status the code is then 130. SIGTERM
+aborts it too, waits at most 2 s for the answer, and the code is 143.";
 
-/// As long as the original waits after an abort that was refused.
+/// As long as the original waits after an abort that was refused. Whoever sends SIGTERM does not wait.
 const AFTER_ABORT: Duration = Duration::from_secs(5);
 
 /// How a task ended for its client.
@@ -81,10 +82,12 @@ enum News<'a> {
         id: TaskId,
         interrupted: bool,
     },
-    /// It goes on all the same, and is waited for a little longer.
+    /// It goes on all the same.
     NotAborted {
         id: TaskId,
         reply: &'a str,
+        /// Whether its end is waited for a little longer.
+        waits: bool,
     },
     /// The last news.
     Over(Over<'a>),
@@ -120,6 +123,8 @@ enum Over<'a> {
         /// What the abort was answered.
         reply: &'a str,
     },
+    /// It was not stopped, and there is no time to wait for its end.
+    Left { id: TaskId, reply: &'a str },
 }
 
 impl Over<'_> {
@@ -127,7 +132,7 @@ impl Over<'_> {
         match self {
             Self::NotTriggered { fate, .. } => *fate,
             Self::Ended { status, .. } | Self::Stopped { status, .. } => Fate::of(status.state),
-            Self::Lost { .. } => Fate::Unknown,
+            Self::Lost { .. } | Self::Left { .. } => Fate::Unknown,
             Self::After { state, .. } => state.map_or(Fate::Unknown, Fate::of),
         }
     }
@@ -149,7 +154,8 @@ pub(crate) struct Telling {
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Target<'a> {
     pub(crate) host: &'a str,
-    pub(crate) port: u16,
+    /// Of the original's tools any number.
+    pub(crate) port: i64,
     pub(crate) scope: &'a str,
 }
 
@@ -157,6 +163,8 @@ impl Target<'_> {
     /// A client of it.
     pub(crate) fn connect(&self) -> Result<RemoteTask, Box<dyn std::error::Error>> {
         let Self { host, port, scope } = self;
+        let port = u16::try_from(*port)
+            .map_err(|_| format!("invalid port '{port}': expected 0 to 65535"))?;
         let remote = RemoteTask::connect(&format!("tcp://{host}:{port}"), scope);
         Ok(remote.map_err(|_| format!("'{host}' is no name or address of a host"))?)
     }
@@ -182,14 +190,33 @@ impl Conversation<'_> {
         if !self.telling.json {
             words::connecting(self);
         }
-        let mut remote = identify(self.target.connect()?)?;
-        let fate = self.play(&mut remote);
-        Ok(match (self.telling.exit_status, signals::stopped()) {
-            (true, _) => ExitCode::from(fate.code()),
-            // As a shell reports it.
-            (false, true) => ExitCode::from(130),
-            (false, false) => ExitCode::SUCCESS,
+        let fate = if self.target.port > i64::from(u16::MAX) {
+            self.not_connected()
+        } else {
+            let mut remote = identify(self.target.connect()?)?;
+            self.play(&mut remote)
+        };
+        Ok(match self.telling.exit_status {
+            true => ExitCode::from(fate.code()),
+            false => signals::exit_code().unwrap_or(ExitCode::SUCCESS),
         })
+    }
+
+    /// The original's tools go on with such a port, and find nobody there.
+    fn not_connected(&self) -> Fate {
+        let mut tell = self.teller();
+        tell(News::Asking);
+        let port = self.target.port;
+        let reason = &format!("invalid port '{port}': expected 0 to 65535; nothing was sent");
+        let fate = Fate::NotStarted;
+        over(
+            tell,
+            Over::NotTriggered {
+                id: -1,
+                reason,
+                fate,
+            },
+        )
     }
 
     fn play(&self, remote: &mut RemoteTask) -> Fate {
@@ -265,6 +292,7 @@ impl Conversation<'_> {
     /// What is wrong with the host's name, if it has no address.
     fn nameless(&self) -> String {
         let Target { host, port, .. } = self.target;
+        let port = u16::try_from(port).unwrap_or_default();
         match (host, port).to_socket_addrs() {
             Ok(_) => String::new(),
             Err(_) => format!("; no host '{host}' is known"),
@@ -285,10 +313,17 @@ impl Conversation<'_> {
             Err(error) => error.to_string(),
         };
         let reply = &reply;
-        tell(News::NotAborted { id, reply });
-        let (state, text) = match remote.wait(id, Some(AFTER_ABORT)) {
-            Ok(Status { state, text })
-            | Err(WaitError {
+        let patient = || !signals::in_a_hurry();
+        let waits = patient();
+        tell(News::NotAborted { id, reply, waits });
+        let wait = || remote.wait_with(id, Some(AFTER_ABORT), |_| patient());
+        let Some(waited) = waits.then(wait) else {
+            return over(tell, Over::Left { id, reply });
+        };
+        let (state, text) = match waited {
+            Ok(Status { state, text }) => (Some(state), text),
+            Err(_) if !patient() => return over(tell, Over::Left { id, reply }),
+            Err(WaitError {
                 last: Ok(Status { state, text }),
             }) => (Some(state), text),
             Err(WaitError { last: Err(cause) }) => (None, cause.to_string()),

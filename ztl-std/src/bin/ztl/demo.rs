@@ -88,8 +88,8 @@ impl Demo {
         for (title, step) in SCENE {
             line(format_args!("\n{title}"));
             all &= play(&mut remote, start, step);
-            if signals::stopped() {
-                return Ok(ExitCode::from(130));
+            if let Some(code) = signals::exit_code() {
+                return Ok(code);
             }
         }
         line("");
@@ -105,11 +105,11 @@ impl Demo {
         }
         drop(server);
         drop(devices);
-        Ok(if all {
+        Ok(signals::exit_code_or(if all {
             ExitCode::SUCCESS
         } else {
             ExitCode::FAILURE
-        })
+        }))
     }
 }
 

@@ -89,7 +89,7 @@ impl Device {
         ));
         signals::wait();
         drop(running);
-        Ok(ExitCode::SUCCESS)
+        Ok(signals::exit_code_or(ExitCode::SUCCESS))
     }
 }
 

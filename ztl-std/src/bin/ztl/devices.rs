@@ -15,16 +15,16 @@ use ztl_std::gateway::LogPiece;
 use ztl_std::gateway::{ComponentReport, DeviceReport, DeviceReports};
 
 use crate::Done;
-use crate::ask::{Server, read, spoken};
-use crate::ps::{flat, state};
+use crate::ask::{Asking, Server, read, spoken};
+use crate::ps::state;
 #[cfg(feature = "defmt")]
 use crate::signals;
-use crate::terminal::line;
+use crate::terminal::{flat, line};
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct Devices {
     #[command(flatten)]
-    server: Server,
+    server: Asking,
 
     /// Only this device
     #[arg(value_name = "NAME")]
@@ -52,22 +52,21 @@ pub(crate) struct Devices {
 
 impl Devices {
     pub(crate) fn run(self) -> Done {
+        let server = self.server.server()?;
         #[cfg(feature = "defmt")]
         if let (Some(name), Some(elf)) = (&self.log, &self.elf) {
-            return show_log(&self.server, name, elf, self.once);
+            return show_log(&server, name, elf, self.once);
         }
-        let json = self.server.ask("devices")?.ok_or_else(|| {
-            format!(
-                "the server at {} has no devices: it is no gateway of this version",
-                self.server.endpoint()
-            )
+        let json = server.ask("devices")?.ok_or_else(|| {
+            let endpoint = server.endpoint();
+            format!("the server at {endpoint} has no devices: it is no gateway of this version")
         })?;
         if self.json {
             line(json);
             return Ok(ExitCode::SUCCESS);
         }
         let scopes: BTreeMap<String, DeviceReports> = read(&json)?;
-        let (_, listing) = self.server.tasks()?;
+        let listing = server.tasks()?;
         let mut found = false;
         let mut names = Vec::new();
         for (scope, devices) in &scopes {
@@ -145,7 +144,7 @@ fn show_log(server: &Server, name: &str, elf: &Path, once: bool) -> Done {
         }
         std::thread::sleep(LOG_AGAIN);
     }
-    Ok(ExitCode::SUCCESS)
+    Ok(signals::exit_code_or(ExitCode::SUCCESS))
 }
 
 #[cfg(feature = "defmt")]
@@ -265,4 +264,5 @@ fn described(component: &ComponentReport) -> String {
         "{}: {goals}{busy}; without link it {loss}{topics}",
         component.name
     ))
+    .into_owned()
 }

@@ -10,6 +10,7 @@ use std::process::ExitCode;
 
 use serde_json::{Value, json};
 
+use crate::address::Address;
 use crate::reach::Identity;
 use crate::terminal::line;
 use crate::tool::port;
@@ -20,19 +21,9 @@ use crate::{Done, about};
     after_help = "Exit code 0: nothing is wrong; 1: something is, and each trouble is told with its remedy; 2: the options are wrong."
 )]
 pub(crate) struct Doctor {
-    /// Host of a server to be reached, at the port of --port
-    #[arg(
-        short,
-        long,
-        default_value = "localhost",
-        value_name = "HOST",
-        requires = "port"
-    )]
-    remote: String,
-
-    /// Port of that server; without it no server is asked
-    #[arg(short, long, value_parser = port)]
-    port: Option<u16>,
+    /// Without --remote, --port and ZTL_PORT no server is asked.
+    #[command(flatten)]
+    address: Address,
 
     #[command(flatten)]
     identity: Identity,
@@ -128,6 +119,7 @@ impl Finding {
 
 impl Doctor {
     pub(crate) fn run(self) -> Done {
+        let place = self.address.place_if_any()?;
         let mut found = vec![
             Finding::good("ztl", about::version().replace('\n', "; ")),
             system::kernel(),
@@ -143,8 +135,8 @@ impl Doctor {
         found.extend(network::ports(&self.listen));
         found.extend(serial::ports(&self.serial));
         found.push(storage::journal(self.journal.as_deref()));
-        if let Some(port) = self.port {
-            found.push(network::server(&self.remote, port, &self.identity));
+        if let Some(place) = &place {
+            found.push(network::server(place, &self.identity));
         }
         let troubles = found.iter().filter(|f| f.health == Health::Trouble).count();
         if self.json {

@@ -10,7 +10,7 @@ use ztl_std::server::scope_mistake;
 
 use crate::reach::{self, MISCONFIGURED, Unfit};
 use crate::service::{self, Service};
-use crate::terminal::line;
+use crate::terminal::{error_line, line};
 use crate::tool::port;
 use crate::{Done, journal, log, signals};
 
@@ -122,7 +122,7 @@ impl Gateway {
         let plan = match self.plan() {
             Ok(plan) => plan,
             Err(unfit) => {
-                eprintln!("{unfit}");
+                error_line(unfit);
                 return Ok(ExitCode::from(MISCONFIGURED));
             }
         };
@@ -227,6 +227,6 @@ impl Plan {
         service.stops(stopper);
         server.listen()?;
         line("Stopped.");
-        Ok(ExitCode::SUCCESS)
+        Ok(signals::exit_code_or(ExitCode::SUCCESS))
     }
 }

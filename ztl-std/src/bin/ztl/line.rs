@@ -142,7 +142,7 @@ impl Line {
             rewrite("", "");
         }
         say(cable.counts());
-        Ok(ExitCode::SUCCESS)
+        Ok(signals::exit_code_or(ExitCode::SUCCESS))
     }
 
     /// One direction of it; `way` is what cuts it.

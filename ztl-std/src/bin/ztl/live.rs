@@ -27,7 +27,7 @@ use self::look::{scrolls, stops};
 use self::rows::Seen;
 use self::text::Line;
 use crate::key_name::{self, FIRST_REPEAT, HELD, Pressed};
-use crate::terminal::line;
+use crate::terminal::drawn_line;
 
 /// Longest time between something happening and its being seen.
 const PAUSE: Duration = Duration::from_millis(40);
@@ -119,7 +119,7 @@ impl Live {
         let (colour, ascii) = (has_colour(), !speaks_utf8());
         let (width, _) = tty::size();
         for text in draw::summary(&lock(&self.shared).board, width) {
-            line(text.encoded(colour, ascii));
+            drawn_line(&text.encoded(colour, ascii));
         }
     }
 

@@ -12,6 +12,8 @@ use tracing_subscriber::registry::LookupSpan;
 use tracing_subscriber::util::SubscriberInitExt;
 use ztl_std::listen::LogFormat;
 
+use crate::terminal::{Errors, flat};
+
 struct PythonForm;
 
 impl<S, N> FormatEvent<S, N> for PythonForm
@@ -52,7 +54,8 @@ struct Text<'a> {
 impl Visit for Text<'_> {
     fn record_debug(&mut self, field: &Field, value: &dyn fmt::Debug) {
         if field.name() == "message" {
-            self.written = write!(self.writer, "{value:?}");
+            // One event is one line, and nothing in it commands a terminal that shows it later.
+            self.written = self.writer.write_str(&flat(&format!("{value:?}")));
         }
     }
 }
@@ -66,7 +69,7 @@ pub(crate) fn init(level: Level) {
 pub(crate) fn init_as(level: Level, format: LogFormat) {
     let log = tracing_subscriber::fmt()
         .with_max_level(level)
-        .with_writer(std::io::stderr);
+        .with_writer(|| Errors);
     match format {
         LogFormat::Text => log.event_format(PythonForm).init(),
         LogFormat::Json => log.json().flatten_event(true).init(),

@@ -2,12 +2,17 @@
 //!
 //! Called by one of the original's names (`ztl_task_client`, `task_client.py`, …) it is that tool.
 
+// Text for people goes through `terminal`, which keeps what comes from elsewhere from commanding a terminal.
+#![warn(clippy::print_stdout, clippy::print_stderr)]
+
 mod abort;
 mod about;
+mod address;
 mod ask;
 mod check;
 mod conversation;
 mod demo;
+mod describe;
 mod device;
 mod devices;
 #[cfg(target_os = "linux")]
@@ -23,6 +28,7 @@ mod line;
 #[cfg(unix)]
 mod live;
 mod log;
+mod original;
 mod ps;
 mod reach;
 mod remote_task;
@@ -41,9 +47,13 @@ mod terminal;
 mod tool;
 
 use std::ffi::OsString;
+use std::fmt;
 use std::process::ExitCode;
 
+use clap::error::{ContextKind, ContextValue};
 use clap::{Parser, Subcommand};
+
+use terminal::{error_line, error_part};
 
 /// Robots and smart actuators as tasks over ZeroMQ.
 #[derive(Debug, Parser)]
@@ -74,6 +84,8 @@ enum Command {
     Line(line::Line),
     /// Show a gateway's devices: components, tasks, and how the links do
     Devices(devices::Devices),
+    /// Show what a server offers: scopes, handlers and components
+    Describe(describe::Describe),
     /// Show the tasks of a server
     Ps(ps::Ps),
     /// Stop tasks of a server, whoever started them
@@ -94,19 +106,27 @@ enum Command {
 fn main() -> ExitCode {
     #[cfg(target_os = "linux")]
     if let Some(mistake) = kernel::is_too_old() {
-        eprintln!("ztl: {mistake}");
+        error_line(format_args!("ztl: {mistake}"));
         return ExitCode::FAILURE;
     }
     let args: Vec<OsString> = std::env::args_os().collect();
-    // The original's tools, by link or as `ztl task-client`, share its rules for options.
-    if let Some(code) = tool::run(&args) {
+    if let Some(code) = original::run(&args) {
         return code;
     }
     #[cfg(unix)]
     if let Some(guard) = serve::Guard::of(&args) {
-        return exit(guard.run());
+        return exit("ztl", guard.run());
     }
-    exit(match Cli::parse_from(args).command {
+    let command = match Cli::try_parse_from(args) {
+        Ok(cli) => cli.command,
+        Err(error) if error.use_stderr() => {
+            error_part(misuse(&error));
+            return ExitCode::from(MISUSED);
+        }
+        // Help, which somebody asked for.
+        Err(error) => error.exit(),
+    };
+    let done = match command {
         Command::Demo(demo) => demo.run(),
         Command::Gateway(gateway) => gateway.run(),
         #[cfg(unix)]
@@ -117,24 +137,56 @@ fn main() -> ExitCode {
         #[cfg(target_os = "linux")]
         Command::Doctor(doctor) => doctor.run(),
         Command::Keys(keys) => keys.run(),
+        Command::Describe(describe) => describe.run(),
         Command::Ps(ps) => ps.run(),
         Command::Abort(abort) => abort.run(),
         Command::Report(report) => report.run(),
         Command::Check(check) => check.run(),
-        Command::Tool(tool) => tool.run("ztl"),
-    })
+        Command::Tool(tool) => return tool.run(),
+    };
+    exit("ztl", done)
 }
 
-/// How it ended, for the system and for the person who called it.
-fn exit(done: Done) -> ExitCode {
+/// What is wrong with the command line.
+fn misuse(error: &clap::Error) -> String {
+    let text = error.render().to_string();
+    match error.get(ContextKind::SuggestedArg) {
+        Some(ContextValue::String(meant)) => text.replace(
+            &format!("tip: a similar argument exists: '{meant}'"),
+            &format!("did you mean {meant}?"),
+        ),
+        _ => text,
+    }
+}
+
+/// How it ended, for the system and for the person who called it by this name.
+fn exit(called: impl fmt::Display, done: Done) -> ExitCode {
     match done {
         Ok(code) => code,
         Err(error) => {
-            eprintln!("ztl: {error}");
-            ExitCode::FAILURE
+            error_line(format_args!("{called}: {error}"));
+            match error.is::<Misuse>() {
+                true => ExitCode::from(MISUSED),
+                false => ExitCode::FAILURE,
+            }
         }
     }
 }
+
+/// Exit code for a command line that says nothing that could be done.
+const MISUSED: u8 = 2;
+
+/// What is wrong with the command line or the environment.
+#[derive(Debug)]
+struct Misuse(String);
+
+impl fmt::Display for Misuse {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.0.trim_end())
+    }
+}
+
+impl std::error::Error for Misuse {}
 
 /// What every command returns: its exit code, or one line for the person who called it.
 type Done = Result<ExitCode, Box<dyn std::error::Error>>;

@@ -1,17 +1,19 @@
 //! `ztl ps`: the tasks of a server.
 
+use std::collections::BTreeMap;
 use std::process::ExitCode;
 
+use serde_json::json;
 use ztl_std::{ListedTask, State};
 
 use crate::Done;
-use crate::ask::{Server, spoken, table};
-use crate::terminal::line;
+use crate::ask::{Asking, spoken, table};
+use crate::terminal::{flat, line};
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct Ps {
     #[command(flatten)]
-    server: Server,
+    server: Asking,
 
     /// Show the ended ones too, as long as the server remembers them
     #[arg(short, long)]
@@ -24,7 +26,10 @@ pub(crate) struct Ps {
 
 impl Ps {
     pub(crate) fn run(self) -> Done {
-        let (json, listing) = self.server.tasks()?;
+        let server = self.server.server()?;
+        let Some((json, listing)) = server.tasks_if_told()? else {
+            return show_running(&server.describe()?.running, self.json);
+        };
         if self.json {
             line(json);
             return Ok(ExitCode::SUCCESS);
@@ -35,17 +40,38 @@ impl Ps {
             line("No task is running.");
             return Ok(ExitCode::SUCCESS);
         }
+        let shown_all = rows.len() == listing.tasks.len();
         let head = ["ID", "SCOPE", "TASK", "STATE", "SINCE", "TEXT"].map(str::to_owned);
         let mut all = vec![head.to_vec()];
         all.extend(rows);
         for text in table(&all) {
             line(text);
         }
-        if self.all && listing.more > 0 {
+        if listing.more > 0 && (self.all || shown_all) {
             line(format_args!("{} more are remembered.", listing.more));
         }
         Ok(ExitCode::SUCCESS)
     }
+}
+
+/// All that a device tells that speaks ZeroMQ itself.
+fn show_running(running: &BTreeMap<u32, String>, as_json: bool) -> Done {
+    if as_json {
+        let tasks = running
+            .iter()
+            .map(|(id, scope)| json!({ "id": id, "scope": scope }));
+        line(json!({ "tasks": tasks.collect::<Vec<_>>(), "more": 0 }));
+    } else if running.is_empty() {
+        line("No task is running.");
+    } else {
+        let head = ["ID", "SCOPE"].map(str::to_owned).to_vec();
+        let row = |(id, scope): (&u32, &String)| vec![id.to_string(), flat(scope).into_owned()];
+        let rows: Vec<_> = std::iter::once(head)
+            .chain(running.iter().map(row))
+            .collect();
+        table(&rows).iter().for_each(line);
+    }
+    Ok(ExitCode::SUCCESS)
 }
 
 pub(crate) fn state(task: &ListedTask) -> String {
@@ -53,20 +79,13 @@ pub(crate) fn state(task: &ListedTask) -> String {
     known.map_or_else(|| task.state.to_string(), |state| state.name().to_owned())
 }
 
-/// One line, whatever a handler says.
-pub(crate) fn flat(text: &str) -> String {
-    text.chars()
-        .map(|c| if c.is_control() { ' ' } else { c })
-        .collect()
-}
-
 fn row(task: &ListedTask) -> Vec<String> {
     vec![
         task.id.to_string(),
-        flat(&task.scope),
-        flat(&task.task),
+        flat(&task.scope).into_owned(),
+        flat(&task.task).into_owned(),
         state(task),
         spoken(task.ended_ms.unwrap_or(task.age_ms)),
-        flat(&task.text),
+        flat(&task.text).into_owned(),
     ]
 }

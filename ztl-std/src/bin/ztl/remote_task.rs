@@ -9,7 +9,8 @@ use ztl_std::remotes::{Remote, usual_path};
 
 use crate::conversation::{AFTER_HELP, Conversation, Target, Telling, Words};
 use crate::reach::Identity;
-use crate::tool::{port, seconds, specification};
+use crate::terminal::error_part;
+use crate::tool::{Called, port, seconds, specification};
 use crate::{Done, log, signals};
 
 /// Name under which the original logs.
@@ -50,7 +51,7 @@ pub(crate) struct Endpoints {
     task: Vec<String>,
 
     /// Add or replace a publisher (repeatable)
-    #[arg(long, alias = "p", num_args = 4, value_names = ["NAME", "HOST", "PORT", "SCOPE"])]
+    #[arg(long, num_args = 4, value_names = ["NAME", "HOST", "PORT", "SCOPE"])]
     publisher: Vec<String>,
 }
 
@@ -77,7 +78,7 @@ impl Endpoints {
         let remotes = Remotes::load(&path).unwrap_or_else(|mistakes| {
             let path = path.display();
             warn!(target: LOG, "WARNING: Configuration file '{path}' not found/accessible, remote services will not be accessible.");
-            eprint!("{mistakes}");
+            error_part(mistakes);
             Remotes::named(&path.to_string())
         });
         self.added_to(remotes)
@@ -114,7 +115,7 @@ fn endpoint(words: &[String]) -> Result<(&str, Remote), Box<dyn std::error::Erro
 }
 
 impl RemoteTask {
-    pub(crate) fn run(self, called: &str) -> Done {
+    pub(crate) fn run(self, called: &Called) -> Done {
         log::init(Level::INFO);
         signals::catch()?;
         let remotes = self.endpoints.read()?;
@@ -128,7 +129,7 @@ impl RemoteTask {
         let conversation = Conversation {
             target: Target {
                 host,
-                port: *port,
+                port: i64::from(*port),
                 scope,
             },
             request: &request,

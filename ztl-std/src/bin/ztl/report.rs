@@ -9,7 +9,7 @@ use ztl_std::script::record::{self, Damage, Record};
 use ztl_std::script::report;
 
 use crate::Done;
-use crate::terminal::line;
+use crate::terminal::{error_line, line};
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct Report {
@@ -37,7 +37,7 @@ impl Report {
             damage.extend(found);
         }
         for damage in &damage {
-            eprintln!("ztl: {damage}");
+            error_line(format_args!("ztl: {damage}"));
         }
         if records.is_empty() {
             return Err("no run in these records, so there is nothing to report".into());

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 use ztl_std::{RemoteTask, State, Status, TriggerError};
 
 use crate::signals;
-use crate::terminal::{is_live, line, part, rewrite};
+use crate::terminal::{is_live, line, rewrite, up};
 
 /// A task of a scene.
 #[derive(Debug, Clone, Copy)]
@@ -56,7 +56,7 @@ pub(crate) fn play(remote: &mut RemoteTask, start: Instant, step: &[Act]) -> boo
             task.ask(remote);
         }
         if live {
-            part(format_args!("\x1b[{}A", shown.len()));
+            up(shown.len());
             draw(&shown, start);
         }
     }

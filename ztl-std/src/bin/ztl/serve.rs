@@ -13,7 +13,7 @@ use ztl_std::server::scope_mistake;
 
 use crate::reach::{self, MISCONFIGURED, Unfit};
 use crate::service::Service;
-use crate::terminal::line;
+use crate::terminal::{error_line, error_part, line};
 use crate::{Done, log, signals};
 
 #[derive(Debug, clap::Args)]
@@ -85,12 +85,12 @@ impl Serve {
         let (config, place) = match self.plan() {
             Ok(plan) => plan,
             Err(unfit) => {
-                eprintln!("{unfit}");
+                error_line(unfit);
                 return Ok(ExitCode::from(MISCONFIGURED));
             }
         };
         for warning in &config.warnings {
-            eprint!("{warning}");
+            error_part(warning);
         }
         if check {
             let wrong = match config.warnings.len() {
@@ -167,5 +167,5 @@ fn serve(config: &Config, place: reach::Place) -> Done {
     Service::ready(server.pulse(), move || served.clone())?.stops(stopper);
     server.listen()?;
     line("Stopped.");
-    Ok(ExitCode::SUCCESS)
+    Ok(signals::exit_code_or(ExitCode::SUCCESS))
 }

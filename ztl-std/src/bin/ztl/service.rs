@@ -8,7 +8,7 @@ use ztl_std::gateway::DeviceReports;
 use ztl_std::server::{Pulse, Stopper};
 
 use crate::signals;
-use crate::terminal::line;
+use crate::terminal::{flat, line};
 
 /// How often it is looked whether there is something new to say.
 const LOOK: Duration = Duration::from_secs(1);
@@ -36,7 +36,7 @@ impl Service {
             });
         }
         // It is one line of the message.
-        let now = move || tell().replace(char::is_control, " ");
+        let now = move || flat(&tell()).into_owned();
         let mut status = now();
         manager.tell(&format!("READY=1\nSTATUS={status}"));
         let teller = manager.clone();

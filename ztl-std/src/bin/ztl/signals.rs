@@ -1,13 +1,14 @@
 //! Ctrl-C and SIGTERM, as a flag that can be waited for; SIGUSR1, as something to do.
 
+use std::process::ExitCode;
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use crate::key_name::{FIRST_REPEAT, HELD};
 
 struct Flag {
-    /// When it was raised.
-    raised: Option<Instant>,
+    /// When it was raised, and by which signal.
+    raised: Option<(Instant, u8)>,
     /// Whether raising it once more ends the process.
     impatient: bool,
     /// What is to be done when it is raised.
@@ -26,6 +27,9 @@ const TWICE: Duration = Duration::from_millis(50);
 
 /// How long what is done at last may take, where the process is ended however it stands.
 const LAST: Duration = Duration::from_millis(500);
+
+/// Ctrl-C's signal: a person is there, and can press it again.
+const CTRL_C: u8 = 2;
 
 static FLAG: Mutex<Flag> = Mutex::new(Flag {
     raised: None,
@@ -54,7 +58,12 @@ pub(crate) fn catch() -> std::io::Result<()> {
     let mut signals = signal_hook::iterator::Signals::new(caught)?;
     std::thread::Builder::new()
         .name("ztl-signals".to_owned())
-        .spawn(move || signals.forever().for_each(|_| on_signal()))?;
+        .spawn(move || {
+            let number = |signal| u8::try_from(signal).unwrap_or(CTRL_C);
+            signals
+                .forever()
+                .for_each(|signal| on_signal(number(signal)));
+        })?;
     Ok(())
 }
 
@@ -62,11 +71,11 @@ pub(crate) fn catch() -> std::io::Result<()> {
 /// missed.
 #[cfg(not(unix))]
 pub(crate) fn catch() -> Result<(), ctrlc::Error> {
-    ctrlc::set_handler(on_signal)
+    ctrlc::set_handler(|| on_signal(CTRL_C))
 }
 
 /// Somebody wants this process to end.
-fn on_signal() {
+fn on_signal(signal: u8) {
     let mut flag = flag();
     let now = Instant::now();
     if flag.raised.is_some() && flag.impatient {
@@ -76,16 +85,15 @@ fn on_signal() {
         if let Some(last) = &flag.last {
             last();
         }
-        // As a shell reports it.
-        std::process::exit(130);
+        std::process::exit(code(signal).into());
     }
     if flag.is_repeated(now) {
         return;
     }
     if flag.raised.is_some() {
-        flag.leave_soon();
+        flag.leave_soon(code(signal));
     }
-    flag.raised.get_or_insert(now);
+    flag.raised.get_or_insert((now, signal));
     if let Some(then) = &flag.then {
         then();
     }
@@ -95,7 +103,7 @@ fn on_signal() {
 impl Flag {
     /// Whether a signal is the first one once more.
     fn is_doubled(&self, now: Instant) -> bool {
-        let since = self.raised.map(|at| now.saturating_duration_since(at));
+        let since = self.raised.map(|(at, _)| now.saturating_duration_since(at));
         since.is_some_and(|since| since < TWICE)
     }
 
@@ -113,7 +121,7 @@ impl Flag {
     }
 
     /// Ends the process a little later, if it is not ended by then.
-    fn leave_soon(&mut self) {
+    fn leave_soon(&mut self, code: u8) {
         let Some(patience) = self.patience.take() else {
             return;
         };
@@ -129,11 +137,11 @@ impl Flag {
                 });
                 let _ = wait.recv_timeout(LAST);
             }
-            std::process::exit(130);
+            std::process::exit(code.into());
         };
         let thread = std::thread::Builder::new().name("ztl-leave".to_owned());
         if thread.spawn(leave).is_err() {
-            std::process::exit(130);
+            std::process::exit(code.into());
         }
     }
 }
@@ -177,6 +185,30 @@ pub(crate) fn leave_soon_after_the_second(
 /// Whether somebody wants this process to end.
 pub(crate) fn stopped() -> bool {
     flag().raised.is_some()
+}
+
+/// The exit code of a process that a signal ends, as a shell reports it.
+const fn code(signal: u8) -> u8 {
+    128 + signal
+}
+
+/// The exit code when a signal has asked this process to end: 130 for Ctrl-C, 143 for SIGTERM.
+pub(crate) fn exit_code() -> Option<ExitCode> {
+    flag()
+        .raised
+        .map(|(_, signal)| ExitCode::from(code(signal)))
+}
+
+/// The exit code of something that goes on until it is asked to end: `usual` for Ctrl-C, which is
+/// how a person ends it.
+pub(crate) fn exit_code_or(usual: ExitCode) -> ExitCode {
+    let asked = exit_code().filter(|_| in_a_hurry());
+    asked.unwrap_or(usual)
+}
+
+/// Whether it is no person at a terminal who wants this process to end: it will be killed soon.
+pub(crate) fn in_a_hurry() -> bool {
+    flag().raised.is_some_and(|(_, signal)| signal != CTRL_C)
 }
 
 /// Until somebody wants this process to end.
@@ -232,7 +264,7 @@ mod tests {
         let mut flag = flag_of(None);
         let start = Instant::now();
         assert!(!flag.is_doubled(start));
-        flag.raised = Some(start);
+        flag.raised = Some((start, CTRL_C));
         assert!(flag.is_doubled(start));
         assert!(flag.is_doubled(start + Duration::from_millis(49)));
         assert!(!flag.is_doubled(start + Duration::from_millis(50)));

@@ -5,24 +5,27 @@ use tracing::Level;
 
 use crate::conversation::{AFTER_HELP, Conversation, Target, Telling, Words};
 use crate::reach::Identity;
-use crate::tool::port;
+use crate::tool::port_to_reach;
 use crate::{Done, log, signals};
 
 #[derive(Debug, clap::Args)]
 #[command(after_help = AFTER_HELP)]
 pub(crate) struct SimpleClient {
     /// The hostname or IP of the server
+    #[arg(index = 1)]
     host: String,
 
     /// Its port
-    #[arg(value_parser = port)]
-    port: u16,
+    #[arg(index = 2, value_parser = port_to_reach)]
+    port: i64,
 
     /// The scope that the server is listening to
+    #[arg(index = 3)]
     scope: String,
 
-    /// What is asked for, as the server understands it; seconds for the simple server
-    #[arg(allow_hyphen_values = true)]
+    /// What is asked for, as the server understands it; seconds for the simple server. One that begins with a dash
+    /// stands behind `--`
+    #[arg(index = 4, allow_negative_numbers = true)]
     request: String,
 
     #[command(flatten)]

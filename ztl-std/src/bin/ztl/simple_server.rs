@@ -54,7 +54,7 @@ impl SimpleServer {
         signals::then(move || stopper.stop());
         server.listen()?;
         error!(target: "root", "Interrupted, exiting.");
-        Ok(ExitCode::FAILURE)
+        Ok(signals::exit_code_or(ExitCode::FAILURE))
     }
 }
 
@@ -100,5 +100,9 @@ impl TaskHandler for Naps {
 
     fn abort(&mut self, id: TaskId) {
         self.running.remove(&id);
+    }
+
+    fn names_unknown_ids(&self) -> bool {
+        false
     }
 }

@@ -3,25 +3,21 @@
 
 use tracing::Level;
 
+use crate::address::Address;
 use crate::conversation::{AFTER_HELP, Conversation, Target, Telling, Words};
 use crate::reach::Identity;
-use crate::tool::{port, seconds, specification};
-use crate::{Done, log, signals};
+use crate::tool::{Called, seconds, specification};
+use crate::{Done, Misuse, log, signals};
 
 #[derive(Debug, clap::Args)]
 #[command(after_help = AFTER_HELP)]
 pub(crate) struct TaskClient {
-    /// The hostname or IP of the server to execute the task
-    #[arg(short, long)]
-    remote: String,
+    #[command(flatten)]
+    address: Address,
 
-    /// The port on the remote host that should execute the task
-    #[arg(short, long, value_parser = port)]
-    port: u16,
-
-    /// The scope that the server is listening to
+    /// The scope that the server is listening to [default: the configuration file's, else $ZTL_SCOPE]
     #[arg(short, long)]
-    scope: String,
+    scope: Option<String>,
 
     /// Seconds to wait for the task to end before it is aborted; 0 or less waits for ever
     #[arg(short, long, default_value_t = -1, allow_negative_numbers = true, value_parser = seconds)]
@@ -38,18 +34,23 @@ pub(crate) struct TaskClient {
 }
 
 impl TaskClient {
-    pub(crate) fn run(self, called: &str) -> Done {
+    pub(crate) fn run(self, called: &Called) -> Done {
         log::init(Level::INFO);
         signals::catch()?;
         let request = match specification(&self.payload, called, "task-client") {
             Ok(request) => request,
             Err(code) => return Ok(code),
         };
+        let place = self.address.place()?;
+        let scope = place.scope(self.scope.as_ref())?.ok_or_else(|| {
+            let how = "give --scope, or --remote NAME for a server in the configuration file, or set ZTL_SCOPE";
+            Misuse(format!("no scope: {how}"))
+        })?;
         let conversation = Conversation {
             target: Target {
-                host: &self.remote,
-                port: self.port,
-                scope: &self.scope,
+                host: &place.host,
+                port: place.port,
+                scope: &scope,
             },
             request: &request,
             words: Words::TaskClient(self.timeout),

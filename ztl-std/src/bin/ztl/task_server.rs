@@ -7,7 +7,7 @@ use tracing::{Level, error};
 use ztl_core::integer::Integer;
 use ztl_std::server::scope_mistake;
 use ztl_std::{
-    Access, ExecutableTask, Limits, TaskContext, TaskController, TaskError, TaskRequest,
+    Access, ExecutableTask, Limits, Offers, TaskContext, TaskController, TaskError, TaskRequest,
     TaskServer as Server,
 };
 
@@ -48,7 +48,7 @@ impl TaskServer {
         signals::then(move || stopper.stop());
         server.listen()?;
         error!(target: "root", "Interrupted, exiting.");
-        Ok(ExitCode::FAILURE)
+        Ok(signals::exit_code_or(ExitCode::FAILURE))
     }
 }
 
@@ -64,6 +64,11 @@ impl TaskController for TestController {
         } else {
             Err(format!("No such handler '{}', try 'test'.", request.handler).into())
         }
+    }
+
+    fn offers(&self) -> Offers {
+        let components = ["echo", "print", "sleep"].map(str::to_owned).to_vec();
+        Offers::from([("test".to_owned(), components)])
     }
 }
 

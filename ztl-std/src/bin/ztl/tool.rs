@@ -1,21 +1,18 @@
-//! The original's eight command-line tools: their names, and their rules for options.
-//!
-//! Python's argparse lets long options be shortened, takes the last of a repeated one, and, as the
-//! original uses it, ignores what it does not know; ours says on stderr what was ignored (wire
-//! specification 7).
+//! The original's eight command-line tools, as subcommands of this one. Called by the original's names
+//! they have the original's rules for options: see [`original`](crate::original).
 
-use std::ffi::{OsStr, OsString};
-use std::path::Path;
+use std::ffi::OsString;
+use std::fmt;
 use std::process::ExitCode;
 
-use clap::error::{ContextKind, ContextValue, ErrorKind};
 use clap::{CommandFactory, Parser, Subcommand};
 use ztl_core::integer::Integer;
 use ztl_core::repr::put_quoted;
 use ztl_std::TaskSpec;
 
+use crate::terminal::{error_line, line};
 use crate::{
-    Done, remote_task, run_script, simple_client, simple_server, task_client, task_server, terminal,
+    Done, original, remote_task, run_script, simple_client, simple_server, task_client, task_server,
 };
 
 /// The original's tools by the names of this command.
@@ -51,53 +48,105 @@ pub(crate) struct NotYet {
     _ignored: Vec<OsString>,
 }
 
-const NAMES: [&str; 8] = [
-    "task-server",
-    "task-client",
-    "simple-server",
-    "simple-client",
-    "simple-publisher",
-    "simple-subscriber",
-    "remote-task",
-    "run-script",
-];
-
+/// Nothing but a tool.
 #[derive(Debug, Parser)]
-#[command(name = "ztl", version, infer_long_args = true)]
-struct ToolOnly {
+#[command(name = "ztl")]
+pub(crate) struct ToolOnly {
     #[command(subcommand)]
-    tool: Tool,
+    pub(crate) tool: Tool,
+}
+
+/// The name under which a tool was called.
+#[derive(Debug, Clone)]
+pub(crate) struct Called {
+    name: String,
+    original: bool,
+}
+
+impl Called {
+    /// As a subcommand: `ztl task-client`.
+    fn ours(tool: &str) -> Self {
+        Self {
+            name: format!("ztl {tool}"),
+            original: false,
+        }
+    }
+
+    /// By one of the original's names: `ztl_task_client`.
+    pub(crate) fn original(name: &str) -> Self {
+        Self {
+            name: name.to_owned(),
+            original: true,
+        }
+    }
+
+    /// Whether it is one of the original's names, so that the tool behaves as the original's.
+    pub(crate) const fn is_original(&self) -> bool {
+        self.original
+    }
+}
+
+impl fmt::Display for Called {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.name)
+    }
 }
 
 impl Tool {
-    /// Runs it; `called` is the name under which it was called.
-    pub(crate) fn run(self, called: &str) -> Done {
-        match self {
+    /// Runs it as a subcommand.
+    pub(crate) fn run(self) -> ExitCode {
+        let called = Called::ours(self.name());
+        self.run_as(&called)
+    }
+
+    /// Runs it under the name by which it was called.
+    pub(crate) fn run_as(self, called: &Called) -> ExitCode {
+        let done: Done = match self {
             Self::TaskServer(server) => server.run(),
             Self::TaskClient(client) => client.run(called),
             Self::RemoteTask(client) => client.run(called),
             Self::SimpleServer(server) => server.run(),
             Self::SimpleClient(client) => client.run(),
             Self::RunScript(script) => script.run(called),
-            _ => Err("this tool is not there yet; the original's works with this server and gateway: pip install ztl".into()),
+            Self::SimplePublisher(_) | Self::SimpleSubscriber(_) => Err(
+                "this tool is not there yet; the original's works with this server and gateway: pip install ztl".into(),
+            ),
+        };
+        crate::exit(called, done)
+    }
+
+    const fn name(&self) -> &'static str {
+        match self {
+            Self::TaskServer(_) => "task-server",
+            Self::TaskClient(_) => "task-client",
+            Self::RemoteTask(_) => "remote-task",
+            Self::SimpleServer(_) => "simple-server",
+            Self::SimpleClient(_) => "simple-client",
+            Self::SimplePublisher(_) => "simple-publisher",
+            Self::SimpleSubscriber(_) => "simple-subscriber",
+            Self::RunScript(_) => "run-script",
         }
     }
 }
 
 /// A whole number as Python's `int()` reads it, for options of the original.
-fn whole<N: TryFrom<i64>>(text: &str) -> Option<N> {
+pub(crate) fn whole<N: TryFrom<i64>>(text: &str) -> Option<N> {
     let number = Integer::parse(text).ok()?.value()?;
     N::try_from(number).ok()
 }
 
 /// The INIT's payload for a task that a person has written as `handler:component:goal`, or the exit
 /// code when it is none.
-pub(crate) fn specification(payload: &str, called: &str, tool: &str) -> Result<String, ExitCode> {
+pub(crate) fn specification(
+    payload: &str,
+    called: &Called,
+    tool: &str,
+) -> Result<String, ExitCode> {
     let Ok(spec) = TaskSpec::split(payload) else {
-        terminal::line(
+        line(
             "Error: Invalid task specification. Payload needs to specify handler, component and goal separated by ':', e.g. 'handler:component:goal'",
         );
-        eprintln!("{}", help(called, tool));
+        error_line(help(called, tool));
         return Err(ExitCode::from(255));
     };
     let mut request = vec![0; spec.encoded_len()];
@@ -105,6 +154,17 @@ pub(crate) fn specification(payload: &str, called: &str, tool: &str) -> Result<S
         .encode_into(&mut request)
         .unwrap_or_default()
         .to_owned())
+}
+
+/// What a tool's `--help` says, under the name by which it was called.
+pub(crate) fn help(called: &Called, tool: &str) -> String {
+    let mut command = match called.is_original() {
+        true => original::command(tool),
+        false => ToolOnly::command(),
+    };
+    let tool = command.find_subcommand_mut(tool);
+    let help = tool.map(|tool| tool.clone().bin_name(called.to_string()).render_long_help());
+    help.map(|help| help.to_string()).unwrap_or_default()
 }
 
 /// What Python says of a text that is no whole number.
@@ -120,103 +180,12 @@ pub(crate) fn port(text: &str) -> Result<u16, &'static str> {
     whole(text).ok_or("a port is a whole number from 0 to 65535")
 }
 
+/// The port of a server to connect to: a wider type, since the original's tools take any number.
+pub(crate) fn port_to_reach(text: &str) -> Result<i64, &'static str> {
+    port(text).map(i64::from)
+}
+
 /// A time in seconds.
 pub(crate) fn seconds(text: &str) -> Result<i64, &'static str> {
     whole(text).ok_or("a whole number of seconds is needed")
-}
-
-/// Runs a tool, when one is called for by the program's name or by the first argument.
-pub(crate) fn run(args: &[OsString]) -> Option<ExitCode> {
-    let (program, rest) = args.split_first()?;
-    let (called, tool, rest) = match by_link(program) {
-        Some((called, tool)) => (called, tool, rest),
-        None => {
-            let (first, rest) = rest.split_first()?;
-            let tool = NAMES.into_iter().find(|name| first == OsStr::new(name))?;
-            (format!("ztl {tool}"), tool, rest)
-        }
-    };
-    Some(match parse(&called, tool, rest) {
-        Ok(tool) => tool.run(&called).unwrap_or_else(|error| {
-            eprintln!("{called}: {error}");
-            ExitCode::FAILURE
-        }),
-        Err(code) => code,
-    })
-}
-
-/// The tool that the program is named after: `ztl_task_client`, `task_client.py`.
-fn by_link(program: &OsStr) -> Option<(String, &'static str)> {
-    let called = Path::new(program).file_name()?.to_str()?;
-    let stem = called.strip_suffix(".py").unwrap_or(called);
-    let plain = stem.strip_prefix("ztl_").unwrap_or(stem).replace('_', "-");
-    let tool = NAMES.into_iter().find(|name| *name == plain)?;
-    Some((called.to_owned(), tool))
-}
-
-/// Parses, leaving out what is not known, with a word about it.
-fn parse(called: &str, tool: &str, rest: &[OsString]) -> Result<Tool, ExitCode> {
-    let mut args: Vec<OsString> = vec!["ztl".into(), tool.into()];
-    args.extend_from_slice(rest);
-    loop {
-        let error = match ToolOnly::try_parse_from(&args) {
-            Ok(parsed) => return Ok(parsed.tool),
-            Err(error) => error,
-        };
-        if let Some(place) = unknown(&error, &args) {
-            let ignored = args.remove(place);
-            eprintln!("{called}: warning: ignored {}", ignored.to_string_lossy());
-            continue;
-        }
-        if !error.use_stderr() {
-            terminal::line(help(called, tool).trim_end());
-            return Err(ExitCode::SUCCESS);
-        }
-        let text = error.render().to_string();
-        // In argparse's order: how it is used, then what was wrong.
-        let usage = usage(called, tool);
-        let wrong: Vec<&str> = text
-            .lines()
-            .take_while(|line| !line.starts_with("Usage: ") && !line.starts_with("For more"))
-            .map(|line| line.trim_start_matches("error: ").trim())
-            .filter(|line| !line.is_empty())
-            .collect();
-        eprintln!("{usage}\n{called}: error: {}", wrong.join(" "));
-        // These two of the original's take no options, and die of what is missing.
-        let without_options = matches!(tool, "simple-server" | "simple-client");
-        return Err(ExitCode::from(if without_options { 1 } else { 2 }));
-    }
-}
-
-/// What a tool's `--help` says, under the name by which it was called.
-fn help(called: &str, tool: &str) -> String {
-    let mut command = ToolOnly::command();
-    let tool = command.find_subcommand_mut(tool);
-    let help = tool.map(|tool| tool.clone().bin_name(called).render_long_help().to_string());
-    help.unwrap_or_default()
-}
-
-fn usage(called: &str, tool: &str) -> String {
-    let mut command = ToolOnly::command();
-    let tool = command.find_subcommand_mut(tool);
-    let usage = tool.map(|tool| tool.clone().bin_name(called).render_usage().to_string());
-    usage.unwrap_or_default().replacen("Usage:", "usage:", 1)
-}
-
-/// Where the argument stands that is not known.
-fn unknown(error: &clap::Error, args: &[OsString]) -> Option<usize> {
-    if error.kind() != ErrorKind::UnknownArgument {
-        return None;
-    }
-    let Some(ContextValue::String(unknown)) = error.get(ContextKind::InvalidArg) else {
-        return None;
-    };
-    let matches = |arg: &OsString| {
-        let arg = arg.to_string_lossy();
-        arg == *unknown || arg.split_once('=').is_some_and(|(name, _)| name == unknown)
-            // A cluster of short options: -xy is reported as -x.
-            || (!arg.starts_with("--") && unknown.len() == 2 && arg.starts_with(unknown.as_str()))
-    };
-    // After the program's and the tool's name.
-    args.iter().skip(2).position(matches).map(|place| place + 2)
 }

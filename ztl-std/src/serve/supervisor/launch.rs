@@ -1,6 +1,6 @@
 //! How a task begins: programs are started on threads, and what blocks is done by threads.
 
-use std::io::{self, Write};
+use std::io;
 use std::process::Child;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -17,6 +17,7 @@ use super::super::run::End;
 use super::super::template::Call;
 use super::super::{LOG, Work, group};
 use super::{Doing, Helper, Message, Supervisor};
+use crate::terminal::write_shown;
 
 impl Supervisor {
     /// It is a task's turn.
@@ -51,8 +52,7 @@ impl Supervisor {
             }
             Work::Print => self.delegate(id, |_, call, _, _| {
                 let text = format!("component: {}\ngoal: {}\n", call.component, call.goal.text);
-                let mut out = io::stdout().lock();
-                match out.write_all(text.as_bytes()).and_then(|()| out.flush()) {
+                match write_shown(io::stdout().lock(), text.as_bytes()) {
                     Ok(()) => End::Completed("True".to_owned()),
                     Err(error) => End::Failed(format!("cannot print: {error}")),
                 }

@@ -14,7 +14,7 @@ use crate::terminal::line;
 enum Line<'a> {
     Asking {
         host: &'a str,
-        port: u16,
+        port: i64,
         scope: &'a str,
         request: &'a str,
     },
@@ -93,7 +93,7 @@ impl<'a> Teller<'a> {
                 id: id.get(),
                 interrupted: *interrupted,
             },
-            News::NotAborted { id, reply } => Line::NotAborted {
+            News::NotAborted { id, reply, .. } => Line::NotAborted {
                 id: id.get(),
                 reply,
             },
@@ -115,6 +115,7 @@ fn end<'a>(over: &'a Over<'a>) -> Line<'a> {
         },
         Over::Lost { id, reason } => (Some(*id), reason),
         Over::After { id, text, .. } => (Some(*id), text),
+        Over::Left { id, reply } => (Some(*id), reply),
     };
     let fate = over.fate();
     Line::Over {

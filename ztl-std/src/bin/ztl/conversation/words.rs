@@ -6,7 +6,7 @@ use ztl_core::dispatcher::NOTHING_KNOWN;
 use ztl_std::{State, Status, TaskId};
 
 use super::{Conversation, News, Over, Target};
-use crate::terminal::{is_live, line, painted, part, rewrite};
+use crate::terminal::{flat, is_live, line, line_with_state, rewrite};
 
 /// In whose words.
 #[derive(Debug, Clone, Copy)]
@@ -30,14 +30,15 @@ impl Words {
         seconds.map(Duration::from_secs)
     }
 
-    /// The state, where these words tell it.
-    fn in_state(self, state: Option<State>) -> String {
-        match self {
-            Self::TaskClient(_) | Self::RemoteTask(_) => {
-                let name = state.map_or_else(|| "None".to_owned(), painted);
-                format!(" in state '{name}'")
+    /// Says that a task has finished, with its state where these words tell it.
+    fn finished(self, id: TaskId, state: Option<State>, rest: &str) {
+        let task = format!("Task with ID '{id}' finished");
+        match (self, state) {
+            (Self::Simple, _) => line(format_args!("{task} {rest}")),
+            (_, Some(state)) => {
+                line_with_state(&format!("{task} in state '"), state, &format!("' {rest}"));
             }
-            Self::Simple => String::new(),
+            (_, None) => line(format_args!("{task} in state 'None' {rest}")),
         }
     }
 }
@@ -77,7 +78,7 @@ impl<'a> Teller<'a> {
         }
         if std::mem::take(&mut self.shown) {
             // It makes room.
-            part("\r\x1b[K");
+            rewrite("", "");
         }
         let request = self.request;
         match news {
@@ -88,9 +89,16 @@ impl<'a> Teller<'a> {
             News::Started { id, reply } => self.started(*id, reply),
             News::Progress { .. } => {}
             News::Aborting { id, .. } => line(format_args!("Aborting task with ID '{id}'...")),
-            News::NotAborted { id, reply } => line(format_args!(
-                "Could not abort Task with ID '{id}', waiting for completion. Reply is '{reply}'."
-            )),
+            News::NotAborted { id, reply, waits } => {
+                let waits = if *waits {
+                    ", waiting for completion"
+                } else {
+                    ""
+                };
+                line(format_args!(
+                    "Could not abort Task with ID '{id}'{waits}. Reply is '{reply}'."
+                ));
+            }
             News::Over(over) => self.over(over),
         }
     }
@@ -118,8 +126,7 @@ impl<'a> Teller<'a> {
         let seconds = self.start.elapsed().as_secs();
         let text = match text.as_str() {
             NOTHING_KNOWN => String::new(),
-            // As one line.
-            text => format!(": {}", text.replace(char::is_control, " ")),
+            text => format!(": {}", flat(text)),
         };
         rewrite(&format!("{state} {seconds} s{text}"), "");
     }
@@ -136,11 +143,10 @@ impl<'a> Teller<'a> {
                     "Task{which} could not be triggered: '{reason}'."
                 ));
             }
-            Over::Ended { id, status } => line(format_args!(
-                "Task with ID '{id}' finished{} while waiting. Result is '{}'.",
-                self.words.in_state(Some(status.state)),
-                status.text
-            )),
+            Over::Ended { id, status } => {
+                let rest = format!("while waiting. Result is '{}'.", status.text);
+                self.words.finished(*id, Some(status.state), &rest);
+            }
             Over::Lost { id, reason } => line(format_args!(
                 "Could not wait for task with ID '{id}'. Reply is '{reason}'."
             )),
@@ -160,11 +166,10 @@ impl<'a> Teller<'a> {
                     // The original's says once more what the abort was answered.
                     Words::Simple => reply,
                 };
-                line(format_args!(
-                    "Task with ID '{id}' finished{} after unsuccessful abort signal. Reply is '{text}'.",
-                    self.words.in_state(*state)
-                ));
+                let rest = format!("after unsuccessful abort signal. Reply is '{text}'.");
+                self.words.finished(*id, *state, &rest);
             }
+            Over::Left { id, .. } => line(format_args!("Task with ID '{id}' may still run.")),
         }
     }
 }

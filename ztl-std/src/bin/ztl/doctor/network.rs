@@ -11,6 +11,7 @@ use serde_json::json;
 use ztl_std::RemoteTask;
 
 use super::Finding;
+use crate::address::Place;
 use crate::reach::Identity;
 
 /// How long a connection may take.
@@ -164,7 +165,9 @@ fn listening(told: &Path) -> Option<BTreeSet<u16>> {
 }
 
 /// Whether a server is reached, how long it takes, and who it is.
-pub(super) fn server(host: &str, port: u16, identity: &Identity) -> Finding {
+pub(super) fn server(place: &Place, identity: &Identity) -> Finding {
+    let Place { host, port, .. } = place;
+    let (host, port) = (host.as_str(), u16::try_from(*port).unwrap_or_default());
     let place = format!("{host}:{port}");
     let begin = Instant::now();
     let addresses = match (host, port).to_socket_addrs() {

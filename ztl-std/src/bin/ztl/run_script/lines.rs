@@ -8,6 +8,8 @@ use std::time::{Duration, Instant};
 
 use tracing_subscriber::fmt::MakeWriter;
 
+use crate::terminal;
+
 /// How many bytes wait for a reader; what goes beyond leaves out the oldest lines.
 const KEPT: usize = 1 << 20;
 /// A write that took longer stood still: nobody has seen meanwhile what was asked.
@@ -118,12 +120,9 @@ impl Queue {
             .name(name.to_owned())
             .spawn(move || {
                 loop {
-                    writer.write(|stream, text| {
-                        // A reader that has gone is no error of ours.
-                        let _ = match stream {
-                            Stream::Out => put(&mut io::stdout().lock(), text),
-                            Stream::Err => put(&mut io::stderr().lock(), text),
-                        };
+                    writer.write(|stream, text| match stream {
+                        Stream::Out => terminal::put(io::stdout().lock(), text),
+                        Stream::Err => terminal::put(io::stderr().lock(), text),
                     });
                 }
             })?;
@@ -184,11 +183,6 @@ impl Queue {
         let waited = self.changed.wait_timeout_while(self.lock(), left, busy);
         !waited.unwrap_or_else(PoisonError::into_inner).1.timed_out()
     }
-}
-
-fn put(to: &mut impl Write, text: &[u8]) -> io::Result<()> {
-    to.write_all(text)?;
-    to.flush()
 }
 
 /// Whether stdout and stderr are one place, so that their order can be seen.

@@ -23,7 +23,8 @@ use ztl_std::{RemoteTask, Remotes};
 
 use crate::key_name::Pressed;
 use crate::remote_task::Endpoints;
-use crate::terminal::line;
+use crate::terminal::{error_line, error_part, line};
+use crate::tool::Called;
 use crate::{Done, log, signals};
 use lines::Lines;
 use stage::Stage;
@@ -39,7 +40,7 @@ const AT_THE_LATEST: Duration = Duration::from_secs(3);
 #[command(after_help = AFTER)]
 pub(crate) struct RunScript {
     /// The script
-    #[arg(short, long, aliases = ["s", "sc"], value_name = "FILE")]
+    #[arg(short, long, value_name = "FILE")]
     script: PathBuf,
 
     #[command(flatten)]
@@ -94,9 +95,9 @@ fn simulated(text: &str) -> Result<Duration, &'static str> {
 }
 
 impl RunScript {
-    pub(crate) fn run(self, called: &str) -> Done {
+    pub(crate) fn run(self, called: &Called) -> Done {
         // By the original's name it is the original's tool.
-        let live = !self.plain && called.contains(' ') && stage::can_be_live();
+        let live = !self.plain && !called.is_original() && stage::can_be_live();
         signals::catch()?;
         signals::leave_soon_after_the_second(AT_THE_LATEST, !live, stage::restore);
         // On the live view there is no place for lines; all that matters is shown there.
@@ -116,7 +117,7 @@ impl RunScript {
         done
     }
 
-    fn play(&self, called: &str, lines: Option<&Lines>) -> Done {
+    fn play(&self, called: &Called, lines: Option<&Lines>) -> Done {
         let live = lines.is_none();
         let mut remotes = match self.simulate {
             Some(_) if !self.endpoints.is_given() => Remotes::named("no configuration"),
@@ -130,7 +131,7 @@ impl RunScript {
         let script = match Script::load(&self.script, defaults) {
             Ok(script) => Arc::new(script),
             Err(mistakes) => {
-                eprint!("{mistakes}");
+                error_part(mistakes);
                 let file = self.script.display();
                 return Err(format!(
                     "{file} cannot be played; `ztl check {file}` says all that is wrong"
@@ -142,7 +143,7 @@ impl RunScript {
         let mut notes = Vec::new();
         if self.simulate.is_none() {
             for unknown in script.unknown_remotes(&remotes) {
-                eprint!("{called}: warning: {unknown}");
+                error_part(format_args!("{called}: warning: {unknown}"));
                 notes.extend(unknown.to_string().lines().next().map(str::to_owned));
             }
         }
@@ -155,7 +156,7 @@ impl RunScript {
             };
             let note =
                 format!("{count} doubtful place{s} in {file}; `ztl check {file}` shows {them}");
-            eprintln!("{called}: warning: {note}");
+            error_line(format_args!("{called}: warning: {note}"));
             notes.push(note);
         }
         let (scene, from) = self.places(&script)?;
@@ -189,7 +190,8 @@ impl RunScript {
         }
         let outcome = self.perform(&mut show, &script, (started, notes), lines)?;
         drop(stand_ins);
-        Ok(ExitCode::from(u8::from(outcome != Outcome::Completed)))
+        let code = ExitCode::from(u8::from(outcome != Outcome::Completed));
+        Ok(signals::exit_code_or(code))
     }
 
     /// Plays it, on the live view or with the original's lines and keys.

@@ -1,0 +1,158 @@
+//! Which server a command means: by host and port, by its name in the configuration file, or by the
+//! environment.
+
+use std::path::PathBuf;
+
+use ztl_std::Remotes;
+use ztl_std::remotes::{NoRemote, Remote, usual_path};
+
+use crate::Misuse;
+use crate::tool::{port_to_reach, whole};
+
+/// Options that say which server is meant.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Address {
+    /// Host of the server with --port, otherwise its name in the configuration file
+    /// [default: $ZTL_HOST, else localhost]
+    #[arg(short, long, value_name = "HOST|NAME")]
+    remote: Option<String>,
+
+    /// Port of the server [default: $ZTL_PORT]
+    #[arg(short, long, value_parser = port_to_reach)]
+    port: Option<i64>,
+
+    /// The configuration file [default: zmq-remotes.yaml in $XDG_CONFIG_HOME or ~/.config]
+    #[arg(
+        short,
+        long,
+        value_name = "FILE",
+        requires = "remote",
+        conflicts_with = "port"
+    )]
+    config: Option<PathBuf>,
+}
+
+/// Where a server is.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) struct Place {
+    pub(crate) host: String,
+    pub(crate) port: i64,
+    /// What the configuration file says beside host and port.
+    pub(crate) scope: Option<String>,
+}
+
+/// What the configuration file says of a name.
+enum Lookup {
+    Found(Place),
+    /// It has no such server, and why that matters.
+    Unknown(Misuse),
+}
+
+/// How to name a server.
+const HOW: &str =
+    "give --port, or --remote NAME for a server in the configuration file, or set ZTL_PORT";
+
+impl Address {
+    /// The server that is meant.
+    ///
+    /// # Errors
+    /// When nothing says which, or what says it is wrong.
+    pub(crate) fn place(&self) -> Result<Place, Misuse> {
+        self.place_if_any()?
+            .ok_or_else(|| Misuse(format!("no port: {HOW}")))
+    }
+
+    /// The same; `None` when nothing says which server.
+    ///
+    /// # Errors
+    /// When what says it is wrong.
+    pub(crate) fn place_if_any(&self) -> Result<Option<Place>, Misuse> {
+        let unknown = match (&self.remote, self.port) {
+            (Some(name), None) => match self.named(name)? {
+                Lookup::Found(place) => return Ok(Some(place)),
+                Lookup::Unknown(why) => Some(why),
+            },
+            _ => None,
+        };
+        let given = match self.port {
+            None if self.config.is_none() => port_variable()?,
+            given => given,
+        };
+        let host = match &self.remote {
+            Some(host) => Some(host.clone()),
+            None => variable("ZTL_HOST")?,
+        };
+        match (given, unknown) {
+            (Some(port), _) => Ok(Some(Place {
+                host: host.unwrap_or_else(|| "localhost".to_owned()),
+                port,
+                scope: None,
+            })),
+            (None, Some(unknown)) => Err(unknown),
+            (None, None) if host.is_some() => Err(Misuse(format!("no port: {HOW}"))),
+            (None, None) => Ok(None),
+        }
+    }
+
+    /// Looks for the server of this name in the configuration file.
+    fn named(&self, name: &str) -> Result<Lookup, Misuse> {
+        let path = self.config.clone().unwrap_or_else(usual_path);
+        if self.config.is_none() && !path.exists() {
+            let path = path.display();
+            let mistake =
+                format!("no port for host '{name}', and no {path} to look it up as a name: {HOW}");
+            return Ok(Lookup::Unknown(Misuse(mistake)));
+        }
+        let remotes = Remotes::load(&path).map_err(|mistakes| Misuse(mistakes.to_string()))?;
+        match remotes.task(name) {
+            Ok(Remote { host, port, scope }) => Ok(Lookup::Found(Place {
+                host: host.clone(),
+                port: i64::from(*port),
+                scope: Some(scope.clone()),
+            })),
+            Err(unknown @ NoRemote::Unknown { .. }) => {
+                let mistake = format!("{unknown} (a host needs --port)");
+                Ok(Lookup::Unknown(Misuse(mistake)))
+            }
+            Err(wrong) => Err(Misuse(wrong.to_string())),
+        }
+    }
+}
+
+impl Place {
+    /// The scope that is meant there: of the option, else the configuration file's, else the
+    /// environment's.
+    ///
+    /// # Errors
+    /// When the environment's is no text.
+    pub(crate) fn scope(&self, option: Option<&String>) -> Result<Option<String>, Misuse> {
+        match option.or(self.scope.as_ref()) {
+            Some(scope) => Ok(Some(scope.clone())),
+            None => variable("ZTL_SCOPE"),
+        }
+    }
+
+    /// Its ZeroMQ address.
+    pub(crate) fn endpoint(&self) -> String {
+        format!("tcp://{}:{}", self.host, self.port)
+    }
+}
+
+/// A variable of the environment; an empty one is as one that is not set.
+fn variable(name: &str) -> Result<Option<String>, Misuse> {
+    let Some(value) = std::env::var_os(name).filter(|value| !value.is_empty()) else {
+        return Ok(None);
+    };
+    let text = value.into_string();
+    text.map(Some)
+        .map_err(|value| Misuse(format!("invalid {name} {value:?}: expected UTF-8")))
+}
+
+fn port_variable() -> Result<Option<i64>, Misuse> {
+    let Some(text) = variable("ZTL_PORT")? else {
+        return Ok(None);
+    };
+    let port = whole::<u16>(&text).map(i64::from);
+    let wrong = || Misuse(format!("invalid ZTL_PORT '{text}': expected 0 to 65535"));
+    port.map(Some).ok_or_else(wrong)
+}

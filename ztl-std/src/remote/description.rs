@@ -1,0 +1,73 @@
+//! What a server of ours says of itself.
+
+use std::collections::BTreeMap;
+
+use serde::Serialize;
+
+use crate::yaml::{Document, Node, Value};
+
+/// The handlers of a scope and their components. Without components the server does not tell them; a
+/// name `*` stands for every other.
+pub type Offers = BTreeMap<String, Vec<String>>;
+
+/// What a server of ours says of itself.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct Description {
+    /// Its version.
+    pub version: String,
+    /// Differs from start to start of the server.
+    pub boot: u32,
+    /// What each scope offers; an empty map where the server does not tell it.
+    pub scopes: BTreeMap<String, Offers>,
+    /// The tasks that have not ended, by id, with their scopes.
+    pub running: BTreeMap<u32, String>,
+}
+
+impl Description {
+    /// Reads the answer to `probe`. Keys that are not known are skipped.
+    pub(crate) fn parse(probed: &str) -> Option<Self> {
+        let document = Document::parse("$ztl", probed.as_bytes()).ok()?;
+        let root = document.root();
+        let offers = |handlers: &Node| -> Offers {
+            let names = |node: &Node| match &node.value {
+                Value::List(items) => items.iter().filter_map(text).map(str::to_owned).collect(),
+                _ => Vec::new(),
+            };
+            let pair = |(name, components): &(Node, Node)| {
+                Some((text(name)?.to_owned(), names(components)))
+            };
+            pairs(handlers).iter().filter_map(pair).collect()
+        };
+        let scope =
+            |(name, handlers): &(Node, Node)| Some((text(name)?.to_owned(), offers(handlers)));
+        let task =
+            |(id, scope): &(Node, Node)| Some((text(id)?.parse().ok()?, text(scope)?.to_owned()));
+        let all = |key| get(root, key).map(pairs).unwrap_or_default().iter();
+        Some(Self {
+            version: text(get(root, "version")?)?.to_owned(),
+            boot: text(get(root, "boot")?)?.parse().ok()?,
+            scopes: all("scopes").filter_map(scope).collect(),
+            running: all("running").filter_map(task).collect(),
+        })
+    }
+}
+
+fn pairs(node: &Node) -> &[(Node, Node)] {
+    match &node.value {
+        Value::Map(pairs) => pairs,
+        _ => &[],
+    }
+}
+
+fn get<'n>(node: &'n Node, key: &str) -> Option<&'n Node> {
+    let mut pairs = pairs(node).iter();
+    let (_, value) = pairs.find(|(name, _)| text(name) == Some(key))?;
+    Some(value)
+}
+
+fn text(node: &Node) -> Option<&str> {
+    match &node.value {
+        Value::Scalar { text, .. } => Some(text),
+        _ => None,
+    }
+}

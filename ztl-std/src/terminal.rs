@@ -1,0 +1,96 @@
+//! Text from elsewhere on a terminal, which obeys what it is sent: results, the output of programs and
+//! names could clear the screen, change its title, or pass for something else.
+//!
+//! On a terminal control characters are written as JSON escapes (`\u001b`), so that JSON stays JSON. Pipes
+//! and files get the bytes as they are.
+
+use std::borrow::Cow;
+use std::fmt::Write as _;
+use std::io::{self, IsTerminal, Write};
+
+/// Writes text to a stream and flushes it; to a terminal as [`shown`].
+///
+/// # Errors
+/// Those of the stream.
+pub fn write_shown(mut to: impl Write + IsTerminal, text: &[u8]) -> io::Result<()> {
+    if to.is_terminal() {
+        let text = String::from_utf8_lossy(text);
+        to.write_all(shown(&text).as_bytes())?;
+    } else {
+        to.write_all(text)?;
+    }
+    to.flush()
+}
+
+/// Text as a terminal may get it: line feeds and tabs stay.
+#[must_use]
+pub fn shown(text: &str) -> Cow<'_, str> {
+    escaped(text, &['\n', '\t'])
+}
+
+/// Text as part of one line, as of a table or a log: line feeds and tabs are escaped as well.
+#[must_use]
+pub fn flat(text: &str) -> Cow<'_, str> {
+    escaped(text, &[])
+}
+
+/// Escapes what a terminal obeys instead of showing it, but for the characters in `kept`.
+fn escaped<'t>(text: &'t str, kept: &[char]) -> Cow<'t, str> {
+    let escapes = |c: char| commands(c) && !kept.contains(&c);
+    if !text.contains(escapes) {
+        return Cow::Borrowed(text);
+    }
+    let mut out = String::with_capacity(text.len() + 16);
+    for c in text.chars() {
+        // Writing to a `String` does not fail.
+        let _ = match c {
+            c if !escapes(c) => out.write_char(c),
+            '\n' => out.write_str("\\n"),
+            '\r' => out.write_str("\\r"),
+            '\t' => out.write_str("\\t"),
+            c => write!(out, "\\u{:04x}", u32::from(c)),
+        };
+    }
+    Cow::Owned(out)
+}
+
+/// Whether a character changes how a terminal shows others: control characters (C0, DEL, C1), line
+/// separators, and what reorders text (Unicode's bidirectional controls).
+fn commands(c: char) -> bool {
+    let reorders = matches!(c, '\u{61c}' | '\u{200e}' | '\u{200f}' | '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}');
+    c.is_control() || reorders || matches!(c, '\u{2028}' | '\u{2029}')
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_a_terminal_obeys_is_escaped_and_all_else_stays() {
+        for (text, on_terminal, in_a_line) in [
+            (
+                "grüße 👍\u{200d} a\u{a0}b",
+                "grüße 👍\u{200d} a\u{a0}b",
+                "grüße 👍\u{200d} a\u{a0}b",
+            ),
+            ("a\n\tb", "a\n\tb", "a\\n\\tb"),
+            ("\x1b]0;x\x07", "\\u001b]0;x\\u0007", "\\u001b]0;x\\u0007"),
+            (
+                "\u{9b}2J\x7f\r",
+                "\\u009b2J\\u007f\\r",
+                "\\u009b2J\\u007f\\r",
+            ),
+            (
+                "\u{202e}abc\u{2066}",
+                "\\u202eabc\\u2066",
+                "\\u202eabc\\u2066",
+            ),
+        ] {
+            assert_eq!(shown(text), on_terminal);
+            assert_eq!(flat(text), in_a_line);
+        }
+        // An escape is one in JSON too.
+        let json = shown("\"\u{9b}\"").into_owned();
+        assert_eq!(serde_json::from_str::<String>(&json).unwrap(), "\u{9b}");
+    }
+}
