@@ -8,7 +8,7 @@ use super::finding::Finding;
 use super::model::{Handler, Script, Task};
 use crate::remote::encoded;
 use crate::remotes::Remote;
-use crate::yaml::{Document, Node, Value, closest};
+use crate::yaml::closest;
 use crate::{Offers, RemoteTask, Remotes, RequestError};
 
 /// What the servers of a script say.

@@ -1,5 +1,5 @@
-//! From text to tokens, by the rules of PyYAML's scanner (PyYAML 6.0, © Kirill Simonov, MIT license):
-//! what the original reads is read here, and to the same tokens.
+//! Splits text into tokens by the rules of PyYAML 6.0, so that this reader and the original read the same
+//! values from every file. The algorithm is that of PyYAML's scanner (MIT, see `LICENSE-PYYAML`).
 
 use std::collections::{BTreeMap, VecDeque};
 
