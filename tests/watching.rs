@@ -146,7 +146,7 @@ fn a_task_that_nobody_knows_is_no_task_to_stop() {
 
 #[test]
 fn an_id_that_is_not_known_fails_and_the_others_are_stopped_all_the_same() {
-    let gateway = Server::simulated();
+    let naps = Server::naps();
     for server in [
         Server::original(),
         Server::simple_original(),
@@ -162,10 +162,10 @@ fn an_id_that_is_not_known_fails_and_the_others_are_stopped_all_the_same() {
         assert_eq!(ended.code, Some(1), "{ended:?}");
         assert_eq!(ended.stdout, "2: the server has no scope '/nowhere'\n");
     }
-    let mut other = client(&gateway);
-    let task = other.trigger("gripper", "finger", "100").expect("accepted");
+    let mut other = client(&naps);
+    let task = other.trigger("nap", "for", "600").expect("accepted");
     for scope in ["", "-s /test "] {
-        let ended = ask(&gateway, &format!("abort {scope}7 {}", task.id));
+        let ended = ask(&naps, &format!("abort {scope}7 {}", task.id));
         assert_eq!(ended.code, Some(1), "{ended:?}");
         assert!(
             ended.stderr.starts_with("ztl: no task 7 is known at "),
@@ -292,10 +292,10 @@ fn a_server_is_named_by_the_configuration_file_or_the_environment() {
 
 #[test]
 fn a_scope_of_the_environment_does_not_narrow_what_abort_all_stops() {
-    let gateway = Server::simulated();
-    let mut other = client(&gateway);
-    let task = other.trigger("gripper", "finger", "100").expect("accepted");
-    let port = gateway.port.to_string();
+    let naps = Server::naps();
+    let mut other = client(&naps);
+    let task = other.trigger("nap", "for", "600").expect("accepted");
+    let port = naps.port.to_string();
     let mut command = ztl();
     command.env("ZTL_SCOPE", "/elsewhere").env("ZTL_PORT", port);
     let ended = Process::run(command.args(["abort", "--all"]));
@@ -352,7 +352,7 @@ fn every_server_of_ours_says_what_it_offers() {
         assert_eq!(listed.stdout, "No task is running.\n", "{listed:?}");
     }
     let mut other = client(&tests);
-    let task = other.trigger("test", "sleep", "20").expect("accepted");
+    let task = other.trigger("test", "sleep", "600").expect("accepted");
     let told = tell(&tests, "describe");
     assert!(
         told.ends_with("1 task is running; `ztl ps` shows it.\n"),

@@ -2,7 +2,7 @@
 
 use std::process::Command;
 
-use super::{OriginalClient, Process, original_tool, reserve_port, ztl};
+use super::{OriginalClient, Process, Scratch, original_tool, reserve_port, ztl};
 
 /// The scope of every server here.
 pub const SCOPE: &str = "/test";
@@ -85,6 +85,19 @@ impl Server {
                 return Self { process, port };
             }
         }
+    }
+
+    /// `ztl serve` with tasks that last: `nap:for:60` sleeps a minute, and can be aborted.
+    #[track_caller]
+    pub fn naps() -> Self {
+        let scratch = Scratch::new();
+        let file = scratch.path("naps.yaml");
+        let text = format!("port: 0\nscopes: {{{SCOPE}: {{nap: {{for: sleep}}}}}}\n");
+        std::fs::write(&file, text).expect("a file");
+        let mut command = ztl();
+        let process = Process::start(command.arg("serve").arg(file));
+        let port = process.wait_for_port("Serving ");
+        Self { process, port }
     }
 
     /// `ztl gateway` with these devices, as `gripper=sim:gripper`; which need not be there yet.
