@@ -1,5 +1,7 @@
 //! `ztl gateway`: microcontrollers as handlers of a task server.
 
+mod reload;
+
 use std::fmt;
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -8,13 +10,14 @@ use ztl_std::gateway::Endpoint;
 use ztl_std::gateway::config::{Config, DeviceConfig, name_mistake, same_line};
 use ztl_std::server::scope_mistake;
 
-use crate::reach::{self, MISCONFIGURED, Unfit};
+use crate::reach::{self, Findings, MISCONFIGURED, Unfit};
 use crate::service::{self, Service};
 use crate::terminal::{error_line, line};
 use crate::tool::port;
 use crate::{Done, journal, log, signals};
+use reload::Reload;
 
-#[derive(Debug, clap::Args)]
+#[derive(Debug, Clone, clap::Args)]
 #[command(
     after_help = "URLs: serial:/dev/ttyACM0?baud=115200 (or a pty's path), tcp:HOST:PORT, sim:gripper, sim:head\nAn option overrides what FILE says; devices are added to the file's."
 )]
@@ -118,7 +121,7 @@ struct Plan {
 
 impl Gateway {
     pub(crate) fn run(self) -> Done {
-        let check = self.check;
+        let (check, options) = (self.check, self.clone());
         let plan = match self.plan() {
             Ok(plan) => plan,
             Err(unfit) => {
@@ -127,12 +130,11 @@ impl Gateway {
             }
         };
         if check {
-            line(format_args!("Nothing is wrong: {plan}."));
-            return Ok(ExitCode::SUCCESS);
+            return plan.check().tell(format_args!("Nothing is wrong: {plan}."));
         }
         log::init_as(plan.place.log, plan.place.log_format);
         signals::catch()?;
-        plan.serve()
+        plan.serve(options)
     }
 
     /// What the file and the options say together.
@@ -170,12 +172,21 @@ impl Gateway {
             return Err(missing("device", "--device <NAME=URL>", key));
         }
         let place = self.listen.with(config.listen)?;
+        let place = place.ok_or_else(|| missing("port", "--port <PORT>", "port: 12345"))?;
         let scope = self.scope.or(config.scope);
+        let publish = self.publish.or(config.publish);
+        if publish == Some(place.port) && place.port != 0 {
+            let mistake = format!(
+                "port {} is for tasks; publish readings at another port",
+                place.port
+            );
+            return Err(Unfit::Whole(mistake));
+        }
         Ok(Plan {
-            place: place.ok_or_else(|| missing("port", "--port <PORT>", "port: 12345"))?,
+            place,
             scope: scope.ok_or_else(|| missing("scope", "--scope <SCOPE>", "scope: /lab"))?,
             leave_running: self.leave_running,
-            publish: self.publish.or(config.publish),
+            publish,
             devices,
             journal: self.journal.or(config.journal),
         })
@@ -192,8 +203,16 @@ impl fmt::Display for Plan {
 }
 
 impl Plan {
-    fn serve(self) -> Done {
-        let place = self.place;
+    /// Tries all that [`serve`](Self::serve) needs, but for the devices.
+    fn check(&self) -> Findings {
+        let mut findings = self.place.check(self.publish);
+        self.journal
+            .check(self.place.port, &self.scope, &mut findings);
+        findings
+    }
+
+    fn serve(self, options: Gateway) -> Done {
+        let place = &self.place;
         let who = place.reachable();
         let mut server = place.listen()?;
         let names: Vec<&str> = self.devices.iter().map(|d| d.name.as_str()).collect();
@@ -212,13 +231,22 @@ impl Plan {
             line(format_args!("Publishing readings at {endpoint}."));
         }
         let watch = devices.watch();
+        let fleet = devices.devices();
         server.register_handler(&self.scope, devices);
-        line(format_args!(
+        let serving = format!(
             "Serving {} at {}, scope {}. Reachable for {who}.",
             names.join(", "),
             server.endpoint(),
             self.scope
-        ));
+        );
+        let mut reload = Reload {
+            options,
+            fleet,
+            control: server.control(),
+            present: self,
+        };
+        signals::at_reload(move || reload.run())?;
+        line(serving);
         let stopper = server.stopper();
         let service = Service::ready(server.pulse(), move || {
             service::of_devices(&watch.reports())

@@ -179,11 +179,11 @@ impl Worker {
         }
     }
 
-    fn on_stop(&mut self, leave_running: bool) {
-        if self.stopping.is_some() {
+    fn on_stop(&mut self, leave_running: bool, end: Instant) {
+        if self.stopping.is_some_and(|before| before <= end) {
             return;
         }
-        self.stopping = Some(now() + STOP);
+        self.stopping = Some(end);
         for id in self.tasks.keys().copied().collect::<Vec<_>>() {
             match self.session.policy(id) {
                 Some(policy) if leave_running => self.leave(id, policy),
@@ -264,11 +264,15 @@ impl Worker {
         match input {
             Input::Start(task, request) => {
                 if self.stopping.is_some() {
-                    return task.rejected("the gateway is stopping");
+                    return task.rejected(match self.stopping {
+                        Some(Instant::NEVER) => "the device is not served any more",
+                        _ => "the gateway is stopping",
+                    });
                 }
                 let id = task.id();
-                if let (Some(book), Some(client)) = (self.session.book_mut(), task.client()) {
-                    book.asked_by(id, client);
+                if let (Some(book), Some(claim)) = (self.session.book_mut(), request.claim.clone())
+                {
+                    book.asked(id, task.client(), claim);
                 }
                 self.session
                     .start(now(), id, &request.component, &request.goal);
@@ -299,7 +303,12 @@ impl Worker {
             }
             Input::Closed(number, error) if number == self.number => self.on_closed(&error),
             Input::Opened(..) | Input::Bytes(..) | Input::Closed(..) => {}
-            Input::Stop(leave_running) => self.on_stop(leave_running),
+            Input::Retire => {
+                self.voice
+                    .say(now(), Grave::Info, " is not served any more.".to_owned());
+                self.on_stop(false, Instant::NEVER);
+            }
+            Input::Stop(leave_running) => self.on_stop(leave_running, now() + STOP),
         }
     }
 
@@ -348,6 +357,7 @@ impl Worker {
         match event {
             Event::Accepted(id) => {
                 if let Some((task, request)) = self.tasks.get(&id) {
+                    self.log_task(id, request, "has started");
                     task.accepted(&request.reply);
                 }
             }
@@ -360,6 +370,7 @@ impl Worker {
                         Some(trouble) if !self.session.is_up() => format!(" ({trouble})"),
                         _ => String::new(),
                     };
+                    self.log_task(id, &request, &format!("was refused: {reason}{trouble}"));
                     task.rejected(format!("{} refused: {reason}{trouble}", request.spec));
                 }
             }
@@ -370,15 +381,8 @@ impl Worker {
             }
             Event::Ended(id, state, text) => {
                 if let Some((task, request)) = self.tasks.remove(&id) {
-                    if self.stopping.is_some() {
-                        let (name, spec) = (&self.name, &request.spec);
-                        info!(
-                            target: LOG,
-                            device = name,
-                            "Device '{name}': {spec} has ended as {}: {text}",
-                            state.name()
-                        );
-                    }
+                    let end = format!("has ended as {}: {text}", state.name());
+                    self.log_task(id, &request, &end);
                     match state {
                         State::Completed => task.completed(text),
                         State::Aborted => task.aborted(text),
@@ -417,6 +421,12 @@ impl Worker {
                 }
             }
         }
+    }
+
+    fn log_task(&self, id: TaskId, request: &Request, what: &str) {
+        let (name, spec) = (&self.name, &request.spec);
+        let task = id.get();
+        info!(target: LOG, device = name, task, "Device '{name}': task {task} {spec} {what}");
     }
 
     fn on_up(&mut self) {
