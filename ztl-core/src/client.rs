@@ -8,8 +8,9 @@
 //!
 //! ```
 //! use core::time::Duration;
-//! use ztl_core::client::{Client, Heard, Late};
+//! use ztl_core::client::{Answer, Client, Heard};
 //! use ztl_core::envelope::ClientId;
+//! use ztl_core::integer::Integer;
 //! use ztl_core::{Instant, Request};
 //!
 //! let mut client = Client::new(ClientId([7; 16]), Duration::from_secs(2));
@@ -21,15 +22,16 @@
 //! assert_eq!(body, b"/lab;1;-1;open");
 //!
 //! // … the answer comes back in the same envelope.
-//! let Some(Heard::Answer(answer)) = client.handle_reply(envelope, b"/lab;1;7;opening") else {
-//!     panic!("it is the answer")
-//! };
-//! assert_eq!((answer.state, answer.id, answer.text), (1, 7, "opening"));
+//! let id = Integer::parse("7").expect("a number");
+//! let answer = Answer::Accepted { id, ended: None, text: "opening" };
+//! let heard = client.handle_reply(envelope, b"/lab;1;7;opening");
+//! assert_eq!(heard, Some(Heard::Answer(answer)));
 //! assert!(client.handle_reply(envelope, b"/lab;1;7;opening").is_none(), "only once");
 //! ```
 
 use core::time::Duration;
 
+use crate::Instant;
 use crate::dispatcher::{KEEP_INIT, RESERVED_SCOPE};
 use crate::envelope::{ClientId, Envelope};
 use crate::integer::Integer;
@@ -37,7 +39,6 @@ use crate::lifecycle::{Request, State};
 use crate::message::Message;
 use crate::reply::NEVER_SEEN;
 use crate::sink::{Sink, put_decimal};
-use crate::{Instant, TaskId};
 
 /// What a client knows of the server at the other end of its connection.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -54,29 +55,133 @@ pub enum Server {
     },
 }
 
-/// An answer, taken apart.
+/// What an answer says, by the request that it answers.
+///
+/// The id of an INIT's answer decides whether the task was accepted, and the state of any other
+/// answer decides where the task is; the original's client looks at nothing else either.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct Answer<'a> {
-    /// The `state` field: for INIT and STATUS one of [`State`].
-    pub state: i64,
-    /// The `id` field: of an INIT the task's, or 0 and less when it was refused.
-    pub id: i64,
-    /// The payload.
-    pub text: &'a str,
+pub enum Answer<'a> {
+    /// To an INIT: the server accepted the task.
+    Accepted {
+        /// The task's id: above 0, of any length.
+        id: Integer<'a>,
+        /// The final state, if the task has ended already.
+        ended: Option<State>,
+        /// The payload: the handler's reply or the task's result.
+        text: &'a str,
+    },
+    /// To an INIT: the server refused the task, and nothing was done.
+    Refused {
+        /// The id: 0 or below.
+        id: Integer<'a>,
+        /// The payload: the reason.
+        text: &'a str,
+    },
+    /// To STATUS or ABORT: where the task is. To a question about the server: its answer.
+    Task {
+        /// The task's state.
+        state: State,
+        /// The payload: progress, result or reason.
+        text: &'a str,
+    },
+    /// To STATUS or ABORT: the server does not know the task.
+    UnknownTask {
+        /// The payload.
+        text: &'a str,
+    },
+    /// To STATUS or ABORT: the server did not reach the task. The state is about the request, and
+    /// the task may still run.
+    NotTold {
+        /// The state in the answer.
+        state: State,
+        /// The payload: what went wrong.
+        text: &'a str,
+    },
+    /// To STATUS or ABORT: the state is a number that ZTL does not define.
+    UndefinedState {
+        /// The number.
+        state: Integer<'a>,
+        /// The payload.
+        text: &'a str,
+    },
 }
 
-impl Answer<'_> {
-    /// The state, when there is such a one.
+impl<'a> Answer<'a> {
+    /// What a server's answer to this request says; `None` when it is not a ZTL message: fewer than
+    /// four fields, or no number where the request needs one.
     #[must_use]
-    pub fn state(&self) -> Option<State> {
-        State::from_code(self.state)
+    pub fn classify(request: Request, body: &'a [u8]) -> Option<Self> {
+        Self::of(request, &Message::parse(body).ok()?)
     }
 
-    /// The task, when it names one.
+    fn of(request: Request, message: &Message<'a>) -> Option<Self> {
+        let text = message.payload;
+        let code = message.code();
+        let state = code
+            .ok()
+            .and_then(Integer::value)
+            .and_then(State::from_code);
+        if request == Request::Init {
+            let id = message.number().ok()?;
+            return Some(match id.is_positive() {
+                true => Self::Accepted {
+                    id,
+                    ended: state.filter(|state| state.is_final()),
+                    text,
+                },
+                false => Self::Refused { id, text },
+            });
+        }
+        Some(match (state, code.ok()?) {
+            (None, state) => Self::UndefinedState { state, text },
+            (Some(State::Rejected), _) if is_unknown_task(text, message.id) => {
+                Self::UnknownTask { text }
+            }
+            (Some(state), _) if is_about_the_request(state, text) => Self::NotTold { state, text },
+            (Some(state), _) => Self::Task { state, text },
+        })
+    }
+
+    /// The payload.
     #[must_use]
-    pub fn task(&self) -> Option<TaskId> {
-        u32::try_from(self.id).ok().and_then(TaskId::new)
+    pub const fn text(&self) -> &'a str {
+        match *self {
+            Self::Accepted { text, .. }
+            | Self::Refused { text, .. }
+            | Self::Task { text, .. }
+            | Self::UnknownTask { text }
+            | Self::NotTold { text, .. }
+            | Self::UndefinedState { text, .. } => text,
+        }
+    }
+}
+
+/// Whether a server says so that it does not know the task. The original's controllers name the id,
+/// its simple server does not (wire specification 4.6, 7.5); a handler may use the same words for
+/// something else.
+fn is_unknown_task(text: &str, id: &str) -> bool {
+    let Some(named) = text.strip_prefix("Invalid ID") else {
+        return false;
+    };
+    let quoted = named
+        .strip_prefix(" '")
+        .and_then(|rest| rest.strip_suffix('\''));
+    named.is_empty() || quoted == Some(id)
+}
+
+/// Whether a final state is the request's and not the task's: the scope is not there (yet), the
+/// request was not understood, or the original's controller raised an exception when it was asked
+/// (wire specification 4.3, cases A, B, C and H).
+fn is_about_the_request(state: State, text: &str) -> bool {
+    match state {
+        State::Rejected => {
+            text.starts_with("No controller for scope: ")
+                || text == "Invalid request"
+                || text == "Unknown protocol"
+        }
+        State::Failed => text.starts_with("Controller threw exception: "),
+        _ => false,
     }
 }
 
@@ -90,7 +195,8 @@ pub enum Heard<'a> {
     NeverStarted,
     /// The server cannot say what became of the INIT: it may run.
     FateUnknown,
-    /// The answer is no ZTL message.
+    /// The answer is not a ZTL message. It answers the request all the same: an INIT may have started
+    /// its task.
     Unreadable,
 }
 
@@ -175,7 +281,7 @@ impl Client {
         now: Instant,
         request: Request,
         scope: &str,
-        task: Option<TaskId>,
+        task: Option<Integer<'_>>,
         payload: &str,
         sink: &mut (impl Sink + ?Sized),
     ) -> Envelope {
@@ -184,8 +290,8 @@ impl Client {
         put_decimal(sink, u32::from(request.code()));
         sink.put(b";");
         match task {
-            Some(task) => put_decimal(sink, task.get()),
-            None => sink.put(b"-1"),
+            Some(task) => task.put(sink),
+            None => Integer::MINUS_ONE.put(sink),
         }
         sink.put(b";");
         sink.put(payload.as_bytes());
@@ -254,7 +360,10 @@ impl Client {
             return None;
         }
         let pending = self.pending.take_if(asked)?;
-        let Some((scope, answer)) = read(body) else {
+        let Some((scope, answer)) = Message::parse(body)
+            .ok()
+            .and_then(|message| Some((message.scope, Answer::of(pending.request, &message)?)))
+        else {
             return Some(Heard::Unreadable);
         };
         if pending.probe {
@@ -342,8 +451,9 @@ impl Client {
         if scope != RESERVED_SCOPE || self.server == Server::Original {
             return Heard::FateUnknown;
         }
-        if answer.id == 0
-            && let Some(boot) = answer.text.strip_prefix(NEVER_SEEN)
+        if let Answer::Refused { id, text } = answer
+            && id == Integer::ZERO
+            && let Some(boot) = text.strip_prefix(NEVER_SEEN)
         {
             let asked = self.unanswered.take().map(|init| init.server);
             let boot = Integer::parse(boot).ok().and_then(Integer::value);
@@ -356,7 +466,9 @@ impl Client {
             };
         }
         // It cannot say; an answer about the INIT has another id.
-        if answer.id == 0 || answer.text.starts_with("No controller for scope") {
+        if let Answer::Refused { id, text } = answer
+            && (id == Integer::ZERO || text.starts_with("No controller for scope"))
+        {
             return Heard::FateUnknown;
         }
         self.unanswered = None;
@@ -387,21 +499,15 @@ fn put_u64(number: u64, sink: &mut (impl Sink + ?Sized)) {
     }
 }
 
-fn read(body: &[u8]) -> Option<(&str, Answer<'_>)> {
-    let message = Message::parse(body).ok()?;
-    let answer = Answer {
-        state: message.code().ok()?.value()?,
-        id: message.number().ok()?.value()?,
-        text: message.payload,
-    };
-    Some((message.scope, answer))
-}
-
 /// Who answered a probe so.
 fn server(answer: &Answer<'_>) -> Server {
-    let boot = (answer.state() == Some(State::Completed))
-        .then(|| number_after(answer.text, b"boot: "))
-        .flatten();
+    let boot = match answer {
+        Answer::Task {
+            state: State::Completed,
+            text,
+        } => number_after(text, b"boot: "),
+        _ => None,
+    };
     boot.map_or(Server::Original, |boot| Server::Ours { boot })
 }
 
@@ -411,8 +517,9 @@ fn longest(answer: &Answer<'_>, server: Server) -> Option<u32> {
     if !matches!(server, Server::Ours { .. }) {
         return None;
     }
-    let end = position(answer.text, b"scopes: ").unwrap_or(answer.text.len());
-    number_after(answer.text.get(..end)?, b"message: ")
+    let text = answer.text();
+    let end = position(text, b"scopes: ").unwrap_or(text.len());
+    number_after(text.get(..end)?, b"message: ")
 }
 
 fn number_after<const N: usize>(text: &str, key: &[u8; N]) -> Option<u32> {

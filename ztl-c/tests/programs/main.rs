@@ -43,6 +43,11 @@ macro_rules! ways {
             }
 
             #[test]
+            fn an_id_of_any_length_is_text() {
+                crate::ask::takes_ids_of_any_length(BUILD);
+            }
+
+            #[test]
             fn no_misuse_goes_unsaid_and_nothing_is_freed_too_early() {
                 crate::misuse::is_said(BUILD);
             }

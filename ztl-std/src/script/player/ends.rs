@@ -71,7 +71,7 @@ impl Player {
         };
         let mut troubles: Vec<(Why, TaskNumber)> = open.iter().filter_map(trouble).collect();
         // What cannot mend itself comes first.
-        troubles.sort_by_key(|(why, _)| matches!(why, Why::ServerSilent { .. } | Why::TooLong));
+        troubles.sort_by_key(|(why, _)| why.may_mend());
         match troubles.first() {
             Some((why, _)) => {
                 let why = why.clone();
@@ -112,7 +112,7 @@ impl Player {
         step.told = told;
         let step = step.step;
         // These can mend themselves: an unattended run waits for that.
-        let may_mend = matches!(why, Why::ServerSilent { .. } | Why::TooLong);
+        let may_mend = why.may_mend();
         self.events.push_back(Event::StepWaiting {
             scene,
             step,
