@@ -15,8 +15,8 @@ use core::time::Duration;
 use ztl_core::client::{Answer, Client, Heard, Late, Server};
 use ztl_core::dispatcher::KEEP_INIT;
 use ztl_core::envelope::{ClientId, Envelope};
-use ztl_core::sink::Sink;
 use ztl_core::integer::Integer;
+use ztl_core::sink::Sink;
 use ztl_core::{Instant, Message, Request};
 
 use crate::script::{number, steps, text};
@@ -87,7 +87,9 @@ struct Desk {
 
 impl Desk {
     fn request(&mut self, request: Request, payload: &str) {
-        let task = Integer::parse("7").ok().filter(|_| request != Request::Init);
+        let task = Integer::parse("7")
+            .ok()
+            .filter(|_| request != Request::Init);
         let kind = if request == Request::Init {
             Kind::Init
         } else {
