@@ -11,7 +11,7 @@ use std::time::Instant;
 use ztl_std::{RemoteTask, RequestError, State, TriggerError};
 use ztl_tests::lab::{
     Ended, FakeServer, PATIENCE, Process, SCOPE, Scratch, Server, built, original_client,
-    our_client, python, ztl,
+    our_client, ztl,
 };
 
 /// The first that the protocol's own servers cannot give, two that no `i64` and no `u64` can hold,
@@ -78,22 +78,6 @@ fn an_init_whose_answer_cannot_be_understood_may_have_started_the_task() {
     }
 }
 
-/// The original's server, unchanged, but its ids are as long as those of `uuid.uuid4().int`.
-fn original_with_large_ids() -> Server {
-    let mut command = Command::new(python());
-    command.args([
-        "-u",
-        "-c",
-        "import ztl.core.task\n\
-         init = ztl.core.task.TaskController.__init__\n\
-         def large(self):\n    init(self)\n    self._current = 2 ** 127\n\
-         ztl.core.task.TaskController.__init__ = large\n\
-         from ztl.example.task_server import main_cli\n\
-         main_cli()",
-    ]);
-    Server::test_server(command)
-}
-
 /// A script for the server at this port, in lines, with everything answered by the options.
 fn play(files: &Scratch, script: &str, port: u16, record: &str) -> Ended {
     fs::write(files.path("show.yaml"), script).unwrap();
@@ -107,7 +91,7 @@ fn play(files: &Scratch, script: &str, port: u16, record: &str) -> Ended {
 
 #[test]
 fn a_script_starts_a_task_with_a_large_id_once_and_waits_for_it() {
-    let server = original_with_large_ids();
+    let server = Server::original_with_large_ids();
     let files = Scratch::new();
     let script = "s: {a(on_failure=retry 2): {test: {print: moving}}, b: {test: {echo: after}}}\n";
     let ended = play(&files, script, server.port, "run.jsonl");

@@ -199,7 +199,7 @@ impl Desk {
                     let (_, said) = said
                         .rsplit_once("never seen since boot ")
                         .expect("these words");
-                    let said = ztl_core::integer::Integer::parse(said).expect("a number");
+                    let said = Integer::parse(said).expect("a number");
                     assert_eq!(said.value(), Some(i64::from(boot)), "another server's word");
                 }
             }

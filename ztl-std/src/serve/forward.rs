@@ -9,6 +9,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use ztl_core::State;
+use ztl_core::dispatcher::UNKNOWN_END;
 
 use super::run::{End, time};
 use super::template::Call;
@@ -78,7 +79,7 @@ impl Forward {
             }
             Err(TriggerError::Request(error)) => {
                 tell(Told::Accepted);
-                return End::Failed(format!("unknown: whether it was started: {error}"));
+                return End::Failed(format!("{UNKNOWN_END}whether it was started: {error}"));
             }
         };
         tell(Told::Accepted);
@@ -95,7 +96,7 @@ impl Forward {
                     }
                     Err(error) => {
                         silent.get_or_insert_with(Instant::now);
-                        format!("unknown: {error}")
+                        format!("{UNKNOWN_END}{error}")
                     }
                 };
                 if text != said && text != "None" {
@@ -112,7 +113,7 @@ impl Forward {
                     // It may tell more when it is asked again.
                     Err(RequestError::NotTold { .. }) => std::thread::sleep(PAUSE),
                     Err(error) if error.was_answered() => {
-                        return End::Failed(format!("unknown: {to}: {error}"));
+                        return End::Failed(format!("{UNKNOWN_END}{to}: {error}"));
                     }
                     _ => {}
                 },
@@ -120,7 +121,7 @@ impl Forward {
             if silent.is_some_and(|since| since.elapsed() >= KEEP) {
                 // It would have forgotten by now how the task ended.
                 let kept = time(KEEP);
-                return End::Failed(format!("unknown: no answer from {to} for {kept}"));
+                return End::Failed(format!("{UNKNOWN_END}no answer from {to} for {kept}"));
             }
             if asked_to_abort || !abort.load(Ordering::Relaxed) {
                 continue;

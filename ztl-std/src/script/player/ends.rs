@@ -40,7 +40,8 @@ impl Player {
             return true;
         }
         match policy {
-            OnFailure::Retry(count) if retries < count => {
+            // What may still run is not started beside itself.
+            OnFailure::Retry(count) if retries < count && of(&Live::may_still_run).is_empty() => {
                 self.try_again(now);
                 true
             }

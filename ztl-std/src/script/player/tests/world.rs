@@ -44,6 +44,7 @@ struct Job {
     begun: Instant,
     ends: Instant,
     end: State,
+    said: &'static str,
     unstoppable: bool,
     aborted: Option<Instant>,
 }
@@ -96,7 +97,7 @@ impl Machine {
         let job = self.tasks.get(&place(id))?;
         Some(match job.aborted {
             Some(at) if at <= now => (State::Aborted, "True".to_owned()),
-            _ if now >= job.ends => (job.end, "done".to_owned()),
+            _ if now >= job.ends => (job.end, job.said.to_owned()),
             _ => (State::Accepted, "running".to_owned()),
         })
     }
@@ -376,7 +377,7 @@ impl Machine {
             };
         }
         self.next += 1;
-        // `3`, `3 fail`, `3 forever`.
+        // `3`, `3 fail`, `3 lost`, `3 forever`.
         let mut words = goal.split(' ');
         let seconds: f64 = words
             .next()
@@ -386,10 +387,13 @@ impl Machine {
         let job = Job {
             begun: now,
             ends: now + Duration::from_secs_f64(seconds),
-            end: if how == Some("fail") {
-                State::Failed
-            } else {
-                State::Completed
+            end: match how {
+                Some("fail" | "lost") => State::Failed,
+                _ => State::Completed,
+            },
+            said: match how {
+                Some("lost") => "unknown: the robot behind it was restarted",
+                _ => "done",
             },
             unstoppable: how == Some("forever"),
             aborted: None,
