@@ -2,11 +2,7 @@
 //! ways: as C89, as C++98, with the shared library, under the compiler's sanitizers and under valgrind.
 
 #![cfg(target_os = "linux")]
-#![expect(
-    clippy::expect_used,
-    clippy::panic,
-    reason = "a test says what is wrong by panicking"
-)]
+#![expect(clippy::expect_used, reason = "a test says what is wrong by panicking")]
 
 mod ask;
 mod build;
