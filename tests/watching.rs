@@ -359,7 +359,7 @@ fn every_server_of_ours_says_what_it_offers() {
         "{told}"
     );
     let told = json(&tell(&tests, "describe --json"));
-    assert_eq!(told["running"][task.id.get().to_string()], SCOPE, "{told}");
+    assert_eq!(told["running"][task.id.as_str()], SCOPE, "{told}");
 }
 
 #[test]

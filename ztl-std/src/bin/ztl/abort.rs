@@ -78,7 +78,9 @@ fn abort_all(server: &Server, scope: Option<&str>) -> Result<bool, Box<dyn std::
             task.ended_ms.is_none() && scope.is_none_or(|scope| scope == task.scope)
         };
         let running = listing.tasks.iter().filter(runs).filter_map(Wanted::of);
-        let new: Vec<Wanted> = running.filter(|task| tried.insert(task.id.clone())).collect();
+        let new: Vec<Wanted> = running
+            .filter(|task| tried.insert(task.id.clone()))
+            .collect();
         for task in &new {
             all_ended &= abort(server, task)?;
         }
