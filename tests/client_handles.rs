@@ -79,7 +79,7 @@ fn a_guard_aborts_its_task_unless_it_is_released() {
     let (_server, mut remote) = serve();
     let one = remote.trigger("h", "wait", "g").expect("taken").id;
     let two = remote.trigger("h", "wait", "g").expect("taken").id;
-    let guards = [one, two].map(|id| remote.guard(id));
+    let guards = [&one, &two].map(|id| remote.guard(id));
     assert_eq!(running(&mut remote), 2);
     let [guard, other] = guards;
     drop(guard);

@@ -5,7 +5,7 @@
 
 use std::time::{Duration, Instant};
 
-use ztl_std::{RemoteTask, State, Status, TaskId};
+use ztl_std::{RemoteTask, RequestError, State, Status, TaskId};
 use ztl_tests::lab::{PATIENCE, Process, SCOPE, Scratch, Server, reserve_port, until, ztl};
 
 /// Where a device is, also after it was started again.
@@ -87,6 +87,8 @@ fn start_when_served(remote: &mut RemoteTask, goal: &str) -> TaskId {
         remote.trigger("gripper", "finger", goal).ok()
     })
     .id
+    .number()
+    .expect("an id of ours")
 }
 
 /// Waits until the finger has been seen beyond a place.
@@ -301,14 +303,17 @@ fn ids_are_not_known_after_a_restart_of_the_gateway_and_the_device_is_free() {
     drop(gateway);
 
     let (_gateway, mut remote) = place.gateway();
-    let unknown = status(State::Rejected, &format!("Invalid ID '{id}'"));
-    assert_eq!(remote.status(id), Ok(unknown.clone()));
+    let unknown = RequestError::UnknownTask {
+        id: id.into(),
+        text: format!("Invalid ID '{id}'"),
+    };
+    assert_eq!(remote.status(id), Err(unknown.clone()));
     // The device stops what nobody asks about any more, and takes the next task.
     let next = start_when_served(&mut remote, "0");
     assert_ne!(next, id);
     let end = status(State::Completed, "0.0");
     assert_eq!(remote.wait(next, LIMIT), Ok(end));
-    assert_eq!(remote.status(id), Ok(unknown));
+    assert_eq!(remote.status(id), Err(unknown));
 }
 
 #[test]

@@ -52,7 +52,7 @@ fn the_handler_refuses_what_it_cannot_do_and_stops_when_asked() {
         ("arm", "up", "no component 'arm'; it has: base"),
     ] {
         let refused = TriggerError::Refused {
-            id: -1,
+            id: (-1).into(),
             reason: format!("Controller threw exception: {reason}"),
         };
         assert_eq!(remote.trigger("robot", component, goal), Err(refused));
@@ -62,12 +62,12 @@ fn the_handler_refuses_what_it_cannot_do_and_stops_when_asked() {
         .expect("taken")
         .id;
     until("it has come some way", PATIENCE, || {
-        let status = remote.status(id).expect("an answer");
+        let status = remote.status(&id).expect("an answer");
         (status.text == "10 percent").then_some(())
     });
-    let end = remote.abort(id).expect("an answer");
+    let end = remote.abort(&id).expect("an answer");
     assert_eq!((end.state, end.text.as_str()), (State::Aborted, "True"));
-    let end = remote.status(id).expect("an answer");
+    let end = remote.status(&id).expect("an answer");
     assert!(end.text.starts_with("stopped at "), "{end:?}");
 }
 

@@ -146,9 +146,10 @@ fn a_task_that_ran_when_its_server_was_killed_is_unknown_to_its_client() {
     server.kill();
     let _next = serve(port);
     let error = remote
-        .wait(task.id, Some(PATIENCE))
+        .wait(&task.id, Some(PATIENCE))
         .expect_err("nobody knows");
-    let unknown = RequestError::UnknownTask { id: task.id };
+    let text = format!("Invalid ID '{}'", task.id);
+    let unknown = RequestError::UnknownTask { id: task.id, text };
     assert_eq!(error.last, Err(unknown));
 }
 

@@ -40,10 +40,10 @@ fn a_handler_that_reports_without_pause_keeps_nobody_from_being_answered() {
     let mut other = RemoteTask::connect(server.endpoint(), "/lab").unwrap();
     for _ in 0..100 {
         // It gives up after 2 s.
-        let status = other.status(task.id).unwrap();
+        let status = other.status(&task.id).unwrap();
         assert_eq!(status.state, State::Accepted);
     }
-    assert_eq!(one.abort(task.id).unwrap().state, State::Aborted);
+    assert_eq!(one.abort(&task.id).unwrap().state, State::Aborted);
 }
 
 #[test]

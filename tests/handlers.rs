@@ -90,7 +90,10 @@ impl Drop for Lab {
 #[track_caller]
 fn start(remote: &mut RemoteTask, component: &str, goal: &str) -> TaskId {
     let task = remote.trigger("any", component, goal);
-    task.expect("the task is taken").id
+    task.expect("the task is taken")
+        .id
+        .number()
+        .expect("an id of ours")
 }
 
 fn status(state: State, text: &str) -> Status {

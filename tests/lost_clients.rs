@@ -68,6 +68,7 @@ fn a_task_is_aborted_when_its_client_is_killed_if_its_owner_wants_that() {
     let five = original.start("base", "needs", "x");
     let mut silent = RemoteTask::connect(server.endpoint(), SCOPE).expect("an address");
     let six = silent.trigger("base", "needs", "x").expect("taken").id;
+    let six = six.number().expect("an id of ours");
 
     let mut witness = RemoteTask::connect(server.endpoint(), SCOPE).expect("an address");
     let mut state = |id| witness.status(id).expect("an answer").state;

@@ -13,7 +13,8 @@ fn connect(server: &Server) -> RemoteTask {
 #[track_caller]
 fn start(remote: &mut RemoteTask, component: &str, goal: &str) -> TaskId {
     let task = remote.trigger("test", component, goal);
-    task.expect("the task is taken").id
+    let id = task.expect("the task is taken").id;
+    id.number().expect("the original counts from 1")
 }
 
 fn status(state: State, text: &str) -> Status {
@@ -31,12 +32,12 @@ fn a_task_is_taken_runs_and_ends() {
     let mut remote = connect(&server);
     let task = remote.trigger("test", "echo", "it's").expect("taken");
     // The original counts from 1.
-    assert_eq!(task.id.get(), 1);
+    assert_eq!(task.id.as_str(), "1");
     let request = r#"{'handler': 'test', 'component': 'echo', 'goal': "it's"}"#;
     let reply = format!("Initiated task '1' with request: {request}");
     assert_eq!(task.reply, reply);
     let end = status(State::Completed, "it's");
-    assert_eq!(remote.wait(task.id, LIMIT), Ok(end.clone()));
+    assert_eq!(remote.wait(&task.id, LIMIT), Ok(end.clone()));
     assert_eq!(remote.status(task.id), Ok(end));
 }
 
@@ -86,7 +87,7 @@ fn a_refusal_is_no_task() {
     let mut remote = connect(&server);
     let reason = "Controller threw exception: No such handler 'robot', try 'test'.";
     let refused = TriggerError::Refused {
-        id: -1,
+        id: (-1).into(),
         reason: reason.to_owned(),
     };
     assert_eq!(remote.trigger("robot", "echo", "hi"), Err(refused));
@@ -112,13 +113,16 @@ fn what_nobody_knows_is_refused() {
     let server = Server::original();
     let mut remote = connect(&server);
     let id = TaskId::new(99).expect("an id");
-    let unknown = status(State::Rejected, "Invalid ID '99'");
-    assert_eq!(remote.status(id), Ok(unknown.clone()));
-    assert_eq!(remote.abort(id), Ok(unknown));
+    let unknown = RequestError::UnknownTask {
+        id: id.into(),
+        text: "Invalid ID '99'".to_owned(),
+    };
+    assert_eq!(remote.status(id), Err(unknown.clone()));
+    assert_eq!(remote.abort(id), Err(unknown));
 
     let stranger = RemoteTask::connect(&server.endpoint(), "/elsewhere");
     let refused = TriggerError::Refused {
-        id: -1,
+        id: (-1).into(),
         reason: "No controller for scope: /elsewhere".to_owned(),
     };
     let answer = stranger.expect("an address").trigger("test", "echo", "hi");

@@ -64,7 +64,7 @@ fn our_client_runs_tasks_on_each_peers_server() {
         }
         let id = remote.trigger("test", "sleep", "3").expect("taken").id;
         until("the task to run", PATIENCE, || {
-            let now = remote.status(id).expect("an answer").state;
+            let now = remote.status(&id).expect("an answer").state;
             assert!(!now.is_final(), "{now:?}");
             (now == State::Accepted).then_some(())
         });

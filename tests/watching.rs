@@ -97,14 +97,14 @@ fn a_task_of_another_client_is_seen_and_stopped() {
     let said = tell(&gateway, &format!("abort {}", task.id));
     let start = format!("{} gripper:finger:100: ABORTED, ", task.id);
     assert!(said.starts_with(&start), "{said}");
-    let end = other.status(task.id).expect("an answer");
+    let end = other.status(&task.id).expect("an answer");
     assert_eq!(end.state, State::Aborted);
     // It is told as the device told it, which is where the finger stopped.
     assert_eq!(said, format!("{start}{}\n", end.text));
 
     assert_eq!(tell(&gateway, "ps"), "No task is running.\n");
     let told = json(&tell(&gateway, "ps --all --json"));
-    assert_eq!(told["tasks"][0]["id"], task.id.get());
+    assert_eq!(told["tasks"][0]["id"].to_string(), task.id.as_str());
     assert_eq!(told["tasks"][0]["state"], 4);
     // Its times pass.
     until("it has grown older since its end", PATIENCE, || {
@@ -359,7 +359,7 @@ fn every_server_of_ours_says_what_it_offers() {
         "{told}"
     );
     let told = json(&tell(&tests, "describe --json"));
-    assert_eq!(told["running"][task.id.get().to_string()], SCOPE, "{told}");
+    assert_eq!(told["running"][task.id.as_str()], SCOPE, "{told}");
 }
 
 #[test]
@@ -408,7 +408,7 @@ fn the_exit_code_tells_whether_the_task_has_stopped() {
     let listed = tell(&server, "ps");
     assert!(listed.contains("test:sleep:20"), "{listed}");
     let ended = ask(&server, &format!("abort {}", task.id));
-    let stopped = other.status(task.id).expect("an answer").state == State::Aborted;
+    let stopped = other.status(&task.id).expect("an answer").state == State::Aborted;
     assert_eq!(ended.code, Some(i32::from(!stopped)), "{ended:?}");
 }
 
@@ -437,7 +437,7 @@ fn the_original_server_is_said_to_tell_nothing() {
     let mut other = client(&server);
     let task = other.trigger("test", "sleep", "1").expect("accepted");
     until("the original's task to run", PATIENCE, || {
-        let state = other.status(task.id).ok()?.state;
+        let state = other.status(&task.id).ok()?.state;
         (state == State::Accepted || state.is_final()).then_some(())
     });
     let ended = ask(&server, &format!("abort -s {SCOPE} {}", task.id));

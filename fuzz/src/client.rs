@@ -12,11 +12,12 @@
 
 use core::time::Duration;
 
-use ztl_core::client::{Client, Heard, Late, Server};
+use ztl_core::client::{Answer, Client, Heard, Late, Server};
 use ztl_core::dispatcher::KEEP_INIT;
 use ztl_core::envelope::{ClientId, Envelope};
+use ztl_core::integer::Integer;
 use ztl_core::sink::Sink;
-use ztl_core::{Instant, Message, Request, TaskId};
+use ztl_core::{Instant, Message, Request};
 
 use crate::script::{number, steps, text};
 
@@ -86,7 +87,9 @@ struct Desk {
 
 impl Desk {
     fn request(&mut self, request: Request, payload: &str) {
-        let task = TaskId::new(7).filter(|_| request != Request::Init);
+        let task = Integer::parse("7")
+            .ok()
+            .filter(|_| request != Request::Init);
         let kind = if request == Request::Init {
             Kind::Init
         } else {
@@ -196,24 +199,35 @@ impl Desk {
                     let (_, said) = said
                         .rsplit_once("never seen since boot ")
                         .expect("these words");
-                    let said = ztl_core::integer::Integer::parse(said).expect("a number");
+                    let said = Integer::parse(said).expect("a number");
                     assert_eq!(said.value(), Some(i64::from(boot)), "another server's word");
                 }
             }
             Heard::Answer(answer) => {
                 self.sent[place].answered = true;
                 let message = Message::parse(body).expect("a message");
-                assert_eq!(message.payload, answer.text);
-                assert_eq!(
-                    message.code().expect("a number").value(),
-                    Some(answer.state)
-                );
-                assert_eq!(message.number().expect("a number").value(), Some(answer.id));
+                assert_eq!(message.payload, answer.text());
+                match answer {
+                    Answer::Accepted { id, .. } => {
+                        assert_eq!(message.number(), Ok(id));
+                        assert!(id.is_positive(), "accepted without an id: {}", text(body));
+                    }
+                    Answer::Refused { id, .. } => {
+                        assert_eq!(message.number(), Ok(id));
+                        assert!(!id.is_positive(), "refused with an id: {}", text(body));
+                    }
+                    Answer::Task { state, .. } | Answer::NotTold { state, .. } => {
+                        let code = message.code().expect("a number").value();
+                        assert_eq!(code, Some(i64::from(state.code())));
+                    }
+                    Answer::UnknownTask { text } => assert!(text.starts_with("Invalid ID")),
+                    Answer::UndefinedState { state, .. } => assert_eq!(message.code(), Ok(state)),
+                }
             }
             Heard::Unreadable => {
-                let readable = Message::parse(body).is_ok_and(|message| {
-                    let code = message.code().ok().and_then(|code| code.value());
-                    code.is_some() && message.number().is_ok_and(|id| id.value().is_some())
+                let readable = Message::parse(body).is_ok_and(|message| match kind {
+                    Kind::Init | Kind::Outcome(_) => message.number().is_ok(),
+                    Kind::Other | Kind::Probe => message.code().is_ok(),
                 });
                 assert!(!readable, "{}", text(body));
             }

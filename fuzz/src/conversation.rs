@@ -17,9 +17,10 @@
 use core::time::Duration;
 use std::collections::BTreeMap;
 
-use ztl_core::client::{Client, Heard, Server};
+use ztl_core::client::{Answer, Client, Heard, Server};
 use ztl_core::dispatcher::{Action, Body, Config, Dispatcher, KEEP_INIT, TaskEvent};
 use ztl_core::envelope::{ClientId, Envelope};
+use ztl_core::integer::Integer;
 use ztl_core::memory::Fixed;
 use ztl_core::reply::Reply;
 use ztl_core::{Instant, Request, State, TaskId};
@@ -152,11 +153,12 @@ impl Street {
         };
         let mut body = Vec::new();
         let sink = &mut |bytes: &[u8]| body.extend_from_slice(bytes);
+        let id = task.to_string();
         let envelope = self.client.request(
             self.now,
             Request::Status,
             "/lab",
-            Some(task),
+            Integer::parse(&id).ok(),
             "wait 1000",
             sink,
         );
@@ -253,12 +255,13 @@ impl Street {
             }
             Heard::FateUnknown => {}
             Heard::Unreadable => panic!("no message: {}", text(&body)),
-            Heard::Answer(answer) => match answer.task() {
-                Some(id) => {
+            Heard::Answer(answer) => match answer {
+                Answer::Accepted { id, .. } => {
                     let started = started.expect("it has started");
-                    assert_eq!(started.id, id, "another task: {}", text(&body));
+                    let known = Some(i64::from(started.id.get()));
+                    assert_eq!(known, id.value(), "another task: {}", text(&body));
                 }
-                None => {
+                _ => {
                     // Refused: nothing happened, and nothing will.
                     let happened = started.filter(|started| started.state != State::Rejected);
                     assert!(happened.is_none(), "told {}, but {happened:?}", text(&body));

@@ -5,7 +5,7 @@
 use std::time::{Duration, Instant};
 
 use ztl_core::link::{ADDR_ONLY_NODE, Body, Frame, LinkId, encode};
-use ztl_std::{RemoteTask, State, TaskId};
+use ztl_std::{RemoteId, RemoteTask, State};
 use ztl_tests::lab::{PATIENCE, Process, SCOPE, Scratch, Server, until, ztl};
 
 const BAUDS: [u32; 2] = [115_200, 921_600];
@@ -184,7 +184,7 @@ fn bench_readings() {
 }
 
 /// Seconds for a STATUS and its answer.
-fn status(remote: &mut RemoteTask, id: TaskId) -> f64 {
+fn status(remote: &mut RemoteTask, id: &RemoteId) -> f64 {
     let start = Instant::now();
     for _ in 0..QUESTIONS {
         remote.status(id).expect("an answer");
@@ -209,14 +209,14 @@ fn bench_status() {
         task.expect("it is taken").id
     };
     let done = run(&mut served, "0.1");
-    served.wait(done, Some(PATIENCE)).expect("it ends");
+    served.wait(&done, Some(PATIENCE)).expect("it ends");
     let mut quickest = [f64::MAX; 3];
     for round in 0..ROUNDS {
         let there = run(&mut served, ["99", "1"][round % 2]);
-        let moving = status(&mut served, there);
-        served.abort(there).expect("an answer");
-        let ended = status(&mut served, done);
-        let without = status(&mut alone, echo);
+        let moving = status(&mut served, &there);
+        served.abort(&there).expect("an answer");
+        let ended = status(&mut served, &done);
+        let without = status(&mut alone, &echo);
         for (best, time) in quickest.iter_mut().zip([without, ended, moving]) {
             *best = best.min(time);
         }

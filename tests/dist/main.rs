@@ -80,7 +80,10 @@ fn programs_are_served() {
     assert_eq!(run(&mut remote, ["own", "wrong", ""]).state, State::Failed);
     assert_eq!(run(&mut remote, ["test", "echo", "hi"]).text, "hi");
     let id = remote.trigger("own", "long", "").expect("taken").id;
-    assert_eq!(remote.status(id).expect("an answer").state, State::Accepted);
+    assert_eq!(
+        remote.status(&id).expect("an answer").state,
+        State::Accepted
+    );
     assert_eq!(remote.abort(id).expect("an answer").state, State::Aborted);
     // The original's client too, which no word of ours is for.
     let mut original = server.original_client();

@@ -86,6 +86,8 @@ fn started(remote: &mut RemoteTask, device: &str, component: &str, goal: &str) -
         remote.trigger(device, component, goal).ok()
     })
     .id
+    .number()
+    .expect("an id of ours")
 }
 
 #[test]

@@ -3,7 +3,7 @@
 
 use std::time::{Duration, Instant};
 
-use ztl_std::{RemoteTask, State, TaskId};
+use ztl_std::{RemoteId, RemoteTask, State};
 use ztl_tests::lab::{PATIENCE, until};
 
 use crate::books::{Books, Told};
@@ -18,7 +18,7 @@ fn far(round: usize) -> String {
 
 /// Starts a task as soon as the gateway takes it; what was refused before goes into the books too.
 #[track_caller]
-fn start(remote: &mut RemoteTask, books: &mut Books, goal: &str) -> (TaskId, String) {
+fn start(remote: &mut RemoteTask, books: &mut Books, goal: &str) -> (RemoteId, String) {
     let mut tries = 0;
     until("a task is taken", PATIENCE, || {
         let goal = format!("{goal}{tries:03}");
@@ -34,7 +34,7 @@ fn start(remote: &mut RemoteTask, books: &mut Books, goal: &str) -> (TaskId, Str
 }
 
 #[track_caller]
-fn end(remote: &mut RemoteTask, books: &mut Books, (id, goal): (TaskId, String)) -> State {
+fn end(remote: &mut RemoteTask, books: &mut Books, (id, goal): (RemoteId, String)) -> State {
     let end = remote.wait(id, Some(PATIENCE)).expect("it ends");
     books.note(goal, Told::Ended(end.state, end.text));
     end.state
@@ -64,7 +64,7 @@ fn resets_of_either_side_lose_no_task_and_the_gateway_grows_by_nothing() {
         let task = start(&mut remote, &mut books, &far(2 * round + 1));
         rig.branches[0].replug();
         until("it is stopped", PATIENCE, || {
-            let state = remote.abort(task.0).expect("an answer").state;
+            let state = remote.abort(&task.0).expect("an answer").state;
             state.is_final().then_some(())
         });
         let state = end(&mut remote, &mut books, task);

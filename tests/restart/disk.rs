@@ -46,11 +46,11 @@ fn on_a_full_disk_tasks_are_refused_and_what_runs_keeps_its_end() {
                 break;
             }
         };
-        match client.wait(task.id, Some(Duration::from_millis(1000))) {
+        match client.wait(&task.id, Some(Duration::from_millis(1000))) {
             Ok(end) => ends.push((task.id, end)),
             Err(_) => {
                 // It has ended, and nobody is told before that is written.
-                let told = client.status(task.id).unwrap();
+                let told = client.status(&task.id).unwrap();
                 assert_eq!(told.state, State::Accepted);
                 let why =
                     "it has ended, and nobody is told how before that is written: the journal ";

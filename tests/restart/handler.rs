@@ -79,9 +79,11 @@ fn tasks_come_back_to_their_scopes_in_whatever_order_these_are_registered() {
         let connect = |scope| RemoteTask::connect(server.endpoint(), scope).unwrap();
         let (mut a, mut b) = (connect("/a"), connect("/b"));
         let of = |number, state| Ok(status(state, &format!("of {number}")));
-        let unknown = |number| {
-            let text = format!("Invalid ID '{number}'");
-            Ok(status(State::Rejected, &text))
+        let unknown = |number: u32| {
+            Err(RequestError::UnknownTask {
+                id: id(number).into(),
+                text: format!("Invalid ID '{number}'"),
+            })
         };
         let (ended, runs, long_ago) = (first + 1, first + 2, first + 3);
         assert_eq!(a.status(id(ended)), of(ended, State::Aborted));

@@ -62,7 +62,12 @@ impl Lab {
     #[track_caller]
     fn quiet_client(&self) -> RemoteTask {
         let mut client = self.client();
-        let id = client.trigger("motors", "arm", "1 1").unwrap().id;
+        let id = client
+            .trigger("motors", "arm", "1 1")
+            .unwrap()
+            .id
+            .number()
+            .unwrap();
         assert_eq!(client.wait(id, LIMIT), Ok(status(State::Completed, "1")));
         client
     }
@@ -128,7 +133,12 @@ const ONCE: Deed = Deed {
 fn a_client_that_waits_through_a_restart_hears_the_true_end() {
     let mut lab = Lab::new(LONG);
     let mut client = lab.client();
-    let id = client.trigger("motors", "arm", "7 1500").unwrap().id;
+    let id = client
+        .trigger("motors", "arm", "7 1500")
+        .unwrap()
+        .id
+        .number()
+        .unwrap();
     // Waits from before the kill until after the end.
     let waiting = std::thread::spawn(move || client.wait(id, LIMIT));
     until("it moves", PATIENCE, || {
@@ -148,7 +158,12 @@ fn a_client_that_waits_through_a_restart_hears_the_true_end() {
     let aborted = client.abort(id).unwrap();
     assert_eq!(aborted.state, State::Completed);
     // A new task has an id that nobody had.
-    let next = client.trigger("motors", "arm", "8 1").unwrap().id;
+    let next = client
+        .trigger("motors", "arm", "8 1")
+        .unwrap()
+        .id
+        .number()
+        .unwrap();
     assert!(next > id, "{next} after {id}");
 }
 
@@ -212,7 +227,12 @@ fn killed_before_the_device_got_the_start_it_never_starts() {
 fn killed_after_the_end_and_before_anybody_asked_the_end_is_known() {
     let mut lab = Lab::new(LONG);
     let mut client = lab.client();
-    let id = client.trigger("motors", "arm", "7 50").unwrap().id;
+    let id = client
+        .trigger("motors", "arm", "7 50")
+        .unwrap()
+        .id
+        .number()
+        .unwrap();
     assert_eq!(lab.wait_for_line("ended"), id);
     lab.kill();
     // The device is not needed for it.
@@ -226,8 +246,18 @@ fn killed_after_the_end_and_before_anybody_asked_the_end_is_known() {
 fn a_device_that_was_reset_meanwhile_has_failed_its_task() {
     let mut lab = Lab::new(LONG);
     let mut client = lab.client();
-    let arm = client.trigger("motors", "arm", "7 60000").unwrap().id;
-    let belt = client.trigger("motors", "belt", "8 60000").unwrap().id;
+    let arm = client
+        .trigger("motors", "arm", "7 60000")
+        .unwrap()
+        .id
+        .number()
+        .unwrap();
+    let belt = client
+        .trigger("motors", "belt", "8 60000")
+        .unwrap()
+        .id
+        .number()
+        .unwrap();
     lab.kill();
     lab.device.world().reset = true;
     lab.start_again();
@@ -248,8 +278,18 @@ fn of_a_device_that_is_away_what_must_have_stopped_has_failed_and_what_carries_o
 {
     let mut lab = Lab::new(USUAL);
     let mut client = lab.client();
-    let arm = client.trigger("motors", "arm", "7 60000").unwrap().id;
-    let belt = client.trigger("motors", "belt", "8 2500").unwrap().id;
+    let arm = client
+        .trigger("motors", "arm", "7 60000")
+        .unwrap()
+        .id
+        .number()
+        .unwrap();
+    let belt = client
+        .trigger("motors", "belt", "8 2500")
+        .unwrap()
+        .id
+        .number()
+        .unwrap();
     lab.kill();
     lab.device.world().unplugged = true;
     let started = Instant::now();
@@ -283,7 +323,13 @@ fn of_a_device_that_is_away_what_must_have_stopped_has_failed_and_what_carries_o
 #[test]
 fn an_abort_reaches_a_task_from_before_the_restart() {
     let mut lab = Lab::new(LONG);
-    let id = lab.client().trigger("motors", "arm", "7 60000").unwrap().id;
+    let id = lab
+        .client()
+        .trigger("motors", "arm", "7 60000")
+        .unwrap()
+        .id
+        .number()
+        .unwrap();
     lab.kill();
     lab.start_again();
     let mut client = lab.client();
@@ -301,7 +347,12 @@ fn an_abort_reaches_a_task_from_before_the_restart() {
 fn a_task_of_a_device_that_is_not_served_any_more_ends_as_one_that_does_not_answer() {
     let mut lab = Lab::new(USUAL);
     let mut client = lab.client();
-    let arm = client.trigger("motors", "arm", "7 60000").unwrap().id;
+    let arm = client
+        .trigger("motors", "arm", "7 60000")
+        .unwrap()
+        .id
+        .number()
+        .unwrap();
     lab.kill();
     let mut command = ztl();
     let port = lab.port.to_string();
@@ -347,7 +398,12 @@ fn a_second_gateway_on_the_same_journal_ends_with_what_is_wrong() {
     }
     // The first one serves on.
     let mut client = lab.client();
-    let id = client.trigger("motors", "arm", "7 1").unwrap().id;
+    let id = client
+        .trigger("motors", "arm", "7 1")
+        .unwrap()
+        .id
+        .number()
+        .unwrap();
     assert_eq!(client.wait(id, LIMIT), Ok(status(State::Completed, "7")));
 }
 
@@ -387,8 +443,8 @@ fn whenever_it_is_killed_each_task_has_one_end_and_moves_once() {
                     let goal = format!("{number} {}", dice(&mut state, 60));
                     if let Ok(task) = client.trigger("motors", motor, &goal) {
                         // Its end may come when the gateway has been killed many times.
-                        let end = client.wait(task.id, LIMIT).expect("its end");
-                        told.insert(task.id, (goal, end));
+                        let end = client.wait(&task.id, LIMIT).expect("its end");
+                        told.insert(task.id.number().unwrap(), (goal, end));
                         ended.fetch_add(1, std::sync::atomic::Ordering::SeqCst);
                     }
                 }

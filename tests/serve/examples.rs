@@ -109,6 +109,7 @@ fn runs_them(python: &Path) {
         "base:turn: the goal '270' is not a number from -180 to 180"
     );
     let turn = remote.trigger("base", "turn", "180").expect("taken").id;
+    let turn = turn.number().expect("an id of ours");
     progress(&mut remote, turn, " degrees");
     assert_eq!(remote.abort(turn).expect("an answer").state, Aborted);
     let (_, text) = end(&mut remote, turn);
@@ -119,7 +120,8 @@ fn runs_them(python: &Path) {
         match remote.trigger("base", "turn", "10") {
             Err(TriggerError::Refused { reason, .. }) => Some(reason),
             taken => {
-                let late = end(&mut remote, taken.expect("an answer").id);
+                let id = taken.expect("an answer").id.number();
+                let late = end(&mut remote, id.expect("an id of ours"));
                 assert_eq!(late.0, Failed, "{late:?}");
                 None
             }

@@ -138,8 +138,8 @@ pub fn told(status: Status) -> (State, String) {
 #[track_caller]
 pub fn trigger(remote: &mut RemoteTask, component: &str, goal: &str) -> TaskId {
     let task = remote.trigger("p", component, goal);
-    task.unwrap_or_else(|error| panic!("{component}:{goal}: {error}"))
-        .id
+    let task = task.unwrap_or_else(|error| panic!("{component}:{goal}: {error}"));
+    task.id.number().expect("an id of ours")
 }
 
 #[track_caller]

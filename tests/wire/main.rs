@@ -11,8 +11,8 @@ mod table;
 use std::time::Duration;
 
 use ztl_std::{
-    ExecutableTask, RemoteTask, RunningServer, State, Status, TaskContext, TaskController,
-    TaskError, TaskId, TaskRequest, TaskServer,
+    ExecutableTask, RemoteTask, RequestError, RunningServer, TaskContext, TaskController,
+    TaskError, TaskRequest, TaskServer,
 };
 use ztl_tests::lab::{PATIENCE, SCOPE, until};
 
@@ -92,10 +92,10 @@ fn assert_serves(endpoint: &str, after: &str) {
     let mut remote = RemoteTask::connect(endpoint, SCOPE)
         .expect("an address")
         .with_timeout(TIMEOUT);
-    let answer = remote.status(TaskId::new(99).expect("an id"));
-    let unknown = Status {
-        state: State::Rejected,
+    let answer = remote.status(99);
+    let unknown = RequestError::UnknownTask {
+        id: 99.into(),
         text: "Invalid ID '99'".to_owned(),
     };
-    assert_eq!(answer, Ok(unknown), "after {after}");
+    assert_eq!(answer, Err(unknown), "after {after}");
 }

@@ -43,6 +43,12 @@ extern "C" {
 #define ZTL_NO_TASK 0
 
 /**
+ * Client: the task's id does not fit in an unsigned int, as some servers of the Python original give them.
+ * ztl_client_task_id tells it, and the functions named ..._by_id take it.
+ */
+#define ZTL_LONG_TASK 4294967295
+
+/**
  * Where a task is: it is not known. Only a client is told so, with an error.
  */
 #define ZTL_UNKNOWN (-1)
@@ -160,7 +166,8 @@ extern "C" {
 #define ZTL_E_UNKNOWN_TASK (-15)
 
 /**
- * Client: the answer is no message of ZTL.
+ * Client: the answer is not a message of ZTL, or its state is not one of ZTL's. What the task does is
+ * unknown: one that was asked for may run.
  */
 #define ZTL_E_UNREADABLE (-16)
 
@@ -178,6 +185,12 @@ extern "C" {
  * Client: the request is longer than the server takes. Nothing was sent.
  */
 #define ZTL_E_TOO_LONG (-19)
+
+/**
+ * Client: the server answered, but did not say where the task is: its scope is not there (yet), or the
+ * handler could not be asked. The task may run.
+ */
+#define ZTL_E_NOT_TOLD (-20)
 
 /**
  * Longest message of a client, in bytes. Default and most: 1048576.
@@ -533,6 +546,13 @@ const char *ztl_client_text(const ztl_client *client);
 const char *ztl_client_error(const ztl_client *client);
 
 /**
+ * The id of the task that was asked for last with ztl_client_trigger or ztl_client_run, in decimal digits,
+ * however long it is; "" when the server gave none. It is the client's, and lasts until the next call of one
+ * of these two. Never NULL, as ztl_client_text.
+ */
+const char *ztl_client_task_id(const ztl_client *client);
+
+/**
  * Sets the longest time for the server to answer, in milliseconds; default 2000. It is not a task's time:
  * that is the limit of ztl_client_wait. Before ztl_client_connect.
  */
@@ -549,8 +569,8 @@ int ztl_client_use_keys(ztl_client *client,
                         const char *server_public_file);
 
 /**
- * Says which server, as "tcp://robot:12345", and which scope, as "/robot"; before anything is asked. The server
- * need not be there yet. Once for a client. The texts are copied.
+ * Says which server, as "tcp://robot:12345", and which scope, as "/robot", without ';'; before anything is asked.
+ * The server need not be there yet. Once for a client. The texts are copied.
  */
 int ztl_client_connect(ztl_client *client,
                        const char *endpoint,
@@ -559,7 +579,8 @@ int ztl_client_connect(ztl_client *client,
 /**
  * Asks for a task, as "robot", "head", "left", and gives its id: ZTL_NO_TASK with any error. After
  * ZTL_E_NO_ANSWER, ZTL_E_UNREADABLE and ZTL_E_SYSTEM the task may run; after any other error it does not. A
- * request is never sent twice. The texts are copied; `task` may be NULL, they may not.
+ * request is never sent twice. An id that does not fit is ZTL_LONG_TASK: ztl_client_task_id tells it. The texts
+ * are copied; `task` may be NULL, they may not.
  */
 int ztl_client_trigger(ztl_client *client,
                        const char *handler,
@@ -568,13 +589,18 @@ int ztl_client_trigger(ztl_client *client,
                        unsigned int *task);
 
 /**
- * Asks where a task is. A task that the server does not know is ZTL_REJECTED, "Invalid ID". With any error
- * the state is ZTL_UNKNOWN: no answer is never taken for an end. `state` may be NULL; the text is
+ * Asks where a task is. With any error the state is ZTL_UNKNOWN: no answer is never taken for an end, and a
+ * task that the server does not know is ZTL_E_UNKNOWN_TASK. `state` may be NULL; the text is
  * ztl_client_text's.
  */
 int ztl_client_status(ztl_client *client,
                       unsigned int task,
                       int *state);
+
+/**
+ * The same, by the task's id in decimal digits. The text is copied, and must not be NULL.
+ */
+int ztl_client_status_by_id(ztl_client *client, const char *id, int *state);
 
 /**
  * Asks to stop a task, and where it is then: ZTL_ABORTED, an end that it had reached before, or ZTL_ACCEPTED
@@ -585,10 +611,16 @@ int ztl_client_abort(ztl_client *client,
                      int *state);
 
 /**
+ * The same, by the task's id in decimal digits. The text is copied, and must not be NULL.
+ */
+int ztl_client_abort_by_id(ztl_client *client, const char *id, int *state);
+
+/**
  * Waits for a task to end, at most for so many milliseconds; less than 0 is for ever. ZTL_OK: it has ended,
  * and `state` says how. ZTL_E_NOT_ENDED: it goes on, and `state` says where it is. ZTL_E_UNKNOWN_TASK: the
- * server does not know it. Any other error: the server did not answer when the time was over, and the state
- * is ZTL_UNKNOWN. A server that does not answer does not end the wait before. `state` may be NULL; the
+ * server does not know it. ZTL_E_UNREADABLE, ZTL_E_NOT_TOLD: it answered, but not where the task is. Any other
+ * error: the server did not answer when the time was over. With all of these the state is ZTL_UNKNOWN. A server
+ * that does not answer does not end the wait before. `state` may be NULL; the
  * text is ztl_client_text's.
  */
 int ztl_client_wait(ztl_client *client,
@@ -606,6 +638,17 @@ int ztl_client_wait_seeing(ztl_client *client,
                            ztl_seen_call seen,
                            void *context,
                            int *state);
+
+/**
+ * Waits as ztl_client_wait_seeing does, by the task's id in decimal digits; or as ztl_client_wait, when
+ * `seen` is NULL. The text is copied, and must not be NULL.
+ */
+int ztl_client_wait_by_id(ztl_client *client,
+                          const char *id,
+                          int limit_ms,
+                          ztl_seen_call seen,
+                          void *context,
+                          int *state);
 
 /**
  * Asks for a task and waits for its end: ztl_client_trigger, then ztl_client_wait, with the errors of both.

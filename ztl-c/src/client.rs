@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use ztl_core::{State, TaskId};
 use ztl_std::keys::{KeyPair, PublicKey};
-use ztl_std::{RemoteTask, RequestError, Status, WaitError};
+use ztl_std::{RemoteId, RemoteTask, RequestError, Status, Triggered, WaitError};
 
 use crate::border::{for_c, guard, null, text};
 use crate::error::{
@@ -16,7 +16,7 @@ use crate::error::{
     ZTL_OK,
 };
 use crate::server::read_keys;
-use crate::{ZTL_NO_TASK, ZTL_UNKNOWN};
+use crate::{ZTL_LONG_TASK, ZTL_NO_TASK, ZTL_UNKNOWN};
 
 /// A client of one scope of one server. From ztl_client_new to ztl_client_free, and for one thread at a
 /// time: a call while another is under way is ZTL_E_BUSY. Threads that talk at the same time have a
@@ -40,6 +40,10 @@ struct Line {
     remote: Option<RemoteTask>,
     timeout: Option<Duration>,
     keys: Option<(KeyPair, PublicKey)>,
+    /// The task that was asked for last.
+    task: Option<RemoteId>,
+    /// Its id in digits.
+    task_id: CString,
     /// What the last call was answered.
     text: CString,
     /// What the last call that failed said.
@@ -173,8 +177,33 @@ const fn code(state: State) -> c_int {
     state.code() as c_int
 }
 
-fn id(task: c_uint) -> Result<TaskId, Failure> {
-    TaskId::new(task).ok_or_else(|| Failure::new(ZTL_E_ARGUMENT, "no task has the id 0"))
+fn id(task: c_uint) -> Result<RemoteId, Failure> {
+    if task == ZTL_LONG_TASK {
+        let text = "the task's id does not fit in an unsigned int: give the text of ztl_client_task_id \
+                    to ztl_client_wait_by_id and its like";
+        return Err(Failure::new(ZTL_E_ARGUMENT, text));
+    }
+    let id = TaskId::new(task).map(RemoteId::from);
+    id.ok_or_else(|| Failure::new(ZTL_E_ARGUMENT, "no task has the id 0"))
+}
+
+/// The number that stands for an id in C.
+fn number(id: &RemoteId) -> c_uint {
+    id.number().map_or(ZTL_LONG_TASK, TaskId::get)
+}
+
+/// An id as text from C.
+///
+/// # Safety
+/// As [`text`].
+unsafe fn by_id(id: *const c_char) -> Result<RemoteId, Failure> {
+    // SAFETY: as the caller promises.
+    let written = unsafe { text(id, "id") }?;
+    let id = written.parse().ok().filter(RemoteId::names_task);
+    id.ok_or_else(|| {
+        let text = format!("invalid task id '{written}': expected a whole number above 0");
+        Failure::new(ZTL_E_ARGUMENT, text)
+    })
 }
 
 /// Less than 0 is for ever.
@@ -238,6 +267,15 @@ pub unsafe extern "C" fn ztl_client_error(client: *const Client) -> *const c_cha
     unsafe { Client::held(client, |line| &line.error) }
 }
 
+/// The id of the task that was asked for last with ztl_client_trigger or ztl_client_run, in decimal digits,
+/// however long it is; "" when the server gave none. It is the client's, and lasts until the next call of one
+/// of these two. Never NULL, as ztl_client_text.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ztl_client_task_id(client: *const Client) -> *const c_char {
+    // SAFETY: NULL, or a client that is not freed, as its caller promises.
+    unsafe { Client::held(client, |line| &line.task_id) }
+}
+
 /// Sets the longest time for the server to answer, in milliseconds; default 2000. It is not a task's time:
 /// that is the limit of ztl_client_wait. Before ztl_client_connect.
 #[unsafe(no_mangle)]
@@ -273,8 +311,8 @@ pub unsafe extern "C" fn ztl_client_use_keys(
     }
 }
 
-/// Says which server, as "tcp://robot:12345", and which scope, as "/robot"; before anything is asked. The server
-/// need not be there yet. Once for a client. The texts are copied.
+/// Says which server, as "tcp://robot:12345", and which scope, as "/robot", without ';'; before anything is asked.
+/// The server need not be there yet. Once for a client. The texts are copied.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ztl_client_connect(
     client: *mut Client,
@@ -302,7 +340,8 @@ pub unsafe extern "C" fn ztl_client_connect(
 
 /// Asks for a task, as "robot", "head", "left", and gives its id: ZTL_NO_TASK with any error. After
 /// ZTL_E_NO_ANSWER, ZTL_E_UNREADABLE and ZTL_E_SYSTEM the task may run; after any other error it does not. A
-/// request is never sent twice. The texts are copied; `task` may be NULL, they may not.
+/// request is never sent twice. An id that does not fit is ZTL_LONG_TASK: ztl_client_task_id tells it. The texts
+/// are copied; `task` may be NULL, they may not.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ztl_client_trigger(
     client: *mut Client,
@@ -317,7 +356,7 @@ pub unsafe extern "C" fn ztl_client_trigger(
         Client::with(client, |line| {
             let (handler, component) = (text(handler, "handler")?, text(component, "component")?);
             let goal = text(goal, "goal")?;
-            given = trigger(line, handler, component, goal)?.get();
+            given = number(&trigger(line, handler, component, goal)?);
             Ok(())
         })
     };
@@ -328,8 +367,8 @@ pub unsafe extern "C" fn ztl_client_trigger(
     code
 }
 
-/// Asks where a task is. A task that the server does not know is ZTL_REJECTED, "Invalid ID". With any error
-/// the state is ZTL_UNKNOWN: no answer is never taken for an end. `state` may be NULL; the text is
+/// Asks where a task is. With any error the state is ZTL_UNKNOWN: no answer is never taken for an end, and a
+/// task that the server does not know is ZTL_E_UNKNOWN_TASK. `state` may be NULL; the text is
 /// ztl_client_text's.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ztl_client_status(
@@ -341,6 +380,22 @@ pub unsafe extern "C" fn ztl_client_status(
     unsafe {
         Client::ask(client, state, |line| {
             let status = line.remote()?.status(id(task)?);
+            Ok(status.map_err(Failure::from)?)
+        })
+    }
+}
+
+/// The same, by the task's id in decimal digits. The text is copied, and must not be NULL.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ztl_client_status_by_id(
+    client: *mut Client,
+    id: *const c_char,
+    state: *mut c_int,
+) -> c_int {
+    // SAFETY: NULL, or a client that is not freed, a text and a number, as their caller promises.
+    unsafe {
+        Client::ask(client, state, |line| {
+            let status = line.remote()?.status(by_id(id)?);
             Ok(status.map_err(Failure::from)?)
         })
     }
@@ -363,10 +418,27 @@ pub unsafe extern "C" fn ztl_client_abort(
     }
 }
 
+/// The same, by the task's id in decimal digits. The text is copied, and must not be NULL.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ztl_client_abort_by_id(
+    client: *mut Client,
+    id: *const c_char,
+    state: *mut c_int,
+) -> c_int {
+    // SAFETY: NULL, or a client that is not freed, a text and a number, as their caller promises.
+    unsafe {
+        Client::ask(client, state, |line| {
+            let status = line.remote()?.abort(by_id(id)?);
+            Ok(status.map_err(Failure::from)?)
+        })
+    }
+}
+
 /// Waits for a task to end, at most for so many milliseconds; less than 0 is for ever. ZTL_OK: it has ended,
 /// and `state` says how. ZTL_E_NOT_ENDED: it goes on, and `state` says where it is. ZTL_E_UNKNOWN_TASK: the
-/// server does not know it. Any other error: the server did not answer when the time was over, and the state
-/// is ZTL_UNKNOWN. A server that does not answer does not end the wait before. `state` may be NULL; the
+/// server does not know it. ZTL_E_UNREADABLE, ZTL_E_NOT_TOLD: it answered, but not where the task is. Any other
+/// error: the server did not answer when the time was over. With all of these the state is ZTL_UNKNOWN. A server
+/// that does not answer does not end the wait before. `state` may be NULL; the
 /// text is ztl_client_text's.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ztl_client_wait(
@@ -397,21 +469,60 @@ pub unsafe extern "C" fn ztl_client_wait_seeing(
     // SAFETY: NULL, or a client that is not freed, and a number, as their caller promises.
     unsafe {
         Client::ask(client, state, |line| {
-            let seen = seen.ok_or_else(|| null("seen"))?;
-            let show = |answer: &Result<Status, RequestError>| {
-                let (error, state, text) = match answer {
-                    Ok(status) => (ZTL_OK, code(status.state), for_c(&status.text)),
-                    Err(error) => {
-                        let failure = Failure::from(error.clone());
-                        (failure.code, ZTL_UNKNOWN, for_c(&failure.text))
-                    }
-                };
-                // The program's function, called as the header says; the text outlives the call.
-                seen(context, error, state, text.as_ptr()) == 0
-            };
-            Ok(line.remote()?.wait_with(id(task)?, limit(limit_ms), show)?)
+            if seen.is_none() {
+                return Err(null("seen").into());
+            }
+            wait_seeing(line, &id(task)?, limit_ms, seen, context)
         })
     }
+}
+
+/// Waits as ztl_client_wait_seeing does, by the task's id in decimal digits; or as ztl_client_wait, when
+/// `seen` is NULL. The text is copied, and must not be NULL.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ztl_client_wait_by_id(
+    client: *mut Client,
+    id: *const c_char,
+    limit_ms: c_int,
+    seen: Seen,
+    context: *mut c_void,
+    state: *mut c_int,
+) -> c_int {
+    // SAFETY: NULL, or a client that is not freed, a text and a number, as their caller promises.
+    unsafe {
+        Client::ask(client, state, |line| {
+            wait_seeing(line, &by_id(id)?, limit_ms, seen, context)
+        })
+    }
+}
+
+/// Waits for a task's end, and shows each answer.
+///
+/// # Safety
+/// `seen` may be called with `context`, as the header says.
+unsafe fn wait_seeing(
+    line: &mut Line,
+    id: &RemoteId,
+    limit_ms: c_int,
+    seen: Seen,
+    context: *mut c_void,
+) -> Result<Status, NotEnded> {
+    let (remote, limit) = (line.remote()?, limit(limit_ms));
+    let Some(seen) = seen else {
+        return Ok(remote.wait(id, limit)?);
+    };
+    let show = |answer: &Result<Status, RequestError>| {
+        let (error, state, text) = match answer {
+            Ok(status) => (ZTL_OK, code(status.state), for_c(&status.text)),
+            Err(error) => {
+                let failure = Failure::from(error.clone());
+                (failure.code, ZTL_UNKNOWN, for_c(&failure.text))
+            }
+        };
+        // SAFETY: the program's function, called as the header says; the text outlives the call.
+        unsafe { seen(context, error, state, text.as_ptr()) == 0 }
+    };
+    Ok(remote.wait_with(id, limit, show)?)
 }
 
 /// Asks for a task and waits for its end: ztl_client_trigger, then ztl_client_wait, with the errors of both.
@@ -435,7 +546,10 @@ pub unsafe extern "C" fn ztl_client_run(
             task.write(given);
         }
         if code == ZTL_OK {
-            return ztl_client_wait(client, given, limit_ms, state);
+            return Client::ask(client, state, |line| {
+                let id = line.task.clone().ok_or_else(|| null("task"))?;
+                Ok(line.remote()?.wait(&id, limit(limit_ms))?)
+            });
         }
         if !state.is_null() {
             state.write(ZTL_UNKNOWN);
@@ -459,7 +573,14 @@ pub unsafe extern "C" fn ztl_client_ask(client: *mut Client, question: *const c_
     }
 }
 
-fn trigger(line: &mut Line, handler: &str, component: &str, goal: &str) -> Result<TaskId, Failure> {
+fn trigger(
+    line: &mut Line,
+    handler: &str,
+    component: &str,
+    goal: &str,
+) -> Result<RemoteId, Failure> {
+    line.task = None;
+    line.task_id = CString::default();
     for (name, part) in [("handler", handler), ("component", component)] {
         if part.contains(':') {
             let text = format!("the {name} '{part}' must not contain ':', which would end it");
@@ -473,7 +594,10 @@ fn trigger(line: &mut Line, handler: &str, component: &str, goal: &str) -> Resul
         Ok(triggered) => for_c(&triggered.reply),
         Err(failure) => for_c(&failure.text),
     };
-    Ok(triggered?.id)
+    let Triggered { id, .. } = triggered?;
+    line.task_id = for_c(id.as_str());
+    line.task = Some(id.clone());
+    Ok(id)
 }
 
 fn not_connected(line: &Line) -> Result<(), Failure> {
@@ -487,9 +611,10 @@ fn not_connected(line: &Line) -> Result<(), Failure> {
 }
 
 fn no_address(endpoint: &str, error: RequestError) -> Failure {
+    let is_scope = matches!(error, RequestError::Scope(_));
     let failure = Failure::from(error);
     match failure.code {
-        ZTL_E_ARGUMENT => {
+        ZTL_E_ARGUMENT if !is_scope => {
             let text = format!("'{endpoint}' is no address; write it as tcp://robot:12345");
             Failure::new(ZTL_E_ARGUMENT, text)
         }

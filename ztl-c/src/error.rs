@@ -39,7 +39,8 @@ pub const ZTL_E_NEVER_CAME: c_int = -14;
 /// Client: the server does not know the task: it was started anew, or has forgotten it. Whether and how
 /// the task ended is unknown.
 pub const ZTL_E_UNKNOWN_TASK: c_int = -15;
-/// Client: the answer is no message of ZTL.
+/// Client: the answer is not a message of ZTL, or its state is not one of ZTL's. What the task does is
+/// unknown: one that was asked for may run.
 pub const ZTL_E_UNREADABLE: c_int = -16;
 /// Client: the task had not ended when the limit of the wait had passed. It goes on.
 pub const ZTL_E_NOT_ENDED: c_int = -17;
@@ -47,6 +48,10 @@ pub const ZTL_E_NOT_ENDED: c_int = -17;
 pub const ZTL_E_PANIC: c_int = -18;
 /// Client: the request is longer than the server takes. Nothing was sent.
 pub const ZTL_E_TOO_LONG: c_int = -19;
+
+/// Client: the server answered, but did not say where the task is: its scope is not there (yet), or the
+/// handler could not be asked. The task may run.
+pub const ZTL_E_NOT_TOLD: c_int = -20;
 
 /// The name of an error, as "ZTL_E_NULL"; "ZTL_E_?" for a number that is none. Any thread. The text is
 /// the library's, and stays.
@@ -73,6 +78,7 @@ pub extern "C" fn ztl_error_name(error: c_int) -> *const c_char {
         ZTL_E_NOT_ENDED => c"ZTL_E_NOT_ENDED",
         ZTL_E_PANIC => c"ZTL_E_PANIC",
         ZTL_E_TOO_LONG => c"ZTL_E_TOO_LONG",
+        ZTL_E_NOT_TOLD => c"ZTL_E_NOT_TOLD",
         _ => c"ZTL_E_?",
     };
     name.as_ptr()
@@ -122,7 +128,11 @@ impl From<RequestError> for Failure {
             RequestError::TooLong { .. } => ZTL_E_TOO_LONG,
             RequestError::NoAnswer { .. } => ZTL_E_NO_ANSWER,
             RequestError::UnknownTask { .. } => ZTL_E_UNKNOWN_TASK,
-            RequestError::Unreadable { .. } => ZTL_E_UNREADABLE,
+            RequestError::NotTold { .. } => ZTL_E_NOT_TOLD,
+            RequestError::UndefinedState { .. } | RequestError::Unreadable { .. } => {
+                ZTL_E_UNREADABLE
+            }
+            RequestError::Scope(_) => ZTL_E_ARGUMENT,
             RequestError::NoCurve => ZTL_E_NO_CURVE,
             RequestError::Transport(zmq::Error::EINVAL | zmq::Error::EPROTONOSUPPORT) => {
                 ZTL_E_ARGUMENT

@@ -27,6 +27,9 @@ pub const ZTL_ABI: c_uint = 1;
 
 /// No task has this id.
 pub const ZTL_NO_TASK: c_uint = 0;
+/// Client: the task's id does not fit in an unsigned int, as some servers of the Python original give them.
+/// ztl_client_task_id tells it, and the functions named ..._by_id take it.
+pub const ZTL_LONG_TASK: c_uint = 4_294_967_295;
 
 /// Where a task is: it is not known. Only a client is told so, with an error.
 pub const ZTL_UNKNOWN: c_int = -1;

@@ -8,8 +8,9 @@
 //!
 //! ```
 //! use core::time::Duration;
-//! use ztl_core::client::{Client, Heard, Late};
+//! use ztl_core::client::{Answer, Client, Heard};
 //! use ztl_core::envelope::ClientId;
+//! use ztl_core::integer::Integer;
 //! use ztl_core::{Instant, Request};
 //!
 //! let mut client = Client::new(ClientId([7; 16]), Duration::from_secs(2));
@@ -21,15 +22,18 @@
 //! assert_eq!(body, b"/lab;1;-1;open");
 //!
 //! // … the answer comes back in the same envelope.
-//! let Some(Heard::Answer(answer)) = client.handle_reply(envelope, b"/lab;1;7;opening") else {
-//!     panic!("it is the answer")
-//! };
-//! assert_eq!((answer.state, answer.id, answer.text), (1, 7, "opening"));
+//! let id = Integer::parse("7").expect("a number");
+//! let answer = Answer::Accepted { id, ended: None, text: "opening" };
+//! let heard = client.handle_reply(envelope, b"/lab;1;7;opening");
+//! assert_eq!(heard, Some(Heard::Answer(answer)));
 //! assert!(client.handle_reply(envelope, b"/lab;1;7;opening").is_none(), "only once");
 //! ```
 
+mod answer;
+
 use core::time::Duration;
 
+use crate::Instant;
 use crate::dispatcher::{KEEP_INIT, RESERVED_SCOPE};
 use crate::envelope::{ClientId, Envelope};
 use crate::integer::Integer;
@@ -37,7 +41,8 @@ use crate::lifecycle::{Request, State};
 use crate::message::Message;
 use crate::reply::NEVER_SEEN;
 use crate::sink::{Sink, put_decimal};
-use crate::{Instant, TaskId};
+
+pub use answer::Answer;
 
 /// What a client knows of the server at the other end of its connection.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -54,32 +59,6 @@ pub enum Server {
     },
 }
 
-/// An answer, taken apart.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct Answer<'a> {
-    /// The `state` field: for INIT and STATUS one of [`State`].
-    pub state: i64,
-    /// The `id` field: of an INIT the task's, or 0 and less when it was refused.
-    pub id: i64,
-    /// The payload.
-    pub text: &'a str,
-}
-
-impl Answer<'_> {
-    /// The state, when there is such a one.
-    #[must_use]
-    pub fn state(&self) -> Option<State> {
-        State::from_code(self.state)
-    }
-
-    /// The task, when it names one.
-    #[must_use]
-    pub fn task(&self) -> Option<TaskId> {
-        u32::try_from(self.id).ok().and_then(TaskId::new)
-    }
-}
-
 /// What an arriving reply means.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -90,7 +69,8 @@ pub enum Heard<'a> {
     NeverStarted,
     /// The server cannot say what became of the INIT: it may run.
     FateUnknown,
-    /// The answer is no ZTL message.
+    /// The answer is not a ZTL message. It answers the request all the same: an INIT may have started
+    /// its task.
     Unreadable,
 }
 
@@ -175,7 +155,7 @@ impl Client {
         now: Instant,
         request: Request,
         scope: &str,
-        task: Option<TaskId>,
+        task: Option<Integer<'_>>,
         payload: &str,
         sink: &mut (impl Sink + ?Sized),
     ) -> Envelope {
@@ -184,8 +164,8 @@ impl Client {
         put_decimal(sink, u32::from(request.code()));
         sink.put(b";");
         match task {
-            Some(task) => put_decimal(sink, task.get()),
-            None => sink.put(b"-1"),
+            Some(task) => task.put(sink),
+            None => Integer::MINUS_ONE.put(sink),
         }
         sink.put(b";");
         sink.put(payload.as_bytes());
@@ -254,7 +234,10 @@ impl Client {
             return None;
         }
         let pending = self.pending.take_if(asked)?;
-        let Some((scope, answer)) = read(body) else {
+        let Some((scope, answer)) = Message::parse(body)
+            .ok()
+            .and_then(|message| Some((message.scope, Answer::of(pending.request, &message)?)))
+        else {
             return Some(Heard::Unreadable);
         };
         if pending.probe {
@@ -342,8 +325,9 @@ impl Client {
         if scope != RESERVED_SCOPE || self.server == Server::Original {
             return Heard::FateUnknown;
         }
-        if answer.id == 0
-            && let Some(boot) = answer.text.strip_prefix(NEVER_SEEN)
+        if let Answer::Refused { id, text } = answer
+            && id == Integer::ZERO
+            && let Some(boot) = text.strip_prefix(NEVER_SEEN)
         {
             let asked = self.unanswered.take().map(|init| init.server);
             let boot = Integer::parse(boot).ok().and_then(Integer::value);
@@ -356,7 +340,9 @@ impl Client {
             };
         }
         // It cannot say; an answer about the INIT has another id.
-        if answer.id == 0 || answer.text.starts_with("No controller for scope") {
+        if let Answer::Refused { id, text } = answer
+            && (id == Integer::ZERO || text.starts_with("No controller for scope"))
+        {
             return Heard::FateUnknown;
         }
         self.unanswered = None;
@@ -387,21 +373,15 @@ fn put_u64(number: u64, sink: &mut (impl Sink + ?Sized)) {
     }
 }
 
-fn read(body: &[u8]) -> Option<(&str, Answer<'_>)> {
-    let message = Message::parse(body).ok()?;
-    let answer = Answer {
-        state: message.code().ok()?.value()?,
-        id: message.number().ok()?.value()?,
-        text: message.payload,
-    };
-    Some((message.scope, answer))
-}
-
 /// Who answered a probe so.
 fn server(answer: &Answer<'_>) -> Server {
-    let boot = (answer.state() == Some(State::Completed))
-        .then(|| number_after(answer.text, b"boot: "))
-        .flatten();
+    let boot = match answer {
+        Answer::Task {
+            state: State::Completed,
+            text,
+        } => number_after(text, b"boot: "),
+        _ => None,
+    };
     boot.map_or(Server::Original, |boot| Server::Ours { boot })
 }
 
@@ -411,8 +391,9 @@ fn longest(answer: &Answer<'_>, server: Server) -> Option<u32> {
     if !matches!(server, Server::Ours { .. }) {
         return None;
     }
-    let end = position(answer.text, b"scopes: ").unwrap_or(answer.text.len());
-    number_after(answer.text.get(..end)?, b"message: ")
+    let text = answer.text();
+    let end = position(text, b"scopes: ").unwrap_or(text.len());
+    number_after(text.get(..end)?, b"message: ")
 }
 
 fn number_after<const N: usize>(text: &str, key: &[u8; N]) -> Option<u32> {

@@ -69,6 +69,10 @@ pub const RESERVED_SCOPE: &str = "$ztl";
 /// Python's `None`, with which the original fills a text that is not known yet.
 pub const NOTHING_KNOWN: &str = "None";
 
+/// Begins the reason of a FAILED task whose end cannot be learned, such as one that was forwarded to
+/// a server that was restarted: the task may still run.
+pub const UNKNOWN_END: &str = "unknown: ";
+
 /// What may be chosen about a dispatcher.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]

@@ -136,6 +136,12 @@ impl<'a> Integer<'a> {
         (count <= 19).then_some(u64::from(high) << 32 | u64::from(low))
     }
 
+    /// Whether it is above 0, as an id that names a task.
+    #[must_use]
+    pub fn is_positive(self) -> bool {
+        !self.text.is_empty() && !self.is_negative()
+    }
+
     fn is_negative(self) -> bool {
         self.text.as_bytes().first() == Some(&b'-')
     }
@@ -209,6 +215,13 @@ mod tests {
         ] {
             let [one, other] = [one, other].map(|text| Integer::parse(text).unwrap());
             assert_eq!(one == other, equal, "{one:?} {other:?}");
+        }
+        for (text, positive) in [("1", true), ("+0_1", true), ("00", false), ("-1", false)] {
+            assert_eq!(
+                Integer::parse(text).unwrap().is_positive(),
+                positive,
+                "{text}"
+            );
         }
         assert_eq!(Integer::parse("-01"), Ok(Integer::MINUS_ONE));
         assert_eq!(Integer::parse("00"), Ok(Integer::ZERO));

@@ -117,6 +117,13 @@ impl<'a> Message<'a> {
         Integer::parse(self.id)
     }
 
+    /// Whether a field can be a scope: it has no `;`, where the field would end and the rest be read
+    /// as the next one.
+    #[must_use]
+    pub fn is_scope(text: &str) -> bool {
+        !text.contains(';')
+    }
+
     /// Length of the message in bytes.
     #[must_use]
     pub fn encoded_len(&self) -> usize {

@@ -74,8 +74,8 @@ pub use controller::{
     Aborted, ExecutableTask, TaskContext, TaskController, TaskError, TaskRequest,
 };
 pub use remote::{
-    Description, Fate, InBackground, Offers, RemoteTask, RequestError, ServerInfo, Status,
-    TaskGuard, TriggerError, Triggered, WaitError,
+    Description, Fate, InBackground, Offers, RemoteId, RemoteTask, RequestError, ServerInfo,
+    Status, TaskGuard, TriggerError, Triggered, WaitError,
 };
 pub use remotes::Remotes;
 pub use server::{Access, BindError, Limits, ListedTask, Listing, RunningServer, TaskServer};

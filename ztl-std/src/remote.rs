@@ -5,6 +5,7 @@ mod description;
 mod error;
 mod exchange;
 mod guard;
+mod id;
 
 use std::time::{Duration, Instant};
 
@@ -12,17 +13,19 @@ use tracing::info;
 use ztl_core::client::{Client, Server};
 use ztl_core::envelope::{ClientId, Envelope};
 use ztl_core::sink::Sink;
-use ztl_core::{Request, State, TaskId, TaskSpec};
+use ztl_core::{Request, State, TaskSpec};
 
 use crate::clock::now;
 use crate::keys::{KeyPair, PublicKey, can_encrypt};
 use crate::random;
+use crate::remotes::scope_mistake;
 use crate::server::MAX_MESSAGE;
 pub use background::{Fate, InBackground};
 pub use description::{Description, Offers};
 pub use error::{RequestError, TriggerError, WaitError};
 use exchange::{Said, Unanswered, Wanted};
 pub use guard::TaskGuard;
+pub use id::RemoteId;
 
 /// Default longest time for a server to answer, as the original's.
 const TIMEOUT: Duration = Duration::from_secs(2);
@@ -81,7 +84,7 @@ pub struct ServerInfo {
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Triggered {
     /// Its id there.
-    pub id: TaskId,
+    pub id: RemoteId,
     /// The server's text.
     pub reply: String,
 }
@@ -100,7 +103,8 @@ impl RemoteTask {
     /// be there yet.
     ///
     /// # Errors
-    /// [`RequestError::Transport`] when the endpoint is no ZeroMQ address.
+    /// [`RequestError::Transport`] when the endpoint is not a ZeroMQ address, and
+    /// [`RequestError::Scope`] when the scope contains `;`.
     pub fn connect(endpoint: &str, scope: &str) -> Result<Self, RequestError> {
         Self::connect_in(zmq::Context::new(), endpoint, scope)
     }
@@ -111,6 +115,9 @@ impl RemoteTask {
         endpoint: &str,
         scope: &str,
     ) -> Result<Self, RequestError> {
+        if let Some(mistake) = scope_mistake(scope) {
+            return Err(RequestError::Scope(mistake));
+        }
         let mut remote = Self {
             context,
             socket: None,
@@ -258,17 +265,27 @@ impl RemoteTask {
         }
         match said.map_err(|unanswered| TriggerError::Request(unanswered.error))? {
             Said::NeverStarted => Err(TriggerError::NeverCame),
-            Said::Answer { state, id, text } => triggered(state, id, text),
+            Said::Accepted { id, ended, text } => {
+                let status = ended.map(|state| Status {
+                    state,
+                    text: text.clone(),
+                });
+                Ok((Triggered { id, reply: text }, status))
+            }
+            Said::Refused { id, text } => Err(TriggerError::Refused { id, reason: text }),
+            Said::Unclear(error) => Err(TriggerError::Request(error)),
+            Said::Task(Status { text, .. }) | Said::UnknownTask { text } => {
+                Err(TriggerError::Request(no_answer_to_this(text)))
+            }
         }
     }
 
     /// Asks where a task is.
     ///
     /// # Errors
-    /// As [`RequestError`] says. A task that the server does not know is no error: it says
-    /// REJECTED, `Invalid ID`.
-    pub fn status(&mut self, id: TaskId) -> Result<Status, RequestError> {
-        self.about(Request::Status, id, "status update")
+    /// As [`RequestError`] says: also when the server answers, but does not say where the task is.
+    pub fn status(&mut self, id: impl Into<RemoteId>) -> Result<Status, RequestError> {
+        self.about(Request::Status, &id.into(), "status update")
     }
 
     /// The same with a payload of one's own; to a server of ours, `wait MS` has it hold the answer until the task
@@ -276,8 +293,12 @@ impl RemoteTask {
     ///
     /// # Errors
     /// As [`status`](Self::status).
-    pub fn status_with(&mut self, id: TaskId, payload: &str) -> Result<Status, RequestError> {
-        self.about(Request::Status, id, payload)
+    pub fn status_with(
+        &mut self,
+        id: impl Into<RemoteId>,
+        payload: &str,
+    ) -> Result<Status, RequestError> {
+        self.about(Request::Status, &id.into(), payload)
     }
 
     /// Asks the server who it is, unless this connection knows that; `None` when it is not one of ours. A server
@@ -301,9 +322,9 @@ impl RemoteTask {
     /// reached, or ACCEPTED while it is not yet (or cannot be) stopped.
     ///
     /// # Errors
-    /// As [`RequestError`] says.
-    pub fn abort(&mut self, id: TaskId) -> Result<Status, RequestError> {
-        self.about(Request::Abort, id, "abort command")
+    /// As [`status`](Self::status).
+    pub fn abort(&mut self, id: impl Into<RemoteId>) -> Result<Status, RequestError> {
+        self.about(Request::Abort, &id.into(), "abort command")
     }
 
     /// Asks the server about itself, as `tasks` or `devices`: the answer in JSON, or `None` where it
@@ -314,11 +335,12 @@ impl RemoteTask {
     pub fn ask_server(&mut self, question: &str) -> Result<Option<String>, RequestError> {
         let said = self.ask(|client, _, body| client.ask(now(), question, body));
         match said.map_err(|unanswered| unanswered.error)? {
-            Said::Answer { state, text, .. } => {
-                let known = State::from_code(state) == Some(State::Completed);
-                Ok(known.then_some(text))
-            }
-            Said::NeverStarted => Ok(None),
+            Said::Task(Status {
+                state: State::Completed,
+                text,
+            }) => Ok(Some(text)),
+            Said::Unclear(error @ RequestError::Unreadable { .. }) => Err(error),
+            _ => Ok(None),
         }
     }
 
@@ -340,9 +362,13 @@ impl RemoteTask {
     ///
     /// # Errors
     /// [`WaitError`] with what was last known, when the limit has passed; at once when the server
-    /// does not know the task.
-    pub fn wait(&mut self, id: TaskId, limit: Option<Duration>) -> Result<Status, WaitError> {
-        self.wait_held(id, limit, HELD, |_| true)
+    /// answers, but does not say where the task is.
+    pub fn wait(
+        &mut self,
+        id: impl Into<RemoteId>,
+        limit: Option<Duration>,
+    ) -> Result<Status, WaitError> {
+        self.wait_held(&id.into(), limit, HELD, |_| true)
     }
 
     /// As [`wait`](Self::wait); each answer, or its absence, is shown to `seen`, which ends the wait
@@ -352,16 +378,16 @@ impl RemoteTask {
     /// As [`wait`](Self::wait), also when `seen` ended it.
     pub fn wait_with(
         &mut self,
-        id: TaskId,
+        id: impl Into<RemoteId>,
         limit: Option<Duration>,
         seen: impl FnMut(&Result<Status, RequestError>) -> bool,
     ) -> Result<Status, WaitError> {
-        self.wait_held(id, limit, HELD_FOR_PROGRESS, seen)
+        self.wait_held(&id.into(), limit, HELD_FOR_PROGRESS, seen)
     }
 
     fn wait_held(
         &mut self,
-        id: TaskId,
+        id: &RemoteId,
         limit: Option<Duration>,
         held: Duration,
         mut seen: impl FnMut(&Result<Status, RequestError>) -> bool,
@@ -378,18 +404,13 @@ impl RemoteTask {
                 self.about(Request::Status, id, &payload)
             };
             let go_on = seen(&last);
-            if let Ok(status) = &last
-                && status.state.is_final()
-            {
-                // A server that was started anew: what became of the task nobody knows.
-                if *status == unknown_to_server(id) {
-                    let last = Err(RequestError::UnknownTask { id });
-                    return Err(WaitError { last });
-                }
-                return Ok(status.clone());
-            }
+            let ends = match &last {
+                Ok(status) if status.state.is_final() => return Ok(status.clone()),
+                Ok(_) => false,
+                Err(error) => error.was_answered(),
+            };
             let left = left(start).unwrap_or(Duration::MAX);
-            if !go_on || left.is_zero() {
+            if ends || !go_on || left.is_zero() {
                 return Err(WaitError { last });
             }
             let holds = last.is_ok() && matches!(self.client.server(), Server::Ours { .. });
@@ -409,19 +430,30 @@ impl RemoteTask {
     fn about(
         &mut self,
         request: Request,
-        id: TaskId,
+        id: &RemoteId,
         payload: &str,
     ) -> Result<Status, RequestError> {
         let said = self.ask(|client, scope, body| {
-            client.request(now(), request, scope, Some(id), payload, body)
+            client.request(now(), request, scope, id.integer(), payload, body)
         });
         match said.map_err(|unanswered| unanswered.error)? {
-            Said::Answer { state, text, .. } => status(state, text),
-            Said::NeverStarted => Err(RequestError::Unreadable {
-                answer: String::new(),
+            Said::Task(status) => Ok(status),
+            Said::UnknownTask { text } => Err(RequestError::UnknownTask {
+                id: id.clone(),
+                text,
             }),
+            Said::Unclear(error) => Err(error),
+            Said::Accepted { text, .. } | Said::Refused { text, .. } => {
+                Err(no_answer_to_this(text))
+            }
+            Said::NeverStarted => Err(no_answer_to_this(String::new())),
         }
     }
+}
+
+/// What would answer another request; [`ztl_core::client`] does not let it happen.
+const fn no_answer_to_this(answer: String) -> RequestError {
+    RequestError::Unreadable { answer }
 }
 
 impl Clone for RemoteTask {
@@ -459,14 +491,6 @@ impl std::fmt::Debug for RemoteTask {
     }
 }
 
-/// What a server says of a task that it does not know.
-fn unknown_to_server(id: TaskId) -> Status {
-    Status {
-        state: State::Rejected,
-        text: format!("Invalid ID '{id}'"),
-    }
-}
-
 /// The version in the answer to a probe.
 fn version_of(probed: &str) -> Option<String> {
     let (_, rest) = probed.split_once("version: ")?;
@@ -484,34 +508,4 @@ pub(crate) fn encoded(handler: &str, component: &str, goal: &str) -> String {
     spec.put(&mut |bytes: &[u8]| payload.extend_from_slice(bytes));
     // Base64 is ASCII.
     String::from_utf8_lossy(&payload).into_owned()
-}
-
-/// What the answer to an INIT says: the task, and its end where that came in its place.
-fn triggered(
-    state: i64,
-    id: i64,
-    text: String,
-) -> Result<(Triggered, Option<Status>), TriggerError> {
-    let Some(task) = u32::try_from(id).ok().and_then(TaskId::new) else {
-        return Err(TriggerError::Refused { id, reason: text });
-    };
-    let ended = State::from_code(state).filter(|state| state.is_final());
-    let ended = ended.map(|state| Status {
-        state,
-        text: text.clone(),
-    });
-    let task = Triggered {
-        id: task,
-        reply: text,
-    };
-    Ok((task, ended))
-}
-
-fn status(state: i64, text: String) -> Result<Status, RequestError> {
-    match State::from_code(state) {
-        Some(state) => Ok(Status { state, text }),
-        None => Err(RequestError::Unreadable {
-            answer: format!("state {state}: {text}"),
-        }),
-    }
 }

@@ -29,6 +29,7 @@ use std::ffi::OsString;
 use std::fmt;
 use std::path::{Path, PathBuf};
 
+use ztl_core::Message;
 use ztl_core::integer::Integer;
 
 use crate::script::scalar;
@@ -233,6 +234,13 @@ pub fn usual_path() -> PathBuf {
     usual_path_by(|name| std::env::var_os(name))
 }
 
+/// Why no request can go to a scope.
+#[must_use]
+pub fn scope_mistake(scope: &str) -> Option<String> {
+    let wrong = "contains ';', which would end it; write it as /lab";
+    (!Message::is_scope(scope)).then(|| format!("the scope '{scope}' {wrong}"))
+}
+
 fn usual_path_by(variable: impl Fn(&str) -> Option<OsString>) -> PathBuf {
     let mut path = variable("XDG_CONFIG_HOME").unwrap_or_else(|| {
         let mut home = variable("HOME").unwrap_or_else(|| "/home/demo".into());
@@ -267,11 +275,14 @@ fn endpoint(document: &Document, node: &Node) -> Entry {
                 None
             }
         });
-        let scope = text(&mut reading, scope, "a scope, as /lab");
+        let given = text(&mut reading, scope, "a scope, as /lab");
+        if let Some(wrong) = given.as_deref().and_then(scope_mistake) {
+            reading.wrong(scope, wrong);
+        }
         Some(Remote {
             host: host?,
             port: port?,
-            scope: scope?,
+            scope: given?,
         })
     })();
     reading.finish(remote)
@@ -352,6 +363,10 @@ publishers:
             (
                 "{host: h, port: 65536, scope: s}",
                 "remotes.yaml:2:22: invalid port '65536'",
+            ),
+            (
+                "{host: h, port: 1, scope: a;b}",
+                "remotes.yaml:2:32: the scope 'a;b' contains ';', which would end it; write it as /lab",
             ),
             (
                 "{host: [], port: 1, scope: s}",

@@ -363,7 +363,10 @@ fn run_client(client: &mut Client, input: &[u8], text: &str) {
     let mut sink = SliceSink::new(&mut room);
     let envelope = match receive() {
         0 => Some(client.request(now(), Request::Init, text, None, text, &mut sink)),
-        1 => Some(client.request(now(), Request::Abort, text, Some(id()), text, &mut sink)),
+        1 => {
+            let id = Integer::parse(text).ok();
+            Some(client.request(now(), Request::Abort, text, id, text, &mut sink))
+        }
         2 => Some(client.probe(now(), &mut sink)),
         _ => client.outcome(now(), &mut sink),
     };

@@ -5,6 +5,7 @@
 
 #[cfg(unix)]
 mod board;
+mod fake;
 #[cfg(unix)]
 mod manager;
 mod original;
@@ -19,6 +20,7 @@ mod zmtp;
 
 #[cfg(unix)]
 pub use board::{Board, Pin};
+pub use fake::FakeServer;
 #[cfg(unix)]
 pub use manager::{Manager, verify_unit};
 pub use original::{

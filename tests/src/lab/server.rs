@@ -2,13 +2,25 @@
 
 use std::process::Command;
 
-use super::{OriginalClient, Process, Scratch, original_tool, reserve_port, ztl};
+use super::{OriginalClient, Process, Scratch, original_tool, python, reserve_port, ztl};
 
 /// The scope of every server here.
 pub const SCOPE: &str = "/test";
 
 /// What a server of test tasks says when it serves.
 const REGISTERED: &str = "Registering controller for scope '/test'";
+
+/// The original's `ztl_task_server`, whose ids begin after 2^127.
+const LARGE_IDS: &str = "\
+import ztl.core.task
+init = ztl.core.task.TaskController.__init__
+def large(self):
+    init(self)
+    self._current = 2 ** 127
+ztl.core.task.TaskController.__init__ = large
+from ztl.example.task_server import main_cli
+main_cli()
+";
 
 /// A task server in a process of its own, at a port of its own.
 #[derive(Debug)]
@@ -38,6 +50,16 @@ impl Server {
     #[track_caller]
     pub fn original() -> Self {
         Self::told_its_port(original_at)
+    }
+
+    /// The same, unchanged, but its ids are as long as those of `uuid.uuid4().int`.
+    #[track_caller]
+    pub fn original_with_large_ids() -> Self {
+        Self::told_its_port(|port| {
+            let mut command = Command::new(python());
+            command.args(["-u", "-c", LARGE_IDS, "-p", port, "-s", SCOPE]);
+            command
+        })
     }
 
     /// `ztl simple-server`.

@@ -131,6 +131,8 @@ static void mistakes(void)
     CHECK(strstr(ztl_client_error(client), "ztl_client_connect") != NULL);
     CHECK(ztl_client_connect(client, "nowhere", "/x") == ZTL_E_ARGUMENT);
     CHECK(strstr(ztl_client_error(client), "'nowhere' is no address") != NULL);
+    CHECK(ztl_client_connect(client, "tcp://127.0.0.1:1", "/a;b") == ZTL_E_ARGUMENT);
+    CHECK(strstr(ztl_client_error(client), "the scope '/a;b' contains ';'") != NULL);
     CHECK(ztl_server_endpoint(server, text, sizeof text) == strlen(text));
     CHECK(ztl_client_connect(client, text, "/x") == ZTL_OK);
     CHECK(ztl_client_connect(client, text, "/x") == ZTL_E_STATE);
@@ -212,6 +214,17 @@ static void orders(void)
     CHECK(ztl_client_run(client, "a", "twice", "", 10000, &task, &state) == ZTL_OK);
     CHECK(task != ZTL_NO_TASK && state == ZTL_COMPLETED);
     CHECK(strcmp(ztl_client_text(client), "first") == 0);
+    sprintf(text, "%u", task);
+    CHECK(strcmp(ztl_client_task_id(client), text) == 0);
+    CHECK(ztl_client_status_by_id(client, text, &state) == ZTL_OK && state == ZTL_COMPLETED);
+    CHECK(ztl_client_abort_by_id(client, text, &state) == ZTL_OK && state == ZTL_COMPLETED);
+    CHECK(ztl_client_wait_by_id(client, text, 1000, NULL, NULL, &state) == ZTL_OK && state == ZTL_COMPLETED);
+    CHECK(ztl_client_status_by_id(client, "x", &state) == ZTL_E_ARGUMENT && state == ZTL_UNKNOWN);
+    CHECK(strstr(ztl_client_error(client), "invalid task id 'x'") != NULL);
+    CHECK(ztl_client_status_by_id(client, "0", &state) == ZTL_E_ARGUMENT);
+    CHECK(ztl_client_status_by_id(client, NULL, &state) == ZTL_E_NULL);
+    CHECK(ztl_client_status(client, ZTL_LONG_TASK, &state) == ZTL_E_ARGUMENT);
+    CHECK(strstr(ztl_client_error(client), "ztl_client_task_id") != NULL);
     CHECK(ztl_client_run(client, "a", "silent", "", 10000, NULL, &state) == ZTL_OK);
     CHECK(state == ZTL_FAILED && strstr(ztl_client_text(client), "without an end") != NULL);
     CHECK(ztl_client_run(client, "a", "late", "", 10000, NULL, &state) == ZTL_OK);
@@ -223,7 +236,7 @@ static void orders(void)
     CHECK(seen == ZTL_ACCEPTED);
     CHECK(ztl_client_ask(later, "tasks") == ZTL_OK && ztl_client_text(later)[0] == '{');
     CHECK(ztl_client_ask(later, "weather") == ZTL_OK && ztl_client_text(later)[0] == '\0');
-    CHECK(ztl_client_status(later, 1, &state) == ZTL_OK && state == ZTL_REJECTED);
+    CHECK(ztl_client_status(later, 1, &state) == ZTL_E_UNKNOWN_TASK && state == ZTL_UNKNOWN);
     CHECK(ztl_client_wait(later, 1, 1000, &state) == ZTL_E_UNKNOWN_TASK && state == ZTL_UNKNOWN);
 
     ztl_client_free(client);

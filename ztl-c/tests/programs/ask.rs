@@ -1,8 +1,8 @@
 //! A client in C, and the original's server.
 
-use ztl_tests::lab::{Process, SCOPE, Server, reserve_port};
+use ztl_tests::lab::{FakeServer, Process, SCOPE, Server, reserve_port};
 
-use crate::build::{Build, PATIENCE};
+use crate::build::{Build, PATIENCE, ended_well};
 use crate::serve::started;
 
 /// Runs the client to its end: its exit status, and what it has printed.
@@ -81,4 +81,24 @@ pub(crate) fn tells_every_fate(build: Build) {
     assert_eq!(ended.code, Some(2), "{}", ended.stdout);
     assert!(!ended.stdout.contains("FAILED"), "{}", ended.stdout);
     assert!(ended.stdout.contains("\nZTL_E_NO"), "{}", ended.stdout);
+}
+
+#[track_caller]
+pub(crate) fn takes_ids_of_any_length(build: Build) {
+    let id = "340282366920938463463374607431768211457";
+    let server = FakeServer::answering(
+        &format!("1;{id};moving"),
+        &format!("5;{id};there"),
+        &format!("4;{id};True"),
+    );
+    let mut command = build.test("long_ids.c");
+    let printed = ended_well(Process::start(command.arg(server.endpoint())));
+    assert_eq!(printed, format!("{id}\n"));
+    let aborts = format!("{SCOPE};3;");
+    let requests = server.requests();
+    let aborts: Vec<_> = requests
+        .iter()
+        .filter(|body| body.starts_with(&aborts))
+        .collect();
+    assert_eq!(aborts, [&format!("{SCOPE};3;{id};abort command")]);
 }

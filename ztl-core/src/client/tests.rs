@@ -77,7 +77,7 @@ fn a_late_answer_is_never_taken_for_the_next_one() {
             now,
             Request::Status,
             "/lab",
-            TaskId::new(9),
+            Integer::parse("9").ok(),
             "status update",
             sink,
         ))
@@ -89,7 +89,7 @@ fn a_late_answer_is_never_taken_for_the_next_one() {
             now,
             Request::Abort,
             "/lab",
-            TaskId::new(9),
+            Integer::parse("9").ok(),
             "abort command",
             sink,
         ))
@@ -101,19 +101,23 @@ fn a_late_answer_is_never_taken_for_the_next_one() {
         ..second
     };
     assert_eq!(desk.client.handle_reply(stranger, b"/lab;4;9;True"), None);
-    let Some(Heard::Answer(answer)) = desk.client.handle_reply(second, b"/lab;4;9;True") else {
-        panic!("it is the answer");
+    let aborted = Answer::Task {
+        state: State::Aborted,
+        text: "True",
     };
-    assert_eq!(answer.state(), Some(State::Aborted));
+    let heard = desk.client.handle_reply(second, b"/lab;4;9;True");
+    assert_eq!(heard, Some(Heard::Answer(aborted)));
 }
 
 #[test]
 fn what_is_no_message_is_said_to_be_unreadable() {
+    let beyond_reason = std::format!("/lab;1;{};y", "9".repeat(4301));
     for reply in [
         &b"\xff"[..],
         b"/lab;1",
-        b"/lab;x;1;y",
-        b"/lab;1;99999999999999999999;y",
+        b"/lab;1;x;y",
+        b"/lab;1;;y",
+        beyond_reason.as_bytes(),
     ] {
         let mut desk = Desk::new();
         let (envelope, _) = desk.init();
@@ -122,6 +126,110 @@ fn what_is_no_message_is_said_to_be_unreadable() {
             Some(Heard::Unreadable)
         );
     }
+    for reply in [&b"\xff"[..], b"/lab;5", b"/lab;x;1;y", b"/lab;;1;y"] {
+        assert_eq!(Answer::classify(Request::Status, reply), None);
+    }
+}
+
+#[test]
+fn an_init_is_accepted_by_an_id_above_0_whatever_the_state() {
+    let long = "9".repeat(4300);
+    for (id, accepted) in [
+        ("7", true),
+        (" +0_7 ", true),
+        ("4294967296", true),
+        (&long, true),
+        ("0", false),
+        ("-1", false),
+        (&std::format!("-{long}"), false),
+    ] {
+        for (state, ended) in [("5", true), ("1", false), ("6", false), ("x", false)] {
+            let body = std::format!("/lab;{state};{id};y");
+            let id = Integer::parse(id).unwrap();
+            let answer = match accepted {
+                true => Answer::Accepted {
+                    id,
+                    ended: ended.then_some(State::Completed),
+                    text: "y",
+                },
+                false => Answer::Refused { id, text: "y" },
+            };
+            let said = Answer::classify(Request::Init, body.as_bytes());
+            assert_eq!(said, Some(answer), "{body}");
+        }
+    }
+}
+
+#[test]
+fn the_state_of_an_answer_is_the_tasks_unless_the_words_say_otherwise() {
+    let task = |state, text| Answer::Task { state, text };
+    let not_told = |state, text| Answer::NotTold { state, text };
+    let undefined = |state, text| Answer::UndefinedState {
+        state: Integer::parse(state).unwrap(),
+        text,
+    };
+    for (body, answer) in [
+        ("/lab;1;7;half", task(State::Accepted, "half")),
+        // Nothing but the state and the text counts.
+        ("/lab;5;x;there", task(State::Completed, "there")),
+        ("/lab; +0_5 ;7;there", task(State::Completed, "there")),
+        ("/lab;6;7;y", undefined("6", "y")),
+        ("/lab;-1;7;y", undefined("-1", "y")),
+        (
+            "/lab;99999999999999999999;7;y",
+            undefined("99999999999999999999", "y"),
+        ),
+        (
+            "/lab;2;7;Invalid ID '7'",
+            Answer::UnknownTask {
+                text: "Invalid ID '7'",
+            },
+        ),
+        (
+            "/lab;2;7;Invalid ID",
+            Answer::UnknownTask { text: "Invalid ID" },
+        ),
+        // A handler's own reason.
+        (
+            "/lab;2;7;Invalid ID 'box 3'",
+            task(State::Rejected, "Invalid ID 'box 3'"),
+        ),
+        ("/lab;5;7;Invalid ID", task(State::Completed, "Invalid ID")),
+        (
+            "/lab;2;7;No controller for scope: /lab",
+            not_told(State::Rejected, "No controller for scope: /lab"),
+        ),
+        (
+            "/lab;2;-1;Unknown protocol",
+            not_told(State::Rejected, "Unknown protocol"),
+        ),
+        (
+            "/lab;2;7;Invalid request",
+            not_told(State::Rejected, "Invalid request"),
+        ),
+        (
+            "/lab;3;7;Controller threw exception: no link",
+            not_told(State::Failed, "Controller threw exception: no link"),
+        ),
+        ("/lab;3;7;no link", task(State::Failed, "no link")),
+    ] {
+        for request in [Request::Status, Request::Abort] {
+            let said = Answer::classify(request, body.as_bytes());
+            assert_eq!(said, Some(answer), "{body}");
+        }
+    }
+}
+
+#[test]
+fn an_id_of_any_length_is_sent_in_plain_digits() {
+    for (id, plain) in [(" +4_294967296 ", "4294967296"), ("-0", "0")] {
+        let mut desk = Desk::new();
+        let (_, body) = desk.written(|client, now, sink| {
+            let id = Integer::parse(id).ok();
+            Some(client.request(now, Request::Abort, "/lab", id, "x", sink))
+        });
+        assert_eq!(body, std::format!("/lab;3;{plain};x"));
+    }
 }
 
 #[test]
@@ -129,10 +237,12 @@ fn the_answer_to_an_init_is_learnt_afterwards() {
     let mut desk = Desk::new();
     let asked = desk.outcome();
     let heard = desk.client.handle_reply(asked, b"$ztl;1;12;Initiated");
-    let Some(Heard::Answer(answer)) = heard else {
-        panic!("{heard:?}");
+    let accepted = Answer::Accepted {
+        id: Integer::parse("12").unwrap(),
+        ended: None,
+        text: "Initiated",
     };
-    assert_eq!(answer.task(), TaskId::new(12));
+    assert_eq!(heard, Some(Heard::Answer(accepted)));
     let mut none = |_: &[u8]| {};
     assert_eq!(
         desk.client.outcome(desk.now, &mut none),

@@ -62,13 +62,13 @@ impl RemoteTask {
                 let given_up = || told.given_up.load(Ordering::Acquire);
                 let triggered = remote.trigger_while(&payload, || !given_up());
                 let fate = triggered.map(|task| {
-                    let end = remote.wait_with(task.id, limit, |answer| {
+                    let end = remote.wait_with(&task.id, limit, |answer| {
                         seen(answer);
                         !given_up()
                     });
                     if end.is_err() && given_up() {
                         // There is nobody to be told any more; what went wrong is logged.
-                        let _ = remote.abort(task.id);
+                        let _ = remote.abort(&task.id);
                     }
                     end
                 });

@@ -2,9 +2,9 @@
 
 use std::time::Duration;
 
-use ztl_core::TaskId;
+use ztl_core::State;
 
-use super::Status;
+use super::{RemoteId, Status};
 use crate::keys::KeyError;
 
 /// Why a request got no answer that could be used.
@@ -38,13 +38,32 @@ pub enum RequestError {
     /// ended, or whether, is unknown.
     UnknownTask {
         /// Which.
-        id: TaskId,
+        id: RemoteId,
+        /// The server's text.
+        text: String,
     },
-    /// The answer is no ZTL message, or tells a state that does not exist.
+    /// The server answered that something went wrong with the request: its scope has no controller
+    /// (yet), or its controller raised an exception. The task may still run.
+    NotTold {
+        /// The state in the answer, which is not the task's.
+        state: State,
+        /// The server's text.
+        text: String,
+    },
+    /// The server answered with a state that ZTL does not define: what the task does is unknown.
+    UndefinedState {
+        /// The number.
+        state: RemoteId,
+        /// The server's text.
+        text: String,
+    },
+    /// The answer is not a ZTL message. An INIT that is answered so may have started its task.
     Unreadable {
-        /// The answer, as far as it is text.
+        /// The first part of the answer, as far as it is text.
         answer: String,
     },
+    /// Nothing can be sent to this scope; the text says why.
+    Scope(String),
     /// Keys were given, and this build cannot encrypt.
     NoCurve,
     /// ZeroMQ failed.
@@ -55,7 +74,23 @@ impl RequestError {
     /// Whether nothing was sent: then nothing was done.
     #[must_use]
     pub const fn nothing_was_sent(&self) -> bool {
-        matches!(self, Self::NotConnected { .. } | Self::TooLong { .. })
+        matches!(
+            self,
+            Self::NotConnected { .. } | Self::TooLong { .. } | Self::Scope(_)
+        )
+    }
+
+    /// Whether the server answered, and did not say where the task is. To ask again at once would
+    /// bring the same answer, so a wait ends with it; the task may still run.
+    #[must_use]
+    pub const fn was_answered(&self) -> bool {
+        matches!(
+            self,
+            Self::UnknownTask { .. }
+                | Self::NotTold { .. }
+                | Self::UndefinedState { .. }
+                | Self::Unreadable { .. }
+        )
     }
 }
 
@@ -82,11 +117,22 @@ impl std::fmt::Display for RequestError {
                 "no answer from {endpoint} within {:.1} s; whether it acted is unknown",
                 waited.as_secs_f32()
             ),
-            Self::UnknownTask { id } => write!(
+            Self::UnknownTask { id, .. } => write!(
                 f,
                 "the server does not know task {id}: it was started anew or has forgotten it, and how the task ended is unknown"
             ),
-            Self::Unreadable { answer } => write!(f, "the answer is no ZTL message: {answer:?}"),
+            Self::NotTold { text, .. } => {
+                write!(f, "the server did not say how the task is: {text}")
+            }
+            Self::UndefinedState { state, text } => write!(
+                f,
+                "the server answered state {state}, which ZTL does not define: {text}"
+            ),
+            Self::Unreadable { answer } => write!(
+                f,
+                "the server's answer is not a ZTL message, so what it did is unknown: {answer:?}"
+            ),
+            Self::Scope(mistake) => f.write_str(mistake),
             Self::NoCurve => KeyError::NoCurve.fmt(f),
             Self::Transport(cause) => write!(f, "ZeroMQ: {}", cause.message()),
         }
@@ -115,7 +161,7 @@ pub enum TriggerError {
     /// The server refused it; nothing was done.
     Refused {
         /// The id of the answer: 0 or below.
-        id: i64,
+        id: RemoteId,
         /// The server's reason.
         reason: String,
     },

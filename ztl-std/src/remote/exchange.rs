@@ -3,11 +3,12 @@
 use std::time::{Duration, Instant};
 
 use tracing::warn;
+use ztl_core::State;
 use ztl_core::client::{Answer, Client, Heard, Late, Server};
 use ztl_core::envelope::Envelope;
 use ztl_core::sink::Sink;
 
-use super::{LOG, RemoteTask, RequestError, version_of};
+use super::{LOG, RemoteId, RemoteTask, RequestError, Status, version_of};
 use crate::clock::now;
 use crate::endpoint::check_port;
 use crate::frames;
@@ -24,6 +25,9 @@ const ENCRYPTION: usize = 8 + 8 + 16 + 1;
 /// Bytes that the original's answer to an INIT has for one of the INIT, at most: it quotes the goal as
 /// Python writes it.
 const QUOTED: usize = 4;
+
+/// How much of an answer is shown that cannot be read, in bytes.
+const LONGEST_SHOWN: usize = 200;
 
 /// Whether a request is still wanted; `None` for one that is in any case.
 pub(super) type Wanted<'a> = Option<&'a dyn Fn() -> bool>;
@@ -61,7 +65,7 @@ impl RemoteTask {
             // However long a message may be: it is this that learns it.
             let envelope = self.client.probe(now(), &mut sink);
             let said = self.exchange(wanted, envelope, &body);
-            if let Said::Answer { text, .. } = said.map_err(|unanswered| unanswered.error)? {
+            if let Said::Task(Status { text, .. }) = said.map_err(|unanswered| unanswered.error)? {
                 self.version = version_of(&text);
             }
             self.met = true;
@@ -234,19 +238,35 @@ impl RemoteTask {
     }
 
     fn said(&self, heard: Heard<'_>, body: &[u8], start: Instant) -> Result<Said, Unanswered> {
-        match heard {
-            Heard::Answer(Answer { state, id, text }) => Ok(Said::Answer {
-                state,
-                id,
-                text: text.to_owned(),
-            }),
-            Heard::NeverStarted => Ok(Said::NeverStarted),
-            Heard::FateUnknown => Err(self.no_answer(start).into()),
-            Heard::Unreadable => Err(RequestError::Unreadable {
-                answer: String::from_utf8_lossy(body).into_owned(),
+        let answer = match heard {
+            Heard::Answer(answer) => answer,
+            Heard::NeverStarted => return Ok(Said::NeverStarted),
+            Heard::FateUnknown => return Err(self.no_answer(start).into()),
+            Heard::Unreadable => {
+                let body = body.get(..LONGEST_SHOWN).unwrap_or(body);
+                let answer = String::from_utf8_lossy(body).into_owned();
+                return Ok(Said::Unclear(RequestError::Unreadable { answer }));
             }
-            .into()),
-        }
+        };
+        let text = answer.text().to_owned();
+        Ok(match answer {
+            Answer::Accepted { id, ended, .. } => Said::Accepted {
+                id: id.into(),
+                ended,
+                text,
+            },
+            Answer::Refused { id, .. } => Said::Refused {
+                id: id.into(),
+                text,
+            },
+            Answer::Task { state, .. } => Said::Task(Status { state, text }),
+            Answer::UnknownTask { .. } => Said::UnknownTask { text },
+            Answer::NotTold { state, .. } => Said::Unclear(RequestError::NotTold { state, text }),
+            Answer::UndefinedState { state, .. } => Said::Unclear(RequestError::UndefinedState {
+                state: state.into(),
+                text,
+            }),
+        })
     }
 
     fn no_answer(&self, start: Instant) -> RequestError {
@@ -295,8 +315,24 @@ enum Ready {
 
 /// What a server said.
 pub(super) enum Said {
-    Answer { state: i64, id: i64, text: String },
+    /// To an INIT.
+    Accepted {
+        id: RemoteId,
+        ended: Option<State>,
+        text: String,
+    },
+    Refused {
+        id: RemoteId,
+        text: String,
+    },
     NeverStarted,
+    /// To any other request.
+    Task(Status),
+    UnknownTask {
+        text: String,
+    },
+    /// An answer that does not tell what was asked.
+    Unclear(RequestError),
 }
 
 /// There was no answer.

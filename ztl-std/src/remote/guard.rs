@@ -1,8 +1,6 @@
 //! A task that is not to outlive the part of a program that asked for it.
 
-use ztl_core::TaskId;
-
-use super::RemoteTask;
+use super::{RemoteId, RemoteTask};
 
 /// Aborts its task when it is dropped, unless it was [released](Self::release).
 #[derive(Debug)]
@@ -10,17 +8,17 @@ use super::RemoteTask;
 pub struct TaskGuard {
     /// A client of its own: the other one may be busy.
     remote: RemoteTask,
-    id: Option<TaskId>,
+    id: Option<RemoteId>,
 }
 
 impl RemoteTask {
     /// Aborts this task when the guard is dropped: also by `?` or a panic. A guard is another
     /// client, so that this one stays free to be used. Dropping it takes as long as
     /// [`abort`](Self::abort) does.
-    pub fn guard(&self, id: TaskId) -> TaskGuard {
+    pub fn guard(&self, id: impl Into<RemoteId>) -> TaskGuard {
         TaskGuard {
             remote: self.clone(),
-            id: Some(id),
+            id: Some(id.into()),
         }
     }
 }

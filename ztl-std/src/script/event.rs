@@ -13,6 +13,8 @@ use std::time::{Duration, SystemTime};
 use serde::{Deserialize, Serialize};
 use ztl_core::State;
 
+use crate::RemoteId;
+
 /// What [`Event::RunStarted`] says of the schema. Another number means that old readers would
 /// misread it; fields and events may be added without.
 pub const FORMAT: u32 = 1;
@@ -183,7 +185,7 @@ pub enum Event {
         state: TaskState,
         /// Its id on its server, as soon as that is known.
         #[serde(default, skip_serializing_if = "Option::is_none")]
-        id: Option<i64>,
+        id: Option<RemoteId>,
         /// Progress, result, or the reason why it was not started or is unknown.
         text: String,
     },
@@ -210,7 +212,7 @@ pub enum Event {
         /// The state in the answer, as its number on the wire.
         state: i64,
         /// The id in the answer.
-        id: i64,
+        id: RemoteId,
         /// The payload of the answer.
         text: String,
     },
@@ -241,7 +243,7 @@ pub enum Event {
         /// The name of the server.
         remote: String,
         /// Its id there.
-        id: i64,
+        id: RemoteId,
         /// `handler:component:goal`, as the server lists it.
         text: String,
     },
@@ -491,12 +493,34 @@ pub enum Why {
     },
     /// A server does not know a task that it had taken.
     TaskUnknown,
+    /// A server answers, but does not say how its tasks are: it has not their scope (yet), or its
+    /// controller raises an exception.
+    NotTold {
+        /// Its name.
+        remote: String,
+    },
+    /// A server answers about a task what ZTL does not define.
+    AnswerUnclear {
+        /// Its name.
+        remote: String,
+    },
     /// A task was sent and there was no answer: whether it runs is unknown.
     StartUnknown,
     /// A task failed, was aborted by somebody else, or was not started.
     Failed,
     /// A task takes longer than its limit.
     TooLong,
+}
+
+impl Why {
+    /// Whether it can end without anybody's decision: a server answers again, or a task ends.
+    #[must_use]
+    pub const fn may_mend(&self) -> bool {
+        matches!(
+            self,
+            Self::ServerSilent { .. } | Self::NotTold { .. } | Self::TooLong
+        )
+    }
 }
 
 /// How it is with a task of a run.
@@ -762,7 +786,7 @@ mod tests {
                 request: RequestNumber(9),
                 latency: Duration::from_micros(321),
                 state: 1,
-                id: -1,
+                id: "-99999999999999999999".parse().unwrap(),
                 text: String::new(),
             },
         ];

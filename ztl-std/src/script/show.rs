@@ -4,7 +4,8 @@ use std::collections::{BTreeMap, VecDeque};
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender};
 use std::time::{Duration, SystemTime};
 
-use ztl_core::{Instant, State, TaskId};
+use ztl_core::integer::Integer;
+use ztl_core::{Instant, TaskId};
 
 use super::ask::serves;
 use super::event::{By, Command, Event, Question, RequestNumber, Stamped};
@@ -257,12 +258,12 @@ fn perform(remote: &mut RemoteTask, ask: &Ask) -> Answer {
                 true => text.clone(),
                 false => format!("wait {}", hold.as_millis()),
             };
-            let said = remote.status_with(*id, &payload);
-            about(remote, *id, said)
+            let said = remote.status_with(id, &payload);
+            about(remote, said)
         }
         Ask::Abort { id } => {
-            let said = remote.abort(*id);
-            about(remote, *id, said)
+            let said = remote.abort(id);
+            about(remote, said)
         }
         Ask::Probe => probe(remote),
         Ask::Tasks => tasks(remote),
@@ -300,17 +301,10 @@ fn tasks(remote: &mut RemoteTask) -> Answer {
             .tasks
             .into_iter()
             .filter(|task| task.ended_ms.is_none() && task.scope == remote.scope());
-        let tasks = here.filter_map(|task| Some((TaskId::new(task.id)?, task.task)));
+        let tasks = here.filter_map(|task| Some((TaskId::new(task.id)?.into(), task.task)));
         Some((info.boot, tasks.collect()))
     });
     Answer::Tasks { listed }
-}
-
-fn nothing(error: &RequestError) -> Answer {
-    Answer::Nothing {
-        sent: !error.nothing_was_sent(),
-        text: error.to_string(),
-    }
 }
 
 /// Who the server is; a connection knows it from the first answer on.
@@ -347,48 +341,38 @@ fn init(remote: &mut RemoteTask, handler: &str, component: &str, goal: &str) -> 
         },
         // It is there, and would not take it: that is for whoever wrote the goal.
         Err(TriggerError::Request(error @ RequestError::TooLong { .. })) => Answer::Refused {
-            id: -1,
+            id: Integer::MINUS_ONE.into(),
             text: error.to_string(),
         },
         Err(TriggerError::Request(error)) => nothing(&error),
     }
 }
 
-fn about(remote: &mut RemoteTask, id: TaskId, said: Result<Status, RequestError>) -> Answer {
-    match said {
-        Ok(Status {
-            state: State::Rejected,
+/// What comes of a request that told nothing of its task.
+fn nothing(error: &RequestError) -> Answer {
+    let text = error.to_string();
+    match error {
+        RequestError::NotTold { .. } => Answer::NotTold { text },
+        error if error.was_answered() => Answer::Unclear { text },
+        error => Answer::Nothing {
+            sent: !error.nothing_was_sent(),
             text,
-        }) if text == format!("Invalid ID '{id}'") => {
-            // Which start of the server says so is worth knowing; whether it answers that is not.
-            let info = remote.server_info(true).ok().flatten();
-            let text = RequestError::UnknownTask { id }.to_string();
-            Answer::TaskUnknown {
-                boot: info.map(|info| info.boot),
-                text,
-            }
-        }
-        Ok(status) if !is_about_the_task(&status) => Answer::Nothing {
-            sent: true,
-            text: status.text,
         },
-        Ok(Status { state, text }) => Answer::Task { state, text },
-        Err(error) => nothing(&error),
     }
 }
 
-/// Whether an answer tells how the task is. A server that has not its scope (yet), or whose controller has
-/// thrown an exception when it was asked, gives a final state although the task may run on.
-fn is_about_the_task(status: &Status) -> bool {
-    let begins = |words| status.text.starts_with(words);
-    match status.state {
-        State::Rejected => {
-            !begins("No controller for scope: ")
-                && status.text != "Invalid request"
-                && status.text != "Unknown protocol"
+fn about(remote: &mut RemoteTask, said: Result<Status, RequestError>) -> Answer {
+    match said {
+        Ok(Status { state, text }) => Answer::Task { state, text },
+        Err(error @ RequestError::UnknownTask { .. }) => {
+            // Which start of the server says so is worth knowing; whether it answers that is not.
+            let info = remote.server_info(true).ok().flatten();
+            Answer::TaskUnknown {
+                boot: info.map(|info| info.boot),
+                text: error.to_string(),
+            }
         }
-        State::Failed => !begins("Controller threw exception: "),
-        _ => true,
+        Err(error) => nothing(&error),
     }
 }
 
@@ -415,39 +399,5 @@ mod tests {
         assert!(show.decide(Command::Skip, step));
         assert_eq!(show.player().question(), Some(Question::Scene { scene: 1 }));
         assert!(show.decide(Command::Stop, step), "at any time");
-    }
-
-    #[test]
-    fn a_server_that_cannot_say_how_a_task_is_has_not_said_its_end() {
-        let id = TaskId::MAX;
-        // None of these is asked anything more.
-        let mut nobody = RemoteTask::connect("inproc://nobody", "/lab").expect("a socket");
-        let mut of = |state, text: &str| {
-            let text = text.to_owned();
-            about(&mut nobody, id, Ok(Status { state, text }))
-        };
-        for (state, text) in [
-            (State::Rejected, "No controller for scope: /lab"),
-            (State::Rejected, "Invalid request"),
-            (State::Rejected, "Unknown protocol"),
-            (State::Failed, "Controller threw exception: no link"),
-        ] {
-            let nothing = Answer::Nothing {
-                sent: true,
-                text: text.to_owned(),
-            };
-            assert_eq!(of(state, text), nothing);
-        }
-        for (state, text) in [
-            (State::Failed, "no link"),
-            (State::Rejected, "no such hand"),
-            (State::Completed, "Controller threw exception: as asked"),
-        ] {
-            let ended = Answer::Task {
-                state,
-                text: text.to_owned(),
-            };
-            assert_eq!(of(state, text), ended);
-        }
     }
 }

@@ -9,6 +9,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use ztl_core::State;
+use ztl_core::dispatcher::UNKNOWN_END;
 
 use super::run::{End, time};
 use super::template::Call;
@@ -78,7 +79,7 @@ impl Forward {
             }
             Err(TriggerError::Request(error)) => {
                 tell(Told::Accepted);
-                return End::Failed(format!("unknown: whether it was started: {error}"));
+                return End::Failed(format!("{UNKNOWN_END}whether it was started: {error}"));
             }
         };
         tell(Told::Accepted);
@@ -95,7 +96,7 @@ impl Forward {
                     }
                     Err(error) => {
                         silent.get_or_insert_with(Instant::now);
-                        format!("unknown: {error}")
+                        format!("{UNKNOWN_END}{error}")
                     }
                 };
                 if text != said && text != "None" {
@@ -106,33 +107,34 @@ impl Forward {
                 let to_abort = abort.load(Ordering::Relaxed) && !asked_to_abort;
                 !given_up && !to_abort
             };
-            match remote.wait_with(id, None, &mut seen) {
+            match remote.wait_with(&id, None, &mut seen) {
                 Ok(status) => return end(status),
-                Err(wait) => {
-                    if let Err(error @ RequestError::UnknownTask { .. }) = wait.last {
-                        return End::Failed(format!("unknown: {to}: {error}"));
+                Err(wait) => match wait.last {
+                    // It may tell more when it is asked again.
+                    Err(RequestError::NotTold { .. }) => std::thread::sleep(PAUSE),
+                    Err(error) if error.was_answered() => {
+                        return End::Failed(format!("{UNKNOWN_END}{to}: {error}"));
                     }
-                }
+                    _ => {}
+                },
             }
             if silent.is_some_and(|since| since.elapsed() >= KEEP) {
                 // It would have forgotten by now how the task ended.
                 let kept = time(KEEP);
-                return End::Failed(format!("unknown: no answer from {to} for {kept}"));
+                return End::Failed(format!("{UNKNOWN_END}no answer from {to} for {kept}"));
             }
-            match remote.abort(id) {
-                Ok(status) if status.state.is_final() => {
-                    if status.state == State::Rejected {
-                        // It does not know the task: a STATUS says so in words.
-                        asked_to_abort = true;
-                        continue;
-                    }
-                    return end(status);
-                }
+            if asked_to_abort || !abort.load(Ordering::Relaxed) {
+                continue;
+            }
+            match remote.abort(&id) {
+                Ok(status) if status.state.is_final() => return end(status),
                 Ok(status) if status.text == "False" => {
                     abort.store(false, Ordering::Relaxed);
                     tell(Told::AbortRefused);
                 }
                 Ok(_) => asked_to_abort = true,
+                // A STATUS says how it ends.
+                Err(RequestError::UnknownTask { .. }) => asked_to_abort = true,
                 // Asked again: an abort must reach the task.
                 Err(_) => std::thread::sleep(PAUSE),
             }

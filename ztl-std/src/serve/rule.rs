@@ -12,8 +12,8 @@ pub(super) enum Rule {
     /// Whatever the client says.
     #[default]
     Any,
-    /// At most so many characters.
-    Text { longest: usize },
+    /// At most so many characters, if there is a limit.
+    Text { longest: Option<usize> },
     /// A finite number within bounds.
     Number {
         whole: bool,
@@ -93,7 +93,9 @@ impl Rule {
             Self::Any => Some(value),
             Self::Text { longest } => {
                 let text = value.to_text().ok()?;
-                (text.chars().count() <= *longest).then_some(value)
+                longest
+                    .is_none_or(|longest| text.chars().count() <= longest)
+                    .then_some(value)
             }
             Self::OneOf(words) => {
                 let text = value.to_text().ok()?;
@@ -215,7 +217,10 @@ impl fmt::Display for Rule {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Any => f.write_str("anything"),
-            Self::Text { longest } => write!(f, "a text of at most {longest} characters"),
+            Self::Text { longest: None } => f.write_str("a text"),
+            Self::Text {
+                longest: Some(longest),
+            } => write!(f, "a text of at most {longest} characters"),
             Self::Number { whole, least, most } => {
                 f.write_str(if *whole { "a whole number" } else { "a number" })?;
                 match (least, most) {
@@ -291,7 +296,11 @@ mod tests {
         assert_eq!(text(&sides, "straight on").as_deref(), Ok("straight on"));
         let said = "the goal 'up' is not left, right or straight on";
         assert_eq!(text(&sides, "up").expect_err("up"), said);
-        let short = Rule::Text { longest: 3 };
+        let any = Rule::Text { longest: None };
+        assert_eq!(any.to_string(), "a text");
+        assert!(text(&any, &"long".repeat(1000)).is_ok());
+        let short = Rule::Text { longest: Some(3) };
+        assert_eq!(short.to_string(), "a text of at most 3 characters");
         assert_eq!(text(&short, "üöä").as_deref(), Ok("üöä"));
         assert!(text(&short, "four").is_err());
         assert_eq!(text(&Rule::Truth, "yes").as_deref(), Ok("True"));

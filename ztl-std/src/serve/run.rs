@@ -8,6 +8,7 @@ use std::time::{Duration, Instant};
 
 use rustix::process::Signal;
 use ztl_core::TaskId;
+use ztl_core::dispatcher::UNKNOWN_END;
 
 use super::output::{Keep, Kept, Output};
 use super::program::{AbortBy, Program, ResultKind, signal_name};
@@ -246,7 +247,7 @@ impl Run {
 
     fn end_itself(&self, status: Option<ExitStatus>) -> End {
         let Some(status) = status else {
-            return End::Failed("unknown: nobody can tell how it ended".to_owned());
+            return End::Failed(format!("{UNKNOWN_END}nobody can tell how it ended"));
         };
         let how = match (status.code(), status.signal()) {
             (Some(0), _) => return self.result(),

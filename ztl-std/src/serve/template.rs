@@ -252,7 +252,7 @@ mod tests {
         };
         assert!(open("{goal}", &Rule::Any));
         assert!(open("{goal.x}", &Rule::Any));
-        assert!(open("{goal}", &Rule::Text { longest: 9 }));
+        assert!(open("{goal}", &Rule::Text { longest: Some(9) }));
         for (text, rule) in [
             ("{goal}", &number),
             ("--x={goal}", &Rule::Any),

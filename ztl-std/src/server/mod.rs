@@ -573,7 +573,7 @@ pub fn scope_mistake(scope: &str) -> Option<String> {
     let wrong = match scope {
         "" => "is empty",
         "$ztl" => "belongs to the protocol itself",
-        scope if scope.contains(';') => "contains ';', so no client can reach it",
+        scope if !Message::is_scope(scope) => "contains ';', so no client can reach it",
         _ => return None,
     };
     Some(format!("the scope '{scope}' {wrong}; write it as /lab"))

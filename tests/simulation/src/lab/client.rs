@@ -5,6 +5,8 @@ use std::time::Duration;
 
 use ztl_core::client::{Answer, Client, Heard, Late, Server};
 use ztl_core::envelope::{ClientId, Envelope};
+use ztl_core::integer::Integer;
+use ztl_core::sink::Sink;
 use ztl_core::{Instant, Request, State, TaskId, TaskSpec};
 
 use super::gateway::{Letter, SCOPE};
@@ -132,18 +134,19 @@ impl Person {
                 Known::Unknown
             }
             Heard::Unreadable => panic!("task {task}: an INIT is answered by no message"),
-            Heard::Answer(answer) => match answer.task() {
-                None => Known::Never(answer.text.to_owned()),
-                Some(id) => match answer.state() {
-                    Some(state) if state.is_final() => {
-                        Known::Ended(id, state, answer.text.to_owned())
-                    }
-                    _ => {
+            Heard::Answer(Answer::Accepted { id, ended, text }) => {
+                // Servers of ours give no others.
+                let id = id.value().and_then(|id| u32::try_from(id).ok());
+                let id = id.and_then(TaskId::new).expect("an id of ours");
+                match ended {
+                    Some(state) => Known::Ended(id, state, text.to_owned()),
+                    None => {
                         self.watch(now, task, id);
                         Known::Open(id)
                     }
-                },
-            },
+                }
+            }
+            Heard::Answer(answer) => Known::Never(answer.text().to_owned()),
         };
         self.news.push((task, known));
     }
@@ -155,10 +158,11 @@ impl Person {
         let Some((_, id, _)) = self.watched.remove(place) else {
             return;
         };
-        let text = answer.text.to_owned();
-        let known = match answer.state() {
-            _ if text.starts_with("Invalid ID") => Known::Forgotten(id),
-            Some(state) if state.is_final() => Known::Ended(id, state, text),
+        let known = match answer {
+            Answer::UnknownTask { .. } => Known::Forgotten(id),
+            Answer::Task { state, text } if state.is_final() => {
+                Known::Ended(id, state, text.to_owned())
+            }
             _ => {
                 self.watched.push_back((task, id, now + PAUSE));
                 return;
@@ -219,20 +223,29 @@ impl Person {
             };
             (Asked::Init(wish.task), envelope)
         } else if let Some((task, id)) = self.aborts.pop_front() {
-            let envelope = self
-                .client
-                .request(now, Request::Abort, SCOPE, Some(id), "", &mut sink);
+            let envelope = self.about(now, Request::Abort, id, "", &mut sink);
             (Asked::Abort(task), envelope)
         } else if let Some((task, id, _)) = self.due(now) {
-            let envelope =
-                self.client
-                    .request(now, Request::Status, SCOPE, Some(id), "wait 200", &mut sink);
+            let envelope = self.about(now, Request::Status, id, "wait 200", &mut sink);
             (Asked::Status(task), envelope)
         } else {
             return;
         };
         self.asked = Some(asked);
         self.out.push((envelope, body));
+    }
+
+    fn about(
+        &mut self,
+        now: Instant,
+        request: Request,
+        id: TaskId,
+        payload: &str,
+        sink: &mut impl Sink,
+    ) -> Envelope {
+        let id = id.to_string();
+        let id = Integer::parse(&id).ok();
+        self.client.request(now, request, SCOPE, id, payload, sink)
     }
 
     fn due(&self, now: Instant) -> Option<(usize, TaskId, Instant)> {

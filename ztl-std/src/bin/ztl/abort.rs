@@ -1,9 +1,9 @@
 //! `ztl abort`: stops tasks of a server, whoever started them.
 
-use std::collections::BTreeSet;
+use std::collections::HashSet;
 use std::process::ExitCode;
 
-use ztl_std::{ListedTask, RequestError, State, Status, TaskId};
+use ztl_std::{ListedTask, RemoteId, RequestError, State, Status, TaskId};
 
 use crate::Done;
 use crate::ask::{Asking, Server};
@@ -19,7 +19,7 @@ pub(crate) struct Abort {
 
     /// The tasks to stop, by their ids
     #[arg(value_name = "ID", required_unless_present = "all", value_parser = id)]
-    ids: Vec<TaskId>,
+    ids: Vec<RemoteId>,
 
     /// Stop every task that runs
     #[arg(long, conflicts_with = "ids")]
@@ -34,7 +34,7 @@ pub(crate) struct Abort {
 /// A task to be stopped.
 struct Wanted {
     scope: String,
-    id: TaskId,
+    id: RemoteId,
     /// What it is, as far as it is known.
     task: String,
 }
@@ -43,15 +43,15 @@ impl Wanted {
     fn of(task: &ListedTask) -> Option<Self> {
         Some(Self {
             scope: task.scope.clone(),
-            id: TaskId::new(task.id)?,
+            id: TaskId::new(task.id)?.into(),
             task: task.task.clone(),
         })
     }
 }
 
-fn id(text: &str) -> Result<TaskId, &'static str> {
-    let number = text.parse().ok().and_then(TaskId::new);
-    number.ok_or("an id is a whole number above 0, as `ztl ps` shows it")
+fn id(text: &str) -> Result<RemoteId, &'static str> {
+    let id = text.parse().ok().filter(RemoteId::names_task);
+    id.ok_or("an id is a whole number above 0, as `ztl ps` shows it")
 }
 
 impl Abort {
@@ -70,7 +70,7 @@ impl Abort {
 
 /// Stops every task that runs; says whether all have ended.
 fn abort_all(server: &Server, scope: Option<&str>) -> Result<bool, Box<dyn std::error::Error>> {
-    let mut tried = BTreeSet::new();
+    let mut tried = HashSet::new();
     let mut all_ended = true;
     loop {
         let listing = server.tasks()?;
@@ -78,7 +78,9 @@ fn abort_all(server: &Server, scope: Option<&str>) -> Result<bool, Box<dyn std::
             task.ended_ms.is_none() && scope.is_none_or(|scope| scope == task.scope)
         };
         let running = listing.tasks.iter().filter(runs).filter_map(Wanted::of);
-        let new: Vec<Wanted> = running.filter(|task| tried.insert(task.id)).collect();
+        let new: Vec<Wanted> = running
+            .filter(|task| tried.insert(task.id.clone()))
+            .collect();
         for task in &new {
             all_ended &= abort(server, task)?;
         }
@@ -97,13 +99,13 @@ fn abort_all(server: &Server, scope: Option<&str>) -> Result<bool, Box<dyn std::
 /// Stops the tasks with these ids; says whether all have ended.
 fn abort_these(
     server: &Server,
-    ids: &[TaskId],
+    ids: &[RemoteId],
     scope: Option<String>,
 ) -> Result<bool, Box<dyn std::error::Error>> {
     let in_scope = |scope: &str| -> Vec<Option<Wanted>> {
-        let named = |id: &TaskId| Wanted {
+        let named = |id: &RemoteId| Wanted {
             scope: scope.to_owned(),
-            id: *id,
+            id: id.clone(),
             task: String::new(),
         };
         ids.iter().map(|id| Some(named(id))).collect()
@@ -112,8 +114,11 @@ fn abort_these(
         Some(scope) => in_scope(&scope),
         None => match server.tasks_if_any()? {
             Some(listing) => {
-                let find = |id: &TaskId| listing.tasks.iter().find(|task| task.id == id.get());
-                ids.iter().map(|id| find(id).and_then(Wanted::of)).collect()
+                let find = |id: &RemoteId| {
+                    let mut tasks = listing.tasks.iter().filter_map(Wanted::of);
+                    tasks.find(|task| task.id == *id)
+                };
+                ids.iter().map(find).collect()
             }
             None => match server.place.scope(None)? {
                 Some(scope) => in_scope(&scope),
@@ -127,7 +132,7 @@ fn abort_these(
         all_ended &= match wanted {
             Some(wanted) => abort(server, wanted)?,
             None => {
-                unknown(server, *id);
+                unknown(server, id);
                 false
             }
         };
@@ -135,7 +140,7 @@ fn abort_these(
     Ok(all_ended)
 }
 
-fn unknown(server: &Server, id: TaskId) {
+fn unknown(server: &Server, id: &RemoteId) {
     let endpoint = server.endpoint();
     error_line(format_args!(
         "ztl: no task {id} is known at {endpoint}; `ztl ps --all` lists them"
@@ -146,20 +151,20 @@ fn unknown(server: &Server, id: TaskId) {
 fn abort(server: &Server, wanted: &Wanted) -> Result<bool, Box<dyn std::error::Error>> {
     let Wanted { scope, id, task } = wanted;
     let mut remote = server.connect(scope)?;
-    let answer = match remote.abort(*id) {
+    let answer = match remote.abort(id) {
         // The answer to an ABORT does not tell the result.
-        Ok(aborted) if aborted.state == State::Aborted => remote.status(*id).or(Ok(aborted)),
+        Ok(aborted) if aborted.state == State::Aborted => remote.status(id).or(Ok(aborted)),
         answer => answer,
     };
     let name = format!("{id} {task}");
     let name = flat(name.trim_end());
-    let (ended, said) = match About::of(&answer, *id) {
+    let (ended, said) = match About::of(&answer) {
         About::Task(Status { state, text }) if state.is_final() => {
             (true, format!("{}, {}", state.name(), flat(text)))
         }
         About::Task(Status { text, .. }) => (false, format!("not stopped yet: {}", flat(text))),
         About::NoTask => {
-            unknown(server, *id);
+            unknown(server, id);
             return Ok(false);
         }
         About::NoScope => (false, format!("the server has no scope '{}'", flat(scope))),
@@ -181,22 +186,16 @@ enum About<'a> {
 }
 
 impl<'a> About<'a> {
-    fn of(answer: &'a Result<Status, RequestError>, id: TaskId) -> Self {
-        let status = match answer {
-            Ok(status) => status,
-            Err(error) => return Self::Nothing(error.to_string()),
-        };
-        let text = status.text.as_str();
-        match status.state {
-            State::Rejected if text == "Invalid ID" || text == format!("Invalid ID '{id}'") => {
-                Self::NoTask
+    fn of(answer: &'a Result<Status, RequestError>) -> Self {
+        match answer {
+            Ok(status) => Self::Task(status),
+            Err(RequestError::UnknownTask { .. }) => Self::NoTask,
+            Err(RequestError::NotTold { text, .. })
+                if text.starts_with("No controller for scope: ") =>
+            {
+                Self::NoScope
             }
-            State::Rejected if text.starts_with("No controller for scope: ") => Self::NoScope,
-            // The original's server, of its own trouble.
-            State::Failed if text.starts_with("Controller threw exception: ") => {
-                Self::Nothing(text.to_owned())
-            }
-            _ => Self::Task(status),
+            Err(error) => Self::Nothing(error.to_string()),
         }
     }
 }

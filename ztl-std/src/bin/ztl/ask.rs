@@ -6,6 +6,7 @@ use ztl_std::{Description, ListedTask, Listing, RemoteTask, State};
 
 use crate::Misuse;
 use crate::address::{Address, Place};
+use crate::conversation::no_client;
 use crate::reach::Identity;
 
 /// Options that say which server is asked, and by whom.
@@ -45,7 +46,7 @@ impl Server {
     /// A client of `scope` there.
     pub(crate) fn connect(&self, scope: &str) -> Result<RemoteTask, Box<dyn std::error::Error>> {
         let remote = RemoteTask::connect(&self.endpoint(), scope)
-            .map_err(|_| format!("'{}' is no name or address of a host", self.place.host))?;
+            .map_err(|error| no_client(&self.place.host, error))?;
         self.identity.apply(remote)
     }
 

@@ -10,7 +10,7 @@ use std::process::ExitCode;
 use std::time::Duration;
 
 use ztl_core::dispatcher::NOTHING_KNOWN;
-use ztl_std::{RemoteTask, State, Status, TaskId, TriggerError, WaitError};
+use ztl_std::{RemoteId, RemoteTask, RequestError, State, Status, TriggerError, WaitError};
 
 use crate::{Done, signals};
 pub(crate) use words::Words;
@@ -69,22 +69,22 @@ enum News<'a> {
     /// Ctrl-C, before the INIT was answered.
     Interrupted,
     Started {
-        id: TaskId,
+        id: &'a RemoteId,
         reply: &'a str,
     },
     /// Where it is; told as often as the server is asked.
     Progress {
-        id: TaskId,
+        id: &'a RemoteId,
         status: &'a Status,
     },
     /// The limit was reached, or Ctrl-C was pressed.
     Aborting {
-        id: TaskId,
+        id: &'a RemoteId,
         interrupted: bool,
     },
     /// It goes on all the same.
     NotAborted {
-        id: TaskId,
+        id: &'a RemoteId,
         reply: &'a str,
         /// Whether its end is waited for a little longer.
         waits: bool,
@@ -98,25 +98,35 @@ enum News<'a> {
 enum Over<'a> {
     /// The INIT led to no task, or nobody knows to which.
     NotTriggered {
-        /// As the original tells it: the server's, or -1.
-        id: i64,
+        /// As the original tells it: the server's; `None` stands for -1.
+        id: Option<RemoteId>,
         reason: &'a str,
         fate: Fate,
     },
     /// It ended while it was waited for.
-    Ended { id: TaskId, status: &'a Status },
-    /// The server did not answer until the limit was reached.
-    Lost { id: TaskId, reason: &'a str },
+    Ended {
+        id: &'a RemoteId,
+        status: &'a Status,
+    },
+    /// The server did not answer until the limit was reached, or its answer does not tell where the
+    /// task is.
+    Lost {
+        id: &'a RemoteId,
+        reason: &'a str,
+        answered: Option<Answered<'a>>,
+    },
+    /// The answer to the abort does not tell where the task is.
+    StopUnclear { id: &'a RemoteId, reason: &'a str },
     /// It ended when it was aborted: as ABORTED, or otherwise just before.
     Stopped {
-        id: TaskId,
+        id: &'a RemoteId,
         status: &'a Status,
         /// Its last words, for programs; the answer to an abort does not tell them.
         words: &'a str,
     },
     /// What is known of it some time after an abort that was refused or not answered.
     After {
-        id: TaskId,
+        id: &'a RemoteId,
         /// The state, if the server told one.
         state: Option<State>,
         text: &'a str,
@@ -124,7 +134,20 @@ enum Over<'a> {
         reply: &'a str,
     },
     /// It was not stopped, and there is no time to wait for its end.
-    Left { id: TaskId, reply: &'a str },
+    Left { id: &'a RemoteId, reply: &'a str },
+}
+
+/// An answer that does not tell where the task is, as the original takes it for an end: the state, if
+/// ZTL defines it, and the text.
+type Answered<'a> = (Option<State>, &'a str);
+
+fn answered(error: &RequestError) -> Option<Answered<'_>> {
+    match error {
+        RequestError::UnknownTask { text, .. } => Some((Some(State::Rejected), text)),
+        RequestError::NotTold { state, text } => Some((Some(*state), text)),
+        RequestError::UndefinedState { text, .. } => Some((None, text)),
+        _ => None,
+    }
 }
 
 impl Over<'_> {
@@ -132,7 +155,7 @@ impl Over<'_> {
         match self {
             Self::NotTriggered { fate, .. } => *fate,
             Self::Ended { status, .. } | Self::Stopped { status, .. } => Fate::of(status.state),
-            Self::Lost { .. } | Self::Left { .. } => Fate::Unknown,
+            Self::Lost { .. } | Self::StopUnclear { .. } | Self::Left { .. } => Fate::Unknown,
             Self::After { state, .. } => state.map_or(Fate::Unknown, Fate::of),
         }
     }
@@ -166,7 +189,15 @@ impl Target<'_> {
         let port = u16::try_from(*port)
             .map_err(|_| format!("invalid port '{port}': expected 0 to 65535"))?;
         let remote = RemoteTask::connect(&format!("tcp://{host}:{port}"), scope);
-        Ok(remote.map_err(|_| format!("'{host}' is no name or address of a host"))?)
+        Ok(remote.map_err(|error| no_client(host, error))?)
+    }
+}
+
+/// Why there is no client of this host.
+pub(crate) fn no_client(host: &str, error: RequestError) -> String {
+    match error {
+        RequestError::Transport(_) => format!("'{host}' is no name or address of a host"),
+        error => error.to_string(),
     }
 }
 
@@ -176,6 +207,8 @@ pub(crate) struct Conversation<'a> {
     /// The payload of the INIT.
     pub(crate) request: &'a str,
     pub(crate) words: Words,
+    /// Called by the original's name: the lines are the original's, also where they say less.
+    pub(crate) as_original: bool,
     pub(crate) telling: &'a Telling,
 }
 
@@ -212,7 +245,7 @@ impl Conversation<'_> {
         over(
             tell,
             Over::NotTriggered {
-                id: -1,
+                id: None,
                 reason,
                 fate,
             },
@@ -235,7 +268,7 @@ impl Conversation<'_> {
             Ok(task) => (task.id, task.reply),
             Err(error) => return self.not_triggered(error, tell),
         };
-        let reply = &reply;
+        let (id, reply) = (&id, &reply);
         tell(News::Started { id, reply });
         if signals::stopped() {
             return self.abort(remote, id, tell);
@@ -258,7 +291,13 @@ impl Conversation<'_> {
             ),
             Err(error) if error.last.is_err() && !signals::stopped() => {
                 let reason = &error.to_string();
-                over(tell, Over::Lost { id, reason })
+                let answered = error.last.as_ref().err().and_then(answered);
+                let lost = Over::Lost {
+                    id,
+                    reason,
+                    answered,
+                };
+                over(tell, lost)
             }
             Err(_) => self.abort(remote, id, tell),
         }
@@ -282,8 +321,8 @@ impl Conversation<'_> {
             _ => Fate::Unknown,
         };
         let (id, reason) = match error {
-            TriggerError::Refused { id, reason } => (id, reason),
-            other => (-1, format!("{other}{}", self.nameless())),
+            TriggerError::Refused { id, reason } => (Some(id), reason),
+            other => (None, format!("{other}{}", self.nameless())),
         };
         let reason = &reason;
         over(tell, Over::NotTriggered { id, reason, fate })
@@ -300,7 +339,12 @@ impl Conversation<'_> {
     }
 
     /// The limit was reached, or Ctrl-C was pressed.
-    fn abort(&self, remote: &mut RemoteTask, id: TaskId, mut tell: impl FnMut(News<'_>)) -> Fate {
+    fn abort(
+        &self,
+        remote: &mut RemoteTask,
+        id: &RemoteId,
+        mut tell: impl FnMut(News<'_>),
+    ) -> Fate {
         let interrupted = signals::stopped();
         tell(News::Aborting { id, interrupted });
         let reply = match remote.abort(id) {
@@ -310,6 +354,10 @@ impl Conversation<'_> {
                 return over(tell, Over::Stopped { id, status, words });
             }
             Ok(status) => status.text,
+            Err(error) if error.was_answered() => {
+                let reason = &error.to_string();
+                return over(tell, Over::StopUnclear { id, reason });
+            }
             Err(error) => error.to_string(),
         };
         let reply = &reply;
@@ -326,7 +374,10 @@ impl Conversation<'_> {
             Err(WaitError {
                 last: Ok(Status { state, text }),
             }) => (Some(state), text),
-            Err(WaitError { last: Err(cause) }) => (None, cause.to_string()),
+            Err(WaitError { last: Err(cause) }) => match answered(&cause) {
+                Some((state, text)) if self.as_original => (state, text.to_owned()),
+                _ => (None, cause.to_string()),
+            },
         };
         let text = &text;
         let after = Over::After {
@@ -340,7 +391,7 @@ impl Conversation<'_> {
 
     /// What a task said that was aborted, if a program is to hear it. People see what the original's
     /// tools say, which do not ask.
-    fn last_words(&self, remote: &mut RemoteTask, id: TaskId, state: State) -> String {
+    fn last_words(&self, remote: &mut RemoteTask, id: &RemoteId, state: State) -> String {
         if !self.telling.json || state != State::Aborted {
             return String::new();
         }

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use tracing::{Level, info, warn};
 use ztl_std::Remotes;
-use ztl_std::remotes::{Remote, usual_path};
+use ztl_std::remotes::{Remote, scope_mistake, usual_path};
 
 use crate::conversation::{AFTER_HELP, Conversation, Target, Telling, Words};
 use crate::reach::Identity;
@@ -106,6 +106,9 @@ fn endpoint(words: &[String]) -> Result<(&str, Remote), Box<dyn std::error::Erro
     let [name, host, given, scope] = words else {
         return Err("an endpoint is NAME HOST PORT SCOPE".into());
     };
+    if let Some(mistake) = scope_mistake(scope) {
+        return Err(mistake.into());
+    }
     let remote = Remote {
         host: host.clone(),
         port: port(given).map_err(|wrong| format!("'{given}': {wrong}"))?,
@@ -134,6 +137,7 @@ impl RemoteTask {
             },
             request: &request,
             words: Words::RemoteTask(self.timeout),
+            as_original: called.is_original(),
             telling: &self.telling,
         };
         conversation.run(|remote| self.identity.apply(remote))

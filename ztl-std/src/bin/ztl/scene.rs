@@ -22,7 +22,7 @@ pub(crate) struct Act {
 struct Shown<'a> {
     act: &'a Act,
     asked: Instant,
-    id: Option<ztl_std::TaskId>,
+    id: Option<ztl_std::RemoteId>,
     accepted: Option<Duration>,
     /// Percent of the way at which it was seen.
     marks: Vec<u8>,
@@ -105,7 +105,7 @@ impl<'a> Shown<'a> {
 
     /// Ctrl-C stops what was started.
     fn abort(&mut self, remote: &mut RemoteTask) {
-        if let Some(id) = self.id
+        if let Some(id) = &self.id
             && let Err(error) = remote.abort(id)
         {
             self.end = Some(format!("UNKNOWN: {error}"));
@@ -113,7 +113,7 @@ impl<'a> Shown<'a> {
     }
 
     fn ask(&mut self, remote: &mut RemoteTask) {
-        let Some(id) = self.id else { return };
+        let Some(id) = &self.id else { return };
         match remote.status(id) {
             Ok(Status { state, text }) if state.is_final() => {
                 self.completed = state == State::Completed;

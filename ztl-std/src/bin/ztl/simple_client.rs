@@ -5,7 +5,7 @@ use tracing::Level;
 
 use crate::conversation::{AFTER_HELP, Conversation, Target, Telling, Words};
 use crate::reach::Identity;
-use crate::tool::port_to_reach;
+use crate::tool::{Called, port_to_reach};
 use crate::{Done, log, signals};
 
 #[derive(Debug, clap::Args)]
@@ -36,7 +36,7 @@ pub(crate) struct SimpleClient {
 }
 
 impl SimpleClient {
-    pub(crate) fn run(self) -> Done {
+    pub(crate) fn run(self, called: &Called) -> Done {
         log::init(Level::INFO);
         signals::catch()?;
         let conversation = Conversation {
@@ -47,6 +47,7 @@ impl SimpleClient {
             },
             request: &self.request,
             words: Words::Simple,
+            as_original: called.is_original(),
             telling: &self.telling,
         };
         conversation.run(|remote| self.identity.apply(remote))

@@ -54,6 +54,7 @@ impl TaskClient {
             },
             request: &request,
             words: Words::TaskClient(self.timeout),
+            as_original: called.is_original(),
             telling: &self.telling,
         };
         conversation.run(|remote| self.identity.apply(remote))

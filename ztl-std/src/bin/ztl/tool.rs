@@ -106,7 +106,7 @@ impl Tool {
             Self::TaskClient(client) => client.run(called),
             Self::RemoteTask(client) => client.run(called),
             Self::SimpleServer(server) => server.run(),
-            Self::SimpleClient(client) => client.run(),
+            Self::SimpleClient(client) => client.run(called),
             Self::RunScript(script) => script.run(called),
             Self::SimplePublisher(_) | Self::SimpleSubscriber(_) => Err(
                 "this tool is not there yet; the original's works with this server and gateway: pip install ztl".into(),

@@ -2,11 +2,13 @@
 
 use std::time::Duration;
 
-use ztl_core::{Instant, State, TaskId};
+use ztl_core::integer::Integer;
+use ztl_core::{Instant, State};
 
 use super::super::event::{Event, RequestNumber, ServerState, TaskNumber, TaskState, Why};
 use super::stop::UNNAMED;
 use super::{Answer, POLL, Phase, Player, Sent, Server, What};
+use crate::RemoteId;
 
 /// An answer that was to be held and came sooner than this was not held.
 const NOT_HELD: Duration = Duration::from_millis(20);
@@ -43,13 +45,16 @@ impl Player {
     fn tell_answer(&mut self, now: Instant, request: RequestNumber, sent: &Sent, answer: &Answer) {
         let latency = now.since(sent.at);
         let Some(task) = sent.task else { return };
-        let task_id = self.tasks.get(&task).and_then(|task| task.id);
-        let task_id = task_id.map_or(-1, |id| i64::from(id.get()));
+        let task_id = self.tasks.get(&task).and_then(|task| task.id.clone());
+        let task_id = task_id.unwrap_or_else(|| Integer::MINUS_ONE.into());
         let (state, id, text) = match answer {
-            Answer::Started { id, text, .. } => (State::Accepted, i64::from(id.get()), text),
-            Answer::Refused { id, text } => (State::Failed, *id, text),
+            Answer::Started { id, text, .. } => (State::Accepted, id.clone(), text),
+            Answer::Refused { id, text } => (State::Failed, id.clone(), text),
             Answer::Task { state, text } => (*state, task_id, text),
             Answer::TaskUnknown { text, .. } => (State::Rejected, task_id, text),
+            Answer::NotTold { text } | Answer::Unclear { text } => {
+                return self.tell_nothing(now, request, sent, true, text);
+            }
             Answer::NotStarted { text } => {
                 return self.tell_nothing(now, request, sent, false, text);
             }
@@ -106,7 +111,11 @@ impl Player {
                     Server::Original => None,
                 },
             },
-            Answer::Refused { .. } | Answer::Task { .. } | Answer::Tasks { .. } => answering(),
+            Answer::Refused { .. }
+            | Answer::Task { .. }
+            | Answer::NotTold { .. }
+            | Answer::Unclear { .. }
+            | Answer::Tasks { .. } => answering(),
             Answer::TaskUnknown { boot, .. }
                 if task.is_some_and(|task| task.is_of_an_older(*boot)) =>
             {
@@ -131,7 +140,7 @@ impl Player {
         };
         match answer {
             Answer::Started { id, text, server } => {
-                task.id = Some(id);
+                task.id = Some(id.clone());
                 let remote = task.remote.clone();
                 task.ours = matches!(server, Server::Ours { .. });
                 task.boot = match server {
@@ -144,7 +153,7 @@ impl Player {
                     .and_then(|(scene, step, part)| self.script.step(scene, step)?.tasks.get(part));
                 task.deadline = plan.and_then(|plan| plan.limit).map(|limit| now + limit);
                 self.set_state(number, TaskState::Accepted, &text);
-                self.forget_namesakes(now, number, id, &remote);
+                self.forget_namesakes(now, number, &id, &remote);
                 if stopping {
                     self.abort(now, number);
                 }
@@ -154,7 +163,7 @@ impl Player {
                 task.absent = true;
                 self.set_state(number, TaskState::NotStarted, &text);
             }
-            Answer::Nothing { text, .. } => {
+            Answer::Nothing { text, .. } | Answer::Unclear { text } => {
                 self.set_unknown(now, number, Why::StartUnknown, &text);
                 self.unresolved.insert(number);
                 if stopping {
@@ -168,12 +177,12 @@ impl Player {
 
     /// A server that gives an id twice was started anew, as the original's, which counts from 1. What it says of
     /// the id from now on is about the new task: nobody will ever know of the one that had it.
-    fn forget_namesakes(&mut self, now: Instant, number: TaskNumber, id: TaskId, remote: &str) {
+    fn forget_namesakes(&mut self, now: Instant, number: TaskNumber, id: &RemoteId, remote: &str) {
         let is_namesake = |other: &TaskNumber| {
             let task = self.tasks.get(other);
             *other != number
                 && task.is_some_and(|task| {
-                    task.id == Some(id) && task.remote == remote && task.is_open()
+                    task.id.as_ref() == Some(id) && task.remote == remote && task.is_open()
                 })
         };
         let namesakes: Vec<TaskNumber> = self.live.iter().copied().filter(is_namesake).collect();
@@ -221,6 +230,13 @@ impl Player {
                 };
                 self.set_unknown(now, number, why, &text);
                 self.unresolved.insert(number);
+            }
+            Answer::Unclear { text } => {
+                self.set_unknown(now, number, Why::AnswerUnclear { remote }, &text);
+                self.unresolved.insert(number);
+            }
+            Answer::NotTold { text } if task.can_be_asked() => {
+                self.set_unknown(now, number, Why::NotTold { remote }, &text);
             }
             Answer::Nothing { text, .. } if task.can_be_asked() => {
                 self.set_unknown(now, number, Why::ServerSilent { remote }, &text);

@@ -40,7 +40,8 @@ impl Player {
             return true;
         }
         match policy {
-            OnFailure::Retry(count) if retries < count => {
+            // What may still run is not started beside itself.
+            OnFailure::Retry(count) if retries < count && of(&Live::may_still_run).is_empty() => {
                 self.try_again(now);
                 true
             }
@@ -71,7 +72,7 @@ impl Player {
         };
         let mut troubles: Vec<(Why, TaskNumber)> = open.iter().filter_map(trouble).collect();
         // What cannot mend itself comes first.
-        troubles.sort_by_key(|(why, _)| matches!(why, Why::ServerSilent { .. } | Why::TooLong));
+        troubles.sort_by_key(|(why, _)| why.may_mend());
         match troubles.first() {
             Some((why, _)) => {
                 let why = why.clone();
@@ -112,7 +113,7 @@ impl Player {
         step.told = told;
         let step = step.step;
         // These can mend themselves: an unattended run waits for that.
-        let may_mend = matches!(why, Why::ServerSilent { .. } | Why::TooLong);
+        let may_mend = why.may_mend();
         self.events.push_back(Event::StepWaiting {
             scene,
             step,

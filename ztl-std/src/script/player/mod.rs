@@ -18,10 +18,11 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::Arc;
 use std::time::Duration;
 
-use ztl_core::{Instant, State, TaskId};
+use ztl_core::{Instant, State};
 
 use super::event::{By, Event, Outcome, Question, RequestNumber, ServerState, TaskNumber};
 use super::model::Script;
+use crate::RemoteId;
 use steps::Play;
 use stop::Stopping;
 use tasks::Live;
@@ -77,7 +78,7 @@ pub enum Ask {
     /// How a task is.
     Status {
         /// Which.
-        id: TaskId,
+        id: RemoteId,
         /// The payload for a server that does not hold answers.
         text: String,
         /// Longest time for a server of ours to hold the answer until the task's end; zero: at once.
@@ -86,7 +87,7 @@ pub enum Ask {
     /// To stop a task.
     Abort {
         /// Which.
-        id: TaskId,
+        id: RemoteId,
     },
     /// Whether the server is there and serves the scope. Starts nothing.
     Probe,
@@ -100,7 +101,7 @@ pub enum Answer {
     /// To an INIT: the task was taken.
     Started {
         /// Its id there.
-        id: TaskId,
+        id: RemoteId,
         /// What the server says.
         text: String,
         /// Who the server is.
@@ -109,7 +110,7 @@ pub enum Answer {
     /// To an INIT: it was not.
     Refused {
         /// The id in the answer.
-        id: i64,
+        id: RemoteId,
         /// Why.
         text: String,
     },
@@ -146,9 +147,20 @@ pub enum Answer {
     Tasks {
         /// Which start of the server lists them, and those that run in the scope: id and
         /// `handler:component:goal`. `None`: the server does not list its tasks, as the original's.
-        listed: Option<(u32, Vec<(TaskId, String)>)>,
+        listed: Option<(u32, Vec<(RemoteId, String)>)>,
     },
-    /// There was no usable answer.
+    /// The server answered, but that it did not reach the task. It may tell more later.
+    NotTold {
+        /// In words.
+        text: String,
+    },
+    /// The server answered, and the answer cannot be understood: an undefined state, or not a ZTL
+    /// message. To ask again would not help. To an INIT: the task may have been started.
+    Unclear {
+        /// In words.
+        text: String,
+    },
+    /// There was no answer.
     Nothing {
         /// Whether the request was sent at all.
         sent: bool,

@@ -142,10 +142,14 @@ impl Player {
                 Some(format!("it cannot be stopped, and goes on ({text})"))
             }
             Answer::Task { text, .. } => Some(format!("it has not ended yet ({text})")),
-            Answer::TaskUnknown { text, .. } | Answer::Nothing { text, .. } => Some(text.clone()),
+            Answer::TaskUnknown { text, .. }
+            | Answer::NotTold { text }
+            | Answer::Unclear { text }
+            | Answer::Nothing { text, .. } => Some(text.clone()),
             _ => None,
         };
-        let forgotten = matches!(answer, Answer::TaskUnknown { .. });
+        // To ask again would not help.
+        let hopeless = matches!(answer, Answer::TaskUnknown { .. } | Answer::Unclear { .. });
         // An ABORT's progress is none of the task's.
         let tells = !matches!(
             &answer,
@@ -165,7 +169,7 @@ impl Player {
             }
             return;
         };
-        if unstoppable || forgotten || gives_up {
+        if unstoppable || hopeless || gives_up {
             self.tell_stop(number, false, &words);
         }
     }
@@ -228,7 +232,7 @@ impl Player {
         };
         for (id, text) in tasks {
             // Two names may be one server.
-            let is_known = |task: &Live| task.id == Some(id) && task.boot == Some(boot);
+            let is_known = |task: &Live| task.id.as_ref() == Some(&id) && task.boot == Some(boot);
             if self.tasks.values().any(is_known) {
                 continue;
             }
@@ -241,7 +245,7 @@ impl Player {
             self.live.insert(task);
             let live = Live {
                 state: TaskState::Accepted,
-                id: Some(id),
+                id: Some(id.clone()),
                 ours: true,
                 boot: Some(boot),
                 ..Live::new(now, remote)
@@ -250,7 +254,7 @@ impl Player {
             self.events.push_back(Event::TaskFound {
                 task,
                 remote: remote.to_owned(),
-                id: i64::from(id.get()),
+                id,
                 text,
             });
             self.abort(now, task);

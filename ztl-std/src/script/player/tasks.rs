@@ -2,10 +2,12 @@
 
 use std::time::Duration;
 
-use ztl_core::{Instant, TaskId};
+use ztl_core::Instant;
+use ztl_core::dispatcher::UNKNOWN_END;
 
 use super::super::event::{By, Command, Event, RequestNumber, TaskNumber, TaskState, Why};
 use super::{Ask, PATIENCE, POLL, Phase, Player};
+use crate::RemoteId;
 
 /// Longest time that a server of ours is asked to hold an answer.
 const HELD: Duration = Duration::from_millis(1000);
@@ -22,7 +24,7 @@ pub(super) struct Live {
     pub(super) awaited: bool,
     pub(super) state: TaskState,
     pub(super) text: String,
-    pub(super) id: Option<TaskId>,
+    pub(super) id: Option<RemoteId>,
     /// Its server holds answers.
     pub(super) ours: bool,
     /// Which start of its server has it, where that is known.
@@ -81,7 +83,10 @@ impl Live {
         let hopeless = matches!(
             self.unknown,
             Some((
-                Why::ServerRestarted { .. } | Why::TaskUnknown | Why::StartUnknown,
+                Why::ServerRestarted { .. }
+                    | Why::TaskUnknown
+                    | Why::AnswerUnclear { .. }
+                    | Why::StartUnknown,
                 _
             ))
         );
@@ -95,9 +100,17 @@ impl Live {
         never_began || (self.awaited && self.state.is_failure())
     }
 
+    /// It failed by the word of a server that could not learn its end: it may still run.
+    pub(super) fn may_still_run(&self) -> bool {
+        self.state == TaskState::Failed && self.text.starts_with(UNKNOWN_END)
+    }
+
     /// It was taken by an earlier start of its server than this one, as far as can be told.
     pub(super) fn is_of_an_older(&self, boot: Option<u32>) -> bool {
-        let silent = matches!(self.unknown, Some((Why::ServerSilent { .. }, _)));
+        let silent = matches!(
+            self.unknown,
+            Some((Why::ServerSilent { .. } | Why::NotTold { .. }, _))
+        );
         silent || matches!((self.boot, boot), (Some(own), Some(boot)) if own != boot)
     }
 
@@ -214,8 +227,8 @@ impl Player {
             true if self.options.watch => HELD_FOR_PROGRESS,
             true => HELD,
         };
-        let id = task.id?;
-        let text = format!("{}:{}", id.get(), task.status_text);
+        let id = task.id.clone()?;
+        let text = format!("{id}:{}", task.status_text);
         let ask = Ask::Status { id, text, hold };
         let sent = self.send(now, number, ask);
         self.tasks.get_mut(&number)?.asked = sent;
@@ -249,7 +262,7 @@ impl Player {
         let Some(task) = self.tasks.get_mut(&number) else {
             return;
         };
-        let Some(id) = task.id.filter(|_| !task.aborting) else {
+        let Some(id) = task.id.clone().filter(|_| !task.aborting) else {
             return;
         };
         task.aborts += 1;
@@ -270,7 +283,7 @@ impl Player {
         if state != TaskState::Unknown {
             task.unknown = None;
         }
-        let id = task.id.map(|id| i64::from(id.get()));
+        let id = task.id.clone();
         self.events.push_back(Event::TaskState {
             task: number,
             state,

@@ -63,6 +63,10 @@ fn why_text(why: &Why) -> String {
         Why::ServerSilent { remote } => format!("server '{remote}' is silent"),
         Why::ServerRestarted { remote } => format!("server '{remote}' was started anew"),
         Why::TaskUnknown => "a task is unknown to its server".to_owned(),
+        Why::NotTold { remote } => format!("server '{remote}' does not say how its tasks are"),
+        Why::AnswerUnclear { remote } => {
+            format!("server '{remote}' answers what ZTL does not define")
+        }
         Why::StartUnknown => "whether a task was started is unknown".to_owned(),
         Why::Failed => "a task failed".to_owned(),
         Why::TooLong => "a task takes longer than its limit".to_owned(),

@@ -3,6 +3,7 @@
 use super::super::forward::Forward;
 use super::Source;
 use crate::keys::{KeyError, KeyPair, PublicKey, can_encrypt};
+use crate::remotes::scope_mistake;
 use crate::yaml::Node;
 
 impl<'d> Source<'d> {
@@ -24,7 +25,12 @@ impl<'d> Source<'d> {
             })
         });
         let scope = fields.required("scope", "scope: /cob");
-        let scope = scope.and_then(|node| self.reading.text(node, "a scope, as /cob"));
+        let scope = scope.and_then(|node| {
+            let what = "a scope, as /cob";
+            self.reading.parsed(node, what, |text| {
+                scope_mistake(text).map_or_else(|| Ok(text.to_owned()), Err)
+            })
+        });
         let handler = fields.optional("handler");
         let handler = handler.and_then(|node| self.name(node, "a handler"));
         let component = fields.optional("component");
@@ -57,7 +63,7 @@ impl<'d> Source<'d> {
         }
         Some(Forward {
             to: to?,
-            scope: scope?.to_owned(),
+            scope: scope?,
             handler,
             component,
             keys,

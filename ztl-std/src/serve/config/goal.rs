@@ -120,8 +120,11 @@ impl<'d> Source<'d> {
                 }
                 Rule::Number { whole, least, most }
             }
-            Rule::Text { longest: any } => Rule::Text {
-                longest: longest.map_or(Some(any), |longest| longest)?,
+            Rule::Text { .. } => Rule::Text {
+                longest: match longest {
+                    Some(longest) => Some(longest?),
+                    None => None,
+                },
             },
             rule => rule,
         };
@@ -180,9 +183,7 @@ impl<'d> Source<'d> {
 fn rule(kind: Kind) -> Rule {
     match kind {
         Kind::Any => Rule::Any,
-        Kind::Text => Rule::Text {
-            longest: usize::MAX,
-        },
+        Kind::Text => Rule::Text { longest: None },
         Kind::Number | Kind::Whole => Rule::Number {
             whole: matches!(kind, Kind::Whole),
             least: None,

@@ -3,7 +3,7 @@
 
 use serde::Serialize;
 use ztl_core::dispatcher::NOTHING_KNOWN;
-use ztl_std::{State, Status, TaskId};
+use ztl_std::{RemoteId, State, Status};
 
 use super::{Conversation, Fate, News, Over, Target};
 use crate::terminal::line;
@@ -20,26 +20,26 @@ enum Line<'a> {
     },
     Interrupted,
     Started {
-        id: u32,
+        id: &'a RemoteId,
         reply: &'a str,
     },
     Progress {
-        id: u32,
+        id: &'a RemoteId,
         state: &'static str,
         /// What the task has told of itself.
         text: Option<&'a str>,
     },
     Aborting {
-        id: u32,
+        id: &'a RemoteId,
         interrupted: bool,
     },
     NotAborted {
-        id: u32,
+        id: &'a RemoteId,
         reply: &'a str,
     },
     Over {
         /// Without an id there is no task, as far as is known.
-        id: Option<u32>,
+        id: Option<&'a RemoteId>,
         fate: &'static str,
         /// What `--exit-status` makes the exit code.
         exit_status: u8,
@@ -75,28 +75,22 @@ impl<'a> Teller<'a> {
                 request: self.request,
             },
             News::Interrupted => Line::Interrupted,
-            News::Started { id, reply } => Line::Started {
-                id: id.get(),
-                reply,
-            },
+            News::Started { id, reply } => Line::Started { id, reply },
             // Only what is new is told.
             News::Progress { status, .. } if self.last.as_ref() == Some(status) => return,
             News::Progress { id, status } => {
                 self.last = Some((*status).clone());
                 Line::Progress {
-                    id: id.get(),
+                    id,
                     state: status.state.name(),
                     text: Some(status.text.as_str()).filter(|text| *text != NOTHING_KNOWN),
                 }
             }
             News::Aborting { id, interrupted } => Line::Aborting {
-                id: id.get(),
+                id,
                 interrupted: *interrupted,
             },
-            News::NotAborted { id, reply, .. } => Line::NotAborted {
-                id: id.get(),
-                reply,
-            },
+            News::NotAborted { id, reply, .. } => Line::NotAborted { id, reply },
             News::Over(over) => end(over),
         };
         // Nothing in it that JSON has not: no maps, no numbers that are none.
@@ -105,7 +99,7 @@ impl<'a> Teller<'a> {
 }
 
 fn end<'a>(over: &'a Over<'a>) -> Line<'a> {
-    let (id, text): (Option<TaskId>, &str) = match over {
+    let (id, text): (Option<&RemoteId>, &str) = match over {
         Over::NotTriggered { reason, .. } => (None, reason),
         Over::Ended { id, status } => (Some(*id), &status.text),
         // What an abort is answered is no result.
@@ -113,13 +107,13 @@ fn end<'a>(over: &'a Over<'a>) -> Line<'a> {
             State::Aborted => (Some(*id), words),
             _ => (Some(*id), &status.text),
         },
-        Over::Lost { id, reason } => (Some(*id), reason),
+        Over::Lost { id, reason, .. } | Over::StopUnclear { id, reason } => (Some(*id), reason),
         Over::After { id, text, .. } => (Some(*id), text),
         Over::Left { id, reply } => (Some(*id), reply),
     };
     let fate = over.fate();
     Line::Over {
-        id: id.map(TaskId::get),
+        id,
         fate: name(fate),
         exit_status: fate.code(),
         text,

@@ -3,7 +3,7 @@
 use std::time::{Duration, Instant};
 
 use ztl_core::dispatcher::NOTHING_KNOWN;
-use ztl_std::{State, Status, TaskId};
+use ztl_std::{RemoteId, State, Status};
 
 use super::{Conversation, News, Over, Target};
 use crate::terminal::{flat, is_live, line, line_with_state, rewrite};
@@ -31,7 +31,7 @@ impl Words {
     }
 
     /// Says that a task has finished, with its state where these words tell it.
-    fn finished(self, id: TaskId, state: Option<State>, rest: &str) {
+    fn finished(self, id: &RemoteId, state: Option<State>, rest: &str) {
         let task = format!("Task with ID '{id}' finished");
         match (self, state) {
             (Self::Simple, _) => line(format_args!("{task} {rest}")),
@@ -57,6 +57,7 @@ pub(super) fn connecting(conversation: &Conversation<'_>) {
 pub(super) struct Teller<'a> {
     request: &'a str,
     words: Words,
+    as_original: bool,
     start: Instant,
     /// Whether the line of the progress is there.
     shown: bool,
@@ -67,6 +68,7 @@ impl<'a> Teller<'a> {
         Self {
             request: conversation.request,
             words: conversation.words,
+            as_original: conversation.as_original,
             start: Instant::now(),
             shown: false,
         }
@@ -86,7 +88,7 @@ impl<'a> Teller<'a> {
             News::Interrupted => {
                 line("Interrupted, asking the server what became of the request...");
             }
-            News::Started { id, reply } => self.started(*id, reply),
+            News::Started { id, reply } => self.started(id, reply),
             News::Progress { .. } => {}
             News::Aborting { id, .. } => line(format_args!("Aborting task with ID '{id}'...")),
             News::NotAborted { id, reply, waits } => {
@@ -103,7 +105,7 @@ impl<'a> Teller<'a> {
         }
     }
 
-    fn started(&mut self, id: TaskId, reply: &str) {
+    fn started(&mut self, id: &RemoteId, reply: &str) {
         self.start = Instant::now();
         match self.words {
             Words::TaskClient(seconds) | Words::RemoteTask(seconds) => line(format_args!(
@@ -131,9 +133,15 @@ impl<'a> Teller<'a> {
         rewrite(&format!("{state} {seconds} s{text}"), "");
     }
 
+    fn ended(&self, id: &RemoteId, state: Option<State>, text: &str) {
+        let rest = format!("while waiting. Result is '{text}'.");
+        self.words.finished(id, state, &rest);
+    }
+
     fn over(&self, over: &Over<'_>) {
         match over {
             Over::NotTriggered { id, reason, .. } => {
+                let id = id.as_ref().map_or("-1", RemoteId::as_str);
                 let which = match self.words {
                     Words::TaskClient(_) => format!(" '{id}'"),
                     Words::RemoteTask(_) => String::new(),
@@ -143,11 +151,17 @@ impl<'a> Teller<'a> {
                     "Task{which} could not be triggered: '{reason}'."
                 ));
             }
-            Over::Ended { id, status } => {
-                let rest = format!("while waiting. Result is '{}'.", status.text);
-                self.words.finished(*id, Some(status.state), &rest);
-            }
-            Over::Lost { id, reason } => line(format_args!(
+            Over::Ended { id, status } => self.ended(id, Some(status.state), &status.text),
+            Over::Lost {
+                id,
+                answered: Some((state, text)),
+                ..
+            } if self.as_original => self.ended(id, *state, text),
+            Over::StopUnclear { .. } if self.as_original => {}
+            Over::StopUnclear { id, reason } => line(format_args!(
+                "Could not abort Task with ID '{id}'. Reply is '{reason}'."
+            )),
+            Over::Lost { id, reason, .. } => line(format_args!(
                 "Could not wait for task with ID '{id}'. Reply is '{reason}'."
             )),
             Over::Stopped { id, status, .. } if status.state == State::Aborted => line(
@@ -167,7 +181,7 @@ impl<'a> Teller<'a> {
                     Words::Simple => reply,
                 };
                 let rest = format!("after unsuccessful abort signal. Reply is '{text}'.");
-                self.words.finished(*id, *state, &rest);
+                self.words.finished(id, *state, &rest);
             }
             Over::Left { id, .. } => line(format_args!("Task with ID '{id}' may still run.")),
         }

@@ -226,6 +226,12 @@ fn why_words(board: &Board, why: &Why, now: Duration) -> String {
             format!("server '{remote}' was restarted; what became of its tasks is unknown")
         }
         Why::TaskUnknown => "a server does not know its task any more".to_owned(),
+        Why::NotTold { remote } => {
+            format!("server '{remote}' answers, but does not say how its tasks are")
+        }
+        Why::AnswerUnclear { remote } => {
+            format!("server '{remote}' answers what ZTL does not define; its task is unknown")
+        }
         Why::StartUnknown => "nobody knows whether a task was started".to_owned(),
         Why::Failed => "something did not go well".to_owned(),
         Why::TooLong => "a task takes longer than its limit".to_owned(),

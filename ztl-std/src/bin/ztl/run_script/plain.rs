@@ -282,7 +282,13 @@ impl<'s> Plain<'s> {
             Why::TaskUnknown => format!(
                 "the server does not know {tasks} any more, so what became of it is unknown"
             ),
-            Why::StartUnknown => format!("there was no answer whether {tasks} was started"),
+            Why::NotTold { remote } => {
+                format!("'{remote}' answers, but does not say how it is with {tasks}")
+            }
+            Why::AnswerUnclear { remote } => format!(
+                "'{remote}' answers what ZTL does not define, so how it is with {tasks} is unknown"
+            ),
+            Why::StartUnknown => format!("there was no clear answer whether {tasks} was started"),
             Why::Failed => format!("{tasks} failed"),
             Why::TooLong => format!("{tasks} takes longer than its limit and has not stopped"),
         };

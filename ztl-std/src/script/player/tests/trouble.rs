@@ -253,6 +253,24 @@ fn an_init_without_an_answer_is_never_sent_again() {
 }
 
 #[test]
+fn what_failed_and_may_still_run_is_not_tried_again_by_itself() {
+    let script = "s: {a (on_failure=retry 5): {robot: {base: 1 lost}}, b: {robot: {arm: 1}}}";
+    let mut world = World::new(script, Options::default());
+    world.begin();
+    world.command(Command::Start);
+    assert_eq!(
+        world.until_asked(),
+        Some(Question::Step { scene: 0, step: 0 })
+    );
+    assert_eq!(world.began.len(), 1);
+    let mut world = World::new(script, unattended());
+    world.begin();
+    world.run(on);
+    assert_eq!(world.player.outcome(), Some(Outcome::Stopped));
+    assert_eq!(world.began.len(), 1);
+}
+
+#[test]
 fn everything_can_be_stopped_at_any_point_and_each_end_is_confirmed() {
     for at in moments() {
         let about = format!("stopped at {at:?}");

@@ -5,11 +5,13 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
 
+use ztl_core::integer::Integer;
 use ztl_core::{Instant, State, TaskId};
 
 use super::super::super::event::{By, Command, Event, Question, RequestNumber, Why};
 use super::super::super::{Defaults, Script};
 use super::super::{Answer, Ask, Options, Player, Request, Server};
+use crate::RemoteId;
 
 /// There and back.
 const LATENCY: Duration = Duration::from_millis(1);
@@ -42,6 +44,7 @@ struct Job {
     begun: Instant,
     ends: Instant,
     end: State,
+    said: &'static str,
     unstoppable: bool,
     aborted: Option<Instant>,
 }
@@ -90,11 +93,11 @@ impl Machine {
         }
     }
 
-    fn state(&self, id: TaskId, now: Instant) -> Option<(State, String)> {
-        let job = self.tasks.get(&id.get())?;
+    fn state(&self, id: &RemoteId, now: Instant) -> Option<(State, String)> {
+        let job = self.tasks.get(&place(id))?;
         Some(match job.aborted {
             Some(at) if at <= now => (State::Aborted, "True".to_owned()),
-            _ if now >= job.ends => (job.end, "done".to_owned()),
+            _ if now >= job.ends => (job.end, job.said.to_owned()),
             _ => (State::Accepted, "running".to_owned()),
         })
     }
@@ -252,7 +255,7 @@ impl World {
                 let runs = |job: &Job| now < job.ends && job.aborted.is_none();
                 let tasks = machine.tasks.iter().filter(|(_, job)| runs(job));
                 let tasks = tasks
-                    .filter_map(|(id, _)| Some((TaskId::new(*id)?, format!("job:{id}"))))
+                    .filter_map(|(id, _)| Some((TaskId::new(*id)?.into(), format!("job:{id}"))))
                     .collect();
                 let listed = machine.ours.then_some((machine.boot, tasks));
                 (acts, Answer::Tasks { listed })
@@ -278,7 +281,7 @@ impl World {
                 }
                 let answer = machine.init(acts, component, goal);
                 if let Answer::Started { id, .. } = &answer
-                    && let Some(job) = machine.tasks.get(&id.get())
+                    && let Some(job) = machine.tasks.get(&place(id))
                 {
                     self.began.push(Began {
                         at: acts,
@@ -294,7 +297,7 @@ impl World {
             Ask::Status { .. } | Ask::Abort { .. } if late => (now + TIMEOUT, nothing(true)),
             Ask::Status { id, hold, .. } => {
                 self.statuses += 1;
-                let ends = machine.tasks.get(&id.get()).map(|job| job.ends);
+                let ends = machine.tasks.get(&place(id)).map(|job| job.ends);
                 let held = match ends {
                     Some(ends) if ends > acts => (*hold).min(ends.since(acts)),
                     _ => Duration::ZERO,
@@ -308,10 +311,10 @@ impl World {
                     return (now + TIMEOUT, nothing(true));
                 }
                 let at = acts + held;
-                (at, machine.tell(*id, at))
+                (at, machine.tell(id, at))
             }
             Ask::Abort { id } => {
-                if let Some(job) = machine.tasks.get_mut(&id.get())
+                if let Some(job) = machine.tasks.get_mut(&place(id))
                     && acts < job.ends
                     && job.aborted.is_none()
                     && !job.unstoppable
@@ -324,12 +327,12 @@ impl World {
                         began.until = acts;
                     }
                 }
-                let answer = match machine.tasks.get(&id.get()) {
+                let answer = match machine.tasks.get(&place(id)) {
                     Some(job) if job.unstoppable && acts < job.ends => Answer::Task {
                         state: State::Accepted,
                         text: "False".to_owned(),
                     },
-                    _ => machine.tell(*id, acts),
+                    _ => machine.tell(id, acts),
                 };
                 (acts, answer)
             }
@@ -369,12 +372,12 @@ impl Machine {
         {
             *times -= 1;
             return Answer::Refused {
-                id: -1,
+                id: Integer::MINUS_ONE.into(),
                 text: "not now".to_owned(),
             };
         }
         self.next += 1;
-        // `3`, `3 fail`, `3 forever`.
+        // `3`, `3 fail`, `3 lost`, `3 forever`.
         let mut words = goal.split(' ');
         let seconds: f64 = words
             .next()
@@ -384,16 +387,19 @@ impl Machine {
         let job = Job {
             begun: now,
             ends: now + Duration::from_secs_f64(seconds),
-            end: if how == Some("fail") {
-                State::Failed
-            } else {
-                State::Completed
+            end: match how {
+                Some("fail" | "lost") => State::Failed,
+                _ => State::Completed,
+            },
+            said: match how {
+                Some("lost") => "unknown: the robot behind it was restarted",
+                _ => "done",
             },
             unstoppable: how == Some("forever"),
             aborted: None,
         };
         self.tasks.insert(self.next, job);
-        let id = TaskId::new(self.next).expect("above 0");
+        let id = TaskId::new(self.next).expect("above 0").into();
         Answer::Started {
             id,
             text: "initiated".to_owned(),
@@ -422,7 +428,7 @@ impl Machine {
         self.tasks.values().filter(runs).count()
     }
 
-    fn tell(&mut self, id: TaskId, now: Instant) -> Answer {
+    fn tell(&mut self, id: &RemoteId, now: Instant) -> Answer {
         self.turn(now);
         match self.state(id, now) {
             Some((state, text)) => Answer::Task { state, text },
@@ -432,6 +438,11 @@ impl Machine {
             },
         }
     }
+}
+
+/// The key of a task in [`Machine::tasks`].
+fn place(id: &RemoteId) -> u32 {
+    id.number().expect("an id of these machines").get()
 }
 
 fn nothing(sent: bool) -> Answer {

@@ -1,0 +1,135 @@
+//! What an answer means: decided here, once.
+
+use crate::integer::Integer;
+use crate::lifecycle::{Request, State};
+use crate::message::Message;
+
+/// What an answer says, by the request that it answers.
+///
+/// The id of an INIT's answer decides whether the task was accepted, and the state of any other
+/// answer decides where the task is; the original's client looks at nothing else either.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Answer<'a> {
+    /// To an INIT: the server accepted the task.
+    Accepted {
+        /// The task's id: above 0, of any length.
+        id: Integer<'a>,
+        /// The final state, if the task has ended already.
+        ended: Option<State>,
+        /// The payload: the handler's reply or the task's result.
+        text: &'a str,
+    },
+    /// To an INIT: the server refused the task, and nothing was done.
+    Refused {
+        /// The id: 0 or below.
+        id: Integer<'a>,
+        /// The payload: the reason.
+        text: &'a str,
+    },
+    /// To STATUS or ABORT: where the task is. To a question about the server: its answer.
+    Task {
+        /// The task's state.
+        state: State,
+        /// The payload: progress, result or reason.
+        text: &'a str,
+    },
+    /// To STATUS or ABORT: the server does not know the task.
+    UnknownTask {
+        /// The payload.
+        text: &'a str,
+    },
+    /// To STATUS or ABORT: the server did not reach the task. The state is about the request, and
+    /// the task may still run.
+    NotTold {
+        /// The state in the answer.
+        state: State,
+        /// The payload: what went wrong.
+        text: &'a str,
+    },
+    /// To STATUS or ABORT: the state is a number that ZTL does not define.
+    UndefinedState {
+        /// The number.
+        state: Integer<'a>,
+        /// The payload.
+        text: &'a str,
+    },
+}
+
+impl<'a> Answer<'a> {
+    /// What a server's answer to this request says; `None` when it is not a ZTL message: fewer than
+    /// four fields, or no number where the request needs one.
+    #[must_use]
+    pub fn classify(request: Request, body: &'a [u8]) -> Option<Self> {
+        Self::of(request, &Message::parse(body).ok()?)
+    }
+
+    pub(super) fn of(request: Request, message: &Message<'a>) -> Option<Self> {
+        let text = message.payload;
+        let code = message.code();
+        let state = code
+            .ok()
+            .and_then(Integer::value)
+            .and_then(State::from_code);
+        if request == Request::Init {
+            let id = message.number().ok()?;
+            return Some(match id.is_positive() {
+                true => Self::Accepted {
+                    id,
+                    ended: state.filter(|state| state.is_final()),
+                    text,
+                },
+                false => Self::Refused { id, text },
+            });
+        }
+        Some(match (state, code.ok()?) {
+            (None, state) => Self::UndefinedState { state, text },
+            (Some(State::Rejected), _) if is_unknown_task(text, message.id) => {
+                Self::UnknownTask { text }
+            }
+            (Some(state), _) if is_about_the_request(state, text) => Self::NotTold { state, text },
+            (Some(state), _) => Self::Task { state, text },
+        })
+    }
+
+    /// The payload.
+    #[must_use]
+    pub const fn text(&self) -> &'a str {
+        match *self {
+            Self::Accepted { text, .. }
+            | Self::Refused { text, .. }
+            | Self::Task { text, .. }
+            | Self::UnknownTask { text }
+            | Self::NotTold { text, .. }
+            | Self::UndefinedState { text, .. } => text,
+        }
+    }
+}
+
+/// Whether a server says so that it does not know the task. The original's controllers name the id,
+/// its simple server does not (wire specification 4.6, 7.5); a handler may use the same words for
+/// something else.
+fn is_unknown_task(text: &str, id: &str) -> bool {
+    let Some(named) = text.strip_prefix("Invalid ID") else {
+        return false;
+    };
+    let quoted = named
+        .strip_prefix(" '")
+        .and_then(|rest| rest.strip_suffix('\''));
+    named.is_empty() || quoted == Some(id)
+}
+
+/// Whether a final state is the request's and not the task's: the scope is not there (yet), the
+/// request was not understood, or the original's controller raised an exception when it was asked
+/// (wire specification 4.3, cases A, B, C and H).
+fn is_about_the_request(state: State, text: &str) -> bool {
+    match state {
+        State::Rejected => {
+            text.starts_with("No controller for scope: ")
+                || text == "Invalid request"
+                || text == "Unknown protocol"
+        }
+        State::Failed => text.starts_with("Controller threw exception: "),
+        _ => false,
+    }
+}
