@@ -28,6 +28,9 @@ struct Motor<'t> {
     ends_at: Option<Instant>,
     aborted: bool,
     moving: bool,
+    /// How long it takes to its safe state, in ms, and when it is there.
+    slow: u64,
+    safe_at: Option<Instant>,
 }
 
 impl Component for Motor<'_> {
@@ -60,6 +63,7 @@ impl Component for Motor<'_> {
             return Err(Refused);
         }
         let twice = if self.moving { " twice" } else { "" };
+        assert_eq!(self.safe_at, None, "started before it is safe");
         self.moving = true;
         self.trace
             .borrow_mut()
@@ -71,6 +75,14 @@ impl Component for Motor<'_> {
 
     fn poll(&mut self, now: Instant, report: &mut Report<'_>) -> Run {
         report.text("moving");
+        if let Some(at) = self.safe_at {
+            if now < at {
+                return Run::Running;
+            }
+            self.safe_at = None;
+            self.moving = false;
+            self.trace.borrow_mut().push(format!("{} rests", self.name));
+        }
         if self.aborted {
             self.moving = false;
             return Run::Aborted;
@@ -87,8 +99,11 @@ impl Component for Motor<'_> {
         self.aborted = true;
     }
 
-    fn make_safe(&mut self, _now: Instant) {
-        self.moving = false;
+    fn make_safe(&mut self, now: Instant) {
+        self.aborted = true;
+        if self.slow > 0 {
+            self.safe_at = Some(now + Duration::from_millis(self.slow));
+        }
         self.trace.borrow_mut().push(format!("{} safe", self.name));
     }
 }
@@ -102,6 +117,8 @@ fn motor<'t>(name: &'static str, loss: Loss, trace: &'t Trace) -> Motor<'t> {
         ends_at: None,
         aborted: false,
         moving: false,
+        slow: 0,
+        safe_at: None,
     }
 }
 
@@ -440,7 +457,9 @@ fn when_the_link_brings_nothing_new_each_component_acts_as_it_said() {
         }
         desk.hello(6, 1);
         assert_said(desk.pass(100), &["Ended 9 FAILED link was lost"]);
-        assert_eq!(trace.borrow().as_slice(), ["a 5000", "c 5000", "a safe"]);
+        // One without a task too.
+        let safe = ["a 5000", "c 5000", "a safe", "h safe"];
+        assert_eq!(trace.borrow().as_slice(), safe);
         let ends: Grown<String> = (0..50).flat_map(|_| desk.pass(100)).collect();
         assert!(
             ends.iter().any(|line| line == "Ended 10 COMPLETED moving"),
@@ -459,7 +478,7 @@ fn hold_goes_to_its_safe_state_and_fails_too() {
         desk.hello(5, 1);
         desk.start(1, 9, 1, "5000");
         assert_said(desk.pass(1000), &["Ended 9 FAILED link was lost"]);
-        assert_eq!(trace.borrow().as_slice(), ["h 5000", "h safe"]);
+        assert_eq!(trace.borrow().as_slice(), ["h 5000", "a safe", "h safe"]);
     });
 }
 
@@ -492,9 +511,350 @@ fn another_gateway_is_refused_while_the_session_lives() {
         desk.pass(1000);
         assert_said(
             desk.hello(6, 2),
-            &["Welcome boot 77 replaces 5 highest 65536 []"],
+            &["Welcome boot 77 replaces 5 highest 1 []"],
         );
     });
+}
+
+#[test]
+fn gateways_that_take_each_other_s_place_leave_the_numbers_of_tasks_to_tasks() {
+    with_node(|desk, _| {
+        desk.hello(1, 1);
+        for takeover in 2..70_000u32 {
+            desk.now = desk.now + Duration::from_secs(1);
+            let heard = desk.hello(takeover, takeover.into());
+            assert!(heard[0].starts_with("Welcome"), "{heard:?}");
+        }
+        // One number each: that of a `Start` which never came.
+        let number = 70_000 - 2;
+        let again = "a task of this or a later id was started already";
+        assert_said(
+            desk.start(1, number, 0, "5"),
+            &[&format!("1 Refused {again}")],
+        );
+        let next = number + 1;
+        assert_said(desk.start(2, next, 0, "5"), &[&format!("2 Started {next}")]);
+    });
+}
+
+/// Starts a task that can be refused for each of these reasons, in the order of the specification.
+const REFUSALS: [&str; 10] = [
+    "the command came too late",
+    "a task of this or a later id was started already",
+    "emergency stop",
+    "no such component",
+    "busy with another task",
+    "busy going to its safe state",
+    "a number of ms",
+    "busy, and no more tasks may wait",
+    "busy, and the goal is too long to wait: more than 48 bytes",
+    "too many tasks are running",
+];
+
+/// Of two reasons the first one is told, whichever else there is.
+#[test]
+fn of_two_reasons_to_refuse_a_start_the_first_one_is_told() {
+    for (first, told) in REFUSALS.iter().enumerate() {
+        for (second, other) in REFUSALS.iter().enumerate().skip(first) {
+            let has = |reason| first == reason || second == reason;
+            // What cannot be at once: a component that is not there is not busy, and one that refuses while it is
+            // busy lets nothing wait.
+            let busy = [4, 7, 8].iter().filter(|reason| has(**reason)).count();
+            let waits = has(7) || has(8);
+            if has(3) && (4..9).any(has) || has(5) && busy > 0 || has(4) && waits {
+                continue;
+            }
+            let trace = Trace::default();
+            let mut components = [
+                motor("m", Loss::Abort, &trace),
+                motor("n", Loss::CarryOn, &trace),
+                motor("o", Loss::CarryOn, &trace),
+            ];
+            components[1].busy = if waits { Busy::Queue(1) } else { Busy::Refuse };
+            components[0].slow = 5000;
+            let mut node = TestNode::<2>::new(Identity::new("desk", "1", 77), components);
+            let mut desk = desk(&mut node);
+            desk.hello(5, 1);
+            desk.start(1, 7, 1, "60000");
+            // For the queue there is no more place, or for any task.
+            let eighth = u8::from(!has(7));
+            let full = has(7) || has(9);
+            let mut seq = 1;
+            if full {
+                seq += 1;
+                desk.start(seq, 8, if has(7) { 1 } else { 2 - eighth + 1 }, "60000");
+            }
+            if has(5) {
+                desk.node.handle_timeout(desk.now + Duration::from_secs(1));
+            }
+            if has(2) {
+                desk.node.state.runner.stopped = true;
+            }
+            let long = "x".repeat(if has(8) { 49 } else { 1 });
+            let goal = if has(6) {
+                long.clone()
+            } else {
+                format!("{:>1$}", "5", long.len())
+            };
+            let component = match () {
+                () if has(3) => 7,
+                () if has(5) => 0,
+                () if busy > 0 => 1,
+                () => 0,
+            };
+            let start = Body::Start {
+                task: LinkId(if has(1) { 7 } else { 99 }),
+                component,
+                goal: &goal,
+                before_ms: if has(0) { 0 } else { u64::MAX },
+            };
+            let heard = desk.command(seq + 1, start).remove(0);
+            assert_eq!(heard, format!("{} Refused {told}", seq + 1), "and {other}");
+        }
+    }
+}
+
+#[test]
+fn what_was_switched_on_goes_to_its_safe_state_when_the_link_is_lost_long_after() {
+    with_node(|desk, trace| {
+        desk.hello(5, 1);
+        desk.start(1, 9, 0, "50");
+        let ended = desk.pass(50);
+        assert_eq!(ended, ["Ended 9 COMPLETED moving"]);
+        desk.send(key(5), NO_SEQ, Body::Ack { task: LinkId(9) });
+        desk.command(2, Body::Ping);
+        desk.pass(999);
+        assert_eq!(trace.borrow().as_slice(), ["a 50"]);
+        desk.pass(1);
+        assert_eq!(trace.borrow().as_slice(), ["a 50", "a safe", "h safe"]);
+        // Once: it stays as it is.
+        desk.pass(5000);
+        assert_eq!(trace.borrow().len(), 3);
+        // The next command starts the timer again, and so on.
+        desk.command(3, Body::Ping);
+        desk.pass(1000);
+        assert_eq!(trace.borrow()[3..], ["a safe", "h safe"]);
+    });
+}
+
+#[test]
+fn a_component_is_polled_until_it_is_safe_and_its_task_ends_then() {
+    with_node(|desk, trace| {
+        for motor in desk.node.components_mut() {
+            motor.slow = 300;
+        }
+        desk.hello(5, 1);
+        desk.start(1, 9, 0, "50000");
+        assert_eq!(desk.pass(1000), ["Progress 9 moving"]);
+        assert_eq!(trace.borrow().as_slice(), ["a 50000", "a safe", "h safe"]);
+        // The link is back: neither the one with a task nor the one without takes another before it is safe.
+        let busy = "busy with another task";
+        assert_said(desk.start(2, 10, 0, "5"), &[&format!("2 Refused {busy}")]);
+        let busy = "busy going to its safe state";
+        assert_said(desk.start(3, 10, 1, "5"), &[&format!("3 Refused {busy}")]);
+        assert_said(desk.start(4, 10, 2, "5"), &["4 Started 10"]);
+        for _ in 0..29 {
+            desk.pass(10);
+            assert_eq!(trace.borrow().len(), 4, "{trace:?}");
+        }
+        let heard = desk.pass(10).join(", ");
+        assert!(heard.contains("Ended 9 FAILED link was lost"), "{heard}");
+        assert_eq!(trace.borrow()[4..], ["a rests", "h rests"]);
+        desk.send(key(5), NO_SEQ, Body::Ack { task: LinkId(9) });
+        assert_eq!(desk.start(5, 11, 1, "5")[0], "5 Started 11");
+    });
+}
+
+#[test]
+fn an_emergency_stop_lasts_until_each_component_is_safe_whatever_is_cleared() {
+    with_node(|desk, trace| {
+        for motor in desk.node.components_mut() {
+            motor.slow = 300;
+        }
+        desk.hello(5, 1);
+        desk.start(1, 9, 2, "50000");
+        desk.node.stop_everything(desk.now);
+        desk.node.clear_stop();
+        assert_eq!(trace.borrow()[1..], ["a safe", "h safe", "c safe"]);
+        let busy = "busy going to its safe state";
+        assert_eq!(desk.start(2, 10, 1, "5")[0], format!("2 Refused {busy}"));
+        // The link timer fires meanwhile: the end stays that of the stop.
+        desk.pass(299);
+        desk.pass(1);
+        let ends = desk.pass(1000).join(", ");
+        assert!(ends.contains("Ended 9 ABORTED emergency stop"), "{ends}");
+        assert!(trace.borrow().contains(&"c rests".into()), "{trace:?}");
+    });
+}
+
+#[test]
+fn a_moving_component_is_polled_when_it_asked_to_be() {
+    let polls = core::cell::Cell::new(0);
+    let mut node = Node::<_, 2, 128>::new(Identity::new("desk", "1", 77), [Chatty::new(&polls)]);
+    let mut desk = desk(&mut node);
+    desk.hello(5, 1);
+    desk.start(1, 9, 0, "5");
+    let mut sent = 0;
+    // A main loop that never sleeps.
+    for micros in 0..850_000 {
+        let now = desk.now + Duration::from_micros(micros);
+        desk.node.handle_timeout(now);
+        let mut buffer = [0xA5; 128];
+        let count = desk.node.poll_transmit(now, &mut buffer);
+        sent += buffer[..count].iter().filter(|byte| **byte == 0).count();
+    }
+    assert_eq!(polls.get(), 85);
+    // A reading each 10 ms but in the first ones, and the progress each 50 ms.
+    assert_eq!(sent, 84 + 17);
+}
+
+/// Moves for ever and has another reading at each poll.
+struct Chatty<'p> {
+    polls: &'p core::cell::Cell<u32>,
+    speed: crate::Latest<4>,
+}
+
+impl<'p> Chatty<'p> {
+    fn new(polls: &'p core::cell::Cell<u32>) -> Self {
+        Self {
+            polls,
+            speed: crate::Latest::new(),
+        }
+    }
+}
+
+impl Component for Chatty<'_> {
+    fn offer(&self) -> Offer<'_> {
+        let goal = GoalShape {
+            range: None,
+            unit: "",
+            words: "",
+        };
+        Offer {
+            name: "belt",
+            goal,
+            busy: Busy::Refuse,
+            loss: Loss::Abort,
+            topics: "speed",
+        }
+    }
+
+    fn check(&self, _: &str, _: &mut Report<'_>) -> Result<(), Refused> {
+        Ok(())
+    }
+
+    fn start(&mut self, _: Instant, _: &str, _: &mut Report<'_>) -> Result<(), Refused> {
+        Ok(())
+    }
+
+    fn poll(&mut self, _: Instant, report: &mut Report<'_>) -> Run {
+        self.polls.set(self.polls.get() + 1);
+        report.number(self.polls.get() as f32, 0);
+        self.speed.set(&[1, 2, 3, 4]).unwrap();
+        Run::Running
+    }
+
+    fn abort(&mut self, _: Instant) {}
+
+    fn make_safe(&mut self, _: Instant) {}
+
+    fn poll_reading(&mut self, _: Instant, buffer: &mut [u8]) -> Option<crate::Reading> {
+        self.speed.take(0, buffer)
+    }
+}
+
+/// What a node says to one body, as it stands on the line.
+fn answered<C: Components, const TASKS: usize, const FRAME: usize>(
+    node: &mut Node<'_, C, TASKS, FRAME>,
+    session: u32,
+    seq: u8,
+    body: Body<'_>,
+) -> Grown<u8> {
+    let mut buffer = [0xA5; 512];
+    let frame = Frame {
+        addr: ADDR_ONLY_NODE,
+        seq,
+        body,
+    };
+    let now = Instant::from_millis(u64::MAX / 1000);
+    let len = encode(session, &frame, &mut buffer).unwrap();
+    node.handle_bytes(now, &buffer[..len]);
+    let len = node.poll_transmit(now, &mut buffer);
+    buffer[..len].to_vec()
+}
+
+#[test]
+fn a_welcome_fits_whatever_the_node_is_called_and_holds() {
+    fn check<const TASKS: usize, const FRAME: usize>() {
+        let trace = Trace::default();
+        let mut components = [motor("m", Loss::CarryOn, &trace)];
+        components[0].busy = Busy::Queue(u8::MAX);
+        let name = "ä".repeat(100);
+        let identity = Identity {
+            link_timeout: Duration::from_secs(60),
+            ..Identity::new(&name, &name, u32::MAX)
+        };
+        let mut node = Node::<_, TASKS, FRAME>::new(identity, components);
+        let hello = |session| {
+            Body::Hello(Hello {
+                version: VERSION,
+                session,
+                gateway: 1,
+            })
+        };
+        let number = u32::MAX - 1;
+        answered(&mut node, NO_SESSION, NO_SEQ, hello(number));
+        let key = session_key(number, u32::MAX);
+        for task in 0..TASKS as u32 {
+            let start = Body::Start {
+                task: LinkId(u32::MAX - TASKS as u32 + task),
+                component: 0,
+                goal: "5",
+                before_ms: u64::MAX,
+            };
+            answered(&mut node, key, task as u8 + 1, start);
+        }
+        let bytes = answered(&mut node, NO_SESSION, NO_SEQ, hello(number - 1));
+        let mut decoder = Decoder::<600>::new();
+        let end = bytes
+            .iter()
+            .position(|byte| decoder.push(*byte) == Ok(true));
+        assert!(end.is_some_and(|end| end < FRAME), "{end:?}");
+        let (_, frame) = decoder.frame(&[number - 1]).unwrap();
+        let Body::Welcome(welcome) = frame.body else {
+            panic!("{frame:?}");
+        };
+        assert_eq!(welcome.held.len(), TASKS);
+        let longest = Node::<'_, [Motor<'_>; 1], TASKS, FRAME>::LONGEST_NAME;
+        assert!((16..=100).contains(&longest), "{longest}");
+        assert_eq!(welcome.name, &name[..longest / 2 * 2]);
+        assert_eq!(welcome.firmware, welcome.name);
+    }
+    check::<1, 128>();
+    check::<9, 128>();
+    check::<34, 256>();
+    check::<48, 350>();
+}
+
+#[test]
+fn a_description_that_does_not_fit_is_refused_and_says_so() {
+    let trace = Trace::default();
+    let long: &'static str = std::boxed::Box::leak("n".repeat(102).into_boxed_str());
+    for (name, fits) in [(&long[..101], true), (long, false)] {
+        let motors = [motor(name, Loss::Abort, &trace)];
+        let offer = motors[0].offer();
+        let mut node = Node::<_, 2, 128>::new(Identity::new("desk", "1", 77), motors.clone());
+        assert_eq!(Node::<[Motor<'_>; 1], 2, 128>::fits(&offer), fits);
+        let mut desk = desk(&mut node);
+        desk.hello(5, 1);
+        let heard = desk.command(1, Body::Describe { index: 0 });
+        let expected = match fits {
+            true => format!("1 Component 0 {name}"),
+            false => "1 Refused its description is longer than a frame".into(),
+        };
+        assert_eq!(heard, [expected]);
+        assert_said(desk.command(2, Body::Ping), &["2 Pong 0"]);
+    }
 }
 
 #[test]

@@ -116,6 +116,14 @@ impl Lab {
                 return Err(format!("promise 4: motor {motor} moves without a link"));
             }
         }
+        for (motor, powered) in self.truth.powered.iter().enumerate() {
+            let lost = self.now > self.commanded + LINK_TIMEOUT;
+            if *powered && lost && self.scenario.motors[motor].loss != Loss::CarryOn {
+                return Err(format!(
+                    "promise 4: motor {motor} is not in its safe state without a link"
+                ));
+            }
+        }
         Ok(())
     }
 }

@@ -225,6 +225,7 @@ pub const SCENARIOS: &[Scenario] = &[
         faults: &[
             Fault::Kill(0),
             Fault::Cut(UP),
+            Fault::Cut(DOWN),
             Fault::Hold(DOWN),
             Fault::Drop(UP),
         ],

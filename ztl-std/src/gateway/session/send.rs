@@ -124,8 +124,14 @@ impl<B: Book> Session<B> {
             self.refuse(id, reason);
             return false;
         };
+        // A task that was not taken keeps its number, which the next one gets, until its end is written.
+        if self.write_again.is_some() {
+            let reason = "the end of an earlier task is not in the journal yet";
+            self.refuse(id, reason.to_owned());
+            return false;
+        }
         let left = task.deadline.since(heard).as_millis();
-        let link = LinkId(self.next_link);
+        let link = LinkId(self.highest.saturating_add(1));
         let goal = task.goal.clone();
         let body = Body::Start {
             task: link,
@@ -161,7 +167,6 @@ impl<B: Book> Session<B> {
             return false;
         }
         task.stage = Stage::Sent(sent);
-        self.next_link = self.next_link.saturating_add(1);
         self.command(now, Command::Start(id), body);
         true
     }

@@ -98,6 +98,7 @@ impl Component for Motor {
 
     fn make_safe(&mut self, _now: Instant) {
         self.rest();
+        self.aborted = true;
     }
 }
 
