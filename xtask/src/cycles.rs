@@ -2,7 +2,7 @@
 //!
 //! QEMU itself knows no cycles. The table is that of the Cortex-M0's Technical Reference Manual (r0p0, table 3-1), for a
 //! flash without wait states and the multiplier of one cycle, as the nRF51 has both. What the bus to a UART's registers
-//! adds is not in it.
+//! adds is not in it. All over the run it looks for the longest time in which interrupts are masked.
 
 use std::fs;
 use std::path::Path;
@@ -38,8 +38,22 @@ struct Sum {
     cycles: u64,
 }
 
+impl Sum {
+    const fn add(&mut self, cycles: u64) {
+        self.instructions += 1;
+        self.cycles += cycles;
+    }
+}
+
+/// What masks all interrupts, and unmasks them: `CPSID i` and `CPSIE i`.
+const MASK: u16 = 0xB672;
+const UNMASK: u16 = 0xB662;
+
+/// What the longest critical section of an image is called.
+const MASKED: &str = "interrupts masked, at most";
+
 /// Runs an image on the micro:bit, which gets one byte over its UART. It says a line for each thing that it
-/// counts: how often it does it, and what it is. The interrupt comes first.
+/// counts: how often it does it, and what it is. The interrupt comes first, the longest critical section last.
 pub(crate) fn count(dirs: &Dirs, path: &Path) -> Outcome<Vec<Count>> {
     let trace = dirs.absolute("cycles.trace");
     // What an earlier run left.
@@ -77,6 +91,7 @@ fn counts(memory: &Memory, addresses: &[u32], said: &str) -> Outcome<Vec<Count>>
     let (begin, end, interrupt) = (function(BEGIN)?, function(END)?, function(INTERRUPT)?);
     let (mut regions, mut region) = (Vec::new(), None::<Sum>);
     let (mut entered, mut within) = (Sum::default(), false);
+    let (mut masked, mut longest) = (None::<Sum>, Sum::default());
     for (address, next) in addresses.iter().zip(addresses.iter().skip(1)) {
         if *address == begin.start {
             region = Some(Sum::default());
@@ -91,8 +106,22 @@ fn counts(memory: &Memory, addresses: &[u32], said: &str) -> Outcome<Vec<Count>>
             region.as_mut()
         };
         if let Some(sum) = sum {
-            sum.instructions += 1;
-            sum.cycles += cycles;
+            sum.add(cycles);
+        }
+        match halfword(memory, *address)? {
+            MASK => masked = masked.or(Some(Sum::default())),
+            UNMASK => {
+                let ended = masked.take().unwrap_or_default();
+                longest = if ended.cycles > longest.cycles {
+                    ended
+                } else {
+                    longest
+                };
+            }
+            _ => {}
+        }
+        if let Some(sum) = &mut masked {
+            sum.add(cycles);
         }
         // It returns from its own code, and to none of it.
         within &= !(interrupt.contains(address) && returns(memory, *address));
@@ -118,7 +147,11 @@ fn counts(memory: &Memory, addresses: &[u32], said: &str) -> Outcome<Vec<Count>>
         cycles: region.cycles.saturating_sub(nothing.cycles),
     });
     let counted = lines.iter().zip(std::iter::once(entered).chain(sums));
-    counted.map(|(line, sum)| named(line, sum)).collect()
+    let masked = named(&format!("1 {MASKED}"), longest);
+    counted
+        .map(|(line, sum)| named(line, sum))
+        .chain(std::iter::once(masked))
+        .collect()
 }
 
 /// `120 a byte into the queue`: of so many, rounded.
@@ -219,12 +252,15 @@ mod tests {
             ("count_end", 0x102, 0x104),
             ("on_uart", 0x104, 0x108),
         ];
-        // BX lr; BX lr; MOVS, BX lr; LDR.
-        let memory = memory(&[0x4770, 0x4770, 0x2001, 0x4770, 0x6808], &functions);
+        // BX lr; BX lr; MOVS, BX lr; LDR; CPSID, CPSIE.
+        let code = [0x4770, 0x4770, 0x2001, 0x4770, 0x6808, 0xB672, 0xB662];
+        let memory = memory(&code, &functions);
         let addresses = [
             0x104, 0x106, // the interrupt
             0x100, 0x102, // nothing
-            0x100, 0x108, 0x108, 0x102, 0x108,
+            0x100, 0x108, 0x108, 0x102, // two loads
+            0x10A, 0x108, 0x108, 0x10C, // the same with interrupts masked
+            0x10A, 0x108, 0x10C, 0x108,
         ];
         let counts = counts(&memory, &addresses, "1 interrupt\n2 loads\n").unwrap();
         let count = |what: &str, cycles, instructions| Count {
@@ -232,7 +268,9 @@ mod tests {
             cycles,
             instructions,
         };
-        assert_eq!(counts, [count("interrupt", 36, 2), count("loads", 2, 1)]);
+        let masked = count("interrupts masked, at most", 5, 3);
+        let expected = [count("interrupt", 36, 2), count("loads", 2, 1), masked];
+        assert_eq!(counts, expected);
         let none = super::counts(&memory, &addresses, "1 interrupt\n");
         assert!(none.is_err(), "{none:?}");
     }
