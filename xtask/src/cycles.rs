@@ -45,9 +45,8 @@ impl Sum {
     }
 }
 
-/// What masks all interrupts, and unmasks them: `CPSID i` and `CPSIE i`.
+/// What begins a critical section: `CPSID i`.
 const MASK: u16 = 0xB672;
-const UNMASK: u16 = 0xB662;
 
 /// What the longest critical section of an image is called.
 const MASKED: &str = "interrupts masked, at most";
@@ -91,7 +90,7 @@ fn counts(memory: &Memory, addresses: &[u32], said: &str) -> Outcome<Vec<Count>>
     let (begin, end, interrupt) = (function(BEGIN)?, function(END)?, function(INTERRUPT)?);
     let (mut regions, mut region) = (Vec::new(), None::<Sum>);
     let (mut entered, mut within) = (Sum::default(), false);
-    let (mut masked, mut longest) = (None::<Sum>, Sum::default());
+    let (mut masked, mut depth, mut longest) = (Sum::default(), 0u32, Sum::default());
     for (address, next) in addresses.iter().zip(addresses.iter().skip(1)) {
         if *address == begin.start {
             region = Some(Sum::default());
@@ -108,20 +107,18 @@ fn counts(memory: &Memory, addresses: &[u32], said: &str) -> Outcome<Vec<Count>>
         if let Some(sum) = sum {
             sum.add(cycles);
         }
-        match halfword(memory, *address)? {
-            MASK => masked = masked.or(Some(Sum::default())),
-            UNMASK => {
-                let ended = masked.take().unwrap_or_default();
-                longest = if ended.cycles > longest.cycles {
-                    ended
-                } else {
-                    longest
-                };
-            }
-            _ => {}
+        depth += u32::from(halfword(memory, *address)? == MASK);
+        if depth > 0 {
+            masked.add(cycles);
         }
-        if let Some(sum) = &mut masked {
-            sum.add(cycles);
+        if depth > 0 && unmasks(memory, *address) {
+            depth -= 1;
+        }
+        if depth == 0 {
+            let ended = std::mem::take(&mut masked);
+            if ended.cycles > longest.cycles {
+                longest = ended;
+            }
         }
         // It returns from its own code, and to none of it.
         within &= !(interrupt.contains(address) && returns(memory, *address));
@@ -171,6 +168,12 @@ fn halfword(memory: &Memory, address: u32) -> Outcome<u16> {
     memory
         .halfword(address)
         .ok_or_else(|| format!("the image has no code at {address:#x}, where QEMU has run some"))
+}
+
+/// `MSR PRIMASK`, which ends a critical section, within another one too.
+fn unmasks(memory: &Memory, address: u32) -> bool {
+    let code = |address| memory.halfword(address).unwrap_or_default();
+    code(address) & 0xFFF0 == 0xF380 && code(address + 2) == 0x8810
 }
 
 /// `POP {…, pc}` or `BX LR`.
@@ -252,15 +255,17 @@ mod tests {
             ("count_end", 0x102, 0x104),
             ("on_uart", 0x104, 0x108),
         ];
-        // BX lr; BX lr; MOVS, BX lr; LDR; CPSID, CPSIE.
-        let code = [0x4770, 0x4770, 0x2001, 0x4770, 0x6808, 0xB672, 0xB662];
+        // BX lr; BX lr; MOVS, BX lr; LDR; CPSID, MSR PRIMASK.
+        let code = [
+            0x4770, 0x4770, 0x2001, 0x4770, 0x6808, 0xB672, 0xF380, 0x8810,
+        ];
         let memory = memory(&code, &functions);
         let addresses = [
             0x104, 0x106, // the interrupt
             0x100, 0x102, // nothing
             0x100, 0x108, 0x108, 0x102, // two loads
             0x10A, 0x108, 0x108, 0x10C, // the same with interrupts masked
-            0x10A, 0x108, 0x10C, 0x108,
+            0x10A, 0x108, 0x10A, 0x10C, 0x10C, 0x108, // and within one another
         ];
         let counts = counts(&memory, &addresses, "1 interrupt\n2 loads\n").unwrap();
         let count = |what: &str, cycles, instructions| Count {
@@ -268,7 +273,7 @@ mod tests {
             cycles,
             instructions,
         };
-        let masked = count("interrupts masked, at most", 5, 3);
+        let masked = count("interrupts masked, at most", 12, 5);
         let expected = [count("interrupt", 36, 2), count("loads", 2, 1), masked];
         assert_eq!(counts, expected);
         let none = super::counts(&memory, &addresses, "1 interrupt\n");

@@ -3,9 +3,10 @@
 //!
 //! Every access is a critical section, so any interrupt of any priority, any core and any thread may make it, also on
 //! chips without atomic read-modify-write. The implementation comes from the chip's crate or its runtime (`cortex-m` with
-//! `critical-section-single-core`, a HAL). Bytes are copied a few at a time, so that no critical section takes longer than
-//! 400 cycles of a Cortex-M0, which is 25 µs at 16 MHz; `cargo xtask bench firmware` checks that. Only a record that
-//! `defmt_logger!` makes is longer: defmt asks for one critical section around it.
+//! `critical-section-single-core`, a HAL). Bytes are copied a few at a time, in at most 400 cycles
+//! of a Cortex-M0, which is 25 µs at 16 MHz. With a motor that an interrupt drives it is at most 1000, for the tick that
+//! begins a new stretch of its ramp. `cargo xtask bench firmware` measures the longest critical section and fails beyond
+//! that. Only a record that `defmt_logger!` makes can take longer: defmt asks for one critical section around it.
 //!
 //! ```
 //! use ztl_mcu::shared::{ReceiveQueue, StopFlag};

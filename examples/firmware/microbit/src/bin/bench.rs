@@ -67,7 +67,7 @@ fn main() -> ! {
     framed(NO_SESSION, NO_SEQ, hello, |bytes| {
         node.handle_bytes(NOW, bytes)
     });
-    send(&mut node);
+    send(&mut node, NOW);
     let key = session_key(SESSION, BOOT);
     // Nothing: what a mark takes.
     counted(|| ());
@@ -101,7 +101,9 @@ fn main() -> ! {
     // What a main loop shares with interrupts besides: no other critical section may be longer.
     LOG.push(&[7; 200]);
     let mut frame = [0; 200];
-    counted(|| drop(black_box(LOG.read(&mut frame))));
+    counted(|| {
+        let _ = black_box(LOG.read(&mut frame));
+    });
     say(&mut uart, frame.len(), "a byte of the log into its frame");
     let mut slide = Stepper::new("slide", &MOTOR, SLIDE);
     let mut text = Reason::new();
@@ -110,8 +112,8 @@ fn main() -> ! {
         let _ = black_box(slide.start(NOW, "2000", &mut why));
     });
     say(&mut uart, 1, "a motion of a motor that an interrupt drives");
-    for micros in 0..20_000 {
-        let now = NOW.after(micros * 10);
+    for turn in 0..400 {
+        let now = NOW.after(turn * 100);
         critical_section::with(|token| MOTOR.borrow(token).borrow_mut().tick(now));
     }
     let _ = black_box(slide.poll(NOW, &mut why));
@@ -120,10 +122,12 @@ fn main() -> ! {
 
     // Its progress, so that nothing is left to be said.
     node.handle_timeout(NOW);
-    send(&mut node);
+    send(&mut node, NOW.after(40_000));
     let pump = Pump::new();
+    // The lamp is polled then, and its progress is not told yet.
+    let later = NOW.after(50_000);
     counted(|| {
-        let _ = black_box(pump.turn_split(&mut node, &mut &app::RECEIVED, &mut uart, NOW));
+        let _ = black_box(pump.turn_split(&mut node, &mut &app::RECEIVED, &mut uart, later));
     });
     say(
         &mut uart,
@@ -146,7 +150,7 @@ fn feed_and_send(node: &mut Desk, session: u32, seq: u8, body: Body<'_>) {
     framed(session, seq, body, |bytes| {
         counted(|| {
             node.handle_bytes(NOW, bytes);
-            send(node);
+            send(node, NOW);
         });
     });
 }
@@ -164,9 +168,9 @@ fn framed(session: u32, seq: u8, body: Body<'_>, act: impl FnOnce(&[u8])) -> usi
 }
 
 /// Makes and takes what the node has to say.
-fn send(node: &mut Desk) {
+fn send(node: &mut Desk, now: Instant) {
     loop {
-        let count = black_box(node.transmit_buf(NOW, &())).len();
+        let count = black_box(node.transmit_buf(now, &())).len();
         if count == 0 {
             break;
         }
