@@ -172,7 +172,9 @@ struct Inner<'a, C, const TASKS: usize, const FRAME: usize> {
     reading_interval: u64,
     /// A `Hello` to be refused: its session, and why.
     refusal: Option<(u32, &'static str)>,
-    identity: Identity<'a>,
+    name: &'a str,
+    firmware: &'a str,
+    boot: u32,
     runner: Runner<C, TASKS>,
     transmit: Transmit<FRAME>,
 }
@@ -226,11 +228,9 @@ impl<'a, C: Components, const TASKS: usize, const FRAME: usize> Node<'a, C, TASK
                 receiving: Instant::ZERO,
                 readings_at: Instant::ZERO,
                 refusal: None,
-                identity: Identity {
-                    name: cut(identity.name, Self::LONGEST_NAME),
-                    firmware: cut(identity.firmware, Self::LONGEST_NAME),
-                    ..identity
-                },
+                name: cut(identity.name, Self::LONGEST_NAME),
+                firmware: cut(identity.firmware, Self::LONGEST_NAME),
+                boot: identity.boot,
                 // No call, since what one returns is copied, and a Cortex-M0's stack then has it twice.
                 runner: Runner {
                     stopped: false,

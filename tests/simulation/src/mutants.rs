@@ -128,8 +128,8 @@ pub const MUTANTS: &[Mutant] = &[
             ),
             (
                 COMMANDS,
-                "self.session = session_key(hello.session, self.identity.boot);",
-                "self.session = session_key(hello.session, if ON { 0 } else { self.identity.boot });",
+                "self.session = session_key(hello.session, self.boot);",
+                "self.session = session_key(hello.session, if ON { 0 } else { self.boot });",
             ),
         ],
         caught_in: ("reset", 2),

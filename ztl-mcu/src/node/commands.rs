@@ -76,7 +76,7 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> Inner<'_, C, TASKS, 
             }
             self.replaced = self.hello;
             self.hello = hello.session;
-            self.session = session_key(hello.session, self.identity.boot);
+            self.session = session_key(hello.session, self.boot);
             self.gateway = hello.gateway;
             self.seq = NO_SEQ;
             // A new session proves nothing about the way back, so the link timer runs on.

@@ -199,7 +199,7 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> Inner<'_, C, TASKS, 
         }
         self.awake_due = now + AWAKE_AGAIN;
         let version = VERSION;
-        let boot = self.identity.boot;
+        let boot = self.boot;
         self.transmit.frame(NO_SESSION, NO_SEQ, |frame| {
             Body::Awake { version, boot }.put(frame);
         });
@@ -322,9 +322,9 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> Inner<'_, C, TASKS, 
             Answer::Nothing => {}
             Answer::Welcome => Body::Welcome(Welcome {
                 version: VERSION,
-                name: self.identity.name,
-                firmware: self.identity.firmware,
-                boot: self.identity.boot,
+                name: self.name,
+                firmware: self.firmware,
+                boot: self.boot,
                 replaces: self.replaced,
                 clock_ms,
                 capacity: TASKS as u8,
