@@ -227,7 +227,7 @@ pub const MUTANTS: &[Mutant] = &[
             "self.highest = LinkId(self.highest.0.saturating_add(1));",
             "self.highest = LinkId(self.highest.0.saturating_add(if ON { 0 } else { 1 }));",
         )],
-        caught_in: ("two", 1),
+        caught_in: ("takeover", 2),
         complaint: "promise 2",
     },
     Mutant {

@@ -74,7 +74,10 @@ impl Lab {
             (State::Completed, _) if fate.came_to != Some(State::Completed) => {
                 lie(2, "but its motor did not come to its goal")
             }
-            (State::Failed, "the device no longer holds the task") => {
+            // Of a `Start` that never came and has the number of a takeover, nothing better can be told.
+            (State::Failed, "the device no longer holds the task")
+                if fate.begun > 0 || self.gateways.len() == 1 =>
+            {
                 lie(2, "but it does until that is known here")
             }
             (State::Aborted, _) if fate.begun > 0 && fate.came_to != Some(State::Aborted) => {
