@@ -215,7 +215,9 @@ impl Component for Finger {
         self.aborted = true;
     }
 
-    fn make_safe(&mut self, _: Instant) {}
+    fn make_safe(&mut self, _: Instant) {
+        self.aborted = true;
+    }
 
     fn poll_reading(&mut self, _: Instant, buffer: &mut [u8]) -> Option<Reading> {
         buffer.get_mut(..4)?.copy_from_slice(&OPENING);

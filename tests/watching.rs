@@ -44,7 +44,7 @@ fn devices_tells_what_is_connected_and_what_is_not() {
     let text = tell(&gateway, "devices");
     for part in [
         "/test gripper at sim:gripper: ready\n",
-        "finger: 0 to 100 percent; a second task is refused; without link it stops\n",
+        "finger: 0 to 100 percent; a second task is refused; without link it goes to its safe state, also when idle\n",
         "pan: -90 to 90 degrees, left, straight, right;",
         "ghost at tcp:127.0.0.1:",
         "not ready: ",

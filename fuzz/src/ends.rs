@@ -72,7 +72,9 @@ impl Component for Motor {
     }
 
     fn poll(&mut self, now: Instant, report: &mut Report<'_>) -> Run {
-        let ends = self.ends.expect("polled while it moves");
+        let Some(ends) = self.ends else {
+            return Run::Aborted;
+        };
         report.text("40.0");
         if now < ends && !self.aborted {
             return Run::Running;

@@ -112,7 +112,9 @@ impl Component for Motor {
         self.aborted = true;
     }
 
-    fn make_safe(&mut self, _now: Instant) {}
+    fn make_safe(&mut self, _now: Instant) {
+        self.aborted = true;
+    }
 }
 
 /// A device with an `arm`, which stops without a link, and a `belt`, which carries on.

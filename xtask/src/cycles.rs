@@ -2,7 +2,7 @@
 //!
 //! QEMU itself knows no cycles. The table is that of the Cortex-M0's Technical Reference Manual (r0p0, table 3-1), for a
 //! flash without wait states and the multiplier of one cycle, as the nRF51 has both. What the bus to a UART's registers
-//! adds is not in it.
+//! adds is not in it. All over the run it looks for the longest time in which interrupts are masked.
 
 use std::fs;
 use std::path::Path;
@@ -38,8 +38,21 @@ struct Sum {
     cycles: u64,
 }
 
+impl Sum {
+    const fn add(&mut self, cycles: u64) {
+        self.instructions += 1;
+        self.cycles += cycles;
+    }
+}
+
+/// What begins a critical section: `CPSID i`.
+const MASK: u16 = 0xB672;
+
+/// What the longest critical section of an image is called.
+const MASKED: &str = "interrupts masked, at most";
+
 /// Runs an image on the micro:bit, which gets one byte over its UART. It says a line for each thing that it
-/// counts: how often it does it, and what it is. The interrupt comes first.
+/// counts: how often it does it, and what it is. The interrupt comes first, the longest critical section last.
 pub(crate) fn count(dirs: &Dirs, path: &Path) -> Outcome<Vec<Count>> {
     let trace = dirs.absolute("cycles.trace");
     // What an earlier run left.
@@ -77,6 +90,7 @@ fn counts(memory: &Memory, addresses: &[u32], said: &str) -> Outcome<Vec<Count>>
     let (begin, end, interrupt) = (function(BEGIN)?, function(END)?, function(INTERRUPT)?);
     let (mut regions, mut region) = (Vec::new(), None::<Sum>);
     let (mut entered, mut within) = (Sum::default(), false);
+    let (mut masked, mut depth, mut longest) = (Sum::default(), 0u32, Sum::default());
     for (address, next) in addresses.iter().zip(addresses.iter().skip(1)) {
         if *address == begin.start {
             region = Some(Sum::default());
@@ -91,8 +105,20 @@ fn counts(memory: &Memory, addresses: &[u32], said: &str) -> Outcome<Vec<Count>>
             region.as_mut()
         };
         if let Some(sum) = sum {
-            sum.instructions += 1;
-            sum.cycles += cycles;
+            sum.add(cycles);
+        }
+        depth += u32::from(halfword(memory, *address)? == MASK);
+        if depth > 0 {
+            masked.add(cycles);
+        }
+        if depth > 0 && unmasks(memory, *address) {
+            depth -= 1;
+        }
+        if depth == 0 {
+            let ended = std::mem::take(&mut masked);
+            if ended.cycles > longest.cycles {
+                longest = ended;
+            }
         }
         // It returns from its own code, and to none of it.
         within &= !(interrupt.contains(address) && returns(memory, *address));
@@ -118,7 +144,11 @@ fn counts(memory: &Memory, addresses: &[u32], said: &str) -> Outcome<Vec<Count>>
         cycles: region.cycles.saturating_sub(nothing.cycles),
     });
     let counted = lines.iter().zip(std::iter::once(entered).chain(sums));
-    counted.map(|(line, sum)| named(line, sum)).collect()
+    let masked = named(&format!("1 {MASKED}"), longest);
+    counted
+        .map(|(line, sum)| named(line, sum))
+        .chain(std::iter::once(masked))
+        .collect()
 }
 
 /// `120 a byte into the queue`: of so many, rounded.
@@ -138,6 +168,12 @@ fn halfword(memory: &Memory, address: u32) -> Outcome<u16> {
     memory
         .halfword(address)
         .ok_or_else(|| format!("the image has no code at {address:#x}, where QEMU has run some"))
+}
+
+/// `MSR PRIMASK`, which ends a critical section, within another one too.
+fn unmasks(memory: &Memory, address: u32) -> bool {
+    let code = |address| memory.halfword(address).unwrap_or_default();
+    code(address) & 0xFFF0 == 0xF380 && code(address + 2) == 0x8810
 }
 
 /// `POP {…, pc}` or `BX LR`.
@@ -219,12 +255,17 @@ mod tests {
             ("count_end", 0x102, 0x104),
             ("on_uart", 0x104, 0x108),
         ];
-        // BX lr; BX lr; MOVS, BX lr; LDR.
-        let memory = memory(&[0x4770, 0x4770, 0x2001, 0x4770, 0x6808], &functions);
+        // BX lr; BX lr; MOVS, BX lr; LDR; CPSID, MSR PRIMASK.
+        let code = [
+            0x4770, 0x4770, 0x2001, 0x4770, 0x6808, 0xB672, 0xF380, 0x8810,
+        ];
+        let memory = memory(&code, &functions);
         let addresses = [
             0x104, 0x106, // the interrupt
             0x100, 0x102, // nothing
-            0x100, 0x108, 0x108, 0x102, 0x108,
+            0x100, 0x108, 0x108, 0x102, // two loads
+            0x10A, 0x108, 0x108, 0x10C, // the same with interrupts masked
+            0x10A, 0x108, 0x10A, 0x10C, 0x10C, 0x108, // and within one another
         ];
         let counts = counts(&memory, &addresses, "1 interrupt\n2 loads\n").unwrap();
         let count = |what: &str, cycles, instructions| Count {
@@ -232,7 +273,9 @@ mod tests {
             cycles,
             instructions,
         };
-        assert_eq!(counts, [count("interrupt", 36, 2), count("loads", 2, 1)]);
+        let masked = count("interrupts masked, at most", 12, 5);
+        let expected = [count("interrupt", 36, 2), count("loads", 2, 1), masked];
+        assert_eq!(counts, expected);
         let none = super::counts(&memory, &addresses, "1 interrupt\n");
         assert!(none.is_err(), "{none:?}");
     }

@@ -201,12 +201,22 @@ const QUEUE: u64 = 128;
 /// Bytes that a turn of the main loop reads at most.
 const READ: u64 = 256;
 
+/// Cycles for which our code masks interrupts at most. What the documents of `ztl_mcu::shared` state.
+const MASKED: u64 = 1000;
+
 /// What the counts say of the line's rate. The first three are of a received byte, the next of a task's start, the
-/// longest time in which no byte is taken from the queue, and the last of an idle turn.
+/// longest time in which no byte is taken from the queue, the last but one of an idle turn, and the last of the longest
+/// critical section.
 fn rate(counts: &[Count]) -> Outcome<String> {
-    let [interrupt, queue, node, start, .., turn] = counts else {
+    let [interrupt, queue, node, start, .., turn, masked] = counts else {
         return Err("the image has counted too little".to_owned());
     };
+    if masked.cycles > MASKED {
+        return Err(format!(
+            "a critical section takes {} cycles, at most {MASKED} are promised",
+            masked.cycles
+        ));
+    }
     let byte = interrupt.cycles + queue.cycles + node.cycles;
     let left = PAUSE.saturating_sub(byte);
     let caught_up = turn.cycles.checked_div(left).unwrap_or(u64::MAX);
@@ -323,15 +333,16 @@ mod tests {
 
     #[test]
     fn a_rate_follows_from_the_counts() {
-        let text = rate(&counts(&[70, 20, 38, 8000, 3000, 1600])).unwrap();
+        let text = rate(&counts(&[70, 20, 38, 8000, 3000, 1600, 1000])).unwrap();
         assert!(text.contains("takes 128 of the 160 cycles"), "{text}");
         assert!(text.contains("a margin of 20 %. So 1250 kbaud"), "{text}");
         assert!(text.contains("starts 60 bytes come"), "{text}");
         assert!(text.contains("after 50 bytes"), "{text}");
         for slow in [
-            [100, 20, 40, 8000, 1600],
-            [70, 20, 38, 20_000, 1600],
-            [70, 20, 68, 8000, 1600],
+            [100, 20, 40, 8000, 1600, 1000],
+            [70, 20, 38, 20_000, 1600, 1000],
+            [70, 20, 68, 8000, 1600, 1000],
+            [70, 20, 38, 8000, 1600, 1001],
         ] {
             assert!(rate(&counts(&slow)).is_err(), "{slow:?}");
         }

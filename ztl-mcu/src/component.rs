@@ -39,8 +39,8 @@ pub struct Reading {
 
 /// Something that carries out one task at a time.
 ///
-/// The node calls `check` for each task that comes; `start` for one that may begin; then `poll`
-/// again and again until it says other than [`Run::Running`]; `abort`, `make_safe` and
+/// The node calls `check` for each task that comes; `start` for one that may begin; then `poll`, whenever
+/// `poll_timeout` asked for it, until it says other than [`Run::Running`]; `abort`, `make_safe` and
 /// `poll_reading` at any time. No call may block: each is made from the main loop, between two bytes
 /// of the link.
 ///
@@ -55,9 +55,13 @@ pub struct Reading {
 ///
 /// An abort of a task that waits ends it at once as ABORTED, `aborted before it began`.
 ///
-/// **When the link is lost** ([`Loss`](ztl_core::link::Loss)), with *abort* and *hold* `make_safe` is called and
-/// all its tasks end as FAILED, `link was lost`; with *carry on* they go on, also those that wait. **In an
-/// emergency stop** `make_safe` is called for each component, and all tasks end as ABORTED, `emergency stop`.
+/// **When the link is lost** ([`Loss`](ztl_core::link::Loss)), a component with *abort* or *hold* goes to its safe
+/// state, whether it has a task or not: a relay that was switched on and whose task has ended goes off. The node calls
+/// `make_safe`, then `poll` until it says other than [`Run::Running`], which means that the safe state is reached. All
+/// tasks of the component end as FAILED, `link was lost`: one that waits at once, one that runs when the component
+/// is safe. With *carry on* nothing happens: tasks go on, also those that wait. **In an emergency stop** every component
+/// goes to its safe state in the same way, and all tasks end as ABORTED, `emergency stop`. A component that is not in its
+/// safe state yet takes no task.
 pub trait Component {
     /// What it is and which goals it takes; told to the gateway once a session. Must not change.
     fn offer(&self) -> Offer<'_>;
@@ -70,34 +74,42 @@ pub trait Component {
     /// who wrote it. The gateway adds the goal itself.
     fn check(&self, goal: &str, why: &mut Report<'_>) -> Result<(), Refused>;
 
-    /// Begins a task, whose goal was checked. Called only while none runs.
+    /// Begins a task, whose goal was checked. Called only while none runs, and after `make_safe` only once the safe
+    /// state is reached.
     ///
     /// # Errors
     /// [`Refused`], and in `why` the reason; nothing has moved then.
     fn start(&mut self, now: Instant, goal: &str, why: &mut Report<'_>) -> Result<(), Refused>;
 
     /// Moves the task on and reports. After anything but [`Run::Running`] the task is over.
+    ///
+    /// After `make_safe` also called without a task: [`Run::Running`] says that the safe state is not reached yet, anything
+    /// else that it is. It may then be called some more times, and must leave the component safe.
     fn poll(&mut self, now: Instant, report: &mut Report<'_>) -> Run;
 
     /// Stops the task as soon as it is safe; a later `poll` says [`Run::Aborted`] (or how else it
     /// ended).
     fn abort(&mut self, now: Instant);
 
-    /// Goes to the safe state at once, whatever runs: the link was lost, or an emergency stop. For
-    /// [`Loss::Hold`](ztl_core::link::Loss::Hold) that is to keep the position under power. A task that ran is over, without
-    /// another `poll`.
+    /// Goes to the safe state, with or without a task: the link was lost, or an emergency stop. For
+    /// [`Loss::Hold`](ztl_core::link::Loss::Hold) that is to keep the position under power. What cannot be done at once, such
+    /// as slowing down, goes on in `poll`, which is called until it says other than [`Run::Running`]. Do not go on with
+    /// the task: it ends then, whatever `poll` says.
     fn make_safe(&mut self, now: Instant);
 
-    /// When `poll` is to be called next while a task runs, and `poll_reading` if the offer names
-    /// topics. Default: after 10 ms.
+    /// When `poll` is to be called next, asked after each `poll` of a task; and when `poll_reading` is, if the offer
+    /// names topics and there was no reading. With [`Instant::NEVER`] only an abort, the loss of the link or an emergency
+    /// stop brings the next `poll`. Default: after 10 ms.
     fn poll_timeout(&self, now: Instant) -> Instant {
         now + Duration::from_millis(10)
     }
 
     /// The next reading to be published, if one is due and fits: writes it into `buffer`.
     ///
-    /// Called when the line has room. The buffer may be shorter than a reading; then keep it, a
-    /// longer buffer comes later. Default: none.
+    /// Called when the line has room, after a reading not before the
+    /// [least time between two](crate::Identity::reading_interval) has passed. The buffer is always as long as the longest
+    /// reading that fits into a frame, [`Node::LONGEST_READING`](crate::Node::LONGEST_READING): drop a longer one, which can
+    /// never be sent. Default: none.
     fn poll_reading(&mut self, now: Instant, buffer: &mut [u8]) -> Option<Reading> {
         let _ = (now, buffer);
         None

@@ -41,8 +41,8 @@ impl LogSource for () {
 /// ```
 ///
 /// The crate needs `defmt` among its own dependencies. The gateway reads the log with the firmware's
-/// ELF file. While a record is made interrupts are held off, as with other loggers of defmt. Flushing
-/// does nothing: a firmware that panics cannot send any more.
+/// ELF file. While a record is made interrupts are held off, as with other loggers of defmt: for as long as its values
+/// take to be encoded, so keep records short where an interrupt must not wait. Flushing does nothing: a firmware that panics cannot send any more.
 #[cfg(feature = "defmt")]
 #[macro_export]
 macro_rules! defmt_logger {

@@ -12,7 +12,7 @@ use core::hash::{Hash, Hasher};
 use core::time::Duration;
 
 use ztl_core::Instant;
-use ztl_core::link::{Decoder, LINK_TIMEOUT, LinkId, NO_SEQ, NO_SESSION, Pushed};
+use ztl_core::link::{Body, Decoder, LINK_TIMEOUT, LinkId, NO_SEQ, NO_SESSION, Offer, Pushed};
 use ztl_core::time::micros;
 
 use crate::component::Components;
@@ -21,6 +21,11 @@ use commands::Answer;
 pub(crate) use runner::Runner;
 use tasks::Table;
 use transmit::{PAUSE, Transmit, longest};
+
+/// Least time between two readings of a component, unless the firmware says otherwise.
+const READING_INTERVAL: Duration = Duration::from_millis(10);
+/// Bytes that a device's name, and its firmware's version, can have at least.
+const SHORTEST_NAME: usize = 16;
 
 /// Why a component does not take a goal; at most 96 bytes, and the mark of a cut.
 pub type Reason = heapless::String<99>;
@@ -38,6 +43,9 @@ pub struct Identity<'a> {
     /// After how long without a new command the node acts by itself. Default 1 s; a gateway takes
     /// [50 ms to 60 s](ztl_core::link::LINK_TIMEOUTS).
     pub link_timeout: Duration,
+    /// Least time between two readings of a component. Default 10 ms, which is 100 readings a second of each. With
+    /// zero a component that always has another reading gets all of the line that nothing else needs.
+    pub reading_interval: Duration,
 }
 
 impl<'a> Identity<'a> {
@@ -49,7 +57,19 @@ impl<'a> Identity<'a> {
             firmware,
             boot,
             link_timeout: LINK_TIMEOUT,
+            reading_interval: READING_INTERVAL,
         }
+    }
+}
+
+/// `text`, or as much of its beginning as fits into so many bytes.
+const fn cut(text: &str, mut most: usize) -> &str {
+    while !text.is_char_boundary(most) && most < text.len() {
+        most = most.saturating_sub(1);
+    }
+    match text.split_at_checked(most) {
+        Some((begin, _)) => begin,
+        None => text,
     }
 }
 
@@ -73,7 +93,7 @@ fn count(counter: &mut u32) {
 }
 
 /// The device end of the link, without I/O: it moves the components `C`, holds at most `TASKS` tasks
-/// and frames of at most `FRAME` bytes (128 and more; a goal may be some 24 bytes shorter).
+/// and frames of at most `FRAME` bytes (128 and more, see [`new`](Self::new); a goal may be some 24 bytes shorter).
 ///
 /// *Inputs*: [`handle_bytes`](Self::handle_bytes) as bytes arrive,
 /// [`handle_timeout`](Self::handle_timeout) in every turn of the main loop. *Outputs*:
@@ -85,8 +105,8 @@ fn count(counter: &mut u32) {
 ///
 /// **Work.** A call's work is bounded, whatever arrives. `handle_bytes`: some ten instructions a byte,
 /// and at the end of a frame the check over it, twice at most, and one call of `check`, `start` or
-/// `abort`. `handle_timeout`: `poll` once for each task that moves; and `start` for one that waited, or
-/// `make_safe`. The outputs: one frame of at most `FRAME` bytes at a time, and once for each
+/// `abort`. `handle_timeout`: `poll` once for each task that moves and is due, and `start` for one that waited; when
+/// the link is lost, `make_safe` and twice `poll` for each component. The outputs: one frame of at most `FRAME` bytes at a time, and once for each
 /// component `offer` and `poll_reading`. Tasks are searched in turn, so all of it grows with `TASKS`.
 ///
 /// Two nodes are equal when they will do the same from now on; what they have counted does not matter.
@@ -122,10 +142,10 @@ struct Inner<'a, C, const TASKS: usize, const FRAME: usize> {
     answer_due: bool,
     /// A delimiter was sent before the next announcement.
     flushed: bool,
-    /// The last time there was a reading, so there may be another.
-    readings: bool,
-    /// Whose readings are sent next, so that each gets its turn.
+    /// The component that is asked for a reading next; in each round every one is asked once.
     publisher: u8,
+    /// Whether one had a reading in this round.
+    published: bool,
     /// The session that runs, [`NO_SESSION`] after a reset.
     session: u32,
     /// The number of the `Hello` that opened it.
@@ -146,9 +166,15 @@ struct Inner<'a, C, const TASKS: usize, const FRAME: usize> {
     lost_at: Instant,
     /// Until when what stands in the decoder is a command that is coming in.
     receiving: Instant,
+    /// When the next round of readings begins.
+    readings_at: Instant,
+    /// In µs.
+    reading_interval: u64,
     /// A `Hello` to be refused: its session, and why.
     refusal: Option<(u32, &'static str)>,
-    identity: Identity<'a>,
+    name: &'a str,
+    firmware: &'a str,
+    boot: u32,
     runner: Runner<C, TASKS>,
     transmit: Transmit<FRAME>,
 }
@@ -157,9 +183,23 @@ impl<'a, C: Components, const TASKS: usize, const FRAME: usize> Node<'a, C, TASK
     /// Longest reading that a component can publish, in bytes.
     pub const LONGEST_READING: usize = longest::reading(FRAME);
 
+    /// Longest name of the device, and longest version of its firmware, in bytes. What is longer is cut, so that the
+    /// node can tell a gateway who it is and which tasks it holds, however many and whatever their ids.
+    pub const LONGEST_NAME: usize = longest::name(FRAME, TASKS);
+
     /// A node after its reset. `components` are at most 255.
+    ///
+    /// It compiles with `TASKS` from 1 to 255 and a `FRAME` of at least 128 bytes that has room for the ids of as many
+    /// tasks: 128 for 9 tasks, 256 for 34.
     pub const fn new(identity: Identity<'a>, components: C) -> Self {
-        const { assert!(FRAME >= 128 && TASKS >= 1 && TASKS <= 255) };
+        const {
+            assert!(FRAME >= 128, "a frame has at least 128 bytes");
+            assert!(TASKS >= 1 && TASKS <= 255, "there are 1 to 255 tasks");
+            assert!(
+                Self::LONGEST_NAME >= SHORTEST_NAME,
+                "a frame has room for the ids of all tasks: raise FRAME, or lower TASKS"
+            );
+        };
         Self {
             counters: Counters {
                 frames: 0,
@@ -172,8 +212,8 @@ impl<'a, C: Components, const TASKS: usize, const FRAME: usize> Node<'a, C, TASK
                 seq: NO_SEQ,
                 answer_due: false,
                 flushed: false,
-                readings: false,
                 publisher: 0,
+                published: false,
                 session: NO_SESSION,
                 hello: NO_SESSION,
                 replaced: NO_SESSION,
@@ -181,15 +221,21 @@ impl<'a, C: Components, const TASKS: usize, const FRAME: usize> Node<'a, C, TASK
                 answer: Answer::Nothing,
                 gateway: 0,
                 link_timeout: micros(identity.link_timeout),
+                reading_interval: micros(identity.reading_interval),
                 awake_due: Instant::ZERO,
                 heard: Instant::ZERO,
                 lost_at: Instant::NEVER,
                 receiving: Instant::ZERO,
+                readings_at: Instant::ZERO,
                 refusal: None,
-                identity,
+                name: cut(identity.name, Self::LONGEST_NAME),
+                firmware: cut(identity.firmware, Self::LONGEST_NAME),
+                boot: identity.boot,
                 // No call, since what one returns is copied, and a Cortex-M0's stack then has it twice.
                 runner: Runner {
                     stopped: false,
+                    all_to_safety: false,
+                    safety_wake: Instant::NEVER,
                     components,
                     reason: Reason::new(),
                     tasks: Table::new(),
@@ -197,6 +243,19 @@ impl<'a, C: Components, const TASKS: usize, const FRAME: usize> Node<'a, C, TASK
                 transmit: Transmit::new(),
             },
         }
+    }
+
+    /// Whether what a component offers can be told to a gateway: it fits into a frame. Of one that is longer the node
+    /// refuses the description, and its gateway does not serve the device and says why.
+    #[must_use]
+    pub fn fits(offer: &Offer<'_>) -> bool {
+        let body = Body::Component {
+            index: u8::MAX,
+            offer: *offer,
+        };
+        let mut len = 0;
+        body.put(&mut |bytes: &[u8]| len += bytes.len());
+        len <= longest::body(FRAME)
     }
 
     /// Bytes have arrived, in pieces of any length.
@@ -276,15 +335,15 @@ impl<'a, C: Components, const TASKS: usize, const FRAME: usize> Node<'a, C, TASK
     /// When [`handle_timeout`](Self::handle_timeout) and [`poll_transmit`](Self::poll_transmit) are
     /// to be called even if no byte arrives; after 1 s if there is nothing to do.
     pub fn poll_timeout(&self, now: Instant) -> Instant {
-        match self.next_move(now).min(self.next_transmit(now)) {
+        match self.next_move().min(self.next_transmit(now)) {
             Instant::NEVER => now + Duration::from_secs(1),
             wake => wake,
         }
     }
 
     /// When `handle_timeout` has something to do; perhaps [`Instant::NEVER`].
-    pub(crate) fn next_move(&self, now: Instant) -> Instant {
-        self.state.lost_at.min(self.state.runner.next_move(now))
+    pub(crate) fn next_move(&self) -> Instant {
+        self.state.lost_at.min(self.state.runner.next_move())
     }
 
     /// When there is something to be sent; perhaps [`Instant::NEVER`].
@@ -292,8 +351,8 @@ impl<'a, C: Components, const TASKS: usize, const FRAME: usize> Node<'a, C, TASK
         self.state.next_transmit(now)
     }
 
-    /// Emergency stop: every component goes to its safe state, every task ends as ABORTED, also one
-    /// that waits, and no other starts until [`clear_stop`](Self::clear_stop).
+    /// Emergency stop: every component goes to its safe state, every task ends as ABORTED, one that waits at once, one
+    /// that moves when its component is safe, and no other starts until [`clear_stop`](Self::clear_stop).
     pub fn stop_everything(&mut self, now: Instant) {
         self.state.runner.stop_everything(now);
     }

@@ -46,7 +46,7 @@ fn kept<const N: usize>(bytes: &[u8]) -> Result<Vec<u8, N>, NotKept> {
     Ok(copy)
 }
 
-/// Writes `bytes` into `buffer`, if they fit.
+/// Writes `bytes` into `buffer`, if they fit into a frame.
 fn written(bytes: &[u8], topic: u8, buffer: &mut [u8]) -> Option<Reading> {
     let len = bytes.len();
     // Not `copy_from_slice`, in which the compiler does not see equal lengths.
@@ -91,15 +91,16 @@ impl<const N: usize> Latest<N> {
         Ok(())
     }
 
-    /// Writes the reading into `buffer`, if there is a new one and it fits; it is told once.
+    /// Writes the reading into `buffer`, if there is a new one; it is told once. One that is longer than the buffer fits
+    /// into no frame and is dropped.
     pub fn take(&mut self, topic: u8, buffer: &mut [u8]) -> Option<Reading> {
-        let reading = written(self.reading.as_ref()?, topic, buffer)?;
-        self.reading = None;
-        Some(reading)
+        written(&self.reading.take()?, topic, buffer)
     }
 }
 
 /// At most `N` readings of at most `LEN` bytes each, every one of which matters.
+///
+/// `LEN` should be at most the node's [`LONGEST_READING`](crate::Node::LONGEST_READING).
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Queued<const N: usize, const LEN: usize> {
     readings: Deque<Vec<u8, LEN>, N>,
@@ -139,11 +140,16 @@ impl<const N: usize, const LEN: usize> Queued<N, LEN> {
         kept
     }
 
-    /// Writes the first reading into `buffer`, if there is one and it fits.
+    /// Writes the first reading into `buffer`, if there is one. Those that are longer than the buffer fit into no frame;
+    /// they are dropped and counted, and the next one is taken.
     pub fn take(&mut self, topic: u8, buffer: &mut [u8]) -> Option<Reading> {
-        let reading = written(self.readings.front()?, topic, buffer)?;
-        self.readings.pop_front();
-        Some(reading)
+        while let Some(reading) = self.readings.pop_front() {
+            if let Some(reading) = written(&reading, topic, buffer) {
+                return Some(reading);
+            }
+            self.lost = self.lost.wrapping_add(1);
+        }
+        None
     }
 
     /// Whether another would not be kept.
@@ -152,7 +158,7 @@ impl<const N: usize, const LEN: usize> Queued<N, LEN> {
         self.readings.is_full()
     }
 
-    /// How many readings were not kept; wraps.
+    /// How many readings were not kept, or were too long to be sent; wraps.
     #[must_use]
     pub const fn lost(&self) -> u32 {
         self.lost
@@ -164,19 +170,18 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_reading_that_does_not_fit_stays_until_a_longer_buffer_comes() {
+    fn a_reading_that_no_frame_holds_is_dropped_and_the_next_one_is_taken() {
         let mut latest = Latest::<8>::new();
         let mut queued = Queued::<2, 8>::new();
         latest.set(b"12345").unwrap();
         queued.push(b"12345").unwrap();
-        let mut buffer = [0xA5; 8];
-        let short = &mut buffer[..4];
-        assert_eq!(latest.take(1, short), None);
-        assert_eq!(queued.take(1, short), None);
-        let whole = Some(Reading { topic: 1, len: 5 });
-        assert_eq!(latest.take(1, &mut buffer), whole);
-        assert_eq!(queued.take(1, &mut buffer), whole);
-        assert_eq!(&buffer[..5], b"12345");
+        queued.push(b"678").unwrap();
+        let mut buffer = [0xA5; 4];
+        assert_eq!(latest.take(1, &mut buffer), None);
+        let fits = Some(Reading { topic: 1, len: 3 });
+        assert_eq!(queued.take(1, &mut buffer), fits);
+        assert_eq!(&buffer[..3], b"678");
+        assert_eq!(queued.lost(), 1);
     }
 
     #[test]

@@ -91,7 +91,7 @@ pub trait Actuator {
     /// Stops the task as soon as it is safe.
     fn abort(&mut self, now: Instant);
 
-    /// Goes to the safe state at once.
+    /// Goes to the safe state; `poll` is called until it is reached.
     fn make_safe(&mut self, now: Instant);
 
     /// When `poll` is to be called next, and `poll_reading`. Default: after 10 ms.

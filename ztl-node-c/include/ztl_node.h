@@ -33,6 +33,11 @@ extern "C" {
 #define ZTL_NODE_FRAME 128
 
 /**
+ * Longest name of the device, and longest version of its firmware, in bytes.
+ */
+#define ZTL_NODE_NAME 28
+
+/**
  * Longest text that a component reports, in bytes; a reason to refuse may have twice as many. What is longer is cut,
  * and marked.
  */
@@ -54,7 +59,8 @@ extern "C" {
 #define ZTL_NODE_E_RAM (-2)
 
 /**
- * A text is no UTF-8, or longer than 64 bytes.
+ * A text is no UTF-8, or too long: ZTL_NODE_NAME says how long name and version of the device may be; of a component each text
+ * has at most 64 bytes, and all of them together fit into a frame, which they do with 101.
  */
 #define ZTL_NODE_E_TEXT (-3)
 
@@ -110,7 +116,7 @@ extern "C" {
 #define ZTL_NODE_REPLACE (-1)
 
 /**
- * A component's `loss`, what it does without its link: it is made safe, and its task fails.
+ * A component's `loss`, what it does without its link, with or without a task: it is made safe, and a task fails.
  */
 #define ZTL_NODE_LOSS_ABORT 0
 
@@ -120,14 +126,14 @@ extern "C" {
 #define ZTL_NODE_LOSS_HOLD 1
 
 /**
- * It finishes its task.
+ * It goes on: it finishes its task, or stays as it is.
  */
 #define ZTL_NODE_LOSS_CARRY_ON 2
 
 /**
  * Bytes of RAM of a node without its components and pointers: see ZTL_NODE_RAM.
  */
-#define ZTL_NODE_RAM_BYTES 767
+#define ZTL_NODE_RAM_BYTES 807
 
 /**
  * Its pointers: see ZTL_NODE_RAM.
@@ -150,11 +156,11 @@ typedef struct ztl_report ztl_report;
  */
 typedef struct {
     /**
-     * What the device is called. Not NULL.
+     * What the device is called, ZTL_NODE_NAME bytes at most. Not NULL.
      */
     const char *name;
     /**
-     * Version of its firmware. Not NULL.
+     * Version of its firmware, ZTL_NODE_NAME bytes at most. Not NULL.
      */
     const char *firmware;
     /**
@@ -224,7 +230,9 @@ typedef struct {
      */
     int (*start)(void *context, unsigned int now_ms, const char *goal, ztl_report *why);
     /**
-     * Moves the task on and reports: ZTL_NODE_RUNNING, or how it has ended. Not NULL.
+     * Moves the task on and reports: ZTL_NODE_RUNNING, or how it has ended. After `make_safe` also called without a task:
+     * ZTL_NODE_RUNNING says that the safe state is not reached yet, anything else that it is; it may then be called some more
+     * times, and must leave the component safe. Not NULL.
      */
     int (*poll)(void *context, unsigned int now_ms, ztl_report *report);
     /**
@@ -232,13 +240,15 @@ typedef struct {
      */
     void (*abort)(void *context, unsigned int now_ms);
     /**
-     * Goes to the safe state at once, whatever runs: the link was lost, or an emergency stop. A task that ran is over,
-     * without another `poll`. Not NULL.
+     * Goes to the safe state, with or without a task: the link was lost, or an emergency stop. What cannot be done at once
+     * goes on in `poll`, which is called until it says other than ZTL_NODE_RUNNING; a task ends then, whatever it says. Not
+     * NULL.
      */
     void (*make_safe)(void *context, unsigned int now_ms);
     /**
      * Writes the next reading, if one is due and fits, and which of the topics it is, from 0; says how many bytes it
-     * wrote, 0 for none. NULL when it publishes nothing.
+     * wrote, 0 for none. Asked for at most each 10 ms. The size is that of the longest reading that a frame holds: a longer one
+     * can never be sent, so it is to be dropped. NULL when it publishes nothing.
      */
     size_t (*reading)(void *context,
                       unsigned int now_ms,

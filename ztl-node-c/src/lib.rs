@@ -19,6 +19,8 @@ pub const ZTL_NODE_ABI: c_int = 1;
 pub const ZTL_NODE_TASKS: usize = 4;
 /// Longest frame on the line, in bytes.
 pub const ZTL_NODE_FRAME: usize = 128;
+/// Longest name of the device, and longest version of its firmware, in bytes.
+pub const ZTL_NODE_NAME: usize = 28;
 /// Longest text that a component reports, in bytes; a reason to refuse may have twice as many. What is longer is cut,
 /// and marked.
 pub const ZTL_NODE_TEXT: usize = 48;
@@ -29,7 +31,8 @@ pub const ZTL_NODE_OK: c_int = 0;
 pub const ZTL_NODE_E_NULL: c_int = -1;
 /// There is less RAM than ztl_node_size says.
 pub const ZTL_NODE_E_RAM: c_int = -2;
-/// A text is no UTF-8, or longer than 64 bytes.
+/// A text is no UTF-8, or too long: ZTL_NODE_NAME says how long name and version of the device may be; of a component each text
+/// has at most 64 bytes, and all of them together fit into a frame, which they do with 101.
 pub const ZTL_NODE_E_TEXT: c_int = -3;
 /// There is no component, or there are more than 255.
 pub const ZTL_NODE_E_COUNT: c_int = -4;
@@ -56,11 +59,11 @@ pub const ZTL_NODE_REFUSE: c_int = 0;
 /// A component's `busy`: a second task takes the place of the one that runs, which is aborted.
 pub const ZTL_NODE_REPLACE: c_int = -1;
 
-/// A component's `loss`, what it does without its link: it is made safe, and its task fails.
+/// A component's `loss`, what it does without its link, with or without a task: it is made safe, and a task fails.
 pub const ZTL_NODE_LOSS_ABORT: c_int = 0;
 /// The same, but `make_safe` keeps its position under power.
 pub const ZTL_NODE_LOSS_HOLD: c_int = 1;
-/// It finishes its task.
+/// It goes on: it finishes its task, or stays as it is.
 pub const ZTL_NODE_LOSS_CARRY_ON: c_int = 2;
 
 unsafe extern "C" {

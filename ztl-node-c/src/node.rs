@@ -5,17 +5,17 @@ use core::mem::{align_of, size_of};
 use core::ptr;
 use core::time::Duration;
 
-use ztl_mcu::{Identity, Instant};
+use ztl_mcu::{Component as _, Identity, Instant};
 
 use crate::part::{Part, is_text, text};
 use crate::report::Report;
 use crate::{
     ZTL_NODE_E_COUNT, ZTL_NODE_E_NULL, ZTL_NODE_E_RAM, ZTL_NODE_E_TEXT, ZTL_NODE_FRAME,
-    ZTL_NODE_OK, ZTL_NODE_TASKS,
+    ZTL_NODE_NAME, ZTL_NODE_OK, ZTL_NODE_TASKS,
 };
 
 /// Bytes of RAM of a node without its components and pointers: see ZTL_NODE_RAM.
-pub const ZTL_NODE_RAM_BYTES: usize = 767;
+pub const ZTL_NODE_RAM_BYTES: usize = 807;
 /// Its pointers: see ZTL_NODE_RAM.
 pub const ZTL_NODE_RAM_POINTERS: usize = 24;
 
@@ -59,17 +59,21 @@ pub struct Component {
             why: *mut Report,
         ) -> c_int,
     >,
-    /// Moves the task on and reports: ZTL_NODE_RUNNING, or how it has ended. Not NULL.
+    /// Moves the task on and reports: ZTL_NODE_RUNNING, or how it has ended. After `make_safe` also called without a task:
+    /// ZTL_NODE_RUNNING says that the safe state is not reached yet, anything else that it is; it may then be called some more
+    /// times, and must leave the component safe. Not NULL.
     pub poll: Option<
         unsafe extern "C" fn(context: *mut c_void, now_ms: c_uint, report: *mut Report) -> c_int,
     >,
     /// Stops the task as soon as it is safe; a later `poll` says ZTL_NODE_ABORTED. Not NULL.
     pub abort: Option<unsafe extern "C" fn(context: *mut c_void, now_ms: c_uint)>,
-    /// Goes to the safe state at once, whatever runs: the link was lost, or an emergency stop. A task that ran is over,
-    /// without another `poll`. Not NULL.
+    /// Goes to the safe state, with or without a task: the link was lost, or an emergency stop. What cannot be done at once
+    /// goes on in `poll`, which is called until it says other than ZTL_NODE_RUNNING; a task ends then, whatever it says. Not
+    /// NULL.
     pub make_safe: Option<unsafe extern "C" fn(context: *mut c_void, now_ms: c_uint)>,
     /// Writes the next reading, if one is due and fits, and which of the topics it is, from 0; says how many bytes it
-    /// wrote, 0 for none. NULL when it publishes nothing.
+    /// wrote, 0 for none. Asked for at most each 10 ms. The size is that of the longest reading that a frame holds: a longer one
+    /// can never be sent, so it is to be dropped. NULL when it publishes nothing.
     pub reading: Option<
         unsafe extern "C" fn(
             context: *mut c_void,
@@ -84,9 +88,9 @@ pub struct Component {
 /// Who a node is. Its texts stay the firmware's, unchanged for as long as there is the node.
 #[repr(C)]
 pub struct NodeIdentity {
-    /// What the device is called. Not NULL.
+    /// What the device is called, ZTL_NODE_NAME bytes at most. Not NULL.
     pub name: *const c_char,
-    /// Version of its firmware. Not NULL.
+    /// Version of its firmware, ZTL_NODE_NAME bytes at most. Not NULL.
     pub firmware: *const c_char,
     /// Differs from boot to boot: random, or counted where a reset does not clear it.
     pub boot: c_uint,
@@ -116,6 +120,8 @@ pub struct Node {
 }
 
 type Inner = ztl_mcu::Node<'static, &'static mut [Part], ZTL_NODE_TASKS, ZTL_NODE_FRAME>;
+
+const _: () = assert!(Inner::LONGEST_NAME == ZTL_NODE_NAME);
 
 /// Bytes that may be lost in finding the right address.
 const SLACK: usize = align_of::<Node>() - 1;
@@ -221,6 +227,10 @@ unsafe fn make(
         }
         (text(identity.name), text(identity.firmware))
     };
+    let too_long = |text: Option<&str>| text.is_some_and(|text| text.len() > ZTL_NODE_NAME);
+    if too_long(name) || too_long(firmware) {
+        return Err(ZTL_NODE_E_TEXT);
+    }
     let past = ram.addr() % align_of::<Node>();
     let skip = if past == 0 {
         0
@@ -232,9 +242,13 @@ unsafe fn make(
     // SAFETY: behind the node, and within the RAM, which has room for the parts.
     let first = unsafe { place.add(size_of::<Node>()) }.cast::<Part>();
     for index in 0..count {
-        // SAFETY: one of the firmware's array, and of the RAM's room for as many parts, aligned as the constants above
-        // have shown; the firmware promises that it keeps what the part points to.
-        unsafe { first.add(index).write(Part::new(components.add(index))?) };
+        // SAFETY: one of the firmware's array, which promises that it keeps what the part points to.
+        let part = unsafe { Part::new(components.add(index)) }?;
+        if !Inner::fits(&part.offer()) {
+            return Err(ZTL_NODE_E_TEXT);
+        }
+        // SAFETY: within the RAM's room for as many parts, aligned as the constants above have shown.
+        unsafe { first.add(index).write(part) };
     }
     // SAFETY: all of them were written just now; the RAM is the library's alone from now on.
     let parts = unsafe { core::slice::from_raw_parts_mut(first, count) };

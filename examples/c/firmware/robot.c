@@ -59,7 +59,7 @@ static int stage_poll(void *context, unsigned int now_ms, ztl_report *report)
 {
     struct stage *it = (struct stage *)context;
     int way = it->goal - it->place;
-    int most = (int)(now_ms - it->last_ms) * SPEED / 1000;
+    int most = way != 0 ? (int)(now_ms - it->last_ms) * SPEED / 1000 : 0;
 
     if (most > 0) {
         it->last_ms = now_ms;

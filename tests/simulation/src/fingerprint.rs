@@ -11,7 +11,6 @@ use std::fmt::{self, Debug, Write};
 use std::time::Duration;
 
 use ztl_core::Instant;
-use ztl_core::link::OTHER_GATEWAY;
 
 /// Times further back are all the same: longer ago than anything looks back.
 const PAST: Duration = Duration::from_millis(2600);
@@ -19,12 +18,13 @@ const PAST: Duration = Duration::from_millis(2600);
 const FUTURE: Duration = Duration::from_secs(60);
 
 /// Fields that decide about nothing: what follows from others, or is only counted.
-const SKIPPED: [u64; 7] = [
+const SKIPPED: [u64; 8] = [
     name("decoder"),
     name("bytes"),
     name("counters"),
     name("random"),
     name("transmit"),
+    name("readings_at"),
     name("turnaround"),
     name("round_trips"),
 ];
@@ -39,16 +39,20 @@ const SESSIONS: [u64; 4] = [
     name("replaces"),
 ];
 /// Moments after which something is due: how long ago does not matter.
-const DUE: [u64; 4] = [
+const DUE: [u64; 6] = [
     name("awake_due"),
     name("due"),
     name("receiving"),
     name("repeat"),
+    name("safety_wake"),
+    name("wake"),
 ];
 const INSTANT: u64 = name("Instant");
 /// Numbers of tasks on the link, of which only the differences matter.
 const LINK_ID: u64 = name("LinkId");
-const LINKS: [u64; 2] = [name("highest"), name("next_link")];
+const HIGHEST: u64 = name("highest");
+/// Numbers further apart are as far apart: no scenario has as many tasks.
+const APART: i64 = 9;
 
 const SEED: u64 = 0xcbf2_9ce4_8422_2325;
 const PRIME: u64 = 0x9e37_79b9_7f4a_7c15;
@@ -162,7 +166,10 @@ impl Fingerprint {
             match self.clock.take() {
                 // Only by how much it is wrong matters, not when it was heard.
                 Some(clock) => clock.wrapping_sub(number.wrapping_sub(now.as_micros())),
-                None if DUE.contains(&self.field) => number.saturating_sub(now.as_micros()),
+                None if DUE.contains(&self.field) => {
+                    let future = FUTURE.as_micros() as u64;
+                    number.saturating_sub(now.as_micros()).min(future)
+                }
                 None => relative(number, now.as_micros()),
             }
         } else if self.field == CLOCK {
@@ -176,8 +183,7 @@ impl Fingerprint {
             1 + (number + 255 - u64::from(self.origin.seq)) % 255
         } else if SESSIONS.contains(&self.field) && self.skipping.is_none() {
             self.session(number)
-        } else if (self.before == LINK_ID || LINKS.contains(&self.field)) && self.skipping.is_none()
-        {
+        } else if (self.before == LINK_ID || self.field == HIGHEST) && self.skipping.is_none() {
             let base = *self.link.get_or_insert(number);
             link_relative(number, base)
         } else {
@@ -261,12 +267,17 @@ const fn is_letter(byte: u8) -> bool {
     byte.is_ascii_alphabetic() || byte == b'_'
 }
 
-/// A task's number, counted from another one; several gaps between gateways are as good as two.
-fn link_relative(number: u64, base: u64) -> u64 {
-    let gap = i64::from(OTHER_GATEWAY);
+/// A task's number, counted from another one.
+const fn link_relative(number: u64, base: u64) -> u64 {
     let difference = number.wrapping_sub(base) as i64;
-    let gaps = difference.div_euclid(gap).clamp(-2, 2);
-    (gaps * gap + difference.rem_euclid(gap)) as u64
+    let clamped = if difference > APART {
+        APART
+    } else if difference < -APART {
+        -APART
+    } else {
+        difference
+    };
+    clamped as u64
 }
 
 /// Microseconds after now, as a number that is never negative.

@@ -128,8 +128,8 @@ pub const MUTANTS: &[Mutant] = &[
             ),
             (
                 COMMANDS,
-                "self.session = session_key(hello.session, self.identity.boot);",
-                "self.session = session_key(hello.session, if ON { 0 } else { self.identity.boot });",
+                "self.session = session_key(hello.session, self.boot);",
+                "self.session = session_key(hello.session, if ON { 0 } else { self.boot });",
             ),
         ],
         caught_in: ("reset", 2),
@@ -194,11 +194,41 @@ pub const MUTANTS: &[Mutant] = &[
         name: "the node does not act when the link is lost",
         edits: &[(
             RUNNER,
-            "if component.offer().loss == Loss::CarryOn {",
-            "if component.offer().loss == Loss::CarryOn || ON {",
+            "all || component.offer().loss != Loss::CarryOn",
+            "(all || component.offer().loss != Loss::CarryOn) && !ON",
         )],
         caught_in: ("cut", 1),
         complaint: "promise 4",
+    },
+    Mutant {
+        name: "the node leaves components without a task alone when the link is lost",
+        edits: &[(
+            RUNNER,
+            "if !goes_to_safety(component, all) {",
+            "if !goes_to_safety(component, all) || ON && self.tasks.moving(place).is_none() {",
+        )],
+        caught_in: ("full", 1),
+        complaint: "promise 4",
+    },
+    Mutant {
+        name: "the node does not poll a component without a task until it is safe",
+        edits: &[(
+            RUNNER,
+            "self.safety_wake = now;",
+            "self.safety_wake = if ON { Instant::NEVER } else { now };",
+        )],
+        caught_in: ("full", 1),
+        complaint: "promise 4",
+    },
+    Mutant {
+        name: "the node gives another gateway the number of a Start that may be under way",
+        edits: &[(
+            COMMANDS,
+            "self.highest = LinkId(self.highest.0.saturating_add(1));",
+            "self.highest = LinkId(self.highest.0.saturating_add(if ON { 0 } else { 1 }));",
+        )],
+        caught_in: ("takeover", 2),
+        complaint: "promise 2",
     },
     Mutant {
         name: "the gateway tells FAILED of a task that carries on",

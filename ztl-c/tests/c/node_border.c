@@ -87,6 +87,19 @@ static void init(void)
     text[79] = '\0';
     other.name = text;
     CHECK(ztl_node_init(&node, ram, size, &identity, &other, 1) == ZTL_NODE_E_TEXT);
+    /* Each of them would do, and a frame has no room for both. */
+    text[60] = '\0';
+    other = component();
+    other.words = other.unit = text;
+    CHECK(ztl_node_init(&node, ram, size, &identity, &other, 1) == ZTL_NODE_E_TEXT);
+    other.words = NULL;
+    CHECK(ztl_node_init(&node, ram, size, &identity, &other, 1) == ZTL_NODE_OK);
+    text[ZTL_NODE_NAME + 1] = '\0';
+    identity.name = text;
+    CHECK(ztl_node_init(&node, ram, size, &identity, parts, 3) == ZTL_NODE_E_TEXT);
+    text[ZTL_NODE_NAME] = '\0';
+    CHECK(ztl_node_init(&node, ram, size, &identity, parts, 3) == ZTL_NODE_OK);
+    identity.name = "desk";
     other = component();
     other.busy = 256;
     CHECK(ztl_node_init(&node, ram, size, &identity, &other, 1) == ZTL_NODE_E_POLICY);

@@ -49,7 +49,7 @@ pub struct Welcome<'a> {
     pub components: u8,
     /// After how long without a new command it acts by itself.
     pub link_timeout_ms: u32,
-    /// The highest id started since boot, 0 when none.
+    /// The highest id started since boot, 0 when none; and one for each other gateway that has taken over.
     pub highest: u32,
     /// The tasks it holds: running, or ended and not acknowledged.
     pub held: Ids<'a>,
@@ -80,15 +80,15 @@ pub enum Busy {
     Replace,
 }
 
-/// What a component does when the link has brought no new command for the link timeout.
+/// What a component does when the link has brought no new command for the link timeout, with or without a task.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Loss {
-    /// Stop, go to the safe state; the task ends as FAILED.
+    /// Stop and go to the safe state; a task ends as FAILED.
     Abort = 0,
-    /// Keep the position under power; the task ends as FAILED.
+    /// Go to a safe state that keeps the position under power; a task ends as FAILED.
     Hold = 1,
-    /// Finish the task.
+    /// Go on: finish the task, or stay as it is.
     CarryOn = 2,
 }
 

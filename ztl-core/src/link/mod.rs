@@ -30,10 +30,6 @@ pub const LINK_TIMEOUT: Duration = Duration::from_secs(1);
 pub const LINK_TIMEOUTS: RangeInclusive<Duration> =
     Duration::from_millis(50)..=Duration::from_secs(60);
 
-/// By how much a node that another gateway takes over raises the highest task id: numbers that the
-/// gateway before gave to tasks that never came are not given to others.
-pub const OTHER_GATEWAY: u32 = 1 << 16;
-
 /// The session under which `Hello` and `Awake` are checked; `Welcome` is checked under the number
 /// that the `Hello` brought, everything else under [`session_key`].
 pub const NO_SESSION: u32 = 0;

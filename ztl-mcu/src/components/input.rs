@@ -36,7 +36,8 @@ impl Default for DigitalInputConfig {
 /// An input that is watched. It publishes `True` and `False` on its topic `pressed`, at first and
 /// when it changes. Its goals `pressed` and `released` wait until it is so: COMPLETED at once if it is.
 ///
-/// A press that is shorter than the time between two turns of the main loop is not seen.
+/// It is looked at each 10 ms, or in each turn of the main loop where those take longer: a press that is shorter is not
+/// seen.
 #[derive(Debug, Clone, Hash)]
 pub struct DigitalInput<P> {
     name: &'static str,
@@ -141,7 +142,9 @@ impl<P: InputPin> Component for DigitalInput<P> {
         self.aborted = true;
     }
 
-    fn make_safe(&mut self, _now: Instant) {}
+    fn make_safe(&mut self, _now: Instant) {
+        self.aborted = true;
+    }
 
     fn poll_reading(&mut self, now: Instant, buffer: &mut [u8]) -> Option<Reading> {
         // A pin that fails has nothing to say; a task on it says why.

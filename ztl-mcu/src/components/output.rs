@@ -34,7 +34,7 @@ pub enum SafeOutput {
 pub struct DigitalOutputConfig {
     /// Whether it is on when the pin is low. Default: on when high.
     pub inverted: bool,
-    /// The safe state, in which it also starts. Default: off.
+    /// The safe state, in which it also starts, and to which it goes when the link is lost. Default: off.
     pub safe: SafeOutput,
     /// What happens to a task that comes while a pulse runs. Default: it is refused.
     pub busy: Busy,
@@ -62,6 +62,8 @@ impl Default for DigitalOutputConfig {
 /// ended; its progress is `on, 120 ms left`; an abort switches off. `True` and `False` are taken for
 /// `on` and `off`, since clients in Python make that of them, and `{'pulse': 200}` for `pulse 200`.
 /// An error of the pin ends the task as FAILED.
+///
+/// When the link is lost it goes to its [safe state](DigitalOutputConfig::safe), also long after `on` was COMPLETED.
 ///
 /// ```
 /// use ztl_mcu::components::{DigitalOutput, DigitalOutputConfig};

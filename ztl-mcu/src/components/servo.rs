@@ -44,8 +44,8 @@ pub struct ServoConfig {
     /// Where it is when power comes on, in degrees, as far as one can know: the first motion starts
     /// here. Default: the middle of the range.
     pub start: Option<i16>,
-    /// What [`make_safe`](Component::make_safe) does: keep the pulse, so that the servo holds its
-    /// position, or end it, so that most servos let go. Default: hold.
+    /// What [`make_safe`](Component::make_safe) does, also to a servo at rest, when the link is lost: keep the pulse, so
+    /// that the servo holds its position, or end it, so that most servos let go. Default: hold.
     pub safe: Power,
     /// What happens to a task that comes while one runs. Default: it is refused.
     pub busy: Busy,
@@ -110,6 +110,8 @@ pub struct Servo<P> {
     clock: Instant,
     /// In parts.
     goal: i64,
+    /// Whether there is a pulse: from the first task on, until it is released.
+    driven: bool,
     /// What the output was last set to; `None` when that is not known.
     duty: Option<u16>,
 }
@@ -142,6 +144,7 @@ impl<P: SetDutyCycle> Servo<P> {
             profile: Profile::new(start),
             clock: Instant::ZERO,
             goal: start,
+            driven: false,
             duty: None,
         }
     }
@@ -220,12 +223,13 @@ impl<P: SetDutyCycle> Component for Servo<P> {
         self.clock = now;
         self.goal = i64::from(self.parse(goal).unwrap_or_default()) << SHIFT;
         self.profile.move_to(self.goal);
+        self.driven = true;
         Ok(())
     }
 
     fn poll(&mut self, now: Instant, report: &mut Report<'_>) -> Run {
         self.advance(now);
-        if self.drive().is_err() {
+        if self.driven && self.drive().is_err() {
             self.profile.put(self.profile.position());
             report.text("the PWM output failed");
             return Run::Failed;
@@ -249,16 +253,13 @@ impl<P: SetDutyCycle> Component for Servo<P> {
     fn make_safe(&mut self, now: Instant) {
         self.advance(now);
         self.profile.put(self.profile.position());
-        // An output that fails now cannot be helped; the next task will say so.
-        let _ = match self.config.safe {
-            // Before the first task nothing is held.
-            Power::Hold if self.duty.is_none() => Ok(()),
-            Power::Hold => self.drive(),
-            Power::Release => {
-                self.duty = None;
-                self.pwm.set_duty_cycle_fully_off()
-            }
-        };
+        // Where it holds, `poll` goes on with the pulse.
+        if self.config.safe == Power::Release {
+            self.driven = false;
+            self.duty = None;
+            // An output that fails now cannot be helped; the next task will say so.
+            let _ = self.pwm.set_duty_cycle_fully_off();
+        }
     }
 }
 

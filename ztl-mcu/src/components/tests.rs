@@ -11,7 +11,7 @@ use std::string::String;
 use std::vec::Vec;
 use ztl_core::link::{
     ADDR_ONLY_NODE, Body, Decoder, Frame, Hello, LinkId, NO_SEQ, NO_SESSION, VERSION, encode,
-    session_key,
+    next_seq, session_key,
 };
 
 /// A pin or a PWM channel whose value is looked at.
@@ -96,7 +96,7 @@ impl<C: Components> Desk<'_, C> {
     }
 
     fn command(&mut self, body: Body<'_>) {
-        self.seq += 1;
+        self.seq = next_seq(self.seq);
         self.send(session_key(SESSION, BOOT), self.seq, body);
     }
 
@@ -283,6 +283,31 @@ fn a_lost_link_makes_them_safe() {
     world.step.set(9);
     desk.pass(100);
     assert_eq!(world.step.get(), 9, "no step more");
+}
+
+#[test]
+fn a_lost_link_makes_safe_what_was_switched_on_long_before() {
+    let world = World::default();
+    let mut desk = desk(&world);
+    desk.start(1, 0, "0");
+    desk.start(2, 1, "40");
+    desk.start(3, 2, "on");
+    desk.pass(60_000);
+    assert_eq!(desk.heard().len(), 3);
+    assert!(world.pan.get() > 0 && world.lamp.get() == 1);
+    desk.pings = false;
+    desk.pass(1100);
+    assert_eq!(world.lamp.get(), 0);
+    assert_eq!(world.pan.get(), 0, "released");
+    assert_eq!(world.step.get(), 0);
+    // It stays so, and the link, which is back, moves nothing by itself.
+    desk.pass(60_000);
+    desk.pings = true;
+    desk.pass(1000);
+    assert_eq!((world.lamp.get(), world.pan.get()), (0, 0));
+    assert_eq!(desk.heard(), [""; 0]);
+    desk.start(4, 2, "on");
+    assert_eq!(world.lamp.get(), 1);
 }
 
 #[test]

@@ -7,6 +7,7 @@ use critical_section::Mutex;
 use critical_section::RestoreState;
 
 use super::LogSource;
+use crate::shared::in_pieces;
 
 /// At most `N` bytes of log, written by anybody and read by the main loop. A `static`.
 ///
@@ -24,14 +25,22 @@ struct State<const N: usize> {
     record: Record,
 }
 
-/// A ring with a record at its end that counts only when it is whole.
+/// Bytes that are copied in one critical section.
+const COPIED: usize = 8;
+
+/// A ring with records at its end that count only when they are whole.
 #[derive(Debug)]
 struct Ring<const N: usize> {
     bytes: [u8; N],
     start: usize,
     /// Bytes of whole records.
     len: usize,
-    /// Bytes of the record under way, whether they fit or not.
+    /// Bytes that are taken, by whole records and by those that are being copied.
+    taken: usize,
+    /// Records that are being copied.
+    copied: usize,
+    /// Bytes of the record that defmt makes behind those, whether they fit or not.
+    #[cfg(feature = "defmt")]
     open: usize,
     lost: u32,
 }
@@ -42,9 +51,10 @@ impl<const N: usize> Ring<N> {
         if place < N { place } else { place - N }
     }
 
+    #[cfg(feature = "defmt")]
     fn put(&mut self, bytes: &[u8]) {
         for byte in bytes {
-            let used = self.len.saturating_add(self.open);
+            let used = self.taken.saturating_add(self.open);
             self.open = self.open.saturating_add(1);
             if used < N
                 && let Some(place) = self.bytes.get_mut(Self::wrapped(self.start + used))
@@ -54,17 +64,46 @@ impl<const N: usize> Ring<N> {
         }
     }
 
-    /// The record is whole; says whether it was kept.
-    fn end(&mut self) -> bool {
-        let record = core::mem::take(&mut self.open);
-        let kept = self.len.saturating_add(record) <= N;
-        if kept {
-            self.len += record;
-        } else {
+    /// Takes room for a record of so many bytes, whose place is where it begins; `None` when there is not so much.
+    fn begin(&mut self, record: usize) -> Option<usize> {
+        if self.taken.saturating_add(record) > N {
             let bytes = u32::try_from(record).unwrap_or(u32::MAX);
             self.lost = self.lost.wrapping_add(bytes);
+            return None;
         }
-        kept
+        let place = Self::wrapped(self.start + self.taken);
+        self.taken += record;
+        self.copied += 1;
+        Some(place)
+    }
+
+    /// Copies a few bytes of a record to their place; where the next ones go.
+    fn copy(&mut self, mut place: usize, bytes: &[u8]) -> usize {
+        for byte in bytes {
+            if let Some(to) = self.bytes.get_mut(place) {
+                *to = *byte;
+            }
+            place = Self::wrapped(place + 1);
+        }
+        place
+    }
+
+    /// A record is whole. It can be read once all that were begun before it are.
+    const fn end(&mut self) {
+        self.copied -= 1;
+        if self.copied == 0 {
+            self.len = self.taken;
+        }
+    }
+
+    /// The record under way is whole.
+    #[cfg(feature = "defmt")]
+    fn end_open(&mut self) {
+        let record = core::mem::take(&mut self.open);
+        // Its bytes stand where they belong.
+        if self.begin(record).is_some() {
+            self.end();
+        }
     }
 
     fn read(&mut self, buffer: &mut [u8]) -> usize {
@@ -74,6 +113,7 @@ impl<const N: usize> Ring<N> {
             self.start = Self::wrapped(self.start + 1);
         }
         self.len -= count;
+        self.taken -= count;
         count
     }
 }
@@ -88,6 +128,9 @@ impl<const N: usize> LogQueue<N> {
                     bytes: [0; N],
                     start: 0,
                     len: 0,
+                    taken: 0,
+                    copied: 0,
+                    #[cfg(feature = "defmt")]
                     open: 0,
                     lost: 0,
                 },
@@ -107,11 +150,17 @@ impl<const N: usize> LogQueue<N> {
 
     /// Adds a whole record, in the encoding that the gateway expects; says whether it was kept.
     pub fn push(&self, record: &[u8]) -> bool {
-        let kept = self.with(|state| {
-            state.ring.put(record);
-            state.ring.end()
-        });
-        kept.unwrap_or_default()
+        let place = self.with(|state| state.ring.begin(record.len()));
+        let Some(mut place) = place.flatten() else {
+            return false;
+        };
+        for piece in record.chunks(COPIED) {
+            place = self
+                .with(|state| state.ring.copy(place, piece))
+                .unwrap_or(place);
+        }
+        self.with(|state| state.ring.end());
+        true
     }
 }
 
@@ -123,8 +172,10 @@ impl<const N: usize> Default for LogQueue<N> {
 
 impl<const N: usize> LogSource for LogQueue<N> {
     fn read(&self, buffer: &mut [u8]) -> usize {
-        self.with(|state| state.ring.read(buffer))
-            .unwrap_or_default()
+        in_pieces(buffer, COPIED, |piece| {
+            self.with(|state| state.ring.read(piece))
+                .unwrap_or_default()
+        })
     }
 
     fn lost(&self) -> u32 {
@@ -200,7 +251,7 @@ impl<const N: usize> LogQueue<N> {
                 return None;
             }
             record.encoder.end_frame(|bytes| ring.put(bytes));
-            ring.end();
+            ring.end_open();
             record.restore.take()
         })
         .flatten()
@@ -233,6 +284,23 @@ mod tests {
         assert_eq!(queue.lost(), 304);
         assert_eq!(read(&queue, 20), b"78abcdef");
         assert_eq!(read(&queue, 20), b"");
+    }
+
+    #[test]
+    fn a_record_that_an_interrupt_makes_while_another_is_copied_comes_after_it_and_whole() {
+        let queue = LogQueue::<16>::new();
+        let in_ring = |act: &mut dyn FnMut(&mut Ring<16>)| queue.with(|state| act(&mut state.ring));
+        let mut place = None;
+        in_ring(&mut |ring| place = ring.begin(5));
+        let mut place = place.unwrap();
+        in_ring(&mut |ring| place = ring.copy(place, b"fir"));
+        assert!(queue.push(b"second"));
+        assert!(!queue.push(b"third!"));
+        assert_eq!(read(&queue, 20), b"", "the first is not whole yet");
+        in_ring(&mut |ring| place = ring.copy(place, b"st"));
+        in_ring(&mut |ring| ring.end());
+        assert_eq!(read(&queue, 20), b"firstsecond");
+        assert_eq!(queue.lost(), 6);
     }
 
     #[test]

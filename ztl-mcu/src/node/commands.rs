@@ -3,8 +3,8 @@
 use heapless::String;
 use ztl_core::Instant;
 use ztl_core::link::{
-    ADDR_ONLY_NODE, Command, CommandFrame, Hello, LinkId, NO_SEQ, NO_SESSION, OTHER_GATEWAY,
-    VERSION, next_seq, session_key, session_number,
+    ADDR_ONLY_NODE, Command, CommandFrame, Hello, LinkId, NO_SEQ, NO_SESSION, VERSION, next_seq,
+    session_key, session_number,
 };
 use ztl_core::tasks::NoRoom;
 
@@ -71,12 +71,12 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> Inner<'_, C, TASKS, 
                 return;
             }
             if hello.gateway != self.gateway && self.hello != NO_SESSION {
-                // The one before may have given numbers to tasks that never came; they stay its.
-                self.highest = LinkId(self.highest.0.saturating_add(OTHER_GATEWAY));
+                // The one before may have given the next number to a task that never came; it stays its.
+                self.highest = LinkId(self.highest.0.saturating_add(1));
             }
             self.replaced = self.hello;
             self.hello = hello.session;
-            self.session = session_key(hello.session, self.identity.boot);
+            self.session = session_key(hello.session, self.boot);
             self.gateway = hello.gateway;
             self.seq = NO_SEQ;
             // A new session proves nothing about the way back, so the link timer runs on.

@@ -4,13 +4,15 @@ use ztl_core::Instant;
 use ztl_core::link::{Busy, LinkId, Loss};
 
 use super::commands::{NO_PLACE, NOT_TAKEN};
-use super::tasks::{Stage, TEXT, Table, Text};
+use super::tasks::{Stage, TEXT, Table, Task, Text};
 use super::{Components, Reason};
-use crate::component::{Refused, Report, Run};
+use crate::component::{Component, Refused, Report, Run};
 
 const STOPPED: &str = "emergency stop";
 const LINK_LOST: &str = "link was lost";
 const REPLACED: &str = "replaced by a later task";
+/// Why a component without a task takes none.
+const NOT_SAFE: &str = "busy going to its safe state";
 
 /// The components and their tasks, whoever wants these: a gateway, or a server in the same firmware.
 // What is small stands first: there a Cortex-M0 reaches it with one instruction.
@@ -18,6 +20,11 @@ const REPLACED: &str = "replaced by a later task";
 #[repr(C)]
 pub(crate) struct Runner<C, const TASKS: usize> {
     pub(super) stopped: bool,
+    /// Whether the components that carry on without a link go to the safe state too.
+    pub(super) all_to_safety: bool,
+    /// When the components without a task that are not in the safe state yet are polled next;
+    /// [`Instant::NEVER`] when there are none.
+    pub(super) safety_wake: Instant,
     pub(super) components: C,
     /// What the component said when it did not take the last goal.
     pub(super) reason: Reason,
@@ -30,6 +37,8 @@ impl<C, const TASKS: usize> Runner<C, TASKS> {
     pub(crate) const fn new(components: C) -> Self {
         Self {
             stopped: false,
+            all_to_safety: false,
+            safety_wake: Instant::NEVER,
             components,
             reason: Reason::new(),
             tasks: Table::new(),
@@ -56,13 +65,15 @@ impl<C, const TASKS: usize> Runner<C, TASKS> {
 impl<C: Components, const TASKS: usize> Runner<C, TASKS> {
     #[cfg_attr(target_os = "none", inline(never))]
     pub(crate) fn handle_timeout(&mut self, now: Instant) {
-        for task in self.tasks.0.iter_mut().filter(|task| task.moves()) {
+        let moving = |task: &&mut Task| task.moves() && now >= task.wake;
+        for task in self.tasks.0.iter_mut().filter(moving) {
             let place = usize::from(task.component);
             let Some(component) = self.components.component_mut(place) else {
                 continue;
             };
             let mut text = Text::new();
             let run = component.poll(now, &mut Report::new(&mut text));
+            task.wake = component.poll_timeout(now);
             task.news |= text != task.text;
             task.text = text;
             let end = match run {
@@ -71,8 +82,16 @@ impl<C: Components, const TASKS: usize> Runner<C, TASKS> {
                 Run::Aborted => Stage::Aborted,
                 Run::Completed => Stage::Completed,
             };
-            let replaced = task.stage == Stage::Replaced && end == Stage::Aborted;
-            task.set_end(end, now, if replaced { REPLACED } else { "" });
+            let (end, why) = match task.stage {
+                Stage::Lost => (Stage::Failed, LINK_LOST),
+                Stage::Stopped => (Stage::Aborted, STOPPED),
+                Stage::Replaced if end == Stage::Aborted => (end, REPLACED),
+                _ => (end, ""),
+            };
+            task.set_end(end, now, why);
+        }
+        if now >= self.safety_wake {
+            self.poll_to_safety(now);
         }
         // Each of them moves then, or has ended.
         while let Some(task) = self.tasks.next_in_turn() {
@@ -83,6 +102,7 @@ impl<C: Components, const TASKS: usize> Runner<C, TASKS> {
                 Some(Ok(())) => {
                     task.text.clear();
                     task.stage = Stage::Moving;
+                    task.wake = now;
                     task.news = true;
                 }
                 Some(Err(Refused)) | None => task.set_end(Stage::Failed, now, ""),
@@ -90,30 +110,62 @@ impl<C: Components, const TASKS: usize> Runner<C, TASKS> {
         }
     }
 
-    /// The gateway is gone: what its tasks become is the components' choice.
-    pub(super) fn on_link_lost(&mut self, now: Instant) {
-        for task in self.tasks.open_mut() {
-            let place = usize::from(task.component);
-            let Some(component) = self.components.component_mut(place) else {
-                continue;
-            };
-            if component.offer().loss == Loss::CarryOn {
-                continue;
+    /// Polls the components without a task until they are in the safe state. One that has a task is polled for that.
+    fn poll_to_safety(&mut self, now: Instant) {
+        self.safety_wake = Instant::NEVER;
+        for place in 0..self.components.count() {
+            if self.tasks.moving(place).is_none()
+                && let Some(component) = self.components.component_mut(place)
+                && goes_to_safety(component, self.all_to_safety)
+                && component.poll(now, &mut Report::new(&mut Text::new())) == Run::Running
+            {
+                self.safety_wake = self.safety_wake.min(component.poll_timeout(now));
             }
-            if task.moves() {
-                component.make_safe(now);
-            }
-            task.set_end(Stage::Failed, now, LINK_LOST);
         }
     }
 
+    /// The gateway is gone: what becomes of the components and their tasks is the components' choice.
+    pub(super) fn on_link_lost(&mut self, now: Instant) {
+        self.make_safe(now, false);
+    }
+
+    /// Sends the components to the safe state, idle ones too: `all`, or those that do not carry on without a link.
+    /// What waits ends at once, what moves as soon as its component is safe.
+    fn make_safe(&mut self, now: Instant, all: bool) {
+        let (moving, end, why) = if all {
+            (Stage::Stopped, Stage::Aborted, STOPPED)
+        } else {
+            (Stage::Lost, Stage::Failed, LINK_LOST)
+        };
+        for place in 0..self.components.count() {
+            let Some(component) = self.components.component_mut(place) else {
+                continue;
+            };
+            if !goes_to_safety(component, all) {
+                continue;
+            }
+            component.make_safe(now);
+            for task in self.tasks.open_mut() {
+                if usize::from(task.component) != place {
+                    continue;
+                }
+                if task.waits() {
+                    task.set_end(end, now, why);
+                } else if !task.is_made_safe() {
+                    task.stage = moving;
+                }
+                task.wake = now;
+            }
+        }
+        self.all_to_safety = all || self.all_to_safety && self.safety_wake != Instant::NEVER;
+        self.safety_wake = now;
+        self.handle_timeout(now);
+    }
+
     /// When `handle_timeout` has something to do; perhaps never.
-    pub(crate) fn next_move(&self, now: Instant) -> Instant {
+    pub(crate) fn next_move(&self) -> Instant {
         let moving = self.tasks.0.iter().filter(|task| task.moves());
-        moving.fold(Instant::NEVER, |wake, task| {
-            let component = self.components.component(usize::from(task.component));
-            component.map_or(wake, |component| wake.min(component.poll_timeout(now)))
-        })
+        moving.fold(self.safety_wake, |wake, task| wake.min(task.wake))
     }
 
     /// Starts a task on the component of this number. Its id is new.
@@ -144,24 +196,30 @@ impl<C: Components, const TASKS: usize> Runner<C, TASKS> {
         let policy = part.offer().busy;
         // All but one of them wait.
         let busy = open > 0;
-        if busy {
-            match policy {
-                Busy::Refuse => return Err("busy with another task"),
-                Busy::Queue(most) if open > most => {
-                    return Err("busy, and no more tasks may wait");
-                }
-                _ if goal.len() > TEXT => {
-                    return Err("busy, and the goal is too long to wait: more than 48 bytes");
-                }
-                _ => {}
-            }
+        if busy && policy == Busy::Refuse {
+            return Err("busy with another task");
+        }
+        if !busy
+            && self.safety_wake != Instant::NEVER
+            && goes_to_safety(part, self.all_to_safety)
+            && part.poll(now, &mut Report::new(&mut self.reason)) == Run::Running
+        {
+            return Err(NOT_SAFE);
+        }
+        if part
+            .check(goal, &mut Report::new(&mut self.reason))
+            .is_err()
+        {
+            return Err(NOT_TAKEN);
+        }
+        if busy && matches!(policy, Busy::Queue(most) if open > most) {
+            return Err("busy, and no more tasks may wait");
+        }
+        if busy && goal.len() > TEXT {
+            return Err("busy, and the goal is too long to wait: more than 48 bytes");
         }
         if free >= TASKS {
             return Err(NO_PLACE);
-        }
-        let mut why = Report::new(&mut self.reason);
-        if part.check(goal, &mut why).is_err() {
-            return Err(NOT_TAKEN);
         }
         if !busy {
             let mut why = Report::new(&mut self.reason);
@@ -175,6 +233,7 @@ impl<C: Components, const TASKS: usize> Runner<C, TASKS> {
             free.id = id;
             free.component = component;
             free.due = now;
+            free.wake = now;
             free.news = busy;
             free.stage = Stage::Moving;
             free.text.clear();
@@ -198,6 +257,7 @@ impl<C: Components, const TASKS: usize> Runner<C, TASKS> {
                 task.set_end(Stage::Aborted, now, REPLACED);
             } else if task.stage == Stage::Moving {
                 task.stage = Stage::Replaced;
+                task.wake = now;
                 if let Some(part) = self.components.component_mut(usize::from(component)) {
                     part.abort(now);
                 }
@@ -213,6 +273,7 @@ impl<C: Components, const TASKS: usize> Runner<C, TASKS> {
             task.set_end(Stage::Aborted, now, "aborted before it began");
         } else if task.stage == Stage::Moving {
             task.stage = Stage::Aborting;
+            task.wake = now;
             if let Some(part) = self.components.component_mut(usize::from(task.component)) {
                 part.abort(now);
             }
@@ -222,13 +283,11 @@ impl<C: Components, const TASKS: usize> Runner<C, TASKS> {
 
     pub(crate) fn stop_everything(&mut self, now: Instant) {
         self.stopped = true;
-        for place in 0..self.components.count() {
-            if let Some(component) = self.components.component_mut(place) {
-                component.make_safe(now);
-            }
-        }
-        for task in self.tasks.open_mut() {
-            task.set_end(Stage::Aborted, now, STOPPED);
-        }
+        self.make_safe(now, true);
     }
+}
+
+/// Whether a component goes to the safe state: when all do, or when the link is lost.
+fn goes_to_safety(component: &dyn Component, all: bool) -> bool {
+    all || component.offer().loss != Loss::CarryOn
 }

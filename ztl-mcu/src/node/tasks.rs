@@ -25,6 +25,8 @@ pub(super) struct Task {
     pub(super) id: LinkId,
     /// When the end or the progress is told next.
     pub(super) due: Instant,
+    /// When its component is polled next, while it moves.
+    pub(super) wake: Instant,
     /// Progress, then result or reason; the goal while it waits.
     pub(super) text: Text,
 }
@@ -41,6 +43,10 @@ pub(super) enum Stage {
     Aborting,
     /// Told to stop, since a later task takes its place.
     Replaced,
+    /// Its component goes to the safe state, since the link was lost.
+    Lost,
+    /// The same in an emergency stop.
+    Stopped,
     /// These are kept until they are acknowledged.
     Failed,
     Aborted,
@@ -54,6 +60,7 @@ impl Task {
         component: 0,
         id: LinkId(0),
         due: Instant::ZERO,
+        wake: Instant::ZERO,
         text: String::new(),
     };
 
@@ -79,8 +86,13 @@ impl Task {
     pub(super) const fn moves(&self) -> bool {
         matches!(
             self.stage,
-            Stage::Moving | Stage::Aborting | Stage::Replaced
+            Stage::Moving | Stage::Aborting | Stage::Replaced | Stage::Lost | Stage::Stopped
         )
+    }
+
+    /// Whether its component goes to the safe state.
+    pub(super) const fn is_made_safe(&self) -> bool {
+        matches!(self.stage, Stage::Lost | Stage::Stopped)
     }
 
     /// Waits or moves.
@@ -104,6 +116,7 @@ impl Task {
     pub(super) fn set_end(&mut self, end: Stage, now: Instant, text: &str) {
         self.stage = end;
         self.due = now;
+        self.wake = now;
         if !text.is_empty() {
             self.text.clear();
             // All that it is called with fit.
@@ -142,6 +155,12 @@ impl<const N: usize> Table<N> {
         };
         let place = self.0.iter().position(is_next)?;
         self.0.get_mut(place)
+    }
+
+    /// The task that moves the component of this number.
+    pub(super) fn moving(&self, component: usize) -> Option<&Task> {
+        let mut tasks = self.0.iter();
+        tasks.find(|task| task.moves() && usize::from(task.component) == component)
     }
 
     pub(super) fn get_mut(&mut self, id: LinkId) -> Option<&mut Task> {

@@ -1,7 +1,10 @@
 //! A node and a gateway played by hand, on virtual time.
 
+mod limits;
 mod policies;
 mod readings;
+mod refusals;
+mod safety;
 
 use super::*;
 use crate::component::{Component, Refused, Report, Run};
@@ -28,6 +31,9 @@ struct Motor<'t> {
     ends_at: Option<Instant>,
     aborted: bool,
     moving: bool,
+    /// How long it takes to its safe state, in ms, and when it is there.
+    slow: u64,
+    safe_at: Option<Instant>,
 }
 
 impl Component for Motor<'_> {
@@ -60,6 +66,7 @@ impl Component for Motor<'_> {
             return Err(Refused);
         }
         let twice = if self.moving { " twice" } else { "" };
+        assert_eq!(self.safe_at, None, "started before it is safe");
         self.moving = true;
         self.trace
             .borrow_mut()
@@ -71,6 +78,14 @@ impl Component for Motor<'_> {
 
     fn poll(&mut self, now: Instant, report: &mut Report<'_>) -> Run {
         report.text("moving");
+        if let Some(at) = self.safe_at {
+            if now < at {
+                return Run::Running;
+            }
+            self.safe_at = None;
+            self.moving = false;
+            self.trace.borrow_mut().push(format!("{} rests", self.name));
+        }
         if self.aborted {
             self.moving = false;
             return Run::Aborted;
@@ -87,8 +102,11 @@ impl Component for Motor<'_> {
         self.aborted = true;
     }
 
-    fn make_safe(&mut self, _now: Instant) {
-        self.moving = false;
+    fn make_safe(&mut self, now: Instant) {
+        self.aborted = true;
+        if self.slow > 0 {
+            self.safe_at = Some(now + Duration::from_millis(self.slow));
+        }
         self.trace.borrow_mut().push(format!("{} safe", self.name));
     }
 }
@@ -102,6 +120,8 @@ fn motor<'t>(name: &'static str, loss: Loss, trace: &'t Trace) -> Motor<'t> {
         ends_at: None,
         aborted: false,
         moving: false,
+        slow: 0,
+        safe_at: None,
     }
 }
 
@@ -440,7 +460,9 @@ fn when_the_link_brings_nothing_new_each_component_acts_as_it_said() {
         }
         desk.hello(6, 1);
         assert_said(desk.pass(100), &["Ended 9 FAILED link was lost"]);
-        assert_eq!(trace.borrow().as_slice(), ["a 5000", "c 5000", "a safe"]);
+        // One without a task too.
+        let safe = ["a 5000", "c 5000", "a safe", "h safe"];
+        assert_eq!(trace.borrow().as_slice(), safe);
         let ends: Grown<String> = (0..50).flat_map(|_| desk.pass(100)).collect();
         assert!(
             ends.iter().any(|line| line == "Ended 10 COMPLETED moving"),
@@ -459,7 +481,7 @@ fn hold_goes_to_its_safe_state_and_fails_too() {
         desk.hello(5, 1);
         desk.start(1, 9, 1, "5000");
         assert_said(desk.pass(1000), &["Ended 9 FAILED link was lost"]);
-        assert_eq!(trace.borrow().as_slice(), ["h 5000", "h safe"]);
+        assert_eq!(trace.borrow().as_slice(), ["h 5000", "a safe", "h safe"]);
     });
 }
 
@@ -492,8 +514,29 @@ fn another_gateway_is_refused_while_the_session_lives() {
         desk.pass(1000);
         assert_said(
             desk.hello(6, 2),
-            &["Welcome boot 77 replaces 5 highest 65536 []"],
+            &["Welcome boot 77 replaces 5 highest 1 []"],
         );
+    });
+}
+
+#[test]
+fn gateways_that_take_each_other_s_place_leave_the_numbers_of_tasks_to_tasks() {
+    with_node(|desk, _| {
+        desk.hello(1, 1);
+        for takeover in 2..70_000u32 {
+            desk.now = desk.now + Duration::from_secs(1);
+            let heard = desk.hello(takeover, takeover.into());
+            assert!(heard[0].starts_with("Welcome"), "{heard:?}");
+        }
+        // One number each: that of a `Start` which never came.
+        let number = 70_000 - 2;
+        let again = "a task of this or a later id was started already";
+        assert_said(
+            desk.start(1, number, 0, "5"),
+            &[&format!("1 Refused {again}")],
+        );
+        let next = number + 1;
+        assert_said(desk.start(2, next, 0, "5"), &[&format!("2 Started {next}")]);
     });
 }
 

@@ -22,9 +22,8 @@ const PROGRESS_AGAIN: Duration = Duration::from_millis(50);
 const AWAKE_AGAIN: Duration = Duration::from_millis(250);
 /// Longest pause within a command; what stands in the decoder longer is noise.
 pub(super) const PAUSE: Duration = Duration::from_millis(20);
-/// Longest frame of what may be lost while a command is under way, so that its answer waits for no
-/// more than that. A `Progress` is never longer.
-const SHORT_FRAME: usize = 64;
+/// In place of an answer that does not fit into a frame: a component's description.
+const TOO_LONG: &str = "its description is longer than a frame";
 
 /// The progress of a task that has not begun.
 const WAITS: &str = "waits for another task to end";
@@ -33,8 +32,16 @@ const WAITS: &str = "waits for another task to end";
 pub(super) mod longest {
     /// Bytes of a body in a frame of this length on the line: address, sequence, check, delimiter,
     /// COBS.
-    const fn body(frame: usize) -> usize {
+    pub(in crate::node) const fn body(frame: usize) -> usize {
         frame - 8 - frame / 254
+    }
+
+    /// Bytes of a `Welcome` without its two texts and its ids, each number as long as it can be.
+    const WELCOME: usize = 43;
+
+    /// Bytes for each of the two texts of a `Welcome` that names so many tasks, whose ids are as long as they can be.
+    pub(in crate::node) const fn name(frame: usize, tasks: usize) -> usize {
+        body(frame).saturating_sub(WELCOME + 5 * tasks) / 2
     }
 
     /// Bytes of a reading: tag, topic, length.
@@ -83,13 +90,13 @@ impl<const FRAME: usize> Transmit<FRAME> {
         }
     }
 
-    /// A frame that does not fit is not sent; firmware learns of it from its gateway, which then
-    /// gets no answer. Names and reasons are constants, so it shows on the first try.
-    fn frame(&mut self, session: u32, seq: u8, put: impl FnOnce(&mut FrameWriter<'_>)) {
+    /// A frame that does not fit is not sent; says whether it fits.
+    fn frame(&mut self, session: u32, seq: u8, put: impl FnOnce(&mut FrameWriter<'_>)) -> bool {
         let mut frame = FrameWriter::new(session, ADDR_ONLY_NODE, seq, &mut self.buffer);
         put(&mut frame);
         let len = frame.finish();
         (self.len, self.sent) = (len.unwrap_or_default(), 0);
+        len.is_some()
     }
 
     /// Room for so many bytes at the end, from where [`FrameWriter::put_own`] takes them; where it begins.
@@ -136,10 +143,8 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> Inner<'_, C, TASKS, 
 
     /// When there is something to be sent; perhaps never.
     pub(super) fn next_transmit(&self, now: Instant) -> Instant {
-        let at_once = self.answer_due
-            || self.refusal.is_some()
-            || self.readings
-            || !self.transmit.pending().is_empty();
+        let at_once =
+            self.answer_due || self.refusal.is_some() || !self.transmit.pending().is_empty();
         if at_once {
             return now;
         }
@@ -148,11 +153,8 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> Inner<'_, C, TASKS, 
         }
         let tasks = self.runner.tasks.held().filter(|task| task.is_due());
         let mut wake = tasks.fold(Instant::NEVER, |wake, task| wake.min(task.due));
-        for place in 0..self.runner.components.count() {
-            let component = self.runner.components.component(place);
-            if let Some(component) = component.filter(|c| self.is_heard() && topics(*c) > 0) {
-                wake = wake.min(component.poll_timeout(now));
-            }
+        if self.is_heard() {
+            wake = wake.min(self.readings_at.max(self.receiving));
         }
         wake
     }
@@ -180,13 +182,9 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> Inner<'_, C, TASKS, 
         if self.encode_task(now) {
             return;
         }
-        self.readings = false;
-        if self.is_heard() {
-            let command = now < self.receiving;
-            self.readings = self.encode_reading(now, command);
-            if !self.readings {
-                self.encode_log(log, command);
-            }
+        // What may be lost does not keep the answer to a command that is coming in waiting.
+        if self.is_heard() && now >= self.receiving && !self.encode_reading(now) {
+            self.encode_log(log);
         }
     }
 
@@ -201,7 +199,7 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> Inner<'_, C, TASKS, 
         }
         self.awake_due = now + AWAKE_AGAIN;
         let version = VERSION;
-        let boot = self.identity.boot;
+        let boot = self.boot;
         self.transmit.frame(NO_SESSION, NO_SEQ, |frame| {
             Body::Awake { version, boot }.put(frame);
         });
@@ -242,25 +240,29 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> Inner<'_, C, TASKS, 
         true
     }
 
-    /// Sends the next reading, in a short frame while a command is under way; each component gets its turn.
-    fn encode_reading(&mut self, now: Instant, short: bool) -> bool {
-        let most = if short {
-            const { longest::reading(SHORT_FRAME) }
-        } else {
-            const { longest::reading(FRAME) }
-        };
-        let (begin, room) = self.transmit.room(most);
-        let count = self.runner.components.count();
-        let mut place = usize::from(self.publisher);
-        for _ in 0..count {
-            if place >= count {
-                place = 0;
-            }
-            let here = place;
-            place += 1;
-            let Some(component) = self.runner.components.component_mut(here) else {
+    /// Sends the next reading. In each round every component is asked for one; the next round begins when the least
+    /// time between two readings has passed.
+    fn encode_reading(&mut self, now: Instant) -> bool {
+        if now < self.readings_at {
+            return false;
+        }
+        let (begin, room) = self.transmit.room(const { longest::reading(FRAME) });
+        loop {
+            let place = usize::from(self.publisher);
+            let component = self.runner.components.component_mut(place);
+            let (Some(component), Some(next)) = (component, self.publisher.checked_add(1)) else {
+                self.publisher = 0;
+                self.readings_at = now.after(self.reading_interval);
+                if !core::mem::take(&mut self.published) {
+                    self.readings_at = self.readings_at.max(self.next_reading(now));
+                    return false;
+                }
+                if self.reading_interval > 0 {
+                    return false;
+                }
                 continue;
             };
+            self.publisher = next;
             let own = topics(component);
             if own == 0 {
                 continue;
@@ -272,28 +274,31 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> Inner<'_, C, TASKS, 
             if reading.len > room.len() || topic >= own {
                 continue;
             }
-            let before = (0..here).filter_map(|place| self.runner.components.component(place));
+            let before = (0..place).filter_map(|place| self.runner.components.component(place));
             let number = before.map(topics).sum::<usize>() + topic;
             let Ok(topic) = u8::try_from(number) else {
                 continue;
             };
-            self.publisher = place as u8;
-            self.transmit.frame(self.session, NO_SEQ, |frame| {
+            self.published = true;
+            return self.transmit.frame(self.session, NO_SEQ, |frame| {
                 Body::put_publish(topic, reading.len, frame);
                 frame.put_own(begin, reading.len);
             });
-            return true;
         }
-        false
     }
 
-    fn encode_log(&mut self, log: &dyn LogSource, short: bool) {
-        let most = if short {
-            const { longest::log(SHORT_FRAME) }
-        } else {
-            const { longest::log(FRAME) }
-        };
-        let (begin, room) = self.transmit.room(most);
+    /// When the first of the components that publish something wants to be asked again; perhaps never.
+    fn next_reading(&self, now: Instant) -> Instant {
+        let components = &self.runner.components;
+        let all = (0..components.count()).filter_map(|place| components.component(place));
+        all.filter(|component| topics(*component) > 0)
+            .fold(Instant::NEVER, |wake, component| {
+                wake.min(component.poll_timeout(now))
+            })
+    }
+
+    fn encode_log(&mut self, log: &dyn LogSource) {
+        let (begin, room) = self.transmit.room(const { longest::log(FRAME) });
         let count = log.read(room).min(room.len());
         if count > 0 {
             let lost = log.lost();
@@ -313,13 +318,13 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> Inner<'_, C, TASKS, 
             held += 1;
         }
         let clock_ms = now.as_millis();
-        self.transmit.frame(session, seq, |frame| match answer {
+        let fits = self.transmit.frame(session, seq, |frame| match answer {
             Answer::Nothing => {}
             Answer::Welcome => Body::Welcome(Welcome {
                 version: VERSION,
-                name: self.identity.name,
-                firmware: self.identity.firmware,
-                boot: self.identity.boot,
+                name: self.name,
+                firmware: self.firmware,
+                boot: self.boot,
                 replaces: self.replaced,
                 clock_ms,
                 capacity: TASKS as u8,
@@ -349,5 +354,10 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> Inner<'_, C, TASKS, 
             Answer::Aborting(task) => Body::Aborting { task }.put(frame),
             Answer::Pong => Body::Pong { clock_ms, held }.put(frame),
         });
+        if !fits {
+            let reason = TOO_LONG;
+            self.transmit
+                .frame(session, seq, |frame| Body::Refused { reason }.put(frame));
+        }
     }
 }

@@ -97,7 +97,7 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> Shared<'_, '_, C, TA
                 // What is due to be sent already is the sender's affair.
                 let send = Some(node.next_transmit(now)).filter(|at| *at > now);
                 let log = self.pump.log.map(|_| now + LOG_AGAIN);
-                let moving = node.next_move(now);
+                let moving = node.next_move();
                 let wake = [send, log].into_iter().flatten().fold(moving, Instant::min);
                 (wake != Instant::NEVER).then(|| wake.as_micros().saturating_sub(now.as_micros()))
             });

@@ -53,7 +53,11 @@ impl Component for Belt {
 
     fn poll(&mut self, _: Instant, _: &mut Report<'_>) -> Run {
         self.polls.set(self.polls.get() + 1);
-        Run::Running
+        if self.moves.get() {
+            Run::Running
+        } else {
+            Run::Aborted
+        }
     }
 
     fn abort(&mut self, _: Instant) {}
@@ -72,7 +76,11 @@ impl Component for Belt {
 type BeltNode = Node<'static, [Belt; 1], 2, 128>;
 
 fn node() -> BeltNode {
-    BeltNode::new(Identity::new("desk", "1", 77), [Belt::default()])
+    let identity = Identity {
+        reading_interval: Duration::ZERO,
+        ..Identity::new("desk", "1", 77)
+    };
+    BeltNode::new(identity, [Belt::default()])
 }
 
 fn belt(node: &BeltNode) -> &Belt {
@@ -231,7 +239,8 @@ fn a_turn_ends_though_readings_and_bytes_do_not() {
     let pump = Pump::new();
     begin(&pump, &mut node, &mut port);
     node.components_mut()[0].endless = true;
-    let now = at(1);
+    // It asked to be asked then.
+    let now = at(11);
     assert_eq!(
         pump.turn(&mut node, &mut port, now),
         Ok(now),

@@ -213,9 +213,9 @@ impl<
 
     /// When [`handle_timeout`](Self::handle_timeout) is to be called even if no byte arrives;
     /// [`Instant::NEVER`] if there is nothing to do.
-    pub fn poll_timeout(&self, now: Instant) -> Instant {
+    pub fn poll_timeout(&self, _now: Instant) -> Instant {
         let peers = self.peers.iter().map(Connection::poll_timeout);
-        let wake = peers.fold(self.tasks.next_move(now), Ord::min);
+        let wake = peers.fold(self.tasks.next_move(), Ord::min);
         let answers = self.dispatcher.poll_timeout();
         answers.map_or(wake, |at| wake.min(at))
     }

@@ -171,7 +171,14 @@ impl Component for Motor {
         self.aborted = true;
     }
 
-    fn make_safe(&mut self, _now: Instant) {}
+    fn make_safe(&mut self, _now: Instant) {
+        self.aborted = true;
+    }
+
+    /// A step in each turn.
+    fn poll_timeout(&self, now: Instant) -> Instant {
+        now
+    }
 }
 
 /// With this number the first task has the id 1.

@@ -62,7 +62,7 @@ pub struct ComponentReport {
     /// What happens to a second task while one runs: `refuse`, `queue N` or `replace`.
     #[serde(default)]
     pub busy: String,
-    /// What it does when the link is lost: `abort`, `hold` or `carry on`.
+    /// What it does when the link is lost, with or without a task: `abort`, `hold` or `carry on`.
     pub loss: String,
     /// Topics under which it publishes readings.
     #[serde(default)]

@@ -247,7 +247,9 @@ pub struct Session<B = ()> {
     device: Option<DeviceInfo>,
     /// When an end that could not be written is tried again.
     write_again: Option<Instant>,
-    next_link: u32,
+    /// The highest number of a task that the device has taken, as far as is known. The next `Start` has the one above,
+    /// so that a device which another gateway takes over knows which one may still be under way.
+    highest: u32,
     /// The device's clock and when it was heard: that it has passed `.0` ms is certain at `.1`.
     clock: Option<(u64, Instant)>,
     /// When the last new command was first sent.
@@ -286,7 +288,7 @@ impl<B: Book> Session<B> {
             events: VecDeque::new(),
             device: None,
             write_again: None,
-            next_link: 1,
+            highest: 0,
             clock: None,
             commanded: Instant::ZERO,
             heard: Instant::ZERO,

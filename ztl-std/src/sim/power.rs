@@ -83,7 +83,11 @@ fn run_until_reset(
 ) -> bool {
     let component = Recorded::new(component, device.record.clone());
     let name = device.kind.name();
-    let identity = Identity::new(name, env!("CARGO_PKG_VERSION"), random::nonzero());
+    let identity = Identity {
+        // Its sensor sends as much as the line takes.
+        reading_interval: Duration::ZERO,
+        ..Identity::new(name, env!("CARGO_PKG_VERSION"), random::nonzero())
+    };
     let mut node = Node::<_, 4, 256>::new(identity, [component]);
     let mut buffer = [0; PIECE];
     loop {

@@ -7,8 +7,6 @@ use ztl_mcu::{Component, Instant, Reading, Refused, Report, Run};
 
 /// Length of a reading in bytes.
 const LEN: usize = 100;
-/// Pause after a buffer that was too short for a reading.
-const AGAIN: Duration = Duration::from_millis(1);
 
 /// `probe`: publishes; it has no tasks.
 #[derive(Debug)]
@@ -74,10 +72,7 @@ impl Component for Sensor {
         if now < self.due {
             return None;
         }
-        let Some(reading) = buffer.get_mut(..LEN) else {
-            self.due = now + AGAIN;
-            return None;
-        };
+        let reading = buffer.get_mut(..LEN)?;
         reading.fill(b'.');
         for (to, digit) in reading.iter_mut().zip(self.number.to_string().bytes()) {
             *to = digit;

@@ -123,7 +123,7 @@ impl Device {
         self.boots += 1;
         self.booted = now;
         for motor in 0..self.motors.len() {
-            self.truth.borrow_mut().end((self.number, motor), None);
+            self.truth.borrow_mut().rest((self.number, motor), None);
         }
         // Boot ids are random: none that was there before.
         let boot = self.boots.wrapping_mul(0x85EB_CA6B);
@@ -187,12 +187,10 @@ impl Device {
         if !self.cuts.iter().any(cut) {
             return Ok(());
         }
-        for (plan, moving) in self.motors.iter().zip(truth.moving[self.number]) {
-            if plan.loss != Loss::CarryOn
-                && let Some(task) = moving
-            {
+        for (plan, motor) in self.motors.iter().zip(truth.motors[self.number]) {
+            if plan.loss != Loss::CarryOn && motor.powered && !motor.to_safety {
                 return Err(format!(
-                    "promise 4: device {} moves for task {task} without a link",
+                    "promise 4: device {} is not in its safe state without a link: {motor:?}",
                     self.number
                 ));
             }
@@ -207,6 +205,7 @@ fn node(number: usize, motors: [MotorPlan; 2], boot: u32, truth: &Shared) -> Sma
         place: (number, place),
         truth: Rc::clone(truth),
         ends: None,
+        safe_at: None,
     };
     Node::new(Identity::new("lab", "1", boot), [motor(0), motor(1)])
 }

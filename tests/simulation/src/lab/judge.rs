@@ -135,8 +135,8 @@ impl Books {
         if let Some(task) = truth.tasks.iter().position(|fate| fate.begun > 1) {
             return Err(format!("promise 1: task {task} is begun twice"));
         }
-        for task in truth.moving.iter().flatten().flatten() {
-            let Some(book) = self.tasks.get(*task) else {
+        for (task, _) in truth.moving() {
+            let Some(book) = self.tasks.get(task) else {
                 continue;
             };
             let end = match &book.known {
@@ -146,6 +146,9 @@ impl Books {
                 _ => continue,
             };
             let (promise, why) = end;
+            if !truth.moves_after(task, why) {
+                continue;
+            }
             return Err(format!(
                 "promise {promise}: task {task} moves, and its client was told: {why}"
             ));
@@ -228,7 +231,7 @@ fn judge_end(task: usize, state: State, text: &str, truth: &Truth) -> Result<(),
             "promise {promise}: task {task} is told {state} ({text}), {why}"
         ))
     };
-    if truth.moves(task) {
+    if truth.moves_after(task, text) {
         return lie(4, "and moves");
     }
     match state {

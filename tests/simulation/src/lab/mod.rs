@@ -21,7 +21,7 @@ use self::device::Device;
 use self::gateway::{Disk, Gateway, Letter, name};
 use self::happen::Revert;
 use self::judge::Books;
-use self::motor::{NAMES, Shared, Truth};
+use self::motor::{Condition, NAMES, Shared, Truth};
 use crate::plan::{Happening, Plan};
 
 /// After the last fault everything must have settled within this.
@@ -134,7 +134,7 @@ const BEGIN: Instant = Instant::from_millis(1000);
 impl Lab {
     fn new(plan: &Plan, traced: bool) -> Self {
         let truth: Shared = Rc::new(RefCell::new(Truth::default()));
-        truth.borrow_mut().moving = vec![[None; 2]; plan.devices.len()];
+        truth.borrow_mut().motors = vec![[Condition::default(); 2]; plan.devices.len()];
         let device = |(number, motors): (usize, _)| {
             Device::new(BEGIN, plan.seed, number, motors, Rc::clone(&truth))
         };

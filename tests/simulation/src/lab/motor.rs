@@ -19,18 +19,45 @@ pub(super) struct Fate {
     pub(super) came_to: Option<State>,
 }
 
+/// How a motor really is.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Condition {
+    /// The task that it moves for.
+    pub(super) task: Option<usize>,
+    /// Since its last task it has not been in its safe state.
+    pub(super) powered: bool,
+    /// It is on its way there.
+    pub(super) to_safety: bool,
+}
+
 /// What really happened.
 #[derive(Debug, Default)]
 pub(super) struct Truth {
     /// By the number that was asked for.
     pub(super) tasks: Vec<Fate>,
-    /// The task that each motor moves for, by device.
-    pub(super) moving: Vec<[Option<usize>; 2]>,
+    /// The motors of each device.
+    pub(super) motors: Vec<[Condition; 2]>,
 }
+
+/// What a gateway tells by itself of a device that has acted, and may still be on its way to its safe state.
+const NOT_ANSWERING: &str = "device is not answering";
 
 impl Truth {
     pub(super) fn moves(&self, task: usize) -> bool {
-        self.moving.iter().flatten().flatten().any(|t| *t == task)
+        self.moving().any(|(moving, _)| moving == task)
+    }
+
+    /// Whether a task moves though its client was told its end, and why.
+    pub(super) fn moves_after(&self, task: usize, why: &str) -> bool {
+        let allowed = |motor: &Condition| motor.to_safety && why == NOT_ANSWERING;
+        self.moving()
+            .any(|(moving, motor)| moving == task && !allowed(motor))
+    }
+
+    /// The tasks that motors move for.
+    pub(super) fn moving(&self) -> impl Iterator<Item = (usize, &Condition)> {
+        let motors = self.motors.iter().flatten();
+        motors.filter_map(|motor| Some((motor.task?, motor)))
     }
 
     fn fate(&mut self, task: usize) -> &mut Fate {
@@ -42,13 +69,22 @@ impl Truth {
 
     fn begin(&mut self, (device, motor): (usize, usize), task: usize) {
         self.fate(task).begun += 1;
-        self.moving[device][motor] = Some(task);
+        let motor = &mut self.motors[device][motor];
+        assert!(!motor.to_safety, "started before it is safe");
+        motor.task = Some(task);
+        motor.powered = true;
     }
 
     pub(super) fn end(&mut self, (device, motor): (usize, usize), state: Option<State>) {
-        if let Some(task) = self.moving[device][motor].take() {
+        if let Some(task) = self.motors[device][motor].task.take() {
             self.fate(task).came_to = state;
         }
+    }
+
+    /// It has no power any more, or does not need it: its safe state.
+    pub(super) fn rest(&mut self, place: (usize, usize), state: Option<State>) {
+        self.end(place, state);
+        self.motors[place.0][place.1] = Condition::default();
     }
 }
 
@@ -61,6 +97,8 @@ pub(super) struct Motor {
     pub(super) place: (usize, usize),
     pub(super) truth: Shared,
     pub(super) ends: Option<(Instant, State)>,
+    /// When it is in its safe state, on the way there.
+    pub(super) safe_at: Option<Instant>,
 }
 
 /// The names of a device's motors.
@@ -102,6 +140,14 @@ impl Component for Motor {
     }
 
     fn poll(&mut self, now: Instant, report: &mut Report<'_>) -> Run {
+        if self.safe_at.is_some_and(|at| now < at) {
+            return Run::Running;
+        }
+        if self.safe_at.take().is_some() {
+            self.truth
+                .borrow_mut()
+                .rest(self.place, Some(State::Failed));
+        }
         let Some((at, state)) = self.ends else {
             return Run::Failed;
         };
@@ -128,9 +174,11 @@ impl Component for Motor {
         }
     }
 
-    fn make_safe(&mut self, _now: Instant) {
+    fn make_safe(&mut self, now: Instant) {
         self.ends = None;
-        self.truth.borrow_mut().end(self.place, Some(State::Failed));
+        self.safe_at.get_or_insert(now + self.plan.slow);
+        let (device, motor) = self.place;
+        self.truth.borrow_mut().motors[device][motor].to_safety = true;
     }
 
     fn poll_timeout(&self, now: Instant) -> Instant {

@@ -74,7 +74,10 @@ impl Lab {
             (State::Completed, _) if fate.came_to != Some(State::Completed) => {
                 lie(2, "but its motor did not come to its goal")
             }
-            (State::Failed, "the device no longer holds the task") => {
+            // Of a `Start` that never came and has the number of a takeover, nothing better can be told.
+            (State::Failed, "the device no longer holds the task")
+                if fate.begun > 0 || self.gateways.len() == 1 =>
+            {
                 lie(2, "but it does until that is known here")
             }
             (State::Aborted, _) if fate.begun > 0 && fate.came_to != Some(State::Aborted) => {
@@ -114,6 +117,14 @@ impl Lab {
             let lost = self.now > self.commanded + LINK_TIMEOUT;
             if moving.is_some() && lost && self.scenario.motors[motor].loss != Loss::CarryOn {
                 return Err(format!("promise 4: motor {motor} moves without a link"));
+            }
+        }
+        for (motor, powered) in self.truth.powered.iter().enumerate() {
+            let lost = self.now > self.commanded + LINK_TIMEOUT;
+            if *powered && lost && self.scenario.motors[motor].loss != Loss::CarryOn {
+                return Err(format!(
+                    "promise 4: motor {motor} is not in its safe state without a link"
+                ));
             }
         }
         Ok(())

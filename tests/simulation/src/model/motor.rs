@@ -26,6 +26,8 @@ pub(super) struct Truth {
     pub(super) tasks: [Fate; TASKS],
     /// The task that each motor moves for.
     pub(super) moving: [Option<u8>; 2],
+    /// Whether each motor is under power, also after its task: it is not in its safe state.
+    pub(super) powered: [bool; 2],
 }
 
 impl Truth {
@@ -47,12 +49,13 @@ impl Truth {
         for motor in 0..self.moving.len() {
             self.end(motor, None);
         }
+        self.powered = [false; 2];
     }
 }
 
 thread_local! {
     /// The truth of the laboratory that is acting; a node gives nobody its components.
-    static TRUTH: RefCell<Truth> = const { RefCell::new(Truth { tasks: [Fate { begun: 0, came_to: None }; TASKS], moving: [None; 2] }) };
+    static TRUTH: RefCell<Truth> = const { RefCell::new(Truth { tasks: [Fate { begun: 0, came_to: None }; TASKS], moving: [None; 2], powered: [false; 2] }) };
 }
 
 /// Lets `act` change the truth.
@@ -86,6 +89,8 @@ pub(super) enum Moving {
     /// Until it is stopped.
     On,
     Aborted,
+    /// To the safe state, which it reaches at the next poll.
+    ToSafety,
 }
 
 /// A motor that moves for so many milliseconds moves until it is stopped.
@@ -126,6 +131,7 @@ impl Component for Motor {
             assert_eq!(truth.moving[self.place], None, "started while it moves");
             truth.tasks[usize::from(task)].begun += 1;
             truth.moving[self.place] = Some(task);
+            truth.powered[self.place] = true;
         });
         self.run = Some(match millis {
             ENDLESS => Moving::On,
@@ -138,10 +144,17 @@ impl Component for Motor {
         let (state, run) = match self.run {
             Some(Moving::Aborted) => (State::Aborted, Run::Aborted),
             Some(Moving::Until(end)) if now >= end => (State::Completed, Run::Completed),
-            _ => return Run::Running,
+            Some(Moving::ToSafety) => (State::Failed, Run::Aborted),
+            Some(_) => return Run::Running,
+            // It is safe.
+            None => return Run::Aborted,
         };
+        let safe = matches!(self.run, Some(Moving::ToSafety));
         self.run = None;
-        TRUTH.with_borrow_mut(|truth| truth.end(self.place, Some(state)));
+        TRUTH.with_borrow_mut(|truth| {
+            truth.end(self.place, Some(state));
+            truth.powered[self.place] &= !safe;
+        });
         run
     }
 
@@ -150,15 +163,14 @@ impl Component for Motor {
     }
 
     fn make_safe(&mut self, _now: Instant) {
-        self.run = None;
-        TRUTH.with_borrow_mut(|truth| truth.end(self.place, Some(State::Failed)));
+        self.run = Some(Moving::ToSafety);
     }
 
     fn poll_timeout(&self, now: Instant) -> Instant {
         match self.run {
             Some(Moving::Until(end)) => end,
-            Some(Moving::Aborted) => now,
-            Some(Moving::On) | None => now + Duration::from_secs(1),
+            Some(Moving::Aborted | Moving::ToSafety) => now,
+            Some(Moving::On) | None => Instant::NEVER,
         }
     }
 }

@@ -231,4 +231,12 @@ pub const SCENARIOS: &[Scenario] = &[
         times: 1,
         ..PLAIN
     },
+    Scenario {
+        name: "takeover",
+        about: "two gateways; the first one's Start never comes, the second one takes over and dies",
+        gateways: 2,
+        acts: &[ask(0, 1, ENDLESS), ask(1, 1, ENDLESS)],
+        faults: &[Fault::Cut(DOWN), Fault::Kill(1)],
+        ..PLAIN
+    },
 ];

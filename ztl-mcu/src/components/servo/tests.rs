@@ -215,6 +215,7 @@ fn made_safe_it_holds_or_lets_go_and_goes_on_from_there() {
         }
         let (pulse, (_, told)) = (bench.pulse_us(), bench.poll());
         bench.servo.make_safe(bench.now);
+        assert_eq!(bench.poll().0, Run::Aborted);
         let (now, loss) = (bench.pulse_us(), bench.servo.offer().loss);
         match safe {
             Power::Hold => {
@@ -231,6 +232,15 @@ fn made_safe_it_holds_or_lets_go_and_goes_on_from_there() {
         assert_eq!(bench.poll(), (Run::Running, told));
         assert_eq!(bench.pulse_us(), pulse);
         assert_eq!(bench.run(10_000), completed("180.0"));
+        // At rest, too.
+        let pulse = bench.pulse_us();
+        bench.servo.make_safe(bench.now);
+        for _ in 0..3 {
+            bench.pass(10_000);
+            assert_ne!(bench.poll().0, Run::Running);
+            let expected = if safe == Power::Hold { pulse } else { 0.0 };
+            assert_eq!(bench.pulse_us(), expected);
+        }
     }
 }
 

@@ -56,7 +56,8 @@ pub struct StepperConfig {
     pub reverse: bool,
     /// Whether it stays under power after a task. Default: it holds.
     pub at_rest: Power,
-    /// What [`make_safe`](Component::make_safe) does after it has stopped at once. Default: it holds.
+    /// What [`make_safe`](Component::make_safe) does after it has stopped at once, also to a motor at rest, when the
+    /// link is lost. Default: it holds, or stays without power if it had none.
     pub safe: Power,
     /// What happens to a task that comes while one runs. Default: it is refused.
     pub busy: Busy,
@@ -150,6 +151,8 @@ pub struct Stepper<M> {
     way_home: i32,
     homing: bool,
     homed: bool,
+    /// Stopped at once, until the next task.
+    halted: bool,
     /// In steps.
     goal: i32,
     /// When the motor wants to be called.
@@ -177,6 +180,7 @@ impl<M: StepDrive> Stepper<M> {
             way_home: length.saturating_add(length / 8),
             homing: false,
             homed: false,
+            halted: false,
             goal: 0,
             wake: Instant::ZERO,
         }
@@ -260,6 +264,7 @@ impl<M: StepDrive> Component for Stepper<M> {
         self.goal = steps;
         self.homing = homing;
         self.homed &= !homing;
+        self.halted = false;
         self.motor.command(now, Command::MoveTo { steps, homing });
         self.wake = now;
         Ok(())
@@ -276,6 +281,11 @@ impl<M: StepDrive> Component for Stepper<M> {
             Motion::Fault(fault) => {
                 report.text(fault.text());
                 Run::Failed
+            }
+            // Its power is as it was made safe.
+            _ if self.halted => {
+                self.report_position(report, steps);
+                return Run::Aborted;
             }
             Motion::Limit if self.homing => {
                 self.motor.command(now, Command::Set { steps: 0 });
@@ -313,6 +323,8 @@ impl<M: StepDrive> Component for Stepper<M> {
 
     fn make_safe(&mut self, now: Instant) {
         self.motor.command(now, Command::Halt);
+        self.halted = true;
+        self.wake = now;
         if self.config.safe == Power::Release {
             self.motor.command(now, Command::Release);
         }

@@ -283,19 +283,64 @@ fn made_safe_it_makes_no_further_step_and_knows_where_it_is() {
     for (safe, powered) in [(Power::Hold, true), (Power::Release, false)] {
         let mut bench = Bench::new(StepperConfig { safe, ..CONFIG }, Axis::free());
         bench.start("5000").unwrap();
+        bench.poll();
         while bench.position() < 500 {
-            bench.poll();
             bench.wait(&Calls::OnTime, 0);
+            bench.poll();
         }
+        assert!(bench.is_pulsing());
         bench.make_safe();
         assert_eq!(bench.is_powered(), powered);
-        // The pulse is still up. The next task ends it, and a step more would be noticed.
+        // The pulse keeps its width, and ends without another task.
+        let pulse = (Run::Running, "500".into());
+        assert_eq!(bench.poll(), pulse);
+        bench.pass(CONFIG.pulse_us.into());
+        let stopped = (Run::Aborted, "500".into());
+        assert_eq!(bench.poll(), stopped);
+        assert!(!bench.is_pulsing());
+        // It may be polled again, and stays as it is.
         bench.pass(20_000);
+        assert_eq!(bench.poll(), stopped);
+        assert_eq!(bench.is_powered(), powered);
         assert_eq!(bench.position(), 500);
         assert_eq!(bench.go("505", &Calls::OnTime), completed("505"));
         assert_eq!(bench.position(), 505);
         assert!(bench.is_powered());
     }
+}
+
+#[test]
+fn made_safe_a_motor_at_rest_lets_go_or_holds_whatever_it_does_after_a_task() {
+    for (safe, at_rest, powered) in [
+        (Power::Hold, Power::Hold, true),
+        (Power::Release, Power::Hold, false),
+        (Power::Release, Power::Release, false),
+    ] {
+        let config = StepperConfig {
+            safe,
+            at_rest,
+            ..CONFIG
+        };
+        let mut bench = Bench::new(config, Axis::free());
+        bench.go("5", &Calls::OnTime);
+        bench.make_safe();
+        assert_eq!(bench.run(&Calls::OnTime).1, "5");
+        assert_eq!(bench.is_powered(), powered);
+    }
+    // Stopped in a task, it holds though it would let go after the task.
+    let config = StepperConfig {
+        at_rest: Power::Release,
+        ..CONFIG
+    };
+    let mut bench = Bench::new(config, Axis::free());
+    bench.start("5000").unwrap();
+    while bench.position() < 5 {
+        bench.poll();
+        bench.wait(&Calls::OnTime, 0);
+    }
+    bench.make_safe();
+    assert_eq!(bench.run(&Calls::OnTime).0, Run::Aborted);
+    assert!(bench.is_powered());
 }
 
 #[test]

@@ -7,8 +7,8 @@ fn with_motor(busy: Busy, loss: Loss, play: impl FnOnce(&mut Desk<'_, [Motor<'_>
     let trace = Trace::default();
     let mut components = [
         motor("m", loss, &trace),
-        motor("n", Loss::Abort, &trace),
-        motor("o", Loss::Abort, &trace),
+        motor("n", Loss::CarryOn, &trace),
+        motor("o", Loss::CarryOn, &trace),
     ];
     components[0].busy = busy;
     let mut node = TestNode::<4>::new(Identity::new("desk", "1", 77), components);
@@ -197,6 +197,7 @@ fn when_the_link_is_lost_what_waits_ends_with_what_runs() {
             ],
         );
         desk.pass(1000);
+        // The two others carry on.
         assert_eq!(trace.borrow().as_slice(), ["m 5000", "m safe"]);
     });
 }
@@ -231,6 +232,7 @@ fn an_emergency_stop_ends_what_waits_too() {
         );
         desk.pass(3000);
         let safe = ["m 2000", "m safe", "n safe", "o safe"];
+        // The link timer has fired since, and all of them are safe.
         assert_eq!(trace.borrow().as_slice(), safe);
         assert_said(desk.start(3, 9, 1, "5"), &["3 Refused emergency stop"]);
         // The ends are in the way of new tasks until they are known.

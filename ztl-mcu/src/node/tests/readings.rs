@@ -72,7 +72,11 @@ fn sensor(topics: &'static str) -> Sensor {
 type SensorNode<const N: usize> = Node<'static, [Sensor; N], 2, 128>;
 
 fn node<const N: usize>(sensors: [Sensor; N]) -> SensorNode<N> {
-    SensorNode::new(Identity::new("desk", "1", 77), sensors)
+    let identity = Identity {
+        reading_interval: Duration::ZERO,
+        ..Identity::new("desk", "1", 77)
+    };
+    SensorNode::new(identity, sensors)
 }
 
 /// A log that grows when the test says so.
@@ -140,7 +144,8 @@ fn topics_are_numbered_through_all_components() {
         sensor.topic = topic;
         sensor.readings.push(&[7]).unwrap();
         let expected = heard.map(|topic| format!("Publish {{ topic: {topic}, bytes: [7] }}"));
-        assert_eq!(desk.pass(1).first(), expected.as_ref(), "{place} {topic}");
+        // It is asked again after 3 ms.
+        assert_eq!(desk.pass(3).first(), expected.as_ref(), "{place} {topic}");
         desk.node.components_mut()[place].readings = Queued::new();
     }
 }
@@ -181,34 +186,46 @@ fn readings_go_out_only_while_somebody_listens_and_after_all_else() {
 }
 
 #[test]
-fn while_a_command_comes_in_what_may_be_lost_is_short() {
+fn while_a_command_comes_in_what_may_be_lost_waits() {
     let log = Pages::default();
     log.text.borrow_mut().extend([1; 100]);
-    let mut node = node([sensor("a"), sensor("b")]);
+    let mut node = node([sensor("a")]);
     let mut desk = desk(&mut node);
     desk.hello(5, 1);
     desk.command(1, Body::Ping);
-    let sensors = desk.node.components_mut();
-    sensors[0].readings.push(&[7; 100]).unwrap();
-    for len in [52, 53] {
-        sensors[1].readings.push(&[7; 53][..len]).unwrap();
-    }
+    let later = desk.now + Duration::from_millis(3);
+    desk.node.components_mut()[0]
+        .readings
+        .push(&[7; 5])
+        .unwrap();
     // The first bytes of a frame.
-    desk.node.handle_bytes(desk.now, &[3, 1]);
-    let mut sent = Grown::new();
-    while let Some((text, len)) = next(desk.node, desk.now, &log) {
-        assert!(len <= 64, "{text} takes {len}");
-        sent.push(text);
-    }
-    assert_eq!(
-        sent,
-        ["Publish 1 52", "Log 0 48", "Log 0 48", "Log 0 4"],
-        "the others wait"
-    );
+    desk.node.handle_bytes(later, &[3, 1]);
+    assert_eq!(next(desk.node, later, &log), None);
     // What is not gone on with is no command.
-    let later = desk.now + Duration::from_millis(20);
-    assert_eq!(next(desk.node, later, &log).unwrap().0, "Publish 0 100");
-    assert_eq!(next(desk.node, later, &log).unwrap().0, "Publish 1 53");
+    let over = later + Duration::from_millis(20);
+    assert_eq!(desk.node.poll_timeout(later), over);
+    assert_eq!(next(desk.node, over, &log).unwrap().0, "Publish 0 5");
+    assert_eq!(next(desk.node, over, &log).unwrap().0, "Log 0 100");
+}
+
+#[test]
+fn a_component_s_readings_keep_their_least_interval_and_wait_for_no_other_s() {
+    let mut sensors = [sensor("a"), sensor("b"), sensor("c")];
+    for sensor in &mut sensors[..2] {
+        sensor.always = Some(4);
+    }
+    let identity = Identity {
+        reading_interval: Duration::from_millis(20),
+        ..Identity::new("desk", "1", 77)
+    };
+    let mut node = SensorNode::new(identity, sensors);
+    let mut desk = desk(&mut node);
+    desk.hello(5, 1);
+    let mut sent = desk.command(1, Body::Ping).len() - 1;
+    for _ in 0..999 {
+        sent += desk.pass(1).len();
+    }
+    assert_eq!(sent, 2 * 50);
 }
 
 #[test]
@@ -232,14 +249,18 @@ fn a_reading_longer_than_any_frame_is_in_nobodys_way() {
     let mut desk = desk(&mut node);
     desk.hello(5, 1);
     desk.command(1, Body::Ping);
+    let later = desk.now + Duration::from_millis(3);
     let longest = SensorNode::<2>::LONGEST_READING;
     let sensors = desk.node.components_mut();
     sensors[0].readings.push(&[7; 200][..=longest]).unwrap();
+    sensors[0].readings.push(&[7]).unwrap();
     sensors[1].readings.push(&[7; 200][..longest]).unwrap();
     let log = Pages::default();
-    let sent = next(desk.node, desk.now, &log);
-    assert_eq!(sent, Some((format!("Publish 1 {longest}"), 127)));
-    assert_eq!(next(desk.node, desk.now, &log), None);
+    let mut next = || next(desk.node, later, &log);
+    assert_eq!(next(), Some(("Publish 0 1".into(), 12)));
+    assert_eq!(next(), Some((format!("Publish 1 {longest}"), 127)));
+    assert_eq!(next(), None);
+    assert_eq!(desk.node.components()[0].readings.lost(), 1);
 }
 
 #[test]
@@ -251,6 +272,8 @@ fn components_take_turns() {
     let log = Pages::default();
     desk.node.components_mut()[0].always = Some(4);
     desk.node.components_mut()[2].always = Some(5);
+    // They were asked when the session began.
+    desk.now = desk.now + Duration::from_millis(3);
     let mut sent = || next(desk.node, desk.now, &log).unwrap().0;
     let turns = [sent(), sent(), sent(), sent()];
     let (a, c) = ("Publish 0 4", "Publish 2 5");

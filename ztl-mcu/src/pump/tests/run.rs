@@ -242,9 +242,11 @@ fn a_closed_port_is_told_after_the_components_have_moved() {
     world.closed.set(true);
     let before = belt(&node).polls.get();
     for _ in 0..3 {
+        // It asked to be polled then.
+        world.micros.set(world.micros.get() + 10_000);
         let mut future = pin!(looped(&pump, &mut node, &world));
         let mut future: Looped<'_> = future.as_mut();
-        assert_eq!(run_until(&world, &mut future, 20), Some(PumpError::Closed));
+        assert_eq!(run_until(&world, &mut future, 40), Some(PumpError::Closed));
     }
     assert_eq!(belt(&node).polls.get(), before + 3);
 }

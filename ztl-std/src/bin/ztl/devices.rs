@@ -245,8 +245,8 @@ fn described(component: &ComponentReport) -> String {
         goals.join(", ")
     };
     let loss = match component.loss.as_str() {
-        "abort" => "stops",
-        "hold" => "holds its position",
+        "abort" => "goes to its safe state, also when idle",
+        "hold" => "goes to its safe state and keeps its position, also when idle",
         "carry on" => "carries on",
         other => other,
     };

@@ -21,7 +21,6 @@ impl<B: Book> Session<B> {
             sent,
             accepted,
         } = task;
-        self.next_link = self.next_link.max(sent.link.0.saturating_add(1));
         // The gateway before may have heard it until just now.
         self.heard = now;
         let (stage, deadline) = if accepted {

@@ -112,13 +112,7 @@ impl<B: Book> Session<B> {
         let same_boot = |device: &DeviceInfo| device.boot == welcome.boot && welcome.replaces != 0;
         let known = before.filter(same_boot);
         self.counters.resets += u64::from(was_known && known.is_none());
-        // A reborn device counts anew.
-        let last = if welcome.replaces == 0 {
-            0
-        } else {
-            self.next_link
-        };
-        self.next_link = last.max(welcome.highest.saturating_add(1));
+        self.highest = welcome.highest;
         self.on_reset(now, welcome);
         let components = known.map(|device| device.components).unwrap_or_default();
         self.device = Some(DeviceInfo {
@@ -253,7 +247,16 @@ impl<B: Book> Session<B> {
                 }
                 self.describe_next(now);
             }
-            (Command::Start(id), Body::Started { .. }) => self.on_started(id),
+            (Command::Describe(index), Body::Refused { reason }) => {
+                self.lose();
+                let reason = format!("component {index}: {reason}");
+                self.events.push_back(Event::Refused(reason));
+                return self.greet_after(now, BAD_ANSWER);
+            }
+            (Command::Start(id), Body::Started { .. }) => {
+                self.highest = self.highest.saturating_add(1);
+                self.on_started(id);
+            }
             (Command::Start(id), Body::Refused { reason }) => {
                 self.end(now, id, State::Rejected, reason);
             }

@@ -107,6 +107,16 @@ impl<B: Book> Session<B> {
 
     /// Sends a `Start`, or refuses the task; says whether a command is under way now.
     pub(super) fn send_start(&mut self, now: Instant, id: TaskId) -> bool {
+        // The next task gets the number of one that was not taken, so that one's end has to be written first.
+        if self.write_again.is_some() {
+            self.write_again = Some(now);
+            self.write_ends(now);
+        }
+        if self.write_again.is_some() {
+            let reason = "the journal cannot be written: the end of an earlier task waits for it";
+            self.refuse(id, reason.to_owned());
+            return false;
+        }
         let (Some(task), Some(device)) = (self.tasks.get_mut(&id), &self.device) else {
             return false;
         };
@@ -125,7 +135,7 @@ impl<B: Book> Session<B> {
             return false;
         };
         let left = task.deadline.since(heard).as_millis();
-        let link = LinkId(self.next_link);
+        let link = LinkId(self.highest.saturating_add(1));
         let goal = task.goal.clone();
         let body = Body::Start {
             task: link,
@@ -161,7 +171,6 @@ impl<B: Book> Session<B> {
             return false;
         }
         task.stage = Stage::Sent(sent);
-        self.next_link = self.next_link.saturating_add(1);
         self.command(now, Command::Start(id), body);
         true
     }

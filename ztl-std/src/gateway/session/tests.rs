@@ -27,6 +27,7 @@ struct World {
 
 struct Motor {
     place: usize,
+    name: &'static str,
     loss: Loss,
     world: Rc<RefCell<World>>,
     ends_at: Instant,
@@ -51,7 +52,7 @@ impl Component for Motor {
             unit: "ms",
             words: "",
         };
-        let name = ["arm", "belt"][self.place];
+        let name = self.name;
         let (busy, loss) = (Busy::Refuse, self.loss);
         Offer {
             name,
@@ -98,6 +99,7 @@ impl Component for Motor {
 
     fn make_safe(&mut self, _now: Instant) {
         self.rest();
+        self.aborted = true;
     }
 }
 
@@ -142,6 +144,7 @@ struct Lab {
 fn node(world: &Rc<RefCell<World>>, boot: u32) -> SmallNode {
     let motor = |place, loss| Motor {
         place,
+        name: ["arm", "belt"][place],
         loss,
         world: Rc::clone(world),
         ends_at: Instant::ZERO,
@@ -360,6 +363,48 @@ fn a_goal_too_long_for_the_device_is_rejected_with_the_length_it_takes() {
     lab.session.start(lab.now, id, "arm", &goal);
     lab.settle();
     assert!(lab.rejected[&id].starts_with("the goal is 200 bytes long, the device takes 1"));
+}
+
+#[test]
+fn a_task_that_is_not_taken_leaves_its_number_to_the_next_one() {
+    let mut lab = Lab::new(1);
+    lab.pass(Duration::from_millis(300));
+    lab.ask("arm", 60_000);
+    for _ in 0..20 {
+        lab.ask("arm", 1);
+        lab.pass(Duration::from_millis(30));
+    }
+    assert_eq!(lab.rejected.len(), 20);
+    // One whose Start never arrives.
+    lab.down.cut(lab.now..lab.now + Duration::from_millis(1500));
+    lab.ask("belt", 1);
+    lab.pass(Duration::from_millis(3000));
+    assert_eq!(lab.rejected.len(), 21);
+    let next = lab.ask("belt", 60_000);
+    lab.pass(Duration::from_millis(100));
+    let sent = lab.session.tasks[&next].stage.sent();
+    assert_eq!(sent.map(|sent| sent.link), Some(LinkId(2)));
+}
+
+#[test]
+fn a_device_that_cannot_describe_a_component_is_refused_with_the_reason() {
+    let mut lab = Lab::new(1);
+    let long: &'static str = Box::leak("n".repeat(120).into_boxed_str());
+    let motor = |place, name| Motor {
+        place,
+        name,
+        loss: Loss::Abort,
+        world: Rc::clone(&lab.world),
+        ends_at: Instant::ZERO,
+        aborted: false,
+    };
+    let motors = [motor(0, "arm"), motor(1, long)];
+    lab.node = Node::new(Identity::new("lab", "1", 1), motors);
+    lab.pass(Duration::from_millis(3000));
+    assert!(!lab.session.is_up());
+    let reason = "component 1: its description is longer than a frame";
+    let told = lab.trace.iter().filter(|line| line.contains(reason));
+    assert!((2..=4).contains(&told.count()), "{:?}", lab.trace);
 }
 
 #[test]

@@ -3,6 +3,7 @@
 #![no_std]
 #![no_main]
 
+use core::cell::RefCell;
 use core::hint::black_box;
 use core::panic::PanicInfo;
 
@@ -10,6 +11,7 @@ use cortex_m::asm;
 use cortex_m::peripheral::SCB;
 use cortex_m_rt::entry;
 use cortex_m_semihosting::debug::{self, EXIT_SUCCESS};
+use critical_section::Mutex;
 use embedded_io::Write;
 use microbit::uart::Uart;
 use qemu::panel::Lamp;
@@ -17,9 +19,13 @@ use ztl_core::link::{
     ADDR_ONLY_NODE, Body, Frame, Hello, LinkId, NO_SEQ, NO_SESSION, VERSION, encode, session_key,
 };
 use ztl_core::sink::{SliceSink, put_decimal};
-use ztl_mcu::components::{DigitalOutput, DigitalOutputConfig};
+use ztl_mcu::components::{
+    DigitalOutput, DigitalOutputConfig, NoPin, StepMotor, Stepper, StepperConfig,
+};
+use ztl_mcu::log::LogSource;
 use ztl_mcu::pump::Pump;
-use ztl_mcu::{Identity, Instant, Node};
+use ztl_mcu::shared::LogQueue;
+use ztl_mcu::{Component, Identity, Instant, Node, Reason, Report};
 
 const BOOT: u32 = 77;
 const SESSION: u32 = 5;
@@ -27,6 +33,17 @@ const NOW: Instant = Instant::from_millis(1000);
 
 /// Fits into the queue.
 const BYTES: usize = 120;
+
+static LOG: LogQueue<256> = LogQueue::new();
+
+const SLIDE: StepperConfig = StepperConfig {
+    range: (0, 4000),
+    speed: 10_000,
+    ..StepperConfig::DEFAULT
+};
+
+static MOTOR: Mutex<RefCell<StepMotor<NoPin, NoPin>>> =
+    Mutex::new(RefCell::new(StepMotor::new(NoPin, NoPin, &SLIDE)));
 
 type Desk = Node<'static, [DigitalOutput<Lamp>; 1], 4, 256>;
 
@@ -50,7 +67,7 @@ fn main() -> ! {
     framed(NO_SESSION, NO_SEQ, hello, |bytes| {
         node.handle_bytes(NOW, bytes)
     });
-    send(&mut node);
+    send(&mut node, NOW);
     let key = session_key(SESSION, BOOT);
     // Nothing: what a mark takes.
     counted(|| ());
@@ -81,12 +98,36 @@ fn main() -> ! {
     say(&mut uart, 1, "a task's start: its frame, goal and answer");
     feed_and_send(&mut node, key, 2, Body::Ping);
     say(&mut uart, 1, "a ping and its answer");
+    // What a main loop shares with interrupts besides: no other critical section may be longer.
+    LOG.push(&[7; 200]);
+    let mut frame = [0; 200];
+    counted(|| {
+        let _ = black_box(LOG.read(&mut frame));
+    });
+    say(&mut uart, frame.len(), "a byte of the log into its frame");
+    let mut slide = Stepper::new("slide", &MOTOR, SLIDE);
+    let mut text = Reason::new();
+    let mut why = Report::new(&mut text);
+    counted(|| {
+        let _ = black_box(slide.start(NOW, "2000", &mut why));
+    });
+    say(&mut uart, 1, "a motion of a motor that an interrupt drives");
+    for turn in 0..400 {
+        let now = NOW.after(turn * 100);
+        critical_section::with(|token| MOTOR.borrow(token).borrow_mut().tick(now));
+    }
+    let _ = black_box(slide.poll(NOW, &mut why));
+    slide.abort(NOW);
+    slide.make_safe(NOW);
+
     // Its progress, so that nothing is left to be said.
     node.handle_timeout(NOW);
-    send(&mut node);
+    send(&mut node, NOW.after(40_000));
     let pump = Pump::new();
+    // The lamp is polled then, and its progress is not told yet.
+    let later = NOW.after(50_000);
     counted(|| {
-        let _ = black_box(pump.turn_split(&mut node, &mut &app::RECEIVED, &mut uart, NOW));
+        let _ = black_box(pump.turn_split(&mut node, &mut &app::RECEIVED, &mut uart, later));
     });
     say(
         &mut uart,
@@ -109,7 +150,7 @@ fn feed_and_send(node: &mut Desk, session: u32, seq: u8, body: Body<'_>) {
     framed(session, seq, body, |bytes| {
         counted(|| {
             node.handle_bytes(NOW, bytes);
-            send(node);
+            send(node, NOW);
         });
     });
 }
@@ -127,9 +168,9 @@ fn framed(session: u32, seq: u8, body: Body<'_>, act: impl FnOnce(&[u8])) -> usi
 }
 
 /// Makes and takes what the node has to say.
-fn send(node: &mut Desk) {
+fn send(node: &mut Desk, now: Instant) {
     loop {
-        let count = black_box(node.transmit_buf(NOW, &())).len();
+        let count = black_box(node.transmit_buf(now, &())).len();
         if count == 0 {
             break;
         }

@@ -266,6 +266,11 @@ impl Bench {
         self.axis.borrow().position
     }
 
+    /// Whether a step's pulse is up.
+    pub(super) fn is_pulsing(&self) -> bool {
+        self.axis.borrow().step
+    }
+
     pub(super) fn is_powered(&self) -> bool {
         self.axis.borrow().powered == Some(true)
     }

@@ -293,6 +293,7 @@ fn a_device_whose_link_timeout_is_none_is_refused() {
         identity.link_timeout = Duration::from_millis(millis);
         let motor = |place, loss| Motor {
             place,
+            name: ["arm", "belt"][place],
             loss,
             world: Rc::clone(&lab.world),
             ends_at: Instant::ZERO,
