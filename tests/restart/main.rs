@@ -423,14 +423,13 @@ fn whenever_it_is_killed_each_task_has_one_end_and_moves_once() {
     let stop = std::sync::Arc::new(std::sync::atomic::AtomicBool::new(false));
     let stopped = std::sync::Arc::clone(&stop);
     let ends = std::sync::Arc::new(std::sync::atomic::AtomicUsize::new(0));
-    let ended = std::sync::Arc::clone(&ends);
     // Asks for one task after the other, and keeps what it is told.
     let clients: Vec<_> = ["arm", "belt"]
         .into_iter()
         .zip([1000, 2000])
         .map(|(motor, first)| {
             let (endpoint, stopped) = (endpoint.clone(), std::sync::Arc::clone(&stopped));
-            let ended = std::sync::Arc::clone(&ended);
+            let ended = std::sync::Arc::clone(&ends);
             std::thread::spawn(move || {
                 let client = RemoteTask::connect(&endpoint, SCOPE).unwrap();
                 let mut client = client.with_timeout(Duration::from_millis(500));
