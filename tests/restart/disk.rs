@@ -146,3 +146,60 @@ fn without_a_journal_it_says_what_is_not_promised() {
         process.wait_for("Serving ");
     }
 }
+
+#[test]
+fn a_journal_that_somebody_else_alters_is_noticed_by_an_idle_gateway_and_begun_anew() {
+    let mut lab = Lab::new(LONG);
+    let mut client = lab.client();
+    let id = client.trigger("motors", "arm", "7 1").unwrap().id;
+    let end = client.wait(id, LIMIT).unwrap();
+    let journal = || std::fs::OpenOptions::new().append(true).open(lab.journal());
+    journal().unwrap().set_len(0).unwrap();
+    lab.gateway.process.wait_for(" was cut: ");
+    until("the lines are there again", PATIENCE, || {
+        (lab.lines().len() >= 2).then_some(())
+    });
+    std::io::Write::write_all(&mut journal().unwrap(), b"{}").unwrap();
+    lab.gateway
+        .process
+        .wait_for(" was written by somebody else: 2 bytes");
+    std::fs::remove_file(lab.journal()).unwrap();
+    lab.gateway.process.wait_for(" was removed");
+    until("it is there again", PATIENCE, || {
+        lab.journal().exists().then_some(())
+    });
+    lab.kill();
+    lab.start_again();
+    assert_eq!(lab.client().status(id), Ok(end));
+}
+
+#[test]
+fn used_up_ids_are_said_by_the_gateway_and_to_its_clients() {
+    let device = Device::power_on(LONG);
+    let (scratch, port) = (Scratch::new(), reserve_port());
+    let last_but_one = power::journal_up_to(u32::MAX - 1);
+    std::fs::write(scratch.path("journal"), last_but_one).unwrap();
+    let mut gateway = start(&device, &scratch, port);
+    gateway.process.wait_for("only 1 task ids are left");
+    gateway.wait_ready("motors");
+    let connect = || RemoteTask::connect(&gateway.endpoint(), SCOPE).unwrap();
+    let mut client = connect();
+    let id = client.trigger("motors", "arm", "7 1").unwrap().id;
+    assert_eq!(id, TaskId::MAX);
+    let end = status(State::Completed, "7");
+    assert_eq!(client.wait(id, LIMIT), Ok(end.clone()));
+    let used_up = |error: TriggerError| {
+        let said = error.to_string();
+        assert!(said.contains("all task ids are used up"), "{said}");
+    };
+    used_up(client.trigger("motors", "arm", "8 1").unwrap_err());
+    gateway.process.wait_for("All task ids are used up: ");
+    gateway.process.kill();
+    let gateway = start(&device, &scratch, port);
+    gateway
+        .process
+        .wait_for("all task ids are used up. Stop the gateway, move the journal away");
+    let mut client = RemoteTask::connect(&gateway.endpoint(), SCOPE).unwrap();
+    assert_eq!(client.status(id), Ok(end));
+    used_up(client.trigger("motors", "arm", "9 1").unwrap_err());
+}

@@ -6,6 +6,7 @@
 mod device;
 mod disk;
 mod handler;
+mod power;
 mod stopped;
 
 use std::collections::BTreeMap;
@@ -331,15 +332,19 @@ fn a_task_of_a_device_that_is_not_served_any_more_ends_as_one_that_does_not_answ
 #[test]
 fn a_second_gateway_on_the_same_journal_ends_with_what_is_wrong() {
     let lab = Lab::new(USUAL);
-    let mut command = command(&lab.device, reserve_port());
-    command.arg("--journal").arg(lab.journal());
-    let ended = Process::run(&mut command);
-    assert_eq!(ended.code, Some(1));
-    assert!(
-        ended.stderr.contains("is another gateway's (process "),
-        "{}",
-        ended.stderr
-    );
+    let [soft, hard] = ["soft", "hard"].map(|name| lab.scratch.path(name));
+    std::os::unix::fs::symlink(lab.journal(), &soft).unwrap();
+    std::fs::hard_link(lab.journal(), &hard).unwrap();
+    for name in [lab.journal(), soft, hard] {
+        let mut command = command(&lab.device, reserve_port());
+        let ended = Process::run(command.arg("--journal").arg(name));
+        assert_eq!(ended.code, Some(1));
+        let who = format!(
+            "is another gateway's (process {})",
+            lab.gateway.process.id()
+        );
+        assert!(ended.stderr.contains(&who), "{}", ended.stderr);
+    }
     // The first one serves on.
     let mut client = lab.client();
     let id = client.trigger("motors", "arm", "7 1").unwrap().id;

@@ -390,6 +390,11 @@ impl<M: Memory> Dispatcher<M> {
         }
     }
 
+    /// The id of the next task; `None` when all are used up.
+    pub const fn next_id(&self) -> Option<TaskId> {
+        self.next
+    }
+
     /// What is remembered.
     pub fn memory(&self) -> &M {
         &self.memory

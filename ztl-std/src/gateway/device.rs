@@ -9,14 +9,14 @@ use std::thread::JoinHandle;
 use ztl_core::repr::put_quoted;
 use ztl_core::{TaskId, TaskSpec};
 
-use super::journal::FileBook;
+use super::journal::{DECIDED, FileBook, UNWRITTEN};
 use super::logs::DeviceLog;
 use super::reader::{Opener, Permit};
 use super::readings::Observers;
 use super::report::Window;
 use super::session::{Restored, Session};
 use crate::random;
-use crate::server::TaskReporter;
+use crate::server::{Claim, TaskReporter};
 use worker::Worker;
 
 /// Longest part of a request that is repeated in a reason, in bytes.
@@ -43,6 +43,8 @@ pub(super) struct Request {
     spec: String,
     /// The text of the INIT's answer.
     reply: String,
+    /// Where there is a journal: to be taken before the task is started.
+    claim: Option<Claim>,
 }
 
 /// One device; its thread ends when this is dropped, after its tasks have been aborted.
@@ -52,6 +54,7 @@ pub struct Device {
     inputs: Sender<Input>,
     window: Window,
     log: DeviceLog,
+    has_journal: bool,
     thread: Option<JoinHandle<()>>,
 }
 
@@ -68,6 +71,7 @@ impl Device {
     ) -> io::Result<Self> {
         let (inputs, inbox) = channel();
         let baud = opener.as_ref().and_then(|opener| opener.baud);
+        let has_journal = book.is_some();
         let session = Session::with_book(book, gateway, baud, random::nonzero);
         let mut worker = Worker::new(name, opener, session, inputs.clone(), awaited, observers);
         let (url, window, log) = (worker.url().to_owned(), worker.window(), worker.log());
@@ -79,6 +83,7 @@ impl Device {
             inputs,
             window,
             log,
+            has_journal,
             thread: Some(thread),
         })
     }
@@ -96,7 +101,10 @@ impl Device {
     }
 
     pub(super) fn start(&self, task: TaskReporter, spec: &TaskSpec<'_>) {
-        let request = request(task.id(), spec);
+        let mut request = request(task.id(), spec);
+        request.claim = self
+            .has_journal
+            .then(|| task.refuse_unless_claimed(DECIDED, UNWRITTEN));
         // If the thread is gone, dropping the reporter tells the client.
         let _ = self.inputs.send(Input::Start(task, request));
     }
@@ -135,6 +143,7 @@ fn request(id: TaskId, spec: &TaskSpec<'_>) -> Request {
         goal: spec.goal.to_owned(),
         spec: shown(spec),
         reply: String::from_utf8_lossy(&reply).into_owned(),
+        claim: None,
     }
 }
 

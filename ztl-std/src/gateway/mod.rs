@@ -41,9 +41,6 @@ use crate::server::{
     Answers, Restored, RestoredTask, TaskHandler, TaskReporter, offered, would_take,
 };
 
-/// Task ids that are left out at each start.
-const SKIPPED: u32 = 1000;
-
 /// Devices as handlers: register it at a [`TaskServer`](crate::TaskServer) with
 /// [`register_handler`](crate::TaskServer::register_handler).
 #[derive(Debug)]
@@ -329,11 +326,9 @@ impl TaskHandler for Gateway {
                 ended: None,
             }
         }));
-        // Lines that a power cut took may have named some more.
-        let skipped = |last: TaskId| TaskId::new(last.get().saturating_add(SKIPPED));
         Restored {
             tasks,
-            last_id: journal.last_id().and_then(skipped),
+            last_id: journal.last_id(),
         }
     }
 

@@ -15,11 +15,12 @@ mod router;
 mod running;
 mod touch;
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
 
-use tracing::{debug, info, warn};
-use ztl_core::dispatcher::{Action, Body, Config, Dispatcher};
+use tracing::{debug, error, info, warn};
+use ztl_core::dispatcher::{Action, Body, Config, Dispatcher, TaskEvent};
 use ztl_core::envelope::Envelope;
 use ztl_core::integer::Integer;
 use ztl_core::memory::{Memory, Scope};
@@ -43,8 +44,8 @@ pub use limits::{LIMITS, Limits};
 pub use listing::{ListedTask, Listing};
 use memory::{About, Grown, Heap};
 pub(crate) use memory::{ById, offered};
-pub use report::TaskReporter;
 pub(crate) use report::{AbortRefusal, Hush};
+pub use report::{Claim, TaskReporter};
 use report::{Inbox, Mailbox, Report, Waker};
 use router::{Received, Router};
 pub use running::{Pulse, RunningServer, Stopper};
@@ -101,8 +102,12 @@ pub struct TaskServer {
     mailbox: Mailbox,
     inbox: Inbox,
     touch: Touch,
+    /// Claims by the time at which their tasks are refused, and the reason.
+    claims: BTreeMap<(Instant, TaskId), (Claim, &'static str)>,
     /// Is shown what is asked of tasks.
     witness: Option<Witness>,
+    /// Whether it was said that all task ids are used up.
+    said_used_up: bool,
     /// Whether the last turn took a report.
     reported: bool,
     /// Whether a handler was given a task since it was last told that these are all.
@@ -167,7 +172,9 @@ impl TaskServer {
             mailbox,
             inbox,
             touch: Touch::default(),
+            claims: BTreeMap::new(),
             witness: None,
+            said_used_up: false,
             reported: false,
             started: false,
         })
@@ -298,9 +305,23 @@ impl TaskServer {
             }
         }
         let Self {
-            dispatcher, router, ..
+            dispatcher,
+            router,
+            claims,
+            ..
         } = self;
         let now = now();
+        while let Some(claim) = claims.first_entry()
+            && claim.key().0 <= now
+        {
+            let ((_, id), (claim, reason)) = claim.remove_entry();
+            if claim.refuse() {
+                let refused = TaskEvent::Rejected { reason };
+                dispatcher.handle_event(now, id, refused, &mut |peer, reply| {
+                    router.answer(peer, reply);
+                });
+            }
+        }
         dispatcher.handle_timeout(now, &mut |peer, reply| router.answer(peer, reply));
         self.abort_for_those_who_are_gone(now);
         Ok(more)
@@ -365,7 +386,12 @@ impl TaskServer {
 
     /// Until a request, a report or the dispatcher's next wake-up, at most for `longest`; the request.
     fn wait(&self, longest: Duration) -> Result<Option<Received>, zmq::Error> {
-        let wakes = [self.dispatcher.poll_timeout(), self.touch.poll_timeout()];
+        let claims = self.claims.keys().next().map(|(at, _)| *at);
+        let wakes = [
+            self.dispatcher.poll_timeout(),
+            self.touch.poll_timeout(),
+            claims,
+        ];
         let wake = wakes.into_iter().flatten().min();
         let time = wake.map_or(longest, |wake| wake.since(now()).min(longest));
         if time.is_zero() || !self.waker.may_sleep() {
@@ -388,6 +414,7 @@ impl TaskServer {
             router,
             inbox,
             touch,
+            claims,
             ..
         } = self;
         let mut taken = 0;
@@ -396,15 +423,17 @@ impl TaskServer {
             && let Some((id, report)) = inbox.next()
         {
             taken += 1;
-            if let Report::NeedsClient(client, silence) = report {
-                touch.watch(now, client, id, silence);
-                continue;
+            match report {
+                Report::NeedsClient(client, silence) => touch.watch(now, client, id, silence),
+                Report::NeedsClaim(claim, within, reason) => {
+                    claims.insert((now + within, id), (claim, reason));
+                }
+                report => report.tell(|event| {
+                    dispatcher.handle_event(now, id, event, &mut |peer, reply| {
+                        router.answer(peer, reply);
+                    });
+                }),
             }
-            report.tell(|event| {
-                dispatcher.handle_event(now, id, event, &mut |peer, reply| {
-                    router.answer(peer, reply);
-                });
-            });
         }
         self.reported = taken > 0;
         taken == BATCH
@@ -462,6 +491,10 @@ impl TaskServer {
             .dispatcher
             .handle_request(now(), frames, envelope, body, &mut out);
         self.dispatcher.memory_mut().hide(|_| false);
+        if self.dispatcher.next_id().is_none() && !self.said_used_up {
+            self.said_used_up = true;
+            error!(target: LOG, "All task ids are used up: every further task is refused.");
+        }
         if let Some(envelope) = envelope
             && !matches!(action, Some(Action::Start { .. }))
         {

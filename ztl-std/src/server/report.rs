@@ -26,6 +26,8 @@ pub(super) enum Report {
     AbortRefused,
     /// To be aborted when this client is silent for so long.
     NeedsClient(ClientId, Duration),
+    /// To be refused for this reason if nobody claims it within that time.
+    NeedsClaim(Claim, Duration, &'static str),
 }
 
 /// A task's latest progress that the server has not taken yet. However often a task reports, one
@@ -49,8 +51,8 @@ impl Report {
             Self::Failed(reason) => tell(TaskEvent::Failed { reason: &reason }),
             Self::Aborted(result) => tell(TaskEvent::Aborted { result: &result }),
             Self::AbortRefused => tell(TaskEvent::AbortRefused),
-            // The dispatcher knows no such rule.
-            Self::NeedsClient(..) => {}
+            // The dispatcher knows no such rules.
+            Self::NeedsClient(..) | Self::NeedsClaim(..) => {}
         }
     }
 }
@@ -228,6 +230,23 @@ impl Drop for Inbox {
     }
 }
 
+/// Whether a task may be begun, or is refused by its server: whichever comes first.
+#[derive(Debug, Clone, Default)]
+pub struct Claim(Arc<OnceLock<bool>>);
+
+impl Claim {
+    /// Takes it, and says whether the task may be begun. If not, its client was told that it is refused.
+    #[must_use]
+    pub fn take(&self) -> bool {
+        *self.0.get_or_init(|| true)
+    }
+
+    /// Says whether nobody has taken it, and nobody will.
+    pub(super) fn refuse(&self) -> bool {
+        !*self.0.get_or_init(|| false)
+    }
+}
+
 /// One task's line to its server. Exactly one of the ends is told: a reporter that is dropped
 /// before ends the task as FAILED.
 pub struct TaskReporter {
@@ -293,6 +312,16 @@ impl TaskReporter {
         if let Some(client) = self.client {
             self.post(Report::NeedsClient(client, silence));
         }
+    }
+
+    /// The task is refused, and its client never told its id, if nobody takes the claim `within` this time.
+    /// For a handler that has to write something down before an id is told: an INIT without a decision is
+    /// answered with the id after 1.5 s.
+    #[must_use = "a claim that nobody takes refuses the task"]
+    pub fn refuse_unless_claimed(&self, within: Duration, reason: &'static str) -> Claim {
+        let claim = Claim::default();
+        self.post(Report::NeedsClaim(claim.clone(), within, reason));
+        claim
     }
 
     /// The task cannot be stopped and goes on: answers an ABORT.

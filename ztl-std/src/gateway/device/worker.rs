@@ -267,8 +267,9 @@ impl Worker {
                     return task.rejected("the gateway is stopping");
                 }
                 let id = task.id();
-                if let (Some(book), Some(client)) = (self.session.book_mut(), task.client()) {
-                    book.asked_by(id, client);
+                if let (Some(book), Some(claim)) = (self.session.book_mut(), request.claim.clone())
+                {
+                    book.asked(id, task.client(), claim);
                 }
                 self.session
                     .start(now(), id, &request.component, &request.goal);

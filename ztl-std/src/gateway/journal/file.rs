@@ -3,60 +3,92 @@
 use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use tracing::warn;
 
 use super::JournalError;
+use super::line::last_process;
 use super::log::Storage;
+use crate::gateway::voice::LOG;
 
 /// Files before the present one that are kept: `.1` is the youngest.
 const KEPT: u32 = 3;
+/// How long another gateway is waited for: one that ends, or only looks.
+const PATIENCE: Duration = Duration::from_millis(500);
+/// Pause before the lock is tried again.
+const AGAIN: Duration = Duration::from_millis(10);
 
-/// A file of which there is one writer.
+/// A file of which there is one writer. The lock is the file's own, so other names of it are locked as well.
 #[derive(Debug)]
 pub(in crate::gateway) struct Paper {
+    /// Without symbolic links: a new file takes the place of the old one, and not that of a link.
     path: PathBuf,
+    /// Locked.
     file: File,
+    /// Files before this one that have further names, locked.
+    linked: Vec<File>,
     /// Bytes of whole lines.
     len: u64,
     /// Something stands behind them.
     torn: bool,
-    /// Each line that is needed is to survive a power cut, too.
-    sync: bool,
-    /// Of a file of its own, since the journal's is replaced.
-    _lock: File,
 }
 
 impl Paper {
     /// Opens a file, and reads what it holds.
-    pub(super) fn open(path: &Path, sync: bool) -> Result<(Self, Vec<u8>), JournalError> {
+    pub(super) fn open(path: &Path) -> Result<(Self, Vec<u8>), JournalError> {
         let failed = |cause| JournalError::Place {
             path: path.to_owned(),
             cause,
         };
-        if let Some(directory) = path.parent() {
-            fs::create_dir_all(directory).map_err(failed)?;
-        }
-        let lock = lock(path)?;
+        make_directory(path).map_err(failed)?;
+        let (path, mut file) = Self::locked(path, failed)?;
         // From a gateway that ended before it could take the place of the other.
-        let _ = fs::remove_file(beside(path, "new"));
-        let mut file = open(path).map_err(failed)?;
-        if sync {
-            sync_directory(path);
-        }
-        if !file.metadata().map_err(failed)?.is_file() {
-            let kind = io::ErrorKind::InvalidInput;
-            return Err(failed(io::Error::new(kind, "it is not a regular file")));
-        }
+        let _ = fs::remove_file(beside(&path, "new"));
         let mut written = Vec::new();
         file.read_to_end(&mut written).map_err(failed)?;
+        sync_directory(&path);
         let paper = Self {
-            path: path.to_owned(),
+            path,
             file,
+            linked: Vec::new(),
             len: written.len() as u64,
             torn: false,
-            sync,
-            _lock: lock,
         };
         Ok((paper, written))
+    }
+
+    /// The file at this path, locked, and where it really is.
+    fn locked(
+        path: &Path,
+        failed: impl Fn(io::Error) -> JournalError,
+    ) -> Result<(PathBuf, File), JournalError> {
+        let start = Instant::now();
+        loop {
+            let mut file = open(path).map_err(&failed)?;
+            if !file.metadata().map_err(&failed)?.is_file() {
+                let kind = io::ErrorKind::InvalidInput;
+                return Err(failed(io::Error::new(kind, "it is not a regular file")));
+            }
+            let real = fs::canonicalize(path).map_err(&failed)?;
+            match file.try_lock() {
+                // Else the gateway that had it has just begun a new file.
+                Ok(()) if is_at(&file, &real) => return Ok((real, file)),
+                Ok(()) => {}
+                Err(TryLockError::WouldBlock) if start.elapsed() < PATIENCE => {}
+                Err(TryLockError::WouldBlock) => {
+                    let mut written = Vec::new();
+                    // Where a lock forbids reading, nobody knows who.
+                    let _ = file.read_to_end(&mut written);
+                    return Err(JournalError::InUse {
+                        path: path.to_owned(),
+                        by: last_process(&written),
+                    });
+                }
+                Err(TryLockError::Error(cause)) => return Err(failed(cause)),
+            }
+            std::thread::sleep(AGAIN);
+        }
     }
 
     fn mend(&mut self) -> io::Result<()> {
@@ -67,12 +99,34 @@ impl Paper {
         Ok(())
     }
 
-    fn write(&mut self, lines: &[u8], needed: bool) -> io::Result<()> {
+    fn write(&mut self, lines: &[u8], sync: bool) -> io::Result<()> {
         self.file.write_all(lines)?;
-        if self.sync && needed {
+        if sync {
             self.file.sync_data()?;
         }
         Ok(())
+    }
+
+    /// Writes a new file, which is locked before it takes the place of this one.
+    fn begin(&self, new: &Path, lines: &[u8]) -> io::Result<File> {
+        let _ = fs::remove_file(new);
+        let mut options = OpenOptions::new();
+        let mut file = options.read(true).append(true).create_new(true).open(new)?;
+        file.try_lock()?;
+        file.write_all(lines)?;
+        // Whatever is synced otherwise: the old file must not be gone before this one is there.
+        file.sync_all()?;
+        // If somebody put another file there, no other gateway may have it.
+        let there = self.path.exists().then(|| open(&self.path)).transpose()?;
+        if let Some(there) = &there {
+            if !is_at(&self.file, &self.path) {
+                there.try_lock()?;
+            }
+            self.keep()?;
+        }
+        fs::rename(new, &self.path)?;
+        sync_directory(&self.path);
+        Ok(file)
     }
 
     /// Makes room for another `.1`, and keeps the present file under that name.
@@ -92,9 +146,9 @@ impl Paper {
 }
 
 impl Storage for Paper {
-    fn add(&mut self, lines: &[u8], needed: bool) -> io::Result<()> {
+    fn add(&mut self, lines: &[u8], sync: bool) -> io::Result<()> {
         self.mend()?;
-        let written = self.write(lines, needed);
+        let written = self.write(lines, sync);
         match &written {
             Ok(()) => self.len += lines.len() as u64,
             Err(_) => {
@@ -114,36 +168,35 @@ impl Storage for Paper {
 
     fn replace(&mut self, lines: &[u8]) -> io::Result<()> {
         let new = beside(&self.path, "new");
-        let write = || {
-            let mut file = File::create(&new)?;
-            file.write_all(lines)?;
-            // Before it takes the place of the other, whatever is cut: it happens seldom.
-            file.sync_all()?;
-            if self.path.exists() {
-                self.keep()?;
-            }
-            fs::rename(&new, &self.path)?;
-            if self.sync {
-                sync_directory(&self.path);
-            }
-            open(&self.path)
-        };
-        let file = write().inspect_err(|_| {
+        let file = self.begin(&new, lines).inspect_err(|_| {
             let _ = fs::remove_file(&new);
         })?;
-        self.file = file;
+        let before = std::mem::replace(&mut self.file, file);
+        if names(&before) > 1 {
+            // Whoever opens it by its other name would be a second gateway with these tasks.
+            self.linked.push(before);
+        }
         self.len = lines.len() as u64;
         self.torn = false;
         Ok(())
     }
 
-    #[cfg(unix)]
-    fn is_gone(&self) -> bool {
-        use std::os::unix::fs::MetadataExt;
-
-        let place = |metadata: fs::Metadata| (metadata.dev(), metadata.ino());
-        let ours = self.file.metadata().map(place).ok();
-        ours != fs::metadata(&self.path).map(place).ok()
+    fn altered(&self) -> Option<String> {
+        if !is_at(&self.file, &self.path) {
+            let there = self.path.exists();
+            return Some(if there { "was replaced" } else { "was removed" }.to_owned());
+        }
+        let len = self.file.metadata().ok()?.len();
+        match len.checked_sub(self.len) {
+            None => {
+                let missing = self.len - len;
+                Some(format!("was cut: {missing} bytes are missing"))
+            }
+            Some(more) if more > 0 && !self.torn => {
+                Some(format!("was written by somebody else: {more} bytes"))
+            }
+            Some(_) => None,
+        }
     }
 
     fn place(&self) -> String {
@@ -156,13 +209,61 @@ fn open(path: &Path) -> io::Result<File> {
     options.read(true).append(true).create(true).open(path)
 }
 
-/// Puts the file's name on the disk, where the system can do that.
+/// Whether a path leads to this file.
+#[cfg(unix)]
+fn is_at(file: &File, path: &Path) -> bool {
+    use std::os::unix::fs::MetadataExt;
+
+    let place = |metadata: fs::Metadata| (metadata.dev(), metadata.ino());
+    let ours = file.metadata().map(place).ok();
+    ours.is_some() && ours == fs::metadata(path).map(place).ok()
+}
+
+/// It cannot be told here.
+#[cfg(not(unix))]
+fn is_at(_file: &File, path: &Path) -> bool {
+    path.exists()
+}
+
+/// How many names a file has.
+#[cfg(unix)]
+fn names(file: &File) -> u64 {
+    use std::os::unix::fs::MetadataExt;
+
+    file.metadata().map_or(1, |metadata| metadata.nlink())
+}
+
+/// It cannot be told here.
+#[cfg(not(unix))]
+fn names(_file: &File) -> u64 {
+    1
+}
+
+/// Makes the directory of a file, so that it survives a power cut.
+fn make_directory(path: &Path) -> io::Result<()> {
+    let Some(directory) = path.parent() else {
+        return Ok(());
+    };
+    let new = directory.ancestors().take_while(|path| !path.exists());
+    let new: Vec<&Path> = new.collect();
+    fs::create_dir_all(directory)?;
+    new.into_iter().for_each(sync_directory);
+    Ok(())
+}
+
+/// Puts the name of a file on the disk.
 fn sync_directory(path: &Path) {
     let directory = path
         .parent()
         .filter(|parent| !parent.as_os_str().is_empty());
-    let directory = File::open(directory.unwrap_or(Path::new(".")));
-    let _ = directory.and_then(|directory| directory.sync_all());
+    let directory = directory.unwrap_or(Path::new("."));
+    let synced = File::open(directory).and_then(|directory| directory.sync_all());
+    if let Err(error) = synced
+        && cfg!(unix)
+    {
+        let (path, directory) = (path.display(), directory.display());
+        warn!(target: LOG, "Journal {path}: it may not survive a power cut, since {directory} cannot be synced: {error}");
+    }
 }
 
 /// The path with another ending behind its own.
@@ -171,34 +272,6 @@ fn beside(path: &Path, ending: &str) -> PathBuf {
     name.push(".");
     name.push(ending);
     name.into()
-}
-
-/// Keeps every other gateway out; the system takes the lock back when this process ends.
-fn lock(path: &Path) -> Result<File, JournalError> {
-    let at = beside(path, "lock");
-    let failed = |cause| JournalError::Place {
-        path: at.clone(),
-        cause,
-    };
-    let mut options = OpenOptions::new();
-    let options = options.read(true).write(true).create(true).truncate(false);
-    let mut file = options.open(&at).map_err(failed)?;
-    match file.try_lock() {
-        Ok(()) => {}
-        Err(TryLockError::WouldBlock) => {
-            let mut by = String::new();
-            let _ = file.read_to_string(&mut by);
-            return Err(JournalError::InUse {
-                path: path.to_owned(),
-                by: by.trim().parse().ok(),
-            });
-        }
-        Err(TryLockError::Error(cause)) => return Err(failed(cause)),
-    }
-    // Who has it, for the one who comes in vain.
-    let _ = file.set_len(0);
-    let _ = writeln!(file, "{}", std::process::id());
-    Ok(file)
 }
 
 #[cfg(test)]

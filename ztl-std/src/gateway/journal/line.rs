@@ -41,6 +41,8 @@ impl Moment {
 pub(super) enum Line {
     /// A gateway was started, or a new file begun.
     Opened(Opened),
+    /// Task ids are about to be given.
+    Reserved(Reserved),
     /// A `Start` is about to be sent.
     Start(TaskLine),
     /// The device has said that the task runs.
@@ -58,9 +60,12 @@ pub(super) struct Opened {
     /// Who the gateway is towards its devices. In hexadecimal: JSON's readers have numbers of 53 bits.
     #[serde(with = "hex")]
     pub(super) gateway: u64,
-    /// The last task id that was given; 0 when none was.
+    /// No task id up to this one is given again; 0 when none was given.
     pub(super) last: u32,
     version: String,
+    /// The process that writes the journal.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    process: Option<u32>,
 }
 
 impl Opened {
@@ -72,6 +77,26 @@ impl Opened {
             gateway,
             last,
             version: ztl_core::VERSION.to_owned(),
+            process: Some(std::process::id()),
+        }
+    }
+}
+
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub(super) struct Reserved {
+    #[serde(with = "crate::wall")]
+    at: SystemTime,
+    running_us: u64,
+    /// No task id up to this one is given after a restart.
+    pub(super) last: u32,
+}
+
+impl Reserved {
+    pub(super) fn new(now: Moment, last: u32) -> Self {
+        Self {
+            at: now.wall,
+            running_us: now.micros(),
+            last,
         }
     }
 }
@@ -133,6 +158,11 @@ impl TaskLine {
         }
     }
 
+    /// Bytes that it takes in memory, about.
+    pub(super) fn size(&self) -> usize {
+        size_of::<Self>() + self.component.len() + self.goal.len() + self.text.len()
+    }
+
     /// How long ago it was written; zero when the wall clock was set back since.
     pub(super) fn age(&self, now: Moment) -> Duration {
         now.wall.duration_since(self.at).unwrap_or_default()
@@ -169,12 +199,31 @@ impl TaskLine {
 }
 
 impl Line {
+    /// The task that it is about.
+    pub(super) fn task(&self) -> Option<TaskId> {
+        match self {
+            Self::Opened(_) | Self::Reserved(_) => None,
+            Self::Start(line) | Self::Accepted(line) | Self::Ended(line) => Some(line.task),
+        }
+    }
+
     pub(super) fn put(&self, bytes: &mut Vec<u8>) {
         // Neither can fail: text as keys, and a vector that grows.
         if serde_json::to_writer(&mut *bytes, self).is_ok() {
             bytes.push(b'\n');
         }
     }
+}
+
+/// The process that wrote a journal last.
+pub(super) fn last_process(written: &[u8]) -> Option<u32> {
+    let lines = written.rsplit(|byte| *byte == b'\n');
+    lines
+        .filter_map(|line| serde_json::from_slice::<Line>(line).ok())
+        .find_map(|line| match line {
+            Line::Opened(opened) => opened.process,
+            _ => None,
+        })
 }
 
 /// Which version a line begins, if it begins one.

@@ -1,5 +1,6 @@
 //! What the lines of a journal mean, over any storage.
 
+use std::cmp::Reverse;
 use std::collections::BTreeMap;
 use std::io;
 use std::time::Duration;
@@ -7,7 +8,7 @@ use std::time::Duration;
 use tracing::{info, warn};
 use ztl_core::{State, TaskId};
 
-use super::line::{Line, Moment, Opened, TaskLine, VERSION, Version};
+use super::line::{Line, Moment, Opened, Reserved, TaskLine, VERSION, Version};
 use crate::gateway::session::{Entry, Restored};
 use crate::server::{KEEP, RestoredTask};
 
@@ -15,9 +16,15 @@ use crate::server::{KEEP, RestoredTask};
 const ROTATE: u64 = 1 << 20;
 /// Tasks that are carried over to a new file, at most; as many as a server remembers.
 const CARRIED: usize = 10_000;
-/// A client is told the id of a task that is undecided for 1.5 s, of which it may have waited for 1 s
-/// before its `Start`. With some of the rest for the way, one that is refused within this time after
-/// its `Start` is known to nobody.
+/// The same in bytes of memory.
+const CARRIED_BYTES: usize = 64 << 20;
+/// Task ids that are reserved at a time, which costs one flush of the disk.
+const BLOCK: u32 = 10_000;
+/// Warn when fewer task ids than this are left.
+const FEW: u32 = 10_000_000;
+/// A client is told the id of a task that is undecided for 1.5 s. Its `Start` is written within
+/// [`DECIDED`](super::DECIDED) or never sent, so nobody knows the id of a task that its device rejects within
+/// this time after its `Start`.
 const UNTOLD: Duration = Duration::from_millis(250);
 /// Lines that cannot be used of which each is said.
 const SAID: usize = 10;
@@ -26,12 +33,12 @@ const LOG: &str = "gateway";
 
 /// Where a journal lies. What is said to be written survives the end of the process.
 pub trait Storage {
-    /// Adds whole lines at the end. `needed` says that something is about to follow from them.
+    /// Adds whole lines at the end. With `sync` they, and all lines before, survive a power cut.
     ///
     /// # Errors
     /// Those of the operating system. What was written of the lines is then cut off before the next
     /// ones.
-    fn add(&mut self, lines: &[u8], needed: bool) -> io::Result<()>;
+    fn add(&mut self, lines: &[u8], sync: bool) -> io::Result<()>;
 
     /// Keeps only the first `len` bytes: the rest is a line that was not written to its end.
     ///
@@ -45,9 +52,9 @@ pub trait Storage {
     /// Those of the operating system. The others are then still there.
     fn replace(&mut self, lines: &[u8]) -> io::Result<()>;
 
-    /// Whether somebody has taken away what was written.
-    fn is_gone(&self) -> bool {
-        false
+    /// What somebody else did to what was written, for people: `was removed`.
+    fn altered(&self) -> Option<String> {
+        None
     }
 
     /// What it is called, for people.
@@ -56,7 +63,7 @@ pub trait Storage {
 
 /// In memory, for tests and simulations.
 impl Storage for Vec<u8> {
-    fn add(&mut self, lines: &[u8], _needed: bool) -> io::Result<()> {
+    fn add(&mut self, lines: &[u8], _sync: bool) -> io::Result<()> {
         self.extend_from_slice(lines);
         Ok(())
     }
@@ -81,8 +88,10 @@ impl Storage for Vec<u8> {
 pub struct Log<S> {
     storage: S,
     gateway: u64,
-    /// The last task id that was given, 0 for none.
-    last: u32,
+    /// No task id up to this one is given after a restart, 0 for none.
+    reserved: u32,
+    /// Each line from which something follows is to survive a power cut.
+    sync: bool,
     /// The latest line of each task.
     tasks: BTreeMap<TaskId, TaskLine>,
     /// Bytes in the storage.
@@ -102,7 +111,8 @@ impl<S: Storage> Log<S> {
         let mut log = Self {
             storage,
             gateway: stranger,
-            last: 0,
+            reserved: 0,
+            sync: false,
             tasks: BTreeMap::new(),
             len: written.len() as u64,
             rotate_at: ROTATE,
@@ -122,10 +132,11 @@ impl<S: Storage> Log<S> {
             }
         }
         let clean = log.read(whole);
+        log.warn_of_few_ids();
         log.forget(now);
         if !clean {
             // What could not be used stays in the file before.
-            log.rotate(now);
+            log.rotate_or_go_on(now);
         }
         if !log.opened {
             // If that cannot be written, it is said, and tried again with the first task.
@@ -134,14 +145,22 @@ impl<S: Storage> Log<S> {
         log
     }
 
+    /// With `sync` each line from which something follows survives a power cut. Lines that reserve task ids
+    /// always do.
+    #[must_use]
+    pub fn with_sync(mut self, sync: bool) -> Self {
+        self.sync = sync;
+        self
+    }
+
     /// Who the gateway is towards its devices.
     pub const fn gateway(&self) -> u64 {
         self.gateway
     }
 
-    /// The last task id that was given.
+    /// The last task id that may have been given before this start.
     pub const fn last_id(&self) -> Option<TaskId> {
-        TaskId::new(self.last)
+        TaskId::new(self.reserved)
     }
 
     /// The tasks that have no end, each with its device's name.
@@ -240,8 +259,9 @@ impl<S: Storage> Log<S> {
             match serde_json::from_slice(bytes) {
                 Ok(Line::Opened(opened)) => {
                     self.gateway = opened.gateway;
-                    self.last = self.last.max(opened.last);
+                    self.reserved = self.reserved.max(opened.last);
                 }
+                Ok(Line::Reserved(reserved)) => self.reserved = self.reserved.max(reserved.last),
                 Ok(Line::Start(line) | Line::Accepted(line)) if line.restored().is_none() => {
                     useless += 1;
                     warn!(target: LOG, "Journal {place}, line {number}: skipped, it does not say to whom the task was sent.");
@@ -268,7 +288,7 @@ impl<S: Storage> Log<S> {
 
     /// An end stays what it is.
     fn note(&mut self, line: TaskLine) {
-        self.last = self.last.max(line.task.get());
+        self.reserved = self.reserved.max(line.task.get());
         match self.tasks.get(&line.task) {
             Some(known) if known.state.is_final() => {}
             // A device that is busy refuses often.
@@ -282,43 +302,93 @@ impl<S: Storage> Log<S> {
     }
 
     fn write(&mut self, now: Moment, line: Option<Line>) -> Result<(), String> {
-        if self.len >= self.rotate_at || self.storage.is_gone() {
-            self.rotate(now);
+        self.look(now)?;
+        if self.len >= self.rotate_at {
+            self.rotate_or_go_on(now);
         }
         let mut bytes = Vec::new();
         if !self.opened {
             self.put_opened(now, &mut bytes);
         }
+        let mut reserved = self.reserved;
         if let Some(line) = &line {
+            if let Some(id) = line.task().filter(|id| id.get() > reserved) {
+                reserved = id.get().saturating_add(BLOCK - 1);
+                Line::Reserved(Reserved::new(now, reserved)).put(&mut bytes);
+            }
             line.put(&mut bytes);
         }
         let needed = matches!(line, Some(Line::Start(_) | Line::Ended(_)));
-        if let Err(error) = self.storage.add(&bytes, needed) {
+        let reserves = reserved > self.reserved;
+        if let Err(error) = self.storage.add(&bytes, reserves || needed && self.sync) {
             let place = self.storage.place();
             let trouble = format!("the journal {place} cannot be written: {error}");
-            if self.trouble.as_ref() != Some(&trouble) {
-                warn!(target: LOG, "No task is taken: {trouble}");
-                self.trouble = Some(trouble.clone());
-            }
-            return Err(trouble);
+            return Err(self.in_trouble(trouble));
         }
         if self.trouble.take().is_some() {
             info!(target: LOG, "The journal {} is written again.", self.storage.place());
         }
         self.len += bytes.len() as u64;
         self.opened = true;
+        if reserves {
+            self.reserved = reserved;
+            self.warn_of_few_ids();
+        }
         if let Some(Line::Start(line) | Line::Accepted(line) | Line::Ended(line)) = line {
             self.note(line);
         }
         Ok(())
     }
 
-    fn put_opened(&self, now: Moment, bytes: &mut Vec<u8>) {
-        Line::Opened(Opened::new(now, self.gateway, self.last)).put(bytes);
+    /// Begins a new file when somebody else altered this one, and says so.
+    ///
+    /// # Errors
+    /// Why no new file can be begun, for people.
+    pub fn look(&mut self, now: Moment) -> Result<(), String> {
+        let Some(how) = self.storage.altered() else {
+            return Ok(());
+        };
+        let place = self.storage.place();
+        if let Err(error) = self.rotate(now) {
+            let trouble =
+                format!("the journal {place} {how}, and no new file can be begun: {error}");
+            return Err(self.in_trouble(trouble));
+        }
+        warn!(target: LOG, "Journal {place} {how}. A new file with all that is still needed takes its place.");
+        Ok(())
     }
 
-    /// Begins a new file with all that is still needed. When it cannot be, the old one goes on.
-    fn rotate(&mut self, now: Moment) {
+    fn in_trouble(&mut self, trouble: String) -> String {
+        if self.trouble.as_ref() != Some(&trouble) {
+            warn!(target: LOG, "No task is taken: {trouble}");
+            self.trouble = Some(trouble.clone());
+        }
+        trouble
+    }
+
+    fn warn_of_few_ids(&self) {
+        let left = u32::MAX - self.reserved;
+        let place = self.storage.place();
+        if left == 0 {
+            warn!(target: LOG, "Journal {place}: all task ids are used up. Stop the gateway, move the journal away and start the gateway again.");
+        } else if left < FEW {
+            warn!(target: LOG, "Journal {place}: only {left} task ids are left. Move the journal away while the gateway is stopped and no task runs.");
+        }
+    }
+
+    fn put_opened(&self, now: Moment, bytes: &mut Vec<u8>) {
+        Line::Opened(Opened::new(now, self.gateway, self.reserved)).put(bytes);
+    }
+
+    /// Begins a new file with all that is still needed. When that fails, the old one goes on.
+    fn rotate_or_go_on(&mut self, now: Moment) {
+        if let Err(error) = self.rotate(now) {
+            let place = self.storage.place();
+            warn!(target: LOG, "Journal {place}: no new file can be begun: {error}");
+        }
+    }
+
+    fn rotate(&mut self, now: Moment) -> io::Result<()> {
         self.forget(now);
         let mut bytes = Vec::new();
         self.put_opened(now, &mut bytes);
@@ -330,31 +400,33 @@ impl<S: Storage> Log<S> {
             };
             line.put(&mut bytes);
         }
-        match self.storage.replace(&bytes) {
-            Ok(()) => {
-                self.opened = true;
-                self.len = bytes.len() as u64;
-            }
-            Err(error) => {
-                let place = self.storage.place();
-                warn!(target: LOG, "Journal {place}: no new file can be begun: {error}");
-            }
+        let replaced = self.storage.replace(&bytes);
+        if replaced.is_ok() {
+            self.opened = true;
+            self.len = bytes.len() as u64;
         }
-        self.rotate_at = self.len + ROTATE;
+        // Whatever its size, a byte is copied about once.
+        self.rotate_at = self.len + ROTATE.max(self.len);
+        replaced
     }
 
     /// Forgets ends that are too old, and the oldest of too many.
     fn forget(&mut self, now: Moment) {
         let needed = |line: &TaskLine| !line.state.is_final() || line.age(now) < KEEP;
         self.tasks.retain(|_, line| needed(line));
-        let surplus = self.tasks.len().saturating_sub(CARRIED);
-        if surplus > 0 {
-            let mut ends: Vec<_> = self.tasks.values().filter(|l| l.state.is_final()).collect();
-            ends.sort_by_key(|line| std::cmp::Reverse(line.age(now)));
-            let oldest: Vec<TaskId> = ends.iter().take(surplus).map(|line| line.task).collect();
-            for id in oldest {
-                self.tasks.remove(&id);
-            }
+        let mut bytes: usize = self.tasks.values().map(TaskLine::size).sum();
+        if self.tasks.len() <= CARRIED && bytes <= CARRIED_BYTES {
+            return;
+        }
+        let ends = self.tasks.values().filter(|line| line.state.is_final());
+        let mut ends: Vec<_> = ends
+            .map(|line| (line.age(now), Reverse(line.task)))
+            .collect();
+        ends.sort();
+        while let Some((_, Reverse(oldest))) = ends.pop()
+            && (self.tasks.len() > CARRIED || bytes > CARRIED_BYTES)
+        {
+            bytes -= self.tasks.remove(&oldest).map_or(0, |line| line.size());
         }
     }
 }

@@ -10,17 +10,28 @@ mod log;
 use std::collections::HashMap;
 use std::io;
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
+use std::time::Duration;
 
 use ztl_core::envelope::ClientId;
 use ztl_core::{State, TaskId};
 
 use super::session::{Book, Entry, Restored};
 use crate::random;
-use crate::server::RestoredTask;
+use crate::server::{Claim, RestoredTask};
 use file::Paper;
 pub use line::Moment;
 pub use log::{Log, Storage};
+
+/// How often it is looked whether somebody else altered the journal.
+const LOOK: Duration = Duration::from_secs(1);
+
+/// A task whose `Start` was not written within this time after its INIT is refused. So no client is told the
+/// id of a task (after 1.5 s, at a slow device) that the journal does not have.
+pub(in crate::gateway) const DECIDED: Duration = Duration::from_millis(1200);
+
+/// Why such a task is refused.
+pub(in crate::gateway) const UNWRITTEN: &str = "the journal has not been written for 1.2 s, so the task was not started; is its disk too slow?";
 
 /// Why a journal cannot be used.
 #[derive(Debug)]
@@ -94,9 +105,10 @@ impl Journal {
     /// reason, until there is room again.
     pub fn open(path: impl AsRef<Path>, sync: bool) -> Result<Self, JournalError> {
         let path = path.as_ref().to_owned();
-        let (paper, written) = Paper::open(&path, sync)?;
-        let log = Log::open(paper, &written, Moment::now(), random::number());
+        let (paper, written) = Paper::open(&path)?;
+        let log = Log::open(paper, &written, Moment::now(), random::number()).with_sync(sync);
         let log = Arc::new(Mutex::new(log));
+        look_at(Arc::downgrade(&log));
         Ok(Self { log, path })
     }
 
@@ -134,14 +146,38 @@ impl Journal {
     }
 }
 
+/// Looks now and then whether somebody else altered the journal, as long as it is open.
+fn look_at(log: Weak<Mutex<Log<Paper>>>) {
+    let look = move || {
+        while let Some(log) = log.upgrade() {
+            // It says what is wrong, and is tried again.
+            let _ = lock(&log).look(Moment::now());
+            drop(log);
+            std::thread::sleep(LOOK);
+        }
+    };
+    // Without a thread it is looked at each write.
+    let _ = std::thread::Builder::new()
+        .name("ztl-journal".to_owned())
+        .spawn(look);
+}
+
 /// A device's hand in a journal: the book of its session.
 #[derive(Debug)]
 pub struct DeviceBook<S> {
     log: Shared<S>,
     device: String,
     now: fn() -> Moment,
-    /// Who asked for the tasks that are not started yet, where it is known.
-    clients: HashMap<TaskId, ClientId>,
+    /// Tasks that are not started yet.
+    asked: HashMap<TaskId, Asked>,
+}
+
+/// A task that is not started yet.
+#[derive(Debug)]
+struct Asked {
+    /// Who asked for it, where it is known.
+    client: Option<ClientId>,
+    claim: Claim,
 }
 
 impl<S: Storage> DeviceBook<S> {
@@ -151,22 +187,22 @@ impl<S: Storage> DeviceBook<S> {
             log,
             device: device.to_owned(),
             now,
-            clients: HashMap::new(),
+            asked: HashMap::new(),
         }
     }
 
-    /// Who asks for the task that is about to be started.
-    pub(super) fn asked_by(&mut self, id: TaskId, client: ClientId) {
-        self.clients.insert(id, client);
+    /// A task is about to be started, if it is claimed before its client is told that it is refused.
+    pub(super) fn asked(&mut self, id: TaskId, client: Option<ClientId>, claim: Claim) {
+        self.asked.insert(id, Asked { client, claim });
     }
 
     /// The task was not started.
     pub(super) fn forget(&mut self, id: TaskId) {
-        self.clients.remove(&id);
+        self.asked.remove(&id);
     }
 
     fn client(&self, id: TaskId) -> Option<String> {
-        let ClientId(bytes) = self.clients.get(&id)?;
+        let ClientId(bytes) = self.asked.get(&id)?.client?;
         Some(bytes.iter().map(|byte| format!("{byte:02x}")).collect())
     }
 }
@@ -175,9 +211,15 @@ impl<S: Storage> Book for DeviceBook<S> {
     fn starting(&mut self, task: &Entry<'_>) -> Result<(), String> {
         let client = self.client(task.id);
         lock(&self.log).starting((self.now)(), &self.device, client, task)?;
-        // Known from the line before, from now on.
-        self.forget(task.id);
-        Ok(())
+        // The journal knows the client from now on.
+        let asked = self.asked.remove(&task.id);
+        if asked.is_none_or(|asked| asked.claim.take()) {
+            return Ok(());
+        }
+        // Nobody was told its id, so it does not matter whether this is written.
+        let refused = (State::Rejected, UNWRITTEN);
+        let _ = lock(&self.log).ended_as((self.now)(), &self.device, task, refused);
+        Err(UNWRITTEN.to_owned())
     }
 
     fn accepted(&mut self, task: &Entry<'_>) {

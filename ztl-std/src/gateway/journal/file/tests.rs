@@ -1,4 +1,5 @@
 use super::*;
+use crate::gateway::{Log, Moment};
 
 /// A directory of a test's own.
 struct Scratch(PathBuf);
@@ -40,40 +41,98 @@ fn lines_are_in_the_file_when_they_are_written_and_read_by_the_next() {
     for sync in [false, true] {
         let scratch = Scratch::new(&format!("lines-{sync}"));
         let path = scratch.journal();
-        let (mut paper, written) = Paper::open(&path, sync).unwrap();
+        let (mut paper, written) = Paper::open(&path).unwrap();
         assert_eq!(written, b"");
-        paper.add(b"one\n", true).unwrap();
+        paper.add(b"one\n", sync).unwrap();
         assert_eq!(read(&path), "one\n");
         drop(paper);
-        let (mut paper, written) = Paper::open(&path, sync).unwrap();
+        let (mut paper, written) = Paper::open(&path).unwrap();
         assert_eq!(written, b"one\n");
-        paper.add(b"two\n", true).unwrap();
+        paper.add(b"two\n", sync).unwrap();
         assert_eq!(read(&path), "one\ntwo\n");
     }
+}
+
+/// A journal that was opened by this process.
+fn opened() -> Vec<u8> {
+    Log::open(Vec::new(), b"", Moment::now(), 7)
+        .storage()
+        .clone()
+}
+
+#[track_caller]
+fn is_in_use(path: &Path) {
+    let error = Paper::open(path).unwrap_err().to_string();
+    let process = format!("(process {})", std::process::id());
+    assert!(error.contains("is another gateway's"), "{error}");
+    assert!(error.contains(&process), "{error}");
 }
 
 #[test]
 fn a_second_gateway_gets_no_journal_and_hears_who_has_it() {
     let scratch = Scratch::new("second");
     let path = scratch.journal();
-    let (mut first, _) = Paper::open(&path, false).unwrap();
+    let (mut first, _) = Paper::open(&path).unwrap();
+    first.add(&opened(), false).unwrap();
     for _ in 0..2 {
-        let error = Paper::open(&path, false).unwrap_err().to_string();
-        let process = format!("(process {})", std::process::id());
-        assert!(error.contains("is another gateway's"), "{error}");
-        assert!(error.contains(&process), "{error}");
-        // Also when the file was replaced meanwhile.
-        first.replace(b"new\n").unwrap();
+        is_in_use(&path);
+        // Also when a new file was begun meanwhile.
+        first.replace(&opened()).unwrap();
     }
     drop(first);
-    assert!(Paper::open(&path, false).is_ok());
+    assert!(Paper::open(&path).is_ok());
+}
+
+#[cfg(unix)]
+#[test]
+fn a_journal_is_locked_under_each_of_its_names() {
+    let scratch = Scratch::new("names");
+    let path = scratch.journal();
+    let (mut first, _) = Paper::open(&path).unwrap();
+    first.add(&opened(), false).unwrap();
+    let [soft, hard, later] = ["soft", "hard", "later"].map(|name| scratch.0.join(name));
+    std::os::unix::fs::symlink(&path, &soft).unwrap();
+    fs::hard_link(&path, &hard).unwrap();
+    for name in [&soft, &hard] {
+        is_in_use(name);
+    }
+    // A hard link leads to the file before, from now on.
+    first.replace(&opened()).unwrap();
+    fs::hard_link(&path, &later).unwrap();
+    for name in [&path, &soft, &hard, &later] {
+        is_in_use(name);
+    }
+    drop(first);
+    for name in [&path, &soft, &hard, &later] {
+        assert!(Paper::open(name).is_ok(), "{name:?}");
+    }
+    // A symbolic link stays one when a new file is begun.
+    let (mut by_link, _) = Paper::open(&soft).unwrap();
+    by_link.replace(b"new\n").unwrap();
+    assert_eq!(read(&path), "new\n");
+    assert!(soft.is_symlink());
+}
+
+#[cfg(unix)]
+#[test]
+fn another_gateways_journal_that_was_put_there_is_left_alone() {
+    let scratch = Scratch::new("put");
+    let path = scratch.journal();
+    let (mut first, _) = Paper::open(&path).unwrap();
+    fs::remove_file(&path).unwrap();
+    let (mut second, _) = Paper::open(&path).unwrap();
+    assert_eq!(first.altered().as_deref(), Some("was replaced"));
+    first.replace(b"first\n").unwrap_err();
+    second.add(b"second\n", false).unwrap();
+    assert_eq!(second.altered(), None);
+    assert_eq!(read(&path), "second\n");
 }
 
 #[test]
 fn what_a_failed_write_has_left_is_cut_off_before_the_next() {
     let scratch = Scratch::new("torn");
     let path = scratch.journal();
-    let (mut paper, _) = Paper::open(&path, false).unwrap();
+    let (mut paper, _) = Paper::open(&path).unwrap();
     paper.add(b"one\n", true).unwrap();
     paper.file.write_all(b"tw").unwrap();
     paper.torn = true;
@@ -87,7 +146,7 @@ fn what_a_failed_write_has_left_is_cut_off_before_the_next() {
 #[test]
 fn a_disk_that_is_full_is_an_error_of_the_write() {
     let scratch = Scratch::new("full");
-    let (mut paper, _) = Paper::open(&scratch.journal(), false).unwrap();
+    let (mut paper, _) = Paper::open(&scratch.journal()).unwrap();
     paper.file = OpenOptions::new().append(true).open("/dev/full").unwrap();
     for _ in 0..2 {
         let error = paper.add(b"one\n", true).unwrap_err();
@@ -100,14 +159,14 @@ fn a_disk_that_is_full_is_an_error_of_the_write() {
 fn replaced_files_are_kept_up_to_a_number() {
     let scratch = Scratch::new("kept");
     let path = scratch.journal();
-    let (mut paper, _) = Paper::open(&path, false).unwrap();
+    let (mut paper, _) = Paper::open(&path).unwrap();
     for number in 0..6 {
         let lines = format!("{number}\n");
         paper.replace(lines.as_bytes()).unwrap();
         paper.add(b"more\n", true).unwrap();
     }
     assert_eq!(read(&path), "5\nmore\n");
-    let names = ["", ".1", ".2", ".3", ".lock"].map(|ending| format!("gateway.jsonl{ending}"));
+    let names = ["", ".1", ".2", ".3"].map(|ending| format!("gateway.jsonl{ending}"));
     assert_eq!(scratch.files(), names);
     assert_eq!(read(&beside(&path, "1")), "4\nmore\n");
     assert_eq!(read(&beside(&path, "3")), "2\nmore\n");
@@ -117,7 +176,7 @@ fn replaced_files_are_kept_up_to_a_number() {
 fn a_replacement_that_cannot_be_written_leaves_the_file_as_it_is() {
     let scratch = Scratch::new("unwritable");
     let path = scratch.journal();
-    let (mut paper, _) = Paper::open(&path, false).unwrap();
+    let (mut paper, _) = Paper::open(&path).unwrap();
     paper.add(b"one\n", true).unwrap();
     // In the way of the new file.
     fs::create_dir(beside(&path, "new")).unwrap();
@@ -128,24 +187,51 @@ fn a_replacement_that_cannot_be_written_leaves_the_file_as_it_is() {
 
 #[cfg(unix)]
 #[test]
-fn a_file_that_somebody_took_away_is_noticed_and_made_again() {
-    let scratch = Scratch::new("gone");
+fn what_somebody_else_did_to_it_is_noticed_and_a_new_file_begun() {
+    let scratch = Scratch::new("altered");
     let path = scratch.journal();
-    let (mut paper, _) = Paper::open(&path, false).unwrap();
-    assert!(!paper.is_gone());
-    fs::remove_file(&path).unwrap();
-    assert!(paper.is_gone());
-    paper.replace(b"all\n").unwrap();
-    assert!(!paper.is_gone());
+    let (mut paper, _) = Paper::open(&path).unwrap();
+    paper.add(b"all\n", true).unwrap();
+    let other = |bytes: &[u8]| {
+        let mut file = OpenOptions::new().append(true).open(&path).unwrap();
+        file.write_all(bytes).unwrap();
+        file
+    };
+    type Act<'a> = &'a dyn Fn();
+    let acts: [(Act, &str); 4] = [
+        (&|| fs::remove_file(&path).unwrap(), "was removed"),
+        (
+            &|| fs::rename(&path, scratch.0.join("moved")).unwrap(),
+            "was removed",
+        ),
+        (
+            &|| drop(other(b"th")),
+            "was written by somebody else: 2 bytes",
+        ),
+        (
+            &|| other(b"").set_len(3).unwrap(),
+            "was cut: 1 bytes are missing",
+        ),
+    ];
+    for (act, how) in acts {
+        assert_eq!(paper.altered(), None);
+        act();
+        assert_eq!(paper.altered().as_deref(), Some(how));
+        paper.replace(b"all\n").unwrap();
+        assert_eq!(read(&path), "all\n");
+    }
     paper.add(b"more\n", true).unwrap();
-    assert_eq!(read(&path), "all\nmore\n");
+    assert_eq!(
+        (paper.altered(), read(&path)),
+        (None, "all\nmore\n".to_owned())
+    );
 }
 
 #[test]
 fn what_is_no_file_is_no_place_for_a_journal() {
     let scratch = Scratch::new("directory");
     fs::create_dir_all(scratch.journal()).unwrap();
-    let error = Paper::open(&scratch.journal(), false).unwrap_err();
+    let error = Paper::open(&scratch.journal()).unwrap_err();
     let said = error.to_string();
     assert!(said.starts_with("the journal cannot lie at "), "{said}");
 }
