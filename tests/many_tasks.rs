@@ -7,8 +7,8 @@ use std::sync::{Arc, Condvar, Mutex};
 use std::time::{Duration, Instant};
 
 use ztl_std::{
-    ExecutableTask, Limits, RemoteTask, State, TaskContext, TaskController, TaskError, TaskRequest,
-    TaskServer, TaskSpec,
+    Access, ExecutableTask, Limits, RemoteTask, State, TaskContext, TaskController, TaskError,
+    TaskRequest, TaskServer, TaskSpec,
 };
 use ztl_tests::lab::{ACCEPTED, OriginalClient, PATIENCE, SCOPE, Server, until};
 
@@ -82,6 +82,38 @@ fn a_server_stays_as_large_as_it_was_when_its_memory_was_full() {
         assert!(end < full + room, "{full} KiB became {end}");
     }
     assert!(took < Duration::from_secs(3600));
+}
+
+/// Goals of tasks that run count, too: they are refused when they fill the memory, and none is forgotten.
+#[test]
+fn goals_of_running_tasks_are_refused_when_they_fill_the_memory() {
+    let door = Door::default();
+    let mut limits = Limits::default();
+    limits.memory = 800 << 10;
+    let server = TaskServer::bind_with("tcp://127.0.0.1:*", Access::everybody(), limits);
+    let mut server = server.expect("a port");
+    server.register(SCOPE, door.clone());
+    let server = server.spawn().expect("a thread");
+    let mut remote = RemoteTask::connect(server.endpoint(), SCOPE).expect("an address");
+    let goal = "x".repeat(50_000);
+    let mut taken = Vec::new();
+    let refused = loop {
+        match remote.trigger("h", "c", &goal) {
+            Ok(task) => taken.push(task.id),
+            Err(error) => break error.to_string(),
+        }
+        assert!(taken.len() < 20, "no goal was refused");
+    };
+    assert!(refused.contains("too many tasks are running"), "{refused}");
+    assert!(taken.len() >= 5, "{taken:?}");
+    for id in &taken {
+        assert_eq!(remote.status(*id).expect("known").state, State::Accepted);
+    }
+    door.open();
+    for id in &taken {
+        let end = remote.wait(*id, Some(PATIENCE)).expect("its end");
+        assert_eq!(end.state, State::Completed);
+    }
 }
 
 /// Tasks that all last until the door is opened.

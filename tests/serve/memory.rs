@@ -70,3 +70,34 @@ fn a_thousand_remembered_tasks_fit_into_eight_mebibytes() {
         assert!(all <= 8 * 1024, "{all} KiB");
     }
 }
+
+/// Long results make way for newer ones; a task that runs, and the latest ends, stay.
+#[test]
+fn long_results_take_no_more_memory_than_the_limit() {
+    let lab = Lab::new(
+        "long: {run: [sh, -c, 'head -c 700000 /dev/zero | tr \"\\0\" x'], output: 1000 KiB}\n        \
+         runs: {run: [sleep, '3600']}",
+    );
+    let mut remote = RemoteTask::connect(&lab.server.endpoint(), SCOPE).expect("an address");
+    let running = remote.trigger("p", "runs", "").expect("taken").id;
+    let [at_start, _] = resident(lab.server.process.id());
+    let ids: Vec<_> = (0..300)
+        .map(|_| {
+            let id = remote.trigger("p", "long", "").expect("taken").id;
+            let end = remote.wait(id, Some(PATIENCE)).expect("its end");
+            assert_eq!((end.state, end.text.len()), (State::Completed, 700_000));
+            id
+        })
+        .collect();
+    let [now, _] = resident(lab.server.process.id());
+    let grown = now.saturating_sub(at_start);
+    println!("300 results of 700,000 bytes: {grown} KiB");
+    // 205 MiB of results. The rest is what is on its way, and what the allocator keeps.
+    assert!(grown < (64 + 32) << 10, "{grown} KiB");
+    let mut known = |id| remote.status(id).expect("an answer");
+    assert_eq!(known(running).state, State::Accepted);
+    assert!(known(ids[0]).text.starts_with("Invalid ID"));
+    for id in ids.iter().rev().take(50) {
+        assert_eq!(known(*id).state, State::Completed);
+    }
+}

@@ -150,6 +150,7 @@ pub(crate) fn bytes(text: &str) -> Option<usize> {
         "B" | "bytes" | "byte" => 1,
         "KiB" | "kB" | "KB" | "K" => 1024,
         "MiB" => 1024 * 1024,
+        "GiB" => 1024 * 1024 * 1024,
         _ => return None,
     };
     number.parse::<usize>().ok()?.checked_mul(unit)

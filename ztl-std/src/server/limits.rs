@@ -26,6 +26,10 @@ pub struct Limits {
     /// Tasks that are remembered, whether they run or have ended; for a new one the end that is
     /// longest ago is forgotten. Default 10,000.
     pub remembered: usize,
+    /// Bytes of all goals and results together: of goals while their tasks run, of results afterwards, and of
+    /// the answers by which an INIT is known again. The ends that are longest ago make room for new ones; a task
+    /// is refused when everything else takes half of it. Default 64 MiB.
+    pub memory: usize,
     /// How long a task is remembered, counted from its end. Default 1 h.
     pub keep: Duration,
     /// Requests whose answer is held: undecided INITs, ABORTs, STATUSes that wait. Default 10,000.
@@ -51,6 +55,7 @@ impl Default for Limits {
             message: MAX_MESSAGE,
             running: 10_000,
             remembered: 10_000,
+            memory: 64 << 20,
             keep: Config::new(random::FIRST, 0).keep,
             held: 10_000,
             clients: 10_000,
@@ -62,10 +67,11 @@ impl Default for Limits {
 }
 
 /// What a person may choose about [`Limits`]: its name in files and options, and a value as an example.
-pub const LIMITS: [(&str, &str); 9] = [
+pub const LIMITS: [(&str, &str); 10] = [
     ("message", "64 KiB"),
     ("running", "100"),
     ("remembered", "1000"),
+    ("memory", "16 MiB"),
     ("keep", "10min"),
     ("held", "1000"),
     ("clients", "1000"),
@@ -95,10 +101,15 @@ impl Limits {
                 "'{value}' is no size from 1 byte to 1 MiB, which is what clients take; write 64 KiB"
             )),
         };
+        let room = || match bytes(value) {
+            Some(size) if size > 0 => Ok(size),
+            _ => Err(format!("'{value}' is not a size; write 16 MiB")),
+        };
         match name {
             "message" => self.message = size()?,
             "running" => self.running = count()?,
             "remembered" => self.remembered = count()?,
+            "memory" => self.memory = room()?,
             "keep" => self.keep = time()?,
             "held" => self.held = count()?,
             "clients" => self.clients = count()?,
@@ -174,7 +185,7 @@ mod tests {
         assert!(limits.choose("message", "2 MiB").is_err());
         let unknown = limits.choose("tasks", "3").unwrap_err();
         assert!(unknown.ends_with(
-            "message, running, remembered, keep, held, clients, queue, connections, handshake"
+            "message, running, remembered, memory, keep, held, clients, queue, connections, handshake"
         ));
     }
 

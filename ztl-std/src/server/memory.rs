@@ -81,6 +81,8 @@ impl Hasher for IdHasher {
 struct Kept {
     task: Task<Scope, Grown>,
     asked: Option<Asked>,
+    /// Bytes that it counts for: its goal while it runs, its result afterwards.
+    bytes: usize,
 }
 
 /// Tasks by their id, and the ends in their order.
@@ -90,8 +92,26 @@ pub(super) struct HeapTasks {
     tasks: ById<Kept>,
     /// Sorted. A new end is the latest, or nearly so.
     ends: VecDeque<(Instant, TaskId)>,
+    /// Bytes of the goals of tasks that run.
+    goals: usize,
+    /// Bytes of the results of those that have ended.
+    results: usize,
+    /// Bytes of the answers to INITs, which cannot be forgotten either.
+    answers: usize,
     /// Scopes that the client whose request is served may not use.
     hidden: Vec<Scope>,
+}
+
+impl HeapTasks {
+    /// Forgets the oldest ends until all bytes fit, but never this one, which nobody has been told yet.
+    fn forget_surplus(&mut self, last: TaskId) {
+        while self.goals + self.results + self.answers > self.limits.memory
+            && let Some((_, oldest)) = self.ends.front().copied()
+            && oldest != last
+        {
+            self.remove(oldest);
+        }
+    }
 }
 
 impl Tasks for HeapTasks {
@@ -108,7 +128,9 @@ impl Tasks for HeapTasks {
     }
 
     fn may_run(&self) -> bool {
+        // Half of the memory is for results, so that clients hear them.
         self.tasks.len().saturating_sub(self.ends.len()) < self.limits.running
+            && self.goals + self.answers < self.limits.memory / 2
     }
 
     fn make_room(&mut self) -> bool {
@@ -122,7 +144,11 @@ impl Tasks for HeapTasks {
     }
 
     fn insert(&mut self, id: TaskId, task: Task<Scope, Grown>) -> Option<&mut Task<Scope, Grown>> {
-        let kept = Kept { task, asked: None };
+        let kept = Kept {
+            task,
+            asked: None,
+            bytes: 0,
+        };
         let place = self.tasks.entry(id).insert_entry(kept);
         Some(&mut place.into_mut().task)
     }
@@ -131,6 +157,10 @@ impl Tasks for HeapTasks {
         let Some(kept) = self.tasks.remove(&id) else {
             return;
         };
+        match kept.task.ended {
+            Instant::NEVER => self.goals -= kept.bytes,
+            _ => self.results -= kept.bytes,
+        }
         let end = (kept.task.ended, id);
         // Mostly the oldest makes room.
         if self.ends.front() == Some(&end) {
@@ -141,10 +171,14 @@ impl Tasks for HeapTasks {
     }
 
     fn on_ended(&mut self, id: TaskId) {
-        if let Some(kept) = self.tasks.get(&id) {
+        if let Some(kept) = self.tasks.get_mut(&id) {
+            let result = kept.task.text.as_ref().len();
+            self.goals -= std::mem::replace(&mut kept.bytes, result);
+            self.results += result;
             let end = (kept.task.ended, id);
             let later = self.ends.iter().rev().take_while(|other| **other > end);
             self.ends.insert(self.ends.len() - later.count(), end);
+            self.forget_surplus(id);
         }
     }
 
@@ -187,6 +221,9 @@ impl Heap {
                 limits,
                 tasks: ById::default(),
                 ends: VecDeque::new(),
+                goals: 0,
+                results: 0,
+                answers: 0,
                 hidden: Vec::new(),
             },
             held: Vec::new(),
@@ -233,10 +270,14 @@ impl Heap {
             .map(|(scope, _)| scope)
     }
 
-    /// Keeps what a task was asked for, to be shown.
+    /// Keeps what a task was asked for, to be shown. While the task runs its handler keeps all of it.
     pub(super) fn note_payload(&mut self, id: TaskId, payload: &str, now: Instant) {
         if let Some(kept) = self.tasks.tasks.get_mut(&id) {
             kept.asked = Some(Asked::new(payload, now));
+            if !kept.task.state.is_final() {
+                kept.bytes = payload.len();
+                self.tasks.goals += payload.len();
+            }
         }
     }
 
@@ -244,7 +285,7 @@ impl Heap {
         let now = now();
         let kept = self.tasks.tasks.iter();
         let shown = kept.filter(|(_, kept)| !self.tasks.hidden.contains(&kept.task.extra));
-        let tasks = shown.map(|(id, Kept { task, asked })| {
+        let tasks = shown.map(|(id, Kept { task, asked, .. })| {
             let asked = asked.as_ref();
             ListedTask {
                 id: id.get(),
@@ -279,6 +320,7 @@ impl Heap {
                 self.clients.remove(&task);
             }
             self.until.remove(&(init.until, client));
+            self.tasks.answers -= init.text.as_ref().len();
         }
     }
 }
@@ -382,6 +424,7 @@ impl Memory for Heap {
         let Some(init) = self.inits.get(client) else {
             return;
         };
+        self.tasks.answers += init.text.as_ref().len();
         if let Some(task) = init.task {
             self.clients.insert(task, *client);
         }
