@@ -83,6 +83,22 @@ fn a_program_that_is_just_being_started_is_found() {
 }
 
 #[test]
+fn a_guard_that_is_killed_again_and_again_is_replaced_while_nothing_else_happens() {
+    let mut lab = Lab::new("go: {run: [sh, -c, 'echo $$ > pid; exec sleep 60']}");
+    for _ in 0..5 {
+        let before = guard(&lab);
+        kill(before);
+        until("another guard", PATIENCE, || {
+            (guard(&lab) != before).then_some(())
+        });
+    }
+    trigger(&mut lab.remote(), "go", "");
+    let process = lab.process("pid");
+    lab.server.process.kill();
+    dies(process);
+}
+
+#[test]
 fn a_guard_that_is_killed_or_does_not_listen_is_replaced() {
     let mut lab = Lab::new(
         r#"
@@ -103,11 +119,8 @@ fn a_guard_that_is_killed_or_does_not_listen_is_replaced() {
         (program.expect("its program"), filter.map(str::to_owned))
     };
     assert_eq!(of(first), of(lab.server.process.id()));
-    // It is not replaced within a second of its own start.
+    kill(first);
     until("another guard", PATIENCE, || {
-        if lives(first) {
-            kill(first);
-        }
         assert_eq!(lab.run("many", ""), (Completed, String::new()));
         lab.children().into_iter().find(|child| {
             let line = std::fs::read_to_string(format!("/proc/{child}/cmdline"));

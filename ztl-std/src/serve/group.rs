@@ -8,6 +8,7 @@ use std::io;
 use std::path::PathBuf;
 use std::process::{Child, Command};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Instant;
 
 use rustix::process::{Pid, Signal, WaitId, WaitIdOptions, kill_process_group, waitid};
 use serde::{Deserialize, Serialize};
@@ -98,11 +99,10 @@ impl Groups {
         }
     }
 
-    /// Some process has ended: another guard is started if it was that.
-    pub(super) fn look_for_guard(&self) {
-        if let Some(guard) = &self.0.guard {
-            lock(guard).look();
-        }
+    /// Some process has ended: another guard is started if it was that. Says when to look again if that has to
+    /// wait.
+    pub(super) fn look_for_guard(&self) -> Option<Instant> {
+        lock(self.0.guard.as_ref()?).look()
     }
 }
 

@@ -25,8 +25,8 @@ pub use watch::guard;
 
 /// How long the guard may be too busy to listen; then it is replaced.
 const PATIENCE: Duration = Duration::from_secs(1);
-/// One that ends sooner is not replaced at once.
-const PAUSE: Duration = Duration::from_secs(1);
+/// Pause before one that ended soon after its start is replaced: after the second one in a row, and at most.
+const PAUSE: (Duration, Duration) = (Duration::from_millis(50), Duration::from_secs(1));
 
 /// A program that somebody has to look after.
 #[derive(Debug, Clone, Serialize, Deserialize)]
@@ -96,6 +96,10 @@ pub(super) struct Guard {
     process: Option<Process>,
     /// When the last one was started.
     started: Instant,
+    /// Pause before it is replaced, should it end soon.
+    pause: Duration,
+    /// When the next one is started, while there is none.
+    due: Option<Instant>,
     charges: BTreeMap<u64, Charge>,
     last: u64,
 }
@@ -119,6 +123,8 @@ impl Guard {
             command,
             process: Some(process),
             started: Instant::now(),
+            pause: Duration::ZERO,
+            due: None,
             charges: BTreeMap::new(),
             last: 0,
         })
@@ -145,12 +151,13 @@ impl Guard {
         self.tell(&Message::Over(number));
     }
 
-    /// Replaces a guard that has ended.
-    pub(super) fn look(&mut self) {
+    /// Replaces a guard that has ended, and says when to look again if that has to wait.
+    pub(super) fn look(&mut self) -> Option<Instant> {
         let ended = |process: &mut Process| !matches!(process.child.try_wait(), Ok(None));
         if self.process.as_mut().is_none_or(ended) {
             self.replace();
         }
+        self.due
     }
 
     fn tell(&mut self, message: &Message) {
@@ -168,10 +175,22 @@ impl Guard {
         if let Some(process) = self.process.take() {
             process.kill();
         }
-        if self.started.elapsed() < PAUSE {
+        let now = Instant::now();
+        let lived = now.saturating_duration_since(self.started);
+        let due = *self.due.get_or_insert_with(|| {
+            let pause = if lived < PAUSE.1 {
+                self.pause
+            } else {
+                Duration::ZERO
+            };
+            self.pause = (pause * 2).clamp(PAUSE.0, PAUSE.1);
+            now + pause
+        });
+        if now < due {
             return;
         }
-        self.started = Instant::now();
+        self.started = now;
+        self.due = None;
         let mut started = start(&mut self.command);
         if let Ok(process) = &mut started {
             let mut charges = self.charges.iter();
@@ -189,6 +208,7 @@ impl Guard {
             }
             Err(error) => {
                 warn!(target: LOG, "The guard has ended and cannot be started anew: {error}. Programs would survive this server.");
+                self.due = Some(now + PAUSE.1);
             }
         }
     }

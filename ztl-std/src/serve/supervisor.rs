@@ -132,6 +132,8 @@ pub(super) struct Supervisor {
     tasks: BTreeMap<TaskId, Task>,
     helpers: Vec<Helper>,
     groups: Groups,
+    /// When to look for the guard.
+    guard_due: Option<Instant>,
     room: Room,
     /// Shared by all clients of other servers; costs nothing before the first.
     context: zmq::Context,
@@ -169,6 +171,7 @@ impl Supervisor {
             tasks: BTreeMap::new(),
             helpers: Vec::new(),
             groups,
+            guard_due: None,
             room,
             context: zmq::Context::new(),
             stopping: false,

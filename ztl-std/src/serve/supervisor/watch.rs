@@ -48,7 +48,7 @@ impl Supervisor {
             _ => None,
         });
         let helpers = self.helpers.iter().filter_map(|helper| helper.until);
-        tasks.chain(helpers).min()
+        tasks.chain(helpers).chain(self.guard_due).min()
     }
 
     /// Until something happens.
@@ -120,6 +120,9 @@ impl Supervisor {
 
     pub(super) fn handle_timeouts(&mut self, now: Instant) {
         let is_due = |time: Option<Instant>| time.is_some_and(|time| time <= now);
+        if is_due(self.guard_due) {
+            self.guard_due = self.groups.look_for_guard();
+        }
         let mut acts = Vec::new();
         let mut over = Vec::new();
         for (id, task) in &mut self.tasks {
@@ -167,7 +170,7 @@ impl Supervisor {
 
     /// Finds the programs that have ended.
     pub(super) fn look_for_ends(&mut self) {
-        self.groups.look_for_guard();
+        self.guard_due = self.groups.look_for_guard();
         let ids: Vec<TaskId> = self.running().map(|(id, _)| id).collect();
         for id in ids {
             self.look_for_end(id);
