@@ -62,6 +62,48 @@ fn what_is_no_network_is_refused_with_what_is() {
     assert!(ended.stderr.contains("192.168.1.0/24"), "{ended:?}");
 }
 
+#[cfg(unix)]
+#[test]
+fn a_secret_key_that_others_can_read_is_warned_of() {
+    use std::os::unix::fs::PermissionsExt;
+
+    let scratch = Scratch::new();
+    let path = scratch.path("robot.key_secret");
+    let key = "Yne@$w-vo<fVvi]a<NY6T1ed:M$fCG*[IaLV{hID";
+    let text = format!("curve\n    public-key = \"{key}\"\n    secret-key = \"{key}\"\n");
+    std::fs::write(&path, text).expect("to write");
+    let file = path.display().to_string();
+    let asks = [
+        "ps",
+        "--key",
+        &file,
+        "--server-key",
+        &file,
+        "tcp://127.0.0.1:1",
+    ];
+    let serves = [
+        "gateway",
+        "-p",
+        "0",
+        "-s",
+        "/lab",
+        "-d",
+        "head=sim:head",
+        "--check",
+        "--key",
+        &file,
+    ];
+    for (mode, warned) in [(0o600, false), (0o640, true), (0o604, true), (0o400, false)] {
+        let rights = std::fs::Permissions::from_mode(mode);
+        std::fs::set_permissions(&path, rights).expect("to change its rights");
+        for words in [&asks[..], &serves[..]] {
+            let ended = Process::run(ztl().args(words));
+            let said = format!("warning: {file}: others can use this secret key (mode {mode:03o})");
+            assert_eq!(ended.stderr.contains(&said), warned, "{mode:o}: {ended:?}");
+        }
+    }
+}
+
 #[test]
 fn a_build_that_cannot_encrypt_says_so_and_serves_nobody() {
     if encrypts() {

@@ -35,6 +35,82 @@ fn the_example_is_right_and_checking_it_serves_nothing() {
 }
 
 #[test]
+fn the_check_finds_what_the_start_would_fail_at() {
+    let scratch = Scratch::new();
+    std::fs::write(scratch.path("file"), "").expect("to write");
+    let devices = "scope: /lab\ndevices: {head: sim:head}\n";
+    for (text, code, said) in [
+        // An address of nobody (RFC 5737), and an interface of nobody.
+        (
+            "port: 0\nbind: 192.0.2.1\njournal: off\n",
+            1,
+            "this machine does not have the address 192.0.2.1",
+        ),
+        (
+            "port: 0\nbind: no-such-interface\njournal: off\n",
+            1,
+            "'no-such-interface' is no address",
+        ),
+        (
+            "port: 0\njournal: file/journal\n",
+            1,
+            "the journal cannot lie at ",
+        ),
+        (
+            "port: 0\nkey: no.key_secret\n",
+            2,
+            "no.key_secret: No such file",
+        ),
+        ("port: 1\npublish: 1\n", 2, "port 1 is for tasks"),
+    ] {
+        let file = written(&scratch, &format!("{devices}{text}"));
+        let checked = run(&[&file, "--check"]);
+        let started = run(&[&file]);
+        for ended in [&checked, &started] {
+            assert_eq!(ended.code, Some(code), "{ended:?}");
+            assert!(ended.stderr.contains(said), "{ended:?}");
+        }
+        assert_eq!(checked.stdout, "");
+    }
+}
+
+#[test]
+fn checking_the_file_of_a_running_gateway_disturbs_nobody() {
+    let scratch = Scratch::new();
+    let text = "scope: /lab\ndevices: {head: sim:head}\njournal: journal\nport: ";
+    let file = written(&scratch, &format!("{text}0\n"));
+    let gateway = Process::start(ztl().args(["gateway", &file]));
+    let line = gateway.wait_for("Serving head at tcp://127.0.0.1:");
+    gateway.wait_for("Device 'head' is ready");
+    let (_, port) = line.split_once("tcp://127.0.0.1:").expect("a port");
+    let (port, _) = port.split_once(',').expect("a port");
+    let endpoint = format!("tcp://127.0.0.1:{port}");
+    let mut remote = RemoteTask::connect(&endpoint, "/lab").expect("an address");
+    let file = written(&scratch, &format!("{text}{port}\n"));
+    let checked = run(&[&file, "--check"]);
+    assert_eq!(checked.code, Some(0), "{checked:?}");
+    assert!(
+        checked.stdout.starts_with("Nothing is wrong: "),
+        "{checked:?}"
+    );
+    for note in ["the port is in use", "is another gateway's (process "] {
+        assert!(checked.stderr.contains(note), "{checked:?}");
+    }
+    let id = remote.trigger("head", "pan", "left").expect("taken").id;
+    remote.wait(id, Some(PATIENCE)).expect("its end");
+    let names = |directory: &Path| {
+        let entries = std::fs::read_dir(directory).expect("the directory");
+        let name = |entry: std::fs::DirEntry| entry.file_name().into_string().expect("a name");
+        let mut names: Vec<String> = entries.flatten().map(name).collect();
+        names.sort();
+        names
+    };
+    let directory = scratch.path("lab.yaml");
+    let directory = directory.parent().expect("a directory");
+    assert_eq!(names(directory), ["journal", "lab.yaml"]);
+}
+
+#[test]
 fn every_key_stands_in_the_manual() {
     let scratch = Scratch::new();
     let file = written(

@@ -236,6 +236,26 @@ impl KeyPair {
     }
 }
 
+/// Why the secret key in a file is not secret, for people: others than the file's owner can read it.
+#[cfg(unix)]
+#[must_use]
+pub fn exposure(path: &Path) -> Option<String> {
+    use std::os::unix::fs::PermissionsExt;
+
+    let mode = fs::metadata(path).ok()?.permissions().mode() & 0o777;
+    let path = path.display();
+    (mode & 0o077 != 0).then(|| {
+        format!("{path}: others can use this secret key (mode {mode:03o}); run: chmod 600 {path}")
+    })
+}
+
+/// It cannot be told here.
+#[cfg(not(unix))]
+#[must_use]
+pub fn exposure(_path: &Path) -> Option<String> {
+    None
+}
+
 fn read(path: &Path) -> Result<String, KeyError> {
     fs::read_to_string(path).map_err(|cause| KeyError::File {
         path: path.to_owned(),

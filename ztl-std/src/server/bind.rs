@@ -1,5 +1,8 @@
 //! Binding a socket, and why it may fail.
 
+use std::io;
+use std::net::SocketAddr;
+
 use crate::endpoint::check_port;
 use crate::keys::KeyError;
 
@@ -66,6 +69,54 @@ impl From<zmq::Error> for BindError {
     fn from(cause: zmq::Error) -> Self {
         Self::Socket(cause)
     }
+}
+
+impl BindError {
+    /// The same at another endpoint.
+    pub(super) fn at(self, endpoint: &str) -> Self {
+        let endpoint = endpoint.to_owned();
+        match self {
+            Self::InUse { .. } => Self::InUse { endpoint },
+            Self::Address { cause, .. } => Self::Address { endpoint, cause },
+            other => other,
+        }
+    }
+}
+
+/// Whether a port of this machine can be bound, which is not listened at: a server that is started meanwhile
+/// gets it.
+pub(super) fn try_port(address: SocketAddr, endpoint: &str) -> Result<(), BindError> {
+    let endpoint = endpoint.to_owned();
+    bind_only(address).map_err(|error| match error.kind() {
+        io::ErrorKind::AddrInUse => BindError::InUse { endpoint },
+        io::ErrorKind::PermissionDenied => BindError::Address {
+            endpoint,
+            cause: zmq::Error::EACCES,
+        },
+        _ => BindError::Address {
+            endpoint,
+            cause: zmq::Error::EADDRNOTAVAIL,
+        },
+    })
+}
+
+#[cfg(all(unix, feature = "serve"))]
+fn bind_only(address: SocketAddr) -> io::Result<()> {
+    use rustix::net::{AddressFamily, SocketType, bind, socket, sockopt};
+
+    let family = match address {
+        SocketAddr::V4(_) => AddressFamily::INET,
+        SocketAddr::V6(_) => AddressFamily::INET6,
+    };
+    let socket = socket(family, SocketType::STREAM, None)?;
+    // As ZeroMQ does.
+    sockopt::set_socket_reuseaddr(&socket, true)?;
+    Ok(bind(&socket, &address)?)
+}
+
+#[cfg(not(all(unix, feature = "serve")))]
+fn bind_only(address: SocketAddr) -> io::Result<()> {
+    std::net::TcpListener::bind(address).map(drop)
 }
 
 /// Binds a socket, and says where.

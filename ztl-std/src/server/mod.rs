@@ -16,6 +16,7 @@ mod running;
 mod touch;
 
 use std::collections::BTreeMap;
+use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -37,7 +38,7 @@ use crate::random;
 pub use access::Access;
 use access::{Door, Who};
 pub use bind::BindError;
-use bind::bind;
+use bind::{bind, try_port};
 pub(crate) use handler::would_take;
 pub use handler::{Answers, Restored, RestoredTask, TaskHandler};
 pub use limits::{LIMITS, Limits};
@@ -178,6 +179,26 @@ impl TaskServer {
             reported: false,
             started: false,
         })
+    }
+
+    /// Tries all that [`bind_with`](Self::bind_with) does at this address and port, without taking the port
+    /// from a server that is started meanwhile.
+    ///
+    /// # Errors
+    /// As [`bind_with`](Self::bind_with).
+    pub fn check(bind: &str, port: u16, access: Access, limits: Limits) -> Result<(), BindError> {
+        let endpoint = format!("tcp://{bind}:{port}");
+        // At any free port, so that nobody else is disturbed.
+        let server = Self::bind_with(&format!("tcp://{bind}:*"), access, limits);
+        let server = server.map_err(|error| error.at(&endpoint))?;
+        let address = server.endpoint.strip_prefix("tcp://");
+        match address.and_then(|address| address.parse::<SocketAddr>().ok()) {
+            Some(mut address) => {
+                address.set_port(port);
+                try_port(address, &endpoint)
+            }
+            None => Ok(()),
+        }
     }
 
     /// Opens another socket to whoever may connect to this one, and says where.

@@ -8,7 +8,7 @@ use ztl_std::gateway::Endpoint;
 use ztl_std::gateway::config::{Config, DeviceConfig, name_mistake, same_line};
 use ztl_std::server::scope_mistake;
 
-use crate::reach::{self, MISCONFIGURED, Unfit};
+use crate::reach::{self, Findings, MISCONFIGURED, Unfit};
 use crate::service::{self, Service};
 use crate::terminal::{error_line, line};
 use crate::tool::port;
@@ -127,8 +127,7 @@ impl Gateway {
             }
         };
         if check {
-            line(format_args!("Nothing is wrong: {plan}."));
-            return Ok(ExitCode::SUCCESS);
+            return plan.check().tell(format_args!("Nothing is wrong: {plan}."));
         }
         log::init_as(plan.place.log, plan.place.log_format);
         signals::catch()?;
@@ -170,12 +169,21 @@ impl Gateway {
             return Err(missing("device", "--device <NAME=URL>", key));
         }
         let place = self.listen.with(config.listen)?;
+        let place = place.ok_or_else(|| missing("port", "--port <PORT>", "port: 12345"))?;
         let scope = self.scope.or(config.scope);
+        let publish = self.publish.or(config.publish);
+        if publish == Some(place.port) && place.port != 0 {
+            let mistake = format!(
+                "port {} is for tasks; publish readings at another port",
+                place.port
+            );
+            return Err(Unfit::Whole(mistake));
+        }
         Ok(Plan {
-            place: place.ok_or_else(|| missing("port", "--port <PORT>", "port: 12345"))?,
+            place,
             scope: scope.ok_or_else(|| missing("scope", "--scope <SCOPE>", "scope: /lab"))?,
             leave_running: self.leave_running,
-            publish: self.publish.or(config.publish),
+            publish,
             devices,
             journal: self.journal.or(config.journal),
         })
@@ -192,6 +200,14 @@ impl fmt::Display for Plan {
 }
 
 impl Plan {
+    /// Tries all that [`serve`](Self::serve) needs, but for the devices.
+    fn check(&self) -> Findings {
+        let mut findings = self.place.check(self.publish);
+        self.journal
+            .check(self.place.port, &self.scope, &mut findings);
+        findings
+    }
+
     fn serve(self) -> Done {
         let place = self.place;
         let who = place.reachable();

@@ -7,8 +7,9 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 use ztl_std::gateway::config::JournalPlace;
-use ztl_std::gateway::{Gateway, Journal};
+use ztl_std::gateway::{Gateway, Journal, JournalError};
 
+use crate::reach::Findings;
 use crate::terminal::line;
 
 #[derive(Debug, clap::Args)]
@@ -39,31 +40,56 @@ impl Options {
         self
     }
 
-    /// A gateway with the journal that is wished for, and says so.
-    pub(crate) fn gateway(&self, port: u16, scope: &str) -> Result<Gateway, Box<dyn Error>> {
+    /// Where the journal is to be; or why there is none.
+    fn path(&self, port: u16, scope: &str) -> Result<Result<PathBuf, &'static str>, String> {
         if self.no_journal {
-            line(without("Without a journal"));
-            return Ok(Gateway::new());
+            return Ok(Err("Without a journal"));
         }
-        let path = match &self.journal {
+        Ok(Ok(match &self.journal {
             Some(path) if path.is_dir() || ends_as_directory(path) => path.join(name(port, scope)),
             Some(path) => path.clone(),
             // No restart would find it again, as no client finds the gateway again.
             None if port == 0 => {
-                line(without(
+                return Ok(Err(
                     "Without a journal, as the port is another at each start (--journal FILE keeps one)",
                 ));
-                return Ok(Gateway::new());
             }
             None => directory()
                 .ok_or("no place for the journal: neither STATE_DIRECTORY nor XDG_STATE_HOME nor HOME is set; give --journal FILE, or --no-journal")?
                 .join(name(port, scope)),
+        }))
+    }
+
+    /// A gateway with the journal that is wished for, and says so.
+    pub(crate) fn gateway(&self, port: u16, scope: &str) -> Result<Gateway, Box<dyn Error>> {
+        let path = match self.path(port, scope)? {
+            Ok(path) => path,
+            Err(why) => {
+                line(without(why));
+                return Ok(Gateway::new());
+            }
         };
-        let journal = Journal::open(&path, self.journal_sync)
-            .map_err(|error| format!("{error} (--journal FILE, or --no-journal)"))?;
+        let journal = Journal::open(&path, self.journal_sync).map_err(elsewhere)?;
         line(format_args!("Journal: {}", path.display()));
         Ok(Gateway::with_journal(journal))
     }
+
+    /// Says what is wrong with the journal's place, and notes when another gateway has it.
+    pub(crate) fn check(&self, port: u16, scope: &str, findings: &mut Findings) {
+        match self.path(port, scope) {
+            Ok(Ok(path)) => match Journal::check(&path) {
+                Ok(()) => {}
+                Err(error @ JournalError::InUse { .. }) => findings.notes.push(error.to_string()),
+                Err(error) => findings.wrong.push(elsewhere(error)),
+            },
+            Ok(Err(_)) => {}
+            Err(error) => findings.wrong.push(error),
+        }
+    }
+}
+
+fn elsewhere(error: JournalError) -> String {
+    format!("{error} (--journal FILE, or --no-journal)")
 }
 
 fn without(why: &str) -> String {

@@ -3,11 +3,14 @@
 use std::fmt;
 use std::net::IpAddr;
 use std::path::{Path, PathBuf};
+use std::process::ExitCode;
 
+use crate::Done;
+use crate::terminal::line;
 use crate::tool::port;
 use ipnet::IpNet;
 use tracing::Level;
-use ztl_std::keys::{KeyPair, PublicKey};
+use ztl_std::keys::{KeyError, KeyPair, PublicKey, exposure};
 use ztl_std::listen::{LEVELS, LOG_FORMATS, Listen, LogFormat, bind_mistake};
 use ztl_std::yaml::Diagnostics;
 use ztl_std::{Access, BindError, Limits, RemoteTask, RequestError, TaskServer};
@@ -132,6 +135,25 @@ impl Place {
         reachable(&self.bind, &self.access)
     }
 
+    /// Tries whether it could listen there, and at these further ports.
+    pub(crate) fn check(&self, further: Option<u16>) -> Findings {
+        let mut findings = Findings::default();
+        let ports = [Some(self.port), further].into_iter().flatten();
+        // Each by itself: that the first is in use says nothing of the next.
+        for port in ports {
+            let tried = TaskServer::check(&self.bind, port, self.access.clone(), self.limits);
+            match tried {
+                Ok(()) => {}
+                Err(error @ BindError::InUse { .. }) => findings.notes.push(error.to_string()),
+                Err(error) => {
+                    findings.wrong.push(error.to_string());
+                    break;
+                }
+            }
+        }
+        findings
+    }
+
     /// Listens there.
     ///
     /// # Errors
@@ -139,6 +161,32 @@ impl Place {
     pub(crate) fn listen(&self) -> Result<TaskServer, BindError> {
         let endpoint = format!("tcp://{}:{}", self.bind, self.port);
         TaskServer::bind_with(&endpoint, self.access.clone(), self.limits)
+    }
+}
+
+/// What a trial has found.
+#[derive(Default)]
+pub(crate) struct Findings {
+    /// What would keep the server from being started.
+    pub(crate) wrong: Vec<String>,
+    /// What would do so now, and is right when the same server runs.
+    pub(crate) notes: Vec<String>,
+}
+
+impl Findings {
+    /// Says all of it, and how the start would end. `right` is what is said when nothing is wrong.
+    pub(crate) fn tell(self, right: impl fmt::Display) -> Done {
+        for wrong in &self.wrong {
+            eprintln!("ztl: {wrong}");
+        }
+        for note in &self.notes {
+            eprintln!("ztl: note: {note}");
+        }
+        if !self.wrong.is_empty() {
+            return Ok(ExitCode::FAILURE);
+        }
+        line(right);
+        Ok(ExitCode::SUCCESS)
     }
 }
 
@@ -190,6 +238,15 @@ fn network(text: &str) -> Result<IpNet, &'static str> {
         .map_err(|_| "write a network as 192.168.1.0/24, one address as 192.168.1.7")
 }
 
+/// Reads one's own keys, and warns when they are not secret.
+fn own_keys(path: &Path) -> Result<KeyPair, KeyError> {
+    let keys = KeyPair::read(path)?;
+    if let Some(exposure) = exposure(path) {
+        eprintln!("ztl: warning: {exposure}");
+    }
+    Ok(keys)
+}
+
 impl Reach {
     fn access(&self) -> Result<Access, Box<dyn std::error::Error>> {
         let mut access = Access::everybody();
@@ -197,7 +254,7 @@ impl Reach {
             access = access.from_network(*network);
         }
         if let Some(path) = &self.key {
-            access = access.with_keys(KeyPair::read(path)?);
+            access = access.with_keys(own_keys(path)?);
         }
         for client in &self.client_key {
             match client.split_once('=') {
@@ -250,7 +307,7 @@ impl Identity {
             return Ok(remote);
         };
         let with_keys: Result<RemoteTask, RequestError> =
-            remote.with_keys(KeyPair::read(own)?, PublicKey::read(server)?);
+            remote.with_keys(own_keys(own)?, PublicKey::read(server)?);
         Ok(with_keys?)
     }
 }

@@ -99,11 +99,10 @@ impl Serve {
                 many => format!("Nothing is wrong but for {many} warnings"),
             };
             let (bind, port) = (&place.bind, place.port);
-            line(format_args!(
-                "{wrong}: {}, at {bind}:{port}.",
-                served(&config)
-            ));
-            return Ok(ExitCode::SUCCESS);
+            let served = served(&config);
+            return place
+                .check(None)
+                .tell(format_args!("{wrong}: {served}, at {bind}:{port}."));
         }
         log::init_as(place.log, place.log_format);
         signals::catch()?;

@@ -34,6 +34,27 @@ pub(in crate::gateway) struct Paper {
     torn: bool,
 }
 
+/// Says why a journal could not be opened there, and leaves everything as it is.
+pub(super) fn check(path: &Path) -> Result<(), JournalError> {
+    let failed = |cause| JournalError::Place {
+        path: path.to_owned(),
+        cause,
+    };
+    if path.exists() {
+        let file = OpenOptions::new().read(true).append(true).open(path);
+        lock(&file.and_then(is_regular).map_err(failed)?, path)?;
+    }
+    // Directories are made as needed, and new files beside the journal.
+    let mut directories = path.ancestors().skip(1);
+    let directory = directories.find(|path| path.as_os_str().is_empty() || path.exists());
+    let name = format!(".ztl-check-{}", std::process::id());
+    let trial = directory.unwrap_or(Path::new("")).join(name);
+    let created = OpenOptions::new().write(true).create_new(true).open(&trial);
+    created
+        .and_then(|_| fs::remove_file(&trial))
+        .map_err(failed)
+}
+
 impl Paper {
     /// Opens a file, and reads what it holds.
     pub(super) fn open(path: &Path) -> Result<(Self, Vec<u8>), JournalError> {
@@ -63,31 +84,14 @@ impl Paper {
         path: &Path,
         failed: impl Fn(io::Error) -> JournalError,
     ) -> Result<(PathBuf, File), JournalError> {
-        let start = Instant::now();
         loop {
-            let mut file = open(path).map_err(&failed)?;
-            if !file.metadata().map_err(&failed)?.is_file() {
-                let kind = io::ErrorKind::InvalidInput;
-                return Err(failed(io::Error::new(kind, "it is not a regular file")));
-            }
+            let file = open(path).and_then(is_regular).map_err(&failed)?;
             let real = fs::canonicalize(path).map_err(&failed)?;
-            match file.try_lock() {
-                // Else the gateway that had it has just begun a new file.
-                Ok(()) if is_at(&file, &real) => return Ok((real, file)),
-                Ok(()) => {}
-                Err(TryLockError::WouldBlock) if start.elapsed() < PATIENCE => {}
-                Err(TryLockError::WouldBlock) => {
-                    let mut written = Vec::new();
-                    // Where a lock forbids reading, nobody knows who.
-                    let _ = file.read_to_end(&mut written);
-                    return Err(JournalError::InUse {
-                        path: path.to_owned(),
-                        by: last_process(&written),
-                    });
-                }
-                Err(TryLockError::Error(cause)) => return Err(failed(cause)),
+            lock(&file, path)?;
+            // Else the gateway that had it has just begun a new file.
+            if is_at(&file, &real) {
+                return Ok((real, file));
             }
-            std::thread::sleep(AGAIN);
         }
     }
 
@@ -201,6 +205,42 @@ impl Storage for Paper {
 
     fn place(&self) -> String {
         self.path.display().to_string()
+    }
+}
+
+fn is_regular(file: File) -> io::Result<File> {
+    if file.metadata()?.is_file() {
+        return Ok(file);
+    }
+    let kind = io::ErrorKind::InvalidInput;
+    Err(io::Error::new(kind, "it is not a regular file"))
+}
+
+/// Locks a journal, if no other gateway has it.
+fn lock(mut file: &File, path: &Path) -> Result<(), JournalError> {
+    let start = Instant::now();
+    loop {
+        match file.try_lock() {
+            Ok(()) => return Ok(()),
+            Err(TryLockError::WouldBlock) if start.elapsed() < PATIENCE => {
+                std::thread::sleep(AGAIN);
+            }
+            Err(TryLockError::WouldBlock) => {
+                let mut written = Vec::new();
+                // Where a lock forbids reading, nobody knows who.
+                let _ = file.read_to_end(&mut written);
+                return Err(JournalError::InUse {
+                    path: path.to_owned(),
+                    by: last_process(&written),
+                });
+            }
+            Err(TryLockError::Error(cause)) => {
+                return Err(JournalError::Place {
+                    path: path.to_owned(),
+                    cause,
+                });
+            }
+        }
     }
 }
 

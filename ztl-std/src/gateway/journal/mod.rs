@@ -112,6 +112,14 @@ impl Journal {
         Ok(Self { log, path })
     }
 
+    /// Tries whether a journal can be opened there, and leaves everything as it is.
+    ///
+    /// # Errors
+    /// As [`open`](Self::open).
+    pub fn check(path: &Path) -> Result<(), JournalError> {
+        file::check(path)
+    }
+
     /// Where it lies.
     #[must_use]
     pub fn path(&self) -> &Path {
