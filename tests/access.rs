@@ -73,14 +73,7 @@ fn a_secret_key_that_others_can_read_is_warned_of() {
     let text = format!("curve\n    public-key = \"{key}\"\n    secret-key = \"{key}\"\n");
     std::fs::write(&path, text).expect("to write");
     let file = path.display().to_string();
-    let asks = [
-        "ps",
-        "--key",
-        &file,
-        "--server-key",
-        &file,
-        "tcp://127.0.0.1:1",
-    ];
+    let asks = ["ps", "--key", &file, "--server-key", &file, "-p", "1"];
     let serves = [
         "gateway",
         "-p",

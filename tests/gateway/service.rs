@@ -203,6 +203,51 @@ fn a_device_that_does_not_confirm_is_named_and_its_task_is_not_told_to_have_fail
     device.signal("CONT");
 }
 
+#[test]
+fn each_tasks_start_and_end_is_logged_with_the_time() {
+    let gateway = Server::simulated();
+    let mut remote = RemoteTask::connect(&gateway.endpoint(), SCOPE).expect("an address");
+    let id = started(&mut remote, "gripper", "finger", "3");
+    remote.wait(id, Some(PATIENCE)).expect("its end");
+    let refused = remote
+        .trigger("gripper", "thumb", "3")
+        .expect_err("no thumb");
+    assert!(refused.to_string().contains("no component"), "{refused}");
+    let task = format!("INFO:gateway:Device 'gripper': task {id} 'gripper:finger:3' ");
+    for what in [
+        "has started",
+        "has ended as COMPLETED: 3.0",
+        "was refused: no component",
+    ] {
+        let line = match what.strip_prefix("was ") {
+            Some(_) => gateway.process.wait_for(what),
+            None => gateway.process.wait_for(&format!("{task}{what}")),
+        };
+        let (time, _) = line.split_once(" INFO:").expect("a time");
+        let form: String = time
+            .chars()
+            .map(|c| if c.is_ascii_digit() { '0' } else { c })
+            .collect();
+        assert_eq!(form, "0000-00-00T00:00:00.000Z", "{line}");
+    }
+}
+
+#[test]
+fn in_systemds_journal_lines_have_its_time_alone() {
+    let gateway = gateway(&["head=sim:head"]);
+    for (of, has_time) in [("2", false), ("1", true)] {
+        let mut command = Command::new("sh");
+        let script = format!("JOURNAL_STREAM=$(stat -L -c %d:%i /proc/self/fd/{of}) exec \"$@\"");
+        // Within the substitution stdout is its own.
+        let script = script.replace("fd/1", "fd/0");
+        command.args(["-c", &script, "sh"]);
+        command.arg(gateway.get_program()).args(gateway.get_args());
+        let process = Process::start(&mut command);
+        let line = process.wait_for("INFO:gateway:Device 'head' is ready");
+        assert_eq!(!line.starts_with("INFO:"), has_time, "{line}");
+    }
+}
+
 /// The unit file that people copy.
 fn unit() -> (std::path::PathBuf, String) {
     let path =

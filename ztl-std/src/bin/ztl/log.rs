@@ -1,20 +1,27 @@
 //! Log lines on stderr: in the original's form, `LEVEL:logger:text`, or as JSON for machines.
 
 use std::fmt;
+use std::sync::OnceLock;
+use std::time::SystemTime;
 
 use tracing::field::{Field, Visit};
 use tracing::{Event, Level, Subscriber};
-use tracing_subscriber::filter::Targets;
+use tracing_subscriber::filter::{LevelFilter, Targets};
 use tracing_subscriber::fmt::format::{FormatEvent, FormatFields, Writer};
 use tracing_subscriber::fmt::{FmtContext, MakeWriter};
 use tracing_subscriber::layer::SubscriberExt;
 use tracing_subscriber::registry::LookupSpan;
 use tracing_subscriber::util::SubscriberInitExt;
+use tracing_subscriber::{Registry, reload};
 use ztl_std::listen::LogFormat;
 
 use crate::terminal::{Errors, flat};
 
-struct PythonForm;
+/// The form of the original's lines.
+struct PythonForm {
+    /// Each begins with the time.
+    timestamps: bool,
+}
 
 impl<S, N> FormatEvent<S, N> for PythonForm
 where
@@ -34,6 +41,10 @@ where
             Level::INFO => "INFO",
             Level::DEBUG | Level::TRACE => "DEBUG",
         };
+        if self.timestamps {
+            let now = humantime::format_rfc3339_millis(SystemTime::now());
+            write!(writer, "{now} ")?;
+        }
         write!(writer, "{level}:{}:", metadata.target())?;
         let mut text = Text {
             writer: writer.by_ref(),
@@ -62,18 +73,56 @@ impl Visit for Text<'_> {
 
 /// Logs what is at least as grave as `level`, in the original's form.
 pub(crate) fn init(level: Level) {
-    init_as(level, LogFormat::Text);
+    tracing_subscriber::fmt()
+        .with_max_level(level)
+        .with_writer(|| Errors)
+        .event_format(PythonForm { timestamps: false })
+        .init();
 }
 
-/// The same in any form.
+/// Changes the level of a log that [`init_as`] made.
+static LEVEL: OnceLock<reload::Handle<LevelFilter, Registry>> = OnceLock::new();
+
+/// The log of a service: as text with timestamps, unless the service manager adds them, or in another form.
 pub(crate) fn init_as(level: Level, format: LogFormat) {
-    let log = tracing_subscriber::fmt()
-        .with_max_level(level)
-        .with_writer(|| Errors);
+    let (filter, handle) = reload::Layer::new(LevelFilter::from(level));
+    // The log is made once.
+    let _ = LEVEL.set(handle);
+    let log = tracing_subscriber::registry().with(filter);
+    let lines = tracing_subscriber::fmt::layer().with_writer(|| Errors);
+    let timestamps = !is_journal();
     match format {
-        LogFormat::Text => log.event_format(PythonForm).init(),
-        LogFormat::Json => log.json().flatten_event(true).init(),
+        LogFormat::Text => log
+            .with(lines.event_format(PythonForm { timestamps }))
+            .init(),
+        LogFormat::Json => log.with(lines.json().flatten_event(true)).init(),
     }
+}
+
+/// Logs what is at least as grave as `level` from now on.
+pub(crate) fn set_level(level: Level) {
+    if let Some(handle) = LEVEL.get() {
+        // Fails only without a log.
+        let _ = handle.reload(LevelFilter::from(level));
+    }
+}
+
+/// Whether stderr is systemd's journal, which adds its own timestamps.
+#[cfg(target_os = "linux")]
+fn is_journal() -> bool {
+    let journal = std::env::var("JOURNAL_STREAM").unwrap_or_default();
+    let Some((device, inode)) = journal.split_once(':') else {
+        return false;
+    };
+    let told = device.parse().ok().zip(inode.parse().ok());
+    let stderr = rustix::fs::fstat(std::io::stderr()).ok();
+    told.is_some() && told == stderr.map(|stat| (stat.st_dev, stat.st_ino))
+}
+
+/// There is none here.
+#[cfg(not(target_os = "linux"))]
+fn is_journal() -> bool {
+    false
 }
 
 /// Logs in the original's form to anywhere; of the loggers in `quiet` only warnings and errors.
@@ -85,8 +134,46 @@ where
     tracing_subscriber::fmt()
         .with_max_level(level)
         .with_writer(writer)
-        .event_format(PythonForm)
+        .event_format(PythonForm { timestamps: false })
         .finish()
         .with(Targets::new().with_default(level).with_targets(quiet))
         .init();
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::{self, Write};
+    use std::sync::{Arc, Mutex};
+
+    use super::*;
+
+    #[derive(Clone, Default)]
+    struct Page(Arc<Mutex<Vec<u8>>>);
+
+    impl Write for Page {
+        fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+            self.0.lock().unwrap().write(bytes)
+        }
+
+        fn flush(&mut self) -> io::Result<()> {
+            Ok(())
+        }
+    }
+
+    #[test]
+    fn control_characters_are_shown_and_never_sent_to_a_terminal() {
+        let page = Page::default();
+        let written = page.clone();
+        let log = tracing_subscriber::fmt()
+            .with_writer(move || written.clone())
+            .event_format(PythonForm { timestamps: false })
+            .finish();
+        tracing::subscriber::with_default(log, || {
+            let text = "it says \u{1b}[2J\nERROR:x:y\t\u{9b}\u{7f}ä";
+            tracing::info!(target: "gateway", device = "arm", "{text}");
+        });
+        let page = String::from_utf8(page.0.lock().unwrap().clone()).unwrap();
+        let line = "INFO:gateway:it says \\u{1b}[2J\\nERROR:x:y\\t\\u{9b}\\u{7f}ä\n";
+        assert_eq!(page, line);
+    }
 }

@@ -349,6 +349,7 @@ impl Worker {
         match event {
             Event::Accepted(id) => {
                 if let Some((task, request)) = self.tasks.get(&id) {
+                    self.log_task(id, request, "has started");
                     task.accepted(&request.reply);
                 }
             }
@@ -361,6 +362,7 @@ impl Worker {
                         Some(trouble) if !self.session.is_up() => format!(" ({trouble})"),
                         _ => String::new(),
                     };
+                    self.log_task(id, &request, &format!("was refused: {reason}{trouble}"));
                     task.rejected(format!("{} refused: {reason}{trouble}", request.spec));
                 }
             }
@@ -371,15 +373,8 @@ impl Worker {
             }
             Event::Ended(id, state, text) => {
                 if let Some((task, request)) = self.tasks.remove(&id) {
-                    if self.stopping.is_some() {
-                        let (name, spec) = (&self.name, &request.spec);
-                        info!(
-                            target: LOG,
-                            device = name,
-                            "Device '{name}': {spec} has ended as {}: {text}",
-                            state.name()
-                        );
-                    }
+                    let end = format!("has ended as {}: {text}", state.name());
+                    self.log_task(id, &request, &end);
                     match state {
                         State::Completed => task.completed(text),
                         State::Aborted => task.aborted(text),
@@ -418,6 +413,12 @@ impl Worker {
                 }
             }
         }
+    }
+
+    fn log_task(&self, id: TaskId, request: &Request, what: &str) {
+        let (name, spec) = (&self.name, &request.spec);
+        let task = id.get();
+        info!(target: LOG, device = name, task, "Device '{name}': task {task} {spec} {what}");
     }
 
     fn on_up(&mut self) {
