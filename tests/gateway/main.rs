@@ -10,4 +10,5 @@ mod lines;
 mod logs;
 mod neighbours;
 mod readings;
+mod reload;
 mod service;

@@ -269,6 +269,7 @@ fn the_unit_starts_a_command_that_there_is() {
         assert!(help.contains(option), "{option} in {help}");
     }
     assert!(text.contains("Type=notify"));
+    assert!(text.contains("ExecReload=/bin/kill -HUP $MAINPID"));
     assert!(text.contains("WatchdogSec="));
     // What no second try can mend: the exit code for a wrong configuration.
     assert!(text.contains("RestartPreventExitStatus=2"));

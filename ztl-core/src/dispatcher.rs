@@ -390,6 +390,11 @@ impl<M: Memory> Dispatcher<M> {
         }
     }
 
+    /// Changes how long an ended task is remembered, also for those that have ended.
+    pub const fn set_keep(&mut self, keep: Duration) {
+        self.keep = micros(keep);
+    }
+
     /// The id of the next task; `None` when all are used up.
     pub const fn next_id(&self) -> Option<TaskId> {
         self.next

@@ -31,6 +31,8 @@ pub(super) enum Input {
     /// The permit goes back to the line when the bytes have been taken.
     Bytes(u64, Vec<u8>, Permit),
     Closed(u64, io::Error),
+    /// Aborts its tasks, takes no more, and ends the thread when all have ended.
+    Retire,
     /// Ends the thread. With `true` its tasks are left as they are, else they are aborted first.
     Stop(bool),
 }
@@ -120,6 +122,16 @@ impl Device {
 }
 
 impl Device {
+    /// Aborts its tasks and takes no more; it is over when all have ended.
+    pub(super) fn retire(&self) {
+        let _ = self.inputs.send(Input::Retire);
+    }
+
+    /// Whether its thread has ended.
+    pub(super) fn is_over(&self) -> bool {
+        self.thread.as_ref().is_none_or(JoinHandle::is_finished)
+    }
+
     /// Begins to end it; dropping it waits for that.
     pub(super) fn stop(&self, leave_running: bool) {
         let _ = self.inputs.send(Input::Stop(leave_running));

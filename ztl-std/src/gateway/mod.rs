@@ -15,8 +15,9 @@ mod ring;
 pub mod session;
 mod voice;
 
-use std::collections::{BTreeMap, HashMap};
-use std::sync::Arc;
+use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::io;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use tracing::{info, warn};
 use ztl_core::{State, TaskId, TaskSpec};
@@ -26,12 +27,10 @@ pub use endpoint::{BAUD, Endpoint, EndpointError, Line};
 #[cfg(feature = "sim")]
 pub(crate) use endpoint::{READ_TIMEOUT, is_pause};
 pub use journal::{DeviceBook, Journal, JournalError, Log, Moment, Storage};
-use logs::DeviceLog;
 pub use logs::{LogPiece, RawLog};
 use reader::Opener;
 use readings::Observers;
 pub use readings::{Reading, Readings};
-use report::Window;
 pub use report::{ComponentReport, DeviceReport, DeviceReports, FirmwareReport, LinkReport};
 use voice::LOG;
 
@@ -45,17 +44,140 @@ use crate::server::{
 /// [`register_handler`](crate::TaskServer::register_handler).
 #[derive(Debug)]
 pub struct Gateway {
+    devices: Devices,
+    leave_running: bool,
+}
+
+/// A gateway's devices, also when the gateway is registered at a server: devices can come and go while
+/// it serves.
+#[derive(Debug, Clone)]
+pub struct Devices(Arc<Shared>);
+
+#[derive(Debug)]
+struct Shared {
     /// Who this gateway is, towards its devices.
     id: u64,
-    devices: BTreeMap<String, Device>,
     journal: Option<Journal>,
+    observers: Observers,
+    fleet: Mutex<Fleet>,
+}
+
+#[derive(Debug, Default)]
+struct Fleet {
+    served: BTreeMap<String, Device>,
+    /// Devices that are not served any more and may have tasks. Where they have no line, their tasks end as those
+    /// of a device that does not answer.
+    absent: BTreeMap<String, Device>,
     /// Tasks of the journal that have no end and that nobody has been given yet, by device.
     unended: HashMap<TaskId, (String, session::Restored)>,
-    /// Devices that have such tasks, and are not served any more: their tasks end as those of a
-    /// device that does not answer.
-    absent: BTreeMap<String, Device>,
-    leave_running: bool,
-    observers: Observers,
+}
+
+impl Fleet {
+    /// A device, served or not.
+    fn device(&self, name: &str) -> Option<&Device> {
+        self.served.get(name).or_else(|| self.absent.get(name))
+    }
+
+    fn all(&self) -> impl Iterator<Item = &Device> {
+        self.served.values().chain(self.absent.values())
+    }
+}
+
+/// Why a device cannot be served.
+#[derive(Debug)]
+#[non_exhaustive]
+pub enum AddError {
+    /// One of this name is served.
+    Served,
+    /// One of this name is not served any more, and still has tasks.
+    HasTasks,
+    /// The system gives no more threads.
+    Thread(io::Error),
+}
+
+impl std::fmt::Display for AddError {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Served => f.write_str("a device of this name is served already"),
+            Self::HasTasks => f.write_str(
+                "the device that had this name still has tasks; try again when they have ended, or restart",
+            ),
+            Self::Thread(cause) => write!(f, "no thread for it: {cause}"),
+        }
+    }
+}
+
+impl std::error::Error for AddError {
+    fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
+        match self {
+            Self::Thread(cause) => Some(cause),
+            _ => None,
+        }
+    }
+}
+
+impl Devices {
+    fn fleet(&self) -> MutexGuard<'_, Fleet> {
+        self.0.fleet.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Serves one more device, as [`Gateway::add`] does.
+    ///
+    /// # Errors
+    /// As [`AddError`] says.
+    pub fn add(&self, name: &str, endpoint: Endpoint) -> Result<(), AddError> {
+        let mut fleet = self.fleet();
+        if fleet.served.contains_key(name) {
+            return Err(AddError::Served);
+        }
+        fleet.absent.retain(|_, device| !device.is_over());
+        if fleet.absent.contains_key(name) {
+            return Err(AddError::HasTasks);
+        }
+        let device = self.spawn(&fleet, name, Some(endpoint.into()));
+        let device = device.map_err(AddError::Thread)?;
+        fleet.served.insert(name.to_owned(), device);
+        Ok(())
+    }
+
+    /// Serves a device no more: its tasks are aborted, and its line is closed when they have ended. Says whether
+    /// there was one.
+    pub fn remove(&self, name: &str) -> bool {
+        let mut fleet = self.fleet();
+        let Some(device) = fleet.served.remove(name) else {
+            return false;
+        };
+        device.retire();
+        fleet.absent.insert(name.to_owned(), device);
+        true
+    }
+
+    fn spawn(&self, fleet: &Fleet, name: &str, opener: Option<Opener>) -> io::Result<Device> {
+        let Shared {
+            id,
+            journal,
+            observers,
+            ..
+        } = &*self.0;
+        let book = journal.as_ref().map(|journal| journal.book(name));
+        let its = |(device, _): &&(String, session::Restored)| device == name;
+        let awaited = fleet.unended.values().filter(its).count();
+        Device::spawn(name, opener, *id, book, awaited, observers.clone())
+    }
+
+    /// Logs what a device's firmware logs by defmt, made readable with its ELF file.
+    ///
+    /// # Errors
+    /// When the file is no use for that, or there is no such device.
+    #[cfg(feature = "defmt")]
+    pub fn read_log(&self, device: &str, elf: &std::path::Path) -> Result<(), String> {
+        let wrong = |error: &dyn std::fmt::Display| format!("{}: {error}", elf.display());
+        let decoder = crate::defmt::Decoder::of_file(elf).map_err(|error| wrong(&error))?;
+        let log = self.fleet().served.get(device).map(Device::log);
+        let name = elf.display().to_string();
+        let reading = log.ok_or("no such device")?.read_by(device, decoder, name);
+        reading.map_err(|error| wrong(&error))
+    }
 }
 
 impl Default for Gateway {
@@ -69,29 +191,34 @@ impl Gateway {
     /// tasks.
     #[must_use]
     pub fn new() -> Self {
-        Self {
-            id: random::number(),
-            devices: BTreeMap::new(),
-            leave_running: false,
-            observers: Observers::default(),
-            journal: None,
-            unended: HashMap::new(),
-            absent: BTreeMap::new(),
-        }
+        Self::of(random::number(), None)
     }
 
     /// A gateway without devices that keeps its promises across a restart: towards devices and
     /// clients it is the one that wrote the journal before.
     #[must_use]
     pub fn with_journal(journal: Journal) -> Self {
-        let unended = journal.unended().into_iter();
-        let mut gateway = Self::new();
-        gateway.id = journal.gateway();
-        gateway.unended = unended
-            .map(|(name, task)| (task.id, (name, task)))
-            .collect();
-        gateway.journal = Some(journal);
-        gateway
+        Self::of(journal.gateway(), Some(journal))
+    }
+
+    fn of(id: u64, journal: Option<Journal>) -> Self {
+        let unended = journal.iter().flat_map(Journal::unended);
+        let fleet = Fleet {
+            unended: unended
+                .map(|(name, task)| (task.id, (name, task)))
+                .collect(),
+            ..Fleet::default()
+        };
+        let shared = Shared {
+            id,
+            journal,
+            observers: Observers::default(),
+            fleet: Mutex::new(fleet),
+        };
+        Self {
+            devices: Devices(Arc::new(shared)),
+            leave_running: false,
+        }
     }
 
     /// Serves a device under a name. It need not be there yet: its line is opened when it can be,
@@ -99,7 +226,7 @@ impl Gateway {
     ///
     /// # Errors
     /// When the system gives no more threads.
-    pub fn add(&mut self, name: &str, endpoint: Endpoint) -> std::io::Result<()> {
+    pub fn add(&mut self, name: &str, endpoint: Endpoint) -> io::Result<()> {
         self.serve(name, endpoint.into())
     }
 
@@ -112,8 +239,8 @@ impl Gateway {
         &mut self,
         name: &str,
         label: &str,
-        open: impl Fn() -> std::io::Result<Line> + Send + Sync + 'static,
-    ) -> std::io::Result<()> {
+        open: impl Fn() -> io::Result<Line> + Send + Sync + 'static,
+    ) -> io::Result<()> {
         let opener = Opener {
             label: label.to_owned(),
             baud: None,
@@ -124,57 +251,40 @@ impl Gateway {
         self.serve(name, opener)
     }
 
-    fn serve(&mut self, name: &str, opener: Opener) -> std::io::Result<()> {
-        let device = self.spawn(name, Some(opener))?;
-        self.devices.insert(name.to_owned(), device);
+    fn serve(&mut self, name: &str, opener: Opener) -> io::Result<()> {
+        let mut fleet = self.devices.fleet();
+        let device = self.devices.spawn(&fleet, name, Some(opener))?;
+        let before = fleet.served.insert(name.to_owned(), device);
+        drop(fleet);
+        // Stops it, which takes a while.
+        drop(before);
         Ok(())
-    }
-
-    fn spawn(&self, name: &str, opener: Option<Opener>) -> std::io::Result<Device> {
-        let book = self.journal.as_ref().map(|journal| journal.book(name));
-        let its = |(device, _): &&(String, session::Restored)| device == name;
-        let awaited = self.unended.values().filter(its).count();
-        let observers = self.observers.clone();
-        Device::spawn(name, opener, self.id, book, awaited, observers)
-    }
-
-    /// A device, served or not.
-    fn device(&self, name: &str) -> Option<&Device> {
-        self.devices.get(name).or_else(|| self.absent.get(name))
     }
 
     /// Makes threads for the devices that are not served any more.
     fn add_absent(&mut self) {
-        let names: Vec<String> = self
-            .unended
-            .values()
-            .map(|(name, _)| name.clone())
-            .collect();
+        let mut fleet = self.devices.fleet();
+        let names = fleet.unended.values().map(|(name, _)| name.clone());
+        let names: BTreeSet<String> = names.collect();
         for name in names {
-            if self.device(&name).is_some() {
+            if fleet.device(&name).is_some() {
                 continue;
             }
             warn!(target: LOG, "Device '{name}' has tasks in the journal, and is not served any more.");
             // Without a thread its tasks stay as they are.
-            if let Ok(device) = self.spawn(&name, None) {
-                self.absent.insert(name, device);
+            if let Ok(device) = self.devices.spawn(&fleet, &name, None) {
+                fleet.absent.insert(name, device);
             }
         }
     }
 
-    /// Logs what the device's firmware logs by defmt, made readable with its ELF file. To be called after
-    /// the device was added.
+    /// As [`Devices::read_log`]. To be called after the device was added.
     ///
     /// # Errors
     /// When the file is no use for that, or there is no such device.
     #[cfg(feature = "defmt")]
     pub fn read_log(&mut self, device: &str, elf: &std::path::Path) -> Result<(), String> {
-        let wrong = |error: &dyn std::fmt::Display| format!("{}: {error}", elf.display());
-        let found = self.devices.get(device).ok_or("no such device")?;
-        let decoder = crate::defmt::Decoder::of_file(elf).map_err(|error| wrong(&error))?;
-        let name = elf.display().to_string();
-        let reading = found.log().read_by(device, decoder, name);
-        reading.map_err(|error| wrong(&error))
+        self.devices.read_log(device, elf)
     }
 
     /// What becomes of running tasks when the gateway ends. Default: each is aborted, which is waited
@@ -184,62 +294,51 @@ impl Gateway {
         self.leave_running = leave;
     }
 
-    /// To see the devices that there are now, also when the gateway is registered at a server.
+    /// To see the devices that there are, also when the gateway is registered at a server.
     #[must_use]
     pub fn watch(&self) -> Watch {
-        let devices = self.devices.iter();
-        let seen = devices.map(|(name, device)| Seen {
-            name: name.clone(),
-            url: device.url(),
-            window: device.window(),
-            log: device.log(),
-        });
-        Watch(seen.collect())
+        Watch(self.devices.clone())
     }
 
-    fn names(&self) -> String {
-        let names: Vec<&str> = self.devices.keys().map(String::as_str).collect();
-        names.join(", ")
+    /// To change the devices that there are, also when the gateway is registered at a server.
+    #[must_use]
+    pub fn devices(&self) -> Devices {
+        self.devices.clone()
     }
 }
 
 /// Sees a gateway's devices from outside.
 #[derive(Debug, Clone)]
-pub struct Watch(Arc<[Seen]>);
-
-/// What is seen of one device.
-#[derive(Debug)]
-struct Seen {
-    name: String,
-    url: String,
-    window: Window,
-    log: DeviceLog,
-}
+pub struct Watch(Devices);
 
 impl Watch {
     /// What there is to be said of each device now.
     #[must_use]
     pub fn reports(&self) -> DeviceReports {
-        let report = |seen: &Seen| (seen.name.clone(), seen.window.report(seen.url.clone()));
-        self.0.iter().map(report).collect()
+        let fleet = self.0.fleet();
+        let devices = fleet.served.iter();
+        devices
+            .map(|(name, device)| (name.clone(), device.window().report(device.url())))
+            .collect()
     }
 
     /// The latest of what a device's firmware has logged; `None` when there is no such device.
     #[must_use]
     pub fn raw_log(&self, device: &str) -> Option<RawLog> {
-        let seen = self.0.iter().find(|seen| seen.name == device)?;
-        Some(seen.log.raw())
+        let log = self.0.fleet().served.get(device)?.log();
+        Some(log.raw())
     }
 }
 
 impl Drop for Gateway {
     fn drop(&mut self) {
+        let fleet = std::mem::take(&mut *self.devices.fleet());
         // All at once; each is waited for as it is dropped.
-        for device in self.devices.values().chain(self.absent.values()) {
+        for device in fleet.all() {
             device.stop(self.leave_running);
             device.log().close();
         }
-        self.observers.close();
+        self.devices.0.observers.close();
     }
 }
 
@@ -250,27 +349,27 @@ impl TaskHandler for Gateway {
             Ok(spec) => spec,
             Err(error) => return task.threw(error.to_string()),
         };
-        match self.devices.get(spec.handler) {
+        let fleet = self.devices.fleet();
+        match fleet.served.get(spec.handler) {
             Some(device) => device.start(task, &spec),
             None => {
-                let names = self.names();
+                let names: Vec<&str> = fleet.served.keys().map(String::as_str).collect();
+                let names = names.join(", ");
                 task.rejected(format!("no device '{}'; there are: {names}", spec.handler));
             }
         }
     }
 
     fn description(&self) -> Box<dyn Fn() -> String + Send> {
-        let devices: Vec<(String, Window)> = self
-            .devices
-            .iter()
-            .map(|(name, device)| (name.clone(), device.window()))
-            .collect();
+        let devices = self.devices.clone();
         Box::new(move || {
-            let components: Vec<_> = devices
-                .iter()
-                .map(|(_, window)| window.components())
+            let fleet = devices.fleet();
+            let components: Vec<_> = fleet
+                .served
+                .values()
+                .map(|device| device.window().components())
                 .collect();
-            let names = devices.iter().map(|(name, _)| name.as_str());
+            let names = fleet.served.keys().map(String::as_str);
             let components = components.iter().map(|all| all.iter().map(AsRef::as_ref));
             offered(names.zip(components))
         })
@@ -293,7 +392,7 @@ impl TaskHandler for Gateway {
     }
 
     fn restored(&mut self) -> Restored {
-        let Some(journal) = self.journal.clone() else {
+        let Some(journal) = self.devices.0.journal.clone() else {
             return Restored::default();
         };
         self.add_absent();
@@ -310,10 +409,11 @@ impl TaskHandler for Gateway {
             }
             task
         });
-        let (ended, unended) = (tasks.len(), self.unended.len());
+        let fleet = self.devices.fleet();
+        let (ended, unended) = (tasks.len(), fleet.unended.len());
         info!(target: LOG, "Journal {}: tasks without an end {unended}, ends remembered {ended}.", journal.path().display());
-        tasks.extend(self.unended.values().map(|(device, task)| {
-            let text = if self.devices.contains_key(device) {
+        tasks.extend(fleet.unended.values().map(|(device, task)| {
+            let text = if fleet.served.contains_key(device) {
                 "device is not answering yet".to_owned()
             } else {
                 format!("device '{device}' is not served any more")
@@ -333,10 +433,11 @@ impl TaskHandler for Gateway {
     }
 
     fn resume(&mut self, task: TaskReporter) {
-        let Some((name, known)) = self.unended.remove(&task.id()) else {
+        let mut fleet = self.devices.fleet();
+        let Some((name, known)) = fleet.unended.remove(&task.id()) else {
             return task.leave();
         };
-        match self.device(&name) {
+        match fleet.device(&name) {
             Some(device) => device.resume(task, known),
             None => task.leave(),
         }
@@ -344,7 +445,7 @@ impl TaskHandler for Gateway {
 
     fn abort(&mut self, id: TaskId) {
         // The one that has the task knows it; there are few.
-        for device in self.devices.values().chain(self.absent.values()) {
+        for device in self.devices.fleet().all() {
             device.abort(id);
         }
     }

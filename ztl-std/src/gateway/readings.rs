@@ -131,7 +131,7 @@ impl super::Gateway {
     /// All readings of its devices from now on; at most `capacity` of them wait to be taken.
     #[must_use]
     pub fn observe(&self, capacity: usize) -> Readings {
-        self.observers.add(capacity)
+        self.devices.0.observers.add(capacity)
     }
 
     /// As [`Readings::publish`] says, with room for some thousands.

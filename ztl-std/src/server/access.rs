@@ -5,7 +5,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::net::IpAddr;
-use std::sync::Arc;
+use std::sync::{Arc, PoisonError, RwLock, RwLockReadGuard};
 use std::thread::JoinHandle;
 
 use ipnet::IpNet;
@@ -24,7 +24,7 @@ const END: &str = "inproc://door";
 const NO_KEY: &str = "-";
 
 /// Who may use a server. By default everybody who reaches it may use all of it, as the original's.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Access {
     networks: Vec<IpNet>,
     keys: Option<KeyPair>,
@@ -68,6 +68,12 @@ impl Access {
         self
     }
 
+    /// Whether both serve with the same keys of their own.
+    #[must_use]
+    pub fn has_keys_of(&self, other: &Self) -> bool {
+        self.keys == other.keys
+    }
+
     /// Whether connections are encrypted.
     #[must_use]
     pub const fn encrypts(&self) -> bool {
@@ -97,12 +103,16 @@ impl Access {
         self.networks.is_empty() && self.keys.is_none()
     }
 
-    fn may_connect(&self, address: &str, client: Option<&PublicKey>) -> bool {
+    fn is_from_there(&self, address: &str) -> bool {
         let address = address.parse::<IpAddr>();
         // A v4 address may come as one of v6.
         let address = address.map(|address| address.to_canonical());
         let from_there = |network: &IpNet| address.as_ref().is_ok_and(|a| network.contains(a));
-        if !self.networks.is_empty() && !self.networks.iter().any(from_there) {
+        self.networks.is_empty() || self.networks.iter().any(from_there)
+    }
+
+    fn may_connect(&self, address: &str, client: Option<&PublicKey>) -> bool {
+        if !self.is_from_there(address) {
             return false;
         }
         match (&self.keys, client) {
@@ -133,11 +143,33 @@ pub(super) enum Who {
     Client(PublicKey),
 }
 
+/// The access of a server that runs, which may be changed.
+#[derive(Clone)]
+pub(super) struct Present {
+    access: Arc<RwLock<Access>>,
+    /// Whether ZeroMQ asks for each connection, which was decided when the server was bound.
+    asks: bool,
+}
+
+impl Present {
+    fn read(&self) -> RwLockReadGuard<'_, Access> {
+        self.access.read().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Says whether that is possible without binding anew.
+    pub(super) fn change(&self, access: Access) -> bool {
+        let mut present = self.access.write().unwrap_or_else(PoisonError::into_inner);
+        let possible = present.has_keys_of(&access) && (self.asks || access.is_open());
+        if possible {
+            *present = access;
+        }
+        possible
+    }
+}
+
 /// The door of a server: lets connections in, on a thread of its own, and knows who a message is from.
 pub(super) struct Door {
-    access: Arc<Access>,
-    /// Whether ZeroMQ asks for each connection.
-    asks: bool,
+    access: Present,
     /// Ends the thread.
     end: zmq::Socket,
     thread: Option<JoinHandle<()>>,
@@ -145,7 +177,7 @@ pub(super) struct Door {
 
 /// Where it is decided about connections.
 struct Desk {
-    access: Arc<Access>,
+    access: Present,
     /// Where ZeroMQ asks.
     questions: zmq::Socket,
     connections: Connections,
@@ -171,7 +203,10 @@ impl Door {
         context: &zmq::Context,
         socket: &zmq::Socket,
     ) -> Result<Self, zmq::Error> {
-        let access = Arc::new(access);
+        let access = Present {
+            asks: !access.is_open() || connections < Limits::default().connections,
+            access: Arc::new(RwLock::new(access)),
+        };
         let questions = context.socket(zmq::REP)?;
         questions.set_linger(0)?;
         questions.bind(QUESTIONS)?;
@@ -180,7 +215,7 @@ impl Door {
         end.set_linger(0)?;
         end.connect(END)?;
         let desk = Desk {
-            access: Arc::clone(&access),
+            access: access.clone(),
             questions,
             connections: Connections::of(socket, context, connections)?,
             end: over,
@@ -189,7 +224,6 @@ impl Door {
             .name("ztl-door".to_owned())
             .spawn(move || desk.serve());
         let door = Self {
-            asks: !access.is_open() || connections < Limits::default().connections,
             access,
             end,
             // The system gives no more threads.
@@ -203,10 +237,10 @@ impl Door {
     pub(super) fn guard(&self, socket: &zmq::Socket) -> Result<(), zmq::Error> {
         // Without a domain ZeroMQ does not ask. With one it lets in nobody who is older than ZMTP
         // 3.0 and cannot say who he is: libzmq 3, JeroMQ 0.3.
-        if self.asks {
+        if self.access.asks {
             socket.set_zap_domain("ztl")?;
         }
-        if let Some(keys) = &self.access.keys {
+        if let Some(keys) = &self.access.read().keys {
             socket.set_curve_server(true)?;
             socket.set_curve_secretkey(keys.secret())?;
         }
@@ -215,21 +249,31 @@ impl Door {
 
     /// Who a message is from; `None` when it has not come through this door.
     pub(super) fn who(&self, message: &mut zmq::Message) -> Option<Who> {
-        if self.access.is_open() {
+        let access = self.access.read();
+        if access.is_open() {
             return Some(Who::Anybody);
         }
-        match (message.gets("User-Id")?, &self.access.keys) {
+        // The rules may be others by now than when it connected.
+        if !access.networks.is_empty() && !access.is_from_there(message.gets("Peer-Address")?) {
+            return None;
+        }
+        match (message.gets("User-Id")?, &access.keys) {
             (NO_KEY, None) => Some(Who::Anybody),
             (key, Some(_)) => key.parse().ok().map(Who::Client),
             (_, None) => None,
         }
     }
 
+    /// The access, to be changed.
+    pub(super) fn access(&self) -> Present {
+        self.access.clone()
+    }
+
     /// Whether somebody may use a scope.
     pub(super) fn lets_use(&self, who: Who, scope: &str) -> bool {
         match who {
             Who::Anybody => true,
-            Who::Client(client) => self.access.may_use(&client, scope),
+            Who::Client(client) => self.access.read().may_use(&client, scope),
         }
     }
 }
@@ -304,7 +348,7 @@ impl Desk {
             (b"CURVE", [key]) => key.as_slice().try_into().ok().map(PublicKey::from_bytes),
             _ => None,
         };
-        let allowed = version == b"1.0" && self.access.may_connect(&address, key.as_ref());
+        let allowed = version == b"1.0" && self.access.read().may_connect(&address, key.as_ref());
         if !allowed {
             let who = key.map_or_else(
                 || "without a key".to_owned(),

@@ -124,6 +124,28 @@ impl Limits {
         Ok(())
     }
 
+    /// These, but with what a server that runs cannot change as in `present`; with the names of what differs
+    /// there.
+    #[must_use]
+    pub fn for_running(self, present: &Self) -> (Self, Vec<&'static str>) {
+        let fixed = [
+            ("message", self.message == present.message),
+            ("queue", self.queue == present.queue),
+            ("connections", self.connections == present.connections),
+            ("handshake", self.handshake == present.handshake),
+        ];
+        let differ = fixed.iter().filter(|(_, same)| !same);
+        let differ = differ.map(|(name, _)| *name).collect();
+        let kept = Self {
+            message: present.message,
+            queue: present.queue,
+            connections: present.connections,
+            handshake: present.handshake,
+            ..self
+        };
+        (kept, differ)
+    }
+
     /// The longest message that is taken, in bytes.
     pub(super) fn longest_message(&self) -> usize {
         self.message.min(MAX_MESSAGE)

@@ -234,6 +234,12 @@ impl Heap {
         }
     }
 
+    /// Other limits, which hold for what comes from now on.
+    pub(super) fn set_limits(&mut self, limits: Limits) {
+        self.limits = limits;
+        self.tasks.limits = limits;
+    }
+
     /// Makes a scope known, or describes it anew, and says its place.
     pub(super) fn register(&mut self, name: &str, about: About) -> Scope {
         if let Some(scope) = self.places.get(name).copied() {

@@ -17,7 +17,7 @@ mod touch;
 
 use std::collections::BTreeMap;
 use std::net::SocketAddr;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use tracing::{debug, error, info, warn};
@@ -49,7 +49,7 @@ pub(crate) use report::{AbortRefusal, Hush};
 pub use report::{Claim, TaskReporter};
 use report::{Inbox, Mailbox, Report, Waker};
 use router::{Received, Router};
-pub use running::{Pulse, RunningServer, Stopper};
+pub use running::{Control, Pulse, RunningServer, Stopper};
 use touch::Touch;
 
 /// Longest message that clients and servers of this crate take from the network, in bytes.
@@ -105,6 +105,8 @@ pub struct TaskServer {
     touch: Touch,
     /// Claims by the time at which their tasks are refused, and the reason.
     claims: BTreeMap<(Instant, TaskId), (Claim, &'static str)>,
+    /// Limits that somebody wants from now on.
+    next_limits: Arc<Mutex<Option<Limits>>>,
     /// Is shown what is asked of tasks.
     witness: Option<Witness>,
     /// Whether it was said that all task ids are used up.
@@ -174,6 +176,7 @@ impl TaskServer {
             inbox,
             touch: Touch::default(),
             claims: BTreeMap::new(),
+            next_limits: Arc::default(),
             witness: None,
             said_used_up: false,
             reported: false,
@@ -290,6 +293,16 @@ impl TaskServer {
         Pulse(Arc::clone(&self.waker))
     }
 
+    /// A handle that changes the server from another thread.
+    #[must_use]
+    pub fn control(&self) -> Control {
+        Control {
+            access: self.door.access(),
+            limits: Arc::clone(&self.next_limits),
+            waker: Arc::clone(&self.waker),
+        }
+    }
+
     /// Serves until it is stopped.
     ///
     /// # Errors
@@ -307,6 +320,15 @@ impl TaskServer {
     fn turn(&mut self, longest: Duration) -> Result<bool, zmq::Error> {
         let mut next = self.wait(longest)?;
         self.waker.awake();
+        let mut limits = self
+            .next_limits
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner);
+        if let Some(limits) = limits.take() {
+            self.dispatcher.set_keep(limits.keep);
+            self.dispatcher.memory_mut().set_limits(limits);
+        }
+        drop(limits);
         let more = self.take_reports();
         let mut taken = 0;
         while let Some((frames, who)) = next {

@@ -99,7 +99,7 @@ impl Waker {
     }
 
     /// Something was posted. The thread is woken, unless somebody will do it in a moment.
-    fn on_posted(&self) {
+    pub(super) fn on_posted(&self) {
         self.posted.store(true, Ordering::SeqCst);
         if self.hushed.load(Ordering::SeqCst) == 0 {
             self.wake();

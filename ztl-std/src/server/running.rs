@@ -1,9 +1,11 @@
 //! What other threads hold of a server that runs: they end it, feel its pulse, or own it.
 
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
+use super::Limits;
+use super::access::{Access, Present};
 use super::report::Waker;
 
 /// Ends a server from another thread.
@@ -20,6 +22,38 @@ impl Stopper {
 impl std::fmt::Debug for Stopper {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.write_str("Stopper")
+    }
+}
+
+/// Changes a server that runs, from another thread.
+#[derive(Clone)]
+pub struct Control {
+    pub(super) access: Present,
+    pub(super) limits: Arc<Mutex<Option<Limits>>>,
+    pub(super) waker: Arc<Waker>,
+}
+
+impl Control {
+    /// Changes who may use the server, for those who are connected, too; subscribers of readings stay. Says
+    /// whether that was possible: with other keys of its own, or where everybody was let in so far, a server has
+    /// to be bound anew.
+    #[must_use]
+    pub fn set_access(&self, access: Access) -> bool {
+        self.access.change(access)
+    }
+
+    /// Changes what the server allows at most, as far as [`Limits::for_running`] says. Tasks that run stay.
+    pub fn set_limits(&self, limits: Limits) {
+        let mut next = self.limits.lock().unwrap_or_else(PoisonError::into_inner);
+        *next = Some(limits);
+        drop(next);
+        self.waker.on_posted();
+    }
+}
+
+impl std::fmt::Debug for Control {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str("Control")
     }
 }
 

@@ -1,5 +1,7 @@
 //! `ztl gateway`: microcontrollers as handlers of a task server.
 
+mod reload;
+
 use std::fmt;
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -13,8 +15,9 @@ use crate::service::{self, Service};
 use crate::terminal::{error_line, line};
 use crate::tool::port;
 use crate::{Done, journal, log, signals};
+use reload::Reload;
 
-#[derive(Debug, clap::Args)]
+#[derive(Debug, Clone, clap::Args)]
 #[command(
     after_help = "URLs: serial:/dev/ttyACM0?baud=115200 (or a pty's path), tcp:HOST:PORT, sim:gripper, sim:head\nAn option overrides what FILE says; devices are added to the file's."
 )]
@@ -118,7 +121,7 @@ struct Plan {
 
 impl Gateway {
     pub(crate) fn run(self) -> Done {
-        let check = self.check;
+        let (check, options) = (self.check, self.clone());
         let plan = match self.plan() {
             Ok(plan) => plan,
             Err(unfit) => {
@@ -131,7 +134,7 @@ impl Gateway {
         }
         log::init_as(plan.place.log, plan.place.log_format);
         signals::catch()?;
-        plan.serve()
+        plan.serve(options)
     }
 
     /// What the file and the options say together.
@@ -208,8 +211,8 @@ impl Plan {
         findings
     }
 
-    fn serve(self) -> Done {
-        let place = self.place;
+    fn serve(self, options: Gateway) -> Done {
+        let place = &self.place;
         let who = place.reachable();
         let mut server = place.listen()?;
         let names: Vec<&str> = self.devices.iter().map(|d| d.name.as_str()).collect();
@@ -228,13 +231,22 @@ impl Plan {
             line(format_args!("Publishing readings at {endpoint}."));
         }
         let watch = devices.watch();
+        let fleet = devices.devices();
         server.register_handler(&self.scope, devices);
-        line(format_args!(
+        let serving = format!(
             "Serving {} at {}, scope {}. Reachable for {who}.",
             names.join(", "),
             server.endpoint(),
             self.scope
-        ));
+        );
+        let mut reload = Reload {
+            options,
+            fleet,
+            control: server.control(),
+            present: self,
+        };
+        signals::at_reload(move || reload.run())?;
+        line(serving);
         let stopper = server.stopper();
         let service = Service::ready(server.pulse(), move || {
             service::of_devices(&watch.reports())

@@ -12,7 +12,7 @@ use ztl_std::gateway::{Gateway, Journal, JournalError};
 use crate::reach::Findings;
 use crate::terminal::line;
 
-#[derive(Debug, clap::Args)]
+#[derive(Debug, Clone, PartialEq, Eq, clap::Args)]
 pub(crate) struct Options {
     /// File of the journal, or the directory for it (docs/journal.md) [default: in $STATE_DIRECTORY, else in ~/.local/state/ztl]
     #[arg(long, value_name = "FILE|DIR")]

@@ -46,7 +46,7 @@ impl fmt::Display for Unfit {
 }
 
 /// Where a server listens, who may use it, and what it logs.
-#[derive(Debug, clap::Args)]
+#[derive(Debug, Clone, clap::Args)]
 pub(crate) struct Listening {
     /// Port to serve at
     #[arg(short, long, value_parser = port)]
@@ -191,7 +191,7 @@ impl Findings {
 }
 
 /// What a server allows at most.
-#[derive(Debug, clap::Args)]
+#[derive(Debug, Clone, clap::Args)]
 pub(crate) struct Bounds {
     /// What the server allows at most, as running=100 (repeatable; docs/limits.md)
     #[arg(long, value_name = "NAME=VALUE", value_parser = bound)]
@@ -216,7 +216,7 @@ impl Bounds {
 }
 
 /// Who may use a server.
-#[derive(Debug, clap::Args)]
+#[derive(Debug, Clone, clap::Args)]
 struct Reach {
     /// Only clients with an address in this network, as 192.168.1.0/24 (repeatable)
     #[arg(long, value_name = "NETWORK", value_parser = network)]

@@ -60,10 +60,58 @@ pub(crate) fn catch() -> std::io::Result<()> {
         .name("ztl-signals".to_owned())
         .spawn(move || {
             let number = |signal| u8::try_from(signal).unwrap_or(CTRL_C);
-            signals
-                .forever()
-                .for_each(|signal| on_signal(number(signal)));
+            for signal in signals.forever() {
+                if signal != SIGHUP || !reload() {
+                    on_signal(number(signal));
+                }
+            }
         })?;
+    Ok(())
+}
+
+/// What a hang-up asks to be done.
+#[cfg(unix)]
+struct Reload {
+    ask: std::sync::mpsc::Sender<()>,
+    /// Whether this process was started from a terminal.
+    of_terminal: bool,
+}
+
+#[cfg(unix)]
+static RELOAD: Mutex<Option<Reload>> = Mutex::new(None);
+
+/// Whether this process has a terminal, wherever its output goes.
+#[cfg(unix)]
+fn has_terminal() -> bool {
+    std::fs::File::open("/dev/tty").is_ok()
+}
+
+/// Asks for what a SIGHUP means, if it means that: where the terminal is gone it means the end.
+#[cfg(unix)]
+fn reload() -> bool {
+    let reload = RELOAD.lock().unwrap_or_else(PoisonError::into_inner);
+    match &*reload {
+        Some(reload) if !reload.of_terminal || has_terminal() => reload.ask.send(()).is_ok(),
+        _ => false,
+    }
+}
+
+/// From now on SIGHUP calls `act`, on a thread of its own, unless it says that the terminal is gone.
+#[cfg(unix)]
+pub(crate) fn at_reload(mut act: impl FnMut() + Send + 'static) -> std::io::Result<()> {
+    let (ask, asked) = std::sync::mpsc::channel();
+    std::thread::Builder::new()
+        .name("ztl-reload".to_owned())
+        .spawn(move || asked.iter().for_each(|()| act()))?;
+    let of_terminal = has_terminal();
+    let mut reload = RELOAD.lock().unwrap_or_else(PoisonError::into_inner);
+    *reload = Some(Reload { ask, of_terminal });
+    Ok(())
+}
+
+/// There is no such signal here.
+#[cfg(not(unix))]
+pub(crate) fn at_reload(_act: impl FnMut() + Send + 'static) -> std::io::Result<()> {
     Ok(())
 }
 

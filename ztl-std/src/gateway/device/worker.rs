@@ -179,11 +179,11 @@ impl Worker {
         }
     }
 
-    fn on_stop(&mut self, leave_running: bool) {
-        if self.stopping.is_some() {
+    fn on_stop(&mut self, leave_running: bool, end: Instant) {
+        if self.stopping.is_some_and(|before| before <= end) {
             return;
         }
-        self.stopping = Some(now() + STOP);
+        self.stopping = Some(end);
         for id in self.tasks.keys().copied().collect::<Vec<_>>() {
             match self.session.policy(id) {
                 Some(policy) if leave_running => self.leave(id, policy),
@@ -264,7 +264,10 @@ impl Worker {
         match input {
             Input::Start(task, request) => {
                 if self.stopping.is_some() {
-                    return task.rejected("the gateway is stopping");
+                    return task.rejected(match self.stopping {
+                        Some(Instant::NEVER) => "the device is not served any more",
+                        _ => "the gateway is stopping",
+                    });
                 }
                 let id = task.id();
                 if let (Some(book), Some(claim)) = (self.session.book_mut(), request.claim.clone())
@@ -300,7 +303,12 @@ impl Worker {
             }
             Input::Closed(number, error) if number == self.number => self.on_closed(&error),
             Input::Opened(..) | Input::Bytes(..) | Input::Closed(..) => {}
-            Input::Stop(leave_running) => self.on_stop(leave_running),
+            Input::Retire => {
+                self.voice
+                    .say(now(), Grave::Info, " is not served any more.".to_owned());
+                self.on_stop(false, Instant::NEVER);
+            }
+            Input::Stop(leave_running) => self.on_stop(leave_running, now() + STOP),
         }
     }
 

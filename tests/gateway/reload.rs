@@ -1,0 +1,195 @@
+//! SIGHUP: the gateway reads its configuration again, and tasks go on.
+
+use ztl_mcu::link::Loss;
+use ztl_std::{RemoteTask, State, TaskId};
+use ztl_tests::lab::{PATIENCE, Process, Scratch, Terminal, until, ztl};
+
+use crate::firmware::{Endless, Firmware};
+
+/// A gateway with a file that can be changed.
+struct Lab {
+    scratch: Scratch,
+    gateway: Process,
+    endpoint: String,
+    /// How often it was reloaded.
+    reloaded: usize,
+}
+
+impl Lab {
+    #[track_caller]
+    fn new(text: &str) -> Self {
+        let scratch = Scratch::new();
+        let file = scratch.path("lab.yaml");
+        std::fs::write(&file, file_of(text)).expect("to write");
+        let gateway = Process::start(ztl().arg("gateway").arg(file));
+        let line = gateway.wait_for("Serving ");
+        let mut words = line.split([' ', ',']);
+        let endpoint = words.find(|word| word.starts_with("tcp://"));
+        Self {
+            endpoint: endpoint.expect("an endpoint").to_owned(),
+            scratch,
+            gateway,
+            reloaded: 0,
+        }
+    }
+
+    /// Changes the file, and waits until the gateway has read it.
+    #[track_caller]
+    fn reload(&mut self, text: &str) {
+        std::fs::write(self.scratch.path("lab.yaml"), file_of(text)).expect("to write");
+        self.gateway.signal("HUP");
+        self.reloaded += 1;
+        until("it is reloaded", PATIENCE, || {
+            let said = self.gateway.stderr();
+            let ends = [
+                "The configuration was reloaded.",
+                "everything stays as it is.",
+            ];
+            let times: usize = ends.iter().map(|end| said.matches(end).count()).sum();
+            (times == self.reloaded).then_some(())
+        });
+    }
+
+    #[track_caller]
+    fn remote(&self) -> RemoteTask {
+        RemoteTask::connect(&self.endpoint, "/lab").expect("an address")
+    }
+}
+
+fn file_of(text: &str) -> String {
+    format!("scope: /lab\nport: 0\n{text}")
+}
+
+#[track_caller]
+fn started(remote: &mut RemoteTask, device: &str, component: &str, goal: &str) -> TaskId {
+    let taken = until("a task is taken", PATIENCE, || {
+        remote.trigger(device, component, goal).ok()
+    });
+    taken.id
+}
+
+#[test]
+fn devices_come_and_go_and_the_tasks_of_others_go_on() {
+    let firmware = Firmware::start((Endless::new("arm", Loss::Abort),));
+    let bench = format!("devices:\n  bench: tcp:{}\n", firmware.address);
+    let mut lab = Lab::new(&format!("{bench}  head: sim:head\n"));
+    let mut remote = lab.remote();
+    let arm = started(&mut remote, "bench", "arm", "go");
+    let head = started(&mut remote, "head", "pan", "left");
+    lab.reload(&format!("{bench}  gripper: sim:gripper\n"));
+    // Whose device is not served any more is aborted.
+    let end = remote.wait(head, Some(PATIENCE)).expect("its end");
+    assert_eq!(end.state, State::Aborted);
+    let refused = remote
+        .trigger("head", "pan", "left")
+        .expect_err("it is gone");
+    let refused = refused.to_string();
+    assert!(
+        refused.contains("no device 'head'; there are: bench, gripper"),
+        "{refused}"
+    );
+    let finger = started(&mut remote, "gripper", "finger", "3");
+    let end = remote.wait(finger, Some(PATIENCE)).expect("its end");
+    assert_eq!((end.state, end.text.as_str()), (State::Completed, "3.0"));
+
+    // Served elsewhere: what runs there is aborted first.
+    let finger = started(&mut remote, "gripper", "finger", "100");
+    lab.reload(&format!("{bench}  gripper: sim:head\n"));
+    let end = remote.wait(finger, Some(PATIENCE)).expect("its end");
+    assert_eq!(end.state, State::Aborted);
+    let pan = started(&mut remote, "gripper", "pan", "left");
+    remote.abort(pan).expect("an answer");
+    assert_eq!(remote.status(arm).expect("known").state, State::Accepted);
+    assert_eq!(remote.abort(arm).expect("an answer").state, State::Aborted);
+}
+
+#[test]
+fn a_file_with_mistakes_changes_nothing_and_each_is_said() {
+    let mut lab = Lab::new("devices: {head: sim:head}\n");
+    let mut remote = lab.remote();
+    let head = started(&mut remote, "head", "pan", "left");
+    lab.reload("devices: {gripper: sim:gripper}\nprot: 1\nlog: loud\n");
+    for mistake in [
+        "lab.yaml:4:1: unknown key 'prot'",
+        "lab.yaml:5:6: 'loud' is not known here",
+    ] {
+        lab.gateway.wait_for(mistake);
+    }
+    assert_eq!(remote.status(head).expect("known").state, State::Accepted);
+    let refused = remote
+        .trigger("gripper", "finger", "3")
+        .expect_err("not served");
+    assert!(refused.to_string().contains("there are: head"), "{refused}");
+}
+
+#[test]
+fn rules_limits_and_the_log_are_changed_and_the_rest_waits_for_a_restart() {
+    let mut lab = Lab::new("allow: 127.0.0.0/8\nlog: warn\ndevices: {head: sim:head}\n");
+    let mut remote = lab.remote();
+    let head = started(&mut remote, "head", "pan", "left");
+    lab.reload(
+        "allow: 127.0.0.0/8\nlog: info\nbind: 127.0.0.2\nlog-format: json\n\
+         limits: {running: 1, queue: 7}\ndevices: {head: sim:head}\n",
+    );
+    for key in ["bind", "log-format", "queue"] {
+        let said = format!("'{key}' has changed, which takes effect at the next start.");
+        lab.gateway.wait_for(&said);
+    }
+    assert!(!lab.gateway.stderr().contains("'limits'"));
+    let refused = remote
+        .trigger("head", "pan", "right")
+        .expect_err("one runs");
+    assert!(
+        refused.to_string().contains("too many tasks are running"),
+        "{refused}"
+    );
+    assert_eq!(remote.abort(head).expect("an answer").state, State::Aborted);
+    lab.gateway.wait_for("'head:pan:left' has ended as ABORTED");
+
+    // Nobody is allowed any more, not even those who are connected.
+    lab.reload("allow: 192.0.2.0/24\ndevices: {head: sim:head}\n");
+    remote.status(head).expect_err("no answer");
+    lab.reload("allow: 127.0.0.1\ndevices: {head: sim:head}\n");
+    assert_eq!(remote.status(head).expect("known").state, State::Aborted);
+}
+
+#[test]
+fn a_gateway_that_lets_in_everybody_needs_a_restart_to_ask_who_they_are() {
+    let mut lab = Lab::new("devices: {head: sim:head}\n");
+    lab.reload("allow: 192.0.2.0/24\ndevices: {head: sim:head}\n");
+    lab.gateway
+        .wait_for("'allow' has changed, which takes effect at the next start.");
+    started(&mut lab.remote(), "head", "pan", "left");
+}
+
+#[test]
+fn without_a_file_there_is_nothing_to_reload() {
+    let words = ["gateway", "-p", "0", "-s", "/lab", "-d", "head=sim:head"];
+    let gateway = Process::start(ztl().args(words));
+    gateway.wait_for("Device 'head' is ready");
+    gateway.signal("HUP");
+    gateway.wait_for("There is no configuration file to be reloaded.");
+    gateway.signal("TERM");
+    assert_eq!(gateway.end(PATIENCE).code, Some(0));
+}
+
+#[test]
+fn when_its_terminal_is_gone_it_stops_as_ever() {
+    let scratch = Scratch::new();
+    let (file, log) = (scratch.path("lab.yaml"), scratch.path("log"));
+    std::fs::write(&file, file_of("devices: {head: sim:head}\n")).expect("to write");
+    let gateway = ztl();
+    let mut shell = std::process::Command::new("sh");
+    let script = "\"$0\" gateway \"$1\" > \"$2\" 2>&1 < /dev/null; true";
+    shell.args(["-c", script]).arg(gateway.get_program());
+    let terminal = Terminal::start(shell.arg(file).arg(&log), (80, 24));
+    let says = |part: &str| {
+        until(part, PATIENCE, || {
+            let said = std::fs::read_to_string(&log).unwrap_or_default();
+            said.contains(part).then_some(())
+        });
+    };
+    says("Device 'head' is ready");
+    drop(terminal);
+    says("Stopped.");
+}

@@ -1,0 +1,130 @@
+//! A gateway that serves reads its configuration again. What cannot be changed meanwhile is said, and stays
+//! as it is; so is everything when the configuration has mistakes.
+
+use std::time::{Duration, Instant};
+
+use tracing::{error, info, warn};
+use ztl_std::gateway::config::DeviceConfig;
+use ztl_std::gateway::{AddError, Devices};
+use ztl_std::server::Control;
+
+use super::{Gateway, Plan};
+use crate::log;
+
+/// Name under which the gateway logs.
+const LOG: &str = "gateway";
+/// How long the tasks of a device that is served elsewhere from now on may take to stop.
+const STOP: Duration = Duration::from_secs(10);
+/// Pause before it is looked again whether they have.
+const LOOK: Duration = Duration::from_millis(50);
+
+/// What is needed to reload.
+pub(super) struct Reload {
+    /// As the gateway was started.
+    pub(super) options: Gateway,
+    pub(super) fleet: Devices,
+    pub(super) control: Control,
+    /// What is served now.
+    pub(super) present: Plan,
+}
+
+impl Reload {
+    /// Reads the configuration again, and changes what can be changed.
+    pub(super) fn run(&mut self) {
+        if self.options.file.is_none() {
+            return warn!(target: LOG, "There is no configuration file to be reloaded.");
+        }
+        let plan = match self.options.clone().plan() {
+            Ok(plan) => plan,
+            Err(unfit) => {
+                for line in unfit.to_string().lines() {
+                    error!(target: LOG, "{line}");
+                }
+                return error!(target: LOG, "The configuration was not reloaded; everything stays as it is.");
+            }
+        };
+        let mut restart = self.compare(&plan);
+        self.change_server(&plan, &mut restart);
+        self.change_devices(plan.devices);
+        for key in &restart {
+            warn!(target: LOG, "'{key}' has changed, which takes effect at the next start.");
+        }
+        info!(target: LOG, "The configuration was reloaded.");
+    }
+
+    /// What has changed and stays as it is.
+    fn compare(&self, plan: &Plan) -> Vec<&'static str> {
+        let (now, then) = (&self.present, plan);
+        let changed = [
+            ("scope", now.scope != then.scope),
+            ("port", now.place.port != then.place.port),
+            ("bind", now.place.bind != then.place.bind),
+            ("publish", now.publish != then.publish),
+            ("journal", now.journal != then.journal),
+            ("log-format", now.place.log_format != then.place.log_format),
+        ];
+        let changed = changed.into_iter().filter(|(_, changed)| *changed);
+        changed.map(|(key, _)| key).collect()
+    }
+
+    fn change_server(&mut self, plan: &Plan, restart: &mut Vec<&'static str>) {
+        let (now, then) = (&mut self.present.place, &plan.place);
+        if now.log != then.log {
+            log::set_level(then.log);
+            now.log = then.log;
+        }
+        let (limits, fixed) = then.limits.for_running(&now.limits);
+        restart.extend(fixed);
+        if now.limits != limits {
+            self.control.set_limits(limits);
+            now.limits = limits;
+        }
+        if now.access != then.access {
+            if self.control.set_access(then.access.clone()) {
+                now.access = then.access.clone();
+            } else if now.access.has_keys_of(&then.access) {
+                restart.push("allow");
+            } else {
+                restart.push("key");
+            }
+        }
+    }
+
+    fn change_devices(&mut self, wanted: Vec<DeviceConfig>) {
+        let before = std::mem::take(&mut self.present.devices);
+        for device in &before {
+            let stays =
+                |new: &DeviceConfig| new.name == device.name && new.endpoint == device.endpoint;
+            if !wanted.iter().any(stays) {
+                self.fleet.remove(&device.name);
+            }
+        }
+        for device in wanted {
+            let known = before.iter().find(|known| known.name == device.name);
+            let stays = known.is_some_and(|known| known.endpoint == device.endpoint);
+            if !stays && let Err(error) = self.add(&device) {
+                warn!(target: LOG, device = device.name, "Device '{}' is not served: {error}", device.name);
+                continue;
+            }
+            #[cfg(feature = "defmt")]
+            if let Some(elf) = &device.elf
+                && !(stays && known.is_some_and(|known| known.elf == device.elf))
+                && let Err(error) = self.fleet.read_log(&device.name, elf)
+            {
+                warn!(target: LOG, device = device.name, "Device '{}': its log cannot be read: {error}", device.name);
+            }
+            self.present.devices.push(device);
+        }
+    }
+
+    /// Waits for the tasks of a device that had this name.
+    fn add(&self, device: &DeviceConfig) -> Result<(), AddError> {
+        let start = Instant::now();
+        loop {
+            match self.fleet.add(&device.name, device.endpoint.clone()) {
+                Err(AddError::HasTasks) if start.elapsed() < STOP => std::thread::sleep(LOOK),
+                added => return added,
+            }
+        }
+    }
+}
