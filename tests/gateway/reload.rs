@@ -170,7 +170,7 @@ fn without_a_file_there_is_nothing_to_reload() {
     gateway.signal("HUP");
     gateway.wait_for("There is no configuration file to be reloaded.");
     gateway.signal("TERM");
-    assert_eq!(gateway.end(PATIENCE).code, Some(0));
+    assert_eq!(gateway.end(PATIENCE).code, Some(143));
 }
 
 #[test]

@@ -173,7 +173,7 @@ mod tests {
             tracing::info!(target: "gateway", device = "arm", "{text}");
         });
         let page = String::from_utf8(page.0.lock().unwrap().clone()).unwrap();
-        let line = "INFO:gateway:it says \\u{1b}[2J\\nERROR:x:y\\t\\u{9b}\\u{7f}ä\n";
+        let line = "INFO:gateway:it says \\u001b[2J\\nERROR:x:y\\t\\u009b\\u007fä\n";
         assert_eq!(page, line);
     }
 }
