@@ -107,11 +107,11 @@ fn goals_of_running_tasks_are_refused_when_they_fill_the_memory() {
     assert!(refused.contains("too many tasks are running"), "{refused}");
     assert!(taken.len() >= 5, "{taken:?}");
     for id in &taken {
-        assert_eq!(remote.status(*id).expect("known").state, State::Accepted);
+        assert_eq!(remote.status(id).expect("known").state, State::Accepted);
     }
     door.open();
     for id in &taken {
-        let end = remote.wait(*id, Some(PATIENCE)).expect("its end");
+        let end = remote.wait(id, Some(PATIENCE)).expect("its end");
         assert_eq!(end.state, State::Completed);
     }
 }

@@ -1,7 +1,7 @@
 //! SIGHUP: the gateway reads its configuration again, and tasks go on.
 
 use ztl_mcu::link::Loss;
-use ztl_std::{RemoteTask, State, TaskId};
+use ztl_std::{RemoteId, RemoteTask, State};
 use ztl_tests::lab::{PATIENCE, Process, Scratch, Terminal, until, ztl};
 
 use crate::firmware::{Endless, Firmware};
@@ -61,7 +61,7 @@ fn file_of(text: &str) -> String {
 }
 
 #[track_caller]
-fn started(remote: &mut RemoteTask, device: &str, component: &str, goal: &str) -> TaskId {
+fn started(remote: &mut RemoteTask, device: &str, component: &str, goal: &str) -> RemoteId {
     let taken = until("a task is taken", PATIENCE, || {
         remote.trigger(device, component, goal).ok()
     });
@@ -78,7 +78,7 @@ fn devices_come_and_go_and_the_tasks_of_others_go_on() {
     let head = started(&mut remote, "head", "pan", "left");
     lab.reload(&format!("{bench}  gripper: sim:gripper\n"));
     // Whose device is not served any more is aborted.
-    let end = remote.wait(head, Some(PATIENCE)).expect("its end");
+    let end = remote.wait(&head, Some(PATIENCE)).expect("its end");
     assert_eq!(end.state, State::Aborted);
     let refused = remote
         .trigger("head", "pan", "left")
@@ -89,18 +89,18 @@ fn devices_come_and_go_and_the_tasks_of_others_go_on() {
         "{refused}"
     );
     let finger = started(&mut remote, "gripper", "finger", "3");
-    let end = remote.wait(finger, Some(PATIENCE)).expect("its end");
+    let end = remote.wait(&finger, Some(PATIENCE)).expect("its end");
     assert_eq!((end.state, end.text.as_str()), (State::Completed, "3.0"));
 
     // Served elsewhere: what runs there is aborted first.
     let finger = started(&mut remote, "gripper", "finger", "100");
     lab.reload(&format!("{bench}  gripper: sim:head\n"));
-    let end = remote.wait(finger, Some(PATIENCE)).expect("its end");
+    let end = remote.wait(&finger, Some(PATIENCE)).expect("its end");
     assert_eq!(end.state, State::Aborted);
     let pan = started(&mut remote, "gripper", "pan", "left");
-    remote.abort(pan).expect("an answer");
-    assert_eq!(remote.status(arm).expect("known").state, State::Accepted);
-    assert_eq!(remote.abort(arm).expect("an answer").state, State::Aborted);
+    remote.abort(&pan).expect("an answer");
+    assert_eq!(remote.status(&arm).expect("known").state, State::Accepted);
+    assert_eq!(remote.abort(&arm).expect("an answer").state, State::Aborted);
 }
 
 #[test]
@@ -115,7 +115,7 @@ fn a_file_with_mistakes_changes_nothing_and_each_is_said() {
     ] {
         lab.gateway.wait_for(mistake);
     }
-    assert_eq!(remote.status(head).expect("known").state, State::Accepted);
+    assert_eq!(remote.status(&head).expect("known").state, State::Accepted);
     let refused = remote
         .trigger("gripper", "finger", "3")
         .expect_err("not served");
@@ -143,14 +143,17 @@ fn rules_limits_and_the_log_are_changed_and_the_rest_waits_for_a_restart() {
         refused.to_string().contains("too many tasks are running"),
         "{refused}"
     );
-    assert_eq!(remote.abort(head).expect("an answer").state, State::Aborted);
+    assert_eq!(
+        remote.abort(&head).expect("an answer").state,
+        State::Aborted
+    );
     lab.gateway.wait_for("'head:pan:left' has ended as ABORTED");
 
     // Nobody is allowed any more, not even those who are connected.
     lab.reload("allow: 192.0.2.0/24\ndevices: {head: sim:head}\n");
-    remote.status(head).expect_err("no answer");
+    remote.status(&head).expect_err("no answer");
     lab.reload("allow: 127.0.0.1\ndevices: {head: sim:head}\n");
-    assert_eq!(remote.status(head).expect("known").state, State::Aborted);
+    assert_eq!(remote.status(&head).expect("known").state, State::Aborted);
 }
 
 #[test]

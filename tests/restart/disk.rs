@@ -152,7 +152,7 @@ fn a_journal_that_somebody_else_alters_is_noticed_by_an_idle_gateway_and_begun_a
     let mut lab = Lab::new(LONG);
     let mut client = lab.client();
     let id = client.trigger("motors", "arm", "7 1").unwrap().id;
-    let end = client.wait(id, LIMIT).unwrap();
+    let end = client.wait(&id, LIMIT).unwrap();
     let journal = || std::fs::OpenOptions::new().append(true).open(lab.journal());
     journal().unwrap().set_len(0).unwrap();
     lab.gateway.process.wait_for(" was cut: ");
@@ -187,7 +187,7 @@ fn used_up_ids_are_said_by_the_gateway_and_to_its_clients() {
     let id = client.trigger("motors", "arm", "7 1").unwrap().id;
     assert_eq!(id, TaskId::MAX);
     let end = status(State::Completed, "7");
-    assert_eq!(client.wait(id, LIMIT), Ok(end.clone()));
+    assert_eq!(client.wait(&id, LIMIT), Ok(end.clone()));
     let used_up = |error: TriggerError| {
         let said = error.to_string();
         assert!(said.contains("all task ids are used up"), "{said}");

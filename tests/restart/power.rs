@@ -103,7 +103,7 @@ fn after_a_power_cut_no_id_is_given_a_second_time() {
                 .trigger("motors", "arm", &goal)
                 .expect("it is taken")
                 .id;
-            assert!(given.insert(id), "{id} is given a second time");
+            assert!(given.insert(id.number()), "{id} is given a second time");
             client.wait(id, LIMIT).expect("its end");
         }
         lab.cut_the_power();
@@ -147,7 +147,7 @@ fn an_id_that_was_told_while_the_disk_stalled_is_known_after_a_kill() {
         client.trigger("motors", "arm", "9 1").ok()
     });
     assert_eq!(
-        client.wait(next.id, LIMIT),
+        client.wait(&next.id, LIMIT),
         Ok(status(State::Completed, "9"))
     );
     lab.start_again();

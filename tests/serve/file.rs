@@ -76,16 +76,16 @@ fn options_override_the_file_and_what_is_missing_is_asked_for() {
     let ended = run(&[
         &file,
         "-p",
-        "7",
+        "20007",
         "-s",
         "/b",
         "--bind",
-        "localhost",
+        "127.0.0.1",
         "--check",
     ]);
     assert_eq!(
         ended.stdout,
-        "Nothing is wrong: 1 component at /b, at localhost:7.\n"
+        "Nothing is wrong: 1 component at /b, at 127.0.0.1:20007.\n"
     );
     let file = written(
         &scratch,

@@ -46,6 +46,10 @@ impl std::fmt::Display for BindError {
                     zmq::Error::EADDRNOTAVAIL => {
                         write!(f, "this machine does not have the address {address}")?;
                     }
+                    zmq::Error::EACCES => {
+                        return f
+                            .write_str("this user may not use the port; choose one above 1023");
+                    }
                     cause => f.write_str(cause.message())?,
                 }
                 f.write_str("; use 127.0.0.1 for this machine only, or * for every interface")

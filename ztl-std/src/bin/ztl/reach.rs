@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use crate::Done;
-use crate::terminal::line;
+use crate::terminal::{error_line, line};
 use crate::tool::port;
 use ipnet::IpNet;
 use tracing::Level;
@@ -177,10 +177,10 @@ impl Findings {
     /// Says all of it, and how the start would end. `right` is what is said when nothing is wrong.
     pub(crate) fn tell(self, right: impl fmt::Display) -> Done {
         for wrong in &self.wrong {
-            eprintln!("ztl: {wrong}");
+            error_line(format_args!("ztl: {wrong}"));
         }
         for note in &self.notes {
-            eprintln!("ztl: note: {note}");
+            error_line(format_args!("ztl: note: {note}"));
         }
         if !self.wrong.is_empty() {
             return Ok(ExitCode::FAILURE);
@@ -242,7 +242,7 @@ fn network(text: &str) -> Result<IpNet, &'static str> {
 fn own_keys(path: &Path) -> Result<KeyPair, KeyError> {
     let keys = KeyPair::read(path)?;
     if let Some(exposure) = exposure(path) {
-        eprintln!("ztl: warning: {exposure}");
+        error_line(format_args!("ztl: warning: {exposure}"));
     }
     Ok(keys)
 }
