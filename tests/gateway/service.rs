@@ -41,10 +41,8 @@ fn systemd_hears_that_it_is_ready_how_it_does_that_it_lives_and_that_it_stops() 
             .env("WATCHDOG_USEC", "400000");
         let process = Process::start(&mut command);
         let ready = manager.wait_for("READY=1", 1);
-        assert!(
-            ready.contains("\nSTATUS=0 of 2 devices ready; arm: "),
-            "{ready}"
-        );
+        // The simulated one may be ready by then.
+        assert!(ready.contains(" of 2 devices ready; arm: "), "{ready}");
         manager.wait_for("WATCHDOG=1", 2);
         process.wait_for("Device 'head' is ready");
         let trouble = format!(
