@@ -1,4 +1,4 @@
-//! A client: starts a task, watches it, waits for its end.
+//! A client: starts a task, shows its progress and waits for its final state.
 //!
 //!     cargo run --example client
 //!

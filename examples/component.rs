@@ -1,9 +1,8 @@
-//! A component as firmware has it, tried on the desk: the node's whole conversation with a gateway
-//! over a TCP stream, without hardware.
+//! A component as in firmware, tested on the desk: the node talks to a gateway over TCP, without hardware.
 //!
 //!     cargo run --example component
 //!
-//! waits for a gateway at 127.0.0.1:7001:
+//! waits for a gateway on 127.0.0.1:7001:
 //!
 //!     ztl gateway --device desk=tcp:127.0.0.1:7001 -p 12345 -s /lab
 //!     ztl task-client -r 127.0.0.1 -p 12345 -s /lab desk:lamp:on
@@ -15,7 +14,7 @@ use std::time::Duration;
 use ztl_mcu::link::{Busy, GoalShape, Loss, Offer};
 use ztl_mcu::{Component, Identity, Instant, Node, Refused, Report, Run};
 
-/// A lamp that is switched at once, and goes out when the link is lost.
+/// A lamp that switches immediately, and goes out when the link is lost.
 struct Lamp {
     on: bool,
 }

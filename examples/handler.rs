@@ -1,4 +1,4 @@
-//! A robot's handler: what an old robot runs so that anything newer can drive it.
+//! The handler of a robot: an old robot runs it, and newer machines can drive it.
 //!
 //!     cargo run --example handler
 //!
@@ -11,7 +11,7 @@ use std::time::Duration;
 
 use ztl_std::{ExecutableTask, TaskContext, TaskController, TaskError, TaskRequest, TaskServer};
 
-/// Drives for two seconds, tells how far it has come, and stops when it is asked to.
+/// Drives for two seconds, reports its progress, and stops on an abort.
 struct Drive;
 
 impl ExecutableTask for Drive {

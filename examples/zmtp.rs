@@ -1,5 +1,5 @@
-//! A device that is a ZTL server by itself, without a gateway: ZMTP over TCP, with the standard library
-//! and `ztl-mcu`, which would do the same in firmware. It moves a slide, 100 mm a second.
+//! A device that is a ZTL server by itself, without a gateway: ZMTP over TCP, with the standard library and
+//! `ztl-mcu`, as firmware would use it. It moves a slide at 100 mm per second.
 //!
 //!     cargo run --example zmtp
 //!
@@ -7,7 +7,7 @@
 //!
 //!     ztl task-client -r 127.0.0.1 -p 7002 -s /desk desk:slide:80
 //!
-//! A client that was switched off keeps its place here: the standard library cannot turn on TCP's keep-alive.
+//! A client that was switched off keeps its slot: the standard library cannot enable TCP's keep-alive.
 
 use std::io::{Read, Write};
 use std::net::{Shutdown, TcpListener, TcpStream};
@@ -22,11 +22,11 @@ use ztl_mcu::{Component, Identity, Instant, Refused, Report, Run};
 const PEERS: usize = 4;
 /// Longest sleep.
 const SECOND: Duration = Duration::from_secs(1);
-/// Longest time for a client to take an answer, in which the others wait. The system's buffers hold
-/// many; whoever fills them does not read.
+/// How long a client may take to accept a reply while the others wait. The system's buffers hold many, so a
+/// client that fills them does not read.
 const TAKE: Duration = Duration::from_millis(50);
 
-/// Goes to a place between 0 and 100 mm.
+/// Moves to a position between 0 and 100 mm.
 #[derive(Default)]
 struct Slide {
     from: f32,
@@ -36,7 +36,7 @@ struct Slide {
 }
 
 impl Slide {
-    fn place(&self, now: Instant) -> f32 {
+    fn position(&self, now: Instant) -> f32 {
         let way = now.since(self.start).as_secs_f32() * 100.0;
         self.from + (self.to - self.from).clamp(-way, way)
     }
@@ -58,8 +58,8 @@ impl Component for Slide {
     }
 
     fn check(&self, goal: &str, why: &mut Report<'_>) -> Result<(), Refused> {
-        let place = goal.parse();
-        if !place.is_ok_and(|place: f32| (0.0..=100.0).contains(&place)) {
+        let position = goal.parse();
+        if !position.is_ok_and(|position: f32| (0.0..=100.0).contains(&position)) {
             why.text("slide takes 0 to 100 mm");
             return Err(Refused);
         }
@@ -67,7 +67,7 @@ impl Component for Slide {
     }
 
     fn start(&mut self, now: Instant, goal: &str, _: &mut Report<'_>) -> Result<(), Refused> {
-        self.from = self.place(now);
+        self.from = self.position(now);
         self.to = goal.parse().map_err(|_| Refused)?;
         self.start = now;
         self.stopped = false;
@@ -75,13 +75,13 @@ impl Component for Slide {
     }
 
     fn poll(&mut self, now: Instant, report: &mut Report<'_>) -> Run {
-        let place = self.place(now);
-        report.number(place, 1);
+        let position = self.position(now);
+        report.number(position, 1);
         report.text(" mm");
         if self.stopped {
-            (self.from, self.to) = (place, place);
+            (self.from, self.to) = (position, position);
             Run::Aborted
-        } else if place == self.to {
+        } else if position == self.to {
             Run::Completed
         } else {
             Run::Running
@@ -93,21 +93,21 @@ impl Component for Slide {
     }
 
     fn make_safe(&mut self, now: Instant) {
-        (self.from, self.to) = (self.place(now), self.place(now));
+        (self.from, self.to) = (self.position(now), self.position(now));
     }
 }
 
-/// The server, and the stream of each client.
+/// The server, and each client's stream.
 struct Desk {
     server: Server<'static, [Slide; 1], PEERS, 8, 512, PEERS>,
     streams: [Option<TcpStream>; PEERS],
-    /// Until when the main thread sleeps.
+    /// When the main thread wakes up.
     wake: Instant,
 }
 
 struct Shared {
     desk: Mutex<Desk>,
-    /// Something was sent, or is due earlier.
+    /// Signals that something was sent, or is due earlier.
     changed: Condvar,
     begin: std::time::Instant,
 }
@@ -123,10 +123,10 @@ impl Shared {
 }
 
 impl Desk {
-    /// Sends what there is for each client. One that takes nothing for [`TAKE`] is closed.
+    /// Sends the output for each client. Closes one that accepts nothing for [`TAKE`].
     fn send(&mut self) {
-        for (place, stream) in self.streams.iter_mut().enumerate() {
-            let peer = Peer(place as u8);
+        for (slot, stream) in self.streams.iter_mut().enumerate() {
+            let peer = Peer(slot as u8);
             let Some(stream) = stream else {
                 continue;
             };
@@ -147,15 +147,15 @@ impl Desk {
         }
     }
 
-    /// A place for another client: free, and with no thread that still looks after it.
+    /// A slot for another client that is free and has no thread any more.
     fn vacant(&self) -> Option<usize> {
         self.streams.iter().position(Option::is_none)
     }
 }
 
-/// Looks after a client until it goes.
-fn attend(shared: &Shared, place: usize, mut stream: TcpStream) {
-    let peer = Peer(place as u8);
+/// Serves a client until it disconnects.
+fn serve_client(shared: &Shared, slot: usize, mut stream: TcpStream) {
+    let peer = Peer(slot as u8);
     let mut buffer = [0; 512];
     while let Ok(count) = stream.read(&mut buffer)
         && count > 0
@@ -163,7 +163,7 @@ fn attend(shared: &Shared, place: usize, mut stream: TcpStream) {
         let mut rest = &buffer[..count];
         let mut desk = shared.lock();
         if !desk.server.is_open(peer) {
-            // Closed, and it still sends.
+            // Closed while the client still sends.
             break;
         }
         while !rest.is_empty() {
@@ -175,7 +175,7 @@ fn attend(shared: &Shared, place: usize, mut stream: TcpStream) {
                 shared.changed.notify_all();
             }
             if taken == 0 {
-                // An answer is held back, and goes out before the next request is taken.
+                // A held reply must be sent before the next request is taken.
                 let waited = shared.changed.wait_timeout(desk, SECOND);
                 desk = waited.unwrap_or_else(PoisonError::into_inner).0;
             }
@@ -183,10 +183,10 @@ fn attend(shared: &Shared, place: usize, mut stream: TcpStream) {
     }
     let mut desk = shared.lock();
     desk.server.close(peer);
-    desk.streams[place] = None;
+    desk.streams[slot] = None;
 }
 
-/// Lets the slide move and answers what was held back, whenever something is due.
+/// Moves the slide and sends held replies when they are due.
 fn keep_moving(shared: &Shared) {
     let mut desk = shared.lock();
     loop {
@@ -201,7 +201,7 @@ fn keep_moving(shared: &Shared) {
     }
 }
 
-/// The next client's stream, to read and to write.
+/// Accepts the next client; returns its stream for reading and for writing.
 fn accept(listener: &TcpListener) -> std::io::Result<(TcpStream, TcpStream)> {
     let (stream, _) = listener.accept()?;
     stream.set_nodelay(true)?;
@@ -222,7 +222,7 @@ fn main() -> std::io::Result<ExitCode> {
     };
     println!("serving /desk at tcp://{}", listener.local_addr()?);
 
-    // Firmware would take a random number.
+    // Firmware would use a random number.
     let identity = Identity::new("desk", "1.0.0", std::process::id());
     let shared = Shared {
         desk: Mutex::new(Desk {
@@ -239,7 +239,7 @@ fn main() -> std::io::Result<ExitCode> {
         loop {
             let (stream, second) = match accept(&listener) {
                 Ok(streams) => streams,
-                // It has gone already, or the system has no more to give: the others are still served.
+                // The client is already gone, or the system is out of resources; the others are still served.
                 Err(error) => {
                     eprintln!("cannot take a client: {error}");
                     std::thread::sleep(TAKE);
@@ -247,14 +247,14 @@ fn main() -> std::io::Result<ExitCode> {
                 }
             };
             let mut desk = shared.lock();
-            // No place: it is closed, and a ZeroMQ client tries again after a while.
-            let Some(place) = desk.vacant() else {
+            // No free slot: close it; a ZeroMQ client retries later.
+            let Some(slot) = desk.vacant() else {
                 continue;
             };
-            desk.streams[place] = Some(second);
-            desk.server.open(shared.now(), Peer(place as u8));
+            desk.streams[slot] = Some(second);
+            desk.server.open(shared.now(), Peer(slot as u8));
             desk.send();
-            threads.spawn(move || attend(shared, place, stream));
+            threads.spawn(move || serve_client(shared, slot, stream));
         }
     })
 }

@@ -1,4 +1,4 @@
-//! Tells the linker where the images' memory layout is.
+//! Tells the linker where the memory layout of the images is.
 
 fn main() {
     let directory = std::env::var("CARGO_MANIFEST_DIR").unwrap_or_default();

@@ -125,8 +125,8 @@ fn each_trouble_comes_with_its_remedy() {
     assert_trouble(&told, "ports", "is in use", "ss -ltnp");
     assert_trouble(&told, "journal", "ot a directory", "--journal DIR");
     assert_trouble(&told, "serial", "/dev/ttyNONE", "plugged in");
-    assert_trouble(&told, "serial", "/etc/passwd is no serial port", "lists");
-    assert_trouble(&told, "serial", "/dev/null is no serial port", "lists");
+    assert_trouble(&told, "serial", "/etc/passwd is not a serial port", "lists");
+    assert_trouble(&told, "serial", "/dev/null is not a serial port", "lists");
     assert_trouble(&told, "server", "nothing listens there", "--bind '*'");
     let ended = doctor(&["-p", &nobody]);
     assert_eq!(ended.code, Some(1));

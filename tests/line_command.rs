@@ -155,7 +155,7 @@ fn what_is_wrong_is_said_in_one_line_with_what_would_be_right() {
     let taken = format!("tcp-listen:{}", taken.local_addr().unwrap().port());
     for (args, code, part) in [
         ("/dev/ttyACM0 pty", 2, "serial:/dev/ttyACM0"),
-        ("tcp:7000 pty", 2, "tcp-listen:PORT to be connected to"),
+        ("tcp:7000 pty", 2, "tcp-listen:PORT to listen"),
         ("pty pty --flip 2", 2, "a number from 0 to 1"),
         ("pty pty --for 10", 2, "10' for '--for <TIME>': a time is"),
         ("pty pty --baud 0", 2, "0 is not in 1.."),

@@ -1,12 +1,12 @@
 /*
- * Has a task done, and says what became of it.
+ * Runs a task and prints its outcome.
  *
  *   cargo xtask c
  *   cc client.c -I../../target/c/include ../../target/c/lib/libztl.a -lpthread -ldl -lm -lrt -o client
  *   ./client tcp://localhost:5700 /robot robot head 45 10000
  *
- * The last number is the longest time to wait, in milliseconds; then the task is aborted. Exit status: 0 COMPLETED;
- * 1 ended otherwise, or refused; 2 it goes on, or it is unknown what became of it; 3 wrong use.
+ * The last number is a timeout in milliseconds, after which the task is aborted. Exit status: 0 COMPLETED;
+ * 1 another final state; 2 still running, or outcome unknown; 3 wrong usage.
  */
 #include <stdio.h>
 #include <stdlib.h>
@@ -23,7 +23,7 @@ static int show(void *context, int error, int state, const char *text)
     return 0;
 }
 
-/* What the client's last call says in the end; `state` is only known when `error` is ZTL_OK. */
+/* The result of the client's last call; `state` is only valid if `error` is ZTL_OK. */
 static int tell(ztl_client *client, int error, int state, unsigned int task)
 {
     if (error == ZTL_OK) {
@@ -31,7 +31,7 @@ static int tell(ztl_client *client, int error, int state, unsigned int task)
         return state == ZTL_COMPLETED ? 0 : state == ZTL_ACCEPTED ? 2 : 1;
     }
     printf("%s: %s\n", ztl_error_name(error), ztl_client_error(client));
-    /* The server has the task: without an answer nobody knows more. */
+    /* The server has the task; without a reply its outcome is unknown. */
     if (task != ZTL_NO_TASK)
         return 2;
     switch (error) {

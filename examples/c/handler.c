@@ -1,5 +1,5 @@
 /*
- * An old robot's program: its main loop goes on as ever, and now newer machines can move its head.
+ * An old robot's program: its main loop runs as before, and now newer machines can move the robot's head.
  *
  *   cargo xtask c
  *   cc handler.c -I../../target/c/include ../../target/c/lib/libztl.a -lpthread -ldl -lm -lrt -o handler
@@ -15,7 +15,7 @@
 #include <string.h>
 #include <ztl.h>
 
-/* What the program had before: a head, which one call of its main loop moves by a degree. */
+/* The original program: each turn of the main loop moves the head by one degree. */
 struct head {
     int degrees;
     int goal;
@@ -28,7 +28,7 @@ static void move(struct head *head)
     head->degrees += (head->goal > head->degrees) - (head->goal < head->degrees);
 }
 
-/* Somebody wants the head to look somewhere. */
+/* Handles a new task: turn the head. */
 static void start(void *context, ztl_server *server, const ztl_request *request)
 {
     struct head *head = (struct head *)context;
@@ -62,7 +62,7 @@ static void poll(void *context, ztl_server *server, unsigned int task)
     }
 }
 
-/* Somebody wants it to stop. */
+/* Handles an ABORT. */
 static void stop(void *context, ztl_server *server, unsigned int task)
 {
     struct head *head = (struct head *)context;
@@ -101,7 +101,7 @@ int main(int count, char **words)
     printf("serving /robot at %s\n", text);
     fflush(stdout);
 
-    /* The main loop: a step of the robot, then whatever clients want, within 20 ms. */
+    /* The main loop: one step of the robot, then up to 20 ms for clients. */
     while (!ended && ztl_server_poll(server, 20) == ZTL_OK)
         move(&head);
 

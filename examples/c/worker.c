@@ -25,7 +25,7 @@ static void drive(void *context, ztl_server *server, const ztl_request *request)
     for (percent = 0; percent < 100; percent++) {
         sprintf(text, "%d percent", percent);
         ztl_task_progress(server, task, text);
-        /* Ends early when somebody says ABORT. */
+        /* Returns early on an ABORT. */
         if (ztl_task_sleep(server, task, 20) != ZTL_OK) {
             ztl_task_end(server, task, ZTL_ABORTED, text);
             return;

@@ -1,10 +1,10 @@
-/* A ZTL client in C, with nothing but libzmq (Debian: libzmq3-dev): asks for a task and waits for
- * its end.
+/* A ZTL client in C, with no library but libzmq (Debian: libzmq3-dev): starts a task and waits for
+ * its final state.
  *
  *     cc -o client client.c -lzmq
  *     ./client tcp://localhost:12345 /robot robot:base:forward
  *
- * prints how it ended, `COMPLETED: arrived`; the exit status is 0 only for COMPLETED. */
+ * prints the outcome, `COMPLETED: arrived`; the exit status is 0 only for COMPLETED. */
 
 #include <stdio.h>
 #include <string.h>
@@ -14,7 +14,7 @@
 static const char *STATES[] = {"INITIATED", "ACCEPTED", "REJECTED", "FAILED", "ABORTED", "COMPLETED"};
 static char message[(1 << 20) + 1], task[1 << 16];
 
-/* Asks about *id with *text, and puts there what is answered; the state, or -1 without an answer. */
+/* Sends *id and *text and stores those of the reply; returns its state, or -1 without a reply. */
 static int ask(void *server, const char *scope, int code, long *id, char **text)
 {
     int state = -1, end = 0;
@@ -42,7 +42,7 @@ int main(int count, char **args)
 {
     if (count != 4 || strlen(args[3]) > sizeof task / 2) return 2;
     void *server = zmq_socket(zmq_ctx_new(), ZMQ_REQ);
-    /* Nothing waits for a server that is not there; a late answer is not taken for the next one. */
+    /* Do not queue requests for an absent server; do not take a late reply for the next one. */
     int on = 1, off = 0, limit = 2000;
     zmq_setsockopt(server, ZMQ_IMMEDIATE, &on, sizeof on);
     zmq_setsockopt(server, ZMQ_REQ_RELAXED, &on, sizeof on);
@@ -56,16 +56,16 @@ int main(int count, char **args)
     char *text = task;
     base64(args[3], task);
     int state = ask(server, args[2], 1, &id, &text);
-    if (state < 0) { /* Never sent again: the first may have been acted on. */
+    if (state < 0) { /* Never resend: the first may have started the task. */
         puts("UNKNOWN: no answer, the task may run");
         return 1;
     }
-    while (state <= 1) { /* No answer, -1, is not an end. */
+    while (state <= 1) { /* No reply (-1) is not a final state. */
         nanosleep(&(struct timespec){.tv_nsec = 100000000}, NULL);
         text = "status update";
         state = ask(server, args[2], 2, &id, &text);
     }
-    /* A server that was started anew does not know what became of it. */
+    /* A restarted server does not know the outcome. */
     int lost = id > 0 && !strncmp(text, "Invalid ID", 10);
     printf("%s: %s\n", lost ? "UNKNOWN" : STATES[state], text);
     return state != 5;

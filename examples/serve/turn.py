@@ -1,4 +1,4 @@
-# Turns the base, as a script of an old robot would: Python 2 or 3, progress printed, Ctrl-C stops it.
+# Turns the base, like a script of an old robot: Python 2 or 3, prints its progress, stops on Ctrl-C.
 from __future__ import print_function
 import json, os, sys, time
 

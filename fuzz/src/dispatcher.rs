@@ -1,18 +1,18 @@
-//! A server's rules under any sequence of requests, events and moments, against a [`model`].
+//! A server's rules under any sequence of requests, events and times, compared with a [`model`].
 //!
-//! A scenario is text, one step a line; `?`, `&` and the moments stand alone, the handler's words
-//! are followed by the number of a task, counted from 0 in the order of the starts, and a text:
+//! A scenario is text with one step per line. A handler's event is followed by the number of a task, counted
+//! from 0 in order of their starts, and a text:
 //!
 //! | line | step |
 //! |---|---|
 //! | `?/lab;1;-1;open` | a request without an envelope |
-//! | `A5?/lab;1;-1;open` | request 5 of our client A (or B, C, D); with `!` it wishes to be told a quick end |
-//! | `A5.1?/lab;1;-1;open` | the same over connection 1; without a number A and B share one, and C and D another |
+//! | `A5?/lab;1;-1;open` | request 5 of our client A (or B, C, D); with `!` it asks for an early end |
+//! | `A5.1?/lab;1;-1;open` | the same over connection 1; without a number, A and B share one connection, and C and D another |
 //! | `&` | a request of several frames |
 //! | `a0 ok` | accepted; likewise `r` rejected, `x` threw, `p` progress, `c` completed, `f` failed, `o` aborted, `n` cannot be aborted |
-//! | `t1500` | so many milliseconds pass |
-//! | `T1500` | the same, but the server wakes only at their end |
-//! | `i7` | the first task's id is 7, if nothing has happened yet |
+//! | `t1500` | this many milliseconds pass |
+//! | `T1500` | the same, but the server wakes only at the end |
+//! | `i7` | the first task gets id 7, if nothing has happened yet |
 
 mod model;
 
@@ -27,19 +27,19 @@ use ztl_core::{Instant, TaskId};
 use crate::script::{number, pick, steps, text};
 use model::{Limits, Model};
 
-/// The scopes that are registered.
+/// The registered scopes.
 const SCOPES: [&str; 2] = ["/lab", "/s"];
 
-/// Longest text that is remembered, in bytes.
+/// Longest stored text, in bytes.
 const TEXT: usize = 16;
 
-/// Told by `$ztl`.
+/// The boot id that `$ztl` reports.
 const BOOT: u32 = 4711;
 
-/// Longest step in milliseconds: beyond every time that the dispatcher knows.
+/// Longest step in milliseconds: longer than every time in the dispatcher.
 const LONGEST_STEP: u64 = 4_000_000;
 
-/// From where a request came: its number, to tell the answers apart, and its connection.
+/// Where a request came from: its number, to tell replies apart, and its connection.
 #[derive(Debug, Clone, Copy)]
 struct Peer {
     ask: usize,
@@ -52,7 +52,7 @@ impl PartialEq for Peer {
     }
 }
 
-/// Plays a scenario on a server that often has no room, and on one that seldom lacks any.
+/// Plays a scenario on a server that is often full, and on one that rarely is.
 pub fn check(script: &[u8]) {
     Stage::<3, 2>::play(script);
     Stage::<8, 12>::play(script);
@@ -92,7 +92,7 @@ impl<const TASKS: usize, const HELD: usize> Stage<TASKS, HELD> {
                 b'&' => stage.request(None, Body::Several),
                 b'A'..=b'D' => {
                     let client = ClientId([verb; 16]);
-                    // As many bits as an envelope has for it.
+                    // Limited to the bits of an envelope.
                     let asked = number(&mut rest) & (u64::MAX >> 1);
                     let mut place = u64::from(verb - b'A') / 2;
                     if let Some(after) = rest.strip_prefix(b".") {
@@ -117,7 +117,7 @@ impl<const TASKS: usize, const HELD: usize> Stage<TASKS, HELD> {
                 _ => stage.event(verb, rest),
             }
         }
-        // Whatever is still held is answered within its time.
+        // Held replies are sent in time.
         stage.pass(Duration::from_secs(10), true);
         stage.model.assert_all_answered();
     }
@@ -146,7 +146,7 @@ impl<const TASKS: usize, const HELD: usize> Stage<TASKS, HELD> {
             }
             None => model.on_no_action(*now, ask),
         }
-        // A STATUS that wants to wait for no time at all.
+        // A STATUS that asks to wait for 0 ms.
         if dispatcher.poll_timeout().is_some_and(|wake| wake <= *now) {
             self.wake(self.now);
         }
@@ -180,7 +180,7 @@ impl<const TASKS: usize, const HELD: usize> Stage<TASKS, HELD> {
         model.after_event();
     }
 
-    /// Lets time pass, with the wake-ups that the dispatcher asks for or without.
+    /// Lets time pass, with or without the wake-ups that the dispatcher asks for.
     fn pass(&mut self, time: Duration, awake: bool) {
         let end = self.now + time;
         while awake && let Some(wake) = self.dispatcher.poll_timeout().filter(|wake| *wake <= end) {
@@ -204,7 +204,7 @@ impl<const TASKS: usize, const HELD: usize> Stage<TASKS, HELD> {
         let next = dispatcher.poll_timeout();
         assert!(
             next.is_none_or(|next| next > now),
-            "woken for nothing, for ever"
+            "endless wake-ups without progress"
         );
     }
 }

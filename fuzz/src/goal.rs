@@ -1,5 +1,5 @@
-//! Any text as a goal, for a target that takes everything and for typed ones: read or refused at a
-//! place within, and what was read is written so that it is read again.
+//! Any text as a goal, for a target that takes everything and for typed ones: parsed, or an error at a
+//! position within. What was parsed can be written and parsed again.
 
 mod any;
 
@@ -8,7 +8,7 @@ use ztl_core::goal::{self, GoalError, GoalErrorKind, WriteError};
 
 use any::Any;
 
-/// A target with something of everything.
+/// A target with a bit of everything.
 #[derive(Debug, Default, Deserialize, Serialize)]
 #[serde(default)]
 struct Typed<'a> {
@@ -40,7 +40,7 @@ enum Mode<'a> {
     },
 }
 
-/// Reads a text as each of these, and what that is written as, again.
+/// Parses a text as each of these types, and then what that is written as.
 macro_rules! typed {
     ($text:ident: $($target:ty),+) => {
         $({
@@ -58,7 +58,7 @@ macro_rules! typed {
     };
 }
 
-/// Reads `bytes` as each target.
+/// Parses `bytes` as each target.
 pub fn check(bytes: &[u8]) {
     let Ok(text) = std::str::from_utf8(bytes) else {
         return;
@@ -69,7 +69,7 @@ pub fn check(bytes: &[u8]) {
     typed!(text: f32, f64, i64, u8, bool, char, &str, Option<&str>);
 }
 
-/// A plain number is what the standard library reads, which rounds correctly.
+/// A plain number parses as in the standard library, which rounds correctly.
 fn number(text: &str) {
     let digits = text.bytes().filter(u8::is_ascii_digit).count();
     let exponent = text.bytes().rev().take_while(u8::is_ascii_digit).count();
@@ -104,7 +104,7 @@ fn any(text: &str) {
     let mut scratch = vec![0xA5; room(text)];
     let read = goal::from_str_with::<Any>(text, &mut scratch);
     place(text, &read);
-    // Without scratch it is the same, or said to need some.
+    // Without scratch the result is the same, or the error says that scratch is needed.
     let bare = goal::from_str::<Any>(text);
     place(text, &bare);
     match (&read, bare) {
@@ -114,7 +114,7 @@ fn any(text: &str) {
         (read, bare) => panic!("{read:?} with scratch, {bare:?} without"),
     }
     let Ok(value) = read else { return };
-    // A text at the top is written as it is, and read as what it looks like; in a list it is quoted.
+    // A text at the top is unquoted, and parsed by its looks; in a list it is quoted.
     let list = Any::List(vec![value]);
     match written(&list) {
         Ok(again) => {
@@ -127,7 +127,7 @@ fn any(text: &str) {
     }
 }
 
-/// Scratch of any size is enough, or said not to be.
+/// Scratch of any size is enough, or reported as too small.
 fn tight(text: &str, read: &Result<Any, GoalError>) {
     for len in (0..text.len()).step_by(1 + text.len() / 7) {
         match (read, goal::from_str_with::<Any>(text, &mut vec![0xA5; len])) {
@@ -144,12 +144,12 @@ fn tight(text: &str, read: &Result<Any, GoalError>) {
     }
 }
 
-/// Bytes of scratch that always suffice.
+/// A size of scratch that is always enough.
 fn room(text: &str) -> usize {
     text.len() + text.matches(['L', 'P']).count()
 }
 
-/// What is wrong stands somewhere in the text, or at its end.
+/// An error's position is within the text or at its end.
 fn place<T>(text: &str, read: &Result<T, GoalError>) {
     if let Err(error) = read {
         assert!(text.is_char_boundary(error.at), "{error:?} in {text:?}");

@@ -1,7 +1,7 @@
-//! What the fuzz targets check: whatever bytes come, the project keeps what it promises.
+//! The checks of the fuzz targets: whatever bytes arrive, the project keeps its promises.
 //!
-//! Each function takes one input and panics when a promise is broken; the programs in
-//! `fuzz_targets/` only hand them what libFuzzer makes up. `README.md` says what each is for.
+//! Each function takes one input and panics if a promise is broken. The programs in `fuzz_targets/` only pass
+//! on libFuzzer's input. `README.md` lists the promises.
 
 #![forbid(unsafe_code)]
 
@@ -16,10 +16,10 @@ mod script;
 pub mod spec;
 pub mod zmtp;
 
-/// The gateway's end of the link. Compiled here from its source, which needs nothing else of
-/// `ztl-std`, and so no ZeroMQ.
+/// The gateway's end of the link. Compiled here from its source, which needs nothing else of `ztl-std`, and
+/// therefore no ZeroMQ.
 #[path = "../../ztl-std/src/gateway"]
 mod gateway {
-    #[expect(dead_code, reason = "not all of it is needed here")]
+    #[expect(dead_code, reason = "only part of it is used here")]
     pub(crate) mod session;
 }

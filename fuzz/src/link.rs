@@ -1,25 +1,24 @@
-//! The link: any bytes into the decoder, and any message through it and back, whole or with a bit
-//! turned over.
+//! The link: any bytes into the decoder; any message through it and back, intact or with a flipped bit.
 
 use ztl_core::link::{
     ADDR_ONLY_NODE, Body, BodyError, Decoder, Frame, FrameError, NO_SESSION, encode, session_key,
     session_number,
 };
 
-/// The sessions of the example in `docs/link.md`, so that its frames are a corpus.
+/// The sessions of the example in `docs/link.md`, so that its frames can be a corpus.
 const SESSIONS: [u32; 3] = [
     NO_SESSION,
     0x1122_3344,
     session_key(0x1122_3344, 0xcafe_0001),
 ];
 
-/// Room for every frame that the second target makes; two COBS blocks and more.
+/// Room for every frame of the second target: more than two COBS blocks.
 const ROOM: usize = 600;
 
-/// Longest frame of which every bit is turned over; of a longer one, every 13th is.
+/// In frames up to this length every bit is flipped; in longer ones, every 13th.
 const EVERY_BIT: usize = 40;
 
-/// Feeds `stream` to a roomy decoder and to a tight one, beside a second implementation.
+/// Feeds `stream` to a large and a small decoder, and compares with a second implementation.
 pub fn stream(stream: &[u8]) {
     feed::<24>(stream);
     feed::<300>(stream);
@@ -45,7 +44,7 @@ fn feed<const N: usize>(stream: &[u8]) {
         }
         chunk.clear();
     }
-    // Whatever came before: after a delimiter, a good frame is read.
+    // After a delimiter, a valid frame is always read.
     let good = wire(
         7,
         &Frame {
@@ -88,7 +87,7 @@ fn assert_frame<const N: usize>(decoder: &Decoder<N>, whole: &[u8]) {
     }
 }
 
-/// COBS read in the plainest way.
+/// A straightforward COBS decoder.
 fn unstuffed(chunk: &[u8], room: usize) -> Result<Vec<u8>, FrameError> {
     let mut whole = Vec::new();
     let mut rest = chunk;
@@ -110,7 +109,7 @@ fn unstuffed(chunk: &[u8], room: usize) -> Result<Vec<u8>, FrameError> {
     }
 }
 
-/// CRC-32/ISO-HDLC, bit by bit, over the session and what is covered.
+/// CRC-32/ISO-HDLC, bit by bit, over the session and the covered bytes.
 fn crc(session: u32, covered: &[u8]) -> u32 {
     let bytes = session.to_le_bytes();
     let mut check = u32::MAX;
@@ -125,7 +124,8 @@ fn crc(session: u32, covered: &[u8]) -> u32 {
     !check
 }
 
-/// Reads four bytes as a session, one as a seq, and the rest as a body, which goes over the line.
+/// Reads four bytes as a session, one as a sequence number, and the rest as a body, and sends that over the
+/// line.
 pub fn frame(bytes: &[u8]) {
     let Some((session, [seq, bytes @ ..])) = bytes.split_first_chunk::<4>() else {
         return;
@@ -143,7 +143,7 @@ pub fn frame(bytes: &[u8]) {
         Err(_) => return,
     };
     let plain = written(&body);
-    assert!(plain.len() <= bytes.len(), "no other form is shorter");
+    assert!(plain.len() <= bytes.len(), "no other encoding is shorter");
     for len in 0..plain.len() {
         assert!(Body::parse(&plain[..len]).is_err(), "cut to {len}");
     }
@@ -163,16 +163,16 @@ pub fn frame(bytes: &[u8]) {
     );
 
     let [Ok(read)] = read(session, &wire)[..] else {
-        panic!("the frame does not come back");
+        panic!("the frame is lost");
     };
     assert_eq!(read, (ADDR_ONLY_NODE, *seq));
     assert_eq!(self::read(!session, &wire), [Err(FrameError::Check)]);
     flip(session, &wire);
 }
 
-/// A bit turned over inside a block is always noticed: it is one bit of what the check covers. One
-/// that moves a block's end alters more, and is overlooked once in 2^32. The number of ones is left
-/// out: it is no session (`docs/link.md` 1.5).
+/// A flipped bit inside a block is always detected, because the CRC covers it. One that moves the end of a
+/// block changes more bits, and is missed once in 2^32. All ones is skipped, because it is not a session
+/// (`docs/link.md` 1.5).
 fn flip(session: u32, wire: &[u8]) {
     if session != NO_SESSION && session != session_number(session) {
         return;
@@ -190,7 +190,7 @@ fn flip(session: u32, wire: &[u8]) {
     }
 }
 
-/// The frames of a stream, by address and seq.
+/// The frames of a stream, by address and sequence number.
 fn read(session: u32, stream: &[u8]) -> Vec<Result<(u8, u8), FrameError>> {
     let mut decoder = Decoder::<ROOM>::new();
     let mut seen = Vec::new();
@@ -200,7 +200,7 @@ fn read(session: u32, stream: &[u8]) -> Vec<Result<(u8, u8), FrameError>> {
             Ok(true) => {
                 let frame = decoder.frame(&[session]);
                 if let Ok((_, frame)) = &frame {
-                    // Read and written again it is the same.
+                    // Writing and parsing it again gives the same.
                     assert_eq!(written(&frame.body), canonical(&written(&frame.body)));
                 }
                 seen.push(frame.map(|(_, frame)| (frame.addr, frame.seq)));
@@ -229,7 +229,7 @@ fn written(body: &Body<'_>) -> Vec<u8> {
     out
 }
 
-/// The same message in its shortest form: a number may have been written with needless zeros.
+/// The same message in its shortest form: numbers may have been written with leading zeros.
 fn canonical(bytes: &[u8]) -> Vec<u8> {
     written(&Body::parse(bytes).expect("a message"))
 }

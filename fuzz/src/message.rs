@@ -1,5 +1,5 @@
-//! Bytes as a message, its text as numbers: either read and written back the same, or refused with
-//! a place that lies within.
+//! Bytes as a message, and its text as integers: either parsed and written back unchanged, or an error at a
+//! position within.
 
 use ztl_core::Message;
 use ztl_core::integer::{Integer, MAX_DIGITS, ParseIntegerError};
@@ -17,7 +17,7 @@ pub fn check(bytes: &[u8]) {
             write_back(&message, bytes);
             number(message.state);
             number(message.id);
-            // Numbers are rare in fields, so everything else is tried as one too.
+            // Integers are rare in fields, so everything else is parsed as one too.
             number(message.payload);
         }
         Err(ParseError::NotUtf8 { at, scope }) => {
@@ -70,7 +70,7 @@ fn number(text: &str) {
             assert_eq!(self::plain(Integer::parse(&plain).expect(&plain)), plain);
         }
         Err(ParseIntegerError::Unexpected { at }) => {
-            // A `_` may stand in a number, but not there; the same goes for blanks and signs.
+            // A `_` is allowed in an integer, but not there; likewise whitespace and signs.
             let byte = text.as_bytes().get(at).expect("a place within");
             assert!(!byte.is_ascii_digit(), "{text:?} at {at}");
             assert!(text.is_char_boundary(at));
@@ -81,7 +81,7 @@ fn number(text: &str) {
     }
 }
 
-/// The grammar of `docs/protocol.md` 2.1, but for the length.
+/// The grammar of `docs/protocol.md` 2.1, except for the length.
 fn is_number(text: &str) -> bool {
     let blank = |c: char| matches!(c, '\x09'..='\x0d' | ' ');
     let text = text.trim_matches(blank);

@@ -1,9 +1,9 @@
-//! Scenarios as text, one step a line, so that a corpus and a finding can be read and written by hand.
+//! Scenarios as text, one step per line, so that people can read and write corpus files and findings.
 
-/// Longest scenario in steps; enough to fill every table many times over.
+/// Longest scenario in steps; enough to fill every table many times.
 const MOST_STEPS: usize = 200;
 
-/// The steps: the verb, and what follows it. Empty lines and comments (`#`) are left out.
+/// The steps: a verb and its argument. Skips empty lines and comments (`#`).
 pub fn steps(script: &[u8]) -> impl Iterator<Item = (u8, &[u8])> {
     script
         .split(|&byte| byte == b'\n')
@@ -13,7 +13,7 @@ pub fn steps(script: &[u8]) -> impl Iterator<Item = (u8, &[u8])> {
         .take(MOST_STEPS)
 }
 
-/// Takes the digits at the front off, and one blank after them; no digits are 0.
+/// Consumes leading digits and one space after them; no digits give 0.
 pub fn number(rest: &mut &[u8]) -> u64 {
     let digits = rest.iter().take_while(|byte| byte.is_ascii_digit()).count();
     let (number, after) = rest.split_at(digits);
@@ -25,13 +25,13 @@ pub fn number(rest: &mut &[u8]) -> u64 {
     })
 }
 
-/// The item of this number, counted from 0 and round again; `None` when there are none.
+/// The item with this index, modulo the length; `None` if there are none.
 pub fn pick<T>(items: &[T], number: u64) -> Option<&T> {
     let count = u64::try_from(items.len()).ok()?;
     items.get(usize::try_from(number.checked_rem(count)?).ok()?)
 }
 
-/// As text; what is not UTF-8 becomes the replacement character.
+/// As text; invalid UTF-8 becomes the replacement character.
 pub fn text(bytes: &[u8]) -> String {
     String::from_utf8_lossy(bytes).into_owned()
 }

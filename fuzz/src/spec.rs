@@ -1,10 +1,10 @@
-//! Any text as an INIT's payload, and any text as a task: decoded as it was encoded, or refused.
+//! Any text as an INIT's payload, and any text as a task: decoded as it was encoded, or an error.
 
 use ztl_core::base64::{self, DecodeError};
 use ztl_core::spec::SpecError;
 use ztl_core::{TaskId, TaskSpec};
 
-/// Reads `bytes` as a payload, then as a task that becomes one.
+/// Decodes `bytes` as a payload, then encodes them as a task.
 pub fn check(bytes: &[u8]) {
     decoded(bytes);
     if let Ok(text) = std::str::from_utf8(bytes) {
@@ -14,7 +14,7 @@ pub fn check(bytes: &[u8]) {
     }
 }
 
-/// What the documentation promises of the decoder.
+/// The decoder's documented promises.
 fn decoded(text: &[u8]) {
     let most = text.len() * 3 / 4;
     let mut buffer = vec![0xA5; most];
@@ -28,7 +28,7 @@ fn decoded(text: &[u8]) {
         }
         _ => {}
     }
-    // What is not of the alphabet might as well not be there.
+    // Characters outside the alphabet have no effect.
     let bare: Vec<u8> = text
         .iter()
         .copied()
@@ -36,7 +36,7 @@ fn decoded(text: &[u8]) {
         .collect();
     let mut other = vec![0x5A; most];
     assert_eq!(base64::decode(&bare, &mut other), whole);
-    // A smaller buffer is either enough, or said to be too small.
+    // A smaller buffer is either large enough, or reported as too small.
     let len = whole.map_or(most, <[u8]>::len);
     if let Some(less) = len.checked_sub(1) {
         let mut small = vec![0xA5; less];
@@ -81,7 +81,7 @@ fn round_trip(spec: &TaskSpec<'_>) {
     assert!(initiated.starts_with(b"Initiated task '7' with request: {'handler': "));
 }
 
-/// A quoted text is read back by hand.
+/// Unquotes the text by hand.
 fn quoted(text: &str) {
     let mut out = Vec::new();
     ztl_core::repr::put_quoted(text, &mut |bytes: &[u8]| out.extend_from_slice(bytes));

@@ -1,6 +1,6 @@
-//! ZMTP, from the first byte of a greeting on: any stream into a server, into a serial line, and into both sides of
-//! a connection. Whatever came, what a server says is ZMTP, all is taken in time, and a good client is served
-//! afterwards.
+//! ZMTP from the first byte of a greeting: any stream into a server, a serial line, and both sides of a
+//! connection. In every case the server's output is valid ZMTP, all input is taken in time, and a good client
+//! is served afterwards.
 
 use std::time::Duration;
 
@@ -9,13 +9,13 @@ use ztl_mcu::link::{Busy, GoalShape, Loss, Offer};
 use ztl_mcu::zmtp::{Connection, Dealer, Line, Peer, Rep, Req, Server, Socket};
 use ztl_mcu::{Component, Identity, Instant, Refused, Report, Run};
 
-/// With this number the first task has the id 1, as in `docs/zmtp.md`.
+/// With this boot id the first task has id 1, as in `docs/zmtp.md`.
 const BOOT: u32 = 0x3A2C_BD44;
 
-/// Longest time for which an answer is held.
+/// Longest time a reply is held.
 const HELD: Duration = Duration::from_secs(2);
 
-/// Takes any goal, and a second for it.
+/// Accepts any goal and takes one second.
 #[derive(Default)]
 struct Motor {
     ends: Instant,
@@ -80,13 +80,19 @@ fn desk() -> Desk {
 pub fn zmtp(stream: &[u8]) {
     let (whole, lives) = serve(stream, stream.len().max(1));
     let (single, lives_too) = serve(stream, 1);
-    assert_eq!(lives, lives_too, "it matters how the bytes arrive");
+    assert_eq!(
+        lives, lives_too,
+        "the output depends on how the bytes are split"
+    );
     for (whole, single) in whole.iter().zip(single) {
-        // What was not sent yet is dropped with a connection.
-        assert!(single.starts_with(whole), "it matters how the bytes arrive");
+        // Output not sent yet is dropped with the connection.
+        assert!(
+            single.starts_with(whole),
+            "the output depends on how the bytes are split"
+        );
         assert!(
             !lives || *whole == single,
-            "it matters how the bytes arrive"
+            "the output depends on how the bytes are split"
         );
     }
     line(stream);
@@ -95,7 +101,8 @@ pub fn zmtp(stream: &[u8]) {
     connection::<Dealer>(stream);
 }
 
-/// A server's first client sends the stream in pieces; all that it hears, and whether it is still connected.
+/// A server's first client sends the stream in pieces. Returns all output, and whether the client is still
+/// connected.
 fn serve(stream: &[u8], piece: usize) -> ([Vec<u8>; 2], bool) {
     let mut desk = desk();
     let mut now = Instant::ZERO;
@@ -107,7 +114,7 @@ fn serve(stream: &[u8], piece: usize) -> ([Vec<u8>; 2], bool) {
             let taken = desk.handle_bytes(now, Peer(0), rest);
             let said = drain(&mut desk, Peer(0));
             if taken == 0 && said.is_empty() {
-                // An answer is held, and nothing else: it comes in time.
+                // Only a held reply may block input, and it is sent in time.
                 now = now + HELD;
                 desk.handle_timeout(now);
                 let held = drain(&mut desk, Peer(0));
@@ -123,7 +130,7 @@ fn serve(stream: &[u8], piece: usize) -> ([Vec<u8>; 2], bool) {
     let heard = parts(&heard);
     let lives = desk.is_open(Peer(0));
 
-    // Beside it and in its place a good client is served.
+    // A good client is served next to it and in its slot.
     assert_serves(&mut desk, Peer(1), now + HELD);
     assert_serves(&mut desk, Peer(0), now + HELD);
     (heard, lives)
@@ -142,8 +149,8 @@ fn drain(desk: &mut Desk, peer: Peer) -> Vec<u8> {
     }
 }
 
-/// What a server says is a greeting and frames, by a second and plainer reading: messages, and apart from them
-/// commands, which may overtake.
+/// Checks with a second, simpler parser that a server's output is a greeting and frames. Returns messages and
+/// commands separately, because commands may overtake.
 fn parts(heard: &[u8]) -> [Vec<u8>; 2] {
     let (mut messages, mut commands) = (Vec::new(), Vec::new());
     const BEGIN: &[u8] = b"\xFF\0\0\0\0\0\0\0\x01\x7F\x03";
@@ -193,7 +200,7 @@ fn parts(heard: &[u8]) -> [Vec<u8>; 2] {
     [messages, commands]
 }
 
-/// What a good client says before its first question.
+/// What a good client sends before its first request.
 fn greeting() -> Vec<u8> {
     let mut bytes = b"\xFF\0\0\0\0\0\0\0\x01\x7F\x03\x01NULL".to_vec();
     bytes.resize(64, 0);
@@ -224,7 +231,7 @@ impl ErrorType for Port<'_> {
 
 impl Read for Port<'_> {
     fn read(&mut self, buffer: &mut [u8]) -> Result<usize, Self::Error> {
-        // As many as come, as a serial port has them.
+        // In small pieces, as a serial port delivers them.
         let count = buffer.len().min(self.received.len()).min(7);
         buffer[..count].copy_from_slice(&self.received[..count]);
         self.received = &self.received[count..];
@@ -249,7 +256,7 @@ impl Write for Port<'_> {
     }
 }
 
-/// A serial port brings the stream, and then a good client, without a sign between them.
+/// A serial port receives the stream, and then a good client, with nothing between them.
 fn line(stream: &[u8]) {
     let mut desk = desk();
     let mut line = Line::new();
@@ -261,7 +268,7 @@ fn line(stream: &[u8]) {
             received: bytes,
             sent: Vec::new(),
         };
-        // Long enough for answers that are held, however many there are.
+        // Long enough for any number of held replies.
         for _ in 0..bytes.len() + 20 {
             let mut out = Port {
                 received: &[],
@@ -276,7 +283,7 @@ fn line(stream: &[u8]) {
     };
     let before = bring(stream);
     assert!(before.is_empty() || before.starts_with(b"\xFF"));
-    // Of what the stream left it hears nothing.
+    // It receives nothing that belongs to the stream before.
     let mut hello = greeting();
     hello.truncate(64);
     hello.splice(8..9, [1]);
@@ -284,7 +291,7 @@ fn line(stream: &[u8]) {
     assert_eq!(bring(&good), all);
 }
 
-/// Either side of a connection takes all of it, whatever is done with its messages.
+/// Either side of a connection takes the whole stream, whatever is done with its messages.
 fn connection<S: Socket>(stream: &[u8]) {
     let mut connection = Connection::<S, _>::new([0xA5; 128]);
     connection.open(Instant::ZERO);

@@ -1,7 +1,7 @@
-//! The machine that the images run on: a start, a line and a clock.
+//! The machine that the images are linked for: start-up code, a line and a clock.
 //!
-//! Nobody runs them; they are linked. But what they read comes from registers, so the compiler
-//! cannot know it, and they begin as any firmware does, so what they weigh is what firmware weighs.
+//! The images are never run, only linked. But they start like any firmware, and their input comes from
+//! registers, so the compiler cannot know it. Their size is therefore that of real firmware.
 #![no_std]
 
 use core::arch::global_asm;
@@ -11,37 +11,37 @@ use core::mem::MaybeUninit;
 use embedded_hal::{digital, pwm};
 use ztl_core::{Instant, TaskId};
 
-/// An id for where there is no better one.
+/// An id for use where any will do.
 pub const FIRST: TaskId = TaskId::new(1).unwrap();
 
-/// Received bytes; reading one takes it.
+/// Received bytes; reading the register consumes one.
 const LINE_IN: *const u8 = 0x4000_4000 as *const u8;
-/// Bytes to be sent.
+/// Bytes to send.
 const LINE_OUT: *mut u8 = 0x4000_4004 as *mut u8;
 /// Milliseconds since the reset.
 const CLOCK: *const u32 = 0x4000_8000 as *const u32;
 
 /// The next byte from the line.
 pub fn receive() -> u8 {
-    // SAFETY: a device's register: always there, of any value, and no Rust object.
+    // SAFETY: a device register: always present, may hold any value, not a Rust object.
     unsafe { LINE_IN.read_volatile() }
 }
 
 /// Sends bytes over the line.
 pub fn send(bytes: &[u8]) {
     for &byte in bytes {
-        // SAFETY: a device's register: always there, and no Rust object.
+        // SAFETY: a device register: always present, not a Rust object.
         unsafe { LINE_OUT.write_volatile(byte) }
     }
 }
 
-/// What the clock says.
+/// The current time.
 pub fn now() -> Instant {
-    // SAFETY: a device's register: always there, of any value, and no Rust object.
+    // SAFETY: a device register: always present, may hold any value, not a Rust object.
     Instant::from_millis(u64::from(unsafe { CLOCK.read_volatile() }))
 }
 
-/// A pin that does whatever, and fails now and then.
+/// A pin with unpredictable values and errors.
 pub struct AnyPin;
 
 /// The error of a pin.
@@ -122,29 +122,26 @@ unsafe impl critical_section::Impl for Alone {
     unsafe fn release((): ()) {}
 }
 
-/// Static memory for something that is made once and lives for ever.
+/// Static memory for a value that is created once and never dropped.
 pub struct Room<T>(UnsafeCell<MaybeUninit<T>>);
 
 // SAFETY: there is one thread and no interrupt.
 unsafe impl<T> Sync for Room<T> {}
 
 impl<T> Room<T> {
-    /// Empty.
+    /// Creates an empty one.
     #[must_use]
     pub const fn new() -> Self {
         Self(UnsafeCell::new(MaybeUninit::uninit()))
     }
 
-    /// Puts `value` into it.
+    /// Stores `value`.
     ///
     /// # Safety
-    /// To be called once for each room.
-    #[expect(
-        clippy::mut_from_ref,
-        reason = "of the only call, as the condition says"
-    )]
+    /// Call this at most once per room.
+    #[expect(clippy::mut_from_ref, reason = "only one call is allowed")]
     pub unsafe fn fill(&'static self, value: T) -> &'static mut T {
-        // SAFETY: by this function's condition, no other reference to the content exists.
+        // SAFETY: no other reference to the content exists, by the condition of this function.
         unsafe { (*self.0.get()).write(value) }
     }
 }
@@ -157,14 +154,13 @@ impl<T> Default for Room<T> {
 
 #[cfg(target_arch = "arm")]
 unsafe extern "C" {
-    /// Below.
+    /// Defined below.
     fn reset();
-    /// An address, not a function; from `image.x`.
+    /// An address, not a function; defined in `image.x`.
     fn stack_top();
 }
 
-/// The 15 exceptions of a Cortex-M and the 32 interrupts that a Cortex-M0 may have, in place of
-/// the first one the stack's start.
+/// The initial stack pointer, the 15 exceptions of a Cortex-M and the 32 interrupts of a Cortex-M0.
 #[cfg(target_arch = "arm")]
 #[used]
 #[unsafe(link_section = ".vectors")]

@@ -210,7 +210,7 @@ fn on_too_old_a_kernel_it_says_so_in_one_line() {
         return; // Only an emulator can say so.
     };
     let ended = Process::run(&mut command);
-    let line = "ztl: this is Linux 2.6.18, and ztl needs 2.6.32 or newer\n";
+    let line = "ztl: Linux 2.6.18 is too old: ztl needs 2.6.32 or newer\n";
     assert_eq!(
         (ended.code, ended.stderr.as_str()),
         (Some(1), line),

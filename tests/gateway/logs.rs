@@ -123,16 +123,16 @@ fn a_file_that_is_of_no_use_is_refused_before_anything_is_served() {
     let text = scratch.path("text");
     std::fs::write(&text, "no ELF file").expect("to write");
     for (name, file, part) in [
-        ("arm", text.display().to_string(), "it is no ELF file"),
+        ("arm", text.display().to_string(), "not an ELF file"),
         (
             "arm",
             built("ztl").display().to_string(),
-            "logs nothing by defmt",
+            "no defmt log in this program",
         ),
         (
             "arm",
             "/no/such.elf".to_owned(),
-            "cannot read it: No such file",
+            "cannot read the file: No such file",
         ),
         (
             "leg",

@@ -172,7 +172,7 @@ fn each_client_does_what_its_first_lines_promise() {
         let called = line("tcp://localhost:12345").split_whitespace().rev();
         let called: Vec<_> = called.take(2).collect();
         assert_eq!(called, ["robot:base:forward", "/robot"]);
-        assert!(line("prints how it ended, ").contains("`COMPLETED: arrived`"));
+        assert!(line("prints the outcome, ").contains("`COMPLETED: arrived`"));
     }
     let endpoint = server.endpoint();
     each_prints(

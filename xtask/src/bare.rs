@@ -1,8 +1,8 @@
-//! Builds the no_std crates for microcontrollers with nothing but `core` at hand.
+//! Builds the no_std crates for microcontrollers with only `core` available.
 //!
-//! The usual library of a bare target also has `alloc` in it, so that a crate, or something it
-//! depends on, could use an allocator unnoticed. Here `alloc` does not exist, and two throw-away
-//! crates show that the lack is noticed.
+//! The standard library of a bare target also contains `alloc`, so a crate or one of its dependencies could
+//! use an allocator unnoticed. Here `alloc` does not exist, and two throw-away crates prove that its use
+//! fails.
 
 use std::ffi::OsString;
 use std::fs;
@@ -29,7 +29,7 @@ pub(crate) fn build(dirs: &Dirs) -> Outcome {
                     .run()?;
             }
         }
-        // Also tells whether ZTL_NODE_RAM is what a node needs there.
+        // Also checks that ZTL_NODE_RAM is what a node needs on this target.
         bare.cargo_build(dirs)
             .args("--locked --manifest-path")
             .arg(capi::NODE)
@@ -41,11 +41,11 @@ pub(crate) fn build(dirs: &Dirs) -> Outcome {
     Ok(())
 }
 
-/// A target for which there is `core` and nothing else.
+/// A target with `core` and nothing else.
 struct Bare {
     target: &'static str,
     core: Core,
-    /// The directory with the compiled `core`, unless Cargo compiles it.
+    /// The directory of the compiled `core`, unless Cargo compiles it.
     sysroot: Option<PathBuf>,
 }
 
@@ -56,7 +56,7 @@ impl Bare {
             Core::Compiled(libraries) => {
                 Some(core_alone(dirs, target, libraries).map_err(|error| {
                     format!(
-                        "cannot set `core` apart in {}: {error}",
+                        "cannot set up a library with only `core` in {}: {error}",
                         dirs.target.display()
                     )
                 })?)
@@ -75,8 +75,8 @@ impl Bare {
             .core
             .cargo("build", self.target, &dirs.target.join("bare"));
         match &self.sysroot {
-            // With `--target`, these flags do not reach build scripts and macros, which need
-            // `std`. This variable wins over every other way to set flags, and takes blanks.
+            // With `--target`, these flags do not reach build scripts and macros, which need `std`. This
+            // variable overrides all other ways to set flags, and allows spaces.
             Some(path) => {
                 let mut flag = OsString::from("--sysroot=");
                 flag.push(path);
@@ -86,7 +86,7 @@ impl Bare {
         }
     }
 
-    /// Shows that a crate that needs the library does not build.
+    /// Proves that a crate that needs this library does not build.
     fn prove_lacking(&self, dirs: &Dirs, library: &str) -> Outcome {
         let name = format!("leak-{library}");
         let path = dirs.target.join("core-only").join(&name);
@@ -97,7 +97,7 @@ impl Bare {
             .cargo_build(dirs)
             .args("--color never --manifest-path")
             .arg(path.join("Cargo.toml"));
-        println!("$ {build}    (has to fail)");
+        println!("$ {build}    (must fail)");
         let (success, _, stderr) = build.capture()?;
         let reason = format!("can't find crate for `{library}`");
         if success {
@@ -111,23 +111,23 @@ impl Bare {
                  \"{reason}\":\n{stderr}"
             ))
         } else {
-            println!("refused, as it has to be: {reason}");
+            println!("failed as expected: {reason}");
             Ok(())
         }
     }
 }
 
-/// Makes a directory like the compiler's own, but with only `core` in it.
+/// Creates a directory like the compiler's own, but with only `core`.
 fn core_alone(dirs: &Dirs, target: &str, libraries: &Path) -> std::io::Result<PathBuf> {
     let sysroot = dirs.absolute("core-only/sysroot").join(target);
     let alone = sysroot.join("lib/rustlib").join(target).join("lib");
-    // Anew each time: what an older compiler left would not fit.
-    make_anew(&sysroot)?;
+    // Rebuilt each time, because files of an older compiler would not fit.
+    recreate(&sysroot)?;
     fs::create_dir_all(&alone)?;
     for entry in fs::read_dir(libraries)? {
         let entry = entry?;
         let name = entry.file_name();
-        // The compiler links every no_std program with `compiler_builtins`, asked for or not.
+        // The compiler links every no_std program with `compiler_builtins`.
         let wanted = [
             "libcore-",
             "libcompiler_builtins-",
@@ -144,9 +144,9 @@ fn core_alone(dirs: &Dirs, target: &str, libraries: &Path) -> std::io::Result<Pa
 }
 
 fn make_leak(path: &Path, name: &str, library: &str) -> std::io::Result<()> {
-    make_anew(path)?;
+    recreate(path)?;
     fs::create_dir_all(path.join("src"))?;
-    // A workspace of its own: it lies within the project's directory, but is no part of it.
+    // A separate workspace: it lies inside the project's directory, but is not part of it.
     fs::write(
         path.join("Cargo.toml"),
         format!("[package]\nname = \"{name}\"\nedition = \"2024\"\n\n[workspace]\n"),
@@ -157,7 +157,7 @@ fn make_leak(path: &Path, name: &str, library: &str) -> std::io::Result<()> {
     )
 }
 
-fn make_anew(path: &Path) -> std::io::Result<()> {
+fn recreate(path: &Path) -> std::io::Result<()> {
     match fs::remove_dir_all(path) {
         Err(error) if error.kind() != ErrorKind::NotFound => return Err(error),
         _ => {}

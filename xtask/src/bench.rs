@@ -1,15 +1,15 @@
-//! `cargo xtask bench`: figures side by side in one run, never a pass or a failure by time.
+//! `cargo xtask bench`: compares figures within one run; never passes or fails by time.
 
 use crate::cmd::{Cmd, Outcome};
 use crate::{Dirs, firmware, python};
 
-/// The parts of the comparison of whole servers that can be asked for alone.
+/// Parts of the server comparison that can be run alone.
 const PARTS: [&str; 7] = ["rates", "most", "cpu", "core", "goal", "end", "idle"];
 
-/// The cycles of a microcontroller, alone.
+/// Only the cycles of a microcontroller.
 const FIRMWARE: &str = "firmware";
 
-/// Runs every benchmark, parts of the comparison of servers, or only the microcontroller's.
+/// Runs every benchmark, parts of the server comparison, or only the microcontroller's.
 pub(crate) fn run(dirs: &Dirs, args: &[String]) -> Outcome {
     if let [word] = args
         && word == FIRMWARE
@@ -18,12 +18,12 @@ pub(crate) fn run(dirs: &Dirs, args: &[String]) -> Outcome {
     }
     if let Some(word) = args.iter().find(|word| !PARTS.contains(&word.as_str())) {
         return Err(format!(
-            "`cargo xtask bench` does not know `{word}`; it measures everything, alone {FIRMWARE}, or of whole servers {}",
+            "unknown benchmark `{word}`: expected nothing for all, {FIRMWARE}, or parts of the server comparison: {}",
             PARTS.join(", ")
         ));
     }
     let python = python::ensure(dirs)?;
-    // The programs that are measured.
+    // The programs to measure.
     Cmd::new("cargo build --release --workspace --bins --locked").run()?;
     let mut bench = Cmd::new("cargo bench --locked --package ztl-tests").env("ZTL_PYTHON", &python);
     if !args.is_empty() {

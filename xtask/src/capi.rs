@@ -1,8 +1,8 @@
-//! `cargo xtask c`: the libraries for programs in C, with their headers.
+//! `cargo xtask c`: builds the C libraries and their headers.
 //!
-//! What cargo makes of `ztl-c` has the names of libzmq, libsodium, C++ and Rust in it, which would clash with
-//! those of a robot's program. So all of it is linked into one object in which only the functions of
-//! `ztl.h` can be seen; of that the static and the shared library are made.
+//! The static library that cargo builds from `ztl-c` exports the names of libzmq, libsodium, C++ and Rust,
+//! which would clash with those of a robot's program. So everything is linked into one object that exports
+//! only the functions of `ztl.h`. The static and the shared library are made from it.
 
 mod cross;
 mod glibc;
@@ -21,13 +21,13 @@ pub(crate) use node::MANIFEST as NODE;
 
 const HEADER: &str = "ztl-c/include/ztl.h";
 
-/// The shared library's name has the number of its interface, `ZTL_ABI`.
+/// Version of the shared library's interface, as `ZTL_ABI`.
 const ABI: &str = "1";
 
-/// What a program links to besides.
+/// Libraries that a program must link as well.
 const SYSTEM: &str = "-lpthread -ldl -lm -lrt";
 
-/// Makes the libraries of this machine, a microcontroller's, or old Linux machines'.
+/// Builds the libraries for this machine, for a microcontroller, or for old Linux machines.
 pub(crate) fn run(dirs: &Dirs, args: &[String]) -> Outcome {
     let (mut check, mut glibc) = (false, false);
     let mut names = Vec::new();
@@ -37,7 +37,7 @@ pub(crate) fn run(dirs: &Dirs, args: &[String]) -> Outcome {
             "--glibc" => glibc = true,
             option if option.starts_with('-') => {
                 return Err(format!(
-                    "`cargo xtask c` does not know `{option}`; it takes names of targets, `--check` and `--glibc`"
+                    "unknown option `{option}`: expected targets, `--check` or `--glibc`"
                 ));
             }
             name => names.push(name),
@@ -46,7 +46,7 @@ pub(crate) fn run(dirs: &Dirs, args: &[String]) -> Outcome {
     if names.is_empty() && glibc {
         let known = zig::TARGETS.map(|target| target.name).join(", ");
         return Err(format!(
-            "`--glibc` needs a target, whose shared library is made for glibc {} and newer: {known}",
+            "`--glibc` needs a target, to build its shared library for glibc {} and newer: {known}",
             zig::GLIBC
         ));
     }
@@ -76,8 +76,8 @@ pub(crate) fn run(dirs: &Dirs, args: &[String]) -> Outcome {
     Ok(())
 }
 
-/// Makes the libraries for a machine, links the examples with them and runs these: with the shared one where this
-/// machine is of that kind.
+/// Builds the libraries for a machine, links the examples with them and runs those; with the shared library
+/// only if this machine has that processor.
 pub(crate) fn check(dirs: &Dirs, target: Target) -> Outcome {
     linux(dirs, target.name, false, true)?;
     match target.name == std::env::consts::ARCH {
@@ -86,10 +86,10 @@ pub(crate) fn check(dirs: &Dirs, target: Target) -> Outcome {
     }
 }
 
-/// Makes, and perhaps runs, the library of one of the machines that `cargo xtask dist` knows.
+/// Builds the library for a machine of `cargo xtask dist`, and optionally runs it.
 fn linux(dirs: &Dirs, name: &str, glibc: bool, check: bool) -> Outcome {
     let targets = zig::targets(&[name]).map_err(|error| {
-        format!("{error}; or a microcontroller's target, as thumbv7m-none-eabi")
+        format!("{error}, or a microcontroller's target such as thumbv7m-none-eabi")
     })?;
     let zig = Zig::provide(dirs)?;
     for target in targets {
@@ -107,7 +107,7 @@ fn linux(dirs: &Dirs, name: &str, glibc: bool, check: bool) -> Outcome {
     Ok(())
 }
 
-/// Runs the examples and the tests in C, with encryption, checked from all sides.
+/// Runs the examples and tests in C, with encryption and under checkers.
 pub(crate) fn test(dirs: &Dirs) -> Outcome {
     let python = python::ensure(dirs)?;
     curve::cargo(dirs, "build")?
@@ -125,7 +125,7 @@ pub(crate) fn test(dirs: &Dirs) -> Outcome {
         .run()
 }
 
-/// Says what there is, and how large it is.
+/// Prints the files and their sizes.
 fn show(place: &Path) -> Outcome {
     for directory in ["include", "lib"] {
         let directory = place.join(directory);
@@ -146,12 +146,12 @@ fn shared() -> String {
     format!("libztl.so.{ABI}")
 }
 
-/// Makes `include/` and `lib/` of what cargo has made.
+/// Creates `include/` and `lib/` from cargo's output.
 fn assemble(archive: &Path, place: &Path) -> Outcome {
     let failed = |error| format!("cannot write {}: {error}", place.display());
     let lib = place.join("lib");
     fs::create_dir_all(&lib).map_err(failed)?;
-    // The C++ library goes inside, too: nothing else has to be on the robot.
+    // Includes the C++ library, so that the robot needs nothing else.
     let mut archives = vec![archive.to_owned()];
     for (compiler, name) in [
         ("c++", "libstdc++.a"),
@@ -174,7 +174,7 @@ fn assemble(archive: &Path, place: &Path) -> Outcome {
     name(&lib)
 }
 
-/// Gives the shared library in `lib/` the names by which it is found.
+/// Creates the symlinks by which the shared library in `lib/` is found.
 fn name(lib: &Path) -> Outcome {
     let failed = |error| format!("cannot write {}: {error}", lib.display());
     fs::create_dir_all(lib.join("pkgconfig")).map_err(failed)?;
@@ -184,7 +184,7 @@ fn name(lib: &Path) -> Outcome {
     fs::write(lib.join("pkgconfig/ztl.pc"), pkg_config()).map_err(failed)
 }
 
-/// Found wherever the directory is put.
+/// Relative paths: works wherever the directory is put.
 fn pkg_config() -> String {
     format!(
         "prefix=${{pcfiledir}}/../..\n\n\

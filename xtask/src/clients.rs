@@ -9,14 +9,13 @@ use crate::cmd::{Cmd, Outcome};
 /// With its version, so that every machine tests the same.
 const PACKAGE: &str = "zeromq@6.8.0";
 
-/// Installs the package unless it is there already; returns the directory that has it in its
-/// `node_modules`.
+/// Installs the package if it is missing; returns the directory whose `node_modules` contains it.
 pub(crate) fn ensure(dirs: &Dirs) -> Outcome<PathBuf> {
     let home = dirs.target.join("clients");
-    // Written last, so that a package without it is known to be half installed.
+    // Written last: without it, the installation is incomplete.
     let stamp = home.join("package.stamp");
     let package = dirs.absolute("clients/node_modules/zeromq");
-    // A try as well: it breaks when another Node comes that its library was not built for.
+    // Also loads the package: it breaks after an update of Node.
     let works = || {
         Cmd::new("node --eval")
             .arg("require(process.argv[1])")
@@ -27,7 +26,7 @@ pub(crate) fn ensure(dirs: &Dirs) -> Outcome<PathBuf> {
     {
         println!("{} has {PACKAGE}", home.display());
     } else {
-        // The package brings its library ready built; its script would only build it anew.
+        // The package contains a compiled library; its script would only rebuild it.
         Cmd::new("npm install --ignore-scripts --no-save --no-audit --no-fund --prefix")
             .arg(&home)
             .arg(PACKAGE)
@@ -36,6 +35,6 @@ pub(crate) fn ensure(dirs: &Dirs) -> Outcome<PathBuf> {
         fs::write(&stamp, PACKAGE)
             .map_err(|error| format!("cannot write {}: {error}", stamp.display()))?;
     }
-    // Absolute: Cargo runs each test in the directory of its package.
+    // Absolute, because Cargo runs each test in its package's directory.
     Ok(dirs.absolute("clients"))
 }

@@ -1,4 +1,4 @@
-//! Runs the programs a step consists of, and prints each the way a person would type it.
+//! Runs the programs of a step, and prints each as a person would type it.
 
 use std::ffi::{OsStr, OsString};
 use std::fmt;
@@ -7,10 +7,10 @@ use std::process::{Child, Command, ExitStatus, Stdio};
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// A result whose error is a text for the person who can mend it.
+/// A result whose error message tells a person what to do.
 pub(crate) type Outcome<T = ()> = Result<T, String>;
 
-/// A command line, with the environment variables it needs.
+/// A command line with environment variables.
 pub(crate) struct Cmd {
     env: Vec<(&'static str, OsString)>,
     program: OsString,
@@ -18,7 +18,7 @@ pub(crate) struct Cmd {
 }
 
 impl Cmd {
-    /// Only the program.
+    /// A program without arguments.
     pub(crate) fn program(program: impl Into<OsString>) -> Self {
         Self {
             env: Vec::new(),
@@ -27,20 +27,20 @@ impl Cmd {
         }
     }
 
-    /// The program and its arguments, parted at blanks.
+    /// A program and its arguments, split at spaces.
     pub(crate) fn new(line: &str) -> Self {
         let (program, args) = line.split_once(' ').unwrap_or((line, ""));
         Self::program(program).args(args)
     }
 
-    /// More arguments, parted at blanks.
+    /// Adds arguments, split at spaces.
     pub(crate) fn args(mut self, words: &str) -> Self {
         self.args
             .extend(words.split_whitespace().map(OsString::from));
         self
     }
 
-    /// One more argument, which may contain blanks.
+    /// Adds one argument, which may contain spaces.
     pub(crate) fn arg(mut self, arg: impl AsRef<OsStr>) -> Self {
         self.args.push(arg.as_ref().to_owned());
         self
@@ -52,28 +52,28 @@ impl Cmd {
         self
     }
 
-    /// Prints the command and runs it; what it says goes where our own output goes.
+    /// Prints the command and runs it; its output goes to ours.
     pub(crate) fn run(&self) -> Outcome {
         println!("$ {self}");
         let status = self.command().status().map_err(|e| self.no_start(&e))?;
         self.judge(status)
     }
 
-    /// Like [`Cmd::run`], but ends the program when the time is up.
+    /// Like [`Cmd::run`], but kills the program after `limit`.
     pub(crate) fn run_within(&self, limit: Duration) -> Outcome {
         println!("$ {self}    (at most {} s)", limit.as_secs());
         let mut child = self.command().spawn().map_err(|e| self.no_start(&e))?;
         match wait_until(&mut child, Instant::now() + limit) {
             Ok(Some(status)) => self.judge(status),
             Ok(None) => Err(format!(
-                "`{self}` was still running after {} s and has been ended",
+                "`{self}` was still running after {} s and was killed",
                 limit.as_secs()
             )),
             Err(error) => Err(format!("cannot wait for `{self}`: {error}")),
         }
     }
 
-    /// Gives it `input`, and returns what it writes to stdout, which has to be little; ends it when the time is up.
+    /// Sends `input` to the program and returns its stdout, which must be short. Kills it after `limit`.
     pub(crate) fn answer_within(&self, input: &[u8], limit: Duration) -> Outcome<String> {
         println!("$ {self}    (at most {} s)", limit.as_secs());
         let mut child = self
@@ -82,7 +82,7 @@ impl Cmd {
             .stdout(Stdio::piped())
             .spawn()
             .map_err(|e| self.no_start(&e))?;
-        let lost = |error: std::io::Error| format!("cannot speak with `{self}`: {error}");
+        let lost = |error: std::io::Error| format!("cannot exchange data with `{self}`: {error}");
         if let Some(mut stdin) = child.stdin.take() {
             stdin.write_all(input).map_err(lost)?;
         }
@@ -95,13 +95,13 @@ impl Cmd {
         match ended {
             Some(status) => self.judge(status).map(|()| output),
             None => Err(format!(
-                "`{self}` was still running after {} s and has been ended; it has said:\n{output}",
+                "`{self}` was still running after {} s and was killed; its output:\n{output}",
                 limit.as_secs()
             )),
         }
     }
 
-    /// Runs the command unseen: whether it succeeded, what it wrote to stdout, and to stderr.
+    /// Runs the command silently; returns whether it succeeded, its stdout and its stderr.
     pub(crate) fn capture(&self) -> Outcome<(bool, String, String)> {
         let done = self
             .command()
@@ -116,7 +116,7 @@ impl Cmd {
         ))
     }
 
-    /// Runs the command unseen; what it wrote to stdout, without the blanks around it.
+    /// Runs the command silently; returns its stdout without surrounding whitespace.
     pub(crate) fn stdout(&self) -> Outcome<String> {
         match self.capture()? {
             (true, stdout, _) => Ok(stdout.trim().to_owned()),
@@ -144,7 +144,7 @@ impl Cmd {
     }
 }
 
-/// Waits for the child; when the time is up, ends it and returns `None`.
+/// Waits for the child; kills it after the deadline and returns `None`.
 fn wait_until(child: &mut Child, deadline: Instant) -> std::io::Result<Option<ExitStatus>> {
     while Instant::now() < deadline {
         if let Some(status) = child.try_wait()? {
@@ -171,7 +171,7 @@ impl fmt::Display for Cmd {
     }
 }
 
-/// The word, in single quotes where a shell would otherwise take it apart.
+/// The word, in single quotes if a shell would split it.
 fn quoted(word: &OsStr) -> String {
     let word = word.to_string_lossy();
     let plain = |c: char| c.is_ascii_alphanumeric() || "-_=+./,:@%".contains(c);
@@ -217,7 +217,7 @@ mod tests {
     }
 
     #[test]
-    fn a_program_that_hangs_is_ended() {
+    fn a_program_that_hangs_is_killed() {
         let begin = Instant::now();
         let message = Cmd::new("sleep 30")
             .run_within(Duration::from_millis(100))
@@ -227,12 +227,12 @@ mod tests {
             .arg("head -c 3; sleep 30 >&-")
             .answer_within(b"abc", Duration::from_millis(300))
             .unwrap_err();
-        assert!(message.ends_with("it has said:\nabc"), "{message}");
+        assert!(message.ends_with("its output:\nabc"), "{message}");
         assert!(begin.elapsed() < Duration::from_secs(10));
     }
 
     #[test]
-    fn a_program_that_is_asked_answers() {
+    fn a_program_gets_input_and_answers() {
         let answer = Cmd::new("head -c 2").answer_within(b"abc", Duration::from_secs(10));
         assert_eq!(answer.unwrap(), "ab");
     }

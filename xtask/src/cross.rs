@@ -1,4 +1,4 @@
-//! What it takes to build for a bare target: `core` for it, and a linker.
+//! Requirements of a build for a bare target: its `core`, and a linker.
 
 use std::env;
 use std::fs;
@@ -8,18 +8,18 @@ use std::path::{Path, PathBuf};
 use crate::cmd::{Cmd, Outcome};
 use crate::{Dirs, tools};
 
-/// The smallest ARM core, without atomic read-modify-write or division; one with a floating-point
-/// unit; and a RISC-V one without atomics.
+/// The smallest ARM core, without atomic read-modify-write or division; one with a floating-point unit; a
+/// RISC-V core without atomics.
 pub(crate) const TARGETS: [&str; 3] = [
     SMALLEST,
     "thumbv7em-none-eabihf",
     "riscv32imc-unknown-none-elf",
 ];
 
-/// A Cortex-M0, for what is shown on one target only.
+/// A Cortex-M0, for checks that need only one target.
 pub(crate) const SMALLEST: &str = "thumbv6m-none-eabi";
 
-/// Debian's compiler and, for where rustup has no such target to give, the source of `core`.
+/// Debian's compiler, and the source of `core` for targets that rustup does not provide.
 pub(crate) const DEBIAN_RUSTC: &str = "/usr/bin/rustc";
 const DEBIAN_PACKAGES: &[&str] = &["rustc-web", "rust-web-src"];
 
@@ -31,7 +31,7 @@ pub(crate) enum Core {
     Source,
 }
 
-/// Asks rustup for all targets that are lacking, in one go.
+/// Asks rustup for all missing targets at once.
 pub(crate) fn add_all() {
     let lacking: Vec<&str> = TARGETS
         .into_iter()
@@ -40,19 +40,19 @@ pub(crate) fn add_all() {
     add(&lacking);
 }
 
-/// Asks rustup for these targets; what it does not give stays lacking.
+/// Asks rustup for these targets; those it does not provide stay missing.
 pub(crate) fn add(targets: &[&str]) {
     if targets.is_empty() || !tools::has("rustup") {
         return;
     }
     let add = Cmd::new("rustup target add").args(&targets.join(" "));
     if let Err(error) = add.run() {
-        println!("{error}; it is done without");
+        println!("{error}; continuing without");
     }
 }
 
 impl Core {
-    /// Finds `core` for this target, and installs it if need be.
+    /// Finds `core` for this target, and installs it if necessary.
     pub(crate) fn provide(target: &str) -> Outcome<Self> {
         if let Some(libraries) = compiled_core(target) {
             return Ok(Self::Compiled(libraries));
@@ -62,7 +62,7 @@ impl Core {
             return Ok(Self::Compiled(libraries));
         }
         provide_debian().map_err(|error| {
-            format!("there is no `core` for {target}, and rustup does not provide it; {error}")
+            format!("no `core` for {target}, and rustup does not provide it: {error}")
         })?;
         Ok(Self::Source)
     }
@@ -77,7 +77,7 @@ impl Core {
             .arg(target_dir);
         match self {
             Self::Compiled(_) => build,
-            // Building `core` is not stable yet; the second variable lets a stable compiler do it.
+            // Building `core` is unstable; the second variable enables it in a stable compiler.
             Self::Source => build
                 .env("RUSTC", DEBIAN_RUSTC)
                 .env("RUSTC_BOOTSTRAP", "1")
@@ -86,7 +86,7 @@ impl Core {
         }
     }
 
-    /// The same command, with the linker `rust-lld` at hand. rustup's compiler brings one along.
+    /// Adds `rust-lld` to the command's PATH. rustup's compiler contains it.
     pub(crate) fn with_linker(&self, dirs: &Dirs, build: Cmd) -> Outcome<Cmd> {
         match self {
             Self::Compiled(_) => Ok(build),
@@ -110,7 +110,7 @@ impl Core {
     }
 }
 
-/// Makes sure that Debian's compiler is there, and the source of its libraries.
+/// Installs Debian's compiler and the source of its libraries if missing.
 pub(crate) fn provide_debian() -> Outcome {
     if debian_source_fits() {
         return Ok(());
@@ -118,7 +118,7 @@ pub(crate) fn provide_debian() -> Outcome {
     tools::install(DEBIAN_PACKAGES)
 }
 
-/// The directory with the compiler's libraries for the target, if it has them.
+/// The directory of the compiler's libraries for the target, if it has them.
 pub(crate) fn compiled_core(target: &str) -> Option<PathBuf> {
     let libraries = Cmd::new("rustc --print target-libdir --target")
         .arg(target)
@@ -130,7 +130,7 @@ pub(crate) fn compiled_core(target: &str) -> Option<PathBuf> {
         .then(|| PathBuf::from(libraries))
 }
 
-/// Whether Debian's compiler and source are there and of the same version.
+/// Whether Debian's compiler and source are installed in the same version.
 fn debian_source_fits() -> bool {
     let version = |package: &&str| {
         Cmd::new("dpkg-query --show --showformat ${Version}")
@@ -142,14 +142,14 @@ fn debian_source_fits() -> bool {
     matches!(versions.as_slice(), [Some(compiler), Some(source)] if compiler == source)
 }
 
-/// A directory with Debian's linker under the name by which the compiler calls it. Debian packages
-/// it with the LLVM that its compiler uses, and without a common name.
+/// A directory that contains Debian's linker under the name the compiler expects. Debian's package name
+/// depends on the LLVM version.
 fn provide_linker(dirs: &Dirs) -> Outcome<PathBuf> {
     let version = Cmd::new(DEBIAN_RUSTC)
         .args("--version --verbose")
         .stdout()?;
     let llvm = llvm_major(&version)
-        .ok_or_else(|| format!("{DEBIAN_RUSTC} does not tell the version of its LLVM"))?;
+        .ok_or_else(|| format!("{DEBIAN_RUSTC} does not report its LLVM version"))?;
     let linker = PathBuf::from(format!("/usr/lib/llvm-{llvm}/bin/lld"));
     if !linker.exists() {
         tools::install(&[&format!("lld-{llvm}")])?;
@@ -161,7 +161,7 @@ fn provide_linker(dirs: &Dirs) -> Outcome<PathBuf> {
         if fs::read_link(&name).is_ok_and(|to| to == linker) {
             return Ok(());
         }
-        // One of another version, or none.
+        // Removes a link to another version, if there is one.
         let _ = fs::remove_file(&name);
         symlink(&linker, &name)
     };
@@ -181,7 +181,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_linker_is_that_of_the_compilers_llvm() {
+    fn the_linker_matches_the_compilers_llvm() {
         let text = "rustc 1.96.0 (built from a source tarball)\nLLVM version: 22.1.8\n";
         assert_eq!(llvm_major(text), Some("22"));
         assert_eq!(llvm_major("rustc 1.96.0"), None);

@@ -1,24 +1,24 @@
-//! `cargo xtask build --curve`: the `ztl` command with a libzmq that encrypts.
+//! `cargo xtask build --curve`: the `ztl` command with a libzmq that supports encryption.
 //!
-//! The libzmq that `zmq-sys` compiles has no CURVE. Cargo lets a configuration put another library in
-//! place of what a build script would make, since `zmq-sys` names what it links to: the package
-//! `libzmq/` compiles that one, against libsodium.
+//! The libzmq that `zmq-sys` compiles has no CURVE. Because `zmq-sys` declares which library it links to, a
+//! Cargo configuration can replace its build script with another library. The package `libzmq/` compiles that
+//! one, with libsodium.
 
 use std::path::PathBuf;
 
 use crate::cmd::{Cmd, Outcome};
 use crate::{Dirs, python};
 
-/// The package that compiles libzmq with CURVE; no member of the workspace.
+/// The package that compiles libzmq with CURVE; not in the workspace.
 const MANIFEST: &str = "libzmq/Cargo.toml";
 
-/// Builds `ztl`, optimised, and says where it is.
+/// Builds an optimised `ztl` and prints its path.
 pub(crate) fn run(dirs: &Dirs, args: &[String]) -> Outcome {
     let words: Vec<&str> = args.iter().map(String::as_str).collect();
     let (build, target) = match words.as_slice() {
         [] => (Cmd::new("cargo build"), dirs.target.clone()),
         ["--curve"] => (cargo(dirs, "build")?, target(dirs)),
-        _ => return Err("`cargo xtask build` takes `--curve`, or nothing".to_owned()),
+        _ => return Err("unknown argument: `cargo xtask build` takes only `--curve`".to_owned()),
     };
     build
         .args("--release --locked --package ztl-std --bin ztl")
@@ -27,7 +27,7 @@ pub(crate) fn run(dirs: &Dirs, args: &[String]) -> Outcome {
     Ok(())
 }
 
-/// Runs the tests about who may use a server, with encryption.
+/// Runs the access tests with encryption.
 pub(crate) fn test(dirs: &Dirs) -> Outcome {
     let python = python::ensure(dirs)?;
     cargo(dirs, "build")?
@@ -52,13 +52,13 @@ pub(crate) fn target(dirs: &Dirs) -> PathBuf {
     dirs.target.join("curve")
 }
 
-/// `cargo WORD`, linking to a libzmq with CURVE.
+/// `cargo WORD`, linked with a libzmq that has CURVE.
 pub(crate) fn cargo(dirs: &Dirs, word: &str) -> Outcome<Cmd> {
     let build = Cmd::new("cargo build --release --locked");
     let libraries = libraries(build.arg("--target-dir").arg(dirs.target.join("libzmq")))?;
     let version = Cmd::new("rustc -vV").stdout()?;
     let host = version.lines().find_map(|line| line.strip_prefix("host: "));
-    let host = host.ok_or("`rustc -vV` does not tell its host")?;
+    let host = host.ok_or("`rustc -vV` does not report its host")?;
     let cpp = if host.contains("apple") {
         "c++"
     } else {
@@ -68,17 +68,17 @@ pub(crate) fn cargo(dirs: &Dirs, word: &str) -> Outcome<Cmd> {
     Ok(cargo.arg("--target-dir").arg(target(dirs)))
 }
 
-/// Where compiled libraries lie.
+/// The directories of the compiled libraries.
 pub(crate) struct Libraries {
-    /// The directory with libzmq.
+    /// Directory of libzmq.
     pub(crate) zmq: String,
-    /// The directory with libsodium.
+    /// Directory of libsodium.
     pub(crate) sodium: String,
 }
 
-/// Compiles libzmq and libsodium by this `cargo build`, and says where they are.
+/// Compiles libzmq and libsodium with this `cargo build`, and returns their directories.
 pub(crate) fn libraries(build: Cmd) -> Outcome<Libraries> {
-    // The build script of `libzmq/` says it; it is no program, which another processor could not run.
+    // The build script of `libzmq/` reports them; unlike a program, it runs for every target.
     let build = build
         .arg("--manifest-path")
         .arg(MANIFEST)
@@ -92,16 +92,16 @@ pub(crate) fn libraries(build: Cmd) -> Outcome<Libraries> {
     match (said("ZTL_ZMQ"), said("ZTL_SODIUM")) {
         (Some(zmq), Some(sodium)) => Ok(Libraries { zmq, sodium }),
         _ => Err(format!(
-            "`{build}` has not said where libzmq and libsodium are"
+            "`{build}` did not report where libzmq and libsodium are"
         )),
     }
 }
 
 impl Libraries {
-    /// Gives them to `zmq-sys` in a build for that target, with its library for C++.
+    /// Makes `zmq-sys` use them in a build for `target`, with the C++ library `cpp`.
     pub(crate) fn link(&self, cargo: Cmd, target: &str, cpp: &str) -> Cmd {
         let Self { zmq, sodium } = self;
-        // As TOML: paths in single quotes are taken as they are.
+        // As TOML: single quotes keep paths unchanged.
         let search = format!("target.{target}.zmq.rustc-link-search=['{zmq}', '{sodium}']");
         let link =
             format!("target.{target}.zmq.rustc-link-lib=['static=zmq', 'static=sodium', '{cpp}']");

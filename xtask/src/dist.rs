@@ -1,4 +1,4 @@
-//! `cargo xtask dist`: `ztl` as one static file for each processor that old robots have.
+//! `cargo xtask dist`: `ztl` as a static program for each processor of old robots.
 
 mod bill;
 mod contents;
@@ -15,16 +15,16 @@ use crate::zig::{Target, Zig, targets};
 use crate::{Dirs, capi, places, python, tools};
 use contents::Contents;
 
-/// The largest that a program may be, in bytes.
+/// Maximum size of a program in bytes.
 const MOST: u64 = 6 * 1024 * 1024;
 
-/// What the test command builds and runs.
+/// Built and run by the test command.
 const TESTED: [&str; 2] = ["x86_64", "i686"];
 
-/// For what it also links programs in C.
+/// C programs are linked for this target as well.
 const LINKED: [&str; 1] = ["i686"];
 
-/// Builds the targets that are named, or all; with `--check` each is also run, and the C interface linked for it.
+/// Builds the named targets, or all. `--check` also runs each one and links the C interface for it.
 pub(crate) fn run(dirs: &Dirs, args: &[String]) -> Outcome {
     let mut check = false;
     let mut names = Vec::new();
@@ -33,7 +33,7 @@ pub(crate) fn run(dirs: &Dirs, args: &[String]) -> Outcome {
             "--check" => check = true,
             option if option.starts_with('-') => {
                 return Err(format!(
-                    "`cargo xtask dist` does not know `{option}`; it takes names of targets, and `--check`"
+                    "unknown option `{option}`: expected targets or `--check`"
                 ));
             }
             name => names.push(name),
@@ -50,27 +50,27 @@ pub(crate) fn run(dirs: &Dirs, args: &[String]) -> Outcome {
     Ok(())
 }
 
-/// What the test command does.
+/// The part that the test command runs.
 pub(crate) fn test(dirs: &Dirs) -> Outcome {
     let made = build(dirs, &targets(&TESTED)?)?;
     try_out(dirs, &made)?;
-    // One of them is enough to see that programs in C can be linked so; `dist --check` does all.
+    // One target shows that C programs can be linked; `dist --check` tries all.
     for target in targets(&LINKED)? {
         capi::check(dirs, target)?;
     }
     Ok(())
 }
 
-/// The kernels that are played, oldest last (`tests/dist/old_kernel.py`).
+/// The emulated kernels, oldest last (`tests/dist/old_kernel.py`).
 const KERNELS: [&str; 2] = ["3.2", "2.6.32"];
 
-/// A program that was built.
+/// A built program.
 struct Made {
     target: Target,
     path: PathBuf,
 }
 
-/// Builds them, one after the other, and puts them with all that belongs to them into one directory.
+/// Builds the targets one by one, and collects the programs and accompanying files in one directory.
 fn build(dirs: &Dirs, targets: &[Target]) -> Outcome<Vec<Made>> {
     let zig = Zig::provide(dirs)?;
     let release = zig.target_dir.join("ztl");
@@ -103,7 +103,7 @@ fn build(dirs: &Dirs, targets: &[Target]) -> Outcome<Vec<Made>> {
     Ok(made)
 }
 
-/// The commit of the sources, with `-changed` if they are not quite that.
+/// The commit of the sources, with `-changed` for uncommitted changes.
 fn commit() -> String {
     let Ok(commit) = Cmd::new("git rev-parse --short=12 HEAD").stdout() else {
         return "unknown".to_owned();
@@ -131,13 +131,13 @@ fn size(path: &Path) -> Outcome<u64> {
         .map_err(|error| format!("cannot read {}: {error}", path.display()))
 }
 
-/// Whether a program needs nothing of the system but its kernel, and is as small as was promised.
+/// Checks that a program depends only on the kernel, and respects the size limit.
 fn is_fit(path: &Path) -> Outcome {
     let bytes =
         fs::read(path).map_err(|error| format!("cannot read {}: {error}", path.display()))?;
     if bytes.len() as u64 > MOST {
         return Err(format!(
-            "{} has {} bytes, and may have {MOST}",
+            "{} has {} bytes; the limit is {MOST}",
             path.display(),
             bytes.len()
         ));
@@ -160,7 +160,7 @@ fn needs_loader<H: FileHeader<Endian = Endianness>>(bytes: &[u8]) -> object::Res
     Ok(parts.any(|part| matches!(part.p_type(endian), PT_INTERP | PT_DYNAMIC)))
 }
 
-/// `SHA256SUMS` of all files there.
+/// Writes `SHA256SUMS` for all files in the directory.
 fn checksums(release: &Path) -> Outcome {
     const NAME: &str = "SHA256SUMS";
     let entries = fs::read_dir(release)
@@ -180,7 +180,7 @@ fn checksums(release: &Path) -> Outcome {
         .map_err(|error| format!("cannot write {}: {error}", path.display()))
 }
 
-/// Runs each on its processor, in an empty root, doing the real thing.
+/// Runs each program on its processor in an empty root, with real tasks.
 fn try_out(dirs: &Dirs, made: &[Made]) -> Outcome {
     tools::provide_emulators()?;
     Cmd::new("cargo build --locked --package ztl-std --bin ztl").run()?;
@@ -204,11 +204,11 @@ fn try_out(dirs: &Dirs, made: &[Made]) -> Outcome {
                 .run()
         };
         test(target.emulator, "ZTL_DIST_EMULATOR")?;
-        // Only a machine of that kind has a kernel for it, which can be made to look old.
+        // Only the same machine type has a kernel that can be made to look old.
         if cfg!(target_arch = "x86_64") && ["x86_64", "i686", "i586"].contains(&target.name) {
             for kernel in KERNELS {
                 test(kernel, "ZTL_DIST_KERNEL")?;
-                guards(dirs, &python, kernel, path)?;
+                watchdogs(dirs, &python, kernel, path)?;
             }
         }
         if cfg!(target_arch = "x86_64") && target.name == "x86_64" {
@@ -221,9 +221,9 @@ fn try_out(dirs: &Dirs, made: &[Made]) -> Outcome {
     Ok(())
 }
 
-/// Kills servers as on a kernel, which an empty root cannot show: without `/proc` there is no guard, which stops
-/// the programs of a server that was killed.
-fn guards(dirs: &Dirs, python: &Path, kernel: &str, program: &Path) -> Outcome {
+/// Kills servers on an emulated kernel. An empty root cannot show this: without `/proc` no watchdog stops the
+/// programs of a killed server.
+fn watchdogs(dirs: &Dirs, python: &Path, kernel: &str, program: &Path) -> Outcome {
     let script = dirs.root.join("tests/dist/old_kernel.py");
     let program = dirs.root.join(program);
     let words = [python, &script, Path::new(kernel), &program];

@@ -1,9 +1,8 @@
-//! `cargo xtask fuzz`: each fuzz target for some seconds, its corpus first.
+//! `cargo xtask fuzz`: runs each fuzz target for some seconds, starting with its corpus.
 //!
-//! Without cargo-fuzz, which would have to be installed and asks for a nightly compiler. Coverage
-//! counters are an ordinary pass of LLVM, which a stable compiler takes through `-C`; nightly is for
-//! the sanitizers, which find nothing in code without `unsafe`. libFuzzer itself is C++, brought and
-//! compiled by the crate `libfuzzer-sys`.
+//! Does not use cargo-fuzz, which must be installed and needs a nightly compiler. Coverage counters are an
+//! ordinary LLVM pass, which a stable compiler accepts through `-C`. Nightly is only needed for sanitizers,
+//! which find nothing in code without `unsafe`. The crate `libfuzzer-sys` contains libFuzzer and compiles it.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -11,35 +10,35 @@ use std::path::{Path, PathBuf};
 use crate::Dirs;
 use crate::cmd::{Cmd, Outcome};
 
-/// The package of the targets, which is no member of the workspace.
+/// The package of the targets, which is not in the workspace.
 pub(crate) const MANIFEST: &str = "fuzz/Cargo.toml";
 
 const TARGETS: &str = "fuzz/fuzz_targets";
 
-/// Seconds for each target, unless told otherwise.
+/// Default seconds per target.
 const SECONDS: u32 = 5;
 
-/// Inputs for each target in the test command: some seconds.
+/// Inputs per target in the test command: a few seconds.
 const INPUTS: u32 = 30_000;
 
-/// How far a target goes.
+/// How long a target runs.
 #[derive(Clone, Copy)]
 enum Length {
-    /// On from what was found before, to find more.
+    /// Continues from earlier findings, to find more.
     Seconds(u32),
-    /// The same inputs each time, from the committed corpus on: what it says is said of the code, not of the day.
+    /// The same inputs every time, from the committed corpus: the result depends only on the code.
     Inputs(u32),
 }
 
-/// One input takes less than a millisecond; this long, it hangs, on however busy a machine.
+/// An input takes less than a millisecond. After this time it hangs, even on a busy machine.
 const HANGS_AFTER: &str = "-timeout=25";
 
-/// What cargo-fuzz passes too, but for the sanitizer.
+/// The flags of cargo-fuzz, without the sanitizer.
 const FLAGS: &str = "-Cpasses=sancov-module -Cllvm-args=-sanitizer-coverage-level=4 \
     -Cllvm-args=-sanitizer-coverage-inline-8bit-counters -Cllvm-args=-sanitizer-coverage-pc-table \
     -Cllvm-args=-sanitizer-coverage-trace-compares --cfg=fuzzing";
 
-/// Runs the target that the arguments name, or all of them.
+/// Runs the named target, or all.
 pub(crate) fn run(dirs: &Dirs, args: &[String]) -> Outcome {
     let (target, seconds) = chosen(args)?;
     let all = targets()?;
@@ -48,7 +47,7 @@ pub(crate) fn run(dirs: &Dirs, args: &[String]) -> Outcome {
         Some(target) if all.iter().any(|known| known == target) => vec![target.to_owned()],
         Some(target) => {
             return Err(format!(
-                "there is no fuzz target `{target}`, but {}",
+                "unknown fuzz target `{target}`: expected one of {}",
                 all.join(", ")
             ));
         }
@@ -56,9 +55,9 @@ pub(crate) fn run(dirs: &Dirs, args: &[String]) -> Outcome {
     fuzz(dirs, &wanted, Length::Seconds(seconds))
 }
 
-/// Lints the targets, and runs each on inputs that are the same each time.
+/// Lints the targets, and runs each on the same inputs every time.
 pub(crate) fn smoke(dirs: &Dirs) -> Outcome {
-    // They belong to no workspace, so that no other step lints them.
+    // They are not in the workspace, so no other step lints them.
     cargo(dirs, "clippy")?
         .args("--all-targets -- -D warnings")
         .run()?;
@@ -94,7 +93,7 @@ fn targets() -> Outcome<Vec<String>> {
     names(Path::new(TARGETS)).map_err(|error| format!("cannot read {TARGETS}: {error}"))
 }
 
-/// What the files in a directory are called without `.rs`, in the order of the alphabet.
+/// The names of the files in a directory, without `.rs`, sorted.
 fn names(directory: &Path) -> std::io::Result<Vec<String>> {
     let mut names: Vec<String> = fs::read_dir(directory)?
         .flatten()
@@ -107,10 +106,10 @@ fn names(directory: &Path) -> std::io::Result<Vec<String>> {
 fn fuzz_one(dirs: &Dirs, target: &str, length: Length) -> Outcome {
     let directory = dirs.target.join("fuzz");
     let program = directory.join(host()?).join("release").join(target);
-    // libFuzzer keeps what reaches something new in the first directory that it is given.
+    // libFuzzer stores inputs that reach new code in the first directory that it gets.
     let (kept, how_long) = match length {
         Length::Seconds(seconds) => ("corpus", format!("-max_total_time={seconds}")),
-        // What is compared would not be the same each time: addresses are among it.
+        // Without comparison tracing, which records addresses that differ in every run.
         Length::Inputs(inputs) => (
             "same",
             format!("-seed=1 -use_cmp=0 -reload=0 -runs={inputs}"),
@@ -158,8 +157,8 @@ fn fuzz_one(dirs: &Dirs, target: &str, length: Length) -> Outcome {
     })
 }
 
-/// `#1464243 DONE cov: 2258 ft: 7501 corp: 2451/155Kb …`: inputs tried, places in the code reached,
-/// and inputs that reached something new.
+/// From `#1464243 DONE cov: 2258 ft: 7501 corp: 2451/155Kb …`: number of inputs, code locations reached, and
+/// inputs that reached new code.
 fn summary(said: &str) -> Option<&str> {
     let line = said.lines().rfind(|line| line.contains("DONE"))?;
     let end = line
@@ -169,13 +168,13 @@ fn summary(said: &str) -> Option<&str> {
     line.get(..end)
 }
 
-/// The input that libFuzzer kept.
+/// The input that libFuzzer saved.
 fn finding(said: &str) -> Option<PathBuf> {
     let (_, path) = said.rsplit_once("Test unit written to ")?;
     path.lines().next().map(PathBuf::from)
 }
 
-/// What a panic says, without the backtrace; for a hang or too much memory, libFuzzer's words.
+/// A panic's message without the backtrace; for a hang or excessive memory, libFuzzer's message.
 fn complaint(said: &str) -> String {
     let said = match said.find("panicked at ") {
         Some(panic) => said.get(panic..).unwrap_or_default(),
@@ -197,7 +196,7 @@ fn complaint(said: &str) -> String {
     lines.join("\n")
 }
 
-/// The target, if one is named, and the seconds for each.
+/// The named target, if any, and the seconds for each.
 fn chosen(args: &[String]) -> Outcome<(Option<&str>, u32)> {
     let (mut target, mut seconds) = (None, SECONDS);
     let mut words = args.iter().map(String::as_str);
@@ -210,7 +209,7 @@ fn chosen(args: &[String]) -> Outcome<(Option<&str>, u32)> {
                     .ok()
                     .filter(|seconds| *seconds > 0)
                     .ok_or(format!(
-                        "`--seconds` needs a whole number from 1, not `{number}`"
+                        "invalid value `{number}` for `--seconds`: expected an integer of at least 1"
                     ))?;
             }
             name if target.is_none() && !name.starts_with('-') => target = Some(name),
@@ -243,13 +242,17 @@ mod tests {
     }
 
     #[test]
-    fn a_mistake_names_what_would_be_right() {
+    fn errors_say_what_is_expected() {
         assert!(
             chosen(&["--seconds", "x"])
                 .unwrap_err()
-                .contains("whole number")
+                .contains("an integer")
         );
-        assert!(chosen(&["--seconds", "0"]).unwrap_err().contains("from 1"));
+        assert!(
+            chosen(&["--seconds", "0"])
+                .unwrap_err()
+                .contains("at least 1")
+        );
         assert!(chosen(&["--second"]).unwrap_err().contains("--seconds N"));
         assert!(chosen(&["goal", "spec"]).unwrap_err().contains("`spec`"));
     }
@@ -269,7 +272,7 @@ mod tests {
     }
 
     #[test]
-    fn a_run_is_told_in_a_line_and_a_finding_with_its_input() {
+    fn a_run_is_summarised_and_a_finding_names_its_input() {
         let done =
             "#2\tINITED cov: 8\n#147\tDONE   cov: 14 ft: 94 corp: 2/7Kb lim: 9 exec/s: 3\nDone";
         assert_eq!(

@@ -1,4 +1,4 @@
-//! The firmware images of `proof/`: how they are built, and what is read from them.
+//! Builds and reads the firmware images of `proof/`.
 
 use std::cmp::Reverse;
 use std::collections::BTreeSet;
@@ -15,10 +15,10 @@ use crate::Dirs;
 use crate::cmd::{Cmd, Outcome};
 use crate::cross::Core;
 
-/// The package of the images, which is no member of the workspace.
+/// The package of the images, which is not in the workspace.
 pub(crate) const MANIFEST: &str = "proof/Cargo.toml";
 
-/// The command that builds an image, and where it then lies.
+/// The command that builds an image, and the path of the result.
 pub(crate) fn build(
     dirs: &Dirs,
     core: &Core,
@@ -41,8 +41,8 @@ pub(crate) fn build(
     Ok((core.with_linker(dirs, build)?, path))
 }
 
-/// Checks that the images of a workspace of its own are built with the same crates as everything else:
-/// they have a lock file of their own.
+/// Checks that a separate workspace uses the same crate versions as the main one, because it has its own lock
+/// file.
 pub(crate) fn check_lock(manifest: &str) -> Outcome {
     let read = |path: &Path| {
         fs::read_to_string(path).map_err(|error| format!("cannot read {}: {error}", path.display()))
@@ -60,7 +60,7 @@ pub(crate) fn check_lock(manifest: &str) -> Outcome {
 
 type Packages = BTreeSet<(String, String)>;
 
-/// A package that both have, in versions that could be the same and are not: its name and the two.
+/// A package that could have the same version in both, but does not: its name and both versions.
 fn differing<'a>(ours: &'a Packages, others: &'a Packages) -> Option<[&'a str; 3]> {
     ours.difference(others).find_map(|(name, version)| {
         let mut same = others.iter().filter(|(other, _)| other == name);
@@ -69,7 +69,7 @@ fn differing<'a>(ours: &'a Packages, others: &'a Packages) -> Option<[&'a str; 3
     })
 }
 
-/// What Cargo chooses one version of: `1` of 1.2.3, `0.2` of 0.2.3.
+/// The part of a version that Cargo treats as compatible: `1` of 1.2.3, `0.2` of 0.2.3.
 fn series(version: &str) -> &str {
     let mut ends = version.match_indices('.').map(|(index, _)| index);
     let end = match version.starts_with("0.") {
@@ -92,13 +92,13 @@ fn locked(lock: &str) -> Packages {
         .collect()
 }
 
-/// What an image takes, in bytes, and what it consists of.
+/// Size of an image in bytes, and its contents.
 pub(crate) struct Image {
-    /// Everything that is not zero at the start: vectors, code, constants, initial values.
+    /// Everything that is not zero at start: vectors, code, constants, initial values.
     pub(crate) flash: u64,
-    /// What has its place in RAM, but for the stack.
+    /// Static RAM, without the stack.
     pub(crate) ram: u64,
-    /// Everything in flash that has a name, the largest first.
+    /// Every named item in flash, the largest first.
     pub(crate) symbols: Vec<Symbol>,
 }
 
@@ -128,7 +128,7 @@ impl Image {
                     image.flash += section.size();
                     in_flash.push(section.index());
                 }
-                // Where a linker script lays out the rest of the RAM, that is no part of the image.
+                // Sections of a linker script for the remaining RAM are not part of the image.
                 let rest = matches!(section.name(), Ok(".stack" | ".heap"));
                 if sh_flags.contains(SHF_WRITE) && !rest {
                     image.ram += section.size();
@@ -140,7 +140,7 @@ impl Image {
                 let here = symbol
                     .section_index()
                     .is_some_and(|i| in_flash.contains(&i));
-                // Equal functions are merged and keep their names.
+                // Identical functions are merged but keep their names.
                 if named && here && symbol.size() > 0 && seen.insert(symbol.address()) {
                     image.symbols.push(Symbol {
                         name: demangled(symbol.name().unwrap_or_default()),
@@ -154,7 +154,7 @@ impl Image {
     }
 }
 
-/// What an image lays down, and where its functions are.
+/// An image's memory contents, and the addresses of its functions.
 #[derive(Debug, Default)]
 pub(crate) struct Memory {
     pub(crate) contents: Vec<(u32, Vec<u8>)>,
@@ -171,7 +171,7 @@ impl Memory {
         })
     }
 
-    /// Where the function of this name is, whatever module it is in.
+    /// The address range of the function with this name, in any module.
     pub(crate) fn function(&self, name: &str) -> Option<Range<u32>> {
         let mut functions = self.functions.iter();
         let (_, place) = functions.find(|(known, _)| known.rsplit("::").next() == Some(name))?;
@@ -179,7 +179,7 @@ impl Memory {
     }
 }
 
-/// Reads what an image lays down.
+/// Reads an image's memory contents.
 pub(crate) fn memory(path: &Path) -> Outcome<Memory> {
     with_elf(path, |elf| {
         let address = |address: u64| u32::try_from(address).unwrap_or_default();
@@ -192,7 +192,7 @@ pub(crate) fn memory(path: &Path) -> Outcome<Memory> {
         }
         for symbol in elf.symbols() {
             if symbol.kind() == SymbolKind::Text {
-                // The lowest bit says that it is Thumb code.
+                // The lowest bit marks Thumb code.
                 let start = address(symbol.address() & !1);
                 let name = demangled(symbol.name().unwrap_or_default());
                 let place = start..start + address(symbol.size());
@@ -203,8 +203,8 @@ pub(crate) fn memory(path: &Path) -> Outcome<Memory> {
     })
 }
 
-/// The places in the sources where an image can panic, as `file:line:column`, where the compiler
-/// told them: it lays each down as a string's address and length, line, and column.
+/// The source positions at which an image can panic, as `file:line:column`. The compiler stores each as a
+/// string's address and length, line, and column.
 pub(crate) fn panic_places(path: &Path) -> Outcome<BTreeSet<String>> {
     with_elf(path, |elf| {
         let contents: Vec<(u64, &[u8])> = elf
@@ -240,11 +240,11 @@ fn with_elf<T>(path: &Path, read: impl FnOnce(&ElfFile32<'_, Endianness>) -> T) 
     let bytes =
         fs::read(path).map_err(|error| format!("cannot read {}: {error}", path.display()))?;
     let elf = ElfFile32::<Endianness>::parse(&*bytes)
-        .map_err(|error| format!("{} is no 32-bit ELF file: {error}", path.display()))?;
+        .map_err(|error| format!("{} is not a 32-bit ELF file: {error}", path.display()))?;
     Ok(read(&elf))
 }
 
-/// A symbol's name as a person would write it, without the compiler's hash.
+/// A symbol's name as in the source, without the compiler's hash.
 pub(crate) fn demangled(name: &str) -> String {
     format!("{:#}", rustc_demangle::demangle(name))
 }
@@ -254,7 +254,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_lock_file_is_read() {
+    fn a_lock_file_is_parsed() {
         let lock = "version = 4\n\n[[package]]\nname = \"crc\"\nversion = \"3.4.0\"\n\
                     dependencies = [\n \"crc-catalog\",\n]\n\n[[package]]\nname = \"a\"\nversion = \"1.0.0\"\n";
         let pair = |name: &str, version: &str| (name.to_owned(), version.to_owned());
@@ -265,7 +265,7 @@ mod tests {
     }
 
     #[test]
-    fn versions_that_could_be_the_same_have_to_be() {
+    fn compatible_versions_must_be_equal() {
         let packages = |pairs: &[(&str, &str)]| -> Packages {
             let pair = |(name, version): &(&str, &str)| (name.to_string(), version.to_string());
             pairs.iter().map(pair).collect()
@@ -284,7 +284,7 @@ mod tests {
     }
 
     #[test]
-    fn a_panics_place_is_found_among_the_constants() {
+    fn panic_positions_are_found_among_the_constants() {
         let mut data = b"xxxxsrc/a.rs".to_vec();
         for word in [0x1004u32, 8, 17, 5] {
             data.extend(word.to_le_bytes());
@@ -299,7 +299,7 @@ mod tests {
     }
 
     #[test]
-    fn both_manglings_are_understood() {
+    fn both_mangling_schemes_are_supported() {
         assert_eq!(
             demangled("_ZN4core3fmt9Formatter3pad17h0123456789abcdefE"),
             "core::fmt::Formatter::pad"

@@ -1,7 +1,7 @@
-//! The project's chores, started as `cargo xtask <command>`.
+//! The project's development tasks, run as `cargo xtask <command>`.
 //!
-//! Depends on few small crates, which read firmware images and JSON, and nothing more: it has to compile
-//! fast on a machine that has built nothing yet.
+//! Depends only on a few small crates, which read firmware images and JSON, so that it compiles quickly on a
+//! new machine.
 
 mod bare;
 mod bench;
@@ -34,7 +34,7 @@ use std::{env, iter};
 
 use cmd::Outcome;
 
-/// A chore by name. The function gets the words after the name.
+/// A development task. Its function gets the words after the name.
 struct Chore {
     name: &'static str,
     about: &'static str,
@@ -44,62 +44,62 @@ struct Chore {
 const CHORES: &[Chore] = &[
     Chore {
         name: "build",
-        about: "the `ztl` command, optimised (--curve: with encryption)",
+        about: "build the optimised `ztl` command (--curve: with encryption)",
         run: curve::run,
     },
     Chore {
         name: "c",
-        about: "the libraries for programs in C ([TARGET]...; --check: also run)",
+        about: "build the C libraries ([TARGET]...; --check: also run)",
         run: capi::run,
     },
     Chore {
         name: "test",
-        about: "check and test everything, installing what is lacking (--list, --only STEP)",
+        about: "check and test everything, installing what is missing (--list, --only STEP)",
         run: test::run,
     },
     Chore {
         name: "fuzz",
-        about: "look for inputs that break a promise ([TARGET], --seconds N for each)",
+        about: "search for inputs that break a promise ([TARGET], --seconds N for each)",
         run: fuzz::run,
     },
     Chore {
         name: "model",
-        about: "explore all that can go wrong on the link ([SCENARIO], --depth FAULTS)",
+        about: "explore all faults on the link ([SCENARIO], --depth FAULTS)",
         run: simulate::model,
     },
     Chore {
         name: "simulate",
-        about: "play whole laboratories with faults (--seeds N, --first SEED, --show SEED)",
+        about: "simulate whole laboratories with faults (--seeds N, --first SEED, --show SEED)",
         run: simulate::simulate,
     },
     Chore {
         name: "size",
-        about: "flash and RAM that the standard image takes, against the record (--accept)",
+        about: "compare the size of firmware images with the record (--accept)",
         run: size::run,
     },
     Chore {
         name: "firmware",
-        about: "the images of examples/firmware ([BOARD])",
+        about: "build the images of examples/firmware ([BOARD])",
         run: firmware::run,
     },
     Chore {
         name: "qemu",
-        about: "run a board's image, and say how to reach it (BOARD [PORT])",
+        about: "run a board's image and print how to reach it (BOARD [PORT])",
         run: firmware::run_in_qemu,
     },
     Chore {
         name: "dist",
-        about: "`ztl` as one static file for each processor ([TARGET…]; --check: and run it)",
+        about: "build static `ztl` programs for each processor ([TARGET…]; --check: also run)",
         run: dist::run,
     },
     Chore {
         name: "soak",
-        about: "many tasks and resets of real processes (--tasks N, --resets N, --many N)",
+        about: "run many tasks and resets with real processes (--tasks N, --resets N, --many N)",
         run: soak::run,
     },
     Chore {
         name: "bench",
-        about: "measure what matters beside the original, in one run ([PART]...; firmware: cycles of a Cortex-M0)",
+        about: "compare performance with the original ([PART]...; firmware: cycles of a Cortex-M0)",
         run: bench::run,
     },
 ];
@@ -126,7 +126,7 @@ fn dispatch(words: &[String]) -> Outcome {
     }
     match CHORES.iter().find(|chore| chore.name == name) {
         Some(chore) => (chore.run)(&Dirs::enter()?, rest),
-        None => Err(format!("there is no command `{name}`.\n\n{}", help())),
+        None => Err(format!("unknown command `{name}`\n\n{}", help())),
     }
 }
 
@@ -134,7 +134,7 @@ fn help() -> String {
     let lines = CHORES
         .iter()
         .map(|chore| (chore.name, chore.about))
-        .chain(iter::once(("help", "this list")))
+        .chain(iter::once(("help", "print this list")))
         .map(|(name, about)| format!("  {name:<8} {about}"));
     let lines: Vec<String> = lines.collect();
     format!(
@@ -143,35 +143,36 @@ fn help() -> String {
     )
 }
 
-/// Where things are. The working directory is the root of the repository.
+/// The project's directories. The working directory is the root of the repository.
 struct Dirs {
     /// The root of the repository, absolute.
     root: PathBuf,
-    /// Cargo's target directory, relative where it can be, so that printed commands stay short.
+    /// Cargo's target directory, relative if possible, to keep printed commands short.
     target: PathBuf,
 }
 
 impl Dirs {
-    /// Finds the directories and makes the root the working directory.
+    /// Finds the directories and changes to the root.
     fn enter() -> Outcome<Self> {
-        // Asked at run time: a path built into the program would go stale when the tree is moved.
+        // Read at run time: a compiled-in path would become wrong when the tree is moved.
         let root = env::var_os("CARGO_MANIFEST_DIR")
             .and_then(|xtask| Path::new(&xtask).parent().map(Path::to_path_buf))
-            .ok_or("start this program as `cargo xtask`, which tells it where the project is")?;
+            .ok_or("run this program as `cargo xtask`, which tells it where the project is")?;
         env::set_current_dir(&root)
             .map_err(|error| format!("cannot enter {}: {error}", root.display()))?;
 
-        // This program lies in <target>/debug, wherever CARGO_TARGET_DIR or a config put that.
+        // This program is in <target>/debug, whatever CARGO_TARGET_DIR or the configuration says.
         let program = env::current_exe()
             .map_err(|error| format!("cannot find the path of this program: {error}"))?;
-        let target = program.ancestors().nth(2).ok_or(
-            "start this program as `cargo xtask`, which puts it into the target directory",
-        )?;
+        let target = program
+            .ancestors()
+            .nth(2)
+            .ok_or("run this program as `cargo xtask`, which puts it into the target directory")?;
         let target = target.strip_prefix(&root).unwrap_or(target).to_path_buf();
         Ok(Self { root, target })
     }
 
-    /// The path below the target directory, absolute: for programs that run in another directory.
+    /// An absolute path in the target directory, for programs that run in another directory.
     fn absolute(&self, below_target: &str) -> PathBuf {
         self.root.join(&self.target).join(below_target)
     }

@@ -1,16 +1,15 @@
-//! Whether the crates could be published: `cargo package` has nothing to say against any, and what is in
-//! the packages is enough to compile them.
+//! Checks that the crates could be published: `cargo package` reports no problems, and the packages compile
+//! on their own.
 
 use std::fs;
 
 use crate::Dirs;
 use crate::cmd::{Cmd, Outcome};
 
-/// In an order in which they could be published.
+/// In an order in which they can be published.
 const CRATES: &[&str] = &["ztl-core", "ztl-mcu", "ztl-std"];
 
-/// Packages each crate, and compiles the last one from the packages alone, with the others' in place of
-/// those that a registry would give.
+/// Packages each crate, and compiles the last one from the packages alone, which replace the registry.
 pub(crate) fn check(dirs: &Dirs) -> Outcome {
     let mut package = Cmd::new("cargo package --no-verify --locked --allow-dirty");
     for name in CRATES {
@@ -19,10 +18,10 @@ pub(crate) fn check(dirs: &Dirs) -> Outcome {
     println!("$ {package}");
     let (done, _, said) = package.capture()?;
     if !done || complains(&said) {
-        return Err(format!("`{package}` is not content:\n{said}"));
+        return Err(format!("`{package}` reports a problem:\n{said}"));
     }
     let place = dirs.absolute("package/unpacked");
-    // What an earlier version had must not help.
+    // Leftovers of an earlier version must not help.
     let _ = fs::remove_dir_all(&place);
     fs::create_dir_all(&place).map_err(|error| format!("{}: {error}", place.display()))?;
     let mut check = Cmd::new("cargo check --target-dir").arg(dirs.absolute(""));

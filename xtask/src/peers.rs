@@ -1,4 +1,5 @@
-//! What the peers in `tests/peers` need: an old libzmq, Python 2.7 where the machine has it, JeroMQ.
+//! Installs the dependencies of the peers in `tests/peers`: an old libzmq, Python 2.7 if the machine has it,
+//! JeroMQ.
 
 use std::env;
 use std::fs;
@@ -10,13 +11,13 @@ use crate::{Dirs, python, tools};
 const PYTHON27: &str = "tests/peers/python27.txt";
 const JAVA: &str = "tests/peers/Peer.java";
 
-/// Debian's JeroMQ.
+/// JeroMQ from Debian.
 const JEROMQ: &str = "/usr/share/java/jeromq.jar";
 
-/// Its Linux package for Python 2.7 has libzmq 4.1.6 within.
+/// Its Linux package for Python 2.7 contains libzmq 4.1.6.
 const WHEEL: &str = "pyzmq==16.0.4";
 
-/// Makes what is lacking; returns the directory.
+/// Installs what is missing; returns the directory.
 pub(crate) fn ensure(dirs: &Dirs) -> Outcome<PathBuf> {
     let home = dirs.target.join("peers");
     fs::create_dir_all(&home)
@@ -28,9 +29,11 @@ pub(crate) fn ensure(dirs: &Dirs) -> Outcome<PathBuf> {
         Some(python27) => step(&home, "python27", &read(PYTHON27)?, || {
             original(&python27, &home)
         })?,
-        None => println!("left out: the original under Python 2.7, which this machine has not"),
+        None => {
+            println!("skipped: the original under Python 2.7, which this machine does not have")
+        }
     }
-    // Absolute: Cargo runs each test in the directory of its package.
+    // Absolute, because Cargo runs each test in its package's directory.
     Ok(dirs.absolute("peers"))
 }
 
@@ -38,7 +41,7 @@ fn read(file: &str) -> Outcome<String> {
     fs::read_to_string(file).map_err(|error| format!("cannot read {file}: {error}"))
 }
 
-/// Runs what makes `name`, unless it was made of the same already.
+/// Runs `make` to create `name`, unless it was already made from the same input.
 fn step(home: &Path, name: &str, of: &str, make: impl FnOnce() -> Outcome) -> Outcome {
     let stamp = home.join(format!("{name}.stamp"));
     if fs::read_to_string(&stamp).is_ok_and(|made| made == of) {
@@ -46,11 +49,11 @@ fn step(home: &Path, name: &str, of: &str, make: impl FnOnce() -> Outcome) -> Ou
         return Ok(());
     }
     make()?;
-    // Written last, so that what has none is known to be half made.
+    // Written last: without it, the step is incomplete.
     fs::write(&stamp, of).map_err(|error| format!("cannot write {}: {error}", stamp.display()))
 }
 
-/// Takes libzmq out of a package that Python 2.7 would install.
+/// Extracts libzmq from a package for Python 2.7.
 fn old_libzmq(python: &Path, home: &Path) -> Outcome {
     let wheels = home.join("wheels");
     Cmd::program(python)
@@ -84,14 +87,14 @@ fn old_libzmq(python: &Path, home: &Path) -> Outcome {
         .map_err(|error| format!("cannot write {}: {error}", to.display()))
 }
 
-/// Compiles the program with JeroMQ.
+/// Compiles the program that uses JeroMQ.
 fn java(home: &Path) -> Outcome {
     let compiler = || ["javac", "ecj"].into_iter().find(|name| runs(name));
     if !Path::new(JEROMQ).exists() || !runs("java") || compiler().is_none() {
         // ecj needs no JDK, which is three times as large.
         tools::install(&["default-jre-headless", "ecj", "libjeromq-java"])?;
     }
-    let compiler = compiler().ok_or("there is no compiler for Java after its installation")?;
+    let compiler = compiler().ok_or("no Java compiler found, even after installing one")?;
     Cmd::new(compiler)
         .args("-source 11 -target 11 -nowarn -cp")
         .arg(JEROMQ)
@@ -105,7 +108,7 @@ fn runs(program: &str) -> bool {
     Cmd::new(program).arg("-version").stdout().is_ok()
 }
 
-/// The original, and what it needs, for Python 2.7.
+/// Installs the original and its dependencies for Python 2.7.
 fn original(python27: &Path, home: &Path) -> Outcome {
     let packages = home.join("python27");
     if packages.exists() {
@@ -123,7 +126,7 @@ fn original(python27: &Path, home: &Path) -> Outcome {
         .map_err(|error| format!("cannot make {}: {error}", link.display()))
 }
 
-/// A Python 2.7 with pip: the one on the PATH, or one of pyenv's, which need not be on it.
+/// A Python 2.7 with pip: the one on the PATH, or one from pyenv.
 fn python27() -> Option<PathBuf> {
     let mut candidates = vec![PathBuf::from("python2.7")];
     let root = Cmd::new("pyenv root").stdout().ok().map(PathBuf::from);

@@ -1,4 +1,4 @@
-//! What is given to others does not tell where it was built.
+//! Checks that released files do not reveal where they were built.
 
 use std::env;
 use std::fs;
@@ -7,8 +7,8 @@ use std::path::{Path, PathBuf};
 use crate::Dirs;
 use crate::cmd::Outcome;
 
-/// Fails when the file has the path of a directory of this machine in it: the project's, cargo's or rustup's, or
-/// the user's own.
+/// Fails if the file contains a path of this machine: a directory of the project, of cargo or rustup, or the
+/// user's home.
 pub(crate) fn check(dirs: &Dirs, path: &Path) -> Outcome {
     let bytes =
         fs::read(path).map_err(|error| format!("cannot read {}: {error}", path.display()))?;
@@ -29,10 +29,10 @@ pub(crate) fn check(dirs: &Dirs, path: &Path) -> Outcome {
     Ok(())
 }
 
-/// The first path that begins so.
+/// The first path that begins with `place`.
 fn find(bytes: &[u8], place: &str) -> Option<String> {
-    // A short one, `/src/`, is also the end of others, `library/src/`. Of a longer one that is no question, and what is
-    // before it may be another text, as compilers put them side by side.
+    // A short prefix such as `/src/` is also the end of others, such as `library/src/`. A longer one is
+    // unambiguous, and may directly follow other text, because compilers place texts side by side.
     let is_short = place.matches('/').count() == 2;
     let within = |byte: &u8| byte.is_ascii_alphanumeric() || b"._-/".contains(byte);
     let mut from = 0;
@@ -57,7 +57,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_path_is_found_wherever_it_is() {
+    fn a_path_is_found_anywhere() {
         let find = |text: &str| find(text.as_bytes(), "/home/me/");
         assert_eq!(
             find("x\0/home/me/a.rs\0y").as_deref(),
@@ -69,7 +69,7 @@ mod tests {
     }
 
     #[test]
-    fn a_short_path_is_found_where_it_begins() {
+    fn a_short_path_is_found_only_at_its_start() {
         let find = |text: &str| find(text.as_bytes(), "/src/");
         assert_eq!(find("library/src/a.rs, ztl/src/b.rs"), None);
         assert_eq!(find("ztl/src/a.rs:/src/b.rs").as_deref(), Some("/src/b.rs"));

@@ -1,7 +1,7 @@
-//! Shows by linking that bytes from outside reach no panic in the no_std crates.
+//! Proves by linking that outside data reaches no panic in the no_std crates.
 //!
-//! The panic handler of the image `no-panic` calls a function that nobody defines, so the image
-//! links only when the compiler has found every panic unreachable.
+//! The panic handler of the image `no-panic` calls a function that is never defined, so the image links only
+//! if the compiler finds every panic unreachable.
 
 use std::path::Path;
 
@@ -12,7 +12,7 @@ use crate::image;
 
 const IMAGE: &str = "no-panic";
 
-/// What only the panic handler asks for.
+/// Referenced only by the panic handler.
 const SYMBOL: &str = "undefined symbol: a_panic_is_reachable";
 
 pub(crate) fn prove(dirs: &Dirs) -> Outcome {
@@ -25,7 +25,7 @@ pub(crate) fn prove(dirs: &Dirs) -> Outcome {
     let (success, _, stderr) = build.capture()?;
     if !success && stderr.contains(SYMBOL) {
         return Err(format!(
-            "a panic can be reached from outside, at one of these places:\n{}",
+            "a panic is reachable from outside, at one of these positions:\n{}",
             places(dirs, &core)?
         ));
     }
@@ -35,7 +35,7 @@ pub(crate) fn prove(dirs: &Dirs) -> Outcome {
     println!("links without a panic handler: no panic is reachable");
 
     let (build, _) = image::build(dirs, &core, SMALLEST, IMAGE, "broken")?;
-    println!("$ {build}    (has to fail)");
+    println!("$ {build}    (must fail)");
     match build.capture()? {
         (true, ..) => Err(
             "an image with an indexing that can panic links, so this step would not notice one; \
@@ -43,17 +43,17 @@ pub(crate) fn prove(dirs: &Dirs) -> Outcome {
                 .to_owned(),
         ),
         (false, _, stderr) if !stderr.contains(SYMBOL) => Err(format!(
-            "the image that can panic was refused for another reason than \"{SYMBOL}\":\n{stderr}"
+            "the image that can panic failed for another reason than \"{SYMBOL}\":\n{stderr}"
         )),
         _ => {
-            println!("refused, as it has to be: {SYMBOL}");
+            println!("failed as expected: {SYMBOL}");
             Ok(())
         }
     }
 }
 
-/// The images belong to no workspace, so that no other step lints them. Only with the compiler that
-/// clippy belongs to, which is not Debian's when cargo is another's.
+/// The images are not in the workspace, so no other step lints them. Only with the compiler that clippy
+/// belongs to, not with Debian's.
 fn lint(dirs: &Dirs, core: &Core) -> Outcome {
     match core {
         Core::Compiled(_) => core
@@ -66,13 +66,13 @@ fn lint(dirs: &Dirs, core: &Core) -> Outcome {
     }
 }
 
-/// Where the panics stand that the compiler has left in, a line each.
+/// Positions of the remaining panics, one per line.
 fn places(dirs: &Dirs, core: &Core) -> Outcome<String> {
     let (build, path) = image::build(dirs, core, SMALLEST, IMAGE, "explain")?;
     build.run()?;
     let places = image::panic_places(&path)?;
     if places.is_empty() {
-        return Ok("    (the image does not tell)".to_owned());
+        return Ok("    (unknown)".to_owned());
     }
     let lines: Vec<String> = places
         .iter()
@@ -81,7 +81,7 @@ fn places(dirs: &Dirs, core: &Core) -> Outcome<String> {
     Ok(lines.join("\n"))
 }
 
-/// The place without what differs from machine to machine.
+/// The position without machine-specific parts.
 fn short<'a>(place: &'a str, root: &Path) -> &'a str {
     if let Ok(ours) = Path::new(place).strip_prefix(root) {
         return ours.to_str().unwrap_or(place);
@@ -98,7 +98,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_place_is_told_without_the_machines_paths() {
+    fn positions_are_shown_without_machine_specific_paths() {
         let root = Path::new("/home/me/ztl");
         for (place, told) in [
             (

@@ -9,10 +9,10 @@ use crate::cmd::{Cmd, Outcome};
 
 const REQUIREMENTS: &str = "tests/requirements.txt";
 
-/// The archive with the original's own tests, which its installed package has not.
+/// The source archive with the original's own tests, which the installed package lacks.
 const SUITE: &str = "tests/original_suite/requirements.txt";
 
-/// Makes the environment unless it is there already; returns the path of its Python.
+/// Creates the environment if it is missing; returns the path of its Python.
 pub(crate) fn ensure(dirs: &Dirs) -> Outcome<PathBuf> {
     let mut wanted = String::new();
     for file in [REQUIREMENTS, SUITE] {
@@ -21,10 +21,10 @@ pub(crate) fn ensure(dirs: &Dirs) -> Outcome<PathBuf> {
     }
     let venv = dirs.target.join("venv");
     let python = venv.join("bin/python");
-    // Written last, so that an environment without it is known to be half made.
+    // Written last: without it, the environment is incomplete.
     let stamp = venv.join("requirements.stamp");
 
-    // A try as well: an environment breaks when the Python it was made with goes away.
+    // Also runs it: an environment breaks when its base Python is removed.
     let works = || {
         Cmd::program(&python)
             .args("-c")
@@ -42,7 +42,7 @@ pub(crate) fn ensure(dirs: &Dirs) -> Outcome<PathBuf> {
             _ => {}
         }
         Cmd::new("python3 -m venv").arg(&venv).run()?;
-        // Every package is listed with its version, and nothing else is pulled in.
+        // Every package is listed with its version; nothing else is installed.
         Cmd::program(&python)
             .args("-m pip install --disable-pip-version-check --no-deps --requirement")
             .arg(REQUIREMENTS)
@@ -63,6 +63,6 @@ pub(crate) fn ensure(dirs: &Dirs) -> Outcome<PathBuf> {
         fs::write(&stamp, wanted)
             .map_err(|error| format!("cannot write {}: {error}", stamp.display()))?;
     }
-    // Absolute: Cargo runs each test in the directory of its package.
+    // Absolute, because Cargo runs each test in its package's directory.
     Ok(dirs.absolute("venv/bin/python"))
 }

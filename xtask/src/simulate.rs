@@ -1,26 +1,26 @@
-//! `cargo xtask model` and `cargo xtask simulate`: the promises of the link, over the real state
-//! machines. What they check, and how, is in `tests/simulation`.
+//! `cargo xtask model` and `cargo xtask simulate`: check the link's promises on the real state machines.
+//! `tests/simulation` says what is checked and how.
 
 use crate::Dirs;
 use crate::cmd::{Cmd, Outcome};
 
-/// The package of both. Its tests are run apart, optimised.
+/// The package of both. Its tests run separately, optimised.
 pub(crate) const PACKAGE: &str = "ztl-simulation";
 
 /// Optimised, with the checks of a debug build.
 const PROFILE: &str = "--profile simulation --locked --package";
 
-/// Explores all that can happen with few faults.
+/// Explores everything that can happen with a few faults.
 pub(crate) fn model(_: &Dirs, args: &[String]) -> Outcome {
     run("model", args)
 }
 
-/// Plays whole laboratories, each from a seed.
+/// Simulates whole laboratories, each from a seed.
 pub(crate) fn simulate(_: &Dirs, args: &[String]) -> Outcome {
     run("simulate", args)
 }
 
-/// As `cargo xtask test` does it: everything with one fault, that mistakes are caught, and 2,000
+/// The part that `cargo xtask test` runs: everything with one fault, that mutants are detected, and 2,000
 /// laboratories.
 pub(crate) fn check(_: &Dirs) -> Outcome {
     Cmd::new("cargo test")

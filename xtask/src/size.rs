@@ -1,5 +1,5 @@
-//! `cargo xtask size`: what images take, against committed records: the standard image on each target, and
-//! the firmware of each board.
+//! `cargo xtask size`: compares the size of images with committed records: the standard image on each target,
+//! and the firmware of each board.
 
 use std::fmt::Write as _;
 use std::fs;
@@ -10,33 +10,33 @@ use crate::cross::{self, Core, TARGETS};
 use crate::firmware;
 use crate::image::{self, Image};
 
-/// Where sizes are recorded, and shown.
-struct Book {
-    /// Image, bytes of flash and of static RAM, as the named compiler made them.
+/// The files that record and show sizes.
+struct SizeFiles {
+    /// Image, bytes of flash and of static RAM, with the compiler used.
     record: &'static str,
     /// Its first line.
     about: &'static str,
-    /// Shows the record, within marks.
+    /// The README that shows the record, between marks.
     readme: &'static str,
-    /// What an image is called in the table.
+    /// Heading of the image column in the README.
     column: &'static str,
 }
 
-impl Book {
+impl SizeFiles {
     fn readme(&self) -> Outcome<String> {
         let path = self.readme;
         fs::read_to_string(path).map_err(|error| format!("cannot read {path}: {error}"))
     }
 }
 
-const STANDARD: Book = Book {
+const STANDARD: SizeFiles = SizeFiles {
     record: "proof/sizes.txt",
     about: "What proof/src/bin/standard.rs takes: target, bytes of flash, bytes of static RAM.",
     readme: "README.md",
     column: "target",
 };
 
-const FIRMWARE: Book = Book {
+const FIRMWARE: SizeFiles = SizeFiles {
     record: "examples/firmware/sizes.txt",
     about: "What the images of examples/firmware take: image, bytes of flash, bytes of static RAM.",
     readme: "examples/firmware/README.md",
@@ -45,16 +45,16 @@ const FIRMWARE: Book = Book {
 
 const IMAGE: &str = "standard";
 
-/// Deviation that goes unmentioned, in percent: a change of this size is no one's doing.
+/// Deviation that is accepted, in percent: such changes have no particular cause.
 const TOLERANCE: u64 = 2;
 
-/// The same when another version of the compiler is in use than the record was made with.
+/// The same if the compiler version differs from that of the record.
 const TOLERANCE_ELSEWHERE: u64 = 10;
 
-/// How many symbols are listed.
+/// Number of symbols listed.
 const LISTED: usize = 10;
 
-/// Within these, a README shows the record.
+/// Marks around the record in a README.
 const README_MARKS: (&str, &str) = ("<!-- sizes -->", "<!-- /sizes -->");
 
 const ACCEPT: &str = "cargo xtask size --accept";
@@ -64,13 +64,13 @@ pub(crate) fn run(dirs: &Dirs, args: &[String]) -> Outcome {
         [] => check(dirs),
         [word] if word == "--accept" => accept(dirs),
         _ => Err(format!(
-            "`cargo xtask size` takes nothing, or `--accept`; not `{}`",
+            "unknown argument `{}`: `cargo xtask size` takes only `--accept`",
             args.join(" ")
         )),
     }
 }
 
-/// Compares with the records and with what the READMEs show.
+/// Compares with the records and the READMEs.
 pub(crate) fn check(dirs: &Dirs) -> Outcome {
     measure(dirs)?.check(&STANDARD)?;
     measure_firmware(dirs)?.check(&FIRMWARE)
@@ -99,7 +99,7 @@ fn measure(dirs: &Dirs) -> Outcome<Record> {
     Ok(record)
 }
 
-/// Builds the image of every board in QEMU. What the others weigh is their HAL's doing.
+/// Builds the image of every board in QEMU. The size of the others depends on their HAL.
 fn measure_firmware(dirs: &Dirs) -> Outcome<Record> {
     let mut record = Record::default();
     let boards = firmware::boards()?.into_iter();
@@ -130,12 +130,12 @@ fn breakdown(target: &str, image: &Image) -> String {
     }
     let _ = writeln!(
         text,
-        "{rest:>8}  all else, constants without a name included"
+        "{rest:>8}  everything else, including unnamed constants"
     );
     text
 }
 
-/// The formatting of the standard library costs more than everything it would be used for.
+/// The standard library's formatting costs more flash than all its uses together.
 fn refuse_formatting(image: &Image) -> Outcome {
     refuse(image, &["core::fmt"]).map_err(|found| {
         format!(
@@ -144,14 +144,14 @@ fn refuse_formatting(image: &Image) -> Outcome {
     })
 }
 
-/// What panics calls one of these, so an image without them has no panic that can be reached.
+/// Panicking code calls one of these, so an image without them has no reachable panic.
 fn refuse_panics(image: &Image) -> Outcome {
     refuse(image, &["core::panicking", "rust_begin_unwind"])
-        .map_err(|found| format!("a panic can be reached; the image has what it calls:\n{found}"))
+        .map_err(|found| format!("a panic is reachable; the image contains:\n{found}"))
 }
 
 /// # Errors
-/// The symbols whose name contains one of the `parts`.
+/// Lists the symbols whose names contain one of `parts`.
 fn refuse(image: &Image, parts: &[&str]) -> Outcome {
     let found: Vec<String> = image
         .symbols
@@ -165,7 +165,7 @@ fn refuse(image: &Image, parts: &[&str]) -> Outcome {
     Err(found.join("\n"))
 }
 
-/// What was measured, with which compiler.
+/// Measured sizes, and the compiler used.
 #[derive(Debug, Default, PartialEq, Eq)]
 struct Record {
     compiler: String,
@@ -188,41 +188,47 @@ impl Record {
         });
     }
 
-    /// Compares with the book's record and README.
-    fn check(&self, book: &Book) -> Outcome {
-        let path = book.record;
+    /// Compares with the committed record and README.
+    fn check(&self, files: &SizeFiles) -> Outcome {
+        let path = files.record;
         let text = fs::read_to_string(path)
-            .map_err(|error| format!("cannot read {path} ({error}); to make it: {ACCEPT}"))?;
+            .map_err(|error| format!("cannot read {path} ({error}); to create it: {ACCEPT}"))?;
         let known = Self::parse(&text).map_err(|line| {
-            format!("{path} has a line that is no size: `{line}`; to write it anew: {ACCEPT}")
+            format!("{path} has an invalid line: `{line}`; to rewrite it: {ACCEPT}")
         })?;
         let compared = known.compare(self);
         println!("{}", compared.map_err(|error| format!("{path}: {error}"))?);
-        let readme = book.readme()?;
-        let table = known.table(book.column);
-        if shown(&readme, &table).map_err(|error| format!("{}: {error}", book.readme))? == readme {
+        let readme = files.readme()?;
+        let table = known.table(files.column);
+        if shown(&readme, &table).map_err(|error| format!("{}: {error}", files.readme))? == readme {
             return Ok(());
         }
         Err(format!(
-            "{} shows other sizes than are recorded; to show these: {ACCEPT}",
-            book.readme
+            "{} shows other sizes than the record; to update it: {ACCEPT}",
+            files.readme
         ))
     }
 
-    fn accept(&self, book: &Book) -> Outcome {
-        let readme = shown(&book.readme()?, &self.table(book.column))
-            .map_err(|error| format!("{}: {error}", book.readme))?;
-        for (path, text) in [(book.record, self.file(book.about)), (book.readme, readme)] {
+    fn accept(&self, files: &SizeFiles) -> Outcome {
+        let readme = shown(&files.readme()?, &self.table(files.column))
+            .map_err(|error| format!("{}: {error}", files.readme))?;
+        for (path, text) in [
+            (files.record, self.file(files.about)),
+            (files.readme, readme),
+        ] {
             fs::write(path, text).map_err(|error| format!("cannot write {path}: {error}"))?;
         }
-        println!("{} and {} now hold these sizes.", book.record, book.readme);
+        println!(
+            "{} and {} now hold these sizes.",
+            files.record, files.readme
+        );
         Ok(())
     }
 
-    /// Reads a record's file.
+    /// Parses a record's file.
     ///
     /// # Errors
-    /// The line that is none.
+    /// Returns the invalid line.
     fn parse(text: &str) -> Outcome<Self> {
         let mut record = Self::default();
         for line in text.lines().filter(|line| !line.starts_with('#')) {
@@ -240,10 +246,10 @@ impl Record {
         Ok(record)
     }
 
-    /// A line for each image.
+    /// One line per image.
     ///
     /// # Errors
-    /// Names each image whose size is not that of the record, and says how to accept it.
+    /// Names each image whose size differs from the record, and how to accept it.
     fn compare(&self, measured: &Self) -> Outcome<String> {
         let same_compiler = self.compiler == measured.compiler;
         let tolerance = if same_compiler {
@@ -263,7 +269,7 @@ impl Record {
         for size in &measured.sizes {
             let image = &size.image;
             let Some(known) = self.sizes.iter().find(|known| known.image == *image) else {
-                return Err(format!("it lacks {image}; to add it: {ACCEPT}"));
+                return Err(format!("{image} is missing; to add it: {ACCEPT}"));
             };
             for (what, known, now) in [
                 ("flash", known.flash, size.flash),
@@ -293,7 +299,7 @@ impl Record {
         text
     }
 
-    /// The record's file.
+    /// The content of a record's file.
     fn file(&self, about: &str) -> String {
         let mut text = format!(
             "# {about}\n# `cargo xtask size` compares; `{ACCEPT}` rewrites.\ncompiler {}\n",
@@ -306,13 +312,12 @@ impl Record {
     }
 }
 
-/// The README with this table in its marked part.
+/// The README with this table between its marks.
 fn shown(readme: &str, table: &str) -> Outcome<String> {
     let (begin, end) = README_MARKS;
     let marked = readme.split_once(begin);
     let marked = marked.and_then(|(before, rest)| Some((before, rest.split_once(end)?.1)));
-    let (before, behind) =
-        marked.ok_or_else(|| format!("it has no {begin} with a {end} after it"))?;
+    let (before, behind) = marked.ok_or_else(|| format!("it has no {begin} followed by {end}"))?;
     Ok(format!("{before}{begin}\n{table}\n{end}{behind}"))
 }
 
@@ -333,7 +338,7 @@ mod tests {
     }
 
     #[test]
-    fn a_record_comes_back_from_its_file() {
+    fn a_record_round_trips_through_its_file() {
         let record = record("rustc 1.95.0 (59807616e 2026-04-14)", 6000, 900);
         assert_eq!(Record::parse(&record.file("x")).unwrap(), record);
         let line = Record::parse("thumbv6m-none-eabi 6000").unwrap_err();
@@ -341,7 +346,7 @@ mod tests {
     }
 
     #[test]
-    fn two_percent_pass_and_more_does_not_either_way() {
+    fn deviations_above_two_percent_fail_in_either_direction() {
         let known = record("a", 5000, 1000);
         for (flash, ram, passes) in [
             (5000, 1000, true),
@@ -370,7 +375,7 @@ mod tests {
     }
 
     #[test]
-    fn formatting_and_panics_are_refused_by_the_symbols_they_leave() {
+    fn formatting_and_panics_are_detected_by_their_symbols() {
         let image = |name: &str| Image {
             flash: 100,
             ram: 0,

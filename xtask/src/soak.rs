@@ -1,20 +1,20 @@
-//! `cargo xtask soak`: the tests on a bad line, and of a server with a great many tasks, with real
-//! processes, in their long form.
+//! `cargo xtask soak`: long runs of the tests on a faulty line and of a server with many tasks, with real
+//! processes.
 
 use crate::Dirs;
 use crate::cmd::{Cmd, Outcome};
 
-/// Tasks on a line with faults, and resets of each side, unless the command says otherwise.
+/// Default number of tasks on a faulty line, and of resets of each side.
 const TASKS: &str = "10000";
 const RESETS: &str = "1000";
 
-/// Tasks before the resets: as many as a gateway keeps the results of, so that it has its full size.
+/// Tasks before the resets: as many results as a gateway keeps, so that it reaches its full size.
 const FILL: &str = "10500";
 
 /// Tasks through one server.
 const MANY: &str = "1000000";
 
-/// Runs all; each prints a short report.
+/// Runs everything; each test prints a short report.
 pub(crate) fn run(_dirs: &Dirs, args: &[String]) -> Outcome {
     let [tasks, resets, many] = counts(args)?;
     Cmd::new("cargo build --release --workspace --bins --locked").run()?;
@@ -30,7 +30,7 @@ pub(crate) fn run(_dirs: &Dirs, args: &[String]) -> Outcome {
         .run()
 }
 
-/// Tasks, resets, and tasks through one server.
+/// Parses tasks, resets, and tasks through one server.
 fn counts(args: &[String]) -> Outcome<[&str; 3]> {
     let mut counts = [TASKS, RESETS, MANY];
     let mut words = args.iter().map(String::as_str);
@@ -41,14 +41,14 @@ fn counts(args: &[String]) -> Outcome<[&str; 3]> {
             "--many" => &mut counts[2],
             _ => {
                 return Err(format!(
-                    "`cargo xtask soak` does not know `{word}`; it takes `--tasks N`, `--resets N` and `--many N`"
+                    "unknown argument `{word}`: expected `--tasks N`, `--resets N` or `--many N`"
                 ));
             }
         };
         *place = words
             .next()
             .filter(|number| number.parse::<u32>().is_ok_and(|number| number >= 10))
-            .ok_or_else(|| format!("`{word}` needs a whole number, 10 or more"))?;
+            .ok_or_else(|| format!("`{word}` needs an integer of at least 10"))?;
     }
     Ok(counts)
 }
@@ -63,7 +63,7 @@ mod tests {
     }
 
     #[test]
-    fn each_count_has_a_default_and_mistakes_say_what_would_be_right() {
+    fn counts_have_defaults_and_errors_say_what_is_expected() {
         assert_eq!(said("").unwrap(), [TASKS, RESETS, MANY]);
         assert_eq!(said("--resets 50 --tasks 20").unwrap(), ["20", "50", MANY]);
         for wrong in ["--tasks", "--tasks many", "--tasks 0", "50"] {

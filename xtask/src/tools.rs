@@ -1,17 +1,17 @@
-//! The programs that the other steps need, and how to come by them.
+//! Checks and installs the programs that the other steps need.
 
 use std::env;
 
 use crate::cmd::{Cmd, Outcome};
 
-/// A program that has to be there.
+/// A required program.
 struct Need {
     what: &'static str,
-    /// Succeeds when it is there; the first line it prints tells the version.
+    /// Succeeds if the program is present; the first line of output is its version.
     check: fn() -> Cmd,
-    /// The component of rustup that brings it, where there is one.
+    /// The rustup component that contains it, if any.
     component: Option<&'static str>,
-    /// The Debian packages that bring it.
+    /// The Debian packages that contain it.
     packages: &'static [&'static str],
 }
 
@@ -30,7 +30,7 @@ const NEEDS: &[Need] = &[
     },
     Need {
         what: "`python3` with venv and pip, for the original ZTL package",
-        // Debian leaves `ensurepip`, which puts pip into a new venv, to a package of its own.
+        // On Debian, `ensurepip`, which installs pip into a new venv, is a separate package.
         check: || {
             Cmd::new("python3 -c").arg("import ensurepip, sys, venv; print('Python', sys.version)")
         },
@@ -114,7 +114,7 @@ const QEMU: Need = Need {
     packages: &["qemu-system-arm", "qemu-system-misc"],
 };
 
-/// Makes sure that the boards can be run.
+/// Installs QEMU for the boards if missing.
 pub(crate) fn provide_qemu() -> Outcome {
     match QEMU.version() {
         Ok(_) => Ok(()),
@@ -122,7 +122,7 @@ pub(crate) fn provide_qemu() -> Outcome {
     }
 }
 
-/// Makes sure that programs for other processors can be run.
+/// Installs emulators for other processors if missing.
 pub(crate) fn provide_emulators() -> Outcome {
     if has("qemu-i386-static") {
         return Ok(());
@@ -130,7 +130,7 @@ pub(crate) fn provide_emulators() -> Outcome {
     install(&["qemu-user-static"])
 }
 
-/// Makes sure that every program is there.
+/// Installs all missing programs.
 pub(crate) fn check() -> Outcome {
     let mut packages = Vec::new();
     for need in NEEDS.iter().filter(|need| need.version().is_err()) {
@@ -146,10 +146,10 @@ pub(crate) fn check() -> Outcome {
         install(&packages)?;
     }
     for need in NEEDS {
-        // Can still fail: another program of that name may come first on the PATH.
+        // May still fail: another program of that name may come first on the PATH.
         let version = need
             .version()
-            .map_err(|error| format!("still lacking {}: {error}", need.what))?;
+            .map_err(|error| format!("still missing: {}: {error}", need.what))?;
         println!("found: {version}");
     }
     Ok(())
@@ -167,7 +167,7 @@ pub(crate) fn has(program: &str) -> bool {
     Cmd::new(program).arg("--version").stdout().is_ok()
 }
 
-/// Installs Debian packages; without the right to do so, says what to install.
+/// Installs Debian packages; without the permission, says what to install.
 pub(crate) fn install(packages: &[&str]) -> Outcome {
     let install = format!(
         "apt-get install -y --no-install-recommends {}",

@@ -1,6 +1,6 @@
-//! What it takes to build for old Linux machines, fully static programs and shared libraries: zig, which brings a
-//! C++ compiler, musl, what glibc was in each version, and libc++ for every processor, Debian's Rust compiler with the source of `std`,
-//! and libzmq with CURVE.
+//! Requirements of builds for old Linux machines (static programs and shared libraries): zig, with a C++
+//! compiler, musl, libc++ and the symbols of every glibc version for each processor; Debian's Rust compiler
+//! with the source of `std`; libzmq with CURVE.
 
 use std::env;
 use std::ffi::OsString;
@@ -10,36 +10,36 @@ use crate::cmd::{Cmd, Outcome};
 use crate::curve::{self, Libraries};
 use crate::{Dirs, cross};
 
-/// The version of zig. From 0.16 on, its `malloc` aligns to 8 bytes on 32-bit x86, and libzmq wants more.
+/// The version of zig. From 0.16 on, its `malloc` aligns to 8 bytes on 32-bit x86, but libzmq needs more.
 pub(crate) const ZIG: &str = "0.15.2";
 
-/// The version of `cargo-zigbuild`, which lets cargo use it.
+/// The version of `cargo-zigbuild`, which lets cargo use zig.
 const ZIGBUILD: &str = "0.24.0";
 
-/// The version of musl that this zig has.
+/// The version of musl in this zig.
 pub(crate) const MUSL: &str = "1.2.5";
 
-/// libzmq aligns its commands to 64 bytes for SSE, but the memory of its queues only with the first. It wakes its
-/// threads by eventfd, which Linux has from 2.6.27 on, only with the last two.
+/// libzmq aligns its commands to 64 bytes for SSE, but allocates aligned queues only with the first flag. It
+/// wakes its threads with eventfd (Linux 2.6.27) only with the last two.
 const CXX_FLAGS: &str = "-DHAVE_POSIX_MEMALIGN=1 -DZMQ_CACHELINE_SIZE=64 \
     -DZMQ_HAVE_EVENTFD=1 -DZMQ_HAVE_EVENTFD_CLOEXEC=1";
 
-/// The oldest glibc for which Rust's library is written: <https://doc.rust-lang.org/rustc/platform-support.html>.
+/// The oldest glibc that Rust's library supports: <https://doc.rust-lang.org/rustc/platform-support.html>.
 pub(crate) const GLIBC: &str = "2.17";
 
-/// The profile of `Cargo.toml`, and of `libzmq/Cargo.toml`: the two share what both compile.
+/// The profile in `Cargo.toml` and `libzmq/Cargo.toml`; both share the crates they compile.
 pub(crate) const PROFILE: &str = "dist";
 
 /// A processor that programs are built for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Target {
-    /// As people call it.
+    /// Its everyday name.
     pub(crate) name: &'static str,
-    /// As the compiler calls it.
+    /// The compiler's target triple.
     pub(crate) triple: &'static str,
-    /// As zig calls it, and the processor.
+    /// zig's target, and the processor.
     pub(crate) zig: &'static str,
-    /// The emulator that runs it, with the weakest processor that it is for; of Debian's `qemu-user-static`.
+    /// The emulator with the weakest supported processor, from Debian's `qemu-user-static`.
     pub(crate) emulator: &'static str,
 }
 
@@ -89,7 +89,7 @@ pub(crate) const TARGETS: [Target; 7] = [
 ];
 
 impl Target {
-    /// The same processor, with glibc in place of musl.
+    /// The same processor, with glibc instead of musl.
     pub(crate) fn with_glibc(self) -> Self {
         let triple = match self.name {
             "x86_64" => "x86_64-unknown-linux-gnu",
@@ -107,7 +107,7 @@ impl Target {
         self.triple.contains("-gnu")
     }
 
-    /// The options of zig's compiler for it.
+    /// The options of zig's compiler for this target.
     pub(crate) fn zig_options(&self) -> String {
         if !self.has_glibc() {
             return format!("-target {}", self.zig);
@@ -118,7 +118,7 @@ impl Target {
     }
 }
 
-/// The targets that are named, or all.
+/// The named targets, or all.
 pub(crate) fn targets(names: &[&str]) -> Outcome<Vec<Target>> {
     if names.is_empty() {
         return Ok(TARGETS.to_vec());
@@ -127,21 +127,21 @@ pub(crate) fn targets(names: &[&str]) -> Outcome<Vec<Target>> {
         let mut known = TARGETS.into_iter();
         let found = known.find(|target| target.name == *name || target.triple == *name);
         let all = TARGETS.map(|target| target.name).join(", ");
-        found.ok_or_else(|| format!("no target `{name}`; there are: {all}"))
+        found.ok_or_else(|| format!("unknown target `{name}`: expected one of {all}"))
     };
     names.iter().map(find).collect()
 }
 
-/// The tools, ready.
+/// The installed tools.
 pub(crate) struct Zig {
-    /// The virtual environment's programs.
+    /// The programs of the virtual environment.
     programs: PathBuf,
-    /// Where everything is built.
+    /// The build directory.
     pub(crate) target_dir: PathBuf,
     flags: Flags,
 }
 
-/// So that no program tells where on which machine it was built.
+/// Compiler flags that hide the paths of the build machine.
 struct Flags {
     rust: String,
     c: String,
@@ -167,7 +167,7 @@ impl Flags {
 }
 
 impl Zig {
-    /// Finds the tools, and installs what is lacking.
+    /// Finds the tools, and installs missing ones.
     pub(crate) fn provide(dirs: &Dirs) -> Outcome<Self> {
         cross::provide_debian()?;
         let venv = dirs.absolute("zig");
@@ -207,7 +207,7 @@ impl Zig {
         let path: OsString = env::join_paths(path)
             .map_err(|error| format!("cannot put zig on the PATH: {error}"))?;
         let Flags { rust, c } = &self.flags;
-        // What is made for glibc becomes a shared library.
+        // With glibc, a shared library is built.
         let (triple, code, pic) = match target.has_glibc() {
             true => (format!("{}.{GLIBC}", target.triple), "pic", " -fPIC"),
             false => (target.triple.to_owned(), "static", ""),
@@ -221,11 +221,12 @@ impl Zig {
                 .arg(&self.target_dir)
                 .env("PATH", path)
                 .env("RUSTC", cross::DEBIAN_RUSTC)
-                // Building `std` is not stable yet; this lets a stable compiler do it.
+                // Building `std` is unstable; this enables it in a stable compiler.
                 .env("RUSTC_BOOTSTRAP", "1")
                 .env("RUSTFLAGS", rust)
                 .env("CFLAGS", &c)
-                // No program here is position-independent, and zig would build its libc once more to try it.
+                // No program here is position-independent; otherwise zig would build its libc again to try
+                // that.
                 .env("SODIUM_DISABLE_PIE", "1")
                 .env("CXXFLAGS", format!("{CXX_FLAGS}{c}")),
         )
@@ -236,13 +237,13 @@ impl Zig {
         curve::libraries(self.build(target)?.args("--profile").arg(PROFILE))
     }
 
-    /// `cargo zigbuild` for a target with the profile, linking to these libraries.
+    /// `cargo zigbuild` for a target with the profile, linked with these libraries.
     pub(crate) fn build_with(&self, target: Target, libraries: &Libraries) -> Outcome<Cmd> {
         let build = self.build(target)?.args("--profile").arg(PROFILE);
         Ok(libraries.link(build, target.triple, "c++"))
     }
 
-    /// Where a program of that profile is.
+    /// The path of a program in that profile.
     pub(crate) fn program(&self, target: Target, name: &str) -> PathBuf {
         self.target_dir.join(target.triple).join(PROFILE).join(name)
     }
@@ -252,7 +253,7 @@ impl Zig {
         Cmd::program(self.programs.join("python")).args(args)
     }
 
-    /// The directory with the sources that zig brings: musl, libc++, libunwind.
+    /// The directory of zig's sources: musl, libc++, libunwind.
     pub(crate) fn sources(&self) -> Outcome<PathBuf> {
         let find =
             "import os, ziglang; print(os.path.join(os.path.dirname(ziglang.__file__), 'lib'))";

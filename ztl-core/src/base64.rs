@@ -1,35 +1,34 @@
 //! Base64 as the original reads and writes it: strict when writing, lenient when reading.
 //!
-//! Python's `b64decode` skips every character outside the alphabet, and stops at the padding that
-//! completes a group; whatever follows is not read. Firmware needs only these two small loops
-//! (the crate `base64` costs a Cortex-M0 six times as much), and none of the crates is lenient in
-//! exactly this way.
+//! Like Python's `b64decode`, the decoder skips every character outside the alphabet and stops at the padding
+//! that completes a group. The crate `base64` takes six times as much flash on a Cortex-M0, and no crate is
+//! lenient in exactly this way.
 
 use crate::sink::Sink;
 
 const ALPHABET: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
 
-/// Why a text could not be decoded.
+/// Why a text is not valid base64.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum DecodeError {
-    /// The padding that would complete the last group is missing.
+    /// The last group lacks its padding.
     IncorrectPadding,
-    /// One character is left over, which is less than a byte.
+    /// One character is left over, which encodes less than a byte.
     LoneCharacter {
-        /// How many characters of the alphabet there were.
+        /// Number of alphabet characters found.
         characters: usize,
     },
-    /// The caller's buffer is full; decoding stopped there.
+    /// The caller's buffer is too small.
     BufferTooSmall {
-        /// Bytes that there were.
+        /// Size of the buffer in bytes.
         available: usize,
     },
 }
 
 impl core::fmt::Display for DecodeError {
-    /// The texts of the original, where it has one (wire specification 4.6).
+    /// Uses the original's texts where it has them (wire specification 4.6).
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
         match self {
             Self::IncorrectPadding => f.write_str("Incorrect padding"),
@@ -38,10 +37,7 @@ impl core::fmt::Display for DecodeError {
                 "Invalid base64-encoded string: number of data characters ({characters}) cannot be 1 more than a multiple of 4"
             ),
             Self::BufferTooSmall { available } => {
-                write!(
-                    f,
-                    "the task is longer than the {available} bytes there are for it"
-                )
+                write!(f, "task too long: at most {available} bytes fit")
             }
         }
     }
@@ -49,12 +45,12 @@ impl core::fmt::Display for DecodeError {
 
 impl core::error::Error for DecodeError {}
 
-/// Decodes `text` into `buffer` and returns the part that was filled.
+/// Decodes `text` into `buffer` and returns the filled part.
 ///
-/// A buffer of three quarters of the text's length always suffices.
+/// A buffer of three quarters of the text's length is always large enough.
 ///
 /// # Errors
-/// As [`DecodeError`] says.
+/// [`DecodeError`] if the text is not valid base64 or `buffer` is too small.
 #[cfg_attr(target_os = "none", inline(never))]
 pub fn decode<'b>(text: &[u8], buffer: &'b mut [u8]) -> Result<&'b [u8], DecodeError> {
     let available = buffer.len();
@@ -67,7 +63,7 @@ pub fn decode<'b>(text: &[u8], buffer: &'b mut [u8]) -> Result<&'b [u8], DecodeE
         if let Some(six) = value(byte) {
             pads = 0;
             characters += 1;
-            // The 6 bits of the first, then 12, 10 and 8 that are not yet written.
+            // Of these bits, 6, 12, 10 or 8 are not written yet, in this order within a group.
             bits = bits << 6 | u32::from(six);
             if place != 0 {
                 *buffer
@@ -102,9 +98,9 @@ fn value(byte: u8) -> Option<u8> {
     })
 }
 
-/// A sink that passes on the base64 form of what is put into it.
+/// A sink that encodes its input as base64 and passes it on.
 ///
-/// [`finish`](Self::finish) must be called at the end; it writes the last group and its padding.
+/// Call [`finish`](Self::finish) at the end: it writes the last group and its padding.
 #[derive(Debug)]
 pub struct Encoder<'a, S: Sink + ?Sized> {
     out: &'a mut S,
@@ -114,7 +110,7 @@ pub struct Encoder<'a, S: Sink + ?Sized> {
 }
 
 impl<'a, S: Sink + ?Sized> Encoder<'a, S> {
-    /// An encoder that writes to `out`.
+    /// Creates an encoder that writes to `out`.
     pub fn new(out: &'a mut S) -> Self {
         Self {
             out,
@@ -147,7 +143,7 @@ impl<S: Sink + ?Sized> Sink for Encoder<'_, S> {
     }
 }
 
-/// Writes the 24 bits of `group`, of which the first `used` characters carry data.
+/// Writes the 24 bits of `group` as four characters; those after the first `used` are padding.
 fn put_group(out: &mut (impl Sink + ?Sized), group: u32, used: usize) {
     let mut text = [b'='; 4];
     for (place, character) in text.iter_mut().enumerate().take(used) {

@@ -1,15 +1,15 @@
-//! A place in a text.
+//! A position in a text.
 
 use crate::is_blank;
 
-/// A text, and how much of it is read.
+/// A text and a reading position.
 ///
-/// Its methods are functions of their own in firmware, where each inlined is larger than a call;
-/// elsewhere they are inlined, since a call takes longer.
+/// In firmware the methods are not inlined, because a call is smaller. Elsewhere they are, because that is
+/// faster.
 #[derive(Clone, Copy)]
 pub(crate) struct Cursor<'a> {
     text: &'a str,
-    /// Bytes read.
+    /// Position in bytes.
     pub(crate) at: usize,
 }
 
@@ -26,24 +26,24 @@ impl<'a> Cursor<'a> {
         self.at == self.text.len()
     }
 
-    /// What stands between two places; empty unless these are boundaries of characters.
+    /// The text between two positions; empty if either is not a character boundary.
     pub(crate) fn part(&self, start: usize, end: usize) -> &'a str {
         self.text.get(start..end).unwrap_or_default()
     }
 
-    /// The byte so far ahead; 0 behind the end, and for a 0 in the text.
+    /// The byte `bytes` ahead; 0 past the end, like a NUL in the text.
     #[cfg_attr(target_os = "none", inline(never))]
     pub(crate) fn ahead(&self, bytes: usize) -> u8 {
         let at = self.at.wrapping_add(bytes);
         self.text.as_bytes().get(at).copied().unwrap_or(0)
     }
 
-    /// The next byte, as [`ahead`](Self::ahead).
+    /// The next byte; see [`ahead`](Self::ahead).
     pub(crate) fn peek(&self) -> u8 {
         self.ahead(0)
     }
 
-    /// Reads this byte, if it is the next.
+    /// Consumes the next byte if it is `byte`, and returns whether it was.
     #[cfg_attr(target_os = "none", inline(never))]
     pub(crate) fn take(&mut self, byte: u8) -> bool {
         let there = self.peek() == byte;
@@ -51,7 +51,7 @@ impl<'a> Cursor<'a> {
         there
     }
 
-    /// Reads a sign, if there is one; whether it is `-`.
+    /// Consumes an optional sign and returns whether it is `-`.
     pub(crate) fn take_sign(&mut self) -> bool {
         let negative = self.take(b'-');
         if !negative {
@@ -60,7 +60,7 @@ impl<'a> Cursor<'a> {
         negative
     }
 
-    /// Goes to the next byte that is no blank, and shows it.
+    /// Skips whitespace and returns the next byte without consuming it.
     #[cfg_attr(target_os = "none", inline(never))]
     pub(crate) fn skip_blanks(&mut self) -> u8 {
         while is_blank(self.peek()) {

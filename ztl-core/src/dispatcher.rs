@@ -1,15 +1,14 @@
-//! A server's rules: a request comes in, an answer or something to do comes out.
+//! The rules of a server: requests go in; replies and actions come out.
 //!
-//! The dispatcher decides every case of the wire specification's table (4.3) and keeps the five
-//! rules of the design: a final state never changes, what is repeated does not act twice, every
-//! request is answered exactly once and within 2 s. It has no socket and no clock, and calls
-//! no user code.
+//! The dispatcher decides every case of the wire specification's table (4.3) and keeps the design's rules: a
+//! final state never changes, a repeated request has no second effect, every request gets exactly one reply
+//! within 2 s. It has no socket, no clock, and calls no user code.
 //!
 //! ```
 //! use ztl_core::dispatcher::{Action, Body, Config, Dispatcher, TaskEvent};
 //! use ztl_core::{Instant, TaskId, memory::Fixed, reply::Reply};
 //!
-//! // One scope, four tasks with results of 32 bytes, two answers held; clients are numbers here.
+//! // One scope, four tasks with results of up to 32 bytes, two held replies; a client is a number.
 //! let memory = Fixed::<u8, 1, 4, 32, 2>::new(["/lab"]);
 //! let mut dispatcher = Dispatcher::new(memory, Config::new(TaskId::new(1).unwrap(), 4711));
 //!
@@ -45,28 +44,27 @@ use crate::tasks::{TaskOf, TaskRules, Tasks};
 use crate::time::micros;
 use crate::{Instant, TaskId, valid_start};
 
-/// Longest time that the answer to an INIT or an ABORT is held; below the 2 s after which the
-/// original's client gives up.
+/// How long the reply to an INIT or ABORT is held at most: less than the 2 s timeout of the original's
+/// client.
 pub const HOLD: Duration = Duration::from_millis(1500);
 
-/// Longest time that a STATUS may ask to be held, for the same reason.
+/// How long a STATUS may ask its reply to be held, for the same reason.
 pub const LONGEST_WAIT: Duration = Duration::from_millis(LONGEST_WAIT_MS);
 const LONGEST_WAIT_MS: u64 = 1999;
 
-/// How long the answer to an INIT waits for a quick end where the client wishes it, if nothing else
-/// is chosen: about a round trip.
+/// Default for [`Config::early`]: about one round trip.
 pub const EARLY: Duration = Duration::from_millis(3);
 
-/// How long an ended task is remembered if nothing else is chosen.
+/// Default for [`Config::keep`].
 pub const KEEP: Duration = Duration::from_secs(3600);
 
-/// How long the answer to an INIT is kept for its client, counted from the answer.
+/// How long the reply to an INIT is kept for deduplication, from the moment it is sent.
 pub const KEEP_INIT: Duration = Duration::from_secs(60);
 
-/// The scope that belongs to the protocol itself.
+/// The scope reserved for the protocol itself.
 pub const RESERVED_SCOPE: &str = "$ztl";
 
-/// Python's `None`, with which the original fills a text that is not known yet.
+/// Python's `None`: the original's text while no progress is known.
 pub const NOTHING_KNOWN: &str = "None";
 
 /// Begins the reason of a FAILED task whose end cannot be learned, such as one that was forwarded to
@@ -77,23 +75,23 @@ pub const UNKNOWN_END: &str = "unknown: ";
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Config {
-    /// The first task id. Should be random (1 to 2^30), so that an id from before a restart is
-    /// nobody else's task.
+    /// The first task id. Choose it at random (1 to 2^30), so that an id from before a restart does not name
+    /// another task.
     pub first: TaskId,
-    /// Told by `$ztl`: differs from start to start of the server, so that a client notices one.
+    /// Changes with each start, so that clients detect a restart; reported by `$ztl`.
     pub boot: u32,
-    /// Longest time that an answer is held. Default [`HOLD`].
+    /// How long a reply is held at most. Defaults to [`HOLD`].
     pub hold: Duration,
-    /// How long the answer to an INIT waits for a quick end, where the client wishes it.
-    /// Default [`EARLY`].
+    /// How long the reply to an INIT waits for a final state if the client asks for it. Defaults to
+    /// [`EARLY`].
     pub early: Duration,
-    /// How long an ended task is remembered, counted from its end, where [ends expire](Memory::ENDS_EXPIRE).
-    /// Default [`KEEP`].
+    /// How long an ended task is kept, from its end, if [ended tasks expire](Memory::ENDS_EXPIRE). Defaults
+    /// to [`KEEP`].
     pub keep: Duration,
 }
 
 impl Config {
-    /// The defaults.
+    /// The default settings.
     #[must_use]
     #[cfg_attr(target_os = "none", inline(always))]
     pub const fn new(first: TaskId, boot: u32) -> Self {
@@ -107,101 +105,100 @@ impl Config {
     }
 }
 
-/// The body of a request, as it came over ZeroMQ.
+/// The body of a request, as received over ZeroMQ.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Body<'a> {
     /// One frame, as every client sends it.
     One(&'a [u8]),
-    /// Several frames, which no client may send (wire specification 2.4).
+    /// Several frames, which is invalid (wire specification 2.4).
     Several,
 }
 
-/// Something for the handler of a scope to do. The dispatcher expects the outcome in
-/// [`handle_event`](Dispatcher::handle_event).
+/// An action for a scope's handler, which reports back through [`handle_event`](Dispatcher::handle_event).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Action<'a> {
-    /// Start this task, or refuse it.
+    /// Start this task, or reject it.
     Start {
-        /// The id it has been given.
+        /// The id assigned to it.
         id: TaskId,
-        /// Under which scope.
+        /// The scope it was sent to.
         scope: Scope,
-        /// The INIT's payload, as it came.
+        /// The INIT's payload, unchanged.
         payload: &'a str,
     },
-    /// Stop this task, or refuse to.
+    /// Abort this task, or refuse to.
     Abort {
-        /// Which.
+        /// The task.
         id: TaskId,
-        /// Under which scope.
+        /// The scope it runs in.
         scope: Scope,
     },
 }
 
-/// What a handler reports about a task. What no longer changes anything (a second end, progress
-/// after the end) is ignored.
+/// A handler's report about a task. The dispatcher ignores reports that can no longer change anything: a
+/// second final state, progress after it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum TaskEvent<'a> {
-    /// The task is taken; `reply` is the INIT's answer.
+    /// The task is accepted; `reply` answers the INIT.
     Accepted {
         /// Text for the client.
         reply: &'a str,
     },
-    /// The task is refused and nothing was done.
+    /// The task is rejected; nothing was done.
     Rejected {
-        /// What was wrong, and what would be right.
+        /// What is wrong, and what would be right.
         reason: &'a str,
     },
-    /// The task is refused in the form in which the original reports an exception of its
-    /// controller (case H): state 3 and `Controller threw exception: …`.
+    /// The task is rejected in the form in which the original reports an exception of its controller (case
+    /// H): state 3 and `Controller threw exception: …`.
     Threw {
         /// The exception's message.
         message: &'a str,
     },
-    /// Where the task is now; the latest wins.
+    /// Progress; a later one replaces it.
     Progress {
         /// Text for the client.
         text: &'a str,
     },
     /// The goal is reached.
     Completed {
-        /// What came of it.
+        /// The result.
         result: &'a str,
     },
     /// The goal will not be reached.
     Failed {
-        /// Why.
+        /// The cause.
         reason: &'a str,
     },
-    /// Stopped as asked.
+    /// The task has stopped as requested.
     Aborted {
-        /// Where it stopped, or why.
+        /// Where or why it stopped.
         result: &'a str,
     },
-    /// The task cannot be stopped, and goes on.
+    /// The task cannot be aborted and continues.
     AbortRefused,
 }
 
 /// The rules of a server, over any [`Memory`].
 ///
 /// *Inputs*: [`handle_request`](Self::handle_request), [`handle_event`](Self::handle_event),
-/// [`handle_timeout`](Self::handle_timeout). *Outputs*: answers through the `out` argument, at once
-/// or later; an [`Action`] for the handler. *Next wake-up*: [`poll_timeout`](Self::poll_timeout),
-/// to be asked again after each input.
+/// [`handle_timeout`](Self::handle_timeout). *Outputs*: replies through the `out` argument, immediately or
+/// later, and an [`Action`] for the handler. *Next wake-up*: [`poll_timeout`](Self::poll_timeout); ask again
+/// after each input.
 ///
-/// A call goes through the held answers, the tasks and the remembered INITs again for each answer
-/// that it gives and each task that it forgets; `probe` and other questions write what the memory
-/// holds. So the memory's capacities bound its work; one with indexes makes the searches short.
-// In this order: a Cortex-M0 reaches what comes first with shorter code.
+/// For each reply that it sends and each task that it drops, a call searches the held replies, the tasks and
+/// the stored INITs. `probe` and other questions write what the memory holds. So the memory's capacities
+/// bound the work; a memory with indexes makes the searches short.
+// This order of fields gives the shortest code on a Cortex-M0.
 #[derive(Debug)]
 #[repr(C)]
 pub struct Dispatcher<M> {
-    /// The time of the input that is being handled.
+    /// Time of the current input.
     now: Instant,
-    /// The times of [`Config`] in microseconds: what a `Duration` would be turned into each time.
+    /// The durations of [`Config`] in microseconds, converted once.
     hold: u64,
     early: u64,
     keep: u64,
@@ -210,24 +207,23 @@ pub struct Dispatcher<M> {
     memory: M,
 }
 
-/// A request, and what is to be done with it: a refusal, until something better is found.
+/// A request in progress: its reply is a rejection until a rule replaces it.
 ///
-/// One place that is filled in by whoever finds it: a Cortex-M0 pays for each value that is handed
-/// back and taken apart again.
+/// The rules fill in one shared value, because returning values costs flash on a Cortex-M0.
 struct Asked<'r, 'a> {
     envelope: Option<&'r Envelope>,
-    /// From which number on an INIT of its client is new, if none is remembered.
+    /// Number from which on an INIT of this client is new, if the client has no record.
     new_from: u64,
-    /// What it is answered if it does not wait.
+    /// The reply, unless the request waits.
     reply: Reply<'r>,
-    /// It waits for this to happen to this task, until the deadline.
+    /// The reply waits for this event of this task, until `deadline`.
     wait: Option<(TaskId, Awaited)>,
     deadline: Instant,
     action: Option<Action<'a>>,
 }
 
 impl<M: Memory> Dispatcher<M> {
-    /// A dispatcher that remembers in `memory`.
+    /// Creates a dispatcher over `memory`.
     pub const fn new(memory: M, config: Config) -> Self {
         Self {
             memory,
@@ -240,8 +236,8 @@ impl<M: Memory> Dispatcher<M> {
         }
     }
 
-    /// A request of `peer` has arrived, in this envelope if the client uses ours. It is answered
-    /// through `out` now, or later by an event or when its time has passed.
+    /// Handles a request of `peer`, with its envelope if the client uses ours. The reply goes through `out`:
+    /// now, on a later event, or at its deadline.
     pub fn handle_request<'a>(
         &mut self,
         now: Instant,
@@ -260,10 +256,10 @@ impl<M: Memory> Dispatcher<M> {
         self.handle_text(now, peer, envelope, (text, whole), out)
     }
 
-    /// The same for firmware that has the body as a text already, since the table by which others are looked
-    /// at takes 0.5 KiB: what the body begins with up to the first byte that is not UTF-8, and whether that is
-    /// all. A body of several frames is an empty text.
-    // Apart in firmware, so that its stack is free again when a task is started.
+    /// Like [`handle_request`](Self::handle_request), for firmware that has already validated the body, which
+    /// saves a table of 0.5 KiB: the longest valid UTF-8 prefix, and whether that is the whole body. A body
+    /// of several frames is an empty text.
+    // Not inlined in firmware, so that its stack is free when a task starts.
     #[cfg_attr(target_os = "none", inline(never))]
     pub fn handle_text<'a>(
         &mut self,
@@ -294,14 +290,14 @@ impl<M: Memory> Dispatcher<M> {
             awaited,
             deadline: asked.deadline,
         };
-        // Without room it is answered as if its time had passed.
+        // Without room to hold it, reply as if the deadline had passed.
         if let Err(waiter) = self.memory.hold(waiter) {
             self.answer(waiter, None, out);
         }
         action
     }
 
-    /// A handler reports what became of a task.
+    /// Handles a handler's report about a task.
     pub fn handle_event(
         &mut self,
         now: Instant,
@@ -325,9 +321,9 @@ impl<M: Memory> Dispatcher<M> {
         self.handle_step(now, id, told, step, text, out);
     }
 
-    /// The same for firmware, which has its events as those of the lifecycle already: a held INIT is answered
-    /// with the state `told`, by which a task that is refused is REJECTED or FAILED. Without an event the task
-    /// cannot be stopped, and goes on. Progress is that of the tasks.
+    /// Like [`handle_event`](Self::handle_event), for firmware that uses lifecycle events. A held INIT is
+    /// answered with the state `told`: a rejected task is REJECTED or FAILED. `None` for `step` means that
+    /// the task cannot be aborted and continues. Progress goes to the task table directly.
     pub fn handle_step(
         &mut self,
         now: Instant,
@@ -340,7 +336,7 @@ impl<M: Memory> Dispatcher<M> {
         self.now = now;
         let tasks = self.memory.tasks_mut();
         if let Some(step) = step {
-            // A handler that reports an end has taken the task, whether it said so or not.
+            // A handler that reports a final state has implicitly accepted the task.
             let taken = told == State::Accepted && tasks.apply(now, id, Event::Accept, None);
             if !tasks.apply(now, id, step, Some(text)) && !taken {
                 return;
@@ -349,7 +345,7 @@ impl<M: Memory> Dispatcher<M> {
         self.on_change(id, (told, text), step.is_none(), out);
     }
 
-    /// Answers what has been held long enough, and forgets what ended long ago.
+    /// Sends held replies whose deadline has passed, and drops what has expired.
     pub fn handle_timeout(&mut self, now: Instant, out: &mut impl FnMut(M::Peer, &Reply<'_>)) {
         self.now = now;
         self.answer_late(None, out);
@@ -361,8 +357,8 @@ impl<M: Memory> Dispatcher<M> {
         self.memory.forget_inits(now);
     }
 
-    /// When [`handle_timeout`](Self::handle_timeout) has something to do; `None` while nothing is
-    /// held, and nothing remembered that expires.
+    /// When to call [`handle_timeout`](Self::handle_timeout); `None` while nothing is held and nothing can
+    /// expire.
     pub fn poll_timeout(&self) -> Option<Instant> {
         let mut wake = self.memory.next_answer();
         if M::ENDS_EXPIRE
@@ -374,8 +370,8 @@ impl<M: Memory> Dispatcher<M> {
         (wake != Instant::NEVER).then_some(wake)
     }
 
-    /// Takes up a task from before this start, and gives no id up to its own from now on; says
-    /// whether there is room for it. To be called before the first request.
+    /// Restores a task from before a restart and skips all ids up to its own. Returns whether there was room.
+    /// Call it before the first request.
     pub fn restore(&mut self, id: TaskId, task: TaskOf<M::Tasks>) -> bool {
         self.skip_to(id);
         let ended = task.ended != Instant::NEVER;
@@ -387,7 +383,7 @@ impl<M: Memory> Dispatcher<M> {
         fits
     }
 
-    /// Gives no id up to this one from now on.
+    /// Skips all ids up to `last`.
     pub fn skip_to(&mut self, last: TaskId) {
         if self.next.is_some_and(|next| next <= last) {
             self.next = last.next();
@@ -409,12 +405,12 @@ impl<M: Memory> Dispatcher<M> {
         &self.memory
     }
 
-    /// What is remembered, to register scopes.
+    /// The memory, mutable, for example to register scopes.
     pub fn memory_mut(&mut self) -> &mut M {
         &mut self.memory
     }
 
-    /// The table of what a server answers (`docs/protocol.md`, 4.1), row by row.
+    /// The reply table of `docs/protocol.md`, 4.1, row by row.
     fn decide<'r, 'a: 'r>(
         &'r mut self,
         peer: &M::Peer,
@@ -463,7 +459,7 @@ impl<M: Memory> Dispatcher<M> {
         let Some(id) = number.and_then(TaskId::new) else {
             return;
         };
-        // Whoever names the task has the answer to its INIT.
+        // A client that names the task has received the reply to its INIT.
         if let Some(envelope) = asked.envelope
             && self.memory.on_asked_about(&envelope.client, id)
         {
@@ -478,7 +474,7 @@ impl<M: Memory> Dispatcher<M> {
         reply.say(task.text.as_ref());
         let ended = task.state.is_final();
         if request == Request::Abort {
-            // It stays what it is (rule 2); `False` is the original's word for "not aborted".
+            // A final state never changes; `False` is how the original says "not aborted".
             reply.text = Text::False;
             if !ended {
                 asked.wait = Some((id, Awaited::Abort));
@@ -495,7 +491,7 @@ impl<M: Memory> Dispatcher<M> {
     }
 }
 
-/// The number that follows `word` in a payload.
+/// The number after `word` in a payload.
 fn argument(payload: &str, word: &str) -> Option<u64> {
     let number = Integer::parse(payload.strip_prefix(word)?).ok()?.natural();
     (number != u64::MAX).then_some(number)

@@ -1,43 +1,42 @@
-//! The frames that our client puts before a request, and every server returns with its answer.
+//! Two frames that our clients put before a request; every server returns them with its reply.
 //!
-//! A ZeroMQ reply carries back whatever stood before the empty delimiter. Two frames are ours:
-//! `ztl1` and 16 bytes that name the client, then 8 bytes that number the request (big endian; the
-//! top bit is a wish, see [`Envelope::early_end`]). A late answer is thus never taken for the next
-//! one, and our server knows what it has answered.
+//! A ZeroMQ reply repeats all frames before the empty delimiter. Ours are `ztl1` with a 16-byte client id,
+//! and an 8-byte request number (big endian; the top bit is [`Envelope::early_end`]). The client therefore
+//! never takes a late reply for the next one, and our server can deduplicate requests.
 
-/// What the first frame begins with.
+/// Prefix of the first frame.
 pub const MARK: [u8; 4] = *b"ztl1";
 
-/// The bit of the second frame that is [`Envelope::early_end`].
+/// The bit of the second frame that carries [`Envelope::early_end`].
 const EARLY_END: u64 = 1 << 63;
 
-/// Who asks: 16 random bytes.
+/// Identifies a client: 16 random bytes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct ClientId(pub [u8; 16]);
 
-/// Who asks, and which of its requests it is.
+/// Identifies a request: the client and the request's number.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Envelope {
-    /// Who asks.
+    /// The client.
     pub client: ClientId,
-    /// Rises with each request of a client; below 2^63.
+    /// Increases with each request of a client; below 2^63.
     pub number: u64,
-    /// Of an INIT: if the task ends within a moment, the client wants to be told that in place of
-    /// the handler's reply.
+    /// In an INIT: if the task ends within moments, the client wants its final state instead of the handler's
+    /// reply.
     pub early_end: bool,
 }
 
 impl Envelope {
-    /// Reads the two frames; `None` when they are not ours.
+    /// Parses the two frames; `None` if they are not ours.
     #[must_use]
     pub fn parse(first: &[u8], second: &[u8]) -> Option<Self> {
         let client = first.strip_prefix(&MARK)?.try_into().ok()?;
         if second.len() != 8 {
             return None;
         }
-        // A byte at a time: they may stand anywhere, which a Cortex-M0 cannot read at once.
+        // Byte by byte: a Cortex-M0 cannot load an unaligned number at once.
         let append = |number, &byte: &u8| number << 8 | u64::from(byte);
         let number = second.iter().fold(0, append);
         Some(Self {
@@ -68,7 +67,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_frames_come_back_and_others_are_not_ours() {
+    fn frames_round_trip_and_foreign_frames_are_ignored() {
         let envelope = Envelope {
             client: ClientId(*b"0123456789abcdef"),
             number: 258,

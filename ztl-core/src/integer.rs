@@ -1,30 +1,30 @@
-//! Whole numbers as Python's `int()` reads them (wire specification 3.4).
+//! Integers as Python's `int()` reads them (wire specification 3.4).
 
 use crate::is_blank;
 use crate::sink::Sink;
 
-/// Longest number read, in digits; Python's own limit (`sys.int_info.default_max_str_digits`).
+/// Most digits accepted: Python's own limit (`sys.int_info.default_max_str_digits`).
 pub const MAX_DIGITS: usize = 4300;
 
-/// A whole number of any size, as a view over its text.
+/// An integer of any size, as a view of its text.
 ///
-/// The original's ids have no bound, and an answer repeats the id of the request, so the digits are
-/// kept where they stand.
+/// Ids have no bound in the original, and a reply repeats the request's id. So the digits stay in the
+/// request.
 #[derive(Debug, Clone, Copy)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Integer<'a> {
-    /// A sign, if there is one, and digits with single `_` between them; nothing for zero.
+    /// An optional sign, then digits with single `_` between them; empty for zero.
     text: &'a str,
 }
 
-/// The text is no whole number.
+/// Why a text is not an integer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum ParseIntegerError {
-    /// Nothing but blanks and perhaps a sign.
+    /// Nothing but whitespace and perhaps a sign.
     Empty,
-    /// A byte that belongs in no number stands at this offset.
+    /// A byte at this offset cannot be part of an integer.
     Unexpected {
         /// Offset in bytes.
         at: usize,
@@ -46,21 +46,21 @@ impl core::fmt::Display for ParseIntegerError {
 impl core::error::Error for ParseIntegerError {}
 
 impl<'a> Integer<'a> {
-    /// The id of an INIT, and of an answer that is about no task.
+    /// The id in an INIT, and in a reply that is about no task.
     pub const MINUS_ONE: Integer<'static> = Integer { text: "-1" };
 
-    /// The id of an answer of the reserved scope that is about no INIT.
+    /// The id in a reply of the reserved scope that is about no INIT.
     pub const ZERO: Integer<'static> = Integer { text: "" };
 
-    /// Reads blanks, one sign, digits with single `_` between them, blanks.
+    /// Parses whitespace, an optional sign, digits with single `_` between them, whitespace.
     ///
-    /// ASCII only: the original also takes other alphabets' digits and blanks, which no client
-    /// sends (the list of differences in `docs/compatibility.md` names it).
+    /// ASCII only. The original also accepts other Unicode digits and whitespace, which no client sends;
+    /// `docs/compatibility.md` lists the difference.
     ///
     /// # Errors
-    /// [`ParseIntegerError`] says where the text stops being a number.
+    /// [`ParseIntegerError`] says where the text stops being an integer.
     pub fn parse(text: &'a str) -> Result<Self, ParseIntegerError> {
-        // By bytes: `trim` and its like decode characters, which costs a Cortex-M0 0.5 KiB.
+        // Works on bytes: `trim` decodes characters, which costs 0.5 KiB on a Cortex-M0.
         let mut rest = text.as_bytes();
         while let [blank, behind @ ..] = rest
             && is_blank(*blank)
@@ -101,7 +101,7 @@ impl<'a> Integer<'a> {
         }
     }
 
-    /// The number, when it fits.
+    /// The value, if it fits.
     #[must_use]
     pub fn value(self) -> Option<i64> {
         match self.magnitude() {
@@ -111,8 +111,8 @@ impl<'a> Integer<'a> {
         }
     }
 
-    /// The number, when it is from 0 to 2^63 - 1; else `u64::MAX`, which a Cortex-M0 hands back with less code than
-    /// an `Option`.
+    /// The value if it is between 0 and 2^63 - 1, else `u64::MAX`: cheaper to return than an `Option` on a
+    /// Cortex-M0.
     #[cfg_attr(target_os = "none", inline(never))]
     pub(crate) fn natural(self) -> u64 {
         match self.magnitude() {
@@ -121,16 +121,16 @@ impl<'a> Integer<'a> {
         }
     }
 
-    /// The number without its sign, when that has up to 19 digits.
+    /// The absolute value, if it has at most 19 digits.
     fn magnitude(self) -> Option<u64> {
         let (mut high, mut low, mut count) = (0u32, 0u32, 0);
         for digit in self.text.bytes().filter(u8::is_ascii_digit) {
-            // By halves, since a multiplication of 64 bits is a library call for a Cortex-M0.
+            // In halves: a 64-bit multiplication is a library call on a Cortex-M0.
             let quarter = (low & 0xffff) * 10 + u32::from(digit & 0xf);
             let next = (low >> 16) * 10 + (quarter >> 16);
             low = next << 16 | quarter & 0xffff;
             high = high.wrapping_mul(10).wrapping_add(next >> 16);
-            // Not by whether the number is 0: at 2^64 it would be so again.
+            // Leading zeros do not count. Testing the value instead would fail at 2^64, where it wraps to 0.
             count += u32::from(count != 0 || digit != b'0');
         }
         (count <= 19).then_some(u64::from(high) << 32 | u64::from(low))
@@ -146,7 +146,7 @@ impl<'a> Integer<'a> {
         self.text.as_bytes().first() == Some(&b'-')
     }
 
-    /// Writes the number in plain ASCII digits with an optional `-`.
+    /// Writes the integer in plain ASCII digits with an optional `-`.
     pub fn put(self, sink: &mut (impl Sink + ?Sized)) {
         if self.text.is_empty() {
             sink.put(b"0");
@@ -184,7 +184,7 @@ mod tests {
     }
 
     #[test]
-    fn numbers_are_read_as_python_reads_them_and_written_plainly() {
+    fn integers_are_read_as_python_does_and_written_in_plain_digits() {
         for (written, plain, value) in [
             (" 1_0 ", "10", Some(10)),
             ("+007", "7", Some(7)),
@@ -206,7 +206,7 @@ mod tests {
     }
 
     #[test]
-    fn equal_numbers_are_equal_however_they_are_written() {
+    fn integers_compare_by_value() {
         for (one, other, equal) in [
             ("-0_012", " -12 ", true),
             ("+0", "-0", true),
@@ -228,7 +228,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_number_is_named_by_its_place() {
+    fn an_invalid_integer_reports_the_offending_byte() {
         use ParseIntegerError::{Empty, Unexpected};
         for (written, error) in [
             ("", Empty),
@@ -249,7 +249,7 @@ mod tests {
     }
 
     #[test]
-    fn a_number_beyond_64_bits_has_no_value() {
+    fn an_integer_beyond_64_bits_has_no_value() {
         for digits in [
             "18446744073709551616",
             "0018446744073709551616",

@@ -1,4 +1,4 @@
-//! The life of a task: six states, and the events that lead from one to the next.
+//! The lifecycle of a task: six states, and the events that lead from one to another.
 //!
 //! ```text
 //!   client INIT          server              handler
@@ -11,25 +11,25 @@
 //!    REJECTED        (Fail and Abort also end an INITIATED task)
 //! ```
 //!
-//! Three parties speak of a task, and each has signals of its own:
+//! Each of the three parties has signals of its own:
 //!
-//! | who | signals | what they do to the state |
+//! | party | signals | effect on the state |
 //! |---|---|---|
-//! | client | [`Request`]: INIT, STATUS, ABORT | INIT makes a task, INITIATED; STATUS and ABORT change nothing by themselves |
+//! | client | [`Request`]: INIT, STATUS, ABORT | INIT creates a task in INITIATED; STATUS and ABORT change no state |
 //! | server | [`Event::Accept`], [`Event::Reject`] | decide about an INITIATED task |
-//! | handler | [`Event::Complete`], [`Event::Fail`], [`Event::Abort`] | end it; an ABORT of a client counts only once the handler has stopped |
+//! | handler | [`Event::Complete`], [`Event::Fail`], [`Event::Abort`] | end the task; a client's ABORT takes effect once the handler has stopped |
 //!
-//! REJECTED, FAILED, ABORTED and COMPLETED are final: no event leads out of them, so a state that a
-//! client was told never changes. The original lets ABORTED turn into COMPLETED and back
-//! (wire specification 4.7, HAZARDS); this table is where ours does not.
+//! REJECTED, FAILED, ABORTED and COMPLETED are final: no event leads out of them. So a final state that a
+//! client has seen never changes. The original can turn ABORTED into COMPLETED and back (wire specification
+//! 4.7, HAZARDS); this table cannot.
 
-/// What a client asks for. The code is the `state` field of a request.
+/// A client's request. The code is the request's `state` field.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Request {
     /// Start the task in the payload.
     Init = 1,
-    /// Tell state and result of the task with this id.
+    /// Report state and result of the task with this id.
     Status = 2,
     /// Stop the task with this id.
     Abort = 3,
@@ -54,55 +54,55 @@ impl Request {
     }
 }
 
-/// Where a task is in its life. The code is the `state` field of a reply.
+/// The state of a task. The code is the reply's `state` field.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum State {
-    /// Asked for; nobody has decided yet.
+    /// Requested, not decided yet.
     Initiated = 0,
-    /// Taken, and under way.
+    /// Accepted and running.
     Accepted = 1,
-    /// Refused: nothing happened. Final.
+    /// Rejected: nothing was done. Final.
     Rejected = 2,
-    /// Ended without reaching its goal. Final.
+    /// Ended without reaching the goal. Final.
     Failed = 3,
     /// Stopped on request. Final.
     Aborted = 4,
-    /// Reached its goal. Final.
+    /// Reached the goal. Final.
     Completed = 5,
 }
 
-/// Who speaks of a task.
+/// A party that sends signals about a task.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Party {
-    /// Asks for it, and may want it to stop.
+    /// Requests the task, and may request to abort it.
     Client,
-    /// Decides whether it is taken.
+    /// Decides whether to accept it.
     Server,
-    /// Does it, and says how it ended.
+    /// Executes it and reports the final state.
     Handler,
 }
 
-/// What can happen to a task.
-// Each is the code of the state that it leads to: so that needs no table in flash.
+/// An event in the life of a task.
+// The discriminant is the code of the state it leads to, which saves a table in flash.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Event {
-    /// The handler took the task.
+    /// The handler has accepted the task.
     Accept = 1,
-    /// The handler will not do it, and has not begun.
+    /// The handler rejects the task and has not started it.
     Reject = 2,
     /// The goal is reached.
     Complete = 5,
     /// The goal will not be reached.
     Fail = 3,
-    /// The handler has stopped because it was asked to.
+    /// The handler has stopped because of an ABORT.
     Abort = 4,
 }
 
 impl Event {
-    /// Every event.
+    /// All events.
     pub const ALL: [Self; 5] = [
         Self::Accept,
         Self::Reject,
@@ -111,7 +111,7 @@ impl Event {
         Self::Abort,
     ];
 
-    /// Whose signal it is; a client's are [`Request`]s, and change no state by themselves.
+    /// Which party reports this event. A client never does: its [`Request`]s change no state by themselves.
     #[must_use]
     pub const fn said_by(self) -> Party {
         match self {
@@ -122,7 +122,7 @@ impl Event {
 }
 
 impl State {
-    /// Every state, in the order of the codes.
+    /// All states, in the order of their codes.
     pub const ALL: [Self; 6] = [
         Self::Initiated,
         Self::Accepted,
@@ -152,7 +152,7 @@ impl State {
         self as u8
     }
 
-    /// The name that the original prints.
+    /// The name as the original prints it.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -165,21 +165,20 @@ impl State {
         }
     }
 
-    /// Whether the task has ended. On the wire: the code is greater than 1.
+    /// Whether the task has ended. On the wire: the code is above 1.
     #[must_use]
     pub const fn is_final(self) -> bool {
         self.code() > Self::Accepted.code()
     }
 
-    /// The state after `event`, or `None` when the event changes nothing here.
-    ///
-    /// Total: every pair has an entry. A final state answers `None` to everything.
+    /// The state after `event`, or `None` if the event has no effect in this state. A final state ignores
+    /// every event.
     #[must_use]
     pub const fn after(self, event: Event) -> Option<Self> {
         let possible = match self {
-            // One that never ran is not done.
+            // A task that never ran cannot complete.
             Self::Initiated => !matches!(event, Event::Complete),
-            // One that runs can no longer be refused.
+            // A running task can no longer be rejected.
             Self::Accepted => !matches!(event, Event::Accept | Event::Reject),
             Self::Rejected | Self::Failed | Self::Aborted | Self::Completed => false,
         };
@@ -207,7 +206,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_state_against_every_event() {
+    fn every_state_handles_every_event() {
         use State::{Aborted, Accepted, Completed, Failed, Rejected};
         let none = [None; 5];
         let table = [
@@ -232,7 +231,7 @@ mod tests {
     }
 
     #[test]
-    fn final_states_are_those_above_accepted_and_have_no_way_out() {
+    fn final_states_have_codes_above_accepted_and_ignore_every_event() {
         for state in State::ALL {
             assert_eq!(state.is_final(), state.code() > 1);
             let closed = Event::ALL.into_iter().all(|e| state.after(e).is_none());
@@ -241,7 +240,7 @@ mod tests {
     }
 
     #[test]
-    fn a_server_decides_and_a_handler_ends() {
+    fn the_server_decides_and_the_handler_ends() {
         for state in State::ALL {
             for event in Event::ALL {
                 let Some(after) = state.after(event) else {
@@ -259,7 +258,7 @@ mod tests {
     }
 
     #[test]
-    fn codes_lead_back_to_their_states() {
+    fn states_round_trip_through_their_codes() {
         for state in State::ALL {
             assert_eq!(State::from_code(i64::from(state.code())), Some(state));
         }

@@ -1,7 +1,7 @@
-//! What a dispatcher remembers besides its tasks: held answers, and the last INIT of each client.
+//! What a dispatcher stores: the task table, held replies, and the last INIT of each client.
 //!
-//! The rules are the dispatcher's; a memory only keeps. [`Fixed`] needs no heap and is for a
-//! microcontroller; `ztl-std` has one that grows.
+//! The rules are the dispatcher's; a memory only stores. [`Fixed`] needs no heap and suits microcontrollers;
+//! `ztl-std` has one that grows.
 
 use crate::envelope::{ClientId, Envelope};
 use crate::lifecycle::State;
@@ -10,75 +10,75 @@ use crate::sink::Sink;
 use crate::tasks::{TaskTable, Tasks, Text, take_out};
 use crate::{Instant, TaskId};
 
-/// Which of the registered scopes, by its place.
+/// A registered scope, by index.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Scope(pub u16);
 
-/// What a held answer waits for.
+/// What a held reply waits for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Awaited {
-    /// The handler's decision on an INIT.
+    /// The handler's decision about an INIT.
     Decision,
-    /// The same, and for a moment after it the end, to tell both at once.
+    /// Like [`Decision`](Self::Decision), then briefly for a final state, so that one reply reports both.
     EarlyEnd,
-    /// The decision too, asked for by `outcome`.
+    /// The decision about an INIT, requested by `outcome`.
     Outcome,
-    /// The end of a task that is being aborted.
+    /// The final state of a task that is being aborted.
     Abort,
-    /// The end of a task, asked for by a STATUS that waits.
+    /// The final state of a task, requested by a STATUS that waits.
     End,
 }
 
-/// A client whose answer is held back until something happens, or until a moment has passed.
+/// A held reply: it is sent when the awaited event happens or the deadline passes.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Waiter<P> {
-    /// How the transport finds the client.
+    /// How the transport addresses the client.
     pub peer: P,
-    /// The task in question.
+    /// The task concerned.
     pub task: TaskId,
-    /// What must happen to it.
+    /// The event that releases the reply.
     pub awaited: Awaited,
-    /// When it is answered in any case.
+    /// When the reply is sent in any case.
     pub deadline: Instant,
 }
 
-/// What became of a client's last INIT.
+/// The state of a client's last INIT.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum First {
-    /// Nothing yet: its task is undecided.
+    /// The task is not decided yet.
     Pending,
-    /// It was answered with this state and a text that is kept.
+    /// Answered with this state and the stored text.
     Answered(State),
-    /// The client was told that it was never seen; it is refused if it still comes.
+    /// The client was told that the INIT never arrived; if it still arrives, it is rejected.
     Void,
 }
 
-/// The last INIT of a client, so that it never acts twice.
+/// A client's last INIT, stored so that it never starts a second task.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct LastInit<T> {
-    /// Whose.
+    /// The client.
     pub client: ClientId,
-    /// Number of the request.
+    /// The request's number.
     pub number: u64,
-    /// Tells it from another INIT with this number: a check sum of its scope and payload.
+    /// Checksum of scope and payload: detects another INIT under the same number.
     pub check: u32,
     /// What became of it.
     pub first: First,
-    /// Its task, if it has one.
+    /// The task that it started, if any.
     pub task: Option<TaskId>,
-    /// Whether the client has shown that it has the answer: it has asked about the task.
+    /// Whether the client is known to have the reply, because it has asked about the task.
     pub received: bool,
-    /// The answer's text.
+    /// Text of the reply.
     pub text: T,
-    /// Until when it is remembered; [`Instant::NEVER`] while it is pending.
+    /// When it expires; [`Instant::NEVER`] while it is pending.
     pub until: Instant,
 }
 
 impl<T: Text> LastInit<T> {
-    /// Of a client of which nothing is known.
+    /// An empty record for a client without one.
     #[must_use]
     pub fn new(client: ClientId) -> Self {
         Self {
@@ -94,31 +94,31 @@ impl<T: Text> LastInit<T> {
     }
 }
 
-/// What a dispatcher needs to remember.
+/// What a dispatcher needs to store.
 pub trait Memory {
-    /// How the transport finds a client: a ZeroMQ envelope, a connection's number.
+    /// How the transport addresses a client: a ZeroMQ envelope, a connection number.
     type Peer;
-    /// How texts are kept.
+    /// How texts are stored.
     type Text: Text;
-    /// The tasks.
+    /// The task table.
     type Tasks: Tasks<Id = TaskId, Extra = Scope, Text = Self::Text>;
-    /// Whether an ended task is forgotten when its time has passed; else only when another needs its place.
+    /// Whether an ended task expires. If not, it is dropped only when its slot is needed.
     const ENDS_EXPIRE: bool = true;
 
-    /// The tasks.
+    /// The task table.
     fn tasks(&self) -> &Self::Tasks;
-    /// The tasks, to be changed.
+    /// The task table, mutable.
     fn tasks_mut(&mut self) -> &mut Self::Tasks;
 
-    /// The scope of this name, compared byte for byte.
+    /// The scope with this name, compared byte for byte.
     fn scope(&self, name: &str) -> Option<Scope>;
-    /// The name of a scope; empty for one that was never registered.
+    /// The name of a scope; empty if it was never registered.
     fn scope_name(&self, scope: Scope) -> &str;
-    /// Writes the name of a scope in YAML's double quotes, for `$ztl`.
+    /// Writes a scope's name as a YAML string in double quotes, for `$ztl`.
     fn put_scope(&self, scope: Scope, sink: &mut dyn Sink) {
         put_yaml(self.scope_name(scope), sink);
     }
-    /// Writes what the scopes offer, for `$ztl`: a mapping in YAML's flow style.
+    /// Writes what each scope offers, for `$ztl`, as a YAML flow mapping.
     fn put_scopes(&self, sink: &mut dyn Sink);
 
     /// Whether the answer about an id that the scope does not know names that id, as the original's task
@@ -133,40 +133,41 @@ pub trait Memory {
         None
     }
 
-    /// What the reserved scope answers to a question that is not the protocol's own, or `None`
-    /// where it is not known. Default: no question is known.
+    /// Answers a question to the reserved scope that is not part of the protocol; `None` if it is unknown.
+    /// Defaults to `None`.
     fn answer(&mut self, _question: &str) -> Option<&str> {
         None
     }
 
-    /// Whether another answer can be held.
+    /// Whether one more reply can be held.
     fn can_hold(&self) -> bool;
-    /// Adds a held answer; gives it back when no more fit.
+    /// Adds a held reply.
     ///
     /// # Errors
-    /// The waiter, when there is no room for it.
+    /// Returns the waiter if there is no room.
     fn hold(&mut self, waiter: Waiter<Self::Peer>) -> Result<(), Waiter<Self::Peer>>;
-    /// Takes out a held answer that is wanted. Each is shown, and may be changed, until one is.
+    /// Removes and returns the first held reply that is `wanted`. The closure may change each one it sees.
     fn release(
         &mut self,
         wanted: impl Fn(&mut Waiter<Self::Peer>) -> bool,
     ) -> Option<Waiter<Self::Peer>>;
-    /// When the first of the held answers is due; [`Instant::NEVER`] without any.
+    /// The earliest deadline of the held replies; [`Instant::NEVER`] if there are none.
     fn next_answer(&self) -> Instant;
 
-    /// The last INIT of a client.
+    /// A client's last INIT.
     fn last_init(&self, client: &ClientId) -> Option<&LastInit<Self::Text>>;
-    /// The last INIT of a client that led to this task, if it is still its last.
+    /// The INIT that started this task, if it is still its client's last.
     fn init_of(&self, task: TaskId) -> Option<&LastInit<Self::Text>>;
-    /// A client's last INIT, to be changed; a void one if it has none, and `None` when no more clients
-    /// fit. For it a memory may forget another's. That one, and one for which there is no room, may come again
-    /// `until` then: [`on_heard`](Self::on_heard) makes up for it.
+    /// A client's last INIT, mutable: a void record if there was none, `None` if there is no room.
+    ///
+    /// May evict another client's record. An INIT that was evicted or found no room can still arrive again
+    /// until `until`; [`on_heard`](Self::on_heard) guards against that.
     fn remember(&mut self, client: &ClientId, until: Instant) -> Option<&mut LastInit<Self::Text>>;
-    /// Told when the last INIT of a client has been changed, so that a memory can keep an order.
+    /// Called after a client's last INIT has changed, so that the memory can keep an order.
     fn on_remembered(&mut self, client: &ClientId);
-    /// Told of each request in our envelope, before it is acted upon. Says from which number on an INIT
-    /// of this client is surely a new one, if none of its is remembered: 0 while none was forgotten before its
-    /// time, and none found no room.
+    /// Called for each request in our envelope, before it takes effect. Returns the number from which on an
+    /// INIT of this client is certainly new, if the client has no record: 0 unless a record was evicted early
+    /// or found no room.
     fn on_heard(
         &mut self,
         now: Instant,
@@ -174,42 +175,41 @@ pub trait Memory {
         envelope: &Envelope,
         is_init: bool,
     ) -> u64;
-    /// Told that a client asks about a task. Says whether it had that from its last INIT, and whoever
-    /// still waits for the INIT's answer is to be answered, since it may be forgotten from now on.
+    /// Called when a client asks about a task. Returns whether the task is from its last INIT and a held
+    /// reply to that INIT must be sent now, because its record may be evicted from here on.
     ///
-    /// Default: that never matters.
+    /// Defaults to `false`.
     fn on_asked_about(&mut self, _client: &ClientId, _task: TaskId) -> bool {
         false
     }
-    /// Forgets those whose time has passed.
+    /// Drops expired INITs.
     fn forget_inits(&mut self, now: Instant);
-    /// The first time at which one may be forgotten; [`Instant::NEVER`] when there is none.
+    /// When the next INIT expires; [`Instant::NEVER`] if none does.
     fn next_forgetting(&self) -> Instant;
 }
 
-/// The highest number of a client's requests.
+/// The highest request number of a client.
 #[derive(Debug, Clone)]
 struct Heard<P> {
-    /// The beginning of its id, which is random.
+    /// The start of the client's id, which is random.
     client: u32,
     number: u32,
-    /// From where its last request came.
+    /// Where its last request came from.
     peer: P,
 }
 
-/// A memory without a heap: `SCOPES` scopes, `TASKS` tasks with texts of at most `TEXT` bytes, and
-/// `HELD` answers held at a time; the last INIT of as many clients. A task that has ended is remembered until
-/// another needs its place.
+/// A memory without a heap: `SCOPES` scopes, `TASKS` tasks with texts of at most `TEXT` bytes, `HELD` held
+/// replies, and the last INIT of `HELD` clients. An ended task is kept until its slot is needed.
 ///
-/// When it needs a place for an INIT, it forgets one whose client has its answer, or that was refused or
-/// given up. What then comes of a client of which it knows no INIT is new only if all that was heard of
-/// this client has a lower number (`docs/protocol.md`, 9.5).
-// In this order, the largest last: a Cortex-M0 reaches what comes first with shorter code.
+/// To make room for an INIT, it evicts a record whose client has the reply, or which was rejected or void.
+/// After that, an INIT from a client without a record counts as new only if its number is higher than every
+/// number heard from that client (`docs/protocol.md`, 9.5).
+// The largest field comes last: a Cortex-M0 reaches the first ones with shorter code.
 #[derive(Debug)]
 #[repr(C)]
 pub struct Fixed<P, const SCOPES: usize, const TASKS: usize, const TEXT: usize, const HELD: usize> {
     scopes: [&'static str; SCOPES],
-    /// Until when what was forgotten for another, or had no room, may come again.
+    /// Until when an INIT that was evicted or found no room can arrive again.
     forgotten: Instant,
     heard: heapless::Vec<Heard<P>, HELD>,
     held: [Option<Waiter<P>>; HELD],
@@ -220,9 +220,8 @@ pub struct Fixed<P, const SCOPES: usize, const TASKS: usize, const TEXT: usize, 
 impl<P, const SCOPES: usize, const TASKS: usize, const TEXT: usize, const HELD: usize>
     Fixed<P, SCOPES, TASKS, TEXT, HELD>
 {
-    /// An empty memory that knows these scopes. What of their names is beyond ASCII has to be letters and signs that can be
-    /// printed: `$ztl` shows it as it is, and a reader of YAML refuses others.
-    #[must_use]
+    /// Creates an empty memory with these scopes. Their names may contain printable characters beyond ASCII,
+    /// but no others: `$ztl` writes them unescaped.
     pub const fn new(scopes: [&'static str; SCOPES]) -> Self {
         Self {
             scopes,
@@ -257,8 +256,8 @@ impl<
     }
 
     fn scope(&self, name: &str) -> Option<Scope> {
-        let place = self.scopes.iter().position(|scope| *scope == name)?;
-        u16::try_from(place).ok().map(Scope)
+        let index = self.scopes.iter().position(|scope| *scope == name)?;
+        u16::try_from(index).ok().map(Scope)
     }
 
     fn scope_name(&self, scope: Scope) -> &str {
@@ -268,18 +267,18 @@ impl<
             .unwrap_or_default()
     }
 
-    /// Letters beyond ASCII stay what they are.
+    /// Leaves characters beyond ASCII unescaped.
     fn put_scope(&self, scope: Scope, sink: &mut dyn Sink) {
         put_yaml_small(self.scope_name(scope), sink);
     }
 
     fn put_scopes(&self, sink: &mut dyn Sink) {
         sink.put(b"{");
-        for place in 0..SCOPES {
-            if place > 0 {
+        for index in 0..SCOPES {
+            if index > 0 {
                 sink.put(b", ");
             }
-            self.put_scope(Scope(place as u16), sink);
+            self.put_scope(Scope(index as u16), sink);
             sink.put(b": {}");
         }
         sink.put(b"}");
@@ -290,8 +289,8 @@ impl<
     }
 
     fn hold(&mut self, waiter: Waiter<P>) -> Result<(), Waiter<P>> {
-        match self.held.iter_mut().find(|place| place.is_none()) {
-            Some(place) => *place = Some(waiter),
+        match self.held.iter_mut().find(|slot| slot.is_none()) {
+            Some(slot) => *slot = Some(waiter),
             None => return Err(waiter),
         }
         Ok(())
@@ -322,19 +321,19 @@ impl<
 
     fn remember(&mut self, client: &ClientId, until: Instant) -> Option<&mut LastInit<Self::Text>> {
         let is_its =
-            |place: &Option<LastInit<_>>| matches!(place, Some(init) if init.client == *client);
+            |slot: &Option<LastInit<_>>| matches!(slot, Some(init) if init.client == *client);
         let known = self.inits.iter().position(is_its);
-        let place = known.or_else(|| self.inits.iter().position(Option::is_none));
-        if let Some(place) = place {
-            let place = self.inits.get_mut(place)?;
-            return Some(place.get_or_insert_with(|| LastInit::new(*client)));
+        let index = known.or_else(|| self.inits.iter().position(Option::is_none));
+        if let Some(index) = index {
+            let slot = self.inits.get_mut(index)?;
+            return Some(slot.get_or_insert_with(|| LastInit::new(*client)));
         }
         self.forgotten = until;
-        // One whose answer its client has, or that has no task.
-        let over = |init: &&mut LastInit<_>| {
+        // Evict a record whose client has the reply, or which has no task.
+        let evictable = |init: &&mut LastInit<_>| {
             init.task.is_none() || init.received && init.first != First::Pending
         };
-        let init = self.inits.iter_mut().flatten().find(over)?;
+        let init = self.inits.iter_mut().flatten().find(evictable)?;
         init.client = *client;
         Some(init)
     }
@@ -352,14 +351,14 @@ impl<
             known.number = known.number.max(number);
             known.peer = peer;
         } else if !is_init {
-            // Not by an INIT, which may come again when it and those after it are forgotten.
+            // An INIT does not count here: it can arrive again after its record is evicted.
             let heard = Heard {
                 client,
                 number,
                 peer,
             };
             if let Err(heard) = self.heard.push(heard) {
-                // Who had its connection before has gone.
+                // The client that used this connection before is gone.
                 let gone = self.heard.iter().position(|gone| gone.peer == heard.peer);
                 if let Some(gone) = self.heard.get_mut(gone.unwrap_or_default()) {
                     *gone = heard;

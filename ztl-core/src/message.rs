@@ -1,50 +1,50 @@
 //! The text on the wire: `scope;state;id;payload` (wire specification 3).
 //!
-//! No length prefix, no escaping: the text is cut at the first three `;`, so a payload may contain
-//! more of them and the other fields may not.
+//! There is no length prefix and no escaping. The text is split at the first three `;`, so only the payload
+//! may contain one.
 
 use crate::integer::{Integer, ParseIntegerError};
 use crate::sink::{BufferTooSmall, Sink, SliceSink};
 use crate::{split_at_mark, valid_start};
 
-/// A message as a view over its bytes. Numbers stay text until they are asked for, since which
-/// answer a bad one gets depends on the scope.
+/// A message as a view of its bytes. Numbers stay text until needed, because the scope decides how a bad one
+/// is answered.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Message<'a> {
-    /// Whom it is for; compared byte for byte. Without `;`, which would end it: writing does not look.
+    /// The addressed scope, compared byte for byte. Must not contain `;`; writing does not check this.
     pub scope: &'a str,
-    /// In a request the request's code, in a reply the task's state.
+    /// A request's code, or a reply's state.
     pub state: &'a str,
-    /// Which task.
+    /// The task's id.
     pub id: &'a str,
-    /// Anything, `;` included.
+    /// The payload, which may contain `;`.
     pub payload: &'a str,
 }
 
-/// Why bytes are no message.
+/// Why bytes are not a message.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum ParseError<'a> {
-    /// Not UTF-8; valid up to this byte.
+    /// The bytes are not UTF-8.
     NotUtf8 {
-        /// Offset of the first bad byte.
+        /// Offset of the first invalid byte.
         at: usize,
-        /// The first field, when that much could be read.
+        /// The first field, if it could be read.
         scope: Option<&'a str>,
     },
-    /// Fewer than four fields.
+    /// There are fewer than four fields.
     MissingFields {
-        /// How many there are, 1 to 3.
+        /// Number of fields found, 1 to 3.
         found: usize,
-        /// The first of them.
+        /// The first field.
         scope: &'a str,
     },
 }
 
 impl<'a> ParseError<'a> {
-    /// The first field, as far as it could be read; else empty. Answers carry it.
+    /// The first field as far as it could be read, else empty. The reply repeats it.
     #[must_use]
     #[cfg_attr(target_os = "none", inline(always))]
     pub fn scope(&self) -> &'a str {
@@ -69,19 +69,20 @@ impl core::fmt::Display for ParseError<'_> {
 impl core::error::Error for ParseError<'_> {}
 
 impl<'a> Message<'a> {
-    /// Reads a message.
+    /// Parses a message.
     ///
     /// # Errors
-    /// [`ParseError`] when it is not UTF-8 or has fewer than four fields.
+    /// [`ParseError`] if the bytes are not UTF-8 or have fewer than four fields.
     pub fn parse(bytes: &'a [u8]) -> Result<Self, ParseError<'a>> {
         let text = valid_start(bytes);
         Self::parse_text(text, text.len() == bytes.len())
     }
 
-    /// The same of bytes that are known to be UTF-8 so far; `whole` says whether they are to their end.
+    /// Like [`parse`](Self::parse), for text already checked as UTF-8. `whole` is `false` if invalid bytes
+    /// follow.
     ///
     /// # Errors
-    /// As [`parse`](Self::parse).
+    /// See [`parse`](Self::parse).
     pub fn parse_text(text: &'a str, whole: bool) -> Result<Self, ParseError<'a>> {
         let first = split_at_mark(text, ';');
         if !whole {
@@ -101,18 +102,18 @@ impl<'a> Message<'a> {
         })
     }
 
-    /// The `state` field as a number.
+    /// The `state` field as an integer.
     ///
     /// # Errors
-    /// [`ParseIntegerError`] when it is none.
+    /// [`ParseIntegerError`] if it is not one.
     pub fn code(&self) -> Result<Integer<'a>, ParseIntegerError> {
         Integer::parse(self.state)
     }
 
-    /// The `id` field as a number.
+    /// The `id` field as an integer.
     ///
     /// # Errors
-    /// [`ParseIntegerError`] when it is none.
+    /// [`ParseIntegerError`] if it is not one.
     pub fn number(&self) -> Result<Integer<'a>, ParseIntegerError> {
         Integer::parse(self.id)
     }
@@ -133,14 +134,14 @@ impl<'a> Message<'a> {
     /// Writes the message into `buffer`.
     ///
     /// # Errors
-    /// [`BufferTooSmall`] when the buffer is shorter than [`encoded_len`](Self::encoded_len).
+    /// [`BufferTooSmall`] if the buffer is shorter than [`encoded_len`](Self::encoded_len).
     pub fn encode_into<'b>(&self, buffer: &'b mut [u8]) -> Result<&'b [u8], BufferTooSmall> {
         let mut sink = SliceSink::new(buffer);
         self.put(&mut sink);
         sink.finish()
     }
 
-    /// Writes the message.
+    /// Writes the message to a sink.
     pub fn put(&self, sink: &mut (impl Sink + ?Sized)) {
         for field in [self.scope, self.state, self.id] {
             sink.put(field.as_bytes());

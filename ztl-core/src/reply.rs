@@ -1,33 +1,33 @@
-//! Answers as views over what is remembered; nothing is copied before it is written.
+//! Replies as views of what is stored; nothing is copied before it is written.
 
 use crate::integer::Integer;
 use crate::lifecycle::State;
 use crate::sink::{Sink, put_decimal};
 use crate::{TaskId, split_at_mark};
 
-/// The text that answers an `outcome` about an INIT that never came; the boot id follows.
+/// Prefix of the reply to `outcome` for an INIT that never arrived; the boot id follows.
 pub const NEVER_SEEN: &str = "never seen since boot ";
 
-/// What is wrong with a request that no handler gets to see; a server logs it.
+/// Why a request never reaches a handler; servers log it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum RefusalOf {
-    /// It is no message.
+    /// It is not a message.
     Protocol,
-    /// Its scope is not served.
+    /// Its scope is unknown.
     Scope,
 }
 
-/// Names texts, and keeps them one behind the other: a table of places takes 8 bytes for each.
+/// Names the reply texts and stores them in one string: an array of slices takes 8 bytes more for each.
 macro_rules! texts {
     ($($name:ident => $text:expr,)*) => {
-        /// All that a server says; the words are in [`template`](Self::template).
+        /// Every reply text; the wording is in [`template`](Self::template).
         #[derive(Debug, Clone, Copy, PartialEq, Eq)]
         pub(crate) enum Text {
             $($name,)*
         }
 
-        /// Each ends with a line break.
+        /// Each text ends with a line feed.
         const TEXTS: &str = concat!($($text, "\n",)*);
     };
 }
@@ -61,8 +61,8 @@ texts! {
 }
 
 impl Text {
-    /// What is written, but that marks stand for parts of the [`Reply`]: `@` its scope, `!` its state,
-    /// `#` its id, `^` the boot id, `%` the words.
+    /// The text with placeholders for parts of the [`Reply`]: `@` the scope, `!` the state, `#` the id, `^`
+    /// the boot id, `%` the variable part.
     pub(crate) fn template(self) -> &'static str {
         let (mut text, mut rest) = ("", TEXTS);
         for _ in 0..=self as u8 {
@@ -72,7 +72,7 @@ impl Text {
     }
 }
 
-/// An answer, as a view; [`put`](Self::put) writes it.
+/// A reply, as a view; [`put`](Self::put) writes it.
 #[derive(Clone, Copy)]
 pub struct Reply<'a> {
     pub(crate) scope: &'a str,
@@ -80,7 +80,7 @@ pub struct Reply<'a> {
     pub(crate) id: ReplyId<'a>,
     pub(crate) text: Text,
     pub(crate) words: Words<'a>,
-    /// Differs from start to start of the server.
+    /// Changes with each start of the server.
     pub(crate) boot: u32,
 }
 
@@ -90,22 +90,22 @@ pub(crate) enum ReplyId<'a> {
     Task(TaskId),
 }
 
-/// What a text does not say by itself.
+/// The variable part of a reply's text.
 #[derive(Clone, Copy)]
 pub(crate) enum Words<'a> {
-    /// A handler's.
+    /// What a handler said.
     Said(&'a str),
-    /// What there is to tell of the server.
+    /// What the server reports about itself.
     Put(&'a dyn Put),
 }
 
-/// Something that writes itself.
+/// Writes itself to a sink.
 pub(crate) trait Put {
     fn put(&self, sink: &mut dyn Sink);
 }
 
 impl<'a> Reply<'a> {
-    /// State 2, id -1, no scope: the answer to what cannot be read.
+    /// The reply to a request that cannot be read: state 2, id -1, no scope.
     pub(crate) const fn refusal(boot: u32) -> Self {
         Self {
             scope: "",
@@ -117,14 +117,14 @@ impl<'a> Reply<'a> {
         }
     }
 
-    /// Passes on what a handler said.
+    /// Sets the text to what a handler said.
     pub(crate) fn say(&mut self, words: &'a str) {
         self.text = Text::Words;
         self.words = Words::Said(words);
     }
 
-    /// Makes it the answer to the INIT of this task: accepted, or refused with another state.
-    // Apart in firmware, since it is needed in several places.
+    /// Turns this into the reply to the INIT of `task`: accepted, or rejected with another state.
+    // Not inlined in firmware: it has several callers.
     #[cfg_attr(target_os = "none", inline(never))]
     pub(crate) fn decide(&mut self, told: State, task: TaskId, words: &'a str) {
         self.state = told;
@@ -138,7 +138,7 @@ impl<'a> Reply<'a> {
         }
     }
 
-    /// What was wrong with the request as such, if anything was.
+    /// Why the request never reached a handler, if so.
     #[must_use]
     pub fn refusal_of(&self) -> Option<RefusalOf> {
         match self.text {
@@ -148,19 +148,19 @@ impl<'a> Reply<'a> {
         }
     }
 
-    /// The scope it is under.
+    /// The reply's scope.
     #[must_use]
     pub fn scope(&self) -> &'a str {
         self.scope
     }
 
-    /// The state it tells.
+    /// The reply's state.
     #[must_use]
     pub fn state(&self) -> State {
         self.state
     }
 
-    /// The task it is about, when that was given an id.
+    /// The task that the reply is about, if it has an id.
     #[must_use]
     pub fn task(&self) -> Option<TaskId> {
         match self.id {
@@ -169,13 +169,13 @@ impl<'a> Reply<'a> {
         }
     }
 
-    /// Writes the message.
+    /// Writes the message to a sink.
     pub fn put(&self, sink: &mut dyn Sink) {
         self.fill("@;!;#;", sink);
         self.fill(self.text.template(), sink);
     }
 
-    /// Writes a template, with what its marks stand for.
+    /// Writes a template and fills in its placeholders.
     fn fill(&self, template: &str, sink: &mut dyn Sink) {
         for byte in template.bytes() {
             match byte {

@@ -1,12 +1,12 @@
-//! Text in quotes, as Python's `repr` writes it (wire specification 6.2).
+//! Quoted text, as Python's `repr` writes it (wire specification 6.2).
 
 mod printable;
 
 use crate::sink::Sink;
 use printable::is_printable;
 
-/// Writes `text` in quotes: `'...'`, or `"..."` when it has a `'` and no `"`; the quote in use, the
-/// backslash and whatever cannot be printed are escaped.
+/// Writes `text` in quotes: `'...'`, or `"..."` if it contains `'` but no `"`. Escapes the quote in use, the
+/// backslash and unprintable characters.
 pub fn put_quoted(text: &str, sink: &mut (impl Sink + ?Sized)) {
     let quote = char::from(quote(text));
     put_char(quote, sink);
@@ -35,22 +35,22 @@ pub fn put_quoted(text: &str, sink: &mut (impl Sink + ?Sized)) {
     put_char(quote, sink);
 }
 
-/// The same for firmware, which has no 2 KiB for the table of what Python does not print: there
-/// that is what is not printed of ASCII. Byte by byte, since to look at letters costs a Cortex-M0 0.3 KiB.
+/// Like [`put_quoted`], but escapes only unprintable ASCII: the table of other unprintable characters takes
+/// 2 KiB of flash. Works on bytes, which saves 0.3 KiB on a Cortex-M0.
 pub fn put_quoted_small(text: &str, sink: &mut (impl Sink + ?Sized)) {
     put_in_quotes(text, quote(text), sink);
 }
 
-/// The same in double quotes, which is what YAML reads too if the text has nothing strange beyond ASCII.
+/// Like [`put_quoted_small`], in double quotes. Also valid YAML if the text beyond ASCII is printable.
 pub(crate) fn put_yaml_small(text: &str, sink: &mut (impl Sink + ?Sized)) {
     put_in_quotes(text, b'"', sink);
 }
 
-// Apart in firmware, since it is needed in two places.
+// Not inlined in firmware: it has two callers.
 #[cfg_attr(target_os = "none", inline(never))]
 fn put_in_quotes(text: &str, quote: u8, sink: &mut (impl Sink + ?Sized)) {
     sink.put(&[quote]);
-    // From here on it is not written yet.
+    // Start of the part that is not written yet.
     let mut plain = 0;
     for (at, byte) in text.bytes().enumerate() {
         let letter = match byte {
@@ -64,7 +64,7 @@ fn put_in_quotes(text: &str, quote: u8, sink: &mut (impl Sink + ?Sized)) {
         };
         sink.put(text.as_bytes().get(plain..at).unwrap_or_default());
         plain = at + 1;
-        // Such bytes begin with 0, 1 or 7.
+        // An escaped byte has the high digit 0, 1 or 7.
         let code = [b'\\', letter, b'0' + (byte >> 4), hex(byte & 0xf)];
         sink.put(
             code.get(..if letter == b'x' { 4 } else { 2 })
@@ -75,9 +75,9 @@ fn put_in_quotes(text: &str, quote: u8, sink: &mut (impl Sink + ?Sized)) {
     sink.put(&[quote]);
 }
 
-/// The quote in which a text stands.
+/// The quote to use for `text`.
 fn quote(text: &str) -> u8 {
-    // Not `contains`, which is faster with long texts, but larger.
+    // `contains` is faster on long texts, but takes more flash.
     let has = |mark| text.bytes().any(|byte| byte == mark);
     if has(b'\'') && !has(b'"') {
         b'"'
@@ -86,17 +86,17 @@ fn quote(text: &str) -> u8 {
     }
 }
 
-/// Writes `text` in double quotes as YAML reads it: the quote, the backslash and all beyond printable
-/// ASCII are escaped.
+/// Writes `text` as a YAML string in double quotes. Escapes the quote, the backslash and everything except
+/// printable ASCII.
 pub fn put_yaml(text: &str, sink: &mut (impl Sink + ?Sized)) {
     sink.put(b"\"");
     let mut code = 0;
     for (at, byte) in text.bytes().enumerate() {
-        // Not `chars`, which is larger.
+        // `chars` takes more flash.
         code = match byte {
             0x80..0xc0 => code << 6 | u32::from(byte & 0x3f),
             0xc0..0xf0 => u32::from(byte & 0x1f),
-            // Of four bytes more bits than a letter has.
+            // The first byte of four: keeps more bits than needed, which shift out.
             _ => u32::from(byte & 0x7f),
         };
         if !text.is_char_boundary(at + 1) {
@@ -135,7 +135,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn text_is_quoted_as_the_original_quotes_it() {
+    fn text_is_quoted_as_in_the_original() {
         for (text, quoted) in [
             ("hi", "'hi'"),
             ("it's", "\"it's\""),
@@ -155,7 +155,7 @@ mod tests {
     }
 
     #[test]
-    fn without_the_table_it_is_the_same_but_for_strange_characters() {
+    fn without_the_table_only_characters_beyond_ascii_differ() {
         let quoted = |put: fn(&str, &mut dyn Sink), text: &str| {
             let mut out = std::vec::Vec::new();
             put(text, &mut |bytes: &[u8]| out.extend_from_slice(bytes));
@@ -174,7 +174,7 @@ mod tests {
     }
 
     #[test]
-    fn the_name_of_a_devices_scope_has_no_end_within_either() {
+    fn a_device_scope_name_cannot_close_its_quotes() {
         let mut out = std::vec::Vec::new();
         put_yaml_small("it's \"a\"\n\\\x7fü", &mut |bytes: &[u8]| {
             out.extend_from_slice(bytes)
@@ -184,7 +184,7 @@ mod tests {
     }
 
     #[test]
-    fn text_for_yaml_is_ascii_and_has_no_end_within() {
+    fn yaml_text_is_ascii_and_cannot_close_its_quotes() {
         for (text, quoted) in [
             ("/base", r#""/base""#),
             (r#"say "hi" \n"#, r#""say \"hi\" \\n""#),

@@ -1,9 +1,9 @@
-//! Where encoders write: a caller's buffer, a growing vector, or only a counter.
+//! Where encoders write: a caller's buffer, a growing vector, or a counter.
 
-/// Takes the bytes that an encoder produces, in order.
+/// Receives the bytes that an encoder produces, in order.
 ///
-/// Encoders never fail half way: a sink that is full counts on, so that its owner can say how much
-/// room was needed. Any `FnMut(&[u8])` is a sink.
+/// An encoder never fails midway: a full sink keeps counting, so that its owner can report the size needed.
+/// Any `FnMut(&[u8])` is a sink.
 ///
 /// ```
 /// use ztl_core::sink::Sink;
@@ -13,7 +13,7 @@
 /// assert_eq!(grown, b"abc");
 /// ```
 pub trait Sink {
-    /// Takes the next bytes.
+    /// Receives the next bytes.
     fn put(&mut self, bytes: &[u8]);
 }
 
@@ -23,21 +23,21 @@ impl<F: FnMut(&[u8])> Sink for F {
     }
 }
 
-/// A sink over a caller's buffer, which counts on when the buffer is full.
+/// A sink over a caller's buffer. It keeps counting when the buffer is full.
 #[derive(Debug)]
 pub struct SliceSink<'a> {
     buffer: &'a mut [u8],
     wanted: usize,
 }
 
-/// The caller's buffer is too small for what was to be written into it.
+/// The caller's buffer is too small.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct BufferTooSmall {
-    /// Bytes that the whole would take.
+    /// Bytes needed for the whole output.
     pub needed: usize,
-    /// Bytes that there were.
+    /// Size of the buffer.
     pub available: usize,
 }
 
@@ -59,10 +59,10 @@ impl<'a> SliceSink<'a> {
         Self { buffer, wanted: 0 }
     }
 
-    /// The bytes written.
+    /// Returns the bytes written.
     ///
     /// # Errors
-    /// [`BufferTooSmall`] when more was put than the buffer holds.
+    /// [`BufferTooSmall`] if more was put than the buffer holds.
     pub fn finish(self) -> Result<&'a [u8], BufferTooSmall> {
         let available = self.buffer.len();
         let buffer: &'a [u8] = self.buffer;
@@ -75,7 +75,7 @@ impl<'a> SliceSink<'a> {
 
 impl Sink for SliceSink<'_> {
     fn put(&mut self, bytes: &[u8]) {
-        // In two steps, so that the compiler sees equal lengths.
+        // In two steps, so that the compiler sees that the lengths match.
         let rest = self.buffer.get_mut(self.wanted..);
         if let Some(room) = rest.and_then(|rest| rest.get_mut(..bytes.len())) {
             room.copy_from_slice(bytes);
@@ -101,11 +101,11 @@ pub fn put_decimal(sink: &mut (impl Sink + ?Sized), number: u32) {
     sink.put(digits.get(first..).unwrap_or_default());
 }
 
-/// `number` without its last digit, and that digit. By shifts: a division costs a Cortex-M0 0.4 KiB.
+/// Divides by 10: quotient and remainder. Uses shifts, because a division costs 0.4 KiB on a Cortex-M0.
 #[cfg_attr(target_os = "none", inline(never))]
 #[must_use]
 pub const fn div_10(number: u32) -> (u32, u8) {
-    // 0.8 of it, a little less: 0.75, and what that lacks.
+    // Approximates 0.8 × `number` from below.
     let mut tenth = (number >> 1) + (number >> 2);
     tenth += tenth >> 4;
     tenth += tenth >> 8;
@@ -119,11 +119,10 @@ pub const fn div_10(number: u32) -> (u32, u8) {
     }
 }
 
-/// Writes `value` with exactly `decimals` digits after the point (at most 6; none, no point),
-/// rounded half away from zero. Not a number and the infinities become `nan`, `inf` and `-inf`;
-/// beyond ±9e12 the value saturates.
+/// Writes `value` with exactly `decimals` digits after the point (at most 6; 0 writes no point), rounded half
+/// away from zero. Writes `nan`, `inf` and `-inf` for the special values; saturates beyond ±9e12.
 ///
-/// One multiplication and no `core::fmt`, which alone would cost a Cortex-M0 2.5 KiB.
+/// Takes one multiplication and no `core::fmt`, which would cost 2.5 KiB on a Cortex-M0.
 pub fn put_fixed(sink: &mut (impl Sink + ?Sized), value: f32, decimals: u8) {
     if value.is_nan() {
         return sink.put(b"nan");
@@ -162,7 +161,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_full_buffer_says_how_much_was_needed() {
+    fn a_full_buffer_reports_the_size_needed() {
         let mut buffer = [0xA5; 4];
         let mut sink = SliceSink::new(&mut buffer);
         sink.put(b"ab");
@@ -177,7 +176,7 @@ mod tests {
     }
 
     #[test]
-    fn numbers_with_decimals_are_written_as_the_standard_library_does() {
+    fn put_fixed_writes_what_the_standard_library_writes() {
         for value in [
             0.0f32, 0.04, 0.05, 1.0, 39.96, 40.0, -0.01, -90.0, 1234.56, 1e7,
         ] {
@@ -187,7 +186,7 @@ mod tests {
                 put_fixed(&mut sink, value, decimals);
                 let ours = std::str::from_utf8(sink.finish().unwrap()).unwrap();
                 let mut theirs = std::format!("{value:.*}", usize::from(decimals));
-                // Ours has no negative zero.
+                // Ours writes no negative zero.
                 if !theirs.contains(|c| ('1'..='9').contains(&c)) {
                     theirs = theirs.replace('-', "");
                 }
@@ -203,7 +202,7 @@ mod tests {
     }
 
     #[test]
-    fn the_last_digit_is_taken_off_exactly() {
+    fn div_10_is_exact() {
         let edges = [0, 9, 10, 19, 99_999, 1 << 31, u32::MAX - 6, u32::MAX];
         for number in (0..100_000)
             .chain(edges)
@@ -214,7 +213,7 @@ mod tests {
     }
 
     #[test]
-    fn decimals_are_written_without_leading_zeros() {
+    fn put_decimal_writes_no_leading_zeros() {
         for number in [0, 7, 10, 99, 100, 4_294_967_295] {
             let mut buffer = [0xA5; 12];
             let mut sink = SliceSink::new(&mut buffer);

@@ -1,46 +1,46 @@
-//! What a client asks for: a `handler:component:goal`, which travels as base64 in an INIT's payload.
+//! A task specification: `handler:component:goal`, sent as base64 in an INIT's payload.
 
 use crate::base64;
 use crate::repr::{put_quoted, put_quoted_small};
 use crate::sink::{BufferTooSmall, Sink, SliceSink};
 use crate::{TaskId, sink, split_at_mark, valid_start};
 
-/// Separates the three parts; a goal may contain it, handler and component may not.
+/// Separates the three parts. A goal may contain it; handler and component may not.
 pub const SEPARATOR: char = ':';
 
-/// A task's specification: who is to do it, with which part, to what end.
+/// A task specification: which handler acts, with which component, towards which goal.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct TaskSpec<'a> {
-    /// Who does it: a robot, a device, a program. `cob`. Neither it nor the component has a `:`, which
-    /// would end it: writing does not look.
+    /// Who acts: a robot, a device, a program, such as `cob`. Must not contain `:`; writing does not check
+    /// this.
     pub handler: &'a str,
-    /// Which part of it. `head`
+    /// The part that acts, such as `head`. Must not contain `:`; writing does not check this.
     pub component: &'a str,
-    /// What is to be reached. `left`, `[0, 0, 1.57]`
+    /// What to reach, such as `left` or `[0, 0, 1.57]`.
     pub goal: &'a str,
 }
 
-/// Why a payload is no task specification.
+/// Why a payload is not a task specification.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum SpecError {
     /// The payload is not base64.
     Base64(base64::DecodeError),
-    /// What was decoded is not UTF-8; valid up to this byte.
+    /// The decoded bytes are not UTF-8.
     NotUtf8 {
-        /// Offset of the first bad byte in the decoded text.
+        /// Offset of the first invalid byte in the decoded text.
         at: usize,
     },
-    /// There is no `:`, so the component is missing.
+    /// The component is missing: there is no `:`.
     NoComponent,
-    /// There is one `:`, so the goal is missing.
+    /// The goal is missing: there is only one `:`.
     NoGoal,
 }
 
 impl core::fmt::Display for SpecError {
-    /// For a missing part the original's text, the quoted name of the part (wire specification 4.6).
+    /// For a missing part, the original's text: the part's name in quotes (wire specification 4.6).
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
         match self {
             Self::Base64(cause) => cause.fmt(f),
@@ -64,7 +64,7 @@ impl<'a> TaskSpec<'a> {
     /// Splits `handler:component:goal` at the first two `:`.
     ///
     /// # Errors
-    /// [`SpecError::NoComponent`] or [`SpecError::NoGoal`] when there are fewer.
+    /// [`SpecError::NoComponent`] or [`SpecError::NoGoal`] if there are fewer.
     #[cfg_attr(target_os = "none", inline(always))]
     pub fn split(text: &'a str) -> Result<Self, SpecError> {
         let (handler, rest) = split_at_mark(text, SEPARATOR).ok_or(SpecError::NoComponent)?;
@@ -76,11 +76,11 @@ impl<'a> TaskSpec<'a> {
         })
     }
 
-    /// Decodes an INIT's payload. The parts stand in `buffer`, which needs three quarters of the
+    /// Decodes an INIT's payload. The parts are views of `buffer`, which needs three quarters of the
     /// payload's length.
     ///
     /// # Errors
-    /// As [`SpecError`] says.
+    /// [`SpecError`] if the payload is not base64, not UTF-8, or lacks a part.
     pub fn decode(payload: &str, buffer: &'a mut [u8]) -> Result<Self, SpecError> {
         let bytes = base64::decode(payload.as_bytes(), buffer).map_err(SpecError::Base64)?;
         let text = valid_start(bytes);
@@ -90,7 +90,7 @@ impl<'a> TaskSpec<'a> {
         Self::split(text)
     }
 
-    /// Length of [`encode_into`](Self::encode_into)'s text in bytes.
+    /// Length of the base64 form in bytes.
     #[must_use]
     pub fn encoded_len(&self) -> usize {
         let plain = self.handler.len() + self.component.len() + self.goal.len() + 2;
@@ -100,7 +100,7 @@ impl<'a> TaskSpec<'a> {
     /// Writes the base64 form into `buffer`.
     ///
     /// # Errors
-    /// [`BufferTooSmall`] when the buffer is shorter than [`encoded_len`](Self::encoded_len).
+    /// [`BufferTooSmall`] if the buffer is shorter than [`encoded_len`](Self::encoded_len).
     pub fn encode_into<'b>(&self, buffer: &'b mut [u8]) -> Result<&'b str, BufferTooSmall> {
         let mut sink = SliceSink::new(buffer);
         self.put(&mut sink);
@@ -109,7 +109,7 @@ impl<'a> TaskSpec<'a> {
         Ok(core::str::from_utf8(text).unwrap_or_default())
     }
 
-    /// Writes the base64 form.
+    /// Writes the base64 form to a sink.
     pub fn put(&self, sink: &mut (impl Sink + ?Sized)) {
         let mut encoder = base64::Encoder::new(sink);
         encoder.put(self.handler.as_bytes());
@@ -120,14 +120,14 @@ impl<'a> TaskSpec<'a> {
         encoder.finish();
     }
 
-    /// Writes the text with which the original's standard controller answers an INIT
-    /// (wire specification 4.6):
+    /// Writes the text with which the original's standard controller answers an INIT (wire specification
+    /// 4.6):
     /// `Initiated task '7' with request: {'handler': 'cob', 'component': 'head', 'goal': 'left'}`.
     pub fn put_initiated(&self, id: TaskId, sink: &mut (impl Sink + ?Sized)) {
         self.put_initiated_by(put_quoted, id, sink);
     }
 
-    /// The same for firmware, as [`put_quoted_small`] quotes.
+    /// Like [`put_initiated`](Self::put_initiated), for firmware: quotes with [`put_quoted_small`].
     pub fn put_initiated_small(&self, id: TaskId, sink: &mut (impl Sink + ?Sized)) {
         self.put_initiated_by(put_quoted_small, id, sink);
     }

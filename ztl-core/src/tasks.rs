@@ -1,27 +1,27 @@
-//! Tasks and what is remembered of them: ids, states, results.
+//! The task table: ids, states and results.
 //!
-//! The rules are written once, in [`TaskRules`], over any place where tasks are kept ([`Tasks`]):
-//! [`TaskTable`] needs no heap, and `ztl-std` has a keeper for thousands. When there is no room for
-//! another, the oldest end is given up; a running task never is.
+//! The rules are written once, in [`TaskRules`], for any storage ([`Tasks`]). [`TaskTable`] needs no heap;
+//! `ztl-std` has a storage for thousands of tasks. To make room for a new task, the oldest ended task is
+//! dropped; a running task never is.
 
 use crate::Instant;
 use crate::lifecycle::{Event, State};
 
-/// A task as it is remembered. `X` is what the owner needs besides: a scope, a component.
+/// An entry of the task table. `X` is what the owner adds: a scope, a component.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub struct Task<X, T> {
-    /// Where it is in its life.
+    /// Its state.
     pub state: State,
-    /// Progress while it runs, the result or the reason once it has ended.
+    /// Progress while the task runs; result or reason once it has ended.
     pub text: T,
-    /// When it ended, [`Instant::NEVER`] while it runs; what ended first is given up first.
+    /// When the task ended; [`Instant::NEVER`] while it runs. The task that ended first is dropped first.
     pub ended: Instant,
-    /// What the owner needs besides.
+    /// What the owner adds.
     pub extra: X,
 }
 
 impl<X, T: Text> Task<X, T> {
-    /// A task that nobody has decided about.
+    /// Creates a task that is not decided yet.
     pub fn new(extra: X) -> Self {
         Self {
             state: State::Initiated,
@@ -31,7 +31,7 @@ impl<X, T: Text> Task<X, T> {
         }
     }
 
-    /// Moves the task on, and says whether that changed anything: a final state never changes.
+    /// Applies an event and returns whether it changed anything: a final state never changes.
     pub fn apply(&mut self, now: Instant, event: Event, text: Option<&str>) -> bool {
         let Some(state) = self.state.after(event) else {
             return false;
@@ -47,13 +47,13 @@ impl<X, T: Text> Task<X, T> {
     }
 }
 
-/// A text that is kept: progress, result, reason.
+/// Storage for a text: progress, result or reason.
 pub trait Text: Default + AsRef<str> {
-    /// Replaces the text; what does not fit is cut at a character's boundary, and `…` marks the cut.
+    /// Replaces the text. Text that does not fit is cut at a character boundary and ends in `…`.
     fn set(&mut self, text: &str);
 }
 
-/// Marks where a text was cut.
+/// Marks a cut.
 const CUT: &str = "…";
 
 impl<const N: usize> Text for heapless::String<N> {
@@ -65,13 +65,13 @@ impl<const N: usize> Text for heapless::String<N> {
     }
 }
 
-/// Adds of a text what fits, at whole characters, when the mark of a cut has its room behind it; if that is not
-/// all, the mark, and says so.
+/// Appends as much of `text` as fits, in whole characters, and `…` if it had to be cut. Returns whether it
+/// was.
 #[cfg_attr(target_os = "none", inline(never))]
 pub fn push_cut(kept: &mut heapless::string::StringView, text: &str) -> bool {
     let room = kept.capacity().saturating_sub(CUT.len());
     let fitting = text.floor_char_boundary(room.saturating_sub(kept.len()));
-    // Neither can fail: there is room for both.
+    // Neither push can fail: the capacity was checked.
     let _ = kept.push_str(text.get(..fitting).unwrap_or_default());
     let is_cut = fitting < text.len();
     if is_cut {
@@ -80,13 +80,13 @@ pub fn push_cut(kept: &mut heapless::string::StringView, text: &str) -> bool {
     is_cut
 }
 
-/// There is no room for another task: every one that is remembered runs.
+/// Every task in the table is running, so there is no room for another.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct NoRoom;
 
 impl NoRoom {
-    /// What is wrong, as a text.
+    /// The error message.
     #[must_use]
     pub const fn as_str(self) -> &'static str {
         "too many tasks are running"
@@ -101,59 +101,60 @@ impl core::fmt::Display for NoRoom {
 
 impl core::error::Error for NoRoom {}
 
-/// A task as a keeper of the type `K` has it.
+/// A task as storage `K` holds it.
 pub type TaskOf<K> = Task<<K as Tasks>::Extra, <K as Tasks>::Text>;
 
-/// Takes out the first entry that is wanted.
+/// Removes and returns the first entry that is `wanted`.
 pub(crate) fn take_out<T>(
-    places: &mut [Option<T>],
+    entries: &mut [Option<T>],
     mut wanted: impl FnMut(&mut T) -> bool,
 ) -> Option<T> {
-    for place in places {
-        if place.as_mut().is_some_and(&mut wanted) {
-            return place.take();
+    for entry in entries {
+        if entry.as_mut().is_some_and(&mut wanted) {
+            return entry.take();
         }
     }
     None
 }
 
-/// Where tasks are kept. Only keeps; the rules are in [`TaskRules`].
+/// Storage for tasks. It only stores; the rules are in [`TaskRules`].
 pub trait Tasks {
-    /// The number by which a task is found.
+    /// Identifies a task.
     type Id: Copy + Ord;
-    /// What the owner needs besides.
+    /// What the owner adds to each task.
     type Extra;
-    /// How texts are kept.
+    /// How texts are stored.
     type Text: Text;
 
     /// The task with this id.
     fn get(&self, id: Self::Id) -> Option<&TaskOf<Self>>;
-    /// The task with this id, to be changed.
+    /// The task with this id, mutable.
     fn get_mut(&mut self, id: Self::Id) -> Option<&mut TaskOf<Self>>;
-    /// Whether one more task may run, whether or not there is room to remember it. Default: yes.
+    /// Whether one more task may run, regardless of storage. Defaults to `true`.
     fn may_run(&self) -> bool {
         true
     }
-    /// Makes room for one more, if need be by forgetting the oldest end; says whether there is some now.
+    /// Makes room for one more task, by dropping the oldest ended task if necessary. Returns whether there is
+    /// room.
     fn make_room(&mut self) -> bool;
-    /// Adds a task whose id is not kept yet; `None` when no more fit.
+    /// Adds a task under a new id; `None` if the table is full.
     fn insert(&mut self, id: Self::Id, task: TaskOf<Self>) -> Option<&mut TaskOf<Self>>;
-    /// Forgets a task.
+    /// Drops a task.
     fn remove(&mut self, id: Self::Id);
-    /// Told once when a task has ended, so that a keeper can keep the order of the ends.
+    /// Called once when a task has ended, so that the storage can keep the order of ends.
     fn on_ended(&mut self, id: Self::Id);
-    /// The first of the ends.
+    /// The task that ended first.
     fn oldest_end(&self) -> Option<(Self::Id, Instant)>;
-    /// Every task, in any order.
+    /// All tasks, in any order.
     fn iter(&self) -> impl Iterator<Item = (Self::Id, &TaskOf<Self>)>;
 }
 
-/// The rules by which tasks come, change and go; every keeper has them.
+/// The rules for adding, changing and dropping tasks; the same for every storage.
 pub trait TaskRules: Tasks {
-    /// Adds a task. When there is no room, the oldest end is given up for it.
+    /// Adds a task. If the table is full, drops the oldest ended task to make room.
     ///
     /// # Errors
-    /// [`NoRoom`] when every task runs.
+    /// [`NoRoom`] if every task is running.
     fn admit(&mut self, id: Self::Id, task: TaskOf<Self>) -> Result<&mut TaskOf<Self>, NoRoom> {
         if !self.may_run() || !self.make_room() {
             return Err(NoRoom);
@@ -161,7 +162,7 @@ pub trait TaskRules: Tasks {
         self.insert(id, task).ok_or(NoRoom)
     }
 
-    /// Moves a task on, as [`Task::apply`] does.
+    /// Applies an event to a task, see [`Task::apply`].
     fn apply(&mut self, now: Instant, id: Self::Id, event: Event, text: Option<&str>) -> bool {
         let Some(task) = self.get_mut(id) else {
             return false;
@@ -173,7 +174,7 @@ pub trait TaskRules: Tasks {
         changed
     }
 
-    /// Sets the progress of a task that has not ended; says whether there is one.
+    /// Sets the progress of a running task; returns whether there is such a task.
     fn progress(&mut self, id: Self::Id, text: &str) -> bool {
         match self.get_mut(id) {
             Some(task) if !task.state.is_final() => {
@@ -184,7 +185,7 @@ pub trait TaskRules: Tasks {
         }
     }
 
-    /// Forgets what ended at `end` or before.
+    /// Drops every task that ended at `end` or earlier.
     fn forget_until(&mut self, end: Instant) {
         while let Some((id, ended)) = self.oldest_end()
             && ended <= end
@@ -196,7 +197,7 @@ pub trait TaskRules: Tasks {
 
 impl<T: Tasks + ?Sized> TaskRules for T {}
 
-/// At most `N` tasks with texts of at most `TEXT` bytes, without a heap. `I` is the id.
+/// At most `N` tasks with texts of at most `TEXT` bytes, without a heap. `I` is the type of ids.
 ///
 /// ```
 /// use ztl_core::tasks::{Task, TaskRules, TaskTable, Tasks};
@@ -208,17 +209,17 @@ impl<T: Tasks + ?Sized> TaskRules for T {}
 ///     table.admit(id, Task::new(())).unwrap();
 ///     table.apply(now, id, Event::Accept, None);
 /// }
-/// assert!(table.admit(3, Task::new(())).is_err(), "a running task is never given up");
+/// assert!(table.admit(3, Task::new(())).is_err(), "a running task is never dropped");
 /// table.apply(now, 1, Event::Complete, Some("40.0"));
-/// assert!(!table.apply(now, 1, Event::Abort, None), "an end is an end");
+/// assert!(!table.apply(now, 1, Event::Abort, None), "a final state never changes");
 /// table.admit(3, Task::new(())).unwrap();
-/// assert!(table.get(1).is_none(), "its end was given up");
+/// assert!(table.get(1).is_none(), "the ended task made room");
 /// assert_eq!(table.get(2).unwrap().state, State::Accepted);
 /// ```
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub struct TaskTable<I, X, const N: usize, const TEXT: usize> {
-    // Places, and no list: to close a gap costs a Cortex-M0 more code than to pass over it.
-    places: [Option<Entry<I, X, TEXT>>; N],
+    // Slots instead of a compact list: closing a gap takes more flash on a Cortex-M0 than skipping it.
+    slots: [Option<Entry<I, X, TEXT>>; N],
 }
 
 type Entry<I, X, const TEXT: usize> = (I, Task<X, heapless::String<TEXT>>);
@@ -228,25 +229,25 @@ impl<I, X, const N: usize, const TEXT: usize> TaskTable<I, X, N, TEXT> {
     #[must_use]
     pub const fn new() -> Self {
         Self {
-            places: [const { None }; N],
+            slots: [const { None }; N],
         }
     }
 
-    /// How many tasks there are.
+    /// Number of tasks.
     #[must_use]
     pub fn len(&self) -> usize {
-        self.places.iter().flatten().count()
+        self.slots.iter().flatten().count()
     }
 
-    /// Whether there are none.
+    /// Whether the table is empty.
     #[must_use]
     pub fn is_empty(&self) -> bool {
-        self.places.iter().all(Option::is_none)
+        self.slots.iter().all(Option::is_none)
     }
 
-    /// Every task, to be changed.
+    /// All tasks, mutable.
     pub fn iter_mut(&mut self) -> impl Iterator<Item = &mut Entry<I, X, TEXT>> {
-        self.places.iter_mut().flatten()
+        self.slots.iter_mut().flatten()
     }
 }
 
@@ -273,31 +274,31 @@ impl<I: Copy + Ord, X, const N: usize, const TEXT: usize> Tasks for TaskTable<I,
 
     fn make_room(&mut self) -> bool {
         let (mut oldest, mut end) = (None, Instant::NEVER);
-        for place in &mut self.places {
-            match place {
+        for slot in &mut self.slots {
+            match slot {
                 None => return true,
                 Some((_, task)) if task.ended < end => {
                     end = task.ended;
-                    oldest = Some(place);
+                    oldest = Some(slot);
                 }
                 Some(_) => {}
             }
         }
-        if let Some(place) = oldest {
-            *place = None;
+        if let Some(slot) = oldest {
+            *slot = None;
             return true;
         }
         false
     }
 
     fn insert(&mut self, id: I, task: Task<X, Self::Text>) -> Option<&mut Task<X, Self::Text>> {
-        let place = self.places.iter_mut().find(|place| place.is_none())?;
-        let (_, task) = place.insert((id, task));
+        let slot = self.slots.iter_mut().find(|slot| slot.is_none())?;
+        let (_, task) = slot.insert((id, task));
         Some(task)
     }
 
     fn remove(&mut self, id: I) {
-        take_out(&mut self.places, |(known, _)| *known == id);
+        take_out(&mut self.slots, |(known, _)| *known == id);
     }
 
     fn on_ended(&mut self, _id: I) {}
@@ -309,7 +310,7 @@ impl<I: Copy + Ord, X, const N: usize, const TEXT: usize> Tasks for TaskTable<I,
     }
 
     fn iter(&self) -> impl Iterator<Item = (I, &Task<X, Self::Text>)> {
-        self.places.iter().flatten().map(|(id, task)| (*id, task))
+        self.slots.iter().flatten().map(|(id, task)| (*id, task))
     }
 }
 
@@ -320,7 +321,7 @@ mod tests {
     type Table = TaskTable<u8, (), 2, 16>;
 
     #[test]
-    fn the_oldest_end_goes_first_and_time_goes_over_all() {
+    fn the_oldest_ended_task_is_dropped_first_then_all_expired_ones() {
         let mut table = Table::new();
         let at = Instant::from_millis;
         for (id, end) in [(1, 20), (2, 10)] {
@@ -337,7 +338,7 @@ mod tests {
     }
 
     #[test]
-    fn a_text_that_does_not_fit_is_cut_at_a_character_and_marked() {
+    fn a_text_that_does_not_fit_is_cut_at_a_character_boundary() {
         for (text, kept) in [
             ("12345678", "12345678"),
             ("123456789", "12345…"),

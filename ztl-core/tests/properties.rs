@@ -1,7 +1,6 @@
-//! Properties that hold for any input: what is written is read again, and what cannot be read is
-//! an error that names a place within. [`proptest`] makes inputs up and shortens one that fails; it
-//! keeps that in `properties.regressions`, which is to be committed. `PROPTEST_CASES=100000` tries
-//! harder.
+//! Properties that hold for any input: what is written reads back, and invalid input gives an error at a
+//! position within it. [`proptest`] generates inputs, shrinks a failing one and stores it in
+//! `properties.regressions`; commit that file. `PROPTEST_CASES=100000` tests harder.
 
 #![expect(
     clippy::unwrap_used,
@@ -30,7 +29,7 @@ fn config() -> ProptestConfig {
     }
 }
 
-/// Any text; now and then with what separates fields and parts.
+/// Any text, sometimes with the separators of fields and parts.
 fn text() -> impl Strategy<Value = String> {
     prop_oneof![any::<String>(), "[;:= /a-z0-9üß\u{0}\u{feff}🤖]{0,40}"]
 }
@@ -39,7 +38,7 @@ fn without(mark: char) -> impl Strategy<Value = String> {
     text().prop_map(move |text| text.replace(mark, ""))
 }
 
-/// What a number in decimal is written as, and how it might come.
+/// An integer in plain decimal, and in another valid spelling.
 fn number() -> impl Strategy<Value = (String, String)> {
     let digits = "0{0,3}[0-9](_?[0-9]){0,40}";
     let blanks = "[ \t\n\u{b}\u{c}\r]{0,3}";
@@ -54,7 +53,7 @@ fn number() -> impl Strategy<Value = (String, String)> {
     })
 }
 
-/// What a body of the link may consist of; [`body`] takes what the message of a tag needs.
+/// Building blocks for bodies of link messages; [`body`] picks what each tag needs.
 #[derive(Debug, Clone)]
 struct Parts {
     small: [u8; 5],
@@ -119,7 +118,7 @@ fn parts() -> impl Strategy<Value = Parts> {
     })
 }
 
-/// How many messages there are; their tags count from 0.
+/// Number of message types; their tags count from 0.
 const MESSAGES: u8 = 17;
 
 fn body(tag: u8, parts: &Parts) -> Body<'_> {
@@ -226,7 +225,7 @@ proptest! {
     #![proptest_config(config())]
 
     #[test]
-    fn a_message_that_is_written_is_read_again(
+    fn messages_round_trip(
         scope in without(';'), state in without(';'), id in without(';'), payload in text(),
     ) {
         let message = Message { scope: &scope, state: &state, id: &id, payload: &payload };
@@ -236,7 +235,7 @@ proptest! {
     }
 
     #[test]
-    fn bytes_are_a_message_or_an_error_that_names_a_place_within(
+    fn any_bytes_give_a_message_or_an_error_within_them(
         bytes in prop_oneof![vec(any::<u8>(), 0..60), text().prop_map(String::into_bytes)],
     ) {
         match Message::parse(&bytes) {
@@ -252,14 +251,14 @@ proptest! {
     }
 
     #[test]
-    fn a_number_is_read_however_it_is_written((plain, written) in number()) {
+    fn integers_are_read_in_every_spelling((plain, written) in number()) {
         let number = Integer::parse(&written).unwrap();
         prop_assert_eq!(grown(|sink| number.put(sink)), plain.as_bytes());
         prop_assert_eq!(number.value(), plain.parse().ok());
     }
 
     #[test]
-    fn a_text_is_a_number_or_an_error_that_names_a_place_within(
+    fn any_text_gives_an_integer_or_an_error_within_it(
         text in prop_oneof![text(), "[ +_0-9x٣-]{0,12}"],
     ) {
         if let Err(ParseIntegerError::Unexpected { at }) = Integer::parse(&text) {
@@ -268,7 +267,7 @@ proptest! {
     }
 
     #[test]
-    fn a_task_that_is_written_is_read_again(
+    fn task_specs_round_trip(
         handler in without(':'), component in without(':'), goal in text(),
     ) {
         let spec = TaskSpec { handler: &handler, component: &component, goal: &goal };
@@ -281,7 +280,7 @@ proptest! {
     }
 
     #[test]
-    fn bytes_come_back_from_base64_in_whatever_pieces_they_went(
+    fn base64_round_trips_when_fed_in_pieces(
         pieces in vec(vec(any::<u8>(), 0..9), 0..9),
     ) {
         let encoded = grown(|sink| {
@@ -294,7 +293,7 @@ proptest! {
     }
 
     #[test]
-    fn a_body_that_is_written_is_read_again(parts in parts(), more in vec(any::<u8>(), 1..5)) {
+    fn bodies_round_trip(parts in parts(), more in vec(any::<u8>(), 1..5)) {
         for tag in 0..MESSAGES {
             let body = body(tag, &parts);
             let mut written = grown(|sink| body.put(sink));
@@ -309,7 +308,7 @@ proptest! {
     }
 
     #[test]
-    fn a_frame_that_is_written_is_read_again_in_its_session_alone(
+    fn frames_round_trip_within_their_session_only(
         parts in parts(), addr: u8, seq: u8, session: u32, other: u32, noise in vec(1u8.., 0..9),
     ) {
         prop_assume!(session != other);
@@ -334,7 +333,7 @@ proptest! {
     }
 
     #[test]
-    fn bytes_are_a_body_or_an_error_that_counts_within(bytes in vec(any::<u8>(), 0..40)) {
+    fn any_bytes_give_a_body_or_an_error_within_them(bytes in vec(any::<u8>(), 0..40)) {
         match Body::parse(&bytes) {
             Err(BodyError::Trailing { extra }) => {
                 prop_assert!(extra > 0 && extra < bytes.len());
@@ -342,7 +341,7 @@ proptest! {
             Err(BodyError::UnknownTag { tag }) => prop_assert!(tag >= u32::from(MESSAGES)),
             Err(_) => {}
             Ok(body) => {
-                // As bytes, since what is not a number is not equal to itself.
+                // Compared as bytes, because NaN does not equal itself.
                 let written = grown(|sink| body.put(sink));
                 prop_assert!(written.len() <= bytes.len());
                 let again = Body::parse(&written).unwrap();

@@ -1,5 +1,5 @@
-//! [`TaskTable`] beside a plain list with the same rules: what is remembered, and which end is
-//! given up when.
+//! Compares [`TaskTable`] with a plain list under the same rules: which tasks are kept, and which is dropped
+//! when.
 
 #![expect(
     clippy::unwrap_used,
@@ -16,13 +16,13 @@ use proptest::test_runner::FileFailurePersistence;
 use ztl_core::tasks::{NoRoom, Task, TaskRules, TaskTable, Tasks, Text};
 use ztl_core::{Event, Instant, State};
 
-/// How many tasks the table holds, and bytes of each text.
+/// Capacity of the table in tasks, and of each text in bytes.
 const TASKS: usize = 3;
 const TEXT: usize = 8;
 
 type Table = TaskTable<u32, (), TASKS, TEXT>;
 
-/// What can be done to a table; a task is meant by how many came after it.
+/// An operation on the table; `task` counts back from the newest.
 #[derive(Debug, Clone)]
 enum Step {
     Admit,
@@ -46,7 +46,7 @@ fn step() -> impl Strategy<Value = Step> {
     ]
 }
 
-/// A task as the list has it.
+/// A task in the list.
 #[derive(Debug, Clone, PartialEq)]
 struct Known {
     state: State,
@@ -58,12 +58,12 @@ struct Known {
 struct List(BTreeMap<u32, Known>);
 
 impl List {
-    /// When the first of the ends was.
+    /// When the oldest ended task ended.
     fn oldest_end(&self) -> Option<Instant> {
         self.0.values().filter_map(|task| task.ended).min()
     }
 
-    /// Adds a task. Which of several ends at the same moment is given up for it, the table chooses.
+    /// Adds a task. If several tasks ended at the same time, drops the one that the table dropped.
     fn admit(&mut self, id: u32, table: &Table) -> Result<(), NoRoom> {
         if self.0.len() == TASKS {
             let oldest = self.oldest_end().ok_or(NoRoom)?;
@@ -74,7 +74,7 @@ impl List {
                 .0
                 .iter()
                 .find_map(gone)
-                .expect("one of the oldest is gone");
+                .expect("one of the oldest was dropped");
             self.0.remove(&gone);
         }
         let (state, text, ended) = (State::Initiated, String::new(), None);
@@ -108,7 +108,7 @@ impl List {
     }
 }
 
-/// The text, or as many characters of it as fit with the mark of the cut.
+/// The text, or as many characters as fit before `…`.
 fn cut(text: &str) -> String {
     if text.len() <= TEXT {
         return text.to_owned();
@@ -131,7 +131,7 @@ fn remembered(table: &Table) -> BTreeMap<u32, Known> {
             text,
             ended: (*ended != Instant::NEVER).then_some(*ended),
         };
-        assert!(all.insert(id, known).is_none(), "{id} is there twice");
+        assert!(all.insert(id, known).is_none(), "{id} occurs twice");
     }
     all
 }
@@ -143,7 +143,7 @@ proptest! {
     })]
 
     #[test]
-    fn a_table_remembers_and_gives_up_what_a_list_does(steps in vec(step(), 0..80)) {
+    fn the_table_keeps_and_drops_the_same_tasks_as_the_list(steps in vec(step(), 0..80)) {
         let (mut table, mut list) = (Table::new(), List::default());
         let (mut now, mut last) = (Instant::ZERO, 0);
         for step in steps {
@@ -183,7 +183,7 @@ proptest! {
     }
 
     #[test]
-    fn a_text_is_kept_whole_or_cut_at_a_character(text: String) {
+    fn a_text_is_kept_whole_or_cut_at_a_character_boundary(text: String) {
         let mut kept = heapless::String::<TEXT>::new();
         kept.set(&text);
         prop_assert_eq!(kept.as_str(), cut(&text));

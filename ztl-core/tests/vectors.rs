@@ -1,5 +1,5 @@
-//! Every case recorded from the original's codecs (`vectors/ztl-0.3.3-codec.json`), read and written
-//! by ours. `vectors/differences.json` is the whole list of those where we differ on purpose.
+//! Every case recorded from the original's codecs (`vectors/ztl-0.3.3-codec.json`), read and written by ours.
+//! `vectors/differences.json` lists all intended differences.
 
 #![expect(
     clippy::unwrap_used,
@@ -18,7 +18,7 @@ fn vectors() -> Value {
     serde_json::from_str(include_str!("vectors/ztl-0.3.3-codec.json")).unwrap()
 }
 
-/// Whether a field is listed as one that the original reads as a number and we refuse.
+/// Whether the list has this field as one that the original reads as a number and we reject.
 fn is_difference(field: &str) -> bool {
     let list: Value = serde_json::from_str(include_str!("vectors/differences.json")).unwrap();
     let mut numbers = list["numbers"].as_array().unwrap().iter();
@@ -51,7 +51,7 @@ fn bytes(hex: &str) -> Vec<u8> {
 }
 
 #[test]
-fn codes_are_the_originals() {
+fn codes_equal_the_originals() {
     let vectors = vectors();
     for state in State::ALL {
         assert_eq!(vectors["states"][state.name()], state.code());
@@ -66,7 +66,7 @@ fn codes_are_the_originals() {
 }
 
 #[test]
-fn messages_are_written_as_the_original_writes_them() {
+fn messages_are_written_as_by_the_original() {
     for case in cases("message_encode") {
         let message = Message {
             scope: text(&case, "scope"),
@@ -82,7 +82,7 @@ fn messages_are_written_as_the_original_writes_them() {
 }
 
 #[test]
-fn messages_are_read_as_the_original_reads_them() {
+fn messages_are_read_as_by_the_original() {
     for case in cases("message_decode") {
         let wire = bytes(text(&case, "bytes"));
         let decoded = &case["decoded"];
@@ -132,7 +132,7 @@ fn assert_number(case: &Value, name: &str, field: &str) {
 }
 
 #[test]
-fn tasks_are_written_as_the_original_writes_them() {
+fn task_specs_are_written_as_by_the_original() {
     for case in cases("task_encode") {
         let spec = TaskSpec {
             handler: text(&case, "handler"),
@@ -146,7 +146,7 @@ fn tasks_are_written_as_the_original_writes_them() {
 }
 
 #[test]
-fn tasks_are_read_as_the_original_reads_them() {
+fn task_specs_are_read_as_by_the_original() {
     for case in cases("task_decode") {
         let mut buffer = [0xA5; 128];
         let decoded = &case["decoded"];

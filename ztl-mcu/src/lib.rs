@@ -1,15 +1,15 @@
-//! Firmware of a smart actuator as a ZTL handler, without `std` and without an allocator.
+//! ZTL for the firmware of smart actuators, without `std` and without an allocator.
 //!
-//! Implement [`Component`] for each thing that moves (servos, steppers and plain pins are ready in `components`,
-//! with the feature of that name), give them to a [`Node`], feed it the bytes that arrive and send those
-//! it returns. The gateway (`ztl gateway`) does the rest.
+//! Implement [`Component`] for each moving part, or use the ready ones in `components` (feature `components`)
+//! for servos, steppers and plain pins. Pass them to a [`Node`], feed it the bytes that arrive and send the
+//! bytes it returns. The gateway (`ztl gateway`) does the rest.
 //!
 //! ```
 //! use ztl_mcu::{Component, Identity, Node, Refused, Report, Run};
 //! use ztl_mcu::link::{Busy, GoalShape, Loss, Offer};
 //! use ztl_mcu::Instant;
 //!
-//! /// A lamp that is switched at once.
+//! /// A lamp that switches immediately.
 //! struct Lamp { on: bool }
 //!
 //! impl Component for Lamp {
@@ -39,32 +39,32 @@
 //! }
 //!
 //! # fn boots() -> u32 { 4711 }
-//! // Another number at each boot: random, or counted in flash. At most 2 tasks, frames of at most
+//! // A number that changes with each boot: random, or a counter in flash. At most 2 tasks and frames of
 //! // 128 bytes.
 //! let identity = Identity::new("desk", "1.0.0", boots());
 //! let mut node = Node::<_, 2, 128>::new(identity, [Lamp { on: false }]);
 //!
-//! // The main loop: bytes in, time passes, bytes out.
+//! // The main loop: feed bytes, advance time, send bytes.
 //! let now = Instant::from_millis(0);
 //! node.handle_bytes(now, &[0x00]);
 //! node.handle_timeout(now);
 //! let mut bytes = [0; 64];
 //! let sent = node.poll_transmit(now, &mut bytes);
-//! assert!(sent > 0, "it announces itself");
+//! assert!(sent > 0, "announces itself");
 //! ```
 //!
-//! # What is where
+//! # Overview
 //!
-//! | for | look at | feature |
+//! | to | use | feature |
 //! |---|---|---|
-//! | what moves | [`Component`]; `components` has ready ones on `embedded-hal` | `components` |
-//! | goals that are structs, enums, numbers | `Actuator`, `Typed` | `serde` (default) |
-//! | readings that are published | [`Component::poll_reading`], [`Latest`], [`Queued`] | |
-//! | the main loop on a serial port | [`pump::Pump`]; as a future, `Pump::run` | `async` for that |
-//! | what interrupts share with it | `shared`: received bytes, emergency stop, limit switches, log | `critical-section` |
-//! | defmt's log over the link | `defmt_logger!` | `defmt` |
-//! | the protocol itself | [`link`], and `docs/link.md` | |
-//! | clients without a gateway, over TCP or USB | `zmtp`, and `docs/zmtp.md` | `zmtp` |
+//! | move a part | [`Component`]; ready ones for `embedded-hal` in `components` | `components` |
+//! | take goals as structs, enums, numbers | `Actuator`, `Typed` | `serde` (default) |
+//! | publish readings | [`Component::poll_reading`], [`Latest`], [`Queued`] | |
+//! | run the main loop on a serial port | [`pump::Pump`]; as a future, `Pump::run` | `async` for the future |
+//! | share data with interrupts | `shared`: received bytes, emergency stop, limit switches, log | `critical-section` |
+//! | send defmt's log over the link | `defmt_logger!` | `defmt` |
+//! | use the protocol directly | [`link`], and `docs/link.md` | |
+//! | serve clients without a gateway, over TCP or USB | `zmtp`, and `docs/zmtp.md` | `zmtp` |
 #![no_std]
 
 #[cfg(test)]

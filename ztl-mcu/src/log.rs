@@ -1,8 +1,8 @@
-//! The firmware's log on its way to the gateway.
+//! Sends the firmware's log to the gateway.
 //!
-//! A `LogQueue` (feature `critical-section`) keeps it until the node has nothing else to send; a
-//! [`Pump`](crate::pump::Pump) is told where it is. With the feature `defmt`, `defmt_logger!` makes it
-//! the place that `defmt::info!` and the others write to.
+//! A `LogQueue` (feature `critical-section`) buffers the log until the node has nothing else to send; a
+//! [`Pump`](crate::pump::Pump) reads it. With the feature `defmt`, `defmt_logger!` makes the queue the global
+//! logger of `defmt::info!` and the other macros.
 
 #[cfg(feature = "critical-section")]
 mod queue;
@@ -10,14 +10,14 @@ mod queue;
 #[cfg(feature = "critical-section")]
 pub use queue::LogQueue;
 
-/// Where a node finds the log that it sends when it has nothing else to send.
+/// A log that a node sends when it has nothing else to send.
 ///
-/// The log is a stream of bytes; a node cuts it anywhere, and some of it may be lost on the line.
+/// The log is a byte stream. The node may split it anywhere, and parts may be lost on the line.
 pub trait LogSource {
-    /// Takes the next bytes into `buffer` and says how many.
+    /// Moves the next bytes into `buffer` and returns how many.
     fn read(&self, buffer: &mut [u8]) -> usize;
 
-    /// How many bytes were dropped since the boot because there was no room; wraps.
+    /// Bytes dropped since boot because the log was full; wraps around.
     fn lost(&self) -> u32;
 }
 
@@ -32,7 +32,7 @@ impl LogSource for () {
     }
 }
 
-/// Makes a [`LogQueue`] the place that defmt writes to. For firmware's own crate, once, beside
+/// Makes a [`LogQueue`] the global logger of defmt. Invoke it once in the firmware's own crate, next to
 /// `defmt::timestamp!`:
 ///
 /// ```ignore
@@ -51,14 +51,14 @@ macro_rules! defmt_logger {
             #[::defmt::global_logger]
             struct LinkLogger;
 
-            // SAFETY: between `acquire` and `release` there is a critical section, so records do not
-            // mix; both keep the order that `critical_section` asks for.
+            // SAFETY: `acquire` and `release` enclose a critical section, so records do not interleave, and
+            // both keep the nesting order that `critical_section` requires.
             unsafe impl ::defmt::Logger for LinkLogger {
                 fn acquire() {
-                    // SAFETY: released by `release`, or below when a record is being made already.
+                    // SAFETY: released by `release`, or below if a record is already open.
                     let restore = unsafe { $crate::log::critical_section::acquire() };
                     if let Some(restore) = $queue.begin(restore) {
-                        // SAFETY: of the `acquire` above.
+                        // SAFETY: belongs to the `acquire` above.
                         unsafe { $crate::log::critical_section::release(restore) };
                     }
                 }
@@ -67,7 +67,7 @@ macro_rules! defmt_logger {
 
                 unsafe fn release() {
                     if let Some(restore) = $queue.end() {
-                        // SAFETY: of the `acquire` that began the record.
+                        // SAFETY: belongs to the `acquire` that opened the record.
                         unsafe { $crate::log::critical_section::release(restore) };
                     }
                 }

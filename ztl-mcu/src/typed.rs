@@ -1,4 +1,4 @@
-//! Components whose goals are values: structs, enums, numbers.
+//! Components whose goals are typed values: structs, enums, numbers.
 
 use serde::de::DeserializeOwned;
 use ztl_core::link::Offer;
@@ -6,12 +6,12 @@ use ztl_core::{Instant, goal};
 
 use crate::component::{Component, Reading, Refused, Report, Run};
 
-/// Bytes for the texts in a goal that are written with escapes.
+/// Scratch for texts with escapes in a goal, in bytes.
 const SCRATCH: usize = 64;
 
-/// A component whose goal is a value of its own type; [`Typed`] reads it from the goal's text.
+/// A component whose goal is a value of its own type; [`Typed`] parses it from the goal's text.
 ///
-/// A call's contract is that of [`Component`]'s of the same name.
+/// Each method has the contract of the [`Component`] method with the same name.
 ///
 /// ```
 /// use serde::Deserialize;
@@ -34,7 +34,7 @@ const SCRATCH: usize = 64;
 ///     }
 ///     fn check(&self, pose: &Pose, why: &mut Report<'_>) -> Result<(), Refused> {
 ///         if pose.x.abs() > 2.0 || pose.y.abs() > 2.0 {
-///             why.text("base moves 2 m at most");
+///             why.text("base moves at most 2 m");
 ///             return Err(Refused);
 ///         }
 ///         Ok(())
@@ -46,7 +46,7 @@ const SCRATCH: usize = 64;
 ///     # fn poll(&mut self, _: Instant, _: &mut Report<'_>) -> Run { Run::Completed }
 ///     # fn abort(&mut self, _: Instant) { self.speed = 0.0; }
 ///     # fn make_safe(&mut self, _: Instant) { self.speed = 0.0; }
-///     // poll, abort and make_safe are as a component's.
+///     // poll, abort and make_safe are those of a component.
 /// }
 ///
 /// let base = Typed(Base::default());
@@ -59,25 +59,25 @@ const SCRATCH: usize = 64;
 /// assert_eq!(why.as_str(), "goal, byte 7: expected a number");
 /// ```
 pub trait Actuator {
-    /// What a goal is. It owns its texts, as `heapless::String` does.
+    /// The type of a goal. It owns its texts, like `heapless::String`.
     type Goal: DeserializeOwned;
 
-    /// What it is and which goals it takes.
+    /// Describes the component and the goals it takes.
     fn offer(&self) -> Offer<'_>;
 
-    /// Whether it takes this goal; moves nothing. Default: it takes each that can be read.
+    /// Checks a goal without moving anything. By default accepts every goal that parses.
     ///
     /// # Errors
-    /// [`Refused`], and in `why` what is wrong with the goal and what would be right.
+    /// [`Refused`], with `why` saying what is wrong with the goal and what would be right.
     fn check(&self, goal: &Self::Goal, why: &mut Report<'_>) -> Result<(), Refused> {
         let _ = (goal, why);
         Ok(())
     }
 
-    /// Begins a task, whose goal was checked.
+    /// Starts a task whose goal has been checked.
     ///
     /// # Errors
-    /// [`Refused`], and in `why` the reason; nothing has moved then.
+    /// [`Refused`], with the reason in `why`; nothing has moved.
     fn start(
         &mut self,
         now: Instant,
@@ -85,7 +85,7 @@ pub trait Actuator {
         why: &mut Report<'_>,
     ) -> Result<(), Refused>;
 
-    /// Moves the task on and reports.
+    /// Advances the task and reports its progress.
     fn poll(&mut self, now: Instant, report: &mut Report<'_>) -> Run;
 
     /// Stops the task as soon as it is safe.
@@ -94,26 +94,27 @@ pub trait Actuator {
     /// Goes to the safe state; `poll` is called until it is reached.
     fn make_safe(&mut self, now: Instant);
 
-    /// When `poll` is to be called next, and `poll_reading`. Default: after 10 ms.
+    /// When to call `poll` and `poll_reading` next. Defaults to 10 ms from now.
     fn poll_timeout(&self, now: Instant) -> Instant {
         now + core::time::Duration::from_millis(10)
     }
 
-    /// The next reading to be published. Default: none.
+    /// The next reading to publish, if any. Defaults to `None`.
     fn poll_reading(&mut self, now: Instant, buffer: &mut [u8]) -> Option<Reading> {
         let _ = (now, buffer);
         None
     }
 }
 
-/// An [`Actuator`] as a [`Component`].
+/// Adapts an [`Actuator`] to a [`Component`].
 ///
-/// Goals are read as [`ztl_core::goal`] says: as Python's `str` and YAML write them, a struct as a
-/// mapping or as a sequence of its fields. One that cannot be read is refused with the place and what
+/// Goals are parsed as [`ztl_core::goal`] describes: as Python's `str` and YAML write them, a struct as a
+/// mapping or as a sequence of its fields. A goal that does not parse is refused, with the position and what
+/// was expected there.
 /// was expected there.
 #[derive(Debug, Clone, PartialEq, Eq, Hash, Default)]
 pub struct Typed<A>(
-    /// What moves.
+    /// The actuator.
     pub A,
 );
 
@@ -198,7 +199,7 @@ mod tests {
 
         fn check(&self, pose: &Pose, why: &mut Report<'_>) -> Result<(), Refused> {
             if pose.x > 2.0 {
-                why.text("x is 2 at most");
+                why.text("x is at most 2");
                 return Err(Refused);
             }
             Ok(())
@@ -226,7 +227,7 @@ mod tests {
     }
 
     #[test]
-    fn a_struct_is_read_from_a_list_and_from_a_mapping() {
+    fn a_struct_is_read_from_a_list_or_a_mapping() {
         for goal in ["[0, -0.5, 1.57]", "{'x': 0, 'theta': 1.57, 'y': -0.5}"] {
             assert_eq!(refusal(goal), None);
             let mut base = Typed(Base::default());
@@ -238,7 +239,7 @@ mod tests {
     }
 
     #[test]
-    fn a_wrong_goal_is_refused_with_its_place_and_what_was_expected() {
+    fn a_wrong_goal_is_refused_with_position_and_expectation() {
         for (goal, reason) in [
             ("[0, 0, north]", "goal, byte 7: expected a number"),
             ("[0, 0]", "goal, byte 0: too few or too many items"),
@@ -249,7 +250,7 @@ mod tests {
             ("{x: 0, y: 0}", "goal, byte 0: field theta is missing"),
             ("[0, 0, 1", "goal, byte 0: never closed"),
             ("", "goal, byte 0: expected [...] or {field: value}"),
-            ("[3, 0, 0]", "x is 2 at most"),
+            ("[3, 0, 0]", "x is at most 2"),
         ] {
             assert_eq!(refusal(goal).as_deref(), Some(reason), "{goal}");
         }

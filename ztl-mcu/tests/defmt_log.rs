@@ -1,4 +1,4 @@
-//! defmt's macros (of the level that is on by default) write whole records into the queue that the node sends, without the reader's help.
+//! defmt's macros (at the default level) write whole records into the log queue, without the reader's help.
 #![cfg(feature = "defmt")]
 
 use ztl_mcu::log::{LogQueue, LogSource};
@@ -14,7 +14,7 @@ fn read() -> Vec<u8> {
     buffer
 }
 
-/// Formats itself by logging, which is not heard.
+/// Logs while it is being formatted; that record is dropped.
 struct Chatty;
 
 impl defmt::Format for Chatty {
@@ -24,13 +24,13 @@ impl defmt::Format for Chatty {
     }
 }
 
-/// reverse zero-compressing COBS, as defmt's specification has it, of one frame without its end.
+/// Decodes one frame of reverse zero-compressing COBS, as defmt specifies it, without its end mark.
 fn decoded(frame: &[u8]) -> Vec<u8> {
     let mut out = Vec::new();
     let mut bytes = frame.iter().rev().copied();
     while let Some(code) = bytes.next() {
         match code {
-            // Seven bytes, of which those with a set bit are zero.
+            // Seven bytes; those with a set bit are zero.
             0x01..=0x7f => {
                 for place in 0..7 {
                     let zero = code & (1 << (6 - place)) != 0;
@@ -43,7 +43,7 @@ fn decoded(frame: &[u8]) -> Vec<u8> {
                 out.extend(bytes.by_ref().take(count));
             }
             0xff => out.extend(bytes.by_ref().take(134)),
-            // Ends a frame.
+            // End of the frame.
             0x00 => break,
         }
     }
@@ -52,7 +52,7 @@ fn decoded(frame: &[u8]) -> Vec<u8> {
 }
 
 #[test]
-fn records_are_whole_and_those_that_do_not_fit_are_counted() {
+fn records_are_complete_and_dropped_ones_are_counted() {
     defmt::error!("a number: {=u32}", 0x1122_3344);
     defmt::error!("formatted: {}", Chatty);
     let bytes = read();
@@ -74,11 +74,11 @@ fn records_are_whole_and_those_that_do_not_fit_are_counted() {
     }
     let lost = LOG.lost();
     let bytes = read();
-    assert_eq!(bytes.last(), Some(&0), "the last record is whole");
-    // All are of one length, which depends on where the linker puts the text.
+    assert_eq!(bytes.last(), Some(&0), "the last record is complete");
+    // All records have the same length, which depends on the address of the format string.
     let records = bytes.split(|byte| *byte == 0).filter(|f| !f.is_empty());
     let len = bytes.len() / records.count();
-    assert!(bytes.len() + len > 64, "as many as fit are kept");
+    assert!(bytes.len() + len > 64, "keeps as many as fit");
     assert_eq!(bytes.len() + lost as usize, 20 * len);
     let mut again = bytes.split(|byte| *byte == 0).filter(|f| !f.is_empty());
     assert!(again.all(|frame| decoded(frame).len() >= 7));

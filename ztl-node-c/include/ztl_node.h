@@ -1,11 +1,11 @@
 /*
- * The node end of ZTL's link for firmware in C: components by callbacks, bytes in and out by calls, the time as an argument.
- * No allocator, no operating system, no float, no interrupt of its own. docs/c.md shows a first one. This file is made from
- * ztl-node-c/src; the tests compare the two.
+ * The node end of ZTL's link for firmware in C. Components are callbacks, calls pass bytes in and out, and the time is an
+ * argument. No allocator, no operating system, no floating point, no interrupts of its own. docs/c.md has a first example.
+ * This file is generated from ztl-node-c/src; the tests compare the two.
  *
- * Rules for all of it: one context calls its functions, best the main loop. Texts end with a zero. A pointer that is NULL
- * where that is not allowed changes nothing, and nothing crashes. Nothing is ever freed. Whatever bytes arrive, no
- * function fails: what is damaged is dropped and counted.
+ * Rules: call all functions from one context, preferably the main loop. Texts end with a zero. A NULL pointer where none is
+ * allowed has no effect and crashes nothing. Nothing is ever freed. No function fails because of received bytes: damaged
+ * data is dropped and counted.
  */
 #ifndef ZTL_NODE_H
 #define ZTL_NODE_H
@@ -18,12 +18,12 @@ extern "C" {
 #endif
 
 /**
- * The interface that this header describes. It changes when firmware would have to be compiled anew.
+ * Version of the interface that this header describes. It changes when firmware must be recompiled.
  */
 #define ZTL_NODE_ABI 1
 
 /**
- * How many tasks a node holds, those included that have ended and whose end is not acknowledged.
+ * How many tasks a node holds, including ended tasks whose outcome is not acknowledged yet.
  */
 #define ZTL_NODE_TASKS 4
 
@@ -44,17 +44,17 @@ extern "C" {
 #define ZTL_NODE_TEXT 48
 
 /**
- * It is done.
+ * Success.
  */
 #define ZTL_NODE_OK 0
 
 /**
- * A pointer is NULL that must not be, or a callback is lacking.
+ * A required pointer is NULL, or a callback is missing.
  */
 #define ZTL_NODE_E_NULL (-1)
 
 /**
- * There is less RAM than ztl_node_size says.
+ * There is less RAM than ztl_node_size returns.
  */
 #define ZTL_NODE_E_RAM (-2)
 
@@ -65,27 +65,28 @@ extern "C" {
 #define ZTL_NODE_E_TEXT (-3)
 
 /**
- * There is no component, or there are more than 255.
+ * There are no components, or more than 255.
  */
 #define ZTL_NODE_E_COUNT (-4)
 
 /**
- * A component's `busy` or `loss` is none of the numbers below.
+ * A component's `busy` or `loss` is not one of the values below.
  */
 #define ZTL_NODE_E_POLICY (-5)
 
 /**
- * From `check` or `start`: the goal is taken.
+ * From `check` or `start`: the goal is accepted.
  */
 #define ZTL_NODE_TAKEN 0
 
 /**
- * From `check` or `start`: it is not, and the report says why, and what would be right. Nothing has moved.
+ * From `check` or `start`: the goal is refused. The report says what is wrong and what would be right;
+ * nothing has moved.
  */
 #define ZTL_NODE_REFUSED 1
 
 /**
- * From `poll`: under way; the report is where it is now.
+ * From `poll`: the task is running; the report is its progress.
  */
 #define ZTL_NODE_RUNNING 0
 
@@ -100,18 +101,18 @@ extern "C" {
 #define ZTL_NODE_FAILED 2
 
 /**
- * From `poll`: stopped after `abort`; the report is where.
+ * From `poll`: the task has stopped after `abort`; the report says where.
  */
 #define ZTL_NODE_ABORTED 3
 
 /**
- * A component's `busy`: a second task is refused. A number from 1 to 255 instead: it waits for its turn,
- * behind at most so many.
+ * A component's `busy`: refuse a second task. A number from 1 to 255 instead: queue it, with at most that
+ * many tasks waiting.
  */
 #define ZTL_NODE_REFUSE 0
 
 /**
- * A component's `busy`: a second task takes the place of the one that runs, which is aborted.
+ * A component's `busy`: a second task replaces the running one, which is aborted.
  */
 #define ZTL_NODE_REPLACE (-1)
 
@@ -121,7 +122,7 @@ extern "C" {
 #define ZTL_NODE_LOSS_ABORT 0
 
 /**
- * The same, but `make_safe` keeps its position under power.
+ * A component's `loss`: the same, but `make_safe` holds the position under power.
  */
 #define ZTL_NODE_LOSS_HOLD 1
 
@@ -131,28 +132,28 @@ extern "C" {
 #define ZTL_NODE_LOSS_CARRY_ON 2
 
 /**
- * Bytes of RAM of a node without its components and pointers: see ZTL_NODE_RAM.
+ * Bytes of RAM of a node without its components and pointers; see ZTL_NODE_RAM.
  */
 #define ZTL_NODE_RAM_BYTES 807
 
 /**
- * Its pointers: see ZTL_NODE_RAM.
+ * Number of its pointers; see ZTL_NODE_RAM.
  */
 #define ZTL_NODE_RAM_POINTERS 24
 
 /**
- * The node end of the link. One context calls its functions, best the main loop, and no interrupt: what an interrupt
- * receives goes through a queue. Callbacks must not call them.
+ * The node end of the link. Call its functions from one context, preferably the main loop, and not from an
+ * interrupt: pass received bytes through a queue. Callbacks must not call them.
  */
 typedef struct ztl_node ztl_node;
 
 /**
- * Where a callback writes progress, result, or the reason to refuse. Valid for that call.
+ * Receives a callback's progress, result, or reason to refuse. Valid during that call.
  */
 typedef struct ztl_report ztl_report;
 
 /**
- * Who a node is. Its texts stay the firmware's, unchanged for as long as there is the node.
+ * Identity of a node. The firmware keeps its texts unchanged while the node exists.
  */
 typedef struct {
     /**
@@ -164,69 +165,69 @@ typedef struct {
      */
     const char *firmware;
     /**
-     * Differs from boot to boot: random, or counted where a reset does not clear it.
+     * Changes with each boot: random, or a counter that a reset does not clear.
      */
     unsigned int boot;
     /**
-     * After how many milliseconds without a new command the node acts by itself, 50 to 60000; 0 is 1000.
+     * The link is lost after this many milliseconds without a new command, 50 to 60000; 0 means 1000.
      */
     unsigned int link_timeout_ms;
 } ztl_identity;
 
 /**
- * Something that carries out one task at a time. The firmware keeps it, and what it points to, unchanged for as long as
- * there is the node: best a `static const`. Its functions are called from within those of the node, and must
- * return soon: each is called between two bytes of the line.
+ * A part of the device that executes one task at a time. The firmware keeps it and everything it points to
+ * unchanged while the node exists; a `static const` is best. The node calls its functions from within its
+ * own. They must return quickly, because each is called between two bytes of the line.
  */
 typedef struct {
     /**
-     * As a client writes it. Not NULL.
+     * Name that clients use. Not NULL.
      */
     const char *name;
     /**
-     * Words that it takes as goals, with blanks between them; NULL when none. Only told to people.
+     * Words that it accepts as goals, separated by spaces, or NULL. For information only.
      */
     const char *words;
     /**
-     * Unit of the numbers that it takes; NULL when none. Only told to people.
+     * Unit of the numbers that it accepts, or NULL. For information only.
      */
     const char *unit;
     /**
-     * Names under which it publishes readings, with blanks between them; NULL when none.
+     * Names under which it publishes readings, separated by spaces, or NULL.
      */
     const char *topics;
     /**
-     * Smallest number that it takes; only told to people.
+     * Smallest number that it accepts; for information only.
      */
     float least;
     /**
-     * Greatest number that it takes; the same as `least` when it takes none.
+     * Largest number that it accepts; equal to `least` if it accepts no numbers.
      */
     float most;
     /**
-     * What becomes of a second task: ZTL_NODE_REFUSE, ZTL_NODE_REPLACE, or how many may wait.
+     * What happens to a second task: ZTL_NODE_REFUSE, ZTL_NODE_REPLACE, or how many may wait.
      */
     int busy;
     /**
-     * What it does without its link: one of ZTL_NODE_LOSS_....
+     * What it does when the link is lost: one of ZTL_NODE_LOSS_....
      */
     int loss;
     /**
-     * How often `poll` is to be called, in milliseconds; 0 is 10.
+     * Interval between calls of `poll`, in milliseconds; 0 means 10.
      */
     unsigned int poll_ms;
     /**
-     * Handed to each of the functions; the firmware's, may be NULL.
+     * Passed to each function; owned by the firmware, may be NULL.
      */
     void *context;
     /**
-     * Whether it takes a goal: ZTL_NODE_TAKEN or ZTL_NODE_REFUSED; moves nothing. NULL takes every goal, which `start` may
-     * still refuse. The goal is the library's, and lasts for the call.
+     * Checks a goal without moving anything: ZTL_NODE_TAKEN or ZTL_NODE_REFUSED. NULL accepts every goal,
+     * which `start` may still refuse. The goal belongs to the library and is valid during the call.
      */
     int (*check)(void *context, const char *goal, ztl_report *why);
     /**
-     * Begins a task whose goal was checked, while none runs: ZTL_NODE_TAKEN or ZTL_NODE_REFUSED. Not NULL. The goal is the
-     * library's, and lasts for the call.
+     * Starts a task whose goal was checked, while none is running: ZTL_NODE_TAKEN or ZTL_NODE_REFUSED. Not
+     * NULL. The goal belongs to the library and is valid during the call.
      */
     int (*start)(void *context, unsigned int now_ms, const char *goal, ztl_report *why);
     /**
@@ -236,7 +237,7 @@ typedef struct {
      */
     int (*poll)(void *context, unsigned int now_ms, ztl_report *report);
     /**
-     * Stops the task as soon as it is safe; a later `poll` says ZTL_NODE_ABORTED. Not NULL.
+     * Stops the task as soon as it is safe; a later `poll` returns ZTL_NODE_ABORTED. Not NULL.
      */
     void (*abort)(void *context, unsigned int now_ms);
     /**
@@ -258,36 +259,36 @@ typedef struct {
 } ztl_component;
 
 /**
- * What a node has seen on its line since boot; the counts wrap.
+ * Statistics of a node's line since boot; the counters wrap around.
  */
 typedef struct {
     /**
-     * Frames whose check was right.
+     * Frames with a correct checksum.
      */
     unsigned int frames;
     /**
-     * Frames dropped: damaged, of another session, too long.
+     * Frames dropped: damaged, of another session, or too long.
      */
     unsigned int errors;
     /**
-     * Commands answered again without being executed again.
+     * Commands that were repeated: answered again, not executed again.
      */
     unsigned int repeats;
     /**
-     * Commands out of sequence, dropped.
+     * Commands dropped because they were out of sequence.
      */
     unsigned int out_of_sequence;
 } ztl_counters;
 
 /**
- * How many bytes of RAM a node with so many components needs. ZTL_NODE_RAM says it to the compiler.
+ * Bytes of RAM that a node with this many components needs. ZTL_NODE_RAM is the same at compile time.
  */
 size_t ztl_node_size(size_t components);
 
 /**
- * Makes a node in RAM of the firmware's, which is the library's from now on, for as long as the node is used: there is
- * nothing to free. The RAM may have any alignment. What else is given stays the firmware's, and unchanged; see there.
- * Writes where the node is, NULL with any error: ZTL_NODE_E_NULL, _RAM, _TEXT, _COUNT, _POLICY.
+ * Creates a node in RAM that the firmware provides, with any alignment. The library owns this RAM while the
+ * node is in use; there is nothing to free. All other arguments stay the firmware's and must stay unchanged.
+ * Writes the node's address, or NULL on error: ZTL_NODE_E_NULL, _RAM, _TEXT, _COUNT, _POLICY.
  */
 int ztl_node_init(ztl_node **node,
                   void *ram,
@@ -297,9 +298,9 @@ int ztl_node_init(ztl_node **node,
                   size_t count);
 
 /**
- * Bytes have arrived, in pieces of any length, at a time in milliseconds by any clock: one that starts anywhere and
- * wraps, as HAL_GetTick(), will do. The bytes are not kept. Nothing happens when the node or they are NULL; so it is
- * with NULL everywhere below.
+ * Handles received bytes, in pieces of any length. The time is in milliseconds on any clock that may start
+ * anywhere and wrap around, such as HAL_GetTick(). The bytes are not kept. Does nothing if the node or the
+ * bytes are NULL; the same holds for all functions below.
  */
 void ztl_node_receive(ztl_node *node,
                       unsigned int now_ms,
@@ -307,15 +308,14 @@ void ztl_node_receive(ztl_node *node,
                       size_t count);
 
 /**
- * Time has passed: moves the components on, and acts when the link is lost. In every turn of the main loop.
+ * Advances the components, and acts when the link is lost. Call it in every turn of the main loop.
  */
-void ztl_node_run(ztl_node *node,
-                  unsigned int now_ms);
+void ztl_node_run(ztl_node *node, unsigned int now_ms);
 
 /**
- * Writes the next bytes to be sent into a buffer, and says how many: it is full, or nothing more is to be sent now. After
- * each ztl_node_receive and ztl_node_run. Where components always have readings there is always something: a main loop
- * must not wait for the end of it.
+ * Writes the next bytes to send into a buffer and returns their number. Call it after each ztl_node_receive
+ * and ztl_node_run. It fills the buffer as long as there is data. If components always have readings, there
+ * is always more; a main loop must not wait for the end.
  */
 size_t ztl_node_send(ztl_node *node,
                      unsigned int now_ms,
@@ -323,59 +323,59 @@ size_t ztl_node_send(ztl_node *node,
                      size_t size);
 
 /**
- * After how many milliseconds ztl_node_run is to be called even if no byte arrives, and then ztl_node_send; 0 is at
- * once, 1000 the most (also for NULL).
+ * Milliseconds until ztl_node_run, and then ztl_node_send, must be called if no byte arrives; 0 means now,
+ * 1000 is the maximum (also for NULL).
  */
 unsigned int ztl_node_wait(ztl_node *node,
                            unsigned int now_ms);
 
 /**
- * Emergency stop: every component is made safe, every task ends as aborted, and no other starts until
+ * Emergency stop: makes every component safe and aborts every task. No task starts until
  * ztl_node_clear_stop.
  */
-void ztl_node_stop(ztl_node *node,
-                   unsigned int now_ms);
+void ztl_node_stop(ztl_node *node, unsigned int now_ms);
 
 /**
- * Ends the emergency stop. Only the firmware may: the link has no command for it.
+ * Ends the emergency stop. Only the firmware can do this; the link has no command for it.
  */
 void ztl_node_clear_stop(ztl_node *node);
 
 /**
- * 1 when there was an emergency stop that is not cleared, else 0.
+ * 1 if an emergency stop is in effect, else 0.
  */
 int ztl_node_is_stopped(const ztl_node *node);
 
 /**
- * Writes what the line has brought.
+ * Copies the statistics of the line.
  */
 void ztl_node_counters(const ztl_node *node, ztl_counters *counters);
 
 /**
- * Adds a text, which is copied; what does not fit is cut, and marked. Nothing happens when either is NULL, or
- * the text is no UTF-8.
+ * Appends a copy of a text. What does not fit is cut, and the cut is marked. Does nothing if either is NULL
+ * or the text is not UTF-8.
  */
 void ztl_report_text(ztl_report *report,
                      const char *add);
 
 /**
- * Adds a whole number with the point before its last `decimals` digits (at most 9): 455 with one is 45.5.
- * Nothing happens when the report is NULL.
+ * Appends an integer with a decimal point before its last `decimals` digits (at most 9): 455 with 1 gives
+ * 45.5. Does nothing if the report is NULL.
  */
 void ztl_report_number(ztl_report *report,
                        int value,
                        unsigned int decimals);
 
 /**
- * Reads a number, as "45.5", times 10 for each of `decimals` (at most 9): 455 with one. 1 when it is a number
- * that fits; else 0, and `value` is left as it is. Neither may be NULL, which is 0 too.
+ * Parses a number such as "45.5" and multiplies it by 10 to the power of `decimals` (at most 9): 455 with 1.
+ * Returns 1 if it is a number that fits, else 0 and leaves `value` unchanged. Neither pointer may be NULL;
+ * that also returns 0.
  */
 int ztl_goal_number(const char *goal,
                     unsigned int decimals,
                     int *value);
 
 /**
- * Bytes of RAM that are enough for a node with so many components, for `static unsigned char ram[ZTL_NODE_RAM(2)];`.
+ * Bytes of RAM that suffice for a node with this many components: `static unsigned char ram[ZTL_NODE_RAM(2)];`.
  */
 #define ZTL_NODE_RAM(components) \
     (ZTL_NODE_RAM_BYTES + (ZTL_NODE_RAM_POINTERS + (components)) * sizeof(void *))

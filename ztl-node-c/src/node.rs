@@ -1,4 +1,4 @@
-//! A node in RAM of the firmware's.
+//! A node in the firmware's RAM.
 
 use core::ffi::{c_char, c_int, c_uchar, c_uint, c_void};
 use core::mem::{align_of, size_of};
@@ -19,38 +19,38 @@ pub const ZTL_NODE_RAM_BYTES: usize = 807;
 /// Its pointers: see ZTL_NODE_RAM.
 pub const ZTL_NODE_RAM_POINTERS: usize = 24;
 
-/// Something that carries out one task at a time. The firmware keeps it, and what it points to, unchanged for as long as
-/// there is the node: best a `static const`. Its functions are called from within those of the node, and must
-/// return soon: each is called between two bytes of the line.
+/// A part of the device that executes one task at a time. The firmware keeps it and everything it points to
+/// unchanged while the node exists; a `static const` is best. The node calls its functions from within its
+/// own. They must return quickly, because each is called between two bytes of the line.
 #[repr(C)]
 pub struct Component {
-    /// As a client writes it. Not NULL.
+    /// Name that clients use. Not NULL.
     pub name: *const c_char,
-    /// Words that it takes as goals, with blanks between them; NULL when none. Only told to people.
+    /// Words that it accepts as goals, separated by spaces, or NULL. For information only.
     pub words: *const c_char,
-    /// Unit of the numbers that it takes; NULL when none. Only told to people.
+    /// Unit of the numbers that it accepts, or NULL. For information only.
     pub unit: *const c_char,
-    /// Names under which it publishes readings, with blanks between them; NULL when none.
+    /// Names under which it publishes readings, separated by spaces, or NULL.
     pub topics: *const c_char,
-    /// Smallest number that it takes; only told to people.
+    /// Smallest number that it accepts; for information only.
     pub least: f32,
-    /// Greatest number that it takes; the same as `least` when it takes none.
+    /// Largest number that it accepts; equal to `least` if it accepts no numbers.
     pub most: f32,
-    /// What becomes of a second task: ZTL_NODE_REFUSE, ZTL_NODE_REPLACE, or how many may wait.
+    /// What happens to a second task: ZTL_NODE_REFUSE, ZTL_NODE_REPLACE, or how many may wait.
     pub busy: c_int,
-    /// What it does without its link: one of ZTL_NODE_LOSS_....
+    /// What it does when the link is lost: one of ZTL_NODE_LOSS_....
     pub loss: c_int,
-    /// How often `poll` is to be called, in milliseconds; 0 is 10.
+    /// Interval between calls of `poll`, in milliseconds; 0 means 10.
     pub poll_ms: c_uint,
-    /// Handed to each of the functions; the firmware's, may be NULL.
+    /// Passed to each function; owned by the firmware, may be NULL.
     pub context: *mut c_void,
-    /// Whether it takes a goal: ZTL_NODE_TAKEN or ZTL_NODE_REFUSED; moves nothing. NULL takes every goal, which `start` may
-    /// still refuse. The goal is the library's, and lasts for the call.
+    /// Checks a goal without moving anything: ZTL_NODE_TAKEN or ZTL_NODE_REFUSED. NULL accepts every goal,
+    /// which `start` may still refuse. The goal belongs to the library and is valid during the call.
     pub check: Option<
         unsafe extern "C" fn(context: *mut c_void, goal: *const c_char, why: *mut Report) -> c_int,
     >,
-    /// Begins a task whose goal was checked, while none runs: ZTL_NODE_TAKEN or ZTL_NODE_REFUSED. Not NULL. The goal is the
-    /// library's, and lasts for the call.
+    /// Starts a task whose goal was checked, while none is running: ZTL_NODE_TAKEN or ZTL_NODE_REFUSED. Not
+    /// NULL. The goal belongs to the library and is valid during the call.
     pub start: Option<
         unsafe extern "C" fn(
             context: *mut c_void,
@@ -65,7 +65,7 @@ pub struct Component {
     pub poll: Option<
         unsafe extern "C" fn(context: *mut c_void, now_ms: c_uint, report: *mut Report) -> c_int,
     >,
-    /// Stops the task as soon as it is safe; a later `poll` says ZTL_NODE_ABORTED. Not NULL.
+    /// Stops the task as soon as it is safe; a later `poll` returns ZTL_NODE_ABORTED. Not NULL.
     pub abort: Option<unsafe extern "C" fn(context: *mut c_void, now_ms: c_uint)>,
     /// Goes to the safe state, with or without a task: the link was lost, or an emergency stop. What cannot be done at once
     /// goes on in `poll`, which is called until it says other than ZTL_NODE_RUNNING; a task ends then, whatever it says. Not
@@ -85,37 +85,38 @@ pub struct Component {
     >,
 }
 
-/// Who a node is. Its texts stay the firmware's, unchanged for as long as there is the node.
+/// Identity of a node. The firmware keeps its texts unchanged while the node exists.
 #[repr(C)]
 pub struct NodeIdentity {
     /// What the device is called, ZTL_NODE_NAME bytes at most. Not NULL.
     pub name: *const c_char,
     /// Version of its firmware, ZTL_NODE_NAME bytes at most. Not NULL.
     pub firmware: *const c_char,
-    /// Differs from boot to boot: random, or counted where a reset does not clear it.
+    /// Changes with each boot: random, or a counter that a reset does not clear.
     pub boot: c_uint,
-    /// After how many milliseconds without a new command the node acts by itself, 50 to 60000; 0 is 1000.
+    /// The link is lost after this many milliseconds without a new command, 50 to 60000; 0 means 1000.
     pub link_timeout_ms: c_uint,
 }
 
-/// What a node has seen on its line since boot; the counts wrap.
+/// Statistics of a node's line since boot; the counters wrap around.
 #[repr(C)]
 pub struct NodeCounters {
-    /// Frames whose check was right.
+    /// Frames with a correct checksum.
     pub frames: c_uint,
-    /// Frames dropped: damaged, of another session, too long.
+    /// Frames dropped: damaged, of another session, or too long.
     pub errors: c_uint,
-    /// Commands answered again without being executed again.
+    /// Commands that were repeated: answered again, not executed again.
     pub repeats: c_uint,
-    /// Commands out of sequence, dropped.
+    /// Commands dropped because they were out of sequence.
     pub out_of_sequence: c_uint,
 }
 
-/// The node end of the link. One context calls its functions, best the main loop, and no interrupt: what an interrupt
-/// receives goes through a queue. Callbacks must not call them.
+/// The node end of the link. Call its functions from one context, preferably the main loop, and not from an
+/// interrupt: pass received bytes through a queue. Callbacks must not call them.
 pub struct Node {
     inner: Inner,
-    /// The time that was told last, in milliseconds; more than the firmware's counter has bits for. `None` at first.
+    /// The latest time in milliseconds, with more bits than the firmware's counter. `None` before the first
+    /// call.
     time: Option<u64>,
 }
 
@@ -126,14 +127,14 @@ const _: () = assert!(Inner::LONGEST_NAME == ZTL_NODE_NAME);
 /// Bytes that may be lost in finding the right address.
 const SLACK: usize = align_of::<Node>() - 1;
 
-/// What ZTL_NODE_RAM(0) says.
+/// The value of ZTL_NODE_RAM(0).
 const RAM: usize = ZTL_NODE_RAM_BYTES + ZTL_NODE_RAM_POINTERS * size_of::<*const ()>();
 
 const _: () = assert!(
     size_of::<Node>() + SLACK <= RAM,
     "ZTL_NODE_RAM is less than a node needs"
 );
-// Nothing to speak of is given away. Only in a build for checking: another compiler may do with less.
+// Not much is wasted. Checked in debug builds only, because another compiler may need less.
 #[cfg(all(
     debug_assertions,
     any(
@@ -146,12 +147,12 @@ const _: () = assert!(
     RAM - (size_of::<Node>() + SLACK) <= 32,
     "ZTL_NODE_RAM is more than a node needs"
 );
-// The parts follow the node.
+// The parts follow the node directly.
 const _: () = assert!(align_of::<Node>() >= align_of::<Part>());
 const _: () = assert!(size_of::<Node>().is_multiple_of(align_of::<Part>()));
 
 impl Node {
-    /// The time of now: the counter may have wrapped, and is taken to stand still when it seems to have gone back.
+    /// Converts the firmware's counter, which may wrap around. If it seems to go back, time stands still.
     fn now(&mut self, now_ms: c_uint) -> Instant {
         let mut time = self.time.unwrap_or(now_ms.into());
         let passed = now_ms.wrapping_sub(time as c_uint);
@@ -163,16 +164,16 @@ impl Node {
     }
 }
 
-/// How many bytes of RAM a node with so many components needs. ZTL_NODE_RAM says it to the compiler.
+/// Bytes of RAM that a node with this many components needs. ZTL_NODE_RAM is the same at compile time.
 #[unsafe(no_mangle)]
 pub extern "C" fn ztl_node_size(components: usize) -> usize {
     let parts = components.saturating_mul(size_of::<Part>());
     parts.saturating_add(size_of::<Node>() + SLACK)
 }
 
-/// Makes a node in RAM of the firmware's, which is the library's from now on, for as long as the node is used: there is
-/// nothing to free. The RAM may have any alignment. What else is given stays the firmware's, and unchanged; see there.
-/// Writes where the node is, NULL with any error: ZTL_NODE_E_NULL, _RAM, _TEXT, _COUNT, _POLICY.
+/// Creates a node in RAM that the firmware provides, with any alignment. The library owns this RAM while the
+/// node is in use; there is nothing to free. All other arguments stay the firmware's and must stay unchanged.
+/// Writes the node's address, or NULL on error: ZTL_NODE_E_NULL, _RAM, _TEXT, _COUNT, _POLICY.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ztl_node_init(
     node: *mut *mut Node,
@@ -185,19 +186,19 @@ pub unsafe extern "C" fn ztl_node_init(
     if node.is_null() {
         return ZTL_NODE_E_NULL;
     }
-    // SAFETY: as the firmware promises.
+    // SAFETY: promised by the firmware.
     let made = unsafe { make(ram, size, identity, components, count) };
     let (made, code) = match made {
         Ok(made) => (made, ZTL_NODE_OK),
         Err(code) => (ptr::null_mut(), code),
     };
-    // SAFETY: not NULL, and the caller's.
+    // SAFETY: not NULL, and owned by the caller.
     unsafe { node.write(made) };
     code
 }
 
 /// # Safety
-/// As the header says of `ztl_node_init`.
+/// See `ztl_node_init` in the header.
 unsafe fn make(
     ram: *mut c_void,
     size: usize,
@@ -205,7 +206,7 @@ unsafe fn make(
     components: *const Component,
     count: usize,
 ) -> Result<*mut Node, c_int> {
-    // SAFETY: NULL or the firmware's, as it promises.
+    // SAFETY: NULL or valid, as the firmware promises.
     let identity = unsafe { identity.as_ref() }.ok_or(ZTL_NODE_E_NULL)?;
     if ram.is_null()
         || components.is_null()
@@ -237,9 +238,9 @@ unsafe fn make(
     } else {
         align_of::<Node>() - past
     };
-    // SAFETY: within the RAM, since its size has room for the slack.
+    // SAFETY: within the RAM, whose size includes the slack.
     let place = unsafe { ram.cast::<u8>().add(skip) };
-    // SAFETY: behind the node, and within the RAM, which has room for the parts.
+    // SAFETY: after the node, and within the RAM, which has room for the parts.
     let first = unsafe { place.add(size_of::<Node>()) }.cast::<Part>();
     for index in 0..count {
         // SAFETY: one of the firmware's array, which promises that it keeps what the part points to.
@@ -250,7 +251,7 @@ unsafe fn make(
         // SAFETY: within the RAM's room for as many parts, aligned as the constants above have shown.
         unsafe { first.add(index).write(part) };
     }
-    // SAFETY: all of them were written just now; the RAM is the library's alone from now on.
+    // SAFETY: all of them were just written; from now on the library owns the RAM.
     let parts = unsafe { core::slice::from_raw_parts_mut(first, count) };
     let mut who = Identity::new(
         name.unwrap_or_default(),
@@ -262,7 +263,7 @@ unsafe fn make(
         who.link_timeout = Duration::from_millis(timeout.into());
     }
     let node = place.cast::<Node>();
-    // SAFETY: aligned, with room, and not within the parts.
+    // SAFETY: aligned, large enough, and not overlapping the parts.
     unsafe {
         node.write(Node {
             inner: Inner::new(who, parts),
@@ -272,9 +273,9 @@ unsafe fn make(
     Ok(node)
 }
 
-/// Bytes have arrived, in pieces of any length, at a time in milliseconds by any clock: one that starts anywhere and
-/// wraps, as HAL_GetTick(), will do. The bytes are not kept. Nothing happens when the node or they are NULL; so it is
-/// with NULL everywhere below.
+/// Handles received bytes, in pieces of any length. The time is in milliseconds on any clock that may start
+/// anywhere and wrap around, such as HAL_GetTick(). The bytes are not kept. Does nothing if the node or the
+/// bytes are NULL; the same holds for all functions below.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ztl_node_receive(
     node: *mut Node,
@@ -282,17 +283,17 @@ pub unsafe extern "C" fn ztl_node_receive(
     bytes: *const c_uchar,
     count: usize,
 ) {
-    // SAFETY: NULL or a node, which nobody else uses for now, as the firmware promises.
+    // SAFETY: NULL or a node that nobody else uses now, as the firmware promises.
     let node = unsafe { node.as_mut() };
     if let Some(node) = node.filter(|_| !bytes.is_null()) {
         let now = node.now(now_ms);
-        // SAFETY: not NULL, and so many bytes long, as the firmware promises.
+        // SAFETY: not NULL, and of this length, as the firmware promises.
         let bytes = unsafe { core::slice::from_raw_parts(bytes, count) };
         node.inner.handle_bytes(now, bytes);
     }
 }
 
-/// Time has passed: moves the components on, and acts when the link is lost. In every turn of the main loop.
+/// Advances the components, and acts when the link is lost. Call it in every turn of the main loop.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ztl_node_run(node: *mut Node, now_ms: c_uint) {
     // SAFETY: as in `ztl_node_receive`.
@@ -302,9 +303,9 @@ pub unsafe extern "C" fn ztl_node_run(node: *mut Node, now_ms: c_uint) {
     }
 }
 
-/// Writes the next bytes to be sent into a buffer, and says how many: it is full, or nothing more is to be sent now. After
-/// each ztl_node_receive and ztl_node_run. Where components always have readings there is always something: a main loop
-/// must not wait for the end of it.
+/// Writes the next bytes to send into a buffer and returns their number. Call it after each ztl_node_receive
+/// and ztl_node_run. It fills the buffer as long as there is data. If components always have readings, there
+/// is always more; a main loop must not wait for the end.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ztl_node_send(
     node: *mut Node,
@@ -318,13 +319,13 @@ pub unsafe extern "C" fn ztl_node_send(
         return 0;
     };
     let now = node.now(now_ms);
-    // SAFETY: not NULL, so many bytes long, and nobody else's for now, as the firmware promises.
+    // SAFETY: not NULL, of this length, and used by nobody else now, as the firmware promises.
     let buffer = unsafe { core::slice::from_raw_parts_mut(buffer, size) };
     node.inner.poll_transmit(now, buffer)
 }
 
-/// After how many milliseconds ztl_node_run is to be called even if no byte arrives, and then ztl_node_send; 0 is at
-/// once, 1000 the most (also for NULL).
+/// Milliseconds until ztl_node_run, and then ztl_node_send, must be called if no byte arrives; 0 means now,
+/// 1000 is the maximum (also for NULL).
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ztl_node_wait(node: *mut Node, now_ms: c_uint) -> c_uint {
     // SAFETY: as in `ztl_node_receive`.
@@ -337,7 +338,7 @@ pub unsafe extern "C" fn ztl_node_wait(node: *mut Node, now_ms: c_uint) -> c_uin
     c_uint::try_from(wait).unwrap_or(1000).min(1000)
 }
 
-/// Emergency stop: every component is made safe, every task ends as aborted, and no other starts until
+/// Emergency stop: makes every component safe and aborts every task. No task starts until
 /// ztl_node_clear_stop.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ztl_node_stop(node: *mut Node, now_ms: c_uint) {
@@ -348,7 +349,7 @@ pub unsafe extern "C" fn ztl_node_stop(node: *mut Node, now_ms: c_uint) {
     }
 }
 
-/// Ends the emergency stop. Only the firmware may: the link has no command for it.
+/// Ends the emergency stop. Only the firmware can do this; the link has no command for it.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ztl_node_clear_stop(node: *mut Node) {
     // SAFETY: as in `ztl_node_receive`.
@@ -357,7 +358,7 @@ pub unsafe extern "C" fn ztl_node_clear_stop(node: *mut Node) {
     }
 }
 
-/// 1 when there was an emergency stop that is not cleared, else 0.
+/// 1 if an emergency stop is in effect, else 0.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ztl_node_is_stopped(node: *const Node) -> c_int {
     // SAFETY: as in `ztl_node_receive`.
@@ -365,7 +366,7 @@ pub unsafe extern "C" fn ztl_node_is_stopped(node: *const Node) -> c_int {
     c_int::from(node.is_some_and(|node| node.inner.is_stopped()))
 }
 
-/// Writes what the line has brought.
+/// Copies the statistics of the line.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ztl_node_counters(node: *const Node, counters: *mut NodeCounters) {
     // SAFETY: as in `ztl_node_receive`.
@@ -378,7 +379,7 @@ pub unsafe extern "C" fn ztl_node_counters(node: *const Node, counters: *mut Nod
             repeats: seen.repeats,
             out_of_sequence: seen.out_of_sequence,
         };
-        // SAFETY: not NULL, and the caller's.
+        // SAFETY: not NULL, and owned by the caller.
         unsafe { counters.write(seen) };
     }
 }

@@ -1,4 +1,4 @@
-//! A component in C, as the node sees it.
+//! A component in C, as the node uses it.
 
 use core::ffi::{CStr, c_char, c_int};
 use core::time::Duration;
@@ -14,46 +14,46 @@ use crate::{
     ZTL_NODE_LOSS_HOLD, ZTL_NODE_REFUSE, ZTL_NODE_REPLACE, ZTL_NODE_TAKEN,
 };
 
-/// Longest name, unit, list of words or of topics, in bytes.
+/// Longest name, unit, list of words or list of topics, in bytes.
 const LONGEST: usize = 64;
 
-/// A text from C; `None` when it is NULL or no UTF-8.
+/// Converts a C string; `None` if it is NULL or not UTF-8.
 ///
 /// # Safety
-/// `text` is NULL, or ends with a zero and is not changed while it is used.
+/// `text` is NULL, or ends with a zero and does not change while it is used.
 pub(crate) unsafe fn text<'a>(text: *const c_char) -> Option<&'a str> {
     if text.is_null() {
         return None;
     }
-    // SAFETY: not NULL; all else is promised by the caller.
+    // SAFETY: not NULL; the caller promises the rest.
     let bytes = unsafe { CStr::from_ptr(text) }.to_bytes();
     core::str::from_utf8(bytes).ok()
 }
 
-/// Whether a text can be told of a component: NULL where it may be left out.
+/// Whether a text is usable in a description; if `may_lack`, NULL is too.
 ///
 /// # Safety
-/// As of [`text`].
+/// See [`text`].
 pub(crate) unsafe fn is_text(it: *const c_char, may_lack: bool) -> bool {
-    // SAFETY: as the caller promises.
+    // SAFETY: promised by the caller.
     let told = unsafe { text(it) };
     told.map_or(may_lack && it.is_null(), |told| told.len() <= LONGEST)
 }
 
-/// The time as C has it.
+/// The time in milliseconds, as C uses it.
 fn millis(now: Instant) -> u32 {
     now.as_millis() as u32
 }
 
-/// Goes to the description that the firmware keeps. It was looked at when the node was made.
+/// Points to the description that the firmware keeps. It was checked when the node was created.
 #[derive(Clone, Copy)]
 pub(crate) struct Part(*const Component);
 
 impl Part {
-    /// Takes a component up, or says what is wrong with it.
+    /// Checks a component and wraps it.
     ///
     /// # Safety
-    /// `component` and its texts last as long as the part, and are not changed.
+    /// `component` and its texts outlive the part and do not change.
     pub(crate) unsafe fn new(component: *const Component) -> Result<Self, c_int> {
         let part = Self(component);
         let it = part.get();
@@ -77,17 +77,17 @@ impl Part {
     }
 
     const fn get(&self) -> &Component {
-        // SAFETY: it lasts as long as this, by the condition of `new`, and nobody changes it.
+        // SAFETY: it outlives this, by the condition of `new`, and never changes.
         unsafe { &*self.0 }
     }
 
-    /// Calls with the goal as C wants it, with a zero behind it.
+    /// Passes the goal to C, terminated by a zero.
     fn with_goal(
         goal: &str,
         why: &mut ztl_mcu::Report<'_>,
         call: impl FnOnce(*const c_char, *mut Report) -> c_int,
     ) -> Result<(), Refused> {
-        // Longer than any goal that fits into a frame.
+        // Longer than any goal that fits a frame.
         let mut buffer = [0u8; ZTL_NODE_FRAME];
         let bytes = goal.as_bytes();
         if bytes.len() >= buffer.len() || bytes.contains(&0) {
@@ -107,10 +107,10 @@ impl Part {
 impl ztl_mcu::Component for Part {
     fn offer(&self) -> Offer<'_> {
         let it = self.get();
-        // SAFETY: texts or NULL that last as long as the component, by the condition of `new`.
+        // SAFETY: texts or NULL that outlive the component, by the condition of `new`.
         let told = |pointer| unsafe { text(pointer) }.unwrap_or_default();
         let goal = GoalShape {
-            // Equal: none. Compared as bits, which costs a small core no arithmetic of floats.
+            // Equal bounds mean no range. Compares bits, which takes no float arithmetic.
             range: (it.least.to_bits() != it.most.to_bits()).then_some((it.least, it.most)),
             unit: told(it.unit),
             words: told(it.words),
@@ -137,7 +137,8 @@ impl ztl_mcu::Component for Part {
             return Ok(());
         };
         Self::with_goal(goal, why, |goal, why| {
-            // SAFETY: the firmware's function, called as the header says; goal and report outlive it.
+            // SAFETY: the firmware's function, called as the header specifies; goal and report outlive the
+            // call.
             unsafe { check(self.get().context, goal, why) }
         })
     }
@@ -161,7 +162,7 @@ impl ztl_mcu::Component for Part {
         let Some(poll) = self.get().poll else {
             return Run::Failed;
         };
-        // SAFETY: the firmware's function, called as the header says; the report outlives it.
+        // SAFETY: the firmware's function, called as the header specifies; the report outlives the call.
         let state = unsafe { poll(self.get().context, millis(now), Report::of(report)) };
         match state {
             ZTL_NODE_COMPLETED => Run::Completed,
@@ -173,14 +174,14 @@ impl ztl_mcu::Component for Part {
 
     fn abort(&mut self, now: Instant) {
         if let Some(abort) = self.get().abort {
-            // SAFETY: the firmware's function, called as the header says.
+            // SAFETY: the firmware's function, called as the header specifies.
             unsafe { abort(self.get().context, millis(now)) };
         }
     }
 
     fn make_safe(&mut self, now: Instant) {
         if let Some(make_safe) = self.get().make_safe {
-            // SAFETY: the firmware's function, called as the header says.
+            // SAFETY: the firmware's function, called as the header specifies.
             unsafe { make_safe(self.get().context, millis(now)) };
         }
     }
@@ -196,8 +197,8 @@ impl ztl_mcu::Component for Part {
     fn poll_reading(&mut self, now: Instant, buffer: &mut [u8]) -> Option<Reading> {
         let reading = self.get().reading?;
         let (mut topic, size) = (0, buffer.len());
-        // SAFETY: the firmware's function, called as the header says: it writes a topic, and at most `size`
-        // bytes, which are the buffer's.
+        // SAFETY: the firmware's function, called as the header specifies: it writes a topic and at most
+        // `size` bytes of the buffer.
         let len = unsafe {
             reading(
                 self.get().context,

@@ -1,18 +1,18 @@
-//! The operating system's monotonic clock as the state machines want it.
+//! The operating system's monotonic clock, as the state machines use it.
 
 use std::sync::OnceLock;
 use std::time::Duration;
 
 use ztl_core::Instant;
 
-/// Now, counted from the first call in this process.
+/// The current time since the first call in this process.
 pub(crate) fn now() -> Instant {
     static START: OnceLock<std::time::Instant> = OnceLock::new();
     let elapsed = START.get_or_init(std::time::Instant::now).elapsed();
     Instant::from_micros(u64::try_from(elapsed.as_micros()).unwrap_or(u64::MAX))
 }
 
-/// A time in whole milliseconds, as it is told to others.
+/// A duration in whole milliseconds, for messages.
 pub(crate) fn millis(time: Duration) -> u64 {
     u64::try_from(time.as_millis()).unwrap_or(u64::MAX)
 }

@@ -1,9 +1,10 @@
-//! Messages of several frames, through signals: ZeroMQ gives up a call that a signal interrupts, which
-//! a process with children or a terminal has often. In the middle of a message that would cost the rest.
+//! Sends and receives multipart messages without being interrupted by signals. ZeroMQ aborts a call when a
+//! signal arrives, which is common with child processes or a terminal. In the middle of a message, the rest
+//! would be lost.
 
 use std::ops::Deref;
 
-/// Calls ZeroMQ until no signal interrupts it.
+/// Repeats a ZeroMQ call until no signal interrupts it.
 pub(crate) fn unbroken<T>(mut call: impl FnMut() -> zmq::Result<T>) -> zmq::Result<T> {
     loop {
         match call() {
@@ -13,10 +14,10 @@ pub(crate) fn unbroken<T>(mut call: impl FnMut() -> zmq::Result<T>) -> zmq::Resu
     }
 }
 
-/// Sends a message without waiting.
+/// Sends a message without blocking.
 ///
 /// # Errors
-/// As ZeroMQ says, before the first frame: what has begun is sent as a whole.
+/// ZeroMQ's error for the first frame. A message that was started is sent as a whole.
 pub(crate) fn send<F: Deref<Target = [u8]>>(socket: &zmq::Socket, frames: &[F]) -> zmq::Result<()> {
     let more = frames.len().saturating_sub(1);
     for (place, frame) in frames.iter().enumerate() {
@@ -29,10 +30,10 @@ pub(crate) fn send<F: Deref<Target = [u8]>>(socket: &zmq::Socket, frames: &[F]) 
     Ok(())
 }
 
-/// The next message, if there is one.
+/// Receives the next message, if there is one.
 ///
 /// # Errors
-/// `EAGAIN` when there is none, or as ZeroMQ says.
+/// `EAGAIN` if there is none, or ZeroMQ's error.
 pub(crate) fn receive(socket: &zmq::Socket) -> zmq::Result<Vec<Vec<u8>>> {
     let mut frames = Vec::new();
     loop {
@@ -50,7 +51,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_signal_ends_no_call_and_an_error_does() {
+    fn a_call_is_repeated_after_a_signal_but_not_after_an_error() {
         let mut answers = [Err(zmq::Error::EINTR), Err(zmq::Error::EINTR), Ok(7)].into_iter();
         assert_eq!(unbroken(|| answers.next().expect("no more calls")), Ok(7));
         let mut answers = [Err(zmq::Error::EINTR), Err(zmq::Error::EAGAIN)].into_iter();
@@ -59,7 +60,7 @@ mod tests {
     }
 
     #[test]
-    fn a_message_arrives_as_it_was_sent() {
+    fn messages_round_trip() {
         let context = zmq::Context::new();
         let [to, from] = [zmq::PUSH, zmq::PULL].map(|kind| context.socket(kind).expect("one"));
         from.bind("inproc://frames").expect("a name");

@@ -1,4 +1,4 @@
-//! Pseudo terminals: serial ports that exist only in this system.
+//! Pseudo terminals: virtual serial ports.
 
 use std::io;
 use std::path::PathBuf;
@@ -7,10 +7,10 @@ use serialport::{SerialPort, TTYPort};
 
 use crate::gateway::{Line, READ_TIMEOUT};
 
-/// A pty: this process has one end, others open the other as a serial port.
+/// A pty. This process uses one end; others open the other end as a serial port.
 pub(crate) struct Pty {
     master: TTYPort,
-    /// Held open, so that this end does not hang up while nobody has the other.
+    /// Held open, so that our end does not hang up while nobody else has it open.
     _slave: TTYPort,
     path: String,
 }
@@ -29,7 +29,7 @@ impl Pty {
         })
     }
 
-    /// The path under which others open it.
+    /// The path by which others open it.
     pub(crate) fn path(&self) -> &str {
         &self.path
     }
@@ -43,12 +43,12 @@ impl Pty {
     }
 }
 
-/// A link to a pty, taken away when this is dropped.
+/// A link to a pty, removed on drop.
 #[derive(Debug)]
 pub(crate) struct Link(PathBuf);
 
 impl Link {
-    /// Makes it. A link that was left behind is replaced; anything else there is somebody's file.
+    /// Creates the link. Replaces a stale link, but never another kind of file.
     pub(crate) fn new(link: PathBuf, to: &str) -> io::Result<Self> {
         if link.is_symlink() {
             let _ = std::fs::remove_file(&link);

@@ -1,9 +1,8 @@
-//! Numbers from the operating system, for ids that must not repeat after a restart.
+//! Random numbers from the operating system, for ids that must not repeat after a restart.
 
 use ztl_core::TaskId;
 
-/// A random number. Where the system has no random source the clock must do: the numbers are for
-/// telling apart, not for keeping secrets.
+/// A random number, from the clock if the system has no random source. Not for secrets.
 pub(crate) fn number() -> u64 {
     getrandom::u64().unwrap_or_else(|_| {
         let since = std::time::UNIX_EPOCH.elapsed().unwrap_or_default();
@@ -16,18 +15,18 @@ pub(crate) fn bytes() -> impl Iterator<Item = u8> {
     [number(), number()].into_iter().flat_map(u64::to_le_bytes)
 }
 
-/// A random number that is not 0.
+/// A nonzero random number.
 pub(crate) fn nonzero() -> u32 {
     (number() as u32).max(1)
 }
 
-/// Where a server's task ids start: 1 to 2^30, so an id from before a restart is nobody else's.
+/// A server's first task id: 1 to 2^30, so that an id from before a restart does not name another task.
 pub(crate) fn first_task_id() -> TaskId {
     let number = (number() as u32) & ((1 << 30) - 1);
     TaskId::new(number).unwrap_or(FIRST)
 }
 
-/// The first task id that there is.
+/// The lowest task id.
 pub(crate) const FIRST: TaskId = match TaskId::new(1) {
     Some(id) => id,
     None => unreachable!(),

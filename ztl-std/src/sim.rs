@@ -1,4 +1,4 @@
-//! Simulated devices: `ztl-mcu`'s real node with simulated motors, on a real byte stream.
+//! Simulated devices: the real node of `ztl-mcu` with simulated motors, on a real byte stream.
 
 mod axis;
 mod power;
@@ -22,20 +22,20 @@ use crate::gateway::{EndpointError, Line, is_pause};
 use crate::pty::{Link, Pty};
 use record::Record;
 
-/// Which device is simulated.
+/// The type of a simulated device.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Kind {
-    /// `finger`: its opening in percent, 0 to 100, at 50 percent a second.
+    /// `finger`: its opening in percent, 0 to 100, at 50 percent per second.
     Gripper,
-    /// `pan`: degrees from -90 to 90, or left, straight, right, at 90 degrees a second.
+    /// `pan`: degrees from -90 to 90, or left, straight, right, at 90 degrees per second.
     Head,
-    /// `probe`: takes no goals, and publishes readings of 100 bytes: a thousand a second, or with
+    /// `probe`: takes no goals, publishes readings of 100 bytes: a thousand per second, or with
     /// [`Device::with_baud`] as many as its line carries.
     Sensor,
 }
 
 impl Kind {
-    /// Every simulated device.
+    /// All types.
     pub const ALL: [Self; 3] = [Self::Gripper, Self::Head, Self::Sensor];
 
     /// Its name, as in `sim:gripper`.
@@ -71,13 +71,13 @@ impl FromStr for Kind {
 
 enum Input {
     Bytes(Vec<u8>),
-    /// Where the node's bytes go from now on.
+    /// Where the node's output goes from now on.
     Line(Option<Box<dyn Write + Send>>),
     Reset,
     Stop,
 }
 
-/// A device to be simulated.
+/// A device to simulate.
 ///
 /// ```no_run
 /// use ztl_std::sim::{Device, Kind};
@@ -97,7 +97,7 @@ pub struct Device {
 }
 
 impl Device {
-    /// A device that sends as fast as its line takes.
+    /// Creates a device that sends as fast as its line accepts.
     #[must_use]
     pub const fn new(kind: Kind) -> Self {
         Self {
@@ -107,25 +107,26 @@ impl Device {
         }
     }
 
-    /// Sets the rate at which it sends, in bits a second, ten for each byte.
+    /// Sets the rate at which it sends, in bits per second, ten per byte.
     #[must_use]
     pub const fn with_baud(mut self, baud: u32) -> Self {
         self.baud = Some(baud);
         self
     }
 
-    /// Writes a line into `file` whenever a task really begins or ends, and at each reset:
-    /// seconds, component, what, goal, as `12.345678 finger begins '40'`.
+    /// Writes a line to `file` when a task really begins or ends, and at each reset: seconds, component,
+    /// event, goal, such as `12.345678 finger begins '40'`.
     #[must_use]
     pub fn with_record(mut self, file: File) -> Self {
         self.record = Some(Record::new(file));
         self
     }
 
-    /// Starts it on one end of a pty, and gives the path of the other: of the link to it, where
-    /// one is wanted, which goes when the device goes.
+    /// Starts it on a pty and returns the path of the other end. With `link`, that is a link to it, which is
+    /// removed with the device.
     ///
     /// # Errors
+    /// If the system has no more ptys or threads, or the link cannot be created.
     /// When the system has no more ptys or threads, or when the link cannot be made.
     #[cfg(unix)]
     pub fn on_pty(self, link: Option<PathBuf>) -> io::Result<(Running, String)> {
@@ -145,20 +146,20 @@ impl Device {
         let (inputs, stop) = (running.inputs.clone(), Arc::clone(&running.stop));
         let pump = std::thread::Builder::new()
             .name(format!("ztl-sim-{kind}-line"))
-            .spawn(move || pass_on(line.reader, &inputs, &stop))?;
+            .spawn(move || forward(line.reader, &inputs, &stop))?;
         running.threads.push(pump);
         Ok((running, path))
     }
 
-    /// Starts it where it takes one TCP connection after the other, and gives its address.
+    /// Starts it on a TCP listener, which accepts one connection at a time, and returns the address.
     ///
     /// # Errors
-    /// When nothing can listen at `address`.
+    /// If it cannot listen on `address`.
     pub fn on_tcp(self, address: &str) -> io::Result<(Running, SocketAddr)> {
         let kind = self.kind;
         let listener = TcpListener::bind(address)?;
         let address = listener.local_addr()?;
-        // To be stopped, it must not wait in accept.
+        // Must not block in accept, so that it can be stopped.
         listener.set_nonblocking(true)?;
         let mut running = Running::power_on(self)?;
         let (inputs, stop) = (running.inputs.clone(), Arc::clone(&running.stop));
@@ -170,7 +171,7 @@ impl Device {
     }
 }
 
-/// A simulated device that runs; its power is cut when this is dropped.
+/// A running simulated device; dropping it cuts its power.
 pub struct Running {
     inputs: Sender<Input>,
     stop: Arc<AtomicBool>,
@@ -200,7 +201,7 @@ impl Running {
         })
     }
 
-    /// What resets the device: its power is taken away and given back, its line stays.
+    /// Returns a function that resets the device: its power is cut and restored, its line stays.
     pub fn reset(&self) -> impl Fn() + Send + use<> {
         let inputs = self.inputs.clone();
         move || {
@@ -219,11 +220,11 @@ impl Drop for Running {
     }
 }
 
-/// Starts a device in this process and gives the line to it: a pty, as a real device would be; where
-/// the system has none to give, as in a container without `/dev/ptmx`, TCP on this machine.
+/// Starts a device in this process and returns its line: a pty, as for a real device. Without ptys, as in a
+/// container without `/dev/ptmx`, TCP on this machine.
 ///
 /// # Errors
-/// When the system has no more threads, and nothing can listen there.
+/// If the system has no more threads, or it cannot listen.
 pub(crate) fn line(kind: Kind) -> io::Result<Line> {
     #[cfg(unix)]
     if let Ok((running, path)) = Device::new(kind).on_pty(None) {
@@ -240,8 +241,8 @@ pub(crate) fn line(kind: Kind) -> io::Result<Line> {
     Ok(line)
 }
 
-/// Passes on what arrives, until the stream ends.
-fn pass_on(mut reader: impl Read, inputs: &Sender<Input>, stop: &AtomicBool) {
+/// Forwards received bytes until the stream ends.
+fn forward(mut reader: impl Read, inputs: &Sender<Input>, stop: &AtomicBool) {
     let mut buffer = [0; 256];
     while !stop.load(Ordering::Acquire) {
         match reader.read(&mut buffer) {
@@ -274,7 +275,7 @@ fn serve_tcp(listener: &TcpListener, inputs: &Sender<Input>, stop: &AtomicBool) 
             continue;
         };
         let _ = inputs.send(Input::Line(Some(line.writer)));
-        pass_on(line.reader, inputs, stop);
+        forward(line.reader, inputs, stop);
         let _ = inputs.send(Input::Line(None));
     }
 }

@@ -1,4 +1,4 @@
-//! Moments as RFC 3339 writes them, in UTC, to the microsecond; for `#[serde(with = …)]`.
+//! Wall-clock times in RFC 3339, in UTC, to the microsecond; for `#[serde(with = …)]`.
 
 use std::fmt::Write;
 use std::time::{SystemTime, UNIX_EPOCH};
@@ -6,7 +6,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use serde::{Deserialize, Deserializer, Serializer, de};
 
 pub(crate) fn serialize<S: Serializer>(at: &SystemTime, to: S) -> Result<S::Ok, S::Error> {
-    // A clock from before 1970 or after 9999 has no such form; it is wrong anyway.
+    // The format has no years before 1970 or after 9999; such a clock is wrong anyway.
     let at = (*at).max(UNIX_EPOCH);
     let mut text = String::new();
     if write!(text, "{}", humantime::format_rfc3339_micros(at)).is_err() {

@@ -1,5 +1,5 @@
 /*
- * The desk robot in a program on the desk, with a TCP port in place of the serial line: to try firmware without a board.
+ * The desk robot as a program on the host, with a TCP port instead of the serial line: to test firmware without a board.
  *
  *   cargo xtask c
  *   cc desk.c robot.c -I../../../target/c/include ../../../target/c/lib/libztl_node.a -o desk && ./desk
@@ -47,7 +47,7 @@ void board_lamp(int on)
     fflush(stdout);
 }
 
-/* Waits until the line has something to read, or the node something to do; whether it has. */
+/* Waits until the line is readable or the node is due; returns whether the line is readable. */
 static int readable(int line, unsigned int wait_ms)
 {
     fd_set lines;
@@ -105,7 +105,7 @@ int main(void)
         }
         ztl_node_run(node, now_ms());
         count = (long)ztl_node_send(node, now_ms(), bytes, sizeof bytes);
-        /* Without a line it is lost, as on a cable that is not plugged in. */
+        /* Without a line the bytes are lost, as on an unplugged cable. */
         if (line >= 0 && count > 0 && write(line, bytes, (size_t)count) != count) {
             close(line);
             line = -1;

@@ -1,5 +1,5 @@
 /*
- * The desk robot on a Stellaris LM3S6965 board (Cortex-M3), without any library but ZTL's. In QEMU:
+ * The desk robot on a Stellaris LM3S6965 board (Cortex-M3), with no library but ZTL. In QEMU:
  *
  *   cargo xtask c thumbv7m-none-eabi
  *   arm-none-eabi-gcc -mcpu=cortex-m3 -mthumb -Os -ffreestanding -nostdlib -T lm3s6965evb.ld lm3s6965evb.c robot.c \
@@ -32,14 +32,14 @@
 #define TICK_NOW REGISTER(0xE000E018)
 #define INTERRUPTS_ON REGISTER(0xE000E100)
 
-/* Cycles in a millisecond after a reset, in QEMU. */
+/* Cycles per millisecond after a reset, in QEMU. */
 #define CYCLES 12500u
 
 #ifdef __cplusplus
 extern "C" {
 #endif
 
-/* The board's pins, which a test presses and sees from outside; it knows their order. */
+/* The board's pins. A test sets and reads them from outside and relies on their order. */
 volatile unsigned int PANEL[6];
 #define STOP_PRESSED PANEL[1]
 #define RESUME_PRESSED PANEL[2]
@@ -63,7 +63,7 @@ static void on_tick(void)
     millis++;
 }
 
-/* What the interrupt received, for the main loop: each of the two counts is written by one of them only. */
+/* A queue from the interrupt to the main loop; each of the two counters has one writer. */
 #define ROOM 256u
 static volatile unsigned char received[ROOM];
 static volatile unsigned int put, taken;
@@ -73,7 +73,7 @@ static void on_uart(void)
     UART_CLEAR = ON_RECEIVED;
     while (!(UART_FLAGS & NOTHING_RECEIVED)) {
         unsigned char byte = (unsigned char)UART_DATA;
-        /* What has no room is lost; the link sees it and repeats. */
+        /* Bytes that do not fit are lost; the link detects this and resends. */
         if (put - taken < ROOM) {
             received[put % ROOM] = byte;
             put++;
@@ -94,7 +94,7 @@ static void start_board(void)
     TICK_CONTROL = 7;
 }
 
-/* A reset leaves it as it is; it differs from boot to boot. */
+/* Survives a reset and changes with each boot. */
 static unsigned int boots __attribute__((section(".noinit")));
 
 static unsigned char ram[ZTL_NODE_RAM(ROBOT_COMPONENTS)];
@@ -127,13 +127,13 @@ static void run(void)
         }
         while (sent < count && !(UART_FLAGS & NO_ROOM))
             UART_DATA = out[sent++];
-        /* Until a byte comes, or the next millisecond. */
+        /* Sleep until a byte arrives or the next millisecond begins. */
         if (sent == count)
             __asm__ volatile("wfi");
     }
 }
 
-/* From lm3s6965evb.ld. */
+/* Defined in lm3s6965evb.ld. */
 extern unsigned int data_begin, data_end, data_kept, bss_begin, bss_end;
 extern void _stack_start(void);
 
@@ -152,7 +152,7 @@ static void on_reset(void)
 
 static void on_fault(void)
 {
-    /* Anew: the gateway knows what to tell of the tasks that ran. */
+    /* Reset: the gateway then reports the tasks that were running. */
     REGISTER(0xE000ED0C) = 0x05FA0004;
     for (;;)
         continue;

@@ -1,14 +1,14 @@
 /*
- * The desk robot: a stage that moves, and a lamp. It knows neither the board nor the link: the same file runs on a Cortex-M3
- * (lm3s6965evb.c) and in a program on the desk (desk.c).
+ * The desk robot: a moving stage and a lamp, independent of board and link. The same file runs on a Cortex-M3 (lm3s6965evb.c)
+ * and in a program on the host (desk.c).
  */
 #include "robot.h"
 
-/* Tenths of a millimetre in a second. */
+/* Tenths of a millimetre per second. */
 #define SPEED 200
 #define LONGEST 1000
 
-/* Places are tenths of a millimetre. */
+/* Positions are in tenths of a millimetre. */
 struct stage {
     int place;
     int goal;

@@ -1,4 +1,4 @@
-/* The desk robot: what robot.c does with a board's pins. */
+/* The desk robot: connects robot.c with a board's pins. */
 #ifndef ROBOT_H
 #define ROBOT_H
 
@@ -12,7 +12,7 @@ extern "C" {
 #define ROBOT_COMPONENTS 2
 extern const ztl_component robot_components[ROBOT_COMPONENTS];
 
-/* The board provides them: where the stage is to be, in tenths of a millimetre; and whether the lamp is lit. */
+/* Provided by the board: move the stage to a position in tenths of a millimetre; switch the lamp. */
 void board_place(int tenths);
 void board_lamp(int on);
 

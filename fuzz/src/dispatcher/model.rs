@@ -1,5 +1,5 @@
-//! What a server has promised so far, kept in the plainest way: every request, every task, and the
-//! last INIT of each of our clients, for ever.
+//! A model of a server's promises: every request, every task, and the last INIT of each of our clients,
+//! stored without limit.
 
 mod answers;
 mod places;
@@ -15,7 +15,7 @@ use super::{BOOT, TEXT};
 use places::{Places, is_init};
 use questions::only;
 
-/// The room that the server has.
+/// The server's capacities.
 pub(super) struct Limits {
     pub(super) tasks: usize,
     pub(super) held: usize,
@@ -27,32 +27,32 @@ pub(super) struct Task {
     pub(super) id: TaskId,
     scope: &'static str,
     state: State,
-    /// Progress or end, as it is remembered.
+    /// Progress, result or reason, as stored.
     text: String,
-    /// What its INIT is answered: when accepted, and when refused with the state.
+    /// The reply to its INIT: once accepted, and once rejected with the state.
     accepted: Option<String>,
     refused: Option<(State, String)>,
-    /// How many INITs had come when it ended.
+    /// How many INITs had arrived when it ended.
     ended: Option<usize>,
-    /// Refused while its INIT still waited: the client never had an id to ask for.
+    /// Rejected while its INIT still waited: the client never had an id to ask about.
     nameless: bool,
-    /// An answer said that it is not known any more.
+    /// A reply said that the task is unknown.
     forgotten: bool,
 }
 
-/// What a request asks for, and thus which answers are right.
+/// What a request asks for, and therefore which replies are valid.
 #[derive(Debug, Clone)]
 enum Asked {
-    /// Nothing that has more than one answer.
+    /// Exactly this reply.
     Only(String),
-    /// A new task; `None` until it has been started.
+    /// A new task; `None` until it is started.
     Init(Option<usize>),
-    /// The answer that a client's last INIT got, which was refused without being started.
+    /// The reply to a client's last INIT, which was rejected without being started.
     Refusal {
         scope: &'static str,
         text: String,
     },
-    /// The answer of an INIT again, or its outcome.
+    /// The reply to a repeated INIT, or its outcome.
     Again {
         scope: &'static str,
         task: usize,
@@ -76,15 +76,14 @@ struct Ask {
     scope: String,
     payload: String,
     asked: Asked,
-    /// The INIT that it is about may have been forgotten for another client's: its client was told, or
-    /// nothing more can come of it.
+    /// The INIT's record may have been evicted: its client was told, or nothing more can come of it.
     forgettable: bool,
-    /// What the client said before shows that the INIT has not come.
+    /// What the client said earlier shows that the INIT has not arrived before.
     surely_new: bool,
     answered: bool,
 }
 
-/// What became of a client's last INIT.
+/// The state of a client's last INIT.
 #[derive(Debug, Clone)]
 enum First {
     Started(usize),
@@ -96,10 +95,10 @@ struct LastInit {
     number: u64,
     /// Its client has asked about its task.
     received: bool,
-    /// Its scope and payload, which another one with its number does not share.
+    /// Its scope and payload, which no other INIT with this number shares.
     of: (String, String),
     first: First,
-    /// Until when the server keeps its word about it; `None` while it is undecided.
+    /// How long the server must keep the record; `None` while the INIT is undecided.
     until: Option<Instant>,
 }
 
@@ -109,7 +108,7 @@ pub(super) struct Model {
     tasks: Vec<Task>,
     inits: BTreeMap<ClientId, LastInit>,
     places: Places,
-    /// INITs that had not come before.
+    /// Number of INITs that had not arrived before.
     new_inits: usize,
     /// The task whose handler is just refusing to abort it.
     refusing: Option<usize>,
@@ -132,7 +131,7 @@ impl Model {
         &self.tasks
     }
 
-    /// A request is about to come; returns its number.
+    /// Registers a request that is about to arrive; returns its number.
     pub(super) fn ask(
         &mut self,
         now: Instant,
@@ -184,8 +183,8 @@ impl Model {
             Some(last) => last.id.get() + 1,
             None => self.limits.first.get(),
         };
-        // A refused INIT may use up a number, but none is ever given again.
-        assert!(id.get() >= expected, "{id} was given before");
+        // A rejected INIT may consume an id, but no id is reused.
+        assert!(id.get() >= expected, "{id} is reused");
         let ask = &mut self.asks[ask];
         assert!(
             matches!(ask.asked, Asked::Init(None)),
@@ -245,7 +244,7 @@ impl Model {
         assert!(ask.answered || ask.due >= now);
     }
 
-    /// A handler is about to report.
+    /// Registers a handler's report.
     pub(super) fn on_event(&mut self, now: Instant, id: TaskId, event: TaskEvent<'_>) {
         let place = self
             .tasks
@@ -294,7 +293,7 @@ impl Model {
         }
         let decided = was == State::Initiated && state != State::Initiated;
         if decided && state.is_final() && state != State::Rejected {
-            // Who reports an end has taken the task.
+            // A task that reports a final state has been accepted.
             task.accepted = text.map(str::to_owned);
         }
         for init in self.inits.values_mut() {
@@ -308,13 +307,13 @@ impl Model {
         self.refusing = None;
     }
 
-    /// Time has passed: what the server's word no longer covers is dropped.
+    /// Time has passed: drops the records that the server need not keep any longer.
     pub(super) fn forget(&mut self, now: Instant) {
         self.inits
             .retain(|_, init| init.until.is_none_or(|until| now < until));
     }
 
-    /// The server sleeps longer than it wanted to.
+    /// The server sleeps longer than it asked for.
     pub(super) fn oversleep(&mut self, until: Instant) {
         for ask in &mut self.asks {
             ask.due = ask.due.max(until);
@@ -345,7 +344,7 @@ fn config() -> Config {
     Config::new(TaskId::new(1).expect("not 0"), BOOT)
 }
 
-/// A text as a memory of [`TEXT`] bytes keeps it.
+/// A text as a memory of [`TEXT`] bytes stores it.
 fn cut(text: &str) -> String {
     if text.len() <= TEXT {
         return text.to_owned();

@@ -1,11 +1,11 @@
-//! A target that takes whatever a goal looks like, and gives it back the same.
+//! A target that takes any goal and writes it back unchanged.
 
 use core::fmt;
 
 use serde::de::{Deserialize, Deserializer, MapAccess, SeqAccess, Visitor};
 use serde::ser::{Serialize, SerializeMap, Serializer};
 
-/// A value of any kind.
+/// A value of any type.
 #[derive(Debug)]
 pub(super) enum Any {
     Nothing,

@@ -1,8 +1,8 @@
-//! The standard image, whose size is recorded: a small server that moves a base.
+//! The image whose size is recorded: a small server that moves a base.
 //!
-//! Requests come over the line, one a frame, and go through all that a server in firmware needs:
-//! the dispatcher with two scopes and eight tasks, the task's specification, and a goal of three
-//! numbers that is read into a struct.
+//! Requests arrive over the line, one per frame. They pass through everything that a server in firmware
+//! needs: the dispatcher with two scopes and eight tasks, the task specification, and a goal of three numbers
+//! that is parsed into a struct.
 #![no_std]
 #![no_main]
 
@@ -16,13 +16,13 @@ use ztl_core::reply::Reply;
 use ztl_core::{TaskId, TaskSpec, goal};
 use ztl_proof::{FIRST, Room, now, receive, send};
 
-/// Two scopes; eight tasks with texts of 32 bytes; four answers held. There is one client.
+/// Two scopes; eight tasks with texts of 32 bytes; four held replies. There is one client.
 type Server = Dispatcher<Fixed<(), 2, 8, 32, 4>>;
 
 static SERVER: Room<Server> = Room::new();
 static REQUEST: Room<[u8; 256]> = Room::new();
 
-/// Where the base shall go.
+/// Where the base should go.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Pose {
@@ -54,7 +54,7 @@ extern "C" fn main() -> ! {
     }
 }
 
-/// Three frames, each a byte for its length and its bytes: the envelope's two, and the body.
+/// Reads three frames, each a length byte and its content: the envelope's two frames, and the body.
 fn read_request(buffer: &mut [u8]) -> Option<(Option<Envelope>, &[u8])> {
     let (head, rest) = buffer.split_at_mut_checked(32)?;
     let (client, number) = head.split_at_mut_checked(20)?;
@@ -70,7 +70,7 @@ fn read_frame(buffer: &mut [u8]) -> Option<&[u8]> {
     Some(frame)
 }
 
-/// Apart from `main`, so that the list of symbols tells the dispatcher's share.
+/// Not inlined, so that the symbol table shows the dispatcher's size.
 #[inline(never)]
 fn serve(server: &mut Server, envelope: Option<Envelope>, body: &[u8]) {
     let action = server.handle_request(now(), (), envelope, Body::One(body), &mut answer);
@@ -82,7 +82,7 @@ fn serve(server: &mut Server, envelope: Option<Envelope>, body: &[u8]) {
     server.handle_event(now(), id, event, &mut answer);
 }
 
-/// Apart, for the share of specification and goal.
+/// Not inlined, to show the size of specification and goal.
 #[inline(never)]
 fn start(payload: &str) -> TaskEvent<'static> {
     let mut buffer = [0; 128];

@@ -1,5 +1,5 @@
-//! The static libraries for old Linux machines, of musl, built as `cargo xtask dist` builds `ztl`; and the
-//! examples linked with them, and run.
+//! The static libraries for old Linux machines, with musl, built like `ztl` in `cargo xtask dist`. Links the
+//! examples with them and runs those.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -10,15 +10,15 @@ use crate::cmd::{Cmd, Outcome};
 use crate::zig::{Target, Zig};
 use crate::{Dirs, places, python, tools};
 
-/// What the examples are compiled as: the language's options, and the sources.
+/// How the examples are compiled: language options and sources.
 const PROGRAMS: [(&str, &str); 3] = [
     ("-x c -std=c89", "worker"),
     ("-x c -std=c89", "client"),
     ("-x c++ -std=c++98", "handler"),
 ];
 
-/// ARMv5 has no instructions for atomics. Rust's runtime library has functions in their place, which call the kernel;
-/// zig's has none, and its C++ library wants these.
+/// ARMv5 has no atomic instructions. Rust's runtime library has functions instead, which call the kernel. zig
+/// has none, but its C++ library needs these.
 const ATOMICS: &[&str] = &[
     "__sync_fetch_and_add_4",
     "__sync_lock_test_and_set_1",
@@ -27,7 +27,7 @@ const ATOMICS: &[&str] = &[
     "__sync_val_compare_and_swap_4",
 ];
 
-/// GNU's tools for a target, and the Debian package that has them.
+/// GNU's tools for a target, and the Debian package that contains them.
 fn gnu_tools(target: Target) -> (Tools, &'static str) {
     let (prefix, emulation, package) = match target.triple.split('-').next() {
         Some("i686" | "i586") => ("", "-m elf_i386", "binutils"),
@@ -50,7 +50,7 @@ fn gnu_tools(target: Target) -> (Tools, &'static str) {
     (tools, package)
 }
 
-/// Makes the static library of a target.
+/// Builds the static library of a target.
 pub(super) fn assemble(dirs: &Dirs, zig: &Zig, target: Target) -> Outcome<PathBuf> {
     let place = dirs.target.join("c").join(target.name);
     let object = joined(zig, target, &place)?;
@@ -59,8 +59,8 @@ pub(super) fn assemble(dirs: &Dirs, zig: &Zig, target: Target) -> Outcome<PathBu
     Ok(place)
 }
 
-/// Makes `include/` and `lib/libztl.a` of a target, in which zig's C++ library is not inside; and gives the one object
-/// that is in it.
+/// Creates `include/` and `lib/libztl.a` of a target, without zig's C++ library. Returns the single object in
+/// it.
 pub(super) fn joined(zig: &Zig, target: Target, place: &Path) -> Outcome<PathBuf> {
     let (gnu, package) = gnu_tools(target);
     if !tools::has(&format!("{}ld", gnu.prefix)) {
@@ -74,14 +74,15 @@ pub(super) fn joined(zig: &Zig, target: Target, place: &Path) -> Outcome<PathBuf
     join::join(&gnu, HEADER, &archives, &place.join("lib/libztl.a"))
 }
 
-/// Links the examples with it, and runs them on its processor.
+/// Links the examples with it, and runs them on their processor.
 pub(super) fn check(dirs: &Dirs, zig: &Zig, target: Target, place: &Path) -> Outcome {
     let library = place.join("lib/libztl.a").display().to_string();
     let programs = link(dirs, zig, target, place, &["-static", &library, "-lunwind"])?;
     run_programs(dirs, target.emulator, &programs)
 }
 
-/// Compiles the examples with the headers of a place, links them by these options, and says where they are.
+/// Compiles the examples with the headers of `place`, links them with these options, and returns their
+/// directory.
 pub(super) fn link(
     dirs: &Dirs,
     zig: &Zig,

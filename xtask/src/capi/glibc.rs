@@ -1,4 +1,4 @@
-//! The shared libraries for old Linux machines with glibc: for programs that have to be linked with the robot's own
+//! The shared libraries for old Linux machines with glibc, for programs that must link with the robot's own
 //! libraries.
 
 use std::fmt::Display;
@@ -13,14 +13,14 @@ use crate::cmd::Outcome;
 use crate::zig::{GLIBC, Target, Zig};
 use crate::{Dirs, curve, places, python, tools};
 
-/// Makes the shared library of a target.
+/// Builds the shared library of a target.
 pub(super) fn assemble(dirs: &Dirs, zig: &Zig, target: Target) -> Outcome<PathBuf> {
     let place = dirs.target.join("c").join(format!("{}-glibc", target.name));
     let target = target.with_glibc();
     let object = cross::joined(zig, target, &place)?;
     let lib = place.join("lib");
     let failed = |error| format!("cannot write {}: {error}", lib.display());
-    // zig's C++ library, which is linked in here, is not hidden yet.
+    // zig's C++ library is linked in here and not hidden yet.
     let seen = lib.join("seen");
     fs::write(&seen, "{ global: ztl_*; local: *; };\n").map_err(failed)?;
     let shared = lib.join(super::shared());
@@ -34,7 +34,7 @@ pub(super) fn assemble(dirs: &Dirs, zig: &Zig, target: Target) -> Outcome<PathBu
         .args("-lunwind")
         .args(SYSTEM)
         .run()?;
-    // The archive would need zig's C++ library of whoever links it.
+    // Users of the archive would need zig's C++ library.
     for done in [object, seen, lib.join("libztl.a")] {
         fs::remove_file(done).map_err(failed)?;
     }
@@ -47,15 +47,15 @@ pub(super) fn assemble(dirs: &Dirs, zig: &Zig, target: Target) -> Outcome<PathBu
     Ok(place)
 }
 
-/// Runs programs in C with it: all tests on this machine's processor, else the examples by an emulator, with Debian's
-/// glibc for that processor.
+/// Runs C programs with it: all tests on this machine's processor; otherwise the examples in an emulator,
+/// with Debian's glibc for that processor.
 pub(super) fn check(dirs: &Dirs, zig: &Zig, target: Target, place: &Path) -> Outcome {
     if target.name == std::env::consts::ARCH {
         return check_here(dirs, place);
     }
     let Some((package, root, loader)) = debians(target) else {
         return Err(format!(
-            "the shared library for {} is made, and cannot be run: Debian's glibc is for newer processors",
+            "built the shared library for {}; it cannot run here, because Debian's glibc needs a newer processor",
             target.name
         ));
     };
@@ -69,7 +69,7 @@ pub(super) fn check(dirs: &Dirs, zig: &Zig, target: Target, place: &Path) -> Out
     cross::run_programs(dirs, &format!("{} -L {root}", target.emulator), &programs)
 }
 
-/// The examples and the tests in C, compiled by this machine's compiler.
+/// The examples and tests in C, compiled with this machine's compiler.
 fn check_here(dirs: &Dirs, place: &Path) -> Outcome {
     curve::cargo(dirs, "build")?
         .args("--locked --package ztl-std --bin ztl")
@@ -82,7 +82,7 @@ fn check_here(dirs: &Dirs, place: &Path) -> Outcome {
         .run()
 }
 
-/// The Debian package with glibc for a processor, the root below which it is, and its loader there.
+/// The Debian package with glibc for a processor, its root directory, and its loader.
 fn debians(target: Target) -> Option<(&'static str, &'static str, &'static str)> {
     match target.name {
         "i686" => Some(("libc6-i386", "/", "lib/ld-linux.so.2")),
@@ -105,7 +105,7 @@ fn debians(target: Target) -> Option<(&'static str, &'static str, &'static str)>
     }
 }
 
-/// The newest version of glibc whose names a library asks for, which may be this one.
+/// The newest glibc version that a library requires; an error if it is newer than `most`.
 fn needs_at_most(library: &Path, most: &str) -> Outcome<String> {
     let failed = |error: &dyn Display| format!("{}: {error}", library.display());
     let bytes = fs::read(library).map_err(|error| failed(&error))?;
@@ -117,22 +117,22 @@ fn needs_at_most(library: &Path, most: &str) -> Outcome<String> {
     };
     let needs = needs.map_err(|error| failed(&error))?;
     let newest = needs.into_iter().max_by_key(|version| number(version));
-    let newest = newest.ok_or_else(|| failed(&"does not tell which glibc it needs"))?;
+    let newest = newest.ok_or_else(|| failed(&"does not name the glibc it needs"))?;
     match number(&newest) > number(most) {
         true => Err(failed(&format!(
-            "needs glibc {newest}, and may need {most}"
+            "needs glibc {newest}, but at most {most} is allowed"
         ))),
         false => Ok(newest),
     }
 }
 
-/// `2.17` as what can be compared; what is no number, as `PRIVATE`, is beyond all.
+/// `2.17` in comparable form; a name such as `PRIVATE` compares above all numbers.
 fn number(version: &str) -> Vec<u32> {
     let parts = version.split('.').map(str::parse);
     parts.map(|part| part.unwrap_or(u32::MAX)).collect()
 }
 
-/// The versions of glibc that a file names.
+/// The glibc versions that a file requires.
 fn glibc_needs<H: FileHeader<Endian = Endianness>>(
     file: &ElfFile<'_, H>,
 ) -> object::Result<Vec<String>> {
@@ -157,12 +157,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_library_for_a_newer_glibc_is_refused() {
+    fn a_library_for_a_newer_glibc_is_an_error() {
         let this = std::env::current_exe().unwrap();
         let newest = needs_at_most(&this, "99").unwrap();
         assert_eq!(needs_at_most(&this, &newest), Ok(newest.clone()));
         let refused = needs_at_most(&this, "2.1").unwrap_err();
-        let reason = format!("needs glibc {newest}, and may need 2.1");
+        let reason = format!("needs glibc {newest}, but at most 2.1 is allowed");
         assert!(refused.ends_with(&reason), "{refused}");
         assert!(number("2.17") > number("2.4") && number("2.2.5") < number("2.4"));
         assert!(number("PRIVATE") > number("2.99"));

@@ -1,4 +1,4 @@
-//! Joins all that a library needs into one object, and hides all of it but what its header declares.
+//! Links everything that a library needs into one object, and hides all names except those in its header.
 
 use std::collections::BTreeSet;
 use std::ffi::OsString;
@@ -10,30 +10,30 @@ use object::{Object, ObjectSymbol};
 
 use crate::cmd::{Cmd, Outcome};
 
-/// What rustc leaves in its standard library for optimising it once more; a linker of another LLVM
-/// stumbles over it.
+/// LLVM bitcode in Rust's standard library, for link-time optimisation; a linker with another LLVM version
+/// rejects it.
 const BITCODE: &str = "--remove-section .llvmbc --remove-section .llvmcmd";
 
-/// GNU's tools for a processor.
+/// GNU's binutils for a processor.
 pub(super) struct Tools {
-    /// Before the name of each.
+    /// Prefix of their names.
     pub(super) prefix: &'static str,
-    /// For the linker.
+    /// Option for the linker.
     pub(super) emulation: &'static str,
-    /// For `objcopy`, before names are hidden.
+    /// Option for `objcopy`, before names are hidden.
     pub(super) unmark: &'static str,
-    /// What stays visible, weak, beside what the header declares: of the compiler's runtime library, what the target's
-    /// C++ library needs and would have from nobody else.
+    /// Names that stay visible, as weak symbols, besides those in the header: functions of the compiler's
+    /// runtime library that the target's C++ library needs.
     pub(super) runtime: &'static [&'static str],
 }
 
 impl Tools {
-    /// This machine's.
+    /// For this machine.
     pub(super) const HOST: Self = Self {
         prefix: "",
         emulation: "",
-        // GNU's C++ marks some names as the only ones in the whole process, which `objcopy` does not hide. Only where the
-        // C++ library is inside: a name that is lacking would become one that may be lacking, and stay 0.
+        // GNU's C++ marks some names as unique in the process, which `objcopy` does not hide. Only if the C++
+        // library is included: otherwise missing names would become weak and stay 0.
         unmark: "--wildcard --weaken-symbol _Z*",
         runtime: &[],
     };
@@ -43,8 +43,8 @@ impl Tools {
     }
 }
 
-/// Makes a static library of all that the header's functions need of these archives, and puts the header into
-/// `include/` beside its directory. Also gives the one object that is in it.
+/// Creates a static library of everything that the header's functions need from these archives, and copies
+/// the header to `include/` next to it. Returns the single object in it.
 pub(super) fn join(
     tools: &Tools,
     header: &str,
@@ -66,7 +66,7 @@ pub(super) fn join(
         ["symbols", "all.o", "weak.o", "o"].map(|end| library.with_extension(end));
     fs::write(&listed, symbols.join("\n") + "\n").map_err(failed)?;
 
-    // No group either, whose place another program's C++ could take.
+    // No section groups: another program's C++ could replace them.
     let mut link = tools
         .command("ld")
         .args("-r --force-group-allocation --gc-sections")
@@ -92,7 +92,7 @@ pub(super) fn join(
     keep.push(&listed);
     let hide = tools.command("objcopy").arg(keep);
     hide.arg(&weak).arg(&object).run()?;
-    // `ar` would add to an older one.
+    // `ar` would add to an old archive.
     let _ = fs::remove_file(library);
     tools
         .command("ar")
@@ -107,7 +107,7 @@ pub(super) fn join(
     Ok(object)
 }
 
-/// Whether an object, or a shared library, has these functions, and nothing else that can be seen.
+/// Checks that an object or shared library exports these functions and nothing else.
 pub(super) fn shows_only(path: &Path, symbols: &[&str]) -> Outcome {
     let failed = |error: &dyn Display| format!("{}: {error}", path.display());
     let bytes = fs::read(path).map_err(|error| failed(&error))?;
@@ -121,15 +121,15 @@ pub(super) fn shows_only(path: &Path, symbols: &[&str]) -> Outcome {
         seen.difference(&wanted).next(),
     ) {
         (None, None) => Ok(()),
-        (Some(lacking), _) => Err(failed(&format!("`{lacking}` is lacking"))),
-        (_, Some(other)) => Err(failed(&format!("`{other}` can be seen, too"))),
+        (Some(lacking), _) => Err(failed(&format!("`{lacking}` is missing"))),
+        (_, Some(other)) => Err(failed(&format!("`{other}` is exported too"))),
     }
 }
 
-/// The names of the functions that a header declares.
+/// The names of the functions declared in a header.
 pub(super) fn functions(header: &str) -> Vec<&str> {
     let is_name = |c: char| c.is_ascii_lowercase() || c == '_';
-    // Comments stand in lines that begin with a blank; a declaration's first line does not.
+    // Lines of comments begin with a space; a declaration's first line does not.
     let lines = header.lines();
     let lines = lines.filter(|line| !line.starts_with([' ', '#', '/']));
     let names = lines.filter_map(|line| {
@@ -144,7 +144,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn functions_are_told_from_types_and_comments() {
+    fn functions_are_found_among_types_and_comments() {
         let header = "/**\n * See ztl_not(this).\n */\nint ztl_first(int a,\n              int b);\n\
                       typedef void (*ztl_call)(void *context);\nconst char *ztl_second(void);\n";
         assert_eq!(functions(header), ["ztl_first", "ztl_second"]);

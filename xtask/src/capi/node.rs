@@ -1,4 +1,4 @@
-//! The library for firmware in C, and the example of it.
+//! The library for firmware in C, and its example.
 
 use std::fs;
 use std::path::Path;
@@ -10,20 +10,20 @@ use crate::cmd::{Cmd, Outcome};
 use crate::cross::Core;
 use crate::{Dirs, image, tools};
 
-/// The package of the node, which is no member of the workspace.
+/// The node's package, which is not in the workspace.
 pub(crate) const MANIFEST: &str = "ztl-node-c/Cargo.toml";
 const HEADER: &str = "ztl-node-c/include/ztl_node.h";
 
-/// What only the panic handler asks for.
+/// Referenced only by the panic handler.
 const PANIC: &str = "ztl_a_panic_is_reachable";
 
-/// The example's board: its name there, its target, and what its compiler is told.
+/// The example's board: its name, target and compiler options.
 const FIRMWARE: &str = "examples/c/firmware";
 const BOARD: &str = "lm3s6965evb";
 const TARGET: &str = "thumbv7m-none-eabi";
 const CPU: &str = "-mcpu=cortex-m3 -mthumb";
 
-/// Makes the library for a target, or for this machine, where firmware can be tried.
+/// Builds the library for a target, or for this machine to test firmware on it.
 pub(super) fn assemble(dirs: &Dirs, target: Option<&str>, place: &Path) -> Outcome {
     image::check_lock(MANIFEST)?;
     let below = dirs.target.join("node");
@@ -51,7 +51,7 @@ pub(super) fn assemble(dirs: &Dirs, target: Option<&str>, place: &Path) -> Outco
         },
         Some(other) => {
             return Err(format!(
-                "no linker is known here that joins the library for {other}; cargo builds it with {MANIFEST}"
+                "no linker for {other} is known; build {MANIFEST} with cargo instead"
             ));
         }
     };
@@ -67,14 +67,14 @@ pub(super) fn assemble(dirs: &Dirs, target: Option<&str>, place: &Path) -> Outco
     removed.map_err(|error| format!("{}: {error}", object.display()))
 }
 
-/// Nothing that is linked panics.
+/// Checks that nothing in the object can panic.
 fn prove(object: &Path) -> Outcome {
     let bytes = fs::read(object).map_err(|error| format!("{}: {error}", object.display()))?;
     let file =
         object::File::parse(&*bytes).map_err(|error| format!("{}: {error}", object.display()))?;
     if file.symbols().any(|symbol| symbol.name() == Ok(PANIC)) {
         return Err(format!(
-            "a panic can be reached in {}; `cargo xtask proof` tells where, unless it is in ztl-node-c itself",
+            "a panic is reachable in {}; `cargo xtask proof` shows where, unless it is in ztl-node-c itself",
             object.display()
         ));
     }
@@ -82,7 +82,7 @@ fn prove(object: &Path) -> Outcome {
     Ok(())
 }
 
-/// Builds the example's firmware to where the tests look for a board's image, also as C++.
+/// Builds the example's firmware, also as C++, into the directory where the tests look for board images.
 pub(super) fn build_firmware(dirs: &Dirs, target: &Path) -> Outcome {
     let place = dirs.target.join("c-test").join(TARGET);
     assemble(dirs, Some(TARGET), &place)?;

@@ -1,4 +1,4 @@
-//! Whether the bills of materials are what CycloneDX says they are.
+//! Validates the bills of materials against CycloneDX.
 
 use std::fs;
 use std::path::Path;
@@ -6,10 +6,10 @@ use std::path::Path;
 use crate::Dirs;
 use crate::cmd::{Cmd, Outcome};
 
-/// CycloneDX's own library, which has the schema.
+/// CycloneDX's own library, which contains the schema.
 const LIBRARY: &str = "cyclonedx-python-lib[json-validation]==11.12.0";
 
-/// Holds each bill there against the schema, and its licences against SPDX's list.
+/// Validates each bill against the schema, and its licences against SPDX's list.
 const SCRIPT: &str = r#"
 import json, sys
 from cyclonedx.schema import SchemaVersion

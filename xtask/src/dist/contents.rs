@@ -1,9 +1,8 @@
-//! What is inside a static program, for those who have to know: a bill of materials in CycloneDX, and
-//! the licences' texts.
+//! The contents of a static program: a bill of materials in CycloneDX, and the texts of all licences.
 
 #![expect(
     clippy::indexing_slicing,
-    reason = "of JSON by a name: what is not there is null"
+    reason = "indexing JSON by name gives null for missing keys"
 )]
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -17,35 +16,35 @@ use crate::cross;
 use crate::curve::Libraries;
 use crate::zig::{MUSL, Target, ZIG, Zig};
 
-/// Something that is inside.
+/// A component of the program.
 struct Part {
     name: String,
     version: String,
-    /// As SPDX writes it.
+    /// An SPDX expression.
     licence: String,
-    /// Where it comes from (a package URL, `purl`).
+    /// Its origin (a package URL, `purl`).
     url: String,
-    /// Of the archive that crates.io has.
+    /// Checksum of the archive on crates.io.
     sha256: Option<String>,
-    /// Files with the licence's text.
+    /// Files with the licence text.
     texts: Vec<PathBuf>,
 }
 
-/// All that is inside the program for a target.
+/// Everything inside the program for a target.
 pub(super) struct Contents {
     target: Target,
     own: Part,
     crates: Vec<Part>,
-    /// What is no Rust package.
+    /// Everything except Rust packages.
     foreign: Vec<Part>,
 }
 
 impl Contents {
-    /// Finds out.
+    /// Collects the contents.
     pub(super) fn of(zig: &Zig, target: Target, libraries: &Libraries) -> Outcome<Self> {
         let mut crates = crates(target)?;
         let own = crates.iter().position(|part| part.name == "ztl-std");
-        let own = own.ok_or("cargo does not tell the package ztl-std")?;
+        let own = own.ok_or("cargo does not list the package ztl-std")?;
         Ok(Self {
             target,
             own: crates.remove(own),
@@ -54,8 +53,8 @@ impl Contents {
         })
     }
 
-    /// The compilers and the libraries that are no Rust packages, with their versions, for `ztl --version`, which tells
-    /// libzmq by itself.
+    /// Compilers and foreign libraries with their versions, for `ztl --version`. libzmq is left out: `ztl`
+    /// reports it itself.
     pub(super) fn tools(&self) -> String {
         let foreign = self.foreign.iter().filter(|part| part.name != "libzmq");
         let tools = foreign.map(|part| match part.name.as_str() {
@@ -65,7 +64,7 @@ impl Contents {
         tools.collect::<Vec<_>>().join(", ")
     }
 
-    /// Writes `ztl-TARGET.cdx.json`, and `LICENSES.txt`, which is the same for every target.
+    /// Writes `ztl-TARGET.cdx.json`, and `LICENSES.txt`, which is the same for all targets.
     pub(super) fn write(&self, program: &Path, commit: &str) -> Outcome {
         let parts: Vec<&Part> = self.crates.iter().chain(&self.foreign).collect();
         let sum = Cmd::new("sha256sum").arg(program).stdout()?;
@@ -84,13 +83,13 @@ impl Contents {
     }
 }
 
-/// The Rust packages, `ztl`'s own among them.
+/// The Rust packages, including `ztl` itself.
 fn crates(target: Target) -> Outcome<Vec<Part>> {
     let metadata = Cmd::new("cargo metadata --format-version 1 --locked --filter-platform")
         .arg(target.triple)
         .stdout()?;
     let metadata: Value = serde_json::from_str(&metadata)
-        .map_err(|error| format!("`cargo metadata` is not understood: {error}"))?;
+        .map_err(|error| format!("cannot parse the output of `cargo metadata`: {error}"))?;
     let checksums = checksums()?;
     let list = |value: &Value| value.as_array().cloned().unwrap_or_default();
     let text = |value: &Value| value.as_str().unwrap_or_default().to_owned();
@@ -113,7 +112,7 @@ fn crates(target: Target) -> Outcome<Vec<Part>> {
             continue;
         }
         for dependency in list(nodes.get(&id).map_or(&Value::Null, |node| &node["deps"])) {
-            // What runs at build time, or in tests, is not inside.
+            // Build-time and test dependencies are not inside.
             let kinds = list(&dependency["dep_kinds"]);
             if kinds.iter().any(|kind| kind["kind"].is_null()) && !is_macro(&packages, &dependency)
             {
@@ -127,7 +126,7 @@ fn crates(target: Target) -> Outcome<Vec<Part>> {
         let home = PathBuf::from(text(&package["manifest_path"]));
         let licence = text(&package["license"]).replace('/', " OR ");
         let texts = |home: &Path| match texts_in(home) {
-            // One that has none with it: Apache's names nobody.
+            // Without its own text: Apache's licence contains no names.
             none if none.is_empty() && licence.contains("Apache-2.0") => {
                 vec![PathBuf::from("LICENSE-APACHE")]
             }
@@ -145,7 +144,7 @@ fn crates(target: Target) -> Outcome<Vec<Part>> {
     Ok(found.iter().filter_map(part).collect())
 }
 
-/// Whether it is a macro, which is run by the compiler.
+/// Whether it is a macro, which only the compiler runs.
 fn is_macro(packages: &BTreeMap<String, Value>, dependency: &Value) -> bool {
     let id = dependency["pkg"].as_str().unwrap_or_default();
     let targets = packages
@@ -179,7 +178,7 @@ fn checksums() -> Outcome<BTreeMap<(String, String), String>> {
     Ok(known.collect())
 }
 
-/// The files of a package that tell its licence.
+/// The files of a package that contain its licence.
 fn texts_in(home: &Path) -> Vec<PathBuf> {
     let names = [
         "LICENSE",
@@ -205,14 +204,14 @@ fn texts_in(home: &Path) -> Vec<PathBuf> {
     files
 }
 
-/// What is no Rust package: the libraries in C and C++, and Rust's own.
+/// The libraries in C and C++, and Rust's own.
 fn foreign(zig: &Zig, libraries: &Libraries) -> Outcome<Vec<Part>> {
     let sources = zig.sources()?;
     let lock = fs::read_to_string("libzmq/Cargo.lock")
         .map_err(|error| format!("cannot read libzmq/Cargo.lock: {error}"))?;
     let (_, version) = lock
         .split_once("name = \"zeromq-src\"\nversion = \"")
-        .ok_or("libzmq/Cargo.lock does not tell zeromq-src")?;
+        .ok_or("libzmq/Cargo.lock does not list zeromq-src")?;
     let version = version.split('"').next().unwrap_or_default();
     let zmq = version.split_once('+').map_or(version, |(_, zmq)| zmq);
     let home = env_home().join("registry/src");
@@ -231,7 +230,7 @@ fn foreign(zig: &Zig, libraries: &Libraries) -> Outcome<Vec<Part>> {
     let sodium_version = text
         .split_once("SODIUM_VERSION_STRING \"")
         .and_then(|(_, rest)| rest.split('"').next())
-        .ok_or_else(|| format!("{} does not tell the version", header.display()))?;
+        .ok_or_else(|| format!("{} does not contain the version", header.display()))?;
 
     let config = sources.join("libcxx/include/__config");
     let text = fs::read_to_string(&config)
@@ -239,7 +238,7 @@ fn foreign(zig: &Zig, libraries: &Libraries) -> Outcome<Vec<Part>> {
     let number = text
         .split_once("define _LIBCPP_VERSION ")
         .and_then(|(_, rest)| rest.lines().next()?.trim().parse::<u32>().ok())
-        .ok_or_else(|| format!("{} does not tell the version", config.display()))?;
+        .ok_or_else(|| format!("{} does not contain the version", config.display()))?;
     let llvm = format!(
         "{}.{}.{}",
         number / 10_000,
@@ -301,7 +300,7 @@ fn foreign(zig: &Zig, libraries: &Libraries) -> Outcome<Vec<Part>> {
         from_llvm("libc++", "libcxx"),
         from_llvm("libc++abi", "libcxxabi"),
         from_llvm("libunwind", "libunwind"),
-        // Its compiler's helpers, and what it has in place of some of musl.
+        // zig's compiler runtime, and its replacements for parts of musl.
         part(
             "zig",
             ZIG,
@@ -353,7 +352,7 @@ fn bill(own: &Part, parts: &[&Part], target: Target, commit: &str, sum: &str) ->
     })
 }
 
-/// All texts, each once, with those whom it is about.
+/// All licence texts, each once, with the components they apply to.
 fn licences(own: &Part, parts: &[&Part]) -> Outcome<String> {
     let mut all = format!(
         "What is inside ztl {}, and under which licence. libzmq is unchanged; its source is in the crate\n\
@@ -364,7 +363,7 @@ fn licences(own: &Part, parts: &[&Part]) -> Outcome<String> {
     for part in std::iter::once(&own).chain(parts) {
         let name = format!("{} {}", part.name, part.version);
         if part.texts.is_empty() {
-            return Err(format!("{name} comes without its licence's text"));
+            return Err(format!("{name} has no licence text"));
         }
         all += &format!("  {name}: {}\n", part.licence);
         for path in &part.texts {
@@ -387,8 +386,8 @@ mod tests {
     use crate::zig::TARGETS;
 
     #[test]
-    fn what_is_inside_is_listed_and_what_only_builds_is_not() {
-        // Cargo runs tests in the directory of their package.
+    fn runtime_dependencies_are_listed_and_build_dependencies_are_not() {
+        // Cargo runs tests in their package's directory.
         std::env::set_current_dir(concat!(env!("CARGO_MANIFEST_DIR"), "/..")).unwrap();
         let mut parts = crates(TARGETS[0]).unwrap();
         let names: BTreeSet<&str> = parts.iter().map(|part| part.name.as_str()).collect();

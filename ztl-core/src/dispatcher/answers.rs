@@ -1,4 +1,4 @@
-//! When the held answers go out, and what they say.
+//! When held replies are sent, and what they say.
 
 use super::{Dispatcher, RESERVED_SCOPE};
 use crate::lifecycle::State;
@@ -7,15 +7,15 @@ use crate::reply::{Reply, ReplyId, Text};
 use crate::tasks::Tasks;
 use crate::{Instant, TaskId};
 
-/// Whose wait is over.
-struct Over {
-    /// Of those who wait for this task, ...
+/// Selects the held replies to send now.
+struct Due {
+    /// The task whose replies are due, ...
     task: Option<TaskId>,
-    /// ... these, a bit for each [`kind`].
+    /// ... if they wait for one of these events, a bit for each [`kind`].
     kinds: u8,
-    /// And until when those of them wait at most who would be told a quick end.
+    /// New deadline for replies that wait for an early end of this task.
     early: Instant,
-    /// Of all, whose time ends before this.
+    /// Replies with a deadline before this are due, whatever they wait for.
     late: Instant,
 }
 
@@ -24,8 +24,8 @@ const fn kind(awaited: Awaited) -> u8 {
 }
 
 impl<M: Memory> Dispatcher<M> {
-    /// A task was decided about, or has ended, or both at once, or will not be aborted: those who
-    /// waited for it are answered, INITs with `told` and `text`.
+    /// Answers the requests that waited for this change: the task was decided, has ended, or will not be
+    /// aborted. INITs are answered with `told` and `text`.
     pub(super) fn on_change(
         &mut self,
         id: TaskId,
@@ -39,75 +39,76 @@ impl<M: Memory> Dispatcher<M> {
         let decided = task.state != State::Initiated;
         let ended = task.state.is_final();
         let kept = decided && self.settle(id, told, text);
-        let mut over = Over {
+        let mut due = Due {
             task: Some(id),
             kinds: 0,
             early: Instant::NEVER,
             late: Instant::ZERO,
         };
         if kept {
-            over.early = self.now.after(self.early);
+            due.early = self.now.after(self.early);
         }
         if decided {
-            over.kinds = kind(Awaited::Decision) | kind(Awaited::Outcome);
+            due.kinds = kind(Awaited::Decision) | kind(Awaited::Outcome);
         }
-        // Otherwise nobody keeps the text for a moment.
+        // If no record keeps the text, the reply cannot wait for an early end.
         if ended || decided && !kept {
-            over.kinds |= kind(Awaited::EarlyEnd);
+            due.kinds |= kind(Awaited::EarlyEnd);
         }
         if ended || abort_refused {
-            over.kinds |= kind(Awaited::Abort);
+            due.kinds |= kind(Awaited::Abort);
         }
         if ended {
-            over.kinds |= kind(Awaited::End);
+            due.kinds |= kind(Awaited::End);
         }
-        // Without a held INIT the client has the id already, and learns it by STATUS.
-        if self.answer_over(&over, Some((told, text)), out) && told != State::Accepted {
+        // Without a held INIT the client already has the id, and reads the state by STATUS.
+        if self.answer_due(&due, Some((told, text)), out) && told != State::Accepted {
             self.memory.tasks_mut().remove(id);
         }
     }
 
-    /// Answers those who have waited long enough, and those who wait for a quick end of a task whose
-    /// INIT is `settled` by another.
+    /// Sends the replies whose deadline has passed, and those that wait for an early end of the task
+    /// `settled`, whose record is about to be replaced.
     pub(super) fn answer_late(
         &mut self,
         settled: Option<TaskId>,
         out: &mut impl FnMut(M::Peer, &Reply<'_>),
     ) {
-        let over = Over {
+        let due = Due {
             task: settled,
             kinds: kind(Awaited::EarlyEnd),
             early: Instant::NEVER,
             late: self.now.after(1),
         };
-        self.answer_over(&over, None, out);
+        self.answer_due(&due, None, out);
     }
 
-    /// Answers those whose wait is over; says whether one of them did not know yet that its task is decided.
-    // Apart in firmware, since it is needed in two places.
+    /// Sends the replies that are due. Returns whether one of them is the first to tell its client the
+    /// decision.
+    // Not inlined in firmware: it has two callers.
     #[cfg_attr(target_os = "none", inline(never))]
-    fn answer_over(
+    fn answer_due(
         &mut self,
-        over: &Over,
+        due: &Due,
         said: Option<(State, &str)>,
         out: &mut impl FnMut(M::Peer, &Reply<'_>),
     ) -> bool {
-        let is_over = |waiter: &mut Waiter<M::Peer>| {
-            let its = Some(waiter.task) == over.task;
+        let is_due = |waiter: &mut Waiter<M::Peer>| {
+            let its = Some(waiter.task) == due.task;
             if its && waiter.awaited == Awaited::EarlyEnd {
-                waiter.deadline = waiter.deadline.min(over.early);
+                waiter.deadline = waiter.deadline.min(due.early);
             }
-            its && over.kinds & kind(waiter.awaited) != 0 || waiter.deadline < over.late
+            its && due.kinds & kind(waiter.awaited) != 0 || waiter.deadline < due.late
         };
         let mut nobody_knew = false;
-        while let Some(waiter) = self.memory.release(is_over) {
+        while let Some(waiter) = self.memory.release(is_due) {
             nobody_knew |= !matches!(waiter.awaited, Awaited::Abort | Awaited::End);
             self.answer(waiter, said, out);
         }
         nobody_knew
     }
 
-    /// Remembers the answer to an enveloped INIT; says whether there is such a one.
+    /// Stores the reply to the INIT of `task`; returns whether there is a record of it.
     pub(super) fn settle(&mut self, task: TaskId, told: State, answer: &str) -> bool {
         let Some(init) = self.memory.init_of(task) else {
             return false;
@@ -121,8 +122,8 @@ impl<M: Memory> Dispatcher<M> {
         true
     }
 
-    /// Answers one that was held: what it waited for has happened, or its time has passed. `said` is
-    /// what the handler just said.
+    /// Sends a held reply, because its event happened or its deadline passed. `said` is what the handler just
+    /// reported.
     pub(super) fn answer(
         &self,
         waiter: Waiter<M::Peer>,

@@ -1,4 +1,4 @@
-//! INITs: a new one starts a task, one that has come before does not.
+//! INITs: a new one starts a task, a repeated one does not.
 
 use super::{Action, Asked, Dispatcher, KEEP_INIT, NOTHING_KNOWN};
 use crate::envelope::{ClientId, Envelope};
@@ -9,19 +9,19 @@ use crate::tasks::{Task, TaskRules, Text as _};
 use crate::time::micros;
 use crate::{Instant, TaskId};
 
-/// What is known of an INIT.
+/// What is known about an INIT.
 pub(super) enum Known {
-    /// It has not come, or is forgotten.
+    /// It has not arrived, or its record has expired.
     New,
-    /// It may have come, and was forgotten for another client's.
+    /// It may have arrived, but the record was evicted.
     Forgotten,
-    /// Its client was told so, and it never counts.
+    /// Its client was told that it never arrived; it must not start anything.
     Void,
-    /// A later one has come.
+    /// A later INIT of this client has arrived.
     Settled,
-    /// Its number is another one's.
+    /// Another INIT has the same number.
     Taken,
-    /// It is the client's last, and has a task or an answer: see `tell_again`.
+    /// It is the client's last one and has a task or a reply: see `tell_again`.
     Last,
 }
 
@@ -58,7 +58,7 @@ impl<M: Memory> Dispatcher<M> {
             asked.reply.text = Text::NoMoreIds;
             return;
         };
-        // What can refuse it comes before `admit`, which may give up an end for it.
+        // Check everything that can reject the INIT before `admit`, which may drop an ended task.
         if let Some(Envelope { client, number, .. }) = asked.envelope
             && !self.remember(client, (*number, check), First::Pending, Some(id), "")
         {
@@ -85,8 +85,7 @@ impl<M: Memory> Dispatcher<M> {
         asked.action = Some(Action::Start { id, scope, payload });
     }
 
-    /// What is known of the asking client's INIT with this number, and this check sum if it has come
-    /// again.
+    /// Looks up the client's INIT with this number. `check` is its checksum if it has just arrived.
     #[cfg_attr(target_os = "none", inline(always))]
     pub(super) fn known(&self, asked: &Asked<'_, '_>, number: u64, check: Option<u32>) -> Known {
         let last = |envelope: &Envelope| self.memory.last_init(&envelope.client);
@@ -105,7 +104,7 @@ impl<M: Memory> Dispatcher<M> {
         }
     }
 
-    /// Remembers a client's last INIT by its number and check sum; says whether there is room.
+    /// Records a client's last INIT; returns whether there was room.
     #[cfg_attr(target_os = "none", inline(never))]
     pub(super) fn remember(
         &mut self,
@@ -133,7 +132,7 @@ impl<M: Memory> Dispatcher<M> {
         true
     }
 
-    /// Gives the answer that a client's last INIT got, or lets it wait for that.
+    /// Repeats the reply to a client's last INIT, or waits for it.
     pub(super) fn tell_again<'r>(
         &'r self,
         client: &ClientId,
@@ -143,7 +142,7 @@ impl<M: Memory> Dispatcher<M> {
         let Some(init) = self.memory.last_init(client) else {
             return;
         };
-        // Without a task it was refused, and its answer has no id.
+        // An INIT without a task was rejected; its reply has no id.
         let task = init.task.unwrap_or(TaskId::MAX);
         match init.first {
             First::Answered(told) => asked.reply.decide(told, task, init.text.as_ref()),
@@ -151,8 +150,8 @@ impl<M: Memory> Dispatcher<M> {
         }
     }
 
-    /// A client's last INIT is about to be settled by another: those who wait for a quick end of its
-    /// task are answered while the text for them is known.
+    /// A client's last INIT is about to be replaced: sends the replies that wait for an early end of its task
+    /// while their text is still stored.
     #[cfg_attr(target_os = "none", inline(always))]
     pub(super) fn settle_last(
         &mut self,
@@ -167,7 +166,7 @@ impl<M: Memory> Dispatcher<M> {
     }
 }
 
-/// Tells an INIT from another with its number, which only a client that counts wrongly sends (FNV-1a).
+/// Checksum (FNV-1a) that detects another INIT under the same number, which only a faulty client sends.
 fn check(scope: Scope, payload: &str) -> u32 {
     payload
         .bytes()

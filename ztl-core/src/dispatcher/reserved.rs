@@ -1,4 +1,4 @@
-//! The reserved scope `$ztl`: who this server is, and what became of an INIT.
+//! The reserved scope `$ztl`: information about this server, and the outcome of an INIT.
 
 use super::inits::Known;
 use super::{Asked, Dispatcher, argument};
@@ -42,7 +42,7 @@ impl<M: Memory> Dispatcher<M> {
             Known::Forgotten => asked.reply.text = Text::ManyClients,
             Known::Settled => asked.reply.text = Text::Settled,
             Known::Last => self.tell_again(client, Awaited::Outcome, asked),
-            // From now on it is refused, for as long as an answer would be kept.
+            // From now on the INIT is rejected, for as long as a reply would be kept.
             Known::New | Known::Void | Known::Taken => {
                 self.settle_last(client, out);
                 let number = (number, 0);
@@ -57,8 +57,8 @@ impl<M: Memory> Dispatcher<M> {
     }
 }
 
-/// What `probe` is answered, behind the boot id: a mapping in YAML's flow style, which
-/// [`Text::Probed`] begins and ends.
+/// The part of the reply to `probe` after the boot id: a YAML flow mapping, opened and closed by
+/// [`Text::Probed`].
 impl<M: Memory> Put for Dispatcher<M> {
     fn put(&self, sink: &mut dyn Sink) {
         if let Some(most) = self.memory.longest_message() {

@@ -9,10 +9,10 @@ use crate::tasks::Task;
 use std::string::{String, ToString};
 use std::vec::Vec;
 
-/// What a client is told for whom there is no room.
+/// The reply to a client for which there is no room.
 const MANY_CLIENTS: &str = "too many clients at a time, try again in a minute";
 
-/// A server on virtual time; clients are numbers, answers are collected as text.
+/// A server on virtual time. A client is a number; replies are collected as text.
 struct Lab {
     dispatcher: Dispatcher<Fixed<u8, 2, 3, 16, 2>>,
     now: Instant,
@@ -86,7 +86,7 @@ fn text(reply: &Reply<'_>) -> String {
 }
 
 #[test]
-fn every_malformed_request_is_answered_and_the_next_good_one_is_served() {
+fn every_malformed_request_is_answered_and_the_next_valid_one_is_served() {
     for (request, answer) in [
         (&b""[..], ";2;-1;Unknown protocol"),
         (b"x", "x;2;-1;Unknown protocol"),
@@ -128,7 +128,7 @@ fn every_malformed_request_is_answered_and_the_next_good_one_is_served() {
 }
 
 #[test]
-fn a_task_is_started_asked_and_completed() {
+fn a_task_is_started_queried_and_completed() {
     let mut lab = Lab::new();
     assert_eq!(lab.ask(1, "/test;1;-1;x"), Some(("start", 1)));
     lab.told(&[]);
@@ -153,7 +153,7 @@ fn a_task_is_unknown_under_another_scope() {
 }
 
 #[test]
-fn a_refused_init_has_no_id_and_uses_up_a_number() {
+fn a_rejected_init_has_no_id_but_consumes_one() {
     let mut lab = Lab::new();
     lab.ask(1, "/test;1;-1;x");
     lab.event(1, TaskEvent::Rejected { reason: "busy" });
@@ -179,7 +179,7 @@ fn abort_is_answered_when_the_task_has_ended() {
 }
 
 #[test]
-fn abort_of_a_task_that_completes_meanwhile_tells_the_true_end() {
+fn abort_of_a_task_that_completes_meanwhile_reports_completed() {
     let mut lab = Lab::new();
     lab.accepted(1);
     lab.ask(2, "/test;3;1;");
@@ -188,7 +188,7 @@ fn abort_of_a_task_that_completes_meanwhile_tells_the_true_end() {
 }
 
 #[test]
-fn abort_that_takes_long_is_answered_in_time_and_its_end_told_by_status() {
+fn a_slow_abort_is_answered_in_time_and_status_reports_the_final_state() {
     let mut lab = Lab::new();
     lab.accepted(1);
     lab.ask(2, "/test;3;1;");
@@ -203,7 +203,7 @@ fn abort_that_takes_long_is_answered_in_time_and_its_end_told_by_status() {
 }
 
 #[test]
-fn abort_that_is_refused_says_so_and_the_task_goes_on() {
+fn a_refused_abort_is_reported_and_the_task_continues() {
     let mut lab = Lab::new();
     lab.accepted(1);
     lab.ask(2, "/test;3;1;");
@@ -263,7 +263,7 @@ fn an_undecided_init_is_answered_in_time_with_its_id() {
 }
 
 #[test]
-fn a_full_table_gives_up_the_oldest_end_and_never_a_running_task() {
+fn a_full_table_drops_the_oldest_ended_task_and_never_a_running_one() {
     let mut lab = Lab::new();
     for id in 1..=3 {
         lab.accepted(id);
@@ -283,7 +283,7 @@ fn a_full_table_gives_up_the_oldest_end_and_never_a_running_task() {
 }
 
 #[test]
-fn a_device_remembers_an_end_until_another_task_needs_its_place() {
+fn a_device_keeps_an_ended_task_until_its_slot_is_needed() {
     let mut lab = Lab::new();
     lab.accepted(1);
     lab.event(1, TaskEvent::Completed { result: "done" });
@@ -299,7 +299,7 @@ fn a_device_remembers_an_end_until_another_task_needs_its_place() {
 }
 
 #[test]
-fn when_no_more_answers_can_be_held_requests_are_still_answered() {
+fn requests_are_answered_at_once_when_no_reply_can_be_held() {
     let mut lab = Lab::new();
     lab.accepted(1);
     lab.ask(1, "/test;1;-1;x");
@@ -316,7 +316,7 @@ fn when_no_more_answers_can_be_held_requests_are_still_answered() {
 }
 
 #[test]
-fn a_result_that_does_not_fit_is_cut_at_a_character() {
+fn a_result_that_does_not_fit_is_cut_at_a_character_boundary() {
     let mut lab = Lab::new();
     lab.accepted(1);
     lab.event(
@@ -331,7 +331,7 @@ fn a_result_that_does_not_fit_is_cut_at_a_character() {
 }
 
 #[test]
-fn an_abort_of_a_task_that_is_then_refused_is_answered_too() {
+fn an_abort_of_a_task_that_is_then_rejected_is_answered_too() {
     let mut lab = Lab::new();
     lab.ask(1, "/test;1;-1;x");
     lab.ask(2, "/test;3;1;");
@@ -340,23 +340,24 @@ fn an_abort_of_a_task_that_is_then_refused_is_answered_too() {
 }
 
 impl Lab {
-    /// A request of client 7 with this number.
+    /// A request of client 7 with this number, in our envelope.
     fn ours(&mut self, peer: u8, number: u64, request: &str) -> Option<(&'static str, u32)> {
-        self.wishing(peer, number, false, request)
+        self.with_early_end(peer, number, false, request)
     }
 
-    fn wishing(
+    /// A request of client 7; `early_end` as in [`Envelope`].
+    fn with_early_end(
         &mut self,
         peer: u8,
         number: u64,
         early_end: bool,
         request: &str,
     ) -> Option<(&'static str, u32)> {
-        self.of(7, peer, number, early_end, request)
+        self.request_of(7, peer, number, early_end, request)
     }
 
-    /// A request of a client in our envelope.
-    fn of(
+    /// A request in our envelope.
+    fn request_of(
         &mut self,
         client: u8,
         peer: u8,
@@ -383,7 +384,7 @@ impl Lab {
 }
 
 #[test]
-fn a_repeated_init_does_not_act_twice_and_is_answered_the_same() {
+fn a_repeated_init_starts_nothing_and_gets_the_same_reply() {
     let mut lab = Lab::new();
     assert_eq!(lab.ours(1, 5, "/test;1;-1;x"), Some(("start", 1)));
     assert_eq!(lab.ours(2, 5, "/test;1;-1;x"), None);
@@ -395,14 +396,14 @@ fn a_repeated_init_does_not_act_twice_and_is_answered_the_same() {
         (2, "/test;1;1;ok"),
         (3, "/test;1;1;ok"),
     ]);
-    // The next one is another.
+    // The next number is a new INIT.
     assert_eq!(lab.ours(1, 6, "/test;1;-1;x"), Some(("start", 2)));
     assert_eq!(lab.ours(1, 5, "/test;1;-1;x"), None);
     lab.told(&[(1, "/test;2;-1;this INIT was given up by its client")]);
 }
 
 #[test]
-fn a_repeated_refusal_is_answered_the_same() {
+fn a_repeated_rejected_init_gets_the_same_reply() {
     let mut lab = Lab::new();
     lab.ours(1, 5, "/test;1;-1;x");
     lab.event(1, TaskEvent::Threw { message: "'goal'" });
@@ -417,7 +418,7 @@ fn a_repeated_refusal_is_answered_the_same() {
 }
 
 #[test]
-fn the_outcome_of_an_init_is_told_or_it_is_refused_for_a_minute() {
+fn outcome_reports_an_init_or_voids_it_for_a_minute() {
     let mut lab = Lab::new();
     lab.ours(1, 5, "/test;1;-1;x");
     lab.ours(2, 6, "$ztl;2;-1;outcome 5");
@@ -428,12 +429,12 @@ fn the_outcome_of_an_init_is_told_or_it_is_refused_for_a_minute() {
     lab.told(&[(2, "$ztl;1;1;ok")]);
     lab.ours(2, 9, "$ztl;2;-1;outcome 8");
     lab.told(&[(2, "$ztl;2;0;never seen since boot 4711")]);
-    assert_eq!(lab.ours(2, 8, "/test;1;-1;x"), None, "it comes after all");
+    assert_eq!(lab.ours(2, 8, "/test;1;-1;x"), None, "it arrives after all");
     lab.told(&[(2, "/test;2;-1;this INIT was given up by its client")]);
 }
 
 #[test]
-fn an_undecided_init_is_pending_for_its_outcome_too() {
+fn outcome_waits_for_an_undecided_init() {
     let mut lab = Lab::new();
     lab.ours(1, 5, "/test;1;-1;x");
     lab.pass(HOLD);
@@ -447,7 +448,7 @@ fn an_undecided_init_is_pending_for_its_outcome_too() {
 }
 
 #[test]
-fn an_answered_init_is_remembered_for_a_minute() {
+fn an_answered_init_is_kept_for_a_minute() {
     let mut lab = Lab::new();
     lab.ours(1, 5, "/test;1;-1;x");
     lab.event(1, TaskEvent::Accepted { reply: "ok" });
@@ -456,19 +457,23 @@ fn an_answered_init_is_remembered_for_a_minute() {
     lab.ours(1, 5, "/test;1;-1;x");
     lab.told(&[(1, "/test;1;1;ok")]);
     lab.pass(Duration::from_millis(20));
-    assert_eq!(lab.dispatcher.poll_timeout(), None, "nothing is left of it");
+    assert_eq!(
+        lab.dispatcher.poll_timeout(),
+        None,
+        "its record has expired"
+    );
 }
 
 #[test]
-fn a_quick_end_comes_in_place_of_the_reply_where_the_client_wishes_it() {
+fn an_early_end_replaces_the_reply_if_the_client_asks_for_it() {
     let mut lab = Lab::new();
-    lab.wishing(1, 5, true, "/test;1;-1;x");
+    lab.with_early_end(1, 5, true, "/test;1;-1;x");
     lab.event(1, TaskEvent::Accepted { reply: "ok" });
     lab.told(&[]);
     lab.event(1, TaskEvent::Completed { result: "40" });
     lab.told(&[(1, "/test;5;1;40")]);
-    // One that takes longer is answered as always, and so is one without the wish.
-    lab.wishing(1, 6, true, "/test;1;-1;x");
+    // A slower task gets the usual reply, and so does an INIT that does not ask for an early end.
+    lab.with_early_end(1, 6, true, "/test;1;-1;x");
     lab.event(2, TaskEvent::Accepted { reply: "ok" });
     lab.pass(Duration::from_millis(3));
     lab.told(&[(1, "/test;1;2;ok")]);
@@ -478,7 +483,7 @@ fn a_quick_end_comes_in_place_of_the_reply_where_the_client_wishes_it() {
 }
 
 #[test]
-fn an_init_that_settles_one_with_a_held_answer_leaves_it_its_text() {
+fn an_init_that_replaces_one_with_a_held_reply_leaves_its_text_intact() {
     let mut lab = Lab::new();
     let second = Duration::from_secs(1);
     for (id, next, asked) in [
@@ -490,11 +495,11 @@ fn an_init_that_settles_one_with_a_held_answer_leaves_it_its_text() {
         ),
     ] {
         let number = u64::from(id);
-        lab.wishing(1, number, true, "/test;1;-1;x");
+        lab.with_early_end(1, number, true, "/test;1;-1;x");
         lab.event(id, TaskEvent::Accepted { reply: "ok" });
         lab.pass(Duration::from_millis(1));
         lab.told(&[]);
-        // It comes before the 3 ms have passed.
+        // Sent before the 3 ms have passed.
         lab.ours(2, number + 1, next);
         lab.event(id + 1, TaskEvent::Rejected { reason: "no" });
         let asked = asked.unwrap_or("/test;2;-1;no");
@@ -505,7 +510,7 @@ fn an_init_that_settles_one_with_a_held_answer_leaves_it_its_text() {
 }
 
 #[test]
-fn a_number_that_another_init_has_is_refused_under_the_scope_that_was_asked() {
+fn a_reused_number_is_rejected_under_the_requested_scope() {
     let mut lab = Lab::new();
     let taken = "2;-1;another INIT has this number";
     lab.ours(1, 5, "/test;1;-1;x");
@@ -526,7 +531,7 @@ fn a_number_that_another_init_has_is_refused_under_the_scope_that_was_asked() {
 }
 
 #[test]
-fn an_end_without_a_word_before_is_the_answer_to_its_init_each_time() {
+fn a_final_state_without_prior_acceptance_answers_the_init_each_time() {
     let mut lab = Lab::new();
     lab.ours(1, 5, "/test;1;-1;x");
     lab.event(1, TaskEvent::Failed { reason: "stuck" });
@@ -540,7 +545,7 @@ fn an_end_without_a_word_before_is_the_answer_to_its_init_each_time() {
 }
 
 #[test]
-fn a_status_of_ours_is_held_until_the_end_and_others_are_not() {
+fn status_of_our_clients_waits_for_the_final_state_and_others_do_not() {
     let mut lab = Lab::new();
     lab.accepted(1);
     lab.ours(2, 1, "/test;2;1;wait 1000");
@@ -560,17 +565,17 @@ fn a_status_of_ours_is_held_until_the_end_and_others_are_not() {
 }
 
 #[test]
-fn a_server_with_too_many_clients_refuses_what_it_could_not_keep_its_word_about() {
+fn an_init_is_rejected_if_its_reply_could_not_be_recorded() {
     let mut lab = Lab::new();
     for client in [1, 2, 3] {
-        lab.of(client, client, 1, false, "/test;1;-1;x");
+        lab.request_of(client, client, 1, false, "/test;1;-1;x");
     }
     lab.told(&[(3, &std::format!("/test;2;-1;{MANY_CLIENTS}"))]);
 }
 
-/// The table is full, with an end, and so is what else the INIT takes: its refusal cost the end.
+/// Both the table and the held replies or client records are full, and the table holds an ended task.
 #[test]
-fn a_refused_init_gives_up_no_end() {
+fn a_rejected_init_drops_no_ended_task() {
     for held in [false, true] {
         let memory = Fixed::<u8, 1, 2, 16, 1>::new(["/test"]);
         let config = Config::new(TaskId::new(1).unwrap(), 4711);
@@ -615,7 +620,7 @@ fn a_refused_init_gives_up_no_end() {
 }
 
 #[test]
-fn the_reserved_scope_tells_who_the_server_is() {
+fn probe_describes_the_server() {
     let mut lab = Lab::new();
     lab.accepted(1);
     lab.accepted(2);
@@ -646,7 +651,7 @@ fn the_reserved_scope_tells_who_the_server_is() {
 }
 
 #[test]
-fn tasks_from_before_a_restart_are_known_and_their_ids_are_given_to_nobody() {
+fn tasks_from_before_a_restart_are_known_and_their_ids_are_not_reused() {
     let mut lab = Lab::new();
     lab.now = Instant::from_millis(7_200_000);
     let restore = |lab: &mut Lab, id, state, ended| {
@@ -676,7 +681,7 @@ fn tasks_from_before_a_restart_are_known_and_their_ids_are_given_to_nobody() {
     assert_eq!(lab.ask(2, "/other;3;7;"), Some(("abort", 7)));
     lab.event(7, TaskEvent::Aborted { result: "here" });
     lab.told(&[(2, "/other;4;7;True")]);
-    // What ended first gives way, and that was before the restart.
+    // The task that ended first is dropped, and that was before the restart.
     lab.accepted(31);
     lab.ask(2, "/other;2;5;");
     lab.ask(2, "/other;2;7;");

@@ -1,4 +1,4 @@
-//! The inside of collections, as serde asks for it.
+//! Access to the contents of collections, for serde.
 
 use core::marker::PhantomData;
 
@@ -18,7 +18,7 @@ pub(super) struct Items<'r, 'de> {
 }
 
 impl Items<'_, '_> {
-    /// Goes to the next one; whether there is one.
+    /// Advances to the next item; returns whether there is one.
     pub(super) fn more(&mut self) -> Result<bool, Fault> {
         self.reader.more(&mut self.open)
     }
@@ -51,7 +51,7 @@ impl<'de> MapAccess<'de> for &mut Items<'_, 'de> {
     }
 }
 
-/// The one entry of `{variant: value}`.
+/// The single entry of `{variant: value}`.
 impl<'de> EnumAccess<'de> for &mut Items<'_, 'de> {
     type Error = Error;
     type Variant = Self;
@@ -84,7 +84,7 @@ impl<'de> VariantAccess<'de> for &mut Items<'_, 'de> {
     }
 }
 
-/// A variant's name alone.
+/// A variant's name without a value.
 pub(super) struct Lone<'r, 'de>(pub(super) &'r mut Reader<'de>);
 
 impl<'de> EnumAccess<'de> for Lone<'_, 'de> {
@@ -96,12 +96,12 @@ impl<'de> EnumAccess<'de> for Lone<'_, 'de> {
     }
 }
 
-/// The value that it lacks.
+/// The missing value of such a variant.
 pub(super) struct NoValue;
 
 impl NoValue {
     fn value<T>(self) -> Result<T> {
-        // Whoever reads the variant knows where it stands.
+        // The code that reads the variant adds the position.
         let kind = GoalErrorKind::Expected(Expected::VariantWithValue);
         Err(Error::Serde(kind))
     }

@@ -1,4 +1,4 @@
-//! serde's calls, answered from a goal's text.
+//! The serde deserializer over a goal's text.
 
 use serde::de::{DeserializeSeed, Deserializer, Visitor};
 
@@ -22,7 +22,7 @@ fn to_bool(text: &str) -> Option<bool> {
     }
 }
 
-/// What the original's YAML reads as a bool too, but which may as well be a text.
+/// Words that the original's YAML reads as a bool, but which may also be text.
 fn word_to_bool(text: &str) -> Option<bool> {
     match text {
         "yes" | "Yes" | "YES" | "on" | "On" | "ON" => Some(true),
@@ -32,18 +32,18 @@ fn word_to_bool(text: &str) -> Option<bool> {
 }
 
 impl<'de> Reader<'de> {
-    /// Reads one value, and gives its place to an error that has none.
+    /// Reads one value. An error without a position gets that of the value.
     pub(super) fn value<S: DeserializeSeed<'de>>(&mut self, seed: S) -> Result<S::Value> {
         self.placed(|reader| seed.deserialize(reader))
     }
 
-    /// Reads one key, likewise, and remembers where it begins.
+    /// Reads one key in the same way, and stores where it begins.
     pub(super) fn key<S: DeserializeSeed<'de>>(&mut self, seed: S) -> Result<S::Value> {
         self.begin_key();
         self.value(seed)
     }
 
-    /// Reads what begins with the next byte that is no blank.
+    /// Skips whitespace and reads what follows.
     pub(super) fn placed<T>(&mut self, read: impl FnOnce(&mut Self) -> Result<T>) -> Result<T> {
         self.text.skip_blanks();
         let at = self.text.at;
@@ -54,10 +54,10 @@ impl<'de> Reader<'de> {
         value
     }
 
-    /// Reads a plain text that `read` takes.
+    /// Reads a plain text and converts it with `read`.
     fn scalar<T>(&mut self, read: impl FnOnce(&str) -> Result<T, Fault>) -> Result<T, Fault> {
         let at = self.text.at;
-        // What is no plain text at all is no such value either.
+        // A missing plain text fails in `read` as well.
         let value = read(self.plain());
         if value.is_err() {
             self.text.at = at;
@@ -76,8 +76,8 @@ impl<'de> Reader<'de> {
         })
     }
 
-    /// Reads a number as the bits of a float of this format, also in quotes: YAML 1.1 takes `1e3`
-    /// for a text, so that the original sends `'1e3'` for it.
+    /// Reads a number as the bits of a float of this format. The number may be quoted: YAML 1.1 reads `1e3`
+    /// as text, so the original sends `'1e3'`.
     fn float(&mut self, format: &Format) -> Result<u64, Fault> {
         let at = self.text.at;
         let text = if self.is_quote() {
@@ -101,7 +101,7 @@ impl<'de> Reader<'de> {
         matches!(self.text.peek(), b'\'' | b'"')
     }
 
-    /// Reads a text: a goal's whole text as it is, within a collection one with or without quotes.
+    /// Reads a text: at the top the goal's whole text, within a collection a text with or without quotes.
     fn text(&mut self) -> Result<&'de str, Fault> {
         if self.is_top() {
             return Ok(self.whole());
@@ -118,7 +118,7 @@ impl<'de> Reader<'de> {
         }
     }
 
-    /// Reads a plain text, of which there has to be one.
+    /// Reads a plain text that must not be empty.
     fn some_plain(&mut self) -> Result<&'de str, Fault> {
         let text = self.plain();
         if text.is_empty() && !self.is_top() {
@@ -127,7 +127,7 @@ impl<'de> Reader<'de> {
         Ok(text)
     }
 
-    /// Reads `None`, and at the top nothing at all, if that is what comes next.
+    /// Consumes `None`, or an empty goal at the top, if it comes next.
     fn take_none(&mut self) -> bool {
         let start = self.text.at;
         let text = self.plain();
@@ -150,7 +150,7 @@ impl<'de> Reader<'de> {
         let Items { reader, open } = &mut items;
         match value {
             Ok(_) => reader.close(open)?,
-            // Found before the value is read, so the key is still the last.
+            // serde reports this before it reads the value, so the key is still the last one.
             Err(Error::Serde(GoalErrorKind::DuplicateField(_))) => {
                 reader.fail_at(reader.last_key())
             }
@@ -332,7 +332,7 @@ impl<'de> Deserializer<'de> for &mut Reader<'de> {
     fn deserialize_ignored_any<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value> {
         match self.text.peek() {
             b'[' | b'(' | b'{' => return self.collection(Expected::Value, visitor),
-            // Nobody needs what is meant, so it needs no scratch.
+            // The content is ignored, so it needs no scratch.
             b'\'' | b'"' => drop(self.skip_quoted()?),
             _ => drop(self.some_plain()?),
         }

@@ -1,14 +1,14 @@
-//! Decimal numbers to binary ones and back, correctly rounded, in whole-number arithmetic only.
+//! Conversion between decimal and binary floating point, correctly rounded, with integer arithmetic only.
 //!
-//! The standard library's reader and writer take 20 KB of a Cortex-M0's flash, and a multiplication
-//! of floats there is a library call as well.
+//! The standard library's parser and formatter take 20 KB of flash on a Cortex-M0, where a float
+//! multiplication is a library call as well.
 
 use crate::cursor::Cursor;
 
-/// A format of binary floating-point numbers.
+/// A binary floating-point format.
 #[derive(Debug)]
 pub(super) struct Format {
-    /// Bits of the fraction field.
+    /// Width of the fraction field in bits.
     fraction: u32,
     /// Exponent of the smallest normal number.
     least: i32,
@@ -24,35 +24,35 @@ pub(super) const F64: Format = Format {
     least: -1022,
 };
 
-/// Digits that tell any number from all others.
+/// Enough digits to tell any number from all others.
 const LONGEST: usize = 17;
 
 impl Format {
-    /// The bits of infinity: an exponent field of ones.
+    /// The bits of infinity: all ones in the exponent field.
     pub(super) const fn infinity(&self) -> u64 {
         ((2 - 2 * self.least) as u64 + 1) << self.fraction
     }
 
-    /// The bit that says below zero.
+    /// The sign bit.
     pub(super) const fn sign(&self) -> u64 {
         self.infinity() + (1 << self.fraction)
     }
 
-    /// The bits of the number nearest to `wide`, of two equally near ones the even; `None` beyond the
-    /// greatest.
+    /// The bits of the number nearest to `wide`; a tie goes to the even one. `None` if it is too large.
     ///
-    /// Exact for up to 64 bits: no product of these and a power of ten in the range of `f64` comes
-    /// closer to the middle of two neighbours than some 2^-128 of itself (Mushtak and Lemire, "Fast
-    /// number parsing without fallback"), unless it is the middle; [`Wide`] errs by less than
-    /// 2^-140, and knows when not at all.
+    /// Exact for up to 64 bits. The product of such a number and a power of ten in the range of `f64` is
+    /// either the exact middle of two neighbours, or further from it than about 2^-128 of itself (Mushtak and
+    /// Lemire, "Fast number parsing without fallback"). [`Wide`] errs by less than 2^-140, and knows when it
+    /// is exact.
     pub(super) fn nearest(&self, wide: &mut Wide) -> Option<u64> {
         if wide.is_zero() {
             return Some(0);
         }
-        // Beyond this it is zero or too much, which bounds the work.
+        // Outside this range the result is zero or too large anyway; the clamp bounds the work.
         wide.tens = wide.tens.clamp(-400, 400);
         wide.scale();
-        // Bit by bit, and one bit more than the number has: it is `kept × 2^power`, and `0.wide` more.
+        // Takes one bit more than the result has. The value is `kept × 2^power` plus the fraction left in
+        // `wide`.
         let lowest = self.least - self.fraction as i32 - 1;
         let mut power = wide.exponent + 8 * BYTES as i32;
         let mut kept = 0;
@@ -62,12 +62,12 @@ impl Format {
         }
         let field = (power - lowest).max(0) as u64;
         let up = kept & 1 != 0 && (kept & 2 != 0 || wide.more || !wide.is_zero());
-        // The leading one adds itself to the exponent field; so does a carry.
+        // The leading one increments the exponent field; so does a carry.
         let bits = (field << self.fraction) + (kept >> 1) + u64::from(up);
         (bits < self.infinity()).then_some(bits)
     }
 
-    /// The first decimal digits of the number with these bits, finite and above zero.
+    /// The first decimal digits of a number given by its bits, finite and above zero.
     fn digits(&self, bits: u64) -> Digits {
         let field = bits >> self.fraction;
         let mut mantissa = bits & ((1 << self.fraction) - 1);
@@ -75,7 +75,7 @@ impl Format {
             mantissa |= 1 << self.fraction;
         }
         let binary = self.least - self.fraction as i32 + field.saturating_sub(1) as i32;
-        // The logarithm of the highest bit, rounded down: 78913 / 2^18 is that of 2.
+        // The decimal logarithm of the highest bit, rounded down: log10(2) ≈ 78913 / 2^18.
         let highest = binary + 63 - mantissa.leading_zeros() as i32;
         let power = (highest * 78913) >> 18;
         let mut wide = Wide::new(mantissa);
@@ -83,7 +83,7 @@ impl Format {
         wide.tens = Digits::COUNT as i32 - 1 - power;
         wide.scale();
         let (whole, more) = wide.whole();
-        // One digit more, when the number is above the next power of ten.
+        // There is one digit more if the number is above the next power of ten.
         let text = Whole::of(whole);
         Digits {
             power: power + text.digits().len() as i32 - Digits::COUNT as i32,
@@ -92,12 +92,12 @@ impl Format {
         }
     }
 
-    /// The shortest decimal number that reads back as these bits, finite and above zero; of several
-    /// the nearest. As `digits` and the power of ten of the first of them.
+    /// The shortest decimal number that reads back as these bits (finite, above zero); if there are several,
+    /// the nearest. Returns its digits and the power of ten of the first one.
     pub(super) fn shortest(&self, bits: u64) -> (u64, i32) {
         let all = self.digits(bits);
         let mut shortest = all.rounded(LONGEST);
-        // With a number that reads back, one digit more does too.
+        // If a number of `n` digits reads back, so does one of `n + 1`.
         let (mut least, mut most) = (1, LONGEST);
         while least < most {
             let count = (least + most) / 2;
@@ -121,8 +121,8 @@ impl Format {
         shortest
     }
 
-    /// The number with these bits, finite and above zero, rounded to so many digits after the
-    /// point; of two equally near ones the even. `None` is zero.
+    /// The number (finite, above zero) rounded to `decimals` digits after the point; a tie goes to the even
+    /// digit. `None` means zero.
     pub(super) fn fixed(&self, bits: u64, decimals: i32) -> Option<(u64, i32)> {
         let all = self.digits(bits);
         let count = all.power + 1 + decimals;
@@ -135,20 +135,19 @@ impl Format {
     }
 }
 
-/// A number's first digits, at least [`COUNT`](Self::COUNT).
+/// A number's first digits, at least [`COUNT`](Self::COUNT) of them.
 struct Digits {
     text: Whole,
-    /// The power of ten of the first.
+    /// The power of ten of the first digit.
     power: i32,
-    /// Whether other digits than 0 follow.
+    /// Whether nonzero digits follow.
     more: bool,
 }
 
 impl Digits {
     const COUNT: usize = 18;
 
-    /// The first `count` digits, and whether the number is nearer to one more; half way it is when
-    /// that is even.
+    /// The first `count` digits, and whether to round up; a tie goes to the even digit.
     fn cut(&self, count: usize) -> (u64, bool) {
         let mut digits = self.text.digits().iter().map(|digit| digit - b'0');
         let kept = digits.by_ref().take(count);
@@ -164,8 +163,8 @@ impl Digits {
         self.carried(down + u64::from(up), count)
     }
 
-    /// The first `count` digits after rounding, and the power of ten of the first of them: 99 may
-    /// have become 100.
+    /// Adjusts for a carry after rounding: 99 may have become 100. Returns the digits and the power of ten of
+    /// the first one.
     fn carried(&self, digits: u64, count: usize) -> (u64, i32) {
         if digits == power_of_ten(count) {
             (1, self.power + 1)
@@ -175,7 +174,7 @@ impl Digits {
     }
 }
 
-/// A whole number in decimal.
+/// The decimal digits of an integer.
 pub(super) struct Whole {
     buffer: [u8; 20],
 }
@@ -183,7 +182,7 @@ pub(super) struct Whole {
 impl Whole {
     pub(super) fn of(mut number: u64) -> Self {
         let mut buffer = [b'0'; 20];
-        // By subtraction, for a division of 64 bits takes 900 bytes of flash.
+        // By subtraction: a 64-bit division takes 900 bytes of flash.
         for (digit, power) in buffer.iter_mut().zip((0..20).rev()) {
             let unit = power_of_ten(power);
             while number >= unit {
@@ -194,7 +193,7 @@ impl Whole {
         Self { buffer }
     }
 
-    /// The digits without zeros before them; one for zero.
+    /// The digits without leading zeros; `0` for zero.
     pub(super) fn digits(&self) -> &[u8] {
         let zeros = self
             .buffer
@@ -205,23 +204,23 @@ impl Whole {
     }
 }
 
-/// `10^power`, for up to 19.
+/// `10^power`, for `power` up to 19.
 fn power_of_ten(power: usize) -> u64 {
     (0..power).fold(1, |product, _| product * 10)
 }
 
-/// Bytes of a [`Wide`].
+/// Size of a [`Wide`] in bytes.
 const BYTES: usize = 20;
 
-/// A number to more than 150 bits: `bytes × 2^exponent × 10^tens`, and perhaps a bit more.
+/// A number with more than 150 bits: `bytes × 2^exponent × 10^tens`, or slightly more.
 ///
-/// Bytes, so that no product or quotient takes more than a Cortex-M0 has an instruction for.
+/// Made of bytes, so that each product and quotient fits an instruction of a Cortex-M0.
 pub(super) struct Wide {
-    /// Most significant first.
+    /// Most significant byte first.
     bytes: [u8; BYTES],
     exponent: i32,
     pub(super) tens: i32,
-    /// Whether the number is greater, by less than one.
+    /// Whether the true number is greater, by less than one unit.
     more: bool,
 }
 
@@ -245,7 +244,7 @@ impl Wide {
         self.bytes.iter().all(|&byte| byte == 0)
     }
 
-    /// Appends digits with single `_` between them, and says how many there were.
+    /// Appends digits with single `_` between them; returns how many there were.
     pub(super) fn read(&mut self, text: &mut Cursor<'_>, radix: u8) -> i32 {
         let mut count = 0;
         while let Some(digit) = digit(text, radix, count > 0) {
@@ -253,7 +252,7 @@ impl Wide {
             if let [0, ..] = self.bytes {
                 self.step(radix.into(), digit);
             } else {
-                // There is no room for it.
+                // No room is left for this digit.
                 self.more |= digit != 0;
                 self.tens += 1;
             }
@@ -261,7 +260,7 @@ impl Wide {
         count
     }
 
-    /// The number, if it is whole and fits.
+    /// The number, if it is an integer and fits.
     pub(super) fn to_u64(&self) -> Option<u64> {
         let (high, low) = self.bytes.split_last_chunk()?;
         high.iter()
@@ -269,7 +268,7 @@ impl Wide {
             .then_some(u64::from_be_bytes(*low))
     }
 
-    /// Multiplies by up to 256, adds, and gives what has no room.
+    /// Multiplies by up to 256, adds, and returns the overflow.
     fn step(&mut self, factor: u16, plus: u8) -> u8 {
         let mut carry = u16::from(plus);
         for byte in self.bytes.iter_mut().rev() {
@@ -280,7 +279,7 @@ impl Wide {
         carry as u8
     }
 
-    /// Divides by 5 or 8. `inverse` is 2^18 by the divisor, rounded up: a division is a library call.
+    /// Divides by 5 or 8. `inverse` is 2^18 / divisor, rounded up, because a division is a library call.
     fn divide(&mut self, divisor: u32, inverse: u32) {
         let mut rest = 0;
         for byte in &mut self.bytes {
@@ -292,7 +291,7 @@ impl Wide {
         self.more |= rest != 0;
     }
 
-    /// Moves the number, which is above zero, up until its highest byte is in use.
+    /// Shifts the number, which is above zero, left until its highest byte is used.
     fn fill(&mut self) {
         while let [0, ..] = self.bytes {
             self.step(256, 0);
@@ -300,12 +299,12 @@ impl Wide {
         }
     }
 
-    /// Makes the power of ten part of the number, which is above zero.
+    /// Folds the power of ten into the number, which is above zero.
     fn scale(&mut self) {
         while self.tens != 0 {
             self.fill();
             if self.tens > 0 {
-                // By 5/8 and 16.
+                // 10 = 16 × 5/8.
                 self.divide(8, 1 << 15);
                 self.step(5, 0);
                 self.exponent += 4;
@@ -318,7 +317,7 @@ impl Wide {
         }
     }
 
-    /// The whole part of a number from 1 to below 2^64, and whether there is a fraction.
+    /// The integer part of a number from 1 to below 2^64, and whether there is a fraction.
     fn whole(mut self) -> (u64, bool) {
         let mut whole = 0;
         for _ in 0..self.exponent + 8 * BYTES as i32 {
@@ -329,13 +328,13 @@ impl Wide {
     }
 }
 
-/// Reads a digit, and a `_` before it if it is `inner`.
+/// Consumes a digit, and a `_` before it if `inner` is set.
 #[cfg_attr(target_os = "none", inline(never))]
 pub(super) fn digit(text: &mut Cursor<'_>, radix: u8, inner: bool) -> Option<u8> {
     let mark = usize::from(inner && text.peek() == b'_');
     let digit = match text.ahead(mark) {
         byte @ b'0'..=b'9' => byte - b'0',
-        // Letters follow; what is none is too much.
+        // Maps letters to 10 and above; other bytes become too large for any radix.
         byte => (byte | 0x20).wrapping_sub(b'a').saturating_add(10),
     };
     if digit >= radix {

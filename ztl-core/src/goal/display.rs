@@ -1,11 +1,11 @@
-//! Texts that come in pieces, from a value's `Display`.
+//! Text that arrives in pieces from a value's `Display`.
 
 use core::fmt::{Display, Result, Write};
 
 use crate::repr::put_quoted;
 use crate::sink::Sink;
 
-/// Writes what `value` displays, as it is.
+/// Writes what `value` displays, unquoted.
 pub(super) fn put_display(
     value: &(impl Display + ?Sized),
     sink: &mut (impl Sink + ?Sized),
@@ -13,12 +13,12 @@ pub(super) fn put_display(
     write!(Plain(sink), "{value}")
 }
 
-/// Writes what `value` displays, in quotes as [`put_quoted`] does.
+/// Writes what `value` displays, quoted like [`put_quoted`].
 pub(super) fn put_quoted_display(
     value: &(impl Display + ?Sized),
     sink: &mut (impl Sink + ?Sized),
 ) -> Result {
-    // Which quotes to take is known only when all has been seen.
+    // The whole text must be seen before the quote can be chosen.
     let mut seen = Seen::default();
     write!(seen, "{value}")?;
     let quote = if seen.single && !seen.double {
@@ -65,7 +65,7 @@ impl<S: Sink + ?Sized> Write for Quoted<'_, S> {
     fn write_str(&mut self, piece: &str) -> Result {
         for part in piece.split_inclusive(['\'', '"']) {
             let run = part.trim_end_matches(['\'', '"']);
-            // Without quotes in it, it stands in single ones, which are left out.
+            // A run without quotes gets single ones, which are stripped here.
             put_quoted(run, &mut |bytes: &[u8]| {
                 if bytes != b"'" {
                     self.sink.put(bytes);

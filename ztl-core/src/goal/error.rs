@@ -1,16 +1,16 @@
-//! What can be wrong with a goal, and with a result.
+//! Errors in goals and in results.
 
 use core::fmt;
 
 use crate::sink::{BufferTooSmall, Sink, put_decimal};
 
-/// Why a text is not the goal that the firmware asked for.
+/// Why a text is not the goal that the firmware expects.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub struct GoalError {
-    /// Where in the text, in bytes from its start: at the value, key or mark that is wrong; for what
-    /// lacks something, at its opening bracket or quote.
+    /// Byte offset in the text of the wrong value, key or mark. If something is missing, the offset of the
+    /// opening bracket or quote.
     pub at: usize,
     /// What is wrong there.
     pub kind: GoalErrorKind,
@@ -18,53 +18,54 @@ pub struct GoalError {
 
 /// What is wrong with a goal.
 ///
-/// What would be right is told where it costs no flash: what was to stand there, and the names of
-/// fields and variants. Not told are the range of a number, the length of a sequence, the kind and
-/// the values that a target takes: serde hands these on as texts to be formatted by `core::fmt`, which
+/// The error says what would be right where that costs no flash: the expected syntax, and the names of fields
+/// and variants. It does not say a number's range, a sequence's length, or the type and values that the
+/// target takes. serde passes those as text to be formatted by `core::fmt`, which would take more flash than
+/// all the rest. [`GoalError::at`] says where to look.
 /// would take a microcontroller more than all the rest. [`GoalError::at`] says where to look.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub enum GoalErrorKind {
-    /// Something else was to stand here.
+    /// Something else was expected here.
     Expected(Expected),
-    /// A quote or bracket that is never closed.
+    /// A quote or bracket is never closed.
     Unterminated,
-    /// A backslash with something behind it that means no character.
+    /// A backslash followed by an unknown escape.
     BadEscape,
-    /// A text in quotes is not what is written, for it has escapes, and there is no scratch to write
-    /// it to: use [`from_str_with`](super::from_str_with).
+    /// A quoted text has escapes, and there is no scratch to decode it into: use
+    /// [`from_str_with`](super::from_str_with).
     NeedsScratch,
-    /// The texts with escapes, up to this one, take more than the scratch.
+    /// The scratch is too small for the texts with escapes up to this one.
     ScratchTooSmall {
-        /// Bytes that they take.
+        /// Bytes needed so far.
         needed: usize,
-        /// Bytes of scratch.
+        /// Size of the scratch in bytes.
         available: usize,
     },
-    /// A bracket within [`MAX_DEPTH`](super::MAX_DEPTH) others.
+    /// A collection is nested in [`MAX_DEPTH`](super::MAX_DEPTH) others.
     TooDeep,
-    /// A number that the target's type cannot hold.
+    /// The number does not fit the target's type.
     OutOfRange,
-    /// A value of a kind that the target does not take.
+    /// The value's type is not what the target takes.
     WrongType,
-    /// A value that the target does not take.
+    /// The target does not take this value.
     WrongValue,
-    /// Too few or too many items.
+    /// The sequence has too few or too many items.
     WrongLength,
     /// The key is none of these fields.
     UnknownField(&'static [&'static str]),
     /// The name is none of these variants.
     UnknownVariant(&'static [&'static str]),
-    /// This field is not there.
+    /// This field is missing.
     MissingField(&'static str),
-    /// This field is there twice.
+    /// This field occurs twice.
     DuplicateField(&'static str),
-    /// The target's own code refused the value; what it said would take `core::fmt` to keep.
+    /// The target's own code rejected the value. Keeping its message would take `core::fmt`.
     Refused,
 }
 
-/// What was to stand at a place.
+/// What was expected at a position.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
@@ -73,11 +74,11 @@ pub enum Expected {
     Value,
     /// `True` or `False`.
     Bool,
-    /// A number without point and exponent.
+    /// A number without decimal point and exponent.
     Integer,
     /// A number.
     Number,
-    /// A plain text, or one in quotes.
+    /// A plain or quoted text.
     Text,
     /// `None`
     Nothing,
@@ -95,22 +96,22 @@ pub enum Expected {
     CommaOrClose,
     /// The bracket that closes the collection.
     Close,
-    /// `,` since a tuple of one is written `(1,)`.
+    /// `,`, because a tuple of one is written `(1,)`.
     Comma,
-    /// The text's end.
+    /// The end of the text.
     End,
 }
 
-/// What is wrong at the place where the reader stands.
+/// An error at the reader's position.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Error {
-    /// Found by the reader itself, which stands there.
+    /// Found by the reader itself.
     Own(Fault),
-    /// Found by serde or the target's own code, which know no places.
+    /// Found by serde or the target's own code, which know no positions.
     Serde(GoalErrorKind),
 }
 
-/// What the reader itself finds wrong, in one byte.
+/// An error that the reader itself finds, in one byte.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Fault {
     Expected(Expected),
@@ -130,7 +131,7 @@ impl From<Fault> for Error {
 }
 
 impl Error {
-    /// For the caller. `scratch` is what the texts with escapes take, and what there is.
+    /// Adds the position. `scratch` is what the texts with escapes need, and what there is.
     pub(super) fn at(self, at: usize, scratch: Option<(usize, usize)>) -> GoalError {
         let (needed, available) = scratch.unwrap_or_default();
         let kind = match self {
@@ -150,7 +151,7 @@ impl Error {
     }
 }
 
-// Always inlined, so that nothing refers to the code that would write `expected` and the messages.
+// Always inlined, so that the code that would format `expected` and the messages is never linked.
 impl serde::de::Error for Error {
     #[inline(always)]
     fn custom<T: fmt::Display>(_: T) -> Self {
@@ -206,8 +207,7 @@ impl fmt::Display for Error {
 impl core::error::Error for Error {}
 
 impl GoalError {
-    /// Writes where it is and what is wrong, as `Display` does, but without `core::fmt`: for the
-    /// person who wrote the goal.
+    /// Writes position and cause like `Display`, but without `core::fmt`: for the person who wrote the goal.
     pub fn put(&self, sink: &mut (impl Sink + ?Sized)) {
         sink.put(b"goal, byte ");
         put_decimal(sink, u32::try_from(self.at).unwrap_or(u32::MAX));
@@ -243,7 +243,7 @@ impl GoalErrorKind {
             Self::UnknownField(fields) => put_names("unknown field", fields, sink),
             Self::UnknownVariant(variants) => put_names("unknown variant", variants, sink),
             Self::MissingField(field) => texts(["field ", field, " is missing"]),
-            Self::DuplicateField(field) => texts(["field ", field, " is there twice"]),
+            Self::DuplicateField(field) => texts(["field ", field, " occurs twice"]),
             Self::Refused => texts(["refused by the target's type", "", ""]),
         }
     }
@@ -279,7 +279,7 @@ impl Expected {
     }
 }
 
-/// A formatter as a sink of texts.
+/// Lets a formatter act as a sink of text.
 fn display(f: &mut fmt::Formatter<'_>, put: impl FnOnce(&mut dyn Sink)) -> fmt::Result {
     let mut result = Ok(());
     put(&mut |bytes: &[u8]| {
@@ -314,11 +314,11 @@ impl core::error::Error for GoalError {}
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub enum WriteError {
-    /// A collection within [`MAX_DEPTH`](super::MAX_DEPTH) others.
+    /// A collection is nested in [`MAX_DEPTH`](super::MAX_DEPTH) others.
     TooDeep,
     /// The caller's buffer is too small.
     BufferTooSmall(BufferTooSmall),
-    /// The value's own code refused; what it said would take `core::fmt` to keep.
+    /// The value's own code returned an error. Keeping its message would take `core::fmt`.
     Refused,
 }
 

@@ -3,7 +3,7 @@
 use super::decimal::{F32, F64, Format, Whole};
 use crate::sink::Sink;
 
-/// A way to write floats in results. Only the code of the one in use is linked.
+/// A format for the floats in results. Only the one in use is linked.
 pub trait Floats: Copy {
     /// Writes an `f32`.
     fn put_f32(self, value: f32, sink: &mut (impl Sink + ?Sized));
@@ -11,24 +11,23 @@ pub trait Floats: Copy {
     fn put_f64(self, value: f64, sink: &mut (impl Sink + ?Sized));
 }
 
-/// As Python's `repr`: the shortest text that reads back as the same number, with an exponent below
-/// `0.0001` and from `1e+16` on. `0.1`, `1000.0`, `1e-05`, `-0.0`, `inf`, `nan`.
+/// Like Python's `repr`: the shortest text that reads back as the same number, with an exponent below
+/// `0.0001` and from `1e+16` on. Examples: `0.1`, `1000.0`, `1e-05`, `-0.0`, `inf`, `nan`.
 ///
-/// An `f32` is written as short as tells it from other `f32`s: `0.1`, which is not the exact value
-/// of the `f32`.
+/// An `f32` gets just enough digits to tell it from other `f32`s: `0.1`, although its exact value differs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Shortest;
 
-/// With so many digits after the point, as Python's `'%.2f' % value`: rounded to the nearest, of two
-/// equally near ones to the even. With 0 there is no point, and Python reads the text as an `int`.
+/// A fixed number of digits after the point, like Python's `'%.2f' % value`: rounded to the nearest, a tie to
+/// the even digit. `Fixed(0)` writes no point, so Python reads the text as an `int`.
 ///
-/// Unlike in Python, zero has no sign, so that a sensor's noise makes no `-0.00`; and digits after
-/// the 17th, counted from the first that is not 0, are zeros.
+/// Unlike in Python, zero has no sign, so a noisy sensor never shows `-0.00`. Digits after the 17th
+/// significant one are zeros.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Fixed(
-    /// Digits after the point.
+    /// Number of digits after the point.
     pub u8,
 );
 
@@ -79,7 +78,7 @@ impl Bits {
         }
     }
 
-    /// The text of what has no digits.
+    /// The text of a float without digits.
     fn name(self) -> Option<&'static [u8]> {
         match self.magnitude.cmp(&self.format.infinity()) {
             core::cmp::Ordering::Less => None,
@@ -131,8 +130,8 @@ fn put_fixed(bits: Bits, decimals: i32, sink: &mut (impl Sink + ?Sized)) {
     put_digits(Whole::of(digits).digits(), power, decimals, sink);
 }
 
-/// Writes the number whose first digit stands for `10^power`, with so many digits after the point;
-/// with none, no point.
+/// Writes digits, the first of which stands for `10^power`, with `decimals` digits after the point; with 0,
+/// no point.
 fn put_digits(digits: &[u8], power: i32, decimals: i32, sink: &mut (impl Sink + ?Sized)) {
     for place in (-decimals..=power.max(0)).rev() {
         if place == -1 {

@@ -1,5 +1,5 @@
-//! Goals and results as values: what a client wants as the firmware's own types, and their values as
-//! a client of the original reads them. With the feature `serde`, which is on unless turned off.
+//! Goals and results as values: a goal is parsed into the firmware's own types, and results are written so
+//! that clients of the original can read them. Requires the feature `serde`, which is on by default.
 //!
 //! ```
 //! use serde::{Deserialize, Serialize};
@@ -22,69 +22,73 @@
 //!
 //! # What is read
 //!
-//! The original's clients send Python's `str` of a value that was YAML (wire specification 6); people
-//! type YAML in flow style. Both are read, in one dialect: where a text is read differently by the
-//! two, **Python's `repr` wins**, since nearly every goal comes from it, **or it is an error**.
+//! The original's clients send Python's `str` of a value that was YAML (wire specification 6); people type
+//! YAML in flow style. This module reads both in one dialect. Where the two disagree about a text, **Python's
+//! `repr` wins**, because nearly every goal comes from it, **or the text is an error**.
 //!
-//! The goal itself, when the target is a text, is taken as it stands, whatever it looks like:
-//! `hello, world: it's`, `'tis`, `[draft]`, and the empty text. That is how `str` writes a text. For
-//! every other target, and for everything within a collection:
+//! If the target is a text, the goal is taken unchanged, whatever it looks like: `hello, world: it's`,
+//! `'tis`, `[draft]`, and the empty text. That is how `str` writes a text. For every other target, and for
+//! everything within a collection:
 //!
 //! | text | value |
 //! |---|---|
-//! | `None` `null` `Null` `NULL` `~` | nothing; an `Option` at the top takes an empty goal so too |
+//! | `None` `null` `Null` `NULL` `~` | nothing; at the top, an `Option` also takes an empty goal |
 //! | `True` `true` `TRUE` `False` `false` `FALSE` | bool |
-//! | `yes` `on` `no` `off`, also as `Yes` `YES`… | bool for a bool, else text |
-//! | `7` `+7` `-1_000` `0x1F` `0o17` `0b1` | whole number of 64 bits; beyond is an error, except for a float |
-//! | `1.5` `1.` `.5` `-.0` `1e3` `-1.5E-3` `1_0.5` | float; a whole number is one too, when a float is asked for |
+//! | `yes` `on` `no` `off`, also as `Yes` `YES`… | bool if the target is a bool, else text |
+//! | `7` `+7` `-1_000` `0x1F` `0o17` `0b1` | integer of 64 bits; a larger one is an error, except for a float |
+//! | `1.5` `1.` `.5` `-.0` `1e3` `-1.5E-3` `1_0.5` | float; a float target also takes an integer |
 //! | `inf` `-inf` `nan` `.inf` `.Inf` `.INF` `.nan` `.NaN` `.NAN` | float |
-//! | `010` | text, and an error for a number: 8 to YAML, 10 to a person, nothing to Python |
+//! | `010` | text, and an error for a number: YAML reads 8, a person 10, Python nothing |
 //! | `[a, b]` `(a, b)` `(a,)` `[a, b,]` | sequence; `(a)` is an error |
-//! | `{k: v, 'k': v, k : v}` | mapping; the `:` needs a blank or bracket behind it after a plain key |
+//! | `{k: v, 'k': v, k : v}` | mapping; after a plain key, a space or bracket must follow the `:` |
 //! | `'it\'s'` `'it''s'` | text; see below |
 //! | `"it's"` `"\u00e9"` | text; see below |
-//! | anything else | text, without the blanks around it |
+//! | anything else | text, without surrounding whitespace |
 //!
-//! A plain text within a collection may contain blanks and quotes, as `say it's me`. It ends before
-//! `,` `]` `}`, before `:` with a blank or a bracket behind it, and before a `)` that it did not open;
-//! it contains no `[` `{`, no comma within `( )`, no ` #` and no line break, and does not begin with one
-//! of ``# & * ! | > % @ ` ``, with `- `, `? ` or with `b'`. Comments, tags, anchors, `[a: b]`, empty values
-//! (`{a: , b}`), Python's other literals (bytes, sets, `datetime.date(2020, 1, 1)`), and a NUL, which neither of
-//! the two takes, are errors.
+//! A plain text within a collection may contain spaces and quotes, such as `say it's me`. It ends before `,`
+//! `]` `}`, before a `:` followed by a space or bracket, and before a `)` that it did not open. It contains
+//! no `[` `{`, no comma within `( )`, no ` #` and no line break. It does not begin with one of ``# & * ! | >
+//! % @ ` ``, with `- `, `? ` or with `b'`. These are errors: comments, tags, anchors, `[a: b]`, empty values
+//! (`{a: , b}`), Python's other literals (bytes, sets, `datetime.date(2020, 1, 1)`), and NUL, which neither
+//! language takes.
 //!
-//! **Within `'…'`** a backslash is Python's: `\\ \' \" \n \r \t \a \b \f \v \xNN \uNNNN \UNNNNNNNN`. Any other
-//! stays as it stands, which is what Python and YAML agree on, but `\N`, octal `\0` to `\7` and one before a
-//! line break are errors. `''` is YAML's for `'`; Python's `repr` never writes it but for the empty text.
-//! **Within `"…"`** these are read and YAML's `\0 \e \/ \_ \N \L \P`, `\` before a blank; any other is an error.
-//! In both, two `\u` make one character as in JSON, and a line break is folded as in YAML.
+//! **Within `'…'`** backslashes are Python's: `\\ \' \"
+//!  \r \t \a \b \f \v \xNN \uNNNN \UNNNNNNNN`. Any other backslash stays as it is, on which Python and YAML
+//! agree. But `\N`, octal `\0` to `\7`, and a backslash before a line break are errors. `''` is YAML's form
+//! of `'`; Python's `repr` writes it only for the empty text.
+//! **Within `"…"`** the same escapes and YAML's `\0 \e \/ \_ \N \L \P` and `\` before a space are read; any
+//! other is an error. In both, a pair of `\u` makes one character as in JSON, and line breaks fold as in
+//! YAML.
 //!
-//! A text or key in quotes that has any of these needs scratch to be written to:
-//! [`from_str_with`]. Others are views of the goal's text.
+//! A quoted text or key with any of these must be decoded into scratch: use [`from_str_with`]. All others are
+//! views of the goal's text.
 //!
-//! # What the target decides
+//! # Targets
 //!
 //! | target | takes |
 //! |---|---|
-//! | `&str`, a string, `char` | a text in quotes, or a plain one as it is written, also `1e3`, `True`, `None` |
-//! | integers, `bool` | as above; no quotes; `1.0` is no integer |
-//! | `f32`, `f64` | a number, also in quotes: YAML 1.1 takes `1e3` for a text, so that the original sends `'1e3'` |
-//! | a struct | a mapping, or a sequence of all its fields; a key twice is an error, and what an unknown one has is skipped, unless the struct says `#[serde(deny_unknown_fields)]` |
+//! | `&str`, a string, `char` | a text in quotes, or a plain one unchanged, even `1e3`, `True`, `None` |
+//! | integers, `bool` | as above, without quotes; `1.0` is not an integer |
+//! | `f32`, `f64` | a number, with or without quotes: YAML 1.1 reads `1e3` as text, so the original sends
+//! `'1e3'` |
+//! | a struct | a mapping, or a sequence of all its fields; a repeated key is an error; an unknown key and its value are skipped, unless the struct has `#[serde(deny_unknown_fields)]` |
 //! | an enum | `variant` or `'variant'`; `{variant: value}` |
 //! | a tuple, `Vec`, array | a sequence, of the right length |
-//! | `deserialize_any` | what the text looks like, integers as `u64` or `i64`, floats as `f64` |
+//! | `deserialize_any` | whatever the text looks like; integers as `u64` or `i64`, floats as `f64` |
 //!
-//! Numbers of up to 19 significant digits are rounded correctly: to the nearest `f32` or `f64`, of two
-//! equally near ones to the even. Longer ones are too, unless they were made not to be; digits behind the 45th
-//! count only as "a little more". What is greater than the greatest is an error, not infinity.
+//! Numbers with up to 19 significant digits are rounded correctly to the nearest `f32` or `f64`, a tie to the
+//! even one. So are longer ones, unless they are constructed to defeat it: digits after the 45th count only
+//! as "slightly more". A number beyond the largest float is an error, not infinity.
 //!
-//! Reading takes time linear in the text's length for any target of bounded size, no heap, and stack for at
+//! For a target of bounded size, reading takes time linear in the text's length, no heap, and stack for at
 //! most [`MAX_DEPTH`] levels.
 //!
 //! # What is written
 //!
-//! What Python's `str` makes of the value: a text as it is, or in quotes within a collection; a struct
-//! as a dict, a tuple as a list, a unit variant as its name, other variants as `{'variant': value}`,
-//! bytes as a list of numbers. (A key that is a list is read here, but not by Python.) Floats as [`Floats`] says: [`Shortest`], as Python, or [`Fixed`].
+//! The value as Python's `str` writes it. A text is unquoted at the top and quoted within a collection; a
+//! struct becomes a dict, a tuple a list, a unit variant its name, any other variant `{'variant': value}`,
+//! bytes a list of numbers. (This module also reads a list as a key; Python does not.) Floats are written by
+//! [`Floats`]: [`Shortest`], like Python, or [`Fixed`].
 
 mod access;
 mod de;
@@ -110,22 +114,22 @@ use crate::sink::{Sink, SliceSink};
 use quoted::Scratch;
 use reader::Reader;
 
-/// Collections within each other, read or written; more are an error, so that the stack is bounded.
+/// Maximum nesting of collections, in reading and writing. It bounds the stack.
 pub const MAX_DEPTH: u8 = 8;
 
-/// Reads a goal.
+/// Parses a goal.
 ///
 /// # Errors
-/// [`GoalError`] when it is not what `T` takes, or has a text with escapes
+/// [`GoalError`] if the text is not what `T` takes, or contains a text with escapes
 /// ([`GoalErrorKind::NeedsScratch`]).
 pub fn from_str<'de, T: Deserialize<'de>>(text: &'de str) -> Result<T, GoalError> {
     read(Reader::new(text, None))
 }
 
-/// Reads a goal, in which texts may have escapes.
+/// Parses a goal that may contain texts with escapes.
 ///
-/// `scratch` takes these texts as they are meant, one behind the other, and `T` may borrow from it. As
-/// many bytes as the goal has suffice, unless there is a `\L` or `\P`, which take a byte more.
+/// The decoded texts are stored in `scratch`, from which `T` may borrow. As many bytes as the goal has are
+/// enough, except that each `\L` or `\P` takes one more.
 ///
 /// ```
 /// use ztl_core::goal;
@@ -136,7 +140,7 @@ pub fn from_str<'de, T: Deserialize<'de>>(text: &'de str) -> Result<T, GoalError
 /// ```
 ///
 /// # Errors
-/// [`GoalError`] when it is not what `T` takes, or when the scratch is too small
+/// [`GoalError`] if the text is not what `T` takes, or `scratch` is too small
 /// ([`GoalErrorKind::ScratchTooSmall`]).
 pub fn from_str_with<'de, T: Deserialize<'de>>(
     text: &'de str,
@@ -156,8 +160,8 @@ fn read<'de, T: Deserialize<'de>>(mut reader: Reader<'de>) -> Result<T, GoalErro
 /// Writes a result, with floats as Python writes them.
 ///
 /// # Errors
-/// [`WriteError`] when there are too many levels or the value's own code refuses; a part was
-/// written by then.
+/// [`WriteError`] if there are too many levels, or the value's own code returns an error. Part of the output
+/// is written by then.
 pub fn to_sink<T, S>(value: &T, sink: &mut S) -> Result<(), WriteError>
 where
     T: Serialize + ?Sized,
@@ -166,10 +170,10 @@ where
     to_sink_with(value, Shortest, sink)
 }
 
-/// Writes a result, with floats of one's choice.
+/// Writes a result with the given float format.
 ///
 /// # Errors
-/// As [`to_sink`].
+/// See [`to_sink`].
 pub fn to_sink_with<T, S>(value: &T, floats: impl Floats, sink: &mut S) -> Result<(), WriteError>
 where
     T: Serialize + ?Sized,
@@ -181,7 +185,7 @@ where
 /// Writes a result into `buffer`, with floats as Python writes them.
 ///
 /// # Errors
-/// As [`to_sink`], and [`WriteError::BufferTooSmall`].
+/// See [`to_sink`]; also [`WriteError::BufferTooSmall`].
 pub fn to_slice<'b, T>(value: &T, buffer: &'b mut [u8]) -> Result<&'b str, WriteError>
 where
     T: Serialize + ?Sized,
@@ -189,7 +193,7 @@ where
     to_slice_with(value, Shortest, buffer)
 }
 
-/// Writes a result into `buffer`, with floats of one's choice.
+/// Writes a result into `buffer` with the given float format.
 ///
 /// ```
 /// use ztl_core::goal;
@@ -198,7 +202,7 @@ where
 /// ```
 ///
 /// # Errors
-/// As [`to_sink`], and [`WriteError::BufferTooSmall`].
+/// See [`to_sink`]; also [`WriteError::BufferTooSmall`].
 pub fn to_slice_with<'b, T>(
     value: &T,
     floats: impl Floats,
@@ -210,6 +214,6 @@ where
     let mut sink = SliceSink::new(buffer);
     to_sink_with(value, floats, &mut sink)?;
     let text = sink.finish().map_err(WriteError::BufferTooSmall)?;
-    // What was put is text.
+    // The writer only produces UTF-8.
     Ok(core::str::from_utf8(text).unwrap_or_default())
 }

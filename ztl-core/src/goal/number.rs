@@ -3,7 +3,7 @@
 use super::decimal::{Format, Wide, digit};
 use crate::cursor::Cursor;
 
-/// What a text says that is a number.
+/// A number read from text.
 pub(super) struct Number {
     form: Form,
     negative: bool,
@@ -12,14 +12,14 @@ pub(super) struct Number {
 
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Form {
-    /// Written without point and exponent.
+    /// Without decimal point and exponent.
     Whole,
     Decimal,
     Infinity,
     Nan,
 }
 
-/// A whole number, as serde takes it.
+/// An integer, in the form that serde takes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Whole {
     Negative(i64),
@@ -33,20 +33,20 @@ impl Number {
         magnitude: Wide::ZERO,
     };
 
-    /// Reads the whole text into what was zero; whether it is a number.
+    /// Reads the whole text into a number that was zero; returns whether it is valid.
     pub(super) fn read(&mut self, text: &str) -> bool {
         let mut text = Cursor::new(text);
         self.negative = text.take_sign();
         if self.is_word(&text) {
-            // No sign there.
+            // NaN takes no sign.
             return self.form == Form::Infinity || text.at == 0;
         }
         self.read_digits(&mut text) && text.is_at_end()
     }
 
-    /// Whether it is a number that is a word: behind a point, or in small letters without.
+    /// Recognises infinity and NaN: lower case, or after a point in three spellings.
     fn is_word(&mut self, text: &Cursor<'_>) -> bool {
-        // Behind the end there are zeros.
+        // The cursor returns zeros past the end.
         const INFINITIES: [u32; 4] = [word(b"inf\0"), word(b".inf"), word(b".Inf"), word(b".INF")];
         const NANS: [u32; 4] = [word(b"nan\0"), word(b".nan"), word(b".NaN"), word(b".NAN")];
         let next = (0..4).fold(0, |word, place| word << 8 | u32::from(text.ahead(place)));
@@ -63,7 +63,7 @@ impl Number {
         let radix = radix(text);
         let mut digits = self.magnitude.read(text, radix);
         if radix != 10 {
-            // More than there is room for is nobody's float, but too great for any.
+            // Digits beyond the capacity overflow any float.
             self.magnitude.tens = 1000 * i32::from(self.magnitude.tens > 0);
             return digits > 0;
         }
@@ -81,7 +81,7 @@ impl Number {
             let start = text.at;
             let mut power = 0;
             while let Some(digit) = digit(text, 10, text.at > start) {
-                // Bounded, and beyond the length of any text.
+                // Bounded, but larger than the length of any text.
                 power = i32::min(power * 10 + i32::from(digit), 1 << 27);
             }
             if text.at == start {
@@ -93,11 +93,11 @@ impl Number {
             self.form = Form::Decimal;
             return true;
         }
-        // 010 is 8 for YAML, 10 for a person, and an error for Python.
+        // Rejects `010`: 8 in YAML, 10 to a person, an error in Python.
         !zero || self.magnitude.is_zero()
     }
 
-    /// The number when it is whole, and then when it fits.
+    /// The number if it is an integer; the inner `None` means that it does not fit.
     pub(super) fn whole(&self) -> Option<Option<Whole>> {
         if self.form != Form::Whole {
             return None;
@@ -111,7 +111,7 @@ impl Number {
         })
     }
 
-    /// The bits of the nearest number of this format; `None` beyond its greatest.
+    /// The bits of the nearest number of this format; `None` if it is too large.
     pub(super) fn nearest(&mut self, format: &Format) -> Option<u64> {
         let magnitude = match self.form {
             Form::Infinity => format.infinity(),
@@ -130,7 +130,7 @@ const fn word(bytes: &[u8; 4]) -> u32 {
     u32::from_be_bytes(*bytes)
 }
 
-/// Reads what stands before digits that are not decimal.
+/// Consumes the prefix of digits that are not decimal.
 fn radix(text: &mut Cursor<'_>) -> u8 {
     let radix = match text.ahead(1) | 0x20 {
         b'x' => 16,

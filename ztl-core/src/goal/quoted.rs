@@ -1,19 +1,19 @@
-//! Texts in quotes, as Python's `repr` and as YAML write them.
+//! Quoted texts, as Python's `repr` and as YAML write them.
 
 use core::str::CharIndices;
 
 use super::error::Fault;
 use crate::cursor::Cursor;
 
-/// A text in quotes, as it is written.
+/// A quoted text as written.
 struct Quoted<'a> {
     quote: u8,
-    /// What stands between the quotes.
+    /// The part between the quotes.
     inner: &'a str,
 }
 
 impl<'a> Quoted<'a> {
-    /// Of a text with its quotes.
+    /// Takes the text with its quotes.
     fn new(text: &'a str) -> Self {
         Self {
             quote: text.bytes().next().unwrap_or_default(),
@@ -21,11 +21,11 @@ impl<'a> Quoted<'a> {
         }
     }
 
-    /// Writes what is meant, and says how many bytes that takes, which may be more than there are.
-    /// The error is the place of a bad escape in `inner`.
+    /// Decodes the text and returns the size needed, which may exceed the scratch. The error is the offset of
+    /// a bad escape in `inner`.
     fn unescape(&self, scratch: &mut [u8]) -> Result<usize, usize> {
         let mut out = Out { scratch, len: 0 };
-        // Up to here the text stays, even when a line break follows.
+        // Whitespace before a line break is dropped back to this length.
         let mut lasting = 0;
         let mut rest = self.inner.char_indices();
         while let Some((at, c)) = rest.next() {
@@ -50,7 +50,7 @@ impl<'a> Quoted<'a> {
         Ok(out.len)
     }
 
-    /// Reads what stands behind a backslash.
+    /// Decodes the escape after a backslash.
     fn escape(&self, rest: &mut CharIndices<'_>, out: &mut Out<'_>) -> Option<()> {
         let double = self.quote == b'"';
         let (_, c) = rest.next()?;
@@ -66,7 +66,7 @@ impl<'a> Quoted<'a> {
             'x' => char::from_u32(hex(rest, 2)?)?,
             'u' => utf16(rest)?,
             'U' => char::from_u32(hex(rest, 8)?)?,
-            // YAML's own; Python's `repr` writes none of them.
+            // YAML's own escapes; Python's `repr` never writes them.
             '0' if double => '\0',
             'e' if double => '\x1b',
             ' ' | '/' | '\t' if double => c,
@@ -75,9 +75,9 @@ impl<'a> Quoted<'a> {
             'L' if double => '\u{2028}',
             'P' if double => '\u{2029}',
             _ if double => return None,
-            // Python's, which its `repr` does not write either.
+            // Python's escapes that its `repr` never writes.
             'N' | '0'..='7' | '\n' => return None,
-            // Python leaves any other backslash there; to YAML none is an escape here.
+            // In single quotes, Python leaves any other backslash as it is, and YAML knows no escapes.
             _ => {
                 out.push('\\');
                 c
@@ -88,15 +88,15 @@ impl<'a> Quoted<'a> {
     }
 }
 
-/// Writes what the text means that begins there with its quote, and ends here with it.
+/// Decodes the text whose opening quote is at `start` and whose closing quote was just read.
 type Unescape<'de> =
     fn(&mut Scratch<'de>, start: usize, text: &mut Cursor<'_>) -> Result<&'de str, Fault>;
 
-/// Where texts with escapes are written to.
+/// Buffer for decoded texts.
 pub(super) struct Scratch<'de> {
-    /// What is not in use.
+    /// The unused part.
     room: &'de mut [u8],
-    /// Bytes in use, or needed.
+    /// Bytes used, or needed.
     used: usize,
     available: usize,
     unescape: Unescape<'de>,
@@ -109,12 +109,12 @@ impl<'de> Scratch<'de> {
             room,
             used: 0,
             available,
-            // By its address, so that firmware that never has scratch does not link it.
+            // By pointer, so that firmware without scratch does not link it.
             unescape: Self::unescape_here,
         }
     }
 
-    /// What the text means that begins there with its quote, and ends here with it.
+    /// Decodes the text whose opening quote is at `start` and whose closing quote was just read.
     pub(super) fn unescape(
         &mut self,
         start: usize,
@@ -123,7 +123,7 @@ impl<'de> Scratch<'de> {
         (self.unescape)(self, start, text)
     }
 
-    /// Bytes in use or needed, and bytes that there were.
+    /// Bytes used or needed, and bytes available.
     pub(super) fn room(&self) -> (usize, usize) {
         (self.used, self.available)
     }
@@ -141,12 +141,12 @@ impl<'de> Scratch<'de> {
             return Err(Fault::ScratchTooSmall);
         };
         self.room = left;
-        // Whole characters were written.
+        // Only whole characters were written.
         Ok(core::str::from_utf8(meant).unwrap_or_default())
     }
 }
 
-/// Reads a line break of YAML with the blanks behind it: one means a blank, further ones stay.
+/// Reads a YAML line break and the whitespace after it: the first break becomes a space, further ones stay.
 fn fold(rest: &mut CharIndices<'_>, out: &mut Out<'_>) {
     let mut further = false;
     while let Some((_, c @ (' ' | '\t' | '\r' | '\n'))) = rest.clone().next() {
@@ -161,7 +161,7 @@ fn fold(rest: &mut CharIndices<'_>, out: &mut Out<'_>) {
     }
 }
 
-/// Reads so many hexadecimal digits.
+/// Reads `digits` hexadecimal digits.
 fn hex(rest: &mut CharIndices<'_>, digits: u32) -> Option<u32> {
     (0..digits).try_fold(0, |value, _| {
         let (_, c) = rest.next()?;
@@ -169,7 +169,7 @@ fn hex(rest: &mut CharIndices<'_>, digits: u32) -> Option<u32> {
     })
 }
 
-/// Reads what stands behind `\u`. JSON writes a character beyond U+FFFF as two of them.
+/// Reads the digits after `\u`. JSON writes a character beyond U+FFFF as a pair of them.
 fn utf16(rest: &mut CharIndices<'_>) -> Option<char> {
     let first = hex(rest, 4)?;
     if !matches!(first, 0xd800..0xdc00) {
@@ -183,7 +183,7 @@ fn utf16(rest: &mut CharIndices<'_>) -> Option<char> {
     char::from_u32(0x10000 + ((first & 0x3ff) << 10 | second & 0x3ff))
 }
 
-/// Counts on when the scratch is full.
+/// Writes into the scratch; keeps counting when it is full.
 struct Out<'a> {
     scratch: &'a mut [u8],
     len: usize,

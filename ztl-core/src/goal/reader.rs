@@ -1,4 +1,4 @@
-//! The goal's text, read from left to right: blanks, brackets, plain texts and texts in quotes.
+//! The tokenizer: whitespace, brackets, plain and quoted texts, from left to right.
 
 use super::MAX_DEPTH;
 use super::error::{Expected, Fault};
@@ -6,17 +6,17 @@ use super::quoted::Scratch;
 use crate::cursor::Cursor;
 use crate::is_blank;
 
-/// A place in a goal's text, and what is needed to go on from there.
+/// A position in a goal's text and the state of parsing.
 ///
-/// In this order: a Cortex-M0 reaches what comes first with shorter code.
+/// This order of fields gives the shortest code on a Cortex-M0.
 #[repr(C)]
 pub(super) struct Reader<'de> {
     pub(super) text: Cursor<'de>,
-    /// Collections that are open here.
+    /// Number of open collections.
     depth: u8,
-    /// Whether something is wrong, and `text` stands where.
+    /// Whether an error was found; `text` then stands at its position.
     failed: bool,
-    /// Where the key read last begins.
+    /// Start of the last key.
     key: usize,
     scratch: Option<Scratch<'de>>,
 }
@@ -25,7 +25,7 @@ pub(super) struct Reader<'de> {
 pub(super) struct Open {
     at: usize,
     close: u8,
-    /// Items begun, up to two.
+    /// Items started, up to two.
     items: u8,
 }
 
@@ -35,7 +35,7 @@ impl Open {
     }
 }
 
-/// What reads and fails leaves the text where the fault is.
+/// Methods that fail leave `text` at the error.
 impl<'de> Reader<'de> {
     pub(super) fn new(text: &'de str, scratch: Option<Scratch<'de>>) -> Self {
         Self {
@@ -47,22 +47,22 @@ impl<'de> Reader<'de> {
         }
     }
 
-    /// Whether this is the goal itself, not something within it: its text has no quotes.
+    /// Whether this is the goal itself rather than part of it; its text has no quotes.
     pub(super) fn is_top(&self) -> bool {
         self.depth == 0
     }
 
-    /// Remembers that a key begins here.
+    /// Stores that a key begins here.
     pub(super) fn begin_key(&mut self) {
         self.key = self.text.at;
     }
 
-    /// Where the key read last begins.
+    /// Start of the last key.
     pub(super) fn last_key(&self) -> usize {
         self.key
     }
 
-    /// Goes to where something is wrong, unless it is there: the innermost value is the one to name.
+    /// Moves to an error's position, unless one is set: the innermost value wins.
     pub(super) fn fail_at(&mut self, at: usize) {
         if !self.failed {
             self.failed = true;
@@ -70,7 +70,7 @@ impl<'de> Reader<'de> {
         }
     }
 
-    /// What is wrong with the texts with escapes: they take more than there is.
+    /// Bytes needed and available, if the texts with escapes exceed the scratch.
     pub(super) fn scratch_too_small(&self) -> Option<(usize, usize)> {
         self.scratch.as_ref().map(Scratch::room)
     }
@@ -95,14 +95,14 @@ impl<'de> Reader<'de> {
         }
     }
 
-    /// The whole text, for a goal that is a text: it stands there without quotes.
+    /// The whole text, for a goal that is an unquoted text.
     pub(super) fn whole(&mut self) -> &'de str {
         let text = self.text.text();
         self.text.at = text.len();
         text
     }
 
-    /// Reads the opening bracket of what is expected: a sequence, a mapping, or either.
+    /// Reads the opening bracket of a sequence, a mapping, or either.
     pub(super) fn open(&mut self, expected: Expected) -> Result<Open, Fault> {
         let bracket = self.text.peek();
         let fits = match bracket {
@@ -119,7 +119,7 @@ impl<'de> Reader<'de> {
         let at = self.text.at;
         self.depth += 1;
         self.text.at += 1;
-        // In ASCII, something stands between [ and ], { and }.
+        // In ASCII, `[` and `]`, and `{` and `}`, are two apart.
         let close = bracket + if bracket == b'(' { 1 } else { 2 };
         Ok(Open {
             at,
@@ -128,17 +128,17 @@ impl<'de> Reader<'de> {
         })
     }
 
-    /// Goes to the next item, or to the closing bracket and says that there is none.
+    /// Moves to the next item, or to the closing bracket and returns `false`.
     pub(super) fn more(&mut self, open: &mut Open) -> Result<bool, Fault> {
         self.text.skip_blanks();
         let separated = open.items == 0 || self.text.take(b',');
         let next = self.text.skip_blanks();
         if next == open.close {
-            // Python reads (1) as the number 1.
+            // Python reads `(1)` as the number 1.
             if next == b')' && open.items == 1 && !separated {
                 return Err(Fault::Expected(Expected::Comma));
             }
-            // Asked again, it is still there.
+            // A second call must give the same answer.
             open.items = 2;
             return Ok(false);
         }
@@ -153,7 +153,7 @@ impl<'de> Reader<'de> {
         Ok(true)
     }
 
-    /// Reads the closing bracket, unless there are more items.
+    /// Reads the closing bracket; fails if there are more items.
     pub(super) fn close(&mut self, open: &mut Open) -> Result<(), Fault> {
         if self.more(open)? {
             return Err(Fault::WrongLength);
@@ -163,8 +163,8 @@ impl<'de> Reader<'de> {
         Ok(())
     }
 
-    /// Reads a plain text: at the top all that there is, else up to the mark that ends it; without the
-    /// blanks at its end. Within a collection an empty one is none.
+    /// Reads a plain text without trailing whitespace: at the top the whole rest, else up to the mark that
+    /// ends it. Within a collection it must not be empty.
     pub(super) fn plain(&mut self) -> &'de str {
         let start = self.text.at;
         if self.is_top() || !self.is_mark() {
@@ -173,7 +173,7 @@ impl<'de> Reader<'de> {
         self.text.part(start, self.text.at)
     }
 
-    /// Whether a plain text cannot begin here: a mark of YAML for what is not read, or Python's bytes.
+    /// Whether no plain text can begin here: at a YAML mark that is not supported, or Python's bytes.
     fn is_mark(&self) -> bool {
         let byte = self.text.peek();
         let next = self.text.ahead(1);
@@ -184,7 +184,7 @@ impl<'de> Reader<'de> {
         }
     }
 
-    /// Skips a plain text, but for the blanks at its end, and for brackets that are open there.
+    /// Skips a plain text without its trailing whitespace, including brackets that it opens.
     fn skip_plain(&mut self) {
         let top = self.is_top();
         let mut end = self.text.at;
@@ -197,7 +197,7 @@ impl<'de> Reader<'de> {
                 _ if top => false,
                 b')' => brackets == 0,
                 b':' => is_blank(next) || is_one_of(next, b",[]{}()\0"),
-                // Within a collection there is a byte before.
+                // Within a collection there is always a previous byte.
                 b'#' => is_blank(self.text.ahead(usize::MAX)),
                 _ => is_one_of(byte, b",[]{}\n\r"),
             };
@@ -218,7 +218,7 @@ impl<'de> Reader<'de> {
         self.text.at = end;
     }
 
-    /// Reads a text in quotes, whose opening quote is the next byte.
+    /// Reads a quoted text; the next byte is its opening quote.
     pub(super) fn quoted(&mut self) -> Result<&'de str, Fault> {
         let start = self.text.at;
         let special = self.skip_quoted()?;
@@ -232,9 +232,8 @@ impl<'de> Reader<'de> {
         Err(Fault::NeedsScratch)
     }
 
-    /// Reads a text in quotes, whose opening quote is the next byte, without looking into it. Gives
-    /// the place of the first thing that is not what is meant: an escape, a doubled quote, a line
-    /// break; 0 when there is none.
+    /// Skips a quoted text; the next byte is its opening quote. Returns the offset of the first escape,
+    /// doubled quote or line break, or 0 if there is none.
     pub(super) fn skip_quoted(&mut self) -> Result<usize, Fault> {
         let start = self.text.at;
         let quote = self.text.peek();
@@ -251,7 +250,7 @@ impl<'de> Reader<'de> {
                 self.text.at += 1;
                 return Ok(special);
             }
-            // The second of the two is skipped.
+            // Skips the second of the two bytes.
             self.text.at += usize::from(byte == quote || byte == b'\\');
             if special == 0 && (byte == b'\n' || self.text.at != here) {
                 special = here;
@@ -260,10 +259,7 @@ impl<'de> Reader<'de> {
     }
 }
 
-#[expect(
-    clippy::manual_contains,
-    reason = "that takes four bytes at a time, and five times the flash"
-)]
+#[expect(clippy::manual_contains, reason = "memchr takes five times the flash")]
 fn is_one_of(byte: u8, bytes: &[u8]) -> bool {
     bytes.iter().any(|&one| one == byte)
 }

@@ -1,4 +1,4 @@
-//! serde's calls, written as Python writes the value.
+//! The serde serializer: writes values as Python does.
 
 use core::fmt::Display;
 
@@ -18,7 +18,7 @@ type Result = core::result::Result<(), WriteError>;
 pub(super) struct Writer<'s, S: ?Sized, F> {
     sink: &'s mut S,
     floats: F,
-    /// Collections that are open here.
+    /// Number of open collections.
     depth: u8,
 }
 
@@ -31,7 +31,7 @@ impl<'s, S: Sink + ?Sized, F: Floats> Writer<'s, S, F> {
         }
     }
 
-    /// Writes a text: a result's whole text as it is, within a collection in quotes.
+    /// Writes a text: unquoted at the top, quoted within a collection.
     fn text(&mut self, text: &str) -> Result {
         if self.depth == 0 {
             self.sink.put(text.as_bytes());
@@ -50,7 +50,7 @@ impl<'s, S: Sink + ?Sized, F: Floats> Writer<'s, S, F> {
         Ok(())
     }
 
-    /// Closes as many collections as there are brackets.
+    /// Closes one collection for each bracket.
     fn close(&mut self, brackets: &[u8]) -> Result {
         self.depth = self.depth.saturating_sub(brackets.len() as u8);
         self.sink.put(brackets);
@@ -65,8 +65,8 @@ impl<'s, S: Sink + ?Sized, F: Floats> Writer<'s, S, F> {
         Ok(())
     }
 
-    /// Writes a name that the firmware's author chose, without asking which characters are
-    /// printable: the table of them takes 2.7 KB of flash.
+    /// Writes a name from the firmware's source without checking which characters are printable: that table
+    /// takes 2.7 KB of flash.
     fn name(&mut self, name: &str) {
         self.sink.put(b"'");
         for part in name.split_inclusive(['\'', '\\']) {

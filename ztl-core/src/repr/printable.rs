@@ -1,11 +1,11 @@
-//! Which characters Python prints as they are: all but the categories "other" and "separator", of
-//! which it prints the ASCII blank.
+//! Which characters Python prints unescaped: all except the categories "other" and "separator", plus the
+//! ASCII space.
 //!
-//! The standard library has the same table, but shows it only through `escape_debug`, of which the
-//! compiler cannot see that it never panics, and which is larger.
+//! The standard library has the same table but exposes it only through `escape_debug`, which is larger and
+//! whose panic branch the compiler cannot remove.
 
-/// Lengths of the runs of characters that are printable, of those that are not, and so on, from
-/// U+0080. Seven bits a byte, the lowest first; the highest bit is set when more follow. Unicode 17.
+/// Lengths of alternating runs of printable and unprintable characters, from U+0080, in Unicode 17. Each
+/// length is a little-endian base-128 number; the high bit marks a continuation.
 #[rustfmt::skip]
 static RUNS: [u8; 1572] = [
     0, 33, 12, 1, 202, 5, 2, 6, 4, 7, 1, 1, 1, 20, 1, 141, 3, 1, 38, 2, 50, 2, 3, 1,
@@ -89,7 +89,7 @@ pub(super) fn is_printable(c: char) -> bool {
     false
 }
 
-/// The length of each run, and whether its characters are printable.
+/// Each run's length, and whether its characters are printable.
 fn runs() -> impl Iterator<Item = (u32, bool)> {
     let mut bytes = RUNS.iter();
     let mut printable = false;
@@ -115,22 +115,22 @@ mod tests {
     use core::cmp::Ordering;
     use std::string::String;
 
-    /// A combining mark is escaped too, unless something stands before it.
+    /// A combining mark is escaped unless something precedes it, hence the `a`.
     fn standard(c: char) -> bool {
         String::from_iter(['a', c]).escape_debug().nth(1) == Some(c)
     }
 
     #[test]
-    fn the_table_is_that_of_the_standard_library() {
+    fn the_table_equals_the_standard_librarys() {
         let ours = runs().flat_map(|(run, printable)| (0..run).map(move |_| printable));
         let mut seen = 0;
         for (code, printable) in (0x80..).zip(ours) {
             seen = code;
             let Some(c) = char::from_u32(code) else {
-                assert!(!printable, "a surrogate is no character");
+                assert!(!printable, "a surrogate is not a character");
                 continue;
             };
-            // A later Unicode has more characters, and takes none away.
+            // A later Unicode version only adds characters.
             let added = match char::UNICODE_VERSION.0.cmp(&17) {
                 Ordering::Less => printable,
                 Ordering::Equal => false,

@@ -1,4 +1,4 @@
-//! The log until it is sent.
+//! The log buffer.
 
 use core::cell::RefCell;
 
@@ -9,10 +9,10 @@ use critical_section::RestoreState;
 use super::LogSource;
 use crate::shared::in_pieces;
 
-/// At most `N` bytes of log, written by anybody and read by the main loop. A `static`.
+/// Buffers up to `N` bytes of log. Anyone can write; the main loop reads. Use it as a `static`.
 ///
-/// Records are kept whole: one that does not fit is dropped entirely and its bytes are counted, so a
-/// reader never sees the rest of one. What was said first stays, as the cause of a failure does.
+/// A record that does not fit is dropped whole and its bytes are counted, so the reader never sees a partial
+/// record. The oldest records stay, because they tell the cause of a failure.
 #[derive(Debug)]
 pub struct LogQueue<const N: usize> {
     state: Mutex<RefCell<State<N>>>,
@@ -33,7 +33,7 @@ const COPIED: usize = 8;
 struct Ring<const N: usize> {
     bytes: [u8; N],
     start: usize,
-    /// Bytes of whole records.
+    /// Bytes of complete records.
     len: usize,
     /// Bytes that are taken, by whole records and by those that are being copied.
     taken: usize,
@@ -46,9 +46,9 @@ struct Ring<const N: usize> {
 }
 
 impl<const N: usize> Ring<N> {
-    /// Goes round; `place` is below `2 * N`.
-    const fn wrapped(place: usize) -> usize {
-        if place < N { place } else { place - N }
+    /// Wraps an index below `2 * N`.
+    const fn wrapped(index: usize) -> usize {
+        if index < N { index } else { index - N }
     }
 
     #[cfg(feature = "defmt")]
@@ -57,9 +57,9 @@ impl<const N: usize> Ring<N> {
             let used = self.taken.saturating_add(self.open);
             self.open = self.open.saturating_add(1);
             if used < N
-                && let Some(place) = self.bytes.get_mut(Self::wrapped(self.start + used))
+                && let Some(slot) = self.bytes.get_mut(Self::wrapped(self.start + used))
             {
-                *place = *byte;
+                *slot = *byte;
             }
         }
     }
@@ -108,8 +108,8 @@ impl<const N: usize> Ring<N> {
 
     fn read(&mut self, buffer: &mut [u8]) -> usize {
         let count = self.len.min(buffer.len());
-        for place in buffer.iter_mut().take(count) {
-            *place = self.bytes.get(self.start).copied().unwrap_or_default();
+        for slot in buffer.iter_mut().take(count) {
+            *slot = self.bytes.get(self.start).copied().unwrap_or_default();
             self.start = Self::wrapped(self.start + 1);
         }
         self.len -= count;
@@ -119,7 +119,7 @@ impl<const N: usize> Ring<N> {
 }
 
 impl<const N: usize> LogQueue<N> {
-    /// An empty one.
+    /// Creates an empty queue.
     #[must_use]
     pub const fn new() -> Self {
         Self {
@@ -142,13 +142,13 @@ impl<const N: usize> LogQueue<N> {
 
     fn with<T>(&self, act: impl FnOnce(&mut State<N>) -> T) -> Option<T> {
         critical_section::with(|cs| {
-            // It is borrowed nowhere else.
+            // Never fails: it is not borrowed anywhere else.
             let mut state = self.state.borrow(cs).try_borrow_mut().ok()?;
             Some(act(&mut state))
         })
     }
 
-    /// Adds a whole record, in the encoding that the gateway expects; says whether it was kept.
+    /// Adds a complete record in the encoding that the gateway expects; returns whether it fit.
     pub fn push(&self, record: &[u8]) -> bool {
         let place = self.with(|state| state.ring.begin(record.len()));
         let Some(mut place) = place.flatten() else {
@@ -183,13 +183,13 @@ impl<const N: usize> LogSource for LogQueue<N> {
     }
 }
 
-/// The record that defmt makes.
+/// The record that defmt is writing.
 #[cfg(feature = "defmt")]
 struct Record {
     encoder: defmt::Encoder,
-    /// What ends the critical section that the record is made in.
+    /// Ends the critical section of this record.
     restore: Option<RestoreState>,
-    /// Records begun within the record: what formats a value must not log, and is not heard.
+    /// Depth of records started within this one: code that formats a value must not log, so they are dropped.
     within: u32,
 }
 
@@ -214,7 +214,7 @@ impl Record {
 /// For [`defmt_logger`](crate::defmt_logger).
 #[cfg(feature = "defmt")]
 impl<const N: usize> LogQueue<N> {
-    /// Begins a record within a critical section. Gives `restore` back when one is being made.
+    /// Opens a record within a critical section. Returns `restore` if a record is already open.
     #[doc(hidden)]
     pub fn begin(&self, restore: RestoreState) -> Option<RestoreState> {
         self.with(|state| {
@@ -230,7 +230,7 @@ impl<const N: usize> LogQueue<N> {
         .flatten()
     }
 
-    /// Adds to the record.
+    /// Appends to the record.
     #[doc(hidden)]
     pub fn write(&self, bytes: &[u8]) {
         self.with(|state| {
@@ -241,7 +241,7 @@ impl<const N: usize> LogQueue<N> {
         });
     }
 
-    /// Ends the record and gives back what ends the critical section.
+    /// Completes the record and returns what ends the critical section.
     #[doc(hidden)]
     pub fn end(&self) -> Option<RestoreState> {
         self.with(|state| {
@@ -278,7 +278,7 @@ mod tests {
         assert_eq!(queue.lost(), 4);
         assert!(queue.push(b"678"));
         assert_eq!(read(&queue, 6), b"123456");
-        // Round the end.
+        // Wraps around the end of the buffer.
         assert!(queue.push(b"abcdef"));
         assert!(!queue.push(&[0; 300]));
         assert_eq!(queue.lost(), 304);

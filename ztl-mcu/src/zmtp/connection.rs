@@ -1,4 +1,4 @@
-//! One connection: bytes in, messages out, and the other way round.
+//! One ZMTP connection: bytes in, messages out, and vice versa.
 
 use core::marker::PhantomData;
 use ztl_core::Instant;
@@ -8,51 +8,51 @@ use super::HANDSHAKE;
 use super::message::{Content, Frames, Message};
 use super::wire::{DELIMITER, GREETING, LONG, LONGEST_PING, MORE, PARTIAL, Socket, old_greeting};
 
-/// The header of a frame of up to 255 bytes: flags, and the size.
+/// Length of the header of a frame of up to 255 bytes: flags and size.
 const SHORT_HEADER: usize = 2;
-/// The longest header of a frame: flags, and a size of 8 bytes.
+/// Length of the longest frame header: flags and a size of 8 bytes.
 const LONGEST_HEADER: usize = 9;
 
-/// A tenth of a second, in microseconds.
+/// A tenth of a second in microseconds.
 const TENTH_US: u32 = 100_000;
 
-/// Marks where an answer was cut.
+/// Marks a cut in a reply.
 const CUT: &[u8] = "…".as_bytes();
 
-/// Why a connection was closed by this end.
+/// Why this end closed a connection.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Fault {
-    /// What came first is no signature: no ZMTP at all, or ZMTP 1.0.
-    // From 1, so that no fault is 0, and a new connection all zeros, which take no flash.
+    /// The first bytes are not a signature: not ZMTP, or ZMTP 1.0.
+    // Starts at 1, so that a new connection is all zeros and takes no flash.
     NotZmtp = 1,
-    /// The peer's mechanism is not NULL: it wants a password or keys.
+    /// The peer's mechanism is not NULL: it requires a password or keys.
     Mechanism,
-    /// The peer is a kind of socket that this kind does not talk to.
+    /// The peer's socket type does not match this one.
     SocketType,
-    /// A frame with flags that do not exist or do not go together.
+    /// A frame has undefined flags or an invalid combination.
     Flags,
-    /// Something other than `READY` in the handshake.
+    /// A frame other than `READY` in the handshake.
     Unexpected,
-    /// A frame of more than [`SKIPPED`](super::SKIPPED) bytes, or an envelope that cannot be kept.
+    /// A frame is longer than [`SKIPPED`](super::SKIPPED) bytes, or an envelope does not fit the buffer.
     TooLong,
-    /// The peer has sent `ERROR`.
+    /// The peer sent `ERROR`.
     Refused,
-    /// The handshake took longer than [`HANDSHAKE`], or the peer's own time to live has passed.
+    /// The handshake took longer than [`HANDSHAKE`], or the time to live that the peer announced has passed.
     Silent,
 }
 
 impl Fault {
-    /// What was wrong, as a text.
+    /// The error message.
     #[must_use]
     pub const fn as_str(self) -> &'static str {
         match self {
             Self::NotZmtp => "the peer does not speak ZMTP 2.0 or newer",
             Self::Mechanism => "the peer's mechanism is not NULL",
-            Self::SocketType => "the peer is of another kind of socket",
-            Self::Flags => "a frame has flags that do not exist",
-            Self::Unexpected => "something other than READY in the handshake",
+            Self::SocketType => "the peer's socket type does not match",
+            Self::Flags => "a frame has invalid flags",
+            Self::Unexpected => "unexpected frame in the handshake",
             Self::TooLong => "a frame is too long",
             Self::Refused => "the peer sent ERROR",
             Self::Silent => "the peer was silent for too long",
@@ -68,58 +68,58 @@ impl core::fmt::Display for Fault {
 
 impl core::error::Error for Fault {}
 
-/// How far a connection is.
+/// State of a connection.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Phase {
     Closed,
-    /// So many bytes of the greeting have come.
+    /// This many bytes of the greeting have arrived.
     Greeting(u8),
-    /// Of a peer of ZMTP 2.0 the kind of socket comes next, which it tells in its greeting.
+    /// A ZMTP 2.0 peer sends its socket type next, as part of its greeting.
     OldSocket,
-    /// Of a peer of ZMTP 2.0 the identity comes next, which is a frame.
+    /// A ZMTP 2.0 peer sends its identity next, as a frame.
     OldIdentity,
     Handshake,
-    /// So with ZMTP 2.0, which has no commands.
+    /// As `Traffic`, with a ZMTP 2.0 peer, which has no commands.
     OldTraffic,
     Traffic,
-    /// `ERROR` goes out, then it is closed.
+    /// Sends `ERROR`, then closes.
     Ending,
 }
 
-/// What of a frame comes next.
+/// The part of a frame that comes next.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Next {
     Flags,
-    /// So many bytes of the size.
+    /// This many bytes of the size have arrived.
     Size(u8),
     Body,
 }
 
-/// Of which part of a message the frame is that comes.
+/// The part of a message that the next frame belongs to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Part {
     Envelope,
     Body,
-    /// Whatever it is, the message is not answered: it has no delimiter.
+    /// Dropped: the message has no delimiter and is not answered.
     Nothing,
-    /// After a body that is dropped.
+    /// Frames after a body that is dropped.
     Rest,
 }
 
-/// Whose turn it is.
+/// Which side acts next.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Turn {
-    /// A message comes, or may come.
+    /// A message may arrive.
     Receive,
-    /// One has come.
+    /// A message has arrived.
     Received,
-    /// And is being dealt with.
+    /// The message is being processed.
     Held,
-    /// A message goes out.
+    /// A reply or request is being sent.
     Send,
 }
 
-/// What is dropped of a message.
+/// Why a message is dropped.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Flaw {
     None,
@@ -127,29 +127,30 @@ pub(super) enum Flaw {
     TooLong,
 }
 
-/// What is on its way out.
+/// What is being sent.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Out {
     Nothing,
-    /// This part of what opens a connection.
+    /// This part of the opening sequence.
     Hello,
     Pong,
     Message,
 }
 
-/// One end of a ZMTP connection, without I/O, as a socket of the kind `S`; `B` is its buffer.
+/// One end of a ZMTP connection, without I/O, as a socket of type `S` with buffer `B`.
 ///
-/// It holds one message at a time, which is answered before the next is taken; of pipelined requests
-/// the bytes are left to the stream until then. A `PING` is answered at once also meanwhile.
+/// It holds one message at a time and takes the next only after a reply. Until then, the bytes of pipelined
+/// requests stay in the stream. A `PING` is still answered immediately.
 ///
 /// *Inputs*: [`open`](Self::open), [`handle_bytes`](Self::handle_bytes),
-/// [`handle_timeout`](Self::handle_timeout), [`close`](Self::close). *Outputs*:
-/// [`message`](Self::message); [`transmit_buf`](Self::transmit_buf) and [`consume`](Self::consume), to be asked
-/// after each input; [`is_open`](Self::is_open). *Commands*: [`reply`](Self::reply), [`hold`](Self::hold) for a later one,
-/// [`request`](Self::request), [`discard`](Self::discard). *Next wake-up*: [`poll_timeout`](Self::poll_timeout).
+/// [`handle_timeout`](Self::handle_timeout), [`close`](Self::close). *Outputs*, to check after each input:
+/// [`message`](Self::message); [`transmit_buf`](Self::transmit_buf) and [`consume`](Self::consume);
+/// [`is_open`](Self::is_open). *Commands*: [`reply`](Self::reply), [`hold`](Self::hold) for a later one,
+/// [`request`](Self::request), [`discard`](Self::discard). *Next wake-up*:
+/// [`poll_timeout`](Self::poll_timeout).
 ///
-/// **The buffer** holds a message with its envelope, 24 bytes less than it has; the envelope at most half of
-/// that. An array or a `&mut [u8]`, of 128 bytes or more.
+/// **The buffer** is an array or a `&mut [u8]` of at least 128 bytes. It holds one message with its envelope,
+/// up to 24 bytes less than its size; the envelope takes at most half of that.
 ///
 /// ```
 /// use ztl_mcu::Instant;
@@ -161,7 +162,7 @@ enum Out {
 /// server.open(now);
 /// client.open(now);
 ///
-/// // The two talk until neither has anything to say.
+/// // The two exchange bytes until neither has more to send.
 /// fn talk(now: Instant, server: &mut Connection<Rep, [u8; 128]>, client: &mut Connection<Req, [u8; 128]>) {
 ///     loop {
 ///         let to_server = server.handle_bytes(now, client.transmit_buf());
@@ -184,45 +185,45 @@ enum Out {
 /// assert_eq!(client.message().unwrap().content, Content::One(b"late"));
 /// client.discard();
 /// ```
-// In this order: a Cortex-M0 reaches what comes first with shorter code.
+// This order of fields gives the shortest code on a Cortex-M0.
 #[derive(Debug, Clone)]
 #[repr(C)]
 pub struct Connection<S, B> {
     pub(super) phase: Phase,
     pub(super) next: Next,
-    /// Of the frame that comes.
+    /// Flags of the current incoming frame.
     pub(super) flags: u8,
-    /// Whether the frame that comes is kept.
+    /// Whether the current incoming frame is kept.
     pub(super) keep: bool,
     pub(super) part: Part,
     pub(super) turn: Turn,
     pub(super) flaw: Flaw,
     pub(super) fault: Option<Fault>,
     out: Out,
-    /// How many parts of what opens a connection may go out, and how many have.
+    /// How many parts of the opening sequence may be sent, and how many were.
     pub(super) hello_due: u8,
     hello_done: u8,
-    /// Bytes of the `PONG` that waits at the end of the buffer.
+    /// Length of the `PONG` that waits at the end of the buffer.
     pub(super) pong: u8,
-    /// A peer's time to live, in tenths of a second.
+    /// The peer's time to live, in tenths of a second.
     pub(super) ttl: u16,
-    /// Bytes of the frame that are still to come.
+    /// Bytes of the current frame that are still missing.
     pub(super) size: u32,
-    /// Of the message: bytes of its envelope with the delimiter, and of all.
+    /// Length of the message's envelope with its delimiter, and of the whole message.
     pub(super) envelope: usize,
     pub(super) filled: usize,
-    /// Bytes of the command that are kept.
+    /// Bytes of the command kept so far.
     pub(super) command: usize,
-    /// Of what is on its way out.
+    /// Bytes sent of the current output.
     sent: usize,
-    /// Of the handshake, then of the peer's time to live: see [`poll_timeout`](Self::poll_timeout).
+    /// Deadline of the handshake, later of the peer's time to live; see [`poll_timeout`](Self::poll_timeout).
     pub(super) deadline: Instant,
     pub(super) buffer: B,
     socket: PhantomData<S>,
 }
 
 impl<S: Socket, B: AsRef<[u8]> + AsMut<[u8]>> Connection<S, B> {
-    /// A connection that is not open yet.
+    /// Creates a closed connection.
     pub const fn new(buffer: B) -> Self {
         Self {
             phase: Phase::Closed,
@@ -249,7 +250,7 @@ impl<S: Socket, B: AsRef<[u8]> + AsMut<[u8]>> Connection<S, B> {
         }
     }
 
-    /// The stream is there: everything begins anew.
+    /// Opens the connection on a new stream and resets all state.
     pub fn open(&mut self, now: Instant) {
         self.close();
         self.fault = None;
@@ -258,7 +259,7 @@ impl<S: Socket, B: AsRef<[u8]> + AsMut<[u8]>> Connection<S, B> {
         self.deadline = now + HANDSHAKE;
     }
 
-    /// The stream is gone.
+    /// Closes the connection: the stream has ended.
     #[cfg_attr(target_os = "none", inline(never))]
     pub fn close(&mut self) {
         self.phase = Phase::Closed;
@@ -271,8 +272,8 @@ impl<S: Socket, B: AsRef<[u8]> + AsMut<[u8]>> Connection<S, B> {
         self.forget();
     }
 
-    /// Bytes have arrived, in pieces of any length; says how many were taken. The others are to be
-    /// given again after the next output: a message has to be answered first.
+    /// Handles received bytes, in pieces of any length. Returns how many were taken; pass the others again
+    /// after the next output, because a message must be answered first.
     pub fn handle_bytes(&mut self, now: Instant, bytes: &[u8]) -> usize {
         let mut rest = bytes;
         while !rest.is_empty() {
@@ -282,23 +283,23 @@ impl<S: Socket, B: AsRef<[u8]> + AsMut<[u8]>> Connection<S, B> {
             }
             rest = rest.get(taken..).unwrap_or_default();
         }
-        // Those that wait are a sign of life too.
+        // Bytes that are not taken yet also show that the peer is alive.
         if !bytes.is_empty() && self.is_ready() {
-            // In two steps, since a multiplication of 64 bits is a library call.
+            // In two steps: a 64-bit multiplication is a library call.
             let ttl = u64::from(u32::from(self.ttl) * (TENTH_US / 4)) * 4;
             self.deadline = now.after(ttl);
         }
         bytes.len() - rest.len()
     }
 
-    /// Closes the connection when the peer has been silent for too long.
+    /// Closes the connection if the peer has been silent for too long.
     pub fn handle_timeout(&mut self, now: Instant) {
         if self.poll_timeout() <= now {
             self.fail(Fault::Silent);
         }
     }
 
-    /// When [`handle_timeout`](Self::handle_timeout) has something to do; [`Instant::NEVER`] if nothing.
+    /// When to call [`handle_timeout`](Self::handle_timeout); [`Instant::NEVER`] if there is nothing to do.
     pub const fn poll_timeout(&self) -> Instant {
         match self.phase {
             Phase::Closed => Instant::NEVER,
@@ -307,7 +308,7 @@ impl<S: Socket, B: AsRef<[u8]> + AsMut<[u8]>> Connection<S, B> {
         }
     }
 
-    /// The message that has come and is not held, answered or discarded yet.
+    /// The message that has arrived and is not held, answered or discarded yet.
     #[must_use]
     pub fn message(&self) -> Option<Message<'_>> {
         if self.turn != Turn::Received {
@@ -335,7 +336,7 @@ impl<S: Socket, B: AsRef<[u8]> + AsMut<[u8]>> Connection<S, B> {
         }
     }
 
-    /// What of the buffer is not needed while a message is held.
+    /// The part of the buffer that is free while a message is held.
     pub(super) fn spare(&mut self) -> &mut [u8] {
         let (room, envelope) = (self.room(), self.envelope);
         let spare = match self.turn {
@@ -345,21 +346,21 @@ impl<S: Socket, B: AsRef<[u8]> + AsMut<[u8]>> Connection<S, B> {
         spare.unwrap_or_default()
     }
 
-    /// How long an answer to the message may be that is not cut.
+    /// Length of the longest reply to the message that is not cut.
     pub(super) fn answer_room(&self) -> usize {
         self.room().saturating_sub(self.envelope + LONGEST_HEADER)
     }
 
-    /// Answers the message, in its envelope. What does not fit into the buffer is cut, and `…` marks the
-    /// cut. Without a message nothing happens.
+    /// Replies to the message, in its envelope. A reply that does not fit the buffer is cut and ends in `…`.
+    /// Does nothing without a message.
     pub fn reply(&mut self, put: &mut dyn FnMut(&mut dyn Sink)) {
         if matches!(self.turn, Turn::Received | Turn::Held) {
             self.send(put);
         }
     }
 
-    /// Sends a message of one's own, in an envelope of these frames; cut as a reply is. Says whether
-    /// it is on its way: the handshake is done, no message is under way, and the envelope fits.
+    /// Sends a message in an envelope of these frames, cut like a reply. Returns `false` if the handshake is
+    /// not done, another message is in progress, or the envelope does not fit.
     pub fn request(&mut self, envelope: &[&[u8]], put: &mut dyn FnMut(&mut dyn Sink)) -> bool {
         let idle = self.turn == Turn::Receive && self.filled == 0 && self.next == Next::Flags;
         if !idle || !self.is_ready() {
@@ -378,15 +379,14 @@ impl<S: Socket, B: AsRef<[u8]> + AsMut<[u8]>> Connection<S, B> {
         true
     }
 
-    /// Drops the message that has come, so that the next may.
+    /// Drops the received message, so that the next one can arrive.
     pub fn discard(&mut self) {
         if matches!(self.turn, Turn::Received | Turn::Held) {
             self.forget();
         }
     }
 
-    /// The next bytes to be sent; empty when there is nothing. To be followed by
-    /// [`consume`](Self::consume).
+    /// The next bytes to send; may be empty. Call [`consume`](Self::consume) after sending.
     pub fn transmit_buf(&mut self) -> &[u8] {
         if self.out == Out::Nothing {
             self.out = match self.turn {
@@ -409,7 +409,7 @@ impl<S: Socket, B: AsRef<[u8]> + AsMut<[u8]>> Connection<S, B> {
         all.and_then(|all| all.get(self.sent..)).unwrap_or_default()
     }
 
-    /// The first `count` bytes of [`transmit_buf`](Self::transmit_buf) are sent.
+    /// Marks the first `count` bytes of [`transmit_buf`](Self::transmit_buf) as sent.
     #[cfg_attr(target_os = "none", inline(never))]
     pub fn consume(&mut self, count: usize) {
         if count < self.transmit_buf().len() {
@@ -431,23 +431,22 @@ impl<S: Socket, B: AsRef<[u8]> + AsMut<[u8]>> Connection<S, B> {
         self.sent = 0;
     }
 
-    /// Whether the stream is still needed. When it no longer is, it is to be closed, and
-    /// [`fault`](Self::fault) says why.
+    /// Whether the stream is still needed. If not, close it; [`fault`](Self::fault) tells the reason.
     pub fn is_open(&self) -> bool {
         self.phase != Phase::Closed
     }
 
-    /// Whether the handshake is done.
+    /// Whether the handshake is complete.
     pub fn is_ready(&self) -> bool {
         matches!(self.phase, Phase::Traffic | Phase::OldTraffic)
     }
 
-    /// Why this end has closed the connection, until it is opened again.
+    /// Why this end closed the connection, until it is opened again.
     pub const fn fault(&self) -> Option<Fault> {
         self.fault
     }
 
-    /// This part of what opens a connection.
+    /// This part of the opening sequence.
     fn hello(&self) -> &'static [u8] {
         let (partial, rest) = GREETING.split_at(PARTIAL);
         let old = matches!(
@@ -464,14 +463,14 @@ impl<S: Socket, B: AsRef<[u8]> + AsMut<[u8]>> Connection<S, B> {
         }
     }
 
-    /// Gives the connection up.
+    /// Closes the connection because of `fault`.
     #[cfg_attr(target_os = "none", inline(never))]
     pub(super) fn fail(&mut self, fault: Fault) {
         self.close();
         self.fault = Some(fault);
     }
 
-    /// Gives the connection up when so many parts of what opens it have been sent.
+    /// Closes the connection because of `fault`, once this many parts of the opening sequence are sent.
     pub(super) fn end(&mut self, fault: Fault, parts: u8) {
         if self.hello_done >= parts {
             return self.fail(fault);
@@ -481,7 +480,7 @@ impl<S: Socket, B: AsRef<[u8]> + AsMut<[u8]>> Connection<S, B> {
         self.hello_due = parts;
     }
 
-    /// Makes room for the next message.
+    /// Clears the state for the next message.
     pub(super) fn forget(&mut self) {
         self.turn = Turn::Receive;
         self.part = Part::Envelope;
@@ -490,14 +489,14 @@ impl<S: Socket, B: AsRef<[u8]> + AsMut<[u8]>> Connection<S, B> {
         self.filled = 0;
     }
 
-    /// How much of the buffer messages may take: behind it there is room for a `PING`.
+    /// How much of the buffer messages may use; the rest is for a `PING`.
     pub(super) fn room(&self) -> usize {
         self.buffer.as_ref().len().saturating_sub(LONGEST_PING)
     }
 
-    /// Adds the header of an envelope's frame to what is kept; says whether it and the frame fit.
+    /// Stores the header of an envelope frame; returns whether it and the frame fit.
     pub(super) fn keep_header(&mut self, size: u32) -> bool {
-        // First, so that with a small buffer the compiler sees that none is long.
+        // Computed first: with a small buffer, the compiler then sees that all lengths are short.
         let most = self.room() / 2;
         if size as usize > most {
             return false;
@@ -508,7 +507,7 @@ impl<S: Socket, B: AsRef<[u8]> + AsMut<[u8]>> Connection<S, B> {
         self.filled + header.len() + size as usize <= most && self.keep_bytes(header)
     }
 
-    /// Adds to what is kept; says whether it fits.
+    /// Stores bytes of the message; returns whether they fit.
     #[cfg_attr(target_os = "none", inline(always))]
     pub(super) fn keep_bytes(&mut self, bytes: &[u8]) -> bool {
         let room = self.room();
@@ -516,7 +515,7 @@ impl<S: Socket, B: AsRef<[u8]> + AsMut<[u8]>> Connection<S, B> {
         let Some(to) = rest.and_then(|rest| rest.get_mut(..bytes.len())) else {
             return false;
         };
-        // Not `copy_from_slice`, of which the compiler does not see everywhere that it never panics.
+        // The compiler cannot always remove the panic branch of `copy_from_slice`.
         for (to, from) in to.iter_mut().zip(bytes) {
             *to = *from;
         }
@@ -524,24 +523,24 @@ impl<S: Socket, B: AsRef<[u8]> + AsMut<[u8]>> Connection<S, B> {
         true
     }
 
-    /// Writes a message behind the envelope.
+    /// Writes a message after the envelope.
     fn send(&mut self, put: &mut dyn FnMut(&mut dyn Sink)) {
         let (room, envelope) = (self.answer_room(), self.envelope);
         let begin = envelope + SHORT_HEADER;
         let all = self.buffer.as_mut();
         let mut sink = CutSink::new(all.get_mut(begin..begin + room).unwrap_or_default());
         put(&mut sink);
-        // It is no longer; with a small buffer the compiler sees that it is short.
+        // Never longer; for a small buffer, `min` tells the compiler so.
         let size = sink.finish().min(room);
         let [a, b, c, d] = (size as u32).to_be_bytes();
         let (short, long) = ([0, d], [LONG, 0, 0, 0, 0, a, b, c, d]);
         let mut header = short.as_slice();
         if size > 255 {
             header = &long;
-            // From the end, since the two overlap.
-            for place in (begin..begin + size).rev() {
-                let byte = all.get(place).copied().unwrap_or_default();
-                if let Some(to) = all.get_mut(place + LONGEST_HEADER - SHORT_HEADER) {
+            // Backwards, because source and destination overlap.
+            for index in (begin..begin + size).rev() {
+                let byte = all.get(index).copied().unwrap_or_default();
+                if let Some(to) = all.get_mut(index + LONGEST_HEADER - SHORT_HEADER) {
                     *to = byte;
                 }
             }
@@ -556,7 +555,7 @@ impl<S: Socket, B: AsRef<[u8]> + AsMut<[u8]>> Connection<S, B> {
     }
 }
 
-/// A sink that keeps the beginning of what does not fit, and marks the cut.
+/// A sink that cuts what does not fit and marks the cut.
 struct CutSink<'a> {
     buffer: &'a mut [u8],
     len: usize,
@@ -572,13 +571,13 @@ impl<'a> CutSink<'a> {
         }
     }
 
-    /// How many bytes there are.
+    /// Completes the output and returns its length.
     fn finish(&mut self) -> usize {
         if !self.cut {
             return self.len;
         }
         self.len = self.len.min(self.buffer.len().saturating_sub(CUT.len()));
-        // Not within a character.
+        // Do not cut within a character.
         let within = |byte: Option<&u8>| byte.is_some_and(|byte| byte & 0xC0 == 0x80);
         while self.len > 0 && within(self.buffer.get(self.len)) {
             self.len -= 1;

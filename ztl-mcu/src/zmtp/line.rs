@@ -1,4 +1,4 @@
-//! A stream that does not tell when a client comes and goes: a serial port.
+//! A stream without connection events: a serial port.
 
 use core::time::Duration;
 
@@ -10,20 +10,21 @@ use super::wire::{GREETING, SIGNATURE};
 use crate::Components;
 use crate::pump::PumpError;
 
-/// Bytes read at a time.
+/// Bytes read at once.
 const PIECE: usize = 32;
-/// Pieces that a turn reads at most.
+/// Maximum number of reads per turn.
 const PIECES: usize = 8;
 
-/// How long after its last byte what may be the beginning of a signature is waited for.
+/// How long to wait for more bytes of a possible signature.
 const PAUSE: Duration = Duration::from_millis(100);
 
-/// A serial port as a server's client number 0.
+/// A serial port as client number 0 of a server.
 ///
-/// Nobody tells the device that a program has opened the port, or left it. But each begins with the
-/// signature, which stands in no task: `FF` is no UTF-8. So wherever one is read, a new connection
-/// begins, and what was left of the one before is dropped. Nothing is sent while a signature may have
-/// begun, so that the next program does not hear what its first bytes made of the last one's request.
+/// A device is not told when a program opens or closes the port. But every program starts with the ZMTP
+/// signature, which cannot occur in a task, because `FF` is not valid UTF-8. So a signature always starts a
+/// new connection, and the rest of the former one is dropped. While a signature may have begun, nothing is
+/// sent. Otherwise the new program could receive a reply that its own first bytes caused by completing the
+/// former program's request.
 ///
 /// ```no_run
 /// # use embedded_io::{Read, ReadReady, Write};
@@ -39,13 +40,13 @@ const PAUSE: Duration = Duration::from_millis(100);
 /// ```
 #[derive(Debug, Clone)]
 pub struct Line {
-    /// What was read and not taken yet.
+    /// Bytes read but not taken yet.
     piece: [u8; PIECE],
     begin: usize,
     end: usize,
-    /// How many bytes of a signature have come.
+    /// Number of signature bytes matched so far.
     matched: usize,
-    /// Until when the rest of it is waited for.
+    /// Until when to wait for the rest of the signature.
     pause: Instant,
 }
 
@@ -56,7 +57,7 @@ impl Default for Line {
 }
 
 impl Line {
-    /// A port on which nothing has come yet.
+    /// Creates a port that has received nothing yet.
     #[must_use]
     pub const fn new() -> Self {
         Self {
@@ -68,14 +69,14 @@ impl Line {
         }
     }
 
-    /// One turn of a main loop: takes the bytes that are there, lets the components move on, sends what
-    /// is to be sent. Returns when the next turn is due even if no byte arrives.
+    /// Runs one turn of the main loop: reads available bytes, advances the components and sends output.
+    /// Returns when the next turn is due if no byte arrives.
     ///
-    /// Reads only what is ready, at most 256 bytes, and nothing while a request is being dealt with; writes
-    /// at most the buffer's length, for as long as the stream takes.
+    /// Reads at most 256 bytes without waiting, and none while a request is in progress. Writes at most one
+    /// buffer, as fast as the stream takes it.
     ///
     /// # Errors
-    /// Those of the stream; the server is unharmed.
+    /// Those of the stream; the server is not affected.
     pub fn turn<
         R,
         W,
@@ -120,7 +121,7 @@ impl Line {
             if pending.is_empty() {
                 break;
             }
-            // Not `write_all`, which panics when a stream writes nothing, or more than it was given.
+            // `write_all` panics if a stream writes nothing, or more than it was given.
             let written = tx
                 .write(pending)
                 .map_err(PumpError::Write)?
@@ -138,7 +139,7 @@ impl Line {
         Ok(if more { now } else { server.poll_timeout(now) })
     }
 
-    /// Gives the server what was read, for as long as it takes any.
+    /// Passes the bytes read to the server, as long as it takes any.
     fn feed<
         C: Components,
         const PEERS: usize,
@@ -157,7 +158,7 @@ impl Line {
                 server.handle_bytes(now, Peer(0), signature);
             } else if self.matched > 0 {
                 self.pause = now + PAUSE;
-                // Taken or not: behind a request that is dealt with nothing else begins so.
+                // May be dropped: after a request in progress, only a signature begins like this.
                 server.handle_bytes(now, Peer(0), &[byte]);
             } else if server.handle_bytes(now, Peer(0), &[byte]) == 0 {
                 return;
@@ -168,10 +169,10 @@ impl Line {
 
     /// Whether this byte completes a signature: `FF`, eight bytes of padding, `7F`.
     ///
-    /// The padding is the length of an identity, so of its bytes only the last is not 0.
+    /// The padding holds the length of an identity, so only its last byte can be nonzero.
     fn is_signature(&mut self, byte: u8) -> bool {
         self.matched = match (self.matched, byte) {
-            // Perhaps another begins here; an identity of 254 bytes is nobody's.
+            // Another signature may begin here; an identity of 254 bytes does not occur.
             (_, 0xFF) => 1,
             (place @ 1..=7, 0) => place + 1,
             (8, _) => 9,

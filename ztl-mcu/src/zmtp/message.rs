@@ -1,37 +1,37 @@
-//! A message that has arrived, as a view over a connection's buffer.
+//! A received message, as a view of a connection's buffer.
 
 use ztl_core::envelope::Envelope;
 
 use super::wire::{DELIMITER, LONG, MORE};
 
-/// A message: what stood before the empty delimiter, and what came after it.
+/// A message: the frames before the empty delimiter, and the content after it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Message<'a> {
     /// The frames before the delimiter.
     pub envelope: Frames<'a>,
-    /// What the message says.
+    /// The content after the delimiter.
     pub content: Content<'a>,
 }
 
-/// What stood after the delimiter.
+/// The part of a message after its delimiter.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub enum Content<'a> {
     /// One frame.
     One(&'a [u8]),
-    /// Several frames, which are dropped: nothing here sends such (wire specification 2.4).
+    /// Several frames, which are dropped: no client sends them (wire specification 2.4).
     Several,
-    /// A frame that is longer than the buffer, which is dropped.
+    /// A frame that is longer than the buffer and was dropped.
     TooLong,
 }
 
 impl Message<'_> {
-    /// Our clients' envelope: the two frames before the delimiter, if they are one.
+    /// Our clients' envelope, if the last two frames before the delimiter form one.
     #[must_use]
     pub fn envelope(&self) -> Option<Envelope> {
-        // As long as two of theirs with their headers, and the delimiter.
+        // The length of the two frames with their headers, and the delimiter.
         let tail: &[u8; 34] = self.envelope.bytes.last_chunk()?;
         let headers = (&tail[..2], &tail[22..24], &tail[32..]);
         if headers != (&[MORE, 20], &[MORE, 8], &DELIMITER) {
@@ -41,7 +41,7 @@ impl Message<'_> {
     }
 }
 
-/// Frames one after the other, as they stand on the wire.
+/// Consecutive frames, as on the wire.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Frames<'a> {
@@ -51,10 +51,10 @@ pub struct Frames<'a> {
 impl<'a> Iterator for Frames<'a> {
     type Item = &'a [u8];
 
-    /// The next frame's body; none at the delimiter.
+    /// The next frame's body; `None` at the delimiter.
     fn next(&mut self) -> Option<&'a [u8]> {
         let (&flags, rest) = self.bytes.split_first()?;
-        // Longer than 255 bytes only where a size of 8 bytes says so.
+        // A size of 8 bytes announces more than 255.
         let (size, rest) = match flags & LONG {
             0 => rest.split_at_checked(1)?,
             _ => rest.split_at_checked(8)?,
@@ -63,7 +63,7 @@ impl<'a> Iterator for Frames<'a> {
         let size = size.iter().fold(0, append);
         let (frame, rest) = rest.split_at_checked(size)?;
         self.bytes = rest;
-        // The delimiter is the end.
+        // An empty frame is the delimiter.
         (size > 0).then_some(frame)
     }
 }

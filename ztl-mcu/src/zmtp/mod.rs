@@ -1,22 +1,21 @@
-//! ZMTP, the protocol between ZeroMQ sockets: a client with libzmq talks to this device with nothing in
-//! between.
+//! ZMTP, the protocol between ZeroMQ sockets: a client with libzmq talks to the device directly.
 //!
-//! For a stream that is *reliable*: TCP, or USB behind `socat`. A bare UART has no check for errors and
-//! no way to repeat what was lost: there the [link](crate::link) belongs, with a gateway. `docs/zmtp.md` cites
-//! the clauses of the specification that each behaviour comes from.
+//! It requires a *reliable* stream: TCP, or USB behind `socat`. A bare UART neither detects errors nor
+//! repeats lost bytes; use the [link](crate::link) and a gateway there. `docs/zmtp.md` cites the clause of
+//! the specification for each behaviour.
 //!
-//! | for | look at |
+//! | to | use |
 //! |---|---|
-//! | a device that carries out tasks | [`Server`]: components, tasks and a fixed number of clients |
-//! | one connection, of either side | [`Connection`], as a [`Rep`], [`Req`] or [`Dealer`] |
-//! | a serial port | [`Line`], which notices that another client has begun |
+//! | serve tasks | [`Server`]: components, tasks and a fixed number of clients |
+//! | run one connection, of either side | [`Connection`], as a [`Rep`], [`Req`] or [`Dealer`] |
+//! | serve on a serial port | [`Line`], which detects when a new client begins |
 //!
-//! None of it does I/O, allocates, or reads a clock.
+//! This module does no I/O, does not allocate, and reads no clock.
 //!
 //! # Over TCP
 //!
-//! Each client has a place in the server and a socket of the stack. This is all that a main loop does; `examples/firmware`
-//! has it with `smoltcp`, `examples/zmtp.rs` with threads.
+//! Each client has a slot in the server and a socket of the network stack. The following is a complete main
+//! loop; `examples/firmware` runs it with `smoltcp`, `examples/zmtp.rs` with threads.
 //!
 //! ```no_run
 //! use ztl_mcu::zmtp::{Peer, Server};
@@ -40,7 +39,7 @@
 //!         if socket.has_just_connected() {
 //!             server.open(now, peer);
 //!         }
-//!         // What it does not take stays in the socket: an answer has to go out first.
+//!         // Bytes not taken stay in the socket until a reply has been sent.
 //!         let taken = server.handle_bytes(now, peer, socket.received());
 //!         socket.drop_received(taken);
 //!         if socket.has_just_gone() {
@@ -53,12 +52,12 @@
 //!         let count = socket.send(server.transmit_buf(peer));
 //!         server.consume(peer, count);
 //!         sent += count;
-//!         // Only now: with its last bytes it may have said why.
+//!         // Close only after sending: the last bytes may tell the reason.
 //!         if !server.is_open(peer) {
 //!             socket.close();
 //!         }
 //!     }
-//!     // Once something was sent there may be more to send, or to take. Bytes that arrive wake it too.
+//!     // After sending, there may be more to send or to take. Received bytes also wake it.
 //!     if sent == 0 {
 //!         sleep_until(server.poll_timeout(now));
 //!     }
@@ -66,7 +65,8 @@
 //! # }
 //! ```
 //!
-//! Turn on the stack's keep-alive: nothing else tells that a client was switched off, and it would keep its place.
+//! Enable the stack's keep-alive. Otherwise a client that was switched off is never detected and keeps its
+//! slot.
 
 mod connection;
 mod line;
@@ -81,11 +81,10 @@ pub use message::{Content, Frames, Message};
 pub use server::{Peer, Server};
 pub use wire::{Dealer, Rep, Req, Socket};
 
-/// How long a peer may take from the beginning of a connection to its `READY`.
+/// How long a peer may take from opening the connection to its `READY`.
 pub const HANDSHAKE: core::time::Duration = core::time::Duration::from_secs(5);
 
-/// The longest frame that is skipped, and answered, when it does not fit; after a longer one the
-/// connection is closed.
+/// The longest frame that is skipped and answered if it does not fit; a longer one closes the connection.
 pub const SKIPPED: u32 = 65536;
 
 #[cfg(test)]

@@ -1,4 +1,4 @@
-//! What a connection makes of the bytes that arrive.
+//! The receiving half of a connection.
 
 use super::SKIPPED;
 use super::connection::{Connection, Fault, Flaw, Next, Part, Phase, Turn};
@@ -7,13 +7,13 @@ use super::wire::{
 };
 
 impl<S: Socket, B: AsRef<[u8]> + AsMut<[u8]>> Connection<S, B> {
-    /// Takes the first of these bytes, and perhaps more; says how many. None while they have to wait.
+    /// Takes at least the first byte and returns how many were taken; 0 if they have to wait.
     pub(super) fn take(&mut self, bytes: &[u8]) -> usize {
         let Some(&first) = bytes.first() else {
             return 0;
         };
         match self.phase {
-            // Nobody reads them.
+            // Discarded: the connection no longer reads.
             Phase::Closed | Phase::Ending => return bytes.len(),
             Phase::Greeting(place) => self.on_greeting(place, first),
             Phase::OldSocket => {
@@ -27,12 +27,12 @@ impl<S: Socket, B: AsRef<[u8]> + AsMut<[u8]>> Connection<S, B> {
         1
     }
 
-    /// A byte of the greeting (RFC 37, Formal Grammar and Version Negotiation).
+    /// Handles a byte of the greeting (RFC 37, Formal Grammar and Version Negotiation).
     fn on_greeting(&mut self, place: u8, byte: u8) {
         let at = usize::from(place);
         self.phase = Phase::Greeting(place + 1);
         if at == 0 && byte != 0xFF || at == SIGNATURE - 1 && byte & 1 == 0 {
-            // So a peer of ZMTP 1.0 begins (RFC 37, Detecting ZMTP 1.0 and 2.0 Peers).
+            // The start of a ZMTP 1.0 peer (RFC 37, Detecting ZMTP 1.0 and 2.0 Peers).
             self.fail(Fault::NotZmtp);
         } else if at == SIGNATURE {
             match byte {
@@ -42,7 +42,7 @@ impl<S: Socket, B: AsRef<[u8]> + AsMut<[u8]>> Connection<S, B> {
             }
             self.hello_due = 2;
         } else if MECHANISM.contains(&at) && GREETING.get(at) != Some(&byte) {
-            // The peer may rely on the rest of our greeting (RFC 37, Authentication and Confidentiality).
+            // The peer may wait for the rest of our greeting (RFC 37, Authentication and Confidentiality).
             self.end(Fault::Mechanism, 2);
         } else if at + 1 == GREETING.len() {
             self.phase = Phase::Handshake;
@@ -58,7 +58,7 @@ impl<S: Socket, B: AsRef<[u8]> + AsMut<[u8]>> Connection<S, B> {
         match self.next {
             Next::Flags => {
                 let command = first & COMMAND != 0;
-                // A message waits for its turn, and all for the `PONG` to be gone.
+                // A message waits for its turn, and any frame until the `PONG` is sent.
                 if self.pong > 0 || !command && self.turn != Turn::Receive {
                     return 0;
                 }
@@ -78,7 +78,7 @@ impl<S: Socket, B: AsRef<[u8]> + AsMut<[u8]>> Connection<S, B> {
                 1
             }
             Next::Size(left) => {
-                // Stays beyond all limits once it is.
+                // Once beyond the limit, it stays there.
                 self.size = match self.size >> 24 {
                     0 => self.size << 8 | u32::from(first),
                     _ => u32::MAX,
@@ -95,7 +95,7 @@ impl<S: Socket, B: AsRef<[u8]> + AsMut<[u8]>> Connection<S, B> {
                 let piece = bytes.get(..count).unwrap_or_default();
                 if self.keep {
                     if self.flags & COMMAND == 0 {
-                        // It fits: that was seen when its header came.
+                        // It fits: that was checked with the header.
                         self.keep_bytes(piece);
                     } else {
                         self.keep_command(piece);
@@ -110,7 +110,7 @@ impl<S: Socket, B: AsRef<[u8]> + AsMut<[u8]>> Connection<S, B> {
         }
     }
 
-    /// A frame begins, of which the size is known.
+    /// Handles the header of a frame, once its size is known.
     #[cfg_attr(target_os = "none", inline(never))]
     fn on_header(&mut self) {
         if self.size > SKIPPED {
@@ -125,7 +125,7 @@ impl<S: Socket, B: AsRef<[u8]> + AsMut<[u8]>> Connection<S, B> {
             self.keep = false;
         } else {
             match self.part {
-                // No delimiter, or nothing behind it: that can be no request (RFC 28).
+                // No delimiter, or nothing after it: not a request (RFC 28).
                 Part::Envelope if !more => self.part = Part::Nothing,
                 Part::Envelope if self.size == 0 => {
                     self.keep = self.keep_bytes(&DELIMITER);
@@ -169,17 +169,17 @@ impl<S: Socket, B: AsRef<[u8]> + AsMut<[u8]>> Connection<S, B> {
         }
     }
 
-    /// Where a command is kept, and where that ends. In the handshake there is no message yet.
-    fn command_place(&self) -> (usize, usize) {
+    /// Where a command is stored, as start and end. In the handshake there is no message yet.
+    fn command_range(&self) -> (usize, usize) {
         match self.phase {
             Phase::Handshake => (0, self.room()),
             _ => (self.room(), self.room() + LONGEST_PING),
         }
     }
 
-    /// Keeps as much of a command as there is room for: of none is more of interest.
+    /// Stores as much of a command as fits; no command needs more.
     fn keep_command(&mut self, piece: &[u8]) {
-        let (begin, end) = self.command_place();
+        let (begin, end) = self.command_range();
         let room = self.buffer.as_mut().get_mut(begin + self.command..end);
         for (to, from) in room.unwrap_or_default().iter_mut().zip(piece) {
             *to = *from;
@@ -187,10 +187,10 @@ impl<S: Socket, B: AsRef<[u8]> + AsMut<[u8]>> Connection<S, B> {
         }
     }
 
-    /// A command has come (RFC 37, Commands).
+    /// Handles a complete command (RFC 37, Commands).
     #[cfg_attr(target_os = "none", inline(never))]
     fn on_command(&mut self) {
-        let (begin, _) = self.command_place();
+        let (begin, _) = self.command_range();
         let buffer = self.buffer.as_mut();
         let body = buffer.get_mut(begin..begin + self.command);
         let body = body.unwrap_or_default();
@@ -198,12 +198,12 @@ impl<S: Socket, B: AsRef<[u8]> + AsMut<[u8]>> Connection<S, B> {
             return self.fail(Fault::Refused);
         }
         if self.phase != Phase::Handshake {
-            // Unknown ones are ignored.
+            // Unknown commands are ignored.
             if body.starts_with(PING)
                 && let [four, p, i, n, g, ttl, low, ..] = body
             {
                 self.ttl = u16::from_be_bytes([*ttl, *low]);
-                // A `PONG` is as long as the `PING` without flags and size; the context stays where it is.
+                // A `PONG` has the length of the `PING` without flags and size; the context stays in place.
                 (*four, *p) = (COMMAND, self.command as u8 - 2);
                 (*i, *n, *g, *ttl, *low) = (4, b'P', b'O', b'N', b'G');
                 self.pong = self.command as u8;
@@ -229,8 +229,7 @@ impl<S: Socket, B: AsRef<[u8]> + AsMut<[u8]>> Connection<S, B> {
     }
 }
 
-/// The value of a property (RFC 37, The NULL Security Mechanism); upper and lower case are the same in
-/// its name.
+/// The value of a property, whose name is case-insensitive (RFC 37, The NULL Security Mechanism).
 fn property<'a>(mut metadata: &'a [u8], wanted: &[u8]) -> Option<&'a [u8]> {
     loop {
         let (&length, rest) = metadata.split_first()?;

@@ -16,39 +16,39 @@ use crate::component::Components;
 use crate::node::text::push_bytes;
 use crate::node::{Identity, Runner};
 
-/// Longest text that is remembered of a task, in bytes.
+/// Longest stored text of a task, in bytes.
 const TEXT: usize = crate::node::tasks::TEXT;
 
-/// By how much scope, state and id can be longer in an answer than in its request: it has all of them, and the id
-/// can be a task's; and `…` stands behind them where it is cut.
+/// How much longer scope, state and id can be in a reply than in its request, if the id is a task's, plus the
+/// `…` that marks a cut.
 const HEADER_GROWS: usize = ";2;4294967295;…".len();
 
 type Words<const N: usize> = heapless::String<N>;
 
-/// Which of a server's clients, from 0.
+/// A client of a server, numbered from 0.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Peer(pub u8);
 
-/// A ZTL server over ZMTP, without I/O: up to `PEERS` clients at a time, each with a buffer of `BUFFER`
-/// bytes, give tasks to the components `C`; `TASKS` are remembered. It compiles with `PEERS` from 1 to 255, `BUFFER`
-/// from 128, and `CLIENTS` from `PEERS`.
+/// A ZTL server over ZMTP, without I/O. Up to `PEERS` clients at a time, each with a buffer of `BUFFER`
+/// bytes, send tasks to the components `C`; the table holds `TASKS` tasks. `PEERS` must be 1 to 255, `BUFFER`
+/// at least 128, and `CLIENTS` at least `PEERS`; the compiler checks this.
 ///
-/// Its scope is that of [`new`](Self::new), its handler the identity's name: `gripper:finger:80` moves the
-/// component `finger` of the device `gripper`. Tasks go on when their client leaves.
+/// Its scope is the one given to [`new`](Self::new), its handler the identity's name: `gripper:finger:80`
+/// moves the component `finger` of the device `gripper`. Tasks continue when their client leaves.
 ///
-/// Of our own clients, which never send an INIT twice, the last answer is kept: until the client has
-/// asked about the task and another needs the place, and for a minute at most. There is room for
-/// `CLIENTS` of them; without it an INIT is refused. Others need no such place.
+/// To deduplicate the INITs of our own clients, it stores the last reply of up to `CLIENTS` of them. Each is
+/// kept for at most a minute, and can be evicted once the client has asked about the task. Without room an
+/// INIT is rejected. Other clients need no such record.
 ///
 /// *Inputs*: [`open`](Self::open) and [`close`](Self::close) as connections come and go,
-/// [`handle_bytes`](Self::handle_bytes), [`handle_timeout`](Self::handle_timeout) in every turn of the main loop.
-/// *Outputs*, after each input and for each client: [`transmit_buf`](Self::transmit_buf) and
-/// [`consume`](Self::consume); [`is_open`](Self::is_open), else its stream is to be closed. *Next wake-up*:
+/// [`handle_bytes`](Self::handle_bytes), and [`handle_timeout`](Self::handle_timeout) in every turn of the
+/// main loop. *Outputs*, for each client after each input: [`transmit_buf`](Self::transmit_buf) and
+/// [`consume`](Self::consume); [`is_open`](Self::is_open), and if not, close the stream. *Next wake-up*:
 /// [`poll_timeout`](Self::poll_timeout).
 ///
-/// **Work.** `handle_bytes` copies the bytes, and at the end of a request goes through the tasks, and calls
-/// `check` and `start`, or `abort`, once. `handle_timeout` calls `poll` once for each task that moves.
+/// **Work.** `handle_bytes` copies the bytes. At the end of a request it searches the tasks and calls `check`
+/// and `start`, or `abort`, once. `handle_timeout` calls `poll` once for each running task.
 ///
 /// ```
 /// # use ztl_mcu::{Component, Identity, Refused, Report, Run, Instant};
@@ -67,11 +67,11 @@ pub struct Peer(pub u8);
 /// # }
 /// use ztl_mcu::zmtp::{Peer, Server};
 ///
-/// // Two clients, four tasks, requests and answers of up to some 200 bytes.
+/// // Two clients, four tasks, requests and replies of up to about 200 bytes.
 /// let identity = Identity::new("desk", "1.0.0", 4711);
 /// let mut server = Server::<_, 2, 4, 256, 4>::new("/lab", identity, [Lamp]);
 ///
-/// // A TCP connection has come: bytes in, time passes, bytes out.
+/// // A TCP connection is accepted: feed bytes, advance time, send bytes.
 /// let now = Instant::ZERO;
 /// server.open(now, Peer(0));
 /// let taken = server.handle_bytes(now, Peer(0), b"\xFF\0\0\0\0\0\0\0\x01\x7F\x03");
@@ -93,8 +93,8 @@ pub struct Server<
     dispatcher: Dispatcher<Fixed<Peer, 1, TASKS, TEXT, CLIENTS>>,
     tasks: Runner<C, TASKS>,
     peers: [Connection<Rep, [u8; BUFFER]>; PEERS],
-    /// A copy of the request that is dealt with, so that every client can be answered meanwhile; then what is said
-    /// of it.
+    /// A copy of the current request, so that every client can be answered meanwhile; then the text of its
+    /// reply.
     request: Words<BUFFER>,
 }
 
@@ -107,16 +107,13 @@ impl<
     const CLIENTS: usize,
 > Server<'a, C, PEERS, TASKS, BUFFER, CLIENTS>
 {
-    /// A server after its reset. `components` are at most 255; the link timeout of the identity does
-    /// not matter. The scope's name is of letters and signs that can be printed.
+    /// Creates a server. There may be at most 255 `components`. The identity's link timeout has no effect.
+    /// The scope's name must consist of printable characters.
     pub const fn new(scope: &'static str, identity: Identity<'a>, components: C) -> Self {
         const {
-            assert!(BUFFER >= 128, "a buffer has at least 128 bytes");
-            assert!(PEERS >= 1 && PEERS <= 255, "there are 1 to 255 peers");
-            assert!(
-                CLIENTS >= PEERS,
-                "there are at least as many clients as peers"
-            );
+            assert!(BUFFER >= 128, "BUFFER must be at least 128");
+            assert!(PEERS >= 1 && PEERS <= 255, "PEERS must be 1 to 255");
+            assert!(CLIENTS >= PEERS, "CLIENTS must be at least PEERS");
         };
         Self {
             name: identity.name,
@@ -130,15 +127,15 @@ impl<
         }
     }
 
-    /// A place for another client, if one is free; the stream that had it before is to be closed first.
-    /// Without one the client's stream is to be closed at once, which a ZeroMQ client takes for a passing
-    /// trouble (RFC 37, Error Handling).
+    /// A free slot for another client; first close the stream that had it before. If there is none, close the
+    /// client's stream immediately: a ZeroMQ client treats this as a temporary failure (RFC 37, Error
+    /// Handling).
     pub fn vacant(&self) -> Option<Peer> {
-        let place = self.peers.iter().position(|peer| !peer.is_open())?;
-        u8::try_from(place).ok().map(Peer)
+        let index = self.peers.iter().position(|peer| !peer.is_open())?;
+        u8::try_from(index).ok().map(Peer)
     }
 
-    /// A client has connected, in this place; whoever was there is forgotten.
+    /// A client has connected in this slot; its former client is dropped.
     pub fn open(&mut self, now: Instant, peer: Peer) {
         self.close(peer);
         if let Some(connection) = self.peers.get_mut(usize::from(peer.0)) {
@@ -154,8 +151,8 @@ impl<
         self.forget_waiting(peer);
     }
 
-    /// Bytes of a client have arrived, in pieces of any length; says how many were taken. The others
-    /// are to be given again when an answer has been sent.
+    /// Handles bytes received from a client, in pieces of any length. Returns how many were taken; pass the
+    /// others again after a reply has been sent.
     pub fn handle_bytes(&mut self, now: Instant, peer: Peer, bytes: &[u8]) -> usize {
         let Some(connection) = self.peers.get_mut(usize::from(peer.0)) else {
             return bytes.len();
@@ -169,15 +166,15 @@ impl<
         taken
     }
 
-    /// Time has passed: moves the components on, answers what was held long enough, and closes
-    /// connections that never got beyond their greeting.
+    /// Advances the components, sends held replies that are due, and closes connections stuck in the
+    /// handshake.
     pub fn handle_timeout(&mut self, now: Instant) {
-        for place in 0..PEERS {
-            if let Some(connection) = self.peers.get_mut(place)
+        for index in 0..PEERS {
+            if let Some(connection) = self.peers.get_mut(index)
                 && connection.poll_timeout() <= now
             {
                 connection.handle_timeout(now);
-                self.forget_waiting(Peer(place as u8));
+                self.forget_waiting(Peer(index as u8));
             }
         }
         self.tasks.handle_timeout(now);
@@ -186,27 +183,26 @@ impl<
             .handle_timeout(now, &mut answer(&mut self.peers));
     }
 
-    /// The next bytes for a client; empty when there are none. To be followed by
-    /// [`consume`](Self::consume).
+    /// The next bytes for a client; may be empty. Call [`consume`](Self::consume) after sending.
     pub fn transmit_buf(&mut self, peer: Peer) -> &[u8] {
         let connection = self.peers.get_mut(usize::from(peer.0));
         connection.map_or(&[], |connection| connection.transmit_buf())
     }
 
-    /// The first `count` bytes of [`transmit_buf`](Self::transmit_buf) are sent.
+    /// Marks the first `count` bytes of [`transmit_buf`](Self::transmit_buf) as sent.
     pub fn consume(&mut self, peer: Peer, count: usize) {
         if let Some(connection) = self.peers.get_mut(usize::from(peer.0)) {
             connection.consume(count);
         }
     }
 
-    /// Whether a client's stream is still needed; else it is to be closed.
+    /// Whether a client's stream is still needed; if not, close it.
     pub fn is_open(&self, peer: Peer) -> bool {
         let connection = self.peers.get(usize::from(peer.0));
         connection.is_some_and(Connection::is_open)
     }
 
-    /// Why this end has closed a client's connection, if it has.
+    /// Why this end closed a client's connection, if it did.
     pub fn fault(&self, peer: Peer) -> Option<Fault> {
         self.peers.get(usize::from(peer.0))?.fault()
     }
@@ -220,7 +216,7 @@ impl<
         answers.map_or(wake, |at| wake.min(at))
     }
 
-    /// Emergency stop, as [`Node::stop_everything`](crate::Node::stop_everything).
+    /// Emergency stop; see [`Node::stop_everything`](crate::Node::stop_everything).
     pub fn stop_everything(&mut self, now: Instant) {
         self.tasks.stop_everything(now);
         self.tell_news(now);
@@ -231,30 +227,30 @@ impl<
         self.tasks.clear_stop();
     }
 
-    /// Whether there was an emergency stop that is not cleared.
+    /// Whether an emergency stop is in effect.
     #[must_use]
     pub const fn is_stopped(&self) -> bool {
         self.tasks.is_stopped()
     }
 
-    /// What it moves.
+    /// The components.
     #[must_use]
     pub const fn components(&self) -> &C {
         self.tasks.components()
     }
 
-    /// What it moves, for what firmware has to tell a component.
+    /// The components, mutable, so that firmware can configure them.
     pub const fn components_mut(&mut self) -> &mut C {
         self.tasks.components_mut()
     }
 
-    /// Nobody is left whom a held answer could reach.
+    /// Drops the held replies to a client that has left.
     fn forget_waiting(&mut self, peer: Peer) {
         let memory = self.dispatcher.memory_mut();
         while memory.release(|waiter| waiter.peer == peer).is_some() {}
     }
 
-    /// Deals with the request of a client that has come whole.
+    /// Handles a complete request of a client.
     fn on_request(&mut self, now: Instant, peer: Peer) {
         let Some(connection) = self.peers.get_mut(usize::from(peer.0)) else {
             return;
@@ -263,7 +259,7 @@ impl<
             return;
         };
         let envelope = message.envelope();
-        // The answer repeats these fields, and has to be one that can be read after it was cut.
+        // The reply repeats these fields, and must stay readable after it is cut.
         let room = connection.answer_room();
         let fits = |body| header_len(body) + HEADER_GROWS <= room;
         self.request.clear();
@@ -285,7 +281,7 @@ impl<
         };
         match action {
             Some(Action::Start { id, payload, .. }) => {
-                // Its answer is held, so there is room in its buffer.
+                // Its reply is held, so its buffer has room.
                 let connection = self.peers.get_mut(usize::from(peer.0));
                 let room = connection.map_or(&mut [][..], Connection::spare);
                 let spec = base64::decode(payload.as_bytes(), room);
@@ -301,7 +297,7 @@ impl<
         self.tell_news(now);
     }
 
-    /// Tells the dispatcher what has become of tasks.
+    /// Reports changes of tasks to the dispatcher.
     fn tell_news(&mut self, now: Instant) {
         let out = &mut answer(&mut self.peers);
         let dispatcher = &mut self.dispatcher;
@@ -311,7 +307,7 @@ impl<
                 State::Aborted => Event::Abort,
                 State::Failed | State::Rejected => Event::Fail,
                 State::Initiated | State::Accepted => {
-                    // What is not known yet stays `None`, as the original says.
+                    // Unknown progress stays `None`, as in the original.
                     if !text.is_empty() {
                         dispatcher.memory_mut().tasks_mut().progress(id, text);
                     }
@@ -323,7 +319,7 @@ impl<
     }
 }
 
-/// How the dispatcher's answers get to the clients.
+/// Delivers the dispatcher's replies to the clients.
 fn answer<const PEERS: usize, const BUFFER: usize>(
     peers: &mut [Connection<Rep, [u8; BUFFER]>; PEERS],
 ) -> impl FnMut(Peer, &Reply<'_>) {
@@ -334,9 +330,9 @@ fn answer<const PEERS: usize, const BUFFER: usize>(
     }
 }
 
-/// Starts a task, or says why not. What is `said` is a place for that; it needs no mark of a cut, since an answer
-/// has less room, and is marked where it is cut.
-// Apart in firmware, so that its stack is free again when the answer is written.
+/// Starts a task, or writes the reason into `said`. No mark of a cut is needed there: a reply has less room
+/// and is marked when it is cut.
+// Not inlined in firmware, so that its stack is free when the reply is written.
 #[cfg_attr(target_os = "none", inline(never))]
 fn start<'t, C: Components, const TASKS: usize, const BUFFER: usize>(
     now: Instant,
@@ -354,7 +350,7 @@ fn start<'t, C: Components, const TASKS: usize, const BUFFER: usize>(
     };
     let spec = match spec {
         Ok(spec) => spec,
-        // The original's words where it has some (wire specification 4.6).
+        // Uses the original's texts where it has them (wire specification 4.6).
         Err(error) => {
             let message = match error {
                 SpecError::NoComponent => "'component'",
@@ -380,7 +376,7 @@ fn start<'t, C: Components, const TASKS: usize, const BUFFER: usize>(
     }
 }
 
-/// Starts a task; says whether it did.
+/// Starts a task; returns whether it did.
 fn try_start<C: Components, const TASKS: usize>(
     now: Instant,
     name: &str,
@@ -415,7 +411,7 @@ fn try_start<C: Components, const TASKS: usize>(
     started.is_ok()
 }
 
-/// How long scope, state and id of a request are, with their marks.
+/// Length of a request's scope, state and id with their separators.
 fn header_len(body: &[u8]) -> usize {
     let mut marks = body.iter().enumerate().filter(|(_, byte)| **byte == b';');
     marks.nth(2).map_or(body.len(), |(at, _)| at + 1)
@@ -427,12 +423,12 @@ fn put_all(sink: &mut dyn Sink, parts: &[&str]) {
     }
 }
 
-/// The first id of a boot: far from those of the boots before, also where those are counted
-/// (Fibonacci hashing).
+/// The first id of a boot: far from those of earlier boots, even if boots are merely counted (Fibonacci
+/// hashing).
 const fn first_id(boot: u32) -> TaskId {
     match TaskId::new(boot.wrapping_mul(0x9E37_79B1) >> 2 | 1) {
         Some(id) => id,
-        // Never: it is odd.
+        // Unreachable: the value is odd.
         None => TaskId::MAX,
     }
 }

@@ -1,4 +1,4 @@
-//! What the tests of connections and servers share: frames as a peer writes them, and a desk to try on.
+//! Shared by the tests of connections and servers: frames as a peer writes them, and a test device.
 
 use std::string::{String, ToString};
 use std::vec::Vec;
@@ -15,14 +15,14 @@ mod server;
 
 pub(super) const NOW: Instant = Instant::ZERO;
 
-/// The whole greeting of a peer of ZMTP 3.0 with the mechanism NULL.
+/// The whole greeting of a ZMTP 3.0 peer with the mechanism NULL.
 pub(super) fn greeting() -> Vec<u8> {
     let mut bytes = b"\xFF\0\0\0\0\0\0\0\x01\x7F\x03\0NULL".to_vec();
     bytes.resize(64, 0);
     bytes
 }
 
-/// A frame with these flags; its size is short where it can be, unless the flags say LONG.
+/// A frame with these flags. Its size is short where possible, unless the flags include LONG.
 pub(super) fn frame(flags: u8, body: &[u8]) -> Vec<u8> {
     let mut bytes = Vec::new();
     if flags & 2 == 0 && body.len() < 256 {
@@ -50,7 +50,7 @@ pub(super) fn ready(socket: &str) -> Vec<u8> {
     command("READY", &property("Socket-Type", socket.as_bytes()))
 }
 
-/// A request as a REQ sends it.
+/// A request as REQ sends it.
 pub(super) fn request(body: &[u8]) -> Vec<u8> {
     [frame(1, b""), frame(0, body)].concat()
 }
@@ -64,12 +64,12 @@ pub(super) enum Pieces {
 
 pub(super) const BOTH: [Pieces; 2] = [Pieces::Whole, Pieces::Single];
 
-/// What can be fed and drained.
+/// An end of a connection that can be fed and drained.
 pub(super) trait End {
     fn feed(&mut self, bytes: &[u8]) -> usize;
     fn drain(&mut self) -> Vec<u8>;
 
-    /// Gives it the bytes; what it sends, as far as it takes them.
+    /// Feeds the bytes as far as they are taken; returns what is sent.
     fn talk(&mut self, pieces: Pieces, bytes: &[u8]) -> Vec<u8> {
         let mut heard = self.drain();
         let mut rest = bytes;
@@ -109,14 +109,14 @@ impl<S: Socket, B: AsRef<[u8]> + AsMut<[u8]>> End for Connection<S, B> {
     }
 }
 
-/// Moves for as long as the test lets it: each poll makes a step, and three are needed.
+/// A motor that needs three polls to reach its goal.
 #[derive(Debug, Default)]
 pub(super) struct Motor {
     steps: u8,
     aborted: bool,
-    /// It does not stop when it is told to.
+    /// Does not stop on an abort.
     pub(super) stubborn: bool,
-    /// One more task may wait.
+    /// Lets one more task wait.
     pub(super) patient: bool,
 }
 
@@ -181,7 +181,7 @@ impl Component for Motor {
     }
 }
 
-/// With this number the first task has the id 1.
+/// With this boot id the first task has id 1.
 pub(super) const BOOT: u32 = 0x3A2C_BD44;
 
 pub(super) type Desk = Server<'static, [Motor; 1], 2, 2, 256, 2>;
@@ -215,7 +215,7 @@ impl End for Client<'_> {
     }
 }
 
-/// Connects a REQ in this place.
+/// Connects a REQ in this slot.
 pub(super) fn connect(desk: &mut Desk, peer: u8) -> Client<'_> {
     desk.open(NOW, Peer(peer));
     let mut client = Client {
@@ -227,20 +227,20 @@ pub(super) fn connect(desk: &mut Desk, peer: u8) -> Client<'_> {
 }
 
 impl Client<'_> {
-    /// The answer's text; empty while it is held.
+    /// The reply's text; empty while it is held.
     pub(super) fn ask(&mut self, body: &str) -> String {
         let heard = self.talk(Pieces::Whole, &request(body.as_bytes()));
         text(&heard)
     }
 }
 
-/// The text of a reply to a REQ.
+/// The text of a reply to REQ.
 #[track_caller]
 pub(super) fn text(heard: &[u8]) -> String {
     if heard.is_empty() {
         return String::new();
     }
-    let body = heard.strip_prefix(b"\x01\0").expect("a delimiter first");
+    let body = heard.strip_prefix(b"\x01\0").expect("a delimiter");
     let body = match body {
         [0, size, body @ ..] => {
             assert_eq!(body.len(), usize::from(*size));
@@ -250,12 +250,12 @@ pub(super) fn text(heard: &[u8]) -> String {
             assert_eq!(body.len(), usize::from(*high) << 8 | usize::from(*low));
             body
         }
-        other => panic!("no frame: {other:?}"),
+        other => panic!("not a frame: {other:?}"),
     };
     String::from_utf8(body.to_vec()).expect("UTF-8")
 }
 
-/// An INIT's body.
+/// The body of an INIT.
 pub(super) fn init(task: &str) -> String {
     let mut encoded = std::vec![0; task.len() * 2];
     let spec = ztl_core::TaskSpec::split(task).expect("two colons");

@@ -1,49 +1,49 @@
-//! What goes over the wire as it stands: greetings, the `READY` and `ERROR` of each kind of socket.
+//! Constant parts of the wire format: greetings, and `READY` and `ERROR` of each socket type.
 
-/// The bytes of a greeting of ZMTP 3.1 (RFC 37, Formal Grammar), with the mechanism NULL.
+/// A greeting of ZMTP 3.1 with the mechanism NULL (RFC 37, Formal Grammar).
 pub(super) const GREETING: &[u8; 64] = b"\xFF\0\0\0\0\0\0\0\x01\x7F\
     \x03\x01NULL\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\
     \0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\
     \0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0";
 
-/// Bytes of a signature: with its first and its last byte a peer says that it speaks ZMTP 2.0 or newer.
+/// Length of the signature. Its first and last byte announce ZMTP 2.0 or newer.
 pub(super) const SIGNATURE: usize = 10;
-/// How much of the greeting goes out before the peer's version is known: the signature, and ours.
+/// How much of the greeting is sent before the peer's version is known: signature and version.
 pub(super) const PARTIAL: usize = SIGNATURE + 1;
-/// Where the mechanism stands in a greeting.
+/// Position of the mechanism in a greeting.
 pub(super) const MECHANISM: core::ops::Range<usize> = 12..32;
 
-/// In a frame's flags: more frames of this message follow.
+/// Frame flag: more frames of this message follow.
 pub(super) const MORE: u8 = 1;
-/// In a frame's flags: the size takes 8 bytes.
+/// Frame flag: the size takes 8 bytes.
 pub(super) const LONG: u8 = 2;
-/// In a frame's flags: it is a command.
+/// Frame flag: the frame is a command.
 pub(super) const COMMAND: u8 = 4;
 
 /// The empty frame between a message's envelope and its body.
 pub(super) const DELIMITER: [u8; 2] = [MORE, 0];
 
-/// The name of a `PING` in a command's body, with its length.
+/// The name of `PING` in a command's body, with its length.
 pub(super) const PING: &[u8] = b"\x04PING";
-/// The longest body of a `PING`: name, time to live, context (RFC 37, Connection Heartbeating).
+/// Length of the longest `PING` body: name, time to live, context (RFC 37, Connection Heartbeating).
 pub(super) const LONGEST_PING: usize = 5 + 2 + 16;
 
-/// The kind of socket that a peer is.
+/// A socket type, as a type without values.
 ///
-/// Those for which a message has an envelope and a delimiter (RFC 28); each is a type without a value.
+/// Only those whose messages have an envelope and a delimiter (RFC 28).
 pub trait Socket {
     /// Its name in the property `Socket-Type`.
     const NAME: &'static [u8];
-    /// Its number in ZMTP 2.0, a version of which the name is not known.
+    /// Its number in ZMTP 2.0, which does not use names.
     const CODE: u8;
-    /// Its `READY` command, as it goes over the wire.
+    /// Its `READY` command as sent on the wire.
     const READY: &'static [u8];
-    /// The kinds that it talks to, by name and number (RFC 37, The Socket-Type Property).
+    /// The socket types it talks to, by name and number (RFC 37, The Socket-Type Property).
     const PARTNERS: &'static [(&'static [u8], u8)];
-    /// Its `ERROR` command for those that it does not talk to. The reason has no blanks (RFC 37, Formal
-    /// Grammar: VCHAR).
+    /// Its `ERROR` command for other socket types. The reason contains no spaces (RFC 37, Formal Grammar:
+    /// VCHAR).
     const ERROR: &'static [u8];
-    /// Whether it is the one that binds, and waits for the other's `READY`.
+    /// Whether it binds, and waits for the other side's `READY`.
     const BINDS: bool;
 }
 
@@ -52,12 +52,12 @@ pub trait Socket {
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Rep;
 
-/// Asks, and waits for the answer.
+/// Sends a request and waits for the reply.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Req;
 
-/// Asks, and tells its questions apart by an envelope.
+/// Sends requests and matches replies by an envelope.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Dealer;
@@ -90,8 +90,8 @@ impl Socket for Dealer {
     const BINDS: bool = false;
 }
 
-/// What a peer of ZMTP 2.0 is told after the partial greeting: the kind of socket, and an empty
-/// identity (RFC 15, Formal Grammar).
+/// Sent to a ZMTP 2.0 peer after the partial greeting: socket type and an empty identity (RFC 15, Formal
+/// Grammar).
 pub(super) const fn old_greeting(code: u8) -> [u8; 3] {
     [code, 0, 0]
 }

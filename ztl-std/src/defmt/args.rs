@@ -1,4 +1,4 @@
-//! The values in a message, by defmt's wire format.
+//! The values in a message, in defmt's wire format.
 
 use defmt_parser::{Fragment, Parameter, ParserMode, Type};
 
@@ -6,36 +6,36 @@ use super::table::Table;
 
 /// Deepest nesting of values.
 const DEPTH: usize = 16;
-/// Most values of a message.
+/// Most values in a message.
 const VALUES: usize = 4096;
 
-/// A value of a message.
+/// A value in a message.
 #[derive(Debug)]
 pub(super) enum Arg<'t> {
     Bool(bool),
     Single(f32),
     Double(f64),
     Unsigned(u128),
-    /// And how many bits it has.
+    /// With its width in bits.
     Signed(i128, u32),
     Text(String),
     Bytes(Vec<u8>),
     /// A text with values of its own.
     Part(Part<'t>),
-    /// One after the other.
+    /// Parts without separators.
     Parts(Vec<Part<'t>>),
-    /// In brackets.
+    /// Parts in brackets.
     List(Vec<Part<'t>>),
 }
 
-/// A text and the values in it.
+/// A format string and its values.
 #[derive(Debug)]
 pub(super) struct Part<'t> {
     pub(super) format: &'t str,
     pub(super) args: Vec<Arg<'t>>,
 }
 
-/// Takes values from a message. What is not there, or not as it must be, is `None`.
+/// Reads the values of a message. Missing or malformed values give `None`.
 pub(super) struct Reader<'t, 'b> {
     table: &'t Table,
     bytes: &'b [u8],
@@ -53,18 +53,18 @@ impl<'t, 'b> Reader<'t, 'b> {
         }
     }
 
-    /// How many bytes are left.
+    /// Number of bytes left.
     pub(super) const fn left(&self) -> usize {
         self.bytes.len()
     }
 
-    /// The number of a text.
+    /// The number of a format string.
     pub(super) fn number(&mut self) -> Option<u16> {
         let bytes = self.take(2)?;
         Some(u16::from_le_bytes(bytes.try_into().ok()?))
     }
 
-    /// The values of a text, by their places.
+    /// The values of a format string, ordered by index.
     pub(super) fn args(&mut self, format: &str) -> Option<Vec<Arg<'t>>> {
         if self.depth >= DEPTH {
             return None;
@@ -125,7 +125,7 @@ impl<'t, 'b> Reader<'t, 'b> {
                 Arg::Bytes(self.take(len)?.to_vec())
             }
             Type::U8Array(len) => Arg::Bytes(self.take(*len)?.to_vec()),
-            // Written by `core::fmt`, up to a byte that UTF-8 never has.
+            // Formatted by `core::fmt` on the device; ends with a byte that never occurs in UTF-8.
             Type::Debug | Type::Display => {
                 let len = self.bytes.iter().position(|byte| *byte == 0xff)?;
                 let text = std::str::from_utf8(self.take(len)?).ok()?.to_owned();
@@ -187,7 +187,7 @@ impl<'t, 'b> Reader<'t, 'b> {
         Some(parts)
     }
 
-    /// `A|B` are the variants of an enum, of which the next bytes choose one.
+    /// Chooses among `A|B`, the variants of an enum, by the next bytes.
     fn variant(&mut self, format: &'t str) -> Option<&'t str> {
         let others = format.matches('|').count();
         if others == 0 {
@@ -221,7 +221,7 @@ impl<'t, 'b> Reader<'t, 'b> {
     fn signed(&mut self, count: usize) -> Option<Arg<'t>> {
         let bits = u32::try_from(count * 8).ok()?;
         let value = self.unsigned(count)?;
-        // Its sign is brought to where an `i128` has it, and back with it.
+        // Extends the sign to 128 bits.
         let away = 128 - bits;
         let value = (value << away).cast_signed() >> away;
         Some(Arg::Signed(value, bits))
@@ -233,8 +233,8 @@ pub(super) fn fragments(format: &str) -> Option<Vec<Fragment<'_>>> {
     defmt_parser::parse(format, ParserMode::ForwardsCompatible).ok()
 }
 
-/// The types of the values of a text, in the order in which they are sent: one for each place, and
-/// for several bit fields of one value, all of it.
+/// The types of the values of a format string in the order they are sent: one per index. Several bit fields
+/// of one value give a single type.
 fn types(format: &str) -> Option<Vec<Type>> {
     let mut types: Vec<(usize, Type)> = Vec::new();
     for fragment in fragments(format)? {
@@ -252,7 +252,7 @@ fn types(format: &str) -> Option<Vec<Type>> {
         }
     }
     types.sort_by_key(|(index, _)| *index);
-    // Without a gap, so that a value is found by its place.
+    // Without gaps, so that an index finds its value.
     let whole = types
         .iter()
         .enumerate()

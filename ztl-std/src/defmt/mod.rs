@@ -1,8 +1,8 @@
-//! What firmware logs by `defmt`: bytes on the link, made readable with the firmware's ELF file.
+//! Decodes firmware's defmt log from the link, with the firmware's ELF file.
 //!
-//! `defmt-decoder` does the same for a debugger's user. It is not used here: it allocates what a
-//! damaged stream or another firmware's file asks for, and it switches on a feature of `serde_json`
-//! that changes how everything else in the process is read.
+//! `defmt-decoder` does the same for debuggers. It is not used here because it allocates whatever a damaged
+//! stream or a foreign file asks for, and enables a feature of `serde_json` that changes parsing in the whole
+//! process.
 
 mod args;
 mod table;
@@ -17,7 +17,7 @@ use table::{Encoding, Table};
 /// Longest encoded message; a longer one is dropped.
 const LONGEST: usize = 64 * 1024;
 
-/// How grave a message is.
+/// Severity of a message.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Level {
     /// `defmt::trace!`
@@ -32,46 +32,46 @@ pub enum Level {
     Error,
 }
 
-/// A message that firmware has logged.
+/// A message logged by firmware.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Message {
     /// `None` for `defmt::println!`.
     pub level: Option<Level>,
-    /// By the firmware's clock, if it has one for its log.
+    /// Time by the firmware's clock, if its log has one.
     pub timestamp: Option<String>,
-    /// What it says.
+    /// The text.
     pub text: String,
-    /// `src/main.rs:42`, when the file has debug information.
+    /// Source position such as `src/main.rs:42`, if the file has debug information.
     pub place: Option<String>,
 }
 
-/// Bytes that are no message of this firmware: damaged, or of another.
+/// Bytes that are not a message of this firmware: damaged, or from another build.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Malformed;
 
 impl std::fmt::Display for Malformed {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str("no message of this firmware")
+        f.write_str("not a message of this firmware")
     }
 }
 
 impl std::error::Error for Malformed {}
 
-/// Decodes the log of one device. Work and memory are bounded by the bytes given, whatever they are.
+/// Decodes the log of one device. Work and memory are proportional to the input, whatever it is.
 #[derive(Debug)]
 pub struct Decoder {
     table: Arc<Table>,
-    /// What has come of the next message.
+    /// Bytes of the next message.
     waiting: Vec<u8>,
-    /// The message is too long, or its beginning is not known: dropped up to its end.
+    /// Skips to the end of a message that is too long or incomplete.
     skipping: bool,
 }
 
 impl Decoder {
-    /// With the content of the firmware's ELF file.
+    /// Creates a decoder from the content of the firmware's ELF file.
     ///
     /// # Errors
-    /// As [`ElfError`] says.
+    /// [`ElfError`] if the file is not usable.
     pub fn of_elf(elf: &[u8]) -> Result<Self, ElfError> {
         Ok(Self {
             table: Arc::new(Table::of_elf(elf)?),
@@ -80,22 +80,22 @@ impl Decoder {
         })
     }
 
-    /// With the firmware's ELF file.
+    /// Creates a decoder from the firmware's ELF file.
     ///
     /// # Errors
-    /// As [`ElfError`] says.
+    /// [`ElfError`] if the file is not usable.
     pub fn of_file(path: &Path) -> Result<Self, ElfError> {
         let elf = std::fs::read(path).map_err(|error| ElfError::Read(error.to_string()))?;
         Self::of_elf(&elf)
     }
 
-    /// Some bytes are missing before those that come next.
+    /// Reports that bytes are missing before the next ones.
     pub fn skip(&mut self) {
         self.skipping = !self.waiting.is_empty() || self.skipping;
         self.waiting.clear();
     }
 
-    /// The next bytes, cut anywhere; each message that is whole goes to `out`.
+    /// Feeds the next bytes, split anywhere; passes each complete message to `out`.
     pub fn push(&mut self, bytes: &[u8], out: &mut dyn FnMut(Result<Message, Malformed>)) {
         match self.table.encoding {
             Encoding::Rzcobs => self.push_frames(bytes, out),
@@ -122,7 +122,7 @@ impl Decoder {
         }
     }
 
-    /// Without ends of messages there is no way back after damage; what waits is given up.
+    /// Without frame ends there is no resynchronisation after damage; pending bytes are dropped.
     fn push_raw(&mut self, bytes: &[u8], out: &mut dyn FnMut(Result<Message, Malformed>)) {
         self.waiting.extend_from_slice(bytes);
         while let Some((message, used)) = self.table.message(&self.waiting) {
@@ -136,9 +136,9 @@ impl Decoder {
     }
 }
 
-/// A message as it was before it got its ends (defmt's book, "rzCOBS").
+/// Decodes a frame (defmt's book, "rzCOBS").
 fn unstuffed(frame: &[u8]) -> Option<Vec<u8>> {
-    // From its end to its beginning, as it is defined.
+    // From end to start, as the encoding is defined.
     let mut message = Vec::new();
     let mut bytes = frame.iter().rev().copied();
     while let Some(mark) = bytes.next() {

@@ -1,4 +1,4 @@
-//! What an ELF file says of its firmware's log: the texts by their numbers, and where they stand.
+//! The log table in a firmware's ELF file: format strings by number, and their source positions.
 
 use std::collections::HashMap;
 
@@ -9,27 +9,27 @@ use serde::Deserialize;
 use super::args::Reader;
 use super::{Level, Message, text};
 
-/// Versions of the wire format that are understood.
+/// Supported versions of the wire format.
 const VERSIONS: [&str; 2] = ["3", "4"];
 
-/// Why an ELF file is no use for reading a log.
+/// Why an ELF file cannot be used to decode a log.
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum ElfError {
-    /// It cannot be read; why.
+    /// Reading failed, with the cause.
     Read(String),
-    /// It is no ELF file.
+    /// Not an ELF file.
     NotElf,
-    /// Its program logs nothing by defmt, or it was stripped.
+    /// The program has no defmt log, or was stripped.
     NoLog,
-    /// Its program logs in another version of the format.
+    /// The program uses an unsupported version of the format.
     Version {
-        /// Which.
+        /// The version found.
         found: String,
     },
-    /// Something in it is not as defmt makes it.
+    /// A symbol is not in defmt's format.
     Symbol {
-        /// What.
+        /// The symbol.
         name: String,
     },
 }
@@ -37,17 +37,17 @@ pub enum ElfError {
 impl std::fmt::Display for ElfError {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
-            Self::Read(cause) => write!(f, "cannot read it: {cause}"),
-            Self::NotElf => f.write_str("it is no ELF file; give the one that cargo has built"),
+            Self::Read(cause) => write!(f, "cannot read the file: {cause}"),
+            Self::NotElf => f.write_str("not an ELF file: use the one that cargo built"),
             Self::NoLog => f.write_str(
-                "its program logs nothing by defmt, or its symbols were stripped; give the file that was flashed, as cargo has built it",
+                "no defmt log in this program, or its symbols were stripped: use the flashed file as built by cargo",
             ),
             Self::Version { found } => write!(
                 f,
-                "it logs in version {found} of defmt's format; versions {} are understood",
-                VERSIONS.join(" and ")
+                "unsupported version {found} of defmt's format: expected {}",
+                VERSIONS.join(" or ")
             ),
-            Self::Symbol { name } => write!(f, "its symbol {name} is not as defmt makes it"),
+            Self::Symbol { name } => write!(f, "symbol {name} is not in defmt's format"),
         }
     }
 }
@@ -63,13 +63,13 @@ pub(super) enum Encoding {
 /// What a number stands for.
 #[derive(Debug)]
 struct Entry {
-    /// `None` for what is only part of a message.
+    /// `None` if it is only part of a message.
     level: Option<Option<Level>>,
     text: String,
     place: Option<String>,
 }
 
-/// Names a set of flags: name, package, disambiguator, crate.
+/// Identifies a set of flags: name, package, disambiguator, crate.
 pub(super) type FlagsName = (String, String, String, Option<String>);
 
 #[derive(Debug)]
@@ -80,7 +80,7 @@ pub(super) struct Table {
     flags: HashMap<FlagsName, Vec<(u128, String, u128)>>,
 }
 
-/// The name of a symbol, which is JSON.
+/// The name of a symbol, in JSON.
 #[derive(Deserialize)]
 struct Symbol {
     package: String,
@@ -189,7 +189,7 @@ impl Table {
             "defmt_warn" => Some(Some(Level::Warn)),
             "defmt_error" => Some(Some(Level::Error)),
             tag if tag.starts_with("defmt_") => None,
-            // Some other tool's.
+            // From another tool.
             _ => return Some(()),
         };
         let entry = Entry {
@@ -201,7 +201,7 @@ impl Table {
         Some(())
     }
 
-    /// The message at the beginning of these bytes, and how many it takes.
+    /// Decodes the message at the start of `bytes`; also returns its length.
     pub(super) fn message(&self, bytes: &[u8]) -> Option<(Message, usize)> {
         let mut reader = Reader::new(self, bytes);
         let entry = self.entries.get(&reader.number()?)?;
@@ -220,7 +220,7 @@ impl Table {
         Some((message, bytes.len() - reader.left()))
     }
 
-    /// A text that is part of a message.
+    /// A format string that is part of a message.
     pub(super) fn part(&self, number: u16) -> Option<&str> {
         let entry = self.entries.get(&number)?;
         entry.level.is_none().then_some(entry.text.as_str())
@@ -233,7 +233,7 @@ impl Table {
     }
 }
 
-/// Where each log statement stands, by the name of its symbol; from the debug information.
+/// The source position of each log statement, by symbol name, from the debug information.
 fn places(elf: &object::File<'_>) -> Option<HashMap<String, String>> {
     let endian = match elf.is_little_endian() {
         true => RunTimeEndian::Little,
@@ -282,7 +282,7 @@ fn places(elf: &object::File<'_>) -> Option<HashMap<String, String>> {
 
 type Slice<'a> = EndianSlice<'a, RunTimeEndian>;
 
-/// A file's path as the compiler was given it.
+/// The path of a source file as passed to the compiler.
 fn path(
     dwarf: &gimli::Dwarf<Slice<'_>>,
     unit: &gimli::Unit<Slice<'_>>,
@@ -295,7 +295,7 @@ fn path(
         Some(text.to_string_lossy().into_owned())
     };
     let name = text(file.path_name())?;
-    // That of the whole unit says where it was built, which is nobody's concern.
+    // The directory of the unit would reveal where it was built.
     let directory = file
         .directory(header)
         .filter(|_| file.directory_index() != 0);

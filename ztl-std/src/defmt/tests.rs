@@ -1,5 +1,4 @@
-//! Bytes that are no log, or not this one's. What real logs become is tested with a real one, by
-//! `tests/gateway/logs.rs`.
+//! Input that is not a log, or not of this firmware. `tests/gateway/logs.rs` decodes a real log.
 
 use super::*;
 use crate::yaml::tests::Numbers;
@@ -20,7 +19,7 @@ fn all(decoder: &mut Decoder, bytes: &[u8]) -> Vec<Result<String, Malformed>> {
     texts
 }
 
-/// A frame that holds these bytes, each seven of which have a 0 among them.
+/// Encodes bytes as a frame; any seven of them must contain a 0.
 fn framed(bytes: &[u8]) -> Vec<u8> {
     let mut frame = Vec::new();
     for group in bytes.chunks(7) {
@@ -38,7 +37,7 @@ fn framed(bytes: &[u8]) -> Vec<u8> {
 }
 
 #[test]
-fn a_message_is_read_however_it_is_cut_and_after_damage() {
+fn a_message_is_decoded_however_it_is_split_and_after_damage() {
     let mut log = decoder(Encoding::Rzcobs, &[(true, "{=[u8;6]:a}")]);
     let frame = framed(&[1, 0, b'a', b'b', b'c', b'd', b'e', b'f']);
     let text = Ok("b\"abcdef\"".to_owned());
@@ -48,7 +47,7 @@ fn a_message_is_read_however_it_is_cut_and_after_damage() {
         texts.extend(all(&mut log, other));
         assert_eq!(texts, std::slice::from_ref(&text), "cut at {cut}");
     }
-    // Of the damaged one it is said that there was one; the next is whole again.
+    // The damaged message is reported, and the next one is decoded.
     for lost in 0..frame.len() - 1 {
         let mut bytes = frame.clone();
         bytes.remove(lost);
@@ -62,14 +61,14 @@ fn a_message_is_read_however_it_is_cut_and_after_damage() {
     log.skip();
     let after = [other, &frame].concat();
     assert_eq!(all(&mut log, &after), [Err(Malformed), text]);
-    // What never ends is dropped, and not kept.
+    // A message that never ends is dropped, not stored.
     assert_eq!(all(&mut log, &vec![1; 3 * LONGEST]), []);
     assert!(log.waiting.len() <= LONGEST);
     assert_eq!(all(&mut log, &[0]), [Err(Malformed)]);
 }
 
 #[test]
-fn a_message_without_ends_is_read_as_it_comes() {
+fn messages_without_frame_ends_are_decoded() {
     let mut log = decoder(Encoding::Raw, &[(true, "{=u8} of {=str}"), (true, "done")]);
     let bytes = [1, 0, 7, 3, 0, 0, 0, b'a', b'b', b'c', 2, 0, 1];
     let (first, rest) = bytes.split_at(6);
@@ -79,7 +78,7 @@ fn a_message_without_ends_is_read_as_it_comes() {
 }
 
 #[test]
-fn what_asks_for_more_than_there_is_gets_nothing() {
+fn a_message_that_claims_more_data_than_it_has_is_malformed() {
     let texts = [
         (true, "{=[?]}"),
         (false, "nothing"),
@@ -92,9 +91,9 @@ fn what_asks_for_more_than_there_is_gets_nothing() {
     let log = decoder(Encoding::Raw, &texts);
     let huge = [0xff, 0xff, 0xff, 0xff];
     for bytes in [
-        // A list of four thousand million values that are nothing.
+        // A list of four billion empty values.
         [&[1, 0][..], &huge, &[2, 0]].concat(),
-        // A value that is in itself without end.
+        // A value that contains itself endlessly.
         [&[3, 0][..], &[4, 0].repeat(100)].concat(),
         vec![5, 0, 2, 0],
         vec![6, 0, 1, 2, 3],
@@ -108,7 +107,7 @@ fn what_asks_for_more_than_there_is_gets_nothing() {
 }
 
 #[test]
-fn no_bytes_at_all_make_it_panic() {
+fn no_bytes_cause_a_panic() {
     let kinds = [
         "u8",
         "u16",
@@ -191,9 +190,9 @@ fn no_bytes_at_all_make_it_panic() {
 }
 
 #[test]
-fn what_is_no_elf_file_is_said_to_be_none() {
+fn other_files_are_rejected() {
     assert_eq!(Decoder::of_elf(b"text").map(|_| ()), Err(ElfError::NotElf));
-    // Cut anywhere, it is one less or none, and never a panic.
+    // A truncated file must not cause a panic.
     let own = std::env::current_exe()
         .and_then(std::fs::read)
         .expect("this program");

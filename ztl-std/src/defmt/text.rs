@@ -1,4 +1,4 @@
-//! A message's text with its values, by the hints that stand there: `{=u8:#x}`.
+//! Formats a message's text with its values, following hints such as `{=u8:#x}`.
 
 use std::fmt::Write;
 
@@ -7,7 +7,7 @@ use defmt_parser::{DisplayHint, Fragment, TimePrecision, Type};
 use super::args::{Arg, Part, fragments};
 use super::table::Table;
 
-/// The text.
+/// The formatted text.
 pub(super) fn of(table: &Table, format: &str, args: &[Arg<'_>]) -> String {
     let mut printer = Printer {
         table,
@@ -23,7 +23,7 @@ struct Printer<'t> {
 }
 
 impl Printer<'_> {
-    /// `outer` is the hint of the value that this text is.
+    /// `outer` is the hint of the value that holds this text.
     fn part(&mut self, format: &str, args: &[Arg<'_>], outer: Option<&DisplayHint>) {
         for fragment in fragments(format).unwrap_or_default() {
             match fragment {
@@ -47,7 +47,7 @@ impl Printer<'_> {
     ) {
         match arg {
             Arg::Bool(value) => self.show(format_args!("{value}")),
-            // With a point also where nothing is behind it, so that it is seen to be no integer.
+            // With a decimal point even if no digits follow, to tell it from an integer.
             Arg::Single(value) => self.show(format_args!("{value:?}")),
             Arg::Double(value) => self.show(format_args!("{value:?}")),
             Arg::Unsigned(value) => match (of, hint) {
@@ -64,7 +64,7 @@ impl Printer<'_> {
                         _ => self.unsigned(field, hint),
                     }
                 }
-                // What `{:?}` says of a number is for what stands around it to say.
+                // With `{:?}`, the surrounding hint decides how a number is written.
                 (_, Some(DisplayHint::Debug)) => self.unsigned(*value, outer),
                 _ => self.unsigned(*value, hint),
             },
@@ -95,7 +95,7 @@ impl Printer<'_> {
         }
     }
 
-    /// Writing into a text cannot fail.
+    /// Writing to a string cannot fail.
     fn show(&mut self, what: std::fmt::Arguments<'_>) {
         let _ = self.text.write_fmt(what);
     }
@@ -155,7 +155,7 @@ impl Printer<'_> {
     }
 
     fn signed(&mut self, value: i128, bits: u32, hint: Option<&DisplayHint>) {
-        // In other bases as it lies in memory.
+        // Other bases show the value as stored in memory.
         let mask = u128::MAX.checked_shr(128 - bits).unwrap_or(0);
         self.based(value, value.cast_unsigned() & mask, hint);
     }
@@ -219,7 +219,7 @@ impl Printer<'_> {
         }
     }
 
-    /// Hours, minutes and seconds, with days before them where there are any.
+    /// Hours, minutes and seconds, preceded by days if there are any.
     fn time(&mut self, value: u128, precision: &TimePrecision) {
         let (unit, digits) = unit(precision);
         let (seconds, part) = (value / unit, value % unit);
@@ -238,12 +238,12 @@ impl Printer<'_> {
         self.show(format_args!("{hours:02}:{minutes:02}:{seconds:02}"));
     }
 
-    /// A date and a time in UTC, from the time since 1970.
+    /// A date and time in UTC, from the time since 1970.
     fn date(&mut self, value: u128, precision: &TimePrecision) {
         let (unit, digits) = unit(precision);
         let (seconds, part) = (value / unit, value % unit);
         let (days, seconds) = (seconds / 86_400, seconds % 86_400);
-        // From a March on, a leap day is a year's last, and 400 years are always 146,097 days.
+        // In years that start in March, the leap day comes last, and 400 years always have 146,097 days.
         let days = days.saturating_add(719_468);
         let (era, day) = (days / 146_097, days % 146_097);
         let year = (day - day / 1460 + day / 36_524 - day / 146_096) / 365;
@@ -261,7 +261,7 @@ impl Printer<'_> {
     }
 }
 
-/// How many of them are a second, and how many digits stand behind its point.
+/// Units per second, and digits after the point.
 const fn unit(precision: &TimePrecision) -> (u128, usize) {
     match precision {
         TimePrecision::Micros => (1_000_000, 6),
@@ -270,12 +270,12 @@ const fn unit(precision: &TimePrecision) -> (u128, usize) {
     }
 }
 
-/// A text as wide as its author wants, within reason.
+/// The width as the author requests, within limits.
 fn width(zero_pad: usize) -> usize {
     zero_pad.min(256)
 }
 
-/// A list of bytes, if it is one.
+/// The parts as bytes, if they form a list of bytes.
 fn as_bytes(parts: &[Part<'_>]) -> Option<Vec<u8>> {
     let byte = |part: &Part<'_>| match (part.format, part.args.as_slice()) {
         ("{=u8}", [Arg::Unsigned(value)]) => u8::try_from(*value).ok(),

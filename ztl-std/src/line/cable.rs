@@ -1,6 +1,6 @@
-//! Two real ends, joined by a line with faults in each direction.
+//! A cable between two real endpoints, with a faulty line in each direction.
 
-mod way;
+mod direction;
 
 use std::io;
 use std::net::{TcpListener, TcpStream};
@@ -13,25 +13,25 @@ use super::{Counts, End, FaultyLine};
 use crate::gateway::{Endpoint, Line};
 #[cfg(unix)]
 use crate::pty::{Link, Pty};
-use way::Way;
+use direction::Direction;
 
-/// Pause before an end is opened again.
+/// Pause before an end is reopened.
 const RETRY: Duration = Duration::from_millis(20);
 
-/// Why a cable cannot be laid.
+/// Why a cable cannot be set up.
 #[derive(Debug)]
 #[non_exhaustive]
 pub enum CableError {
-    /// Nothing can listen there.
+    /// Listening failed.
     Listen {
-        /// Where.
+        /// The address.
         address: String,
-        /// What the system says.
+        /// The cause.
         cause: io::Error,
     },
-    /// There is no pty, or no link to it can be made.
+    /// A pty, or a link to it, could not be created.
     Pty(io::Error),
-    /// The system gives no more threads.
+    /// A thread could not be started.
     Thread(io::Error),
 }
 
@@ -55,9 +55,9 @@ impl std::error::Error for CableError {
 
 /// Two ends with a line between them, until this is dropped.
 ///
-/// An end that breaks is opened again; the other hears nothing of it, as with a real cable.
+/// An end that breaks is reopened; the other end does not notice, as with a real cable.
 pub struct Cable {
-    ways: [Arc<Way>; 2],
+    directions: [Arc<Direction>; 2],
     places: [String; 2],
     stop: Arc<AtomicBool>,
     threads: Vec<JoinHandle<()>>,
@@ -82,13 +82,14 @@ enum Socket {
 }
 
 impl Cable {
-    /// Joins two ends; `lines` are the direction from the first to the second, and back.
+    /// Joins two ends. `lines` are the direction from the first end to the second, and back.
     ///
     /// # Errors
-    /// As [`CableError`] says. An end that cannot be opened yet is none: it is tried again.
+    /// [`CableError`] if an end cannot be set up. An end that cannot be opened yet is not an error: the cable
+    /// keeps trying.
     pub fn lay(ends: [End; 2], lines: [FaultyLine; 2]) -> Result<Self, CableError> {
         let mut cable = Self {
-            ways: lines.map(|line| Arc::new(Way::new(line))),
+            directions: lines.map(|line| Arc::new(Direction::new(line))),
             places: Default::default(),
             stop: Arc::default(),
             threads: Vec::new(),
@@ -100,31 +101,33 @@ impl Cable {
             if let Some(known) = cable.places.get_mut(side) {
                 *known = place;
             }
-            let [first, second] = cable.ways.each_ref().map(Arc::clone);
+            let [first, second] = cable.directions.each_ref().map(Arc::clone);
             let (from, to) = if side == 0 {
                 (first, second)
             } else {
                 (second, first)
             };
-            let (way, stop) = (Arc::clone(&to), Arc::clone(&cable.stop));
-            cable.spawn("out", move || way.carry(&stop))?;
+            let (direction, stop) = (Arc::clone(&to), Arc::clone(&cable.stop));
+            cable.spawn("out", move || direction.carry(&stop))?;
             let stop = Arc::clone(&cable.stop);
-            cable.spawn("in", move || attend(socket, &from, &to, &stop))?;
+            cable.spawn("in", move || serve(socket, &from, &to, &stop))?;
         }
         Ok(cable)
     }
 
-    /// How others reach each end, as `ztl gateway --device` takes it; or, where the cable itself
-    /// opens it, what it opens.
+    /// How others reach each end, as `ztl gateway --device` takes it; if the cable opens the end itself, what
+    /// it opens.
     #[must_use]
     pub fn places(&self) -> [&str; 2] {
         self.places.each_ref().map(String::as_str)
     }
 
-    /// What has become of the bytes from the first end to the second, and of those back.
+    /// Statistics of the bytes from the first end to the second, and back.
     #[must_use]
     pub fn counts(&self) -> [Counts; 2] {
-        self.ways.each_ref().map(|way| way.counts())
+        self.directions
+            .each_ref()
+            .map(|direction| direction.counts())
     }
 
     fn prepare(&mut self, end: End) -> Result<(Socket, String), CableError> {
@@ -135,7 +138,7 @@ impl Cable {
             }
             End::Listen { address } => {
                 let listener = TcpListener::bind(&address).and_then(|listener| {
-                    // To be stopped, it must not wait in accept.
+                    // Must not block in accept, so that it can be stopped.
                     listener.set_nonblocking(true)?;
                     let address = listener.local_addr()?;
                     Ok((listener, address))
@@ -185,8 +188,8 @@ impl Drop for Cable {
     }
 }
 
-/// Keeps an end open: what it says goes into `from`, what comes out of `to` goes to it.
-fn attend(mut socket: Socket, from: &Way, to: &Way, stop: &AtomicBool) {
+/// Keeps an end open: reads from it into `from` and writes the output of `to` to it.
+fn serve(mut socket: Socket, from: &Direction, to: &Direction, stop: &AtomicBool) {
     while !stop.load(Ordering::Acquire) {
         if let Some(line) = open(&mut socket) {
             to.set_out(Some(line.writer));

@@ -1,6 +1,6 @@
-//! Random numbers from a seed, the same everywhere and in every run.
+//! Seeded random numbers, identical on every machine and in every run.
 
-/// The generator splitmix64: any seed is good, also 0.
+/// The generator splitmix64. Any seed works, even 0.
 #[derive(Debug, Clone)]
 pub(crate) struct Dice(u64);
 
@@ -16,7 +16,7 @@ impl Dice {
         mixed ^ (mixed >> 31)
     }
 
-    /// 0 up to `bound`, without it; 0 when that is 0.
+    /// A number below `bound`; 0 if `bound` is 0.
     pub(crate) const fn below(&mut self, bound: u64) -> u64 {
         match self.throw().checked_rem(bound) {
             Some(rest) => rest,
@@ -24,7 +24,7 @@ impl Dice {
         }
     }
 
-    /// True with this probability. What never happens throws no dice.
+    /// True with this probability. Consumes no number if the probability is 0.
     pub(crate) fn chance(&mut self, probability: f64) -> bool {
         probability > 0.0 && (self.throw() as f64) < probability * TWO_TO_64
     }

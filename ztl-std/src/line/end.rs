@@ -1,5 +1,4 @@
-//! What a cable's end is plugged into: `pty`, `tcp-listen:7000`, and whatever a gateway's device
-//! may be.
+//! What a cable's end connects to: `pty`, `tcp-listen:7000`, or any endpoint of a gateway's device.
 
 use std::path::PathBuf;
 use std::str::FromStr;
@@ -10,35 +9,34 @@ use crate::gateway::{Endpoint, EndpointError};
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum End {
-    /// Opened, and opened again when it breaks: `serial:PATH?baud=115200`, `tcp:HOST:PORT`,
-    /// `sim:gripper`.
+    /// Opened, and reopened when it breaks: `serial:PATH?baud=115200`, `tcp:HOST:PORT`, `sim:gripper`.
     Open(Endpoint),
-    /// Waits for one TCP connection after the other: `tcp-listen:PORT`, `tcp-listen:HOST:PORT`.
+    /// Accepts one TCP connection at a time: `tcp-listen:PORT`, `tcp-listen:HOST:PORT`.
     Listen {
-        /// Host and port; the host is this machine unless it was given.
+        /// Host and port; the host defaults to this machine.
         address: String,
     },
     /// A new pty, which others open as a serial port: `pty`, `pty:LINK`.
     Pty {
-        /// Where a link to it is to be made.
+        /// Path of a link to the pty.
         link: Option<PathBuf>,
     },
 }
 
-/// Why a text is no end of a cable.
+/// Why a text is not an end of a cable.
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum EndError {
-    /// The part before the first `:` is none of ours.
+    /// The scheme before the first `:` is unknown.
     Scheme {
-        /// What was written.
+        /// The scheme found.
         found: String,
     },
     /// `tcp-listen:` without a port.
     Listen,
     /// `tcp:` without a host or a port.
     Tcp,
-    /// As for a gateway's device.
+    /// An invalid endpoint of a gateway's device.
     Endpoint(EndpointError),
 }
 
@@ -47,11 +45,11 @@ impl std::fmt::Display for EndError {
         match self {
             Self::Scheme { found } => write!(
                 f,
-                "unknown kind of end '{found}'; use pty, pty:LINK, serial:/dev/ttyACM0, tcp:HOST:PORT, tcp-listen:PORT or sim:gripper"
+                "unknown end '{found}': expected pty, pty:LINK, serial:/dev/ttyACM0, tcp:HOST:PORT, tcp-listen:PORT or sim:gripper"
             ),
-            Self::Listen => f.write_str("incomplete; use tcp-listen:PORT, as tcp-listen:7000"),
+            Self::Listen => f.write_str("port missing: expected tcp-listen:PORT, such as tcp-listen:7000"),
             Self::Tcp => f.write_str(
-                "incomplete; use tcp:HOST:PORT to connect, tcp-listen:PORT to be connected to",
+                "host or port missing: expected tcp:HOST:PORT to connect, or tcp-listen:PORT to listen",
             ),
             Self::Endpoint(error) => error.fmt(f),
         }
@@ -84,7 +82,7 @@ impl FromStr for End {
     }
 }
 
-/// `PORT` or `HOST:PORT` as an address to listen at; without a host, this machine only.
+/// Parses `PORT` or `HOST:PORT` as an address to listen on; without a host, this machine only.
 fn listen_address(text: &str) -> Option<String> {
     let (host, port) = text.rsplit_once(':').unwrap_or(("127.0.0.1", text));
     let port: u16 = port.parse().ok()?;
@@ -96,7 +94,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn ends_are_read_and_mistakes_say_what_would_be_right() {
+    fn ends_parse_and_errors_say_what_is_expected() {
         let listen = |address: &str| End::Listen {
             address: address.to_owned(),
         };

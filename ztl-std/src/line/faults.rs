@@ -1,4 +1,4 @@
-//! One direction of a line that loses, alters, repeats and holds back bytes, without I/O.
+//! One direction of a line that drops, alters, repeats and delays bytes, without I/O.
 
 use std::collections::VecDeque;
 use std::ops::Range;
@@ -9,48 +9,48 @@ use ztl_core::time::earliest;
 
 use super::dice::Dice;
 
-/// Bytes that may be under way; what comes beyond is lost.
-const UNDER_WAY: usize = 64 * 1024;
-/// Bytes that a sender may be ahead of the line rate, as in a serial port's own buffer.
+/// Most bytes in transit; further ones are lost.
+const IN_TRANSIT: usize = 64 * 1024;
+/// How many bytes a sender may be ahead of the line rate, like the buffer of a serial port.
 const AHEAD: u64 = 4096;
 
-/// How bad a line is. Default: not at all.
+/// Fault rates of a line. By default there are no faults.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Faults {
-    /// Probability that a bit is turned round.
+    /// Probability that a bit is flipped.
     pub flip: f64,
-    /// Probability that a byte is lost.
+    /// Probability that a byte is dropped.
     pub drop: f64,
-    /// Probability that a byte comes twice.
+    /// Probability that a byte is duplicated.
     pub double: f64,
-    /// Probability, for each byte, that the line holds back this one and all that follow.
+    /// Probability, for each byte, that the line stalls: it holds back this byte and all later ones.
     pub stall: f64,
-    /// For how long it does so at most; each time is random, and what was held back comes at once.
+    /// Longest stall. Each stall has a random length and then releases everything at once.
     pub stall_for: Duration,
 }
 
-/// What has become of the bytes of one direction.
+/// Statistics of one direction.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub struct Counts {
-    /// Bytes that were sent into the line.
+    /// Bytes sent into the line.
     pub bytes: u64,
-    /// Bits turned round.
+    /// Bits flipped.
     pub flips: u64,
-    /// Bytes lost.
+    /// Bytes dropped.
     pub drops: u64,
-    /// Bytes that came twice.
+    /// Bytes duplicated.
     pub doubles: u64,
-    /// How often the line held everything back.
+    /// Number of stalls.
     pub stalls: u64,
-    /// Bytes lost while it was cut.
+    /// Bytes lost while the line was cut.
     pub cut: u64,
-    /// Bytes lost since more were under way than it holds, or since nobody was there to take them.
+    /// Bytes lost because too many were in transit, or because the receiving end was closed.
     pub lost: u64,
 }
 
 impl Counts {
-    /// How many things went wrong, of all kinds.
+    /// Total number of faults.
     #[must_use]
     pub const fn faults(&self) -> u64 {
         self.flips + self.drops + self.doubles + self.stalls + self.cut + self.lost
@@ -70,8 +70,8 @@ impl std::fmt::Display for Counts {
 /// One direction of a line with faults.
 ///
 /// *Inputs*: [`handle_bytes`](Self::handle_bytes). *Outputs*: [`poll_bytes`](Self::poll_bytes). *Next
-/// wake-up*: [`poll_timeout`](Self::poll_timeout). The same seed, bytes and times bring the same
-/// faults. Work per call is bounded by the bytes given or taken.
+/// wake-up*: [`poll_timeout`](Self::poll_timeout). The same seed, bytes and times give the same faults. The
+/// work per call is proportional to the bytes passed in or out.
 ///
 /// ```
 /// use ztl_core::Instant;
@@ -80,7 +80,7 @@ impl std::fmt::Display for Counts {
 /// let mut line = FaultyLine::new(Faults::default(), 1).with_baud(115_200);
 /// line.handle_bytes(Instant::ZERO, b"ab");
 /// let mut buffer = [0; 8];
-/// // Ten bits a byte: 87 µs each.
+/// // Ten bits per byte: 87 µs each.
 /// assert_eq!(line.poll_bytes(Instant::from_micros(86), &mut buffer), 0);
 /// assert_eq!(line.poll_bytes(Instant::from_micros(174), &mut buffer), 2);
 /// assert_eq!(&buffer[..2], b"ab");
@@ -88,22 +88,22 @@ impl std::fmt::Display for Counts {
 #[derive(Debug, Clone)]
 pub struct FaultyLine {
     faults: Faults,
-    /// Bits a second, ten a byte; `None` takes no time.
+    /// Bits per second, ten per byte; `None` means no delay.
     baud: Option<u32>,
     latency: Duration,
     dice: Dice,
-    /// Each byte and when it arrives, in this order.
-    under_way: VecDeque<(Instant, u8)>,
-    /// When the last byte has left its sender, in nanoseconds.
+    /// Each byte and its arrival time, in order.
+    in_transit: VecDeque<(Instant, u8)>,
+    /// When the last byte has left the sender, in nanoseconds.
     sent_ns: u64,
     held_until: Instant,
-    /// What is sent in this time is lost.
+    /// Bytes sent within this period are lost.
     cut: Range<Instant>,
     counts: Counts,
 }
 
 impl FaultyLine {
-    /// A line that takes no time; its faults follow from the seed.
+    /// Creates a line without delay. The seed determines its faults.
     #[must_use]
     pub const fn new(faults: Faults, seed: u64) -> Self {
         Self {
@@ -111,7 +111,7 @@ impl FaultyLine {
             baud: None,
             latency: Duration::ZERO,
             dice: Dice::new(seed),
-            under_way: VecDeque::new(),
+            in_transit: VecDeque::new(),
             sent_ns: 0,
             held_until: Instant::ZERO,
             cut: Instant::ZERO..Instant::ZERO,
@@ -127,21 +127,21 @@ impl FaultyLine {
         }
     }
 
-    /// Sets the line rate in bits a second; a byte takes ten, as on a UART. 0 takes no time.
+    /// Sets the line rate in bits per second; a byte takes ten, as on a UART. 0 means no delay.
     #[must_use]
     pub const fn with_baud(mut self, baud: u32) -> Self {
         self.baud = if baud == 0 { None } else { Some(baud) };
         self
     }
 
-    /// Sets the time from the moment a byte has been sent to its arrival.
+    /// Sets the delay between a byte's end of transmission and its arrival.
     #[must_use]
     pub const fn with_latency(mut self, latency: Duration) -> Self {
         self.latency = latency;
         self
     }
 
-    /// Loses what is sent from `after` the clock's start on, for this long.
+    /// Cuts the line for `time`, starting `after` the clock's start.
     #[must_use]
     pub fn with_cut(mut self, after: Duration, time: Duration) -> Self {
         let start = Instant::ZERO + after;
@@ -149,8 +149,7 @@ impl FaultyLine {
         self
     }
 
-    /// Bytes are sent. Those beyond [`room`](Self::room) make the line late, and far beyond it they
-    /// are lost.
+    /// Sends bytes. Bytes beyond [`room`](Self::room) are delayed; far beyond it they are lost.
     pub fn handle_bytes(&mut self, now: Instant, bytes: &[u8]) {
         for &byte in bytes {
             self.counts.bytes += 1;
@@ -173,89 +172,89 @@ impl FaultyLine {
                 }
             }
             let double = self.dice.chance(self.faults.double);
-            // After the dice, so that a cut does not change what happens later.
+            // Checked after the random numbers are drawn, so that a cut does not change later faults.
             if self.cut.contains(&now) {
                 self.counts.cut += 1;
                 continue;
             }
-            if self.under_way.len() >= UNDER_WAY {
+            if self.in_transit.len() >= IN_TRANSIT {
                 self.counts.lost += 1;
                 continue;
             }
             let sent = Instant::from_micros(self.sent_ns.div_ceil(1000));
             let arrives = (sent + self.latency).max(self.held_until);
-            self.under_way.push_back((arrives, byte));
+            self.in_transit.push_back((arrives, byte));
             if double {
                 self.counts.doubles += 1;
-                self.under_way.push_back((arrives, byte));
+                self.in_transit.push_back((arrives, byte));
             }
         }
     }
 
-    /// Writes the bytes that have arrived into `buffer` and says how many; 0 when there are none.
+    /// Writes the bytes that have arrived into `buffer` and returns their number.
     pub fn poll_bytes(&mut self, now: Instant, buffer: &mut [u8]) -> usize {
         let mut count = 0;
-        for place in buffer {
-            match self.under_way.front() {
-                Some((arrives, byte)) if *arrives <= now => *place = *byte,
+        for slot in buffer {
+            match self.in_transit.front() {
+                Some((arrives, byte)) if *arrives <= now => *slot = *byte,
                 _ => break,
             }
-            self.under_way.pop_front();
+            self.in_transit.pop_front();
             count += 1;
         }
         count
     }
 
-    /// When [`poll_bytes`](Self::poll_bytes) has something: all that is under way, or what has been
-    /// there for `burst`. Zero asks for each byte at its own moment.
+    /// When to call [`poll_bytes`](Self::poll_bytes): once everything has arrived, or when the first byte has
+    /// waited for `burst`. Zero wakes for each byte.
     #[must_use]
     pub fn poll_timeout(&self, burst: Duration) -> Option<Instant> {
-        let (first, _) = self.under_way.front()?;
-        let last = self.under_way.back().map(|(last, _)| *last);
+        let (first, _) = self.in_transit.front()?;
+        let last = self.in_transit.back().map(|(last, _)| *last);
         earliest(last, Some(*first + burst))
     }
 
-    /// How many bytes a sender may send now; 0 while its own buffer would be full.
+    /// How many bytes a sender may send now; 0 while its buffer is full.
     #[must_use]
     pub fn room(&self, now: Instant) -> usize {
         let late = self.sent_ns.saturating_sub(nanos(now));
         let ahead = late.div_ceil(self.byte_ns().max(1));
         let paced = match self.baud {
             Some(_) => usize::try_from(AHEAD.saturating_sub(ahead)).unwrap_or(usize::MAX),
-            None => UNDER_WAY,
+            None => IN_TRANSIT,
         };
-        paced.min(UNDER_WAY.saturating_sub(self.under_way.len()))
+        paced.min(IN_TRANSIT.saturating_sub(self.in_transit.len()))
     }
 
-    /// From now on the line is that bad.
+    /// Sets new fault rates from now on.
     pub const fn set_faults(&mut self, faults: Faults) {
         self.faults = faults;
     }
 
-    /// What is sent in this time is lost. Replaces an earlier cut.
+    /// Loses all bytes sent within this period. Replaces an earlier cut.
     pub const fn cut(&mut self, time: Range<Instant>) {
         self.cut = time;
     }
 
-    /// What is sent from now on arrives at this moment at the earliest.
+    /// Delays all bytes sent from now on until `moment`.
     pub fn hold_until(&mut self, moment: Instant) {
         self.held_until = self.held_until.max(moment);
     }
 
-    /// Loses what is under way, as when a plug is pulled.
+    /// Loses all bytes in transit, as when a plug is pulled.
     pub fn lose(&mut self) {
-        self.count_lost(self.under_way.len());
-        self.under_way.clear();
+        self.count_lost(self.in_transit.len());
+        self.in_transit.clear();
         self.held_until = Instant::ZERO;
         self.sent_ns = 0;
     }
 
-    /// Bytes that had arrived, and that nobody took.
+    /// Counts bytes that arrived but found no receiver.
     pub fn count_lost(&mut self, bytes: usize) {
         self.counts.lost += bytes as u64;
     }
 
-    /// What has become of the bytes.
+    /// The statistics so far.
     #[must_use]
     pub const fn counts(&self) -> Counts {
         self.counts
@@ -291,7 +290,7 @@ mod tests {
     }
 
     #[test]
-    fn a_line_without_faults_hands_on_what_it_is_given() {
+    fn a_line_without_faults_passes_bytes_unchanged() {
         let mut line = FaultyLine::new(Faults::default(), 1);
         line.handle_bytes(at(5), b"hello");
         assert_eq!(line.poll_timeout(Duration::ZERO), Some(at(5)));
@@ -301,7 +300,7 @@ mod tests {
     }
 
     #[test]
-    fn bytes_come_at_the_line_rate_also_after_a_million_of_them() {
+    fn bytes_arrive_at_the_line_rate_even_after_a_million() {
         let mut line = FaultyLine::new(Faults::default(), 1).with_baud(921_600);
         let mut now = at(0);
         for _ in 0..1000 {
@@ -315,7 +314,7 @@ mod tests {
     }
 
     #[test]
-    fn a_wake_up_brings_a_burst_and_the_last_byte_is_not_late() {
+    fn a_wake_up_collects_a_burst_and_the_last_byte_is_on_time() {
         let mut line = FaultyLine::new(Faults::default(), 1).with_baud(115_200);
         line.handle_bytes(at(0), &[0; 20]);
         let burst = Duration::from_millis(1);
@@ -327,7 +326,7 @@ mod tests {
     }
 
     #[test]
-    fn the_latency_moves_every_byte_and_costs_no_rate() {
+    fn latency_delays_every_byte_without_reducing_the_rate() {
         let mut line = FaultyLine::new(Faults::default(), 1)
             .with_baud(1_000_000)
             .with_latency(Duration::from_millis(20));
@@ -337,7 +336,7 @@ mod tests {
     }
 
     #[test]
-    fn each_fault_comes_as_often_as_it_should() {
+    fn each_fault_occurs_at_its_rate() {
         let faults = Faults {
             flip: 1e-3,
             drop: 2e-3,
@@ -366,7 +365,7 @@ mod tests {
     }
 
     #[test]
-    fn the_same_seed_brings_the_same_faults_and_another_one_others() {
+    fn faults_are_determined_by_the_seed() {
         let faults = Faults {
             flip: 0.01,
             drop: 0.01,
@@ -384,7 +383,7 @@ mod tests {
     }
 
     #[test]
-    fn a_stall_holds_everything_back_and_then_lets_it_go_at_once() {
+    fn a_stall_delays_everything_and_then_releases_it_at_once() {
         let mut line = FaultyLine::new(Faults::default(), 1).with_baud(1_000_000);
         line.handle_bytes(at(0), &[1]);
         line.hold_until(at(5_000));
@@ -395,7 +394,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_sent_while_it_is_cut_is_lost_and_counted() {
+    fn bytes_sent_during_a_cut_are_lost_and_counted() {
         let mut line = FaultyLine::new(Faults::default(), 1);
         line.handle_bytes(at(0), &[1]);
         line.cut(at(20)..at(100));
@@ -406,21 +405,21 @@ mod tests {
     }
 
     #[test]
-    fn a_sender_that_is_ahead_has_no_room_until_the_line_has_caught_up() {
+    fn a_sender_ahead_of_the_line_rate_has_no_room() {
         let mut line = FaultyLine::new(Faults::default(), 1).with_baud(1_000_000);
         assert_eq!(line.room(at(0)), 4096);
         line.handle_bytes(at(0), &[0; 4096]);
         assert_eq!(line.room(at(0)), 0);
         assert_eq!(line.room(at(1000)), 100);
-        // A stall is finite in what it holds.
+        // A stall holds a limited number of bytes.
         let mut line = FaultyLine::new(Faults::default(), 1);
         line.hold_until(at(1_000_000));
-        line.handle_bytes(at(0), &[0; UNDER_WAY + 5]);
+        line.handle_bytes(at(0), &[0; IN_TRANSIT + 5]);
         assert_eq!((line.room(at(0)), line.counts().lost), (0, 5));
     }
 
     #[test]
-    fn certainty_and_impossibility_are_what_they_say() {
+    fn probabilities_of_zero_and_one_are_exact() {
         let sure = Faults {
             flip: 1.0,
             ..Faults::default()

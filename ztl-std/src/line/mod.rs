@@ -1,8 +1,6 @@
-//! A line with faults between any two ends: for trying what a gateway and its devices do on a bad
-//! cable.
+//! A line with faults between any two ends, to test how a gateway and its devices behave on a bad cable.
 //!
-//! [`FaultyLine`] is one direction of it, without I/O; [`Cable`] joins two real ends by two of
-//! them.
+//! [`FaultyLine`] is one direction, without I/O. [`Cable`] joins two real ends with two of them.
 
 mod cable;
 mod dice;
@@ -15,9 +13,9 @@ pub(crate) use dice::Dice;
 pub use end::{End, EndError};
 pub use faults::{Counts, Faults, FaultyLine};
 
-/// A seed from the operating system.
+/// A random seed.
 #[must_use]
 pub fn random_seed() -> u64 {
-    // Short enough to be typed again.
+    // 32 bits only, so that it is short enough to type.
     u64::from(crate::random::nonzero())
 }

@@ -3,18 +3,18 @@
 use ztl_mcu::link::{Busy, GoalShape, Loss, Offer};
 use ztl_mcu::{Component, Instant, Refused, Report, Run};
 
-/// What an axis can do.
+/// The properties of an axis.
 #[derive(Debug)]
 pub(super) struct AxisKind {
     name: &'static str,
     range: (f32, f32),
     unit: &'static str,
-    /// Units a second.
+    /// Units per second.
     speed: f32,
     words: &'static str,
-    /// The positions that the words stand for.
-    places: &'static [(&'static str, f32)],
-    /// What is said about any other goal.
+    /// Named positions.
+    positions: &'static [(&'static str, f32)],
+    /// The error message for any other goal.
     takes: &'static str,
 }
 
@@ -24,7 +24,7 @@ pub(super) const FINGER: AxisKind = AxisKind {
     unit: "percent",
     speed: 50.0,
     words: "",
-    places: &[],
+    positions: &[],
     takes: "finger takes 0 to 100 percent",
 };
 
@@ -34,15 +34,15 @@ pub(super) const PAN: AxisKind = AxisKind {
     unit: "degrees",
     speed: 90.0,
     words: "left straight right",
-    places: &[("left", 90.0), ("straight", 0.0), ("right", -90.0)],
+    positions: &[("left", 90.0), ("straight", 0.0), ("right", -90.0)],
     takes: "pan takes -90 to 90 degrees, or left, straight, right",
 };
 
-/// The motor, and what it does.
+/// The motor and its movement.
 #[derive(Debug)]
 pub(super) struct Axis {
     kind: &'static AxisKind,
-    /// Where it began to move, and when.
+    /// Where and when the movement began.
     from: (f32, Instant),
     target: f32,
     stopped: bool,
@@ -74,7 +74,7 @@ impl Axis {
     }
 
     fn target_of(&self, goal: &str) -> Option<f32> {
-        let word = self.kind.places.iter().find(|(word, _)| *word == goal);
+        let word = self.kind.positions.iter().find(|(word, _)| *word == goal);
         word.map(|(_, place)| *place)
             .or_else(|| goal.trim().parse().ok())
             .filter(|target| (self.kind.range.0..=self.kind.range.1).contains(target))

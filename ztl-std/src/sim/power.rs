@@ -13,19 +13,19 @@ use super::{Device, Input, Kind};
 use crate::clock::now;
 use crate::random;
 
-/// Bytes that the node gives at once.
+/// Bytes that the node produces at once.
 const PIECE: usize = 32;
-/// Bytes that its serial port takes ahead of the line, as a small ring in firmware does.
+/// Bytes that its serial port buffers, like a small ring in firmware.
 const AHEAD: u64 = 3 * PIECE as u64;
-/// The same in nanoseconds, for a line so fast that the ring would be empty before a busy system
-/// looks at it again.
+/// The same in nanoseconds, for a line so fast that the ring would run empty before a busy system polls it
+/// again.
 const AHEAD_NS: u64 = 4_000_000;
 
-/// Where the node's bytes go, and when it may send more.
+/// Where the node's output goes, and when it may send more.
 struct Port {
-    /// Nobody there: the bytes are lost, as on a cable that is not plugged in.
+    /// `None` if the cable is unplugged: the bytes are lost.
     line: Option<Box<dyn Write + Send>>,
-    /// How long a byte takes, in nanoseconds; 0 for no time.
+    /// Duration of a byte in nanoseconds; 0 means no delay.
     byte_ns: u64,
     /// When the last byte will have been sent, in nanoseconds.
     sent_ns: u64,
@@ -40,7 +40,7 @@ impl Port {
         }
     }
 
-    /// When it takes another piece.
+    /// When it accepts another piece.
     fn ready(&self) -> Instant {
         let ahead = (AHEAD * self.byte_ns).max(AHEAD_NS);
         Instant::from_micros(self.sent_ns.saturating_sub(ahead) / 1000)
@@ -74,7 +74,7 @@ pub(super) fn run(device: &Device, inbox: &Receiver<Input>) {
     }
 }
 
-/// Whether it was reset, and not stopped.
+/// Returns `true` if it was reset, `false` if it was stopped.
 fn run_until_reset(
     device: &Device,
     component: impl Component,
@@ -94,11 +94,10 @@ fn run_until_reset(
         node.handle_timeout(now());
         let time = now();
         let wait = if time < port.ready() {
-            // What it has to send waits for the port.
+            // Output waits for the port.
             port.ready().since(time)
         } else {
-            // One piece at a time: a line that takes nothing, and readings without end, must not
-            // keep it from what comes in.
+            // One piece at a time: a full line or endless readings must not delay input.
             match node.poll_transmit(time, &mut buffer) {
                 0 => node.poll_timeout(time).since(time),
                 count => {

@@ -1,4 +1,4 @@
-//! What a simulated device really did, as a witness that neither node nor gateway can bend.
+//! A record of what a simulated device really did, independent of node and gateway.
 
 use std::fs::File;
 use std::io::Write;
@@ -10,7 +10,7 @@ use ztl_mcu::{Component, Instant, Reading, Refused, Report, Run};
 
 use crate::clock::now;
 
-/// A file that gets a line for each thing that happens.
+/// A file that receives a line for each event.
 #[derive(Debug, Clone)]
 pub(super) struct Record(Arc<Mutex<File>>);
 
@@ -19,7 +19,7 @@ impl Record {
         Self(Arc::new(Mutex::new(file)))
     }
 
-    /// `12.345678 finger begins '40'`; the time is in seconds since the start of this process.
+    /// Writes `12.345678 finger begins '40'`, with the time in seconds since this process started.
     pub(super) fn write(&self, component: &str, what: &str, goal: &str) {
         let time = now().as_micros();
         let mut line = format!(
@@ -32,8 +32,8 @@ impl Record {
         line.push(b'\n');
         let mut file = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         if let Err(error) = file.write_all(&line) {
-            // A witness that cannot speak must not look as if nothing had happened.
-            tracing::error!("the record of what happened is not complete: {error}");
+            // Otherwise it would look as if nothing had happened.
+            tracing::error!("the device record is incomplete: {error}");
         }
     }
 }
@@ -43,7 +43,7 @@ impl Record {
 pub(super) struct Recorded<C> {
     component: C,
     record: Option<Record>,
-    /// The goal under way.
+    /// The goal of the running task.
     goal: Option<String>,
 }
 
@@ -69,7 +69,7 @@ impl<C: Component> Recorded<C> {
     }
 }
 
-/// Each method is handed on; one that is new in the trait must not be forgotten.
+/// Forwards every method. Add new methods of the trait here.
 #[warn(clippy::missing_trait_methods)]
 impl<C: Component> Component for Recorded<C> {
     fn offer(&self) -> Offer<'_> {

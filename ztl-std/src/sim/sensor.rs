@@ -1,4 +1,4 @@
-//! A sensor that has another reading whenever the line has room for one.
+//! A sensor that has a new reading whenever the line has room.
 
 use std::time::Duration;
 
@@ -8,12 +8,12 @@ use ztl_mcu::{Component, Instant, Reading, Refused, Report, Run};
 /// Length of a reading in bytes.
 const LEN: usize = 100;
 
-/// `probe`: publishes; it has no tasks.
+/// `probe`: publishes readings and takes no tasks.
 #[derive(Debug)]
 pub(super) struct Sensor {
     /// Shortest time between two readings.
     pause: Duration,
-    /// When the next one is there.
+    /// When the next reading is due.
     due: Instant,
     number: u32,
 }
@@ -67,7 +67,7 @@ impl Component for Sensor {
         self.due
     }
 
-    /// Its number, in text, with a `.` for each byte that is left.
+    /// The reading's number as text, padded with `.`.
     fn poll_reading(&mut self, now: Instant, buffer: &mut [u8]) -> Option<Reading> {
         if now < self.due {
             return None;

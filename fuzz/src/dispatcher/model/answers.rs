@@ -1,4 +1,4 @@
-//! Which answers are right.
+//! Which replies are valid.
 
 use ztl_core::dispatcher::KEEP_INIT;
 use ztl_core::envelope::{ClientId, Envelope};
@@ -8,7 +8,7 @@ use ztl_core::{Instant, Message, State};
 use super::{Asked, First, LastInit, Model, Task, cut};
 use crate::dispatcher::BOOT;
 
-/// An answer's state, id and payload.
+/// A reply's state, id and payload.
 type Told<'a> = (&'a str, &'a str, &'a str);
 
 const NO_CLIENTS: &str = "too many clients at a time, try again in a minute";
@@ -61,7 +61,7 @@ impl Model {
         }
     }
 
-    /// An INIT that did not start.
+    /// Checks the rejection of an INIT that did not start.
     fn assert_refusal(&mut self, now: Instant, place: usize, told: Told<'_>) {
         let (state, id, text) = told;
         assert_eq!((state, id), ("2", "-1"));
@@ -95,7 +95,7 @@ impl Model {
         }
     }
 
-    /// The answer to the INIT of a task, when it comes or once more.
+    /// Checks the first or repeated reply to the INIT of a task.
     fn assert_first(&self, task: usize, wish: bool, told: Told<'_>) {
         let task = &self.tasks[task];
         let id = task.id.to_string();
@@ -160,7 +160,7 @@ impl Model {
         let (state, id, text) = told;
         assert_eq!(id, task.id.to_string());
         let unknown = (state, text) == ("2", &format!("Invalid ID '{id}'"));
-        // A handler may have refused the task in these very words: then they say nothing.
+        // If the handler rejected the task with this very text, the reply proves nothing.
         let ambiguous = task.state == State::Rejected && task.text == text;
         if task.state.is_final() && unknown && !ambiguous {
             return self.on_forgotten(place);
@@ -194,7 +194,7 @@ impl Model {
         }
     }
 
-    /// A task that has ended is not known any more: its place was needed.
+    /// An ended task is unknown: its slot must have been needed.
     fn on_forgotten(&mut self, place: usize) {
         let task = &mut self.tasks[place];
         task.forgotten = true;

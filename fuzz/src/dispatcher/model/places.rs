@@ -1,4 +1,4 @@
-//! For whom there is room, and whose INIT may be forgotten for another's (`docs/protocol.md`, 9.5).
+//! Which clients have room for a record, and whose record may be evicted (`docs/protocol.md`, 9.5).
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -11,15 +11,15 @@ use super::questions::plain;
 use super::{Asked, First, LastInit, Model};
 use crate::dispatcher::SCOPES;
 
-/// What is known of clients by what they said.
+/// What is known about clients from their requests.
 pub(super) struct Places {
-    /// Of how many the server knows it.
+    /// Number of clients that the server keeps track of.
     room: usize,
-    /// The highest number of each, and over which connection its last request came.
+    /// The highest number of each client, and the connection of its last request.
     heard: BTreeMap<ClientId, (u64, u64)>,
-    /// Of these the server may have forgotten it.
+    /// Clients that the server may have forgotten.
     lost: BTreeSet<ClientId>,
-    /// Until when something that was forgotten for another would have been remembered.
+    /// Until when an evicted record would have been kept.
     pub(super) until: Option<Instant>,
 }
 
@@ -33,16 +33,16 @@ impl Places {
         }
     }
 
-    /// Whether the server knows for certain that this INIT has not come.
+    /// Whether the server knows for certain that this INIT has not arrived before.
     pub(super) fn is_new(&self, client: ClientId, number: u64) -> bool {
         let highest = self.heard.get(&client);
-        // A device keeps 32 bits of it.
+        // A device stores 32 bits of the number.
         let below = |highest: u64| highest < number && highest < u64::from(u32::MAX);
         highest.is_some_and(|(highest, _)| below(*highest)) && !self.lost.contains(&client)
     }
 
-    /// Whether no client of ours says so: only an INIT may come again when the server has forgotten what it
-    /// heard, since numbers rise.
+    /// Whether no client of ours would send this. Numbers increase, so only an INIT may arrive again after
+    /// the server has forgotten what it heard.
     fn is_impossible(&self, envelope: Envelope) -> bool {
         let highest = self.heard.get(&envelope.client);
         highest.is_some_and(|(highest, _)| *highest >= envelope.number)
@@ -53,7 +53,7 @@ impl Places {
         let Envelope { client, number, .. } = envelope;
         let known = self.heard.contains_key(&client) && !self.lost.contains(&client);
         if is_init && !known {
-            // By an INIT nobody is known.
+            // An INIT does not make its client known.
             let highest = self.heard.get(&client).map_or(0, |(highest, _)| *highest);
             self.lost.insert(client);
             self.heard.insert(client, (highest.max(number), place));
@@ -63,7 +63,7 @@ impl Places {
             let mut others: Vec<ClientId> = self.heard.keys().copied().collect();
             others.retain(|other| *other != client);
             let here = |other: &ClientId| self.heard[other].1 == place;
-            // Those that had its connection before, if it is known of one.
+            // Clients that used the connection before, if there are any.
             if others
                 .iter()
                 .any(|other| here(other) && !self.lost.contains(other))
@@ -90,13 +90,13 @@ impl Model {
         let Ok(message) = Message::parse(bytes) else {
             return false;
         };
-        // Nor asks what became of an INIT that it has not sent.
+        // Nor does a client ask about an INIT that it has not sent.
         let ahead = self.about(envelope, message);
         let ahead = ahead.is_some_and(|(_, number)| number > envelope.number);
         ahead || !is_init(message) && self.places.is_impossible(envelope)
     }
 
-    /// Whose INIT a request is, or asks after, and its number.
+    /// The client and number of the INIT that a request is or asks about.
     pub(super) fn about(
         &self,
         envelope: Envelope,
@@ -112,7 +112,7 @@ impl Model {
         asked.then_some((client, envelope.number))
     }
 
-    /// A client asks about a task: if it is that of its last INIT, it has the answer.
+    /// A client asks about a task: if its last INIT started it, the client has the reply.
     pub(super) fn on_asked_about(&mut self, envelope: Envelope, message: Message<'_>) {
         let (Some(Request::Status | Request::Abort), Ok(id)) = (request(message), message.number())
         else {
@@ -126,10 +126,10 @@ impl Model {
         }
     }
 
-    /// Whether the server may forget it before its time.
+    /// Whether the server may evict the record early.
     pub(super) fn is_released(&self, init: &LastInit) -> bool {
         match init.first {
-            // Its client has the answer, or it is that it was refused.
+            // Its client has the reply, or the INIT was rejected.
             First::Started(task) => {
                 let refused = self.tasks[task].refused.is_some();
                 init.until.is_some() && (init.received || refused)
@@ -138,7 +138,7 @@ impl Model {
         }
     }
 
-    /// Another client's INIT comes to be remembered: another may have been forgotten for it.
+    /// Another client's INIT needs a record, so another record may be evicted.
     pub(super) fn make_room(&mut self, client: ClientId) {
         let released = self
             .inits
@@ -167,12 +167,12 @@ impl Model {
             "there is a place, and its INIT is new: {ask:?}"
         );
         if matches!(ask.asked, Asked::Init(_)) {
-            // It may come again when there is one.
+            // The INIT may arrive again once there is room.
             self.places.until = self.places.until.max(Some(now + KEEP_INIT));
         }
     }
 
-    /// How many INITs of other clients have to be remembered.
+    /// How many records of other clients must be kept.
     fn needed(&self, client: ClientId) -> usize {
         let others = self.inits.iter().filter(|(other, _)| **other != client);
         others.filter(|(_, init)| !self.is_released(init)).count()

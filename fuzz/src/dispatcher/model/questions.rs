@@ -1,4 +1,4 @@
-//! Which answers a request may get, as things stand when it comes.
+//! Which replies a request may get in the current state.
 
 use core::time::Duration;
 
@@ -15,7 +15,7 @@ const NUMBER_TAKEN: &str = "another INIT has this number";
 const RESERVED: &str = "Invalid request: $ztl takes STATUS with the payload 'probe' or 'outcome N'";
 
 impl Model {
-    /// The decision table (wire specification 4.3), and the longest time for the answer.
+    /// The decision table (wire specification 4.3), and the time limit of the reply.
     pub(super) fn asked(
         &self,
         envelope: Option<Envelope>,
@@ -123,7 +123,7 @@ impl Model {
     }
 }
 
-/// A request with one answer, at once.
+/// A request with exactly one reply, sent immediately.
 pub(super) fn only(answer: String) -> (Asked, Duration) {
     (Asked::Only(answer), Duration::ZERO)
 }

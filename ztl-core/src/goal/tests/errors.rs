@@ -20,7 +20,7 @@ fn expects<T: DeserializeOwned>(text: &str, at: usize, expected: Expected) {
 }
 
 #[test]
-fn what_is_no_goal_at_all_is_named_by_the_place_where_it_stops_being_one() {
+fn invalid_syntax_is_reported_where_it_begins() {
     use Expected::{Close, Colon, Comma, CommaOrClose, End, Value};
     type Any = serde_json::Value;
     for (text, at, expected) in [
@@ -69,13 +69,13 @@ fn what_is_no_goal_at_all_is_named_by_the_place_where_it_stops_being_one() {
         }
     }
     expects::<Command>("{turn: 1, go: [1, 2]}", 10, Close);
-    // At the end, what is missing is named.
+    // At the end of the text, the missing part is reported.
     expects::<Any>("{a:", 3, Value);
     expects::<Any>("{a", 2, Colon);
 }
 
 #[test]
-fn what_is_never_closed_is_named_by_where_it_opens() {
+fn an_unclosed_bracket_or_quote_is_reported_where_it_opens() {
     for (text, at) in [
         ("[1, [2, 3]", 0),
         ("[1, [2, 3", 4),
@@ -96,7 +96,7 @@ fn what_is_never_closed_is_named_by_where_it_opens() {
 }
 
 #[test]
-fn a_nul_is_as_the_end_and_stays_only_in_a_goal_that_is_a_text() {
+fn a_nul_ends_the_text_except_in_a_goal_that_is_a_text() {
     for (text, at) in [("[a\0]", 0), ("[1, '\0']", 4), ("{a: 1\0}", 0)] {
         fails::<serde_json::Value>(text, at, GoalErrorKind::Unterminated);
     }
@@ -106,7 +106,7 @@ fn a_nul_is_as_the_end_and_stays_only_in_a_goal_that_is_a_text() {
 }
 
 #[test]
-fn a_value_of_another_kind_is_named_by_its_place() {
+fn a_value_of_the_wrong_type_is_reported_at_its_position() {
     use Expected::{Bool, Integer, Mapping, Nothing, Number, Sequence, Struct, Text};
     expects::<f32>("left", 0, Number);
     expects::<f32>("", 0, Number);
@@ -128,7 +128,7 @@ fn a_value_of_another_kind_is_named_by_its_place() {
 }
 
 #[test]
-fn errors_deep_inside_have_the_place_of_the_innermost_value() {
+fn nested_errors_are_reported_at_the_innermost_value() {
     use GoalErrorKind::{MissingField, OutOfRange, UnknownField, UnknownVariant, WrongLength};
     type Poses = std::collections::BTreeMap<std::string::String, [Pose; 2]>;
     let text = "{home: [[0, 0, 0], {x: 1, y: z, theta: 0}]}";
@@ -178,7 +178,7 @@ fn errors_deep_inside_have_the_place_of_the_innermost_value() {
 }
 
 #[test]
-fn an_unknown_field_and_one_that_comes_twice_are_named_by_their_keys() {
+fn unknown_and_duplicate_fields_are_reported_at_their_keys() {
     fails::<Pose>("{'z': 1}", 1, GoalErrorKind::UnknownField(FIELDS));
     fails::<Pose>(
         "{x: 1, y: {z: 1}}",
@@ -194,7 +194,7 @@ fn an_unknown_field_and_one_that_comes_twice_are_named_by_their_keys() {
 }
 
 #[test]
-fn what_the_targets_own_code_refuses_has_a_place_but_no_text() {
+fn errors_from_the_targets_code_have_a_position_but_no_message() {
     #[derive(Debug, Deserialize)]
     #[serde(try_from = "[f32; 2]")]
     struct Range;
@@ -211,7 +211,7 @@ fn what_the_targets_own_code_refuses_has_a_place_but_no_text() {
 }
 
 #[test]
-fn errors_read_as_sentences() {
+fn errors_display_position_and_cause() {
     for (error, text) in [
         (
             read::<Pose>("[0, left, 0]"),

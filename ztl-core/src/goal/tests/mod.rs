@@ -1,4 +1,4 @@
-//! Traces: a text, and what comes of it.
+//! Each case is a text and the expected result.
 
 mod errors;
 mod numbers;
@@ -33,13 +33,13 @@ enum Command {
     },
 }
 
-/// Reads with ample scratch.
+/// Parses with ample scratch.
 fn read<T: DeserializeOwned>(text: &str) -> Result<T, GoalError> {
     let mut scratch = [0xA5; 256];
     from_str_with(text, &mut scratch)
 }
 
-/// Reads without being told what to expect.
+/// Parses without a type to expect.
 fn any(text: &str) -> Result<serde_json::Value, GoalError> {
     read(text)
 }

@@ -41,7 +41,7 @@ fn floats_are_read_in_every_spelling() {
 }
 
 #[test]
-fn what_is_no_number_is_not_taken_for_one() {
+fn other_texts_are_not_numbers() {
     for text in [
         ".", "-", "+", "e5", "1e", "1e+", "1.2.3", "1,5", "1_", "_1", "1__0", "1._5", "1_.5",
         "1e_5", "--1", "+-1", "0x", "0x_1", "0xg", "0b2", "0o8", "010", "-007", "infinity", "Inf",
@@ -97,7 +97,7 @@ fn integers_are_exact_and_have_a_range() {
     assert_eq!(from_str("-128"), Ok(i8::MIN));
 }
 
-/// Reads with our reader and with the standard library's; infinity is out of range for ours.
+/// Compares our parser with the standard library's; where that returns infinity, ours returns out of range.
 #[track_caller]
 fn agrees(text: &str) {
     let ours = from_str::<f32>(text).map_or(f32::INFINITY, f32::abs);
@@ -109,7 +109,7 @@ fn agrees(text: &str) {
 }
 
 #[test]
-fn random_decimals_are_rounded_as_the_standard_library_rounds_them() {
+fn random_decimals_round_as_in_the_standard_library() {
     let mut random = Random::seeded();
     for _ in 0..100_000 {
         let digits = random.below(19) + 1;
@@ -124,7 +124,7 @@ fn random_decimals_are_rounded_as_the_standard_library_rounds_them() {
 }
 
 #[test]
-fn every_float_is_read_back_from_its_shortest_and_its_longest_text() {
+fn every_float_reads_back_from_its_shortest_and_longest_text() {
     let mut random = Random::seeded();
     for _ in 0..20_000 {
         let bits = random.next();
@@ -143,7 +143,7 @@ fn every_float_is_read_back_from_its_shortest_and_its_longest_text() {
 }
 
 #[test]
-fn the_middle_between_two_floats_goes_to_the_even_one() {
+fn a_tie_between_two_floats_goes_to_the_even_one() {
     let mut random = Random::seeded();
     let edges = [
         0u32,
@@ -162,19 +162,19 @@ fn the_middle_between_two_floats_goes_to_the_even_one() {
         .chain((0..20_000).map(|_| random.next() as u32 % 0x7f7f_ffff))
         .collect();
     for bits in bits {
-        // Exact, and exactly half way: f64 has the digits for it.
+        // Exactly halfway: `f64` has enough digits.
         let low = f64::from(f32::from_bits(bits));
         let middle = (low + f64::from(f32::from_bits(bits + 1))) / 2.0;
         let text = std::format!("{middle:?}");
         if text.bytes().filter(u8::is_ascii_digit).count() <= 19 {
             agrees(&text);
         }
-        // The neighbours of the middle are its shortest texts too.
+        // The neighbours of the middle, as shortest texts.
         for near in [middle.to_bits() - 1, middle.to_bits() + 1] {
             agrees(&std::format!("{:?}", f64::from_bits(near)));
         }
     }
-    // Whole numbers, exactly half way between two f32, then two f64.
+    // Integers exactly halfway between two `f32`, then two `f64`.
     for text in [
         "16777217",
         "16777219",
@@ -188,7 +188,7 @@ fn the_middle_between_two_floats_goes_to_the_even_one() {
     ] {
         agrees(text);
     }
-    // Greatest and smallest, and what is just beyond.
+    // The largest and smallest floats, and values just beyond.
     for text in [
         "3.4028235e38",
         "3.4028236e38",
@@ -213,8 +213,8 @@ fn the_middle_between_two_floats_goes_to_the_even_one() {
 }
 
 #[test]
-fn of_more_than_nineteen_digits_the_rest_counts_as_a_little_more() {
-    // Half way between two f32, and the smallest bit above it.
+fn digits_after_the_nineteenth_break_ties_upwards() {
+    // Halfway between two `f32`, and one bit above.
     agrees("16777217.0000000000000000000000000000000000001");
     agrees("16777217.0000000000000000000000000000000000000");
     agrees("0.1000000000000000055511151231257827021181583404541015625");
@@ -222,7 +222,7 @@ fn of_more_than_nineteen_digits_the_rest_counts_as_a_little_more() {
     agrees(&long);
     let zeros = String::from("0.") + &"0".repeat(100_000) + "1e100001";
     agrees(&zeros);
-    // More than there is room for, which only in decimal is a float.
+    // More digits than fit, which is a float only in decimal.
     agrees(&"9".repeat(300));
     let hex = "0x".to_string() + &"f".repeat(60);
     let error = from_str::<f64>(&hex).unwrap_err();
@@ -231,7 +231,7 @@ fn of_more_than_nineteen_digits_the_rest_counts_as_a_little_more() {
 }
 
 #[test]
-fn random_decimals_of_up_to_forty_digits_are_rounded_as_the_standard_library_rounds_them() {
+fn random_decimals_of_up_to_forty_digits_round_as_in_the_standard_library() {
     let mut random = Random::seeded();
     for _ in 0..10_000 {
         let digits = random.below(40) + 1;
@@ -244,7 +244,7 @@ fn random_decimals_of_up_to_forty_digits_are_rounded_as_the_standard_library_rou
 }
 
 #[test]
-fn the_shortest_text_is_as_short_as_the_standard_librarys_and_reads_back() {
+fn the_shortest_text_is_as_short_as_in_the_standard_library_and_reads_back() {
     let mut random = Random::seeded();
     let mut buffer = [0xA5; 32];
     let powers = (0..2046u64).flat_map(|field| {
@@ -284,8 +284,7 @@ fn the_shortest_text_is_as_short_as_the_standard_librarys_and_reads_back() {
     }
 }
 
-/// Checks that a text has the digits of the other; if both are equally near, it may have the even
-/// one, as Python's.
+/// Compares the digits of two texts. If both are equally near, ours may have the even one, like Python.
 #[track_caller]
 fn as_good(ours: &str, theirs: &str, exact: &str) {
     let [ours, theirs, exact] = [ours, theirs, exact].map(digits);
@@ -306,13 +305,13 @@ fn digits(text: &str) -> String {
 }
 
 #[test]
-fn a_number_of_decimals_is_written_as_the_standard_library_does() {
+fn fixed_decimals_are_written_as_in_the_standard_library() {
     let mut random = Random::seeded();
     let mut buffer = [0xA5; 400];
     for _ in 0..50_000 {
         let decimals = random.below(7);
         let value = match random.below(3) {
-            // Often exactly half way.
+            // Often exactly halfway.
             0 => (random.below(20_000) as f32 - 10_000.0) / 16.0,
             1 => (random.below(20_000) as f32 - 10_000.0) / 1000.0,
             _ => f32::from_bits(random.next() as u32),

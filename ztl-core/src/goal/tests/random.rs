@@ -6,11 +6,11 @@ use serde::de::IgnoredAny;
 use super::{Command, Pose, any};
 use crate::goal::{from_str, from_str_with, to_slice};
 
-/// Numbers as random as a test needs them (xorshift64*).
+/// A simple generator of random numbers (xorshift64*).
 pub(super) struct Random(u64);
 
 impl Random {
-    /// From the seed in `ZTL_SEED`, else always the same.
+    /// Takes the seed from `ZTL_SEED`; otherwise it is constant.
     pub(super) fn seeded() -> Self {
         let named = std::env::var("ZTL_SEED")
             .ok()
@@ -111,14 +111,14 @@ const TOKENS: &[&str] = &[
 ];
 
 #[test]
-fn whatever_comes_in_is_a_value_or_an_error_at_a_place_in_the_text() {
+fn any_text_gives_a_value_or_an_error_within_the_text() {
     let mut random = Random::seeded();
     let (mut good, mut bad) = (0, 0);
     for round in 0..100_000 {
         let count = random.below(24);
         let mut text: String = match round % 4 {
             0 => (0..count).map(|_| random.pick(TOKENS)).collect(),
-            // Mostly well formed: values with something else here and there.
+            // Mostly well formed, with random tokens inserted.
             1 | 2 => grown(&mut random, 4),
             _ => {
                 let bytes: Vec<u8> = (0..count).map(|_| random.next() as u8).collect();
@@ -152,11 +152,11 @@ fn whatever_comes_in_is_a_value_or_an_error_at_a_place_in_the_text() {
         check(from_str::<(Option<&str>, &[u8], char)>(&text).err());
         check(from_str::<&str>(&text).err());
     }
-    // Both kinds are tried.
+    // Make sure that both outcomes are tested.
     assert!(good > 10_000 && bad > 10_000, "{good} good, {bad} bad");
 }
 
-/// A value's text in one of the styles.
+/// A value's text in a random style.
 fn grown(random: &mut Random, depth: usize) -> String {
     let kinds = if depth == 0 { 1 } else { 3 };
     let count = random.below(4);
@@ -200,7 +200,7 @@ fn grown(random: &mut Random, depth: usize) -> String {
 }
 
 #[test]
-fn what_was_written_is_read_back() {
+fn written_values_read_back() {
     let mut random = Random::seeded();
     let mut buffer = [0xA5; 1024];
     for _ in 0..20_000 {

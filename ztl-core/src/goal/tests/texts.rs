@@ -2,7 +2,7 @@ use super::{any, read};
 use crate::goal::{GoalErrorKind, from_str, from_str_with};
 use std::string::String;
 
-/// What a text in quotes means within a list.
+/// Decodes a quoted text in a list.
 #[track_caller]
 fn meant(quoted: &str) -> Result<String, usize> {
     let text = std::format!("[{quoted}]");
@@ -10,14 +10,14 @@ fn meant(quoted: &str) -> Result<String, usize> {
         Ok([text]) => Ok(text),
         Err(error) => {
             assert_eq!(error.kind, GoalErrorKind::BadEscape, "{quoted}");
-            // The escape's place behind the bracket.
+            // The position of the escape, without the bracket.
             Err(error.at - 1)
         }
     }
 }
 
 #[test]
-fn every_escape_of_python_is_read_in_either_quotes() {
+fn python_escapes_are_read_in_both_quotes() {
     for (escape, c) in [
         (r"\\", '\\'),
         (r"\'", '\''),
@@ -36,7 +36,7 @@ fn every_escape_of_python_is_read_in_either_quotes() {
         (r"\ufeff", '\u{feff}'),
         (r"\U0001F600", '😀'),
         (r"\U0010ffff", '\u{10ffff}'),
-        // As JSON writes what is beyond U+FFFF.
+        // As JSON writes characters beyond U+FFFF.
         (r"\ud83d\ude00", '😀'),
     ] {
         let expected = std::format!("a{c}1");
@@ -48,7 +48,7 @@ fn every_escape_of_python_is_read_in_either_quotes() {
 }
 
 #[test]
-fn yamls_escapes_are_read_in_double_quotes_only() {
+fn yaml_escapes_are_read_in_double_quotes_only() {
     for (escape, double, single) in [
         (r"\0", Ok("\0"), Err(2)),
         (r"\012", Ok("\x0012"), Err(2)),
@@ -59,7 +59,7 @@ fn yamls_escapes_are_read_in_double_quotes_only() {
         (r"\_", Ok("\u{a0}"), Ok(r"\_")),
         (r"\L", Ok("\u{2028}"), Ok(r"\L")),
         (r"\P", Ok("\u{2029}"), Ok(r"\P")),
-        // Neither knows these; in single quotes both leave them there.
+        // Unknown to both; in single quotes both keep the backslash.
         (r"\d", Err(2), Ok(r"\d")),
         (r"\é", Err(2), Ok(r"\é")),
         (r"\8", Err(2), Ok(r"\8")),
@@ -73,7 +73,7 @@ fn yamls_escapes_are_read_in_double_quotes_only() {
 }
 
 #[test]
-fn a_bad_escape_is_named_by_its_place() {
+fn a_bad_escape_is_reported_at_its_position() {
     for escape in [
         r"\x4",
         r"\xg0",
@@ -95,7 +95,7 @@ fn a_bad_escape_is_named_by_its_place() {
 }
 
 #[test]
-fn single_quotes_take_doubled_ones_and_escaped_ones() {
+fn a_single_quote_may_be_doubled_or_escaped() {
     for (quoted, text) in [
         ("''", ""),
         ("''''", "'"),
@@ -114,7 +114,7 @@ fn single_quotes_take_doubled_ones_and_escaped_ones() {
 }
 
 #[test]
-fn line_breaks_in_quotes_are_folded_as_in_yaml() {
+fn line_breaks_in_quotes_fold_as_in_yaml() {
     for (inner, text) in [
         ("a\nb", "a b"),
         ("a  \n\t b", "a b"),
@@ -128,13 +128,13 @@ fn line_breaks_in_quotes_are_folded_as_in_yaml() {
             assert_eq!(meant(&quoted).as_deref(), Ok(text), "{quoted:?}");
         }
     }
-    // What was escaped is no blank at a line's end.
+    // Escaped whitespace before a line break is kept.
     assert_eq!(meant("\"a\\t \nb\"").as_deref(), Ok("a\t b"));
     assert_eq!(meant("\"a\\x20\nb\"").as_deref(), Ok("a  b"));
 }
 
 #[test]
-fn without_scratch_a_text_with_escapes_is_refused_at_the_escape() {
+fn without_scratch_an_escape_is_an_error() {
     assert_eq!(from_str("['plain', \"it's\"]"), Ok(["plain", "it's"]));
     for (text, at) in [
         (r"['plain', 'it\'s']", 13),
@@ -153,7 +153,7 @@ fn without_scratch_a_text_with_escapes_is_refused_at_the_escape() {
 }
 
 #[test]
-fn texts_are_borrowed_from_the_scratch_one_behind_the_other() {
+fn several_texts_are_borrowed_from_the_scratch() {
     let mut scratch = [0xA5; 8];
     let text = r"['a\n', plain, '', 'b\x41', 'é''']";
     let texts: [&str; 5] = from_str_with(text, &mut scratch).unwrap();
@@ -162,7 +162,7 @@ fn texts_are_borrowed_from_the_scratch_one_behind_the_other() {
 }
 
 #[test]
-fn a_scratch_too_small_says_how_much_was_needed_so_far() {
+fn a_scratch_too_small_reports_the_size_needed_so_far() {
     for available in 0..9 {
         let mut scratch = [0xA5; 16];
         let text = r"['\n\n', 'x', '\x41\x42\x43\u00e9', 'y']";

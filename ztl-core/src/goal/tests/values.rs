@@ -64,7 +64,7 @@ fn variants_are_read_from_names_and_from_mappings() {
 }
 
 #[test]
-fn an_option_is_none_for_null_in_all_spellings_and_for_an_empty_goal() {
+fn an_option_is_none_for_every_spelling_of_null_and_an_empty_goal() {
     for text in ["None", "null", "Null", "NULL", "~", " None ", "", "  "] {
         assert_eq!(from_str::<Option<f32>>(text), Ok(None), "{text}");
         assert_eq!(from_str::<()>(text), Ok(()), "{text}");
@@ -79,7 +79,7 @@ fn an_option_is_none_for_null_in_all_spellings_and_for_an_empty_goal() {
 }
 
 #[test]
-fn a_bool_takes_the_words_of_yaml_which_are_texts_where_nothing_is_asked() {
+fn yaml_words_are_bools_for_a_bool_and_texts_for_any() {
     for (words, value) in [
         (
             [
@@ -114,7 +114,7 @@ fn a_bool_takes_the_words_of_yaml_which_are_texts_where_nothing_is_asked() {
 }
 
 #[test]
-fn what_is_not_asked_for_is_read_as_it_looks() {
+fn deserialize_any_reads_what_the_text_looks_like() {
     for (text, value) in [
         ("None", json!(null)),
         ("[]", json!([])),
@@ -122,7 +122,7 @@ fn what_is_not_asked_for_is_read_as_it_looks() {
         ("{}", json!({})),
         ("(1,)", json!([1])),
         ("[1, -2, 3.5, 1e3]", json!([1, -2, 3.5, 1000.0])),
-        // The second is YAML's for the text, which is what the first one is there.
+        // The second is how YAML quotes the text `-.0`, which the first one spells plainly.
         ("[-.0, '-.0']", json!([-0.0, "-.0"])),
         ("[0x1F, 0o17, 0b11, 1_000]", json!([31, 15, 3, 1000])),
         (
@@ -163,7 +163,7 @@ fn what_is_not_asked_for_is_read_as_it_looks() {
 }
 
 #[test]
-fn a_goal_that_is_a_text_is_taken_as_it_stands() {
+fn a_goal_that_is_a_text_is_taken_unchanged() {
     for text in [
         "hello, world: it's",
         "'tis",
@@ -185,7 +185,7 @@ fn a_goal_that_is_a_text_is_taken_as_it_stands() {
 }
 
 #[test]
-fn a_text_in_a_collection_is_what_is_written_there() {
+fn a_text_in_a_collection_is_plain_or_quoted() {
     let words: [&str; 5] = from_str("[left, 1e3, 'None', None, \"it's\"]").unwrap();
     assert_eq!(words, ["left", "1e3", "None", "None", "it's"]);
     assert_eq!(from_str("[a, 'b', 7]"), Ok(('a', 'b', '7')));
@@ -208,7 +208,7 @@ fn keys_have_types_too() {
 }
 
 #[test]
-fn collections_without_a_heap_are_filled() {
+fn heapless_collections_are_filled() {
     let few: heapless::Vec<f32, 4> = from_str("[1, 2.5]").unwrap();
     assert_eq!(few, [1.0, 2.5]);
     let texts: heapless::Vec<heapless::String<8>, 4> = read("['it\\'s', left]").unwrap();
@@ -222,7 +222,7 @@ fn collections_without_a_heap_are_filled() {
 }
 
 #[test]
-fn fields_that_nobody_wants_are_skipped_whatever_they_hold() {
+fn unknown_fields_are_skipped_with_any_value() {
     #[derive(Debug, PartialEq, Deserialize)]
     struct Speed {
         speed: u8,
@@ -232,7 +232,7 @@ fn fields_that_nobody_wants_are_skipped_whatever_they_hold() {
 }
 
 #[test]
-fn serdes_attributes_apply() {
+fn serde_attributes_apply() {
     #[derive(Debug, PartialEq, Deserialize)]
     #[serde(deny_unknown_fields, default)]
     struct Motion {
@@ -289,7 +289,7 @@ fn serdes_attributes_apply() {
 }
 
 #[test]
-fn eight_levels_are_read_and_a_ninth_is_refused_where_it_opens() {
+fn eight_levels_are_read_and_a_ninth_is_an_error_where_it_opens() {
     let nested = |levels: usize| "[".repeat(levels) + &"]".repeat(levels);
     assert!(any(&nested(MAX_DEPTH.into())).is_ok());
     let error = any(&nested(9)).unwrap_err();
@@ -299,13 +299,13 @@ fn eight_levels_are_read_and_a_ninth_is_refused_where_it_opens() {
 
     #[derive(Debug, Deserialize)]
     enum Onion {
-        #[expect(dead_code, reason = "what is within is not looked at")]
+        #[expect(dead_code, reason = "only the nesting matters")]
         Layer(std::boxed::Box<Onion>),
         Core,
     }
     let onion = |levels: usize| "{Layer: ".repeat(levels) + "Core" + &"}".repeat(levels);
     assert!(read::<Onion>(&onion(8)).is_ok());
     assert_eq!(read::<Onion>(&onion(9)).unwrap_err().at, 8 * 8);
-    // Siblings are no levels.
+    // Siblings do not nest.
     assert!(any(&std::format!("[{}]", "[], ".repeat(1000))).is_ok());
 }

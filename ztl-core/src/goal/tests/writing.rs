@@ -15,7 +15,7 @@ fn writes(value: &(impl Serialize + ?Sized), text: &str) {
 }
 
 #[test]
-fn results_are_written_as_pythons_str_does() {
+fn results_are_written_as_by_pythons_str() {
     writes("it's", "it's");
     writes("", "");
     writes(&'x', "x");
@@ -76,7 +76,7 @@ fn variants_are_names_and_mappings() {
 }
 
 #[test]
-fn floats_are_written_as_pythons_repr_does() {
+fn floats_are_written_as_by_pythons_repr() {
     for (value, text) in [
         (0.0, "0.0"),
         (-0.0, "-0.0"),
@@ -111,7 +111,7 @@ fn floats_are_written_as_pythons_repr_does() {
 }
 
 #[test]
-fn floats_may_have_a_number_of_decimals() {
+fn floats_can_have_fixed_decimals() {
     let mut text = String::new();
     let pose = Pose {
         x: 39.96,
@@ -124,7 +124,7 @@ fn floats_may_have_a_number_of_decimals() {
 }
 
 #[test]
-fn a_display_is_quoted_as_a_whole() {
+fn display_output_is_quoted_as_a_whole() {
     struct Pieces(&'static str);
     impl Display for Pieces {
         fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -143,7 +143,7 @@ fn a_display_is_quoted_as_a_whole() {
 }
 
 #[test]
-fn more_than_eight_levels_are_not_written() {
+fn more_than_eight_levels_are_an_error() {
     let nested = |levels| {
         let mut value = serde_json::json!(7);
         for _ in 0..levels {
@@ -159,7 +159,7 @@ fn more_than_eight_levels_are_not_written() {
 }
 
 #[test]
-fn a_buffer_too_small_says_how_much_the_whole_takes() {
+fn a_buffer_too_small_reports_the_size_needed() {
     let error = to_slice(&["left", "right"], &mut [0xA5; 10]).unwrap_err();
     let BufferTooSmall {
         needed, available, ..

@@ -1,4 +1,4 @@
-//! One connection, as a peer sees it from outside.
+//! One connection, tested from the peer's side.
 
 use core::time::Duration;
 use std::vec::Vec;
@@ -15,8 +15,8 @@ fn open() -> Server {
     server
 }
 
-/// One whose handshake is done.
-fn met(socket: &str) -> Server {
+/// A connection whose handshake is done.
+fn handshaken(socket: &str) -> Server {
     let mut server = open();
     let heard = server.talk(Pieces::Whole, &[greeting(), ready(socket)].concat());
     assert_eq!(heard, [GREETING, Rep::READY].concat());
@@ -24,7 +24,7 @@ fn met(socket: &str) -> Server {
     server
 }
 
-/// Answers what has come with this.
+/// Replies to the current message.
 fn answer(server: &mut Server, text: &str) -> Vec<u8> {
     server.reply(&mut |sink| sink.put(text.as_bytes()));
     server.drain()
@@ -37,7 +37,7 @@ fn assert_body(server: &Server, body: &[u8]) {
 }
 
 #[test]
-fn a_request_gets_its_answer_however_its_bytes_arrive() {
+fn a_request_is_answered_however_its_bytes_are_split() {
     for pieces in BOTH {
         let mut server = open();
         let all = [greeting(), ready("REQ"), request(b"what?")].concat();
@@ -50,7 +50,7 @@ fn a_request_gets_its_answer_however_its_bytes_arrive() {
 }
 
 #[test]
-fn before_the_peers_version_is_known_only_the_partial_greeting_goes_out() {
+fn only_the_partial_greeting_is_sent_before_the_peers_version_is_known() {
     let mut server = open();
     assert_eq!(server.drain(), b"\xFF\0\0\0\0\0\0\0\x01\x7F\x03");
     assert!(server.talk(Pieces::Single, &greeting()[..10]).is_empty());
@@ -61,7 +61,7 @@ fn before_the_peers_version_is_known_only_the_partial_greeting_goes_out() {
 }
 
 #[test]
-fn padding_as_server_minor_version_and_filler_of_a_peer_do_not_matter() {
+fn padding_as_server_minor_version_and_filler_are_ignored() {
     for place in (1..9).chain([11]).chain(32..64) {
         let mut strange = greeting();
         strange[place] = 0xEE;
@@ -73,7 +73,7 @@ fn padding_as_server_minor_version_and_filler_of_a_peer_do_not_matter() {
 }
 
 #[test]
-fn what_is_no_zmtp_or_version_1_is_given_up() {
+fn other_protocols_and_zmtp_1_are_closed() {
     let mut old = greeting();
     old[10] = 0;
     let mut even = greeting();
@@ -87,7 +87,7 @@ fn what_is_no_zmtp_or_version_1_is_given_up() {
 }
 
 #[test]
-fn a_peer_that_wants_a_password_gets_the_whole_greeting_and_is_closed() {
+fn a_peer_that_requires_a_password_gets_the_whole_greeting_and_is_closed() {
     for pieces in BOTH {
         let mut plain = greeting();
         plain[12..17].copy_from_slice(b"PLAIN");
@@ -99,7 +99,7 @@ fn a_peer_that_wants_a_password_gets_the_whole_greeting_and_is_closed() {
 }
 
 #[test]
-fn a_longer_mechanism_that_begins_with_null_is_another() {
+fn a_mechanism_that_only_begins_with_null_is_closed() {
     let mut longer = greeting();
     longer[16] = b'S';
     let mut server = open();
@@ -108,7 +108,7 @@ fn a_longer_mechanism_that_begins_with_null_is_another() {
 }
 
 #[test]
-fn properties_come_in_any_order_and_unknown_ones_are_ignored() {
+fn properties_may_have_any_order_and_unknown_ones_are_ignored() {
     let metadata = [
         property("Identity", b"me"),
         property("X-Purpose", &[0xFF; 30]),
@@ -140,7 +140,7 @@ fn a_long_ready_is_read_as_far_as_it_fits() {
 }
 
 #[test]
-fn another_kind_of_socket_is_told_so_and_closed() {
+fn an_unsupported_socket_type_gets_an_error_and_is_closed() {
     let cut = &property("Socket-Type", b"REQ")[..14];
     for metadata in [&property("Socket-Type", b"PUB")[..], b"", b"\xFF", cut] {
         let mut server = open();
@@ -153,7 +153,7 @@ fn another_kind_of_socket_is_told_so_and_closed() {
 }
 
 #[test]
-fn the_fixed_commands_are_what_the_grammar_says() {
+fn the_constant_commands_follow_the_grammar() {
     fn check<S: Socket>() {
         let name = std::str::from_utf8(S::NAME).unwrap();
         assert_eq!(S::READY, ready(name));
@@ -173,18 +173,18 @@ fn the_fixed_commands_are_what_the_grammar_says() {
 }
 
 #[test]
-fn an_error_of_the_peer_ends_it_at_any_time() {
+fn an_error_from_the_peer_closes_at_any_time() {
     let error = command("ERROR", b"\x02no");
     let mut server = open();
     server.talk(Pieces::Whole, &[greeting(), error.clone()].concat());
     assert_eq!(server.fault(), Some(Fault::Refused));
-    let mut server = met("REQ");
+    let mut server = handshaken("REQ");
     server.talk(Pieces::Whole, &error);
     assert_eq!(server.fault(), Some(Fault::Refused));
 }
 
 #[test]
-fn nothing_but_ready_belongs_into_the_handshake() {
+fn any_frame_but_ready_in_the_handshake_closes() {
     for first in [
         request(b"early"),
         command("PING", b"\0\0"),
@@ -197,7 +197,7 @@ fn nothing_but_ready_belongs_into_the_handshake() {
 }
 
 #[test]
-fn who_never_finishes_the_handshake_is_given_up() {
+fn an_unfinished_handshake_times_out() {
     for first in [0, 5, 30, 64, 70] {
         let mut server = open();
         let all = [greeting(), ready("REQ")].concat();
@@ -209,9 +209,9 @@ fn who_never_finishes_the_handshake_is_given_up() {
         assert!(!server.is_open());
         assert_eq!(server.fault(), Some(Fault::Silent));
     }
-    let server = met("REQ");
+    let server = handshaken("REQ");
     assert_eq!(server.poll_timeout(), crate::Instant::NEVER);
-    // One that has gone by itself is not given up later.
+    // A connection that was closed by the peer does not time out later.
     let mut server = open();
     server.close();
     server.handle_timeout(NOW + HANDSHAKE);
@@ -221,7 +221,7 @@ fn who_never_finishes_the_handshake_is_given_up() {
 #[test]
 fn a_ping_is_answered_with_its_context() {
     for pieces in BOTH {
-        let mut server = met("DEALER");
+        let mut server = handshaken("DEALER");
         for context in [&b""[..], b"x", b"sixteen bytes ..", b"\0\xFF"] {
             let ping = command("PING", &[b"\0\0", context].concat());
             let pong = command("PONG", context);
@@ -235,11 +235,11 @@ fn a_ping_is_answered_with_its_context() {
 }
 
 #[test]
-fn a_ping_comes_through_between_frames_and_while_an_answer_is_held() {
+fn a_ping_is_answered_between_frames_and_while_a_reply_is_held() {
     let ping = command("PING", b"\0\0hi");
     let pong = command("PONG", b"hi");
     for pieces in BOTH {
-        let mut server = met("DEALER");
+        let mut server = handshaken("DEALER");
         assert!(server.talk(pieces, &frame(1, b"me")).is_empty());
         assert_eq!(server.talk(pieces, &ping), pong);
         server.talk(pieces, &request(&[b'x'; 60]));
@@ -254,8 +254,8 @@ fn a_ping_comes_through_between_frames_and_while_an_answer_is_held() {
 }
 
 #[test]
-fn after_the_time_to_live_that_a_peer_asked_for_it_is_given_up() {
-    let mut server = met("REQ");
+fn a_silent_peer_is_closed_after_its_time_to_live() {
+    let mut server = handshaken("REQ");
     server.talk(Pieces::Whole, &command("PING", b"\0\x05"));
     let later = NOW + Duration::from_millis(500);
     assert_eq!(server.poll_timeout(), later);
@@ -267,24 +267,24 @@ fn after_the_time_to_live_that_a_peer_asked_for_it_is_given_up() {
     assert!(server.is_open());
     server.handle_timeout(NOW + Duration::from_millis(900));
     assert_eq!(server.fault(), Some(Fault::Silent));
-    // The longest is 109 minutes.
-    let mut server = met("REQ");
+    // The longest time to live is 109 minutes.
+    let mut server = handshaken("REQ");
     server.talk(Pieces::Whole, &command("PING", b"\xFF\xFF"));
     assert_eq!(
         server.poll_timeout(),
         NOW + Duration::from_millis(6_553_500)
     );
-    // It may take that back.
-    let mut server = met("REQ");
+    // A time to live of 0 revokes it.
+    let mut server = handshaken("REQ");
     server.talk(Pieces::Whole, &command("PING", b"\0\x05"));
     server.talk(Pieces::Whole, &command("PING", b"\0\0"));
     assert_eq!(server.poll_timeout(), crate::Instant::NEVER);
 }
 
 #[test]
-fn unknown_commands_are_ignored_and_so_is_a_ping_without_a_time() {
+fn unknown_commands_and_a_ping_without_a_time_to_live_are_ignored() {
     for pieces in BOTH {
-        let mut server = met("REQ");
+        let mut server = handshaken("REQ");
         for strange in [
             command("SUBSCRIBE", b"all"),
             command("X", &[0xEE; 300]),
@@ -302,9 +302,9 @@ fn unknown_commands_are_ignored_and_so_is_a_ping_without_a_time() {
 }
 
 #[test]
-fn an_envelope_comes_back_as_it_was() {
+fn an_envelope_is_returned_unchanged() {
     for pieces in BOTH {
-        let mut server = met("DEALER");
+        let mut server = handshaken("DEALER");
         let envelope = [frame(1, b"c"), frame(1, b"\0u\xFF"), frame(1, b"")].concat();
         server.talk(pieces, &[envelope.clone(), frame(0, b"body")].concat());
         let message = server.message().unwrap();
@@ -319,13 +319,13 @@ fn an_envelope_comes_back_as_it_was() {
 }
 
 #[test]
-fn long_frames_are_taken_and_written_where_they_have_to_be() {
+fn long_frames_are_read_and_written_only_where_needed() {
     for pieces in BOTH {
         let mut server = Connection::<Rep, _>::new(std::vec![0xA5; 1000]);
         server.open(NOW);
         server.talk(pieces, &[greeting(), ready("DEALER")].concat());
         let (address, body) = ([b'a'; 300], [b'b'; 400]);
-        // A size of 8 bytes where one would do is read too, and answered with one.
+        // A size of 8 bytes where one is enough is read, and answered with one.
         let wordy = [
             frame(3, b"id"),
             frame(1, &address),
@@ -346,7 +346,7 @@ fn long_frames_are_taken_and_written_where_they_have_to_be() {
 }
 
 #[test]
-fn a_message_beyond_65535_bytes_says_its_whole_size() {
+fn a_message_beyond_65535_bytes_has_its_full_size() {
     let mut client = Connection::<Req, _>::new(std::vec![0; 70_000]);
     let mut server = Connection::<Rep, _>::new(std::vec![0; 70_000]);
     server.open(NOW);
@@ -356,14 +356,14 @@ fn a_message_beyond_65535_bytes_says_its_whole_size() {
     let body = [b'b'; 65_536];
     assert!(client.request(&[], &mut |sink| sink.put(&body)));
     server.talk(Pieces::Whole, &client.drain());
-    // Not `assert_eq`, which would print them.
+    // `assert_eq` would print them.
     assert!(server.message().unwrap().content == Content::One(&body));
 }
 
 #[test]
-fn a_body_of_several_frames_is_one_message_to_be_answered_once() {
+fn a_body_of_several_frames_is_answered_once() {
     for pieces in BOTH {
-        let mut server = met("REQ");
+        let mut server = handshaken("REQ");
         let frames = [
             frame(1, b""),
             frame(1, b"one"),
@@ -379,9 +379,9 @@ fn a_body_of_several_frames_is_one_message_to_be_answered_once() {
 }
 
 #[test]
-fn what_is_too_long_for_the_buffer_is_skipped_and_can_be_answered() {
+fn a_body_too_long_for_the_buffer_is_skipped_and_can_be_answered() {
     for pieces in BOTH {
-        let mut server = met("REQ");
+        let mut server = handshaken("REQ");
         for size in [104, 300, SKIPPED as usize] {
             server.talk(pieces, &request(&std::vec![b'x'; size]));
             assert_eq!(
@@ -397,7 +397,7 @@ fn what_is_too_long_for_the_buffer_is_skipped_and_can_be_answered() {
 }
 
 #[test]
-fn a_frame_beyond_all_measure_ends_the_connection_whatever_it_announces() {
+fn a_frame_beyond_the_limit_closes_the_connection() {
     for size in [
         u64::from(SKIPPED) + 1,
         1 << 32,
@@ -407,7 +407,7 @@ fn a_frame_beyond_all_measure_ends_the_connection_whatever_it_announces() {
         u64::MAX,
     ] {
         for flags in [2, 3, 6] {
-            let mut server = met("REQ");
+            let mut server = handshaken("REQ");
             let header = [&[1, 0, flags][..], &size.to_be_bytes()].concat();
             server.talk(Pieces::Single, &header);
             assert_eq!(server.fault(), Some(Fault::TooLong), "{size} {flags}");
@@ -416,19 +416,19 @@ fn a_frame_beyond_all_measure_ends_the_connection_whatever_it_announces() {
 }
 
 #[test]
-fn an_envelope_that_cannot_be_kept_ends_the_connection() {
-    let mut server = met("DEALER");
+fn an_envelope_that_does_not_fit_closes_the_connection() {
+    let mut server = handshaken("DEALER");
     server.talk(Pieces::Whole, &frame(1, &[1; 100]));
     assert_eq!(server.fault(), Some(Fault::TooLong));
-    let mut server = met("DEALER");
+    let mut server = handshaken("DEALER");
     server.talk(Pieces::Whole, &frame(1, b"x").repeat(40));
     assert_eq!(server.fault(), Some(Fault::TooLong));
 }
 
 #[test]
-fn a_message_without_a_delimiter_or_a_body_is_dropped_and_the_next_is_served() {
+fn a_message_without_delimiter_or_body_is_dropped() {
     for pieces in BOTH {
-        let mut server = met("DEALER");
+        let mut server = handshaken("DEALER");
         for strange in [
             frame(0, b"body"),
             frame(0, b""),
@@ -445,9 +445,9 @@ fn a_message_without_a_delimiter_or_a_body_is_dropped_and_the_next_is_served() {
 }
 
 #[test]
-fn flags_that_do_not_exist_end_the_connection() {
+fn undefined_flags_close_the_connection() {
     for flags in (8..=255).chain([5, 7]) {
-        let mut server = met("REQ");
+        let mut server = handshaken("REQ");
         server.talk(Pieces::Whole, &[flags]);
         assert_eq!(server.fault(), Some(Fault::Flags), "{flags}");
     }
@@ -456,7 +456,7 @@ fn flags_that_do_not_exist_end_the_connection() {
 #[test]
 fn pipelined_requests_wait_in_the_stream() {
     for pieces in BOTH {
-        let mut server = met("DEALER");
+        let mut server = handshaken("DEALER");
         let two = [request(b"one"), request(b"two")].concat();
         let taken = match pieces {
             Pieces::Whole => server.handle_bytes(NOW, &two),
@@ -479,8 +479,8 @@ fn pipelined_requests_wait_in_the_stream() {
 }
 
 #[test]
-fn an_answer_that_does_not_fit_is_cut_at_a_character_and_marked() {
-    let mut server = met("REQ");
+fn a_reply_that_does_not_fit_is_cut_at_a_character_boundary() {
+    let mut server = handshaken("REQ");
     for (unit, kept) in [
         ("x", "x".repeat(91)),
         ("ä", "ä".repeat(45)),
@@ -494,7 +494,7 @@ fn an_answer_that_does_not_fit_is_cut_at_a_character_and_marked() {
 }
 
 #[test]
-fn a_peer_of_zmtp_2_gets_its_answer() {
+fn a_zmtp_2_peer_is_answered() {
     let begin = b"\xFF\0\0\0\0\0\0\0\x01\x7F\x01";
     for identity in [&b"\0\0"[..], b"\0\x02me", b"\x02\0\0\0\0\0\0\0\x03abc"] {
         for pieces in BOTH {
@@ -520,7 +520,7 @@ fn a_peer_of_zmtp_2_gets_its_answer() {
 }
 
 #[test]
-fn a_client_talks_to_a_server_of_zmtp_2_too() {
+fn a_client_talks_to_a_zmtp_2_server() {
     for pieces in BOTH {
         let mut client = Connection::<Req, _>::new([0xA5; 128]);
         client.open(NOW);
@@ -535,7 +535,7 @@ fn a_client_talks_to_a_server_of_zmtp_2_too() {
 }
 
 #[test]
-fn after_it_was_opened_again_nothing_is_left_of_the_one_before() {
+fn reopening_resets_all_state() {
     let whole = [
         greeting(),
         ready("DEALER"),
@@ -561,7 +561,7 @@ fn after_it_was_opened_again_nothing_is_left_of_the_one_before() {
 }
 
 #[test]
-fn both_sides_meet_as_every_pair_of_sockets_that_may() {
+fn every_allowed_pair_of_sockets_connects() {
     fn meet<S: Socket, T: Socket>() -> bool {
         let mut one = Connection::<S, _>::new([0xA5; 128]);
         let mut two = Connection::<T, _>::new([0xA5; 128]);
@@ -585,7 +585,7 @@ fn both_sides_meet_as_every_pair_of_sockets_that_may() {
 }
 
 #[test]
-fn a_dealer_sends_an_envelope_of_its_own_and_knows_its_answer() {
+fn a_dealer_sends_an_envelope_and_gets_it_back() {
     let mut server = open();
     let mut client = Connection::<Dealer, _>::new([0xA5; 128]);
     client.open(NOW);

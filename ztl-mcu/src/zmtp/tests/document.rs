@@ -1,4 +1,4 @@
-//! The example bytes of `docs/zmtp.md` are what a server takes and says.
+//! The example bytes of `docs/zmtp.md` match the server.
 
 use std::vec::Vec;
 
@@ -7,11 +7,11 @@ use crate::zmtp::Peer;
 
 const DOCUMENT: &str = include_str!("../../../../docs/zmtp.md");
 
-/// `ff 7*00 "text"`, up to a `;` outside of quotes.
+/// Parses `ff 7*00 "text"`, up to a `;` outside quotes.
 #[track_caller]
 fn bytes(line: &str) -> Vec<u8> {
     let mut bytes = Vec::new();
-    // Every second piece stands in quotes.
+    // Every second piece is quoted.
     for (place, piece) in line.split('"').enumerate() {
         if place % 2 == 1 {
             bytes.extend(piece.as_bytes());
@@ -31,7 +31,7 @@ fn bytes(line: &str) -> Vec<u8> {
     bytes
 }
 
-/// Plays a block; says how many bytes were compared.
+/// Plays a block; returns how many bytes were compared.
 fn play(block: &str, pieces: Pieces) -> usize {
     let mut desk = desk();
     desk.open(NOW, Peer(0));
@@ -60,7 +60,7 @@ fn play(block: &str, pieces: Pieces) -> usize {
 }
 
 #[test]
-fn the_conversations_of_the_document_are_what_a_server_says() {
+fn the_documents_conversations_match_the_server() {
     let blocks = DOCUMENT.split("```zmtp\n").skip(1);
     let blocks: Vec<&str> = blocks
         .filter_map(|block| block.split("```").next())
@@ -73,7 +73,7 @@ fn the_conversations_of_the_document_are_what_a_server_says() {
     }
 }
 
-/// Each behaviour names where it comes from.
+/// Each clause names its source.
 #[test]
 fn every_clause_of_the_document_cites_its_source() {
     let (_, clauses) = DOCUMENT.split_once("## What it does").expect("the clauses");

@@ -1,4 +1,4 @@
-//! A serial port, on which clients come and go without a sign.
+//! A serial port on which clients come and go unannounced.
 
 use core::time::Duration;
 use std::collections::VecDeque;
@@ -69,7 +69,7 @@ impl Rig {
         }
     }
 
-    /// Sends the bytes; what comes back within some turns of the main loop.
+    /// Sends the bytes; returns what comes back within a few turns of the main loop.
     fn send(&mut self, bytes: &[u8]) -> Vec<u8> {
         self.port.received.extend(bytes);
         for _ in 0..40 {
@@ -89,7 +89,7 @@ impl Rig {
 }
 
 #[test]
-fn nothing_is_said_before_a_client_has_begun() {
+fn nothing_is_sent_before_a_client_begins() {
     let mut rig = Rig::new();
     assert!(rig.send(b"").is_empty());
     assert!(rig.send(b"noise \xFF\0\0\xFF").is_empty());
@@ -99,13 +99,13 @@ fn nothing_is_said_before_a_client_has_begun() {
 }
 
 #[test]
-fn the_next_client_is_served_wherever_the_one_before_broke_off() {
+fn a_new_client_is_served_wherever_the_former_one_broke_off() {
     let all = [
         greeting(),
         ready("DEALER"),
         frame(1, b"me"),
         request(init("desk:motor:up").as_bytes()),
-        // It waits for its answer.
+        // A client that waits for its reply.
         request(b"/lab;3;1;"),
         frame(1, b"")[..1].to_vec(),
     ]
@@ -115,7 +115,7 @@ fn the_next_client_is_served_wherever_the_one_before_broke_off() {
         rig.port.received.extend(&all[..cut]);
         rig.send(b"");
         let begin = [greeting(), ready("REQ")].concat();
-        // And hears nothing that was meant for that one.
+        // The new one receives nothing meant for the former.
         let heard = rig.send(&begin);
         assert!(heard == [GREETING, Rep::READY].concat(), "cut at {cut}");
         assert_eq!(
@@ -127,7 +127,7 @@ fn the_next_client_is_served_wherever_the_one_before_broke_off() {
 }
 
 #[test]
-fn a_signature_with_an_identity_counts_too_and_a_doubled_first_byte() {
+fn a_signature_may_hold_an_identity_and_follow_a_stray_ff() {
     let mut rig = Rig::new();
     let mut begin = [&b"\xFF"[..], &greeting(), &ready("REQ")].concat();
     begin[9] = 0x21;
@@ -136,7 +136,7 @@ fn a_signature_with_an_identity_counts_too_and_a_doubled_first_byte() {
 }
 
 #[test]
-fn what_ends_as_a_signature_begins_is_answered_after_a_pause_or_with_the_next_byte() {
+fn a_request_that_ends_like_a_signature_is_answered_after_a_pause_or_the_next_byte() {
     let mut ready = ready("REQ");
     ready.extend(b"\x08Identity\0\0\0\x01\xFF");
     ready[1] = ready.len() as u8 - 2;
@@ -162,7 +162,7 @@ fn what_ends_as_a_signature_begins_is_answered_after_a_pause_or_with_the_next_by
 
 /// As on a very slow line.
 #[test]
-fn a_signature_is_one_however_slowly_it_comes() {
+fn a_signature_may_arrive_slowly() {
     let mut rig = Rig::new();
     rig.send(
         &[

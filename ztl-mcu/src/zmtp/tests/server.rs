@@ -17,7 +17,7 @@ fn later(millis: u64) -> Instant {
     NOW + Duration::from_millis(millis)
 }
 
-/// Lets the motor make so many steps.
+/// Lets the motor take this many steps.
 fn steps(desk: &mut Desk, count: usize) {
     for _ in 0..count {
         desk.handle_timeout(NOW);
@@ -37,12 +37,12 @@ fn a_task_completes() {
     assert_eq!(
         client.ask("/lab;3;1;"),
         "/lab;5;1;False",
-        "an end is an end"
+        "a final state never changes"
     );
 }
 
 #[test]
-fn a_task_is_aborted_and_the_answer_comes_when_it_has_stopped() {
+fn an_abort_is_answered_when_the_task_has_stopped() {
     let mut desk = desk();
     let mut client = connect(&mut desk, 0);
     client.ask(&init("desk:motor:up"));
@@ -53,7 +53,7 @@ fn a_task_is_aborted_and_the_answer_comes_when_it_has_stopped() {
 }
 
 #[test]
-fn an_abort_is_answered_in_time_by_a_motor_that_does_not_stop() {
+fn an_abort_is_answered_in_time_even_if_the_motor_does_not_stop() {
     let mut desk = desk();
     let mut client = connect(&mut desk, 0);
     client.desk.components_mut()[0].stubborn = true;
@@ -66,7 +66,7 @@ fn an_abort_is_answered_in_time_by_a_motor_that_does_not_stop() {
 }
 
 #[test]
-fn a_task_that_waits_tells_nothing_before_it_begins() {
+fn a_waiting_task_has_no_progress() {
     let mut desk = desk();
     let mut client = connect(&mut desk, 0);
     client.desk.components_mut()[0].patient = true;
@@ -86,7 +86,7 @@ fn a_task_that_waits_tells_nothing_before_it_begins() {
 }
 
 #[test]
-fn what_cannot_be_done_is_refused_with_the_reason() {
+fn an_impossible_task_is_rejected_with_the_reason() {
     let mut desk = desk();
     let mut client = connect(&mut desk, 0);
     for (task, answer) in [
@@ -108,7 +108,7 @@ fn what_cannot_be_done_is_refused_with_the_reason() {
 
 /// Wire specification 4.3, 4.4 and 11.
 #[test]
-fn each_kind_of_request_is_answered_as_the_original_does_or_should() {
+fn each_kind_of_request_is_answered_as_specified() {
     let mut desk = desk();
     let mut client = connect(&mut desk, 0);
     for (body, answer) in [
@@ -152,7 +152,7 @@ fn each_kind_of_request_is_answered_as_the_original_does_or_should() {
 }
 
 #[test]
-fn the_reply_to_a_long_goal_is_cut_and_still_tells_the_id() {
+fn the_reply_to_a_long_goal_is_cut_but_keeps_the_id() {
     let mut desk = desk();
     let mut client = connect(&mut desk, 0);
     let goal = "u".repeat(140);
@@ -165,7 +165,7 @@ fn the_reply_to_a_long_goal_is_cut_and_still_tells_the_id() {
 }
 
 #[test]
-fn however_long_a_scope_or_an_id_is_the_answer_is_one_that_clients_can_read() {
+fn replies_stay_readable_for_scopes_and_ids_of_any_length() {
     let mut desk = desk();
     let mut client = connect(&mut desk, 0);
     for length in 0..256 {
@@ -188,7 +188,7 @@ fn however_long_a_scope_or_an_id_is_the_answer_is_one_that_clients_can_read() {
 }
 
 #[test]
-fn clients_are_served_side_by_side_and_a_further_one_finds_no_place() {
+fn clients_are_served_concurrently_and_an_extra_one_gets_no_slot() {
     for pieces in BOTH {
         let mut desk = desk();
         assert_eq!(desk.vacant(), Some(Peer(0)));
@@ -198,7 +198,7 @@ fn clients_are_served_side_by_side_and_a_further_one_finds_no_place() {
         let heard = second.talk(pieces, &request(b"/lab;2;1;"));
         assert_eq!(text(&heard), "/lab;1;1;None");
         assert_eq!(desk.vacant(), None);
-        // No place: nothing happens to the others.
+        // No slot: the other clients are not affected.
         desk.open(NOW, Peer(2));
         assert_eq!(desk.handle_bytes(NOW, Peer(2), b"abc"), 3);
         assert!(desk.transmit_buf(Peer(2)).is_empty());
@@ -209,7 +209,7 @@ fn clients_are_served_side_by_side_and_a_further_one_finds_no_place() {
 }
 
 #[test]
-fn the_held_answer_of_one_who_left_does_not_reach_who_comes_after() {
+fn a_held_reply_never_reaches_the_next_client_in_the_slot() {
     let mut desk = desk();
     let mut client = connect(&mut desk, 0);
     client.ask(&init("desk:motor:up"));
@@ -219,12 +219,12 @@ fn the_held_answer_of_one_who_left_does_not_reach_who_comes_after() {
     let ask = enveloped(7, 1, "/lab;2;1;wait 1000");
     assert!(next.talk(Pieces::Whole, &ask).is_empty(), "held too");
     steps(next.desk, 1);
-    // Not `True`, which the one before would have been told.
+    // The former client would have been told `True`.
     assert_eq!(text(&next.drain()[32..]), "/lab;4;1;stopped half way");
 }
 
 #[test]
-fn a_request_that_breaks_off_anywhere_harms_nobody() {
+fn a_request_may_break_off_anywhere() {
     let whole = [
         greeting(),
         ready("REQ"),
@@ -247,7 +247,7 @@ fn a_request_that_breaks_off_anywhere_harms_nobody() {
 fn a_thousand_clients_come_and_go() {
     let mut desk = desk();
     for round in 0..1000 {
-        let peer = desk.vacant().expect("a place");
+        let peer = desk.vacant().expect("a slot");
         let mut client = connect(&mut desk, peer.0);
         assert_eq!(
             client.ask("/lab;2;1;"),
@@ -259,7 +259,7 @@ fn a_thousand_clients_come_and_go() {
 }
 
 #[test]
-fn one_who_never_finishes_the_greeting_gives_its_place_up() {
+fn an_unfinished_greeting_frees_its_slot() {
     let mut desk = desk();
     desk.open(NOW, Peer(0));
     desk.handle_bytes(NOW, Peer(0), &greeting()[..20]);
@@ -287,7 +287,7 @@ fn enveloped(client: u8, number: u64, body: &str) -> std::vec::Vec<u8> {
 }
 
 #[test]
-fn an_init_of_our_client_that_comes_twice_acts_once() {
+fn a_repeated_init_of_our_client_starts_one_task() {
     for pieces in BOTH {
         let mut desk = desk();
         let mut client = connect(&mut desk, 0);
@@ -298,7 +298,7 @@ fn an_init_of_our_client_that_comes_twice_acts_once() {
         assert_eq!(text(&first[32..]), STARTED);
         let again = client.talk(pieces, &ask);
         let again = text(&again[32..]);
-        // What is kept of the text is shorter.
+        // The stored text is shorter.
         assert!(again.starts_with("/lab;1;1;Initiated task '1'"), "{again}");
         steps(client.desk, 3);
         assert_eq!(client.ask("/lab;2;1;"), "/lab;5;1;3 of 3");
@@ -307,7 +307,7 @@ fn an_init_of_our_client_that_comes_twice_acts_once() {
 }
 
 #[test]
-fn a_status_of_our_client_waits_for_the_end() {
+fn status_of_our_client_waits_for_the_final_state() {
     let mut desk = desk();
     let mut client = connect(&mut desk, 0);
     client.ask(&init("desk:motor:up"));
@@ -315,7 +315,7 @@ fn a_status_of_our_client_waits_for_the_end() {
     assert!(client.talk(Pieces::Whole, &ask).is_empty());
     steps(client.desk, 3);
     assert_eq!(text(&client.drain()[32..]), "/lab;5;1;3 of 3");
-    // Whoever else has a place is answered meanwhile.
+    // Other clients are answered meanwhile.
     client.ask(&init("desk:motor:up"));
     assert!(
         client
@@ -348,7 +348,7 @@ fn an_emergency_stop_is_latched() {
 }
 
 #[test]
-fn the_probe_tells_what_it_is() {
+fn probe_describes_the_device() {
     let mut desk = desk();
     let mut client = connect(&mut desk, 0);
     let answer = client.ask("$ztl;2;-1;probe");
@@ -359,7 +359,7 @@ fn the_probe_tells_what_it_is() {
 }
 
 #[test]
-fn more_of_our_clients_than_there_are_places_come_within_a_minute() {
+fn more_clients_than_records_are_served_within_a_minute() {
     let mut desk = desk();
     let mut asked = std::vec::Vec::<std::vec::Vec<u8>>::new();
     for number in 1..=100 {
@@ -380,7 +380,7 @@ fn more_of_our_clients_than_there_are_places_come_within_a_minute() {
         let end = std::format!("/lab;5;{number};3 of 3");
         assert_eq!(text(&client.drain()[32..]), end);
         desk.close(Peer(number % 2));
-        // The INIT of the last but one comes again, of which nothing is left.
+        // Repeat the INIT of the second-to-last client, whose record is gone.
         if let [_, _, _, .., again, _] = &asked[..] {
             let mut client = connect(&mut desk, 1 - number % 2);
             let heard = client.talk(Pieces::Whole, again);

@@ -2,20 +2,20 @@
 
 use std::sync::LazyLock;
 
-/// What it was built from what, for `--version`.
+/// The text of `--version`.
 pub(crate) fn version() -> &'static str {
     static VERSION: LazyLock<String> = LazyLock::new(|| {
         let (major, minor, patch) = zmq::version();
         let encrypts = match zmq::has("curve") {
-            Some(true) => "with CURVE: it can encrypt",
-            _ => "without CURVE: it cannot encrypt",
+            Some(true) => "with CURVE: supports encryption",
+            _ => "without CURVE: no encryption",
         };
-        // Of a release: its compilers and the other libraries in it.
+        // In a release: its compilers and other libraries.
         let with = option_env!("ZTL_BUILD_WITH").map(|with| format!("\nwith: {with}"));
         format!(
             "{}\ncommit: {}\ntarget: {}\nlibzmq: {major}.{minor}.{patch}, {encrypts}{}",
             env!("CARGO_PKG_VERSION"),
-            option_env!("ZTL_BUILD_COMMIT").unwrap_or("unknown, built by cargo alone"),
+            option_env!("ZTL_BUILD_COMMIT").unwrap_or("unknown (built with cargo)"),
             target(),
             with.unwrap_or_default(),
         )
@@ -23,7 +23,7 @@ pub(crate) fn version() -> &'static str {
     &VERSION
 }
 
-/// The target, as compilers name it.
+/// The target triple, if known.
 pub(crate) fn target() -> String {
     use std::env::consts::{ARCH, OS};
     let plain = || format!("{ARCH}-{OS}");

@@ -1,25 +1,25 @@
-//! On which kernels this program runs.
+//! Checks whether the kernel is new enough.
 
-/// The oldest kernel whose system calls are enough.
+/// The oldest kernel that has all the system calls needed.
 const OLDEST: (u32, u32, u32) = (2, 6, 32);
 
-/// What is wrong with the kernel that runs, if it is too old.
+/// An error message if the running kernel is too old.
 pub(crate) fn is_too_old() -> Option<String> {
     too_old(&rustix::system::uname().release().to_string_lossy())
 }
 
-/// The numbers of a kernel's release, as `3.2.0-4-amd64`.
+/// The version in a kernel's release, such as `3.2.0-4-amd64`.
 fn numbers(release: &str) -> Option<(u32, u32, u32)> {
     let mut parts = release.split(['.', '-', '+']).map(str::parse::<u32>);
     let (major, minor) = (parts.next()?.ok()?, parts.next()?.ok()?);
     Some((major, minor, parts.next().and_then(Result::ok).unwrap_or(0)))
 }
 
-/// What is wrong with a kernel, if it is too old.
+/// An error message if this kernel is too old.
 pub(crate) fn too_old(release: &str) -> Option<String> {
     let (major, minor, patch) = OLDEST;
     (numbers(release)? < OLDEST)
-        .then(|| format!("this is Linux {release}, and ztl needs {major}.{minor}.{patch} or newer"))
+        .then(|| format!("Linux {release} is too old: ztl needs {major}.{minor}.{patch} or newer"))
 }
 
 #[cfg(test)]
@@ -27,7 +27,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn kernels_are_told_apart_by_their_numbers() {
+    fn kernels_are_compared_by_version() {
         for fine in [
             "2.6.32",
             "2.6.32-5-686",
@@ -38,12 +38,12 @@ mod tests {
         ] {
             assert_eq!(too_old(fine), None, "{fine}");
         }
-        // A release of nobody's making is no reason to stop.
+        // An unknown release must not prevent the start.
         assert_eq!(too_old("unknown"), None);
         let said = too_old("2.6.18-164.el5").expect("too old");
         assert_eq!(
             said,
-            "this is Linux 2.6.18-164.el5, and ztl needs 2.6.32 or newer"
+            "Linux 2.6.18-164.el5 is too old: ztl needs 2.6.32 or newer"
         );
         assert!(too_old("2.4.20").is_some());
     }

@@ -1,4 +1,4 @@
-//! `ztl keys`: a pair of keys for encrypted connections.
+//! `ztl keys`: generates a key pair for encrypted connections.
 
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -10,12 +10,12 @@ use crate::terminal::line;
 
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "Writes NAME.key, the public key, to be given to others, and NAME.key_secret, for its owner alone;
-both as pyzmq's and CZMQ's certificates. A server needs its own NAME.key_secret and its clients' .key
-files; a client its own .key_secret and the server's .key."
+    after_help = "Writes NAME.key, the public key to share, and NAME.key_secret, to keep private, in the format of
+pyzmq's and CZMQ's certificates. A server needs its own .key_secret and its clients' .key files; a
+client needs its own .key_secret and the server's .key file."
 )]
 pub(crate) struct Keys {
-    /// Who they are for: a name, or a path without an ending
+    /// Name of the owner, or a path without extension
     #[arg(value_name = "NAME")]
     name: PathBuf,
 }
@@ -25,12 +25,12 @@ impl Keys {
         let keys = KeyPair::generate()?;
         let [public, secret] = keys.write(&self.name)?;
         line(format_args!(
-            "{}: the public key {}, to be given to others",
+            "{}: public key {}, to share",
             public.display(),
             keys.public()
         ));
         line(format_args!(
-            "{}: the secret key, for its owner alone",
+            "{}: secret key, to keep private",
             secret.display()
         ));
         Ok(ExitCode::SUCCESS)

@@ -1,5 +1,5 @@
-//! Serial ports: which there are, whether this user may open them, and who else has them open. None
-//! is opened: that would reset many a board.
+//! Checks serial ports: which exist, whether this user may open them, and which process has them open. Opens
+//! none of them, because that would reset many boards.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -11,10 +11,10 @@ use serde_json::json;
 
 use super::Finding;
 
-/// How the names of ports begin that are worth showing by themselves. `ttyS` is not: there are always four.
+/// Prefixes of ports to list. `ttyS` is not one of them: there are always four.
 const NAMES: [&str; 6] = ["ttyACM", "ttyUSB", "ttyAMA", "ttyTHS", "ttySAC", "ttymxc"];
 
-/// A program that asks every new port whether it is a modem.
+/// Probes every new port for a modem.
 const MODEM_MANAGER: &str = "ModemManager";
 
 pub(super) fn ports(wished: &[PathBuf]) -> Vec<Finding> {
@@ -36,8 +36,8 @@ pub(super) fn ports(wished: &[PathBuf]) -> Vec<Finding> {
     found.sort();
     if found.is_empty() {
         return vec![
-            Finding::note("serial", "no port at USB, and none of the processor's own")
-                .with_remedy("for a device that is plugged in, see the end of `dmesg`; for another port, `ztl doctor --serial /dev/ttyS0`"),
+            Finding::note("serial", "no port found, neither USB nor built in")
+                .with_remedy("if a device is plugged in, see the end of `dmesg`; for another port, use `ztl doctor --serial /dev/ttyS0`"),
         ];
     }
     found.iter().map(|path| one(path, false)).collect()
@@ -59,21 +59,21 @@ fn port(
             return Finding::trouble(
                 "serial",
                 format!("{shown}: {error}"),
-                "is it plugged in? `ztl doctor` lists the ports that there are, `dmesg` what was found",
+                "is it plugged in? `ztl doctor` lists all ports; `dmesg` shows what the kernel detected",
             );
         }
     };
     if !about.file_type().is_char_device() || !is_terminal(&real) {
         return Finding::trouble(
             "serial",
-            format!("{shown} is no serial port"),
-            "`ztl doctor` without --serial lists those that there are",
+            format!("{shown} is not a serial port"),
+            "`ztl doctor` without --serial lists all ports",
         );
     }
     let group = name_of("/etc/group", about.gid());
     let mode = about.permissions().mode() & 0o777;
     let stable = names.get(&real);
-    let mut text = format!("{shown}, of group {group}, mode {mode:o}");
+    let mut text = format!("{shown}, group {group}, mode {mode:o}");
     if let Some(stable) = stable {
         text += &format!(", also {stable}");
     }
@@ -82,26 +82,26 @@ fn port(
         json!({ "path": shown.to_string(), "stable": stable, "group": group, "used_by": others });
     if let Err(error) = rustix::fs::access(path, Access::READ_OK | Access::WRITE_OK) {
         let user = name_of("/etc/passwd", rustix::process::getuid().as_raw());
-        // Of the superuser's group, others may not be made members for this.
+        // Users should not join the superuser's group for this.
         let remedy = match group.as_str() {
-            "root" | "0" => format!("as root, `chgrp dialout {shown} && chmod 660 {shown}`"),
-            group => format!("as root, `usermod -a -G {group} {user}`, and log in again"),
+            "root" | "0" => format!("run as root: `chgrp dialout {shown} && chmod 660 {shown}`"),
+            group => format!("run as root: `usermod -a -G {group} {user}`, then log in again"),
         };
-        let text = format!("{text}: {user} may not open it ({error})");
+        let text = format!("{text}: permission denied for {user} ({error})");
         return Finding::trouble("serial", text, remedy).with(data);
     }
     if !others.is_empty() {
         let who = others.join(", ");
-        let text = format!("{text}: {who} has it open");
+        let text = format!("{text}: opened by {who}");
         let remedy = match others.iter().any(|other| other.contains(MODEM_MANAGER)) {
             true => {
-                "`systemctl disable --now ModemManager`, or a rule for udev with ENV{ID_MM_DEVICE_IGNORE}=\"1\""
+                "`systemctl disable --now ModemManager`, or a udev rule with ENV{ID_MM_DEVICE_IGNORE}=\"1\""
             }
-            false => "stop that program; two at one port take each other's bytes",
+            false => "stop that program; two readers on one port take each other's bytes",
         };
         return match is_wished {
             true => Finding::trouble("serial", text, remedy),
-            // It may well be a gateway that does its work.
+            // Not a problem: it may be a running gateway.
             false => Finding::note("serial", text),
         }
         .with(data);
@@ -109,14 +109,14 @@ fn port(
     Finding::good("serial", text).with(data)
 }
 
-/// Whether the kernel drives it as a terminal; where the kernel does not tell, it may be one.
+/// Whether the kernel treats it as a terminal; assumed if the kernel does not say.
 fn is_terminal(port: &Path) -> bool {
     let known = Path::new("/sys/class/tty");
     let name = port.file_name().unwrap_or_default();
     !known.exists() || known.join(name).exists() || port.starts_with("/dev/pts")
 }
 
-/// The names that stay the same wherever a device is plugged in, by the port.
+/// Stable names of ports, independent of where the device is plugged in.
 fn stable_names() -> BTreeMap<PathBuf, String> {
     let entries = fs::read_dir("/dev/serial/by-id")
         .into_iter()
@@ -130,7 +130,7 @@ fn stable_names() -> BTreeMap<PathBuf, String> {
         .collect()
 }
 
-/// Who has which terminal open, as far as this user may see it.
+/// Which processes have which terminals open, as far as this user may see.
 fn users() -> BTreeMap<PathBuf, Vec<String>> {
     let mut users: BTreeMap<PathBuf, Vec<String>> = BTreeMap::new();
     for process in fs::read_dir("/proc").into_iter().flatten().flatten() {
@@ -159,7 +159,7 @@ fn users() -> BTreeMap<PathBuf, Vec<String>> {
     users
 }
 
-/// The name of a user or a group, by a file of the form `name:x:ID:…`.
+/// Looks up the name of a user or group in a file of lines `name:x:ID:…`.
 fn name_of(file: &str, id: u32) -> String {
     let text = fs::read_to_string(file).unwrap_or_default();
     let mut lines = text.lines().map(|line| line.split(':'));

@@ -1,4 +1,4 @@
-//! Where a gateway keeps its journal: can it be written, and is there room?
+//! Checks the gateway's journal directory: is it writable, and is there space?
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -8,16 +8,16 @@ use serde_json::json;
 use super::Finding;
 use crate::journal;
 
-/// Less room than this is trouble, in bytes.
+/// Less free space than this is a problem, in bytes.
 const ROOM: u64 = 16 << 20;
 
 pub(super) fn journal(wished: Option<&Path>) -> Finding {
     let remedy =
-        "give a directory that this user may write: `ztl gateway --journal DIR`, or --no-journal";
+        "choose a writable directory with `ztl gateway --journal DIR`, or use --no-journal";
     let Some(directory) = wished.map(PathBuf::from).or_else(journal::directory) else {
         return Finding::trouble(
             "journal",
-            "no place for it: neither STATE_DIRECTORY nor XDG_STATE_HOME nor HOME is set",
+            "no directory: none of STATE_DIRECTORY, XDG_STATE_HOME and HOME is set",
             remedy,
         );
     };
@@ -26,23 +26,24 @@ pub(super) fn journal(wished: Option<&Path>) -> Finding {
         return Finding::trouble("journal", format!("{shown}: {error}"), remedy)
             .with(json!({ "directory": shown }));
     }
-    // What is nearest to a directory that a gateway would still make.
+    // The nearest existing parent of a directory that the gateway would create.
     let there = directory.ancestors().find(|path| path.exists());
     let free = there
         .and_then(|path| rustix::fs::statvfs(path).ok())
         .map(|disk| disk.f_bavail.saturating_mul(disk.f_frsize));
     let text = match free {
-        Some(free) => format!("{shown} can be written, {} MiB are free", free >> 20),
-        None => format!("{shown} can be written"),
+        Some(free) => format!("{shown} is writable, {} MiB free", free >> 20),
+        None => format!("{shown} is writable"),
     };
     let data = json!({ "directory": shown, "free_bytes": free });
     if free.is_some_and(|free| free < ROOM) {
-        return Finding::trouble("journal", text, "make room, or choose another disk").with(data);
+        return Finding::trouble("journal", text, "free some space, or choose another disk")
+            .with(data);
     }
     Finding::good("journal", text).with(data)
 }
 
-/// Writes a file and takes it away; a directory that is not there is made and taken away too.
+/// Writes and removes a file; creates and removes missing directories as well.
 fn try_to_write(directory: &Path) -> std::io::Result<()> {
     let lacking = !directory.exists();
     let first_made = directory
@@ -55,7 +56,7 @@ fn try_to_write(directory: &Path) -> std::io::Result<()> {
     let written = fs::write(&file, b"a line as long as one of a journal\n");
     let _ = fs::remove_file(&file);
     if lacking && let Some(made) = first_made {
-        // Only what was made here, and is empty.
+        // Remove only directories created here, and only if empty.
         for path in directory.ancestors() {
             let _ = fs::remove_dir(path);
             if path == made {

@@ -1,4 +1,4 @@
-//! The machine: kernel, processor, memory, clocks, random numbers, open files.
+//! Checks the machine: kernel, processor, memory, clocks, random numbers, open files.
 
 use std::fs;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
@@ -8,10 +8,10 @@ use serde_json::json;
 use super::Finding;
 use crate::{about, kernel};
 
-/// Below it a clock has never been set: this program is younger.
+/// A clock before this was never set.
 const YOUNGEST: u64 = 1_704_067_200; // 2024-01-01
 
-/// How long the monotonic clock is watched.
+/// How long to watch the monotonic clock.
 const WATCH: Duration = Duration::from_millis(60);
 
 pub(super) fn kernel() -> Finding {
@@ -27,7 +27,7 @@ pub(super) fn kernel() -> Finding {
         Some(mistake) => Finding::trouble(
             "kernel",
             format!("{text}: {mistake}"),
-            "run ztl on a newer machine beside this one",
+            "run ztl on a newer machine next to this one",
         ),
         None => Finding::good("kernel", text),
     }
@@ -36,7 +36,7 @@ pub(super) fn kernel() -> Finding {
 
 pub(super) fn processor() -> Finding {
     let Ok(text) = fs::read_to_string("/proc/cpuinfo") else {
-        return Finding::note("cpu", "/proc/cpuinfo cannot be read")
+        return Finding::note("cpu", "cannot read /proc/cpuinfo")
             .with_remedy("mount -t proc proc /proc");
     };
     let value = |keys: &[&str]| {
@@ -53,14 +53,14 @@ pub(super) fn processor() -> Finding {
     let known: Vec<&str> = known.into_iter().filter(|name| has(name)).collect();
     let count = std::thread::available_parallelism().map_or(1, usize::from);
     let text = format!(
-        "{}, {count} in use; {}",
+        "{}, {count} available; {}",
         model.unwrap_or_else(|| "unknown model".to_owned()),
         match known.as_slice() {
-            [] => "no features that matter here".to_owned(),
+            [] => "no relevant features".to_owned(),
             some => some.join(" "),
         }
     );
-    // A program for too new a processor would hardly come this far, but it may.
+    // A program for a newer processor would probably crash before this, but not always.
     let lacking = match about::target().split('-').next().unwrap_or_default() {
         "i686" if !has("sse2") => Some(("sse2", "i586")),
         "armv7" if !has("vfpv3") && !has("vfpv3d16") && !has("asimd") => Some(("vfpv3", "arm")),
@@ -72,8 +72,8 @@ pub(super) fn processor() -> Finding {
     match lacking {
         Some((feature, other)) if !features.is_empty() => Finding::trouble(
             "cpu",
-            format!("{text}: it lacks {feature}, which this program was built for"),
-            format!("take the program for {other}"),
+            format!("{text}: lacks {feature}, which this program requires"),
+            format!("use the program for {other}"),
         ),
         _ => Finding::good("cpu", text),
     }
@@ -86,16 +86,16 @@ pub(super) fn memory() -> Finding {
         let line = text.lines().find_map(|line| line.strip_prefix(key))?;
         line.split_whitespace().next()?.parse::<u64>().ok()
     };
-    // Kernels before 3.14 do not tell what is available.
+    // Kernels before 3.14 have no `MemAvailable`.
     let estimate = || Some(kib("MemFree:")? + kib("Cached:")?);
     let Some((total, left)) = kib("MemTotal:").zip(kib("MemAvailable:").or_else(estimate)) else {
-        return Finding::note("memory", "/proc/meminfo cannot be read")
+        return Finding::note("memory", "cannot read /proc/meminfo")
             .with_remedy("mount -t proc proc /proc");
     };
-    let said = format!("{} MiB of {} MiB are free", left / 1024, total / 1024);
+    let said = format!("{} MiB of {} MiB free", left / 1024, total / 1024);
     let data = json!({ "free_kib": left, "total_kib": total });
     if left < 16 * 1024 {
-        let remedy = "stop what needs most: `ps -eo rss,args | sort -n`";
+        let remedy = "stop the largest programs: `ps -eo rss,args | sort -n`";
         return Finding::trouble("memory", said, remedy).with(data);
     }
     Finding::good("memory", said).with(data)
@@ -111,15 +111,15 @@ pub(super) fn wall_clock() -> Finding {
     if seconds < YOUNGEST {
         return Finding::trouble(
             "clock",
-            format!("it says {text}, and has not been set since the machine was started"),
-            "`date -s '2026-01-31 12:00'`, or ntpd; tasks run by another clock, but logs, journals and records are dated by this one",
+            format!("reads {text}: not set since the machine started"),
+            "run `date -s '2026-01-31 12:00'` or ntpd; tasks do not depend on this clock, but logs, journals and records do",
         )
         .with(data);
     }
     Finding::good("clock", text).with(data)
 }
 
-/// Tasks, links and timeouts run by it.
+/// The clock of tasks, links and timeouts.
 pub(super) fn monotonic_clock() -> Finding {
     use rustix::time::{ClockId, clock_getres, clock_gettime};
     let nanos = |time: rustix::time::Timespec| {
@@ -142,7 +142,7 @@ pub(super) fn monotonic_clock() -> Finding {
         name => format!(", from {name}"),
     };
     let text = format!(
-        "monotonic, in steps of {} us{source}; the longest pause of this program in {} ms was {} us",
+        "monotonic, resolution {} us{source}; longest pause of this program in {} ms: {} us",
         (resolution + 999) / 1000,
         WATCH.as_millis(),
         longest / 1000
@@ -155,52 +155,55 @@ pub(super) fn monotonic_clock() -> Finding {
     if back > 0 {
         return Finding::trouble(
             "timer",
-            format!("the clock that tasks run by went back {back} times"),
-            "another clock source: boot with `clocksource=hpet` or `clocksource=acpi_pm`",
+            format!("the monotonic clock went back {back} times"),
+            "use another clock source: boot with `clocksource=hpet` or `clocksource=acpi_pm`",
         )
         .with(data);
     }
     if resolution > 1_000_000 {
         return Finding::note("timer", text)
             .with_remedy(
-                "a kernel with high-resolution timers; commands over links are repeated later",
+                "use a kernel with high-resolution timers; without them, commands over links are resent late",
             )
             .with(data);
     }
     Finding::good("timer", text).with(data)
 }
 
-/// Ids of tasks and sessions are random; a young machine may have no random numbers yet.
+/// Ids of tasks and sessions are random. Shortly after boot there may be no random numbers yet.
 pub(super) fn randomness() -> Finding {
     let begin = Instant::now();
     let mut bytes = [0; 16];
     match getrandom::fill(&mut bytes) {
         Ok(()) if begin.elapsed() < Duration::from_secs(1) => {
-            Finding::good("random", "the system gives random numbers")
+            Finding::good("random", "random numbers are available")
         }
         Ok(()) => Finding::note(
             "random",
-            format!("random numbers took {:.1} s", begin.elapsed().as_secs_f32()),
+            format!(
+                "waited {:.1} s for random numbers",
+                begin.elapsed().as_secs_f32()
+            ),
         )
-        .with_remedy("start servers later while the machine starts; or haveged"),
+        .with_remedy("start servers later in the boot process, or install haveged"),
         Err(error) => Finding::trouble(
             "random",
-            format!("the system gives no random numbers: {error}"),
-            "`mknod -m 666 /dev/random c 1 8; mknod -m 666 /dev/urandom c 1 9`: kernels before 3.17 give them by these alone",
+            format!("no random numbers: {error}"),
+            "run `mknod -m 666 /dev/random c 1 8; mknod -m 666 /dev/urandom c 1 9`: kernels before 3.17 need these files",
         ),
     }
 }
 
-/// Each connection is an open file.
+/// Each connection takes one open file.
 pub(super) fn files() -> Finding {
     let limit = rustix::process::getrlimit(rustix::process::Resource::Nofile).current;
     let text = match limit {
-        Some(limit) => format!("{limit} may be open"),
-        None => "any number may be open".to_owned(),
+        Some(limit) => format!("up to {limit} open files"),
+        None => "no limit on open files".to_owned(),
     };
     let data = json!({ "limit": limit });
     if limit.is_some_and(|limit| limit < 256) {
-        let remedy = "`ulimit -n 1024` before a server is started; each client takes one";
+        let remedy = "run `ulimit -n 1024` before starting a server; each client takes one";
         return Finding::trouble("files", text, remedy).with(data);
     }
     Finding::good("files", text).with(data)

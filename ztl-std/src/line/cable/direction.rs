@@ -1,4 +1,4 @@
-//! One direction between two real ends: a [`FaultyLine`] that a thread fills and another empties.
+//! One direction between two real ends: a [`FaultyLine`] that one thread fills and another drains.
 
 use std::io::{Read, Write};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -9,20 +9,20 @@ use super::super::{Counts, FaultyLine};
 use crate::clock::now;
 use crate::gateway::{READ_TIMEOUT, is_pause};
 
-/// Bytes are handed on at most this late, so that few wake-ups carry many.
+/// Longest delay added to collect bytes, so that few wake-ups carry many.
 const BURST: Duration = Duration::from_millis(1);
-/// Bytes taken at once.
+/// Bytes read at once.
 const PIECE: usize = 1024;
 
-pub(super) struct Way {
+pub(super) struct Direction {
     line: Mutex<FaultyLine>,
-    /// Bytes have come or gone.
+    /// Signals that bytes were added or removed.
     changed: Condvar,
-    /// Where they go; `None` while nobody is there.
+    /// The receiving end; `None` while it is closed.
     out: Mutex<Option<Box<dyn Write + Send>>>,
 }
 
-impl Way {
+impl Direction {
     pub(super) fn new(line: FaultyLine) -> Self {
         Self {
             line: Mutex::new(line),
@@ -39,7 +39,7 @@ impl Way {
         *self.out.lock().unwrap_or_else(PoisonError::into_inner) = out;
     }
 
-    /// Takes what arrives until the stream breaks, no faster than the line carries it.
+    /// Reads from the stream until it breaks, no faster than the line rate.
     pub(super) fn take(&self, mut reader: impl Read, stop: &AtomicBool) {
         let mut buffer = [0; PIECE];
         while !stop.load(Ordering::Acquire) {
@@ -60,7 +60,7 @@ impl Way {
         }
     }
 
-    /// Hands on what comes out, each byte when it is due.
+    /// Passes each byte on when it is due.
     pub(super) fn carry(&self, stop: &AtomicBool) {
         let mut buffer = [0; PIECE];
         while !stop.load(Ordering::Acquire) {
@@ -72,7 +72,7 @@ impl Way {
         }
     }
 
-    /// Whether somebody has taken the bytes.
+    /// Writes the bytes; returns `false` if there is no receiver.
     fn write(&self, bytes: &[u8]) -> bool {
         let mut out = self.out.lock().unwrap_or_else(PoisonError::into_inner);
         match out.as_mut() {
@@ -81,19 +81,19 @@ impl Way {
         }
     }
 
-    /// How many bytes may be taken; waits for a moment while that is none.
+    /// Number of bytes that may be sent. If it is 0, waits briefly.
     fn wait_room(&self) -> usize {
         let line = self.line();
         let room = line.room(now());
         if room > 0 {
             return room.min(PIECE);
         }
-        // It comes with the time, whether bytes go or not.
+        // Room appears with time, even if no bytes move.
         drop(self.changed.wait_timeout(line, BURST));
         0
     }
 
-    /// Bytes that are due; waits for them for a moment.
+    /// Returns bytes that are due. If there are none, waits briefly.
     fn wait_bytes(&self, buffer: &mut [u8]) -> usize {
         let mut line = self.line();
         let time = now();
