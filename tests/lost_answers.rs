@@ -9,7 +9,7 @@ use ztl_std::{
     ExecutableTask, RemoteTask, RequestError, State, TaskContext, TaskController, TaskError,
     TaskRequest, TaskServer, TriggerError,
 };
-use ztl_tests::lab::PATIENCE;
+use ztl_tests::lab::{PATIENCE, SCOPE, Server, until};
 
 /// What the wire does to the first INIT that passes.
 #[derive(Clone, Copy, PartialEq)]
@@ -174,4 +174,28 @@ fn a_quick_task_is_run_in_a_single_round_trip() {
     let end = remote.run("h", "c", "g", Some(PATIENCE));
     let end = end.expect("it is taken").expect("it ends");
     assert_eq!((end.state, end.text.as_str()), (State::Completed, "done"));
+}
+
+#[test]
+fn an_init_to_a_server_that_hangs_is_unknown_though_the_server_cannot_be_asked_about_it() {
+    let server = Server::ours();
+    let remote = RemoteTask::connect(&server.endpoint(), SCOPE).unwrap();
+    let mut remote = remote.with_timeout(Duration::from_millis(300));
+    until("the server answers", PATIENCE, || {
+        remote.server_info(true).ok()
+    });
+    server.process.signal("STOP");
+    // It waits in the server's connection. The question about it needs another one, which a server that hangs
+    // does not accept.
+    let error = remote.trigger("test", "sleep", "60").unwrap_err();
+    let TriggerError::Request(error) = error else {
+        panic!("{error:?}");
+    };
+    assert!(matches!(error, RequestError::NoAnswer { .. }), "{error:?}");
+    assert!(!error.nothing_was_sent());
+    server.process.signal("CONT");
+    until("the task runs", PATIENCE, || {
+        let tasks = remote.ask_server("tasks").ok()??;
+        tasks.contains("test:sleep:60").then_some(())
+    });
 }

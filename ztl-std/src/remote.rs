@@ -256,12 +256,11 @@ impl RemoteTask {
         })
         .map_err(TriggerError::Request)?;
         let mut said = self.ask_while(wanted, request);
-        let mut outcomes = 0;
-        while let Err(Unanswered { outcome: true, .. }) = said
-            && outcomes < OUTCOMES
-        {
-            outcomes += 1;
-            said = self.ask_outcome();
+        if matches!(said, Err(Unanswered { outcome: true, .. })) {
+            // Only an answer settles what became of the INIT. A question that could not be sent, because the
+            // server hangs or is gone, says nothing about it: the INIT was sent.
+            let answer = (0..OUTCOMES).find_map(|_| self.ask_outcome().ok());
+            said = answer.map_or(said, Ok);
         }
         match said.map_err(|unanswered| TriggerError::Request(unanswered.error))? {
             Said::NeverStarted => Err(TriggerError::NeverCame),

@@ -109,7 +109,9 @@ extern "C" fn main() -> ! {
         tasks(&mut table, text);
         dispatch(&mut dispatcher, input, text);
         run_client(&mut client, input, text);
-        black_box(Node::<[Part; 1], 4, 128>::fits(&Component::offer(&Part::new())));
+        black_box(Node::<[Part; 1], 4, 128>::fits(&Component::offer(
+            &Part::new(),
+        )));
         run_node(&mut node, input);
         run_node(&mut long_framed, input);
         run_node(&mut ready_node, input);
