@@ -49,7 +49,7 @@ pub struct Welcome<'a> {
     pub components: u8,
     /// After how long without a new command it acts by itself.
     pub link_timeout_ms: u32,
-    /// The highest id started since boot, 0 when none; and one for each other gateway that has taken over.
+    /// The highest id started since boot, 0 when none. Each takeover by another gateway adds one.
     pub highest: u32,
     /// The tasks it holds: running, or ended and not acknowledged.
     pub held: Ids<'a>,

@@ -1,7 +1,7 @@
 //! Ready components on `embedded-hal` 1.0: give them the pins of your board and their limits, and they
 //! are [`Component`](crate::Component)s. With the feature `components`.
 //!
-//! | | on | goals | when the link is lost |
+//! | | on | goals | when the link is lost, with or without a task |
 //! |---|---|---|---|
 //! | [`Servo`] | a PWM channel | an angle: `45.5` | holds, or lets go |
 //! | [`Stepper`] | step and direction pins, perhaps enable and limit switches | a position: `1200`; `home` | stops at once; holds, or lets go |

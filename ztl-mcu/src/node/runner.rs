@@ -4,7 +4,7 @@ use ztl_core::Instant;
 use ztl_core::link::{Busy, LinkId, Loss};
 
 use super::commands::{NO_PLACE, NOT_TAKEN};
-use super::tasks::{Stage, TEXT, Table, Task, Text};
+use super::tasks::{Stage, TEXT, Table, Text};
 use super::{Components, Reason};
 use crate::component::{Component, Refused, Report, Run};
 
@@ -63,17 +63,36 @@ impl<C, const TASKS: usize> Runner<C, TASKS> {
 }
 
 impl<C: Components, const TASKS: usize> Runner<C, TASKS> {
+    /// Polls the components that move for a task, and those without one that are not in the safe state yet; then lets
+    /// begin what waits.
     #[cfg_attr(target_os = "none", inline(never))]
     pub(crate) fn handle_timeout(&mut self, now: Instant) {
-        let moving = |task: &&mut Task| task.moves() && now >= task.wake;
-        for task in self.tasks.0.iter_mut().filter(moving) {
-            let place = usize::from(task.component);
+        let safety = now >= self.safety_wake;
+        if safety {
+            self.safety_wake = Instant::NEVER;
+        }
+        for place in 0..self.components.count() {
             let Some(component) = self.components.component_mut(place) else {
                 continue;
             };
+            let task = self.tasks.moving(place);
+            let due = match &task {
+                Some(task) => now >= task.wake,
+                None => safety && goes_to_safety(component, self.all_to_safety),
+            };
+            if !due {
+                continue;
+            }
             let mut text = Text::new();
             let run = component.poll(now, &mut Report::new(&mut text));
-            task.wake = component.poll_timeout(now);
+            let wake = component.poll_timeout(now);
+            let Some(task) = task else {
+                if run == Run::Running {
+                    self.safety_wake = self.safety_wake.min(wake);
+                }
+                continue;
+            };
+            task.wake = wake;
             task.news |= text != task.text;
             task.text = text;
             let end = match run {
@@ -90,9 +109,6 @@ impl<C: Components, const TASKS: usize> Runner<C, TASKS> {
             };
             task.set_end(end, now, why);
         }
-        if now >= self.safety_wake {
-            self.poll_to_safety(now);
-        }
         // Each of them moves then, or has ended.
         while let Some(task) = self.tasks.next_in_turn() {
             let goal = core::mem::take(&mut task.text);
@@ -106,20 +122,6 @@ impl<C: Components, const TASKS: usize> Runner<C, TASKS> {
                     task.news = true;
                 }
                 Some(Err(Refused)) | None => task.set_end(Stage::Failed, now, ""),
-            }
-        }
-    }
-
-    /// Polls the components without a task until they are in the safe state. One that has a task is polled for that.
-    fn poll_to_safety(&mut self, now: Instant) {
-        self.safety_wake = Instant::NEVER;
-        for place in 0..self.components.count() {
-            if self.tasks.moving(place).is_none()
-                && let Some(component) = self.components.component_mut(place)
-                && goes_to_safety(component, self.all_to_safety)
-                && component.poll(now, &mut Report::new(&mut Text::new())) == Run::Running
-            {
-                self.safety_wake = self.safety_wake.min(component.poll_timeout(now));
             }
         }
     }

@@ -158,8 +158,8 @@ impl<const N: usize> Table<N> {
     }
 
     /// The task that moves the component of this number.
-    pub(super) fn moving(&self, component: usize) -> Option<&Task> {
-        let mut tasks = self.0.iter();
+    pub(super) fn moving(&mut self, component: usize) -> Option<&mut Task> {
+        let mut tasks = self.0.iter_mut();
         tasks.find(|task| task.moves() && usize::from(task.component) == component)
     }
 

@@ -247,6 +247,8 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> Inner<'_, C, TASKS, 
             return false;
         }
         let (begin, room) = self.transmit.room(const { longest::reading(FRAME) });
+        // When the first of the components that have none wants to be asked again.
+        let mut wake = Instant::NEVER;
         loop {
             let place = usize::from(self.publisher);
             let component = self.runner.components.component_mut(place);
@@ -254,13 +256,11 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> Inner<'_, C, TASKS, 
                 self.publisher = 0;
                 self.readings_at = now.after(self.reading_interval);
                 if !core::mem::take(&mut self.published) {
-                    self.readings_at = self.readings_at.max(self.next_reading(now));
-                    return false;
+                    self.readings_at = self.readings_at.max(wake);
+                } else if self.reading_interval == 0 {
+                    continue;
                 }
-                if self.reading_interval > 0 {
-                    return false;
-                }
-                continue;
+                return false;
             };
             self.publisher = next;
             let own = topics(component);
@@ -268,6 +268,7 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> Inner<'_, C, TASKS, 
                 continue;
             }
             let Some(reading) = component.poll_reading(now, room) else {
+                wake = wake.min(component.poll_timeout(now));
                 continue;
             };
             let topic = usize::from(reading.topic);
@@ -285,16 +286,6 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> Inner<'_, C, TASKS, 
                 frame.put_own(begin, reading.len);
             });
         }
-    }
-
-    /// When the first of the components that publish something wants to be asked again; perhaps never.
-    fn next_reading(&self, now: Instant) -> Instant {
-        let components = &self.runner.components;
-        let all = (0..components.count()).filter_map(|place| components.component(place));
-        all.filter(|component| topics(*component) > 0)
-            .fold(Instant::NEVER, |wake, component| {
-                wake.min(component.poll_timeout(now))
-            })
     }
 
     fn encode_log(&mut self, log: &dyn LogSource) {

@@ -236,7 +236,9 @@ impl System for Lab {
         }
         for (task, client) in self.clients.iter().enumerate().take(self.asked) {
             let moves = self.truth.moves(task);
-            let open = !client.forgotten && !client.told.is_final();
+            // Another gateway may hold the device for good.
+            let holds = up(&self.gateways[client.gateway]);
+            let open = !client.forgotten && !client.told.is_final() && holds;
             if open && client.endless && moves && client.told == Told::Accepted {
                 continue;
             }
