@@ -86,6 +86,7 @@ fn each_command_ends_with_the_codes_of_the_document() {
         ("nonsense", 2, "every"),
         ("abort -p TESTS 7", 1, "abort"),
         ("abort -p TESTS -s /test 7", 1, "abort"),
+        ("abort -p TESTS -s /tset --all", 1, "abort"),
         ("check bad.yaml", 1, "check"),
         ("demo --once -p TAKEN", 1, "demo"),
         ("describe -p NOBODY", 1, "describe"),

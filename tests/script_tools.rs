@@ -455,6 +455,7 @@ fn what_cannot_be_is_said_before_anything_begins() {
         "timeuot: 3\non_failure: retri 2\n",
     )
     .unwrap();
+    fs::write(desk.files.path("zero.yaml"), "timeout: 0\n").unwrap();
     for (words, said) in [
         ("--yes --scene one", "no scene 'one'; there are: s one"),
         (
@@ -468,6 +469,10 @@ fn what_cannot_be_is_said_before_anything_begins() {
         (
             "--yes --defaults wrong.yaml",
             "wrong.yaml:2:13: 'retri 2' is not known here; did you mean 'retry 2'?",
+        ),
+        (
+            "--yes --defaults zero.yaml",
+            "zero.yaml:1:10: a limit of 0 seconds is no limit; write seconds, as 30, or none",
         ),
         ("--simulate=soon", "write a number of seconds, as 1 or 0.2"),
         ("--plain", "(25, 'Inappropriate ioctl for device')"),

@@ -139,6 +139,16 @@ pub(super) fn limit(text: &str) -> Result<Option<Duration>, String> {
     Ok(Some(delay(seconds)).filter(|limit| !limit.is_zero()))
 }
 
+/// The same in a defaults file, where 0 is a mistake: it would take the limit from every task.
+fn stated_limit(text: &str) -> Result<Option<Duration>, String> {
+    match limit(text)? {
+        None if text != "none" => {
+            Err("a limit of 0 seconds is no limit; write seconds, as 30, or none".to_owned())
+        }
+        limit => Ok(limit),
+    }
+}
+
 /// True for `true 1 t y yes on` in any case, false for all else; whether it is a word that says so.
 pub(super) fn truth(text: &str) -> (bool, bool) {
     let text = text.to_lowercase();
@@ -190,7 +200,7 @@ impl Defaults {
             .map(|mut fields| {
                 let mut defaults = Self::default();
                 if let Some(node) = fields.optional("timeout") {
-                    let limit = reading.parsed(node, "seconds, as 30, or none", limit);
+                    let limit = reading.parsed(node, "seconds, as 30, or none", stated_limit);
                     defaults.timeout = limit.flatten();
                 }
                 if let Some(node) = fields.optional("on_failure") {

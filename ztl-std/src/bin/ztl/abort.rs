@@ -85,6 +85,9 @@ fn abort_all(server: &Server, scope: Option<&str>) -> Result<bool, Box<dyn std::
             all_ended &= abort(server, task)?;
         }
         if tried.is_empty() {
+            if let Some(scope) = scope {
+                server.demand_scope(scope)?;
+            }
             line("No task is running.");
         }
         // The running ones come first; a server with very many tells only some of them.

@@ -56,6 +56,19 @@ impl Server {
         Ok(told.ok_or_else(|| self.original())?)
     }
 
+    /// # Errors
+    /// The server says which scopes it has, and this one is not among them.
+    pub(crate) fn demand_scope(&self, scope: &str) -> Result<(), Box<dyn std::error::Error>> {
+        let scopes = self.describe()?.scopes;
+        if scopes.is_empty() || scopes.contains_key(scope) {
+            return Ok(());
+        }
+        let names: Vec<&str> = scopes.keys().map(String::as_str).collect();
+        let endpoint = self.endpoint();
+        let names = names.join(", ");
+        Err(format!("the server at {endpoint} has no scope '{scope}'; it has: {names}").into())
+    }
+
     /// Why a server tells nothing.
     pub(crate) fn original(&self) -> String {
         let endpoint = self.endpoint();
