@@ -1,5 +1,5 @@
 //! The original's eight command-line tools, as subcommands of this one. Called by the original's names
-//! they have the original's rules for options: see [`original`](crate::original).
+//! they have the original's rules for options: see [`crate::original`].
 
 use std::ffi::OsString;
 use std::fmt;
