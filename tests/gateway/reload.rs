@@ -1,22 +1,10 @@
 //! SIGHUP: the gateway reads its configuration again, and tasks go on.
 
-use std::process::Command;
-
 use ztl_mcu::link::Loss;
 use ztl_std::{RemoteId, RemoteTask, State};
 use ztl_tests::lab::{PATIENCE, Process, Scratch, Terminal, until, ztl};
 
 use crate::firmware::{Endless, Firmware};
-
-/// `ztl gateway` that heeds SIGHUP, also where the tests themselves run under `nohup`.
-fn gateway() -> Command {
-    let ztl = ztl();
-    let mut command = Command::new("env");
-    command.arg("--default-signal=HUP");
-    command.arg(ztl.get_program()).args(ztl.get_args());
-    command.arg("gateway");
-    command
-}
 
 /// A gateway with a file that can be changed.
 struct Lab {
@@ -33,7 +21,7 @@ impl Lab {
         let scratch = Scratch::new();
         let file = scratch.path("lab.yaml");
         std::fs::write(&file, file_of(text)).expect("to write");
-        let gateway = Process::start(gateway().arg(file));
+        let gateway = Process::start(ztl().arg("gateway").arg(file));
         let line = gateway.wait_for("Serving ");
         let mut words = line.split([' ', ',']);
         let endpoint = words.find(|word| word.starts_with("tcp://"));
@@ -179,8 +167,8 @@ fn a_gateway_that_lets_in_everybody_needs_a_restart_to_ask_who_they_are() {
 
 #[test]
 fn without_a_file_there_is_nothing_to_reload() {
-    let words = ["-p", "0", "-s", "/lab", "-d", "head=sim:head"];
-    let gateway = Process::start(gateway().args(words));
+    let words = ["gateway", "-p", "0", "-s", "/lab", "-d", "head=sim:head"];
+    let gateway = Process::start(ztl().args(words));
     gateway.wait_for("Device 'head' is ready");
     gateway.signal("HUP");
     gateway.wait_for("There is no configuration file to be reloaded.");
@@ -193,13 +181,11 @@ fn when_its_terminal_is_gone_it_stops_as_ever() {
     let scratch = Scratch::new();
     let (file, log) = (scratch.path("lab.yaml"), scratch.path("log"));
     std::fs::write(&file, file_of("devices: {head: sim:head}\n")).expect("to write");
-    let mut gateway = gateway();
-    gateway.arg(file);
-    let mut shell = Command::new("sh");
-    let script = "log=$1; shift; \"$@\" > \"$log\" 2>&1 < /dev/null; true";
-    shell.args(["-c", script, "sh"]).arg(&log);
-    shell.arg(gateway.get_program()).args(gateway.get_args());
-    let terminal = Terminal::start(&mut shell, (80, 24));
+    let gateway = ztl();
+    let mut shell = std::process::Command::new("sh");
+    let script = "\"$0\" gateway \"$1\" > \"$2\" 2>&1 < /dev/null; true";
+    shell.args(["-c", script]).arg(gateway.get_program());
+    let terminal = Terminal::start(shell.arg(file).arg(&log), (80, 24));
     let says = |part: &str| {
         until(part, PATIENCE, || {
             let said = std::fs::read_to_string(&log).unwrap_or_default();
