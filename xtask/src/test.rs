@@ -23,6 +23,10 @@ pub(crate) const FEATURES: &[&str] = &[
 /// Ample for the demo, which takes seconds; short enough not to stall a run that hangs.
 const DEMO_LIMIT: Duration = Duration::from_secs(60);
 
+/// Runs a command that heeds signals, also where this one ignores them: under `nohup`, or in the background of a
+/// script. The tests start programs that are to be stopped by signals.
+const HEEDING: &str = "env --default-signal=HUP,INT,QUIT";
+
 struct Step {
     name: &'static str,
     about: &'static str,
@@ -254,7 +258,8 @@ fn tests(dirs: &Dirs) -> Outcome {
     let peers = peers::ensure(dirs)?;
     build_programs()?;
     firmware::build_for_qemu(dirs)?;
-    Cmd::new("cargo test --workspace --locked --exclude")
+    Cmd::new(HEEDING)
+        .args("cargo test --workspace --locked --exclude")
         .arg(simulate::PACKAGE)
         // Its tests need the libraries, which the step `c` makes.
         .args("--exclude ztl-c")
