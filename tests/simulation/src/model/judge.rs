@@ -74,10 +74,8 @@ impl Lab {
             (State::Completed, _) if fate.came_to != Some(State::Completed) => {
                 lie(2, "but its motor did not come to its goal")
             }
-            // Of a `Start` that never came and has the number of a takeover, nothing better can be told.
-            (State::Failed, "the device no longer holds the task")
-                if fate.begun > 0 || self.gateways.len() == 1 =>
-            {
+            // Another gateway that took over has aborted it, or its `Start` never came: nothing better can be told.
+            (State::Failed, "the device no longer holds the task") if self.gateways.len() == 1 => {
                 lie(2, "but it does until that is known here")
             }
             (State::Aborted, _) if fate.begun > 0 && fate.came_to != Some(State::Aborted) => {

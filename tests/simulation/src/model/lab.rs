@@ -128,7 +128,8 @@ impl Lab {
             holder: None,
             notes: None,
         };
-        for gateway in 0..scenario.gateways {
+        let first = if scenario.late { 1 } else { scenario.gateways };
+        for gateway in 0..first {
             lab.start(gateway);
         }
         lab.settle().expect("nothing has happened yet");

@@ -44,6 +44,7 @@ const PLAIN: Scenario = Scenario {
     about: "",
     motors: [ABORT, CARRY_ON],
     gateways: 1,
+    late: false,
     journal: false,
     acts: &[ask(0, 0, ENDLESS)],
     faults: &[],
@@ -233,8 +234,9 @@ pub const SCENARIOS: &[Scenario] = &[
     },
     Scenario {
         name: "takeover",
-        about: "two gateways; the first one's Start never comes, the second one takes over and dies",
+        about: "a gateway's Start never comes, another gateway takes over and dies, the first comes back",
         gateways: 2,
+        late: true,
         acts: &[ask(0, 1, ENDLESS), ask(1, 1, ENDLESS)],
         faults: &[Fault::Cut(DOWN), Fault::Kill(1)],
         ..PLAIN

@@ -84,6 +84,8 @@ pub struct Scenario {
     pub motors: [Kind; 2],
     /// How many gateways are at the line, 1 or 2.
     pub gateways: usize,
+    /// Whether the second one is started at any later time.
+    pub late: bool,
     /// Whether they have journals.
     pub journal: bool,
     /// What the clients do, in this order, each at any time.
