@@ -53,13 +53,11 @@ fn an_observer_gets_every_reading_in_order_and_a_slow_one_harms_nobody() {
     })
     .id;
     assert!(remote.abort(id).is_ok());
-    until("a reading that nobody has taken", PATIENCE, || {
-        (readings.count() > 0).then_some(())
-    });
-    // With the gateway the readings end.
+    // They go on, and end with the gateway.
+    next_pair(&readings);
     drop(server);
     assert!(slow.count() <= 4);
-    assert!(readings.count() > 0);
+    assert!(readings.count() < 1000);
 }
 
 /// `ztl gateway` that publishes, and where.
