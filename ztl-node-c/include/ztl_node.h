@@ -132,12 +132,12 @@ extern "C" {
 #define ZTL_NODE_LOSS_CARRY_ON 2
 
 /**
- * Bytes of RAM of a node without its components and pointers; see ZTL_NODE_RAM.
+ * Bytes of RAM of a node without its components and pointers: see ZTL_NODE_RAM.
  */
 #define ZTL_NODE_RAM_BYTES 807
 
 /**
- * Number of its pointers; see ZTL_NODE_RAM.
+ * Its pointers: see ZTL_NODE_RAM.
  */
 #define ZTL_NODE_RAM_POINTERS 24
 
