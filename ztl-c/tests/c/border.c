@@ -4,6 +4,9 @@
 #include <string.h>
 #include <ztl.h>
 
+/* Milliseconds: ample also under valgrind on a busy machine. */
+#define PATIENCE 60000
+
 #define CHECK(condition) \
     do { \
         if (!(condition)) { \
@@ -134,6 +137,7 @@ static void mistakes(void)
     CHECK(ztl_client_connect(client, "tcp://127.0.0.1:1", "/a;b") == ZTL_E_ARGUMENT);
     CHECK(strstr(ztl_client_error(client), "the scope '/a;b' contains ';'") != NULL);
     CHECK(ztl_server_endpoint(server, text, sizeof text) == strlen(text));
+    CHECK(ztl_client_set_timeout(client, PATIENCE) == ZTL_OK);
     CHECK(ztl_client_connect(client, text, "/x") == ZTL_OK);
     CHECK(ztl_client_connect(client, text, "/x") == ZTL_E_STATE);
     CHECK(ztl_client_set_timeout(client, 1) == ZTL_E_STATE);
@@ -207,27 +211,28 @@ static void orders(void)
     CHECK(ztl_server_add_worker(server, "/x", wrong, NULL) == ZTL_OK);
     CHECK(ztl_server_start(server, "tcp://127.0.0.1:*") == ZTL_OK);
     ztl_server_endpoint(server, text, sizeof text);
+    CHECK(ztl_client_set_timeout(client, PATIENCE) == ZTL_OK);
     CHECK(ztl_client_connect(client, text, "/x") == ZTL_OK);
     later = ztl_client_clone(client);
     CHECK(later != NULL);
 
-    CHECK(ztl_client_run(client, "a", "twice", "", 10000, &task, &state) == ZTL_OK);
+    CHECK(ztl_client_run(client, "a", "twice", "", PATIENCE, &task, &state) == ZTL_OK);
     CHECK(task != ZTL_NO_TASK && state == ZTL_COMPLETED);
     CHECK(strcmp(ztl_client_text(client), "first") == 0);
     sprintf(text, "%u", task);
     CHECK(strcmp(ztl_client_task_id(client), text) == 0);
     CHECK(ztl_client_status_by_id(client, text, &state) == ZTL_OK && state == ZTL_COMPLETED);
     CHECK(ztl_client_abort_by_id(client, text, &state) == ZTL_OK && state == ZTL_COMPLETED);
-    CHECK(ztl_client_wait_by_id(client, text, 1000, NULL, NULL, &state) == ZTL_OK && state == ZTL_COMPLETED);
+    CHECK(ztl_client_wait_by_id(client, text, PATIENCE, NULL, NULL, &state) == ZTL_OK && state == ZTL_COMPLETED);
     CHECK(ztl_client_status_by_id(client, "x", &state) == ZTL_E_ARGUMENT && state == ZTL_UNKNOWN);
     CHECK(strstr(ztl_client_error(client), "invalid task id 'x'") != NULL);
     CHECK(ztl_client_status_by_id(client, "0", &state) == ZTL_E_ARGUMENT);
     CHECK(ztl_client_status_by_id(client, NULL, &state) == ZTL_E_NULL);
     CHECK(ztl_client_status(client, ZTL_LONG_TASK, &state) == ZTL_E_ARGUMENT);
     CHECK(strstr(ztl_client_error(client), "ztl_client_task_id") != NULL);
-    CHECK(ztl_client_run(client, "a", "silent", "", 10000, NULL, &state) == ZTL_OK);
+    CHECK(ztl_client_run(client, "a", "silent", "", PATIENCE, NULL, &state) == ZTL_OK);
     CHECK(state == ZTL_FAILED && strstr(ztl_client_text(client), "without an end") != NULL);
-    CHECK(ztl_client_run(client, "a", "late", "", 10000, NULL, &state) == ZTL_OK);
+    CHECK(ztl_client_run(client, "a", "late", "", PATIENCE, NULL, &state) == ZTL_OK);
     CHECK(state == ZTL_FAILED && strcmp(ztl_client_text(client), "too late") == 0);
 
     CHECK(ztl_client_run(later, "a", "deaf", "", 50, &other, &state) == ZTL_E_NOT_ENDED);
@@ -256,13 +261,14 @@ static void too_long(void)
     CHECK(ztl_server_add_worker(server, "/x", wrong, NULL) == ZTL_OK);
     CHECK(ztl_server_start(server, "tcp://127.0.0.1:*") == ZTL_OK);
     ztl_server_endpoint(server, text, sizeof text);
+    CHECK(ztl_client_set_timeout(client, PATIENCE) == ZTL_OK);
     CHECK(ztl_client_connect(client, text, "/x") == ZTL_OK);
     memset(goal, 'x', sizeof goal - 1);
     CHECK(ztl_client_trigger(client, "a", "twice", goal, &task) == ZTL_E_TOO_LONG && task == ZTL_NO_TASK);
     CHECK(strstr(ztl_client_error(client), "has 1333352 bytes") != NULL);
     CHECK(strstr(ztl_client_error(client), "takes at most 1048576") != NULL);
     goal[786000] = '\0';
-    CHECK(ztl_client_run(client, "a", "twice", goal, 10000, &task, &state) == ZTL_OK);
+    CHECK(ztl_client_run(client, "a", "twice", goal, PATIENCE, &task, &state) == ZTL_OK);
     CHECK(task != ZTL_NO_TASK && state == ZTL_COMPLETED);
     ztl_client_free(client);
     CHECK(ztl_server_free(server) == ZTL_OK);
@@ -296,16 +302,17 @@ static void polled(void)
     CHECK(ztl_server_add_handler(server, "/x", count_up, NULL, end_it, &starts) == ZTL_OK);
     CHECK(ztl_server_start_polled(server, "tcp://127.0.0.1:*") == ZTL_OK);
     ztl_server_endpoint(server, text, sizeof text);
+    CHECK(ztl_client_set_timeout(client, PATIENCE) == ZTL_OK);
     CHECK(ztl_client_connect(client, text, "/x") == ZTL_OK);
     /* Nobody polls: the server itself answers after 1.5 s. */
     CHECK(ztl_client_trigger(client, "a", "b", "c", &task) == ZTL_OK);
     CHECK(ztl_client_abort(client, task, &state) == ZTL_OK && state == ZTL_ACCEPTED);
     CHECK(ztl_server_poll(server, 0) == ZTL_OK && starts == 0);
-    CHECK(ztl_client_wait(client, task, 10000, &state) == ZTL_OK && state == ZTL_ABORTED);
+    CHECK(ztl_client_wait(client, task, PATIENCE, &state) == ZTL_OK && state == ZTL_ABORTED);
     CHECK(strcmp(ztl_client_text(client), "stopped before it had begun") == 0);
     CHECK(ztl_client_set_timeout(hasty, 200) == ZTL_OK && ztl_client_connect(hasty, text, "/x") == ZTL_OK);
     CHECK(ztl_client_trigger(hasty, "a", "b", "c", NULL) == ZTL_E_NO_ANSWER);
-    CHECK(ztl_server_poll(server, 10000) == ZTL_OK && starts == 1);
+    CHECK(ztl_server_poll(server, PATIENCE) == ZTL_OK && starts == 1);
     CHECK(ztl_client_trigger(hasty, "a", "b", "c", NULL) == ZTL_E_NO_ANSWER);
     CHECK(ztl_server_free(server) == ZTL_OK && starts == 1);
     ztl_client_free(client);
@@ -315,7 +322,7 @@ static void polled(void)
 /* Runs the other server for a while, in whose callback this one is freed, or not. */
 static void run_other(void *context, ztl_server *server, const ztl_request *request)
 {
-    CHECK(ztl_server_poll((ztl_server *)context, 10000) == ZTL_OK);
+    CHECK(ztl_server_poll((ztl_server *)context, PATIENCE) == ZTL_OK);
     CHECK(ztl_task_end(server, request->task, ZTL_COMPLETED, "still here") == ZTL_OK);
 }
 
@@ -344,7 +351,7 @@ static void nested(void)
         CHECK(ztl_client_trigger(client, "a", "b", "c", NULL) == ZTL_E_NO_ANSWER);
         ztl_client_free(client);
     }
-    CHECK(ztl_server_poll(outer, 10000) == ZTL_OK);
+    CHECK(ztl_server_poll(outer, PATIENCE) == ZTL_OK);
     CHECK(ztl_server_free(outer) == ZTL_OK && ztl_server_free(inner) == ZTL_OK);
 }
 

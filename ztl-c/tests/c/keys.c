@@ -29,7 +29,7 @@ static int run(const char *endpoint, const char *scope, const char *keys, const 
     if (error == ZTL_OK)
         error = ztl_client_connect(client, endpoint, scope);
     if (error == ZTL_OK)
-        error = ztl_client_run(client, "a", "b", "c", 10000, NULL, &state);
+        error = ztl_client_run(client, "a", "b", "c", 60000, NULL, &state);
     printf("%s %s %s: %s\n", keys == NULL ? "nobody" : keys, scope, ztl_error_name(error),
            error == ZTL_OK ? ztl_client_text(client) : ztl_client_error(client));
     ztl_client_free(client);

@@ -26,7 +26,7 @@ int main(int argc, char **argv)
     char id[64];
     ztl_client *client = ztl_client_new();
 
-    CHECK(argc == 2 && ztl_client_connect(client, argv[1], "/test") == ZTL_OK);
+    CHECK(argc == 2 && ztl_client_set_timeout(client, 60000) == ZTL_OK && ztl_client_connect(client, argv[1], "/test") == ZTL_OK);
     CHECK(ztl_client_task_id(client)[0] == '\0');
     CHECK(ztl_client_trigger(client, "arm", "left", "up", &task) == ZTL_OK && task == ZTL_LONG_TASK);
     strcpy(id, ztl_client_task_id(client));
