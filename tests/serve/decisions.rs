@@ -134,6 +134,16 @@ fn what_needs_no_program_is_served_too() {
             .contains("component: print\ngoal: hello\n")
             .then_some(())
     });
+    // A goal cannot pass for another line, nor command the terminal on which the file is shown later.
+    let forged = "x\ngoal: y\r\x1b[2Jä";
+    assert_eq!(lab.run("print", forged), (Completed, "True".to_owned()));
+    until("it is printed", PATIENCE, || {
+        lab.server
+            .process
+            .stdout()
+            .contains("component: print\ngoal: x\\ngoal: y\\r\\u001b[2Jä\n")
+            .then_some(())
+    });
     assert_eq!(lab.run("any", "12"), (Completed, "12".to_owned()));
     assert!(lab.refusal("any", "x").contains("a whole number"));
     let mut client = lab.server.original_client();

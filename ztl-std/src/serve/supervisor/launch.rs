@@ -1,6 +1,6 @@
 //! How a task begins: programs are started on threads, and what blocks is done by threads.
 
-use std::io;
+use std::io::{self, Write};
 use std::process::Child;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -17,7 +17,7 @@ use super::super::run::End;
 use super::super::template::Call;
 use super::super::{LOG, Work, group};
 use super::{Doing, Helper, Message, Supervisor};
-use crate::terminal::write_shown;
+use crate::terminal::flat;
 
 impl Supervisor {
     /// It is a task's turn.
@@ -51,8 +51,11 @@ impl Supervisor {
                 }
             }
             Work::Print => self.delegate(id, |_, call, _, _| {
-                let text = format!("component: {}\ngoal: {}\n", call.component, call.goal.text);
-                match write_shown(io::stdout().lock(), text.as_bytes()) {
+                // Whatever a client sends, its goal is one line of a log.
+                let (component, goal) = (flat(&call.component), flat(&call.goal.text));
+                let mut out = io::stdout().lock();
+                let printed = writeln!(out, "component: {component}\ngoal: {goal}");
+                match printed.and_then(|()| out.flush()) {
                     Ok(()) => End::Completed("True".to_owned()),
                     Err(error) => End::Failed(format!("cannot print: {error}")),
                 }
