@@ -42,16 +42,16 @@ pub(crate) fn error_part(text: impl Display) {
 pub(crate) struct Errors;
 
 impl Write for Errors {
-    /// Takes whole events.
+    /// Takes whole events. A log that cannot be written is lost: an error would make the logger panic.
     fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
         let text = String::from_utf8_lossy(bytes);
-        let mut to = std::io::stderr().lock();
-        to.write_all(shown(&text).as_bytes())?;
+        let _ = std::io::stderr().lock().write_all(shown(&text).as_bytes());
         Ok(bytes.len())
     }
 
     fn flush(&mut self) -> std::io::Result<()> {
-        std::io::stderr().flush()
+        let _ = std::io::stderr().flush();
+        Ok(())
     }
 }
 
