@@ -1,22 +1,27 @@
-//! The server is killed, and has no time to stop anything: its guard does.
+//! The server is killed, and has no time to stop anything: its watchdog does.
 
+use std::fs::OpenOptions;
+use std::io::Write;
+use std::os::unix::fs::OpenOptionsExt;
+use std::path::Path;
+use std::process::Command;
 use std::time::{Duration, Instant};
 
 use ztl_std::State::{Aborted, Completed};
-use ztl_std::{RequestError, TaskId};
-use ztl_tests::lab::{PATIENCE, until};
+use ztl_std::{RequestError, TaskId, TriggerError};
+use ztl_tests::lab::{PATIENCE, Scratch, built, until};
 
 use crate::rig::{Lab, dies, end, kill, lives, progress, signal, start, told, trigger};
 
-/// The guard of a server.
+/// The watchdog of a server.
 #[track_caller]
-fn guard(lab: &Lab) -> u32 {
-    until("a guard", PATIENCE, || {
-        let mut guards = lab.children().into_iter().filter(|child| {
+fn watchdog(lab: &Lab) -> u32 {
+    until("a watchdog", PATIENCE, || {
+        let mut watchdogs = lab.children().into_iter().filter(|child| {
             let line = std::fs::read_to_string(format!("/proc/{child}/cmdline"));
-            line.is_ok_and(|line| line.contains("serve-guard"))
+            line.is_ok_and(|line| line.contains("serve-watchdog"))
         });
-        guards.next()
+        watchdogs.next()
     })
 }
 
@@ -83,13 +88,13 @@ fn a_program_that_is_just_being_started_is_found() {
 }
 
 #[test]
-fn a_guard_that_is_killed_again_and_again_is_replaced_while_nothing_else_happens() {
+fn a_watchdog_that_is_killed_again_and_again_is_replaced_while_nothing_else_happens() {
     let mut lab = Lab::new("go: {run: [sh, -c, 'echo $$ > pid; exec sleep 60']}");
     for _ in 0..5 {
-        let before = guard(&lab);
+        let before = watchdog(&lab);
         kill(before);
-        until("another guard", PATIENCE, || {
-            (guard(&lab) != before).then_some(())
+        until("another watchdog", PATIENCE, || {
+            (watchdog(&lab) != before).then_some(())
         });
     }
     trigger(&mut lab.remote(), "go", "");
@@ -99,7 +104,7 @@ fn a_guard_that_is_killed_again_and_again_is_replaced_while_nothing_else_happens
 }
 
 #[test]
-fn a_guard_that_is_killed_or_does_not_listen_is_replaced() {
+fn a_watchdog_that_is_killed_or_does_not_listen_is_replaced() {
     let mut lab = Lab::new(
         r#"
         go: {run: [sh, -c, 'echo $$ > pid; exec sleep 60']}
@@ -109,7 +114,7 @@ fn a_guard_that_is_killed_or_does_not_listen_is_replaced() {
     let mut remote = lab.remote();
     trigger(&mut remote, "go", "");
     let process = lab.process("pid");
-    let first = guard(&lab);
+    let first = watchdog(&lab);
     // It is the same program as its server, and under the same filter where an old kernel is played.
     let of = |process: u32| {
         let status = std::fs::read_to_string(format!("/proc/{process}/status"));
@@ -120,32 +125,154 @@ fn a_guard_that_is_killed_or_does_not_listen_is_replaced() {
     };
     assert_eq!(of(first), of(lab.server.process.id()));
     kill(first);
-    until("another guard", PATIENCE, || {
+    until("another watchdog", PATIENCE, || {
         assert_eq!(lab.run("many", ""), (Completed, String::new()));
         lab.children().into_iter().find(|child| {
             let line = std::fs::read_to_string(format!("/proc/{child}/cmdline"));
-            *child != first && line.is_ok_and(|line| line.contains("serve-guard"))
+            *child != first && line.is_ok_and(|line| line.contains("serve-watchdog"))
         })
     });
     lab.server
         .process
-        .wait_for("The guard had ended and was started anew.");
+        .wait_for("The watchdog has been restarted.");
 
     // One that is stopped is noticed once it has been told more than fits, and harms nobody.
-    let second = guard(&lab);
+    let second = watchdog(&lab);
     signal(second, "STOP");
     let long = "x".repeat(50_000);
-    until("another guard", PATIENCE, || {
+    until("another watchdog", PATIENCE, || {
         assert_eq!(lab.run("many", &long), (Completed, String::new()));
         (!lives(second)).then_some(())
     });
-    until("another guard", PATIENCE, || {
+    until("another watchdog", PATIENCE, || {
         lab.run("many", "");
-        (guard(&lab) != second).then_some(())
+        (watchdog(&lab) != second).then_some(())
     });
     assert!(lives(process));
     lab.server.process.kill();
     dies(process);
+}
+
+#[test]
+fn no_program_starts_while_the_watchdog_is_being_replaced() {
+    for _ in 0..3 {
+        let mut lab = Lab::new("go: {run: [sh, -c, 'exec sleep 60']}");
+        let mut remote = lab.remote();
+        // The more of them end in a row, the longer the pause before the next.
+        let mut last = watchdog(&lab);
+        for _ in 0..5 {
+            kill(last);
+            last = until("another watchdog", PATIENCE, || {
+                Some(watchdog(&lab)).filter(|now| *now != last)
+            });
+        }
+        kill(last);
+        until("the program is started", PATIENCE, || {
+            match remote.trigger("p", "go", "") {
+                Err(TriggerError::Refused { reason, .. }) => {
+                    assert!(reason.contains("watchdog"), "{reason}");
+                    None
+                }
+                taken => Some(taken.expect("an answer")),
+            }
+        });
+        // Whoever confirmed that program knows of it.
+        lab.server.process.kill();
+        until("nothing runs", PATIENCE, || {
+            lab.at_home().is_empty().then_some(())
+        });
+    }
+}
+
+#[test]
+fn a_watchdog_heeds_no_signal_that_it_can_ignore() {
+    let mut lab = Lab::new(
+        r#"
+        go: {run: [sh, -c, 'echo $$ > pid; exec sleep 60']}
+        other: {run: ['true']}
+        "#,
+    );
+    trigger(&mut lab.remote(), "go", "");
+    let process = lab.process("pid");
+    let first = watchdog(&lab);
+    for name in ["HUP", "INT", "TERM", "QUIT", "USR1", "USR2", "ALRM", "PIPE"] {
+        signal(first, name);
+    }
+    // A signal takes effect before the watchdog confirms anything more.
+    assert_eq!(lab.run("other", ""), (Completed, String::new()));
+    assert_eq!(watchdog(&lab), first);
+    lab.server.process.kill();
+    dies(process);
+}
+
+#[test]
+fn a_stopped_watchdog_does_its_work_once_the_server_is_gone() {
+    let mut lab = Lab::new("go: {run: [sh, -c, 'echo $$ > pid; exec sleep 60']}");
+    trigger(&mut lab.remote(), "go", "");
+    let process = lab.process("pid");
+    signal(watchdog(&lab), "STOP");
+    lab.server.process.kill();
+    dies(process);
+}
+
+#[test]
+fn a_stopped_watchdog_is_replaced_before_another_program_starts() {
+    let mut lab = Lab::new("go: {run: [sh, -c, 'exec sleep 60'], at-once: 9}");
+    let mut remote = lab.remote();
+    trigger(&mut remote, "go", "");
+    let first = watchdog(&lab);
+    signal(first, "STOP");
+    until("the program is started", PATIENCE, || {
+        remote.trigger("p", "go", "").ok()
+    });
+    assert!(!lives(first));
+    lab.server.process.kill();
+    until("nothing runs", PATIENCE, || {
+        lab.at_home().is_empty().then_some(())
+    });
+}
+
+/// A `ztl` whose stderr is this file.
+fn logging_to(file: &Path) -> Command {
+    let mut command = Command::new("sh");
+    command
+        .args(["-c", r#"exec "$@" 2>>"$0""#])
+        .arg(file)
+        .arg(built("ztl"));
+    command
+}
+
+#[test]
+fn a_log_that_cannot_be_written_keeps_nobody_from_stopping_programs() {
+    let scratch = Scratch::new();
+    let fifo = scratch.path("log");
+    let made = Command::new("mkfifo").arg(&fifo).status();
+    assert!(made.expect("`mkfifo`").success());
+    // Held open and never read.
+    let log = OpenOptions::new()
+        .read(true)
+        .write(true)
+        .custom_flags(0o4000)
+        .open(&fifo);
+    let mut log = log.expect("to open it");
+    for file in [Path::new("/dev/full"), &fifo] {
+        let mut lab = Lab::of_command(
+            logging_to(file),
+            r#"
+            go: {run: [sh, -c, 'trap "" TERM; echo $$ > pid; while :; do sleep 0.02; done'], abort: {grace: 100 ms}}
+            "#,
+        );
+        trigger(&mut lab.remote(), "go", "");
+        let process = lab.process("pid");
+        if file == fifo {
+            // Now it is full.
+            for size in [512, 1] {
+                while log.write(&vec![b'x'; size]).is_ok() {}
+            }
+        }
+        lab.server.process.kill();
+        dies(process);
+    }
 }
 
 #[test]

@@ -13,3 +13,4 @@ mod results;
 mod rig;
 mod several;
 mod stop;
+mod watchdog;

@@ -57,15 +57,15 @@ fn a_thousand_remembered_tasks_fit_into_eight_mebibytes() {
         );
     }
     let [all, own] = resident(lab.server.process.id());
-    let guards = lab.children().into_iter().map(resident);
-    let [guard, guards_own] = guards.fold([0, 0], |[all, own], [more, more_own]| {
+    let watchdogs = lab.children().into_iter().map(resident);
+    let [watchdog, watchdogs_own] = watchdogs.fold([0, 0], |[all, own], [more, more_own]| {
         [all + more, own + more_own]
     });
     println!(
-        "resident: {all} KiB, of its own {own} KiB; the guard {guard} KiB, of its own {guards_own} KiB"
+        "resident: {all} KiB, of its own {own} KiB; the watchdog {watchdog} KiB, of its own {watchdogs_own} KiB"
     );
     assert!(own <= 3 * 1024, "{own} KiB");
-    assert!(guards_own <= 2 * 1024, "{guards_own} KiB");
+    assert!(watchdogs_own <= 2 * 1024, "{watchdogs_own} KiB");
     if std::env::var_os("ZTL_RELEASED").is_some() {
         assert!(all <= 8 * 1024, "{all} KiB");
     }

@@ -51,7 +51,7 @@ fn a_program_of_another_user_has_their_rights_and_no_others() {
     let process = until("its number", PATIENCE, || {
         remote.status(task).expect("an answer").text.parse().ok()
     });
-    // So does what stops it, also when the guard has to.
+    // So does what stops it, also when the watchdog has to.
     lab.server.process.kill();
     assert_eq!(lab.written("aborter"), "nobody");
     dies(process);
@@ -74,7 +74,7 @@ fn whatever_programs_leave_nothing_of_them_remains() {
     until("all have ended", PATIENCE, || {
         lab.at_home().is_empty().then_some(())
     });
-    // Nor a zombie: only the guard is a child of the server.
+    // Nor a zombie: only the watchdog is a child of the server.
     assert_eq!(lab.children().len(), 1);
 }
 

@@ -78,7 +78,7 @@ impl Lab {
         })
     }
 
-    /// The server's child processes, its guard among them.
+    /// The server's child processes, its watchdog among them.
     pub fn children(&self) -> Vec<u32> {
         let threads = format!("/proc/{}/task", self.server.process.id());
         let threads = std::fs::read_dir(threads).into_iter().flatten().flatten();

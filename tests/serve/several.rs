@@ -122,7 +122,7 @@ fn two_hundred_at_once_are_served_and_not_one_more() {
         lab.run("echo", "free again"),
         (Completed, "free again".to_owned())
     );
-    // Nothing is left open, and no child but the guard.
+    // Nothing is left open, and no child but the watchdog.
     until("its files are closed", PATIENCE, || {
         (open_files(&lab, &mut remote) <= before).then_some(())
     });
@@ -162,7 +162,7 @@ fn all_at_once_are_aborted() {
     for id in &tasks {
         assert_eq!(remote.abort(*id).expect("an answer").state, Aborted);
     }
-    until("only the guard is left", PATIENCE, || {
+    until("only the watchdog is left", PATIENCE, || {
         (lab.children().len() == 1).then_some(())
     });
 }

@@ -8,13 +8,12 @@ use std::io;
 use std::path::PathBuf;
 use std::process::{Child, Command};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::time::Instant;
 
 use rustix::process::{Pid, Signal, WaitId, WaitIdOptions, kill_process_group, waitid};
 use serde::{Deserialize, Serialize};
 
-use super::guard::{Charge, Guard};
 use super::program::Launch;
+use super::watchdog::{Charge, Watchdog};
 
 /// What is known of all programs that run: to be killed when there is no time for more, and by whom
 /// when nobody is left to do it.
@@ -23,9 +22,9 @@ pub struct Groups(Arc<Shared>);
 
 #[derive(Debug, Default)]
 struct Shared {
-    /// By the group, the guard's number of it.
+    /// By the group, the watchdog's number of it.
     groups: Mutex<BTreeMap<i32, u64>>,
-    guard: Option<Mutex<Guard>>,
+    watchdog: Option<Watchdog>,
 }
 
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
@@ -33,17 +32,18 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 }
 
 impl Groups {
-    /// With a guard: a process that stops all programs when this one is gone without having done so,
+    /// With a watchdog: a process that stops all programs when this one is gone without having done so,
     /// killed or crashed. It is started by this command, which must do nothing but call
-    /// [`guard`](super::guard).
+    /// [`watchdog`](super::watchdog), and restarted when it ends. No task's program starts before a watchdog has
+    /// confirmed that it knows of it. Waits until the first one is ready, at most 5 s.
     ///
     /// # Errors
-    /// When it cannot be started.
-    pub fn guarded(command: Command) -> io::Result<Self> {
-        let guard = Guard::start(command)?;
+    /// When the system gives no more threads or files.
+    pub fn watched(command: Command) -> io::Result<Self> {
+        let watchdog = Watchdog::start(command)?;
         Ok(Self(Arc::new(Shared {
             groups: Mutex::default(),
-            guard: Some(Mutex::new(guard)),
+            watchdog: Some(watchdog),
         })))
     }
 
@@ -54,25 +54,41 @@ impl Groups {
         }
     }
 
-    /// Starts a program, as [`Launch::spawn`] does, with the guard in the know all the time.
-    pub(super) fn start(
+    /// Tells the watchdog of a program, which may be started once this calls `confirmed`. Returns the number by
+    /// which it is [started](Self::start) or [withdrawn](Self::withdraw).
+    pub(super) fn announce(
         &self,
         charge: Charge,
-        launch: &Launch,
-        heard: bool,
-    ) -> Result<Child, String> {
-        let guard = self.0.guard.as_ref();
-        let number = guard.map_or(0, |guard| lock(guard).begins(charge));
+        confirmed: impl FnOnce() + Send + 'static,
+    ) -> u64 {
+        match &self.0.watchdog {
+            Some(watchdog) => watchdog.announce(charge, confirmed),
+            None => {
+                confirmed();
+                0
+            }
+        }
+    }
+
+    /// An announced program is not started, or has ended.
+    pub(super) fn withdraw(&self, number: u64) {
+        if let Some(watchdog) = &self.0.watchdog {
+            watchdog.over(number);
+        }
+    }
+
+    /// Starts an announced program, as [`Launch::spawn`] does.
+    pub(super) fn start(&self, number: u64, launch: &Launch, heard: bool) -> Result<Child, String> {
         let started = launch.spawn(heard);
         match &started {
             Ok(child) => {
                 let group = of(child);
                 lock(&self.0.groups).insert(group, number);
-                if let Some(guard) = guard {
-                    lock(guard).runs(number, group);
+                if let Some(watchdog) = &self.0.watchdog {
+                    watchdog.runs(number, group);
                 }
             }
-            Err(_) => self.over(number),
+            Err(_) => self.withdraw(number),
         }
         started
     }
@@ -88,21 +104,9 @@ impl Groups {
         let reaped = reap();
         drop(groups);
         if let Some(number) = number {
-            self.over(number);
+            self.withdraw(number);
         }
         reaped
-    }
-
-    fn over(&self, number: u64) {
-        if let Some(guard) = &self.0.guard {
-            lock(guard).over(number);
-        }
-    }
-
-    /// Some process has ended: another guard is started if it was that. Says when to look again if that has to
-    /// wait.
-    pub(super) fn look_for_guard(&self) -> Option<Instant> {
-        lock(self.0.guard.as_ref()?).look()
     }
 }
 

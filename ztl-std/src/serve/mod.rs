@@ -24,8 +24,8 @@ mod config;
 mod desk;
 mod forward;
 mod group;
-mod guard;
 mod ignored;
+mod link;
 mod output;
 mod program;
 mod rule;
@@ -33,6 +33,7 @@ mod run;
 mod supervisor;
 mod template;
 mod value;
+mod watchdog;
 
 use std::collections::BTreeMap;
 use std::io;
@@ -47,11 +48,12 @@ pub use config::{Config, Scope};
 use desk::Busy;
 use forward::Forward;
 pub use group::Groups;
-pub use guard::guard;
 pub use ignored::ignored_signals;
+use link::Link;
 use program::Program;
 use rule::{Rule, shown};
-use supervisor::{Link, Message, Supervisor};
+use supervisor::{Message, Supervisor};
+pub use watchdog::watchdog;
 
 use crate::server::{Answers, TaskHandler, TaskReporter, offered, would_take};
 
@@ -121,7 +123,7 @@ pub struct Programs {
     /// Places of entries, by handler and component.
     places: Arc<Places>,
     entries: Arc<[Arc<Entry>]>,
-    link: Link,
+    link: Link<Message>,
     thread: Option<JoinHandle<()>>,
     /// How long stopping may take.
     stopping: Duration,

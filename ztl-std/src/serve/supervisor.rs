@@ -5,12 +5,10 @@ mod launch;
 mod watch;
 
 use std::collections::BTreeMap;
-use std::io::{self, Read, Write};
-use std::os::unix::net::UnixStream;
+use std::io;
 use std::process::{Child, ChildStderr, ChildStdout};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{Receiver, Sender, channel};
 use std::time::{Duration, Instant};
 
 use rustix::io::ioctl_fionbio;
@@ -21,7 +19,8 @@ use ztl_core::{TaskId, TaskSpec};
 
 use super::desk::{Admitted, Desk};
 use super::forward::Told;
-use super::program::Program;
+use super::link::{Inbox, Link};
+use super::program::{Launch, Program};
 use super::rule::Goal;
 use super::run::{Act, End, Run, Why};
 use super::template::Call;
@@ -31,6 +30,9 @@ use watch::READ;
 
 /// How long a task that another server does is waited for when this one stops.
 pub(super) const LEAVING: Duration = Duration::from_millis(1500);
+/// How long the watchdog may take to confirm that it knows of a program. Less than the 1.5 s after which an INIT is
+/// answered with an id.
+const CONFIRM: Duration = Duration::from_millis(1200);
 /// What the supervisor is told.
 #[derive(Debug)]
 pub(super) enum Message {
@@ -42,6 +44,8 @@ pub(super) enum Message {
         goal: String,
     },
     Abort(TaskId),
+    /// The watchdog knows of a task's program.
+    Confirmed(TaskId),
     /// A program was started, or could not be.
     Started(TaskId, Result<Child, String>),
     /// The same of a program that aborts one.
@@ -50,35 +54,6 @@ pub(super) enum Message {
     Told(TaskId, Told),
     /// All tasks are to be stopped, and no more taken.
     Stop,
-}
-
-/// The way to the supervisor.
-#[derive(Debug)]
-pub(super) struct Link {
-    messages: Sender<Message>,
-    bell: UnixStream,
-}
-
-impl Link {
-    /// Tells it something, which comes back when it is gone.
-    fn try_send(&self, message: Message) -> Option<Message> {
-        let unsent = self.messages.send(message).err();
-        // A bell that takes no more rings already.
-        let _ = (&self.bell).write(&[0]);
-        unsent.map(|unsent| unsent.0)
-    }
-
-    pub(super) fn send(&self, message: Message) {
-        // Dropping a task tells its client.
-        drop(self.try_send(message));
-    }
-
-    fn try_clone(&self) -> io::Result<Self> {
-        Ok(Self {
-            messages: self.messages.clone(),
-            bell: self.bell.try_clone()?,
-        })
-    }
 }
 
 /// A task that has not ended.
@@ -93,12 +68,22 @@ struct Task {
 enum Doing {
     /// Others are before it.
     Waiting,
+    /// The watchdog is to confirm that it knows of its program.
+    Announced(Box<Announced>),
     /// Its program is being started; what is to be done with it then.
     Starting(Option<Why>),
     Program(Box<Running>),
     Sleeping(Option<Instant>),
     /// A thread does it; until when it is waited for, once the server stops.
     Thread(Arc<AtomicBool>, Option<Instant>),
+}
+
+/// A program that the watchdog is told of.
+struct Announced {
+    number: u64,
+    launch: Launch,
+    /// When the task is refused instead.
+    until: Option<Instant>,
 }
 
 struct Running {
@@ -123,17 +108,14 @@ struct Helper {
 
 pub(super) struct Supervisor {
     scope: String,
-    messages: Receiver<Message>,
-    bell: UnixStream,
-    link: Link,
+    inbox: Inbox<Message>,
+    link: Link<Message>,
     on_child: signal_hook::SigId,
     entries: Vec<Arc<Entry>>,
     desks: Vec<Desk>,
     tasks: BTreeMap<TaskId, Task>,
     helpers: Vec<Helper>,
     groups: Groups,
-    /// When to look for the guard.
-    guard_due: Option<Instant>,
     room: Room,
     /// Shared by all clients of other servers; costs nothing before the first.
     context: zmq::Context,
@@ -146,32 +128,23 @@ impl Supervisor {
         entries: Vec<Arc<Entry>>,
         room: Room,
         groups: Groups,
-    ) -> io::Result<(Link, Self)> {
-        let (messages, inbox) = channel();
-        let (bell, ringer) = UnixStream::pair()?;
-        bell.set_nonblocking(true)?;
-        ringer.set_nonblocking(true)?;
+    ) -> io::Result<(Link<Message>, Self)> {
+        let (link, inbox) = Link::new()?;
         // Also where whoever started this process had it ignored: then nobody could be waited for.
-        let on_child = pipe::register(SIGCHLD, ringer.try_clone()?)?;
-        let link = Link {
-            messages,
-            bell: ringer,
-        };
+        let on_child = pipe::register(SIGCHLD, link.ringer()?)?;
         let desks = entries
             .iter()
             .map(|entry| Desk::new(entry.at_once, entry.busy));
         let supervisor = Self {
             scope: scope.to_owned(),
             desks: desks.collect(),
-            messages: inbox,
-            bell,
-            link: link.try_clone()?,
+            inbox,
+            link: link.clone(),
             on_child,
             entries,
             tasks: BTreeMap::new(),
             helpers: Vec::new(),
             groups,
-            guard_due: None,
             room,
             context: zmq::Context::new(),
             stopping: false,
@@ -188,9 +161,9 @@ impl Supervisor {
                 self.read(id, &mut buffer);
             }
             if ready.rung {
-                while matches!((&self.bell).read(&mut buffer), Ok(count) if count == READ) {}
+                self.inbox.silence();
             }
-            while let Ok(message) = self.messages.try_recv() {
+            while let Some(message) = self.inbox.next() {
                 self.handle(message);
             }
             let now = Instant::now();
@@ -212,6 +185,7 @@ impl Supervisor {
                 goal,
             } => self.start(task, entry, (handler, component), &goal),
             Message::Abort(id) => self.stop_task(id, Why::Client),
+            Message::Confirmed(id) => self.on_confirmed(id),
             Message::Started(id, Ok(child)) => self.on_started(id, child),
             Message::Started(id, Err(reason)) => self.finish(id, End::Rejected(reason)),
             Message::Helper(id, child) => self.on_helper(id, child),
@@ -289,8 +263,7 @@ impl Supervisor {
         }
         if let Admitted::Replaces(other, unwanted) = admitted {
             if let Some(unwanted) = unwanted {
-                let text = format!("replaced by task {id} before it began");
-                self.finish(unwanted, End::Aborted(text));
+                self.stop_task(unwanted, Why::Replaced(id));
             }
             self.stop_task(other, Why::Replaced(id));
         }
@@ -361,12 +334,13 @@ impl Supervisor {
         let now = Instant::now();
         let mut acts = Vec::new();
         match &mut task.doing {
-            Doing::Waiting => {
+            Doing::Waiting | Doing::Announced(_) => {
                 let text = match why {
-                    Why::Server => "the server was stopped before it began",
-                    _ => "aborted before it began",
+                    Why::Server => "the server was stopped before it began".to_owned(),
+                    Why::Replaced(by) => format!("replaced by task {by} before it began"),
+                    Why::Client | Why::Limit => "aborted before it began".to_owned(),
                 };
-                return self.finish(id, End::Aborted(text.to_owned()));
+                return self.finish(id, End::Aborted(text));
             }
             Doing::Sleeping(_) => {
                 return self.finish(id, End::Aborted("aborted".to_owned()));
@@ -414,6 +388,9 @@ impl Supervisor {
         let Some(mut task) = self.tasks.remove(&id) else {
             return;
         };
+        if let Doing::Announced(announced) = &task.doing {
+            self.groups.withdraw(announced.number);
+        }
         let name = task.name();
         // What was said to be taken cannot be refused any more.
         let end = match end {

@@ -114,8 +114,8 @@ fn main() -> ExitCode {
         return code;
     }
     #[cfg(unix)]
-    if let Some(guard) = serve::Guard::of(&args) {
-        return exit("ztl", guard.run());
+    if let Some(watchdog) = serve::Watchdog::of(&args) {
+        return exit("ztl", watchdog.run());
     }
     let command = match Cli::try_parse_from(args) {
         Ok(cli) => cli.command,

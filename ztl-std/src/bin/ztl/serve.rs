@@ -35,15 +35,15 @@ pub(crate) struct Serve {
     check: bool,
 }
 
-/// What the guard is called.
-const GUARD: &str = "serve-guard";
+/// What the watchdog is called.
+const WATCHDOG: &str = "serve-watchdog";
 
 /// A process that its `ztl serve` talks to, by stdin, and that ends with it.
-pub(crate) struct Guard {
+pub(crate) struct Watchdog {
     format: LogFormat,
 }
 
-impl Guard {
+impl Watchdog {
     /// As [`command`](Self::command) calls it. Nobody else does, so this goes without the parser for
     /// people's options: what that touches would stay in memory for as long as the server runs.
     pub(crate) fn of(args: &[OsString]) -> Option<Self> {
@@ -51,12 +51,12 @@ impl Guard {
             return None;
         };
         let format = reach::format(format.to_str()?).ok()?;
-        (name == GUARD).then_some(Self { format })
+        (name == WATCHDOG).then_some(Self { format })
     }
 
     pub(crate) fn run(self) -> Done {
         log::init_as(Level::INFO, self.format);
-        ztl_std::serve::guard();
+        ztl_std::serve::watchdog();
         Ok(ExitCode::SUCCESS)
     }
 
@@ -70,7 +70,7 @@ impl Guard {
         let mut command = Command::new(program);
         let known = LOG_FORMATS.iter().find(|(_, known)| *known == format);
         let format = known.map_or("text", |(word, _)| *word);
-        command.arg0("ztl").args([GUARD, format]);
+        command.arg0("ztl").args([WATCHDOG, format]);
         Ok(command)
     }
 }
@@ -145,13 +145,16 @@ fn served(config: &Config) -> String {
 
 fn serve(config: &Config, place: reach::Place) -> Done {
     let who = place.reachable();
-    let guard = Guard::command(place.log_format);
+    let watchdog = Watchdog::command(place.log_format);
     let mut server = place.listen()?;
-    // Without /proc, as in an empty root, there is none; everything else is as with it.
-    let groups = guard.and_then(Groups::guarded).unwrap_or_else(|error| {
-        warn!(target: "serve", "Without a guard, which cannot be started: {error}. Should this server be killed, its programs go on.");
-        Groups::default()
-    });
+    let groups = match watchdog {
+        Ok(command) => Groups::watched(command)?,
+        // An empty root has no /proc.
+        Err(error) => {
+            warn!(target: "serve", "No watchdog can be started: {error}. If this server is killed, its programs run on.");
+            Groups::default()
+        }
+    };
     for (scope, programs) in config.programs(&groups)? {
         server.register_handler(&scope, programs);
     }

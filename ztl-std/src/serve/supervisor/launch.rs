@@ -11,12 +11,12 @@ use tracing::{debug, warn};
 use ztl_core::TaskId;
 
 use super::super::forward::Told;
-use super::super::guard::Charge;
 use super::super::program::{AbortBy, Launch, Program};
 use super::super::run::End;
 use super::super::template::Call;
+use super::super::watchdog::Charge;
 use super::super::{LOG, Work, group};
-use super::{Doing, Helper, Message, Supervisor};
+use super::{Announced, CONFIRM, Doing, Helper, Message, Supervisor};
 use crate::terminal::flat;
 
 impl Supervisor {
@@ -40,16 +40,21 @@ impl Supervisor {
                 let time = Duration::try_from_secs_f64(seconds).unwrap_or_default();
                 task.doing = Doing::Sleeping(Instant::now().checked_add(time));
             }
-            Work::Program(program) => {
-                task.doing = Doing::Starting(None);
-                match program.run.launch(&task.call) {
-                    Ok(launch) => {
-                        let charge = Charge::of(&program, &task.call);
-                        self.launch(id, launch, charge, Message::Started);
-                    }
-                    Err(reason) => self.finish(id, End::Rejected(reason)),
+            Work::Program(program) => match program.run.launch(&task.call) {
+                Ok(launch) => {
+                    let charge = Charge::of(&program, &task.call);
+                    let link = self.link.clone();
+                    let number = self
+                        .groups
+                        .announce(charge, move || link.send(Message::Confirmed(id)));
+                    task.doing = Doing::Announced(Box::new(Announced {
+                        number,
+                        launch,
+                        until: Instant::now().checked_add(CONFIRM),
+                    }));
                 }
-            }
+                Err(reason) => self.finish(id, End::Rejected(reason)),
+            },
             Work::Print => self.delegate(id, |_, call, _, _| {
                 // Whatever a client sends, its goal is one line of a log.
                 let (component, goal) = (flat(&call.component), flat(&call.goal.text));
@@ -66,32 +71,47 @@ impl Supervisor {
         }
     }
 
-    /// Has a program started, on a thread of its own.
+    /// The watchdog knows of a program: it may be started.
+    pub(super) fn on_confirmed(&mut self, id: TaskId) {
+        let Some(task) = self.tasks.get_mut(&id) else {
+            return;
+        };
+        match std::mem::replace(&mut task.doing, Doing::Starting(None)) {
+            // One that comes too late is refused by its timeout.
+            Doing::Announced(announced)
+                if announced.until.is_none_or(|until| Instant::now() < until) =>
+            {
+                let Announced { number, launch, .. } = *announced;
+                self.launch(id, launch, number, Message::Started);
+            }
+            doing => task.doing = doing,
+        }
+    }
+
+    /// Has an announced program started, on a thread of its own.
     fn launch(
         &mut self,
         id: TaskId,
         launch: Launch,
-        charge: Charge,
+        number: u64,
         message: fn(TaskId, Result<Child, String>) -> Message,
     ) {
         let Some(task) = self.tasks.get(&id) else {
             return;
         };
-        let groups = self.groups.clone();
         let heard = matches!(task.doing, Doing::Starting(_));
-        let spawned = self.link.try_clone().and_then(|link| {
-            let thread = std::thread::Builder::new().name(format!("ztl-start-{id}"));
-            thread.spawn(move || {
-                let started = groups.start(charge, &launch, heard);
-                if let Some(
-                    Message::Started(_, Ok(mut child)) | Message::Helper(_, Ok(mut child)),
-                ) = link.try_send(message(id, started))
-                {
-                    let _ = groups.end(group::of(&child), true, || child.wait());
-                }
-            })
+        let (groups, link) = (self.groups.clone(), self.link.clone());
+        let thread = std::thread::Builder::new().name(format!("ztl-start-{id}"));
+        let spawned = thread.spawn(move || {
+            let started = groups.start(number, &launch, heard);
+            if let Some(Message::Started(_, Ok(mut child)) | Message::Helper(_, Ok(mut child))) =
+                link.try_send(message(id, started))
+            {
+                let _ = groups.end(group::of(&child), true, || child.wait());
+            }
         });
         if let Err(error) = spawned {
+            self.groups.withdraw(number);
             self.handle(message(
                 id,
                 Err(format!("the system gives no more threads: {error}")),
@@ -111,13 +131,12 @@ impl Supervisor {
         let abort = Arc::new(AtomicBool::new(false));
         task.doing = Doing::Thread(Arc::clone(&abort), None);
         let (call, context) = (Arc::clone(&task.call), self.context.clone());
-        let spawned = self.link.try_clone().and_then(|link| {
-            let thread = std::thread::Builder::new().name(format!("ztl-task-{id}"));
-            thread.spawn(move || {
-                let tell = |told| link.send(Message::Told(id, told));
-                let end = work(context, &call, &abort, &tell);
-                tell(Told::End(end));
-            })
+        let link = self.link.clone();
+        let thread = std::thread::Builder::new().name(format!("ztl-task-{id}"));
+        let spawned = thread.spawn(move || {
+            let tell = |told| link.send(Message::Told(id, told));
+            let end = work(context, &call, &abort, &tell);
+            tell(Told::End(end));
         });
         if let Err(error) = spawned {
             let reason = format!("the system gives no more threads: {error}");
@@ -159,8 +178,10 @@ impl Supervisor {
         };
         match invocation.launch(&task.call) {
             Ok(launch) => {
+                // It stops something, so it waits for nobody.
                 let charge = Charge::of_helper(id, program.abort.grace);
-                self.launch(id, launch, charge, Message::Helper);
+                let number = self.groups.announce(charge, || {});
+                self.launch(id, launch, number, Message::Helper);
             }
             Err(reason) => self.on_helper(id, Err(reason)),
         }

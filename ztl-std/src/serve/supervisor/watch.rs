@@ -9,9 +9,9 @@ use rustix::process::Signal;
 use tracing::{debug, warn};
 use ztl_core::TaskId;
 
-use super::super::run::{Act, End};
+use super::super::run::{Act, End, time};
 use super::super::{LOG, group};
-use super::{Doing, Running, Supervisor, Task};
+use super::{CONFIRM, Doing, Running, Supervisor, Task};
 
 /// Longest sleep while programs run, should the system not tell that one has ended.
 const DOUBT: Duration = Duration::from_secs(1);
@@ -44,11 +44,12 @@ impl Supervisor {
     fn poll_timeout(&self) -> Option<Instant> {
         let tasks = self.tasks.values().filter_map(|task| match &task.doing {
             Doing::Program(running) => running.run.poll_timeout(),
+            Doing::Announced(announced) => announced.until,
             Doing::Sleeping(until) | Doing::Thread(_, until) => *until,
             _ => None,
         });
         let helpers = self.helpers.iter().filter_map(|helper| helper.until);
-        tasks.chain(helpers).chain(self.guard_due).min()
+        tasks.chain(helpers).min()
     }
 
     /// Until something happens.
@@ -60,7 +61,7 @@ impl Supervisor {
         let left = left.into_iter().chain(doubt).min();
         // A time beyond what the system can count is for ever.
         let left = left.and_then(|left| Timespec::try_from(left).ok());
-        let mut polled = vec![PollFd::new(&self.bell, PollFlags::IN)];
+        let mut polled = vec![PollFd::new(&self.inbox, PollFlags::IN)];
         let mut whose = Vec::new();
         for (id, running) in self.running() {
             let out = running
@@ -120,9 +121,6 @@ impl Supervisor {
 
     pub(super) fn handle_timeouts(&mut self, now: Instant) {
         let is_due = |time: Option<Instant>| time.is_some_and(|time| time <= now);
-        if is_due(self.guard_due) {
-            self.guard_due = self.groups.look_for_guard();
-        }
         let mut acts = Vec::new();
         let mut over = Vec::new();
         for (id, task) in &mut self.tasks {
@@ -134,6 +132,7 @@ impl Supervisor {
                         acts.push((*id, wanted));
                     }
                 }
+                Doing::Announced(announced) if is_due(announced.until) => over.push(*id),
                 Doing::Sleeping(until) | Doing::Thread(_, until) if is_due(*until) => {
                     over.push(*id);
                 }
@@ -145,6 +144,13 @@ impl Supervisor {
         }
         for id in over {
             match self.tasks.get(&id).map(|task| &task.doing) {
+                Some(Doing::Announced(_)) => {
+                    let reason = format!(
+                        "not started: the watchdog has not confirmed within {}; try again",
+                        time(CONFIRM)
+                    );
+                    self.finish(id, End::Rejected(reason));
+                }
                 Some(Doing::Sleeping(_)) => self.finish(id, End::Completed("True".to_owned())),
                 _ => self.leave(id),
             }
@@ -170,7 +176,6 @@ impl Supervisor {
 
     /// Finds the programs that have ended.
     pub(super) fn look_for_ends(&mut self) {
-        self.guard_due = self.groups.look_for_guard();
         let ids: Vec<TaskId> = self.running().map(|(id, _)| id).collect();
         for id in ids {
             self.look_for_end(id);

@@ -1,0 +1,93 @@
+//! Programs wait for the watchdog's confirmation, and nothing else does. `sh` plays the watchdog here.
+
+use std::process::Command;
+
+use ztl_std::serve::{Config, Groups};
+use ztl_std::{RemoteTask, RunningServer, State, TaskServer, TriggerError};
+use ztl_tests::lab::{PATIENCE, Scratch, until};
+
+use crate::rig::{end, refusal};
+
+const FILE: &str = "
+scopes:
+  /test:
+    p:
+      echo: echo
+      go: {run: [sh, -c, 'echo begun >> begun; until [ -e go ]; do sleep 0.01; done'], busy: queue 1}
+";
+
+/// A server whose watchdog is this shell command. Its stdin is the server.
+fn serve(watchdog: &str) -> (Scratch, RunningServer, String) {
+    let scratch = Scratch::new();
+    let file = scratch.path("robot.yaml");
+    std::fs::write(&file, FILE).expect("to write");
+    let mut command = Command::new("sh");
+    command.args(["-c", watchdog]).current_dir(scratch.path(""));
+    let groups = Groups::watched(command).expect("threads");
+    let config = Config::load(&file).expect("a file");
+    let mut server = TaskServer::bind("tcp://127.0.0.1:*").expect("a port");
+    for (scope, programs) in config.programs(&groups).expect("threads") {
+        server.register_handler(&scope, programs);
+    }
+    let endpoint = server.endpoint().to_owned();
+    (scratch, server.spawn().expect("a thread"), endpoint)
+}
+
+#[test]
+fn without_a_confirmation_programs_are_refused_and_all_else_is_served() {
+    for watchdog in [
+        // It never gets ready, does not answer, ends at once, cannot be understood.
+        "exec sleep 600",
+        "echo 0 >&0; exec sleep 600",
+        "exit",
+        "echo ready >&0; exec sleep 600",
+    ] {
+        let (scratch, server, endpoint) = serve(watchdog);
+        let mut remote = RemoteTask::connect(&endpoint, "/test").expect("an address");
+        let mut other = RemoteTask::connect(&endpoint, "/test").expect("an address");
+        let refused = std::thread::spawn(move || refusal(&mut remote, "go", ""));
+        let ran = other.run("p", "echo", "heard", Some(PATIENCE));
+        assert_eq!(
+            ran.expect("taken").expect("its end").state,
+            State::Completed
+        );
+        let reason = refused.join().expect("a reason");
+        assert_eq!(
+            reason, "not started: the watchdog has not confirmed within 1200 ms; try again",
+            "{watchdog}"
+        );
+        drop(server);
+        assert!(!scratch.path("begun").exists(), "{watchdog}");
+    }
+}
+
+#[test]
+fn an_abort_before_the_confirmation_is_done_at_once_and_nothing_starts() {
+    // It confirms the first program, and no other.
+    let (scratch, _server, endpoint) = serve(
+        "echo 0 >&0; read line; echo 1 >&0
+        while read line; do case $line in *Begins*) echo > held; exec sleep 600;; esac; done",
+    );
+    let mut remote = RemoteTask::connect(&endpoint, "/test").expect("an address");
+    let mut start = || match remote.trigger("p", "go", "") {
+        Ok(task) => Ok(task.id.number().expect("an id of ours")),
+        Err(TriggerError::Refused { reason, .. }) => Err(reason),
+        Err(other) => panic!("{other}"),
+    };
+    let first = start().expect("taken");
+    let second = start().expect("it waits");
+    std::fs::write(scratch.path("go"), "").expect("to write");
+    until("the watchdog hears of the second", PATIENCE, || {
+        scratch.path("held").exists().then_some(())
+    });
+    let aborted = remote.abort(second).expect("an answer");
+    assert_eq!(end(&mut remote, first).0, State::Completed);
+    // On a busy machine the time for a confirmation may have passed first.
+    let (state, text) = end(&mut remote, second);
+    if state != State::Failed {
+        assert_eq!(aborted.state, State::Aborted, "{aborted:?}");
+        assert_eq!(text, "aborted before it began");
+    }
+    let begun = std::fs::read_to_string(scratch.path("begun")).expect("the first began");
+    assert_eq!(begun, "begun\n");
+}
