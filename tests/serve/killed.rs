@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 
 use ztl_std::State::{Aborted, Completed};
 use ztl_std::{RequestError, TaskId, TriggerError};
-use ztl_tests::lab::{PATIENCE, Scratch, built, until};
+use ztl_tests::lab::{PATIENCE, Scratch, until, ztl};
 
 use crate::rig::{Lab, dies, end, kill, lives, progress, signal, start, told, trigger};
 
@@ -234,11 +234,12 @@ fn a_stopped_watchdog_is_replaced_before_another_program_starts() {
 
 /// A `ztl` whose stderr is this file.
 fn logging_to(file: &Path) -> Command {
-    let mut command = Command::new("sh");
+    let (ztl, mut command) = (ztl(), Command::new("sh"));
     command
         .args(["-c", r#"exec "$@" 2>>"$0""#])
         .arg(file)
-        .arg(built("ztl"));
+        .arg(ztl.get_program())
+        .args(ztl.get_args());
     command
 }
 
