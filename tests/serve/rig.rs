@@ -167,12 +167,16 @@ pub fn progress(remote: &mut RemoteTask, id: TaskId, part: &str) {
     });
 }
 
-/// Whether a process runs; one that has ended and was not reaped does not.
+/// Whether any thread of a process runs; one that has ended and was not reaped does not. The first thread may
+/// end before the others, which hold its files and ports open.
 pub fn lives(process: u32) -> bool {
-    let stat = std::fs::read_to_string(format!("/proc/{process}/stat"));
-    stat.is_ok_and(|stat| {
-        let rest = stat.rsplit_once(") ").map(|(_, rest)| rest.to_owned());
-        !rest.is_none_or(|rest| rest.starts_with('Z') || rest.starts_with('X'))
+    let threads = std::fs::read_dir(format!("/proc/{process}/task"));
+    threads.into_iter().flatten().flatten().any(|thread| {
+        let stat = std::fs::read_to_string(thread.path().join("stat"));
+        stat.is_ok_and(|stat| {
+            let rest = stat.rsplit_once(") ").map(|(_, rest)| rest.to_owned());
+            !rest.is_none_or(|rest| rest.starts_with('Z') || rest.starts_with('X'))
+        })
     })
 }
 
