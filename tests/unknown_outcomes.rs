@@ -37,7 +37,7 @@ fn a_task_whose_end_its_server_could_not_learn_has_an_unknown_outcome() {
     let server = FakeServer::answering("1;7;moving", &lost, &lost);
     let mut remote = connect(&server);
     let id = remote.trigger("arm", "left", "up").expect("it is taken").id;
-    let words = "the server could not learn how the task ended, and it may still run: \
+    let words = "the server could not learn how the task ended: \
                  tcp://robot:1: the server does not know task 9";
     let waited = remote.wait(&id, None).expect_err("no end is known");
     let error = waited.last.expect_err("no state is known");

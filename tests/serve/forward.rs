@@ -149,7 +149,12 @@ fn a_task_whose_server_was_restarted_is_unknown_to_every_client_of_ours_and_fail
     );
     let abort = Process::run(ztl().args(["abort", "-p", &near_port, &id.to_string()]));
     assert_eq!(abort.code, Some(1), "{abort:?}");
-    assert!(abort.stdout.contains("it may still run"), "{abort:?}");
+    assert!(
+        abort
+            .stdout
+            .contains("it may still run: the server could not learn how the task ended"),
+        "{abort:?}"
+    );
     let answer = original.wait(originals, 20.0);
     assert_eq!(answer.number, FAILED);
     assert!(answer.text.starts_with("unknown: "), "{answer:?}");

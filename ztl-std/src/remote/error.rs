@@ -151,10 +151,7 @@ impl std::fmt::Display for RequestError {
             }
             Self::UnknownEnd { text } => {
                 let why = quoted(text.strip_prefix(UNKNOWN_END).unwrap_or(text));
-                write!(
-                    f,
-                    "the server could not learn how the task ended, and it may still run: {why}"
-                )
+                write!(f, "the server could not learn how the task ended: {why}")
             }
             Self::OtherTask { about, text, .. } => write!(
                 f,
