@@ -181,6 +181,11 @@ fn a_task_is_aborted_when_its_time_is_over_though_its_server_hung_for_a_while() 
     let client = start_nap(&server, "1");
     server.process.signal("STOP");
     client.wait_for(r#""event":"aborting""#);
+    let tries = || client.stderr().matches("disconnecting: no answer").count();
+    let before = tries();
+    until("an ABORT is not answered", PATIENCE, || {
+        (tries() > before).then_some(())
+    });
     server.process.signal("CONT");
     let ended = client.end(PATIENCE);
     assert_eq!(ended.code, Some(4), "{ended:?}");
