@@ -246,7 +246,7 @@ fn a_server_that_is_not_there_is_unknown() {
     let words = format!("task-client --exit-status -r localhost -p {nobody} -s {SCOPE} a:b:c");
     let start = Instant::now();
     let ended = run(&words);
-    let server = format!("no server at tcp://localhost:{nobody}");
+    let server = format!("no answer from tcp://localhost:{nobody}");
     assert!(ended.stdout.contains(&server), "{ended:?}");
     assert!(ended.stdout.contains("nothing was sent"), "{ended:?}");
     assert_eq!(ended.code, Some(5), "{ended:?}");
@@ -262,10 +262,8 @@ fn a_server_that_dies_leaves_its_task_unknown() {
     client.wait_for("Initialised task with ID");
     server.process.kill();
     let ended = client.end(PATIENCE);
-    assert!(
-        ended.stdout.contains("Could not wait for task with ID"),
-        "{ended:?}"
-    );
+    let last = ended.stdout.lines().last().unwrap_or_default();
+    assert!(last.ends_with("may still run."), "{ended:?}");
     assert!(!ended.stdout.contains("FAILED"), "{ended:?}");
     assert_eq!(ended.code, Some(5), "{ended:?}");
 }

@@ -170,16 +170,6 @@ fn a_script_stops_at_an_answer_that_tells_no_state_and_does_not_call_the_server_
     }
 }
 
-/// What the answer says is its state and text: the envelope tells which question it answers.
-#[test]
-fn a_status_whose_id_is_no_number_is_an_end_all_the_same() {
-    let server = FakeServer::answering("1;7;moving", "5;seven;there", "4;seven;True");
-    let mut remote = connect(&server);
-    let task = remote.trigger("arm", "left", "up").expect("it is taken");
-    let end = remote.wait(&task.id, None).expect("its end");
-    assert_eq!((end.state, end.text.as_str()), (State::Completed, "there"));
-}
-
 #[test]
 fn a_wait_ends_at_once_with_what_is_wrong_with_the_answer() {
     for (status, words) in [

@@ -340,7 +340,7 @@ s:
         "show.yaml:3:28: server 'gripper': 'gripper' has no component 'fingre'; did you mean 'finger'?",
         "show.yaml:4:5: server 'gripper': it has no handler 'hand'; there are: gripper, head",
         "show.yaml:5:12: server 'head': 'lift' is not a number from -90 to 90 degrees, or left, straight, right",
-        "show.yaml:6:5: server 'nobody' does not answer: no server at tcp://127.0.0.1:",
+        "show.yaml:6:5: server 'nobody' does not answer: no answer from tcp://127.0.0.1:",
         "one of the original's: it is there, and cannot be asked what it takes",
         "show.yaml:8:5: the server at tcp://127.0.0.1:",
         "6 mistakes.",

@@ -65,9 +65,10 @@ enum Kind {
     Outcome(u64),
 }
 
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone)]
 struct Sent {
     number: u64,
+    body: Vec<u8>,
     kind: Kind,
     sent: Instant,
     deadline: Instant,
@@ -135,26 +136,30 @@ impl Desk {
         assert_eq!(envelope.client, OURS);
         let last = self.sent.last().map_or(0, |sent| sent.number);
         assert!(envelope.number > last, "a number is used twice");
-        let body = Message::parse(&body).expect("a message");
+        let message = Message::parse(&body).expect("a message");
         let (scope, state, id) = match kind {
             Kind::Init => ("/lab", "1", "-1"),
-            Kind::Other => ("/lab", body.state, "7"),
+            Kind::Other => ("/lab", message.state, "7"),
             Kind::Probe | Kind::Outcome(_) => ("$ztl", "2", "-1"),
         };
-        assert_eq!((body.scope, body.state, body.id), (scope, state, id));
+        assert_eq!(
+            (message.scope, message.state, message.id),
+            (scope, state, id)
+        );
         match kind {
-            Kind::Probe => assert_eq!(body.payload, "probe"),
+            Kind::Probe => assert_eq!(message.payload, "probe"),
             Kind::Outcome(about) => {
                 assert!(about > 0, "no INIT is unanswered");
-                assert_eq!(body.payload, format!("outcome {about}"));
+                assert_eq!(message.payload, format!("outcome {about}"));
             }
-            Kind::Other => assert_ne!(body.state, "1", "an INIT that nobody asked for"),
+            Kind::Other => assert_ne!(message.state, "1", "an INIT that nobody asked for"),
             Kind::Init => {}
         }
         let number = envelope.number;
         self.pending = Some(self.sent.len());
         self.sent.push(Sent {
             number,
+            body,
             kind,
             sent: self.now,
             deadline: self.now + TIMEOUT,
@@ -168,13 +173,19 @@ impl Desk {
             .ok()
             .and_then(|back| self.sent.len().checked_sub(1)?.checked_sub(back));
         let Some(place) = place else { return };
-        let Sent { number, kind, .. } = self.sent[place];
+        let Sent {
+            number,
+            kind,
+            body: ref asked,
+            ..
+        } = self.sent[place];
         let heard = self.client.handle_reply(
             Envelope {
                 client,
                 number,
                 early_end: false,
             },
+            asked,
             body,
         );
         if client != OURS || self.pending != Some(place) {
@@ -217,10 +228,21 @@ impl Desk {
                         assert!(!id.is_positive(), "refused with an id: {}", text(body));
                     }
                     Answer::Task { state, .. } | Answer::NotTold { state, .. } => {
+                        if matches!(answer, Answer::Task { .. }) && kind == Kind::Other {
+                            let seven = Integer::parse("7");
+                            assert_eq!((message.scope, message.number()), ("/lab", seven));
+                        }
                         let code = message.code().expect("a number").value();
                         assert_eq!(code, Some(i64::from(state.code())));
                     }
                     Answer::UnknownTask { text } => assert!(text.starts_with("Invalid ID")),
+                    Answer::UnknownEnd { text } => {
+                        assert!(text.starts_with("unknown: "));
+                        assert_eq!(message.code().expect("a number").value(), Some(3));
+                    }
+                    Answer::OtherTask { scope, id, .. } => {
+                        assert_eq!((message.scope, message.id), (scope, id));
+                    }
                     Answer::UndefinedState { state, .. } => assert_eq!(message.code(), Ok(state)),
                 }
             }

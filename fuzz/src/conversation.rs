@@ -78,6 +78,8 @@ struct Street {
     requests: Vec<Letter>,
     answers: Vec<Letter>,
     asked: BTreeMap<u64, Asked>,
+    /// Their bodies.
+    sent: BTreeMap<u64, Vec<u8>>,
     /// Of the client's own INITs.
     started: BTreeMap<u64, Started>,
     /// INITs of which the client was told that they never count, and when it had asked; the server
@@ -99,6 +101,7 @@ impl Street {
             requests: Vec::new(),
             answers: Vec::new(),
             asked: BTreeMap::new(),
+            sent: BTreeMap::new(),
             started: BTreeMap::new(),
             void: BTreeMap::new(),
             tasks: Vec::new(),
@@ -112,8 +115,7 @@ impl Street {
         let envelope = self
             .client
             .probe(self.now, &mut |bytes: &[u8]| body.extend_from_slice(bytes));
-        self.asked.insert(envelope.number, Asked::Other);
-        self.requests.push((envelope, body));
+        self.post(envelope, Asked::Other, body);
         let last = |letters: &[Letter]| u64::try_from(letters.len() - 1).expect("few");
         self.arrive(b'>', last(&self.requests));
         self.answer(b'<', last(&self.answers));
@@ -129,9 +131,7 @@ impl Street {
                 .client
                 .request(self.now, Request::Init, "/lab", None, "x", sink),
         };
-        self.asked
-            .insert(envelope.number, Asked::Init { at: self.now });
-        self.requests.push((envelope, body));
+        self.post(envelope, Asked::Init { at: self.now }, body);
     }
 
     fn outcome(&mut self) {
@@ -141,9 +141,7 @@ impl Street {
             let said = text(&body);
             let (_, of) = said.rsplit_once(' ').expect("a number");
             let of = of.parse().expect("a number");
-            self.asked
-                .insert(envelope.number, Asked::Outcome { of, at: self.now });
-            self.requests.push((envelope, body));
+            self.post(envelope, Asked::Outcome { of, at: self.now }, body);
         }
     }
 
@@ -162,7 +160,12 @@ impl Street {
             "wait 1000",
             sink,
         );
-        self.asked.insert(envelope.number, Asked::Other);
+        self.post(envelope, Asked::Other, body);
+    }
+
+    fn post(&mut self, envelope: Envelope, asked: Asked, body: Vec<u8>) {
+        self.asked.insert(envelope.number, asked);
+        self.sent.insert(envelope.number, body.clone());
         self.requests.push((envelope, body));
     }
 
@@ -238,7 +241,8 @@ impl Street {
         if how == b'y' || envelope.client != OURS {
             return;
         }
-        let Some(heard) = self.client.handle_reply(envelope, &body) else {
+        let asked = &self.sent[&envelope.number];
+        let Some(heard) = self.client.handle_reply(envelope, asked, &body) else {
             return;
         };
         let (init, at) = match self.asked[&envelope.number] {

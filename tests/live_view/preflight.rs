@@ -18,7 +18,7 @@ fn what_is_missing_is_seen_before_the_first_scene_and_so_is_that_it_came() {
         terminal.shows(" Next: one");
         terminal.shows("test ✓");
         terminal.shows("robot ✗ MISSING");
-        let text = format!("MISSING: server 'robot': no server at tcp://127.0.0.1:{gone}");
+        let text = format!("MISSING: server 'robot': no answer from tcp://127.0.0.1:{gone}");
         let screen = terminal.shows(&text);
         assert!(screen.contains(" Next: one"), "{screen}");
         // In no configuration there is one of this name.
@@ -95,7 +95,7 @@ fn a_check_says_what_is_missing_whatever_else_is_wrong_with_the_file() {
         assert_eq!(ended.code, Some(1), "{ended:?}");
         for words in [
             format!("test: at tcp://127.0.0.1:{}, ztl ", server.port),
-            format!("robot: MISSING: no server at tcp://127.0.0.1:{gone}"),
+            format!("robot: MISSING: no answer from tcp://127.0.0.1:{gone}"),
             "show.yaml:1:".to_owned(),
         ] {
             assert!(ended.stdout.contains(&words), "{words}: {ended:?}");

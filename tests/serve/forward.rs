@@ -1,9 +1,11 @@
 //! Tasks that another server does.
 
+use ztl_std::RequestError;
 use ztl_std::State::{Aborted, Accepted, Completed, Failed};
 use ztl_std::keys::can_encrypt;
 use ztl_tests::lab::{
-    ABORTED, COMPLETED, PATIENCE, Process, SCOPE, Scratch, Server, reserve_port, ztl,
+    ABORTED, COMPLETED, FAILED, PATIENCE, Process, SCOPE, Scratch, Server, our_client,
+    reserve_port, until, ztl,
 };
 
 use crate::rig::{Lab, SOON, dies, end, progress, start, told, trigger};
@@ -93,6 +95,71 @@ fn a_server_that_falls_silent_leaves_its_task_unknown_until_it_speaks() {
     assert_eq!(end(&mut remote, id).0, Aborted);
 }
 
+/// Every client of a relay whose server is killed and started again while it does a task.
+#[test]
+fn a_task_whose_server_was_restarted_is_unknown_to_every_client_of_ours_and_failed_to_the_originals()
+ {
+    let port = reserve_port().to_string();
+    let sleeps = |name| format!("{name}: {{run: [sleep, '60'], abort: no}}\n");
+    let file: String = ["client", "script", "abort", "original", "after"]
+        .map(sleeps)
+        .concat();
+    let mut far = Lab::with(&file, &["-p", &port]);
+    let near = relay(far.server.port);
+    let mut client = our_client();
+    client.args(["--json", "--exit-status"]);
+    let client = near.server.start_client(client, &["p:client:"]);
+    let script = near.scratch.path("show.yaml");
+    let text = "s: {a(on_failure=go on): {p: {script: 1}}, b: {p: {after: 1}}}\n";
+    std::fs::write(&script, text).expect("a file");
+    let near_port = near.server.port.to_string();
+    let mut play = ztl();
+    play.args(["run-script", "--yes", "--plain", "-s"]);
+    play.arg(&script);
+    play.args(["--task", "p", "127.0.0.1", &near_port, SCOPE]);
+    let play = Process::start(&mut play);
+    let mut remote = near.remote();
+    let id = trigger(&mut remote, "abort", "");
+    let mut original = near.server.original_client();
+    let originals = original.start("p", "original", "");
+    until("all of them run there", PATIENCE, || {
+        let told = far.remote().describe().ok()??;
+        (told.running?.len() == 4).then_some(())
+    });
+    far.server.process.kill();
+    far.server = start(&far.scratch.path("robot.yaml"), &["-p", &port]);
+
+    let ended = client.end(PATIENCE);
+    assert_eq!(ended.code, Some(5), "{ended:?}");
+    assert!(ended.stdout.contains(r#""fate":"unknown""#), "{ended:?}");
+    let ended = play.end(PATIENCE);
+    assert_eq!(ended.code, Some(1), "{ended:?}");
+    assert!(ended.stderr.contains("Step 'a' waits: "), "{ended:?}");
+    let named = "NOT CONFIRMED: Component 'script' on handler 'p'";
+    assert!(ended.stdout.contains(named), "{ended:?}");
+    let running = far.remote().describe().expect("an answer");
+    let running = running.and_then(|told| told.running);
+    assert_eq!(running, Some(Vec::new()), "the next step never starts");
+    let waited = remote
+        .wait(id, Some(PATIENCE))
+        .expect_err("no end is known");
+    assert!(
+        matches!(waited.last, Err(RequestError::UnknownEnd { .. })),
+        "{waited:?}"
+    );
+    let abort = Process::run(ztl().args(["abort", "-p", &near_port, &id.to_string()]));
+    assert_eq!(abort.code, Some(1), "{abort:?}");
+    assert!(
+        abort
+            .stdout
+            .contains("it may still run: the server could not learn how the task ended"),
+        "{abort:?}"
+    );
+    let answer = original.wait(originals, 20.0);
+    assert_eq!(answer.number, FAILED);
+    assert!(answer.text.starts_with("unknown: "), "{answer:?}");
+}
+
 #[test]
 fn a_server_that_was_started_anew_has_not_done_what_it_was_doing() {
     let port = reserve_port().to_string();
@@ -112,12 +179,11 @@ fn a_server_that_was_started_anew_has_not_done_what_it_was_doing() {
     far.server.process.kill();
     progress(&mut remote, id, "unknown: ");
     far.server = start(&far.scratch.path("robot.yaml"), &["-p", &port]);
-    let (state, text) = end(&mut remote, id);
-    assert_eq!(state, Failed);
-    assert!(
-        text.starts_with("unknown: ") && text.contains("started anew"),
-        "{text}"
-    );
+    let waited = remote.wait(id, Some(SOON)).expect_err("no end is known");
+    let Err(RequestError::UnknownEnd { text }) = waited.last else {
+        panic!("{waited:?}");
+    };
+    assert!(text.contains("started anew"), "{text}");
 }
 
 #[test]

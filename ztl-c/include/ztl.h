@@ -160,14 +160,14 @@ extern "C" {
 #define ZTL_E_NEVER_CAME (-14)
 
 /**
- * Client: the server does not know the task: it was started anew, or has forgotten it. Whether and how
- * the task ended is unknown.
+ * Client: the server does not know the task: it was started anew, or has forgotten it; or it could not
+ * learn how the task ended. Whether and how the task ended is unknown.
  */
 #define ZTL_E_UNKNOWN_TASK (-15)
 
 /**
- * Client: the answer is not a message of ZTL, or its state is not one of ZTL's. What the task does is
- * unknown: one that was asked for may run.
+ * Client: the answer is not a message of ZTL, its state is not one of ZTL's, or it is about another task.
+ * What the task does is unknown: one that was asked for may run.
  */
 #define ZTL_E_UNREADABLE (-16)
 

@@ -36,11 +36,11 @@ pub const ZTL_E_NO_ANSWER: c_int = -12;
 pub const ZTL_E_REFUSED: c_int = -13;
 /// Client: the request never came to the server, which will refuse it from now on: nothing runs.
 pub const ZTL_E_NEVER_CAME: c_int = -14;
-/// Client: the server does not know the task: it was started anew, or has forgotten it. Whether and how
-/// the task ended is unknown.
+/// Client: the server does not know the task: it was started anew, or has forgotten it; or it could not
+/// learn how the task ended. Whether and how the task ended is unknown.
 pub const ZTL_E_UNKNOWN_TASK: c_int = -15;
-/// Client: the answer is not a message of ZTL, or its state is not one of ZTL's. What the task does is
-/// unknown: one that was asked for may run.
+/// Client: the answer is not a message of ZTL, its state is not one of ZTL's, or it is about another task.
+/// What the task does is unknown: one that was asked for may run.
 pub const ZTL_E_UNREADABLE: c_int = -16;
 /// Client: the task had not ended when the limit of the wait had passed. It goes on.
 pub const ZTL_E_NOT_ENDED: c_int = -17;
@@ -127,11 +127,13 @@ impl From<RequestError> for Failure {
             RequestError::NotConnected { .. } => ZTL_E_NOT_CONNECTED,
             RequestError::TooLong { .. } => ZTL_E_TOO_LONG,
             RequestError::NoAnswer { .. } => ZTL_E_NO_ANSWER,
-            RequestError::UnknownTask { .. } => ZTL_E_UNKNOWN_TASK,
-            RequestError::NotTold { .. } => ZTL_E_NOT_TOLD,
-            RequestError::UndefinedState { .. } | RequestError::Unreadable { .. } => {
-                ZTL_E_UNREADABLE
+            RequestError::UnknownTask { .. } | RequestError::UnknownEnd { .. } => {
+                ZTL_E_UNKNOWN_TASK
             }
+            RequestError::NotTold { .. } => ZTL_E_NOT_TOLD,
+            RequestError::UndefinedState { .. }
+            | RequestError::OtherTask { .. }
+            | RequestError::Unreadable { .. } => ZTL_E_UNREADABLE,
             RequestError::Scope(_) => ZTL_E_ARGUMENT,
             RequestError::NoCurve => ZTL_E_NO_CURVE,
             RequestError::Transport(zmq::Error::EINVAL | zmq::Error::EPROTONOSUPPORT) => {
@@ -145,10 +147,14 @@ impl From<RequestError> for Failure {
 
 impl From<TriggerError> for Failure {
     fn from(error: TriggerError) -> Self {
+        let text = error.to_string();
         match error {
             TriggerError::Refused { reason, .. } => Self::new(ZTL_E_REFUSED, reason),
-            TriggerError::Request(cause) => cause.into(),
-            never_came => Self::new(ZTL_E_NEVER_CAME, never_came.to_string()),
+            TriggerError::Request(cause) => Self {
+                text,
+                ..cause.into()
+            },
+            _ => Self::new(ZTL_E_NEVER_CAME, text),
         }
     }
 }

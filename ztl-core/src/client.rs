@@ -24,9 +24,9 @@
 //! // … the answer comes back in the same envelope.
 //! let id = Integer::parse("7").expect("a number");
 //! let answer = Answer::Accepted { id, ended: None, text: "opening" };
-//! let heard = client.handle_reply(envelope, b"/lab;1;7;opening");
+//! let heard = client.handle_reply(envelope, &body, b"/lab;1;7;opening");
 //! assert_eq!(heard, Some(Heard::Answer(answer)));
-//! assert!(client.handle_reply(envelope, b"/lab;1;7;opening").is_none(), "only once");
+//! assert!(client.handle_reply(envelope, &body, b"/lab;1;7;opening").is_none(), "only once");
 //! ```
 
 mod answer;
@@ -225,19 +225,26 @@ impl Client {
         Some(envelope)
     }
 
-    /// A reply has arrived in this envelope. `None` when it answers nothing that is under way: it
-    /// is late, or somebody else's. Late is what comes after [`handle_timeout`](Self::handle_timeout):
+    /// A reply has arrived in this envelope, in which `asked` was sent. `None` when it answers nothing
+    /// that is under way: it is late, or somebody else's. Late is what comes after [`handle_timeout`](Self::handle_timeout):
     /// call that first, if the time may have come to which [`poll_timeout`](Self::poll_timeout) points.
-    pub fn handle_reply<'a>(&mut self, envelope: Envelope, body: &'a [u8]) -> Option<Heard<'a>> {
-        let asked = |pending: &mut Pending| pending.number == envelope.number;
+    pub fn handle_reply<'a>(
+        &mut self,
+        envelope: Envelope,
+        asked: &[u8],
+        body: &'a [u8],
+    ) -> Option<Heard<'a>> {
+        let answers = |pending: &mut Pending| pending.number == envelope.number;
         if envelope.client != self.id {
             return None;
         }
-        let pending = self.pending.take_if(asked)?;
-        let Some((scope, answer)) = Message::parse(body)
-            .ok()
-            .and_then(|message| Some((message.scope, Answer::of(pending.request, &message)?)))
-        else {
+        let pending = self.pending.take_if(answers)?;
+        let read = || {
+            let (asked, message) = (Message::parse(asked).ok()?, Message::parse(body).ok()?);
+            let answer = Answer::of(pending.request, &asked, &message)?;
+            Some((message.scope, answer))
+        };
+        let Some((scope, answer)) = read() else {
             return Some(Heard::Unreadable);
         };
         if pending.probe {

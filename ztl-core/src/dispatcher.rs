@@ -68,7 +68,8 @@ pub const RESERVED_SCOPE: &str = "$ztl";
 pub const NOTHING_KNOWN: &str = "None";
 
 /// Begins the reason of a FAILED task whose end cannot be learned, such as one that was forwarded to
-/// a server that was restarted: the task may still run.
+/// a server that was restarted: the task may still run. Clients take it for an unknown outcome
+/// ([`Answer::UnknownEnd`](crate::client::Answer::UnknownEnd)).
 pub const UNKNOWN_END: &str = "unknown: ";
 
 /// What may be chosen about a dispatcher.

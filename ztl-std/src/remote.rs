@@ -19,7 +19,6 @@ use crate::clock::now;
 use crate::keys::{KeyPair, PublicKey, can_encrypt};
 use crate::random;
 use crate::remotes::scope_mistake;
-use crate::server::MAX_MESSAGE;
 pub use background::{Fate, InBackground};
 pub use description::{Description, Offers};
 pub use error::{RequestError, TriggerError, WaitError};
@@ -41,6 +40,9 @@ const HELD_FOR_PROGRESS: Duration = Duration::from_millis(100);
 
 /// How often it is asked what became of an INIT, each time over a new connection.
 const OUTCOMES: u32 = 3;
+
+/// Longest answer that is taken, in bytes: the original's client takes any, but memory has an end.
+const LONGEST_ANSWER: usize = 64 << 20;
 
 /// Name under which the original logs.
 const LOG: &str = "remote-task";
@@ -128,7 +130,7 @@ impl RemoteTask {
             client: Client::new(new_id(), TIMEOUT),
             met: false,
             version: None,
-            takes: MAX_MESSAGE,
+            takes: LONGEST_ANSWER,
         };
         remote.socket = Some(remote.open()?);
         info!(target: LOG, "Remote task interface initialised at '{endpoint}'.");
@@ -323,7 +325,15 @@ impl RemoteTask {
     /// # Errors
     /// As [`status`](Self::status).
     pub fn abort(&mut self, id: impl Into<RemoteId>) -> Result<Status, RequestError> {
-        self.about(Request::Abort, &id.into(), "abort command")
+        let id = id.into();
+        match self.about(Request::Abort, &id, "abort command")? {
+            // It had failed before. Only a STATUS tells why, and whether it may still run all the same.
+            Status {
+                state: State::Failed,
+                text,
+            } if text == "False" => self.status(id),
+            status => Ok(status),
+        }
     }
 
     /// Asks the server about itself, as `tasks` or `devices`: the answer in JSON, or `None` where it
@@ -352,7 +362,7 @@ impl RemoteTask {
             return Ok(None);
         };
         let told = Description::parse(&answer);
-        told.map(Some).ok_or(RequestError::Unreadable { answer })
+        told.map(Some).ok_or(RequestError::Undescribed { answer })
     }
 
     /// Waits for a task to end, at most for `limit`, or for ever.

@@ -61,6 +61,20 @@ fn commands(c: char) -> bool {
     c.is_control() || reorders || matches!(c, '\u{2028}' | '\u{2029}')
 }
 
+/// How much of a text is quoted, in bytes.
+const QUOTED: usize = 300;
+
+/// A text from elsewhere as a message quotes it: the beginning of a long one, and how long it is.
+#[must_use]
+pub fn quoted(text: &str) -> Cow<'_, str> {
+    match text.get(..text.floor_char_boundary(QUOTED)) {
+        Some(start) if start.len() < text.len() => {
+            Cow::Owned(format!("{start}… ({} bytes)", text.len()))
+        }
+        _ => Cow::Borrowed(text),
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -92,5 +106,16 @@ mod tests {
         // An escape is one in JSON too.
         let json = shown("\"\u{9b}\"").into_owned();
         assert_eq!(serde_json::from_str::<String>(&json).unwrap(), "\u{9b}");
+    }
+
+    #[test]
+    fn a_long_text_is_quoted_by_its_beginning_and_its_length() {
+        let fits = "x".repeat(QUOTED);
+        assert_eq!(quoted(&fits), fits);
+        assert_eq!(quoted(""), "");
+        assert_eq!(quoted(&format!("{fits}x")), format!("{fits}… (301 bytes)"));
+        // Never in the middle of a character.
+        let wide = "€".repeat(QUOTED);
+        assert_eq!(quoted(&wide), format!("{}… (900 bytes)", "€".repeat(100)));
     }
 }

@@ -376,7 +376,7 @@ fn run_client(client: &mut Client, input: &[u8], text: &str) {
     let _ = black_box(sink.finish());
     if let Some(envelope) = black_box(envelope) {
         black_box(envelope.frames());
-        black_box(client.handle_reply(envelope, input));
+        black_box(client.handle_reply(envelope, input, input));
     }
     black_box((
         client.handle_timeout(now()),

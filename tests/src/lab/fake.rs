@@ -7,7 +7,7 @@ use std::thread::JoinHandle;
 /// Pause between two looks whether the server is still wanted, in milliseconds.
 const LOOK_AGAIN: i32 = 20;
 
-/// A REP server with a scripted answer to each request. Probes are refused, as by the original.
+/// A REP server with a scripted answer to each request.
 #[derive(Debug)]
 pub struct FakeServer {
     /// Where it listens.
@@ -18,9 +18,19 @@ pub struct FakeServer {
 }
 
 impl FakeServer {
-    /// Answers each request body with the bytes that `answer` returns.
+    /// Answers each request body with the bytes that `answer` returns. Questions to `$ztl` are refused, as by
+    /// the original.
     #[track_caller]
     pub fn start(mut answer: impl FnMut(&str) -> Vec<u8> + Send + 'static) -> Self {
+        Self::with_questions(move |request| match request.starts_with("$ztl;") {
+            true => b"$ztl;2;-1;No controller for scope: $ztl".to_vec(),
+            false => answer(request),
+        })
+    }
+
+    /// The same, but `answer` answers the questions to `$ztl` too.
+    #[track_caller]
+    pub fn with_questions(mut answer: impl FnMut(&str) -> Vec<u8> + Send + 'static) -> Self {
         let socket = zmq::Context::new().socket(zmq::REP).expect("a socket");
         socket.set_linger(0).expect("an option");
         socket.set_rcvtimeo(LOOK_AGAIN).expect("an option");
@@ -40,15 +50,11 @@ impl FakeServer {
                     continue;
                 };
                 let body = String::from_utf8_lossy(&body).into_owned();
-                let reply = if body.starts_with("$ztl;") {
-                    b"$ztl;2;-1;No controller for scope: $ztl".to_vec()
-                } else {
-                    let reply = answer(&body);
-                    seen.lock()
-                        .unwrap_or_else(PoisonError::into_inner)
-                        .push(body);
-                    reply
-                };
+                let reply = answer(&body);
+                if !body.starts_with("$ztl;") {
+                    let mut seen = seen.lock().unwrap_or_else(PoisonError::into_inner);
+                    seen.push(body);
+                }
                 socket.send(reply, 0).expect("a client that listens");
             }
         });
@@ -81,7 +87,7 @@ impl FakeServer {
         format!("tcp://127.0.0.1:{}", self.port)
     }
 
-    /// The bodies of the requests so far, without probes.
+    /// The bodies of the requests so far, without questions to `$ztl`.
     #[must_use]
     pub fn requests(&self) -> Vec<String> {
         let requests = self.requests.lock();

@@ -1,13 +1,15 @@
 //! What an answer means: decided here, once.
 
+use crate::dispatcher::{RESERVED_SCOPE, UNKNOWN_END};
 use crate::integer::Integer;
 use crate::lifecycle::{Request, State};
 use crate::message::Message;
 
 /// What an answer says, by the request that it answers.
 ///
-/// The id of an INIT's answer decides whether the task was accepted, and the state of any other
-/// answer decides where the task is; the original's client looks at nothing else either.
+/// An answer counts only with the scope of its request and, except for an INIT, with its id: every
+/// server, also the original's, repeats both. Then the id of an INIT's answer decides whether the
+/// task was accepted, and the state of any other answer decides where the task is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Answer<'a> {
@@ -47,6 +49,23 @@ pub enum Answer<'a> {
         /// The payload: what went wrong.
         text: &'a str,
     },
+    /// To STATUS or ABORT: the task is FAILED, but the server could not learn its end
+    /// ([`UNKNOWN_END`]). The task may still run.
+    UnknownEnd {
+        /// The payload.
+        text: &'a str,
+    },
+    /// The answer has another scope or id than the request, so it says nothing about the task.
+    OtherTask {
+        /// The state in the answer, if ZTL defines it.
+        state: Option<State>,
+        /// The scope in the answer.
+        scope: &'a str,
+        /// The id in the answer, which may be no number.
+        id: &'a str,
+        /// The payload.
+        text: &'a str,
+    },
     /// To STATUS or ABORT: the state is a number that ZTL does not define.
     UndefinedState {
         /// The number.
@@ -57,37 +76,49 @@ pub enum Answer<'a> {
 }
 
 impl<'a> Answer<'a> {
-    /// What a server's answer to this request says; `None` when it is not a ZTL message: fewer than
-    /// four fields, or no number where the request needs one.
+    /// What a server's answer to the request in `asked` says; `None` when it is not a ZTL message:
+    /// fewer than four fields, or no number where the request needs one.
     #[must_use]
-    pub fn classify(request: Request, body: &'a [u8]) -> Option<Self> {
-        Self::of(request, &Message::parse(body).ok()?)
+    pub fn classify(asked: &[u8], body: &'a [u8]) -> Option<Self> {
+        let asked = Message::parse(asked).ok()?;
+        let request = Request::from_code(asked.code().ok()?.value()?)?;
+        Self::of(request, &asked, &Message::parse(body).ok()?)
     }
 
-    pub(super) fn of(request: Request, message: &Message<'a>) -> Option<Self> {
-        let text = message.payload;
+    pub(super) fn of(request: Request, asked: &Message<'_>, message: &Message<'a>) -> Option<Self> {
+        let Message {
+            scope,
+            id,
+            payload: text,
+            ..
+        } = *message;
         let code = message.code();
         let state = code
             .ok()
             .and_then(Integer::value)
             .and_then(State::from_code);
+        let of_scope = scope == asked.scope;
+        let other_task = Self::OtherTask {
+            state,
+            scope,
+            id,
+            text,
+        };
         if request == Request::Init {
             let id = message.number().ok()?;
+            let ended = state.filter(|state| state.is_final() && !is_unknown_end(*state, text));
             return Some(match id.is_positive() {
-                true => Self::Accepted {
-                    id,
-                    ended: state.filter(|state| state.is_final()),
-                    text,
-                },
+                _ if !of_scope => other_task,
+                true => Self::Accepted { id, ended, text },
                 false => Self::Refused { id, text },
             });
         }
         Some(match (state, code.ok()?) {
             (None, state) => Self::UndefinedState { state, text },
-            (Some(State::Rejected), _) if is_unknown_task(text, message.id) => {
-                Self::UnknownTask { text }
-            }
             (Some(state), _) if is_about_the_request(state, text) => Self::NotTold { state, text },
+            _ if !of_scope || !is_about(asked, message) => other_task,
+            (Some(State::Rejected), _) if is_unknown_task(text, id) => Self::UnknownTask { text },
+            (Some(state), _) if is_unknown_end(state, text) => Self::UnknownEnd { text },
             (Some(state), _) => Self::Task { state, text },
         })
     }
@@ -101,9 +132,23 @@ impl<'a> Answer<'a> {
             | Self::Task { text, .. }
             | Self::UnknownTask { text }
             | Self::NotTold { text, .. }
+            | Self::UnknownEnd { text }
+            | Self::OtherTask { text, .. }
             | Self::UndefinedState { text, .. } => text,
         }
     }
+}
+
+/// Whether an answer of the right scope is about the task in the request. What the reserved scope says
+/// of the server is about none, and has an id of its own.
+fn is_about(asked: &Message<'_>, answer: &Message<'_>) -> bool {
+    let same = || Some(asked.number().ok()? == answer.number().ok()?);
+    asked.scope == RESERVED_SCOPE || same() == Some(true)
+}
+
+/// Whether a server ended the task without having learnt how.
+fn is_unknown_end(state: State, text: &str) -> bool {
+    state == State::Failed && text.starts_with(UNKNOWN_END)
 }
 
 /// Whether a server says so that it does not know the task. The original's controllers name the id,

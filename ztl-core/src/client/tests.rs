@@ -9,6 +9,8 @@ const TIMEOUT: Duration = Duration::from_secs(2);
 struct Desk {
     client: Client,
     now: Instant,
+    /// The body of the last request.
+    asked: Vec<u8>,
 }
 
 impl Desk {
@@ -16,7 +18,13 @@ impl Desk {
         Self {
             client: Client::new(ClientId([7; 16]), TIMEOUT),
             now: Instant::ZERO,
+            asked: Vec::new(),
         }
+    }
+
+    /// A reply to the last request arrives in this envelope.
+    fn handle_reply<'a>(&mut self, envelope: Envelope, reply: &'a [u8]) -> Option<Heard<'a>> {
+        self.client.handle_reply(envelope, &self.asked, reply)
     }
 
     fn init(&mut self) -> (Envelope, String) {
@@ -33,6 +41,7 @@ impl Desk {
         let mut body = Vec::new();
         let mut sink = |bytes: &[u8]| body.extend_from_slice(bytes);
         let envelope = ask(&mut self.client, self.now, &mut sink).expect("it asks");
+        self.asked.clone_from(&body);
         (envelope, String::from_utf8(body).unwrap())
     }
 
@@ -41,7 +50,7 @@ impl Desk {
         assert_eq!(body, "$ztl;2;-1;probe");
         let reply =
             std::format!("$ztl;5;0;{{ztl: 1, version: '0.1.0', boot: {boot}, scopes: {{}}}}");
-        self.client.handle_reply(envelope, reply.as_bytes());
+        self.handle_reply(envelope, reply.as_bytes());
         assert_eq!(self.client.server(), Server::Ours { boot });
     }
 
@@ -49,7 +58,7 @@ impl Desk {
     fn longest(&mut self, rest: &str) -> Option<u32> {
         let (envelope, _) = self.written(|client, now, sink| Some(client.probe(now, sink)));
         let reply = std::format!("$ztl;5;0;{{ztl: 1, version: '0.1.0', boot: 7{rest}}}");
-        self.client.handle_reply(envelope, reply.as_bytes());
+        self.handle_reply(envelope, reply.as_bytes());
         self.client.longest_message()
     }
 
@@ -95,17 +104,17 @@ fn a_late_answer_is_never_taken_for_the_next_one() {
         ))
     });
     assert_eq!(body, "/lab;3;9;abort command");
-    assert_eq!(desk.client.handle_reply(first, b"/lab;5;9;late"), None);
+    assert_eq!(desk.handle_reply(first, b"/lab;5;9;late"), None);
     let stranger = Envelope {
         client: ClientId([8; 16]),
         ..second
     };
-    assert_eq!(desk.client.handle_reply(stranger, b"/lab;4;9;True"), None);
+    assert_eq!(desk.handle_reply(stranger, b"/lab;4;9;True"), None);
     let aborted = Answer::Task {
         state: State::Aborted,
         text: "True",
     };
-    let heard = desk.client.handle_reply(second, b"/lab;4;9;True");
+    let heard = desk.handle_reply(second, b"/lab;4;9;True");
     assert_eq!(heard, Some(Heard::Answer(aborted)));
 }
 
@@ -121,13 +130,10 @@ fn what_is_no_message_is_said_to_be_unreadable() {
     ] {
         let mut desk = Desk::new();
         let (envelope, _) = desk.init();
-        assert_eq!(
-            desk.client.handle_reply(envelope, reply),
-            Some(Heard::Unreadable)
-        );
+        assert_eq!(desk.handle_reply(envelope, reply), Some(Heard::Unreadable));
     }
     for reply in [&b"\xff"[..], b"/lab;5", b"/lab;x;1;y", b"/lab;;1;y"] {
-        assert_eq!(Answer::classify(Request::Status, reply), None);
+        assert_eq!(Answer::classify(b"/lab;2;7;x", reply), None);
     }
 }
 
@@ -154,7 +160,7 @@ fn an_init_is_accepted_by_an_id_above_0_whatever_the_state() {
                 },
                 false => Answer::Refused { id, text: "y" },
             };
-            let said = Answer::classify(Request::Init, body.as_bytes());
+            let said = Answer::classify(b"/lab;1;-1;x", body.as_bytes());
             assert_eq!(said, Some(answer), "{body}");
         }
     }
@@ -170,8 +176,7 @@ fn the_state_of_an_answer_is_the_tasks_unless_the_words_say_otherwise() {
     };
     for (body, answer) in [
         ("/lab;1;7;half", task(State::Accepted, "half")),
-        // Nothing but the state and the text counts.
-        ("/lab;5;x;there", task(State::Completed, "there")),
+        ("/lab;5; +0_7 ;there", task(State::Completed, "there")),
         ("/lab; +0_5 ;7;there", task(State::Completed, "there")),
         ("/lab;6;7;y", undefined("6", "y")),
         ("/lab;-1;7;y", undefined("-1", "y")),
@@ -212,12 +217,70 @@ fn the_state_of_an_answer_is_the_tasks_unless_the_words_say_otherwise() {
             not_told(State::Failed, "Controller threw exception: no link"),
         ),
         ("/lab;3;7;no link", task(State::Failed, "no link")),
+        (
+            "/lab;3;7;unknown: robot:1 was restarted",
+            Answer::UnknownEnd {
+                text: "unknown: robot:1 was restarted",
+            },
+        ),
+        (
+            "/lab;5;7;unknown: is a word",
+            task(State::Completed, "unknown: is a word"),
+        ),
     ] {
-        for request in [Request::Status, Request::Abort] {
-            let said = Answer::classify(request, body.as_bytes());
+        for asked in ["/lab;2;7;x", "/lab;3;7;x"] {
+            let said = Answer::classify(asked.as_bytes(), body.as_bytes());
             assert_eq!(said, Some(answer), "{body}");
         }
     }
+}
+
+#[test]
+fn an_answer_with_another_scope_or_id_is_about_another_task() {
+    let other = |state, scope, id, text| Answer::OtherTask {
+        state: Some(state),
+        scope,
+        id,
+        text,
+    };
+    for (body, answer) in [
+        ("/lab;5;55;y", other(State::Completed, "/lab", "55", "y")),
+        (
+            "/lab;4;-1;True",
+            other(State::Aborted, "/lab", "-1", "True"),
+        ),
+        ("/lab;2;-1;no", other(State::Rejected, "/lab", "-1", "no")),
+        ("/lab;5;x;y", other(State::Completed, "/lab", "x", "y")),
+        ("/Lab;5;7;y", other(State::Completed, "/Lab", "7", "y")),
+        (
+            "/lab;2;8;Invalid ID '8'",
+            other(State::Rejected, "/lab", "8", "Invalid ID '8'"),
+        ),
+    ] {
+        for asked in ["/lab;2;7;x", "/lab;3;7;x"] {
+            let said = Answer::classify(asked.as_bytes(), body.as_bytes());
+            assert_eq!(said, Some(answer), "{body}");
+        }
+    }
+    for (body, answer) in [
+        ("/Lab;1;7;y", other(State::Accepted, "/Lab", "7", "y")),
+        ("/Lab;2;-1;no", other(State::Rejected, "/Lab", "-1", "no")),
+    ] {
+        let said = Answer::classify(b"/lab;1;-1;x", body.as_bytes());
+        assert_eq!(said, Some(answer), "{body}");
+    }
+    // What a server says of itself has an id of its own.
+    let said = Answer::classify(b"$ztl;2;-1;probe", b"$ztl;5;0;y");
+    assert!(matches!(said, Some(Answer::Task { .. })), "{said:?}");
+}
+
+#[test]
+fn an_init_whose_task_ended_in_an_unknown_way_is_accepted_without_an_end() {
+    let said = Answer::classify(b"/lab;1;-1;x", b"/lab;3;7;unknown: y");
+    assert!(
+        matches!(said, Some(Answer::Accepted { ended: None, .. })),
+        "{said:?}"
+    );
 }
 
 #[test]
@@ -236,7 +299,7 @@ fn an_id_of_any_length_is_sent_in_plain_digits() {
 fn the_answer_to_an_init_is_learnt_afterwards() {
     let mut desk = Desk::new();
     let asked = desk.outcome();
-    let heard = desk.client.handle_reply(asked, b"$ztl;1;12;Initiated");
+    let heard = desk.handle_reply(asked, b"$ztl;1;12;Initiated");
     let accepted = Answer::Accepted {
         id: Integer::parse("12").unwrap(),
         ended: None,
@@ -256,10 +319,7 @@ fn an_init_that_never_came_is_known_not_to_have_started() {
     let mut desk = Desk::new();
     let asked = desk.outcome();
     let reply = b"$ztl;2;0;never seen since boot 4711";
-    assert_eq!(
-        desk.client.handle_reply(asked, reply),
-        Some(Heard::NeverStarted)
-    );
+    assert_eq!(desk.handle_reply(asked, reply), Some(Heard::NeverStarted));
 }
 
 #[test]
@@ -267,10 +327,7 @@ fn after_a_restart_of_the_server_the_fate_is_unknown() {
     let mut desk = Desk::new();
     let asked = desk.outcome();
     let reply = b"$ztl;2;0;never seen since boot 4712";
-    assert_eq!(
-        desk.client.handle_reply(asked, reply),
-        Some(Heard::FateUnknown)
-    );
+    assert_eq!(desk.handle_reply(asked, reply), Some(Heard::FateUnknown));
 }
 
 #[test]
@@ -280,7 +337,7 @@ fn an_outcome_that_is_not_answered_can_be_asked_again() {
     assert_eq!(desk.late(), Late::AskOutcome);
     let (asked, body) = desk.written(|client, now, sink| client.outcome(now, sink));
     assert_eq!(body, "$ztl;2;-1;outcome 2");
-    let heard = desk.client.handle_reply(asked, b"$ztl;2;-1;busy");
+    let heard = desk.handle_reply(asked, b"$ztl;2;-1;busy");
     assert!(
         matches!(heard, Some(Heard::Answer(_))),
         "a refusal is an answer"
@@ -291,8 +348,7 @@ fn an_outcome_that_is_not_answered_can_be_asked_again() {
 fn the_original_is_not_asked_for_outcomes() {
     let mut desk = Desk::new();
     let (envelope, _) = desk.written(|client, now, sink| Some(client.probe(now, sink)));
-    desk.client
-        .handle_reply(envelope, b"$ztl;2;-1;No controller for scope: $ztl");
+    desk.handle_reply(envelope, b"$ztl;2;-1;No controller for scope: $ztl");
     assert_eq!(desk.client.server(), Server::Original);
     desk.init();
     assert_eq!(desk.late(), Late::NoAnswer);
@@ -332,7 +388,7 @@ fn a_question_that_was_not_understood_leaves_the_fate_unknown() {
     ] {
         let mut desk = Desk::new();
         let asked = desk.outcome();
-        let heard = desk.client.handle_reply(asked, reply);
+        let heard = desk.handle_reply(asked, reply);
         assert_eq!(heard, Some(Heard::FateUnknown));
     }
 }
@@ -349,7 +405,7 @@ fn a_server_that_was_probed_after_the_init_cannot_say_that_it_never_came() {
     let (asked, body) = desk.written(|client, now, sink| client.outcome(now, sink));
     assert_eq!(body, "$ztl;2;-1;outcome 2");
     let reply = b"$ztl;2;0;never seen since boot 222";
-    let heard = desk.client.handle_reply(asked, reply);
+    let heard = desk.handle_reply(asked, reply);
     assert_eq!(heard, Some(Heard::FateUnknown));
 }
 
@@ -361,7 +417,7 @@ fn of_an_init_that_went_to_a_stranger_nobody_can_say_that_it_never_came() {
     desk.probe(222);
     let (asked, _) = desk.written(|client, now, sink| client.outcome(now, sink));
     let reply = b"$ztl;2;0;never seen since boot 222";
-    let heard = desk.client.handle_reply(asked, reply);
+    let heard = desk.handle_reply(asked, reply);
     assert_eq!(heard, Some(Heard::FateUnknown));
 }
 
@@ -378,7 +434,7 @@ fn an_outcome_counts_no_longer_than_the_server_remembers() {
     assert_eq!(desk.client.poll_timeout(), Some(forgotten));
     assert_eq!(desk.late(), Late::AskOutcome);
     let reply = b"$ztl;2;0;never seen since boot 4711";
-    assert_eq!(desk.client.handle_reply(asked, reply), None);
+    assert_eq!(desk.handle_reply(asked, reply), None);
     let mut none = |_: &[u8]| {};
     assert_eq!(desk.client.outcome(desk.now, &mut none), None);
 }
@@ -394,8 +450,8 @@ fn an_init_that_is_under_way_or_given_up_can_be_asked_about() {
         }
         let (asked, body) = desk.written(|client, now, sink| client.outcome(now, sink));
         assert_eq!(body, "$ztl;2;-1;outcome 2");
-        assert_eq!(desk.client.handle_reply(init, b"/lab;1;12;late"), None);
-        let heard = desk.client.handle_reply(asked, b"$ztl;1;12;Initiated");
+        assert_eq!(desk.handle_reply(init, b"/lab;1;12;late"), None);
+        let heard = desk.handle_reply(asked, b"$ztl;1;12;Initiated");
         assert!(matches!(heard, Some(Heard::Answer(_))), "{heard:?}");
     }
 }
@@ -405,7 +461,7 @@ fn an_init_that_was_answered_is_not_asked_about() {
     let mut desk = Desk::new();
     desk.probe(4711);
     let (init, _) = desk.init();
-    let heard = desk.client.handle_reply(init, b"/lab;1;12;Initiated");
+    let heard = desk.handle_reply(init, b"/lab;1;12;Initiated");
     assert!(matches!(heard, Some(Heard::Answer(_))), "{heard:?}");
     let mut none = |_: &[u8]| {};
     assert_eq!(desk.client.outcome(desk.now, &mut none), None);
@@ -431,6 +487,6 @@ fn the_longest_message_is_what_the_server_told_last_and_no_name_of_a_scope() {
     desk.longest(", message: 65536, scopes: {}");
     let (envelope, _) = desk.written(|client, now, sink| Some(client.probe(now, sink)));
     let refused = b"$ztl;2;-1;No controller for scope: $ztl, boot: 7, message: 5";
-    desk.client.handle_reply(envelope, refused);
+    desk.handle_reply(envelope, refused);
     assert_eq!(desk.client.longest_message(), None);
 }

@@ -2,8 +2,9 @@
 
 use std::collections::BTreeMap;
 
-use serde::Serialize;
+use serde::{Serialize, Serializer};
 
+use super::RemoteId;
 use crate::yaml::{Document, Node, Value};
 
 /// The handlers of a scope and their components. Without components the server does not tell them; a
@@ -19,8 +20,23 @@ pub struct Description {
     pub boot: u32,
     /// What each scope offers; an empty map where the server does not tell it.
     pub scopes: BTreeMap<String, Offers>,
-    /// The tasks that have not ended, by id, with their scopes.
-    pub running: BTreeMap<u32, String>,
+    /// The tasks that have not ended, by id, with their scopes; `None` where the server does not tell them.
+    #[serde(serialize_with = "as_map")]
+    pub running: Option<Vec<(RemoteId, String)>>,
+    /// How many more have not ended, but have no id or scope that can be read.
+    #[serde(skip)]
+    pub unread: usize,
+}
+
+/// Pairs as JSON has them.
+fn as_map<S: Serializer>(
+    pairs: &Option<Vec<(RemoteId, String)>>,
+    to: S,
+) -> Result<S::Ok, S::Error> {
+    match pairs {
+        Some(pairs) => to.collect_map(pairs.iter().map(|(id, scope)| (id.as_str(), scope))),
+        None => to.serialize_none(),
+    }
 }
 
 impl Description {
@@ -36,31 +52,41 @@ impl Description {
             let pair = |(name, components): &(Node, Node)| {
                 Some((text(name)?.to_owned(), names(components)))
             };
-            pairs(handlers).iter().filter_map(pair).collect()
+            let handlers = pairs(handlers).unwrap_or_default();
+            handlers.iter().filter_map(pair).collect()
         };
         let scope =
             |(name, handlers): &(Node, Node)| Some((text(name)?.to_owned(), offers(handlers)));
-        let task =
-            |(id, scope): &(Node, Node)| Some((text(id)?.parse().ok()?, text(scope)?.to_owned()));
-        let all = |key| get(root, key).map(pairs).unwrap_or_default().iter();
+        let task = |(id, scope): &(Node, Node)| {
+            let id = text(id)?.parse().ok().filter(RemoteId::names_task)?;
+            Some((id, text(scope)?.to_owned()))
+        };
+        let all = |key| get(root, key).and_then(pairs);
+        let running = all("running");
+        let read: Option<Vec<_>> = running.map(|all| all.iter().filter_map(task).collect());
         Some(Self {
             version: text(get(root, "version")?)?.to_owned(),
             boot: text(get(root, "boot")?)?.parse().ok()?,
-            scopes: all("scopes").filter_map(scope).collect(),
-            running: all("running").filter_map(task).collect(),
+            scopes: all("scopes")
+                .unwrap_or_default()
+                .iter()
+                .filter_map(scope)
+                .collect(),
+            unread: running.map_or(0, <[_]>::len) - read.as_ref().map_or(0, Vec::len),
+            running: read,
         })
     }
 }
 
-fn pairs(node: &Node) -> &[(Node, Node)] {
+fn pairs(node: &Node) -> Option<&[(Node, Node)]> {
     match &node.value {
-        Value::Map(pairs) => pairs,
-        _ => &[],
+        Value::Map(pairs) => Some(pairs),
+        _ => None,
     }
 }
 
 fn get<'n>(node: &'n Node, key: &str) -> Option<&'n Node> {
-    let mut pairs = pairs(node).iter();
+    let mut pairs = pairs(node)?.iter();
     let (_, value) = pairs.find(|(name, _)| text(name) == Some(key))?;
     Some(value)
 }

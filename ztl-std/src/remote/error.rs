@@ -3,9 +3,11 @@
 use std::time::Duration;
 
 use ztl_core::State;
+use ztl_core::dispatcher::UNKNOWN_END;
 
 use super::{RemoteId, Status};
 use crate::keys::KeyError;
+use crate::terminal::quoted;
 
 /// Why a request got no answer that could be used.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -50,6 +52,21 @@ pub enum RequestError {
         /// The server's text.
         text: String,
     },
+    /// The server ended the task as FAILED without having learnt how it ended. It may still run.
+    UnknownEnd {
+        /// The server's text.
+        text: String,
+    },
+    /// The server answered for another scope or another task than the request named: what the task does is
+    /// unknown. An INIT that is answered so may have started its task.
+    OtherTask {
+        /// The state in the answer, if ZTL defines it.
+        state: Option<State>,
+        /// Which task the answer is about, in words.
+        about: String,
+        /// The server's text.
+        text: String,
+    },
     /// The server answered with a state that ZTL does not define: what the task does is unknown.
     UndefinedState {
         /// The number.
@@ -59,7 +76,12 @@ pub enum RequestError {
     },
     /// The answer is not a ZTL message. An INIT that is answered so may have started its task.
     Unreadable {
-        /// The first part of the answer, as far as it is text.
+        /// The answer, as far as it is text.
+        answer: String,
+    },
+    /// The server is ours, but does not describe itself in a way that can be read.
+    Undescribed {
+        /// The answer.
         answer: String,
     },
     /// Nothing can be sent to this scope; the text says why.
@@ -88,6 +110,8 @@ impl RequestError {
             self,
             Self::UnknownTask { .. }
                 | Self::NotTold { .. }
+                | Self::UnknownEnd { .. }
+                | Self::OtherTask { .. }
                 | Self::UndefinedState { .. }
                 | Self::Unreadable { .. }
         )
@@ -99,7 +123,7 @@ impl std::fmt::Display for RequestError {
         match self {
             Self::NotConnected { endpoint, waited } => write!(
                 f,
-                "no server at {endpoint} (tried for {:.1} s); nothing was sent",
+                "no answer from {endpoint} within {:.1} s",
                 waited.as_secs_f32()
             ),
             Self::TooLong {
@@ -109,7 +133,7 @@ impl std::fmt::Display for RequestError {
             } => write!(
                 f,
                 "the message has {bytes} bytes, and the server at {endpoint} takes at most {most}, of which a \
-                 goal can be somewhat less than {}, since it goes as base64; nothing was sent",
+                 goal can be somewhat less than {}, since it goes as base64",
                 most / 4 * 3
             ),
             Self::NoAnswer { endpoint, waited } => write!(
@@ -122,15 +146,33 @@ impl std::fmt::Display for RequestError {
                 "the server does not know task {id}: it was started anew or has forgotten it, and how the task ended is unknown"
             ),
             Self::NotTold { text, .. } => {
+                let text = quoted(text);
                 write!(f, "the server did not say how the task is: {text}")
             }
+            Self::UnknownEnd { text } => {
+                let why = quoted(text.strip_prefix(UNKNOWN_END).unwrap_or(text));
+                write!(f, "the server could not learn how the task ended: {why}")
+            }
+            Self::OtherTask { about, text, .. } => write!(
+                f,
+                "the server answered about {}, so what this task does is unknown: {}",
+                quoted(about),
+                quoted(text)
+            ),
             Self::UndefinedState { state, text } => write!(
                 f,
-                "the server answered state {state}, which ZTL does not define: {text}"
+                "the server answered state {state}, which ZTL does not define: {}",
+                quoted(text)
             ),
             Self::Unreadable { answer } => write!(
                 f,
-                "the server's answer is not a ZTL message, so what it did is unknown: {answer:?}"
+                "the server's answer is not a ZTL message, so what it did is unknown: {:?}",
+                quoted(answer)
+            ),
+            Self::Undescribed { answer } => write!(
+                f,
+                "the server does not say in readable YAML what it offers: {:?}",
+                quoted(answer)
             ),
             Self::Scope(mistake) => f.write_str(mistake),
             Self::NoCurve => KeyError::NoCurve.fmt(f),
@@ -180,6 +222,9 @@ impl std::fmt::Display for TriggerError {
             Self::Refused { reason, .. } => write!(f, "refused: {reason}"),
             Self::NeverCame => f.write_str("it never came to the server, and was not started"),
             Self::GivenUp => f.write_str("it was given up before it was sent"),
+            Self::Request(cause) if cause.nothing_was_sent() => {
+                write!(f, "{cause}; nothing was sent")
+            }
             Self::Request(cause) => cause.fmt(f),
         }
     }

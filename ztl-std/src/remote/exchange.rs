@@ -26,8 +26,8 @@ const ENCRYPTION: usize = 8 + 8 + 16 + 1;
 /// Python writes it.
 const QUOTED: usize = 4;
 
-/// How much of an answer is shown that cannot be read, in bytes.
-const LONGEST_SHOWN: usize = 200;
+/// How many answers wait to be read, at most: that to the request under way, and one that came too late.
+const ANSWERS: i32 = 2;
 
 /// Whether a request is still wanted; `None` for one that is in any case.
 pub(super) type Wanted<'a> = Option<&'a dyn Fn() -> bool>;
@@ -40,6 +40,8 @@ impl RemoteTask {
         // Nothing is queued for a server that is not there: it would act on it when it comes.
         socket.set_immediate(true)?;
         socket.set_maxmsgsize(i64::try_from(self.takes).unwrap_or(i64::MAX))?;
+        // One request is under way at a time, so that a server cannot fill the memory with answers.
+        socket.set_rcvhwm(ANSWERS)?;
         // A server that comes back is not met by all its clients in the same moment.
         socket.set_reconnect_ivl(RETRY.0)?;
         socket.set_reconnect_ivl_max(RETRY.1)?;
@@ -197,7 +199,7 @@ impl RemoteTask {
         socket: &zmq::Socket,
         start: Instant,
         envelope: Envelope,
-        body: &[u8],
+        asked: &[u8],
     ) -> Result<Said, Unanswered> {
         if self.ready(wanted, socket, zmq::POLLOUT)? != Ready::Yes {
             return Err(Unanswered::from(RequestError::NotConnected {
@@ -206,7 +208,7 @@ impl RemoteTask {
             }));
         }
         let (client, number) = envelope.frames();
-        let frames: [&[u8]; 4] = [&client, &number, b"", body];
+        let frames: [&[u8]; 4] = [&client, &number, b"", asked];
         frames::send(socket, &frames)?;
         loop {
             match self.ready(wanted, socket, zmq::POLLIN)? {
@@ -225,7 +227,7 @@ impl RemoteTask {
             };
             // Anything else answers an earlier request, which has been given up.
             if let Some(envelope) = Envelope::parse(client, number)
-                && let Some(heard) = self.client.handle_reply(envelope, body)
+                && let Some(heard) = self.client.handle_reply(envelope, asked, body)
             {
                 return self.said(heard, body, start);
             }
@@ -243,7 +245,6 @@ impl RemoteTask {
             Heard::NeverStarted => return Ok(Said::NeverStarted),
             Heard::FateUnknown => return Err(self.no_answer(start).into()),
             Heard::Unreadable => {
-                let body = body.get(..LONGEST_SHOWN).unwrap_or(body);
                 let answer = String::from_utf8_lossy(body).into_owned();
                 return Ok(Said::Unclear(RequestError::Unreadable { answer }));
             }
@@ -261,6 +262,14 @@ impl RemoteTask {
             },
             Answer::Task { state, .. } => Said::Task(Status { state, text }),
             Answer::UnknownTask { .. } => Said::UnknownTask { text },
+            Answer::UnknownEnd { .. } => Said::Unclear(RequestError::UnknownEnd { text }),
+            Answer::OtherTask {
+                state, scope, id, ..
+            } => Said::Unclear(RequestError::OtherTask {
+                state,
+                about: format!("task '{id}' of scope '{scope}'"),
+                text,
+            }),
             Answer::NotTold { state, .. } => Said::Unclear(RequestError::NotTold { state, text }),
             Answer::UndefinedState { state, .. } => Said::Unclear(RequestError::UndefinedState {
                 state: state.into(),

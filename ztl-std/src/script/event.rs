@@ -499,7 +499,8 @@ pub enum Why {
         /// Its name.
         remote: String,
     },
-    /// A server answers about a task what ZTL does not define.
+    /// A server's answer does not tell how a task is, and to ask again would not help: it could not learn the end,
+    /// or answered about another task or what ZTL does not define.
     AnswerUnclear {
         /// Its name.
         remote: String,

@@ -4,14 +4,14 @@ use std::collections::{BTreeMap, VecDeque};
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender};
 use std::time::{Duration, SystemTime};
 
+use ztl_core::Instant;
 use ztl_core::integer::Integer;
-use ztl_core::{Instant, TaskId};
 
 use super::ask::serves;
 use super::event::{By, Command, Event, Question, RequestNumber, Stamped};
 use super::player::{Answer, Ask, Player, Request, Server};
 use crate::clock::now;
-use crate::{Listing, RemoteTask, RequestError, Status, TriggerError};
+use crate::{ListedTask, Listing, RemoteTask, RequestError, Status, TriggerError};
 
 /// Plays a script on real servers: give it [`begin`](Self::begin), then take what happens from
 /// [`next`](Self::next) until the run has ended.
@@ -291,20 +291,26 @@ fn tasks(remote: &mut RemoteTask) -> Answer {
     let said = remote
         .server_info(true)
         .and_then(|info| Ok(info.zip(remote.ask_server("tasks")?)));
-    let listed = match said {
-        Ok(listed) => listed,
+    let said = match said {
+        Ok(said) => said,
         Err(error) => return nothing(&error),
     };
-    let listed = listed.and_then(|(info, json)| {
+    let listing = said.and_then(|(info, json)| {
         let listing: Listing = serde_json::from_str(&json).ok()?;
-        let here = listing
-            .tasks
-            .into_iter()
-            .filter(|task| task.ended_ms.is_none() && task.scope == remote.scope());
-        let tasks = here.filter_map(|task| Some((TaskId::new(task.id)?.into(), task.task)));
-        Some((info.boot, tasks.collect()))
+        Some((info.boot, listing))
     });
-    Answer::Tasks { listed }
+    let Some((boot, listing)) = listing else {
+        return Answer::Tasks {
+            listed: None,
+            unread: 0,
+        };
+    };
+    let here = |task: &ListedTask| task.ended_ms.is_none() && task.scope == remote.scope();
+    let here = listing.tasks.into_iter().filter(here);
+    Answer::Tasks {
+        listed: Some((boot, here.map(|task| (task.id, task.task)).collect())),
+        unread: listing.unread,
+    }
 }
 
 /// Who the server is; a connection knows it from the first answer on.

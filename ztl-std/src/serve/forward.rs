@@ -74,10 +74,10 @@ impl Forward {
             Err(TriggerError::NeverCame | TriggerError::GivenUp) => {
                 return End::Rejected(format!("{to} did not get it, and will not start it"));
             }
-            Err(TriggerError::Request(error)) if error.nothing_was_sent() => {
-                return End::Rejected(error.to_string());
-            }
             Err(TriggerError::Request(error)) => {
+                if error.nothing_was_sent() {
+                    return End::Rejected(TriggerError::Request(error).to_string());
+                }
                 tell(Told::Accepted);
                 return End::Failed(format!("{UNKNOWN_END}whether it was started: {error}"));
             }

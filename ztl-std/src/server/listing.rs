@@ -3,7 +3,10 @@
 use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
+use serde_json::Value;
 use ztl_core::{Instant, TaskSpec};
+
+use crate::RemoteId;
 
 /// Longest payload that is kept to be shown, in bytes: base64, so a multiple of four.
 const SHOWN: usize = 400;
@@ -16,7 +19,7 @@ const MOST: usize = 1000;
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ListedTask {
     /// Its id.
-    pub id: u32,
+    pub id: RemoteId,
     /// The scope that it belongs to.
     pub scope: String,
     /// `handler:component:goal`, or the payload where it is no such thing; long ones are cut.
@@ -33,11 +36,37 @@ pub struct ListedTask {
 
 /// What `$ztl` answers to `tasks`: the running ones, then the ended ones, latest first.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(from = "Answer")]
 pub struct Listing {
     /// The tasks.
     pub tasks: Vec<ListedTask>,
     /// How many more are remembered.
     pub more: usize,
+    /// How many more the server listed in a way that cannot be read. They may run.
+    #[serde(skip)]
+    pub unread: usize,
+}
+
+/// A listing as another server writes it: a task that cannot be read must not hide the others.
+#[derive(Deserialize)]
+struct Answer {
+    tasks: Vec<Value>,
+    more: usize,
+}
+
+impl From<Answer> for Listing {
+    fn from(Answer { tasks, more }: Answer) -> Self {
+        let listed = tasks.len();
+        let read = |task| serde_json::from_value(task).ok();
+        let tasks = tasks.into_iter().filter_map(read);
+        let named = |task: &ListedTask| task.id.names_task();
+        let tasks: Vec<ListedTask> = tasks.filter(named).collect();
+        Self {
+            unread: listed - tasks.len(),
+            tasks,
+            more,
+        }
+    }
 }
 
 impl Listing {

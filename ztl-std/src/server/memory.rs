@@ -294,7 +294,7 @@ impl Heap {
         let tasks = shown.map(|(id, Kept { task, asked, .. })| {
             let asked = asked.as_ref();
             ListedTask {
-                id: id.get(),
+                id: (*id).into(),
                 scope: self.scope_name(task.extra).to_owned(),
                 task: asked.map(Asked::task).unwrap_or_default(),
                 state: task.state.code(),
@@ -305,7 +305,7 @@ impl Heap {
         });
         Listing {
             tasks: tasks.collect(),
-            more: 0,
+            ..Listing::default()
         }
     }
 

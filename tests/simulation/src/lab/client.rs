@@ -68,6 +68,8 @@ pub(super) struct Person {
     /// Tasks to be asked about, each with the moment from which on.
     watched: VecDeque<(usize, TaskId, Instant)>,
     asked: Option<Asked>,
+    /// The body of the last request.
+    sent: Vec<u8>,
     /// Whether the server is to be asked who it is.
     stranger: bool,
     /// What it sends.
@@ -84,6 +86,7 @@ impl Person {
             aborts: VecDeque::new(),
             watched: VecDeque::new(),
             asked: None,
+            sent: Vec::new(),
             stranger: true,
             out: Vec::new(),
             news: Vec::new(),
@@ -106,7 +109,7 @@ impl Person {
     /// An answer has come.
     pub(super) fn handle_reply(&mut self, now: Instant, letter: &Letter) {
         let (envelope, body) = letter;
-        let Some(heard) = self.client.handle_reply(*envelope, body) else {
+        let Some(heard) = self.client.handle_reply(*envelope, &self.sent, body) else {
             return;
         };
         let asked = self.asked.take();
@@ -196,7 +199,7 @@ impl Person {
         let mut body = Vec::new();
         let mut sink = |bytes: &[u8]| body.extend_from_slice(bytes);
         if let Some(envelope) = self.client.outcome(now, &mut sink) {
-            self.out.push((envelope, body));
+            self.send(envelope, body);
         } else if let Some(Asked::Init(task)) = self.asked.take() {
             self.news.push((task, Known::Unknown));
         }
@@ -232,6 +235,11 @@ impl Person {
             return;
         };
         self.asked = Some(asked);
+        self.send(envelope, body);
+    }
+
+    fn send(&mut self, envelope: Envelope, body: Vec<u8>) {
+        self.sent.clone_from(&body);
         self.out.push((envelope, body));
     }
 

@@ -1,12 +1,11 @@
 //! `ztl abort`: stops tasks of a server, whoever started them.
 
 use std::collections::HashSet;
-use std::process::ExitCode;
 
-use ztl_std::{ListedTask, RemoteId, RequestError, State, Status, TaskId};
+use ztl_std::{ListedTask, RemoteId, RequestError, State, Status};
 
 use crate::Done;
-use crate::ask::{Asking, Server};
+use crate::ask::{Asking, Server, all_read, code};
 use crate::terminal::{error_line, flat, line};
 
 #[derive(Debug, clap::Args)]
@@ -40,12 +39,12 @@ struct Wanted {
 }
 
 impl Wanted {
-    fn of(task: &ListedTask) -> Option<Self> {
-        Some(Self {
+    fn of(task: &ListedTask) -> Self {
+        Self {
             scope: task.scope.clone(),
-            id: TaskId::new(task.id)?.into(),
+            id: task.id.clone(),
             task: task.task.clone(),
-        })
+        }
     }
 }
 
@@ -61,10 +60,7 @@ impl Abort {
             true => abort_all(&server, self.scope.as_deref())?,
             false => abort_these(&server, &self.ids, self.scope)?,
         };
-        Ok(match all_ended {
-            true => ExitCode::SUCCESS,
-            false => ExitCode::FAILURE,
-        })
+        Ok(code(all_ended))
     }
 }
 
@@ -77,14 +73,14 @@ fn abort_all(server: &Server, scope: Option<&str>) -> Result<bool, Box<dyn std::
         let runs = |task: &&ListedTask| {
             task.ended_ms.is_none() && scope.is_none_or(|scope| scope == task.scope)
         };
-        let running = listing.tasks.iter().filter(runs).filter_map(Wanted::of);
+        let running = listing.tasks.iter().filter(runs).map(Wanted::of);
         let new: Vec<Wanted> = running
             .filter(|task| tried.insert(task.id.clone()))
             .collect();
         for task in &new {
             all_ended &= abort(server, task)?;
         }
-        if tried.is_empty() {
+        if tried.is_empty() && listing.unread == 0 {
             if let Some(scope) = scope {
                 server.demand_scope(scope)?;
             }
@@ -94,7 +90,7 @@ fn abort_all(server: &Server, scope: Option<&str>) -> Result<bool, Box<dyn std::
         let told_all =
             listing.more == 0 || listing.tasks.iter().any(|task| task.ended_ms.is_some());
         if told_all || new.is_empty() {
-            return Ok(all_ended && told_all);
+            return Ok(all_read(listing.unread) && all_ended && told_all);
         }
     }
 }
@@ -118,8 +114,8 @@ fn abort_these(
         None => match server.tasks_if_any()? {
             Some(listing) => {
                 let find = |id: &RemoteId| {
-                    let mut tasks = listing.tasks.iter().filter_map(Wanted::of);
-                    tasks.find(|task| task.id == *id)
+                    let mut tasks = listing.tasks.iter();
+                    tasks.find(|task| task.id == *id).map(Wanted::of)
                 };
                 ids.iter().map(find).collect()
             }

@@ -1,13 +1,17 @@
 //! What `ztl devices`, `ztl describe`, `ztl ps` and `ztl abort` share: which server is asked, and how
 //! answers look.
 
+use std::process::ExitCode;
+
 use serde::de::DeserializeOwned;
-use ztl_std::{Description, ListedTask, Listing, RemoteTask, State};
+use ztl_std::terminal::quoted;
+use ztl_std::{Description, ListedTask, Listing, RemoteId, RemoteTask, State};
 
 use crate::Misuse;
 use crate::address::{Address, Place};
 use crate::conversation::no_client;
 use crate::reach::Identity;
+use crate::terminal::error_line;
 
 /// Options that say which server is asked, and by whom.
 #[derive(Debug, clap::Args)]
@@ -106,11 +110,25 @@ impl Server {
             age_ms: 0,
             ended_ms: None,
         };
-        let told = self.connect("$ztl")?.describe()?;
-        Ok(told.map(|told| Listing {
-            tasks: told.running.into_iter().map(task).collect(),
+        let Some(told) = self.connect("$ztl")?.describe()? else {
+            return Ok(None);
+        };
+        let unread = told.unread;
+        Ok(Some(Listing {
+            tasks: self.running(told)?.into_iter().map(task).collect(),
             more: 0,
+            unread,
         }))
+    }
+
+    /// What a server says of the tasks that run.
+    ///
+    /// # Errors
+    /// It does not tell them.
+    pub(crate) fn running(&self, told: Description) -> Result<Vec<(RemoteId, String)>, String> {
+        let endpoint = self.endpoint();
+        let untold = || format!("the server at {endpoint} does not tell which tasks run");
+        told.running.ok_or_else(untold)
     }
 
     /// The same; an original server is an error.
@@ -121,8 +139,31 @@ impl Server {
 
 /// Reads an answer.
 pub(crate) fn read<T: DeserializeOwned>(json: &str) -> Result<T, String> {
-    serde_json::from_str(json)
-        .map_err(|error| format!("the server's answer is not understood: {error}"))
+    serde_json::from_str(json).map_err(|error| {
+        format!(
+            "cannot read the server's answer: {}",
+            quoted(&error.to_string())
+        )
+    })
+}
+
+/// Says that tasks of a listing cannot be read, if so; whether all can.
+pub(crate) fn all_read(unread: usize) -> bool {
+    if unread > 0 {
+        error_line(format_args!(
+            "ztl: {unread} of the tasks that the server lists cannot be read; they may run"
+        ));
+    }
+    unread == 0
+}
+
+/// The exit code of a command that did all that it was asked to, or did not.
+pub(crate) fn code(all: bool) -> ExitCode {
+    if all {
+        ExitCode::SUCCESS
+    } else {
+        ExitCode::FAILURE
+    }
 }
 
 /// A time as people say it: the two greatest units.

@@ -7,7 +7,7 @@ mod words;
 use std::cell::{Cell, RefCell};
 use std::net::ToSocketAddrs;
 use std::process::ExitCode;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use ztl_core::dispatcher::NOTHING_KNOWN;
 use ztl_std::{RemoteId, RemoteTask, RequestError, State, Status, TriggerError, WaitError};
@@ -23,6 +23,9 @@ aborts it too, waits at most 2 s for the answer, and the code is 143.";
 
 /// As long as the original waits after an abort that was refused. Whoever sends SIGTERM does not wait.
 const AFTER_ABORT: Duration = Duration::from_secs(5);
+
+/// Pause between two tries to abort a task whose server does not answer.
+const PAUSE: Duration = Duration::from_millis(50);
 
 /// How a task ended for its client.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -108,8 +111,7 @@ enum Over<'a> {
         id: &'a RemoteId,
         status: &'a Status,
     },
-    /// The server did not answer until the limit was reached, or its answer does not tell where the
-    /// task is.
+    /// The server's answer does not tell where the task is.
     Lost {
         id: &'a RemoteId,
         reason: &'a str,
@@ -145,6 +147,8 @@ fn answered(error: &RequestError) -> Option<Answered<'_>> {
     match error {
         RequestError::UnknownTask { text, .. } => Some((Some(State::Rejected), text)),
         RequestError::NotTold { state, text } => Some((Some(*state), text)),
+        RequestError::UnknownEnd { text } => Some((Some(State::Failed), text)),
+        RequestError::OtherTask { state, text, .. } => Some((*state, text)),
         RequestError::UndefinedState { text, .. } => Some((None, text)),
         _ => None,
     }
@@ -289,9 +293,9 @@ impl Conversation<'_> {
                     status: &status,
                 },
             ),
-            Err(error) if error.last.is_err() && !signals::stopped() => {
-                let reason = &error.to_string();
-                let answered = error.last.as_ref().err().and_then(answered);
+            Err(WaitError { last: Err(cause) }) if cause.was_answered() => {
+                let reason = &format!("unknown: {cause}");
+                let answered = answered(&cause);
                 let lost = Over::Lost {
                     id,
                     reason,
@@ -347,22 +351,23 @@ impl Conversation<'_> {
     ) -> Fate {
         let interrupted = signals::stopped();
         tell(News::Aborting { id, interrupted });
-        let reply = match remote.abort(id) {
+        let (reply, answered) = match insist(remote, id) {
             Ok(status) if status.state.is_final() => {
                 let words = self.last_words(remote, id, status.state);
                 let (status, words) = (&status, words.as_str());
                 return over(tell, Over::Stopped { id, status, words });
             }
-            Ok(status) => status.text,
+            Ok(status) => (status.text, true),
             Err(error) if error.was_answered() => {
                 let reason = &error.to_string();
                 return over(tell, Over::StopUnclear { id, reason });
             }
-            Err(error) => error.to_string(),
+            Err(error) => (error.to_string(), false),
         };
         let reply = &reply;
         let patient = || !signals::in_a_hurry();
-        let waits = patient();
+        // A server that has been silent for so long is not waited for again.
+        let waits = answered && patient();
         tell(News::NotAborted { id, reply, waits });
         let wait = || remote.wait_with(id, Some(AFTER_ABORT), |_| patient());
         let Some(waited) = waits.then(wait) else {
@@ -374,7 +379,7 @@ impl Conversation<'_> {
             Err(WaitError {
                 last: Ok(Status { state, text }),
             }) => (Some(state), text),
-            Err(WaitError { last: Err(cause) }) => match answered(&cause) {
+            Err(WaitError { last: Err(cause) }) => match self::answered(&cause) {
                 Some((state, text)) if self.as_original => (state, text.to_owned()),
                 _ => (None, cause.to_string()),
             },
@@ -398,6 +403,24 @@ impl Conversation<'_> {
         let told = remote.status(id).ok();
         let told = told.filter(|last| last.state == state && last.text != NOTHING_KNOWN);
         told.map(|last| last.text).unwrap_or_default()
+    }
+}
+
+/// Asks a server to stop a task, again while it does not answer: for 5 s, or once for whoever is in a hurry.
+fn insist(remote: &mut RemoteTask, id: &RemoteId) -> Result<Status, RequestError> {
+    let start = Instant::now();
+    loop {
+        match remote.abort(id) {
+            Err(error)
+                if !error.was_answered()
+                    && start.elapsed() < AFTER_ABORT
+                    && !signals::in_a_hurry() =>
+            {
+                // Some errors come at once.
+                std::thread::sleep(PAUSE);
+            }
+            answer => return answer,
+        }
     }
 }
 

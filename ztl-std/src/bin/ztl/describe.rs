@@ -46,10 +46,12 @@ impl Describe {
             let rows: Vec<Vec<String>> = handlers.iter().map(row).collect();
             table(&rows).iter().for_each(line);
         }
-        line(match told.running.len() {
-            0 => "No task is running.".to_owned(),
-            1 => "1 task is running; `ztl ps` shows it.".to_owned(),
-            many => format!("{many} tasks are running; `ztl ps` shows them."),
+        let running = told.running.map(|running| running.len() + told.unread);
+        line(match running {
+            None => "It does not tell which tasks run.".to_owned(),
+            Some(0) => "No task is running.".to_owned(),
+            Some(1) => "1 task is running; `ztl ps` shows it.".to_owned(),
+            Some(many) => format!("{many} tasks are running; `ztl ps` shows them."),
         });
         Ok(ExitCode::SUCCESS)
     }

@@ -15,7 +15,7 @@ use ztl_std::gateway::LogPiece;
 use ztl_std::gateway::{ComponentReport, DeviceReport, DeviceReports};
 
 use crate::Done;
-use crate::ask::{Asking, Server, read, spoken};
+use crate::ask::{Asking, Server, all_read, code, read, spoken};
 use crate::ps::state;
 #[cfg(feature = "defmt")]
 use crate::signals;
@@ -67,6 +67,7 @@ impl Devices {
         }
         let scopes: BTreeMap<String, DeviceReports> = read(&json)?;
         let listing = server.tasks()?;
+        let all_read = all_read(listing.unread);
         let mut found = false;
         let mut names = Vec::new();
         for (scope, devices) in &scopes {
@@ -89,7 +90,7 @@ impl Devices {
             Some(name) if !found => {
                 Err(format!("no device '{name}'; there are: {}", names.join(", ")).into())
             }
-            _ => Ok(ExitCode::SUCCESS),
+            _ => Ok(code(all_read)),
         }
     }
 }

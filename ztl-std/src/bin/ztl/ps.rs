@@ -1,13 +1,12 @@
 //! `ztl ps`: the tasks of a server.
 
-use std::collections::BTreeMap;
 use std::process::ExitCode;
 
 use serde_json::json;
-use ztl_std::{ListedTask, State};
+use ztl_std::{ListedTask, RemoteId, State};
 
 use crate::Done;
-use crate::ask::{Asking, spoken, table};
+use crate::ask::{Asking, all_read, code, spoken, table};
 use crate::terminal::{flat, line};
 
 #[derive(Debug, clap::Args)]
@@ -28,7 +27,10 @@ impl Ps {
     pub(crate) fn run(self) -> Done {
         let server = self.server.server()?;
         let Some((json, listing)) = server.tasks_if_told()? else {
-            return show_running(&server.describe()?.running, self.json);
+            let told = server.describe()?;
+            let unread = told.unread;
+            show_running(&server.running(told)?, unread, self.json);
+            return Ok(code(all_read(unread)));
         };
         if self.json {
             line(json);
@@ -36,9 +38,12 @@ impl Ps {
         }
         let shown = |task: &&ListedTask| self.all || task.ended_ms.is_none();
         let rows: Vec<Vec<String>> = listing.tasks.iter().filter(shown).map(row).collect();
+        let all_read = all_read(listing.unread);
         if rows.is_empty() {
-            line("No task is running.");
-            return Ok(ExitCode::SUCCESS);
+            if all_read {
+                line("No task is running.");
+            }
+            return Ok(code(all_read));
         }
         let shown_all = rows.len() == listing.tasks.len();
         let head = ["ID", "SCOPE", "TASK", "STATE", "SINCE", "TEXT"].map(str::to_owned);
@@ -50,28 +55,27 @@ impl Ps {
         if listing.more > 0 && (self.all || shown_all) {
             line(format_args!("{} more are remembered.", listing.more));
         }
-        Ok(ExitCode::SUCCESS)
+        Ok(code(all_read))
     }
 }
 
 /// All that a device tells that speaks ZeroMQ itself.
-fn show_running(running: &BTreeMap<u32, String>, as_json: bool) -> Done {
+fn show_running(running: &[(RemoteId, String)], unread: usize, as_json: bool) {
     if as_json {
         let tasks = running
             .iter()
             .map(|(id, scope)| json!({ "id": id, "scope": scope }));
         line(json!({ "tasks": tasks.collect::<Vec<_>>(), "more": 0 }));
-    } else if running.is_empty() {
+    } else if running.is_empty() && unread == 0 {
         line("No task is running.");
-    } else {
+    } else if !running.is_empty() {
         let head = ["ID", "SCOPE"].map(str::to_owned).to_vec();
-        let row = |(id, scope): (&u32, &String)| vec![id.to_string(), flat(scope).into_owned()];
+        let row = |(id, scope): &(RemoteId, String)| vec![id.to_string(), flat(scope).into_owned()];
         let rows: Vec<_> = std::iter::once(head)
             .chain(running.iter().map(row))
             .collect();
         table(&rows).iter().for_each(line);
     }
-    Ok(ExitCode::SUCCESS)
 }
 
 pub(crate) fn state(task: &ListedTask) -> String {

@@ -40,8 +40,7 @@ impl Player {
             return true;
         }
         match policy {
-            // What may still run is not started beside itself.
-            OnFailure::Retry(count) if retries < count && of(&Live::may_still_run).is_empty() => {
+            OnFailure::Retry(count) if retries < count => {
                 self.try_again(now);
                 true
             }

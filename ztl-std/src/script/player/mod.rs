@@ -148,14 +148,17 @@ pub enum Answer {
         /// Which start of the server lists them, and those that run in the scope: id and
         /// `handler:component:goal`. `None`: the server does not list its tasks, as the original's.
         listed: Option<(u32, Vec<(RemoteId, String)>)>,
+        /// How many more it lists in a way that cannot be read.
+        unread: usize,
     },
     /// The server answered, but that it did not reach the task. It may tell more later.
     NotTold {
         /// In words.
         text: String,
     },
-    /// The server answered, and the answer cannot be understood: an undefined state, or not a ZTL
-    /// message. To ask again would not help. To an INIT: the task may have been started.
+    /// The server answered, and the outcome is unknown: the server could not learn it, or its answer is
+    /// about another task, has an undefined state, or is not a ZTL message. To ask again would not
+    /// help. To an INIT: the task may have been started.
     Unclear {
         /// In words.
         text: String,

@@ -217,19 +217,25 @@ impl Player {
 
     /// What a server lists: what this run has not started is stopped too.
     pub(super) fn on_tasks(&mut self, now: Instant, remote: &str, answer: Answer) {
-        let (boot, tasks) = match answer {
+        let (listed, why) = match answer {
             Answer::Tasks {
                 listed: Some(listed),
-            } => listed,
-            answer => {
-                let why = match answer {
-                    Answer::Nothing { text, .. } => text,
-                    _ => "the server does not list its tasks".to_owned(),
-                };
-                let text = format!("tasks that others started on '{remote}' may still run: {why}");
-                return self.events.push_back(Event::Note { text });
+                unread,
+            } => {
+                let why = format!("{unread} in the server's list cannot be read");
+                (Some(listed), (unread > 0).then_some(why))
+            }
+            Answer::Nothing { text, .. } => (None, Some(text)),
+            _ => {
+                let why = "the server does not list its tasks";
+                (None, Some(why.to_owned()))
             }
         };
+        if let Some(why) = why {
+            let text = format!("tasks that others started on '{remote}' may still run: {why}");
+            self.events.push_back(Event::Note { text });
+        }
+        let Some((boot, tasks)) = listed else { return };
         for (id, text) in tasks {
             // Two names may be one server.
             let is_known = |task: &Live| task.id.as_ref() == Some(&id) && task.boot == Some(boot);

@@ -3,7 +3,6 @@
 use std::time::Duration;
 
 use ztl_core::Instant;
-use ztl_core::dispatcher::UNKNOWN_END;
 
 use super::super::event::{By, Command, Event, RequestNumber, TaskNumber, TaskState, Why};
 use super::{Ask, PATIENCE, POLL, Phase, Player};
@@ -98,11 +97,6 @@ impl Live {
     pub(super) const fn is_failure(&self) -> bool {
         let never_began = matches!(self.state, TaskState::NotStarted | TaskState::Refused);
         never_began || (self.awaited && self.state.is_failure())
-    }
-
-    /// It failed by the word of a server that could not learn its end: it may still run.
-    pub(super) fn may_still_run(&self) -> bool {
-        self.state == TaskState::Failed && self.text.starts_with(UNKNOWN_END)
     }
 
     /// It was taken by an earlier start of its server than this one, as far as can be told.

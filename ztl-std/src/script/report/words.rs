@@ -65,7 +65,7 @@ fn why_text(why: &Why) -> String {
         Why::TaskUnknown => "a task is unknown to its server".to_owned(),
         Why::NotTold { remote } => format!("server '{remote}' does not say how its tasks are"),
         Why::AnswerUnclear { remote } => {
-            format!("server '{remote}' answers what ZTL does not define")
+            format!("server '{remote}' gives no usable answer about a task")
         }
         Why::StartUnknown => "whether a task was started is unknown".to_owned(),
         Why::Failed => "a task failed".to_owned(),

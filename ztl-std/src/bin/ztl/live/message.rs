@@ -230,7 +230,7 @@ fn why_words(board: &Board, why: &Why, now: Duration) -> String {
             format!("server '{remote}' answers, but does not say how its tasks are")
         }
         Why::AnswerUnclear { remote } => {
-            format!("server '{remote}' answers what ZTL does not define; its task is unknown")
+            format!("server '{remote}' gives no usable answer; what its task does is unknown")
         }
         Why::StartUnknown => "nobody knows whether a task was started".to_owned(),
         Why::Failed => "something did not go well".to_owned(),

@@ -286,7 +286,7 @@ impl<'s> Plain<'s> {
                 format!("'{remote}' answers, but does not say how it is with {tasks}")
             }
             Why::AnswerUnclear { remote } => format!(
-                "'{remote}' answers what ZTL does not define, so how it is with {tasks} is unknown"
+                "'{remote}' gives no usable answer about {tasks}, so what it does is unknown"
             ),
             Why::StartUnknown => format!("there was no clear answer whether {tasks} was started"),
             Why::Failed => format!("{tasks} failed"),

@@ -253,7 +253,7 @@ fn an_init_without_an_answer_is_never_sent_again() {
 }
 
 #[test]
-fn what_failed_and_may_still_run_is_not_tried_again_by_itself() {
+fn a_task_whose_end_its_server_could_not_learn_keeps_its_step_and_is_named_at_the_end() {
     let script = "s: {a (on_failure=retry 5): {robot: {base: 1 lost}}, b: {robot: {arm: 1}}}";
     let mut world = World::new(script, Options::default());
     world.begin();
@@ -262,7 +262,17 @@ fn what_failed_and_may_still_run_is_not_tried_again_by_itself() {
         world.until_asked(),
         Some(Question::Step { scene: 0, step: 0 })
     );
+    let unclear = Why::AnswerUnclear {
+        remote: "robot".to_owned(),
+    };
+    assert_eq!(world.why(), Some(&unclear));
+    assert!(!world.player.choices().contains(&Command::Retry));
     assert_eq!(world.began.len(), 1);
+    world.run(patient);
+    let named =
+        |event: &Event| matches!(event, Event::RunEnded { running, .. } if running.len() == 1);
+    assert_eq!(world.seen(named).len(), 1);
+    assert_eq!(world.player.outcome(), Some(Outcome::Failures));
     let mut world = World::new(script, unattended());
     world.begin();
     world.run(on);

@@ -258,7 +258,7 @@ impl World {
                     .filter_map(|(id, _)| Some((TaskId::new(*id)?.into(), format!("job:{id}"))))
                     .collect();
                 let listed = machine.ours.then_some((machine.boot, tasks));
-                (acts, Answer::Tasks { listed })
+                (acts, Answer::Tasks { listed, unread: 0 })
             }
             Ask::Init {
                 handler,
@@ -392,7 +392,7 @@ impl Machine {
                 _ => State::Completed,
             },
             said: match how {
-                Some("lost") => "unknown: the robot behind it was restarted",
+                Some("lost") => LOST,
                 _ => "done",
             },
             unstoppable: how == Some("forever"),
@@ -431,6 +431,7 @@ impl Machine {
     fn tell(&mut self, id: &RemoteId, now: Instant) -> Answer {
         self.turn(now);
         match self.state(id, now) {
+            Some((_, text)) if text == LOST => Answer::Unclear { text },
             Some((state, text)) => Answer::Task { state, text },
             None => Answer::TaskUnknown {
                 boot: self.ours.then_some(self.boot),
@@ -439,6 +440,9 @@ impl Machine {
         }
     }
 }
+
+/// What is said of a task whose server could not learn its end.
+const LOST: &str = "the robot behind it was restarted";
 
 /// The key of a task in [`Machine::tasks`].
 fn place(id: &RemoteId) -> u32 {
