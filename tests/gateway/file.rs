@@ -38,6 +38,8 @@ fn the_example_is_right_and_checking_it_serves_nothing() {
 fn the_check_finds_what_the_start_would_fail_at() {
     let scratch = Scratch::new();
     std::fs::write(scratch.path("file"), "").expect("to write");
+    std::os::unix::fs::symlink("loop", scratch.path("loop")).expect("a link");
+    std::os::unix::fs::symlink("no/where", scratch.path("dangling")).expect("a link");
     let devices = "scope: /lab\ndevices: {head: sim:head}\n";
     for (text, code, said) in [
         // An address of nobody (RFC 5737), and an interface of nobody.
@@ -56,6 +58,12 @@ fn the_check_finds_what_the_start_would_fail_at() {
             1,
             "the journal cannot lie at ",
         ),
+        (
+            "port: 0\njournal: loop\n",
+            1,
+            "loop: Too many levels of symbolic links",
+        ),
+        ("port: 0\njournal: dangling\n", 1, "dangling: No such file"),
         (
             "port: 0\nkey: no.key_secret\n",
             2,

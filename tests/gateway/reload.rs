@@ -37,6 +37,12 @@ impl Lab {
     #[track_caller]
     fn reload(&mut self, text: &str) {
         std::fs::write(self.scratch.path("lab.yaml"), file_of(text)).expect("to write");
+        self.hang_up();
+    }
+
+    /// Waits until the gateway has tried to read its file again.
+    #[track_caller]
+    fn hang_up(&mut self) {
         self.gateway.signal("HUP");
         self.reloaded += 1;
         until("it is reloaded", PATIENCE, || {
@@ -174,6 +180,65 @@ fn without_a_file_there_is_nothing_to_reload() {
     gateway.wait_for("There is no configuration file to be reloaded.");
     gateway.signal("TERM");
     assert_eq!(gateway.end(PATIENCE).code, Some(143));
+}
+
+/// A named pipe in the place of a file: nobody writes into it.
+#[track_caller]
+fn replace_by_pipe(path: &std::path::Path) {
+    std::fs::remove_file(path).ok();
+    let mut mkfifo = std::process::Command::new("mkfifo");
+    assert!(mkfifo.arg(path).status().expect("mkfifo").success());
+}
+
+#[test]
+fn a_file_that_became_a_named_pipe_is_refused_and_the_next_reload_is_served() {
+    let mut lab = Lab::new("devices: {head: sim:head}\n");
+    let file = lab.scratch.path("lab.yaml");
+    replace_by_pipe(&file);
+    lab.hang_up();
+    lab.gateway
+        .wait_for("lab.yaml: cannot read it: it is not a regular file");
+    std::fs::remove_file(&file).expect("to remove it");
+    replace_by_pipe(&lab.scratch.path("robot.key_secret"));
+    lab.reload("key: robot.key_secret\ndevices: {head: sim:head}\n");
+    lab.gateway
+        .wait_for("robot.key_secret: it is not a regular file");
+    // Whoever holds the other end of it decides when it ends.
+    lab.reload("key: /dev/stdin\ndevices: {head: sim:head}\n");
+    lab.gateway
+        .wait_for("lab.yaml:3:6: '/dev/stdin' is not a regular file");
+    lab.reload("devices: {gripper: sim:gripper}\n");
+    started(&mut lab.remote(), "gripper", "finger", "3");
+}
+
+#[test]
+fn a_configuration_that_came_from_a_stream_is_not_waited_for_again() {
+    let mut gateway = Process::start(ztl().args(["gateway", "/dev/stdin"]));
+    gateway.write_line(&file_of("devices: {head: sim:head}"));
+    gateway.close_stdin();
+    gateway.wait_for("Device 'head' is ready");
+    gateway.signal("HUP");
+    gateway.wait_for("/dev/stdin cannot be read again, so nothing was reloaded.");
+    gateway.signal("TERM");
+    assert_eq!(gateway.end(PATIENCE).code, Some(143));
+}
+
+#[test]
+fn mistakes_of_a_reload_name_their_file_in_each_entry_of_a_json_log() {
+    let mut lab = Lab::new("log-format: json\ndevices: {head: sim:head}\n");
+    lab.reload("log-format: json\nprot: 1\nlog: loud\ndevices: {head: sim:head}\n");
+    let said = lab.gateway.stderr();
+    let entries = said.lines().filter_map(|line| {
+        let entry: serde_json::Value = serde_json::from_str(line).ok()?;
+        (entry["level"] == "ERROR").then(|| entry["message"].as_str().unwrap().to_owned())
+    });
+    let entries: Vec<String> = entries.collect();
+    let file = lab.scratch.path("lab.yaml").display().to_string();
+    assert_eq!(entries.len(), 3, "{entries:?}");
+    assert!(entries[0].starts_with(&format!("{file}:4:1: unknown key 'prot'; ")));
+    assert!(!entries[0].contains('\n'), "{entries:?}");
+    assert!(entries[1].starts_with(&format!("{file}:5:6: 'loud' is not known here")));
+    assert!(entries[2].starts_with(&format!("{file}: ")), "{entries:?}");
 }
 
 #[test]

@@ -7,6 +7,7 @@ mod device;
 mod disk;
 mod handler;
 mod power;
+mod returns;
 mod stopped;
 
 use std::collections::BTreeMap;

@@ -62,7 +62,7 @@ fn checking_says_what_is_wrong_and_what_may_be() {
         "{ended:?}"
     );
     let ended = run(&["/dev/zero"]);
-    let said = "/dev/zero: it has more than 1048576 bytes, and no more are read\n";
+    let said = "/dev/zero: cannot read it: it is not a regular file\n";
     assert_eq!((ended.code, ended.stderr.as_str()), (Some(2), said));
 }
 

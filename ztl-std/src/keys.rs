@@ -9,6 +9,10 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
+use crate::files;
+
+/// Most bytes of a key's file.
+const MAX_FILE: u64 = 1 << 16;
 /// Bytes of a key.
 const LEN: usize = 32;
 /// Characters of a key in Z85.
@@ -257,7 +261,9 @@ pub fn exposure(_path: &Path) -> Option<String> {
 }
 
 fn read(path: &Path) -> Result<String, KeyError> {
-    fs::read_to_string(path).map_err(|cause| KeyError::File {
+    let text = files::read(path, MAX_FILE)
+        .and_then(|bytes| String::from_utf8(bytes).map_err(|_| io::ErrorKind::InvalidData.into()));
+    text.map_err(|cause| KeyError::File {
         path: path.to_owned(),
         cause,
     })

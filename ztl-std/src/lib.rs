@@ -49,6 +49,7 @@ pub mod controller;
 #[cfg(feature = "defmt")]
 pub mod defmt;
 mod endpoint;
+pub mod files;
 mod frames;
 pub mod gateway;
 pub mod keys;

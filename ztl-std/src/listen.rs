@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 
 use ipnet::IpNet;
 
+use crate::files::is_stream;
 use crate::server::{LIMITS, Limits};
 use crate::yaml::{Fields, Node, Reading, Value};
 
@@ -84,19 +85,21 @@ impl Listen {
             }
         }
         if let Some(node) = fields.optional("key") {
-            let text = reading.text(node, "the file of the server's secret key");
-            listen.key = text.map(|text| base.join(text));
+            let what = "the file of the server's secret key";
+            listen.key = reading.parsed(node, what, |text| file(base, text));
         }
         if let Some(node) = fields.optional("client-keys") {
             for node in one_or_more(node) {
-                let text = reading.text(node, "a client's key, as anna.key or /lab=anna.key");
-                listen.client_keys.extend(text.map(|text| {
-                    let (scope, path) = match text.split_once('=') {
-                        Some((scope, path)) => (format!("{scope}="), path),
-                        None => (String::new(), text),
-                    };
-                    format!("{scope}{}", base.join(path).display())
-                }));
+                let what = "a client's key, as anna.key or /lab=anna.key";
+                listen
+                    .client_keys
+                    .extend(reading.parsed(node, what, |text| {
+                        let (scope, path) = match text.split_once('=') {
+                            Some((scope, path)) => (format!("{scope}="), path),
+                            None => (String::new(), text),
+                        };
+                        file(base, path).map(|path| format!("{scope}{}", path.display()))
+                    }));
             }
             if listen.key.is_none() {
                 reading.wrong(
@@ -115,6 +118,15 @@ impl Listen {
             listen.log_format = reading.one_of(node, &LOG_FORMATS);
         }
         listen
+    }
+}
+
+/// A file that a configuration names; a stream could not be read again at a reload.
+fn file(base: &Path, text: &str) -> Result<PathBuf, String> {
+    let path = base.join(text);
+    match is_stream(&path) {
+        true => Err(format!("'{text}' is not a regular file")),
+        false => Ok(path),
     }
 }
 

@@ -133,6 +133,11 @@ impl Process {
         written.unwrap_or_else(|error| panic!("{error}: writing to {}", self.story()));
     }
 
+    /// Ends its stdin.
+    pub fn close_stdin(&mut self) {
+        self.stdin = None;
+    }
+
     /// What it has written to stdout so far.
     pub fn stdout(&self) -> String {
         self.heard.0.lock().unwrap().text(Stream::Out)

@@ -11,9 +11,13 @@ mod text;
 use std::path::Path;
 use std::sync::Arc;
 
+use crate::files;
+
 pub use table::ElfError;
 use table::{Encoding, Table};
 
+/// Longest ELF file that is read, in bytes.
+const MAX_FILE: u64 = 1 << 30;
 /// Longest encoded message; a longer one is dropped.
 const LONGEST: usize = 64 * 1024;
 
@@ -85,7 +89,7 @@ impl Decoder {
     /// # Errors
     /// [`ElfError`] if the file is not usable.
     pub fn of_file(path: &Path) -> Result<Self, ElfError> {
-        let elf = std::fs::read(path).map_err(|error| ElfError::Read(error.to_string()))?;
+        let elf = files::read(path, MAX_FILE).map_err(|error| ElfError::Read(error.to_string()))?;
         Self::of_elf(&elf)
     }
 

@@ -3,6 +3,8 @@
 mod worker;
 
 use std::io::{self, Write};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Sender, channel};
 use std::thread::JoinHandle;
 
@@ -31,8 +33,10 @@ pub(super) enum Input {
     /// The permit goes back to the line when the bytes have been taken.
     Bytes(u64, Vec<u8>, Permit),
     Closed(u64, io::Error),
-    /// Aborts its tasks, takes no more, and ends the thread when all have ended.
+    /// Aborts its tasks, takes no more, and closes the line when all have ended.
     Retire,
+    /// Serves the device again, at this line.
+    Serve(Opener),
     /// Ends the thread. With `true` its tasks are left as they are, else they are aborted first.
     Stop(bool),
 }
@@ -57,6 +61,7 @@ pub struct Device {
     window: Window,
     log: DeviceLog,
     has_journal: bool,
+    idle: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
 }
 
@@ -77,6 +82,7 @@ impl Device {
         let session = Session::with_book(book, gateway, baud, random::nonzero);
         let mut worker = Worker::new(name, opener, session, inputs.clone(), awaited, observers);
         let (url, window, log) = (worker.url().to_owned(), worker.window(), worker.log());
+        let idle = worker.idle();
         let thread = std::thread::Builder::new()
             .name(format!("ztl-device-{name}"))
             .spawn(move || worker.run(&inbox))?;
@@ -86,6 +92,7 @@ impl Device {
             window,
             log,
             has_journal,
+            idle,
             thread: Some(thread),
         })
     }
@@ -122,14 +129,20 @@ impl Device {
 }
 
 impl Device {
-    /// Aborts its tasks and takes no more; it is over when all have ended.
+    /// Aborts its tasks and takes no more; it is idle when all have ended.
     pub(super) fn retire(&self) {
         let _ = self.inputs.send(Input::Retire);
     }
 
-    /// Whether its thread has ended.
-    pub(super) fn is_over(&self) -> bool {
-        self.thread.as_ref().is_none_or(JoinHandle::is_finished)
+    /// Serves it again after [`retire`](Self::retire), or after it was spawned without an opener.
+    pub(super) fn serve(&mut self, opener: Opener) {
+        self.url.clone_from(&opener.label);
+        let _ = self.inputs.send(Input::Serve(opener));
+    }
+
+    /// Whether it has neither a line nor tasks.
+    pub(super) fn is_idle(&self) -> bool {
+        self.idle.load(Ordering::Acquire)
     }
 
     /// Begins to end it; dropping it waits for that.

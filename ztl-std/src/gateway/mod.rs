@@ -66,7 +66,7 @@ struct Shared {
 struct Fleet {
     served: BTreeMap<String, Device>,
     /// Devices that are not served any more and may have tasks. Where they have no line, their tasks end as those
-    /// of a device that does not answer.
+    /// of a device that does not answer. One that is served again keeps its tasks.
     absent: BTreeMap<String, Device>,
     /// Tasks of the journal that have no end and that nobody has been given yet, by device.
     unended: HashMap<TaskId, (String, session::Restored)>,
@@ -89,8 +89,6 @@ impl Fleet {
 pub enum AddError {
     /// One of this name is served.
     Served,
-    /// One of this name is not served any more, and still has tasks.
-    HasTasks,
     /// The system gives no more threads.
     Thread(io::Error),
 }
@@ -99,9 +97,6 @@ impl std::fmt::Display for AddError {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
             Self::Served => f.write_str("a device of this name is served already"),
-            Self::HasTasks => f.write_str(
-                "the device that had this name still has tasks; try again when they have ended, or restart",
-            ),
             Self::Thread(cause) => write!(f, "no thread for it: {cause}"),
         }
     }
@@ -111,7 +106,7 @@ impl std::error::Error for AddError {
     fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
         match self {
             Self::Thread(cause) => Some(cause),
-            _ => None,
+            Self::Served => None,
         }
     }
 }
@@ -121,7 +116,8 @@ impl Devices {
         self.0.fleet.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Serves one more device, as [`Gateway::add`] does.
+    /// Serves one more device, as [`Gateway::add`] does. One that was served before may still have tasks: those that
+    /// [`remove`](Self::remove) aborted end first; those of the journal are settled by the device's own word.
     ///
     /// # Errors
     /// As [`AddError`] says.
@@ -130,12 +126,17 @@ impl Devices {
         if fleet.served.contains_key(name) {
             return Err(AddError::Served);
         }
-        fleet.absent.retain(|_, device| !device.is_over());
-        if fleet.absent.contains_key(name) {
-            return Err(AddError::HasTasks);
-        }
-        let device = self.spawn(&fleet, name, Some(endpoint.into()));
-        let device = device.map_err(AddError::Thread)?;
+        fleet.absent.retain(|_, device| !device.is_idle());
+        let opener = endpoint.into();
+        let device = match fleet.absent.remove(name) {
+            Some(mut device) => {
+                device.serve(opener);
+                device
+            }
+            None => self
+                .spawn(&fleet, name, Some(opener))
+                .map_err(AddError::Thread)?,
+        };
         fleet.served.insert(name.to_owned(), device);
         Ok(())
     }

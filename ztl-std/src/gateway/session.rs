@@ -298,6 +298,11 @@ impl<B: Book> Session<B> {
         }
     }
 
+    /// The rate of the line that is opened next, where it has one.
+    pub const fn set_baud(&mut self, baud: Option<u32>) {
+        self.baud = baud;
+    }
+
     /// The line is open.
     pub fn handle_connected(&mut self, now: Instant) {
         self.decoder.reset();

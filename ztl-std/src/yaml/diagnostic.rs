@@ -50,6 +50,23 @@ impl Diagnostic {
         }
     }
 
+    /// The place, what is wrong and what would be right, on one line.
+    #[must_use]
+    pub fn sentence(&self) -> String {
+        let Self { file, message, .. } = self;
+        let mut text = match self.span {
+            Some(Span { start, .. }) => {
+                format!("{file}:{}:{}: {message}", start.line, start.column)
+            }
+            None => format!("{file}: {message}"),
+        };
+        if let Some(help) = &self.help {
+            text.push_str("; ");
+            text.push_str(help);
+        }
+        text
+    }
+
     /// Adds what would be right.
     #[must_use]
     pub fn with_help(mut self, help: impl Into<String>) -> Self {
@@ -104,17 +121,7 @@ pub fn closest<'a>(written: &str, known: impl IntoIterator<Item = &'a str>) -> O
 impl fmt::Display for Diagnostic {
     /// The place and what is wrong; below it the line, and a mark under what is meant.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { file, message, .. } = self;
-        match self.span {
-            Some(Span { start, .. }) => {
-                write!(f, "{file}:{}:{}: {message}", start.line, start.column)?;
-            }
-            None => write!(f, "{file}: {message}")?,
-        }
-        if let Some(help) = &self.help {
-            write!(f, "; {help}")?;
-        }
-        writeln!(f)?;
+        writeln!(f, "{}", self.sentence())?;
         let Some(Span { start, end }) = self.span else {
             return Ok(());
         };

@@ -32,9 +32,9 @@ mod tree;
 pub use diagnostic::{Diagnostic, Diagnostics, closest};
 pub use reading::{Fields, Reading};
 
-use std::fs::File;
-use std::io::Read;
 use std::path::Path;
+
+use crate::files;
 
 /// Longest file that is read, in bytes.
 pub const MAX_FILE: u64 = 1 << 20;
@@ -233,22 +233,10 @@ impl Document {
 /// # Errors
 /// What keeps it from being read.
 pub(crate) fn read_file(path: &Path) -> Result<Vec<u8>, Diagnostics> {
-    let wrong = |message: String| Diagnostic::of_file(&path.display().to_string(), message).into();
-    let unreadable = |error| wrong(format!("cannot read it: {error}"));
-    let len = std::fs::metadata(path).map_err(unreadable)?.len();
-    if len > MAX_FILE {
-        let message = format!("the file has {len} bytes; at most {MAX_FILE} are read");
-        return Err(wrong(message));
-    }
-    // A pipe or a device does not tell how much it has.
-    let file = File::open(path).map_err(unreadable)?;
-    let mut bytes = Vec::new();
-    let most = file.take(MAX_FILE + 1).read_to_end(&mut bytes);
-    if most.map_err(unreadable)? as u64 > MAX_FILE {
-        let message = format!("it has more than {MAX_FILE} bytes, and no more are read");
-        return Err(wrong(message));
-    }
-    Ok(bytes)
+    files::read(path, MAX_FILE).map_err(|error| {
+        let message = format!("cannot read it: {error}");
+        Diagnostic::of_file(&path.display().to_string(), message).into()
+    })
 }
 
 /// The first character that PyYAML does not take.

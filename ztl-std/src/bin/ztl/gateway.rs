@@ -3,7 +3,7 @@
 mod reload;
 
 use std::fmt;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use ztl_std::gateway::Endpoint;
@@ -135,6 +135,16 @@ impl Gateway {
         log::init_as(plan.place.log, plan.place.log_format);
         signals::catch()?;
         plan.serve(options)
+    }
+
+    /// The files that it names.
+    fn files(&self) -> Vec<&Path> {
+        let file = self.file.iter().map(PathBuf::as_path);
+        #[cfg_attr(not(feature = "defmt"), expect(unused_mut, reason = "no ELF files"))]
+        let mut files: Vec<&Path> = file.chain(self.listen.files()).collect();
+        #[cfg(feature = "defmt")]
+        files.extend(self.elfs.iter().map(|(_, path)| path.as_path()));
+        files
     }
 
     /// What the file and the options say together.

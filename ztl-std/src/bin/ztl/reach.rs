@@ -93,6 +93,17 @@ fn one_of<T: Copy>(text: &str, known: &[(&str, T)]) -> Result<T, String> {
 }
 
 impl Listening {
+    /// The files that it names.
+    pub(crate) fn files(&self) -> impl Iterator<Item = &Path> {
+        let clients = self.reach.client_key.iter().map(|client| {
+            let path = client
+                .split_once('=')
+                .map_or(client.as_str(), |(_, path)| path);
+            Path::new(path)
+        });
+        self.reach.key.iter().map(PathBuf::as_path).chain(clients)
+    }
+
     /// With what the configuration file says: an option wins, but networks and clients are added to the
     /// file's. `None` when neither names a port.
     ///

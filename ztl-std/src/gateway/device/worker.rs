@@ -76,6 +76,11 @@ pub(super) struct Worker {
     awaited: usize,
     /// Until when the tasks may take to stop.
     stopping: Option<Instant>,
+    /// Takes no tasks, and closes its line when all have ended.
+    retired: bool,
+    /// The line at which it is served again then.
+    next: Option<Opener>,
+    idle: Arc<AtomicBool>,
     window: Window,
     observers: Observers,
     log: DeviceLog,
@@ -106,6 +111,9 @@ impl Worker {
             tasks: HashMap::new(),
             awaited,
             stopping: None,
+            retired: false,
+            next: None,
+            idle: Arc::default(),
             window: Window::default(),
             observers,
             log: DeviceLog::default(),
@@ -118,6 +126,11 @@ impl Worker {
 
     pub(super) fn log(&self) -> DeviceLog {
         self.log.clone()
+    }
+
+    /// Whether it has neither a line nor tasks.
+    pub(super) fn idle(&self) -> Arc<AtomicBool> {
+        Arc::clone(&self.idle)
     }
 
     /// Until it is told to stop.
@@ -145,10 +158,15 @@ impl Worker {
             while let Some(event) = self.session.poll_event() {
                 self.on_event(event);
             }
+            if self.retired && self.tasks.is_empty() {
+                self.on_settled();
+            }
             self.look_at_opening();
             self.voice.handle_timeout(now());
             self.window
                 .show(now(), &self.session, self.trouble.as_ref());
+            let idle = self.opener.is_none() && self.awaited == 0 && self.tasks.is_empty();
+            self.idle.store(idle, Ordering::Release);
             if let Some(end) = self.stopping
                 && (self.tasks.is_empty() || now() >= end)
             {
@@ -263,11 +281,8 @@ impl Worker {
     fn on_input(&mut self, input: Input) {
         match input {
             Input::Start(task, request) => {
-                if self.stopping.is_some() {
-                    return task.rejected(match self.stopping {
-                        Some(Instant::NEVER) => "the device is not served any more",
-                        _ => "the gateway is stopping",
-                    });
+                if let Some(reason) = self.takes_none() {
+                    return task.rejected(reason);
                 }
                 let id = task.id();
                 if let (Some(book), Some(claim)) = (self.session.book_mut(), request.claim.clone())
@@ -306,10 +321,55 @@ impl Worker {
             Input::Retire => {
                 self.voice
                     .say(now(), Grave::Info, " is not served any more.".to_owned());
-                self.on_stop(false, Instant::NEVER);
+                (self.retired, self.next) = (true, None);
+                for id in self.tasks.keys() {
+                    self.session.abort(now(), *id);
+                }
+            }
+            Input::Serve(opener) if self.retired => self.next = Some(opener),
+            Input::Serve(opener) => {
+                self.serve(opener);
+                for (task, _) in self.tasks.values() {
+                    task.progress("device is not answering yet");
+                }
             }
             Input::Stop(leave_running) => self.on_stop(leave_running, now() + STOP),
         }
+    }
+
+    /// Why it takes no tasks, if so.
+    fn takes_none(&self) -> Option<&'static str> {
+        match (self.stopping, self.retired, &self.next) {
+            (Some(_), _, _) => Some("the gateway is stopping"),
+            (None, true, None) => Some("the device is not served any more"),
+            (None, true, Some(_)) => Some("the device's tasks from before have not stopped yet"),
+            (None, false, _) => None,
+        }
+    }
+
+    /// The tasks of a device that is not served any more have ended.
+    fn on_settled(&mut self) {
+        if self.opener.take().is_some() {
+            self.close();
+            // What the line still says is not heard.
+            self.number += 1;
+            self.session.handle_disconnected();
+            // Until the thread that reads has let go of the line, it is not free.
+            let retry = now() + READ_TIMEOUT * 2;
+            self.line = Wire::None { retry };
+        }
+        if let Some(opener) = self.next.take() {
+            self.retired = false;
+            self.serve(opener);
+        }
+    }
+
+    fn serve(&mut self, opener: Opener) {
+        self.session.set_baud(opener.baud);
+        self.opener = Some(opener);
+        self.pause = RETRY.0;
+        self.silences = 0;
+        self.trouble = None;
     }
 
     fn on_closed(&mut self, error: &io::Error) {

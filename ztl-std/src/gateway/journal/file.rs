@@ -10,6 +10,7 @@ use tracing::warn;
 use super::JournalError;
 use super::line::last_process;
 use super::log::Storage;
+use crate::files;
 use crate::gateway::voice::LOG;
 
 /// Files before the present one that are kept: `.1` is the youngest.
@@ -40,9 +41,9 @@ pub(super) fn check(path: &Path) -> Result<(), JournalError> {
         path: path.to_owned(),
         cause,
     };
-    if path.exists() {
-        let file = OpenOptions::new().read(true).append(true).open(path);
-        lock(&file.and_then(is_regular).map_err(failed)?, path)?;
+    match OpenOptions::new().read(true).append(true).open(path) {
+        Err(cause) if cause.kind() == io::ErrorKind::NotFound && can_create(path) => {}
+        file => lock(&file.and_then(is_regular).map_err(failed)?, path)?,
     }
     // Directories are made as needed, and new files beside the journal.
     let mut directories = path.ancestors().skip(1);
@@ -209,11 +210,17 @@ impl Storage for Paper {
 }
 
 fn is_regular(file: File) -> io::Result<File> {
-    if file.metadata()?.is_file() {
-        return Ok(file);
-    }
-    let kind = io::ErrorKind::InvalidInput;
-    Err(io::Error::new(kind, "it is not a regular file"))
+    files::regular(&file.metadata()?)?;
+    Ok(file)
+}
+
+/// Whether a file that is not there could be created: a symbolic link needs its target's directory.
+fn can_create(path: &Path) -> bool {
+    let Ok(target) = fs::read_link(path) else {
+        return true;
+    };
+    let target = path.parent().unwrap_or(Path::new("")).join(target);
+    target.parent().is_some_and(Path::is_dir)
 }
 
 /// Locks a journal, if no other gateway has it.

@@ -1,22 +1,18 @@
 //! A gateway that serves reads its configuration again. What cannot be changed meanwhile is said, and stays
 //! as it is; so is everything when the configuration has mistakes.
 
-use std::time::{Duration, Instant};
-
 use tracing::{error, info, warn};
+use ztl_std::files::is_stream;
+use ztl_std::gateway::Devices;
 use ztl_std::gateway::config::DeviceConfig;
-use ztl_std::gateway::{AddError, Devices};
 use ztl_std::server::Control;
 
 use super::{Gateway, Plan};
 use crate::log;
+use crate::reach::Unfit;
 
 /// Name under which the gateway logs.
 const LOG: &str = "gateway";
-/// How long the tasks of a device that is served elsewhere from now on may take to stop.
-const STOP: Duration = Duration::from_secs(10);
-/// Pause before it is looked again whether they have.
-const LOOK: Duration = Duration::from_millis(50);
 
 /// What is needed to reload.
 pub(super) struct Reload {
@@ -31,16 +27,29 @@ pub(super) struct Reload {
 impl Reload {
     /// Reads the configuration again, and changes what can be changed.
     pub(super) fn run(&mut self) {
-        if self.options.file.is_none() {
+        let Some(file) = &self.options.file else {
             return warn!(target: LOG, "There is no configuration file to be reloaded.");
+        };
+        if let Some(stream) = self
+            .options
+            .files()
+            .into_iter()
+            .find(|path| is_stream(path))
+        {
+            let stream = stream.display();
+            return error!(target: LOG, "{stream} cannot be read again, so nothing was reloaded.");
         }
+        let file = file.display();
         let plan = match self.options.clone().plan() {
             Ok(plan) => plan,
             Err(unfit) => {
-                for line in unfit.to_string().lines() {
-                    error!(target: LOG, "{line}");
+                match unfit {
+                    Unfit::File(mistakes) => mistakes
+                        .iter()
+                        .for_each(|mistake| error!(target: LOG, "{}", mistake.sentence())),
+                    Unfit::Whole(mistake) => error!(target: LOG, "{file}: {mistake}"),
                 }
-                return error!(target: LOG, "The configuration was not reloaded; everything stays as it is.");
+                return error!(target: LOG, "{file}: the configuration was not reloaded; everything stays as it is.");
             }
         };
         let mut restart = self.compare(&plan);
@@ -102,7 +111,7 @@ impl Reload {
         for device in wanted {
             let known = before.iter().find(|known| known.name == device.name);
             let stays = known.is_some_and(|known| known.endpoint == device.endpoint);
-            if !stays && let Err(error) = self.add(&device) {
+            if !stays && let Err(error) = self.fleet.add(&device.name, device.endpoint.clone()) {
                 warn!(target: LOG, device = device.name, "Device '{}' is not served: {error}", device.name);
                 continue;
             }
@@ -114,17 +123,6 @@ impl Reload {
                 warn!(target: LOG, device = device.name, "Device '{}': its log cannot be read: {error}", device.name);
             }
             self.present.devices.push(device);
-        }
-    }
-
-    /// Waits for the tasks of a device that had this name.
-    fn add(&self, device: &DeviceConfig) -> Result<(), AddError> {
-        let start = Instant::now();
-        loop {
-            match self.fleet.add(&device.name, device.endpoint.clone()) {
-                Err(AddError::HasTasks) if start.elapsed() < STOP => std::thread::sleep(LOOK),
-                added => return added,
-            }
         }
     }
 }
