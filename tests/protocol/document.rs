@@ -172,7 +172,7 @@ fn what_a_full_server_says_stands_in_the_document() {
         ),
         (
             ids.init(None),
-            "all task ids are used up, restart the server",
+            "all task ids are used up; restart the server, without its journal if it has one",
         ),
     ] {
         assert_eq!(answers, [format!("/lab;2;-1;{reason}")]);

@@ -180,7 +180,7 @@ fn used_up_ids_are_said_by_the_gateway_and_to_its_clients() {
     let last_but_one = power::journal_up_to(u32::MAX - 1);
     std::fs::write(scratch.path("journal"), last_but_one).unwrap();
     let mut gateway = start(&device, &scratch, port);
-    gateway.process.wait_for("only 1 task ids are left");
+    gateway.process.wait_for("only 1 task id is left");
     gateway.wait_ready("motors");
     let connect = || RemoteTask::connect(&gateway.endpoint(), SCOPE).unwrap();
     let mut client = connect();
@@ -190,10 +190,12 @@ fn used_up_ids_are_said_by_the_gateway_and_to_its_clients() {
     assert_eq!(client.wait(&id, LIMIT), Ok(end.clone()));
     let used_up = |error: TriggerError| {
         let said = error.to_string();
-        assert!(said.contains("all task ids are used up"), "{said}");
+        let help = "restart the server, without its journal if it has one";
+        let wanted = format!("all task ids are used up; {help}");
+        assert!(said.contains(&wanted), "{said}");
     };
     used_up(client.trigger("motors", "arm", "8 1").unwrap_err());
-    gateway.process.wait_for("All task ids are used up: ");
+    gateway.process.wait_for("All task ids are used up: every further task is refused. Restart the server, without its journal if it has one.");
     gateway.process.kill();
     let gateway = start(&device, &scratch, port);
     gateway

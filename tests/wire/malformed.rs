@@ -2,7 +2,7 @@
 //! once, and the next client is served.
 
 use ztl_std::{RemoteTask, State};
-use ztl_tests::lab::{ABORTED, COMPLETED, OriginalClient, PATIENCE, SCOPE, Server};
+use ztl_tests::lab::{ABORTED, COMPLETED, OriginalClient, PATIENCE, Process, SCOPE, Server, ztl};
 
 use crate::{Socket, assert_serves, in_process};
 
@@ -140,6 +140,35 @@ fn a_message_without_a_delimiter_is_dropped_and_nothing_else() {
         assert_eq!(answer.last().unwrap(), b";2;-1;Unknown protocol");
         assert_serves(&endpoint.0, "messages without a delimiter");
     }
+}
+
+#[test]
+fn neither_junk_nor_the_work_of_the_server_itself_floods_a_debug_log() {
+    let words = "gateway -p 0 -d gripper=sim:gripper --log debug -s";
+    let process = Process::start(ztl().args(words.split(' ')).arg(SCOPE));
+    let port = process.wait_for_port("Serving ");
+    process.wait_for("Device 'gripper' is ready");
+    let gateway = Server { process, port };
+    let mut client = gateway.original_client();
+    let id = client.start("gripper", "finger", "20");
+    assert_eq!(client.wait(id, 20.0), (COMPLETED, "20.0"));
+    let dropped = || {
+        let said = gateway.process.stderr();
+        said.matches("dropped a message").count()
+    };
+    assert_eq!(dropped(), 0, "{}", gateway.process.stderr());
+    let dealer = Socket::dealer(&gateway.endpoint());
+    for _ in 0..500 {
+        dealer.send(&["junk"]);
+    }
+    dealer.send(&["", "/test;2;99;x"]);
+    dealer.receive();
+    gateway
+        .process
+        .wait_for("dropped a message without a delimiter");
+    let dropped = dropped();
+    // A line in half a minute.
+    assert!(dropped < 5, "{dropped}");
 }
 
 /// An address, and what serves there as long as it is kept.

@@ -47,7 +47,7 @@ texts! {
     ManyTasks => "too many tasks are running, wait for one to end",
     ManyWaiting => "too many requests are waiting, try again",
     ManyClients => "too many clients at a time, try again in a minute",
-    NoMoreIds => "all task ids are used up, restart the server",
+    NoMoreIds => "all task ids are used up; restart the server, without its journal if it has one",
     GivenUp => "this INIT was given up by its client",
     NumberTaken => "another INIT has this number",
     Settled => "settled by a later INIT",

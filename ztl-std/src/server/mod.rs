@@ -6,6 +6,7 @@
 mod access;
 mod bind;
 mod connections;
+mod dropped;
 mod handler;
 mod limits;
 mod listing;
@@ -20,7 +21,7 @@ use std::net::SocketAddr;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
-use tracing::{debug, error, info, warn};
+use tracing::{error, info, warn};
 use ztl_core::dispatcher::{Action, Body, Config, Dispatcher, TaskEvent};
 use ztl_core::envelope::Envelope;
 use ztl_core::integer::Integer;
@@ -39,6 +40,7 @@ pub use access::Access;
 use access::{Door, Who};
 pub use bind::BindError;
 use bind::{bind, try_port};
+use dropped::DroppedLog;
 pub(crate) use handler::would_take;
 pub use handler::{Answers, Restored, RestoredTask, TaskHandler};
 pub use limits::{LIMITS, Limits};
@@ -109,6 +111,7 @@ pub struct TaskServer {
     next_limits: Arc<Mutex<Option<Limits>>>,
     /// Is shown what is asked of tasks.
     witness: Option<Witness>,
+    dropped: DroppedLog,
     /// Whether it was said that all task ids are used up.
     said_used_up: bool,
     /// Whether the last turn took a report.
@@ -148,7 +151,7 @@ impl TaskServer {
         socket.set_linger(0)?;
         limits.set(&socket)?;
         let door = Door::new(access, limits.connections, &context, &socket)?;
-        // The bell rings among the requests: what comes from it is none, since it has no delimiter.
+        // The bell rings among the requests.
         socket.bind(BELL)?;
         let bell = context.socket(zmq::DEALER)?;
         bell.set_linger(0)?;
@@ -178,6 +181,7 @@ impl TaskServer {
             claims: BTreeMap::new(),
             next_limits: Arc::default(),
             witness: None,
+            dropped: DroppedLog::default(),
             said_used_up: false,
             reported: false,
             started: false,
@@ -333,8 +337,9 @@ impl TaskServer {
         let mut taken = 0;
         while let Some((frames, who)) = next {
             match who {
+                _ if report::is_ring(&frames) => {}
                 Some(who) => self.serve(frames, who),
-                None => debug!(target: LOG, "dropped a message of somebody unknown"),
+                None => self.dropped.tell(now(), "of somebody unknown"),
             }
             taken += 1;
             if taken == BATCH || !self.started {
@@ -505,8 +510,7 @@ impl TaskServer {
         // Identity, any envelope, an empty frame, and then the body. Without the empty frame it
         // is no request: a REP socket drops it too.
         let Some(delimiter) = frames.iter().position(|frame| frame.is_empty()) else {
-            debug!(target: LOG, "dropped a message without a delimiter");
-            return;
+            return self.dropped.tell(now(), "without a delimiter");
         };
         let content = (frames.len() == delimiter + 2).then(|| frames.pop());
         frames.truncate(delimiter + 1);
@@ -536,7 +540,7 @@ impl TaskServer {
         self.dispatcher.memory_mut().hide(|_| false);
         if self.dispatcher.next_id().is_none() && !self.said_used_up {
             self.said_used_up = true;
-            error!(target: LOG, "All task ids are used up: every further task is refused.");
+            error!(target: LOG, "All task ids are used up: every further task is refused. Restart the server, without its journal if it has one.");
         }
         if let Some(envelope) = envelope
             && !matches!(action, Some(Action::Start { .. }))

@@ -84,6 +84,14 @@ pub(super) struct Waker {
     beaten: Condvar,
 }
 
+/// What the bell says. A client that says the same is heard as little.
+const RING: &[u8] = b"bell";
+
+/// Whether a message, with its sender's identity, is a ring of the bell.
+pub(super) fn is_ring(frames: &[zmq::Message]) -> bool {
+    matches!(frames, [_, body] if **body == *RING)
+}
+
 impl Waker {
     pub(super) fn new(bell: zmq::Socket) -> Arc<Self> {
         Arc::new(Self {
@@ -111,7 +119,7 @@ impl Waker {
             let bell = self.bell.lock().unwrap_or_else(PoisonError::into_inner);
             // The queue cannot be full: it rings once for each sleep. An empty frame would be taken for the
             // delimiter of a request without a body.
-            let _ = frames::send(&bell, &[&b"bell"[..]]);
+            let _ = frames::send(&bell, &[RING]);
         }
     }
 

@@ -372,7 +372,11 @@ impl<S: Storage> Log<S> {
         if left == 0 {
             warn!(target: LOG, "Journal {place}: all task ids are used up. Stop the gateway, move the journal away and start the gateway again.");
         } else if left < FEW {
-            warn!(target: LOG, "Journal {place}: only {left} task ids are left. Move the journal away while the gateway is stopped and no task runs.");
+            let left = match left {
+                1 => "1 task id is".to_owned(),
+                left => format!("{left} task ids are"),
+            };
+            warn!(target: LOG, "Journal {place}: only {left} left. Move the journal away while the gateway is stopped and no task runs.");
         }
     }
 
