@@ -183,6 +183,29 @@ fn by_our_name_what_is_not_known_is_an_error_and_nothing_is_sent() {
 }
 
 #[test]
+fn the_help_by_the_originals_name_tells_of_no_variable_that_is_not_read() {
+    let scratch = Scratch::new();
+    let mut client = ours_named(&scratch, "ztl_task_client");
+    let told = Process::run(client.arg("-h")).stdout;
+    assert!(told.contains("Port of the server"), "{told}");
+    assert!(!told.contains("$ZTL_"), "{told}");
+    // As it says, all of them are needed.
+    let variables = [
+        ("ZTL_HOST", "localhost"),
+        ("ZTL_PORT", "1"),
+        ("ZTL_SCOPE", "/x"),
+    ];
+    let mut client = ours_named(&scratch, "ztl_task_client");
+    let ended = Process::run(client.arg("test:echo:1").envs(variables));
+    assert_eq!(ended.code, Some(2), "{ended:?}");
+    assert!(
+        Process::run(ztl().args(["task-client", "-h"]))
+            .stdout
+            .contains("$ZTL_PORT")
+    );
+}
+
+#[test]
 fn the_originals_clients_take_their_payload_as_it_is() {
     let server = Server::simple_original();
     let port = server.port.to_string();

@@ -6,13 +6,13 @@ use std::fs;
 use std::io::Write as _;
 use std::path::PathBuf;
 use std::process::Command;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use serde_json::Value;
 use ztl_std::{
     ExecutableTask, RemoteTask, TaskContext, TaskController, TaskError, TaskRequest, TaskServer,
 };
-use ztl_tests::lab::{Ended, Process, SCOPE, Scratch, Server, reserve_port, ztl};
+use ztl_tests::lab::{Ended, Process, SCOPE, Scratch, Server, in_time, reserve_port, ztl};
 
 /// The example's script and where its servers are.
 fn example(name: &str) -> PathBuf {
@@ -248,6 +248,113 @@ fn one_cause_is_one_finding() {
         }
         assert_eq!(ended.stderr, "", "{config}");
     }
+}
+
+#[test]
+fn a_slip_in_a_key_is_one_finding_with_its_remedy() {
+    let colon = "write a space after the colon: echo: 1";
+    for (lines, found) in [
+        (
+            "test: {echo:1}",
+            format!("doubtful: show.yaml:3:12: 'echo:1' has no ':' behind it; {colon}"),
+        ),
+        (
+            "test: {echo:1, foo: 2}",
+            format!("doubtful: show.yaml:3:12: 'echo:1' has no ':' behind it; {colon}"),
+        ),
+        (
+            "{echo:1}",
+            format!("mistake: show.yaml:3:6: 'echo:1' has no ':' behind it; {colon}"),
+        ),
+        (
+            "test: echo:1",
+            format!(
+                "mistake: show.yaml:3:11: handler 'test' is a mapping of components with their goals; \
+                 here is a single value; {colon}"
+            ),
+        ),
+        (
+            "test:{echo: 1}",
+            "mistake: show.yaml:3:17: handler 'test:{echo' is a mapping of components with their goals; \
+             here is a single value; write a space after the colon: test: {echo"
+                .to_owned(),
+        ),
+        (
+            "test:\n      echo:{x: 1}",
+            "doubtful: show.yaml:4:7: servers take a component's name to end before the ':'; \
+             write a space after the colon: echo: {x"
+                .to_owned(),
+        ),
+        (
+            "test (wait=no): {echo: 1}",
+            "mistake: show.yaml:3:11: a handler has no parameter 'wait': it has no effect; \
+             write it behind the name of a step or component"
+                .to_owned(),
+        ),
+        (
+            "test(remot=test): {echo: 1}",
+            "mistake: show.yaml:3:10: a handler has no parameter 'remot': it has no effect; did you mean 'remote'?"
+                .to_owned(),
+        ),
+        (
+            "delay: -3",
+            "mistake: show.yaml:3:12: handler 'delay' is a mapping of components with their goals; \
+             if it is a parameter, write it in parentheses, as name (delay=-3)"
+                .to_owned(),
+        ),
+        (
+            "- test:{echo: 1}",
+            "mistake: show.yaml:3:5: step 'step' is a mapping of handlers; here is a list; write scene: "
+                .to_owned(),
+        ),
+    ] {
+        let desk = Desk::with(
+            &format!("scene:\n  step:\n    {lines}\n"),
+            &[("test", 1, "/r")],
+        );
+        let ended = desk.run("check show.yaml -c remotes.yaml");
+        let lines = ended.stdout.lines();
+        let all: Vec<&str> = lines.filter(|line| line.contains("show.yaml:")).collect();
+        assert_eq!(all.len(), 1, "{}", ended.stdout);
+        assert!(all[0].starts_with(&found), "{found}\n{}", ended.stdout);
+    }
+}
+
+#[test]
+fn servers_that_are_missing_are_asked_at_once() {
+    let ports: Vec<u16> = (0..12).map(|_| reserve_port()).collect();
+    let names: Vec<String> = (0..12).map(|nth| format!("robot{nth}")).collect();
+    let mut script = "s:\n  a:\n".to_owned();
+    for name in &names {
+        script += &format!("    {name}: {{x: 1}}\n");
+    }
+    let remotes = names.iter().zip(&ports);
+    let remotes: Vec<_> = remotes
+        .map(|(name, port)| (name.as_str(), *port, "/x"))
+        .collect();
+    let desk = Desk::with(&script, &remotes);
+    // One after the other they would take 24 s.
+    let ended = in_time(Duration::from_secs(12), || {
+        desk.run("check show.yaml -c remotes.yaml --live")
+    });
+    let found: Vec<&str> = ended
+        .stdout
+        .lines()
+        .filter_map(|line| {
+            line.split_once(" does not answer: ")
+                .map(|(found, _)| found)
+        })
+        .collect();
+    let expected = names.iter().enumerate();
+    let expected =
+        expected.map(|(nth, name)| format!("mistake: show.yaml:{}:5: server '{name}'", nth + 3));
+    assert_eq!(found, expected.collect::<Vec<_>>());
+    let listed = ended
+        .stdout
+        .lines()
+        .filter(|line| line.contains(": MISSING: "));
+    let listed: Vec<&str> = listed.filter_map(|line| line.split(':').next()).collect();
+    assert_eq!(listed, names);
 }
 
 #[test]

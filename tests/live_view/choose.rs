@@ -105,6 +105,12 @@ fn letters_search_and_the_keys_of_a_list_move() {
     press("\x1b[5~", "1 scene 1");
     press("\x1b[B", "2 scene 2");
     press("FIN", "31 finale");
+    // Leaving the list is no decision.
+    terminal.type_in("\x1b");
+    terminal.shows(" Next: scene 1");
+    terminal.type_in("j");
+    terminal.shows("Esc  do not jump");
+    press("FIN", "31 finale");
     terminal.type_in("\r");
     terminal.shows(" Next: finale");
     terminal.type_in("\x03");

@@ -1,6 +1,7 @@
 //! Whether the servers of a script are there and would take its tasks: `ztl check --live`.
 
 use std::collections::BTreeMap;
+use std::panic::resume_unwind;
 
 use ztl_core::TaskId;
 
@@ -10,6 +11,9 @@ use crate::remote::encoded;
 use crate::remotes::Remote;
 use crate::yaml::closest;
 use crate::{Offers, RemoteTask, Remotes, RequestError};
+
+/// Servers that are asked at the same time.
+const AT_ONCE: usize = 64;
 
 /// What the servers of a script say.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -22,21 +26,16 @@ pub struct Said {
 
 impl Script {
     /// Asks each server that the script uses whether it is there, and if it is one of ours, whether it has
-    /// the handlers and components and would take the goals. Nothing is started. A server that does not
-    /// answer costs 2 s.
+    /// the handlers and components and would take the goals. Nothing is started. Servers are asked at the
+    /// same time; one that does not answer costs 2 s.
     #[must_use]
     pub fn ask_servers(&self, remotes: &Remotes) -> Said {
-        let mut said = Said {
-            findings: Vec::new(),
-            servers: Vec::new(),
-        };
-        for name in self.remotes() {
-            // What is wrong with its entry is found without asking.
-            let Ok(remote) = remotes.task(name) else {
-                continue;
-            };
+        let answers = ask_at_once(&self.remotes(), remotes, |name, remote| {
             let (line, met) = meet(name, remote);
-            said.servers.push(line);
+            let mut said = Said {
+                findings: Vec::new(),
+                servers: vec![line],
+            };
             match met {
                 Err(message) => self.at_first_use(name, &message, &mut said),
                 Ok(None) => {}
@@ -44,6 +43,15 @@ impl Script {
                     self.ask_server(name, &mut client, &remote.scope, &mut said);
                 }
             }
+            said
+        });
+        let mut said = Said {
+            findings: Vec::new(),
+            servers: Vec::new(),
+        };
+        for answer in answers {
+            said.findings.extend(answer.findings);
+            said.servers.extend(answer.servers);
         }
         said
     }
@@ -105,9 +113,42 @@ impl Script {
 /// How it is with each server of a configuration, in lines for people: what can be said without a script.
 #[must_use]
 pub fn ask_all(remotes: &Remotes) -> Vec<String> {
-    let names = remotes.task_names();
-    let lines = names.filter_map(|name| Some(meet(name, remotes.task(name).ok()?).0));
-    lines.collect()
+    let names: Vec<&str> = remotes.task_names().collect();
+    ask_at_once(&names, remotes, |name, remote| meet(name, remote).0)
+}
+
+/// Asks servers, at most [`AT_ONCE`] at a time, and tells their answers in the order of their names. What is
+/// wrong with an entry is found without asking.
+fn ask_at_once<T: Send>(
+    names: &[&str],
+    remotes: &Remotes,
+    ask: impl Fn(&str, &Remote) -> T + Sync,
+) -> Vec<T> {
+    let servers = names.iter();
+    let servers: Vec<_> = servers
+        .filter_map(|name| Some((*name, remotes.task(name).ok()?)))
+        .collect();
+    let ask = &ask;
+    let mut answers = Vec::new();
+    for servers in servers.chunks(AT_ONCE) {
+        std::thread::scope(|scope| {
+            let asked: Vec<_> = servers
+                .iter()
+                .map(|(name, remote)| {
+                    let thread = std::thread::Builder::new();
+                    // Without a thread it is asked here.
+                    thread
+                        .spawn_scoped(scope, move || ask(name, remote))
+                        .map_err(|_| ask(name, remote))
+                })
+                .collect();
+            answers.extend(asked.into_iter().map(|asked| match asked {
+                Ok(thread) => thread.join().unwrap_or_else(|panic| resume_unwind(panic)),
+                Err(answer) => answer,
+            }));
+        });
+    }
+    answers
 }
 
 /// Asks a server whether it is there. A line for people, and the client of a server of ours; `None` for

@@ -22,6 +22,17 @@ pub(super) const NAMES: [&str; 6] = [
     "remote",
 ];
 
+/// Whose names a parameter can follow.
+pub(super) fn taken_by(name: &str) -> Option<&'static str> {
+    Some(match name {
+        "delay" => "scene, step or component",
+        "wait" | "timeout" => "step or component",
+        "parallel" | "on_failure" => "step",
+        "remote" => "handler",
+        _ => return None,
+    })
+}
+
 /// A key taken apart.
 #[derive(Debug, Default)]
 pub(super) struct Key<'k> {

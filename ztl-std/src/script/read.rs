@@ -95,15 +95,20 @@ impl<'d> Reader<'d> {
         let Yaml::Map(_) = &node.value else {
             let is = format!("{whose} is a mapping of {of}");
             let (message, help) = match () {
-                () if node.is_null() && node.span == at => (keys::without_colon(name), None),
+                () if node.is_null() && node.span == at => keys::without_colon(name),
                 () if params::NAMES.contains(&name) => {
                     let value = self.value(node, None);
                     (is, Some(keys::in_parentheses(name, value)))
                 }
-                () => (
-                    format!("{is}; here is {}", node.kind()),
-                    Some(SHAPE.to_owned()),
-                ),
+                () => {
+                    let value = match &node.value {
+                        Yaml::Scalar { text, plain: true } => text,
+                        _ => "",
+                    };
+                    let spaced = keys::spaced(name).or_else(|| keys::spaced(value));
+                    let help = spaced.unwrap_or_else(|| SHAPE.to_owned());
+                    (format!("{is}; here is {}", node.kind()), Some(help))
+                }
             };
             // Where nothing is written, its key is shown.
             let span = if node.is_null() { at } else { node.span };
@@ -235,19 +240,29 @@ impl<'d> Reader<'d> {
             span: entry.name.span,
             key: key.clone(),
         };
+        let mut clear = keys::is_clear(entry);
         for piece in &parsed.pieces {
             match (piece.name, piece.value) {
                 (Some("remote"), Some(remote)) => handler.remote = remote.to_owned(),
-                _ => self.unknown(entry, &key, *piece, "a handler", &["remote"]),
+                _ => {
+                    self.unknown(entry, &key, *piece, "a handler", &["remote"]);
+                    clear = false;
+                }
             }
         }
-        self.sent(entry.name, "handler", &handler.name);
+        if clear {
+            self.sent(entry.name, "handler", &handler.name);
+        }
         let tasks = self.level(
             entry.value,
             entry.name.span,
             ("handler", &handler.name),
             "components with their goals",
         );
+        if !keys::is_clear(entry) {
+            // It has no server, since it was not meant as a handler.
+            return;
+        }
         let index = step.handlers.len();
         step.handlers.push(handler);
         for mut entry in tasks {
@@ -294,13 +309,16 @@ impl<'d> Reader<'d> {
                 ),
             }
         }
-        self.sent(entry.name, "component", &task.component);
         let tell = match keys::lacks_colon(entry.name, entry.value) {
             true => {
-                self.doubt(entry.name.span, keys::without_colon(&key), None);
+                let (message, help) = keys::without_colon(&key);
+                self.doubt(entry.name.span, message, help);
                 None
             }
-            false => Some(false),
+            false => {
+                self.sent(entry.name, "component", &task.component);
+                Some(false)
+            }
         };
         let goal = self.value(entry.value, tell);
         self.parameter(entry.name, &goal);

@@ -45,7 +45,9 @@ impl Check {
         findings.extend(found);
         if let Some(remotes) = &remotes {
             if let Some(script) = &script {
-                findings.extend(script.unknown_remotes(remotes));
+                for unknown in script.unknown_remotes(remotes) {
+                    add_unknown(unknown, &mut findings);
+                }
             }
             match (self.live, &script) {
                 (true, Some(script)) => {
@@ -91,6 +93,23 @@ impl Check {
             path.display()
         ));
         None
+    }
+}
+
+/// Adds what is said of a name without a server. Where the parentheses in its key are doubtful already,
+/// that is the cause.
+fn add_unknown(unknown: Finding, findings: &mut Vec<Finding>) {
+    let key = unknown.diagnostic().span;
+    let is_cause = |found: &&mut Finding| {
+        let span = found.diagnostic().span;
+        let inside = key
+            .zip(span)
+            .is_some_and(|(key, part)| key.start < part.start && part.start < key.end);
+        inside && found.diagnostic().file == unknown.diagnostic().file
+    };
+    match findings.iter_mut().find(is_cause) {
+        Some(cause) => *cause = Finding::mistake(cause.diagnostic().clone()),
+        None => findings.push(unknown),
     }
 }
 

@@ -114,7 +114,10 @@ fn as_original(tool: clap::Command) -> clap::Command {
             .fold(tool, |tool, name| {
                 tool.mut_arg(name, |arg| arg.required(true))
             })
-            .mut_arg("port", any_port)
+            .mut_arg("port", |arg| any_port(arg).help("Port of the server"))
+            .mut_arg("scope", |arg| {
+                arg.help("The scope that the server is listening to")
+            })
             .mut_arg("remote", |arg| {
                 arg.value_name("REMOTE").help("Host of the server")
             })

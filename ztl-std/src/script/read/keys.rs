@@ -17,7 +17,8 @@ impl Reader<'_> {
     pub(super) fn sent(&mut self, node: &Node, what: &str, name: &str) {
         if name.contains(':') {
             let message = format!("servers take a {what}'s name to end before the ':'");
-            self.doubt(node.span, message, None);
+            let opens = name.contains(":{") || name.contains(":[");
+            self.doubt(node.span, message, spaced(name).filter(|_| opens));
         } else if name.trim() != name {
             let message = format!(
                 "the {what}'s name is sent with its blanks: {}",
@@ -159,7 +160,9 @@ impl Reader<'_> {
                 let message = format!("{whose} has no parameter '{}'", short(name));
                 let meant = closest(name, known.iter().copied());
                 let help = meant.map(|meant| format!("did you mean '{meant}'?"));
-                (name, message, help.unwrap_or_else(all))
+                let elsewhere =
+                    params::taken_by(name).map(|by| format!("write it behind the name of a {by}"));
+                (name, message, help.or(elsewhere).unwrap_or_else(all))
             }
         };
         let message = format!("{message}: it has no effect");
@@ -184,12 +187,30 @@ pub(super) fn lacks_colon(name: &Node, value: &Node) -> bool {
     value.is_null() && value.span == name.span
 }
 
-/// What is said of a key without a ':'.
-pub(super) fn without_colon(key: &str) -> String {
-    format!(
-        "'{}' has no ':' behind it; a text with ',' in it needs quotes within {{ }}",
-        short(key)
-    )
+/// What is said of a key without a ':', and what would be right.
+pub(super) fn without_colon(key: &str) -> (String, Option<String>) {
+    let help =
+        spaced(key).unwrap_or_else(|| "a text with ',' in it needs quotes within { }".to_owned());
+    (format!("'{}' has no ':' behind it", short(key)), Some(help))
+}
+
+/// How a text is written in which a blank behind a ':' was forgotten; but `http://` has none.
+pub(super) fn spaced(text: &str) -> Option<String> {
+    let (name, value) = text.split_once(':')?;
+    let forgotten = !value.is_empty() && !value.starts_with(['/', ' ']);
+    let (name, value) = (short(name), short(value));
+    forgotten.then(|| format!("write a space after the colon: {name}: {value}"))
+}
+
+/// Whether a key can have been meant as the name of what stands behind it.
+pub(super) fn is_clear(entry: &Entry<'_>) -> bool {
+    let (name, value) = (&entry.name, &entry.value);
+    let Yaml::Scalar { text, .. } = &name.value else {
+        return true;
+    };
+    let is_map = matches!(value.value, Yaml::Map(_));
+    let slip = params::NAMES.contains(&text.as_str()) || spaced(text).is_some();
+    !lacks_colon(name, value) && (is_map || !slip)
 }
 
 /// How a parameter is written.

@@ -115,8 +115,8 @@ impl<'d> Reader<'d> {
                     }
                     let mut within = tell.map(|_| true);
                     if lacks_colon(entry.name, entry.value) && within.take().is_some() {
-                        let message = without_colon(&entry.key.to_string());
-                        self.doubt(entry.name.span, message, None);
+                        let (message, help) = without_colon(&entry.key.to_string());
+                        self.doubt(entry.name.span, message, help);
                     }
                     let value = self.value(entry.value, within);
                     (entry.key, value)

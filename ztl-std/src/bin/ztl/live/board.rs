@@ -33,6 +33,8 @@ pub(super) struct Board {
     pub(super) pause: bool,
     pub(super) paused: bool,
     pub(super) waiting: Option<(Why, Vec<TaskNumber>)>,
+    /// The operator leaves, and what still runs is asked about once.
+    leaving: bool,
     /// What is being stopped, or was stopped last; until the next decision.
     pub(super) stopping: Option<Stopping>,
     /// The last key, and when it was pressed.
@@ -294,6 +296,10 @@ impl Board {
             }
         } else if self.question.is_some() {
             self.choices.clone()
+        } else if self.leaving {
+            vec![Command::Leave]
+        } else if !self.plays() {
+            vec![Command::StopAll, Command::Stop]
         } else {
             let mut choices = vec![match self.pause {
                 true => Command::Resume,
@@ -323,10 +329,24 @@ impl Board {
         })
     }
 
-    /// Whether there is more to say of what went wrong.
-    pub(super) fn has_failures(&self) -> bool {
+    /// Whether there is more to say of what is wrong: a task, or a server that is missing.
+    pub(super) fn has_details(&self) -> bool {
         let wrong = |task: &Task| task.state.is_failure() || task.state == TaskState::Unknown;
-        self.tasks.values().any(wrong)
+        let missing = |(_, server): &(String, Server)| {
+            let state = server.state.as_ref();
+            matches!(
+                state,
+                Some(ServerState::Absent { .. } | ServerState::Silent)
+            )
+        };
+        self.tasks.values().any(wrong) || self.servers.iter().any(missing)
+    }
+
+    /// Whether a scene is played.
+    fn plays(&self) -> bool {
+        self.played
+            .as_ref()
+            .is_some_and(|played| played.to.is_none())
     }
 
     /// Scene and step that are played just now.
@@ -340,6 +360,7 @@ impl Board {
         match command {
             Command::Pause => self.pause = true,
             Command::Resume => self.pause = false,
+            Command::Leave => self.leaving = true,
             _ => {}
         }
         if !matches!(command, Command::Pause | Command::Resume | Command::Leave) {

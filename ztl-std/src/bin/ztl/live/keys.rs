@@ -95,7 +95,7 @@ pub(super) fn help(board: &Board) -> Vec<(&'static str, String)> {
             keys.push(("x", "stop everything".to_owned()));
         }
     }
-    if board.has_failures() {
+    if board.has_details() {
         keys.push(("d", "details".to_owned()));
     }
     if board.ended.is_none() {

@@ -83,6 +83,10 @@ impl Screen {
         self.last = None;
         let command = match chosen {
             Chosen::Stay => return true,
+            Chosen::Nothing if key == "Esc" => {
+                self.view = View::default();
+                return true;
+            }
             Chosen::Nothing => None,
             Chosen::Scene(scene) => Some(Command::Jump { scene }),
         };

@@ -1,4 +1,4 @@
-use ztl_std::script::event::{Event, Question, Stamped, StepOutline, Why};
+use ztl_std::script::event::{By, Command, Event, Question, Stamped, StepOutline, Why};
 use ztl_std::script::record::read;
 
 use super::super::board::{Look, Step};
@@ -67,11 +67,11 @@ fn a_scene_is_shown_with_all_that_it_would_do() {
  · 2 Dance                                                           after 1.0 s
  · 3 Questions
  · 4 Goodbye
-
 ────────────────────────────────────────────────────────────────────────────────
  Next: Welcome
  MISSING: server 'speech': it is not in the configuration
-  Enter  start   s  skip   j  jump to a scene   x  stop everything   ?  keys"
+  Enter  start   s  skip   j  jump to a scene   x  stop everything   d  details
+  ?  keys"
     );
 }
 
@@ -124,6 +124,48 @@ fn a_silent_server_is_told_with_what_waits_for_it() {
     let seen: Vec<&str> = seen.lines().filter(|line| !line.is_empty()).collect();
     let docs = include_str!("../../../../../../docs/show.md");
     assert!(docs.contains(&seen.join("\n")), "docs/show.md shows this");
+}
+
+/// The line of keys, with blanks as they come.
+fn key_line(board: &Board) -> String {
+    let keys = keys::help(board);
+    let keys: Vec<String> = keys
+        .iter()
+        .map(|(key, does)| format!("{key} {does}"))
+        .collect();
+    keys.join(", ")
+}
+
+#[test]
+fn no_key_is_offered_that_does_nothing_where_no_scene_is_played() {
+    let (mut board, at) = board(|event| matches!(event, Event::SceneEnded { .. }));
+    assert!(board.in_background().count() > 0);
+    assert!(board.question.is_none());
+    assert_eq!(key_line(&board), "x stop everything, d details, ? keys");
+    let next = |event| Stamped {
+        at,
+        event,
+        ..evening().remove(0)
+    };
+    let choices = vec![
+        Command::Start,
+        Command::StopAll,
+        Command::Stop,
+        Command::Leave,
+    ];
+    let question = Question::Scene { scene: 1 };
+    board.handle(&next(Event::Asked { question, choices }));
+    let offered = "Enter start, q leave (1 task runs on), x stop everything, d details, ? keys";
+    assert_eq!(key_line(&board), offered);
+    let leave = Event::Decided {
+        command: Command::Leave,
+        by: By::Operator,
+        scene: None,
+        step: None,
+    };
+    board.handle(&next(leave));
+    let offered = "Ctrl-C leave without waiting, d details, ? keys";
+    assert_eq!(key_line(&board), offered);
 }
 
 #[test]
