@@ -105,12 +105,6 @@ fn letters_search_and_the_keys_of_a_list_move() {
     press("\x1b[5~", "1 scene 1");
     press("\x1b[B", "2 scene 2");
     press("FIN", "31 finale");
-    // Leaving the list is no decision.
-    terminal.type_in("\x1b");
-    terminal.shows(" Next: scene 1");
-    terminal.type_in("j");
-    terminal.shows("Esc  do not jump");
-    press("FIN", "31 finale");
     terminal.type_in("\r");
     terminal.shows(" Next: finale");
     terminal.type_in("\x03");
@@ -118,6 +112,28 @@ fn letters_search_and_the_keys_of_a_list_move() {
     let record = stage.record();
     let key = record.iter().find(|line| line["event"] == "key").unwrap();
     assert_eq!(key["key"], "j FIN Enter");
+}
+
+#[test]
+fn leaving_the_list_of_scenes_is_no_decision() {
+    let stage = Stage::new(&long_show(3));
+    let mut terminal = stage.play();
+    terminal.shows(" Next: scene 1");
+    terminal.type_in("j");
+    terminal.shows("Esc  do not jump");
+    terminal.type_in("zqx");
+    terminal.shows("Jump to: zqx");
+    terminal.type_in("\x1b");
+    let screen = terminal.shows(" Next: scene 1");
+    assert!(!screen.contains("means nothing"), "{screen}");
+    terminal.type_in("s");
+    terminal.shows(" Next: scene 2");
+    let record = stage.record();
+    let keys = record.iter().filter(|line| line["event"] == "key");
+    let keys: Vec<&str> = keys.filter_map(|line| line["key"].as_str()).collect();
+    assert_eq!(keys, ["s"]);
+    terminal.type_in("\x03");
+    terminal.end();
 }
 
 #[test]
