@@ -5,11 +5,15 @@ use std::time::Duration;
 
 use ztl_core::{State, TaskId, TaskSpec};
 
-use super::{STOPPING, TaskReporter};
+use super::TaskReporter;
 
 /// Answers questions of clients to `$ztl` that are not the protocol's own: in JSON, or `None`
 /// where the question is not known.
 pub type Answers = Box<dyn Fn(&str) -> Option<String> + Send>;
+
+/// How long a server that is stopped goes on answering while its handlers stop their tasks, at most,
+/// unless they say otherwise.
+const STOPPING: Duration = Duration::from_millis(1500);
 
 /// What takes the tasks of a scope, on the server's own thread: it must return at once and work
 /// elsewhere. For tasks that run on threads there is [`TaskController`](crate::TaskController).

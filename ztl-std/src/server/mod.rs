@@ -12,23 +12,22 @@ mod limits;
 mod listing;
 mod memory;
 mod report;
+mod requests;
+mod rounds;
 mod router;
 mod running;
 mod touch;
 
 use std::collections::BTreeMap;
 use std::net::SocketAddr;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use tracing::{error, info, warn};
-use ztl_core::dispatcher::{Action, Body, Config, Dispatcher, TaskEvent};
-use ztl_core::envelope::Envelope;
-use ztl_core::integer::Integer;
-use ztl_core::memory::{Memory, Scope};
+use tracing::{info, warn};
+use ztl_core::dispatcher::{Config, Dispatcher};
+use ztl_core::memory::Scope;
 use ztl_core::message::Message;
-use ztl_core::reply::{RefusalOf, Reply};
-use ztl_core::tasks::{Task, Tasks, Text};
+use ztl_core::tasks::{Task, Text};
 use ztl_core::{Instant, Request, TaskId};
 
 use crate::clock;
@@ -37,7 +36,7 @@ use crate::keys::can_encrypt;
 use crate::random;
 
 pub use access::Access;
-use access::{Door, Who};
+use access::Door;
 pub use bind::BindError;
 use bind::{bind, try_port};
 use dropped::DroppedLog;
@@ -49,24 +48,13 @@ use memory::{About, Grown, Heap};
 pub(crate) use memory::{ById, offered};
 pub(crate) use report::{AbortRefusal, Hush};
 pub use report::{Claim, TaskReporter};
-use report::{Inbox, Mailbox, Report, Waker};
-use router::{Received, Router};
+use report::{Inbox, Mailbox, Waker};
+use router::Router;
 pub use running::{Control, Pulse, RunningServer, Stopper};
 use touch::Touch;
 
 /// Longest message that clients and servers of this crate take from the network, in bytes.
 pub const MAX_MESSAGE: usize = 1 << 20;
-
-/// Requests, and reports of handlers, taken before the others are looked at again.
-const BATCH: usize = 64;
-
-/// How long a server that is stopped goes on answering while its handlers stop their tasks, at most,
-/// unless they say otherwise.
-const STOPPING: Duration = Duration::from_millis(1500);
-
-/// How long it goes on after that, when tasks were stopped, so that clients that ask every 100 ms
-/// hear of it.
-const LAST_WORDS: Duration = Duration::from_millis(250);
 
 /// How long a task that has ended is remembered, counted from its end.
 pub(crate) const KEEP: Duration = Config::new(random::FIRST, 0).keep;
@@ -320,97 +308,6 @@ impl TaskServer {
         self.stop_handlers()
     }
 
-    /// Waits for something, at most for `longest`, and serves it; says whether there is more.
-    fn turn(&mut self, longest: Duration) -> Result<bool, zmq::Error> {
-        let mut next = self.wait(longest)?;
-        self.waker.awake();
-        let mut limits = self
-            .next_limits
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner);
-        if let Some(limits) = limits.take() {
-            self.dispatcher.set_keep(limits.keep);
-            self.dispatcher.memory_mut().set_limits(limits);
-        }
-        drop(limits);
-        let more = self.take_reports();
-        let mut taken = 0;
-        while let Some((frames, who)) = next {
-            match who {
-                _ if report::is_ring(&frames) => {}
-                Some(who) => self.serve(frames, who),
-                None => self.dropped.tell(now(), "of somebody unknown"),
-            }
-            taken += 1;
-            if taken == BATCH || !self.started {
-                break;
-            }
-            next = self.router.receive(&self.door, zmq::DONTWAIT)?;
-        }
-        if std::mem::take(&mut self.started) {
-            for handler in &mut self.handlers {
-                handler.all_started();
-            }
-        }
-        let Self {
-            dispatcher,
-            router,
-            claims,
-            ..
-        } = self;
-        let now = now();
-        while let Some(claim) = claims.first_entry()
-            && claim.key().0 <= now
-        {
-            let ((_, id), (claim, reason)) = claim.remove_entry();
-            if claim.refuse() {
-                let refused = TaskEvent::Rejected { reason };
-                dispatcher.handle_event(now, id, refused, &mut |peer, reply| {
-                    router.answer(peer, reply);
-                });
-            }
-        }
-        dispatcher.handle_timeout(now, &mut |peer, reply| router.answer(peer, reply));
-        self.abort_for_those_who_are_gone(now);
-        Ok(more)
-    }
-
-    fn abort_for_those_who_are_gone(&mut self, now: Instant) {
-        let tasks = self.dispatcher.memory().tasks();
-        let runs = |id| tasks.get(id).is_some_and(|task| !task.state.is_final());
-        for id in self.touch.gone(now, runs) {
-            warn!(target: LOG, "The client that started task '{id}' is gone, so it is aborted.");
-            let scope = tasks.get(id).map(|task| usize::from(task.extra.0));
-            if let Some(handler) = scope.and_then(|scope| self.handlers.get_mut(scope)) {
-                handler.abort(id);
-            }
-        }
-    }
-
-    /// Handlers stop their tasks as they are dropped; meanwhile clients are told.
-    fn stop_handlers(&mut self) -> Result<(), zmq::Error> {
-        let mut handlers = std::mem::take(&mut self.handlers);
-        let longest = handlers.iter_mut().map(|handler| handler.stop()).max();
-        let stopping = std::thread::Builder::new().spawn(move || drop(handlers));
-        // Without a thread they were dropped, and so stopped, right here.
-        let Ok(stopping) = stopping else {
-            return Ok(());
-        };
-        let end = now() + longest.unwrap_or_default();
-        let pause = Duration::from_millis(10);
-        let mut told = false;
-        while now() < end && !stopping.is_finished() {
-            self.turn(pause)?;
-            told |= self.reported;
-        }
-        let end = now() + LAST_WORDS;
-        while (told || self.reported) && now() < end {
-            told = true;
-            self.turn(pause)?;
-        }
-        Ok(())
-    }
-
     /// Serves on a thread of its own, until the returned server is dropped or stopped.
     ///
     /// # Errors
@@ -431,144 +328,6 @@ impl TaskServer {
             thread: Some(thread),
         })
     }
-
-    /// Until a request, a report or the dispatcher's next wake-up, at most for `longest`; the request.
-    fn wait(&self, longest: Duration) -> Result<Option<Received>, zmq::Error> {
-        let claims = self.claims.keys().next().map(|(at, _)| *at);
-        let wakes = [
-            self.dispatcher.poll_timeout(),
-            self.touch.poll_timeout(),
-            claims,
-        ];
-        let wake = wakes.into_iter().flatten().min();
-        let time = wake.map_or(longest, |wake| wake.since(now()).min(longest));
-        if time.is_zero() || !self.waker.may_sleep() {
-            return self.router.receive(&self.door, zmq::DONTWAIT);
-        }
-        let timeout = match time {
-            Duration::MAX => -1,
-            time => i32::try_from(time.as_micros().div_ceil(1000))
-                .unwrap_or(i32::MAX)
-                .min(3_600_000),
-        };
-        self.router.wait_at_most(timeout)?;
-        self.router.receive(&self.door, 0)
-    }
-
-    /// Takes a bounded number of reports; says whether there may be more.
-    fn take_reports(&mut self) -> bool {
-        let Self {
-            dispatcher,
-            router,
-            inbox,
-            touch,
-            claims,
-            ..
-        } = self;
-        let mut taken = 0;
-        let now = now();
-        while taken < BATCH
-            && let Some((id, report)) = inbox.next()
-        {
-            taken += 1;
-            match report {
-                Report::NeedsClient(client, silence) => touch.watch(now, client, id, silence),
-                Report::NeedsClaim(claim, within, reason) => {
-                    claims.insert((now + within, id), (claim, reason));
-                }
-                report => report.tell(|event| {
-                    dispatcher.handle_event(now, id, event, &mut |peer, reply| {
-                        router.answer(peer, reply);
-                    });
-                }),
-            }
-        }
-        self.reported = taken > 0;
-        taken == BATCH
-    }
-
-    fn show(&mut self, body: Body<'_>) {
-        let (Some(witness), Body::One(body)) = (&mut self.witness, body) else {
-            return;
-        };
-        let Ok(message) = Message::parse(body) else {
-            return;
-        };
-        let value = |integer: Result<Integer<'_>, _>| integer.ok().and_then(Integer::value);
-        let request = value(message.code()).and_then(Request::from_code);
-        let id = value(message.number()).and_then(|id| u32::try_from(id).ok());
-        if let (Some(request), Some(id)) = (request, id.and_then(TaskId::new))
-            && request != Request::Init
-            && let Some(task) = self.dispatcher.memory().tasks().get(id)
-            && self.dispatcher.memory().scope_name(task.extra) == message.scope
-        {
-            witness(request, id, message.payload);
-        }
-    }
-
-    fn serve(&mut self, mut frames: Vec<zmq::Message>, who: Who) {
-        // Identity, any envelope, an empty frame, and then the body. Without the empty frame it
-        // is no request: a REP socket drops it too.
-        let Some(delimiter) = frames.iter().position(|frame| frame.is_empty()) else {
-            return self.dropped.tell(now(), "without a delimiter");
-        };
-        let content = (frames.len() == delimiter + 2).then(|| frames.pop());
-        frames.truncate(delimiter + 1);
-        let body = match &content {
-            Some(Some(content)) => Body::One(content),
-            _ => Body::Several,
-        };
-        self.show(body);
-        let router = &self.router;
-        let envelope = match frames.as_slice() {
-            // A proxy on the way puts its own frames before these two.
-            [_identity, .., client, number, _delimiter] => Envelope::parse(client, number),
-            _ => None,
-        };
-        let mut out = |peer, reply: &Reply<'_>| {
-            log_refusal(reply, body);
-            router.answer(peer, reply);
-        };
-        if let Who::Client(_) = who {
-            let door = &self.door;
-            let hidden = |scope: &str| !door.lets_use(who, scope);
-            self.dispatcher.memory_mut().hide(hidden);
-        }
-        let action = self
-            .dispatcher
-            .handle_request(now(), frames, envelope, body, &mut out);
-        self.dispatcher.memory_mut().hide(|_| false);
-        if self.dispatcher.next_id().is_none() && !self.said_used_up {
-            self.said_used_up = true;
-            error!(target: LOG, "All task ids are used up: every further task is refused. Restart the server, without its journal if it has one.");
-        }
-        if let Some(envelope) = envelope
-            && !matches!(action, Some(Action::Start { .. }))
-        {
-            self.touch.on_heard(now(), envelope.client);
-        }
-        match action {
-            Some(Action::Start { id, scope, payload }) => {
-                let heap = self.dispatcher.memory_mut();
-                heap.note_payload(id, payload, now());
-                let client = envelope.map(|envelope| envelope.client);
-                let task = TaskReporter::new(id, self.mailbox.clone(), client);
-                match self.handlers.get_mut(usize::from(scope.0)) {
-                    Some(handler) => {
-                        handler.start(task, payload);
-                        self.started = true;
-                    }
-                    None => task.rejected("the server is stopping"),
-                }
-            }
-            Some(Action::Abort { id, scope }) => {
-                if let Some(handler) = self.handlers.get_mut(usize::from(scope.0)) {
-                    handler.abort(id);
-                }
-            }
-            None => {}
-        }
-    }
 }
 
 /// Why a scope cannot be served.
@@ -581,22 +340,4 @@ pub fn scope_mistake(scope: &str) -> Option<String> {
         _ => return None,
     };
     Some(format!("the scope '{scope}' {wrong}; write it as /lab"))
-}
-
-/// Logs what the original logs of a request that it cannot use (wire specification 7.1).
-fn log_refusal(reply: &Reply<'_>, body: Body<'_>) {
-    match reply.refusal_of() {
-        Some(RefusalOf::Scope) => {
-            warn!(target: LOG, "No controller for scope '{}', ignoring.", reply.scope());
-        }
-        Some(RefusalOf::Protocol) => {
-            let bytes = match body {
-                Body::One(bytes) => bytes.get(..200).unwrap_or(bytes),
-                Body::Several => b"",
-            };
-            let bytes = bytes.escape_ascii();
-            warn!(target: LOG, "Unknown command received 'b'{bytes}'', ignoring.");
-        }
-        None => {}
-    }
 }
