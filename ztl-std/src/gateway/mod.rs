@@ -6,6 +6,8 @@
 pub mod config;
 mod device;
 mod endpoint;
+mod fleet;
+mod handler;
 mod journal;
 mod logs;
 mod reader;
@@ -15,17 +17,18 @@ mod ring;
 pub mod session;
 mod voice;
 
-use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::collections::BTreeSet;
 use std::io;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 
-use tracing::{info, warn};
-use ztl_core::{State, TaskId, TaskSpec};
+use tracing::warn;
 
 pub use device::Device;
 pub use endpoint::{BAUD, Endpoint, EndpointError, Line};
 #[cfg(feature = "sim")]
 pub(crate) use endpoint::{READ_TIMEOUT, is_pause};
+pub use fleet::{AddError, Devices, Watch};
+use fleet::{Fleet, Shared};
 pub use journal::{DeviceBook, Journal, JournalError, Log, Moment, Storage};
 pub use logs::{LogPiece, RawLog};
 use reader::Opener;
@@ -35,10 +38,6 @@ pub use report::{ComponentReport, DeviceReport, DeviceReports, FirmwareReport, L
 use voice::LOG;
 
 use crate::random;
-use crate::remote::encoded;
-use crate::server::{
-    Answers, Restored, RestoredTask, TaskHandler, TaskReporter, offered, would_take,
-};
 
 /// Devices as handlers: register it at a [`TaskServer`](crate::TaskServer) with
 /// [`register_handler`](crate::TaskServer::register_handler).
@@ -46,139 +45,6 @@ use crate::server::{
 pub struct Gateway {
     devices: Devices,
     leave_running: bool,
-}
-
-/// A gateway's devices, also when the gateway is registered at a server: devices can come and go while
-/// it serves.
-#[derive(Debug, Clone)]
-pub struct Devices(Arc<Shared>);
-
-#[derive(Debug)]
-struct Shared {
-    /// Who this gateway is, towards its devices.
-    id: u64,
-    journal: Option<Journal>,
-    observers: Observers,
-    fleet: Mutex<Fleet>,
-}
-
-#[derive(Debug, Default)]
-struct Fleet {
-    served: BTreeMap<String, Device>,
-    /// Devices that are not served any more and may have tasks. Where they have no line, their tasks end as those
-    /// of a device that does not answer. One that is served again keeps its tasks.
-    absent: BTreeMap<String, Device>,
-    /// Tasks of the journal that have no end and that nobody has been given yet, by device.
-    unended: HashMap<TaskId, (String, session::Restored)>,
-}
-
-impl Fleet {
-    /// A device, served or not.
-    fn device(&self, name: &str) -> Option<&Device> {
-        self.served.get(name).or_else(|| self.absent.get(name))
-    }
-
-    fn all(&self) -> impl Iterator<Item = &Device> {
-        self.served.values().chain(self.absent.values())
-    }
-}
-
-/// Why a device cannot be served.
-#[derive(Debug)]
-#[non_exhaustive]
-pub enum AddError {
-    /// One of this name is served.
-    Served,
-    /// The system gives no more threads.
-    Thread(io::Error),
-}
-
-impl std::fmt::Display for AddError {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        match self {
-            Self::Served => f.write_str("a device of this name is served already"),
-            Self::Thread(cause) => write!(f, "no thread for it: {cause}"),
-        }
-    }
-}
-
-impl std::error::Error for AddError {
-    fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
-        match self {
-            Self::Thread(cause) => Some(cause),
-            Self::Served => None,
-        }
-    }
-}
-
-impl Devices {
-    fn fleet(&self) -> MutexGuard<'_, Fleet> {
-        self.0.fleet.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    /// Serves one more device, as [`Gateway::add`] does. One that was served before may still have tasks: those that
-    /// [`remove`](Self::remove) aborted end first; those of the journal are settled by the device's own word.
-    ///
-    /// # Errors
-    /// As [`AddError`] says.
-    pub fn add(&self, name: &str, endpoint: Endpoint) -> Result<(), AddError> {
-        let mut fleet = self.fleet();
-        if fleet.served.contains_key(name) {
-            return Err(AddError::Served);
-        }
-        fleet.absent.retain(|_, device| !device.is_idle());
-        let opener = endpoint.into();
-        let device = match fleet.absent.remove(name) {
-            Some(mut device) => {
-                device.serve(opener);
-                device
-            }
-            None => self
-                .spawn(&fleet, name, Some(opener))
-                .map_err(AddError::Thread)?,
-        };
-        fleet.served.insert(name.to_owned(), device);
-        Ok(())
-    }
-
-    /// Serves a device no more: its tasks are aborted, and its line is closed when they have ended. Says whether
-    /// there was one.
-    pub fn remove(&self, name: &str) -> bool {
-        let mut fleet = self.fleet();
-        let Some(device) = fleet.served.remove(name) else {
-            return false;
-        };
-        device.retire();
-        fleet.absent.insert(name.to_owned(), device);
-        true
-    }
-
-    fn spawn(&self, fleet: &Fleet, name: &str, opener: Option<Opener>) -> io::Result<Device> {
-        let Shared {
-            id,
-            journal,
-            observers,
-            ..
-        } = &*self.0;
-        let book = journal.as_ref().map(|journal| journal.book(name));
-        let its = |(device, _): &&(String, session::Restored)| device == name;
-        let awaited = fleet.unended.values().filter(its).count();
-        Device::spawn(name, opener, *id, book, awaited, observers.clone())
-    }
-
-    /// Logs what a device's firmware logs by defmt, made readable with its ELF file.
-    ///
-    /// # Errors
-    /// When the file is no use for that, or there is no such device.
-    #[cfg(feature = "defmt")]
-    pub fn read_log(&self, device: &str, elf: &std::path::Path) -> Result<(), String> {
-        let wrong = |error: &dyn std::fmt::Display| format!("{}: {error}", elf.display());
-        let decoder = crate::defmt::Decoder::of_file(elf).map_err(|error| wrong(&error))?;
-        let log = self.fleet().served.get(device).map(Device::log);
-        let name = elf.display().to_string();
-        let reading = log.ok_or("no such device")?.read_by(device, decoder, name);
-        reading.map_err(|error| wrong(&error))
-    }
 }
 
 impl Default for Gateway {
@@ -305,149 +171,5 @@ impl Gateway {
     #[must_use]
     pub fn devices(&self) -> Devices {
         self.devices.clone()
-    }
-}
-
-/// Sees a gateway's devices from outside.
-#[derive(Debug, Clone)]
-pub struct Watch(Devices);
-
-impl Watch {
-    /// What there is to be said of each device now.
-    #[must_use]
-    pub fn reports(&self) -> DeviceReports {
-        let fleet = self.0.fleet();
-        let devices = fleet.served.iter();
-        devices
-            .map(|(name, device)| (name.clone(), device.window().report(device.url())))
-            .collect()
-    }
-
-    /// The latest of what a device's firmware has logged; `None` when there is no such device.
-    #[must_use]
-    pub fn raw_log(&self, device: &str) -> Option<RawLog> {
-        let log = self.0.fleet().served.get(device)?.log();
-        Some(log.raw())
-    }
-}
-
-impl Drop for Gateway {
-    fn drop(&mut self) {
-        let fleet = std::mem::take(&mut *self.devices.fleet());
-        // All at once; each is waited for as it is dropped.
-        for device in fleet.all() {
-            device.stop(self.leave_running);
-            device.log().close();
-        }
-        self.devices.0.observers.close();
-    }
-}
-
-impl TaskHandler for Gateway {
-    fn start(&mut self, task: TaskReporter, payload: &str) {
-        let mut buffer = vec![0; payload.len()];
-        let spec = match TaskSpec::decode(payload, &mut buffer) {
-            Ok(spec) => spec,
-            Err(error) => return task.threw(error.to_string()),
-        };
-        let fleet = self.devices.fleet();
-        match fleet.served.get(spec.handler) {
-            Some(device) => device.start(task, &spec),
-            None => {
-                let names: Vec<&str> = fleet.served.keys().map(String::as_str).collect();
-                let names = names.join(", ");
-                task.rejected(format!("no device '{}'; there are: {names}", spec.handler));
-            }
-        }
-    }
-
-    fn description(&self) -> Box<dyn Fn() -> String + Send> {
-        let devices = self.devices.clone();
-        Box::new(move || {
-            let fleet = devices.fleet();
-            let components: Vec<_> = fleet
-                .served
-                .values()
-                .map(|device| device.window().components())
-                .collect();
-            let names = fleet.served.keys().map(String::as_str);
-            let components = components.iter().map(|all| all.iter().map(AsRef::as_ref));
-            offered(names.zip(components))
-        })
-    }
-
-    fn answers(&self) -> Answers {
-        let watch = self.watch();
-        let asked = self.watch();
-        let takes = would_take(move |spec| report::would_take(&asked.reports(), spec));
-        Box::new(move |question| match question {
-            "devices" => serde_json::to_string(&watch.reports()).ok(),
-            question if question.starts_with("takes ") => takes(question),
-            // `log NAME FROM`
-            other => {
-                let (name, from) = other.strip_prefix("log ")?.rsplit_once(' ')?;
-                let piece = LogPiece::of(&watch.raw_log(name)?, from.parse().ok()?);
-                serde_json::to_string(&piece).ok()
-            }
-        })
-    }
-
-    fn restored(&mut self) -> Restored {
-        let Some(journal) = self.devices.0.journal.clone() else {
-            return Restored::default();
-        };
-        self.add_absent();
-        let mut tasks = journal.ended(|[device, component, goal], mut task| {
-            task.payload = encoded(device, component, goal);
-            if task.state == State::Rejected {
-                // As its client was told.
-                let spec = device::shown(&TaskSpec {
-                    handler: device,
-                    component,
-                    goal,
-                });
-                task.text = format!("{spec} refused: {}", task.text);
-            }
-            task
-        });
-        let fleet = self.devices.fleet();
-        let (ended, unended) = (tasks.len(), fleet.unended.len());
-        info!(target: LOG, "Journal {}: tasks without an end {unended}, ends remembered {ended}.", journal.path().display());
-        tasks.extend(fleet.unended.values().map(|(device, task)| {
-            let text = if fleet.served.contains_key(device) {
-                "device is not answering yet".to_owned()
-            } else {
-                format!("device '{device}' is not served any more")
-            };
-            RestoredTask {
-                id: task.id,
-                payload: encoded(device, &task.component, &task.goal),
-                state: State::Accepted,
-                text,
-                ended: None,
-            }
-        }));
-        Restored {
-            tasks,
-            last_id: journal.last_id(),
-        }
-    }
-
-    fn resume(&mut self, task: TaskReporter) {
-        let mut fleet = self.devices.fleet();
-        let Some((name, known)) = fleet.unended.remove(&task.id()) else {
-            return task.leave();
-        };
-        match fleet.device(&name) {
-            Some(device) => device.resume(task, known),
-            None => task.leave(),
-        }
-    }
-
-    fn abort(&mut self, id: TaskId) {
-        // The one that has the task knows it; there are few.
-        for device in self.devices.fleet().all() {
-            device.abort(id);
-        }
     }
 }
