@@ -84,7 +84,7 @@ impl Devices {
         self.0.fleet.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Serves one more device, as [`Gateway::add`] does. One that was served before may still have tasks: those that
+    /// Serves one more device, as [`Gateway::add`](super::Gateway::add) does. One that was served before may still have tasks: those that
     /// [`remove`](Self::remove) aborted end first; those of the journal are settled by the device's own word.
     ///
     /// # Errors
