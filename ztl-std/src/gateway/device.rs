@@ -16,7 +16,7 @@ use super::logs::DeviceLog;
 use super::reader::{Opener, Permit};
 use super::readings::Observers;
 use super::report::Window;
-use super::session::{Restored, Session};
+use ztl_link::{Restored, Session};
 use crate::random;
 use crate::server::{Claim, TaskReporter};
 use worker::Worker;

@@ -13,7 +13,7 @@ use super::logs::RawLog;
 use super::reader::Opener;
 use super::readings::Observers;
 use super::report::DeviceReports;
-use super::session;
+use ztl_link;
 
 /// A gateway's devices, also when the gateway is registered at a server: devices can come and go while
 /// it serves.

@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use ztl_core::link::{Busy, Loss};
 use ztl_core::{Instant, TaskSpec};
 
-use super::session::{Book, ComponentInfo, DeviceInfo, LinkCounters, RoundTrips, Session};
+use ztl_link::{Book, ComponentInfo, DeviceInfo, LinkCounters, RoundTrips, Session};
 use crate::clock::{millis, now};
 
 /// Each device of a gateway, by the name under which clients know it.

@@ -19,7 +19,7 @@ use super::super::logs::DeviceLog;
 use super::super::reader::{Opener, read_line};
 use super::super::readings::Observers;
 use super::super::report::Window;
-use super::super::session::{Event, Session};
+use super::ztl_link::{Event, Session};
 use super::super::voice::{Grave, LOG, Voice};
 use super::{Input, Request, request};
 use crate::clock::now;

@@ -7,7 +7,7 @@ use ztl_core::link::{LINK_TIMEOUTS, LinkId, Loss};
 use ztl_core::{State, TaskId};
 
 use crate::clock;
-use crate::gateway::session::{Entry, Restored, Sent};
+use ztl_link::{Entry, Restored, Sent};
 
 /// The version of the lines that are written, and that are read.
 pub(super) const VERSION: u32 = 1;

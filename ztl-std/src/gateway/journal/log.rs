@@ -9,7 +9,7 @@ use tracing::{info, warn};
 use ztl_core::{State, TaskId};
 
 use super::line::{Line, Moment, Opened, Reserved, TaskLine, VERSION, Version};
-use crate::gateway::session::{Entry, Restored};
+use ztl_link::{Entry, Restored};
 use crate::server::{KEEP, RestoredTask};
 
 /// Bytes written before a new file is begun, besides those that it begins with.

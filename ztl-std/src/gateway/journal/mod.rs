@@ -16,7 +16,7 @@ use std::time::Duration;
 use ztl_core::envelope::ClientId;
 use ztl_core::{State, TaskId};
 
-use super::session::{Book, Entry, Restored};
+use ztl_link::{Book, Entry, Restored};
 use crate::random;
 use crate::server::{Claim, RestoredTask};
 use file::Paper;

@@ -3,7 +3,7 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use ztl_core::link::{LinkId, Loss};
 
 use super::*;
-use crate::gateway::session::Sent;
+use ztl_link::Sent;
 
 /// 2026-01-01 and some seconds.
 fn at(seconds: u64) -> Moment {
@@ -477,7 +477,7 @@ fn no_bytes_at_all_make_it_panic() {
     log.complete(at(2), 101, "done");
     log.start(at(3), 102).unwrap();
     let good = log.storage().clone();
-    let mut dice = crate::line::Dice::new(1);
+    let mut dice = ztl_sim::line::Dice::new(1);
     for _ in 0..3000 {
         let mut bytes = good.clone();
         for _ in 0..=dice.below(4) {

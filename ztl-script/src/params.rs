@@ -1,0 +1,230 @@
+//! Parameters in the keys of a script: `step (wait=no, delay=2)` (wire specification 8.3), and the
+//! defaults file.
+
+use std::path::Path;
+use std::time::Duration;
+
+use ztl_core::integer::Integer;
+
+use super::model::{Defaults, OnFailure};
+use ztl_yaml::{Diagnostics, Document, closest};
+
+/// Longest delay or limit, in seconds: a century or so.
+const LONGEST: f64 = 4e9;
+
+/// Names of parameters, which stand in parentheses.
+pub(super) const NAMES: [&str; 6] = [
+    "delay",
+    "wait",
+    "timeout",
+    "parallel",
+    "on_failure",
+    "remote",
+];
+
+/// Whose names a parameter can follow.
+pub(super) fn taken_by(name: &str) -> Option<&'static str> {
+    Some(match name {
+        "delay" => "scene, step or component",
+        "wait" | "timeout" => "step or component",
+        "parallel" | "on_failure" => "step",
+        "remote" => "handler",
+        _ => return None,
+    })
+}
+
+/// A key taken apart.
+#[derive(Debug, Default)]
+pub(super) struct Key<'k> {
+    /// Before the parentheses, not trimmed.
+    pub(super) name: &'k str,
+    /// What stands in them.
+    pub(super) pieces: Vec<Piece<'k>>,
+    /// What is wrong with the parentheses themselves.
+    pub(super) doubt: Option<&'static str>,
+}
+
+/// One parameter as it was written.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Piece<'k> {
+    /// The whole of it, trimmed.
+    pub(super) text: &'k str,
+    /// `None` when it is no `name` and no `name=value`.
+    pub(super) name: Option<&'k str>,
+    /// `None` when there is no `=`.
+    pub(super) value: Option<&'k str>,
+}
+
+/// Parts a key at its parentheses as the original does, and what stands in them at `,` or `;`.
+pub(super) fn parse(key: &str) -> Key<'_> {
+    let (open, close) = (key.find('('), key.find(')'));
+    let (Some(open), Some(close)) = (open.filter(|o| *o > 0), close.filter(|c| *c > 0)) else {
+        let doubt = match (open, close) {
+            (Some(_), None) => Some(
+                "the ')' is missing, so this is a part of the name; within { } write ';' between parameters, not ','",
+            ),
+            (None, None) if key.contains(['（', '）']) => {
+                Some("these are not the parentheses ( and ), so this is a part of the name")
+            }
+            (None, Some(_)) => Some("the '(' is missing, so this is a part of the name"),
+            (Some(0), _) => Some("nothing stands before the '(', so this is the name"),
+            _ => None,
+        };
+        return Key {
+            name: key,
+            pieces: Vec::new(),
+            doubt,
+        };
+    };
+    let mut doubt = None;
+    if close < open {
+        doubt = Some("the ')' stands before the '(', so nothing is between them");
+    } else if !key.get(close + 1..).unwrap_or_default().trim().is_empty() {
+        doubt = Some("what stands after the ')' is dropped");
+    }
+    let text = key.get(open + 1..close).unwrap_or_default();
+    let pieces = text
+        .split([',', ';'])
+        .map(str::trim)
+        .filter(|text| !text.is_empty());
+    let pieces = pieces.map(|text| match text.split_once('=') {
+        None => Piece {
+            text,
+            name: Some(text),
+            value: None,
+        },
+        Some((_, value)) if value.contains('=') => Piece {
+            text,
+            name: None,
+            value: None,
+        },
+        Some((name, value)) => Piece {
+            text,
+            name: Some(name.trim()),
+            value: Some(value.trim()),
+        },
+    });
+    Key {
+        name: key.get(..open).unwrap_or_default(),
+        pieces: pieces.collect(),
+        doubt,
+    }
+}
+
+/// `2`, `1.5`: seconds, also below 0.
+pub(super) fn seconds(text: &str) -> Result<f64, String> {
+    let wrong = || format!("'{text}' is not a number of seconds; write 2 or 1.5");
+    let whole = Integer::parse(text).is_ok();
+    // Not what Python's float() has beyond digits: `inf`, `nan`, `infinity`.
+    let plain: String = text.trim().chars().filter(|c| *c != '_').collect();
+    let digits = plain
+        .bytes()
+        .all(|c| c.is_ascii_digit() || b".eE+-".contains(&c));
+    let fraction = digits && !text.contains('_');
+    let seconds: f64 = plain.parse().map_err(|_| wrong())?;
+    if !whole && !fraction {
+        return Err(wrong());
+    }
+    if seconds > LONGEST {
+        return Err(format!("'{text}' seconds are more than a century"));
+    }
+    Ok(seconds)
+}
+
+/// A time to wait: below 0 there is none.
+pub(super) fn delay(seconds: f64) -> Duration {
+    Duration::try_from_secs_f64(seconds.max(0.0)).unwrap_or_default()
+}
+
+/// A limit of time: `none` and 0 set none.
+pub(super) fn limit(text: &str) -> Result<Option<Duration>, String> {
+    if text == "none" {
+        return Ok(None);
+    }
+    let seconds = seconds(text)?;
+    if seconds < 0.0 {
+        return Err(format!(
+            "'{text}' is below 0; write seconds, as 30, or none"
+        ));
+    }
+    Ok(Some(delay(seconds)).filter(|limit| !limit.is_zero()))
+}
+
+/// The same in a defaults file, where 0 is a mistake: it would take the limit from every task.
+fn stated_limit(text: &str) -> Result<Option<Duration>, String> {
+    match limit(text)? {
+        None if text != "none" => {
+            Err("a limit of 0 seconds is no limit; write seconds, as 30, or none".to_owned())
+        }
+        limit => Ok(limit),
+    }
+}
+
+/// True for `true 1 t y yes on` in any case, false for all else; whether it is a word that says so.
+pub(super) fn truth(text: &str) -> (bool, bool) {
+    let text = text.to_lowercase();
+    let yes = matches!(text.as_str(), "true" | "1" | "t" | "y" | "yes" | "on");
+    let no = matches!(text.as_str(), "false" | "0" | "f" | "n" | "no" | "off");
+    (yes, yes || no)
+}
+
+/// `ask`, `stop`, `go on`, `retry 3`.
+pub(super) fn on_failure(text: &str) -> Result<OnFailure, String> {
+    let plain = text.to_lowercase().replace(['_', '-'], " ");
+    let words: Vec<&str> = plain.split_whitespace().collect();
+    match words.as_slice() {
+        ["ask"] => Ok(OnFailure::Ask),
+        ["stop"] => Ok(OnFailure::Stop),
+        ["go", "on"] => Ok(OnFailure::GoOn),
+        ["retry"] => Ok(OnFailure::Retry(1)),
+        ["retry", count] => match count.parse() {
+            Ok(count) => Ok(OnFailure::Retry(count)),
+            Err(_) => Err(format!("'{count}' is no number of times; write retry 2")),
+        },
+        _ => {
+            let known = ["ask", "stop", "go on", "retry 2"];
+            Err(match closest(&plain, known) {
+                Some(meant) => format!("'{text}' is not known here; did you mean '{meant}'?"),
+                None => format!("'{text}' is not known here; there are: ask, stop, go on, retry N"),
+            })
+        }
+    }
+}
+
+impl Defaults {
+    /// Reads a defaults file: `timeout`, `on_failure`, `parallel`, for all that a script leaves open.
+    ///
+    /// # Errors
+    /// Every mistake in it, with its place.
+    pub fn load(path: &Path) -> Result<Self, Diagnostics> {
+        Self::read(&Document::load(path)?)
+    }
+
+    /// The same from a document.
+    ///
+    /// # Errors
+    /// As [`load`](Self::load).
+    pub fn read(document: &Document) -> Result<Self, Diagnostics> {
+        let mut reading = document.reading();
+        let defaults = reading
+            .fields(document.root(), "timeout: 30")
+            .map(|mut fields| {
+                let mut defaults = Self::default();
+                if let Some(node) = fields.optional("timeout") {
+                    let limit = reading.parsed(node, "seconds, as 30, or none", stated_limit);
+                    defaults.timeout = limit.flatten();
+                }
+                if let Some(node) = fields.optional("on_failure") {
+                    let words = "ask, stop, go on or retry N";
+                    defaults.on_failure =
+                        reading.parsed(node, words, on_failure).unwrap_or_default();
+                }
+                if let Some(node) = fields.optional("parallel") {
+                    defaults.parallel = reading.truth(node).unwrap_or_default();
+                }
+                fields.finish(&mut reading);
+                defaults
+            });
+        reading.finish(defaults)
+    }
+}

@@ -1,0 +1,94 @@
+//! What would be sent when: `--dry-run`.
+
+use std::time::Duration;
+
+use super::model::{OnFailure, Script, Step};
+use super::player::Options;
+use ztl_std::remotes::Remotes;
+
+/// The timeline of a script as lines for people: each task with the time from the begin of its step,
+/// which is known, and what the step then waits for, of which nobody knows how long it takes.
+#[must_use]
+pub fn timeline(script: &Script, options: &Options, remotes: &Remotes) -> Vec<String> {
+    let mut lines = Vec::new();
+    let first = options
+        .scene
+        .or(options.from.map(|(scene, _)| scene))
+        .unwrap_or(0);
+    let last = options.scene.unwrap_or(usize::MAX);
+    for (index, scene) in script.scenes.iter().enumerate() {
+        if index < first || index > last {
+            continue;
+        }
+        let delay = after(scene.delay);
+        lines.push(format!("scene '{}'{delay}", scene.name.trim()));
+        let from = match options.from {
+            Some((of, step)) if of == index => step,
+            _ => 0,
+        };
+        for step in scene.steps.iter().skip(from) {
+            put_step(step, remotes, &mut lines);
+        }
+    }
+    lines
+}
+
+fn put_step(step: &Step, remotes: &Remotes, lines: &mut Vec<String>) {
+    let together = if step.parallel {
+        ", its tasks together"
+    } else {
+        ""
+    };
+    let policy = match step.on_failure {
+        OnFailure::Usual => String::new(),
+        OnFailure::GoOn => ", on failure: go on".to_owned(),
+        OnFailure::Ask => ", on failure: ask".to_owned(),
+        OnFailure::Stop => ", on failure: stop".to_owned(),
+        OnFailure::Retry(count) => format!(", on failure: retry {count}"),
+    };
+    lines.push(format!("  step '{}'{together}{policy}", step.name.trim()));
+    let mut at = step.delay;
+    let mut waits = Vec::new();
+    for task in &step.tasks {
+        let Some(handler) = step.handler(task) else {
+            continue;
+        };
+        let remote = remotes.task(&handler.remote);
+        // What has no server is not waited for.
+        let known = remote.is_ok();
+        let begins = match (step.parallel, known) {
+            (true, _) => step.delay + task.delay,
+            (false, true) => {
+                at += task.delay;
+                at
+            }
+            (false, false) => at,
+        };
+        let to = match remote {
+            Ok(remote) => format!("{} {}", remote.endpoint(), remote.scope),
+            Err(_) => format!("no server '{}'", handler.remote),
+        };
+        let (name, component, goal) = (&handler.name, &task.component, &task.goal);
+        lines.push(format!(
+            "    +{:>6.2} s  {name}:{component}:{goal}  -> {to}",
+            begins.as_secs_f64()
+        ));
+        if step.wait && task.wait && known {
+            let limit = task
+                .limit
+                .map(|limit| format!(" (at most {} s)", limit.as_secs_f64()));
+            waits.push(format!("{}{}", component.trim(), limit.unwrap_or_default()));
+        }
+    }
+    lines.push(match waits.is_empty() {
+        true => "    then goes on at once".to_owned(),
+        false => format!("    then waits for the end of {}", waits.join(", ")),
+    });
+}
+
+fn after(delay: Duration) -> String {
+    match delay.is_zero() {
+        true => String::new(),
+        false => format!(", after {} s", delay.as_secs_f64()),
+    }
+}

@@ -1,0 +1,457 @@
+//! Servers, an operator and a clock, all made up: requests are answered after a moment, tasks last as
+//! long as their goals say, and servers pause and are started anew when a test says so.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::time::Duration;
+
+use ztl_core::integer::Integer;
+use ztl_core::{Instant, State, TaskId};
+
+use super::super::super::event::{By, Command, Event, Question, RequestNumber, Why};
+use super::super::super::{Defaults, Script};
+use super::super::{Answer, Ask, Options, Player, Request, Server};
+use ztl_std::RemoteId;
+
+/// There and back.
+const LATENCY: Duration = Duration::from_millis(1);
+/// After which a request is given up.
+const TIMEOUT: Duration = Duration::from_secs(2);
+/// How often it is asked what became of an INIT.
+const OUTCOMES: u32 = 3;
+/// A run that goes on for longer hangs.
+const HANGS: Duration = Duration::from_secs(3600);
+
+/// A server, its tasks by id.
+pub(super) struct Machine {
+    pub(super) ours: bool,
+    boot: u32,
+    next: u32,
+    tasks: BTreeMap<u32, Job>,
+    /// It is silent in these times.
+    pub(super) pauses: Vec<(Instant, Instant)>,
+    /// It is started anew then.
+    pub(super) restarts: Vec<Instant>,
+    /// What is refused at INIT, by component: so many times.
+    pub(super) refusals: BTreeMap<&'static str, u32>,
+    /// Nobody listens at its address.
+    pub(super) missing: bool,
+    /// When it was probed.
+    pub(super) probed: Vec<Instant>,
+}
+
+struct Job {
+    begun: Instant,
+    ends: Instant,
+    end: State,
+    said: &'static str,
+    unstoppable: bool,
+    aborted: Option<Instant>,
+}
+
+/// What was done on a server.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) struct Began {
+    pub(super) at: Instant,
+    pub(super) task: String,
+    /// Until when it really runs.
+    pub(super) until: Instant,
+}
+
+pub(super) struct World {
+    pub(super) player: Player,
+    pub(super) now: Instant,
+    pub(super) machines: BTreeMap<String, Machine>,
+    /// When an answer reaches the player.
+    coming: BTreeMap<(Instant, u64), (RequestNumber, Answer)>,
+    number: u64,
+    pub(super) events: Vec<(Instant, Event)>,
+    pub(super) began: Vec<Began>,
+    pub(super) statuses: usize,
+}
+
+impl Machine {
+    fn paused(&self, at: Instant) -> Option<Instant> {
+        let pause = self
+            .pauses
+            .iter()
+            .find(|(from, to)| *from <= at && at < *to);
+        pause.map(|(_, to)| *to)
+    }
+
+    /// Restarts that have come.
+    fn turn(&mut self, now: Instant) {
+        while let Some(restart) = self.restarts.first().copied().filter(|at| *at <= now) {
+            self.restarts.remove(0);
+            self.boot += 1;
+            self.tasks.clear();
+            if !self.ours {
+                // The original's counts from 1 again.
+                self.next = 0;
+            }
+            let _ = restart;
+        }
+    }
+
+    fn state(&self, id: &RemoteId, now: Instant) -> Option<(State, String)> {
+        let job = self.tasks.get(&place(id))?;
+        Some(match job.aborted {
+            Some(at) if at <= now => (State::Aborted, "True".to_owned()),
+            _ if now >= job.ends => (job.end, job.said.to_owned()),
+            _ => (State::Accepted, "running".to_owned()),
+        })
+    }
+}
+
+impl World {
+    /// A world in which a script is played: `robot` is the original's server, `lamp` one of ours.
+    pub(super) fn new(script: &str, options: Options) -> Self {
+        Self::with(script, options, Defaults::default())
+    }
+
+    pub(super) fn with(script: &str, mut options: Options, defaults: Defaults) -> Self {
+        let script = Script::read("test.yaml", script.as_bytes(), defaults).expect("a script");
+        let machines = [("robot", false), ("lamp", true)].map(|(name, ours)| {
+            let machine = Machine {
+                ours,
+                boot: 1,
+                next: 0,
+                tasks: BTreeMap::new(),
+                pauses: Vec::new(),
+                restarts: Vec::new(),
+                refusals: BTreeMap::new(),
+                missing: false,
+                probed: Vec::new(),
+            };
+            (name.to_owned(), machine)
+        });
+        options
+            .remotes
+            .extend(["robot".to_owned(), "lamp".to_owned()]);
+        Self {
+            player: Player::new(Arc::new(script), options),
+            now: Instant::ZERO,
+            machines: machines.into_iter().collect(),
+            coming: BTreeMap::new(),
+            number: 0,
+            events: Vec::new(),
+            began: Vec::new(),
+            statuses: 0,
+        }
+    }
+
+    pub(super) fn machine(&mut self, name: &str) -> &mut Machine {
+        self.machines.get_mut(name).expect("there is one")
+    }
+
+    pub(super) fn begin(&mut self) {
+        self.player.begin(self.now);
+        self.pump();
+    }
+
+    #[track_caller]
+    pub(super) fn command(&mut self, command: Command) {
+        let done = self.player.handle_command(self.now, command, By::Operator);
+        assert!(done, "{command:?} of {:?}", self.player.choices());
+        self.pump();
+    }
+
+    /// Lets time pass until somebody is asked or the run is over; what is asked.
+    pub(super) fn until_asked(&mut self) -> Option<Question> {
+        while self.player.outcome().is_none() && self.player.question().is_none() {
+            if !self.tick(None) {
+                break;
+            }
+        }
+        self.player.question()
+    }
+
+    /// Lets so much time pass, whatever happens.
+    pub(super) fn pass(&mut self, time: Duration) {
+        let until = self.now + time;
+        while self.tick(Some(until)) {}
+        self.now = until;
+    }
+
+    /// Until the run is over; the operator, if asked, does what `decide` says.
+    pub(super) fn run(&mut self, mut decide: impl FnMut(&Self, Question) -> Option<Command>) {
+        for _ in 0..100_000 {
+            if self.player.outcome().is_some() {
+                return;
+            }
+            let decided = self
+                .player
+                .question()
+                .and_then(|question| decide(self, question));
+            match decided {
+                Some(command) => self.command(command),
+                None => assert!(self.tick(None), "nothing is to come: {:#?}", self.events),
+            }
+        }
+        panic!("it does not end: {:?}", self.events.last());
+    }
+
+    /// The next thing that is to happen, if it is not after `until`.
+    fn tick(&mut self, until: Option<Instant>) -> bool {
+        let answer = self.coming.first_key_value().map(|((at, _), _)| *at);
+        let wake = self.player.poll_timeout();
+        let Some(next) = [answer, wake].into_iter().flatten().min() else {
+            return false;
+        };
+        if until.is_some_and(|until| next > until) {
+            return false;
+        }
+        assert!(
+            next.since(Instant::ZERO) < HANGS,
+            "it hangs: {:#?}",
+            self.events.last()
+        );
+        self.now = self.now.max(next);
+        if answer == Some(next)
+            && let Some((_, (request, answer))) = self.coming.pop_first()
+        {
+            self.player.handle_answer(self.now, request, answer);
+        } else {
+            self.player.handle_time(self.now);
+        }
+        self.pump();
+        true
+    }
+
+    fn pump(&mut self) {
+        while let Some(event) = self.player.poll_event() {
+            self.events.push((self.now, event));
+        }
+        while let Some(request) = self.player.poll_request() {
+            let (at, answer) = self.serve(&request);
+            self.number += 1;
+            self.coming
+                .insert((at, self.number), (request.number, answer));
+        }
+    }
+
+    /// What comes of a request, and when.
+    fn serve(&mut self, request: &Request) -> (Instant, Answer) {
+        let now = self.now;
+        let machine = self.machines.get_mut(&request.remote).expect("a server");
+        machine.turn(now);
+        let resumes = machine.paused(now);
+        // It is acted on when the server comes back, and answered if somebody still listens.
+        let acts = resumes.unwrap_or(now) + LATENCY;
+        let late = acts.since(now) >= TIMEOUT;
+        if machine.missing {
+            return (now + TIMEOUT, nothing(false));
+        }
+        if request.ask == Ask::Probe {
+            machine.probed.push(now);
+        }
+        match &request.ask {
+            Ask::Probe | Ask::Tasks if late => (now + TIMEOUT, nothing(true)),
+            Ask::Probe => {
+                let server = machine.who();
+                (acts, Answer::There { server })
+            }
+            Ask::Tasks => {
+                let runs = |job: &Job| now < job.ends && job.aborted.is_none();
+                let tasks = machine.tasks.iter().filter(|(_, job)| runs(job));
+                let tasks = tasks
+                    .filter_map(|(id, _)| Some((TaskId::new(*id)?.into(), format!("job:{id}"))))
+                    .collect();
+                let listed = machine.ours.then_some((machine.boot, tasks));
+                (acts, Answer::Tasks { listed, unread: 0 })
+            }
+            Ask::Init {
+                handler,
+                component,
+                goal,
+            } => {
+                let task = format!("{handler}:{component}:{goal}");
+                let patience = TIMEOUT * (OUTCOMES + 1);
+                if machine.ours && resumes.is_some() && late {
+                    // The shell asks for its outcome: it never came, and will not.
+                    return match acts.since(now) < patience {
+                        true => (
+                            acts,
+                            Answer::NotStarted {
+                                text: "never came".to_owned(),
+                            },
+                        ),
+                        false => (now + patience, nothing(true)),
+                    };
+                }
+                let answer = machine.init(acts, component, goal);
+                if let Answer::Started { id, .. } = &answer
+                    && let Some(job) = machine.tasks.get(&place(id))
+                {
+                    self.began.push(Began {
+                        at: acts,
+                        task,
+                        until: job.ends,
+                    });
+                }
+                match late {
+                    true => (now + TIMEOUT, nothing(true)),
+                    false => (acts, answer),
+                }
+            }
+            Ask::Status { .. } | Ask::Abort { .. } if late => (now + TIMEOUT, nothing(true)),
+            Ask::Status { id, hold, .. } => {
+                self.statuses += 1;
+                let ends = machine.tasks.get(&place(id)).map(|job| job.ends);
+                let held = match ends {
+                    Some(ends) if ends > acts => (*hold).min(ends.since(acts)),
+                    _ => Duration::ZERO,
+                };
+                // One that is started anew, or falls silent, while it holds an answer does not give it.
+                let gone = machine
+                    .restarts
+                    .iter()
+                    .chain(machine.pauses.iter().map(|(from, _)| from));
+                if gone.into_iter().any(|at| *at > acts && *at <= acts + held) {
+                    return (now + TIMEOUT, nothing(true));
+                }
+                let at = acts + held;
+                (at, machine.tell(id, at))
+            }
+            Ask::Abort { id } => {
+                if let Some(job) = machine.tasks.get_mut(&place(id))
+                    && acts < job.ends
+                    && job.aborted.is_none()
+                    && !job.unstoppable
+                {
+                    job.aborted = Some(acts);
+                    let begun = job.begun;
+                    // Another client's is not among them.
+                    let began = self.began.iter_mut().find(|began| began.at == begun);
+                    if let Some(began) = began {
+                        began.until = acts;
+                    }
+                }
+                let answer = match machine.tasks.get(&place(id)) {
+                    Some(job) if job.unstoppable && acts < job.ends => Answer::Task {
+                        state: State::Accepted,
+                        text: "False".to_owned(),
+                    },
+                    _ => machine.tell(id, acts),
+                };
+                (acts, answer)
+            }
+        }
+    }
+
+    /// The kinds of events, in short, for tests to compare.
+    pub(super) fn seen(&self, is: impl Fn(&Event) -> bool) -> Vec<&Event> {
+        self.events
+            .iter()
+            .map(|(_, event)| event)
+            .filter(|event| is(event))
+            .collect()
+    }
+
+    /// Why the step waits that waits, if one does.
+    pub(super) fn why(&self) -> Option<&Why> {
+        self.events.iter().rev().find_map(|(_, event)| match event {
+            Event::StepWaiting { why, .. } => Some(why),
+            _ => None,
+        })
+    }
+
+    /// When each task began, in milliseconds, by the word of the servers.
+    pub(super) fn timeline(&self) -> Vec<(u64, &str)> {
+        self.began
+            .iter()
+            .map(|began| (began.at.as_millis(), began.task.as_str()))
+            .collect()
+    }
+}
+
+impl Machine {
+    fn init(&mut self, now: Instant, component: &str, goal: &str) -> Answer {
+        if let Some(times) = self.refusals.get_mut(component)
+            && *times > 0
+        {
+            *times -= 1;
+            return Answer::Refused {
+                id: Integer::MINUS_ONE.into(),
+                text: "not now".to_owned(),
+            };
+        }
+        self.next += 1;
+        // `3`, `3 fail`, `3 lost`, `3 forever`.
+        let mut words = goal.split(' ');
+        let seconds: f64 = words
+            .next()
+            .and_then(|word| word.parse().ok())
+            .unwrap_or(0.0);
+        let how = words.next();
+        let job = Job {
+            begun: now,
+            ends: now + Duration::from_secs_f64(seconds),
+            end: match how {
+                Some("fail" | "lost") => State::Failed,
+                _ => State::Completed,
+            },
+            said: match how {
+                Some("lost") => LOST,
+                _ => "done",
+            },
+            unstoppable: how == Some("forever"),
+            aborted: None,
+        };
+        self.tasks.insert(self.next, job);
+        let id = TaskId::new(self.next).expect("above 0").into();
+        Answer::Started {
+            id,
+            text: "initiated".to_owned(),
+            server: self.who(),
+        }
+    }
+
+    fn who(&self) -> Server {
+        match self.ours {
+            true => Server::Ours {
+                version: "1".to_owned(),
+                boot: self.boot,
+            },
+            false => Server::Original,
+        }
+    }
+
+    /// Another client starts a task.
+    pub(super) fn begins(&mut self, now: Instant, goal: &str) {
+        self.init(now, "other", goal);
+    }
+
+    /// How many of its tasks run.
+    pub(super) fn running(&self, now: Instant) -> usize {
+        let runs = |job: &&Job| now < job.ends && job.aborted.is_none_or(|at| now < at);
+        self.tasks.values().filter(runs).count()
+    }
+
+    fn tell(&mut self, id: &RemoteId, now: Instant) -> Answer {
+        self.turn(now);
+        match self.state(id, now) {
+            Some((_, text)) if text == LOST => Answer::Unclear { text },
+            Some((state, text)) => Answer::Task { state, text },
+            None => Answer::TaskUnknown {
+                boot: self.ours.then_some(self.boot),
+                text: format!("does not know task {id}"),
+            },
+        }
+    }
+}
+
+/// What is said of a task whose server could not learn its end.
+const LOST: &str = "the robot behind it was restarted";
+
+/// The key of a task in [`Machine::tasks`].
+fn place(id: &RemoteId) -> u32 {
+    id.number().expect("an id of these machines").get()
+}
+
+fn nothing(sent: bool) -> Answer {
+    Answer::Nothing {
+        sent,
+        text: "no answer".to_owned(),
+    }
+}

@@ -1,0 +1,247 @@
+//! Keys with parameters: what is wrong with them, and where.
+
+use std::fmt::Display;
+use std::time::Duration;
+
+use super::super::params::{self, Piece};
+use super::super::report::spoken;
+use super::super::value::{Value, quoted};
+use super::{Entry, Reader, short};
+use ztl_yaml::{Mark, Node, Span, Value as Yaml, closest};
+
+/// A longer delay was probably written in milliseconds.
+const LONG_DELAY: Duration = Duration::from_secs(600);
+
+impl Reader<'_> {
+    /// A name that goes over the wire in front of a ':'.
+    pub(super) fn sent(&mut self, node: &Node, what: &str, name: &str) {
+        if name.contains(':') {
+            let message = format!("servers take a {what}'s name to end before the ':'");
+            let opens = name.contains(":{") || name.contains(":[");
+            self.doubt(node.span, message, spaced(name).filter(|_| opens));
+        } else if name.trim() != name {
+            let message = format!(
+                "the {what}'s name is sent with its blanks: {}",
+                quoted(name)
+            );
+            let help = name.trim_start() == name;
+            let help = help.then(|| "write no blank before the '('".to_owned());
+            self.doubt(node.span, message, help);
+        }
+    }
+
+    /// Takes a key apart, and says what is doubtful about its parentheses.
+    pub(super) fn key<'k>(&mut self, key: &'k str, node: &Node) -> params::Key<'k> {
+        let parsed = params::parse(key);
+        if let Some(doubt) = parsed.doubt {
+            self.doubt(node.span, doubt, None);
+        }
+        parsed
+    }
+
+    /// A delay. What the original plays otherwise than it is written is doubtful.
+    pub(super) fn delay(
+        &mut self,
+        entry: &Entry<'_>,
+        key: &str,
+        piece: Piece<'_>,
+    ) -> Option<Duration> {
+        let read = params::seconds(piece.value.unwrap_or_default());
+        let seconds = self.parsed(entry, key, piece, read)?;
+        let delay = params::delay(seconds);
+        if seconds < 0.0 {
+            let message = "a delay below 0 is no delay";
+            let help = "write the seconds to wait, as delay=3".to_owned();
+            self.doubt_at(entry, key, piece, message, Some(help));
+        } else if delay > LONG_DELAY {
+            let message = format!("this waits {}", spoken(delay));
+            let help = "a delay is in seconds, as delay=1.5".to_owned();
+            self.doubt_at(entry, key, piece, &message, Some(help));
+        }
+        Some(delay)
+    }
+
+    pub(super) fn limit(
+        &mut self,
+        entry: &Entry<'_>,
+        key: &str,
+        piece: Piece<'_>,
+    ) -> Option<Option<Duration>> {
+        let text = piece.value.unwrap_or_default();
+        let limit = self.parsed(entry, key, piece, params::limit(text))?;
+        if limit.is_none() && text != "none" {
+            let message = "a limit of 0 seconds is no limit";
+            let help = "write timeout=30, or timeout=none if that is meant".to_owned();
+            self.doubt_at(entry, key, piece, message, Some(help));
+        }
+        Some(limit)
+    }
+
+    /// A component with the name of a parameter is a task, and was probably meant to be none.
+    pub(super) fn parameter(&mut self, node: &Node, value: &Value) {
+        let Yaml::Scalar { text, plain: true } = &node.value else {
+            return;
+        };
+        // A robot may well have something that waits.
+        let meant = text != "wait" || matches!(value, Value::Bool(_));
+        if params::NAMES.contains(&text.as_str()) && meant {
+            let message = format!("this is sent as a task of a component '{text}'");
+            self.doubt(node.span, message, Some(in_parentheses(text, value)));
+        }
+    }
+
+    pub(super) fn parsed<T>(
+        &mut self,
+        entry: &Entry<'_>,
+        key: &str,
+        piece: Piece<'_>,
+        read: Result<T, String>,
+    ) -> Option<T> {
+        match read {
+            Ok(value) => Some(value),
+            Err(message) => {
+                let span = within(entry.name, key, piece.value.unwrap_or(piece.text));
+                self.mistake(span, message, None);
+                None
+            }
+        }
+    }
+
+    /// A typo is false, as in the original, and doubtful.
+    pub(super) fn truth(&mut self, entry: &Entry<'_>, key: &str, value: &str) -> bool {
+        let (truth, known) = params::truth(value);
+        if !known {
+            let help = closest(value, ["true", "false", "yes", "no", "on", "off"]);
+            let help = match help {
+                Some(meant) => format!("did you mean '{meant}'?"),
+                None => "write yes or no".to_owned(),
+            };
+            let span = within(entry.name, key, value);
+            let value = short(value);
+            self.doubt(
+                span,
+                format!("'{value}' is neither yes nor no, and is taken for no"),
+                Some(help),
+            );
+        }
+        truth
+    }
+
+    /// A parameter that has no effect: why, and what was probably meant.
+    pub(super) fn unknown(
+        &mut self,
+        entry: &Entry<'_>,
+        key: &str,
+        piece: Piece<'_>,
+        whose: &str,
+        known: &[&str],
+    ) {
+        let all = || {
+            let first = known.first().unwrap_or(&"");
+            format!("write as ({first}=…); there are: {}", known.join(", "))
+        };
+        let (text, message, help) = match (piece.name, piece.value) {
+            (None, _) => {
+                let message = format!("'{}' has more than one '='", short(piece.text));
+                (piece.text, message, all())
+            }
+            (Some(name), None) if name.bytes().all(|c| c.is_ascii_digit()) => {
+                let message = format!("'{name}' is a parameter of its own here");
+                (
+                    name,
+                    message,
+                    "write a fraction with a point, as 1.5".to_owned(),
+                )
+            }
+            (Some(name), None) if known.contains(&name) => {
+                (name, format!("'{name}' has no value"), all())
+            }
+            (Some(name), _) => {
+                let message = format!("{whose} has no parameter '{}'", short(name));
+                let meant = closest(name, known.iter().copied());
+                let help = meant.map(|meant| format!("did you mean '{meant}'?"));
+                let elsewhere =
+                    params::taken_by(name).map(|by| format!("write it behind the name of a {by}"));
+                (name, message, help.or(elsewhere).unwrap_or_else(all))
+            }
+        };
+        let message = format!("{message}: it has no effect");
+        self.doubt_at(entry, key, Piece { text, ..piece }, &message, Some(help));
+    }
+
+    pub(super) fn doubt_at(
+        &mut self,
+        entry: &Entry<'_>,
+        key: &str,
+        piece: Piece<'_>,
+        message: &str,
+        help: Option<String>,
+    ) {
+        let span = within(entry.name, key, piece.text);
+        self.doubt(span, message, help);
+    }
+}
+
+/// Whether nothing is written behind a key, not even a ':'. Then its value stands where the key does.
+pub(super) fn lacks_colon(name: &Node, value: &Node) -> bool {
+    value.is_null() && value.span == name.span
+}
+
+/// What is said of a key without a ':', and what would be right.
+pub(super) fn without_colon(key: &str) -> (String, Option<String>) {
+    let help =
+        spaced(key).unwrap_or_else(|| "a text with ',' in it needs quotes within { }".to_owned());
+    (format!("'{}' has no ':' behind it", short(key)), Some(help))
+}
+
+/// How a text is written in which a blank behind a ':' was forgotten; but `http://` has none.
+pub(super) fn spaced(text: &str) -> Option<String> {
+    let (name, value) = text.split_once(':')?;
+    let forgotten = !value.is_empty() && !value.starts_with(['/', ' ']);
+    let (name, value) = (short(name), short(value));
+    forgotten.then(|| format!("write a space after the colon: {name}: {value}"))
+}
+
+/// Whether a key can have been meant as the name of what stands behind it.
+pub(super) fn is_clear(entry: &Entry<'_>) -> bool {
+    let (name, value) = (&entry.name, &entry.value);
+    let Yaml::Scalar { text, .. } = &name.value else {
+        return true;
+    };
+    let is_map = matches!(value.value, Yaml::Map(_));
+    let slip = params::NAMES.contains(&text.as_str()) || spaced(text).is_some();
+    !lacks_colon(name, value) && (is_map || !slip)
+}
+
+/// How a parameter is written.
+pub(super) fn in_parentheses(name: &str, value: impl Display) -> String {
+    format!("if it is a parameter, write it in parentheses, as name ({name}={value})")
+}
+
+/// Where a part of a key stands; the whole key where that cannot be told.
+fn within(node: &Node, key: &str, part: &str) -> Span {
+    let Span { start, end } = node.span;
+    // `part` is a slice of `key`.
+    let offset = (part.as_ptr() as usize).checked_sub(key.as_ptr() as usize);
+    let before = offset
+        .and_then(|offset| key.get(..offset))
+        .map(|before| before.chars().count());
+    let one_line = start.line == end.line;
+    let quotes = usize::from(!matches!(&node.value, Yaml::Scalar { plain: true, .. }));
+    let as_written = end.column.saturating_sub(start.column) == key.chars().count() + 2 * quotes;
+    match before {
+        Some(before) if one_line && as_written => {
+            let column = start.column + quotes + before;
+            let from = Mark { column, ..start };
+            let to = Mark {
+                column: column + part.chars().count(),
+                ..start
+            };
+            Span {
+                start: from,
+                end: to,
+            }
+        }
+        _ => node.span,
+    }
+}

@@ -1,0 +1,86 @@
+//! Numbers as a report tells them.
+
+use std::time::Duration;
+
+/// Seconds with milliseconds: `1.523`.
+pub(super) fn seconds(time: Duration) -> String {
+    let millis = (time.as_micros() + 500) / 1000;
+    format!("{}.{:03}", millis / 1000, millis % 1000)
+}
+
+/// The same of what may be negative.
+pub(super) fn difference(to: Duration, from: Duration) -> String {
+    match to.checked_sub(from) {
+        Some(more) => format!("+{}", seconds(more)),
+        None => format!("−{}", seconds(from.saturating_sub(to))),
+    }
+}
+
+/// Milliseconds with microseconds: `1.523`.
+pub(super) fn millis(time: Duration) -> String {
+    let micros = time.as_micros();
+    format!("{}.{:03}", micros / 1000, micros % 1000)
+}
+
+/// As it is said beside a bar: `0.82 s`, `1 min 05 s`, `1 h 02 min`.
+pub(in crate) fn spoken(time: Duration) -> String {
+    let whole = time.as_secs();
+    match whole {
+        0..60 => format!("{:.2} s", time.as_secs_f64()),
+        60..3600 => format!("{} min {:02} s", whole / 60, whole % 60),
+        _ => format!("{} h {:02} min", whole / 3600, whole % 3600 / 60),
+    }
+}
+
+/// The least value that at least so many percent of all do not exceed (nearest rank); of 50 percent
+/// of an even count, the middle between the two in the middle, as a median is told.
+pub(super) fn percentile(values: &[Duration], percent: usize) -> Option<Duration> {
+    let mut sorted = values.to_vec();
+    sorted.sort_unstable();
+    let rank = (sorted.len() * percent).div_ceil(100).max(1);
+    let value = *sorted.get(rank - 1)?;
+    if percent == 50 && sorted.len().is_multiple_of(2) {
+        return Some((value + *sorted.get(rank)?) / 2);
+    }
+    Some(value)
+}
+
+/// The median.
+pub(super) fn median(values: &[Duration]) -> Option<Duration> {
+    percentile(values, 50)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn of(millis: &[u64]) -> Vec<Duration> {
+        millis.iter().copied().map(Duration::from_millis).collect()
+    }
+
+    #[test]
+    fn a_median_of_an_even_count_lies_in_the_middle() {
+        assert_eq!(median(&of(&[])), None);
+        assert_eq!(median(&of(&[7])), Some(Duration::from_millis(7)));
+        assert_eq!(median(&of(&[9, 1, 5])), Some(Duration::from_millis(5)));
+        assert_eq!(median(&of(&[4, 1, 8, 2])), Some(Duration::from_millis(3)));
+    }
+
+    #[test]
+    fn the_95th_of_a_hundred_is_the_95th() {
+        let all: Vec<u64> = (1..=100).rev().collect();
+        assert_eq!(percentile(&of(&all), 95), Some(Duration::from_millis(95)));
+        assert_eq!(percentile(&of(&[3]), 95), Some(Duration::from_millis(3)));
+        assert_eq!(percentile(&of(&[3, 4]), 95), Some(Duration::from_millis(4)));
+    }
+
+    #[test]
+    fn times_are_rounded_and_not_cut() {
+        assert_eq!(seconds(Duration::from_micros(1_999_500)), "2.000");
+        assert_eq!(
+            difference(Duration::from_millis(1), Duration::from_millis(3)),
+            "−0.002"
+        );
+        assert_eq!(spoken(Duration::from_secs(65)), "1 min 05 s");
+    }
+}

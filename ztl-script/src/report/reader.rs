@@ -1,0 +1,445 @@
+//! Puts a run together from its events.
+
+use std::collections::BTreeMap;
+use std::time::Duration;
+
+use super::run::{Action, Asked, Cause, Run, Step, Take, Task, Wait};
+use crate::event::{
+    By, Command, Event, Kind, Question, RequestNumber, SceneEnd, Stamped, StepEnd, StepOutline,
+    TaskNumber, TaskState,
+};
+use crate::record::Record;
+
+/// What happened in the run that a record tells of.
+pub(super) fn read(record: Record) -> Run {
+    let mut reader = Reader {
+        run: Run {
+            length: record
+                .events
+                .last()
+                .map_or(Duration::ZERO, |event| event.at),
+            record: Record {
+                events: Vec::new(),
+                ..record
+            },
+            outcome: None,
+            last_words: String::new(),
+            takes: Vec::new(),
+            tasks: Vec::new(),
+            actions: Vec::new(),
+            waits: Vec::new(),
+            latencies: BTreeMap::new(),
+            skipped: Vec::new(),
+            notes: Vec::new(),
+        },
+        take_open: false,
+        step_open: false,
+        question: None,
+        wait: None,
+        requests: BTreeMap::new(),
+    };
+    let first = record.events.first().cloned();
+    for event in record.events {
+        reader.handle(event);
+    }
+    reader.finish();
+    reader.run.record.events.extend(first);
+    reader.run
+}
+
+/// A question that stands: since when, what about.
+type Standing = (Duration, Question);
+
+struct Reader {
+    run: Run,
+    take_open: bool,
+    step_open: bool,
+    question: Option<Standing>,
+    wait: Option<Wait>,
+    requests: BTreeMap<RequestNumber, (String, Asked, Option<TaskNumber>)>,
+}
+
+impl Reader {
+    fn handle(&mut self, Stamped { at, event, .. }: Stamped) {
+        match event {
+            Event::Asked { question, .. } => self.ask(at, question),
+            Event::Key { key, command } => self.key(at, key, command),
+            Event::Decided {
+                command,
+                by,
+                scene,
+                step,
+            } => self.decide(at, command, by, (scene, step)),
+            Event::SceneStarted {
+                scene,
+                take,
+                replay,
+            } => {
+                self.end_take(at, None);
+                self.run.takes.push(Take {
+                    scene,
+                    number: take,
+                    replay,
+                    from: at,
+                    to: at,
+                    end: None,
+                    steps: Vec::new(),
+                });
+                self.take_open = true;
+            }
+            Event::SceneEnded { end, .. } => self.end_take(at, Some(end)),
+            Event::SceneSkipped { scene, by } => self.run.skipped.push((at, scene, by)),
+            Event::StepStarted { step, .. } => self.start_step(at, step),
+            Event::StepEnded { end, .. } => self.end_step(at, Some(end)),
+            Event::StepWaiting {
+                scene,
+                step,
+                why,
+                tasks,
+            } => self.start_wait(at, Cause::Trouble(why), Some((scene, step)), tasks),
+            Event::StepGoesOn { .. } => {
+                self.end_wait(at);
+                self.question = None;
+            }
+            Event::Paused { scene, step } => {
+                self.start_wait(at, Cause::Pause, Some((scene, step)), Vec::new());
+            }
+            Event::Resumed => self.end_wait(at),
+            Event::TaskStarting {
+                task,
+                part,
+                retry_of,
+                ..
+            } => self.start_task(at, task, part, retry_of),
+            Event::TaskState {
+                task, state, text, ..
+            } => self.task_state(at, task, state, text),
+            Event::RequestSent {
+                request,
+                kind,
+                remote,
+                task,
+                text,
+            } => {
+                let asked = match kind {
+                    Kind::Init => Asked::Init,
+                    Kind::Status if text.starts_with("wait ") => Asked::Held,
+                    Kind::Status => Asked::Status,
+                    Kind::Abort => Asked::Abort,
+                };
+                self.requests.insert(request, (remote, asked, task));
+            }
+            Event::Answered {
+                request, latency, ..
+            } => self.answer(request, latency),
+            Event::Unanswered { request, .. } => {
+                if let Some((remote, asked, _)) = self.requests.remove(&request) {
+                    self.run
+                        .latencies
+                        .entry((remote, asked))
+                        .or_default()
+                        .unanswered += 1;
+                }
+            }
+            Event::Note { text } => self.run.notes.push((at, text)),
+            Event::RunEnded { outcome, text, .. } => {
+                self.run.outcome = Some(outcome);
+                self.run.last_words = text;
+            }
+            _ => {}
+        }
+    }
+
+    fn ask(&mut self, at: Duration, question: Question) {
+        self.question = Some((at, question));
+        let scene = match question {
+            Question::Scene { scene } => Some(scene),
+            Question::End => None,
+            // Their waits have events of their own.
+            Question::Step { .. } | Question::Pause => return,
+        };
+        self.start_wait(at, Cause::Operator, None, Vec::new());
+        if let Some(wait) = &mut self.wait {
+            wait.scene = scene;
+        }
+    }
+
+    fn key(&mut self, at: Duration, key: String, command: Option<Command>) {
+        self.run.actions.push(Action {
+            at,
+            key: Some(key),
+            command,
+            by: By::Operator,
+            decided: false,
+            scene: None,
+            step: None,
+            after: self.question.map(|(asked, _)| at.saturating_sub(asked)),
+            deviation: false,
+        });
+    }
+
+    fn decide(
+        &mut self,
+        at: Duration,
+        command: Command,
+        by: By,
+        (scene, step): (Option<usize>, Option<usize>),
+    ) {
+        let question = self.question.take();
+        let at_the_end = matches!(question, Some((_, Question::End)));
+        let deviation = matches!(by, By::Operator | By::Signal)
+            && match command {
+                Command::Start | Command::Resume => false,
+                Command::Leave => !at_the_end,
+                _ => true,
+            };
+        let asked_for = self.run.actions.last_mut().filter(|action| {
+            !action.decided && by == By::Operator && action.command == Some(command)
+        });
+        if let Some(action) = asked_for {
+            action.decided = true;
+            action.scene = scene;
+            action.step = step;
+            action.deviation = deviation;
+        } else {
+            self.run.actions.push(Action {
+                at,
+                key: None,
+                command: Some(command),
+                by,
+                decided: true,
+                scene,
+                step,
+                after: question.map(|(asked, _)| at.saturating_sub(asked)),
+                deviation,
+            });
+        }
+        // A pause that is ordered while a step waits changes nothing about that wait.
+        if command != Command::Pause {
+            self.end_wait(at);
+        }
+    }
+
+    fn start_step(&mut self, at: Duration, step: usize) {
+        self.end_step(at, None);
+        let Some(take) = self.run.takes.last() else {
+            return;
+        };
+        let planned_from = match take.steps.last() {
+            Some(before) => before.to,
+            None => {
+                take.from
+                    + self
+                        .run
+                        .scene(take.scene)
+                        .map_or(Duration::ZERO, |s| s.delay)
+            }
+        };
+        if let Some(take) = self.run.takes.last_mut() {
+            take.steps.push(Step {
+                step,
+                planned_from,
+                from: at,
+                to: at,
+                end: None,
+                planned: None,
+            });
+            self.step_open = true;
+        }
+    }
+
+    fn end_step(&mut self, at: Duration, end: Option<StepEnd>) {
+        if !std::mem::take(&mut self.step_open) {
+            return;
+        }
+        if matches!(&self.wait, Some(wait) if matches!(wait.cause, Cause::Trouble(_))) {
+            self.end_wait(at);
+        }
+        if let Some(step) = self
+            .run
+            .takes
+            .last_mut()
+            .and_then(|take| take.steps.last_mut())
+        {
+            step.to = at;
+            step.end = end;
+        }
+    }
+
+    fn end_take(&mut self, at: Duration, end: Option<SceneEnd>) {
+        self.end_step(at, None);
+        if std::mem::take(&mut self.take_open)
+            && let Some(take) = self.run.takes.last_mut()
+        {
+            take.to = at;
+            take.end = end;
+        }
+    }
+
+    fn start_wait(
+        &mut self,
+        at: Duration,
+        cause: Cause,
+        place: Option<(usize, usize)>,
+        tasks: Vec<TaskNumber>,
+    ) {
+        self.end_wait(at);
+        self.wait = Some(Wait {
+            from: at,
+            to: at,
+            cause,
+            scene: place.map(|(scene, _)| scene),
+            step: place.map(|(_, step)| step),
+            tasks,
+        });
+    }
+
+    fn end_wait(&mut self, at: Duration) {
+        if let Some(mut wait) = self.wait.take() {
+            wait.to = at;
+            self.run.waits.push(wait);
+        }
+    }
+
+    fn start_task(
+        &mut self,
+        at: Duration,
+        number: TaskNumber,
+        part: usize,
+        retry_of: Option<TaskNumber>,
+    ) {
+        let run = &self.run;
+        let (take, step) = match run.takes.last() {
+            Some(last) => (run.takes.len() - 1, last.steps.len().saturating_sub(1)),
+            None => return,
+        };
+        let planned_from = run.takes.last().and_then(|take| {
+            let played = take.steps.last()?;
+            let offset = offset(run.step(take.scene, played.step)?, part)?;
+            retry_of.is_none().then_some(played.from + offset)
+        });
+        self.run.tasks.push(Task {
+            number,
+            take,
+            step,
+            part,
+            retry_of,
+            planned_from,
+            from: at,
+            accepted: None,
+            to: None,
+            state: TaskState::Asked,
+            text: String::new(),
+            latency: None,
+            unknown: Vec::new(),
+        });
+    }
+
+    fn task_state(&mut self, at: Duration, number: TaskNumber, state: TaskState, text: String) {
+        let mine = |task: &&mut Task| task.number == number;
+        // The newest are asked about most.
+        let Some(task) = self.run.tasks.iter_mut().rev().find(mine) else {
+            return;
+        };
+        match (task.state, state) {
+            (TaskState::Unknown, TaskState::Unknown) => {}
+            (TaskState::Unknown, _) => {
+                if let Some((_, to)) = task.unknown.last_mut() {
+                    *to = at;
+                }
+            }
+            (_, TaskState::Unknown) => task.unknown.push((at, at)),
+            _ => {}
+        }
+        let has_it = !matches!(
+            state,
+            TaskState::Asked | TaskState::NotStarted | TaskState::Refused | TaskState::Unknown
+        );
+        if has_it && task.accepted.is_none() {
+            task.accepted = Some(at);
+        }
+        if state.is_over() && task.to.is_none() {
+            task.to = Some(at);
+        }
+        task.state = state;
+        task.text = text;
+    }
+
+    fn answer(&mut self, request: RequestNumber, latency: Duration) {
+        let Some((remote, asked, task)) = self.requests.remove(&request) else {
+            return;
+        };
+        self.run
+            .latencies
+            .entry((remote, asked))
+            .or_default()
+            .answered
+            .push(latency);
+        if asked == Asked::Init
+            && let Some(number) = task
+            && let Some(task) = self
+                .run
+                .tasks
+                .iter_mut()
+                .rev()
+                .find(|task| task.number == number)
+        {
+            task.latency = Some(latency);
+        }
+    }
+
+    /// The record ends: what is open ends with it, and what was planned can be told.
+    fn finish(&mut self) {
+        let end = self.run.length;
+        self.end_wait(end);
+        self.end_take(end, None);
+        for task in &mut self.run.tasks {
+            if task.state == TaskState::Unknown
+                && let Some((_, to)) = task.unknown.last_mut()
+            {
+                *to = end;
+            }
+        }
+        let mut plans = Vec::new();
+        for (at, take) in self.run.takes.iter().enumerate() {
+            for (nth, step) in take.steps.iter().enumerate() {
+                plans.push(planned(&self.run, at, nth, take.scene, step));
+            }
+        }
+        let steps = self.run.takes.iter_mut().flat_map(|take| &mut take.steps);
+        for (step, planned) in steps.zip(plans) {
+            let whole = matches!(step.end, Some(StepEnd::Completed | StepEnd::Failures));
+            step.planned = whole.then_some(planned);
+        }
+    }
+}
+
+/// When the script's delays put a task, counted from the start of its step.
+pub(super) fn offset(step: &StepOutline, part: usize) -> Option<Duration> {
+    let own = step.tasks.get(part)?.delay;
+    let before = if step.parallel {
+        Duration::ZERO
+    } else {
+        step.tasks.iter().take(part).map(|task| task.delay).sum()
+    };
+    Some(step.delay + before + own)
+}
+
+/// What the delays of a step and its tasks' own times add up to. A task that was tried again
+/// counts as it was at last.
+fn planned(run: &Run, take: usize, nth: usize, scene: usize, step: &Step) -> Duration {
+    let Some(outline) = run.step(scene, step.step) else {
+        return Duration::ZERO;
+    };
+    let parts = outline.tasks.iter().enumerate().map(|(part, plan)| {
+        let offset = offset(outline, part).unwrap_or_default();
+        let last = run
+            .tasks_of(take, nth)
+            .filter(|task| task.part == part)
+            .last();
+        let own = last.and_then(|task| Some(task.to?.saturating_sub(task.accepted?)));
+        let awaited = outline.wait && plan.wait;
+        offset + own.filter(|_| awaited).unwrap_or_default()
+    });
+    parts.fold(outline.delay, Duration::max)
+}

@@ -1,0 +1,579 @@
+//! Timelines as SVG.
+
+use std::fmt::Write;
+use std::time::Duration;
+
+use super::html::{escape, shorten};
+use super::layout::{Layout, NARROW, WIDE};
+use super::numbers::{difference, spoken};
+use super::run::{Action, Cause, Run, Step, Take, Task, Wait};
+use super::words;
+use crate::event::{StepEnd, TaskState};
+
+/// Height of a row of the overview.
+const ROW: f64 = 24.0;
+/// Most rows of one drawing: what fits on a page.
+const ROWS: usize = 26;
+/// Most background tasks that the overview shows.
+const IN_BACKGROUND: usize = 10;
+
+/// Patterns that all drawings use, so that states differ without colour too.
+pub(super) const PATTERNS: &str = "<svg class=\"defs\" width=\"0\" height=\"0\" aria-hidden=\"true\"><defs>\
+<pattern id=\"hatch\" width=\"6\" height=\"6\" patternUnits=\"userSpaceOnUse\" patternTransform=\"rotate(45)\">\
+<line class=\"hatch\" x1=\"0\" y1=\"0\" x2=\"0\" y2=\"6\"/></pattern>\
+<pattern id=\"dots\" width=\"5\" height=\"5\" patternUnits=\"userSpaceOnUse\">\
+<circle class=\"dot\" cx=\"1.5\" cy=\"1.5\" r=\"1.2\"/></pattern></defs></svg>\n";
+
+/// From times to places.
+struct Axis {
+    from: Duration,
+    to: Duration,
+    left: f64,
+    right: f64,
+}
+
+impl Axis {
+    fn new(from: Duration, to: Duration, left: f64, right: f64) -> Self {
+        // Something that took no time at all is still drawn.
+        let to = to.max(from + Duration::from_millis(1));
+        Self {
+            from,
+            to,
+            left,
+            right,
+        }
+    }
+
+    fn x(&self, at: Duration) -> f64 {
+        let at = at.clamp(self.from, self.to).saturating_sub(self.from);
+        let part = at.as_secs_f64() / self.to.saturating_sub(self.from).as_secs_f64();
+        self.left + part * (self.right - self.left)
+    }
+
+    fn shows(&self, from: Duration, to: Duration) -> bool {
+        to >= self.from && from <= self.to
+    }
+}
+
+struct Drawing {
+    layout: &'static Layout,
+    out: String,
+    height: f64,
+}
+
+impl Drawing {
+    fn new(layout: &'static Layout) -> Self {
+        Self {
+            layout,
+            out: String::new(),
+            height: 0.0,
+        }
+    }
+
+    /// A rectangle; `data` are attributes that tell what it stands for.
+    fn bar(&mut self, class: &str, x: (f64, f64), y: (f64, f64), data: &str, title: &str) {
+        let width = (x.1 - x.0).max(1.5);
+        let _ = write!(
+            self.out,
+            "<rect class=\"{class}\" x=\"{:.2}\" y=\"{:.1}\" width=\"{width:.2}\" height=\"{:.1}\"{data}>",
+            x.0,
+            y.0,
+            y.1 - y.0,
+        );
+        let _ = writeln!(self.out, "<title>{}</title></rect>", escape(title));
+    }
+
+    fn text(&mut self, class: &str, x: f64, y: f64, text: &str) {
+        let text = escape(text);
+        let _ = writeln!(
+            self.out,
+            "<text class=\"{class}\" x=\"{x:.1}\" y=\"{y:.1}\">{text}</text>"
+        );
+    }
+
+    /// Text cut to what fits in so much width, whole where the mouse rests on it. Where letters are
+    /// wider than they mostly are, its end is hidden and covers nothing.
+    fn cut(&mut self, class: &str, x: f64, y: f64, text: &str, width: f64) {
+        // Names of steps are bold.
+        let letter = if class == "name step" { 7.8 } else { 6.6 };
+        let most = (width / letter).max(1.0) as usize;
+        let (short, whole) = (escape(&shorten(text, most)), escape(text));
+        let _ = writeln!(
+            self.out,
+            "<svg x=\"{x:.1}\" y=\"{:.1}\" width=\"{width:.1}\" height=\"20\"><text class=\"{class}\" y=\"14\">{short}<title>{whole}</title></text></svg>",
+            y - 14.0
+        );
+    }
+
+    fn line(&mut self, class: &str, from: (f64, f64), to: (f64, f64)) {
+        let ((x1, y1), (x2, y2)) = (from, to);
+        let _ = writeln!(
+            self.out,
+            "<line class=\"{class}\" x1=\"{x1:.2}\" y1=\"{y1:.1}\" x2=\"{x2:.2}\" y2=\"{y2:.1}\"/>"
+        );
+    }
+
+    fn end(self, label: &str) -> String {
+        format!(
+            "<svg class=\"timeline {}\" viewBox=\"0 0 {} {:.0}\" role=\"img\" aria-label=\"{}\">\n{}</svg>\n",
+            self.layout.class,
+            self.layout.width,
+            self.height,
+            escape(label),
+            self.out
+        )
+    }
+
+    /// Lines for round times, and the times above them.
+    fn scale(&mut self, axis: &Axis, top: f64, bottom: f64) {
+        let length = axis.to.saturating_sub(axis.from).as_secs_f64();
+        let step = round_step(length / self.layout.ticks);
+        let mut tick = (axis.from.as_secs_f64() / step).ceil();
+        while tick * step <= axis.to.as_secs_f64() + step * 1e-6 {
+            let at = tick * step;
+            let x = axis.x(Duration::try_from_secs_f64(at).unwrap_or_default());
+            self.line("grid", (x, top + 14.0), (x, bottom));
+            self.text("tick", x, top + 10.0, &clock(at, step));
+            tick += 1.0;
+        }
+    }
+}
+
+/// The round number of seconds that is not below this one.
+fn round_step(seconds: f64) -> f64 {
+    const MINUTES: [f64; 9] = [
+        60.0, 120.0, 300.0, 600.0, 1200.0, 1800.0, 3600.0, 7200.0, 14400.0,
+    ];
+    if seconds > 30.0 {
+        let fits = MINUTES.into_iter().find(|step| *step >= seconds);
+        return fits.unwrap_or_else(|| (seconds / 14400.0).ceil() * 14400.0);
+    }
+    let mut unit = 0.001;
+    loop {
+        for factor in [1.0, 2.0, 5.0] {
+            if unit * factor >= seconds {
+                // Nothing between 10 s and a minute divides minutes as 15 and 30 do.
+                return match unit * factor {
+                    step if step > 25.0 => 30.0,
+                    step if step > 15.0 => 15.0,
+                    step => step,
+                };
+            }
+        }
+        unit *= 10.0;
+    }
+}
+
+fn clock(at: f64, step: f64) -> String {
+    let whole = at.round() as u64;
+    match (step < 1.0, whole) {
+        (true, _) => {
+            let digits = if step < 0.01 {
+                3
+            } else if step < 0.1 {
+                2
+            } else {
+                1
+            };
+            format!("{at:.digits$} s")
+        }
+        (false, 0..120) if step < 60.0 => format!("{whole} s"),
+        (false, 0..3600) => format!("{}:{:02}", whole / 60, whole % 60),
+        (false, _) => format!(
+            "{}:{:02}:{:02}",
+            whole / 3600,
+            whole % 3600 / 60,
+            whole % 60
+        ),
+    }
+}
+
+/// The whole run: its scenes, waits, what the operator did, and what ran in the background.
+pub(super) fn overview(run: &Run) -> String {
+    [&WIDE, &NARROW]
+        .map(|layout| overview_in(run, layout))
+        .concat()
+}
+
+fn overview_in(run: &Run, layout: &'static Layout) -> String {
+    let mut drawing = Drawing::new(layout);
+    let axis = Axis::new(
+        Duration::ZERO,
+        run.length,
+        layout.overview,
+        layout.width - 14.0,
+    );
+    let background: Vec<&Task> = run
+        .tasks
+        .iter()
+        .filter(|task| outlives(run, task))
+        .collect();
+    let shown = background.len().min(IN_BACKGROUND);
+    let rows = 3.0 + shown as f64 + if background.len() > shown { 1.0 } else { 0.0 };
+    let top = 18.0;
+    drawing.height = top + rows * ROW + 20.0;
+    drawing.scale(&axis, 0.0, drawing.height - 4.0);
+
+    drawing.text("name", 0.0, top + 16.0, "scenes");
+    for (nth, take) in run.takes.iter().enumerate() {
+        let x = (axis.x(take.from), axis.x(take.to));
+        let name = take_name(run, take);
+        let data = data("take", nth + 1, take.from, take.to);
+        let title = format!("{name}: {}", words::scene_end(take.end));
+        drawing.bar("scene", x, (top + 2.0, top + 22.0), &data, &title);
+        let room = ((x.1 - x.0 - 8.0) / 6.6).max(0.0) as usize;
+        // Of a name too little is left to know it by; its number can be looked up.
+        let short = match name.chars().count() {
+            count if count <= room || room >= 12 => name,
+            _ => (take.scene + 1).to_string(),
+        };
+        if short.chars().count() <= room || room >= 12 {
+            drawing.cut("in-bar", x.0 + 4.0, top + 16.0, &short, x.1 - x.0 - 6.0);
+        }
+    }
+    let y = top + ROW;
+    drawing.text("name", 0.0, y + 16.0, "waits");
+    for wait in &run.waits {
+        draw_wait(&mut drawing, &axis, wait, (y + 5.0, y + 19.0));
+    }
+    let y = y + ROW;
+    drawing.text("name", 0.0, y + 16.0, "operator");
+    for action in run.actions.iter().filter(|action| action.decided) {
+        let x = axis.x(action.at);
+        let what = action.command.map(|command| words::command(run, command));
+        let title = format!(
+            "{} s: {}",
+            action.at.as_secs_f64(),
+            what.unwrap_or_default()
+        );
+        let class = if action.deviation {
+            "mark"
+        } else {
+            "mark plain"
+        };
+        let _ = writeln!(
+            drawing.out,
+            "<path class=\"{class}\" d=\"M{x:.1} {:.1}l5 9h-10z\"><title>{}</title></path>",
+            y + 7.0,
+            escape(&title)
+        );
+    }
+    let mut y = y + ROW;
+    for task in background.iter().take(shown) {
+        let name = task_name(run, task);
+        drawing.cut("name small", 0.0, y + 16.0, &name, layout.overview - 6.0);
+        draw_task(
+            &mut drawing,
+            &axis,
+            task,
+            (y + 7.0, y + 17.0),
+            &name,
+            run.length,
+        );
+        y += ROW;
+    }
+    if background.len() > shown {
+        let more = background.len() - shown;
+        drawing.text(
+            "name small",
+            0.0,
+            y + 16.0,
+            &format!("and {more} more in the background, shown with their scenes"),
+        );
+    }
+    drawing.end(&format!("Timeline of {}", run.record.name))
+}
+
+/// One scene as it was played: one or more drawings, none longer than a page.
+pub(super) fn take(run: &Run, nth: usize, take: &Take) -> String {
+    let mut out = String::new();
+    let mut chunk: Vec<usize> = Vec::new();
+    let mut rows = 0;
+    let chunks = {
+        let mut chunks = Vec::new();
+        for index in 0..take.steps.len() {
+            let more = 1 + run.tasks_of(nth, index).count();
+            if !chunk.is_empty() && rows + more > ROWS {
+                chunks.push(std::mem::take(&mut chunk));
+                rows = 0;
+            }
+            chunk.push(index);
+            rows += more;
+        }
+        chunks.push(chunk);
+        chunks
+    };
+    let count = chunks.len();
+    for (part, steps) in chunks.iter().enumerate() {
+        let from = match steps.first().and_then(|step| take.steps.get(*step)) {
+            Some(step) if part > 0 => step.from,
+            _ => take.from,
+        };
+        let to = match steps.last().and_then(|step| take.steps.get(*step)) {
+            Some(step) if part + 1 < count => step.to,
+            _ => take.to,
+        };
+        for layout in [&WIDE, &NARROW] {
+            out += &steps_drawing(run, (nth, take), steps, (from, to), layout);
+        }
+    }
+    out
+}
+
+fn steps_drawing(
+    run: &Run,
+    (nth, take): (usize, &Take),
+    steps: &[usize],
+    (from, to): (Duration, Duration),
+    layout: &'static Layout,
+) -> String {
+    let mut drawing = Drawing::new(layout);
+    let (left, right) = layout.bars();
+    let axis = Axis::new(from, to, left, right);
+    let lift = layout.lift();
+    let (remarks, remark_width) = layout.remark();
+    let marks: Vec<&Action> = run
+        .actions
+        .iter()
+        .filter(|action| action.decided && action.deviation && axis.shows(action.at, action.at))
+        .collect();
+    let lanes = label_lanes(run, &axis, &marks, layout.width);
+    let top = 20.0 + lanes.iter().map(|(_, _, lane)| lane + 1).max().unwrap_or(0) as f64 * 14.0;
+    let rows: usize = steps
+        .iter()
+        .map(|step| 1 + run.tasks_of(nth, *step).count())
+        .sum();
+    drawing.height = top + rows as f64 * layout.row + 6.0;
+    drawing.scale(&axis, 0.0, drawing.height);
+
+    let mut y = top;
+    for index in steps {
+        let Some(step) = take.steps.get(*index) else {
+            continue;
+        };
+        draw_step(&mut drawing, run, take, &axis, step, y);
+        for wait in &run.waits {
+            if wait.from >= step.from && wait.from <= step.to {
+                let y = y + lift;
+                draw_wait(&mut drawing, &axis, wait, (y + 9.0, y + 18.0));
+            }
+        }
+        y += layout.row;
+        for task in run.tasks_of(nth, *index) {
+            let name = task_name(run, task);
+            let shown = task.retry_of.map_or(name.clone(), |_| format!("↻ {name}"));
+            let width = layout.name_width() - 20.0;
+            drawing.cut("name task", 14.0, y + 14.0, &shown, width);
+            drawing.cut("remark", remarks, y + 14.0, &remark(task), remark_width);
+            let bars = y + lift;
+            if let Some(planned) = task.planned_from
+                && task.from > planned
+            {
+                let x = (axis.x(planned), axis.x(task.from));
+                drawing.line("late", (x.0, bars + 10.0), (x.1, bars + 10.0));
+                drawing.line("due", (x.0, bars + 5.0), (x.0, bars + 15.0));
+            }
+            let place = (bars + 5.0, bars + 15.0);
+            draw_task(&mut drawing, &axis, task, place, &name, run.length);
+            y += layout.row;
+        }
+    }
+    for (action, x, lane) in lanes {
+        let at = axis.x(action.at);
+        let y = 30.0 + lane as f64 * 14.0;
+        drawing.line("mark-line", (at, y - 8.0), (at, drawing.height));
+        let what = action.command.map(|command| words::command(run, command));
+        drawing.cut(
+            "mark-text",
+            x,
+            y,
+            &what.unwrap_or_default(),
+            LABEL as f64 * 6.6,
+        );
+    }
+    drawing.end(&format!("Timeline of {}", take_name(run, take)))
+}
+
+/// Longest text at a mark.
+const LABEL: usize = 24;
+
+/// Where the texts of marks go, so that none covers another: place and lane.
+fn label_lanes<'a>(
+    run: &Run,
+    axis: &Axis,
+    marks: &[&'a Action],
+    width: f64,
+) -> Vec<(&'a Action, f64, usize)> {
+    let mut ends: Vec<f64> = Vec::new();
+    let mut lanes = Vec::new();
+    for action in marks {
+        let what = action.command.map(|command| words::command(run, command));
+        let length = what.map_or(0, |what| what.chars().count().min(LABEL)) as f64 * 6.4;
+        // A text that would leave the drawing goes to the left of its mark.
+        let at = axis.x(action.at);
+        let x = (at + 4.0).min(width - length).max(0.0);
+        let free = ends.iter().position(|end| *end + 6.0 < x);
+        let lane = free.unwrap_or(ends.len());
+        match ends.get_mut(lane) {
+            Some(end) => *end = x + length,
+            None => ends.push(x + length),
+        }
+        lanes.push((*action, x, lane));
+    }
+    lanes
+}
+
+fn draw_step(drawing: &mut Drawing, run: &Run, take: &Take, axis: &Axis, step: &Step, y: f64) {
+    let layout = drawing.layout;
+    let name = run.step_name(take.scene, step.step);
+    drawing.cut("name step", 0.0, y + 15.0, &name, layout.name_width() - 6.0);
+    let bars = y + layout.lift();
+    if let Some(planned) = step.planned {
+        let to = step.from + planned;
+        let title = format!("{name}: {} planned", spoken(planned));
+        let attributes = data("plan", step.step + 1, step.from, to);
+        let place = (axis.x(step.from), axis.x(to));
+        drawing.bar("plan", place, (bars + 4.0, bars + 8.0), &attributes, &title);
+    }
+    let actual = (axis.x(step.from), axis.x(step.to));
+    let attributes = data("step", step.step + 1, step.from, step.to);
+    let title = format!(
+        "{name}: {}, {}",
+        words::step_end(step.end),
+        spoken(step.length())
+    );
+    drawing.bar(
+        "actual",
+        actual,
+        (bars + 9.0, bars + 18.0),
+        &attributes,
+        &title,
+    );
+    let background = run
+        .step(take.scene, step.step)
+        .is_some_and(|step| !step.wait);
+    let end = match step.end {
+        Some(StepEnd::Completed) if background => "in the background",
+        end => words::step_end(end),
+    };
+    // There is no room for it above a bar.
+    let more = step
+        .planned
+        .filter(|_| layout.names.is_some())
+        .map(|planned| format!("({})", difference(step.length(), planned)));
+    let more = more.unwrap_or_default();
+    let remark = format!("{} {more} {end}", spoken(step.length()));
+    let (x, width) = layout.remark();
+    drawing.cut(
+        "remark step",
+        x,
+        y + 15.0,
+        &remark.replace("  ", " "),
+        width,
+    );
+}
+
+fn draw_wait(drawing: &mut Drawing, axis: &Axis, wait: &Wait, y: (f64, f64)) {
+    let class = match wait.cause {
+        Cause::Operator => "wait operator",
+        Cause::Pause => "wait pause",
+        Cause::Trouble(_) => "wait trouble",
+    };
+    let length = spoken(wait.to.saturating_sub(wait.from));
+    let title = format!("wait: {}, {length}", words::cause(&wait.cause));
+    let x = (axis.x(wait.from), axis.x(wait.to));
+    drawing.bar(class, x, y, &data("wait", 0, wait.from, wait.to), &title);
+}
+
+/// A task's bar: asked, under way, unknown; with a mark for how it ended.
+fn draw_task(
+    drawing: &mut Drawing,
+    axis: &Axis,
+    task: &Task,
+    (top, bottom): (f64, f64),
+    name: &str,
+    end_of_run: Duration,
+) {
+    let to = task.to.unwrap_or(end_of_run);
+    if !axis.shows(task.from, to) {
+        return;
+    }
+    let title = format!("{name}: {}", remark(task));
+    let begun = task.accepted.unwrap_or(to);
+    let middle = (top + bottom) / 2.0;
+    let asked = (axis.x(task.from), axis.x(begun));
+    drawing.bar("asked", asked, (middle - 2.0, middle + 2.0), "", &title);
+    let class = format!("run {}", class(task.state));
+    let attributes = data("task", task.number.0 as usize, task.from, to);
+    let under_way = (asked.1, axis.x(to));
+    drawing.bar(&class, under_way, (top, bottom), &attributes, &title);
+    for (from, to) in &task.unknown {
+        let x = (axis.x(*from), axis.x(*to));
+        drawing.bar("gap", x, (top, bottom), "", "nobody knew");
+    }
+    let open = task.to.is_none() || to > axis.to;
+    let sign = match task.state {
+        _ if open => "›",
+        TaskState::Completed => "✓",
+        TaskState::Aborted => "■",
+        state if state.is_failure() => "✗",
+        _ => "?",
+    };
+    drawing.text("sign", under_way.1.max(asked.1) + 3.0, bottom, sign);
+}
+
+const fn class(state: TaskState) -> &'static str {
+    match state {
+        TaskState::Completed => "completed",
+        TaskState::Aborted => "aborted",
+        TaskState::Unknown => "unknown",
+        TaskState::Asked | TaskState::Initiated | TaskState::Accepted => "open",
+        _ => "failed",
+    }
+}
+
+/// How a task went, in a few words.
+fn remark(task: &Task) -> String {
+    let late = task
+        .late()
+        .filter(|late| *late >= Duration::from_millis(50));
+    let late = late.map(|late| format!(", {} late", spoken(late)));
+    let length = match task.length() {
+        Some(length) => spoken(length),
+        None => "no end seen".to_owned(),
+    };
+    format!("{length} {}{}", task.state, late.unwrap_or_default())
+}
+
+fn data(kind: &str, number: usize, from: Duration, to: Duration) -> String {
+    format!(
+        " data-{kind}=\"{number}\" data-from-ms=\"{}\" data-to-ms=\"{}\"",
+        from.as_micros() as f64 / 1000.0,
+        to.as_micros() as f64 / 1000.0
+    )
+}
+
+pub(super) fn take_name(run: &Run, take: &Take) -> String {
+    let name = run.scene_name(take.scene);
+    match take.number {
+        0 | 1 => name,
+        number => format!("{name}, take {number}"),
+    }
+}
+
+pub(super) fn task_name(run: &Run, task: &Task) -> String {
+    match run.plan(task) {
+        Some((_, plan)) => format!("{}:{}:{}", plan.handler, plan.component, plan.goal),
+        None => format!("task {}", task.number.0),
+    }
+}
+
+/// Whether a task is still under way when its step is over.
+pub(super) fn outlives(run: &Run, task: &Task) -> bool {
+    let step = run
+        .takes
+        .get(task.take)
+        .and_then(|take| take.steps.get(task.step));
+    let over = task.to.unwrap_or(run.length);
+    step.is_some_and(|step| over > step.to)
+}

@@ -1,0 +1,103 @@
+//! Files that are scripts, and files that are anything.
+
+use super::*;
+use ztl_tests::garbage::Garbage;
+
+#[test]
+fn no_file_at_all_makes_it_panic() {
+    let mut numbers = Garbage(0x2545_f491_4f6c_dd1d);
+    let rounds = std::env::var("ZTL_ROUNDS")
+        .ok()
+        .and_then(|n| n.parse().ok());
+    for _ in 0..rounds.unwrap_or(10_000) {
+        let mut bytes = b"s: {a(delay=1;x): {r(".to_vec();
+        let rest = numbers.bytes();
+        let from = numbers.below(bytes.len() + 1);
+        bytes.truncate(from);
+        bytes.extend(rest);
+        match Script::read("f", &bytes, Defaults::default()) {
+            Ok(script) => {
+                assert!(
+                    script
+                        .doubts()
+                        .iter()
+                        .all(|doubt| doubt.to_string().starts_with("f:"))
+                );
+                assert_eq!(script.outline().scenes.len(), script.scenes.len());
+            }
+            Err(mistakes) => assert!(mistakes.to_string().starts_with("f:"), "{bytes:?}"),
+        }
+    }
+}
+
+#[test]
+fn the_papers_notation_is_read() {
+    let file = b"s: {step(wait = False; delay = 2.5): {h: {c (delay=.5): 1}}, t(on_failure=go on;parallel;timeout=0): {h: {c: 1}}}";
+    let script = Script::read(
+        "f",
+        file,
+        Defaults {
+            timeout: Some(std::time::Duration::from_secs(9)),
+            ..Defaults::default()
+        },
+    );
+    let script = script.expect("a script");
+    let [one, other] = script.scenes[0].steps.as_slice() else {
+        panic!("{script:?}")
+    };
+    assert_eq!(
+        (one.wait, one.delay.as_millis(), one.parallel),
+        (false, 2500, false)
+    );
+    assert_eq!(
+        (
+            one.tasks[0].delay.as_millis(),
+            one.tasks[0].limit.map(|limit| limit.as_secs())
+        ),
+        (500, Some(9))
+    );
+    assert_eq!(
+        (other.parallel, other.on_failure, other.tasks[0].limit),
+        (true, OnFailure::GoOn, None)
+    );
+}
+
+#[test]
+fn mistakes_in_what_a_second_key_replaces_are_told_too_and_keep_nothing_from_being_played() {
+    let file = b"s: {a: {h: {c(delay=soon): no}}, a: {h: {c: 1}}}";
+    let script = Script::read("f", file, Defaults::default()).expect("it is played");
+    let doubts: Vec<String> = script.doubts().iter().map(Finding::to_string).collect();
+    assert_eq!(doubts.len(), 3, "{doubts:?}");
+    assert!(
+        doubts[0].starts_with("f:1:21: 'soon' is not a number of seconds"),
+        "{doubts:?}"
+    );
+    assert_eq!(script.scenes[0].steps[0].tasks[0].goal, "1");
+}
+
+#[test]
+fn a_reader_of_yaml_that_would_grow_without_end_is_stopped() {
+    let mut laughs =
+        "s: {a: {h: {c: 1}}}\na0: &a0 {h: {x: [x, x, x, x, x, x, x, x, x, x]}}\n".to_owned();
+    for level in 1..12 {
+        let below = format!("*a{}, ", level - 1).repeat(10);
+        laughs += &format!("a{level}: &a{level} {{h: {{x: [{below}]}}}}\n");
+    }
+    let mistakes = Script::read("f", laughs.as_bytes(), Defaults::default()).expect_err("too much");
+    assert!(
+        mistakes.to_string().contains("more than 100000 values"),
+        "{mistakes}"
+    );
+}
+
+#[test]
+fn parentheses_that_are_none_are_doubtful() {
+    let file = "s: {t（wait=no）: {h: {c(delay=1, wait=no): 1}}}";
+    let script = Script::read("f", file.as_bytes(), Defaults::default()).expect("a script");
+    let doubts: Vec<String> = script.doubts().iter().map(ToString::to_string).collect();
+    assert!(
+        doubts[0].contains("f:1:5: these are not the parentheses"),
+        "{doubts:?}"
+    );
+    assert!(doubts[1].contains("within { } write ';'"), "{doubts:?}");
+}

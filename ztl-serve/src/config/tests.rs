@@ -1,0 +1,349 @@
+//! Files, right and wrong.
+
+use std::time::Duration;
+
+use super::*;
+use crate::program::{Abort, AbortBy, ResultKind};
+use crate::rule::Field;
+use ztl_tests::garbage::Garbage;
+
+fn parse(text: &str) -> Result<Config, Diagnostics> {
+    let document = Document::parse("robot.yaml", text.as_bytes())?;
+    Config::read(&document, Path::new("/"))
+}
+
+/// The only entry of a file.
+#[track_caller]
+fn entry_of(text: &str) -> Arc<Entry> {
+    let text = format!("scopes: {{/r: {{h: {{c: {text}}}}}}}");
+    let config = parse(&text).unwrap_or_else(|mistakes| panic!("{mistakes}"));
+    let scope = config.scopes.first().expect("a scope");
+    let entry = scope.entries().next().expect("an entry");
+    Arc::clone(entry.2)
+}
+
+#[track_caller]
+fn program_of(text: &str) -> Arc<Program> {
+    match &entry_of(text).work {
+        Work::Program(program) => Arc::clone(program),
+        other => panic!("{other:?}"),
+    }
+}
+
+const WHOLE: &str = "\
+port: 12345
+bind: 127.0.0.1
+at-once: 20
+scopes:
+  /robot:
+    tts:
+      say:
+        run: [sh, -c, '--text={goal.text}', '{goal.speed}', '{id}']
+        directory: /tmp
+        environment: {LANG: C, EMPTY: , QUOTED: ''}
+        user: root
+        dashes: refused
+        limit: 30 s
+        output: 4 KiB
+        at-once: 2
+        busy: queue 3
+        goal: {fields: {text: {longest: 80}, speed: {type: whole, least: 0, most: 9, default: 5}}}
+        refused-by: [2, 64]
+        decide: 500 ms
+        progress: '@ '
+        result: json
+        abort: {run: [sh, stop.sh, '{id}'], grace: 3 s}
+        left-behind: leave
+        needs-client: 5 s
+    far:
+      '*': {forward: {to: 'tcp://10.0.0.7:12345', scope: /cob, handler: base, component: wheels, key: own.key_secret, server-key: far.key}}
+";
+
+#[test]
+fn every_key_is_read() {
+    let config = parse(WHOLE).unwrap_or_else(|mistakes| panic!("{mistakes}"));
+    assert_eq!((config.listen.port, config.at_once), (Some(12345), 20));
+    let entries: Vec<_> = config.scopes[0].entries().collect();
+    let [("tts", "say", say), ("far", "*", far)] = entries.as_slice() else {
+        panic!("{entries:?}");
+    };
+    assert_eq!((say.at_once, say.busy), (2, Busy::Queue(3)));
+    assert!(say.wants_fields);
+    assert_eq!(say.needs_client, Some(Duration::from_secs(5)));
+    let Rule::Fields(fields) = &say.rule else {
+        panic!("{:?}", say.rule);
+    };
+    let [Field { default: None, .. }, speed] = fields.as_slice() else {
+        panic!("{fields:?}");
+    };
+    assert_eq!(speed.default, Some(crate::value::Value::Whole(5)));
+    let Work::Program(program) = &say.work else {
+        panic!("{:?}", say.work);
+    };
+    let run = &program.run;
+    assert_eq!(
+        (run.directory.to_str(), run.place.as_str()),
+        (Some("/tmp"), "robot.yaml:8")
+    );
+    let environment = [("LANG", "C"), ("EMPTY", ""), ("QUOTED", "")];
+    let environment = environment.map(|(name, value)| (name.to_owned(), value.to_owned()));
+    assert_eq!(run.environment, environment);
+    assert_eq!(
+        run.user.as_ref().map(|user| user.name.as_str()),
+        Some("root")
+    );
+    assert_eq!(program.limit, Some(Duration::from_secs(30)));
+    assert_eq!((program.output, program.result), (4096, ResultKind::Json));
+    assert_eq!(program.refused_by, [2, 64]);
+    assert_eq!(program.decide, Duration::from_millis(500));
+    assert_eq!(program.marker.as_deref(), Some("@ "));
+    assert!(!program.tidy);
+    let Abort {
+        allowed: true,
+        by: AbortBy::Program(stop),
+        grace,
+    } = &program.abort
+    else {
+        panic!("{:?}", program.abort);
+    };
+    assert_eq!((stop.arguments.len(), *grace), (3, Duration::from_secs(3)));
+    let Work::Forward(forward) = &far.work else {
+        panic!("{:?}", far.work);
+    };
+    assert_eq!(forward.handler.as_deref(), Some("base"));
+    assert_eq!(forward.component.as_deref(), Some("wheels"));
+    assert_eq!(
+        forward.keys,
+        Some(("/own.key_secret".into(), "/far.key".into()))
+    );
+}
+
+#[test]
+fn short_forms_stand_for_the_usual() {
+    let program = program_of("[sh, -c, '{goal}']");
+    assert!(program.run.arguments[2].guarded);
+    assert_eq!((program.limit, program.output), (None, 64 * 1024));
+    assert_eq!(program.abort.grace, Duration::from_secs(2));
+    assert!(matches!(program.abort.by, AbortBy::Signal("TERM", _)));
+    assert!(matches!(
+        program_of("{run: [sh], abort: SIGINT}").abort.by,
+        AbortBy::Signal("INT", _)
+    ));
+    assert!(!program_of("{run: [sh], abort: no}").abort.allowed);
+    assert!(matches!(entry_of("echo").work, Work::Echo));
+    let sleep = entry_of("{built-in: sleep, at-once: 3}");
+    assert_eq!(sleep.at_once, 3);
+    assert_eq!(sleep.rule.to_string(), "a number of at least 0");
+    assert_eq!(
+        entry_of("{run: [sh], goal: number}").rule.to_string(),
+        "a number"
+    );
+    let bounds = "{run: [sh], goal: {least: 0, most: 1.5}}";
+    assert_eq!(entry_of(bounds).rule.to_string(), "a number from 0 to 1.5");
+    let words = "{run: [sh], goal: {one-of: [left, right]}}";
+    assert_eq!(entry_of(words).rule.to_string(), "left or right");
+}
+
+#[test]
+fn a_goal_that_may_begin_with_a_dash_is_guarded_unless_it_cannot_harm_or_is_allowed() {
+    let guarded = |text: &str| {
+        program_of(text)
+            .run
+            .arguments
+            .last()
+            .map(|last| last.guarded)
+    };
+    assert_eq!(guarded("{run: [sh, '{goal}']}"), Some(true));
+    assert_eq!(
+        guarded("{run: [sh, '{goal}'], dashes: allowed}"),
+        Some(false)
+    );
+    assert_eq!(guarded("{run: [sh, '{goal}'], goal: number}"), Some(false));
+    assert_eq!(
+        guarded("{run: [sh, '{goal.x}'], goal: {fields: {x: number}}}"),
+        Some(false)
+    );
+    assert_eq!(
+        guarded("{run: [sh, '{goal.x}'], goal: {fields: {x: text}}}"),
+        Some(true)
+    );
+    assert_eq!(guarded("{run: [sh, 'x{goal}']}"), Some(false));
+    assert_eq!(guarded("{run: [sh, '{component}']}"), Some(false));
+    let wild = parse("scopes: {/r: {h: {'*': [sh, '{component}']}}}").expect("it is right");
+    let entry = wild.scopes[0].entries().next().expect("an entry").2;
+    let Work::Program(program) = &entry.work else {
+        panic!("{entry:?}");
+    };
+    assert!(program.run.arguments[1].guarded);
+}
+
+#[test]
+fn each_mistake_is_shown_where_it_stands_with_what_would_be_right() {
+    let text = "\
+prot: 1
+scopes:
+  a;b: {h: {c: echo}}
+  /r:
+    h:
+      one: {rnu: [sh]}
+      two: {run: [sh, '{gaol}'], limit: soon, at_once: 2}
+      three: {run: ['{goal}']}
+      four: {shell: 'echo {goal}'}
+      five: {run: [sh], shell: x, abort: {signal: IMT}}
+      six: {run: [sh, '{goal.y}'], goal: {fields: {x: number}}}
+      seven: {run: [sh], goal: {least: 2, most: 1}}
+      eight: {run: [sh], goal: {type: numbre}, busy: queue}
+      nine: {run: [sh], user: nobody-is-called-so, refused-by: 0}
+      ten: ehco
+      eleven: {forward: {to: 10.0.0.7, scope: /cob, key: a}}
+      twelve: {run: [sh], output: 2 GiB, decide: 1 s}
+      thirteen: {run: [sh], abort: no, busy: replace}
+      fourteen: {run: [sh], abort: no, needs-client: 5 s}
+      fifteen: {built-in: sleep, needs-client: 5 ms}
+      'a:b': echo
+";
+    let mistakes = parse(text).expect_err("mistakes").to_string();
+    let first = mistakes
+        .lines()
+        .filter(|line| line.starts_with("robot.yaml:"));
+    let first: Vec<&str> = first.collect();
+    let expected = [
+        "robot.yaml:1:1: unknown key 'prot'; did you mean 'port'?",
+        "robot.yaml:3:3: the scope 'a;b' contains ';', so no client can reach it; write it as /lab",
+        "robot.yaml:6:12: nothing does this task; write run: [PROGRAM, ARGUMENT]",
+        "robot.yaml:6:13: unknown key 'rnu'; did you mean 'run'?",
+        "robot.yaml:7:23: nothing is known to put in place of '{gaol}'; did you mean '{goal}'?",
+        "robot.yaml:7:41: 'soon' is not a time, as 30 s, 300 ms or 5 min",
+        "robot.yaml:7:47: unknown key 'at_once'; did you mean 'at-once'?",
+        "robot.yaml:8:21: no client may choose the program; put that into an argument",
+        "robot.yaml:9:21: nothing is put into a shell's command, for it would be executed; write \"$ZTL_GOAL\", or use run",
+        "robot.yaml:10:32: only one of run, shell, built-in and forward can do a task",
+        "robot.yaml:10:51: 'IMT' is not known here; did you mean 'INT'?",
+        "robot.yaml:11:23: no goal has 'y': it is {x: a number}",
+        "robot.yaml:12:32: no number is at least 2 and at most 1",
+        "robot.yaml:13:39: 'numbre' is not known here; did you mean 'number'?",
+        "robot.yaml:13:54: 'queue' is not refuse, replace, or queue with how many may wait, as queue 3",
+        "robot.yaml:14:31: there is no user 'nobody-is-called-so' on this machine",
+        "robot.yaml:14:64: '0' is not an exit code from 1 to 255, or a list of them",
+        "robot.yaml:15:12: 'ehco' is not known here; did you mean 'echo'?",
+        "robot.yaml:16:30: '10.0.0.7' is not an address, as tcp://10.0.0.7:12345",
+        "robot.yaml:16:58: an encrypted connection needs both: key: robot.key_secret, server-key: far.key",
+        "robot.yaml:17:35: '2 GiB' is not a size from 1 byte to 1000 KiB, as 64 KiB",
+        "robot.yaml:17:50: it decides only where an exit code refuses; write refused-by: [2]",
+        "robot.yaml:18:46: what cannot be aborted cannot be replaced; leave out abort: no",
+        "robot.yaml:19:54: what cannot be aborted cannot need its client; leave out abort: no",
+        "robot.yaml:20:48: this must be at least 1s, and should be 5s: a client that waits asks every second",
+        "robot.yaml:21:7: 'a:b' is no name for a component: no client can say it",
+    ];
+    assert_eq!(first, expected, "{mistakes}");
+    let none = parse("port: 1").expect_err("no scopes").to_string();
+    assert!(
+        none.contains("'scopes' is missing; write scopes: {/robot:"),
+        "{none}"
+    );
+}
+
+/// The mistakes in a rule for goals.
+#[track_caller]
+fn mistakes_of(goal: &str) -> Vec<String> {
+    let text = format!("scopes: {{/r: {{h: {{c: {{run: [sh], goal: {goal}}}}}}}}}");
+    let mistakes = parse(&text).expect_err("a mistake").to_string();
+    let first = mistakes.lines().filter_map(|line| {
+        let message = line.strip_prefix("robot.yaml:1:")?.split_once(": ")?.1;
+        Some(message.to_owned())
+    });
+    first.collect()
+}
+
+#[test]
+fn a_key_that_no_goal_would_be_compared_with_is_a_mistake() {
+    for (goal, mistakes) in [
+        (
+            "{type: text, least: 5}",
+            &["least is only for a number; write type: number"][..],
+        ),
+        (
+            "{type: any, least: -180, most: 180}",
+            &[
+                "least is only for a number; write type: number",
+                "most is only for a number; write type: number",
+            ],
+        ),
+        (
+            "{type: whole, longest: 3}",
+            &["longest is only for a text; write type: text"],
+        ),
+        (
+            "{type: number, one-of: [1, 2]}",
+            &["one-of says all that is taken; leave out type"],
+        ),
+        (
+            "{most: 2, fields: {x: number}}",
+            &["fields says all that is taken; leave out most"],
+        ),
+        (
+            "{one-of: [a], fields: {x: number}}",
+            &["one-of and fields cannot both say what is taken"],
+        ),
+        ("{one-of: []}", &["there is no word in this list"]),
+        (
+            "{type: number, default: 3}",
+            &["only a field may be left out, so there is no default here"],
+        ),
+    ] {
+        assert_eq!(mistakes_of(goal), mistakes, "{goal}");
+    }
+}
+
+#[test]
+fn a_file_that_serves_nothing_is_wrong() {
+    for (text, wanted) in [
+        ("scopes: {}", "scopes, as /robot"),
+        ("scopes: {/r: {}}", "its handlers"),
+        ("scopes: {/r: {h: {}}}", "the handler's components"),
+    ] {
+        let mistakes = parse(text).expect_err("a mistake").to_string();
+        let message = format!("there is nothing in it; wanted are {wanted}\n");
+        assert!(mistakes.contains(&message), "{mistakes}");
+    }
+}
+
+#[test]
+fn what_a_client_writes_into_a_shells_command_is_a_warning() {
+    let warnings = |entry: &str| {
+        let config = parse(&format!("scopes: {{/r: {{h: {{c: {entry}}}}}}}"));
+        config.expect("it is right").warnings.len()
+    };
+    assert_eq!(warnings("[sh, -c, 'say {goal}']"), 1);
+    assert_eq!(warnings("[/bin/sh, -e, -c, 'say {goal}']"), 1);
+    assert_eq!(warnings("[sh, -c, 'say \"$0\"', '{goal}']"), 0);
+    assert_eq!(warnings("[sh, say, '{goal}']"), 0);
+    assert_eq!(warnings("{run: [sh, -c, 'turn {goal}'], goal: number}"), 0);
+    assert_eq!(warnings("{run: [sh, -c, 'task {id}']}"), 0);
+}
+
+#[test]
+fn what_is_not_there_yet_is_a_warning() {
+    let config = parse("scopes: {/r: {h: {c: {run: [./no/such, x], directory: /no/such}}}}");
+    let warnings = config.expect("it is right").warnings;
+    let said: Vec<&str> = warnings
+        .iter()
+        .map(|warning| warning.message.as_str())
+        .collect();
+    let expected = [
+        "warning: there is no directory /no/such",
+        "warning: /./no/such is not there; install it or correct the path",
+    ];
+    assert_eq!(said, expected);
+}
+
+#[test]
+fn no_file_at_all_makes_it_panic() {
+    let mut numbers = Garbage(0x2545_f491_4f6c_dd1d);
+    for _ in 0..3_000 {
+        let bytes = numbers.spoil(WHOLE);
+        if let Ok(document) = Document::parse("f", &bytes) {
+            let _ = Config::read(&document, Path::new("")).map_err(|m| m.to_string());
+        }
+    }
+}

@@ -1,0 +1,281 @@
+//! Simulated devices: the real node of `ztl-mcu` with simulated motors, on a real byte stream.
+
+mod axis;
+mod power;
+mod record;
+mod sensor;
+
+use std::fs::File;
+use std::io::{self, Read, Write};
+use std::net::{SocketAddr, TcpListener};
+#[cfg(unix)]
+use std::path::PathBuf;
+use std::str::FromStr;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Sender, channel};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use ztl_std::gateway::{EndpointError, Line, is_pause};
+#[cfg(unix)]
+use crate::pty::{Link, Pty};
+use record::Record;
+
+/// The type of a simulated device.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Kind {
+    /// `finger`: its opening in percent, 0 to 100, at 50 percent per second.
+    Gripper,
+    /// `pan`: degrees from -90 to 90, or left, straight, right, at 90 degrees per second.
+    Head,
+    /// `probe`: takes no goals, publishes readings of 100 bytes: a thousand per second, or with
+    /// [`Device::with_baud`] as many as its line carries.
+    Sensor,
+}
+
+impl Kind {
+    /// All types.
+    pub const ALL: [Self; 3] = [Self::Gripper, Self::Head, Self::Sensor];
+
+    /// Its name, as in `sim:gripper`.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Gripper => "gripper",
+            Self::Head => "head",
+            Self::Sensor => "sensor",
+        }
+    }
+}
+
+impl std::fmt::Display for Kind {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+impl FromStr for Kind {
+    type Err = EndpointError;
+
+    fn from_str(text: &str) -> Result<Self, EndpointError> {
+        Self::ALL
+            .into_iter()
+            .find(|kind| kind.name() == text)
+            .ok_or_else(|| EndpointError::Simulation {
+                found: text.to_owned(),
+                known: Self::ALL.map(Self::name).join(", "),
+            })
+    }
+}
+
+enum Input {
+    Bytes(Vec<u8>),
+    /// Where the node's output goes from now on.
+    Line(Option<Box<dyn Write + Send>>),
+    Reset,
+    Stop,
+}
+
+/// A device to simulate.
+///
+/// ```no_run
+/// use ztl_sim::{Device, Kind};
+///
+/// # fn main() -> std::io::Result<()> {
+/// let (running, address) = Device::new(Kind::Gripper).on_tcp("127.0.0.1:0")?;
+/// println!("ztl gateway --device gripper=tcp:{address} -p 12345 -s /lab");
+/// # drop(running);
+/// # Ok(())
+/// # }
+/// ```
+#[derive(Debug, Clone)]
+pub struct Device {
+    kind: Kind,
+    baud: Option<u32>,
+    record: Option<Record>,
+}
+
+impl Device {
+    /// Creates a device that sends as fast as its line accepts.
+    #[must_use]
+    pub const fn new(kind: Kind) -> Self {
+        Self {
+            kind,
+            baud: None,
+            record: None,
+        }
+    }
+
+    /// Sets the rate at which it sends, in bits per second, ten per byte.
+    #[must_use]
+    pub const fn with_baud(mut self, baud: u32) -> Self {
+        self.baud = Some(baud);
+        self
+    }
+
+    /// Writes a line to `file` when a task really begins or ends, and at each reset: seconds, component,
+    /// event, goal, such as `12.345678 finger begins '40'`.
+    #[must_use]
+    pub fn with_record(mut self, file: File) -> Self {
+        self.record = Some(Record::new(file));
+        self
+    }
+
+    /// Starts it on a pty and returns the path of the other end. With `link`, that is a link to it, which is
+    /// removed with the device.
+    ///
+    /// # Errors
+    /// If the system has no more ptys or threads, or the link cannot be created.
+    /// When the system has no more ptys or threads, or when the link cannot be made.
+    #[cfg(unix)]
+    pub fn on_pty(self, link: Option<PathBuf>) -> io::Result<(Running, String)> {
+        let kind = self.kind;
+        let pty = Pty::new()?;
+        let mut path = pty.path().to_owned();
+        let link = link
+            .map(|link| {
+                path = link.display().to_string();
+                Link::new(link, pty.path())
+            })
+            .transpose()?;
+        let line = pty.line()?;
+        let mut running = Running::power_on(self)?;
+        running._pty = Some((pty, link));
+        let _ = running.inputs.send(Input::Line(Some(line.writer)));
+        let (inputs, stop) = (running.inputs.clone(), Arc::clone(&running.stop));
+        let pump = std::thread::Builder::new()
+            .name(format!("ztl-sim-{kind}-line"))
+            .spawn(move || forward(line.reader, &inputs, &stop))?;
+        running.threads.push(pump);
+        Ok((running, path))
+    }
+
+    /// Starts it on a TCP listener, which accepts one connection at a time, and returns the address.
+    ///
+    /// # Errors
+    /// If it cannot listen on `address`.
+    pub fn on_tcp(self, address: &str) -> io::Result<(Running, SocketAddr)> {
+        let kind = self.kind;
+        let listener = TcpListener::bind(address)?;
+        let address = listener.local_addr()?;
+        // Must not block in accept, so that it can be stopped.
+        listener.set_nonblocking(true)?;
+        let mut running = Running::power_on(self)?;
+        let (inputs, stop) = (running.inputs.clone(), Arc::clone(&running.stop));
+        let serve = std::thread::Builder::new()
+            .name(format!("ztl-sim-{kind}-tcp"))
+            .spawn(move || serve_tcp(&listener, &inputs, &stop))?;
+        running.threads.push(serve);
+        Ok((running, address))
+    }
+}
+
+/// A running simulated device; dropping it cuts its power.
+pub struct Running {
+    inputs: Sender<Input>,
+    stop: Arc<AtomicBool>,
+    threads: Vec<JoinHandle<()>>,
+    #[cfg(unix)]
+    _pty: Option<(Pty, Option<Link>)>,
+}
+
+impl std::fmt::Debug for Running {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str("Running")
+    }
+}
+
+impl Running {
+    fn power_on(device: Device) -> io::Result<Self> {
+        let (inputs, inbox) = channel();
+        let node = std::thread::Builder::new()
+            .name(format!("ztl-sim-{}", device.kind))
+            .spawn(move || power::run(&device, &inbox))?;
+        Ok(Self {
+            inputs,
+            stop: Arc::new(AtomicBool::new(false)),
+            threads: vec![node],
+            #[cfg(unix)]
+            _pty: None,
+        })
+    }
+
+    /// Returns a function that resets the device: its power is cut and restored, its line stays.
+    pub fn reset(&self) -> impl Fn() + Send + use<> {
+        let inputs = self.inputs.clone();
+        move || {
+            let _ = inputs.send(Input::Reset);
+        }
+    }
+}
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        self.stop.store(true, Ordering::Release);
+        let _ = self.inputs.send(Input::Stop);
+        for thread in self.threads.drain(..) {
+            let _ = thread.join();
+        }
+    }
+}
+
+/// Starts a device in this process and returns its line: a pty, as for a real device. Without ptys, as in a
+/// container without `/dev/ptmx`, TCP on this machine.
+///
+/// # Errors
+/// If the system has no more threads, or it cannot listen.
+pub(crate) fn line(kind: Kind) -> io::Result<Line> {
+    #[cfg(unix)]
+    if let Ok((running, path)) = Device::new(kind).on_pty(None) {
+        let port = serialport::new(path, ztl_std::gateway::BAUD)
+            .timeout(ztl_std::gateway::READ_TIMEOUT)
+            .open()?;
+        let mut line = Line::serial(port)?;
+        line.device = Some(running);
+        return Ok(line);
+    }
+    let (running, address) = Device::new(kind).on_tcp("127.0.0.1:0")?;
+    let mut line = Line::tcp(std::net::TcpStream::connect(address)?)?;
+    line.device = Some(running);
+    Ok(line)
+}
+
+/// Forwards received bytes until the stream ends.
+fn forward(mut reader: impl Read, inputs: &Sender<Input>, stop: &AtomicBool) {
+    let mut buffer = [0; 256];
+    while !stop.load(Ordering::Acquire) {
+        match reader.read(&mut buffer) {
+            Ok(0) => return,
+            Ok(count) => {
+                let bytes = buffer.get(..count).unwrap_or_default().to_vec();
+                if inputs.send(Input::Bytes(bytes)).is_err() {
+                    return;
+                }
+            }
+            Err(error) if is_pause(&error) => {}
+            Err(_) => return,
+        }
+    }
+}
+
+fn serve_tcp(listener: &TcpListener, inputs: &Sender<Input>, stop: &AtomicBool) {
+    while !stop.load(Ordering::Acquire) {
+        let stream = match listener.accept() {
+            Ok((stream, _)) => stream,
+            Err(_) => {
+                std::thread::sleep(Duration::from_millis(10));
+                continue;
+            }
+        };
+        if stream.set_nonblocking(false).is_err() {
+            continue;
+        }
+        let Ok(line) = Line::tcp(stream) else {
+            continue;
+        };
+        let _ = inputs.send(Input::Line(Some(line.writer)));
+        forward(line.reader, inputs, stop);
+        let _ = inputs.send(Input::Line(None));
+    }
+}

@@ -1,0 +1,117 @@
+//! The firmware's main loop, from reset to reset.
+
+use std::io::Write;
+use std::sync::mpsc::{Receiver, RecvTimeoutError};
+use std::time::Duration;
+
+use ztl_mcu::{Component, Identity, Instant, Node};
+
+use super::axis::{Axis, FINGER, PAN};
+use super::record::Recorded;
+use super::sensor::Sensor;
+use super::{Device, Input, Kind};
+use crate::clock::now;
+use ztl_std::random;
+
+/// Bytes that the node produces at once.
+const PIECE: usize = 32;
+/// Bytes that its serial port buffers, like a small ring in firmware.
+const AHEAD: u64 = 3 * PIECE as u64;
+/// The same in nanoseconds, for a line so fast that the ring would run empty before a busy system polls it
+/// again.
+const AHEAD_NS: u64 = 4_000_000;
+
+/// Where the node's output goes, and when it may send more.
+struct Port {
+    /// `None` if the cable is unplugged: the bytes are lost.
+    line: Option<Box<dyn Write + Send>>,
+    /// Duration of a byte in nanoseconds; 0 means no delay.
+    byte_ns: u64,
+    /// When the last byte will have been sent, in nanoseconds.
+    sent_ns: u64,
+}
+
+impl Port {
+    fn new(baud: Option<u32>) -> Self {
+        Self {
+            line: None,
+            byte_ns: baud.map_or(0, |baud| 10_000_000_000 / u64::from(baud.max(1))),
+            sent_ns: 0,
+        }
+    }
+
+    /// When it accepts another piece.
+    fn ready(&self) -> Instant {
+        let ahead = (AHEAD * self.byte_ns).max(AHEAD_NS);
+        Instant::from_micros(self.sent_ns.saturating_sub(ahead) / 1000)
+    }
+
+    fn send(&mut self, now: Instant, bytes: &[u8]) {
+        let begin = self.sent_ns.max(now.as_micros().saturating_mul(1000));
+        self.sent_ns = begin + self.byte_ns * bytes.len() as u64;
+        if let Some(line) = &mut self.line {
+            let _ = line.write_all(bytes);
+        }
+    }
+}
+
+/// Runs until it is stopped.
+pub(super) fn run(device: &Device, inbox: &Receiver<Input>) {
+    let mut port = Port::new(device.baud);
+    let pause = match device.baud {
+        Some(_) => Duration::ZERO,
+        None => Duration::from_millis(1),
+    };
+    let mut run = || match device.kind {
+        Kind::Gripper => run_until_reset(device, Axis::new(&FINGER), inbox, &mut port),
+        Kind::Head => run_until_reset(device, Axis::new(&PAN), inbox, &mut port),
+        Kind::Sensor => run_until_reset(device, Sensor::new(pause), inbox, &mut port),
+    };
+    while run() {
+        if let Some(record) = &device.record {
+            record.write(device.kind.name(), "reset", "");
+        }
+    }
+}
+
+/// Returns `true` if it was reset, `false` if it was stopped.
+fn run_until_reset(
+    device: &Device,
+    component: impl Component,
+    inbox: &Receiver<Input>,
+    port: &mut Port,
+) -> bool {
+    let component = Recorded::new(component, device.record.clone());
+    let name = device.kind.name();
+    let identity = Identity {
+        // Its sensor sends as much as the line takes.
+        reading_interval: Duration::ZERO,
+        ..Identity::new(name, env!("CARGO_PKG_VERSION"), random::nonzero())
+    };
+    let mut node = Node::<_, 4, 256>::new(identity, [component]);
+    let mut buffer = [0; PIECE];
+    loop {
+        node.handle_timeout(now());
+        let time = now();
+        let wait = if time < port.ready() {
+            // Output waits for the port.
+            port.ready().since(time)
+        } else {
+            // One piece at a time: a full line or endless readings must not delay input.
+            match node.poll_transmit(time, &mut buffer) {
+                0 => node.poll_timeout(time).since(time),
+                count => {
+                    port.send(time, buffer.get(..count).unwrap_or_default());
+                    Duration::ZERO
+                }
+            }
+        };
+        match inbox.recv_timeout(wait) {
+            Ok(Input::Bytes(bytes)) => node.handle_bytes(now(), &bytes),
+            Ok(Input::Line(other)) => port.line = other,
+            Ok(Input::Reset) => return true,
+            Err(RecvTimeoutError::Timeout) => {}
+            Ok(Input::Stop) | Err(RecvTimeoutError::Disconnected) => return false,
+        }
+    }
+}

@@ -1,0 +1,21 @@
+//! A line with faults between any two ends, to test how a gateway and its devices behave on a bad cable.
+//!
+//! [`FaultyLine`] is one direction, without I/O. [`Cable`] joins two real ends with two of them.
+
+mod cable;
+mod dice;
+mod end;
+mod faults;
+
+pub use cable::{Cable, CableError};
+#[cfg(test)]
+pub(crate) use dice::Dice;
+pub use end::{End, EndError};
+pub use faults::{Counts, Faults, FaultyLine};
+
+/// A random seed.
+#[must_use]
+pub fn random_seed() -> u64 {
+    // 32 bits only, so that it is short enough to type.
+    u64::from(ztl_std::random::nonzero())
+}

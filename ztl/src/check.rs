@@ -1,0 +1,145 @@
+//! `ztl check`: what is wrong with a script, before the show.
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use tracing::Level;
+use ztl_std::Remotes;
+use ztl_script::{Defaults, Finding, Script, ask_all};
+use ztl_yaml::Diagnostics;
+
+use crate::remote_task::Endpoints;
+use crate::terminal::{line, part};
+use crate::{Done, log};
+
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Exit code: 0 if nothing was found, 1 otherwise.")]
+pub(crate) struct Check {
+    /// The script
+    #[arg(value_name = "FILE")]
+    script: PathBuf,
+
+    #[command(flatten)]
+    endpoints: Endpoints,
+
+    /// Ask each server too whether it is there, and ours whether they would take the tasks
+    #[arg(long)]
+    live: bool,
+
+    /// The defaults file that it will be played with
+    #[arg(long, value_name = "FILE")]
+    defaults: Option<PathBuf>,
+}
+
+impl Check {
+    pub(crate) fn run(self) -> Done {
+        log::init(Level::ERROR);
+        let mut findings = Vec::new();
+        let remotes = match self.remotes(&mut findings) {
+            Some(remotes) => Some(self.endpoints.added_to(remotes)?),
+            None => None,
+        };
+        let defaults = self.defaults.as_deref().map(Defaults::load);
+        let defaults = defaults.and_then(|read| taken(read, &mut findings));
+        let (script, found) = Script::check(&self.script, defaults.unwrap_or_default());
+        findings.extend(found);
+        if let Some(remotes) = &remotes {
+            if let Some(script) = &script {
+                for unknown in script.unknown_remotes(remotes) {
+                    add_unknown(unknown, &mut findings);
+                }
+            }
+            match (self.live, &script) {
+                (true, Some(script)) => {
+                    let said = script.ask_servers(remotes);
+                    said.servers.iter().for_each(line);
+                    findings.extend(said.findings);
+                }
+                // Which of them the script uses is unknown.
+                (true, None) => ask_all(remotes).iter().for_each(line),
+                (false, _) => {}
+            }
+        }
+        findings.sort_by_cached_key(|finding| {
+            let found = finding.diagnostic();
+            (found.file.clone(), found.span.map(|span| span.start))
+        });
+        for finding in &findings {
+            let word = if finding.is_doubt() {
+                "doubtful"
+            } else {
+                "mistake"
+            };
+            part(format_args!("{word}: {finding}"));
+        }
+        let doubts = findings.iter().filter(|finding| finding.is_doubt()).count();
+        let mistakes = findings.len() - doubts;
+        line(summary(mistakes, doubts));
+        Ok(ExitCode::from(u8::from(mistakes + doubts > 0)))
+    }
+
+    /// The configuration. Without one there are no names to check; one that cannot be read is one mistake,
+    /// and not one for each name.
+    fn remotes(&self, findings: &mut Vec<Finding>) -> Option<Remotes> {
+        let path = self.endpoints.path();
+        if self.endpoints.has_file() {
+            return taken(Remotes::load(&path), findings);
+        }
+        if self.endpoints.is_given() {
+            return Some(Remotes::named("the options"));
+        }
+        line(format_args!(
+            "No configuration at {}: the names of servers are not checked (-c FILE).",
+            path.display()
+        ));
+        None
+    }
+}
+
+/// Adds what is said of a name without a server. Where the parentheses in its key are doubtful already,
+/// that is the cause.
+fn add_unknown(unknown: Finding, findings: &mut Vec<Finding>) {
+    let key = unknown.diagnostic().span;
+    let is_cause = |found: &&mut Finding| {
+        let span = found.diagnostic().span;
+        let inside = key
+            .zip(span)
+            .is_some_and(|(key, part)| key.start < part.start && part.start < key.end);
+        inside && found.diagnostic().file == unknown.diagnostic().file
+    };
+    match findings.iter_mut().find(is_cause) {
+        Some(cause) => *cause = Finding::mistake(cause.diagnostic().clone()),
+        None => findings.push(unknown),
+    }
+}
+
+/// What was read, or nothing and why.
+fn taken<T>(read: Result<T, Diagnostics>, findings: &mut Vec<Finding>) -> Option<T> {
+    match read {
+        Ok(read) => Some(read),
+        Err(mistakes) => {
+            findings.extend(mistakes.into_iter().map(Finding::mistake));
+            None
+        }
+    }
+}
+
+fn summary(mistakes: usize, doubts: usize) -> String {
+    let count = |count: usize, what: &str| match count {
+        1 => format!("1 {what}"),
+        count => format!("{count} {what}s"),
+    };
+    match (mistakes, doubts) {
+        (0, 0) => "Nothing is wrong.".to_owned(),
+        (0, doubts) => format!(
+            "{}: it is played so, and was probably not meant so.",
+            count(doubts, "doubtful place")
+        ),
+        (mistakes, 0) => format!("{}.", count(mistakes, "mistake")),
+        (mistakes, doubts) => format!(
+            "{}, {}.",
+            count(mistakes, "mistake"),
+            count(doubts, "doubtful place")
+        ),
+    }
+}

@@ -1,0 +1,140 @@
+//! `ztl demo`: the main job in a minute, on simulated devices behind real ptys.
+
+use std::path::Path;
+use std::process::ExitCode;
+use std::time::Instant;
+
+use tracing::Level;
+use ztl_std::gateway::{Endpoint, Gateway};
+use ztl_sim::Kind;
+use ztl_std::{RemoteTask, TaskServer};
+
+use crate::scene::{Act, play};
+use crate::terminal::line;
+use crate::tool::port;
+use crate::{Done, log, signals};
+
+#[derive(Debug, clap::Args)]
+pub(crate) struct Demo {
+    /// End after the scene; exit code 0 only if every task completed
+    #[arg(long)]
+    once: bool,
+
+    /// Port to serve at, on this machine only
+    #[arg(short, long, default_value_t = 12345, value_parser = port)]
+    port: u16,
+}
+
+const SCOPE: &str = "/lab";
+
+const fn finger(goal: &'static str, way: (f32, f32)) -> Act {
+    Act {
+        handler: "gripper",
+        component: "finger",
+        goal,
+        way,
+        unit: "percent",
+    }
+}
+
+const fn pan(goal: &'static str, way: (f32, f32)) -> Act {
+    Act {
+        handler: "head",
+        component: "pan",
+        goal,
+        way,
+        unit: "degrees",
+    }
+}
+
+/// What is played, step after step; the acts of a step at once.
+const SCENE: [(&str, &[Act]); 4] = [
+    ("open the gripper", &[finger("80", (0.0, 80.0))]),
+    ("look to the left", &[pan("left", (0.0, 90.0))]),
+    (
+        "close it and look to the right, together",
+        &[finger("20", (80.0, 20.0)), pan("right", (90.0, -90.0))],
+    ),
+    ("look straight ahead", &[pan("straight", (-90.0, 0.0))]),
+];
+
+/// Those that the scene moves.
+const DEVICES: [Kind; 2] = [Kind::Gripper, Kind::Head];
+
+impl Demo {
+    pub(crate) fn run(self) -> Done {
+        log::init(Level::WARN);
+        signals::catch()?;
+        let mut server = TaskServer::bind(&format!("tcp://127.0.0.1:{}", self.port))
+            .map_err(|error| format!("{error} (--port N)"))?;
+        let endpoint = server.endpoint().to_owned();
+        line("client ──ZeroMQ──▶ gateway ──serial link──▶ device (real node, simulated motors)");
+        line("");
+        let mut gateway = Gateway::new();
+        let mut devices = Vec::new();
+        for kind in DEVICES {
+            let (url, device) = simulate(kind);
+            line(format_args!("device   {kind:<8} at {url}"));
+            gateway.add(kind.name(), url.parse::<Endpoint>()?)?;
+            devices.extend(device);
+        }
+        server.register_handler(SCOPE, gateway);
+        line(format_args!("gateway  at {endpoint}, scope {SCOPE}"));
+        let server = server.spawn()?;
+
+        let mut remote = RemoteTask::connect(&endpoint, SCOPE)?;
+        let start = Instant::now();
+        let mut all = true;
+        for (title, step) in SCENE {
+            line(format_args!("\n{title}"));
+            all &= play(&mut remote, start, step);
+            if let Some(code) = signals::exit_code() {
+                return Ok(code);
+            }
+        }
+        line("");
+        if self.once {
+            line(if all {
+                "Every task completed."
+            } else {
+                "Not every task completed."
+            });
+        } else {
+            line(invitation(&endpoint));
+            signals::wait();
+        }
+        drop(server);
+        drop(devices);
+        Ok(signals::exit_code_or(if all {
+            ExitCode::SUCCESS
+        } else {
+            ExitCode::FAILURE
+        }))
+    }
+}
+
+/// A device on a pty of its own, to be opened by its path like a real one; where the system has no
+/// ptys, one in the gateway's process.
+fn simulate(kind: Kind) -> (String, Option<ztl_sim::Running>) {
+    #[cfg(unix)]
+    if let Ok((device, path)) = ztl_sim::Device::new(kind).on_pty(None) {
+        let baud = ztl_std::gateway::BAUD;
+        return (format!("serial:{path}?baud={baud}"), Some(device));
+    }
+    (format!("sim:{kind}"), None)
+}
+
+/// What to try next.
+fn invitation(endpoint: &str) -> String {
+    let port = endpoint.rsplit(':').next().unwrap_or_default();
+    let ours = std::env::args().next().unwrap_or_else(|| "ztl".to_owned());
+    let ours = Path::new(&ours).display();
+    format!(
+        "The gateway goes on serving. In another terminal, with this program:\n\
+         \n  {ours} task-client -r 127.0.0.1 -p {port} -s {SCOPE} gripper:finger:40\n\
+         \nand with the original's, unchanged:\n\
+         \n  python3 -m venv venv && venv/bin/pip install ztl\
+         \n  venv/bin/ztl_task_client -r 127.0.0.1 -p {port} -s {SCOPE} head:pan:left\n\
+         \nCtrl-C ends it."
+    )
+}

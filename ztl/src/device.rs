@@ -1,0 +1,107 @@
+//! `ztl device`: a simulated device standing alone.
+
+use std::fs::File;
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use ztl_sim::{Device as Simulated, Kind, Running};
+
+use crate::terminal::line;
+use crate::{Done, signals};
+
+#[derive(Debug, clap::Args)]
+#[command(after_help = "SIGUSR1 resets the device: its power is taken away and given back.")]
+pub(crate) struct Device {
+    /// What to simulate: sim:gripper, sim:head, or sim:sensor, which only publishes
+    #[arg(value_parser = kind)]
+    device: Kind,
+
+    /// Where it listens: tcp:PORT, tcp:HOST:PORT, pty (its path is printed), or pty:LINK (a link to it is made)
+    #[arg(long, value_name = "WHERE", value_parser = place)]
+    on: Place,
+
+    /// Send no faster than a UART of this rate, in bits a second
+    #[arg(long, value_name = "RATE", value_parser = clap::value_parser!(u32).range(1..))]
+    baud: Option<u32>,
+
+    /// Add a line to FILE whenever a task really begins or ends: seconds, component, what, goal
+    #[arg(long, value_name = "FILE")]
+    record: Option<PathBuf>,
+}
+
+#[derive(Debug, Clone)]
+enum Place {
+    Tcp(String),
+    Pty(Option<PathBuf>),
+}
+
+fn kind(text: &str) -> Result<Kind, String> {
+    let name = text.strip_prefix("sim:").unwrap_or(text);
+    name.parse()
+        .map_err(|error: ztl_std::gateway::EndpointError| error.to_string())
+}
+
+fn place(text: &str) -> Result<Place, String> {
+    let wrong = || "use tcp:PORT, tcp:HOST:PORT, pty or pty:LINK".to_owned();
+    let (scheme, rest) = text.split_once(':').unwrap_or((text, ""));
+    match (scheme, rest) {
+        ("pty", "") => Ok(Place::Pty(None)),
+        ("pty", link) => Ok(Place::Pty(Some(link.into()))),
+        ("tcp", rest) => {
+            let (host, port) = rest.rsplit_once(':').unwrap_or(("127.0.0.1", rest));
+            port.parse::<u16>().map_err(|_| wrong())?;
+            Ok(Place::Tcp(format!("{host}:{port}")))
+        }
+        _ => Err(wrong()),
+    }
+}
+
+impl Device {
+    pub(crate) fn run(self) -> Done {
+        signals::catch()?;
+        let kind = self.device;
+        let mut device = Simulated::new(kind);
+        if let Some(baud) = self.baud {
+            device = device.with_baud(baud);
+        }
+        if let Some(path) = self.record {
+            let file = File::options().append(true).create(true).open(&path);
+            let file =
+                file.map_err(|error| format!("cannot write to {}: {error}", path.display()))?;
+            device = device.with_record(file);
+        }
+        let (running, url) = match self.on {
+            Place::Tcp(address) => {
+                let (running, address) = device
+                    .on_tcp(&address)
+                    .map_err(|error| format!("cannot listen at tcp:{address}: {error}"))?;
+                (running, format!("tcp:{address}"))
+            }
+            Place::Pty(link) => {
+                let (running, path) = on_pty(device, link)?;
+                (running, format!("serial:{path}"))
+            }
+        };
+        signals::at_usr1(running.reset())?;
+        line(format_args!("Simulated {kind} at {url}. Serve it with"));
+        line(format_args!(
+            "  ztl gateway --device {kind}={url} -p 12345 -s /lab"
+        ));
+        signals::wait();
+        drop(running);
+        Ok(signals::exit_code_or(ExitCode::SUCCESS))
+    }
+}
+
+#[cfg(unix)]
+fn on_pty(device: Simulated, link: Option<PathBuf>) -> std::io::Result<(Running, String)> {
+    device.on_pty(link)
+}
+
+#[cfg(not(unix))]
+fn on_pty(_device: Simulated, _link: Option<PathBuf>) -> std::io::Result<(Running, String)> {
+    Err(std::io::Error::new(
+        std::io::ErrorKind::Unsupported,
+        "this system has no ptys; use --on tcp:PORT",
+    ))
+}

@@ -1,0 +1,207 @@
+//! `ztl line`: a bad cable between any two ends.
+
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use clap::ValueEnum;
+use ztl_sim::line::{Cable, Counts, End, Faults, FaultyLine};
+
+use crate::terminal::{is_live, line, rewrite};
+use crate::{Done, signals};
+
+/// How often a person sees the counts.
+const SHOW: Duration = Duration::from_secs(1);
+
+#[derive(Debug, clap::Args)]
+#[command(after_help = AFTER_HELP)]
+pub(crate) struct Line {
+    /// One end: pty, pty:LINK, serial:PATH?baud=115200, tcp:HOST:PORT, tcp-listen:PORT, sim:gripper
+    #[arg(value_name = "A")]
+    a: End,
+
+    /// The other end
+    #[arg(value_name = "B")]
+    b: End,
+
+    /// Bits a second, ten for each byte, as on a UART; default: as fast as it goes
+    #[arg(long, value_name = "RATE", value_parser = clap::value_parser!(u32).range(1..))]
+    baud: Option<u32>,
+
+    /// Time that each byte takes from end to end
+    #[arg(long, value_name = "TIME", default_value = "0s", value_parser = time)]
+    latency: Duration,
+
+    /// Probability that a bit is turned round, as 1e-4
+    #[arg(long, value_name = "P", default_value = "0", value_parser = probability)]
+    flip: f64,
+
+    /// Probability that a byte is lost
+    #[arg(long, value_name = "P", default_value = "0", value_parser = probability)]
+    drop: f64,
+
+    /// Probability that a byte comes twice
+    #[arg(long, value_name = "P", default_value = "0", value_parser = probability)]
+    double: f64,
+
+    /// Probability, for each byte, that the line holds back all that follows, for a while
+    #[arg(long, value_name = "P", default_value = "0", value_parser = probability)]
+    stall: f64,
+
+    /// For how long it holds back at most; each time is random
+    #[arg(long, value_name = "TIME", default_value = "500ms", value_parser = time)]
+    stall_for: Duration,
+
+    /// Lose all that goes this way
+    #[arg(long, value_name = "WAY")]
+    cut: Option<Cut>,
+
+    /// Cut only after this time
+    #[arg(long, value_name = "TIME", default_value = "0s", value_parser = time, requires = "cut")]
+    cut_after: Duration,
+
+    /// Cut only for so long; default: to the end
+    #[arg(long, value_name = "TIME", value_parser = time, requires = "cut")]
+    cut_for: Option<Duration>,
+
+    /// Where the random numbers start: the same seed and bytes bring the same faults [default: random]
+    #[arg(long, value_name = "NUMBER")]
+    seed: Option<u64>,
+
+    /// End after this time; default: at Ctrl-C
+    #[arg(long = "for", value_name = "TIME", value_parser = time)]
+    limit: Option<Duration>,
+}
+
+const AFTER_HELP: &str = "\
+A TIME has a unit: 500ms, 2s, 1m. Faults apply to both directions, each with dice of its own.
+What has become of the bytes is said at the end, at each SIGUSR1, and all the time on a terminal.
+
+A gripper behind a bad cable:
+  ztl device sim:gripper --on tcp:7000
+  ztl line pty:/tmp/gripper tcp:localhost:7000 --baud 115200 --flip 1e-4
+  ztl gateway --device gripper=serial:/tmp/gripper -p 12345 -s /lab";
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum Cut {
+    /// What B sends is lost
+    ToA,
+    /// What A sends is lost
+    ToB,
+    /// Nothing arrives anywhere
+    Both,
+}
+
+fn probability(text: &str) -> Result<f64, &'static str> {
+    let number = text.parse().ok();
+    number
+        .filter(|number| (0.0..=1.0).contains(number))
+        .ok_or("a probability is a number from 0 to 1, as 0.001 or 1e-4")
+}
+
+fn time(text: &str) -> Result<Duration, &'static str> {
+    humantime::parse_duration(text)
+        .map_err(|_| "a time is a number with its unit, as 500ms, 2s or 1m")
+}
+
+impl Line {
+    pub(crate) fn run(self) -> Done {
+        signals::catch()?;
+        let seed = self.seed.unwrap_or_else(ztl_sim::line::random_seed);
+        let lines = [
+            self.direction(seed, Cut::ToB),
+            self.direction(!seed, Cut::ToA),
+        ];
+        let limit = self.limit.map(|limit| Instant::now() + limit);
+        let cable = Arc::new(Cable::lay([self.a, self.b], lines)?);
+        let [a, b] = cable.places();
+        line(format_args!("A: {a}"));
+        line(format_args!("B: {b}"));
+        line(format_args!(
+            "Seed {seed}: with --seed {seed} the same bytes have the same faults."
+        ));
+        let shown = Arc::downgrade(&cable);
+        signals::at_usr1(move || {
+            if let Some(cable) = shown.upgrade() {
+                say(cable.counts());
+            }
+        })?;
+        let live = is_live();
+        loop {
+            let left = limit.map(|limit| limit.saturating_duration_since(Instant::now()));
+            let pause = if live { SHOW } else { Duration::MAX };
+            let wait = left.map_or(pause, |left| left.min(pause));
+            if signals::wait_for(wait) || left.is_some_and(|left| left.is_zero()) {
+                break;
+            }
+            if live {
+                show(cable.counts());
+            }
+        }
+        if live {
+            rewrite("", "");
+        }
+        say(cable.counts());
+        Ok(signals::exit_code_or(ExitCode::SUCCESS))
+    }
+
+    /// One direction of it; `way` is what cuts it.
+    fn direction(&self, seed: u64, way: Cut) -> FaultyLine {
+        let faults = Faults {
+            flip: self.flip,
+            drop: self.drop,
+            double: self.double,
+            stall: self.stall,
+            stall_for: self.stall_for,
+        };
+        let line = FaultyLine::new(faults, seed)
+            .with_baud(self.baud.unwrap_or(0))
+            .with_latency(self.latency);
+        match self.cut {
+            Some(cut) if cut == way || cut == Cut::Both => {
+                line.with_cut(self.cut_after, self.cut_for.unwrap_or(Duration::MAX))
+            }
+            _ => line,
+        }
+    }
+}
+
+fn say([there, back]: [Counts; 2]) {
+    line(format_args!("A to B: {there}"));
+    line(format_args!("B to A: {back}"));
+}
+
+/// On one line that is written again and again.
+fn show([there, back]: [Counts; 2]) {
+    let text = format!(
+        "A to B: {} bytes, {} faults; B to A: {} bytes, {} faults",
+        there.bytes,
+        there.faults(),
+        back.bytes,
+        back.faults()
+    );
+    rewrite(&text, "");
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn times_have_a_unit() {
+        assert_eq!(time("500ms"), Ok(Duration::from_millis(500)));
+        assert_eq!(time("2m"), Ok(Duration::from_secs(120)));
+        for wrong in ["", "2", "s", "-1s", "1e9s", "99999999999999999999s"] {
+            assert!(time(wrong).is_err(), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn probabilities_are_from_0_to_1() {
+        assert_eq!(probability("1e-4"), Ok(0.0001));
+        assert_eq!(probability("1"), Ok(1.0));
+        for wrong in ["", "-0.1", "1.1", "NaN", "10%", "inf"] {
+            assert!(probability(wrong).is_err(), "{wrong}");
+        }
+    }
+}

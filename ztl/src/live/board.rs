@@ -1,0 +1,472 @@
+//! What the live view knows: made from the events of a run and from nothing else.
+
+use std::collections::BTreeMap;
+use std::time::Duration;
+
+use ztl_script::event::{
+    By, Command, Event, Outcome, Outline, Question, RemoteOutline, RequestNumber, SceneEnd,
+    ServerState, Stamped, StepEnd, TaskNumber, TaskState, Why,
+};
+
+/// The state of a run.
+#[derive(Debug, Default)]
+pub(super) struct Board {
+    pub(super) script: String,
+    pub(super) outline: Outline,
+    /// By name, in the order of the configuration; `None`: nothing was asked of it yet.
+    pub(super) servers: Vec<(String, Server)>,
+    /// When the last event happened.
+    pub(super) at: Duration,
+    pub(super) scenes: Vec<Look>,
+    /// How long each took when it was played last.
+    pub(super) lengths: Vec<Option<Duration>>,
+    /// The scene that is shown, or played.
+    pub(super) scene: Option<usize>,
+    /// Of the scene that is played, or was last.
+    pub(super) played: Option<Played>,
+    pub(super) tasks: BTreeMap<TaskNumber, Task>,
+    pub(super) question: Option<Question>,
+    /// Counts the questions, so that an answer is never taken for one that comes after.
+    pub(super) questions: u64,
+    choices: Vec<Command>,
+    /// The operator wants a pause after this step.
+    pub(super) pause: bool,
+    pub(super) paused: bool,
+    pub(super) waiting: Option<(Why, Vec<TaskNumber>)>,
+    /// The operator leaves, and what still runs is asked about once.
+    leaving: bool,
+    /// What is being stopped, or was stopped last; until the next decision.
+    pub(super) stopping: Option<Stopping>,
+    /// The last key, and when it was pressed.
+    pub(super) key: Option<(String, Option<Command>, Duration)>,
+    /// Until the next key.
+    pub(super) notes: Vec<String>,
+    pub(super) ended: Option<(Outcome, Vec<TaskNumber>, String)>,
+    requests: BTreeMap<RequestNumber, String>,
+}
+
+/// What is being stopped.
+#[derive(Debug)]
+pub(super) struct Stopping {
+    pub(super) command: Command,
+    /// What became of stopping each task; `None`: no word yet.
+    pub(super) answers: BTreeMap<TaskNumber, Option<(bool, String)>>,
+    /// Nothing more is waited for.
+    pub(super) over: bool,
+}
+
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub(super) struct Server {
+    pub(super) state: Option<ServerState>,
+    pub(super) since: Duration,
+    /// How long its last answer took; that of a held STATUS says nothing.
+    pub(super) latency: Option<Duration>,
+}
+
+/// How a scene or a step looks.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub(super) enum Look {
+    #[default]
+    ToCome,
+    Playing,
+    Well,
+    Badly,
+    Stopped,
+    Skipped,
+}
+
+/// A scene that is played, or was.
+#[derive(Debug)]
+pub(super) struct Played {
+    pub(super) scene: usize,
+    pub(super) take: u32,
+    pub(super) from: Duration,
+    pub(super) to: Option<Duration>,
+    pub(super) steps: Vec<Step>,
+}
+
+#[derive(Debug, Clone, Default)]
+pub(super) struct Step {
+    pub(super) look: Look,
+    pub(super) from: Duration,
+    pub(super) to: Option<Duration>,
+}
+
+#[derive(Debug)]
+pub(super) struct Task {
+    pub(super) name: String,
+    pub(super) scene: usize,
+    pub(super) step: usize,
+    /// Of the scene as it is played now, and not of an earlier time.
+    pub(super) current: bool,
+    pub(super) again: bool,
+    pub(super) from: Duration,
+    pub(super) to: Option<Duration>,
+    pub(super) state: TaskState,
+    pub(super) text: String,
+}
+
+impl Task {
+    fn new(from: Duration) -> Self {
+        Self {
+            name: String::new(),
+            scene: 0,
+            step: 0,
+            current: false,
+            again: false,
+            from,
+            to: None,
+            state: TaskState::Asked,
+            text: String::new(),
+        }
+    }
+}
+
+impl Board {
+    /// An event has happened. Costs at most work linear in the tasks that run and in one scene.
+    pub(super) fn handle(&mut self, Stamped { at, event, .. }: &Stamped) {
+        let at = *at;
+        self.at = at;
+        match event {
+            Event::RunStarted(started) => {
+                self.script.clone_from(&started.script);
+                self.outline.clone_from(&started.outline);
+                self.scenes = vec![Look::ToCome; self.outline.scenes.len()];
+                self.lengths = vec![None; self.scenes.len()];
+                let server = |remote: &RemoteOutline| {
+                    let mut server = Server::default();
+                    if remote.endpoint.is_none() {
+                        let text = "it is not in the configuration".to_owned();
+                        server.state = Some(ServerState::Absent { text });
+                    }
+                    (remote.name.clone(), server)
+                };
+                self.servers = started.remotes.iter().map(server).collect();
+            }
+            Event::SceneShown { scene } => self.scene = Some(*scene),
+            Event::Asked { question, choices } => {
+                self.question = Some(*question);
+                self.choices.clone_from(choices);
+                self.questions += 1;
+                if let Some(stopping) = &mut self.stopping {
+                    stopping.over = true;
+                }
+            }
+            Event::Key { key, command } => {
+                self.key = Some((key.clone(), *command, at));
+                // They have been seen.
+                self.notes.clear();
+            }
+            Event::Decided { command, by, .. } => self.decide(*command, *by),
+            Event::SceneStarted { scene, take, .. } => self.start_scene(at, *scene, *take),
+            Event::SceneEnded { scene, end, .. } => {
+                if let Some(played) = &mut self.played {
+                    played.to = Some(at);
+                    if let Some(length) = self.lengths.get_mut(*scene) {
+                        *length = Some(at.saturating_sub(played.from));
+                    }
+                }
+                let look = match end {
+                    SceneEnd::Completed => Look::Well,
+                    SceneEnd::Failures => Look::Badly,
+                    SceneEnd::Stopped => Look::Stopped,
+                };
+                self.look(*scene, look);
+            }
+            Event::SceneSkipped { scene, .. } => self.look(*scene, Look::Skipped),
+            Event::StepStarted { step, .. } => {
+                self.with_step(*step, |shown| {
+                    *shown = Step {
+                        look: Look::Playing,
+                        from: at,
+                        to: None,
+                    };
+                });
+            }
+            Event::StepEnded { step, end, .. } => {
+                self.waiting = None;
+                self.unask(|question| matches!(question, Question::Step { .. }));
+                self.with_step(*step, |shown| {
+                    shown.to = Some(at);
+                    shown.look = match end {
+                        StepEnd::Completed => Look::Well,
+                        StepEnd::Failures => Look::Badly,
+                        StepEnd::Stopped => Look::Stopped,
+                    };
+                });
+            }
+            Event::StepSkipped { step, .. } => {
+                self.with_step(*step, |shown| shown.look = Look::Skipped);
+            }
+            Event::StepWaiting { why, tasks, .. } => {
+                self.waiting = Some((why.clone(), tasks.clone()));
+            }
+            Event::StepGoesOn { .. } => {
+                self.waiting = None;
+                self.unask(|question| matches!(question, Question::Step { .. }));
+            }
+            Event::Paused { .. } => {
+                self.pause = false;
+                self.paused = true;
+            }
+            Event::Resumed => {
+                self.paused = false;
+                self.unask(|question| question == Question::Pause);
+            }
+            Event::TaskStarting {
+                task,
+                scene,
+                step,
+                part,
+                retry_of,
+            } => self.start_task(at, *task, (*scene, *step, *part), retry_of.is_some()),
+            Event::TaskState {
+                task, state, text, ..
+            } => self.task_state(at, *task, *state, text),
+            Event::RequestSent {
+                request,
+                remote,
+                text,
+                ..
+            } if !text.starts_with("wait ") => {
+                self.requests.insert(*request, remote.clone());
+            }
+            Event::Answered {
+                request, latency, ..
+            } => {
+                if let Some(remote) = self.requests.remove(request)
+                    && let Some((_, server)) = self.servers.iter_mut().find(|it| it.0 == remote)
+                {
+                    server.latency = Some(*latency);
+                }
+            }
+            Event::Unanswered { request, .. } => drop(self.requests.remove(request)),
+            Event::Server { remote, state } => {
+                let server = Server {
+                    state: Some(state.clone()),
+                    since: at,
+                    latency: None,
+                };
+                match self.servers.iter_mut().find(|(name, _)| name == remote) {
+                    Some((_, known)) => *known = server,
+                    None => self.servers.push((remote.clone(), server)),
+                }
+            }
+            Event::TaskFound { task, text, .. } => {
+                let found = Task {
+                    name: text.clone(),
+                    state: TaskState::Accepted,
+                    ..Task::new(at)
+                };
+                self.tasks.insert(*task, found);
+                self.stop_answer(*task, None);
+            }
+            Event::Stopping { tasks } => {
+                for task in tasks {
+                    self.stop_answer(*task, None);
+                }
+            }
+            Event::StopAnswered {
+                task,
+                confirmed,
+                text,
+            } => self.stop_answer(*task, Some((*confirmed, text.clone()))),
+            Event::Note { text } => self.notes.push(text.clone()),
+            Event::RunEnded {
+                outcome,
+                running,
+                text,
+            } => {
+                self.ended = Some((*outcome, running.clone(), text.clone()));
+                self.question = None;
+            }
+            _ => {}
+        }
+    }
+
+    /// What the operator can want now.
+    pub(super) fn choices(&self) -> Vec<Command> {
+        if self.ended.is_some() {
+            Vec::new()
+        } else if let Some(stopping) = self.stopping.as_ref().filter(|it| !it.over) {
+            match stopping.command {
+                Command::StopScene => vec![Command::StopAll, Command::Stop],
+                Command::StopAll => vec![Command::Stop],
+                _ => vec![Command::Leave],
+            }
+        } else if self.question.is_some() {
+            self.choices.clone()
+        } else if self.leaving {
+            vec![Command::Leave]
+        } else if !self.plays() {
+            vec![Command::StopAll, Command::Stop]
+        } else {
+            let mut choices = vec![match self.pause {
+                true => Command::Resume,
+                false => Command::Pause,
+            }];
+            // Not where nobody is asked between scenes.
+            if self.choices.contains(&Command::StopAll) {
+                choices.extend([Command::StopScene, Command::StopAll]);
+            }
+            choices.push(Command::Stop);
+            choices
+        }
+    }
+
+    fn stop_answer(&mut self, task: TaskNumber, answer: Option<(bool, String)>) {
+        if let Some(stopping) = &mut self.stopping {
+            stopping.answers.insert(task, answer);
+        }
+    }
+
+    /// Tasks that are under way, or may be, and do not belong to the step that is played.
+    pub(super) fn in_background(&self) -> impl Iterator<Item = &Task> {
+        let step = self.playing_step();
+        self.tasks.values().filter(move |task| {
+            let here = task.current && Some((task.scene, task.step)) == step;
+            !task.state.is_over() && !here
+        })
+    }
+
+    /// Whether there is more to say of what is wrong: a task, or a server that is missing.
+    pub(super) fn has_details(&self) -> bool {
+        let wrong = |task: &Task| task.state.is_failure() || task.state == TaskState::Unknown;
+        let missing = |(_, server): &(String, Server)| {
+            let state = server.state.as_ref();
+            matches!(
+                state,
+                Some(ServerState::Absent { .. } | ServerState::Silent)
+            )
+        };
+        self.tasks.values().any(wrong) || self.servers.iter().any(missing)
+    }
+
+    /// Whether a scene is played.
+    fn plays(&self) -> bool {
+        self.played
+            .as_ref()
+            .is_some_and(|played| played.to.is_none())
+    }
+
+    /// Scene and step that are played just now.
+    pub(super) fn playing_step(&self) -> Option<(usize, usize)> {
+        let played = self.played.as_ref().filter(|played| played.to.is_none())?;
+        let playing = |step: &Step| step.look == Look::Playing;
+        Some((played.scene, played.steps.iter().position(playing)?))
+    }
+
+    fn decide(&mut self, command: Command, by: By) {
+        match command {
+            Command::Pause => self.pause = true,
+            Command::Resume => self.pause = false,
+            Command::Leave => self.leaving = true,
+            _ => {}
+        }
+        if !matches!(command, Command::Pause | Command::Resume | Command::Leave) {
+            let stops = matches!(
+                command,
+                Command::StopScene | Command::StopAll | Command::Stop
+            );
+            self.stopping = stops.then(|| Stopping {
+                command,
+                answers: BTreeMap::new(),
+                over: false,
+            });
+        }
+        // A pause ordered while a step waits is no answer to its question.
+        if command != Command::Pause || self.question == Some(Question::Pause) {
+            self.question = None;
+        }
+        if by == By::Operator && command == Command::Restart {
+            self.scenes.fill(Look::ToCome);
+        }
+        if !matches!(command, Command::Pause | Command::Resume) {
+            self.paused = false;
+        }
+    }
+
+    fn start_scene(&mut self, at: Duration, scene: usize, take: u32) {
+        self.question = None;
+        self.scene = Some(scene);
+        self.look(scene, Look::Playing);
+        // What has ended is told by its scene's sign; what runs goes on in the background.
+        self.tasks.retain(|_, task| !task.state.is_over());
+        for task in self.tasks.values_mut() {
+            task.current = false;
+        }
+        let steps = self
+            .outline
+            .scenes
+            .get(scene)
+            .map_or(0, |scene| scene.steps.len());
+        self.played = Some(Played {
+            scene,
+            take,
+            from: at,
+            to: None,
+            steps: vec![Step::default(); steps],
+        });
+    }
+
+    fn look(&mut self, scene: usize, look: Look) {
+        if let Some(shown) = self.scenes.get_mut(scene) {
+            *shown = look;
+        }
+    }
+
+    fn with_step(&mut self, step: usize, change: impl FnOnce(&mut Step)) {
+        if let Some(shown) = self
+            .played
+            .as_mut()
+            .and_then(|played| played.steps.get_mut(step))
+        {
+            change(shown);
+        }
+    }
+
+    fn unask(&mut self, which: impl FnOnce(Question) -> bool) {
+        if self.question.is_some_and(which) {
+            self.question = None;
+        }
+    }
+
+    fn start_task(
+        &mut self,
+        at: Duration,
+        number: TaskNumber,
+        (scene, step, part): (usize, usize, usize),
+        again: bool,
+    ) {
+        let scenes = self.outline.scenes.get(scene);
+        let steps = scenes.and_then(|scene| scene.steps.get(step));
+        let name = match steps.and_then(|step| step.tasks.get(part)) {
+            Some(task) => format!("{}:{}:{}", task.handler, task.component, task.goal),
+            None => format!("task {}", number.0),
+        };
+        let task = Task {
+            name,
+            scene,
+            step,
+            current: true,
+            again,
+            ..Task::new(at)
+        };
+        self.tasks.insert(number, task);
+    }
+
+    fn task_state(&mut self, at: Duration, number: TaskNumber, state: TaskState, text: &str) {
+        if let Some(task) = self.tasks.get_mut(&number) {
+            task.state = state;
+            // A gateway repeats the request before its reason; it stands beside it anyway.
+            let text = match text.split_once("' refused: ") {
+                Some((request, reason)) if request.starts_with('\'') => reason,
+                _ => text,
+            };
+            text.clone_into(&mut task.text);
+            if state.is_over() && task.to.is_none() {
+                task.to = Some(at);
+            }
+        }
+    }
+}

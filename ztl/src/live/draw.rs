@@ -1,0 +1,232 @@
+//! The screen, as a function of what is known: no terminal, no clock.
+
+use std::time::Duration;
+
+use ztl_script::event::{ServerState, TaskState};
+
+use super::board::{Board, Played, Server, Task};
+use super::choose::Chooser;
+use super::keys;
+use super::message::{self, Paragraph, message};
+use super::rows::{Seen, body, clock, page, scene_line, scene_list, task_line, window};
+use super::text::{Line, Style, clip};
+
+/// What the middle of the screen shows.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub(super) enum Pane {
+    #[default]
+    Show,
+    Choose(Chooser),
+    /// All keys.
+    Keys,
+    /// All that went wrong.
+    Details,
+}
+
+/// What is looked at.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub(super) struct View {
+    pub(super) pane: Pane,
+    /// The first row that is seen, where the operator looks around.
+    pub(super) top: Option<usize>,
+}
+
+/// Draws it all: exactly `height` lines, none wider than `width`; and what of the middle is seen. `now` is the
+/// time of the run.
+pub(super) fn draw(
+    board: &Board,
+    view: &View,
+    now: Duration,
+    (width, height): (usize, usize),
+) -> (Vec<Line>, Seen) {
+    let keys = key_lines(board, view, width);
+    let room = height.saturating_sub(keys.len());
+    let said = match &view.pane {
+        Pane::Choose(chooser) => message::choosing(board, chooser),
+        _ => message(board, now),
+    };
+    // Of a long one some lines are left for the show.
+    let most = if room < 8 { room } else { room * 3 / 4 };
+    let message = message::lines(&said, width, most);
+    // What has to be seen comes first; on a small screen the rest goes.
+    let mut left = height.saturating_sub(keys.len() + message.len());
+    let mut take = |lines: Vec<Line>, least: usize| {
+        if lines.len() + least > left {
+            return Vec::new();
+        }
+        left -= lines.len();
+        lines
+    };
+    let title = take(vec![title(board, now, width)], 1);
+    let servers = take(servers(board, now, width), 4);
+    let most = if height < 16 { 2 } else { height / 4 };
+    let background = take(background(board, now, width, most), 4);
+    let rule = take(vec![rule(width)], 6);
+    let body = match &view.pane {
+        Pane::Show => body(board, view.top.is_some()),
+        Pane::Choose(chooser) => scene_list(board, chooser),
+        Pane::Keys => page(&all_keys(), width),
+        Pane::Details => page(&details(board, now), width),
+    };
+    let (body, seen) = window(board, &body, view.top, now, (left, width));
+    let mut lines = title;
+    lines.extend(servers);
+    lines.extend(body);
+    let fixed = background.len() + rule.len() + message.len() + keys.len();
+    lines.resize(height.saturating_sub(fixed), Line::new(width));
+    lines.extend(background);
+    lines.extend(rule);
+    lines.extend(message);
+    lines.extend(keys);
+    // Of a screen that is too small even for keys, the last line of them.
+    let surplus = lines.len().saturating_sub(height);
+    lines.drain(..surplus);
+    (lines, seen)
+}
+
+/// The page of all keys.
+fn all_keys() -> Vec<Paragraph> {
+    let words = |(key, does): &(&str, &str)| (Style::Plain, format!("{key:<18}{does}"));
+    keys::ALL.iter().map(words).collect()
+}
+
+/// The page of all that went wrong.
+fn details(board: &Board, now: Duration) -> Vec<Paragraph> {
+    let mut said = message::details(board, now);
+    if said.is_empty() {
+        said.push((Style::Good, "Nothing went wrong.".to_owned()));
+    }
+    said
+}
+
+/// What is left on the terminal when the view has gone: how each scene went, what did not go well, and
+/// how it ended.
+pub(super) fn summary(board: &Board, width: usize) -> Vec<Line> {
+    let scenes = board.outline.scenes.iter().enumerate();
+    let mut lines: Vec<Line> = scenes
+        .map(|(nth, scene)| scene_line(board, nth, scene, board.at, width))
+        .collect();
+    let bad = board
+        .tasks
+        .values()
+        .filter(|task| task.state != TaskState::Completed);
+    lines.extend(bad.map(|task| task_line(task, 0, board.at, width)));
+    lines.extend(message::lines(&message(board, board.at), width, usize::MAX));
+    lines
+}
+
+fn rule(width: usize) -> Line {
+    Line::new(width).and(Style::Soft, &"─".repeat(width))
+}
+
+fn title(board: &Board, now: Duration, width: usize) -> Line {
+    let mut words = format!(" {} ", board.script);
+    if let Some(scene) = board.scene {
+        let of = board.outline.scenes.len();
+        words += &format!("  scene {} of {of}", scene + 1);
+    }
+    let again = |played: &&Played| played.take > 1 && played.to.is_none();
+    if let Some(played) = board.played.as_ref().filter(again) {
+        words += &format!(", take {}", played.take);
+    }
+    let time = format!(" {} ", clock(now));
+    let room = width.saturating_sub(time.len());
+    let mut line = Line::new(width).and(Style::Bar, &clip(&words, room));
+    line.put_right(Style::Bar, &time);
+    line
+}
+
+/// The servers, on as many lines as they need.
+fn servers(board: &Board, now: Duration, width: usize) -> Vec<Line> {
+    let mut lines = Vec::new();
+    let mut line = Line::new(width).and(Style::Soft, " servers");
+    for (name, server) in &board.servers {
+        let (style, says) = server_words(server, now);
+        let length = name.chars().count() + says.chars().count() + 3;
+        if line.width() + length > width && line.width() > 8 {
+            let next = Line::new(width).and(Style::Soft, "        ");
+            lines.push(std::mem::replace(&mut line, next));
+        }
+        line.put(Style::Plain, &format!("  {name} "));
+        line.put(style, &says);
+    }
+    lines.push(line);
+    lines
+}
+
+fn server_words(server: &Server, now: Duration) -> (Style, String) {
+    match &server.state {
+        None => (Style::Soft, "·".to_owned()),
+        Some(ServerState::Answering { .. }) => match server.latency {
+            Some(latency) => {
+                let millis = latency.as_secs_f64() * 1000.0;
+                (Style::Good, format!("✓ {millis:.0} ms"))
+            }
+            None => (Style::Good, "✓".to_owned()),
+        },
+        Some(ServerState::Silent) => {
+            let since = clock(now.saturating_sub(server.since));
+            (Style::Warning, format!("silent for {since}"))
+        }
+        Some(ServerState::Absent { .. }) => (Style::Bad, "✗ MISSING".to_owned()),
+        Some(ServerState::Restarted) => (Style::Warning, "restarted".to_owned()),
+    }
+}
+
+fn background(board: &Board, now: Duration, width: usize, most: usize) -> Vec<Line> {
+    let tasks: Vec<&Task> = board.in_background().collect();
+    if tasks.is_empty() {
+        return Vec::new();
+    }
+    let head = format!("─ in the background: {} ", tasks.len());
+    let mut lines = vec![Line::new(width).and(Style::Soft, &head)];
+    if let Some(line) = lines.first_mut() {
+        let rest = width.saturating_sub(line.width());
+        line.put(Style::Soft, &"─".repeat(rest));
+    }
+    let shown = if tasks.len() > most {
+        most - 1
+    } else {
+        tasks.len()
+    };
+    lines.extend(
+        tasks
+            .iter()
+            .take(shown)
+            .map(|task| task_line(task, 0, now, width)),
+    );
+    if tasks.len() > shown {
+        let more = format!("   and {} more", tasks.len() - shown);
+        lines.push(Line::new(width).and(Style::Soft, &more));
+    }
+    lines
+}
+
+fn key_lines(board: &Board, view: &View, width: usize) -> Vec<Line> {
+    let mut keys = match view {
+        View {
+            pane: Pane::Choose(_),
+            ..
+        } => keys::choosing(),
+        _ => keys::help(board),
+    };
+    if matches!(view.pane, Pane::Keys | Pane::Details) || view.top.is_some() {
+        keys.splice(0..0, keys::looking());
+    }
+    let mut lines = Vec::new();
+    let mut line = Line::new(width);
+    for (key, words) in keys {
+        let length = key.len() + words.chars().count() + 5;
+        if line.width() > 0 && line.width() + length > width {
+            lines.push(std::mem::replace(&mut line, Line::new(width)));
+        }
+        line.put(Style::Plain, " ");
+        line.put(Style::Bar, &format!(" {key} "));
+        line.put(Style::Plain, &format!(" {words} "));
+    }
+    lines.push(line);
+    lines
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,384 @@
+use ztl_script::event::{By, Command, Event, Question, Stamped, StepOutline, Why};
+use ztl_script::record::read;
+
+use super::super::board::{Look, Step};
+use super::super::rows::percent;
+use super::*;
+
+const EVENING: &str = include_str!("../../../../script/fixtures/evening.jsonl");
+
+fn evening() -> Vec<Stamped> {
+    let (mut runs, damage) = read("evening.jsonl", EVENING.as_bytes()).unwrap();
+    assert_eq!(damage, []);
+    runs.remove(0).events
+}
+
+/// What is known after the first event for which `until` is true, and when that was.
+fn board(mut until: impl FnMut(&Event) -> bool) -> (Board, Duration) {
+    let mut board = Board::default();
+    for event in evening() {
+        board.handle(&event);
+        if until(&event.event) {
+            return (board, event.at);
+        }
+    }
+    panic!("that never happens");
+}
+
+/// The screen as text; each line without the blanks at its end.
+fn screen(board: &Board, now: Duration, size: (usize, usize)) -> String {
+    let (lines, _) = draw(board, &View::default(), now, size);
+    assert_eq!(lines.len(), size.1);
+    let text = lines.iter().map(|line| {
+        assert!(line.width() <= size.0, "{line:?}");
+        line.encoded(false, false)
+    });
+    let text: Vec<String> = text
+        .map(|line| {
+            let mut line = line;
+            for code in ["\x1b[0m", "\x1b[1m", "\x1b[2m", "\x1b[7m"] {
+                line = line.replace(code, "");
+            }
+            line.trim_end().to_owned()
+        })
+        .collect();
+    text.join("\n")
+}
+
+#[test]
+fn a_scene_is_shown_with_all_that_it_would_do() {
+    let (board, at) = board(|event| matches!(event, Event::Asked { .. }));
+    assert_eq!(
+        format!(
+            "\n{}",
+            screen(&board, at + Duration::from_millis(300), (80, 18))
+        ),
+        "
+ evening.yaml   scene 1 of 4                                              0.3 s
+ servers  robot ·  light ·  speech ✗ MISSING
+ · 1 Welcome
+     · look up
+         robot [head] -> [0, 0.4]
+     · greet
+         robot [say] -> Hello, I am <Ada> & I dance
+         robot [arm] -> wave
+     · light on                                                    in background
+         light [ring] -> {'colour': 'warm', 'level': 0.8}
+ · 2 Dance                                                           after 1.0 s
+ · 3 Questions
+ · 4 Goodbye
+────────────────────────────────────────────────────────────────────────────────
+ Next: Welcome
+ MISSING: server 'speech': it is not in the configuration
+  Enter  start   s  skip   j  jump to a scene   x  stop everything   d  details
+  ?  keys"
+    );
+}
+
+#[test]
+fn a_silent_server_is_told_with_what_waits_for_it() {
+    let silent = |event: &Event| {
+        matches!(
+            event,
+            Event::StepWaiting {
+                why: Why::ServerSilent { .. },
+                ..
+            }
+        )
+    };
+    let mut seen = false;
+    let (board, at) = board(|event| {
+        seen |= silent(event);
+        seen && matches!(event, Event::Asked { .. })
+    });
+    assert_eq!(
+        format!(
+            "\n{}",
+            screen(&board, at + Duration::from_millis(1200), (80, 22))
+        ),
+        "
+ evening.yaml   scene 2 of 4                                             21.0 s
+ servers  robot silent for 1.2 s  light ✓ 2 ms  speech ✗ MISSING
+ ✗ 1 Welcome                                                               6.5 s
+ ▶ 2 Dance                                                                 6.2 s
+     ▶ turn                                                                5.2 s
+         ? robot:base:[0, 0, 1.57]  unknown  no answer for 2.0 s           4.7 s
+         ▶ robot:arm:up  accepted                                          3.7 s
+     · bow                                                              parallel
+ · 3 Questions
+ · 4 Goodbye
+
+
+
+─ in the background: 1 ─────────────────────────────────────────────────────────
+   ▶ light:ring:{'colour': 'warm', 'level': 0.8}  accepted                15.8 s
+────────────────────────────────────────────────────────────────────────────────
+ WAITING: server 'robot' is silent for 1.2 s; what its tasks do is unknown.
+   Decide.
+   unknown: no answer for 2.0 s (robot:base:[0, 0, 1.57])
+   accepted (robot:arm:up)
+  g  go on anyway   c  stop this scene   x  stop everything   d  details
+  ?  keys"
+    );
+    let seen = screen(&board, at + Duration::from_millis(1200), (80, 22));
+    let seen: Vec<&str> = seen.lines().filter(|line| !line.is_empty()).collect();
+    let docs = include_str!("../../../../../../docs/show.md");
+    assert!(docs.contains(&seen.join("\n")), "docs/show.md shows this");
+}
+
+/// The line of keys, with blanks as they come.
+fn key_line(board: &Board) -> String {
+    let keys = keys::help(board);
+    let keys: Vec<String> = keys
+        .iter()
+        .map(|(key, does)| format!("{key} {does}"))
+        .collect();
+    keys.join(", ")
+}
+
+#[test]
+fn no_key_is_offered_that_does_nothing_where_no_scene_is_played() {
+    let (mut board, at) = board(|event| matches!(event, Event::SceneEnded { .. }));
+    assert!(board.in_background().count() > 0);
+    assert!(board.question.is_none());
+    assert_eq!(key_line(&board), "x stop everything, d details, ? keys");
+    let next = |event| Stamped {
+        at,
+        event,
+        ..evening().remove(0)
+    };
+    let choices = vec![
+        Command::Start,
+        Command::StopAll,
+        Command::Stop,
+        Command::Leave,
+    ];
+    let question = Question::Scene { scene: 1 };
+    board.handle(&next(Event::Asked { question, choices }));
+    let offered = "Enter start, q leave (1 task runs on), x stop everything, d details, ? keys";
+    assert_eq!(key_line(&board), offered);
+    let leave = Event::Decided {
+        command: Command::Leave,
+        by: By::Operator,
+        scene: None,
+        step: None,
+    };
+    board.handle(&next(leave));
+    let offered = "Ctrl-C leave without waiting, d details, ? keys";
+    assert_eq!(key_line(&board), offered);
+}
+
+#[test]
+fn each_confirmation_of_stopping_is_shown() {
+    let mut answers = 0;
+    let (board, at) = board(|event| {
+        answers += usize::from(matches!(event, Event::StopAnswered { .. }));
+        answers == 2
+    });
+    let screen = screen(&board, at, (80, 24));
+    let message: Vec<&str> = screen.lines().skip(19).collect();
+    assert_eq!(
+        message,
+        [
+            " STOPPING EVERYTHING: 1 not confirmed yet",
+            "   ? robot:say:Goodbye: no word yet",
+            "   ✓ light:ring:{'colour': 'warm', 'level': 0.8}: aborted",
+            "   ✓ robot:arm:wave: aborted",
+            "  Ctrl-C  leave without waiting   d  details   ?  keys",
+        ]
+    );
+}
+
+#[test]
+fn on_a_small_screen_what_has_to_be_decided_stays() {
+    let (board, at) = board(|event| {
+        matches!(
+            event,
+            Event::Asked {
+                question: Question::Step { step: 2, .. },
+                ..
+            }
+        )
+    });
+    assert_eq!(
+        format!("\n{}", screen(&board, at, (44, 8))),
+        "
+ WAITING: something did not go well. Decide.
+   refused: busy: 'ring' is in use; it takes
+     one task at a time
+     (light:ring:{'colour': 'warm', 'level':
+     0.8})
+  t  retry what failed   g  go on anyway
+  c  stop this scene   x  stop everything
+  d  details   ?  keys"
+    );
+    // What can be pressed is there on the smallest.
+    assert!(screen(&board, at, (80, 1)).contains("x  stop everything"));
+}
+
+#[test]
+fn a_terminal_of_any_size_is_filled_and_not_overrun() {
+    let mut board = Board::default();
+    for event in evening() {
+        board.handle(&event);
+        for size in [
+            (0, 0),
+            (1, 1),
+            (3, 200),
+            (20, 5),
+            (79, 23),
+            (80, 24),
+            (300, 2),
+            (33, 11),
+        ] {
+            let panes = [
+                Pane::Show,
+                Pane::Choose(Chooser::at(3)),
+                Pane::Keys,
+                Pane::Details,
+            ];
+            for (pane, top) in panes
+                .into_iter()
+                .flat_map(|pane| [(pane.clone(), None), (pane, Some(7))])
+            {
+                let (lines, _) = draw(&board, &View { pane, top }, event.at, size);
+                assert_eq!(lines.len(), size.1);
+                assert!(lines.iter().all(|line| line.width() <= size.0), "{size:?}");
+            }
+        }
+    }
+}
+
+#[test]
+fn the_step_that_is_played_is_seen_among_a_thousand() {
+    let (mut board, at) = board(|event| matches!(event, Event::StepStarted { .. }));
+    let scene = &mut board.outline.scenes[0];
+    let one = scene.steps[0].clone();
+    let many = (0..1000).map(|nth| StepOutline {
+        name: format!("step {nth}"),
+        ..one.clone()
+    });
+    scene.steps = many.collect();
+    let played = board.played.as_mut().unwrap();
+    played.steps = vec![Step::default(); 1000];
+    played.steps[500].look = Look::Playing;
+    let screen = screen(&board, at, (60, 20));
+    assert!(screen.contains("▶ step 500"), "{screen}");
+    assert!(screen.contains(" more lines"), "{screen}");
+}
+
+#[test]
+fn progress_in_percent_is_a_bar() {
+    let (board, at) =
+        board(|event| matches!(event, Event::TaskState { text, .. } if text == "50 %"));
+    let screen = screen(&board, at, (80, 24));
+    assert!(
+        screen.contains("▶ robot:head:[0, 0.4]  accepted  █████░░░░░ 50 %"),
+        "{screen}"
+    );
+    assert_eq!(
+        [
+            percent("7.9 %"),
+            percent("101 %"),
+            percent("50"),
+            percent("-1%")
+        ],
+        [Some(7), None, None, None]
+    );
+}
+
+#[test]
+fn what_is_left_on_the_terminal_tells_how_it_went() {
+    let (board, _) = board(|event| matches!(event, Event::RunEnded { .. }));
+    let lines: Vec<String> = summary(&board, 80)
+        .iter()
+        .map(|line| line.encoded(false, true))
+        .collect();
+    let text = lines.join("\n");
+    for part in [
+        " ! ",
+        "2 Dance",
+        "skipped",
+        "# ",
+        "aborted",
+        "Over: everything was stopped.",
+    ] {
+        assert!(text.contains(part), "{part} in {text}");
+    }
+}
+
+#[test]
+fn what_is_long_is_looked_through_by_pages() {
+    let (mut board, at) = board(|event| matches!(event, Event::Asked { .. }));
+    let scene = board.outline.scenes[0].clone();
+    let many = (0..200).map(|nth| ztl_script::event::SceneOutline {
+        name: format!("scene {nth}"),
+        ..scene.clone()
+    });
+    board.outline.scenes = many.collect();
+    board.scenes = vec![Look::ToCome; 200];
+    let seen = |top| {
+        let view = View {
+            pane: Pane::Show,
+            top,
+        };
+        let (lines, seen) = draw(&board, &view, at, (80, 24));
+        let text: Vec<String> = lines.iter().map(|line| line.encoded(false, true)).collect();
+        (text.join("\n"), seen)
+    };
+    let (screen, usual) = seen(None);
+    assert!(screen.contains("1 scene 0") && usual.from == 0, "{screen}");
+    let (screen, next) = seen(Some(usual.height - 1));
+    assert!(!screen.contains("1 scene 0"), "{screen}");
+    assert!(
+        screen.contains("Next: scene 0"),
+        "what Enter starts: {screen}"
+    );
+    assert_eq!(next.from, usual.height - 1);
+    let (screen, last) = seen(Some(usize::MAX));
+    assert!(screen.contains("200 scene 199"), "{screen}");
+    assert!(last.from > 150);
+}
+
+#[test]
+fn a_reason_is_told_first_and_in_full_on_a_page_of_its_own() {
+    let (mut board, at) = board(|event| {
+        matches!(
+            event,
+            Event::Asked {
+                question: Question::Step { step: 2, .. },
+                ..
+            }
+        )
+    });
+    let long = "because ".repeat(40) + "of this";
+    for task in board.tasks.values_mut() {
+        task.text.clone_from(&long);
+        task.name = "n".repeat(500);
+    }
+    let shown = screen(&board, at, (60, 24));
+    let flat = |screen: &str| screen.split_whitespace().collect::<Vec<_>>().join(" ");
+    let expected = format!("refused: {long} (nnn");
+    assert!(flat(&shown).contains(&expected), "{shown}");
+    // On a small one as much as there is room for, and the page has the rest.
+    let shown = screen(&board, at, (40, 9));
+    assert!(shown.contains("refused: because") && shown.contains("d shows the rest"));
+    let view = View {
+        pane: Pane::Details,
+        top: Some(0),
+    };
+    let (lines, _) = draw(&board, &view, at, (60, 60));
+    let page: Vec<String> = lines.iter().map(|line| line.encoded(false, true)).collect();
+    assert!(flat(&page.join("\n")).contains(&expected), "{page:?}");
+}
+
+#[test]
+fn every_key_that_can_be_pressed_is_explained() {
+    let mut board = Board::default();
+    for event in evening() {
+        board.handle(&event);
+        for (key, _) in keys::help(&board) {
+            assert!(keys::ALL.iter().any(|(known, _)| *known == key), "{key}");
+        }
+    }
+}

@@ -1,0 +1,183 @@
+//! What keys mean.
+
+use ztl_script::event::{Command, Question};
+
+use super::board::Board;
+
+/// What a key means among what can be wanted.
+pub(super) fn command(
+    key: &str,
+    choices: &[Command],
+    question: Option<Question>,
+) -> Option<Command> {
+    let wanted = match key {
+        "Enter" => Command::Start,
+        "s" | "S" => Command::Skip,
+        "r" | "R" => Command::Replay,
+        "a" | "A" => Command::Restart,
+        "p" | "P" if choices.contains(&Command::Resume) => Command::Resume,
+        "p" | "P" => Command::Pause,
+        "t" | "T" => Command::Retry,
+        "g" | "G" => Command::GoOn,
+        // Where it is not known what can be wanted, the player decides.
+        "c" | "C" if choices.is_empty() => return Some(Command::StopScene),
+        "c" | "C" => Command::StopScene,
+        // All of it is being stopped already.
+        "x" | "X" | "Ctrl-X" if matches!(choices, [Command::Leave] | [Command::Stop]) => {
+            return None;
+        }
+        // These two work at any time.
+        "x" | "X" | "Ctrl-X" => return Some(Command::StopAll),
+        // The second time leaves, whatever still runs.
+        "Ctrl-C" if choices == [Command::Leave] => Command::Leave,
+        "Ctrl-C" => return Some(Command::Stop),
+        "q" | "Q" if may_leave(question) => Command::Leave,
+        _ => return None,
+    };
+    choices.contains(&wanted).then_some(wanted)
+}
+
+/// In the middle of a step leaving would let a robot move on with nobody there: there is only stopping.
+const fn may_leave(question: Option<Question>) -> bool {
+    matches!(question, Some(Question::Scene { .. } | Question::End))
+}
+
+/// Keys that can be pressed now, and what they do: for the lines that always show them.
+pub(super) fn help(board: &Board) -> Vec<(&'static str, String)> {
+    let choices = board.choices();
+    let question = board.question;
+    let mut keys = Vec::new();
+    let mut offer = |key, command, words: &str| {
+        if choices.contains(&command) {
+            keys.push((key, words.to_owned()));
+        }
+    };
+    offer("Enter", Command::Start, "start");
+    offer(
+        "s",
+        Command::Skip,
+        match question {
+            Some(Question::Scene { .. }) => "skip",
+            _ => "skip the rest of the scene",
+        },
+    );
+    offer("r", Command::Replay, "replay last");
+    offer("t", Command::Retry, "retry what failed");
+    offer("g", Command::GoOn, "go on anyway");
+    match (question, board.pause) {
+        (Some(Question::Pause), _) => offer("p", Command::Resume, "go on"),
+        (_, true) => offer("p", Command::Resume, "no pause after this step"),
+        _ => offer("p", Command::Pause, "pause after this step"),
+    }
+    offer("a", Command::Restart, "begin again");
+    if choices
+        .iter()
+        .any(|choice| matches!(choice, Command::Jump { .. }))
+    {
+        keys.push(("j", "jump to a scene".to_owned()));
+    }
+    if may_leave(question) && choices.contains(&Command::Leave) {
+        let words = match board.in_background().count() {
+            0 => "leave".to_owned(),
+            1 => "leave (1 task runs on)".to_owned(),
+            tasks => format!("leave ({tasks} tasks run on)"),
+        };
+        keys.push(("q", words));
+    }
+    match choices.as_slice() {
+        _ if board.ended.is_some() => {}
+        [Command::Leave] => keys.push(("Ctrl-C", "leave without waiting".to_owned())),
+        [Command::Stop] => keys.push(("Ctrl-C", "stop and leave".to_owned())),
+        choices => {
+            if choices.contains(&Command::StopScene) {
+                keys.push(("c", "stop this scene".to_owned()));
+            }
+            keys.push(("x", "stop everything".to_owned()));
+        }
+    }
+    if board.has_details() {
+        keys.push(("d", "details".to_owned()));
+    }
+    if board.ended.is_none() {
+        keys.push(("?", "keys".to_owned()));
+    }
+    keys
+}
+
+/// While a scene is chosen.
+pub(super) fn choosing() -> Vec<(&'static str, String)> {
+    let keys = [
+        ("Enter", "show it"),
+        ("0-9", "its number"),
+        ("a-z", "search"),
+        ("Up Down Page Home End", "move"),
+        ("Esc", "do not jump"),
+        ("Ctrl-X", "stop everything"),
+    ];
+    keys.map(|(key, words)| (key, words.to_owned())).to_vec()
+}
+
+/// On a page of its own, or when something else is looked at than what is played.
+pub(super) fn looking() -> Vec<(&'static str, String)> {
+    vec![("Esc", "back".to_owned())]
+}
+
+/// All keys, for the page that `?` shows.
+pub(super) const ALL: [(&str, &str); 19] = [
+    ("Enter", "start the scene that is shown"),
+    ("s", "skip it; while a step waits: the rest of its scene"),
+    ("r", "play the last scene again"),
+    ("j", "choose a scene by number or name; Enter only shows it"),
+    ("a", "begin again with the first scene"),
+    ("p", "pause after this step, or go on"),
+    ("t", "retry what failed"),
+    ("g", "go on although something failed or is unknown"),
+    (
+        "c",
+        "stop the tasks of this scene, and return to the scenes",
+    ),
+    (
+        "x",
+        "stop everything on the servers of the show, and stay in it",
+    ),
+    ("Ctrl-X", "the same, also while a scene is chosen"),
+    (
+        "Ctrl-C",
+        "stop all that this run started, and leave; again: at once",
+    ),
+    ("q", "between scenes: leave; tasks in the background go on"),
+    ("PageUp, PageDown", "look around; so do Up, Down, Home, End"),
+    ("d", "all that went wrong, in full"),
+    ("?", "these keys"),
+    ("Esc", "back to what is played"),
+    ("Ctrl-L", "draw the screen again"),
+    ("Ctrl-Z", "suspend this program; the servers go on"),
+];
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_what_can_be_wanted_is_meant() {
+        let at_scene = Some(Question::Scene { scene: 0 });
+        let choices = [Command::Start, Command::Skip, Command::Leave];
+        assert_eq!(command("Enter", &choices, at_scene), Some(Command::Start));
+        assert_eq!(command("r", &choices, at_scene), None);
+        assert_eq!(command("q", &choices, at_scene), Some(Command::Leave));
+        let at_step = Some(Question::Step { scene: 0, step: 0 });
+        assert_eq!(command("q", &choices, at_step), None, "the robot may move");
+        assert_eq!(command("c", &choices, at_scene), None, "nothing is played");
+        let playing = Command::WHILE_RUNNING;
+        assert_eq!(command("c", &playing, None), Some(Command::StopScene));
+        assert_eq!(command("c", &[], at_step), Some(Command::StopScene));
+        for key in ["x", "X", "Ctrl-X"] {
+            assert_eq!(command(key, &[], None), Some(Command::StopAll));
+            assert_eq!(command(key, &[Command::Stop], None), None, "it is stopped");
+            assert_eq!(command(key, &[Command::Leave], None), None);
+        }
+        let leaves = Some(Command::Leave);
+        assert_eq!(command("Ctrl-C", &[], None), Some(Command::Stop));
+        assert_eq!(command("Ctrl-C", &[Command::Leave], None), leaves);
+    }
+}

@@ -1,0 +1,239 @@
+//! What the operator has to know now, above the keys.
+
+use std::time::Duration;
+
+use ztl_script::event::{Command, Outcome, Question, ServerState, TaskState, Why};
+
+use super::board::{Board, Stopping, Task};
+use super::choose::Chooser;
+use super::rows::clock;
+use super::text::{self, Line, Style};
+
+/// Something to say, on as many lines as it needs.
+pub(super) type Paragraph = (Style, String);
+
+/// Most lines of one paragraph.
+const LONGEST: usize = 40;
+
+/// Paragraphs on lines. Of more than `most` lines the first are shown, and how to see the others.
+pub(super) fn lines(said: &[Paragraph], width: usize, most: usize) -> Vec<Line> {
+    let mut lines = Vec::new();
+    for (style, text) in said {
+        let pieces = text::wrap(text, width.saturating_sub(1), LONGEST);
+        let line = |text: &String| Line::new(width).and(*style, &format!(" {text}"));
+        lines.extend(pieces.iter().map(line));
+    }
+    if lines.len() > most {
+        lines.truncate(most.saturating_sub(1));
+        lines.push(Line::new(width).and(Style::Soft, "   … (d shows the rest)"));
+    }
+    lines
+}
+
+/// While a scene is chosen.
+pub(super) fn choosing(board: &Board, chooser: &Chooser) -> Vec<Paragraph> {
+    let scenes = &board.outline.scenes;
+    let words = match chooser.cursor.and_then(|at| Some((at, scenes.get(at)?))) {
+        Some((at, scene)) => format!("Jump to: {}  ▶ {} {}", chooser.typed, at + 1, scene.name),
+        None => format!(
+            "Jump to: {}  ✗ no such scene, there are 1 to {}",
+            chooser.typed,
+            scenes.len()
+        ),
+    };
+    vec![(Style::Strong, words)]
+}
+
+pub(super) fn message(board: &Board, now: Duration) -> Vec<Paragraph> {
+    let mut said = Vec::new();
+    if let Some((outcome, running, text)) = &board.ended {
+        let (style, words) = outcome_words(*outcome);
+        said.push((style, words.to_owned()));
+        if !running.is_empty() {
+            let words = format!("{} tasks may still be under way", running.len());
+            said.push((Style::Warning, words));
+        }
+        if !text.is_empty() {
+            said.push((Style::Bad, text.clone()));
+        }
+    } else if let Some(stopping) = board.stopping.as_ref().filter(|it| !it.over) {
+        said.extend(confirmations(board, stopping));
+    } else if let Some((why, tasks)) = &board.waiting {
+        let decide = match board.question {
+            Some(_) => " Decide.",
+            None => "",
+        };
+        let words = format!("WAITING: {}.{decide}", why_words(board, why, now));
+        said.push((Style::Warning, words));
+        let tasks = tasks.iter().filter_map(|number| board.tasks.get(number));
+        said.extend(tasks.map(reason));
+    } else {
+        match board.question {
+            Some(Question::Scene { scene }) => {
+                let scene = board.outline.scenes.get(scene);
+                let name = scene.map_or("", |scene| scene.name.as_str());
+                said.push((Style::Strong, format!("Next: {name}")));
+            }
+            Some(Question::End) => said.push((Style::Strong, "The last scene is over.".to_owned())),
+            Some(Question::Pause) => said.push((Style::Warning, "PAUSE".to_owned())),
+            Some(Question::Step { .. }) => {
+                said.push((Style::Warning, "Decide how to go on.".to_owned()));
+            }
+            None if board.pause => {
+                let words = "There will be a pause after this step.".to_owned();
+                said.push((Style::Warning, words));
+            }
+            None => {}
+        }
+        if board.question.is_some() {
+            match &board.stopping {
+                Some(stopping) => said.extend(confirmations(board, stopping)),
+                None => said.extend(failures(board).map(reason)),
+            }
+            said.extend(missing(board, now));
+        }
+    }
+    // The newest, for which there is room.
+    let notes = board.notes.iter().rev().take(3).rev();
+    said.extend(notes.map(|note| (Style::Warning, note.clone())));
+    if let Some((key, None, at)) = &board.key
+        && board.ended.is_none()
+        && now.saturating_sub(*at) < Duration::from_secs(3)
+    {
+        said.push((Style::Soft, format!("{key} means nothing now")));
+    }
+    said
+}
+
+/// All that there is to say of what went wrong, for a page of its own.
+pub(super) fn details(board: &Board, now: Duration) -> Vec<Paragraph> {
+    let mut said: Vec<Paragraph> = missing(board, now).collect();
+    let wrong = |task: &&Task| task.state.is_failure() || task.state == TaskState::Unknown;
+    said.extend(board.tasks.values().filter(wrong).map(reason));
+    if let Some(stopping) = &board.stopping {
+        said.extend(confirmations(board, stopping));
+    }
+    said.extend(
+        board
+            .notes
+            .iter()
+            .map(|note| (Style::Warning, note.clone())),
+    );
+    said
+}
+
+/// Why a task did not do what it was to do, and then which.
+fn reason(task: &Task) -> Paragraph {
+    let colon = if task.text.is_empty() { "" } else { ": " };
+    let words = format!("  {}{colon}{} ({})", task.state, task.text, task.name);
+    (Style::Plain, words)
+}
+
+/// What did not go well in the scene that was played last.
+fn failures(board: &Board) -> impl Iterator<Item = &Task> {
+    let wrong = |task: &&Task| task.current && task.state.is_failure();
+    board.tasks.values().filter(wrong)
+}
+
+/// Servers that the show needs and that are not there.
+fn missing(board: &Board, now: Duration) -> impl Iterator<Item = Paragraph> {
+    let words = move |name: &str, since, state: &ServerState| match state {
+        ServerState::Absent { text } => {
+            let text = match text.as_str() {
+                "" => "it is not there",
+                text => text,
+            };
+            Some(format!("MISSING: server '{name}': {text}"))
+        }
+        ServerState::Silent => {
+            let since = clock(now.saturating_sub(since));
+            Some(format!("MISSING: server '{name}' is silent for {since}"))
+        }
+        _ => None,
+    };
+    board.servers.iter().filter_map(move |(name, server)| {
+        let words = words(name, server.since, server.state.as_ref()?)?;
+        Some((Style::Bad, words))
+    })
+}
+
+/// What became of stopping each task; what is not certain comes first.
+fn confirmations(board: &Board, stopping: &Stopping) -> Vec<Paragraph> {
+    let open = stopping.answers.values().filter(|it| it.is_none()).count();
+    let confirmed = |answer: &&Option<(bool, String)>| matches!(answer, Some((true, _)));
+    let confirmed = stopping.answers.values().filter(confirmed).count();
+    let (running, done) = match stopping.command {
+        Command::StopScene => ("STOPPING THE SCENE", "STOPPED THE SCENE"),
+        _ => ("STOPPING EVERYTHING", "STOPPED EVERYTHING"),
+    };
+    let all = stopping.answers.len();
+    let head = match (stopping.over, open) {
+        (true, _) if all == 0 => (Style::Warning, format!("{done}: no task was running")),
+        (true, _) if confirmed == all => (
+            Style::Warning,
+            format!("{done}: {confirmed} of {all} confirmed"),
+        ),
+        (true, _) => (
+            Style::Bad,
+            format!("STOPPED ONLY {confirmed} OF {all}: the others may still move"),
+        ),
+        (false, 0) => (Style::Warning, format!("{running}: all confirmed")),
+        (false, open) => (
+            Style::Warning,
+            format!("{running}: {open} not confirmed yet"),
+        ),
+    };
+    let mut answers: Vec<_> = stopping.answers.iter().collect();
+    answers.sort_by_key(|(_, answer)| match answer {
+        Some((false, _)) => 0,
+        None => 1,
+        Some((true, _)) => 2,
+    });
+    let answer = |(number, answer): (&_, &Option<(bool, String)>)| {
+        let task = board.tasks.get(number);
+        let name = task.map_or("a task", |task| task.name.as_str());
+        match answer {
+            None => (Style::Warning, format!("  ? {name}: no word yet")),
+            Some((true, text)) => (Style::Good, format!("  ✓ {name}: {text}")),
+            Some((false, text)) => (Style::Bad, format!("  ✗ {name}: {text}")),
+        }
+    };
+    let answers = answers.into_iter().map(answer);
+    std::iter::once(head).chain(answers).collect()
+}
+
+const fn outcome_words(outcome: Outcome) -> (Style, &'static str) {
+    match outcome {
+        Outcome::Completed => (Style::Good, "Over: all went well."),
+        Outcome::Failures => (Style::Bad, "Over: not all went well."),
+        Outcome::Stopped => (Style::Warning, "Over: everything was stopped."),
+        Outcome::Left => (Style::Warning, "Left."),
+        Outcome::Error => (Style::Bad, "Ended by an error."),
+    }
+}
+
+fn why_words(board: &Board, why: &Why, now: Duration) -> String {
+    match why {
+        Why::ServerSilent { remote } => {
+            let server = board.servers.iter().find(|(name, _)| name == remote);
+            let since = server.map(|(_, server)| clock(now.saturating_sub(server.since)));
+            let since = since
+                .map(|since| format!(" for {since}"))
+                .unwrap_or_default();
+            format!("server '{remote}' is silent{since}; what its tasks do is unknown")
+        }
+        Why::ServerRestarted { remote } => {
+            format!("server '{remote}' was restarted; what became of its tasks is unknown")
+        }
+        Why::TaskUnknown => "a server does not know its task any more".to_owned(),
+        Why::NotTold { remote } => {
+            format!("server '{remote}' answers, but does not say how its tasks are")
+        }
+        Why::AnswerUnclear { remote } => {
+            format!("server '{remote}' gives no usable answer; what its task does is unknown")
+        }
+        Why::StartUnknown => "nobody knows whether a task was started".to_owned(),
+        Why::Failed => "something did not go well".to_owned(),
+        Why::TooLong => "a task takes longer than its limit".to_owned(),
+    }
+}

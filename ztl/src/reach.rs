@@ -1,0 +1,324 @@
+//! Who reaches a server, and how a client says who it is: options that commands share.
+
+use std::fmt;
+use std::net::IpAddr;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+use crate::Done;
+use crate::terminal::{error_line, line};
+use crate::tool::port;
+use ipnet::IpNet;
+use tracing::Level;
+use ztl_std::keys::{KeyError, KeyPair, PublicKey, exposure};
+use ztl_std::listen::{LEVELS, LOG_FORMATS, Listen, LogFormat, bind_mistake};
+use ztl_yaml::Diagnostics;
+use ztl_std::{Access, BindError, Limits, RemoteTask, RequestError, TaskServer};
+
+/// Exit code for a configuration that cannot be served, however often it is tried.
+pub(crate) const MISCONFIGURED: u8 = 2;
+
+/// Why a configuration cannot be served.
+pub(crate) enum Unfit {
+    File(Diagnostics),
+    Whole(String),
+}
+
+impl Unfit {
+    /// Neither an option nor the file says something.
+    pub(crate) fn missing(file: Option<&str>, what: &str, option: &str, key: &str) -> Self {
+        let key = match file {
+            Some(file) => format!("`{key}` in {file}"),
+            None => format!("a configuration file (docs/gateway.md) with `{key}`"),
+        };
+        Self::Whole(format!("no {what}: give {option}, or {key}"))
+    }
+}
+
+impl fmt::Display for Unfit {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            // For editors: the place comes first in the line.
+            Self::File(mistakes) => f.write_str(mistakes.to_string().trim_end()),
+            Self::Whole(mistake) => write!(f, "ztl: {mistake}"),
+        }
+    }
+}
+
+/// Where a server listens, who may use it, and what it logs.
+#[derive(Debug, Clone, clap::Args)]
+pub(crate) struct Listening {
+    /// Port to serve at
+    #[arg(short, long, value_parser = port)]
+    port: Option<u16>,
+
+    /// Address to serve at; '*' is every interface of this machine [default: 127.0.0.1]
+    #[arg(long, value_name = "ADDR", value_parser = bind)]
+    bind: Option<String>,
+
+    #[command(flatten)]
+    reach: Reach,
+
+    #[command(flatten)]
+    bounds: Bounds,
+
+    /// What is logged: error, warn, info or debug [default: info]
+    #[arg(long, value_name = "LEVEL", value_parser = level)]
+    log: Option<Level>,
+
+    /// How it is logged: text, or json (an object a line) [default: text]
+    #[arg(long, value_name = "FORMAT", value_parser = format)]
+    log_format: Option<LogFormat>,
+}
+
+fn bind(text: &str) -> Result<String, String> {
+    bind_mistake(text).map_or_else(|| Ok(text.to_owned()), Err)
+}
+
+fn level(text: &str) -> Result<Level, String> {
+    one_of(text, &LEVELS)
+}
+
+pub(crate) fn format(text: &str) -> Result<LogFormat, String> {
+    one_of(text, &LOG_FORMATS)
+}
+
+fn one_of<T: Copy>(text: &str, known: &[(&str, T)]) -> Result<T, String> {
+    let found = known.iter().find(|(word, _)| *word == text);
+    let words = || known.iter().map(|(word, _)| *word).collect::<Vec<_>>();
+    found.map_or_else(
+        || Err(format!("there are: {}", words().join(", "))),
+        |(_, value)| Ok(*value),
+    )
+}
+
+impl Listening {
+    /// The files that it names.
+    pub(crate) fn files(&self) -> impl Iterator<Item = &Path> {
+        let clients = self.reach.client_key.iter().map(|client| {
+            let path = client
+                .split_once('=')
+                .map_or(client.as_str(), |(_, path)| path);
+            Path::new(path)
+        });
+        self.reach.key.iter().map(PathBuf::as_path).chain(clients)
+    }
+
+    /// With what the configuration file says: an option wins, but networks and clients are added to the
+    /// file's. `None` when neither names a port.
+    ///
+    /// # Errors
+    /// A key that cannot be read.
+    pub(crate) fn with(self, file: Listen) -> Result<Option<Place>, Unfit> {
+        let mut reach = self.reach;
+        reach.allow.extend(file.allow);
+        reach.client_key.extend(file.client_keys);
+        reach.key = reach.key.or(file.key);
+        let Some(port) = self.port.or(file.port) else {
+            return Ok(None);
+        };
+        Ok(Some(Place {
+            limits: self.bounds.over(file.limits),
+            port,
+            bind: self.bind.or(file.bind).unwrap_or("127.0.0.1".to_owned()),
+            access: reach
+                .access()
+                .map_err(|mistake| Unfit::Whole(mistake.to_string()))?,
+            log: self.log.or(file.log).unwrap_or(Level::INFO),
+            log_format: self.log_format.or(file.log_format).unwrap_or_default(),
+        }))
+    }
+}
+
+/// Where a server listens, for whom, and what it logs.
+pub(crate) struct Place {
+    pub(crate) port: u16,
+    pub(crate) bind: String,
+    pub(crate) access: Access,
+    pub(crate) limits: Limits,
+    pub(crate) log: Level,
+    pub(crate) log_format: LogFormat,
+}
+
+impl Place {
+    /// Who reaches it, for people: what follows `Reachable for`.
+    pub(crate) fn reachable(&self) -> String {
+        reachable(&self.bind, &self.access)
+    }
+
+    /// Tries whether it could listen there, and at these further ports.
+    pub(crate) fn check(&self, further: Option<u16>) -> Findings {
+        let mut findings = Findings::default();
+        let ports = [Some(self.port), further].into_iter().flatten();
+        // Each by itself: that the first is in use says nothing of the next.
+        for port in ports {
+            let tried = TaskServer::check(&self.bind, port, self.access.clone(), self.limits);
+            match tried {
+                Ok(()) => {}
+                Err(error @ BindError::InUse { .. }) => findings.notes.push(error.to_string()),
+                Err(error) => {
+                    findings.wrong.push(error.to_string());
+                    break;
+                }
+            }
+        }
+        findings
+    }
+
+    /// Listens there.
+    ///
+    /// # Errors
+    /// As [`BindError`] says.
+    pub(crate) fn listen(&self) -> Result<TaskServer, BindError> {
+        let endpoint = format!("tcp://{}:{}", self.bind, self.port);
+        TaskServer::bind_with(&endpoint, self.access.clone(), self.limits)
+    }
+}
+
+/// What a trial has found.
+#[derive(Default)]
+pub(crate) struct Findings {
+    /// What would keep the server from being started.
+    pub(crate) wrong: Vec<String>,
+    /// What would do so now, and is right when the same server runs.
+    pub(crate) notes: Vec<String>,
+}
+
+impl Findings {
+    /// Says all of it, and how the start would end. `right` is what is said when nothing is wrong.
+    pub(crate) fn tell(self, right: impl fmt::Display) -> Done {
+        for wrong in &self.wrong {
+            error_line(format_args!("ztl: {wrong}"));
+        }
+        for note in &self.notes {
+            error_line(format_args!("ztl: note: {note}"));
+        }
+        if !self.wrong.is_empty() {
+            return Ok(ExitCode::FAILURE);
+        }
+        line(right);
+        Ok(ExitCode::SUCCESS)
+    }
+}
+
+/// What a server allows at most.
+#[derive(Debug, Clone, clap::Args)]
+pub(crate) struct Bounds {
+    /// What the server allows at most, as running=100 (repeatable; docs/limits.md)
+    #[arg(long, value_name = "NAME=VALUE", value_parser = bound)]
+    limit: Vec<(String, String)>,
+}
+
+fn bound(text: &str) -> Result<(String, String), String> {
+    let (name, value) = text.split_once('=').ok_or("write a limit as running=100")?;
+    Limits::default().choose(name, value)?;
+    Ok((name.to_owned(), value.to_owned()))
+}
+
+impl Bounds {
+    /// In place of what was chosen elsewhere.
+    pub(crate) fn over(&self, mut limits: Limits) -> Limits {
+        for (name, value) in &self.limit {
+            // It was tried when the option was read.
+            let _ = limits.choose(name, value);
+        }
+        limits
+    }
+}
+
+/// Who may use a server.
+#[derive(Debug, Clone, clap::Args)]
+struct Reach {
+    /// Only clients with an address in this network, as 192.168.1.0/24 (repeatable)
+    #[arg(long, value_name = "NETWORK", value_parser = network)]
+    allow: Vec<IpNet>,
+
+    /// The server's secret key: encrypts, and only allowed clients get in (see `ztl keys`)
+    #[arg(long, value_name = "NAME.key_secret")]
+    key: Option<PathBuf>,
+
+    /// A client that is allowed, by its key or a directory of keys; with SCOPE= at that scope only (repeatable)
+    #[arg(long, value_name = "[SCOPE=]NAME.key", requires = "key")]
+    client_key: Vec<String>,
+}
+
+fn network(text: &str) -> Result<IpNet, &'static str> {
+    let one = text.parse::<IpAddr>().map(IpNet::from);
+    text.parse()
+        .or(one)
+        .map_err(|_| "write a network as 192.168.1.0/24, one address as 192.168.1.7")
+}
+
+/// Reads one's own keys, and warns when they are not secret.
+fn own_keys(path: &Path) -> Result<KeyPair, KeyError> {
+    let keys = KeyPair::read(path)?;
+    if let Some(exposure) = exposure(path) {
+        error_line(format_args!("ztl: warning: {exposure}"));
+    }
+    Ok(keys)
+}
+
+impl Reach {
+    fn access(&self) -> Result<Access, Box<dyn std::error::Error>> {
+        let mut access = Access::everybody();
+        for network in &self.allow {
+            access = access.from_network(*network);
+        }
+        if let Some(path) = &self.key {
+            access = access.with_keys(own_keys(path)?);
+        }
+        for client in &self.client_key {
+            match client.split_once('=') {
+                Some((scope, path)) => {
+                    for key in PublicKey::read_all(Path::new(path))? {
+                        access = access.allow_scope(scope, key);
+                    }
+                }
+                None => {
+                    for key in PublicKey::read_all(Path::new(client))? {
+                        access = access.allow(key);
+                    }
+                }
+            }
+        }
+        Ok(access)
+    }
+}
+
+/// Who reaches a server that listens at this address.
+fn reachable(bind: &str, access: &Access) -> String {
+    access.describe(match bind {
+        "*" | "0.0.0.0" | "[::]" => "everybody in its networks",
+        bind if bind.starts_with("127.") || bind == "localhost" || bind == "[::1]" => {
+            "only this machine"
+        }
+        _ => "everybody in that network",
+    })
+}
+
+/// Who a client is, and which server it means.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Identity {
+    /// One's own secret key, for a server that encrypts (see `ztl keys`)
+    #[arg(long, value_name = "NAME.key_secret", requires = "server_key")]
+    key: Option<PathBuf>,
+
+    /// The public key of the server that is meant
+    #[arg(long, value_name = "NAME.key", requires = "key")]
+    server_key: Option<PathBuf>,
+}
+
+impl Identity {
+    /// Makes a client say who it is, where keys were given.
+    pub(crate) fn apply(
+        &self,
+        remote: RemoteTask,
+    ) -> Result<RemoteTask, Box<dyn std::error::Error>> {
+        let (Some(own), Some(server)) = (&self.key, &self.server_key) else {
+            return Ok(remote);
+        };
+        let with_keys: Result<RemoteTask, RequestError> =
+            remote.with_keys(own_keys(own)?, PublicKey::read(server)?);
+        Ok(with_keys?)
+    }
+}

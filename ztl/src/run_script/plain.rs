@@ -1,0 +1,372 @@
+//! A run as lines, as the original writes them (wire specification 8.4 to 8.6), and its keys.
+
+use std::collections::BTreeMap;
+use std::sync::{Arc, OnceLock};
+use std::time::{Duration, Instant};
+
+use tracing::{error, info, warn};
+use ztl_script::event::{By, Command, Event, Question, TaskNumber, TaskState, Why};
+use ztl_script::{Inputs, Scene, Script, Step, Task};
+
+use super::LOG;
+use super::lines::Lines;
+use crate::keyboard::{Key, Keyboard};
+
+pub(super) struct Plain<'s> {
+    script: &'s Script,
+    lines: Lines,
+    /// The show, to be woken when a question can be seen.
+    inputs: Inputs,
+    /// What is asked, what can be answered, and since when, as soon as it is written.
+    asked: Option<(Question, Vec<Command>, Since)>,
+    last: Option<usize>,
+    tasks: BTreeMap<TaskNumber, Started>,
+    /// A handler without a server is told of once in a step.
+    told: Option<(usize, usize, usize)>,
+    playing: bool,
+}
+
+type Since = Arc<OnceLock<Instant>>;
+
+#[derive(Debug, Clone, Copy)]
+struct Started {
+    scene: usize,
+    step: usize,
+    part: usize,
+    state: TaskState,
+}
+
+impl<'s> Plain<'s> {
+    pub(super) const fn new(script: &'s Script, lines: Lines, inputs: Inputs) -> Self {
+        Self {
+            script,
+            lines,
+            inputs,
+            asked: None,
+            last: None,
+            tasks: BTreeMap::new(),
+            told: None,
+            playing: false,
+        }
+    }
+
+    /// What is asked, as far as it was written.
+    pub(super) fn question(&self) -> Option<Question> {
+        self.asked.as_ref().map(|(question, _, _)| *question)
+    }
+
+    /// Whether a question is not written yet: what was pressed is looked at afterwards.
+    pub(super) fn is_asking(&self) -> bool {
+        let asked = self.asked.as_ref();
+        asked.is_some_and(|(_, _, since)| since.get().is_none())
+    }
+
+    /// What a key means. One that was pressed before the question was asked means nothing.
+    pub(super) fn meaning(&self, key: &Key) -> Option<Command> {
+        let (question, choices, since) = self.asked.as_ref()?;
+        if since.get().is_none_or(|since| key.at < *since) {
+            return None;
+        }
+        let first = key.bytes.first()?.to_ascii_lowercase();
+        let command = match (question, first) {
+            (Question::Scene { .. }, b'\r') => Command::Start,
+            (Question::Scene { .. } | Question::End, b'r')
+                if choices.contains(&Command::Replay) =>
+            {
+                Command::Replay
+            }
+            (Question::Scene { .. }, _) => Command::Skip,
+            (Question::End, b'a') => Command::Restart,
+            (Question::End, _) => Command::Leave,
+            (Question::Step { .. }, b'g') => Command::GoOn,
+            (Question::Step { .. }, b't') => Command::Retry,
+            (Question::Step { .. }, b's') => Command::Skip,
+            (Question::Step { .. }, b'x') => Command::Stop,
+            (Question::Pause, _) => Command::Resume,
+            _ => return None,
+        };
+        choices.contains(&command).then_some(command)
+    }
+
+    /// Writes what there is to say of an event.
+    pub(super) fn tell(&mut self, event: &Event, keyboard: Option<&Keyboard>) {
+        match event {
+            Event::SceneShown { scene } if keyboard.is_some() => self.show(*scene),
+            Event::Asked { question, choices } => {
+                if let Some(keyboard) = keyboard {
+                    keyboard.forget();
+                }
+                let since = Since::default();
+                if keyboard.is_some() {
+                    let (seen, inputs) = (Arc::clone(&since), self.inputs.clone());
+                    self.lines.ask(prompt(*question, choices), move |at| {
+                        // It is written once.
+                        let _ = seen.set(at);
+                        inputs.wake();
+                    });
+                }
+                self.asked = Some((*question, choices.clone(), since));
+            }
+            Event::Decided {
+                command, by, scene, ..
+            } => self.decided(*command, *by, *scene),
+            Event::SceneStarted { scene, .. } => {
+                self.playing = true;
+                self.last = Some(*scene);
+                if let Some(scene) = self.scene(*scene) {
+                    let delay = with_delay(scene.delay);
+                    self.lines
+                        .line(format_args!("EXECUTING SCENE '{}'{delay}...", scene.name));
+                }
+            }
+            Event::SceneEnded { .. } => self.playing = false,
+            Event::StepStarted { scene, step } => {
+                self.told = None;
+                if let Some(step) = self.script.step(*scene, *step) {
+                    let background = if step.wait { "" } else { " IN BACKGROUND" };
+                    let delay = with_delay(step.delay);
+                    self.lines.line(format_args!(
+                        "STARTING STEP '{}'{background}{delay}...",
+                        step.name
+                    ));
+                }
+            }
+            Event::StepWaiting {
+                scene,
+                step,
+                why,
+                tasks,
+            } => self.waiting(*scene, *step, why, tasks),
+            Event::StepGoesOn { scene, step } => {
+                self.asked = None;
+                if let Some(step) = self.script.step(*scene, *step) {
+                    warn!(target: LOG, "Step '{}' goes on.", step.name);
+                }
+            }
+            Event::TaskStarting {
+                task,
+                scene,
+                step,
+                part,
+                ..
+            } => {
+                let state = TaskState::Asked;
+                let started = Started {
+                    scene: *scene,
+                    step: *step,
+                    part: *part,
+                    state,
+                };
+                self.tasks.insert(*task, started);
+            }
+            Event::TaskState {
+                task, state, text, ..
+            } => self.state(*task, *state, text),
+            Event::Stopping { tasks } if !tasks.is_empty() => {
+                let s = if tasks.len() == 1 { "" } else { "S" };
+                self.lines
+                    .line(format_args!("STOPPING {} TASK{s}...", tasks.len()));
+            }
+            Event::StopAnswered {
+                task,
+                confirmed,
+                text,
+            } => {
+                let word = if *confirmed {
+                    "STOPPED"
+                } else {
+                    "NOT CONFIRMED"
+                };
+                self.lines
+                    .line(format_args!("{word}: {}: {text}", self.about(*task)));
+            }
+            Event::Note { text } => warn!(target: LOG, "{text}"),
+            Event::RunEnded { running, .. } => {
+                for task in running {
+                    warn!(target: LOG, "{} may still run.", self.about(*task));
+                }
+            }
+            _ => {}
+        }
+    }
+
+    fn scene(&self, scene: usize) -> Option<&'s Scene> {
+        self.script.scenes.get(scene)
+    }
+
+    /// What a task is, for people.
+    fn about(&self, number: TaskNumber) -> String {
+        match self.task(number) {
+            Some((step, task)) => {
+                let handler = step.handler(task).map_or("", |handler| &handler.key);
+                format!(
+                    "Component '{}' on handler '{handler}' for step '{}'",
+                    task.component, step.name
+                )
+            }
+            None => format!("Task {}", number.0),
+        }
+    }
+
+    fn task(&self, number: TaskNumber) -> Option<(&'s Step, &'s Task)> {
+        let Started {
+            scene, step, part, ..
+        } = *self.tasks.get(&number)?;
+        let step = self.script.step(scene, step)?;
+        Some((step, step.tasks.get(part)?))
+    }
+
+    fn show(&self, scene: usize) {
+        let Some(scene) = self.scene(scene) else {
+            return;
+        };
+        self.lines.line("\n----------------------------");
+        self.lines
+            .line(format_args!("ABOUT TO EXECUTE SCENE '{}'", scene.key));
+        for step in &scene.steps {
+            self.lines.line(format_args!("STEP: {}", step.key));
+            for task in &step.tasks {
+                let handler = step.handler(task).map_or("", |handler| &handler.key);
+                self.lines
+                    .line(format_args!("\t{handler} [{}]: -> {}", task.key, task.goal));
+            }
+        }
+    }
+
+    fn decided(&mut self, command: Command, by: By, scene: Option<usize>) {
+        let asked = self.asked.take().map(|(question, _, _)| question);
+        let about_scene = matches!(asked, Some(Question::Scene { .. }));
+        let key = |scene: Option<usize>| {
+            scene
+                .and_then(|scene| self.scene(scene))
+                .map_or("", |scene| &scene.key)
+        };
+        match command {
+            Command::Skip if about_scene => self
+                .lines
+                .line(format_args!("\nSKIPPING SCENE '{}'", key(scene))),
+            Command::Replay => self
+                .lines
+                .line(format_args!("\n Repeating Scene '{}", key(self.last))),
+            Command::Restart => {
+                self.lines.line("\n Repeating Script");
+                self.last = None;
+            }
+            Command::Stop if by == By::Signal && self.playing => {
+                error!(target: LOG, "Interrupted, exiting.");
+            }
+            Command::Stop if by == By::Script => {
+                error!(target: LOG, "Nobody is there to decide, or the script says so: everything is stopped.");
+            }
+            _ => {}
+        }
+    }
+
+    fn waiting(&mut self, scene: usize, step: usize, why: &Why, tasks: &[TaskNumber]) {
+        let Some(step) = self.script.step(scene, step) else {
+            return;
+        };
+        let tasks: Vec<&str> = tasks
+            .iter()
+            .filter_map(|task| self.task(*task))
+            .map(|(_, task)| task.component.trim())
+            .collect();
+        let (name, tasks) = (&step.name, tasks.join(", "));
+        let why = match why {
+            Why::ServerSilent { remote } => {
+                format!("'{remote}' does not answer, so how it is with {tasks} is unknown")
+            }
+            Why::ServerRestarted { remote } => {
+                format!("'{remote}' was started anew, so what became of {tasks} is unknown")
+            }
+            Why::TaskUnknown => format!(
+                "the server does not know {tasks} any more, so what became of it is unknown"
+            ),
+            Why::NotTold { remote } => {
+                format!("'{remote}' answers, but does not say how it is with {tasks}")
+            }
+            Why::AnswerUnclear { remote } => format!(
+                "'{remote}' gives no usable answer about {tasks}, so what it does is unknown"
+            ),
+            Why::StartUnknown => format!("there was no clear answer whether {tasks} was started"),
+            Why::Failed => format!("{tasks} failed"),
+            Why::TooLong => format!("{tasks} takes longer than its limit and has not stopped"),
+        };
+        warn!(target: LOG, "Step '{name}' waits: {why}.");
+    }
+
+    fn state(&mut self, number: TaskNumber, state: TaskState, text: &str) {
+        let Some(started) = self.tasks.get_mut(&number) else {
+            return;
+        };
+        let before = std::mem::replace(&mut started.state, state);
+        let Started {
+            scene, step: index, ..
+        } = *started;
+        let Some((step, task)) = self.task(number) else {
+            return;
+        };
+        let Some(handler) = step.handler(task) else {
+            return;
+        };
+        let (name, key, component) = (&step.name, &handler.key, &task.component);
+        match state {
+            TaskState::NotStarted
+                if before == TaskState::Asked && text.starts_with("there is no server") =>
+            {
+                let place = (scene, index, task.handler);
+                if self.told != Some(place) {
+                    self.told = Some(place);
+                    error!(target: LOG, "No remote for handler '{key}'. Step '{name}' COULD NOT BE TRIGGERED. REPLY: '{text}'");
+                }
+            }
+            TaskState::NotStarted | TaskState::Refused => could_not(name, key, component, text),
+            TaskState::Unknown if before == TaskState::Asked => {
+                could_not(name, key, component, text)
+            }
+            state
+                if before == TaskState::Asked && !state.is_over() && !(step.wait && task.wait) =>
+            {
+                info!(target: LOG, "Component '{component}' on handler '{key}' for step '{name}' TRIGGERED TO RUN IN BACKGROUND.");
+            }
+            state if state.is_failure() => {
+                let word = state.name().to_uppercase();
+                warn!(target: LOG, "Component '{component}' on handler '{key}' for step '{name}' ended {word}. REPLY: '{text}'");
+            }
+            _ => {}
+        }
+    }
+}
+
+/// What is asked, with the keys.
+fn prompt(question: Question, choices: &[Command]) -> &'static str {
+    let can = |command| choices.contains(&command);
+    match question {
+        Question::Scene { .. } if can(Command::Replay) => {
+            "PRESS <ENTER> TO CONFIRM, PRESS <R> TO REPLAY LAST SCENE OR ANY OTHER KEY TO SKIP"
+        }
+        Question::Scene { .. } => "PRESS <ENTER> TO CONFIRM or ANY OTHER KEY TO SKIP",
+        Question::End if can(Command::Replay) => {
+            "PRESS <R> TO REPLAY THE LAST SCENE, PRESS <A> TO RESTART THE SCRIPT OR ANY OTHER KEY TO EXIT"
+        }
+        Question::End => "PRESS <A> TO RESTART THE SCRIPT OR ANY OTHER KEY TO EXIT",
+        Question::Step { .. } if can(Command::Retry) => {
+            "PRESS <G> TO GO ON ANYWAY, <T> TO TRY AGAIN WHAT FAILED, <S> TO SKIP THE REST OF THE SCENE OR <X> TO STOP EVERYTHING"
+        }
+        Question::Step { .. } => {
+            "PRESS <G> TO GO ON ANYWAY, <S> TO SKIP THE REST OF THE SCENE OR <X> TO STOP EVERYTHING"
+        }
+        Question::Pause => "PRESS ANY KEY TO GO ON",
+    }
+}
+
+fn could_not(step: &str, handler: &str, component: &str, reply: &str) {
+    error!(target: LOG, "Component '{component}' on handler '{handler}' for step '{step}' COULD NOT BE TRIGGERED. REPLY: '{reply}'");
+}
+
+fn with_delay(delay: Duration) -> String {
+    match delay.is_zero() {
+        true => String::new(),
+        false => format!(" WITH DELAY {}s", delay.as_secs_f64()),
+    }
+}

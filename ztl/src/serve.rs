@@ -1,0 +1,173 @@
+//! `ztl serve`: the scripts and command-line tools of a robot as handlers of a task server.
+
+use std::ffi::OsString;
+use std::io;
+use std::os::unix::process::CommandExt;
+use std::path::{Path, PathBuf};
+use std::process::{Command, ExitCode};
+
+use tracing::{Level, warn};
+use ztl_std::listen::{LOG_FORMATS, LogFormat};
+use ztl_serve::{Config, Groups};
+use ztl_std::server::scope_mistake;
+
+use crate::reach::{self, MISCONFIGURED, Unfit};
+use crate::service::Service;
+use crate::terminal::{error_line, error_part, line};
+use crate::{Done, log, signals};
+
+#[derive(Debug, clap::Args)]
+#[command(after_help = "An option overrides what FILE says.")]
+pub(crate) struct Serve {
+    /// What is served, in YAML: which program does which task (docs/serve.md)
+    #[arg(value_name = "FILE")]
+    file: PathBuf,
+
+    /// Scope to serve, as /robot, in place of the file's only one
+    #[arg(short, long, value_parser = scope)]
+    scope: Option<String>,
+
+    #[command(flatten)]
+    listen: reach::Listening,
+
+    /// Only say what is wrong with the file
+    #[arg(long)]
+    check: bool,
+}
+
+/// What the watchdog is called.
+const WATCHDOG: &str = "serve-watchdog";
+
+/// A process that its `ztl serve` talks to, by stdin, and that ends with it.
+pub(crate) struct Watchdog {
+    format: LogFormat,
+}
+
+impl Watchdog {
+    /// As [`command`](Self::command) calls it. Nobody else does, so this goes without the parser for
+    /// people's options: what that touches would stay in memory for as long as the server runs.
+    pub(crate) fn of(args: &[OsString]) -> Option<Self> {
+        let [_, name, format] = args else {
+            return None;
+        };
+        let format = reach::format(format.to_str()?).ok()?;
+        (name == WATCHDOG).then_some(Self { format })
+    }
+
+    pub(crate) fn run(self) -> Done {
+        log::init_as(Level::INFO, self.format);
+        ztl_serve::watchdog();
+        Ok(ExitCode::SUCCESS)
+    }
+
+    /// How it is started: by the program that runs, wherever that is by now.
+    fn command(format: LogFormat) -> io::Result<Command> {
+        let own = Path::new("/proc/self/exe");
+        let program = match own.exists() {
+            true => own.to_owned(),
+            false => std::env::current_exe()?,
+        };
+        let mut command = Command::new(program);
+        let known = LOG_FORMATS.iter().find(|(_, known)| *known == format);
+        let format = known.map_or("text", |(word, _)| *word);
+        command.arg0("ztl").args([WATCHDOG, format]);
+        Ok(command)
+    }
+}
+
+fn scope(text: &str) -> Result<String, String> {
+    scope_mistake(text).map_or_else(|| Ok(text.to_owned()), Err)
+}
+
+impl Serve {
+    pub(crate) fn run(self) -> Done {
+        let check = self.check;
+        let (config, place) = match self.plan() {
+            Ok(plan) => plan,
+            Err(unfit) => {
+                error_line(unfit);
+                return Ok(ExitCode::from(MISCONFIGURED));
+            }
+        };
+        for warning in &config.warnings {
+            error_part(warning);
+        }
+        if check {
+            let wrong = match config.warnings.len() {
+                0 => "Nothing is wrong".to_owned(),
+                1 => "Nothing is wrong but for a warning".to_owned(),
+                many => format!("Nothing is wrong but for {many} warnings"),
+            };
+            let (bind, port) = (&place.bind, place.port);
+            let served = served(&config);
+            return place
+                .check(None)
+                .tell(format_args!("{wrong}: {served}, at {bind}:{port}."));
+        }
+        log::init_as(place.log, place.log_format);
+        signals::catch()?;
+        serve(&config, place)
+    }
+
+    /// What the file and the options say together.
+    fn plan(self) -> Result<(Config, reach::Place), Unfit> {
+        let mut config = Config::load(&self.file).map_err(Unfit::File)?;
+        let file = self.file.display().to_string();
+        if let Some(name) = &self.scope {
+            match config.scopes.as_mut_slice() {
+                [scope] => scope.rename(name),
+                scopes => {
+                    let many = scopes.len();
+                    let mistake = format!(
+                        "--scope names the only scope of a file, and {file} has {many}; name them there"
+                    );
+                    return Err(Unfit::Whole(mistake));
+                }
+            }
+        }
+        let place = self.listen.with(std::mem::take(&mut config.listen))?;
+        let missing = || Unfit::missing(Some(&file), "port", "--port <PORT>", "port: 12345");
+        Ok((config, place.ok_or_else(missing)?))
+    }
+}
+
+/// What is served, for people.
+fn served(config: &Config) -> String {
+    let scopes = config.scopes.iter().map(|scope| {
+        let name = scope.name();
+        match scope.components() {
+            1 => format!("1 component at {name}"),
+            many => format!("{many} components at {name}"),
+        }
+    });
+    scopes.collect::<Vec<_>>().join(", ")
+}
+
+fn serve(config: &Config, place: reach::Place) -> Done {
+    let who = place.reachable();
+    let watchdog = Watchdog::command(place.log_format);
+    let mut server = place.listen()?;
+    let groups = match watchdog {
+        Ok(command) => Groups::watched(command)?,
+        // An empty root has no /proc.
+        Err(error) => {
+            warn!(target: "serve", "No watchdog can be started: {error}. If this server is killed, its programs run on.");
+            Groups::default()
+        }
+    };
+    for (scope, programs) in config.programs(&groups)? {
+        server.register_handler(&scope, programs);
+    }
+    line(format_args!(
+        "Serving {} at {}. Reachable for {who}.",
+        served(config),
+        server.endpoint()
+    ));
+    let stopper = server.stopper();
+    signals::leave_at_the_second_after(move || groups.kill());
+    let served = served(config);
+    Service::ready(server.pulse(), move || served.clone())?.stops(stopper);
+    server.listen()?;
+    line("Stopped.");
+    Ok(signals::exit_code_or(ExitCode::SUCCESS))
+}
