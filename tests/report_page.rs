@@ -10,8 +10,8 @@ use std::process::Command;
 use serde_json::Value;
 use ztl_tests::lab::{Ended, Process, Scratch, ztl};
 
-const EVENING: &str = include_str!("../ztl-std/src/script/fixtures/evening.jsonl");
-const MATINEE: &str = include_str!("../ztl-std/src/script/fixtures/matinee.jsonl");
+const EVENING: &str = include_str!("../ztl-script/src/fixtures/evening.jsonl");
+const MATINEE: &str = include_str!("../ztl-script/src/fixtures/matinee.jsonl");
 
 /// What the browser has after it has loaded a page and run its scripts, as HTML.
 #[track_caller]

@@ -25,7 +25,7 @@ use ztl_core::link::{Decoder, Frame, NO_SESSION, encode, next_seq, session_key, 
 use ztl_core::{Instant, State, TaskId};
 use ztl_mcu::{Component, Identity, Node, Refused, Report, Run};
 
-use crate::gateway::session::{Event, Session};
+use ztl_link::{Event, Session};
 
 /// The boot id of the example in `docs/link.md`, so that its frames are a corpus.
 const BOOT: u32 = 0xcafe_0001;

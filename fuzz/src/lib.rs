@@ -15,11 +15,3 @@ pub mod message;
 mod script;
 pub mod spec;
 pub mod zmtp;
-
-/// The gateway's end of the link. Compiled here from its source, which needs nothing else of `ztl-std`, and
-/// therefore no ZeroMQ.
-#[path = "../../ztl-std/src/gateway"]
-mod gateway {
-    #[expect(dead_code, reason = "only part of it is used here")]
-    pub(crate) mod session;
-}

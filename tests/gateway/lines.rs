@@ -5,8 +5,8 @@ use std::net::{TcpListener, TcpStream};
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Arc, Mutex};
 
+use ztl_sim::{Device, Kind};
 use ztl_std::gateway::{Endpoint, Gateway, Line, Watch};
-use ztl_std::sim::{Device, Kind};
 use ztl_std::{RemoteTask, RunningServer, State, TaskServer};
 use ztl_tests::lab::{PATIENCE, Process, SCOPE, Server, reserve_port, until, ztl};
 

@@ -13,11 +13,12 @@ use std::process::{Command, Stdio};
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use serde::Deserialize;
+use ztl_script::read_value;
 use ztl_std::Remotes;
-use ztl_std::script::Value;
 use ztl_std::terminal::shown;
-use ztl_std::yaml::Document;
 use ztl_tests::lab::{PATIENCE, built, python, until};
+use ztl_yaml::Document;
+use ztl_yaml::python::Value;
 
 /// Scripts that are made up, and how many engines run at a time: they mostly wait.
 const MADE_UP: usize = 200;
@@ -280,7 +281,7 @@ fn values_are_what_pyyaml_makes_of_them() {
         let (text, plain, quoted): (String, Option<String>, String) =
             serde_json::from_str(&line).expect("JSON");
         count += 1;
-        let read = Value::read("value", format!("k: {text}\n").as_bytes());
+        let read = read_value("value", format!("k: {text}\n").as_bytes());
         let ours = match &read {
             Ok(Value::Map(pairs)) => match pairs.as_slice() {
                 [(_, value)] => Some(value.to_string()),
@@ -330,7 +331,7 @@ fn documents_are_what_pyyaml_makes_of_them() {
         let mut line: Vec<Option<String>> = serde_json::from_str(&line).expect("JSON");
         let (text, theirs) = (line[0].take().expect("a text"), line[1].take());
         count += 1;
-        let ours = Value::read("f", text.as_bytes());
+        let ours = read_value("f", text.as_bytes());
         let same = match (&theirs, ours.as_ref()) {
             (Some(theirs), Ok(value)) => {
                 read_by_both += 1;
@@ -433,7 +434,7 @@ for text in json.load(sys.stdin):
         .iter()
         .zip(found)
         .map(|(text, theirs)| {
-            let ours = Value::read("f", text.as_bytes()).is_ok();
+            let ours = read_value("f", text.as_bytes()).is_ok();
             ((*text).to_owned(), theirs == "true", ours)
         })
         .collect();

@@ -28,7 +28,7 @@ fn main() -> io::Result<()> {
     for name in ["component.rs", "log.rs", "node.rs", "node"] {
         collect(&mcu.join(name), &mut files)?;
     }
-    let gateway = root.join("ztl-std/src/gateway");
+    let gateway = root.join("ztl-link/src");
     for name in ["session.rs", "session"] {
         collect(&gateway.join(name), &mut files)?;
     }
@@ -61,7 +61,7 @@ fn main() -> io::Result<()> {
          pub use gateway::session;\n\
          /// Mistakes whose place is not found.\npub(crate) const LOST: &[usize] = &{lost:?};\n",
         out.join("ztl-mcu/src"),
-        out.join("ztl-std/src/gateway"),
+        out.join("ztl-link/src"),
     );
     fs::write(out.join("ends.rs"), modules)
 }

@@ -2,4 +2,5 @@
 //!
 //! What crosses crates; the page above is the README, whose examples are compiled and run here.
 
+pub mod garbage;
 pub mod lab;

@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 
 use ztl_core::TaskId;
 use ztl_std::keys::{KeyPair, PublicKey};
-use ztl_std::server::scope_mistake;
+use ztl_std::scope;
 use ztl_std::{Access, Limits, RunningServer, TaskServer};
 
 use crate::border::{copy_out, guard, null, text};
@@ -146,7 +146,7 @@ impl Server {
     }
 
     fn add(&self, scope: &str, way: Way, context: *mut c_void) -> Result<(), Failure> {
-        if let Some(mistake) = scope_mistake(scope) {
+        if let Some(mistake) = scope::cannot_be_served(scope) {
             return Err(Failure::new(ZTL_E_ARGUMENT, mistake));
         }
         self.set_up(|setup| {

@@ -9,8 +9,8 @@ use super::finding::Finding;
 use super::model::{Handler, Script, Task};
 use ztl_std::encoded;
 use ztl_std::remotes::Remote;
+use ztl_std::{Offers, RemoteTask, Remotes, RequestError};
 use ztl_yaml::closest;
-use crate::{Offers, RemoteTask, Remotes, RequestError};
 
 /// Servers that are asked at the same time.
 const AT_ONCE: usize = 64;

@@ -10,19 +10,17 @@ pub mod player;
 mod read;
 pub mod record;
 pub mod report;
-pub(crate) mod scalar;
 mod show;
 mod stand_ins;
-mod value;
 
 pub use ask::{Said, ask_all};
 pub use finding::Finding;
 pub use model::{Defaults, Handler, OnFailure, Scene, Script, Step, Task};
 pub use plan::timeline;
 pub use player::Player;
+pub use read::read_value;
 pub use show::{Connect, Inputs, Show};
 pub use stand_ins::StandIns;
-pub use value::{Date, Timestamp, Value};
 
 #[cfg(test)]
 mod tests;

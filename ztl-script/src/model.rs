@@ -160,7 +160,7 @@ impl Script {
     /// none where the file cannot be read or is invalid YAML.
     #[must_use]
     pub fn check(path: &Path, defaults: Defaults) -> (Option<Self>, Vec<Finding>) {
-        match ztl_yaml::read_file(path) {
+        match ztl_std::files::read_yaml(path) {
             Ok(bytes) => Self::examine(&path.display().to_string(), &bytes, defaults),
             Err(mistakes) => (None, mistakes.into_iter().map(Finding::mistake).collect()),
         }
@@ -190,7 +190,7 @@ impl Script {
     /// As [`read`](Self::read), and when the file cannot be read.
     pub fn load(path: &Path, defaults: Defaults) -> Result<Self, Diagnostics> {
         let name = path.display().to_string();
-        Self::read(&name, &ztl_yaml::read_file(path)?, defaults)
+        Self::read(&name, &ztl_std::files::read_yaml(path)?, defaults)
     }
 
     /// What is played, but was probably not meant so; in the order of the file.

@@ -197,7 +197,7 @@ impl Defaults {
     /// # Errors
     /// Every mistake in it, with its place.
     pub fn load(path: &Path) -> Result<Self, Diagnostics> {
-        Self::read(&Document::load(path)?)
+        Self::read(&ztl_std::files::load_yaml(path)?)
     }
 
     /// The same from a document.

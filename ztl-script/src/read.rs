@@ -4,12 +4,14 @@
 mod keys;
 mod values;
 
+pub use values::read_value;
+
 use std::time::Duration;
 
 use super::finding::Finding;
 use super::model::{Defaults, Handler, Scene, Step, Task};
 use super::params;
-use super::value::{Value, quoted};
+use ztl_yaml::python::{Value, quoted};
 use ztl_yaml::{Document, Node, Span, Value as Yaml};
 
 /// Most characters of a value that are repeated in a message.

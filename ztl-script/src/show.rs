@@ -11,7 +11,7 @@ use super::ask::serves;
 use super::event::{By, Command, Event, Question, RequestNumber, Stamped};
 use super::player::{Answer, Ask, Player, Request, Server};
 use ztl_std::time::now;
-use crate::{ListedTask, Listing, RemoteTask, RequestError, Status, TriggerError};
+use ztl_std::{ListedTask, Listing, RemoteTask, RequestError, Status, TriggerError};
 
 /// Plays a script on real servers: give it [`begin`](Self::begin), then take what happens from
 /// [`next`](Self::next) until the run has ended.

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use super::model::Script;
 use ztl_std::remotes::Remote;
-use crate::{
+use ztl_std::{
     ExecutableTask, Remotes, RunningServer, TaskContext, TaskController, TaskError, TaskRequest,
     TaskServer,
 };

@@ -5,7 +5,7 @@ use ztl_tests::garbage::Garbage;
 
 #[test]
 fn no_file_at_all_makes_it_panic() {
-    let mut numbers = Garbage(0x2545_f491_4f6c_dd1d);
+    let mut numbers = Garbage::new(0x2545_f491_4f6c_dd1d);
     let rounds = std::env::var("ZTL_ROUNDS")
         .ok()
         .and_then(|n| n.parse().ok());

@@ -14,7 +14,7 @@ use super::program::Program;
 use super::rule::Rule;
 use super::{Entry, Groups, Programs, Room, WILD, Work};
 use ztl_std::listen::Listen;
-use ztl_std::server::scope_mistake;
+use ztl_std::scope;
 use ztl_yaml::{Diagnostic, Diagnostics, Document, Fields, Node, Reading, Value};
 
 /// How many tasks there may be at once in all, unless the file says otherwise.
@@ -77,7 +77,7 @@ impl Config {
     /// # Errors
     /// All that is wrong with it, each with its place.
     pub fn load(path: &Path) -> Result<Self, Diagnostics> {
-        let document = Document::load(path)?;
+        let document = ztl_std::files::load_yaml(path)?;
         let base = path.parent().unwrap_or(Path::new(""));
         // Programs run elsewhere.
         let base = std::path::absolute(base.join(".")).unwrap_or_else(|_| base.to_owned());
@@ -156,7 +156,7 @@ impl<'d> Source<'d> {
 
     fn scope(&mut self, name: &'d Node, node: &'d Node) -> Option<Scope> {
         let known = self.reading.parsed(name, "a scope, as /robot", |text| {
-            scope_mistake(text).map_or_else(|| Ok(text.to_owned()), Err)
+            scope::cannot_be_served(text).map_or_else(|| Ok(text.to_owned()), Err)
         });
         let mut entries = Vec::new();
         for (handler, node) in self.some(node, "its handlers") {

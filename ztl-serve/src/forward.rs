@@ -14,8 +14,8 @@ use ztl_core::dispatcher::UNKNOWN_END;
 use super::run::{End, time};
 use super::template::Call;
 use ztl_std::keys::{KeyError, KeyPair, PublicKey, can_encrypt};
-use ztl_std::remote::{RemoteTask, RequestError, Status, TriggerError};
 use ztl_std::server::KEEP;
+use ztl_std::{RemoteTask, RequestError, Status, TriggerError};
 
 /// Where tasks are sent.
 #[derive(Debug, Clone)]

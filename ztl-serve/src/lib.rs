@@ -20,6 +20,8 @@
 //! # }
 //! ```
 
+#![cfg(unix)]
+
 mod config;
 mod desk;
 mod forward;

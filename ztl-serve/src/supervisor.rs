@@ -25,8 +25,8 @@ use super::rule::Goal;
 use super::run::{Act, End, Run, Why};
 use super::template::Call;
 use super::{Entry, Groups, LOG, Room, Work, group};
-use ztl_std::server::TaskReporter;
 use watch::READ;
+use ztl_std::server::TaskReporter;
 
 /// How long a task that another server does is waited for when this one stops.
 pub(super) const LEAVING: Duration = Duration::from_millis(1500);

@@ -17,10 +17,10 @@ use std::sync::mpsc::{Sender, channel};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-use ztl_std::gateway::{EndpointError, Line, is_pause};
 #[cfg(unix)]
 use crate::pty::{Link, Pty};
 use record::Record;
+use ztl_std::gateway::{BAUD, Endpoint, EndpointError, InProcess, Line, READ_TIMEOUT, is_pause};
 
 /// The type of a simulated device.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -56,17 +56,46 @@ impl std::fmt::Display for Kind {
 }
 
 impl FromStr for Kind {
-    type Err = EndpointError;
+    type Err = UnknownKind;
 
-    fn from_str(text: &str) -> Result<Self, EndpointError> {
+    fn from_str(text: &str) -> Result<Self, UnknownKind> {
         Self::ALL
             .into_iter()
             .find(|kind| kind.name() == text)
-            .ok_or_else(|| EndpointError::Simulation {
-                found: text.to_owned(),
-                known: Self::ALL.map(Self::name).join(", "),
-            })
+            .ok_or_else(|| UnknownKind(text.to_owned()))
     }
+}
+
+/// A text that names no type of simulated device.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct UnknownKind(String);
+
+impl std::fmt::Display for UnknownKind {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let (found, known) = (&self.0, Kind::ALL.map(Kind::name).join(", "));
+        write!(f, "no simulated device '{found}'; there are: {known}")
+    }
+}
+
+impl std::error::Error for UnknownKind {}
+
+/// Where a device is, with `sim:gripper` for one that is simulated in this process.
+///
+/// # Errors
+/// What is wrong with the text, and what would be right.
+pub fn endpoint(text: &str) -> Result<Endpoint, String> {
+    if let Some(kind) = text.strip_prefix("sim:") {
+        let kind: Kind = kind
+            .parse()
+            .map_err(|error: UnknownKind| error.to_string())?;
+        return Ok(Endpoint::InProcess(InProcess::new(text, move || {
+            line(kind)
+        })));
+    }
+    text.parse().map_err(|error| match error {
+        EndpointError::Scheme { .. } => format!("{error}, or sim:gripper for a simulated device"),
+        error => error.to_string(),
+    })
 }
 
 enum Input {
@@ -225,19 +254,17 @@ impl Drop for Running {
 ///
 /// # Errors
 /// If the system has no more threads, or it cannot listen.
-pub(crate) fn line(kind: Kind) -> io::Result<Line> {
+fn line(kind: Kind) -> io::Result<Line> {
     #[cfg(unix)]
     if let Ok((running, path)) = Device::new(kind).on_pty(None) {
-        let port = serialport::new(path, ztl_std::gateway::BAUD)
-            .timeout(ztl_std::gateway::READ_TIMEOUT)
-            .open()?;
+        let port = serialport::new(path, BAUD).timeout(READ_TIMEOUT).open()?;
         let mut line = Line::serial(port)?;
-        line.device = Some(running);
+        line.device = Some(Box::new(running));
         return Ok(line);
     }
     let (running, address) = Device::new(kind).on_tcp("127.0.0.1:0")?;
     let mut line = Line::tcp(std::net::TcpStream::connect(address)?)?;
-    line.device = Some(running);
+    line.device = Some(Box::new(running));
     Ok(line)
 }
 

@@ -4,6 +4,9 @@ use std::fs::{self, File, Metadata};
 use std::io::{self, Read};
 use std::path::Path;
 
+#[cfg(feature = "config")]
+use ztl_yaml::{Diagnostic, Diagnostics, Document};
+
 /// Opens a file for reading. A named pipe, a socket or a device is refused, but not the streams of this
 /// process ([`is_stream`]).
 ///
@@ -30,6 +33,27 @@ pub(crate) fn read(path: &Path, most: u64) -> io::Result<Vec<u8>> {
         ));
     }
     Ok(bytes)
+}
+
+/// Reads a YAML file of at most [`MAX_FILE`](ztl_yaml::MAX_FILE) bytes.
+///
+/// # Errors
+/// What keeps it from being read.
+#[cfg(feature = "config")]
+pub fn read_yaml(path: &Path) -> Result<Vec<u8>, Diagnostics> {
+    read(path, ztl_yaml::MAX_FILE).map_err(|error| {
+        let message = format!("cannot read it: {error}");
+        Diagnostic::of_file(&path.display().to_string(), message).into()
+    })
+}
+
+/// Reads and parses a YAML file of our own.
+///
+/// # Errors
+/// What keeps it from being read, or is wrong with it.
+#[cfg(feature = "config")]
+pub fn load_yaml(path: &Path) -> Result<Document, Diagnostics> {
+    Document::parse(&path.display().to_string(), &read_yaml(path)?)
 }
 
 /// Whether a path names a stream of this process, as `/dev/stdin` and `<(…)` in a shell do. A stream can be

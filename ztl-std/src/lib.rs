@@ -1,4 +1,4 @@
-//! ZTL over ZeroMQ: task server and client, the gateway to microcontrollers, and the `ztl` command.
+//! ZTL over ZeroMQ: task server and client, handlers on threads, and the gateway to microcontrollers.
 //!
 //! A task server with one handler, and a client that runs a task on it:
 //!
@@ -44,40 +44,34 @@
 //! # }
 //! ```
 
-mod clock;
 pub mod controller;
 #[cfg(feature = "defmt")]
 pub mod defmt;
 mod endpoint;
 pub mod files;
 mod frames;
+#[cfg(feature = "gateway")]
 pub mod gateway;
 pub mod keys;
-#[cfg(feature = "sim")]
-pub mod line;
+#[cfg(feature = "config")]
 pub mod listen;
-#[cfg(all(unix, feature = "sim"))]
-mod pty;
 mod random;
 mod remote;
+#[cfg(feature = "config")]
 pub mod remotes;
-pub mod script;
-#[cfg(all(unix, feature = "serve"))]
-pub mod serve;
+pub mod scope;
 pub mod server;
-#[cfg(feature = "sim")]
-pub mod sim;
 pub mod terminal;
-mod wall;
-pub mod yaml;
+pub mod time;
 
 pub use controller::{
     Aborted, ExecutableTask, TaskContext, TaskController, TaskError, TaskRequest,
 };
 pub use remote::{
     Description, Fate, InBackground, Offers, RemoteId, RemoteTask, RequestError, ServerInfo,
-    Status, TaskGuard, TriggerError, Triggered, WaitError,
+    Status, TaskGuard, TriggerError, Triggered, WaitError, encoded,
 };
+#[cfg(feature = "config")]
 pub use remotes::Remotes;
 pub use server::{Access, BindError, Limits, ListedTask, Listing, RunningServer, TaskServer};
 pub use ztl_core::{State, TaskId, TaskSpec};

@@ -8,7 +8,7 @@ use ipnet::IpNet;
 
 use crate::files::is_stream;
 use crate::server::{LIMITS, Limits};
-use crate::yaml::{Fields, Node, Reading, Value};
+use ztl_yaml::{Fields, Node, Reading, Value};
 
 /// What a configuration file says of it. All of it can be left out there, and said elsewhere.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
@@ -54,15 +54,12 @@ pub const LEVELS: [(&str, tracing::Level); 4] = [
 pub const LOG_FORMATS: [(&str, LogFormat); 2] =
     [("text", LogFormat::Text), ("json", LogFormat::Json)];
 
-pub(crate) const PORT: &str = "a port, a whole number from 0 to 65535";
+/// What a port is, for messages.
+pub const PORT: &str = "a port, a whole number from 0 to 65535";
 
 impl Listen {
     /// Takes its keys out of a file's; paths are relative to `base`.
-    pub(crate) fn read<'d>(
-        reading: &mut Reading<'d>,
-        fields: &mut Fields<'d>,
-        base: &Path,
-    ) -> Self {
+    pub fn read<'d>(reading: &mut Reading<'d>, fields: &mut Fields<'d>, base: &Path) -> Self {
         let mut listen = Self::default();
         if let Some(node) = fields.optional("port") {
             listen.port = reading.whole(node, PORT);
@@ -147,25 +144,12 @@ fn limits<'d>(reading: &mut Reading<'d>, node: &'d Node) -> Limits {
 }
 
 /// The items of a list, or a value that stands for a list of one.
-pub(crate) fn one_or_more(node: &Node) -> &[Node] {
+#[must_use]
+pub fn one_or_more(node: &Node) -> &[Node] {
     match &node.value {
         Value::List(nodes) => nodes,
         _ => std::slice::from_ref(node),
     }
-}
-
-/// A size as a person writes it, in bytes: `64 KiB`.
-pub(crate) fn bytes(text: &str) -> Option<usize> {
-    let split = text.find(|c: char| !c.is_ascii_digit())?;
-    let (number, unit) = text.split_at(split);
-    let unit = match unit.trim() {
-        "B" | "bytes" | "byte" => 1,
-        "KiB" | "kB" | "KB" | "K" => 1024,
-        "MiB" => 1024 * 1024,
-        "GiB" => 1024 * 1024 * 1024,
-        _ => return None,
-    };
-    number.parse::<usize>().ok()?.checked_mul(unit)
 }
 
 /// Why nothing can be served there, as far as it can be seen without trying.

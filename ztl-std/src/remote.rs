@@ -15,10 +15,10 @@ use ztl_core::envelope::{ClientId, Envelope};
 use ztl_core::sink::Sink;
 use ztl_core::{Request, State, TaskSpec};
 
-use crate::clock::now;
 use crate::keys::{KeyPair, PublicKey, can_encrypt};
 use crate::random;
-use crate::remotes::scope_mistake;
+use crate::scope;
+use crate::time::now;
 pub use background::{Fate, InBackground};
 pub use description::{Description, Offers};
 pub use error::{RequestError, TriggerError, WaitError};
@@ -112,12 +112,15 @@ impl RemoteTask {
     }
 
     /// The same with ZeroMQ's threads, which several clients may share.
-    pub(crate) fn connect_in(
+    ///
+    /// # Errors
+    /// Those of [`connect`](Self::connect).
+    pub fn connect_in(
         context: zmq::Context,
         endpoint: &str,
         scope: &str,
     ) -> Result<Self, RequestError> {
-        if let Some(mistake) = scope_mistake(scope) {
+        if let Some(mistake) = scope::cannot_be_asked(scope) {
             return Err(RequestError::Scope(mistake));
         }
         let mut remote = Self {
@@ -138,12 +141,14 @@ impl RemoteTask {
     }
 
     /// Where its server is.
-    pub(crate) fn endpoint(&self) -> &str {
+    #[must_use]
+    pub fn endpoint(&self) -> &str {
         &self.endpoint
     }
 
     /// The scope that it asks.
-    pub(crate) fn scope(&self) -> &str {
+    #[must_use]
+    pub fn scope(&self) -> &str {
         &self.scope
     }
 
@@ -353,6 +358,7 @@ impl RemoteTask {
         }
     }
 
+    #[cfg(feature = "config")]
     /// Asks the server what it offers; `None` when it is not one of ours.
     ///
     /// # Errors
@@ -507,7 +513,9 @@ fn version_of(probed: &str) -> Option<String> {
     Some(version.trim_matches(['\'', '"', ' ']).to_owned())
 }
 
-pub(crate) fn encoded(handler: &str, component: &str, goal: &str) -> String {
+/// The payload of an INIT: the specification in base64.
+#[must_use]
+pub fn encoded(handler: &str, component: &str, goal: &str) -> String {
     let spec = TaskSpec {
         handler,
         component,

@@ -3,7 +3,7 @@
 //!
 //! ```
 //! use ztl_std::Remotes;
-//! use ztl_std::yaml::Document;
+//! use ztl_yaml::Document;
 //!
 //! let file = b"
 //! remotes:
@@ -29,11 +29,11 @@ use std::ffi::OsString;
 use std::fmt;
 use std::path::{Path, PathBuf};
 
-use ztl_core::Message;
 use ztl_core::integer::Integer;
 
-use crate::script::scalar;
-use crate::yaml::{Diagnostics, Document, Node, Reading, Value, closest};
+use crate::scope;
+use ztl_yaml::python;
+use ztl_yaml::{Diagnostics, Document, Node, Reading, Value, closest};
 
 /// Where a scope is served, or published.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -82,7 +82,7 @@ impl Remotes {
     /// When it cannot be read, is no YAML, or no mapping of `remotes` and `publishers`. What is wrong
     /// with one entry is told by [`task`](Self::task) and [`mistakes`](Self::mistakes).
     pub fn load(path: &Path) -> Result<Self, Diagnostics> {
-        Self::read(&Document::load(path)?)
+        Self::read(&crate::files::load_yaml(path)?)
     }
 
     /// Takes them out of a document.
@@ -106,7 +106,7 @@ impl Remotes {
             }
             let entries = reading.pairs(value, "NAME: {host: lamp, port: 12345, scope: /lab}");
             for (name, entry) in entries.into_iter().flatten() {
-                match scalar::text(name) {
+                match python::text(name) {
                     Some(Ok(name)) => {
                         place.insert(name, endpoint(document, entry));
                     }
@@ -234,13 +234,6 @@ pub fn usual_path() -> PathBuf {
     usual_path_by(|name| std::env::var_os(name))
 }
 
-/// Why no request can go to a scope.
-#[must_use]
-pub fn scope_mistake(scope: &str) -> Option<String> {
-    let wrong = "contains ';', which would end it; write it as /lab";
-    (!Message::is_scope(scope)).then(|| format!("the scope '{scope}' {wrong}"))
-}
-
 fn usual_path_by(variable: impl Fn(&str) -> Option<OsString>) -> PathBuf {
     let mut path = variable("XDG_CONFIG_HOME").unwrap_or_else(|| {
         let mut home = variable("HOME").unwrap_or_else(|| "/home/demo".into());
@@ -276,7 +269,7 @@ fn endpoint(document: &Document, node: &Node) -> Entry {
             }
         });
         let given = text(&mut reading, scope, "a scope, as /lab");
-        if let Some(wrong) = given.as_deref().and_then(scope_mistake) {
+        if let Some(wrong) = given.as_deref().and_then(scope::cannot_be_asked) {
             reading.wrong(scope, wrong);
         }
         Some(Remote {
@@ -297,7 +290,7 @@ fn port_of(text: &str) -> Result<u16, String> {
 /// A text as the original would have it.
 fn text<'d>(reading: &mut Reading<'d>, node: &'d Node, what: &str) -> Option<String> {
     reading.text(node, what)?;
-    match scalar::text(node)? {
+    match python::text(node)? {
         Ok(text) => Some(text),
         Err(wrong) => {
             reading.wrong(node, wrong);

@@ -169,7 +169,9 @@ fn visible(c: char) -> char {
 pub struct Diagnostics(Vec<Diagnostic>);
 
 impl Diagnostics {
-    pub(crate) fn new(mut mistakes: Vec<Diagnostic>) -> Self {
+    /// Puts them in the order of the file.
+    #[must_use]
+    pub fn new(mut mistakes: Vec<Diagnostic>) -> Self {
         mistakes.sort_by_key(|mistake| mistake.span.map(|span| span.start));
         Self(mistakes)
     }

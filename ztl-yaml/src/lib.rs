@@ -23,6 +23,7 @@ mod diagnostic;
 mod explain;
 mod flow;
 mod merge;
+pub mod python;
 mod reading;
 mod scalars;
 mod scanner;
@@ -32,11 +33,9 @@ mod tree;
 pub use diagnostic::{Diagnostic, Diagnostics, closest};
 pub use reading::{Fields, Reading};
 
-use std::path::Path;
 
-use crate::files;
 
-/// Longest file that is read, in bytes.
+/// Longest file that is to be read, in bytes.
 pub const MAX_FILE: u64 = 1 << 20;
 
 /// A place in a file.
@@ -78,7 +77,7 @@ pub enum Rules {
 }
 
 /// Prefix of YAML's own tags.
-pub(crate) const CORE: &str = "tag:yaml.org,2002:";
+pub const CORE: &str = "tag:yaml.org,2002:";
 
 /// What is wrong, and where.
 type Mistake = (Span, String);
@@ -114,7 +113,8 @@ impl Node {
 
     /// Whether it is this text and may mean something else than a text: without quotes, or after a
     /// single `!`, and without another tag.
-    pub(crate) fn is_plainly(&self, written: &str) -> bool {
+    #[must_use]
+    pub fn is_plainly(&self, written: &str) -> bool {
         match (&self.value, self.tag.as_deref()) {
             (Value::Scalar { text, plain: true }, None) => text == written,
             (Value::Scalar { text, .. }, Some("!")) => text == written,
@@ -123,7 +123,8 @@ impl Node {
     }
 
     /// What it is, for people.
-    pub(crate) fn kind(&self) -> &'static str {
+    #[must_use]
+    pub fn kind(&self) -> &'static str {
         match &self.value {
             _ if self.is_null() => "nothing",
             Value::Scalar { .. } => "a single value",
@@ -144,22 +145,6 @@ pub struct Document {
 }
 
 impl Document {
-    /// Reads a file of at most [`MAX_FILE`] bytes.
-    ///
-    /// # Errors
-    /// What keeps it from being read, or what is no YAML in it.
-    pub fn load(path: &Path) -> Result<Self, Diagnostics> {
-        Self::load_by(path, Rules::Ours)
-    }
-
-    /// The same by other rules.
-    ///
-    /// # Errors
-    /// As [`load`](Self::load), where these rules have it so.
-    pub fn load_by(path: &Path, rules: Rules) -> Result<Self, Diagnostics> {
-        Self::parse_by(&path.display().to_string(), &read_file(path)?, rules)
-    }
-
     /// Parses the content of a file; `name` is the file's, for mistakes.
     ///
     /// # Errors
@@ -228,17 +213,6 @@ impl Document {
     }
 }
 
-/// Reads a file of at most [`MAX_FILE`] bytes.
-///
-/// # Errors
-/// What keeps it from being read.
-pub(crate) fn read_file(path: &Path) -> Result<Vec<u8>, Diagnostics> {
-    files::read(path, MAX_FILE).map_err(|error| {
-        let message = format!("cannot read it: {error}");
-        Diagnostic::of_file(&path.display().to_string(), message).into()
-    })
-}
-
 /// The first character that PyYAML does not take.
 fn unprintable(name: &str, text: &str) -> Option<Diagnostic> {
     let taken = |c: char| match c {
@@ -275,4 +249,4 @@ fn character_after(before: &str) -> Span {
 }
 
 #[cfg(test)]
-pub(crate) mod tests;
+mod tests;

@@ -2,8 +2,11 @@
 
 use ztl_core::base64;
 
-use super::value::{Date, Timestamp, Value};
-use crate::{self, CORE, Node};
+mod value;
+
+use crate::{CORE, Node};
+
+pub use value::{Date, Timestamp, Value, quoted};
 
 /// Longest whole number, in digits, that Python writes as text.
 const MAX_DIGITS: usize = ztl_core::integer::MAX_DIGITS;
@@ -13,8 +16,9 @@ const MAX_DIGITS: usize = ztl_core::integer::MAX_DIGITS;
 ///
 /// # Errors
 /// As [`plain`].
-pub(crate) fn text(node: &Node) -> Option<Result<String, String>> {
-    let yaml::Value::Scalar { text, plain } = &node.value else {
+#[must_use]
+pub fn text(node: &Node) -> Option<Result<String, String>> {
+    let crate::Value::Scalar { text, plain } = &node.value else {
         return None;
     };
     Some(read(text, *plain, node.tag.as_deref()).map(|value| value.to_string()))
@@ -24,7 +28,7 @@ pub(crate) fn text(node: &Node) -> Option<Result<String, String>> {
 ///
 /// # Errors
 /// As [`plain`].
-pub(super) fn read(text: &str, plain: bool, tag: Option<&str>) -> Result<Value, String> {
+pub fn read(text: &str, plain: bool, tag: Option<&str>) -> Result<Value, String> {
     match tag.and_then(|tag| tag.strip_prefix(CORE)) {
         Some(kind) => tagged(kind, text),
         None if plain || tag.is_some() => self::plain(text),
@@ -36,7 +40,7 @@ pub(super) fn read(text: &str, plain: bool, tag: Option<&str>) -> Result<Value, 
 ///
 /// # Errors
 /// Why it means nothing: PyYAML ends there with an exception.
-pub(super) fn plain(text: &str) -> Result<Value, String> {
+pub fn plain(text: &str) -> Result<Value, String> {
     match kind(text) {
         Some(kind) => tagged(kind, text),
         None => Ok(Value::Text(text.to_owned())),

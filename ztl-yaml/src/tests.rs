@@ -310,84 +310,9 @@ fn the_word_that_was_meant_is_found_and_no_other() {
     }
 }
 
-/// A sequence of numbers that looks random and is the same in every run (xorshift).
-pub(crate) struct Numbers(pub(crate) u64);
-
-impl Numbers {
-    pub(crate) fn below(&mut self, limit: usize) -> usize {
-        self.0 ^= self.0 << 13;
-        self.0 ^= self.0 >> 7;
-        self.0 ^= self.0 << 17;
-        usize::try_from(self.0 >> 33).unwrap_or(0) % limit.max(1)
-    }
-
-    /// A file with some places written over.
-    pub(crate) fn spoil(&mut self, whole: &str) -> Vec<u8> {
-        let mut bytes = whole.as_bytes().to_vec();
-        for _ in 0..=self.below(4) {
-            let from = self.below(bytes.len());
-            let to = (from + self.below(6)).min(bytes.len());
-            let piece = self.bytes();
-            let piece = piece.get(..self.below(6)).unwrap_or_default().to_vec();
-            bytes.splice(from..to, piece);
-        }
-        bytes
-    }
-
-    /// Text of YAML's own pieces, with some bytes thrown in.
-    pub(crate) fn bytes(&mut self) -> Vec<u8> {
-        const PIECES: [&str; 36] = [
-            "a",
-            "port",
-            ": ",
-            ":",
-            "\n",
-            "\n  ",
-            "\n\t",
-            "- ",
-            "[",
-            "]",
-            "{",
-            "}",
-            ", ",
-            "&x ",
-            "*x",
-            "!",
-            "!!str ",
-            "!t!x ",
-            "|\n",
-            ">-\n",
-            "\"",
-            "'",
-            "#",
-            "? ",
-            "%",
-            "%TAG ! x\n",
-            "---\n",
-            "...\n",
-            "\\",
-            "\\x",
-            "\u{feff}",
-            "\u{85}",
-            "ä",
-            "\r\n",
-            "<<",
-            "\0",
-        ];
-        let mut bytes = Vec::new();
-        for _ in 0..self.below(40) {
-            match self.below(40) {
-                0 => bytes.push(u8::try_from(self.below(256)).unwrap_or(0)),
-                _ => bytes.extend_from_slice(PIECES[self.below(PIECES.len())].as_bytes()),
-            }
-        }
-        bytes
-    }
-}
-
 #[test]
 fn no_bytes_at_all_make_it_panic() {
-    let mut numbers = Numbers(0x9e37_79b9_7f4a_7c15);
+    let mut numbers = Garbage::new(0x9e37_79b9_7f4a_7c15);
     let rounds = std::env::var("ZTL_ROUNDS")
         .ok()
         .and_then(|n| n.parse().ok());

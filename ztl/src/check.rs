@@ -4,8 +4,8 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use tracing::Level;
-use ztl_std::Remotes;
 use ztl_script::{Defaults, Finding, Script, ask_all};
+use ztl_std::Remotes;
 use ztl_yaml::Diagnostics;
 
 use crate::remote_task::Endpoints;

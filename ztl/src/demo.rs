@@ -5,8 +5,8 @@ use std::process::ExitCode;
 use std::time::Instant;
 
 use tracing::Level;
-use ztl_std::gateway::{Endpoint, Gateway};
 use ztl_sim::Kind;
+use ztl_std::gateway::Gateway;
 use ztl_std::{RemoteTask, TaskServer};
 
 use crate::scene::{Act, play};
@@ -75,7 +75,7 @@ impl Demo {
         for kind in DEVICES {
             let (url, device) = simulate(kind);
             line(format_args!("device   {kind:<8} at {url}"));
-            gateway.add(kind.name(), url.parse::<Endpoint>()?)?;
+            gateway.add(kind.name(), ztl_sim::endpoint(&url)?)?;
             devices.extend(device);
         }
         server.register_handler(SCOPE, gateway);

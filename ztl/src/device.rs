@@ -38,7 +38,7 @@ enum Place {
 fn kind(text: &str) -> Result<Kind, String> {
     let name = text.strip_prefix("sim:").unwrap_or(text);
     name.parse()
-        .map_err(|error: ztl_std::gateway::EndpointError| error.to_string())
+        .map_err(|error: ztl_sim::UnknownKind| error.to_string())
 }
 
 fn place(text: &str) -> Result<Place, String> {

@@ -6,9 +6,8 @@ use std::fmt;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use ztl_std::gateway::Endpoint;
 use ztl_std::gateway::config::{Config, DeviceConfig, name_mistake, same_line};
-use ztl_std::server::scope_mistake;
+use ztl_std::scope;
 
 use crate::reach::{self, Findings, MISCONFIGURED, Unfit};
 use crate::service::{self, Service};
@@ -63,7 +62,7 @@ fn device(text: &str) -> Result<DeviceConfig, String> {
         .split_once('=')
         .ok_or("write NAME=URL, as gripper=serial:/dev/ttyACM0")?;
     fits(name, name_mistake)?;
-    let endpoint = url.parse::<Endpoint>().map_err(|error| error.to_string())?;
+    let endpoint = ztl_sim::endpoint(url)?;
     Ok(DeviceConfig::new(name, endpoint))
 }
 
@@ -80,7 +79,7 @@ fn fits(text: &str, mistake: fn(&str) -> Option<String>) -> Result<String, Strin
 }
 
 fn scope(text: &str) -> Result<String, String> {
-    fits(text, scope_mistake)
+    fits(text, scope::cannot_be_served)
 }
 
 /// Adds the ELF files of the command line to the devices, and looks whether all are of use.
@@ -150,7 +149,7 @@ impl Gateway {
     /// What the file and the options say together.
     fn plan(self) -> Result<Plan, Unfit> {
         let config = match &self.file {
-            Some(path) => Config::load(path).map_err(Unfit::File)?,
+            Some(path) => Config::load(path, ztl_sim::endpoint).map_err(Unfit::File)?,
             None => Config::default(),
         };
         let file = self.file.map(|path| path.display().to_string());

@@ -12,8 +12,8 @@ use ipnet::IpNet;
 use tracing::Level;
 use ztl_std::keys::{KeyError, KeyPair, PublicKey, exposure};
 use ztl_std::listen::{LEVELS, LOG_FORMATS, Listen, LogFormat, bind_mistake};
-use ztl_yaml::Diagnostics;
 use ztl_std::{Access, BindError, Limits, RemoteTask, RequestError, TaskServer};
+use ztl_yaml::Diagnostics;
 
 /// Exit code for a configuration that cannot be served, however often it is tried.
 pub(crate) const MISCONFIGURED: u8 = 2;

@@ -5,7 +5,8 @@ use std::path::PathBuf;
 
 use tracing::{Level, info, warn};
 use ztl_std::Remotes;
-use ztl_std::remotes::{Remote, scope_mistake, usual_path};
+use ztl_std::remotes::{Remote, usual_path};
+use ztl_std::scope;
 
 use crate::conversation::{AFTER_HELP, Conversation, Target, Telling, Words};
 use crate::reach::Identity;
@@ -106,7 +107,7 @@ fn endpoint(words: &[String]) -> Result<(&str, Remote), Box<dyn std::error::Erro
     let [name, host, given, scope] = words else {
         return Err("an endpoint is NAME HOST PORT SCOPE".into());
     };
-    if let Some(mistake) = scope_mistake(scope) {
+    if let Some(mistake) = scope::cannot_be_asked(scope) {
         return Err(mistake.into());
     }
     let remote = Remote {

@@ -7,9 +7,9 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode};
 
 use tracing::{Level, warn};
-use ztl_std::listen::{LOG_FORMATS, LogFormat};
 use ztl_serve::{Config, Groups};
-use ztl_std::server::scope_mistake;
+use ztl_std::listen::{LOG_FORMATS, LogFormat};
+use ztl_std::scope;
 
 use crate::reach::{self, MISCONFIGURED, Unfit};
 use crate::service::Service;
@@ -76,7 +76,7 @@ impl Watchdog {
 }
 
 fn scope(text: &str) -> Result<String, String> {
-    scope_mistake(text).map_or_else(|| Ok(text.to_owned()), Err)
+    scope::cannot_be_served(text).map_or_else(|| Ok(text.to_owned()), Err)
 }
 
 impl Serve {

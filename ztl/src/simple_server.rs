@@ -8,7 +8,8 @@ use std::time::{Duration, Instant};
 
 use tracing::{Level, error};
 use ztl_core::Request;
-use ztl_std::server::{TaskHandler, TaskReporter, scope_mistake};
+use ztl_std::scope;
+use ztl_std::server::{TaskHandler, TaskReporter};
 use ztl_std::{Access, Limits, TaskId, TaskServer};
 
 use crate::reach::Bounds;
@@ -32,7 +33,7 @@ pub(crate) struct SimpleServer {
 impl SimpleServer {
     pub(crate) fn run(self) -> Done {
         log::init(Level::INFO);
-        if let Some(error) = scope_mistake(&self.scope) {
+        if let Some(error) = scope::cannot_be_served(&self.scope) {
             return Err(error.into());
         }
         signals::catch()?;

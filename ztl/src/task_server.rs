@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use tracing::{Level, error};
 use ztl_core::integer::Integer;
-use ztl_std::server::scope_mistake;
+use ztl_std::scope;
 use ztl_std::{
     Access, ExecutableTask, Limits, Offers, TaskContext, TaskController, TaskError, TaskRequest,
     TaskServer as Server,
@@ -33,7 +33,7 @@ pub(crate) struct TaskServer {
 impl TaskServer {
     pub(crate) fn run(self) -> Done {
         log::init(Level::INFO);
-        if let Some(error) = scope_mistake(&self.scope) {
+        if let Some(error) = scope::cannot_be_served(&self.scope) {
             return Err(error.into());
         }
         signals::catch()?;

@@ -16,8 +16,8 @@ pub mod shrink;
 pub mod real {
     /// The two ends of the link.
     pub(crate) mod ends {
+        pub(crate) use ztl_link as session;
         pub(crate) use ztl_mcu as mcu;
-        pub(crate) use ztl_std::gateway::session;
     }
     pub mod model;
 }

@@ -20,10 +20,10 @@ pub struct Mutant {
 
 const COMMANDS: &str = "ztl-mcu/src/node/commands.rs";
 const RUNNER: &str = "ztl-mcu/src/node/runner.rs";
-const SESSION: &str = "ztl-std/src/gateway/session.rs";
-const SEND: &str = "ztl-std/src/gateway/session/send.rs";
-const RECEIVE: &str = "ztl-std/src/gateway/session/receive.rs";
-const ENDS: &str = "ztl-std/src/gateway/session/ends.rs";
+const SESSION: &str = "ztl-link/src/session.rs";
+const SEND: &str = "ztl-link/src/session/send.rs";
+const RECEIVE: &str = "ztl-link/src/session/receive.rs";
+const ENDS: &str = "ztl-link/src/session/ends.rs";
 
 const REPEATED: (&str, &str, &str) = (
     COMMANDS,

@@ -4,9 +4,9 @@ use std::fmt;
 use std::time::Duration;
 
 use ztl_core::link::{Busy, Loss};
-use ztl_std::line::Faults;
+use ztl_sim::line::Faults;
 
-#[path = "../../../ztl-std/src/line/dice.rs"]
+#[path = "../../../ztl-sim/src/line/dice.rs"]
 mod dice;
 
 pub(crate) use dice::Dice;

@@ -8,9 +8,9 @@ use std::rc::Rc;
 
 use super::*;
 use crate::gateway::DeviceBook;
-use ztl_sim::line::{Dice, Faults, FaultyLine};
 use ztl_mcu::link::{Busy, GoalShape, Offer};
 use ztl_mcu::{Component, Identity, Node, Refused, Report, Run};
+use ztl_sim::line::{Dice, Faults, FaultyLine};
 
 mod restart;
 

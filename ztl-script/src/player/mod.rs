@@ -22,10 +22,10 @@ use ztl_core::{Instant, State};
 
 use super::event::{By, Event, Outcome, Question, RequestNumber, ServerState, TaskNumber};
 use super::model::Script;
-use ztl_std::RemoteId;
 use steps::Play;
 use stop::Stopping;
 use tasks::Live;
+use ztl_std::RemoteId;
 
 /// Pause between two questions about a task where the server does not hold the answer, as the
 /// original's.

@@ -5,8 +5,8 @@ use std::time::Duration;
 
 use super::super::params::{self, Piece};
 use super::super::report::spoken;
-use super::super::value::{Value, quoted};
 use super::{Entry, Reader, short};
+use ztl_yaml::python::{Value, quoted};
 use ztl_yaml::{Mark, Node, Span, Value as Yaml, closest};
 
 /// A longer delay was probably written in milliseconds.

@@ -5,35 +5,32 @@ use std::collections::HashMap;
 
 use super::super::finding::Finding;
 use super::super::model::Defaults;
-use super::super::scalar;
-use super::super::value::Value;
 use super::keys::{lacks_colon, without_colon};
 use super::{Entry, Reader, short, short_quoted};
+use ztl_yaml::python::{self, Value};
 use ztl_yaml::{CORE, Diagnostics, Document, Node, Rules, Value as Yaml};
 
-impl Value {
-    /// What PyYAML's `safe_load` makes of a file: a goal as it would stand in a script.
-    ///
-    /// # Errors
-    /// What PyYAML would not take.
-    pub fn read(file: &str, bytes: &[u8]) -> Result<Self, Diagnostics> {
-        let document = Document::parse_by(file, bytes, Rules::Python)?;
-        let (defaults, findings) = (Defaults::default(), Vec::new());
-        let mut reader = Reader {
-            document: &document,
-            defaults,
-            findings,
-        };
-        let value = reader.value(document.root(), None);
-        let mistakes = reader
-            .findings
-            .into_iter()
-            .filter(|finding| !finding.is_doubt());
-        let mistakes: Vec<_> = mistakes.map(Finding::into_diagnostic).collect();
-        match mistakes.is_empty() {
-            true => Ok(value),
-            false => Err(Diagnostics::new(mistakes)),
-        }
+/// What PyYAML's `safe_load` makes of a file: a goal as it would stand in a script.
+///
+/// # Errors
+/// What PyYAML would not take.
+pub fn read_value(file: &str, bytes: &[u8]) -> Result<Value, Diagnostics> {
+    let document = Document::parse_by(file, bytes, Rules::Python)?;
+    let (defaults, findings) = (Defaults::default(), Vec::new());
+    let mut reader = Reader {
+        document: &document,
+        defaults,
+        findings,
+    };
+    let value = reader.value(document.root(), None);
+    let mistakes = reader
+        .findings
+        .into_iter()
+        .filter(|finding| !finding.is_doubt());
+    let mistakes: Vec<_> = mistakes.map(Finding::into_diagnostic).collect();
+    match mistakes.is_empty() {
+        true => Ok(value),
+        false => Err(Diagnostics::new(mistakes)),
     }
 }
 
@@ -159,7 +156,7 @@ impl<'d> Reader<'d> {
         kind: Option<&str>,
         tell: Option<bool>,
     ) -> Value {
-        let value = match scalar::read(text, plain, node.tag.as_deref()) {
+        let value = match python::read(text, plain, node.tag.as_deref()) {
             Ok(value) => value,
             Err(message) => {
                 self.mistake(node.span, message, None);

@@ -23,7 +23,7 @@ pub(super) fn millis(time: Duration) -> String {
 }
 
 /// As it is said beside a bar: `0.82 s`, `1 min 05 s`, `1 h 02 min`.
-pub(in crate) fn spoken(time: Duration) -> String {
+pub(crate) fn spoken(time: Duration) -> String {
     let whole = time.as_secs();
     match whole {
         0..60 => format!("{:.2} s", time.as_secs_f64()),

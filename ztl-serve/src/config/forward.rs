@@ -3,7 +3,7 @@
 use super::super::forward::Forward;
 use super::Source;
 use ztl_std::keys::{KeyError, KeyPair, PublicKey, can_encrypt};
-use ztl_std::remotes::scope_mistake;
+use ztl_std::scope;
 use ztl_yaml::Node;
 
 impl<'d> Source<'d> {
@@ -28,7 +28,7 @@ impl<'d> Source<'d> {
         let scope = scope.and_then(|node| {
             let what = "a scope, as /cob";
             self.reading.parsed(node, what, |text| {
-                scope_mistake(text).map_or_else(|| Ok(text.to_owned()), Err)
+                scope::cannot_be_asked(text).map_or_else(|| Ok(text.to_owned()), Err)
             })
         });
         let handler = fields.optional("handler");

@@ -12,7 +12,8 @@ use super::super::program::{
 use super::super::rule::Rule;
 use super::super::template::Template;
 use super::{Source, Wild};
-use ztl_std::listen::{bytes, one_or_more};
+use ztl_std::listen::one_or_more;
+use ztl_std::server::bytes;
 use ztl_yaml::{Fields, Node, Value};
 
 /// How long a program has to end after it was asked to.

@@ -339,7 +339,7 @@ fn what_is_not_there_yet_is_a_warning() {
 
 #[test]
 fn no_file_at_all_makes_it_panic() {
-    let mut numbers = Garbage(0x2545_f491_4f6c_dd1d);
+    let mut numbers = Garbage::new(0x2545_f491_4f6c_dd1d);
     for _ in 0..3_000 {
         let bytes = numbers.spoil(WHOLE);
         if let Ok(document) = Document::parse("f", &bytes) {

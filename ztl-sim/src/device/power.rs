@@ -10,8 +10,8 @@ use super::axis::{Axis, FINGER, PAN};
 use super::record::Recorded;
 use super::sensor::Sensor;
 use super::{Device, Input, Kind};
-use crate::clock::now;
-use ztl_std::random;
+use crate::random;
+use ztl_std::time::now;
 
 /// Bytes that the node produces at once.
 const PIECE: usize = 32;
@@ -86,7 +86,7 @@ fn run_until_reset(
     let identity = Identity {
         // Its sensor sends as much as the line takes.
         reading_interval: Duration::ZERO,
-        ..Identity::new(name, env!("CARGO_PKG_VERSION"), random::nonzero())
+        ..Identity::new(name, env!("CARGO_PKG_VERSION"), random())
     };
     let mut node = Node::<_, 4, 256>::new(identity, [component]);
     let mut buffer = [0; PIECE];

@@ -8,7 +8,7 @@ use ztl_core::repr::put_quoted;
 use ztl_mcu::link::Offer;
 use ztl_mcu::{Component, Instant, Reading, Refused, Report, Run};
 
-use crate::clock::now;
+use ztl_std::time::now;
 
 /// A file that receives a line for each event.
 #[derive(Debug, Clone)]

@@ -10,10 +10,10 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 use super::{Counts, End, FaultyLine};
-use ztl_std::gateway::{Endpoint, Line};
 #[cfg(unix)]
 use crate::pty::{Link, Pty};
 use direction::Direction;
+use ztl_std::gateway::{Endpoint, Line};
 
 /// Pause before an end is reopened.
 const RETRY: Duration = Duration::from_millis(20);

@@ -5,6 +5,8 @@ use std::str::FromStr;
 
 use ztl_std::gateway::{Endpoint, EndpointError};
 
+use crate::endpoint;
+
 /// One end of a [`Cable`](super::Cable).
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[non_exhaustive]
@@ -37,7 +39,7 @@ pub enum EndError {
     /// `tcp:` without a host or a port.
     Tcp,
     /// An invalid endpoint of a gateway's device.
-    Endpoint(EndpointError),
+    Endpoint(String),
 }
 
 impl std::fmt::Display for EndError {
@@ -71,10 +73,11 @@ impl FromStr for End {
                 Some(address) => Ok(Self::Listen { address }),
                 None => Err(EndError::Listen),
             },
-            "serial" | "tcp" | "sim" => text.parse().map(Self::Open).map_err(|error| match error {
-                EndpointError::Incomplete { .. } if scheme == "tcp" => EndError::Tcp,
-                error => EndError::Endpoint(error),
-            }),
+            "tcp" => text
+                .parse()
+                .map(Self::Open)
+                .map_err(|_: EndpointError| EndError::Tcp),
+            "serial" | "sim" => endpoint(text).map(Self::Open).map_err(EndError::Endpoint),
             _ => Err(EndError::Scheme {
                 found: scheme.to_owned(),
             }),

@@ -1,7 +1,7 @@
 //! Input that is not a log, or not of this firmware. `tests/gateway/logs.rs` decodes a real log.
 
 use super::*;
-use crate::yaml::tests::Numbers;
+use ztl_tests::garbage::Garbage;
 
 fn decoder(encoding: Encoding, texts: &[(bool, &str)]) -> Decoder {
     Decoder {
@@ -172,7 +172,7 @@ fn no_bytes_cause_a_panic() {
         .iter()
         .map(|(message, text)| (*message, text.as_str()))
         .collect();
-    let mut numbers = Numbers(0x0123_4567_89ab_cdef);
+    let mut numbers = Garbage::new(0x0123_4567_89ab_cdef);
     for encoding in [Encoding::Raw, Encoding::Rzcobs] {
         let mut log = decoder(encoding, &texts);
         for _ in 0..20_000 {

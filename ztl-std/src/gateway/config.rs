@@ -3,10 +3,10 @@
 
 use std::path::{Path, PathBuf};
 
-use super::endpoint::{BAUD_WANTED, Endpoint};
+use super::endpoint::{BAUD_WANTED, Endpoint, ParseEndpoint};
 use crate::listen::{Listen, PORT};
-use crate::server::scope_mistake;
-use crate::yaml::{Diagnostics, Document, Node, Reading, Value};
+use crate::scope;
+use ztl_yaml::{Diagnostics, Document, Node, Reading, Value};
 
 /// What a configuration file says. All of it can be left out there, and said elsewhere.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
@@ -62,28 +62,38 @@ impl Config {
     ///
     /// # Errors
     /// All that is wrong with it, each with its place.
-    pub fn load(path: &Path) -> Result<Self, Diagnostics> {
-        let document = Document::load(path)?;
-        Self::read(&document, path.parent().unwrap_or(Path::new("")))
+    pub fn load(path: &Path, endpoint: ParseEndpoint) -> Result<Self, Diagnostics> {
+        let document = crate::files::load_yaml(path)?;
+        let base = path.parent().unwrap_or(Path::new(""));
+        Self::read(&document, base, endpoint)
     }
 
     /// Takes the configuration out of a document; paths are relative to `base`.
     ///
     /// # Errors
     /// As [`load`](Self::load).
-    pub fn read(document: &Document, base: &Path) -> Result<Self, Diagnostics> {
+    pub fn read(
+        document: &Document,
+        base: &Path,
+        endpoint: ParseEndpoint,
+    ) -> Result<Self, Diagnostics> {
         let mut reading = document.reading();
-        let config = config(&mut reading, document.root(), base);
+        let config = config(&mut reading, document.root(), base, endpoint);
         reading.finish(config)
     }
 }
 
-fn config<'d>(reading: &mut Reading<'d>, root: &'d Node, base: &Path) -> Option<Config> {
+fn config<'d>(
+    reading: &mut Reading<'d>,
+    root: &'d Node,
+    base: &Path,
+    endpoint: ParseEndpoint,
+) -> Option<Config> {
     let mut fields = reading.fields(root, "scope, port, devices")?;
     let mut config = Config::default();
     if let Some(node) = fields.optional("scope") {
         config.scope = reading.parsed(node, "a scope, as /lab", |text| {
-            scope_mistake(text).map_or_else(|| Ok(text.to_owned()), Err)
+            scope::cannot_be_served(text).map_or_else(|| Ok(text.to_owned()), Err)
         });
     }
     config.listen = Listen::read(reading, &mut fields, base);
@@ -102,7 +112,7 @@ fn config<'d>(reading: &mut Reading<'d>, root: &'d Node, base: &Path) -> Option<
     if let Some(node) = fields.optional("devices") {
         let what = "the name of each device and where it is, as gripper: serial:/dev/ttyACM0";
         for (name, node) in reading.pairs(node, what).unwrap_or_default() {
-            let read = device(reading, name, node, base);
+            let read = device(reading, name, node, base, endpoint);
             let Some((device, url)) = read else { continue };
             if let Some(other) = same_line(&config.devices, &device) {
                 let message = format!("'{}' is at {} already", other.name, other.endpoint);
@@ -121,6 +131,7 @@ fn device<'d>(
     name: &'d Node,
     node: &'d Node,
     base: &Path,
+    endpoint: ParseEndpoint,
 ) -> Option<(DeviceConfig, &'d Node)> {
     let known = reading.parsed(name, "a device's name", |text| {
         name_mistake(text).map_or_else(|| Ok(text.to_owned()), Err)
@@ -139,7 +150,7 @@ fn device<'d>(
         }
         _ => Some(node),
     }?;
-    let mut endpoint = reading.parsed(url, what, str::parse::<Endpoint>);
+    let mut endpoint = reading.parsed(url, what, endpoint);
     if let Some(node) = baud {
         let rate = reading.parsed(node, BAUD_WANTED, |text| {
             let rate = text.parse().ok().filter(|rate| *rate > 0);
@@ -192,12 +203,19 @@ mod tests {
 
     use crate::listen::LogFormat;
     use crate::server::Limits;
-    use crate::yaml::tests::Numbers;
+    use ztl_tests::garbage::Garbage;
+
+    /// The endpoints of serial ports and TCP.
+    fn endpoint(text: &str) -> Result<Endpoint, String> {
+        text.parse()
+            .map_err(|error: super::super::EndpointError| error.to_string())
+    }
 
     fn parse(text: &str) -> Result<Config, Diagnostics> {
         Config::read(
             &Document::parse("lab.yaml", text.as_bytes())?,
             Path::new("/lab"),
+            endpoint,
         )
     }
 
@@ -343,11 +361,11 @@ devices:
     fn no_file_at_all_makes_it_panic() {
         const WHOLE: &str = "scope: /lab\nport: 1\nbind: '*'\npublish: 2\njournal: x\nlog: info\nlog-format: text\n\
             devices:\n  a: sim:head\n  b: {url: serial:/dev/x?baud=9600, baud: 1, elf: y}\n  c:\n    url: tcp:h:1\n";
-        let mut numbers = Numbers(0x2545_f491_4f6c_dd1d);
+        let mut numbers = Garbage::new(0x2545_f491_4f6c_dd1d);
         for _ in 0..5_000 {
             let bytes = numbers.spoil(WHOLE);
             if let Ok(document) = Document::parse("f", &bytes) {
-                let _ = Config::read(&document, Path::new("")).map_err(|m| m.to_string());
+                let _ = Config::read(&document, Path::new(""), endpoint).map_err(|m| m.to_string());
             }
         }
     }

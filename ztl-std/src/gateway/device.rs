@@ -16,10 +16,10 @@ use super::logs::DeviceLog;
 use super::reader::{Opener, Permit};
 use super::readings::Observers;
 use super::report::Window;
-use ztl_link::{Restored, Session};
 use crate::random;
 use crate::server::{Claim, TaskReporter};
 use worker::Worker;
+use ztl_link::{Restored, Session};
 
 /// Longest part of a request that is repeated in a reason, in bytes.
 const SHOWN: usize = 100;

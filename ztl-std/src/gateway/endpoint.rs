@@ -1,12 +1,11 @@
-//! Where a device is: `serial:/dev/ttyACM0?baud=115200`, `tcp:HOST:PORT`, `sim:gripper`.
+//! Where a device is: `serial:/dev/ttyACM0?baud=115200`, `tcp:HOST:PORT`.
 
+use std::any::Any;
 use std::io::{self, Read, Write};
 use std::net::{TcpStream, ToSocketAddrs};
 use std::str::FromStr;
+use std::sync::Arc;
 use std::time::Duration;
-
-#[cfg(feature = "sim")]
-use crate::sim;
 
 /// Line rate of a serial port unless `?baud=` says otherwise.
 pub const BAUD: u32 = 115_200;
@@ -15,7 +14,7 @@ pub const BAUD: u32 = 115_200;
 pub(super) const BAUD_WANTED: &str = "a line rate in bits a second, as 115200";
 
 /// A read gives up after this time, so that a line can be closed.
-pub(crate) const READ_TIMEOUT: Duration = Duration::from_millis(50);
+pub const READ_TIMEOUT: Duration = Duration::from_millis(50);
 
 /// Where a device is.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -33,10 +32,46 @@ pub enum Endpoint {
         /// Host and port.
         address: String,
     },
-    /// A device simulated in this process.
-    #[cfg(feature = "sim")]
-    Sim(sim::Kind),
+    /// A device in this process.
+    InProcess(InProcess),
 }
+
+/// A device in this process, such as a simulated one.
+#[derive(Clone)]
+pub struct InProcess {
+    name: String,
+    open: Arc<dyn Fn() -> io::Result<Line> + Send + Sync>,
+}
+
+impl InProcess {
+    /// A device of this name, which also tells whether two are the same; `open` starts it.
+    pub fn new(name: &str, open: impl Fn() -> io::Result<Line> + Send + Sync + 'static) -> Self {
+        Self {
+            name: name.to_owned(),
+            open: Arc::new(open),
+        }
+    }
+}
+
+impl PartialEq for InProcess {
+    fn eq(&self, other: &Self) -> bool {
+        self.name == other.name
+    }
+}
+
+impl Eq for InProcess {}
+
+impl std::fmt::Debug for InProcess {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_tuple("InProcess").field(&self.name).finish()
+    }
+}
+
+/// Reads where a device is; [`Endpoint`]'s `parse`, or that with more kinds of devices.
+///
+/// # Errors
+/// What is wrong with the text, and what would be right.
+pub type ParseEndpoint = fn(&str) -> Result<Endpoint, String>;
 
 /// Why a text is no endpoint.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -57,13 +92,6 @@ pub enum EndpointError {
         /// What was written.
         found: String,
     },
-    /// No such simulated device.
-    Simulation {
-        /// What was written.
-        found: String,
-        /// What there is.
-        known: String,
-    },
 }
 
 impl std::fmt::Display for EndpointError {
@@ -71,7 +99,7 @@ impl std::fmt::Display for EndpointError {
         match self {
             Self::Scheme { found } => write!(
                 f,
-                "unknown kind of device '{found}'; use serial:/dev/ttyACM0?baud=115200, tcp:HOST:PORT or sim:gripper"
+                "unknown kind of device '{found}'; use serial:/dev/ttyACM0?baud=115200 or tcp:HOST:PORT"
             ),
             Self::Incomplete { expected } => write!(f, "incomplete; use {expected}"),
             Self::Option { found } => {
@@ -79,9 +107,6 @@ impl std::fmt::Display for EndpointError {
                     f,
                     "'{found}' is no option of a serial port; use ?baud=115200"
                 )
-            }
-            Self::Simulation { found, known } => {
-                write!(f, "no simulated device '{found}'; there are: {known}")
             }
         }
     }
@@ -106,8 +131,6 @@ impl FromStr for Endpoint {
                     expected: "tcp:HOST:PORT, as tcp:localhost:7000",
                 }),
             },
-            #[cfg(feature = "sim")]
-            "sim" => rest.parse().map(Self::Sim),
             _ => Err(EndpointError::Scheme {
                 found: scheme.to_owned(),
             }),
@@ -143,8 +166,7 @@ impl std::fmt::Display for Endpoint {
         match self {
             Self::Serial { path, .. } => write!(f, "serial:{path}"),
             Self::Tcp { address } => write!(f, "tcp:{address}"),
-            #[cfg(feature = "sim")]
-            Self::Sim(kind) => write!(f, "sim:{kind}"),
+            Self::InProcess(device) => f.write_str(&device.name),
         }
     }
 }
@@ -156,9 +178,8 @@ pub struct Line {
     /// What is sent: a write is on its way at once. It is never flushed, since on a serial port that
     /// waits until the last bit is out, in steps of the system's clock.
     pub writer: Box<dyn Write + Send>,
-    /// Kept open as long as the line is: the simulated device at the other end.
-    #[cfg(feature = "sim")]
-    pub(crate) device: Option<sim::Running>,
+    /// Kept as long as the line is: the device at the other end, if it is in this process.
+    pub device: Option<Box<dyn Any + Send>>,
 }
 
 impl std::fmt::Debug for Line {
@@ -173,7 +194,6 @@ impl Line {
         Self {
             reader: Box::new(reader),
             writer: Box::new(writer),
-            #[cfg(feature = "sim")]
             device: None,
         }
     }
@@ -200,7 +220,7 @@ impl Line {
 }
 
 impl Endpoint {
-    /// Opens the line; for a simulated device, starts it.
+    /// Opens the line; starts a device in this process.
     ///
     /// # Errors
     /// Those of the operating system.
@@ -221,8 +241,7 @@ impl Endpoint {
                 }
                 Err(last)
             }
-            #[cfg(feature = "sim")]
-            Self::Sim(kind) => sim::line(*kind),
+            Self::InProcess(device) => (device.open)(),
         }
     }
 
@@ -279,7 +298,8 @@ fn for_people(path: &str, error: serialport::Error) -> io::Error {
 }
 
 /// Whether a read brought nothing only because its time had passed.
-pub(crate) fn is_pause(error: &io::Error) -> bool {
+#[must_use]
+pub fn is_pause(error: &io::Error) -> bool {
     matches!(
         error.kind(),
         io::ErrorKind::TimedOut | io::ErrorKind::WouldBlock | io::ErrorKind::Interrupted
@@ -318,7 +338,6 @@ mod tests {
             ("serial:/dev/x?speed=9600", "?baud=115200"),
             ("tcp:7000", "tcp:HOST:PORT"),
             ("tcp:localhost:http", "tcp:HOST:PORT"),
-            ("sim:arm", "there are: gripper, head"),
         ] {
             let error = text.parse::<Endpoint>().unwrap_err().to_string();
             assert!(error.contains(part), "{text}: {error}");

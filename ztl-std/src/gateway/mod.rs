@@ -14,7 +14,6 @@ mod reader;
 mod readings;
 mod report;
 mod ring;
-pub mod session;
 mod voice;
 
 use std::collections::BTreeSet;
@@ -24,9 +23,9 @@ use std::sync::{Arc, Mutex};
 use tracing::warn;
 
 pub use device::Device;
-pub use endpoint::{BAUD, Endpoint, EndpointError, Line};
-#[cfg(feature = "sim")]
-pub(crate) use endpoint::{READ_TIMEOUT, is_pause};
+pub use endpoint::{
+    BAUD, Endpoint, EndpointError, InProcess, Line, ParseEndpoint, READ_TIMEOUT, is_pause,
+};
 pub use fleet::{AddError, Devices, Watch};
 use fleet::{Fleet, Shared};
 pub use journal::{DeviceBook, Journal, JournalError, Log, Moment, Storage};

@@ -9,8 +9,8 @@ use serde::{Deserialize, Serialize};
 use ztl_core::link::{Busy, Loss};
 use ztl_core::{Instant, TaskSpec};
 
+use crate::time::{millis, now};
 use ztl_link::{Book, ComponentInfo, DeviceInfo, LinkCounters, RoundTrips, Session};
-use crate::clock::{millis, now};
 
 /// Each device of a gateway, by the name under which clients know it.
 pub type DeviceReports = BTreeMap<String, DeviceReport>;

@@ -198,7 +198,6 @@ impl From<zmq::Error> for RequestError {
 
 /// Why a task was not started.
 #[derive(Debug, Clone, PartialEq, Eq)]
-#[non_exhaustive]
 pub enum TriggerError {
     /// The server refused it; nothing was done.
     Refused {

@@ -9,9 +9,9 @@ use ztl_core::envelope::Envelope;
 use ztl_core::sink::Sink;
 
 use super::{LOG, RemoteId, RemoteTask, RequestError, Status, version_of};
-use crate::clock::now;
 use crate::endpoint::check_port;
 use crate::frames;
+use crate::time::now;
 
 /// Pauses between two tries to connect to a server that is not there: from, and at most.
 const RETRY: (i32, i32) = (20, 1000);
@@ -141,7 +141,7 @@ impl RemoteTask {
     }
 
     /// Whether the server would take the INIT of this task, as far as it told how long one may be.
-    pub(crate) fn takes_length_of(&self, payload: &str) -> Result<(), RequestError> {
+    pub fn takes_length_of(&self, payload: &str) -> Result<(), RequestError> {
         self.fits(self.init_length(payload))
     }
 

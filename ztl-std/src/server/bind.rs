@@ -104,7 +104,7 @@ pub(super) fn try_port(address: SocketAddr, endpoint: &str) -> Result<(), BindEr
     })
 }
 
-#[cfg(all(unix, feature = "serve"))]
+#[cfg(unix)]
 fn bind_only(address: SocketAddr) -> io::Result<()> {
     use rustix::net::{AddressFamily, SocketType, bind, socket, sockopt};
 
@@ -118,7 +118,7 @@ fn bind_only(address: SocketAddr) -> io::Result<()> {
     Ok(bind(&socket, &address)?)
 }
 
-#[cfg(not(all(unix, feature = "serve")))]
+#[cfg(not(unix))]
 fn bind_only(address: SocketAddr) -> io::Result<()> {
     std::net::TcpListener::bind(address).map(drop)
 }

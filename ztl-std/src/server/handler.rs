@@ -93,9 +93,7 @@ pub struct RestoredTask {
 
 /// Answers the question `takes PAYLOAD`: whether a handler would take this task, as far as it can tell
 /// without starting it; JSON's `null`, or the reason why not.
-pub(crate) fn would_take(
-    takes: impl Fn(&TaskSpec<'_>) -> Result<(), String> + Send + 'static,
-) -> Answers {
+pub fn would_take(takes: impl Fn(&TaskSpec<'_>) -> Result<(), String> + Send + 'static) -> Answers {
     Box::new(move |question| {
         let payload = question.strip_prefix("takes ")?;
         let mut buffer = vec![0; payload.len()];

@@ -5,7 +5,6 @@ use std::time::Duration;
 use ztl_core::dispatcher::Config;
 
 use super::{MAX_MESSAGE, random};
-use crate::listen::bytes;
 
 /// Files that a process needs besides its connections: programs, ports, logs.
 const OTHER_FILES: usize = 128;
@@ -176,6 +175,21 @@ fn soft_limit(limits: &str) -> Option<usize> {
         .lines()
         .find_map(|line| line.strip_prefix("Max open files"))?;
     line.split_whitespace().next()?.parse().ok()
+}
+
+/// A size as a person writes it, in bytes: `64 KiB`.
+#[must_use]
+pub fn bytes(text: &str) -> Option<usize> {
+    let split = text.find(|c: char| !c.is_ascii_digit())?;
+    let (number, unit) = text.split_at(split);
+    let unit = match unit.trim() {
+        "B" | "bytes" | "byte" => 1,
+        "KiB" | "kB" | "KB" | "K" => 1024,
+        "MiB" => 1024 * 1024,
+        "GiB" => 1024 * 1024 * 1024,
+        _ => return None,
+    };
+    number.parse::<usize>().ok()?.checked_mul(unit)
 }
 
 #[cfg(test)]

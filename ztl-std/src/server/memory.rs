@@ -5,7 +5,7 @@ use std::hash::{BuildHasherDefault, Hasher};
 
 use super::listing::{Asked, ListedTask, Listing, told};
 use super::{Answers, Limits, now};
-use crate::clock::millis;
+use crate::time::millis;
 
 use ztl_core::envelope::{ClientId, Envelope};
 use ztl_core::memory::{LastInit, Memory, Scope, Waiter};
@@ -456,7 +456,7 @@ impl Memory for Heap {
 }
 
 /// What a scope offers, in YAML's flow style: `{gripper: [finger]}`.
-pub(crate) fn offered<'n, C>(handlers: impl IntoIterator<Item = (&'n str, C)>) -> String
+pub fn offered<'n, C>(handlers: impl IntoIterator<Item = (&'n str, C)>) -> String
 where
     C: IntoIterator<Item = &'n str>,
 {

@@ -26,26 +26,26 @@ use std::time::Duration;
 use tracing::{info, warn};
 use ztl_core::dispatcher::{Config, Dispatcher};
 use ztl_core::memory::Scope;
-use ztl_core::message::Message;
 use ztl_core::tasks::{Task, Text};
 use ztl_core::{Instant, Request, TaskId};
 
-use crate::clock;
 use crate::controller::{TaskController, Threads};
 use crate::keys::can_encrypt;
 use crate::random;
+use crate::time;
 
 pub use access::Access;
 use access::Door;
 pub use bind::BindError;
 use bind::{bind, try_port};
 use dropped::DroppedLog;
-pub(crate) use handler::would_take;
+pub use handler::would_take;
 pub use handler::{Answers, Restored, RestoredTask, TaskHandler};
-pub use limits::{LIMITS, Limits};
+pub use limits::{LIMITS, Limits, bytes};
 pub use listing::{ListedTask, Listing};
+pub(crate) use memory::ById;
+pub use memory::offered;
 use memory::{About, Grown, Heap};
-pub(crate) use memory::{ById, offered};
 pub(crate) use report::{AbortRefusal, Hush};
 pub use report::{Claim, TaskReporter};
 use report::{Inbox, Mailbox, Waker};
@@ -57,7 +57,7 @@ use touch::Touch;
 pub const MAX_MESSAGE: usize = 1 << 20;
 
 /// How long a task that has ended is remembered, counted from its end.
-pub(crate) const KEEP: Duration = Config::new(random::FIRST, 0).keep;
+pub const KEEP: Duration = Config::new(random::FIRST, 0).keep;
 
 /// How long before the process began the server's time does, so that the end of a task from before
 /// a restart is a moment, too.
@@ -65,7 +65,7 @@ const BEFORE: Duration = Duration::from_secs(24 * 3600);
 
 /// Now, by the server's time.
 fn now() -> Instant {
-    clock::now() + BEFORE
+    time::now() + BEFORE
 }
 
 /// Name under which the original logs.
@@ -197,6 +197,7 @@ impl TaskServer {
     }
 
     /// Opens another socket to whoever may connect to this one, and says where.
+    #[cfg(feature = "gateway")]
     pub(crate) fn bind_another(
         &self,
         kind: zmq::SocketType,
@@ -328,16 +329,4 @@ impl TaskServer {
             thread: Some(thread),
         })
     }
-}
-
-/// Why a scope cannot be served.
-#[must_use]
-pub fn scope_mistake(scope: &str) -> Option<String> {
-    let wrong = match scope {
-        "" => "is empty",
-        "$ztl" => "belongs to the protocol itself",
-        scope if !Message::is_scope(scope) => "contains ';', so no client can reach it",
-        _ => return None,
-    };
-    Some(format!("the scope '{scope}' {wrong}; write it as /lab"))
 }

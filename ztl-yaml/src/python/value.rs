@@ -61,7 +61,7 @@ pub struct Timestamp {
 impl Value {
     /// What tells it from other keys of a mapping: to Python `1`, `1.0` and `True` are one, and so is
     /// each `.nan`, since PyYAML makes it only once.
-    pub(super) fn identity(&self) -> String {
+    pub fn identity(&self) -> String {
         match self {
             Self::Text(text) => format!("'{text}"),
             other => other.number().unwrap_or_else(|| other.quoted().to_string()),
@@ -167,7 +167,7 @@ impl Display for Quoted<'_> {
 }
 
 /// A text in quotes, as Python's `repr`.
-pub(super) fn quoted(text: &str) -> String {
+pub fn quoted(text: &str) -> String {
     let mut out = Vec::with_capacity(text.len() + 2);
     put_quoted(text, &mut |bytes: &[u8]| out.extend_from_slice(bytes));
     String::from_utf8_lossy(&out).into_owned()

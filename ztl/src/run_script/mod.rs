@@ -11,15 +11,13 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use tracing::{Level, error, info};
-use ztl_std::remotes::Remote;
-use ztl_script::event::{
-    By, Command, Event, FORMAT, Outcome, RemoteOutline, RunStarted, sha256,
-};
+use ztl_script::event::{By, Command, Event, FORMAT, Outcome, RemoteOutline, RunStarted, sha256};
 use ztl_script::player::Options;
 use ztl_script::record::Recorder;
 use ztl_script::{Connect, Defaults, Player, Scene, Script, Show, StandIns, timeline};
-use ztl_yaml::closest;
+use ztl_std::remotes::Remote;
 use ztl_std::{RemoteTask, Remotes};
+use ztl_yaml::closest;
 
 use crate::key_name::Pressed;
 use crate::remote_task::Endpoints;

@@ -8,7 +8,7 @@ use ztl_core::Instant;
 use ztl_core::link::{LINK_TIMEOUT, Loss};
 use ztl_core::time::earliest;
 use ztl_mcu::{Identity, Node};
-use ztl_std::line::{Faults, FaultyLine};
+use ztl_sim::line::{Faults, FaultyLine};
 
 use super::motor::{Motor, Shared, Truth};
 use crate::plan::{MotorPlan, Way};

@@ -14,7 +14,7 @@ use ztl_core::reply::Reply;
 use ztl_core::tasks::{Task, Text};
 use ztl_core::time::earliest;
 use ztl_core::{Instant, State, TaskId, TaskSpec};
-use ztl_std::gateway::session::{Event, Session};
+use ztl_link::{Event, Session};
 use ztl_std::gateway::{DeviceBook, Log, Moment, Storage};
 
 pub(super) const SCOPE: &str = "/lab";

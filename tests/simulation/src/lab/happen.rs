@@ -1,7 +1,7 @@
 //! What goes wrong in a laboratory, begins and is over.
 
 use ztl_core::Instant;
-use ztl_std::line::Faults;
+use ztl_sim::line::Faults;
 
 use super::Lab;
 use super::gateway::Gateway;

@@ -1,7 +1,7 @@
 //! What clients were told, against what really happened.
 
 use ztl_core::{State, TaskId};
-use ztl_std::gateway::session::Event;
+use ztl_link::Event;
 
 use super::Summary;
 use super::client::Known;

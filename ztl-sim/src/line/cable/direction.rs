@@ -6,8 +6,8 @@ use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use super::super::{Counts, FaultyLine};
-use crate::clock::now;
 use ztl_std::gateway::{READ_TIMEOUT, is_pause};
+use ztl_std::time::now;
 
 /// Longest delay added to collect bytes, so that few wake-ups carry many.
 const BURST: Duration = Duration::from_millis(1);

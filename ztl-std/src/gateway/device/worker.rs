@@ -19,11 +19,11 @@ use super::super::logs::DeviceLog;
 use super::super::reader::{Opener, read_line};
 use super::super::readings::Observers;
 use super::super::report::Window;
-use super::ztl_link::{Event, Session};
 use super::super::voice::{Grave, LOG, Voice};
 use super::{Input, Request, request};
-use crate::clock::now;
 use crate::server::TaskReporter;
+use crate::time::now;
+use ztl_link::{Event, Session};
 
 /// Pause before a line is opened again: at first, and at most. Looking for a port is cheap, and whoever
 /// has plugged a device in wants it now.

@@ -6,7 +6,7 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
 use ztl_core::link::{LINK_TIMEOUTS, LinkId, Loss};
 use ztl_core::{State, TaskId};
 
-use crate::clock;
+use crate::time;
 use ztl_link::{Entry, Restored, Sent};
 
 /// The version of the lines that are written, and that are read.
@@ -27,7 +27,7 @@ impl Moment {
     pub fn now() -> Self {
         Self {
             wall: SystemTime::now(),
-            running: Duration::from_micros(clock::now().as_micros()),
+            running: Duration::from_micros(time::now().as_micros()),
         }
     }
 
@@ -53,7 +53,7 @@ pub(super) enum Line {
 
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) struct Opened {
-    #[serde(with = "crate::wall")]
+    #[serde(with = "crate::time::rfc3339")]
     at: SystemTime,
     running_us: u64,
     journal: u32,
@@ -84,7 +84,7 @@ impl Opened {
 
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) struct Reserved {
-    #[serde(with = "crate::wall")]
+    #[serde(with = "crate::time::rfc3339")]
     at: SystemTime,
     running_us: u64,
     /// No task id up to this one is given after a restart.
@@ -103,7 +103,7 @@ impl Reserved {
 
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) struct TaskLine {
-    #[serde(with = "crate::wall")]
+    #[serde(with = "crate::time::rfc3339")]
     at: SystemTime,
     running_us: u64,
     #[serde(with = "id")]
@@ -152,7 +152,7 @@ impl TaskLine {
                 link: sent.link.0,
                 boot: sent.boot,
                 loss: sent.loss,
-                link_timeout_ms: clock::millis(sent.link_timeout),
+                link_timeout_ms: time::millis(sent.link_timeout),
             }),
             client,
         }

@@ -9,8 +9,8 @@ use tracing::{info, warn};
 use ztl_core::{State, TaskId};
 
 use super::line::{Line, Moment, Opened, Reserved, TaskLine, VERSION, Version};
-use ztl_link::{Entry, Restored};
 use crate::server::{KEEP, RestoredTask};
+use ztl_link::{Entry, Restored};
 
 /// Bytes written before a new file is begun, besides those that it begins with.
 const ROTATE: u64 = 1 << 20;

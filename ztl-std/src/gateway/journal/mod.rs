@@ -16,12 +16,12 @@ use std::time::Duration;
 use ztl_core::envelope::ClientId;
 use ztl_core::{State, TaskId};
 
-use ztl_link::{Book, Entry, Restored};
 use crate::random;
 use crate::server::{Claim, RestoredTask};
 use file::Paper;
 pub use line::Moment;
 pub use log::{Log, Storage};
+use ztl_link::{Book, Entry, Restored};
 
 /// How often it is looked whether somebody else altered the journal.
 const LOOK: Duration = Duration::from_secs(1);

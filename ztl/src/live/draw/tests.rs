@@ -5,7 +5,7 @@ use super::super::board::{Look, Step};
 use super::super::rows::percent;
 use super::*;
 
-const EVENING: &str = include_str!("../../../../script/fixtures/evening.jsonl");
+const EVENING: &str = include_str!("../../../../ztl-script/src/fixtures/evening.jsonl");
 
 fn evening() -> Vec<Stamped> {
     let (mut runs, damage) = read("evening.jsonl", EVENING.as_bytes()).unwrap();
@@ -122,7 +122,7 @@ fn a_silent_server_is_told_with_what_waits_for_it() {
     );
     let seen = screen(&board, at + Duration::from_millis(1200), (80, 22));
     let seen: Vec<&str> = seen.lines().filter(|line| !line.is_empty()).collect();
-    let docs = include_str!("../../../../../../docs/show.md");
+    let docs = include_str!("../../../../docs/show.md");
     assert!(docs.contains(&seen.join("\n")), "docs/show.md shows this");
 }
 

@@ -1,4 +1,6 @@
-//! The operating system's monotonic clock, as the state machines use it.
+//! The operating system's clocks: monotonic, as the state machines use it, and wall-clock time as RFC 3339.
+
+pub mod rfc3339;
 
 use std::sync::OnceLock;
 use std::time::Duration;
@@ -6,13 +8,15 @@ use std::time::Duration;
 use ztl_core::Instant;
 
 /// The current time since the first call in this process.
-pub(crate) fn now() -> Instant {
+#[must_use]
+pub fn now() -> Instant {
     static START: OnceLock<std::time::Instant> = OnceLock::new();
     let elapsed = START.get_or_init(std::time::Instant::now).elapsed();
     Instant::from_micros(u64::try_from(elapsed.as_micros()).unwrap_or(u64::MAX))
 }
 
 /// A duration in whole milliseconds, for messages.
-pub(crate) fn millis(time: Duration) -> u64 {
+#[must_use]
+pub fn millis(time: Duration) -> u64 {
     u64::try_from(time.as_millis()).unwrap_or(u64::MAX)
 }

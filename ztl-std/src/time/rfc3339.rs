@@ -5,7 +5,11 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use serde::{Deserialize, Deserializer, Serializer, de};
 
-pub(crate) fn serialize<S: Serializer>(at: &SystemTime, to: S) -> Result<S::Ok, S::Error> {
+/// See the module.
+///
+/// # Errors
+/// Those of the format.
+pub fn serialize<S: Serializer>(at: &SystemTime, to: S) -> Result<S::Ok, S::Error> {
     // The format has no years before 1970 or after 9999; such a clock is wrong anyway.
     let at = (*at).max(UNIX_EPOCH);
     let mut text = String::new();
@@ -15,7 +19,11 @@ pub(crate) fn serialize<S: Serializer>(at: &SystemTime, to: S) -> Result<S::Ok, 
     to.serialize_str(&text)
 }
 
-pub(crate) fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<SystemTime, D::Error> {
+/// See the module.
+///
+/// # Errors
+/// Those of the format.
+pub fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<SystemTime, D::Error> {
     let text = String::deserialize(from)?;
     humantime::parse_rfc3339(&text).map_err(de::Error::custom)
 }
