@@ -2,7 +2,7 @@
 
 use std::process::Command;
 
-use ztl_std::serve::{Config, Groups};
+use ztl_serve::{Config, Groups};
 use ztl_std::{RemoteTask, RunningServer, State, TaskServer, TriggerError};
 use ztl_tests::lab::{PATIENCE, Scratch, until};
 

@@ -8,8 +8,7 @@ mod end;
 mod faults;
 
 pub use cable::{Cable, CableError};
-#[cfg(test)]
-pub(crate) use dice::Dice;
+pub use dice::Dice;
 pub use end::{End, EndError};
 pub use faults::{Counts, Faults, FaultyLine};
 

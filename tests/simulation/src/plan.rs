@@ -4,12 +4,8 @@ use std::fmt;
 use std::time::Duration;
 
 use ztl_core::link::{Busy, Loss};
+pub(crate) use ztl_sim::line::Dice;
 use ztl_sim::line::Faults;
-
-#[path = "../../../ztl-sim/src/line/dice.rs"]
-mod dice;
-
-pub(crate) use dice::Dice;
 
 /// A direction of a line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -1,6 +1,5 @@
 //! The gateway's session and `ztl-mcu`'s real node over a line, on virtual time; a failing test
 //! prints its trace. What comes of many faults is simulated in `tests/simulation`.
-#![cfg(feature = "sim")]
 
 use std::cell::RefCell;
 use std::collections::BTreeMap;

@@ -36,7 +36,7 @@ pub(super) struct Fleet {
     /// of a device that does not answer. One that is served again keeps its tasks.
     pub(super) absent: BTreeMap<String, Device>,
     /// Tasks of the journal that have no end and that nobody has been given yet, by device.
-    pub(super) unended: HashMap<TaskId, (String, session::Restored)>,
+    pub(super) unended: HashMap<TaskId, (String, ztl_link::Restored)>,
 }
 
 impl Fleet {
@@ -135,7 +135,7 @@ impl Devices {
             ..
         } = &*self.0;
         let book = journal.as_ref().map(|journal| journal.book(name));
-        let its = |(device, _): &&(String, session::Restored)| device == name;
+        let its = |(device, _): &&(String, ztl_link::Restored)| device == name;
         let awaited = fleet.unended.values().filter(its).count();
         Device::spawn(name, opener, *id, book, awaited, observers.clone())
     }
