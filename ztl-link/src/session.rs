@@ -507,6 +507,3 @@ impl<B: Book> Session<B> {
         }
     }
 }
-
-#[cfg(test)]
-mod tests;

@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex};
 use std::time::UNIX_EPOCH;
 
 use super::*;
-use crate::gateway::{Log, Moment, Storage};
+use ztl_std::gateway::{Log, Moment, Storage};
 
 /// A disk that outlives the gateways, and may be full.
 #[derive(Debug, Clone, Default)]
@@ -16,7 +16,7 @@ impl Disk {
         self.0.lock().unwrap().1 = full;
     }
 
-    fn written(&self) -> Vec<u8> {
+    pub(super) fn written(&self) -> Vec<u8> {
         self.0.lock().unwrap().0.clone()
     }
 }
