@@ -1,5 +1,7 @@
 //! Trees, places, and what people are shown.
 
+use ztl_tests::garbage::Garbage;
+
 use super::*;
 
 #[track_caller]
