@@ -285,12 +285,12 @@ devices:
     url: tcp:localhost:7000
     baud: 9600
     efl: head.elf
-  a/b: sim:head
+  a/b: tcp:h:1
   wrist:
     baud: fast
   one: serial:/dev/ttyACM0
   two: serial:/dev/ttyACM0?baud=9600
-  arm: {url: sim:head, elf: no/such.elf}
+  arm: {url: tcp:ho:2, elf: no/such.elf}
 ";
         let mistakes = parse(text).expect_err("mistakes").to_string();
         let first: Vec<&str> = mistakes
@@ -303,7 +303,7 @@ devices:
             "lab.yaml:3:7: 'not an address' is no address; use 127.0.0.1 for this machine only, or '*' for every interface",
             "lab.yaml:4:10: 'many' is not a port, a whole number from 0 to 65535",
             "lab.yaml:5:6: 'loud' is not known here; there are: error, warn, info, debug",
-            "lab.yaml:7:12: unknown kind of device 'usb'; use serial:/dev/ttyACM0?baud=115200, tcp:HOST:PORT or sim:gripper",
+            "lab.yaml:7:12: unknown kind of device 'usb'; use serial:/dev/ttyACM0?baud=115200 or tcp:HOST:PORT",
             "lab.yaml:10:11: only a serial port has a line rate",
             "lab.yaml:11:5: unknown key 'efl'; did you mean 'elf'?",
             "lab.yaml:12:3: 'a/b' is no name for a device: one word without ':' and '/'",
@@ -360,7 +360,7 @@ devices:
     #[test]
     fn no_file_at_all_makes_it_panic() {
         const WHOLE: &str = "scope: /lab\nport: 1\nbind: '*'\npublish: 2\njournal: x\nlog: info\nlog-format: text\n\
-            devices:\n  a: sim:head\n  b: {url: serial:/dev/x?baud=9600, baud: 1, elf: y}\n  c:\n    url: tcp:h:1\n";
+            devices:\n  a: tcp:g:1\n  b: {url: serial:/dev/x?baud=9600, baud: 1, elf: y}\n  c:\n    url: tcp:h:1\n";
         let mut numbers = Garbage::new(0x2545_f491_4f6c_dd1d);
         for _ in 0..5_000 {
             let bytes = numbers.spoil(WHOLE);
