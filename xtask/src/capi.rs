@@ -15,7 +15,7 @@ use std::path::Path;
 use anyhow::Result;
 use xshell::cmd;
 
-use crate::project::Project;
+use crate::project::{COMMAND, Project};
 use crate::zig::{self, Target, Zig};
 use crate::{curve, install};
 use join::{HEADER, Tools};
@@ -75,9 +75,9 @@ fn for_linux(project: &Project, target: Target, check: bool, glibc: bool) -> Res
 /// Runs the examples and tests in C, with encryption and under checkers.
 pub(crate) fn test(project: &Project) -> Result<()> {
     install::python(project)?;
-    let packages = "--package ztl-c --package ztl-std --bin ztl --lib";
     curve::cargo(project, "build")?
-        .args(packages.split(' '))
+        .args(["--package", "ztl-c", "--lib"])
+        .args(COMMAND)
         .run()?;
     let built = curve::target(project);
     let place = project.target.join("c-test");

@@ -10,7 +10,7 @@ use anyhow::{Context as _, Result};
 use xshell::{Cmd, cmd};
 
 use crate::install;
-use crate::project::Project;
+use crate::project::{COMMAND, Project};
 
 /// `cargo xtask build`: builds an optimised `ztl` and prints its path.
 pub(crate) fn build(project: &Project, curve: bool) -> Result<()> {
@@ -19,9 +19,7 @@ pub(crate) fn build(project: &Project, curve: bool) -> Result<()> {
         true => (cargo(project, "build")?, target(project)),
         false => (cmd!(sh, "cargo build --locked"), project.target.clone()),
     };
-    build
-        .args(["--release", "--package", "ztl-std", "--bin", "ztl"])
-        .run()?;
+    build.arg("--release").args(COMMAND).run()?;
     println!("{}", target.join("release/ztl").display());
     Ok(())
 }
@@ -29,9 +27,7 @@ pub(crate) fn build(project: &Project, curve: bool) -> Result<()> {
 /// Runs the access tests with encryption.
 pub(crate) fn test(project: &Project) -> Result<()> {
     install::python(project)?;
-    cargo(project, "build")?
-        .args(["--package", "ztl-std", "--bin", "ztl"])
-        .run()?;
+    cargo(project, "build")?.args(COMMAND).run()?;
     let test = |words: &str| -> Result<()> {
         let test = cargo(project, "test")?
             .env("ZTL_CURVE", "1")

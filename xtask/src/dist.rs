@@ -2,7 +2,6 @@
 
 mod bill;
 mod contents;
-pub(crate) mod paths;
 
 use std::path::{Path, PathBuf};
 
@@ -12,9 +11,9 @@ use object::read::elf::{FileHeader, ProgramHeader};
 use object::{Endianness, FileKind};
 use xshell::cmd;
 
-use crate::project::Project;
+use crate::project::{COMMAND, Project};
 use crate::zig::{Target, Zig, targets};
-use crate::{capi, install};
+use crate::{capi, install, paths};
 use contents::Contents;
 
 /// Maximum size of a program in bytes.
@@ -61,7 +60,7 @@ fn build_all(project: &Project, targets: &[Target]) -> Result<Vec<(Target, PathB
         let libraries = zig.libraries(target)?;
         let contents = Contents::of(project, &zig, target, &libraries)?;
         zig.build_with(target, &libraries)?
-            .args(["--package", "ztl-std", "--bin", "ztl"])
+            .args(COMMAND)
             .env("ZTL_BUILD_COMMIT", &commit)
             .env("ZTL_BUILD_TARGET", target.triple())
             .env("ZTL_BUILD_WITH", contents.tools())
@@ -107,7 +106,7 @@ fn run_all(project: &Project, built: &[(Target, PathBuf)]) -> Result<()> {
     let sh = &project.sh;
     install::emulators(sh)?;
     install::python(project)?;
-    cmd!(sh, "cargo build --locked --package ztl-std --bin ztl").run()?;
+    cmd!(sh, "cargo build --locked {COMMAND...}").run()?;
     let release = built.first().and_then(|(_, path)| path.parent());
     let release = release.context("no program was built")?;
     cmd!(

@@ -13,6 +13,7 @@ mod install;
 mod lock;
 mod long_runs;
 mod package;
+mod paths;
 mod project;
 mod proof;
 mod size;

@@ -5,7 +5,7 @@ use anyhow::{Result, bail};
 use xshell::cmd;
 
 use crate::cross;
-use crate::project::Project;
+use crate::project::{PACKAGE, Project};
 
 /// In an order in which they can be published.
 const CRATES: [&str; 3] = ["ztl-core", "ztl-mcu", "ztl-std"];
@@ -64,7 +64,7 @@ pub(crate) fn check_foreign(project: &Project) -> Result<()> {
             "check",
             "--locked",
             "--package",
-            "ztl-std",
+            PACKAGE,
             "--target",
             target,
             "--config",

@@ -6,6 +6,12 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context as _, Result};
 use xshell::{Cmd, Shell};
 
+/// The package of the command `ztl`.
+pub(crate) const PACKAGE: &str = "ztl-std";
+
+/// The arguments with which Cargo builds the command.
+pub(crate) const COMMAND: [&str; 4] = ["--package", PACKAGE, "--bin", "ztl"];
+
 /// The project's directories. The working directory is the root of the repository.
 pub(crate) struct Project {
     pub(crate) sh: Shell,

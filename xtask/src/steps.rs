@@ -250,4 +250,19 @@ mod tests {
             );
         }
     }
+
+    #[test]
+    fn each_path_in_the_contributors_guide_exists() {
+        let sh = &Shell::new().unwrap();
+        sh.change_dir(concat!(env!("CARGO_MANIFEST_DIR"), "/.."));
+        let text = sh.read_file("CONTRIBUTING.md").unwrap();
+        let words = text.split(['`', '(', ')', '[', ']']);
+        let is_path =
+            |word: &&str| !word.contains(' ') && word.contains(['/', '.']) && word.len() > 3;
+        let paths: Vec<&str> = words.filter(is_path).collect();
+        assert!(paths.len() > 20, "{paths:?}");
+        for path in paths {
+            assert!(sh.path_exists(path), "{path}");
+        }
+    }
 }

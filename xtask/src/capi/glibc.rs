@@ -9,10 +9,9 @@ use object::read::elf::{ElfFile, FileHeader};
 
 use super::join::{self, HEADER};
 use super::{linux, shared};
-use crate::dist::paths;
-use crate::project::Project;
+use crate::project::{COMMAND, Project};
 use crate::zig::{GLIBC, Target, Zig};
-use crate::{curve, install};
+use crate::{curve, install, paths};
 
 /// Builds the shared library of a target.
 pub(super) fn assemble(project: &Project, zig: &Zig<'_>, target: Target) -> Result<PathBuf> {
@@ -47,9 +46,7 @@ pub(super) fn check(project: &Project, zig: &Zig<'_>, target: Target, place: &Pa
     if target.is_here() {
         // The examples and tests in C, compiled with this machine's compiler.
         install::python(project)?;
-        curve::cargo(project, "build")?
-            .args(["--package", "ztl-std", "--bin", "ztl"])
-            .run()?;
+        curve::cargo(project, "build")?.args(COMMAND).run()?;
         let test = "--package ztl-c --test programs -- shared::".split(' ');
         let test = curve::cargo(project, "test")?.args(test);
         return Ok(test.env("ZTL_CURVE", "1").env("ZTL_C", place).run()?);

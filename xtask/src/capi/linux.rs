@@ -8,10 +8,9 @@ use xshell::cmd;
 
 use super::join::{self, HEADER, Tools};
 use super::shared::SYSTEM;
-use crate::dist::paths;
-use crate::install;
 use crate::project::Project;
 use crate::zig::{Target, Zig};
+use crate::{install, paths};
 
 /// How the examples are compiled: language, standard and source.
 const PROGRAMS: [[&str; 3]; 3] = [

@@ -11,7 +11,7 @@ use xshell::{Shell, cmd};
 use crate::cross;
 use crate::curve::Libraries;
 use crate::lock;
-use crate::project::Project;
+use crate::project::{PACKAGE, Project};
 use crate::zig::{MUSL, Target, ZIG, Zig};
 
 /// A component of the program.
@@ -46,8 +46,8 @@ impl Contents {
         libraries: &Libraries,
     ) -> Result<Self> {
         let mut crates = crates(&project.sh, target)?;
-        let own = crates.iter().position(|part| part.name == "ztl-std");
-        let own = own.context("cargo does not list the package ztl-std")?;
+        let own = crates.iter().position(|part| part.name == PACKAGE);
+        let own = own.context("cargo does not list the package of `ztl`")?;
         Ok(Self {
             target,
             own: crates.remove(own),
@@ -87,7 +87,7 @@ fn crates(sh: &Shell, target: Target) -> Result<Vec<Part>> {
     let tree = [
         "--locked",
         "--package",
-        "ztl-std",
+        PACKAGE,
         "--edges",
         "normal,no-proc-macro",
     ];
@@ -333,8 +333,8 @@ mod tests {
             let own = part.name.starts_with("ztl-");
             assert_eq!(part.sha256.as_ref().map(String::len), (!own).then_some(64));
         }
-        let own = parts.iter().find(|part| part.name == "ztl-std").unwrap();
-        let parts: Vec<&Part> = parts.iter().filter(|part| part.name != "ztl-std").collect();
+        let own = parts.iter().find(|part| part.name == PACKAGE).unwrap();
+        let parts: Vec<&Part> = parts.iter().filter(|part| part.name != PACKAGE).collect();
         let bill = bill(own, &parts, target, "0123", "4567");
         assert_eq!(bill["metadata"]["component"]["name"], "ztl");
         assert_eq!(bill["components"].as_array().unwrap().len(), parts.len());
