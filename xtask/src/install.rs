@@ -52,7 +52,6 @@ const QEMU: [&str; 2] = [
 /// Installs everything that tests need.
 pub(crate) fn all(project: &Project) -> Result<()> {
     programs(project)?;
-    python(project)?;
     javascript(project)?;
     peers(project)
 }

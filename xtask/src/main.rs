@@ -170,6 +170,15 @@ mod tests {
     }
 
     #[test]
+    fn a_simulation_gets_its_own_options() {
+        let words = ["xtask", "model", "--depth", "2"];
+        let Ok(Command::Model { args }) = Command::try_parse_from(words) else {
+            panic!("rejected");
+        };
+        assert_eq!(args, ["--depth", "2"]);
+    }
+
+    #[test]
     fn a_wrong_argument_is_answered_with_the_right_ones() {
         for (words, expected) in [
             ("test --only fmd", "clippy"),

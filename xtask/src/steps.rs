@@ -68,12 +68,13 @@ const CHECK: [Step; 4] = [
 ];
 
 /// The tests of `cargo xtask check` that compare with the original package.
-const WIRE: [&str; 6] = [
+const WIRE: [&str; 7] = [
     "codec",
     "wire",
     "original_client",
     "original_server",
     "original_client_gateway",
+    "original_suite",
     "odd_answers",
 ];
 
