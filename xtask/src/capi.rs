@@ -12,7 +12,7 @@ mod shared;
 
 use std::path::Path;
 
-use anyhow::Result;
+use anyhow::{Context as _, Result};
 use xshell::cmd;
 
 use crate::project::{COMMAND, Project};
@@ -40,7 +40,8 @@ pub(crate) fn build(project: &Project, names: &[String], check: bool, glibc: boo
             node::assemble(project, Some(name), &place)?;
             show(project, &place)?;
         } else {
-            for target in zig::targets(&[name])? {
+            let expected = "expected a processor, or a target such as thumbv7m-none-eabi";
+            for target in zig::targets(&[name]).context(expected)? {
                 for_linux(project, target, check, glibc)?;
             }
         }
