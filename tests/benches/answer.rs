@@ -15,6 +15,7 @@ use ztl_core::memory::Fixed;
 use ztl_core::reply::Reply;
 use ztl_core::sink::{Sink, SliceSink};
 use ztl_core::{Instant, TaskId};
+use ztl_tests::lab::python;
 
 /// Measured this often, the two in turn.
 const ROUNDS: usize = 21;
@@ -68,9 +69,6 @@ for line in sys.stdin:
     print(taken / count, server.socket.answer.decode(), flush=True)
 "#;
 
-/// The virtual environment that `cargo xtask test --only python` makes.
-const VENV: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../target/venv/bin/python");
-
 struct Original {
     process: Child,
     /// To its server's real socket.
@@ -80,13 +78,12 @@ struct Original {
 
 impl Original {
     fn start() -> Self {
-        let python = std::env::var("ZTL_PYTHON").unwrap_or_else(|_| VENV.to_owned());
-        let mut process = Command::new(python)
+        let mut process = Command::new(python())
             .args(["-c", ORIGINAL])
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
             .spawn()
-            .expect("the original's Python (run: cargo xtask test --only python)");
+            .expect("the original's Python");
         let mut answers = BufReader::new(process.stdout.take().unwrap());
         let mut port = String::new();
         answers.read_line(&mut port).unwrap();

@@ -26,7 +26,7 @@ fn suite() -> PathBuf {
     let suite = venv.join("original/ztl-0.3.3/test");
     assert!(
         suite.exists(),
-        "there is no {}: run `cargo xtask test --only python`",
+        "{} is missing: run `cargo xtask setup`",
         suite.display()
     );
     suite

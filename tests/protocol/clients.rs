@@ -8,7 +8,7 @@ use std::time::Duration;
 use ztl_std::{
     ExecutableTask, RunningServer, TaskContext, TaskController, TaskError, TaskRequest, TaskServer,
 };
-use ztl_tests::lab::{Process, Server, python, reserve_port};
+use ztl_tests::lab::{Process, Server, javascript_packages, python, reserve_port};
 
 use crate::{TIMEOUT, side_by_side, socket};
 
@@ -55,7 +55,7 @@ fn c() -> Command {
             assert_eq!(
                 ended.code,
                 Some(0),
-                "libzmq for C is needed: run `cargo xtask test --only tools`\n{}",
+                "libzmq for C is missing: run `cargo xtask setup`\n{}",
                 ended.stderr
             );
         })
@@ -67,7 +67,7 @@ fn javascript() -> Command {
     static PROGRAM: OnceLock<PathBuf> = OnceLock::new();
     let program = PROGRAM.get_or_init(|| {
         // Node looks for packages beside the program.
-        made(&packages().join("client.mjs"), |path| {
+        made(&javascript_packages().join("client.mjs"), |path| {
             std::fs::copy(source("client.mjs"), path).expect("a copy");
         })
     });
@@ -82,29 +82,6 @@ fn made(path: &Path, make: impl FnOnce(&Path)) -> PathBuf {
     make(&fresh);
     std::fs::rename(&fresh, path).expect("to put it there");
     path.to_owned()
-}
-
-/// The directory with the packages of `client.mjs`.
-fn packages() -> PathBuf {
-    let usual = std::env::current_exe().expect("this program's path");
-    let usual = usual
-        .ancestors()
-        .nth(3)
-        .expect("below target")
-        .join("clients");
-    let named = std::env::var_os("ZTL_CLIENTS").filter(|path| !path.is_empty());
-    let in_ci = std::env::var_os("CI").is_some_and(|value| !value.is_empty());
-    assert!(
-        named.is_some() || !in_ci,
-        "CI is set and ZTL_CLIENTS is not: run the tests as `cargo xtask test`, which sets it"
-    );
-    let path = named.map_or(usual, PathBuf::from);
-    assert!(
-        path.join("node_modules/zeromq").exists(),
-        "there is no npm package `zeromq` in {}: run `cargo xtask test --only clients`",
-        path.display()
-    );
-    path
 }
 
 /// What a client prints that gets no answer to its INIT.

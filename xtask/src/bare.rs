@@ -4,163 +4,121 @@
 //! use an allocator unnoticed. Here `alloc` does not exist, and two throw-away crates prove that its use
 //! fails.
 
-use std::ffi::OsString;
-use std::fs;
-use std::io::ErrorKind;
-use std::os::unix::fs::symlink;
 use std::path::{Path, PathBuf};
 
-use crate::cmd::{Cmd, Outcome};
-use crate::cross::{self, Core, TARGETS};
-use crate::test::{BARE_CRATES, FEATURES};
-use crate::{Dirs, capi};
+use anyhow::{Result, bail};
+use xshell::{Cmd, cmd};
 
-pub(crate) fn build(dirs: &Dirs) -> Outcome {
-    cross::add_all();
+use crate::cross::{self, Core, TARGETS};
+use crate::project::Project;
+
+/// The crates that have to do without `std` and without an allocator.
+pub(crate) const CRATES: [&str; 2] = ["ztl-core", "ztl-mcu"];
+
+/// The sets of features such a crate is checked with. One package at a time: in a build of the
+/// whole workspace, a feature that another crate turns on would hide what is missing here.
+pub(crate) const FEATURES: [&[&str]; 4] = [
+    &[],
+    &["--no-default-features"],
+    &["--no-default-features", "--features", "defmt"],
+    &["--all-features"],
+];
+
+/// The package of the node for firmware in C, which is not in the workspace.
+pub(crate) const NODE: &str = "ztl-node-c/Cargo.toml";
+
+pub(crate) fn build(project: &Project) -> Result<()> {
+    cross::add(&project.sh, &TARGETS);
     for target in TARGETS {
-        let bare = Bare::new(dirs, target)?;
-        for package in BARE_CRATES {
+        let core = Core::provide(&project.sh, target)?;
+        let sysroot = match &core {
+            Core::Compiled(libraries) => Some(core_alone(project, target, libraries)?),
+            Core::Source => None,
+        };
+        let cargo = || -> Result<Cmd<'_>> {
+            let build = core.cargo(project, "build", target, "bare")?;
+            Ok(match &sysroot {
+                // With `--target`, these flags do not reach build scripts and macros, which need `std`. This
+                // variable overrides all other ways to set flags, and allows spaces.
+                Some(path) => build.env(
+                    "CARGO_ENCODED_RUSTFLAGS",
+                    format!("--sysroot={}", path.display()),
+                ),
+                None => build,
+            })
+        };
+        for package in CRATES {
             for features in FEATURES {
-                bare.cargo_build(dirs)
-                    .arg("--locked")
-                    .arg("--package")
-                    .arg(package)
-                    .args(features)
-                    .run()?;
+                cargo()?.args(["--package", package]).args(features).run()?;
             }
         }
         // Also checks that ZTL_NODE_RAM is what a node needs on this target.
-        bare.cargo_build(dirs)
-            .args("--locked --manifest-path")
-            .arg(capi::NODE)
-            .run()?;
+        cargo()?.args(["--manifest-path", NODE]).run()?;
         for library in ["alloc", "std"] {
-            bare.prove_lacking(dirs, library)?;
+            prove_lacking(project, cargo()?, library)?;
         }
     }
     Ok(())
 }
 
-/// A target with `core` and nothing else.
-struct Bare {
-    target: &'static str,
-    core: Core,
-    /// The directory of the compiled `core`, unless Cargo compiles it.
-    sysroot: Option<PathBuf>,
+/// Proves that a crate that needs this library does not build.
+fn prove_lacking(project: &Project, cargo: Cmd<'_>, library: &str) -> Result<()> {
+    let sh = &project.sh;
+    let path = project.target.join(format!("core-only/leak-{library}"));
+    let manifest = path.join("Cargo.toml");
+    // A separate workspace: it is inside the project's directory, but not part of the project.
+    let text = format!("[package]\nname = \"leak-{library}\"\nedition = \"2024\"\n\n[workspace]\n");
+    sh.write_file(&manifest, text)?;
+    // `--locked` needs it.
+    sh.write_file(
+        path.join("Cargo.lock"),
+        format!("version = 4\n\n[[package]]\nname = \"leak-{library}\"\nversion = \"0.0.0\"\n"),
+    )?;
+    sh.write_file(
+        path.join("src/lib.rs"),
+        format!("#![no_std]\nextern crate {library};\n"),
+    )?;
+    let build = cargo
+        .args(["--color", "never", "--manifest-path"])
+        .arg(manifest);
+    must_fail(build, &format!("can't find crate for `{library}`"))
 }
 
-impl Bare {
-    fn new(dirs: &Dirs, target: &'static str) -> Outcome<Self> {
-        let core = Core::provide(target)?;
-        let sysroot = match &core {
-            Core::Compiled(libraries) => {
-                Some(core_alone(dirs, target, libraries).map_err(|error| {
-                    format!(
-                        "cannot set up a library with only `core` in {}: {error}",
-                        dirs.target.display()
-                    )
-                })?)
-            }
-            Core::Source => None,
-        };
-        Ok(Self {
-            target,
-            core,
-            sysroot,
-        })
+/// Runs a build that must fail for this reason.
+pub(crate) fn must_fail(build: Cmd<'_>, reason: &str) -> Result<()> {
+    println!("$ {build}    (must fail)");
+    let output = build.ignore_status().output()?;
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    if output.status.success() {
+        bail!("this check is broken: `{reason}` did not stop the build");
     }
-
-    fn cargo_build(&self, dirs: &Dirs) -> Cmd {
-        let build = self
-            .core
-            .cargo("build", self.target, &dirs.target.join("bare"));
-        match &self.sysroot {
-            // With `--target`, these flags do not reach build scripts and macros, which need `std`. This
-            // variable overrides all other ways to set flags, and allows spaces.
-            Some(path) => {
-                let mut flag = OsString::from("--sysroot=");
-                flag.push(path);
-                build.env("CARGO_ENCODED_RUSTFLAGS", flag)
-            }
-            None => build,
-        }
+    if !stderr.contains(reason) {
+        bail!("the build failed for another reason than `{reason}`:\n{stderr}");
     }
-
-    /// Proves that a crate that needs this library does not build.
-    fn prove_lacking(&self, dirs: &Dirs, library: &str) -> Outcome {
-        let name = format!("leak-{library}");
-        let path = dirs.target.join("core-only").join(&name);
-        make_leak(&path, &name, library)
-            .map_err(|error| format!("cannot write {}: {error}", path.display()))?;
-
-        let build = self
-            .cargo_build(dirs)
-            .args("--color never --manifest-path")
-            .arg(path.join("Cargo.toml"));
-        println!("$ {build}    (must fail)");
-        let (success, _, stderr) = build.capture()?;
-        let reason = format!("can't find crate for `{library}`");
-        if success {
-            Err(format!(
-                "a crate that needs `{library}` builds here, so this step would not notice one; \
-                 mend the way it hides `{library}` (xtask/src/bare.rs)"
-            ))
-        } else if !stderr.contains(&reason) {
-            Err(format!(
-                "the crate that needs `{library}` was refused for another reason than \
-                 \"{reason}\":\n{stderr}"
-            ))
-        } else {
-            println!("failed as expected: {reason}");
-            Ok(())
-        }
-    }
+    println!("failed as expected: {reason}");
+    Ok(())
 }
 
 /// Creates a directory like the compiler's own, but with only `core`.
-fn core_alone(dirs: &Dirs, target: &str, libraries: &Path) -> std::io::Result<PathBuf> {
-    let sysroot = dirs.absolute("core-only/sysroot").join(target);
+fn core_alone(project: &Project, target: &str, libraries: &Path) -> Result<PathBuf> {
+    let sh = &project.sh;
+    let sysroot = project.target.join("core-only/sysroot").join(target);
     let alone = sysroot.join("lib/rustlib").join(target).join("lib");
     // Rebuilt each time, because files of an older compiler would not fit.
-    recreate(&sysroot)?;
-    fs::create_dir_all(&alone)?;
-    for entry in fs::read_dir(libraries)? {
-        let entry = entry?;
-        let name = entry.file_name();
-        // The compiler links every no_std program with `compiler_builtins`.
-        let wanted = [
-            "libcore-",
-            "libcompiler_builtins-",
-            "librustc_std_workspace_core-",
-        ];
-        if wanted
+    sh.remove_path(&sysroot)?;
+    sh.create_dir(&alone)?;
+    let mut files = sh.read_dir(libraries)?;
+    // The compiler links every no_std program with `compiler_builtins`.
+    let wanted = [
+        "/libcore-",
+        "/libcompiler_builtins-",
+        "/librustc_std_workspace_core-",
+    ];
+    files.retain(|path| {
+        wanted
             .iter()
-            .any(|prefix| name.to_string_lossy().starts_with(prefix))
-        {
-            symlink(entry.path(), alone.join(name))?;
-        }
-    }
+            .any(|name| path.to_string_lossy().contains(name))
+    });
+    cmd!(sh, "ln -s -t {alone} {files...}").quiet().run()?;
     Ok(sysroot)
-}
-
-fn make_leak(path: &Path, name: &str, library: &str) -> std::io::Result<()> {
-    recreate(path)?;
-    fs::create_dir_all(path.join("src"))?;
-    // A separate workspace: it lies inside the project's directory, but is not part of it.
-    fs::write(
-        path.join("Cargo.toml"),
-        format!("[package]\nname = \"{name}\"\nedition = \"2024\"\n\n[workspace]\n"),
-    )?;
-    fs::write(
-        path.join("src/lib.rs"),
-        format!("#![no_std]\nextern crate {library};\n"),
-    )
-}
-
-fn recreate(path: &Path) -> std::io::Result<()> {
-    match fs::remove_dir_all(path) {
-        Err(error) if error.kind() != ErrorKind::NotFound => return Err(error),
-        _ => {}
-    }
-    fs::create_dir_all(path)
 }

@@ -1,12 +1,13 @@
 //! Requirements of a build for a bare target: its `core`, and a linker.
 
 use std::env;
-use std::fs;
-use std::os::unix::fs::symlink;
 use std::path::{Path, PathBuf};
 
-use crate::cmd::{Cmd, Outcome};
-use crate::{Dirs, tools};
+use anyhow::{Context as _, Result};
+use xshell::{Cmd, Shell, cmd};
+
+use crate::install;
+use crate::project::Project;
 
 /// The smallest ARM core, without atomic read-modify-write or division; one with a floating-point unit; a
 /// RISC-V core without atomics.
@@ -21,7 +22,6 @@ pub(crate) const SMALLEST: &str = "thumbv6m-none-eabi";
 
 /// Debian's compiler, and the source of `core` for targets that rustup does not provide.
 pub(crate) const DEBIAN_RUSTC: &str = "/usr/bin/rustc";
-const DEBIAN_PACKAGES: &[&str] = &["rustc-web", "rust-web-src"];
 
 /// Where `core` comes from.
 pub(crate) enum Core {
@@ -31,141 +31,110 @@ pub(crate) enum Core {
     Source,
 }
 
-/// Asks rustup for all missing targets at once.
-pub(crate) fn add_all() {
-    let lacking: Vec<&str> = TARGETS
-        .into_iter()
-        .filter(|target| compiled_core(target).is_none())
-        .collect();
-    add(&lacking);
-}
-
-/// Asks rustup for these targets; those it does not provide stay missing.
-pub(crate) fn add(targets: &[&str]) {
-    if targets.is_empty() || !tools::has("rustup") {
+/// Asks rustup for the missing ones of these targets; those it does not provide stay missing.
+pub(crate) fn add(sh: &Shell, targets: &[&str]) {
+    let lacks = |target: &&&str| compiled_core(sh, target).is_none();
+    let lacking: Vec<&&str> = targets.iter().filter(lacks).collect();
+    if lacking.is_empty() || !install::has(sh, "rustup") {
         return;
     }
-    let add = Cmd::new("rustup target add").args(&targets.join(" "));
-    if let Err(error) = add.run() {
+    if let Err(error) = cmd!(sh, "rustup target add {lacking...}").run() {
         println!("{error}; continuing without");
     }
 }
 
 impl Core {
     /// Finds `core` for this target, and installs it if necessary.
-    pub(crate) fn provide(target: &str) -> Outcome<Self> {
-        if let Some(libraries) = compiled_core(target) {
+    pub(crate) fn provide(sh: &Shell, target: &str) -> Result<Self> {
+        add(sh, &[target]);
+        if let Some(libraries) = compiled_core(sh, target) {
             return Ok(Self::Compiled(libraries));
         }
-        add(&[target]);
-        if let Some(libraries) = compiled_core(target) {
-            return Ok(Self::Compiled(libraries));
-        }
-        provide_debian().map_err(|error| {
-            format!("no `core` for {target}, and rustup does not provide it: {error}")
-        })?;
+        let lacking = || format!("no `core` for {target}, and rustup does not provide it");
+        provide_debian(sh).with_context(lacking)?;
         Ok(Self::Source)
     }
 
-    /// `cargo build`, or another command, for the target.
-    pub(crate) fn cargo(&self, command: &str, target: &str, target_dir: &Path) -> Cmd {
-        let build = Cmd::new("cargo")
-            .arg(command)
-            .arg("--target")
-            .arg(target)
-            .arg("--target-dir")
-            .arg(target_dir);
-        match self {
+    /// `cargo build`, or another command, for the target, below this directory in the target directory.
+    pub(crate) fn cargo<'a>(
+        &self,
+        project: &'a Project,
+        command: &str,
+        target: &str,
+        below: &str,
+    ) -> Result<Cmd<'a>> {
+        let sh = &project.sh;
+        let target_dir = project.target.join(below);
+        let build = cmd!(
+            sh,
+            "cargo {command} --target {target} --target-dir {target_dir} --locked"
+        );
+        Ok(match self {
             Self::Compiled(_) => build,
             // Building `core` is unstable; the second variable enables it in a stable compiler.
             Self::Source => build
                 .env("RUSTC", DEBIAN_RUSTC)
                 .env("RUSTC_BOOTSTRAP", "1")
                 .env("CARGO_UNSTABLE_BUILD_STD", "core,compiler_builtins")
-                .env("CARGO_UNSTABLE_BUILD_STD_FEATURES", "compiler-builtins-mem"),
-        }
-    }
-
-    /// Adds `rust-lld` to the command's PATH. rustup's compiler contains it.
-    pub(crate) fn with_linker(&self, dirs: &Dirs, build: Cmd) -> Outcome<Cmd> {
-        match self {
-            Self::Compiled(_) => Ok(build),
-            Self::Source => {
-                let mut path = vec![provide_linker(dirs)?];
-                path.extend(env::split_paths(&env::var_os("PATH").unwrap_or_default()));
-                let path = env::join_paths(path)
-                    .map_err(|error| format!("cannot put the linker on the PATH: {error}"))?;
-                Ok(build.env("PATH", path))
-            }
-        }
+                .env("CARGO_UNSTABLE_BUILD_STD_FEATURES", "compiler-builtins-mem")
+                .env("PATH", path_with(&debian_linker(project)?)?),
+        })
     }
 
     /// The version of the compiler in use.
-    pub(crate) fn compiler(&self) -> Outcome<String> {
+    pub(crate) fn compiler(&self, sh: &Shell) -> Result<String> {
         let rustc = match self {
-            Self::Compiled(_) => Cmd::new("rustc"),
-            Self::Source => Cmd::new(DEBIAN_RUSTC),
+            Self::Compiled(_) => "rustc",
+            Self::Source => DEBIAN_RUSTC,
         };
-        rustc.arg("--version").stdout()
+        Ok(cmd!(sh, "{rustc} --version").read()?)
     }
 }
 
-/// Installs Debian's compiler and the source of its libraries if missing.
-pub(crate) fn provide_debian() -> Outcome {
-    if debian_source_fits() {
-        return Ok(());
+/// The PATH, with another directory first.
+pub(crate) fn path_with(directory: &Path) -> Result<std::ffi::OsString> {
+    let path = env::var_os("PATH").unwrap_or_default();
+    let path = [directory.to_owned()]
+        .into_iter()
+        .chain(env::split_paths(&path));
+    Ok(env::join_paths(path)?)
+}
+
+/// Installs Debian's compiler and the source of its libraries, unless both are there in the same version.
+pub(crate) fn provide_debian(sh: &Shell) -> Result<()> {
+    const PACKAGES: [&str; 2] = ["rustc-web", "rust-web-src"];
+    let format = "${Version}\n";
+    let query = cmd!(sh, "dpkg-query --show --showformat {format} {PACKAGES...}");
+    let versions = query.ignore_stderr().read().unwrap_or_default();
+    match versions.split_once('\n') {
+        Some((compiler, source)) if compiler == source => Ok(()),
+        _ => install::install(sh, &PACKAGES.join(" ")),
     }
-    tools::install(DEBIAN_PACKAGES)
 }
 
 /// The directory of the compiler's libraries for the target, if it has them.
-pub(crate) fn compiled_core(target: &str) -> Option<PathBuf> {
-    let libraries = Cmd::new("rustc --print target-libdir --target")
-        .arg(target)
-        .stdout()
-        .ok()?;
-    let mut entries = fs::read_dir(&libraries).ok()?.flatten();
-    entries
-        .any(|entry| entry.file_name().to_string_lossy().starts_with("libcore-"))
-        .then(|| PathBuf::from(libraries))
+pub(crate) fn compiled_core(sh: &Shell, target: &str) -> Option<PathBuf> {
+    let libraries = cmd!(sh, "rustc --print target-libdir --target {target}");
+    let libraries = PathBuf::from(libraries.ignore_stderr().read().ok()?);
+    let mut files = sh.read_dir(&libraries).ok()?.into_iter();
+    let is_core = |path: PathBuf| path.to_string_lossy().contains("/libcore-");
+    files.any(is_core).then_some(libraries)
 }
 
-/// Whether Debian's compiler and source are installed in the same version.
-fn debian_source_fits() -> bool {
-    let version = |package: &&str| {
-        Cmd::new("dpkg-query --show --showformat ${Version}")
-            .arg(package)
-            .stdout()
-            .ok()
-    };
-    let versions: Vec<_> = DEBIAN_PACKAGES.iter().map(version).collect();
-    matches!(versions.as_slice(), [Some(compiler), Some(source)] if compiler == source)
-}
-
-/// A directory that contains Debian's linker under the name the compiler expects. Debian's package name
+/// A directory that contains Debian's linker as `rust-lld`, which rustup's compiler contains. Debian's package name
 /// depends on the LLVM version.
-fn provide_linker(dirs: &Dirs) -> Outcome<PathBuf> {
-    let version = Cmd::new(DEBIAN_RUSTC)
-        .args("--version --verbose")
-        .stdout()?;
-    let llvm = llvm_major(&version)
-        .ok_or_else(|| format!("{DEBIAN_RUSTC} does not report its LLVM version"))?;
-    let linker = PathBuf::from(format!("/usr/lib/llvm-{llvm}/bin/lld"));
-    if !linker.exists() {
-        tools::install(&[&format!("lld-{llvm}")])?;
+fn debian_linker(project: &Project) -> Result<PathBuf> {
+    let sh = &project.sh;
+    let version = cmd!(sh, "{DEBIAN_RUSTC} --version --verbose").read()?;
+    let llvm = llvm_major(&version).context("Debian's rustc does not report its LLVM version")?;
+    let linker = format!("/usr/lib/llvm-{llvm}/bin/lld");
+    if !Path::new(&linker).exists() {
+        install::install(sh, &format!("lld-{llvm}"))?;
     }
-    let directory = dirs.absolute("linker");
-    let name = directory.join("rust-lld");
-    let link = || {
-        fs::create_dir_all(&directory)?;
-        if fs::read_link(&name).is_ok_and(|to| to == linker) {
-            return Ok(());
-        }
-        // Removes a link to another version, if there is one.
-        let _ = fs::remove_file(&name);
-        symlink(&linker, &name)
-    };
-    link().map_err(|error| format!("cannot write {}: {error}", name.display()))?;
+    let directory = sh.create_dir(project.target.join("linker"))?;
+    cmd!(sh, "ln -sfn {linker} {directory}/rust-lld")
+        .quiet()
+        .run()?;
     Ok(directory)
 }
 

@@ -1,4 +1,4 @@
-//! `cargo xtask build --curve`: the `ztl` command with a libzmq that supports encryption.
+//! Builds with a libzmq that supports encryption.
 //!
 //! The libzmq that `zmq-sys` compiles has no CURVE. Because `zmq-sys` declares which library it links to, a
 //! Cargo configuration can replace its build script with another library. The package `libzmq/` compiles that
@@ -6,105 +6,92 @@
 
 use std::path::PathBuf;
 
-use crate::cmd::{Cmd, Outcome};
-use crate::{Dirs, python};
+use anyhow::{Context as _, Result};
+use xshell::{Cmd, cmd};
 
-/// The package that compiles libzmq with CURVE; not in the workspace.
-const MANIFEST: &str = "libzmq/Cargo.toml";
+use crate::install;
+use crate::project::{COMMAND, Project};
 
-/// Builds an optimised `ztl` and prints its path.
-pub(crate) fn run(dirs: &Dirs, args: &[String]) -> Outcome {
-    let words: Vec<&str> = args.iter().map(String::as_str).collect();
-    let (build, target) = match words.as_slice() {
-        [] => (Cmd::new("cargo build"), dirs.target.clone()),
-        ["--curve"] => (cargo(dirs, "build")?, target(dirs)),
-        _ => return Err("unknown argument: `cargo xtask build` takes only `--curve`".to_owned()),
+/// `cargo xtask build`: builds an optimised `ztl` and prints its path.
+pub(crate) fn build(project: &Project, curve: bool) -> Result<()> {
+    let sh = &project.sh;
+    let (build, target) = match curve {
+        true => (cargo(project, "build")?, target(project)),
+        false => (cmd!(sh, "cargo build --locked"), project.target.clone()),
     };
-    build
-        .args("--release --locked --package ztl-std --bin ztl")
-        .run()?;
+    build.arg("--release").args(COMMAND).run()?;
     println!("{}", target.join("release/ztl").display());
     Ok(())
 }
 
 /// Runs the access tests with encryption.
-pub(crate) fn test(dirs: &Dirs) -> Outcome {
-    let python = python::ensure(dirs)?;
-    cargo(dirs, "build")?
-        .args("--locked --package ztl-std --bin ztl")
-        .run()?;
-    cargo(dirs, "test")?
-        .args("--locked --package ztl-std --lib keys")
-        .env("ZTL_CURVE", "1")
-        .run()?;
-    cargo(dirs, "test")?
-        .args("--locked --package ztl-tests --test access")
-        .env("ZTL_PYTHON", python)
-        .env("ZTL_CURVE", "1")
-        .run()?;
-    cargo(dirs, "test")?
-        .args("--locked --package ztl-tests --test serve -- forward::with_keys")
-        .env("ZTL_CURVE", "1")
-        .run()
+pub(crate) fn test(project: &Project) -> Result<()> {
+    install::python(project)?;
+    cargo(project, "build")?.args(COMMAND).run()?;
+    let test = |words: &str| -> Result<()> {
+        let test = cargo(project, "test")?
+            .env("ZTL_CURVE", "1")
+            .arg("--package");
+        Ok(test.args(words.split(' ')).run()?)
+    };
+    test("ztl-std --lib keys")?;
+    test("ztl-tests --test access")?;
+    test("ztl-tests --test serve -- forward::with_keys")
 }
 
-pub(crate) fn target(dirs: &Dirs) -> PathBuf {
-    dirs.target.join("curve")
+pub(crate) fn target(project: &Project) -> PathBuf {
+    project.target.join("curve")
 }
 
 /// `cargo WORD`, linked with a libzmq that has CURVE.
-pub(crate) fn cargo(dirs: &Dirs, word: &str) -> Outcome<Cmd> {
-    let build = Cmd::new("cargo build --release --locked");
-    let libraries = libraries(build.arg("--target-dir").arg(dirs.target.join("libzmq")))?;
-    let version = Cmd::new("rustc -vV").stdout()?;
-    let host = version.lines().find_map(|line| line.strip_prefix("host: "));
-    let host = host.ok_or("`rustc -vV` does not report its host")?;
+pub(crate) fn cargo<'a>(project: &'a Project, word: &str) -> Result<Cmd<'a>> {
+    let sh = &project.sh;
+    let libzmq = project.target.join("libzmq");
+    let libraries = libraries(cmd!(
+        sh,
+        "cargo build --release --locked --target-dir {libzmq}"
+    ))?;
+    let host = cmd!(sh, "rustc --print host-tuple").read()?;
     let cpp = if host.contains("apple") {
         "c++"
     } else {
         "stdc++"
     };
-    let cargo = libraries.link(Cmd::new("cargo").arg(word), host, cpp);
-    Ok(cargo.arg("--target-dir").arg(target(dirs)))
+    let target = target(project);
+    let cargo = cmd!(sh, "cargo {word} --locked --target-dir {target}");
+    Ok(libraries.link(cargo, &host, cpp))
 }
 
 /// The directories of the compiled libraries.
 pub(crate) struct Libraries {
-    /// Directory of libzmq.
-    pub(crate) zmq: String,
-    /// Directory of libsodium.
+    zmq: String,
     pub(crate) sodium: String,
 }
 
 /// Compiles libzmq and libsodium with this `cargo build`, and returns their directories.
-pub(crate) fn libraries(build: Cmd) -> Outcome<Libraries> {
+pub(crate) fn libraries(build: Cmd<'_>) -> Result<Libraries> {
     // The build script of `libzmq/` reports them; unlike a program, it runs for every target.
-    let build = build
-        .arg("--manifest-path")
-        .arg(MANIFEST)
-        .args("--quiet --message-format json");
+    let words = "--manifest-path libzmq/Cargo.toml --quiet --message-format json";
+    let build = build.args(words.split(' '));
     println!("$ {build}");
-    let messages = build.stdout()?;
-    let said = |name: &str| {
+    let messages = build.read()?;
+    let directory = |name: &str| {
         let (_, rest) = messages.split_once(&format!("[\"{name}\",\""))?;
         Some(rest.split_once('"')?.0.to_owned())
     };
-    match (said("ZTL_ZMQ"), said("ZTL_SODIUM")) {
-        (Some(zmq), Some(sodium)) => Ok(Libraries { zmq, sodium }),
-        _ => Err(format!(
-            "`{build}` did not report where libzmq and libsodium are"
-        )),
-    }
+    let zmq = directory("ZTL_ZMQ").context("libzmq/build.rs did not report ZTL_ZMQ")?;
+    let sodium = directory("ZTL_SODIUM").context("libzmq/build.rs did not report ZTL_SODIUM")?;
+    Ok(Libraries { zmq, sodium })
 }
 
 impl Libraries {
     /// Makes `zmq-sys` use them in a build for `target`, with the C++ library `cpp`.
-    pub(crate) fn link(&self, cargo: Cmd, target: &str, cpp: &str) -> Cmd {
+    pub(crate) fn link<'a>(&self, cargo: Cmd<'a>, target: &str, cpp: &str) -> Cmd<'a> {
         let Self { zmq, sodium } = self;
         // As TOML: single quotes keep paths unchanged.
         let search = format!("target.{target}.zmq.rustc-link-search=['{zmq}', '{sodium}']");
         let link =
             format!("target.{target}.zmq.rustc-link-lib=['static=zmq', 'static=sodium', '{cpp}']");
-        cargo.arg("--config").arg(search).arg("--config").arg(link)
+        cargo.args(["--config", &search, "--config", &link])
     }
 }

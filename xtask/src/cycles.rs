@@ -4,16 +4,13 @@
 //! flash without wait states and the multiplier of one cycle, as the nRF51 has both. What the bus to a UART's registers
 //! adds is not in it. All over the run it looks for the longest time in which interrupts are masked.
 
-use std::fs;
 use std::path::Path;
-use std::time::Duration;
 
-use crate::Dirs;
-use crate::cmd::{Cmd, Outcome};
+use anyhow::{Context as _, Result, bail, ensure};
+use xshell::cmd;
+
 use crate::image::{self, Memory};
-
-/// An image takes a second; ample for a machine that does something else too.
-const LIMIT: Duration = Duration::from_secs(120);
+use crate::project::Project;
 
 /// Functions of the image between which it counts, and the interrupt that it counts as well.
 const BEGIN: &str = "count_begin";
@@ -23,12 +20,111 @@ const INTERRUPT: &str = "on_uart";
 /// Cycles to enter an interrupt, and to leave it.
 const ENTER_AND_LEAVE: u64 = 16 + 16;
 
+/// The README that shows the cycles, between marks.
+const README: &str = "examples/firmware/README.md";
+
+/// Counts the cycles of this image. Checks that a serial line at 1 Mbaud can last, and that the README shows the counts.
+pub(crate) fn check(project: &Project, image: &Path) -> Result<()> {
+    let counts = count(project, image)?;
+    println!("\nA Cortex-M0, optimised for size:\n\n{}\n", table(&counts));
+    println!("{}", rate(&counts)?);
+    let readme = project.sh.read_file(README)?;
+    ensure!(
+        shows(&readme, &counts),
+        "{README} shows other cycles; expected between <!-- cycles --> and <!-- /cycles -->:\n\n{}",
+        table(&counts)
+    );
+    Ok(())
+}
+
+fn table(counts: &[Count]) -> String {
+    let row = |count: &Count| {
+        let Count {
+            what,
+            cycles,
+            instructions,
+        } = count;
+        format!("\n| {what} | {cycles} | {instructions} |")
+    };
+    let rows: String = counts.iter().map(row).collect();
+    format!("| | cycles | instructions |\n|---|---|---|{rows}")
+}
+
+/// Cycles between two bytes at 1 Mbaud and 16 MHz.
+const PAUSE: u64 = 160;
+
+/// Capacity of the images' receive queue in bytes.
+const QUEUE: u64 = 128;
+
+/// The most bytes that one turn of the main loop reads.
+const READ: u64 = 256;
+
+/// The most cycles for which our code masks interrupts, as the documentation of `ztl_mcu::shared` states.
+const MASKED: u64 = 1000;
+
+/// The line's rate that follows from the counts. The first three are of a received byte, the next is a task's start, the
+/// longest time in which no byte is taken from the queue, the last but one an idle turn, and the last the longest
+/// critical section.
+fn rate(counts: &[Count]) -> Result<String> {
+    let cycles: Vec<u64> = counts.iter().map(|count| count.cycles).collect();
+    let &[interrupt, queue, node, start, .., turn, masked] = cycles.as_slice() else {
+        bail!("the image has counted too few things");
+    };
+    ensure!(
+        masked <= MASKED,
+        "a critical section takes {masked} cycles; {MASKED} are promised"
+    );
+    let byte = interrupt + queue + node;
+    let left = PAUSE.saturating_sub(byte);
+    let caught_up = turn.checked_div(left).unwrap_or(u64::MAX);
+    let waiting = (start + turn) / PAUSE;
+    ensure!(
+        caught_up <= READ && waiting <= QUEUE,
+        "at 1 Mbaud and 16 MHz a byte arrives every {PAUSE} cycles. One takes {byte}; while a task starts, {waiting} arrive, \
+         and {QUEUE} can wait; a turn is caught up after {caught_up} bytes, and reads {READ}"
+    );
+    Ok(format!(
+        "At 16 MHz a received byte takes {byte} of the {PAUSE} cycles that it has at 1 Mbaud: a margin of {} %. So {} kbaud \
+         can last.\nWhile a task starts, {waiting} bytes arrive, and {QUEUE} can wait; the rest of a turn of the main loop \
+         is caught up after {caught_up} bytes.",
+        left * 100 / PAUSE,
+        16_000 * 10 / byte,
+    ))
+}
+
+/// Deviation in percent that is accepted in the README: other compilers differ.
+const TOLERANCE: u64 = 10;
+
+/// Whether the README shows these counts between its marks.
+fn shows(readme: &str, counts: &[Count]) -> bool {
+    let shown = readme
+        .split_once("<!-- cycles -->")
+        .and_then(|(_, rest)| rest.split_once("<!-- /cycles -->"));
+    let row = |line: &str| -> Option<(String, u64)> {
+        let mut cells = line.split('|').map(str::trim);
+        let what = cells.nth(1)?.to_owned();
+        Some((what, cells.next()?.parse().ok()?))
+    };
+    let rows: Vec<_> = shown
+        .into_iter()
+        .flat_map(|(shown, _)| shown.lines())
+        .filter_map(row)
+        .collect();
+    let near = |(what, cycles): &(String, u64), count: &Count| {
+        *what == count.what && cycles.abs_diff(count.cycles) * 100 <= cycles * TOLERANCE
+    };
+    rows.len() == counts.len()
+        && counts
+            .iter()
+            .all(|count| rows.iter().any(|row| near(row, count)))
+}
+
 /// What was counted of one thing.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) struct Count {
-    pub(crate) what: String,
-    pub(crate) cycles: u64,
-    pub(crate) instructions: u64,
+struct Count {
+    what: String,
+    cycles: u64,
+    instructions: u64,
 }
 
 /// Instructions and cycles.
@@ -49,43 +145,44 @@ impl Sum {
 const MASK: u16 = 0xB672;
 
 /// What the longest critical section of an image is called.
-const MASKED: &str = "interrupts masked, at most";
+const MASKED_NAME: &str = "interrupts masked, at most";
 
-/// Runs an image on the micro:bit, which gets one byte over its UART. It says a line for each thing that it
+/// Runs an image on the micro:bit, which gets one byte over its UART. It prints a line for each thing that it
 /// counts: how often it does it, and what it is. The interrupt comes first, the longest critical section last.
-pub(crate) fn count(dirs: &Dirs, path: &Path) -> Outcome<Vec<Count>> {
-    let trace = dirs.absolute("cycles.trace");
-    // What an earlier run left.
-    let _ = fs::remove_file(&trace);
-    let said = Cmd::new("qemu-system-arm -M microbit -nographic -monitor none -semihosting")
-        .args("-serial stdio -singlestep -d exec,nochain -D")
-        .arg(&trace)
-        .arg("-kernel")
-        .arg(path)
-        .answer_within(b"x", LIMIT)?;
-    let trace = fs::read_to_string(&trace)
-        .map_err(|error| format!("QEMU has left no {}: {error}", trace.display()))?;
-    counts(&image::memory(path)?, &addresses(&trace)?, &said)
+fn count(project: &Project, path: &Path) -> Result<Vec<Count>> {
+    let sh = &project.sh;
+    let trace = project.target.join("cycles.trace");
+    // A second is enough; the limit leaves room for a busy machine.
+    let run = cmd!(
+        sh,
+        "timeout 120 qemu-system-arm -M microbit -nographic -monitor none -semihosting -serial stdio
+         -singlestep -d exec,nochain -D {trace} -kernel {path}"
+    );
+    println!("$ {run}");
+    let output = run.stdin("x").read()?;
+    let trace = sh.read_file(trace)?;
+    counts(&image::memory(path)?, &addresses(&trace)?, &output)
 }
 
 /// The address of each instruction, in order.
-fn addresses(trace: &str) -> Outcome<Vec<u32>> {
+fn addresses(trace: &str) -> Result<Vec<u32>> {
     // Trace 0: 0x7f2594000240 [00800400/0000199a/00000510/ff000201] SysTick
     let address = |line: &str| {
         let (_, rest) = line.split_once('[')?;
         u32::from_str_radix(rest.split('/').nth(1)?, 16).ok()
     };
     let lines = trace.lines().filter(|line| line.starts_with("Trace "));
+    let wrong = |line: &str| format!("QEMU's trace has no address: {line}");
     lines
-        .map(|line| address(line).ok_or_else(|| format!("QEMU's trace has no address: {line}")))
+        .map(|line| address(line).with_context(|| wrong(line)))
         .collect()
 }
 
-fn counts(memory: &Memory, addresses: &[u32], said: &str) -> Outcome<Vec<Count>> {
+fn counts(memory: &Memory, addresses: &[u32], output: &str) -> Result<Vec<Count>> {
     let function = |name: &str| {
         memory
             .function(name)
-            .ok_or_else(|| format!("the image has no function `{name}`"))
+            .with_context(|| format!("the image has no function `{name}`"))
     };
     let (begin, end, interrupt) = (function(BEGIN)?, function(END)?, function(INTERRUPT)?);
     let (mut regions, mut region) = (Vec::new(), None::<Sum>);
@@ -124,50 +221,53 @@ fn counts(memory: &Memory, addresses: &[u32], said: &str) -> Outcome<Vec<Count>>
         within &= !(interrupt.contains(address) && returns(memory, *address));
     }
     entered.cycles += ENTER_AND_LEAVE;
-    // The first region is empty: what counting takes.
-    let Some((nothing, regions)) = regions.split_first() else {
-        return Err("the image has counted nothing".to_owned());
-    };
-    let lines: Vec<&str> = said
+    // The first region is empty: it measures the counting itself.
+    let (nothing, regions) = regions
+        .split_first()
+        .context("the image has counted nothing")?;
+    let lines: Vec<&str> = output
         .lines()
         .filter(|line| !line.trim().is_empty())
         .collect();
-    if lines.len() != regions.len() + 1 {
-        return Err(format!(
-            "the image has counted {} things and said {}:\n{said}",
-            regions.len(),
-            lines.len()
-        ));
-    }
+    let (things, names) = (regions.len() + 1, lines.len());
+    ensure!(
+        things == names,
+        "the image has counted {things} things and named {names}:\n{output}"
+    );
     let sums = regions.iter().map(|region| Sum {
         instructions: region.instructions.saturating_sub(nothing.instructions),
         cycles: region.cycles.saturating_sub(nothing.cycles),
     });
     let counted = lines.iter().zip(std::iter::once(entered).chain(sums));
-    let masked = named(&format!("1 {MASKED}"), longest);
+    let masked = named(&format!("1 {MASKED_NAME}"), longest);
     counted
         .map(|(line, sum)| named(line, sum))
         .chain(std::iter::once(masked))
         .collect()
 }
 
-/// `120 a byte into the queue`: of so many, rounded.
-fn named(line: &str, sum: Sum) -> Outcome<Count> {
-    let wrong = || format!("the image says `{line}`, and not how often and what");
-    let (times, what) = line.trim().split_once(' ').ok_or_else(wrong)?;
-    let times: u64 = times.parse().map_err(|_| wrong())?;
-    let each = |sum: u64| (sum + times / 2).checked_div(times).ok_or_else(wrong);
-    Ok(Count {
-        what: what.to_owned(),
-        cycles: each(sum.cycles)?,
-        instructions: each(sum.instructions)?,
+/// Parses `120 a byte into the queue`, and divides by that number, rounded.
+fn named(line: &str, sum: Sum) -> Result<Count> {
+    let parse = || {
+        let (times, what) = line.trim().split_once(' ')?;
+        let times: u64 = times.parse().ok()?;
+        let each = |sum: u64| (sum + times / 2).checked_div(times);
+        let (cycles, instructions) = (each(sum.cycles)?, each(sum.instructions)?);
+        Some(Count {
+            what: what.to_owned(),
+            cycles,
+            instructions,
+        })
+    };
+    parse().with_context(|| {
+        format!("invalid line `{line}` of the image: expected a number and a name")
     })
 }
 
-fn halfword(memory: &Memory, address: u32) -> Outcome<u16> {
+fn halfword(memory: &Memory, address: u32) -> Result<u16> {
     memory
         .halfword(address)
-        .ok_or_else(|| format!("the image has no code at {address:#x}, where QEMU has run some"))
+        .with_context(|| format!("the image has no code at {address:#x}"))
 }
 
 /// `MSR PRIMASK`, which ends a critical section, within another one too.
@@ -183,7 +283,7 @@ fn returns(memory: &Memory, address: u32) -> bool {
 }
 
 /// What the instruction takes when the one at `next` follows.
-fn cycles(memory: &Memory, address: u32, next: u32) -> Outcome<u64> {
+fn cycles(memory: &Memory, address: u32, next: u32) -> Result<u64> {
     let code = halfword(memory, address)?;
     let listed = u64::from((code & 0xFF).count_ones());
     Ok(match code {
@@ -243,7 +343,7 @@ mod tests {
         ] {
             let next = if taken { 0x200 } else { 0x102 };
             let counted = cycles(&memory(&[code], &[]), 0x100, next);
-            assert_eq!(counted, Ok(expected), "{code:#x}");
+            assert_eq!(counted.unwrap(), expected, "{code:#x}");
         }
         assert!(cycles(&memory(&[], &[]), 0x100, 0x102).is_err());
     }
@@ -284,7 +384,48 @@ mod tests {
     fn qemus_trace_is_read() {
         let trace =
             "Trace 0: 0x7f2594000100 [00800400/0000004c/00000510/ff000201] Reset\nStopped\n";
-        assert_eq!(addresses(trace), Ok(vec![0x4C]));
+        assert_eq!(addresses(trace).unwrap(), [0x4C]);
         assert!(addresses("Trace 0: x").is_err());
+    }
+
+    fn counted(cycles: &[u64]) -> Vec<Count> {
+        let count = |cycles: &u64| Count {
+            what: format!("thing of {cycles}"),
+            cycles: *cycles,
+            instructions: 1,
+        };
+        cycles.iter().map(count).collect()
+    }
+
+    #[test]
+    fn a_rate_follows_from_the_counts() {
+        let text = rate(&counted(&[70, 20, 38, 8000, 3000, 1600, 1000])).unwrap();
+        assert!(text.contains("takes 128 of the 160 cycles"), "{text}");
+        assert!(text.contains("a margin of 20 %. So 1250 kbaud"), "{text}");
+        assert!(text.contains("starts, 60 bytes arrive"), "{text}");
+        assert!(text.contains("after 50 bytes"), "{text}");
+        for slow in [
+            [100, 20, 40, 8000, 1600, 1000],
+            [70, 20, 38, 20_000, 1600, 1000],
+            [70, 20, 68, 8000, 1600, 1000],
+            [70, 20, 38, 8000, 1600, 1001],
+        ] {
+            assert!(rate(&counted(&slow)).is_err(), "{slow:?}");
+        }
+        assert!(rate(&counted(&[100])).is_err());
+    }
+
+    #[test]
+    fn the_readme_shows_what_is_counted() {
+        let readme = |table: &str| format!("x\n<!-- cycles -->\n{table}\n<!-- /cycles -->\n");
+        let now = counted(&[100, 30]);
+        assert!(shows(&readme(&table(&now)), &now));
+        let near = table(&now).replace("| 100 |", "| 92 |");
+        assert!(shows(&readme(&near), &now));
+        let far = table(&now).replace("| 100 |", "| 90 |");
+        for wrong in [far, table(&counted(&[100])), table(&counted(&[100, 30, 5]))] {
+            assert!(!shows(&readme(&wrong), &now), "{wrong}");
+        }
+        assert!(!shows("x", &now));
     }
 }

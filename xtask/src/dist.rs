@@ -3,154 +3,95 @@
 mod bill;
 mod contents;
 
-use std::fs;
 use std::path::{Path, PathBuf};
 
-use object::Endianness;
+use anyhow::{Context as _, Result, ensure};
 use object::elf::{FileHeader32, FileHeader64, PT_DYNAMIC, PT_INTERP};
 use object::read::elf::{FileHeader, ProgramHeader};
+use object::{Endianness, FileKind};
+use xshell::cmd;
 
-use crate::cmd::{Cmd, Outcome};
+use crate::project::{COMMAND, Project};
 use crate::zig::{Target, Zig, targets};
-use crate::{Dirs, capi, places, python, tools};
+use crate::{capi, install, paths};
 use contents::Contents;
 
 /// Maximum size of a program in bytes.
-const MOST: u64 = 6 * 1024 * 1024;
-
-/// Built and run by the test command.
-const TESTED: [&str; 2] = ["x86_64", "i686"];
-
-/// C programs are linked for this target as well.
-const LINKED: [&str; 1] = ["i686"];
-
-/// Builds the named targets, or all. `--check` also runs each one and links the C interface for it.
-pub(crate) fn run(dirs: &Dirs, args: &[String]) -> Outcome {
-    let mut check = false;
-    let mut names = Vec::new();
-    for word in args {
-        match word.as_str() {
-            "--check" => check = true,
-            option if option.starts_with('-') => {
-                return Err(format!(
-                    "unknown option `{option}`: expected targets or `--check`"
-                ));
-            }
-            name => names.push(name),
-        }
-    }
-    let targets = targets(&names)?;
-    let made = build(dirs, &targets)?;
-    if check {
-        try_out(dirs, &made)?;
-        for target in targets {
-            capi::check(dirs, target)?;
-        }
-    }
-    Ok(())
-}
-
-/// The part that the test command runs.
-pub(crate) fn test(dirs: &Dirs) -> Outcome {
-    let made = build(dirs, &targets(&TESTED)?)?;
-    try_out(dirs, &made)?;
-    // One target shows that C programs can be linked; `dist --check` tries all.
-    for target in targets(&LINKED)? {
-        capi::check(dirs, target)?;
-    }
-    Ok(())
-}
+const MOST: usize = 6 * 1024 * 1024;
 
 /// The emulated kernels, oldest last (`tests/dist/old_kernel.py`).
 const KERNELS: [&str; 2] = ["3.2", "2.6.32"];
 
-/// A built program.
-struct Made {
-    target: Target,
-    path: PathBuf,
+/// Builds the named targets, or all. `check` also runs each one and links the C interface for it.
+pub(crate) fn build(project: &Project, names: &[String], check: bool) -> Result<()> {
+    let targets = targets(names)?;
+    let built = build_all(project, &targets)?;
+    if check {
+        run_all(project, &built)?;
+        for target in targets {
+            capi::check(project, target)?;
+        }
+    }
+    Ok(())
+}
+
+/// The part that the test command runs. One target shows that C programs can be linked.
+pub(crate) fn test(project: &Project) -> Result<()> {
+    let targets = targets(&["x86_64", "i686"])?;
+    run_all(project, &build_all(project, &targets)?)?;
+    let i686 = targets.last().context("a target")?;
+    capi::check(project, *i686)
 }
 
 /// Builds the targets one by one, and collects the programs and accompanying files in one directory.
-fn build(dirs: &Dirs, targets: &[Target]) -> Outcome<Vec<Made>> {
-    let zig = Zig::provide(dirs)?;
-    let release = zig.target_dir.join("ztl");
-    fs::create_dir_all(&release)
-        .map_err(|error| format!("cannot make {}: {error}", release.display()))?;
-    let commit = commit();
-    let mut made = Vec::new();
+fn build_all(project: &Project, targets: &[Target]) -> Result<Vec<(Target, PathBuf)>> {
+    let sh = &project.sh;
+    let zig = Zig::provide(project)?;
+    let release = sh.create_dir(zig.target_dir.join("ztl"))?;
+    // With `-changed` for uncommitted changes.
+    let commit = cmd!(
+        sh,
+        "git describe --always --abbrev=12 --exclude * --dirty=-changed"
+    )
+    .read();
+    let commit = commit.unwrap_or_else(|_| "unknown".to_owned());
+    let mut built = Vec::new();
     for &target in targets {
         let libraries = zig.libraries(target)?;
-        let contents = Contents::of(&zig, target, &libraries)?;
+        let contents = Contents::of(project, &zig, target, &libraries)?;
         zig.build_with(target, &libraries)?
-            .args("--package ztl-std --bin ztl")
+            .args(COMMAND)
             .env("ZTL_BUILD_COMMIT", &commit)
-            .env("ZTL_BUILD_TARGET", target.triple)
+            .env("ZTL_BUILD_TARGET", target.triple())
             .env("ZTL_BUILD_WITH", contents.tools())
             .run()?;
         let path = release.join(format!("ztl-{}", target.name));
-        let program = zig.program(target, "ztl");
-        copy(&program, &path)?;
-        is_fit(&path)?;
-        places::check(dirs, &path)?;
-        contents.write(&path, &commit)?;
-        made.push(Made { target, path });
+        sh.copy_file(zig.built(target, "ztl"), &path)?;
+        let bytes = sh.read_binary_file(&path)?;
+        is_fit(&bytes).with_context(|| path.display().to_string())?;
+        paths::check(project, &path)?;
+        contents.write(sh, &path, &commit)?;
+        println!("{:>8} bytes  {}", bytes.len(), path.display());
+        built.push((target, path));
     }
-    checksums(&release)?;
-    println!("{}:", release.display());
-    for Made { path, .. } in &made {
-        println!("  {:>8} bytes  {}", size(path)?, path.display());
-    }
-    Ok(made)
-}
-
-/// The commit of the sources, with `-changed` for uncommitted changes.
-fn commit() -> String {
-    let Ok(commit) = Cmd::new("git rev-parse --short=12 HEAD").stdout() else {
-        return "unknown".to_owned();
-    };
-    match Cmd::new("git status --porcelain").stdout() {
-        Ok(changes) if changes.is_empty() => commit,
-        _ => format!("{commit}-changed"),
-    }
-}
-
-fn copy(from: &Path, to: &Path) -> Outcome {
-    fs::copy(from, to).map(drop).map_err(|error| {
-        format!(
-            "cannot copy {} to {}: {error}",
-            from.display(),
-            to.display()
-        )
-    })
-}
-
-fn size(path: &Path) -> Outcome<u64> {
-    let about = fs::metadata(path);
-    about
-        .map(|about| about.len())
-        .map_err(|error| format!("cannot read {}: {error}", path.display()))
+    let mut files = sh.read_dir(&release)?;
+    files.retain(|path| !path.ends_with("SHA256SUMS"));
+    let names = files.iter().filter_map(|path| path.file_name());
+    let sums = cmd!(sh, "env --chdir {release} sha256sum {names...}").read()?;
+    sh.write_file(release.join("SHA256SUMS"), sums + "\n")?;
+    Ok(built)
 }
 
 /// Checks that a program depends only on the kernel, and respects the size limit.
-fn is_fit(path: &Path) -> Outcome {
-    let bytes =
-        fs::read(path).map_err(|error| format!("cannot read {}: {error}", path.display()))?;
-    if bytes.len() as u64 > MOST {
-        return Err(format!(
-            "{} has {} bytes; the limit is {MOST}",
-            path.display(),
-            bytes.len()
-        ));
-    }
-    let needs_loader = match bytes.get(4) {
-        Some(1) => needs_loader::<FileHeader32<Endianness>>(&bytes),
-        _ => needs_loader::<FileHeader64<Endianness>>(&bytes),
+fn is_fit(program: &[u8]) -> Result<()> {
+    let size = program.len();
+    ensure!(size <= MOST, "{size} bytes are more than {MOST}");
+    let needs_loader = match FileKind::parse(program)? {
+        FileKind::Elf32 => needs_loader::<FileHeader32<Endianness>>(program)?,
+        _ => needs_loader::<FileHeader64<Endianness>>(program)?,
     };
-    match needs_loader {
-        Ok(false) => Ok(()),
-        Ok(true) => Err(format!("{} is not fully static", path.display())),
-        Err(error) => Err(format!("{}: {error}", path.display())),
-    }
+    ensure!(!needs_loader, "not fully static");
+    Ok(())
 }
 
 fn needs_loader<H: FileHeader<Endian = Endianness>>(bytes: &[u8]) -> object::Result<bool> {
@@ -160,62 +101,47 @@ fn needs_loader<H: FileHeader<Endian = Endianness>>(bytes: &[u8]) -> object::Res
     Ok(parts.any(|part| matches!(part.p_type(endian), PT_INTERP | PT_DYNAMIC)))
 }
 
-/// Writes `SHA256SUMS` for all files in the directory.
-fn checksums(release: &Path) -> Outcome {
-    const NAME: &str = "SHA256SUMS";
-    let entries = fs::read_dir(release)
-        .map_err(|error| format!("cannot read {}: {error}", release.display()))?;
-    let mut names: Vec<String> = entries
-        .flatten()
-        .map(|entry| entry.file_name().to_string_lossy().into_owned())
-        .filter(|name| name != NAME)
-        .collect();
-    names.sort();
-    let mut sum = Cmd::new("env --chdir").arg(release).arg("sha256sum");
-    for name in &names {
-        sum = sum.arg(name);
-    }
-    let path = release.join(NAME);
-    fs::write(&path, sum.stdout()? + "\n")
-        .map_err(|error| format!("cannot write {}: {error}", path.display()))
-}
-
 /// Runs each program on its processor in an empty root, with real tasks.
-fn try_out(dirs: &Dirs, made: &[Made]) -> Outcome {
-    tools::provide_emulators()?;
-    Cmd::new("cargo build --locked --package ztl-std --bin ztl").run()?;
-    let python = python::ensure(dirs)?;
-    if let Some(Made { path, .. }) = made.first() {
-        let release = path.parent().ok_or("a program lies in a directory")?;
-        Cmd::new("env --chdir")
-            .arg(release)
-            .args("sha256sum --check --strict --quiet SHA256SUMS")
-            .run()?;
-        bill::check(dirs, release)?;
-    }
-    for Made { target, path } in made {
-        let test = |how: &str, variable: &'static str| {
-            println!("{}, {variable}={how}:", target.name);
-            Cmd::new("cargo test --quiet --locked --package ztl-tests --test dist -- --ignored")
-                .env("ZTL_DIST", path)
-                .env("ZTL_DIST_TARGET", target.triple)
-                .env(variable, how)
-                .env("ZTL_PYTHON", &python)
-                .run()
+fn run_all(project: &Project, built: &[(Target, PathBuf)]) -> Result<()> {
+    let sh = &project.sh;
+    install::emulators(sh)?;
+    install::python(project)?;
+    cmd!(sh, "cargo build --locked {COMMAND...}").run()?;
+    let release = built.first().and_then(|(_, path)| path.parent());
+    let release = release.context("no program was built")?;
+    cmd!(
+        sh,
+        "env --chdir {release} sha256sum --check --strict --quiet SHA256SUMS"
+    )
+    .run()?;
+    bill::check(project, release)?;
+    let test = [
+        "test",
+        "--quiet",
+        "--locked",
+        "--package",
+        "ztl-tests",
+        "--test",
+    ];
+    for (target, path) in built {
+        let triple = target.triple();
+        let run = |variable: &str, how: &str| {
+            cmd!(sh, "env ZTL_DIST={path} ZTL_DIST_TARGET={triple} {variable}={how} cargo {test...} dist -- --ignored").run()
         };
-        test(target.emulator, "ZTL_DIST_EMULATOR")?;
+        run("ZTL_DIST_EMULATOR", target.emulator)?;
         // Only the same machine type has a kernel that can be made to look old.
-        if cfg!(target_arch = "x86_64") && ["x86_64", "i686", "i586"].contains(&target.name) {
+        if cfg!(target_arch = "x86_64") && target.emulator.contains("86") {
             for kernel in KERNELS {
-                test(kernel, "ZTL_DIST_KERNEL")?;
-                watchdogs(dirs, &python, kernel, path)?;
+                run("ZTL_DIST_KERNEL", kernel)?;
+                watchdogs(project, kernel, path)?;
             }
         }
-        if cfg!(target_arch = "x86_64") && target.name == "x86_64" {
-            println!("{}, memory:", target.name);
-            Cmd::new("cargo test --quiet --locked --package ztl-tests --test serve -- --nocapture memory::")
-                .env("ZTL_RELEASED", path)
-                .run()?;
+        if target.is_here() {
+            cmd!(
+                sh,
+                "env ZTL_RELEASED={path} cargo {test...} serve -- --nocapture memory::"
+            )
+            .run()?;
         }
     }
     Ok(())
@@ -223,16 +149,15 @@ fn try_out(dirs: &Dirs, made: &[Made]) -> Outcome {
 
 /// Kills servers on an emulated kernel. An empty root cannot show this: without `/proc` no watchdog stops the
 /// programs of a killed server.
-fn watchdogs(dirs: &Dirs, python: &Path, kernel: &str, program: &Path) -> Outcome {
-    let script = dirs.root.join("tests/dist/old_kernel.py");
-    let program = dirs.root.join(program);
-    let words = [python, &script, Path::new(kernel), &program];
-    let lines = words.map(|word| word.display().to_string()).join("\n");
-    println!(
-        "{} on {kernel}, servers that are killed:",
-        program.display()
+fn watchdogs(project: &Project, kernel: &str, program: &Path) -> Result<()> {
+    let sh = &project.sh;
+    let script = project.root.join("tests/dist/old_kernel.py");
+    let python = install::python(project)?;
+    let words = [&python, &script, Path::new(kernel), program];
+    let command = words.map(|word| word.display().to_string()).join("\n");
+    let test = cmd!(
+        sh,
+        "cargo test --quiet --locked --package ztl-tests --test serve -- killed::"
     );
-    Cmd::new("cargo test --quiet --locked --package ztl-tests --test serve -- killed::")
-        .env("ZTL_COMMAND", lines)
-        .run()
+    Ok(test.env("ZTL_COMMAND", command).run()?)
 }

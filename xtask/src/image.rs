@@ -11,85 +11,32 @@ use object::elf::{SHF_ALLOC, SHF_WRITE};
 use object::read::elf::ElfFile32;
 use object::{Object, ObjectSection, ObjectSymbol, SectionFlags, SectionKind, SymbolKind};
 
-use crate::Dirs;
-use crate::cmd::{Cmd, Outcome};
+use anyhow::{Context as _, Result};
+use xshell::Cmd;
+
 use crate::cross::Core;
+use crate::project::Project;
 
 /// The package of the images, which is not in the workspace.
 pub(crate) const MANIFEST: &str = "proof/Cargo.toml";
 
 /// The command that builds an image, and the path of the result.
-pub(crate) fn build(
-    dirs: &Dirs,
+pub(crate) fn build<'a>(
+    project: &'a Project,
     core: &Core,
     target: &str,
     name: &str,
     features: &str,
-) -> Outcome<(Cmd, PathBuf)> {
-    let target_dir = dirs.target.join("image");
-    let build = core
-        .cargo("build", target, &target_dir)
-        .args("--locked --release --manifest-path")
-        .arg(MANIFEST)
-        .args("--bin")
-        .arg(name);
-    let build = match features {
-        "" => build,
-        features => build.arg("--features").arg(features),
-    };
-    let path = target_dir.join(target).join("release").join(name);
-    Ok((core.with_linker(dirs, build)?, path))
-}
-
-/// Checks that a separate workspace uses the same crate versions as the main one, because it has its own lock
-/// file.
-pub(crate) fn check_lock(manifest: &str) -> Outcome {
-    let read = |path: &Path| {
-        fs::read_to_string(path).map_err(|error| format!("cannot read {}: {error}", path.display()))
-    };
-    let ours = locked(&read(&Path::new(manifest).with_extension("lock"))?);
-    let others = locked(&read(Path::new("Cargo.lock"))?);
-    match differing(&ours, &others) {
-        None => Ok(()),
-        Some([name, ours, others]) => Err(format!(
-            "the images are built with {name} {ours}, everything else with {others}; to mend it: \
-             cargo update --manifest-path {manifest} {name} --precise VERSION"
-        )),
-    }
-}
-
-type Packages = BTreeSet<(String, String)>;
-
-/// A package that could have the same version in both, but does not: its name and both versions.
-fn differing<'a>(ours: &'a Packages, others: &'a Packages) -> Option<[&'a str; 3]> {
-    ours.difference(others).find_map(|(name, version)| {
-        let mut same = others.iter().filter(|(other, _)| other == name);
-        let (_, other) = same.find(|(_, other)| series(other) == series(version))?;
-        Some([name.as_str(), version, other])
-    })
-}
-
-/// The part of a version that Cargo treats as compatible: `1` of 1.2.3, `0.2` of 0.2.3.
-fn series(version: &str) -> &str {
-    let mut ends = version.match_indices('.').map(|(index, _)| index);
-    let end = match version.starts_with("0.") {
-        true => ends.nth(1),
-        false => ends.next(),
-    };
-    end.and_then(|end| version.get(..end)).unwrap_or(version)
-}
-
-/// Name and version of each package in a lock file.
-fn locked(lock: &str) -> Packages {
-    let value = |package: &str, key: &str| {
-        let mut lines = package.lines();
-        let value = lines.find_map(|line| line.strip_prefix(key)?.strip_prefix(" = \""))?;
-        Some(value.strip_suffix('"')?.to_owned())
-    };
-    lock.split("[[package]]")
-        .skip(1)
-        .filter_map(|package| Some((value(package, "name")?, value(package, "version")?)))
-        .collect()
+) -> Result<(Cmd<'a>, PathBuf)> {
+    let build = core.cargo(project, "build", target, "image")?;
+    let build = build.args(["--release", "--manifest-path", MANIFEST, "--bin", name]);
+    let path = project
+        .target
+        .join("image")
+        .join(target)
+        .join("release")
+        .join(name);
+    Ok((build.args(["--features", features]), path))
 }
 
 /// Size of an image in bytes, and its contents.
@@ -109,7 +56,7 @@ pub(crate) struct Symbol {
 }
 
 impl Image {
-    pub(crate) fn read(path: &Path) -> Outcome<Self> {
+    pub(crate) fn read(path: &Path) -> Result<Self> {
         with_elf(path, |elf| {
             let mut image = Self {
                 flash: 0,
@@ -180,7 +127,7 @@ impl Memory {
 }
 
 /// Reads an image's memory contents.
-pub(crate) fn memory(path: &Path) -> Outcome<Memory> {
+pub(crate) fn memory(path: &Path) -> Result<Memory> {
     with_elf(path, |elf| {
         let address = |address: u64| u32::try_from(address).unwrap_or_default();
         let mut memory = Memory::default();
@@ -205,7 +152,7 @@ pub(crate) fn memory(path: &Path) -> Outcome<Memory> {
 
 /// The source positions at which an image can panic, as `file:line:column`. The compiler stores each as a
 /// string's address and length, line, and column.
-pub(crate) fn panic_places(path: &Path) -> Outcome<BTreeSet<String>> {
+pub(crate) fn panic_places(path: &Path) -> Result<BTreeSet<String>> {
     with_elf(path, |elf| {
         let contents: Vec<(u64, &[u8])> = elf
             .sections()
@@ -236,11 +183,10 @@ fn panic_place(place: &[u8], contents: &[(u64, &[u8])]) -> Option<String> {
     Some(format!("{file}:{line}:{column}"))
 }
 
-fn with_elf<T>(path: &Path, read: impl FnOnce(&ElfFile32<'_, Endianness>) -> T) -> Outcome<T> {
-    let bytes =
-        fs::read(path).map_err(|error| format!("cannot read {}: {error}", path.display()))?;
-    let elf = ElfFile32::<Endianness>::parse(&*bytes)
-        .map_err(|error| format!("{} is not a 32-bit ELF file: {error}", path.display()))?;
+fn with_elf<T>(path: &Path, read: impl FnOnce(&ElfFile32<'_, Endianness>) -> T) -> Result<T> {
+    let context = || path.display().to_string();
+    let bytes = fs::read(path).with_context(context)?;
+    let elf = ElfFile32::<Endianness>::parse(&*bytes).with_context(context)?;
     Ok(read(&elf))
 }
 
@@ -252,36 +198,6 @@ pub(crate) fn demangled(name: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn a_lock_file_is_parsed() {
-        let lock = "version = 4\n\n[[package]]\nname = \"crc\"\nversion = \"3.4.0\"\n\
-                    dependencies = [\n \"crc-catalog\",\n]\n\n[[package]]\nname = \"a\"\nversion = \"1.0.0\"\n";
-        let pair = |name: &str, version: &str| (name.to_owned(), version.to_owned());
-        assert_eq!(
-            locked(lock),
-            BTreeSet::from([pair("a", "1.0.0"), pair("crc", "3.4.0")])
-        );
-    }
-
-    #[test]
-    fn compatible_versions_must_be_equal() {
-        let packages = |pairs: &[(&str, &str)]| -> Packages {
-            let pair = |(name, version): &(&str, &str)| (name.to_string(), version.to_string());
-            pairs.iter().map(pair).collect()
-        };
-        let others = packages(&[("a", "1.2.3"), ("b", "0.2.7"), ("b", "1.0.0")]);
-        for fine in [
-            packages(&[("a", "1.2.3"), ("c", "7.0.0")]),
-            packages(&[("b", "0.2.7"), ("b", "0.3.0")]),
-        ] {
-            assert_eq!(differing(&fine, &others), None);
-        }
-        for (name, version, other) in [("a", "1.3.0", "1.2.3"), ("b", "0.2.8", "0.2.7")] {
-            let ours = packages(&[(name, version)]);
-            assert_eq!(differing(&ours, &others), Some([name, version, other]));
-        }
-    }
 
     #[test]
     fn panic_positions_are_found_among_the_constants() {

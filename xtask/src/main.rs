@@ -1,179 +1,197 @@
-//! The project's development tasks, run as `cargo xtask <command>`.
-//!
-//! Depends only on a few small crates, which read firmware images and JSON, so that it compiles quickly on a
-//! new machine.
+//! The project's development tasks, run as `cargo xtask COMMAND`.
 
 mod bare;
-mod bench;
 mod capi;
-mod clients;
-mod cmd;
 mod cross;
 mod curve;
 mod cycles;
 mod dist;
 mod firmware;
-mod foreign;
 mod fuzz;
 mod image;
+mod install;
+mod lock;
+mod long_runs;
 mod package;
-mod peers;
-mod places;
+mod paths;
+mod project;
 mod proof;
-mod python;
-mod simulate;
 mod size;
-mod soak;
-mod test;
-mod tools;
+mod steps;
 mod zig;
 
-use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use std::{env, iter};
 
-use cmd::Outcome;
+use clap::Parser;
+use clap::builder::PossibleValuesParser;
 
-/// A development task. Its function gets the words after the name.
-struct Chore {
-    name: &'static str,
-    about: &'static str,
-    run: fn(&Dirs, &[String]) -> Outcome,
+use project::Project;
+
+/// The project's development tasks.
+#[derive(Parser)]
+#[command(bin_name = "cargo xtask")]
+enum Command {
+    /// Install what the tests need: programs, the original package, other peers.
+    Setup,
+    /// Check format and lints, run unit tests and wire tests: before each commit.
+    Check,
+    /// Check and test everything, installing what is missing.
+    Test {
+        /// List the steps.
+        #[arg(long)]
+        list: bool,
+        /// Run only this step; repeatable.
+        #[arg(long, value_name = "STEP", value_parser = PossibleValuesParser::new(steps::names()))]
+        only: Vec<String>,
+    },
+    /// Build the optimised `ztl` command.
+    Build {
+        /// With encryption.
+        #[arg(long)]
+        curve: bool,
+    },
+    /// Build the C libraries.
+    C {
+        /// Processors of `cargo xtask dist`, or targets of microcontrollers; otherwise this machine.
+        targets: Vec<String>,
+        /// Also run them.
+        #[arg(long)]
+        check: bool,
+        /// Build the shared library, for old versions of glibc.
+        #[arg(long, requires = "targets")]
+        glibc: bool,
+    },
+    /// Build static `ztl` programs for old robots.
+    Dist {
+        /// Processors; otherwise all.
+        targets: Vec<String>,
+        /// Also run them, and the C libraries for them.
+        #[arg(long)]
+        check: bool,
+    },
+    /// Build the images of examples/firmware.
+    Firmware {
+        /// Only for this board.
+        board: Option<String>,
+    },
+    /// Run a board's image in QEMU and print how to reach it.
+    Qemu {
+        board: String,
+        /// TCP port of its serial line.
+        #[arg(default_value_t = 5555)]
+        port: u16,
+    },
+    /// Compare the size of firmware images with the record.
+    Size {
+        /// Rewrite the record.
+        #[arg(long)]
+        accept: bool,
+    },
+    /// Search for inputs that break a promise.
+    Fuzz {
+        /// Only this target.
+        target: Option<String>,
+        /// For each target.
+        #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..))]
+        seconds: u32,
+    },
+    /// Explore all faults on the link.
+    #[command(disable_help_flag = true)]
+    Model {
+        #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
+        args: Vec<String>,
+    },
+    /// Simulate whole laboratories with faults.
+    #[command(disable_help_flag = true)]
+    Simulate {
+        #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
+        args: Vec<String>,
+    },
+    /// Run many tasks and resets with real processes.
+    Soak(long_runs::Soak),
+    /// Compare performance with the original.
+    Bench {
+        /// `firmware`, or parts of the server comparison; otherwise all.
+        #[arg(value_parser = PossibleValuesParser::new(long_runs::PARTS))]
+        parts: Vec<String>,
+    },
 }
 
-const CHORES: &[Chore] = &[
-    Chore {
-        name: "build",
-        about: "build the optimised `ztl` command (--curve: with encryption)",
-        run: curve::run,
-    },
-    Chore {
-        name: "c",
-        about: "build the C libraries ([TARGET]...; --check: also run)",
-        run: capi::run,
-    },
-    Chore {
-        name: "test",
-        about: "check and test everything, installing what is missing (--list, --only STEP)",
-        run: test::run,
-    },
-    Chore {
-        name: "fuzz",
-        about: "search for inputs that break a promise ([TARGET], --seconds N for each)",
-        run: fuzz::run,
-    },
-    Chore {
-        name: "model",
-        about: "explore all faults on the link ([SCENARIO], --depth FAULTS)",
-        run: simulate::model,
-    },
-    Chore {
-        name: "simulate",
-        about: "simulate whole laboratories with faults (--seeds N, --first SEED, --show SEED)",
-        run: simulate::simulate,
-    },
-    Chore {
-        name: "size",
-        about: "compare the size of firmware images with the record (--accept)",
-        run: size::run,
-    },
-    Chore {
-        name: "firmware",
-        about: "build the images of examples/firmware ([BOARD])",
-        run: firmware::run,
-    },
-    Chore {
-        name: "qemu",
-        about: "run a board's image and print how to reach it (BOARD [PORT])",
-        run: firmware::run_in_qemu,
-    },
-    Chore {
-        name: "dist",
-        about: "build static `ztl` programs for each processor ([TARGET…]; --check: also run)",
-        run: dist::run,
-    },
-    Chore {
-        name: "soak",
-        about: "run many tasks and resets with real processes (--tasks N, --resets N, --many N)",
-        run: soak::run,
-    },
-    Chore {
-        name: "bench",
-        about: "compare performance with the original ([PART]...; firmware: cycles of a Cortex-M0)",
-        run: bench::run,
-    },
-];
-
 fn main() -> ExitCode {
-    let words: Vec<String> = env::args().skip(1).collect();
-    match dispatch(&words) {
+    match run(Command::parse()) {
         Ok(()) => ExitCode::SUCCESS,
-        Err(message) => {
-            eprintln!("\nxtask: {message}");
+        Err(error) => {
+            eprintln!("\nxtask: {error:#}");
             ExitCode::FAILURE
         }
     }
 }
 
-fn dispatch(words: &[String]) -> Outcome {
-    let Some((name, rest)) = words.split_first() else {
-        println!("{}", help());
-        return Ok(());
-    };
-    if matches!(name.as_str(), "help" | "--help" | "-h") {
-        println!("{}", help());
-        return Ok(());
-    }
-    match CHORES.iter().find(|chore| chore.name == name) {
-        Some(chore) => (chore.run)(&Dirs::enter()?, rest),
-        None => Err(format!("unknown command `{name}`\n\n{}", help())),
+fn run(command: Command) -> anyhow::Result<()> {
+    let project = &Project::enter()?;
+    match command {
+        Command::Setup => install::all(project),
+        Command::Check => steps::check(project),
+        Command::Test { list: true, .. } => {
+            steps::list();
+            Ok(())
+        }
+        Command::Test { only, .. } => steps::test(project, &only),
+        Command::Build { curve } => curve::build(project, curve),
+        Command::C {
+            targets,
+            check,
+            glibc,
+        } => capi::build(project, &targets, check, glibc),
+        Command::Dist { targets, check } => dist::build(project, &targets, check),
+        Command::Firmware { board } => firmware::show(project, board.as_deref()),
+        Command::Qemu { board, port } => firmware::run_in_qemu(project, &board, port),
+        Command::Size { accept: true } => size::accept(project),
+        Command::Size { accept: false } => size::check(project),
+        Command::Fuzz { target, seconds } => fuzz::search(project, target.as_deref(), seconds),
+        Command::Model { args } => long_runs::simulation(project, "model", &args),
+        Command::Simulate { args } => long_runs::simulation(project, "simulate", &args),
+        Command::Soak(soak) => soak.run(project),
+        Command::Bench { parts } => long_runs::bench(project, &parts),
     }
 }
 
-fn help() -> String {
-    let lines = CHORES
-        .iter()
-        .map(|chore| (chore.name, chore.about))
-        .chain(iter::once(("help", "print this list")))
-        .map(|(name, about)| format!("  {name:<8} {about}"));
-    let lines: Vec<String> = lines.collect();
-    format!(
-        "usage: cargo xtask <command>\n\ncommands:\n{}",
-        lines.join("\n")
-    )
-}
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::CommandFactory;
 
-/// The project's directories. The working directory is the root of the repository.
-struct Dirs {
-    /// The root of the repository, absolute.
-    root: PathBuf,
-    /// Cargo's target directory, relative if possible, to keep printed commands short.
-    target: PathBuf,
-}
-
-impl Dirs {
-    /// Finds the directories and changes to the root.
-    fn enter() -> Outcome<Self> {
-        // Read at run time: a compiled-in path would become wrong when the tree is moved.
-        let root = env::var_os("CARGO_MANIFEST_DIR")
-            .and_then(|xtask| Path::new(&xtask).parent().map(Path::to_path_buf))
-            .ok_or("run this program as `cargo xtask`, which tells it where the project is")?;
-        env::set_current_dir(&root)
-            .map_err(|error| format!("cannot enter {}: {error}", root.display()))?;
-
-        // This program is in <target>/debug, whatever CARGO_TARGET_DIR or the configuration says.
-        let program = env::current_exe()
-            .map_err(|error| format!("cannot find the path of this program: {error}"))?;
-        let target = program
-            .ancestors()
-            .nth(2)
-            .ok_or("run this program as `cargo xtask`, which puts it into the target directory")?;
-        let target = target.strip_prefix(&root).unwrap_or(target).to_path_buf();
-        Ok(Self { root, target })
+    #[test]
+    fn each_command_has_a_line_of_help() {
+        Command::command().debug_assert();
+        for command in Command::command().get_subcommands() {
+            assert!(command.get_about().is_some(), "{}", command.get_name());
+        }
     }
 
-    /// An absolute path in the target directory, for programs that run in another directory.
-    fn absolute(&self, below_target: &str) -> PathBuf {
-        self.root.join(&self.target).join(below_target)
+    #[test]
+    fn a_simulation_gets_its_own_options() {
+        let words = ["xtask", "model", "--depth", "2"];
+        let Ok(Command::Model { args }) = Command::try_parse_from(words) else {
+            panic!("rejected");
+        };
+        assert_eq!(args, ["--depth", "2"]);
+    }
+
+    #[test]
+    fn a_wrong_argument_is_answered_with_the_right_ones() {
+        for (words, expected) in [
+            ("test --only fmd", "clippy"),
+            ("soak --tasks 0", "0 is not in 10.."),
+            ("bench nothing", "firmware"),
+            ("c --glibc", "<TARGETS>"),
+            ("fuzz --seconds 0", "--seconds"),
+        ] {
+            let words = ["xtask"].into_iter().chain(words.split(' '));
+            let Err(error) = Command::try_parse_from(words) else {
+                panic!("accepted");
+            };
+            assert!(error.to_string().contains(expected), "{error}");
+        }
     }
 }

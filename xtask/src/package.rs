@@ -1,61 +1,77 @@
 //! Checks that the crates could be published: `cargo package` reports no problems, and the packages compile
-//! on their own.
+//! on their own. Type-checks for other operating systems.
 
-use std::fs;
+use anyhow::{Result, bail};
+use xshell::cmd;
 
-use crate::Dirs;
-use crate::cmd::{Cmd, Outcome};
+use crate::cross;
+use crate::project::{PACKAGE, Project};
 
 /// In an order in which they can be published.
-const CRATES: &[&str] = &["ztl-core", "ztl-mcu", "ztl-std"];
+const CRATES: [&str; 3] = ["ztl-core", "ztl-mcu", "ztl-std"];
 
 /// Packages each crate, and compiles the last one from the packages alone, which replace the registry.
-pub(crate) fn check(dirs: &Dirs) -> Outcome {
-    let mut package = Cmd::new("cargo package --no-verify --locked --allow-dirty");
-    for name in CRATES {
-        package = package.arg("--package").arg(name);
-    }
+pub(crate) fn check(project: &Project) -> Result<()> {
+    let sh = &project.sh;
+    let packages = CRATES.iter().flat_map(|name| ["--package", name]);
+    let package = cmd!(
+        sh,
+        "cargo package --no-verify --locked --allow-dirty {packages...}"
+    );
     println!("$ {package}");
-    let (done, _, said) = package.capture()?;
-    if !done || complains(&said) {
-        return Err(format!("`{package}` reports a problem:\n{said}"));
+    let stderr = package.read_stderr()?;
+    if stderr.lines().any(|line| line.starts_with("warning")) {
+        bail!("`{package}` reports a problem:\n{stderr}");
     }
-    let place = dirs.absolute("package/unpacked");
+    let place = project.target.join("package/unpacked");
     // Leftovers of an earlier version must not help.
-    let _ = fs::remove_dir_all(&place);
-    fs::create_dir_all(&place).map_err(|error| format!("{}: {error}", place.display()))?;
-    let mut check = Cmd::new("cargo check --target-dir").arg(dirs.absolute(""));
+    sh.remove_path(&place)?;
+    sh.create_dir(&place)?;
+    let target = &project.target;
+    let mut check = cmd!(sh, "cargo check --target-dir {target}");
     for name in CRATES {
-        let version = env!("CARGO_PKG_VERSION");
-        let packed = dirs.absolute(&format!("package/{name}-{version}.crate"));
-        let unpack = Cmd::new("tar -xzf").arg(packed).arg("-C").arg(&place);
-        unpack.run()?;
-        let unpacked = place.join(format!("{name}-{version}"));
-        check = if Some(name) == CRATES.last() {
-            check
+        let versioned = format!("{name}-{}", env!("CARGO_PKG_VERSION"));
+        let packed = place.with_file_name(format!("{versioned}.crate"));
+        cmd!(sh, "tar -xzf {packed} -C {place}").run()?;
+        let unpacked = place.join(versioned);
+        check = match Some(&name) == CRATES.last() {
+            true => check
                 .arg("--manifest-path")
-                .arg(unpacked.join("Cargo.toml"))
-        } else {
-            let patch = format!("patch.crates-io.{name}.path='{}'", unpacked.display());
-            check.arg("--config").arg(patch)
+                .arg(unpacked.join("Cargo.toml")),
+            false => {
+                let patch = format!("patch.crates-io.{name}.path='{}'", unpacked.display());
+                check.args(["--config", &patch])
+            }
         };
     }
-    check.run()
+    Ok(check.run()?)
 }
 
-fn complains(said: &str) -> bool {
-    said.lines().any(|line| line.starts_with("warning"))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_warning_is_a_complaint() {
-        let content = "   Packaging ztl-core v0.1.0\n    Packaged 57 files\n";
-        assert!(!complains(content));
-        let without = "warning: manifest has no description\n   Packaging ztl-core v0.1.0\n";
-        assert!(complains(without));
+/// Type-checks the library and the command for the systems besides Linux on which a client may run.
+pub(crate) fn check_foreign(project: &Project) -> Result<()> {
+    const TARGETS: [&str; 2] = ["x86_64-pc-windows-gnu", "aarch64-apple-darwin"];
+    let sh = &project.sh;
+    cross::add(sh, &TARGETS);
+    for target in TARGETS {
+        if cross::compiled_core(sh, target).is_none() {
+            println!("SKIPPED: {target}: rustup has not installed its standard library");
+            continue;
+        }
+        // Replaces the compilation of libzmq, which needs a foreign compiler; nothing is linked.
+        let zmq = format!("target.{target}.zmq.rustc-link-lib=['zmq']");
+        let dir = project.target.join("foreign");
+        let check = [
+            "check",
+            "--locked",
+            "--package",
+            PACKAGE,
+            "--target",
+            target,
+            "--config",
+        ];
+        cmd!(sh, "cargo {check...} {zmq} --target-dir {dir}")
+            .env("RUSTFLAGS", "-D warnings")
+            .run()?;
     }
+    Ok(())
 }

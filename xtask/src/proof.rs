@@ -5,78 +5,55 @@
 
 use std::path::Path;
 
-use crate::Dirs;
-use crate::cmd::Outcome;
+use anyhow::{Result, bail};
+
+use crate::bare::must_fail;
 use crate::cross::{Core, SMALLEST};
-use crate::image;
+use crate::project::Project;
+use crate::{image, lock};
 
 const IMAGE: &str = "no-panic";
 
 /// Referenced only by the panic handler.
 const SYMBOL: &str = "undefined symbol: a_panic_is_reachable";
 
-pub(crate) fn prove(dirs: &Dirs) -> Outcome {
-    image::check_lock(image::MANIFEST)?;
-    let core = Core::provide(SMALLEST)?;
-    lint(dirs, &core)?;
-
-    let (build, _) = image::build(dirs, &core, SMALLEST, IMAGE, "")?;
-    println!("$ {build}");
-    let (success, _, stderr) = build.capture()?;
-    if !success && stderr.contains(SYMBOL) {
-        return Err(format!(
-            "a panic is reachable from outside, at one of these positions:\n{}",
-            places(dirs, &core)?
-        ));
+pub(crate) fn prove(project: &Project) -> Result<()> {
+    lock::check(&project.sh, image::MANIFEST)?;
+    let core = Core::provide(&project.sh, SMALLEST)?;
+    // No other step lints the images. Debian's compiler is not the one that clippy belongs to.
+    if let Core::Compiled(_) = core {
+        let clippy = core.cargo(project, "clippy", SMALLEST, "image")?;
+        clippy
+            .args(["--manifest-path", image::MANIFEST, "--", "-D", "warnings"])
+            .run()?;
     }
-    if !success {
-        return Err(format!("`{build}` failed:\n{stderr}"));
+
+    let (build, _) = image::build(project, &core, SMALLEST, IMAGE, "")?;
+    println!("$ {build}");
+    let output = build.ignore_status().output()?;
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    if stderr.contains(SYMBOL) {
+        let places = places(project, &core)?;
+        bail!("a panic is reachable from outside, at one of these positions:\n{places}");
+    }
+    if !output.status.success() {
+        bail!("the image does not build:\n{stderr}");
     }
     println!("links without a panic handler: no panic is reachable");
 
-    let (build, _) = image::build(dirs, &core, SMALLEST, IMAGE, "broken")?;
-    println!("$ {build}    (must fail)");
-    match build.capture()? {
-        (true, ..) => Err(
-            "an image with an indexing that can panic links, so this step would not notice one; \
-             mend the panic handler (proof/src/bin/no_panic.rs)"
-                .to_owned(),
-        ),
-        (false, _, stderr) if !stderr.contains(SYMBOL) => Err(format!(
-            "the image that can panic failed for another reason than \"{SYMBOL}\":\n{stderr}"
-        )),
-        _ => {
-            println!("failed as expected: {SYMBOL}");
-            Ok(())
-        }
-    }
-}
-
-/// The images are not in the workspace, so no other step lints them. Only with the compiler that clippy
-/// belongs to, not with Debian's.
-fn lint(dirs: &Dirs, core: &Core) -> Outcome {
-    match core {
-        Core::Compiled(_) => core
-            .cargo("clippy", SMALLEST, &dirs.target.join("image"))
-            .args("--locked --manifest-path")
-            .arg(image::MANIFEST)
-            .args("-- -D warnings")
-            .run(),
-        Core::Source => Ok(()),
-    }
+    // An image with an indexing that can panic.
+    let (build, _) = image::build(project, &core, SMALLEST, IMAGE, "broken")?;
+    must_fail(build, SYMBOL)
 }
 
 /// Positions of the remaining panics, one per line.
-fn places(dirs: &Dirs, core: &Core) -> Outcome<String> {
-    let (build, path) = image::build(dirs, core, SMALLEST, IMAGE, "explain")?;
+fn places(project: &Project, core: &Core) -> Result<String> {
+    let (build, path) = image::build(project, core, SMALLEST, IMAGE, "explain")?;
     build.run()?;
     let places = image::panic_places(&path)?;
-    if places.is_empty() {
-        return Ok("    (unknown)".to_owned());
-    }
     let lines: Vec<String> = places
         .iter()
-        .map(|place| format!("    {}", short(place, &dirs.root)))
+        .map(|place| format!("    {}", short(place, &project.root)))
         .collect();
     Ok(lines.join("\n"))
 }

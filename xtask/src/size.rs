@@ -2,48 +2,40 @@
 //! and the firmware of each board.
 
 use std::fmt::Write as _;
-use std::fs;
 
-use crate::Dirs;
-use crate::cmd::Outcome;
+use anyhow::{Context as _, Result, bail, ensure};
+use xshell::Shell;
+
 use crate::cross::{self, Core, TARGETS};
-use crate::firmware;
 use crate::image::{self, Image};
+use crate::project::Project;
+use crate::{firmware, lock};
 
 /// The files that record and show sizes.
 struct SizeFiles {
     /// Image, bytes of flash and of static RAM, with the compiler used.
     record: &'static str,
-    /// Its first line.
-    about: &'static str,
     /// The README that shows the record, between marks.
     readme: &'static str,
     /// Heading of the image column in the README.
     column: &'static str,
-}
-
-impl SizeFiles {
-    fn readme(&self) -> Outcome<String> {
-        let path = self.readme;
-        fs::read_to_string(path).map_err(|error| format!("cannot read {path}: {error}"))
-    }
+    /// What is measured.
+    about: &'static str,
 }
 
 const STANDARD: SizeFiles = SizeFiles {
     record: "proof/sizes.txt",
-    about: "What proof/src/bin/standard.rs takes: target, bytes of flash, bytes of static RAM.",
     readme: "README.md",
     column: "target",
+    about: "What proof/src/bin/standard.rs takes: target",
 };
 
 const FIRMWARE: SizeFiles = SizeFiles {
     record: "examples/firmware/sizes.txt",
-    about: "What the images of examples/firmware take: image, bytes of flash, bytes of static RAM.",
     readme: "examples/firmware/README.md",
     column: "image",
+    about: "What the images of examples/firmware take: image",
 };
-
-const IMAGE: &str = "standard";
 
 /// Deviation that is accepted, in percent: such changes have no particular cause.
 const TOLERANCE: u64 = 2;
@@ -51,45 +43,48 @@ const TOLERANCE: u64 = 2;
 /// The same if the compiler version differs from that of the record.
 const TOLERANCE_ELSEWHERE: u64 = 10;
 
-/// Number of symbols listed.
-const LISTED: usize = 10;
-
 /// Marks around the record in a README.
-const README_MARKS: (&str, &str) = ("<!-- sizes -->", "<!-- /sizes -->");
-
-const ACCEPT: &str = "cargo xtask size --accept";
-
-pub(crate) fn run(dirs: &Dirs, args: &[String]) -> Outcome {
-    match args {
-        [] => check(dirs),
-        [word] if word == "--accept" => accept(dirs),
-        _ => Err(format!(
-            "unknown argument `{}`: `cargo xtask size` takes only `--accept`",
-            args.join(" ")
-        )),
-    }
-}
+const MARKS: (&str, &str) = ("<!-- sizes -->", "<!-- /sizes -->");
 
 /// Compares with the records and the READMEs.
-pub(crate) fn check(dirs: &Dirs) -> Outcome {
-    measure(dirs)?.check(&STANDARD)?;
-    measure_firmware(dirs)?.check(&FIRMWARE)
+pub(crate) fn check(project: &Project) -> Result<()> {
+    let known = |files: &SizeFiles| -> Result<Record> {
+        let record = Record::parse(&project.sh.read_file(files.record)?).context(files.record)?;
+        let readme = project.sh.read_file(files.readme)?;
+        let shown = shown(&readme, &record.table(files.column)).context(files.readme)?;
+        ensure!(
+            shown == readme,
+            "{} shows other sizes than {}",
+            files.readme,
+            files.record
+        );
+        Ok(record)
+    };
+    let accept = "run `cargo xtask size --accept` to record the sizes";
+    let compare = |files: &SizeFiles, measured: &Record| -> Result<()> {
+        let compared = known(files)?.compare(measured).context(files.record)?;
+        println!("{compared}");
+        Ok(())
+    };
+    compare(&STANDARD, &measure(project)?).context(accept)?;
+    compare(&FIRMWARE, &measure_firmware(project)?).context(accept)
 }
 
-fn accept(dirs: &Dirs) -> Outcome {
-    measure(dirs)?.accept(&STANDARD)?;
-    measure_firmware(dirs)?.accept(&FIRMWARE)
+/// Rewrites the records and the READMEs.
+pub(crate) fn accept(project: &Project) -> Result<()> {
+    measure(project)?.write(&project.sh, &STANDARD)?;
+    measure_firmware(project)?.write(&project.sh, &FIRMWARE)
 }
 
 /// Builds the image for every target.
-fn measure(dirs: &Dirs) -> Outcome<Record> {
-    image::check_lock(image::MANIFEST)?;
-    cross::add_all();
+fn measure(project: &Project) -> Result<Record> {
+    lock::check(&project.sh, image::MANIFEST)?;
+    cross::add(&project.sh, &TARGETS);
     let mut record = Record::default();
     for target in TARGETS {
-        let core = Core::provide(target)?;
-        record.compiler = core.compiler()?;
-        let (build, path) = image::build(dirs, &core, target, IMAGE, "")?;
+        let core = Core::provide(&project.sh, target)?;
+        record.compiler = core.compiler(&project.sh)?;
+        let (build, path) = image::build(project, &core, target, "standard", "")?;
         build.run()?;
         let image = Image::read(&path)?;
         println!("{}", breakdown(target, &image));
@@ -100,19 +95,21 @@ fn measure(dirs: &Dirs) -> Outcome<Record> {
 }
 
 /// Builds the image of every board in QEMU. The size of the others depends on their HAL.
-fn measure_firmware(dirs: &Dirs) -> Outcome<Record> {
+fn measure_firmware(project: &Project) -> Result<Record> {
     let mut record = Record::default();
-    let boards = firmware::boards()?.into_iter();
-    for board in boards.filter(|board| board.machine.is_some()) {
-        record.compiler = Core::provide(&board.target)?.compiler()?;
-        for path in firmware::build(dirs, &board)? {
+    for board in firmware::boards(&project.sh)? {
+        if board.machine.is_empty() {
+            continue;
+        }
+        record.compiler = Core::provide(&project.sh, &board.target)?.compiler(&project.sh)?;
+        for path in firmware::build(project, &board)? {
             let image = Image::read(&path)?;
             let name = path.file_name().unwrap_or_default().to_string_lossy();
-            let refused = match firmware::has_foreign_code(&name) {
-                true => Ok(()),
-                false => refuse_formatting(&image).and_then(|()| refuse_panics(&image)),
-            };
-            refused.map_err(|error| format!("{name}: {error}"))?;
+            if !firmware::has_foreign_code(&name) {
+                refuse_formatting(&image)
+                    .and_then(|()| refuse_panics(&image))
+                    .with_context(|| name.to_string())?;
+            }
             record.add(&name, &image);
         }
     }
@@ -121,126 +118,77 @@ fn measure_firmware(dirs: &Dirs) -> Outcome<Record> {
 
 /// The largest symbols.
 fn breakdown(target: &str, image: &Image) -> String {
-    let Image { flash, ram, .. } = image;
+    let Image {
+        flash,
+        ram,
+        symbols,
+    } = image;
     let mut text = format!("\n{target}: {flash} bytes of flash, {ram} of static RAM\n");
     let mut rest = *flash;
-    for symbol in image.symbols.iter().take(LISTED) {
+    for symbol in symbols.iter().take(10) {
         let _ = writeln!(text, "{:>8}  {}", symbol.size, symbol.name);
         rest = rest.saturating_sub(symbol.size);
     }
-    let _ = writeln!(
-        text,
-        "{rest:>8}  everything else, including unnamed constants"
-    );
-    text
+    text + &format!("{rest:>8}  everything else, including unnamed constants\n")
 }
 
 /// The standard library's formatting costs more flash than all its uses together.
-fn refuse_formatting(image: &Image) -> Outcome {
-    refuse(image, &["core::fmt"]).map_err(|found| {
-        format!(
-            "the image formats text with `core::fmt`; numbers go through `ztl_core::sink`:\n{found}"
-        )
-    })
+fn refuse_formatting(image: &Image) -> Result<()> {
+    let help = "the image formats text with `core::fmt`; numbers go through `ztl_core::sink`";
+    refuse(image, &["core::fmt"]).context(help)
 }
 
 /// Panicking code calls one of these, so an image without them has no reachable panic.
-fn refuse_panics(image: &Image) -> Outcome {
-    refuse(image, &["core::panicking", "rust_begin_unwind"])
-        .map_err(|found| format!("a panic is reachable; the image contains:\n{found}"))
+fn refuse_panics(image: &Image) -> Result<()> {
+    refuse(image, &["core::panicking", "rust_begin_unwind"]).context("a panic is reachable")
 }
 
 /// # Errors
 /// Lists the symbols whose names contain one of `parts`.
-fn refuse(image: &Image, parts: &[&str]) -> Outcome {
-    let found: Vec<String> = image
-        .symbols
-        .iter()
-        .filter(|symbol| parts.iter().any(|part| symbol.name.contains(part)))
-        .map(|symbol| format!("{:>8}  {}", symbol.size, symbol.name))
+fn refuse(image: &Image, parts: &[&str]) -> Result<()> {
+    let names = image.symbols.iter().map(|symbol| symbol.name.as_str());
+    let found: Vec<&str> = names
+        .filter(|name| parts.iter().any(|part| name.contains(part)))
         .collect();
-    if found.is_empty() {
-        return Ok(());
-    }
-    Err(found.join("\n"))
+    ensure!(found.is_empty(), "the image contains {}", found.join(", "));
+    Ok(())
 }
 
 /// Measured sizes, and the compiler used.
 #[derive(Debug, Default, PartialEq, Eq)]
 struct Record {
     compiler: String,
-    sizes: Vec<Size>,
-}
-
-#[derive(Debug, PartialEq, Eq)]
-struct Size {
-    image: String,
-    flash: u64,
-    ram: u64,
+    /// Name, flash and RAM of each image.
+    sizes: Vec<(String, [u64; 2])>,
 }
 
 impl Record {
     fn add(&mut self, name: &str, image: &Image) {
-        self.sizes.push(Size {
-            image: name.to_owned(),
-            flash: image.flash,
-            ram: image.ram,
-        });
+        self.sizes.push((name.to_owned(), [image.flash, image.ram]));
     }
 
-    /// Compares with the committed record and README.
-    fn check(&self, files: &SizeFiles) -> Outcome {
-        let path = files.record;
-        let text = fs::read_to_string(path)
-            .map_err(|error| format!("cannot read {path} ({error}); to create it: {ACCEPT}"))?;
-        let known = Self::parse(&text).map_err(|line| {
-            format!("{path} has an invalid line: `{line}`; to rewrite it: {ACCEPT}")
-        })?;
-        let compared = known.compare(self);
-        println!("{}", compared.map_err(|error| format!("{path}: {error}"))?);
-        let readme = files.readme()?;
-        let table = known.table(files.column);
-        if shown(&readme, &table).map_err(|error| format!("{}: {error}", files.readme))? == readme {
-            return Ok(());
-        }
-        Err(format!(
-            "{} shows other sizes than the record; to update it: {ACCEPT}",
-            files.readme
-        ))
-    }
-
-    fn accept(&self, files: &SizeFiles) -> Outcome {
-        let readme = shown(&files.readme()?, &self.table(files.column))
-            .map_err(|error| format!("{}: {error}", files.readme))?;
-        for (path, text) in [
-            (files.record, self.file(files.about)),
-            (files.readme, readme),
-        ] {
-            fs::write(path, text).map_err(|error| format!("cannot write {path}: {error}"))?;
-        }
-        println!(
-            "{} and {} now hold these sizes.",
-            files.record, files.readme
-        );
+    fn write(&self, sh: &Shell, files: &SizeFiles) -> Result<()> {
+        let readme = shown(&sh.read_file(files.readme)?, &self.table(files.column));
+        sh.write_file(files.readme, readme.context(files.readme)?)?;
+        sh.write_file(files.record, self.file(files.about))?;
+        println!("{} and {} are rewritten", files.record, files.readme);
         Ok(())
     }
 
     /// Parses a record's file.
-    ///
-    /// # Errors
-    /// Returns the invalid line.
-    fn parse(text: &str) -> Outcome<Self> {
+    fn parse(text: &str) -> Result<Self> {
         let mut record = Self::default();
         for line in text.lines().filter(|line| !line.starts_with('#')) {
-            let words: Vec<&str> = line.split_whitespace().collect();
-            match (line.strip_prefix("compiler "), words.as_slice()) {
-                (Some(compiler), _) => record.compiler = compiler.to_owned(),
-                (None, [image, flash, ram]) => record.sizes.push(Size {
-                    image: (*image).to_owned(),
-                    flash: flash.parse().map_err(|_| line)?,
-                    ram: ram.parse().map_err(|_| line)?,
-                }),
-                _ => return Err(line.to_owned()),
+            let size = || {
+                let (image, sizes) = line.split_once(' ')?;
+                let (flash, ram) = sizes.split_once(' ')?;
+                Some((image.to_owned(), [flash.parse().ok()?, ram.parse().ok()?]))
+            };
+            match line.strip_prefix("compiler ") {
+                Some(compiler) => record.compiler = compiler.to_owned(),
+                None => record
+                    .sizes
+                    .push(size().with_context(|| format!("invalid line `{line}`"))?),
             }
         }
         Ok(record)
@@ -249,75 +197,63 @@ impl Record {
     /// One line per image.
     ///
     /// # Errors
-    /// Names each image whose size differs from the record, and how to accept it.
-    fn compare(&self, measured: &Self) -> Outcome<String> {
-        let same_compiler = self.compiler == measured.compiler;
-        let tolerance = if same_compiler {
-            TOLERANCE
-        } else {
-            TOLERANCE_ELSEWHERE
-        };
+    /// If the size of an image differs from the record.
+    fn compare(&self, measured: &Self) -> Result<String> {
         let mut text = String::new();
-        if !same_compiler {
-            let _ = writeln!(
-                text,
-                "The record was made with {}, this is {}: {tolerance} % are tolerated.",
-                self.compiler, measured.compiler
-            );
-        }
+        let tolerance = match self.compiler == measured.compiler {
+            true => TOLERANCE,
+            false => {
+                let (record, this) = (&self.compiler, &measured.compiler);
+                let _ = writeln!(text, "The record is of {record}, this is {this}.");
+                TOLERANCE_ELSEWHERE
+            }
+        };
         let mut deviates = false;
-        for size in &measured.sizes {
-            let image = &size.image;
-            let Some(known) = self.sizes.iter().find(|known| known.image == *image) else {
-                return Err(format!("{image} is missing; to add it: {ACCEPT}"));
-            };
-            for (what, known, now) in [
-                ("flash", known.flash, size.flash),
-                ("static RAM", known.ram, size.ram),
-            ] {
-                let beyond = known.abs_diff(now) * 100 > known * tolerance;
+        for (image, sizes) in &measured.sizes {
+            let known = self.sizes.iter().find(|(known, _)| known == image);
+            let (_, known) = known.with_context(|| format!("{image} is missing"))?;
+            for (what, (known, now)) in ["flash", "static RAM"].iter().zip(known.iter().zip(sizes))
+            {
+                let beyond = known.abs_diff(*now) * 100 > known * tolerance;
                 deviates |= beyond;
                 let verdict = if beyond { "  BEYOND" } else { "" };
                 let _ = writeln!(text, "{image}: {what} {now}, record {known}{verdict}");
             }
         }
         if deviates {
-            return Err(format!(
-                "an image deviates from it by more than {tolerance} %:\n{text}\
-                 If that is as it should be: {ACCEPT}"
-            ));
+            bail!("an image deviates by more than {tolerance} %:\n{text}");
         }
         Ok(text)
     }
 
     /// The table for a README.
     fn table(&self, column: &str) -> String {
-        let mut text = format!("| {column} | flash | static RAM |\n|---|---|---|");
-        for Size { image, flash, ram } in &self.sizes {
-            let _ = write!(text, "\n| `{image}` | {flash} bytes | {ram} bytes |");
-        }
-        text
+        let row = |(image, [flash, ram]): &(String, [u64; 2])| {
+            format!("\n| `{image}` | {flash} bytes | {ram} bytes |")
+        };
+        let rows: String = self.sizes.iter().map(row).collect();
+        format!("| {column} | flash | static RAM |\n|---|---|---|{rows}")
     }
 
     /// The content of a record's file.
     fn file(&self, about: &str) -> String {
-        let mut text = format!(
-            "# {about}\n# `cargo xtask size` compares; `{ACCEPT}` rewrites.\ncompiler {}\n",
+        let row = |(image, [flash, ram]): &(String, [u64; 2])| format!("{image} {flash} {ram}\n");
+        let rows: String = self.sizes.iter().map(row).collect();
+        format!(
+            "# {about}, bytes of flash, bytes of static RAM.\n\
+             # `cargo xtask size` compares; `cargo xtask size --accept` rewrites.\n\
+             compiler {}\n{rows}",
             self.compiler
-        );
-        for Size { image, flash, ram } in &self.sizes {
-            let _ = writeln!(text, "{image} {flash} {ram}");
-        }
-        text
+        )
     }
 }
 
 /// The README with this table between its marks.
-fn shown(readme: &str, table: &str) -> Outcome<String> {
-    let (begin, end) = README_MARKS;
+fn shown(readme: &str, table: &str) -> Result<String> {
+    let (begin, end) = MARKS;
     let marked = readme.split_once(begin);
     let marked = marked.and_then(|(before, rest)| Some((before, rest.split_once(end)?.1)));
-    let (before, behind) = marked.ok_or_else(|| format!("it has no {begin} followed by {end}"))?;
+    let (before, behind) = marked.with_context(|| format!("no {begin} followed by {end}"))?;
     Ok(format!("{before}{begin}\n{table}\n{end}{behind}"))
 }
 
@@ -327,13 +263,10 @@ mod tests {
     use crate::image::Symbol;
 
     fn record(compiler: &str, flash: u64, ram: u64) -> Record {
+        let sizes = vec![("thumbv6m-none-eabi".to_owned(), [flash, ram])];
         Record {
             compiler: compiler.to_owned(),
-            sizes: vec![Size {
-                image: "thumbv6m-none-eabi".to_owned(),
-                flash,
-                ram,
-            }],
+            sizes,
         }
     }
 
@@ -341,8 +274,10 @@ mod tests {
     fn a_record_round_trips_through_its_file() {
         let record = record("rustc 1.95.0 (59807616e 2026-04-14)", 6000, 900);
         assert_eq!(Record::parse(&record.file("x")).unwrap(), record);
-        let line = Record::parse("thumbv6m-none-eabi 6000").unwrap_err();
-        assert_eq!(line, "thumbv6m-none-eabi 6000");
+        let error = Record::parse("thumbv6m-none-eabi 6000")
+            .unwrap_err()
+            .to_string();
+        assert_eq!(error, "invalid line `thumbv6m-none-eabi 6000`");
     }
 
     #[test]
@@ -358,19 +293,21 @@ mod tests {
             let result = known.compare(&record("a", flash, ram));
             assert_eq!(result.is_ok(), passes, "{flash} {ram}");
         }
-        let message = known.compare(&record("a", 6000, 1000)).unwrap_err();
+        let message = known
+            .compare(&record("a", 6000, 1000))
+            .unwrap_err()
+            .to_string();
         assert!(
             message.contains("flash 6000, record 5000  BEYOND"),
             "{message}"
         );
-        assert!(message.contains(ACCEPT), "{message}");
     }
 
     #[test]
     fn another_compiler_may_deviate_more() {
         let known = record("a", 5000, 1000);
         let text = known.compare(&record("b", 5400, 1000)).unwrap();
-        assert!(text.contains("made with a, this is b"), "{text}");
+        assert!(text.contains("record is of a, this is b"), "{text}");
         assert!(known.compare(&record("b", 5501, 1000)).is_err());
     }
 
@@ -384,9 +321,8 @@ mod tests {
                 size: 10,
             }],
         };
-        assert!(
-            refuse_formatting(&image("_ZN8ztl_core4sink9put_fixed17he42edfd832160e44E")).is_ok()
-        );
+        let fine = image("_ZN8ztl_core4sink9put_fixed17he42edfd832160e44E");
+        assert!(refuse_formatting(&fine).is_ok());
         for name in [
             "_ZN4core3fmt9Formatter3pad17h0123456789abcdefE",
             "_RNvNtCseold96UKqg_4core3fmt5write",
@@ -403,8 +339,8 @@ mod tests {
         let table = record("a", 5000, 1000).table("target");
         let marked = |inner: &str| format!("# T\n<!-- sizes -->\n{inner}\n<!-- /sizes -->\nmore");
         let readme = marked(&table);
-        assert_eq!(shown(&readme, &table).as_ref(), Ok(&readme));
-        assert_eq!(shown(&marked("| old |"), &table).as_ref(), Ok(&readme));
+        assert_eq!(shown(&readme, &table).unwrap(), readme);
+        assert_eq!(shown(&marked("| old |"), &table).unwrap(), readme);
         for without in ["# T\n", "<!-- sizes -->", "<!-- /sizes --><!-- sizes -->"] {
             assert!(shown(without, &table).is_err(), "{without}");
         }

@@ -31,7 +31,7 @@ struct Pose {
     turn: f32,
 }
 
-/// Never called: `cargo xtask proof` shows that no panic is reachable.
+/// Never called: `cargo xtask test --only proof` shows that no panic is reachable.
 #[panic_handler]
 fn on_panic(_: &PanicInfo<'_>) -> ! {
     loop {

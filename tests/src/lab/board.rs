@@ -12,7 +12,8 @@ use std::process::Command;
 
 use object::{Object, ObjectSymbol};
 
-use super::{PATIENCE, Process, Scratch, ancestor, reserve_port, until};
+use super::build::{ancestor, assert_fresh};
+use super::{PATIENCE, Process, Scratch, reserve_port, until};
 
 /// What nobody writes to a stack.
 const PAINT: u8 = 0xC5;
@@ -90,9 +91,12 @@ impl Board {
         // Where `cargo xtask firmware` builds it: <target>/firmware.
         let elf = ancestor(3).join("firmware").join(target);
         let elf = elf.join("release").join(image);
+        // `cargo xtask test --only c` links the images of firmware in C, which Cargo knows nothing of.
+        if !image.ends_with("-c") && !image.ends_with("-cpp") {
+            assert_fresh(&elf, "cargo xtask firmware");
+        }
         let image = fs::read(&elf).unwrap_or_else(|error| {
-            let run = "run `cargo xtask firmware`, and `cargo xtask test --only tools` for QEMU";
-            panic!("{}: {error}: {run}", elf.display())
+            panic!("{}: {error}: run `cargo xtask firmware`", elf.display())
         });
 
         let scratch = Scratch::new();

@@ -5,6 +5,7 @@
 
 #[cfg(unix)]
 mod board;
+mod build;
 mod fake;
 #[cfg(unix)]
 mod manager;
@@ -20,13 +21,14 @@ mod zmtp;
 
 #[cfg(unix)]
 pub use board::{Board, Pin};
+pub use build::{built, installed};
 pub use fake::FakeServer;
 #[cfg(unix)]
 pub use manager::{Manager, verify_unit};
 pub use original::{
     ABORTED, ACCEPTED, Answer, COMPLETED, FAILED, OriginalClient, REJECTED, original_tool, python,
 };
-pub use peers::{Peer, python27};
+pub use peers::{Peer, javascript_packages, python27};
 pub use ports::reserve_port;
 pub use process::{Ended, Process};
 pub use server::{SCOPE, Server};
@@ -94,27 +96,7 @@ pub fn ztl() -> Command {
 /// One of the examples that were built beside this test.
 #[track_caller]
 pub fn example(name: &str) -> Command {
-    Command::new(built("examples").join(name))
-}
-
-/// The path of something in the profile's directory.
-#[track_caller]
-pub fn built(name: &str) -> PathBuf {
-    // This test lies in <target>/debug/deps, wherever CARGO_TARGET_DIR or a config put that.
-    let path = ancestor(2).join(name);
-    assert!(
-        path.exists(),
-        "{} is not there: run `cargo xtask test`, or `cargo build --workspace --bins --examples`",
-        path.display()
-    );
-    path
-}
-
-/// The directory so many levels above this test's program.
-fn ancestor(levels: usize) -> PathBuf {
-    let program = std::env::current_exe().expect("this program's path");
-    let directory = program.ancestors().nth(levels);
-    directory.expect("cargo puts tests below target").to_owned()
+    Command::new(built(&format!("examples/{name}")))
 }
 
 /// A directory of a test's own, removed with all that is in it when it is dropped.

@@ -1,11 +1,10 @@
 //! The original: Python's `ztl` 0.3.3, unchanged, from its virtual environment.
 
-use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Duration;
 
-use super::{PATIENCE, Process, ancestor};
+use super::{PATIENCE, Process, installed};
 
 /// The state in which a task runs, as the original's clients see it.
 pub const ACCEPTED: i64 = 1;
@@ -21,33 +20,10 @@ pub const COMPLETED: i64 = 5;
 /// Python with the original package.
 ///
 /// # Panics
-/// When it is not there; a test against the original is never left out silently.
+/// When it is missing; a test against the original is never skipped silently.
 #[track_caller]
 pub fn python() -> PathBuf {
-    let named = std::env::var_os("ZTL_PYTHON").filter(|path| !path.is_empty());
-    let in_ci = std::env::var_os("CI").is_some_and(|value| !value.is_empty());
-    // Where `cargo xtask test` makes it: <target>/venv.
-    let usual = ancestor(3).join("venv/bin/python");
-    choose(named, in_ci, usual).unwrap_or_else(|message| panic!("{message}"))
-}
-
-fn choose(named: Option<OsString>, in_ci: bool, usual: PathBuf) -> Result<PathBuf, String> {
-    let lacking = |path: &PathBuf| {
-        format!(
-            "there is no {}, the Python of the original package: run `cargo xtask test --only python`",
-            path.display()
-        )
-    };
-    match named.map(PathBuf::from) {
-        Some(path) if path.exists() => Ok(path),
-        Some(path) => Err(lacking(&path)),
-        None if in_ci => Err(
-            "CI is set and ZTL_PYTHON is not: run the tests as `cargo xtask test`, which sets it"
-                .to_owned(),
-        ),
-        None if usual.exists() => Ok(usual),
-        None => Err(lacking(&usual)),
-    }
+    installed("ZTL_PYTHON", "venv/bin/python")
 }
 
 /// One of the original's command-line tools by its installed name, such as `ztl_task_client`.
@@ -172,23 +148,6 @@ fn unhex(text: &str) -> Vec<u8> {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn without_the_original_a_test_fails_and_says_what_to_run() {
-        let there = PathBuf::from("/");
-        let gone = PathBuf::from("/no/such/python");
-        let named = || Some(OsString::from("/no/such/python"));
-        assert_eq!(choose(None, false, there.clone()), Ok(there.clone()));
-        assert_eq!(
-            choose(Some("/".into()), true, gone.clone()),
-            Ok(there.clone())
-        );
-        let message = choose(None, false, gone).unwrap_err();
-        assert!(message.contains("cargo xtask test --only python"));
-        assert!(choose(named(), false, there.clone()).is_err());
-        let message = choose(None, true, there).unwrap_err();
-        assert!(message.contains("ZTL_PYTHON"), "{message}");
-    }
 
     #[test]
     fn texts_survive_the_way_to_the_driver() {

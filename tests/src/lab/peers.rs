@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use super::{OriginalClient, SCOPE, Server, ancestor, python};
+use super::{OriginalClient, SCOPE, Server, installed, python};
 
 /// What Python 2.7 is called where its packages are.
 const PYTHON27: &str = "python2.7";
@@ -93,7 +93,7 @@ impl Peer {
             Self::JavaScript => {
                 let mut command = Command::new("node");
                 command
-                    .env("ZTL_CLIENTS", packages())
+                    .env("ZTL_CLIENTS", javascript_packages())
                     .arg(source("peer.mjs"));
                 command
             }
@@ -114,23 +114,28 @@ fn source(name: &str) -> PathBuf {
         .join(name)
 }
 
-/// Where `cargo xtask test` puts what they need: <target>/peers.
+/// The directory with the dependencies of the peers.
+#[track_caller]
 fn home() -> PathBuf {
-    let named = std::env::var_os("ZTL_PEERS").filter(|path| !path.is_empty());
-    named.map_or_else(|| ancestor(3).join("peers"), PathBuf::from)
+    installed("ZTL_PEERS", "peers")
 }
 
 /// The directory with zeromq.js in its `node_modules`.
-fn packages() -> PathBuf {
-    let named = std::env::var_os("ZTL_CLIENTS").filter(|path| !path.is_empty());
-    there(named.map_or_else(|| ancestor(3).join("clients"), PathBuf::from))
+///
+/// # Panics
+/// When it is missing.
+#[track_caller]
+pub fn javascript_packages() -> PathBuf {
+    let path = installed("ZTL_CLIENTS", "clients");
+    there(path.join("node_modules/zeromq"));
+    path
 }
 
 #[track_caller]
 fn there(path: PathBuf) -> PathBuf {
     assert!(
         path.exists(),
-        "there is no {}: run `cargo xtask test --only clients --only peers`",
+        "{} is missing: run `cargo xtask setup`",
         path.display()
     );
     path

@@ -1,27 +1,33 @@
 //! Links everything that a library needs into one object, and hides all names except those in its header.
 
 use std::collections::BTreeSet;
-use std::ffi::OsString;
-use std::fmt::Display;
-use std::fs;
 use std::path::{Path, PathBuf};
 
+use anyhow::{Context as _, Result, bail};
 use object::{Object, ObjectSymbol};
+use xshell::{Shell, cmd};
 
-use crate::cmd::{Cmd, Outcome};
+use crate::install;
+
+pub(super) const HEADER: &str = "ztl-c/include/ztl.h";
 
 /// LLVM bitcode in Rust's standard library, for link-time optimisation; a linker with another LLVM version
 /// rejects it.
-const BITCODE: &str = "--remove-section .llvmbc --remove-section .llvmcmd";
+const BITCODE: [&str; 4] = [
+    "--remove-section",
+    ".llvmbc",
+    "--remove-section",
+    ".llvmcmd",
+];
 
 /// GNU's binutils for a processor.
 pub(super) struct Tools {
     /// Prefix of their names.
     pub(super) prefix: &'static str,
-    /// Option for the linker.
-    pub(super) emulation: &'static str,
-    /// Option for `objcopy`, before names are hidden.
-    pub(super) unmark: &'static str,
+    /// Options for the linker.
+    pub(super) linker: &'static [&'static str],
+    /// Options for `objcopy`, before names are hidden.
+    pub(super) unmark: &'static [&'static str],
     /// Names that stay visible, as weak symbols, besides those in the header: functions of the compiler's
     /// runtime library that the target's C++ library needs.
     pub(super) runtime: &'static [&'static str],
@@ -31,87 +37,79 @@ impl Tools {
     /// For this machine.
     pub(super) const HOST: Self = Self {
         prefix: "",
-        emulation: "",
+        linker: &[],
         // GNU's C++ marks some names as unique in the process, which `objcopy` does not hide. Only if the C++
         // library is included: otherwise missing names would become weak and stay 0.
-        unmark: "--wildcard --weaken-symbol _Z*",
+        unmark: &["--wildcard", "--weaken-symbol", "_Z*"],
         runtime: &[],
     };
-
-    fn command(&self, name: &str) -> Cmd {
-        Cmd::program(format!("{}{name}", self.prefix))
-    }
 }
 
 /// Creates a static library of everything that the header's functions need from these archives, and copies
 /// the header to `include/` next to it. Returns the single object in it.
 pub(super) fn join(
+    sh: &Shell,
     tools: &Tools,
     header: &str,
     archives: &[PathBuf],
     library: &Path,
-) -> Outcome<PathBuf> {
-    let failed = |error| format!("cannot write {}: {error}", library.display());
-    let lib = library.parent().ok_or("a library lies in a directory")?;
-    let include = lib.with_file_name("include");
-    for directory in [lib, &include] {
-        fs::create_dir_all(directory).map_err(failed)?;
+) -> Result<PathBuf> {
+    let Tools {
+        prefix,
+        linker,
+        unmark,
+        runtime,
+    } = *tools;
+    if !install::has(sh, &format!("{prefix}ld")) {
+        let package = format!("binutils-{prefix}");
+        install::install(sh, package.trim_end_matches('-'))?;
     }
-    let text = fs::read_to_string(header).map_err(|error| format!("{header}: {error}"))?;
-    let name = Path::new(header).file_name().unwrap_or_default();
-    fs::write(include.join(name), &text).map_err(failed)?;
+    let lib = library.parent().context("a library is in a directory")?;
+    sh.create_dir(lib)?;
+    let include = sh.create_dir(lib.with_file_name("include"))?;
+    sh.copy_file(header, include)?;
+    let text = sh.read_file(header)?;
     let mut symbols = functions(&text);
-    symbols.extend(tools.runtime);
+    symbols.extend(runtime);
     let [listed, all, weak, object] =
         ["symbols", "all.o", "weak.o", "o"].map(|end| library.with_extension(end));
-    fs::write(&listed, symbols.join("\n") + "\n").map_err(failed)?;
+    sh.write_file(&listed, symbols.join("\n") + "\n")?;
 
     // No section groups: another program's C++ could replace them.
-    let mut link = tools
-        .command("ld")
-        .args("-r --force-group-allocation --gc-sections")
-        .args(tools.emulation);
-    for symbol in &symbols {
-        link = link.arg("-u").arg(symbol);
-    }
-    link = link.arg("-o").arg(&all);
-    for archive in archives {
-        link = link.arg(archive);
-    }
-    link.run()?;
-    let mut weaken = tools
-        .command("objcopy")
-        .arg("--strip-debug")
-        .args(tools.unmark)
-        .args(BITCODE);
-    for symbol in tools.runtime {
-        weaken = weaken.arg("--weaken-symbol").arg(symbol);
-    }
-    weaken.arg(&all).arg(&weak).run()?;
-    let mut keep = OsString::from("--keep-global-symbols=");
-    keep.push(&listed);
-    let hide = tools.command("objcopy").arg(keep);
-    hide.arg(&weak).arg(&object).run()?;
+    let wanted = symbols.iter().flat_map(|symbol| ["-u", symbol]);
+    let link = ["-r", "--force-group-allocation", "--gc-sections"];
+    cmd!(
+        sh,
+        "{prefix}ld {link...} {linker...} {wanted...} -o {all} {archives...}"
+    )
+    .run()?;
+    let weaken = runtime
+        .iter()
+        .flat_map(|symbol| ["--weaken-symbol", symbol]);
+    cmd!(
+        sh,
+        "{prefix}objcopy --strip-debug {unmark...} {BITCODE...} {weaken...} {all} {weak}"
+    )
+    .run()?;
+    cmd!(
+        sh,
+        "{prefix}objcopy --keep-global-symbols={listed} {weak} {object}"
+    )
+    .run()?;
     // `ar` would add to an old archive.
-    let _ = fs::remove_file(library);
-    tools
-        .command("ar")
-        .arg("crs")
-        .arg(library)
-        .arg(&object)
-        .run()?;
+    sh.remove_path(library)?;
+    cmd!(sh, "{prefix}ar crs {library} {object}").run()?;
     for done in [listed, all, weak] {
-        fs::remove_file(done).map_err(failed)?;
+        sh.remove_path(done)?;
     }
-    shows_only(&object, &symbols)?;
+    let bytes = sh.read_binary_file(&object)?;
+    shows_only(&bytes, &symbols).with_context(|| object.display().to_string())?;
     Ok(object)
 }
 
 /// Checks that an object or shared library exports these functions and nothing else.
-pub(super) fn shows_only(path: &Path, symbols: &[&str]) -> Outcome {
-    let failed = |error: &dyn Display| format!("{}: {error}", path.display());
-    let bytes = fs::read(path).map_err(|error| failed(&error))?;
-    let file = object::File::parse(&*bytes).map_err(|error| failed(&error))?;
+pub(super) fn shows_only(bytes: &[u8], symbols: &[&str]) -> Result<()> {
+    let file = object::File::parse(bytes)?;
     let seen = file.symbols().chain(file.dynamic_symbols());
     let seen = seen.filter(|symbol| symbol.is_global() && symbol.is_definition());
     let seen: BTreeSet<&str> = seen.filter_map(|symbol| symbol.name().ok()).collect();
@@ -121,8 +119,8 @@ pub(super) fn shows_only(path: &Path, symbols: &[&str]) -> Outcome {
         seen.difference(&wanted).next(),
     ) {
         (None, None) => Ok(()),
-        (Some(lacking), _) => Err(failed(&format!("`{lacking}` is missing"))),
-        (_, Some(other)) => Err(failed(&format!("`{other}` is exported too"))),
+        (Some(lacking), _) => bail!("`{lacking}` is missing"),
+        (_, Some(other)) => bail!("`{other}` is exported too"),
     }
 }
 
@@ -130,8 +128,9 @@ pub(super) fn shows_only(path: &Path, symbols: &[&str]) -> Outcome {
 pub(super) fn functions(header: &str) -> Vec<&str> {
     let is_name = |c: char| c.is_ascii_lowercase() || c == '_';
     // Lines of comments begin with a space; a declaration's first line does not.
-    let lines = header.lines();
-    let lines = lines.filter(|line| !line.starts_with([' ', '#', '/']));
+    let lines = header
+        .lines()
+        .filter(|line| !line.starts_with([' ', '#', '/']));
     let names = lines.filter_map(|line| {
         let (before, _) = line.split_once('(')?;
         before.rsplit(|c| !is_name(c)).next()

@@ -1,113 +1,97 @@
 //! The library for firmware in C, and its example.
 
-use std::fs;
 use std::path::Path;
 
+use anyhow::{Context as _, Result, bail};
 use object::{Object, ObjectSymbol};
+use xshell::cmd;
 
 use super::join::{self, Tools};
-use crate::cmd::{Cmd, Outcome};
+use crate::bare::NODE;
 use crate::cross::Core;
-use crate::{Dirs, image, tools};
+use crate::lock;
+use crate::project::Project;
 
-/// The node's package, which is not in the workspace.
-pub(crate) const MANIFEST: &str = "ztl-node-c/Cargo.toml";
 const HEADER: &str = "ztl-node-c/include/ztl_node.h";
 
 /// Referenced only by the panic handler.
 const PANIC: &str = "ztl_a_panic_is_reachable";
 
-/// The example's board: its name, target and compiler options.
-const FIRMWARE: &str = "examples/c/firmware";
-const BOARD: &str = "lm3s6965evb";
-const TARGET: &str = "thumbv7m-none-eabi";
-const CPU: &str = "-mcpu=cortex-m3 -mthumb";
-
 /// Builds the library for a target, or for this machine to test firmware on it.
-pub(super) fn assemble(dirs: &Dirs, target: Option<&str>, place: &Path) -> Outcome {
-    image::check_lock(MANIFEST)?;
-    let below = dirs.target.join("node");
+pub(super) fn assemble(project: &Project, target: Option<&str>, place: &Path) -> Result<()> {
+    let sh = &project.sh;
+    lock::check(sh, NODE)?;
+    let below = project.target.join("node");
     let build = match target {
-        None => Cmd::new("cargo build --target-dir").arg(&below),
-        Some(target) => Core::provide(target)?.cargo("build", target, &below),
+        None => cmd!(sh, "cargo build --locked --target-dir {below}"),
+        Some(target) => Core::provide(sh, target)?.cargo(project, "build", target, "node")?,
     };
-    build
-        .args("--release --locked --manifest-path")
-        .arg(MANIFEST)
-        .run()?;
-    let gnu = match target.map(|target| target.split('-').next().unwrap_or_default()) {
-        None => Tools::HOST,
-        Some(arm) if arm.starts_with("thumb") => Tools {
-            prefix: "arm-none-eabi-",
-            emulation: "",
-            unmark: "",
-            runtime: &[],
-        },
-        Some(riscv) if riscv.starts_with("riscv32") => Tools {
-            prefix: "riscv64-unknown-elf-",
-            emulation: "-m elf32lriscv",
-            unmark: "",
-            runtime: &[],
-        },
-        Some(other) => {
-            return Err(format!(
-                "no linker for {other} is known; build {MANIFEST} with cargo instead"
-            ));
+    build.args(["--release", "--manifest-path", NODE]).run()?;
+    let (prefix, linker) = match target {
+        None => ("", &[][..]),
+        Some(target) if target.starts_with("thumb") => ("arm-none-eabi-", &[][..]),
+        Some(target) if target.starts_with("riscv32") => {
+            ("riscv64-unknown-elf-", &["-m", "elf32lriscv"][..])
         }
+        Some(target) => bail!("no linker for {target} is known: build {NODE} with cargo instead"),
     };
-    if !tools::has(&format!("{}ld", gnu.prefix)) {
-        tools::install(&[&format!("binutils-{}", gnu.prefix.trim_end_matches('-'))])?;
-    }
-    let built = target.map_or_else(|| below.clone(), |target| below.join(target));
-    let archives = [built.join("release/libztl_node_c.a")];
-    let library = place.join("lib/libztl_node.a");
-    let object = join::join(&gnu, HEADER, &archives, &library)?;
-    prove(&object)?;
-    let removed = fs::remove_file(&object);
-    removed.map_err(|error| format!("{}: {error}", object.display()))
-}
-
-/// Checks that nothing in the object can panic.
-fn prove(object: &Path) -> Outcome {
-    let bytes = fs::read(object).map_err(|error| format!("{}: {error}", object.display()))?;
-    let file =
-        object::File::parse(&*bytes).map_err(|error| format!("{}: {error}", object.display()))?;
+    let unmark = if target.is_none() {
+        Tools::HOST.unmark
+    } else {
+        &[]
+    };
+    let tools = Tools {
+        prefix,
+        linker,
+        unmark,
+        runtime: &[],
+    };
+    let built = below
+        .join(target.unwrap_or_default())
+        .join("release/libztl_node_c.a");
+    let object = join::join(
+        sh,
+        &tools,
+        HEADER,
+        &[built],
+        &place.join("lib/libztl_node.a"),
+    )?;
+    let bytes = sh.read_binary_file(&object)?;
+    let file = object::File::parse(&*bytes).with_context(|| object.display().to_string())?;
     if file.symbols().any(|symbol| symbol.name() == Ok(PANIC)) {
-        return Err(format!(
-            "a panic is reachable in {}; `cargo xtask proof` shows where, unless it is in ztl-node-c itself",
+        bail!(
+            "a panic is reachable in {}: `cargo xtask test --only proof` shows where, unless it is in ztl-node-c",
             object.display()
-        ));
+        );
     }
     println!("no panic is reachable");
-    Ok(())
+    Ok(sh.remove_path(object)?)
 }
 
 /// Builds the example's firmware, also as C++, into the directory where the tests look for board images.
-pub(super) fn build_firmware(dirs: &Dirs, target: &Path) -> Outcome {
-    let place = dirs.target.join("c-test").join(TARGET);
-    assemble(dirs, Some(TARGET), &place)?;
-    let images = target.join("firmware").join(TARGET).join("release");
-    fs::create_dir_all(&images).map_err(|error| format!("{}: {error}", images.display()))?;
+pub(super) fn build_firmware(project: &Project, place: &Path, built: &Path) -> Result<()> {
+    const TARGET: &str = "thumbv7m-none-eabi";
+    const BOARD: &str = "examples/c/firmware/lm3s6965evb";
+    let sh = &project.sh;
+    let place = place.join(TARGET);
+    assemble(project, Some(TARGET), &place)?;
+    let images = sh.create_dir(built.join("firmware").join(TARGET).join("release"))?;
+    let compile = "-pedantic -Wall -Wextra -Werror -Os -ffreestanding -fno-tree-loop-distribute-patterns \
+        -mcpu=cortex-m3 -mthumb";
+    let link = "-x none -nostdlib -Wl,--gc-sections -Wl,-z,noexecstack -T";
     for (language, end) in [
         ("c -std=c89", "c"),
         ("c++ -std=c++98 -fno-exceptions -fno-rtti", "cpp"),
     ] {
-        let image = images.join(format!("{BOARD}-{end}"));
-        Cmd::new("arm-none-eabi-gcc -x")
-            .args(language)
-            .args("-pedantic -Wall -Wextra -Werror -Os -ffreestanding -fno-tree-loop-distribute-patterns")
-            .args(CPU)
-            .arg("-I")
-            .arg(place.join("include"))
-            .arg(format!("{FIRMWARE}/{BOARD}.c"))
-            .arg(format!("{FIRMWARE}/robot.c"))
-            .args("-x none -nostdlib -Wl,--gc-sections -Wl,-z,noexecstack -T")
-            .arg(format!("{FIRMWARE}/{BOARD}.ld"))
-            .arg(place.join("lib/libztl_node.a"))
-            .args("-lgcc -o")
-            .arg(&image)
-            .run()?;
-        Cmd::new("arm-none-eabi-size").arg(&image).run()?;
+        let image = images.join(format!("lm3s6965evb-{end}"));
+        let [language, compile, link] = [language, compile, link].map(str::split_whitespace);
+        cmd!(
+            sh,
+            "arm-none-eabi-gcc -x {language...} {compile...} -I {place}/include {BOARD}.c examples/c/firmware/robot.c
+             {link...} {BOARD}.ld {place}/lib/libztl_node.a -lgcc -o {image}"
+        )
+        .run()?;
+        cmd!(sh, "arm-none-eabi-size {image}").run()?;
     }
     Ok(())
 }

@@ -1,10 +1,12 @@
 //! Validates the bills of materials against CycloneDX.
 
-use std::fs;
 use std::path::Path;
 
-use crate::Dirs;
-use crate::cmd::{Cmd, Outcome};
+use anyhow::Result;
+use xshell::cmd;
+
+use crate::install;
+use crate::project::Project;
 
 /// CycloneDX's own library, which contains the schema.
 const LIBRARY: &str = "cyclonedx-python-lib[json-validation]==11.12.0";
@@ -31,31 +33,11 @@ for path in sys.argv[1:]:
     print(f"{path}: {len(parts)} parts, valid")
 "#;
 
-pub(super) fn check(dirs: &Dirs, release: &Path) -> Outcome {
-    let venv = dirs.absolute("bill");
-    let python = venv.join("bin/python");
-    let works = || {
-        Cmd::program(&python)
-            .args("-c")
-            .arg("import cyclonedx.validation.json, jsonschema, license_expression")
-            .stdout()
-    };
-    if works().is_err() {
-        Cmd::new("python3 -m venv --clear").arg(&venv).run()?;
-        Cmd::program(&python)
-            .args("-m pip install --disable-pip-version-check --quiet")
-            .arg(LIBRARY)
-            .run()?;
-        works()?;
-    }
-    let entries = fs::read_dir(release);
-    let entries = entries.map_err(|error| format!("{}: {error}", release.display()))?;
-    let mut check = Cmd::program(&python).args("-c").arg(SCRIPT);
-    for entry in entries.flatten() {
-        if entry.file_name().to_string_lossy().ends_with(".cdx.json") {
-            check = check.arg(entry.path());
-        }
-    }
-    print!("{}", check.stdout()? + "\n");
-    Ok(())
+pub(super) fn check(project: &Project, release: &Path) -> Result<()> {
+    let sh = &project.sh;
+    let imports = "cyclonedx.validation.json, jsonschema, license_expression";
+    let python = install::environment(project, "bill", &[LIBRARY], imports)?;
+    let mut bills = sh.read_dir(release)?;
+    bills.retain(|path| path.to_string_lossy().ends_with(".cdx.json"));
+    Ok(cmd!(sh, "{python} -c {SCRIPT} {bills...}").quiet().run()?)
 }

@@ -1,19 +1,17 @@
 //! The contents of a static program: a bill of materials in CycloneDX, and the texts of all licences.
 
-#![expect(
-    clippy::indexing_slicing,
-    reason = "indexing JSON by name gives null for missing keys"
-)]
-
 use std::collections::{BTreeMap, BTreeSet};
-use std::fs;
+use std::env;
 use std::path::{Path, PathBuf};
 
+use anyhow::{Context as _, Result, ensure};
 use serde_json::{Value, json};
+use xshell::{Shell, cmd};
 
-use crate::cmd::{Cmd, Outcome};
 use crate::cross;
 use crate::curve::Libraries;
+use crate::lock;
+use crate::project::{PACKAGE, Project};
 use crate::zig::{MUSL, Target, ZIG, Zig};
 
 /// A component of the program.
@@ -41,15 +39,20 @@ pub(super) struct Contents {
 
 impl Contents {
     /// Collects the contents.
-    pub(super) fn of(zig: &Zig, target: Target, libraries: &Libraries) -> Outcome<Self> {
-        let mut crates = crates(target)?;
-        let own = crates.iter().position(|part| part.name == "ztl-std");
-        let own = own.ok_or("cargo does not list the package ztl-std")?;
+    pub(super) fn of(
+        project: &Project,
+        zig: &Zig<'_>,
+        target: Target,
+        libraries: &Libraries,
+    ) -> Result<Self> {
+        let mut crates = crates(&project.sh, target)?;
+        let own = crates.iter().position(|part| part.name == PACKAGE);
+        let own = own.context("cargo does not list the package of `ztl`")?;
         Ok(Self {
             target,
             own: crates.remove(own),
             crates,
-            foreign: foreign(zig, libraries)?,
+            foreign: foreign(&project.sh, zig, libraries)?,
         })
     }
 
@@ -65,122 +68,86 @@ impl Contents {
     }
 
     /// Writes `ztl-TARGET.cdx.json`, and `LICENSES.txt`, which is the same for all targets.
-    pub(super) fn write(&self, program: &Path, commit: &str) -> Outcome {
+    pub(super) fn write(&self, sh: &Shell, program: &Path, commit: &str) -> Result<()> {
         let parts: Vec<&Part> = self.crates.iter().chain(&self.foreign).collect();
-        let sum = Cmd::new("sha256sum").arg(program).stdout()?;
-        let sum = sum.split_whitespace().next().unwrap_or_default();
+        let sum = cmd!(sh, "sha256sum {program}").read()?;
+        let sum = sum.split(' ').next().unwrap_or_default();
         let bill = bill(&self.own, &parts, self.target, commit, sum);
         let name = format!("ztl-{}.cdx.json", self.target.name);
-        for (name, text) in [
-            (name.as_str(), format!("{bill:#}\n")),
-            ("LICENSES.txt", licences(&self.own, &parts)?),
-        ] {
-            let path = program.with_file_name(name);
-            fs::write(&path, text)
-                .map_err(|error| format!("cannot write {}: {error}", path.display()))?;
-        }
-        Ok(())
+        sh.write_file(program.with_file_name(name), format!("{bill:#}\n"))?;
+        let licences = licences(sh, &self.own, &parts)?;
+        Ok(sh.write_file(program.with_file_name("LICENSES.txt"), licences)?)
     }
 }
 
-/// The Rust packages, including `ztl` itself.
-fn crates(target: Target) -> Outcome<Vec<Part>> {
-    let metadata = Cmd::new("cargo metadata --format-version 1 --locked --filter-platform")
-        .arg(target.triple)
-        .stdout()?;
-    let metadata: Value = serde_json::from_str(&metadata)
-        .map_err(|error| format!("cannot parse the output of `cargo metadata`: {error}"))?;
-    let checksums = checksums()?;
-    let list = |value: &Value| value.as_array().cloned().unwrap_or_default();
-    let text = |value: &Value| value.as_str().unwrap_or_default().to_owned();
-    let nodes: BTreeMap<String, Value> = list(&metadata["resolve"]["nodes"])
-        .into_iter()
-        .map(|node| (text(&node["id"]), node))
+/// The Rust packages, including `ztl` itself; neither macros nor what only the build needs.
+fn crates(sh: &Shell, target: Target) -> Result<Vec<Part>> {
+    let triple = target.triple();
+    let format = "{p}|{l}";
+    let tree = [
+        "--locked",
+        "--package",
+        PACKAGE,
+        "--edges",
+        "normal,no-proc-macro",
+    ];
+    let tree = cmd!(
+        sh,
+        "cargo tree {tree...} --target {triple} --prefix none --format {format}"
+    );
+    let tree = tree.read()?;
+    let lines: BTreeSet<&str> = tree
+        .lines()
+        .map(|line| line.trim_end_matches(" (*)"))
         .collect();
-    let packages: BTreeMap<String, Value> = list(&metadata["packages"])
-        .into_iter()
-        .map(|package| (text(&package["id"]), package))
-        .collect();
-    let mut wanted: Vec<String> = packages
-        .iter()
-        .filter(|(_, package)| package["name"] == "ztl-std")
-        .map(|(id, _)| id.clone())
-        .collect();
-    let mut found = BTreeSet::new();
-    while let Some(id) = wanted.pop() {
-        if !found.insert(id.clone()) {
-            continue;
-        }
-        for dependency in list(nodes.get(&id).map_or(&Value::Null, |node| &node["deps"])) {
-            // Build-time and test dependencies are not inside.
-            let kinds = list(&dependency["dep_kinds"]);
-            if kinds.iter().any(|kind| kind["kind"].is_null()) && !is_macro(&packages, &dependency)
-            {
-                wanted.push(text(&dependency["pkg"]));
-            }
-        }
-    }
-    let part = |id: &String| {
-        let package = packages.get(id)?;
-        let (name, version) = (text(&package["name"]), text(&package["version"]));
-        let home = PathBuf::from(text(&package["manifest_path"]));
-        let licence = text(&package["license"]).replace('/', " OR ");
-        let texts = |home: &Path| match texts_in(home) {
-            // Without its own text: Apache's licence contains no names.
-            none if none.is_empty() && licence.contains("Apache-2.0") => {
-                vec![PathBuf::from("LICENSE-APACHE")]
-            }
-            some => some,
+    let locked = lock::packages(&sh.read_file("Cargo.lock")?);
+    let part = |line: &str| -> Result<Part> {
+        // `zmq v0.10.0|MIT/Apache-2.0`; with a directory behind the version if it is ours.
+        let (package, licence) = line.split_once('|').context("no licence")?;
+        let (name, version) = package.split_once(" v").context("no version")?;
+        let (version, own) = match version.split_once(" (") {
+            Some((version, path)) => (version, Some(PathBuf::from(path.trim_end_matches(')')))),
+            None => (version, None),
         };
-        Some(Part {
+        let home = own.map_or_else(|| source(sh, name, version), Ok)?;
+        let package = locked
+            .iter()
+            .find(|locked| locked.name == name && locked.version == version);
+        let mut texts = texts(sh, &home)?;
+        if texts.is_empty() && licence.contains("Apache-2.0") {
+            // Apache's licence contains no names.
+            texts.push("LICENSE-APACHE".into());
+        }
+        Ok(Part {
+            name: name.to_owned(),
+            version: version.to_owned(),
+            licence: licence.replace('/', " OR "),
             url: format!("pkg:cargo/{name}@{version}"),
-            sha256: checksums.get(&(name.clone(), version.clone())).cloned(),
-            texts: home.parent().map(texts).unwrap_or_default(),
-            licence,
-            name,
-            version,
+            sha256: package.and_then(|package| package.checksum.clone()),
+            texts,
         })
     };
-    Ok(found.iter().filter_map(part).collect())
+    lines
+        .into_iter()
+        .map(|line| part(line).with_context(|| format!("`{line}`")))
+        .collect()
 }
 
-/// Whether it is a macro, which only the compiler runs.
-fn is_macro(packages: &BTreeMap<String, Value>, dependency: &Value) -> bool {
-    let id = dependency["pkg"].as_str().unwrap_or_default();
-    let targets = packages
-        .get(id)
-        .and_then(|package| package["targets"].as_array());
-    targets.is_some_and(|targets| {
-        targets.iter().any(|target| {
-            target["kind"]
-                .as_array()
-                .is_some_and(|kinds| kinds.contains(&json!("proc-macro")))
-        })
-    })
-}
-
-/// The checksums in `Cargo.lock`, by name and version.
-fn checksums() -> Outcome<BTreeMap<(String, String), String>> {
-    let lock = fs::read_to_string("Cargo.lock")
-        .map_err(|error| format!("cannot read Cargo.lock: {error}"))?;
-    let value = |package: &str, key: &str| {
-        let line = package.lines().find_map(|line| line.strip_prefix(key))?;
-        Some(
-            line.trim_matches(|c| c == ' ' || c == '=' || c == '"')
-                .to_owned(),
-        )
-    };
-    let packages = lock.split("[[package]]");
-    let known = packages.filter_map(|package| {
-        let key = (value(package, "name =")?, value(package, "version =")?);
-        Some((key, value(package, "checksum =")?))
-    });
-    Ok(known.collect())
+/// The directory of a package from crates.io.
+fn source(sh: &Shell, name: &str, version: &str) -> Result<PathBuf> {
+    let home = env::var("CARGO_HOME").or_else(|_| env::var("HOME").map(|home| home + "/.cargo"))?;
+    let registries = sh.read_dir(Path::new(&home).join("registry/src"))?;
+    let mut sources = registries
+        .into_iter()
+        .map(|path| path.join(format!("{name}-{version}")));
+    sources
+        .find(|path| path.exists())
+        .context("the sources are missing")
 }
 
 /// The files of a package that contain its licence.
-fn texts_in(home: &Path) -> Vec<PathBuf> {
-    let names = [
+fn texts(sh: &Shell, home: &Path) -> Result<Vec<PathBuf>> {
+    const NAMES: [&str; 6] = [
         "LICENSE",
         "LICENCE",
         "COPYING",
@@ -188,57 +155,39 @@ fn texts_in(home: &Path) -> Vec<PathBuf> {
         "COPYRIGHT",
         "UNLICENSE",
     ];
-    let entries = fs::read_dir(home).into_iter().flatten().flatten();
-    let mut files: Vec<PathBuf> = entries
-        .map(|entry| entry.path())
-        .filter(|path| {
-            let name = path
-                .file_name()
-                .unwrap_or_default()
-                .to_string_lossy()
-                .to_uppercase();
-            path.is_file() && names.iter().any(|begin| name.starts_with(begin))
-        })
-        .collect();
-    files.sort();
-    files
+    let mut files = sh.read_dir(home)?;
+    files.retain(|path| {
+        let name = path
+            .file_name()
+            .unwrap_or_default()
+            .to_string_lossy()
+            .to_uppercase();
+        path.is_file() && NAMES.iter().any(|begin| name.starts_with(begin))
+    });
+    Ok(files)
 }
 
 /// The libraries in C and C++, and Rust's own.
-fn foreign(zig: &Zig, libraries: &Libraries) -> Outcome<Vec<Part>> {
+fn foreign(sh: &Shell, zig: &Zig<'_>, libraries: &Libraries) -> Result<Vec<Part>> {
+    let locked = lock::packages(&sh.read_file("libzmq/Cargo.lock")?);
+    let zmq = locked.iter().find(|package| package.name == "zeromq-src");
+    let zmq = &zmq
+        .context("libzmq/Cargo.lock does not list zeromq-src")?
+        .version;
+    let zmq_source = source(sh, "zeromq-src", zmq)?;
+    let (_, zmq) = zmq
+        .split_once('+')
+        .context("zeromq-src does not name its libzmq")?;
+
+    let sodium_home = Path::new(&libraries.sodium);
+    let header = sh.read_file(sodium_home.join("../include/sodium/version.h"))?;
+    let sodium = between(&header, "SODIUM_VERSION_STRING \"", "\"")?;
+
     let sources = zig.sources()?;
-    let lock = fs::read_to_string("libzmq/Cargo.lock")
-        .map_err(|error| format!("cannot read libzmq/Cargo.lock: {error}"))?;
-    let (_, version) = lock
-        .split_once("name = \"zeromq-src\"\nversion = \"")
-        .ok_or("libzmq/Cargo.lock does not list zeromq-src")?;
-    let version = version.split('"').next().unwrap_or_default();
-    let zmq = version.split_once('+').map_or(version, |(_, zmq)| zmq);
-    let home = env_home().join("registry/src");
-    let zmq_home = fs::read_dir(&home)
-        .into_iter()
-        .flatten()
-        .flatten()
-        .map(|entry| entry.path().join(format!("zeromq-src-{version}/vendor")))
-        .find(|path| path.exists())
-        .ok_or_else(|| format!("no zeromq-src-{version} below {}", home.display()))?;
-
-    let sodium = Path::new(&libraries.sodium);
-    let header = sodium.join("../include/sodium/version.h");
-    let text = fs::read_to_string(&header)
-        .map_err(|error| format!("cannot read {}: {error}", header.display()))?;
-    let sodium_version = text
-        .split_once("SODIUM_VERSION_STRING \"")
-        .and_then(|(_, rest)| rest.split('"').next())
-        .ok_or_else(|| format!("{} does not contain the version", header.display()))?;
-
-    let config = sources.join("libcxx/include/__config");
-    let text = fs::read_to_string(&config)
-        .map_err(|error| format!("cannot read {}: {error}", config.display()))?;
-    let number = text
-        .split_once("define _LIBCPP_VERSION ")
-        .and_then(|(_, rest)| rest.lines().next()?.trim().parse::<u32>().ok())
-        .ok_or_else(|| format!("{} does not contain the version", config.display()))?;
+    let config = sh.read_file(sources.join("libcxx/include/__config"))?;
+    let number: u32 = between(&config, "define _LIBCPP_VERSION ", "\n")?
+        .trim()
+        .parse()?;
     let llvm = format!(
         "{}.{}.{}",
         number / 10_000,
@@ -246,114 +195,98 @@ fn foreign(zig: &Zig, libraries: &Libraries) -> Outcome<Vec<Part>> {
         number % 100
     );
 
-    let rust = Cmd::program(cross::DEBIAN_RUSTC)
-        .arg("--version")
-        .stdout()?;
-    let rust = rust
-        .split_whitespace()
-        .nth(1)
-        .unwrap_or_default()
-        .to_owned();
+    let rustc = cross::DEBIAN_RUSTC;
+    let rust = cmd!(sh, "{rustc} --version").read()?;
+    let rust = between(&rust, "rustc ", " ")?;
+
     let part = |name: &str, version: &str, licence: &str, url: String, text: PathBuf| Part {
         name: name.to_owned(),
         version: version.to_owned(),
         licence: licence.to_owned(),
-        url,
+        url: format!("pkg:{url}"),
         sha256: None,
         texts: vec![text],
     };
-    let apache = "Apache-2.0 WITH LLVM-exception";
     let from_llvm = |name: &str, directory: &str| {
+        let url = format!("github/llvm/llvm-project@llvmorg-{llvm}#{directory}");
         let text = sources.join(directory).join("LICENSE.TXT");
-        let url = format!("pkg:github/llvm/llvm-project@llvmorg-{llvm}#{directory}");
-        part(name, &llvm, apache, url, text)
+        part(name, &llvm, "Apache-2.0 WITH LLVM-exception", url, text)
     };
+    let rust_url = format!("github/rust-lang/rust@{rust}#library");
+    let rust_text = PathBuf::from("/usr/share/doc/rustc-web/copyright");
+    let zmq_url = format!("github/zeromq/libzmq@v{zmq}");
+    let zmq_text = zmq_source.join("vendor/LICENSE");
+    let sodium_url = format!("github/jedisct1/libsodium@{sodium}");
+    let sodium_text = sodium_home.join("../../source/libsodium-stable/LICENSE");
+    let musl_text = sources.join("libc/musl/COPYRIGHT");
+    // zig's compiler runtime, and its replacements for parts of musl.
+    let zig_text = sources.with_file_name("LICENSE");
     Ok(vec![
-        part(
-            "rust-std",
-            &rust,
-            "MIT OR Apache-2.0",
-            format!("pkg:github/rust-lang/rust@{rust}#library"),
-            PathBuf::from("/usr/share/doc/rustc-web/copyright"),
-        ),
-        part(
-            "libzmq",
-            zmq,
-            "MPL-2.0",
-            format!("pkg:github/zeromq/libzmq@v{zmq}"),
-            zmq_home.join("LICENSE"),
-        ),
-        part(
-            "libsodium",
-            sodium_version,
-            "ISC",
-            format!("pkg:github/jedisct1/libsodium@{sodium_version}"),
-            sodium.join("../../source/libsodium-stable/LICENSE"),
-        ),
+        part("rust-std", rust, "MIT OR Apache-2.0", rust_url, rust_text),
+        part("libzmq", zmq, "MPL-2.0", zmq_url, zmq_text),
+        part("libsodium", sodium, "ISC", sodium_url, sodium_text),
         part(
             "musl",
             MUSL,
             "MIT",
-            format!("pkg:generic/musl@{MUSL}"),
-            sources.join("libc/musl/COPYRIGHT"),
+            format!("generic/musl@{MUSL}"),
+            musl_text,
         ),
         from_llvm("libc++", "libcxx"),
         from_llvm("libc++abi", "libcxxabi"),
         from_llvm("libunwind", "libunwind"),
-        // zig's compiler runtime, and its replacements for parts of musl.
-        part(
-            "zig",
-            ZIG,
-            "MIT",
-            format!("pkg:pypi/ziglang@{ZIG}"),
-            sources.with_file_name("LICENSE"),
-        ),
+        part("zig", ZIG, "MIT", format!("pypi/ziglang@{ZIG}"), zig_text),
     ])
 }
 
-fn env_home() -> PathBuf {
-    let set = |name| std::env::var_os(name).map(PathBuf::from);
-    set("CARGO_HOME").unwrap_or_else(|| set("HOME").unwrap_or_default().join(".cargo"))
+fn between<'a>(text: &'a str, before: &str, after: &str) -> Result<&'a str> {
+    let found = text
+        .split_once(before)
+        .and_then(|(_, rest)| rest.split_once(after));
+    Ok(found.with_context(|| format!("`{before}` is missing"))?.0)
 }
 
 fn bill(own: &Part, parts: &[&Part], target: Target, commit: &str, sum: &str) -> Value {
-    let component = |kind: &str, part: &Part| {
+    let component = |kind: &str, part: &Part, name: &str, sha256: Option<&str>| {
         let mut component = json!({
             "type": kind,
             "bom-ref": part.url,
-            "name": part.name,
+            "name": name,
             "version": part.version,
             "purl": part.url,
             "licenses": [{ "expression": part.licence }],
         });
-        if let Some(sum) = &part.sha256 {
-            component["hashes"] = json!([{ "alg": "SHA-256", "content": sum }]);
+        if let (Some(sum), Some(fields)) = (sha256, component.as_object_mut()) {
+            fields.insert(
+                "hashes".to_owned(),
+                json!([{ "alg": "SHA-256", "content": sum }]),
+            );
         }
         component
     };
-    let mut program = component("application", own);
-    program["name"] = json!("ztl");
-    program["hashes"] = json!([{ "alg": "SHA-256", "content": sum }]);
-    program["properties"] = json!([
-        { "name": "ztl:target", "value": target.triple },
+    let mut program = component("application", own, "ztl", Some(sum));
+    let properties = json!([
+        { "name": "ztl:target", "value": target.triple() },
         { "name": "ztl:commit", "value": commit },
     ]);
-    let parts: Vec<Value> = parts
-        .iter()
-        .map(|&part| component("library", part))
-        .collect();
+    if let Some(fields) = program.as_object_mut() {
+        fields.insert("properties".to_owned(), properties);
+    }
+    let libraries = parts.iter();
+    let libraries =
+        libraries.map(|part| component("library", part, &part.name, part.sha256.as_deref()));
     json!({
         "$schema": "http://cyclonedx.org/schema/bom-1.6.schema.json",
         "bomFormat": "CycloneDX",
         "specVersion": "1.6",
         "version": 1,
         "metadata": { "component": program },
-        "components": parts,
+        "components": libraries.collect::<Vec<_>>(),
     })
 }
 
 /// All licence texts, each once, with the components they apply to.
-fn licences(own: &Part, parts: &[&Part]) -> Outcome<String> {
+fn licences(sh: &Shell, own: &Part, parts: &[&Part]) -> Result<String> {
     let mut all = format!(
         "What is inside ztl {}, and under which licence. libzmq is unchanged; its source is in the crate\n\
          zeromq-src at crates.io, and at https://github.com/zeromq/libzmq.\n\n",
@@ -362,13 +295,10 @@ fn licences(own: &Part, parts: &[&Part]) -> Outcome<String> {
     let mut texts: BTreeMap<String, BTreeSet<String>> = BTreeMap::new();
     for part in std::iter::once(&own).chain(parts) {
         let name = format!("{} {}", part.name, part.version);
-        if part.texts.is_empty() {
-            return Err(format!("{name} has no licence text"));
-        }
+        ensure!(!part.texts.is_empty(), "{name} has no licence text");
         all += &format!("  {name}: {}\n", part.licence);
         for path in &part.texts {
-            let text = fs::read(path)
-                .map_err(|error| format!("cannot read {}: {error}", path.display()))?;
+            let text = sh.read_binary_file(path)?;
             let text = String::from_utf8_lossy(&text).trim().replace('\r', "");
             texts.entry(text).or_default().insert(name.clone());
         }
@@ -383,32 +313,19 @@ fn licences(own: &Part, parts: &[&Part]) -> Outcome<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::zig::TARGETS;
+    use crate::zig::targets;
 
     #[test]
     fn runtime_dependencies_are_listed_and_build_dependencies_are_not() {
-        // Cargo runs tests in their package's directory.
-        std::env::set_current_dir(concat!(env!("CARGO_MANIFEST_DIR"), "/..")).unwrap();
-        let mut parts = crates(TARGETS[0]).unwrap();
+        let sh = &Shell::new().unwrap();
+        sh.change_dir(concat!(env!("CARGO_MANIFEST_DIR"), "/.."));
+        let target = targets(&["x86_64"]).unwrap()[0];
+        let parts = crates(sh, target).unwrap();
         let names: BTreeSet<&str> = parts.iter().map(|part| part.name.as_str()).collect();
-        for name in [
-            "ztl-std",
-            "ztl-core",
-            "zmq",
-            "zmq-sys",
-            "clap",
-            "serde_json",
-        ] {
+        for name in "ztl-std ztl-core zmq zmq-sys clap serde_json".split(' ') {
             assert!(names.contains(name), "{name} in {names:?}");
         }
-        for name in [
-            "xtask",
-            "clap_derive",
-            "serde_derive",
-            "cc",
-            "zeromq-src",
-            "windows-sys",
-        ] {
+        for name in "xtask clap_derive serde_derive cc zeromq-src windows-sys".split(' ') {
             assert!(!names.contains(name), "{name} in {names:?}");
         }
         for part in &parts {
@@ -416,16 +333,12 @@ mod tests {
             let own = part.name.starts_with("ztl-");
             assert_eq!(part.sha256.as_ref().map(String::len), (!own).then_some(64));
         }
-        let own = parts
-            .iter()
-            .position(|part| part.name == "ztl-std")
-            .unwrap();
-        let own = parts.remove(own);
-        let parts: Vec<&Part> = parts.iter().collect();
-        let bill = bill(&own, &parts, TARGETS[0], "0123", "4567");
+        let own = parts.iter().find(|part| part.name == PACKAGE).unwrap();
+        let parts: Vec<&Part> = parts.iter().filter(|part| part.name != PACKAGE).collect();
+        let bill = bill(own, &parts, target, "0123", "4567");
         assert_eq!(bill["metadata"]["component"]["name"], "ztl");
         assert_eq!(bill["components"].as_array().unwrap().len(), parts.len());
-        let text = licences(&own, &parts).unwrap();
+        let text = licences(sh, own, &parts).unwrap();
         assert!(text.contains("  zmq 0.10.0: MIT OR Apache-2.0\n"), "{text}");
         assert!(text.contains("Permission is hereby granted"));
     }

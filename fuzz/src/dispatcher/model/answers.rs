@@ -14,7 +14,8 @@ type Told<'a> = (&'a str, &'a str, &'a str);
 const NO_CLIENTS: &str = "too many clients at a time, try again in a minute";
 const NO_TASKS: &str = "too many tasks are running, wait for one to end";
 const NO_WAITERS: &str = "too many requests are waiting, try again";
-const NO_IDS: &str = "all task ids are used up; restart the server, without its journal if it has one";
+const NO_IDS: &str =
+    "all task ids are used up; restart the server, without its journal if it has one";
 
 impl Model {
     pub(in crate::dispatcher) fn on_answer(

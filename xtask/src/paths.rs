@@ -1,29 +1,27 @@
 //! Checks that released files do not reveal where they were built.
 
 use std::env;
-use std::fs;
 use std::path::{Path, PathBuf};
 
-use crate::Dirs;
-use crate::cmd::Outcome;
+use anyhow::{Result, bail};
+
+use crate::project::Project;
 
 /// Fails if the file contains a path of this machine: a directory of the project, of cargo or rustup, or the
 /// user's home.
-pub(crate) fn check(dirs: &Dirs, path: &Path) -> Outcome {
-    let bytes =
-        fs::read(path).map_err(|error| format!("cannot read {}: {error}", path.display()))?;
+pub(crate) fn check(project: &Project, path: &Path) -> Result<()> {
+    let bytes = project.sh.read_binary_file(path)?;
     let variables = ["HOME", "CARGO_HOME", "RUSTUP_HOME", "CARGO_TARGET_DIR"];
-    let told = variables.into_iter().filter_map(env::var_os);
-    let mut places = vec![dirs.root.clone(), dirs.root.join(&dirs.target)];
-    places.extend(told.map(PathBuf::from));
+    let named = variables.into_iter().filter_map(env::var_os);
+    let mut places = vec![project.root.clone(), project.target.clone()];
+    places.extend(named.map(PathBuf::from));
     places.retain(|place| place.is_absolute() && place.parent().is_some());
     for place in places {
         if let Some(found) = find(&bytes, &format!("{}/", place.display())) {
-            return Err(format!(
-                "{} tells a path of the machine that built it, {found}; xtask/src/zig.rs says what compilers put \
-                 in its place",
-                path.display()
-            ));
+            let path = path.display();
+            bail!(
+                "{path} contains a path of this machine, {found}: xtask/src/zig.rs replaces them"
+            );
         }
     }
     Ok(())

@@ -1,0 +1,341 @@
+//! Installs what builds and tests need: Debian packages, Python environments, an npm package, old peers.
+
+use std::env;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context as _, Result, bail};
+use xshell::{Shell, cmd};
+
+use crate::project::{Project, succeeds};
+
+/// Debian packages, and the shell command that fails without them. The first line of its output is their version.
+const PROGRAMS: &[[&str; 2]] = &[
+    ["g++", "${CXX:-c++} --version"],
+    // For libsodium.
+    ["make", "make --version"],
+    // On Debian, `ensurepip`, which installs pip into a new environment, is a separate package.
+    [
+        "python3 python3-venv",
+        "python3 -c 'import ensurepip, sys, venv; print(\"Python\", sys.version)'",
+    ],
+    // For the client in C.
+    [
+        "gcc libc6-dev libzmq3-dev",
+        "printf '#include <zmq.h>\nlibzmq ZMQ_VERSION_MAJOR ZMQ_VERSION_MINOR' | cc -E -P - | grep '^libzmq [0-9]'",
+    ],
+    ["valgrind", "valgrind --version"],
+    ["pkg-config", "pkg-config --version"],
+    ["gcc-arm-none-eabi", "arm-none-eabi-gcc --version"],
+    // For the client in JavaScript.
+    [
+        "nodejs",
+        "node --eval 'console.log(\"Node\", process.version)'",
+    ],
+    ["npm", "echo npm $(npm --version) | grep '[0-9]'"],
+    // Shows the page of `ztl report`.
+    ["chromium", "chromium --version"],
+    // `setsid` gives a program a terminal of its own.
+    ["util-linux", "setsid --version"],
+    // `systemd-analyze` checks the units in examples.
+    ["systemd", "systemd-analyze --version"],
+    ["rustfmt-web", "cargo fmt --version"],
+    ["rust-web-clippy", "cargo clippy --version"],
+    QEMU,
+];
+
+/// Runs the firmware.
+const QEMU: [&str; 2] = [
+    "qemu-system-arm qemu-system-misc",
+    "qemu-system-riscv32 --version >&2 && qemu-system-arm --version",
+];
+
+/// Installs everything that tests need.
+pub(crate) fn all(project: &Project) -> Result<()> {
+    programs(project)?;
+    javascript(project)?;
+    peers(project)
+}
+
+/// Installs all missing programs.
+pub(crate) fn programs(project: &Project) -> Result<()> {
+    let sh = &project.sh;
+    let lacks = |check: &str| version(sh, check).is_err();
+    if has(sh, "rustup") && (lacks("cargo fmt --version") || lacks("cargo clippy --version")) {
+        cmd!(sh, "rustup component add rustfmt clippy").run()?;
+    }
+    let lacking = PROGRAMS.iter().filter(|[_, check]| lacks(check));
+    let lacking: Vec<&str> = lacking.map(|[packages, _]| *packages).collect();
+    if !lacking.is_empty() {
+        install(sh, &lacking.join(" "))?;
+    }
+    for [packages, check] in PROGRAMS {
+        // May still fail: another program of that name may come first on the PATH.
+        let version = version(sh, check).with_context(|| format!("{packages} is missing"))?;
+        println!("found: {version}");
+    }
+    Ok(())
+}
+
+fn version(sh: &Shell, check: &str) -> Result<String> {
+    let text = cmd!(sh, "sh -c {check}").ignore_stderr().read()?;
+    Ok(text.lines().next().context("it prints nothing")?.to_owned())
+}
+
+/// Whether the program can be started.
+pub(crate) fn has(sh: &Shell, program: &str) -> bool {
+    succeeds(cmd!(sh, "{program} --version"))
+}
+
+/// Installs Debian packages; without the permission, says what to install.
+pub(crate) fn install(sh: &Shell, packages: &str) -> Result<()> {
+    let install = "apt-get install -y --no-install-recommends";
+    if cmd!(sh, "id -u").read()? != "0" || !has(sh, "apt-get") {
+        bail!("packages are missing: run `sudo apt-get update && sudo {install} {packages}`");
+    }
+    let words = install.split(' ').chain(packages.split(' '));
+    cmd!(sh, "apt-get update").run()?;
+    cmd!(sh, "env DEBIAN_FRONTEND=noninteractive {words...}").run()?;
+    Ok(())
+}
+
+/// Installs QEMU for the boards if missing.
+pub(crate) fn qemu(sh: &Shell) -> Result<()> {
+    let [packages, check] = QEMU;
+    version(sh, check)
+        .map(drop)
+        .or_else(|_| install(sh, packages))
+}
+
+/// Installs emulators for other processors if missing.
+pub(crate) fn emulators(sh: &Shell) -> Result<()> {
+    match has(sh, "qemu-i386-static") {
+        true => Ok(()),
+        false => install(sh, "qemu-user-static"),
+    }
+}
+
+/// Runs `make`, unless the stamp says that it was run for the same content, and the result works.
+fn make_once(
+    sh: &Shell,
+    stamp: &Path,
+    content: &str,
+    works: impl Fn() -> bool,
+    make: impl FnOnce() -> xshell::Result<()>,
+) -> Result<()> {
+    let made = stamp.exists() && sh.read_file(stamp)? == content;
+    if made && works() {
+        println!("{} is up to date", stamp.display());
+        return Ok(());
+    }
+    sh.remove_path(stamp)?;
+    make()?;
+    if !works() {
+        bail!(
+            "what was just installed does not work: see {}",
+            stamp.display()
+        );
+    }
+    // Written last: without it, the installation is incomplete.
+    Ok(sh.write_file(stamp, content)?)
+}
+
+/// A Python environment below the target directory with exactly these packages and what they need; returns its
+/// Python.
+pub(crate) fn environment(
+    project: &Project,
+    name: &str,
+    packages: &[&str],
+    import: &str,
+) -> Result<PathBuf> {
+    let sh = &project.sh;
+    let venv = project.target.join(name);
+    let python = venv.join("bin/python");
+    let import = format!("import {import}");
+    let works = || succeeds(cmd!(sh, "{python} -c {import}"));
+    make_once(
+        sh,
+        &venv.join("made.stamp"),
+        &packages.join(" "),
+        works,
+        || {
+            cmd!(sh, "python3 -m venv --clear {venv}").run()?;
+            cmd!(
+                sh,
+                "{python} -m pip install --disable-pip-version-check --quiet {packages...}"
+            )
+            .run()
+        },
+    )?;
+    Ok(python)
+}
+
+/// Installs the original ZTL package, with every package in the listed version, and its own tests, which only the
+/// source archive has. Returns its Python.
+pub(crate) fn python(project: &Project) -> Result<PathBuf> {
+    const PACKAGES: &str = "tests/requirements.txt";
+    const SUITE: &str = "tests/original_suite/requirements.txt";
+    let sh = &project.sh;
+    let content = sh.read_file(PACKAGES)? + &sh.read_file(SUITE)?;
+    let venv = project.target.join("venv");
+    let python = venv.join("bin/python");
+    let suite = venv.join("original");
+    // Also runs it: an environment breaks when its base Python is removed.
+    let works = || succeeds(cmd!(sh, "{python} -c 'import ztl, zmq, oyaml, pytest'"));
+    make_once(
+        sh,
+        &venv.join("requirements.stamp"),
+        &content,
+        works,
+        || {
+            let pip = ["-m", "pip", "--disable-pip-version-check"];
+            let archive = suite.join("ztl-0.3.3.tar.gz");
+            cmd!(sh, "python3 -m venv --clear {venv}").run()?;
+            cmd!(sh, "{python} {pip...} install --no-deps -r {PACKAGES}").run()?;
+            cmd!(
+                sh,
+                "{python} {pip...} download --no-deps --no-binary ztl -r {SUITE} --dest {suite}"
+            )
+            .run()?;
+            cmd!(sh, "{python} -m tarfile --extract {archive} {suite}").run()
+        },
+    )?;
+    Ok(python)
+}
+
+/// Installs the npm package of `examples/clients/client.mjs`.
+pub(crate) fn javascript(project: &Project) -> Result<()> {
+    const PACKAGE: &str = "zeromq@6.8.0";
+    let sh = &project.sh;
+    let home = project.target.join("clients");
+    let package = home.join("node_modules/zeromq");
+    // Also loads the package: it breaks after an update of Node.
+    let works = || succeeds(cmd!(sh, "node --eval require(process.argv[1]) {package}"));
+    make_once(sh, &home.join("package.stamp"), PACKAGE, works, || {
+        // The package contains a compiled library; its script would only rebuild it.
+        cmd!(
+            sh,
+            "npm install --ignore-scripts --no-save --no-audit --no-fund --prefix {home} {PACKAGE}"
+        )
+        .run()
+    })
+}
+
+/// Installs the dependencies of the peers in `tests/peers`: an old libzmq, JeroMQ, and the original under Python 2.7
+/// if the machine has that.
+pub(crate) fn peers(project: &Project) -> Result<()> {
+    let sh = &project.sh;
+    let home = project.target.join("peers");
+    old_libzmq(sh, &python(project)?, &home)?;
+    java(sh, &home)?;
+    match python27(sh) {
+        Some(python27) => original27(sh, &python27, &home),
+        None => {
+            println!("SKIPPED: the original under Python 2.7, which this machine does not have");
+            Ok(())
+        }
+    }
+}
+
+/// Extracts libzmq 4.1.6 from a package for Python 2.7.
+fn old_libzmq(sh: &Shell, python: &Path, home: &Path) -> Result<()> {
+    const WHEEL: &str = "pyzmq==16.0.4";
+    let wheels = home.join("wheels");
+    let library = home.join("libzmq-4.1.6.so");
+    let extract = "import glob, shutil, sys, zipfile; \
+        zipfile.ZipFile(glob.glob(sys.argv[1] + '/pyzmq-*')[0]).extractall(sys.argv[1]); \
+        shutil.copy(glob.glob(sys.argv[1] + '/zmq/.libs/libzmq-*')[0], sys.argv[2])";
+    let works = || library.exists();
+    make_once(sh, &home.join("libzmq-4.1.6.stamp"), WHEEL, works, || {
+        let pip = [
+            "-m",
+            "pip",
+            "--disable-pip-version-check",
+            "download",
+            "--no-deps",
+        ];
+        let platform = "--only-binary=:all: --python-version 27 --implementation cp --abi cp27mu";
+        let platform = platform
+            .split(' ')
+            .chain(["--platform", "manylinux1_x86_64"]);
+        cmd!(
+            sh,
+            "{python} {pip...} {platform...} --dest {wheels} {WHEEL}"
+        )
+        .run()?;
+        cmd!(sh, "{python} -c {extract} {wheels} {library}").run()
+    })
+}
+
+/// Compiles the program that uses JeroMQ.
+fn java(sh: &Shell, home: &Path) -> Result<()> {
+    const SOURCE: &str = "tests/peers/Peer.java";
+    const JEROMQ: &str = "/usr/share/java/jeromq.jar";
+    let runs = |name: &&str| succeeds(cmd!(sh, "{name} -version"));
+    let compiler = || ["javac", "ecj"].into_iter().find(runs);
+    if !Path::new(JEROMQ).exists() || !runs(&"java") || compiler().is_none() {
+        // ecj needs no JDK, which is three times as large.
+        install(sh, "default-jre-headless ecj libjeromq-java")?;
+    }
+    let compiler = compiler().context("no Java compiler found")?;
+    let classes = home.join("java");
+    let works = || classes.exists();
+    make_once(
+        sh,
+        &home.join("java.stamp"),
+        &sh.read_file(SOURCE)?,
+        works,
+        || {
+            cmd!(
+                sh,
+                "{compiler} -source 11 -target 11 -nowarn -cp {JEROMQ} -d {classes} {SOURCE}"
+            )
+            .run()
+        },
+    )
+}
+
+/// Installs the original and its dependencies for Python 2.7.
+fn original27(sh: &Shell, python27: &Path, home: &Path) -> Result<()> {
+    const PACKAGES: &str = "tests/peers/python27.txt";
+    let packages = home.join("python27");
+    let link = packages.join("python2.7");
+    let works = || link.exists();
+    make_once(
+        sh,
+        &home.join("python27.stamp"),
+        &sh.read_file(PACKAGES)?,
+        works,
+        || {
+            sh.remove_path(&packages)?;
+            let pip = [
+                "-m",
+                "pip",
+                "--disable-pip-version-check",
+                "install",
+                "--no-deps",
+            ];
+            cmd!(
+                sh,
+                "{python27} {pip...} --no-binary ztl --target {packages} -r {PACKAGES}"
+            )
+            .run()?;
+            cmd!(sh, "ln -s {python27} {link}").run()
+        },
+    )
+}
+
+/// A Python 2.7 with pip: the one on the PATH, or one from pyenv.
+fn python27(sh: &Shell) -> Option<PathBuf> {
+    let root = cmd!(sh, "pyenv root").quiet().ignore_stderr().read();
+    let root = root.ok().or_else(|| env::var("PYENV_ROOT").ok());
+    let versions = root.and_then(|root| sh.read_dir(Path::new(&root).join("versions")).ok());
+    let versions = versions.unwrap_or_default().into_iter();
+    let candidates = versions.map(|version| version.join("bin/python2.7"));
+    [PathBuf::from("python2.7")]
+        .into_iter()
+        .chain(candidates)
+        .find_map(|python| {
+            let found = cmd!(sh, "{python} -c 'import pip, sys; print(sys.executable)'");
+            found.ignore_stderr().read().ok().map(PathBuf::from)
+        })
+}

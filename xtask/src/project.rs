@@ -1,0 +1,47 @@
+//! Where the project is, and the shell that runs its commands.
+
+use std::env;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context as _, Result};
+use xshell::{Cmd, Shell};
+
+/// The package of the command `ztl`.
+pub(crate) const PACKAGE: &str = "ztl-std";
+
+/// The arguments with which Cargo builds the command.
+pub(crate) const COMMAND: [&str; 4] = ["--package", PACKAGE, "--bin", "ztl"];
+
+/// The project's directories. The working directory is the root of the repository.
+pub(crate) struct Project {
+    pub(crate) sh: Shell,
+    /// The root of the repository.
+    pub(crate) root: PathBuf,
+    /// Cargo's target directory.
+    pub(crate) target: PathBuf,
+}
+
+impl Project {
+    /// Finds the directories and changes to the root.
+    pub(crate) fn enter() -> Result<Self> {
+        // Read at run time: a compiled-in path would become wrong when the tree is moved.
+        let xtask = env::var_os("CARGO_MANIFEST_DIR").map(PathBuf::from);
+        let root = xtask.as_deref().and_then(Path::parent);
+        let root = root.context("run this program as `cargo xtask`")?;
+        env::set_current_dir(root)?;
+        // This program is in <target>/debug, whatever CARGO_TARGET_DIR or the configuration says.
+        let program = env::current_exe()?;
+        let target = program.ancestors().nth(2);
+        Ok(Self {
+            sh: Shell::new()?,
+            root: root.to_owned(),
+            target: target.context("run this program as `cargo xtask`")?.into(),
+        })
+    }
+}
+
+/// Whether a command succeeds. It prints nothing.
+pub(crate) fn succeeds(command: Cmd<'_>) -> bool {
+    let quiet = command.quiet().ignore_stdout().ignore_stderr();
+    quiet.run().is_ok()
+}

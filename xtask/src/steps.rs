@@ -1,0 +1,269 @@
+//! `cargo xtask check` and `cargo xtask test`: the checks of the project, in the order that fails soonest.
+
+use std::time::{Duration, Instant};
+
+use anyhow::{Context as _, Result};
+use xshell::cmd;
+
+use crate::project::Project;
+use crate::{
+    bare, capi, curve, dist, firmware, fuzz, image, install, long_runs, package, proof, size,
+};
+
+/// An option of `env`: the command heeds signals, even where this one ignores them, as under `nohup` or in the
+/// background of a script. The tests start programs that are stopped by signals.
+const HEED_SIGNALS: &str = "--default-signal=HUP,INT,QUIT";
+
+/// The packages outside the workspace.
+const APART: [&str; 6] = [
+    image::MANIFEST,
+    fuzz::MANIFEST,
+    firmware::MANIFEST,
+    bare::NODE,
+    "tests/log-device/Cargo.toml",
+    "libzmq/Cargo.toml",
+];
+
+struct Step {
+    name: &'static str,
+    about: &'static str,
+    run: fn(&Project) -> Result<()>,
+}
+
+const fn step(name: &'static str, about: &'static str, run: fn(&Project) -> Result<()>) -> Step {
+    Step { name, about, run }
+}
+
+#[rustfmt::skip]
+const STEPS: [Step; 20] = [
+    step("tools", "compilers, libraries and programs are installed", install::programs),
+    step("fmt", "all code is formatted, also outside the workspace", format),
+    step("clippy", "no lint fires, in the workspace and in each no_std crate alone", clippy),
+    step("doc", "the documentation builds without a warning", doc),
+    step("package", "the crates could be published: their packages are complete and compile", package::check),
+    step("foreign", "the library and the command type-check for Windows and macOS", package::check_foreign),
+    step("python", "the original ZTL package is installed in a virtual environment", |project| install::python(project).map(drop)),
+    step("clients", "the npm package of the client in JavaScript is installed", install::javascript),
+    step("peers", "old and other peers are installed: libzmq 4.1.6, Python 2.7 where there is one, JeroMQ", install::peers),
+    step("bare", "the no_std crates build for three microcontrollers with nothing but `core`", bare::build),
+    step("proof", "bytes from outside reach no panic: shown by linking", proof::prove),
+    step("size", "the standard image and the boards' images have the recorded sizes", size::check),
+    step("firmware", "the images of examples/firmware build; a Cortex-M0 needs the documented cycles", firmware::check),
+    step("test", "all tests: units, documentation examples, and against the original package", tests),
+    step("curve", "with encryption: only clients with an allowed key are served", curve::test),
+    step("c", "the C interface: examples and misuse, with the original's client, under sanitizers and valgrind", capi::test),
+    step("dist", "the static programs for x86-64 and i686 run in an empty root, and on old kernels", dist::test),
+    step("model", "the link keeps its promises whatever goes wrong, and mistakes are detected", long_runs::check_simulation),
+    step("fuzz", "no fuzz target breaks a promise on its corpus, and on inputs generated from one seed", fuzz::smoke),
+    step("demo", "`ztl demo --once` completes", demo),
+];
+
+/// The steps of `cargo xtask check`: before each commit, in a few minutes.
+#[rustfmt::skip]
+const CHECK: [Step; 4] = [
+    step("fmt", "all code is formatted, also outside the workspace", format),
+    step("clippy", "no lint fires in the workspace", clippy_workspace),
+    step("units", "unit tests", units),
+    step("wire", "the codec's recorded cases, and the original package against ours", wire),
+];
+
+/// The tests of `cargo xtask check` that compare with the original package.
+const WIRE: [&str; 7] = [
+    "codec",
+    "wire",
+    "original_client",
+    "original_server",
+    "original_client_gateway",
+    "original_suite",
+    "odd_answers",
+];
+
+pub(crate) fn names() -> Vec<&'static str> {
+    STEPS.iter().map(|step| step.name).collect()
+}
+
+pub(crate) fn list() {
+    for step in STEPS {
+        println!("{:<8} {}", step.name, step.about);
+    }
+}
+
+/// Runs the named steps in their usual order, or all.
+pub(crate) fn test(project: &Project, only: &[String]) -> Result<()> {
+    let wanted = |step: &&Step| only.is_empty() || only.iter().any(|name| name == step.name);
+    let steps: Vec<&Step> = STEPS.iter().filter(wanted).collect();
+    run(project, &steps, "cargo xtask test --only")
+}
+
+pub(crate) fn check(project: &Project) -> Result<()> {
+    run(
+        project,
+        &CHECK.each_ref(),
+        "cargo xtask check; it stopped at",
+    )
+}
+
+fn run(project: &Project, steps: &[&Step], again: &str) -> Result<()> {
+    let begin = Instant::now();
+    for (index, Step { name, about, run }) in steps.iter().enumerate() {
+        println!("\n=== {}/{} {name}: {about}", index + 1, steps.len());
+        let begin = Instant::now();
+        run(project).with_context(|| {
+            let time = seconds(begin.elapsed());
+            format!("step `{name}` FAILED after {time}. To run it again: {again} {name}\n")
+        })?;
+        println!("--- {name}: ok, {}", seconds(begin.elapsed()));
+    }
+    let names: Vec<&str> = steps.iter().map(|step| step.name).collect();
+    println!(
+        "\nAll passed in {}: {}",
+        seconds(begin.elapsed()),
+        names.join(", ")
+    );
+    Ok(())
+}
+
+fn seconds(time: Duration) -> String {
+    format!("{:.1} s", time.as_secs_f64())
+}
+
+fn format(project: &Project) -> Result<()> {
+    let sh = &project.sh;
+    cmd!(sh, "cargo fmt --all --check").run()?;
+    for manifest in APART {
+        // `--all` means the members of a workspace, but also the dependencies in the main one.
+        let all = (manifest == firmware::MANIFEST).then_some("--all");
+        cmd!(sh, "cargo fmt {all...} --check --manifest-path {manifest}").run()?;
+    }
+    Ok(())
+}
+
+fn clippy_workspace(project: &Project) -> Result<()> {
+    let sh = &project.sh;
+    Ok(cmd!(
+        sh,
+        "cargo clippy --workspace --all-targets --locked -- -D warnings"
+    )
+    .run()?)
+}
+
+fn clippy(project: &Project) -> Result<()> {
+    let sh = &project.sh;
+    clippy_workspace(project)?;
+    let (node, target) = (bare::NODE, project.target.join("node"));
+    cmd!(
+        sh,
+        "cargo clippy --locked --target-dir {target} --manifest-path {node} -- -D warnings"
+    )
+    .run()?;
+    for package in bare::CRATES {
+        for features in bare::FEATURES {
+            let deny = ["--", "-D", "warnings"];
+            cmd!(
+                sh,
+                "cargo clippy --locked --package {package} {features...} {deny...}"
+            )
+            .run()?;
+        }
+    }
+    Ok(())
+}
+
+fn doc(project: &Project) -> Result<()> {
+    let sh = &project.sh;
+    let doc = cmd!(sh, "cargo doc --workspace --no-deps --locked");
+    Ok(doc.env("RUSTDOCFLAGS", "-D warnings").run()?)
+}
+
+/// The programs that the integration tests and the demo start.
+fn build_programs(project: &Project) -> Result<()> {
+    let sh = &project.sh;
+    Ok(cmd!(sh, "cargo build --workspace --bins --examples --locked").run()?)
+}
+
+fn units(project: &Project) -> Result<()> {
+    let sh = &project.sh;
+    let simulation = long_runs::SIMULATION;
+    cmd!(
+        sh,
+        "env {HEED_SIGNALS} cargo test --workspace --lib --bins --locked --exclude {simulation}"
+    )
+    .run()?;
+    Ok(())
+}
+
+fn wire(project: &Project) -> Result<()> {
+    let sh = &project.sh;
+    install::python(project)?;
+    build_programs(project)?;
+    let tests = WIRE.iter().flat_map(|name| ["--test", name]);
+    cmd!(
+        sh,
+        "env {HEED_SIGNALS} cargo test --package ztl-tests --locked {tests...}"
+    )
+    .run()?;
+    Ok(())
+}
+
+fn tests(project: &Project) -> Result<()> {
+    let sh = &project.sh;
+    install::python(project)?;
+    install::javascript(project)?;
+    install::peers(project)?;
+    build_programs(project)?;
+    firmware::build_for_qemu(project)?;
+    // The tests of the simulation run in the step `model`, and those of ztl-c in the step `c`, which builds its
+    // libraries.
+    let apart = ["--exclude", long_runs::SIMULATION, "--exclude", "ztl-c"];
+    cmd!(
+        sh,
+        "env {HEED_SIGNALS} cargo test --workspace --locked {apart...}"
+    )
+    .run()?;
+    // The features that the workspace does not use: components, an async loop, what interrupts share, defmt.
+    cmd!(sh, "cargo test --package ztl-mcu --all-features --locked").run()?;
+    Ok(())
+}
+
+fn demo(project: &Project) -> Result<()> {
+    let sh = &project.sh;
+    build_programs(project)?;
+    let ztl = project.target.join("debug/ztl");
+    // It takes seconds; the limit keeps a hanging demo from stopping the run.
+    Ok(cmd!(sh, "timeout 60 {ztl} demo --once --port 0").run()?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use xshell::Shell;
+
+    #[test]
+    fn no_workspace_is_left_unformatted() {
+        let sh = &Shell::new().unwrap();
+        sh.change_dir(concat!(env!("CARGO_MANIFEST_DIR"), "/.."));
+        let manifests = cmd!(sh, "git ls-files *Cargo.toml").read().unwrap();
+        let separate = |path: &&str| sh.read_file(path).unwrap().contains("[workspace]");
+        for manifest in manifests.lines().filter(separate) {
+            assert!(
+                manifest == "Cargo.toml" || APART.contains(&manifest),
+                "{manifest}"
+            );
+        }
+    }
+
+    #[test]
+    fn each_path_in_the_contributors_guide_exists() {
+        let sh = &Shell::new().unwrap();
+        sh.change_dir(concat!(env!("CARGO_MANIFEST_DIR"), "/.."));
+        let text = sh.read_file("CONTRIBUTING.md").unwrap();
+        let words = text.split(['`', '(', ')', '[', ']']);
+        let is_path =
+            |word: &&str| !word.contains(' ') && word.contains(['/', '.']) && word.len() > 3;
+        let paths: Vec<&str> = words.filter(is_path).collect();
+        assert!(paths.len() > 20, "{paths:?}");
+        for path in paths {
+            assert!(sh.path_exists(path), "{path}");
+        }
+    }
+}
