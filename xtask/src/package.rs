@@ -8,7 +8,17 @@ use crate::cross;
 use crate::project::{PACKAGE, Project};
 
 /// In an order in which they can be published.
-const CRATES: [&str; 3] = ["ztl-core", "ztl-mcu", "ztl-std"];
+const CRATES: [&str; 9] = [
+    "ztl-core",
+    "ztl-mcu",
+    "ztl-link",
+    "ztl-yaml",
+    "ztl-std",
+    "ztl-script",
+    "ztl-serve",
+    "ztl-sim",
+    "ztl",
+];
 
 /// Packages each crate, and compiles the last one from the packages alone, which replace the registry.
 pub(crate) fn check(project: &Project) -> Result<()> {

@@ -7,7 +7,7 @@ use anyhow::{Context as _, Result};
 use xshell::{Cmd, Shell};
 
 /// The package of the command `ztl`.
-pub(crate) const PACKAGE: &str = "ztl-std";
+pub(crate) const PACKAGE: &str = "ztl";
 
 /// The arguments with which Cargo builds the command.
 pub(crate) const COMMAND: [&str; 4] = ["--package", PACKAGE, "--bin", "ztl"];
