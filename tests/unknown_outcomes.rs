@@ -508,7 +508,7 @@ fn the_answer_to_an_abort_is_not_told_as_the_result() {
         ("4;7;True", "5;55;there", (State::Aborted, "None")),
     ] {
         let server = FakeServer::answering("1;7;moving", status, abort);
-        let told = connect(&server).abort(7_u32).expect("its state");
+        let told = connect(&server).abort(7).expect("its state");
         assert_eq!(
             (told.state, told.text.as_str()),
             expected,
