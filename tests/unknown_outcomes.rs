@@ -425,6 +425,19 @@ fn what_the_probe_or_the_list_says_runs_is_aborted() {
             );
         }
     }
+    // The list is not told in a ZTL message.
+    let server = FakeServer::with_questions(|request| {
+        let answer = match request {
+            "$ztl;2;-1;probe" => "$ztl;5;0;{ztl: 1, version: '9', boot: 7, running: {8: /t}}",
+            "$ztl;2;-1;tasks" => "nonsense",
+            _ => "/t;4;8;True",
+        };
+        answer.as_bytes().to_vec()
+    });
+    let ended = run(&server, &["abort", "--all"]);
+    assert_eq!(ended.code, Some(1), "{ended:?}");
+    assert!(ended.stderr.contains("other tasks may run"), "{ended:?}");
+    assert!(abort_came(&server, "/t", 8), "{ended:?}");
 }
 
 #[test]
@@ -506,6 +519,9 @@ fn the_answer_to_an_abort_is_not_told_as_the_result() {
         // Nobody says more about these.
         ("5;7;False", "6;7;dancing", (State::Completed, "None")),
         ("4;7;True", "5;55;there", (State::Aborted, "None")),
+        ("4;7;True", "5;7;there", (State::Aborted, "None")),
+        // It may still run.
+        ("4;7;True", "1;7;half way", (State::Accepted, "half way")),
     ] {
         let server = FakeServer::answering("1;7;moving", status, abort);
         let told = connect(&server).abort(7).expect("its state");

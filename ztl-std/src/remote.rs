@@ -326,7 +326,7 @@ impl RemoteTask {
     /// reached, or ACCEPTED while it is not yet (or cannot be) stopped.
     ///
     /// The answer to an ABORT does not tell the result of a task that has ended, so a STATUS asks for it. If
-    /// that brings no answer, the text is `None`.
+    /// its answer does not tell it, the text is `None`; if it says that the task runs, that counts.
     ///
     /// # Errors
     /// As [`status`](Self::status).
@@ -344,10 +344,11 @@ impl RemoteTask {
             {
                 Err(error)
             }
-            told => Ok(told.unwrap_or(Status {
+            Ok(told) if told.state == answer.state || !told.state.is_final() => Ok(told),
+            _ => Ok(Status {
                 state: answer.state,
                 text: NOTHING_KNOWN.to_owned(),
-            })),
+            }),
         }
     }
 
