@@ -76,7 +76,7 @@ pub use controller::{
 };
 pub use remote::{
     Description, Fate, InBackground, Offers, RemoteId, RemoteTask, RequestError, ServerInfo,
-    Status, TaskGuard, TriggerError, Triggered, WaitError,
+    ServerTask, ServerTasks, Status, TaskGuard, TriggerError, Triggered, WaitError,
 };
 pub use remotes::Remotes;
 pub use server::{Access, BindError, Limits, ListedTask, Listing, RunningServer, TaskServer};

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use serde::{Serialize, Serializer};
 
 use super::RemoteId;
-use crate::yaml::{Document, Node, Value};
+use crate::yaml::{Document, Node, Rules, Value};
 
 /// The handlers of a scope and their components. Without components the server does not tell them; a
 /// name `*` stands for every other.
@@ -40,9 +40,9 @@ fn as_map<S: Serializer>(
 }
 
 impl Description {
-    /// Reads the answer to `probe`. Keys that are not known are skipped.
+    /// Reads the answer to `probe`. Unknown keys are skipped; a repeated key does not hide what else can be read.
     pub(crate) fn parse(probed: &str) -> Option<Self> {
-        let document = Document::parse("$ztl", probed.as_bytes()).ok()?;
+        let document = Document::parse_by("$ztl", probed.as_bytes(), Rules::Python).ok()?;
         let root = document.root();
         let offers = |handlers: &Node| -> Offers {
             let names = |node: &Node| match &node.value {

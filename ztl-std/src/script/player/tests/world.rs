@@ -258,7 +258,13 @@ impl World {
                     .filter_map(|(id, _)| Some((TaskId::new(*id)?.into(), format!("job:{id}"))))
                     .collect();
                 let listed = machine.ours.then_some((machine.boot, tasks));
-                (acts, Answer::Tasks { listed, unread: 0 })
+                (
+                    acts,
+                    Answer::Tasks {
+                        listed,
+                        gaps: Vec::new(),
+                    },
+                )
             }
             Ask::Init {
                 handler,
