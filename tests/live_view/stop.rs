@@ -199,7 +199,7 @@ fn what_the_operator_was_asked_about_is_not_retried_by_itself() {
     robot.released.store(true, Ordering::Relaxed);
     terminal.shows("WAITING: something did not go well. Decide.");
     let screen = terminal.shows("t  retry what failed");
-    assert!(screen.contains("✗ test:stubborn:1  aborted"), "{screen}");
+    assert!(screen.contains("■ test:stubborn:1  aborted"), "{screen}");
     terminal.type_in("g");
     terminal.shows("The last scene is over.");
     terminal.type_in("q");
