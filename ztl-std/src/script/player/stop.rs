@@ -201,7 +201,8 @@ impl Player {
                 }
                 match then {
                     Some(scene) => self.show(scene),
-                    None => self.over(Outcome::Stopped),
+                    None if self.live.is_empty() => self.over(Outcome::Stopped),
+                    None => self.over(Outcome::NotConfirmed),
                 }
             }
             Phase::Settling(asked)
