@@ -3,7 +3,9 @@
 
 use std::process::Command;
 
-use ztl_tests::lab::{PATIENCE, Server, Told, original_client, our_client, until};
+use ztl_tests::lab::{
+    PATIENCE, Scratch, Server, Told, original_client, our_client, ours_named, until,
+};
 
 #[track_caller]
 fn servers() -> [Server; 2] {
@@ -14,7 +16,13 @@ fn servers() -> [Server; 2] {
 /// same, which ends with `last`.
 #[track_caller]
 fn same(servers: &[Server; 2], args: &[&str], last: &str) -> String {
-    let clients: [fn() -> Command; 2] = [original_client, our_client];
+    same_by(our_client, servers, args, last)
+}
+
+/// The same with this client of ours.
+#[track_caller]
+fn same_by(ours: impl Fn() -> Command, servers: &[Server; 2], args: &[&str], last: &str) -> String {
+    let clients: [&dyn Fn() -> Command; 2] = [&original_client, &ours];
     let runs = clients.map(|client| {
         servers
             .each_ref()
@@ -70,9 +78,12 @@ fn a_task_that_cannot_be_aborted_is_told_the_same() {
 
 #[test]
 fn a_task_that_outlasts_its_clients_patience_is_told_the_same() {
-    // The original waits 5 s after an abort that was refused, and then calls it finished.
+    // The original waits 5 s after an abort that was refused, and then calls it finished. So does ours by the
+    // original's name.
+    let files = Scratch::new();
+    let ours = || ours_named(&files, "ztl_task_client");
     let last = "finished in state 'ACCEPTED' after unsuccessful abort signal. Reply is 'None'.";
-    same(&servers(), &["-t", "1", "test:sleep:9"], last);
+    same_by(ours, &servers(), &["-t", "1", "test:sleep:9"], last);
 }
 
 #[test]

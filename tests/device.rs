@@ -123,8 +123,9 @@ fn does_what_is_asked(place: &Place) {
     // On the way back it is stopped.
     let id = start_when_served(&mut remote, "100");
     let seen = wait_beyond(&mut remote, id, 50.0);
-    assert_eq!(remote.abort(id), Ok(status(State::Aborted, "True")));
-    let end = remote.status(id).expect("an answer");
+    let end = remote.abort(id).expect("an answer");
+    assert_eq!(end.state, State::Aborted);
+    assert_eq!(remote.status(id), Ok(end.clone()));
     let stopped: f32 = end.text.parse().expect("a position");
     assert!((seen..100.0).contains(&stopped), "{seen}, then {stopped}");
 

@@ -66,8 +66,7 @@ fn the_handler_refuses_what_it_cannot_do_and_stops_when_asked() {
         (status.text == "10 percent").then_some(())
     });
     let end = remote.abort(&id).expect("an answer");
-    assert_eq!((end.state, end.text.as_str()), (State::Aborted, "True"));
-    let end = remote.status(&id).expect("an answer");
+    assert_eq!(end.state, State::Aborted);
     assert!(end.text.starts_with("stopped at "), "{end:?}");
 }
 

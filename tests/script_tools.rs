@@ -597,6 +597,33 @@ fn what_cannot_be_is_said_before_anything_begins() {
     }
 }
 
+#[test]
+fn a_name_that_two_scenes_or_steps_have_is_doubtful_and_chooses_none() {
+    let script = "a(delay=1):\n  s: {robot: {say: 1}}\na:\n  s: {robot: {say: 2}}\n  s(wait=no): {robot: {say: 3}}\n";
+    let desk = Desk::new(script);
+    let ended = desk.run("check show.yaml");
+    assert_eq!(ended.code, Some(1), "{ended:?}");
+    let said = "doubtful: show.yaml:3:1: the scene in line 1 is named 'a', too";
+    assert!(ended.stdout.contains(said), "{ended:?}");
+    let play = "run-script -s show.yaml --simulate=0.05 --yes --plain --dry-run";
+    for (words, said) in [
+        ("--scene a", "scene 'a' is ambiguous: it is in lines 1, 3; "),
+        (
+            "--from s",
+            "step 's' is ambiguous: it is in lines 2, 4, 5; ",
+        ),
+    ] {
+        let ended = desk.run(&format!("{play} {words}"));
+        assert_eq!(ended.code, Some(1), "{words}: {ended:?}");
+        assert_eq!(ended.stdout, "", "{words}");
+        assert!(ended.stderr.contains(said), "{words}: {ended:?}");
+    }
+    // With its parameters a scene has a name of its own.
+    let ended = desk.run(&format!("{play} --scene a(delay=1) --from s"));
+    assert_eq!(ended.code, Some(0), "{ended:?}");
+    assert!(ended.stdout.contains("robot:say:1"), "{ended:?}");
+}
+
 #[cfg(unix)]
 #[test]
 fn by_the_originals_names_it_is_the_originals_tool() {

@@ -342,3 +342,228 @@ fn what_cannot_be_read_is_quoted_in_a_few_hundred_characters() {
         assert!((20..2000).contains(&said), "{words:?}: {said} bytes");
     }
 }
+
+/// A task as `tasks` lists it.
+fn listed(id: u32, scope: &str, state: u8, text: &str, ended_ms: &str) -> String {
+    format!(
+        r#"{{"id": {id}, "scope": "{scope}", "task": "a:b:{id}", "state": {state}, "text": "{text}", "age_ms": 5, "ended_ms": {ended_ms}}}"#
+    )
+}
+
+/// Whether an ABORT for this task came.
+fn abort_came(server: &FakeServer, scope: &str, id: u32) -> bool {
+    let request = format!("{scope};3;{id};abort command");
+    server.requests().contains(&request)
+}
+
+#[test]
+fn a_task_that_cannot_be_reached_keeps_no_other_from_being_aborted() {
+    let running = r#", running: {9: "/t;x", 8: /t, 7: /t}"#;
+    for words in [&["abort", "--all"][..], &["abort", "9", "7", "8"]] {
+        let server = telling(running, None);
+        let ended = run(&server, words);
+        assert_eq!(ended.code, Some(1), "{words:?}: {ended:?}");
+        assert!(ended.stderr.contains("cannot abort task 9: "), "{ended:?}");
+        assert!(abort_came(&server, "/t", 8), "{words:?}: {ended:?}");
+        assert!(abort_came(&server, "/t", 7), "{words:?}: {ended:?}");
+    }
+}
+
+#[test]
+fn what_the_probe_or_the_list_says_runs_is_aborted() {
+    let one = listed(8, "/t", 1, "", "null");
+    let contradiction = listed(8, "/t", 1, "", "5");
+    let ended_already = listed(8, "/t", 5, "", "5");
+    let running = ", running: {8: /t}";
+    for (rest, tasks, code) in [
+        // One list is cut, the other is not.
+        (
+            ", running: {7: /t, 8: /t}",
+            format!(r#"{{"tasks": [{one}], "more": 1}}"#),
+            0,
+        ),
+        // One id in two scopes.
+        (
+            ", running: {8: /t, 8: /u}",
+            format!(r#"{{"tasks": [{one}], "more": 0}}"#),
+            0,
+        ),
+        // The list cannot be read, or not as a whole.
+        (running, r#"{"tasks": [], "more": -5}"#.to_owned(), 1),
+        (running, r#"{"tasks": []}"#.to_owned(), 1),
+        (running, r#"{"more": 0}"#.to_owned(), 1),
+        (running, "nonsense".to_owned(), 1),
+        // They contradict each other, or themselves.
+        (running, r#"{"tasks": [], "more": 0}"#.to_owned(), 0),
+        (
+            running,
+            format!(r#"{{"tasks": [{ended_already}], "more": 0}}"#),
+            0,
+        ),
+        (
+            ", running: {}",
+            format!(r#"{{"tasks": [{contradiction}], "more": 0}}"#),
+            0,
+        ),
+        // There is no probe that can be read.
+        (", '", format!(r#"{{"tasks": [{one}], "more": 0}}"#), 0),
+    ] {
+        let server = telling(rest, Some(&tasks));
+        let told = run(&server, &["ps"]);
+        assert_eq!(told.code, Some(code), "{rest} {tasks}: {told:?}");
+        assert!(told.stdout.contains("\n8   /t"), "{rest} {tasks}: {told:?}");
+        let ended = run(&server, &["abort", "--all"]);
+        assert_eq!(ended.code, Some(code), "{rest} {tasks}: {ended:?}");
+        assert_eq!(ended.stderr.is_empty(), code == 0, "{ended:?}");
+        assert!(abort_came(&server, "/t", 8), "{rest} {tasks}: {ended:?}");
+        for (id, scope) in [(7, "/t"), (8, "/u")] {
+            let runs = rest.contains(&format!("{id}: {scope}"));
+            assert_eq!(
+                abort_came(&server, scope, id),
+                runs,
+                "{rest} {tasks}: {ended:?}"
+            );
+        }
+    }
+    // The list is not told in a ZTL message.
+    let server = FakeServer::with_questions(|request| {
+        let answer = match request {
+            "$ztl;2;-1;probe" => "$ztl;5;0;{ztl: 1, version: '9', boot: 7, running: {8: /t}}",
+            "$ztl;2;-1;tasks" => "nonsense",
+            _ => "/t;4;8;True",
+        };
+        answer.as_bytes().to_vec()
+    });
+    let ended = run(&server, &["abort", "--all"]);
+    assert_eq!(ended.code, Some(1), "{ended:?}");
+    assert!(ended.stderr.contains("other tasks may run"), "{ended:?}");
+    assert!(abort_came(&server, "/t", 8), "{ended:?}");
+}
+
+#[test]
+fn a_task_that_the_server_does_not_list_is_not_said_to_have_ended() {
+    let one = listed(8, "/t", 1, "", "null");
+    for (rest, tasks, words) in [
+        (
+            "",
+            r#"{"tasks": [], "more": 5}"#.to_owned(),
+            "5 more tasks may run",
+        ),
+        (
+            ", running: {}",
+            r#"{"tasks": [], "more": 5}"#.to_owned(),
+            "5 more tasks may run",
+        ),
+        (
+            "",
+            format!(r#"{{"tasks": [{one}], "more": 200}}"#),
+            "200 more tasks may run",
+        ),
+    ] {
+        let server = telling(rest, Some(&tasks));
+        for command in [&["ps"][..], &["abort", "--all"]] {
+            let ended = run(&server, command);
+            assert_eq!(ended.code, Some(1), "{command:?} {tasks}: {ended:?}");
+            assert!(
+                ended.stderr.contains(words),
+                "{command:?} {tasks}: {ended:?}"
+            );
+            assert!(!ended.stdout.contains("No task is running"), "{ended:?}");
+        }
+    }
+    // The list reaches those that have ended, so the others have ended too.
+    let end = listed(9, "/t", 5, "there", "5");
+    let server = telling("", Some(&format!(r#"{{"tasks": [{end}], "more": 5}}"#)));
+    for command in [&["ps"][..], &["abort", "--all"]] {
+        let ended = run(&server, command);
+        assert_eq!(ended.code, Some(0), "{command:?}: {ended:?}");
+        assert_eq!(ended.stdout, "No task is running.\n", "{command:?}");
+    }
+}
+
+#[test]
+fn a_task_whose_end_its_server_could_not_learn_is_shown_and_aborted_as_one_that_may_run() {
+    let mut server = TaskServer::bind("tcp://127.0.0.1:*").expect("a port");
+    server.register(SCOPE, Loses);
+    let server = server.spawn().expect("a thread");
+    let mut remote = RemoteTask::connect(server.endpoint(), SCOPE).expect("an address");
+    let id = remote.trigger("h", "c", "g").expect("it is taken").id;
+    remote
+        .wait(&id, Some(PATIENCE))
+        .expect_err("no end is known");
+    let port = server
+        .endpoint()
+        .rsplit(':')
+        .next()
+        .expect("a port")
+        .to_owned();
+    let ztl = |words: &[&str]| Process::run(ztl().args(words).args(["-p", &port]));
+
+    let told = ztl(&["ps"]);
+    assert!(told.stdout.contains("may still run"), "{told:?}");
+    assert!(told.stdout.contains("h:c:g"), "{told:?}");
+    for words in [&["abort", "--all"][..], &["abort", id.as_str()]] {
+        let ended = ztl(words);
+        assert_eq!(ended.code, Some(1), "{words:?}: {ended:?}");
+        let start = format!("{id} h:c:g: it may still run: ");
+        assert!(ended.stdout.starts_with(&start), "{words:?}: {ended:?}");
+    }
+}
+
+#[test]
+fn the_answer_to_an_abort_is_not_told_as_the_result() {
+    for (abort, status, expected) in [
+        ("5;7;False", "5;7;there", (State::Completed, "there")),
+        ("4;7;True", "4;7;half way", (State::Aborted, "half way")),
+        ("3;7;False", "3;7;no link", (State::Failed, "no link")),
+        // Nobody says more about these.
+        ("5;7;False", "6;7;dancing", (State::Completed, "None")),
+        ("4;7;True", "5;55;there", (State::Aborted, "None")),
+        ("4;7;True", "5;7;there", (State::Aborted, "None")),
+        // It may still run.
+        ("4;7;True", "1;7;half way", (State::Accepted, "half way")),
+    ] {
+        let server = FakeServer::answering("1;7;moving", status, abort);
+        let told = connect(&server).abort(7).expect("its state");
+        assert_eq!(
+            (told.state, told.text.as_str()),
+            expected,
+            "{abort} {status}"
+        );
+    }
+    // Its time is over, and it ended just before the ABORT.
+    let server = FakeServer::start({
+        let mut aborted = false;
+        move |request| {
+            let answer = match request.split(';').nth(1) {
+                Some("1") => "1;7;moving",
+                Some("3") => {
+                    aborted = true;
+                    "5;7;False"
+                }
+                _ if aborted => "5;7;there",
+                _ => "1;7;None",
+            };
+            format!("{SCOPE};{answer}").into_bytes()
+        }
+    });
+    let port = server.port.to_string();
+    let mut client = our_client();
+    client.args(["--json", "-r", "127.0.0.1", "-p", &port, "-s", SCOPE]);
+    let ended = Process::run(client.args(["-t", "1", "arm:left:up"]));
+    let last = ended.stdout.lines().last().unwrap_or_default();
+    assert!(last.contains(r#""fate":"completed""#), "{ended:?}");
+    assert!(last.contains(r#""text":"there""#), "{ended:?}");
+}
+
+#[test]
+fn a_client_says_that_a_task_may_run_which_was_not_aborted() {
+    let server = FakeServer::answering("1;7;moving", "1;7;None", "1;7;False");
+    let port = server.port.to_string();
+    let mut client = our_client();
+    client.args(["-r", "127.0.0.1", "-p", &port, "-s", SCOPE]);
+    let ended = Process::run(client.args(["-t", "1", "arm:left:up"]));
+    let words = "Task with ID '7' may still run after unsuccessful abort signal. Reply is 'None'.";
+    assert_eq!(ended.stdout.lines().last(), Some(words), "{ended:?}");
+    assert!(!ended.stdout.contains("finished"), "{ended:?}");
+}

@@ -40,6 +40,7 @@ fn the_check_finds_what_the_start_would_fail_at() {
     std::fs::write(scratch.path("file"), "").expect("to write");
     std::os::unix::fs::symlink("loop", scratch.path("loop")).expect("a link");
     std::os::unix::fs::symlink("no/where", scratch.path("dangling")).expect("a link");
+    std::fs::write(scratch.path("precious"), "a: {b: 1}\n").expect("to write");
     let devices = "scope: /lab\ndevices: {head: sim:head}\n";
     for (text, code, said) in [
         // An address of nobody (RFC 5737), and an interface of nobody.
@@ -65,6 +66,21 @@ fn the_check_finds_what_the_start_would_fail_at() {
         ),
         ("port: 0\njournal: dangling\n", 1, "dangling: No such file"),
         (
+            "port: 0\njournal: dangling/\n",
+            1,
+            "the journal cannot lie at ",
+        ),
+        (
+            "port: 0\njournal: precious\n",
+            1,
+            "precious is not a journal, and was left as it is; name another file",
+        ),
+        (
+            "port: 0\njournal: ''\n",
+            2,
+            "the name of the journal is empty",
+        ),
+        (
             "port: 0\nkey: no.key_secret\n",
             2,
             "no.key_secret: No such file",
@@ -80,6 +96,8 @@ fn the_check_finds_what_the_start_would_fail_at() {
         }
         assert_eq!(checked.stdout, "");
     }
+    let precious = std::fs::read_to_string(scratch.path("precious"));
+    assert_eq!(precious.expect("the file"), "a: {b: 1}\n");
 }
 
 #[test]

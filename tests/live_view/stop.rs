@@ -1,5 +1,7 @@
 //! Stopping a scene, or everything, and staying in the show.
 
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use ztl_std::{ExecutableTask, TaskContext, TaskController, TaskError, TaskRequest, TaskServer};
@@ -7,13 +9,21 @@ use ztl_tests::lab::{PATIENCE, Process, SCOPE, Server, Terminal, until, ztl};
 
 use crate::stage::{Stage, start_scene};
 
-/// `sleep` lasts until it is aborted; anything else is done at once.
-struct Sleeper;
+/// `sleep` lasts until it is aborted, `stubborn` until it is released, too; anything else is done at
+/// once.
+struct Sleeper {
+    released: Arc<AtomicBool>,
+}
 
 impl TaskController for Sleeper {
     fn assign(&self, request: &TaskRequest) -> Result<Box<dyn ExecutableTask>, TaskError> {
-        let sleeps = request.component == "sleep";
+        let stubborn = request.component == "stubborn";
+        let sleeps = stubborn || request.component == "sleep";
+        let released = Arc::clone(&self.released);
         Ok(Box::new(move |task: &TaskContext| {
+            while stubborn && !released.load(Ordering::Relaxed) {
+                std::thread::sleep(Duration::from_millis(10));
+            }
             if sleeps {
                 task.sleep(Duration::from_secs(600))?;
             }
@@ -25,17 +35,23 @@ impl TaskController for Sleeper {
 /// A server with these, at a port of its own.
 struct Robot {
     port: u16,
+    released: Arc<AtomicBool>,
     _server: ztl_std::RunningServer,
 }
 
 impl Robot {
     fn start() -> Self {
         let mut server = TaskServer::bind("tcp://127.0.0.1:*").unwrap();
-        server.register(SCOPE, Sleeper);
+        let released = Arc::new(AtomicBool::new(false));
+        let sleeper = Sleeper {
+            released: Arc::clone(&released),
+        };
+        server.register(SCOPE, sleeper);
         let server = server.spawn().unwrap();
         let port = server.endpoint().rsplit(':').next().unwrap();
         Self {
             port: port.parse().unwrap(),
+            released,
             _server: server,
         }
     }
@@ -163,8 +179,36 @@ fn what_is_not_confirmed_is_said_and_stays_in_sight() {
     terminal.type_in("x");
     terminal.shows("tasks that others started on 'test' may still run");
     terminal.shows(" Next: one");
+    terminal.type_in("\x03");
+    assert_eq!(terminal.end().code(), Some(1));
+    let screen = terminal.shows("Over: stopping was not confirmed for 1 task; it may still run");
+    assert!(!screen.contains("everything was stopped"), "{screen}");
+    let record = stage.record();
+    assert_eq!(record.last().unwrap()["outcome"], "not_confirmed");
+}
+
+#[test]
+fn what_the_operator_was_asked_about_is_not_retried_by_itself() {
+    let robot = Robot::start();
+    let script = "one: {a (timeout=1; on_failure=retry 2): {test: {stubborn: 1}}}\n";
+    let stage = Stage::with(script, &[("test", robot.port)]);
+    let mut terminal = stage.play();
+    terminal.shows(" Next: one");
+    terminal.type_in("\r");
+    terminal.shows("WAITING: a task takes longer than its limit. Decide.");
+    robot.released.store(true, Ordering::Relaxed);
+    terminal.shows("WAITING: something did not go well. Decide.");
+    let screen = terminal.shows("t  retry what failed");
+    assert!(screen.contains("■ test:stubborn:1  aborted"), "{screen}");
+    terminal.type_in("g");
+    terminal.shows("The last scene is over.");
     terminal.type_in("q");
-    terminal.end();
+    assert_eq!(terminal.end().code(), Some(1));
+    let record = stage.record();
+    let starts = record
+        .iter()
+        .filter(|line| line["event"] == "task_starting");
+    assert_eq!(starts.count(), 1, "nobody wanted another");
 }
 
 #[test]

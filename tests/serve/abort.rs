@@ -21,7 +21,7 @@ fn a_program_that_heeds_the_signal_is_aborted_with_its_last_words() {
     let process = lab.process("pid");
     assert_eq!(
         told(remote.abort(id).expect("an answer")),
-        (Aborted, "True".to_owned())
+        (Aborted, "stopped at 3".to_owned())
     );
     assert!(!lives(process));
     assert_eq!(end(&mut remote, id), (Aborted, "stopped at 3".to_owned()));

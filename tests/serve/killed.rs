@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 
 use ztl_std::State::{Aborted, Completed};
 use ztl_std::{RequestError, TaskId, TriggerError};
-use ztl_tests::lab::{PATIENCE, Scratch, until, ztl};
+use ztl_tests::lab::{PATIENCE, Process, Scratch, python, reserve_port, until, ztl};
 
 use crate::rig::{Lab, dies, end, kill, lives, progress, signal, start, told, trigger};
 
@@ -195,7 +195,9 @@ fn a_watchdog_heeds_no_signal_that_it_can_ignore() {
     trigger(&mut lab.remote(), "go", "");
     let process = lab.process("pid");
     let first = watchdog(&lab);
-    for name in ["HUP", "INT", "TERM", "QUIT", "USR1", "USR2", "ALRM", "PIPE"] {
+    for name in [
+        "HUP", "INT", "TERM", "QUIT", "USR1", "USR2", "ALRM", "PIPE", "TSTP", "TTIN", "TTOU",
+    ] {
         signal(first, name);
     }
     // A signal takes effect before the watchdog confirms anything more.
@@ -203,6 +205,73 @@ fn a_watchdog_heeds_no_signal_that_it_can_ignore() {
     assert_eq!(watchdog(&lab), first);
     lab.server.process.kill();
     dies(process);
+}
+
+/// The first process of a terminal, as in a container: it adopts orphans, and the terminal stops background
+/// programs that write to it. Starts a server and a task there, kills the server, and waits for the program.
+const CONTAINER: &str = r"
+import ctypes, os, pty, subprocess, sys, termios, time
+ztl, file, port, pid_file = sys.argv[1:]
+child, terminal = pty.fork()
+if child:
+    while True:
+        try:
+            sys.stdout.buffer.write(os.read(terminal, 4096))
+        except OSError:
+            sys.exit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
+ctypes.CDLL(None).prctl(36, 1, 0, 0, 0)  # PR_SET_CHILD_SUBREAPER
+modes = termios.tcgetattr(0)
+modes[3] |= termios.TOSTOP
+termios.tcsetattr(0, termios.TCSANOW, modes)
+server = subprocess.Popen([ztl, 'serve', file])
+client = [ztl, 'task-client', '-p', port, '-s', '/robot', 'p:go:']
+clients = []
+limit = time.monotonic() + 30
+while not os.path.exists(pid_file) and time.monotonic() < limit:
+    clients.append(subprocess.Popen(client, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL))
+    time.sleep(1)
+program = int(open(pid_file).read())
+server.kill()
+gone = 1
+while gone and time.monotonic() < limit:
+    time.sleep(0.05)
+    try:
+        os.waitpid(-1, os.WNOHANG)
+    except ChildProcessError:
+        pass
+    try:
+        os.kill(program, 0)
+    except ProcessLookupError:
+        gone = 0
+if gone:
+    os.kill(program, 9)
+for client in clients:
+    client.kill()
+os._exit(gone)
+";
+
+#[test]
+fn a_terminal_that_stops_background_programs_does_not_stop_a_watchdog() {
+    let scratch = Scratch::new();
+    let (file, pid) = (scratch.path("robot.yaml"), scratch.path("pid"));
+    let port = reserve_port();
+    let command = format!(
+        "echo $$ > {0}.new; mv {0}.new {0}; exec sleep 300",
+        pid.display()
+    );
+    let text = format!(
+        "port: {port}\nscopes:\n  /robot:\n    p:\n      go: {{run: [sh, -c, '{command}'], abort: {{grace: 500 ms}}}}\n"
+    );
+    std::fs::write(&file, text).expect("to write");
+    let mut container = Command::new(python());
+    container
+        .args(["-c", CONTAINER])
+        .arg(ztl().get_program())
+        .arg(&file)
+        .arg(port.to_string())
+        .arg(&pid);
+    let ended = Process::start(&mut container).end(PATIENCE * 2);
+    assert_eq!(ended.code, Some(0), "{} {}", ended.stdout, ended.stderr);
 }
 
 #[test]

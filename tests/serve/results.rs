@@ -4,7 +4,7 @@ use std::process::Command;
 use std::time::Instant;
 
 use ztl_std::State::{Aborted, Completed, Failed};
-use ztl_tests::lab::{COMPLETED, FAILED, built};
+use ztl_tests::lab::{COMPLETED, FAILED, Process, SCOPE, Scratch, built, ztl};
 
 use crate::rig::{Lab, SOON, end, trigger};
 
@@ -58,6 +58,29 @@ fn a_goal_that_would_be_an_option_or_cannot_be_an_argument_is_refused() {
     );
     let refused = lab.refusal("say", "-n");
     assert!(refused.starts_with("'-n' begins with '-'"), "{refused}");
+    // A check of a script is told the same, and starts nothing.
+    let scratch = Scratch::new();
+    let (script, remotes) = (scratch.path("show.yaml"), scratch.path("remotes.yaml"));
+    std::fs::write(&script, "s: {a: {p: {say: -n, bold: -n}}}\n").expect("to write");
+    let port = lab.server.port;
+    let entry = format!("remotes: {{p: {{host: localhost, port: {port}, scope: {SCOPE}}}}}\n");
+    std::fs::write(&remotes, entry).expect("to write");
+    let mut check = ztl();
+    check
+        .arg("check")
+        .arg(&script)
+        .arg("-c")
+        .arg(&remotes)
+        .arg("--live");
+    let ended = Process::run(&mut check);
+    assert_eq!(ended.code, Some(1), "{ended:?}");
+    assert!(
+        ended
+            .stdout
+            .contains("1:13: server 'p': '-n' begins with '-'"),
+        "{ended:?}"
+    );
+    assert!(ended.stdout.contains("1 mistake"), "{ended:?}");
     assert!(refused.contains("dashes: allowed"), "{refused}");
     assert_eq!(lab.run("bold", "-n"), (Completed, "-n".to_owned()));
     assert_eq!(lab.run("say", "a-b"), (Completed, "a-b".to_owned()));

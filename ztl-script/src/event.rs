@@ -649,8 +649,10 @@ pub enum Outcome {
     Completed,
     /// It came to its end, and something failed or stayed unknown.
     Failures,
-    /// It was stopped, and what it had started was told to stop.
+    /// It was stopped, and the end of every task that it had started is known.
     Stopped,
+    /// It was stopped, and at least one task may still run.
+    NotConfirmed,
     /// It was left without stopping what it had started.
     Left,
     /// An error ended it.

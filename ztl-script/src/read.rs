@@ -6,6 +6,7 @@ mod values;
 
 pub use values::read_value;
 
+use std::collections::HashMap;
 use std::time::Duration;
 
 use super::finding::Finding;
@@ -43,6 +44,8 @@ pub(super) fn scenes(document: &Document, defaults: Defaults) -> (Vec<Scene>, Ve
         reader.look_through(&mut entry, |reader, lost| drop(reader.scene(lost)));
         scenes.push(reader.scene(entry));
     }
+    let names = scenes.iter().map(|scene| (scene.name.trim(), scene.span));
+    reader.namesakes("scene", "--scene", names);
     let mut findings = reader.findings;
     findings.sort_by_key(|finding| finding.diagnostic().span.map(|span| span.start));
     (scenes, findings)
@@ -150,6 +153,27 @@ impl<'d> Reader<'d> {
         }
     }
 
+    /// Scenes or steps of one name whose parameters differ: Python plays each of them.
+    fn namesakes<'n>(
+        &mut self,
+        what: &str,
+        option: &str,
+        names: impl Iterator<Item = (&'n str, Span)>,
+    ) {
+        let mut lines: HashMap<&str, usize> = HashMap::new();
+        for (name, span) in names {
+            let Some(line) = lines.insert(name, span.start.line) else {
+                continue;
+            };
+            let name = short_quoted(name);
+            let message = format!(
+                "the {what} in line {line} is named {name}, too: both are played, and {option} {name} is ambiguous"
+            );
+            let help = "give them different names".to_owned();
+            self.doubt(span, message, Some(help));
+        }
+    }
+
     fn scene(&mut self, entry: Entry<'d>) -> Scene {
         let key = entry.key.to_string();
         let parsed = self.key(&key, entry.name);
@@ -185,6 +209,8 @@ impl<'d> Reader<'d> {
             self.look_through(&mut entry, |reader, lost| drop(reader.step(lost)));
             scene.steps.push(self.step(entry));
         }
+        let names = scene.steps.iter().map(|step| (step.name.trim(), step.span));
+        self.namesakes("step", "--from", names);
         scene
     }
 

@@ -11,7 +11,7 @@ use super::ask::serves;
 use super::event::{By, Command, Event, Question, RequestNumber, Stamped};
 use super::player::{Answer, Ask, Player, Request, Server};
 use ztl_std::time::now;
-use ztl_std::{ListedTask, Listing, RemoteTask, RequestError, Status, TriggerError};
+use ztl_std::{RemoteTask, RequestError, ServerTask, Status, TriggerError};
 
 /// Plays a script on real servers: give it [`begin`](Self::begin), then take what happens from
 /// [`next`](Self::next) until the run has ended.
@@ -286,30 +286,24 @@ fn probe(remote: &mut RemoteTask) -> Answer {
     }
 }
 
-/// The tasks that run in the scope, whoever has started them.
+/// The tasks that run or may run in the scope, whoever has started them.
 fn tasks(remote: &mut RemoteTask) -> Answer {
-    let said = remote
-        .server_info(true)
-        .and_then(|info| Ok(info.zip(remote.ask_server("tasks")?)));
-    let said = match said {
-        Ok(said) => said,
+    let known = match remote.tasks() {
+        Ok(Some(known)) => known,
+        Ok(None) => {
+            return Answer::Tasks {
+                listed: None,
+                gaps: Vec::new(),
+            };
+        }
         Err(error) => return nothing(&error),
     };
-    let listing = said.and_then(|(info, json)| {
-        let listing: Listing = serde_json::from_str(&json).ok()?;
-        Some((info.boot, listing))
-    });
-    let Some((boot, listing)) = listing else {
-        return Answer::Tasks {
-            listed: None,
-            unread: 0,
-        };
-    };
-    let here = |task: &ListedTask| task.ended_ms.is_none() && task.scope == remote.scope();
-    let here = listing.tasks.into_iter().filter(here);
+    let here = |task: &&ServerTask| task.may_run && task.scope == remote.scope();
+    let here = known.tasks.iter().filter(here);
+    let here = here.map(|task| (task.id.clone(), task.task().to_owned()));
     Answer::Tasks {
-        listed: Some((boot, here.map(|task| (task.id, task.task)).collect())),
-        unread: listing.unread,
+        listed: known.boot.map(|boot| (boot, here.collect())),
+        gaps: known.gaps,
     }
 }
 

@@ -101,3 +101,18 @@ fn parentheses_that_are_none_are_doubtful() {
     );
     assert!(doubts[1].contains("within { } write ';'"), "{doubts:?}");
 }
+
+#[test]
+fn scenes_or_steps_of_one_name_whose_parameters_differ_are_doubtful() {
+    let file = b"a(delay=1): {s: {h: {c: 1}}}\na:\n  s(wait=no): {h: {c: 1}}\n  t: {h: {c(delay=1): 1, c: 2}}\n  's ': {h: {c: 1}}\n";
+    let script = Script::read("f", file, Defaults::default()).expect("it is played");
+    assert_eq!((script.scenes.len(), script.scenes[1].steps.len()), (2, 3));
+    let doubts: Vec<String> = script.doubts().iter().map(ToString::to_string).collect();
+    assert_eq!(doubts.len(), 2, "{doubts:?}");
+    for (doubt, start) in doubts.iter().zip([
+        "f:2:1: the scene in line 1 is named 'a', too: both are played",
+        "f:5:3: the step in line 3 is named 's', too: both are played",
+    ]) {
+        assert!(doubt.starts_with(start), "{doubt}");
+    }
+}

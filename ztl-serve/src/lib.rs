@@ -55,6 +55,7 @@ use link::Link;
 use program::Program;
 use rule::{Rule, shown};
 use supervisor::{Message, Supervisor};
+use template::Call;
 pub use watchdog::watchdog;
 
 use ztl_std::server::{Answers, TaskHandler, TaskReporter, offered, would_take};
@@ -125,6 +126,7 @@ pub struct Programs {
     /// Places of entries, by handler and component.
     places: Arc<Places>,
     entries: Arc<[Arc<Entry>]>,
+    scope: Arc<str>,
     link: Link<Message>,
     thread: Option<JoinHandle<()>>,
     /// How long stopping may take.
@@ -153,6 +155,7 @@ impl Programs {
         Ok(Self {
             places: Arc::new(places),
             entries: entries.into(),
+            scope: scope.name().into(),
             link,
             thread: Some(thread),
             stopping: longest + run::GOING + supervisor::LEAVING,
@@ -214,12 +217,25 @@ impl TaskHandler for Programs {
 
     fn answers(&self) -> Answers {
         let (places, entries) = (Arc::clone(&self.places), Arc::clone(&self.entries));
+        let scope = Arc::clone(&self.scope);
         would_take(move |spec| {
             let place = find(&places, spec)?;
             let Some(entry) = entries.get(place) else {
                 return Ok(());
             };
-            entry.rule.check(spec.goal, entry.wants_fields).map(|_| ())
+            let goal = entry.rule.check(spec.goal, entry.wants_fields)?;
+            let Work::Program(program) = &entry.work else {
+                return Ok(());
+            };
+            // Any id: none makes a goal unfit.
+            let call = Call {
+                id: ztl_core::TaskId::FIRST,
+                scope: scope.to_string(),
+                handler: spec.handler.to_owned(),
+                component: spec.component.to_owned(),
+                goal,
+            };
+            program.run.launch(&call).map(drop)
         })
     }
 

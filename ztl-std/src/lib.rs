@@ -69,7 +69,7 @@ pub use controller::{
 };
 pub use remote::{
     Description, Fate, InBackground, Offers, RemoteId, RemoteTask, RequestError, ServerInfo,
-    Status, TaskGuard, TriggerError, Triggered, WaitError, encoded,
+    ServerTask, ServerTasks, Status, TaskGuard, TriggerError, Triggered, WaitError, encoded,
 };
 #[cfg(feature = "config")]
 pub use remotes::Remotes;

@@ -6,11 +6,13 @@ mod error;
 mod exchange;
 mod guard;
 mod id;
+mod tasks;
 
 use std::time::{Duration, Instant};
 
 use tracing::info;
 use ztl_core::client::{Client, Server};
+use ztl_core::dispatcher::NOTHING_KNOWN;
 use ztl_core::envelope::{ClientId, Envelope};
 use ztl_core::sink::Sink;
 use ztl_core::{Request, State, TaskSpec};
@@ -25,6 +27,7 @@ pub use error::{RequestError, TriggerError, WaitError};
 use exchange::{Said, Unanswered, Wanted};
 pub use guard::TaskGuard;
 pub use id::RemoteId;
+pub use tasks::{ServerTask, ServerTasks};
 
 /// Default longest time for a server to answer, as the original's.
 const TIMEOUT: Duration = Duration::from_secs(2);
@@ -327,18 +330,40 @@ impl RemoteTask {
     /// Asks to stop a task, and says where it is then: ABORTED, or a state that it had already
     /// reached, or ACCEPTED while it is not yet (or cannot be) stopped.
     ///
+    /// The answer to an ABORT does not tell the result of a task that has ended, so a STATUS asks for it. If
+    /// its answer does not tell it, the text is `None`; if it says that the task runs, that counts.
+    ///
     /// # Errors
     /// As [`status`](Self::status).
     pub fn abort(&mut self, id: impl Into<RemoteId>) -> Result<Status, RequestError> {
         let id = id.into();
-        match self.about(Request::Abort, &id, "abort command")? {
-            // It had failed before. Only a STATUS tells why, and whether it may still run all the same.
-            Status {
-                state: State::Failed,
-                text,
-            } if text == "False" => self.status(id),
-            status => Ok(status),
+        let answer = self.send_abort(&id)?;
+        if !answer.state.is_final() {
+            return Ok(answer);
         }
+        match self.status(id) {
+            // Only a STATUS tells whether a failed task may still run.
+            Err(error)
+                if answer.state == State::Failed
+                    || matches!(error, RequestError::UnknownEnd { .. }) =>
+            {
+                Err(error)
+            }
+            Ok(told) if told.state == answer.state || !told.state.is_final() => Ok(told),
+            _ => Ok(Status {
+                state: answer.state,
+                text: NOTHING_KNOWN.to_owned(),
+            }),
+        }
+    }
+
+    /// Sends an ABORT, as [`abort`](Self::abort), and returns the answer as it came. Its text says whether the
+    /// ABORT stopped the task (`True` or `False`), and not what the result is.
+    ///
+    /// # Errors
+    /// As [`status`](Self::status).
+    pub fn send_abort(&mut self, id: impl Into<RemoteId>) -> Result<Status, RequestError> {
+        self.about(Request::Abort, &id.into(), "abort command")
     }
 
     /// Asks the server about itself, as `tasks` or `devices`: the answer in JSON, or `None` where it

@@ -2,10 +2,10 @@
 
 use std::collections::HashSet;
 
-use ztl_std::{ListedTask, RemoteId, RequestError, State, Status};
+use ztl_std::{RemoteId, RequestError, ServerTask, ServerTasks, Status};
 
 use crate::Done;
-use crate::ask::{Asking, Server, all_read, code};
+use crate::ask::{Asking, Server, all_named, code};
 use crate::terminal::{error_line, flat, line};
 
 #[derive(Debug, clap::Args)]
@@ -34,16 +34,16 @@ pub(crate) struct Abort {
 struct Wanted {
     scope: String,
     id: RemoteId,
-    /// What it is, as far as it is known.
+    /// `handler:component:goal`, if it is known.
     task: String,
 }
 
 impl Wanted {
-    fn of(task: &ListedTask) -> Self {
+    fn of(task: &ServerTask) -> Self {
         Self {
             scope: task.scope.clone(),
             id: task.id.clone(),
-            task: task.task.clone(),
+            task: task.task().to_owned(),
         }
     }
 }
@@ -64,34 +64,33 @@ impl Abort {
     }
 }
 
-/// Stops every task that runs; says whether all have ended.
+/// Stops every task that runs or may run; says whether all have ended.
 fn abort_all(server: &Server, scope: Option<&str>) -> Result<bool, Box<dyn std::error::Error>> {
     let mut tried = HashSet::new();
     let mut all_ended = true;
     loop {
-        let listing = server.tasks()?;
-        let runs = |task: &&ListedTask| {
-            task.ended_ms.is_none() && scope.is_none_or(|scope| scope == task.scope)
-        };
-        let running = listing.tasks.iter().filter(runs).map(Wanted::of);
-        let new: Vec<Wanted> = running
-            .filter(|task| tried.insert(task.id.clone()))
-            .collect();
-        for task in &new {
-            all_ended &= abort(server, task)?;
+        let known = server.tasks()?;
+        let here =
+            |task: &&ServerTask| task.may_run && scope.is_none_or(|scope| scope == task.scope);
+        let mut found_new = false;
+        for task in known.tasks.iter().filter(here) {
+            if tried.insert((task.scope.clone(), task.id.clone())) {
+                found_new = true;
+                all_ended &= abort(server, &Wanted::of(task));
+            }
         }
-        if tried.is_empty() && listing.unread == 0 {
+        // Once these have ended, the list may reach others.
+        if found_new && !known.gaps.is_empty() {
+            continue;
+        }
+        let all_named = all_named(&known);
+        if tried.is_empty() && all_named {
             if let Some(scope) = scope {
                 server.demand_scope(scope)?;
             }
             line("No task is running.");
         }
-        // The running ones come first; a server with very many tells only some of them.
-        let told_all =
-            listing.more == 0 || listing.tasks.iter().any(|task| task.ended_ms.is_some());
-        if told_all || new.is_empty() {
-            return Ok(all_read(listing.unread) && all_ended && told_all);
-        }
+        return Ok(all_named && all_ended);
     }
 }
 
@@ -101,42 +100,54 @@ fn abort_these(
     ids: &[RemoteId],
     scope: Option<String>,
 ) -> Result<bool, Box<dyn std::error::Error>> {
-    let in_scope = |scope: &str| -> Vec<Option<Wanted>> {
-        let named = |id: &RemoteId| Wanted {
-            scope: scope.to_owned(),
+    let known = match scope {
+        Some(_) => None,
+        None => server.tasks_if_any()?,
+    };
+    let scope = match (scope, &known) {
+        (Some(scope), _) => Some(scope),
+        (None, Some(known)) if known.gaps.is_empty() => None,
+        (None, Some(_)) => server.place.scope(None).ok().flatten(),
+        (None, None) => server.place.scope(None)?,
+    };
+    if known.is_none() && scope.is_none() {
+        return Err(format!("{}; give --scope", server.original()).into());
+    }
+    let mut all_ended = known.as_ref().is_none_or(|known| {
+        let found = |id: &RemoteId| known.tasks.iter().any(|task| task.id == *id);
+        ids.iter().all(found) || all_named(known)
+    });
+    // One that is not known keeps nobody from stopping the others.
+    for id in ids {
+        let wanted = find(known.as_ref(), id);
+        let in_scope = scope.as_ref().map(|scope| Wanted {
+            scope: scope.clone(),
             id: id.clone(),
             task: String::new(),
+        });
+        let wanted = if wanted.is_empty() {
+            Vec::from_iter(in_scope)
+        } else {
+            wanted
         };
-        ids.iter().map(|id| Some(named(id))).collect()
-    };
-    let wanted = match scope {
-        Some(scope) => in_scope(&scope),
-        None => match server.tasks_if_any()? {
-            Some(listing) => {
-                let find = |id: &RemoteId| {
-                    let mut tasks = listing.tasks.iter();
-                    tasks.find(|task| task.id == *id).map(Wanted::of)
-                };
-                ids.iter().map(find).collect()
-            }
-            None => match server.place.scope(None)? {
-                Some(scope) => in_scope(&scope),
-                None => return Err(format!("{}; give --scope", server.original()).into()),
-            },
-        },
-    };
-    let mut all_ended = true;
-    // One that is not known keeps nobody from stopping the others.
-    for (id, wanted) in ids.iter().zip(&wanted) {
-        all_ended &= match wanted {
-            Some(wanted) => abort(server, wanted)?,
-            None => {
-                unknown(server, id);
-                false
-            }
-        };
+        if wanted.is_empty() {
+            unknown(server, id);
+            all_ended = false;
+        }
+        for wanted in &wanted {
+            all_ended &= abort(server, wanted);
+        }
     }
     Ok(all_ended)
+}
+
+/// The tasks with this id that may run, in each scope that has one; else one that has ended.
+fn find(known: Option<&ServerTasks>, id: &RemoteId) -> Vec<Wanted> {
+    let tasks = known.into_iter().flat_map(|known| &known.tasks);
+    let all: Vec<&ServerTask> = tasks.filter(|task| task.id == *id).collect();
+    let running = all.iter().filter(|task| task.may_run).count();
+    let all = all.into_iter().take(running.max(1));
+    all.map(Wanted::of).collect()
 }
 
 fn unknown(server: &Server, id: &RemoteId) {
@@ -147,14 +158,18 @@ fn unknown(server: &Server, id: &RemoteId) {
 }
 
 /// Stops a task, and says what became of it; whether it has certainly ended.
-fn abort(server: &Server, wanted: &Wanted) -> Result<bool, Box<dyn std::error::Error>> {
+fn abort(server: &Server, wanted: &Wanted) -> bool {
     let Wanted { scope, id, task } = wanted;
-    let mut remote = server.connect(scope)?;
-    let answer = match remote.abort(id) {
-        // The answer to an ABORT does not tell the result.
-        Ok(aborted) if aborted.state == State::Aborted => remote.status(id).or(Ok(aborted)),
-        answer => answer,
+    let mut remote = match server.connect(scope) {
+        Ok(remote) => remote,
+        Err(error) => {
+            error_line(format_args!(
+                "ztl: cannot abort task {id}: {error}; it may still run"
+            ));
+            return false;
+        }
     };
+    let answer = remote.abort(id);
     let name = format!("{id} {task}");
     let name = flat(name.trim_end());
     let (ended, said) = match About::of(&answer) {
@@ -164,13 +179,13 @@ fn abort(server: &Server, wanted: &Wanted) -> Result<bool, Box<dyn std::error::E
         About::Task(Status { text, .. }) => (false, format!("not stopped yet: {}", flat(text))),
         About::NoTask => {
             unknown(server, id);
-            return Ok(false);
+            return false;
         }
         About::NoScope => (false, format!("the server has no scope '{}'", flat(scope))),
         About::Nothing(why) => (false, format!("it may still run: {}", flat(&why))),
     };
     line(format_args!("{name}: {said}"));
-    Ok(ended)
+    ended
 }
 
 /// What an answer to an ABORT is about.

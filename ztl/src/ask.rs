@@ -5,7 +5,7 @@ use std::process::ExitCode;
 
 use serde::de::DeserializeOwned;
 use ztl_std::terminal::quoted;
-use ztl_std::{Description, ListedTask, Listing, RemoteId, RemoteTask, State};
+use ztl_std::{Description, RemoteTask, ServerTasks};
 
 use crate::Misuse;
 use crate::address::{Address, Place};
@@ -84,55 +84,13 @@ impl Server {
         Ok(self.connect("$ztl")?.ask_server(question)?)
     }
 
-    /// The tasks that the server remembers; `None` where it does not tell them.
-    pub(crate) fn tasks_if_told(
-        &self,
-    ) -> Result<Option<(String, Listing)>, Box<dyn std::error::Error>> {
-        let Some(json) = self.ask("tasks")? else {
-            return Ok(None);
-        };
-        let listing = read(&json)?;
-        Ok(Some((json, listing)))
-    }
-
-    /// The tasks that the server remembers; of a device that speaks ZeroMQ itself ids and scopes of those
-    /// that run. `None`: it is an original server.
-    pub(crate) fn tasks_if_any(&self) -> Result<Option<Listing>, Box<dyn std::error::Error>> {
-        if let Some((_, listing)) = self.tasks_if_told()? {
-            return Ok(Some(listing));
-        }
-        let task = |(id, scope)| ListedTask {
-            id,
-            scope,
-            task: String::new(),
-            state: State::Accepted as u8,
-            text: String::new(),
-            age_ms: 0,
-            ended_ms: None,
-        };
-        let Some(told) = self.connect("$ztl")?.describe()? else {
-            return Ok(None);
-        };
-        let unread = told.unread;
-        Ok(Some(Listing {
-            tasks: self.running(told)?.into_iter().map(task).collect(),
-            more: 0,
-            unread,
-        }))
-    }
-
-    /// What a server says of the tasks that run.
-    ///
-    /// # Errors
-    /// It does not tell them.
-    pub(crate) fn running(&self, told: Description) -> Result<Vec<(RemoteId, String)>, String> {
-        let endpoint = self.endpoint();
-        let untold = || format!("the server at {endpoint} does not tell which tasks run");
-        told.running.ok_or_else(untold)
+    /// The tasks that the server names; `None`: it is an original server.
+    pub(crate) fn tasks_if_any(&self) -> Result<Option<ServerTasks>, Box<dyn std::error::Error>> {
+        Ok(self.connect("$ztl")?.tasks()?)
     }
 
     /// The same; an original server is an error.
-    pub(crate) fn tasks(&self) -> Result<Listing, Box<dyn std::error::Error>> {
+    pub(crate) fn tasks(&self) -> Result<ServerTasks, Box<dyn std::error::Error>> {
         Ok(self.tasks_if_any()?.ok_or_else(|| self.original())?)
     }
 }
@@ -147,14 +105,12 @@ pub(crate) fn read<T: DeserializeOwned>(json: &str) -> Result<T, String> {
     })
 }
 
-/// Says that tasks of a listing cannot be read, if so; whether all can.
-pub(crate) fn all_read(unread: usize) -> bool {
-    if unread > 0 {
-        error_line(format_args!(
-            "ztl: {unread} of the tasks that the server lists cannot be read; they may run"
-        ));
+/// Says why tasks may run that the server does not name, if so; whether it names all that run.
+pub(crate) fn all_named(tasks: &ServerTasks) -> bool {
+    for gap in &tasks.gaps {
+        error_line(format_args!("ztl: {gap}"));
     }
-    unread == 0
+    tasks.gaps.is_empty()
 }
 
 /// The exit code of a command that did all that it was asked to, or did not.

@@ -353,9 +353,16 @@ impl Conversation<'_> {
         tell(News::Aborting { id, interrupted });
         let (reply, answered) = match insist(remote, id) {
             Ok(status) if status.state.is_final() => {
-                let words = self.last_words(remote, id, status.state);
-                let (status, words) = (&status, words.as_str());
-                return over(tell, Over::Stopped { id, status, words });
+                match self.last_words(remote, id, status.state) {
+                    Ok(words) => {
+                        let (status, words) = (&status, words.as_str());
+                        return over(tell, Over::Stopped { id, status, words });
+                    }
+                    Err(error) => {
+                        let reason = &error.to_string();
+                        return over(tell, Over::StopUnclear { id, reason });
+                    }
+                }
             }
             Ok(status) => (status.text, true),
             Err(error) if error.was_answered() => {
@@ -396,13 +403,24 @@ impl Conversation<'_> {
 
     /// What a task said that was aborted, if a program is to hear it. People see what the original's
     /// tools say, which do not ask.
-    fn last_words(&self, remote: &mut RemoteTask, id: &RemoteId, state: State) -> String {
-        if !self.telling.json || state != State::Aborted {
-            return String::new();
+    ///
+    /// # Errors
+    /// A failed task's server could not learn its end, or does not answer: the task may still run.
+    fn last_words(
+        &self,
+        remote: &mut RemoteTask,
+        id: &RemoteId,
+        state: State,
+    ) -> Result<String, RequestError> {
+        let failed = state == State::Failed;
+        if !self.telling.json && !failed {
+            return Ok(String::new());
         }
-        let told = remote.status(id).ok();
-        let told = told.filter(|last| last.state == state && last.text != NOTHING_KNOWN);
-        told.map(|last| last.text).unwrap_or_default()
+        match remote.status(id) {
+            Err(error) if failed || matches!(error, RequestError::UnknownEnd { .. }) => Err(error),
+            Ok(last) if last.state == state && last.text != NOTHING_KNOWN => Ok(last.text),
+            _ => Ok(String::new()),
+        }
     }
 }
 
@@ -410,7 +428,7 @@ impl Conversation<'_> {
 fn insist(remote: &mut RemoteTask, id: &RemoteId) -> Result<Status, RequestError> {
     let start = Instant::now();
     loop {
-        match remote.abort(id) {
+        match remote.send_abort(id) {
             Err(error)
                 if !error.was_answered()
                     && start.elapsed() < AFTER_ABORT

@@ -15,7 +15,7 @@ use ztl_std::gateway::LogPiece;
 use ztl_std::gateway::{ComponentReport, DeviceReport, DeviceReports};
 
 use crate::Done;
-use crate::ask::{Asking, Server, all_read, code, read, spoken};
+use crate::ask::{Asking, Server, all_named, code, read, spoken};
 use crate::ps::state;
 #[cfg(feature = "defmt")]
 use crate::signals;
@@ -66,8 +66,10 @@ impl Devices {
             return Ok(ExitCode::SUCCESS);
         }
         let scopes: BTreeMap<String, DeviceReports> = read(&json)?;
-        let listing = server.tasks()?;
-        let all_read = all_read(listing.unread);
+        let known = server.tasks()?;
+        let all_named = all_named(&known);
+        let running = known.tasks.iter().filter(|task| task.may_run);
+        let running: Vec<_> = running.filter_map(|task| task.listed.as_ref()).collect();
         let mut found = false;
         let mut names = Vec::new();
         for (scope, devices) in &scopes {
@@ -78,19 +80,16 @@ impl Devices {
                 }
                 found = true;
                 let prefix = format!("{name}:");
-                let own = |task: &&ListedTask| {
-                    task.ended_ms.is_none()
-                        && task.scope == *scope
-                        && task.task.starts_with(&prefix)
-                };
-                show(scope, name, device, listing.tasks.iter().filter(own));
+                let own =
+                    |task: &&ListedTask| task.scope == *scope && task.task.starts_with(&prefix);
+                show(scope, name, device, running.iter().copied().filter(own));
             }
         }
         match self.name {
             Some(name) if !found => {
                 Err(format!("no device '{name}'; there are: {}", names.join(", ")).into())
             }
-            _ => Ok(code(all_read)),
+            _ => Ok(code(all_named)),
         }
     }
 }

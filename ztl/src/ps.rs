@@ -1,12 +1,10 @@
 //! `ztl ps`: the tasks of a server.
 
-use std::process::ExitCode;
-
 use serde_json::json;
-use ztl_std::{ListedTask, RemoteId, State};
+use ztl_std::{ListedTask, ServerTask, State};
 
 use crate::Done;
-use crate::ask::{Asking, all_read, code, spoken, table};
+use crate::ask::{Asking, all_named, code, spoken, table};
 use crate::terminal::{flat, line};
 
 #[derive(Debug, clap::Args)]
@@ -25,71 +23,65 @@ pub(crate) struct Ps {
 
 impl Ps {
     pub(crate) fn run(self) -> Done {
-        let server = self.server.server()?;
-        let Some((json, listing)) = server.tasks_if_told()? else {
-            let told = server.describe()?;
-            let unread = told.unread;
-            show_running(&server.running(told)?, unread, self.json);
-            return Ok(code(all_read(unread)));
-        };
-        if self.json {
-            line(json);
-            return Ok(ExitCode::SUCCESS);
+        let known = self.server.server()?.tasks()?;
+        let all_named = all_named(&known);
+        if known.tasks.is_empty() && !all_named {
+            return Ok(code(false));
         }
-        let shown = |task: &&ListedTask| self.all || task.ended_ms.is_none();
-        let rows: Vec<Vec<String>> = listing.tasks.iter().filter(shown).map(row).collect();
-        let all_read = all_read(listing.unread);
-        if rows.is_empty() {
-            if all_read {
+        if self.json {
+            let tasks: Result<Vec<_>, _> = known.tasks.iter().map(as_json).collect();
+            line(json!({ "tasks": tasks?, "more": known.more }));
+            return Ok(code(all_named));
+        }
+        let shown = |task: &&ServerTask| self.all || task.may_run;
+        let shown: Vec<&ServerTask> = known.tasks.iter().filter(shown).collect();
+        if shown.is_empty() {
+            if all_named {
                 line("No task is running.");
             }
-            return Ok(code(all_read));
+            return Ok(code(all_named));
         }
-        let shown_all = rows.len() == listing.tasks.len();
+        // A device tells only ids and scopes.
+        let is_listed = shown.iter().any(|task| task.listed.is_some());
+        let columns = if is_listed { 6 } else { 2 };
         let head = ["ID", "SCOPE", "TASK", "STATE", "SINCE", "TEXT"].map(str::to_owned);
-        let mut all = vec![head.to_vec()];
-        all.extend(rows);
+        let mut all = vec![head.into_iter().take(columns).collect()];
+        all.extend(shown.iter().map(|task| row(task)));
         for text in table(&all) {
             line(text);
         }
-        if listing.more > 0 && (self.all || shown_all) {
-            line(format_args!("{} more are remembered.", listing.more));
+        if known.more > 0 && (self.all || shown.len() == known.tasks.len()) {
+            line(format_args!("{} more are remembered.", known.more));
         }
-        Ok(code(all_read))
+        Ok(code(all_named))
     }
 }
 
-/// All that a device tells that speaks ZeroMQ itself.
-fn show_running(running: &[(RemoteId, String)], unread: usize, as_json: bool) {
-    if as_json {
-        let tasks = running
-            .iter()
-            .map(|(id, scope)| json!({ "id": id, "scope": scope }));
-        line(json!({ "tasks": tasks.collect::<Vec<_>>(), "more": 0 }));
-    } else if running.is_empty() && unread == 0 {
-        line("No task is running.");
-    } else if !running.is_empty() {
-        let head = ["ID", "SCOPE"].map(str::to_owned).to_vec();
-        let row = |(id, scope): &(RemoteId, String)| vec![id.to_string(), flat(scope).into_owned()];
-        let rows: Vec<_> = std::iter::once(head)
-            .chain(running.iter().map(row))
-            .collect();
-        table(&rows).iter().for_each(line);
+fn as_json(task: &ServerTask) -> serde_json::Result<serde_json::Value> {
+    match &task.listed {
+        Some(listed) => serde_json::to_value(listed),
+        None => Ok(json!({ "id": task.id, "scope": task.scope })),
     }
 }
 
+/// The state's name, unless the server could not learn how the task ended.
 pub(crate) fn state(task: &ListedTask) -> String {
+    if task.end_is_unknown() {
+        return "may still run".to_owned();
+    }
     let known = State::from_code(i64::from(task.state));
     known.map_or_else(|| task.state.to_string(), |state| state.name().to_owned())
 }
 
-fn row(task: &ListedTask) -> Vec<String> {
-    vec![
-        task.id.to_string(),
-        flat(&task.scope).into_owned(),
-        flat(&task.task).into_owned(),
-        state(task),
-        spoken(task.ended_ms.unwrap_or(task.age_ms)),
-        flat(&task.text).into_owned(),
-    ]
+fn row(task: &ServerTask) -> Vec<String> {
+    let mut cells = vec![task.id.to_string(), flat(&task.scope).into_owned()];
+    if let Some(listed) = &task.listed {
+        cells.extend([
+            flat(&listed.task).into_owned(),
+            state(listed),
+            spoken(listed.ended_ms.unwrap_or(listed.age_ms)),
+            flat(&listed.text).into_owned(),
+        ]);
+    }
+    cells
 }

@@ -117,7 +117,7 @@ impl<'a> Answer<'a> {
             (None, state) => Self::UndefinedState { state, text },
             (Some(state), _) if is_about_the_request(state, text) => Self::NotTold { state, text },
             _ if !of_scope || !is_about(asked, message) => other_task,
-            (Some(State::Rejected), _) if is_unknown_task(text, id) => Self::UnknownTask { text },
+            (Some(State::Rejected), _) if is_unknown_task(text) => Self::UnknownTask { text },
             (Some(state), _) if is_unknown_end(state, text) => Self::UnknownEnd { text },
             (Some(state), _) => Self::Task { state, text },
         })
@@ -152,16 +152,16 @@ fn is_unknown_end(state: State, text: &str) -> bool {
 }
 
 /// Whether a server says so that it does not know the task. The original's controllers name the id,
-/// its simple server does not (wire specification 4.6, 7.5); a handler may use the same words for
-/// something else.
-fn is_unknown_task(text: &str, id: &str) -> bool {
+/// its simple server does not (wire specification 4.6, 7.5). A relay repeats the words of the server behind it,
+/// with the id that the task has there. A handler may use the same words for something else.
+fn is_unknown_task(text: &str) -> bool {
     let Some(named) = text.strip_prefix("Invalid ID") else {
         return false;
     };
     let quoted = named
         .strip_prefix(" '")
         .and_then(|rest| rest.strip_suffix('\''));
-    named.is_empty() || quoted == Some(id)
+    named.is_empty() || quoted.is_some_and(|id| Integer::parse(id).is_ok())
 }
 
 /// Whether a final state is the request's and not the task's: the scope is not there (yet), the

@@ -196,6 +196,12 @@ fn the_state_of_an_answer_is_the_tasks_unless_the_words_say_otherwise() {
         ),
         // A handler's own reason.
         (
+            "/lab;2;7;Invalid ID '8'",
+            Answer::UnknownTask {
+                text: "Invalid ID '8'",
+            },
+        ),
+        (
             "/lab;2;7;Invalid ID 'box 3'",
             task(State::Rejected, "Invalid ID 'box 3'"),
         ),

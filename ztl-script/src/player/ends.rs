@@ -6,7 +6,7 @@ use super::super::event::{
     By, Command, Event, Question, SceneEnd, StepEnd, TaskNumber, TaskState, Why,
 };
 use super::super::model::OnFailure;
-use super::steps::{Stage, Todo};
+use super::steps::{Stage, Todo, Told};
 use super::tasks::Live;
 use super::{Phase, Player};
 
@@ -22,7 +22,7 @@ impl Player {
             .step(play.scene, step.step)
             .map(|plan| plan.on_failure)
             .unwrap_or_default();
-        let retries = step.retries;
+        let (asked, retries) = (step.asked, step.retries);
         let of = |is: &dyn Fn(&Live) -> bool| -> Vec<TaskNumber> {
             let tasks = step.tasks.iter().copied();
             tasks
@@ -40,7 +40,7 @@ impl Player {
             return true;
         }
         match policy {
-            OnFailure::Retry(count) if retries < count => {
+            OnFailure::Retry(count) if retries < count && !asked => {
                 self.try_again(now);
                 true
             }
@@ -99,33 +99,40 @@ impl Player {
 
     /// The step waits; the operator decides.
     fn wait_for_operator(&mut self, now: Instant, why: Why, tasks: Vec<TaskNumber>) {
+        let can_try_again = self.can_try_again();
         let Phase::Playing(play) = &mut self.phase else {
             return;
         };
         let (scene, Some(step)) = (play.scene, &mut play.step) else {
             return;
         };
-        let told = Some((why.clone(), tasks.clone()));
-        if step.told == told {
+        let told = step.told.as_ref();
+        let is_told = told.is_some_and(|told| told.why == why && told.tasks == tasks);
+        if is_told && told.is_some_and(|told| told.can_try_again == can_try_again) {
             return;
         }
-        step.told = told;
-        let step = step.step;
         // These can mend themselves: an unattended run waits for that.
         let may_mend = why.may_mend();
-        self.events.push_back(Event::StepWaiting {
-            scene,
-            step,
-            why,
-            tasks,
+        step.told = Some(Told {
+            why: why.clone(),
+            tasks: tasks.clone(),
+            can_try_again,
         });
-        if self.options.unattended {
-            if !may_mend {
-                self.stop(now, Command::Stop, By::Script);
-            }
-            return;
+        step.asked = true;
+        let step = step.step;
+        if !is_told {
+            self.events.push_back(Event::StepWaiting {
+                scene,
+                step,
+                why,
+                tasks,
+            });
         }
-        self.ask(Question::Step { scene, step });
+        if !self.options.unattended {
+            self.ask(Question::Step { scene, step });
+        } else if !may_mend {
+            self.stop(now, Command::Stop, By::Script);
+        }
     }
 
     /// Whether something can be tried again in the step that waits.

@@ -145,11 +145,11 @@ pub enum Answer {
     },
     /// To [`Ask::Tasks`].
     Tasks {
-        /// Which start of the server lists them, and those that run in the scope: id and
+        /// Which start of the server lists them, and those that run or may run in the scope: id and
         /// `handler:component:goal`. `None`: the server does not list its tasks, as the original's.
         listed: Option<(u32, Vec<(RemoteId, String)>)>,
-        /// How many more it lists in a way that cannot be read.
-        unread: usize,
+        /// Reasons why others may run.
+        gaps: Vec<String>,
     },
     /// The server answered, but that it did not reach the task. It may tell more later.
     NotTold {

@@ -45,9 +45,20 @@ pub(super) struct StepPlay {
     /// What was started and is not tried again.
     pub(super) tasks: Vec<TaskNumber>,
     /// What the operator was told of why it waits.
-    pub(super) told: Option<(Why, Vec<TaskNumber>)>,
+    pub(super) told: Option<Told>,
+    /// The operator was asked about it: nothing of it is tried again without a decision.
+    pub(super) asked: bool,
     pub(super) retries: u32,
     pub(super) begun: bool,
+}
+
+/// Why a step waits, as the operator was told.
+#[derive(Debug)]
+pub(super) struct Told {
+    pub(super) why: Why,
+    pub(super) tasks: Vec<TaskNumber>,
+    /// Something could be tried again.
+    pub(super) can_try_again: bool,
 }
 
 /// A part of a step that is to be started.
@@ -249,6 +260,7 @@ impl Player {
             todo: parts.map_or_else(|| all.collect(), VecDeque::from),
             tasks: Vec::new(),
             told: None,
+            asked: false,
             retries: 0,
             begun: false,
         });

@@ -201,7 +201,8 @@ impl Player {
                 }
                 match then {
                     Some(scene) => self.show(scene),
-                    None => self.over(Outcome::Stopped),
+                    None if self.live.is_empty() => self.over(Outcome::Stopped),
+                    None => self.over(Outcome::NotConfirmed),
                 }
             }
             Phase::Settling(asked)
@@ -217,21 +218,15 @@ impl Player {
 
     /// What a server lists: what this run has not started is stopped too.
     pub(super) fn on_tasks(&mut self, now: Instant, remote: &str, answer: Answer) {
-        let (listed, why) = match answer {
+        let (listed, gaps) = match answer {
             Answer::Tasks {
                 listed: Some(listed),
-                unread,
-            } => {
-                let why = format!("{unread} in the server's list cannot be read");
-                (Some(listed), (unread > 0).then_some(why))
-            }
-            Answer::Nothing { text, .. } => (None, Some(text)),
-            _ => {
-                let why = "the server does not list its tasks";
-                (None, Some(why.to_owned()))
-            }
+                gaps,
+            } => (Some(listed), gaps),
+            Answer::Nothing { text, .. } | Answer::Unclear { text } => (None, vec![text]),
+            _ => (None, vec!["the server does not list its tasks".to_owned()]),
         };
-        if let Some(why) = why {
+        for why in gaps {
             let text = format!("tasks that others started on '{remote}' may still run: {why}");
             self.events.push_back(Event::Note { text });
         }

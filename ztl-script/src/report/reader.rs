@@ -5,8 +5,8 @@ use std::time::Duration;
 
 use super::run::{Action, Asked, Cause, Run, Step, Take, Task, Wait};
 use crate::event::{
-    By, Command, Event, Kind, Question, RequestNumber, SceneEnd, Stamped, StepEnd, StepOutline,
-    TaskNumber, TaskState,
+    By, Command, Event, Kind, Outcome, Question, RequestNumber, SceneEnd, Stamped, StepEnd,
+    StepOutline, TaskNumber, TaskState,
 };
 use crate::record::Record;
 
@@ -142,8 +142,14 @@ impl Reader {
                 }
             }
             Event::Note { text } => self.run.notes.push((at, text)),
-            Event::RunEnded { outcome, text, .. } => {
-                self.run.outcome = Some(outcome);
+            Event::RunEnded {
+                outcome,
+                running,
+                text,
+            } => {
+                // Older records say `stopped` here too.
+                let open = outcome == Outcome::Stopped && !running.is_empty();
+                self.run.outcome = Some(if open { Outcome::NotConfirmed } else { outcome });
                 self.run.last_words = text;
             }
             _ => {}

@@ -347,6 +347,28 @@ fn runs_of_different_scripts_are_told_apart() {
 }
 
 #[test]
+fn a_run_counts_as_stopped_only_where_nothing_may_still_run() {
+    let ended = r#""outcome":"stopped","running":[]"#;
+    assert!(EVENING.contains(ended));
+    for (written, told) in [
+        (ended, "stopped"),
+        // As older versions wrote it.
+        (
+            r#""outcome":"stopped","running":[1,2]"#,
+            "stopping not confirmed",
+        ),
+        (
+            r#""outcome":"not_confirmed","running":[1]"#,
+            "stopping not confirmed",
+        ),
+    ] {
+        let html = report(&[("evening.jsonl", &EVENING.replace(ended, written))]).html();
+        let figure = format!("<dt>outcome</dt><dd>{told}</dd>");
+        assert!(html.contains(&figure), "{figure} of {written}");
+    }
+}
+
+#[test]
 fn no_text_of_a_record_becomes_markup() {
     fn poison(value: &mut Value) {
         match value {

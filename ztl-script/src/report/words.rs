@@ -87,6 +87,7 @@ pub(super) const fn outcome(outcome: Option<Outcome>) -> &'static str {
         Some(Outcome::Completed) => "completed",
         Some(Outcome::Failures) => "with failures",
         Some(Outcome::Stopped) => "stopped",
+        Some(Outcome::NotConfirmed) => "stopping not confirmed",
         Some(Outcome::Left) => "left",
         Some(Outcome::Error) => "ended by an error",
         None => "no end in the record",

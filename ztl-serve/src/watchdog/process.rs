@@ -10,6 +10,7 @@ use std::sync::atomic::AtomicBool;
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::time::{Duration, Instant};
 
+use nix::sys::signal::SigSet;
 use rustix::process::Signal;
 use signal_hook::flag;
 use tracing::{error, warn};
@@ -26,8 +27,8 @@ const LOOK: Duration = Duration::from_millis(20);
 /// How long the watchdog waits for its log to be written, once its work is done.
 const LOGGING: Duration = Duration::from_secs(1);
 
-/// Signals that would end the watchdog before its work is done.
-const SURVIVED: [Signal; 10] = [
+/// Signals that would end or stop the watchdog before its work is done.
+const SURVIVED: [Signal; 13] = [
     Signal::HUP,
     Signal::INT,
     Signal::QUIT,
@@ -39,6 +40,10 @@ const SURVIVED: [Signal; 10] = [
     // A limit on the size of files, as of the log, and on processor time.
     Signal::XFSZ,
     Signal::XCPU,
+    // From a terminal.
+    Signal::TSTP,
+    Signal::TTIN,
+    Signal::TTOU,
 ];
 
 /// What the process does that [`Groups::watched`](super::super::Groups::watched) starts: it reads on stdin, a
@@ -99,6 +104,10 @@ impl Log {
         let (done, logged) = channel();
         // Without a thread nothing is logged.
         let _ = std::thread::Builder::new().spawn(move || {
+            // Otherwise a terminal under `stty tostop` interrupts each write again and again.
+            let mut stopping = SigSet::empty();
+            stopping.add(nix::sys::signal::Signal::SIGTTOU);
+            let _ = stopping.thread_block();
             for (is_error, line) in lines {
                 match is_error {
                     true => error!(target: LOG, "{line}"),

@@ -101,13 +101,14 @@ fn config<'d>(
         config.publish = reading.whole(node, PORT);
     }
     if let Some(node) = fields.optional("journal") {
-        config.journal =
-            reading
-                .text(node, "a file or a directory, or off")
-                .map(|text| match text {
-                    "off" | "no" | "false" => JournalPlace::Off,
-                    place => JournalPlace::At(base.join(place)),
-                });
+        let what = "a file or a directory, or off";
+        config.journal = reading.parsed(node, what, |text| match text {
+            "" => {
+                Err("the name of the journal is empty; write a file, a directory or off".to_owned())
+            }
+            "off" | "no" | "false" => Ok(JournalPlace::Off),
+            place => Ok(JournalPlace::At(base.join(place))),
+        });
     }
     if let Some(node) = fields.optional("devices") {
         let what = "the name of each device and where it is, as gripper: serial:/dev/ttyACM0";

@@ -68,7 +68,7 @@ impl RemoteTask {
                     });
                     if end.is_err() && given_up() {
                         // There is nobody to be told any more; what went wrong is logged.
-                        let _ = remote.abort(&task.id);
+                        let _ = remote.send_abort(&task.id);
                     }
                     end
                 });

@@ -34,7 +34,7 @@ impl Drop for TaskGuard {
     fn drop(&mut self) {
         if let Some(id) = self.id.take() {
             // There is nobody to be told; what went wrong is logged.
-            let _ = self.remote.abort(id);
+            let _ = self.remote.send_abort(id);
         }
     }
 }

@@ -40,18 +40,19 @@ pub struct ListedTask {
 pub struct Listing {
     /// The tasks.
     pub tasks: Vec<ListedTask>,
-    /// How many more are remembered.
-    pub more: usize,
+    /// How many more are remembered; `None` if the answer does not tell it in a readable way.
+    pub more: Option<usize>,
     /// How many more the server listed in a way that cannot be read. They may run.
     #[serde(skip)]
     pub unread: usize,
 }
 
-/// A listing as another server writes it: a task that cannot be read must not hide the others.
+/// A listing as another server writes it: what cannot be read must not hide the rest.
 #[derive(Deserialize)]
 struct Answer {
     tasks: Vec<Value>,
-    more: usize,
+    #[serde(default)]
+    more: Value,
 }
 
 impl From<Answer> for Listing {
@@ -64,7 +65,7 @@ impl From<Answer> for Listing {
         Self {
             unread: listed - tasks.len(),
             tasks,
-            more,
+            more: serde_json::from_value(more).ok(),
         }
     }
 }
@@ -73,7 +74,7 @@ impl Listing {
     /// Sorts, cuts to what a message carries, and writes it as JSON.
     pub(super) fn into_json(mut self) -> Option<String> {
         self.tasks.sort_by_key(|task| (task.ended_ms, task.age_ms));
-        self.more = self.tasks.len().saturating_sub(MOST);
+        self.more = Some(self.tasks.len().saturating_sub(MOST));
         self.tasks.truncate(MOST);
         serde_json::to_string(&self).ok()
     }

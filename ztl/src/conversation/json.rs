@@ -3,7 +3,7 @@
 
 use serde::Serialize;
 use ztl_core::dispatcher::NOTHING_KNOWN;
-use ztl_std::{RemoteId, State, Status};
+use ztl_std::{RemoteId, Status};
 
 use super::{Conversation, Fate, News, Over, Target};
 use crate::terminal::line;
@@ -102,11 +102,8 @@ fn end<'a>(over: &'a Over<'a>) -> Line<'a> {
     let (id, text): (Option<&RemoteId>, &str) = match over {
         Over::NotTriggered { reason, .. } => (None, reason),
         Over::Ended { id, status } => (Some(*id), &status.text),
-        // What an abort is answered is no result.
-        Over::Stopped { id, status, words } => match status.state {
-            State::Aborted => (Some(*id), words),
-            _ => (Some(*id), &status.text),
-        },
+        // The answer to an ABORT is not the result.
+        Over::Stopped { id, words, .. } => (Some(*id), words),
         Over::Lost { id, reason, .. } | Over::StopUnclear { id, reason } => (Some(*id), reason),
         Over::After { id, text, .. } => (Some(*id), text),
         Over::Left { id, reply } => (Some(*id), reply),

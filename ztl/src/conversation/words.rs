@@ -170,6 +170,11 @@ impl<'a> Teller<'a> {
             // Nor does the original say anything.
             Over::Stopped { .. } => {}
             Over::After {
+                id, state, text, ..
+            } if !self.as_original && !state.is_some_and(State::is_final) => line(format_args!(
+                "Task with ID '{id}' may still run after unsuccessful abort signal. Reply is '{text}'."
+            )),
+            Over::After {
                 id,
                 state,
                 text,

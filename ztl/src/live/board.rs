@@ -468,5 +468,13 @@ impl Board {
                 task.to = Some(at);
             }
         }
+        // It ended after its stop was given up.
+        let stopping = self.stopping.as_mut();
+        if let Some(answer) = stopping.and_then(|it| it.answers.get_mut(&number))
+            && matches!(answer, Some((false, _)))
+            && state.is_over()
+        {
+            *answer = Some((true, state.to_string()));
+        }
     }
 }

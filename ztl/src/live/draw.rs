@@ -11,6 +11,9 @@ use super::message::{self, Paragraph, message};
 use super::rows::{Seen, body, clock, page, scene_line, scene_list, task_line, window};
 use super::text::{Line, Style, clip};
 
+/// Lines that a long message has at least, before keys.
+const SAID: usize = 2;
+
 /// What the middle of the screen shows.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub(super) enum Pane {
@@ -39,12 +42,13 @@ pub(super) fn draw(
     now: Duration,
     (width, height): (usize, usize),
 ) -> (Vec<Line>, Seen) {
-    let keys = key_lines(board, view, width);
-    let room = height.saturating_sub(keys.len());
     let said = match &view.pane {
         Pane::Choose(chooser) => message::choosing(board, chooser),
         _ => message(board, now),
     };
+    let said_least = message::lines(&said, width, SAID).len();
+    let keys = key_lines(board, view, width, height.saturating_sub(said_least).max(1));
+    let room = height.saturating_sub(keys.len());
     // Of a long one some lines are left for the show.
     let most = if room < 8 { room } else { room * 3 / 4 };
     let message = message::lines(&said, width, most);
@@ -78,7 +82,7 @@ pub(super) fn draw(
     lines.extend(rule);
     lines.extend(message);
     lines.extend(keys);
-    // Of a screen that is too small even for keys, the last line of them.
+    // Of a window without any height.
     let surplus = lines.len().saturating_sub(height);
     lines.drain(..surplus);
     (lines, seen)
@@ -202,7 +206,8 @@ fn background(board: &Board, now: Duration, width: usize, most: usize) -> Vec<Li
     lines
 }
 
-fn key_lines(board: &Board, view: &View, width: usize) -> Vec<Line> {
+/// The keys on at most `most` lines. The first and the last, which stops everything, remain longest.
+fn key_lines(board: &Board, view: &View, width: usize, most: usize) -> Vec<Line> {
     let mut keys = match view {
         View {
             pane: Pane::Choose(_),
@@ -213,6 +218,18 @@ fn key_lines(board: &Board, view: &View, width: usize) -> Vec<Line> {
     if matches!(view.pane, Pane::Keys | Pane::Details) || view.top.is_some() {
         keys.splice(0..0, keys::looking());
     }
+    let mut lines = wrap_keys(&keys, width);
+    if lines.len() > most {
+        keys.retain(|(key, _)| !matches!(*key, "d" | "?"));
+        lines = wrap_keys(&keys, width);
+    }
+    if lines.len() > most {
+        lines.drain(most.saturating_sub(1)..lines.len() - 1);
+    }
+    lines
+}
+
+fn wrap_keys(keys: &[(&str, String)], width: usize) -> Vec<Line> {
     let mut lines = Vec::new();
     let mut line = Line::new(width);
     for (key, words) in keys {

@@ -15,7 +15,8 @@ pub(super) type Paragraph = (Style, String);
 /// Most lines of one paragraph.
 const LONGEST: usize = 40;
 
-/// Paragraphs on lines. Of more than `most` lines the first are shown, and how to see the others.
+/// Paragraphs on lines. Of more than `most` lines the first are shown, and where there is room, how to
+/// see the others.
 pub(super) fn lines(said: &[Paragraph], width: usize, most: usize) -> Vec<Line> {
     let mut lines = Vec::new();
     for (style, text) in said {
@@ -24,8 +25,10 @@ pub(super) fn lines(said: &[Paragraph], width: usize, most: usize) -> Vec<Line> 
         lines.extend(pieces.iter().map(line));
     }
     if lines.len() > most {
-        lines.truncate(most.saturating_sub(1));
-        lines.push(Line::new(width).and(Style::Soft, "   … (d shows the rest)"));
+        lines.truncate(most);
+        if let Some(last) = lines.get_mut(1..).and_then(<[Line]>::last_mut) {
+            *last = Line::new(width).and(Style::Soft, "   … (d shows the rest)");
+        }
     }
     lines
 }
@@ -47,12 +50,7 @@ pub(super) fn choosing(board: &Board, chooser: &Chooser) -> Vec<Paragraph> {
 pub(super) fn message(board: &Board, now: Duration) -> Vec<Paragraph> {
     let mut said = Vec::new();
     if let Some((outcome, running, text)) = &board.ended {
-        let (style, words) = outcome_words(*outcome);
-        said.push((style, words.to_owned()));
-        if !running.is_empty() {
-            let words = format!("{} tasks may still be under way", running.len());
-            said.push((Style::Warning, words));
-        }
+        said.extend(over(*outcome, running.len()));
         if !text.is_empty() {
             said.push((Style::Bad, text.clone()));
         }
@@ -202,14 +200,29 @@ fn confirmations(board: &Board, stopping: &Stopping) -> Vec<Paragraph> {
     std::iter::once(head).chain(answers).collect()
 }
 
-const fn outcome_words(outcome: Outcome) -> (Style, &'static str) {
-    match outcome {
+/// How the run ended, and how many tasks may still run.
+fn over(outcome: Outcome, running: usize) -> Vec<Paragraph> {
+    let (tasks, they) = match running {
+        1 => ("1 task".to_owned(), "it"),
+        _ => (format!("{running} tasks"), "they"),
+    };
+    let (style, words) = match outcome {
+        Outcome::NotConfirmed => {
+            let words =
+                format!("Over: stopping was not confirmed for {tasks}; {they} may still run");
+            return vec![(Style::Bad, words)];
+        }
         Outcome::Completed => (Style::Good, "Over: all went well."),
         Outcome::Failures => (Style::Bad, "Over: not all went well."),
         Outcome::Stopped => (Style::Warning, "Over: everything was stopped."),
         Outcome::Left => (Style::Warning, "Left."),
         Outcome::Error => (Style::Bad, "Ended by an error."),
+    };
+    let mut said = vec![(style, words.to_owned())];
+    if running > 0 {
+        said.push((Style::Warning, format!("{tasks} may still be under way")));
     }
+    said
 }
 
 fn why_words(board: &Board, why: &Why, now: Duration) -> String {

@@ -17,7 +17,7 @@ use ztl_script::record::Recorder;
 use ztl_script::{Connect, Defaults, Player, Scene, Script, Show, StandIns, timeline};
 use ztl_std::remotes::Remote;
 use ztl_std::{RemoteTask, Remotes};
-use ztl_yaml::closest;
+use ztl_yaml::{Span, closest};
 
 use crate::key_name::Pressed;
 use crate::remote_task::Endpoints;
@@ -243,34 +243,21 @@ impl RunScript {
         let scene = match &self.scene {
             None => None,
             Some(name) => {
-                let names = script.scenes.iter().map(|scene| scene.name.trim());
-                let found = script
-                    .scenes
-                    .iter()
-                    .position(|scene| is(name, &scene.key, &scene.name));
-                Some(found.ok_or_else(|| no_such("scene", name, names))?)
+                let scenes = script.scenes.iter().enumerate();
+                let names = scenes.map(|(at, scene)| (at, (&scene.key, &scene.name, scene.span)));
+                Some(the_one("scene", name, names)?)
             }
         };
         let from = match &self.from {
             None => None,
             Some(name) => {
-                let among = |index: &usize| scene.is_none_or(|scene| scene == *index);
-                let scenes = script
-                    .scenes
-                    .iter()
-                    .enumerate()
-                    .filter(|(index, _)| among(index));
-                let place = |(index, scene): (usize, &Scene)| {
-                    let step = scene
-                        .steps
-                        .iter()
-                        .position(|step| is(name, &step.key, &step.name))?;
-                    Some((index, step))
-                };
-                let found = scenes.clone().find_map(place);
-                let names =
-                    scenes.flat_map(|(_, scene)| scene.steps.iter().map(|step| step.name.trim()));
-                Some(found.ok_or_else(|| no_such("step", name, names))?)
+                let scenes = script.scenes.iter().enumerate();
+                let scenes = scenes.filter(|(at, _)| scene.is_none_or(|scene| scene == *at));
+                let names = scenes.flat_map(|(scene, of)| {
+                    let steps = of.steps.iter().enumerate();
+                    steps.map(move |(at, step)| ((scene, at), (&step.key, &step.name, step.span)))
+                });
+                Some(the_one("step", name, names)?)
             }
         };
         Ok((scene, from))
@@ -323,18 +310,39 @@ impl RunScript {
     }
 }
 
-/// Whether a person means this scene or step.
-fn is(said: &str, key: &str, name: &str) -> bool {
-    said == key || said.trim() == name.trim()
-}
-
-fn no_such<'a>(what: &str, name: &str, known: impl Iterator<Item = &'a str>) -> String {
-    let known: Vec<&str> = known.collect();
-    let help = match closest(name, known.iter().copied()) {
-        Some(meant) => format!("did you mean '{meant}'?"),
-        None => format!("there are: {}", known.join(", ")),
-    };
-    format!("no {what} '{name}'; {help}")
+/// The scene or step that a person means: by its key, or by its name without parameters.
+fn the_one<'a, At>(
+    what: &str,
+    said: &str,
+    all: impl Iterator<Item = (At, (&'a String, &'a String, Span))>,
+) -> Result<At, String> {
+    let mut names = Vec::new();
+    let (mut found, mut lines) = (None, Vec::new());
+    for (at, (key, name, span)) in all {
+        let name = name.trim();
+        names.push(name);
+        if said == key || said.trim() == name {
+            lines.push(span.start.line.to_string());
+            found.get_or_insert(at);
+        }
+    }
+    if lines.len() > 1 {
+        let help = match what {
+            "step" => "give --scene too, or different names",
+            _ => "give them different names",
+        };
+        let lines = lines.join(", ");
+        return Err(format!(
+            "{what} '{said}' is ambiguous: it is in lines {lines}; {help}"
+        ));
+    }
+    found.ok_or_else(|| {
+        let help = match closest(said, names.iter().copied()) {
+            Some(meant) => format!("did you mean '{meant}'?"),
+            None => format!("there are: {}", names.join(", ")),
+        };
+        format!("no {what} '{said}'; {help}")
+    })
 }
 
 fn no_keyboard(error: std::io::Error) -> String {

@@ -418,7 +418,7 @@ fn one_that_takes_too_long_and_cannot_be_stopped_is_waited_for_until_the_operato
     let mut world = World::new(script, unattended());
     world.begin();
     world.run(on);
-    assert_eq!(world.player.outcome(), Some(Outcome::Stopped));
+    assert_eq!(world.player.outcome(), Some(Outcome::NotConfirmed));
     assert_eq!(world.began.len(), 1);
 }
 

@@ -124,7 +124,7 @@ fn what_cannot_be_stopped_is_told_and_the_show_goes_on_and_can_still_be_stopped(
     assert_eq!(confirmed(&world), [(1, false), (1, false)]);
     world.command(Command::Stop);
     world.run(|_, _| None);
-    assert_eq!(world.player.outcome(), Some(Outcome::Stopped));
+    assert_eq!(world.player.outcome(), Some(Outcome::NotConfirmed));
     assert_eq!(confirmed(&world).len(), 3);
 }
 
@@ -156,7 +156,7 @@ fn stopping_more_is_heard_while_less_is_stopped() {
     world.command(Command::Stop);
     assert_eq!(world.player.choices(), [Command::Leave]);
     world.run(|_, _| None);
-    assert_eq!(world.player.outcome(), Some(Outcome::Stopped));
+    assert_eq!(world.player.outcome(), Some(Outcome::NotConfirmed));
     assert_eq!(confirmed(&world), [(1, false), (2, false), (3, false)]);
 }
 

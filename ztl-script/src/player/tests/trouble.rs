@@ -208,7 +208,7 @@ fn with_nobody_there_what_nobody_can_decide_stops_everything() {
         .push(Instant::from_millis(200));
     world.begin();
     world.run(patient);
-    assert_eq!(world.player.outcome(), Some(Outcome::Stopped));
+    assert_eq!(world.player.outcome(), Some(Outcome::NotConfirmed));
     assert_eq!(world.began.len(), 2);
     assert!(
         world.began[1].until < Instant::from_millis(300),
@@ -221,7 +221,7 @@ fn with_nobody_there_what_nobody_can_decide_stops_everything() {
     world.machine("robot").pauses.push(pause);
     world.begin();
     world.run(patient);
-    assert_eq!(world.player.outcome(), Some(Outcome::Stopped));
+    assert_eq!(world.player.outcome(), Some(Outcome::NotConfirmed));
     let ended = world.now.since(Instant::ZERO);
     assert!((60..75).contains(&ended.as_secs()), "{ended:?}");
 }
@@ -276,7 +276,7 @@ fn a_task_whose_end_its_server_could_not_learn_keeps_its_step_and_is_named_at_th
     let mut world = World::new(script, unattended());
     world.begin();
     world.run(on);
-    assert_eq!(world.player.outcome(), Some(Outcome::Stopped));
+    assert_eq!(world.player.outcome(), Some(Outcome::NotConfirmed));
     assert_eq!(world.began.len(), 1);
 }
 
@@ -377,7 +377,7 @@ fn stopping_tells_what_cannot_be_stopped_and_who_does_not_answer() {
     else {
         panic!("{:?}", world.events.last());
     };
-    assert_eq!((running.len(), *outcome), (2, Outcome::Stopped));
+    assert_eq!((running.len(), *outcome), (2, Outcome::NotConfirmed));
     assert!(world.now < Instant::from_millis(10_000), "{:?}", world.now);
 }
 
@@ -483,4 +483,61 @@ fn an_init_that_nobody_answers_does_not_keep_the_stop_from_its_end() {
     });
     assert_eq!(said.len(), 1);
     assert!(world.now <= Instant::from_millis(2001), "{:?}", world.now);
+}
+
+#[test]
+fn a_step_that_was_asked_about_is_not_retried_by_itself() {
+    let silent = (Instant::from_millis(500), Instant::from_millis(9500));
+    // One takes too long and stops late; one fails while its server is silent.
+    for (task, pause) in [
+        ("base(timeout=1): 5 stubborn", None),
+        ("base: 1 fail", Some(silent)),
+    ] {
+        let script = format!("s: {{a (on_failure=retry 2): {{robot: {{{task}}}}}}}");
+        let mut world = World::new(&script, Options::default());
+        world.machine("robot").pauses.extend(pause);
+        world.begin();
+        world.command(Command::Start);
+        let step = Some(Question::Step { scene: 0, step: 0 });
+        assert_eq!(world.until_asked(), step, "{task}");
+        assert!(world.why().is_some_and(Why::may_mend), "{task}");
+        world.pass(Duration::from_secs(60));
+        assert_eq!(world.began.len(), 1, "{task}: nobody decided");
+        assert_eq!(world.player.question(), step, "{task}");
+        assert_eq!(world.why(), Some(&Why::Failed), "{task}");
+        assert!(world.player.choices().contains(&Command::Retry), "{task}");
+        world.command(Command::Retry);
+        world.pass(Duration::from_secs(60));
+        assert_eq!(world.began.len(), 2, "{task}: once for each decision");
+        assert_eq!(world.player.question(), step, "{task}");
+
+        // With nobody there it ends as after a failure.
+        let mut world = World::new(&script, unattended());
+        world.machine("robot").pauses.extend(pause);
+        world.begin();
+        world.run(on);
+        assert_eq!(world.began.len(), 1, "{task}: unattended");
+        assert_eq!(world.player.outcome(), Some(Outcome::Stopped), "{task}");
+    }
+}
+
+#[test]
+fn a_retry_that_fails_while_another_task_is_unknown_can_be_tried_again() {
+    let script = "s: {a (parallel; on_failure=ask): {robot: {base: 100}, lamp: {arm: 1 fail}}}";
+    let mut world = World::new(script, Options::default());
+    let pause = (Instant::from_millis(500), Instant::from_millis(500_000));
+    world.machine("robot").pauses.push(pause);
+    world.begin();
+    world.command(Command::Start);
+    for arms in 1..4 {
+        world.pass(Duration::from_secs(10));
+        assert!(matches!(world.why(), Some(Why::ServerSilent { .. })));
+        assert_eq!(world.began.len(), 1 + arms);
+        let asked = world.seen(|event| matches!(event, Event::Asked { .. }));
+        let Some(Event::Asked { choices, .. }) = asked.last() else {
+            panic!("{asked:?}");
+        };
+        assert!(choices.contains(&Command::Retry), "{choices:?}");
+        world.command(Command::Retry);
+    }
 }

@@ -258,7 +258,13 @@ impl World {
                     .filter_map(|(id, _)| Some((TaskId::new(*id)?.into(), format!("job:{id}"))))
                     .collect();
                 let listed = machine.ours.then_some((machine.boot, tasks));
-                (acts, Answer::Tasks { listed, unread: 0 })
+                (
+                    acts,
+                    Answer::Tasks {
+                        listed,
+                        gaps: Vec::new(),
+                    },
+                )
             }
             Ask::Init {
                 handler,
@@ -330,7 +336,10 @@ impl World {
                 let answer = match machine.tasks.get(&place(id)) {
                     Some(job) if job.unstoppable && acts < job.ends => Answer::Task {
                         state: State::Accepted,
-                        text: "False".to_owned(),
+                        text: match job.end {
+                            State::Aborted => "True".to_owned(),
+                            _ => "False".to_owned(),
+                        },
                     },
                     _ => machine.tell(id, acts),
                 };
@@ -377,7 +386,7 @@ impl Machine {
             };
         }
         self.next += 1;
-        // `3`, `3 fail`, `3 lost`, `3 forever`.
+        // `3`, `3 fail`, `3 lost`, `3 forever`; `3 stubborn` ends by an ABORT, but not before its time.
         let mut words = goal.split(' ');
         let seconds: f64 = words
             .next()
@@ -389,13 +398,14 @@ impl Machine {
             ends: now + Duration::from_secs_f64(seconds),
             end: match how {
                 Some("fail" | "lost") => State::Failed,
+                Some("stubborn") => State::Aborted,
                 _ => State::Completed,
             },
             said: match how {
                 Some("lost") => LOST,
                 _ => "done",
             },
-            unstoppable: how == Some("forever"),
+            unstoppable: matches!(how, Some("forever" | "stubborn")),
             aborted: None,
         };
         self.tasks.insert(self.next, job);

@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use tracing::warn;
 
 use super::JournalError;
-use super::line::last_process;
+use super::line::{is_journal, last_process};
 use super::log::Storage;
 use crate::files;
 use crate::gateway::voice::LOG;
@@ -43,11 +43,20 @@ pub(super) fn check(path: &Path) -> Result<(), JournalError> {
     };
     match OpenOptions::new().read(true).append(true).open(path) {
         Err(cause) if cause.kind() == io::ErrorKind::NotFound && can_create(path) => {}
-        file => lock(&file.and_then(is_regular).map_err(failed)?, path)?,
+        file => {
+            let mut file = file.and_then(is_regular).map_err(failed)?;
+            lock(&file, path)?;
+            let mut written = Vec::new();
+            file.read_to_end(&mut written).map_err(failed)?;
+            demand_journal(path, &written)?;
+        }
     }
     // Directories are made as needed, and new files beside the journal.
     let mut directories = path.ancestors().skip(1);
-    let directory = directories.find(|path| path.as_os_str().is_empty() || path.exists());
+    let directory = directories.find(|path| {
+        // A link without a target is in the way of a directory, too.
+        path.as_os_str().is_empty() || path.symlink_metadata().is_ok()
+    });
     let name = format!(".ztl-check-{}", std::process::id());
     let trial = directory.unwrap_or(Path::new("")).join(name);
     let created = OpenOptions::new().write(true).create_new(true).open(&trial);
@@ -65,10 +74,11 @@ impl Paper {
         };
         make_directory(path).map_err(failed)?;
         let (path, mut file) = Self::locked(path, failed)?;
-        // From a gateway that ended before it could take the place of the other.
-        let _ = fs::remove_file(beside(&path, "new"));
         let mut written = Vec::new();
         file.read_to_end(&mut written).map_err(failed)?;
+        demand_journal(&path, &written)?;
+        // From a gateway that ended before it could take the place of the other.
+        let _ = fs::remove_file(beside(&path, "new"));
         sync_directory(&path);
         let paper = Self {
             path,
@@ -209,6 +219,16 @@ impl Storage for Paper {
     }
 }
 
+/// Refuses a file that belongs to something else, before it is altered.
+fn demand_journal(path: &Path, written: &[u8]) -> Result<(), JournalError> {
+    match is_journal(written) {
+        true => Ok(()),
+        false => Err(JournalError::Foreign {
+            path: path.to_owned(),
+        }),
+    }
+}
+
 fn is_regular(file: File) -> io::Result<File> {
     files::regular(&file.metadata()?)?;
     Ok(file)
@@ -220,7 +240,9 @@ fn can_create(path: &Path) -> bool {
         return true;
     };
     let target = path.parent().unwrap_or(Path::new("")).join(target);
-    target.parent().is_some_and(Path::is_dir)
+    // A name alone is beside the link.
+    let is_there = |path: &Path| path.as_os_str().is_empty() || path.is_dir();
+    target.parent().is_some_and(is_there)
 }
 
 /// Locks a journal, if no other gateway has it.

@@ -215,6 +215,17 @@ impl Line {
     }
 }
 
+/// Whether a gateway wrote this, as far as it can be read: a crash may have left half of the first line, or zeros.
+pub(super) fn is_journal(written: &[u8]) -> bool {
+    const START: &[u8] = br#"{"event":""#;
+    let of_ours = |line: &[u8]| {
+        let version = || serde_json::from_slice::<Version>(line);
+        line.starts_with(START) || version().is_ok_and(|version| version.journal.is_some())
+    };
+    let zeros = || written.iter().all(|byte| *byte == 0);
+    START.starts_with(written) || written.split(|byte| *byte == b'\n').any(of_ours) || zeros()
+}
+
 /// The process that wrote a journal last.
 pub(super) fn last_process(written: &[u8]) -> Option<u32> {
     let lines = written.rsplit(|byte| *byte == b'\n');

@@ -44,6 +44,11 @@ pub enum JournalError {
         /// The process that has it, where it said so.
         by: Option<u32>,
     },
+    /// The file holds something else.
+    Foreign {
+        /// The file.
+        path: PathBuf,
+    },
     /// It, or its directory, cannot be read and written.
     Place {
         /// What cannot.
@@ -63,6 +68,11 @@ impl std::fmt::Display for JournalError {
                 }
                 f.write_str("; stop that one, or give this one another file")
             }
+            Self::Foreign { path } => write!(
+                f,
+                "{} is not a journal, and was left as it is; name another file",
+                path.display()
+            ),
             Self::Place { path, cause } => {
                 write!(f, "the journal cannot lie at {}: {cause}", path.display())
             }
@@ -73,7 +83,7 @@ impl std::fmt::Display for JournalError {
 impl std::error::Error for JournalError {
     fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
         match self {
-            Self::InUse { .. } => None,
+            Self::InUse { .. } | Self::Foreign { .. } => None,
             Self::Place { cause, .. } => Some(cause),
         }
     }

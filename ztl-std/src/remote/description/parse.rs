@@ -1,14 +1,14 @@
 //! Reads the answer to `probe`.
 
-use ztl_yaml::{Document, Node, Value};
+use ztl_yaml::{Document, Node, Rules, Value};
 
 use super::super::RemoteId;
 use super::{Description, Offers};
 
 impl Description {
-    /// Reads the answer to `probe`. Keys that are not known are skipped.
+    /// Reads the answer to `probe`. Unknown keys are skipped; a repeated key does not hide what else can be read.
     pub(crate) fn parse(probed: &str) -> Option<Self> {
-        let document = Document::parse("$ztl", probed.as_bytes()).ok()?;
+        let document = Document::parse_by("$ztl", probed.as_bytes(), Rules::Python).ok()?;
         let root = document.root();
         let offers = |handlers: &Node| -> Offers {
             let names = |node: &Node| match &node.value {

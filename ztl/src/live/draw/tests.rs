@@ -1,4 +1,6 @@
-use ztl_script::event::{By, Command, Event, Question, Stamped, StepOutline, Why};
+use ztl_script::event::{
+    By, Command, Event, Outcome, Question, Stamped, StepOutline, TaskNumber, TaskState, Why,
+};
 use ztl_script::record::read;
 
 use super::super::board::{Look, Step};
@@ -379,6 +381,103 @@ fn every_key_that_can_be_pressed_is_explained() {
         board.handle(&event);
         for (key, _) in keys::help(&board) {
             assert!(keys::ALL.iter().any(|(known, _)| *known == key), "{key}");
+        }
+    }
+}
+
+/// The board with this event more.
+fn and(board: &mut Board, at: Duration, event: Event) {
+    board.handle(&Stamped {
+        at,
+        event,
+        ..evening().remove(0)
+    });
+}
+
+#[test]
+fn stopped_is_said_only_where_every_stop_was_confirmed() {
+    let (mut board, at) = board(|event| matches!(event, Event::RunEnded { .. }));
+    let running = vec![TaskNumber(1), TaskNumber(2)];
+    for (running, said) in [
+        (running, "2 tasks; they may still run"),
+        (vec![TaskNumber(1)], "1 task; it may still run"),
+    ] {
+        let ended = Event::RunEnded {
+            outcome: Outcome::NotConfirmed,
+            running,
+            text: String::new(),
+        };
+        and(&mut board, at, ended);
+        let lines = summary(&board, 80);
+        let text: Vec<String> = lines.iter().map(|line| line.encoded(false, true)).collect();
+        let text = text.join("\n");
+        let said = format!("Over: stopping was not confirmed for {said}");
+        assert!(text.contains(&said), "{said} in {text}");
+        assert!(!text.contains("everything was stopped"), "{text}");
+    }
+}
+
+#[test]
+fn a_task_that_ends_after_its_stop_was_given_up_counts_as_stopped() {
+    let (mut board, at) = board(|event| matches!(event, Event::Stopping { .. }));
+    let tasks: Vec<TaskNumber> = board
+        .stopping
+        .as_ref()
+        .unwrap()
+        .answers
+        .keys()
+        .copied()
+        .collect();
+    for task in &tasks {
+        let told = Event::StopAnswered {
+            task: *task,
+            confirmed: false,
+            text: "it has not ended yet (True)".to_owned(),
+        };
+        and(&mut board, at, told);
+    }
+    let question = Question::Scene { scene: 0 };
+    let choices = vec![Command::Start, Command::StopAll];
+    and(&mut board, at, Event::Asked { question, choices });
+    let all = tasks.len();
+    let shown = screen(&board, at, (80, 24));
+    assert!(
+        shown.contains(&format!("STOPPED ONLY 0 OF {all}")),
+        "{shown}"
+    );
+    for task in tasks {
+        let ended = Event::TaskState {
+            task,
+            state: TaskState::Aborted,
+            id: None,
+            text: "True".to_owned(),
+        };
+        and(&mut board, at, ended);
+    }
+    let shown = screen(&board, at, (80, 24));
+    assert!(
+        shown.contains(&format!("{all} of {all} confirmed")),
+        "{shown}"
+    );
+    assert!(!shown.contains("it has not ended yet"), "{shown}");
+}
+
+#[test]
+fn in_a_narrow_window_message_and_keys_remain() {
+    let asked = |event: &Event| matches!(event, Event::Asked { .. });
+    let (first, at) = board(asked);
+    let shown = screen(&first, at, (30, 6));
+    for part in ["Next: Welcome", "Enter  start", "x  stop everything"] {
+        assert!(shown.contains(part), "{part} in\n{shown}");
+    }
+    let (step, at) = board(|event| {
+        let step = |question: &Question| matches!(question, Question::Step { .. });
+        matches!(event, Event::Asked { question, .. } if step(question))
+    });
+    for height in 2..7 {
+        let shown = screen(&step, at, (30, height));
+        for part in [" WAITING: ", "x  stop everything"] {
+            assert!(shown.contains(part), "{part} in\n{shown}");
         }
     }
 }

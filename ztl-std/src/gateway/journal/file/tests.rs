@@ -36,6 +36,9 @@ fn read(path: &Path) -> String {
     fs::read_to_string(path).unwrap()
 }
 
+/// A line that begins as a journal's.
+const ONE: &[u8] = b"{\"event\":\"one\"}\n";
+
 #[test]
 fn lines_are_in_the_file_when_they_are_written_and_read_by_the_next() {
     for sync in [false, true] {
@@ -43,13 +46,13 @@ fn lines_are_in_the_file_when_they_are_written_and_read_by_the_next() {
         let path = scratch.journal();
         let (mut paper, written) = Paper::open(&path).unwrap();
         assert_eq!(written, b"");
-        paper.add(b"one\n", sync).unwrap();
-        assert_eq!(read(&path), "one\n");
+        paper.add(ONE, sync).unwrap();
+        assert_eq!(read(&path), std::str::from_utf8(ONE).unwrap());
         drop(paper);
         let (mut paper, written) = Paper::open(&path).unwrap();
-        assert_eq!(written, b"one\n");
+        assert_eq!(written, ONE);
         paper.add(b"two\n", sync).unwrap();
-        assert_eq!(read(&path), "one\ntwo\n");
+        assert_eq!(read(&path), concat!(r#"{"event":"one"}"#, "\ntwo\n"));
     }
 }
 
@@ -234,4 +237,33 @@ fn what_is_no_file_is_no_place_for_a_journal() {
     let error = Paper::open(&scratch.journal()).unwrap_err();
     let said = error.to_string();
     assert!(said.starts_with("the journal cannot lie at "), "{said}");
+}
+
+#[test]
+fn a_file_that_is_not_a_journal_is_refused_and_left_as_it_is() {
+    let scratch = Scratch::new("foreign");
+    let path = scratch.journal();
+    drop(Paper::open(&path).unwrap());
+    for mine in [
+        &b""[..],
+        b"{\"eve",
+        b"\0\0\0",
+        b"\0\0\n{\"event\":\"",
+        &opened(),
+    ] {
+        fs::write(&path, mine).unwrap();
+        assert!(Paper::open(&path).is_ok(), "{}", mine.escape_ascii());
+    }
+    fs::write(beside(&path, "new"), "mine").unwrap();
+    for other in ["a: {b: 1}\n", "{\"a\": 1}\n", "x"] {
+        fs::write(&path, other).unwrap();
+        for error in [Paper::open(&path).err(), check(&path).err()] {
+            assert!(
+                matches!(error, Some(JournalError::Foreign { .. })),
+                "{other}"
+            );
+        }
+        assert_eq!(read(&path), other);
+    }
+    assert_eq!(read(&beside(&path, "new")), "mine");
 }
