@@ -63,6 +63,12 @@ use ztl_std::server::{Answers, TaskHandler, TaskReporter, offered, would_take};
 /// Name under which it logs.
 const LOG: &str = "serve";
 
+/// An id for a task that is not there: no goal is unfit because of it.
+const TASK: ztl_core::TaskId = match ztl_core::TaskId::new(1) {
+    Some(id) => id,
+    None => unreachable!(),
+};
+
 /// Stands for every handler or component that has no entry of its own.
 const WILD: &str = "*";
 
@@ -229,7 +235,7 @@ impl TaskHandler for Programs {
             };
             // Any id: none makes a goal unfit.
             let call = Call {
-                id: ztl_core::TaskId::FIRST,
+                id: TASK,
                 scope: scope.to_string(),
                 handler: spec.handler.to_owned(),
                 component: spec.component.to_owned(),

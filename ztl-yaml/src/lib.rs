@@ -33,8 +33,6 @@ mod tree;
 pub use diagnostic::{Diagnostic, Diagnostics, closest};
 pub use reading::{Fields, Reading};
 
-
-
 /// Longest file that is to be read, in bytes.
 pub const MAX_FILE: u64 = 1 << 20;
 

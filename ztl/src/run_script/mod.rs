@@ -14,7 +14,7 @@ use tracing::{Level, error, info};
 use ztl_script::event::{By, Command, Event, FORMAT, Outcome, RemoteOutline, RunStarted, sha256};
 use ztl_script::player::Options;
 use ztl_script::record::Recorder;
-use ztl_script::{Connect, Defaults, Player, Scene, Script, Show, StandIns, timeline};
+use ztl_script::{Connect, Defaults, Player, Script, Show, StandIns, timeline};
 use ztl_std::remotes::Remote;
 use ztl_std::{RemoteTask, Remotes};
 use ztl_yaml::{Span, closest};
