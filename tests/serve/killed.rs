@@ -211,7 +211,7 @@ fn a_watchdog_heeds_no_signal_that_it_can_ignore() {
 /// programs that write to it. Starts a server and a task there, kills the server, and waits for the program.
 const CONTAINER: &str = r"
 import ctypes, os, pty, subprocess, sys, termios, time
-ztl, file, port, pid_file = sys.argv[1:]
+file, port, pid_file, *ztl = sys.argv[1:]
 child, terminal = pty.fork()
 if child:
     while True:
@@ -223,8 +223,8 @@ ctypes.CDLL(None).prctl(36, 1, 0, 0, 0)  # PR_SET_CHILD_SUBREAPER
 modes = termios.tcgetattr(0)
 modes[3] |= termios.TOSTOP
 termios.tcsetattr(0, termios.TCSANOW, modes)
-server = subprocess.Popen([ztl, 'serve', file])
-client = [ztl, 'task-client', '-p', port, '-s', '/robot', 'p:go:']
+server = subprocess.Popen([*ztl, 'serve', file])
+client = [*ztl, 'task-client', '-p', port, '-s', '/robot', 'p:go:']
 clients = []
 limit = time.monotonic() + 30
 while not os.path.exists(pid_file) and time.monotonic() < limit:
@@ -266,10 +266,11 @@ fn a_terminal_that_stops_background_programs_does_not_stop_a_watchdog() {
     let mut container = Command::new(python());
     container
         .args(["-c", CONTAINER])
-        .arg(ztl().get_program())
         .arg(&file)
         .arg(port.to_string())
-        .arg(&pid);
+        .arg(&pid)
+        .arg(ztl().get_program())
+        .args(ztl().get_args());
     let ended = Process::start(&mut container).end(PATIENCE * 2);
     assert_eq!(ended.code, Some(0), "{} {}", ended.stdout, ended.stderr);
 }
