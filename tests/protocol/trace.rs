@@ -162,7 +162,7 @@ impl Player {
         let (what, text) = what.split_once(": ").unwrap_or((what, ""));
         let said = || text.to_owned();
         let happening = match what {
-            "the server is started anew" => return self.restart(),
+            "the server restarts" => return self.restart(),
             "accepted" => Happening::Accepted,
             "rejected" => Happening::Rejected(said()),
             "progress" => Happening::Progress(said()),
