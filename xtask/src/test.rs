@@ -259,7 +259,7 @@ fn tests(dirs: &Dirs) -> Outcome {
     build_programs()?;
     firmware::build_for_qemu(dirs)?;
     Cmd::new(HEEDING)
-        .args("cargo test --workspace --locked --exclude")
+        .args("cargo test --workspace --locked --no-fail-fast --exclude")
         .arg(simulate::PACKAGE)
         // Its tests need the libraries, which the step `c` makes.
         .args("--exclude ztl-c")
