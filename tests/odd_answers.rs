@@ -93,13 +93,14 @@ fn play(files: &Scratch, script: &str, port: u16, record: &str) -> Ended {
 fn a_script_starts_a_task_with_a_large_id_once_and_waits_for_it() {
     let server = Server::original_with_large_ids();
     let files = Scratch::new();
-    let script = "s: {a(on_failure=retry 2): {test: {print: moving}}, b: {test: {echo: after}}}\n";
+    let script = "s: {a(on_failure=retry 2): {test: {print: moving}}, b: {test: {print: last}}}\n";
     let ended = play(&files, script, server.port, "run.jsonl");
     assert_eq!(ended.code, Some(0), "{ended:?}");
     assert!(
         !ended.stderr.contains("COULD NOT BE TRIGGERED"),
         "{ended:?}"
     );
+    server.process.wait_for("goal: last");
     let started = server.process.stdout().matches("goal: moving").count();
     assert_eq!(started, 1);
     // A number that JavaScript could not hold is a text in the record.

@@ -217,7 +217,7 @@ fn tests(project: &Project) -> Result<()> {
     let apart = ["--exclude", long_runs::SIMULATION, "--exclude", "ztl-c"];
     cmd!(
         sh,
-        "env {HEED_SIGNALS} cargo test --workspace --locked {apart...}"
+        "env {HEED_SIGNALS} cargo test --workspace --locked --no-fail-fast {apart...}"
     )
     .run()?;
     // The features that the workspace does not use: components, an async loop, what interrupts share, defmt.
