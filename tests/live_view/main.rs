@@ -86,7 +86,7 @@ fn a_show_is_played_by_single_keys() {
     // At once again it would be held down.
     terminal.type_in("pp");
     terminal.type_in("\x1b[C");
-    terminal.shows("Right means nothing now");
+    terminal.shows("Right has no effect now");
     assert_eq!(stage.decided().last().unwrap(), "pause operator");
     terminal.type_in("p");
     terminal.shows("p  pause after this step");
@@ -143,7 +143,7 @@ fn keys_that_come_at_once_decide_once() {
     terminal.shows(" Next: open");
     // An arrow key has three bytes, and is no decision at all.
     terminal.type_in("\x1b[C");
-    terminal.shows("Right means nothing now");
+    terminal.shows("Right has no effect now");
     terminal.type_in("\r\r\rss");
     terminal.shows("▶ gripper:finger:80");
     // While it plays they mean nothing, and later neither.

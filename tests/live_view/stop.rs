@@ -197,7 +197,7 @@ fn what_the_operator_was_asked_about_is_not_retried_by_itself() {
     terminal.type_in("\r");
     terminal.shows("WAITING: a task takes longer than its limit. Decide.");
     robot.released.store(true, Ordering::Relaxed);
-    terminal.shows("WAITING: something did not go well. Decide.");
+    terminal.shows("WAITING: something failed. Decide.");
     let screen = terminal.shows("t  retry what failed");
     assert!(screen.contains("■ test:stubborn:1  aborted"), "{screen}");
     terminal.type_in("g");
