@@ -1,5 +1,8 @@
 //! The mode of the terminal: taken for single keys or for a full screen, and restored however the process
 //! ends.
+//!
+//! crossterm 0.29 does not replace this: its reader never returns when the terminal is gone, blocks while a key is
+//! incomplete, and reads an arrow key whose bytes arrive separately as three keys, one of them `C`.
 
 use std::io::{self, Write};
 use std::sync::{Mutex, MutexGuard, Once, PoisonError};
