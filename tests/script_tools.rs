@@ -581,11 +581,14 @@ fn what_cannot_be_is_said_before_anything_begins() {
             "--yes --defaults zero.yaml",
             "zero.yaml:1:10: a limit of 0 seconds is no limit; write seconds, as 30, or none",
         ),
-        ("--simulate=soon", "write a number of seconds, as 1 or 0.2"),
+        (
+            "--simulate=soon",
+            "expected a number of seconds, such as 1 or 0.2",
+        ),
         ("--plain", "(25, 'Inappropriate ioctl for device')"),
         (
             "--plain",
-            "stdin is no terminal, so nobody can be asked; use --yes",
+            "stdin is not a terminal, so nobody can be asked; use --yes",
         ),
     ] {
         let words = format!("run-script -s show.yaml -c remotes.yaml {words}");

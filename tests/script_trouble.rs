@@ -99,11 +99,11 @@ fn when_a_server_was_started_anew_nothing_follows_unless_somebody_decides() {
         assert_eq!(ended.code, Some(1), "{ended:?}");
         let waits = ended.stderr.contains("Step 'a' waits: ");
         assert!(
-            waits && ended.stderr.contains("so what became of "),
+            waits && ended.stderr.contains("so the outcome of "),
             "{ended:?}"
         );
         // Only a server of ours says which start of it answers.
-        let told = ended.stderr.contains("'test' was started anew");
+        let told = ended.stderr.contains("'test' was restarted");
         assert!(told || !ours, "{ended:?}");
         assert!(!ended.stdout.contains("STEP 'b'"), "{ended:?}");
         assert!(

@@ -1,4 +1,4 @@
-//! Jumping to a scene, and looking around.
+//! The chooser, scrolling and pages.
 
 use std::time::Duration;
 
@@ -6,7 +6,7 @@ use ztl_tests::lab::{PATIENCE, Terminal, until};
 
 use crate::stage::{SCRIPT, Stage, start_scene};
 
-/// So many scenes; each opens the gripper as far as its number says.
+/// A script of so many scenes; each opens the gripper to its number.
 fn long_show(scenes: usize) -> String {
     let scene = |nth: usize| format!("scene {nth}: {{go: {{gripper: {{finger: {nth}}}}}}}\n");
     let mut script: String = (1..=scenes).map(scene).collect();
@@ -14,7 +14,7 @@ fn long_show(scenes: usize) -> String {
     script
 }
 
-/// The line with the sign of what is chosen.
+/// The line of the chosen scene.
 fn chosen(screen: &str) -> String {
     let mut lines = screen.lines().filter(|line| line.starts_with(" ▶"));
     let line = lines.next().unwrap_or_default().trim().to_owned();
@@ -23,7 +23,7 @@ fn chosen(screen: &str) -> String {
 }
 
 #[test]
-fn a_scene_beyond_the_ninth_is_chosen_by_its_number_and_only_what_is_shown_is_played() {
+fn a_scene_is_chosen_by_its_number_and_only_the_shown_one_is_played() {
     let stage = Stage::new(&long_show(30));
     let mut terminal = stage.play();
     terminal.shows(" Next: scene 1");
@@ -35,7 +35,7 @@ fn a_scene_beyond_the_ninth_is_chosen_by_its_number_and_only_what_is_shown_is_pl
     terminal.type_in("4");
     let screen = terminal.shows("Jump to: 24  ▶ 24 scene 24");
     assert!(chosen(&screen).contains("24  scene 24"), "{screen}");
-    // Nothing is decided before Enter, and Enter only shows it.
+    // Enter shows the scene and decides nothing else.
     assert_eq!(stage.decided(), Vec::<String>::new());
     terminal.type_in("\r");
     terminal.shows(" Next: scene 24");
@@ -51,11 +51,10 @@ fn a_scene_beyond_the_ninth_is_chosen_by_its_number_and_only_what_is_shown_is_pl
 }
 
 #[test]
-fn all_keys_at_once_show_the_scene_of_the_whole_number_and_start_none() {
+fn a_pasted_number_shows_its_scene_and_starts_none() {
     let stage = Stage::new(&long_show(30));
     let mut terminal = stage.play();
     terminal.shows(" Next: scene 1");
-    // As one typed blindly, or pasted.
     terminal.type_in("j24\r\r");
     terminal.shows(" Next: scene 24");
     terminal.type_in("?");
@@ -66,7 +65,7 @@ fn all_keys_at_once_show_the_scene_of_the_whole_number_and_start_none() {
 }
 
 #[test]
-fn a_number_without_a_scene_goes_nowhere() {
+fn a_number_without_a_scene_does_not_jump() {
     let stage = Stage::new(&long_show(30));
     let mut terminal = stage.play();
     terminal.shows(" Next: scene 1");
@@ -85,7 +84,7 @@ fn a_number_without_a_scene_goes_nowhere() {
 }
 
 #[test]
-fn letters_search_and_the_keys_of_a_list_move() {
+fn letters_search_and_arrow_and_page_keys_move() {
     let stage = Stage::new(&long_show(30));
     let mut terminal = stage.play();
     terminal.shows(" Next: scene 1");
@@ -115,7 +114,7 @@ fn letters_search_and_the_keys_of_a_list_move() {
 }
 
 #[test]
-fn leaving_the_list_of_scenes_is_no_decision() {
+fn leaving_the_chooser_decides_nothing() {
     let stage = Stage::new(&long_show(3));
     let mut terminal = stage.play();
     terminal.shows(" Next: scene 1");
@@ -125,7 +124,7 @@ fn leaving_the_list_of_scenes_is_no_decision() {
     terminal.shows("Jump to: zqx");
     terminal.type_in("\x1b");
     let screen = terminal.shows(" Next: scene 1");
-    assert!(!screen.contains("means nothing"), "{screen}");
+    assert!(!screen.contains("no effect"), "{screen}");
     terminal.type_in("s");
     terminal.shows(" Next: scene 2");
     let record = stage.record();
@@ -137,7 +136,7 @@ fn leaving_the_list_of_scenes_is_no_decision() {
 }
 
 #[test]
-fn a_long_list_is_looked_through_and_the_current_scene_comes_back() {
+fn a_long_list_scrolls_and_returns_to_the_current_scene() {
     let stage = Stage::new(&long_show(60));
     let mut terminal = stage.play();
     terminal.shows(" Next: scene 1");
@@ -149,7 +148,7 @@ fn a_long_list_is_looked_through_and_the_current_scene_comes_back() {
     terminal.shows("61 finale");
     terminal.type_in("\x1b");
     terminal.shows("· 1 scene 1");
-    // The current one is seen wherever it is.
+    // The current scene is always visible.
     terminal.type_in("j");
     terminal.shows("Esc  do not jump");
     terminal.type_in("45");
@@ -157,7 +156,7 @@ fn a_long_list_is_looked_through_and_the_current_scene_comes_back() {
     terminal.type_in("\r");
     terminal.shows("· 45 scene 45");
     until("another page", PATIENCE, || {
-        // A question that comes after it shows the current one again.
+        // A new question returns to the current scene, so scroll again.
         terminal.type_in("\x1b[5~");
         std::thread::sleep(Duration::from_millis(100));
         (!terminal.screen().contains("· 45 scene 45")).then_some(())
@@ -169,7 +168,7 @@ fn a_long_list_is_looked_through_and_the_current_scene_comes_back() {
 }
 
 #[test]
-fn the_keys_are_shown_and_nothing_is_decided_by_looking() {
+fn pages_of_keys_and_failures_decide_nothing() {
     let stage = Stage::new(SCRIPT);
     let mut terminal = stage.play();
     terminal.shows(" Next: open");
@@ -190,7 +189,7 @@ fn the_keys_are_shown_and_nothing_is_decided_by_looking() {
 }
 
 #[test]
-fn a_refusal_is_told_by_its_reason_and_in_full() {
+fn a_rejection_shows_its_full_reason() {
     let goal = "a-goal-with-a-long-name-".repeat(12);
     let script = format!("one: {{a(on_failure=ask): {{gripper: {{finger: {goal}}}}}}}\n");
     let stage = Stage::new(&script);
@@ -203,7 +202,7 @@ fn a_refusal_is_told_by_its_reason_and_in_full() {
     let (_, after) = screen.split_once("Decide.").unwrap();
     assert!(flat(after).starts_with(reason), "{screen}");
     assert!(screen.contains("refused  the goal is"), "{screen}");
-    // What does not fit has a page of its own.
+    // The rest is on a page.
     terminal.resize((60, 9));
     terminal.shows("d shows the rest");
     terminal.type_in("d");

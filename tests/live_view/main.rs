@@ -1,5 +1,5 @@
-//! `ztl run-script` on a terminal: its live view, driven by keys and looked at, on a real gateway
-//! with a simulated gripper; and the record that it writes.
+//! The live view of `ztl run-script` on a pty, with a real gateway, a simulated gripper and the record of the
+//! run.
 
 #![cfg(unix)]
 
@@ -16,7 +16,7 @@ use ztl_tests::lab::{PATIENCE, Terminal, until};
 
 use stage::{SCRIPT, Stage, start_scene};
 
-/// The lines that tell scenes, steps and tasks, without their times.
+/// The lines of scenes, steps and tasks, without times.
 fn without_times(screen: &str) -> Vec<String> {
     let body = screen
         .lines()
@@ -33,7 +33,7 @@ fn without_times(screen: &str) -> Vec<String> {
 }
 
 #[test]
-fn a_show_is_played_by_single_keys() {
+fn single_keys_play_a_script() {
     let stage = Stage::new(SCRIPT);
     let mut terminal = stage.play();
     let screen = terminal.shows(" Next: open");
@@ -67,7 +67,7 @@ fn a_show_is_played_by_single_keys() {
         "{screen}"
     );
 
-    // A step fails: it is tried again, in vain, and left.
+    // A step fails, and so does its retry.
     terminal.type_in("\r");
     let screen = terminal.shows("WAITING: ");
     assert!(screen.contains("✗ gripper:thumb:1  refused"), "{screen}");
@@ -79,14 +79,13 @@ fn a_show_is_played_by_single_keys() {
     terminal.shows("✗ ↻ gripper:thumb:1");
     terminal.shows("g  go on anyway");
     terminal.type_in("g");
-    // A pause after the step that runs.
     terminal.shows("▶ gripper:finger:40");
     terminal.type_in("p");
     terminal.shows("There will be a pause after this step.");
-    // At once again it would be held down.
+    // Pressed again at once, the key counts as held.
     terminal.type_in("pp");
     terminal.type_in("\x1b[C");
-    terminal.shows("Right means nothing now");
+    terminal.shows("Right has no effect now");
     assert_eq!(stage.decided().last().unwrap(), "pause operator");
     terminal.type_in("p");
     terminal.shows("p  pause after this step");
@@ -137,16 +136,16 @@ fn a_show_is_played_by_single_keys() {
 }
 
 #[test]
-fn keys_that_come_at_once_decide_once() {
+fn keys_read_together_decide_once() {
     let stage = Stage::new(SCRIPT);
     let mut terminal = stage.play();
     terminal.shows(" Next: open");
-    // An arrow key has three bytes, and is no decision at all.
+    // An arrow key has three bytes and decides nothing.
     terminal.type_in("\x1b[C");
-    terminal.shows("Right means nothing now");
+    terminal.shows("Right has no effect now");
     terminal.type_in("\r\r\rss");
     terminal.shows("▶ gripper:finger:80");
-    // While it plays they mean nothing, and later neither.
+    // They have no effect while the scene plays, nor later.
     terminal.type_in("\r");
     terminal.type_in("s");
     terminal.shows(" Next: shake");
@@ -164,19 +163,19 @@ fn keys_that_come_at_once_decide_once() {
         screen.contains(" · 2 shake") && screen.contains(" · 3 close"),
         "{screen}"
     );
-    // Whoever wants to stop is heard, whatever else is pressed.
+    // Stop keys work whatever was typed before them.
     terminal.type_in("s\x03");
     terminal.end();
     assert_eq!(stage.decided().last().unwrap(), "stop operator");
 }
 
 #[test]
-fn a_key_that_is_held_down_decides_once() {
+fn a_held_key_decides_once() {
     let stage = Stage::new(SCRIPT);
     let mut terminal = stage.play();
     terminal.shows(" Next: open");
-    // As a keyboard repeats it: over the end of the scene, and on while the next one is asked about. On a
-    // machine that is too busy it comes as if it were let go.
+    // Repeats as a keyboard does, past the end of the scene into the next question. A busy machine may
+    // deliver the repeats so late that they look like new presses.
     let mut asked = None;
     let mut last = Instant::now();
     let mut steady = true;
@@ -195,7 +194,7 @@ fn a_key_that_is_held_down_decides_once() {
         assert_eq!(stage.decided(), ["start operator"]);
         assert!(terminal.screen().contains(" Next: shake"));
     }
-    // Let go, and pressed again.
+    // Released and pressed again.
     until("the next scene", PATIENCE, || {
         std::thread::sleep(Duration::from_millis(300));
         terminal.type_in("\r");
@@ -206,11 +205,11 @@ fn a_key_that_is_held_down_decides_once() {
 }
 
 #[test]
-fn a_key_is_held_down_before_its_keyboard_repeats_it_too_and_stopping_is_heard_while_choosing() {
+fn a_key_counts_as_held_before_its_first_repeat_and_stop_keys_work_in_the_chooser() {
     let stage = Stage::new(SCRIPT);
     let mut terminal = stage.play();
     terminal.shows(" Next: open");
-    // Half a second is what most keyboards wait.
+    // Most keyboards wait half a second before they repeat a key.
     terminal.type_in("s");
     terminal.shows(" Next: shake");
     std::thread::sleep(Duration::from_millis(400));
@@ -224,13 +223,13 @@ fn a_key_is_held_down_before_its_keyboard_repeats_it_too_and_stopping_is_heard_w
         let at: Vec<f64> = keys.filter_map(|line| line["at_ms"].as_f64()).collect();
         (at.len() == 4).then_some(at)
     });
-    // On a machine that is too busy they come as if it were let go.
+    // A busy machine may deliver them so late that they look like new presses.
     if pressed[1] - pressed[0] < 650.0 && pressed[3] - pressed[1] < 200.0 {
         assert_eq!(stage.decided(), ["skip operator"]);
     }
     terminal.type_in("j");
     terminal.shows("Esc  do not jump");
-    // A letter searches there.
+    // In the chooser a letter searches.
     terminal.type_in("x");
     terminal.shows("Jump to: x");
     terminal.type_in("\x18");
@@ -244,12 +243,12 @@ fn a_key_is_held_down_before_its_keyboard_repeats_it_too_and_stopping_is_heard_w
 }
 
 #[test]
-fn ctrl_c_stops_what_was_started_and_shows_it() {
+fn ctrl_c_stops_background_tasks_and_shows_it() {
     let stage = Stage::new(&SCRIPT.replace("wide:", "wide (wait=no):"));
     let mut terminal = stage.play();
     terminal.shows(" Next: open");
     terminal.type_in("\r");
-    // It runs in the background, and the next scene is asked about.
+    // The task runs in the background during the next question.
     terminal.shows(" Next: shake");
     let screen = terminal.shows("in the background: 1");
     assert!(screen.contains("▶ gripper:finger:80  accepted"), "{screen}");
@@ -273,7 +272,7 @@ fn ctrl_c_stops_what_was_started_and_shows_it() {
 }
 
 #[test]
-fn the_terminal_is_as_before_however_it_ends() {
+fn signals_restore_the_terminal_of_the_live_view() {
     for signal in ["TERM", "HUP", "INT", "QUIT"] {
         let stage = Stage::new(SCRIPT);
         let mut terminal = stage.play();
@@ -291,7 +290,7 @@ fn the_terminal_is_as_before_however_it_ends() {
 }
 
 #[test]
-fn the_terminal_is_as_before_after_lines_too_however_they_end() {
+fn signals_restore_the_terminal_of_the_plain_view() {
     for signal in ["TERM", "HUP", "INT", "QUIT"] {
         let stage = Stage::new(SCRIPT);
         let mut command = stage.command();
@@ -306,7 +305,7 @@ fn the_terminal_is_as_before_after_lines_too_however_they_end() {
 }
 
 #[test]
-fn stopped_by_ctrl_z_it_gives_the_terminal_back_and_takes_it_again() {
+fn ctrl_z_restores_the_terminal_and_fg_takes_it_again() {
     let stage = Stage::new(SCRIPT);
     let mut shell = Command::new("bash");
     shell
@@ -330,19 +329,19 @@ fn stopped_by_ctrl_z_it_gives_the_terminal_back_and_takes_it_again() {
     terminal.type_in("fg\n");
     terminal.shows(" Next: open");
     assert!(terminal.is_full_screen());
-    // It takes single keys again.
+    // Single keys work again.
     terminal.type_in("s");
     terminal.shows(" Next: shake");
     terminal.type_in("\x03");
     terminal.shows("Over: everything was stopped.");
-    // How keys are taken is the shell's concern again.
+    // The terminal belongs to the shell again.
     assert!(!terminal.is_full_screen() && terminal.has_cursor());
     terminal.type_in("exit\n");
     terminal.end();
 }
 
 #[test]
-fn the_view_fits_the_window_whatever_becomes_of_it() {
+fn the_view_fits_the_window_after_each_resize() {
     let stage = Stage::new(SCRIPT);
     let mut terminal = stage.play();
     terminal.shows(" Next: open");
@@ -360,7 +359,7 @@ fn the_view_fits_the_window_whatever_becomes_of_it() {
 }
 
 #[test]
-fn there_is_no_colour_where_none_is_wanted_and_no_sign_that_cannot_be_shown() {
+fn no_color_turns_colours_off_and_a_c_locale_gets_ascii() {
     let stage = Stage::new(SCRIPT);
     let mut terminal = Terminal::start(
         stage.command().env("NO_COLOR", "1").env("LANG", "C"),
@@ -376,7 +375,7 @@ fn there_is_no_colour_where_none_is_wanted_and_no_sign_that_cannot_be_shown() {
 }
 
 #[test]
-fn a_record_that_is_there_is_kept_and_nothing_is_played() {
+fn an_existing_record_is_kept_and_nothing_is_played() {
     let stage = Stage::new(SCRIPT);
     fs::write(stage.files.path("run.jsonl"), "mine").unwrap();
     let mut terminal = stage.play();

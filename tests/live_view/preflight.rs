@@ -1,4 +1,4 @@
-//! Servers are looked for before the first scene.
+//! Probes of servers before the first scene.
 
 use ztl_tests::lab::{Process, SCOPE, Server, reserve_port, ztl};
 
@@ -10,7 +10,7 @@ two: {b: {nobody: {x: 1}}}
 ";
 
 #[test]
-fn what_is_missing_is_seen_before_the_first_scene_and_so_is_that_it_came() {
+fn missing_servers_and_their_return_are_shown_before_the_first_scene() {
     for server in [Server::ours(), Server::original()] {
         let (here, gone) = (server.port, reserve_port());
         let stage = Stage::with(SHOW, &[("test", here), ("robot", gone)]);
@@ -21,9 +21,9 @@ fn what_is_missing_is_seen_before_the_first_scene_and_so_is_that_it_came() {
         let text = format!("MISSING: server 'robot': no answer from tcp://127.0.0.1:{gone}");
         let screen = terminal.shows(&text);
         assert!(screen.contains(" Next: one"), "{screen}");
-        // In no configuration there is one of this name.
+        // Not in the configuration.
         terminal.shows("nobody ✗ MISSING");
-        // Keys are taken meanwhile.
+        // Keys work meanwhile.
         terminal.type_in("s");
         terminal.shows(" Next: two");
         let mut robot = ztl();
@@ -37,7 +37,7 @@ fn what_is_missing_is_seen_before_the_first_scene_and_so_is_that_it_came() {
         });
         terminal.type_in("\x03");
         terminal.end();
-        // Nothing was started by that.
+        // Probes start nothing.
         let port = here.to_string();
         let tasks = Process::run(ztl().args(["ps", "--all", "-p", &port]));
         assert!(!tasks.stdout.contains("echo"), "{tasks:?}");
@@ -61,7 +61,7 @@ fn a_server_without_the_scope_is_missing() {
 }
 
 #[test]
-fn a_server_that_stands_still_is_noticed_and_keys_are_taken() {
+fn a_stopped_server_is_noticed_and_keys_still_work() {
     let server = Server::ours();
     let port = server.port;
     let stage = Stage::with(
@@ -81,7 +81,7 @@ fn a_server_that_stands_still_is_noticed_and_keys_are_taken() {
 }
 
 #[test]
-fn a_check_says_what_is_missing_whatever_else_is_wrong_with_the_file() {
+fn check_live_reports_missing_servers_despite_mistakes_in_the_script() {
     let server = Server::ours();
     let gone = reserve_port();
     let mistaken = "one: {a (dealy=2): {test: {echo: 1}, robot: {echo: 1}}}\n";

@@ -1,4 +1,4 @@
-//! A script, a server, and the command that plays the one on the other in a terminal.
+//! A script, its servers, and the command that plays it in a terminal.
 
 use std::fs;
 use std::process::Command;
@@ -6,7 +6,7 @@ use std::process::Command;
 use serde_json::Value;
 use ztl_tests::lab::{PATIENCE, SCOPE, Scratch, Server, Terminal, until, ztl};
 
-/// From 0 to 80 percent the simulated gripper takes 1.6 s.
+/// The simulated gripper takes 1.6 s from 0 to 80 percent.
 pub const SCRIPT: &str = "\
 open:
   wide: {gripper: {finger: 80}}
@@ -34,7 +34,7 @@ impl Stage {
         }
     }
 
-    /// For these servers.
+    /// With these servers.
     #[track_caller]
     pub fn with(script: &str, remotes: &[(&str, u16)]) -> Self {
         let files = Scratch::new();
@@ -50,7 +50,7 @@ impl Stage {
         }
     }
 
-    /// The command that plays the script, in its directory; it writes a record.
+    /// The command that plays the script and records the run.
     pub fn command(&self) -> Command {
         let mut command = ztl();
         command.args([
@@ -75,7 +75,7 @@ impl Stage {
         Terminal::start(&self.command(), (80, 24))
     }
 
-    /// What the record says by now.
+    /// The events recorded so far.
     #[track_caller]
     pub fn record(&self) -> Vec<Value> {
         let text = fs::read_to_string(self.files.path("run.jsonl")).unwrap();
@@ -84,7 +84,7 @@ impl Stage {
             .collect()
     }
 
-    /// What was decided, and by whom.
+    /// The decisions so far, and who made them.
     pub fn decided(&self) -> Vec<String> {
         let decided = |line: &Value| {
             let (what, by) = (&line["command"]["do"], &line["by"]);
@@ -95,7 +95,7 @@ impl Stage {
     }
 }
 
-/// Presses Enter for the scene that is shown, again while it counts as held down.
+/// Presses Enter until the shown scene starts: at first the key may count as held.
 pub fn start_scene(terminal: &mut Terminal, stage: &Stage) {
     let starts = || {
         let decided = stage.decided();

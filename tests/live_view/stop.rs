@@ -1,4 +1,4 @@
-//! Stopping a scene, or everything, and staying in the show.
+//! Stopping a scene, or everything, while the run continues.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -9,8 +9,7 @@ use ztl_tests::lab::{PATIENCE, Process, SCOPE, Server, Terminal, until, ztl};
 
 use crate::stage::{Stage, start_scene};
 
-/// `sleep` lasts until it is aborted, `stubborn` until it is released, too; anything else is done at
-/// once.
+/// `sleep` runs until it is aborted, `stubborn` until it is also released. Other tasks complete at once.
 struct Sleeper {
     released: Arc<AtomicBool>,
 }
@@ -32,7 +31,7 @@ impl TaskController for Sleeper {
     }
 }
 
-/// A server with these, at a port of its own.
+/// A server of sleepers.
 struct Robot {
     port: u16,
     released: Arc<AtomicBool>,
@@ -56,7 +55,7 @@ impl Robot {
         }
     }
 
-    /// The tasks that run on it.
+    /// Its running tasks, as `ztl ps` lists them.
     fn running(&self) -> String {
         let port = self.port.to_string();
         Process::run(ztl().args(["ps", "-p", &port])).stdout
@@ -73,9 +72,9 @@ third:
   wave: {test: {echo: wave}}
 ";
 
-/// The second scene is played, with a task of the first in the background.
+/// Starts a run whose second scene plays while a task of the first runs in the background.
 #[track_caller]
-fn in_the_second() -> (Robot, Stage, Terminal) {
+fn playing_second_scene() -> (Robot, Stage, Terminal) {
     let robot = Robot::start();
     let stage = Stage::with(SHOW, &[("test", robot.port)]);
     let mut terminal = stage.play();
@@ -88,8 +87,8 @@ fn in_the_second() -> (Robot, Stage, Terminal) {
 }
 
 #[test]
-fn one_key_stops_the_scene_and_the_show_goes_on() {
-    let (robot, stage, mut terminal) = in_the_second();
+fn c_stops_the_scene_and_the_run_continues() {
+    let (robot, stage, mut terminal) = playing_second_scene();
     let screen = terminal.screen();
     for key in ["c  stop this scene", "x  stop everything"] {
         assert!(screen.contains(key), "{key}:\n{screen}");
@@ -105,7 +104,7 @@ fn one_key_stops_the_scene_and_the_show_goes_on() {
         tasks.contains("sleep:100") && !tasks.contains("sleep:200"),
         "{tasks}"
     );
-    // The show, its record and its place are there.
+    // The run continues with the next scene.
     terminal.type_in("s");
     terminal.shows(" Next: third");
     start_scene(&mut terminal, &stage);
@@ -130,8 +129,8 @@ fn one_key_stops_the_scene_and_the_show_goes_on() {
 }
 
 #[test]
-fn another_key_stops_everything_also_what_others_started_and_the_show_goes_on() {
-    let (robot, stage, mut terminal) = in_the_second();
+fn x_stops_everything_including_foreign_tasks_and_the_run_continues() {
+    let (robot, stage, mut terminal) = playing_second_scene();
     let port = robot.port.to_string();
     let at = ["-r", "localhost", "-p", &port, "-s", SCOPE];
     let other = Process::start(ztl().arg("task-client").args(at).arg("test:sleep:300"));
@@ -158,7 +157,7 @@ fn another_key_stops_everything_also_what_others_started_and_the_show_goes_on() 
 }
 
 #[test]
-fn what_is_not_confirmed_is_said_and_stays_in_sight() {
+fn unconfirmed_stops_are_reported_and_stay_visible() {
     let server = Server::original();
     let port = server.port;
     let script = "one: {a: {test: {sleep: 30}}}\ntwo: {b: {test: {echo: 1}}}\n";
@@ -188,7 +187,7 @@ fn what_is_not_confirmed_is_said_and_stays_in_sight() {
 }
 
 #[test]
-fn what_the_operator_was_asked_about_is_not_retried_by_itself() {
+fn a_step_that_asked_the_operator_is_not_retried_automatically() {
     let robot = Robot::start();
     let script = "one: {a (timeout=1; on_failure=retry 2): {test: {stubborn: 1}}}\n";
     let stage = Stage::with(script, &[("test", robot.port)]);
@@ -197,7 +196,7 @@ fn what_the_operator_was_asked_about_is_not_retried_by_itself() {
     terminal.type_in("\r");
     terminal.shows("WAITING: a task takes longer than its limit. Decide.");
     robot.released.store(true, Ordering::Relaxed);
-    terminal.shows("WAITING: something did not go well. Decide.");
+    terminal.shows("WAITING: something failed. Decide.");
     let screen = terminal.shows("t  retry what failed");
     assert!(screen.contains("■ test:stubborn:1  aborted"), "{screen}");
     terminal.type_in("g");
@@ -212,7 +211,7 @@ fn what_the_operator_was_asked_about_is_not_retried_by_itself() {
 }
 
 #[test]
-fn where_nobody_is_asked_the_key_that_stops_everything_ends_the_run() {
+fn x_ends_an_unattended_run() {
     let robot = Robot::start();
     let stage = Stage::with("one: {a: {test: {sleep: 100}}}\n", &[("test", robot.port)]);
     let mut command = stage.command();

@@ -4,8 +4,8 @@ use std::collections::HashSet;
 
 use ztl_std::{RemoteId, RequestError, ServerTask, ServerTasks, Status};
 
-use crate::Done;
 use crate::ask::{Asking, Server, all_named, code};
+use crate::exit::Done;
 use crate::terminal::{error_line, flat, line};
 
 #[derive(Debug, clap::Args)]

@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use ztl_std::Remotes;
 use ztl_std::remotes::{NoRemote, Remote, usual_path};
 
-use crate::Misuse;
+use crate::exit::Misuse;
 use crate::tool::{port_to_reach, whole};
 
 /// Options that say which server is meant.

@@ -7,9 +7,9 @@ use serde::de::DeserializeOwned;
 use ztl_std::terminal::quoted;
 use ztl_std::{Description, RemoteTask, ServerTasks};
 
-use crate::Misuse;
 use crate::address::{Address, Place};
 use crate::conversation::no_client;
+use crate::exit::Misuse;
 use crate::reach::Identity;
 use crate::terminal::error_line;
 

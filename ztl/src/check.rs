@@ -1,4 +1,4 @@
-//! `ztl check`: what is wrong with a script, before the show.
+//! `ztl check`: finds mistakes in a script.
 
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -8,9 +8,10 @@ use ztl_script::{Defaults, Finding, Script, ask_all};
 use ztl_std::Remotes;
 use ztl_yaml::Diagnostics;
 
+use crate::exit::Done;
+use crate::log;
 use crate::remote_task::Endpoints;
 use crate::terminal::{line, part};
-use crate::{Done, log};
 
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Exit code: 0 if nothing was found, 1 otherwise.")]
@@ -22,11 +23,11 @@ pub(crate) struct Check {
     #[command(flatten)]
     endpoints: Endpoints,
 
-    /// Ask each server too whether it is there, and ours whether they would take the tasks
+    /// Ask each server whether it is reachable, and servers of this package whether they accept the tasks
     #[arg(long)]
     live: bool,
 
-    /// The defaults file that it will be played with
+    /// The defaults file of `ztl run-script`
     #[arg(long, value_name = "FILE")]
     defaults: Option<PathBuf>,
 }
@@ -55,7 +56,7 @@ impl Check {
                     said.servers.iter().for_each(line);
                     findings.extend(said.findings);
                 }
-                // Which of them the script uses is unknown.
+                // The script is unreadable, so all servers are asked.
                 (true, None) => ask_all(remotes).iter().for_each(line),
                 (false, _) => {}
             }
@@ -78,8 +79,7 @@ impl Check {
         Ok(ExitCode::from(u8::from(mistakes + doubts > 0)))
     }
 
-    /// The configuration. Without one there are no names to check; one that cannot be read is one mistake,
-    /// and not one for each name.
+    /// The configuration, to check names of servers. An unreadable one counts as one mistake.
     fn remotes(&self, findings: &mut Vec<Finding>) -> Option<Remotes> {
         let path = self.endpoints.path();
         if self.endpoints.has_file() {
@@ -96,8 +96,8 @@ impl Check {
     }
 }
 
-/// Adds what is said of a name without a server. Where the parentheses in its key are doubtful already,
-/// that is the cause.
+/// Adds the finding for a name without a server. If the parentheses in its key are doubtful, they are the
+/// cause, and become a mistake instead.
 fn add_unknown(unknown: Finding, findings: &mut Vec<Finding>) {
     let key = unknown.diagnostic().span;
     let is_cause = |found: &&mut Finding| {
@@ -113,7 +113,7 @@ fn add_unknown(unknown: Finding, findings: &mut Vec<Finding>) {
     }
 }
 
-/// What was read, or nothing and why.
+/// The value, or `None` after adding the mistakes.
 fn taken<T>(read: Result<T, Diagnostics>, findings: &mut Vec<Finding>) -> Option<T> {
     match read {
         Ok(read) => Some(read),

@@ -12,7 +12,8 @@ use std::time::{Duration, Instant};
 use ztl_core::dispatcher::NOTHING_KNOWN;
 use ztl_std::{RemoteId, RemoteTask, RequestError, State, Status, TriggerError, WaitError};
 
-use crate::{Done, signals};
+use crate::exit::Done;
+use crate::signals;
 pub(crate) use words::Words;
 
 /// What is said at the end of a client's help.

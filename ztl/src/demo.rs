@@ -1,5 +1,7 @@
 //! `ztl demo`: the main job in a minute, on simulated devices behind real ptys.
 
+mod tasks;
+
 use std::path::Path;
 use std::process::ExitCode;
 use std::time::Instant;
@@ -9,10 +11,11 @@ use ztl_sim::Kind;
 use ztl_std::gateway::Gateway;
 use ztl_std::{RemoteTask, TaskServer};
 
-use crate::scene::{Act, play};
+use self::tasks::{DemoTask, play};
+use crate::exit::Done;
 use crate::terminal::line;
 use crate::tool::port;
-use crate::{Done, log, signals};
+use crate::{log, signals};
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct Demo {
@@ -27,8 +30,8 @@ pub(crate) struct Demo {
 
 const SCOPE: &str = "/lab";
 
-const fn finger(goal: &'static str, way: (f32, f32)) -> Act {
-    Act {
+const fn finger(goal: &'static str, way: (f32, f32)) -> DemoTask {
+    DemoTask {
         handler: "gripper",
         component: "finger",
         goal,
@@ -37,8 +40,8 @@ const fn finger(goal: &'static str, way: (f32, f32)) -> Act {
     }
 }
 
-const fn pan(goal: &'static str, way: (f32, f32)) -> Act {
-    Act {
+const fn pan(goal: &'static str, way: (f32, f32)) -> DemoTask {
+    DemoTask {
         handler: "head",
         component: "pan",
         goal,
@@ -47,8 +50,8 @@ const fn pan(goal: &'static str, way: (f32, f32)) -> Act {
     }
 }
 
-/// What is played, step after step; the acts of a step at once.
-const SCENE: [(&str, &[Act]); 4] = [
+/// What is played, step after step; the tasks of a step at once.
+const SCENE: [(&str, &[DemoTask]); 4] = [
     ("open the gripper", &[finger("80", (0.0, 80.0))]),
     ("look to the left", &[pan("left", (0.0, 90.0))]),
     (

@@ -2,8 +2,8 @@
 
 use std::process::ExitCode;
 
-use crate::Done;
 use crate::ask::{Asking, table};
+use crate::exit::Done;
 use crate::terminal::{flat, line};
 
 #[derive(Debug, clap::Args)]

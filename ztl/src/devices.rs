@@ -14,8 +14,8 @@ use ztl_std::defmt::{Decoder, Level, Message};
 use ztl_std::gateway::LogPiece;
 use ztl_std::gateway::{ComponentReport, DeviceReport, DeviceReports};
 
-use crate::Done;
 use crate::ask::{Asking, Server, all_named, code, read, spoken};
+use crate::exit::Done;
 use crate::ps::state;
 #[cfg(feature = "defmt")]
 use crate::signals;

@@ -10,11 +10,12 @@ use std::process::ExitCode;
 
 use serde_json::{Value, json};
 
+use crate::about;
 use crate::address::Address;
+use crate::exit::Done;
 use crate::reach::Identity;
 use crate::terminal::line;
 use crate::tool::port;
-use crate::{Done, about};
 
 #[derive(Debug, clap::Args)]
 #[command(

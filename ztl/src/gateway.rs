@@ -9,11 +9,12 @@ use std::process::ExitCode;
 use ztl_std::gateway::config::{Config, DeviceConfig, name_mistake, same_line};
 use ztl_std::scope;
 
+use crate::exit::Done;
 use crate::reach::{self, Findings, MISCONFIGURED, Unfit};
 use crate::service::{self, Service};
 use crate::terminal::{error_line, line};
 use crate::tool::port;
-use crate::{Done, journal, log, signals};
+use crate::{journal, log, signals};
 use reload::Reload;
 
 #[derive(Debug, Clone, clap::Args)]

@@ -1,8 +1,8 @@
-//! The `ztl` command: one file that is server, client, gateway and simulated device.
+//! The `ztl` command: server, client, gateway and simulated device in one program.
 //!
-//! Called by one of the original's names (`ztl_task_client`, `task_client.py`, …) it is that tool.
+//! If its name is one of the original's (`ztl_task_client`, `task_client.py`, …), it behaves as that tool.
 
-// Text for people goes through `terminal`, which keeps what comes from elsewhere from commanding a terminal.
+// Text for people goes through `terminal`, which escapes control sequences.
 #![warn(clippy::print_stdout, clippy::print_stderr)]
 
 mod abort;
@@ -17,11 +17,12 @@ mod device;
 mod devices;
 #[cfg(target_os = "linux")]
 mod doctor;
+mod exit;
 mod gateway;
 mod journal;
 #[cfg(target_os = "linux")]
 mod kernel;
-mod key_name;
+mod key_press;
 mod keyboard;
 mod keys;
 mod line;
@@ -34,7 +35,6 @@ mod reach;
 mod remote_task;
 mod report;
 mod run_script;
-mod scene;
 #[cfg(unix)]
 mod serve;
 mod service;
@@ -44,18 +44,20 @@ mod simple_server;
 mod task_client;
 mod task_server;
 mod terminal;
+#[cfg(unix)]
+mod terminal_mode;
 mod tool;
 
 use std::ffi::OsString;
-use std::fmt;
 use std::process::ExitCode;
 
 use clap::error::{ContextKind, ContextValue};
 use clap::{Parser, Subcommand};
 
+use exit::{MISUSED, exit};
 use terminal::{error_line, error_part};
 
-/// Robots and smart actuators as tasks over ZeroMQ.
+/// Control robots and smart actuators by tasks over ZeroMQ
 #[derive(Debug, Parser)]
 #[command(
     name = "ztl",
@@ -71,33 +73,33 @@ struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// Show the main job: two simulated devices, a gateway, and a scene played on them
+    /// Run a demo: two simulated devices, a gateway and a scene
     Demo(demo::Demo),
     /// Serve microcontrollers as handlers of a task server
     Gateway(gateway::Gateway),
     /// Serve the scripts and command-line tools of a robot as handlers of a task server
     #[cfg(unix)]
     Serve(serve::Serve),
-    /// Run a simulated device by itself, for whoever has no hardware
+    /// Run a simulated device
     Device(device::Device),
-    /// Put a bad cable between a gateway and its device: bytes lost, altered, repeated, held back
+    /// Simulate a bad cable between a gateway and its device: lose, alter, repeat or delay bytes
     Line(line::Line),
-    /// Show a gateway's devices: components, tasks, and how the links do
+    /// Show the devices of a gateway: components, tasks and links
     Devices(devices::Devices),
     /// Show what a server offers: scopes, handlers and components
     Describe(describe::Describe),
     /// Show the tasks of a server
     Ps(ps::Ps),
-    /// Stop tasks of a server, whoever started them
+    /// Abort tasks of a server
     Abort(abort::Abort),
-    /// Tell what matters on a strange robot, and what is wrong there: clock, ports, permissions, a server
+    /// Check a robot for problems: clock, ports, permissions, network, a server
     #[cfg(target_os = "linux")]
     Doctor(doctor::Doctor),
-    /// Make a pair of keys for encrypted connections
+    /// Create a key pair for encrypted connections
     Keys(keys::Keys),
-    /// Make a page of what happened in recorded runs of scripts, and tables for statistics
+    /// Create a page and tables from recorded runs of scripts
     Report(report::Report),
-    /// Find the mistakes in a script before the show
+    /// Check a script for mistakes
     Check(check::Check),
     #[command(flatten)]
     Tool(tool::Tool),
@@ -123,7 +125,7 @@ fn main() -> ExitCode {
             error_part(misuse(&error));
             return ExitCode::from(MISUSED);
         }
-        // Help, which somebody asked for.
+        // `--help` and `--version` are no mistakes.
         Err(error) => error.exit(),
     };
     let done = match command {
@@ -147,7 +149,7 @@ fn main() -> ExitCode {
     exit("ztl", done)
 }
 
-/// What is wrong with the command line.
+/// The message for a wrong command line.
 fn misuse(error: &clap::Error) -> String {
     let text = error.render().to_string();
     match error.get(ContextKind::SuggestedArg) {
@@ -158,35 +160,3 @@ fn misuse(error: &clap::Error) -> String {
         _ => text,
     }
 }
-
-/// How it ended, for the system and for the person who called it by this name.
-fn exit(called: impl fmt::Display, done: Done) -> ExitCode {
-    match done {
-        Ok(code) => code,
-        Err(error) => {
-            error_line(format_args!("{called}: {error}"));
-            match error.is::<Misuse>() {
-                true => ExitCode::from(MISUSED),
-                false => ExitCode::FAILURE,
-            }
-        }
-    }
-}
-
-/// Exit code for a command line that says nothing that could be done.
-const MISUSED: u8 = 2;
-
-/// What is wrong with the command line or the environment.
-#[derive(Debug)]
-struct Misuse(String);
-
-impl fmt::Display for Misuse {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.0.trim_end())
-    }
-}
-
-impl std::error::Error for Misuse {}
-
-/// What every command returns: its exit code, or one line for the person who called it.
-type Done = Result<ExitCode, Box<dyn std::error::Error>>;

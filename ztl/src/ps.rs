@@ -3,8 +3,8 @@
 use serde_json::json;
 use ztl_std::{ListedTask, ServerTask, State};
 
-use crate::Done;
 use crate::ask::{Asking, all_named, code, spoken, table};
+use crate::exit::Done;
 use crate::terminal::{flat, line};
 
 #[derive(Debug, clap::Args)]

@@ -5,7 +5,7 @@ use std::net::IpAddr;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use crate::Done;
+use crate::exit::Done;
 use crate::terminal::{error_line, line};
 use crate::tool::port;
 use ipnet::IpNet;

@@ -9,10 +9,11 @@ use ztl_std::remotes::{Remote, usual_path};
 use ztl_std::scope;
 
 use crate::conversation::{AFTER_HELP, Conversation, Target, Telling, Words};
+use crate::exit::Done;
 use crate::reach::Identity;
 use crate::terminal::error_part;
 use crate::tool::{Called, port, seconds, specification};
-use crate::{Done, log, signals};
+use crate::{log, signals};
 
 /// Name under which the original logs.
 const LOG: &str = "remote-config";

@@ -1,4 +1,4 @@
-//! `ztl report`: records of runs as a page for people and as tables for statistics.
+//! `ztl report`: turns records of runs into a page and tables.
 
 use std::fs::File;
 use std::io::BufReader;
@@ -8,21 +8,21 @@ use std::process::ExitCode;
 use ztl_script::record::{self, Damage, Record};
 use ztl_script::report;
 
-use crate::Done;
+use crate::exit::Done;
 use crate::terminal::{error_line, line};
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct Report {
-    /// Records, as `ztl run-script --record` writes them; several are compared
+    /// Records written by `ztl run-script --record`; several are compared
     #[arg(required = true, value_name = "RUN.jsonl")]
     records: Vec<PathBuf>,
 
-    /// The page to write [default: beside the record, RUN.html; of several report.html]
+    /// The page to write [default: RUN.html beside the record, or report.html for several]
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
 
-    /// Write tables too, beside the page: FILE.tasks.csv (a line for each task) and FILE.operator.csv
-    /// (a line for each thing that the operator did)
+    /// Also write tables beside the page: FILE.tasks.csv (one line per task) and FILE.operator.csv (one line per
+    /// action of the operator)
     #[arg(long)]
     csv: bool,
 }
@@ -51,7 +51,7 @@ impl Report {
             ]);
         }
         for file in &files {
-            // The one copy of what happened.
+            // Never overwrite the only copy of a record.
             if self.records.iter().any(|record| same(record, file)) {
                 let file = file.display();
                 return Err(format!("{file} is a record; give the report another name").into());
@@ -86,7 +86,7 @@ fn read(path: &Path) -> Result<(Vec<Record>, Vec<Damage>), String> {
     file.map_err(|error| format!("cannot read {name}: {error}"))
 }
 
-/// Whether two names lead to one file.
+/// Whether two paths name the same file.
 fn same(one: &Path, other: &Path) -> bool {
     let real = |path: &Path| std::fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
     real(one) == real(other)

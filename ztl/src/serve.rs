@@ -11,10 +11,11 @@ use ztl_serve::{Config, Groups};
 use ztl_std::listen::{LOG_FORMATS, LogFormat};
 use ztl_std::scope;
 
+use crate::exit::Done;
 use crate::reach::{self, MISCONFIGURED, Unfit};
 use crate::service::Service;
 use crate::terminal::{error_line, error_part, line};
-use crate::{Done, log, signals};
+use crate::{log, signals};
 
 #[derive(Debug, clap::Args)]
 #[command(after_help = "An option overrides what FILE says.")]

@@ -4,7 +4,7 @@ use std::process::ExitCode;
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-use crate::key_name::{FIRST_REPEAT, HELD};
+use crate::key_press::LastPress;
 
 struct Flag {
     /// When it was raised, and by which signal.
@@ -17,8 +17,8 @@ struct Flag {
     last: Option<Box<dyn Fn() + Send>>,
     /// How long the second may take, where it is not obeyed at once.
     patience: Option<Duration>,
-    /// A key that is held down is one signal: when the last came, and whether it was such a repeat.
-    held: Option<Option<(Instant, bool)>>,
+    /// Ignores repeats of Ctrl-C while it is held down, if set.
+    held: Option<Option<LastPress>>,
 }
 
 /// A signal that comes so soon after the first is the same one, sent twice: as by `timeout`, once to the
@@ -160,12 +160,9 @@ impl Flag {
         let Some(last) = &mut self.held else {
             return false;
         };
-        let again = last.is_some_and(|(at, again)| {
-            let limit = if again { HELD } else { FIRST_REPEAT };
-            now.saturating_duration_since(at) < limit
-        });
-        *last = Some((now, again));
-        again
+        let press = LastPress::after(*last, now, Duration::ZERO);
+        *last = Some(press);
+        press.is_repeat()
     }
 
     /// Ends the process a little later, if it is not ended by then.
@@ -296,7 +293,7 @@ pub(crate) fn at_usr1(_act: impl FnMut() + Send + 'static) -> std::io::Result<()
 mod tests {
     use super::*;
 
-    fn flag_of(held: Option<Option<(Instant, bool)>>) -> Flag {
+    fn flag_of(held: Option<Option<LastPress>>) -> Flag {
         Flag {
             raised: None,
             impatient: false,

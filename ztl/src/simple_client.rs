@@ -4,9 +4,10 @@
 use tracing::Level;
 
 use crate::conversation::{AFTER_HELP, Conversation, Target, Telling, Words};
+use crate::exit::Done;
 use crate::reach::Identity;
 use crate::tool::{Called, port_to_reach};
-use crate::{Done, log, signals};
+use crate::{log, signals};
 
 #[derive(Debug, clap::Args)]
 #[command(after_help = AFTER_HELP)]

@@ -12,10 +12,11 @@ use ztl_std::scope;
 use ztl_std::server::{TaskHandler, TaskReporter};
 use ztl_std::{Access, Limits, TaskId, TaskServer};
 
+use crate::exit::Done;
 use crate::reach::Bounds;
 use crate::terminal::line;
 use crate::tool::{no_number, port, seconds};
-use crate::{Done, log, signals};
+use crate::{log, signals};
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct SimpleServer {

@@ -5,9 +5,10 @@ use tracing::Level;
 
 use crate::address::Address;
 use crate::conversation::{AFTER_HELP, Conversation, Target, Telling, Words};
+use crate::exit::{Done, Misuse};
 use crate::reach::Identity;
 use crate::tool::{Called, seconds, specification};
-use crate::{Done, Misuse, log, signals};
+use crate::{log, signals};
 
 #[derive(Debug, clap::Args)]
 #[command(after_help = AFTER_HELP)]

@@ -11,10 +11,11 @@ use ztl_std::{
     TaskServer as Server,
 };
 
+use crate::exit::Done;
 use crate::reach::Bounds;
 use crate::terminal::line;
 use crate::tool::{no_number, port};
-use crate::{Done, log, signals};
+use crate::{log, signals};
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct TaskServer {

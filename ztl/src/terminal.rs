@@ -1,7 +1,7 @@
-//! Text for people, on stdout and stderr. A reader that has gone (`| head`) is not an error here.
+//! Text for people, on stdout and stderr. A closed pipe (`| head`) is not an error.
 //!
-//! Everything this program prints goes through here, because results, device names and answers come
-//! from elsewhere and a terminal obeys what it is sent: see [`ztl_std::terminal`].
+//! The program prints through this module only, because results, device names and answers may contain control
+//! sequences: see [`ztl_std::terminal`].
 
 use std::fmt::Display;
 use std::io::{IsTerminal, Write};
@@ -10,18 +10,17 @@ use ztl_std::State;
 pub(crate) use ztl_std::terminal::flat;
 use ztl_std::terminal::{shown, write_shown};
 
-/// Prints a line at once, also into a pipe.
+/// Prints a line and flushes it, also to a pipe.
 pub(crate) fn line(text: impl Display) {
     put(std::io::stdout().lock(), format!("{text}\n").as_bytes());
 }
 
-/// Prints without ending the line.
+/// Prints without a line feed.
 pub(crate) fn part(text: impl Display) {
     put(std::io::stdout().lock(), text.to_string().as_bytes());
 }
 
-/// Prints a line that was made for a terminal, with colours: what is in it from elsewhere was made harmless
-/// before.
+/// Prints a line with attributes as it is. The caller has escaped what comes from elsewhere.
 pub(crate) fn drawn_line(text: &str) {
     let mut out = std::io::stdout().lock();
     let _ = writeln!(out, "{text}").and_then(|()| out.flush());
@@ -32,17 +31,16 @@ pub(crate) fn error_line(text: impl Display) {
     put(std::io::stderr().lock(), format!("{text}\n").as_bytes());
 }
 
-/// Prints on stderr without ending the line.
+/// Prints on stderr without a line feed.
 pub(crate) fn error_part(text: impl Display) {
     put(std::io::stderr().lock(), text.to_string().as_bytes());
 }
 
-/// stderr for log lines, which are looked at later and elsewhere: what commands a terminal is always
-/// escaped.
+/// stderr for log lines. Logs are often read on a terminal later, so control sequences are always escaped.
 pub(crate) struct Errors;
 
 impl Write for Errors {
-    /// Takes whole events. A log that cannot be written is lost: an error would make the logger panic.
+    /// Writes a whole event. Never fails, because an error would make the logger panic.
     fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
         let text = String::from_utf8_lossy(bytes);
         let _ = std::io::stderr().lock().write_all(shown(&text).as_bytes());
@@ -55,7 +53,7 @@ impl Write for Errors {
     }
 }
 
-/// Prints a line with a state in it, in colour where a person sees it and has not declined colours.
+/// Prints a line with a coloured state.
 pub(crate) fn line_with_state(before: &str, state: State, after: &str) {
     let Some(colour) = colour(state) else {
         return line(format_args!("{before}{}{after}", state.name()));
@@ -67,37 +65,61 @@ pub(crate) fn line_with_state(before: &str, state: State, after: &str) {
     ));
 }
 
-/// Writes text to a stream. A reader that has gone is not an error.
+/// Writes text to a stream.
 pub(crate) fn put(to: impl Write + IsTerminal, text: &[u8]) {
     let _ = write_shown(to, text);
 }
 
-/// Whether a person sees stdout, so that lines can be rewritten.
+/// Whether stdout is a terminal, where lines can be rewritten.
 pub(crate) fn is_live() -> bool {
     std::io::stdout().is_terminal()
 }
 
-/// Writes over the line that the cursor is in, cut where it would wrap: that would be two to the
-/// cursor. Only for terminals.
+/// Overwrites the current line, cut before it wraps. Only for terminals.
 pub(crate) fn rewrite(text: &str, end: &str) {
-    let width = terminal_size::terminal_size().map_or(80, |(width, _)| usize::from(width.0));
-    let text: String = flat(text).chars().take(width).collect();
+    let text: String = flat(text).chars().take(size().0).collect();
     let mut out = std::io::stdout().lock();
     let _ = write!(out, "\r\x1b[K{text}{end}").and_then(|()| out.flush());
 }
 
-/// Moves the cursor up by so many lines. Only for terminals.
+/// Moves the cursor up. Only for terminals.
 pub(crate) fn up(lines: usize) {
     let mut out = std::io::stdout().lock();
     let _ = write!(out, "\x1b[{lines}A").and_then(|()| out.flush());
 }
 
-/// The colour of a state, where a person sees it and has not declined that (`NO_COLOR`).
+/// Columns and lines of the terminal.
+pub(crate) fn size() -> (usize, usize) {
+    let size = terminal_size::terminal_size();
+    let (width, height) = size.map_or((0, 0), |(width, height)| (width.0, height.0));
+    // A terminal that does not know its size reports 0.
+    let or = |size: u16, default: usize| {
+        if size == 0 {
+            default
+        } else {
+            usize::from(size)
+        }
+    };
+    (or(width, 80), or(height, 24))
+}
+
+/// Whether stdin and stdout are a terminal that can show a full screen.
+#[cfg(unix)]
+pub(crate) fn can_show_screen() -> bool {
+    let dumb = std::env::var("TERM").is_ok_and(|term| term == "dumb" || term.is_empty());
+    std::io::stdin().is_terminal() && std::io::stdout().is_terminal() && !dumb
+}
+
+/// Whether the user wants no colours (`NO_COLOR`).
+pub(crate) fn is_colour_declined() -> bool {
+    std::env::var_os("NO_COLOR").is_some_and(|value| !value.is_empty())
+}
+
+/// SGR colour of a state, if stdout shows colours.
 fn colour(state: State) -> Option<u8> {
-    let declined = |name| std::env::var_os(name).is_some_and(|value| !value.is_empty());
     let dumb = std::env::var_os("TERM").is_none_or(|term| term == "dumb");
-    let seen = is_live() && !dumb && !declined("NO_COLOR");
-    seen.then_some(match state {
+    let shown = is_live() && !dumb && !is_colour_declined();
+    shown.then_some(match state {
         State::Completed => 32,
         State::Failed | State::Rejected => 31,
         State::Aborted => 33,

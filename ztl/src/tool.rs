@@ -10,9 +10,10 @@ use ztl_core::integer::Integer;
 use ztl_core::repr::put_quoted;
 use ztl_std::TaskSpec;
 
+use crate::exit::Done;
 use crate::terminal::{error_line, line};
 use crate::{
-    Done, original, remote_task, run_script, simple_client, simple_server, task_client, task_server,
+    original, remote_task, run_script, simple_client, simple_server, task_client, task_server,
 };
 
 /// The original's tools by the names of this command.
@@ -112,7 +113,7 @@ impl Tool {
                 "this tool is not there yet; the original's works with this server and gateway: pip install ztl".into(),
             ),
         };
-        crate::exit(called, done)
+        crate::exit::exit(called, done)
     }
 
     const fn name(&self) -> &'static str {

@@ -1,4 +1,4 @@
-//! What the live view knows: made from the events of a run and from nothing else.
+//! The state that the live view shows, computed from the events of the run only.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -13,91 +13,91 @@ use ztl_script::event::{
 pub(super) struct Board {
     pub(super) script: String,
     pub(super) outline: Outline,
-    /// By name, in the order of the configuration; `None`: nothing was asked of it yet.
-    pub(super) servers: Vec<(String, Server)>,
-    /// When the last event happened.
+    /// The servers of the script, by name.
+    pub(super) servers: Vec<(String, ServerView)>,
+    /// Time of the last event.
     pub(super) at: Duration,
-    pub(super) scenes: Vec<Look>,
-    /// How long each took when it was played last.
+    pub(super) scenes: Vec<Progress>,
+    /// Duration of the last take of each scene.
     pub(super) lengths: Vec<Option<Duration>>,
-    /// The scene that is shown, or played.
+    /// The scene that is shown or playing.
     pub(super) scene: Option<usize>,
-    /// Of the scene that is played, or was last.
-    pub(super) played: Option<Played>,
-    pub(super) tasks: BTreeMap<TaskNumber, Task>,
+    /// The scene that is playing, or was played last.
+    pub(super) played: Option<SceneRun>,
+    pub(super) tasks: BTreeMap<TaskNumber, TaskRun>,
     pub(super) question: Option<Question>,
-    /// Counts the questions, so that an answer is never taken for one that comes after.
+    /// Number of questions so far, so that an answer never counts for the next one.
     pub(super) questions: u64,
     choices: Vec<Command>,
-    /// The operator wants a pause after this step.
+    /// Whether the operator ordered a pause after this step.
     pub(super) pause: bool,
     pub(super) paused: bool,
     pub(super) waiting: Option<(Why, Vec<TaskNumber>)>,
-    /// The operator leaves, and what still runs is asked about once.
+    /// Whether the operator leaves, while the final states of tasks are read once.
     leaving: bool,
-    /// What is being stopped, or was stopped last; until the next decision.
+    /// The last stop, until the next decision.
     pub(super) stopping: Option<Stopping>,
-    /// The last key, and when it was pressed.
+    /// The last key, what it meant, and when it was pressed.
     pub(super) key: Option<(String, Option<Command>, Duration)>,
-    /// Until the next key.
+    /// Notes since the last key.
     pub(super) notes: Vec<String>,
     pub(super) ended: Option<(Outcome, Vec<TaskNumber>, String)>,
     requests: BTreeMap<RequestNumber, String>,
 }
 
-/// What is being stopped.
+/// The tasks that are being stopped.
 #[derive(Debug)]
 pub(super) struct Stopping {
     pub(super) command: Command,
-    /// What became of stopping each task; `None`: no word yet.
+    /// For each task whether the stop was confirmed, and the text; `None` until it is answered.
     pub(super) answers: BTreeMap<TaskNumber, Option<(bool, String)>>,
-    /// Nothing more is waited for.
+    /// Whether the run waits for no more answers.
     pub(super) over: bool,
 }
 
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
-pub(super) struct Server {
+pub(super) struct ServerView {
     pub(super) state: Option<ServerState>,
     pub(super) since: Duration,
-    /// How long its last answer took; that of a held STATUS says nothing.
+    /// Latency of the last answer, without held ones.
     pub(super) latency: Option<Duration>,
 }
 
-/// How a scene or a step looks.
+/// The progress of a scene or step.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub(super) enum Look {
+pub(super) enum Progress {
     #[default]
-    ToCome,
+    Pending,
     Playing,
-    Well,
-    Badly,
+    Completed,
+    Failed,
     Stopped,
     Skipped,
 }
 
-/// A scene that is played, or was.
+/// A take of a scene.
 #[derive(Debug)]
-pub(super) struct Played {
+pub(super) struct SceneRun {
     pub(super) scene: usize,
     pub(super) take: u32,
     pub(super) from: Duration,
     pub(super) to: Option<Duration>,
-    pub(super) steps: Vec<Step>,
+    pub(super) steps: Vec<StepRun>,
 }
 
 #[derive(Debug, Clone, Default)]
-pub(super) struct Step {
-    pub(super) look: Look,
+pub(super) struct StepRun {
+    pub(super) progress: Progress,
     pub(super) from: Duration,
     pub(super) to: Option<Duration>,
 }
 
 #[derive(Debug)]
-pub(super) struct Task {
+pub(super) struct TaskRun {
     pub(super) name: String,
     pub(super) scene: usize,
     pub(super) step: usize,
-    /// Of the scene as it is played now, and not of an earlier time.
+    /// Whether it belongs to the current take of its scene.
     pub(super) current: bool,
     pub(super) again: bool,
     pub(super) from: Duration,
@@ -106,7 +106,7 @@ pub(super) struct Task {
     pub(super) text: String,
 }
 
-impl Task {
+impl TaskRun {
     fn new(from: Duration) -> Self {
         Self {
             name: String::new(),
@@ -123,7 +123,7 @@ impl Task {
 }
 
 impl Board {
-    /// An event has happened. Costs at most work linear in the tasks that run and in one scene.
+    /// Applies an event, in time linear in the running tasks and the steps of one scene.
     pub(super) fn handle(&mut self, Stamped { at, event, .. }: &Stamped) {
         let at = *at;
         self.at = at;
@@ -131,10 +131,10 @@ impl Board {
             Event::RunStarted(started) => {
                 self.script.clone_from(&started.script);
                 self.outline.clone_from(&started.outline);
-                self.scenes = vec![Look::ToCome; self.outline.scenes.len()];
+                self.scenes = vec![Progress::Pending; self.outline.scenes.len()];
                 self.lengths = vec![None; self.scenes.len()];
                 let server = |remote: &RemoteOutline| {
-                    let mut server = Server::default();
+                    let mut server = ServerView::default();
                     if remote.endpoint.is_none() {
                         let text = "it is not in the configuration".to_owned();
                         server.state = Some(ServerState::Absent { text });
@@ -154,7 +154,7 @@ impl Board {
             }
             Event::Key { key, command } => {
                 self.key = Some((key.clone(), *command, at));
-                // They have been seen.
+                // The operator has seen them.
                 self.notes.clear();
             }
             Event::Decided { command, by, .. } => self.decide(*command, *by),
@@ -166,18 +166,18 @@ impl Board {
                         *length = Some(at.saturating_sub(played.from));
                     }
                 }
-                let look = match end {
-                    SceneEnd::Completed => Look::Well,
-                    SceneEnd::Failures => Look::Badly,
-                    SceneEnd::Stopped => Look::Stopped,
+                let progress = match end {
+                    SceneEnd::Completed => Progress::Completed,
+                    SceneEnd::Failures => Progress::Failed,
+                    SceneEnd::Stopped => Progress::Stopped,
                 };
-                self.look(*scene, look);
+                self.set_progress(*scene, progress);
             }
-            Event::SceneSkipped { scene, .. } => self.look(*scene, Look::Skipped),
+            Event::SceneSkipped { scene, .. } => self.set_progress(*scene, Progress::Skipped),
             Event::StepStarted { step, .. } => {
                 self.with_step(*step, |shown| {
-                    *shown = Step {
-                        look: Look::Playing,
+                    *shown = StepRun {
+                        progress: Progress::Playing,
                         from: at,
                         to: None,
                     };
@@ -188,15 +188,15 @@ impl Board {
                 self.unask(|question| matches!(question, Question::Step { .. }));
                 self.with_step(*step, |shown| {
                     shown.to = Some(at);
-                    shown.look = match end {
-                        StepEnd::Completed => Look::Well,
-                        StepEnd::Failures => Look::Badly,
-                        StepEnd::Stopped => Look::Stopped,
+                    shown.progress = match end {
+                        StepEnd::Completed => Progress::Completed,
+                        StepEnd::Failures => Progress::Failed,
+                        StepEnd::Stopped => Progress::Stopped,
                     };
                 });
             }
             Event::StepSkipped { step, .. } => {
-                self.with_step(*step, |shown| shown.look = Look::Skipped);
+                self.with_step(*step, |shown| shown.progress = Progress::Skipped);
             }
             Event::StepWaiting { why, tasks, .. } => {
                 self.waiting = Some((why.clone(), tasks.clone()));
@@ -242,7 +242,7 @@ impl Board {
             }
             Event::Unanswered { request, .. } => drop(self.requests.remove(request)),
             Event::Server { remote, state } => {
-                let server = Server {
+                let server = ServerView {
                     state: Some(state.clone()),
                     since: at,
                     latency: None,
@@ -253,10 +253,10 @@ impl Board {
                 }
             }
             Event::TaskFound { task, text, .. } => {
-                let found = Task {
+                let found = TaskRun {
                     name: text.clone(),
                     state: TaskState::Accepted,
-                    ..Task::new(at)
+                    ..TaskRun::new(at)
                 };
                 self.tasks.insert(*task, found);
                 self.stop_answer(*task, None);
@@ -284,7 +284,7 @@ impl Board {
         }
     }
 
-    /// What the operator can want now.
+    /// The commands that are possible now.
     pub(super) fn choices(&self) -> Vec<Command> {
         if self.ended.is_some() {
             Vec::new()
@@ -305,7 +305,7 @@ impl Board {
                 true => Command::Resume,
                 false => Command::Pause,
             }];
-            // Not where nobody is asked between scenes.
+            // Only if the operator is asked between scenes.
             if self.choices.contains(&Command::StopAll) {
                 choices.extend([Command::StopScene, Command::StopAll]);
             }
@@ -320,8 +320,8 @@ impl Board {
         }
     }
 
-    /// Tasks that are under way, or may be, and do not belong to the step that is played.
-    pub(super) fn in_background(&self) -> impl Iterator<Item = &Task> {
+    /// Tasks that may still run and are not part of the playing step.
+    pub(super) fn in_background(&self) -> impl Iterator<Item = &TaskRun> {
         let step = self.playing_step();
         self.tasks.values().filter(move |task| {
             let here = task.current && Some((task.scene, task.step)) == step;
@@ -329,10 +329,10 @@ impl Board {
         })
     }
 
-    /// Whether there is more to say of what is wrong: a task, or a server that is missing.
+    /// Whether a task failed or a server is missing.
     pub(super) fn has_details(&self) -> bool {
-        let wrong = |task: &Task| task.state.is_failure() || task.state == TaskState::Unknown;
-        let missing = |(_, server): &(String, Server)| {
+        let wrong = |task: &TaskRun| task.state.is_failure() || task.state == TaskState::Unknown;
+        let missing = |(_, server): &(String, ServerView)| {
             let state = server.state.as_ref();
             matches!(
                 state,
@@ -342,17 +342,17 @@ impl Board {
         self.tasks.values().any(wrong) || self.servers.iter().any(missing)
     }
 
-    /// Whether a scene is played.
+    /// Whether a scene is playing.
     fn plays(&self) -> bool {
         self.played
             .as_ref()
             .is_some_and(|played| played.to.is_none())
     }
 
-    /// Scene and step that are played just now.
+    /// The playing scene and step.
     pub(super) fn playing_step(&self) -> Option<(usize, usize)> {
         let played = self.played.as_ref().filter(|played| played.to.is_none())?;
-        let playing = |step: &Step| step.look == Look::Playing;
+        let playing = |step: &StepRun| step.progress == Progress::Playing;
         Some((played.scene, played.steps.iter().position(playing)?))
     }
 
@@ -374,12 +374,12 @@ impl Board {
                 over: false,
             });
         }
-        // A pause ordered while a step waits is no answer to its question.
+        // A pause ordered while a step waits does not answer its question.
         if command != Command::Pause || self.question == Some(Question::Pause) {
             self.question = None;
         }
         if by == By::Operator && command == Command::Restart {
-            self.scenes.fill(Look::ToCome);
+            self.scenes.fill(Progress::Pending);
         }
         if !matches!(command, Command::Pause | Command::Resume) {
             self.paused = false;
@@ -389,8 +389,8 @@ impl Board {
     fn start_scene(&mut self, at: Duration, scene: usize, take: u32) {
         self.question = None;
         self.scene = Some(scene);
-        self.look(scene, Look::Playing);
-        // What has ended is told by its scene's sign; what runs goes on in the background.
+        self.set_progress(scene, Progress::Playing);
+        // Ended tasks are covered by the sign of their scene; the others continue in the background.
         self.tasks.retain(|_, task| !task.state.is_over());
         for task in self.tasks.values_mut() {
             task.current = false;
@@ -400,22 +400,22 @@ impl Board {
             .scenes
             .get(scene)
             .map_or(0, |scene| scene.steps.len());
-        self.played = Some(Played {
+        self.played = Some(SceneRun {
             scene,
             take,
             from: at,
             to: None,
-            steps: vec![Step::default(); steps],
+            steps: vec![StepRun::default(); steps],
         });
     }
 
-    fn look(&mut self, scene: usize, look: Look) {
+    fn set_progress(&mut self, scene: usize, progress: Progress) {
         if let Some(shown) = self.scenes.get_mut(scene) {
-            *shown = look;
+            *shown = progress;
         }
     }
 
-    fn with_step(&mut self, step: usize, change: impl FnOnce(&mut Step)) {
+    fn with_step(&mut self, step: usize, change: impl FnOnce(&mut StepRun)) {
         if let Some(shown) = self
             .played
             .as_mut()
@@ -444,13 +444,13 @@ impl Board {
             Some(task) => format!("{}:{}:{}", task.handler, task.component, task.goal),
             None => format!("task {}", number.0),
         };
-        let task = Task {
+        let task = TaskRun {
             name,
             scene,
             step,
             current: true,
             again,
-            ..Task::new(at)
+            ..TaskRun::new(at)
         };
         self.tasks.insert(number, task);
     }
@@ -458,7 +458,7 @@ impl Board {
     fn task_state(&mut self, at: Duration, number: TaskNumber, state: TaskState, text: &str) {
         if let Some(task) = self.tasks.get_mut(&number) {
             task.state = state;
-            // A gateway repeats the request before its reason; it stands beside it anyway.
+            // A gateway puts the request before the reason; the screen shows the request already.
             let text = match text.split_once("' refused: ") {
                 Some((request, reason)) if request.starts_with('\'') => reason,
                 _ => text,
@@ -468,7 +468,7 @@ impl Board {
                 task.to = Some(at);
             }
         }
-        // It ended after its stop was given up.
+        // It ended after the run gave up stopping it.
         let stopping = self.stopping.as_mut();
         if let Some(answer) = stopping.and_then(|it| it.answers.get_mut(&number))
             && matches!(answer, Some((false, _)))

@@ -1,20 +1,23 @@
-//! Choosing a scene to jump to, by its number, a part of its name, or by moving to it.
+//! The chooser: finds a scene by its number, a part of its name, or by moving.
 
 use ztl_script::event::SceneOutline;
 
-/// What was typed so far, and the scene that Enter would show.
+/// The input so far, and the scene that Enter shows.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct Chooser {
     pub(super) typed: String,
-    /// `None`: no scene is meant by what was typed.
+    /// `None` if no scene matches.
     pub(super) cursor: Option<usize>,
 }
 
-/// What a key did to the chooser.
+/// The effect of a key.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) enum Chosen {
+    /// The chooser stays open.
     Stay,
+    /// This scene was chosen.
     Scene(usize),
+    /// The key is not for the chooser.
     Nothing,
 }
 
@@ -26,12 +29,12 @@ impl Chooser {
         }
     }
 
-    /// What was typed is the number of a scene, and not a part of a name.
+    /// Whether the input is a number and not part of a name.
     fn is_number(&self) -> bool {
         !self.typed.is_empty() && self.typed.bytes().all(|byte| byte.is_ascii_digit())
     }
 
-    /// The scenes that can be moved to: those whose name has what was typed.
+    /// The scenes in the list: all for a number, otherwise those whose names contain the input.
     pub(super) fn rows(&self, scenes: &[SceneOutline]) -> Vec<usize> {
         let part = match self.is_number() {
             true => String::new(),
@@ -44,7 +47,7 @@ impl Chooser {
             .collect()
     }
 
-    /// A key was pressed; `page`: how many lines are seen at once.
+    /// Handles a key; `page` is the number of visible lines.
     pub(super) fn press(&mut self, key: &str, scenes: &[SceneOutline], page: usize) -> Chosen {
         let page = page.saturating_sub(1).max(1);
         match key {
@@ -76,7 +79,7 @@ impl Chooser {
         self.find(scenes);
     }
 
-    /// Goes to what was typed.
+    /// Moves the cursor to the match.
     fn find(&mut self, scenes: &[SceneOutline]) {
         let rows = self.rows(scenes);
         self.cursor = if self.is_number() {
@@ -84,13 +87,13 @@ impl Chooser {
             let nth = number.and_then(|number| number.checked_sub(1));
             nth.filter(|nth| *nth < scenes.len())
         } else {
-            // Where it is, if it may stay there.
+            // Stays where it is if that matches.
             let stays = self.cursor.filter(|cursor| rows.contains(cursor));
             stays.or_else(|| rows.first().copied())
         };
     }
 
-    /// Moves among the rows; a number that was typed is forgotten by that.
+    /// Moves among the rows. Clears a typed number.
     fn go(&mut self, scenes: &[SceneOutline], to: impl FnOnce(usize, usize) -> usize) {
         if self.is_number() {
             self.typed.clear();
@@ -118,7 +121,7 @@ mod tests {
         names.iter().map(scene).collect()
     }
 
-    /// Where these keys lead from the first scene.
+    /// The input and cursor after these keys, from the first scene.
     fn typed(keys: &[&str], scenes: &[SceneOutline]) -> (String, Option<usize>) {
         let mut chooser = Chooser::at(0);
         for key in keys {
@@ -128,7 +131,7 @@ mod tests {
     }
 
     #[test]
-    fn a_number_has_as_many_digits_as_it_needs() {
+    fn a_number_selects_a_scene() {
         let names: Vec<String> = (1..=120).map(|nth| format!("scene of {nth}")).collect();
         let names: Vec<&str> = names.iter().map(String::as_str).collect();
         let scenes = scenes(&names);
@@ -151,7 +154,7 @@ mod tests {
     }
 
     #[test]
-    fn letters_search_in_names_and_moving_stays_among_what_was_found() {
+    fn letters_search_names_and_moving_stays_among_the_matches() {
         let scenes = scenes(&["Welcome", "Dance 1", "Questions", "Dance 2", "Goodbye"]);
         assert_eq!(typed(&["d", "A"], &scenes).1, Some(1));
         assert_eq!(typed(&["d", "a", "Down"], &scenes).1, Some(3));
@@ -167,7 +170,7 @@ mod tests {
     }
 
     #[test]
-    fn pages_are_as_long_as_what_is_seen() {
+    fn a_page_has_the_visible_lines() {
         let names = vec!["s"; 50];
         let scenes = scenes(&names);
         assert_eq!(typed(&["PageDown", "PageDown"], &scenes).1, Some(18));

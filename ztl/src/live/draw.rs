@@ -1,20 +1,20 @@
-//! The screen, as a function of what is known: no terminal, no clock.
+//! Draws the screen as a pure function of the board, the view, the time and the size.
 
 use std::time::Duration;
 
 use ztl_script::event::{ServerState, TaskState};
 
-use super::board::{Board, Played, Server, Task};
+use super::board::{Board, SceneRun, ServerView, TaskRun};
 use super::choose::Chooser;
 use super::keys;
-use super::message::{self, Paragraph, message};
-use super::rows::{Seen, body, clock, page, scene_line, scene_list, task_line, window};
-use super::text::{Line, Style, clip};
+use super::message::{self, message};
+use super::rows::{Seen, body, page, scene_line, scene_list, task_line, window};
+use super::text::{Line, Paragraph, Style, clip, clock};
 
-/// Lines that a long message has at least, before keys.
-const SAID: usize = 2;
+/// Lines of a long message that take precedence over keys.
+const MESSAGE_LEAST: usize = 2;
 
-/// What the middle of the screen shows.
+/// What the body shows.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub(super) enum Pane {
     #[default]
@@ -26,16 +26,22 @@ pub(super) enum Pane {
     Details,
 }
 
-/// What is looked at.
+/// What the operator looks at.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub(super) struct View {
     pub(super) pane: Pane,
-    /// The first row that is seen, where the operator looks around.
+    /// The first visible row, if the operator scrolled.
     pub(super) top: Option<usize>,
 }
 
-/// Draws it all: exactly `height` lines, none wider than `width`; and what of the middle is seen. `now` is the
-/// time of the run.
+impl View {
+    pub(super) const fn of(pane: Pane) -> Self {
+        Self { pane, top: None }
+    }
+}
+
+/// Draws exactly `height` lines, none wider than `width`. Returns the visible part of the body too. `now` is the
+/// time since the start of the run.
 pub(super) fn draw(
     board: &Board,
     view: &View,
@@ -46,13 +52,18 @@ pub(super) fn draw(
         Pane::Choose(chooser) => message::choosing(board, chooser),
         _ => message(board, now),
     };
-    let said_least = message::lines(&said, width, SAID).len();
-    let keys = key_lines(board, view, width, height.saturating_sub(said_least).max(1));
+    let message_least = message::lines(&said, width, MESSAGE_LEAST).len();
+    let keys = key_lines(
+        board,
+        view,
+        width,
+        height.saturating_sub(message_least).max(1),
+    );
     let room = height.saturating_sub(keys.len());
-    // Of a long one some lines are left for the show.
+    // A long message leaves some lines for the body.
     let most = if room < 8 { room } else { room * 3 / 4 };
     let message = message::lines(&said, width, most);
-    // What has to be seen comes first; on a small screen the rest goes.
+    // The parts in order of importance; those that do not fit are left out.
     let mut left = height.saturating_sub(keys.len() + message.len());
     let mut take = |lines: Vec<Line>, least: usize| {
         if lines.len() + least > left {
@@ -82,7 +93,7 @@ pub(super) fn draw(
     lines.extend(rule);
     lines.extend(message);
     lines.extend(keys);
-    // Of a window without any height.
+    // A window may have no height at all.
     let surplus = lines.len().saturating_sub(height);
     lines.drain(..surplus);
     (lines, seen)
@@ -94,7 +105,7 @@ fn all_keys() -> Vec<Paragraph> {
     keys::ALL.iter().map(words).collect()
 }
 
-/// The page of all that went wrong.
+/// The page of failures.
 fn details(board: &Board, now: Duration) -> Vec<Paragraph> {
     let mut said = message::details(board, now);
     if said.is_empty() {
@@ -103,8 +114,7 @@ fn details(board: &Board, now: Duration) -> Vec<Paragraph> {
     said
 }
 
-/// What is left on the terminal when the view has gone: how each scene went, what did not go well, and
-/// how it ended.
+/// The lines that remain on the terminal after the run: scenes, tasks that did not complete, and the outcome.
 pub(super) fn summary(board: &Board, width: usize) -> Vec<Line> {
     let scenes = board.outline.scenes.iter().enumerate();
     let mut lines: Vec<Line> = scenes
@@ -129,7 +139,7 @@ fn title(board: &Board, now: Duration, width: usize) -> Line {
         let of = board.outline.scenes.len();
         words += &format!("  scene {} of {of}", scene + 1);
     }
-    let again = |played: &&Played| played.take > 1 && played.to.is_none();
+    let again = |played: &&SceneRun| played.take > 1 && played.to.is_none();
     if let Some(played) = board.played.as_ref().filter(again) {
         words += &format!(", take {}", played.take);
     }
@@ -140,7 +150,7 @@ fn title(board: &Board, now: Duration, width: usize) -> Line {
     line
 }
 
-/// The servers, on as many lines as they need.
+/// The servers, wrapped.
 fn servers(board: &Board, now: Duration, width: usize) -> Vec<Line> {
     let mut lines = Vec::new();
     let mut line = Line::new(width).and(Style::Soft, " servers");
@@ -158,7 +168,7 @@ fn servers(board: &Board, now: Duration, width: usize) -> Vec<Line> {
     lines
 }
 
-fn server_words(server: &Server, now: Duration) -> (Style, String) {
+fn server_words(server: &ServerView, now: Duration) -> (Style, String) {
     match &server.state {
         None => (Style::Soft, "·".to_owned()),
         Some(ServerState::Answering { .. }) => match server.latency {
@@ -178,7 +188,7 @@ fn server_words(server: &Server, now: Duration) -> (Style, String) {
 }
 
 fn background(board: &Board, now: Duration, width: usize, most: usize) -> Vec<Line> {
-    let tasks: Vec<&Task> = board.in_background().collect();
+    let tasks: Vec<&TaskRun> = board.in_background().collect();
     if tasks.is_empty() {
         return Vec::new();
     }
@@ -206,7 +216,7 @@ fn background(board: &Board, now: Duration, width: usize, most: usize) -> Vec<Li
     lines
 }
 
-/// The keys on at most `most` lines. The first and the last, which stops everything, remain longest.
+/// The keys, on at most `most` lines. The first lines and the last one, which has the keys that stop, remain.
 fn key_lines(board: &Board, view: &View, width: usize, most: usize) -> Vec<Line> {
     let mut keys = match view {
         View {

@@ -1,10 +1,20 @@
-//! What keys mean.
+//! The meaning of keys.
 
 use ztl_script::event::{Command, Question};
 
 use super::board::Board;
 
-/// What a key means among what can be wanted.
+/// Whether a key stops tasks.
+pub(super) fn stops(key: &str) -> bool {
+    matches!(key, "Ctrl-C" | "Ctrl-X" | "c" | "C" | "x" | "X")
+}
+
+/// Whether a key moves the visible part.
+pub(super) fn scrolls(key: &str) -> bool {
+    matches!(key, "Up" | "Down" | "PageUp" | "PageDown" | "Home" | "End")
+}
+
+/// The command of a key, if it is among the choices.
 pub(super) fn command(
     key: &str,
     choices: &[Command],
@@ -19,16 +29,16 @@ pub(super) fn command(
         "p" | "P" => Command::Pause,
         "t" | "T" => Command::Retry,
         "g" | "G" => Command::GoOn,
-        // Where it is not known what can be wanted, the player decides.
+        // Without known choices, the player decides.
         "c" | "C" if choices.is_empty() => return Some(Command::StopScene),
         "c" | "C" => Command::StopScene,
-        // All of it is being stopped already.
+        // Everything is being stopped already.
         "x" | "X" | "Ctrl-X" if matches!(choices, [Command::Leave] | [Command::Stop]) => {
             return None;
         }
-        // These two work at any time.
+        // Accepted at any time.
         "x" | "X" | "Ctrl-X" => return Some(Command::StopAll),
-        // The second time leaves, whatever still runs.
+        // The second press leaves even if tasks still run.
         "Ctrl-C" if choices == [Command::Leave] => Command::Leave,
         "Ctrl-C" => return Some(Command::Stop),
         "q" | "Q" if may_leave(question) => Command::Leave,
@@ -37,12 +47,12 @@ pub(super) fn command(
     choices.contains(&wanted).then_some(wanted)
 }
 
-/// In the middle of a step leaving would let a robot move on with nobody there: there is only stopping.
+/// Only between scenes: leaving in the middle of a step would let the robot move unattended.
 const fn may_leave(question: Option<Question>) -> bool {
     matches!(question, Some(Question::Scene { .. } | Question::End))
 }
 
-/// Keys that can be pressed now, and what they do: for the lines that always show them.
+/// The keys that work now, for the last lines of the screen.
 pub(super) fn help(board: &Board) -> Vec<(&'static str, String)> {
     let choices = board.choices();
     let question = board.question;
@@ -104,7 +114,7 @@ pub(super) fn help(board: &Board) -> Vec<(&'static str, String)> {
     keys
 }
 
-/// While a scene is chosen.
+/// The keys of the chooser.
 pub(super) fn choosing() -> Vec<(&'static str, String)> {
     let keys = [
         ("Enter", "show it"),
@@ -117,12 +127,12 @@ pub(super) fn choosing() -> Vec<(&'static str, String)> {
     keys.map(|(key, words)| (key, words.to_owned())).to_vec()
 }
 
-/// On a page of its own, or when something else is looked at than what is played.
+/// The keys of a page, or while scrolled.
 pub(super) fn looking() -> Vec<(&'static str, String)> {
     vec![("Esc", "back".to_owned())]
 }
 
-/// All keys, for the page that `?` shows.
+/// All keys, for the page of `?`.
 pub(super) const ALL: [(&str, &str); 19] = [
     ("Enter", "start the scene that is shown"),
     ("s", "skip it; while a step waits: the rest of its scene"),
@@ -145,13 +155,13 @@ pub(super) const ALL: [(&str, &str); 19] = [
         "Ctrl-C",
         "stop all that this run started, and leave; again: at once",
     ),
-    ("q", "between scenes: leave; tasks in the background go on"),
-    ("PageUp, PageDown", "look around; so do Up, Down, Home, End"),
-    ("d", "all that went wrong, in full"),
+    ("q", "between scenes: leave; background tasks continue"),
+    ("PageUp, PageDown", "scroll, as do Up, Down, Home and End"),
+    ("d", "show failures in full"),
     ("?", "these keys"),
-    ("Esc", "back to what is played"),
+    ("Esc", "back to the run"),
     ("Ctrl-L", "draw the screen again"),
-    ("Ctrl-Z", "suspend this program; the servers go on"),
+    ("Ctrl-Z", "suspend this program; the servers continue"),
 ];
 
 #[cfg(test)]

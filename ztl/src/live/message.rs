@@ -1,22 +1,17 @@
-//! What the operator has to know now, above the keys.
+//! The message above the keys: what the operator has to know now.
 
 use std::time::Duration;
 
 use ztl_script::event::{Command, Outcome, Question, ServerState, TaskState, Why};
 
-use super::board::{Board, Stopping, Task};
+use super::board::{Board, Stopping, TaskRun};
 use super::choose::Chooser;
-use super::rows::clock;
-use super::text::{self, Line, Style};
-
-/// Something to say, on as many lines as it needs.
-pub(super) type Paragraph = (Style, String);
+use super::text::{self, Line, Paragraph, Style, clock};
 
 /// Most lines of one paragraph.
 const LONGEST: usize = 40;
 
-/// Paragraphs on lines. Of more than `most` lines the first are shown, and where there is room, how to
-/// see the others.
+/// Wraps paragraphs. If there are more than `most` lines, the last one tells how to see the rest.
 pub(super) fn lines(said: &[Paragraph], width: usize, most: usize) -> Vec<Line> {
     let mut lines = Vec::new();
     for (style, text) in said {
@@ -33,7 +28,7 @@ pub(super) fn lines(said: &[Paragraph], width: usize, most: usize) -> Vec<Line> 
     lines
 }
 
-/// While a scene is chosen.
+/// The message while the chooser is open.
 pub(super) fn choosing(board: &Board, chooser: &Chooser) -> Vec<Paragraph> {
     let scenes = &board.outline.scenes;
     let words = match chooser.cursor.and_then(|at| Some((at, scenes.get(at)?))) {
@@ -91,22 +86,22 @@ pub(super) fn message(board: &Board, now: Duration) -> Vec<Paragraph> {
             said.extend(missing(board, now));
         }
     }
-    // The newest, for which there is room.
+    // Room for the newest ones.
     let notes = board.notes.iter().rev().take(3).rev();
     said.extend(notes.map(|note| (Style::Warning, note.clone())));
     if let Some((key, None, at)) = &board.key
         && board.ended.is_none()
         && now.saturating_sub(*at) < Duration::from_secs(3)
     {
-        said.push((Style::Soft, format!("{key} means nothing now")));
+        said.push((Style::Soft, format!("{key} has no effect now")));
     }
     said
 }
 
-/// All that there is to say of what went wrong, for a page of its own.
+/// The page of failures in full.
 pub(super) fn details(board: &Board, now: Duration) -> Vec<Paragraph> {
     let mut said: Vec<Paragraph> = missing(board, now).collect();
-    let wrong = |task: &&Task| task.state.is_failure() || task.state == TaskState::Unknown;
+    let wrong = |task: &&TaskRun| task.state.is_failure() || task.state == TaskState::Unknown;
     said.extend(board.tasks.values().filter(wrong).map(reason));
     if let Some(stopping) = &board.stopping {
         said.extend(confirmations(board, stopping));
@@ -120,25 +115,25 @@ pub(super) fn details(board: &Board, now: Duration) -> Vec<Paragraph> {
     said
 }
 
-/// Why a task did not do what it was to do, and then which.
-fn reason(task: &Task) -> Paragraph {
+/// The state and text of a task, then its name.
+fn reason(task: &TaskRun) -> Paragraph {
     let colon = if task.text.is_empty() { "" } else { ": " };
     let words = format!("  {}{colon}{} ({})", task.state, task.text, task.name);
     (Style::Plain, words)
 }
 
-/// What did not go well in the scene that was played last.
-fn failures(board: &Board) -> impl Iterator<Item = &Task> {
-    let wrong = |task: &&Task| task.current && task.state.is_failure();
+/// Failed tasks of the last take.
+fn failures(board: &Board) -> impl Iterator<Item = &TaskRun> {
+    let wrong = |task: &&TaskRun| task.current && task.state.is_failure();
     board.tasks.values().filter(wrong)
 }
 
-/// Servers that the show needs and that are not there.
+/// Servers of the script that do not answer.
 fn missing(board: &Board, now: Duration) -> impl Iterator<Item = Paragraph> {
     let words = move |name: &str, since, state: &ServerState| match state {
         ServerState::Absent { text } => {
             let text = match text.as_str() {
-                "" => "it is not there",
+                "" => "not reachable",
                 text => text,
             };
             Some(format!("MISSING: server '{name}': {text}"))
@@ -155,7 +150,7 @@ fn missing(board: &Board, now: Duration) -> impl Iterator<Item = Paragraph> {
     })
 }
 
-/// What became of stopping each task; what is not certain comes first.
+/// The results of stopping, unconfirmed ones first.
 fn confirmations(board: &Board, stopping: &Stopping) -> Vec<Paragraph> {
     let open = stopping.answers.values().filter(|it| it.is_none()).count();
     let confirmed = |answer: &&Option<(bool, String)>| matches!(answer, Some((true, _)));
@@ -191,7 +186,7 @@ fn confirmations(board: &Board, stopping: &Stopping) -> Vec<Paragraph> {
         let task = board.tasks.get(number);
         let name = task.map_or("a task", |task| task.name.as_str());
         match answer {
-            None => (Style::Warning, format!("  ? {name}: no word yet")),
+            None => (Style::Warning, format!("  ? {name}: no answer yet")),
             Some((true, text)) => (Style::Good, format!("  ✓ {name}: {text}")),
             Some((false, text)) => (Style::Bad, format!("  ✗ {name}: {text}")),
         }
@@ -200,7 +195,7 @@ fn confirmations(board: &Board, stopping: &Stopping) -> Vec<Paragraph> {
     std::iter::once(head).chain(answers).collect()
 }
 
-/// How the run ended, and how many tasks may still run.
+/// The outcome of the run, and how many tasks may still run.
 fn over(outcome: Outcome, running: usize) -> Vec<Paragraph> {
     let (tasks, they) = match running {
         1 => ("1 task".to_owned(), "it"),
@@ -220,7 +215,7 @@ fn over(outcome: Outcome, running: usize) -> Vec<Paragraph> {
     };
     let mut said = vec![(style, words.to_owned())];
     if running > 0 {
-        said.push((Style::Warning, format!("{tasks} may still be under way")));
+        said.push((Style::Warning, format!("{tasks} may still run")));
     }
     said
 }
@@ -236,17 +231,17 @@ fn why_words(board: &Board, why: &Why, now: Duration) -> String {
             format!("server '{remote}' is silent{since}; what its tasks do is unknown")
         }
         Why::ServerRestarted { remote } => {
-            format!("server '{remote}' was restarted; what became of its tasks is unknown")
+            format!("server '{remote}' was restarted; the outcome of its tasks is unknown")
         }
         Why::TaskUnknown => "a server does not know its task any more".to_owned(),
         Why::NotTold { remote } => {
-            format!("server '{remote}' answers, but does not say how its tasks are")
+            format!("server '{remote}' answers, but does not report its tasks")
         }
         Why::AnswerUnclear { remote } => {
             format!("server '{remote}' gives no usable answer; what its task does is unknown")
         }
-        Why::StartUnknown => "nobody knows whether a task was started".to_owned(),
-        Why::Failed => "something did not go well".to_owned(),
+        Why::StartUnknown => "it is unknown whether a task was started".to_owned(),
+        Why::Failed => "something failed".to_owned(),
         Why::TooLong => "a task takes longer than its limit".to_owned(),
     }
 }

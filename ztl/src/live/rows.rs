@@ -1,41 +1,40 @@
-//! The middle of the screen: scenes, steps and tasks, as lines.
+//! The body of the screen: scenes, steps and tasks.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
 
 use ztl_script::event::{Question, SceneOutline, StepOutline, TaskOutline, TaskState};
 
-use super::board::{Board, Look, Step, Task};
+use super::board::{Board, Progress, StepRun, TaskRun};
 use super::choose::Chooser;
-use super::message::Paragraph;
-use super::text::{self, Line, Style, clip};
+use super::text::{self, Line, Paragraph, Style, clip, clock};
 
-/// A line of what is shown in the middle.
+/// A row of the body.
 enum Row<'a> {
     Scene(usize, &'a SceneOutline),
-    /// To choose among.
+    /// A scene in the chooser.
     Choice(usize, &'a SceneOutline),
-    Step(&'a StepOutline, Option<&'a Step>),
+    Step(&'a StepOutline, Option<&'a StepRun>),
     Planned(&'a TaskOutline),
-    Task(&'a Task),
+    Task(&'a TaskRun),
     Words(Style, String),
 }
 
-/// Rows of which a part is shown, around the one that matters. Only what is shown is made into lines:
-/// a scene may have thousands.
+/// All rows. Only the visible ones are rendered, because a scene may have thousands.
 pub(super) struct Body<'a> {
     rows: Vec<Row<'a>>,
+    /// The row that must be visible.
     focus: Option<usize>,
 }
 
-/// What is seen of a body: where it begins, and how many lines it has.
+/// The visible part of a body.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(super) struct Seen {
     pub(super) from: usize,
     pub(super) height: usize,
 }
 
-/// The rows from `top` on; without it, those around the one that matters.
+/// Renders the rows from `top` on, or those around the focus.
 pub(super) fn window(
     board: &Board,
     body: &Body<'_>,
@@ -44,7 +43,7 @@ pub(super) fn window(
     (height, width): (usize, usize),
 ) -> (Vec<Line>, Seen) {
     let count = body.rows.len();
-    // A third of what can be seen lies above the line that matters.
+    // The focus is at a third of the height.
     let usual = || body.focus.unwrap_or(0).saturating_sub(height / 3);
     let from = top.unwrap_or_else(usual).min(count.saturating_sub(height));
     let focus = body.focus;
@@ -53,7 +52,7 @@ pub(super) fn window(
         Line::new(width).and(Style::Soft, &format!(" {sign} {lines} more lines"))
     };
     let rows = body.rows.iter().enumerate().skip(from).take(height);
-    // What tells of more is never in place of the line that matters.
+    // The markers for more lines never replace the focus.
     let lines = rows.map(|(nth, row)| match nth {
         _ if Some(nth) == focus || height <= 2 => line(board, row, focus == Some(nth), now, width),
         _ if nth == from && from > 0 => more('↑', from + 1),
@@ -85,7 +84,7 @@ fn line(board: &Board, row: &Row<'_>, focus: bool, now: Duration, width: usize) 
     }
 }
 
-/// The scenes that can be chosen.
+/// The scenes of the chooser.
 pub(super) fn scene_list<'b>(board: &'b Board, chooser: &Chooser) -> Body<'b> {
     let scenes = &board.outline.scenes;
     let chosen = chooser.rows(scenes);
@@ -96,7 +95,7 @@ pub(super) fn scene_list<'b>(board: &'b Board, chooser: &Chooser) -> Body<'b> {
     }
 }
 
-/// Paragraphs on a page of their own.
+/// A page of paragraphs.
 pub(super) fn page<'b>(said: &[Paragraph], width: usize) -> Body<'b> {
     let lines = said.iter().flat_map(|(style, text)| {
         let pieces = text::wrap(text, width.saturating_sub(1), usize::MAX);
@@ -109,7 +108,7 @@ pub(super) fn page<'b>(said: &[Paragraph], width: usize) -> Body<'b> {
     }
 }
 
-/// Scenes, steps and tasks; `all`: also every task in the background.
+/// Scenes, steps and tasks; with `all` also the tasks in the background.
 pub(super) fn body(board: &Board, all: bool) -> Body<'_> {
     let mut rows = Vec::new();
     let mut focus = 0;
@@ -135,12 +134,12 @@ pub(super) fn body(board: &Board, all: bool) -> Body<'_> {
                 rows.extend(step.tasks.iter().map(Row::Planned));
                 continue;
             };
-            let playing = shown.look == Look::Playing;
+            let playing = shown.progress == Progress::Playing;
             if playing {
                 focus = rows.len() - 1;
             }
             for task in tasks.remove(&index).unwrap_or_default() {
-                // Those that run on when their step is over are shown in the background.
+                // Tasks that outlast their step are shown in the background.
                 if playing || task.state.is_over() {
                     rows.push(Row::Task(task));
                 }
@@ -164,9 +163,9 @@ pub(super) fn body(board: &Board, all: bool) -> Body<'_> {
     }
 }
 
-/// The tasks of the scene that is played, by their steps.
-fn by_step(board: &Board, scene: usize) -> BTreeMap<usize, Vec<&Task>> {
-    let mut steps: BTreeMap<usize, Vec<&Task>> = BTreeMap::new();
+/// The tasks of the current take, by step.
+fn by_step(board: &Board, scene: usize) -> BTreeMap<usize, Vec<&TaskRun>> {
+    let mut steps: BTreeMap<usize, Vec<&TaskRun>> = BTreeMap::new();
     for task in board
         .tasks
         .values()
@@ -177,14 +176,14 @@ fn by_step(board: &Board, scene: usize) -> BTreeMap<usize, Vec<&Task>> {
     steps
 }
 
-fn sign(look: Look) -> (Style, &'static str) {
-    match look {
-        Look::ToCome => (Style::Soft, "·"),
-        Look::Playing => (Style::Active, "▶"),
-        Look::Well => (Style::Good, "✓"),
-        Look::Badly => (Style::Bad, "✗"),
-        Look::Stopped => (Style::Warning, "■"),
-        Look::Skipped => (Style::Soft, "−"),
+fn sign(progress: Progress) -> (Style, &'static str) {
+    match progress {
+        Progress::Pending => (Style::Soft, "·"),
+        Progress::Playing => (Style::Active, "▶"),
+        Progress::Completed => (Style::Good, "✓"),
+        Progress::Failed => (Style::Bad, "✗"),
+        Progress::Stopped => (Style::Warning, "■"),
+        Progress::Skipped => (Style::Soft, "−"),
     }
 }
 
@@ -195,19 +194,19 @@ pub(super) fn scene_line(
     now: Duration,
     width: usize,
 ) -> Line {
-    let look = board.scenes.get(nth).copied().unwrap_or_default();
+    let progress = board.scenes.get(nth).copied().unwrap_or_default();
     let here = board.scene == Some(nth);
-    let (style, sign) = sign(look);
+    let (style, sign) = sign(progress);
     let mut line = Line::new(width).and(style, &format!(" {sign} "));
     let name = if here { Style::Strong } else { Style::Plain };
     let length = board.lengths.get(nth).copied().flatten();
-    let right = match (&board.played, look, length) {
-        (_, Look::Skipped, _) => "skipped".to_owned(),
-        (Some(played), Look::Playing, _) if played.scene == nth => {
+    let right = match (&board.played, progress, length) {
+        (_, Progress::Skipped, _) => "skipped".to_owned(),
+        (Some(played), Progress::Playing, _) if played.scene == nth => {
             clock(played.to.unwrap_or(now).saturating_sub(played.from))
         }
-        (_, Look::ToCome, _) if scene.delay.is_zero() => String::new(),
-        (_, Look::ToCome, _) => format!("after {}", clock(scene.delay)),
+        (_, Progress::Pending, _) if scene.delay.is_zero() => String::new(),
+        (_, Progress::Pending, _) => format!("after {}", clock(scene.delay)),
         (.., length) => length.map(clock).unwrap_or_default(),
     };
     let room = width.saturating_sub(line.width() + right.chars().count() + 2);
@@ -216,9 +215,9 @@ pub(super) fn scene_line(
     line
 }
 
-fn step_line(step: &StepOutline, shown: Option<&Step>, now: Duration, width: usize) -> Line {
-    let look = shown.map_or(Look::ToCome, |shown| shown.look);
-    let (style, sign) = sign(look);
+fn step_line(step: &StepOutline, shown: Option<&StepRun>, now: Duration, width: usize) -> Line {
+    let progress = shown.map_or(Progress::Pending, |shown| shown.progress);
+    let (style, sign) = sign(progress);
     let mut line = Line::new(width).and(style, &format!("     {sign} "));
     let mut words = Vec::new();
     if !step.wait {
@@ -227,10 +226,10 @@ fn step_line(step: &StepOutline, shown: Option<&Step>, now: Duration, width: usi
     if step.parallel {
         words.push("parallel".to_owned());
     }
-    match shown.filter(|shown| !matches!(shown.look, Look::ToCome | Look::Skipped)) {
+    match shown.filter(|shown| !matches!(shown.progress, Progress::Pending | Progress::Skipped)) {
         Some(shown) => {
             let since = shown.to.unwrap_or(now).saturating_sub(shown.from);
-            // Until its delay has passed nothing is sent.
+            // Nothing is sent before the delay has passed.
             if shown.to.is_none() && since < step.delay {
                 words.push(format!("in {}", clock(step.delay.saturating_sub(since))));
             }
@@ -240,7 +239,7 @@ fn step_line(step: &StepOutline, shown: Option<&Step>, now: Duration, width: usi
         None => {}
     }
     let right = words.join("  ");
-    let style = if look == Look::Playing {
+    let style = if progress == Progress::Playing {
         Style::Strong
     } else {
         Style::Plain
@@ -261,7 +260,7 @@ fn task_sign(state: TaskState) -> (Style, &'static str) {
     }
 }
 
-/// How far a task has come, if it says so in percent.
+/// Progress that a task reports in percent.
 pub(super) fn percent(text: &str) -> Option<u8> {
     let text = text.trim();
     let number = text
@@ -272,12 +271,12 @@ pub(super) fn percent(text: &str) -> Option<u8> {
     (0.0..=100.0).contains(&value).then_some(value as u8)
 }
 
-pub(super) fn task_line(task: &Task, indent: usize, now: Duration, width: usize) -> Line {
+pub(super) fn task_line(task: &TaskRun, indent: usize, now: Duration, width: usize) -> Line {
     let (style, sign) = task_sign(task.state);
     let mut line = Line::new(width).and(style, &format!("{}{sign} ", " ".repeat(indent + 3)));
     let right = clock(task.to.unwrap_or(now).saturating_sub(task.from));
     let again = if task.again { "↻ " } else { "" };
-    // Names get half of what there is, states and times are never cut.
+    // The name may be cut to half of the room; state and time are never cut.
     let state = task.state.to_string();
     let fixed = line.width() + state.len() + right.len() + 5;
     let room = width.saturating_sub(fixed);
@@ -301,19 +300,4 @@ pub(super) fn task_line(task: &Task, indent: usize, now: Duration, width: usize)
     }
     line.put_right(Style::Soft, &right);
     line
-}
-
-/// Seconds with a tenth, or minutes and seconds.
-pub(super) fn clock(time: Duration) -> String {
-    let whole = time.as_secs();
-    match whole {
-        0..60 => format!("{whole}.{} s", time.subsec_millis() / 100),
-        60..3600 => format!("{}:{:02}", whole / 60, whole % 60),
-        _ => format!(
-            "{}:{:02}:{:02}",
-            whole / 3600,
-            whole % 3600 / 60,
-            whole % 60
-        ),
-    }
 }

@@ -1,8 +1,10 @@
-//! Lines of a screen: pieces of text with a style, as wide as the screen and no wider.
+//! Styled lines, never wider than the screen, and the escaping, cutting and wrapping of text.
+
+use std::time::Duration;
 
 use unicode_width::{UnicodeWidthChar, UnicodeWidthStr};
 
-/// What a piece of text is, which tells how it looks.
+/// The meaning of a text, which determines its attributes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Style {
     Plain,
@@ -11,16 +13,16 @@ pub(super) enum Style {
     Soft,
     Good,
     Bad,
-    /// Asks for attention.
+    /// Needs attention.
     Warning,
-    /// Is under way.
+    /// In progress.
     Active,
-    /// A bar across the screen.
+    /// Reversed: the title bar, and keys.
     Bar,
 }
 
 impl Style {
-    /// The attributes of ECMA-48. Without colours what matters is still told by signs and words.
+    /// SGR attributes (ECMA-48). Without colours, signs and words still carry the meaning.
     const fn attributes(self, colour: bool) -> &'static str {
         match (self, colour) {
             (Self::Plain, _) => "",
@@ -37,7 +39,33 @@ impl Style {
     }
 }
 
-/// A line under construction: it never becomes wider than it may.
+/// A paragraph of a message or a page.
+pub(super) type Paragraph = (Style, String);
+
+/// What the terminal can show.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Capabilities {
+    pub(super) colour: bool,
+    pub(super) utf8: bool,
+}
+
+impl Capabilities {
+    /// Those of this process's terminal, by `NO_COLOR` and the locale.
+    pub(super) fn of_terminal() -> Self {
+        let locale = ["LC_ALL", "LC_CTYPE", "LANG"]
+            .into_iter()
+            .filter_map(|name| std::env::var(name).ok())
+            .find(|value| !value.is_empty())
+            .unwrap_or_default()
+            .to_ascii_lowercase();
+        Self {
+            colour: !crate::terminal::is_colour_declined(),
+            utf8: locale.contains("utf-8") || locale.contains("utf8"),
+        }
+    }
+}
+
+/// A line of pieces with a style each. It never becomes wider than `most` columns.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct Line {
     pieces: Vec<(Style, String)>,
@@ -54,29 +82,24 @@ impl Line {
         }
     }
 
-    /// Adds text, cut where the line ends.
+    /// Appends text, cut at the end of the line.
     pub(super) fn put(&mut self, style: Style, text: &str) {
         let cut = clip(text, self.most.saturating_sub(self.width));
         self.width += cut.width();
         self.pieces.push((style, cut));
     }
 
-    /// The same, in one expression.
+    /// The same, for chaining.
     pub(super) fn and(mut self, style: Style, text: &str) -> Self {
         self.put(style, text);
         self
     }
 
-    /// Blanks up to a column.
-    pub(super) fn pad(&mut self, style: Style, column: usize) {
-        let blanks = column.min(self.most).saturating_sub(self.width);
-        self.put(style, &" ".repeat(blanks));
-    }
-
-    /// Text that ends where the line does.
+    /// Appends text at the right edge.
     pub(super) fn put_right(&mut self, style: Style, text: &str) {
         let text = clip(text, self.most);
-        self.pad(style, self.most.saturating_sub(text.width()));
+        let blanks = self.most.saturating_sub(self.width + text.width());
+        self.put(style, &" ".repeat(blanks));
         self.put(style, &text);
     }
 
@@ -84,14 +107,14 @@ impl Line {
         self.width
     }
 
-    /// As a terminal takes it; `ascii` for one that shows nothing else.
-    pub(super) fn encoded(&self, colour: bool, ascii: bool) -> String {
+    /// The bytes for the terminal.
+    pub(super) fn encoded(&self, Capabilities { colour, utf8 }: Capabilities) -> String {
         let mut out = String::new();
         for (style, text) in &self.pieces {
             let attributes = style.attributes(colour);
-            let text: String = match ascii {
-                true => text.chars().map(plain).collect(),
-                false => text.clone(),
+            let text: String = match utf8 {
+                true => text.clone(),
+                false => text.chars().map(ascii).collect(),
             };
             if attributes.is_empty() || text.is_empty() {
                 out.push_str(&text);
@@ -103,8 +126,8 @@ impl Line {
     }
 }
 
-/// Signs of ours in ASCII, one character for one, so that columns stay.
-const fn plain(char: char) -> char {
+/// Replaces a character by one of ASCII, so that columns stay aligned.
+const fn ascii(char: char) -> char {
     match char {
         '✓' => '+',
         '✗' => '!',
@@ -122,8 +145,7 @@ const fn plain(char: char) -> char {
     }
 }
 
-/// What of a text can be shown: nothing that a terminal would act on, and nothing that would turn the
-/// direction of what comes after.
+/// Replaces control characters, and invisible ones that reorder or join text.
 pub(super) fn shown(text: &str) -> String {
     let show = |char: char| match char {
         '\u{200b}'..='\u{200f}' | '\u{202a}'..='\u{202e}' | '\u{2060}'..='\u{2069}' => '\u{fffd}',
@@ -133,7 +155,7 @@ pub(super) fn shown(text: &str) -> String {
     text.chars().map(show).collect()
 }
 
-/// Text of at most so many columns; what is cut off is told by `…`.
+/// Cuts text to at most `most` columns, with `…` at the cut.
 pub(super) fn clip(text: &str, most: usize) -> String {
     let text = shown(text);
     if text.width() <= most {
@@ -155,8 +177,8 @@ pub(super) fn clip(text: &str, most: usize) -> String {
     out
 }
 
-/// Text on lines of at most so many columns, broken at blanks or where a word is too long, what comes after the
-/// first a little to the right; the last of `most` lines is cut.
+/// Wraps text at blanks, and inside words that fit on no line. Lines after the first are indented; the last of
+/// `most` lines is cut.
 pub(super) fn wrap(text: &str, width: usize, most: usize) -> Vec<String> {
     let text = shown(text);
     let indent = text.chars().take_while(|char| *char == ' ').count();
@@ -166,7 +188,7 @@ pub(super) fn wrap(text: &str, width: usize, most: usize) -> Vec<String> {
     for word in text.split_inclusive(' ') {
         let length = word.trim_end().width();
         let fits = |line: &str| line.width() + length <= width;
-        // One that fits on no line is broken where this one ends.
+        // A word that fits on no line is broken at the end of this one.
         if !fits(&line) && fits(&next) && !line.trim().is_empty() && lines.len() + 1 < most {
             lines.push(std::mem::replace(&mut line, next.clone()));
         }
@@ -185,12 +207,32 @@ pub(super) fn wrap(text: &str, width: usize, most: usize) -> Vec<String> {
         .collect()
 }
 
+/// Seconds with one decimal; from a minute on minutes and seconds.
+pub(super) fn clock(time: Duration) -> String {
+    let whole = time.as_secs();
+    let (hours, minutes, seconds) = (whole / 3600, whole / 60 % 60, whole % 60);
+    match (hours, minutes) {
+        (0, 0) => format!("{seconds}.{} s", time.subsec_millis() / 100),
+        (0, _) => format!("{minutes}:{seconds:02}"),
+        _ => format!("{hours}:{minutes:02}:{seconds:02}"),
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
 
+    const PLAIN: Capabilities = Capabilities {
+        colour: false,
+        utf8: false,
+    };
+    const FULL: Capabilities = Capabilities {
+        colour: true,
+        utf8: true,
+    };
+
     #[test]
-    fn a_line_is_never_wider_than_it_may_be() {
+    fn a_line_is_never_wider_than_its_limit() {
         for most in 0..12 {
             for text in [
                 "plain text",
@@ -207,7 +249,7 @@ mod tests {
     }
 
     #[test]
-    fn a_message_is_broken_at_blanks_and_cut_after_some_lines() {
+    fn text_is_wrapped_at_blanks_and_cut_after_the_last_line() {
         assert_eq!(wrap("one line", 20, 3), ["one line"]);
         assert_eq!(
             wrap("  two lines of this", 11, 3),
@@ -221,20 +263,20 @@ mod tests {
     }
 
     #[test]
-    fn a_terminal_is_never_told_what_to_do_by_a_text() {
+    fn text_cannot_control_the_terminal() {
         let evil = "\x1b[2J\u{9b}31m\u{202e}\r\n\x07";
-        let line = Line::new(80).and(Style::Plain, evil).encoded(true, false);
+        let line = Line::new(80).and(Style::Plain, evil).encoded(FULL);
         assert_eq!(line, " [2J 31m\u{fffd}   ");
     }
 
     #[test]
-    fn without_colour_there_is_none() {
+    fn signs_and_attributes_follow_the_capabilities() {
         let line = Line::new(80)
             .and(Style::Bad, "✗ bad")
             .and(Style::Good, "ok");
-        assert_eq!(line.encoded(false, true), "\x1b[1m! bad\x1b[0mok");
+        assert_eq!(line.encoded(PLAIN), "\x1b[1m! bad\x1b[0mok");
         assert_eq!(
-            line.encoded(true, false),
+            line.encoded(FULL),
             "\x1b[1;31m✗ bad\x1b[0m\x1b[32mok\x1b[0m"
         );
     }

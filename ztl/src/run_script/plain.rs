@@ -1,6 +1,6 @@
-//! A run as lines, as the original writes them (wire specification 8.4 to 8.6), and its keys.
+//! The plain view: the output and keys of the original (wire specification 8.4 to 8.6).
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
 
@@ -8,21 +8,25 @@ use tracing::{error, info, warn};
 use ztl_script::event::{By, Command, Event, Question, TaskNumber, TaskState, Why};
 use ztl_script::{Inputs, Scene, Script, Step, Task};
 
-use super::LOG;
-use super::lines::Lines;
-use crate::keyboard::{Key, Keyboard};
+use super::output::LineOutput;
+use crate::keyboard::{KeyBytes, Keyboard};
 
-pub(super) struct Plain<'s> {
+/// The log target of the original.
+pub(super) const LOG: &str = "script-exec";
+
+pub(super) struct PlainView<'s> {
     script: &'s Script,
-    lines: Lines,
-    /// The show, to be woken when a question can be seen.
+    lines: LineOutput,
+    /// Wakes the run when a question is visible.
     inputs: Inputs,
-    /// What is asked, what can be answered, and since when, as soon as it is written.
+    /// The question, its answers, and since when it is visible.
     asked: Option<(Question, Vec<Command>, Since)>,
-    last: Option<usize>,
+    last_scene: Option<usize>,
     tasks: BTreeMap<TaskNumber, Started>,
-    /// A handler without a server is told of once in a step.
-    told: Option<(usize, usize, usize)>,
+    /// Names without a server in the configuration.
+    unknown_remotes: BTreeSet<String>,
+    /// The scene, step and handler without a server that was reported last.
+    reported: Option<(usize, usize, usize)>,
     playing: bool,
 }
 
@@ -36,33 +40,34 @@ struct Started {
     state: TaskState,
 }
 
-impl<'s> Plain<'s> {
-    pub(super) const fn new(script: &'s Script, lines: Lines, inputs: Inputs) -> Self {
+impl<'s> PlainView<'s> {
+    pub(super) const fn new(script: &'s Script, lines: LineOutput, inputs: Inputs) -> Self {
         Self {
             script,
             lines,
             inputs,
             asked: None,
-            last: None,
+            last_scene: None,
             tasks: BTreeMap::new(),
-            told: None,
+            unknown_remotes: BTreeSet::new(),
+            reported: None,
             playing: false,
         }
     }
 
-    /// What is asked, as far as it was written.
+    /// The question that stands.
     pub(super) fn question(&self) -> Option<Question> {
         self.asked.as_ref().map(|(question, _, _)| *question)
     }
 
-    /// Whether a question is not written yet: what was pressed is looked at afterwards.
+    /// Whether a question is not visible yet. Keys wait for it.
     pub(super) fn is_asking(&self) -> bool {
         let asked = self.asked.as_ref();
         asked.is_some_and(|(_, _, since)| since.get().is_none())
     }
 
-    /// What a key means. One that was pressed before the question was asked means nothing.
-    pub(super) fn meaning(&self, key: &Key) -> Option<Command> {
+    /// What a key means: nothing if it was pressed before the question was visible.
+    pub(super) fn meaning(&self, key: &KeyBytes) -> Option<Command> {
         let (question, choices, since) = self.asked.as_ref()?;
         if since.get().is_none_or(|since| key.at < *since) {
             return None;
@@ -88,19 +93,23 @@ impl<'s> Plain<'s> {
         choices.contains(&command).then_some(command)
     }
 
-    /// Writes what there is to say of an event.
-    pub(super) fn tell(&mut self, event: &Event, keyboard: Option<&Keyboard>) {
+    /// Writes the lines of an event.
+    pub(super) fn handle(&mut self, event: &Event, keyboard: Option<&Keyboard>) {
         match event {
+            Event::RunStarted(started) => {
+                let unknown = started.remotes.iter().filter(|it| it.endpoint.is_none());
+                self.unknown_remotes = unknown.map(|it| it.name.clone()).collect();
+            }
             Event::SceneShown { scene } if keyboard.is_some() => self.show(*scene),
             Event::Asked { question, choices } => {
                 if let Some(keyboard) = keyboard {
-                    keyboard.forget();
+                    keyboard.clear();
                 }
                 let since = Since::default();
                 if keyboard.is_some() {
                     let (seen, inputs) = (Arc::clone(&since), self.inputs.clone());
                     self.lines.ask(prompt(*question, choices), move |at| {
-                        // It is written once.
+                        // The question is written once.
                         let _ = seen.set(at);
                         inputs.wake();
                     });
@@ -112,7 +121,7 @@ impl<'s> Plain<'s> {
             } => self.decided(*command, *by, *scene),
             Event::SceneStarted { scene, .. } => {
                 self.playing = true;
-                self.last = Some(*scene);
+                self.last_scene = Some(*scene);
                 if let Some(scene) = self.scene(*scene) {
                     let delay = with_delay(scene.delay);
                     self.lines
@@ -121,7 +130,7 @@ impl<'s> Plain<'s> {
             }
             Event::SceneEnded { .. } => self.playing = false,
             Event::StepStarted { scene, step } => {
-                self.told = None;
+                self.reported = None;
                 if let Some(step) = self.script.step(*scene, *step) {
                     let background = if step.wait { "" } else { " IN BACKGROUND" };
                     let delay = with_delay(step.delay);
@@ -194,7 +203,7 @@ impl<'s> Plain<'s> {
         self.script.scenes.get(scene)
     }
 
-    /// What a task is, for people.
+    /// Describes a task in the original's words.
     fn about(&self, number: TaskNumber) -> String {
         match self.task(number) {
             Some((step, task)) => {
@@ -247,16 +256,16 @@ impl<'s> Plain<'s> {
                 .line(format_args!("\nSKIPPING SCENE '{}'", key(scene))),
             Command::Replay => self
                 .lines
-                .line(format_args!("\n Repeating Scene '{}", key(self.last))),
+                .line(format_args!("\n Repeating Scene '{}", key(self.last_scene))),
             Command::Restart => {
                 self.lines.line("\n Repeating Script");
-                self.last = None;
+                self.last_scene = None;
             }
             Command::Stop if by == By::Signal && self.playing => {
                 error!(target: LOG, "Interrupted, exiting.");
             }
             Command::Stop if by == By::Script => {
-                error!(target: LOG, "Nobody is there to decide, or the script says so: everything is stopped.");
+                error!(target: LOG, "Everything is stopped, because the script says so or nobody can decide.");
             }
             _ => {}
         }
@@ -274,21 +283,21 @@ impl<'s> Plain<'s> {
         let (name, tasks) = (&step.name, tasks.join(", "));
         let why = match why {
             Why::ServerSilent { remote } => {
-                format!("'{remote}' does not answer, so how it is with {tasks} is unknown")
+                format!("'{remote}' does not answer, so the state of {tasks} is unknown")
             }
             Why::ServerRestarted { remote } => {
-                format!("'{remote}' was started anew, so what became of {tasks} is unknown")
+                format!("'{remote}' was restarted, so the outcome of {tasks} is unknown")
             }
-            Why::TaskUnknown => format!(
-                "the server does not know {tasks} any more, so what became of it is unknown"
-            ),
+            Why::TaskUnknown => {
+                format!("the server has forgotten its tasks, so the outcome of {tasks} is unknown")
+            }
             Why::NotTold { remote } => {
-                format!("'{remote}' answers, but does not say how it is with {tasks}")
+                format!("'{remote}' answers, but does not report the state of {tasks}")
             }
-            Why::AnswerUnclear { remote } => format!(
-                "'{remote}' gives no usable answer about {tasks}, so what it does is unknown"
-            ),
-            Why::StartUnknown => format!("there was no clear answer whether {tasks} was started"),
+            Why::AnswerUnclear { remote } => {
+                format!("'{remote}' gives no usable answer about {tasks}, so its state is unknown")
+            }
+            Why::StartUnknown => format!("no clear answer whether {tasks} was started"),
             Why::Failed => format!("{tasks} failed"),
             Why::TooLong => format!("{tasks} takes longer than its limit and has not stopped"),
         };
@@ -312,11 +321,11 @@ impl<'s> Plain<'s> {
         let (name, key, component) = (&step.name, &handler.key, &task.component);
         match state {
             TaskState::NotStarted
-                if before == TaskState::Asked && text.starts_with("there is no server") =>
+                if before == TaskState::Asked && self.unknown_remotes.contains(&handler.remote) =>
             {
                 let place = (scene, index, task.handler);
-                if self.told != Some(place) {
-                    self.told = Some(place);
+                if self.reported != Some(place) {
+                    self.reported = Some(place);
                     error!(target: LOG, "No remote for handler '{key}'. Step '{name}' COULD NOT BE TRIGGERED. REPLY: '{text}'");
                 }
             }
@@ -338,7 +347,7 @@ impl<'s> Plain<'s> {
     }
 }
 
-/// What is asked, with the keys.
+/// The question and its keys.
 fn prompt(question: Question, choices: &[Command]) -> &'static str {
     let can = |command| choices.contains(&command);
     match question {

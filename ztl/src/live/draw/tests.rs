@@ -3,10 +3,19 @@ use ztl_script::event::{
 };
 use ztl_script::record::read;
 
-use super::super::board::{Look, Step};
+use super::super::board::{Progress, StepRun};
 use super::super::rows::percent;
+use super::super::text::Capabilities;
 use super::*;
 
+const UNICODE: Capabilities = Capabilities {
+    colour: false,
+    utf8: true,
+};
+const ASCII: Capabilities = Capabilities {
+    colour: false,
+    utf8: false,
+};
 const EVENING: &str = include_str!("../../../../ztl-script/src/fixtures/evening.jsonl");
 
 fn evening() -> Vec<Stamped> {
@@ -33,7 +42,7 @@ fn screen(board: &Board, now: Duration, size: (usize, usize)) -> String {
     assert_eq!(lines.len(), size.1);
     let text = lines.iter().map(|line| {
         assert!(line.width() <= size.0, "{line:?}");
-        line.encoded(false, false)
+        line.encoded(UNICODE)
     });
     let text: Vec<String> = text
         .map(|line| {
@@ -183,7 +192,7 @@ fn each_confirmation_of_stopping_is_shown() {
         message,
         [
             " STOPPING EVERYTHING: 1 not confirmed yet",
-            "   ? robot:say:Goodbye: no word yet",
+            "   ? robot:say:Goodbye: no answer yet",
             "   ✓ light:ring:{'colour': 'warm', 'level': 0.8}: aborted",
             "   ✓ robot:arm:wave: aborted",
             "  Ctrl-C  leave without waiting   d  details   ?  keys",
@@ -205,7 +214,7 @@ fn on_a_small_screen_what_has_to_be_decided_stays() {
     assert_eq!(
         format!("\n{}", screen(&board, at, (44, 8))),
         "
- WAITING: something did not go well. Decide.
+ WAITING: something failed. Decide.
    refused: busy: 'ring' is in use; it takes
      one task at a time
      (light:ring:{'colour': 'warm', 'level':
@@ -262,8 +271,8 @@ fn the_step_that_is_played_is_seen_among_a_thousand() {
     });
     scene.steps = many.collect();
     let played = board.played.as_mut().unwrap();
-    played.steps = vec![Step::default(); 1000];
-    played.steps[500].look = Look::Playing;
+    played.steps = vec![StepRun::default(); 1000];
+    played.steps[500].progress = Progress::Playing;
     let screen = screen(&board, at, (60, 20));
     assert!(screen.contains("▶ step 500"), "{screen}");
     assert!(screen.contains(" more lines"), "{screen}");
@@ -294,7 +303,7 @@ fn what_is_left_on_the_terminal_tells_how_it_went() {
     let (board, _) = board(|event| matches!(event, Event::RunEnded { .. }));
     let lines: Vec<String> = summary(&board, 80)
         .iter()
-        .map(|line| line.encoded(false, true))
+        .map(|line| line.encoded(ASCII))
         .collect();
     let text = lines.join("\n");
     for part in [
@@ -318,14 +327,14 @@ fn what_is_long_is_looked_through_by_pages() {
         ..scene.clone()
     });
     board.outline.scenes = many.collect();
-    board.scenes = vec![Look::ToCome; 200];
+    board.scenes = vec![Progress::Pending; 200];
     let seen = |top| {
         let view = View {
             pane: Pane::Show,
             top,
         };
         let (lines, seen) = draw(&board, &view, at, (80, 24));
-        let text: Vec<String> = lines.iter().map(|line| line.encoded(false, true)).collect();
+        let text: Vec<String> = lines.iter().map(|line| line.encoded(ASCII)).collect();
         (text.join("\n"), seen)
     };
     let (screen, usual) = seen(None);
@@ -370,7 +379,7 @@ fn a_reason_is_told_first_and_in_full_on_a_page_of_its_own() {
         top: Some(0),
     };
     let (lines, _) = draw(&board, &view, at, (60, 60));
-    let page: Vec<String> = lines.iter().map(|line| line.encoded(false, true)).collect();
+    let page: Vec<String> = lines.iter().map(|line| line.encoded(ASCII)).collect();
     assert!(flat(&page.join("\n")).contains(&expected), "{page:?}");
 }
 
@@ -409,7 +418,7 @@ fn stopped_is_said_only_where_every_stop_was_confirmed() {
         };
         and(&mut board, at, ended);
         let lines = summary(&board, 80);
-        let text: Vec<String> = lines.iter().map(|line| line.encoded(false, true)).collect();
+        let text: Vec<String> = lines.iter().map(|line| line.encoded(ASCII)).collect();
         let text = text.join("\n");
         let said = format!("Over: stopping was not confirmed for {said}");
         assert!(text.contains(&said), "{said} in {text}");

@@ -1,61 +1,59 @@
-//! Where a show is seen and its operator heard: the live view, or lines and single keys.
+//! The view of a run: the live view, or the original's lines and single keys.
 
+use std::io;
 use std::time::Duration;
 #[cfg(unix)]
 use std::time::SystemTime;
 
-use tracing::warn;
+use tracing::{error, warn};
 #[cfg(unix)]
 use ztl_script::event::Event;
 use ztl_script::event::Stamped;
 use ztl_script::{Inputs, Script};
 
-use super::lines::Lines;
-use super::plain::Plain;
-use super::{LOG, no_keyboard};
-use crate::key_name::{self, Pressed};
+use super::output::LineOutput;
+use super::plain::{LOG, PlainView};
+use crate::key_press::{KeyPress, first_key};
 use crate::keyboard::Keyboard;
 #[cfg(unix)]
-use crate::live::{self, Live};
+use crate::{live::LiveView, terminal, terminal_mode};
 
-/// Whether there is a terminal for the live view.
+/// Whether the terminal can show the live view.
 pub(super) fn can_be_live() -> bool {
     #[cfg(unix)]
-    return live::tty::is_there();
+    return terminal::can_show_screen();
     #[cfg(not(unix))]
     false
 }
 
-/// Gives the terminal back, whatever has it.
+/// Restores the terminal.
 pub(super) fn restore() {
-    Keyboard::restore();
     #[cfg(unix)]
-    live::tty::restore();
+    terminal_mode::restore();
 }
 
-pub(super) enum Stage<'s> {
+pub(super) enum View<'s> {
     #[cfg(unix)]
-    Live(Live),
-    Plain(Box<Plain<'s>>, Option<Keyboard>),
+    Live(LiveView),
+    Plain(Box<PlainView<'s>>, Option<Keyboard>),
 }
 
-impl<'s> Stage<'s> {
-    /// Takes the terminal for the live view, or the keyboard when there are `lines`; `unattended`: nobody
-    /// presses keys on lines.
+impl<'s> View<'s> {
+    /// Opens the live view, or with `lines` the plain one. `unattended`: the plain view takes no keys.
     ///
     /// # Errors
-    /// When there is no terminal to read keys from.
+    /// If there is no terminal to read keys from.
     pub(super) fn open(
         script: &'s Script,
         inputs: Inputs,
-        lines: Option<Lines>,
+        lines: Option<LineOutput>,
         unattended: bool,
     ) -> Result<Self, Box<dyn std::error::Error>> {
         let Some(lines) = lines else {
             #[cfg(unix)]
-            return Ok(Self::Live(Live::open(move || inputs.wake())?));
+            return Ok(Self::Live(LiveView::open(move || inputs.wake())?));
             #[cfg(not(unix))]
-            return Err("there is no live view here; use --plain".into());
+            return Err("the live view is not supported on this system; use --plain".into());
         };
         let keyboard = match unattended {
             true => None,
@@ -64,38 +62,38 @@ impl<'s> Stage<'s> {
                 Some(Keyboard::open(move || inputs.wake()).map_err(no_keyboard)?)
             }
         };
-        let plain = Plain::new(script, lines, inputs);
+        let plain = PlainView::new(script, lines, inputs);
         Ok(Self::Plain(Box::new(plain), keyboard))
     }
 
-    /// The next key that was pressed, if any was.
-    pub(super) fn pressed(&self) -> Option<Pressed> {
+    /// The next key press, if there is one.
+    pub(super) fn pressed(&self) -> Option<KeyPress> {
         match self {
             #[cfg(unix)]
             Self::Live(live) => live.pressed(),
             Self::Plain(plain, _) if plain.is_asking() => None,
             Self::Plain(plain, keyboard) => {
                 let key = keyboard.as_ref()?.next()?;
-                Some(Pressed {
+                Some(KeyPress {
                     command: plain.meaning(&key),
                     question: plain.question(),
-                    // A lone ESC has nothing after it.
-                    key: key_name::first(&key.bytes).map_or("Esc".to_owned(), |(name, _)| name),
+                    // An incomplete sequence is a lone ESC.
+                    key: first_key(&key.bytes).map_or("Esc".to_owned(), |(name, _)| name),
                 })
             }
         }
     }
 
-    /// Something has happened.
-    pub(super) fn tell(&mut self, event: &Stamped) {
+    /// Shows an event.
+    pub(super) fn handle(&mut self, event: &Stamped) {
         match self {
             #[cfg(unix)]
             Self::Live(live) => live.handle(event),
-            Self::Plain(plain, keyboard) => plain.tell(&event.event, keyboard.as_ref()),
+            Self::Plain(plain, keyboard) => plain.handle(&event.event, keyboard.as_ref()),
         }
     }
 
-    /// Something that is no part of the run.
+    /// Shows a warning that is not part of the run.
     pub(super) fn warn(&mut self, at: Duration, text: &str) {
         #[cfg(not(unix))]
         let _ = at;
@@ -112,7 +110,7 @@ impl<'s> Stage<'s> {
         }
     }
 
-    /// The show is over: the terminal is as it was before.
+    /// Restores the terminal after the run.
     pub(super) fn close(self) {
         match self {
             #[cfg(unix)]
@@ -120,4 +118,14 @@ impl<'s> Stage<'s> {
             Self::Plain(..) => {}
         }
     }
+}
+
+fn no_keyboard(error: io::Error) -> String {
+    // The original's words, which scripts look for.
+    let (code, text) = (
+        error.raw_os_error().unwrap_or_default(),
+        "Inappropriate ioctl for device",
+    );
+    error!(target: LOG, "({code}, '{text}')");
+    "stdin is not a terminal, so nobody can be asked; use --yes to play without asking".to_owned()
 }

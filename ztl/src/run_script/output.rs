@@ -1,4 +1,4 @@
-//! The lines of a run, written by threads of their own: the show waits for nobody who reads them.
+//! The output of the plain view. Threads write it, so that a slow reader never delays the run.
 
 use std::collections::VecDeque;
 use std::fmt::Display;
@@ -10,15 +10,15 @@ use tracing_subscriber::fmt::MakeWriter;
 
 use crate::terminal;
 
-/// How many bytes wait for a reader; what goes beyond leaves out the oldest lines.
-const KEPT: usize = 1 << 20;
-/// A write that took longer stood still: nobody has seen meanwhile what was asked.
-const STOOD: Duration = Duration::from_secs(1);
+/// Queue size in bytes; beyond it the oldest lines are dropped.
+const QUEUE_SIZE: usize = 1 << 20;
+/// A longer write was stalled, so the question was not visible meanwhile.
+const STALLED: Duration = Duration::from_secs(1);
 
-/// stdout and stderr of a run. What is said is in order on each of them, and on both when they are one
-/// place, as a terminal.
+/// stdout and stderr of a run. The order is kept on each, and across both if they are the same file, such as
+/// a terminal.
 #[derive(Clone)]
-pub(super) struct Lines {
+pub(super) struct LineOutput {
     out: Arc<Queue>,
     err: Arc<Queue>,
 }
@@ -39,49 +39,49 @@ struct Queue {
 struct State {
     waiting: VecDeque<Piece>,
     bytes: usize,
-    /// How many were left out before those that wait.
-    left_out: usize,
+    /// How many pieces were dropped before those that wait.
+    dropped: usize,
     writing: bool,
 }
 
-/// What is written at once.
+/// A text to write.
 struct Piece {
     stream: Stream,
     text: Vec<u8>,
-    /// Whom to tell since when it can be seen.
+    /// Receives the time from which it is visible.
     seen: Option<Seen>,
 }
 
 type Seen = Box<dyn FnOnce(Instant) + Send>;
 
-impl Lines {
-    /// Starts to write.
+impl LineOutput {
+    /// Starts the writing threads.
     ///
     /// # Errors
-    /// When there can be no thread for it.
+    /// If a thread cannot be started.
     pub(super) fn start() -> io::Result<Self> {
         let out = Queue::start("ztl-stdout")?;
-        let err = match are_one() {
+        let err = match are_same_file() {
             true => Arc::clone(&out),
-            // A warning is seen although nobody reads stdout.
+            // A stalled stdout must not hold back warnings.
             false => Queue::start("ztl-stderr")?,
         };
         Ok(Self { out, err })
     }
 
-    /// Says a line on stdout.
+    /// Writes a line to stdout.
     pub(super) fn line(&self, text: impl Display) {
         self.out.push(Stream::Out, format!("{text}\n"), None);
     }
 
-    /// Asks something on stdout; `seen` is called on another thread when that was written, with the time
-    /// since when a key can be an answer.
+    /// Writes a question to stdout. A thread calls `seen` when it is written, with the time from which keys
+    /// count as answers.
     pub(super) fn ask(&self, text: &str, seen: impl FnOnce(Instant) + Send + 'static) {
         let seen: Seen = Box::new(seen);
         self.out.push(Stream::Out, format!("{text}\n"), Some(seen));
     }
 
-    /// Waits until all is written, at most for `limit`; whether it is.
+    /// Waits up to `limit` until all is written; returns whether it is.
     pub(super) fn finish(&self, limit: Duration) -> bool {
         let until = Instant::now() + limit;
         [&self.err, &self.out]
@@ -90,18 +90,18 @@ impl Lines {
     }
 }
 
-impl<'w> MakeWriter<'w> for Lines {
-    type Writer = Log<'w>;
+impl<'w> MakeWriter<'w> for LineOutput {
+    type Writer = LogWriter<'w>;
 
-    fn make_writer(&'w self) -> Log<'w> {
-        Log(&self.err)
+    fn make_writer(&'w self) -> LogWriter<'w> {
+        LogWriter(&self.err)
     }
 }
 
-/// Log lines, for stderr; each is written at once.
-pub(super) struct Log<'q>(&'q Queue);
+/// Queues log lines for stderr.
+pub(super) struct LogWriter<'q>(&'q Queue);
 
-impl Write for Log<'_> {
+impl Write for LogWriter<'_> {
     fn write(&mut self, text: &[u8]) -> io::Result<usize> {
         self.0.push(Stream::Err, text, None);
         Ok(text.len())
@@ -138,19 +138,19 @@ impl Queue {
         let mut state = self.lock();
         state.bytes += text.len();
         state.waiting.push_back(Piece { stream, text, seen });
-        while state.bytes > KEPT {
-            // A question stays, or nobody could answer it.
+        while state.bytes > QUEUE_SIZE {
+            // Questions are kept, or nobody could answer them.
             let oldest = state.waiting.iter().position(|piece| piece.seen.is_none());
             let Some(piece) = oldest.and_then(|oldest| state.waiting.remove(oldest)) else {
                 break;
             };
             state.bytes -= piece.text.len();
-            state.left_out += 1;
+            state.dropped += 1;
         }
         self.changed.notify_all();
     }
 
-    /// Waits for the next piece, and writes it.
+    /// Waits for the next piece and writes it.
     fn write(&self, put: impl Fn(Stream, &[u8])) {
         let state = self.lock();
         let nothing = |state: &mut State| state.waiting.is_empty();
@@ -161,17 +161,17 @@ impl Queue {
         };
         state.bytes -= piece.text.len();
         state.writing = true;
-        let left_out = std::mem::take(&mut state.left_out);
+        let dropped = std::mem::take(&mut state.dropped);
         drop(state);
-        if left_out > 0 {
-            let note = format!("[{left_out} lines are left out that nobody has read in time]\n");
+        if dropped > 0 {
+            let note = format!("[{dropped} lines dropped: the reader is too slow]\n");
             put(piece.stream, note.as_bytes());
         }
         let before = Instant::now();
         put(piece.stream, &piece.text);
         if let Some(seen) = piece.seen {
-            let stood = before.elapsed() > STOOD;
-            seen(if stood { Instant::now() } else { before });
+            let stalled = before.elapsed() > STALLED;
+            seen(if stalled { Instant::now() } else { before });
         }
         self.lock().writing = false;
         self.changed.notify_all();
@@ -185,9 +185,9 @@ impl Queue {
     }
 }
 
-/// Whether stdout and stderr are one place, so that their order can be seen.
+/// Whether stdout and stderr are the same file, where their order is visible.
 #[cfg(unix)]
-fn are_one() -> bool {
+fn are_same_file() -> bool {
     use std::fs::File;
     use std::os::fd::AsFd;
     use std::os::unix::fs::MetadataExt;
@@ -200,9 +200,9 @@ fn are_one() -> bool {
     place(io::stdout().as_fd()) == place(io::stderr().as_fd())
 }
 
-/// It cannot be told here.
+/// Assumes that they are.
 #[cfg(not(unix))]
-const fn are_one() -> bool {
+const fn are_same_file() -> bool {
     true
 }
 
@@ -213,16 +213,16 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_nobody_reads_makes_nobody_wait_and_its_newest_lines_and_questions_stay() {
+    fn a_full_queue_drops_the_oldest_lines_and_keeps_questions() {
         let queue = Arc::new(Queue::default());
         let (answered, since) = mpsc::channel();
         let seen: Seen = Box::new(move |at| answered.send(at).unwrap());
         queue.push(Stream::Out, "asked\n", Some(seen));
-        let line = "x".repeat(KEPT / 10);
+        let line = "x".repeat(QUEUE_SIZE / 10);
         for nth in 0..20 {
             queue.push(Stream::Out, format!("{nth}{line}"), None);
         }
-        assert!(queue.lock().bytes <= KEPT);
+        assert!(queue.lock().bytes <= QUEUE_SIZE);
         assert!(!queue.is_empty_by(Instant::now()));
         assert!(since.try_recv().is_err(), "nobody has seen it");
         let written = Mutex::new(Vec::new());
@@ -237,10 +237,7 @@ mod tests {
         let [note, asked, newest @ ..] = written.as_slice() else {
             panic!("{written:?}");
         };
-        assert_eq!(
-            note,
-            "[11 lines are left out that nobody has read in time]\n"
-        );
+        assert_eq!(note, "[11 lines dropped: the reader is too slow]\n");
         assert_eq!(asked, "asked\n");
         let expected: Vec<String> = (11..20).map(|nth| nth.to_string()).collect();
         assert_eq!(newest, expected);

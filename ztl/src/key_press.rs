@@ -1,28 +1,52 @@
-//! Keys that are pressed, and what they are called.
+//! Key presses: their names, and which of them are repeats of a key that is held down.
 
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use ztl_script::event::{Command, Question};
 
-/// A key that comes again sooner is held down: keyboards wait that long at most before they repeat a key.
-pub(crate) const FIRST_REPEAT: Duration = Duration::from_millis(700);
-/// The same of one that came again already. Keyboards repeat every 30 to 50 ms; a busy machine may be late in
-/// reading them.
-pub(crate) const HELD: Duration = Duration::from_millis(250);
+/// A key that is pressed again sooner than this is held down: keyboards start to repeat a key within this time.
+const FIRST_REPEAT: Duration = Duration::from_millis(700);
+/// The same for further repeats. Keyboards send one every 30 to 50 ms; a busy machine reads them late.
+const NEXT_REPEAT: Duration = Duration::from_millis(250);
 
 /// A key that was pressed.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) struct Pressed {
-    /// As it is called: `Enter`, `s`, `Ctrl-C`.
+pub(crate) struct KeyPress {
+    /// Its name: `Enter`, `s`, `Ctrl-C`.
     pub(crate) key: String,
-    /// What it meant by what the operator saw; `None`: nothing.
+    /// What it means for what the operator saw; `None` if nothing.
     pub(crate) command: Option<Command>,
-    /// What was asked on the screen that the operator saw.
+    /// The question that the operator saw.
     pub(crate) question: Option<Question>,
 }
 
-/// Takes the first key from what a terminal sent; `None` when it is not whole yet.
-pub(crate) fn first(bytes: &[u8]) -> Option<(String, usize)> {
+/// When a key was pressed last, to find out whether it is held down.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct LastPress {
+    at: Instant,
+    repeated: bool,
+}
+
+impl LastPress {
+    /// A press of the same key, `late` if it may have been read later than it was pressed.
+    pub(crate) fn after(last: Option<Self>, now: Instant, late: Duration) -> Self {
+        let limit = |last: &Self| match last.repeated {
+            true => NEXT_REPEAT,
+            false => FIRST_REPEAT,
+        };
+        let repeated = last
+            .is_some_and(|last| now.saturating_duration_since(last.at) < limit(&last).max(late));
+        Self { at: now, repeated }
+    }
+
+    /// Whether the key is held down.
+    pub(crate) const fn is_repeat(&self) -> bool {
+        self.repeated
+    }
+}
+
+/// The name and length of the first key in terminal input; `None` if its bytes are incomplete.
+pub(crate) fn first_key(bytes: &[u8]) -> Option<(String, usize)> {
     let (&byte, rest) = bytes.split_first()?;
     let name = |name: &str, length: usize| Some((name.to_owned(), length));
     match byte {
@@ -30,8 +54,8 @@ pub(crate) fn first(bytes: &[u8]) -> Option<(String, usize)> {
         b'\t' => name("Tab", 1),
         b' ' => name("Space", 1),
         0x7f | 0x08 => name("Backspace", 1),
-        0x1b => escape(rest),
-        // Those above have gone.
+        0x1b => escape_sequence(rest),
+        // The other control characters have names of their own.
         0..=0x1f => Some((format!("Ctrl-{}", char::from(byte | 0x40)), 1)),
         0x21..=0x7e => Some((char::from(byte).to_string(), 1)),
         _ => {
@@ -52,8 +76,8 @@ pub(crate) fn first(bytes: &[u8]) -> Option<(String, usize)> {
     }
 }
 
-/// What comes after an ESC: the sequence of a key, or nothing when it was that key itself.
-fn escape(rest: &[u8]) -> Option<(String, usize)> {
+/// The key of an escape sequence, without its ESC.
+fn escape_sequence(rest: &[u8]) -> Option<(String, usize)> {
     let name = |name: &str, length: usize| Some((name.to_owned(), length));
     match rest {
         [] => None,
@@ -86,7 +110,7 @@ mod tests {
     fn names(bytes: &[u8]) -> Vec<String> {
         let mut rest = bytes;
         let mut names = Vec::new();
-        while let Some((name, length)) = first(rest) {
+        while let Some((name, length)) = first_key(rest) {
             names.push(name);
             rest = &rest[length..];
         }
@@ -94,19 +118,19 @@ mod tests {
     }
 
     #[test]
-    fn a_key_is_one_key_however_many_bytes_it_has() {
+    fn each_key_is_parsed_whatever_its_length() {
         assert_eq!(names(b"\x1b[A"), ["Up"]);
         assert_eq!(names(b"\x1bOB\r"), ["Down", "Enter"]);
         assert_eq!(names(b"\x1b[15;2~s"), ["a function key", "s"]);
         assert_eq!(names(b"\x1b[5~\x1b[6~"), ["PageUp", "PageDown"]);
-        // Terminals differ in these.
+        // Terminals send different sequences for these.
         assert_eq!(names(b"\x1b[H\x1bOH\x1b[1~\x1b[7~"), ["Home"; 4]);
         assert_eq!(names(b"\x1b[F\x1bOF\x1b[4~\x1b[8~"), ["End"; 4]);
         assert_eq!(names("é\x03\x1a".as_bytes()), ["é", "Ctrl-C", "Ctrl-Z"]);
         assert_eq!(names(b"\x1bx\xff "), ["Alt-x", "?", "Space"]);
-        // Not whole: the rest may come.
-        assert_eq!(first(b"\x1b"), None);
-        assert_eq!(first(b"\x1b[1;"), None);
-        assert_eq!(first(b"\xe2\x82"), None);
+        // Incomplete.
+        assert_eq!(first_key(b"\x1b"), None);
+        assert_eq!(first_key(b"\x1b[1;"), None);
+        assert_eq!(first_key(b"\xe2\x82"), None);
     }
 }

@@ -1,4 +1,4 @@
-//! Tasks played side by side, each shown on one line while it runs.
+//! Runs the tasks of a step in parallel and shows each on one line.
 
 use std::time::{Duration, Instant};
 
@@ -7,38 +7,38 @@ use ztl_std::{RemoteTask, State, Status, TriggerError};
 use crate::signals;
 use crate::terminal::{is_live, line, rewrite, up};
 
-/// A task of a scene.
+/// A task of the demo.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Act {
+pub(crate) struct DemoTask {
     pub(crate) handler: &'static str,
     pub(crate) component: &'static str,
     pub(crate) goal: &'static str,
-    /// Where it starts and ends, to tell how far it has come.
+    /// Positions at its start and end, to compute its progress.
     pub(crate) way: (f32, f32),
     pub(crate) unit: &'static str,
 }
 
-/// A task under way, and what its line says.
-struct Shown<'a> {
-    act: &'a Act,
+/// The line of a task.
+struct TaskLine<'a> {
+    task: &'a DemoTask,
     asked: Instant,
     id: Option<ztl_std::RemoteId>,
     accepted: Option<Duration>,
-    /// Percent of the way at which it was seen.
+    /// Progress in percent, at each answer.
     marks: Vec<u8>,
     position: String,
     end: Option<String>,
     completed: bool,
 }
 
-/// How often a task is asked about.
+/// Time between two STATUS requests.
 const PAUSE: Duration = Duration::from_millis(40);
-/// Longest that a task may take before the scene goes on without it.
+/// Time limit for a task; the demo continues without it.
 const LIMIT: Duration = Duration::from_secs(20);
 
-/// Plays the acts of a step at once and waits for all; says whether all completed.
-pub(crate) fn play(remote: &mut RemoteTask, start: Instant, step: &[Act]) -> bool {
-    let mut shown: Vec<Shown<'_>> = step.iter().map(Shown::new).collect();
+/// Starts all tasks of a step, waits for all, and returns whether all completed.
+pub(crate) fn play(remote: &mut RemoteTask, start: Instant, step: &[DemoTask]) -> bool {
+    let mut shown: Vec<TaskLine<'_>> = step.iter().map(TaskLine::new).collect();
     for task in &mut shown {
         task.trigger(remote);
     }
@@ -68,16 +68,16 @@ pub(crate) fn play(remote: &mut RemoteTask, start: Instant, step: &[Act]) -> boo
     shown.iter().all(|task| task.completed)
 }
 
-fn draw(shown: &[Shown<'_>], start: Instant) {
+fn draw(shown: &[TaskLine<'_>], start: Instant) {
     for task in shown {
         rewrite(&task.picture(start), "\n");
     }
 }
 
-impl<'a> Shown<'a> {
-    fn new(act: &'a Act) -> Self {
+impl<'a> TaskLine<'a> {
+    fn new(task: &'a DemoTask) -> Self {
         Self {
-            act,
+            task,
             asked: Instant::now(),
             id: None,
             accepted: None,
@@ -89,9 +89,9 @@ impl<'a> Shown<'a> {
     }
 
     fn trigger(&mut self, remote: &mut RemoteTask) {
-        let act = self.act;
+        let task = self.task;
         self.asked = Instant::now();
-        match remote.trigger(act.handler, act.component, act.goal) {
+        match remote.trigger(task.handler, task.component, task.goal) {
             Ok(task) => {
                 self.id = Some(task.id);
                 self.accepted = Some(self.asked.elapsed());
@@ -103,7 +103,7 @@ impl<'a> Shown<'a> {
         }
     }
 
-    /// Ctrl-C stops what was started.
+    /// Aborts the task after Ctrl-C.
     fn abort(&mut self, remote: &mut RemoteTask) {
         if let Some(id) = &self.id
             && let Err(error) = remote.abort(id)
@@ -117,7 +117,7 @@ impl<'a> Shown<'a> {
         match remote.status(id) {
             Ok(Status { state, text }) if state.is_final() => {
                 self.completed = state == State::Completed;
-                let unit = if self.completed { self.act.unit } else { "" };
+                let unit = if self.completed { self.task.unit } else { "" };
                 let seconds = self.asked.elapsed().as_secs_f32();
                 let space = if unit.is_empty() { "" } else { " " };
                 self.end = Some(format!("{state} {text}{space}{unit}, {seconds:.2} s"));
@@ -131,7 +131,7 @@ impl<'a> Shown<'a> {
                 }
                 self.position = text;
             }
-            // Unknown is not done: it is asked again, until the limit.
+            // Unknown does not mean final: asks again until the limit.
             Err(error) if self.asked.elapsed() > LIMIT => {
                 self.end = Some(format!("UNKNOWN: {error}"));
             }
@@ -142,9 +142,9 @@ impl<'a> Shown<'a> {
         }
     }
 
-    /// How much of the way lies behind a position.
+    /// The progress at a position.
     fn percent(&self, position: &str) -> Option<u8> {
-        let (from, to) = self.act.way;
+        let (from, to) = self.task.way;
         let position: f32 = position.parse().ok()?;
         let part = (position - from) / (to - from);
         Some((part * 100.0).clamp(0.0, 100.0) as u8)
@@ -152,12 +152,12 @@ impl<'a> Shown<'a> {
 
     fn head(&self, start: Instant) -> String {
         let at = self.asked.duration_since(start).as_secs_f32();
-        let Act {
+        let DemoTask {
             handler,
             component,
             goal,
             ..
-        } = self.act;
+        } = self.task;
         let task = format!("{handler}:{component}:{goal}");
         let accepted = self.accepted.map_or_else(String::new, |time| {
             format!("accepted {:>4.1} ms", time.as_secs_f32() * 1000.0)
@@ -165,7 +165,7 @@ impl<'a> Shown<'a> {
         format!("{at:>5.2} s  {task:<18} {accepted:<17}")
     }
 
-    /// The line while it is looked at.
+    /// The line on a terminal.
     fn picture(&self, start: Instant) -> String {
         let head = self.head(start);
         if let Some(end) = &self.end {
@@ -174,11 +174,11 @@ impl<'a> Shown<'a> {
         let percent = self.marks.last().copied().unwrap_or(0);
         let full = usize::from(percent / 10);
         let bar = format!("{}{}", "█".repeat(full), "░".repeat(10 - full.min(10)));
-        let Act { unit, .. } = self.act;
+        let DemoTask { unit, .. } = self.task;
         format!("{head} {bar} {percent:>3} %  {} {unit}", self.position)
     }
 
-    /// The line for a file: some of the places it came by.
+    /// The line for a file, with some of the progress.
     fn trail(&self, start: Instant) -> String {
         let every = (self.marks.len() / 5).max(1);
         let marks: Vec<String> = self

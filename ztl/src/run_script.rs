@@ -1,16 +1,16 @@
-//! `ztl run-script`: plays the scenes of a script, with the original's options, lines and keys (wire
+//! `ztl run-script`: plays the scenes of a script, with the options, output and keys of the original (wire
 //! specification 7.4 and 8).
 
-mod lines;
+mod output;
 mod plain;
-mod stage;
+mod view;
 
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::time::Duration;
 
-use tracing::{Level, error, info};
+use tracing::{Level, info};
 use ztl_script::event::{By, Command, Event, FORMAT, Outcome, RemoteOutline, RunStarted, sha256};
 use ztl_script::player::Options;
 use ztl_script::record::Recorder;
@@ -19,20 +19,19 @@ use ztl_std::remotes::Remote;
 use ztl_std::{RemoteTask, Remotes};
 use ztl_yaml::{Span, closest};
 
-use crate::key_name::Pressed;
+use crate::exit::Done;
+use crate::key_press::KeyPress;
 use crate::remote_task::Endpoints;
 use crate::terminal::{error_line, error_part, line};
 use crate::tool::Called;
-use crate::{Done, log, signals};
-use lines::Lines;
-use stage::Stage;
+use crate::{log, signals};
+use output::LineOutput;
+use view::View;
 
-/// Name under which the original logs.
-const LOG: &str = "script-exec";
-/// How long the last lines of a run may take.
+/// Time limit for writing the last lines.
 const LAST_LINES: Duration = Duration::from_secs(2);
-/// When a second Ctrl-C ends the process however it stands: later than the run's own end.
-const AT_THE_LATEST: Duration = Duration::from_secs(3);
+/// Time from a second Ctrl-C to the end of the process; longer than the run needs to end by itself.
+const END_LIMIT: Duration = Duration::from_secs(3);
 
 #[derive(Debug, clap::Args)]
 #[command(after_help = AFTER)]
@@ -44,64 +43,63 @@ pub(crate) struct RunScript {
     #[command(flatten)]
     endpoints: Endpoints,
 
-    /// Play every scene without asking; what nobody can decide stops everything
+    /// Play all scenes without asking; a step that needs a decision stops everything
     #[arg(long)]
     yes: bool,
 
-    /// Only this scene
+    /// Play only this scene
     #[arg(long, value_name = "NAME")]
     scene: Option<String>,
 
-    /// From this step on
+    /// Start with this step
     #[arg(long, value_name = "STEP")]
     from: Option<String>,
 
-    /// What holds where the script says nothing: timeout, on_failure, parallel
+    /// Defaults for the script: timeout, on_failure, parallel
     #[arg(long, value_name = "FILE")]
     defaults: Option<PathBuf>,
 
-    /// Show what would be sent when, and send nothing
+    /// Show what would be sent and when, without sending it
     #[arg(long)]
     dry_run: bool,
 
-    /// Write down all that happens, a line for each event (docs/record.md); FILE must not be there yet
+    /// Record all events, one line each (docs/record.md); FILE must not exist
     #[arg(long, value_name = "FILE")]
     record: Option<PathBuf>,
 
-    /// Write the original's lines, and take its keys, also on a terminal
+    /// Use the original's output and keys on a terminal too
     #[arg(long)]
     plain: bool,
 
-    /// Rehearse: play on stand-ins for all servers, whose tasks last so many seconds
+    /// Rehearse on simulated servers, whose tasks take this long
     #[arg(long, value_name = "SECONDS", num_args = 0..=1, require_equals = true, default_missing_value = "1", value_parser = simulated)]
     simulate: Option<Duration>,
 }
 
 const AFTER: &str =
-    "Keys: on a terminal those that can be pressed are always shown (docs/show.md). With --plain Enter plays
-the scene that is shown, R the last one again, and any other passes over it.
-Ctrl-C stops all tasks that this run has started, on all servers; a second one leaves at once.
-Exit code: 0 if all went well, 1 if something failed, was stopped or is unknown.
-How to write scripts: docs/scripts.md; to check one: ztl check FILE.";
+    "Keys: on a terminal the screen lists them (docs/show.md). With --plain, Enter plays the scene, R repeats
+the last one, and any other key skips the scene.
+Ctrl-C stops all tasks started by this run, on all servers. A second Ctrl-C leaves at once.
+Exit code: 0 if all tasks completed, 1 if one failed, was stopped or is unknown.
+To write scripts, see docs/scripts.md. To check one, run `ztl check FILE`.";
 
 fn simulated(text: &str) -> Result<Duration, &'static str> {
     let seconds = text
         .parse()
         .ok()
         .and_then(|seconds| Duration::try_from_secs_f64(seconds).ok());
-    seconds.ok_or("write a number of seconds, as 1 or 0.2")
+    seconds.ok_or("expected a number of seconds, such as 1 or 0.2")
 }
 
 impl RunScript {
     pub(crate) fn run(self, called: &Called) -> Done {
-        // By the original's name it is the original's tool.
-        let live = !self.plain && !called.is_original() && stage::can_be_live();
+        let live = !self.plain && !called.is_original() && view::can_be_live();
         signals::catch()?;
-        signals::leave_soon_after_the_second(AT_THE_LATEST, !live, stage::restore);
-        // On the live view there is no place for lines; all that matters is shown there.
-        let lines = (!live).then(Lines::start).transpose()?;
+        signals::leave_soon_after_the_second(END_LIMIT, !live, view::restore);
+        // The live view shows what matters; log lines would garble it.
+        let lines = (!live).then(LineOutput::start).transpose()?;
         if let Some(lines) = lines.clone() {
-            // Where stand-ins are is of no use.
+            // The addresses of simulated servers do not matter.
             let quiet: &[&str] = match self.simulate {
                 Some(_) => &["remote-task", "remote-config"],
                 None => &[],
@@ -115,7 +113,7 @@ impl RunScript {
         done
     }
 
-    fn play(&self, called: &Called, lines: Option<&Lines>) -> Done {
+    fn play(&self, called: &Called, lines: Option<&LineOutput>) -> Done {
         let live = lines.is_none();
         let mut remotes = match self.simulate {
             Some(_) if !self.endpoints.is_given() => Remotes::named("no configuration"),
@@ -132,12 +130,12 @@ impl RunScript {
                 error_part(mistakes);
                 let file = self.script.display();
                 return Err(format!(
-                    "{file} cannot be played; `ztl check {file}` says all that is wrong"
+                    "{file} cannot be played; `ztl check {file}` lists all mistakes"
                 )
                 .into());
             }
         };
-        // On the live view lines before it are not seen.
+        // The live view hides lines printed before it, so it repeats them.
         let mut notes = Vec::new();
         if self.simulate.is_none() {
             for unknown in script.unknown_remotes(&remotes) {
@@ -192,15 +190,15 @@ impl RunScript {
         Ok(signals::exit_code_or(code))
     }
 
-    /// Plays it, on the live view or with the original's lines and keys.
+    /// Plays the script until the run ends.
     fn perform(
         &self,
         show: &mut Show,
         script: &Script,
         (started, notes): (RunStarted, Vec<String>),
-        lines: Option<&Lines>,
+        lines: Option<&LineOutput>,
     ) -> Result<Outcome, Box<dyn std::error::Error>> {
-        let mut stage = Stage::open(script, show.inputs(), lines.cloned(), self.yes)?;
+        let mut view = View::open(script, show.inputs(), lines.cloned(), self.yes)?;
         let mut record = self.record.as_deref().map(Recorder::create).transpose()?;
         let inputs = show.inputs();
         signals::then(move || inputs.command(Command::Stop, By::Signal));
@@ -210,8 +208,8 @@ impl RunScript {
         }
         show.begin();
         loop {
-            while let Some(pressed) = stage.pressed() {
-                let Pressed {
+            while let Some(pressed) = view.pressed() {
+                let KeyPress {
                     key,
                     command,
                     question,
@@ -227,18 +225,18 @@ impl RunScript {
             if let Some(record) = &mut record
                 && let Err(unrecorded) = record.write(&stamped)
             {
-                stage.warn(stamped.at, &unrecorded.to_string());
+                view.warn(stamped.at, &unrecorded.to_string());
             }
-            stage.tell(&stamped);
+            view.handle(&stamped);
             if let Event::RunEnded { outcome, .. } = stamped.event {
-                stage.close();
+                view.close();
                 return Ok(outcome);
             }
         }
     }
 
-    /// The scene to play alone, and the step to begin with.
-    #[expect(clippy::type_complexity, reason = "as the player wants them")]
+    /// The only scene to play, and the first step.
+    #[expect(clippy::type_complexity, reason = "the player takes them so")]
     fn places(&self, script: &Script) -> Result<(Option<usize>, Option<(usize, usize)>), String> {
         let scene = match &self.scene {
             None => None,
@@ -263,7 +261,7 @@ impl RunScript {
         Ok((scene, from))
     }
 
-    /// What is known when the run starts.
+    /// The first event of the record.
     fn started(&self, script: &Script, remotes: &Remotes) -> RunStarted {
         let outline = |name: &str| {
             let remote = remotes.task(name).ok();
@@ -310,7 +308,7 @@ impl RunScript {
     }
 }
 
-/// The scene or step that a person means: by its key, or by its name without parameters.
+/// Finds the scene or step that the user named, by its key or its name without parameters.
 fn the_one<'a, At>(
     what: &str,
     said: &str,
@@ -345,17 +343,7 @@ fn the_one<'a, At>(
     })
 }
 
-fn no_keyboard(error: std::io::Error) -> String {
-    // As the original says it, for scripts that look for it.
-    let (code, text) = (
-        error.raw_os_error().unwrap_or_default(),
-        "Inappropriate ioctl for device",
-    );
-    error!(target: LOG, "({code}, '{text}')");
-    "stdin is no terminal, so nobody can be asked; use --yes to play without asking".to_owned()
-}
-
-/// What may matter when a run is looked at long afterwards.
+/// Versions for the record.
 fn versions() -> Vec<(String, String)> {
     use std::env::consts::{ARCH, OS};
     let (major, minor, patch) = zmq::version();
@@ -367,7 +355,7 @@ fn versions() -> Vec<(String, String)> {
     ]
 }
 
-/// Connects to servers when they are first used.
+/// Connects to a server when it is first used.
 fn connect(remotes: Remotes) -> Connect {
     Box::new(move |name| {
         let remote = remotes.task(name).map_err(|error| error.to_string())?;

@@ -1,0 +1,340 @@
+//! The thread of the live view: reads keys, decides what they mean, and draws the screen.
+
+use std::io;
+use std::sync::mpsc::Sender;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+use ztl_script::event::{Command, Question};
+
+use super::board::Board;
+use super::choose::{Chooser, Chosen};
+use super::draw::{self, Pane, View};
+use super::keys;
+use super::rows::Seen;
+use super::text::{Capabilities, Line};
+use crate::key_press::{self, KeyPress, LastPress};
+use crate::{terminal, terminal_mode};
+
+/// Longest time from an event to its display.
+const PAUSE: Duration = Duration::from_millis(40);
+/// Interval at which the clocks on the screen advance.
+const TICK: Duration = Duration::from_millis(100);
+/// How long to wait for the rest of an incomplete key.
+const REST: Duration = Duration::from_millis(40);
+/// How late keys may be read that are read together.
+const LATE: Duration = Duration::from_secs(2);
+/// After this time a question that still stands did not accept its answer.
+const UNHEARD: Duration = Duration::from_millis(500);
+
+/// What the run and the thread share.
+#[derive(Debug)]
+pub(super) struct Shared {
+    pub(super) board: Board,
+    /// When the last event was received.
+    pub(super) received: Instant,
+    pub(super) changed: bool,
+    pub(super) over: bool,
+}
+
+pub(super) fn lock(shared: &Mutex<Shared>) -> MutexGuard<'_, Shared> {
+    shared.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// The state of the thread.
+pub(super) struct Screen {
+    shared: Arc<Mutex<Shared>>,
+    pressed: Sender<KeyPress>,
+    wake: Box<dyn Fn() + Send>,
+    capabilities: Capabilities,
+    view: View,
+    /// The part of the body that is visible.
+    body: Seen,
+    /// Number of the question on the screen.
+    shown_question: u64,
+    /// The question answered last, and when.
+    answered: Option<(u64, Instant)>,
+    last_key: Option<(String, LastPress)>,
+    /// The lines on the terminal; empty if all must be drawn.
+    drawn: Vec<String>,
+    size: (usize, usize),
+    entered: u32,
+    last_drawn: Option<Instant>,
+}
+
+impl Screen {
+    pub(super) fn new(
+        shared: Arc<Mutex<Shared>>,
+        pressed: Sender<KeyPress>,
+        wake: impl Fn() + Send + 'static,
+        capabilities: Capabilities,
+    ) -> Self {
+        Self {
+            shared,
+            pressed,
+            wake: Box::new(wake),
+            capabilities,
+            view: View::default(),
+            body: Seen::default(),
+            shown_question: 0,
+            answered: None,
+            last_key: None,
+            drawn: Vec::new(),
+            size: (0, 0),
+            entered: 0,
+            last_drawn: None,
+        }
+    }
+
+    pub(super) fn run(mut self) {
+        while !lock(&self.shared).over && !terminal_mode::is_restored() {
+            if self.turn().is_err() {
+                // The terminal is gone. A signal ends the run.
+                std::thread::sleep(TICK);
+            }
+        }
+    }
+
+    fn turn(&mut self) -> io::Result<()> {
+        // Keys typed before the screen changes were meant for what was visible.
+        self.read_keys(Duration::ZERO)?;
+        self.draw()?;
+        self.read_keys(PAUSE)
+    }
+
+    /// Reads keys, and waits for the rest of an incomplete one.
+    fn read_keys(&mut self, limit: Duration) -> io::Result<()> {
+        let mut typed = terminal_mode::read_within(limit)?;
+        let mut at = 0;
+        while at < typed.len() {
+            match key_press::first_key(typed.get(at..).unwrap_or_default()) {
+                Some((_, length)) => at += length,
+                None => {
+                    let rest = terminal_mode::read_within(REST)?;
+                    if rest.is_empty() {
+                        break;
+                    }
+                    typed.extend(rest);
+                }
+            }
+        }
+        self.handle_keys(&typed);
+        Ok(())
+    }
+
+    /// Of keys read together, only the first is a decision: the operator has not seen its effect yet.
+    fn handle_keys(&mut self, typed: &[u8]) {
+        let mut rest = typed;
+        let mut nth = 0;
+        while !rest.is_empty() {
+            let (key, length) = key_press::first_key(rest).unwrap_or_else(|| match rest {
+                [0x1b] => ("Esc".to_owned(), 1),
+                _ => ("?".to_owned(), rest.len()),
+            });
+            rest = rest.get(length..).unwrap_or_default();
+            match key.as_str() {
+                "Ctrl-Z" => terminal_mode::suspend(),
+                "Ctrl-L" => self.drawn.clear(),
+                // Stopping counts whatever was typed before it.
+                name if keys::stops(name) => self.press(key, nth > 0),
+                // Moving decides nothing.
+                name if self.is_choosing() || keys::scrolls(name) => self.press(key, nth > 0),
+                _ if nth == 0 => self.press(key, !rest.is_empty()),
+                _ => {
+                    let press = LastPress::after(None, Instant::now(), Duration::ZERO);
+                    self.last_key = Some((key.clone(), press));
+                    self.send(key, None, None);
+                }
+            }
+            nth += 1;
+        }
+    }
+
+    /// Whether a key is held down, or was pressed twice by mistake. `together`: it was read with others.
+    fn is_held(&mut self, key: &str, together: bool) -> bool {
+        let late = if together { LATE } else { Duration::ZERO };
+        let last = self.last_key.take().filter(|(name, _)| name == key);
+        let press = LastPress::after(last.map(|(_, press)| press), Instant::now(), late);
+        self.last_key = Some((key.to_owned(), press));
+        press.is_repeat() && !self.is_choosing() && !keys::scrolls(key)
+    }
+
+    fn press(&mut self, key: String, together: bool) {
+        if self.is_held(&key, together) {
+            return self.send(key, None, None);
+        }
+        if self.choose(&key) {
+            return;
+        }
+        let (command, number, question) = {
+            let shared = lock(&self.shared);
+            let board = &shared.board;
+            let (question, number) = (board.question, board.questions);
+            let mut choices = board.choices();
+            let answered = self
+                .answered
+                .is_some_and(|(answered, at)| answered == number && at.elapsed() < UNHEARD);
+            let fresh = self.shown_question == number && !answered;
+            if question.is_some() && !fresh {
+                // Only stopping counts for a question that is not visible yet, or was answered.
+                choices.clear();
+            }
+            let can_jump = choices
+                .iter()
+                .any(|choice| matches!(choice, Command::Jump { .. }));
+            let scene = board.scene;
+            let command = keys::command(&key, &choices, question);
+            drop(shared);
+            if command.is_none() && self.look(&key, can_jump, scene) {
+                return;
+            }
+            (command, number, question)
+        };
+        if command.is_some() {
+            self.view = View::default();
+        }
+        if command.is_some_and(|command| !matches!(command, Command::Pause | Command::Resume)) {
+            self.answered = Some((number, Instant::now()));
+        }
+        self.send(key, command, question);
+    }
+
+    fn send(&self, key: String, command: Option<Command>, question: Option<Question>) {
+        // Fails only when the run is over.
+        let _ = self.pressed.send(KeyPress {
+            key,
+            command,
+            question,
+        });
+        (self.wake)();
+    }
+
+    const fn is_choosing(&self) -> bool {
+        matches!(self.view.pane, Pane::Choose(_))
+    }
+
+    /// Changes the view if the key does. It is no decision, and not recorded.
+    fn look(&mut self, key: &str, can_jump: bool, scene: Option<usize>) -> bool {
+        let page = self.body.height.saturating_sub(1).max(1);
+        let from = self.body.from;
+        let toggled = |pane: &Pane, other: Pane| match *pane == other {
+            true => View::default(),
+            false => View::of(other),
+        };
+        self.view = match key {
+            "?" => toggled(&self.view.pane, Pane::Keys),
+            "d" | "D" => toggled(&self.view.pane, Pane::Details),
+            "j" | "J" if can_jump => View::of(Pane::Choose(Chooser::at(scene.unwrap_or(0)))),
+            "Esc" if self.view != View::default() => View::default(),
+            key if keys::scrolls(key) => {
+                let top = match key {
+                    "Up" => from.saturating_sub(1),
+                    "Down" => from + 1,
+                    "PageUp" => from.saturating_sub(page),
+                    "PageDown" => from + page,
+                    "Home" => 0,
+                    _ => usize::MAX,
+                };
+                View {
+                    pane: self.view.pane.clone(),
+                    top: Some(top),
+                }
+            }
+            _ => return false,
+        };
+        self.last_drawn = None;
+        true
+    }
+
+    /// Passes a key to the chooser, if it is open. Keys that stop come first.
+    fn choose(&mut self, key: &str) -> bool {
+        let Pane::Choose(chooser) = &mut self.view.pane else {
+            return false;
+        };
+        if matches!(key, "Ctrl-C" | "Ctrl-X") {
+            return false;
+        }
+        let shared = lock(&self.shared);
+        let board = &shared.board;
+        let (question, number) = (board.question, board.questions);
+        let typed = match chooser.typed.as_str() {
+            "" => String::new(),
+            typed => format!(" {typed}"),
+        };
+        let chosen = chooser.press(key, &board.outline.scenes, self.body.height);
+        drop(shared);
+        self.last_drawn = None;
+        let command = match chosen {
+            Chosen::Stay => return true,
+            Chosen::Nothing if key == "Esc" => {
+                self.view = View::default();
+                return true;
+            }
+            Chosen::Nothing => None,
+            Chosen::Scene(scene) => Some(Command::Jump { scene }),
+        };
+        self.view = View::default();
+        if command.is_some() {
+            self.answered = Some((number, Instant::now()));
+        }
+        self.send(format!("j{typed} {key}"), command, question);
+        true
+    }
+
+    fn draw(&mut self) -> io::Result<()> {
+        let size = terminal::size();
+        let entered = terminal_mode::times_entered();
+        let all = entered != self.entered || size != self.size || self.drawn.is_empty();
+        let due = self.last_drawn.is_none_or(|last| last.elapsed() >= TICK);
+        let lines = {
+            let mut shared = lock(&self.shared);
+            if !(all || due || shared.changed) {
+                return Ok(());
+            }
+            shared.changed = false;
+            let board = &shared.board;
+            if board.question.is_none() && self.is_choosing()
+                || self.shown_question != board.questions
+            {
+                // A new question is always visible, and closes the chooser of the one before.
+                self.view = View::default();
+            }
+            self.shown_question = board.questions;
+            let now = match board.ended {
+                Some(_) => board.at,
+                None => board.at + shared.received.elapsed(),
+            };
+            let (lines, seen) = draw::draw(board, &self.view, now, size);
+            self.body = seen;
+            lines
+        };
+        self.last_drawn = Some(Instant::now());
+        if all {
+            self.drawn.clear();
+            self.size = size;
+            self.entered = entered;
+        }
+        let out = self.update(&lines);
+        if out.is_empty() || terminal_mode::is_restored() {
+            return Ok(());
+        }
+        terminal_mode::write(out.as_bytes())
+    }
+
+    /// Replaces the drawn lines; returns what changes them on the terminal.
+    fn update(&mut self, lines: &[Line]) -> String {
+        let mut out = String::new();
+        if self.drawn.is_empty() {
+            out.push_str("\x1b[0m\x1b[2J");
+        }
+        let encoded = lines.iter().map(|line| line.encoded(self.capabilities));
+        let lines: Vec<String> = encoded.collect();
+        for (nth, line) in lines.iter().enumerate() {
+            if self.drawn.get(nth) != Some(line) {
+                out.push_str(&format!("\x1b[{};1H\x1b[2K{line}", nth + 1));
+            }
+        }
+        self.drawn = lines;
+        out
+    }
+}
