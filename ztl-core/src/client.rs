@@ -34,12 +34,12 @@ mod answer;
 use core::time::Duration;
 
 use crate::Instant;
-use crate::dispatcher::{KEEP_INIT, RESERVED_SCOPE};
+use crate::dispatcher::KEEP_INIT;
 use crate::envelope::{ClientId, Envelope};
 use crate::integer::Integer;
 use crate::lifecycle::{Request, State};
 use crate::message::Message;
-use crate::reply::NEVER_SEEN;
+use crate::reply::{NEVER_SEEN, RESERVED_SCOPE};
 use crate::sink::{Sink, put_decimal};
 
 pub use answer::Answer;

@@ -1,6 +1,6 @@
 //! A position in a text.
 
-use crate::is_blank;
+use crate::text::is_blank;
 
 /// A text and a reading position.
 ///

@@ -1,7 +1,7 @@
 //! Integers as Python's `int()` reads them (wire specification 3.4).
 
-use crate::is_blank;
 use crate::sink::Sink;
+use crate::text::is_blank;
 
 /// Most digits accepted: Python's own limit (`sys.int_info.default_max_str_digits`).
 pub const MAX_DIGITS: usize = 4300;

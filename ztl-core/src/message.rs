@@ -5,7 +5,7 @@
 
 use crate::integer::{Integer, ParseIntegerError};
 use crate::sink::{BufferTooSmall, Sink, SliceSink};
-use crate::{split_at_mark, valid_start};
+use crate::text::{split_at_mark, valid_start};
 
 /// A message as a view of its bytes. Numbers stay text until needed, because the scope decides how a bad one
 /// is answered.

@@ -3,7 +3,8 @@
 use crate::base64;
 use crate::repr::{put_quoted, put_quoted_small};
 use crate::sink::{BufferTooSmall, Sink, SliceSink};
-use crate::{TaskId, sink, split_at_mark, valid_start};
+use crate::text::{split_at_mark, valid_start};
+use crate::{TaskId, sink};
 
 /// Separates the three parts. A goal may contain it; handler and component may not.
 pub const SEPARATOR: char = ':';

@@ -1,9 +1,9 @@
 //! What an answer means: decided here, once.
 
-use crate::dispatcher::{RESERVED_SCOPE, UNKNOWN_END};
 use crate::integer::Integer;
 use crate::lifecycle::{Request, State};
 use crate::message::Message;
+use crate::reply::{RESERVED_SCOPE, UNKNOWN_END};
 
 /// What an answer says, by the request that it answers.
 ///

@@ -4,6 +4,9 @@ use core::fmt;
 
 use crate::sink::{BufferTooSmall, Sink, put_decimal};
 
+/// Maximum nesting of collections, in reading and writing. It bounds the stack.
+pub const MAX_DEPTH: u8 = 8;
+
 /// Why a text is not the goal that the firmware expects.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -22,7 +25,6 @@ pub struct GoalError {
 /// and variants. It does not say a number's range, a sequence's length, or the type and values that the
 /// target takes. serde passes those as text to be formatted by `core::fmt`, which would take more flash than
 /// all the rest. [`GoalError::at`] says where to look.
-/// would take a microcontroller more than all the rest. [`GoalError::at`] says where to look.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
@@ -43,7 +45,7 @@ pub enum GoalErrorKind {
         /// Size of the scratch in bytes.
         available: usize,
     },
-    /// A collection is nested in [`MAX_DEPTH`](super::MAX_DEPTH) others.
+    /// A collection is nested in [`MAX_DEPTH`] others.
     TooDeep,
     /// The number does not fit the target's type.
     OutOfRange,
@@ -233,7 +235,7 @@ impl GoalErrorKind {
             }
             Self::TooDeep => {
                 sink.put(b"more than ");
-                put_decimal(sink, u32::from(super::MAX_DEPTH));
+                put_decimal(sink, u32::from(MAX_DEPTH));
                 sink.put(b" levels");
             }
             Self::OutOfRange => texts(["number out of range", "", ""]),
@@ -314,7 +316,7 @@ impl core::error::Error for GoalError {}
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub enum WriteError {
-    /// A collection is nested in [`MAX_DEPTH`](super::MAX_DEPTH) others.
+    /// A collection is nested in [`MAX_DEPTH`] others.
     TooDeep,
     /// The caller's buffer is too small.
     BufferTooSmall(BufferTooSmall),
@@ -325,7 +327,7 @@ pub enum WriteError {
 impl fmt::Display for WriteError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::TooDeep => write!(f, "more than {} levels", super::MAX_DEPTH),
+            Self::TooDeep => write!(f, "more than {} levels", MAX_DEPTH),
             Self::BufferTooSmall(cause) => cause.fmt(f),
             Self::Refused => f.write_str("refused by the value's type"),
         }

@@ -4,14 +4,9 @@
 //! The format is postcard's (its derive is compared with this code in a test); it is written by hand
 //! because it must work without serde, borrow its texts, and stay small on a node.
 
-mod codec;
-
+use super::ids::Ids;
+use super::link_id::LinkId;
 use crate::lifecycle::State;
-
-/// The number of a task on one link. Rises with each `Start` that a node takes since its boot.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct LinkId(pub u32);
 
 /// Opens a session.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -250,104 +245,3 @@ pub enum Command<'a> {
         task: LinkId,
     },
 }
-
-/// Why bytes are no message.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[non_exhaustive]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub enum BodyError {
-    /// They end too early.
-    Truncated,
-    /// There are this many too many.
-    Trailing {
-        /// Bytes after the message.
-        extra: usize,
-    },
-    /// A message of this number is not known.
-    UnknownTag {
-        /// The number.
-        tag: u32,
-    },
-    /// A value that has no meaning: a number too large, a state that is not final, text that is not UTF-8.
-    BadValue,
-}
-
-impl core::fmt::Display for BodyError {
-    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
-        match self {
-            Self::Truncated => f.write_str("too short"),
-            Self::Trailing { extra } => write!(f, "{extra} bytes too long"),
-            Self::UnknownTag { tag } => write!(f, "unknown message {tag}"),
-            Self::BadValue => f.write_str("meaningless value"),
-        }
-    }
-}
-
-impl core::error::Error for BodyError {}
-
-/// A list of link ids: a slice to be sent, or a view over received bytes.
-#[derive(Debug, Clone, Copy)]
-pub struct Ids<'a>(IdList<'a>);
-
-#[derive(Debug, Clone, Copy)]
-enum IdList<'a> {
-    Slice(&'a [LinkId]),
-    /// Encoded ids, already checked.
-    Encoded {
-        count: usize,
-        bytes: &'a [u8],
-    },
-}
-
-impl<'a> Ids<'a> {
-    /// The ids of a slice.
-    #[must_use]
-    pub const fn new(ids: &'a [LinkId]) -> Self {
-        Self(IdList::Slice(ids))
-    }
-
-    /// How many.
-    #[must_use]
-    pub const fn len(&self) -> usize {
-        match self.0 {
-            IdList::Slice(ids) => ids.len(),
-            IdList::Encoded { count, .. } => count,
-        }
-    }
-
-    /// Whether there are none.
-    #[must_use]
-    pub const fn is_empty(&self) -> bool {
-        self.len() == 0
-    }
-
-    /// Each of them.
-    pub fn iter(&self) -> impl Iterator<Item = LinkId> + use<'a> {
-        let (slice, bytes): (&'a [LinkId], &'a [u8]) = match self.0 {
-            IdList::Slice(ids) => (ids, &[]),
-            IdList::Encoded { bytes, .. } => (&[], bytes),
-        };
-        let mut reader = codec::Reader::new(bytes);
-        slice.iter().copied().chain(core::iter::from_fn(move || {
-            (!reader.is_at_end()).then(|| reader.task())
-        }))
-    }
-}
-
-#[cfg(feature = "defmt")]
-impl defmt::Format for Ids<'_> {
-    fn format(&self, f: defmt::Formatter<'_>) {
-        for id in self.iter() {
-            defmt::write!(f, "{} ", id);
-        }
-    }
-}
-
-impl PartialEq for Ids<'_> {
-    fn eq(&self, other: &Self) -> bool {
-        self.iter().eq(other.iter())
-    }
-}
-
-#[cfg(test)]
-mod tests;

@@ -5,7 +5,8 @@
 //! truncated frame as complete after an overrun. So is the check, with a table of 64 bytes in place of
 //! 1 KiB; a test compares it with the crate `crc`, whose own form without one takes 300 bytes.
 
-use super::body::{Body, BodyError, Command};
+use super::body::{Body, Command};
+use super::wire::BodyError;
 use crate::sink::{BufferTooSmall, Sink};
 
 /// `addr` when there is one node on the line; others are kept for shared buses.
@@ -30,8 +31,8 @@ pub struct Frame<'a> {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct CommandFrame<'a> {
-    /// Which of the sessions it is of, by its place.
-    pub place: usize,
+    /// Index of the session that verified it.
+    pub session_index: usize,
     /// Which node; [`ADDR_ONLY_NODE`].
     pub addr: u8,
     /// Which command it is; 0 for `Hello` and `Ack`.
@@ -417,9 +418,9 @@ impl<const N: usize> Decoder<N> {
     /// # Errors
     /// As [`FrameError`] says.
     pub fn frame(&self, sessions: &[u32]) -> Result<(usize, Frame<'_>), FrameError> {
-        let (place, addr, seq, body) = self.checked(sessions)?;
+        let (session_index, addr, seq, body) = self.checked(sessions)?;
         let body = Body::parse(body).map_err(FrameError::Body)?;
-        Ok((place, Frame { addr, seq, body }))
+        Ok((session_index, Frame { addr, seq, body }))
     }
 
     /// As [`frame`](Self::frame), of a gateway only: for a node.
@@ -427,10 +428,10 @@ impl<const N: usize> Decoder<N> {
     /// # Errors
     /// As [`FrameError`] says; a node's messages are not known.
     pub fn command(&self, sessions: &[u32]) -> Result<CommandFrame<'_>, FrameError> {
-        let (place, addr, seq, body) = self.checked(sessions)?;
+        let (session_index, addr, seq, body) = self.checked(sessions)?;
         let command = Command::parse(body).map_err(FrameError::Body)?;
         Ok(CommandFrame {
-            place,
+            session_index,
             addr,
             seq,
             command,
@@ -445,11 +446,11 @@ impl<const N: usize> Decoder<N> {
             return Err(FrameError::Truncated);
         };
         let sent = u32::from_le_bytes(*sent);
-        let place = sessions
+        let session_index = sessions
             .iter()
             .position(|session| !checked(begin(*session), covered) == sent)
             .ok_or(FrameError::Check)?;
-        Ok((place, *addr, *seq, body))
+        Ok((session_index, *addr, *seq, body))
     }
 }
 

@@ -6,14 +6,19 @@
 //! both need stands here.
 
 mod body;
+mod codec;
 mod frame;
+mod ids;
+mod link_id;
+mod wire;
 
-pub use body::{
-    Body, BodyError, Busy, Command, GoalShape, Hello, Ids, LinkId, Loss, Offer, Welcome,
-};
+pub use body::{Body, Busy, Command, GoalShape, Hello, Loss, Offer, Welcome};
 pub use frame::{
     ADDR_ONLY_NODE, CommandFrame, Decoder, Frame, FrameError, FrameWriter, OVERHEAD, Pushed, encode,
 };
+pub use ids::Ids;
+pub use link_id::LinkId;
+pub use wire::BodyError;
 
 use core::ops::RangeInclusive;
 use core::time::Duration;
@@ -66,3 +71,6 @@ pub const fn next_seq(seq: u8) -> u8 {
         next => next,
     }
 }
+
+#[cfg(test)]
+mod tests;

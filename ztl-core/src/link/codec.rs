@@ -1,16 +1,16 @@
-//! Messages as bytes.
+//! Encodes and decodes messages.
 
-use super::{
-    Body, BodyError, Busy, Command, GoalShape, Hello, IdList, Ids, LinkId, Loss, Offer, Welcome,
-};
+use super::body::{Body, Busy, Command, GoalShape, Hello, Loss, Offer, Welcome};
+use super::ids::{IdList, Ids};
+use super::wire::{BodyError, Reader, WriteValues};
 use crate::lifecycle::State;
 use crate::sink::Sink;
 
 impl<'a> Body<'a> {
-    /// Reads a message.
+    /// Parses a message.
     ///
     /// # Errors
-    /// [`BodyError`] when it is none, or has anything after it.
+    /// [`BodyError`] if the bytes are not exactly one message.
     pub fn parse(bytes: &'a [u8]) -> Result<Self, BodyError> {
         let mut reader = Reader::new(bytes);
         let tag = reader.u32();
@@ -85,7 +85,7 @@ impl<'a> Body<'a> {
     }
 
     /// Writes the message.
-    // In firmware each message is written where it is made, so that nothing is left of the others.
+    // Inlined in firmware, where each caller needs the encoder of one message only.
     #[cfg_attr(target_os = "none", inline(always))]
     pub fn put(&self, sink: &mut (impl Sink + ?Sized)) {
         match *self {
@@ -155,10 +155,10 @@ impl<'a> Body<'a> {
 }
 
 impl<'a> Command<'a> {
-    /// Reads a message of a gateway.
+    /// Parses a message of a gateway.
     ///
     /// # Errors
-    /// As [`Body::parse`]; a node's messages are not known.
+    /// Like [`Body::parse`]; the messages of a node are unknown.
     pub fn parse(bytes: &'a [u8]) -> Result<Self, BodyError> {
         let mut reader = Reader::new(bytes);
         let tag = reader.u32();
@@ -167,14 +167,14 @@ impl<'a> Command<'a> {
     }
 }
 
-/// For who has the bytes already where they are sent from.
+/// Headers, for callers whose bytes are in the buffer already.
 impl Body<'_> {
-    /// Writes the beginning of a [`Publish`](Self::Publish) of so many bytes, which have to follow.
+    /// Writes the header of a [`Publish`](Self::Publish) with this many bytes, which must follow.
     pub fn put_publish(topic: u8, count: usize, sink: &mut (impl Sink + ?Sized)) {
         sink.byte(14).byte(topic).number(count as u32);
     }
 
-    /// Writes the beginning of a [`Log`](Self::Log) of so many bytes, which have to follow.
+    /// Writes the header of a [`Log`](Self::Log) with this many bytes, which must follow.
     pub fn put_log(lost: u32, count: usize, sink: &mut (impl Sink + ?Sized)) {
         sink.byte(15).number(lost).number(count as u32);
     }
@@ -228,187 +228,10 @@ fn put_offer(index: u8, offer: &Offer<'_>, sink: &mut (impl Sink + ?Sized)) {
     sink.byte(offer.loss as u8).bytes(offer.topics.as_bytes());
 }
 
-/// Writes values one after the other.
-///
-/// Each gives the sink on: a Cortex-M0 then has it in its register for the next call.
-trait Values: Sink {
-    fn byte(&mut self, byte: u8) -> &mut Self;
-
-    fn long(&mut self, number: u64) -> &mut Self;
-
-    fn number(&mut self, number: u32) -> &mut Self;
-
-    fn bytes(&mut self, bytes: &[u8]) -> &mut Self;
-
-    fn tagged(&mut self, tag: u8, task: LinkId) -> &mut Self;
-}
-
-impl<S: Sink + ?Sized> Values for S {
-    #[cfg_attr(target_os = "none", inline(never))]
-    fn byte(&mut self, byte: u8) -> &mut Self {
-        self.put(&[byte]);
-        self
-    }
-
-    #[cfg_attr(target_os = "none", inline(never))]
-    fn long(&mut self, number: u64) -> &mut Self {
-        // By halves, since a Cortex-M0 shifts 64 bits by a call.
-        let (mut low, mut high) = (number as u32, (number >> 32) as u32);
-        while high > 0 || low >= 0x80 {
-            self.byte(low as u8 | 0x80);
-            low = low >> 7 | high << 25;
-            high >>= 7;
-        }
-        self.byte(low as u8)
-    }
-
-    #[cfg_attr(target_os = "none", inline(never))]
-    fn number(&mut self, number: u32) -> &mut Self {
-        self.long(number.into())
-    }
-
-    #[cfg_attr(target_os = "none", inline(never))]
-    fn bytes(&mut self, bytes: &[u8]) -> &mut Self {
-        self.number(bytes.len() as u32).put(bytes);
-        self
-    }
-
-    #[cfg_attr(target_os = "none", inline(never))]
-    fn tagged(&mut self, tag: u8, task: LinkId) -> &mut Self {
-        self.byte(tag).number(task.0)
-    }
-}
-
-/// Reads values one after the other. The first that is not there, or means nothing, ends it: all from
-/// then on are zero or empty, and [`finish`](Self::finish) tells. So a value costs a call and no branch.
-pub(super) struct Reader<'a> {
-    rest: &'a [u8],
-    error: Option<BodyError>,
-}
-
 impl<'a> Reader<'a> {
-    pub(super) const fn new(bytes: &'a [u8]) -> Self {
-        Self {
-            rest: bytes,
-            error: None,
-        }
-    }
-
-    fn finish<T>(self, value: T) -> Result<T, BodyError> {
-        match (self.error, self.rest.len()) {
-            (Some(error), _) => Err(error),
-            (None, 0) => Ok(value),
-            (None, extra) => Err(BodyError::Trailing { extra }),
-        }
-    }
-
-    /// Whether all is read.
-    pub(super) const fn is_at_end(&self) -> bool {
-        self.rest.is_empty()
-    }
-
-    fn fail<T>(&mut self, error: BodyError, instead: T) -> T {
-        self.end(error);
-        instead
-    }
-
-    #[inline(never)]
-    fn end(&mut self, error: BodyError) {
-        self.error.get_or_insert(error);
-        self.rest = &[];
-    }
-
-    #[inline(never)]
-    fn u8(&mut self) -> u8 {
-        match self.rest.split_first() {
-            Some((first, rest)) => {
-                self.rest = rest;
-                *first
-            }
-            None => self.fail(BodyError::Truncated, 0),
-        }
-    }
-
-    #[inline(never)]
-    fn u64(&mut self) -> u64 {
-        let end = self.rest.iter().position(|byte| *byte < 0x80);
-        let number = end.and_then(|end| self.rest.split_at_checked(end + 1));
-        let Some((bytes, rest)) = number else {
-            return self.fail(BodyError::Truncated, 0);
-        };
-        // The tenth byte carries the last bit.
-        if bytes.len() > 10 || bytes.get(9).is_some_and(|tenth| *tenth > 1) {
-            return self.fail(BodyError::BadValue, 0);
-        }
-        self.rest = rest;
-        // By halves, since a Cortex-M0 shifts 64 bits by a call.
-        let (mut low, mut high) = (0u32, 0u32);
-        for byte in bytes.iter().rev() {
-            high = high << 7 | low >> 25;
-            low = low << 7 | u32::from(byte & 0x7f);
-        }
-        u64::from(high) << 32 | u64::from(low)
-    }
-
-    #[inline(never)]
-    fn u32(&mut self) -> u32 {
-        match u32::try_from(self.u64()) {
-            Ok(value) => value,
-            Err(_) => self.fail(BodyError::BadValue, 0),
-        }
-    }
-
-    fn u16(&mut self) -> u16 {
-        match u16::try_from(self.u64()) {
-            Ok(value) => value,
-            Err(_) => self.fail(BodyError::BadValue, 0),
-        }
-    }
-
-    fn f32(&mut self) -> f32 {
-        f32::from_le_bytes([self.u8(), self.u8(), self.u8(), self.u8()])
-    }
-
-    #[inline(never)]
-    fn bytes(&mut self) -> &'a [u8] {
-        let len = usize::try_from(self.u32()).unwrap_or(usize::MAX);
-        match self.rest.split_at_checked(len) {
-            Some((bytes, rest)) => {
-                self.rest = rest;
-                bytes
-            }
-            None => self.fail(BodyError::Truncated, &[]),
-        }
-    }
-
-    fn text(&mut self) -> &'a str {
-        let bytes = self.bytes();
-        self.valid(bytes)
-    }
-
-    #[inline(never)]
-    fn valid(&mut self, bytes: &'a [u8]) -> &'a str {
-        match core::str::from_utf8(bytes) {
-            Ok(text) => text,
-            Err(_) => self.fail(BodyError::BadValue, ""),
-        }
-    }
-
-    pub(super) fn task(&mut self) -> LinkId {
-        LinkId(self.u32())
-    }
-
     fn ids(&mut self) -> Ids<'a> {
         let count = usize::from(self.u16());
-        let start = self.rest;
-        for _ in 0..count {
-            self.task();
-            if self.error.is_some() {
-                break;
-            }
-        }
-        let used = start.len() - self.rest.len();
-        let bytes = start.get(..used).unwrap_or_default();
+        let bytes = self.numbers(count);
         Ids(IdList::Encoded { count, bytes })
     }
 

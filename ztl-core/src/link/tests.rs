@@ -1,6 +1,7 @@
 //! Every message beside postcard's own derive of the same enum.
 
 use super::*;
+use crate::State;
 use serde::{Deserialize, Serialize};
 use std::string::String;
 use std::vec::Vec;
