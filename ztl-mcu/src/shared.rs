@@ -41,6 +41,7 @@ use critical_section::{CriticalSection, Mutex};
 use embedded_io::{ErrorType, Read, ReadReady};
 
 pub use crate::log::LogQueue;
+use crate::pieces::in_pieces;
 
 /// Bytes that are copied in one critical section.
 const COPIED: usize = 16;
@@ -152,24 +153,6 @@ impl<const N: usize> ReceiveQueue<N> {
     pub fn lost(&self) -> u32 {
         critical_section::with(|cs| self.state.borrow(cs).lost.get())
     }
-}
-
-/// Fills `buffer` in pieces of so many bytes, until one is not filled; says how many bytes were written.
-pub(crate) fn in_pieces(
-    buffer: &mut [u8],
-    most: usize,
-    mut fill: impl FnMut(&mut [u8]) -> usize,
-) -> usize {
-    let mut written = 0;
-    while let Some(rest) = buffer.get_mut(written..).filter(|rest| !rest.is_empty()) {
-        let len = rest.len().min(most);
-        let count = fill(rest.get_mut(..len).unwrap_or_default()).min(len);
-        written += count;
-        if count < len {
-            break;
-        }
-    }
-    written
 }
 
 impl<const N: usize> core::fmt::Debug for ReceiveQueue<N> {

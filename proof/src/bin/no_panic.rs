@@ -42,8 +42,8 @@ use ztl_mcu::pump::Pump;
 use ztl_mcu::shared::{EndFlag, LogQueue, ReceiveQueue, StopFlag};
 use ztl_mcu::zmtp::{Connection, Dealer, Line as ZmtpLine, Peer, Rep, Req, Server, Socket};
 use ztl_mcu::{
-    Actuator, Component, Components, Identity, Latest, Node, Queued, Reading, Refused, Report, Run,
-    Typed,
+    Component, Components, Identity, Latest, Node, Queued, Reading, Refused, Report, Run,
+    parse_goal,
 };
 use ztl_proof::{AnyPin, FIRST, now, receive, send};
 
@@ -74,7 +74,7 @@ extern "C" fn main() -> ! {
     let mut components: [&mut dyn Component; 2] = [one, two];
     let mut node = Node::<_, 4, 128>::new(identity(), components.as_mut_slice());
     // Frames longer than a COBS block.
-    let mut long_framed = Node::<_, 1, 600>::new(identity(), (Part::new(), Typed(Part::new())));
+    let mut long_framed = Node::<_, 1, 600>::new(identity(), (Part::new(), Part::new()));
     let mut ready_node = Node::<_, 2, 128>::new(identity(), ready_parts());
     let mut server = Server::<_, 3, 4, 256, 4>::new("/one", identity(), ready_parts());
     let mut reply = Connection::<Rep, _>::new(room());
@@ -109,9 +109,7 @@ extern "C" fn main() -> ! {
         tasks(&mut table, text);
         dispatch(&mut dispatcher, input, text);
         run_client(&mut client, input, text);
-        black_box(Node::<[Part; 1], 4, 128>::fits(&Component::offer(
-            &Part::new(),
-        )));
+        black_box(Node::<[Part; 1], 4, 128>::fits(&Part::new().offer()));
         run_node(&mut node, input);
         run_node(&mut long_framed, input);
         run_node(&mut ready_node, input);
@@ -532,33 +530,6 @@ impl Part {
     }
 }
 
-/// The same with a goal of its own type.
-impl Actuator for Part {
-    type Goal = (f32, i8, [bool; 2]);
-
-    fn offer(&self) -> Offer<'_> {
-        Component::offer(self)
-    }
-
-    fn start(
-        &mut self,
-        now: Instant,
-        goal: Self::Goal,
-        why: &mut Report<'_>,
-    ) -> Result<(), Refused> {
-        black_box(goal);
-        Component::start(self, now, black_box("goal"), why)
-    }
-
-    fn poll(&mut self, now: Instant, report: &mut Report<'_>) -> Run {
-        Component::poll(self, now, report)
-    }
-
-    fn abort(&mut self, _now: Instant) {}
-
-    fn make_safe(&mut self, _now: Instant) {}
-}
-
 impl Component for Part {
     fn offer(&self) -> Offer<'_> {
         Offer {
@@ -576,11 +547,12 @@ impl Component for Part {
 
     fn check(&self, goal: &str, why: &mut Report<'_>) -> Result<(), Refused> {
         why.text(black_box(goal));
+        black_box(parse_goal::<(f32, i8, [bool; 2])>(goal, why)?);
         black_box(Err(Refused))
     }
 
     fn start(&mut self, _now: Instant, goal: &str, why: &mut Report<'_>) -> Result<(), Refused> {
-        Component::check(self, goal, why)
+        self.check(goal, why)
     }
 
     fn poll(&mut self, _now: Instant, report: &mut Report<'_>) -> Run {

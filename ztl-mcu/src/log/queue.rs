@@ -6,8 +6,8 @@ use critical_section::Mutex;
 #[cfg(feature = "defmt")]
 use critical_section::RestoreState;
 
-use super::LogSource;
-use crate::shared::in_pieces;
+use super::source::LogSource;
+use crate::pieces::in_pieces;
 
 /// Buffers up to `N` bytes of log. Anyone can write; the main loop reads. Use it as a `static`.
 ///

@@ -10,7 +10,7 @@ use embedded_hal_async::delay::DelayNs;
 use embedded_io_async::{Read, Write};
 use ztl_core::Instant;
 
-use super::{LOG_AGAIN, Pump, PumpError};
+use super::turn::{LOG_AGAIN, Pump, PumpError};
 use crate::{Components, Node};
 
 /// What the three loops share. None holds the node while it waits.
