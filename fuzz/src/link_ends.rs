@@ -1,20 +1,19 @@
-//! The two ends of the link, each against whatever comes; afterwards a good peer is served by it.
+//! Each end of the link against arbitrary input. Afterwards it must serve a well-behaved peer.
 //!
-//! An input is a list of steps, each a byte and what it needs (numbers are one byte, unless said
-//! otherwise):
+//! An input is a list of steps: a byte, then its arguments. Numbers are one byte.
 //!
 //! | byte | step |
 //! |---|---|
-//! | `b` | bytes from the line: how many, and they |
-//! | `f` | a frame of the session that runs: its seq, how long its body is, and that |
-//! | `g` | the same under the number of the last `Hello`, as a `Welcome` is |
-//! | `h` | the same under no session, as `Hello` and `Awake` are |
-//! | `t` | so many times 16 ms pass |
-//! | `s` | session only: a client asks for a task; `a` aborts the one of this number |
-//! | `o`, `c` | session only: the line is opened, or closed |
-//! | any other | is left out |
+//! | `b` | bytes from the line: their number, then the bytes |
+//! | `f` | a frame of the current session: sequence number, length of the body, body |
+//! | `g` | the same under the number of the last `Hello`, like a `Welcome` |
+//! | `h` | the same under no session, like `Hello` and `Awake` |
+//! | `t` | this many times 16 ms pass |
+//! | `s` | session only: a client starts a task; `a` aborts the task with this id |
+//! | `o`, `c` | session only: the line is opened or closed |
+//! | any other | ignored |
 //!
-//! For a node, seq 0 of an `f` frame stands for the next one.
+//! For a node, sequence number 0 of an `f` frame stands for the next one.
 
 use core::time::Duration;
 use std::cell::Cell;
@@ -25,16 +24,16 @@ use ztl_core::link::{Decoder, Frame, NO_SESSION, encode, next_seq, session_key, 
 use ztl_core::{Instant, State, TaskId};
 use ztl_mcu::{Component, Identity, Node, Refused, Report, Run};
 
-use ztl_link::{Event, Session};
+use ztl_link::{LinkEvent, Session};
 
-/// The boot id of the example in `docs/link.md`, so that its frames are a corpus.
+/// The boot id of the example in `docs/link.md`, so that its frames are valid inputs.
 const BOOT: u32 = 0xcafe_0001;
-/// The session of the same.
+/// The session of that example.
 const EXAMPLE: u32 = 0x1122_3344;
 /// Longest input in steps.
 const MOST_STEPS: usize = 200;
 
-/// A motor that takes 20 ms for everything but nonsense.
+/// A motor that takes 20 ms for any number.
 #[derive(Debug)]
 struct Motor {
     ends: Option<Instant>,
@@ -65,7 +64,7 @@ impl Component for Motor {
     }
 
     fn start(&mut self, now: Instant, _: &str, _: &mut Report<'_>) -> Result<(), Refused> {
-        assert!(self.ends.is_none(), "started while it moves");
+        assert!(self.ends.is_none(), "started while it runs");
         self.ends = Some(now + Duration::from_millis(20));
         self.aborted = false;
         Ok(())
@@ -110,13 +109,13 @@ thread_local! {
     static NUMBER: Cell<u32> = const { Cell::new(0) };
 }
 
-/// The first is the example's.
+/// The next session number; the first is that of the example.
 fn number() -> u32 {
     NUMBER.set(NUMBER.get().wrapping_add(1));
     EXAMPLE ^ NUMBER.get().wrapping_sub(1)
 }
 
-/// Takes an input apart.
+/// Parses an input.
 struct Steps<'a> {
     rest: &'a [u8],
     left: usize,
@@ -142,7 +141,7 @@ impl<'a> Steps<'a> {
     }
 }
 
-/// A frame with a right check, if the body is a message; else the bytes as they are.
+/// A frame with a valid checksum if the body is a message, otherwise the unchanged bytes.
 fn framed(session: u32, seq: u8, body: &[u8]) -> Vec<u8> {
     let Ok(body) = Body::parse(body) else {
         return body.to_vec();
@@ -158,7 +157,7 @@ fn framed(session: u32, seq: u8, body: &[u8]) -> Vec<u8> {
     bytes
 }
 
-/// The numbers of all `Hello`s that came over a line: the session that runs has one of them.
+/// The session numbers of all `Hello`s on a line. The current session has one of them.
 #[derive(Default)]
 struct Hellos {
     decoder: Decoder<1024>,
@@ -177,16 +176,16 @@ impl Hellos {
         }
     }
 
-    /// From now on [`number`] gives others.
-    fn leave_out(&self) {
+    /// Makes [`number`] return other numbers from now on.
+    fn skip_used(&self) {
         let heard = |upper: &u32| self.numbers.iter().any(|number| number >> 16 == *upper);
         let upper = (1..u32::from(u16::MAX)).find(|upper| !heard(upper));
-        let first = upper.expect("an input has fewer") << 16;
+        let first = upper.expect("an input has fewer sessions") << 16;
         NUMBER.set(EXAMPLE ^ first);
     }
 }
 
-/// Whatever bytes a node is given, it then serves a gateway.
+/// After any bytes a node serves a gateway.
 pub fn node(input: &[u8]) {
     let mut node = new_node(BOOT);
     let mut now = Instant::ZERO;
@@ -220,18 +219,18 @@ pub fn node(input: &[u8]) {
         hellos.on_bytes(&bytes);
         node.handle_bytes(now, &bytes);
         node.handle_timeout(now);
-        let _ = said(&mut node, now);
+        let _ = sent_by(&mut node, now);
     }
-    // Another gateway gets in when the one before has been silent for long enough. Its session's
-    // number is another one, whichever of those that were heard the node has taken.
-    hellos.leave_out();
+    // The node admits another gateway after a period of silence. The new session uses a number that was not
+    // used before.
+    hellos.skip_used();
     let mut session = Session::new(7, None, number);
     session.handle_connected(now);
     let mut lab = Lab { now, session, node };
     lab.serve();
 }
 
-/// Whatever bytes a session is given, each task has one end, and it then serves with a device.
+/// After any bytes each task has one final state, and the session serves with a device.
 pub fn session(input: &[u8]) {
     NUMBER.set(0);
     let mut now = Instant::ZERO;
@@ -281,8 +280,8 @@ pub fn session(input: &[u8]) {
         while let Some(event) = session.poll_event() {
             told.on_event(&event);
         }
-        // A description of 255 components of 1 KiB each, and 50 tasks: it grows no further.
-        assert!(format!("{session:?}").len() < 600_000, "it grows");
+        // Room for 255 descriptions of 1 KiB each, and 50 tasks.
+        assert!(format!("{session:?}").len() < 600_000, "the session grows");
     }
     session.handle_disconnected();
     session.handle_connected(now);
@@ -295,29 +294,29 @@ pub fn session(input: &[u8]) {
         told.on_event(&event);
     }
     for (id, end) in told.0 {
-        assert!(end.is_some(), "{id} has no end");
+        assert!(end.is_some(), "{id} has no final state");
     }
 }
 
-/// The end of each task.
+/// The final state of each task.
 #[derive(Default)]
 struct Told(BTreeMap<TaskId, Option<State>>);
 
 impl Told {
-    fn on_event(&mut self, event: &Event) {
+    fn on_event(&mut self, event: &LinkEvent) {
         let (id, state) = match event {
-            Event::Rejected(id, _) => (id, State::Rejected),
-            Event::Ended(id, state, _) => (id, *state),
+            LinkEvent::Rejected(id, _) => (id, State::Rejected),
+            LinkEvent::Ended(id, state, _) => (id, *state),
             _ => return,
         };
-        // The last one of all is not in the books.
+        // The task of `serve` is not recorded.
         if let Some(end) = self.0.get_mut(id) {
-            assert_eq!(end.replace(state), None, "{id} ends a second time");
+            assert_eq!(end.replace(state), None, "{id} has a second final state");
         }
     }
 }
 
-fn said(node: &mut SmallNode, now: Instant) -> Vec<u8> {
+fn sent_by(node: &mut SmallNode, now: Instant) -> Vec<u8> {
     let mut bytes = Vec::new();
     let mut buffer = [0xA5; 64];
     for _ in 0..100 {
@@ -327,7 +326,7 @@ fn said(node: &mut SmallNode, now: Instant) -> Vec<u8> {
         }
         bytes.extend_from_slice(&buffer[..count]);
     }
-    panic!("it has always more to say");
+    panic!("the node always has more to send");
 }
 
 /// Both ends on a good line.
@@ -338,16 +337,16 @@ struct Lab {
 }
 
 impl Lab {
-    /// A task comes to its goal, within some seconds.
-    fn serve(&mut self) -> Vec<Event> {
+    /// A task completes within some seconds.
+    fn serve(&mut self) -> Vec<LinkEvent> {
         let mut events = self.pass(Duration::from_secs(4));
         assert!(self.session.is_up(), "{:?}", self.session);
         let id = TaskId::new(1000).expect("not 0");
         self.session.start(self.now, id, "finger", "40");
         let after = self.pass(Duration::from_millis(500));
         let end = after.iter().find_map(|event| match event {
-            Event::Ended(ended, state, text) if *ended == id => Some((*state, text.as_str())),
-            Event::Rejected(ended, reason) if *ended == id => Some((State::Rejected, reason)),
+            LinkEvent::Ended(ended, state, text) if *ended == id => Some((*state, text.as_str())),
+            LinkEvent::Rejected(ended, reason) if *ended == id => Some((State::Rejected, reason)),
             _ => None,
         });
         let used_up = "a task of this or a later id was started already";
@@ -359,7 +358,7 @@ impl Lab {
         events
     }
 
-    fn pass(&mut self, time: Duration) -> Vec<Event> {
+    fn pass(&mut self, time: Duration) -> Vec<LinkEvent> {
         let end = self.now + time;
         let mut events = Vec::new();
         for _ in 0..5000 {
@@ -367,7 +366,7 @@ impl Lab {
                 let down = self.session.poll_transmit();
                 self.node.handle_bytes(self.now, &down);
                 self.node.handle_timeout(self.now);
-                let up = said(&mut self.node, self.now);
+                let up = sent_by(&mut self.node, self.now);
                 self.session.handle_bytes(self.now, &up);
                 self.session.handle_timeout(self.now);
                 events.extend(core::iter::from_fn(|| self.session.poll_event()));
@@ -380,6 +379,6 @@ impl Lab {
             }
             self.now = wake.max(self.now + Duration::from_micros(100));
         }
-        panic!("something is due at once for ever");
+        panic!("the ends never wait");
     }
 }

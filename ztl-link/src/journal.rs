@@ -1,72 +1,72 @@
-//! What a session writes down before it acts on it, and takes up again after a restart.
+//! The journal of a session: what it writes before it acts, and restores after a restart.
 
 use std::time::Duration;
 
 use ztl_core::link::{LinkId, Loss};
 use ztl_core::{State, TaskId};
 
-/// A `Start` that was sent, or is about to be: what its end depends on.
+/// A `Start` that was sent or is about to be sent.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Sent {
-    /// The task's number on the link.
+    /// The task's id on the link.
     pub link: LinkId,
-    /// The device's boot that was asked.
+    /// The boot of the device that it was sent to.
     pub boot: u32,
     /// What the component does when the link is lost.
     pub loss: Loss,
-    /// After how long without a command.
+    /// After how long without a command the device considers the link lost.
     pub link_timeout: Duration,
 }
 
-/// A task as it is written down.
+/// A task, as the journal stores it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Entry<'a> {
     /// The id that its client knows.
     pub id: TaskId,
-    /// Which component.
+    /// Name of the component.
     pub component: &'a str,
-    /// To what end.
+    /// The goal.
     pub goal: &'a str,
-    /// `None` when it was never sent.
+    /// The `Start`, if it was sent.
     pub sent: Option<Sent>,
 }
 
-/// A task from before a restart that has no end in the book.
+/// A task from before a restart that has no outcome in the journal.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Restored {
     /// The id that its client knows.
     pub id: TaskId,
-    /// Which component.
+    /// Name of the component.
     pub component: String,
-    /// To what end.
+    /// The goal.
     pub goal: String,
-    /// The `Start` that was written down.
+    /// The `Start` in the journal.
     pub sent: Sent,
-    /// Whether the device had said that it runs.
+    /// Whether the device had accepted it.
     pub accepted: bool,
 }
 
-/// Where a session writes what must not be forgotten. A call returns when it is written; what
-/// follows from it is done only then.
-pub trait Book {
-    /// A `Start` is about to be sent.
+/// The durable record of a session. Each call returns when the entry is written; only then does the session act
+/// on it.
+pub trait SessionJournal {
+    /// Records that a `Start` is about to be sent.
     ///
     /// # Errors
-    /// Why it cannot be written; the task is then refused with that.
+    /// Why it cannot be written. The task is rejected with this reason.
     fn starting(&mut self, task: &Entry<'_>) -> Result<(), String>;
 
-    /// The device has said that the task runs. Nothing depends on this being written.
+    /// Records that the device has accepted the task. Nothing depends on this entry.
     fn accepted(&mut self, task: &Entry<'_>);
 
-    /// The task is about to end: nobody has been told, and the device has no `Ack`.
+    /// Records an outcome before the client is told and before the device gets an `Ack`.
     ///
     /// # Errors
-    /// Why it cannot be written; it is then tried again, and nobody is told meanwhile.
+    /// Why it cannot be written. The session retries, and withholds the outcome until then.
     fn ended(&mut self, task: &Entry<'_>, state: State, text: &str) -> Result<(), String>;
 }
 
-/// Nothing is written: after a restart nobody knows any more.
-impl Book for () {
+/// No journal: a restart loses all tasks.
+impl SessionJournal for () {
     fn starting(&mut self, _task: &Entry<'_>) -> Result<(), String> {
         Ok(())
     }
@@ -78,19 +78,20 @@ impl Book for () {
     }
 }
 
-impl<B: Book> Book for Option<B> {
+impl<J: SessionJournal> SessionJournal for Option<J> {
     fn starting(&mut self, task: &Entry<'_>) -> Result<(), String> {
-        self.as_mut().map_or(Ok(()), |book| book.starting(task))
+        self.as_mut()
+            .map_or(Ok(()), |journal| journal.starting(task))
     }
 
     fn accepted(&mut self, task: &Entry<'_>) {
-        if let Some(book) = self {
-            book.accepted(task);
+        if let Some(journal) = self {
+            journal.accepted(task);
         }
     }
 
     fn ended(&mut self, task: &Entry<'_>, state: State, text: &str) -> Result<(), String> {
         self.as_mut()
-            .map_or(Ok(()), |book| book.ended(task, state, text))
+            .map_or(Ok(()), |journal| journal.ended(task, state, text))
     }
 }

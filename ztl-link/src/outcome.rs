@@ -1,18 +1,21 @@
-//! How tasks end, and what is known of those from before a restart.
+//! Ends tasks, and restores those from before a restart.
 
 use std::time::Duration;
 
 use ztl_core::link::{LINK_TIMEOUT, LinkId};
 use ztl_core::{Instant, State, TaskId};
 
-use super::{Book, Event, Phase, Restored, START_LIMIT, Session, Stage, Task};
+use crate::event::LinkEvent;
+use crate::journal::{Restored, SessionJournal};
+use crate::state::{Phase, START_LIMIT, Session};
+use crate::task::{Stage, Task};
 
-/// Pause before an end that could not be written is tried again.
-const WRITE_AGAIN: Duration = Duration::from_millis(500);
+/// Pause before an outcome that could not be written is retried.
+const RETRY_PAUSE: Duration = Duration::from_millis(500);
 
-impl<B: Book> Session<B> {
-    /// Takes up a task from before a restart of the gateway; to be called before the line is open.
-    /// It is ended by the device's word, or as one of a device that is not heard.
+impl<J: SessionJournal> Session<J> {
+    /// Restores a task from before a restart of the gateway. Call this before the line is opened. The device decides
+    /// how the task ends; if it does not answer, the task fails like any other of an unreachable device.
     pub fn restore(&mut self, now: Instant, task: Restored) {
         let Restored {
             id,
@@ -21,7 +24,7 @@ impl<B: Book> Session<B> {
             sent,
             accepted,
         } = task;
-        // The gateway before may have heard it until just now.
+        // The previous gateway may have been connected until just now.
         self.heard = now;
         let (stage, deadline) = if accepted {
             (Stage::Running(sent), now)
@@ -33,7 +36,7 @@ impl<B: Book> Session<B> {
         self.tasks.insert(id, task);
     }
 
-    pub(super) fn find(&self, link: LinkId) -> Option<TaskId> {
+    pub(crate) fn find(&self, link: LinkId) -> Option<TaskId> {
         let boot = self.device.as_ref().map(|device| device.boot);
         let asked = |task: &Task| {
             let sent = task.stage.sent();
@@ -43,19 +46,19 @@ impl<B: Book> Session<B> {
         found.map(|(id, _)| *id)
     }
 
-    /// When a device that is not heard has brought the task to its end by itself.
+    /// When an unreachable device has certainly ended the task by itself.
     ///
-    /// The last command that was answered restarted its link timer, at the latest when the answer
-    /// was heard. The one after it came, if at all, before that timer fired, and restarted it once
-    /// more; there was no third. A `Start` is taken at the latest at its deadline.
-    pub(super) fn must_have_acted(&self, task: &Task) -> Instant {
+    /// The last answered command restarted the link timer of the device before its answer arrived. At most one more
+    /// command can have arrived before that timer expired, and restarted it again. A `Start` is executed at its
+    /// deadline or before.
+    pub(crate) fn must_have_acted(&self, task: &Task) -> Instant {
         let sent = task.stage.sent();
         let timeout = sent.map_or(LINK_TIMEOUT, |sent| sent.link_timeout);
         (self.heard + timeout * 2).max(task.deadline + timeout)
     }
 
-    /// Refuses what was never sent and has become too late.
-    pub(super) fn give_up_waiting(&mut self, now: Instant) {
+    /// Rejects tasks that were not sent in time.
+    pub(crate) fn reject_late(&mut self, now: Instant) {
         let late: Vec<TaskId> = self
             .tasks
             .iter()
@@ -68,12 +71,12 @@ impl<B: Book> Session<B> {
             } else {
                 "the device is not answering"
             };
-            self.refuse(id, reason.to_owned());
+            self.reject(id, reason.to_owned());
         }
     }
 
-    /// Ends what a device that is not heard must have ended by itself.
-    pub(super) fn give_up_running(&mut self, now: Instant) {
+    /// Fails tasks that an unreachable device has certainly ended.
+    pub(crate) fn fail_unreachable(&mut self, now: Instant) {
         if self.answers() {
             return;
         }
@@ -89,44 +92,42 @@ impl<B: Book> Session<B> {
         }
     }
 
-    /// Refuses a task that was never sent. Nobody else knows of it, so nothing is written.
-    pub(super) fn refuse(&mut self, id: TaskId, reason: String) {
+    /// Rejects a task that was never sent. Nothing is written, because nobody else knows of it.
+    pub(crate) fn reject(&mut self, id: TaskId, reason: String) {
         self.tasks.remove(&id);
-        self.events.push_back(Event::Rejected(id, reason));
+        self.events.push_back(LinkEvent::Rejected(id, reason));
     }
 
-    /// Ends a task, once that is written; says whether it is.
-    pub(super) fn end(&mut self, now: Instant, id: TaskId, state: State, text: &str) -> bool {
+    /// Writes the outcome of a task and ends it. Returns `false` if the outcome could not be written.
+    pub(crate) fn end(&mut self, now: Instant, id: TaskId, state: State, text: &str) -> bool {
         let Some(task) = self.tasks.get_mut(&id) else {
             return true;
         };
-        if let Err(reason) = self.book.ended(&task.entry(id), state, text) {
+        if let Err(reason) = self.journal.ended(&task.entry(id), state, text) {
             let first = task.unwritten.replace((state, text.to_owned())).is_none();
             if first {
-                let text = format!(
-                    "it has ended, and nobody is told how before that is written: {reason}"
-                );
-                self.events.push_back(Event::Progress(id, text));
+                let text = format!("task ended; result withheld until journaled: {reason}");
+                self.events.push_back(LinkEvent::Progress(id, text));
             }
-            self.write_again = Some(now + WRITE_AGAIN);
+            self.write_again = Some(now + RETRY_PAUSE);
             return false;
         }
-        let taken = matches!(task.stage, Stage::Sent(_));
+        let undecided = matches!(task.stage, Stage::Sent(_));
         self.tasks.remove(&id);
         let text = text.to_owned();
         if state == State::Rejected {
-            self.events.push_back(Event::Rejected(id, text));
+            self.events.push_back(LinkEvent::Rejected(id, text));
             return true;
         }
-        if taken {
-            self.events.push_back(Event::Accepted(id));
+        if undecided {
+            self.events.push_back(LinkEvent::Accepted(id));
         }
-        self.events.push_back(Event::Ended(id, state, text));
+        self.events.push_back(LinkEvent::Ended(id, state, text));
         true
     }
 
-    /// Tries again to write the ends that could not be written.
-    pub(super) fn write_ends(&mut self, now: Instant) {
+    /// Retries to write outcomes.
+    pub(crate) fn retry_outcomes(&mut self, now: Instant) {
         if self.write_again.is_none_or(|again| now < again) {
             return;
         }

@@ -1,4 +1,4 @@
-//! What the device says, and what follows from it.
+//! Handles frames of the device.
 
 use std::time::Duration;
 
@@ -7,24 +7,28 @@ use ztl_core::link::{
 };
 use ztl_core::{Instant, State, TaskId};
 
-use super::send::frame_bytes;
-use super::{Book, Command, ComponentInfo, DeviceInfo, Event, Phase, Sent, Session, Stage, Task};
+use crate::device::{ComponentInfo, DeviceInfo};
+use crate::event::LinkEvent;
+use crate::journal::{Sent, SessionJournal};
+use crate::send::frame_bytes;
+use crate::state::{CommandKind, Phase, Session};
+use crate::task::{Stage, Task};
 
-/// Pause before a device that answers nonsense is greeted again.
+/// Pause before a new session with a device that answered nonsense.
 const BAD_ANSWER: Duration = Duration::from_secs(1);
 
-impl<B: Book> Session<B> {
-    pub(super) fn on_frame(&mut self, now: Instant, frame: Result<(usize, Frame<'_>), FrameError>) {
-        let (place, frame) = match frame {
+impl<J: SessionJournal> Session<J> {
+    pub(crate) fn on_frame(&mut self, now: Instant, frame: Result<(usize, Frame<'_>), FrameError>) {
+        let (session_index, frame) = match frame {
             Ok(frame) => frame,
             Err(error) => return self.counters.count(error),
         };
         self.counters.frames += 1;
-        match (place, frame.seq, frame.body) {
+        match (session_index, frame.seq, frame.body) {
             (1, NO_SEQ, Body::Awake { boot, .. }) => self.on_awake(now, boot),
             (0, NO_SEQ, Body::Welcome(welcome)) => self.on_welcome(now, &welcome),
             (0, NO_SEQ, Body::Refused { reason }) if self.phase == Phase::Greeting => {
-                self.events.push_back(Event::Refused(reason.to_owned()));
+                self.events.push_back(LinkEvent::Refused(reason.to_owned()));
             }
             (
                 0,
@@ -35,7 +39,7 @@ impl<B: Book> Session<B> {
                     result,
                 },
             ) => {
-                // The frame's check covers the session, so it speaks of this device's tasks.
+                // The checksum covers the session, so the id is of this boot.
                 match self.find(task) {
                     Some(id) if !self.end(now, id, state, result) => return,
                     Some(_) => {}
@@ -46,24 +50,26 @@ impl<B: Book> Session<B> {
             }
             (0, NO_SEQ, Body::Progress { task, text }) => {
                 if let Some(id) = self.find(task) {
-                    self.events.push_back(Event::Progress(id, text.to_owned()));
+                    self.events
+                        .push_back(LinkEvent::Progress(id, text.to_owned()));
                 }
             }
             (0, NO_SEQ, Body::Publish { topic, bytes }) => {
-                self.events.push_back(Event::Reading(topic, bytes.to_vec()));
+                self.events
+                    .push_back(LinkEvent::Reading(topic, bytes.to_vec()));
             }
             (0, NO_SEQ, Body::Log { lost, bytes }) => {
                 let bytes = bytes.to_vec();
-                self.events.push_back(Event::Log { lost, bytes });
+                self.events.push_back(LinkEvent::Log { lost, bytes });
             }
             (0, seq, body) if seq != NO_SEQ => self.on_answer(now, seq, &body),
-            // Echoes of one's own frames.
+            // An echo of an own frame.
             _ => {}
         }
     }
 
-    /// A device has started anew: greet it at once.
-    pub(super) fn on_awake(&mut self, now: Instant, boot: u32) {
+    /// Handles the announcement of a reset device: greets it at once.
+    pub(crate) fn on_awake(&mut self, now: Instant, boot: u32) {
         let known = self.device.as_ref().map(|device| device.boot);
         match self.phase {
             Phase::Greeting => {
@@ -73,7 +79,7 @@ impl<B: Book> Session<B> {
                     in_flight.repeat = now + pause;
                 }
             }
-            // A late announcement of the boot that is greeted already changes nothing.
+            // A late announcement of the current boot changes nothing.
             Phase::Describing | Phase::Up if known != Some(boot) => {
                 self.lose();
                 self.greet(now);
@@ -82,33 +88,32 @@ impl<B: Book> Session<B> {
         }
     }
 
-    pub(super) fn on_welcome(&mut self, now: Instant, welcome: &Welcome<'_>) {
+    pub(crate) fn on_welcome(&mut self, now: Instant, welcome: &Welcome<'_>) {
         if self.phase != Phase::Greeting {
             return;
         }
         if welcome.version != VERSION {
             let reason = format!("it speaks version {} of the link", welcome.version);
-            self.events.push_back(Event::Refused(reason));
+            self.events.push_back(LinkEvent::Refused(reason));
             return;
         }
         let link_timeout = Duration::from_millis(u64::from(welcome.link_timeout_ms));
         if !LINK_TIMEOUTS.contains(&link_timeout) {
             let reason = format!(
-                "its link timeout of {link_timeout:?} is none: it takes {:?} to {:?}",
+                "link timeout {link_timeout:?} is out of range ({:?} to {:?})",
                 LINK_TIMEOUTS.start(),
                 LINK_TIMEOUTS.end()
             );
-            self.events.push_back(Event::Refused(reason));
+            self.events.push_back(LinkEvent::Refused(reason));
             return;
         }
         self.session = session_key(self.session, welcome.boot);
         self.clock = Some((welcome.clock_ms, now));
-        // It lives, and its link timer runs from an earlier command; the next one is still to come.
+        // The link timer of the device still runs from an earlier command.
         self.heard = now;
         let before = self.device.take();
         let was_known = before.is_some();
-        // Without a session before this one it has been reset, also where its firmware gives each
-        // boot the same id.
+        // A device that replaces no session was reset, even if its firmware uses the same boot id again.
         let same_boot = |device: &DeviceInfo| device.boot == welcome.boot && welcome.replaces != 0;
         let known = before.filter(same_boot);
         self.counters.resets += u64::from(was_known && known.is_none());
@@ -127,12 +132,12 @@ impl<B: Book> Session<B> {
         self.compare_held(now, welcome);
         self.in_flight = None;
         self.phase = Phase::Describing;
-        // The first command starts the device's link timer anew.
+        // The first command restarts the link timer of the device.
         self.describe_next(now);
     }
 
-    /// What the device held in another boot is gone.
-    pub(super) fn on_reset(&mut self, now: Instant, welcome: &Welcome<'_>) {
+    /// Fails the tasks of an earlier boot.
+    pub(crate) fn on_reset(&mut self, now: Instant, welcome: &Welcome<'_>) {
         let other = |sent: Sent| sent.boot != welcome.boot || welcome.replaces == 0;
         let gone = |task: &Task| task.stage.sent().is_some_and(other);
         let held: Vec<TaskId> = self
@@ -142,15 +147,15 @@ impl<B: Book> Session<B> {
             .map(|(id, _)| *id)
             .collect();
         if !held.is_empty() {
-            self.events.push_back(Event::Reset);
+            self.events.push_back(LinkEvent::Reset);
         }
         for id in held {
             self.end(now, id, State::Failed, "device was reset");
         }
     }
 
-    /// What the device holds against what is known here.
-    pub(super) fn compare_held(&mut self, now: Instant, welcome: &Welcome<'_>) {
+    /// Compares the tasks that the device holds with the known ones.
+    pub(crate) fn compare_held(&mut self, now: Instant, welcome: &Welcome<'_>) {
         let held: Vec<LinkId> = welcome.held.iter().collect();
         let ours: Vec<(TaskId, Stage, bool)> = self
             .tasks
@@ -162,8 +167,8 @@ impl<B: Book> Session<B> {
             match stage {
                 Stage::Waiting => {}
                 Stage::Sent(sent) if held.contains(&sent.link) => self.on_started(id),
-                // Sent in a session that is over, and never taken: now it never will be. Of one from
-                // before a restart the client may have been told that it is ACCEPTED.
+                // Sent in an earlier session and never executed, so it never will be. The client of a
+                // restored task may have been told ACCEPTED.
                 Stage::Sent(sent) if sent.link.0 > welcome.highest => {
                     let (state, reason) = if restored {
                         let never = "never started: the device did not take it before the gateway was started anew";
@@ -187,32 +192,32 @@ impl<B: Book> Session<B> {
             .collect();
     }
 
-    pub(super) fn on_started(&mut self, id: TaskId) {
+    pub(crate) fn on_started(&mut self, id: TaskId) {
         if let Some(task) = self.tasks.get_mut(&id)
             && let Stage::Sent(sent) = task.stage
             && task.unwritten.is_none()
         {
             task.stage = Stage::Running(sent);
-            self.book.accepted(&task.entry(id));
-            self.events.push_back(Event::Accepted(id));
+            self.journal.accepted(&task.entry(id));
+            self.events.push_back(LinkEvent::Accepted(id));
         }
     }
 
-    pub(super) fn describe_next(&mut self, now: Instant) {
+    pub(crate) fn describe_next(&mut self, now: Instant) {
         let Some(device) = &self.device else { return };
         match u8::try_from(device.components.len()) {
             Ok(index) if index < device.count => {
-                self.command(now, Command::Describe(index), Body::Describe { index });
+                self.command(now, CommandKind::Describe(index), Body::Describe { index });
             }
             _ => {
                 self.phase = Phase::Up;
-                self.events.push_back(Event::Up);
-                self.command(now, Command::Ping, Body::Ping);
+                self.events.push_back(LinkEvent::Up);
+                self.command(now, CommandKind::Ping, Body::Ping);
             }
         }
     }
 
-    pub(super) fn on_answer(&mut self, now: Instant, seq: u8, body: &Body<'_>) {
+    pub(crate) fn on_answer(&mut self, now: Instant, seq: u8, body: &Body<'_>) {
         let Some(in_flight) = self.in_flight.take_if(|in_flight| in_flight.seq == seq) else {
             self.counters.duplicates += 1;
             return;
@@ -221,14 +226,14 @@ impl<B: Book> Session<B> {
         if !in_flight.repeated {
             let measured = now.since(in_flight.sent);
             self.round_trips.add(measured);
-            // A running mean over some eight answers.
+            // A moving average over about eight answers.
             self.turnaround = Some(
                 self.turnaround
                     .map_or(measured, |mean| (mean * 7 + measured) / 8),
             );
         }
         match (in_flight.command, *body) {
-            (Command::Describe(asked), Body::Component { index, offer }) if asked == index => {
+            (CommandKind::Describe(asked), Body::Component { index, offer }) if asked == index => {
                 if let Some(device) = &mut self.device {
                     device.components.push(ComponentInfo {
                         name: offer.name.to_owned(),
@@ -247,28 +252,28 @@ impl<B: Book> Session<B> {
                 }
                 self.describe_next(now);
             }
-            (Command::Describe(index), Body::Refused { reason }) => {
+            (CommandKind::Describe(index), Body::Refused { reason }) => {
                 self.lose();
                 let reason = format!("component {index}: {reason}");
-                self.events.push_back(Event::Refused(reason));
+                self.events.push_back(LinkEvent::Refused(reason));
                 return self.greet_after(now, BAD_ANSWER);
             }
-            (Command::Start(id), Body::Started { .. }) => {
+            (CommandKind::Start(id), Body::Started { .. }) => {
                 self.highest = self.highest.saturating_add(1);
                 self.on_started(id);
             }
-            (Command::Start(id), Body::Refused { reason }) => {
+            (CommandKind::Start(id), Body::Refused { reason }) => {
                 self.end(now, id, State::Rejected, reason);
             }
-            (Command::Ping, Body::Pong { clock_ms, .. }) => self.clock = Some((clock_ms, now)),
-            // The end will be told, or has been.
-            (Command::Abort(link), Body::Aborting { .. } | Body::Refused { .. }) => {
+            (CommandKind::Ping, Body::Pong { clock_ms, .. }) => self.clock = Some((clock_ms, now)),
+            // The outcome will be reported, or was reported already.
+            (CommandKind::Abort(link), Body::Aborting { .. } | Body::Refused { .. }) => {
                 if let Some(task) = self.find(link).and_then(|id| self.tasks.get_mut(&id)) {
                     task.abort = false;
                 }
             }
-            // No answer to what was asked, though the check was right. What the device did nobody
-            // knows; a new session finds out.
+            // Valid, but not an answer to the command. It is unknown what the device did; a new session
+            // finds out.
             _ => {
                 self.counters.not_understood += 1;
                 self.lose();

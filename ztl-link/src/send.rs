@@ -1,4 +1,4 @@
-//! Commands to the device: one under way at a time, repeated until answered.
+//! Sends commands: one in flight at a time, repeated until it is answered.
 
 use std::time::Duration;
 
@@ -8,17 +8,23 @@ use ztl_core::link::{
 };
 use ztl_core::{Instant, TaskId};
 
-use super::{
-    Book, Command, Entry, InFlight, Phase, REPEAT_FACTOR, REPEAT_FIRST, REPEAT_LEAST, Sent,
-    Session, Stage,
-};
+use crate::journal::{Entry, Sent, SessionJournal};
+use crate::state::{CommandKind, InFlight, Phase, Session};
+use crate::task::Stage;
 
-impl<B: Book> Session<B> {
+/// Minimum pause before a command is repeated.
+const REPEAT_LEAST: Duration = Duration::from_millis(25);
+/// Pause before a command is repeated while the turnaround is unknown.
+const REPEAT_FIRST: Duration = Duration::from_millis(100);
+/// A command is repeated after this multiple of the mean turnaround.
+const REPEAT_FACTOR: u32 = 2;
+
+impl<J: SessionJournal> Session<J> {
     /// Opens a new session after a pause.
-    pub(super) fn greet_after(&mut self, now: Instant, pause: Duration) {
+    pub(crate) fn greet_after(&mut self, now: Instant, pause: Duration) {
         let before = self.out.len();
         self.greet(now);
-        // It is sent when it would be repeated.
+        // The first copy is sent when the repetition is due.
         self.out.truncate(before);
         if let Some(in_flight) = &mut self.in_flight {
             in_flight.sent = now + pause;
@@ -27,7 +33,7 @@ impl<B: Book> Session<B> {
     }
 
     /// Opens a new session.
-    pub(super) fn greet(&mut self, now: Instant) {
+    pub(crate) fn greet(&mut self, now: Instant) {
         self.phase = Phase::Greeting;
         self.session = session_number((self.random)());
         self.seq = NO_SEQ;
@@ -39,10 +45,10 @@ impl<B: Book> Session<B> {
             gateway: self.gateway,
         });
         let bytes = frame_bytes(NO_SESSION, NO_SEQ, hello);
-        self.send(now, Command::Hello, NO_SEQ, bytes);
+        self.send(now, CommandKind::Hello, NO_SEQ, bytes);
     }
 
-    pub(super) fn send(&mut self, now: Instant, command: Command, seq: u8, bytes: Vec<u8>) {
+    pub(crate) fn send(&mut self, now: Instant, command: CommandKind, seq: u8, bytes: Vec<u8>) {
         self.out.extend_from_slice(&bytes);
         self.in_flight = Some(InFlight {
             command,
@@ -54,31 +60,31 @@ impl<B: Book> Session<B> {
         });
     }
 
-    pub(super) fn command(&mut self, now: Instant, command: Command, body: Body<'_>) {
+    pub(crate) fn command(&mut self, now: Instant, command: CommandKind, body: Body<'_>) {
         self.seq = next_seq(self.seq);
         self.commanded = now;
         let bytes = frame_bytes(self.session, self.seq, body);
         self.send(now, command, self.seq, bytes);
     }
 
-    pub(super) fn repeat_pause(&self) -> Duration {
+    pub(crate) fn repeat_pause(&self) -> Duration {
         let measured = self
             .turnaround
             .map_or(REPEAT_FIRST, |time| time * REPEAT_FACTOR);
-        // A slow line is busy with the command for this long: 10 bits a byte, both ways.
+        // A slow line needs this long for a command and its answer: 64 bytes of 10 bits.
         let line = self.baud.map_or(Duration::ZERO, |baud| {
             Duration::from_micros(640_000_000 / u64::from(baud.max(1)))
         });
         measured.max(line).max(REPEAT_LEAST)
     }
 
-    /// Sends the most urgent command, when none is under way: aborts before starts.
-    pub(super) fn next_command(&mut self, now: Instant) {
+    /// Sends the most urgent command if none is in flight: aborts before starts.
+    pub(crate) fn next_command(&mut self, now: Instant) {
         if self.in_flight.is_some() || self.phase != Phase::Up {
             return;
         }
         if let Some(link) = self.next_abort() {
-            return self.command(now, Command::Abort(link), Body::Abort { task: link });
+            return self.command(now, CommandKind::Abort(link), Body::Abort { task: link });
         }
         while let Some(id) = self.next_waiting() {
             if self.send_start(now, id) {
@@ -86,12 +92,12 @@ impl<B: Book> Session<B> {
             }
         }
         if now >= self.ping_due() {
-            self.command(now, Command::Ping, Body::Ping);
+            self.command(now, CommandKind::Ping, Body::Ping);
         }
     }
 
-    /// An abort stays wanted until it is answered, so a new session sends it again.
-    pub(super) fn next_abort(&mut self) -> Option<LinkId> {
+    /// The next task to abort. An abort is pending until it is answered, so a new session sends it again.
+    pub(crate) fn next_abort(&mut self) -> Option<LinkId> {
         let mut tasks = self.tasks.values();
         let wanted = tasks.find(|task| task.abort && task.may_run());
         match wanted.and_then(|task| task.stage.sent()) {
@@ -100,21 +106,21 @@ impl<B: Book> Session<B> {
         }
     }
 
-    pub(super) fn next_waiting(&self) -> Option<TaskId> {
+    pub(crate) fn next_waiting(&self) -> Option<TaskId> {
         let waiting = self.tasks.iter().find(|(_, task)| task.waits());
         waiting.map(|(id, _)| *id)
     }
 
-    /// Sends a `Start`, or refuses the task; says whether a command is under way now.
-    pub(super) fn send_start(&mut self, now: Instant, id: TaskId) -> bool {
-        // The next task gets the number of one that was not taken, so that one's end has to be written first.
+    /// Sends a `Start`, or rejects the task. Returns whether a command is in flight now.
+    pub(crate) fn send_start(&mut self, now: Instant, id: TaskId) -> bool {
+        // A task that was not executed frees its link id, so its outcome must be written before the next `Start`.
         if self.write_again.is_some() {
             self.write_again = Some(now);
-            self.write_ends(now);
+            self.retry_outcomes(now);
         }
         if self.write_again.is_some() {
-            let reason = "the journal cannot be written: the end of an earlier task waits for it";
-            self.refuse(id, reason.to_owned());
+            let reason = "the journal cannot be written, and an earlier outcome waits for it";
+            self.reject(id, reason.to_owned());
             return false;
         }
         let (Some(task), Some(device)) = (self.tasks.get_mut(&id), &self.device) else {
@@ -131,7 +137,7 @@ impl<B: Book> Session<B> {
                 task.component,
                 names.join(", ")
             );
-            self.refuse(id, reason);
+            self.reject(id, reason);
             return false;
         };
         let left = task.deadline.since(heard).as_millis();
@@ -151,7 +157,7 @@ impl<B: Book> Session<B> {
                 "the goal is {} bytes long, the device takes {most}",
                 goal.len()
             );
-            self.refuse(id, reason);
+            self.reject(id, reason);
             return false;
         }
         let offered = device.components.get(usize::from(component));
@@ -166,18 +172,18 @@ impl<B: Book> Session<B> {
             sent: Some(sent),
             ..task.entry(id)
         };
-        if let Err(reason) = self.book.starting(&entry) {
-            self.refuse(id, reason);
+        if let Err(reason) = self.journal.starting(&entry) {
+            self.reject(id, reason);
             return false;
         }
         task.stage = Stage::Sent(sent);
-        self.command(now, Command::Start(id), body);
+        self.command(now, CommandKind::Start(id), body);
         true
     }
 }
 
-/// A frame as bytes; every body that the gateway sends fits.
-pub(super) fn frame_bytes(session: u32, seq: u8, body: Body<'_>) -> Vec<u8> {
+/// Encodes a frame.
+pub(crate) fn frame_bytes(session: u32, seq: u8, body: Body<'_>) -> Vec<u8> {
     let frame = Frame {
         addr: ADDR_ONLY_NODE,
         seq,
@@ -188,7 +194,7 @@ pub(super) fn frame_bytes(session: u32, seq: u8, body: Body<'_>) -> Vec<u8> {
         Err(error) => error.needed,
     };
     let mut bytes = vec![0; needed];
-    // Cannot fail: the room was measured.
+    // Cannot fail: the length was measured.
     let _ = encode(session, &frame, &mut bytes);
     bytes
 }

@@ -1,38 +1,38 @@
-//! How a link does: counts and times, for people.
+//! Statistics of a link.
 
 use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
 use ztl_core::link::FrameError;
 
-/// What a line has brought since its gateway was started.
+/// Counters of a link since the gateway was started.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(default)]
 pub struct LinkCounters {
-    /// Frames whose check was right.
+    /// Frames with a valid checksum.
     pub frames: u64,
-    /// Frames dropped: damaged, or of another session.
+    /// Frames dropped because they were damaged or of another session.
     pub damaged: u64,
-    /// Frames dropped: they ended too early.
+    /// Frames dropped because they ended too early.
     pub truncated: u64,
-    /// Frames dropped: longer than any.
+    /// Frames dropped because they were too long.
     pub too_long: u64,
-    /// Frames whose check was right and which are no message, or no answer to what was asked.
+    /// Frames with a valid checksum that are not a message, or not an answer to the command.
     pub not_understood: u64,
-    /// Commands sent again, as no answer came.
+    /// Commands repeated because no answer arrived.
     pub repeats: u64,
-    /// Answers that came again, and were dropped.
+    /// Repeated answers, dropped.
     pub duplicates: u64,
     /// Sessions opened.
     pub sessions: u64,
-    /// Resets of the device noticed.
+    /// Resets of the device.
     pub resets: u64,
-    /// How often it no longer answered.
+    /// How often the link was lost.
     pub lost: u64,
 }
 
 impl LinkCounters {
-    pub(super) const fn count(&mut self, error: FrameError) {
+    pub(crate) const fn count(&mut self, error: FrameError) {
         match error {
             FrameError::Check => self.damaged += 1,
             FrameError::Truncated => self.truncated += 1,
@@ -41,26 +41,26 @@ impl LinkCounters {
         }
     }
 
-    /// Frames dropped, of every kind.
+    /// All dropped frames.
     #[must_use]
     pub const fn errors(&self) -> u64 {
         self.damaged + self.truncated + self.too_long + self.not_understood
     }
 }
 
-/// How many round trips are looked back at.
+/// Number of round trips kept.
 const LATEST: usize = 128;
 
-/// The latest times from a command to its answer; those of repeated commands are left out, since
-/// nobody can tell which of them was answered.
+/// The latest times from a command to its answer. Repeated commands are left out, because it is unknown which
+/// copy was answered.
 #[derive(Clone, PartialEq, Eq)]
 pub struct RoundTrips {
     micros: [u32; LATEST],
-    /// How many there have been.
+    /// Round trips measured so far.
     count: usize,
 }
 
-/// Shows how many there were, and not each.
+/// Shows only their number.
 impl std::fmt::Debug for RoundTrips {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_struct("RoundTrips")
@@ -79,15 +79,15 @@ impl Default for RoundTrips {
 }
 
 impl RoundTrips {
-    pub(super) fn add(&mut self, time: Duration) {
+    pub(crate) fn add(&mut self, time: Duration) {
         let micros = u32::try_from(time.as_micros()).unwrap_or(u32::MAX);
-        if let Some(place) = self.micros.get_mut(self.count % LATEST) {
-            *place = micros;
+        if let Some(slot) = self.micros.get_mut(self.count % LATEST) {
+            *slot = micros;
         }
         self.count = self.count.wrapping_add(1);
     }
 
-    /// The time that this many percent of them did not exceed; `None` before the first.
+    /// The time that this percentage of them did not exceed; `None` before the first.
     #[must_use]
     pub fn percentile(&self, percent: usize) -> Option<Duration> {
         let mut sorted = self.micros;
@@ -104,7 +104,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn percentiles_are_those_of_the_latest_round_trips() {
+    fn percentiles_are_of_the_latest_round_trips() {
         let mut trips = RoundTrips::default();
         assert_eq!(trips.percentile(50), None);
         for millis in 1..=1000 {

@@ -14,7 +14,7 @@ use ztl_core::reply::Reply;
 use ztl_core::tasks::{Task, Text};
 use ztl_core::time::earliest;
 use ztl_core::{Instant, State, TaskId, TaskSpec};
-use ztl_link::{Event, Session};
+use ztl_link::{LinkEvent, Session};
 use ztl_std::gateway::{DeviceBook, Log, Moment, Storage};
 
 pub(super) const SCOPE: &str = "/lab";
@@ -98,7 +98,7 @@ pub(super) struct Gateway {
     /// Answers to be sent.
     pub(super) out: Vec<Letter>,
     /// What sessions have told, with the device; for the trace and the judge.
-    pub(super) told: Vec<(usize, Event)>,
+    pub(super) told: Vec<(usize, LinkEvent)>,
 }
 
 impl Gateway {
@@ -217,18 +217,18 @@ impl Gateway {
         self.dispatcher.handle_timeout(now, &mut put);
     }
 
-    fn on_event(&mut self, now: Instant, event: &Event) {
+    fn on_event(&mut self, now: Instant, event: &LinkEvent) {
         match event {
-            Event::Accepted(id) => {
+            LinkEvent::Accepted(id) => {
                 let reply = self.replies.get(id).cloned().unwrap_or_default();
                 self.report(now, *id, TaskEvent::Accepted { reply: &reply });
             }
-            Event::Rejected(id, reason) => {
+            LinkEvent::Rejected(id, reason) => {
                 self.replies.remove(id);
                 self.report(now, *id, TaskEvent::Rejected { reason });
             }
-            Event::Progress(id, text) => self.report(now, *id, TaskEvent::Progress { text }),
-            Event::Ended(id, state, text) => {
+            LinkEvent::Progress(id, text) => self.report(now, *id, TaskEvent::Progress { text }),
+            LinkEvent::Ended(id, state, text) => {
                 self.replies.remove(id);
                 let event = match state {
                     State::Completed => TaskEvent::Completed { result: text },

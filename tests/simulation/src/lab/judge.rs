@@ -66,10 +66,10 @@ impl Books {
     }
 
     /// A session has told something.
-    pub(super) fn on_event(&mut self, event: &Event, truth: &Truth) -> Result<(), String> {
+    pub(super) fn on_event(&mut self, event: &LinkEvent, truth: &Truth) -> Result<(), String> {
         let (id, state, text) = match event {
-            Event::Rejected(id, text) => (*id, State::Rejected, text),
-            Event::Ended(id, state, text) => (*id, *state, text),
+            LinkEvent::Rejected(id, text) => (*id, State::Rejected, text),
+            LinkEvent::Ended(id, state, text) => (*id, *state, text),
             _ => return Ok(()),
         };
         if let Some((_, before, why)) = self.decided.iter().find(|(known, ..)| *known == id) {

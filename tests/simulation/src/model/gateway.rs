@@ -2,7 +2,7 @@
 
 use ztl_core::{State, TaskId};
 
-use super::ends::session::{Book, Entry, Restored, Sent};
+use super::ends::session::{Entry, Restored, Sent, SessionJournal};
 
 /// A journal that survives its gateway.
 #[derive(Debug, Clone, Default)]
@@ -37,7 +37,7 @@ impl Journal {
     }
 }
 
-impl Book for Journal {
+impl SessionJournal for Journal {
     fn starting(&mut self, task: &Entry<'_>) -> Result<(), String> {
         if self.kept
             && let Some(sent) = task.sent

@@ -3,7 +3,7 @@
 use ztl_core::State;
 use ztl_core::link::{LINK_TIMEOUT, Loss};
 
-use super::ends::session::Event;
+use super::ends::session::LinkEvent;
 use super::gateway::Told;
 use super::lab::{Lab, gateway_of};
 use super::line::Parcel;
@@ -34,11 +34,11 @@ impl Lab {
     }
 
     /// Lets a session act, and takes what comes of it.
-    pub(super) fn on_event(&mut self, event: Event) -> Result<(), String> {
+    pub(super) fn on_event(&mut self, event: LinkEvent) -> Result<(), String> {
         let (id, told, text) = match event {
-            Event::Accepted(id) => (id, Told::Accepted, String::new()),
-            Event::Rejected(id, text) => (id, Told::Rejected, text),
-            Event::Ended(id, state, text) => (id, Told::Ended(state), text),
+            LinkEvent::Accepted(id) => (id, Told::Accepted, String::new()),
+            LinkEvent::Rejected(id, text) => (id, Told::Rejected, text),
+            LinkEvent::Ended(id, state, text) => (id, Told::Ended(state), text),
             _ => return Ok(()),
         };
         let task = id.get() as usize - 1;

@@ -7,7 +7,7 @@ use ztl_core::time::earliest;
 use ztl_core::{Instant, State, TaskId};
 
 use super::ends::mcu::{Identity, Node};
-use super::ends::session::{Event, Session};
+use super::ends::session::{LinkEvent, Session};
 use super::gateway::{Journal, Told};
 use super::line::{Lane, Parcel, Way};
 use super::motor::{ENDLESS, Motor, TASKS, Truth, with_truth};
@@ -285,7 +285,7 @@ impl Lab {
         };
         act(session);
         let bytes = session.poll_transmit();
-        let events: Vec<Event> = std::iter::from_fn(|| session.poll_event()).collect();
+        let events: Vec<LinkEvent> = std::iter::from_fn(|| session.poll_event()).collect();
         self.take_numbers(gateway);
         if self.plugged {
             for parcel in self.down.send(&bytes, self.opened * 2 + 1, self.boot) {
