@@ -1,18 +1,18 @@
-//! A client and a server of ours, on a line that delays, repeats and loses: what the client is told
-//! of its INIT is what became of it.
+//! A client and a server of ours on a line that delays, repeats and loses messages. The client must learn the true
+//! outcome of its INIT.
 //!
 //! | line | step |
 //! |---|---|
-//! | `i`, `I` | the client asks for a task; `I` waits for a quick end |
-//! | `o` | it asks what became of its last unanswered INIT |
-//! | `s0` | it asks for the state of the task that was started first |
+//! | `i`, `I` | the client sends an INIT; `I` waits for an early final state |
+//! | `o` | it asks for the outcome of its last unanswered INIT |
+//! | `s0` | it asks for the state of the first task |
 //! | `>0` | the first of the requests on the line arrives; `<0` the first of the answers |
-//! | `}0` | the request arrives, and stays on the line: it will come again |
+//! | `}0` | the request arrives and stays on the line, to arrive again |
 //! | `x0` | the request is lost, `y0` the answer |
-//! | `A`, `B` | another client of ours asks for a task |
-//! | `a0 ok` | a handler's word, as in [`dispatcher`](crate::dispatcher): `a` `r` `p` `c` `f` `o`… see there; here `O` is aborted |
-//! | `t1500` | so many milliseconds pass |
-//! | `R` | the server is started anew, and all connections break |
+//! | `A`, `B` | another client of ours sends an INIT |
+//! | `a0 ok` | a handler's event, as in [`dispatcher`](crate::dispatcher): `a` `r` `p` `c` `f` `o`…; here `O` is aborted |
+//! | `t1500` | this many milliseconds pass |
+//! | `R` | the server restarts, and all connections break |
 
 use core::time::Duration;
 use std::collections::BTreeMap;
@@ -32,29 +32,29 @@ const TIMEOUT: Duration = Duration::from_secs(2);
 
 /// Plays a scenario.
 pub fn check(script: &[u8]) {
-    let mut street = Street::new();
-    street.meet();
+    let mut line = Line::new();
+    line.meet();
     for (verb, mut rest) in steps(script) {
         match verb {
-            b'i' | b'I' => street.trigger(verb == b'I'),
-            b'o' => street.outcome(),
-            b's' => street.status(number(&mut rest)),
-            b'>' | b'}' | b'x' => street.arrive(verb, number(&mut rest)),
-            b'<' | b'y' => street.answer(verb, number(&mut rest)),
-            b'A' | b'B' => street.stranger(verb),
-            b't' => street.pass(Duration::from_millis(number(&mut rest).min(100_000))),
-            b'R' => street.restart(),
-            _ => street.event(verb, rest),
+            b'i' | b'I' => line.trigger(verb == b'I'),
+            b'o' => line.outcome(),
+            b's' => line.status(number(&mut rest)),
+            b'>' | b'}' | b'x' => line.arrive(verb, number(&mut rest)),
+            b'<' | b'y' => line.answer(verb, number(&mut rest)),
+            b'A' | b'B' => line.stranger(verb),
+            b't' => line.pass(Duration::from_millis(number(&mut rest).min(100_000))),
+            b'R' => line.restart(),
+            _ => line.event(verb, rest),
         }
     }
 }
 
 type Room = Fixed<Envelope, 1, 3, 16, 2>;
 
-/// Bytes under way, in an envelope.
-type Letter = (Envelope, Vec<u8>);
+/// A message on the line, in its envelope.
+type InTransit = (Envelope, Vec<u8>);
 
-/// What a server did with the INIT of a number.
+/// What a server did with an INIT.
 #[derive(Debug, Clone, Copy)]
 struct Started {
     id: TaskId,
@@ -62,7 +62,7 @@ struct Started {
     state: State,
 }
 
-/// What the client asked for, by the number of its request.
+/// What the client requested.
 #[derive(Debug, Clone)]
 enum Asked {
     Init { at: Instant },
@@ -70,27 +70,27 @@ enum Asked {
     Other,
 }
 
-struct Street {
+struct Line {
     client: Client,
     server: Dispatcher<Room>,
     boot: u32,
     now: Instant,
-    requests: Vec<Letter>,
-    answers: Vec<Letter>,
+    requests: Vec<InTransit>,
+    answers: Vec<InTransit>,
     asked: BTreeMap<u64, Asked>,
-    /// Their bodies.
+    /// The bodies of the requests, by number.
     sent: BTreeMap<u64, Vec<u8>>,
-    /// Of the client's own INITs.
+    /// The tasks of the client's INITs, by number.
     started: BTreeMap<u64, Started>,
-    /// INITs of which the client was told that they never count, and when it had asked; the server
-    /// keeps its word for [`KEEP_INIT`] from then, or a little longer.
+    /// INITs that the server declared void, and when the client had asked. The server keeps that promise for at least
+    /// [`KEEP_INIT`].
     void: BTreeMap<u64, Instant>,
-    /// Every task of the present server.
+    /// Every task of the current server.
     tasks: Vec<TaskId>,
     strangers: u64,
 }
 
-impl Street {
+impl Line {
     fn new() -> Self {
         let boot = 1;
         Self {
@@ -109,14 +109,14 @@ impl Street {
         }
     }
 
-    /// Asks who is there, on a good line.
+    /// Probes the server without faults.
     fn meet(&mut self) {
         let mut body = Vec::new();
         let envelope = self
             .client
             .probe(self.now, &mut |bytes: &[u8]| body.extend_from_slice(bytes));
         self.post(envelope, Asked::Other, body);
-        let last = |letters: &[Letter]| u64::try_from(letters.len() - 1).expect("few");
+        let last = |messages: &[InTransit]| u64::try_from(messages.len() - 1).expect("few");
         self.arrive(b'>', last(&self.requests));
         self.answer(b'<', last(&self.answers));
         assert_eq!(self.client.server(), Server::Ours { boot: self.boot });
@@ -181,14 +181,14 @@ impl Street {
         self.requests.push((envelope, b"/lab;1;-1;x".to_vec()));
     }
 
-    /// A request arrives, or does not.
+    /// A request arrives or is lost.
     fn arrive(&mut self, how: u8, wanted: u64) {
-        let Some(place) = place(&self.requests, wanted) else {
+        let Some(index) = index(&self.requests, wanted) else {
             return;
         };
         let (envelope, body) = match how {
-            b'}' => self.requests[place].clone(),
-            _ => self.requests.remove(place),
+            b'}' => self.requests[index].clone(),
+            _ => self.requests.remove(index),
         };
         if how == b'x' {
             return;
@@ -214,7 +214,7 @@ impl Street {
         let void = self.void.get(&number);
         assert!(
             void.is_none_or(|at| self.now.since(*at) >= KEEP_INIT),
-            "INIT {number} starts after the client was told that it never would"
+            "INIT {number} starts although the server declared it void"
         );
         let state = State::Initiated;
         let started = Started {
@@ -223,21 +223,21 @@ impl Street {
             state,
         };
         let before = self.started.insert(number, started);
-        // Nobody holds a request back for that long, but a scenario may.
+        // A scenario may delay a request for longer than the server keeps INITs.
         let Asked::Init { at } = self.asked[&number] else {
-            panic!("{number} is no INIT");
+            panic!("{number} is not an INIT");
         };
         let young = self.now.since(at) < KEEP_INIT;
         let again = before.is_some_and(|before| before.boot == self.boot && young);
-        assert!(!again, "INIT {number} has started twice");
+        assert!(!again, "INIT {number} started twice");
     }
 
-    /// An answer arrives at the client, or does not.
+    /// An answer arrives at the client or is lost.
     fn answer(&mut self, how: u8, wanted: u64) {
-        let Some(place) = place(&self.answers, wanted) else {
+        let Some(index) = index(&self.answers, wanted) else {
             return;
         };
-        let (envelope, body) = self.answers.remove(place);
+        let (envelope, body) = self.answers.remove(index);
         if how == b'y' || envelope.client != OURS {
             return;
         }
@@ -254,19 +254,19 @@ impl Street {
         match heard {
             Heard::NeverStarted => {
                 let here = started.is_some_and(|started| started.boot == self.boot);
-                assert!(!here, "INIT {init} has started: {started:?}");
+                assert!(!here, "INIT {init} started: {started:?}");
                 self.void.insert(init, at);
             }
             Heard::FateUnknown => {}
-            Heard::Unreadable => panic!("no message: {}", text(&body)),
+            Heard::Unreadable => panic!("not a message: {}", text(&body)),
             Heard::Answer(answer) => match answer {
                 Answer::Accepted { id, .. } => {
-                    let started = started.expect("it has started");
+                    let started = started.expect("a started task");
                     let known = Some(i64::from(started.id.get()));
                     assert_eq!(known, id.value(), "another task: {}", text(&body));
                 }
                 _ => {
-                    // Refused: nothing happened, and nothing will.
+                    // Refused: nothing has started, and nothing may start later.
                     let happened = started.filter(|started| started.state != State::Rejected);
                     assert!(happened.is_none(), "told {}, but {happened:?}", text(&body));
                     self.void.insert(init, at);
@@ -339,8 +339,8 @@ fn server(boot: u32) -> Dispatcher<Room> {
     Dispatcher::new(Fixed::new(["/lab"]), Config::new(first, boot))
 }
 
-fn place(letters: &[Letter], wanted: u64) -> Option<usize> {
-    let count = u64::try_from(letters.len()).ok()?;
+fn index(messages: &[InTransit], wanted: u64) -> Option<usize> {
+    let count = u64::try_from(messages.len()).ok()?;
     usize::try_from(wanted.checked_rem(count)?).ok()
 }
 

@@ -1,14 +1,14 @@
-//! A client's rules under any replies and silences: an answer counts only for the request that is
-//! under way, and an INIT is sent once.
+//! A client's rules under any replies and timeouts: an answer counts only for the current request, and an INIT is sent
+//! once.
 //!
 //! | line | step |
 //! |---|---|
-//! | `i`, `s`, `a` | INIT, STATUS or ABORT of task 7, its payload behind it; `I` is an INIT that waits for a quick end |
+//! | `i`, `s`, `a` | INIT, STATUS or ABORT of task 7, followed by the payload; `I` is an INIT that waits for an early final state |
 //! | `p` | a probe |
-//! | `o` | what became of the last INIT? |
-//! | `!0 $ztl;5;-1;{boot: 4711}` | this reply comes in the envelope of the last request, `!1` of the one before … |
-//! | `~0 /lab;1;7;ok` | the same, but of a stranger |
-//! | `t2000` | so many milliseconds pass, and the client looks at the clock |
+//! | `o` | the client asks for the outcome of the last INIT |
+//! | `!0 $ztl;5;-1;{boot: 4711}` | this reply arrives in the envelope of the last request, `!1` of the one before … |
+//! | `~0 /lab;1;7;ok` | the same, in the envelope of another client |
+//! | `t2000` | this many milliseconds pass, and the client handles timeouts |
 
 use core::time::Duration;
 
@@ -27,7 +27,7 @@ const STRANGER: ClientId = ClientId([8; 16]);
 
 /// Plays a scenario.
 pub fn check(script: &[u8]) {
-    let mut desk = Desk {
+    let mut scenario = Scenario {
         client: Client::new(OURS, TIMEOUT),
         now: Instant::ZERO,
         sent: Vec::new(),
@@ -36,26 +36,26 @@ pub fn check(script: &[u8]) {
     };
     for (verb, mut rest) in steps(script) {
         match verb {
-            b'I' => desk.init_to_end(&text(rest)),
-            b'i' => desk.request(Request::Init, &text(rest)),
-            b's' => desk.request(Request::Status, &text(rest)),
-            b'a' => desk.request(Request::Abort, &text(rest)),
-            b'p' => desk.send(Kind::Probe, |client, now, sink| {
+            b'I' => scenario.init_to_end(&text(rest)),
+            b'i' => scenario.request(Request::Init, &text(rest)),
+            b's' => scenario.request(Request::Status, &text(rest)),
+            b'a' => scenario.request(Request::Abort, &text(rest)),
+            b'p' => scenario.send(Kind::Probe, |client, now, sink| {
                 Some(client.probe(now, sink))
             }),
-            b'o' => desk.outcome(),
+            b'o' => scenario.outcome(),
             b'!' | b'~' => {
                 let back = number(&mut rest);
-                desk.reply(back, if verb == b'!' { OURS } else { STRANGER }, rest);
+                scenario.reply(back, if verb == b'!' { OURS } else { STRANGER }, rest);
             }
-            b't' => desk.pass(number(&mut rest)),
+            b't' => scenario.pass(number(&mut rest)),
             _ => {}
         }
-        desk.assert_still_sane();
+        scenario.check_invariants();
     }
 }
 
-/// What a request is, as its body says.
+/// The kind of a request.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Kind {
     Init,
@@ -72,21 +72,21 @@ struct Sent {
     kind: Kind,
     sent: Instant,
     deadline: Instant,
-    /// What was known of the server then.
+    /// What was known about the server then.
     server: Server,
     answered: bool,
 }
 
-struct Desk {
+struct Scenario {
     client: Client,
     now: Instant,
     sent: Vec<Sent>,
-    /// Place of the request that is under way.
+    /// Index of the current request.
     pending: Option<usize>,
     triggers: usize,
 }
 
-impl Desk {
+impl Scenario {
     fn request(&mut self, request: Request, payload: &str) {
         let task = Integer::parse("7")
             .ok()
@@ -121,7 +121,7 @@ impl Desk {
         });
     }
 
-    /// Asks, and looks at what is to be sent.
+    /// Sends a request and checks its message.
     fn send(
         &mut self,
         kind: Kind,
@@ -135,7 +135,7 @@ impl Desk {
         };
         assert_eq!(envelope.client, OURS);
         let last = self.sent.last().map_or(0, |sent| sent.number);
-        assert!(envelope.number > last, "a number is used twice");
+        assert!(envelope.number > last, "a request number is used twice");
         let message = Message::parse(&body).expect("a message");
         let (scope, state, id) = match kind {
             Kind::Init => ("/lab", "1", "-1"),
@@ -152,7 +152,7 @@ impl Desk {
                 assert!(about > 0, "no INIT is unanswered");
                 assert_eq!(message.payload, format!("outcome {about}"));
             }
-            Kind::Other => assert_ne!(message.state, "1", "an INIT that nobody asked for"),
+            Kind::Other => assert_ne!(message.state, "1", "an unexpected INIT"),
             Kind::Init => {}
         }
         let number = envelope.number;
@@ -169,16 +169,16 @@ impl Desk {
     }
 
     fn reply(&mut self, back: u64, client: ClientId, body: &[u8]) {
-        let place = usize::try_from(back)
+        let index = usize::try_from(back)
             .ok()
             .and_then(|back| self.sent.len().checked_sub(1)?.checked_sub(back));
-        let Some(place) = place else { return };
+        let Some(index) = index else { return };
         let Sent {
             number,
             kind,
             body: ref asked,
             ..
-        } = self.sent[place];
+        } = self.sent[index];
         let heard = self.client.handle_reply(
             Envelope {
                 client,
@@ -188,34 +188,41 @@ impl Desk {
             asked,
             body,
         );
-        if client != OURS || self.pending != Some(place) {
-            assert_eq!(heard, None, "not the request that is under way");
+        if client != OURS || self.pending != Some(index) {
+            assert_eq!(heard, None, "not the current request");
             return;
         }
         self.pending = None;
-        let heard = heard.expect("the answer to the request that is under way");
+        let heard = heard.expect("the answer to the current request");
         match heard {
             Heard::NeverStarted | Heard::FateUnknown => {
                 let Kind::Outcome(about) = kind else {
-                    panic!("nobody asked for it");
+                    panic!("not the answer to an outcome request");
                 };
                 if heard == Heard::NeverStarted {
                     let mut sent = self.sent.iter();
                     let init = sent.find(|sent| sent.number == about).expect("an INIT");
                     let Server::Ours { boot } = init.server else {
-                        panic!("a server that was not known to the INIT said so");
+                        panic!("the server was unknown when the INIT was sent");
                     };
-                    assert!(self.now <= init.sent + KEEP_INIT, "it may have forgotten");
-                    let said = text(body);
-                    let (_, said) = said
+                    assert!(
+                        self.now <= init.sent + KEEP_INIT,
+                        "the server may have dropped the INIT"
+                    );
+                    let reply = text(body);
+                    let (_, boot_id) = reply
                         .rsplit_once("never seen since boot ")
-                        .expect("these words");
-                    let said = Integer::parse(said).expect("a number");
-                    assert_eq!(said.value(), Some(i64::from(boot)), "another server's word");
+                        .expect("the boot id");
+                    let told = Integer::parse(boot_id).expect("a number");
+                    assert_eq!(
+                        told.value(),
+                        Some(i64::from(boot)),
+                        "the boot id of another server"
+                    );
                 }
             }
             Heard::Answer(answer) => {
-                self.sent[place].answered = true;
+                self.sent[index].answered = true;
                 let message = Message::parse(body).expect("a message");
                 assert_eq!(message.payload, answer.text());
                 match answer {
@@ -261,14 +268,14 @@ impl Desk {
         let late = self.client.handle_timeout(self.now);
         let pending = self
             .pending
-            .filter(|place| self.sent[*place].deadline <= self.now);
-        let Some(place) = pending else {
+            .filter(|index| self.sent[*index].deadline <= self.now);
+        let Some(index) = pending else {
             assert_eq!(late, Late::NotYet);
             return;
         };
         self.pending = None;
         let ours = matches!(self.client.server(), Server::Ours { .. });
-        let expected = match self.sent[place].kind {
+        let expected = match self.sent[index].kind {
             Kind::Init if ours => Late::AskOutcome,
             Kind::Outcome(_) => Late::AskOutcome,
             _ => Late::NoAnswer,
@@ -276,14 +283,14 @@ impl Desk {
         assert_eq!(late, expected);
     }
 
-    fn assert_still_sane(&self) {
+    fn check_invariants(&self) {
         let inits = self
             .sent
             .iter()
             .filter(|sent| sent.kind == Kind::Init)
             .count();
         assert_eq!(inits, self.triggers, "one INIT for each trigger");
-        let deadline = self.pending.map(|place| self.sent[place].deadline);
+        let deadline = self.pending.map(|index| self.sent[index].deadline);
         assert_eq!(self.client.poll_timeout(), deadline);
     }
 }
