@@ -1,6 +1,6 @@
 //! The LM3S6965's Ethernet controller, for smoltcp: a FIFO for frames each way, asked by the main loop.
 
-use qemu::Register;
+use board_support::Register;
 use smoltcp::phy::{Device, DeviceCapabilities, Medium, RxToken, TxToken};
 use smoltcp::time::Instant;
 

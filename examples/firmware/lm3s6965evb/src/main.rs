@@ -12,9 +12,9 @@ use core::panic::PanicInfo;
 use cortex_m::Peripherals;
 use cortex_m::peripheral::SCB;
 use cortex_m_rt::{entry, exception};
-use qemu::board;
-use qemu::boots;
-use qemu::clock::{self, SysTick};
+use board_support::board;
+use board_support::boots;
+use board_support::clock::{self, SysTick};
 use uart::Uart;
 
 #[cfg(feature = "defmt")]

@@ -5,7 +5,7 @@ use core::convert::Infallible;
 use cortex_m::interrupt::InterruptNumber;
 use cortex_m::peripheral::NVIC;
 use embedded_io::{ErrorType, Write};
-use qemu::{Register, vectors};
+use board_support::{Register, vectors};
 
 const fn register(offset: usize) -> Register {
     // SAFETY: the LM3S6965's UART0, which has no access to memory; the offsets are those below.

@@ -7,8 +7,8 @@ use cortex_m::peripheral::SCB;
 use cortex_m_rt::{entry, exception};
 use microbit::random;
 use microbit::uart::Uart;
-use qemu::board;
-use qemu::clock::{self, SysTick};
+use board_support::board;
+use board_support::clock::{self, SysTick};
 
 #[cfg(feature = "defmt")]
 defmt::timestamp!("{=u64:us}", clock::micros());

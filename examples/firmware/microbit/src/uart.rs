@@ -6,7 +6,7 @@ use cortex_m::interrupt::InterruptNumber;
 use cortex_m::peripheral::NVIC;
 use critical_section::CriticalSection;
 use embedded_io::{ErrorType, Write};
-use qemu::{Register, vectors};
+use board_support::{Register, vectors};
 
 const fn register(offset: usize) -> Register {
     // SAFETY: the nRF51's UART0, which has no access to memory; the offsets are those below.

@@ -15,9 +15,9 @@ use app::Pins;
 use cortex_m::Peripherals;
 use cortex_m::peripheral::SCB;
 use cortex_m_rt::{entry, exception};
-use qemu::board::Clock;
-use qemu::boots;
-use qemu::clock::{self, SysTick};
+use board_support::board::Clock;
+use board_support::boots;
+use board_support::clock::{self, SysTick};
 use ztl_mcu::Instant;
 
 use pins::{Input, Output, Servo};

@@ -3,7 +3,7 @@
 use core::convert::Infallible;
 
 use embedded_hal::{digital, pwm};
-use qemu::Register;
+use board_support::Register;
 
 const fn register(address: usize) -> Register {
     // SAFETY: RCC, TIM3 and GPIOs of the STM32F401, which have no access to memory; the addresses are those below.

@@ -1,6 +1,6 @@
 //! The core's timer, which counts from the reset.
 
-use qemu::{Register, board};
+use board_support::{Register, board};
 use riscv::interrupt::Interrupt;
 use riscv::register::{mie, mstatus};
 use ztl_mcu::Instant;

@@ -10,7 +10,7 @@ mod uart;
 
 use core::panic::PanicInfo;
 
-use qemu::{board, boots};
+use board_support::{board, boots};
 use riscv_rt::entry;
 
 use clock::Clock;

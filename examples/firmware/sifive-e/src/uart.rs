@@ -3,7 +3,7 @@
 use core::convert::Infallible;
 
 use embedded_io::{ErrorType, Write};
-use qemu::Register;
+use board_support::Register;
 use riscv::interrupt::Interrupt;
 use riscv::register::mie;
 

@@ -14,7 +14,7 @@ use cortex_m_semihosting::debug::{self, EXIT_SUCCESS};
 use critical_section::Mutex;
 use embedded_io::Write;
 use microbit::uart::Uart;
-use qemu::panel::Lamp;
+use board_support::panel::Lamp;
 use ztl_core::link::{
     ADDR_ONLY_NODE, Body, Frame, Hello, LinkId, NO_SEQ, NO_SESSION, VERSION, encode, session_key,
 };

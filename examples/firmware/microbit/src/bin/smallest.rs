@@ -10,9 +10,9 @@ use cortex_m_rt::{entry, exception};
 use embedded_io::Write;
 use microbit::random;
 use microbit::uart::Uart;
-use qemu::board::Clock;
-use qemu::clock::{self, SysTick};
-use qemu::panel::Lamp;
+use board_support::board::Clock;
+use board_support::clock::{self, SysTick};
+use board_support::panel::Lamp;
 use ztl_mcu::components::{DigitalOutput, DigitalOutputConfig};
 use ztl_mcu::{Identity, Node};
 

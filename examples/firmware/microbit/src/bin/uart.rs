@@ -8,8 +8,8 @@ use cortex_m::Peripherals;
 use cortex_m::peripheral::SCB;
 use cortex_m_rt::{entry, exception};
 use microbit::uart::Uart;
-use qemu::clock::{self, SysTick};
-use qemu::lamp;
+use board_support::clock::{self, SysTick};
+use board_support::lamp;
 
 #[entry]
 fn main() -> ! {

@@ -10,8 +10,8 @@ use core::panic::PanicInfo;
 use cortex_m::Peripherals;
 use cortex_m::peripheral::SCB;
 use cortex_m_rt::{entry, exception};
-use qemu::clock::{self, SysTick};
-use qemu::lamp;
+use board_support::clock::{self, SysTick};
+use board_support::lamp;
 use uart::Uart;
 
 #[entry]
