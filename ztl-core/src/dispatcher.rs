@@ -91,7 +91,7 @@ impl<M: Memory> Dispatcher<M> {
     /// Like [`handle_request`](Self::handle_request), for firmware that has already validated the body, which
     /// saves a table of 0.5 KiB: the longest valid UTF-8 prefix, and whether that is the whole body. A body
     /// of several frames is an empty text.
-    // Not inlined in firmware, so that its stack is free when a task starts.
+    // Not inlined in firmware, so that its stack space is free when a task starts.
     #[cfg_attr(target_os = "none", inline(never))]
     pub fn handle_text<'a>(
         &mut self,

@@ -46,7 +46,6 @@ pub enum ParseError<'a> {
 impl<'a> ParseError<'a> {
     /// The first field as far as it could be read, else empty. The reply repeats it.
     #[must_use]
-    #[cfg_attr(target_os = "none", inline(always))]
     pub fn scope(&self) -> &'a str {
         match *self {
             Self::NotUtf8 { scope, .. } => scope.unwrap_or_default(),

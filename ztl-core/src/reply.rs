@@ -136,8 +136,6 @@ impl<'a> Reply<'a> {
     }
 
     /// Turns this into the reply to the INIT of `task`: accepted, or rejected with another state.
-    // Not inlined in firmware: it has several callers.
-    #[cfg_attr(target_os = "none", inline(never))]
     pub(crate) fn decide(&mut self, told: State, task: TaskId, words: &'a str) {
         self.state = told;
         self.say(words);

@@ -46,8 +46,6 @@ pub(crate) fn put_yaml_small(text: &str, sink: &mut (impl Sink + ?Sized)) {
     put_in_quotes(text, b'"', sink);
 }
 
-// Not inlined in firmware: it has two callers.
-#[cfg_attr(target_os = "none", inline(never))]
 fn put_in_quotes(text: &str, quote: u8, sink: &mut (impl Sink + ?Sized)) {
     sink.put(&[quote]);
     // Start of the part that is not written yet.

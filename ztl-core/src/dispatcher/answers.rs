@@ -85,8 +85,6 @@ impl<M: Memory> Dispatcher<M> {
 
     /// Sends the replies that are due. Returns whether one of them is the first to tell its client the
     /// decision.
-    // Not inlined in firmware: it has two callers.
-    #[cfg_attr(target_os = "none", inline(never))]
     fn answer_due(
         &mut self,
         due: &Due,

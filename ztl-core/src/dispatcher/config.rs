@@ -43,7 +43,6 @@ pub struct Config {
 impl Config {
     /// The default settings.
     #[must_use]
-    #[cfg_attr(target_os = "none", inline(always))]
     pub const fn new(first: TaskId, boot: u32) -> Self {
         Self {
             first,

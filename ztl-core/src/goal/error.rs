@@ -153,19 +153,16 @@ impl Error {
     }
 }
 
-// Always inlined, so that the code that would format `expected` and the messages is never linked.
+// Ignores `expected` and the messages, so that the code that would format them is not linked.
 impl serde::de::Error for Error {
-    #[inline(always)]
     fn custom<T: fmt::Display>(_: T) -> Self {
         Self::Serde(GoalErrorKind::Refused)
     }
 
-    #[inline(always)]
     fn invalid_type(_: serde::de::Unexpected<'_>, _: &dyn serde::de::Expected) -> Self {
         Self::Serde(GoalErrorKind::WrongType)
     }
 
-    #[inline(always)]
     fn invalid_value(found: serde::de::Unexpected<'_>, _: &dyn serde::de::Expected) -> Self {
         use serde::de::Unexpected::{Float, Signed, Unsigned};
         Self::Serde(match found {
@@ -174,27 +171,22 @@ impl serde::de::Error for Error {
         })
     }
 
-    #[inline(always)]
     fn invalid_length(_: usize, _: &dyn serde::de::Expected) -> Self {
         Self::Serde(GoalErrorKind::WrongLength)
     }
 
-    #[inline(always)]
     fn unknown_variant(_: &str, expected: &'static [&'static str]) -> Self {
         Self::Serde(GoalErrorKind::UnknownVariant(expected))
     }
 
-    #[inline(always)]
     fn unknown_field(_: &str, expected: &'static [&'static str]) -> Self {
         Self::Serde(GoalErrorKind::UnknownField(expected))
     }
 
-    #[inline(always)]
     fn missing_field(field: &'static str) -> Self {
         Self::Serde(GoalErrorKind::MissingField(field))
     }
 
-    #[inline(always)]
     fn duplicate_field(field: &'static str) -> Self {
         Self::Serde(GoalErrorKind::DuplicateField(field))
     }
@@ -344,7 +336,6 @@ impl core::error::Error for WriteError {
 }
 
 impl serde::ser::Error for WriteError {
-    #[inline(always)]
     fn custom<T: fmt::Display>(_: T) -> Self {
         Self::Refused
     }

@@ -6,9 +6,6 @@ use crate::cursor::Cursor;
 use crate::text::is_blank;
 
 /// A position in a goal's text and the state of parsing.
-///
-/// This order of fields gives the shortest code on a Cortex-M0.
-#[repr(C)]
 pub(super) struct Reader<'de> {
     pub(super) text: Cursor<'de>,
     /// Number of open collections.

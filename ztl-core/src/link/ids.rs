@@ -3,7 +3,7 @@
 use super::link_id::LinkId;
 use super::wire::Reader;
 
-/// A list of link ids: a slice to be sent, or a view over received bytes.
+/// A list of link ids: a slice to send, or a view of received bytes.
 #[derive(Debug, Clone, Copy)]
 pub struct Ids<'a>(pub(super) IdList<'a>);
 
@@ -24,7 +24,7 @@ impl<'a> Ids<'a> {
         Self(IdList::Slice(ids))
     }
 
-    /// How many.
+    /// Number of ids.
     #[must_use]
     pub const fn len(&self) -> usize {
         match self.0 {
@@ -33,13 +33,13 @@ impl<'a> Ids<'a> {
         }
     }
 
-    /// Whether there are none.
+    /// Whether the list is empty.
     #[must_use]
     pub const fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
-    /// Each of them.
+    /// Iterates over the ids.
     pub fn iter(&self) -> impl Iterator<Item = LinkId> + use<'a> {
         let (slice, bytes): (&'a [LinkId], &'a [u8]) = match self.0 {
             IdList::Slice(ids) => (ids, &[]),

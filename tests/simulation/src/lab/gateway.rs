@@ -120,7 +120,7 @@ impl Gateway {
             let book = log
                 .clone()
                 .map(|log| DeviceBook::new(log, &name(device), moment));
-            Session::with_book(book, id, Some(115_200), super::number)
+            Session::with_journal(book, id, Some(115_200), super::number)
         });
         let mut gateway = Self {
             dispatcher: Dispatcher::new(Fixed::new([SCOPE]), Config::new(first, boot)),

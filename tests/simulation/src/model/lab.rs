@@ -164,13 +164,13 @@ impl Lab {
     pub(super) fn start(&mut self, gateway: usize) {
         self.lend_numbers(gateway);
         let place = &mut self.gateways[gateway];
-        let mut session = Session::with_book(
+        let mut session = Session::with_journal(
             std::mem::take(&mut place.journal),
             gateway as u64 + 1,
             Some(BAUD),
             next_session,
         );
-        let restored = session.book_mut().restored();
+        let restored = session.journal_mut().restored();
         for task in restored {
             session.restore(self.now, task);
         }
@@ -197,7 +197,7 @@ impl Lab {
     pub(super) fn kill(&mut self, gateway: usize) {
         let place = &mut self.gateways[gateway];
         if let Some(mut session) = place.session.take() {
-            place.journal = session.book_mut().clone();
+            place.journal = session.journal_mut().clone();
         }
         let journal = &place.journal;
         let (open, ends) = (journal.restored(), journal.ends.clone());

@@ -48,10 +48,10 @@ impl Parcel {
             keys.push(hello);
             keys.extend((1..=boots).rev().map(|boot| session_key(hello, boot)));
         }
-        let (place, frame) = decoder.frame(&keys).expect("both ends send good frames");
+        let (index, frame) = decoder.frame(&keys).expect("both ends send good frames");
         Self {
             bytes: bytes.into(),
-            session: keys[place],
+            session: keys[index],
             seq: frame.seq,
             says: format!("{:?}", frame.body).into(),
         }
