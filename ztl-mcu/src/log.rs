@@ -20,9 +20,9 @@ pub use source::LogSource;
 /// ztl_mcu::defmt_logger!(LOG);
 /// ```
 ///
-/// The crate needs `defmt` among its own dependencies. The gateway reads the log with the firmware's
-/// ELF file. While a record is made interrupts are held off, as with other loggers of defmt: for as long as its values
-/// take to be encoded, so keep records short where an interrupt must not wait. Flushing does nothing: a firmware that panics cannot send any more.
+/// The crate needs `defmt` among its own dependencies. The gateway decodes the log with the firmware's ELF file. As with
+/// other defmt loggers, interrupts are masked while a record is encoded, so keep records short if an interrupt must not
+/// wait. Flushing does nothing, because a firmware that panics cannot send any more.
 #[cfg(feature = "defmt")]
 #[macro_export]
 macro_rules! defmt_logger {

@@ -10,12 +10,12 @@ use crate::log::LogSource;
 use crate::shared::StopFlag;
 use crate::{Components, Node};
 
-/// Bytes that a turn reads at most.
+/// Maximum number of bytes that a turn reads.
 const READ: usize = 256;
-/// How often the log is looked at when there is nothing else to do.
+/// How often the log is polled while there is nothing else to do.
 pub(super) const LOG_AGAIN: Duration = Duration::from_millis(10);
 
-/// Why a turn ended early. The node is unharmed: go on, or mend the port first.
+/// Why a turn ended early. The node is not affected: continue, or recover the port first.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -24,7 +24,7 @@ pub enum PumpError<R, W> {
     Read(R),
     /// Writing failed.
     Write(W),
-    /// The stream has ended: nobody is at its other end.
+    /// The stream has ended.
     Closed,
 }
 
@@ -40,8 +40,8 @@ impl<R: core::fmt::Debug, W: core::fmt::Debug> core::fmt::Display for PumpError<
 
 impl<R: core::fmt::Debug, W: core::fmt::Debug> core::error::Error for PumpError<R, W> {}
 
-/// What moves a node: a turn of a main loop, or the whole loop for an async executor; and what its
-/// firmware shares with it.
+/// Runs a node on a serial port: a turn of a main loop, or the whole loop for an async executor. Connects it with the
+/// emergency stop and the log of the firmware.
 ///
 /// ```no_run
 /// # use embedded_io::{Read, ReadReady, Write};
@@ -57,7 +57,7 @@ impl<R: core::fmt::Debug, W: core::fmt::Debug> core::error::Error for PumpError<
 /// # }
 /// ```
 ///
-/// Where an interrupt receives, with the feature `critical-section`:
+/// If an interrupt receives, with the feature `critical-section`:
 ///
 /// ```no_run
 /// # #[cfg(feature = "critical-section")] mod firmware {
@@ -99,7 +99,7 @@ impl Default for Pump<'_> {
 }
 
 impl<'a> Pump<'a> {
-    /// One that shares nothing.
+    /// A pump without emergency stop and log.
     #[must_use]
     pub const fn new() -> Self {
         Self {
@@ -109,8 +109,7 @@ impl<'a> Pump<'a> {
         }
     }
 
-    /// Whenever `stop` is raised the node is stopped: at the beginning of the next turn, and in
-    /// `run` at once.
+    /// Adds an emergency stop. When `stop` is raised, the node stops at the start of the next turn, in `run` at once.
     #[cfg(feature = "critical-section")]
     #[must_use]
     pub const fn with_stop(mut self, stop: &'a StopFlag) -> Self {
@@ -118,22 +117,22 @@ impl<'a> Pump<'a> {
         self
     }
 
-    /// The log is sent when there is nothing else to be sent.
+    /// Adds a log, which is sent when there is nothing else to send.
     #[must_use]
     pub const fn with_log(mut self, log: &'a dyn LogSource) -> Self {
         self.log = Some(log);
         self
     }
 
-    /// One turn of a main loop: takes the bytes that are there, lets the components move on, sends
-    /// what is to be sent. Returns when the next turn is due even if no byte arrives.
+    /// Runs one turn of a main loop: reads available bytes, advances the components, and sends output. Returns when the
+    /// next turn is due even if no byte arrives.
     ///
-    /// Reads only what is ready and at most 256 bytes; writes at most `FRAME` bytes and flushes them,
-    /// for as long as the stream takes. At 115200 baud and with frames of 128 bytes that is up to 11 ms
-    /// in which bytes arrive: where the port does not keep them, let an interrupt receive.
+    /// Reads at most 256 bytes without waiting. Writes at most `FRAME` bytes and flushes them, which takes as long as the
+    /// stream needs: up to 11 ms at 115200 baud with frames of 128 bytes. If the port does not buffer the bytes that
+    /// arrive meanwhile, let an interrupt receive.
     ///
     /// # Errors
-    /// Those of the stream. The node is unharmed, and what was not sent is sent in the next turn.
+    /// Those of the stream. The node is not affected; unsent bytes are sent in the next turn.
     pub fn turn<S, C, const TASKS: usize, const FRAME: usize>(
         &self,
         node: &mut Node<'_, C, TASKS, FRAME>,
@@ -149,7 +148,7 @@ impl<'a> Pump<'a> {
         Ok(self.due(node, now, more))
     }
 
-    /// A turn with a port in two halves.
+    /// Like [`turn`](Self::turn), with a port in two halves.
     ///
     /// # Errors
     /// [`PumpError::Read`] and [`PumpError::Write`], as [`turn`](Self::turn).
@@ -170,7 +169,7 @@ impl<'a> Pump<'a> {
         Ok(self.due(node, now, more))
     }
 
-    /// Says whether there may be more. The components move on also when reading fails.
+    /// Returns whether there may be more to read. Advances the components even if reading fails.
     fn receive<R: Read + ReadReady, C: Components, const TASKS: usize, const FRAME: usize>(
         &self,
         node: &mut Node<'_, C, TASKS, FRAME>,
@@ -206,7 +205,7 @@ impl<'a> Pump<'a> {
         tx: &mut W,
         now: Instant,
     ) -> Result<(), W::Error> {
-        // Bounded, since components may always have another reading.
+        // Bounded, because components may always have another reading.
         let mut left = FRAME;
         while left > 0 {
             let pending = node.transmit_buf(now, self.log());
@@ -214,7 +213,7 @@ impl<'a> Pump<'a> {
             if pending.is_empty() {
                 break;
             }
-            // Not `write_all`, which panics when a stream writes nothing, or more than it was given.
+            // `write_all` panics if a stream writes nothing, or more than it was given.
             let written = tx.write(pending)?.min(pending.len());
             if written == 0 {
                 break;
@@ -242,7 +241,7 @@ impl<'a> Pump<'a> {
     }
 }
 
-/// Reads what is ready; says whether there may be more.
+/// Reads available bytes. Returns whether there may be more.
 fn read<R: Read + ReadReady, C: Components, const TASKS: usize, const FRAME: usize>(
     node: &mut Node<'_, C, TASKS, FRAME>,
     rx: &mut R,

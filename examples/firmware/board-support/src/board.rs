@@ -10,7 +10,7 @@ use crate::panel::{Direction, Lamp, Limit, PANEL, Pulse, Step};
 
 /// The time since the reset.
 pub trait Clock {
-    /// The time since it was started. Not to be asked where interrupts are held off.
+    /// The time since the start. Do not call it while interrupts are masked.
     fn now(&mut self) -> Instant;
 
     /// Waits for an interrupt.
@@ -53,17 +53,17 @@ const fn pins() -> Pins<Pulse, Step, Direction, Limit, Lamp> {
     }
 }
 
-/// Runs for ever, with the pins of the panel. `boot` differs from reset to reset.
+/// Runs forever, with the pins of the panel. `boot` differs from reset to reset.
 pub fn run(boot: u32, uart: impl Write<Error = Infallible>, clock: impl Clock) -> ! {
     app::run(boot, pins(), &mut Board { uart, clock })
 }
 
-/// The same without a gateway: a ZeroMQ client talks to it over the serial port.
+/// Like [`run`], as a server for a ZeroMQ client on the serial port.
 pub fn serve(boot: u32, uart: impl Write<Error = Infallible>, clock: impl Clock) -> ! {
     app::serve(boot, pins(), &mut Board { uart, clock })
 }
 
-/// The same for several clients over TCP, through a network device.
+/// Like [`run`], as a server for several clients over TCP.
 #[cfg(feature = "tcp")]
 pub fn serve_tcp(
     boot: u32,
@@ -78,7 +78,7 @@ pub fn serve_tcp(
     app::tcp::serve(boot, pins(), &mut board, device, address)
 }
 
-/// A serial port that goes nowhere.
+/// A serial port that drops all bytes.
 #[cfg(feature = "tcp")]
 struct NoPort;
 
@@ -98,8 +98,8 @@ impl Write for NoPort {
     }
 }
 
-/// To be called by the clock's interrupt, each millisecond: looks at the emergency button.
-pub fn look_at_buttons() {
+/// Polls the emergency button. The clock's interrupt calls it every millisecond.
+pub fn poll_buttons() {
     if PANEL.is_stop_pressed() {
         app::STOP.raise();
     }

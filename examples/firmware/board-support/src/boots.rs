@@ -1,4 +1,4 @@
-//! Which boot this is.
+//! Counts boots.
 
 use core::cell::UnsafeCell;
 use core::mem::MaybeUninit;
@@ -8,12 +8,12 @@ struct Word(UnsafeCell<MaybeUninit<u32>>);
 // SAFETY: only `count` uses it, volatile, and it is not called by interrupts.
 unsafe impl Sync for Word {}
 
-/// A reset leaves it as it is; after power on it is anything.
+/// Survives a reset; undefined after power-on.
 #[unsafe(link_section = ".uninit.BOOTS")]
 static BOOTS: Word = Word(UnsafeCell::new(MaybeUninit::uninit()));
 
-/// Counts the boots in memory that a reset does not clear. To be called once; where a chip has a source of
-/// random numbers, use that instead.
+/// Counts the boots, in memory that a reset does not clear. Call it once. If a chip has a random number generator, use that
+/// instead.
 #[must_use]
 pub fn count() -> u32 {
     let word = BOOTS.0.get().cast::<u32>();

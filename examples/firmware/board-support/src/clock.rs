@@ -1,4 +1,4 @@
-//! The time since the reset, by the timer that each Cortex-M has.
+//! The time since the reset, from the SysTick timer.
 
 use core::cell::Cell;
 
@@ -12,12 +12,12 @@ use crate::board::Clock;
 /// In µs, at the last tick.
 static TICKED: Mutex<Cell<u64>> = Mutex::new(Cell::new(0));
 
-/// SysTick at so many cycles a millisecond, with a tick each millisecond.
+/// SysTick with this many cycles per millisecond, and a tick every millisecond.
 #[derive(Debug)]
 pub struct SysTick<const CYCLES: u32>(());
 
 impl<const CYCLES: u32> SysTick<CYCLES> {
-    /// Starts it. The board's `SysTick` handler has to call [`tick`].
+    /// Starts the timer. The board's `SysTick` handler must call [`tick`].
     #[must_use]
     pub fn start(mut timer: SYST) -> Self {
         timer.set_clock_source(SystClkSource::Core);
@@ -34,7 +34,7 @@ impl<const CYCLES: u32> Clock for SysTick<CYCLES> {
         loop {
             let before = micros();
             let cycles = CYCLES.saturating_sub(SYST::get_current() + 1);
-            // Else a tick has come in between.
+            // Otherwise there was a tick in between.
             if before == micros() {
                 let since = cycles * 1000 / CYCLES;
                 return Instant::from_micros(before + u64::from(since));
@@ -47,7 +47,7 @@ impl<const CYCLES: u32> Clock for SysTick<CYCLES> {
     }
 }
 
-/// A millisecond has passed.
+/// Adds a millisecond; called by the interrupt.
 pub fn tick() {
     critical_section::with(|cs| {
         let ticked = TICKED.borrow(cs);

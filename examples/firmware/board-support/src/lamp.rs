@@ -1,5 +1,4 @@
-//! The smallest server of use that ZeroMQ clients talk to, and what it is measured against: its size is
-//! recorded.
+//! The smallest useful server for ZeroMQ clients, and an echo to compare its size with.
 
 use core::convert::Infallible;
 
@@ -11,8 +10,7 @@ use ztl_mcu::zmtp::{Line, Server};
 use crate::board::Clock;
 use crate::panel::Lamp;
 
-/// A lamp, for one client at a time, two tasks, and messages of some 160 bytes. `boot` differs from reset
-/// to reset.
+/// Serves a lamp for one client at a time, two tasks, and messages of about 160 bytes. `boot` differs from reset to reset.
 pub fn serve(boot: u32, mut uart: impl Write<Error = Infallible>, mut clock: impl Clock) -> ! {
     let mut server = server(boot);
     let mut line = Line::new();
@@ -22,7 +20,7 @@ pub fn serve(boot: u32, mut uart: impl Write<Error = Infallible>, mut clock: imp
     }
 }
 
-/// Apart, so that nothing but the server stays on the stack.
+/// Not inlined, so that only the server stays on the stack.
 #[inline(never)]
 fn server(boot: u32) -> Server<'static, [DigitalOutput<Lamp>; 1], 1, 2, 192, 1> {
     let lamp = DigitalOutput::new("lamp", Lamp, DigitalOutputConfig::DEFAULT);
@@ -30,7 +28,7 @@ fn server(boot: u32) -> Server<'static, [DigitalOutput<Lamp>; 1], 1, 2, 192, 1> 
     Server::new("/lab", identity, [lamp])
 }
 
-/// A serial port and a clock, and nothing else: what comes goes back.
+/// Only a serial port and a clock: echoes received bytes.
 pub fn echo(mut uart: impl Write<Error = Infallible>, mut clock: impl Clock) -> ! {
     let mut received = &app::RECEIVED;
     let mut buffer = [0; 32];

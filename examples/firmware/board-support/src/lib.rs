@@ -1,5 +1,5 @@
-//! What boards without a HAL have in common: registers, a clock; and for those in QEMU pins that a test can
-//! press and see.
+//! Support for boards without a HAL: registers, a clock, a boot counter, the vector table; for boards in QEMU also
+//! simulated pins.
 #![no_std]
 
 pub mod board;

@@ -1,12 +1,12 @@
 //! `memcpy` and `memset`, small.
 //!
-//! The compiler's own are made for speed and take 1 KiB of a Cortex-M0's flash. What firmware of this kind
-//! copies is some dozen bytes at a time; a byte takes 8 cycles here.
+//! Those of the compiler are optimised for speed and take 1 KiB of flash on a Cortex-M0. This firmware copies only a few
+//! dozen bytes at a time; a byte takes 8 cycles here.
 
 use core::arch::global_asm;
 
-// A linker takes the compiler's only where the program has none. `__aeabi_memset` has its last two arguments the
-// other way round.
+// The linker uses the compiler's versions only if the program defines none. `__aeabi_memset` has its last two arguments
+// swapped.
 global_asm!(
     ".macro function name",
     ".global \\name",

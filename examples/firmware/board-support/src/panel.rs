@@ -1,32 +1,32 @@
-//! Pins without a board: words of memory, which a test reads and writes from outside.
+//! Simulated pins: words of memory, which a test reads and writes from outside.
 
 use core::convert::Infallible;
 use core::sync::atomic::{AtomicU32, Ordering};
 
 use embedded_hal::{digital, pwm};
 
-/// The pins. A test finds it by its symbol; the order of the words is known to it.
+/// The pins. A test finds the panel by its symbol, and knows the order of the words.
 #[derive(Debug)]
 #[repr(C)]
 pub struct Panel {
-    /// Pressed: the stage's limit switch. It is also closed at and below the place 0.
+    /// Nonzero while a test presses the limit switch. The switch is also closed at positions up to 0.
     limit: AtomicU32,
-    /// Pressed: the emergency button.
+    /// Nonzero while the emergency button is pressed.
     stop: AtomicU32,
-    /// Pressed: the button that ends an emergency stop.
+    /// Nonzero while the button that ends an emergency stop is pressed.
     resume: AtomicU32,
-    /// The servo's pulse in µs, 0 when there is none.
+    /// The servo's pulse in µs; 0 for none.
     pulse: AtomicU32,
-    /// Where the stage is: steps above its switch.
+    /// Position of the stage: steps above its switch.
     place: AtomicU32,
     /// Whether the lamp is lit.
     lamp: AtomicU32,
 }
 
-/// At the reset the stage stands somewhere: so many steps above its switch.
+/// Position of the stage at the reset.
 const START: u32 = 400;
 
-/// The only one.
+/// The only panel.
 #[unsafe(no_mangle)]
 pub static PANEL: Panel = Panel {
     limit: AtomicU32::new(0),
@@ -68,11 +68,11 @@ impl pwm::SetDutyCycle for Pulse {
     }
 }
 
-/// The stage's step input, and which way it was told to go.
+/// Step input of the stage.
 #[derive(Debug)]
 pub struct Step;
 
-/// Its direction input.
+/// Direction input of the stage.
 #[derive(Debug)]
 pub struct Direction;
 

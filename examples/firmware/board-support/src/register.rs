@@ -1,4 +1,4 @@
-//! A device's register.
+//! Device registers.
 
 /// A register of 32 bits.
 #[derive(Debug, Clone, Copy)]
@@ -11,20 +11,20 @@ impl Register {
     /// The register at this address.
     ///
     /// # Safety
-    /// There has to be one, and neither reading nor writing it may touch the memory of the program.
+    /// There must be a register, and accessing it must not change the memory of the program.
     #[must_use]
     pub const unsafe fn at(address: usize) -> Self {
         Self(core::ptr::without_provenance_mut(address))
     }
 
-    /// What it says.
+    /// Reads it.
     #[must_use]
     pub fn read(self) -> u32 {
         // SAFETY: by the condition of `at`.
         unsafe { self.0.read_volatile() }
     }
 
-    /// Writes all of it.
+    /// Writes it.
     pub fn write(self, value: u32) {
         // SAFETY: by the condition of `at`.
         unsafe { self.0.write_volatile(value) }

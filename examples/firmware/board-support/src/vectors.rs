@@ -1,7 +1,7 @@
 //! The interrupts' part of a Cortex-M's vector table.
 
-/// Lays down a table of so many interrupts, of which some have a function: `vectors! { 6: 5 => on_uart }`.
-/// Those above are never allowed to come.
+/// Defines the table for this many interrupts, some of which have a handler: `vectors! { 6: 5 => on_uart }`. Higher
+/// interrupts are never enabled.
 #[macro_export]
 macro_rules! vectors {
     ($count:literal: $($number:literal => $handler:path),+) => {
@@ -19,7 +19,7 @@ macro_rules! vectors {
     };
 }
 
-/// An interrupt that nobody has allowed.
+/// Handles an interrupt that was not enabled.
 pub extern "C" fn unexpected() {
     cortex_m::peripheral::SCB::sys_reset()
 }

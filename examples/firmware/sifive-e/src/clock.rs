@@ -69,5 +69,5 @@ fn wake_in_a_millisecond() {
 #[riscv_rt::core_interrupt(Interrupt::MachineTimer)]
 fn on_tick() {
     wake_in_a_millisecond();
-    board::look_at_buttons();
+    board::poll_buttons();
 }
