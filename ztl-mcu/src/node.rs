@@ -183,7 +183,7 @@ impl<'a, C: Components, const TASKS: usize, const FRAME: usize> Node<'a, C, TASK
                     reason: Reason::new(),
                     tasks: Table::new(),
                 },
-                out: FrameOut::new(),
+                frame_out: FrameOut::new(),
             },
         }
     }
@@ -270,7 +270,7 @@ impl<'a, C: Components, const TASKS: usize, const FRAME: usize> Node<'a, C, TASK
 
     /// Marks the first `count` bytes of [`transmit_buf`](Self::transmit_buf) as sent.
     pub fn consume(&mut self, count: usize) {
-        self.state.out.consume(count);
+        self.state.frame_out.consume(count);
     }
 
     /// When to call [`handle_timeout`](Self::handle_timeout) and [`poll_transmit`](Self::poll_transmit) even if

@@ -83,5 +83,5 @@ pub(super) struct LinkState<'a, C, const TASKS: usize, const FRAME: usize> {
     pub(super) firmware: &'a str,
     pub(super) boot: u32,
     pub(super) runner: Runner<C, TASKS>,
-    pub(super) out: FrameOut<FRAME>,
+    pub(super) frame_out: FrameOut<FRAME>,
 }

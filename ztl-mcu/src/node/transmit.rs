@@ -29,15 +29,16 @@ fn topics(component: &dyn Component) -> usize {
 impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TASKS, FRAME> {
     #[cfg_attr(target_os = "none", inline(never))]
     pub(super) fn transmit_buf(&mut self, now: Instant, log: &dyn LogSource) -> &[u8] {
-        if self.out.pending().is_empty() {
+        if self.frame_out.pending().is_empty() {
             self.next_frame(now, log);
         }
-        self.out.pending()
+        self.frame_out.pending()
     }
 
     /// When there is something to send, or [`Instant::NEVER`].
     pub(super) fn next_transmit(&self, now: Instant) -> Instant {
-        let at_once = self.answer_due || self.refusal.is_some() || !self.out.pending().is_empty();
+        let at_once =
+            self.answer_due || self.refusal.is_some() || !self.frame_out.pending().is_empty();
         if at_once {
             return now;
         }
@@ -88,12 +89,12 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
         // First a delimiter, which ends any noise that the reset caused on the line.
         self.flushed = !self.flushed;
         if self.flushed {
-            return self.out.delimiter();
+            return self.frame_out.delimiter();
         }
         self.awake_due = now + AWAKE_INTERVAL;
         let version = VERSION;
         let boot = self.boot;
-        self.out.encode(NO_SESSION, NO_SEQ, |frame| {
+        self.frame_out.encode(NO_SESSION, NO_SEQ, |frame| {
             Body::Awake { version, boot }.put(frame);
         });
     }
@@ -118,7 +119,7 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
             } else {
                 PROGRESS_INTERVAL
             };
-        self.out.encode(self.session, NO_SEQ, |frame| {
+        self.frame_out.encode(self.session, NO_SEQ, |frame| {
             let text = if waits { WAITS } else { slot.text.as_str() };
             match end {
                 Some(state) => Body::Ended {
@@ -139,7 +140,7 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
         if now < self.readings_at {
             return false;
         }
-        let (begin, room) = self.out.room(const { longest::reading(FRAME) });
+        let (begin, room) = self.frame_out.room(const { longest::reading(FRAME) });
         // The earliest time at which a component without a reading wants to be asked again.
         let mut wake = Instant::NEVER;
         loop {
@@ -174,7 +175,7 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
                 continue;
             };
             self.published = true;
-            return self.out.encode(self.session, NO_SEQ, |frame| {
+            return self.frame_out.encode(self.session, NO_SEQ, |frame| {
                 Body::put_publish(topic, reading.len, frame);
                 frame.put_own(begin, reading.len);
             });
@@ -182,11 +183,11 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
     }
 
     fn encode_log(&mut self, log: &dyn LogSource) {
-        let (begin, room) = self.out.room(const { longest::log(FRAME) });
+        let (begin, room) = self.frame_out.room(const { longest::log(FRAME) });
         let count = log.read(room).min(room.len());
         if count > 0 {
             let lost = log.lost();
-            self.out.encode(self.session, NO_SEQ, |frame| {
+            self.frame_out.encode(self.session, NO_SEQ, |frame| {
                 Body::put_log(lost, count, frame);
                 frame.put_own(begin, count);
             });
@@ -202,7 +203,7 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
             held += 1;
         }
         let clock_ms = now.as_millis();
-        let fits = self.out.encode(session, seq, |frame| match answer {
+        let fits = self.frame_out.encode(session, seq, |frame| match answer {
             Answer::Nothing => {}
             Answer::Welcome => Body::Welcome(Welcome {
                 version: VERSION,
@@ -238,7 +239,7 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
         });
         if !fits {
             let reason = Refusal::DescriptionTooLong.as_str();
-            self.out
+            self.frame_out
                 .encode(session, seq, |frame| Body::Refused { reason }.put(frame));
         }
     }
