@@ -30,7 +30,6 @@ pub use lifecycle::{Event, Request, State};
 pub use message::Message;
 pub use spec::TaskSpec;
 pub use task_id::TaskId;
-pub use text::valid_start;
 pub use time::Instant;
 
 /// Version of this crate, as `$ztl` reports it.

@@ -82,7 +82,7 @@ impl<'a> Message<'a> {
     ///
     /// # Errors
     /// See [`parse`](Self::parse).
-    pub fn parse_text(text: &'a str, whole: bool) -> Result<Self, ParseError<'a>> {
+    pub(crate) fn parse_text(text: &'a str, whole: bool) -> Result<Self, ParseError<'a>> {
         let first = split_at_mark(text, ';');
         if !whole {
             let scope = first.map(|(scope, _)| scope);

@@ -7,10 +7,10 @@ use crate::sink::{Sink, put_decimal};
 use crate::text::split_at_mark;
 
 /// Prefix of the reply to `outcome` for an INIT that never arrived; the boot id follows.
-pub const NEVER_SEEN: &str = "never seen since boot ";
+pub(crate) const NEVER_SEEN: &str = "never seen since boot ";
 
 /// The scope reserved for the protocol itself.
-pub const RESERVED_SCOPE: &str = "$ztl";
+pub(crate) const RESERVED_SCOPE: &str = "$ztl";
 
 /// Python's `None`: the original's text while no progress is known.
 pub const NOTHING_KNOWN: &str = "None";

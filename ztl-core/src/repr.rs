@@ -37,7 +37,7 @@ pub fn put_quoted(text: &str, sink: &mut (impl Sink + ?Sized)) {
 
 /// Like [`put_quoted`], but escapes only unprintable ASCII: the table of other unprintable characters takes
 /// 2 KiB of flash. Works on bytes, which saves 0.3 KiB on a Cortex-M0.
-pub fn put_quoted_small(text: &str, sink: &mut (impl Sink + ?Sized)) {
+pub(crate) fn put_quoted_small(text: &str, sink: &mut (impl Sink + ?Sized)) {
     put_in_quotes(text, quote(text), sink);
 }
 

@@ -7,7 +7,7 @@ use crate::text::{split_at_mark, valid_start};
 use crate::{TaskId, sink};
 
 /// Separates the three parts. A goal may contain it; handler and component may not.
-pub const SEPARATOR: char = ':';
+pub(crate) const SEPARATOR: char = ':';
 
 /// A task specification: which handler acts, with which component, towards which goal.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -3,8 +3,7 @@
 /// The longest valid UTF-8 prefix of `bytes`.
 ///
 /// `from_utf8` is faster on long texts, but takes more flash.
-#[must_use]
-pub fn valid_start(bytes: &[u8]) -> &str {
+pub(crate) fn valid_start(bytes: &[u8]) -> &str {
     let chunk = bytes.utf8_chunks().next();
     chunk.map_or("", |chunk| chunk.valid())
 }

@@ -265,7 +265,6 @@ impl<'a> Report<'a> {
     }
 
     /// Adds text.
-    #[cfg_attr(target_os = "none", inline(never))]
     pub fn text(&mut self, text: &str) {
         if self.cut {
             return;

@@ -1,11 +1,10 @@
 //! Calls everything that bytes from outside can reach. It links only if no panic is reachable.
 //!
-//! The panic handler calls a function that does not exist. When the optimiser can show of every
-//! panic that it is never reached, it drops the handler, and the linker does not ask for that
-//! function. So linking is the proof.
+//! The panic handler calls a function that does not exist. If the optimiser proves that no panic is reachable, it removes
+//! the handler, and the linker does not need that function. So linking is the proof.
 //!
-//! `Pump::run` is left out: every `async` block panics when it is polled after its end. No bytes can
-//! make an executor do that, but the optimiser cannot know.
+//! `Pump::run` is left out, because every `async` block panics if it is polled after its end. No input makes an executor do
+//! that, but the optimiser cannot know.
 #![no_std]
 #![no_main]
 
@@ -51,13 +50,13 @@ use ztl_proof::{AnyPin, FIRST, now, receive, send};
 #[panic_handler]
 fn on_panic(_: &PanicInfo<'_>) -> ! {
     unsafe extern "C" {
-        /// Nobody defines it.
+        /// Not defined anywhere.
         safe fn a_panic_is_reachable() -> !;
     }
     a_panic_is_reachable()
 }
 
-/// Keeps the places of all panics in the image.
+/// Keeps the positions of all panics in the image.
 #[cfg(feature = "explain")]
 #[panic_handler]
 fn on_panic(info: &PanicInfo<'_>) -> ! {
@@ -87,7 +86,7 @@ extern "C" fn main() -> ! {
     let mut dispatcher = Dispatcher::new(Memory::new(["/one", "/two"]), config);
     let mut client = Client::new(ClientId([receive(); 16]), Duration::from_secs(2));
     loop {
-        // In whatever state, as far as the compiler knows.
+        // In any state, as far as the compiler knows.
         black_box((&mut node, &mut long_framed, &mut ready_node, &mut decoder));
         black_box((&mut table, &mut dispatcher, &mut client));
         black_box((&mut server, &mut zmtp_line));
@@ -122,10 +121,10 @@ extern "C" fn main() -> ! {
     }
 }
 
-/// What the proof must notice.
+/// A panic that the proof must detect.
 #[cfg(feature = "broken")]
 fn indexed(input: &[u8]) {
-    #[expect(clippy::indexing_slicing, reason = "the panic that is to be noticed")]
+    #[expect(clippy::indexing_slicing, reason = "the panic to detect")]
     black_box(input[usize::from(receive())]);
 }
 
@@ -215,7 +214,7 @@ fn bodies(input: &[u8]) {
     }
 }
 
-/// All that a goal's type may ask for.
+/// Uses every type that a goal can contain.
 #[derive(Clone, Deserialize, Serialize)]
 struct Everything<'a> {
     yes: bool,
@@ -244,7 +243,7 @@ enum Mode {
 #[derive(Clone, Deserialize, Serialize)]
 struct Wrapped(u32);
 
-/// A goal of whatever type it looks like.
+/// A goal of any type, by `deserialize_any`.
 struct Whatever;
 
 impl<'de> Deserialize<'de> for Whatever {
@@ -383,7 +382,7 @@ fn run_client(client: &mut Client, input: &[u8], text: &str) {
     ));
 }
 
-/// The ready components, with any configuration.
+/// The ready components, with arbitrary settings. A check requires every one of them here.
 fn ready_parts() -> impl Components {
     let slide = black_box(StepperConfig::DEFAULT);
     let motor = StepMotor::new(AnyPin, AnyPin, &slide)
@@ -484,7 +483,7 @@ static LOG: LogQueue<100> = LogQueue::new();
 static STOP: StopFlag = StopFlag::new();
 static END: EndFlag = EndFlag::new();
 
-/// A stream that tells any numbers whatever.
+/// A stream with arbitrary data.
 struct Line;
 
 impl ErrorType for Line {
@@ -515,7 +514,7 @@ impl Write for Line {
     }
 }
 
-/// A component that does anything whatever.
+/// A component with arbitrary behaviour.
 struct Part {
     latest: Latest<16>,
     queued: Queued<3, 16>,
@@ -591,17 +590,17 @@ fn events() -> [Event; 5] {
     ])
 }
 
-/// An id that the compiler cannot know.
+/// An arbitrary id.
 fn id() -> TaskId {
     TaskId::new(any()).unwrap_or(FIRST)
 }
 
-/// A number that the compiler cannot know.
+/// An arbitrary number.
 fn any() -> u32 {
     u32::from_le_bytes([receive(), receive(), receive(), receive()])
 }
 
-/// Somewhere to write, of any length as far as the compiler knows.
+/// A buffer of arbitrary length, as far as the compiler knows.
 fn room() -> Room {
     Room([0; 256])
 }

@@ -12,9 +12,6 @@ use crate::sink::{BufferTooSmall, Sink};
 /// Address of the only node on a line; other addresses are reserved for shared buses.
 pub const ADDR_ONLY_NODE: u8 = 0;
 
-/// Bytes that a frame adds to a body of at most 248 bytes: address, sequence number, checksum, COBS, delimiter.
-pub const OVERHEAD: usize = 8;
-
 /// A frame with a valid checksum, as a view of a decoder's buffer.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]

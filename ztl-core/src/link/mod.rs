@@ -13,7 +13,7 @@ mod wire;
 
 pub use body::{Body, Busy, Command, GoalShape, Hello, Loss, Offer, Welcome};
 pub use frame::{
-    ADDR_ONLY_NODE, CommandFrame, Decoder, Frame, FrameError, FrameWriter, OVERHEAD, Pushed, encode,
+    ADDR_ONLY_NODE, CommandFrame, Decoder, Frame, FrameError, FrameWriter, Pushed, encode,
 };
 pub use ids::Ids;
 pub use link_id::LinkId;

@@ -109,7 +109,6 @@ mod stepper;
 pub use input::{DigitalInput, DigitalInputConfig};
 pub use output::{DigitalOutput, DigitalOutputConfig, SafeOutput};
 pub use power::Power;
-pub use profile::{Limits, Profile};
 pub use servo::{Servo, ServoConfig};
 pub use stepper::{
     Limit, LimitFlag, Motion, MotorCommand, NoLimit, NoPin, Scale, StepDrive, StepFault, StepMotor,

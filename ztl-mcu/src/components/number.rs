@@ -85,7 +85,6 @@ fn digits(rest: &mut &[u8], value: &mut u32) -> (i32, i32) {
 }
 
 /// Whether the number is negative, and the bytes after the sign.
-#[cfg_attr(target_os = "none", inline(never))]
 const fn sign(bytes: &[u8]) -> (bool, &[u8]) {
     match bytes {
         [b'-', rest @ ..] => (true, rest),

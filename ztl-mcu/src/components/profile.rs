@@ -27,8 +27,7 @@ pub(super) fn after_ticks(moment: Instant, ticks: u64) -> Instant {
 /// Positions are counted in *parts* of a unit, so that slow motions are exact too. The caller chooses their number, at
 /// most 2^24.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct Limits {
+pub(super) struct Limits {
     /// The change of speed from tick to tick, in parts per tick. Not 0.
     rung: u32,
     /// Number of rungs up to the maximum speed. Not 0.
@@ -41,9 +40,7 @@ impl Limits {
     ///
     /// Both are reached to within a rung, and never exceeded. Unusable values are limited: to at least 1, and a speed
     /// below 2^32 parts per tick.
-    #[must_use]
-    #[inline(always)] // With constants there is no division at run time.
-    pub const fn new(speed: u32, acceleration: u32, parts: u32) -> Self {
+    pub(super) const fn new(speed: u32, acceleration: u32, parts: u32) -> Self {
         let speed = per_tick(speed, parts);
         // Times 2^20 / 10^12, with factors that keep the product within 64 bits.
         let rung = (acceleration as u64).saturating_mul(counted(parts) * 256) / 244_140_625;
@@ -57,9 +54,7 @@ impl Limits {
     }
 
     /// The same acceleration with another maximum speed, which is not raised.
-    #[must_use]
-    #[inline(always)] // As above.
-    pub const fn slower(self, speed: u32, parts: u32) -> Self {
+    pub(super) const fn slower(self, speed: u32, parts: u32) -> Self {
         let rungs = divided(per_tick(speed, parts), self.rung);
         Self {
             rung: self.rung,
@@ -68,14 +63,14 @@ impl Limits {
     }
 
     /// Maximum change of speed from tick to tick, in parts per tick.
-    #[must_use]
-    pub const fn acceleration_per_tick(self) -> u32 {
+    #[cfg(test)]
+    const fn acceleration_per_tick(self) -> u32 {
         self.rung
     }
 
     /// Maximum speed in parts per tick.
-    #[must_use]
-    pub const fn speed_per_tick(self) -> u32 {
+    #[cfg(test)]
+    const fn speed_per_tick(self) -> u32 {
         self.rung * self.top
     }
 }
@@ -86,8 +81,7 @@ impl Limits {
 /// back. In every tick the speed is within the limits and changes by at most the acceleration. The motion ends exactly on
 /// the target, and never turns while the target stays ahead.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct Profile {
+pub(super) struct Profile {
     position: i64,
     target: i64,
     /// Speed in the last tick, in rungs.
@@ -101,8 +95,7 @@ pub struct Profile {
 
 impl Profile {
     /// At rest at this position, in parts.
-    #[must_use]
-    pub const fn new(position: i64) -> Self {
+    pub(super) const fn new(position: i64) -> Self {
         Self {
             position,
             target: position,
@@ -114,13 +107,12 @@ impl Profile {
     }
 
     /// Sets the target, in parts; at most 2^60 from 0.
-    pub const fn move_to(&mut self, target: i64) {
+    pub(super) const fn move_to(&mut self, target: i64) {
         self.target = target;
     }
 
     /// Where it would stop if it decelerated from now on, in parts.
-    #[must_use]
-    pub const fn stopping_point(&self) -> i64 {
+    pub(super) const fn stopping_point(&self) -> i64 {
         if self.forward {
             self.position + self.stop as i64
         } else {
@@ -129,13 +121,12 @@ impl Profile {
     }
 
     /// Stops at this position at once, regardless of the limits.
-    pub const fn put(&mut self, position: i64) {
+    pub(super) const fn put(&mut self, position: i64) {
         *self = Self::new(position);
     }
 
     /// Advances by a tick. Returns the distance in parts, negative if backwards.
-    #[inline(never)] // Servos and steppers share it.
-    pub const fn advance(&mut self, limits: Limits) -> i64 {
+    pub(super) const fn advance(&mut self, limits: Limits) -> i64 {
         let way = self.target - self.position;
         if self.rungs == 0 {
             self.forward = way >= 0;
@@ -188,20 +179,17 @@ impl Profile {
     }
 
     /// The position after the last tick, in parts.
-    #[must_use]
-    pub const fn position(&self) -> i64 {
+    pub(super) const fn position(&self) -> i64 {
         self.position
     }
 
     /// Whether it rests on its target.
-    #[must_use]
-    pub const fn is_at_rest(&self) -> bool {
+    pub(super) const fn is_at_rest(&self) -> bool {
         self.rungs == 0 && self.position == self.target
     }
 
     /// Whether it moves, or last moved, towards larger positions.
-    #[must_use]
-    pub const fn is_forward(&self) -> bool {
+    pub(super) const fn is_forward(&self) -> bool {
         self.forward
     }
 
@@ -212,20 +200,17 @@ impl Profile {
 }
 
 /// Converts units per second to parts per tick: times 1024 / 10^6.
-#[inline(always)]
 const fn per_tick(speed: u32, parts: u32) -> u32 {
     let speed = (speed as u64).saturating_mul(counted(parts) * 16) / 15_625;
     within(1, speed, u32::MAX as u64)
 }
 
 /// The number of parts in a unit, within its limits.
-#[inline(always)]
 const fn counted(parts: u32) -> u64 {
     within(1, parts as u64, 1 << 24) as u64
 }
 
 /// Limits the value to a range of 32-bit numbers.
-#[inline(always)]
 const fn within(least: u64, value: u64, most: u64) -> u32 {
     if value < least {
         least as u32
@@ -237,7 +222,6 @@ const fn within(least: u64, value: u64, most: u64) -> u32 {
 }
 
 /// A division whose divisor is not 0, which the compiler may not see.
-#[inline(always)]
 const fn divided(value: u32, by: u32) -> u32 {
     match value.checked_div(by) {
         Some(quotient) => quotient,

@@ -116,7 +116,6 @@ pub struct Servo<P> {
 
 impl<P: SetDutyCycle> Servo<P> {
     /// A servo with this name on this output, which is not changed before the first task.
-    #[inline(always)] // With a constant configuration there is nothing to compute.
     pub const fn new(name: &'static str, pwm: P, config: ServoConfig) -> Self {
         let (a, b) = config.range;
         let range = if a <= b { (a, b) } else { (b, a) };
@@ -271,7 +270,6 @@ struct Pulse {
 }
 
 impl Pulse {
-    #[inline(always)]
     const fn new(config: &ServoConfig) -> Self {
         let at_least = part_of(config.pulse_us.0, config.period_us);
         let at_most = part_of(config.pulse_us.1, config.period_us);
@@ -286,7 +284,6 @@ impl Pulse {
 }
 
 /// The fraction of the period, at most 1.
-#[inline(always)]
 const fn part_of(pulse_us: u16, period_us: u16) -> i64 {
     if pulse_us >= period_us {
         return 1 << 32;
