@@ -140,7 +140,6 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
 
     /// Acts if the link timer has expired. Also called before a command is executed, because after a pause of
     /// the firmware the received bytes are handled first.
-    #[cfg_attr(target_os = "none", inline(never))]
     pub(super) fn check_link_timer(&mut self, now: Instant) {
         if now >= self.lost_at {
             self.lost_at = Instant::NEVER;

@@ -89,7 +89,6 @@ pub struct Stepper<M> {
 
 impl<M: StepDrive> Stepper<M> {
     /// A stepper with this name and its own motor, or one that an interrupt drives. Both use the same settings.
-    #[inline(always)] // With a constant configuration there is nothing to compute.
     pub const fn new(name: &'static str, motor: M, config: StepperConfig) -> Self {
         let (a, b) = config.range;
         let range = if a <= b { (a, b) } else { (b, a) };

@@ -110,7 +110,6 @@ pub struct StepMotor<S, D, E = NoPin, L = NoLimit, H = NoLimit> {
 
 impl<S: OutputPin, D: OutputPin> StepMotor<S, D> {
     /// A motor at rest at step 0. The pins are not changed; the step pin must be low.
-    #[inline(always)] // With a constant configuration there is nothing to compute.
     pub const fn new(step: S, direction: D, config: &StepperConfig) -> Self {
         let speed = if config.speed == 0 { 1 } else { config.speed };
         let pulse_us = if config.pulse_us == 0 {

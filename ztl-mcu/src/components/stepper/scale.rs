@@ -36,7 +36,6 @@ impl Scale {
     /// A scale where `steps` steps are `units` units: `Scale::new(3200, 360, "degrees")`. Goals are parsed in thousandths
     /// of the unit, at most ±2,147,483 units, and rounded to a step. Positions are reported in hundredths.
     #[must_use]
-    #[inline(always)] // With constants there is no division at run time.
     pub const fn new(steps: u32, units: u16, unit: &'static str) -> Self {
         let steps = if steps == 0 { 1 } else { steps } as u64;
         let milli = if units == 0 { 1 } else { units as u64 } * 1000;
