@@ -5,12 +5,12 @@
 
 #![forbid(unsafe_code)]
 
-pub mod client;
-pub mod conversation;
+pub mod client_and_server;
+pub mod client_rules;
 pub mod dispatcher;
-pub mod ends;
 pub mod goal;
 pub mod link;
+pub mod link_ends;
 pub mod message;
 mod script;
 pub mod spec;

@@ -1,4 +1,4 @@
-//! Makes a copy of the two ends in which the mistakes of `src/mutants.rs` can be switched on.
+//! Copies the sources of both ends, with switches for the mutations in `src/mutants.rs`.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -9,14 +9,14 @@ mod mutants;
 
 use mutants::MUTANTS;
 
-/// Where the copy's modules stand in the package.
+/// Module path of the copy.
 const ENDS: &str = "crate::broken::ends";
 
 fn main() -> io::Result<()> {
     let root = Path::new("../..");
     let out = PathBuf::from(env::var_os("OUT_DIR").unwrap_or_default());
     println!("cargo::rerun-if-changed=build.rs");
-    // The long tests are left out of a build that would make them longer still.
+    // Without optimisation the long tests are left out.
     println!("cargo::rustc-check-cfg=cfg(optimised)");
     if env::var("OPT_LEVEL").is_ok_and(|level| level != "0") {
         println!("cargo::rustc-cfg=optimised");
@@ -25,13 +25,10 @@ fn main() -> io::Result<()> {
 
     let mut files = BTreeMap::new();
     let mcu = root.join("ztl-mcu/src");
-    for name in ["component.rs", "log.rs", "node.rs", "node"] {
+    for name in ["component.rs", "log.rs", "log", "node.rs", "node"] {
         collect(&mcu.join(name), &mut files)?;
     }
-    let gateway = root.join("ztl-link/src");
-    for name in ["session.rs", "session"] {
-        collect(&gateway.join(name), &mut files)?;
-    }
+    collect(&root.join("ztl-link/src"), &mut files)?;
 
     let mut lost = Vec::new();
     for (number, mutant) in MUTANTS.iter().enumerate() {
@@ -57,16 +54,15 @@ fn main() -> io::Result<()> {
          mod component;\npub mod log;\nmod node;\n\
          pub use component::{{Component, Components, Reading, Refused, Report, Run}};\n\
          pub use node::{{Counters, Identity, Node}};\n}}\n\
-         #[path = {:?}]\n/// The gateway's end.\npub mod gateway {{\npub mod session;\n}}\n\
-         pub use gateway::session;\n\
-         /// Mistakes whose place is not found.\npub(crate) const LOST: &[usize] = &{lost:?};\n",
+         #[path = {:?}]\n/// The gateway's end.\npub mod session;\n\
+         /// Mutants whose code is not found.\npub(crate) const LOST: &[usize] = &{lost:?};\n",
         out.join("ztl-mcu/src"),
-        out.join("ztl-link/src"),
+        out.join("ztl-link/src/lib.rs"),
     );
     fs::write(out.join("ends.rs"), modules)
 }
 
-/// Reads a file, or all in a directory, but for tests.
+/// Reads a file, or all files of a directory, without their tests.
 fn collect(path: &Path, files: &mut BTreeMap<PathBuf, String>) -> io::Result<()> {
     println!("cargo::rerun-if-changed={}", path.display());
     if path.file_stem().is_some_and(|name| name == "tests") {
@@ -82,7 +78,7 @@ fn collect(path: &Path, files: &mut BTreeMap<PathBuf, String>) -> io::Result<()>
         return Ok(());
     }
     let text = fs::read_to_string(path)?;
-    // The tests stand at the end.
+    // The tests are at the end.
     let text = text
         .split("#[cfg(test)]\nmod tests")
         .next()
@@ -91,9 +87,9 @@ fn collect(path: &Path, files: &mut BTreeMap<PathBuf, String>) -> io::Result<()>
     Ok(())
 }
 
-/// Puts the switches into a file, and says which mistakes have no place in it.
+/// Adds the switches to a file. Returns the mutants whose code is not found.
 fn break_it(root: &Path, path: &Path, text: &mut String) -> Vec<usize> {
-    // Each place once, with the mistakes that change it.
+    // Each piece of code once, with the mutants that change it.
     let mut places: BTreeMap<&str, (&str, Vec<usize>)> = BTreeMap::new();
     for (number, mutant) in MUTANTS.iter().enumerate() {
         let here = mutant
@@ -117,7 +113,7 @@ fn break_it(root: &Path, path: &Path, text: &mut String) -> Vec<usize> {
     let inside = if path.starts_with(root.join("ztl-mcu")) {
         format!("{ENDS}::mcu::")
     } else {
-        format!("{ENDS}::")
+        format!("{ENDS}::session::")
     };
     *text = text
         .replace("use crate::", &format!("use {inside}"))

@@ -3,9 +3,10 @@
 //! The panic handler of the image `no-panic` calls a function that is never defined, so the image links only
 //! if the compiler finds every panic unreachable.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
-use anyhow::{Result, bail};
+use anyhow::{Result, bail, ensure};
+use xshell::Shell;
 
 use crate::bare::must_fail;
 use crate::cross::{Core, SMALLEST};
@@ -14,11 +15,19 @@ use crate::{image, lock};
 
 const IMAGE: &str = "no-panic";
 
+/// The source of the image.
+const PROOF: &str = "proof/src/bin/no_panic.rs";
+
+/// The ready components, each of which the image must create.
+const COMPONENTS: &str = "ztl-mcu/src/components";
+
 /// Referenced only by the panic handler.
 const SYMBOL: &str = "undefined symbol: a_panic_is_reachable";
 
 pub(crate) fn prove(project: &Project) -> Result<()> {
     lock::check(&project.sh, image::MANIFEST)?;
+    let unproven = unproven(&project.sh)?;
+    ensure!(unproven.is_empty(), "{PROOF} does not create {unproven:?}");
     let core = Core::provide(&project.sh, SMALLEST)?;
     // No other step lints the images. Debian's compiler is not the one that clippy belongs to.
     if let Core::Compiled(_) = core {
@@ -44,6 +53,34 @@ pub(crate) fn prove(project: &Project) -> Result<()> {
     // An image with an indexing that can panic.
     let (build, _) = image::build(project, &core, SMALLEST, IMAGE, "broken")?;
     must_fail(build, SYMBOL)
+}
+
+/// Ready components that the proof's image does not create.
+fn unproven(sh: &Shell) -> Result<Vec<String>> {
+    let proof = sh.read_file(PROOF)?;
+    let mut components = Vec::new();
+    let mut directories = vec![PathBuf::from(COMPONENTS)];
+    while let Some(directory) = directories.pop() {
+        for path in sh.read_dir(&directory)? {
+            if sh.path_exists(path.join(".")) {
+                directories.push(path);
+            } else {
+                components.extend(ready_components(&sh.read_file(&path)?));
+            }
+        }
+    }
+    components.retain(|name| !proof.contains(&format!("{name}::new(")));
+    Ok(components)
+}
+
+/// The names in `impl<...> Component for NAME<...>`, outside of indented test code.
+fn ready_components(source: &str) -> impl Iterator<Item = String> {
+    let impls = source.lines().filter(|line| line.starts_with("impl<"));
+    impls.filter_map(|line| {
+        let (_, name) = line.split_once("> Component for ")?;
+        let (name, _) = name.split_once('<')?;
+        Some(name.to_owned())
+    })
 }
 
 /// Positions of the remaining panics, one per line.
@@ -73,6 +110,22 @@ fn short<'a>(place: &'a str, root: &Path) -> &'a str {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_proof_creates_every_ready_component() {
+        let sh = Shell::new().unwrap();
+        sh.change_dir(concat!(env!("CARGO_MANIFEST_DIR"), "/.."));
+        let unproven = unproven(&sh).unwrap();
+        assert_eq!(unproven, <[&str; 0]>::default(), "add them to {PROOF}");
+    }
+
+    #[test]
+    fn a_ready_component_is_recognized_by_its_impl() {
+        let source =
+            "impl<P: OutputPin> Component for DigitalOutput<P> {\n    impl Component for Fake {}\n";
+        let found: Vec<String> = ready_components(source).collect();
+        assert_eq!(found, ["DigitalOutput"]);
+    }
 
     #[test]
     fn positions_are_shown_without_machine_specific_paths() {

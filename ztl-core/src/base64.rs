@@ -51,7 +51,6 @@ impl core::error::Error for DecodeError {}
 ///
 /// # Errors
 /// [`DecodeError`] if the text is not valid base64 or `buffer` is too small.
-#[cfg_attr(target_os = "none", inline(never))]
 pub fn decode<'b>(text: &[u8], buffer: &'b mut [u8]) -> Result<&'b [u8], DecodeError> {
     let available = buffer.len();
     let mut len = 0;

@@ -1,10 +1,9 @@
-//! A client's rules: which answer is whose, and what no answer means.
+//! The rules of a client: which request a reply answers, and what a missing reply means.
 //!
-//! One request is under way at a time. An INIT is never sent again: when its answer does not come,
-//! the client asks `outcome`, and learns from the server what the answer was, or that the INIT never
-//! came and never will count. Where it cannot learn that (the original's server, a server that was
-//! started anew, no server), the INIT's fate is *unknown*, which is told as such and never as a
-//! state.
+//! One request is pending at a time. An INIT is never sent again. If its reply is missing, the client asks for its
+//! `outcome`: the server repeats the reply, or declares that the INIT never arrived and is void. If the client cannot
+//! learn that (the original's server, a restarted server, no server), the outcome is *unknown* and is reported as such,
+//! never as a state.
 //!
 //! ```
 //! use core::time::Duration;
@@ -18,10 +17,10 @@
 //! let mut body = Vec::new();
 //! let mut sink = |bytes: &[u8]| body.extend_from_slice(bytes);
 //! let envelope = client.request(now, Request::Init, "/lab", None, "open", &mut sink);
-//! // Send the envelope's two frames, an empty one, and the body …
+//! // Send the two frames of the envelope, an empty frame, and the body …
 //! assert_eq!(body, b"/lab;1;-1;open");
 //!
-//! // … the answer comes back in the same envelope.
+//! // … the reply arrives in the same envelope.
 //! let id = Integer::parse("7").expect("a number");
 //! let answer = Answer::Accepted { id, ended: None, text: "opening" };
 //! let heard = client.handle_reply(envelope, &body, b"/lab;1;7;opening");
@@ -34,27 +33,27 @@ mod answer;
 use core::time::Duration;
 
 use crate::Instant;
-use crate::dispatcher::{KEEP_INIT, RESERVED_SCOPE};
+use crate::dispatcher::KEEP_INIT;
 use crate::envelope::{ClientId, Envelope};
 use crate::integer::Integer;
 use crate::lifecycle::{Request, State};
 use crate::message::Message;
-use crate::reply::NEVER_SEEN;
+use crate::reply::{NEVER_SEEN, RESERVED_SCOPE};
 use crate::sink::{Sink, put_decimal};
 
 pub use answer::Answer;
 
-/// What a client knows of the server at the other end of its connection.
+/// What a client knows about its server.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Server {
-    /// Not asked yet.
+    /// Not probed yet.
     Unknown,
-    /// The original, or another that does not know `$ztl`.
+    /// The original, or another server without `$ztl`.
     Original,
-    /// Ours.
+    /// Our server.
     Ours {
-        /// Differs from start to start of the server.
+        /// Changes with each start of the server.
         boot: u32,
     },
 }
@@ -63,27 +62,25 @@ pub enum Server {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Heard<'a> {
-    /// The answer to the request under way; for an INIT also when it was learnt by `outcome`.
+    /// The answer to the pending request, or to an INIT whose outcome was asked for.
     Answer(Answer<'a>),
-    /// The server says that the INIT never came, and it will refuse it if it still does.
+    /// The INIT never arrived, and the server will refuse it if it still does.
     NeverStarted,
-    /// The server cannot say what became of the INIT: it may run.
+    /// The server does not know the outcome of the INIT: its task may run.
     FateUnknown,
-    /// The answer is not a ZTL message. It answers the request all the same: an INIT may have started
-    /// its task.
+    /// The reply is not a ZTL message. It still answers the request: an INIT may have started its task.
     Unreadable,
 }
 
-/// What it means that no answer has come in time.
+/// What a missing reply means.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Late {
-    /// The time has not passed, or nothing is under way.
+    /// The timeout has not passed, or no request is pending.
     NotYet,
-    /// Nobody knows what the server did. For STATUS and ABORT: ask again. For an INIT: it may run.
+    /// It is unknown what the server did. Repeat STATUS and ABORT; the task of an INIT may run.
     NoAnswer,
-    /// An INIT: drop the connection, open another, and send the body that
-    /// [`Client::outcome`] writes.
+    /// For an INIT: drop the connection, open another, and send the body of [`Client::outcome`].
     AskOutcome,
 }
 
@@ -91,7 +88,7 @@ pub enum Late {
 struct Pending {
     number: u64,
     request: Request,
-    /// The INIT whose outcome is asked for.
+    /// The INIT whose outcome is requested.
     outcome_of: Option<u64>,
     probe: bool,
     deadline: Instant,
@@ -99,7 +96,7 @@ struct Pending {
 
 /// A client of any number of scopes of one server, without I/O.
 ///
-/// *Commands*: [`request`](Self::request), [`probe`](Self::probe), [`outcome`](Self::outcome), each
+/// *Commands*: [`request`](Self::request), [`probe`](Self::probe), [`outcome`](Self::outcome); each
 /// writes a body and returns the envelope to send it in. *Inputs*:
 /// [`handle_reply`](Self::handle_reply), [`handle_timeout`](Self::handle_timeout). *Next wake-up*:
 /// [`poll_timeout`](Self::poll_timeout).
@@ -114,22 +111,21 @@ pub struct Client {
     unanswered: Option<Unanswered>,
 }
 
-/// The last INIT, as long as its answer is not known.
+/// The last INIT, while its reply is unknown.
 #[derive(Debug, Clone, Copy)]
 struct Unanswered {
     number: u64,
     sent: Instant,
-    /// What was known of the server when it was sent: only this start of it can say that it never
-    /// came.
+    /// What was known about the server when the INIT was sent. Only that server can know that it never arrived.
     server: Server,
 }
 
-/// How long after an INIT it makes sense to ask for its outcome: a server may have forgotten it
-/// later, and would say that it never came. The rest of its minute is for the question's way.
+/// How long after an INIT the client may ask for its outcome. Later a server may have dropped the record, and would report
+/// that the INIT never arrived. The rest of the minute is for the request's transfer.
 const ASK_WITHIN: Duration = Duration::from_secs(KEEP_INIT.as_secs() - 10);
 
 impl Client {
-    /// A client with a random id, whose requests are answered within `timeout` or not at all.
+    /// A client with a random id, whose requests time out after `timeout`.
     #[must_use]
     pub const fn new(id: ClientId, timeout: Duration) -> Self {
         Self {
@@ -143,13 +139,12 @@ impl Client {
         }
     }
 
-    /// Sets the longest time for an answer.
+    /// Sets the timeout of requests.
     pub const fn set_timeout(&mut self, timeout: Duration) {
         self.timeout = timeout;
     }
 
-    /// Begins a request, about a task or with the INIT's id, and writes its body. A request that
-    /// was under way is given up.
+    /// Starts a request about `task`, or with the id of an INIT, and writes its body. Gives up the pending request.
     pub fn request(
         &mut self,
         now: Instant,
@@ -172,8 +167,8 @@ impl Client {
         self.begin(now, request, None, false)
     }
 
-    /// Begins an INIT as [`request`](Self::request) does; if its task ends within a moment, a server
-    /// of ours tells that in place of the handler's reply.
+    /// Starts an INIT like [`request`](Self::request). If its task ends almost immediately, our servers reply with the
+    /// outcome instead of the handler's reply.
     pub fn init_to_end(
         &mut self,
         now: Instant,
@@ -188,13 +183,13 @@ impl Client {
         }
     }
 
-    /// Asks who the server is. Once per connection is enough.
+    /// Asks for the identity of the server. Once per connection is enough.
     pub fn probe(&mut self, now: Instant, sink: &mut (impl Sink + ?Sized)) -> Envelope {
         put_reserved("probe", sink);
         self.begin(now, Request::Status, None, true)
     }
 
-    /// Asks the server something about itself that is not the protocol's own, as `tasks`.
+    /// Asks the reserved scope a question that is not part of the protocol, such as `tasks`.
     pub fn ask(
         &mut self,
         now: Instant,
@@ -205,10 +200,9 @@ impl Client {
         self.begin(now, Request::Status, None, false)
     }
 
-    /// Asks what became of the last INIT, if its answer is not known: it is late, or still under way,
-    /// or was given up for another request. `None` when it was answered, or was sent so long ago
-    /// that nobody can know: its fate stays unknown. An earlier INIT cannot be asked about: the
-    /// last one settled it.
+    /// Asks for the outcome of the last INIT, if its reply is unknown: late, pending, or given up for another request.
+    /// `None` if it was answered, or was sent so long ago that its outcome stays unknown. The outcome of an earlier INIT
+    /// cannot be requested, because a later INIT settles it.
     pub fn outcome(&mut self, now: Instant, sink: &mut (impl Sink + ?Sized)) -> Option<Envelope> {
         let Unanswered { number, sent, .. } = self.unanswered?;
         if now > sent + ASK_WITHIN {
@@ -219,15 +213,15 @@ impl Client {
         put_u64(number, sink);
         let envelope = self.begin(now, Request::Init, Some(number), false);
         if let Some(pending) = &mut self.pending {
-            // Later the server may have forgotten the INIT, and its word counts no more.
+            // Later the server may have dropped the record, and its answer would mean nothing.
             pending.deadline = pending.deadline.min(sent + KEEP_INIT);
         }
         Some(envelope)
     }
 
-    /// A reply has arrived in this envelope, in which `asked` was sent. `None` when it answers nothing
-    /// that is under way: it is late, or somebody else's. Late is what comes after [`handle_timeout`](Self::handle_timeout):
-    /// call that first, if the time may have come to which [`poll_timeout`](Self::poll_timeout) points.
+    /// Handles a reply in this envelope, in which `asked` was sent. `None` if it does not answer the pending request: it is
+    /// late, or for another client. A reply is late after [`handle_timeout`](Self::handle_timeout); call that first if
+    /// [`poll_timeout`](Self::poll_timeout) may have passed.
     pub fn handle_reply<'a>(
         &mut self,
         envelope: Envelope,
@@ -260,7 +254,7 @@ impl Client {
         Some(Heard::Answer(answer))
     }
 
-    /// The time has come to which [`poll_timeout`](Self::poll_timeout) pointed.
+    /// Call this when [`poll_timeout`](Self::poll_timeout) has passed.
     pub fn handle_timeout(&mut self, now: Instant) -> Late {
         let Some(pending) = self.pending.take_if(|pending| now >= pending.deadline) else {
             return Late::NotYet;
@@ -268,29 +262,29 @@ impl Client {
         match (pending.request, pending.outcome_of) {
             (Request::Init, None) => match self.server {
                 Server::Ours { .. } => Late::AskOutcome,
-                // The original would not know, and an unknown one could have been started anew.
+                // The original does not know outcomes, and an unknown server may have restarted.
                 Server::Original | Server::Unknown => Late::NoAnswer,
             },
-            // Asked again, over another connection.
+            // Asks again, over another connection.
             (_, Some(_)) => Late::AskOutcome,
             _ => Late::NoAnswer,
         }
     }
 
-    /// When the request under way is given up.
+    /// When the pending request times out.
     #[must_use]
     pub fn poll_timeout(&self) -> Option<Instant> {
         self.pending.map(|pending| pending.deadline)
     }
 
-    /// What is known of the server.
+    /// What is known about the server.
     #[must_use]
     pub const fn server(&self) -> Server {
         self.server
     }
 
-    /// The longest message that the server takes, in bytes: a longer one ends the connection, and is not to
-    /// be sent. `None` where it tells none, as the original, which takes any.
+    /// The longest message that the server accepts, in bytes. Do not send a longer one: the server would close the
+    /// connection. `None` if the server reports no limit, like the original.
     #[must_use]
     pub const fn longest_message(&self) -> Option<u32> {
         self.longest
@@ -327,8 +321,7 @@ impl Client {
     }
 
     fn on_outcome<'a>(&mut self, scope: &str, answer: Answer<'a>) -> Heard<'a> {
-        // The original refuses the reserved scope, with an id that ours would give to a refused
-        // INIT.
+        // The original refuses the reserved scope with the id that our servers give a refused INIT.
         if scope != RESERVED_SCOPE || self.server == Server::Original {
             return Heard::FateUnknown;
         }
@@ -338,7 +331,7 @@ impl Client {
         {
             let asked = self.unanswered.take().map(|init| init.server);
             let boot = Integer::parse(boot).ok().and_then(Integer::value);
-            // Another boot id than when it was sent: the server that may have seen it is gone.
+            // With another boot id, the server that may have received the INIT is gone.
             return match asked {
                 Some(Server::Ours { boot: known }) if boot == Some(i64::from(known)) => {
                     Heard::NeverStarted
@@ -346,7 +339,7 @@ impl Client {
                 _ => Heard::FateUnknown,
             };
         }
-        // It cannot say; an answer about the INIT has another id.
+        // The server does not know; an answer about the INIT has another id.
         if let Answer::Refused { id, text } = answer
             && (id == Integer::ZERO || text.starts_with("No controller for scope"))
         {
@@ -367,7 +360,7 @@ fn put_u64(number: u64, sink: &mut (impl Sink + ?Sized)) {
     const BILLION: u64 = 1_000_000_000;
     if number >= BILLION {
         put_u64(number / BILLION, sink);
-        // The rest with its leading zeros.
+        // The last nine digits, with leading zeros.
         let mut digits = [b'0'; 9];
         let mut rest = number % BILLION;
         for digit in digits.iter_mut().rev() {
@@ -380,7 +373,7 @@ fn put_u64(number: u64, sink: &mut (impl Sink + ?Sized)) {
     }
 }
 
-/// Who answered a probe so.
+/// The server that sent this answer to a probe.
 fn server(answer: &Answer<'_>) -> Server {
     let boot = match answer {
         Answer::Task {
@@ -392,8 +385,7 @@ fn server(answer: &Answer<'_>) -> Server {
     boot.map_or(Server::Original, |boot| Server::Ours { boot })
 }
 
-/// What a server of ours tells of the longest message that it takes, before its scopes: their names could
-/// read like that, too.
+/// The longest message that our server accepts. It is written before the scopes, whose names could contain the same text.
 fn longest(answer: &Answer<'_>, server: Server) -> Option<u32> {
     if !matches!(server, Server::Ours { .. }) {
         return None;
@@ -411,7 +403,7 @@ fn number_after<const N: usize>(text: &str, key: &[u8; N]) -> Option<u32> {
     u32::try_from(number).ok()
 }
 
-/// Where it stands first. By bytes, since of `str::find` the compiler cannot see that it never panics.
+/// Position of the first match. By bytes, because the compiler cannot remove the panic branch of `str::find`.
 fn position<const N: usize>(text: &str, key: &[u8; N]) -> Option<usize> {
     let mut windows = text.as_bytes().windows(N);
     windows.position(|window| window == key)

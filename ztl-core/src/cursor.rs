@@ -1,11 +1,8 @@
 //! A position in a text.
 
-use crate::is_blank;
+use crate::text::is_blank;
 
 /// A text and a reading position.
-///
-/// In firmware the methods are not inlined, because a call is smaller. Elsewhere they are, because that is
-/// faster.
 #[derive(Clone, Copy)]
 pub(crate) struct Cursor<'a> {
     text: &'a str,
@@ -32,7 +29,6 @@ impl<'a> Cursor<'a> {
     }
 
     /// The byte `bytes` ahead; 0 past the end, like a NUL in the text.
-    #[cfg_attr(target_os = "none", inline(never))]
     pub(crate) fn ahead(&self, bytes: usize) -> u8 {
         let at = self.at.wrapping_add(bytes);
         self.text.as_bytes().get(at).copied().unwrap_or(0)
@@ -44,7 +40,6 @@ impl<'a> Cursor<'a> {
     }
 
     /// Consumes the next byte if it is `byte`, and returns whether it was.
-    #[cfg_attr(target_os = "none", inline(never))]
     pub(crate) fn take(&mut self, byte: u8) -> bool {
         let there = self.peek() == byte;
         self.at += usize::from(there);
@@ -61,7 +56,6 @@ impl<'a> Cursor<'a> {
     }
 
     /// Skips whitespace and returns the next byte without consuming it.
-    #[cfg_attr(target_os = "none", inline(never))]
     pub(crate) fn skip_blanks(&mut self) -> u8 {
         while is_blank(self.peek()) {
             self.at += 1;

@@ -29,199 +29,30 @@
 //! ```
 
 mod answers;
+mod config;
 mod inits;
+mod interface;
 mod reserved;
+mod state;
+
+pub use config::{Config, EARLY, HOLD, KEEP, KEEP_INIT, LONGEST_WAIT};
+pub use interface::{Action, Body, TaskEvent};
+pub use state::Dispatcher;
 
 use core::time::Duration;
 
 use crate::envelope::Envelope;
-use crate::integer::Integer;
 use crate::lifecycle::{Event, Request, State};
-use crate::memory::{Awaited, Memory, Scope, Waiter};
+use crate::memory::{Awaited, Memory, Waiter};
 use crate::message::Message;
-use crate::reply::{Reply, ReplyId, Text};
+pub use crate::reply::{NOTHING_KNOWN, UNKNOWN_END};
+use crate::reply::{RESERVED_SCOPE, Reply, ReplyId, ReplyText};
 use crate::tasks::{TaskOf, TaskRules, Tasks};
+use crate::text::valid_start;
 use crate::time::micros;
-use crate::{Instant, TaskId, valid_start};
-
-/// How long the reply to an INIT or ABORT is held at most: less than the 2 s timeout of the original's
-/// client.
-pub const HOLD: Duration = Duration::from_millis(1500);
-
-/// How long a STATUS may ask its reply to be held, for the same reason.
-pub const LONGEST_WAIT: Duration = Duration::from_millis(LONGEST_WAIT_MS);
-const LONGEST_WAIT_MS: u64 = 1999;
-
-/// Default for [`Config::early`]: about one round trip.
-pub const EARLY: Duration = Duration::from_millis(3);
-
-/// Default for [`Config::keep`].
-pub const KEEP: Duration = Duration::from_secs(3600);
-
-/// How long the reply to an INIT is kept for deduplication, from the moment it is sent.
-pub const KEEP_INIT: Duration = Duration::from_secs(60);
-
-/// The scope reserved for the protocol itself.
-pub const RESERVED_SCOPE: &str = "$ztl";
-
-/// Python's `None`: the original's text while no progress is known.
-pub const NOTHING_KNOWN: &str = "None";
-
-/// Begins the reason of a FAILED task whose end cannot be learned, such as one that was forwarded to
-/// a server that was restarted: the task may still run. Clients take it for an unknown outcome
-/// ([`Answer::UnknownEnd`](crate::client::Answer::UnknownEnd)).
-pub const UNKNOWN_END: &str = "unknown: ";
-
-/// What may be chosen about a dispatcher.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[non_exhaustive]
-pub struct Config {
-    /// The first task id. Choose it at random (1 to 2^30), so that an id from before a restart does not name
-    /// another task.
-    pub first: TaskId,
-    /// Changes with each start, so that clients detect a restart; reported by `$ztl`.
-    pub boot: u32,
-    /// How long a reply is held at most. Defaults to [`HOLD`].
-    pub hold: Duration,
-    /// How long the reply to an INIT waits for a final state if the client asks for it. Defaults to
-    /// [`EARLY`].
-    pub early: Duration,
-    /// How long an ended task is kept, from its end, if [ended tasks expire](Memory::ENDS_EXPIRE). Defaults
-    /// to [`KEEP`].
-    pub keep: Duration,
-}
-
-impl Config {
-    /// The default settings.
-    #[must_use]
-    #[cfg_attr(target_os = "none", inline(always))]
-    pub const fn new(first: TaskId, boot: u32) -> Self {
-        Self {
-            first,
-            boot,
-            hold: HOLD,
-            early: EARLY,
-            keep: KEEP,
-        }
-    }
-}
-
-/// The body of a request, as received over ZeroMQ.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub enum Body<'a> {
-    /// One frame, as every client sends it.
-    One(&'a [u8]),
-    /// Several frames, which is invalid (wire specification 2.4).
-    Several,
-}
-
-/// An action for a scope's handler, which reports back through [`handle_event`](Dispatcher::handle_event).
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub enum Action<'a> {
-    /// Start this task, or reject it.
-    Start {
-        /// The id assigned to it.
-        id: TaskId,
-        /// The scope it was sent to.
-        scope: Scope,
-        /// The INIT's payload, unchanged.
-        payload: &'a str,
-    },
-    /// Abort this task, or refuse to.
-    Abort {
-        /// The task.
-        id: TaskId,
-        /// The scope it runs in.
-        scope: Scope,
-    },
-}
-
-/// A handler's report about a task. The dispatcher ignores reports that can no longer change anything: a
-/// second final state, progress after it.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub enum TaskEvent<'a> {
-    /// The task is accepted; `reply` answers the INIT.
-    Accepted {
-        /// Text for the client.
-        reply: &'a str,
-    },
-    /// The task is rejected; nothing was done.
-    Rejected {
-        /// What is wrong, and what would be right.
-        reason: &'a str,
-    },
-    /// The task is rejected in the form in which the original reports an exception of its controller (case
-    /// H): state 3 and `Controller threw exception: …`.
-    Threw {
-        /// The exception's message.
-        message: &'a str,
-    },
-    /// Progress; a later one replaces it.
-    Progress {
-        /// Text for the client.
-        text: &'a str,
-    },
-    /// The goal is reached.
-    Completed {
-        /// The result.
-        result: &'a str,
-    },
-    /// The goal will not be reached.
-    Failed {
-        /// The cause.
-        reason: &'a str,
-    },
-    /// The task has stopped as requested.
-    Aborted {
-        /// Where or why it stopped.
-        result: &'a str,
-    },
-    /// The task cannot be aborted and continues.
-    AbortRefused,
-}
-
-/// The rules of a server, over any [`Memory`].
-///
-/// *Inputs*: [`handle_request`](Self::handle_request), [`handle_event`](Self::handle_event),
-/// [`handle_timeout`](Self::handle_timeout). *Outputs*: replies through the `out` argument, immediately or
-/// later, and an [`Action`] for the handler. *Next wake-up*: [`poll_timeout`](Self::poll_timeout); ask again
-/// after each input.
-///
-/// For each reply that it sends and each task that it drops, a call searches the held replies, the tasks and
-/// the stored INITs. `probe` and other questions write what the memory holds. So the memory's capacities
-/// bound the work; a memory with indexes makes the searches short.
-// This order of fields gives the shortest code on a Cortex-M0.
-#[derive(Debug)]
-#[repr(C)]
-pub struct Dispatcher<M> {
-    /// Time of the current input.
-    now: Instant,
-    /// The durations of [`Config`] in microseconds, converted once.
-    hold: u64,
-    early: u64,
-    keep: u64,
-    boot: u32,
-    next: Option<TaskId>,
-    memory: M,
-}
-
-/// A request in progress: its reply is a rejection until a rule replaces it.
-///
-/// The rules fill in one shared value, because returning values costs flash on a Cortex-M0.
-struct Asked<'r, 'a> {
-    envelope: Option<&'r Envelope>,
-    /// Number from which on an INIT of this client is new, if the client has no record.
-    new_from: u64,
-    /// The reply, unless the request waits.
-    reply: Reply<'r>,
-    /// The reply waits for this event of this task, until `deadline`.
-    wait: Option<(TaskId, Awaited)>,
-    deadline: Instant,
-    action: Option<Action<'a>>,
-}
+use crate::{Instant, TaskId};
+use config::LONGEST_WAIT_MS;
+use state::{Asked, argument};
 
 impl<M: Memory> Dispatcher<M> {
     /// Creates a dispatcher over `memory`.
@@ -260,7 +91,7 @@ impl<M: Memory> Dispatcher<M> {
     /// Like [`handle_request`](Self::handle_request), for firmware that has already validated the body, which
     /// saves a table of 0.5 KiB: the longest valid UTF-8 prefix, and whether that is the whole body. A body
     /// of several frames is an empty text.
-    // Not inlined in firmware, so that its stack is free when a task starts.
+    // Not inlined in firmware, so that its stack space is free when a task starts.
     #[cfg_attr(target_os = "none", inline(never))]
     pub fn handle_text<'a>(
         &mut self,
@@ -401,7 +232,7 @@ impl<M: Memory> Dispatcher<M> {
         self.next
     }
 
-    /// What is remembered.
+    /// The stored tasks, held replies and INITs.
     pub fn memory(&self) -> &M {
         &self.memory
     }
@@ -437,11 +268,11 @@ impl<M: Memory> Dispatcher<M> {
         if message.scope == RESERVED_SCOPE {
             return self.on_reserved(request, message.payload, asked, out);
         }
-        reply.text = Text::UnknownScope;
+        reply.text = ReplyText::UnknownScope;
         let Some(scope) = self.memory.scope(message.scope) else {
             return;
         };
-        reply.text = Text::Invalid;
+        reply.text = ReplyText::Invalid;
         let (Ok(_), Ok(id)) = (code, message.number()) else {
             return;
         };
@@ -453,8 +284,8 @@ impl<M: Memory> Dispatcher<M> {
             return;
         };
         reply.text = match self.memory.names_unknown_ids(scope) {
-            true => Text::UnknownId,
-            false => Text::UnknownIdAlone,
+            true => ReplyText::UnknownId,
+            false => ReplyText::UnknownIdAlone,
         };
         let number = u32::try_from(id.natural()).ok();
         let Some(id) = number.and_then(TaskId::new) else {
@@ -476,7 +307,7 @@ impl<M: Memory> Dispatcher<M> {
         let ended = task.state.is_final();
         if request == Request::Abort {
             // A final state never changes; `False` is how the original says "not aborted".
-            reply.text = Text::False;
+            reply.text = ReplyText::False;
             if !ended {
                 asked.wait = Some((id, Awaited::Abort));
                 asked.action = Some(Action::Abort { id, scope });
@@ -490,12 +321,6 @@ impl<M: Memory> Dispatcher<M> {
             asked.deadline = self.now.after(u64::from(wait * 1000));
         }
     }
-}
-
-/// The number after `word` in a payload.
-fn argument(payload: &str, word: &str) -> Option<u64> {
-    let number = Integer::parse(payload.strip_prefix(word)?).ok()?.natural();
-    (number != u64::MAX).then_some(number)
 }
 
 #[cfg(test)]

@@ -5,7 +5,7 @@
 //! never takes a late reply for the next one, and our server can deduplicate requests.
 
 /// Prefix of the first frame.
-pub const MARK: [u8; 4] = *b"ztl1";
+const MARK: [u8; 4] = *b"ztl1";
 
 /// The bit of the second frame that carries [`Envelope::early_end`].
 const EARLY_END: u64 = 1 << 63;

@@ -1,7 +1,7 @@
 //! Integers as Python's `int()` reads them (wire specification 3.4).
 
-use crate::is_blank;
 use crate::sink::Sink;
+use crate::text::is_blank;
 
 /// Most digits accepted: Python's own limit (`sys.int_info.default_max_str_digits`).
 pub const MAX_DIGITS: usize = 4300;
@@ -113,7 +113,6 @@ impl<'a> Integer<'a> {
 
     /// The value if it is between 0 and 2^63 - 1, else `u64::MAX`: cheaper to return than an `Option` on a
     /// Cortex-M0.
-    #[cfg_attr(target_os = "none", inline(never))]
     pub(crate) fn natural(self) -> u64 {
         match self.magnitude() {
             Some(number) if number >> 63 == 0 && !self.is_negative() => number,

@@ -72,18 +72,6 @@ pub enum State {
     Completed = 5,
 }
 
-/// A party that sends signals about a task.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub enum Party {
-    /// Requests the task, and may request to abort it.
-    Client,
-    /// Decides whether to accept it.
-    Server,
-    /// Executes it and reports the final state.
-    Handler,
-}
-
 /// An event in the life of a task.
 // The discriminant is the code of the state it leads to, which saves a table in flash.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -110,15 +98,6 @@ impl Event {
         Self::Fail,
         Self::Abort,
     ];
-
-    /// Which party reports this event. A client never does: its [`Request`]s change no state by themselves.
-    #[must_use]
-    pub const fn said_by(self) -> Party {
-        match self {
-            Self::Accept | Self::Reject => Party::Server,
-            Self::Complete | Self::Fail | Self::Abort => Party::Handler,
-        }
-    }
 }
 
 impl State {
@@ -236,24 +215,6 @@ mod tests {
             assert_eq!(state.is_final(), state.code() > 1);
             let closed = Event::ALL.into_iter().all(|e| state.after(e).is_none());
             assert_eq!(state.is_final(), closed, "{state}");
-        }
-    }
-
-    #[test]
-    fn the_server_decides_and_the_handler_ends() {
-        for state in State::ALL {
-            for event in Event::ALL {
-                let Some(after) = state.after(event) else {
-                    continue;
-                };
-                let decides = after == State::Accepted || after == State::Rejected;
-                let expected = if decides {
-                    Party::Server
-                } else {
-                    Party::Handler
-                };
-                assert_eq!(event.said_by(), expected, "{state} {event:?}");
-            }
         }
     }
 

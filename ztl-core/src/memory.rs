@@ -204,9 +204,7 @@ struct Heard<P> {
 /// To make room for an INIT, it evicts a record whose client has the reply, or which was rejected or void.
 /// After that, an INIT from a client without a record counts as new only if its number is higher than every
 /// number heard from that client (`docs/protocol.md`, 9.5).
-// The largest field comes last: a Cortex-M0 reaches the first ones with shorter code.
 #[derive(Debug)]
-#[repr(C)]
 pub struct Fixed<P, const SCOPES: usize, const TASKS: usize, const TEXT: usize, const HELD: usize> {
     scopes: [&'static str; SCOPES],
     /// Until when an INIT that was evicted or found no room can arrive again.

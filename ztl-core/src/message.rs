@@ -5,7 +5,7 @@
 
 use crate::integer::{Integer, ParseIntegerError};
 use crate::sink::{BufferTooSmall, Sink, SliceSink};
-use crate::{split_at_mark, valid_start};
+use crate::text::{split_at_mark, valid_start};
 
 /// A message as a view of its bytes. Numbers stay text until needed, because the scope decides how a bad one
 /// is answered.
@@ -46,7 +46,6 @@ pub enum ParseError<'a> {
 impl<'a> ParseError<'a> {
     /// The first field as far as it could be read, else empty. The reply repeats it.
     #[must_use]
-    #[cfg_attr(target_os = "none", inline(always))]
     pub fn scope(&self) -> &'a str {
         match *self {
             Self::NotUtf8 { scope, .. } => scope.unwrap_or_default(),
@@ -83,7 +82,7 @@ impl<'a> Message<'a> {
     ///
     /// # Errors
     /// See [`parse`](Self::parse).
-    pub fn parse_text(text: &'a str, whole: bool) -> Result<Self, ParseError<'a>> {
+    pub(crate) fn parse_text(text: &'a str, whole: bool) -> Result<Self, ParseError<'a>> {
         let first = split_at_mark(text, ';');
         if !whole {
             let scope = first.map(|(scope, _)| scope);

@@ -1,12 +1,24 @@
 //! Replies as views of what is stored; nothing is copied before it is written.
 
+use crate::TaskId;
 use crate::integer::Integer;
 use crate::lifecycle::State;
 use crate::sink::{Sink, put_decimal};
-use crate::{TaskId, split_at_mark};
+use crate::text::split_at_mark;
 
 /// Prefix of the reply to `outcome` for an INIT that never arrived; the boot id follows.
-pub const NEVER_SEEN: &str = "never seen since boot ";
+pub(crate) const NEVER_SEEN: &str = "never seen since boot ";
+
+/// The scope reserved for the protocol itself.
+pub(crate) const RESERVED_SCOPE: &str = "$ztl";
+
+/// Python's `None`: the original's text while no progress is known.
+pub const NOTHING_KNOWN: &str = "None";
+
+/// Begins the reason of a FAILED task whose end cannot be learned, such as one that was forwarded to
+/// a server that was restarted: the task may still run. Clients take it for an unknown outcome
+/// ([`Answer::UnknownEnd`](crate::client::Answer::UnknownEnd)).
+pub const UNKNOWN_END: &str = "unknown: ";
 
 /// Why a request never reaches a handler; servers log it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -23,7 +35,7 @@ macro_rules! texts {
     ($($name:ident => $text:expr,)*) => {
         /// Every reply text; the wording is in [`template`](Self::template).
         #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-        pub(crate) enum Text {
+        pub(crate) enum ReplyText {
             $($name,)*
         }
 
@@ -60,7 +72,7 @@ texts! {
     InvalidReserved => "Invalid request: $ztl takes STATUS with the payload 'probe' or 'outcome N'",
 }
 
-impl Text {
+impl ReplyText {
     /// The text with placeholders for parts of the [`Reply`]: `@` the scope, `!` the state, `#` the id, `^`
     /// the boot id, `%` the variable part.
     pub(crate) fn template(self) -> &'static str {
@@ -78,7 +90,7 @@ pub struct Reply<'a> {
     pub(crate) scope: &'a str,
     pub(crate) state: State,
     pub(crate) id: ReplyId<'a>,
-    pub(crate) text: Text,
+    pub(crate) text: ReplyText,
     pub(crate) words: Words<'a>,
     /// Changes with each start of the server.
     pub(crate) boot: u32,
@@ -111,7 +123,7 @@ impl<'a> Reply<'a> {
             scope: "",
             state: State::Rejected,
             id: ReplyId::Asked(Integer::MINUS_ONE),
-            text: Text::UnknownProtocol,
+            text: ReplyText::UnknownProtocol,
             words: Words::Said(""),
             boot,
         }
@@ -119,13 +131,11 @@ impl<'a> Reply<'a> {
 
     /// Sets the text to what a handler said.
     pub(crate) fn say(&mut self, words: &'a str) {
-        self.text = Text::Words;
+        self.text = ReplyText::Words;
         self.words = Words::Said(words);
     }
 
     /// Turns this into the reply to the INIT of `task`: accepted, or rejected with another state.
-    // Not inlined in firmware: it has several callers.
-    #[cfg_attr(target_os = "none", inline(never))]
     pub(crate) fn decide(&mut self, told: State, task: TaskId, words: &'a str) {
         self.state = told;
         self.say(words);
@@ -134,7 +144,7 @@ impl<'a> Reply<'a> {
             self.id = ReplyId::Asked(Integer::MINUS_ONE);
         }
         if told == State::Failed {
-            self.text = Text::Threw;
+            self.text = ReplyText::Threw;
         }
     }
 
@@ -142,8 +152,8 @@ impl<'a> Reply<'a> {
     #[must_use]
     pub fn refusal_of(&self) -> Option<RefusalOf> {
         match self.text {
-            Text::UnknownProtocol => Some(RefusalOf::Protocol),
-            Text::UnknownScope => Some(RefusalOf::Scope),
+            ReplyText::UnknownProtocol => Some(RefusalOf::Protocol),
+            ReplyText::UnknownScope => Some(RefusalOf::Scope),
             _ => None,
         }
     }

@@ -37,7 +37,7 @@ pub fn put_quoted(text: &str, sink: &mut (impl Sink + ?Sized)) {
 
 /// Like [`put_quoted`], but escapes only unprintable ASCII: the table of other unprintable characters takes
 /// 2 KiB of flash. Works on bytes, which saves 0.3 KiB on a Cortex-M0.
-pub fn put_quoted_small(text: &str, sink: &mut (impl Sink + ?Sized)) {
+pub(crate) fn put_quoted_small(text: &str, sink: &mut (impl Sink + ?Sized)) {
     put_in_quotes(text, quote(text), sink);
 }
 
@@ -46,8 +46,6 @@ pub(crate) fn put_yaml_small(text: &str, sink: &mut (impl Sink + ?Sized)) {
     put_in_quotes(text, b'"', sink);
 }
 
-// Not inlined in firmware: it has two callers.
-#[cfg_attr(target_os = "none", inline(never))]
 fn put_in_quotes(text: &str, quote: u8, sink: &mut (impl Sink + ?Sized)) {
     sink.put(&[quote]);
     // Start of the part that is not written yet.

@@ -3,10 +3,11 @@
 use crate::base64;
 use crate::repr::{put_quoted, put_quoted_small};
 use crate::sink::{BufferTooSmall, Sink, SliceSink};
-use crate::{TaskId, sink, split_at_mark, valid_start};
+use crate::text::{split_at_mark, valid_start};
+use crate::{TaskId, sink};
 
 /// Separates the three parts. A goal may contain it; handler and component may not.
-pub const SEPARATOR: char = ':';
+pub(crate) const SEPARATOR: char = ':';
 
 /// A task specification: which handler acts, with which component, towards which goal.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -65,7 +66,6 @@ impl<'a> TaskSpec<'a> {
     ///
     /// # Errors
     /// [`SpecError::NoComponent`] or [`SpecError::NoGoal`] if there are fewer.
-    #[cfg_attr(target_os = "none", inline(always))]
     pub fn split(text: &'a str) -> Result<Self, SpecError> {
         let (handler, rest) = split_at_mark(text, SEPARATOR).ok_or(SpecError::NoComponent)?;
         let (component, goal) = split_at_mark(rest, SEPARATOR).ok_or(SpecError::NoGoal)?;

@@ -67,7 +67,6 @@ impl<const N: usize> Text for heapless::String<N> {
 
 /// Appends as much of `text` as fits, in whole characters, and `…` if it had to be cut. Returns whether it
 /// was.
-#[cfg_attr(target_os = "none", inline(never))]
 pub fn push_cut(kept: &mut heapless::string::StringView, text: &str) -> bool {
     let room = kept.capacity().saturating_sub(CUT.len());
     let fitting = text.floor_char_boundary(room.saturating_sub(kept.len()));

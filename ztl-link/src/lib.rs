@@ -1,8 +1,21 @@
 //! The gateway's end of the link to a microcontroller, without I/O.
 //!
-//! `docs/link.md` is the link's specification. What a node needs of it is in `ztl-core`; what is here
-//! needs an allocator.
+//! `docs/link.md` specifies the link. The parts that both ends share are in `ztl_core::link`; this crate needs an
+//! allocator.
 
+mod device;
+mod event;
+mod journal;
+mod outcome;
+mod receive;
+mod send;
 mod session;
+mod state;
+mod statistics;
+mod task;
 
-pub use session::*;
+pub use device::{ComponentInfo, DeviceInfo};
+pub use event::LinkEvent;
+pub use journal::{Entry, Restored, Sent, SessionJournal};
+pub use state::Session;
+pub use statistics::{LinkCounters, RoundTrips};

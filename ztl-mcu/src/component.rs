@@ -1,4 +1,4 @@
-//! What moves: the part of a node that its firmware provides.
+//! What moves: the part of a node that the firmware provides.
 
 use core::time::Duration;
 
@@ -8,108 +8,109 @@ use ztl_core::link::Offer;
 use ztl_core::sink::{Sink, SliceSink, put_fixed};
 use ztl_core::tasks::push_cut;
 
-/// How a component's task goes.
+/// The state of a component's task.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Run {
-    /// Under way; the report is where it is now.
+    /// The task runs; the report is its progress.
     Running,
-    /// The goal will not be reached; the report says why.
+    /// The goal will not be reached; the report is the reason.
     Failed,
-    /// Stopped after [`Component::abort`]; the report is where.
+    /// The task stopped after [`Component::abort`]; the report says where.
     Aborted,
     /// The goal is reached; the report is the result.
     Completed,
 }
 
-/// The component does not take the goal; why stands in the report.
+/// The component refuses the goal; the report says why.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Refused;
 
-/// What [`Component::poll_reading`] wrote.
+/// A reading that [`Component::poll_reading`] wrote.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Reading {
-    /// Which of the topics in the component's offer, from 0.
+    /// Index of the topic in the component's offer.
     pub topic: u8,
-    /// How many bytes of the buffer it takes.
+    /// Length of the reading in bytes.
     pub len: usize,
 }
 
-/// Something that carries out one task at a time.
+/// A part that carries out one task at a time.
 ///
-/// The node calls `check` for each task that comes; `start` for one that may begin; then `poll`, whenever
-/// `poll_timeout` asked for it, until it says other than [`Run::Running`]; `abort`, `make_safe` and
-/// `poll_reading` at any time. No call may block: each is made from the main loop, between two bytes
-/// of the link.
+/// The node calls `check` for each task that arrives and `start` for one that may begin. It then calls `poll`
+/// when `poll_timeout` asks for it, until `poll` returns something other than [`Run::Running`]. It calls
+/// `abort`, `make_safe` and `poll_reading` at any time. No call may block, because the main loop makes each
+/// of them between two bytes of the link.
 ///
-/// **A second task** is the node's affair; no two ever move one component. What becomes of it the
-/// offer says ([`Busy`](ztl_core::link::Busy)):
-/// - *Refuse*: it is refused, `busy with another task`.
-/// - *Queue* of n: it is checked, accepted, and waits with at most n - 1 others; its goal has at most 48
-///   bytes. When the one that runs has ended, the lowest id begins. If `start` refuses it then, it ends as
-///   FAILED with that reason.
-/// - *Replace*: it is checked, accepted, and waits until the one that runs has stopped after `abort`,
-///   which then ends as ABORTED, `replaced by a later task`. A third one replaces the one that waits.
+/// **A second task.** The node never runs two tasks on one component. The offer chooses what happens to the
+/// second one ([`Busy`](ztl_core::link::Busy)):
+/// - *Refuse*: the node refuses it with `busy with another task`.
+/// - *Queue(n)*: the node checks and accepts it. It waits with at most n - 1 others, and its goal has at most
+///   48 bytes. When the running task has ended, the task with the lowest id begins. If `start` then refuses
+///   it, it ends as FAILED with that reason.
+/// - *Replace*: the node checks and accepts it, and aborts the running task, which ends as ABORTED with
+///   `replaced by a later task`. The new task begins when the old one has stopped. A third task replaces the
+///   waiting one.
 ///
-/// An abort of a task that waits ends it at once as ABORTED, `aborted before it began`.
+/// An abort ends a waiting task at once as ABORTED with `aborted before it began`.
 ///
-/// **When the link is lost** ([`Loss`](ztl_core::link::Loss)), a component with *abort* or *hold* goes to its safe
-/// state, whether it has a task or not: a relay that was switched on and whose task has ended goes off. The node calls
-/// `make_safe`, then `poll` until it says other than [`Run::Running`], which means that the safe state is reached. All
-/// tasks of the component end as FAILED, `link was lost`: one that waits at once, one that runs when the component
-/// is safe. With *carry on* nothing happens: tasks go on, also those that wait. **In an emergency stop** every component
-/// goes to its safe state in the same way, and all tasks end as ABORTED, `emergency stop`. A component that is not in its
-/// safe state yet takes no task.
+/// **When the link is lost** ([`Loss`](ztl_core::link::Loss)), a component with *abort* or *hold* goes to its
+/// safe state, with or without a task: a relay that an earlier task switched on goes off. The node calls
+/// `make_safe`, then `poll` until it returns something other than [`Run::Running`], which means that the safe
+/// state is reached. All tasks of the component end as FAILED with `link was lost`: a waiting one at once, the
+/// running one when the component is safe. With *carry on* nothing changes, and waiting tasks still begin.
+///
+/// **In an emergency stop** every component goes to its safe state in the same way, and all tasks end as
+/// ABORTED with `emergency stop`. A component takes no task until it has reached its safe state.
 pub trait Component {
-    /// What it is and which goals it takes; told to the gateway once a session. Must not change.
+    /// Describes the component and its goals. The gateway asks once a session. Must not change.
     fn offer(&self) -> Offer<'_>;
 
-    /// Whether it takes this goal; moves nothing. Called for every task before it is accepted, also
-    /// for one that has to wait.
+    /// Checks a goal without moving anything. Called before a task is accepted, also for one that will wait.
     ///
     /// # Errors
-    /// [`Refused`], and in `why` what is wrong with the goal and what would be right, for the person
-    /// who wrote it. The gateway adds the goal itself.
+    /// [`Refused`]. `why` tells the person who wrote the goal what is wrong and what would be right. The
+    /// gateway adds the goal itself.
     fn check(&self, goal: &str, why: &mut Report<'_>) -> Result<(), Refused>;
 
-    /// Begins a task, whose goal was checked. Called only while none runs, and after `make_safe` only once the safe
-    /// state is reached.
+    /// Starts a task whose goal was checked. Called only while no task runs, and after `make_safe` only when
+    /// the safe state is reached.
     ///
     /// # Errors
-    /// [`Refused`], and in `why` the reason; nothing has moved then.
+    /// [`Refused`], with the reason in `why`. Nothing has moved.
     fn start(&mut self, now: Instant, goal: &str, why: &mut Report<'_>) -> Result<(), Refused>;
 
-    /// Moves the task on and reports. After anything but [`Run::Running`] the task is over.
+    /// Advances the task and reports its progress. Any result but [`Run::Running`] ends the task.
     ///
-    /// After `make_safe` also called without a task: [`Run::Running`] says that the safe state is not reached yet, anything
-    /// else that it is. It may then be called some more times, and must leave the component safe.
+    /// After `make_safe` the node also calls it without a task: [`Run::Running`] means that the safe state is
+    /// not reached yet. It may be called again after that, and must leave the component safe.
     fn poll(&mut self, now: Instant, report: &mut Report<'_>) -> Run;
 
-    /// Stops the task as soon as it is safe; a later `poll` says [`Run::Aborted`] (or how else it
-    /// ended).
+    /// Stops the task as soon as it is safe. A later `poll` returns [`Run::Aborted`], or how else it ended.
     fn abort(&mut self, now: Instant);
 
-    /// Goes to the safe state, with or without a task: the link was lost, or an emergency stop. For
-    /// [`Loss::Hold`](ztl_core::link::Loss::Hold) that is to keep the position under power. What cannot be done at once, such
-    /// as slowing down, goes on in `poll`, which is called until it says other than [`Run::Running`]. Do not go on with
-    /// the task: it ends then, whatever `poll` says.
+    /// Goes to the safe state, with or without a task: the link was lost, or there is an emergency stop. For
+    /// [`Loss::Hold`](ztl_core::link::Loss::Hold) that means to keep the position under power.
+    ///
+    /// What takes time, such as slowing down, continues in `poll` until it returns something other than
+    /// [`Run::Running`]. Do not continue the task: it ends whatever `poll` returns.
     fn make_safe(&mut self, now: Instant);
 
-    /// When `poll` is to be called next, asked after each `poll` of a task; and when `poll_reading` is, if the offer
-    /// names topics and there was no reading. With [`Instant::NEVER`] only an abort, the loss of the link or an emergency
-    /// stop brings the next `poll`. Default: after 10 ms.
+    /// When to call `poll` next; the node asks after each `poll` of a task. Also when to call `poll_reading`,
+    /// if the offer names topics and there was no reading. With [`Instant::NEVER`] only an abort, the loss of
+    /// the link or an emergency stop causes the next `poll`. Defaults to 10 ms from now.
     fn poll_timeout(&self, now: Instant) -> Instant {
         now + Duration::from_millis(10)
     }
 
-    /// The next reading to be published, if one is due and fits: writes it into `buffer`.
+    /// Writes the next reading into `buffer`, if one is due and fits. Defaults to `None`.
     ///
-    /// Called when the line has room, after a reading not before the
-    /// [least time between two](crate::Identity::reading_interval) has passed. The buffer is always as long as the longest
-    /// reading that fits into a frame, [`Node::LONGEST_READING`](crate::Node::LONGEST_READING): drop a longer one, which can
-    /// never be sent. Default: none.
+    /// Called when the line is free, at most once per
+    /// [`reading_interval`](crate::Identity::reading_interval). The buffer has room for the longest reading
+    /// that fits a frame, [`Node::LONGEST_READING`](crate::Node::LONGEST_READING). Drop a longer reading,
+    /// because it can never be sent.
     fn poll_reading(&mut self, now: Instant, buffer: &mut [u8]) -> Option<Reading> {
         let _ = (now, buffer);
         None
@@ -150,18 +151,18 @@ impl<T: Component + ?Sized> Component for &mut T {
     }
 }
 
-/// All that a node moves: an array of components of one type, a tuple of up to six types, or a
-/// mutable reference to either or to a slice, as `&mut [&mut dyn Component]`.
+/// The components of a node: an array of one type, a tuple of up to six types, or a mutable reference to
+/// either or to a slice, such as `&mut [&mut dyn Component]`.
 ///
-/// Their order is their number on the link.
+/// Their order gives their index on the link.
 pub trait Components {
-    /// How many; at most 255 can be used.
+    /// Number of components; the first 255 are used.
     fn count(&self) -> usize;
 
-    /// The component of this number.
+    /// The component with this index.
     fn component(&self, index: usize) -> Option<&dyn Component>;
 
-    /// The component of this number, to be moved.
+    /// The component with this index, mutable.
     fn component_mut(&mut self, index: usize) -> Option<&mut dyn Component>;
 }
 
@@ -240,10 +241,10 @@ tuples! {
     6: A 0, B 1, C 2, D 3, E 4, F 5;
 }
 
-/// Where a component writes its progress, result, or reason to refuse; of fixed length.
+/// A component's progress, result, or reason for a refusal, in a buffer of fixed length.
 ///
-/// What does not fit is cut, and `…` marks the cut; for the mark the last 3 bytes are kept free. It starts empty at each
-/// call.
+/// Text that does not fit is cut and ends in `…`; the last 3 bytes are reserved for that mark. Each call starts
+/// with an empty report.
 #[derive(Debug)]
 pub struct Report<'a> {
     text: &'a mut StringView,
@@ -251,20 +252,19 @@ pub struct Report<'a> {
 }
 
 impl<'a> Report<'a> {
-    /// An empty report, kept in `text`. The node makes them; tests of a component may.
+    /// An empty report, stored in `text`. The node creates them; tests of a component may.
     pub fn new(text: &'a mut StringView) -> Self {
         text.clear();
         Self { text, cut: false }
     }
 
-    /// What has been written.
+    /// The text written so far.
     #[must_use]
     pub fn as_str(&self) -> &str {
         self.text
     }
 
     /// Adds text.
-    #[cfg_attr(target_os = "none", inline(never))]
     pub fn text(&mut self, text: &str) {
         if self.cut {
             return;
@@ -282,7 +282,7 @@ impl<'a> Report<'a> {
     }
 }
 
-/// Each piece is a text of its own.
+/// Each piece must be valid UTF-8.
 impl Sink for Report<'_> {
     fn put(&mut self, bytes: &[u8]) {
         self.text(core::str::from_utf8(bytes).unwrap_or_default());
@@ -294,7 +294,7 @@ mod tests {
     use super::*;
     use ztl_core::link::{Busy, GoalShape, Loss};
 
-    /// Its name is all there is.
+    /// A component that only has a name.
     struct Named(&'static str);
 
     impl Component for Named {

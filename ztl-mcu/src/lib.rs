@@ -58,7 +58,7 @@
 //! | to | use | feature |
 //! |---|---|---|
 //! | move a part | [`Component`]; ready ones for `embedded-hal` in `components` | `components` |
-//! | take goals as structs, enums, numbers | `Actuator`, `Typed` | `serde` (default) |
+//! | parse goals into structs, enums, numbers | `parse_goal` | `serde` (default) |
 //! | publish readings | [`Component::poll_reading`], [`Latest`], [`Queued`] | |
 //! | run the main loop on a serial port | [`pump::Pump`]; as a future, `Pump::run` | `async` for the future |
 //! | share data with interrupts | `shared`: received bytes, emergency stop, limit switches, log | `critical-section` |
@@ -73,20 +73,22 @@ extern crate std;
 mod component;
 #[cfg(feature = "components")]
 pub mod components;
+#[cfg(feature = "serde")]
+mod goal;
 pub mod log;
 mod node;
+#[cfg(feature = "critical-section")]
+mod pieces;
 pub mod pump;
 mod reading;
 #[cfg(feature = "critical-section")]
 pub mod shared;
-#[cfg(feature = "serde")]
-mod typed;
 #[cfg(feature = "zmtp")]
 pub mod zmtp;
 
 pub use component::{Component, Components, Reading, Refused, Report, Run};
+#[cfg(feature = "serde")]
+pub use goal::parse_goal;
 pub use node::{Counters, Identity, Node, Reason};
 pub use reading::{Latest, NotKept, Queued};
-#[cfg(feature = "serde")]
-pub use typed::{Actuator, Typed};
 pub use ztl_core::{Instant, link};

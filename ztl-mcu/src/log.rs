@@ -6,31 +6,11 @@
 
 #[cfg(feature = "critical-section")]
 mod queue;
+mod source;
 
 #[cfg(feature = "critical-section")]
 pub use queue::LogQueue;
-
-/// A log that a node sends when it has nothing else to send.
-///
-/// The log is a byte stream. The node may split it anywhere, and parts may be lost on the line.
-pub trait LogSource {
-    /// Moves the next bytes into `buffer` and returns how many.
-    fn read(&self, buffer: &mut [u8]) -> usize;
-
-    /// Bytes dropped since boot because the log was full; wraps around.
-    fn lost(&self) -> u32;
-}
-
-/// No log.
-impl LogSource for () {
-    fn read(&self, _buffer: &mut [u8]) -> usize {
-        0
-    }
-
-    fn lost(&self) -> u32 {
-        0
-    }
-}
+pub use source::LogSource;
 
 /// Makes a [`LogQueue`] the global logger of defmt. Invoke it once in the firmware's own crate, next to
 /// `defmt::timestamp!`:
@@ -40,9 +20,9 @@ impl LogSource for () {
 /// ztl_mcu::defmt_logger!(LOG);
 /// ```
 ///
-/// The crate needs `defmt` among its own dependencies. The gateway reads the log with the firmware's
-/// ELF file. While a record is made interrupts are held off, as with other loggers of defmt: for as long as its values
-/// take to be encoded, so keep records short where an interrupt must not wait. Flushing does nothing: a firmware that panics cannot send any more.
+/// The crate needs `defmt` among its own dependencies. The gateway decodes the log with the firmware's ELF file. As with
+/// other defmt loggers, interrupts are masked while a record is encoded, so keep records short if an interrupt must not
+/// wait. Flushing does nothing, because a firmware that panics cannot send any more.
 #[cfg(feature = "defmt")]
 #[macro_export]
 macro_rules! defmt_logger {

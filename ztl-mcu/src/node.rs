@@ -1,12 +1,15 @@
 //! The device end of the link.
 
 mod commands;
+mod frame_out;
+mod link_state;
 #[cfg(feature = "zmtp")]
 mod local;
+mod refusal;
 mod runner;
 pub(crate) mod tasks;
-pub(crate) mod text;
 mod transmit;
+pub(crate) mod utf8;
 
 use core::hash::{Hash, Hasher};
 use core::time::Duration;
@@ -17,39 +20,42 @@ use ztl_core::time::micros;
 
 use crate::component::Components;
 use crate::log::LogSource;
-use commands::Answer;
-pub(crate) use runner::Runner;
+use frame_out::{FrameOut, longest};
+use link_state::{Answer, LinkState, count};
 use tasks::Table;
-use transmit::{PAUSE, Transmit, longest};
 
-/// Least time between two readings of a component, unless the firmware says otherwise.
+pub use link_state::Counters;
+pub use refusal::Reason;
+pub(crate) use runner::Runner;
+
+/// Default for [`Identity::reading_interval`].
 const READING_INTERVAL: Duration = Duration::from_millis(10);
-/// Bytes that a device's name, and its firmware's version, can have at least.
+/// A `FRAME` must have room for a device name and a firmware version of at least this many bytes.
 const SHORTEST_NAME: usize = 16;
+/// Longest pause within a command. Bytes that stay in the decoder for longer are noise.
+const PAUSE: Duration = Duration::from_millis(20);
 
-/// Why a component does not take a goal; at most 96 bytes, and the mark of a cut.
-pub type Reason = heapless::String<99>;
-
-/// Who a node is.
+/// How a node introduces itself, and its timing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Identity<'a> {
-    /// What the device is called.
+    /// Name of the device.
     pub name: &'a str,
     /// Version of its firmware.
     pub firmware: &'a str,
     /// Differs from boot to boot: random, or a counter that survives resets.
     pub boot: u32,
-    /// After how long without a new command the node acts by itself. Default 1 s; a gateway takes
+    /// After how long without a new command the link counts as lost. Defaults to 1 s; a gateway accepts
     /// [50 ms to 60 s](ztl_core::link::LINK_TIMEOUTS).
     pub link_timeout: Duration,
-    /// Least time between two readings of a component. Default 10 ms, which is 100 readings a second of each. With
-    /// zero a component that always has another reading gets all of the line that nothing else needs.
+    /// Minimum time between two readings of a component. Defaults to 10 ms, which allows 100 readings a second
+    /// of each. With zero, a component that always has another reading takes all of the line that nothing else
+    /// needs.
     pub reading_interval: Duration,
 }
 
 impl<'a> Identity<'a> {
-    /// An identity with the default link timeout.
+    /// An identity with default timing.
     #[must_use]
     pub const fn new(name: &'a str, firmware: &'a str, boot: u32) -> Self {
         Self {
@@ -62,7 +68,7 @@ impl<'a> Identity<'a> {
     }
 }
 
-/// `text`, or as much of its beginning as fits into so many bytes.
+/// The longest prefix of `text` that fits into `most` bytes.
 const fn cut(text: &str, mut most: usize) -> &str {
     while !text.is_char_boundary(most) && most < text.len() {
         most = most.saturating_sub(1);
@@ -73,49 +79,32 @@ const fn cut(text: &str, mut most: usize) -> &str {
     }
 }
 
-/// What a node has seen on its line since boot; the counts wrap.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
-#[non_exhaustive]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct Counters {
-    /// Frames whose check was right.
-    pub frames: u32,
-    /// Frames dropped: damaged, of another session, too long.
-    pub errors: u32,
-    /// Commands answered again without being executed again.
-    pub repeats: u32,
-    /// Commands out of sequence, dropped.
-    pub out_of_sequence: u32,
-}
-
-fn count(counter: &mut u32) {
-    *counter = counter.wrapping_add(1);
-}
-
-/// The device end of the link, without I/O: it moves the components `C`, holds at most `TASKS` tasks
-/// and frames of at most `FRAME` bytes (128 and more, see [`new`](Self::new); a goal may be some 24 bytes shorter).
+/// The device end of the link, without I/O. It drives the components `C`, holds at most `TASKS` tasks, and
+/// handles frames of at most `FRAME` bytes. `FRAME` is at least 128, see [`new`](Self::new); a goal can have
+/// about 24 bytes less.
 ///
-/// *Inputs*: [`handle_bytes`](Self::handle_bytes) as bytes arrive,
-/// [`handle_timeout`](Self::handle_timeout) in every turn of the main loop. *Outputs*:
-/// [`poll_transmit`](Self::poll_transmit), to be called after each input; or
-/// [`transmit_buf`](Self::transmit_buf) and [`consume`](Self::consume), which copy nothing. *Next
-/// wake-up*: [`poll_timeout`](Self::poll_timeout). *Commands*:
-/// [`stop_everything`](Self::stop_everything), [`clear_stop`](Self::clear_stop).
-/// [`Pump`](crate::pump::Pump) calls all of them for a serial port.
+/// *Inputs*: [`handle_bytes`](Self::handle_bytes) when bytes arrive, [`handle_timeout`](Self::handle_timeout)
+/// in every turn of the main loop. *Outputs*, after each input: [`poll_transmit`](Self::poll_transmit), or
+/// [`transmit_buf`](Self::transmit_buf) and [`consume`](Self::consume), which copy nothing. *Next wake-up*:
+/// [`poll_timeout`](Self::poll_timeout). *Commands*: [`stop_everything`](Self::stop_everything),
+/// [`clear_stop`](Self::clear_stop). [`Pump`](crate::pump::Pump) calls all of them for a serial port.
 ///
-/// **Work.** A call's work is bounded, whatever arrives. `handle_bytes`: some ten instructions a byte,
-/// and at the end of a frame the check over it, twice at most, and one call of `check`, `start` or
-/// `abort`. `handle_timeout`: `poll` once for each task that moves and is due, and `start` for one that waited; when
-/// the link is lost, `make_safe` and twice `poll` for each component. The outputs: one frame of at most `FRAME` bytes at a time, and once for each
-/// component `offer` and `poll_reading`. Tasks are searched in turn, so all of it grows with `TASKS`.
+/// **Work.** The work of each call is bounded, whatever arrives:
+/// - `handle_bytes` takes some ten instructions a byte. At the end of a frame it verifies the checksum, at most
+///   twice, and makes one call of `check`, `start` or `abort`.
+/// - `handle_timeout` calls `poll` once for each running task that is due, and `start` for one that waited. When
+///   the link is lost, it calls `make_safe` once and `poll` twice for each component.
+/// - The outputs produce one frame of at most `FRAME` bytes at a time, and call `offer` and `poll_reading` once
+///   for each component.
 ///
-/// Two nodes are equal when they will do the same from now on; what they have counted does not matter.
+/// Tasks are searched in sequence, so all of this grows with `TASKS`.
+///
+/// Two nodes are equal if they behave the same from now on; their counters do not matter.
 #[derive(Debug, Clone)]
 pub struct Node<'a, C, const TASKS: usize, const FRAME: usize> {
     counters: Counters,
     decoder: Decoder<FRAME>,
-    /// Apart from the decoder, whose buffer a frame borrows while it is acted on.
-    state: Inner<'a, C, TASKS, FRAME>,
+    state: LinkState<'a, C, TASKS, FRAME>,
 }
 
 impl<C: PartialEq, const TASKS: usize, const FRAME: usize> PartialEq for Node<'_, C, TASKS, FRAME> {
@@ -133,71 +122,25 @@ impl<C: Hash, const TASKS: usize, const FRAME: usize> Hash for Node<'_, C, TASKS
     }
 }
 
-// What is small stands first: there a Cortex-M0 reaches it with one instruction.
-#[derive(Debug, Clone, PartialEq, Eq, Hash)]
-#[repr(C)]
-struct Inner<'a, C, const TASKS: usize, const FRAME: usize> {
-    /// `seq` of the last command executed.
-    seq: u8,
-    answer_due: bool,
-    /// A delimiter was sent before the next announcement.
-    flushed: bool,
-    /// The component that is asked for a reading next; in each round every one is asked once.
-    publisher: u8,
-    /// Whether one had a reading in this round.
-    published: bool,
-    /// The session that runs, [`NO_SESSION`] after a reset.
-    session: u32,
-    /// The number of the `Hello` that opened it.
-    hello: u32,
-    /// The same of the session before.
-    replaced: u32,
-    highest: LinkId,
-    answer: Answer,
-    gateway: u64,
-    /// In µs.
-    link_timeout: u64,
-    awake_due: Instant,
-    /// When a new command was last executed, or a session opened; until the link timeout has
-    /// passed no other gateway gets in.
-    heard: Instant,
-    /// When the link timer runs out: the link timeout after the last new command was executed.
-    /// [`Instant::NEVER`] once it has.
-    lost_at: Instant,
-    /// Until when what stands in the decoder is a command that is coming in.
-    receiving: Instant,
-    /// When the next round of readings begins.
-    readings_at: Instant,
-    /// In µs.
-    reading_interval: u64,
-    /// A `Hello` to be refused: its session, and why.
-    refusal: Option<(u32, &'static str)>,
-    name: &'a str,
-    firmware: &'a str,
-    boot: u32,
-    runner: Runner<C, TASKS>,
-    transmit: Transmit<FRAME>,
-}
-
 impl<'a, C: Components, const TASKS: usize, const FRAME: usize> Node<'a, C, TASKS, FRAME> {
     /// Longest reading that a component can publish, in bytes.
     pub const LONGEST_READING: usize = longest::reading(FRAME);
 
-    /// Longest name of the device, and longest version of its firmware, in bytes. What is longer is cut, so that the
-    /// node can tell a gateway who it is and which tasks it holds, however many and whatever their ids.
+    /// Longest device name and firmware version, in bytes. Longer ones are cut, so that the node's introduction
+    /// to a gateway always fits a frame together with the ids of all tasks.
     pub const LONGEST_NAME: usize = longest::name(FRAME, TASKS);
 
-    /// A node after its reset. `components` are at most 255.
+    /// A node after its reset, with at most 255 components.
     ///
-    /// It compiles with `TASKS` from 1 to 255 and a `FRAME` of at least 128 bytes that has room for the ids of as many
-    /// tasks: 128 for 9 tasks, 256 for 34.
+    /// The compiler checks that `TASKS` is 1 to 255 and that `FRAME` is at least 128 and has room for the ids of
+    /// that many tasks: 128 suffices for 9 tasks, 256 for 34.
     pub const fn new(identity: Identity<'a>, components: C) -> Self {
         const {
-            assert!(FRAME >= 128, "a frame has at least 128 bytes");
-            assert!(TASKS >= 1 && TASKS <= 255, "there are 1 to 255 tasks");
+            assert!(FRAME >= 128, "FRAME must be at least 128");
+            assert!(TASKS >= 1 && TASKS <= 255, "TASKS must be 1 to 255");
             assert!(
                 Self::LONGEST_NAME >= SHORTEST_NAME,
-                "a frame has room for the ids of all tasks: raise FRAME, or lower TASKS"
+                "FRAME has no room for the ids of all tasks: raise FRAME, or lower TASKS"
             );
         };
         Self {
@@ -208,7 +151,7 @@ impl<'a, C: Components, const TASKS: usize, const FRAME: usize> Node<'a, C, TASK
                 out_of_sequence: 0,
             },
             decoder: Decoder::new(),
-            state: Inner {
+            state: LinkState {
                 seq: NO_SEQ,
                 answer_due: false,
                 flushed: false,
@@ -231,7 +174,7 @@ impl<'a, C: Components, const TASKS: usize, const FRAME: usize> Node<'a, C, TASK
                 name: cut(identity.name, Self::LONGEST_NAME),
                 firmware: cut(identity.firmware, Self::LONGEST_NAME),
                 boot: identity.boot,
-                // No call, since what one returns is copied, and a Cortex-M0's stack then has it twice.
+                // Not by a call: its result would be copied, and take its stack space twice.
                 runner: Runner {
                     stopped: false,
                     all_to_safety: false,
@@ -240,13 +183,13 @@ impl<'a, C: Components, const TASKS: usize, const FRAME: usize> Node<'a, C, TASK
                     reason: Reason::new(),
                     tasks: Table::new(),
                 },
-                transmit: Transmit::new(),
+                frame_out: FrameOut::new(),
             },
         }
     }
 
-    /// Whether what a component offers can be told to a gateway: it fits into a frame. Of one that is longer the node
-    /// refuses the description, and its gateway does not serve the device and says why.
+    /// Whether a component's description fits a frame. A node refuses to send a longer one; the gateway then
+    /// does not serve the device, and reports why.
     #[must_use]
     pub fn fits(offer: &Offer<'_>) -> bool {
         let body = Body::Component {
@@ -258,8 +201,7 @@ impl<'a, C: Components, const TASKS: usize, const FRAME: usize> Node<'a, C, TASK
         len <= longest::body(FRAME)
     }
 
-    /// Bytes have arrived, in pieces of any length.
-    // This and others are functions of their own in firmware, where what they become in a main loop's is larger.
+    /// Handles received bytes, in pieces of any length.
     #[cfg_attr(target_os = "none", inline(never))]
     pub fn handle_bytes(&mut self, now: Instant, mut bytes: &[u8]) {
         if bytes.is_empty() {
@@ -278,7 +220,7 @@ impl<'a, C: Components, const TASKS: usize, const FRAME: usize> Node<'a, C, TASK
         }
     }
 
-    /// A frame has come to its end.
+    /// Handles a complete frame.
     fn on_frame(&mut self, now: Instant) {
         let sessions = [self.state.session, NO_SESSION];
         match self.decoder.command(&sessions) {
@@ -288,22 +230,21 @@ impl<'a, C: Components, const TASKS: usize, const FRAME: usize> Node<'a, C, TASK
         self.decoder.reset();
     }
 
-    /// A frame is dropped.
+    /// Counts a dropped frame.
     fn on_damage(&mut self) {
         count(&mut self.counters.errors);
     }
 
-    /// Time has passed: moves the components on, and acts by itself when the link is lost.
+    /// Advances the components, and makes them safe when the link is lost.
     pub fn handle_timeout(&mut self, now: Instant) {
-        self.state.look_at_link(now);
+        self.state.check_link_timer(now);
         self.state.runner.handle_timeout(now);
     }
 
-    /// Writes the next bytes to be sent into `buffer` and says how many: it is full, or nothing more
-    /// is to be sent now. The log is left out.
+    /// Writes the next bytes to send into `buffer` and returns how many. Fewer than the buffer holds means that
+    /// there is nothing more to send now. The log is not included.
     ///
-    /// Where components always have readings there is always something to be sent, so a main loop
-    /// must not wait for the end of it.
+    /// If components always have readings, there is always more to send; a main loop must not wait for the end.
     pub fn poll_transmit(&mut self, now: Instant, buffer: &mut [u8]) -> usize {
         let mut written = 0;
         while let Some(room) = buffer.get_mut(written..).filter(|room| !room.is_empty()) {
@@ -321,19 +262,19 @@ impl<'a, C: Components, const TASKS: usize, const FRAME: usize> Node<'a, C, TASK
         written
     }
 
-    /// The next bytes to be sent: the rest of the frame under way, or the most urgent next one;
-    /// empty when there is nothing. To be followed by [`consume`](Self::consume).
+    /// The next bytes to send: the rest of the current frame, or the most urgent next one. Empty if there is
+    /// nothing to send. Call [`consume`](Self::consume) after sending.
     pub fn transmit_buf(&mut self, now: Instant, log: &dyn LogSource) -> &[u8] {
         self.state.transmit_buf(now, log)
     }
 
-    /// The first `count` bytes of [`transmit_buf`](Self::transmit_buf) are sent.
+    /// Marks the first `count` bytes of [`transmit_buf`](Self::transmit_buf) as sent.
     pub fn consume(&mut self, count: usize) {
-        self.state.transmit.consume(count);
+        self.state.frame_out.consume(count);
     }
 
-    /// When [`handle_timeout`](Self::handle_timeout) and [`poll_transmit`](Self::poll_transmit) are
-    /// to be called even if no byte arrives; after 1 s if there is nothing to do.
+    /// When to call [`handle_timeout`](Self::handle_timeout) and [`poll_transmit`](Self::poll_transmit) even if
+    /// no byte arrives; in 1 s if there is nothing to do.
     pub fn poll_timeout(&self, now: Instant) -> Instant {
         match self.next_move().min(self.next_transmit(now)) {
             Instant::NEVER => now + Duration::from_secs(1),
@@ -341,47 +282,47 @@ impl<'a, C: Components, const TASKS: usize, const FRAME: usize> Node<'a, C, TASK
         }
     }
 
-    /// When `handle_timeout` has something to do; perhaps [`Instant::NEVER`].
+    /// When `handle_timeout` has work, or [`Instant::NEVER`].
     pub(crate) fn next_move(&self) -> Instant {
         self.state.lost_at.min(self.state.runner.next_move())
     }
 
-    /// When there is something to be sent; perhaps [`Instant::NEVER`].
+    /// When there is something to send, or [`Instant::NEVER`].
     pub(crate) fn next_transmit(&self, now: Instant) -> Instant {
         self.state.next_transmit(now)
     }
 
-    /// Emergency stop: every component goes to its safe state, every task ends as ABORTED, one that waits at once, one
-    /// that moves when its component is safe, and no other starts until [`clear_stop`](Self::clear_stop).
+    /// Emergency stop: every component goes to its safe state, and every task ends as ABORTED: a waiting one at
+    /// once, a running one when its component is safe. No task starts until [`clear_stop`](Self::clear_stop).
     pub fn stop_everything(&mut self, now: Instant) {
         self.state.runner.stop_everything(now);
     }
 
-    /// Ends the emergency stop. Only the firmware may: the link has no command for it.
+    /// Ends the emergency stop. Only the firmware can do this; the link has no command for it.
     pub const fn clear_stop(&mut self) {
         self.state.runner.clear_stop();
     }
 
-    /// Whether there was an emergency stop that is not cleared.
+    /// Whether an emergency stop is in effect.
     #[must_use]
     pub const fn is_stopped(&self) -> bool {
         self.state.runner.is_stopped()
     }
 
-    /// What the line has brought.
+    /// Statistics of the line.
     #[must_use]
     pub const fn counters(&self) -> Counters {
         self.counters
     }
 
-    /// What it moves.
+    /// The components.
     #[must_use]
     pub const fn components(&self) -> &C {
         self.state.runner.components()
     }
 
-    /// What it moves, for what firmware has to tell a component: a setting, a reading. What a task
-    /// moves is the node's alone.
+    /// The components, mutable, so that firmware can pass them settings and readings. Only the node may start
+    /// and stop their motions.
     pub const fn components_mut(&mut self) -> &mut C {
         self.state.runner.components_mut()
     }

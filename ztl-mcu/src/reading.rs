@@ -1,4 +1,4 @@
-//! Where a component keeps its readings until the line has room: the latest alone, or a queue.
+//! Buffers for readings until the line is free: only the latest, or a queue.
 
 use core::hash::{Hash, Hasher};
 
@@ -6,19 +6,19 @@ use heapless::{Deque, Vec};
 
 use crate::component::Reading;
 
-/// Why a reading was not kept.
+/// Why a reading was not stored.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum NotKept {
-    /// It is longer than the place.
+    /// It is longer than the buffer.
     TooLong {
-        /// Its bytes.
+        /// Length of the reading in bytes.
         needed: usize,
-        /// Bytes of the place.
+        /// Size of the buffer in bytes.
         available: usize,
     },
-    /// As many as there are places wait already.
+    /// The queue is full.
     Full,
 }
 
@@ -46,17 +46,17 @@ fn kept<const N: usize>(bytes: &[u8]) -> Result<Vec<u8, N>, NotKept> {
     Ok(copy)
 }
 
-/// Writes `bytes` into `buffer`, if they fit into a frame.
+/// Writes `bytes` into `buffer`, if they fit.
 fn written(bytes: &[u8], topic: u8, buffer: &mut [u8]) -> Option<Reading> {
     let len = bytes.len();
-    // Not `copy_from_slice`, in which the compiler does not see equal lengths.
+    // The compiler cannot remove the panic branch of `copy_from_slice`.
     for (to, from) in buffer.get_mut(..len)?.iter_mut().zip(bytes) {
         *to = *from;
     }
     Some(Reading { topic, len })
 }
 
-/// A reading of at most `N` bytes, of which only the latest matters.
+/// Stores the latest reading, of at most `N` bytes.
 ///
 /// ```
 /// use ztl_mcu::{Latest, Reading};
@@ -64,7 +64,7 @@ fn written(bytes: &[u8], topic: u8, buffer: &mut [u8]) -> Option<Reading> {
 /// angle.set(&1.5f32.to_le_bytes())?;
 /// angle.set(&2.5f32.to_le_bytes())?;
 /// let mut buffer = [0; 16];
-/// // What `poll_reading` returns, for the first of the offer's topics.
+/// // The result of `poll_reading` for the first topic of the offer.
 /// assert_eq!(angle.take(0, &mut buffer), Some(Reading { topic: 0, len: 4 }));
 /// assert_eq!(buffer[..4], 2.5f32.to_le_bytes());
 /// assert_eq!(angle.take(0, &mut buffer), None);
@@ -76,29 +76,29 @@ pub struct Latest<const N: usize> {
 }
 
 impl<const N: usize> Latest<N> {
-    /// Nothing to be published.
+    /// A buffer without a reading.
     #[must_use]
     pub const fn new() -> Self {
         Self { reading: None }
     }
 
-    /// Takes the place of the one before.
+    /// Replaces the reading.
     ///
     /// # Errors
-    /// [`NotKept::TooLong`]; the one before stays then.
+    /// [`NotKept::TooLong`]; the old reading stays.
     pub fn set(&mut self, reading: &[u8]) -> Result<(), NotKept> {
         self.reading = Some(kept(reading)?);
         Ok(())
     }
 
-    /// Writes the reading into `buffer`, if there is a new one; it is told once. One that is longer than the buffer fits
-    /// into no frame and is dropped.
+    /// Moves the reading into `buffer`, if there is a new one. Drops a reading that is longer than the buffer, because it
+    /// fits no frame.
     pub fn take(&mut self, topic: u8, buffer: &mut [u8]) -> Option<Reading> {
         written(&self.reading.take()?, topic, buffer)
     }
 }
 
-/// At most `N` readings of at most `LEN` bytes each, every one of which matters.
+/// Stores up to `N` readings of at most `LEN` bytes each.
 ///
 /// `LEN` should be at most the node's [`LONGEST_READING`](crate::Node::LONGEST_READING).
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
@@ -118,7 +118,7 @@ impl<const N: usize, const LEN: usize> Hash for Queued<N, LEN> {
 }
 
 impl<const N: usize, const LEN: usize> Queued<N, LEN> {
-    /// Nothing to be published.
+    /// An empty queue.
     #[must_use]
     pub const fn new() -> Self {
         Self {
@@ -127,10 +127,10 @@ impl<const N: usize, const LEN: usize> Queued<N, LEN> {
         }
     }
 
-    /// Adds a reading behind the others. One that is not kept is counted.
+    /// Appends a reading, or counts it as lost.
     ///
     /// # Errors
-    /// [`NotKept`]; those before stay.
+    /// [`NotKept`]; the stored readings stay.
     pub fn push(&mut self, reading: &[u8]) -> Result<(), NotKept> {
         let kept = kept(reading)
             .and_then(|reading| self.readings.push_back(reading).map_err(|_| NotKept::Full));
@@ -140,8 +140,8 @@ impl<const N: usize, const LEN: usize> Queued<N, LEN> {
         kept
     }
 
-    /// Writes the first reading into `buffer`, if there is one. Those that are longer than the buffer fit into no frame;
-    /// they are dropped and counted, and the next one is taken.
+    /// Moves the first reading into `buffer`, if there is one. Drops and counts readings that are longer than the buffer,
+    /// because they fit no frame.
     pub fn take(&mut self, topic: u8, buffer: &mut [u8]) -> Option<Reading> {
         while let Some(reading) = self.readings.pop_front() {
             if let Some(reading) = written(&reading, topic, buffer) {
@@ -152,13 +152,13 @@ impl<const N: usize, const LEN: usize> Queued<N, LEN> {
         None
     }
 
-    /// Whether another would not be kept.
+    /// Whether the queue is full.
     #[must_use]
     pub fn is_full(&self) -> bool {
         self.readings.is_full()
     }
 
-    /// How many readings were not kept, or were too long to be sent; wraps.
+    /// Number of readings that were not stored or were too long to send; wraps around.
     #[must_use]
     pub const fn lost(&self) -> u32 {
         self.lost
@@ -170,7 +170,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_reading_that_no_frame_holds_is_dropped_and_the_next_one_is_taken() {
+    fn a_reading_that_fits_no_frame_is_dropped_for_the_next_one() {
         let mut latest = Latest::<8>::new();
         let mut queued = Queued::<2, 8>::new();
         latest.set(b"12345").unwrap();
@@ -185,7 +185,7 @@ mod tests {
     }
 
     #[test]
-    fn the_queue_keeps_the_order_and_counts_what_it_does_not_keep() {
+    fn the_queue_keeps_the_order_and_counts_lost_readings() {
         let mut queued = Queued::<2, 8>::new();
         queued.push(b"a").unwrap();
         queued.push(b"b").unwrap();

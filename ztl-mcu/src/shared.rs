@@ -1,12 +1,12 @@
-//! What interrupts and the main loop share, each a `static`: received bytes, an emergency stop, the
-//! report of a limit switch, the log. With the feature `critical-section`.
+//! Statics that interrupts share with the main loop: received bytes, an emergency stop, the report of a limit switch, the
+//! log. Requires the feature `critical-section`.
 //!
-//! Every access is a critical section, so any interrupt of any priority, any core and any thread may make it, also on
-//! chips without atomic read-modify-write. The implementation comes from the chip's crate or its runtime (`cortex-m` with
-//! `critical-section-single-core`, a HAL). Bytes are copied a few at a time, in at most 400 cycles
-//! of a Cortex-M0, which is 25 µs at 16 MHz. With a motor that an interrupt drives it is at most 1000, for the tick that
-//! begins a new stretch of its ramp. `cargo xtask bench firmware` measures the longest critical section and fails beyond
-//! that. Only a record that `defmt_logger!` makes can take longer: defmt asks for one critical section around it.
+//! Every access is a critical section, so it is safe from interrupts of any priority, cores and threads, also on chips
+//! without atomic read-modify-write. The chip's crate or its runtime implements `critical-section` (`cortex-m` with
+//! `critical-section-single-core`, a HAL). Bytes are copied a few at a time, in at most 400 cycles of a Cortex-M0: 25 µs at
+//! 16 MHz. A motor that an interrupt drives takes at most 1000 cycles, when it computes the next tick of its ramp. `cargo
+//! xtask bench firmware` measures the longest critical section and fails beyond that. Only a record of `defmt_logger!` can
+//! take longer, because defmt needs one critical section for the whole record.
 //!
 //! ```
 //! use ztl_mcu::shared::{ReceiveQueue, StopFlag};
@@ -30,7 +30,7 @@
 //! # assert!(STOP.take());
 //! ```
 //!
-//! The main loop gives both to a [`Pump`](crate::pump::Pump).
+//! The main loop passes both to a [`Pump`](crate::pump::Pump).
 
 use core::cell::Cell;
 use core::convert::Infallible;
@@ -41,27 +41,28 @@ use critical_section::{CriticalSection, Mutex};
 use embedded_io::{ErrorType, Read, ReadReady};
 
 pub use crate::log::LogQueue;
+use crate::pieces::in_pieces;
 
-/// Bytes that are copied in one critical section.
+/// Bytes copied in one critical section.
 const COPIED: usize = 16;
 
-/// Bytes that an interrupt has received, until the main loop takes them; at most `N`, which is a power of two.
+/// A queue of bytes from a receive interrupt to the main loop. The capacity `N` is a power of two.
 ///
-/// When it overflows, all that comes up to the next delimiter (`00`) is dropped and counted, so that
-/// a node behind it sees one damaged frame and never two halves as one.
+/// When it overflows, it drops and counts everything up to the next delimiter (`00`), so that the node sees one damaged
+/// frame and never two halves as one.
 pub struct ReceiveQueue<const N: usize> {
     state: Mutex<Received<N>>,
 }
 
-/// Cells, since each access is a few instructions of an interrupt, at each byte. What is small stands first: there a
-/// Cortex-M0 reaches it with one instruction.
+/// Uses cells, because an interrupt accesses them for each byte, in few instructions. The small fields come first, where
+/// one instruction of a Cortex-M0 reaches them.
 #[repr(C)]
 struct Received<const N: usize> {
-    /// How many bytes were taken, and how many were kept; wrap.
+    /// Number of bytes taken and stored; both wrap around.
     taken: Cell<usize>,
     kept: Cell<usize>,
-    /// Places that are not to be used: all since something was dropped, until a delimiter comes; else none. So that the
-    /// whole begins with zeros, for which no flash is needed.
+    /// Capacity that is blocked: all of it from a dropped byte to the next delimiter, otherwise 0. The initial state is all
+    /// zeros and takes no flash.
     closed: Cell<usize>,
     lost: Cell<u32>,
     bytes: [Cell<u8>; N],
@@ -72,7 +73,7 @@ impl<const N: usize> Received<N> {
         self.kept.get().wrapping_sub(self.taken.get())
     }
 
-    #[inline(always)] // So that for most bytes nothing is called.
+    #[inline(always)] // Most bytes then need no call.
     fn push(&self, byte: u8) {
         let kept = self.kept.get();
         if self.len().wrapping_add(self.closed.get()) >= N && !self.reopen(byte) {
@@ -84,7 +85,7 @@ impl<const N: usize> Received<N> {
         self.kept.set(kept.wrapping_add(1));
     }
 
-    /// Says whether a byte that is not simply kept is kept; if not, it is dropped.
+    /// Handles a byte while the queue is full or blocked. Returns whether it is stored.
     #[inline(never)]
     fn reopen(&self, byte: u8) -> bool {
         let kept = byte == 0 && self.len() < N;
@@ -109,7 +110,7 @@ impl<const N: usize> Received<N> {
 }
 
 impl<const N: usize> ReceiveQueue<N> {
-    /// Empty.
+    /// An empty queue.
     #[must_use]
     pub const fn new() -> Self {
         const { assert!(N.is_power_of_two()) }
@@ -129,47 +130,29 @@ impl<const N: usize> ReceiveQueue<N> {
         critical_section::with(|cs| self.push_in(cs, byte));
     }
 
-    /// The same within a critical section that there is already: for several bytes at once, and for an interrupt that
-    /// no other can interrupt.
+    /// Like [`push`](Self::push), within an existing critical section: for several bytes at once, or for an interrupt that
+    /// no other can preempt.
     #[inline(always)]
     pub fn push_in(&self, cs: CriticalSection<'_>, byte: u8) {
         self.state.borrow(cs).push(byte);
     }
 
-    /// Takes the first bytes into `buffer` and says how many; 0 when there are none.
+    /// Moves the first bytes into `buffer` and returns how many.
     pub fn take(&self, buffer: &mut [u8]) -> usize {
         in_pieces(buffer, COPIED, |piece| {
             critical_section::with(|cs| self.state.borrow(cs).take(piece))
         })
     }
 
-    /// Whether there are no bytes.
+    /// Whether the queue is empty.
     pub fn is_empty(&self) -> bool {
         critical_section::with(|cs| self.state.borrow(cs).len() == 0)
     }
 
-    /// How many bytes were dropped; wraps.
+    /// Number of dropped bytes; wraps around.
     pub fn lost(&self) -> u32 {
         critical_section::with(|cs| self.state.borrow(cs).lost.get())
     }
-}
-
-/// Fills `buffer` in pieces of so many bytes, until one is not filled; says how many bytes were written.
-pub(crate) fn in_pieces(
-    buffer: &mut [u8],
-    most: usize,
-    mut fill: impl FnMut(&mut [u8]) -> usize,
-) -> usize {
-    let mut written = 0;
-    while let Some(rest) = buffer.get_mut(written..).filter(|rest| !rest.is_empty()) {
-        let len = rest.len().min(most);
-        let count = fill(rest.get_mut(..len).unwrap_or_default()).min(len);
-        written += count;
-        if count < len {
-            break;
-        }
-    }
-    written
 }
 
 impl<const N: usize> core::fmt::Debug for ReceiveQueue<N> {
@@ -194,7 +177,7 @@ impl<const N: usize> ReadReady for &ReceiveQueue<N> {
     }
 }
 
-/// Waits for the interrupt when there is nothing.
+/// Waits for the interrupt while the queue is empty.
 impl<const N: usize> Read for &ReceiveQueue<N> {
     fn read(&mut self, buffer: &mut [u8]) -> Result<usize, Infallible> {
         loop {
@@ -208,17 +191,17 @@ impl<const N: usize> Read for &ReceiveQueue<N> {
 
 /// An emergency stop that any interrupt can raise. It stays raised until the main loop takes it.
 ///
-/// A [`Pump`](crate::pump::Pump) takes it and stops its node, which then stays stopped until its
-/// firmware clears that: [`Node::clear_stop`](crate::Node::clear_stop).
+/// A [`Pump`](crate::pump::Pump) takes it and stops its node, until the firmware calls
+/// [`Node::clear_stop`](crate::Node::clear_stop).
 pub struct StopFlag {
     raised: Mutex<Cell<bool>>,
-    /// Of the main loop, if it is a future.
+    /// Waker of the main loop, if that is a future.
     #[cfg(feature = "async")]
     waker: Mutex<Cell<Option<Waker>>>,
 }
 
 impl StopFlag {
-    /// Not raised.
+    /// A flag that is not raised.
     #[must_use]
     pub const fn new() -> Self {
         Self {
@@ -228,8 +211,7 @@ impl StopFlag {
         }
     }
 
-    /// Stops everything as soon as the main loop comes by; wakes it if it is
-    /// [`Pump::run`](crate::pump::Pump).
+    /// Raises the flag: the main loop stops everything in its next turn. Wakes [`Pump::run`](crate::pump::Pump).
     pub fn raise(&self) {
         critical_section::with(|cs| self.raised.borrow(cs).set(true));
         #[cfg(feature = "async")]
@@ -238,21 +220,21 @@ impl StopFlag {
         }
     }
 
-    /// Whether it is raised and not taken.
+    /// Whether it is raised.
     pub fn is_raised(&self) -> bool {
         critical_section::with(|cs| self.raised.borrow(cs).get())
     }
 
-    /// Lowers it and says whether it was raised.
+    /// Lowers it and returns whether it was raised.
     pub fn take(&self) -> bool {
         critical_section::with(|cs| self.raised.borrow(cs).take())
     }
 
-    /// Ready when it is raised.
+    /// Ready if it is raised.
     #[cfg(feature = "async")]
     pub(crate) fn poll_raised(&self, context: &Context<'_>) -> Poll<()> {
         let waker = context.waker().clone();
-        // Set before the flag is read, so that none is missed; the old one is dropped outside.
+        // Set before the flag is read, so that no wake-up is missed. The old waker is dropped outside.
         let old = critical_section::with(|cs| self.waker.borrow(cs).replace(Some(waker)));
         drop(old);
         if self.is_raised() {
@@ -275,28 +257,28 @@ impl Default for StopFlag {
     }
 }
 
-/// The report of a limit switch: an interrupt says that the end is reached, a component polls it.
+/// The report of a limit switch: an interrupt sets it, a component polls it.
 #[derive(Debug)]
 pub struct EndFlag(Mutex<Cell<bool>>);
 
 impl EndFlag {
-    /// The end is not reached.
+    /// A flag that is not set.
     #[must_use]
     pub const fn new() -> Self {
         Self(Mutex::new(Cell::new(false)))
     }
 
-    /// The end is reached; for the switch's interrupt.
+    /// Sets the flag; called by the switch's interrupt.
     pub fn report(&self) {
         critical_section::with(|cs| self.0.borrow(cs).set(true));
     }
 
-    /// Whether the end was reached since it was last taken.
+    /// Whether the end was reached since the flag was last taken.
     pub fn is_reached(&self) -> bool {
         critical_section::with(|cs| self.0.borrow(cs).get())
     }
 
-    /// The same, and forgets it: before moving away from the end, or when it was acted on.
+    /// Clears the flag and returns whether it was set: before moving away from the end, or after handling it.
     pub fn take(&self) -> bool {
         critical_section::with(|cs| self.0.borrow(cs).take())
     }

@@ -1,11 +1,10 @@
 //! Calls everything that bytes from outside can reach. It links only if no panic is reachable.
 //!
-//! The panic handler calls a function that does not exist. When the optimiser can show of every
-//! panic that it is never reached, it drops the handler, and the linker does not ask for that
-//! function. So linking is the proof.
+//! The panic handler calls a function that does not exist. If the optimiser proves that no panic is reachable, it removes
+//! the handler, and the linker does not need that function. So linking is the proof.
 //!
-//! `Pump::run` is left out: every `async` block panics when it is polled after its end. No bytes can
-//! make an executor do that, but the optimiser cannot know.
+//! `Pump::run` is left out, because every `async` block panics if it is polled after its end. No input makes an executor do
+//! that, but the optimiser cannot know.
 #![no_std]
 #![no_main]
 
@@ -42,8 +41,8 @@ use ztl_mcu::pump::Pump;
 use ztl_mcu::shared::{EndFlag, LogQueue, ReceiveQueue, StopFlag};
 use ztl_mcu::zmtp::{Connection, Dealer, Line as ZmtpLine, Peer, Rep, Req, Server, Socket};
 use ztl_mcu::{
-    Actuator, Component, Components, Identity, Latest, Node, Queued, Reading, Refused, Report, Run,
-    Typed,
+    Component, Components, Identity, Latest, Node, Queued, Reading, Refused, Report, Run,
+    parse_goal,
 };
 use ztl_proof::{AnyPin, FIRST, now, receive, send};
 
@@ -51,13 +50,13 @@ use ztl_proof::{AnyPin, FIRST, now, receive, send};
 #[panic_handler]
 fn on_panic(_: &PanicInfo<'_>) -> ! {
     unsafe extern "C" {
-        /// Nobody defines it.
+        /// Not defined anywhere.
         safe fn a_panic_is_reachable() -> !;
     }
     a_panic_is_reachable()
 }
 
-/// Keeps the places of all panics in the image.
+/// Keeps the positions of all panics in the image.
 #[cfg(feature = "explain")]
 #[panic_handler]
 fn on_panic(info: &PanicInfo<'_>) -> ! {
@@ -74,7 +73,7 @@ extern "C" fn main() -> ! {
     let mut components: [&mut dyn Component; 2] = [one, two];
     let mut node = Node::<_, 4, 128>::new(identity(), components.as_mut_slice());
     // Frames longer than a COBS block.
-    let mut long_framed = Node::<_, 1, 600>::new(identity(), (Part::new(), Typed(Part::new())));
+    let mut long_framed = Node::<_, 1, 600>::new(identity(), (Part::new(), Part::new()));
     let mut ready_node = Node::<_, 2, 128>::new(identity(), ready_parts());
     let mut server = Server::<_, 3, 4, 256, 4>::new("/one", identity(), ready_parts());
     let mut reply = Connection::<Rep, _>::new(room());
@@ -87,7 +86,7 @@ extern "C" fn main() -> ! {
     let mut dispatcher = Dispatcher::new(Memory::new(["/one", "/two"]), config);
     let mut client = Client::new(ClientId([receive(); 16]), Duration::from_secs(2));
     loop {
-        // In whatever state, as far as the compiler knows.
+        // In any state, as far as the compiler knows.
         black_box((&mut node, &mut long_framed, &mut ready_node, &mut decoder));
         black_box((&mut table, &mut dispatcher, &mut client));
         black_box((&mut server, &mut zmtp_line));
@@ -109,9 +108,7 @@ extern "C" fn main() -> ! {
         tasks(&mut table, text);
         dispatch(&mut dispatcher, input, text);
         run_client(&mut client, input, text);
-        black_box(Node::<[Part; 1], 4, 128>::fits(&Component::offer(
-            &Part::new(),
-        )));
+        black_box(Node::<[Part; 1], 4, 128>::fits(&Part::new().offer()));
         run_node(&mut node, input);
         run_node(&mut long_framed, input);
         run_node(&mut ready_node, input);
@@ -124,10 +121,10 @@ extern "C" fn main() -> ! {
     }
 }
 
-/// What the proof must notice.
+/// A panic that the proof must detect.
 #[cfg(feature = "broken")]
 fn indexed(input: &[u8]) {
-    #[expect(clippy::indexing_slicing, reason = "the panic that is to be noticed")]
+    #[expect(clippy::indexing_slicing, reason = "the panic to detect")]
     black_box(input[usize::from(receive())]);
 }
 
@@ -217,7 +214,7 @@ fn bodies(input: &[u8]) {
     }
 }
 
-/// All that a goal's type may ask for.
+/// Uses every type that a goal can contain.
 #[derive(Clone, Deserialize, Serialize)]
 struct Everything<'a> {
     yes: bool,
@@ -246,7 +243,7 @@ enum Mode {
 #[derive(Clone, Deserialize, Serialize)]
 struct Wrapped(u32);
 
-/// A goal of whatever type it looks like.
+/// A goal of any type, by `deserialize_any`.
 struct Whatever;
 
 impl<'de> Deserialize<'de> for Whatever {
@@ -385,7 +382,7 @@ fn run_client(client: &mut Client, input: &[u8], text: &str) {
     ));
 }
 
-/// The ready components, with any configuration.
+/// The ready components, with arbitrary settings. A check requires every one of them here.
 fn ready_parts() -> impl Components {
     let slide = black_box(StepperConfig::DEFAULT);
     let motor = StepMotor::new(AnyPin, AnyPin, &slide)
@@ -486,7 +483,7 @@ static LOG: LogQueue<100> = LogQueue::new();
 static STOP: StopFlag = StopFlag::new();
 static END: EndFlag = EndFlag::new();
 
-/// A stream that tells any numbers whatever.
+/// A stream with arbitrary data.
 struct Line;
 
 impl ErrorType for Line {
@@ -517,7 +514,7 @@ impl Write for Line {
     }
 }
 
-/// A component that does anything whatever.
+/// A component with arbitrary behaviour.
 struct Part {
     latest: Latest<16>,
     queued: Queued<3, 16>,
@@ -530,33 +527,6 @@ impl Part {
             queued: Queued::new(),
         }
     }
-}
-
-/// The same with a goal of its own type.
-impl Actuator for Part {
-    type Goal = (f32, i8, [bool; 2]);
-
-    fn offer(&self) -> Offer<'_> {
-        Component::offer(self)
-    }
-
-    fn start(
-        &mut self,
-        now: Instant,
-        goal: Self::Goal,
-        why: &mut Report<'_>,
-    ) -> Result<(), Refused> {
-        black_box(goal);
-        Component::start(self, now, black_box("goal"), why)
-    }
-
-    fn poll(&mut self, now: Instant, report: &mut Report<'_>) -> Run {
-        Component::poll(self, now, report)
-    }
-
-    fn abort(&mut self, _now: Instant) {}
-
-    fn make_safe(&mut self, _now: Instant) {}
 }
 
 impl Component for Part {
@@ -576,11 +546,12 @@ impl Component for Part {
 
     fn check(&self, goal: &str, why: &mut Report<'_>) -> Result<(), Refused> {
         why.text(black_box(goal));
+        black_box(parse_goal::<(f32, i8, [bool; 2])>(goal, why)?);
         black_box(Err(Refused))
     }
 
     fn start(&mut self, _now: Instant, goal: &str, why: &mut Report<'_>) -> Result<(), Refused> {
-        Component::check(self, goal, why)
+        self.check(goal, why)
     }
 
     fn poll(&mut self, _now: Instant, report: &mut Report<'_>) -> Run {
@@ -619,17 +590,17 @@ fn events() -> [Event; 5] {
     ])
 }
 
-/// An id that the compiler cannot know.
+/// An arbitrary id.
 fn id() -> TaskId {
     TaskId::new(any()).unwrap_or(FIRST)
 }
 
-/// A number that the compiler cannot know.
+/// An arbitrary number.
 fn any() -> u32 {
     u32::from_le_bytes([receive(), receive(), receive(), receive()])
 }
 
-/// Somewhere to write, of any length as far as the compiler knows.
+/// A buffer of arbitrary length, as far as the compiler knows.
 fn room() -> Room {
     Room([0; 256])
 }

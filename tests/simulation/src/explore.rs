@@ -1,71 +1,70 @@
-//! An explorer of all that can happen: every state of a system, breadth first.
+//! Explores every reachable state of a system, breadth first.
 //!
-//! The usual crates keep what they explore as values with `Hash` and `Eq`; here a state is two real
-//! state machines with their clocks, of which only a fingerprint is kept. And *every task ends* is no
-//! property of a state: it is shown by following, from each state, what happens when nobody
-//! disturbs any more, until that goes round in a circle.
+//! Existing crates store states as values with `Hash` and `Eq`. Here a state is two real state machines with their clocks,
+//! and only its fingerprint is stored. The liveness property *every task ends* is checked by following, from each state,
+//! the undisturbed execution until it reaches a cycle.
 
 use std::collections::hash_map::Entry;
 use std::collections::{HashMap, VecDeque};
 use std::hash::{BuildHasherDefault, Hasher};
 use std::rc::Rc;
 
-/// Something that can be explored.
+/// A system to explore.
 pub trait System: Clone {
-    /// What can happen next.
+    /// A step.
     type Action: Copy + std::fmt::Debug;
 
-    /// What happens next when nobody disturbs.
+    /// The next step of the undisturbed execution.
     fn calm(&self) -> Self::Action;
 
-    /// All else that can happen next.
+    /// All other possible steps.
     fn disturbances(&self) -> Vec<Self::Action>;
 
-    /// Lets it happen.
+    /// Takes a step.
     ///
     /// # Errors
-    /// The promise that is broken by it.
+    /// The promise that the step breaks.
     fn apply(&mut self, action: Self::Action) -> Result<(), String>;
 
-    /// Equal for states of which the same can come.
+    /// Equal for equivalent states.
     fn fingerprint(&self) -> u64;
 
-    /// Whether it is as it has to be when nobody has disturbed for long.
+    /// Checks a state of an undisturbed cycle.
     ///
     /// # Errors
-    /// What is missing.
+    /// The promise that it breaks.
     fn settled(&self) -> Result<(), String>;
 
-    /// Tries whether it still does what it is for. Asked where calm goes round in a circle.
+    /// Checks that the system still works, in an undisturbed cycle.
     ///
     /// # Errors
-    /// What it does not do.
+    /// What fails.
     fn serves(&self) -> Result<(), String>;
 }
 
-/// A promise that is broken, and how that came.
+/// A broken promise, and the path to it.
 #[derive(Debug, Clone)]
 pub struct Broken<A> {
-    /// Which.
+    /// The promise.
     pub promise: String,
-    /// What happened, from the first state on.
+    /// The steps from the first state on.
     pub path: Vec<A>,
 }
 
-/// What was explored.
+/// The result of an exploration.
 #[derive(Debug, Clone)]
 pub struct Explored<A> {
-    /// Different states.
+    /// Number of states.
     pub states: usize,
-    /// Steps tried from them.
+    /// Number of steps taken.
     pub steps: usize,
-    /// How many steps the furthest is away from the first.
+    /// Largest distance from the first state, in steps.
     pub depth: u32,
-    /// In how many circles everything ends when nobody disturbs.
+    /// Number of cycles in which undisturbed executions end.
     pub circles: usize,
-    /// Whether that was all; if not, there were more states than allowed.
+    /// Whether all states were explored; if not, there are more than the limit.
     pub complete: bool,
-    /// The first broken promise; none is away from the first state by fewer steps.
+    /// A broken promise with the shortest path.
     pub broken: Option<Broken<A>>,
 }
 
@@ -86,7 +85,7 @@ impl<A> std::fmt::Display for Explored<A> {
     }
 }
 
-/// A fingerprint is a hash already.
+/// Uses fingerprints as hashes.
 #[derive(Default)]
 struct AsItIs(u64);
 
@@ -105,7 +104,7 @@ impl Hasher for AsItIs {
 struct Reached<A> {
     parent: u32,
     action: Option<A>,
-    /// Where it goes when nobody disturbs.
+    /// Index of the next state of the undisturbed execution.
     calm: u32,
     depth: u32,
     settled: bool,
@@ -126,7 +125,7 @@ struct Explorer<S: System> {
     open: VecDeque<Step<S>>,
 }
 
-/// Explores what can come of `first`, at most `limit` states.
+/// Explores the states reachable from `first`, at most `limit`.
 pub fn explore<S: System>(first: &S, limit: usize) -> Explored<S::Action> {
     let mut explorer = Explorer {
         known: HashMap::default(),
@@ -172,7 +171,7 @@ pub fn explore<S: System>(first: &S, limit: usize) -> Explored<S::Action> {
 }
 
 impl<S: System> Explorer<S> {
-    /// Adds a state if it is new, and says where it is.
+    /// Adds a state if it is new, and returns its index.
     fn add(&mut self, state: S, parent: u32, action: Option<S::Action>) -> u32 {
         let place = u32::try_from(self.reached.len()).unwrap_or(NOWHERE);
         match self.known.entry(state.fingerprint()) {
@@ -217,7 +216,7 @@ impl<S: System> Explorer<S> {
         path
     }
 
-    /// Follows calm from every state, to the circle where it ends.
+    /// Follows the undisturbed execution from every state to its cycle.
     fn circles(&self, first: &S) -> (usize, Option<Broken<S::Action>>) {
         let mut circles = 0;
         let mut walked_in = vec![NOWHERE; self.reached.len()];
@@ -227,7 +226,7 @@ impl<S: System> Explorer<S> {
                 walked_in[place as usize] = start;
                 place = self.reached[place as usize].calm;
             }
-            // Into an earlier walk, or round to this one.
+            // Reaches an earlier walk, or closes a cycle.
             if walked_in[place as usize] != start {
                 continue;
             }
@@ -239,7 +238,7 @@ impl<S: System> Explorer<S> {
         (circles, None)
     }
 
-    /// Whether all is well in the circle that goes through this place.
+    /// Checks the cycle through this state.
     fn judge(&self, first: &S, entry: u32) -> Option<Broken<S::Action>> {
         let mut place = entry;
         loop {
@@ -269,7 +268,7 @@ impl<S: System> Explorer<S> {
 mod tests {
     use super::*;
 
-    /// Counts down to 0 when nobody disturbs; may be thrown up, or for ever off the track.
+    /// Counts down to 0 undisturbed. A disturbance may raise it, or stop it forever.
     #[derive(Clone)]
     struct Counter {
         now: u8,

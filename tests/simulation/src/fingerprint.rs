@@ -1,29 +1,26 @@
-//! What makes two states of the real state machines the same.
+//! Fingerprints of the real state machines: equal for equivalent states.
 //!
-//! Their `Debug` form is read, as it is written, and hashed in a form that does not depend on what
-//! cannot matter: times count from now, and those long past are all the same; sequence numbers
-//! count from the node's, those of tasks from the first that appears; the numbers of sessions are replaced
-//! by the order in which they appear.
-//! So a link that does nothing but ping comes back to a state that it was in, and the states that
-//! can be reached are finitely many.
+//! The `Debug` output is hashed in a canonical form. Times are relative to now, and all times long past are equal. Sequence
+//! numbers are relative to the node's, task ids to the first one that appears, and session numbers are replaced by their
+//! order of appearance. An idle link then returns to an earlier state, and the number of reachable states is finite.
 
 use std::fmt::{self, Debug, Write};
 use std::time::Duration;
 
 use ztl_core::Instant;
 
-/// Times further back are all the same: longer ago than anything looks back.
+/// Times further in the past are equal: no timer looks back that far.
 const PAST: Duration = Duration::from_millis(2600);
-/// Times further ahead are all the same.
+/// Times further in the future are equal.
 const FUTURE: Duration = Duration::from_secs(60);
 
-/// Fields that decide about nothing: what follows from others, or is only counted.
+/// Fields without influence on the behaviour: derived from others, or statistics.
 const SKIPPED: [u64; 8] = [
     name("decoder"),
     name("bytes"),
     name("counters"),
     name("random"),
-    name("transmit"),
+    name("frame_out"),
     name("readings_at"),
     name("turnaround"),
     name("round_trips"),
@@ -38,7 +35,7 @@ const SESSIONS: [u64; 4] = [
     name("replaced"),
     name("replaces"),
 ];
-/// Moments after which something is due: how long ago does not matter.
+/// Times at which something is due: how long ago does not matter.
 const DUE: [u64; 6] = [
     name("awake_due"),
     name("due"),
@@ -48,10 +45,10 @@ const DUE: [u64; 6] = [
     name("wake"),
 ];
 const INSTANT: u64 = name("Instant");
-/// Numbers of tasks on the link, of which only the differences matter.
+/// Ids of tasks on the link, of which only the differences matter.
 const LINK_ID: u64 = name("LinkId");
 const HIGHEST: u64 = name("highest");
-/// Numbers further apart are as far apart: no scenario has as many tasks.
+/// Larger differences are equal: no scenario has that many tasks.
 const APART: i64 = 9;
 
 const SEED: u64 = 0xcbf2_9ce4_8422_2325;
@@ -65,7 +62,7 @@ const fn name(text: &str) -> u64 {
     word(SEED, text.as_bytes())
 }
 
-/// Adds a piece of a word, eight bytes at a time.
+/// Hashes a piece of a word, eight bytes at a time.
 const fn word(mut hash: u64, bytes: &[u8]) -> u64 {
     let (mut eight, mut place) = (0, 0);
     while place < bytes.len() {
@@ -79,10 +76,10 @@ const fn word(mut hash: u64, bytes: &[u8]) -> u64 {
     hash
 }
 
-/// From where times and sequence numbers are counted.
+/// The origin of times and sequence numbers.
 #[derive(Debug, Clone, Copy)]
 pub struct Origin {
-    /// Now, on the clock of what is shown next.
+    /// Now, on the clock of the next part.
     pub now: Instant,
     /// Now, on the node's clock.
     pub node: Instant,
@@ -90,32 +87,32 @@ pub struct Origin {
     pub seq: u8,
 }
 
-/// Reads what `Debug` writes and hashes what matters of it.
+/// Hashes the canonical form of `Debug` output.
 #[derive(Debug)]
 pub struct Fingerprint {
     hash: u64,
     origin: Origin,
-    /// The numbers of sessions, in the order in which they appeared.
+    /// Session numbers in the order of their appearance.
     sessions: Vec<u32>,
-    /// The first number of a task, from which the others count.
+    /// The first task id, to which the others are relative.
     link: Option<u64>,
     depth: u32,
-    /// The depth at which a field stands that is left out.
+    /// Depth of the field that is being skipped.
     skipping: Option<u32>,
-    /// The word being read, and the number.
+    /// The current word, and the current number.
     word: Option<u64>,
     number: Option<u64>,
     /// The name before the last `:`, and the word before the last bracket.
     field: u64,
     before: u64,
-    /// The node's clock as the gateway heard it, before the moment when it did.
+    /// The node's clock in the gateway's estimate; the time of that estimate follows.
     clock: Option<u64>,
     quoted: bool,
     escaped: bool,
 }
 
 impl Fingerprint {
-    /// Of nothing yet.
+    /// The fingerprint of nothing.
     #[must_use]
     pub const fn new(origin: Origin) -> Self {
         Self {
@@ -135,7 +132,7 @@ impl Fingerprint {
         }
     }
 
-    /// What is shown next lives by this clock.
+    /// Sets the clock of the next part.
     pub const fn set_now(&mut self, now: Instant) {
         self.origin.now = now;
     }
@@ -146,7 +143,7 @@ impl Fingerprint {
         let _ = write!(self, "{part:?};");
     }
 
-    /// The whole, spread over all bits.
+    /// Returns the fingerprint, spread over all bits.
     #[must_use]
     pub const fn finish(&self) -> u64 {
         let mixed = (self.hash ^ (self.hash >> 29)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
@@ -159,12 +156,12 @@ impl Fingerprint {
         }
     }
 
-    /// A number is complete.
+    /// Handles a complete number.
     fn on_number(&mut self, number: u64) {
         let (now, node) = (self.origin.now, self.origin.node);
         let canonical = if self.before == INSTANT {
             match self.clock.take() {
-                // Only by how much it is wrong matters, not when it was heard.
+                // Only the error of the estimate matters, not when it was made.
                 Some(clock) => clock.wrapping_sub(number.wrapping_sub(now.as_micros())),
                 None if DUE.contains(&self.field) => {
                     let future = FUTURE.as_micros() as u64;
@@ -179,7 +176,7 @@ impl Fingerprint {
         } else if NODE_CLOCKS.contains(&self.field) {
             relative(number.saturating_mul(1000), node.as_micros())
         } else if self.field == SEQ && number != 0 {
-            // 1 to 255, round and round.
+            // 1 to 255, cyclic.
             1 + (number + 255 - u64::from(self.origin.seq)) % 255
         } else if SESSIONS.contains(&self.field) && self.skipping.is_none() {
             self.session(number)
@@ -192,7 +189,7 @@ impl Fingerprint {
         self.take(canonical);
     }
 
-    /// A session is named by its place; its lowest eight bits are the boot id in its key.
+    /// Replaces a session number by its index; the lowest eight bits are the boot id in its key.
     fn session(&mut self, number: u64) -> u64 {
         let Ok(key) = u32::try_from(number) else {
             return number;
@@ -201,17 +198,17 @@ impl Fingerprint {
         if opened == 0 {
             return number;
         }
-        let place = match self.sessions.iter().position(|known| *known == opened) {
-            Some(place) => place,
+        let index = match self.sessions.iter().position(|known| *known == opened) {
+            Some(index) => index,
             None => {
                 self.sessions.push(opened);
                 self.sessions.len() - 1
             }
         };
-        (place as u64 + 1) << 8 | boot
+        (index as u64 + 1) << 8 | boot
     }
 
-    /// Marks and numbers are read byte by byte, words as they come.
+    /// Handles a mark or a digit; words are handled as a whole.
     fn on_byte(&mut self, byte: u8) {
         if self.quoted {
             self.take(u64::from(byte));
@@ -267,7 +264,7 @@ const fn is_letter(byte: u8) -> bool {
     byte.is_ascii_alphabetic() || byte == b'_'
 }
 
-/// A task's number, counted from another one.
+/// A task id relative to another one.
 const fn link_relative(number: u64, base: u64) -> u64 {
     let difference = number.wrapping_sub(base) as i64;
     let clamped = if difference > APART {
@@ -280,7 +277,7 @@ const fn link_relative(number: u64, base: u64) -> u64 {
     clamped as u64
 }
 
-/// Microseconds after now, as a number that is never negative.
+/// Microseconds after now, as a nonnegative number.
 fn relative(moment: u64, now: u64) -> u64 {
     let past = PAST.as_micros() as u64;
     let future = FUTURE.as_micros() as u64;

@@ -1,8 +1,8 @@
-//! The promises of the link, checked over the real state machines: by exploring all that can happen
-//! with few faults, and by simulating whole laboratories with many.
+//! Checks the promises of the link on the real state machines: explores every sequence of events with few faults,
+//! and simulates whole laboratories with many.
 #![expect(
     clippy::duplicate_mod,
-    reason = "the model is compiled for the ends as they are, and for those that can be broken"
+    reason = "the model is compiled for the real ends and for their mutated copy"
 )]
 
 pub mod explore;
@@ -11,7 +11,7 @@ pub mod lab;
 pub mod plan;
 pub mod shrink;
 
-/// The model over the ends as they are.
+/// The model of the real ends.
 #[path = "."]
 pub mod real {
     /// The two ends of the link.
@@ -24,32 +24,32 @@ pub mod real {
 
 pub mod mutants;
 
-/// The model over a copy of the ends that can be broken.
+/// The model of a copy of the ends with switchable mutations.
 #[path = "."]
 pub mod broken {
     use std::cell::Cell;
 
-    /// The copy, made by `build.rs`.
+    /// The copy that `build.rs` makes.
     pub mod ends {
         include!(concat!(env!("OUT_DIR"), "/ends.rs"));
     }
     pub mod model;
 
     thread_local! {
-        static MISTAKE: Cell<Option<usize>> = const { Cell::new(None) };
+        static MUTANT: Cell<Option<usize>> = const { Cell::new(None) };
     }
 
-    /// Switches one of the [mistakes](crate::mutants::MUTANTS) on, on this thread.
-    pub fn switch(mistake: Option<usize>) {
-        MISTAKE.set(mistake);
+    /// Switches on one of the [mutants](crate::mutants::MUTANTS), on this thread.
+    pub fn switch(mutant: Option<usize>) {
+        MUTANT.set(mutant);
     }
 
-    /// Whether one of these is switched on.
-    pub(crate) fn is(mistakes: &[usize]) -> bool {
-        MISTAKE.get().is_some_and(|on| mistakes.contains(&on))
+    /// Whether one of these mutants is switched on.
+    pub(crate) fn is(mutants: &[usize]) -> bool {
+        MUTANT.get().is_some_and(|on| mutants.contains(&on))
     }
 
-    /// Mistakes whose place in the source is not found, by name.
+    /// Names of the mutants whose code is not found.
     #[must_use]
     pub fn lost() -> Vec<&'static str> {
         let name = |number: &usize| crate::mutants::MUTANTS[*number].name;

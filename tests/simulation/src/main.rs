@@ -17,13 +17,13 @@ use ztl_simulation::plan::Plan;
 use ztl_simulation::real::model::{Action, Lab, SCENARIOS, Scenario};
 use ztl_simulation::shrink::{attempt, report, shrink};
 
-/// Some 10 GiB are needed for these.
+/// About 10 GiB of memory suffice for these.
 const STATES: usize = 60_000_000;
 
-/// Failing seeds that are shortened and told; then it stops.
+/// Number of failing seeds that are shrunk and reported before the run stops.
 const TOLD: u64 = 3;
 
-/// Seeds that are simulated unless told otherwise.
+/// Default number of seeds.
 const SEEDS: u64 = 2000;
 
 const USAGE: &str = "usage: ztl-simulation model [SCENARIO] [--depth FAULTS]\n       \
@@ -51,7 +51,7 @@ fn cores() -> usize {
     thread::available_parallelism().map_or(1, usize::from)
 }
 
-/// Whether every worker says that all is well.
+/// Whether every worker succeeded.
 fn on_all_cores(work: impl Fn() -> bool + Sync) -> bool {
     thread::scope(|scope| {
         let workers: Vec<_> = (0..cores()).map(|_| scope.spawn(&work)).collect();
@@ -136,7 +136,7 @@ fn simulate(words: &[&str]) -> Result<bool, String> {
             "there are no {seeds} seeds from {first} on\n{USAGE}"
         ));
     }
-    // A panic in what is tested is caught and told below.
+    // Panics are caught and reported below.
     std::panic::set_hook(Box::new(|_| {}));
     let begin = Instant::now();
     let next = AtomicU64::new(first);

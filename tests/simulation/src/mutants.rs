@@ -1,29 +1,28 @@
-//! Mistakes that could be made in the two ends, each of which the model must catch.
+//! Mutants of the two ends, each of which the model must catch.
 //!
-//! `build.rs` compiles a second copy of the ends in which each of these can be switched on. A
-//! mistake is written as changes of the source, so that it is the real code that is broken; when
-//! that code has changed, the test `every_mistake_has_its_place` says which is to be rewritten.
+//! `build.rs` compiles a second copy of the ends in which each mutant can be switched on. A mutant is a change of the
+//! source, so it breaks the real code. When that code has changed, the test `every_mutant_is_found_in_the_source` names
+//! the mutant to rewrite.
 
-/// A mistake.
+/// A change of the ends that breaks a promise.
 #[derive(Debug)]
 pub struct Mutant {
     /// Its name.
     pub name: &'static str,
-    /// The changes: file, what stands there once, and what stands there instead. `ON` is replaced
-    /// by the switch.
+    /// The changes: file, code that occurs there once, and its replacement. `ON` stands for the switch.
     pub edits: &'static [(&'static str, &'static str, &'static str)],
     /// The scenario that catches it, and with how many faults.
     pub caught_in: (&'static str, u8),
-    /// How the complaint begins.
+    /// How the message of the violation begins.
     pub complaint: &'static str,
 }
 
 const COMMANDS: &str = "ztl-mcu/src/node/commands.rs";
 const RUNNER: &str = "ztl-mcu/src/node/runner.rs";
 const SESSION: &str = "ztl-link/src/session.rs";
-const SEND: &str = "ztl-link/src/session/send.rs";
-const RECEIVE: &str = "ztl-link/src/session/receive.rs";
-const ENDS: &str = "ztl-link/src/session/ends.rs";
+const SEND: &str = "ztl-link/src/send.rs";
+const RECEIVE: &str = "ztl-link/src/receive.rs";
+const OUTCOME: &str = "ztl-link/src/outcome.rs";
 
 const REPEATED: (&str, &str, &str) = (
     COMMANDS,
@@ -41,7 +40,7 @@ const HIGHEST: (&str, &str, &str) = (
     "if task <= self.highest && !ON {",
 );
 
-/// All of them.
+/// All mutants.
 pub const MUTANTS: &[Mutant] = &[
     Mutant {
         name: "the node executes a repeated command again",
@@ -56,13 +55,13 @@ pub const MUTANTS: &[Mutant] = &[
         complaint: "promise 6",
     },
     Mutant {
-        name: "the node takes a Start that is not above the highest",
+        name: "the node executes a Start that is not above the highest",
         edits: &[HIGHEST],
         caught_in: ("repeat", 2),
         complaint: "promise 1",
     },
     Mutant {
-        name: "the node takes a Start after its moment",
+        name: "the node executes a Start after its deadline",
         edits: &[(
             COMMANDS,
             "if now.as_millis() > before_ms {",
@@ -89,9 +88,9 @@ pub const MUTANTS: &[Mutant] = &[
         complaint: "promise 6",
     },
     Mutant {
-        name: "the gateway tells REJECTED before the device has refused",
+        name: "the gateway reports REJECTED before the device has refused",
         edits: &[(
-            ENDS,
+            OUTCOME,
             ".filter(|(_, task)| task.waits() && now >= task.deadline)",
             ".filter(|(_, task)| (task.waits() || ON && matches!(task.stage, Stage::Sent(_))) && now >= task.deadline)",
         )],
@@ -99,9 +98,9 @@ pub const MUTANTS: &[Mutant] = &[
         complaint: "promise 6",
     },
     Mutant {
-        name: "the gateway tells FAILED after one link timeout",
+        name: "the gateway reports FAILED after one link timeout",
         edits: &[(
-            ENDS,
+            OUTCOME,
             "(self.heard + timeout * 2)",
             "(self.heard + timeout * if ON { 1 } else { 2 })",
         )],
@@ -109,9 +108,9 @@ pub const MUTANTS: &[Mutant] = &[
         complaint: "promise 4",
     },
     Mutant {
-        name: "the gateway forgets that a Start is taken as late as its moment",
+        name: "the gateway ignores that a Start may be executed until its deadline",
         edits: &[(
-            ENDS,
+            OUTCOME,
             ".max(task.deadline + timeout)",
             ".max(if ON { self.heard } else { task.deadline + timeout })",
         )],
@@ -119,7 +118,7 @@ pub const MUTANTS: &[Mutant] = &[
         complaint: "promise 4",
     },
     Mutant {
-        name: "a session is known by its Hello alone, not by the boot of its Welcome",
+        name: "a session is identified by its Hello alone, not by the boot of its Welcome",
         edits: &[
             (
                 RECEIVE,
@@ -136,7 +135,7 @@ pub const MUTANTS: &[Mutant] = &[
         complaint: "promise 4",
     },
     Mutant {
-        name: "the gateway does not look at the boot id",
+        name: "the gateway ignores the boot id",
         edits: &[(
             RECEIVE,
             "let other = |sent: Sent| sent.boot != welcome.boot || welcome.replaces == 0;",
@@ -146,7 +145,7 @@ pub const MUTANTS: &[Mutant] = &[
         complaint: "promise 2",
     },
     Mutant {
-        name: "the gateway opens no other session when its device is silent or has started anew",
+        name: "the gateway opens no new session when its device is silent or was reset",
         edits: &[
             (
                 SESSION,
@@ -168,7 +167,7 @@ pub const MUTANTS: &[Mutant] = &[
         complaint: "promise 3",
     },
     Mutant {
-        name: "the node lets a second gateway in",
+        name: "the node admits a second gateway",
         edits: &[(
             COMMANDS,
             "if live && hello.gateway != self.gateway {",
@@ -178,7 +177,7 @@ pub const MUTANTS: &[Mutant] = &[
         complaint: "promise: the device of one gateway",
     },
     Mutant {
-        name: "the node's link timer is restarted by repeated commands",
+        name: "repeated commands restart the node's link timer",
         edits: &[(
             COMMANDS,
             "count(&mut counters.repeats);",
@@ -201,17 +200,17 @@ pub const MUTANTS: &[Mutant] = &[
         complaint: "promise 4",
     },
     Mutant {
-        name: "the node leaves components without a task alone when the link is lost",
+        name: "the node ignores idle components when the link is lost",
         edits: &[(
             RUNNER,
             "if !goes_to_safety(component, all) {",
-            "if !goes_to_safety(component, all) || ON && self.tasks.moving(place).is_none() {",
+            "if !goes_to_safety(component, all) || ON && self.tasks.running_on(index).is_none() {",
         )],
         caught_in: ("full", 1),
         complaint: "promise 4",
     },
     Mutant {
-        name: "the node does not poll a component without a task until it is safe",
+        name: "the node does not poll an idle component until it is safe",
         edits: &[(
             RUNNER,
             "self.safety_wake = now;",
@@ -221,7 +220,7 @@ pub const MUTANTS: &[Mutant] = &[
         complaint: "promise 4",
     },
     Mutant {
-        name: "the node gives another gateway the number of a Start that may be under way",
+        name: "the node lets another gateway use the id of a Start that may still arrive",
         edits: &[(
             COMMANDS,
             "self.highest = LinkId(self.highest.0.saturating_add(1));",
@@ -231,9 +230,9 @@ pub const MUTANTS: &[Mutant] = &[
         complaint: "promise 2",
     },
     Mutant {
-        name: "the gateway tells FAILED of a task that carries on",
+        name: "the gateway reports FAILED for a task that carries on",
         edits: &[(
-            ENDS,
+            OUTCOME,
             ".filter(|(_, task)| task.may_run() && !task.carries_on())",
             ".filter(|(_, task)| task.may_run() && (!task.carries_on() || ON))",
         )],
@@ -241,27 +240,27 @@ pub const MUTANTS: &[Mutant] = &[
         complaint: "promise 4",
     },
     Mutant {
-        name: "the gateway does not write down a Start before it is sent",
+        name: "the gateway does not journal a Start before it is sent",
         edits: &[(
             SEND,
-            "if let Err(reason) = self.book.starting(&entry) {",
-            "if !ON && let Err(reason) = self.book.starting(&entry) {",
+            "if let Err(reason) = self.journal.starting(&entry) {",
+            "if !ON && let Err(reason) = self.journal.starting(&entry) {",
         )],
         caught_in: ("journal", 1),
         complaint: "promise 6",
     },
     Mutant {
-        name: "the gateway does not write down an end before it is told",
+        name: "the gateway does not journal an outcome before it is reported",
         edits: &[(
-            ENDS,
-            "if let Err(reason) = self.book.ended(&task.entry(id), state, text) {",
-            "if !ON && let Err(reason) = self.book.ended(&task.entry(id), state, text) {",
+            OUTCOME,
+            "if let Err(reason) = self.journal.ended(&task.entry(id), state, text) {",
+            "if !ON && let Err(reason) = self.journal.ended(&task.entry(id), state, text) {",
         )],
         caught_in: ("journal", 1),
         complaint: "promise 2",
     },
     Mutant {
-        name: "the gateway leaves alone what it finds running and does not know",
+        name: "the gateway does not abort unknown tasks of the device",
         edits: &[(
             RECEIVE,
             ".filter(|link| self.find(*link).is_none())",
@@ -271,12 +270,12 @@ pub const MUTANTS: &[Mutant] = &[
         complaint: "promise 4",
     },
     Mutant {
-        name: "the gateway tells an end each time it hears it",
+        name: "the gateway reports an outcome each time it arrives",
         edits: &[(
-            ENDS,
-            "let taken = matches!(task.stage, Stage::Sent(_));
+            OUTCOME,
+            "let undecided = matches!(task.stage, Stage::Sent(_));
         self.tasks.remove(&id);",
-            "let taken = matches!(task.stage, Stage::Sent(_));
+            "let undecided = matches!(task.stage, Stage::Sent(_));
         if !ON {
             self.tasks.remove(&id);
         }",
@@ -285,7 +284,7 @@ pub const MUTANTS: &[Mutant] = &[
         complaint: "promise 2",
     },
     Mutant {
-        name: "the gateway takes a Start without an answer for refused",
+        name: "the gateway considers a Start without an answer refused",
         edits: &[
             (
                 RECEIVE,
@@ -302,7 +301,7 @@ pub const MUTANTS: &[Mutant] = &[
         complaint: "promise 6",
     },
     Mutant {
-        name: "the node gives up an end that is not acknowledged",
+        name: "the node drops an outcome that is not acknowledged",
         edits: &[(
             RUNNER,
             "if known.is_free() {",
@@ -312,7 +311,7 @@ pub const MUTANTS: &[Mutant] = &[
         complaint: "promise 2",
     },
     Mutant {
-        name: "the node forgets its ends in a new session",
+        name: "the node drops its outcomes in a new session",
         edits: &[(
             COMMANDS,
             "for task in self.runner.tasks.held_mut() {

@@ -1,4 +1,4 @@
-//! What happens in a simulated laboratory, from one seed: a list that can be shortened.
+//! The plan of a simulated laboratory: a list of happenings, generated from a seed, that can be shrunk.
 
 use std::fmt;
 use std::time::Duration;
@@ -16,52 +16,51 @@ pub enum Way {
     Up,
 }
 
-/// What a motor is like.
+/// Properties of a motor.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct MotorPlan {
     /// What it does when the link is lost.
     pub loss: Loss,
     /// What it does with a second task.
     pub busy: Busy,
-    /// How long it takes to stop, and how often it is looked at.
+    /// How long it takes to stop, and how often it is polled.
     pub slow: Duration,
 }
 
-/// Something that happens.
+/// A happening.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum What {
-    /// A client asks for a task.
+    /// A client starts a task.
     Ask {
-        /// Which client.
+        /// The client.
         client: usize,
-        /// Of which device.
+        /// The device.
         device: usize,
-        /// Which motor; one beyond the last does not exist.
+        /// The motor; the one after the last does not exist.
         motor: usize,
-        /// How long it moves.
+        /// Duration of the task.
         millis: u64,
-        /// Whether the client wishes a quick end with the answer.
+        /// Whether the client waits for an early final state.
         to_end: bool,
     },
-    /// A client aborts the task that was asked for as this, counted from 0, by whom ever.
+    /// A client aborts a task of any client, numbered from 0 in the order of starting.
     Abort {
-        /// Which client.
+        /// The client.
         client: usize,
-        /// Which task.
+        /// The task.
         task: usize,
     },
-    /// The device loses its power and has it again.
+    /// The device is reset.
     Reset(usize),
-    /// The line is closed, what is under way is lost, and it is opened again after this time.
+    /// The line is closed, loses all bytes on it, and is opened again after this time.
     Unplug(usize, Duration),
-    /// What is sent is lost for this time.
+    /// All bytes are lost for this time.
     Cut(usize, Way, Duration),
-    /// What is sent is held back for this time.
+    /// All bytes are delayed for this time.
     Stall(usize, Way, Duration),
-    /// The line is that bad for this time.
+    /// The line has these faults for this time.
     Noise(usize, Way, Faults, Duration),
-    /// The gateway is killed, with this many bytes of a journal's line half written, and started
-    /// again after this time.
+    /// The gateway is killed after writing this many bytes of a journal entry, and restarted after this time.
     Kill(usize, Duration),
     /// The disk is full for this time.
     Full(Duration),
@@ -69,27 +68,27 @@ pub enum What {
     Deaf(Duration),
 }
 
-/// When it happens.
+/// A happening and its time.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Happening {
-    /// After the begin.
+    /// Time from the start.
     pub at: Duration,
-    /// What.
+    /// The happening.
     pub what: What,
 }
 
-/// A whole run.
+/// The plan of a run.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Plan {
-    /// From which it was made; the faults of the lines follow from it too.
+    /// The seed of the plan and of the line faults.
     pub seed: u64,
     /// The devices and their motors.
     pub devices: Vec<[MotorPlan; 2]>,
-    /// How many clients there are.
+    /// Number of clients.
     pub clients: usize,
     /// Whether the gateway has a journal.
     pub journal: bool,
-    /// What happens, in this order.
+    /// The happenings, in order.
     pub happenings: Vec<Happening>,
 }
 

@@ -1,4 +1,4 @@
-//! From a plan that breaks a promise to a short one that still does.
+//! Shrinks a plan that breaks a promise.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::time::Duration;
@@ -6,10 +6,10 @@ use std::time::Duration;
 use crate::lab::{Failure, Summary, play};
 use crate::plan::{Plan, What};
 
-/// Plays a plan; a panic in what is tested is a failure too.
+/// Plays a plan; a panic is a failure too.
 ///
 /// # Errors
-/// What went wrong.
+/// The broken promise or the panic.
 pub fn attempt(plan: &Plan, traced: bool) -> Result<(Summary, Vec<String>), Failure> {
     let run = catch_unwind(AssertUnwindSafe(|| play(plan, traced)));
     run.unwrap_or_else(|panic| {
@@ -22,14 +22,13 @@ pub fn attempt(plan: &Plan, traced: bool) -> Result<(Summary, Vec<String>), Fail
     })
 }
 
-/// The shortest plan that can be found by leaving out what happens, and making it shorter, and
-/// still breaks a promise.
+/// Finds a shorter plan that still breaks a promise, by removing and shortening happenings.
 #[must_use]
 pub fn shrink(plan: &Plan) -> Plan {
     shrink_by(plan, |plan| attempt(plan, false).is_err())
 }
 
-/// The same for any way in which a plan can fail.
+/// Like [`shrink`], for any criterion of failure.
 #[must_use]
 pub fn shrink_by(plan: &Plan, fails: impl Fn(&Plan) -> bool) -> Plan {
     let mut best = plan.clone();
@@ -82,7 +81,7 @@ fn time_of(what: &mut What) -> Option<&mut Duration> {
     }
 }
 
-/// The plan, what happens in it, and how to see that again.
+/// The plan, its trace, and the command that repeats it.
 #[must_use]
 pub fn report(plan: &Plan) -> String {
     let seed = plan.seed;

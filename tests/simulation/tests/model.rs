@@ -1,15 +1,15 @@
-//! What `cargo xtask model` explores, with few faults; and that the model catches mistakes.
+//! The exploration of `cargo xtask model` with few faults, and the mutants that the model must catch.
 
 use ztl_simulation::explore::explore;
 use ztl_simulation::mutants::{MUTANTS, Mutant};
 use ztl_simulation::{broken, real};
 
-/// More than any of them has.
+/// More states than any scenario has.
 const STATES: usize = 2_000_000;
 
 #[test]
 #[cfg_attr(not(optimised), ignore = "too long; cargo xtask test --only model")]
-fn the_promises_hold_whatever_goes_wrong_once() {
+fn the_promises_hold_with_one_fault() {
     for scenario in real::model::SCENARIOS {
         let scenario = scenario.with_times(1);
         let first = real::model::Lab::new(scenario);
@@ -24,17 +24,17 @@ fn the_promises_hold_whatever_goes_wrong_once() {
 }
 
 #[test]
-fn every_mistake_has_its_place() {
+fn every_mutant_is_found_in_the_source() {
     let lost = broken::lost();
     assert!(
         lost.is_empty(),
-        "what these change in src/mutants.rs stands nowhere, or twice: {lost:#?}"
+        "src/mutants.rs changes code that occurs not once: {lost:#?}"
     );
 }
 
 #[test]
 #[cfg_attr(not(optimised), ignore = "too long; cargo xtask test --only model")]
-fn every_mistake_is_caught() {
+fn every_mutant_is_caught() {
     let mut escaped = Vec::new();
     for (number, mutant) in MUTANTS.iter().enumerate() {
         broken::switch(Some(number));

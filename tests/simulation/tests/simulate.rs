@@ -1,4 +1,4 @@
-//! What `cargo xtask simulate` plays, with few seeds; and what its shrinking does.
+//! The simulation of `cargo xtask simulate` with few seeds, and the shrinking of failing plans.
 
 use ztl_simulation::lab::Summary;
 use ztl_simulation::plan::Plan;
@@ -16,13 +16,13 @@ fn two_thousand_laboratories_keep_their_promises() {
         }
     }
     println!("2000 seeds: {total}");
-    // It would be no test if nothing moved, or all went well.
+    // The seeds must move motors and cause faults.
     assert!(total.begun > 8000, "{total}");
     assert!(total.ended > 800 && total.unknown > 500, "{total}");
 }
 
 #[test]
-fn a_seed_plays_the_same_each_time() {
+fn a_seed_is_deterministic() {
     for seed in [3, 4711] {
         let plan = Plan::new(seed);
         let first = attempt(&plan, true).expect("it keeps its promises");
@@ -32,8 +32,8 @@ fn a_seed_plays_the_same_each_time() {
 }
 
 #[test]
-fn a_failing_plan_is_shortened_to_what_makes_it_fail() {
-    // As if a promise was broken whenever two of these happen.
+fn a_failing_plan_is_shrunk_to_its_cause() {
+    // Pretends that two of these break a promise.
     let plan = Plan::new(12);
     let kinds = |plan: &Plan| {
         let asks = plan.happenings.iter();

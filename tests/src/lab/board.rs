@@ -21,7 +21,7 @@ const PAINT: u8 = 0xC5;
 /// Board, target, machine.
 const BOARDS: &str = include_str!("../../../examples/firmware/boards.txt");
 
-/// The words of the panel (`examples/firmware/qemu/src/panel.rs`), in their order.
+/// The words of the panel (`examples/firmware/board-support/src/panel.rs`), in their order.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Pin {
     /// 1 presses the stage's limit switch.

@@ -1,15 +1,15 @@
-//! What an answer means: decided here, once.
+//! Classifies answers. No other code interprets their texts.
 
-use crate::dispatcher::{RESERVED_SCOPE, UNKNOWN_END};
 use crate::integer::Integer;
 use crate::lifecycle::{Request, State};
 use crate::message::Message;
+use crate::reply::{RESERVED_SCOPE, UNKNOWN_END};
 
-/// What an answer says, by the request that it answers.
+/// The meaning of an answer to a request.
 ///
-/// An answer counts only with the scope of its request and, except for an INIT, with its id: every
-/// server, also the original's, repeats both. Then the id of an INIT's answer decides whether the
-/// task was accepted, and the state of any other answer decides where the task is.
+/// An answer counts only if it has the scope of its request and, except for an INIT, its id: every server repeats both. The
+/// id of the answer to an INIT then decides whether the task was accepted. The state of any other answer is the state of
+/// the task.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Answer<'a> {
@@ -29,7 +29,7 @@ pub enum Answer<'a> {
         /// The payload: the reason.
         text: &'a str,
     },
-    /// To STATUS or ABORT: where the task is. To a question about the server: its answer.
+    /// To STATUS or ABORT: the state of the task. To a question about the server: its answer.
     Task {
         /// The task's state.
         state: State,
@@ -49,7 +49,7 @@ pub enum Answer<'a> {
         /// The payload: what went wrong.
         text: &'a str,
     },
-    /// To STATUS or ABORT: the task is FAILED, but the server could not learn its end
+    /// To STATUS or ABORT: the task is FAILED, but the server could not learn its outcome
     /// ([`UNKNOWN_END`]). The task may still run.
     UnknownEnd {
         /// The payload.
@@ -61,7 +61,7 @@ pub enum Answer<'a> {
         state: Option<State>,
         /// The scope in the answer.
         scope: &'a str,
-        /// The id in the answer, which may be no number.
+        /// The id in the answer, which may not be a number.
         id: &'a str,
         /// The payload.
         text: &'a str,
@@ -76,8 +76,8 @@ pub enum Answer<'a> {
 }
 
 impl<'a> Answer<'a> {
-    /// What a server's answer to the request in `asked` says; `None` when it is not a ZTL message:
-    /// fewer than four fields, or no number where the request needs one.
+    /// Classifies the answer `body` to the request `asked`. `None` if it is not a ZTL message: fewer than four fields, or no
+    /// number where the request needs one.
     #[must_use]
     pub fn classify(asked: &[u8], body: &'a [u8]) -> Option<Self> {
         let asked = Message::parse(asked).ok()?;
@@ -139,21 +139,21 @@ impl<'a> Answer<'a> {
     }
 }
 
-/// Whether an answer of the right scope is about the task in the request. What the reserved scope says
-/// of the server is about none, and has an id of its own.
+/// Whether an answer with the right scope is about the task in the request. Answers of the reserved scope are about no task
+/// and have other ids.
 fn is_about(asked: &Message<'_>, answer: &Message<'_>) -> bool {
     let same = || Some(asked.number().ok()? == answer.number().ok()?);
     asked.scope == RESERVED_SCOPE || same() == Some(true)
 }
 
-/// Whether a server ended the task without having learnt how.
+/// Whether a server ended the task without knowing its outcome.
 fn is_unknown_end(state: State, text: &str) -> bool {
     state == State::Failed && text.starts_with(UNKNOWN_END)
 }
 
-/// Whether a server says so that it does not know the task. The original's controllers name the id,
-/// its simple server does not (wire specification 4.6, 7.5). A relay repeats the words of the server behind it,
-/// with the id that the task has there. A handler may use the same words for something else.
+/// Whether this text means that the server does not know the task. The original's controllers name the id, its simple
+/// server does not (wire specification 4.6, 7.5). A relay repeats the text of the server behind it, with the id that the
+/// task has there. A handler may use the same text for something else.
 fn is_unknown_task(text: &str) -> bool {
     let Some(named) = text.strip_prefix("Invalid ID") else {
         return false;
@@ -164,9 +164,8 @@ fn is_unknown_task(text: &str) -> bool {
     named.is_empty() || quoted.is_some_and(|id| Integer::parse(id).is_ok())
 }
 
-/// Whether a final state is the request's and not the task's: the scope is not there (yet), the
-/// request was not understood, or the original's controller raised an exception when it was asked
-/// (wire specification 4.3, cases A, B, C and H).
+/// Whether a final state is about the request and not about the task: the scope does not exist (yet), the request was
+/// invalid, or the original's controller raised an exception (wire specification 4.3, cases A, B, C and H).
 fn is_about_the_request(state: State, text: &str) -> bool {
     match state {
         State::Rejected => {

@@ -1,9 +1,9 @@
 //! When held replies are sent, and what they say.
 
-use super::{Dispatcher, RESERVED_SCOPE};
+use super::state::Dispatcher;
 use crate::lifecycle::State;
 use crate::memory::{Awaited, First, Memory, Waiter};
-use crate::reply::{Reply, ReplyId, Text};
+use crate::reply::{RESERVED_SCOPE, Reply, ReplyId, ReplyText};
 use crate::tasks::Tasks;
 use crate::{Instant, TaskId};
 
@@ -85,8 +85,6 @@ impl<M: Memory> Dispatcher<M> {
 
     /// Sends the replies that are due. Returns whether one of them is the first to tell its client the
     /// decision.
-    // Not inlined in firmware: it has two callers.
-    #[cfg_attr(target_os = "none", inline(never))]
     fn answer_due(
         &mut self,
         due: &Due,
@@ -146,19 +144,19 @@ impl<M: Memory> Dispatcher<M> {
             Awaited::End => {}
             Awaited::Abort => {
                 if reply.state == State::Aborted {
-                    reply.text = Text::True;
+                    reply.text = ReplyText::True;
                 } else if !ended {
-                    reply.text = Text::False;
+                    reply.text = ReplyText::False;
                     if said.is_none() {
                         reply.state = State::Accepted;
-                        reply.text = Text::Aborting;
+                        reply.text = ReplyText::Aborting;
                     }
                 }
             }
             Awaited::EarlyEnd if ended && reply.state != State::Rejected => {}
             _ => {
                 reply.state = State::Accepted;
-                reply.text = Text::Undecided;
+                reply.text = ReplyText::Undecided;
                 let known = || {
                     let init = self.memory.init_of(id)?;
                     match init.first {

@@ -1,11 +1,13 @@
 //! INITs: a new one starts a task, a repeated one does not.
 
-use super::{Action, Asked, Dispatcher, KEEP_INIT, NOTHING_KNOWN};
+use super::config::KEEP_INIT;
+use super::interface::Action;
+use super::state::{Asked, Dispatcher};
 use crate::envelope::{ClientId, Envelope};
 use crate::lifecycle::State;
 use crate::memory::{Awaited, First, Memory, Scope};
-use crate::reply::{Reply, Text};
-use crate::tasks::{Task, TaskRules, Text as _};
+use crate::reply::{NOTHING_KNOWN, Reply, ReplyText};
+use crate::tasks::{Task, TaskRules, Text};
 use crate::time::micros;
 use crate::{Instant, TaskId};
 
@@ -33,7 +35,7 @@ impl<M: Memory> Dispatcher<M> {
         asked: &mut Asked<'r, 'a>,
         out: &mut impl FnMut(M::Peer, &Reply<'_>),
     ) {
-        asked.reply.text = Text::GivenUp;
+        asked.reply.text = ReplyText::GivenUp;
         let check = check(scope, payload);
         let mut awaited = Awaited::Decision;
         if let Some(envelope) = asked.envelope {
@@ -44,35 +46,35 @@ impl<M: Memory> Dispatcher<M> {
                 Known::New => self.settle_last(&envelope.client, out),
                 Known::Void | Known::Settled => return,
                 Known::Forgotten => {
-                    asked.reply.text = Text::ManyClients;
+                    asked.reply.text = ReplyText::ManyClients;
                     return;
                 }
                 Known::Taken => {
-                    asked.reply.text = Text::NumberTaken;
+                    asked.reply.text = ReplyText::NumberTaken;
                     return;
                 }
                 Known::Last => return self.tell_again(&envelope.client, awaited, asked),
             }
         }
         let Some(id) = self.next else {
-            asked.reply.text = Text::NoMoreIds;
+            asked.reply.text = ReplyText::NoMoreIds;
             return;
         };
         // Check everything that can reject the INIT before `admit`, which may drop an ended task.
         if let Some(Envelope { client, number, .. }) = asked.envelope
             && !self.remember(client, (*number, check), First::Pending, Some(id), "")
         {
-            asked.reply.text = Text::ManyClients;
+            asked.reply.text = ReplyText::ManyClients;
             return;
         }
-        let mut refused = Some(Text::ManyWaiting);
+        let mut refused = Some(ReplyText::ManyWaiting);
         if self.memory.can_hold() {
             refused = match self.memory.tasks_mut().admit(id, Task::new(scope)) {
                 Ok(task) => {
                     task.text.set(NOTHING_KNOWN);
                     None
                 }
-                Err(_) => Some(Text::ManyTasks),
+                Err(_) => Some(ReplyText::ManyTasks),
             };
         }
         if let Some(reason) = refused {

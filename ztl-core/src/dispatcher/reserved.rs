@@ -1,11 +1,11 @@
 //! The reserved scope `$ztl`: information about this server, and the outcome of an INIT.
 
 use super::inits::Known;
-use super::{Asked, Dispatcher, argument};
+use super::state::{Asked, Dispatcher, argument};
 use crate::integer::Integer;
 use crate::lifecycle::{Request, State};
 use crate::memory::{Awaited, First, Memory};
-use crate::reply::{Put, Reply, ReplyId, Text, Words};
+use crate::reply::{Put, Reply, ReplyId, ReplyText, Words};
 use crate::sink::{Sink, put_decimal};
 use crate::tasks::Tasks;
 
@@ -19,28 +19,28 @@ impl<M: Memory> Dispatcher<M> {
     ) {
         let reply = &mut asked.reply;
         reply.id = ReplyId::Asked(Integer::ZERO);
-        reply.text = Text::InvalidReserved;
+        reply.text = ReplyText::InvalidReserved;
         if request != Some(Request::Status) {
             return;
         }
         if payload == "probe" {
             reply.state = State::Completed;
-            reply.text = Text::Probed;
+            reply.text = ReplyText::Probed;
             reply.words = Words::Put(self);
             return;
         }
         let (Some(envelope), Some(number)) = (asked.envelope, argument(payload, "outcome ")) else {
             if let Some(text) = self.memory.answer(payload) {
                 reply.state = State::Completed;
-                reply.text = Text::Words;
+                reply.text = ReplyText::Words;
                 reply.words = Words::Said(text);
             }
             return;
         };
         let client = &envelope.client;
         match self.known(asked, number, None) {
-            Known::Forgotten => asked.reply.text = Text::ManyClients,
-            Known::Settled => asked.reply.text = Text::Settled,
+            Known::Forgotten => asked.reply.text = ReplyText::ManyClients,
+            Known::Settled => asked.reply.text = ReplyText::Settled,
             Known::Last => self.tell_again(client, Awaited::Outcome, asked),
             // From now on the INIT is rejected, for as long as a reply would be kept.
             Known::New | Known::Void | Known::Taken => {
@@ -48,9 +48,9 @@ impl<M: Memory> Dispatcher<M> {
                 let number = (number, 0);
                 let first = First::Void;
                 asked.reply.text = if self.remember(client, number, first, None, "") {
-                    Text::NeverSeen
+                    ReplyText::NeverSeen
                 } else {
-                    Text::ManyClients
+                    ReplyText::ManyClients
                 };
             }
         }
@@ -58,7 +58,7 @@ impl<M: Memory> Dispatcher<M> {
 }
 
 /// The part of the reply to `probe` after the boot id: a YAML flow mapping, opened and closed by
-/// [`Text::Probed`].
+/// [`ReplyText::Probed`].
 impl<M: Memory> Put for Dispatcher<M> {
     fn put(&self, sink: &mut dyn Sink) {
         if let Some(most) = self.memory.longest_message() {

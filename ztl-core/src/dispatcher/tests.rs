@@ -4,7 +4,7 @@ mod places;
 
 use super::*;
 use crate::envelope::ClientId;
-use crate::memory::Fixed;
+use crate::memory::{Fixed, Scope};
 use crate::tasks::Task;
 use std::string::{String, ToString};
 use std::vec::Vec;

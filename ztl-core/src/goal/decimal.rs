@@ -329,7 +329,6 @@ impl Wide {
 }
 
 /// Consumes a digit, and a `_` before it if `inner` is set.
-#[cfg_attr(target_os = "none", inline(never))]
 pub(super) fn digit(text: &mut Cursor<'_>, radix: u8, inner: bool) -> Option<u8> {
     let mark = usize::from(inner && text.peek() == b'_');
     let digit = match text.ahead(mark) {

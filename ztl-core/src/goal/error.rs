@@ -4,6 +4,9 @@ use core::fmt;
 
 use crate::sink::{BufferTooSmall, Sink, put_decimal};
 
+/// Maximum nesting of collections, in reading and writing. It bounds the stack.
+pub const MAX_DEPTH: u8 = 8;
+
 /// Why a text is not the goal that the firmware expects.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -22,7 +25,6 @@ pub struct GoalError {
 /// and variants. It does not say a number's range, a sequence's length, or the type and values that the
 /// target takes. serde passes those as text to be formatted by `core::fmt`, which would take more flash than
 /// all the rest. [`GoalError::at`] says where to look.
-/// would take a microcontroller more than all the rest. [`GoalError::at`] says where to look.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
@@ -43,7 +45,7 @@ pub enum GoalErrorKind {
         /// Size of the scratch in bytes.
         available: usize,
     },
-    /// A collection is nested in [`MAX_DEPTH`](super::MAX_DEPTH) others.
+    /// A collection is nested in [`MAX_DEPTH`] others.
     TooDeep,
     /// The number does not fit the target's type.
     OutOfRange,
@@ -151,19 +153,16 @@ impl Error {
     }
 }
 
-// Always inlined, so that the code that would format `expected` and the messages is never linked.
+// Ignores `expected` and the messages, so that the code that would format them is not linked.
 impl serde::de::Error for Error {
-    #[inline(always)]
     fn custom<T: fmt::Display>(_: T) -> Self {
         Self::Serde(GoalErrorKind::Refused)
     }
 
-    #[inline(always)]
     fn invalid_type(_: serde::de::Unexpected<'_>, _: &dyn serde::de::Expected) -> Self {
         Self::Serde(GoalErrorKind::WrongType)
     }
 
-    #[inline(always)]
     fn invalid_value(found: serde::de::Unexpected<'_>, _: &dyn serde::de::Expected) -> Self {
         use serde::de::Unexpected::{Float, Signed, Unsigned};
         Self::Serde(match found {
@@ -172,27 +171,22 @@ impl serde::de::Error for Error {
         })
     }
 
-    #[inline(always)]
     fn invalid_length(_: usize, _: &dyn serde::de::Expected) -> Self {
         Self::Serde(GoalErrorKind::WrongLength)
     }
 
-    #[inline(always)]
     fn unknown_variant(_: &str, expected: &'static [&'static str]) -> Self {
         Self::Serde(GoalErrorKind::UnknownVariant(expected))
     }
 
-    #[inline(always)]
     fn unknown_field(_: &str, expected: &'static [&'static str]) -> Self {
         Self::Serde(GoalErrorKind::UnknownField(expected))
     }
 
-    #[inline(always)]
     fn missing_field(field: &'static str) -> Self {
         Self::Serde(GoalErrorKind::MissingField(field))
     }
 
-    #[inline(always)]
     fn duplicate_field(field: &'static str) -> Self {
         Self::Serde(GoalErrorKind::DuplicateField(field))
     }
@@ -233,7 +227,7 @@ impl GoalErrorKind {
             }
             Self::TooDeep => {
                 sink.put(b"more than ");
-                put_decimal(sink, u32::from(super::MAX_DEPTH));
+                put_decimal(sink, u32::from(MAX_DEPTH));
                 sink.put(b" levels");
             }
             Self::OutOfRange => texts(["number out of range", "", ""]),
@@ -314,7 +308,7 @@ impl core::error::Error for GoalError {}
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub enum WriteError {
-    /// A collection is nested in [`MAX_DEPTH`](super::MAX_DEPTH) others.
+    /// A collection is nested in [`MAX_DEPTH`] others.
     TooDeep,
     /// The caller's buffer is too small.
     BufferTooSmall(BufferTooSmall),
@@ -325,7 +319,7 @@ pub enum WriteError {
 impl fmt::Display for WriteError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::TooDeep => write!(f, "more than {} levels", super::MAX_DEPTH),
+            Self::TooDeep => write!(f, "more than {} levels", MAX_DEPTH),
             Self::BufferTooSmall(cause) => cause.fmt(f),
             Self::Refused => f.write_str("refused by the value's type"),
         }
@@ -342,7 +336,6 @@ impl core::error::Error for WriteError {
 }
 
 impl serde::ser::Error for WriteError {
-    #[inline(always)]
     fn custom<T: fmt::Display>(_: T) -> Self {
         Self::Refused
     }

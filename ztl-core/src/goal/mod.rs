@@ -52,8 +52,7 @@
 //! (`{a: , b}`), Python's other literals (bytes, sets, `datetime.date(2020, 1, 1)`), and NUL, which neither
 //! language takes.
 //!
-//! **Within `'…'`** backslashes are Python's: `\\ \' \"
-//!  \r \t \a \b \f \v \xNN \uNNNN \UNNNNNNNN`. Any other backslash stays as it is, on which Python and YAML
+//! **Within `'…'`** backslashes are Python's: `\\ \' \" \n \r \t \a \b \f \v \xNN \uNNNN \UNNNNNNNN`. Any other backslash stays as it is, on which Python and YAML
 //! agree. But `\N`, octal `\0` to `\7`, and a backslash before a line break are errors. `''` is YAML's form
 //! of `'`; Python's `repr` writes it only for the empty text.
 //! **Within `"…"`** the same escapes and YAML's `\0 \e \/ \_ \N \L \P` and `\` before a space are read; any
@@ -103,7 +102,7 @@ mod ser;
 #[cfg(test)]
 mod tests;
 
-pub use error::{Expected, GoalError, GoalErrorKind, WriteError};
+pub use error::{Expected, GoalError, GoalErrorKind, MAX_DEPTH, WriteError};
 pub use floats::{Fixed, Floats, Shortest};
 
 use core::marker::PhantomData;
@@ -113,9 +112,6 @@ use serde::{Deserialize, Serialize};
 use crate::sink::{Sink, SliceSink};
 use quoted::Scratch;
 use reader::Reader;
-
-/// Maximum nesting of collections, in reading and writing. It bounds the stack.
-pub const MAX_DEPTH: u8 = 8;
 
 /// Parses a goal.
 ///

@@ -1,15 +1,11 @@
 //! The tokenizer: whitespace, brackets, plain and quoted texts, from left to right.
 
-use super::MAX_DEPTH;
-use super::error::{Expected, Fault};
+use super::error::{Expected, Fault, MAX_DEPTH};
 use super::quoted::Scratch;
 use crate::cursor::Cursor;
-use crate::is_blank;
+use crate::text::is_blank;
 
 /// A position in a goal's text and the state of parsing.
-///
-/// This order of fields gives the shortest code on a Cortex-M0.
-#[repr(C)]
 pub(super) struct Reader<'de> {
     pub(super) text: Cursor<'de>,
     /// Number of open collections.

@@ -4,10 +4,9 @@ use core::fmt::Display;
 
 use serde::ser::{self, Serialize, Serializer};
 
-use super::MAX_DEPTH;
 use super::decimal::Whole;
 use super::display::{put_display, put_quoted_display};
-use super::error::WriteError;
+use super::error::{MAX_DEPTH, WriteError};
 use super::floats::Floats;
 use crate::repr::put_quoted;
 use crate::sink::Sink;

@@ -1,17 +1,11 @@
-//! The messages of the link, in postcard's wire format: one enum for both directions, so that an
-//! echo of one's own frame is no message for oneself.
+//! The messages of the link. One enum has both directions, so that an echo of an own frame is not mistaken for a message.
 //!
-//! The format is postcard's (its derive is compared with this code in a test); it is written by hand
-//! because it must work without serde, borrow its texts, and stay small on a node.
+//! The encoding is postcard's, and a test compares it with postcard's derive. It is implemented here because it must work
+//! without serde, borrow its texts, and stay small on a node.
 
-mod codec;
-
+use super::ids::Ids;
+use super::link_id::LinkId;
 use crate::lifecycle::State;
-
-/// The number of a task on one link. Rises with each `Start` that a node takes since its boot.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct LinkId(pub u32);
 
 /// Opens a session.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -19,93 +13,92 @@ pub struct LinkId(pub u32);
 pub struct Hello {
     /// [`VERSION`](super::VERSION) of the gateway.
     pub version: u8,
-    /// The new session: random, a [`session_number`](super::session_number).
+    /// The new session: a random [`session_number`](super::session_number).
     pub session: u32,
-    /// Who the gateway is, so that a restarted one is known again.
+    /// Identity of the gateway, which stays the same when it restarts.
     pub gateway: u64,
 }
 
-/// Answers a `Hello`: who the node is, and what it still holds.
+/// Answers a `Hello`: describes the node and the tasks that it holds.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Welcome<'a> {
     /// [`VERSION`](super::VERSION) of the node.
     pub version: u8,
-    /// What the firmware calls its device.
+    /// Name of the device.
     pub name: &'a str,
-    /// The firmware's version.
+    /// Version of the firmware.
     pub firmware: &'a str,
-    /// Random since the last reset; another one means that everything was forgotten.
+    /// Number that changes with each reset, which loses all tasks.
     pub boot: u32,
-    /// The session this one replaces, 0 after a reset.
+    /// The session that this one replaces; 0 after a reset.
     pub replaces: u32,
     /// The node's clock, milliseconds since its boot.
     pub clock_ms: u64,
-    /// How many tasks it can hold, unacknowledged ends included.
+    /// How many tasks it can hold, including ended ones that are not acknowledged.
     pub capacity: u8,
-    /// Longest body it can take, in bytes.
+    /// Longest body that it accepts, in bytes.
     pub max_body: u16,
-    /// How many components it has.
+    /// Number of components.
     pub components: u8,
-    /// After how long without a new command it acts by itself.
+    /// After how long without a new command it considers the link lost.
     pub link_timeout_ms: u32,
-    /// The highest id started since boot, 0 when none. Each takeover by another gateway adds one.
+    /// The highest id started since boot; 0 if none. Each takeover by another gateway adds one.
     pub highest: u32,
-    /// The tasks it holds: running, or ended and not acknowledged.
+    /// The tasks that it holds: running, or ended and not acknowledged.
     pub held: Ids<'a>,
 }
 
-/// What goals a component takes.
+/// The goals that a component accepts.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct GoalShape<'a> {
-    /// Smallest and greatest number, when it takes numbers.
+    /// Smallest and largest number, if it accepts numbers.
     pub range: Option<(f32, f32)>,
-    /// Unit of the numbers; empty when it takes none.
+    /// Unit of the numbers; empty without numbers.
     pub unit: &'a str,
-    /// Words that it takes, separated by blanks; empty when none.
+    /// Words that it accepts, separated by spaces.
     pub words: &'a str,
 }
 
-/// What happens to a task that comes while one runs.
+/// What happens to a task that arrives while another one runs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Busy {
-    /// It is refused.
+    /// The new task is refused.
     Refuse,
-    /// It waits for its turn, behind at most this many; one more is refused.
+    /// The new task waits. At most this many wait; any other is refused.
     Queue(u8),
-    /// It takes the place of the one that runs, which is aborted, and begins when that has stopped.
+    /// The running task is aborted, and the new one begins when it has stopped.
     Replace,
 }
 
-/// What a component does when the link has brought no new command for the link timeout, with or without a task.
+/// What a component does when no new command has arrived for the link timeout, with or without a task.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Loss {
-    /// Stop and go to the safe state; a task ends as FAILED.
+    /// Stops and goes to the safe state; its tasks end as FAILED.
     Abort = 0,
-    /// Go to a safe state that keeps the position under power; a task ends as FAILED.
+    /// Goes to a safe state that keeps the position under power; its tasks end as FAILED.
     Hold = 1,
-    /// Go on: finish the task, or stay as it is.
+    /// Continues: finishes its tasks, or keeps its state.
     CarryOn = 2,
 }
 
-/// What a node tells of one of its components.
+/// The description of a component.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Offer<'a> {
-    /// Name, as a client writes it.
+    /// Name, as clients write it.
     pub name: &'a str,
-    /// Goals that it takes.
+    /// The goals that it accepts.
     pub goal: GoalShape<'a>,
     /// What happens to a second task.
     pub busy: Busy,
     /// What happens when the link is lost.
     pub loss: Loss,
-    /// Names of the topics under which it publishes readings, separated by blanks; empty when none.
-    /// A device's topics are numbered in this order, one component's after the other's.
+    /// Topics of its readings, separated by spaces. The topics of a device are numbered in the order of its components.
     pub topics: &'a str,
 }
 
@@ -115,107 +108,107 @@ pub struct Offer<'a> {
 pub enum Body<'a> {
     /// Gateway: opens a session.
     Hello(Hello),
-    /// Gateway: asks for the component of this number.
+    /// Gateway: asks for the description of a component.
     Describe {
-        /// From 0.
+        /// Index of the component.
         index: u8,
     },
     /// Gateway: starts a task.
     Start {
-        /// Above every id started since the node's boot.
+        /// Higher than every id started since the node's boot.
         task: LinkId,
-        /// Number of the component.
+        /// Index of the component.
         component: u8,
-        /// The goal as the client wrote it.
+        /// The goal, as the client wrote it.
         goal: &'a str,
-        /// The node's clock, in milliseconds, after which it must refuse.
+        /// The node must refuse after this time, in milliseconds of its clock.
         before_ms: u64,
     },
-    /// Gateway: stops a task.
+    /// Gateway: aborts a task.
     Abort {
-        /// Which.
+        /// The task.
         task: LinkId,
     },
-    /// Gateway: nothing new, only to be heard.
+    /// Gateway: keeps the link alive.
     Ping,
-    /// Gateway: the end of this task is known, it need not be repeated.
+    /// Gateway: acknowledges the outcome of a task.
     Ack {
-        /// Which.
+        /// The task.
         task: LinkId,
     },
     /// Node: answers `Hello`.
     Welcome(Welcome<'a>),
     /// Node: answers `Describe`.
     Component {
-        /// Its number.
+        /// Index of the component.
         index: u8,
-        /// What it is.
+        /// The description.
         offer: Offer<'a>,
     },
     /// Node: answers `Start`; the task runs.
     Started {
-        /// Which.
+        /// The task.
         task: LinkId,
     },
-    /// Node: answers any command that it does not follow.
+    /// Node: refuses a command.
     Refused {
-        /// What was wrong, and what would be right.
+        /// What is wrong, and what would be right.
         reason: &'a str,
     },
-    /// Node: answers `Abort`; the end will be told.
+    /// Node: answers `Abort`; the outcome follows.
     Aborting {
-        /// Which.
+        /// The task.
         task: LinkId,
     },
     /// Node: answers `Ping`.
     Pong {
         /// Its clock in milliseconds.
         clock_ms: u64,
-        /// How many tasks it holds.
+        /// Number of tasks that it holds.
         held: u8,
     },
     /// Node: a task has ended; repeated until acknowledged.
     Ended {
-        /// Which.
+        /// The task.
         task: LinkId,
         /// A final state.
         state: State,
-        /// What came of it.
+        /// The result or reason.
         result: &'a str,
     },
-    /// Node: where a task is; may be lost.
+    /// Node: progress of a task; may be lost.
     Progress {
-        /// Which.
+        /// The task.
         task: LinkId,
         /// The component's text.
         text: &'a str,
     },
     /// Node: a reading; may be lost.
     Publish {
-        /// Its number.
+        /// Number of the topic.
         topic: u8,
         /// The reading.
         bytes: &'a [u8],
     },
     /// Node: part of its log; may be lost.
     Log {
-        /// Bytes of the log that did not fit the node's memory since its boot; wraps.
+        /// Bytes of the log dropped since boot because the buffer was full; wraps around.
         lost: u32,
-        /// The next ones: a stream of frames encoded by defmt, cut anywhere.
+        /// The next bytes: a stream of frames encoded by defmt, split anywhere.
         bytes: &'a [u8],
     },
-    /// Node: it has started and knows no session.
+    /// Node: was reset and has no session.
     Awake {
         /// [`VERSION`](super::VERSION) of the node.
         version: u8,
-        /// Random since the last reset.
+        /// Number that changes with each reset.
         boot: u32,
     },
 }
 
-/// What a gateway says, as a node reads it: a [`Body`] whose goal is not looked at yet.
+/// A message of a gateway, as a node parses it: like [`Body`], but the goal is not validated.
 ///
-/// A node looks at it with less than `core` does, which takes 560 bytes of a Cortex-M0.
+/// A node validates the goal itself, because `core`'s validation takes 560 bytes on a Cortex-M0.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Command<'a> {
@@ -223,131 +216,30 @@ pub enum Command<'a> {
     Hello(Hello),
     /// [`Body::Describe`].
     Describe {
-        /// From 0.
+        /// Index of the component.
         index: u8,
     },
     /// [`Body::Start`].
     Start {
-        /// Above every id started since the node's boot.
+        /// Higher than every id started since the node's boot.
         task: LinkId,
-        /// Number of the component.
+        /// Index of the component.
         component: u8,
         /// The goal, which must be UTF-8.
         goal: &'a [u8],
-        /// The node's clock, in milliseconds, after which it must refuse.
+        /// The node must refuse after this time, in milliseconds of its clock.
         before_ms: u64,
     },
     /// [`Body::Abort`].
     Abort {
-        /// Which.
+        /// The task.
         task: LinkId,
     },
     /// [`Body::Ping`].
     Ping,
     /// [`Body::Ack`].
     Ack {
-        /// Which.
+        /// The task.
         task: LinkId,
     },
 }
-
-/// Why bytes are no message.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[non_exhaustive]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub enum BodyError {
-    /// They end too early.
-    Truncated,
-    /// There are this many too many.
-    Trailing {
-        /// Bytes after the message.
-        extra: usize,
-    },
-    /// A message of this number is not known.
-    UnknownTag {
-        /// The number.
-        tag: u32,
-    },
-    /// A value that has no meaning: a number too large, a state that is not final, text that is not UTF-8.
-    BadValue,
-}
-
-impl core::fmt::Display for BodyError {
-    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
-        match self {
-            Self::Truncated => f.write_str("too short"),
-            Self::Trailing { extra } => write!(f, "{extra} bytes too long"),
-            Self::UnknownTag { tag } => write!(f, "unknown message {tag}"),
-            Self::BadValue => f.write_str("meaningless value"),
-        }
-    }
-}
-
-impl core::error::Error for BodyError {}
-
-/// A list of link ids: a slice to be sent, or a view over received bytes.
-#[derive(Debug, Clone, Copy)]
-pub struct Ids<'a>(IdList<'a>);
-
-#[derive(Debug, Clone, Copy)]
-enum IdList<'a> {
-    Slice(&'a [LinkId]),
-    /// Encoded ids, already checked.
-    Encoded {
-        count: usize,
-        bytes: &'a [u8],
-    },
-}
-
-impl<'a> Ids<'a> {
-    /// The ids of a slice.
-    #[must_use]
-    pub const fn new(ids: &'a [LinkId]) -> Self {
-        Self(IdList::Slice(ids))
-    }
-
-    /// How many.
-    #[must_use]
-    pub const fn len(&self) -> usize {
-        match self.0 {
-            IdList::Slice(ids) => ids.len(),
-            IdList::Encoded { count, .. } => count,
-        }
-    }
-
-    /// Whether there are none.
-    #[must_use]
-    pub const fn is_empty(&self) -> bool {
-        self.len() == 0
-    }
-
-    /// Each of them.
-    pub fn iter(&self) -> impl Iterator<Item = LinkId> + use<'a> {
-        let (slice, bytes): (&'a [LinkId], &'a [u8]) = match self.0 {
-            IdList::Slice(ids) => (ids, &[]),
-            IdList::Encoded { bytes, .. } => (&[], bytes),
-        };
-        let mut reader = codec::Reader::new(bytes);
-        slice.iter().copied().chain(core::iter::from_fn(move || {
-            (!reader.is_at_end()).then(|| reader.task())
-        }))
-    }
-}
-
-#[cfg(feature = "defmt")]
-impl defmt::Format for Ids<'_> {
-    fn format(&self, f: defmt::Formatter<'_>) {
-        for id in self.iter() {
-            defmt::write!(f, "{} ", id);
-        }
-    }
-}
-
-impl PartialEq for Ids<'_> {
-    fn eq(&self, other: &Self) -> bool {
-        self.iter().eq(other.iter())
-    }
-}
-
-#[cfg(test)]
-mod tests;

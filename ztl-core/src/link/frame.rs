@@ -1,57 +1,55 @@
-//! Frames: `addr · seq · body · CRC-32`, COBS-encoded and ended by a zero byte.
+//! Frames: `addr · seq · body · CRC-32`, COBS-encoded and terminated by a zero byte.
 //!
-//! The check covers the session's number too, which is not sent: a frame of another session fails
-//! it at no cost. COBS is a dozen lines each way, and the crate's streaming decoder reports a
-//! truncated frame as complete after an overrun. So is the check, with a table of 64 bytes in place of
-//! 1 KiB; a test compares it with the crate `crc`, whose own form without one takes 300 bytes.
+//! The checksum also covers the session number, which is not sent, so a frame of another session is invalid. COBS is
+//! implemented here because the streaming decoder of the crate `cobs` reports a truncated frame as complete after an
+//! overrun. The CRC uses a table of 64 bytes instead of 1 KiB; a test compares it with the crate `crc`, whose variant
+//! without a table takes 300 bytes.
 
-use super::body::{Body, BodyError, Command};
+use super::body::{Body, Command};
+use super::wire::BodyError;
 use crate::sink::{BufferTooSmall, Sink};
 
-/// `addr` when there is one node on the line; others are kept for shared buses.
+/// Address of the only node on a line; other addresses are reserved for shared buses.
 pub const ADDR_ONLY_NODE: u8 = 0;
 
-/// Bytes a frame adds to a body of at most 248 bytes: address, sequence, check, COBS, delimiter.
-pub const OVERHEAD: usize = 8;
-
-/// A frame whose check was right, as a view over a decoder's buffer.
+/// A frame with a valid checksum, as a view of a decoder's buffer.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Frame<'a> {
-    /// Which node; [`ADDR_ONLY_NODE`].
+    /// Address of the node: [`ADDR_ONLY_NODE`].
     pub addr: u8,
-    /// Which command it is or answers; 0 for `Hello` and for what answers nothing.
+    /// Sequence number of the command, or of the command that it answers; 0 for `Hello` and all other frames.
     pub seq: u8,
     /// The message.
     pub body: Body<'a>,
 }
 
-/// The same of a gateway, as a node reads it.
+/// A frame of a gateway, as a node parses it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct CommandFrame<'a> {
-    /// Which of the sessions it is of, by its place.
-    pub place: usize,
-    /// Which node; [`ADDR_ONLY_NODE`].
+    /// Index of the session that verified it.
+    pub session_index: usize,
+    /// Address of the node: [`ADDR_ONLY_NODE`].
     pub addr: u8,
-    /// Which command it is; 0 for `Hello` and `Ack`.
+    /// Sequence number of the command; 0 for `Hello` and `Ack`.
     pub seq: u8,
     /// The message.
     pub command: Command<'a>,
 }
 
-/// Why received bytes are no frame. Nothing changes by them, but a counter.
+/// Why received bytes are not a frame. They are dropped and counted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum FrameError {
-    /// The frame ended before its COBS blocks did, or is shorter than any.
+    /// The frame ends before its COBS blocks do, or is shorter than any frame.
     Truncated,
-    /// Longer than the buffer; dropped up to its delimiter.
+    /// The frame is longer than the buffer; dropped up to its delimiter.
     TooLong,
-    /// The check is wrong: damaged, or of another session.
+    /// The checksum is wrong: damaged, or of another session.
     Check,
-    /// The check is right and the body is no message: another version's.
+    /// The checksum is valid but the body is not a message: another version.
     Body(BodyError),
 }
 
@@ -60,15 +58,15 @@ impl core::fmt::Display for FrameError {
         match self {
             Self::Truncated => f.write_str("truncated frame"),
             Self::TooLong => f.write_str("frame longer than the buffer"),
-            Self::Check => f.write_str("wrong check"),
-            Self::Body(cause) => write!(f, "no message: {cause}"),
+            Self::Check => f.write_str("wrong checksum"),
+            Self::Body(cause) => write!(f, "not a message: {cause}"),
         }
     }
 }
 
 impl core::error::Error for FrameError {}
 
-/// Writes a frame for `session` into `buffer`, its delimiter included, and returns its length.
+/// Writes a frame of `session` into `buffer`, with its delimiter, and returns its length.
 ///
 /// # Errors
 /// [`BufferTooSmall`] with the length needed.
@@ -83,22 +81,22 @@ pub fn encode(session: u32, frame: &Frame<'_>, buffer: &mut [u8]) -> Result<usiz
     }
 }
 
-/// Writes a frame into a caller's buffer, piece by piece; counts on when that is full.
+/// Writes a frame into a caller's buffer, piece by piece. Keeps counting when the buffer is full.
 ///
-/// What is put is the body: [`Body::put`] does it, of whose code a firmware that knows the message takes only what that
-/// needs. [`encode`] does all of it for any message.
+/// [`Body::put`] writes the body. If the message is known at compile time, firmware contains only the code for that
+/// message. [`encode`] writes any message.
 #[derive(Debug)]
 pub struct FrameWriter<'a> {
     check: u32,
     buffer: &'a mut [u8],
-    /// Where the present block's code byte stands.
+    /// Position of the current block's code byte.
     code_at: usize,
-    /// Where the next byte goes.
+    /// Position of the next byte.
     len: usize,
 }
 
 impl<'a> FrameWriter<'a> {
-    /// Begins a frame of `session`.
+    /// Starts a frame of `session`.
     #[cfg_attr(target_os = "none", inline(never))]
     #[must_use]
     pub fn new(session: u32, addr: u8, seq: u8, buffer: &'a mut [u8]) -> Self {
@@ -112,17 +110,17 @@ impl<'a> FrameWriter<'a> {
         writer
     }
 
-    /// Takes so many bytes that stand in the buffer already, from this place on: at least 4 bytes, and one for each 254,
-    /// further back than what was put is long. Those nearer to the front are overwritten before they are taken.
+    /// Puts `count` bytes that are in the buffer already, from position `start` on. They must be at least 4 bytes, plus one
+    /// for each 254, behind the bytes written so far; otherwise they are overwritten before they are read.
     #[cfg_attr(target_os = "none", inline(never))]
-    pub fn put_own(&mut self, place: usize, count: usize) {
-        for at in place..place.saturating_add(count) {
+    pub fn put_own(&mut self, start: usize, count: usize) {
+        for at in start..start.saturating_add(count) {
             let byte = self.buffer.get(at).copied().unwrap_or_default();
             self.put(&[byte]);
         }
     }
 
-    /// Ends the frame and returns its length, its delimiter included; `None` when it does not fit into the buffer.
+    /// Completes the frame and returns its length with the delimiter; `None` if it does not fit the buffer.
     #[cfg_attr(target_os = "none", inline(never))]
     pub fn finish(mut self) -> Option<usize> {
         let len = self.end();
@@ -138,12 +136,12 @@ impl<'a> FrameWriter<'a> {
     }
 
     fn set(&mut self, at: usize, byte: u8) {
-        if let Some(place) = self.buffer.get_mut(at) {
-            *place = byte;
+        if let Some(slot) = self.buffer.get_mut(at) {
+            *slot = byte;
         }
     }
 
-    /// Writes the block's code, 1 and the bytes in it, and makes room for the next one's.
+    /// Writes the code byte of the block, its length plus 1, and reserves that of the next block.
     #[cfg_attr(target_os = "none", inline(never))]
     fn close_block(&mut self) {
         self.set(self.code_at, (self.len - self.code_at) as u8);
@@ -157,7 +155,7 @@ impl Sink for FrameWriter<'_> {
     fn put(&mut self, bytes: &[u8]) {
         self.check = checked(self.check, bytes);
         for &byte in bytes {
-            // A full block is closed only when another byte follows.
+            // A full block is closed only if another byte follows.
             if self.len - self.code_at == 0xff {
                 self.close_block();
             }
@@ -171,7 +169,7 @@ impl Sink for FrameWriter<'_> {
     }
 }
 
-/// What four bits do to the check. A byte takes a Cortex-M0 a third of the time that it does bit by bit.
+/// CRC of each four bits. With this table a byte takes a third of the time of a bitwise CRC on a Cortex-M0.
 static NIBBLES: [u32; 16] = {
     let mut table = [0; 16];
     let mut rest = table.as_mut_slice();
@@ -190,15 +188,15 @@ static NIBBLES: [u32; 16] = {
     table
 };
 
-/// The check before the first byte: CRC-32/ISO-HDLC begins with the session's number.
+/// The CRC-32/ISO-HDLC register after the session number, before the first byte.
 fn begin(session: u32) -> u32 {
     checked(u32::MAX, &session.to_le_bytes())
 }
 
-/// The check after these bytes; its value is the complement.
+/// The CRC register after these bytes; the checksum is its complement.
 #[inline(never)]
 fn checked(mut check: u32, mut bytes: &[u8]) -> u32 {
-    // By twos, and no loop within, since this is a good part of what receiving a byte takes.
+    // Two bytes at a time, without an inner loop, because this dominates the time to receive a byte.
     while let [first, second, rest @ ..] = bytes {
         check = step(step(check, *first), *second);
         bytes = rest;
@@ -211,7 +209,7 @@ fn checked(mut check: u32, mut bytes: &[u8]) -> u32 {
 
 #[inline(always)]
 fn step(check: u32, byte: u8) -> u32 {
-    // Both are always there.
+    // The index is always valid.
     let nibble = |check: u32| {
         let entry = NIBBLES.get(check as usize & 15).copied();
         check >> 4 ^ entry.unwrap_or_default()
@@ -219,21 +217,21 @@ fn step(check: u32, byte: u8) -> u32 {
     nibble(nibble(check ^ u32::from(byte)))
 }
 
-/// What bytes have ended, by [`Decoder::push_all`].
+/// The result of [`Decoder::push_all`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Pushed {
-    /// No frame yet.
+    /// No frame is complete.
     Nothing,
-    /// A frame, which is now to be read.
+    /// A frame is complete; read it now.
     Frame,
-    /// One that is dropped: [`FrameError::Truncated`].
+    /// A frame was dropped: [`FrameError::Truncated`].
     Truncated,
-    /// One that is dropped: [`FrameError::TooLong`].
+    /// A frame was dropped: [`FrameError::TooLong`].
     TooLong,
 }
 
-/// Copies at most so many bytes, up to the first zero, as far as there is room; how many.
+/// Copies at most `most` bytes, up to the first zero, as far as they fit. Returns how many.
 #[cfg_attr(target_os = "none", inline(never))]
 fn copy(to: &mut [u8], from: &[u8], most: usize) -> usize {
     let mut count = 0;
@@ -247,32 +245,32 @@ fn copy(to: &mut [u8], from: &[u8], most: usize) -> usize {
     count
 }
 
-/// Takes a stream apart into frames of at most `N` decoded bytes (address, sequence, body, check).
+/// Splits a stream into frames of at most `N` decoded bytes (address, sequence number, body, checksum).
 ///
-/// After an overrun it stays deaf until the next delimiter, so a truncated frame is never taken
-/// for a whole one.
+/// After an overrun it ignores everything up to the next delimiter, so it never mistakes a truncated frame for a complete
+/// one.
 #[derive(Clone)]
 pub struct Decoder<const N: usize> {
     buffer: [u8; N],
     /// `N + 1` after an overrun.
     len: usize,
-    /// Bytes left in the present COBS block.
+    /// Bytes left in the current COBS block.
     left: u8,
-    /// Whether the present block ends in a zero that was taken out.
+    /// Whether the current block stands for a zero at its end.
     zero: bool,
-    /// The last byte completed a frame; the next one begins anew.
+    /// Whether the last byte completed a frame; the next byte starts another one.
     complete: bool,
 }
 
 impl<const N: usize> Decoder<N> {
-    /// What decides about all that is still to come; not what is left of frames before.
+    /// The state that affects later frames, without the remains of earlier ones.
     fn state(&self) -> (&[u8], usize, u8, bool, bool) {
         let frame = self.buffer.get(..self.len).unwrap_or_default();
         (frame, self.len, self.left, self.zero, self.complete)
     }
 }
 
-/// Shows the bytes of the frame that is coming in, and not the whole buffer.
+/// Shows the bytes of the current frame, not the whole buffer.
 impl<const N: usize> core::fmt::Debug for Decoder<N> {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
         let (frame, ..) = self.state();
@@ -316,7 +314,7 @@ impl<const N: usize> Decoder<N> {
         }
     }
 
-    /// Forgets what has come of the present frame, after a reconnection.
+    /// Drops the current frame, after a reconnection.
     pub fn reset(&mut self) {
         self.len = 0;
         self.left = 0;
@@ -324,17 +322,17 @@ impl<const N: usize> Decoder<N> {
         self.complete = false;
     }
 
-    /// Whether part of a frame has come, and not its end.
+    /// Whether a frame has begun and is not complete.
     #[must_use]
     pub const fn has_begun(&self) -> bool {
         !self.complete && (self.len | self.left as usize | self.zero as usize) > 0
     }
 
-    /// Takes the next byte. `true` when it ended a frame that is now to be read with
-    /// [`frame`](Self::frame), before the next byte comes.
+    /// Takes the next byte. Returns `true` if it completed a frame; read that with [`frame`](Self::frame) before the next
+    /// byte.
     ///
     /// # Errors
-    /// [`FrameError::Truncated`] or [`FrameError::TooLong`], told at the delimiter.
+    /// [`FrameError::Truncated`] or [`FrameError::TooLong`], at the delimiter.
     pub fn push(&mut self, byte: u8) -> Result<bool, FrameError> {
         match self.push_all(&mut [byte].as_slice()) {
             Pushed::Nothing => Ok(false),
@@ -344,8 +342,8 @@ impl<const N: usize> Decoder<N> {
         }
     }
 
-    /// Takes the next bytes, up to the end of a frame; those behind it are left in `bytes`. To be called again until
-    /// none is left; the frame is to be read before.
+    /// Takes the next bytes up to the end of a frame, and leaves the rest in `bytes`. Read the frame, then call this again
+    /// until no bytes are left.
     pub fn push_all(&mut self, bytes: &mut &[u8]) -> Pushed {
         if self.complete {
             self.reset();
@@ -353,7 +351,7 @@ impl<const N: usize> Decoder<N> {
         let (mut len, mut left) = (self.len, usize::from(self.left));
         let mut taken = 0;
         let ended = loop {
-            // Most bytes stand within a block.
+            // Most bytes are within a block.
             if let (Some(to), Some(from)) = (self.buffer.get_mut(len..), bytes.get(taken..)) {
                 let count = copy(to, from, left);
                 (taken, len, left) = (taken + count, len + count, left - count);
@@ -369,7 +367,7 @@ impl<const N: usize> Decoder<N> {
                 left = usize::from(byte);
                 len = self.begin_block(len, byte);
             } else {
-                // There is no room for it.
+                // The buffer is full.
                 len = N + 1;
             }
             left -= 1;
@@ -380,7 +378,7 @@ impl<const N: usize> Decoder<N> {
             return Pushed::Nothing;
         }
         if len <= N && left == 0 {
-            // A delimiter by itself flushes the line.
+            // A delimiter alone is not a frame.
             self.complete = len > 0 || self.zero;
             return if self.complete {
                 Pushed::Frame
@@ -396,48 +394,46 @@ impl<const N: usize> Decoder<N> {
         }
     }
 
-    /// Keeps the zero that the block before stands for; how many bytes there are then.
+    /// Stores the zero at the end of the previous block. Returns the number of bytes.
     fn begin_block(&mut self, len: usize, code: u8) -> usize {
         if !core::mem::replace(&mut self.zero, code != 0xff) {
             return len;
         }
         match self.buffer.get_mut(len) {
-            Some(place) => {
-                *place = 0;
+            Some(slot) => {
+                *slot = 0;
                 len + 1
             }
             None => N + 1,
         }
     }
 
-    /// The frame that the last byte ended, if its check is right under one of the `sessions`.
-    ///
-    /// Says which of them it was, by its place.
+    /// The complete frame, if its checksum is valid under one of the `sessions`, and the index of that session.
     ///
     /// # Errors
-    /// As [`FrameError`] says.
+    /// See [`FrameError`].
     pub fn frame(&self, sessions: &[u32]) -> Result<(usize, Frame<'_>), FrameError> {
-        let (place, addr, seq, body) = self.checked(sessions)?;
+        let (session_index, addr, seq, body) = self.checked(sessions)?;
         let body = Body::parse(body).map_err(FrameError::Body)?;
-        Ok((place, Frame { addr, seq, body }))
+        Ok((session_index, Frame { addr, seq, body }))
     }
 
-    /// As [`frame`](Self::frame), of a gateway only: for a node.
+    /// Like [`frame`](Self::frame), for frames of a gateway only.
     ///
     /// # Errors
-    /// As [`FrameError`] says; a node's messages are not known.
+    /// See [`FrameError`]; the messages of a node are unknown.
     pub fn command(&self, sessions: &[u32]) -> Result<CommandFrame<'_>, FrameError> {
-        let (place, addr, seq, body) = self.checked(sessions)?;
+        let (session_index, addr, seq, body) = self.checked(sessions)?;
         let command = Command::parse(body).map_err(FrameError::Body)?;
         Ok(CommandFrame {
-            place,
+            session_index,
             addr,
             seq,
             command,
         })
     }
 
-    /// Which session it is of, the address, `seq`, and the body.
+    /// The index of the session, the address, the sequence number, and the body.
     fn checked(&self, sessions: &[u32]) -> Result<(usize, u8, u8, &[u8]), FrameError> {
         let whole = self.buffer.get(..self.len).unwrap_or_default();
         let (covered, sent) = whole.split_last_chunk::<4>().ok_or(FrameError::Truncated)?;
@@ -445,11 +441,11 @@ impl<const N: usize> Decoder<N> {
             return Err(FrameError::Truncated);
         };
         let sent = u32::from_le_bytes(*sent);
-        let place = sessions
+        let session_index = sessions
             .iter()
             .position(|session| !checked(begin(*session), covered) == sent)
             .ok_or(FrameError::Check)?;
-        Ok((place, *addr, *seq, body))
+        Ok((session_index, *addr, *seq, body))
     }
 }
 
@@ -459,7 +455,7 @@ mod tests {
     use std::vec::Vec;
 
     #[test]
-    fn the_check_is_crc_32_iso_hdlc() {
+    fn the_checksum_is_crc_32_iso_hdlc() {
         let crate_check = crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC);
         let mut bytes = 0x0403_0201u32.to_le_bytes().to_vec();
         let mut check = begin(0x0403_0201);
@@ -484,7 +480,7 @@ mod tests {
         buffer[..len].to_vec()
     }
 
-    /// Feeds `bytes` and gives back what each delimiter brought.
+    /// Feeds `bytes` and returns the result at each delimiter.
     fn decode<const N: usize>(session: u32, bytes: &[u8]) -> Vec<Result<u8, FrameError>> {
         let mut decoder = Decoder::<N>::new();
         let mut seen = Vec::new();
@@ -499,7 +495,7 @@ mod tests {
     }
 
     #[test]
-    fn a_frame_comes_back_and_noise_before_it_is_dropped() {
+    fn a_frame_round_trips_and_noise_before_it_is_dropped() {
         let mut bytes = std::vec![0x31, 0x00];
         bytes.extend(encoded(7, &ping(3)));
         bytes.extend([0, 0]);
@@ -511,7 +507,7 @@ mod tests {
     }
 
     #[test]
-    fn a_frame_of_another_session_fails_the_check() {
+    fn a_frame_of_another_session_is_invalid() {
         assert_eq!(
             decode::<16>(8, &encoded(7, &ping(3))),
             [Err(FrameError::Check)]
@@ -519,8 +515,8 @@ mod tests {
     }
 
     #[test]
-    fn a_frame_that_overruns_the_buffer_is_never_taken_for_a_whole_one() {
-        // Every prefix of a long frame, delimited, and then a good frame.
+    fn a_frame_that_overruns_the_buffer_is_never_complete() {
+        // Every prefix of a long frame, then a valid frame.
         let goal = "x".repeat(40);
         let start = Body::Start {
             task: super::super::LinkId(1),
@@ -547,7 +543,7 @@ mod tests {
     }
 
     #[test]
-    fn every_length_around_the_block_size_comes_back_whole() {
+    fn every_length_around_the_block_size_round_trips() {
         for len in 0..600 {
             for fill in ["x", "\0"] {
                 let goal = fill.repeat(len);
@@ -576,21 +572,21 @@ mod tests {
     }
 
     #[test]
-    fn one_flipped_bit_anywhere_changes_nothing_but_a_counter() {
+    fn a_frame_with_one_flipped_bit_is_dropped() {
         let good = encoded(7, &ping(3));
-        for place in 0..good.len() * 8 {
+        for bit in 0..good.len() * 8 {
             let mut bytes = good.clone();
-            bytes[place / 8] ^= 1 << (place % 8);
+            bytes[bit / 8] ^= 1 << (bit % 8);
             bytes.push(0);
             assert!(
                 decode::<16>(7, &bytes).iter().all(Result::is_err),
-                "bit {place}"
+                "bit {bit}"
             );
         }
     }
 
     #[test]
-    fn a_buffer_too_small_says_what_is_needed() {
+    fn a_buffer_that_is_too_small_reports_the_needed_length() {
         let whole = encoded(7, &ping(3)).len();
         let mut buffer = [0xA5; 4];
         assert_eq!(

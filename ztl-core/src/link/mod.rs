@@ -1,44 +1,47 @@
 //! The link between a gateway and a microcontroller: frames and messages.
 //!
-//! A byte stream that may lose, corrupt, repeat and hold back bytes carries frames; a frame that
-//! arrives whole and unaltered is a message, every other is dropped and counted. `docs/link.md` is
-//! the numbered specification. The two ends are `ztl_mcu::Node` and the gateway's session; what
-//! both need stands here.
+//! Frames travel over a byte stream that may lose, corrupt, repeat and delay bytes. A frame that arrives intact is a
+//! message; all others are dropped and counted. `docs/link.md` is the specification. The two ends are `ztl_mcu::Node` and
+//! `ztl_link::Session`; this module has the parts that they share.
 
 mod body;
+mod codec;
 mod frame;
+mod ids;
+mod link_id;
+mod wire;
 
-pub use body::{
-    Body, BodyError, Busy, Command, GoalShape, Hello, Ids, LinkId, Loss, Offer, Welcome,
-};
+pub use body::{Body, Busy, Command, GoalShape, Hello, Loss, Offer, Welcome};
 pub use frame::{
-    ADDR_ONLY_NODE, CommandFrame, Decoder, Frame, FrameError, FrameWriter, OVERHEAD, Pushed, encode,
+    ADDR_ONLY_NODE, CommandFrame, Decoder, Frame, FrameError, FrameWriter, Pushed, encode,
 };
+pub use ids::Ids;
+pub use link_id::LinkId;
+pub use wire::BodyError;
 
 use core::ops::RangeInclusive;
 use core::time::Duration;
 
-/// Version of the link protocol, told in `Hello`, `Welcome` and `Awake`.
+/// Version of the link protocol, sent in `Hello`, `Welcome` and `Awake`.
 pub const VERSION: u8 = 1;
 
-/// Longest time a node goes without a new command before it acts by itself, unless its firmware
-/// says otherwise.
+/// Default for how long a node goes without a new command before it considers the link lost.
 pub const LINK_TIMEOUT: Duration = Duration::from_secs(1);
 
-/// Link timeouts that a gateway takes: a shorter one leaves no time for its pings, a longer one
-/// leaves tasks without an end for too long.
+/// Link timeouts that a gateway accepts: a shorter one leaves no time for pings, a longer one delays the final states of
+/// tasks for too long.
 pub const LINK_TIMEOUTS: RangeInclusive<Duration> =
     Duration::from_millis(50)..=Duration::from_secs(60);
 
-/// The session under which `Hello` and `Awake` are checked; `Welcome` is checked under the number
-/// that the `Hello` brought, everything else under [`session_key`].
+/// The session of `Hello` and `Awake` in the checksum. That of `Welcome` is the number in the `Hello`; that of all other
+/// messages is the [`session_key`].
 pub const NO_SESSION: u32 = 0;
 
-/// The `seq` of a `Hello` and of every frame that answers no command.
+/// Sequence number of a `Hello`, and of every frame that is neither a command nor an answer.
 pub const NO_SEQ: u8 = 0;
 
-/// This number, or another where it cannot be a session's: 0 is [`NO_SESSION`], and all ones leave the
-/// register of the check at zero, so that a zero before or at the start of a frame goes unnoticed.
+/// Replaces the numbers that a session cannot have: 0 is [`NO_SESSION`], and with all ones the CRC register becomes zero,
+/// so that the checksum misses additional zeros at the start of a frame.
 #[must_use]
 pub const fn session_number(number: u32) -> u32 {
     match number {
@@ -48,17 +51,17 @@ pub const fn session_number(number: u32) -> u32 {
     }
 }
 
-/// The session under which all but `Hello`, `Awake` and `Welcome` is checked: the number of the
-/// `Hello` and the boot id of the `Welcome` together, as a [`session_number`].
+/// The session of all messages but `Hello`, `Awake` and `Welcome` in the checksum: combines the number in the `Hello` and
+/// the boot id in the `Welcome`, as a [`session_number`].
 ///
-/// Without the boot id, a `Welcome` that a line held back while its node was reset could open a
-/// session with the reborn node under the old one's name.
+/// Without the boot id, a `Welcome` that was delayed while its node was reset could open a session with the new boot under
+/// the identity of the old one.
 #[must_use]
 pub const fn session_key(hello: u32, boot: u32) -> u32 {
     session_number(hello ^ boot)
 }
 
-/// The `seq` of the command after the one with this `seq`; 0 is left out.
+/// The sequence number of the next command; skips 0.
 #[must_use]
 pub const fn next_seq(seq: u8) -> u8 {
     match seq.wrapping_add(1) {
@@ -66,3 +69,6 @@ pub const fn next_seq(seq: u8) -> u8 {
         next => next,
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -251,16 +251,16 @@ impl Lab {
         }
     }
 
-    fn on_event(&mut self, event: Event) {
+    fn on_event(&mut self, event: LinkEvent) {
         self.note(format!("{event:?}"));
         match event {
-            Event::Accepted(id) => *self.accepted.entry(id).or_default() += 1,
-            Event::Rejected(id, reason) => {
+            LinkEvent::Accepted(id) => *self.accepted.entry(id).or_default() += 1,
+            LinkEvent::Rejected(id, reason) => {
                 assert!(!self.accepted.contains_key(&id), "{id} rejected after all");
                 let again = self.rejected.insert(id, reason);
                 assert_eq!(again, None, "{id} rejected twice");
             }
-            Event::Ended(id, state, text) => {
+            LinkEvent::Ended(id, state, text) => {
                 // Promise 4: once a client is told that it is over, nothing moves for it.
                 let goal = &self.asked[&id];
                 let moving = self.world.borrow().moving.clone();

@@ -61,7 +61,7 @@ pub(super) fn session(disk: &Disk) -> Session<DeviceBook<Disk>> {
     let gateway = log.gateway();
     let log = Arc::new(Mutex::new(log));
     let book = DeviceBook::new(log, "lab", moment);
-    Session::with_book(book, gateway, Some(115_200), numbers)
+    Session::with_journal(book, gateway, Some(115_200), numbers)
 }
 
 impl Lab {

@@ -6,16 +6,16 @@ use embedded_hal::digital::InputPin;
 use ztl_core::Instant;
 use ztl_core::link::{Busy, GoalShape, Loss, Offer};
 
-use super::takes;
+use super::expected::put_takes;
 use crate::component::{Component, Reading, Refused, Report, Run};
 
-/// What an input is. Take [`DEFAULT`](Self::DEFAULT) and change what differs.
+/// Settings of an input. Start with [`DEFAULT`](Self::DEFAULT) and change what differs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct DigitalInputConfig {
-    /// Whether a low pin means pressed, as with a button to ground and a pull-up. Default: yes.
+    /// Whether a low pin means pressed, as with a button to ground and a pull-up. Defaults to `true`.
     pub active_low: bool,
-    /// How long the pin must stay the same to be believed, in ms. Default 20.
+    /// How long a new level must last before it counts, in ms. Defaults to 20.
     pub debounce_ms: u16,
 }
 
@@ -33,29 +33,28 @@ impl Default for DigitalInputConfig {
     }
 }
 
-/// An input that is watched. It publishes `True` and `False` on its topic `pressed`, at first and
-/// when it changes. Its goals `pressed` and `released` wait until it is so: COMPLETED at once if it is.
+/// A debounced input. It publishes `True` and `False` on its topic `pressed`, once at the start and at each change. Its
+/// goals `pressed` and `released` wait for that state, and are COMPLETED at once if it is reached already.
 ///
-/// It is looked at each 10 ms, or in each turn of the main loop where those take longer: a press that is shorter is not
-/// seen.
+/// It samples the pin every 10 ms, or in each turn of a slower main loop. It misses shorter presses.
 #[derive(Debug, Clone, Hash)]
 pub struct DigitalInput<P> {
     name: &'static str,
     pin: P,
     config: DigitalInputConfig,
-    /// As it is believed; `None` before the first look.
+    /// The debounced state; `None` before the first sample.
     pressed: Option<bool>,
-    /// What the pin has said of late, if that is something else, and since when.
+    /// Since when the pin differs from the debounced state, if it does.
     change: Option<Instant>,
-    /// What was published last.
-    told: Option<bool>,
-    /// What the task waits for.
+    /// The last published state.
+    published: Option<bool>,
+    /// The state that the task waits for.
     awaited: bool,
     aborted: bool,
 }
 
 impl<P: InputPin> DigitalInput<P> {
-    /// An input of this name on this pin.
+    /// An input with this name on this pin.
     pub const fn new(name: &'static str, pin: P, config: DigitalInputConfig) -> Self {
         Self {
             name,
@@ -63,19 +62,19 @@ impl<P: InputPin> DigitalInput<P> {
             config,
             pressed: None,
             change: None,
-            told: None,
+            published: None,
             awaited: true,
             aborted: false,
         }
     }
 
-    /// Whether it was pressed when last looked at; `None` before that.
+    /// The debounced state; `None` before the first sample.
     #[must_use]
     pub const fn is_pressed(&self) -> Option<bool> {
         self.pressed
     }
 
-    fn look(&mut self, now: Instant) -> Result<(), P::Error> {
+    fn sample(&mut self, now: Instant) -> Result<(), P::Error> {
         let level = self.pin.is_high()? != self.config.active_low;
         if self.pressed == Some(level) {
             self.change = None;
@@ -110,7 +109,7 @@ impl<P: InputPin> Component for DigitalInput<P> {
         if matches!(goal.trim_ascii(), "pressed" | "released") {
             return Ok(());
         }
-        takes(why, self.name);
+        put_takes(why, self.name);
         why.text("pressed or released");
         Err(Refused)
     }
@@ -123,7 +122,7 @@ impl<P: InputPin> Component for DigitalInput<P> {
     }
 
     fn poll(&mut self, now: Instant, report: &mut Report<'_>) -> Run {
-        if self.look(now).is_err() {
+        if self.sample(now).is_err() {
             report.text("the input pin failed");
             return Run::Failed;
         }
@@ -147,15 +146,15 @@ impl<P: InputPin> Component for DigitalInput<P> {
     }
 
     fn poll_reading(&mut self, now: Instant, buffer: &mut [u8]) -> Option<Reading> {
-        // A pin that fails has nothing to say; a task on it says why.
-        self.look(now).ok()?;
-        let pressed = self.pressed.filter(|_| self.pressed != self.told)?;
+        // A failing pin publishes nothing; a task reports the failure.
+        self.sample(now).ok()?;
+        let pressed = self.pressed.filter(|_| self.pressed != self.published)?;
         let text: &[u8] = if pressed { b"True" } else { b"False" };
         let room = buffer.get_mut(..text.len())?;
         for (to, from) in room.iter_mut().zip(text) {
             *to = *from;
         }
-        self.told = Some(pressed);
+        self.published = Some(pressed);
         Some(Reading {
             topic: 0,
             len: text.len(),

@@ -1,20 +1,19 @@
-//! Ready components on `embedded-hal` 1.0: give them the pins of your board and their limits, and they
-//! are [`Component`](crate::Component)s. With the feature `components`.
+//! Ready [`Component`](crate::Component)s for `embedded-hal` 1.0: create them with the pins of your board and their
+//! limits. Requires the feature `components`.
 //!
 //! | | on | goals | when the link is lost, with or without a task |
 //! |---|---|---|---|
 //! | [`Servo`] | a PWM channel | an angle: `45.5` | holds, or lets go |
 //! | [`Stepper`] | step and direction pins, perhaps enable and limit switches | a position: `1200`; `home` | stops at once; holds, or lets go |
 //! | [`DigitalOutput`] | an output pin | `on`, `off`, `pulse 200` | goes off, on, or stays |
-//! | [`DigitalInput`] | an input pin | `pressed`, `released`: waits for it | |
+//! | [`DigitalInput`] | an input pin | `pressed`, `released`: wait for it | |
 //!
-//! Motions speed up and slow down evenly, within limits of speed and acceleration. All of it is computed
-//! from the time that the calls bring along, in whole numbers: no timer, no float, no allocation. Calls
-//! may come at any time; one that is late delays a motion a little, and never makes it faster.
+//! Motions follow a trapezoid within limits of speed and acceleration. They are computed from the time passed to each
+//! call, in integers: no timer, no float, no allocation. A late call delays the motion a little and never makes it
+//! faster.
 //!
-//! A main loop for a board such as the Pico. What stands behind `board` is your chip's HAL: the pins are
-//! any that implement the `embedded-hal` traits, the serial port any that implements those of
-//! `embedded-io`.
+//! A main loop for a board such as the Pico. `board` stands for your chip's HAL: pins that implement the
+//! `embedded-hal` traits, and a serial port that implements those of `embedded-io`.
 //!
 //! ```
 //! use ztl_mcu::components::{
@@ -84,10 +83,10 @@
 //! let mut buffer = [0; 32];
 //! loop {
 //!     let now = board::now();
-//!     // What has arrived, without waiting.
+//!     // Read the available bytes, without waiting.
 //!     let count = serial.read(&mut buffer);
 //!     node.handle_bytes(now, &buffer[..count]);
-//!     // The stepper wants this often; its documentation says how often.
+//!     // A stepper needs frequent calls; see its documentation.
 //!     node.handle_timeout(now);
 //!     let count = node.poll_transmit(now, &mut buffer);
 //!     serial.write(&buffer[..count]);
@@ -98,60 +97,23 @@
 //!
 //! Then `ztl task-client … desk:slide:home`, `desk:slide:120.5`, `desk:lamp:'pulse 500'`.
 
+mod expected;
 mod input;
 pub mod number;
 mod output;
+mod power;
 mod profile;
 mod servo;
 mod stepper;
 
 pub use input::{DigitalInput, DigitalInputConfig};
 pub use output::{DigitalOutput, DigitalOutputConfig, SafeOutput};
-pub use profile::{Limits, Profile};
+pub use power::Power;
 pub use servo::{Servo, ServoConfig};
 pub use stepper::{
-    Command, Limit, LimitFlag, Motion, NoLimit, NoPin, Scale, StepDrive, StepFault, StepMotor,
+    Limit, LimitFlag, Motion, MotorCommand, NoLimit, NoPin, Scale, StepDrive, StepFault, StepMotor,
     Stepper, StepperConfig, Switch,
 };
-
-use ztl_core::link::Loss;
-
-use crate::component::Report;
-
-/// Whether a motor at rest stays under power.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub enum Power {
-    /// It holds its position.
-    Hold,
-    /// It lets go, and may be turned by hand or by a weight.
-    Release,
-}
-
-impl Power {
-    /// What a component that ends so when it is made safe says of a lost link.
-    const fn loss(self) -> Loss {
-        match self {
-            Self::Hold => Loss::Hold,
-            Self::Release => Loss::Abort,
-        }
-    }
-}
-
-/// Begins a refusal.
-fn takes(why: &mut Report<'_>, name: &str) {
-    why.text(name);
-    why.text(" takes ");
-}
-
-/// The numbers that would be right.
-fn range(why: &mut Report<'_>, least: i32, most: i32, unit: &str) {
-    number::report(why, least, 0);
-    why.text(" to ");
-    number::report(why, most, 0);
-    why.text(" ");
-    why.text(unit);
-}
 
 #[cfg(test)]
 mod tests;

@@ -1,22 +1,22 @@
-//! Decimal numbers as whole ones, with a fixed count of decimals: `45.5` with three is 45500.
+//! Decimal numbers as integers with a fixed number of decimals: `45.5` with three is 45500.
 //!
-//! A Cortex-M0 has no floating-point unit; the reader through `f32` costs it five times as much.
+//! A Cortex-M0 has no floating-point unit; parsing into an `f32` takes five times as much flash.
 
 use ztl_core::sink::div_10;
 
 use crate::component::Report;
 
-/// Reads a number, times `10^decimals` and rounded half away from zero; `None` when it is none, or
-/// too great.
+/// Parses a number and multiplies it by `10^decimals`, rounded half away from zero. `None` if it is not a number or too
+/// large.
 ///
-/// It takes what [`ztl_core::goal`] takes for a float in decimal digits without `_`.
+/// It accepts the decimal floats of [`ztl_core::goal`] without `_`.
 pub fn parse(text: &str, decimals: u8) -> Option<i32> {
     let (negative, mut rest) = sign(text.as_bytes().trim_ascii());
     let octal = rest.first() == Some(&b'0');
     let mut value = 0;
     let (mut count, kept) = digits(&mut rest, &mut value);
     let mut exponent = i32::from(decimals) + count - kept;
-    // 010 is 8 for YAML, and 10 for a person.
+    // 010 is 8 in YAML and 10 for a person.
     if octal && rest.is_empty() && value > 0 {
         return None;
     }
@@ -32,7 +32,7 @@ pub fn parse(text: &str, decimals: u8) -> Option<i32> {
     if let [b'e' | b'E', behind @ ..] = rest {
         let (negative, behind) = sign(behind);
         rest = behind;
-        // Of a great one, that it is beyond any use.
+        // A huge exponent only needs to be out of range.
         let mut power = 0;
         if digits(&mut rest, &mut power).0 == 0 {
             return None;
@@ -56,8 +56,8 @@ pub fn parse(text: &str, decimals: u8) -> Option<i32> {
     Some(if negative { -value } else { value })
 }
 
-/// Reads a whole number, also as Python writes it where it counts in floats: `200.0`. `None` when it is none, or too
-/// great; so is 010, which is 8 for YAML, and 10 for a person.
+/// Parses a whole number, also with the `.0` of a Python float: `200.0`. `None` if it is something else or too large, or
+/// has a leading zero.
 pub(super) fn parse_whole(text: &[u8]) -> Option<u32> {
     let (mut rest, mut value) = (text, 0);
     let (count, kept) = digits(&mut rest, &mut value);
@@ -66,11 +66,11 @@ pub(super) fn parse_whole(text: &[u8]) -> Option<u32> {
     (count > 0 && count == kept && !octal && whole).then_some(value)
 }
 
-/// From here on another digit might not fit.
+/// From here on, another digit may not fit.
 const LONG: u32 = u32::MAX / 10;
 
-/// Reads digits behind those that `value` has, as far as they fit: how many there are, and how many of them it has
-/// now. The others are below what is asked for, or the number is too great.
+/// Appends the digits at the start of `rest` to `value`, as far as they fit. Returns how many there are and how many were
+/// appended.
 fn digits(rest: &mut &[u8], value: &mut u32) -> (i32, i32) {
     let (mut count, mut kept) = (0, 0);
     while let [digit @ b'0'..=b'9', behind @ ..] = *rest {
@@ -84,8 +84,7 @@ fn digits(rest: &mut &[u8], value: &mut u32) -> (i32, i32) {
     (count, kept)
 }
 
-/// Whether there is a minus, and what is behind the sign.
-#[cfg_attr(target_os = "none", inline(never))]
+/// Whether the number is negative, and the bytes after the sign.
 const fn sign(bytes: &[u8]) -> (bool, &[u8]) {
     match bytes {
         [b'-', rest @ ..] => (true, rest),
@@ -93,13 +92,13 @@ const fn sign(bytes: &[u8]) -> (bool, &[u8]) {
     }
 }
 
-/// Adds `value` with the point before its last `decimals` digits.
+/// Writes `value` with a decimal point before its last `decimals` digits.
 pub fn report(report: &mut Report<'_>, value: i32, decimals: u8) {
     if value < 0 {
         report.text("-");
     }
     let mut rest = value.unsigned_abs();
-    // From behind, one digit a byte; ten are the most.
+    // The digits in reverse order; a number has at most ten.
     let mut digits = [0u8; 10];
     let mut count = 0u8;
     for digit in &mut digits {
@@ -139,7 +138,7 @@ mod tests {
     use std::string::String;
 
     #[test]
-    fn numbers_are_read_with_their_decimals() {
+    fn numbers_are_parsed_with_their_decimals() {
         for (text, decimals, expected) in [
             ("45", 3, Some(45_000)),
             (" 45.5 ", 3, Some(45_500)),
@@ -219,13 +218,12 @@ mod tests {
         #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::default() })]
 
         #[test]
-        fn what_is_written_is_read(value in -i32::MAX..i32::MAX, decimals in 0u8..=9) {
+        fn parsing_inverts_writing(value in -i32::MAX..i32::MAX, decimals in 0u8..=9) {
             prop_assert_eq!(parse(&written(value, decimals), decimals), Some(value));
         }
 
-        /// The one reader of goals is the measure.
         #[test]
-        fn what_is_read_is_what_any_goal_is_read_as(
+        fn numbers_parse_like_any_goal(
             text in "[-+]?[0-9]{0,4}(\\.[0-9]{0,4})?([eE][-+]?[0-9]{0,5})?|[-+0-9.eE]{0,8}",
         ) {
             let theirs = ztl_core::goal::from_str::<f64>(&text);

@@ -7,13 +7,14 @@ use ztl_core::Instant;
 use ztl_core::link::{Busy, GoalShape, Loss, Offer};
 use ztl_core::sink::div_10;
 
-use super::{number, takes};
+use super::expected::put_takes;
+use super::number;
 use crate::component::{Component, Refused, Report, Run};
 
-/// Longest pulse: an hour.
+/// Longest pulse, an hour.
 const LONGEST_MS: u32 = 3_600_000;
 
-/// The goals that would be right.
+/// The valid goals.
 const TAKEN: &str = "on, off, or pulse 1 to 3600000 ms";
 
 /// What [`make_safe`](Component::make_safe) does to an output.
@@ -22,26 +23,26 @@ const TAKEN: &str = "on, off, or pulse 1 to 3600000 ms";
 pub enum SafeOutput {
     /// It goes off.
     Off,
-    /// It goes on: a brake that power closes, a warning lamp.
+    /// It goes on: a warning lamp, a brake that needs power.
     On,
-    /// It stays as it is; but a pulse ends.
+    /// It keeps its level, but a pulse ends.
     Keep,
 }
 
-/// What an output is. Take [`DEFAULT`](Self::DEFAULT) and change what differs.
+/// Settings of an output. Start with [`DEFAULT`](Self::DEFAULT) and change what differs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct DigitalOutputConfig {
-    /// Whether it is on when the pin is low. Default: on when high.
+    /// Whether it is on when the pin is low. Defaults to `false`.
     pub inverted: bool,
-    /// The safe state, in which it also starts, and to which it goes when the link is lost. Default: off.
+    /// The state at the start and when the link is lost. Defaults to off.
     pub safe: SafeOutput,
-    /// What happens to a task that comes while a pulse runs. Default: it is refused.
+    /// What happens to a task that arrives during a pulse. By default it is refused.
     pub busy: Busy,
 }
 
 impl DigitalOutputConfig {
-    /// On when high, off when safe.
+    /// On when the pin is high, off in the safe state.
     pub const DEFAULT: Self = Self {
         inverted: false,
         safe: SafeOutput::Off,
@@ -55,15 +56,15 @@ impl Default for DigitalOutputConfig {
     }
 }
 
-/// An output that is switched: its goals are `on`, `off`, and `pulse 200`, or only `200`, for on
-/// during so many milliseconds, a whole number, up to an hour.
+/// A switched output. Its goals are `on`, `off`, and `pulse 200` (or `200`) for a pulse of 200 ms: a whole number up to
+/// an hour.
 ///
-/// `on` and `off` are COMPLETED at once, and the output stays so. A pulse is COMPLETED when it has
-/// ended; its progress is `on, 120 ms left`; an abort switches off. `True` and `False` are taken for
-/// `on` and `off`, since clients in Python make that of them, and `{'pulse': 200}` for `pulse 200`.
-/// An error of the pin ends the task as FAILED.
+/// `on` and `off` are COMPLETED at once, and the output keeps its level. A pulse is COMPLETED at its end; its progress is
+/// `on, 120 ms left`, and an abort switches the output off. `True` and `False` mean `on` and `off`, because Python
+/// clients convert them, and `{'pulse': 200}` means `pulse 200`. An error of the pin ends the task as FAILED.
 ///
-/// When the link is lost it goes to its [safe state](DigitalOutputConfig::safe), also long after `on` was COMPLETED.
+/// When the link is lost, the output goes to its [safe state](DigitalOutputConfig::safe), even long after `on` was
+/// COMPLETED.
 ///
 /// ```
 /// use ztl_mcu::components::{DigitalOutput, DigitalOutputConfig};
@@ -89,7 +90,7 @@ pub struct DigitalOutput<P> {
     /// When the pulse ends.
     until: Option<Instant>,
     aborted: bool,
-    /// The pin could not be set.
+    /// Setting the pin failed.
     failed: bool,
 }
 
@@ -101,7 +102,7 @@ enum Goal {
 }
 
 impl<P: OutputPin> DigitalOutput<P> {
-    /// An output of this name on this pin, which is set to its safe state at once.
+    /// An output with this name on this pin, which is set to its safe state at once.
     pub fn new(name: &'static str, pin: P, config: DigitalOutputConfig) -> Self {
         let mut output = Self {
             name,
@@ -161,18 +162,18 @@ impl<P: OutputPin> Component for DigitalOutput<P> {
         if parse(goal).is_some() {
             return Ok(());
         }
-        takes(why, self.name);
+        put_takes(why, self.name);
         why.text(TAKEN);
         Err(Refused)
     }
 
     fn start(&mut self, now: Instant, goal: &str, _why: &mut Report<'_>) -> Result<(), Refused> {
-        // It was checked.
+        // Valid: the goal was checked.
         let goal = parse(goal).ok_or(Refused)?;
         self.aborted = false;
         self.set(!matches!(goal, Goal::Off));
         if let Goal::Pulse { ms } = goal {
-            // 32 bits hold an hour of them.
+            // An hour of microseconds fits 32 bits.
             self.until = Some(now.after((ms * 1000).into()));
         }
         Ok(())
@@ -221,7 +222,7 @@ impl<P: OutputPin> Component for DigitalOutput<P> {
     }
 }
 
-/// Rounded up; the second is the later, by an hour at most.
+/// Milliseconds from `now` to the later `until`, rounded up; at most an hour.
 fn millis_between(now: Instant, until: Instant) -> u32 {
     let micros = until.as_micros().wrapping_sub(now.as_micros());
     let mut left = (micros as u32).saturating_add(999);
@@ -231,17 +232,17 @@ fn millis_between(now: Instant, until: Instant) -> u32 {
     left
 }
 
-/// What switches off, on, off and on, in lower case.
+/// The words that switch off, on, off and on.
 const WORDS: [&str; 4] = ["off", "on", "false", "true"];
 
-/// What may stand before the number of a pulse.
+/// The prefixes of the number of a pulse.
 const PULSES: [&[u8]; 3] = [b"pulse ", b"{'pulse': ", b"{pulse: "];
 
 fn parse(goal: &str) -> Option<Goal> {
     let mut goal = goal.as_bytes().trim_ascii();
-    for (place, word) in WORDS.iter().enumerate() {
+    for (index, word) in WORDS.iter().enumerate() {
         if goal.eq_ignore_ascii_case(word.as_bytes()) {
-            return Some(if place & 1 == 0 { Goal::Off } else { Goal::On });
+            return Some(if index & 1 == 0 { Goal::Off } else { Goal::On });
         }
     }
     for before in &PULSES {

@@ -1,9 +1,8 @@
-//! A motion at limited speed and acceleration, in whole numbers: exact, and without a division.
+//! A motion at limited speed and acceleration, in integers: exact, and without a division.
 //!
-//! Time goes in ticks of 1024 µs, and speed changes between ticks only, by one *rung* at a time: the
-//! acceleration's worth of a tick. The way that it takes to stop from a rung is then a sum that a
-//! step up or down the ladder keeps by one addition, so the rule "never faster than can be stopped
-//! before the target" costs a Cortex-M0 a few instructions a tick.
+//! Time is divided into ticks of 1024 µs. The speed changes only between ticks, by one *rung*: the speed that the
+//! acceleration adds in a tick. The stopping distance is then a sum that one addition updates, so the rule "never faster
+//! than can be stopped before the target" takes a few instructions per tick on a Cortex-M0.
 
 use ztl_core::Instant;
 
@@ -13,26 +12,25 @@ const TICK_SHIFT: u32 = 10;
 /// Length of a tick in µs.
 pub(super) const TICK_US: u32 = 1 << TICK_SHIFT;
 
-/// Whole ticks from one moment to another; none when `now` is not after it.
+/// Whole ticks from `earlier` to `now`; 0 if `now` is earlier.
 pub(super) fn ticks_between(earlier: Instant, now: Instant) -> u64 {
     now.as_micros().saturating_sub(earlier.as_micros()) >> TICK_SHIFT
 }
 
-/// The moment that lies this many ticks later.
+/// The instant this many ticks later.
 pub(super) fn after_ticks(moment: Instant, ticks: u64) -> Instant {
-    Instant::from_micros(moment.as_micros().saturating_add(ticks << TICK_SHIFT))
+    moment.after(ticks << TICK_SHIFT)
 }
 
-/// Greatest speed and acceleration, as a profile counts them.
+/// Maximum speed and acceleration of a profile.
 ///
-/// A position is counted in *parts* of a unit, so that slow motions are exact too; how many there
-/// are is the caller's choice, at most 2^24.
+/// Positions are counted in *parts* of a unit, so that slow motions are exact too. The caller chooses their number, at
+/// most 2^24.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct Limits {
-    /// The change of speed from tick to tick, in parts a tick. Not 0.
+pub(super) struct Limits {
+    /// The change of speed from tick to tick, in parts per tick. Not 0.
     rung: u32,
-    /// How many rungs the greatest speed has. Not 0.
+    /// Number of rungs up to the maximum speed. Not 0.
     top: u32,
 }
 
@@ -40,16 +38,14 @@ impl Limits {
     /// The limits for a speed in units a second and an acceleration in units a second squared, with
     /// this many parts to a unit.
     ///
-    /// Both are met or stayed below by less than a rung. Values that nothing could be done with are
-    /// brought within what can: at least 1, and a speed below 2^32 parts a tick.
-    #[must_use]
-    #[inline(always)] // With constants there is no division at run time.
-    pub const fn new(speed: u32, acceleration: u32, parts: u32) -> Self {
+    /// Both are reached to within a rung, and never exceeded. Unusable values are limited: to at least 1, and a speed
+    /// below 2^32 parts per tick.
+    pub(super) const fn new(speed: u32, acceleration: u32, parts: u32) -> Self {
         let speed = per_tick(speed, parts);
-        // 2^20 / 10^12, in numbers that keep the product within 64 bits.
+        // Times 2^20 / 10^12, with factors that keep the product within 64 bits.
         let rung = (acceleration as u64).saturating_mul(counted(parts) * 256) / 244_140_625;
         let rung = within(1, rung, speed as u64);
-        // A somewhat lower rung, so that a whole number of them makes the speed.
+        // A slightly smaller rung, so that the speed is a whole number of rungs.
         let top = divided(speed - 1, rung) + 1;
         Self {
             rung: divided(speed, top),
@@ -57,10 +53,8 @@ impl Limits {
         }
     }
 
-    /// The same acceleration up to another speed, never above the present one.
-    #[must_use]
-    #[inline(always)] // As above.
-    pub const fn slower(self, speed: u32, parts: u32) -> Self {
+    /// The same acceleration with another maximum speed, which is not raised.
+    pub(super) const fn slower(self, speed: u32, parts: u32) -> Self {
         let rungs = divided(per_tick(speed, parts), self.rung);
         Self {
             rung: self.rung,
@@ -68,43 +62,40 @@ impl Limits {
         }
     }
 
-    /// Greatest change of speed from tick to tick, in parts a tick.
-    #[must_use]
-    pub const fn acceleration_per_tick(self) -> u32 {
+    /// Maximum change of speed from tick to tick, in parts per tick.
+    #[cfg(test)]
+    const fn acceleration_per_tick(self) -> u32 {
         self.rung
     }
 
-    /// Greatest speed in parts a tick.
-    #[must_use]
-    pub const fn speed_per_tick(self) -> u32 {
+    /// Maximum speed in parts per tick.
+    #[cfg(test)]
+    const fn speed_per_tick(self) -> u32 {
         self.rung * self.top
     }
 }
 
-/// A position that moves to its target by a trapezoid: speeding up, at the limit, slowing down.
+/// A position that moves to its target by a trapezoid: it accelerates, keeps the maximum speed, decelerates.
 ///
-/// The target may be changed at any time, also to one that has been passed by: the motion then slows
-/// down, turns and comes back. In every tick the speed is within the limits and changes by no more
-/// than the acceleration; the motion ends exactly on the target; as long as the target stays ahead,
-/// it never turns.
+/// The target may change at any time, also to one that was passed already: the motion then decelerates, turns and comes
+/// back. In every tick the speed is within the limits and changes by at most the acceleration. The motion ends exactly on
+/// the target, and never turns while the target stays ahead.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct Profile {
+pub(super) struct Profile {
     position: i64,
     target: i64,
-    /// Speed of the last tick, in rungs.
+    /// Speed in the last tick, in rungs.
     rungs: u32,
-    /// Parts that it takes to stop from this speed, the last tick not counted.
+    /// Stopping distance from this speed in parts, without the last tick.
     stop: u64,
     forward: bool,
-    /// The last tick went at less than a rung; the next one rests, as a turn would be too sharp.
+    /// The last tick moved by less than a rung. The next one rests, because a turn would be too sharp.
     crept: bool,
 }
 
 impl Profile {
     /// At rest at this position, in parts.
-    #[must_use]
-    pub const fn new(position: i64) -> Self {
+    pub(super) const fn new(position: i64) -> Self {
         Self {
             position,
             target: position,
@@ -115,14 +106,13 @@ impl Profile {
         }
     }
 
-    /// Where to, in parts; at most 2^60 of them from 0.
-    pub const fn move_to(&mut self, target: i64) {
+    /// Sets the target, in parts; at most 2^60 from 0.
+    pub(super) const fn move_to(&mut self, target: i64) {
         self.target = target;
     }
 
-    /// Where it would come to rest if it slowed down from now on, in parts.
-    #[must_use]
-    pub const fn stopping_point(&self) -> i64 {
+    /// Where it would stop if it decelerated from now on, in parts.
+    pub(super) const fn stopping_point(&self) -> i64 {
         if self.forward {
             self.position + self.stop as i64
         } else {
@@ -130,14 +120,13 @@ impl Profile {
         }
     }
 
-    /// At rest at this position at once, whatever the limits say.
-    pub const fn put(&mut self, position: i64) {
+    /// Stops at this position at once, regardless of the limits.
+    pub(super) const fn put(&mut self, position: i64) {
         *self = Self::new(position);
     }
 
-    /// The next tick. Says how far it goes: the speed in parts a tick, below 0 backwards.
-    #[inline(never)] // Servos and steppers share it.
-    pub const fn advance(&mut self, limits: Limits) -> i64 {
+    /// Advances by a tick. Returns the distance in parts, negative if backwards.
+    pub(super) const fn advance(&mut self, limits: Limits) -> i64 {
         let way = self.target - self.position;
         if self.rungs == 0 {
             self.forward = way >= 0;
@@ -149,7 +138,7 @@ impl Profile {
         moved
     }
 
-    /// The greatest speed for the next tick from which the way `ahead` suffices to stop.
+    /// The highest speed for the next tick that can be stopped within the distance `ahead`.
     const fn next_speed(&mut self, ahead: i64, limits: Limits) -> i64 {
         if self.crept {
             self.crept = false;
@@ -171,7 +160,7 @@ impl Profile {
             self.stop -= (speed - rung) as u64;
             return speed - rung;
         }
-        // The rest is less than a rung, or lies behind.
+        // The remaining distance is less than a rung, or behind.
         self.rungs = 0;
         if ahead <= 0 {
             return 0;
@@ -180,7 +169,7 @@ impl Profile {
         ahead
     }
 
-    /// At this position, in parts, at no more than half the speed: something held the motion up.
+    /// Continues from this position, in parts, at half the speed: the motion was delayed.
     pub(super) const fn held_up(&mut self, position: i64, limits: Limits) {
         self.position = position;
         self.rungs /= 2;
@@ -190,44 +179,38 @@ impl Profile {
     }
 
     /// The position after the last tick, in parts.
-    #[must_use]
-    pub const fn position(&self) -> i64 {
+    pub(super) const fn position(&self) -> i64 {
         self.position
     }
 
-    /// Whether it has come to rest on its target.
-    #[must_use]
-    pub const fn is_at_rest(&self) -> bool {
+    /// Whether it rests on its target.
+    pub(super) const fn is_at_rest(&self) -> bool {
         self.rungs == 0 && self.position == self.target
     }
 
-    /// Whether it moves, or last moved, to greater positions.
-    #[must_use]
-    pub const fn is_forward(&self) -> bool {
+    /// Whether it moves, or last moved, towards larger positions.
+    pub(super) const fn is_forward(&self) -> bool {
         self.forward
     }
 
-    /// The speed in parts a tick, without a direction.
+    /// The speed in parts per tick, without its direction.
     pub(super) const fn speed(&self, limits: Limits) -> u32 {
         self.rungs * limits.rung
     }
 }
 
-/// A speed in units a second, in parts a tick: times 1024 / 10^6.
-#[inline(always)]
+/// Converts units per second to parts per tick: times 1024 / 10^6.
 const fn per_tick(speed: u32, parts: u32) -> u32 {
     let speed = (speed as u64).saturating_mul(counted(parts) * 16) / 15_625;
     within(1, speed, u32::MAX as u64)
 }
 
-/// Of a unit.
-#[inline(always)]
+/// The number of parts in a unit, within its limits.
 const fn counted(parts: u32) -> u64 {
     within(1, parts as u64, 1 << 24) as u64
 }
 
-/// The value, or the end that it is beyond; of ends in 32 bits.
-#[inline(always)]
+/// Limits the value to a range of 32-bit numbers.
 const fn within(least: u64, value: u64, most: u64) -> u32 {
     if value < least {
         least as u32
@@ -238,8 +221,7 @@ const fn within(least: u64, value: u64, most: u64) -> u32 {
     }
 }
 
-/// By what is not 0, which the compiler may not see.
-#[inline(always)]
+/// A division whose divisor is not 0, which the compiler may not see.
 const fn divided(value: u32, by: u32) -> u32 {
     match value.checked_div(by) {
         Some(quotient) => quotient,

@@ -4,21 +4,22 @@ use embedded_hal::pwm::SetDutyCycle;
 use ztl_core::Instant;
 use ztl_core::link::{Busy, GoalShape, Offer};
 
+use super::expected::{put_range, put_takes};
 use super::number;
+use super::power::Power;
 use super::profile::{Limits, Profile, after_ticks, ticks_between};
-use super::{Power, range, takes};
 use crate::component::{Component, Refused, Report, Run};
 
-/// Parts of a millidegree that the profile counts.
+/// Logarithm of the number of parts in a millidegree.
 const SHIFT: u32 = 14;
 /// Parts of a degree.
 const PARTS: i64 = 1000 << SHIFT;
-/// Goals are read in millidegrees.
+/// Decimals of a goal: it is parsed in millidegrees.
 const MILLI: u8 = 3;
-/// Most ticks that a late `poll` makes good, some 50 ms: the servo must not be told to jump.
+/// Ticks that a late `poll` catches up at most, about 50 ms, so that the servo does not jump.
 const MOST_TICKS: u64 = 50;
 
-/// What a servo is and may do. Take [`DEFAULT`](Self::DEFAULT) and change what differs:
+/// Settings of a servo. Start with [`DEFAULT`](Self::DEFAULT) and change what differs:
 ///
 /// ```
 /// use ztl_mcu::components::ServoConfig;
@@ -26,28 +27,27 @@ const MOST_TICKS: u64 = 50;
 /// const PAN: ServoConfig = ServoConfig { range: (-90, 90), speed: 120, ..ServoConfig::DEFAULT };
 /// ```
 ///
-/// Nothing of it panics: a range or pulse that is beyond its bounds is brought within them.
+/// Invalid settings do not panic: a range or pulse beyond its bounds is limited to them.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct ServoConfig {
-    /// Least and greatest angle in degrees. Default 0 to 180.
+    /// Smallest and largest angle in degrees. Defaults to 0 and 180.
     pub range: (i16, i16),
-    /// The pulse's width at the least and at the greatest angle, in µs; the first may be the
-    /// greater one. Default 1000 to 2000, which no servo's end stop is beyond.
+    /// Pulse width at the smallest and at the largest angle, in µs; the first may be the longer one. Defaults to 1000
+    /// and 2000, which is within the end stops of every servo.
     pub pulse_us: (u16, u16),
-    /// The PWM's period in µs, as the timer is set up. Default 20,000, which is 50 Hz.
+    /// Period of the PWM in µs, as the timer is configured. Defaults to 20,000, which is 50 Hz.
     pub period_us: u16,
-    /// Greatest speed in degrees a second. Default 60.
+    /// Maximum speed in degrees a second. Defaults to 60.
     pub speed: u16,
-    /// Greatest acceleration in degrees a second squared. Default 240.
+    /// Maximum acceleration in degrees a second squared. Defaults to 240.
     pub acceleration: u16,
-    /// Where it is when power comes on, in degrees, as far as one can know: the first motion starts
-    /// here. Default: the middle of the range.
+    /// Presumed angle at power-on, in degrees: the first motion starts here. Defaults to the middle of the range.
     pub start: Option<i16>,
-    /// What [`make_safe`](Component::make_safe) does, also to a servo at rest, when the link is lost: keep the pulse, so
-    /// that the servo holds its position, or end it, so that most servos let go. Default: hold.
+    /// What [`make_safe`](Component::make_safe) does, also to an idle servo: it keeps the pulse, so that the servo holds
+    /// its position, or ends it, so that most servos let go. Defaults to hold.
     pub safe: Power,
-    /// What happens to a task that comes while one runs. Default: it is refused.
+    /// What happens to a task that arrives while one runs. By default it is refused.
     pub busy: Busy,
 }
 
@@ -73,13 +73,11 @@ impl Default for ServoConfig {
 
 /// A positional servo: its goals are angles in degrees.
 ///
-/// It moves at limited speed and acceleration. Progress and result are the angle it is *told* to
-/// have, with one decimal. Whether it is there nobody knows: a hobby servo tells nothing back, and
-/// one that is blocked or unplugged completes its tasks as any other. The very first pulse makes it jump to
+/// It moves at limited speed and acceleration. Progress and result are the *commanded* angle with one decimal. A hobby
+/// servo gives no feedback, so tasks complete even if it is blocked or unplugged. The first pulse makes it jump to
 /// [`start`](ServoConfig::start), if it was elsewhere.
 ///
-/// An abort slows down by the ramp and ends as ABORTED where it stopped. An error of the PWM output
-/// ends the task as FAILED.
+/// An abort decelerates and ends as ABORTED where the servo stops. An error of the PWM output ends the task as FAILED.
 ///
 /// ```
 /// use ztl_mcu::components::{Servo, ServoConfig};
@@ -101,24 +99,23 @@ pub struct Servo<P> {
     name: &'static str,
     pwm: P,
     config: ServoConfig,
-    /// The range's ends as the offer has them, in the bits of an `f32`.
+    /// The range in the offer, as bits of `f32`.
     bounds: (u32, u32),
     pulse: Pulse,
     limits: Limits,
     profile: Profile,
-    /// Up to where the motion was computed.
+    /// Time up to which the motion is computed.
     clock: Instant,
     /// In parts.
     goal: i64,
-    /// Whether there is a pulse: from the first task on, until it is released.
+    /// Whether there is a pulse: from the first task until it is released.
     driven: bool,
-    /// What the output was last set to; `None` when that is not known.
+    /// The last duty set; `None` if unknown.
     duty: Option<u16>,
 }
 
 impl<P: SetDutyCycle> Servo<P> {
-    /// A servo of this name on this output, which stays as it is until the first task.
-    #[inline(always)] // With a constant configuration there is nothing to compute.
+    /// A servo with this name on this output, which is not changed before the first task.
     pub const fn new(name: &'static str, pwm: P, config: ServoConfig) -> Self {
         let (a, b) = config.range;
         let range = if a <= b { (a, b) } else { (b, a) };
@@ -149,7 +146,7 @@ impl<P: SetDutyCycle> Servo<P> {
         }
     }
 
-    /// The angle that it is told to have, in millidegrees.
+    /// The commanded angle in millidegrees.
     #[must_use]
     pub const fn commanded_millidegrees(&self) -> i32 {
         ((self.profile.position() + (1 << (SHIFT - 1))) >> SHIFT) as i32
@@ -174,13 +171,13 @@ impl<P: SetDutyCycle> Servo<P> {
         };
     }
 
-    /// Sets the output to the commanded angle, unless it is.
+    /// Sets the output to the commanded angle, if it changed.
     fn drive(&mut self) -> Result<(), P::Error> {
         let (least, _) = self.config.range;
         let above = i64::from(self.commanded_millidegrees() - i32::from(least) * 1000);
         let part = self.pulse.at_least + above * self.pulse.slope;
         let duty = (i64::from(self.pwm.max_duty_cycle()) * part + (1 << 31)) >> 32;
-        // In range, since the part is at most 1.
+        // Fits, because the part is at most 1.
         let duty = duty as u16;
         if self.duty != Some(duty) {
             self.duty = None;
@@ -212,8 +209,8 @@ impl<P: SetDutyCycle> Component for Servo<P> {
             return Ok(());
         }
         let (least, most) = self.config.range;
-        takes(why, self.name);
-        range(why, least.into(), most.into(), "degrees");
+        put_takes(why, self.name);
+        put_range(why, least.into(), most.into(), "degrees");
         Err(Refused)
     }
 
@@ -253,27 +250,26 @@ impl<P: SetDutyCycle> Component for Servo<P> {
     fn make_safe(&mut self, now: Instant) {
         self.advance(now);
         self.profile.put(self.profile.position());
-        // Where it holds, `poll` goes on with the pulse.
+        // When holding, `poll` keeps the pulse.
         if self.config.safe == Power::Release {
             self.driven = false;
             self.duty = None;
-            // An output that fails now cannot be helped; the next task will say so.
+            // The next task reports a failing output.
             let _ = self.pwm.set_duty_cycle_fully_off();
         }
     }
 }
 
-/// The pulse's width as a part of the period, in 2^-32.
+/// Pulse width as a fraction of the period, in units of 2^-32.
 #[derive(Debug, Clone, Copy, Hash)]
 struct Pulse {
-    /// At the least angle.
+    /// At the smallest angle.
     at_least: i64,
-    /// Change for each millidegree.
+    /// Change per millidegree.
     slope: i64,
 }
 
 impl Pulse {
-    #[inline(always)]
     const fn new(config: &ServoConfig) -> Self {
         let at_least = part_of(config.pulse_us.0, config.period_us);
         let at_most = part_of(config.pulse_us.1, config.period_us);
@@ -287,8 +283,7 @@ impl Pulse {
     }
 }
 
-/// Never more than the whole period.
-#[inline(always)]
+/// The fraction of the period, at most 1.
 const fn part_of(pulse_us: u16, period_us: u16) -> i64 {
     if pulse_us >= period_us {
         return 1 << 32;

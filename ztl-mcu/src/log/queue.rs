@@ -6,8 +6,8 @@ use critical_section::Mutex;
 #[cfg(feature = "defmt")]
 use critical_section::RestoreState;
 
-use super::LogSource;
-use crate::shared::in_pieces;
+use super::source::LogSource;
+use crate::pieces::in_pieces;
 
 /// Buffers up to `N` bytes of log. Anyone can write; the main loop reads. Use it as a `static`.
 ///
@@ -25,21 +25,21 @@ struct State<const N: usize> {
     record: Record,
 }
 
-/// Bytes that are copied in one critical section.
+/// Bytes copied in one critical section.
 const COPIED: usize = 8;
 
-/// A ring with records at its end that count only when they are whole.
+/// A ring buffer of records. A record can be read only when it is complete.
 #[derive(Debug)]
 struct Ring<const N: usize> {
     bytes: [u8; N],
     start: usize,
     /// Bytes of complete records.
     len: usize,
-    /// Bytes that are taken, by whole records and by those that are being copied.
+    /// Bytes reserved by complete records and by those being copied.
     taken: usize,
-    /// Records that are being copied.
+    /// Number of records being copied.
     copied: usize,
-    /// Bytes of the record that defmt makes behind those, whether they fit or not.
+    /// Length of the record that defmt is writing after those, whether it fits or not.
     #[cfg(feature = "defmt")]
     open: usize,
     lost: u32,
@@ -64,7 +64,7 @@ impl<const N: usize> Ring<N> {
         }
     }
 
-    /// Takes room for a record of so many bytes, whose place is where it begins; `None` when there is not so much.
+    /// Reserves room for a record of this length. Returns its position; `None` if it does not fit.
     fn begin(&mut self, record: usize) -> Option<usize> {
         if self.taken.saturating_add(record) > N {
             let bytes = u32::try_from(record).unwrap_or(u32::MAX);
@@ -77,7 +77,7 @@ impl<const N: usize> Ring<N> {
         Some(place)
     }
 
-    /// Copies a few bytes of a record to their place; where the next ones go.
+    /// Copies bytes of a record to this position. Returns the position of the next ones.
     fn copy(&mut self, mut place: usize, bytes: &[u8]) -> usize {
         for byte in bytes {
             if let Some(to) = self.bytes.get_mut(place) {
@@ -88,7 +88,7 @@ impl<const N: usize> Ring<N> {
         place
     }
 
-    /// A record is whole. It can be read once all that were begun before it are.
+    /// Completes a record. It can be read when all records before it are complete.
     const fn end(&mut self) {
         self.copied -= 1;
         if self.copied == 0 {
@@ -96,11 +96,11 @@ impl<const N: usize> Ring<N> {
         }
     }
 
-    /// The record under way is whole.
+    /// Completes the record that defmt is writing.
     #[cfg(feature = "defmt")]
     fn end_open(&mut self) {
         let record = core::mem::take(&mut self.open);
-        // Its bytes stand where they belong.
+        // Its bytes are in place already.
         if self.begin(record).is_some() {
             self.end();
         }
@@ -287,7 +287,7 @@ mod tests {
     }
 
     #[test]
-    fn a_record_that_an_interrupt_makes_while_another_is_copied_comes_after_it_and_whole() {
+    fn a_record_of_an_interrupt_follows_the_one_being_copied() {
         let queue = LogQueue::<16>::new();
         let in_ring = |act: &mut dyn FnMut(&mut Ring<16>)| queue.with(|state| act(&mut state.ring));
         let mut place = None;
@@ -296,7 +296,7 @@ mod tests {
         in_ring(&mut |ring| place = ring.copy(place, b"fir"));
         assert!(queue.push(b"second"));
         assert!(!queue.push(b"third!"));
-        assert_eq!(read(&queue, 20), b"", "the first is not whole yet");
+        assert_eq!(read(&queue, 20), b"", "the first is not complete yet");
         in_ring(&mut |ring| place = ring.copy(place, b"st"));
         in_ring(&mut |ring| ring.end());
         assert_eq!(read(&queue, 20), b"firstsecond");
@@ -304,7 +304,7 @@ mod tests {
     }
 
     #[test]
-    fn what_comes_out_is_what_went_in_in_order() {
+    fn records_are_read_in_order() {
         let queue = LogQueue::<13>::new();
         let (mut kept, mut seen, mut lost) = (Vec::new(), Vec::new(), 0);
         for turn in 0..500usize {

@@ -1,4 +1,4 @@
-//! What the gateway wants.
+//! Handles the frames of the gateway.
 
 use heapless::String;
 use ztl_core::Instant;
@@ -6,32 +6,14 @@ use ztl_core::link::{
     ADDR_ONLY_NODE, Command, CommandFrame, Hello, LinkId, NO_SEQ, NO_SESSION, VERSION, next_seq,
     session_key, session_number,
 };
-use ztl_core::tasks::NoRoom;
 
-use super::text::push_bytes;
-use super::{Components, Counters, Inner, count};
+use super::link_state::{Answer, Counters, LinkState, count};
+use super::refusal::Refusal;
+use super::utf8::push_utf8;
+use crate::component::Components;
 
-/// In place of a reason: the component has given one.
-pub(super) const NOT_TAKEN: &str = "";
-/// There is no place for another task; where some have ended, that is the reason.
-pub(super) const NO_PLACE: &str = NoRoom.as_str();
-
-/// The answer to the last command, kept to be repeated.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub(super) enum Answer {
-    /// There was no command.
-    Nothing,
-    Welcome,
-    Component(u8),
-    Started(LinkId),
-    /// For this reason; if it is [`NOT_TAKEN`], for the component's.
-    Refused(&'static str),
-    Aborting(LinkId),
-    Pong,
-}
-
-impl<C: Components, const TASKS: usize, const FRAME: usize> Inner<'_, C, TASKS, FRAME> {
-    /// `frame` was checked against the session that runs, then against no session.
+impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TASKS, FRAME> {
+    /// Handles a frame that was verified under the current session (index 0) or under no session.
     pub(super) fn on_frame(
         &mut self,
         now: Instant,
@@ -42,11 +24,10 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> Inner<'_, C, TASKS, 
         if frame.addr != ADDR_ONLY_NODE {
             return;
         }
-        let in_session = frame.place == 0 && self.session != NO_SESSION;
+        let in_session = frame.session_index == 0 && self.session != NO_SESSION;
         match (in_session, frame.seq, frame.command) {
             (false, NO_SEQ, Command::Hello(hello)) => self.on_hello(now, hello),
             (true, NO_SEQ, Command::Ack { task }) => {
-                // Known or not; a task that still runs is not let go.
                 self.runner.tasks.acknowledge(task);
             }
             (true, seq, command) if seq != NO_SEQ => {
@@ -61,17 +42,17 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> Inner<'_, C, TASKS, 
             return;
         }
         if hello.version != VERSION {
-            self.refusal = Some((hello.session, "this node speaks version 1 of the link"));
+            self.refusal = Some((hello.session, Refusal::OtherVersion));
             return;
         }
         if hello.session != self.hello {
             let live = self.session != NO_SESSION && now < self.heard.after(self.link_timeout);
             if live && hello.gateway != self.gateway {
-                self.refusal = Some((hello.session, "another gateway holds this device"));
+                self.refusal = Some((hello.session, Refusal::OtherGateway));
                 return;
             }
             if hello.gateway != self.gateway && self.hello != NO_SESSION {
-                // The one before may have given the next number to a task that never came; it stays its.
+                // The previous gateway may have sent a `Start` with the next id that still arrives.
                 self.highest = LinkId(self.highest.0.saturating_add(1));
             }
             self.replaced = self.hello;
@@ -79,11 +60,11 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> Inner<'_, C, TASKS, 
             self.session = session_key(hello.session, self.boot);
             self.gateway = hello.gateway;
             self.seq = NO_SEQ;
-            // A new session proves nothing about the way back, so the link timer runs on.
+            // A new session does not prove that the gateway hears the node, so the link timer keeps running.
             self.heard = now;
             for task in self.runner.tasks.held_mut() {
                 task.due = now;
-                task.news = true;
+                task.changed = true;
             }
         }
         if self.seq == NO_SEQ {
@@ -104,20 +85,19 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> Inner<'_, C, TASKS, 
         }
         let mut text = String::<FRAME>::new();
         if let Command::Start { goal, .. } = command
-            && push_bytes(&mut text, goal).is_none()
+            && push_utf8(&mut text, goal).is_none()
         {
-            // Not even its encoding is right.
             return count(&mut counters.errors);
         }
-        // A command that comes after the link timer has run out does not undo that.
-        self.look_at_link(now);
-        let (answer, followed) = match command {
+        // A command that arrives after the link timer expired does not undo the loss.
+        self.check_link_timer(now);
+        let (answer, executed) = match command {
             Command::Describe { index } => (
                 Answer::Component(index),
                 if usize::from(index) < self.runner.components.count() {
                     Ok(())
                 } else {
-                    Err("no such component")
+                    Err(Refusal::NoSuchComponent)
                 },
             ),
             Command::Start {
@@ -127,9 +107,9 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> Inner<'_, C, TASKS, 
                 ..
             } => {
                 let started = if now.as_millis() > before_ms {
-                    Err("the command came too late")
+                    Err(Refusal::TooLate)
                 } else if task <= self.highest {
-                    Err("a task of this or a later id was started already")
+                    Err(Refusal::StaleTask)
                 } else {
                     self.runner.start(now, task, component, &text)
                 };
@@ -142,13 +122,15 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> Inner<'_, C, TASKS, 
             Command::Ping => (Answer::Pong, Ok(())),
             Command::Hello(_) | Command::Ack { .. } => return,
         };
-        self.answer = match followed {
+        self.answer = match executed {
             Ok(()) => answer,
-            // An end that is not acknowledged is never given up.
-            Err(NO_PLACE) if self.runner.tasks.held().any(|task| task.end().is_some()) => {
-                Answer::Refused("ends not yet acknowledged")
+            // The node never drops an ended task that is not acknowledged.
+            Err(Refusal::TableFull)
+                if self.runner.tasks.held().any(|task| task.end().is_some()) =>
+            {
+                Answer::Refused(Refusal::TableFullOfEnded)
             }
-            Err(reason) => Answer::Refused(reason),
+            Err(refusal) => Answer::Refused(refusal),
         };
         self.seq = seq;
         self.answer_due = true;
@@ -156,10 +138,9 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> Inner<'_, C, TASKS, 
         self.lost_at = now.after(self.link_timeout);
     }
 
-    /// Acts when the link timer has run out. Looked at before a command is carried out too: after
-    /// a pause of the firmware the bytes that waited come first.
-    #[cfg_attr(target_os = "none", inline(never))]
-    pub(super) fn look_at_link(&mut self, now: Instant) {
+    /// Acts if the link timer has expired. Also called before a command is executed, because after a pause of
+    /// the firmware the received bytes are handled first.
+    pub(super) fn check_link_timer(&mut self, now: Instant) {
         if now >= self.lost_at {
             self.lost_at = Instant::NEVER;
             self.runner.on_link_lost(now);

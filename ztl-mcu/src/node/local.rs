@@ -1,17 +1,17 @@
-//! A node's tasks without the link: for a server in the same firmware, which keeps their ends itself.
+//! Tasks without the link: for a ZeroMQ server in the same firmware, which stores the outcomes itself.
 
 use ztl_core::link::LinkId;
 use ztl_core::{Instant, State, TaskId};
 
-use super::Components;
-use super::commands::NOT_TAKEN;
+use super::refusal::Refusal;
 use super::runner::Runner;
+use crate::component::Components;
 
 impl<C: Components, const TASKS: usize> Runner<C, TASKS> {
-    /// Starts a task on the component of this number.
+    /// Starts a task on the component with this index.
     ///
     /// # Errors
-    /// Why it is refused.
+    /// The reason for a refusal.
     pub(crate) fn start_local(
         &mut self,
         now: Instant,
@@ -20,29 +20,30 @@ impl<C: Components, const TASKS: usize> Runner<C, TASKS> {
         goal: &str,
     ) -> Result<(), &str> {
         match self.start(now, LinkId(id.get()), component, goal) {
-            Err(NOT_TAKEN) => Err(&self.reason),
-            started => started,
+            Ok(()) => Ok(()),
+            Err(Refusal::ByComponent) => Err(&self.reason),
+            Err(refusal) => Err(refusal.as_str()),
         }
     }
 
-    /// Stops a task, or begins to.
+    /// Begins to abort a task.
     pub(crate) fn abort_local(&mut self, now: Instant, id: TaskId) {
-        // One that has ended was told about, or will be.
+        // An unknown task has ended, and its end was reported or will be.
         let _ = self.abort(LinkId(id.get()), now);
     }
 
-    /// Tells of each task of which something has changed since the last time; what has ended is let go.
-    pub(crate) fn tell_news(&mut self, mut tell: impl FnMut(TaskId, State, &str)) {
+    /// Reports each task that changed since the last call, and forgets those that ended.
+    pub(crate) fn report_changes(&mut self, mut report: impl FnMut(TaskId, State, &str)) {
         for task in self.tasks.held_mut().filter(|task| task.is_due()) {
-            task.news = false;
+            task.changed = false;
             let end = task.end();
             if end.is_some() {
                 task.forget();
             }
-            // One that waits keeps its goal there.
+            // The text of a waiting task is its goal.
             let text = if task.waits() { "" } else { task.text.as_str() };
             if let Some(id) = TaskId::new(task.id.0) {
-                tell(id, end.unwrap_or(State::Accepted), text);
+                report(id, end.unwrap_or(State::Accepted), text);
             }
         }
     }

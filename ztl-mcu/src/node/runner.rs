@@ -1,38 +1,34 @@
-//! What becomes of tasks: how they begin, wait, replace each other and end.
+//! Starts, queues, replaces and ends tasks.
 
 use ztl_core::Instant;
 use ztl_core::link::{Busy, LinkId, Loss};
 
-use super::commands::{NO_PLACE, NOT_TAKEN};
-use super::tasks::{Stage, TEXT, Table, Text};
-use super::{Components, Reason};
-use crate::component::{Component, Refused, Report, Run};
+use super::refusal::{EMERGENCY_STOP, Reason, Refusal};
+use super::tasks::{Stage, TEXT, Table, TaskText};
+use crate::component::{Component, Components, Refused, Report, Run};
 
-const STOPPED: &str = "emergency stop";
 const LINK_LOST: &str = "link was lost";
 const REPLACED: &str = "replaced by a later task";
-/// Why a component without a task takes none.
-const NOT_SAFE: &str = "busy going to its safe state";
 
-/// The components and their tasks, whoever wants these: a gateway, or a server in the same firmware.
+/// The components and their tasks, which come from a gateway or from a server in the same firmware.
 // What is small stands first: there a Cortex-M0 reaches it with one instruction.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 #[repr(C)]
 pub(crate) struct Runner<C, const TASKS: usize> {
     pub(super) stopped: bool,
-    /// Whether the components that carry on without a link go to the safe state too.
+    /// Whether components that carry on without a link go to the safe state too.
     pub(super) all_to_safety: bool,
-    /// When the components without a task that are not in the safe state yet are polled next;
-    /// [`Instant::NEVER`] when there are none.
+    /// When to poll the idle components that have not reached the safe state yet; [`Instant::NEVER`] if all
+    /// have.
     pub(super) safety_wake: Instant,
     pub(super) components: C,
-    /// What the component said when it did not take the last goal.
+    /// Why a component refused the last goal, if one did.
     pub(super) reason: Reason,
     pub(super) tasks: Table<TASKS>,
 }
 
 impl<C, const TASKS: usize> Runner<C, TASKS> {
-    /// After a reset.
+    /// The state after a reset.
     #[cfg(feature = "zmtp")]
     pub(crate) const fn new(components: C) -> Self {
         Self {
@@ -63,19 +59,19 @@ impl<C, const TASKS: usize> Runner<C, TASKS> {
 }
 
 impl<C: Components, const TASKS: usize> Runner<C, TASKS> {
-    /// Polls the components that move for a task, and those without one that are not in the safe state yet; then lets
-    /// begin what waits.
+    /// Polls the components that have a task and the idle ones that are going to the safe state. Then starts
+    /// waiting tasks.
     #[cfg_attr(target_os = "none", inline(never))]
     pub(crate) fn handle_timeout(&mut self, now: Instant) {
         let safety = now >= self.safety_wake;
         if safety {
             self.safety_wake = Instant::NEVER;
         }
-        for place in 0..self.components.count() {
-            let Some(component) = self.components.component_mut(place) else {
+        for index in 0..self.components.count() {
+            let Some(component) = self.components.component_mut(index) else {
                 continue;
             };
-            let task = self.tasks.moving(place);
+            let task = self.tasks.running_on(index);
             let due = match &task {
                 Some(task) => now >= task.wake,
                 None => safety && goes_to_safety(component, self.all_to_safety),
@@ -83,7 +79,7 @@ impl<C: Components, const TASKS: usize> Runner<C, TASKS> {
             if !due {
                 continue;
             }
-            let mut text = Text::new();
+            let mut text = TaskText::new();
             let run = component.poll(now, &mut Report::new(&mut text));
             let wake = component.poll_timeout(now);
             let Some(task) = task else {
@@ -93,7 +89,7 @@ impl<C: Components, const TASKS: usize> Runner<C, TASKS> {
                 continue;
             };
             task.wake = wake;
-            task.news |= text != task.text;
+            task.changed |= text != task.text;
             task.text = text;
             let end = match run {
                 Run::Running => continue,
@@ -103,13 +99,13 @@ impl<C: Components, const TASKS: usize> Runner<C, TASKS> {
             };
             let (end, why) = match task.stage {
                 Stage::Lost => (Stage::Failed, LINK_LOST),
-                Stage::Stopped => (Stage::Aborted, STOPPED),
+                Stage::Stopped => (Stage::Aborted, EMERGENCY_STOP),
                 Stage::Replaced if end == Stage::Aborted => (end, REPLACED),
                 _ => (end, ""),
             };
             task.set_end(end, now, why);
         }
-        // Each of them moves then, or has ended.
+        // Ends, because each of these tasks starts or fails.
         while let Some(task) = self.tasks.next_in_turn() {
             let goal = core::mem::take(&mut task.text);
             let mut why = Report::new(&mut task.text);
@@ -117,30 +113,30 @@ impl<C: Components, const TASKS: usize> Runner<C, TASKS> {
             match component.map(|component| component.start(now, &goal, &mut why)) {
                 Some(Ok(())) => {
                     task.text.clear();
-                    task.stage = Stage::Moving;
+                    task.stage = Stage::Running;
                     task.wake = now;
-                    task.news = true;
+                    task.changed = true;
                 }
                 Some(Err(Refused)) | None => task.set_end(Stage::Failed, now, ""),
             }
         }
     }
 
-    /// The gateway is gone: what becomes of the components and their tasks is the components' choice.
+    /// Makes the components safe that do not carry on without a link.
     pub(super) fn on_link_lost(&mut self, now: Instant) {
         self.make_safe(now, false);
     }
 
-    /// Sends the components to the safe state, idle ones too: `all`, or those that do not carry on without a link.
-    /// What waits ends at once, what moves as soon as its component is safe.
+    /// Sends the components to the safe state, idle ones too: `all`, or those that do not carry on without a
+    /// link. Ends waiting tasks at once, and running ones when their component is safe.
     fn make_safe(&mut self, now: Instant, all: bool) {
-        let (moving, end, why) = if all {
-            (Stage::Stopped, Stage::Aborted, STOPPED)
+        let (stopping, end, why) = if all {
+            (Stage::Stopped, Stage::Aborted, EMERGENCY_STOP)
         } else {
             (Stage::Lost, Stage::Failed, LINK_LOST)
         };
-        for place in 0..self.components.count() {
-            let Some(component) = self.components.component_mut(place) else {
+        for index in 0..self.components.count() {
+            let Some(component) = self.components.component_mut(index) else {
                 continue;
             };
             if !goes_to_safety(component, all) {
@@ -148,13 +144,13 @@ impl<C: Components, const TASKS: usize> Runner<C, TASKS> {
             }
             component.make_safe(now);
             for task in self.tasks.open_mut() {
-                if usize::from(task.component) != place {
+                if usize::from(task.component) != index {
                     continue;
                 }
                 if task.waits() {
                     task.set_end(end, now, why);
                 } else if !task.is_made_safe() {
-                    task.stage = moving;
+                    task.stage = stopping;
                 }
                 task.wake = now;
             }
@@ -164,69 +160,69 @@ impl<C: Components, const TASKS: usize> Runner<C, TASKS> {
         self.handle_timeout(now);
     }
 
-    /// When `handle_timeout` has something to do; perhaps never.
+    /// When `handle_timeout` has work, or [`Instant::NEVER`].
     pub(crate) fn next_move(&self) -> Instant {
-        let moving = self.tasks.0.iter().filter(|task| task.moves());
-        moving.fold(self.safety_wake, |wake, task| wake.min(task.wake))
+        let running = self.tasks.0.iter().filter(|task| task.runs());
+        running.fold(self.safety_wake, |wake, task| wake.min(task.wake))
     }
 
-    /// Starts a task on the component of this number. Its id is new.
+    /// Starts a task with a new id on the component with this index.
     ///
     /// # Errors
-    /// Why it is refused; [`NOT_TAKEN`] if the component has said so, [`NO_PLACE`] if there is none.
+    /// The [`Refusal`]; the task is then not in the table.
     pub(super) fn start(
         &mut self,
         now: Instant,
         id: LinkId,
         component: u8,
         goal: &str,
-    ) -> Result<(), &'static str> {
+    ) -> Result<(), Refusal> {
         if self.stopped {
-            return Err(STOPPED);
+            return Err(Refusal::EmergencyStop);
         }
         let Some(part) = self.components.component_mut(usize::from(component)) else {
-            return Err("no such component");
+            return Err(Refusal::NoSuchComponent);
         };
         let (mut open, mut free) = (0, TASKS);
-        for (place, known) in self.tasks.0.iter().enumerate() {
+        for (index, known) in self.tasks.0.iter().enumerate() {
             if known.is_free() {
-                free = free.min(place);
+                free = free.min(index);
             } else if known.component == component && known.is_open() {
                 open += 1;
             }
         }
         let policy = part.offer().busy;
-        // All but one of them wait.
         let busy = open > 0;
         if busy && policy == Busy::Refuse {
-            return Err("busy with another task");
+            return Err(Refusal::Busy);
         }
         if !busy
             && self.safety_wake != Instant::NEVER
             && goes_to_safety(part, self.all_to_safety)
             && part.poll(now, &mut Report::new(&mut self.reason)) == Run::Running
         {
-            return Err(NOT_SAFE);
+            return Err(Refusal::GoingToSafeState);
         }
         if part
             .check(goal, &mut Report::new(&mut self.reason))
             .is_err()
         {
-            return Err(NOT_TAKEN);
+            return Err(Refusal::ByComponent);
         }
+        // One of the open tasks runs; the others wait.
         if busy && matches!(policy, Busy::Queue(most) if open > most) {
-            return Err("busy, and no more tasks may wait");
+            return Err(Refusal::QueueFull);
         }
         if busy && goal.len() > TEXT {
-            return Err("busy, and the goal is too long to wait: more than 48 bytes");
+            return Err(Refusal::GoalTooLongToWait);
         }
         if free >= TASKS {
-            return Err(NO_PLACE);
+            return Err(Refusal::TableFull);
         }
         if !busy {
             let mut why = Report::new(&mut self.reason);
             if part.start(now, goal, &mut why).is_err() {
-                return Err(NOT_TAKEN);
+                return Err(Refusal::ByComponent);
             }
         } else if policy == Busy::Replace {
             self.replace(component, now);
@@ -236,19 +232,19 @@ impl<C: Components, const TASKS: usize> Runner<C, TASKS> {
             free.component = component;
             free.due = now;
             free.wake = now;
-            free.news = busy;
-            free.stage = Stage::Moving;
+            free.changed = busy;
+            free.stage = Stage::Running;
             free.text.clear();
             if busy {
                 free.stage = Stage::Waiting;
-                // It was seen to fit.
+                // It fits: the length was checked.
                 let _ = free.text.push_str(goal);
             }
         }
         Ok(())
     }
 
-    /// Makes way for a later task.
+    /// Ends the tasks of this component, for a later task.
     fn replace(&mut self, component: u8, now: Instant) {
         for task in self
             .tasks
@@ -257,7 +253,7 @@ impl<C: Components, const TASKS: usize> Runner<C, TASKS> {
         {
             if task.waits() {
                 task.set_end(Stage::Aborted, now, REPLACED);
-            } else if task.stage == Stage::Moving {
+            } else if task.stage == Stage::Running {
                 task.stage = Stage::Replaced;
                 task.wake = now;
                 if let Some(part) = self.components.component_mut(usize::from(component)) {
@@ -267,13 +263,13 @@ impl<C: Components, const TASKS: usize> Runner<C, TASKS> {
         }
     }
 
-    pub(super) fn abort(&mut self, id: LinkId, now: Instant) -> Result<(), &'static str> {
+    pub(super) fn abort(&mut self, id: LinkId, now: Instant) -> Result<(), Refusal> {
         let Some(task) = self.tasks.get_mut(id) else {
-            return Err("no such task");
+            return Err(Refusal::NoSuchTask);
         };
         if task.waits() {
             task.set_end(Stage::Aborted, now, "aborted before it began");
-        } else if task.stage == Stage::Moving {
+        } else if task.stage == Stage::Running {
             task.stage = Stage::Aborting;
             task.wake = now;
             if let Some(part) = self.components.component_mut(usize::from(task.component)) {
@@ -289,7 +285,7 @@ impl<C: Components, const TASKS: usize> Runner<C, TASKS> {
     }
 }
 
-/// Whether a component goes to the safe state: when all do, or when the link is lost.
+/// Whether a component goes to the safe state: all do, or it does not carry on without a link.
 fn goes_to_safety(component: &dyn Component, all: bool) -> bool {
     all || component.offer().loss != Loss::CarryOn
 }

@@ -1,4 +1,4 @@
-//! The tasks that a node holds.
+//! The task table of a node.
 
 use core::fmt;
 use core::hash::{Hash, Hasher};
@@ -7,47 +7,47 @@ use heapless::String;
 use ztl_core::link::LinkId;
 use ztl_core::{Instant, State};
 
-/// Longest progress, result or reason of a task, and longest goal that can wait, in bytes.
+/// Longest progress, result or reason of a task, and longest goal of a waiting task, in bytes.
 pub(crate) const TEXT: usize = 48;
 
-/// The same, and the mark of a cut.
-pub(super) type Text = String<{ TEXT + 3 }>;
+/// A task's text, with room for the mark of a cut.
+pub(super) type TaskText = String<{ TEXT + 3 }>;
 
-/// A task, or the place for one.
+/// A task, or a free place.
 // What is small stands first: there a Cortex-M0 reaches it with one instruction.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 #[repr(C)]
 pub(super) struct Task {
     pub(super) stage: Stage,
-    /// Whether the text has changed since it was told.
-    pub(super) news: bool,
+    /// Whether the text has changed since it was last reported.
+    pub(super) changed: bool,
     pub(super) component: u8,
     pub(super) id: LinkId,
-    /// When the end or the progress is told next.
+    /// When the outcome or progress is reported next.
     pub(super) due: Instant,
-    /// When its component is polled next, while it moves.
+    /// When its component is polled next, while it runs.
     pub(super) wake: Instant,
     /// Progress, then result or reason; the goal while it waits.
-    pub(super) text: Text,
+    pub(super) text: TaskText,
 }
 
-/// How far a task is.
+/// The stage of a task.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub(super) enum Stage {
-    /// There is none.
+    /// The place is free.
     Free,
-    /// Waits for its turn; its text is its goal.
+    /// Waits for its component; its text is its goal.
     Waiting,
-    Moving,
-    /// Told to stop.
+    Running,
+    /// Aborted on request; its component is stopping.
     Aborting,
-    /// Told to stop, since a later task takes its place.
+    /// Aborted because a later task replaces it; its component is stopping.
     Replaced,
-    /// Its component goes to the safe state, since the link was lost.
+    /// Its component is going to the safe state because the link was lost.
     Lost,
-    /// The same in an emergency stop.
+    /// Its component is going to the safe state because of an emergency stop.
     Stopped,
-    /// These are kept until they are acknowledged.
+    /// Final, like the next two: kept until acknowledged.
     Failed,
     Aborted,
     Completed,
@@ -56,7 +56,7 @@ pub(super) enum Stage {
 impl Task {
     const FREE: Self = Self {
         stage: Stage::Free,
-        news: false,
+        changed: false,
         component: 0,
         id: LinkId(0),
         due: Instant::ZERO,
@@ -64,7 +64,7 @@ impl Task {
         text: String::new(),
     };
 
-    /// Its final state, when it has ended.
+    /// The final state, if the task has ended.
     pub(super) const fn end(&self) -> Option<State> {
         match self.stage {
             Stage::Failed => Some(State::Failed),
@@ -82,36 +82,36 @@ impl Task {
         self.stage == Stage::Free
     }
 
-    /// Whether it has its component for itself.
-    pub(super) const fn moves(&self) -> bool {
+    /// Whether it occupies its component.
+    pub(super) const fn runs(&self) -> bool {
         matches!(
             self.stage,
-            Stage::Moving | Stage::Aborting | Stage::Replaced | Stage::Lost | Stage::Stopped
+            Stage::Running | Stage::Aborting | Stage::Replaced | Stage::Lost | Stage::Stopped
         )
     }
 
-    /// Whether its component goes to the safe state.
+    /// Whether its component is going to the safe state.
     pub(super) const fn is_made_safe(&self) -> bool {
         matches!(self.stage, Stage::Lost | Stage::Stopped)
     }
 
-    /// Waits or moves.
+    /// Whether it waits or runs.
     pub(super) fn is_open(&self) -> bool {
-        self.moves() || self.waits()
+        self.runs() || self.waits()
     }
 
-    /// Its place is free again.
+    /// Frees its place.
     pub(super) const fn forget(&mut self) {
         self.stage = Stage::Free;
     }
 
-    /// Whether there is something to tell of it, at once or later.
+    /// Whether it has something to report, now or later.
     pub(super) fn is_due(&self) -> bool {
-        self.news || self.end().is_some()
+        self.changed || self.end().is_some()
     }
 
-    /// It has ended, with this text in place of its own if there is one. To be called for one that is open: an end
-    /// is an end.
+    /// Ends the task, and replaces its text unless `text` is empty. Call it only for an open task, because a
+    /// final state never changes.
     #[cfg_attr(target_os = "none", inline(never))]
     pub(super) fn set_end(&mut self, end: Stage, now: Instant, text: &str) {
         self.stage = end;
@@ -119,13 +119,13 @@ impl Task {
         self.wake = now;
         if !text.is_empty() {
             self.text.clear();
-            // All that it is called with fit.
+            // Every text that it is called with fits.
             let _ = self.text.push_str(text);
         }
     }
 }
 
-/// The tasks that a node holds.
+/// The tasks of a node, running, waiting or ended.
 #[derive(Clone)]
 pub(super) struct Table<const N: usize>(pub(super) [Task; N]);
 
@@ -146,28 +146,28 @@ impl<const N: usize> Table<N> {
         self.0.iter_mut().filter(|task| task.is_open())
     }
 
-    /// A task that waits for a component that no task moves, and of those the lowest.
+    /// A task that may begin: its component is free, and no task for it with a lower id waits.
     pub(super) fn next_in_turn(&mut self) -> Option<&mut Task> {
         let is_next = |task: &Task| {
-            let before = |other: &Task| other.moves() || other.waits() && other.id < task.id;
+            let before = |other: &Task| other.runs() || other.waits() && other.id < task.id;
             let mut others = self.0.iter();
             task.waits() && !others.any(|other| other.component == task.component && before(other))
         };
-        let place = self.0.iter().position(is_next)?;
-        self.0.get_mut(place)
+        let index = self.0.iter().position(is_next)?;
+        self.0.get_mut(index)
     }
 
-    /// The task that moves the component of this number.
-    pub(super) fn moving(&mut self, component: usize) -> Option<&mut Task> {
+    /// The task that runs on the component with this index.
+    pub(super) fn running_on(&mut self, component: usize) -> Option<&mut Task> {
         let mut tasks = self.0.iter_mut();
-        tasks.find(|task| task.moves() && usize::from(task.component) == component)
+        tasks.find(|task| task.runs() && usize::from(task.component) == component)
     }
 
     pub(super) fn get_mut(&mut self, id: LinkId) -> Option<&mut Task> {
         self.held_mut().find(|task| task.id == id)
     }
 
-    /// The end of a task is known to the gateway: it is forgotten. One that has not ended is kept.
+    /// The gateway knows the outcome of this task, so the task is forgotten, if it has ended.
     pub(super) fn acknowledge(&mut self, id: LinkId) {
         if let Some(task) = self.get_mut(id)
             && task.end().is_some()
@@ -177,7 +177,7 @@ impl<const N: usize> Table<N> {
     }
 }
 
-/// Equal when the same tasks are held, in the same order.
+/// Equal if the same tasks are held in the same order.
 impl<const N: usize> PartialEq for Table<N> {
     fn eq(&self, other: &Self) -> bool {
         self.held().eq(other.held())
@@ -192,7 +192,7 @@ impl<const N: usize> Hash for Table<N> {
     }
 }
 
-/// Shows those that there are.
+/// Shows the held tasks.
 impl<const N: usize> fmt::Debug for Table<N> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_list().entries(self.held()).finish()

@@ -1,150 +1,44 @@
-//! What is sent, the most urgent first: answers, ends, progress, readings, the log.
+//! Chooses and encodes the next frame. In order of urgency: answers, outcomes, progress, readings, the log.
 
-use core::hash::{Hash, Hasher};
 use core::time::Duration;
 
 use ztl_core::Instant;
-use ztl_core::link::{
-    ADDR_ONLY_NODE, Body, FrameWriter, Ids, LinkId, NO_SEQ, NO_SESSION, VERSION, Welcome,
-};
+use ztl_core::link::{Body, Ids, LinkId, NO_SEQ, NO_SESSION, VERSION, Welcome};
 
-use super::commands::{Answer, NOT_TAKEN};
+use super::frame_out::longest;
+use super::link_state::{Answer, LinkState};
+use super::refusal::Refusal;
 use super::tasks::Task;
-use super::{Components, Inner};
-use crate::component::Component;
+use crate::component::{Component, Components};
 use crate::log::LogSource;
 
-/// How often an end is told again until it is acknowledged.
-const ENDED_AGAIN: Duration = Duration::from_millis(100);
-/// Shortest time between two progress reports of a task.
-const PROGRESS_AGAIN: Duration = Duration::from_millis(50);
+/// How often an outcome is repeated until it is acknowledged.
+const OUTCOME_INTERVAL: Duration = Duration::from_millis(100);
+/// Minimum time between two progress reports of a task.
+const PROGRESS_INTERVAL: Duration = Duration::from_millis(50);
 /// How often a node without a session announces itself.
-const AWAKE_AGAIN: Duration = Duration::from_millis(250);
-/// Longest pause within a command; what stands in the decoder longer is noise.
-pub(super) const PAUSE: Duration = Duration::from_millis(20);
-/// In place of an answer that does not fit into a frame: a component's description.
-const TOO_LONG: &str = "its description is longer than a frame";
-
-/// The progress of a task that has not begun.
+const AWAKE_INTERVAL: Duration = Duration::from_millis(250);
+/// The progress of a waiting task.
 const WAITS: &str = "waits for another task to end";
 
-/// How much fits into a frame.
-pub(super) mod longest {
-    /// Bytes of a body in a frame of this length on the line: address, sequence, check, delimiter,
-    /// COBS.
-    pub(in crate::node) const fn body(frame: usize) -> usize {
-        frame - 8 - frame / 254
-    }
-
-    /// Bytes of a `Welcome` without its two texts and its ids, each number as long as it can be.
-    const WELCOME: usize = 43;
-
-    /// Bytes for each of the two texts of a `Welcome` that names so many tasks, whose ids are as long as they can be.
-    pub(in crate::node) const fn name(frame: usize, tasks: usize) -> usize {
-        body(frame).saturating_sub(WELCOME + 5 * tasks) / 2
-    }
-
-    /// Bytes of a reading: tag, topic, length.
-    pub(in crate::node) const fn reading(frame: usize) -> usize {
-        body(frame) - 4
-    }
-
-    /// Bytes of the log: tag, bytes lost, length.
-    pub(super) const fn log(frame: usize) -> usize {
-        body(frame) - 8
-    }
-}
-
-/// The frame on its way out.
-#[derive(Clone)]
-#[repr(C)]
-pub(super) struct Transmit<const FRAME: usize> {
-    len: usize,
-    sent: usize,
-    buffer: [u8; FRAME],
-}
-
-impl<const FRAME: usize> Transmit<FRAME> {
-    pub(super) const fn new() -> Self {
-        Self {
-            len: 0,
-            sent: 0,
-            buffer: [0; FRAME],
-        }
-    }
-
-    /// What is still to be sent.
-    fn pending(&self) -> &[u8] {
-        self.buffer.get(self.sent..self.len).unwrap_or_default()
-    }
-
-    pub(super) fn consume(&mut self, count: usize) {
-        self.sent = self.sent.saturating_add(count).min(self.len);
-    }
-
-    /// A delimiter alone.
-    fn flush(&mut self) {
-        if let Some(first) = self.buffer.first_mut() {
-            *first = 0;
-            (self.len, self.sent) = (1, 0);
-        }
-    }
-
-    /// A frame that does not fit is not sent; says whether it fits.
-    fn frame(&mut self, session: u32, seq: u8, put: impl FnOnce(&mut FrameWriter<'_>)) -> bool {
-        let mut frame = FrameWriter::new(session, ADDR_ONLY_NODE, seq, &mut self.buffer);
-        put(&mut frame);
-        let len = frame.finish();
-        (self.len, self.sent) = (len.unwrap_or_default(), 0);
-        len.is_some()
-    }
-
-    /// Room for so many bytes at the end, from where [`FrameWriter::put_own`] takes them; where it begins.
-    fn room(&mut self, bytes: usize) -> (usize, &mut [u8]) {
-        let begin = FRAME.saturating_sub(bytes);
-        (begin, self.buffer.get_mut(begin..).unwrap_or_default())
-    }
-}
-
-/// Shows what is still to be sent.
-impl<const FRAME: usize> core::fmt::Debug for Transmit<FRAME> {
-    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
-        f.debug_tuple("Transmit").field(&self.pending()).finish()
-    }
-}
-
-/// Equal when the same is still to be sent.
-impl<const FRAME: usize> PartialEq for Transmit<FRAME> {
-    fn eq(&self, other: &Self) -> bool {
-        self.pending() == other.pending()
-    }
-}
-
-impl<const FRAME: usize> Eq for Transmit<FRAME> {}
-
-impl<const FRAME: usize> Hash for Transmit<FRAME> {
-    fn hash<H: Hasher>(&self, hasher: &mut H) {
-        self.pending().hash(hasher);
-    }
-}
-
+/// Number of topics that a component publishes.
 fn topics(component: &dyn Component) -> usize {
     component.offer().topics.split_ascii_whitespace().count()
 }
 
-impl<C: Components, const TASKS: usize, const FRAME: usize> Inner<'_, C, TASKS, FRAME> {
+impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TASKS, FRAME> {
     #[cfg_attr(target_os = "none", inline(never))]
     pub(super) fn transmit_buf(&mut self, now: Instant, log: &dyn LogSource) -> &[u8] {
-        if self.transmit.pending().is_empty() {
+        if self.frame_out.pending().is_empty() {
             self.next_frame(now, log);
         }
-        self.transmit.pending()
+        self.frame_out.pending()
     }
 
-    /// When there is something to be sent; perhaps never.
+    /// When there is something to send, or [`Instant::NEVER`].
     pub(super) fn next_transmit(&self, now: Instant) -> Instant {
         let at_once =
-            self.answer_due || self.refusal.is_some() || !self.transmit.pending().is_empty();
+            self.answer_due || self.refusal.is_some() || !self.frame_out.pending().is_empty();
         if at_once {
             return now;
         }
@@ -159,15 +53,15 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> Inner<'_, C, TASKS, 
         wake
     }
 
-    /// Whether anybody listens, as far as the node knows.
+    /// Whether a gateway listens: the link timer has not expired.
     fn is_heard(&self) -> bool {
         self.session != NO_SESSION && self.lost_at != Instant::NEVER
     }
 
     /// Encodes what is most urgent into the transmit buffer.
     fn next_frame(&mut self, now: Instant, log: &dyn LogSource) {
-        if let Some((session, reason)) = self.refusal.take() {
-            return self.encode_answer(session, now, NO_SEQ, Answer::Refused(reason));
+        if let Some((session, refusal)) = self.refusal.take() {
+            return self.encode_answer(session, now, NO_SEQ, Answer::Refused(refusal));
         }
         if self.session == NO_SESSION {
             return self.announce(now);
@@ -182,7 +76,7 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> Inner<'_, C, TASKS, 
         if self.encode_task(now) {
             return;
         }
-        // What may be lost does not keep the answer to a command that is coming in waiting.
+        // Readings and log can be lost, so they do not delay the answer to a command that is arriving.
         if self.is_heard() && now >= self.receiving && !self.encode_reading(now) {
             self.encode_log(log);
         }
@@ -192,20 +86,20 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> Inner<'_, C, TASKS, 
         if now < self.awake_due {
             return;
         }
-        // A delimiter first: it flushes what the line made of the reset.
+        // First a delimiter, which ends any noise that the reset caused on the line.
         self.flushed = !self.flushed;
         if self.flushed {
-            return self.transmit.flush();
+            return self.frame_out.delimiter();
         }
-        self.awake_due = now + AWAKE_AGAIN;
+        self.awake_due = now + AWAKE_INTERVAL;
         let version = VERSION;
         let boot = self.boot;
-        self.transmit.frame(NO_SESSION, NO_SEQ, |frame| {
+        self.frame_out.encode(NO_SESSION, NO_SEQ, |frame| {
             Body::Awake { version, boot }.put(frame);
         });
     }
 
-    /// Tells of a task: of one that has ended, if there is one.
+    /// Reports a task that is due, an ended one first. Returns whether there was one.
     fn encode_task(&mut self, now: Instant) -> bool {
         let mut first: Option<&mut Task> = None;
         for task in self.runner.tasks.held_mut() {
@@ -215,17 +109,17 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> Inner<'_, C, TASKS, 
             }
         }
         let Some(slot) = first else { return false };
-        slot.news = false;
+        slot.changed = false;
         let task = slot.id;
         let end = slot.end();
         let waits = slot.waits();
         slot.due = now
             + if end.is_some() {
-                ENDED_AGAIN
+                OUTCOME_INTERVAL
             } else {
-                PROGRESS_AGAIN
+                PROGRESS_INTERVAL
             };
-        self.transmit.frame(self.session, NO_SEQ, |frame| {
+        self.frame_out.encode(self.session, NO_SEQ, |frame| {
             let text = if waits { WAITS } else { slot.text.as_str() };
             match end {
                 Some(state) => Body::Ended {
@@ -240,18 +134,18 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> Inner<'_, C, TASKS, 
         true
     }
 
-    /// Sends the next reading. In each round every component is asked for one; the next round begins when the least
-    /// time between two readings has passed.
+    /// Sends the next reading; returns whether there was one. Each round asks every component for a reading. The next
+    /// round begins after the reading interval.
     fn encode_reading(&mut self, now: Instant) -> bool {
         if now < self.readings_at {
             return false;
         }
-        let (begin, room) = self.transmit.room(const { longest::reading(FRAME) });
-        // When the first of the components that have none wants to be asked again.
+        let (begin, room) = self.frame_out.room(const { longest::reading(FRAME) });
+        // The earliest time at which a component without a reading wants to be asked again.
         let mut wake = Instant::NEVER;
         loop {
-            let place = usize::from(self.publisher);
-            let component = self.runner.components.component_mut(place);
+            let index = usize::from(self.publisher);
+            let component = self.runner.components.component_mut(index);
             let (Some(component), Some(next)) = (component, self.publisher.checked_add(1)) else {
                 self.publisher = 0;
                 self.readings_at = now.after(self.reading_interval);
@@ -275,13 +169,13 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> Inner<'_, C, TASKS, 
             if reading.len > room.len() || topic >= own {
                 continue;
             }
-            let before = (0..place).filter_map(|place| self.runner.components.component(place));
+            let before = (0..index).filter_map(|index| self.runner.components.component(index));
             let number = before.map(topics).sum::<usize>() + topic;
             let Ok(topic) = u8::try_from(number) else {
                 continue;
             };
             self.published = true;
-            return self.transmit.frame(self.session, NO_SEQ, |frame| {
+            return self.frame_out.encode(self.session, NO_SEQ, |frame| {
                 Body::put_publish(topic, reading.len, frame);
                 frame.put_own(begin, reading.len);
             });
@@ -289,11 +183,11 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> Inner<'_, C, TASKS, 
     }
 
     fn encode_log(&mut self, log: &dyn LogSource) {
-        let (begin, room) = self.transmit.room(const { longest::log(FRAME) });
+        let (begin, room) = self.frame_out.room(const { longest::log(FRAME) });
         let count = log.read(room).min(room.len());
         if count > 0 {
             let lost = log.lost();
-            self.transmit.frame(self.session, NO_SEQ, |frame| {
+            self.frame_out.encode(self.session, NO_SEQ, |frame| {
                 Body::put_log(lost, count, frame);
                 frame.put_own(begin, count);
             });
@@ -309,7 +203,7 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> Inner<'_, C, TASKS, 
             held += 1;
         }
         let clock_ms = now.as_millis();
-        let fits = self.transmit.frame(session, seq, |frame| match answer {
+        let fits = self.frame_out.encode(session, seq, |frame| match answer {
             Answer::Nothing => {}
             Answer::Welcome => Body::Welcome(Welcome {
                 version: VERSION,
@@ -333,12 +227,10 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> Inner<'_, C, TASKS, 
                 }
             }
             Answer::Started(task) => Body::Started { task }.put(frame),
-            Answer::Refused(reason) => {
-                let own = reason.len() == NOT_TAKEN.len();
-                let reason = if own {
-                    self.runner.reason.as_str()
-                } else {
-                    reason
+            Answer::Refused(refusal) => {
+                let reason = match refusal {
+                    Refusal::ByComponent => self.runner.reason.as_str(),
+                    refusal => refusal.as_str(),
                 };
                 Body::Refused { reason }.put(frame);
             }
@@ -346,9 +238,9 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> Inner<'_, C, TASKS, 
             Answer::Pong => Body::Pong { clock_ms, held }.put(frame),
         });
         if !fits {
-            let reason = TOO_LONG;
-            self.transmit
-                .frame(session, seq, |frame| Body::Refused { reason }.put(frame));
+            let reason = Refusal::DescriptionTooLong.as_str();
+            self.frame_out
+                .encode(session, seq, |frame| Body::Refused { reason }.put(frame));
         }
     }
 }

@@ -10,33 +10,33 @@ use embedded_hal_async::delay::DelayNs;
 use embedded_io_async::{Read, Write};
 use ztl_core::Instant;
 
-use super::{LOG_AGAIN, Pump, PumpError};
+use super::turn::{LOG_AGAIN, Pump, PumpError};
 use crate::{Components, Node};
 
-/// What the three loops share. None holds the node while it waits.
+/// State shared by the three loops. No loop borrows the node while it waits.
 struct Shared<'p, 'n, C, const TASKS: usize, const FRAME: usize> {
     pump: &'p Pump<'p>,
     node: RefCell<&'p mut Node<'n, C, TASKS, FRAME>>,
     /// Something has changed that may wake the components' loop earlier.
     move_on: Cell<bool>,
-    /// There may be something to be sent.
+    /// There may be something to send.
     send: Cell<bool>,
 }
 
 impl Pump<'_> {
-    /// Runs a node for ever: reads, moves the components on, sends, all at the same time, so that
-    /// a port that takes no bytes holds nothing up. `clock` tells the time, `delay` waits.
+    /// Runs a node forever. Reading, advancing the components and sending are concurrent, so that a port that takes no
+    /// bytes delays nothing else. `clock` returns the time, `delay` waits.
     ///
     /// With embassy: the halves of a `BufferedUart` or of USB's `CdcAcmClass`, `embassy_time::Delay`, and
     /// `|| Instant::from_micros(embassy_time::Instant::now().as_micros())`.
     ///
-    /// The future may be dropped at any time and begun anew with the same node, with the same port or another. What the
-    /// port has taken of a frame, or given of one, counts as lost then, as on a bad line; a port whose
-    /// `read` and `write` may be cancelled without effect loses nothing. But the components move only while
-    /// it runs: after an error call it again at once, if need be with a port that never gets ready.
+    /// The future may be dropped at any time, and called again with the same node and the same or another port. A
+    /// partially transferred frame is then lost, as on a bad line, unless `read` and `write` of the port are
+    /// cancellation-safe. The components move only while the future runs: after an error call it again at once, if
+    /// necessary with a port that is never ready.
     ///
     /// # Errors
-    /// Those of the port, and [`PumpError::Closed`] when it reads nothing.
+    /// Those of the port, and [`PumpError::Closed`] if a read returns no bytes.
     pub async fn run<R, W, D, C, const TASKS: usize, const FRAME: usize>(
         &self,
         node: &mut Node<'_, C, TASKS, FRAME>,
@@ -61,7 +61,7 @@ impl Pump<'_> {
         let mut reading = pin!(shared.keep_reading(rx, &clock));
         let mut sending = pin!(shared.keep_sending(tx, &clock));
         poll_fn(|context| {
-            // In this order, so that components move at least once however bad the port is.
+            // In this order, so that the components advance at least once before the port fails.
             let Poll::Pending = moving.as_mut().poll(context);
             if let Poll::Ready(error) = reading.as_mut().poll(context) {
                 return Poll::Ready(Err(error));
@@ -76,7 +76,7 @@ impl Pump<'_> {
 }
 
 impl<C: Components, const TASKS: usize, const FRAME: usize> Shared<'_, '_, C, TASKS, FRAME> {
-    /// Acts on the node, which nobody else does at that time.
+    /// Borrows the node, which no other loop does meanwhile.
     fn node<T>(&self, act: impl FnOnce(&mut Node<'_, C, TASKS, FRAME>) -> T) -> Option<T> {
         self.node
             .try_borrow_mut()
@@ -94,7 +94,7 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> Shared<'_, '_, C, TA
             let pause = self.node(|node| {
                 self.pump.take_stop(node, now);
                 node.handle_timeout(now);
-                // What is due to be sent already is the sender's affair.
+                // The sending loop handles what is due already.
                 let send = Some(node.next_transmit(now)).filter(|at| *at > now);
                 let log = self.pump.log.map(|_| now + LOG_AGAIN);
                 let moving = node.next_move();
@@ -148,7 +148,7 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> Shared<'_, '_, C, TA
     }
 
     async fn keep_sending<W: Write>(&self, tx: &mut W, clock: &impl Fn() -> Instant) -> W::Error {
-        // A copy, so that the node is free while the port takes it.
+        // A copy, so that the node is not borrowed while the port writes.
         let mut chunk = [0; 64];
         let mut flushed = true;
         loop {
@@ -171,7 +171,7 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> Shared<'_, '_, C, TA
                     return error;
                 }
                 flushed = true;
-                // What was sent is to be sent again some time.
+                // The sent frame has a time at which it is repeated.
                 self.move_on.set(true);
             } else {
                 poll_fn(|_| {
@@ -189,7 +189,7 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> Shared<'_, '_, C, TA
     }
 }
 
-/// Lets the other loops, and other tasks, have their turn.
+/// Yields to the other loops and to other async tasks.
 async fn yield_now() {
     let mut yielded = false;
     poll_fn(|context| {

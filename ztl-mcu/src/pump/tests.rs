@@ -3,12 +3,14 @@
 #[cfg(feature = "async")]
 mod run;
 
+use super::turn::LOG_AGAIN;
 use super::*;
 use crate::component::{Component, Reading, Refused, Report, Run};
 use crate::log::LogSource;
-use crate::node::Identity;
+use crate::{Identity, Instant, Node};
 use core::cell::Cell;
-use embedded_io::{ErrorKind, ErrorType};
+use core::time::Duration;
+use embedded_io::{ErrorKind, ErrorType, Read, ReadReady, Write};
 use std::collections::VecDeque;
 use std::format;
 use std::string::String;

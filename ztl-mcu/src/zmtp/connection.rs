@@ -4,9 +4,10 @@ use core::marker::PhantomData;
 use ztl_core::Instant;
 use ztl_core::sink::Sink;
 
-use super::HANDSHAKE;
 use super::message::{Content, Frames, Message};
-use super::wire::{DELIMITER, GREETING, LONG, LONGEST_PING, MORE, PARTIAL, Socket, old_greeting};
+use super::wire::{
+    DELIMITER, GREETING, HANDSHAKE, LONG, LONGEST_PING, MORE, PARTIAL, Socket, old_greeting,
+};
 
 /// Length of the header of a frame of up to 255 bytes: flags and size.
 const SHORT_HEADER: usize = 2;

@@ -79,13 +79,7 @@ pub use connection::{Connection, Fault};
 pub use line::Line;
 pub use message::{Content, Frames, Message};
 pub use server::{Peer, Server};
-pub use wire::{Dealer, Rep, Req, Socket};
-
-/// How long a peer may take from opening the connection to its `READY`.
-pub const HANDSHAKE: core::time::Duration = core::time::Duration::from_secs(5);
-
-/// The longest frame that is skipped and answered if it does not fit; a longer one closes the connection.
-pub const SKIPPED: u32 = 65536;
+pub use wire::{Dealer, HANDSHAKE, Rep, Req, SKIPPED, Socket};
 
 #[cfg(test)]
 mod tests;

@@ -1,9 +1,9 @@
 //! The receiving half of a connection.
 
-use super::SKIPPED;
 use super::connection::{Connection, Fault, Flaw, Next, Part, Phase, Turn};
 use super::wire::{
-    COMMAND, DELIMITER, GREETING, LONG, LONGEST_PING, MECHANISM, MORE, PING, SIGNATURE, Socket,
+    COMMAND, DELIMITER, GREETING, LONG, LONGEST_PING, MECHANISM, MORE, PING, SIGNATURE, SKIPPED,
+    Socket,
 };
 
 impl<S: Socket, B: AsRef<[u8]> + AsMut<[u8]>> Connection<S, B> {

@@ -13,7 +13,7 @@ use super::connection::{Connection, Fault};
 use super::message::Content;
 use super::wire::Rep;
 use crate::component::Components;
-use crate::node::text::push_bytes;
+use crate::node::utf8::push_utf8;
 use crate::node::{Identity, Runner};
 
 /// Longest stored text of a task, in bytes.
@@ -178,7 +178,7 @@ impl<
             }
         }
         self.tasks.handle_timeout(now);
-        self.tell_news(now);
+        self.report_changes(now);
         self.dispatcher
             .handle_timeout(now, &mut answer(&mut self.peers));
     }
@@ -219,7 +219,7 @@ impl<
     /// Emergency stop; see [`Node::stop_everything`](crate::Node::stop_everything).
     pub fn stop_everything(&mut self, now: Instant) {
         self.tasks.stop_everything(now);
-        self.tell_news(now);
+        self.report_changes(now);
     }
 
     /// Ends the emergency stop.
@@ -265,7 +265,7 @@ impl<
         self.request.clear();
         let body = match message.content {
             Content::One(body) if fits(body) => {
-                let whole = push_bytes(&mut self.request, body).is_some();
+                let whole = push_utf8(&mut self.request, body).is_some();
                 (self.request.as_str(), whole)
             }
             Content::Several => ("", true),
@@ -294,14 +294,14 @@ impl<
             Some(Action::Abort { id, .. }) => self.tasks.abort_local(now, id),
             None => return,
         }
-        self.tell_news(now);
+        self.report_changes(now);
     }
 
     /// Reports changes of tasks to the dispatcher.
-    fn tell_news(&mut self, now: Instant) {
+    fn report_changes(&mut self, now: Instant) {
         let out = &mut answer(&mut self.peers);
         let dispatcher = &mut self.dispatcher;
-        self.tasks.tell_news(|id, state, text| {
+        self.tasks.report_changes(|id, state, text| {
             let event = match state {
                 State::Completed => Event::Complete,
                 State::Aborted => Event::Abort,
@@ -344,7 +344,7 @@ fn start<'t, C: Components, const TASKS: usize, const BUFFER: usize>(
 ) -> (State, Event, &'t str) {
     let mut text = Words::<BUFFER>::new();
     let spec = match spec {
-        Ok(bytes) if push_bytes(&mut text, bytes).is_some() => TaskSpec::split(&text),
+        Ok(bytes) if push_utf8(&mut text, bytes).is_some() => TaskSpec::split(&text),
         Ok(_) => Err(SpecError::NotUtf8 { at: text.len() }),
         Err(error) => Err(SpecError::Base64(error)),
     };
@@ -364,7 +364,7 @@ fn start<'t, C: Components, const TASKS: usize, const BUFFER: usize>(
     said.clear();
     let accepted = {
         let sink: &mut dyn Sink = &mut |bytes: &[u8]| {
-            let _ = push_bytes(said, bytes);
+            let _ = push_utf8(said, bytes);
         };
         try_start(now, name, tasks, id, &spec, sink)
     };

@@ -1,5 +1,11 @@
 //! Constant parts of the wire format: greetings, and `READY` and `ERROR` of each socket type.
 
+/// How long a peer may take from opening the connection to its `READY`.
+pub const HANDSHAKE: core::time::Duration = core::time::Duration::from_secs(5);
+
+/// The longest frame that is skipped and answered if it does not fit; a longer one closes the connection.
+pub const SKIPPED: u32 = 65536;
+
 /// A greeting of ZMTP 3.1 with the mechanism NULL (RFC 37, Formal Grammar).
 pub(super) const GREETING: &[u8; 64] = b"\xFF\0\0\0\0\0\0\0\x01\x7F\
     \x03\x01NULL\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\

@@ -79,7 +79,7 @@ impl Device {
         let (inputs, inbox) = channel();
         let baud = opener.as_ref().and_then(|opener| opener.baud);
         let has_journal = book.is_some();
-        let session = Session::with_book(book, gateway, baud, random::nonzero);
+        let session = Session::with_journal(book, gateway, baud, random::nonzero);
         let mut worker = Worker::new(name, opener, session, inputs.clone(), awaited, observers);
         let (url, window, log) = (worker.url().to_owned(), worker.window(), worker.log());
         let idle = worker.idle();

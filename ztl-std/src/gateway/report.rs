@@ -10,7 +10,7 @@ use ztl_core::link::{Busy, Loss};
 use ztl_core::{Instant, TaskSpec};
 
 use crate::time::{millis, now};
-use ztl_link::{Book, ComponentInfo, DeviceInfo, LinkCounters, RoundTrips, Session};
+use ztl_link::{ComponentInfo, DeviceInfo, LinkCounters, RoundTrips, Session, SessionJournal};
 
 /// Each device of a gateway, by the name under which clients know it.
 pub type DeviceReports = BTreeMap<String, DeviceReport>;
@@ -170,7 +170,7 @@ impl Window {
     }
 
     /// Shows what is so now; to be called often.
-    pub(super) fn show<B: Book>(
+    pub(super) fn show<B: SessionJournal>(
         &self,
         now: Instant,
         session: &Session<B>,

@@ -1,5 +1,5 @@
-//! The firmware of a desk robot, the same on each board: a gripper on a servo, a stage on a stepper
-//! with a limit switch, and a lamp. A board brings the pins, a serial port and a clock.
+//! The firmware of a desk robot, the same on each board: a gripper on a servo, a stage on a stepper with a limit switch,
+//! and a lamp. A board provides pins, a serial port and a clock.
 #![no_std]
 
 #[cfg(feature = "tcp")]
@@ -19,10 +19,10 @@ use ztl_mcu::shared::{ReceiveQueue, StopFlag};
 use ztl_mcu::zmtp::{Line, Server};
 use ztl_mcu::{Components, Identity, Instant, Node};
 
-/// Where a board's serial port puts the bytes that it receives.
+/// Bytes received by the board's serial port.
 pub static RECEIVED: ReceiveQueue<128> = ReceiveQueue::new();
 
-/// What a board's emergency button raises.
+/// The emergency stop, which the board's button raises.
 pub static STOP: StopFlag = StopFlag::new();
 
 #[cfg(feature = "defmt")]
@@ -30,7 +30,7 @@ static LOG: ztl_mcu::log::LogQueue<256> = ztl_mcu::log::LogQueue::new();
 #[cfg(feature = "defmt")]
 ztl_mcu::defmt_logger!(LOG);
 
-/// Opens and closes by 90 degrees.
+/// A gripper that opens by 90 degrees.
 const GRIPPER: ServoConfig = ServoConfig {
     range: (0, 90),
     speed: 90,
@@ -48,48 +48,48 @@ const STAGE: StepperConfig = StepperConfig {
     ..StepperConfig::DEFAULT
 };
 
-/// Tasks that it holds at most, and the longest frame.
+/// Maximum number of tasks, and longest frame.
 const TASKS: usize = 4;
 const FRAME: usize = 256;
 
-/// How long before something is due the processor still goes to sleep: a tick of its clock wakes it.
+/// Minimum time until the next turn for which the processor sleeps. A tick of its clock wakes it.
 const SLEEP_US: u64 = 2000;
 
-/// What the robot is connected to.
+/// The pins of the robot.
 #[derive(Debug)]
 pub struct Pins<P, S, D, L, O> {
     /// The gripper's servo: a PWM output of 50 Hz.
     pub gripper: P,
-    /// The stage's driver takes a step.
+    /// Step input of the stage's driver.
     pub step: S,
-    /// Which way it goes.
+    /// Direction input of the stage's driver.
     pub direction: D,
-    /// Low when the stage is at its low end.
+    /// Limit switch: low when the stage is at its low end.
     pub limit: L,
     /// The lamp.
     pub lamp: O,
 }
 
-/// What else a board has.
+/// The serial port, clock and buttons of a board.
 pub trait Board {
-    /// Its serial port. `write` takes what it has room for and may say 0; so no motion waits for it.
+    /// Its serial port. `write` takes what fits, possibly nothing, so that no motion waits for it.
     type Port: Write<Error = Infallible>;
 
-    /// Where the answers go.
+    /// The serial port.
     fn port(&mut self) -> &mut Self::Port;
 
     /// The time since the reset.
     fn now(&mut self) -> Instant;
 
-    /// Whether the emergency stop is to end: its button is released, and another was pressed.
+    /// Whether to end the emergency stop: its button is released, and the resume button was pressed.
     fn may_resume(&mut self) -> bool;
 
-    /// Waits for an interrupt. A clock's tick has to come at least each millisecond.
+    /// Waits for an interrupt. The clock must tick at least every millisecond.
     fn sleep(&mut self);
 }
 
 /// The node of the robot. `boot` differs from reset to reset.
-// Apart, so that nothing but the node stays on the stack.
+// Not inlined, so that only the node stays on the stack.
 #[inline(never)]
 fn robot<P, S, D, L, O>(
     boot: u32,
@@ -110,7 +110,7 @@ where
     )
 }
 
-/// What the robot moves.
+/// The components of the robot.
 fn components<P, S, D, L, O>(pins: Pins<P, S, D, L, O>) -> impl Components
 where
     P: SetDutyCycle,
@@ -135,7 +135,7 @@ fn pump() -> Pump<'static> {
     pump
 }
 
-/// Runs for ever.
+/// Runs forever.
 pub fn run<P, S, D, L, O>(boot: u32, pins: Pins<P, S, D, L, O>, board: &mut impl Board) -> !
 where
     P: SetDutyCycle,
@@ -169,7 +169,7 @@ where
     }
 }
 
-/// The robot as a server for up to so many ZeroMQ clients, without a gateway.
+/// The robot as a server for up to `PEERS` ZeroMQ clients, without a gateway.
 pub fn server<const PEERS: usize, P, S, D, L, O>(
     boot: u32,
     pins: Pins<P, S, D, L, O>,
@@ -185,8 +185,8 @@ where
     Server::new("/lab", identity, components(pins))
 }
 
-/// Looks at the emergency stop: it begins when its button was pressed, and ends when the board says so.
-pub fn look_at_stop<C: Components, const PEERS: usize>(
+/// Begins the emergency stop when its button was pressed, and ends it when the board allows it.
+pub fn poll_stop<C: Components, const PEERS: usize>(
     server: &mut Server<'_, C, PEERS, TASKS, FRAME, TASKS>,
     board: &mut impl Board,
     now: Instant,
@@ -199,7 +199,7 @@ pub fn look_at_stop<C: Components, const PEERS: usize>(
     }
 }
 
-/// Runs for ever: a ZeroMQ client talks to the robot over the serial port.
+/// Runs forever as a server for a ZeroMQ client on the serial port.
 pub fn serve<P, S, D, L, O>(boot: u32, pins: Pins<P, S, D, L, O>, board: &mut impl Board) -> !
 where
     P: SetDutyCycle,
@@ -214,7 +214,7 @@ where
         let now = board.now();
         // Neither half of the port can fail.
         let due = line.turn(&mut server, &mut &RECEIVED, board.port(), now);
-        look_at_stop(&mut server, board, now);
+        poll_stop(&mut server, board, now);
         let due = due.unwrap_or(now);
         if due.as_micros().saturating_sub(now.as_micros()) > SLEEP_US {
             board.sleep();
@@ -222,7 +222,7 @@ where
     }
 }
 
-/// Runs for ever, as a future. `resume` is ready when an emergency stop is to end.
+/// Runs forever, as a future. `resume` becomes ready to end an emergency stop.
 #[cfg(feature = "async")]
 pub async fn run_async<P, S, D, L, O>(
     boot: u32,

@@ -10,31 +10,31 @@ use smoltcp::wire::{EthernetAddress, HardwareAddress, IpCidr, Ipv4Address};
 use ztl_mcu::zmtp::{Peer, Server};
 use ztl_mcu::{Components, Instant};
 
-use crate::{Board, FRAME, Pins, TASKS, look_at_stop, server};
+use crate::{Board, FRAME, Pins, TASKS, poll_stop, server};
 
-/// Where it serves.
+/// The TCP port.
 pub const PORT: u16 = 7002;
 
-/// How many clients at a time. The stack refuses a further one, which then tries again.
+/// Number of clients at a time. The stack refuses any other, which then retries.
 const PEERS: usize = 2;
-/// Each way of a connection.
+/// Size of the buffer in each direction of a connection.
 const BUFFER: usize = 512;
-/// A client that was switched off is noticed after this, and its place is free.
+/// After this time a client that was switched off is detected, and its slot is free.
 const KEEP_ALIVE: Duration = Duration::from_secs(5);
 const GONE: Duration = Duration::from_secs(15);
 
-/// The board in its network.
+/// The network address of the board.
 #[derive(Debug, Clone, Copy)]
 pub struct Address {
-    /// Its MAC address.
+    /// MAC address.
     pub mac: [u8; 6],
-    /// Its IP address.
+    /// IP address.
     pub ip: [u8; 4],
-    /// How many of the address's bits are the network's.
+    /// Length of the network prefix in bits.
     pub prefix: u8,
 }
 
-/// Runs for ever. Of the board's port nothing is used.
+/// Runs forever. The board's serial port is not used.
 pub fn serve<P, S, D, L, O>(
     boot: u32,
     pins: Pins<P, S, D, L, O>,
@@ -78,7 +78,7 @@ where
             attend(&mut server, &mut sockets, (place, *handle), served, now);
         }
         server.handle_timeout(now);
-        look_at_stop(&mut server, board, now);
+        poll_stop(&mut server, board, now);
         let mut busy = false;
         for (place, (handle, _)) in clients.iter().enumerate() {
             busy |= send(&mut server, sockets.get_mut(*handle), Peer(place as u8));
@@ -91,7 +91,7 @@ where
     }
 }
 
-/// What has come from a client, and whether it has come or gone itself.
+/// Handles input, connection and disconnection of a client.
 fn attend<C: Components>(
     server: &mut Server<'_, C, PEERS, TASKS, FRAME, TASKS>,
     sockets: &mut SocketSet<'_>,
@@ -137,7 +137,7 @@ fn attend<C: Components>(
     }
 }
 
-/// Sends what there is for a client, as far as there is room; says whether it was anything.
+/// Sends pending output to a client, as far as it fits. Returns whether there was any.
 fn send<C: Components>(
     server: &mut Server<'_, C, PEERS, TASKS, FRAME, TASKS>,
     socket: &mut Socket<'_>,

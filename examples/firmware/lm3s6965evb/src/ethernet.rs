@@ -1,6 +1,6 @@
-//! The LM3S6965's Ethernet controller, for smoltcp: a FIFO for frames each way, asked by the main loop.
+//! The LM3S6965's Ethernet controller, for smoltcp: a FIFO for frames each way, polled by the main loop.
 
-use qemu::Register;
+use board_support::Register;
 use smoltcp::phy::{Device, DeviceCapabilities, Medium, RxToken, TxToken};
 use smoltcp::time::Instant;
 
@@ -17,19 +17,19 @@ const ADDRESS_HIGH: Register = register(0x18);
 const FRAMES_RECEIVED: Register = register(0x34);
 const TRANSMIT: Register = register(0x38);
 
-/// In `RECEIVE_CONTROL`: on, and the FIFO empty.
+/// In `RECEIVE_CONTROL`: enabled, with an empty FIFO.
 const RECEIVE_ON: u32 = 1;
 const RECEIVE_RESET: u32 = 1 << 4;
-/// In `TRANSMIT_CONTROL`: on, short frames padded, check sums added, both ways at a time.
+/// In `TRANSMIT_CONTROL`: enabled, pads short frames, adds checksums, full duplex.
 const TRANSMIT_ON: u32 = 1 | 1 << 1 | 1 << 2 | 1 << 4;
-/// In `TRANSMIT`: what is in the FIFO goes out; until then it is 1.
+/// In `TRANSMIT`: sends the FIFO; reads as 1 until that is done.
 const NEW: u32 = 1;
 
-/// The longest frame without its check sum: header and 1500 bytes.
+/// The longest frame without its checksum: header and 1500 bytes.
 const LONGEST: usize = 1514;
-/// The header of a frame, which its length in the transmit FIFO leaves out.
+/// Length of the header, which the length in the transmit FIFO does not include.
 const HEADER: usize = 14;
-/// What the length in the receive FIFO counts besides: itself and the check sum.
+/// Length of the length field and of the checksum, which the length in the receive FIFO includes.
 const AROUND: usize = 6;
 
 /// The controller.
@@ -51,8 +51,7 @@ impl Ethernet {
         }
     }
 
-    /// Takes the next frame out of the FIFO, if there is one; what of it is longer than any may be is
-    /// dropped.
+    /// Takes the next frame out of the FIFO, if there is one. Drops the part beyond the longest frame.
     fn receive_frame(&mut self) -> Option<usize> {
         if FRAMES_RECEIVED.read() == 0 {
             return None;

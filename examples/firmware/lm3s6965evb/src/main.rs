@@ -1,7 +1,7 @@
 //! The desk robot on a Stellaris LM3S6965 board: Cortex-M3.
 //!
-//! `cargo xtask qemu lm3s6965evb` runs it in QEMU. Its pins are those of the panel, for a test to press
-//! and see.
+//! `cargo xtask qemu lm3s6965evb` runs it in QEMU. Its pins are the simulated ones of the panel, which
+//! tests read and write.
 #![no_std]
 #![no_main]
 
@@ -9,18 +9,18 @@ mod uart;
 
 use core::panic::PanicInfo;
 
+use board_support::board;
+use board_support::boots;
+use board_support::clock::{self, SysTick};
 use cortex_m::Peripherals;
 use cortex_m::peripheral::SCB;
 use cortex_m_rt::{entry, exception};
-use qemu::board;
-use qemu::boots;
-use qemu::clock::{self, SysTick};
 use uart::Uart;
 
 #[cfg(feature = "defmt")]
 defmt::timestamp!("{=u64:us}", clock::micros());
 
-/// Cycles a millisecond in QEMU, where the core runs at 12.5 MHz after a reset.
+/// Cycles per millisecond in QEMU, where the core runs at 12.5 MHz after a reset.
 const CYCLES: u32 = 12_500;
 
 #[entry]
@@ -35,10 +35,10 @@ fn main() -> ! {
 #[exception]
 fn SysTick() {
     clock::tick();
-    board::look_at_buttons();
+    board::poll_buttons();
 }
 
-/// After a reset the gateway knows what to tell of the tasks that ran.
+/// Resets the board, so that the gateway can report the tasks that were running.
 #[panic_handler]
 fn panic(_: &PanicInfo<'_>) -> ! {
     SCB::sys_reset()

@@ -2,10 +2,10 @@
 
 use core::convert::Infallible;
 
+use board_support::{Register, vectors};
 use cortex_m::interrupt::InterruptNumber;
 use cortex_m::peripheral::NVIC;
 use embedded_io::{ErrorType, Write};
-use qemu::{Register, vectors};
 
 const fn register(offset: usize) -> Register {
     // SAFETY: the LM3S6965's UART0, which has no access to memory; the offsets are those below.
@@ -33,7 +33,7 @@ const ON: u32 = 1 | 1 << 8 | 1 << 9;
 /// In `INTERRUPTS`: the FIFO is filling, or nothing more comes.
 const ON_RECEIVED: u32 = 1 << 4 | 1 << 6;
 
-/// This UART's number among the interrupts, as a chip's crate has it.
+/// This UART's number in the interrupt table, as in a chip's crate.
 #[derive(Clone, Copy)]
 struct Uart0;
 
@@ -46,7 +46,7 @@ unsafe impl InterruptNumber for Uart0 {
 
 vectors! { 6: 5 => on_uart }
 
-/// The sending half. What is received comes to [`app::RECEIVED`].
+/// The sending half. Received bytes go to [`app::RECEIVED`].
 pub(crate) struct Uart;
 
 impl Uart {
@@ -63,7 +63,7 @@ impl Uart {
     }
 }
 
-/// Bytes were received.
+/// Receive interrupt: takes all bytes.
 extern "C" fn on_uart() {
     CLEAR.write(ON_RECEIVED);
     while FLAGS.read() & NOTHING_RECEIVED == 0 {
@@ -75,7 +75,7 @@ impl ErrorType for Uart {
     type Error = Infallible;
 }
 
-/// Takes what there is room for; perhaps nothing.
+/// Takes as many bytes as fit, possibly none.
 impl Write for Uart {
     fn write(&mut self, bytes: &[u8]) -> Result<usize, Infallible> {
         let mut count = 0;

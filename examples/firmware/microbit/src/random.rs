@@ -1,6 +1,6 @@
 //! The nRF51's random number generator.
 
-use qemu::Register;
+use board_support::Register;
 
 // SAFETY: registers of the nRF51's RNG, which has no access to memory.
 const START: Register = unsafe { Register::at(0x4000_D000) };

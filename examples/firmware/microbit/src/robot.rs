@@ -2,18 +2,18 @@
 
 use core::panic::PanicInfo;
 
+use board_support::board;
+use board_support::clock::{self, SysTick};
 use cortex_m::Peripherals;
 use cortex_m::peripheral::SCB;
 use cortex_m_rt::{entry, exception};
 use microbit::random;
 use microbit::uart::Uart;
-use qemu::board;
-use qemu::clock::{self, SysTick};
 
 #[cfg(feature = "defmt")]
 defmt::timestamp!("{=u64:us}", clock::micros());
 
-/// Cycles a millisecond.
+/// Cycles per millisecond.
 const CYCLES: u32 = 16_000;
 
 #[entry]
@@ -28,10 +28,10 @@ fn main() -> ! {
 #[exception]
 fn SysTick() {
     clock::tick();
-    board::look_at_buttons();
+    board::poll_buttons();
 }
 
-/// After a reset the gateway knows what to tell of the tasks that ran.
+/// Resets the board, so that the gateway can report the tasks that were running.
 #[panic_handler]
 fn panic(_: &PanicInfo<'_>) -> ! {
     SCB::sys_reset()

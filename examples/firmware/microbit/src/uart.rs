@@ -2,11 +2,11 @@
 
 use core::convert::Infallible;
 
+use board_support::{Register, vectors};
 use cortex_m::interrupt::InterruptNumber;
 use cortex_m::peripheral::NVIC;
 use critical_section::CriticalSection;
 use embedded_io::{ErrorType, Write};
-use qemu::{Register, vectors};
 
 const fn register(offset: usize) -> Register {
     // SAFETY: the nRF51's UART0, which has no access to memory; the offsets are those below.
@@ -29,7 +29,7 @@ const BAUD: Register = register(0x524);
 const ON_RECEIVED: u32 = 1 << 2;
 /// For `BAUD`.
 const BAUD_115200: u32 = 0x01D7_E000;
-/// This UART's number among the interrupts, as a chip's crate has it.
+/// This UART's number in the interrupt table, as in a chip's crate.
 #[derive(Clone, Copy)]
 struct Uart0;
 
@@ -42,7 +42,7 @@ unsafe impl InterruptNumber for Uart0 {
 
 vectors! { 3: 2 => on_uart }
 
-/// The sending half. What is received comes to [`app::RECEIVED`].
+/// The sending half. Received bytes go to [`app::RECEIVED`].
 #[derive(Debug)]
 pub struct Uart {
     busy: bool,
@@ -65,7 +65,7 @@ impl Uart {
     }
 }
 
-/// A byte was received. Those that the UART keeps are announced one by one.
+/// A byte was received. The UART announces the bytes in its buffer one by one.
 extern "C" fn on_uart() {
     // First, since reading the byte announces the next one.
     RECEIVED.write(0);
@@ -78,7 +78,7 @@ impl ErrorType for Uart {
     type Error = Infallible;
 }
 
-/// Takes what there is room for, at most a byte; perhaps nothing.
+/// Takes at most one byte, or none if there is no room.
 impl Write for Uart {
     fn write(&mut self, bytes: &[u8]) -> Result<usize, Infallible> {
         let Some(&byte) = bytes.first() else {

@@ -2,10 +2,10 @@
 
 use core::convert::Infallible;
 
+use board_support::{Register, vectors};
 use cortex_m::interrupt::InterruptNumber;
 use cortex_m::peripheral::NVIC;
 use embedded_io::{ErrorType, Write};
-use qemu::{Register, vectors};
 
 const fn register(offset: usize) -> Register {
     // SAFETY: the CMSDK's UART0, which has no access to memory; the offsets are those below.
@@ -25,7 +25,7 @@ const RECEIVED: u32 = 1 << 1;
 /// In `CONTROL`: sends, receives, and interrupts when it has received.
 const ON: u32 = 1 | 1 << 1 | 1 << 3;
 
-/// The number of this UART's receiver among the interrupts, as a chip's crate has it.
+/// The number of this UART's receiver in the interrupt table, as in a chip's crate.
 #[derive(Clone, Copy)]
 struct Uart0Rx;
 
@@ -38,7 +38,7 @@ unsafe impl InterruptNumber for Uart0Rx {
 
 vectors! { 1: 0 => on_uart }
 
-/// The sending half. What is received comes to [`app::RECEIVED`].
+/// The sending half. Received bytes go to [`app::RECEIVED`].
 pub(crate) struct Uart;
 
 impl Uart {
@@ -52,7 +52,7 @@ impl Uart {
     }
 }
 
-/// A byte was received.
+/// Receive interrupt: takes a byte.
 extern "C" fn on_uart() {
     while STATE.read() & RECEIVED != 0 {
         // First, since reading the byte lets the next one come.
@@ -65,7 +65,7 @@ impl ErrorType for Uart {
     type Error = Infallible;
 }
 
-/// Takes what there is room for, at most a byte; perhaps nothing.
+/// Takes at most one byte, or none if there is no room.
 impl Write for Uart {
     fn write(&mut self, bytes: &[u8]) -> Result<usize, Infallible> {
         let Some(&byte) = bytes.first().filter(|_| STATE.read() & NO_ROOM == 0) else {

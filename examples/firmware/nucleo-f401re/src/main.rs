@@ -12,12 +12,12 @@ mod uart;
 use core::panic::PanicInfo;
 
 use app::Pins;
+use board_support::board::Clock;
+use board_support::boots;
+use board_support::clock::{self, SysTick};
 use cortex_m::Peripherals;
 use cortex_m::peripheral::SCB;
 use cortex_m_rt::{entry, exception};
-use qemu::board::Clock;
-use qemu::boots;
-use qemu::clock::{self, SysTick};
 use ztl_mcu::Instant;
 
 use pins::{Input, Output, Servo};
@@ -83,7 +83,7 @@ fn SysTick() {
     }
 }
 
-/// After a reset the gateway knows what to tell of the tasks that ran.
+/// Resets the board, so that the gateway can report the tasks that were running.
 #[panic_handler]
 fn panic(_: &PanicInfo<'_>) -> ! {
     SCB::sys_reset()

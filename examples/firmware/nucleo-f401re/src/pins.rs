@@ -2,8 +2,8 @@
 
 use core::convert::Infallible;
 
+use board_support::Register;
 use embedded_hal::{digital, pwm};
-use qemu::Register;
 
 const fn register(address: usize) -> Register {
     // SAFETY: RCC, TIM3 and GPIOs of the STM32F401, which have no access to memory; the addresses are those below.

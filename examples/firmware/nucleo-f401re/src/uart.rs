@@ -2,10 +2,10 @@
 
 use core::convert::Infallible;
 
+use board_support::{Register, vectors};
 use cortex_m::interrupt::InterruptNumber;
 use cortex_m::peripheral::NVIC;
 use embedded_io::{ErrorType, Write};
-use qemu::{Register, vectors};
 
 const fn register(offset: usize) -> Register {
     // SAFETY: the STM32F401's USART2, which has no access to memory; the offsets are those below.
@@ -24,7 +24,7 @@ const ROOM: u32 = 1 << 7;
 /// In `CONTROL`: on, interrupts when it has received, sends, receives.
 const ON: u32 = 1 << 13 | 1 << 5 | 1 << 3 | 1 << 2;
 
-/// This UART's number among the interrupts, as a chip's crate has it.
+/// This UART's number in the interrupt table, as in a chip's crate.
 #[derive(Clone, Copy)]
 struct Usart2;
 
@@ -37,7 +37,7 @@ unsafe impl InterruptNumber for Usart2 {
 
 vectors! { 39: 38 => on_uart }
 
-/// The sending half. What is received comes to [`app::RECEIVED`].
+/// The sending half. Received bytes go to [`app::RECEIVED`].
 pub(crate) struct Uart;
 
 impl Uart {
@@ -51,7 +51,7 @@ impl Uart {
     }
 }
 
-/// A byte was received.
+/// Receive interrupt: takes a byte.
 extern "C" fn on_uart() {
     while STATUS.read() & RECEIVED != 0 {
         app::RECEIVED.push(DATA.read() as u8);
@@ -62,7 +62,7 @@ impl ErrorType for Uart {
     type Error = Infallible;
 }
 
-/// Takes what there is room for, at most a byte; perhaps nothing.
+/// Takes at most one byte, or none if there is no room.
 impl Write for Uart {
     fn write(&mut self, bytes: &[u8]) -> Result<usize, Infallible> {
         let Some(&byte) = bytes.first().filter(|_| STATUS.read() & ROOM != 0) else {

@@ -95,7 +95,7 @@ async fn main(_spawner: Spawner) {
     join3(usb.run(), buttons, robot).await;
 }
 
-/// After a reset the gateway knows what to tell of the tasks that ran.
+/// Resets the board, so that the gateway can report the tasks that were running.
 #[panic_handler]
 fn panic(_: &PanicInfo<'_>) -> ! {
     SCB::sys_reset()

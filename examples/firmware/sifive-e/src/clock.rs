@@ -1,6 +1,6 @@
 //! The core's timer, which counts from the reset.
 
-use qemu::{Register, board};
+use board_support::{Register, board};
 use riscv::interrupt::Interrupt;
 use riscv::register::{mie, mstatus};
 use ztl_mcu::Instant;
@@ -69,5 +69,5 @@ fn wake_in_a_millisecond() {
 #[riscv_rt::core_interrupt(Interrupt::MachineTimer)]
 fn on_tick() {
     wake_in_a_millisecond();
-    board::look_at_buttons();
+    board::poll_buttons();
 }

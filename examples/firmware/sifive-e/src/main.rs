@@ -1,7 +1,7 @@
 //! The desk robot on a SiFive E: FE310, RISC-V.
 //!
-//! `cargo xtask qemu sifive-e` runs it in QEMU. Its pins are those of the panel, for a test to press
-//! and see.
+//! `cargo xtask qemu sifive-e` runs it in QEMU. Its pins are the simulated ones of the panel, which
+//! tests read and write.
 #![no_std]
 #![no_main]
 
@@ -10,7 +10,7 @@ mod uart;
 
 use core::panic::PanicInfo;
 
-use qemu::{board, boots};
+use board_support::{board, boots};
 use riscv_rt::entry;
 
 use clock::Clock;
@@ -26,7 +26,7 @@ fn main() -> ! {
     board::run(boot, uart, Clock::start())
 }
 
-/// It cannot reset itself. The gateway finds that it does not answer.
+/// The chip cannot reset itself. The gateway detects that it does not answer.
 #[panic_handler]
 fn panic(_: &PanicInfo<'_>) -> ! {
     loop {

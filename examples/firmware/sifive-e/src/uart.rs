@@ -2,8 +2,8 @@
 
 use core::convert::Infallible;
 
+use board_support::Register;
 use embedded_io::{ErrorType, Write};
-use qemu::Register;
 use riscv::interrupt::Interrupt;
 use riscv::register::mie;
 
@@ -35,7 +35,7 @@ const PRIORITY: Register = plic(4 * SOURCE as usize);
 const ENABLE: Register = plic(0x2000);
 const CLAIM: Register = plic(0x20_0004);
 
-/// The sending half. What is received comes to [`app::RECEIVED`].
+/// The sending half. Received bytes go to [`app::RECEIVED`].
 pub(crate) struct Uart;
 
 impl Uart {
@@ -53,7 +53,7 @@ impl Uart {
     }
 }
 
-/// Bytes were received.
+/// Receive interrupt: takes all bytes.
 #[riscv_rt::core_interrupt(Interrupt::MachineExternal)]
 fn on_uart() {
     let source = CLAIM.read();
@@ -71,7 +71,7 @@ impl ErrorType for Uart {
     type Error = Infallible;
 }
 
-/// Takes what there is room for; perhaps nothing.
+/// Takes as many bytes as fit, possibly none.
 impl Write for Uart {
     fn write(&mut self, bytes: &[u8]) -> Result<usize, Infallible> {
         let mut count = 0;

@@ -1,4 +1,4 @@
-//! A client: the real rules of one, and a person who wants tasks and keeps books.
+//! A client: the real rules of a client, driven by a simulated person.
 
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -11,25 +11,25 @@ use ztl_core::{Instant, Request, State, TaskId, TaskSpec};
 
 use super::gateway::{Letter, SCOPE};
 
-/// Longest time for an answer, as the original's client has it.
+/// Timeout of requests, as in the original's client.
 const TIMEOUT: Duration = Duration::from_secs(2);
-/// Pause between two questions about a task.
+/// Pause between two STATUS requests about a task.
 const PAUSE: Duration = Duration::from_millis(120);
 
-/// What a client knows of a task that it has asked for.
+/// What a client knows about its task.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) enum Known {
     /// No answer yet.
     Asked,
-    /// That it was refused, or never came and never will count.
+    /// It was refused, or never arrived and is void.
     Never(String),
-    /// Nobody can say: it may run.
+    /// Its outcome is unknown: it may run.
     Unknown,
-    /// It has this id and no end yet.
+    /// It has this id and no final state yet.
     Open(TaskId),
-    /// It has come to this end.
+    /// It has this final state.
     Ended(TaskId, State, String),
-    /// It had this id, and a gateway that was started anew knows nothing of it.
+    /// It had this id, and a restarted gateway does not know it.
     Forgotten(TaskId),
 }
 
@@ -42,7 +42,7 @@ impl Known {
     }
 }
 
-/// A task that it wants.
+/// A task to start.
 #[derive(Debug, Clone)]
 pub(super) struct Wish {
     pub(super) task: usize,
@@ -52,7 +52,7 @@ pub(super) struct Wish {
     pub(super) to_end: bool,
 }
 
-/// What is under way.
+/// The pending request.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Asked {
     Probe,
@@ -65,16 +65,16 @@ pub(super) struct Person {
     client: Client,
     wishes: VecDeque<Wish>,
     aborts: VecDeque<(usize, TaskId)>,
-    /// Tasks to be asked about, each with the moment from which on.
+    /// Tasks to ask about, with the earliest time.
     watched: VecDeque<(usize, TaskId, Instant)>,
     asked: Option<Asked>,
     /// The body of the last request.
     sent: Vec<u8>,
-    /// Whether the server is to be asked who it is.
+    /// Whether to probe the server.
     stranger: bool,
-    /// What it sends.
+    /// Messages to send.
     pub(super) out: Vec<Letter>,
-    /// What it has learnt.
+    /// New knowledge about tasks.
     pub(super) news: Vec<(usize, Known)>,
 }
 
@@ -101,12 +101,12 @@ impl Person {
         self.aborts.push_back((task, id));
     }
 
-    /// Wants to know how a task goes, or whether its end is still the same.
+    /// Asks for the state of a task until it is final.
     pub(super) fn watch(&mut self, now: Instant, task: usize, id: TaskId) {
         self.watched.push_back((task, id, now));
     }
 
-    /// An answer has come.
+    /// Handles a reply.
     pub(super) fn handle_reply(&mut self, now: Instant, letter: &Letter) {
         let (envelope, body) = letter;
         let Some(heard) = self.client.handle_reply(*envelope, &self.sent, body) else {
@@ -132,13 +132,13 @@ impl Person {
         let known = match heard {
             Heard::NeverStarted => Known::Never("it never came".to_owned()),
             Heard::FateUnknown => {
-                // Another start of the gateway: ask it who it is.
+                // The gateway has restarted: probe it.
                 self.stranger = true;
                 Known::Unknown
             }
             Heard::Unreadable => panic!("task {task}: an INIT is answered by no message"),
             Heard::Answer(Answer::Accepted { id, ended, text }) => {
-                // Servers of ours give no others.
+                // Our servers assign no other ids.
                 let id = id.value().and_then(|id| u32::try_from(id).ok());
                 let id = id.and_then(TaskId::new).expect("an id of ours");
                 match ended {
@@ -174,7 +174,7 @@ impl Person {
         self.news.push((task, known));
     }
 
-    /// Time has passed: gives up what was not answered, and asks the next thing.
+    /// Handles timeouts, and sends the next request.
     pub(super) fn handle_timeout(&mut self, now: Instant) {
         match self.client.handle_timeout(now) {
             Late::NotYet => {}
@@ -268,7 +268,7 @@ impl Person {
     }
 }
 
-/// Whose a letter is.
+/// The client of an envelope.
 pub(super) fn person(envelope: &Envelope) -> usize {
     usize::from(envelope.client.0[0]) - 1
 }

@@ -1,4 +1,4 @@
-//! A device with its line: the real node, and its power.
+//! A device with its line: the real node, which can be reset.
 
 use std::ops::Range;
 use std::rc::Rc;
@@ -15,14 +15,14 @@ use crate::plan::{MotorPlan, Way};
 
 type SmallNode = Node<'static, [Motor; 2], 4, 160>;
 
-/// Bytes are handed on in pieces of about this time.
+/// Bytes are transferred in pieces of about this duration.
 const BURST: Duration = Duration::from_millis(1);
-/// A node hears a last new command at most this long after a direction is cut: a `Start` that waits
-/// in the line, and a `Ping` that was due.
+/// The last new command arrives at most this long after a direction is cut: a `Start` that is in the line, and a `Ping`
+/// that was due.
 const LAST_COMMAND: Duration = Duration::from_millis(1300);
 
-/// A task has ended for its client at most this long after a direction is cut: an answer that waits in
-/// the line for a second, two link timeouts after that, and one second.
+/// Clients learn the final state of a task at most this long after a direction is cut: an answer that is in the line for a
+/// second, two link timeouts, and one second.
 const GIVEN_UP: Duration = Duration::from_millis(4100);
 
 pub(super) struct Device {
@@ -30,12 +30,12 @@ pub(super) struct Device {
     motors: [MotorPlan; 2],
     node: SmallNode,
     boots: u32,
-    /// When its clock was 0.
+    /// Time of the last reset, when its clock was 0.
     booted: Instant,
     down: FaultyLine,
     up: FaultyLine,
     cuts: [Range<Instant>; 2],
-    /// Open ends of the line; more than one thing may keep it closed.
+    /// Number of happenings that keep the line closed.
     unplugged: u32,
     truth: Shared,
 }
@@ -70,7 +70,7 @@ impl Device {
         Instant::ZERO + now.since(self.booted)
     }
 
-    /// Bytes arrive, motors move, bytes go out.
+    /// Passes bytes to the node, advances the motors, and sends output.
     pub(super) fn turn(&mut self, now: Instant) {
         let clock = self.clock(now);
         let mut buffer = [0xA5; 64];
@@ -93,7 +93,7 @@ impl Device {
         }
     }
 
-    /// What has arrived at the gateway's end.
+    /// Bytes that have arrived at the gateway.
     pub(super) fn arrived(&mut self, now: Instant) -> Vec<u8> {
         let mut bytes = Vec::new();
         let mut buffer = [0xA5; 64];
@@ -125,7 +125,7 @@ impl Device {
         for motor in 0..self.motors.len() {
             self.truth.borrow_mut().rest((self.number, motor), None);
         }
-        // Boot ids are random: none that was there before.
+        // Boot ids are random: never repeated.
         let boot = self.boots.wrapping_mul(0x85EB_CA6B);
         self.node = node(self.number, self.motors, boot, &self.truth);
     }
@@ -136,7 +136,7 @@ impl Device {
         self.up.lose();
     }
 
-    /// Says whether the line is open again.
+    /// Returns whether the line is open again.
     pub(super) fn plug(&mut self) -> bool {
         self.unplugged -= 1;
         self.is_plugged()
@@ -158,7 +158,7 @@ impl Device {
         self.way(way).cut(time);
     }
 
-    /// From now on the line is good.
+    /// Ends all faults of the line.
     pub(super) fn mend(&mut self, now: Instant) {
         for way in [Way::Down, Way::Up] {
             self.cut(way, now..now);
@@ -166,20 +166,19 @@ impl Device {
         }
     }
 
-    /// Whether one of its directions has been cut for so long that its gateway, able to all that
-    /// time, must have ended its tasks.
+    /// Whether a direction has been cut for so long that the gateway, if it was able to write, must have ended the tasks.
     pub(super) fn is_silent(&self, now: Instant, able: Instant) -> bool {
         let long =
             |cut: &Range<Instant>| cut.contains(&now) && now > cut.start.max(able) + GIVEN_UP;
         self.cuts.iter().any(long)
     }
 
-    /// Which motors act by themselves when the link is lost.
+    /// Which motors stop by themselves when the link is lost.
     pub(super) fn acts(&self) -> [bool; 2] {
         self.motors.map(|motor| motor.loss != Loss::CarryOn)
     }
 
-    /// Promise 4: a device that has heard no new command for so long has acted.
+    /// Promise 4: a device without new commands for this long is in its safe state.
     pub(super) fn judge(&self, now: Instant, truth: &Truth) -> Result<(), String> {
         let cut = |cut: &Range<Instant>| {
             cut.contains(&now) && now > cut.start + LAST_COMMAND + LINK_TIMEOUT

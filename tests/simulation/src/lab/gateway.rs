@@ -1,5 +1,4 @@
-//! The gateway's process: the real dispatcher, sessions and journal, with what its threads do
-//! between them.
+//! The gateway's process: the real dispatcher, sessions and journal, connected like the threads of the gateway.
 
 use std::cell::Cell;
 use std::collections::HashMap;
@@ -14,16 +13,16 @@ use ztl_core::reply::Reply;
 use ztl_core::tasks::{Task, Text};
 use ztl_core::time::earliest;
 use ztl_core::{Instant, State, TaskId, TaskSpec};
-use ztl_link::{Event, Session};
+use ztl_link::{LinkEvent, Session};
 use ztl_std::gateway::{DeviceBook, Log, Moment, Storage};
 
 pub(super) const SCOPE: &str = "/lab";
 
-/// As many tasks as no plan asks for.
+/// Room for more tasks than any plan starts.
 type Room = Fixed<Envelope, 1, 48, 160, 24>;
 pub(super) type LabSession = Session<Option<DeviceBook<Disk>>>;
 
-/// A disk that outlives the gateways, and may be full.
+/// A disk that survives the gateways, and may be full.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Disk(Arc<Mutex<(Vec<u8>, bool)>>);
 
@@ -36,7 +35,7 @@ impl Disk {
         self.with(|(_, is_full)| *is_full = full);
     }
 
-    /// The gateway dies while it writes a line.
+    /// Leaves an incomplete entry, as if the gateway was killed while writing.
     pub(super) fn tear(&self, len: usize) {
         let torn = b"{\"event\":\"start\",\"task\":1";
         self.with(|(written, _)| written.extend_from_slice(&torn[..len.min(torn.len())]));
@@ -73,7 +72,7 @@ thread_local! {
     static NOW: Cell<Instant> = const { Cell::new(Instant::ZERO) };
 }
 
-/// What clocks show from now on, also to the journals.
+/// Sets all clocks, including those of the journals.
 pub(super) fn set_clocks(now: Instant) {
     NOW.set(now);
 }
@@ -86,25 +85,25 @@ fn moment() -> Moment {
     }
 }
 
-/// A message and whose it is.
+/// A message and its envelope.
 pub(super) type Letter = (Envelope, Vec<u8>);
 
-/// A gateway that runs.
+/// A running gateway.
 pub(super) struct Gateway {
     dispatcher: Dispatcher<Room>,
     pub(super) sessions: Vec<LabSession>,
-    /// Of each task that a session has: its INIT's answer, for its client.
+    /// The reply to the INIT of each pending task.
     replies: HashMap<TaskId, String>,
-    /// Answers to be sent.
+    /// Replies to send.
     pub(super) out: Vec<Letter>,
-    /// What sessions have told, with the device; for the trace and the judge.
-    pub(super) told: Vec<(usize, Event)>,
+    /// Events of the sessions with their device, for the trace and the checks.
+    pub(super) told: Vec<(usize, LinkEvent)>,
 }
 
 impl Gateway {
-    /// Started for the `boot`-th time, with devices whose lines are not open.
+    /// Starts for the `boot`-th time. The lines of the devices are not open yet.
     pub(super) fn new(now: Instant, devices: usize, disk: Option<&Disk>, boot: u32) -> Self {
-        // No id is one from before, as a random number between 1 and 2^30 is not either.
+        // No id is reused, as with a random number between 1 and 2^30.
         let first = TaskId::new(boot * 100_000).expect("boots count from 1");
         let log = disk.map(|disk| {
             let written = disk.with(|(written, _)| written.clone());
@@ -120,7 +119,7 @@ impl Gateway {
             let book = log
                 .clone()
                 .map(|log| DeviceBook::new(log, &name(device), moment));
-            Session::with_book(book, id, Some(115_200), super::number)
+            Session::with_journal(book, id, Some(115_200), super::number)
         });
         let mut gateway = Self {
             dispatcher: Dispatcher::new(Fixed::new([SCOPE]), Config::new(first, boot)),
@@ -153,7 +152,7 @@ impl Gateway {
         assert!(self.dispatcher.restore(id, task), "there is room");
     }
 
-    /// A client's message has come. Says which task a handler was asked for, and of which number.
+    /// Handles a client's message.
     pub(super) fn handle_request(&mut self, now: Instant, (envelope, body): Letter) {
         let out = &mut self.out;
         let mut put = |peer, reply: &Reply<'_>| out.push((peer, written(reply)));
@@ -203,7 +202,7 @@ impl Gateway {
         self.dispatcher.handle_event(now, id, event, &mut put);
     }
 
-    /// Time has passed, or a session was given something: what comes of it.
+    /// Handles timeouts and the events of the sessions.
     pub(super) fn handle_timeout(&mut self, now: Instant) {
         for device in 0..self.sessions.len() {
             self.sessions[device].handle_timeout(now);
@@ -217,18 +216,18 @@ impl Gateway {
         self.dispatcher.handle_timeout(now, &mut put);
     }
 
-    fn on_event(&mut self, now: Instant, event: &Event) {
+    fn on_event(&mut self, now: Instant, event: &LinkEvent) {
         match event {
-            Event::Accepted(id) => {
+            LinkEvent::Accepted(id) => {
                 let reply = self.replies.get(id).cloned().unwrap_or_default();
                 self.report(now, *id, TaskEvent::Accepted { reply: &reply });
             }
-            Event::Rejected(id, reason) => {
+            LinkEvent::Rejected(id, reason) => {
                 self.replies.remove(id);
                 self.report(now, *id, TaskEvent::Rejected { reason });
             }
-            Event::Progress(id, text) => self.report(now, *id, TaskEvent::Progress { text }),
-            Event::Ended(id, state, text) => {
+            LinkEvent::Progress(id, text) => self.report(now, *id, TaskEvent::Progress { text }),
+            LinkEvent::Ended(id, state, text) => {
                 self.replies.remove(id);
                 let event = match state {
                     State::Completed => TaskEvent::Completed { result: text },
@@ -247,7 +246,7 @@ impl Gateway {
     }
 }
 
-/// What a device is called.
+/// Name of a device.
 pub(super) fn name(device: usize) -> String {
     format!("device{device}")
 }

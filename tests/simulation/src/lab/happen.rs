@@ -1,4 +1,4 @@
-//! What goes wrong in a laboratory, begins and is over.
+//! Begins and ends the happenings of a plan.
 
 use ztl_core::Instant;
 use ztl_sim::line::Faults;
@@ -7,7 +7,7 @@ use super::Lab;
 use super::gateway::Gateway;
 use crate::plan::{Way, What};
 
-/// The end of something that lasts.
+/// The end of a happening with a duration.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum Revert {
     Plug(usize),

@@ -1,19 +1,19 @@
-//! What clients were told, against what really happened.
+//! Compares what clients were told with what really happened.
 
 use ztl_core::{State, TaskId};
-use ztl_link::Event;
+use ztl_link::LinkEvent;
 
 use super::Summary;
 use super::client::Known;
 use super::motor::Truth;
 
-/// The books over all tasks that were asked for.
+/// What clients know about each task.
 pub(super) struct Books {
     journal: bool,
     tasks: Vec<Book>,
-    /// The ends that gateways have told, by the task's id.
+    /// The final states that gateways reported, by task id.
     decided: Vec<(TaskId, State, String)>,
-    /// Whether a gateway was killed; else every client can learn what became of its INIT.
+    /// Whether a gateway was killed. Otherwise every client can learn the outcome of its INIT.
     killed: bool,
 }
 
@@ -65,11 +65,11 @@ impl Books {
         }
     }
 
-    /// A session has told something.
-    pub(super) fn on_event(&mut self, event: &Event, truth: &Truth) -> Result<(), String> {
+    /// Checks an event of a session.
+    pub(super) fn on_event(&mut self, event: &LinkEvent, truth: &Truth) -> Result<(), String> {
         let (id, state, text) = match event {
-            Event::Rejected(id, text) => (*id, State::Rejected, text),
-            Event::Ended(id, state, text) => (*id, *state, text),
+            LinkEvent::Rejected(id, text) => (*id, State::Rejected, text),
+            LinkEvent::Ended(id, state, text) => (*id, *state, text),
             _ => return Ok(()),
         };
         if let Some((_, before, why)) = self.decided.iter().find(|(known, ..)| *known == id) {
@@ -85,7 +85,7 @@ impl Books {
         }
     }
 
-    /// A client has learnt something.
+    /// Checks what a client has learnt.
     pub(super) fn on_news(
         &mut self,
         task: usize,
@@ -177,7 +177,7 @@ impl Books {
         Ok(())
     }
 
-    /// When nothing has gone wrong for long: every task has ended.
+    /// Checks that every task has ended, after a long time without faults.
     pub(super) fn settled(&self, truth: &Truth) -> Result<(), String> {
         for (task, book) in self.tasks.iter().enumerate() {
             let fate = truth.tasks.get(task).copied().unwrap_or_default();
@@ -198,7 +198,7 @@ impl Books {
         Ok(())
     }
 
-    /// Promise 3: after all that it serves.
+    /// Promise 3: the device serves after all faults.
     pub(super) fn completed(&self, task: usize) -> Result<(), String> {
         match &self.tasks[task].known {
             Known::Ended(_, State::Completed, _) => Ok(()),
@@ -223,7 +223,7 @@ impl Books {
     }
 }
 
-/// Whether an end is true.
+/// Checks a reported final state against the truth.
 fn judge_end(task: usize, state: State, text: &str, truth: &Truth) -> Result<(), String> {
     let fate = truth.tasks.get(task).copied().unwrap_or_default();
     let lie = |promise: u8, why: &str| {

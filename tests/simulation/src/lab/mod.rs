@@ -1,5 +1,5 @@
-//! A whole laboratory on virtual time: clients, the gateway's dispatcher, sessions and journal,
-//! lines with faults, and devices; and what all of that came to, against what really moved.
+//! A whole laboratory on virtual time: clients, the gateway's dispatcher, sessions and journal, lines with faults, and
+//! devices. It compares what clients were told with what the motors really did.
 
 mod client;
 mod device;
@@ -24,25 +24,25 @@ use self::judge::Books;
 use self::motor::{Condition, NAMES, Shared, Truth};
 use crate::plan::{Happening, Plan};
 
-/// After the last fault everything must have settled within this.
+/// Everything must settle within this time after the last fault.
 const QUIET: Duration = Duration::from_secs(14);
-/// A message between client and gateway takes this long.
+/// Latency of messages between clients and gateway.
 const NETWORK: Duration = Duration::from_millis(1);
-/// Most turns between two happenings; some ten times what the longest takes.
+/// Maximum number of turns between two happenings, about ten times what they need.
 const TURNS: usize = 40_000;
 
-/// What a run came to.
+/// Statistics of a run.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Summary {
-    /// Tasks that a motor began.
+    /// Tasks that a motor started.
     pub begun: u32,
-    /// Tasks that came to their goal, for their clients.
+    /// Tasks reported as completed.
     pub completed: u32,
-    /// That ended in another way.
+    /// Tasks with another final state.
     pub ended: u32,
-    /// That were refused.
+    /// Refused tasks.
     pub refused: u32,
-    /// Of which nobody can say what became.
+    /// Tasks with an unknown outcome.
     pub unknown: u32,
 }
 
@@ -73,12 +73,12 @@ impl std::fmt::Display for Summary {
     }
 }
 
-/// A promise that is broken.
+/// A broken promise.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Failure {
     /// Which.
     pub complaint: String,
-    /// What happened, when it was asked for.
+    /// The trace, if it was requested.
     pub trace: Vec<String>,
 }
 
@@ -86,16 +86,16 @@ thread_local! {
     static NUMBER: Cell<u32> = const { Cell::new(0) };
 }
 
-/// A session's number: another each time, the same in each run.
+/// The next session number; deterministic.
 fn number() -> u32 {
     NUMBER.set(NUMBER.get().wrapping_add(0x9E37_79B9));
     NUMBER.get()
 }
 
-/// Plays a plan. When `traced`, what happened comes with it.
+/// Plays a plan. Returns its trace if `traced`.
 ///
 /// # Errors
-/// The first promise that is broken.
+/// The first broken promise.
 pub fn play(plan: &Plan, traced: bool) -> Result<(Summary, Vec<String>), Failure> {
     NUMBER.set(plan.seed as u32);
     let mut lab = Lab::new(plan, traced);
@@ -111,18 +111,18 @@ struct Lab {
     now: Instant,
     truth: Shared,
     devices: Vec<Device>,
-    /// `None` while it is dead.
+    /// `None` while it is killed.
     gateway: Option<Gateway>,
     boots: u32,
     disk: Option<Disk>,
-    /// Since when the gateway runs and could write.
+    /// Since when the gateway runs and can write.
     able_since: Instant,
     people: Vec<Person>,
-    /// Messages under way, with the moment when they arrive.
+    /// Messages in transit, with their arrival times.
     to_gateway: VecDeque<(Instant, Letter)>,
     to_people: VecDeque<(Instant, Letter)>,
     deaf_until: Instant,
-    /// What goes back to what it was, and when.
+    /// Faults that end, and when.
     reverts: Vec<(Instant, Revert)>,
     books: Books,
     traced: bool,
@@ -188,7 +188,7 @@ impl Lab {
         Ok(self.books.summary(&self.truth.borrow()))
     }
 
-    /// Every end that a client was told is still the same.
+    /// Asks again for every reported final state, which must not have changed.
     fn ask_again(&mut self) {
         for (task, who, known) in self.books.all() {
             if let Known::Ended(id, ..) = known {
@@ -197,7 +197,7 @@ impl Lab {
         }
     }
 
-    /// Each device does a new task with each motor.
+    /// Runs a new task on each motor of each device.
     fn serve(&mut self) -> Result<(), String> {
         for device in 0..self.devices.len() {
             for motor in 0..NAMES.len() {
@@ -232,7 +232,7 @@ impl Lab {
     fn pass_until(&mut self, end: Instant) -> Result<(), String> {
         for _ in 0..TURNS {
             self.turn()?;
-            // What is due again at once would stand still.
+            // Advances even if something is due at once again.
             let soon = self.now + Duration::from_micros(20);
             match self.wake() {
                 Some(wake) if wake < end => self.now = wake.max(soon),
@@ -242,10 +242,7 @@ impl Lab {
                 }
             }
         }
-        Err(format!(
-            "something is due at once for ever: {:?}",
-            self.wake()
-        ))
+        Err(format!("time does not advance: {:?}", self.wake()))
     }
 
     fn wake(&self) -> Option<Instant> {
@@ -259,7 +256,7 @@ impl Lab {
         all.fold(gateway, earliest)
     }
 
-    /// All that happens at this moment.
+    /// Processes everything that is due now.
     fn turn(&mut self) -> Result<(), String> {
         gateway::set_clocks(self.now);
         self.revert();
@@ -289,7 +286,7 @@ impl Lab {
         self.books.judge(&truth)
     }
 
-    /// Bytes between a session and its line.
+    /// Exchanges bytes between a session and its line.
     fn exchange(&mut self, device: usize) {
         let now = self.now;
         let line = &mut self.devices[device];
@@ -355,7 +352,7 @@ impl Lab {
     }
 }
 
-/// Takes out a letter that has arrived.
+/// Takes a letter that has arrived.
 fn arrived(letters: &mut VecDeque<(Instant, Letter)>, now: Instant) -> Option<Letter> {
     let (at, _) = letters.front()?;
     if *at > now {

@@ -1,4 +1,4 @@
-//! What moves, and the truth about it.
+//! Simulated motors, and the record of what really happened to each task.
 
 use std::cell::RefCell;
 use std::rc::Rc;
@@ -13,33 +13,33 @@ use crate::plan::MotorPlan;
 /// What really happened to a task.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(super) struct Fate {
-    /// How often it was begun.
+    /// How often it was started.
     pub(super) begun: u32,
-    /// How it came to its end at the motor.
+    /// Its final state at the motor.
     pub(super) came_to: Option<State>,
 }
 
-/// How a motor really is.
+/// The real state of a motor.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Condition {
-    /// The task that it moves for.
+    /// The task that it runs.
     pub(super) task: Option<usize>,
-    /// Since its last task it has not been in its safe state.
+    /// It has not reached its safe state since its last task.
     pub(super) powered: bool,
-    /// It is on its way there.
+    /// It is going to its safe state.
     pub(super) to_safety: bool,
 }
 
 /// What really happened.
 #[derive(Debug, Default)]
 pub(super) struct Truth {
-    /// By the number that was asked for.
+    /// By number of the task.
     pub(super) tasks: Vec<Fate>,
     /// The motors of each device.
     pub(super) motors: Vec<[Condition; 2]>,
 }
 
-/// What a gateway tells by itself of a device that has acted, and may still be on its way to its safe state.
+/// Reported for an unreachable device, whose motors may still be going to their safe state.
 const NOT_ANSWERING: &str = "device is not answering";
 
 impl Truth {
@@ -47,14 +47,14 @@ impl Truth {
         self.moving().any(|(moving, _)| moving == task)
     }
 
-    /// Whether a task moves though its client was told its end, and why.
+    /// Whether a task runs although its client was told a final state with this reason.
     pub(super) fn moves_after(&self, task: usize, why: &str) -> bool {
         let allowed = |motor: &Condition| motor.to_safety && why == NOT_ANSWERING;
         self.moving()
             .any(|(moving, motor)| moving == task && !allowed(motor))
     }
 
-    /// The tasks that motors move for.
+    /// The running tasks.
     pub(super) fn moving(&self) -> impl Iterator<Item = (usize, &Condition)> {
         let motors = self.motors.iter().flatten();
         motors.filter_map(|motor| Some((motor.task?, motor)))
@@ -81,7 +81,7 @@ impl Truth {
         }
     }
 
-    /// It has no power any more, or does not need it: its safe state.
+    /// Puts the motor into its safe state.
     pub(super) fn rest(&mut self, place: (usize, usize), state: Option<State>) {
         self.end(place, state);
         self.motors[place.0][place.1] = Condition::default();
@@ -97,7 +97,7 @@ pub(super) struct Motor {
     pub(super) place: (usize, usize),
     pub(super) truth: Shared,
     pub(super) ends: Option<(Instant, State)>,
-    /// When it is in its safe state, on the way there.
+    /// When it reaches its safe state, if it is going there.
     pub(super) safe_at: Option<Instant>,
 }
 
@@ -151,7 +151,7 @@ impl Component for Motor {
         let Some((at, state)) = self.ends else {
             return Run::Failed;
         };
-        // Progress, now and then.
+        // Occasional progress.
         report.number((now.as_micros() / 400_000) as f32, 0);
         if now < at {
             return Run::Running;
@@ -167,7 +167,7 @@ impl Component for Motor {
     fn abort(&mut self, now: Instant) {
         if let Some((at, _)) = self.ends {
             let stopped = now + self.plan.slow;
-            // It may come to its goal before it has stopped.
+            // It may reach its goal before it stops.
             if stopped < at {
                 self.ends = Some((stopped, State::Aborted));
             }

@@ -1,16 +1,16 @@
-//! A gateway: the real session with its book, and what its clients were told.
+//! A gateway of the model: the journal of the real session, and what its clients were told.
 
 use ztl_core::{State, TaskId};
 
-use super::ends::session::{Book, Entry, Restored, Sent};
+use super::ends::session::{Entry, Restored, Sent, SessionJournal};
 
 /// A journal that survives its gateway.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Journal {
-    /// Without one, nothing is written.
+    /// Whether entries are written.
     pub(super) kept: bool,
     open: Vec<Line>,
-    /// Ends, by task.
+    /// Final states by task.
     pub(super) ends: Vec<(TaskId, State)>,
 }
 
@@ -24,7 +24,7 @@ struct Line {
 }
 
 impl Journal {
-    /// What a new gateway reads: tasks without an end.
+    /// The tasks without a final state, which a restarted gateway restores.
     pub(super) fn restored(&self) -> Vec<Restored> {
         let restored = |line: &Line| Restored {
             id: line.id,
@@ -37,7 +37,7 @@ impl Journal {
     }
 }
 
-impl Book for Journal {
+impl SessionJournal for Journal {
     fn starting(&mut self, task: &Entry<'_>) -> Result<(), String> {
         if self.kept
             && let Some(sent) = task.sent
@@ -68,19 +68,19 @@ impl Book for Journal {
     }
 }
 
-/// What a task's client has been told.
+/// What the client of a task was told.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(super) enum Told {
-    /// It has not asked.
+    /// It has not started the task.
     #[default]
     Unasked,
     /// Nothing yet.
     Nothing,
-    /// That it runs.
+    /// The task runs.
     Accepted,
-    /// That it was not started and never will be.
+    /// The task was not started and never will be.
     Rejected,
-    /// That it has come to this end.
+    /// The task has this final state.
     Ended(State),
 }
 

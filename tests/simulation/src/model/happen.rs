@@ -1,4 +1,4 @@
-//! What happens next, and what comes of it.
+//! The steps of the model and their effects.
 
 use ztl_core::State;
 
@@ -86,7 +86,7 @@ impl Lab {
         Ok(())
     }
 
-    /// What happens next while nothing changes.
+    /// The next step while all faults last.
     fn go_on(&self) -> Action {
         if self.plugged {
             if self.down.brings() {
@@ -121,7 +121,7 @@ impl System for Lab {
 
     fn disturbances(&self) -> Vec<Action> {
         let mut actions = Vec::new();
-        // What lasts goes on, unless that is what calm is.
+        // Lasting faults continue, unless that is the undisturbed step.
         let on = self.go_on();
         if on != self.calm() {
             actions.push(on);

@@ -1,9 +1,9 @@
-//! The promises, as what must be true of a laboratory.
+//! The promises, as checks of a laboratory.
 
 use ztl_core::State;
 use ztl_core::link::{LINK_TIMEOUT, Loss};
 
-use super::ends::session::Event;
+use super::ends::session::LinkEvent;
 use super::gateway::Told;
 use super::lab::{Lab, gateway_of};
 use super::line::Parcel;
@@ -33,12 +33,12 @@ impl Lab {
         Ok(())
     }
 
-    /// Lets a session act, and takes what comes of it.
-    pub(super) fn on_event(&mut self, event: Event) -> Result<(), String> {
+    /// Checks an event of a session.
+    pub(super) fn on_event(&mut self, event: LinkEvent) -> Result<(), String> {
         let (id, told, text) = match event {
-            Event::Accepted(id) => (id, Told::Accepted, String::new()),
-            Event::Rejected(id, text) => (id, Told::Rejected, text),
-            Event::Ended(id, state, text) => (id, Told::Ended(state), text),
+            LinkEvent::Accepted(id) => (id, Told::Accepted, String::new()),
+            LinkEvent::Rejected(id, text) => (id, Told::Rejected, text),
+            LinkEvent::Ended(id, state, text) => (id, Told::Ended(state), text),
             _ => return Ok(()),
         };
         let task = id.get() as usize - 1;
@@ -58,7 +58,7 @@ impl Lab {
         self.judge_end(task, told, &text)
     }
 
-    /// Whether what is told is true.
+    /// Checks a reported state against the truth.
     fn judge_end(&self, task: usize, told: Told, text: &str) -> Result<(), String> {
         let client = self.clients[task];
         let fate = self.truth.tasks[task];
@@ -74,7 +74,7 @@ impl Lab {
             (State::Completed, _) if fate.came_to != Some(State::Completed) => {
                 lie(2, "but its motor did not come to its goal")
             }
-            // Another gateway that took over has aborted it, or its `Start` never came: nothing better can be told.
+            // Another gateway has aborted it, or its `Start` never arrived: the gateway cannot know more.
             (State::Failed, "the device no longer holds the task") if self.gateways.len() == 1 => {
                 lie(2, "but it does until that is known here")
             }
@@ -95,7 +95,7 @@ impl Lab {
         }
     }
 
-    /// What must be true at any time.
+    /// Checks what must hold at any time.
     pub(super) fn judge(&self) -> Result<(), String> {
         for (task, (fate, client)) in self.truth.tasks.iter().zip(&self.clients).enumerate() {
             if fate.begun > 1 {

@@ -1,5 +1,4 @@
-//! A laboratory of the model: one or two gateways, a line, a node with motors, and what all that
-//! came to.
+//! A laboratory of the model: one or two gateways, a line, and a node with motors.
 
 use std::cell::Cell;
 
@@ -7,7 +6,7 @@ use ztl_core::time::earliest;
 use ztl_core::{Instant, State, TaskId};
 
 use super::ends::mcu::{Identity, Node};
-use super::ends::session::{Event, Session};
+use super::ends::session::{LinkEvent, Session};
 use super::gateway::{Journal, Told};
 use super::line::{Lane, Parcel, Way};
 use super::motor::{ENDLESS, Motor, TASKS, Truth, with_truth};
@@ -19,9 +18,9 @@ pub(super) type LabSession = Session<Journal>;
 
 #[derive(Debug, Clone)]
 pub(super) struct Gateway {
-    /// `None` while it is dead.
+    /// `None` while it is killed.
     pub(super) session: Option<Box<LabSession>>,
-    /// What is left while it is dead.
+    /// The journal while it is killed.
     pub(super) journal: Journal,
 }
 
@@ -30,11 +29,11 @@ pub(super) struct Client {
     pub(super) told: Told,
     pub(super) gateway: usize,
     pub(super) motor: usize,
-    /// It ends only when it is stopped.
+    /// Whether it ends only when it is stopped.
     pub(super) endless: bool,
-    /// Its gateway was started anew and has forgotten it.
+    /// Whether its gateway was restarted and does not know it.
     pub(super) forgotten: bool,
-    /// The boot of the device when it was asked for, as far as its gateway knew.
+    /// The boot of the device when it was started, as known to its gateway.
     pub(super) boot: u32,
 }
 
@@ -57,15 +56,15 @@ pub struct Lab {
     pub(super) asked: usize,
     pub(super) acts: usize,
     pub(super) times: u8,
-    /// How many sessions were opened, and the latest of each gateway.
+    /// Number of sessions opened, and the latest of each gateway.
     pub(super) opened: u32,
     pub(super) latest: [u32; 2],
-    /// The node's last answer, by session and seq; and when its last new command was.
+    /// Session and sequence number of the node's last answer.
     pub(super) answered: (u32, u8),
     pub(super) commanded: Instant,
-    /// The gateway that has the node, and when it was last heard.
+    /// The gateway that holds the node, and when its last command arrived.
     pub(super) holder: Option<(u32, Instant)>,
-    /// What happens, for people; only when asked for.
+    /// The trace, if requested.
     pub(super) notes: Option<Vec<String>>,
 }
 
@@ -92,11 +91,11 @@ const COMMANDS: u32 = 8;
 /// there are at which something happens, the fewer states.
 const BAUD: u32 = 2560;
 
-/// Where all clocks but the node's begin.
+/// Initial value of all clocks but the node's.
 const BEGIN: Instant = Instant::from_millis(10_000);
 
 impl Lab {
-    /// A laboratory in which everything has just been switched on.
+    /// A laboratory that was just switched on.
     #[must_use]
     pub fn new(scenario: &'static Scenario) -> Self {
         let mut journal = Journal::default();
@@ -136,7 +135,7 @@ impl Lab {
         lab
     }
 
-    /// What happens on this path, for people.
+    /// The trace of this path.
     #[must_use]
     pub fn trace(&self, path: &[Action]) -> Vec<String> {
         let mut lab = self.clone();
@@ -164,13 +163,13 @@ impl Lab {
     pub(super) fn start(&mut self, gateway: usize) {
         self.lend_numbers(gateway);
         let place = &mut self.gateways[gateway];
-        let mut session = Session::with_book(
+        let mut session = Session::with_journal(
             std::mem::take(&mut place.journal),
             gateway as u64 + 1,
             Some(BAUD),
             next_session,
         );
-        let restored = session.book_mut().restored();
+        let restored = session.journal_mut().restored();
         for task in restored {
             session.restore(self.now, task);
         }
@@ -197,7 +196,7 @@ impl Lab {
     pub(super) fn kill(&mut self, gateway: usize) {
         let place = &mut self.gateways[gateway];
         if let Some(mut session) = place.session.take() {
-            place.journal = session.book_mut().clone();
+            place.journal = session.journal_mut().clone();
         }
         let journal = &place.journal;
         let (open, ends) = (journal.restored(), journal.ends.clone());
@@ -222,7 +221,7 @@ impl Lab {
         }
     }
 
-    /// Everything that is due at this moment.
+    /// Processes everything that is due now.
     pub(super) fn settle(&mut self) -> Result<(), String> {
         for _ in 0..20 {
             let node_now = self.node_now();
@@ -285,7 +284,7 @@ impl Lab {
         };
         act(session);
         let bytes = session.poll_transmit();
-        let events: Vec<Event> = std::iter::from_fn(|| session.poll_event()).collect();
+        let events: Vec<LinkEvent> = std::iter::from_fn(|| session.poll_event()).collect();
         self.take_numbers(gateway);
         if self.plugged {
             for parcel in self.down.send(&bytes, self.opened * 2 + 1, self.boot) {

@@ -1,4 +1,4 @@
-//! The line as frames: each is delivered, or not, or late, or twice.
+//! The line as a sequence of frames, which can be lost, delayed and repeated.
 
 use std::collections::VecDeque;
 use std::fmt::{self, Debug};
@@ -15,11 +15,11 @@ pub enum Way {
     Up,
 }
 
-/// A frame on its way.
+/// A frame in transit.
 #[derive(Clone)]
 pub(super) struct Parcel {
     pub(super) bytes: Rc<[u8]>,
-    /// Under which session it is checked, its seq, and what it says.
+    /// Its session, sequence number and message.
     pub(super) session: u32,
     pub(super) seq: u8,
     says: Rc<str>,
@@ -35,7 +35,7 @@ impl Debug for Parcel {
 }
 
 impl Parcel {
-    /// Reads a frame that was checked under one of these sessions, each in one of these boots.
+    /// Parses a frame of one of these sessions in one of these boots.
     fn new(bytes: &[u8], opened: u32, boots: u32) -> Self {
         let mut decoder = Decoder::<256>::new();
         for byte in bytes {
@@ -48,16 +48,16 @@ impl Parcel {
             keys.push(hello);
             keys.extend((1..=boots).rev().map(|boot| session_key(hello, boot)));
         }
-        let (place, frame) = decoder.frame(&keys).expect("both ends send good frames");
+        let (index, frame) = decoder.frame(&keys).expect("both ends send good frames");
         Self {
             bytes: bytes.into(),
-            session: keys[place],
+            session: keys[index],
             seq: frame.seq,
             says: format!("{:?}", frame.body).into(),
         }
     }
 
-    /// What it says, by the name of its message.
+    /// Whether it has this message, by name.
     pub(super) fn is(&self, message: &str) -> bool {
         self.says.starts_with(message)
     }
@@ -67,21 +67,21 @@ impl Parcel {
 #[derive(Debug, Clone, Default)]
 pub(super) struct Lane {
     pub(super) queue: VecDeque<Parcel>,
-    /// What is sent is lost.
+    /// All frames are lost.
     pub(super) cut: bool,
     /// Nothing arrives.
     pub(super) stalled: bool,
-    /// What has been sent since this began, to come again as a whole.
+    /// The frames recorded since this began, to arrive again as a whole.
     pub(super) tape: Option<Vec<Parcel>>,
 }
 
-/// Longest tape, in frames.
+/// Maximum number of recorded frames.
 const TAPE: usize = 8;
-/// What a line holds back at most, in frames; the rest is lost.
+/// Maximum number of frames that a stalled line delays; the rest is lost.
 const STALLED: usize = 3;
 
 impl Lane {
-    /// Takes the bytes apart into frames and sends them; gives back what was sent.
+    /// Splits the bytes into frames and sends them. Returns the frames.
     pub(super) fn send(&mut self, bytes: &[u8], opened: u32, boots: u32) -> Vec<Parcel> {
         let frames = bytes.split_inclusive(|byte| *byte == 0);
         let sent: Vec<Parcel> = frames

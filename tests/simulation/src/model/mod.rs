@@ -1,7 +1,6 @@
-//! The model: the real state machines, and all that can happen between them.
+//! The model: the real state machines, and every sequence of events between them.
 //!
-//! Compiled twice (see [`crate::real`] and [`crate::broken`]), over the ends that stand in `ends`
-//! beside it.
+//! Compiled twice, with the two modules named `ends` in [`crate::real`] and [`crate::broken`].
 
 mod gateway;
 mod happen;

@@ -1,4 +1,4 @@
-//! What moves, and the truth about it.
+//! Simulated motors, and the record of what really happened to each task.
 
 use std::cell::RefCell;
 use std::time::Duration;
@@ -8,25 +8,25 @@ use ztl_core::{Instant, State};
 
 use super::ends::mcu::{Component, Refused, Report, Run};
 
-/// Most tasks in a scenario, with the one that shows that the device still serves.
+/// Maximum number of tasks in a scenario, including the one that checks that the device serves.
 pub(super) const TASKS: usize = 4;
 
-/// What really happened to a task, whatever anybody says.
+/// What really happened to a task.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(super) struct Fate {
-    /// How often a motor began it.
+    /// How often a motor started it.
     pub(super) begun: u8,
-    /// How it came to its end at the motor.
+    /// Its final state at the motor.
     pub(super) came_to: Option<State>,
 }
 
-/// What really happened, also before a reset.
+/// What really happened, including before a reset.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(super) struct Truth {
     pub(super) tasks: [Fate; TASKS],
-    /// The task that each motor moves for.
+    /// The task that each motor runs.
     pub(super) moving: [Option<u8>; 2],
-    /// Whether each motor is under power, also after its task: it is not in its safe state.
+    /// Whether each motor is under power, which is not its safe state.
     pub(super) powered: [bool; 2],
 }
 
@@ -44,7 +44,7 @@ impl Truth {
         }
     }
 
-    /// The power is cut.
+    /// Cuts the power.
     pub(super) fn rest(&mut self) {
         for motor in 0..self.moving.len() {
             self.end(motor, None);
@@ -54,7 +54,7 @@ impl Truth {
 }
 
 thread_local! {
-    /// The truth of the laboratory that is acting; a node gives nobody its components.
+    /// The truth of the current laboratory; the node does not expose its components.
     static TRUTH: RefCell<Truth> = const { RefCell::new(Truth { tasks: [Fate { begun: 0, came_to: None }; TASKS], moving: [None; 2], powered: [false; 2] }) };
 }
 
@@ -66,7 +66,7 @@ pub(super) fn with_truth<T>(truth: &mut Truth, act: impl FnOnce() -> T) -> T {
     done
 }
 
-/// What a scenario's motor is like.
+/// Properties of a motor.
 #[derive(Debug, Clone, Copy)]
 pub struct Kind {
     /// What it does when the link is lost.
@@ -93,7 +93,7 @@ pub(super) enum Moving {
     ToSafety,
 }
 
-/// A motor that moves for so many milliseconds moves until it is stopped.
+/// A duration that means until the motor is stopped.
 pub(super) const ENDLESS: u16 = u16::MAX;
 
 /// A goal is `TASK MILLISECONDS`.

@@ -1,4 +1,4 @@
-//! What is explored.
+//! The scenarios.
 
 use ztl_core::link::{Busy, Loss};
 
@@ -38,7 +38,7 @@ const fn abort(gateway: usize, task: usize) -> Act {
 const DOWN: Way = Way::Down;
 const UP: Way = Way::Up;
 
-/// One gateway without a journal, one task that ends only when it is stopped.
+/// One gateway without a journal, and one task that ends only when it is stopped.
 const PLAIN: Scenario = Scenario {
     name: "",
     about: "",
@@ -51,11 +51,11 @@ const PLAIN: Scenario = Scenario {
     times: 2,
 };
 
-/// All of them.
+/// All scenarios.
 pub const SCENARIOS: &[Scenario] = &[
     Scenario {
         name: "frames",
-        about: "a short task; frames are lost, late, and come twice",
+        about: "a short task; frames are lost, delayed and repeated",
         acts: &[ask(0, 0, 40)],
         faults: &[
             Fault::Drop(DOWN),
@@ -69,7 +69,7 @@ pub const SCENARIOS: &[Scenario] = &[
     },
     Scenario {
         name: "cut",
-        about: "a task without an end; either direction is cut or held back, a frame is late",
+        about: "an endless task; either direction is cut or stalled, a frame is delayed",
         faults: &[
             Fault::Cut(DOWN),
             Fault::Cut(UP),
@@ -81,14 +81,14 @@ pub const SCENARIOS: &[Scenario] = &[
     },
     Scenario {
         name: "late",
-        about: "a Start that arrives as late as its moment, sent some time after the last command",
+        about: "a Start that arrives just before its deadline, long after the last command",
         acts: &[ask(0, 1, 100), ask(0, 0, ENDLESS)],
         faults: &[Fault::Cut(DOWN), Fault::Hold(DOWN)],
         ..PLAIN
     },
     Scenario {
         name: "unplug",
-        about: "a task without an end; the line is closed, a direction is cut, frames are late",
+        about: "an endless task; the line is closed, a direction is cut, frames are delayed",
         faults: &[
             Fault::Unplug,
             Fault::Cut(DOWN),
@@ -100,7 +100,7 @@ pub const SCENARIOS: &[Scenario] = &[
     },
     Scenario {
         name: "carry-on",
-        about: "a task that goes on without a link; cuts, stalls, resets",
+        about: "a task that carries on without a link; cuts, stalls, resets",
         acts: &[ask(0, 1, ENDLESS)],
         faults: &[
             Fault::Cut(DOWN),
@@ -113,7 +113,7 @@ pub const SCENARIOS: &[Scenario] = &[
     },
     Scenario {
         name: "abort",
-        about: "a task that is aborted; frames are lost and late, a direction is cut",
+        about: "a task that is aborted; frames are lost and delayed, a direction is cut",
         acts: &[ask(0, 0, ENDLESS), abort(0, 0)],
         faults: &[
             Fault::Drop(DOWN),
@@ -126,7 +126,7 @@ pub const SCENARIOS: &[Scenario] = &[
     },
     Scenario {
         name: "reset",
-        about: "a task; the device is reset, frames are lost, late, and come twice",
+        about: "a task; the device is reset, frames are lost, delayed and repeated",
         acts: &[ask(0, 0, 500)],
         faults: &[
             Fault::Reset,
@@ -141,7 +141,7 @@ pub const SCENARIOS: &[Scenario] = &[
     },
     Scenario {
         name: "restart",
-        about: "a task; the gateway dies and is started again without a journal",
+        about: "a task; the gateway is killed and restarted without a journal",
         acts: &[ask(0, 1, ENDLESS)],
         faults: &[
             Fault::Kill(0),
@@ -154,7 +154,7 @@ pub const SCENARIOS: &[Scenario] = &[
     },
     Scenario {
         name: "journal",
-        about: "a task; the gateway dies at any moment and reads its journal",
+        about: "a task; the gateway is killed at any time and reads its journal",
         journal: true,
         acts: &[ask(0, 0, 500)],
         faults: &[
@@ -185,7 +185,7 @@ pub const SCENARIOS: &[Scenario] = &[
     },
     Scenario {
         name: "replace",
-        about: "a second task takes the place of the first; the line is bad",
+        about: "a second task replaces the first; the line is bad",
         motors: [REPLACE, CARRY_ON],
         acts: &[ask(0, 0, ENDLESS), ask(0, 0, 200)],
         faults: &[
@@ -200,7 +200,7 @@ pub const SCENARIOS: &[Scenario] = &[
     },
     Scenario {
         name: "full",
-        about: "more ends than the device has room for, while nothing of it is heard",
+        about: "more ended tasks than the device has room for, while it is not heard",
         acts: &[ask(0, 0, 40), ask(0, 1, 40), ask(0, 0, 40)],
         faults: &[Fault::Cut(UP), Fault::Drop(UP)],
         times: 1,
@@ -208,7 +208,7 @@ pub const SCENARIOS: &[Scenario] = &[
     },
     Scenario {
         name: "repeat",
-        about: "a task; the line repeats all that was said, in whatever session that arrives",
+        about: "a task; the line repeats all frames, in any session",
         acts: &[ask(0, 0, 40)],
         faults: &[
             Fault::Tape(DOWN),
@@ -220,7 +220,7 @@ pub const SCENARIOS: &[Scenario] = &[
     },
     Scenario {
         name: "two",
-        about: "two gateways at one device, each with a task; one dies, the line is bad",
+        about: "two gateways on one device, each with a task; one is killed, the line is bad",
         gateways: 2,
         acts: &[ask(0, 0, 500), ask(1, 0, 500)],
         faults: &[
@@ -234,7 +234,7 @@ pub const SCENARIOS: &[Scenario] = &[
     },
     Scenario {
         name: "takeover",
-        about: "a gateway's Start never comes, another gateway takes over and dies, the first comes back",
+        about: "a gateway's Start never arrives, another gateway takes over and is killed, the first comes back",
         gateways: 2,
         late: true,
         acts: &[ask(0, 1, ENDLESS), ask(1, 1, ENDLESS)],

@@ -1,106 +1,105 @@
-//! What can happen, and what is explored.
+//! Steps, faults and scenarios of the model.
 
 use super::line::Way;
 use super::motor::Kind;
 
-/// What a client does.
+/// An act of a client.
 #[derive(Debug, Clone, Copy)]
 pub enum Act {
-    /// Asks a gateway for the next task.
+    /// Starts the next task.
     Ask {
         /// Which gateway.
         gateway: usize,
         /// Which motor.
         motor: usize,
-        /// How long it moves; `u16::MAX` is until it is stopped.
+        /// Duration of the task; `u16::MAX` means until it is stopped.
         millis: u16,
     },
-    /// Wants a task to stop.
+    /// Aborts a task.
     Abort {
         /// Which gateway.
         gateway: usize,
-        /// Which, from 0 in the order of asking.
+        /// The task, from 0 in the order of starting.
         task: usize,
     },
 }
 
-/// What can go wrong. Each costs one of the faults that a scenario allows; that it goes on, or is
-/// over at any later time, costs nothing.
+/// A fault. Each takes one of the faults that a scenario allows; its duration and end take none.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Fault {
-    /// A frame is lost (or damaged, which is the same).
+    /// A frame is lost or damaged.
     Drop(Way),
-    /// A frame is late: it arrives at any later time, in whatever session, or never.
+    /// A frame is delayed: it arrives at any later time, in any session, or never.
     Hold(Way),
-    /// A frame comes a second time, at any later time.
+    /// A frame arrives a second time, at any later time.
     Copy(Way),
-    /// All that is sent from now on comes a second time, in its order, at any later time.
+    /// All frames from now on arrive a second time, in order, at any later time.
     Tape(Way),
-    /// Nothing arrives for a while, and then all.
+    /// All frames are delayed for a while.
     Stall(Way),
-    /// All that is sent is lost for a while.
+    /// All frames are lost for a while.
     Cut(Way),
     /// The device is reset.
     Reset,
-    /// A gateway dies, and is started again at any later time.
+    /// A gateway is killed, and restarted at any later time.
     Kill(usize),
-    /// It dies after it has written down what the next frame brings, before it says or tells anything.
+    /// A gateway is killed after it has journaled the next frame, before it sends or reports anything.
     KillWriting(usize),
-    /// The line is closed and opened again at any later time; what is under way arrives after that.
+    /// The line is closed, and opened again at any later time. Frames on the line arrive after that.
     Unplug,
 }
 
-/// What can happen next.
+/// A step.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Action {
     /// The next frame arrives.
     Deliver(Way),
     /// Nothing happens until the next timer.
     Wait,
-    /// The client does what it does next.
+    /// The next act of the clients.
     Act,
-    /// Something goes wrong.
+    /// A fault begins.
     Disturb(Fault),
-    /// A frame that was held back arrives.
+    /// A delayed frame arrives.
     Release(u8),
-    /// What was taped comes again.
+    /// The recorded frames arrive again.
     Replay(Way),
-    /// A stall, or a cut, is over.
+    /// A stall or cut ends.
     Mend(Way),
-    /// A gateway is started again.
+    /// A gateway is restarted.
     Start(usize),
     /// The line is opened again.
     Plug,
 }
 
-/// What is explored.
+/// A scenario to explore.
 #[derive(Debug, Clone, Copy)]
 pub struct Scenario {
     /// Its name.
     pub name: &'static str,
-    /// What happens in it.
+    /// Description.
     pub about: &'static str,
     /// The motors.
     pub motors: [Kind; 2],
-    /// How many gateways are at the line, 1 or 2.
+    /// Number of gateways on the line, 1 or 2.
     pub gateways: usize,
-    /// Whether the second one is started at any later time.
+    /// Whether the second gateway is started at any later time.
     pub late: bool,
     /// Whether they have journals.
     pub journal: bool,
-    /// What the clients do, in this order, each at any time.
+    /// The acts of the clients, in order, each at any time.
     pub acts: &'static [Act],
-    /// What can go wrong.
+    /// The possible faults.
     pub faults: &'static [Fault],
-    /// How often something goes wrong at most.
+    /// Maximum number of faults.
     pub times: u8,
 }
 
 impl Scenario {
-    /// The same with another number of faults.
+    /// The scenario with another number of faults.
     #[must_use]
     pub fn with_times(&self, times: u8) -> &'static Self {
-        // Leaked: there are few, and a laboratory is copied often.
+        // Leaked: there are few scenarios, and laboratories are cloned often.
         Box::leak(Box::new(Self { times, ..*self }))
     }
 }

@@ -1,23 +1,21 @@
-//! When the steps are due.
+//! Decides when steps are due.
 
 use ztl_core::Instant;
 
 use crate::components::profile::{Limits, Profile, TICK_US, after_ticks};
 
-/// Logarithm of the parts of a step that the profile counts.
+/// Logarithm of the number of parts in a step.
 const SHIFT: u32 = 24;
 /// Parts of a step.
 pub(super) const PARTS: u32 = 1 << SHIFT;
 
-/// Ticks without a step that a late call makes good at most.
+/// Ticks without a step that a late call catches up at most.
 const MOST_TICKS: u32 = 32;
 
-const NEVER: Instant = Instant::from_micros(u64::MAX);
-
-/// The driver's demands, in µs.
+/// Timing of the driver chip, in µs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub(super) struct Timing {
-    /// Least width of a pulse, and of the pause after it.
+    /// Minimum width of a pulse, and of the pause after it.
     pub(super) pulse_us: u32,
     /// From a change of direction to the next step.
     pub(super) direction_us: u32,
@@ -25,7 +23,7 @@ pub(super) struct Timing {
     pub(super) interval_us: u32,
 }
 
-/// What the pins are to do now.
+/// The next change of a pin.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Due {
     Direction { forward: bool },
@@ -35,34 +33,33 @@ pub(super) enum Due {
 
 /// Steps on virtual time: from the profile's ticks to edges of pins.
 ///
-/// The profile says how far a tick goes; the steps within it are evenly spaced, so their distance is
-/// never less than at the greatest speed. Time that a call is late is added to the tick: the motion
-/// is delayed, and no step comes sooner to make up for it. If it was late by more than a step takes,
-/// the motor has been standing still meanwhile, so it also goes on at a lower speed.
+/// The profile gives the distance of a tick. The steps within a tick are evenly spaced, so their interval is never
+/// shorter than at the maximum speed. A late call delays the motion; no later step comes sooner to compensate. If a call
+/// is late by more than the duration of a step, the motor has stood still, so it continues at a lower speed.
 #[derive(Debug, Clone, Hash)]
 pub(super) struct Generator {
     timing: Timing,
     limits: Limits,
     profile: Profile,
-    /// When the present tick began.
+    /// Start of the current tick.
     tick: Instant,
-    /// Where it began, in parts.
+    /// Position at its start, in parts.
     base: i64,
-    /// How far it goes, in parts.
+    /// Its distance in parts.
     travel: u32,
-    /// Steps made.
+    /// Position in steps.
     steps: i32,
-    /// When the next step of this tick is due, if it has one; `None` as long as that is not computed,
-    /// which takes a division.
+    /// When the next step of this tick is due, if there is one. The outer `None` means not computed yet, because that
+    /// takes a division.
     next: Option<Option<Instant>>,
-    /// No step before this.
+    /// Earliest time of the next step.
     ready: Instant,
-    /// What the direction pin says.
+    /// Level of the direction pin.
     direction: Option<bool>,
     /// Whether the step pin is high.
     high: bool,
     moving: bool,
-    /// Nothing is due before.
+    /// Earliest time at which something is due.
     wake: Instant,
 }
 
@@ -81,11 +78,11 @@ impl Generator {
             direction: None,
             high: false,
             moving: false,
-            wake: NEVER,
+            wake: Instant::NEVER,
         }
     }
 
-    /// Moves to this step, not before `begin`, or from the motion that is under way.
+    /// Moves to this step, starting at `begin`, or continues the current motion to it.
     pub(super) fn move_to(&mut self, begin: Instant, steps: i32, limits: Limits) {
         self.limits = limits;
         self.profile.move_to(parts(steps.into()));
@@ -96,7 +93,7 @@ impl Generator {
         }
     }
 
-    /// Slows down and rests on a whole step.
+    /// Decelerates and stops on a whole step.
     pub(super) const fn stop(&mut self) {
         let point = self.profile.stopping_point();
         let steps = if self.profile.is_forward() {
@@ -107,12 +104,12 @@ impl Generator {
         self.profile.move_to(parts(steps));
     }
 
-    /// No step from now on.
+    /// Stops at once.
     pub(super) const fn halt(&mut self) {
         self.put(self.steps);
     }
 
-    /// At rest at this step at once.
+    /// Stops at once, and declares the position to be this step.
     pub(super) const fn put(&mut self, steps: i32) {
         self.steps = steps;
         self.base = parts(steps as i64);
@@ -121,11 +118,11 @@ impl Generator {
         self.next = None;
         self.moving = false;
         if !self.high {
-            self.wake = NEVER;
+            self.wake = Instant::NEVER;
         }
     }
 
-    /// What is due; the same again until it is [`done`](Self::done). Work of some microseconds.
+    /// The change that is due, until it is [`done`](Self::done). Takes some microseconds.
     pub(super) fn due(&mut self, now: Instant) -> Option<Due> {
         if now < self.wake {
             return None;
@@ -134,7 +131,7 @@ impl Generator {
             return Some(Due::PulseEnd);
         }
         if !self.moving {
-            self.wake = NEVER;
+            self.wake = Instant::NEVER;
             return None;
         }
         for _ in 0..MOST_TICKS {
@@ -161,32 +158,32 @@ impl Generator {
             }
             self.begin_tick(end);
         }
-        // Nobody has called for long; the rest of that time is not made good.
+        // After a long pause, the remaining delay is not caught up.
         self.tick = now;
         None
     }
 
-    /// The pins have done what was due.
+    /// Confirms that the pins were changed.
     pub(super) fn done(&mut self, now: Instant, due: Due) {
         match due {
             Due::Direction { forward } => {
                 self.direction = Some(forward);
-                self.ready = self.ready.max(after(now, self.timing.direction_us));
+                self.ready = self.ready.max(now.after(self.timing.direction_us.into()));
             }
             Due::PulseEnd => {
                 self.high = false;
-                self.ready = self.ready.max(after(now, self.timing.pulse_us));
-                self.wake = if self.moving { now } else { NEVER };
+                self.ready = self.ready.max(now.after(self.timing.pulse_us.into()));
+                self.wake = if self.moving { now } else { Instant::NEVER };
             }
             Due::Step { forward } => {
                 let nominal = self.next_step().unwrap_or(now);
                 self.next = None;
                 self.steps = self.steps.wrapping_add(if forward { 1 } else { -1 });
                 self.high = true;
-                self.ready = after(now, self.timing.interval_us);
-                self.wake = after(now, self.timing.pulse_us);
+                self.ready = now.after(self.timing.interval_us.into());
+                self.wake = now.after(self.timing.pulse_us.into());
                 let late = now.as_micros().saturating_sub(nominal.as_micros());
-                self.tick = Instant::from_micros(self.tick.as_micros().saturating_add(late));
+                self.tick = self.tick.after(late);
                 if self.is_held_up(late) {
                     while self.is_held_up(late) {
                         let position = parts(self.steps.into());
@@ -206,7 +203,7 @@ impl Generator {
         self.moving || self.high
     }
 
-    /// When something may be due.
+    /// When to call [`due`](Self::due) next.
     pub(super) const fn wake(&self) -> Instant {
         self.wake
     }
@@ -219,7 +216,7 @@ impl Generator {
         self.travel = self.profile.advance(self.limits).unsigned_abs() as u32;
     }
 
-    /// When the next step of this tick is due; `None` when it has no more.
+    /// When the next step of this tick is due, if there is one.
     fn next_step(&mut self) -> Option<Instant> {
         if let Some(next) = self.next {
             return next;
@@ -237,16 +234,16 @@ impl Generator {
         };
         let travel = self.travel;
         let way = u32::try_from(way).ok().filter(|&way| way <= travel)?;
-        // Rounded up, in 32 bits: exactly, or for fast motions to a microsecond.
+        // Rounded up in 32 bits: exactly, or for fast motions to within a microsecond.
         let micros = if travel < 1 << 22 {
             (way << 10).div_ceil(travel.max(1))
         } else {
             (way / (travel >> 10).max(1) + 1).min(TICK_US)
         };
-        Some(after(self.tick, micros))
+        Some(self.tick.after(micros.into()))
     }
 
-    /// Whether a step that was late by so much took more than twice its time.
+    /// Whether a step that was this late took more than twice its time.
     fn is_held_up(&self, late_us: u64) -> bool {
         let speed = u64::from(self.profile.speed(self.limits));
         let late = late_us.min(u32::MAX.into());
@@ -256,8 +253,4 @@ impl Generator {
 
 const fn parts(steps: i64) -> i64 {
     steps << SHIFT
-}
-
-pub(super) const fn after(moment: Instant, micros: u32) -> Instant {
-    Instant::from_micros(moment.as_micros().saturating_add(micros as u64))
 }

@@ -1,20 +1,20 @@
-//! What tells that an axis is at its end.
+//! Limit switches.
 
 use embedded_hal::digital::InputPin;
 
-use super::StepFault;
+use super::fault::StepFault;
 
-/// Whether an end of the axis is reached.
+/// Detects that an end of the axis is reached.
 ///
-/// Asked before each step towards that end, so it has to be quick.
+/// Called before each step towards that end, so it must be fast.
 pub trait Limit {
-    /// Whether there is anything at this end.
+    /// Whether there is a switch at this end.
     const PRESENT: bool = true;
 
-    /// Whether the axis is there.
+    /// Whether the axis is at this end.
     ///
     /// # Errors
-    /// When that cannot be known; the motor stops.
+    /// If this cannot be determined. The motor then stops.
     fn is_reached(&mut self) -> Result<bool, StepFault>;
 }
 
@@ -57,9 +57,9 @@ impl<P: InputPin> Limit for Switch<P> {
     }
 }
 
-/// A limit that something else watches: an interrupt that sets a flag, a sensor on a bus.
+/// A limit that a function detects: a flag that an interrupt sets, a sensor on a bus.
 ///
-/// The flag has to stay up as long as the axis is at this end, or until it is cleared.
+/// The function must return `true` as long as the axis is at this end, or until the flag is cleared.
 #[derive(Debug, Clone, Copy, Hash)]
 pub struct LimitFlag<F>(pub F);
 

@@ -1,121 +1,49 @@
 //! A stepper motor on a driver with step and direction inputs.
 
+mod config;
+mod fault;
 mod generator;
 mod limit;
 mod motor;
 mod scale;
 
+pub use config::StepperConfig;
+pub use fault::StepFault;
 pub use limit::{Limit, LimitFlag, NoLimit, Switch};
-pub use motor::{Command, Motion, NoPin, StepDrive, StepFault, StepMotor};
+pub use motor::{Motion, MotorCommand, NoPin, StepDrive, StepMotor};
 pub use scale::Scale;
 
 use ztl_core::Instant;
-use ztl_core::link::{Busy, GoalShape, Offer};
+use ztl_core::link::{GoalShape, Offer};
 
-use super::{Power, number, range, takes};
+use super::expected::{put_range, put_takes};
+use super::number;
+use super::power::Power;
 use crate::component::{Component, Refused, Report, Run};
 
-/// What a stepper is and may do. Take [`DEFAULT`](Self::DEFAULT) and change what differs:
+/// A stepper motor. Its goals are absolute positions in steps or another unit, and `home` if it has a switch at its low
+/// end.
 ///
-/// ```
-/// use ztl_mcu::components::{Scale, StepperConfig};
+/// Progress and result are the position counted in steps. The count is wrong if the motor loses steps, which it cannot
+/// detect. The position at power-on is 0. Home the axis after an immediate stop at high speed (`make_safe`, a limit).
 ///
-/// // A slide of 250 mm, 80 steps to each.
-/// const SLIDE: StepperConfig = StepperConfig {
-///     scale: Scale::new(80, 1, "mm"),
-///     range: (0, 250),
-///     speed: 4000,
-///     acceleration: 8000,
-///     ..StepperConfig::DEFAULT
-/// };
-/// ```
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct StepperConfig {
-    /// The unit of goals, and how many steps there are to it. Default: steps.
-    pub scale: Scale,
-    /// Least and greatest goal, in whole units. Default ±1,000,000.
-    pub range: (i32, i32),
-    /// Greatest speed in steps a second, up to 200,000 (and what the calls suffice for). Default 1000.
-    pub speed: u32,
-    /// Greatest acceleration in steps a second squared. Default 2000.
-    pub acceleration: u32,
-    /// Speed to the home switch in steps a second, at most `speed`. Default 200.
-    pub home_speed: u32,
-    /// Whether any other goal is refused until the axis has been home. Default: no.
-    pub home_first: bool,
-    /// Least width of a step pulse, and of the pause after it, in µs. Default 2: DRV8825 and faster.
-    pub pulse_us: u8,
-    /// Time from setting the direction to the next step, in µs. Default 5.
-    pub direction_us: u8,
-    /// Time from enabling the driver to the first step, in µs. Default 1000.
-    pub enable_us: u16,
-    /// Whether a high enable pin gives power. Default: a low one does, as with all usual drivers.
-    pub enable_high: bool,
-    /// Whether a high direction pin is backwards. Default: forwards.
-    pub reverse: bool,
-    /// Whether it stays under power after a task. Default: it holds.
-    pub at_rest: Power,
-    /// What [`make_safe`](Component::make_safe) does after it has stopped at once, also to a motor at rest, when the
-    /// link is lost. Default: it holds, or stays without power if it had none.
-    pub safe: Power,
-    /// What happens to a task that comes while one runs. Default: it is refused.
-    pub busy: Busy,
-}
-
-impl StepperConfig {
-    /// A driver as they are usual, 1000 steps a second.
-    pub const DEFAULT: Self = Self {
-        scale: Scale::STEPS,
-        range: (-1_000_000, 1_000_000),
-        speed: 1000,
-        acceleration: 2000,
-        home_speed: 200,
-        home_first: false,
-        pulse_us: 2,
-        direction_us: 5,
-        enable_us: 1000,
-        enable_high: false,
-        reverse: false,
-        at_rest: Power::Hold,
-        safe: Power::Hold,
-        busy: Busy::Refuse,
-    };
-}
-
-impl Default for StepperConfig {
-    fn default() -> Self {
-        Self::DEFAULT
-    }
-}
-
-/// A stepper motor: its goals are absolute positions in steps or a unit of one's choice, and `home`
-/// when it has a switch at its low end.
-///
-/// Progress and result are the position that the steps made so far amount to: the truth, unless the
-/// motor has lost steps, which nobody notices. Power on is position 0; after a stop at once
-/// (`make_safe`, a limit) at high speed a `home` is wise.
-///
-/// - `home` moves down at the homing speed until the switch is reached, which is 0 from then on:
-///   COMPLETED. Without the switch within the range's length and an eighth: FAILED.
-/// - A limit that is reached otherwise stops the motor at once: FAILED, `limit switch at 1200 steps`.
-///   From there it may move away.
-/// - An abort slows down by the ramp: ABORTED, where it stopped.
-/// - An error of a pin: FAILED, with which.
+/// - `home` moves down at the homing speed until the switch is reached, whose position becomes 0: COMPLETED. If the switch
+///   is not reached within the length of the range and an eighth: FAILED.
+/// - Any other limit stops the motor at once: FAILED, `limit switch at 1200 steps`. The motor can move away from it.
+/// - An abort decelerates: ABORTED, where the motor stops.
+/// - An error of a pin: FAILED, with the name of the pin.
 ///
 /// # How fast it can go
 ///
-/// Each call of `poll` sets one pin at most, so a step takes two calls, and no step is made by waiting. A
-/// call that is late delays the motion. Nothing is made up for: no step ever comes sooner after the
-/// last one than at the speed limit. So the rate is at most half that of the calls, and
-/// intervals are rounded up to when a call is made: a main loop that turns each 100 µs makes 5000 steps
-/// a second at most. Mind what else the loop does, as a write to a slow serial port. A step
-/// that is late by more than the time between two slows the motor down, and it speeds up again by the ramp,
-/// so that one long turn does not throw it out of step.
+/// Each call of `poll` sets at most one pin, so a step takes two calls; `poll` never waits. A late call delays the motion,
+/// and no later step comes sooner to compensate. The step rate is therefore at most half the rate of the calls, and
+/// intervals are rounded up to the next call: a main loop with a period of 100 µs makes at most 5000 steps a second.
+/// Consider what else the loop does, such as writing to a slow serial port. If a step is late by more than the interval,
+/// the motor slows down and accelerates again, so that one long turn of the loop does not lose steps.
 ///
-/// For more, or for evenness, let a timer's interrupt make the steps: put the [`StepMotor`] behind a
-/// `critical_section::Mutex`, call [`StepMotor::tick`] in the interrupt (each 25 µs: 20,000 steps a second;
-/// or a timer set to the time that it returns), and give the component a reference to the mutex.
+/// For higher or more even rates, let a timer's interrupt make the steps: put the [`StepMotor`] behind a
+/// `critical_section::Mutex`, call [`StepMotor::tick`] in the interrupt (every 25 µs for 20,000 steps a second, or at the
+/// time that it returns), and pass the component a reference to the mutex.
 ///
 /// ```
 /// use core::cell::RefCell;
@@ -126,7 +54,7 @@ impl Default for StepperConfig {
 /// # const STEP: NoPin = NoPin; const DIRECTION: NoPin = NoPin;
 ///
 /// const CONFIG: StepperConfig = StepperConfig { speed: 10_000, ..StepperConfig::DEFAULT };
-/// // With the types of your chip's HAL. Where pins cannot be made in a `static`, use a `StaticCell`.
+/// // With the types of your chip's HAL. If pins cannot be created in a `static`, use a `StaticCell`.
 /// static MOTOR: Mutex<RefCell<StepMotor<StepPin, DirectionPin>>> =
 ///     Mutex::new(RefCell::new(StepMotor::new(STEP, DIRECTION, &CONFIG)));
 ///
@@ -143,26 +71,24 @@ pub struct Stepper<M> {
     name: &'static str,
     motor: M,
     config: StepperConfig,
-    /// The range's ends as the offer has them, in the bits of an `f32`.
+    /// The range in the offer, as bits of `f32`.
     bounds: (u32, u32),
-    /// The same as goals are read.
+    /// The range as parsed goals.
     within: (i32, i32),
-    /// How far home can be, in steps.
+    /// Maximum distance to the home switch, in steps.
     way_home: i32,
     homing: bool,
     homed: bool,
-    /// Stopped at once, until the next task.
+    /// Whether it was made safe since the last task.
     halted: bool,
     /// In steps.
     goal: i32,
-    /// When the motor wants to be called.
+    /// When to call the motor next.
     wake: Instant,
 }
 
 impl<M: StepDrive> Stepper<M> {
-    /// A stepper of this name with a motor of its own, or one that an interrupt drives. The motor was
-    /// made with the same configuration.
-    #[inline(always)] // With a constant configuration there is nothing to compute.
+    /// A stepper with this name and its own motor, or one that an interrupt drives. Both use the same settings.
     pub const fn new(name: &'static str, motor: M, config: StepperConfig) -> Self {
         let (a, b) = config.range;
         let range = if a <= b { (a, b) } else { (b, a) };
@@ -207,10 +133,10 @@ impl<M: StepDrive> Stepper<M> {
         self.config.scale.report(report, steps);
     }
 
-    /// The task is over.
-    fn rest(&mut self, now: Instant, run: Run) -> Run {
+    /// Ends a task.
+    fn finish(&mut self, now: Instant, run: Run) -> Run {
         if self.config.at_rest == Power::Release {
-            self.motor.command(now, Command::Release);
+            self.motor.command(now, MotorCommand::Release);
         }
         run
     }
@@ -243,8 +169,8 @@ impl<M: StepDrive> Component for Stepper<M> {
             return Ok(());
         }
         let (least, most) = self.config.range;
-        takes(why, self.name);
-        range(why, least, most, self.config.scale.unit());
+        put_takes(why, self.name);
+        put_range(why, least, most, self.config.scale.unit());
         if M::HOME {
             why.text(", or home");
         }
@@ -265,7 +191,8 @@ impl<M: StepDrive> Component for Stepper<M> {
         self.homing = homing;
         self.homed &= !homing;
         self.halted = false;
-        self.motor.command(now, Command::MoveTo { steps, homing });
+        self.motor
+            .command(now, MotorCommand::MoveTo { steps, homing });
         self.wake = now;
         Ok(())
     }
@@ -282,13 +209,13 @@ impl<M: StepDrive> Component for Stepper<M> {
                 report.text(fault.text());
                 Run::Failed
             }
-            // Its power is as it was made safe.
+            // `make_safe` has set the power.
             _ if self.halted => {
                 self.report_position(report, steps);
                 return Run::Aborted;
             }
             Motion::Limit if self.homing => {
-                self.motor.command(now, Command::Set { steps: 0 });
+                self.motor.command(now, MotorCommand::Set { steps: 0 });
                 self.homed = true;
                 self.report_position(report, 0);
                 Run::Completed
@@ -313,20 +240,20 @@ impl<M: StepDrive> Component for Stepper<M> {
                 Run::Completed
             }
         };
-        self.rest(now, run)
+        self.finish(now, run)
     }
 
     fn abort(&mut self, now: Instant) {
-        self.motor.command(now, Command::Stop);
+        self.motor.command(now, MotorCommand::Stop);
         self.wake = now;
     }
 
     fn make_safe(&mut self, now: Instant) {
-        self.motor.command(now, Command::Halt);
+        self.motor.command(now, MotorCommand::Halt);
         self.halted = true;
         self.wake = now;
         if self.config.safe == Power::Release {
-            self.motor.command(now, Command::Release);
+            self.motor.command(now, MotorCommand::Release);
         }
     }
 

@@ -1,4 +1,4 @@
-//! The motor's driver chip on its pins, and what moves it.
+//! A motor and the pins of its driver chip.
 
 use core::cell::RefCell;
 use core::convert::Infallible;
@@ -7,8 +7,9 @@ use critical_section::Mutex;
 use embedded_hal::digital::{ErrorType, OutputPin, PinState};
 use ztl_core::Instant;
 
-use super::StepperConfig;
-use super::generator::{Due, Generator, PARTS, Timing, after};
+use super::config::StepperConfig;
+use super::fault::StepFault;
+use super::generator::{Due, Generator, PARTS, Timing};
 use super::limit::{Limit, NoLimit};
 use crate::components::profile::Limits;
 
@@ -31,104 +32,65 @@ impl OutputPin for NoPin {
     }
 }
 
-/// Which pin failed.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-#[non_exhaustive]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub enum StepFault {
-    /// Step.
-    StepPin,
-    /// Direction.
-    DirectionPin,
-    /// Enable.
-    EnablePin,
-    /// A limit switch's.
-    LimitPin,
-    /// Its code was called within itself.
-    InUse,
-}
-
-impl StepFault {
-    /// For the person who asked for the motion.
-    #[must_use]
-    pub const fn text(self) -> &'static str {
-        match self {
-            Self::StepPin => "the step pin failed",
-            Self::DirectionPin => "the direction pin failed",
-            Self::EnablePin => "the enable pin failed",
-            Self::LimitPin => "a limit switch's pin failed",
-            Self::InUse => "the motor is in use",
-        }
-    }
-}
-
-impl core::fmt::Display for StepFault {
-    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
-        f.write_str(self.text())
-    }
-}
-
-impl core::error::Error for StepFault {}
-
-/// How a motion stands.
+/// The state of a motion.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Motion {
-    /// Under way.
+    /// The motor moves.
     Moving,
-    /// At rest: the target is reached, or it was stopped.
+    /// The motor rests: it reached the target or was stopped.
     Rest,
-    /// A limit has stopped it.
+    /// A limit switch stopped it.
     Limit,
-    /// A pin has failed; it is stopped.
+    /// A pin failed, and the motor was stopped.
     Fault(StepFault),
 }
 
-/// What [`Stepper`](super::Stepper) tells a motor.
+/// A command of [`Stepper`](super::Stepper) to its motor.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub enum Command {
-    /// Take power and go to this step.
+pub enum MotorCommand {
+    /// Switch the power on and move to this step.
     MoveTo {
-        /// Where to.
+        /// The target.
         steps: i32,
-        /// At the homing speed.
+        /// Whether to move at the homing speed.
         homing: bool,
     },
-    /// Slow down and rest.
+    /// Decelerate and stop.
     Stop,
     /// Stop at once.
     Halt,
-    /// The place where it rests is this step.
+    /// Declare the current position to be this step.
     Set {
-        /// Its number.
+        /// The position.
         steps: i32,
     },
-    /// Take the power away.
+    /// Switch the power off.
     Release,
 }
 
-/// A motor that [`Stepper`](super::Stepper) supervises: a [`StepMotor`], or one that an interrupt
-/// drives, behind a `critical_section::Mutex`.
+/// A motor of a [`Stepper`](super::Stepper): a [`StepMotor`], or one behind a `critical_section::Mutex` that an interrupt
+/// drives.
 pub trait StepDrive {
-    /// Whether it has a switch to move home to.
+    /// Whether it has a home switch.
     const HOME: bool;
 
-    /// Follows this command.
-    fn command(&mut self, now: Instant, command: Command);
+    /// Executes a command.
+    fn command(&mut self, now: Instant, command: MotorCommand);
 
-    /// Lets it move on, if that is the main loop's task, and says when to be called next.
+    /// Advances the motion, unless an interrupt does. Returns when to call it next.
     fn drive(&mut self, now: Instant) -> Instant;
 
-    /// How the last motion stands, and the position in steps.
+    /// The state of the last motion, and the position in steps.
     fn state(&self) -> (Motion, i32);
 }
 
 /// A driver chip with step and direction inputs (A4988, DRV8825, TMC2209, ...).
 ///
-/// [`tick`](Self::tick) makes the steps. The main loop calls it by way of the component, or a timer's
-/// interrupt does; see [`Stepper`](super::Stepper).
+/// [`tick`](Self::tick) makes the steps. The main loop calls it through the component, or a timer's interrupt does; see
+/// [`Stepper`](super::Stepper).
 #[derive(Debug, Clone, Hash)]
 pub struct StepMotor<S, D, E = NoPin, L = NoLimit, H = NoLimit> {
     step: S,
@@ -147,8 +109,7 @@ pub struct StepMotor<S, D, E = NoPin, L = NoLimit, H = NoLimit> {
 }
 
 impl<S: OutputPin, D: OutputPin> StepMotor<S, D> {
-    /// A motor at rest, at step 0. Nothing is set on the pins; step has to be low.
-    #[inline(always)] // With a constant configuration there is nothing to compute.
+    /// A motor at rest at step 0. The pins are not changed; the step pin must be low.
     pub const fn new(step: S, direction: D, config: &StepperConfig) -> Self {
         let speed = if config.speed == 0 { 1 } else { config.speed };
         let pulse_us = if config.pulse_us == 0 {
@@ -181,17 +142,17 @@ impl<S: OutputPin, D: OutputPin> StepMotor<S, D> {
 }
 
 impl<S, D, E, L, H> StepMotor<S, D, E, L, H> {
-    /// With an enable pin. Its level is first set by the first motion.
+    /// Adds an enable pin. The first motion sets its level for the first time.
     pub fn with_enable<P: OutputPin>(self, enable: P) -> StepMotor<S, D, P, L, H> {
         self.with(|_| enable, |low| low, |high| high)
     }
 
-    /// With a switch at the low end, which is also the one that `home` goes to.
+    /// Adds a switch at the low end, to which `home` moves.
     pub fn with_low_limit<T: Limit>(self, limit: T) -> StepMotor<S, D, E, T, H> {
         self.with(|enable| enable, |_| limit, |high| high)
     }
 
-    /// With a switch at the high end.
+    /// Adds a switch at the high end.
     pub fn with_high_limit<T: Limit>(self, limit: T) -> StepMotor<S, D, E, L, T> {
         self.with(|enable| enable, |low| low, |_| limit)
     }
@@ -228,8 +189,8 @@ where
     L: Limit,
     H: Limit,
 {
-    /// Sets one pin, if that is due, and says when to be called next. A call that comes too early
-    /// costs a comparison.
+    /// Sets one pin, if one is due, and returns when to call it next. A call that comes too early costs one
+    /// comparison.
     pub fn tick(&mut self, now: Instant) -> Instant {
         if let Some(due) = self.generator.due(now) {
             match self.act(due) {
@@ -241,7 +202,7 @@ where
         self.generator.wake()
     }
 
-    /// `false` when a limit forbids it.
+    /// Changes a pin. Returns `false` if a limit switch forbids the step.
     fn act(&mut self, due: Due) -> Result<bool, StepFault> {
         match due {
             Due::Direction { forward } => {
@@ -280,21 +241,22 @@ where
 {
     const HOME: bool = L::PRESENT;
 
-    fn command(&mut self, now: Instant, command: Command) {
+    fn command(&mut self, now: Instant, command: MotorCommand) {
         match command {
-            Command::MoveTo { steps, homing } => {
+            MotorCommand::MoveTo { steps, homing } => {
                 self.ended = Motion::Rest;
                 let lead = if self.powered { 0 } else { self.enable_us };
                 if let Err(fault) = self.power(true) {
                     return self.end(Motion::Fault(fault));
                 }
                 let limits = if homing { self.homing } else { self.limits };
-                self.generator.move_to(after(now, lead), steps, limits);
+                self.generator
+                    .move_to(now.after(lead.into()), steps, limits);
             }
-            Command::Stop => self.generator.stop(),
-            Command::Halt => self.generator.halt(),
-            Command::Set { steps } => self.generator.put(steps),
-            Command::Release => {
+            MotorCommand::Stop => self.generator.stop(),
+            MotorCommand::Halt => self.generator.halt(),
+            MotorCommand::Set { steps } => self.generator.put(steps),
+            MotorCommand::Release => {
                 if let Err(fault) = self.power(false) {
                     self.end(Motion::Fault(fault));
                 }
@@ -316,13 +278,13 @@ where
     }
 }
 
-/// A motor that an interrupt drives: it calls [`StepMotor::tick`], the component only commands.
+/// A motor whose interrupt calls [`StepMotor::tick`]; the component only sends commands.
 impl<M: StepDrive> StepDrive for &Mutex<RefCell<M>> {
     const HOME: bool = M::HOME;
 
-    fn command(&mut self, now: Instant, command: Command) {
+    fn command(&mut self, now: Instant, command: MotorCommand) {
         critical_section::with(|token| {
-            // It is free: nothing else runs in here.
+            // Always free: nothing else runs in a critical section.
             if let Ok(mut motor) = self.borrow(token).try_borrow_mut() {
                 motor.command(now, command);
             }
@@ -330,7 +292,7 @@ impl<M: StepDrive> StepDrive for &Mutex<RefCell<M>> {
     }
 
     fn drive(&mut self, now: Instant) -> Instant {
-        after(now, 10_000)
+        now.after(10_000)
     }
 
     fn state(&self) -> (Motion, i32) {

@@ -1,13 +1,14 @@
-//! Steps and the unit that people use.
+//! Converts between steps and a unit.
 
 use crate::component::Report;
 use crate::components::number;
 
-/// Decimals of a goal in another unit than steps, and of a position in it.
-const READ: u8 = 3;
-const WRITTEN: u8 = 2;
+/// Decimals of a goal, if its unit is not steps.
+const GOAL_DECIMALS: u8 = 3;
+/// Decimals of a position, if its unit is not steps.
+const POSITION_DECIMALS: u8 = 2;
 
-/// How many steps there are to a unit.
+/// The number of steps in a unit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Scale {
@@ -19,9 +20,9 @@ pub struct Scale {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 struct Ratio {
-    /// Steps to a thousandth of the unit, in 2^-32.
+    /// Steps per thousandth of the unit, in units of 2^-32.
     steps: u64,
-    /// Thousandths of the unit to a step, in 2^-30.
+    /// Thousandths of the unit per step, in units of 2^-30.
     milli: i64,
 }
 
@@ -32,11 +33,9 @@ impl Scale {
         ratio: None,
     };
 
-    /// So many steps make so many units: `Scale::new(3200, 360, "degrees")`. Goals are read, and rounded
-    /// to a step, in thousandths of the unit, so ±2,147,483 units is the most. Positions are told in
-    /// hundredths.
+    /// A scale where `steps` steps are `units` units: `Scale::new(3200, 360, "degrees")`. Goals are parsed in thousandths
+    /// of the unit, at most ±2,147,483 units, and rounded to a step. Positions are reported in hundredths.
     #[must_use]
-    #[inline(always)] // With constants there is no division at run time.
     pub const fn new(steps: u32, units: u16, unit: &'static str) -> Self {
         let steps = if steps == 0 { 1 } else { steps } as u64;
         let milli = if units == 0 { 1 } else { units as u64 } * 1000;
@@ -49,31 +48,35 @@ impl Scale {
         }
     }
 
-    /// What it is called.
+    /// Name of the unit.
     #[must_use]
     pub const fn unit(&self) -> &'static str {
         self.unit
     }
 
-    /// The decimals of a goal.
+    /// Decimals of a goal.
     pub(super) const fn decimals(&self) -> u8 {
-        if self.ratio.is_some() { READ } else { 0 }
+        if self.ratio.is_some() {
+            GOAL_DECIMALS
+        } else {
+            0
+        }
     }
 
-    /// A whole number of units, as goals are read; nearer to 0 when it is beyond what can be counted.
+    /// Converts whole units to the integer of a parsed goal; limited to what can be counted in steps.
     pub(super) const fn whole(&self, units: i32) -> i32 {
         let Some(ratio) = self.ratio else {
             return units;
         };
         let mut milli = units.saturating_mul(1000);
-        // Of two numbers, the product has at most as many bits as both together: 63 are 2^31 steps.
+        // A product has at most as many bits as both factors together; 63 bits are 2^31 steps.
         while ratio.steps.leading_zeros() + milli.unsigned_abs().leading_zeros() < 64 + 32 - 63 {
             milli /= 2;
         }
         milli
     }
 
-    /// A goal as it was read, of at most what [`whole`](Self::whole) says.
+    /// Converts a parsed goal, which is limited by [`whole`](Self::whole), to steps.
     pub(super) const fn to_steps(self, goal: i32) -> i32 {
         let Some(ratio) = self.ratio else {
             return goal;
@@ -83,17 +86,21 @@ impl Scale {
         if goal < 0 { -steps } else { steps }
     }
 
-    /// Adds a position.
+    /// Writes a position.
     pub(super) fn report(&self, report: &mut Report<'_>, steps: i32) {
         let Some(ratio) = self.ratio else {
             return number::report(report, steps, 0);
         };
-        // In 64 bits, as goals are in thousandths of 32.
+        // In 64 bits, because goals in thousandths take 32.
         let milli = i64::from(steps)
             .wrapping_mul(ratio.milli)
             .wrapping_add(1 << 29)
             >> 30;
         let milli = milli.clamp(i32::MIN.into(), i32::MAX.into()) as i32;
-        number::report(report, number::rounded(milli, READ - WRITTEN), WRITTEN);
+        number::report(
+            report,
+            number::rounded(milli, GOAL_DECIMALS - POSITION_DECIMALS),
+            POSITION_DECIMALS,
+        );
     }
 }

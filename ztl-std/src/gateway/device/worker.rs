@@ -23,7 +23,7 @@ use super::super::voice::{Grave, LOG, Voice};
 use super::{Input, Request, request};
 use crate::server::TaskReporter;
 use crate::time::now;
-use ztl_link::{Event, Session};
+use ztl_link::{LinkEvent, Session};
 
 /// Pause before a line is opened again: at first, and at most. Looking for a port is cheap, and whoever
 /// has plugged a device in wants it now.
@@ -285,7 +285,8 @@ impl Worker {
                     return task.rejected(reason);
                 }
                 let id = task.id();
-                if let (Some(book), Some(claim)) = (self.session.book_mut(), request.claim.clone())
+                if let (Some(book), Some(claim)) =
+                    (self.session.journal_mut(), request.claim.clone())
                 {
                     book.asked(id, task.client(), claim);
                 }
@@ -413,16 +414,16 @@ impl Worker {
         }
     }
 
-    fn on_event(&mut self, event: Event) {
+    fn on_event(&mut self, event: LinkEvent) {
         match event {
-            Event::Accepted(id) => {
+            LinkEvent::Accepted(id) => {
                 if let Some((task, request)) = self.tasks.get(&id) {
                     self.log_task(id, request, "has started");
                     task.accepted(&request.reply);
                 }
             }
-            Event::Rejected(id, reason) => {
-                if let Some(book) = self.session.book_mut() {
+            LinkEvent::Rejected(id, reason) => {
+                if let Some(book) = self.session.journal_mut() {
                     book.forget(id);
                 }
                 if let Some((task, request)) = self.tasks.remove(&id) {
@@ -434,12 +435,12 @@ impl Worker {
                     task.rejected(format!("{} refused: {reason}{trouble}", request.spec));
                 }
             }
-            Event::Progress(id, text) => {
+            LinkEvent::Progress(id, text) => {
                 if let Some((task, _)) = self.tasks.get(&id) {
                     task.progress(text);
                 }
             }
-            Event::Ended(id, state, text) => {
+            LinkEvent::Ended(id, state, text) => {
                 if let Some((task, request)) = self.tasks.remove(&id) {
                     let end = format!("has ended as {}: {text}", state.name());
                     self.log_task(id, &request, &end);
@@ -450,8 +451,8 @@ impl Worker {
                     }
                 }
             }
-            Event::Up => self.on_up(),
-            Event::Silent => {
+            LinkEvent::Up => self.on_up(),
+            LinkEvent::Silent => {
                 self.silences += 1;
                 let trouble = "nothing there answers";
                 let opener = self.opener.as_ref();
@@ -465,14 +466,14 @@ impl Worker {
                 }
                 self.set_trouble(format!("{}: {trouble}", self.url()));
             }
-            Event::Lost => self.set_trouble("it no longer answers".to_owned()),
-            Event::Reset => self.voice.say(now(), Grave::Warn, " was reset.".to_owned()),
-            Event::Refused(reason) => self.set_trouble(reason),
-            Event::Log { lost, bytes } => {
+            LinkEvent::Lost => self.set_trouble("it no longer answers".to_owned()),
+            LinkEvent::Reset => self.voice.say(now(), Grave::Warn, " was reset.".to_owned()),
+            LinkEvent::Refused(reason) => self.set_trouble(reason),
+            LinkEvent::Log { lost, bytes } => {
                 let boot = self.session.device().map_or(0, |device| device.boot);
                 self.log.put(boot, lost, bytes);
             }
-            Event::Reading(topic, bytes) => {
+            LinkEvent::Reading(topic, bytes) => {
                 let device = self.session.device();
                 // Before the device has described itself nobody knows what it is.
                 if let Some((component, topic)) = device.and_then(|device| device.topic(topic)) {

@@ -21,7 +21,7 @@ use crate::server::{Claim, RestoredTask};
 use file::Paper;
 pub use line::Moment;
 pub use log::{Log, Storage};
-use ztl_link::{Book, Entry, Restored};
+use ztl_link::{Entry, Restored, SessionJournal};
 
 /// How often it is looked whether somebody else altered the journal.
 const LOOK: Duration = Duration::from_secs(1);
@@ -225,7 +225,7 @@ impl<S: Storage> DeviceBook<S> {
     }
 }
 
-impl<S: Storage> Book for DeviceBook<S> {
+impl<S: Storage> SessionJournal for DeviceBook<S> {
     fn starting(&mut self, task: &Entry<'_>) -> Result<(), String> {
         let client = self.client(task.id);
         lock(&self.log).starting((self.now)(), &self.device, client, task)?;

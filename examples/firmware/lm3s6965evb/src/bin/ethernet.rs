@@ -9,16 +9,16 @@ mod ethernet;
 use core::panic::PanicInfo;
 
 use app::tcp::Address;
+use board_support::board;
+use board_support::boots;
+use board_support::clock::{self, SysTick};
+use board_support::vectors;
 use cortex_m::Peripherals;
 use cortex_m::peripheral::SCB;
 use cortex_m_rt::{entry, exception};
 use ethernet::Ethernet;
-use qemu::board;
-use qemu::boots;
-use qemu::clock::{self, SysTick};
-use qemu::vectors;
 
-/// Cycles a millisecond in QEMU, where the core runs at 12.5 MHz after a reset.
+/// Cycles per millisecond in QEMU, where the core runs at 12.5 MHz after a reset.
 const CYCLES: u32 = 12_500;
 
 /// One of those for local use.
@@ -29,7 +29,7 @@ const ADDRESS: Address = Address {
 };
 
 // None is used: the clock wakes the main loop each millisecond, and that asks the controller.
-vectors! { 1: 0 => qemu::unexpected }
+vectors! { 1: 0 => board_support::unexpected }
 
 #[entry]
 fn main() -> ! {
@@ -44,7 +44,7 @@ fn main() -> ! {
 #[exception]
 fn SysTick() {
     clock::tick();
-    board::look_at_buttons();
+    board::poll_buttons();
 }
 
 #[panic_handler]

@@ -1,6 +1,6 @@
 //! The desk robot as a server that a ZeroMQ client talks to over the serial port, without a gateway.
 //!
-//! For a try: a UART has no check for errors, so on a real one the link belongs. See docs/zmtp.md.
+//! For experiments only: a UART does not detect errors, so a real one needs the link. See docs/zmtp.md.
 #![no_std]
 #![no_main]
 
@@ -9,12 +9,12 @@ mod uart;
 
 use core::panic::PanicInfo;
 
+use board_support::board;
+use board_support::boots;
+use board_support::clock::{self, SysTick};
 use cortex_m::Peripherals;
 use cortex_m::peripheral::SCB;
 use cortex_m_rt::{entry, exception};
-use qemu::board;
-use qemu::boots;
-use qemu::clock::{self, SysTick};
 use uart::Uart;
 
 #[entry]
@@ -32,7 +32,7 @@ fn main() -> ! {
 #[exception]
 fn SysTick() {
     clock::tick();
-    board::look_at_buttons();
+    board::poll_buttons();
 }
 
 #[panic_handler]

@@ -1,5 +1,5 @@
-//! What takes how long on a Cortex-M0: `cargo xtask bench` runs it in QEMU, counts the cycles between the marks, and
-//! prints them with what this says of them.
+//! Measures times on a Cortex-M0. `cargo xtask bench` runs it in QEMU, counts the cycles between the marks, and prints them
+//! with the descriptions that this program prints.
 #![no_std]
 #![no_main]
 
@@ -7,6 +7,7 @@ use core::cell::RefCell;
 use core::hint::black_box;
 use core::panic::PanicInfo;
 
+use board_support::panel::Lamp;
 use cortex_m::asm;
 use cortex_m::peripheral::SCB;
 use cortex_m_rt::entry;
@@ -14,7 +15,6 @@ use cortex_m_semihosting::debug::{self, EXIT_SUCCESS};
 use critical_section::Mutex;
 use embedded_io::Write;
 use microbit::uart::Uart;
-use qemu::panel::Lamp;
 use ztl_core::link::{
     ADDR_ONLY_NODE, Body, Frame, Hello, LinkId, NO_SEQ, NO_SESSION, VERSION, encode, session_key,
 };
@@ -138,7 +138,7 @@ fn main() -> ! {
     SCB::sys_reset()
 }
 
-/// Encodes a frame and counts what the node does with it; how long it is.
+/// Encodes a frame and measures how the node handles it. Returns its length.
 fn feed(node: &mut Desk, session: u32, seq: u8, body: Body<'_>) -> usize {
     framed(session, seq, body, |bytes| {
         counted(|| node.handle_bytes(NOW, bytes));
@@ -167,7 +167,7 @@ fn framed(session: u32, seq: u8, body: Body<'_>, act: impl FnOnce(&[u8])) -> usi
     len
 }
 
-/// Makes and takes what the node has to say.
+/// Encodes and takes the output of the node.
 fn send(node: &mut Desk, now: Instant) {
     loop {
         let count = black_box(node.transmit_buf(now, &())).len();
@@ -178,7 +178,7 @@ fn send(node: &mut Desk, now: Instant) {
     }
 }
 
-/// Has it counted.
+/// Measures the code between two marks.
 fn counted(act: impl FnOnce()) {
     count_begin();
     act();
@@ -199,7 +199,7 @@ extern "C" fn count_end() {
     asm::nop();
 }
 
-/// A line: how often it was done, and what.
+/// A line of the output: the number of runs and the description.
 fn say(uart: &mut Uart, times: usize, what: &str) {
     let mut line = [0; 80];
     let mut sink = SliceSink::new(&mut line);

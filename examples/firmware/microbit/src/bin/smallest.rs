@@ -1,18 +1,18 @@
-//! The smallest node that is of use: a lamp, for two tasks. Its size is recorded beside the robot's.
+//! The smallest useful node: a lamp with room for two tasks. Its size is recorded.
 #![no_std]
 #![no_main]
 
 use core::panic::PanicInfo;
 
+use board_support::board::Clock;
+use board_support::clock::{self, SysTick};
+use board_support::panel::Lamp;
 use cortex_m::Peripherals;
 use cortex_m::peripheral::SCB;
 use cortex_m_rt::{entry, exception};
 use embedded_io::Write;
 use microbit::random;
 use microbit::uart::Uart;
-use qemu::board::Clock;
-use qemu::clock::{self, SysTick};
-use qemu::panel::Lamp;
 use ztl_mcu::components::{DigitalOutput, DigitalOutputConfig};
 use ztl_mcu::{Identity, Node};
 
@@ -49,7 +49,7 @@ fn SysTick() {
     clock::tick();
 }
 
-/// After a reset the gateway knows what to tell of the tasks that ran.
+/// Resets the board, so that the gateway can report the tasks that were running.
 #[panic_handler]
 fn panic(_: &PanicInfo<'_>) -> ! {
     SCB::sys_reset()

@@ -1,16 +1,16 @@
-//! The smallest server that a ZeroMQ client talks to without a gateway: a lamp. Its size is recorded.
+//! The smallest useful server for ZeroMQ clients without a gateway: a lamp. Its size is recorded.
 #![no_std]
 #![no_main]
 
 use core::panic::PanicInfo;
 
+use board_support::clock::{self, SysTick};
+use board_support::lamp;
 use cortex_m::Peripherals;
 use cortex_m::peripheral::SCB;
 use cortex_m_rt::{entry, exception};
 use microbit::random;
 use microbit::uart::Uart;
-use qemu::clock::{self, SysTick};
-use qemu::lamp;
 
 #[entry]
 fn main() -> ! {

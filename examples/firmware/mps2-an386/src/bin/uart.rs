@@ -1,4 +1,4 @@
-//! A serial port and a clock: what every image has. Its size is recorded, to be taken off from others.
+//! A serial port and a clock, which every image has. Its recorded size is subtracted from others.
 #![no_std]
 #![no_main]
 
@@ -7,11 +7,11 @@ mod uart;
 
 use core::panic::PanicInfo;
 
+use board_support::clock::{self, SysTick};
+use board_support::lamp;
 use cortex_m::Peripherals;
 use cortex_m::peripheral::SCB;
 use cortex_m_rt::{entry, exception};
-use qemu::clock::{self, SysTick};
-use qemu::lamp;
 use uart::Uart;
 
 #[entry]

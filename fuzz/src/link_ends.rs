@@ -1,0 +1,384 @@
+//! Each end of the link against arbitrary input. Afterwards it must serve a well-behaved peer.
+//!
+//! An input is a list of steps: a byte, then its arguments. Numbers are one byte.
+//!
+//! | byte | step |
+//! |---|---|
+//! | `b` | bytes from the line: their number, then the bytes |
+//! | `f` | a frame of the current session: sequence number, length of the body, body |
+//! | `g` | the same under the number of the last `Hello`, like a `Welcome` |
+//! | `h` | the same under no session, like `Hello` and `Awake` |
+//! | `t` | this many times 16 ms pass |
+//! | `s` | session only: a client starts a task; `a` aborts the task with this id |
+//! | `o`, `c` | session only: the line is opened or closed |
+//! | any other | ignored |
+//!
+//! For a node, sequence number 0 of an `f` frame stands for the next one.
+
+use core::time::Duration;
+use std::cell::Cell;
+use std::collections::{BTreeMap, BTreeSet};
+
+use ztl_core::link::{ADDR_ONLY_NODE, Body, Busy, GoalShape, Hello, Loss, Offer};
+use ztl_core::link::{Decoder, Frame, NO_SESSION, encode, next_seq, session_key, session_number};
+use ztl_core::{Instant, State, TaskId};
+use ztl_mcu::{Component, Identity, Node, Refused, Report, Run};
+
+use ztl_link::{LinkEvent, Session};
+
+/// The boot id of the example in `docs/link.md`, so that its frames are valid inputs.
+const BOOT: u32 = 0xcafe_0001;
+/// The session of that example.
+const EXAMPLE: u32 = 0x1122_3344;
+/// Longest input in steps.
+const MOST_STEPS: usize = 200;
+
+/// A motor that takes 20 ms for any number.
+#[derive(Debug)]
+struct Motor {
+    ends: Option<Instant>,
+    aborted: bool,
+}
+
+impl Component for Motor {
+    fn offer(&self) -> Offer<'_> {
+        Offer {
+            name: "finger",
+            goal: GoalShape {
+                range: Some((0.0, 100.0)),
+                unit: "percent",
+                words: "",
+            },
+            busy: Busy::Queue(1),
+            loss: Loss::Hold,
+            topics: "",
+        }
+    }
+
+    fn check(&self, goal: &str, why: &mut Report<'_>) -> Result<(), Refused> {
+        if goal.parse::<f32>().is_ok() {
+            return Ok(());
+        }
+        why.text("finger takes 0 to 100 percent");
+        Err(Refused)
+    }
+
+    fn start(&mut self, now: Instant, _: &str, _: &mut Report<'_>) -> Result<(), Refused> {
+        assert!(self.ends.is_none(), "started while it runs");
+        self.ends = Some(now + Duration::from_millis(20));
+        self.aborted = false;
+        Ok(())
+    }
+
+    fn poll(&mut self, now: Instant, report: &mut Report<'_>) -> Run {
+        let Some(ends) = self.ends else {
+            return Run::Aborted;
+        };
+        report.text("40.0");
+        if now < ends && !self.aborted {
+            return Run::Running;
+        }
+        self.ends = None;
+        if self.aborted {
+            Run::Aborted
+        } else {
+            Run::Completed
+        }
+    }
+
+    fn abort(&mut self, _now: Instant) {
+        self.aborted = true;
+    }
+
+    fn make_safe(&mut self, _now: Instant) {
+        self.ends = None;
+    }
+}
+
+type SmallNode = Node<'static, [Motor; 1], 3, 128>;
+
+fn new_node(boot: u32) -> SmallNode {
+    let motor = Motor {
+        ends: None,
+        aborted: false,
+    };
+    Node::new(Identity::new("gripper", "1.0.0", boot), [motor])
+}
+
+thread_local! {
+    static NUMBER: Cell<u32> = const { Cell::new(0) };
+}
+
+/// The next session number; the first is that of the example.
+fn number() -> u32 {
+    NUMBER.set(NUMBER.get().wrapping_add(1));
+    EXAMPLE ^ NUMBER.get().wrapping_sub(1)
+}
+
+/// Parses an input.
+struct Steps<'a> {
+    rest: &'a [u8],
+    left: usize,
+}
+
+impl<'a> Steps<'a> {
+    fn next(&mut self) -> Option<u8> {
+        self.left = self.left.checked_sub(1)?;
+        self.byte()
+    }
+
+    fn byte(&mut self) -> Option<u8> {
+        let (first, rest) = self.rest.split_first()?;
+        self.rest = rest;
+        Some(*first)
+    }
+
+    fn bytes(&mut self) -> &'a [u8] {
+        let len = self.byte().map_or(0, usize::from).min(self.rest.len());
+        let (bytes, rest) = self.rest.split_at(len);
+        self.rest = rest;
+        bytes
+    }
+}
+
+/// A frame with a valid checksum if the body is a message, otherwise the unchanged bytes.
+fn framed(session: u32, seq: u8, body: &[u8]) -> Vec<u8> {
+    let Ok(body) = Body::parse(body) else {
+        return body.to_vec();
+    };
+    let frame = Frame {
+        addr: ADDR_ONLY_NODE,
+        seq,
+        body,
+    };
+    let mut bytes = vec![0xA5; 800];
+    let len = encode(session, &frame, &mut bytes).expect("bodies are short");
+    bytes.truncate(len);
+    bytes
+}
+
+/// The session numbers of all `Hello`s on a line. The current session has one of them.
+#[derive(Default)]
+struct Hellos {
+    decoder: Decoder<1024>,
+    numbers: BTreeSet<u32>,
+}
+
+impl Hellos {
+    fn on_bytes(&mut self, bytes: &[u8]) {
+        for &byte in bytes {
+            if self.decoder.push(byte) == Ok(true)
+                && let Ok((_, frame)) = self.decoder.frame(&[NO_SESSION])
+                && let Body::Hello(hello) = frame.body
+            {
+                self.numbers.insert(hello.session);
+            }
+        }
+    }
+
+    /// Makes [`number`] return other numbers from now on.
+    fn skip_used(&self) {
+        let heard = |upper: &u32| self.numbers.iter().any(|number| number >> 16 == *upper);
+        let upper = (1..u32::from(u16::MAX)).find(|upper| !heard(upper));
+        let first = upper.expect("an input has fewer sessions") << 16;
+        NUMBER.set(EXAMPLE ^ first);
+    }
+}
+
+/// After any bytes a node serves a gateway.
+pub fn node(input: &[u8]) {
+    let mut node = new_node(BOOT);
+    let mut now = Instant::ZERO;
+    let (mut hello, mut seq) = (EXAMPLE, 0);
+    let mut hellos = Hellos::default();
+    let mut steps = Steps {
+        rest: input,
+        left: MOST_STEPS,
+    };
+    while let Some(step) = steps.next() {
+        let bytes = match step {
+            b'b' => steps.bytes().to_vec(),
+            b'f' => {
+                let wanted = steps.byte().unwrap_or(0);
+                seq = if wanted == 0 { next_seq(seq) } else { wanted };
+                framed(session_key(hello, BOOT), seq, steps.bytes())
+            }
+            b'h' => {
+                let body = steps.bytes();
+                if let Ok(Body::Hello(Hello { session, .. })) = Body::parse(body) {
+                    (hello, seq) = (session, 0);
+                }
+                framed(NO_SESSION, 0, body)
+            }
+            b't' => {
+                now = now + Duration::from_millis(16) * u32::from(steps.byte().unwrap_or(0));
+                Vec::new()
+            }
+            _ => Vec::new(),
+        };
+        hellos.on_bytes(&bytes);
+        node.handle_bytes(now, &bytes);
+        node.handle_timeout(now);
+        let _ = sent_by(&mut node, now);
+    }
+    // The node admits another gateway after a period of silence. The new session uses a number that was not
+    // used before.
+    hellos.skip_used();
+    let mut session = Session::new(7, None, number);
+    session.handle_connected(now);
+    let mut lab = Lab { now, session, node };
+    lab.serve();
+}
+
+/// After any bytes each task has one final state, and the session serves with a device.
+pub fn session(input: &[u8]) {
+    NUMBER.set(0);
+    let mut now = Instant::ZERO;
+    let mut session = Session::new(7, None, number);
+    let mut told = Told::default();
+    let (mut boot, mut last) = (BOOT, 0);
+    let mut steps = Steps {
+        rest: input,
+        left: MOST_STEPS,
+    };
+    session.handle_connected(now);
+    while let Some(step) = steps.next() {
+        let hello = session_number(EXAMPLE ^ NUMBER.get().saturating_sub(1));
+        match step {
+            b'b' => session.handle_bytes(now, steps.bytes()),
+            b'f' => {
+                let seq = steps.byte().unwrap_or(0);
+                let key = session_key(hello, boot);
+                session.handle_bytes(now, &framed(key, seq, steps.bytes()));
+            }
+            b'g' => {
+                let body = steps.bytes();
+                if let Ok(Body::Welcome(welcome)) = Body::parse(body) {
+                    boot = welcome.boot;
+                }
+                session.handle_bytes(now, &framed(hello, 0, body));
+            }
+            b'h' => session.handle_bytes(now, &framed(NO_SESSION, 0, steps.bytes())),
+            b't' => now = now + Duration::from_millis(16) * u32::from(steps.byte().unwrap_or(0)),
+            b's' if last < 50 => {
+                last += 1;
+                let id = TaskId::new(last).expect("not 0");
+                told.0.insert(id, None);
+                session.start(now, id, "finger", "40");
+            }
+            b'a' => {
+                if let Some(id) = TaskId::new(steps.byte().unwrap_or(0).into()) {
+                    session.abort(now, id);
+                }
+            }
+            b'o' => session.handle_connected(now),
+            b'c' => session.handle_disconnected(),
+            _ => {}
+        }
+        session.handle_timeout(now);
+        let _ = session.poll_transmit();
+        while let Some(event) = session.poll_event() {
+            told.on_event(&event);
+        }
+        // Room for 255 descriptions of 1 KiB each, and 50 tasks.
+        assert!(format!("{session:?}").len() < 600_000, "the session grows");
+    }
+    session.handle_disconnected();
+    session.handle_connected(now);
+    let mut lab = Lab {
+        now,
+        session,
+        node: new_node(boot.wrapping_add(1)),
+    };
+    for event in lab.serve() {
+        told.on_event(&event);
+    }
+    for (id, end) in told.0 {
+        assert!(end.is_some(), "{id} has no final state");
+    }
+}
+
+/// The final state of each task.
+#[derive(Default)]
+struct Told(BTreeMap<TaskId, Option<State>>);
+
+impl Told {
+    fn on_event(&mut self, event: &LinkEvent) {
+        let (id, state) = match event {
+            LinkEvent::Rejected(id, _) => (id, State::Rejected),
+            LinkEvent::Ended(id, state, _) => (id, *state),
+            _ => return,
+        };
+        // The task of `serve` is not recorded.
+        if let Some(end) = self.0.get_mut(id) {
+            assert_eq!(end.replace(state), None, "{id} has a second final state");
+        }
+    }
+}
+
+fn sent_by(node: &mut SmallNode, now: Instant) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    let mut buffer = [0xA5; 64];
+    for _ in 0..100 {
+        let count = node.poll_transmit(now, &mut buffer);
+        if count == 0 {
+            return bytes;
+        }
+        bytes.extend_from_slice(&buffer[..count]);
+    }
+    panic!("the node always has more to send");
+}
+
+/// Both ends on a good line.
+struct Lab {
+    now: Instant,
+    session: Session,
+    node: SmallNode,
+}
+
+impl Lab {
+    /// A task completes within some seconds.
+    fn serve(&mut self) -> Vec<LinkEvent> {
+        let mut events = self.pass(Duration::from_secs(4));
+        assert!(self.session.is_up(), "{:?}", self.session);
+        let id = TaskId::new(1000).expect("not 0");
+        self.session.start(self.now, id, "finger", "40");
+        let after = self.pass(Duration::from_millis(500));
+        let end = after.iter().find_map(|event| match event {
+            LinkEvent::Ended(ended, state, text) if *ended == id => Some((*state, text.as_str())),
+            LinkEvent::Rejected(ended, reason) if *ended == id => Some((State::Rejected, reason)),
+            _ => None,
+        });
+        let used_up = "a task of this or a later id was started already";
+        assert!(
+            end == Some((State::Completed, "40.0")) || end == Some((State::Rejected, used_up)),
+            "{end:?}"
+        );
+        events.extend(after);
+        events
+    }
+
+    fn pass(&mut self, time: Duration) -> Vec<LinkEvent> {
+        let end = self.now + time;
+        let mut events = Vec::new();
+        for _ in 0..5000 {
+            for _ in 0..3 {
+                let down = self.session.poll_transmit();
+                self.node.handle_bytes(self.now, &down);
+                self.node.handle_timeout(self.now);
+                let up = sent_by(&mut self.node, self.now);
+                self.session.handle_bytes(self.now, &up);
+                self.session.handle_timeout(self.now);
+                events.extend(core::iter::from_fn(|| self.session.poll_event()));
+            }
+            let node = self.node.poll_timeout(self.now);
+            let wake = self.session.poll_timeout().map_or(node, |at| at.min(node));
+            if wake >= end {
+                self.now = end;
+                return events;
+            }
+            self.now = wake.max(self.now + Duration::from_micros(100));
+        }
+        panic!("the ends never wait");
+    }
+}

@@ -1,0 +1,55 @@
+//! Descriptions of devices and their components.
+
+use std::time::Duration;
+
+use ztl_core::link::{Busy, Loss};
+
+/// A component, as its device describes it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ComponentInfo {
+    /// Name, as clients write it.
+    pub name: String,
+    /// Smallest and largest number that it accepts.
+    pub range: Option<(f32, f32)>,
+    /// Unit of the numbers.
+    pub unit: String,
+    /// Words that it accepts.
+    pub words: Vec<String>,
+    /// What happens to a second task while one runs.
+    pub busy: Busy,
+    /// What it does when the link is lost.
+    pub loss: Loss,
+    /// Topics of its readings.
+    pub topics: Vec<String>,
+}
+
+/// A device, as it describes itself.
+#[derive(Debug, Clone, PartialEq)]
+pub struct DeviceInfo {
+    /// Its name in the firmware.
+    pub name: String,
+    /// Version of its firmware.
+    pub firmware: String,
+    /// Number that changes with each reset.
+    pub boot: u32,
+    /// Longest body that it accepts, in bytes.
+    pub max_body: usize,
+    /// After how long without a new command it considers the link lost.
+    pub link_timeout: Duration,
+    /// Number of components.
+    pub count: u8,
+    /// The components described so far.
+    pub components: Vec<ComponentInfo>,
+}
+
+impl DeviceInfo {
+    /// The component and the name of a topic. Topics are numbered in the order of their components.
+    #[must_use]
+    pub fn topic(&self, number: u8) -> Option<(&str, &str)> {
+        let mut topics = self.components.iter().flat_map(|component| {
+            let topics = component.topics.iter();
+            topics.map(|topic| (component.name.as_str(), topic.as_str()))
+        });
+        topics.nth(usize::from(number))
+    }
+}

@@ -1,0 +1,35 @@
+//! What a session reports.
+
+use ztl_core::{State, TaskId};
+
+/// A change of a task or of the link.
+#[derive(Debug, Clone, PartialEq)]
+pub enum LinkEvent {
+    /// The device has started the task.
+    Accepted(TaskId),
+    /// The task was not started and never will be.
+    Rejected(TaskId, String),
+    /// Progress of the task.
+    Progress(TaskId, String),
+    /// The task has ended, with this final state and text.
+    Ended(TaskId, State, String),
+    /// The device has described itself and takes tasks.
+    Up,
+    /// Nothing has answered `Hello` for the link timeout. Repeated as long as nothing answers.
+    Silent,
+    /// The device no longer answers.
+    Lost,
+    /// The device was reset and has forgotten its tasks.
+    Reset,
+    /// The device refuses this gateway, or is unusable for this reason.
+    Refused(String),
+    /// A reading, with the number of its topic.
+    Reading(u8, Vec<u8>),
+    /// The next bytes of the firmware's log.
+    Log {
+        /// Bytes dropped by the device since boot; wraps around.
+        lost: u32,
+        /// A stream, split anywhere.
+        bytes: Vec<u8>,
+    },
+}

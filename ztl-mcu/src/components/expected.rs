@@ -1,0 +1,19 @@
+//! Tells the author of a goal what a component takes.
+
+use super::number;
+use crate::component::Report;
+
+/// Writes `NAME takes `.
+pub(super) fn put_takes(why: &mut Report<'_>, name: &str) {
+    why.text(name);
+    why.text(" takes ");
+}
+
+/// Writes the range of valid numbers.
+pub(super) fn put_range(why: &mut Report<'_>, least: i32, most: i32, unit: &str) {
+    number::report(why, least, 0);
+    why.text(" to ");
+    number::report(why, most, 0);
+    why.text(" ");
+    why.text(unit);
+}

@@ -1,0 +1,87 @@
+//! The state of a node's end of the link.
+
+use ztl_core::Instant;
+use ztl_core::link::LinkId;
+
+use super::frame_out::FrameOut;
+use super::refusal::Refusal;
+use super::runner::Runner;
+
+/// Statistics of the line since boot; the counts wrap around.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
+#[non_exhaustive]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Counters {
+    /// Frames with a valid checksum.
+    pub frames: u32,
+    /// Frames dropped: damaged, of another session, or too long.
+    pub errors: u32,
+    /// Repeated commands, answered again without being executed again.
+    pub repeats: u32,
+    /// Commands out of sequence, dropped.
+    pub out_of_sequence: u32,
+}
+
+pub(super) fn count(counter: &mut u32) {
+    *counter = counter.wrapping_add(1);
+}
+
+/// The answer to the last command, kept in case the command is repeated.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub(super) enum Answer {
+    /// There was no command.
+    Nothing,
+    Welcome,
+    Component(u8),
+    Started(LinkId),
+    Refused(Refusal),
+    Aborting(LinkId),
+    Pong,
+}
+
+/// Everything but the decoder, whose buffer a received frame borrows while it is handled.
+// What is small stands first: there a Cortex-M0 reaches it with one instruction.
+#[derive(Debug, Clone, PartialEq, Eq, Hash)]
+#[repr(C)]
+pub(super) struct LinkState<'a, C, const TASKS: usize, const FRAME: usize> {
+    /// Sequence number of the last command executed.
+    pub(super) seq: u8,
+    pub(super) answer_due: bool,
+    /// A delimiter was sent before the next announcement.
+    pub(super) flushed: bool,
+    /// The component that is asked for a reading next; each round asks every component once.
+    pub(super) publisher: u8,
+    /// Whether a component had a reading in this round.
+    pub(super) published: bool,
+    /// The current session; [`NO_SESSION`](ztl_core::link::NO_SESSION) after a reset.
+    pub(super) session: u32,
+    /// The number in the `Hello` that opened the session.
+    pub(super) hello: u32,
+    /// The number in the `Hello` of the session before.
+    pub(super) replaced: u32,
+    pub(super) highest: LinkId,
+    pub(super) answer: Answer,
+    pub(super) gateway: u64,
+    /// In µs.
+    pub(super) link_timeout: u64,
+    pub(super) awake_due: Instant,
+    /// When a new command was last executed, or a session opened. No other gateway is admitted until the link
+    /// timeout has passed since.
+    pub(super) heard: Instant,
+    /// When the link timer expires: the link timeout after the last new command was executed.
+    /// [`Instant::NEVER`] once it has expired.
+    pub(super) lost_at: Instant,
+    /// Until when the bytes in the decoder count as the start of a command.
+    pub(super) receiving: Instant,
+    /// When the next round of readings begins.
+    pub(super) readings_at: Instant,
+    /// In µs.
+    pub(super) reading_interval: u64,
+    /// A `Hello` to refuse: its session, and why.
+    pub(super) refusal: Option<(u32, Refusal)>,
+    pub(super) name: &'a str,
+    pub(super) firmware: &'a str,
+    pub(super) boot: u32,
+    pub(super) runner: Runner<C, TASKS>,
+    pub(super) frame_out: FrameOut<FRAME>,
+}
