@@ -44,34 +44,41 @@
 //! # }
 //! ```
 
-pub mod controller;
+mod client;
+mod controller;
 #[cfg(feature = "defmt")]
 pub mod defmt;
-mod endpoint;
 pub mod files;
-mod frames;
 #[cfg(feature = "gateway")]
 pub mod gateway;
 pub mod keys;
 #[cfg(feature = "config")]
 pub mod listen;
+mod log_targets;
+mod offers;
 mod random;
-mod remote;
+mod rate_limit;
+mod remote_id;
 #[cfg(feature = "config")]
 pub mod remotes;
 pub mod scope;
 pub mod server;
+mod sockets;
+mod task_list;
+mod task_request;
 pub mod terminal;
 pub mod time;
 
-pub use controller::{
-    Aborted, ExecutableTask, TaskContext, TaskController, TaskError, TaskRequest,
+pub use client::{
+    AbortOnDrop, BackgroundTask, Description, RemoteTask, RequestError, RunError, ServerInfo,
+    ServerTask, ServerTasks, Status, TriggerError, Triggered, WaitError,
 };
-pub use remote::{
-    Description, Fate, InBackground, Offers, RemoteId, RemoteTask, RequestError, ServerInfo,
-    ServerTask, ServerTasks, Status, TaskGuard, TriggerError, Triggered, WaitError, encoded,
-};
+pub use controller::{Aborted, ExecutableTask, TaskContext, TaskController, TaskError};
+pub use offers::Offers;
+pub use remote_id::RemoteId;
 #[cfg(feature = "config")]
 pub use remotes::Remotes;
-pub use server::{Access, BindError, Limits, ListedTask, Listing, RunningServer, TaskServer};
+pub use server::{Access, BindError, Limits, RunningServer, ServerBuilder, TaskServer};
+pub use task_list::ListedTask;
+pub use task_request::{TaskRequest, encoded};
 pub use ztl_core::{State, TaskId, TaskSpec};
