@@ -63,7 +63,7 @@ fn a_device_that_cannot_be_is_refused_with_what_can() {
         ),
         ("gripper", &["'gripper'", "NAME=URL"]),
         ("=sim:gripper", &["no name for a device"]),
-        ("a:b=sim:gripper", &["'a:b' is no name for a device"]),
+        ("a:b=sim:gripper", &["'a:b' is not a device name"]),
     ] {
         refuses(&format!("gateway --device {device} -p 0 -s /lab"), parts);
     }

@@ -75,9 +75,9 @@ fn a_path_that_is_no_serial_port_is_said_to_be_none() {
     }
     let watch = gateway.devices();
     for (name, text) in [
-        ("file", "it is a file, and no serial port"),
-        ("directory", "it is a directory, and no serial port"),
-        ("null", "it is something else, and no serial port"),
+        ("file", "it is a file, not a serial port"),
+        ("directory", "it is a directory, not a serial port"),
+        ("null", "it is something else, not a serial port"),
         ("absent", "there is no such port; is it plugged in?"),
         ("taken", "another program uses it"),
     ] {

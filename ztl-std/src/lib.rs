@@ -1,5 +1,16 @@
 //! ZTL over ZeroMQ: task server and client, handlers on threads, and the gateway to microcontrollers.
 //!
+//! | to | use |
+//! |---|---|
+//! | serve tasks | [`TaskServer`] with a [`TaskController`], whose tasks run on threads |
+//! | run tasks | [`RemoteTask`] |
+//! | serve microcontrollers | [`gateway::Gateway`] |
+//! | restrict access | [`Access`], [`keys`] and [`Limits`] |
+//! | write a handler without threads | [`server::TaskHandler`] |
+//!
+//! [`files`], [`listen`], [`scope`], [`terminal`] and [`time`] are shared with the other crates of this project, and
+//! of little use elsewhere.
+//!
 //! A task server with one handler, and a client that runs a task on it:
 //!
 //! ```
@@ -7,7 +18,7 @@
 //! use ztl_std::{ExecutableTask, RemoteTask, State, TaskContext, TaskController, TaskError};
 //! use ztl_std::{TaskRequest, TaskServer};
 //!
-//! /// Speaks by printing; takes 10 ms a word, and can be stopped between two words.
+//! /// Takes 10 ms per word, and can be stopped between two words.
 //! struct Speak(String);
 //!
 //! impl ExecutableTask for Speak {

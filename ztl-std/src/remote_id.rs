@@ -1,4 +1,4 @@
-//! Ids as other servers give them.
+//! Task ids as any server assigns them.
 
 use std::fmt;
 use std::str::FromStr;
@@ -9,11 +9,11 @@ use ztl_core::TaskId;
 use ztl_core::integer::{Integer, ParseIntegerError};
 use ztl_core::sink::Sink;
 
-/// The id in a server's answer: a whole number of any size, in plain decimal digits. One above 0
-/// names a task there.
+/// A task id in a server's answer: a whole number of any size, in decimal digits. Only a number above 0 names a
+/// task.
 ///
-/// Servers of ours give a [`TaskId`]; the original's controllers may give any number that Python can
-/// print, and get it back digit by digit.
+/// Servers of this project assign a [`TaskId`]; the original's controllers may assign any number that Python can
+/// print, and get it back unchanged.
 ///
 /// ```
 /// use ztl_std::RemoteId;
@@ -33,13 +33,13 @@ impl RemoteId {
         &self.0
     }
 
-    /// The id, if a server of ours could have given it.
+    /// The id as a [`TaskId`], if it fits.
     #[must_use]
     pub fn number(&self) -> Option<TaskId> {
         self.0.parse().ok().and_then(TaskId::new)
     }
 
-    /// Whether it names a task: it is above 0.
+    /// Whether it names a task, which needs a number above 0.
     #[must_use]
     pub fn names_task(&self) -> bool {
         self.integer().is_some_and(Integer::is_positive)
@@ -100,11 +100,11 @@ impl fmt::Display for RemoteId {
     }
 }
 
-/// The largest number that every JSON reader holds exactly: a `double` has 53 bits for it.
+/// The largest number that every JSON reader represents exactly: a `double` has 53 bits for it.
 const LARGEST_EXACT: u64 = (1 << 53) - 1;
 
 impl Serialize for RemoteId {
-    /// As a number where every reader of JSON can hold it, else as a text.
+    /// As a number if every JSON reader represents it exactly, else as a text.
     fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
         let exact = |number: &i64| number.unsigned_abs() <= LARGEST_EXACT;
         match self.integer().and_then(Integer::value).filter(exact) {
@@ -134,7 +134,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_id_in_json_is_read_back_as_it_was() {
+    fn an_id_survives_json() {
         for (id, json) in [
             ("7", "7"),
             ("-1", "-1"),
