@@ -63,7 +63,7 @@ fn clones_are_used_by_many_threads_at_once() {
                 for round in 0..20 {
                     let goal = format!("{thread}.{round}");
                     let end = remote.run("h", "echo", &goal, Some(PATIENCE));
-                    let end = end.expect("taken").expect("its end");
+                    let end = end.expect("its end");
                     assert_eq!((end.state, end.text), (State::Completed, goal));
                 }
             })
@@ -75,11 +75,11 @@ fn clones_are_used_by_many_threads_at_once() {
 }
 
 #[test]
-fn a_guard_aborts_its_task_unless_it_is_released() {
+fn a_task_is_aborted_on_drop_unless_it_is_released() {
     let (_server, mut remote) = serve();
     let one = remote.trigger("h", "wait", "g").expect("taken").id;
     let two = remote.trigger("h", "wait", "g").expect("taken").id;
-    let guards = [&one, &two].map(|id| remote.guard(id));
+    let guards = [&one, &two].map(|id| remote.abort_on_drop(id));
     assert_eq!(running(&mut remote), 2);
     let [guard, other] = guards;
     drop(guard);
@@ -118,7 +118,7 @@ fn tasks_run_in_the_background_and_tell_their_progress() {
     let two = remote.start("h", "slow", "2", None, |_| {});
     let (one, two) = block_on(async { (one.await, two.await) });
     for (fate, goal) in [(one, "1"), (two, "2")] {
-        let end = fate.expect("taken").expect("its end");
+        let end = fate.expect("its end");
         assert_eq!((end.state, end.text.as_str()), (State::Completed, goal));
     }
     assert!(
@@ -129,7 +129,7 @@ fn tasks_run_in_the_background_and_tell_their_progress() {
     let end = remote
         .start("h", "echo", "3", Some(PATIENCE), |_| {})
         .wait();
-    assert_eq!(end.expect("taken").expect("its end").text, "3");
+    assert_eq!(end.expect("its end").text, "3");
 }
 
 #[test]

@@ -63,7 +63,7 @@ fn a_device_that_cannot_be_is_refused_with_what_can() {
         ),
         ("gripper", &["'gripper'", "NAME=URL"]),
         ("=sim:gripper", &["no name for a device"]),
-        ("a:b=sim:gripper", &["'a:b' is no name for a device"]),
+        ("a:b=sim:gripper", &["'a:b' is not a device name"]),
     ] {
         refuses(&format!("gateway --device {device} -p 0 -s /lab"), parts);
     }
@@ -85,7 +85,7 @@ fn a_gateway_that_cannot_serve_says_why() {
     let nonsense = format!("{sim} -p 0 -s /lab --bind nonsense");
     refuses(
         &nonsense,
-        &["'nonsense' is no address of this machine", "127.0.0.1"],
+        &["'nonsense' is not an address of this machine", "127.0.0.1"],
     );
     let bogus = format!("{sim} -p 0 -s /lab --bogus");
     refuses(&bogus, &["unexpected argument '--bogus'"]);

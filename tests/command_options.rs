@@ -378,11 +378,11 @@ fn a_servers_limits_are_chosen_by_options() {
         ),
         (
             "simple-server 0 /x --limit running=none",
-            "'none' is no whole number above 0",
+            "'none' is not a whole number above 0",
         ),
         (
             "gateway -p 0 -s /x -d a=sim:gripper --limit keep=long",
-            "'long' is no time; write 10min or 1h",
+            "'long' is not a duration; write 10min or 1h",
         ),
     ] {
         let ended = Process::run(ztl().args(tool.split(' ')));
@@ -407,7 +407,7 @@ fn a_servers_limits_are_chosen_by_options() {
     assert!(
         ended
             .stderr
-            .contains("lab.yaml:5:9: '0' is no whole number above 0"),
+            .contains("lab.yaml:5:9: '0' is not a whole number above 0"),
         "{ended:?}"
     );
 }

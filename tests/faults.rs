@@ -4,7 +4,7 @@
 use std::process::Command;
 use std::time::{Duration, Instant};
 
-use ztl_std::{RemoteTask, RequestError, State, TriggerError, WaitError};
+use ztl_std::{RemoteTask, RequestError, RunError, State, TriggerError, WaitError};
 use ztl_tests::lab::{PATIENCE, Process, SCOPE, Server, our_client, reserve_port, until, ztl};
 
 /// When the fault comes, in microseconds after the client has begun: from before its INIT arrives until after the
@@ -39,24 +39,19 @@ fn wait_until(moment: Instant) {
 }
 
 /// Asks for a task that prints its goal, with `fault` at this point of it.
-fn run(
-    port: u16,
-    goal: &str,
-    point: u64,
-    fault: impl FnOnce(),
-) -> Result<Result<State, WaitError>, TriggerError> {
+fn run(port: u16, goal: &str, point: u64, fault: impl FnOnce()) -> Result<State, RunError> {
     let remote = RemoteTask::connect(&format!("tcp://127.0.0.1:{port}"), SCOPE);
     let mut remote = remote
         .expect("an address")
         .with_timeout(Duration::from_millis(500));
     // It is met before, so that the point is one of the task.
     let before = remote.run("test", "echo", "hi", Some(PATIENCE));
-    before.expect("taken").expect("its end");
+    before.expect("its end");
     let goal = goal.to_owned();
     let start = Instant::now();
     let client = std::thread::spawn(move || {
         let fate = remote.run("test", "print", &goal, Some(Duration::from_secs(3)));
-        fate.map(|end| end.map(|status| status.state))
+        fate.map(|status| status.state)
     });
     wait_until(start + Duration::from_micros(point));
     fault();
@@ -82,24 +77,26 @@ fn a_server_that_is_stopped_for_a_while_does_each_task_once() {
             done(&server, &goal)
         );
         match fate {
-            Ok(Ok(State::Completed)) => until("its line", PATIENCE, || {
+            Ok(State::Completed) => until("its line", PATIENCE, || {
                 (done(&server, &goal) > 0).then_some(())
             }),
             // Unknown, which is neither done nor not done; or known not to have come.
-            Ok(Err(WaitError { last: Err(_) }))
-            | Err(TriggerError::Request(_) | TriggerError::NeverCame) => {}
+            Err(
+                RunError::NotEnded(WaitError { last: Err(_) })
+                | RunError::NotStarted(TriggerError::Request(_) | TriggerError::NeverCame),
+            ) => {}
             other => panic!("{point}: {other:?}"),
         }
         fates.push((goal, fate));
     }
     // Whatever was on its way has been taken by now.
     let last = run(port, "last", 0, || {});
-    assert_eq!(last, Ok(Ok(State::Completed)));
+    assert_eq!(last, Ok(State::Completed));
     until("its line", PATIENCE, || {
         (done(&server, "last") > 0).then_some(())
     });
     for (goal, fate) in fates {
-        let most = usize::from(fate != Err(TriggerError::NeverCame));
+        let most = usize::from(fate != Err(RunError::NotStarted(TriggerError::NeverCame)));
         assert!(done(&server, &goal) <= most, "{goal}: {fate:?}");
     }
 }
@@ -126,9 +123,12 @@ fn a_server_that_is_killed_and_started_again_does_no_task_twice_and_invents_no_e
         println!("killed after {point} µs: {fate:?}, done {first} and {second}");
         let count = first + second;
         match fate {
-            Ok(Ok(State::Completed)) => assert_eq!(count, 1, "{point}"),
-            Err(TriggerError::NeverCame) => assert_eq!(count, 0, "{point}"),
-            Ok(Err(WaitError { last: Err(_) })) | Err(TriggerError::Request(_)) => {
+            Ok(State::Completed) => assert_eq!(count, 1, "{point}"),
+            Err(RunError::NotStarted(TriggerError::NeverCame)) => assert_eq!(count, 0, "{point}"),
+            Err(
+                RunError::NotEnded(WaitError { last: Err(_) })
+                | RunError::NotStarted(TriggerError::Request(_)),
+            ) => {
                 assert!(count <= 1, "{point}: {count}");
             }
             other => panic!("{point}: {other:?}"),

@@ -172,7 +172,7 @@ fn a_quick_task_is_run_in_a_single_round_trip() {
     let server = server(&started);
     let mut remote = RemoteTask::connect(server.endpoint(), "/lab").unwrap();
     let end = remote.run("h", "c", "g", Some(PATIENCE));
-    let end = end.expect("it is taken").expect("it ends");
+    let end = end.expect("it ends");
     assert_eq!((end.state, end.text.as_str()), (State::Completed, "done"));
 }
 

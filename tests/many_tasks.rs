@@ -7,8 +7,8 @@ use std::sync::{Arc, Condvar, Mutex};
 use std::time::{Duration, Instant};
 
 use ztl_std::{
-    Access, ExecutableTask, Limits, RemoteTask, State, TaskContext, TaskController, TaskError,
-    TaskRequest, TaskServer, TaskSpec,
+    ExecutableTask, Limits, RemoteTask, State, TaskContext, TaskController, TaskError, TaskRequest,
+    TaskServer, TaskSpec,
 };
 use ztl_tests::lab::{ACCEPTED, OriginalClient, PATIENCE, SCOPE, Server, until};
 
@@ -44,7 +44,7 @@ fn run(server: &Server, tasks: u32) {
                 for round in 0..tasks.div_ceil(CLIENTS) {
                     let goal = format!("{client}.{round}");
                     let end = remote.run("test", "echo", &goal, Some(PATIENCE));
-                    let end = end.expect("taken").expect("its end");
+                    let end = end.expect("its end");
                     assert_eq!((end.state, end.text), (State::Completed, goal));
                 }
             })
@@ -90,7 +90,9 @@ fn goals_of_running_tasks_are_refused_when_they_fill_the_memory() {
     let door = Door::default();
     let mut limits = Limits::default();
     limits.memory = 800 << 10;
-    let server = TaskServer::bind_with("tcp://127.0.0.1:*", Access::everybody(), limits);
+    let server = TaskServer::builder()
+        .limits(limits)
+        .bind("tcp://127.0.0.1:*");
     let mut server = server.expect("a port");
     server.register(SCOPE, door.clone());
     let server = server.spawn().expect("a thread");

@@ -6,8 +6,8 @@
 use std::fs;
 
 use ztl_std::{
-    ExecutableTask, RemoteTask, RequestError, State, TaskContext, TaskController, TaskError,
-    TaskRequest, TaskServer, TriggerError,
+    ExecutableTask, RemoteTask, RequestError, RunError, State, TaskContext, TaskController,
+    TaskError, TaskRequest, TaskServer, TriggerError,
 };
 use ztl_tests::lab::{
     Ended, FakeServer, PATIENCE, Process, SCOPE, Scratch, Server, our_client, until, ztl,
@@ -73,7 +73,9 @@ fn an_unknown_outcome_that_comes_with_the_answer_to_the_init_is_unknown_too() {
     let server = server.spawn().expect("a thread");
     let mut remote = RemoteTask::connect(server.endpoint(), SCOPE).expect("an address");
     let ran = remote.run("h", "c", "g", Some(PATIENCE));
-    let error = ran.expect("it is taken").expect_err("no end is known");
+    let Err(RunError::NotEnded(error)) = ran else {
+        panic!("an end is known: {ran:?}");
+    };
     assert!(
         matches!(error.last, Err(RequestError::UnknownEnd { .. })),
         "{error:?}"

@@ -52,7 +52,7 @@ fn the_check_finds_what_the_start_would_fail_at() {
         (
             "port: 0\nbind: no-such-interface\njournal: off\n",
             1,
-            "'no-such-interface' is no address",
+            "'no-such-interface' is not an address",
         ),
         (
             "port: 0\njournal: file/journal\n",

@@ -6,13 +6,13 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Arc, Mutex};
 
 use ztl_sim::{Device, Kind};
-use ztl_std::gateway::{Endpoint, Gateway, Line, Watch};
+use ztl_std::gateway::{Devices, Endpoint, Gateway, Line};
 use ztl_std::{RemoteTask, RunningServer, State, TaskServer};
 use ztl_tests::lab::{PATIENCE, Process, SCOPE, Server, reserve_port, until, ztl};
 
 /// What the gateway says is wrong with a device.
 #[track_caller]
-pub(crate) fn trouble(watch: &Watch, device: &str) -> String {
+pub(crate) fn trouble(watch: &Devices, device: &str) -> String {
     until("a trouble", PATIENCE, || {
         watch.reports().remove(device)?.trouble
     })
@@ -73,11 +73,11 @@ fn a_path_that_is_no_serial_port_is_said_to_be_none() {
             .add(name, url.parse().expect("a URL"))
             .expect("a thread");
     }
-    let watch = gateway.watch();
+    let watch = gateway.devices();
     for (name, text) in [
-        ("file", "it is a file, and no serial port"),
-        ("directory", "it is a directory, and no serial port"),
-        ("null", "it is something else, and no serial port"),
+        ("file", "it is a file, not a serial port"),
+        ("directory", "it is a directory, not a serial port"),
+        ("null", "it is something else, not a serial port"),
         ("absent", "there is no such port; is it plugged in?"),
         ("taken", "another program uses it"),
     ] {
@@ -124,7 +124,7 @@ fn a_board_that_is_reset_by_being_opened_is_served() {
             })
         })
         .expect("a thread");
-    let watch = gateway.watch();
+    let watch = gateway.devices();
     let (_server, mut remote) = serve(gateway);
     assert_eq!(complete(&mut remote, "gripper", "finger", "2"), "2.0");
     assert_eq!(opened.load(Ordering::SeqCst), 3);

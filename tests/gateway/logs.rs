@@ -190,7 +190,7 @@ fn the_raw_log_is_kept_and_read_later() {
     gateway
         .add("arm", address.parse().expect("a URL"))
         .expect("a thread");
-    let watch = gateway.watch();
+    let watch = gateway.devices();
     let (_server, mut remote) = serve(gateway);
     complete(&mut remote, "arm", "motor", "left");
     let mut decoder = ztl_std::defmt::Decoder::of_file(elf()).expect("a firmware");

@@ -84,7 +84,7 @@ fn a_flood_a_black_hole_and_a_hanging_port_leave_their_neighbour_as_it_is() {
     gateway
         .add("head", ztl_sim::endpoint("sim:head").unwrap())
         .unwrap();
-    let watch = gateway.watch();
+    let watch = gateway.devices();
     let (server, mut remote) = serve(gateway);
     assert_eq!(
         trouble(&watch, "hang"),

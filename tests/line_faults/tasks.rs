@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use ztl_std::{RemoteTask, TriggerError};
+use ztl_std::{RemoteTask, RunError, TriggerError};
 
 use crate::books::{Books, Told};
 use crate::count;
@@ -28,8 +28,10 @@ pub fn drive(mut remote: RemoteTask, device: &str, client: usize, tasks: usize) 
         // Near the place where the finger is, so that it is there at once.
         let goal = format!("0.{client}{number:06}");
         let told = match remote.run(device, "finger", &goal, Some(LIMIT)) {
-            Ok(Ok(end)) => Told::Ended(end.state, end.text),
-            Err(TriggerError::Refused { reason, .. }) => Told::Rejected(reason),
+            Ok(end) => Told::Ended(end.state, end.text),
+            Err(RunError::NotStarted(TriggerError::Refused { reason, .. })) => {
+                Told::Rejected(reason)
+            }
             other => panic!("{device}, {goal}: no end within {LIMIT:?}: {other:?}"),
         };
         taken += usize::from(matches!(told, Told::Ended(..)));

@@ -3,7 +3,7 @@
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Arc, Mutex};
 
-use ztl_core::{TaskId, TaskSpec};
+use ztl_core::TaskId;
 use ztl_std::server::{TaskHandler, TaskReporter};
 use ztl_std::{
     Aborted, ExecutableTask, RunningServer, TaskContext, TaskController, TaskError, TaskRequest,
@@ -105,18 +105,9 @@ impl ExecutableTask for Movement {
 struct Lamp;
 
 impl TaskHandler for Lamp {
-    fn start(&mut self, task: TaskReporter, payload: &str) {
-        let mut buffer = vec![0; payload.len()];
-        let spec = match TaskSpec::decode(payload, &mut buffer) {
-            Ok(spec) => spec,
-            Err(error) => return task.threw(error.to_string()),
-        };
-        let mut reply = Vec::new();
-        spec.put_initiated(task.id(), &mut |bytes: &[u8]| {
-            reply.extend_from_slice(bytes)
-        });
-        task.accepted(String::from_utf8(reply).expect("UTF-8"));
-        task.completed(spec.goal);
+    fn start(&mut self, task: TaskReporter, request: TaskRequest) {
+        task.accepted(request.reply());
+        task.completed(request.goal);
     }
 
     fn abort(&mut self, _id: TaskId) {}

@@ -3,8 +3,8 @@
 use std::sync::{Arc, Mutex};
 
 use super::*;
-use ztl_std::TaskServer;
 use ztl_std::server::{Restored, RestoredTask, TaskHandler, TaskReporter};
+use ztl_std::{TaskRequest, TaskServer};
 
 /// Takes tasks that never end, and those that it is given to remember.
 struct Remembering {
@@ -13,7 +13,7 @@ struct Remembering {
 }
 
 impl TaskHandler for Remembering {
-    fn start(&mut self, task: TaskReporter, _payload: &str) {
+    fn start(&mut self, task: TaskReporter, _request: TaskRequest) {
         task.accepted("taken");
         self.running.lock().unwrap().push(task);
     }

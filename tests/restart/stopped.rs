@@ -2,7 +2,7 @@
 //! killed: no motor moves twice, and nothing is told to be done that is not.
 
 use super::*;
-use ztl_std::WaitError;
+use ztl_std::{RunError, WaitError};
 use ztl_tests::lab::our_client;
 
 /// When the fault comes, in microseconds after the client has begun: from before its INIT arrives until
@@ -25,12 +25,12 @@ fn a_gateway_that_is_stopped_for_a_while_moves_each_motor_once() {
         let mut client = lab.client().with_timeout(Duration::from_millis(500));
         // It is met before, so that the point is one of the task.
         let before = client.run("motors", "belt", "1 1", LIMIT);
-        before.expect("taken").expect("its end");
+        before.expect("its end");
         let asked = goal.clone();
         let start = Instant::now();
         let asking = std::thread::spawn(move || {
             let fate = client.run("motors", "arm", &asked, Some(Duration::from_secs(3)));
-            fate.map(|end| end.map(|status| status.state))
+            fate.map(|status| status.state)
         });
         wait_until(start + Duration::from_micros(point));
         shell.write_line(&format!("kill -STOP {}", lab.gateway.process.id()));
@@ -47,17 +47,20 @@ fn a_gateway_that_is_stopped_for_a_while_moves_each_motor_once() {
     let last = until("a task is taken", PATIENCE, || {
         lab.client().run("motors", "arm", "7 1", LIMIT).ok()
     });
-    assert_eq!(last, Ok(status(State::Completed, "7")));
+    assert_eq!(last, status(State::Completed, "7"));
     for (goal, fate) in fates {
         let deed = lab.device.deed(&goal);
         let fits = match fate {
-            Ok(Ok(State::Completed)) => deed == ONCE,
+            Ok(State::Completed) => deed == ONCE,
             // Unknown, which is neither done nor not done.
-            Ok(Err(WaitError { last: Err(_) })) | Err(TriggerError::Request(_)) => {
-                deed == ONCE || deed == Deed::default()
-            }
+            Err(
+                RunError::NotEnded(WaitError { last: Err(_) })
+                | RunError::NotStarted(TriggerError::Request(_)),
+            ) => deed == ONCE || deed == Deed::default(),
             // Its Start would have come too late.
-            Err(TriggerError::NeverCame | TriggerError::Refused { .. }) => deed == Deed::default(),
+            Err(RunError::NotStarted(TriggerError::NeverCame | TriggerError::Refused { .. })) => {
+                deed == Deed::default()
+            }
             _ => false,
         };
         assert!(fits, "{goal}: told {fate:?}, did {deed:?}");
@@ -110,7 +113,7 @@ fn a_client_of_a_gateway_that_is_killed_or_stopped_at_any_point_moves_a_motor_at
         let told = killed.stdout().contains("'COMPLETED'");
         // What comes after it is done, so it has been begun, or never will be.
         let after = lab.client().run("motors", "belt", "1 1", LIMIT);
-        after.expect("taken").expect("its end");
+        after.expect("its end");
         let deed = until("rest", PATIENCE, || {
             let deed = lab.device.deed(&goal);
             (deed.begun == deed.finished).then_some(deed)

@@ -85,7 +85,7 @@ fn runs_them(python: &Path) {
     let mut remote = RemoteTask::connect(&server.endpoint(), "/robot").expect("an address");
     for (handler, component, goal, result) in TASKS {
         let ran = remote.run(handler, component, goal, Some(PATIENCE));
-        let ended = ran.expect("taken").expect("its end");
+        let ended = ran.expect("its end");
         assert_eq!(
             (ended.state, ended.text.as_str()),
             (Completed, result),

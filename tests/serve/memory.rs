@@ -51,10 +51,7 @@ fn a_thousand_remembered_tasks_fit_into_eight_mebibytes() {
     let mut remote = RemoteTask::connect(&lab.server.endpoint(), SCOPE).expect("an address");
     for number in 0..1000 {
         let ran = remote.run("p", "echo", &number.to_string(), Some(PATIENCE));
-        assert_eq!(
-            ran.expect("taken").expect("its end").state,
-            State::Completed
-        );
+        assert_eq!(ran.expect("its end").state, State::Completed);
     }
     let [all, own] = resident(lab.server.process.id());
     let watchdogs = lab.children().into_iter().map(resident);

@@ -58,8 +58,7 @@ impl Lab {
     #[track_caller]
     pub fn run(&self, component: &str, goal: &str) -> (State, String) {
         let ran = self.remote().run("p", component, goal, Some(PATIENCE));
-        let ended = ran.unwrap_or_else(|error| panic!("{component}:{goal}: {error}"));
-        told(ended.unwrap_or_else(|error| panic!("{component}:{goal}: {error}")))
+        told(ran.unwrap_or_else(|error| panic!("{component}:{goal}: {error}")))
     }
 
     /// Why a task is refused.

@@ -89,7 +89,7 @@ fn the_latest_replaces_the_one_that_runs_once_that_has_ended() {
 /// How many files the server has open, with this client connected.
 fn open_files(lab: &Lab, remote: &mut RemoteTask) -> usize {
     let ran = remote.run("p", "echo", "", Some(PATIENCE));
-    assert_eq!(ran.expect("taken").expect("its end").state, Completed);
+    assert_eq!(ran.expect("its end").state, Completed);
     let id = lab.server.process.id();
     let open = std::fs::read_dir(format!("/proc/{id}/fd")).expect("its files");
     open.count()
@@ -139,7 +139,7 @@ fn a_thousand_quick_ones_one_after_the_other_lose_nothing() {
             for number in 0..250 {
                 let goal = format!("{client}.{number}");
                 let ran = remote.run("p", "echo", &goal, Some(PATIENCE));
-                let status = ran.expect("taken").expect("its end");
+                let status = ran.expect("its end");
                 assert_eq!(
                     (status.state, status.text),
                     (Completed, format!("said {goal}"))

@@ -47,10 +47,7 @@ fn without_a_confirmation_programs_are_refused_and_all_else_is_served() {
         let mut other = RemoteTask::connect(&endpoint, "/test").expect("an address");
         let refused = std::thread::spawn(move || refusal(&mut remote, "go", ""));
         let ran = other.run("p", "echo", "heard", Some(PATIENCE));
-        assert_eq!(
-            ran.expect("taken").expect("its end").state,
-            State::Completed
-        );
+        assert_eq!(ran.expect("its end").state, State::Completed);
         let reason = refused.join().expect("a reason");
         assert_eq!(
             reason, "not started: the watchdog has not confirmed within 1200 ms; try again",

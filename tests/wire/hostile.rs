@@ -5,7 +5,7 @@ use std::io::{ErrorKind, Read, Write};
 use std::net::TcpStream;
 use std::time::{Duration, Instant};
 
-use ztl_std::{Access, Limits, TaskServer};
+use ztl_std::{Limits, TaskServer};
 use ztl_tests::lab::{PATIENCE, Server, shake_hands, until};
 
 use crate::{Socket, TIMEOUT, assert_serves};
@@ -21,7 +21,9 @@ fn connect(port: u16) -> TcpStream {
 fn a_connection_that_does_not_shake_hands_is_ended() {
     let mut limits = Limits::default();
     limits.handshake = Duration::from_millis(300);
-    let server = TaskServer::bind_with("tcp://127.0.0.1:*", Access::everybody(), limits);
+    let server = TaskServer::builder()
+        .limits(limits)
+        .bind("tcp://127.0.0.1:*");
     let server = server.expect("a port").spawn().expect("a thread");
     let port = server.endpoint().rsplit(':').next().expect("a port");
     let port = port.parse().expect("a number");

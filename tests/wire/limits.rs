@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use ztl_std::server::MAX_MESSAGE;
 use ztl_std::{
-    Access, ExecutableTask, Limits, RemoteTask, RequestError, RunningServer, State, TaskContext,
+    ExecutableTask, Limits, RemoteTask, RequestError, RunError, RunningServer, State, TaskContext,
     TaskController, TaskError, TaskId, TaskRequest, TaskServer, TriggerError,
 };
 use ztl_tests::lab::{PATIENCE, SCOPE, in_time, reserve_port, until};
@@ -35,7 +35,7 @@ fn serve(change: impl FnOnce(&mut Limits)) -> RunningServer {
 fn serve_at(endpoint: &str, change: impl FnOnce(&mut Limits)) -> RunningServer {
     let mut limits = Limits::default();
     change(&mut limits);
-    let server = TaskServer::bind_with(endpoint, Access::everybody(), limits);
+    let server = TaskServer::builder().limits(limits).bind(endpoint);
     let mut server = server.expect("a port");
     server.register(SCOPE, Patient);
     server.spawn().expect("a thread")
@@ -148,7 +148,7 @@ fn a_client_sends_nothing_that_the_server_says_is_too_long() {
     let server = serve_at(&endpoint, |limits| limits.message = 1000);
     let mut remote = client(&server);
     let mut run = |bytes| remote.run("h", "echo", &goal(bytes), Some(PATIENCE));
-    let end = run(fits).expect("it is taken").expect("its end");
+    let end = run(fits).expect("its end");
     assert_eq!(end.text, goal(fits));
     // It waits for no answer.
     let error = in_time(Duration::from_secs(2), || run(too_long)).expect_err("it is too long");
@@ -158,13 +158,13 @@ fn a_client_sends_nothing_that_the_server_says_is_too_long() {
         most: 1000,
     };
     assert!(told.nothing_was_sent());
-    assert_eq!(error, TriggerError::Request(told));
+    assert_eq!(error, RunError::NotStarted(TriggerError::Request(told)));
     assert!(run(fits).is_ok(), "it goes on");
 
     // Another start of the server may take more, and the client stays connected through it.
     drop(server);
     let _server = serve_at(&endpoint, |limits| limits.message = too_long);
-    let end = run(too_long).expect("it is taken").expect("its end");
+    let end = run(too_long).expect("its end");
     assert_eq!(end.text, goal(too_long));
 }
 

@@ -1,14 +1,13 @@
-//! What passes between C and Rust: texts, and no panic.
+//! The border between C and Rust: texts pass, panics do not.
 
-use std::ffi::{CStr, CString, c_char};
+use std::ffi::{CStr, CString, c_char, c_void};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use crate::error::{Failure, ZTL_E_ARGUMENT, ZTL_E_NULL};
 
-/// Does the work; a panic in it, which is a mistake in this library, ends here.
+/// Does the work, and stops a panic, which is a mistake in this library.
 pub(crate) fn guard<T>(after_panic: T, work: impl FnOnce() -> T) -> T {
-    // What the work leaves half done stands behind locks, whose poison is ignored on purpose: each
-    // change under them is a single step.
+    // All state is behind locks, whose poison is ignored: each change under a lock is a single step.
     catch_unwind(AssertUnwindSafe(work)).unwrap_or(after_panic)
 }
 
@@ -38,16 +37,16 @@ pub(crate) fn for_c(text: &str) -> CString {
     CString::new(text.replace('\0', "\u{fffd}")).unwrap_or_default()
 }
 
-/// Writes as much of a text as fits, with a zero behind it, and says how long all of it is.
+/// Writes as much of a text as fits, with a zero at the end; returns the length of the whole text.
 ///
 /// # Safety
-/// `buffer` is NULL, or nobody else uses its `size` bytes for now.
+/// `buffer` is NULL, or has `size` bytes that nothing else uses meanwhile.
 pub(crate) unsafe fn copy_out(text: &str, buffer: *mut c_char, size: usize) -> usize {
     let text = text.split('\0').next().unwrap_or_default();
     if !buffer.is_null() && size > 0 {
         let fitting = text.floor_char_boundary(size - 1);
-        // SAFETY: `fitting` is below `size`, so it and the zero behind it are within the buffer; what
-        // this library holds does not overlap with what the caller does.
+        // SAFETY: `fitting` is below `size`, so it and the zero are within the buffer, which does not overlap
+        // with the text.
         unsafe {
             std::ptr::copy_nonoverlapping(text.as_ptr().cast(), buffer, fitting);
             buffer.add(fitting).write(0);
@@ -55,3 +54,12 @@ pub(crate) unsafe fn copy_out(text: &str, buffer: *mut c_char, size: usize) -> u
     }
     text.len()
 }
+
+/// A pointer of the program, which the library never follows.
+#[derive(Clone, Copy)]
+pub(crate) struct Context(pub(crate) *mut c_void);
+
+// SAFETY: it is only passed to the program's callbacks, which the header says may be called on any thread.
+unsafe impl Send for Context {}
+// SAFETY: as above.
+unsafe impl Sync for Context {}

@@ -7,9 +7,8 @@ use tracing::field::{Field, Visit};
 use tracing::span::{Attributes, Id, Record};
 use tracing::{Event, Level, Metadata, Subscriber};
 
-use crate::border::{for_c, guard};
+use crate::border::{Context, for_c, guard};
 use crate::error::{ZTL_E_ARGUMENT, ZTL_E_NULL, ZTL_E_STATE, ZTL_OK};
-use crate::tasks::Context;
 
 /// Something is wrong.
 pub const ZTL_LOG_ERROR: c_int = 1;

@@ -8,18 +8,17 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use ztl_core::TaskId;
 use ztl_std::keys::{KeyPair, PublicKey};
 use ztl_std::scope;
 use ztl_std::{Access, Limits, RunningServer, TaskServer};
 
-use crate::border::{copy_out, guard, null, text};
+use crate::border::{Context, copy_out, guard, null, text};
 use crate::error::{
     Failure, ZTL_E_ADDRESS, ZTL_E_ARGUMENT, ZTL_E_BUSY, ZTL_E_NULL, ZTL_E_PANIC, ZTL_E_STATE,
     ZTL_E_SYSTEM, ZTL_OK,
 };
 use crate::signals;
-use crate::tasks::{Asked, Call, Context, Handle, Handler, Scope, Tasks, Way};
+use crate::tasks::{CRequest, Call, Execution, Handler, Tasks, Work};
 
 /// Longest message of a client, in bytes. Default and most: 1048576.
 pub const ZTL_MAX_MESSAGE: c_int = 1;
@@ -94,13 +93,134 @@ struct Setup {
     limits: Limits,
     access: Access,
     poll_every: Option<Duration>,
-    scopes: Vec<(String, Scope)>,
+    scopes: Vec<(String, Callbacks)>,
 }
 
 struct Running {
     server: RunningServer,
-    /// Makes the calls, where the program does not.
+    calls: Arc<Calls>,
+    /// The thread that makes the calls, unless the program does.
     caller: Option<JoinHandle<()>>,
+}
+
+/// The server as it is passed to callbacks.
+#[derive(Clone, Copy)]
+struct Handle(*mut Server);
+
+// SAFETY: it is only passed to callbacks, which may use it on any thread. It outlives them, since freeing a
+// server waits for its callbacks.
+unsafe impl Send for Handle {}
+// SAFETY: as above.
+unsafe impl Sync for Handle {}
+
+/// The program's functions for one scope.
+#[derive(Clone, Copy)]
+enum Functions {
+    Worker(WorkCall),
+    Handler {
+        start: StartCall,
+        poll: PollCall,
+        abort: AbortCall,
+    },
+}
+
+#[derive(Clone, Copy)]
+struct Callbacks {
+    functions: Functions,
+    context: Context,
+}
+
+impl Callbacks {
+    fn execution(&self) -> Execution {
+        match self.functions {
+            Functions::Worker(_) => Execution::Thread,
+            Functions::Handler { poll, abort, .. } => Execution::Calls {
+                polls: poll.is_some(),
+                aborts: abort.is_some(),
+            },
+        }
+    }
+
+    /// The call that carries out a task, if tasks run on threads.
+    fn work(self, handle: Handle) -> Option<Work> {
+        let Functions::Worker(Some(work)) = self.functions else {
+            return None;
+        };
+        let context = self.context;
+        Some(Arc::new(move |request: &CRequest| {
+            // Captures the wrappers, which may be sent to threads, and not the pointers in them.
+            let (handle, context) = (&handle, &context);
+            let request = Request::of(request);
+            // SAFETY: the program's function, called as the header says: the server outlives its tasks'
+            // threads, and the request the call.
+            call(*handle, || unsafe {
+                work(context.0, handle.0, &raw const request)
+            });
+        }))
+    }
+}
+
+impl Request {
+    /// The texts live as long as `request`.
+    fn of(request: &CRequest) -> Self {
+        Self {
+            task: request.id.get(),
+            handler: request.handler.as_ptr(),
+            component: request.component.as_ptr(),
+            goal: request.goal.as_ptr(),
+        }
+    }
+}
+
+/// Makes the calls to handlers.
+struct Calls {
+    tasks: Arc<Tasks>,
+    scopes: Vec<Callbacks>,
+    handle: Handle,
+}
+
+impl Calls {
+    /// Makes the next call, after waiting for it until `deadline`; returns whether there was one.
+    fn make_next(&self, deadline: Instant) -> bool {
+        let Some((scope, next)) = self.tasks.next_call(deadline) else {
+            return false;
+        };
+        let Some(Callbacks {
+            functions: Functions::Handler { start, poll, abort },
+            context: Context(context),
+        }) = self.scopes.get(scope).copied()
+        else {
+            return true;
+        };
+        let Handle(server) = self.handle;
+        match next {
+            Call::Start(request) => {
+                let id = request.id;
+                let shown = Request::of(&request);
+                if let Some(start) = start {
+                    // SAFETY: the program's function, called as the header says: the server outlives the
+                    // calls, and the request this one.
+                    call(self.handle, || unsafe {
+                        start(context, server, &raw const shown)
+                    });
+                }
+                self.tasks.on_started(id);
+            }
+            Call::Poll(id) => {
+                if let Some(poll) = poll {
+                    // SAFETY: as above.
+                    call(self.handle, || unsafe { poll(context, server, id.get()) });
+                }
+            }
+            Call::Abort(id) => {
+                if let Some(abort) = abort {
+                    // SAFETY: as above.
+                    call(self.handle, || unsafe { abort(context, server, id.get()) });
+                }
+            }
+        }
+        true
+    }
 }
 
 thread_local! {
@@ -145,7 +265,7 @@ impl Server {
         work(&mut lock(&self.setup))
     }
 
-    fn add(&self, scope: &str, way: Way, context: *mut c_void) -> Result<(), Failure> {
+    fn add(&self, scope: &str, functions: Functions, context: *mut c_void) -> Result<(), Failure> {
         if let Some(mistake) = scope::cannot_be_served(scope) {
             return Err(Failure::new(ZTL_E_ARGUMENT, mistake));
         }
@@ -155,9 +275,8 @@ impl Server {
                 return Err(Failure::new(ZTL_E_ARGUMENT, text));
             }
             let context = Context(context);
-            setup
-                .scopes
-                .push((scope.to_owned(), Scope { way, context }));
+            let callbacks = Callbacks { functions, context };
+            setup.scopes.push((scope.to_owned(), callbacks));
             Ok(())
         })
     }
@@ -168,14 +287,23 @@ impl Server {
             return Err(Failure::new(ZTL_E_STATE, "the server is started already"));
         }
         let setup = lock(&self.setup);
-        let scopes = setup.scopes.iter().map(|(_, scope)| *scope).collect();
+        let scopes: Vec<Callbacks> = setup.scopes.iter().map(|(_, scope)| *scope).collect();
         let poll_every = setup.poll_every.unwrap_or(Duration::from_millis(10));
-        let tasks = Arc::new(Tasks::new(scopes, handle, poll_every));
+        let execution = scopes.iter().map(Callbacks::execution).collect();
+        let tasks = Arc::new(Tasks::new(execution, poll_every));
+        let calls = Arc::new(Calls {
+            tasks: Arc::clone(&tasks),
+            scopes,
+            handle,
+        });
         let system = |error: std::io::Error| {
             Failure::new(ZTL_E_SYSTEM, format!("the system gives no thread: {error}"))
         };
         *running = Some(signals::blocked(|| {
-            let mut server = TaskServer::bind_with(endpoint, setup.access.clone(), setup.limits)
+            let mut server = TaskServer::builder()
+                .access(setup.access.clone())
+                .limits(setup.limits)
+                .bind(endpoint)
                 .map_err(|error| match error.into() {
                     // Not "use 127.0.0.1": it is no address at all.
                     Failure { code, .. } if code == ZTL_E_ADDRESS && !endpoint.contains("://") => {
@@ -185,20 +313,20 @@ impl Server {
                     }
                     failure => failure,
                 })?;
-            for (index, (scope, _)) in setup.scopes.iter().enumerate() {
+            for (index, (scope, callbacks)) in setup.scopes.iter().enumerate() {
                 let handler = Handler {
                     tasks: Arc::clone(&tasks),
                     scope: index,
-                    work,
+                    work: callbacks.work(handle),
                 };
                 server.register_handler(scope, handler);
             }
             let caller = if on_thread {
-                let tasks = Arc::clone(&tasks);
+                let calls = Arc::clone(&calls);
                 let caller = std::thread::Builder::new().name("ztl-calls".to_owned());
                 let caller = caller.spawn(move || {
-                    while !tasks.is_finished() {
-                        make_next_call(&tasks, Instant::now() + Duration::from_secs(60));
+                    while !calls.tasks.is_finished() {
+                        calls.make_next(Instant::now() + Duration::from_secs(60));
                     }
                 });
                 Some(caller.map_err(system)?)
@@ -211,24 +339,28 @@ impl Server {
                 .spawn()
                 .map_err(system)
                 .inspect_err(|_| tasks.finish())?;
-            Ok::<_, Failure>(Running { server, caller })
+            Ok::<_, Failure>(Running {
+                server,
+                calls,
+                caller,
+            })
         })?);
         Ok(())
     }
 
     /// Makes the calls that are due, after waiting for the first of them.
     fn poll(&self, wait: Duration) -> Result<(), Failure> {
-        let (tasks, calls) = {
+        let (calls, polled) = {
             let running = lock(&self.running);
             let running = running.as_ref().ok_or_else(not_started)?;
             if !running.server.is_running() {
                 let text = "the server has ended: ZeroMQ could no longer wait";
                 return Err(Failure::new(ZTL_E_SYSTEM, text));
             }
-            (self.tasks()?, running.caller.is_none())
+            (Arc::clone(&running.calls), running.caller.is_none())
         };
         let deadline = Instant::now() + wait;
-        if !calls {
+        if !polled {
             std::thread::sleep(wait);
             return Ok(());
         }
@@ -238,10 +370,10 @@ impl Server {
             return Err(Failure::new(ZTL_E_BUSY, text));
         };
         let begin = Instant::now();
-        let mut made = make_next_call(&tasks, deadline);
+        let mut made = calls.make_next(deadline);
         // What has become due by now; not what becomes due by it, which would never end.
-        while made && begin.elapsed() < tasks.poll_every() {
-            made = make_next_call(&tasks, begin);
+        while made && begin.elapsed() < calls.tasks.poll_every() {
+            made = calls.make_next(begin);
         }
         Ok(())
     }
@@ -249,9 +381,15 @@ impl Server {
     /// Stops it, and waits for all that it has begun.
     fn stop(&self) {
         let running = lock(&self.running).take();
-        let Some((Running { server, caller }, tasks)) = running.zip(self.tasks().ok()) else {
+        let Some(Running {
+            server,
+            calls,
+            caller,
+        }) = running
+        else {
             return;
         };
+        let tasks = &calls.tasks;
         tasks.stop();
         if caller.is_some() {
             drop(server);
@@ -263,7 +401,7 @@ impl Server {
                 .as_ref()
                 .is_ok_and(|stopping| !stopping.is_finished())
             {
-                make_next_call(&tasks, Instant::now() + Duration::from_millis(5));
+                calls.make_next(Instant::now() + Duration::from_millis(5));
             }
         }
         tasks.finish();
@@ -290,62 +428,6 @@ fn call(handle: Handle, callback: impl FnOnce()) {
     CALLED.with_borrow_mut(|called| called.push(handle.0));
     callback();
     CALLED.with_borrow_mut(Vec::pop);
-}
-
-/// The whole of a task, on its thread.
-fn work(tasks: &Tasks, scope: Scope, asked: Asked) {
-    if let Way::Threads(Some(work)) = scope.way {
-        let Handle(server) = tasks.handle();
-        let request = asked.request();
-        // SAFETY: the program's function, called as the header says: the server outlives its tasks'
-        // threads, and the request the call.
-        call(tasks.handle(), || unsafe {
-            work(scope.context.0, server, &raw const request)
-        });
-    }
-}
-
-/// Makes the next call, waited for until `deadline`; says whether there was one.
-fn make_next_call(tasks: &Tasks, deadline: Instant) -> bool {
-    let Some((scope, next)) = tasks.next_call(deadline) else {
-        return false;
-    };
-    let Way::Calls { start, poll, abort } = scope.way else {
-        return true;
-    };
-    let (Handle(server), context) = (tasks.handle(), scope.context.0);
-    match next {
-        Call::Start(asked) => {
-            let request = asked.request();
-            if let Some(start) = start {
-                // SAFETY: the program's function, called as the header says: the server outlives the
-                // calls, and the request this one.
-                call(tasks.handle(), || unsafe {
-                    start(context, server, &raw const request)
-                });
-            }
-            if let Some(id) = TaskId::new(request.task) {
-                tasks.begun(id);
-            }
-        }
-        Call::Poll(id) => {
-            if let Some(poll) = poll {
-                // SAFETY: as above.
-                call(tasks.handle(), || unsafe {
-                    poll(context, server, id.get())
-                });
-            }
-        }
-        Call::Abort(id) => {
-            if let Some(abort) = abort {
-                // SAFETY: as above.
-                call(tasks.handle(), || unsafe {
-                    abort(context, server, id.get())
-                });
-            }
-        }
-    }
-    true
 }
 
 /// Makes a server, which does nothing yet; NULL when there is no memory. Any thread. It is the
@@ -532,7 +614,7 @@ pub unsafe extern "C" fn ztl_server_add_worker(
     unsafe {
         Server::with(server, |server| {
             work.ok_or_else(|| null("work"))?;
-            server.add(text(scope, "scope")?, Way::Threads(work), context)
+            server.add(text(scope, "scope")?, Functions::Worker(work), context)
         })
     }
 }
@@ -555,8 +637,8 @@ pub unsafe extern "C" fn ztl_server_add_handler(
     unsafe {
         Server::with(server, |server| {
             start.ok_or_else(|| null("start"))?;
-            let way = Way::Calls { start, poll, abort };
-            server.add(text(scope, "scope")?, way, context)
+            let functions = Functions::Handler { start, poll, abort };
+            server.add(text(scope, "scope")?, functions, context)
         })
     }
 }

@@ -201,7 +201,7 @@ enum Takes {
 
 fn ask_task(client: &mut RemoteTask, scope: &str, handler: &Handler, task: &Task) -> Takes {
     let payload = encoded(&handler.name, &task.component, &task.goal);
-    if let Err(error) = client.takes_length_of(&payload) {
+    if let Err(error) = client.check_length(&payload) {
         return Takes::No(error.to_string());
     }
     let Ok(Some(answer)) = client.ask_server(&format!("takes {payload}")) else {

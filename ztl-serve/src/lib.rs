@@ -58,6 +58,7 @@ use supervisor::{Message, Supervisor};
 use template::Call;
 pub use watchdog::watchdog;
 
+use ztl_std::TaskRequest;
 use ztl_std::server::{Answers, TaskHandler, TaskReporter, offered, would_take};
 
 /// Name under which it logs.
@@ -190,19 +191,15 @@ fn find(places: &Places, spec: &TaskSpec<'_>) -> Result<usize, String> {
 }
 
 impl TaskHandler for Programs {
-    fn start(&mut self, task: TaskReporter, payload: &str) {
-        let mut buffer = vec![0; payload.len()];
-        let spec = match TaskSpec::decode(payload, &mut buffer) {
-            Ok(spec) => spec,
-            Err(error) => return task.threw(error.to_string()),
-        };
-        match find(&self.places, &spec) {
+    fn start(&mut self, task: TaskReporter, request: TaskRequest) {
+        let found = find(&self.places, &request.spec());
+        match found {
             Ok(entry) => self.link.send(Message::Start {
                 task,
                 entry,
-                handler: spec.handler.to_owned(),
-                component: spec.component.to_owned(),
-                goal: spec.goal.to_owned(),
+                handler: request.handler,
+                component: request.component,
+                goal: request.goal,
             }),
             Err(reason) => task.rejected(reason),
         }

@@ -1,4 +1,4 @@
-//! Reading files that people name. What could keep its reader waiting is refused.
+//! Reads files that people name. Rejects files that could block the reader.
 
 use std::fs::{self, File, Metadata};
 use std::io::{self, Read};
@@ -7,21 +7,17 @@ use std::path::Path;
 #[cfg(feature = "config")]
 use ztl_yaml::{Diagnostic, Diagnostics, Document};
 
-/// Opens a file for reading. A named pipe, a socket or a device is refused, but not the streams of this
-/// process ([`is_stream`]).
-///
-/// # Errors
-/// Those of the operating system, and that it is not a regular file.
-pub fn open(path: &Path) -> io::Result<File> {
+/// Opens a regular file, or a stream of this process ([`is_stream`]).
+fn open(path: &Path) -> io::Result<File> {
     let metadata = fs::metadata(path)?;
-    // The system itself refuses to read a directory.
+    // Reading a directory fails anyway.
     if !metadata.is_dir() && !is_stream(path) {
         regular(&metadata)?;
     }
     File::open(path)
 }
 
-/// Reads a file of at most `most` bytes, as [`open`] opens it.
+/// Reads a regular file, or a stream of this process, of at most `most` bytes.
 pub(crate) fn read(path: &Path, most: u64) -> io::Result<Vec<u8>> {
     let mut bytes = Vec::new();
     let read = open(path)?.take(most + 1).read_to_end(&mut bytes)?;
@@ -38,7 +34,7 @@ pub(crate) fn read(path: &Path, most: u64) -> io::Result<Vec<u8>> {
 /// Reads a YAML file of at most [`MAX_FILE`](ztl_yaml::MAX_FILE) bytes.
 ///
 /// # Errors
-/// What keeps it from being read.
+/// Why it cannot be read.
 #[cfg(feature = "config")]
 pub fn read_yaml(path: &Path) -> Result<Vec<u8>, Diagnostics> {
     read(path, ztl_yaml::MAX_FILE).map_err(|error| {
@@ -47,24 +43,24 @@ pub fn read_yaml(path: &Path) -> Result<Vec<u8>, Diagnostics> {
     })
 }
 
-/// Reads and parses a YAML file of our own.
+/// Reads and parses a YAML file in this project's dialect.
 ///
 /// # Errors
-/// What keeps it from being read, or is wrong with it.
+/// Why it cannot be read, or what is wrong in it.
 #[cfg(feature = "config")]
 pub fn load_yaml(path: &Path) -> Result<Document, Diagnostics> {
     Document::parse(&path.display().to_string(), &read_yaml(path)?)
 }
 
-/// Whether a path names a stream of this process, as `/dev/stdin` and `<(…)` in a shell do. A stream can be
-/// read once, and its reader waits for its writer.
+/// Whether a path names a stream of this process, like `/dev/stdin` or `<(…)` in a shell. A stream can be read
+/// once, and reading waits for its writer.
 #[must_use]
 pub fn is_stream(path: &Path) -> bool {
     let streams = ["/dev/stdin", "/dev/fd", "/proc/self/fd", "/dev/null"];
     streams.iter().any(|stream| path.starts_with(stream))
 }
 
-/// Refuses what is not a regular file.
+/// Rejects anything but a regular file.
 pub(crate) fn regular(metadata: &Metadata) -> io::Result<()> {
     if metadata.is_file() {
         return Ok(());
@@ -78,7 +74,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn nothing_is_read_that_never_ends_or_waits_for_a_writer() {
+    fn only_regular_files_of_limited_length_are_read() {
         let directory = std::env::temp_dir().join(format!("ztl-files-{}", crate::random::number()));
         fs::create_dir(&directory).expect("a directory");
         let pipe = directory.join("pipe");

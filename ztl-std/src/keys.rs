@@ -1,7 +1,7 @@
-//! Keys for encrypted connections (CURVE): who a client is, and that a server is the one meant.
+//! Keys for encrypted connections (CURVE), which identify clients and servers.
 //!
-//! A pair is kept in two files in the form of CZMQ's and pyzmq's certificates: `NAME.key` with the
-//! public key, to be given to others, and `NAME.key_secret` with both, for its owner alone.
+//! A key pair is stored in two files in the format of CZMQ's and pyzmq's certificates: `NAME.key` with the
+//! public key, to be shared, and `NAME.key_secret` with both keys, for its owner only.
 
 use std::fmt;
 use std::fs;
@@ -11,7 +11,7 @@ use std::str::FromStr;
 
 use crate::files;
 
-/// Most bytes of a key's file.
+/// Longest key file in bytes.
 const MAX_FILE: u64 = 1 << 16;
 /// Bytes of a key.
 const LEN: usize = 32;
@@ -21,25 +21,25 @@ const TEXT_LEN: usize = 40;
 const DIGITS: &[u8; 85] =
     b"0123456789abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ.-:+=^!/*?&<>()[]{}@%$#";
 
-/// Whether this build encrypts. The libzmq that `cargo build` compiles does not; that of
-/// `cargo xtask build --curve` does.
+/// Whether this build can encrypt. `cargo build` compiles libzmq without CURVE, `cargo xtask build --curve` with
+/// it.
 #[must_use]
 pub fn can_encrypt() -> bool {
     zmq::has("curve") == Some(true)
 }
 
-/// A public key: who somebody is.
+/// A public key, which identifies a client or a server.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct PublicKey([u8; LEN]);
 
-/// A key pair: who one is oneself.
+/// A key pair, with which a program identifies itself.
 #[derive(Clone, PartialEq, Eq)]
 pub struct KeyPair {
     public: PublicKey,
     secret: [u8; LEN],
 }
 
-/// What is wrong with a key, or with its file.
+/// What is wrong with a key or its file.
 #[derive(Debug)]
 #[non_exhaustive]
 pub enum KeyError {
@@ -47,30 +47,30 @@ pub enum KeyError {
     NoCurve,
     /// A file cannot be read or written.
     File {
-        /// Which.
+        /// The file.
         path: PathBuf,
-        /// What the system says.
+        /// The system's error.
         cause: io::Error,
     },
     /// A file has no key of this name.
     Missing {
-        /// Which file.
+        /// The file.
         path: PathBuf,
         /// `public-key` or `secret-key`.
         name: &'static str,
     },
-    /// A text is no key.
+    /// A text is not a key.
     Text,
-    /// A key in a file is none.
+    /// A line of a file is not a key.
     Line {
-        /// Which file.
+        /// The file.
         path: PathBuf,
         /// The line, from 1.
         line: usize,
     },
-    /// A file of this name is there already; a key is never overwritten.
+    /// The file exists; a key is never overwritten.
     Exists {
-        /// Which.
+        /// The file.
         path: PathBuf,
     },
 }
@@ -112,7 +112,7 @@ impl std::error::Error for KeyError {
 }
 
 impl PublicKey {
-    /// Reads the public key of a certificate, either of its files.
+    /// Reads the public key from either file of a pair.
     ///
     /// # Errors
     /// [`KeyError`] with the file, and the line where there is one.
@@ -120,10 +120,10 @@ impl PublicKey {
         field(path, &read(path)?, "public-key").map(Self)
     }
 
-    /// Reads the public keys of all certificates `*.key` in a directory, or of one file.
+    /// Reads the public keys in a directory (`*.key`) or in one file.
     ///
     /// # Errors
-    /// [`KeyError`] at the first that cannot be read: a key that is not understood is not left out.
+    /// [`KeyError`] for the first unreadable key; none is skipped.
     pub fn read_all(path: &Path) -> Result<Vec<Self>, KeyError> {
         if !path.is_dir() {
             return Self::read(path).map(|key| vec![key]);
@@ -142,7 +142,7 @@ impl PublicKey {
         Ok(keys)
     }
 
-    /// Its bytes, as ZeroMQ wants them.
+    /// Its bytes.
     #[must_use]
     pub const fn as_bytes(&self) -> &[u8; LEN] {
         &self.0
@@ -153,7 +153,7 @@ impl PublicKey {
     }
 }
 
-/// Z85.
+/// Writes the key in Z85.
 impl fmt::Display for PublicKey {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(&z85(&self.0))
@@ -168,7 +168,7 @@ impl FromStr for PublicKey {
     }
 }
 
-/// The secret is not shown.
+/// Hides the secret key.
 impl fmt::Debug for KeyPair {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "KeyPair({})", self.public)
@@ -176,10 +176,10 @@ impl fmt::Debug for KeyPair {
 }
 
 impl KeyPair {
-    /// A new pair, from libsodium's random numbers.
+    /// Generates a pair with libsodium.
     ///
     /// # Errors
-    /// [`KeyError::NoCurve`] when this build cannot encrypt.
+    /// [`KeyError::NoCurve`] if this build cannot encrypt.
     pub fn generate() -> Result<Self, KeyError> {
         let pair = zmq::CurveKeyPair::new().map_err(|_| KeyError::NoCurve)?;
         Ok(Self {
@@ -200,8 +200,8 @@ impl KeyPair {
         })
     }
 
-    /// Writes the pair to `NAME.key` and `NAME.key_secret`, the latter for its owner alone, and says
-    /// where they are.
+    /// Writes the pair to `NAME.key` and `NAME.key_secret`, the latter readable only by its owner; returns their
+    /// paths.
     ///
     /// # Errors
     /// [`KeyError`] with the file; nothing is overwritten.
@@ -221,7 +221,7 @@ impl KeyPair {
         );
         create(&secret, &kept, 0o600)?;
         if let Err(error) = create(&public, &shared, 0o644) {
-            // Half a pair is none.
+            // Does not leave half a pair.
             let _ = fs::remove_file(&secret);
             return Err(error);
         }
@@ -234,13 +234,13 @@ impl KeyPair {
         self.public
     }
 
-    /// The secret key's bytes, as ZeroMQ wants them.
+    /// The secret key's bytes.
     pub(crate) const fn secret(&self) -> &[u8; LEN] {
         &self.secret
     }
 }
 
-/// Why the secret key in a file is not secret, for people: others than the file's owner can read it.
+/// A warning if others than its owner can read the file of a secret key.
 #[cfg(unix)]
 #[must_use]
 pub fn exposure(path: &Path) -> Option<String> {
@@ -253,7 +253,7 @@ pub fn exposure(path: &Path) -> Option<String> {
     })
 }
 
-/// It cannot be told here.
+/// Unknown on this system.
 #[cfg(not(unix))]
 #[must_use]
 pub fn exposure(_path: &Path) -> Option<String> {
@@ -269,7 +269,7 @@ fn read(path: &Path) -> Result<String, KeyError> {
     })
 }
 
-/// Creates a file with these rights and this content.
+/// Creates a file with this content and mode.
 fn create(path: &Path, content: &str, mode: u32) -> Result<(), KeyError> {
     let mut options = fs::OpenOptions::new();
     options.write(true).create_new(true);
@@ -317,11 +317,11 @@ fn field(path: &Path, text: &str, name: &'static str) -> Result<[u8; LEN], KeyEr
 }
 
 fn z85(key: &[u8; LEN]) -> String {
-    // Fails for other lengths only.
+    // Fails only for other lengths.
     zmq::z85_encode(key).unwrap_or_default()
 }
 
-/// Reads strictly: libzmq's own reader takes any character for a digit.
+/// Reads Z85 strictly; libzmq accepts any character as a digit.
 fn from_z85(text: &str) -> Option<[u8; LEN]> {
     if text.len() != TEXT_LEN {
         return None;
@@ -354,13 +354,13 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_key_is_refused() {
+    fn an_invalid_key_is_rejected() {
         for text in [
             "",
             "short",
             &KNOWN[1..],
             &format!("{KNOWN}0"),
-            // No digit of Z85, and a group above 32 bits.
+            // Not a digit of Z85, and a group above 32 bits.
             &KNOWN.replace('Y', "~"),
             &format!("#####{}", &KNOWN[5..]),
             &"ä".repeat(20),

@@ -1,5 +1,16 @@
 //! ZTL over ZeroMQ: task server and client, handlers on threads, and the gateway to microcontrollers.
 //!
+//! | to | use |
+//! |---|---|
+//! | serve tasks | [`TaskServer`] with a [`TaskController`], whose tasks run on threads |
+//! | run tasks | [`RemoteTask`] |
+//! | serve microcontrollers | [`gateway::Gateway`] |
+//! | restrict access | [`Access`], [`keys`] and [`Limits`] |
+//! | write a handler without threads | [`server::TaskHandler`] |
+//!
+//! [`files`], [`listen`], [`scope`], [`terminal`] and [`time`] are shared with the other crates of this project, and
+//! of little use elsewhere.
+//!
 //! A task server with one handler, and a client that runs a task on it:
 //!
 //! ```
@@ -7,7 +18,7 @@
 //! use ztl_std::{ExecutableTask, RemoteTask, State, TaskContext, TaskController, TaskError};
 //! use ztl_std::{TaskRequest, TaskServer};
 //!
-//! /// Speaks by printing; takes 10 ms a word, and can be stopped between two words.
+//! /// Takes 10 ms per word, and can be stopped between two words.
 //! struct Speak(String);
 //!
 //! impl ExecutableTask for Speak {
@@ -44,34 +55,41 @@
 //! # }
 //! ```
 
-pub mod controller;
+mod client;
+mod controller;
 #[cfg(feature = "defmt")]
 pub mod defmt;
-mod endpoint;
 pub mod files;
-mod frames;
 #[cfg(feature = "gateway")]
 pub mod gateway;
 pub mod keys;
 #[cfg(feature = "config")]
 pub mod listen;
+mod log_targets;
+mod offers;
 mod random;
-mod remote;
+mod rate_limit;
+mod remote_id;
 #[cfg(feature = "config")]
 pub mod remotes;
 pub mod scope;
 pub mod server;
+mod sockets;
+mod task_list;
+mod task_request;
 pub mod terminal;
 pub mod time;
 
-pub use controller::{
-    Aborted, ExecutableTask, TaskContext, TaskController, TaskError, TaskRequest,
+pub use client::{
+    AbortOnDrop, BackgroundTask, Description, RemoteTask, RequestError, RunError, ServerInfo,
+    ServerTask, ServerTasks, Status, TriggerError, Triggered, WaitError,
 };
-pub use remote::{
-    Description, Fate, InBackground, Offers, RemoteId, RemoteTask, RequestError, ServerInfo,
-    ServerTask, ServerTasks, Status, TaskGuard, TriggerError, Triggered, WaitError, encoded,
-};
+pub use controller::{Aborted, ExecutableTask, TaskContext, TaskController, TaskError};
+pub use offers::Offers;
+pub use remote_id::RemoteId;
 #[cfg(feature = "config")]
 pub use remotes::Remotes;
-pub use server::{Access, BindError, Limits, ListedTask, Listing, RunningServer, TaskServer};
+pub use server::{Access, BindError, Limits, RunningServer, ServerBuilder, TaskServer};
+pub use task_list::ListedTask;
+pub use task_request::{TaskRequest, encoded};
 pub use ztl_core::{State, TaskId, TaskSpec};

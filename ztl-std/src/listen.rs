@@ -1,5 +1,4 @@
-//! Where a server listens, who may use it, and what it logs: the keys that every configuration file
-//! has, whatever else it says.
+//! The part of a configuration file that every server has: where it listens, who may use it, its limits and its log.
 
 use std::net::IpAddr;
 use std::path::{Path, PathBuf};
@@ -10,39 +9,39 @@ use crate::files::is_stream;
 use crate::server::{LIMITS, Limits};
 use ztl_yaml::{Fields, Node, Reading, Value};
 
-/// What a configuration file says of it. All of it can be left out there, and said elsewhere.
+/// These settings. Each can be left out of the file and be given elsewhere.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub struct Listen {
-    /// Port to serve at; 0 is any free one.
+    /// Port; 0 means any free one.
     pub port: Option<u16>,
-    /// Address to serve at; `*` is every one that this machine has.
+    /// Address; `*` means every interface of this machine.
     pub bind: Option<String>,
-    /// Networks that clients must be in; none is every network.
+    /// Networks of clients; if empty, every network.
     pub allow: Vec<IpNet>,
-    /// The server's secret key, with which it encrypts.
+    /// File of the server's secret key, if it encrypts.
     pub key: Option<PathBuf>,
-    /// Clients that are allowed, as `--client-key` takes them: `[SCOPE=]FILE` or a directory.
+    /// Allowed clients, like `--client-key`: `[SCOPE=]FILE` or a directory.
     pub client_keys: Vec<String>,
-    /// What the server allows at most.
+    /// The server's limits.
     pub limits: Limits,
-    /// What is logged.
+    /// The log level.
     pub log: Option<tracing::Level>,
-    /// How it is logged.
+    /// The log format.
     pub log_format: Option<LogFormat>,
 }
 
-/// How log lines look.
+/// The format of log lines.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum LogFormat {
-    /// `LEVEL:logger:text`, as the original's.
+    /// `LEVEL:logger:text`, like the original.
     #[default]
     Text,
-    /// A JSON object a line.
+    /// One JSON object per line.
     Json,
 }
 
-/// What a level is called in files and on the command line.
+/// Log levels by their names in files and options.
 pub const LEVELS: [(&str, tracing::Level); 4] = [
     ("error", tracing::Level::ERROR),
     ("warn", tracing::Level::WARN),
@@ -50,15 +49,15 @@ pub const LEVELS: [(&str, tracing::Level); 4] = [
     ("debug", tracing::Level::DEBUG),
 ];
 
-/// What a format is called there.
+/// Log formats by their names in files and options.
 pub const LOG_FORMATS: [(&str, LogFormat); 2] =
     [("text", LogFormat::Text), ("json", LogFormat::Json)];
 
 /// What a port is, for messages.
-pub const PORT: &str = "a port, a whole number from 0 to 65535";
+pub(crate) const PORT: &str = "a port, a whole number from 0 to 65535";
 
 impl Listen {
-    /// Takes its keys out of a file's; paths are relative to `base`.
+    /// Reads these settings from a file; paths are relative to `base`.
     pub fn read<'d>(reading: &mut Reading<'d>, fields: &mut Fields<'d>, base: &Path) -> Self {
         let mut listen = Self::default();
         if let Some(node) = fields.optional("port") {
@@ -101,7 +100,7 @@ impl Listen {
             if listen.key.is_none() {
                 reading.wrong(
                     node,
-                    "clients have keys only where the server has one; write key: robot.key_secret",
+                    "clients can have keys only if the server has one; write key: robot.key_secret",
                 );
             }
         }
@@ -118,7 +117,7 @@ impl Listen {
     }
 }
 
-/// A file that a configuration names; a stream could not be read again at a reload.
+/// A file named in a configuration. A stream is rejected, since a reload cannot read it again.
 fn file(base: &Path, text: &str) -> Result<PathBuf, String> {
     let path = base.join(text);
     match is_stream(&path) {
@@ -127,7 +126,7 @@ fn file(base: &Path, text: &str) -> Result<PathBuf, String> {
     }
 }
 
-/// The limits that a file sets.
+/// The limits in a file.
 fn limits<'d>(reading: &mut Reading<'d>, node: &'d Node) -> Limits {
     let mut limits = Limits::default();
     let Some(mut fields) = reading.fields(node, "each limit and its value, as running: 100") else {
@@ -143,7 +142,7 @@ fn limits<'d>(reading: &mut Reading<'d>, node: &'d Node) -> Limits {
     limits
 }
 
-/// The items of a list, or a value that stands for a list of one.
+/// The items of a list; any other value counts as a list of one.
 #[must_use]
 pub fn one_or_more(node: &Node) -> &[Node] {
     match &node.value {
@@ -152,13 +151,13 @@ pub fn one_or_more(node: &Node) -> &[Node] {
     }
 }
 
-/// Why nothing can be served there, as far as it can be seen without trying.
+/// Why an address is invalid, as far as its form tells.
 #[must_use]
 pub fn bind_mistake(bind: &str) -> Option<String> {
     let odd = |c: char| !(c.is_ascii_alphanumeric() || "*.-_:[]%".contains(c));
     (bind.is_empty() || bind.contains(odd) || bind.contains("//")).then(|| {
         format!(
-            "'{bind}' is no address; use 127.0.0.1 for this machine only, or '*' for every interface"
+            "'{bind}' is not an address; use 127.0.0.1 for this machine only, or '*' for every interface"
         )
     })
 }

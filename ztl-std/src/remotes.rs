@@ -1,5 +1,4 @@
-//! Servers by name: `zmq-remotes.yaml`, the original's configuration file (wire specification 7.7,
-//! 7.8).
+//! Servers by name, from the original's configuration file `zmq-remotes.yaml` (wire specification 7.7, 7.8).
 //!
 //! ```
 //! use ztl_std::Remotes;
@@ -16,7 +15,7 @@
 //!     remotes.task("robto").unwrap_err().to_string(),
 //!     "no remote 'robto' in zmq-remotes.yaml; did you mean 'robot'?"
 //! );
-//! // A mistake in one entry is the concern of those who use it.
+//! // A mistake in one entry does not affect the others.
 //! assert_eq!(remotes.task("light").unwrap_err().to_string(), "\
 //! zmq-remotes.yaml:4:23: unknown key 'prot'; did you mean 'port'?
 //!   4 |   light: {host: lamp, prot: 12345, scope: /light}
@@ -35,14 +34,14 @@ use crate::scope;
 use ztl_yaml::python;
 use ztl_yaml::{Diagnostics, Document, Node, Reading, Value, closest};
 
-/// Where a scope is served, or published.
+/// A server's or publisher's address and scope.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Remote {
-    /// A name or an address, without brackets.
+    /// A host name or address, without brackets.
     pub host: String,
     /// TCP port.
     pub port: u16,
-    /// Scope there.
+    /// The scope.
     pub scope: String,
 }
 
@@ -54,20 +53,20 @@ impl Remote {
     }
 }
 
-/// What stands behind a name: an endpoint, or what is wrong with it.
+/// An entry, or what is wrong with it.
 type Entry = Result<Remote, Diagnostics>;
 
-/// Servers of tasks, and publishers, by name.
+/// Task servers and publishers by name.
 #[derive(Debug, Clone, Default)]
 pub struct Remotes {
-    /// Where they were read from.
+    /// The file's name.
     name: String,
     tasks: BTreeMap<String, Entry>,
     publishers: BTreeMap<String, Entry>,
 }
 
 impl Remotes {
-    /// None yet; `name` is what stands for a file in messages.
+    /// An empty list; messages use `name` in place of a file's name.
     #[must_use]
     pub fn named(name: &str) -> Self {
         Self {
@@ -79,28 +78,28 @@ impl Remotes {
     /// Reads a file.
     ///
     /// # Errors
-    /// When it cannot be read, is no YAML, or no mapping of `remotes` and `publishers`. What is wrong
-    /// with one entry is told by [`task`](Self::task) and [`mistakes`](Self::mistakes).
+    /// Why it cannot be read as a mapping of `remotes` and `publishers`. Mistakes in entries are reported by
+    /// [`task`](Self::task) and [`mistakes`](Self::mistakes).
     pub fn load(path: &Path) -> Result<Self, Diagnostics> {
         Self::read(&crate::files::load_yaml(path)?)
     }
 
-    /// Takes them out of a document.
+    /// Reads a document.
     ///
     /// # Errors
-    /// As [`load`](Self::load).
+    /// Those of [`load`](Self::load).
     pub fn read(document: &Document) -> Result<Self, Diagnostics> {
         let mut reading = document.reading();
         let pairs = reading.pairs(document.root(), "remotes and publishers");
         let mut remotes = Self::named(document.name());
-        // Other keys are passed over, as by the original.
+        // Ignores other keys, like the original.
         for (key, value) in pairs.into_iter().flatten() {
             let place = match word(key) {
                 Some("remotes") => &mut remotes.tasks,
                 Some("publishers") => &mut remotes.publishers,
                 _ => continue,
             };
-            // Nothing behind the key is none of them.
+            // A key without a value has no entries.
             if value.is_null() {
                 continue;
             }
@@ -118,13 +117,13 @@ impl Remotes {
         reading.finish(Some(remotes))
     }
 
-    /// The file that they were read from, or what stands for it.
+    /// The name of the file.
     #[must_use]
     pub fn name(&self) -> &str {
         &self.name
     }
 
-    /// Adds or replaces a server of tasks.
+    /// Adds or replaces a task server.
     pub fn set_task(&mut self, name: &str, remote: Remote) {
         self.tasks.insert(name.to_owned(), Ok(remote));
     }
@@ -134,10 +133,10 @@ impl Remotes {
         self.publishers.insert(name.to_owned(), Ok(publisher));
     }
 
-    /// The server of tasks with this name.
+    /// The task server with this name.
     ///
     /// # Errors
-    /// When there is none, with what was probably meant, or what is wrong with it.
+    /// [`NoRemote`] if there is none or its entry is invalid.
     pub fn task(&self, name: &str) -> Result<&Remote, NoRemote> {
         self.find("remote", &self.tasks, name)
     }
@@ -145,12 +144,12 @@ impl Remotes {
     /// The publisher with this name.
     ///
     /// # Errors
-    /// As [`task`](Self::task).
+    /// [`NoRemote`] if there is none or its entry is invalid.
     pub fn publisher(&self, name: &str) -> Result<&Remote, NoRemote> {
         self.find("publisher", &self.publishers, name)
     }
 
-    /// The names of the servers of tasks.
+    /// The names of the task servers.
     pub fn task_names(&self) -> impl Iterator<Item = &str> {
         self.tasks.keys().map(String::as_str)
     }
@@ -160,7 +159,7 @@ impl Remotes {
         self.publishers.keys().map(String::as_str)
     }
 
-    /// What is wrong with entries, whether somebody uses them or not.
+    /// The mistakes in all entries.
     pub fn mistakes(&self) -> impl Iterator<Item = &Diagnostics> {
         let entries = self.tasks.values().chain(self.publishers.values());
         entries.filter_map(|entry| entry.as_ref().err())
@@ -185,22 +184,22 @@ impl Remotes {
     }
 }
 
-/// Why a name stands for no endpoint.
+/// Why there is no server or publisher with a name.
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum NoRemote {
-    /// Nothing has this name.
+    /// There is no such name.
     Unknown {
         /// `remote` or `publisher`.
         kind: &'static str,
-        /// What was asked for.
+        /// The name.
         name: String,
-        /// Where it was looked for.
+        /// The file's name.
         file: String,
-        /// The names that there are.
+        /// The known names.
         known: Vec<String>,
     },
-    /// What stands behind the name is wrong.
+    /// The entry is invalid.
     Wrong(Diagnostics),
 }
 
@@ -227,8 +226,8 @@ impl fmt::Display for NoRemote {
 
 impl std::error::Error for NoRemote {}
 
-/// The file that is read when none is named: `zmq-remotes.yaml` in `$XDG_CONFIG_HOME`, else in
-/// `$HOME/.config`, else in `/home/demo/.config`.
+/// The default file: `zmq-remotes.yaml` in `$XDG_CONFIG_HOME`, else in `$HOME/.config`, else in
+/// `/home/demo/.config`.
 #[must_use]
 pub fn usual_path() -> PathBuf {
     usual_path_by(|name| std::env::var_os(name))
@@ -240,13 +239,12 @@ fn usual_path_by(variable: impl Fn(&str) -> Option<OsString>) -> PathBuf {
         home.push("/.config");
         home
     });
-    // Put together as the original does: a variable that is set and empty means the root.
+    // Like the original, an empty variable means the root.
     path.push("/zmq-remotes.yaml");
     path.into()
 }
 
-/// One entry. Its mistakes are its own; keys beyond the three are passed over, unless one is missing
-/// and was probably meant.
+/// Reads one entry. Other keys are ignored, unless one of the three is missing.
 fn endpoint(document: &Document, node: &Node) -> Entry {
     let mut reading = document.reading();
     let what = "{host: lamp, port: 12345, scope: /lab}";
@@ -287,7 +285,7 @@ fn port_of(text: &str) -> Result<u16, String> {
     port.ok_or_else(|| format!("invalid port '{text}': expected 0 to 65535"))
 }
 
-/// A text as the original would have it.
+/// A text as the original reads it.
 fn text<'d>(reading: &mut Reading<'d>, node: &'d Node, what: &str) -> Option<String> {
     reading.text(node, what)?;
     match python::text(node)? {
@@ -317,7 +315,7 @@ mod tests {
     }
 
     #[test]
-    fn a_file_of_the_original_is_read_with_all_that_it_allows() {
+    fn a_file_of_the_original_is_read() {
         let text = "
 other: [1, 2]
 remotes:
@@ -335,7 +333,7 @@ publishers:
     }
 
     #[test]
-    fn what_is_wrong_is_shown_where_it_stands() {
+    fn a_mistake_is_shown_with_its_place() {
         for (text, message) in [
             ("remotes: {a: {host: h", "remotes.yaml:1:"),
             (
@@ -378,7 +376,7 @@ publishers:
     }
 
     #[test]
-    fn merged_entries_and_values_are_what_pyyaml_makes_of_them() {
+    fn merged_entries_and_values_are_read_like_pyyaml() {
         let text = "
 base: &base {host: lab-1, port: 010}
 remotes:
@@ -405,7 +403,7 @@ remotes:
     }
 
     #[test]
-    fn the_usual_file_is_found_as_the_original_finds_it() {
+    fn the_default_file_is_the_originals() {
         let usual = |known: &[(&str, &str)]| {
             let variable = |name: &str| {
                 let mut found = known.iter().filter(|(known, _)| *known == name);

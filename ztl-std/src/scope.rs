@@ -1,4 +1,4 @@
-//! Which scopes can be served and asked.
+//! Which scopes are valid.
 
 use ztl_core::Message;
 
@@ -14,7 +14,7 @@ pub fn cannot_be_served(scope: &str) -> Option<String> {
     Some(format!("the scope '{scope}' {wrong}; write it as /lab"))
 }
 
-/// Why a client cannot ask a scope; `None` if it can.
+/// Why a client cannot use a scope; `None` if it can.
 #[must_use]
 pub fn cannot_be_asked(scope: &str) -> Option<String> {
     let wrong = "contains ';', which would end it; write it as /lab";

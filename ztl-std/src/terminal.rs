@@ -1,17 +1,17 @@
-//! Text from elsewhere on a terminal, which obeys what it is sent: results, the output of programs and
-//! names could clear the screen, change its title, or pass for something else.
+//! Escapes text from elsewhere for a terminal. Otherwise results, names and the output of programs could clear
+//! the screen, change its title, or imitate other output.
 //!
-//! On a terminal control characters are written as JSON escapes (`\u001b`), so that JSON stays JSON. Pipes
-//! and files get the bytes as they are.
+//! Control characters are written as JSON escapes (`\u001b`), so that JSON stays JSON. Pipes and files get the
+//! bytes unchanged.
 
 use std::borrow::Cow;
 use std::fmt::Write as _;
 use std::io::{self, IsTerminal, Write};
 
-/// Writes text to a stream and flushes it; to a terminal as [`shown`].
+/// Writes text to a stream and flushes it; escapes it with [`shown`] if the stream is a terminal.
 ///
 /// # Errors
-/// Those of the stream.
+/// The stream's error.
 pub fn write_shown(mut to: impl Write + IsTerminal, text: &[u8]) -> io::Result<()> {
     if to.is_terminal() {
         let text = String::from_utf8_lossy(text);
@@ -22,27 +22,27 @@ pub fn write_shown(mut to: impl Write + IsTerminal, text: &[u8]) -> io::Result<(
     to.flush()
 }
 
-/// Text as a terminal may get it: line feeds and tabs stay.
+/// Escapes a text for a terminal; line feeds and tabs stay.
 #[must_use]
 pub fn shown(text: &str) -> Cow<'_, str> {
     escaped(text, &['\n', '\t'])
 }
 
-/// Text as part of one line, as of a table or a log: line feeds and tabs are escaped as well.
+/// Escapes a text for one line of a terminal; also escapes line feeds and tabs.
 #[must_use]
 pub fn flat(text: &str) -> Cow<'_, str> {
     escaped(text, &[])
 }
 
-/// Escapes what a terminal obeys instead of showing it, but for the characters in `kept`.
+/// Escapes control characters except those in `kept`.
 fn escaped<'t>(text: &'t str, kept: &[char]) -> Cow<'t, str> {
-    let escapes = |c: char| commands(c) && !kept.contains(&c);
+    let escapes = |c: char| controls(c) && !kept.contains(&c);
     if !text.contains(escapes) {
         return Cow::Borrowed(text);
     }
     let mut out = String::with_capacity(text.len() + 16);
     for c in text.chars() {
-        // Writing to a `String` does not fail.
+        // Writing to a `String` cannot fail.
         let _ = match c {
             c if !escapes(c) => out.write_char(c),
             '\n' => out.write_str("\\n"),
@@ -56,15 +56,15 @@ fn escaped<'t>(text: &'t str, kept: &[char]) -> Cow<'t, str> {
 
 /// Whether a character changes how a terminal shows others: control characters (C0, DEL, C1), line
 /// separators, and what reorders text (Unicode's bidirectional controls).
-fn commands(c: char) -> bool {
+fn controls(c: char) -> bool {
     let reorders = matches!(c, '\u{61c}' | '\u{200e}' | '\u{200f}' | '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}');
     c.is_control() || reorders || matches!(c, '\u{2028}' | '\u{2029}')
 }
 
-/// How much of a text is quoted, in bytes.
+/// Longest quoted part of a text, in bytes.
 const QUOTED: usize = 300;
 
-/// A text from elsewhere as a message quotes it: the beginning of a long one, and how long it is.
+/// A text as messages quote it: if it is long, its beginning and its length.
 #[must_use]
 pub fn quoted(text: &str) -> Cow<'_, str> {
     match text.get(..text.floor_char_boundary(QUOTED)) {
@@ -80,7 +80,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_a_terminal_obeys_is_escaped_and_all_else_stays() {
+    fn only_control_characters_are_escaped() {
         for (text, on_terminal, in_a_line) in [
             (
                 "grüße 👍\u{200d} a\u{a0}b",
@@ -103,7 +103,7 @@ mod tests {
             assert_eq!(shown(text), on_terminal);
             assert_eq!(flat(text), in_a_line);
         }
-        // An escape is one in JSON too.
+        // The escapes are valid in JSON.
         let json = shown("\"\u{9b}\"").into_owned();
         assert_eq!(serde_json::from_str::<String>(&json).unwrap(), "\u{9b}");
     }
@@ -114,7 +114,7 @@ mod tests {
         assert_eq!(quoted(&fits), fits);
         assert_eq!(quoted(""), "");
         assert_eq!(quoted(&format!("{fits}x")), format!("{fits}… (301 bytes)"));
-        // Never in the middle of a character.
+        // Not in the middle of a character.
         let wide = "€".repeat(QUOTED);
         assert_eq!(quoted(&wide), format!("{}… (900 bytes)", "€".repeat(100)));
     }

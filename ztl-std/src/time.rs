@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use ztl_core::Instant;
 
-/// The current time since the first call in this process.
+/// The monotonic time since the first call in this process.
 #[must_use]
 pub fn now() -> Instant {
     static START: OnceLock<std::time::Instant> = OnceLock::new();

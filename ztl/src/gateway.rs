@@ -232,7 +232,7 @@ impl Plan {
             devices.add(&device.name, device.endpoint.clone())?;
             #[cfg(feature = "defmt")]
             if let Some(elf) = &device.elf {
-                devices.read_log(&device.name, elf)?;
+                devices.devices().read_log(&device.name, elf)?;
             }
         }
         if let Some(port) = self.publish {
@@ -240,7 +240,7 @@ impl Plan {
             let endpoint = devices.publish(&server, &endpoint)?;
             line(format_args!("Publishing readings at {endpoint}."));
         }
-        let watch = devices.watch();
+        let watch = devices.devices();
         let fleet = devices.devices();
         server.register_handler(&self.scope, devices);
         let serving = format!(
@@ -252,17 +252,17 @@ impl Plan {
         let mut reload = Reload {
             options,
             fleet,
-            control: server.control(),
+            control: server.handle(),
             present: self,
         };
         signals::at_reload(move || reload.run())?;
         line(serving);
-        let stopper = server.stopper();
-        let service = Service::ready(server.pulse(), move || {
+        let handle = server.handle();
+        let service = Service::ready(handle.clone(), move || {
             service::of_devices(&watch.reports())
         })?;
         signals::leave_at_the_second();
-        service.stops(stopper);
+        service.stops(handle);
         server.listen()?;
         line("Stopped.");
         Ok(signals::exit_code_or(ExitCode::SUCCESS))

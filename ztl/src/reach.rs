@@ -12,7 +12,7 @@ use ipnet::IpNet;
 use tracing::Level;
 use ztl_std::keys::{KeyError, KeyPair, PublicKey, exposure};
 use ztl_std::listen::{LEVELS, LOG_FORMATS, Listen, LogFormat, bind_mistake};
-use ztl_std::{Access, BindError, Limits, RemoteTask, RequestError, TaskServer};
+use ztl_std::{Access, BindError, Limits, RemoteTask, RequestError, ServerBuilder, TaskServer};
 use ztl_yaml::Diagnostics;
 
 /// Exit code for a configuration that cannot be served, however often it is tried.
@@ -152,7 +152,7 @@ impl Place {
         let ports = [Some(self.port), further].into_iter().flatten();
         // Each by itself: that the first is in use says nothing of the next.
         for port in ports {
-            let tried = TaskServer::check(&self.bind, port, self.access.clone(), self.limits);
+            let tried = self.builder().check(&self.bind, port);
             match tried {
                 Ok(()) => {}
                 Err(error @ BindError::InUse { .. }) => findings.notes.push(error.to_string()),
@@ -171,7 +171,13 @@ impl Place {
     /// As [`BindError`] says.
     pub(crate) fn listen(&self) -> Result<TaskServer, BindError> {
         let endpoint = format!("tcp://{}:{}", self.bind, self.port);
-        TaskServer::bind_with(&endpoint, self.access.clone(), self.limits)
+        self.builder().bind(&endpoint)
+    }
+
+    fn builder(&self) -> ServerBuilder {
+        TaskServer::builder()
+            .access(self.access.clone())
+            .limits(self.limits)
     }
 }
 

@@ -168,10 +168,10 @@ fn serve(config: &Config, place: reach::Place) -> Done {
         served(config),
         server.endpoint()
     ));
-    let stopper = server.stopper();
+    let handle = server.handle();
     signals::leave_at_the_second_after(move || groups.kill());
     let served = served(config);
-    Service::ready(server.pulse(), move || served.clone())?.stops(stopper);
+    Service::ready(handle.clone(), move || served.clone())?.stops(handle);
     server.listen()?;
     line("Stopped.");
     Ok(signals::exit_code_or(ExitCode::SUCCESS))

@@ -5,7 +5,7 @@ use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use ztl_std::gateway::DeviceReports;
-use ztl_std::server::{Pulse, Stopper};
+use ztl_std::server::ServerHandle;
 
 use crate::signals;
 use crate::terminal::{flat, line};
@@ -24,7 +24,7 @@ impl Service {
     /// Says that this process serves, and from then on how it does, as the status, and, if that is
     /// watched, that its server lives.
     pub(crate) fn ready(
-        pulse: Pulse,
+        server: ServerHandle,
         tell: impl Fn() -> String + Send + 'static,
     ) -> std::io::Result<Self> {
         let manager = Manager::from_environment();
@@ -54,7 +54,7 @@ impl Service {
                         teller.tell(&format!("STATUS={status}"));
                     }
                     let due = watchdog.is_some_and(|limit| told.elapsed() + pause >= limit / 2);
-                    if due && pulse.is_felt(pause) {
+                    if due && server.responds_within(pause) {
                         told = Instant::now();
                         teller.tell("WATCHDOG=1");
                     }
@@ -67,7 +67,7 @@ impl Service {
     }
 
     /// When somebody wants this process to end, that is said, and the server is stopped.
-    pub(crate) fn stops(self, stopper: Stopper) {
+    pub(crate) fn stops(self, server: ServerHandle) {
         let service = Mutex::new(Some(self));
         signals::then(move || {
             let mut service = service.lock().unwrap_or_else(PoisonError::into_inner);
@@ -75,7 +75,7 @@ impl Service {
                 service.manager.tell("STOPPING=1\nSTATUS=Stopping.");
             }
             line("Stopping; once more (Ctrl-C, SIGTERM) leaves at once.");
-            stopper.stop();
+            server.stop();
         });
     }
 }

@@ -10,7 +10,7 @@ use tracing::{Level, error};
 use ztl_core::Request;
 use ztl_std::scope;
 use ztl_std::server::{TaskHandler, TaskReporter};
-use ztl_std::{Access, Limits, TaskId, TaskServer};
+use ztl_std::{Limits, TaskId, TaskRequest, TaskServer};
 
 use crate::exit::Done;
 use crate::reach::Bounds;
@@ -39,20 +39,18 @@ impl SimpleServer {
         }
         signals::catch()?;
         // Every interface, as the original.
-        let mut server = TaskServer::bind_with(
-            &format!("tcp://*:{}", self.port),
-            Access::everybody(),
-            self.bounds.over(Limits::default()),
-        )?;
+        let mut server = TaskServer::builder()
+            .limits(self.bounds.over(Limits::default()))
+            .bind(&format!("tcp://*:{}", self.port))?;
         server.register_handler(&self.scope, Naps::default());
-        server.show_requests(|request, id, payload| {
+        server.observe_requests(|request, id, payload| {
             let what = match request {
                 Request::Abort => "Aborting",
                 Request::Init | Request::Status => "Status",
             };
             line(format_args!("{what} Task ID '{id}' ({payload})..."));
         });
-        let stopper = server.stopper();
+        let stopper = server.handle();
         signals::then(move || stopper.stop());
         server.listen()?;
         error!(target: "root", "Interrupted, exiting.");
@@ -71,7 +69,11 @@ struct Naps {
 }
 
 impl TaskHandler for Naps {
-    fn start(&mut self, task: TaskReporter, payload: &str) {
+    fn start(&mut self, task: TaskReporter, request: TaskRequest) {
+        task.threw(no_number(&request.spec().to_string()));
+    }
+
+    fn start_payload(&mut self, task: TaskReporter, payload: &str) {
         let id = task.id();
         line(format_args!("Initialising Task ID '{id}' ({payload})..."));
         let Ok(seconds) = seconds(payload) else {

@@ -7,7 +7,7 @@ use tracing::{Level, error};
 use ztl_core::integer::Integer;
 use ztl_std::scope;
 use ztl_std::{
-    Access, ExecutableTask, Limits, Offers, TaskContext, TaskController, TaskError, TaskRequest,
+    ExecutableTask, Limits, Offers, TaskContext, TaskController, TaskError, TaskRequest,
     TaskServer as Server,
 };
 
@@ -39,13 +39,11 @@ impl TaskServer {
         }
         signals::catch()?;
         // Every interface, as the original.
-        let mut server = Server::bind_with(
-            &format!("tcp://*:{}", self.port),
-            Access::everybody(),
-            self.bounds.over(Limits::default()),
-        )?;
+        let mut server = Server::builder()
+            .limits(self.bounds.over(Limits::default()))
+            .bind(&format!("tcp://*:{}", self.port))?;
         server.register(&self.scope, TestController);
-        let stopper = server.stopper();
+        let stopper = server.handle();
         signals::then(move || stopper.stop());
         server.listen()?;
         error!(target: "root", "Interrupted, exiting.");

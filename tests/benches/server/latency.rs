@@ -130,7 +130,7 @@ pub(crate) fn goal_to_result(lab: &Lab) {
             let asked = Instant::now();
             let end = remote.run("test", "echo", "hi", Some(PATIENCE));
             times.push(asked.elapsed().as_secs_f64() * 1e6);
-            let end = end.expect("taken").expect("its end");
+            let end = end.expect("its end");
             assert_eq!(end.state, State::Completed);
         }
         times.sort_by(f64::total_cmp);
@@ -192,10 +192,7 @@ pub(crate) fn end_to_known(lab: &Lab) {
             let goal = (10 + number * 7 % 40).to_string();
             let end = remote.run("h", "c", &goal, Some(PATIENCE));
             let known = Instant::now();
-            assert_eq!(
-                end.expect("taken").expect("its end").state,
-                State::Completed
-            );
+            assert_eq!(end.expect("its end").state, State::Completed);
             let ended = ends.recv().expect("it has ended");
             known.duration_since(ended).as_secs_f64() * 1e3
         })

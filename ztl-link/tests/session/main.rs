@@ -13,7 +13,7 @@ use ztl_link::*;
 use ztl_mcu::link::{Busy, GoalShape, Offer};
 use ztl_mcu::{Component, Identity, Node, Refused, Report, Run};
 use ztl_sim::line::{Dice, Faults, FaultyLine};
-use ztl_std::gateway::DeviceBook;
+use ztl_std::gateway::DeviceJournal;
 
 mod restart;
 
@@ -129,7 +129,7 @@ type SmallNode = Node<'static, [Motor; 2], 2, 128>;
 /// A gateway's session, a line, a device, and clients that keep books.
 struct Lab {
     now: Instant,
-    session: Session<DeviceBook<Disk>>,
+    session: Session<DeviceJournal<Disk>>,
     disk: Disk,
     node: SmallNode,
     boots: u32,

@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex};
 use std::time::UNIX_EPOCH;
 
 use super::*;
-use ztl_std::gateway::{Log, Moment, Storage};
+use ztl_std::gateway::{JournalRecords, Moment, Storage};
 
 /// A disk that outlives the gateways, and may be full.
 #[derive(Debug, Clone, Default)]
@@ -55,12 +55,12 @@ fn moment() -> Moment {
 }
 
 /// The session of a gateway that was started on a disk.
-pub(super) fn session(disk: &Disk) -> Session<DeviceBook<Disk>> {
+pub(super) fn session(disk: &Disk) -> Session<DeviceJournal<Disk>> {
     let stranger = u64::from(numbers());
-    let log = Log::open(disk.clone(), &disk.written(), moment(), stranger);
+    let log = JournalRecords::open(disk.clone(), &disk.written(), moment(), stranger);
     let gateway = log.gateway();
     let log = Arc::new(Mutex::new(log));
-    let book = DeviceBook::new(log, "lab", moment);
+    let book = DeviceJournal::new(log, "lab", moment);
     Session::with_journal(book, gateway, Some(115_200), numbers)
 }
 
@@ -72,7 +72,7 @@ impl Lab {
         let torn = &b"{\"event\":\"start\",\"task\":1"[..dice.below(25) as usize];
         self.disk.0.lock().unwrap().0.extend_from_slice(torn);
         let disk = self.disk.clone();
-        let log = Log::open(disk.clone(), &disk.written(), moment(), 0);
+        let log = JournalRecords::open(disk.clone(), &disk.written(), moment(), 0);
         // An end that was told is known, and is the same.
         let ends: BTreeMap<TaskId, (State, String)> = log
             .ended(moment())
@@ -249,7 +249,7 @@ fn a_start_that_died_with_its_gateway_is_not_taken_for_anothers_task() {
     assert_eq!(lab.accepted.get(&anothers), Some(&1));
     // It dies too, and the first one comes back.
     lab.disk = disk.clone();
-    let log = Log::open(disk.clone(), &disk.written(), moment(), 0);
+    let log = JournalRecords::open(disk.clone(), &disk.written(), moment(), 0);
     lab.session = session(&disk);
     for (_, task) in log.unended() {
         lab.session.restore(lab.now, task);

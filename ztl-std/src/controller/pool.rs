@@ -1,35 +1,33 @@
-//! Threads that wait for tasks.
+//! A thread pool without a limit: a job that blocks delays no other.
 //!
-//! A task that blocks keeps its thread and delays nobody: whoever takes one while more are waiting
-//! calls another thread first, which is woken, or started if all are busy. A task that is quick costs
-//! neither, since its thread comes back and takes the next.
+//! A thread that takes a job while more are waiting first calls another thread, which is woken, or started
+//! if all are busy. A quick job needs neither, since its thread takes the next one.
 //!
-//! Where quick tasks come by the dozen, calling would cost more than they do. So one who was called and
-//! finds nothing left stays on watch for a while: as long as it does, nobody calls, and it steps in itself
-//! when a task has waited from one look to the next.
+//! Many quick jobs would spend most time on calling threads. So a thread that was called and finds no job
+//! left keeps watch for a while: meanwhile no thread calls another, and the watching one takes over when a job
+//! has waited from one check to the next.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::Thread;
 use std::time::{Duration, Instant};
 
-/// How long a thread waits for a task before it ends.
+/// How long an idle thread waits for a job before it ends.
 const IDLE: Duration = Duration::from_secs(10);
 
-/// From one look of the thread on watch to its next. A task behind one that blocks waits for two at most.
-const LOOK: Duration = Duration::from_micros(500);
+/// Time between two checks of the watching thread. A job behind one that blocks waits for two at most.
+const CHECK: Duration = Duration::from_micros(500);
 
-/// Something to be done on a thread.
+/// Something to run on a thread.
 pub(super) trait Job: Send + 'static {
-    /// Does it; may take for ever.
+    /// Runs it, however long it takes.
     fn run(self);
 
-    /// The system gives no more threads.
+    /// The system has no more threads.
     fn refuse(self);
 }
 
-/// Threads for jobs, as many as run at a time. Dropped, it starts no more of them; what runs goes
-/// on.
+/// The pool. Dropping it discards the jobs that wait; running ones go on.
 pub(super) struct Pool<J: Job>(Arc<Shared<J>>);
 
 struct Shared<J> {
@@ -38,16 +36,15 @@ struct Shared<J> {
 
 struct State<J> {
     waiting: VecDeque<J>,
-    /// How many were begun, ever.
-    begun: u64,
-    /// Threads that wait to be called, which is to be taken out of here. The last to come is called
-    /// first: what it needs is still at hand.
+    /// Jobs started so far.
+    started: u64,
+    /// Idle threads. A thread is called by removing it; the latest first, since its data is still cached.
     idle: Vec<Thread>,
-    /// A thread was called or started and has not looked at what is waiting.
-    coming: bool,
-    /// A job was begun while more were waiting, since the thread on watch looked.
+    /// A thread was called or started and has not looked for jobs yet.
+    called: bool,
+    /// A job was started while more were waiting, since the last check.
     crowded: bool,
-    /// A thread is on watch.
+    /// A thread keeps watch.
     watched: bool,
     closed: bool,
 }
@@ -56,9 +53,9 @@ impl<J: Job> Pool<J> {
     pub(super) fn new() -> Self {
         let state = State {
             waiting: VecDeque::new(),
-            begun: 0,
+            started: 0,
             idle: Vec::new(),
-            coming: false,
+            called: false,
             crowded: false,
             watched: false,
             closed: false,
@@ -68,8 +65,8 @@ impl<J: Job> Pool<J> {
         }))
     }
 
-    /// Hands over some jobs, which are begun in their order; never waits for any.
-    pub(super) fn begin(&self, jobs: &mut Vec<J>) {
+    /// Runs jobs, started in order. Never waits for one.
+    pub(super) fn run(&self, jobs: &mut Vec<J>) {
         let mut state = self.0.lock();
         state.waiting.extend(jobs.drain(..));
         call(&self.0, state);
@@ -94,12 +91,12 @@ impl<J> Shared<J> {
     }
 }
 
-/// Makes a thread come, if something is waiting and none is on its way.
+/// Calls a thread, if a job is waiting and no thread was called.
 fn call<J: Job>(shared: &Arc<Shared<J>>, mut state: MutexGuard<'_, State<J>>) {
-    if state.coming || state.waiting.is_empty() {
+    if state.called || state.waiting.is_empty() {
         return;
     }
-    state.coming = true;
+    state.called = true;
     if let Some(thread) = state.idle.pop() {
         drop(state);
         thread.unpark();
@@ -112,21 +109,20 @@ fn call<J: Job>(shared: &Arc<Shared<J>>, mut state: MutexGuard<'_, State<J>>) {
         .spawn(move || work(&its));
     if spawned.is_err() {
         let mut state = shared.lock();
-        state.coming = false;
+        state.called = false;
         let refused = std::mem::take(&mut state.waiting);
         drop(state);
         refused.into_iter().for_each(J::refuse);
     }
 }
 
-/// What a thread does.
+/// The loop of a thread.
 fn work<J: Job>(shared: &Arc<Shared<J>>) {
     let mut state = shared.lock();
-    // Here it is.
-    state.coming = false;
+    state.called = false;
     loop {
         while let Some(job) = state.waiting.pop_front() {
-            state.begun += 1;
+            state.started += 1;
             state.crowded |= !state.waiting.is_empty();
             if state.watched {
                 drop(state);
@@ -147,31 +143,30 @@ fn work<J: Job>(shared: &Arc<Shared<J>>) {
             Some(called) => state = called,
             None => return,
         }
-        state.coming = false;
+        state.called = false;
     }
 }
 
-/// Until a job has waited from one look to the next, which is to be begun now, or none has waited for
-/// another since the last look.
+/// Keeps watch until a job has waited from one check to the next, or none has waited since the last one.
 fn watch<'s, J>(
     shared: &'s Shared<J>,
     mut state: MutexGuard<'s, State<J>>,
 ) -> MutexGuard<'s, State<J>> {
     state.watched = true;
     loop {
-        let all = state.begun + state.waiting.len() as u64;
+        let all = state.started + state.waiting.len() as u64;
         state.crowded = false;
         drop(state);
-        std::thread::sleep(LOOK);
+        std::thread::sleep(CHECK);
         state = shared.lock();
-        if state.begun < all || !state.crowded || state.closed {
+        if state.started < all || !state.crowded || state.closed {
             state.watched = false;
             return state;
         }
     }
 }
 
-/// Waits to be called; `None` when nobody has for too long, or nobody will.
+/// Waits to be called; `None` if the thread is to end.
 fn rest<'s, J>(
     shared: &'s Shared<J>,
     mut state: MutexGuard<'s, State<J>>,
@@ -211,7 +206,7 @@ mod tests {
     }
 
     fn begin(pool: &Pool<Work>, work: impl FnOnce() + Send + 'static) {
-        pool.begin(&mut vec![Work(Box::new(work))]);
+        pool.run(&mut vec![Work(Box::new(work))]);
     }
 
     const PATIENCE: Duration = Duration::from_secs(20);
@@ -234,7 +229,7 @@ mod tests {
                 (gate, blocking(begun.clone(), number, go))
             })
             .unzip();
-        pool.begin(&mut jobs);
+        pool.run(&mut jobs);
         let mut seen: Vec<u32> = (0..100)
             .map(|_| begins.recv_timeout(PATIENCE).expect("each begins"))
             .collect();
@@ -264,7 +259,7 @@ mod tests {
     }
 
     #[test]
-    fn a_job_that_blocks_delays_no_other_while_quick_ones_are_watched_either() {
+    fn a_job_that_blocks_delays_no_other_while_a_thread_watches() {
         let pool = Pool::new();
         let (ran, runs) = channel();
         let quick = |number: u32| {
@@ -273,8 +268,8 @@ mod tests {
         };
         let start = Instant::now();
         while !pool.0.lock().watched {
-            assert!(start.elapsed() < PATIENCE, "nobody watches");
-            pool.begin(&mut (0..50).map(quick).collect());
+            assert!(start.elapsed() < PATIENCE, "no thread watches");
+            pool.run(&mut (0..50).map(quick).collect());
             for _ in 0..50 {
                 runs.recv_timeout(PATIENCE).expect("each is run");
             }
@@ -283,7 +278,7 @@ mod tests {
         let (gate, go) = channel();
         let mut jobs: Vec<Work> = (0..50).map(quick).collect();
         jobs.insert(0, blocking(begun, 7, go));
-        pool.begin(&mut jobs);
+        pool.run(&mut jobs);
         assert_eq!(begins.recv_timeout(PATIENCE), Ok(7));
         let mut seen: Vec<u32> = (0..50)
             .map(|_| runs.recv_timeout(PATIENCE).expect("each is run"))
@@ -291,21 +286,21 @@ mod tests {
         seen.sort_unstable();
         assert_eq!(seen, (0..50).collect::<Vec<_>>());
         drop(gate);
-        // Nobody watches for ever.
+        // The watch ends.
         let start = Instant::now();
         while pool.0.lock().watched {
-            assert!(start.elapsed() < PATIENCE, "somebody still watches");
+            assert!(start.elapsed() < PATIENCE, "a thread still watches");
             std::thread::yield_now();
         }
     }
 
     #[test]
-    fn what_has_not_begun_when_the_pool_is_dropped_never_does() {
+    fn jobs_that_wait_when_the_pool_is_dropped_are_discarded() {
         let pool = Pool::new();
         let (ran, runs) = channel::<()>();
         let shared = Arc::clone(&pool.0);
-        // As if a thread was on its way, which never comes.
-        shared.lock().coming = true;
+        // As if a thread was called that never comes.
+        shared.lock().called = true;
         begin(&pool, move || ran.send(()).unwrap());
         drop(pool);
         assert!(runs.recv_timeout(PATIENCE).is_err(), "it was dropped");

@@ -6,8 +6,7 @@ use gimli::{EndianSlice, RunTimeEndian, SectionId};
 use object::{Object, ObjectSection, ObjectSymbol};
 use serde::Deserialize;
 
-use super::args::Reader;
-use super::{Level, Message, text};
+use super::message::Level;
 
 /// Supported versions of the wire format.
 const VERSIONS: [&str; 2] = ["3", "4"];
@@ -62,11 +61,11 @@ pub(super) enum Encoding {
 
 /// What a number stands for.
 #[derive(Debug)]
-struct Entry {
+pub(super) struct Entry {
     /// `None` if it is only part of a message.
-    level: Option<Option<Level>>,
-    text: String,
-    place: Option<String>,
+    pub(super) level: Option<Option<Level>>,
+    pub(super) text: String,
+    pub(super) place: Option<String>,
 }
 
 /// Identifies a set of flags: name, package, disambiguator, crate.
@@ -201,23 +200,13 @@ impl Table {
         Some(())
     }
 
-    /// Decodes the message at the start of `bytes`; also returns its length.
-    pub(super) fn message(&self, bytes: &[u8]) -> Option<(Message, usize)> {
-        let mut reader = Reader::new(self, bytes);
-        let entry = self.entries.get(&reader.number()?)?;
-        let level = entry.level?;
-        let timestamp = match &self.timestamp {
-            Some(format) => Some((format, reader.args(format)?)),
-            None => None,
-        };
-        let args = reader.args(&entry.text)?;
-        let message = Message {
-            level,
-            timestamp: timestamp.map(|(format, args)| text::of(self, format, &args)),
-            text: text::of(self, &entry.text, &args),
-            place: entry.place.clone(),
-        };
-        Some((message, bytes.len() - reader.left()))
+    pub(super) fn entry(&self, number: u16) -> Option<&Entry> {
+        self.entries.get(&number)
+    }
+
+    /// The format string of timestamps, if the log has any.
+    pub(super) fn timestamp(&self) -> Option<&str> {
+        self.timestamp.as_deref()
     }
 
     /// A format string that is part of a message.

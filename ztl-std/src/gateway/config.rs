@@ -1,5 +1,4 @@
-//! A gateway's configuration file: which devices there are, and where they are served.
-//! `docs/gateway.md` describes each key.
+//! A gateway's configuration file, described in `docs/gateway.md`.
 
 use std::path::{Path, PathBuf};
 
@@ -8,45 +7,45 @@ use crate::listen::{Listen, PORT};
 use crate::scope;
 use ztl_yaml::{Diagnostics, Document, Node, Reading, Value};
 
-/// What a configuration file says. All of it can be left out there, and said elsewhere.
+/// The settings in a file. Each can be left out and be given elsewhere.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub struct Config {
-    /// Scope to serve, as `/lab`.
+    /// Scope to serve, such as `/lab`.
     pub scope: Option<String>,
-    /// Where it listens, who may use it, and what it logs.
+    /// The settings that every server has.
     pub listen: Listen,
-    /// Port to publish readings at; without it they are not published.
+    /// Port at which readings are published, if they are.
     pub publish: Option<u16>,
-    /// Where the journal of tasks is kept.
+    /// Location of the journal.
     pub journal: Option<JournalPlace>,
-    /// The devices, in the file's order.
+    /// The devices in the file's order.
     pub devices: Vec<DeviceConfig>,
 }
 
-/// Where the journal of tasks is kept.
+/// Location of the journal.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum JournalPlace {
-    /// Nowhere.
+    /// No journal.
     Off,
-    /// In this file, or in a file of the gateway's own in this directory.
+    /// This file, or a file chosen by the gateway in this directory.
     At(PathBuf),
 }
 
-/// One device of a configuration file.
+/// A device in a configuration file.
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct DeviceConfig {
-    /// The name under which clients know it.
+    /// Its name for clients.
     pub name: String,
-    /// Where it is.
+    /// Its endpoint.
     pub endpoint: Endpoint,
-    /// Its firmware's ELF file, which its log is decoded with.
+    /// Its firmware's ELF file, to decode its log.
     pub elf: Option<PathBuf>,
 }
 
 impl DeviceConfig {
-    /// A device without anything else known of it.
+    /// A device without an ELF file.
     #[must_use]
     pub fn new(name: &str, endpoint: Endpoint) -> Self {
         Self {
@@ -61,18 +60,15 @@ impl Config {
     /// Reads a file. Paths in it are relative to its directory.
     ///
     /// # Errors
-    /// All that is wrong with it, each with its place.
+    /// All mistakes, each with its place.
     pub fn load(path: &Path, endpoint: ParseEndpoint) -> Result<Self, Diagnostics> {
         let document = crate::files::load_yaml(path)?;
         let base = path.parent().unwrap_or(Path::new(""));
         Self::read(&document, base, endpoint)
     }
 
-    /// Takes the configuration out of a document; paths are relative to `base`.
-    ///
-    /// # Errors
-    /// As [`load`](Self::load).
-    pub fn read(
+    /// Reads a document; paths are relative to `base`.
+    fn read(
         document: &Document,
         base: &Path,
         endpoint: ParseEndpoint,
@@ -126,7 +122,7 @@ fn config<'d>(
     Some(config)
 }
 
-/// A device, and where its URL stands.
+/// A device, and the node of its URL.
 fn device<'d>(
     reading: &mut Reading<'d>,
     name: &'d Node,
@@ -181,20 +177,20 @@ fn device<'d>(
     Some((device, url))
 }
 
-/// The device that is at the end of the same line.
+/// The device that uses the same line.
 #[must_use]
 pub fn same_line<'a>(devices: &'a [DeviceConfig], new: &DeviceConfig) -> Option<&'a DeviceConfig> {
     let shared = |device: &&DeviceConfig| device.endpoint.is_same_line(&new.endpoint);
     devices.iter().find(shared)
 }
 
-/// Why a device cannot be called so: its name is part of tasks (`name:component:goal`) and of topics
+/// Why a device's name is invalid. It is part of tasks (`name:component:goal`) and topics
 /// (`name/component/topic`).
 #[must_use]
 pub fn name_mistake(name: &str) -> Option<String> {
     let odd = |c: char| matches!(c, ':' | '/') || c.is_whitespace() || c.is_control();
     (name.is_empty() || name.contains(odd))
-        .then(|| format!("'{name}' is no name for a device: one word without ':' and '/'"))
+        .then(|| format!("'{name}' is not a device name: one word without ':' and '/'"))
 }
 
 #[cfg(test)]
@@ -273,7 +269,7 @@ mod tests {
     }
 
     #[test]
-    fn each_mistake_is_shown_where_it_stands_with_what_would_be_right() {
+    fn each_mistake_is_shown_with_its_place_and_what_is_expected() {
         let text = "\
 prot: 12345
 scope: a;b
@@ -301,13 +297,13 @@ devices:
         let expected = [
             "lab.yaml:1:1: unknown key 'prot'; did you mean 'port'?",
             "lab.yaml:2:8: the scope 'a;b' contains ';', so no client can reach it; write it as /lab",
-            "lab.yaml:3:7: 'not an address' is no address; use 127.0.0.1 for this machine only, or '*' for every interface",
+            "lab.yaml:3:7: 'not an address' is not an address; use 127.0.0.1 for this machine only, or '*' for every interface",
             "lab.yaml:4:10: 'many' is not a port, a whole number from 0 to 65535",
             "lab.yaml:5:6: 'loud' is not known here; there are: error, warn, info, debug",
             "lab.yaml:7:12: unknown kind of device 'usb'; use serial:/dev/ttyACM0?baud=115200 or tcp:HOST:PORT",
             "lab.yaml:10:11: only a serial port has a line rate",
             "lab.yaml:11:5: unknown key 'efl'; did you mean 'elf'?",
-            "lab.yaml:12:3: 'a/b' is no name for a device: one word without ':' and '/'",
+            "lab.yaml:12:3: 'a/b' is not a device name: one word without ':' and '/'",
             "lab.yaml:14:5: 'url' is missing; write url: serial:/dev/ttyACM0",
             "lab.yaml:16:8: 'one' is at serial:/dev/ttyACM0 already",
             "lab.yaml:17:29: there is no file /lab/no/such.elf",
@@ -318,7 +314,7 @@ devices:
     }
 
     #[test]
-    fn what_is_of_the_wrong_kind_is_said() {
+    fn values_of_the_wrong_type_are_reported() {
         for (text, part) in [
             (
                 "- a",
@@ -349,7 +345,7 @@ devices:
             ),
             (
                 "client-keys: a.key",
-                "lab.yaml:1:14: clients have keys only where",
+                "lab.yaml:1:14: clients can have keys only if",
             ),
             ("[a]: 1", "lab.yaml:1:1: a key is a single word"),
         ] {
@@ -359,7 +355,7 @@ devices:
     }
 
     #[test]
-    fn no_file_at_all_makes_it_panic() {
+    fn no_file_causes_a_panic() {
         const WHOLE: &str = "scope: /lab\nport: 1\nbind: '*'\npublish: 2\njournal: x\nlog: info\nlog-format: text\n\
             devices:\n  a: tcp:g:1\n  b: {url: serial:/dev/x?baud=9600, baud: 1, elf: y}\n  c:\n    url: tcp:h:1\n";
         let mut numbers = Garbage::new(0x2545_f491_4f6c_dd1d);

@@ -1,4 +1,4 @@
-//! Where a device is: `serial:/dev/ttyACM0?baud=115200`, `tcp:HOST:PORT`.
+//! Endpoints of devices: `serial:/dev/ttyACM0?baud=115200`, `tcp:HOST:PORT`.
 
 use std::any::Any;
 use std::io::{self, Read, Write};
@@ -7,16 +7,16 @@ use std::str::FromStr;
 use std::sync::Arc;
 use std::time::Duration;
 
-/// Line rate of a serial port unless `?baud=` says otherwise.
+/// Default line rate of a serial port.
 pub const BAUD: u32 = 115_200;
 
-/// What a line rate is.
+/// What a line rate is, for messages.
 pub(super) const BAUD_WANTED: &str = "a line rate in bits a second, as 115200";
 
-/// A read gives up after this time, so that a line can be closed.
+/// Timeout of a read, so that a line can be closed.
 pub const READ_TIMEOUT: Duration = Duration::from_millis(50);
 
-/// Where a device is.
+/// The endpoint of a device.
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Endpoint {
@@ -24,7 +24,7 @@ pub enum Endpoint {
     Serial {
         /// Path of the port.
         path: String,
-        /// Line rate in bits a second.
+        /// Line rate in bits per second.
         baud: u32,
     },
     /// A byte stream over TCP: ser2net, QEMU, `ztl device`.
@@ -44,7 +44,7 @@ pub struct InProcess {
 }
 
 impl InProcess {
-    /// A device of this name, which also tells whether two are the same; `open` starts it.
+    /// A device with a name, by which devices are compared; `open` starts it.
     pub fn new(name: &str, open: impl Fn() -> io::Result<Line> + Send + Sync + 'static) -> Self {
         Self {
             name: name.to_owned(),
@@ -67,29 +67,27 @@ impl std::fmt::Debug for InProcess {
     }
 }
 
-/// Reads where a device is; [`Endpoint`]'s `parse`, or that with more kinds of devices.
-///
-/// # Errors
-/// What is wrong with the text, and what would be right.
+/// Parses an endpoint: [`Endpoint`]'s `parse`, possibly with more kinds of devices. Returns what is wrong and
+/// what is expected.
 pub type ParseEndpoint = fn(&str) -> Result<Endpoint, String>;
 
-/// Why a text is no endpoint.
+/// Why a text is not an endpoint.
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum EndpointError {
-    /// The part before the first `:` is none of ours.
+    /// The part before the first `:` is unknown.
     Scheme {
-        /// What was written.
+        /// The text.
         found: String,
     },
     /// The path or the address is missing or incomplete.
     Incomplete {
-        /// What is right.
+        /// What is expected.
         expected: &'static str,
     },
-    /// `?baud=` is no line rate, or there is an unknown option.
+    /// `?baud=` is not a line rate, or an option is unknown.
     Option {
-        /// What was written.
+        /// The text.
         found: String,
     },
 }
@@ -105,7 +103,7 @@ impl std::fmt::Display for EndpointError {
             Self::Option { found } => {
                 write!(
                     f,
-                    "'{found}' is no option of a serial port; use ?baud=115200"
+                    "'{found}' is not an option of a serial port; use ?baud=115200"
                 )
             }
         }
@@ -171,14 +169,14 @@ impl std::fmt::Display for Endpoint {
     }
 }
 
-/// An open byte stream; its reads give up after a while with [`io::ErrorKind::TimedOut`].
+/// An open byte stream whose reads time out with [`io::ErrorKind::TimedOut`].
 pub struct Line {
-    /// What arrives.
+    /// Received bytes.
     pub reader: Box<dyn Read + Send>,
-    /// What is sent: a write is on its way at once. It is never flushed, since on a serial port that
-    /// waits until the last bit is out, in steps of the system's clock.
+    /// Bytes to send, written at once. Never flushed, since a serial port then waits until the last bit is sent, in
+    /// steps of the system's clock.
     pub writer: Box<dyn Write + Send>,
-    /// Kept as long as the line is: the device at the other end, if it is in this process.
+    /// The device at the other end, if it is in this process; lives as long as the line.
     pub device: Option<Box<dyn Any + Send>>,
 }
 
@@ -189,7 +187,7 @@ impl std::fmt::Debug for Line {
 }
 
 impl Line {
-    /// A line over any two halves.
+    /// A line from any reader and writer.
     pub fn new(reader: impl Read + Send + 'static, writer: impl Write + Send + 'static) -> Self {
         Self {
             reader: Box::new(reader),
@@ -201,7 +199,7 @@ impl Line {
     /// A line over a connected TCP stream.
     ///
     /// # Errors
-    /// Those of the operating system.
+    /// The system's error.
     pub fn tcp(stream: TcpStream) -> io::Result<Self> {
         stream.set_nodelay(true)?;
         stream.set_read_timeout(Some(READ_TIMEOUT))?;
@@ -212,7 +210,7 @@ impl Line {
     /// A line over an open serial port.
     ///
     /// # Errors
-    /// Those of the operating system.
+    /// The system's error.
     pub fn serial(port: Box<dyn serialport::SerialPort>) -> io::Result<Self> {
         let reader = port.try_clone()?;
         Ok(Self::new(reader, port))
@@ -220,10 +218,10 @@ impl Line {
 }
 
 impl Endpoint {
-    /// Opens the line; starts a device in this process.
+    /// Opens the line, or starts a device in this process.
     ///
     /// # Errors
-    /// Those of the operating system.
+    /// The system's error.
     pub fn open(&self) -> io::Result<Line> {
         match self {
             Self::Serial { path, baud } => {
@@ -245,7 +243,7 @@ impl Endpoint {
         }
     }
 
-    /// Whether both cannot be open at once, as far as their names tell.
+    /// Whether both are the same line, as far as their names tell.
     pub(super) fn is_same_line(&self, other: &Self) -> bool {
         match (self, other) {
             (Self::Serial { path, .. }, Self::Serial { path: its, .. }) => path == its,
@@ -254,7 +252,7 @@ impl Endpoint {
         }
     }
 
-    /// The line rate, where the line has one.
+    /// The line rate, if the line has one.
     #[must_use]
     pub fn baud(&self) -> Option<u32> {
         match self {
@@ -264,11 +262,11 @@ impl Endpoint {
     }
 }
 
-/// Why a port cannot be opened, in words that help.
+/// Why a port cannot be opened, with a hint.
 fn for_people(path: &str, error: serialport::Error) -> io::Error {
     use io::ErrorKind;
     let what = std::fs::metadata(path).map(|about| about.file_type());
-    let no_port = |what: &str| format!("it is {what}, and no serial port");
+    let no_port = |what: &str| format!("it is {what}, not a serial port");
     let (kind, text) = match (error.kind(), what) {
         (_, Ok(what)) if what.is_dir() => (ErrorKind::IsADirectory, no_port("a directory")),
         (_, Ok(what)) if what.is_file() => (ErrorKind::InvalidInput, no_port("a file")),
@@ -284,7 +282,7 @@ fn for_people(path: &str, error: serialport::Error) -> io::Error {
             ErrorKind::PermissionDenied,
             "this user may not open it; ports often belong to the group dialout".to_owned(),
         ),
-        // ENOTTY: what a terminal can do was asked of something else.
+        // ENOTTY: the file is not a terminal.
         (_, _)
             if ["typewriter", "ioctl"]
                 .iter()
@@ -297,7 +295,7 @@ fn for_people(path: &str, error: serialport::Error) -> io::Error {
     io::Error::new(kind, text)
 }
 
-/// Whether a read brought nothing only because its time had passed.
+/// Whether a read only timed out.
 #[must_use]
 pub fn is_pause(error: &io::Error) -> bool {
     matches!(
@@ -311,7 +309,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn endpoints_are_read_and_mistakes_say_what_would_be_right() {
+    fn endpoints_are_parsed_and_mistakes_say_what_is_expected() {
         let serial = |path: &str, baud| Endpoint::Serial {
             path: path.to_owned(),
             baud,

@@ -1,20 +1,170 @@
-//! The gateway as a handler of a task server.
+//! The gateway: devices as a handler of a task server.
 
-use tracing::info;
+use std::collections::BTreeSet;
+use std::io;
+use std::sync::{Arc, Mutex};
+
+use tracing::{info, warn};
 use ztl_core::{State, TaskId, TaskSpec};
 
-use super::voice::LOG;
-use super::{Gateway, LogPiece, device, report};
-use crate::remote::encoded;
+use super::device::shown;
+use super::devices::{DeviceMap, Devices, Shared};
+use super::endpoint::{Endpoint, Line};
+use super::journal::Journal;
+use super::logs::LogPiece;
+use super::opener::Opener;
+use super::readings::{Observers, Readings};
+use super::report;
+use crate::log_targets::GATEWAY;
+use crate::random;
 use crate::server::{
-    Answers, Restored, RestoredTask, TaskHandler, TaskReporter, offered, would_take,
+    Answers, BindError, Restored, RestoredTask, TaskHandler, TaskReporter, TaskServer, offered,
+    would_take,
 };
+use crate::task_request::{TaskRequest, encoded};
+
+/// Most readings that wait to be published.
+const PUBLISHED: usize = 10_000;
+
+/// Serves devices as handlers. Register it with
+/// [`TaskServer::register_handler`](crate::TaskServer::register_handler).
+#[derive(Debug)]
+pub struct Gateway {
+    devices: Devices,
+    leave_running: bool,
+}
+
+impl Default for Gateway {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Gateway {
+    /// A gateway without devices and without a journal: after a restart it does not know its tasks.
+    #[must_use]
+    pub fn new() -> Self {
+        Self::of(random::number(), None)
+    }
+
+    /// A gateway without devices that continues from its journal after a restart.
+    #[must_use]
+    pub fn with_journal(journal: Journal) -> Self {
+        Self::of(journal.gateway(), Some(journal))
+    }
+
+    fn of(id: u64, journal: Option<Journal>) -> Self {
+        let unended = journal.iter().flat_map(Journal::unended);
+        let devices = DeviceMap {
+            unended: unended
+                .map(|(name, task)| (task.id, (name, task)))
+                .collect(),
+            ..DeviceMap::default()
+        };
+        let shared = Shared {
+            id,
+            journal,
+            observers: Observers::default(),
+            devices: Mutex::new(devices),
+        };
+        Self {
+            devices: Devices(Arc::new(shared)),
+            leave_running: false,
+        }
+    }
+
+    /// Serves a device under a name. It need not be there yet: its line is opened when possible, and reopened when
+    /// it breaks. A second device with the same name replaces the first.
+    ///
+    /// # Errors
+    /// The system's error if it has no more threads.
+    pub fn add(&mut self, name: &str, endpoint: Endpoint) -> io::Result<()> {
+        self.serve(name, endpoint.into())
+    }
+
+    /// Serves a device at a line of any kind. `open` is called on a thread of its own whenever there is no line,
+    /// and may block; `label` names the line in the log.
+    ///
+    /// # Errors
+    /// Those of [`add`](Self::add).
+    pub fn add_line(
+        &mut self,
+        name: &str,
+        label: &str,
+        open: impl Fn() -> io::Result<Line> + Send + Sync + 'static,
+    ) -> io::Result<()> {
+        let opener = Opener {
+            label: label.to_owned(),
+            baud: None,
+            may_be_half_open: false,
+            path: None,
+            open: Arc::new(open),
+        };
+        self.serve(name, opener)
+    }
+
+    fn serve(&mut self, name: &str, opener: Opener) -> io::Result<()> {
+        let mut map = self.devices.lock();
+        let device = self.devices.spawn(&map, name, Some(opener))?;
+        let before = map.served.insert(name.to_owned(), device);
+        drop(map);
+        // Stops the old device, which takes a while.
+        drop(before);
+        Ok(())
+    }
+
+    /// Starts threads for devices that are no longer served but have tasks in the journal.
+    fn add_retired(&mut self) {
+        let mut map = self.devices.lock();
+        let names = map.unended.values().map(|(name, _)| name.clone());
+        let names: BTreeSet<String> = names.collect();
+        for name in names {
+            if map.device(&name).is_some() {
+                continue;
+            }
+            warn!(target: GATEWAY, "Device '{name}' has tasks in the journal, and is not served any more.");
+            // Without a thread its tasks stay unended.
+            if let Ok(device) = self.devices.spawn(&map, &name, None) {
+                map.retired.insert(name, device);
+            }
+        }
+    }
+
+    /// Sets what happens to running tasks when the gateway ends. By default they are aborted, which may take a
+    /// second. With `true` they are left running: what their components do by themselves is logged, and no
+    /// client is told an end.
+    pub const fn set_leave_running(&mut self, leave: bool) {
+        self.leave_running = leave;
+    }
+
+    /// Its devices, to be seen and changed also after the gateway is registered at a server.
+    #[must_use]
+    pub fn devices(&self) -> Devices {
+        self.devices.clone()
+    }
+
+    /// All readings of its devices from now on. At most `capacity` of them wait to be taken.
+    #[must_use]
+    pub fn observe(&self, capacity: usize) -> Readings {
+        self.devices.0.observers.add(capacity)
+    }
+
+    /// Publishes the readings at a ZeroMQ endpoint such as `tcp://127.0.0.1:12346`, until the gateway ends;
+    /// returns the endpoint with the chosen port. A message has two frames, the topic and the bytes. Clients
+    /// that may connect to `server` may subscribe.
+    ///
+    /// # Errors
+    /// [`BindError`].
+    pub fn publish(&self, server: &TaskServer, endpoint: &str) -> Result<String, BindError> {
+        self.observe(PUBLISHED).publish(server, endpoint)
+    }
+}
 
 impl Drop for Gateway {
     fn drop(&mut self) {
-        let fleet = std::mem::take(&mut *self.devices.fleet());
-        // All at once; each is waited for as it is dropped.
-        for device in fleet.all() {
+        let map = std::mem::take(&mut *self.devices.lock());
+        // All at once; dropping each waits for it.
+        for device in map.all() {
             device.stop(self.leave_running);
             device.log().close();
         }
@@ -23,19 +173,17 @@ impl Drop for Gateway {
 }
 
 impl TaskHandler for Gateway {
-    fn start(&mut self, task: TaskReporter, payload: &str) {
-        let mut buffer = vec![0; payload.len()];
-        let spec = match TaskSpec::decode(payload, &mut buffer) {
-            Ok(spec) => spec,
-            Err(error) => return task.threw(error.to_string()),
-        };
-        let fleet = self.devices.fleet();
-        match fleet.served.get(spec.handler) {
-            Some(device) => device.start(task, &spec),
+    fn start(&mut self, task: TaskReporter, request: TaskRequest) {
+        let map = self.devices.lock();
+        match map.served.get(&request.handler) {
+            Some(device) => device.start(task, &request),
             None => {
-                let names: Vec<&str> = fleet.served.keys().map(String::as_str).collect();
+                let names: Vec<&str> = map.served.keys().map(String::as_str).collect();
                 let names = names.join(", ");
-                task.rejected(format!("no device '{}'; there are: {names}", spec.handler));
+                task.rejected(format!(
+                    "no device '{}'; there are: {names}",
+                    request.handler
+                ));
             }
         }
     }
@@ -43,29 +191,29 @@ impl TaskHandler for Gateway {
     fn description(&self) -> Box<dyn Fn() -> String + Send> {
         let devices = self.devices.clone();
         Box::new(move || {
-            let fleet = devices.fleet();
-            let components: Vec<_> = fleet
+            let map = devices.lock();
+            let components: Vec<_> = map
                 .served
                 .values()
-                .map(|device| device.window().components())
+                .map(|device| device.status().components())
                 .collect();
-            let names = fleet.served.keys().map(String::as_str);
+            let names = map.served.keys().map(String::as_str);
             let components = components.iter().map(|all| all.iter().map(AsRef::as_ref));
             offered(names.zip(components))
         })
     }
 
     fn answers(&self) -> Answers {
-        let watch = self.watch();
-        let asked = self.watch();
+        let devices = self.devices();
+        let asked = self.devices();
         let takes = would_take(move |spec| report::would_take(&asked.reports(), spec));
         Box::new(move |question| match question {
-            "devices" => serde_json::to_string(&watch.reports()).ok(),
+            "devices" => serde_json::to_string(&devices.reports()).ok(),
             question if question.starts_with("takes ") => takes(question),
             // `log NAME FROM`
             other => {
                 let (name, from) = other.strip_prefix("log ")?.rsplit_once(' ')?;
-                let piece = LogPiece::of(&watch.raw_log(name)?, from.parse().ok()?);
+                let piece = LogPiece::of(&devices.raw_log(name)?, from.parse().ok()?);
                 serde_json::to_string(&piece).ok()
             }
         })
@@ -75,12 +223,12 @@ impl TaskHandler for Gateway {
         let Some(journal) = self.devices.0.journal.clone() else {
             return Restored::default();
         };
-        self.add_absent();
+        self.add_retired();
         let mut tasks = journal.ended(|[device, component, goal], mut task| {
             task.payload = encoded(device, component, goal);
             if task.state == State::Rejected {
-                // As its client was told.
-                let spec = device::shown(&TaskSpec {
+                // The text that its client was told.
+                let spec = shown(&TaskSpec {
                     handler: device,
                     component,
                     goal,
@@ -89,11 +237,11 @@ impl TaskHandler for Gateway {
             }
             task
         });
-        let fleet = self.devices.fleet();
-        let (ended, unended) = (tasks.len(), fleet.unended.len());
-        info!(target: LOG, "Journal {}: tasks without an end {unended}, ends remembered {ended}.", journal.path().display());
-        tasks.extend(fleet.unended.values().map(|(device, task)| {
-            let text = if fleet.served.contains_key(device) {
+        let map = self.devices.lock();
+        let (ended, unended) = (tasks.len(), map.unended.len());
+        info!(target: GATEWAY, "Journal {}: tasks without an end {unended}, ends remembered {ended}.", journal.path().display());
+        tasks.extend(map.unended.values().map(|(device, task)| {
+            let text = if map.served.contains_key(device) {
                 "device is not answering yet".to_owned()
             } else {
                 format!("device '{device}' is not served any more")
@@ -113,19 +261,19 @@ impl TaskHandler for Gateway {
     }
 
     fn resume(&mut self, task: TaskReporter) {
-        let mut fleet = self.devices.fleet();
-        let Some((name, known)) = fleet.unended.remove(&task.id()) else {
+        let mut map = self.devices.lock();
+        let Some((name, known)) = map.unended.remove(&task.id()) else {
             return task.leave();
         };
-        match fleet.device(&name) {
+        match map.device(&name) {
             Some(device) => device.resume(task, known),
             None => task.leave(),
         }
     }
 
     fn abort(&mut self, id: TaskId) {
-        // The one that has the task knows it; there are few.
-        for device in self.devices.fleet().all() {
+        // Only the device that has the task reacts.
+        for device in self.devices.lock().all() {
             device.abort(id);
         }
     }

@@ -1,75 +1,69 @@
-//! What the gateway tells people of its devices: `ztl devices`, and whoever asks `$ztl` for
-//! `devices`.
+//! What the gateway reports about its devices: the answer to the question `devices`, as `ztl devices` asks it.
 
 use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
+use ztl_core::TaskSpec;
 use ztl_core::link::{Busy, Loss};
-use ztl_core::{Instant, TaskSpec};
+use ztl_link::{ComponentInfo, LinkCounters};
 
-use crate::time::{millis, now};
-use ztl_link::{ComponentInfo, DeviceInfo, LinkCounters, RoundTrips, Session, SessionJournal};
-
-/// Each device of a gateway, by the name under which clients know it.
+/// The devices of a gateway by name.
 pub type DeviceReports = BTreeMap<String, DeviceReport>;
 
-/// A device, as its gateway sees it.
+/// A device as its gateway sees it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct DeviceReport {
-    /// Where it is, as in `--device NAME=URL`.
+    /// Its URL, as in `--device NAME=URL`.
     pub url: String,
-    /// Whether it takes tasks now.
+    /// Whether it accepts tasks now.
     pub ready: bool,
-    /// What is wrong with it, for people.
+    /// What is wrong with it, to be shown to people.
     pub trouble: Option<String>,
-    /// What it has told of itself; `null` before it did.
+    /// How it described itself; `null` before it did.
     pub firmware: Option<FirmwareReport>,
     /// Its components.
     pub components: Vec<ComponentReport>,
-    /// How its link does.
+    /// The state of its link.
     pub link: LinkReport,
 }
 
-/// What a device has told of itself.
+/// A device's description of itself.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct FirmwareReport {
-    /// What the firmware calls its device.
+    /// The device's name in its firmware.
     pub name: String,
     /// Its version.
     pub version: String,
-    /// Random since the last reset.
+    /// Random number chosen at the last reset.
     pub boot: u32,
-    /// How long it has run since its reset, in milliseconds; what it was when it was last heard,
-    /// and the time since.
+    /// Milliseconds since its reset: the last value it sent plus the time since then.
     pub uptime_ms: u64,
-    /// After how long without a new command it acts by itself, in milliseconds.
+    /// Milliseconds without a new command after which it acts by itself.
     pub link_timeout_ms: u64,
 }
 
-/// A component, as its device describes it.
+/// A component as its device describes it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ComponentReport {
-    /// Name, as a client writes it.
+    /// Its name.
     pub name: String,
-    /// Smallest and greatest number it takes.
+    /// Smallest and greatest number that it takes.
     pub range: Option<(f32, f32)>,
-    /// Unit of the numbers.
+    /// The unit of the numbers.
     pub unit: String,
     /// Words that it takes.
     pub words: Vec<String>,
-    /// What happens to a second task while one runs: `refuse`, `queue N` or `replace`.
+    /// What a second task does while one runs: `refuse`, `queue N` or `replace`.
     #[serde(default)]
     pub busy: String,
-    /// What it does when the link is lost, with or without a task: `abort`, `hold` or `carry on`.
+    /// What it does when the link is lost: `abort`, `hold` or `carry on`.
     pub loss: String,
-    /// Topics under which it publishes readings.
+    /// The topics of its readings.
     #[serde(default)]
     pub topics: Vec<String>,
 }
 
-/// Whether a device would take a task, by what it has told of itself.
+/// Whether a device would take a task, by its description.
 pub(super) fn would_take(devices: &DeviceReports, spec: &TaskSpec<'_>) -> Result<(), String> {
     let names = |names: Vec<&str>| names.join(", ");
     let Some(device) = devices.get(spec.handler) else {
@@ -80,7 +74,7 @@ pub(super) fn would_take(devices: &DeviceReports, spec: &TaskSpec<'_>) -> Result
         let trouble = device
             .trouble
             .as_deref()
-            .unwrap_or("it has not told of itself yet");
+            .unwrap_or("it has not described itself yet");
         return Err(format!(
             "device '{}' takes no tasks now: {trouble}",
             spec.handler
@@ -102,17 +96,17 @@ pub(super) fn would_take(devices: &DeviceReports, spec: &TaskSpec<'_>) -> Result
 }
 
 impl ComponentReport {
-    /// Whether it would take a goal, as far as its description tells.
+    /// Whether it would take a goal, by its description.
     fn would_take(&self, goal: &str) -> Result<(), String> {
         let goal = goal.trim();
-        // Without either it has not said what it takes.
+        // Without either, it does not say what it takes.
         let says = self.range.is_some() || !self.words.is_empty();
         if !says || self.words.iter().any(|word| word == goal) {
             return Ok(());
         }
         let words = self.words.join(", ");
         let Some((least, most)) = self.range else {
-            return Err(format!("'{goal}' is none of its words: {words}"));
+            return Err(format!("'{goal}' is not one of its words: {words}"));
         };
         let fits = |number: &f32| (least..=most).contains(number);
         match goal.parse::<f32>() {
@@ -132,124 +126,40 @@ impl ComponentReport {
     }
 }
 
-/// How a link does.
+/// The state of a link.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct LinkReport {
-    /// Frames, errors by kind, repeats, and so on.
+    /// Frames, errors by kind, retries, and so on.
     #[serde(flatten)]
     pub counters: LinkCounters,
-    /// Time from a command to its answer that half of the latest 128 did not exceed, in
-    /// microseconds.
+    /// Median time from a command to its answer, of the latest 128, in microseconds.
     pub round_trip_p50_us: Option<u64>,
-    /// The same for 99 of 100.
+    /// The 99th percentile of that time.
     pub round_trip_p99_us: Option<u64>,
-    /// Tasks that wait for their `Start` to be sent.
+    /// Tasks whose `Start` was not sent yet.
     pub queue: usize,
 }
 
-/// What a device's thread lets others see; never held for long.
-#[derive(Debug, Default)]
-struct Seen {
-    ready: bool,
-    trouble: Option<String>,
-    device: Option<DeviceInfo>,
-    /// The device's uptime, and when it was that.
-    uptime: Option<(Duration, Instant)>,
-    counters: LinkCounters,
-    round_trips: RoundTrips,
-    queue: usize,
-}
-
-/// A window through which a device's thread is seen.
-#[derive(Debug, Clone, Default)]
-pub(super) struct Window(Arc<Mutex<Seen>>);
-
-impl Window {
-    fn seen(&self) -> MutexGuard<'_, Seen> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    /// Shows what is so now; to be called often.
-    pub(super) fn show<B: SessionJournal>(
-        &self,
-        now: Instant,
-        session: &Session<B>,
-        trouble: Option<&String>,
-    ) {
-        let mut seen = self.seen();
-        seen.ready = session.is_up();
-        if seen.trouble.as_ref() != trouble {
-            seen.trouble = trouble.cloned();
-        }
-        if seen.device.as_ref() != session.device() {
-            seen.device = session.device().cloned();
-        }
-        seen.uptime = session.uptime(now).map(|uptime| (uptime, now));
-        seen.counters = session.counters();
-        seen.round_trips.clone_from(session.round_trips());
-        seen.queue = session.queued();
-    }
-
-    /// The names of the components.
-    pub(super) fn components(&self) -> Vec<String> {
-        let seen = self.seen();
-        let device = seen.device.as_ref();
-        device.map_or_else(Vec::new, |device| {
-            device.components.iter().map(|c| c.name.clone()).collect()
-        })
-    }
-
-    pub(super) fn report(&self, url: String) -> DeviceReport {
-        let seen = self.seen();
-        let micros = |percent| {
-            let time = seen.round_trips.percentile(percent)?;
-            u64::try_from(time.as_micros()).ok()
+impl From<&ComponentInfo> for ComponentReport {
+    fn from(component: &ComponentInfo) -> Self {
+        let busy = match component.busy {
+            Busy::Queue(most) => format!("queue {most}"),
+            Busy::Replace => "replace".to_owned(),
+            _ => "refuse".to_owned(),
         };
-        let device = seen.device.as_ref();
-        DeviceReport {
-            url,
-            ready: seen.ready,
-            trouble: seen.trouble.clone(),
-            firmware: device.map(|device| FirmwareReport {
-                name: device.name.clone(),
-                version: device.firmware.clone(),
-                boot: device.boot,
-                uptime_ms: seen
-                    .uptime
-                    .map_or(0, |(uptime, at)| millis(uptime + now().since(at))),
-                link_timeout_ms: millis(device.link_timeout),
-            }),
-            components: device.map_or_else(Vec::new, |device| {
-                device.components.iter().map(component).collect()
-            }),
-            link: LinkReport {
-                counters: seen.counters,
-                round_trip_p50_us: micros(50),
-                round_trip_p99_us: micros(99),
-                queue: seen.queue,
-            },
+        let loss = match component.loss {
+            Loss::Abort => "abort",
+            Loss::Hold => "hold",
+            Loss::CarryOn => "carry on",
+        };
+        Self {
+            name: component.name.clone(),
+            range: component.range,
+            unit: component.unit.clone(),
+            words: component.words.clone(),
+            topics: component.topics.clone(),
+            busy,
+            loss: loss.to_owned(),
         }
-    }
-}
-
-fn component(component: &ComponentInfo) -> ComponentReport {
-    let busy = match component.busy {
-        Busy::Queue(most) => format!("queue {most}"),
-        Busy::Replace => "replace".to_owned(),
-        _ => "refuse".to_owned(),
-    };
-    let loss = match component.loss {
-        Loss::Abort => "abort",
-        Loss::Hold => "hold",
-        Loss::CarryOn => "carry on",
-    };
-    ComponentReport {
-        name: component.name.clone(),
-        range: component.range,
-        unit: component.unit.clone(),
-        words: component.words.clone(),
-        topics: component.topics.clone(),
-        busy,
-        loss: loss.to_owned(),
     }
 }

@@ -1,4 +1,4 @@
-//! A bounded queue between threads that never makes its writer wait: full, it loses the oldest.
+//! A bounded queue between threads whose writer never waits: when full, it drops the oldest item.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError, Weak};
@@ -19,21 +19,21 @@ struct Shared<T> {
 }
 
 impl<T> Shared<T> {
-    /// Held only while one is put or taken.
+    /// Locked only while an item is put or taken.
     fn inner(&self) -> MutexGuard<'_, Inner<T>> {
         self.inner.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
-/// Where one is put.
+/// The writer's end.
 #[derive(Debug)]
 pub(super) struct RingIn<T>(Weak<Shared<T>>);
 
-/// Where one is taken; dropped, nothing is kept any more.
+/// The reader's end. After it is dropped, the queue keeps nothing.
 #[derive(Debug)]
 pub(super) struct RingOut<T>(Arc<Shared<T>>);
 
-/// A queue of at most `capacity`, at least one.
+/// Creates a queue of at most `capacity` items, at least one.
 pub(super) fn ring<T>(capacity: usize) -> (RingIn<T>, RingOut<T>) {
     let shared = Arc::new(Shared {
         inner: Mutex::new(Inner {
@@ -48,7 +48,7 @@ pub(super) fn ring<T>(capacity: usize) -> (RingIn<T>, RingOut<T>) {
 }
 
 impl<T> RingIn<T> {
-    /// Puts one behind the others; says whether anybody is there to take it.
+    /// Appends an item; returns whether there is still a reader.
     pub(super) fn put(&self, one: T) -> bool {
         let Some(shared) = self.0.upgrade() else {
             return false;
@@ -73,17 +73,17 @@ impl<T> Drop for RingIn<T> {
     }
 }
 
-/// Why there is none.
+/// Why there is no item.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Empty {
-    /// None yet.
+    /// There is none yet.
     Now,
-    /// None, and there will be none.
-    ForEver,
+    /// The writer is gone.
+    Forever,
 }
 
 impl<T> RingOut<T> {
-    /// The oldest that was not lost; waits for it, at most for `limit`.
+    /// Takes the oldest item; waits for one at most for `limit`.
     pub(super) fn take(&self, limit: Duration) -> Result<T, Empty> {
         let start = Instant::now();
         let mut inner = self.0.inner();
@@ -92,7 +92,7 @@ impl<T> RingOut<T> {
                 return Ok(one);
             }
             if inner.closed {
-                return Err(Empty::ForEver);
+                return Err(Empty::Forever);
             }
             let left = limit.saturating_sub(start.elapsed());
             if left.is_zero() {
@@ -103,12 +103,12 @@ impl<T> RingOut<T> {
         }
     }
 
-    /// How many were lost since this was asked last.
+    /// How many items were lost since the last call.
     pub(super) fn take_lost(&self) -> u64 {
         std::mem::take(&mut self.0.inner().lost)
     }
 
-    /// How many were lost.
+    /// How many items were lost.
     pub(super) fn lost(&self) -> u64 {
         self.0.inner().lost
     }
@@ -119,7 +119,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_oldest_are_lost_and_counted_and_the_end_is_told_after_the_rest() {
+    fn a_full_queue_drops_and_counts_the_oldest() {
         let (put, take) = ring(3);
         for number in 0..10 {
             assert!(put.put(number));
@@ -129,11 +129,11 @@ mod tests {
         drop(put);
         assert_eq!(take.take(Duration::ZERO), Ok(8));
         assert_eq!(take.take(Duration::MAX), Ok(9));
-        assert_eq!(take.take(Duration::MAX), Err(Empty::ForEver));
+        assert_eq!(take.take(Duration::MAX), Err(Empty::Forever));
     }
 
     #[test]
-    fn nothing_is_kept_for_nobody() {
+    fn nothing_is_kept_without_a_reader() {
         let (put, take) = ring(3);
         assert_eq!(take.take(Duration::from_millis(1)), Err(Empty::Now));
         assert!(put.put(1));
@@ -142,7 +142,7 @@ mod tests {
     }
 
     #[test]
-    fn who_waits_is_woken() {
+    fn a_waiting_reader_is_woken() {
         let (put, take) = ring(1);
         let waiting = std::thread::spawn(move || {
             let one = take.take(Duration::from_secs(20));
@@ -152,7 +152,7 @@ mod tests {
         drop(put);
         assert_eq!(
             waiting.join().expect("no panic"),
-            (Ok(5), Err(Empty::ForEver))
+            (Ok(5), Err(Empty::Forever))
         );
     }
 }

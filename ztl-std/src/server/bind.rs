@@ -1,30 +1,30 @@
-//! Binding a socket, and why it may fail.
+//! Binding a socket, and why it can fail.
 
 use std::io;
 use std::net::SocketAddr;
 
-use crate::endpoint::check_port;
 use crate::keys::KeyError;
+use crate::sockets::check_port;
 
-/// Why a server could not be opened.
+/// Why a server cannot listen.
 #[derive(Debug)]
 #[non_exhaustive]
 pub enum BindError {
-    /// Something else listens there.
+    /// The port is in use.
     InUse {
-        /// Where.
+        /// The endpoint.
         endpoint: String,
     },
-    /// No interface of this machine has that address, or it is no address.
+    /// No interface of this machine has the address, or it is not a valid one.
     Address {
-        /// Where.
+        /// The endpoint.
         endpoint: String,
-        /// What ZeroMQ says.
+        /// ZeroMQ's error.
         cause: zmq::Error,
     },
-    /// Keys were given, and this build cannot encrypt.
+    /// Keys were given, but this build cannot encrypt.
     NoCurve,
-    /// ZeroMQ gives no more sockets, or has no more memory.
+    /// ZeroMQ has no more sockets or memory.
     Socket(zmq::Error),
 }
 
@@ -41,7 +41,7 @@ impl std::fmt::Display for BindError {
                 let address = address.trim_start_matches("tcp://");
                 match cause {
                     zmq::Error::ENODEV => {
-                        write!(f, "'{address}' is no address of this machine")?;
+                        write!(f, "'{address}' is not an address of this machine")?;
                     }
                     zmq::Error::EADDRNOTAVAIL => {
                         write!(f, "this machine does not have the address {address}")?;
@@ -76,7 +76,7 @@ impl From<zmq::Error> for BindError {
 }
 
 impl BindError {
-    /// The same at another endpoint.
+    /// The same error at another endpoint.
     pub(super) fn at(self, endpoint: &str) -> Self {
         let endpoint = endpoint.to_owned();
         match self {
@@ -87,8 +87,7 @@ impl BindError {
     }
 }
 
-/// Whether a port of this machine can be bound, which is not listened at: a server that is started meanwhile
-/// gets it.
+/// Binds a port without listening, so that a server that starts meanwhile still gets it.
 pub(super) fn try_port(address: SocketAddr, endpoint: &str) -> Result<(), BindError> {
     let endpoint = endpoint.to_owned();
     bind_only(address).map_err(|error| match error.kind() {
@@ -113,7 +112,7 @@ fn bind_only(address: SocketAddr) -> io::Result<()> {
         SocketAddr::V6(_) => AddressFamily::INET6,
     };
     let socket = socket(family, SocketType::STREAM, None)?;
-    // As ZeroMQ does.
+    // Like ZeroMQ.
     sockopt::set_socket_reuseaddr(&socket, true)?;
     Ok(bind(&socket, &address)?)
 }
@@ -123,7 +122,7 @@ fn bind_only(address: SocketAddr) -> io::Result<()> {
     std::net::TcpListener::bind(address).map(drop)
 }
 
-/// Binds a socket, and says where.
+/// Binds a socket; returns the endpoint with the chosen port.
 pub(super) fn bind(socket: &zmq::Socket, endpoint: &str) -> Result<String, BindError> {
     let bound = check_port(endpoint).and_then(|()| socket.bind(endpoint));
     bound.map_err(|cause| match cause {
@@ -137,4 +136,16 @@ pub(super) fn bind(socket: &zmq::Socket, endpoint: &str) -> Result<String, BindE
     })?;
     let bound = socket.get_last_endpoint()?;
     Ok(bound.unwrap_or_default())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_invalid_port_is_not_truncated() {
+        let context = zmq::Context::new();
+        let socket = context.socket(zmq::ROUTER).expect("a socket");
+        assert!(bind(&socket, "tcp://127.0.0.1:99999").is_err());
+    }
 }

@@ -1,26 +1,25 @@
-//! How many connections a server has, as ZeroMQ's monitor tells it.
+//! Counts a server's connections by ZeroMQ's socket monitor.
 
 use std::cell::Cell;
 
 use tracing::warn;
 
-use super::LOG;
-
-use crate::frames;
+use crate::log_targets::TASKS;
+use crate::sockets;
 
 const MONITOR: &str = "inproc://connections";
 
-/// Counts the connections of a socket.
+/// The number of connections of a socket.
 pub(super) struct Connections {
     monitor: zmq::Socket,
     open: Cell<usize>,
     most: usize,
-    /// Whether it was said that there are too many.
-    said: Cell<bool>,
+    /// Whether the limit was logged since it was last reached.
+    logged: Cell<bool>,
 }
 
 impl Connections {
-    /// Of a socket that is to be bound afterwards; at most `most` are wanted.
+    /// Counts those of a socket that is bound afterwards; `most` is the limit.
     pub(super) fn of(
         socket: &zmq::Socket,
         context: &zmq::Context,
@@ -35,19 +34,19 @@ impl Connections {
             monitor,
             open: Cell::new(0),
             most,
-            said: Cell::new(false),
+            logged: Cell::new(false),
         })
     }
 
-    /// What is to be waited for: unread, its messages would stop ZeroMQ.
+    /// The socket to poll. ZeroMQ stalls if its events are not read.
     pub(super) const fn socket(&self) -> &zmq::Socket {
         &self.monitor
     }
 
-    /// Counts what has happened.
+    /// Reads all pending events.
     pub(super) fn count(&self) {
         // Each is two frames: the event's number and a value, then the address.
-        while let Ok(frames) = frames::receive(&self.monitor) {
+        while let Ok(frames) = sockets::receive(&self.monitor) {
             let event = frames.first().and_then(|frame| frame.first_chunk::<2>());
             let Some(event) = event.map(|event| u16::from_le_bytes(*event)) else {
                 continue;
@@ -57,19 +56,19 @@ impl Connections {
                 self.open.set(open.saturating_add(1));
             } else {
                 self.open.set(open.saturating_sub(1));
-                self.said
-                    .set(self.said.get() && self.open.get() >= self.most);
+                let full = self.open.get() >= self.most;
+                self.logged.set(self.logged.get() && full);
             }
         }
     }
 
-    /// Whether one that asks to be let in, and is counted already, is too many; says so once.
+    /// Whether the newest connection, which is already counted, exceeds the limit. Logs it once.
     pub(super) fn are_too_many(&self) -> bool {
         self.count();
         let too_many = self.open.get() > self.most;
-        if too_many && !self.said.replace(true) {
+        if too_many && !self.logged.replace(true) {
             let most = self.most;
-            warn!(target: LOG, "There are {most} connections, as many as are allowed; more are not let in.");
+            warn!(target: TASKS, "There are {most} connections, as many as are allowed; more are not let in.");
         }
         too_many
     }

@@ -1,67 +1,74 @@
-//! What takes the tasks of a scope: the trait that a handler implements, and what one may know from
-//! before a restart.
+//! The interface between a server and what carries out the tasks of a scope.
 
 use std::time::Duration;
 
 use ztl_core::{State, TaskId, TaskSpec};
 
-use super::TaskReporter;
+use super::reporter::TaskReporter;
+use crate::task_request::TaskRequest;
 
-/// Answers questions of clients to `$ztl` that are not the protocol's own: in JSON, or `None`
-/// where the question is not known.
+/// Answers questions to `$ztl` that the protocol does not define, in JSON; `None` for an unknown question.
 pub type Answers = Box<dyn Fn(&str) -> Option<String> + Send>;
 
-/// How long a server that is stopped goes on answering while its handlers stop their tasks, at most,
-/// unless they say otherwise.
+/// Default time for which a stopping server keeps answering while its handlers stop their tasks.
 const STOPPING: Duration = Duration::from_millis(1500);
 
-/// What takes the tasks of a scope, on the server's own thread: it must return at once and work
-/// elsewhere. For tasks that run on threads there is [`TaskController`](crate::TaskController).
+/// Carries out the tasks of a scope. Its methods run on the server's thread, so they must return at once and
+/// work elsewhere. For tasks on threads of their own, use [`TaskController`](crate::TaskController).
 pub trait TaskHandler: Send {
-    /// A client asks for a task. The decision and all that follows go to `task`, from any thread;
-    /// an INIT without a decision is answered after 1.5 s, with the id.
-    fn start(&mut self, task: TaskReporter, payload: &str);
+    /// A client asks for a task. The decision and everything after it is reported to `task`, from any
+    /// thread. An INIT that is undecided after 1.5 s is answered with the id.
+    fn start(&mut self, task: TaskReporter, request: TaskRequest);
 
-    /// After one or more calls of [`start`](Self::start), before anything is waited for: a handler that
-    /// has to wake somebody can do it once for all of them. Default: nothing.
+    /// The same with the payload as it was sent. Default: decodes it and calls [`start`](Self::start), or
+    /// refuses the task as the original does.
+    fn start_payload(&mut self, task: TaskReporter, payload: &str) {
+        match TaskRequest::decode(task.id(), payload) {
+            Ok(request) => self.start(task, request),
+            Err(error) => task.threw(error),
+        }
+    }
+
+    /// Called after one or more tasks were [started](Self::start), before the server waits: a handler that
+    /// wakes threads can do it once for all of them. Default: nothing.
     fn all_started(&mut self) {}
 
-    /// A client asks to stop a task that this handler was given and that has not ended.
+    /// A client asks to stop a task of this handler that has not ended.
     fn abort(&mut self, id: TaskId);
 
-    /// The tasks from before a restart that this handler still knows; asked once, when it is
-    /// registered. Default: none.
+    /// The tasks from before a restart that this handler still knows. Called once, on registration.
+    /// Default: none.
     fn restored(&mut self) -> Restored {
         Restored::default()
     }
 
-    /// One of those tasks has not ended: from now on what becomes of it goes to `task`. Its decision
-    /// has been told, or never will be. Default: it ends as FAILED.
+    /// Takes up a restored task that has not ended. Its decision has already been reported, or never will
+    /// be. Default: the task ends as FAILED.
     fn resume(&mut self, task: TaskReporter) {
         drop(task);
     }
 
-    /// What will tell a client that asks `$ztl` which handlers and components there are: a mapping
-    /// in YAML's flow style, `{gripper: [finger]}`. Called often, from the server's thread, so it
-    /// must be quick. Default: nothing is told.
+    /// Returns what describes the handlers and components to clients: a mapping in YAML flow style such as
+    /// `{gripper: [finger]}`. Called often on the server's thread, so it must be quick. Default: an empty
+    /// mapping.
     fn description(&self) -> Box<dyn Fn() -> String + Send> {
         Box::new(|| "{}".to_owned())
     }
 
-    /// Whether the answer about an id that is not known names that id: `Invalid ID '7'`, as the original's
-    /// `TaskController` says it, or `Invalid ID`, as its simple server does. Default: it names the id.
+    /// Whether the answer about an unknown id names the id: `Invalid ID '7'`, like the original's
+    /// `TaskController`, or `Invalid ID`, like its simple server. Default: yes.
     fn names_unknown_ids(&self) -> bool {
         true
     }
 
-    /// The server is about to stop, and drops its handlers: begin to stop the tasks, and say how long
-    /// clients may wait to hear of their ends. Default: nothing, 1.5 s.
+    /// The server is about to stop and drop its handlers. Begins to stop the tasks, and returns how long
+    /// clients may wait to learn their ends. Default: nothing, 1.5 s.
     fn stop(&mut self) -> Duration {
         STOPPING
     }
 
-    /// What will answer questions about this handler, as `devices`. Called from the server's
-    /// thread, so it must be quick. Default: no question is known.
+    /// Returns what answers further questions about this handler, such as `devices`. Called on the server's
+    /// thread, so it must be quick. Default: knows no question.
     fn answers(&self) -> Answers {
         Box::new(|_| None)
     }
@@ -72,7 +79,7 @@ pub trait TaskHandler: Send {
 pub struct Restored {
     /// The tasks.
     pub tasks: Vec<RestoredTask>,
-    /// No task is given an id up to this one.
+    /// New tasks get ids above this one.
     pub last_id: Option<TaskId>,
 }
 
@@ -83,16 +90,16 @@ pub struct RestoredTask {
     pub id: TaskId,
     /// Its payload, to be shown to people.
     pub payload: String,
-    /// Where it is in its life.
+    /// Its state.
     pub state: State,
     /// Progress, result or reason.
     pub text: String,
-    /// How long ago it ended; `None` when it has not.
+    /// How long ago it ended; `None` if it has not.
     pub ended: Option<Duration>,
 }
 
 /// Answers the question `takes PAYLOAD`: whether a handler would take this task, as far as it can tell
-/// without starting it; JSON's `null`, or the reason why not.
+/// without starting it. The answer is JSON's `null`, or the reason.
 pub fn would_take(takes: impl Fn(&TaskSpec<'_>) -> Result<(), String> + Send + 'static) -> Answers {
     Box::new(move |question| {
         let payload = question.strip_prefix("takes ")?;

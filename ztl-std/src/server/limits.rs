@@ -1,49 +1,54 @@
-//! What a server allows at most, so that no number of clients takes all of a small machine.
+//! Limits of a server, so that no number of clients can exhaust a small machine.
 
 use std::time::Duration;
 
 use ztl_core::dispatcher::Config;
 
-use super::{MAX_MESSAGE, random};
+use crate::random;
+
+/// Longest message that clients and servers of this crate accept, in bytes.
+pub const MAX_MESSAGE: usize = 1 << 20;
+
+/// How long a server remembers a task after its end, unless [`Limits::keep`] says otherwise.
+pub const KEEP: Duration = Config::new(random::FIRST, 0).keep;
 
 /// Files that a process needs besides its connections: programs, ports, logs.
 const OTHER_FILES: usize = 128;
 
-/// Connections at a time, where the system allows as many.
+/// Most connections at a time, if the system allows as many.
 const CONNECTIONS: usize = 4096;
 
-/// What a [`TaskServer`](super::TaskServer) allows at most. What is too much is refused with the
-/// reason, where there is somebody to be told.
+/// Limits of a [`TaskServer`](super::TaskServer). What exceeds a limit is refused with the reason, if there
+/// is a client to be told.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Limits {
-    /// Longest message, in bytes: a longer one ends its connection; clients of ours are told before they
-    /// send one. Default and most: [`MAX_MESSAGE`], which is what clients take.
+    /// Longest message in bytes. A longer one ends its connection; clients of this crate learn the limit and
+    /// do not send one. Default and maximum: [`MAX_MESSAGE`].
     pub message: usize,
     /// Tasks that have not ended. Default 10,000.
     pub running: usize,
-    /// Tasks that are remembered, whether they run or have ended; for a new one the end that is
-    /// longest ago is forgotten. Default 10,000.
+    /// Tasks in the task table, running or ended. A new task replaces the one that ended first. Default
+    /// 10,000.
     pub remembered: usize,
-    /// Bytes of all goals and results together: of goals while their tasks run, of results afterwards, and of
-    /// the answers by which an INIT is known again. The ends that are longest ago make room for new ones; a task
-    /// is refused when everything else takes half of it. Default 64 MiB.
+    /// Bytes of goals (of running tasks), results (of ended ones) and answers to INITs (for a minute) together. New results replace the
+    /// oldest ones. A task is refused while everything but results takes half of it. Default 64 MiB.
     pub memory: usize,
-    /// How long a task is remembered, counted from its end. Default 1 h.
+    /// How long a task is remembered after its end. Default 1 h.
     pub keep: Duration,
     /// Requests whose answer is held: undecided INITs, ABORTs, STATUSes that wait. Default 10,000.
     pub held: usize,
     /// Clients whose last INIT is remembered, see `docs/protocol.md` 9.1. Default 10,000.
     pub clients: usize,
-    /// Messages of one connection that wait to be read, and answers that wait to be taken: of a
-    /// client that takes none, what is more is dropped. Default 256.
+    /// Messages per connection that wait to be read, and answers that wait to be taken; further answers are
+    /// dropped. Default 256.
     pub queue: usize,
-    /// Connections at a time, also those that have not shaken hands. One more is not let in, and
-    /// tries again. Default 4096, or what the system's limit on open files leaves: a server for
-    /// everybody then leaves it to the system, which takes no more when there are no files left. With a
-    /// lower one, as with networks and keys, peers older than ZMTP 3.0 (libzmq 3) are not let in.
+    /// Connections at a time, including those that are still shaking hands. Further ones are refused and try
+    /// again. Default 4096, or what the system's limit on open files leaves; with the default, a server open to everyone
+    /// leaves this limit to the system. With a lower one, as with networks and keys, peers older than ZMTP 3.0
+    /// (libzmq 3) are refused.
     pub connections: usize,
-    /// How long a connection may take to shake hands. Default 5 s.
+    /// Longest time for the handshake of a connection. Default 5 s.
     pub handshake: Duration,
 }
 
@@ -55,7 +60,7 @@ impl Default for Limits {
             running: 10_000,
             remembered: 10_000,
             memory: 64 << 20,
-            keep: Config::new(random::FIRST, 0).keep,
+            keep: KEEP,
             held: 10_000,
             clients: 10_000,
             queue: 256,
@@ -65,7 +70,7 @@ impl Default for Limits {
     }
 }
 
-/// What a person may choose about [`Limits`]: its name in files and options, and a value as an example.
+/// The name of each limit in files and options, with a value as an example.
 pub const LIMITS: [(&str, &str); 10] = [
     ("message", "64 KiB"),
     ("running", "100"),
@@ -80,24 +85,26 @@ pub const LIMITS: [(&str, &str); 10] = [
 ];
 
 impl Limits {
-    /// Sets one by its name in [`LIMITS`], to a value that a person has written.
+    /// Sets a limit by its name in [`LIMITS`] to a value as people write it.
     ///
     /// # Errors
-    /// What is wrong, and what would be right.
+    /// What is wrong, and what is expected.
     pub fn choose(&mut self, name: &str, value: &str) -> Result<(), String> {
         let count = || match value.parse::<usize>() {
             Ok(count) if count > 0 => Ok(count),
-            _ => Err(format!("'{value}' is no whole number above 0")),
+            _ => Err(format!("'{value}' is not a whole number above 0")),
         };
         let time = || match humantime::parse_duration(value) {
             Ok(time) if !time.is_zero() => Ok(time),
-            Ok(_) => Err("no time at all lets nothing happen; write 1s".to_owned()),
-            Err(_) => Err(format!("'{value}' is no time; write 10min or 1h")),
+            Ok(_) => Err(format!(
+                "'{value}' is too short: expected more than no time, as 1s"
+            )),
+            Err(_) => Err(format!("'{value}' is not a duration; write 10min or 1h")),
         };
         let size = || match bytes(value) {
             Some(size) if (1..=MAX_MESSAGE).contains(&size) => Ok(size),
             _ => Err(format!(
-                "'{value}' is no size from 1 byte to 1 MiB, which is what clients take; write 64 KiB"
+                "'{value}' is not a size from 1 byte to 1 MiB, the most that clients take; write 64 KiB"
             )),
         };
         let room = || match bytes(value) {
@@ -123,8 +130,8 @@ impl Limits {
         Ok(())
     }
 
-    /// These, but with what a server that runs cannot change as in `present`; with the names of what differs
-    /// there.
+    /// These limits, except that those which a running server cannot change are taken from `present`; also
+    /// returns the names of the limits that differ there.
     #[must_use]
     pub fn for_running(self, present: &Self) -> (Self, Vec<&'static str>) {
         let fixed = [
@@ -145,25 +152,25 @@ impl Limits {
         (kept, differ)
     }
 
-    /// The longest message that is taken, in bytes.
+    /// The longest accepted message in bytes.
     pub(super) fn longest_message(&self) -> usize {
         self.message.min(MAX_MESSAGE)
     }
 
-    /// Sets what ZeroMQ sees to, on a socket that is to be bound afterwards.
-    pub(super) fn set(&self, socket: &zmq::Socket) -> Result<(), zmq::Error> {
+    /// Applies the limits that ZeroMQ enforces to a socket that is bound afterwards.
+    pub(super) fn apply(&self, socket: &zmq::Socket) -> Result<(), zmq::Error> {
         let message = self.longest_message();
         socket.set_maxmsgsize(i64::try_from(message).unwrap_or(i64::MAX))?;
         let queue = i32::try_from(self.queue.max(1)).unwrap_or(i32::MAX);
         socket.set_rcvhwm(queue)?;
         socket.set_sndhwm(queue)?;
         let handshake = i32::try_from(self.handshake.as_millis()).unwrap_or(i32::MAX);
-        // ZeroMQ takes 0 for no limit at all.
+        // For ZeroMQ, 0 means no limit.
         socket.set_handshake_ivl(handshake.max(1))
     }
 }
 
-/// How many files this process may open, where that can be read.
+/// How many files this process may open, if the system tells it.
 fn open_files() -> Option<usize> {
     let limits = std::fs::read_to_string("/proc/self/limits").ok()?;
     soft_limit(&limits)
@@ -197,7 +204,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_limit_is_chosen_by_its_name() {
+    fn every_limit_can_be_set_by_its_name() {
         let usual = Limits::default();
         for (name, example) in LIMITS {
             let mut limits = usual;
@@ -207,8 +214,7 @@ mod tests {
             }
             for wrong in ["", "0", "-1", "many", "0s"] {
                 let mistake = limits.choose(name, wrong).expect_err(name);
-                let named = mistake.contains(wrong) || mistake.starts_with("no time at all");
-                assert!(named, "{name}: {mistake}");
+                assert!(mistake.contains(wrong), "{name}: {mistake}");
             }
         }
         let mut limits = usual;
@@ -226,7 +232,7 @@ mod tests {
     }
 
     #[test]
-    fn the_systems_limit_is_read_where_it_tells_one() {
+    fn the_limit_on_open_files_is_read_from_proc() {
         let limits = "Limit  Soft Limit  Hard Limit  Units\n\
                       Max processes   31000  31000  processes\n\
                       Max open files            1024                 524288               files\n";

@@ -1,4 +1,4 @@
-//! One request: from its frames to its answer, or to the handler that takes its task.
+//! Serves one request: from its frames to the answer, or to the handler of its task.
 
 use tracing::{error, warn};
 use ztl_core::dispatcher::{Action, Body};
@@ -10,14 +10,16 @@ use ztl_core::reply::{RefusalOf, Reply};
 use ztl_core::tasks::Tasks;
 use ztl_core::{Request, TaskId};
 
-use super::access::Who;
-use super::report::TaskReporter;
-use super::{LOG, TaskServer, now};
+use super::authenticator::Sender;
+use super::clock::now;
+use super::engine::Engine;
+use super::reporter::TaskReporter;
+use crate::log_targets::TASKS;
 
-impl TaskServer {
-    /// Shows a request about a task to the witness.
-    fn show(&mut self, body: Body<'_>) {
-        let (Some(witness), Body::One(body)) = (&mut self.witness, body) else {
+impl Engine {
+    /// Shows a request about a task to the observer.
+    fn observe(&mut self, body: Body<'_>) {
+        let (Some(observer), Body::One(body)) = (&mut self.observer, body) else {
             return;
         };
         let Ok(message) = Message::parse(body) else {
@@ -31,16 +33,16 @@ impl TaskServer {
             && let Some(task) = self.dispatcher.memory().tasks().get(id)
             && self.dispatcher.memory().scope_name(task.extra) == message.scope
         {
-            witness(request, id, message.payload);
+            observer(request, id, message.payload);
         }
     }
 
     /// Answers a message, or hands its task to the scope's handler.
-    pub(super) fn serve(&mut self, mut frames: Vec<zmq::Message>, who: Who) {
-        // Identity, any envelope, an empty frame, and then the body. Without the empty frame it
-        // is no request: a REP socket drops it too.
+    pub(super) fn serve(&mut self, mut frames: Vec<zmq::Message>, sender: Sender) {
+        // Identity, any envelope, an empty frame, then the body. Like a REP socket, drops a message without the
+        // empty frame.
         let Some(delimiter) = frames.iter().position(|frame| frame.is_empty()) else {
-            return self.dropped.tell(now(), "without a delimiter");
+            return self.dropped.log(now(), "without a delimiter");
         };
         let content = (frames.len() == delimiter + 2).then(|| frames.pop());
         frames.truncate(delimiter + 1);
@@ -48,10 +50,10 @@ impl TaskServer {
             Some(Some(content)) => Body::One(content),
             _ => Body::Several,
         };
-        self.show(body);
+        self.observe(body);
         let router = &self.router;
         let envelope = match frames.as_slice() {
-            // A proxy on the way puts its own frames before these two.
+            // A proxy puts its own frames before these two.
             [_identity, .., client, number, _delimiter] => Envelope::parse(client, number),
             _ => None,
         };
@@ -59,33 +61,34 @@ impl TaskServer {
             log_refusal(reply, body);
             router.answer(peer, reply);
         };
-        if let Who::Client(_) = who {
-            let door = &self.door;
-            let hidden = |scope: &str| !door.lets_use(who, scope);
+        if let Sender::Client(_) = sender {
+            let authenticator = &self.authenticator;
+            let hidden = |scope: &str| !authenticator.may_use(sender, scope);
             self.dispatcher.memory_mut().hide(hidden);
         }
         let action = self
             .dispatcher
             .handle_request(now(), frames, envelope, body, &mut out);
         self.dispatcher.memory_mut().hide(|_| false);
-        if self.dispatcher.next_id().is_none() && !self.said_used_up {
-            self.said_used_up = true;
-            error!(target: LOG, "All task ids are used up: every further task is refused. Restart the server, without its journal if it has one.");
+        if self.dispatcher.next_id().is_none() && !self.logged_used_up {
+            self.logged_used_up = true;
+            error!(target: TASKS, "All task ids are used up: every further task is refused. Restart the server, without its journal if it has one.");
         }
         if let Some(envelope) = envelope
             && !matches!(action, Some(Action::Start { .. }))
         {
-            self.touch.on_heard(now(), envelope.client);
+            self.clients.on_heard(now(), envelope.client);
         }
         match action {
             Some(Action::Start { id, scope, payload }) => {
-                let heap = self.dispatcher.memory_mut();
-                heap.note_payload(id, payload, now());
+                self.dispatcher
+                    .memory_mut()
+                    .note_payload(id, payload, now());
                 let client = envelope.map(|envelope| envelope.client);
                 let task = TaskReporter::new(id, self.mailbox.clone(), client);
                 match self.handlers.get_mut(usize::from(scope.0)) {
                     Some(handler) => {
-                        handler.start(task, payload);
+                        handler.start_payload(task, payload);
                         self.started = true;
                     }
                     None => task.rejected("the server is stopping"),
@@ -101,11 +104,11 @@ impl TaskServer {
     }
 }
 
-/// Logs what the original logs of a request that it cannot use (wire specification 7.1).
+/// Logs a request that cannot be used, like the original (wire specification 7.1).
 fn log_refusal(reply: &Reply<'_>, body: Body<'_>) {
     match reply.refusal_of() {
         Some(RefusalOf::Scope) => {
-            warn!(target: LOG, "No controller for scope '{}', ignoring.", reply.scope());
+            warn!(target: TASKS, "No controller for scope '{}', ignoring.", reply.scope());
         }
         Some(RefusalOf::Protocol) => {
             let bytes = match body {
@@ -113,7 +116,7 @@ fn log_refusal(reply: &Reply<'_>, body: Body<'_>) {
                 Body::Several => b"",
             };
             let bytes = bytes.escape_ascii();
-            warn!(target: LOG, "Unknown command received 'b'{bytes}'', ignoring.");
+            warn!(target: TASKS, "Unknown command received 'b'{bytes}'', ignoring.");
         }
         None => {}
     }

@@ -1,4 +1,4 @@
-//! The rounds of the server's thread: it waits, takes reports and requests, and does what is due.
+//! The loop of the server's thread: waits, takes reports and requests, and does what is due.
 
 use std::sync::PoisonError;
 use std::time::Duration;
@@ -9,22 +9,35 @@ use ztl_core::dispatcher::TaskEvent;
 use ztl_core::memory::Memory;
 use ztl_core::tasks::Tasks;
 
-use super::report::{self, Report};
+use super::clock::now;
+use super::engine::Engine;
+use super::reporter::Report;
 use super::router::Received;
-use super::{LOG, TaskServer, now};
+use super::waker::is_wake;
+use crate::log_targets::TASKS;
 
-/// Requests, and reports of handlers, taken before the others are looked at again.
+/// Requests taken before reports are, and the other way round.
 const BATCH: usize = 64;
 
-/// How long a stopped server goes on after its handlers have stopped, when tasks were stopped, so that clients that ask every 100 ms
-/// hear of it.
-const LAST_WORDS: Duration = Duration::from_millis(250);
+/// How long a server keeps answering after its handlers stopped tasks, so that clients that ask every 100 ms
+/// learn the ends.
+const LINGER: Duration = Duration::from_millis(250);
 
-impl TaskServer {
-    /// Waits for something, at most for `longest`, and serves it; says whether there is more.
-    pub(super) fn turn(&mut self, longest: Duration) -> Result<bool, zmq::Error> {
+impl Engine {
+    /// Serves until it is stopped.
+    pub(super) fn run(mut self) -> Result<(), zmq::Error> {
+        let mut more = false;
+        while !self.waker.stopped() {
+            let longest = if more { Duration::ZERO } else { Duration::MAX };
+            more = self.turn(longest)?;
+        }
+        self.stop_handlers()
+    }
+
+    /// Waits for something to do, at most for `longest`, and does it; returns whether there may be more.
+    fn turn(&mut self, longest: Duration) -> Result<bool, zmq::Error> {
         let mut next = self.wait(longest)?;
-        self.waker.awake();
+        self.waker.on_awake();
         let mut limits = self
             .next_limits
             .lock()
@@ -36,17 +49,17 @@ impl TaskServer {
         drop(limits);
         let more = self.take_reports();
         let mut taken = 0;
-        while let Some((frames, who)) = next {
-            match who {
-                _ if report::is_ring(&frames) => {}
-                Some(who) => self.serve(frames, who),
-                None => self.dropped.tell(now(), "of somebody unknown"),
+        while let Some((frames, sender)) = next {
+            match sender {
+                _ if is_wake(&frames) => {}
+                Some(sender) => self.serve(frames, sender),
+                None => self.dropped.log(now(), "of an unknown sender"),
             }
             taken += 1;
             if taken == BATCH || !self.started {
                 break;
             }
-            next = self.router.receive(&self.door, zmq::DONTWAIT)?;
+            next = self.router.receive(&self.authenticator, zmq::DONTWAIT)?;
         }
         if std::mem::take(&mut self.started) {
             for handler in &mut self.handlers {
@@ -64,7 +77,7 @@ impl TaskServer {
             && claim.key().0 <= now
         {
             let ((_, id), (claim, reason)) = claim.remove_entry();
-            if claim.refuse() {
+            if claim.reject() {
                 let refused = TaskEvent::Rejected { reason };
                 dispatcher.handle_event(now, id, refused, &mut |peer, reply| {
                     router.answer(peer, reply);
@@ -72,15 +85,15 @@ impl TaskServer {
             }
         }
         dispatcher.handle_timeout(now, &mut |peer, reply| router.answer(peer, reply));
-        self.abort_for_those_who_are_gone(now);
+        self.abort_tasks_of_gone_clients(now);
         Ok(more)
     }
 
-    fn abort_for_those_who_are_gone(&mut self, now: Instant) {
+    fn abort_tasks_of_gone_clients(&mut self, now: Instant) {
         let tasks = self.dispatcher.memory().tasks();
         let runs = |id| tasks.get(id).is_some_and(|task| !task.state.is_final());
-        for id in self.touch.gone(now, runs) {
-            warn!(target: LOG, "The client that started task '{id}' is gone, so it is aborted.");
+        for id in self.clients.gone(now, runs) {
+            warn!(target: TASKS, "The client that started task '{id}' is gone, so it is aborted.");
             let scope = tasks.get(id).map(|task| usize::from(task.extra.0));
             if let Some(handler) = scope.and_then(|scope| self.handlers.get_mut(scope)) {
                 handler.abort(id);
@@ -88,42 +101,42 @@ impl TaskServer {
         }
     }
 
-    /// Handlers stop their tasks as they are dropped; meanwhile clients are told.
-    pub(super) fn stop_handlers(&mut self) -> Result<(), zmq::Error> {
+    /// Handlers stop their tasks when they are dropped; clients are answered meanwhile.
+    fn stop_handlers(&mut self) -> Result<(), zmq::Error> {
         let mut handlers = std::mem::take(&mut self.handlers);
         let longest = handlers.iter_mut().map(|handler| handler.stop()).max();
         let stopping = std::thread::Builder::new().spawn(move || drop(handlers));
-        // Without a thread they were dropped, and so stopped, right here.
+        // If there is no thread, they were dropped here.
         let Ok(stopping) = stopping else {
             return Ok(());
         };
         let end = now() + longest.unwrap_or_default();
         let pause = Duration::from_millis(10);
-        let mut told = false;
+        let mut reported = false;
         while now() < end && !stopping.is_finished() {
             self.turn(pause)?;
-            told |= self.reported;
+            reported |= self.reported;
         }
-        let end = now() + LAST_WORDS;
-        while (told || self.reported) && now() < end {
-            told = true;
+        let end = now() + LINGER;
+        while (reported || self.reported) && now() < end {
+            reported = true;
             self.turn(pause)?;
         }
         Ok(())
     }
 
-    /// Until a request, a report or the dispatcher's next wake-up, at most for `longest`; the request.
+    /// Waits for a request, a report or the next deadline, at most for `longest`; returns the request.
     fn wait(&self, longest: Duration) -> Result<Option<Received>, zmq::Error> {
         let claims = self.claims.keys().next().map(|(at, _)| *at);
         let wakes = [
             self.dispatcher.poll_timeout(),
-            self.touch.poll_timeout(),
+            self.clients.poll_timeout(),
             claims,
         ];
         let wake = wakes.into_iter().flatten().min();
         let time = wake.map_or(longest, |wake| wake.since(now()).min(longest));
         if time.is_zero() || !self.waker.may_sleep() {
-            return self.router.receive(&self.door, zmq::DONTWAIT);
+            return self.router.receive(&self.authenticator, zmq::DONTWAIT);
         }
         let timeout = match time {
             Duration::MAX => -1,
@@ -132,16 +145,16 @@ impl TaskServer {
                 .min(3_600_000),
         };
         self.router.wait_at_most(timeout)?;
-        self.router.receive(&self.door, 0)
+        self.router.receive(&self.authenticator, 0)
     }
 
-    /// Takes a bounded number of reports; says whether there may be more.
+    /// Takes a bounded number of reports; returns whether there may be more.
     fn take_reports(&mut self) -> bool {
         let Self {
             dispatcher,
             router,
             inbox,
-            touch,
+            clients,
             claims,
             ..
         } = self;
@@ -152,11 +165,11 @@ impl TaskServer {
         {
             taken += 1;
             match report {
-                Report::NeedsClient(client, silence) => touch.watch(now, client, id, silence),
+                Report::NeedsClient(client, silence) => clients.watch(now, client, id, silence),
                 Report::NeedsClaim(claim, within, reason) => {
                     claims.insert((now + within, id), (claim, reason));
                 }
-                report => report.tell(|event| {
+                report => report.handle(|event| {
                     dispatcher.handle_event(now, id, event, &mut |peer, reply| {
                         router.answer(peer, reply);
                     });

@@ -5,7 +5,7 @@ use tracing::{error, info, warn};
 use ztl_std::files::is_stream;
 use ztl_std::gateway::Devices;
 use ztl_std::gateway::config::DeviceConfig;
-use ztl_std::server::Control;
+use ztl_std::server::ServerHandle;
 
 use super::{Gateway, Plan};
 use crate::log;
@@ -19,7 +19,7 @@ pub(super) struct Reload {
     /// As the gateway was started.
     pub(super) options: Gateway,
     pub(super) fleet: Devices,
-    pub(super) control: Control,
+    pub(super) control: ServerHandle,
     /// What is served now.
     pub(super) present: Plan,
 }

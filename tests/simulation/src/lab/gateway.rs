@@ -14,13 +14,13 @@ use ztl_core::tasks::{Task, Text};
 use ztl_core::time::earliest;
 use ztl_core::{Instant, State, TaskId, TaskSpec};
 use ztl_link::{LinkEvent, Session};
-use ztl_std::gateway::{DeviceBook, Log, Moment, Storage};
+use ztl_std::gateway::{DeviceJournal, JournalRecords, Moment, Storage};
 
 pub(super) const SCOPE: &str = "/lab";
 
 /// Room for more tasks than any plan starts.
 type Room = Fixed<Envelope, 1, 48, 160, 24>;
-pub(super) type LabSession = Session<Option<DeviceBook<Disk>>>;
+pub(super) type LabSession = Session<Option<DeviceJournal<Disk>>>;
 
 /// A disk that survives the gateways, and may be full.
 #[derive(Debug, Clone, Default)]
@@ -107,9 +107,11 @@ impl Gateway {
         let first = TaskId::new(boot * 100_000).expect("boots count from 1");
         let log = disk.map(|disk| {
             let written = disk.with(|(written, _)| written.clone());
-            Log::open(disk.clone(), &written, moment(), 77)
+            JournalRecords::open(disk.clone(), &written, moment(), 77)
         });
-        let id = log.as_ref().map_or(u64::from(boot), Log::gateway);
+        let id = log
+            .as_ref()
+            .map_or(u64::from(boot), JournalRecords::gateway);
         let (unended, ended) = log.as_ref().map_or_else(Default::default, |log| {
             let ended = log.ended(moment()).into_iter().map(|(_, task)| task);
             (log.unended(), ended.collect::<Vec<_>>())
@@ -118,7 +120,7 @@ impl Gateway {
         let sessions = (0..devices).map(|device| {
             let book = log
                 .clone()
-                .map(|log| DeviceBook::new(log, &name(device), moment));
+                .map(|log| DeviceJournal::new(log, &name(device), moment));
             Session::with_journal(book, id, Some(115_200), super::number)
         });
         let mut gateway = Self {

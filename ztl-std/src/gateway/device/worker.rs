@@ -1,4 +1,4 @@
-//! A device's thread: its session, its line, and the clients' tasks on it.
+//! What a device's thread does: runs the session, the line and the clients' tasks.
 
 use std::collections::HashMap;
 use std::io::{self, Write};
@@ -11,39 +11,43 @@ use std::time::Duration;
 use tracing::{info, warn};
 use ztl_core::link::Loss;
 use ztl_core::time::earliest;
-use ztl_core::{Instant, State, TaskId, TaskSpec};
+use ztl_core::{Instant, State, TaskId};
 
-use super::super::endpoint::{READ_TIMEOUT, is_pause};
-use super::super::journal::FileBook;
-use super::super::logs::DeviceLog;
-use super::super::reader::{Opener, read_line};
-use super::super::readings::Observers;
-use super::super::report::Window;
-use super::super::voice::{Grave, LOG, Voice};
-use super::{Input, Request, request};
-use crate::server::TaskReporter;
-use crate::time::now;
 use ztl_link::{LinkEvent, Session};
 
-/// Pause before a line is opened again: at first, and at most. Looking for a port is cheap, and whoever
-/// has plugged a device in wants it now.
+use super::input::{DeviceRequest, Input};
+use super::line_reader::read_line;
+use super::status::SharedStatus;
+use crate::gateway::endpoint::{READ_TIMEOUT, is_pause};
+use crate::gateway::journal::{DeviceJournal, JournalFile};
+use crate::gateway::logs::DeviceLog;
+use crate::gateway::opener::Opener;
+use crate::gateway::rate_limited_log::{RateLimitedLog, Severity};
+use crate::gateway::readings::Observers;
+use crate::log_targets::GATEWAY;
+use crate::server::TaskReporter;
+use crate::task_request::TaskRequest;
+use crate::time::now;
+
+/// First and longest pause before a line is reopened. Looking for a port is cheap, and a person who plugs a
+/// device in wants it at once.
 const RETRY: (Duration, Duration) = (Duration::from_millis(50), Duration::from_millis(500));
-/// The longest such pause where it costs others something: a connection is made.
+/// Longest pause before a connection is made again, which is not cheap.
 const RETRY_HALF_OPEN: Duration = Duration::from_secs(2);
-/// After so many link timeouts without a word a line that may be half open is opened anew.
+/// Link timeouts without an answer after which a line that may be half open is reopened.
 const SILENCES: u32 = 5;
-/// Opening a line that takes longer is worth a word.
+/// Opening a line that takes longer is logged.
 const OPENING: Duration = Duration::from_secs(3);
-/// How long a gateway that ends waits for its tasks to be stopped.
+/// How long a stopping gateway waits for its tasks to stop.
 const STOP: Duration = Duration::from_secs(1);
-/// Inputs taken before the time is looked at.
+/// Inputs handled before deadlines are checked.
 const BATCH: usize = 64;
 
-/// The line, as the device's thread has it.
-enum Wire {
-    /// To be opened at this time.
-    None { retry: Instant },
-    /// A thread opens it, since then.
+/// The state of the line.
+enum LineState {
+    /// Is opened at this time.
+    Closed { retry: Instant },
+    /// A thread is opening it.
     Opening {
         stop: Arc<AtomicBool>,
         since: Instant,
@@ -58,40 +62,40 @@ enum Wire {
 pub(super) struct Worker {
     name: String,
     opener: Option<Opener>,
-    session: Session<Option<FileBook>>,
+    session: Session<Option<DeviceJournal<JournalFile>>>,
     inputs: Sender<Input>,
-    line: Wire,
-    /// Of the present line; what an earlier one still says is not heard.
+    line: LineState,
+    /// Number of the current line. Inputs of earlier ones are ignored.
     number: u64,
     pause: Duration,
-    /// How often in a row the greeting was not answered.
+    /// Consecutive `Hello`s without an answer.
     silences: u32,
-    /// Where the line's name led to when it was opened.
-    leads_to: Option<PathBuf>,
-    /// What is wrong with the line or the device, for reasons; said once in the log.
+    /// The target of the line's path when it was opened.
+    target: Option<PathBuf>,
+    /// What is wrong with the line or the device, for reasons and the log.
     trouble: Option<String>,
-    voice: Voice,
-    tasks: HashMap<TaskId, (TaskReporter, Request)>,
-    /// Tasks from before a restart that are still to be resumed, before the line is opened.
+    log: RateLimitedLog,
+    tasks: HashMap<TaskId, (TaskReporter, DeviceRequest)>,
+    /// Tasks from before a restart that must be resumed before the line is opened.
     awaited: usize,
-    /// Until when the tasks may take to stop.
+    /// Deadline for the tasks to stop, if the thread is to end.
     stopping: Option<Instant>,
-    /// Takes no tasks, and closes its line when all have ended.
+    /// Rejects tasks, and closes the line when all have ended.
     retired: bool,
-    /// The line at which it is served again then.
+    /// The line at which the device is served again after that.
     next: Option<Opener>,
     idle: Arc<AtomicBool>,
-    window: Window,
+    status: SharedStatus,
     observers: Observers,
-    log: DeviceLog,
+    firmware_log: DeviceLog,
 }
 
 impl Worker {
-    /// As [`Device::spawn`](super::Device::spawn) says.
+    /// Opens the line after `awaited` tasks have been resumed.
     pub(super) fn new(
         name: &str,
         opener: Option<Opener>,
-        session: Session<Option<FileBook>>,
+        session: Session<Option<DeviceJournal<JournalFile>>>,
         inputs: Sender<Input>,
         awaited: usize,
         observers: Observers,
@@ -101,42 +105,42 @@ impl Worker {
             opener,
             session,
             inputs,
-            line: Wire::None { retry: now() },
+            line: LineState::Closed { retry: now() },
             number: 0,
             pause: RETRY.0,
             silences: 0,
-            leads_to: None,
+            target: None,
             trouble: None,
-            voice: Voice::new(name, now()),
+            log: RateLimitedLog::new(name, now()),
             tasks: HashMap::new(),
             awaited,
             stopping: None,
             retired: false,
             next: None,
             idle: Arc::default(),
-            window: Window::default(),
+            status: SharedStatus::default(),
             observers,
-            log: DeviceLog::default(),
+            firmware_log: DeviceLog::default(),
         }
     }
 
-    pub(super) fn window(&self) -> Window {
-        self.window.clone()
+    pub(super) fn status(&self) -> SharedStatus {
+        self.status.clone()
     }
 
     pub(super) fn log(&self) -> DeviceLog {
-        self.log.clone()
+        self.firmware_log.clone()
     }
 
-    /// Whether it has neither a line nor tasks.
+    /// Set while the device has neither a line nor tasks.
     pub(super) fn idle(&self) -> Arc<AtomicBool> {
         Arc::clone(&self.idle)
     }
 
-    /// Until it is told to stop.
+    /// Runs until it is told to stop.
     pub(super) fn run(&mut self, inbox: &Receiver<Input>) {
         loop {
-            if let Wire::None { retry } = self.line
+            if let LineState::Closed { retry } = self.line
                 && let Some(opener) = &self.opener
                 && self.awaited == 0
                 && now() >= retry
@@ -149,7 +153,7 @@ impl Worker {
                 Err(RecvTimeoutError::Timeout) => {}
                 Err(RecvTimeoutError::Disconnected) => break,
             }
-            // A line that never pauses must not keep the clock from being looked at.
+            // Bounded, so that a busy line does not delay deadlines.
             for input in inbox.try_iter().take(BATCH) {
                 self.on_input(input);
             }
@@ -161,16 +165,16 @@ impl Worker {
             if self.retired && self.tasks.is_empty() {
                 self.on_settled();
             }
-            self.look_at_opening();
-            self.voice.handle_timeout(now());
-            self.window
-                .show(now(), &self.session, self.trouble.as_ref());
+            self.check_opening();
+            self.log.handle_timeout(now());
+            self.status
+                .update(now(), &self.session, self.trouble.as_ref());
             let idle = self.opener.is_none() && self.awaited == 0 && self.tasks.is_empty();
             self.idle.store(idle, Ordering::Release);
             if let Some(end) = self.stopping
                 && (self.tasks.is_empty() || now() >= end)
             {
-                self.say_what_is_left();
+                self.leave_unconfirmed();
                 break;
             }
         }
@@ -182,16 +186,16 @@ impl Worker {
         opener.map_or("nowhere", |opener| opener.label.as_str())
     }
 
-    /// What is not confirmed is unknown, and nobody is told that it failed.
-    fn say_what_is_left(&mut self) {
+    /// Leaves tasks whose end is unknown. No client is told that they failed.
+    fn leave_unconfirmed(&mut self) {
         let left = std::mem::take(&mut self.tasks);
         for (task, request) in left.into_values() {
             warn!(
-                target: LOG,
+                target: GATEWAY,
                 device = self.name,
                 "Device '{}' has not confirmed that {} stopped; it acts by itself when it hears nothing for its link timeout.",
                 self.name,
-                request.spec
+                request.shown
             );
             task.leave();
         }
@@ -210,7 +214,7 @@ impl Worker {
         }
     }
 
-    /// A task goes on, or not, without this gateway.
+    /// Leaves a task to its device.
     fn leave(&mut self, id: TaskId, policy: Loss) {
         let Some((task, request)) = self.tasks.remove(&id) else {
             return;
@@ -222,29 +226,29 @@ impl Worker {
             }
             Loss::CarryOn => "carries on",
         };
-        let (name, spec) = (&self.name, &request.spec);
-        info!(target: LOG, device = name, "Device '{name}': {spec} is left running; it {what}.");
+        let (name, spec) = (&self.name, &request.shown);
+        info!(target: GATEWAY, device = name, "Device '{name}': {spec} is left running; it {what}.");
         task.leave();
     }
 
     fn until_wake(&self) -> Duration {
         let line = match &self.line {
-            Wire::None { retry } => {
+            LineState::Closed { retry } => {
                 Some(*retry).filter(|_| self.awaited == 0 && self.opener.is_some())
             }
-            Wire::Opening { since, .. } => {
+            LineState::Opening { since, .. } => {
                 Some(*since + OPENING).filter(|_| self.trouble.is_none())
             }
-            Wire::Open { .. } => None,
+            LineState::Open { .. } => None,
         };
         let wake = earliest(earliest(self.session.poll_timeout(), line), self.stopping);
-        let wake = earliest(wake, self.voice.poll_timeout());
+        let wake = earliest(wake, self.log.poll_timeout());
         wake.map_or(Duration::from_secs(60), |wake| wake.since(now()))
     }
 
-    /// A driver may keep whoever opens its port for as long as it likes.
-    fn look_at_opening(&mut self) {
-        if let Wire::Opening { since, .. } = &self.line
+    /// Reports a line that takes long to open, since a driver may block for any time.
+    fn check_opening(&mut self) {
+        if let LineState::Opening { since, .. } = &self.line
             && now() >= *since + OPENING
             && self.trouble.is_none()
         {
@@ -256,7 +260,7 @@ impl Worker {
         self.number += 1;
         let (number, inputs) = (self.number, self.inputs.clone());
         let stop = Arc::new(AtomicBool::new(false));
-        self.line = Wire::Opening {
+        self.line = LineState::Opening {
             stop: Arc::clone(&stop),
             since: now(),
         };
@@ -272,23 +276,23 @@ impl Worker {
     }
 
     fn close(&mut self) {
-        if let Wire::Opening { stop, .. } | Wire::Open { stop, .. } = &self.line {
+        if let LineState::Opening { stop, .. } | LineState::Open { stop, .. } = &self.line {
             stop.store(true, Ordering::Release);
         }
-        self.line = Wire::None { retry: now() };
+        self.line = LineState::Closed { retry: now() };
     }
 
     fn on_input(&mut self, input: Input) {
         match input {
             Input::Start(task, request) => {
-                if let Some(reason) = self.takes_none() {
+                if let Some(reason) = self.rejects_tasks() {
                     return task.rejected(reason);
                 }
                 let id = task.id();
-                if let (Some(book), Some(claim)) =
+                if let (Some(journal), Some(claim)) =
                     (self.session.journal_mut(), request.claim.clone())
                 {
-                    book.asked(id, task.client(), claim);
+                    journal.expect_start(id, task.client(), claim);
                 }
                 self.session
                     .start(now(), id, &request.component, &request.goal);
@@ -296,21 +300,22 @@ impl Worker {
             }
             Input::Resume(task, known) => {
                 self.awaited = self.awaited.saturating_sub(1);
-                let spec = TaskSpec {
-                    handler: &self.name,
-                    component: &known.component,
-                    goal: &known.goal,
+                let request = TaskRequest {
+                    id: task.id(),
+                    handler: self.name.clone(),
+                    component: known.component.clone(),
+                    goal: known.goal.clone(),
                 };
-                let request = request(task.id(), &spec);
+                let request = DeviceRequest::from(&request);
                 self.tasks.insert(task.id(), (task, request));
                 self.session.restore(now(), known);
             }
             Input::Abort(id) => self.session.abort(now(), id),
             Input::Opened(number, writer) if number == self.number => {
-                if let Wire::Opening { stop, .. } = &self.line {
+                if let LineState::Opening { stop, .. } = &self.line {
                     let stop = Arc::clone(stop);
-                    self.line = Wire::Open { writer, stop };
-                    self.leads_to = self.opener.as_ref().and_then(Opener::leads_to);
+                    self.line = LineState::Open { writer, stop };
+                    self.target = self.opener.as_ref().and_then(Opener::target);
                     self.session.handle_connected(now());
                 }
             }
@@ -320,8 +325,8 @@ impl Worker {
             Input::Closed(number, error) if number == self.number => self.on_closed(&error),
             Input::Opened(..) | Input::Bytes(..) | Input::Closed(..) => {}
             Input::Retire => {
-                self.voice
-                    .say(now(), Grave::Info, " is not served any more.".to_owned());
+                self.log
+                    .log(now(), Severity::Info, " is not served any more.".to_owned());
                 (self.retired, self.next) = (true, None);
                 for id in self.tasks.keys() {
                     self.session.abort(now(), *id);
@@ -338,8 +343,8 @@ impl Worker {
         }
     }
 
-    /// Why it takes no tasks, if so.
-    fn takes_none(&self) -> Option<&'static str> {
+    /// Why it rejects tasks, if it does.
+    fn rejects_tasks(&self) -> Option<&'static str> {
         match (self.stopping, self.retired, &self.next) {
             (Some(_), _, _) => Some("the gateway is stopping"),
             (None, true, None) => Some("the device is not served any more"),
@@ -348,16 +353,16 @@ impl Worker {
         }
     }
 
-    /// The tasks of a device that is not served any more have ended.
+    /// All tasks of a retired device have ended.
     fn on_settled(&mut self) {
         if self.opener.take().is_some() {
             self.close();
-            // What the line still says is not heard.
+            // Ignores further inputs of the line.
             self.number += 1;
             self.session.handle_disconnected();
-            // Until the thread that reads has let go of the line, it is not free.
+            // The reading thread still holds the line for a moment.
             let retry = now() + READ_TIMEOUT * 2;
-            self.line = Wire::None { retry };
+            self.line = LineState::Closed { retry };
         }
         if let Some(opener) = self.next.take() {
             self.retired = false;
@@ -377,8 +382,8 @@ impl Worker {
         self.close();
         self.session.handle_disconnected();
         self.silences = 0;
-        // Until the thread that reads has let go of the line, it is not free.
-        self.line = Wire::None {
+        // The reading thread still holds the line for a moment.
+        self.line = LineState::Closed {
             retry: now() + self.pause.max(READ_TIMEOUT * 2),
         };
         let opener = self.opener.as_ref();
@@ -393,7 +398,7 @@ impl Worker {
 
     fn set_trouble(&mut self, trouble: String) {
         if self.trouble.as_ref() != Some(&trouble) {
-            self.voice.say(now(), Grave::Warn, format!(": {trouble}"));
+            self.log.log(now(), Severity::Warn, format!(": {trouble}"));
             self.trouble = Some(trouble);
         }
     }
@@ -403,7 +408,7 @@ impl Worker {
         if bytes.is_empty() {
             return;
         }
-        if let Wire::Open { writer, .. } = &mut self.line
+        if let LineState::Open { writer, .. } = &mut self.line
             && let Err(error) = writer.write_all(&bytes)
         {
             if is_pause(&error) {
@@ -423,8 +428,8 @@ impl Worker {
                 }
             }
             LinkEvent::Rejected(id, reason) => {
-                if let Some(book) = self.session.journal_mut() {
-                    book.forget(id);
+                if let Some(journal) = self.session.journal_mut() {
+                    journal.forget(id);
                 }
                 if let Some((task, request)) = self.tasks.remove(&id) {
                     let trouble = match &self.trouble {
@@ -432,7 +437,7 @@ impl Worker {
                         _ => String::new(),
                     };
                     self.log_task(id, &request, &format!("was refused: {reason}{trouble}"));
-                    task.rejected(format!("{} refused: {reason}{trouble}", request.spec));
+                    task.rejected(format!("{} refused: {reason}{trouble}", request.shown));
                 }
             }
             LinkEvent::Progress(id, text) => {
@@ -457,9 +462,9 @@ impl Worker {
                 let trouble = "nothing there answers";
                 let opener = self.opener.as_ref();
                 let half_open = opener.is_some_and(|opener| opener.may_be_half_open);
-                // Unplugged and plugged in again, while what was opened is another's now.
-                let now_leads_to = opener.and_then(Opener::leads_to);
-                let moved = now_leads_to.is_some() && now_leads_to != self.leads_to;
+                // The device was unplugged and plugged in again, and its path has another target now.
+                let target = opener.and_then(Opener::target);
+                let moved = target.is_some() && target != self.target;
                 if moved || (half_open && self.silences >= SILENCES) {
                     let kind = io::ErrorKind::TimedOut;
                     return self.on_closed(&io::Error::new(kind, trouble));
@@ -467,27 +472,29 @@ impl Worker {
                 self.set_trouble(format!("{}: {trouble}", self.url()));
             }
             LinkEvent::Lost => self.set_trouble("it no longer answers".to_owned()),
-            LinkEvent::Reset => self.voice.say(now(), Grave::Warn, " was reset.".to_owned()),
+            LinkEvent::Reset => self
+                .log
+                .log(now(), Severity::Warn, " was reset.".to_owned()),
             LinkEvent::Refused(reason) => self.set_trouble(reason),
             LinkEvent::Log { lost, bytes } => {
                 let boot = self.session.device().map_or(0, |device| device.boot);
-                self.log.put(boot, lost, bytes);
+                self.firmware_log.put(boot, lost, bytes);
             }
             LinkEvent::Reading(topic, bytes) => {
                 let device = self.session.device();
-                // Before the device has described itself nobody knows what it is.
+                // The topic is unknown until the device has described itself.
                 if let Some((component, topic)) = device.and_then(|device| device.topic(topic)) {
                     let topic = || format!("{}/{component}/{topic}", self.name);
-                    self.observers.tell(topic, &bytes);
+                    self.observers.publish(topic, &bytes);
                 }
             }
         }
     }
 
-    fn log_task(&self, id: TaskId, request: &Request, what: &str) {
-        let (name, spec) = (&self.name, &request.spec);
+    fn log_task(&self, id: TaskId, request: &DeviceRequest, what: &str) {
+        let (name, spec) = (&self.name, &request.shown);
         let task = id.get();
-        info!(target: LOG, device = name, task, "Device '{name}': task {task} {spec} {what}");
+        info!(target: GATEWAY, device = name, task, "Device '{name}': task {task} {spec} {what}");
     }
 
     fn on_up(&mut self) {
@@ -505,6 +512,6 @@ impl Worker {
             device.firmware,
             names.join(", ")
         );
-        self.voice.say(now(), Grave::Info, text);
+        self.log.log(now(), Severity::Info, text);
     }
 }

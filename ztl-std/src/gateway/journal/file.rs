@@ -1,4 +1,4 @@
-//! A journal's file, its lock, and the files before it.
+//! A journal's file, its lock, and the earlier files.
 
 use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io::{self, Read, Write};
@@ -7,35 +7,35 @@ use std::time::{Duration, Instant};
 
 use tracing::warn;
 
-use super::JournalError;
-use super::line::{is_journal, last_process};
-use super::log::Storage;
+use super::entry::{is_journal, last_process};
+use super::error::JournalError;
+use super::records::Storage;
 use crate::files;
-use crate::gateway::voice::LOG;
+use crate::log_targets::GATEWAY;
 
-/// Files before the present one that are kept: `.1` is the youngest.
+/// Earlier files that are kept; `.1` is the latest.
 const KEPT: u32 = 3;
-/// How long another gateway is waited for: one that ends, or only looks.
+/// How long to wait for another gateway that ends or only checks the journal.
 const PATIENCE: Duration = Duration::from_millis(500);
 /// Pause before the lock is tried again.
-const AGAIN: Duration = Duration::from_millis(10);
+const RETRY: Duration = Duration::from_millis(10);
 
-/// A file of which there is one writer. The lock is the file's own, so other names of it are locked as well.
+/// A file with one writer. The lock belongs to the file, so its other names are locked as well.
 #[derive(Debug)]
-pub(in crate::gateway) struct Paper {
-    /// Without symbolic links: a new file takes the place of the old one, and not that of a link.
+pub(in crate::gateway) struct JournalFile {
+    /// Without symbolic links, so that a new file replaces the old one and not a link.
     path: PathBuf,
     /// Locked.
     file: File,
-    /// Files before this one that have further names, locked.
+    /// Earlier files that have other names, locked.
     linked: Vec<File>,
-    /// Bytes of whole lines.
+    /// Bytes of complete lines.
     len: u64,
-    /// Something stands behind them.
+    /// Whether an incomplete line follows them.
     torn: bool,
 }
 
-/// Says why a journal could not be opened there, and leaves everything as it is.
+/// Checks whether a journal can be opened, without changing anything.
 pub(super) fn check(path: &Path) -> Result<(), JournalError> {
     let failed = |cause| JournalError::Place {
         path: path.to_owned(),
@@ -51,10 +51,10 @@ pub(super) fn check(path: &Path) -> Result<(), JournalError> {
             demand_journal(path, &written)?;
         }
     }
-    // Directories are made as needed, and new files beside the journal.
+    // Opening creates directories, and later new files beside the journal.
     let mut directories = path.ancestors().skip(1);
     let directory = directories.find(|path| {
-        // A link without a target is in the way of a directory, too.
+        // A link without a target also prevents a directory.
         path.as_os_str().is_empty() || path.symlink_metadata().is_ok()
     });
     let name = format!(".ztl-check-{}", std::process::id());
@@ -65,8 +65,8 @@ pub(super) fn check(path: &Path) -> Result<(), JournalError> {
         .map_err(failed)
 }
 
-impl Paper {
-    /// Opens a file, and reads what it holds.
+impl JournalFile {
+    /// Opens a file; returns its content as well.
     pub(super) fn open(path: &Path) -> Result<(Self, Vec<u8>), JournalError> {
         let failed = |cause| JournalError::Place {
             path: path.to_owned(),
@@ -77,7 +77,7 @@ impl Paper {
         let mut written = Vec::new();
         file.read_to_end(&mut written).map_err(failed)?;
         demand_journal(&path, &written)?;
-        // From a gateway that ended before it could take the place of the other.
+        // Left by a gateway that ended before it could rename it.
         let _ = fs::remove_file(beside(&path, "new"));
         sync_directory(&path);
         let paper = Self {
@@ -90,7 +90,7 @@ impl Paper {
         Ok((paper, written))
     }
 
-    /// The file at this path, locked, and where it really is.
+    /// Opens and locks the file; returns its real path as well.
     fn locked(
         path: &Path,
         failed: impl Fn(io::Error) -> JournalError,
@@ -99,14 +99,15 @@ impl Paper {
             let file = open(path).and_then(is_regular).map_err(&failed)?;
             let real = fs::canonicalize(path).map_err(&failed)?;
             lock(&file, path)?;
-            // Else the gateway that had it has just begun a new file.
+            // Otherwise the gateway that had it has just started a new file.
             if is_at(&file, &real) {
                 return Ok((real, file));
             }
         }
     }
 
-    fn mend(&mut self) -> io::Result<()> {
+    /// Cuts off an incomplete line.
+    fn repair(&mut self) -> io::Result<()> {
         if self.torn {
             self.file.set_len(self.len)?;
             self.torn = false;
@@ -122,20 +123,20 @@ impl Paper {
         Ok(())
     }
 
-    /// Writes a new file, which is locked before it takes the place of this one.
-    fn begin(&self, new: &Path, lines: &[u8]) -> io::Result<File> {
+    /// Writes a new file, locked before it replaces this one.
+    fn start_new(&self, new: &Path, lines: &[u8]) -> io::Result<File> {
         let _ = fs::remove_file(new);
         let mut options = OpenOptions::new();
         let mut file = options.read(true).append(true).create_new(true).open(new)?;
         file.try_lock()?;
         file.write_all(lines)?;
-        // Whatever is synced otherwise: the old file must not be gone before this one is there.
+        // Even without `sync`: the old file must not vanish before this one is on the disk.
         file.sync_all()?;
-        // If somebody put another file there, no other gateway may have it.
-        let there = self.path.exists().then(|| open(&self.path)).transpose()?;
-        if let Some(there) = &there {
+        // If there is another file now, no other gateway may have it.
+        let other = self.path.exists().then(|| open(&self.path)).transpose()?;
+        if let Some(other) = &other {
             if !is_at(&self.file, &self.path) {
-                there.try_lock()?;
+                other.try_lock()?;
             }
             self.keep()?;
         }
@@ -144,7 +145,7 @@ impl Paper {
         Ok(file)
     }
 
-    /// Makes room for another `.1`, and keeps the present file under that name.
+    /// Keeps the current file as `.1`.
     fn keep(&self) -> io::Result<()> {
         for number in (1..KEPT).rev() {
             let from = beside(&self.path, &number.to_string());
@@ -155,21 +156,21 @@ impl Paper {
             }
         }
         let kept = beside(&self.path, "1");
-        // Not renamed: there must be a journal at any moment.
+        // Not renamed, since there must be a journal at any moment.
         fs::hard_link(&self.path, &kept).or_else(|_| fs::copy(&self.path, &kept).map(drop))
     }
 }
 
-impl Storage for Paper {
+impl Storage for JournalFile {
     fn add(&mut self, lines: &[u8], sync: bool) -> io::Result<()> {
-        self.mend()?;
+        self.repair()?;
         let written = self.write(lines, sync);
         match &written {
             Ok(()) => self.len += lines.len() as u64,
             Err(_) => {
                 self.torn = true;
-                // Else before the next lines.
-                let _ = self.mend();
+                // If this fails, it is tried again before the next lines.
+                let _ = self.repair();
             }
         }
         written
@@ -178,17 +179,17 @@ impl Storage for Paper {
     fn cut(&mut self, len: u64) -> io::Result<()> {
         self.len = len;
         self.torn = true;
-        self.mend()
+        self.repair()
     }
 
     fn replace(&mut self, lines: &[u8]) -> io::Result<()> {
         let new = beside(&self.path, "new");
-        let file = self.begin(&new, lines).inspect_err(|_| {
+        let file = self.start_new(&new, lines).inspect_err(|_| {
             let _ = fs::remove_file(&new);
         })?;
         let before = std::mem::replace(&mut self.file, file);
         if names(&before) > 1 {
-            // Whoever opens it by its other name would be a second gateway with these tasks.
+            // A gateway that opens it by its other name would have these tasks as well.
             self.linked.push(before);
         }
         self.len = lines.len() as u64;
@@ -219,7 +220,7 @@ impl Storage for Paper {
     }
 }
 
-/// Refuses a file that belongs to something else, before it is altered.
+/// Rejects a file that is not a journal, before it is changed.
 fn demand_journal(path: &Path, written: &[u8]) -> Result<(), JournalError> {
     match is_journal(written) {
         true => Ok(()),
@@ -234,13 +235,13 @@ fn is_regular(file: File) -> io::Result<File> {
     Ok(file)
 }
 
-/// Whether a file that is not there could be created: a symbolic link needs its target's directory.
+/// Whether a missing file could be created: a symbolic link needs its target's directory.
 fn can_create(path: &Path) -> bool {
     let Ok(target) = fs::read_link(path) else {
         return true;
     };
     let target = path.parent().unwrap_or(Path::new("")).join(target);
-    // A name alone is beside the link.
+    // A bare name is in the link's directory.
     let is_there = |path: &Path| path.as_os_str().is_empty() || path.is_dir();
     target.parent().is_some_and(is_there)
 }
@@ -252,11 +253,11 @@ fn lock(mut file: &File, path: &Path) -> Result<(), JournalError> {
         match file.try_lock() {
             Ok(()) => return Ok(()),
             Err(TryLockError::WouldBlock) if start.elapsed() < PATIENCE => {
-                std::thread::sleep(AGAIN);
+                std::thread::sleep(RETRY);
             }
             Err(TryLockError::WouldBlock) => {
                 let mut written = Vec::new();
-                // Where a lock forbids reading, nobody knows who.
+                // If the lock forbids reading, the process stays unknown.
                 let _ = file.read_to_end(&mut written);
                 return Err(JournalError::InUse {
                     path: path.to_owned(),
@@ -288,7 +289,7 @@ fn is_at(file: &File, path: &Path) -> bool {
     ours.is_some() && ours == fs::metadata(path).map(place).ok()
 }
 
-/// It cannot be told here.
+/// Unknown on this system.
 #[cfg(not(unix))]
 fn is_at(_file: &File, path: &Path) -> bool {
     path.exists()
@@ -302,13 +303,13 @@ fn names(file: &File) -> u64 {
     file.metadata().map_or(1, |metadata| metadata.nlink())
 }
 
-/// It cannot be told here.
+/// Unknown on this system.
 #[cfg(not(unix))]
 fn names(_file: &File) -> u64 {
     1
 }
 
-/// Makes the directory of a file, so that it survives a power cut.
+/// Creates the directory of a file, so that it survives a power cut.
 fn make_directory(path: &Path) -> io::Result<()> {
     let Some(directory) = path.parent() else {
         return Ok(());
@@ -320,7 +321,7 @@ fn make_directory(path: &Path) -> io::Result<()> {
     Ok(())
 }
 
-/// Puts the name of a file on the disk.
+/// Syncs the directory entry of a file.
 fn sync_directory(path: &Path) {
     let directory = path
         .parent()
@@ -331,11 +332,11 @@ fn sync_directory(path: &Path) {
         && cfg!(unix)
     {
         let (path, directory) = (path.display(), directory.display());
-        warn!(target: LOG, "Journal {path}: it may not survive a power cut, since {directory} cannot be synced: {error}");
+        warn!(target: GATEWAY, "Journal {path}: it may not survive a power cut, since {directory} cannot be synced: {error}");
     }
 }
 
-/// The path with another ending behind its own.
+/// The path with an extension added.
 fn beside(path: &Path, ending: &str) -> PathBuf {
     let mut name = path.as_os_str().to_owned();
     name.push(".");

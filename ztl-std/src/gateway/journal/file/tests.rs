@@ -1,5 +1,6 @@
 use super::*;
-use crate::gateway::{Log, Moment};
+use crate::gateway::journal::entry::Moment;
+use crate::gateway::journal::records::JournalRecords;
 
 /// A directory of a test's own.
 struct Scratch(PathBuf);
@@ -44,28 +45,28 @@ fn lines_are_in_the_file_when_they_are_written_and_read_by_the_next() {
     for sync in [false, true] {
         let scratch = Scratch::new(&format!("lines-{sync}"));
         let path = scratch.journal();
-        let (mut paper, written) = Paper::open(&path).unwrap();
+        let (mut file, written) = JournalFile::open(&path).unwrap();
         assert_eq!(written, b"");
-        paper.add(ONE, sync).unwrap();
+        file.add(ONE, sync).unwrap();
         assert_eq!(read(&path), std::str::from_utf8(ONE).unwrap());
-        drop(paper);
-        let (mut paper, written) = Paper::open(&path).unwrap();
+        drop(file);
+        let (mut file, written) = JournalFile::open(&path).unwrap();
         assert_eq!(written, ONE);
-        paper.add(b"two\n", sync).unwrap();
+        file.add(b"two\n", sync).unwrap();
         assert_eq!(read(&path), concat!(r#"{"event":"one"}"#, "\ntwo\n"));
     }
 }
 
 /// A journal that was opened by this process.
 fn opened() -> Vec<u8> {
-    Log::open(Vec::new(), b"", Moment::now(), 7)
+    JournalRecords::open(Vec::new(), b"", Moment::now(), 7)
         .storage()
         .clone()
 }
 
 #[track_caller]
 fn is_in_use(path: &Path) {
-    let error = Paper::open(path).unwrap_err().to_string();
+    let error = JournalFile::open(path).unwrap_err().to_string();
     let process = format!("(process {})", std::process::id());
     assert!(error.contains("is another gateway's"), "{error}");
     assert!(error.contains(&process), "{error}");
@@ -75,7 +76,7 @@ fn is_in_use(path: &Path) {
 fn a_second_gateway_gets_no_journal_and_hears_who_has_it() {
     let scratch = Scratch::new("second");
     let path = scratch.journal();
-    let (mut first, _) = Paper::open(&path).unwrap();
+    let (mut first, _) = JournalFile::open(&path).unwrap();
     first.add(&opened(), false).unwrap();
     for _ in 0..2 {
         is_in_use(&path);
@@ -83,7 +84,7 @@ fn a_second_gateway_gets_no_journal_and_hears_who_has_it() {
         first.replace(&opened()).unwrap();
     }
     drop(first);
-    assert!(Paper::open(&path).is_ok());
+    assert!(JournalFile::open(&path).is_ok());
 }
 
 #[cfg(unix)]
@@ -91,7 +92,7 @@ fn a_second_gateway_gets_no_journal_and_hears_who_has_it() {
 fn a_journal_is_locked_under_each_of_its_names() {
     let scratch = Scratch::new("names");
     let path = scratch.journal();
-    let (mut first, _) = Paper::open(&path).unwrap();
+    let (mut first, _) = JournalFile::open(&path).unwrap();
     first.add(&opened(), false).unwrap();
     let [soft, hard, later] = ["soft", "hard", "later"].map(|name| scratch.0.join(name));
     std::os::unix::fs::symlink(&path, &soft).unwrap();
@@ -107,10 +108,10 @@ fn a_journal_is_locked_under_each_of_its_names() {
     }
     drop(first);
     for name in [&path, &soft, &hard, &later] {
-        assert!(Paper::open(name).is_ok(), "{name:?}");
+        assert!(JournalFile::open(name).is_ok(), "{name:?}");
     }
     // A symbolic link stays one when a new file is begun.
-    let (mut by_link, _) = Paper::open(&soft).unwrap();
+    let (mut by_link, _) = JournalFile::open(&soft).unwrap();
     by_link.replace(b"new\n").unwrap();
     assert_eq!(read(&path), "new\n");
     assert!(soft.is_symlink());
@@ -121,9 +122,9 @@ fn a_journal_is_locked_under_each_of_its_names() {
 fn another_gateways_journal_that_was_put_there_is_left_alone() {
     let scratch = Scratch::new("put");
     let path = scratch.journal();
-    let (mut first, _) = Paper::open(&path).unwrap();
+    let (mut first, _) = JournalFile::open(&path).unwrap();
     fs::remove_file(&path).unwrap();
-    let (mut second, _) = Paper::open(&path).unwrap();
+    let (mut second, _) = JournalFile::open(&path).unwrap();
     assert_eq!(first.altered().as_deref(), Some("was replaced"));
     first.replace(b"first\n").unwrap_err();
     second.add(b"second\n", false).unwrap();
@@ -135,13 +136,13 @@ fn another_gateways_journal_that_was_put_there_is_left_alone() {
 fn what_a_failed_write_has_left_is_cut_off_before_the_next() {
     let scratch = Scratch::new("torn");
     let path = scratch.journal();
-    let (mut paper, _) = Paper::open(&path).unwrap();
-    paper.add(b"one\n", true).unwrap();
-    paper.file.write_all(b"tw").unwrap();
-    paper.torn = true;
-    paper.add(b"three\n", true).unwrap();
+    let (mut file, _) = JournalFile::open(&path).unwrap();
+    file.add(b"one\n", true).unwrap();
+    file.file.write_all(b"tw").unwrap();
+    file.torn = true;
+    file.add(b"three\n", true).unwrap();
     assert_eq!(read(&path), "one\nthree\n");
-    paper.cut(4).unwrap();
+    file.cut(4).unwrap();
     assert_eq!(read(&path), "one\n");
 }
 
@@ -149,12 +150,12 @@ fn what_a_failed_write_has_left_is_cut_off_before_the_next() {
 #[test]
 fn a_disk_that_is_full_is_an_error_of_the_write() {
     let scratch = Scratch::new("full");
-    let (mut paper, _) = Paper::open(&scratch.journal()).unwrap();
-    paper.file = OpenOptions::new().append(true).open("/dev/full").unwrap();
+    let (mut file, _) = JournalFile::open(&scratch.journal()).unwrap();
+    file.file = OpenOptions::new().append(true).open("/dev/full").unwrap();
     for _ in 0..2 {
-        let error = paper.add(b"one\n", true).unwrap_err();
+        let error = file.add(b"one\n", true).unwrap_err();
         // The second time it cannot even be cut.
-        assert!(paper.torn, "{error}");
+        assert!(file.torn, "{error}");
     }
 }
 
@@ -162,11 +163,11 @@ fn a_disk_that_is_full_is_an_error_of_the_write() {
 fn replaced_files_are_kept_up_to_a_number() {
     let scratch = Scratch::new("kept");
     let path = scratch.journal();
-    let (mut paper, _) = Paper::open(&path).unwrap();
+    let (mut file, _) = JournalFile::open(&path).unwrap();
     for number in 0..6 {
         let lines = format!("{number}\n");
-        paper.replace(lines.as_bytes()).unwrap();
-        paper.add(b"more\n", true).unwrap();
+        file.replace(lines.as_bytes()).unwrap();
+        file.add(b"more\n", true).unwrap();
     }
     assert_eq!(read(&path), "5\nmore\n");
     let names = ["", ".1", ".2", ".3"].map(|ending| format!("gateway.jsonl{ending}"));
@@ -179,12 +180,12 @@ fn replaced_files_are_kept_up_to_a_number() {
 fn a_replacement_that_cannot_be_written_leaves_the_file_as_it_is() {
     let scratch = Scratch::new("unwritable");
     let path = scratch.journal();
-    let (mut paper, _) = Paper::open(&path).unwrap();
-    paper.add(b"one\n", true).unwrap();
+    let (mut file, _) = JournalFile::open(&path).unwrap();
+    file.add(b"one\n", true).unwrap();
     // In the way of the new file.
     fs::create_dir(beside(&path, "new")).unwrap();
-    assert!(paper.replace(b"two\n").is_err());
-    paper.add(b"three\n", true).unwrap();
+    assert!(file.replace(b"two\n").is_err());
+    file.add(b"three\n", true).unwrap();
     assert_eq!(read(&path), "one\nthree\n");
 }
 
@@ -193,8 +194,8 @@ fn a_replacement_that_cannot_be_written_leaves_the_file_as_it_is() {
 fn what_somebody_else_did_to_it_is_noticed_and_a_new_file_begun() {
     let scratch = Scratch::new("altered");
     let path = scratch.journal();
-    let (mut paper, _) = Paper::open(&path).unwrap();
-    paper.add(b"all\n", true).unwrap();
+    let (mut file, _) = JournalFile::open(&path).unwrap();
+    file.add(b"all\n", true).unwrap();
     let other = |bytes: &[u8]| {
         let mut file = OpenOptions::new().append(true).open(&path).unwrap();
         file.write_all(bytes).unwrap();
@@ -217,15 +218,15 @@ fn what_somebody_else_did_to_it_is_noticed_and_a_new_file_begun() {
         ),
     ];
     for (act, how) in acts {
-        assert_eq!(paper.altered(), None);
+        assert_eq!(file.altered(), None);
         act();
-        assert_eq!(paper.altered().as_deref(), Some(how));
-        paper.replace(b"all\n").unwrap();
+        assert_eq!(file.altered().as_deref(), Some(how));
+        file.replace(b"all\n").unwrap();
         assert_eq!(read(&path), "all\n");
     }
-    paper.add(b"more\n", true).unwrap();
+    file.add(b"more\n", true).unwrap();
     assert_eq!(
-        (paper.altered(), read(&path)),
+        (file.altered(), read(&path)),
         (None, "all\nmore\n".to_owned())
     );
 }
@@ -234,7 +235,7 @@ fn what_somebody_else_did_to_it_is_noticed_and_a_new_file_begun() {
 fn what_is_no_file_is_no_place_for_a_journal() {
     let scratch = Scratch::new("directory");
     fs::create_dir_all(scratch.journal()).unwrap();
-    let error = Paper::open(&scratch.journal()).unwrap_err();
+    let error = JournalFile::open(&scratch.journal()).unwrap_err();
     let said = error.to_string();
     assert!(said.starts_with("the journal cannot lie at "), "{said}");
 }
@@ -243,7 +244,7 @@ fn what_is_no_file_is_no_place_for_a_journal() {
 fn a_file_that_is_not_a_journal_is_refused_and_left_as_it_is() {
     let scratch = Scratch::new("foreign");
     let path = scratch.journal();
-    drop(Paper::open(&path).unwrap());
+    drop(JournalFile::open(&path).unwrap());
     for mine in [
         &b""[..],
         b"{\"eve",
@@ -252,12 +253,12 @@ fn a_file_that_is_not_a_journal_is_refused_and_left_as_it_is() {
         &opened(),
     ] {
         fs::write(&path, mine).unwrap();
-        assert!(Paper::open(&path).is_ok(), "{}", mine.escape_ascii());
+        assert!(JournalFile::open(&path).is_ok(), "{}", mine.escape_ascii());
     }
     fs::write(beside(&path, "new"), "mine").unwrap();
     for other in ["a: {b: 1}\n", "{\"a\": 1}\n", "x"] {
         fs::write(&path, other).unwrap();
-        for error in [Paper::open(&path).err(), check(&path).err()] {
+        for error in [JournalFile::open(&path).err(), check(&path).err()] {
             assert!(
                 matches!(error, Some(JournalError::Foreign { .. })),
                 "{other}"

@@ -1,0 +1,484 @@
+//! A client's connection: sends one request at a time and receives its answer, connecting first if needed.
+
+use std::time::{Duration, Instant};
+
+use serde::Deserialize;
+use tracing::warn;
+use ztl_core::State;
+use ztl_core::client::{Answer, Client, Heard, Late, Server};
+use ztl_core::envelope::{ClientId, Envelope};
+use ztl_core::goal;
+use ztl_core::sink::Sink;
+
+use super::error::RequestError;
+use super::status::{ServerInfo, Status};
+use crate::keys::{KeyPair, PublicKey};
+use crate::log_targets::TASKS;
+use crate::random;
+use crate::remote_id::RemoteId;
+use crate::sockets;
+use crate::time::now;
+
+/// Default time limit for an answer, as in the original.
+const TIMEOUT: Duration = Duration::from_secs(2);
+
+/// Longest accepted answer in bytes. The original's client takes any, but memory is limited.
+const LONGEST_ANSWER: usize = 64 << 20;
+
+/// Shortest and longest pause in milliseconds before ZeroMQ connects again.
+const RETRY: (i32, i32) = (20, 1000);
+
+/// How often `wanted` is called: soon enough for a person who has pressed Ctrl-C.
+const ASK_WANTED: Duration = Duration::from_millis(50);
+
+/// Bytes that encryption adds to a message (RFC 26, MESSAGE: a name, a nonce, a signature, flags).
+const ENCRYPTION: usize = 8 + 8 + 16 + 1;
+
+/// Most bytes in the original's answer to an INIT per byte of the INIT: it quotes the goal as Python does.
+const QUOTED: usize = 4;
+
+/// Most answers that wait to be read: one to the current request, and one that came too late.
+const ANSWERS: i32 = 2;
+
+/// Whether a request is still wanted; `None` if it always is.
+pub(super) type Wanted<'a> = Option<&'a dyn Fn() -> bool>;
+
+/// A connection to one server, and the rules that decide what is sent over it.
+pub(super) struct Connection {
+    context: zmq::Context,
+    socket: Option<zmq::Socket>,
+    endpoint: String,
+    timeout: Duration,
+    /// The client's own keys, and the server's.
+    keys: Option<(KeyPair, PublicKey)>,
+    client: Client,
+    /// Whether the server was probed over the current connection.
+    probed: bool,
+    /// The server's version, if the server is one of this project.
+    version: Option<String>,
+    /// Longest accepted answer in bytes.
+    longest_answer: usize,
+}
+
+impl Connection {
+    /// Connects in the background.
+    pub(super) fn new(context: zmq::Context, endpoint: &str) -> Result<Self, zmq::Error> {
+        let mut connection = Self {
+            context,
+            socket: None,
+            endpoint: endpoint.to_owned(),
+            timeout: TIMEOUT,
+            keys: None,
+            client: Client::new(random_id(), TIMEOUT),
+            probed: false,
+            version: None,
+            longest_answer: LONGEST_ANSWER,
+        };
+        connection.socket = Some(connection.open()?);
+        Ok(connection)
+    }
+
+    /// Another client of the same server, which connects when it is first used.
+    pub(super) fn another(&self) -> Self {
+        Self {
+            context: self.context.clone(),
+            socket: None,
+            endpoint: self.endpoint.clone(),
+            timeout: self.timeout,
+            keys: self.keys.clone(),
+            client: Client::new(random_id(), self.timeout),
+            probed: false,
+            version: None,
+            longest_answer: self.longest_answer,
+        }
+    }
+
+    pub(super) fn endpoint(&self) -> &str {
+        &self.endpoint
+    }
+
+    pub(super) const fn timeout(&self) -> Duration {
+        self.timeout
+    }
+
+    pub(super) fn set_timeout(&mut self, timeout: Duration) {
+        self.timeout = timeout;
+        self.client.set_timeout(timeout);
+    }
+
+    /// Sets the keys and connects again.
+    pub(super) fn set_keys(&mut self, own: KeyPair, server: PublicKey) -> Result<(), zmq::Error> {
+        self.keys = Some((own, server));
+        self.socket = Some(self.open()?);
+        Ok(())
+    }
+
+    /// What kind of server it is, if that is known.
+    pub(super) const fn server(&self) -> Server {
+        self.client.server()
+    }
+
+    /// Identifies a server of this project; `None` for any other. `again` probes even if that is known.
+    pub(super) fn server_info(&mut self, again: bool) -> Result<Option<ServerInfo>, RequestError> {
+        self.probed &= !again;
+        self.probe(None)?;
+        Ok(match (self.client.server(), &self.version) {
+            (Server::Ours { boot }, Some(version)) => Some(ServerInfo {
+                version: version.clone(),
+                boot,
+            }),
+            _ => None,
+        })
+    }
+
+    fn open(&self) -> Result<zmq::Socket, zmq::Error> {
+        sockets::check_port(&self.endpoint)?;
+        let socket = self.context.socket(zmq::DEALER)?;
+        socket.set_linger(0)?;
+        // Queues nothing for a server that is not there, which would act on it when it starts.
+        socket.set_immediate(true)?;
+        socket.set_maxmsgsize(i64::try_from(self.longest_answer).unwrap_or(i64::MAX))?;
+        // One request at a time is under way, so a server cannot fill the memory with answers.
+        socket.set_rcvhwm(ANSWERS)?;
+        // Clients do not all reconnect to a restarted server at the same moment.
+        socket.set_reconnect_ivl(RETRY.0)?;
+        socket.set_reconnect_ivl_max(RETRY.1)?;
+        if let Some((own, server)) = &self.keys {
+            socket.set_curve_publickey(own.public().as_bytes())?;
+            socket.set_curve_secretkey(own.secret())?;
+            socket.set_curve_serverkey(server.as_bytes())?;
+        }
+        // RFC 6761: this name is this machine, even if the system has no hosts file. ZeroMQ would ask a name
+        // server.
+        match self.endpoint.strip_prefix("tcp://localhost:") {
+            Some(port) => socket.connect(&format!("tcp://127.0.0.1:{port}"))?,
+            None => socket.connect(&self.endpoint)?,
+        }
+        Ok(socket)
+    }
+
+    /// Connects, and asks the server what it is unless that is known.
+    pub(super) fn probe(&mut self, wanted: Wanted<'_>) -> Result<(), RequestError> {
+        if self.socket.is_none() || !self.probed {
+            let mut body = Vec::new();
+            let mut sink = |bytes: &[u8]| body.extend_from_slice(bytes);
+            // Sent whatever its length, since its answer tells the longest message.
+            let envelope = self.client.probe(now(), &mut sink);
+            let said = self.exchange(wanted, envelope, &body);
+            if let Reply::Task(Status { text, .. }) = said.map_err(|unanswered| unanswered.error)? {
+                self.version = version_of(&text);
+            }
+            self.probed = true;
+        }
+        Ok(())
+    }
+
+    /// Prepares the connection for an INIT of this length. If the INIT exceeds the server's limit, probes the server
+    /// again, which may have been restarted with another one. The original has no limit, but its answer must be
+    /// accepted here.
+    pub(super) fn make_room(
+        &mut self,
+        wanted: Wanted<'_>,
+        length: usize,
+    ) -> Result<(), RequestError> {
+        let answer = length.saturating_mul(QUOTED);
+        let quotes = self.client.server() == Server::Original && answer > self.longest_answer;
+        if quotes {
+            self.longest_answer = answer;
+            self.socket = None;
+        }
+        if quotes || self.most().is_some_and(|most| length > most) {
+            self.probed = false;
+            self.probe(wanted)?;
+        }
+        Ok(())
+    }
+
+    /// The longest message that the server accepts, in bytes, if it tells one.
+    fn most(&self) -> Option<usize> {
+        let most = usize::try_from(self.client.longest_message()?).ok()?;
+        Some(match self.keys {
+            Some(_) => most.saturating_sub(ENCRYPTION),
+            None => most,
+        })
+    }
+
+    /// Asks what became of the last INIT.
+    pub(super) fn ask_outcome(&mut self) -> Result<Reply, Unanswered> {
+        let mut body = Vec::new();
+        let mut sink = |bytes: &[u8]| body.extend_from_slice(bytes);
+        match self.client.outcome(now(), &mut sink) {
+            Some(envelope) => self.exchange(None, envelope, &body),
+            None => Err(self.no_answer(Instant::now()).into()),
+        }
+    }
+
+    /// Sends one request and waits for its answer.
+    pub(super) fn ask(
+        &mut self,
+        request: impl FnOnce(&mut Client, &mut dyn Sink) -> Envelope,
+    ) -> Result<Reply, Unanswered> {
+        self.ask_while(None, request)
+    }
+
+    /// As [`ask`](Self::ask), while the request is wanted.
+    pub(super) fn ask_while(
+        &mut self,
+        wanted: Wanted<'_>,
+        request: impl FnOnce(&mut Client, &mut dyn Sink) -> Envelope,
+    ) -> Result<Reply, Unanswered> {
+        let mut body = Vec::new();
+        let mut sink = |bytes: &[u8]| body.extend_from_slice(bytes);
+        let envelope = request(&mut self.client, &mut sink);
+        self.check_length(body.len())?;
+        self.exchange(wanted, envelope, &body)
+    }
+
+    /// Checks a message's length. The server would end the connection if it was too long.
+    pub(super) fn check_length(&self, bytes: usize) -> Result<(), RequestError> {
+        match self.most() {
+            Some(most) if bytes > most => Err(RequestError::TooLong {
+                endpoint: self.endpoint.clone(),
+                bytes,
+                most,
+            }),
+            _ => Ok(()),
+        }
+    }
+
+    fn exchange(
+        &mut self,
+        wanted: Wanted<'_>,
+        envelope: Envelope,
+        body: &[u8],
+    ) -> Result<Reply, Unanswered> {
+        let start = Instant::now();
+        let socket = match self.socket.take() {
+            Some(socket) => socket,
+            None => {
+                // A new connection may lead to another server.
+                self.probed = false;
+                self.open()?
+            }
+        };
+        let said = self.converse(wanted, &socket, start, envelope, body);
+        match &said {
+            Ok(_) => self.socket = Some(socket),
+            // Nothing was sent, so no late answer can arrive. ZeroMQ keeps trying to connect.
+            Err(Unanswered {
+                error: RequestError::NotConnected { .. },
+                ..
+            }) => {
+                self.probed = false;
+                self.socket = Some(socket);
+            }
+            // Drops the socket with any late answer.
+            Err(_) => {}
+        }
+        if let Err(Unanswered { error, .. }) = &said {
+            warn!(target: TASKS, "Networking error, disconnecting: {error}");
+        }
+        said
+    }
+
+    fn converse(
+        &mut self,
+        wanted: Wanted<'_>,
+        socket: &zmq::Socket,
+        start: Instant,
+        envelope: Envelope,
+        asked: &[u8],
+    ) -> Result<Reply, Unanswered> {
+        if self.ready(wanted, socket, zmq::POLLOUT)? != Ready::Yes {
+            return Err(Unanswered::from(RequestError::NotConnected {
+                endpoint: self.endpoint.clone(),
+                waited: start.elapsed(),
+            }));
+        }
+        let (client, number) = envelope.frames();
+        let frames: [&[u8]; 4] = [&client, &number, b"", asked];
+        sockets::send(socket, &frames)?;
+        loop {
+            match self.ready(wanted, socket, zmq::POLLIN)? {
+                Ready::Yes => {}
+                Ready::Late => break,
+                Ready::Unwanted => {
+                    return Err(Unanswered {
+                        outcome: true,
+                        error: self.no_answer(start),
+                    });
+                }
+            }
+            let frames = sockets::receive(socket)?;
+            let [client, number, _delimiter, body] = frames.as_slice() else {
+                continue;
+            };
+            // Anything else answers an earlier request, which timed out.
+            if let Some(envelope) = Envelope::parse(client, number)
+                && let Some(heard) = self.client.handle_reply(envelope, asked, body)
+            {
+                return self.reply(heard, body, start);
+            }
+        }
+        let late = self.client.handle_timeout(now());
+        Err(Unanswered {
+            outcome: late == Late::AskOutcome,
+            error: self.no_answer(start),
+        })
+    }
+
+    fn reply(&self, heard: Heard<'_>, body: &[u8], start: Instant) -> Result<Reply, Unanswered> {
+        let answer = match heard {
+            Heard::Answer(answer) => answer,
+            Heard::NeverStarted => return Ok(Reply::NeverStarted),
+            Heard::FateUnknown => return Err(self.no_answer(start).into()),
+            Heard::Unreadable => {
+                let answer = String::from_utf8_lossy(body).into_owned();
+                return Ok(Reply::Unclear(RequestError::Unreadable { answer }));
+            }
+        };
+        let text = answer.text().to_owned();
+        Ok(match answer {
+            Answer::Accepted { id, ended, .. } => Reply::Accepted {
+                id: id.into(),
+                ended,
+                text,
+            },
+            Answer::Refused { id, .. } => Reply::Refused {
+                id: id.into(),
+                text,
+            },
+            Answer::Task { state, .. } => Reply::Task(Status { state, text }),
+            Answer::UnknownTask { .. } => Reply::UnknownTask { text },
+            Answer::UnknownEnd { .. } => Reply::Unclear(RequestError::UnknownEnd { text }),
+            Answer::OtherTask {
+                state, scope, id, ..
+            } => Reply::Unclear(RequestError::OtherTask {
+                state,
+                about: format!("task '{id}' of scope '{scope}'"),
+                text,
+            }),
+            Answer::NotTold { state, .. } => Reply::Unclear(RequestError::NotTold { state, text }),
+            Answer::UndefinedState { state, .. } => Reply::Unclear(RequestError::UndefinedState {
+                state: state.into(),
+                text,
+            }),
+        })
+    }
+
+    fn no_answer(&self, start: Instant) -> RequestError {
+        RequestError::NoAnswer {
+            endpoint: self.endpoint.clone(),
+            waited: start.elapsed(),
+        }
+    }
+
+    /// Waits until the socket is ready, the request times out, or the request is no longer wanted and its
+    /// outcome can be learnt in another way.
+    fn ready(
+        &self,
+        wanted: Wanted<'_>,
+        socket: &zmq::Socket,
+        events: zmq::PollEvents,
+    ) -> Result<Ready, zmq::Error> {
+        let sent = events == zmq::POLLIN;
+        loop {
+            let unwanted = wanted.is_some_and(|wanted| !wanted());
+            // The original tells a task's id only in this answer.
+            if unwanted && !(sent && self.client.server() == Server::Original) {
+                return Ok(Ready::Unwanted);
+            }
+            let deadline = self.client.poll_timeout();
+            let left = deadline.map_or(Duration::ZERO, |deadline| deadline.since(now()));
+            let time = wanted.map_or(left, |_| left.min(ASK_WANTED));
+            let millis = i64::try_from(time.as_micros().div_ceil(1000));
+            match socket.poll(events, millis.unwrap_or(i64::MAX)) {
+                Ok(0) if left.is_zero() => return Ok(Ready::Late),
+                Ok(0) | Err(zmq::Error::EINTR) => {}
+                Ok(_) => return Ok(Ready::Yes),
+                Err(cause) => return Err(cause),
+            }
+        }
+    }
+}
+
+/// Why waiting for a socket ended.
+#[derive(PartialEq)]
+enum Ready {
+    Yes,
+    Late,
+    Unwanted,
+}
+
+/// What a server's answer says.
+pub(super) enum Reply {
+    /// To an INIT.
+    Accepted {
+        id: RemoteId,
+        ended: Option<State>,
+        text: String,
+    },
+    Refused {
+        id: RemoteId,
+        text: String,
+    },
+    NeverStarted,
+    /// To any other request.
+    Task(Status),
+    UnknownTask {
+        text: String,
+    },
+    /// The answer does not say what was asked.
+    Unclear(RequestError),
+}
+
+/// A request without an answer.
+pub(super) struct Unanswered {
+    pub(super) error: RequestError,
+    /// Whether the server can be asked for the outcome.
+    pub(super) outcome: bool,
+}
+
+impl From<RequestError> for Unanswered {
+    fn from(error: RequestError) -> Self {
+        Self {
+            error,
+            outcome: false,
+        }
+    }
+}
+
+impl From<zmq::Error> for Unanswered {
+    fn from(cause: zmq::Error) -> Self {
+        RequestError::from(cause).into()
+    }
+}
+
+/// The version in the answer to a probe.
+fn version_of(answer: &str) -> Option<String> {
+    #[derive(Deserialize)]
+    struct Probe<'a> {
+        version: &'a str,
+    }
+    let mut scratch = vec![0; 2 * answer.len()];
+    let probe: Probe<'_> = goal::from_str_with(answer, &mut scratch).ok()?;
+    Some(probe.version.to_owned())
+}
+
+fn random_id() -> ClientId {
+    let mut id = [0; 16];
+    for (to, from) in id.iter_mut().zip(random::bytes()) {
+        *to = from;
+    }
+    ClientId(id)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_invalid_port_is_not_truncated() {
+        assert!(Connection::new(zmq::Context::new(), "tcp://localhost:65536").is_err());
+    }
+}

@@ -1,0 +1,289 @@
+//! Errors between a client and a server.
+
+use std::time::Duration;
+
+use ztl_core::State;
+use ztl_core::dispatcher::UNKNOWN_END;
+
+use super::status::Status;
+use crate::keys::KeyError;
+use crate::remote_id::RemoteId;
+use crate::terminal::quoted;
+
+/// Why a request has no usable answer.
+#[derive(Debug, Clone, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum RequestError {
+    /// No connection within the time limit; nothing was sent.
+    NotConnected {
+        /// The server.
+        endpoint: String,
+        /// How long the client tried.
+        waited: Duration,
+    },
+    /// The message is longer than the server accepts; nothing was sent.
+    TooLong {
+        /// The server.
+        endpoint: String,
+        /// The message's length.
+        bytes: usize,
+        /// The server's limit.
+        most: usize,
+    },
+    /// Sent, but not answered within the time limit. Whether the server acted is unknown.
+    NoAnswer {
+        /// The server.
+        endpoint: String,
+        /// How long the client waited.
+        waited: Duration,
+    },
+    /// The server does not know the task: it was restarted, or has forgotten it. Whether and how the task ended is
+    /// unknown.
+    UnknownTask {
+        /// The task's id.
+        id: RemoteId,
+        /// The server's text.
+        text: String,
+    },
+    /// The server answered that the request failed: the scope has no controller (yet), or the controller raised
+    /// an exception. The task may still run.
+    NotTold {
+        /// The state in the answer, which is not the task's.
+        state: State,
+        /// The server's text.
+        text: String,
+    },
+    /// The server ended the task as FAILED without having learnt how it ended. It may still run.
+    UnknownEnd {
+        /// The server's text.
+        text: String,
+    },
+    /// The server answered for another scope or task than the request named. What the task does is unknown; an INIT may
+    /// have started it.
+    OtherTask {
+        /// The state in the answer, if ZTL defines it.
+        state: Option<State>,
+        /// Which task the answer is about, in words.
+        about: String,
+        /// The server's text.
+        text: String,
+    },
+    /// The server answered with a state that ZTL does not define. What the task does is unknown.
+    UndefinedState {
+        /// The number.
+        state: RemoteId,
+        /// The server's text.
+        text: String,
+    },
+    /// The answer is not a ZTL message. An INIT may have started its task.
+    Unreadable {
+        /// The answer, as far as it is text.
+        answer: String,
+    },
+    /// A server of this project does not describe itself in a readable way.
+    Undescribed {
+        /// The answer.
+        answer: String,
+    },
+    /// Nothing can be sent to this scope, for this reason.
+    Scope(String),
+    /// Keys were given, but this build cannot encrypt.
+    NoCurve,
+    /// ZeroMQ failed.
+    Transport(zmq::Error),
+}
+
+impl RequestError {
+    /// Whether nothing was sent, so nothing was done.
+    #[must_use]
+    pub const fn nothing_was_sent(&self) -> bool {
+        matches!(
+            self,
+            Self::NotConnected { .. } | Self::TooLong { .. } | Self::Scope(_)
+        )
+    }
+
+    /// Whether the server answered without telling the task's state. Asking again would bring the same answer, so
+    /// it ends a wait; the task may still run.
+    #[must_use]
+    pub const fn was_answered(&self) -> bool {
+        matches!(
+            self,
+            Self::UnknownTask { .. }
+                | Self::NotTold { .. }
+                | Self::UnknownEnd { .. }
+                | Self::OtherTask { .. }
+                | Self::UndefinedState { .. }
+                | Self::Unreadable { .. }
+        )
+    }
+}
+
+impl std::fmt::Display for RequestError {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::NotConnected { endpoint, waited } => write!(
+                f,
+                "no answer from {endpoint} within {:.1} s",
+                waited.as_secs_f32()
+            ),
+            Self::TooLong {
+                endpoint,
+                bytes,
+                most,
+            } => write!(
+                f,
+                "the message has {bytes} bytes, and the server at {endpoint} takes at most {most}, of which a \
+                 goal can be somewhat less than {}, since it goes as base64",
+                most / 4 * 3
+            ),
+            Self::NoAnswer { endpoint, waited } => write!(
+                f,
+                "no answer from {endpoint} within {:.1} s; whether it acted is unknown",
+                waited.as_secs_f32()
+            ),
+            Self::UnknownTask { id, .. } => write!(
+                f,
+                "the server does not know task {id}: it was started anew or has forgotten it, and how the task ended is unknown"
+            ),
+            Self::NotTold { text, .. } => {
+                let text = quoted(text);
+                write!(f, "the server did not say how the task is: {text}")
+            }
+            Self::UnknownEnd { text } => {
+                let why = quoted(text.strip_prefix(UNKNOWN_END).unwrap_or(text));
+                write!(f, "the server could not learn how the task ended: {why}")
+            }
+            Self::OtherTask { about, text, .. } => write!(
+                f,
+                "the server answered about {}, so what this task does is unknown: {}",
+                quoted(about),
+                quoted(text)
+            ),
+            Self::UndefinedState { state, text } => write!(
+                f,
+                "the server answered state {state}, which ZTL does not define: {}",
+                quoted(text)
+            ),
+            Self::Unreadable { answer } => write!(
+                f,
+                "the server's answer is not a ZTL message, so what it did is unknown: {:?}",
+                quoted(answer)
+            ),
+            Self::Undescribed { answer } => write!(
+                f,
+                "the server does not say in readable YAML what it offers: {:?}",
+                quoted(answer)
+            ),
+            Self::Scope(mistake) => f.write_str(mistake),
+            Self::NoCurve => KeyError::NoCurve.fmt(f),
+            Self::Transport(cause) => write!(f, "ZeroMQ: {}", cause.message()),
+        }
+    }
+}
+
+impl std::error::Error for RequestError {
+    fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
+        match self {
+            Self::Transport(cause) => Some(cause),
+            _ => None,
+        }
+    }
+}
+
+impl From<zmq::Error> for RequestError {
+    fn from(cause: zmq::Error) -> Self {
+        Self::Transport(cause)
+    }
+}
+
+/// Why a task was not started.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum TriggerError {
+    /// The server rejected it; nothing was done.
+    Refused {
+        /// The id in the answer: 0 or below.
+        id: RemoteId,
+        /// The server's reason.
+        reason: String,
+    },
+    /// The server has not received it, and will reject it from now on: it does not run.
+    NeverCame,
+    /// It was no longer wanted before it was sent; nothing was done.
+    GivenUp,
+    /// There is no usable answer. Unless [nothing was sent](RequestError::nothing_was_sent), the task may
+    /// run.
+    Request(RequestError),
+}
+
+impl std::fmt::Display for TriggerError {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Refused { reason, .. } => write!(f, "refused: {reason}"),
+            Self::NeverCame => f.write_str("it never came to the server, and was not started"),
+            Self::GivenUp => f.write_str("it was given up before it was sent"),
+            Self::Request(cause) if cause.nothing_was_sent() => {
+                write!(f, "{cause}; nothing was sent")
+            }
+            Self::Request(cause) => cause.fmt(f),
+        }
+    }
+}
+
+impl std::error::Error for TriggerError {
+    fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
+        match self {
+            Self::Refused { .. } | Self::NeverCame | Self::GivenUp => None,
+            Self::Request(cause) => Some(cause),
+        }
+    }
+}
+
+/// The task did not end within the limit of the wait.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct WaitError {
+    /// The last status, or why the last request has none.
+    pub last: Result<Status, RequestError>,
+}
+
+impl std::fmt::Display for WaitError {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match &self.last {
+            Ok(status) => write!(f, "still {} ({})", status.state, status.text),
+            Err(cause) => write!(f, "unknown: {cause}"),
+        }
+    }
+}
+
+impl std::error::Error for WaitError {
+    fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
+        self.last.as_ref().err().map(|cause| cause as _)
+    }
+}
+
+/// Why a task that was started and waited for has no final state.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum RunError {
+    /// It was not started, or its INIT has no usable answer.
+    NotStarted(TriggerError),
+    /// It was started; its end is unknown.
+    NotEnded(WaitError),
+}
+
+impl std::fmt::Display for RunError {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::NotStarted(error) => error.fmt(f),
+            Self::NotEnded(error) => error.fmt(f),
+        }
+    }
+}
+
+impl std::error::Error for RunError {
+    fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
+        match self {
+            Self::NotStarted(error) => error.source(),
+            Self::NotEnded(error) => error.source(),
+        }
+    }
+}

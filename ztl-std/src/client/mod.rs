@@ -1,0 +1,21 @@
+//! The client: runs tasks on a server, which may be the original's.
+//!
+//! [`RemoteTask`] is what a program uses. [`connection`] sends one request and receives its answer, by the
+//! rules of [`ztl_core::client`], which also decides what an answer means.
+
+mod abort_on_drop;
+mod background;
+mod connection;
+mod description;
+mod error;
+mod remote_task;
+mod status;
+mod tasks;
+
+pub use abort_on_drop::AbortOnDrop;
+pub use background::BackgroundTask;
+pub use description::Description;
+pub use error::{RequestError, RunError, TriggerError, WaitError};
+pub use remote_task::RemoteTask;
+pub use status::{ServerInfo, Status, Triggered};
+pub use tasks::{ServerTask, ServerTasks};

@@ -1,0 +1,134 @@
+//! A device: a thread with its session, its line and its tasks.
+
+mod backpressure;
+mod input;
+mod line_reader;
+mod status;
+mod worker;
+
+use std::io;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Sender, channel};
+use std::thread::JoinHandle;
+
+use ztl_core::TaskId;
+use ztl_link::{Restored, Session};
+
+pub(super) use input::shown;
+use input::{DeviceRequest, Input};
+use status::SharedStatus;
+use worker::Worker;
+
+use super::journal::{DECIDED, DeviceJournal, JournalFile, UNWRITTEN};
+use super::logs::DeviceLog;
+use super::opener::Opener;
+use super::readings::Observers;
+use crate::random;
+use crate::server::TaskReporter;
+use crate::task_request::TaskRequest;
+
+/// A device's thread. Dropping it aborts the tasks and ends the thread.
+#[derive(Debug)]
+pub(super) struct Device {
+    url: String,
+    inputs: Sender<Input>,
+    status: SharedStatus,
+    log: DeviceLog,
+    has_journal: bool,
+    idle: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Device {
+    /// Starts the thread. It opens the line after `awaited` tasks from before a restart have been resumed.
+    /// Without an opener the device never answers.
+    pub(super) fn spawn(
+        name: &str,
+        opener: Option<Opener>,
+        gateway: u64,
+        journal: Option<DeviceJournal<JournalFile>>,
+        awaited: usize,
+        observers: Observers,
+    ) -> io::Result<Self> {
+        let (inputs, inbox) = channel();
+        let baud = opener.as_ref().and_then(|opener| opener.baud);
+        let has_journal = journal.is_some();
+        let session = Session::with_journal(journal, gateway, baud, random::nonzero);
+        let mut worker = Worker::new(name, opener, session, inputs.clone(), awaited, observers);
+        let (url, status, log) = (worker.url().to_owned(), worker.status(), worker.log());
+        let idle = worker.idle();
+        let thread = std::thread::Builder::new()
+            .name(format!("ztl-device-{name}"))
+            .spawn(move || worker.run(&inbox))?;
+        Ok(Self {
+            url,
+            inputs,
+            status,
+            log,
+            has_journal,
+            idle,
+            thread: Some(thread),
+        })
+    }
+
+    pub(super) fn url(&self) -> String {
+        self.url.clone()
+    }
+
+    pub(super) fn log(&self) -> DeviceLog {
+        self.log.clone()
+    }
+
+    pub(super) fn status(&self) -> SharedStatus {
+        self.status.clone()
+    }
+
+    pub(super) fn start(&self, task: TaskReporter, request: &TaskRequest) {
+        let mut request = DeviceRequest::from(request);
+        request.claim = self
+            .has_journal
+            .then(|| task.refuse_unless_claimed(DECIDED, UNWRITTEN));
+        // If the thread has ended, dropping the reporter informs the client.
+        let _ = self.inputs.send(Input::Start(task, request));
+    }
+
+    /// Resumes a task from before a restart.
+    pub(super) fn resume(&self, task: TaskReporter, known: Restored) {
+        let _ = self.inputs.send(Input::Resume(task, known));
+    }
+
+    pub(super) fn abort(&self, id: TaskId) {
+        let _ = self.inputs.send(Input::Abort(id));
+    }
+
+    /// Aborts all tasks and rejects new ones. The device is idle when all have ended.
+    pub(super) fn retire(&self) {
+        let _ = self.inputs.send(Input::Retire);
+    }
+
+    /// Serves it again after [`retire`](Self::retire), or after it was spawned without an opener.
+    pub(super) fn serve(&mut self, opener: Opener) {
+        self.url.clone_from(&opener.label);
+        let _ = self.inputs.send(Input::Serve(opener));
+    }
+
+    /// Whether the device has neither a line nor tasks.
+    pub(super) fn is_idle(&self) -> bool {
+        self.idle.load(Ordering::Acquire)
+    }
+
+    /// Begins to end the thread; dropping the device waits for it.
+    pub(super) fn stop(&self, leave_running: bool) {
+        let _ = self.inputs.send(Input::Stop(leave_running));
+    }
+}
+
+impl Drop for Device {
+    fn drop(&mut self) {
+        self.stop(false);
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}

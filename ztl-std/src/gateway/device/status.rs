@@ -1,0 +1,94 @@
+//! A device's status as other threads see it.
+
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+use ztl_core::Instant;
+use ztl_link::{DeviceInfo, LinkCounters, RoundTrips, Session, SessionJournal};
+
+use crate::gateway::report::{DeviceReport, FirmwareReport, LinkReport};
+use crate::time::{millis, now};
+
+#[derive(Debug, Default)]
+struct Status {
+    ready: bool,
+    trouble: Option<String>,
+    device: Option<DeviceInfo>,
+    /// The device's uptime, and when it was measured.
+    uptime: Option<(Duration, Instant)>,
+    counters: LinkCounters,
+    round_trips: RoundTrips,
+    queue: usize,
+}
+
+/// A device's status, shared between its thread and others. Locked only briefly.
+#[derive(Debug, Clone, Default)]
+pub(in crate::gateway) struct SharedStatus(Arc<Mutex<Status>>);
+
+impl SharedStatus {
+    fn lock(&self) -> MutexGuard<'_, Status> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Updates the status. Called after each step of the device's thread.
+    pub(super) fn update<B: SessionJournal>(
+        &self,
+        now: Instant,
+        session: &Session<B>,
+        trouble: Option<&String>,
+    ) {
+        let mut status = self.lock();
+        status.ready = session.is_up();
+        if status.trouble.as_ref() != trouble {
+            status.trouble = trouble.cloned();
+        }
+        if status.device.as_ref() != session.device() {
+            status.device = session.device().cloned();
+        }
+        status.uptime = session.uptime(now).map(|uptime| (uptime, now));
+        status.counters = session.counters();
+        status.round_trips.clone_from(session.round_trips());
+        status.queue = session.queued();
+    }
+
+    /// The names of the components.
+    pub(in crate::gateway) fn components(&self) -> Vec<String> {
+        let status = self.lock();
+        let device = status.device.as_ref();
+        device.map_or_else(Vec::new, |device| {
+            device.components.iter().map(|c| c.name.clone()).collect()
+        })
+    }
+
+    pub(in crate::gateway) fn report(&self, url: String) -> DeviceReport {
+        let status = self.lock();
+        let micros = |percent| {
+            let time = status.round_trips.percentile(percent)?;
+            u64::try_from(time.as_micros()).ok()
+        };
+        let device = status.device.as_ref();
+        DeviceReport {
+            url,
+            ready: status.ready,
+            trouble: status.trouble.clone(),
+            firmware: device.map(|device| FirmwareReport {
+                name: device.name.clone(),
+                version: device.firmware.clone(),
+                boot: device.boot,
+                uptime_ms: status
+                    .uptime
+                    .map_or(0, |(uptime, at)| millis(uptime + now().since(at))),
+                link_timeout_ms: millis(device.link_timeout),
+            }),
+            components: device.map_or_else(Vec::new, |device| {
+                device.components.iter().map(Into::into).collect()
+            }),
+            link: LinkReport {
+                counters: status.counters,
+                round_trip_p50_us: micros(50),
+                round_trip_p99_us: micros(99),
+                queue: status.queue,
+            },
+        }
+    }
+}

@@ -1,0 +1,173 @@
+//! The devices of a gateway.
+
+use std::collections::{BTreeMap, HashMap};
+use std::io;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use ztl_core::TaskId;
+
+use super::device::Device;
+use super::endpoint::Endpoint;
+use super::journal::Journal;
+use super::logs::RawLog;
+use super::opener::Opener;
+use super::readings::Observers;
+use super::report::DeviceReports;
+
+/// A gateway's devices, which can be seen and changed while the gateway serves.
+#[derive(Debug, Clone)]
+pub struct Devices(pub(super) Arc<Shared>);
+
+#[derive(Debug)]
+pub(super) struct Shared {
+    /// The gateway's id, as its devices know it.
+    pub(super) id: u64,
+    pub(super) journal: Option<Journal>,
+    pub(super) observers: Observers,
+    pub(super) devices: Mutex<DeviceMap>,
+}
+
+#[derive(Debug, Default)]
+pub(super) struct DeviceMap {
+    pub(super) served: BTreeMap<String, Device>,
+    /// Devices that are no longer served but may have tasks. A device that is served again keeps its tasks.
+    pub(super) retired: BTreeMap<String, Device>,
+    /// Tasks of the journal without an end that were not resumed yet, with their device.
+    pub(super) unended: HashMap<TaskId, (String, ztl_link::Restored)>,
+}
+
+impl DeviceMap {
+    /// A device, served or retired.
+    pub(super) fn device(&self, name: &str) -> Option<&Device> {
+        self.served.get(name).or_else(|| self.retired.get(name))
+    }
+
+    /// All devices.
+    pub(super) fn all(&self) -> impl Iterator<Item = &Device> {
+        self.served.values().chain(self.retired.values())
+    }
+}
+
+/// Why a device cannot be added.
+#[derive(Debug)]
+#[non_exhaustive]
+pub enum AddError {
+    /// The name is in use.
+    Served,
+    /// The system has no more threads.
+    Thread(io::Error),
+}
+
+impl std::fmt::Display for AddError {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Served => f.write_str("a device of this name is served already"),
+            Self::Thread(cause) => write!(f, "no thread for it: {cause}"),
+        }
+    }
+}
+
+impl std::error::Error for AddError {
+    fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
+        match self {
+            Self::Thread(cause) => Some(cause),
+            Self::Served => None,
+        }
+    }
+}
+
+impl Devices {
+    pub(super) fn lock(&self) -> MutexGuard<'_, DeviceMap> {
+        self.0
+            .devices
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Adds a device, like [`Gateway::add`](super::Gateway::add). One that was served before may still have tasks: those that
+    /// [`remove`](Self::remove) aborted end first; those of the journal are settled by the device's reports.
+    ///
+    /// # Errors
+    /// [`AddError`].
+    pub fn add(&self, name: &str, endpoint: Endpoint) -> Result<(), AddError> {
+        let mut map = self.lock();
+        if map.served.contains_key(name) {
+            return Err(AddError::Served);
+        }
+        map.retired.retain(|_, device| !device.is_idle());
+        let opener = endpoint.into();
+        let device = match map.retired.remove(name) {
+            Some(mut device) => {
+                device.serve(opener);
+                device
+            }
+            None => self
+                .spawn(&map, name, Some(opener))
+                .map_err(AddError::Thread)?,
+        };
+        map.served.insert(name.to_owned(), device);
+        Ok(())
+    }
+
+    /// Removes a device: aborts its tasks, and closes its line when they have ended. Returns whether there was
+    /// one.
+    pub fn remove(&self, name: &str) -> bool {
+        let mut map = self.lock();
+        let Some(device) = map.served.remove(name) else {
+            return false;
+        };
+        device.retire();
+        map.retired.insert(name.to_owned(), device);
+        true
+    }
+
+    /// Starts the thread of a device; without `opener` for one that is not served.
+    pub(super) fn spawn(
+        &self,
+        map: &DeviceMap,
+        name: &str,
+        opener: Option<Opener>,
+    ) -> io::Result<Device> {
+        let Shared {
+            id,
+            journal,
+            observers,
+            ..
+        } = &*self.0;
+        let journal = journal.as_ref().map(|journal| journal.of_device(name));
+        let its = |(device, _): &&(String, ztl_link::Restored)| device == name;
+        let awaited = map.unended.values().filter(its).count();
+        Device::spawn(name, opener, *id, journal, awaited, observers.clone())
+    }
+
+    /// Decodes the defmt log of a device's firmware with its ELF file, and logs the messages.
+    ///
+    /// # Errors
+    /// A message if the file cannot be used or there is no such device.
+    #[cfg(feature = "defmt")]
+    pub fn read_log(&self, device: &str, elf: &std::path::Path) -> Result<(), String> {
+        let wrong = |error: &dyn std::fmt::Display| format!("{}: {error}", elf.display());
+        let decoder = crate::defmt::Decoder::of_file(elf).map_err(|error| wrong(&error))?;
+        let log = self.lock().served.get(device).map(Device::log);
+        let name = elf.display().to_string();
+        let reading = log.ok_or("no such device")?.read_by(device, decoder, name);
+        reading.map_err(|error| wrong(&error))
+    }
+
+    /// A report on each device.
+    #[must_use]
+    pub fn reports(&self) -> DeviceReports {
+        let map = self.lock();
+        let devices = map.served.iter();
+        devices
+            .map(|(name, device)| (name.clone(), device.status().report(device.url())))
+            .collect()
+    }
+
+    /// The latest log of a device's firmware; `None` if there is no such device.
+    #[must_use]
+    pub fn raw_log(&self, device: &str) -> Option<RawLog> {
+        let log = self.lock().served.get(device)?.log();
+        Some(log.raw())
+    }
+}

@@ -1,0 +1,447 @@
+//! What journal entries mean, over any storage.
+
+use std::cmp::Reverse;
+use std::collections::BTreeMap;
+use std::io;
+use std::time::Duration;
+
+use tracing::{info, warn};
+use ztl_core::{State, TaskId};
+
+use ztl_link::{Entry, Restored};
+
+use super::entry::{JournalEntry, Moment, Opened, Reserved, TaskEntry, VERSION, Version};
+use crate::log_targets::GATEWAY;
+use crate::server::{KEEP, RestoredTask};
+
+/// Bytes written to a file, besides its initial content, before a new one is started.
+const ROTATE: u64 = 1 << 20;
+/// Most tasks that are carried over to a new file; as many as a server remembers.
+const CARRIED: usize = 10_000;
+/// The same limit in bytes of memory.
+const CARRIED_BYTES: usize = 64 << 20;
+/// Task ids that are reserved at a time, which needs one sync of the disk.
+const BLOCK: u32 = 10_000;
+/// Warn when fewer task ids than this are left.
+const FEW: u32 = 10_000_000;
+/// A client learns the id of a task that is undecided for 1.5 s. The `Start` is written within 1.2 s
+/// ([`DECIDED`](super::DECIDED)) or never sent, so no client knows a task that its device rejects within this
+/// time after the `Start`.
+const UNTOLD: Duration = Duration::from_millis(250);
+/// Unusable lines that are logged one by one.
+const LOGGED: usize = 10;
+
+/// Stores a journal. What was written successfully survives the end of the process.
+pub trait Storage {
+    /// Appends lines. With `sync` they, and all lines before, survive a power cut.
+    ///
+    /// # Errors
+    /// The system's error. Partly written lines are cut off before the next ones.
+    fn add(&mut self, lines: &[u8], sync: bool) -> io::Result<()>;
+
+    /// Keeps only the first `len` bytes; the rest is an incomplete line.
+    ///
+    /// # Errors
+    /// The system's error. It is tried again before the next lines are written.
+    fn cut(&mut self, len: u64) -> io::Result<()>;
+
+    /// Replaces all lines, entirely or not at all.
+    ///
+    /// # Errors
+    /// The system's error. The old lines are still there.
+    fn replace(&mut self, lines: &[u8]) -> io::Result<()>;
+
+    /// What something else did to the journal, such as `was removed`.
+    fn altered(&self) -> Option<String> {
+        None
+    }
+
+    /// The storage's name for messages.
+    fn place(&self) -> String;
+}
+
+/// A journal in memory, for tests and simulations.
+impl Storage for Vec<u8> {
+    fn add(&mut self, lines: &[u8], _sync: bool) -> io::Result<()> {
+        self.extend_from_slice(lines);
+        Ok(())
+    }
+
+    fn cut(&mut self, len: u64) -> io::Result<()> {
+        self.truncate(usize::try_from(len).unwrap_or(usize::MAX));
+        Ok(())
+    }
+
+    fn replace(&mut self, lines: &[u8]) -> io::Result<()> {
+        self.clear();
+        self.add(lines, true)
+    }
+
+    fn place(&self) -> String {
+        "in memory".to_owned()
+    }
+}
+
+/// A journal's content and rules, over any storage. The time is an argument.
+#[derive(Debug)]
+pub struct JournalRecords<S> {
+    storage: S,
+    gateway: u64,
+    /// Task ids up to this one are not assigned after a restart; 0 if there is none.
+    reserved: u32,
+    /// Whether every entry that has an effect must survive a power cut.
+    sync: bool,
+    /// The latest entry of each task.
+    tasks: BTreeMap<TaskId, TaskEntry>,
+    /// Bytes in the storage.
+    len: u64,
+    /// Length at which a new file is started.
+    rotate_at: u64,
+    /// Whether the start of this gateway is written.
+    opened: bool,
+    /// Why the journal cannot be written; logged once.
+    trouble: Option<String>,
+}
+
+impl<S: Storage> JournalRecords<S> {
+    /// Reads `written`, the content of `storage`, repairs it, and notes that a gateway was started: the one that
+    /// wrote it, or `new_id` if there is none. Unusable lines are logged.
+    pub fn open(storage: S, written: &[u8], now: Moment, new_id: u64) -> Self {
+        let mut records = Self {
+            storage,
+            gateway: new_id,
+            reserved: 0,
+            sync: false,
+            tasks: BTreeMap::new(),
+            len: written.len() as u64,
+            rotate_at: ROTATE,
+            opened: false,
+            trouble: None,
+        };
+        let end = written.iter().rposition(|byte| *byte == b'\n');
+        let whole = written.get(..end.map_or(0, |end| end + 1));
+        let whole = whole.unwrap_or_default();
+        if whole.len() < written.len() {
+            let place = records.storage.place();
+            let torn = written.len() - whole.len();
+            warn!(target: GATEWAY, "Journal {place}: the last line was not written to its end; its {torn} bytes are cut off.");
+            records.len = whole.len() as u64;
+            if let Err(error) = records.storage.cut(records.len) {
+                warn!(target: GATEWAY, "Journal {place}: they cannot be cut off: {error}");
+            }
+        }
+        let clean = records.read(whole);
+        records.warn_of_few_ids();
+        records.forget(now);
+        if !clean {
+            // The unusable lines stay in the earlier file.
+            records.rotate_or_go_on(now);
+        }
+        if !records.opened {
+            // A failure is logged, and tried again with the first task.
+            let _ = records.write(now, None);
+        }
+        records
+    }
+
+    /// With `sync`, every entry that has an effect survives a power cut. Entries that reserve task ids always do.
+    pub(super) fn with_sync(mut self, sync: bool) -> Self {
+        self.sync = sync;
+        self
+    }
+
+    /// The gateway's id, as its devices know it.
+    pub const fn gateway(&self) -> u64 {
+        self.gateway
+    }
+
+    /// The last task id that may have been assigned before this start.
+    pub(super) const fn last_id(&self) -> Option<TaskId> {
+        TaskId::new(self.reserved)
+    }
+
+    /// The tasks without an end, each with its device's name.
+    pub fn unended(&self) -> Vec<(String, Restored)> {
+        let lines = self.tasks.values().filter(|line| !line.state.is_final());
+        let with_device =
+            |line: &TaskEntry| line.restored().map(|task| (line.device.clone(), task));
+        lines.filter_map(with_device).collect()
+    }
+
+    /// The ended tasks that are still remembered, each with its device, component and goal.
+    pub fn ended(&self, now: Moment) -> Vec<([&str; 3], RestoredTask)> {
+        let lines = self.tasks.values().filter(|line| line.state.is_final());
+        let ended = |line: &TaskEntry| RestoredTask {
+            id: line.task,
+            payload: String::new(),
+            state: line.state,
+            text: line.text.clone(),
+            ended: Some(line.age(now)),
+        };
+        lines
+            .filter(|line| line.age(now) < KEEP)
+            .map(|line| (line.spec(), ended(line)))
+            .collect()
+    }
+
+    /// A `Start` is about to be sent.
+    ///
+    /// # Errors
+    /// Why that cannot be written.
+    pub(super) fn starting(
+        &mut self,
+        now: Moment,
+        device: &str,
+        client: Option<String>,
+        task: &Entry<'_>,
+    ) -> Result<(), String> {
+        let line = TaskEntry::new(now, device, client, task, State::Initiated, "");
+        self.write(now, Some(JournalEntry::Start(line)))
+    }
+
+    /// A device has accepted a task.
+    ///
+    /// # Errors
+    /// Why that cannot be written.
+    pub(super) fn accepted(
+        &mut self,
+        now: Moment,
+        device: &str,
+        task: &Entry<'_>,
+    ) -> Result<(), String> {
+        let client = self.client(task.id);
+        let line = TaskEntry::new(now, device, client, task, State::Accepted, "");
+        self.write(now, Some(JournalEntry::Accepted(line)))
+    }
+
+    /// A task is about to end.
+    ///
+    /// # Errors
+    /// Why that cannot be written.
+    pub(super) fn ended_as(
+        &mut self,
+        now: Moment,
+        device: &str,
+        task: &Entry<'_>,
+        (state, text): (State, &str),
+    ) -> Result<(), String> {
+        let client = self.client(task.id);
+        let line = TaskEntry::new(now, device, client, task, state, text);
+        self.write(now, Some(JournalEntry::Ended(line)))
+    }
+
+    #[cfg(test)]
+    pub(super) const fn storage(&self) -> &S {
+        &self.storage
+    }
+
+    /// Reads what was written; returns whether all of it could be used.
+    fn read(&mut self, written: &[u8]) -> bool {
+        let place = self.storage.place();
+        let mut useless = 0;
+        let mut other_version = false;
+        let lines = written.split(|byte| *byte == b'\n');
+        for (number, bytes) in (1..).zip(lines).filter(|(_, bytes)| !bytes.is_empty()) {
+            let version = serde_json::from_slice::<Version>(bytes);
+            if let Ok(Version { journal: Some(it) }) = version {
+                other_version = it != VERSION;
+                if other_version {
+                    useless += 1;
+                    warn!(target: GATEWAY, "Journal {place}, line {number}: version {it}, this gateway reads version {VERSION}; skipped from here on.");
+                }
+            }
+            if other_version {
+                continue;
+            }
+            match serde_json::from_slice(bytes) {
+                Ok(JournalEntry::Opened(opened)) => {
+                    self.gateway = opened.gateway;
+                    self.reserved = self.reserved.max(opened.last);
+                }
+                Ok(JournalEntry::Reserved(reserved)) => {
+                    self.reserved = self.reserved.max(reserved.last)
+                }
+                Ok(JournalEntry::Start(line) | JournalEntry::Accepted(line))
+                    if line.restored().is_none() =>
+                {
+                    useless += 1;
+                    warn!(target: GATEWAY, "Journal {place}, line {number}: skipped, it does not say to whom the task was sent.");
+                }
+                Ok(
+                    JournalEntry::Start(line)
+                    | JournalEntry::Accepted(line)
+                    | JournalEntry::Ended(line),
+                ) => self.note(line),
+                Err(error) => {
+                    useless += 1;
+                    if useless <= LOGGED {
+                        warn!(target: GATEWAY, "Journal {place}, line {number}: skipped, it cannot be read: {error}");
+                    }
+                }
+            }
+        }
+        if useless > LOGGED {
+            warn!(target: GATEWAY, "Journal {place}: {useless} lines were skipped in all.");
+        }
+        useless == 0
+    }
+
+    /// The client in a task's earlier entries.
+    fn client(&self, id: TaskId) -> Option<String> {
+        self.tasks.get(&id)?.client.clone()
+    }
+
+    /// Takes an entry into memory. A final state never changes.
+    fn note(&mut self, line: TaskEntry) {
+        self.reserved = self.reserved.max(line.task.get());
+        match self.tasks.get(&line.task) {
+            Some(known) if known.state.is_final() => {}
+            // Forgotten at once, since a busy device rejects often.
+            Some(known) if line.state == State::Rejected && line.since(known) < UNTOLD => {
+                self.tasks.remove(&line.task);
+            }
+            _ => {
+                self.tasks.insert(line.task, line);
+            }
+        }
+    }
+
+    fn write(&mut self, now: Moment, line: Option<JournalEntry>) -> Result<(), String> {
+        self.check_altered(now)?;
+        if self.len >= self.rotate_at {
+            self.rotate_or_go_on(now);
+        }
+        let mut bytes = Vec::new();
+        if !self.opened {
+            self.put_opened(now, &mut bytes);
+        }
+        let mut reserved = self.reserved;
+        if let Some(line) = &line {
+            if let Some(id) = line.task().filter(|id| id.get() > reserved) {
+                reserved = id.get().saturating_add(BLOCK - 1);
+                JournalEntry::Reserved(Reserved::new(now, reserved)).put(&mut bytes);
+            }
+            line.put(&mut bytes);
+        }
+        let needed = matches!(line, Some(JournalEntry::Start(_) | JournalEntry::Ended(_)));
+        let reserves = reserved > self.reserved;
+        if let Err(error) = self.storage.add(&bytes, reserves || needed && self.sync) {
+            let place = self.storage.place();
+            let trouble = format!("the journal {place} cannot be written: {error}");
+            return Err(self.in_trouble(trouble));
+        }
+        if self.trouble.take().is_some() {
+            info!(target: GATEWAY, "The journal {} is written again.", self.storage.place());
+        }
+        self.len += bytes.len() as u64;
+        self.opened = true;
+        if reserves {
+            self.reserved = reserved;
+            self.warn_of_few_ids();
+        }
+        if let Some(
+            JournalEntry::Start(line) | JournalEntry::Accepted(line) | JournalEntry::Ended(line),
+        ) = line
+        {
+            self.note(line);
+        }
+        Ok(())
+    }
+
+    /// Starts a new file if something else altered this one.
+    ///
+    /// # Errors
+    /// Why no new file can be started.
+    pub(super) fn check_altered(&mut self, now: Moment) -> Result<(), String> {
+        let Some(how) = self.storage.altered() else {
+            return Ok(());
+        };
+        let place = self.storage.place();
+        if let Err(error) = self.rotate(now) {
+            let trouble =
+                format!("the journal {place} {how}, and no new file can be begun: {error}");
+            return Err(self.in_trouble(trouble));
+        }
+        warn!(target: GATEWAY, "Journal {place} {how}. A new file with all that is still needed takes its place.");
+        Ok(())
+    }
+
+    fn in_trouble(&mut self, trouble: String) -> String {
+        if self.trouble.as_ref() != Some(&trouble) {
+            warn!(target: GATEWAY, "No task is taken: {trouble}");
+            self.trouble = Some(trouble.clone());
+        }
+        trouble
+    }
+
+    fn warn_of_few_ids(&self) {
+        let left = u32::MAX - self.reserved;
+        let place = self.storage.place();
+        if left == 0 {
+            warn!(target: GATEWAY, "Journal {place}: all task ids are used up. Stop the gateway, move the journal away and start the gateway again.");
+        } else if left < FEW {
+            let left = match left {
+                1 => "1 task id is".to_owned(),
+                left => format!("{left} task ids are"),
+            };
+            warn!(target: GATEWAY, "Journal {place}: only {left} left. Move the journal away while the gateway is stopped and no task runs.");
+        }
+    }
+
+    fn put_opened(&self, now: Moment, bytes: &mut Vec<u8>) {
+        JournalEntry::Opened(Opened::new(now, self.gateway, self.reserved)).put(bytes);
+    }
+
+    /// Starts a new file with all that is still needed, or continues the old one.
+    fn rotate_or_go_on(&mut self, now: Moment) {
+        if let Err(error) = self.rotate(now) {
+            let place = self.storage.place();
+            warn!(target: GATEWAY, "Journal {place}: no new file can be begun: {error}");
+        }
+    }
+
+    fn rotate(&mut self, now: Moment) -> io::Result<()> {
+        self.forget(now);
+        let mut bytes = Vec::new();
+        self.put_opened(now, &mut bytes);
+        for line in self.tasks.values().cloned() {
+            let line = match line.state {
+                State::Initiated => JournalEntry::Start(line),
+                State::Accepted => JournalEntry::Accepted(line),
+                _ => JournalEntry::Ended(line),
+            };
+            line.put(&mut bytes);
+        }
+        let replaced = self.storage.replace(&bytes);
+        if replaced.is_ok() {
+            self.opened = true;
+            self.len = bytes.len() as u64;
+        }
+        // At twice the size, so that a byte is copied about once.
+        self.rotate_at = self.len + ROTATE.max(self.len);
+        replaced
+    }
+
+    /// Forgets ends that are too old, and the oldest ones if there are too many.
+    fn forget(&mut self, now: Moment) {
+        let needed = |line: &TaskEntry| !line.state.is_final() || line.age(now) < KEEP;
+        self.tasks.retain(|_, line| needed(line));
+        let mut bytes: usize = self.tasks.values().map(TaskEntry::size).sum();
+        if self.tasks.len() <= CARRIED && bytes <= CARRIED_BYTES {
+            return;
+        }
+        let ends = self.tasks.values().filter(|line| line.state.is_final());
+        let mut ends: Vec<_> = ends
+            .map(|line| (line.age(now), Reverse(line.task)))
+            .collect();
+        ends.sort();
+        while let Some((_, Reverse(oldest))) = ends.pop()
+            && (self.tasks.len() > CARRIED || bytes > CARRIED_BYTES)
+        {
+            bytes -= self.tasks.remove(&oldest).map_or(0, |line| line.size());
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,513 @@
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+
+use ztl_core::link::{LinkId, Loss};
+
+use super::*;
+use ztl_link::Sent;
+
+/// 2026-01-01 and some seconds.
+fn at(seconds: u64) -> Moment {
+    Moment {
+        wall: UNIX_EPOCH + Duration::from_secs(1_767_225_600 + seconds),
+        running: Duration::from_secs(seconds),
+    }
+}
+
+fn id(number: u32) -> TaskId {
+    TaskId::new(number).unwrap()
+}
+
+fn task(number: u32) -> Entry<'static> {
+    Entry {
+        id: id(number),
+        component: "finger",
+        goal: "4\u{2028}0\n",
+        sent: Some(Sent {
+            link: LinkId(number - 100),
+            boot: 81501,
+            loss: Loss::CarryOn,
+            link_timeout: Duration::from_millis(1500),
+        }),
+    }
+}
+
+impl<S: Storage> JournalRecords<S> {
+    fn start(&mut self, now: Moment, number: u32) -> Result<(), String> {
+        let client = Some("c0ffee".to_owned());
+        self.starting(now, "gripper", client, &task(number))
+    }
+
+    #[track_caller]
+    fn complete(&mut self, now: Moment, number: u32, text: &str) {
+        let end = (State::Completed, text);
+        self.ended_as(now, "gripper", &task(number), end).unwrap();
+    }
+
+    fn ids(&self) -> (Vec<u32>, Vec<(u32, String)>) {
+        let unended = self.unended();
+        let unended = unended.iter().map(|(_, task)| task.id.get()).collect();
+        let ended = self.ended(at(0)).into_iter();
+        let ended = ended.map(|(_, task)| (task.id.get(), task.text)).collect();
+        (unended, ended)
+    }
+}
+
+/// The next gateway's view of what one has written.
+fn again<S: Storage>(written: &[u8], storage: S) -> JournalRecords<S> {
+    JournalRecords::open(storage, written, at(100), 99)
+}
+
+fn fresh() -> JournalRecords<Vec<u8>> {
+    JournalRecords::open(Vec::new(), b"", at(0), 7)
+}
+
+fn restarted(log: &JournalRecords<Vec<u8>>) -> JournalRecords<Vec<u8>> {
+    let written = log.storage.clone();
+    again(&written, written.clone())
+}
+
+#[test]
+fn what_was_written_is_known_after_a_restart() {
+    let mut log = fresh();
+    assert_eq!((log.gateway(), log.last_id()), (7, None));
+    for number in 101..=104 {
+        log.start(at(1), number).unwrap();
+    }
+    log.accepted(at(2), "gripper", &task(102)).unwrap();
+    log.complete(at(3), 103, "40.0");
+    let rejected = (State::Rejected, "busy");
+    log.ended_as(at(4), "gripper", &task(104), rejected)
+        .unwrap();
+
+    // Refused at once: nobody has its id.
+    log.start(at(4), 105).unwrap();
+    log.ended_as(at(4), "gripper", &task(105), rejected)
+        .unwrap();
+
+    let log = restarted(&log);
+    assert_eq!(
+        (log.gateway(), log.last_id()),
+        (7, Some(id(101 + BLOCK - 1)))
+    );
+    assert_eq!(log.ended(at(13)).len(), 2);
+    let unended = log.unended();
+    let known = |number, accepted| {
+        let task = task(number);
+        let restored = Restored {
+            id: task.id,
+            component: task.component.to_owned(),
+            goal: task.goal.to_owned(),
+            sent: task.sent.unwrap(),
+            accepted,
+        };
+        ("gripper".to_owned(), restored)
+    };
+    assert_eq!(unended, [known(101, false), known(102, true)]);
+    let ended = log.ended(at(13));
+    let (spec, completed) = &ended[0];
+    assert_eq!(*spec, ["gripper", "finger", "4\u{2028}0\n"]);
+    assert_eq!(completed.ended, Some(Duration::from_secs(10)));
+    assert_eq!(
+        (completed.state, completed.text.as_str()),
+        (State::Completed, "40.0")
+    );
+    assert_eq!(
+        (ended[1].1.state, ended[1].1.text.as_str()),
+        (State::Rejected, "busy")
+    );
+}
+
+#[test]
+fn the_lines_are_what_the_document_says() {
+    let mut log = JournalRecords::open(Vec::new(), b"", at(0), 0x93f0_5c11_e2d4_7a08);
+    let mut task = task(10471);
+    task.goal = "40";
+    task.sent.as_mut().unwrap().link = LinkId(3);
+    task.sent.as_mut().unwrap().loss = Loss::Abort;
+    log.starting(at(1), "gripper", Some("00ff".to_owned()), &task)
+        .unwrap();
+    log.accepted(at(1), "gripper", &task).unwrap();
+    let end = (State::Completed, "40.0");
+    log.ended_as(at(2), "gripper", &task, end).unwrap();
+    let written = String::from_utf8(log.storage.clone()).unwrap();
+    let document = include_str!("../../../../../docs/journal.md");
+    let (_, examples) = document.split_once("```json\n").unwrap();
+    let (examples, _) = examples.split_once("```").unwrap();
+    // Broken for the page's width.
+    let examples = examples.replace("\n    ", "");
+    let version = format!("\"version\":\"{}\"", ztl_core::VERSION);
+    let process = format!("\"process\":{}", std::process::id());
+    let examples = examples.replace("\"version\":\"0.1.0\"", &version);
+    assert_eq!(written, examples.replace("\"process\":4711", &process));
+}
+
+/// Says how much of it a power cut leaves.
+#[derive(Debug, Default)]
+struct Synced {
+    written: Vec<u8>,
+    synced: usize,
+}
+
+impl Storage for Synced {
+    fn add(&mut self, lines: &[u8], sync: bool) -> io::Result<()> {
+        self.written.extend_from_slice(lines);
+        if sync {
+            self.synced = self.written.len();
+        }
+        Ok(())
+    }
+
+    fn cut(&mut self, len: u64) -> io::Result<()> {
+        self.written.truncate(len as usize);
+        Ok(())
+    }
+
+    fn replace(&mut self, lines: &[u8]) -> io::Result<()> {
+        self.written.clear();
+        self.add(lines, true)
+    }
+
+    fn place(&self) -> String {
+        "on a disk".to_owned()
+    }
+}
+
+#[test]
+fn no_id_is_given_again_whenever_the_power_is_cut() {
+    let mut log = JournalRecords::open(Synced::default(), b"", at(0), 7);
+    let mut flushes = 0;
+    for number in (5_000..60_000).step_by(701) {
+        let before = log.storage.synced;
+        log.start(at(1), number).unwrap();
+        let storage = &log.storage;
+        flushes += u32::from(storage.synced > before);
+        let left = storage.written[..storage.synced].to_vec();
+        let after = JournalRecords::open(Synced::default(), &left, at(2), 99);
+        assert!(after.last_id() >= Some(id(number)), "{number}");
+        // All of the gateway's promises to its devices hang on it.
+        assert_eq!(after.gateway(), 7);
+    }
+    // One for each block, and for each new file.
+    assert!(flushes < 15, "{flushes}");
+}
+
+#[test]
+fn with_sync_each_line_survives_from_which_something_follows() {
+    let mut log = JournalRecords::open(Synced::default(), b"", at(0), 7).with_sync(true);
+    log.start(at(1), 101).unwrap();
+    log.complete(at(2), 101, "done");
+    log.start(at(3), 102).unwrap();
+    let storage = &log.storage;
+    assert_eq!(storage.synced, storage.written.len());
+}
+
+#[test]
+fn the_last_block_of_ids_ends_with_the_last_id() {
+    let mut log = fresh();
+    let last = TaskId::MAX;
+    let entry = Entry {
+        id: last,
+        ..task(200)
+    };
+    log.starting(at(1), "gripper", None, &entry).unwrap();
+    assert_eq!(restarted(&log).last_id(), Some(last));
+}
+
+#[test]
+fn no_more_bytes_of_ends_are_carried_over_than_fit() {
+    let mut log = fresh();
+    let text = "x".repeat(CARRIED_BYTES / 4);
+    log.start(at(0), 101).unwrap();
+    for number in 102..107 {
+        let (now, task) = (at(u64::from(number)), task(number));
+        let end = TaskEntry::new(now, "gripper", None, &task, State::Completed, &text);
+        log.note(end);
+    }
+    log.forget(at(2000));
+    let ids: Vec<u32> = log.tasks.keys().map(|id| id.get()).collect();
+    assert_eq!(ids, [101, 104, 105, 106]);
+}
+
+#[test]
+fn an_end_stays_what_it_is() {
+    let mut log = fresh();
+    log.start(at(1), 101).unwrap();
+    log.complete(at(2), 101, "first");
+    log.complete(at(3), 101, "second");
+    log.start(at(4), 101).unwrap();
+    assert_eq!(
+        restarted(&log).ids(),
+        (vec![], vec![(101, "first".to_owned())])
+    );
+}
+
+#[test]
+fn an_end_is_forgotten_after_its_hour_and_not_when_the_clock_is_set_back() {
+    let mut log = fresh();
+    log.start(at(1000), 101).unwrap();
+    log.complete(at(2000), 101, "done");
+    assert_eq!(log.ended(at(2000 + 3599)).len(), 1);
+    assert_eq!(log.ended(at(2000 + 3600)).len(), 0);
+    let set_back = log.ended(at(0));
+    assert_eq!(set_back[0].1.ended, Some(Duration::ZERO));
+    let long_ago = Moment {
+        wall: UNIX_EPOCH - Duration::from_secs(1),
+        running: Duration::ZERO,
+    };
+    log.start(long_ago, 102).unwrap();
+    let far = Moment {
+        wall: SystemTime::now() + Duration::from_secs(300_000_000_000),
+        running: Duration::MAX,
+    };
+    log.start(far, 103).unwrap();
+    assert_eq!(restarted(&log).unended().len(), 2);
+}
+
+#[test]
+fn whatever_the_length_at_which_a_write_was_torn_the_lines_before_count() {
+    let mut log = fresh();
+    log.start(at(1), 101).unwrap();
+    log.complete(at(2), 101, "done");
+    let before = log.storage.len();
+    log.start(at(3), 102).unwrap();
+    let whole = log.storage.clone();
+    for len in 0..=whole.len() {
+        let torn = whole[..len].to_vec();
+        let mut log = again(&torn, torn.clone());
+        let kept = torn
+            .iter()
+            .rposition(|byte| *byte == b'\n')
+            .map_or(0, |end| end + 1);
+        assert_eq!(log.storage[..kept], torn[..kept]);
+        if len >= before {
+            let unended = if len == whole.len() {
+                vec![102]
+            } else {
+                vec![]
+            };
+            assert_eq!(log.ids(), (unended, vec![(101, "done".to_owned())]));
+        }
+        // It is written on, and read again without anything to skip.
+        log.start(at(101), 103).unwrap();
+        let mut after = restarted(&log);
+        assert!(after.ids().0.contains(&103));
+        let written = after.storage.clone();
+        assert!(
+            after.read(&written),
+            "{len}: {}",
+            String::from_utf8_lossy(&written)
+        );
+    }
+}
+
+#[test]
+fn what_cannot_be_read_is_skipped_and_the_rest_counts() {
+    let mut log = fresh();
+    log.start(at(1), 101).unwrap();
+    log.start(at(1), 102).unwrap();
+    let mut written = b"\n\xff\xfe\0\n{}\n[[[[\n{\"event\":\"ended\"}\n".to_vec();
+    written.extend_from_slice(&log.storage);
+    written.extend_from_slice("{\"event\":\"start\",\"task\":0}\n".as_bytes());
+    written.extend_from_slice("[".repeat(100_000).as_bytes());
+    written.push(b'\n');
+    let log = again(&written, written.clone());
+    assert_eq!((log.gateway(), log.ids().0), (7, vec![101, 102]));
+    // A new file was begun, where nothing has to be skipped.
+    let written = log.storage.clone();
+    assert!(again(&written, written.clone()).read(&written));
+}
+
+#[test]
+fn lines_of_another_version_are_skipped_until_ones_of_this() {
+    let mut log = fresh();
+    log.start(at(1), 101).unwrap();
+    let ours = String::from_utf8(log.storage.clone()).unwrap();
+    let other = ours
+        .replace("\"journal\":1", "\"journal\":2")
+        .replace("101", "102");
+    assert_eq!(again(other.as_bytes(), Vec::new()).ids().0, [0; 0]);
+    let both = format!("{other}{ours}");
+    assert_eq!(again(both.as_bytes(), Vec::new()).ids().0, [101]);
+    let both = format!("{ours}{other}");
+    assert_eq!(again(both.as_bytes(), Vec::new()).ids().0, [101]);
+}
+
+/// A disk with little room: a write that does not fit is torn.
+#[derive(Debug)]
+struct Small {
+    written: Vec<u8>,
+    room: usize,
+    whole: usize,
+}
+
+impl Small {
+    fn new(room: usize) -> Self {
+        Self {
+            written: Vec::new(),
+            room,
+            whole: 0,
+        }
+    }
+}
+
+impl Storage for Small {
+    fn add(&mut self, lines: &[u8], _needed: bool) -> io::Result<()> {
+        self.written.truncate(self.whole);
+        let fits = lines
+            .len()
+            .min(self.room - self.written.len().min(self.room));
+        self.written.extend_from_slice(&lines[..fits]);
+        if fits < lines.len() {
+            return Err(io::ErrorKind::StorageFull.into());
+        }
+        self.whole = self.written.len();
+        Ok(())
+    }
+
+    fn cut(&mut self, len: u64) -> io::Result<()> {
+        self.written.truncate(len as usize);
+        self.whole = len as usize;
+        Ok(())
+    }
+
+    fn replace(&mut self, lines: &[u8]) -> io::Result<()> {
+        if lines.len() > self.room {
+            return Err(io::ErrorKind::StorageFull.into());
+        }
+        self.written = lines.to_vec();
+        self.whole = lines.len();
+        Ok(())
+    }
+
+    fn place(&self) -> String {
+        "on a small disk".to_owned()
+    }
+}
+
+#[test]
+fn on_a_full_disk_nothing_counts_and_when_there_is_room_again_it_goes_on() {
+    // With no room at all, some, and room for some tasks.
+    for room in (0..1200).step_by(37) {
+        let mut log = JournalRecords::open(Small::new(room), b"", at(0), 7);
+        let mut taken = Vec::new();
+        let mut refused = 0;
+        for number in 101..110 {
+            match log.start(at(1), number) {
+                Ok(()) => taken.push(number),
+                Err(reason) => {
+                    refused += 1;
+                    assert!(reason.starts_with("the journal on a small disk cannot be written: "));
+                }
+            }
+        }
+        assert!(refused > 0);
+        let written = log.storage.written.clone();
+        assert_eq!(again(&written, Vec::new()).ids().0, taken);
+        log.storage.room = 100_000;
+        log.start(at(2), 120).unwrap();
+        taken.push(120);
+        let written = log.storage.written.clone();
+        let after = again(&written, Vec::new());
+        assert_eq!((after.gateway(), after.ids().0), (7, taken));
+    }
+}
+
+#[test]
+fn a_file_that_has_grown_is_replaced_by_one_with_what_is_still_needed() {
+    let mut log = fresh();
+    log.start(at(0), 101).unwrap();
+    log.accepted(at(0), "gripper", &task(101)).unwrap();
+    let (mut longest, mut seconds) = (0, 0);
+    // A task a second, for two and a half hours.
+    for number in 102..9_102 {
+        seconds += 1;
+        log.start(at(seconds), number).unwrap();
+        log.complete(at(seconds), number, "done");
+        longest = longest.max(log.storage.len());
+    }
+    // An hour's ends, and what comes until the next file.
+    let line = 300;
+    assert!(longest < 3600 * line + 2 * ROTATE as usize, "{longest}");
+    let log = restarted(&log);
+    assert_eq!(
+        (log.gateway(), log.last_id()),
+        (7, Some(id(101 + BLOCK - 1)))
+    );
+    assert_eq!(log.unended().len(), 1);
+    assert!(log.unended()[0].1.accepted);
+    let ended = log.ended(at(seconds));
+    let ids: Vec<u32> = ended.iter().map(|(_, task)| task.id.get()).collect();
+    assert_eq!(ids.last(), Some(&9_101));
+    assert_eq!(ids.len(), 3600);
+}
+
+#[test]
+fn no_more_ends_are_carried_over_than_a_server_remembers() {
+    let mut log = fresh();
+    log.start(at(0), 101).unwrap();
+    for number in 102..12_102 {
+        log.start(at(1), number).unwrap();
+        log.complete(at(u64::from(number) / 10), number, "done");
+    }
+    log.rotate(at(2000)).unwrap();
+    assert_eq!(log.tasks.len(), CARRIED);
+    assert_eq!(log.unended().len(), 1);
+    assert_eq!(
+        log.tasks.keys().nth(1),
+        Some(&id(12_102 - CARRIED as u32 + 1))
+    );
+}
+
+#[test]
+fn when_no_new_file_can_be_begun_the_old_one_goes_on() {
+    let mut log = JournalRecords::open(Small::new(usize::MAX), b"", at(0), 7);
+    log.start(at(0), 101).unwrap();
+    // As if it were full of what is not needed.
+    log.rotate_at = 0;
+    log.storage.room = log.len as usize + 1000;
+    log.start(at(1), 102).unwrap();
+    let written = log.storage.written.clone();
+    assert_eq!(again(&written, Vec::new()).ids().0, [101, 102]);
+}
+
+#[test]
+fn no_bytes_at_all_make_it_panic() {
+    let mut log = fresh();
+    log.start(at(1), 101).unwrap();
+    log.complete(at(2), 101, "done");
+    log.start(at(3), 102).unwrap();
+    let good = log.storage.clone();
+    let mut dice = ztl_sim::line::Dice::new(1);
+    for _ in 0..3000 {
+        let mut bytes = good.clone();
+        for _ in 0..=dice.below(4) {
+            let place = dice.below(bytes.len() as u64) as usize;
+            match dice.below(4) {
+                0 => bytes[place] = dice.below(256) as u8,
+                1 => bytes.insert(place, b"0123456789\"{}[]:-\n"[dice.below(18) as usize]),
+                2 => drop(bytes.remove(place)),
+                _ => {
+                    let end = place + dice.below((bytes.len() - place) as u64 + 1) as usize;
+                    let part = bytes[place..end].to_vec();
+                    bytes.extend_from_slice(&part);
+                }
+            }
+        }
+        let mut log = again(&bytes, bytes.clone());
+        let last = log.last_id().map_or(200, TaskId::get).max(200);
+        if let Some(next) = last.checked_add(1) {
+            log.starting(
+                at(101),
+                "gripper",
+                None,
+                &Entry {
+                    id: id(next),
+                    ..task(200)
+                },
+            )
+            .unwrap();
+            let unended = restarted(&log).unended();
+            assert!(unended.iter().any(|(_, task)| task.id.get() == next));
+        }
+    }
+}

@@ -1,0 +1,48 @@
+//! What the server's thread owns.
+
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex};
+
+use ztl_core::dispatcher::Dispatcher;
+use ztl_core::{Instant, Request, TaskId};
+
+use super::authenticator::Authenticator;
+use super::client_liveness::ClientLiveness;
+use super::dropped::DroppedLog;
+use super::handler::TaskHandler;
+use super::limits::Limits;
+use super::memory::ServerMemory;
+use super::reporter::{Claim, Inbox, Mailbox};
+use super::router::Router;
+use super::waker::Waker;
+
+/// Sees the requests about tasks.
+pub(super) type Observer = Box<dyn FnMut(Request, TaskId, &str) + Send>;
+
+/// The server's sockets and state. [`rounds`](super::rounds) and [`requests`](super::requests) run it.
+pub(super) struct Engine {
+    pub(super) router: Router,
+    pub(super) authenticator: Authenticator,
+    /// For further sockets.
+    #[cfg(feature = "gateway")]
+    pub(super) context: zmq::Context,
+    pub(super) dispatcher: Dispatcher<ServerMemory>,
+    /// By scope.
+    pub(super) handlers: Vec<Box<dyn TaskHandler>>,
+    pub(super) waker: Arc<Waker>,
+    pub(super) mailbox: Mailbox,
+    pub(super) inbox: Inbox,
+    pub(super) clients: ClientLiveness,
+    /// Open claims by the time at which their tasks are rejected, with the reason.
+    pub(super) claims: BTreeMap<(Instant, TaskId), (Claim, &'static str)>,
+    /// Limits to be applied in the next turn.
+    pub(super) next_limits: Arc<Mutex<Option<Limits>>>,
+    pub(super) observer: Option<Observer>,
+    pub(super) dropped: DroppedLog,
+    /// Whether it was logged that all task ids are used up.
+    pub(super) logged_used_up: bool,
+    /// Whether the last turn took a report.
+    pub(super) reported: bool,
+    /// Whether a handler was given a task since `all_started` was called.
+    pub(super) started: bool,
+}

@@ -1,0 +1,357 @@
+//! How a handler reports to its server what became of a task, from any thread.
+
+use std::collections::VecDeque;
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+use std::time::Duration;
+
+use tracing::error;
+use ztl_core::TaskId;
+use ztl_core::dispatcher::TaskEvent;
+use ztl_core::envelope::ClientId;
+
+use super::waker::{WakeBatch, Waker};
+
+/// A handler's report, on its way to the server's thread.
+#[derive(Debug)]
+pub(super) enum Report {
+    Accepted(String),
+    Rejected(String),
+    Threw(String),
+    /// The task's slot holds new progress.
+    Progress(Slot),
+    Completed(String),
+    Failed(String),
+    Aborted(String),
+    AbortRefused,
+    /// Abort the task when this client is silent for so long.
+    NeedsClient(ClientId, Duration),
+    /// Reject the task with this reason unless it is claimed within this time.
+    NeedsClaim(Claim, Duration, &'static str),
+}
+
+/// A task's latest progress that the server has not taken yet, so that at most one progress report per task
+/// is on its way.
+type Slot = Arc<Mutex<Option<String>>>;
+
+impl Report {
+    /// Passes the report to the dispatcher.
+    pub(super) fn handle(self, tell: impl FnOnce(TaskEvent<'_>)) {
+        match self {
+            Self::Accepted(reply) => tell(TaskEvent::Accepted { reply: &reply }),
+            Self::Rejected(reason) => tell(TaskEvent::Rejected { reason: &reason }),
+            Self::Threw(message) => tell(TaskEvent::Threw { message: &message }),
+            Self::Progress(slot) => {
+                let latest = slot.lock().unwrap_or_else(PoisonError::into_inner).take();
+                if let Some(text) = latest {
+                    tell(TaskEvent::Progress { text: &text });
+                }
+            }
+            Self::Completed(result) => tell(TaskEvent::Completed { result: &result }),
+            Self::Failed(reason) => tell(TaskEvent::Failed { reason: &reason }),
+            Self::Aborted(result) => tell(TaskEvent::Aborted { result: &result }),
+            Self::AbortRefused => tell(TaskEvent::AbortRefused),
+            // The server itself applies these.
+            Self::NeedsClient(..) | Self::NeedsClaim(..) => {}
+        }
+    }
+}
+
+/// Takes reports for the server's thread, and wakes it.
+#[derive(Clone)]
+pub(super) struct Mailbox {
+    queue: Arc<Queue>,
+    waker: Arc<Waker>,
+}
+
+/// Reports in order; `None` when the server is gone.
+type Queue = Mutex<Option<VecDeque<(TaskId, Report)>>>;
+
+impl Mailbox {
+    pub(super) fn new(waker: Arc<Waker>) -> (Self, Inbox) {
+        let queue = Arc::new(Mutex::new(Some(VecDeque::new())));
+        let inbox = Inbox {
+            queue: Arc::clone(&queue),
+            taken: VecDeque::new(),
+        };
+        (Self { queue, waker }, inbox)
+    }
+
+    fn post(&self, id: TaskId, report: Report) {
+        let mut queue = self.queue.lock().unwrap_or_else(PoisonError::into_inner);
+        let Some(reports) = queue.as_mut() else {
+            return;
+        };
+        reports.push_back((id, report));
+        drop(queue);
+        self.waker.on_posted();
+    }
+}
+
+/// Capacity in reports that the inbox keeps.
+const KEPT_CAPACITY: usize = 1024;
+
+/// The server's end of the mailbox.
+pub(super) struct Inbox {
+    queue: Arc<Queue>,
+    /// Reports taken from the queue together.
+    taken: VecDeque<(TaskId, Report)>,
+}
+
+impl Inbox {
+    /// The next report, if there is one.
+    pub(super) fn next(&mut self) -> Option<(TaskId, Report)> {
+        if self.taken.is_empty() {
+            self.taken.shrink_to(KEPT_CAPACITY);
+            let mut queue = self.queue.lock().unwrap_or_else(PoisonError::into_inner);
+            if let Some(reports) = queue.as_mut() {
+                std::mem::swap(reports, &mut self.taken);
+            }
+        }
+        self.taken.pop_front()
+    }
+}
+
+impl Drop for Inbox {
+    fn drop(&mut self) {
+        let mut queue = self.queue.lock().unwrap_or_else(PoisonError::into_inner);
+        let unread = queue.take();
+        drop(queue);
+        // Dropping reports may drop more reporters.
+        drop(unread);
+    }
+}
+
+/// Decides once whether a task may start or its server rejects it, whichever is first.
+#[derive(Debug, Clone, Default)]
+pub struct Claim(Arc<OnceLock<bool>>);
+
+impl Claim {
+    /// Claims the task; returns whether it may start. If not, the client was told that it is rejected.
+    #[must_use]
+    pub fn take(&self) -> bool {
+        *self.0.get_or_init(|| true)
+    }
+
+    /// Prevents the claim; returns `false` if the task is claimed already.
+    pub(super) fn reject(&self) -> bool {
+        !*self.0.get_or_init(|| false)
+    }
+}
+
+/// Reports what becomes of one task. Exactly one end is reported: a reporter that is dropped before ends the
+/// task as FAILED.
+pub struct TaskReporter {
+    id: TaskId,
+    mailbox: Mailbox,
+    /// Created when first needed.
+    progress: OnceLock<Slot>,
+    ended: bool,
+    client: Option<ClientId>,
+}
+
+impl TaskReporter {
+    pub(super) fn new(id: TaskId, mailbox: Mailbox, client: Option<ClientId>) -> Self {
+        Self {
+            id,
+            client,
+            mailbox,
+            progress: OnceLock::new(),
+            ended: false,
+        }
+    }
+
+    /// The task's id, as its client knows it.
+    #[must_use]
+    pub const fn id(&self) -> TaskId {
+        self.id
+    }
+
+    /// The client that asked for it, if it identifies itself.
+    #[must_use]
+    pub const fn client(&self) -> Option<ClientId> {
+        self.client
+    }
+
+    /// Reports nothing more: the task goes on without this process, and the next one learns its end.
+    pub fn leave(mut self) {
+        self.ended = true;
+    }
+
+    /// The task is accepted; `reply` is the text that answers the INIT.
+    pub fn accepted(&self, reply: impl Into<String>) {
+        self.post(Report::Accepted(reply.into()));
+    }
+
+    /// The task's progress; a newer text replaces an older one.
+    pub fn progress(&self, text: impl Into<String>) {
+        let slot = self.progress.get_or_init(Slot::default);
+        let mut latest = slot.lock().unwrap_or_else(PoisonError::into_inner);
+        let on_its_way = latest.replace(text.into()).is_some();
+        drop(latest);
+        if !on_its_way {
+            self.post(Report::Progress(Arc::clone(slot)));
+        }
+    }
+
+    /// Aborts the task when its client is gone: when nothing has arrived from the client for `silence`, after
+    /// at least one request since the INIT. Choose 5 s or more, since a waiting client asks every second and
+    /// networks stall.
+    ///
+    /// Has no effect for clients that do not identify themselves, such as the original's.
+    pub fn needs_client(&self, silence: Duration) {
+        if let Some(client) = self.client {
+            self.post(Report::NeedsClient(client, silence));
+        }
+    }
+
+    /// Rejects the task, without telling its client an id, unless it is claimed `within` this time. For a
+    /// handler that must write a journal entry before any client learns the id: an undecided INIT is answered
+    /// with the id after 1.5 s.
+    #[must_use = "an unclaimed task is rejected"]
+    pub fn refuse_unless_claimed(&self, within: Duration, reason: &'static str) -> Claim {
+        let claim = Claim::default();
+        self.post(Report::NeedsClaim(claim.clone(), within, reason));
+        claim
+    }
+
+    /// Answers an ABORT: the task cannot be stopped and goes on.
+    pub fn abort_refused(&self) {
+        self.post(Report::AbortRefused);
+    }
+
+    /// The task is rejected; nothing was done.
+    pub fn rejected(self, reason: impl Into<String>) {
+        self.end(Report::Rejected(reason.into()));
+    }
+
+    /// The task is rejected in the form in which the original reports an exception of its controller.
+    pub fn threw(self, message: impl Into<String>) {
+        let message = message.into();
+        // Logged like the original (wire specification 7.1).
+        error!(target: "root", "{message}");
+        self.end(Report::Threw(message));
+    }
+
+    /// The task reached its goal.
+    pub fn completed(self, result: impl Into<String>) {
+        self.end(Report::Completed(result.into()));
+    }
+
+    /// The task did not reach its goal.
+    pub fn failed(self, reason: impl Into<String>) {
+        self.end(Report::Failed(reason.into()));
+    }
+
+    /// The task was stopped on request.
+    pub fn aborted(self, result: impl Into<String>) {
+        self.end(Report::Aborted(result.into()));
+    }
+
+    /// Batches the server's wake-ups while this task waits for a thread, which must be short.
+    pub(crate) fn wake_batch(&self) -> WakeBatch {
+        self.mailbox.waker.batch()
+    }
+
+    /// Refuses an ABORT on behalf of the reporter, which is elsewhere.
+    pub(crate) fn abort_refusal(&self) -> AbortRefusal {
+        AbortRefusal(self.id, self.mailbox.clone())
+    }
+
+    fn post(&self, report: Report) {
+        self.mailbox.post(self.id, report);
+    }
+
+    fn end(mut self, report: Report) {
+        self.ended = true;
+        self.post(report);
+    }
+}
+
+/// Refuses an ABORT on behalf of a reporter that is elsewhere.
+pub(crate) struct AbortRefusal(TaskId, Mailbox);
+
+impl AbortRefusal {
+    /// The task cannot be stopped and goes on.
+    pub(crate) fn send(&self) {
+        self.1.post(self.0, Report::AbortRefused);
+    }
+}
+
+impl Drop for TaskReporter {
+    fn drop(&mut self) {
+        if !self.ended {
+            self.post(Report::Failed("its handler has gone".to_owned()));
+        }
+    }
+}
+
+impl std::fmt::Debug for TaskReporter {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_tuple("TaskReporter").field(&self.id).finish()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A server's side: where it is woken, and what wakes it.
+    fn server() -> (zmq::Socket, Arc<Waker>, Mailbox, Inbox) {
+        let context = zmq::Context::new();
+        let woken = context.socket(zmq::PULL).unwrap();
+        woken.bind("inproc://wake").unwrap();
+        let waking = context.socket(zmq::PUSH).unwrap();
+        waking.connect("inproc://wake").unwrap();
+        let waker = Waker::new(waking);
+        let (mailbox, inbox) = Mailbox::new(Arc::clone(&waker));
+        (woken, waker, mailbox, inbox)
+    }
+
+    fn wake_ups(woken: &zmq::Socket) -> usize {
+        let wakes = std::iter::from_fn(|| woken.recv_msg(zmq::DONTWAIT).ok());
+        let no_request = |wake: &zmq::Message| assert!(!wake.is_empty(), "it is a delimiter");
+        wakes.inspect(no_request).count()
+    }
+
+    fn task(mailbox: &Mailbox) -> TaskReporter {
+        TaskReporter::new(TaskId::new(1).unwrap(), mailbox.clone(), None)
+    }
+
+    #[test]
+    fn a_server_is_woken_once_per_sleep_and_never_while_it_is_awake() {
+        let (woken, waker, mailbox, mut inbox) = server();
+        let task = task(&mailbox);
+        task.accepted("while awake");
+        assert_eq!(wake_ups(&woken), 0);
+        assert!(!waker.may_sleep(), "something was posted");
+        waker.on_awake();
+        assert_eq!(std::iter::from_fn(|| inbox.next()).count(), 1);
+        assert!(waker.may_sleep());
+        task.accepted("while asleep");
+        task.accepted("and again");
+        assert_eq!(wake_ups(&woken), 1);
+        waker.on_awake();
+        assert_eq!(std::iter::from_fn(|| inbox.next()).count(), 2);
+        assert!(waker.may_sleep());
+        task.leave();
+    }
+
+    #[test]
+    fn reports_are_batched_while_other_tasks_wait_for_a_thread() {
+        let (woken, waker, mailbox, _inbox) = server();
+        let (task, others) = (task(&mailbox), [task(&mailbox), task(&mailbox)]);
+        let [one, two] = [others[0].wake_batch(), others[1].wake_batch()];
+        assert!(waker.may_sleep());
+        task.completed("done");
+        drop(one);
+        assert_eq!(wake_ups(&woken), 0, "one still waits");
+        drop(two);
+        assert_eq!(wake_ups(&woken), 1);
+
+        waker.on_awake();
+        assert!(waker.may_sleep());
+        drop(others[0].wake_batch());
+        assert_eq!(wake_ups(&woken), 0, "there is no report");
+        others.into_iter().for_each(TaskReporter::leave);
+    }
+}

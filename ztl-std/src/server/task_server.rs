@@ -1,0 +1,267 @@
+//! A task server: bound, set up, and run.
+
+use std::collections::BTreeMap;
+use std::net::SocketAddr;
+use std::sync::Arc;
+
+use tracing::{info, warn};
+use ztl_core::dispatcher::{Config, Dispatcher};
+use ztl_core::memory::Scope;
+use ztl_core::tasks::{Task, Text};
+use ztl_core::{Instant, Request, TaskId};
+
+use super::access::Access;
+use super::authenticator::Authenticator;
+use super::bind::{BindError, bind, try_port};
+use super::client_liveness::ClientLiveness;
+use super::clock::now;
+use super::dropped::DroppedLog;
+use super::engine::Engine;
+use super::handle::{RunningServer, ServerHandle};
+use super::handler::{Restored, TaskHandler};
+use super::limits::Limits;
+use super::memory::{ScopeInfo, ServerMemory};
+use super::reporter::{Mailbox, TaskReporter};
+use super::router::Router;
+use super::task_table::HeapText;
+use super::waker::Waker;
+use crate::keys::can_encrypt;
+use crate::log_targets::TASKS;
+use crate::random;
+
+/// Where the server's thread receives wake-ups.
+const WAKE_UPS: &str = "inproc://wake-ups";
+
+/// A task server that is bound and does not serve yet.
+///
+/// Register what it serves, then call [`listen`](Self::listen) or [`spawn`](Self::spawn).
+pub struct TaskServer {
+    endpoint: String,
+    engine: Engine,
+}
+
+/// Options of a server that is to be bound.
+#[derive(Debug, Clone, Default)]
+#[must_use]
+pub struct ServerBuilder {
+    access: Access,
+    limits: Limits,
+}
+
+impl ServerBuilder {
+    /// Sets who may use the server. Default: everyone who reaches it.
+    pub fn access(mut self, access: Access) -> Self {
+        self.access = access;
+        self
+    }
+
+    /// Sets the limits. Default: [`Limits::default`].
+    pub fn limits(mut self, limits: Limits) -> Self {
+        self.limits = limits;
+        self
+    }
+
+    /// Listens at a ZeroMQ endpoint: `tcp://127.0.0.1:12345`, `tcp://*:12345` for every interface, or
+    /// `tcp://127.0.0.1:*` for any free port.
+    ///
+    /// # Errors
+    /// [`BindError`], also if there are keys and this build cannot encrypt.
+    pub fn bind(self, endpoint: &str) -> Result<TaskServer, BindError> {
+        let Self { access, limits } = self;
+        if access.keys().is_some() && !can_encrypt() {
+            return Err(BindError::NoCurve);
+        }
+        let context = zmq::Context::new();
+        let socket = context.socket(zmq::ROUTER)?;
+        socket.set_linger(0)?;
+        limits.apply(&socket)?;
+        let authenticator = Authenticator::new(access, limits.connections, &context, &socket)?;
+        // Wake-ups arrive among the requests.
+        socket.bind(WAKE_UPS)?;
+        let waking = context.socket(zmq::DEALER)?;
+        waking.set_linger(0)?;
+        waking.connect(WAKE_UPS)?;
+        let waker = Waker::new(waking);
+        let bound = bind(&socket, endpoint)?;
+        let (mailbox, inbox) = Mailbox::new(Arc::clone(&waker));
+        // Logged like the original, but with the port that was chosen.
+        let named = endpoint
+            .rsplit_once(':')
+            .map_or(endpoint, |(address, _)| address);
+        let port = bound.rsplit_once(':').map_or("", |(_, port)| port);
+        info!(target: TASKS, "Task Server listening at '{named}:{port}'");
+        let mut config = Config::new(random::first_task_id(), random::nonzero());
+        config.keep = limits.keep;
+        Ok(TaskServer {
+            endpoint: bound,
+            engine: Engine {
+                router: Router::new(socket),
+                authenticator,
+                #[cfg(feature = "gateway")]
+                context,
+                dispatcher: Dispatcher::new(ServerMemory::new(limits), config),
+                handlers: Vec::new(),
+                waker,
+                mailbox,
+                inbox,
+                clients: ClientLiveness::default(),
+                claims: BTreeMap::new(),
+                next_limits: Arc::default(),
+                observer: None,
+                dropped: DroppedLog::new(now()),
+                logged_used_up: false,
+                reported: false,
+                started: false,
+            },
+        })
+    }
+
+    /// Checks whether [`bind`](Self::bind) would succeed at this address and port, without taking the port from a
+    /// server that starts meanwhile.
+    ///
+    /// # Errors
+    /// Those of [`bind`](Self::bind).
+    pub fn check(self, address: &str, port: u16) -> Result<(), BindError> {
+        let endpoint = format!("tcp://{address}:{port}");
+        // Binds any free port, so that no other server is disturbed.
+        let server = self.bind(&format!("tcp://{address}:*"));
+        let server = server.map_err(|error| error.at(&endpoint))?;
+        let address = server.endpoint.strip_prefix("tcp://");
+        match address.and_then(|address| address.parse::<SocketAddr>().ok()) {
+            Some(mut address) => {
+                address.set_port(port);
+                try_port(address, &endpoint)
+            }
+            None => Ok(()),
+        }
+    }
+}
+
+impl TaskServer {
+    /// A server for everyone, with default limits: as [`ServerBuilder::bind`].
+    ///
+    /// # Errors
+    /// [`BindError`].
+    pub fn bind(endpoint: &str) -> Result<Self, BindError> {
+        Self::builder().bind(endpoint)
+    }
+
+    /// Sets options before binding.
+    pub fn builder() -> ServerBuilder {
+        ServerBuilder::default()
+    }
+
+    /// Binds another socket for the clients of this server; returns its endpoint as well.
+    #[cfg(feature = "gateway")]
+    pub(crate) fn bind_another(
+        &self,
+        kind: zmq::SocketType,
+        endpoint: &str,
+    ) -> Result<(zmq::Socket, String), BindError> {
+        let socket = self.engine.context.socket(kind)?;
+        socket.set_linger(0)?;
+        socket.set_maxmsgsize(super::limits::MAX_MESSAGE as i64)?;
+        self.engine.authenticator.protect(&socket)?;
+        let bound = bind(&socket, endpoint)?;
+        Ok((socket, bound))
+    }
+
+    /// Where it listens, with the port that was chosen.
+    #[must_use]
+    pub fn endpoint(&self) -> &str {
+        &self.endpoint
+    }
+
+    /// Serves a scope with a handler. A second registration replaces the first.
+    pub fn register_handler(&mut self, scope: &str, mut handler: impl TaskHandler + 'static) {
+        info!(target: TASKS, "Registering controller for scope '{scope}'.");
+        let restored = handler.restored();
+        let about = ScopeInfo {
+            describe: handler.description(),
+            answer: handler.answers(),
+            names_unknown_ids: handler.names_unknown_ids(),
+        };
+        let scope = self.engine.dispatcher.memory_mut().register(scope, about);
+        self.restore(scope, restored, &mut handler);
+        let handlers = &mut self.engine.handlers;
+        match handlers.get_mut(usize::from(scope.0)) {
+            Some(known) => *known = Box::new(handler),
+            None => handlers.push(Box::new(handler)),
+        }
+    }
+
+    /// Takes up a handler's tasks from before a restart, first those that have not ended, which must find
+    /// room.
+    fn restore(&mut self, scope: Scope, mut restored: Restored, handler: &mut dyn TaskHandler) {
+        if let Some(last) = restored.last_id {
+            self.engine.dispatcher.skip_to(last);
+        }
+        restored.tasks.sort_by_key(|task| task.ended);
+        let now = now();
+        for task in restored.tasks {
+            let id = task.id;
+            let mut known = Task::<_, HeapText>::new(scope);
+            known.state = task.state;
+            known.text.set(&task.text);
+            let ago = task.ended.unwrap_or_default();
+            let ago = u64::try_from(ago.as_micros()).unwrap_or(u64::MAX);
+            let at = Instant::from_micros(now.as_micros().saturating_sub(ago));
+            known.ended = task.ended.map_or(Instant::NEVER, |_| at);
+            if self.engine.dispatcher.restore(id, known) {
+                let memory = self.engine.dispatcher.memory_mut();
+                memory.note_payload(id, &task.payload, at);
+            }
+            if task.ended.is_none() {
+                handler.resume(TaskReporter::new(id, self.engine.mailbox.clone(), None));
+            }
+        }
+    }
+
+    /// Shows each STATUS and ABORT of a remembered task to `observer` before it is answered, with the request's
+    /// payload. Called on the server's thread, so it must be quick.
+    pub fn observe_requests(
+        &mut self,
+        observer: impl FnMut(Request, TaskId, &str) + Send + 'static,
+    ) {
+        self.engine.observer = Some(Box::new(observer));
+    }
+
+    /// A handle that controls the server from other threads.
+    #[must_use]
+    pub fn handle(&self) -> ServerHandle {
+        ServerHandle {
+            access: self.engine.authenticator.access(),
+            limits: Arc::clone(&self.engine.next_limits),
+            waker: Arc::clone(&self.engine.waker),
+        }
+    }
+
+    /// Serves until it is stopped.
+    ///
+    /// # Errors
+    /// ZeroMQ's error if it can no longer wait for messages. No request can cause it.
+    pub fn listen(self) -> Result<(), zmq::Error> {
+        self.engine.run()
+    }
+
+    /// Serves on a thread of its own, until the returned server is dropped.
+    ///
+    /// # Errors
+    /// The system's error if it has no more threads.
+    pub fn spawn(self) -> std::io::Result<RunningServer> {
+        let endpoint = self.endpoint.clone();
+        let handle = self.handle();
+        let thread = std::thread::Builder::new()
+            .name("ztl-server".to_owned())
+            .spawn(move || {
+                if let Err(cause) = self.listen() {
+                    warn!(target: TASKS, "the server has ended: {}", cause.message());
+                }
+            })?;
+        Ok(RunningServer {
+            endpoint,
+            handle,
+            thread: Some(thread),
+        })
+    }
+}

@@ -1,0 +1,268 @@
+//! The server's task table, on the heap.
+
+use std::collections::{HashMap, VecDeque};
+use std::hash::{BuildHasherDefault, Hasher};
+
+use ztl_core::memory::Scope;
+use ztl_core::tasks::{Task, Tasks, Text};
+use ztl_core::{Instant, TaskId};
+
+use super::limits::{Limits, MAX_MESSAGE};
+use crate::task_list::{self, ListedTask};
+use crate::time::millis;
+
+/// Longest text that is kept, in bytes: an answer must fit in a message.
+const MAX_TEXT: usize = MAX_MESSAGE - 1024;
+
+/// A text of any length up to what a message can carry.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub(super) struct HeapText(String);
+
+impl AsRef<str> for HeapText {
+    fn as_ref(&self) -> &str {
+        &self.0
+    }
+}
+
+impl Text for HeapText {
+    fn set(&mut self, text: &str) {
+        self.0.clear();
+        if text.len() <= MAX_TEXT {
+            self.0.push_str(text);
+        } else {
+            let fitting = text.floor_char_boundary(MAX_TEXT);
+            self.0.push_str(text.get(..fitting).unwrap_or_default());
+            self.0.push('…');
+        }
+    }
+}
+
+/// A map keyed by task id. The server assigns ids in sequence, so clients cannot provoke collisions.
+pub(crate) type ById<T> = HashMap<TaskId, T, BuildHasherDefault<IdHasher>>;
+
+/// Numbers that follow each other lie side by side, where the newest are still in the cache.
+#[derive(Debug, Default)]
+pub(crate) struct IdHasher(u64);
+
+impl Hasher for IdHasher {
+    fn finish(&self) -> u64 {
+        self.0
+    }
+
+    fn write(&mut self, bytes: &[u8]) {
+        bytes.iter().for_each(|byte| self.write_u32((*byte).into()));
+    }
+
+    fn write_u32(&mut self, number: u32) {
+        // The map takes the place from the low bits, and tells neighbours apart by the seven highest.
+        let number = u64::from(number) ^ self.0.rotate_left(8);
+        self.0 = number ^ number << 57;
+    }
+}
+
+/// A task in the table.
+#[derive(Debug)]
+struct Entry {
+    task: Task<Scope, HeapText>,
+    /// The request, for the list of tasks.
+    summary: Option<Summary>,
+    /// Bytes counted for it: of its goal while it runs, of its result afterwards.
+    bytes: usize,
+}
+
+/// The part of an INIT that the list of tasks shows.
+#[derive(Debug)]
+struct Summary {
+    payload: String,
+    at: Instant,
+}
+
+/// Tasks by id, and the ended ones in order of their end.
+#[derive(Debug)]
+pub(super) struct TaskTable {
+    limits: Limits,
+    tasks: ById<Entry>,
+    /// Ends, sorted by time. New ones are added at or near the back.
+    ends: VecDeque<(Instant, TaskId)>,
+    /// Bytes of the goals of running tasks.
+    goals: usize,
+    /// Bytes of the results of ended tasks.
+    results: usize,
+    /// Bytes of the answers to INITs, which cannot be evicted.
+    answers: usize,
+    /// Scopes that the client being served may not use.
+    hidden: Vec<Scope>,
+}
+
+impl TaskTable {
+    pub(super) fn new(limits: Limits) -> Self {
+        Self {
+            limits,
+            tasks: ById::default(),
+            ends: VecDeque::new(),
+            goals: 0,
+            results: 0,
+            answers: 0,
+            hidden: Vec::new(),
+        }
+    }
+
+    /// Changes the limits for tasks that come from now on.
+    pub(super) fn set_limits(&mut self, limits: Limits) {
+        self.limits = limits;
+    }
+
+    /// Hides scopes from the request that is served next.
+    pub(super) fn hide(&mut self, scopes: Vec<Scope>) {
+        self.hidden = scopes;
+    }
+
+    pub(super) fn hides_any(&self) -> bool {
+        !self.hidden.is_empty()
+    }
+
+    pub(super) fn hides(&self, scope: Scope) -> bool {
+        self.hidden.contains(&scope)
+    }
+
+    /// Counts the bytes of an answer to an INIT that is entry.
+    pub(super) fn count_answer(&mut self, bytes: usize) {
+        self.answers += bytes;
+    }
+
+    /// Reverts [`count_answer`](Self::count_answer).
+    pub(super) fn forget_answer(&mut self, bytes: usize) {
+        self.answers -= bytes;
+    }
+
+    /// Keeps what a task was asked for. While the task runs, its handler keeps the whole payload, so all of
+    /// it counts.
+    pub(super) fn note_payload(&mut self, id: TaskId, payload: &str, now: Instant) {
+        if let Some(entry) = self.tasks.get_mut(&id) {
+            entry.summary = Some(Summary {
+                payload: task_list::cut_payload(payload).to_owned(),
+                at: now,
+            });
+            if !entry.task.state.is_final() {
+                entry.bytes = payload.len();
+                self.goals += payload.len();
+            }
+        }
+    }
+
+    /// The tasks that the client being served may see.
+    pub(super) fn list<'t>(
+        &'t self,
+        now: Instant,
+        scope_name: impl Fn(Scope) -> &'t str + 't,
+    ) -> impl Iterator<Item = ListedTask> + 't {
+        let shown = self.tasks.iter();
+        let shown = shown.filter(|(_, entry)| !self.hides(entry.task.extra));
+        shown.map(move |(id, Entry { task, summary, .. })| {
+            let summary = summary.as_ref();
+            ListedTask {
+                id: (*id).into(),
+                scope: scope_name(task.extra).to_owned(),
+                task: summary
+                    .map(|of| task_list::shown_task(&of.payload))
+                    .unwrap_or_default(),
+                state: task.state.code(),
+                text: task_list::cut_text(task.text.as_ref()).to_owned(),
+                age_ms: summary.map_or(0, |of| millis(now.since(of.at))),
+                ended_ms: (task.ended != Instant::NEVER).then(|| millis(now.since(task.ended))),
+            }
+        })
+    }
+
+    /// Evicts the oldest ends until all bytes fit, but never `last`, which no client has been told yet.
+    fn forget_surplus(&mut self, last: TaskId) {
+        while self.goals + self.results + self.answers > self.limits.memory
+            && let Some((_, oldest)) = self.ends.front().copied()
+            && oldest != last
+        {
+            self.remove(oldest);
+        }
+    }
+}
+
+impl Tasks for TaskTable {
+    type Id = TaskId;
+    type Extra = Scope;
+    type Text = HeapText;
+
+    fn get(&self, id: TaskId) -> Option<&Task<Scope, HeapText>> {
+        self.tasks.get(&id).map(|entry| &entry.task)
+    }
+
+    fn get_mut(&mut self, id: TaskId) -> Option<&mut Task<Scope, HeapText>> {
+        self.tasks.get_mut(&id).map(|entry| &mut entry.task)
+    }
+
+    fn may_run(&self) -> bool {
+        // Half of the memory is reserved for results.
+        self.tasks.len().saturating_sub(self.ends.len()) < self.limits.running
+            && self.goals + self.answers < self.limits.memory / 2
+    }
+
+    fn make_room(&mut self) -> bool {
+        if self.tasks.len() >= self.limits.remembered {
+            let Some((_, oldest)) = self.ends.front().copied() else {
+                return false;
+            };
+            self.remove(oldest);
+        }
+        true
+    }
+
+    fn insert(
+        &mut self,
+        id: TaskId,
+        task: Task<Scope, HeapText>,
+    ) -> Option<&mut Task<Scope, HeapText>> {
+        let entry = Entry {
+            task,
+            summary: None,
+            bytes: 0,
+        };
+        let entry = self.tasks.entry(id).insert_entry(entry);
+        Some(&mut entry.into_mut().task)
+    }
+
+    fn remove(&mut self, id: TaskId) {
+        let Some(entry) = self.tasks.remove(&id) else {
+            return;
+        };
+        match entry.task.ended {
+            Instant::NEVER => self.goals -= entry.bytes,
+            _ => self.results -= entry.bytes,
+        }
+        let end = (entry.task.ended, id);
+        // Usually the oldest is evicted.
+        if self.ends.front() == Some(&end) {
+            self.ends.pop_front();
+        } else if let Ok(place) = self.ends.binary_search(&end) {
+            self.ends.remove(place);
+        }
+    }
+
+    fn on_ended(&mut self, id: TaskId) {
+        if let Some(entry) = self.tasks.get_mut(&id) {
+            let result = entry.task.text.as_ref().len();
+            self.goals -= std::mem::replace(&mut entry.bytes, result);
+            self.results += result;
+            let end = (entry.task.ended, id);
+            let later = self.ends.iter().rev().take_while(|other| **other > end);
+            self.ends.insert(self.ends.len() - later.count(), end);
+            self.forget_surplus(id);
+        }
+    }
+
+    fn oldest_end(&self) -> Option<(TaskId, Instant)> {
+        self.ends.front().map(|(ended, id)| (*id, *ended))
+    }
+
+    fn iter(&self) -> impl Iterator<Item = (TaskId, &Task<Scope, HeapText>)> {
+        let tasks = self.tasks.iter().map(|(id, entry)| (*id, &entry.task));
+        tasks.filter(|(_, task)| !self.hides(task.extra))
+    }
+}
