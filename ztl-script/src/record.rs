@@ -1,11 +1,11 @@
-//! The record of a run: one [`Stamped`] event a line, as JSON. `docs/record.md` is the schema.
+//! The record of a run: one [`StampedEvent`] event a line, as JSON. `docs/record.md` is the schema.
 
 use std::fmt;
 use std::fs::{File, OpenOptions};
 use std::io::{self, BufRead, ErrorKind, Write};
 use std::path::Path;
 
-use super::event::{Event, FORMAT, RunStarted, Stamped};
+use super::event::{FORMAT, RunEvent, RunStarted, StampedEvent};
 
 /// Longest line that is read. None that is written comes near, but for the outline of a huge script.
 const LONGEST: usize = 64 << 20;
@@ -75,7 +75,7 @@ impl Recorder {
     /// When this is the first event after a good one that could not be written: one message, for
     /// the operator. The run need not care; the next event is tried again, and before it the
     /// record says how many are lacking.
-    pub fn write(&mut self, event: &Stamped) -> Result<(), Unrecorded> {
+    pub fn write(&mut self, event: &StampedEvent) -> Result<(), Unrecorded> {
         let written = self.try_write(event);
         let told = std::mem::replace(&mut self.told, written.is_err());
         let Err(cause) = written else { return Ok(()) };
@@ -89,10 +89,10 @@ impl Recorder {
         })
     }
 
-    fn try_write(&mut self, event: &Stamped) -> io::Result<()> {
+    fn try_write(&mut self, event: &StampedEvent) -> io::Result<()> {
         if self.lost > 0 {
-            let note = Stamped {
-                event: Event::Note {
+            let note = StampedEvent {
+                event: RunEvent::Note {
                     text: format!("{} events are lacking in the record here", self.lost),
                 },
                 ..*event
@@ -103,14 +103,14 @@ impl Recorder {
         self.line(event)?;
         if matches!(
             event.event,
-            Event::RunStarted(_) | Event::SceneEnded { .. } | Event::RunEnded { .. }
+            RunEvent::RunStarted(_) | RunEvent::SceneEnded { .. } | RunEvent::RunEnded { .. }
         ) {
             self.target.settle();
         }
         Ok(())
     }
 
-    fn line(&mut self, event: &Stamped) -> io::Result<()> {
+    fn line(&mut self, event: &StampedEvent) -> io::Result<()> {
         // A line that was cut off stays as it is; the next one is whole again.
         let mut line = if self.cut { vec![b'\n'] } else { Vec::new() };
         serde_json::to_writer(&mut line, event)?;
@@ -175,7 +175,7 @@ pub struct Record {
     /// What the first event says.
     pub started: RunStarted,
     /// All events, in the order of the file, which is that of their happening.
-    pub events: Vec<Stamped>,
+    pub events: Vec<StampedEvent>,
 }
 
 /// What is wrong in a record. What can be read is read all the same.
@@ -239,7 +239,7 @@ pub fn read(name: &str, mut from: impl BufRead) -> io::Result<(Vec<Record>, Vec<
                 continue;
             }
         };
-        if let Event::RunStarted(started) = &event.event {
+        if let RunEvent::RunStarted(started) = &event.event {
             if started.format != FORMAT {
                 complain(format!(
                     "format {}, and this version reads {FORMAT}: it may be misread",
@@ -261,7 +261,7 @@ pub fn read(name: &str, mut from: impl BufRead) -> io::Result<(Vec<Record>, Vec<
             complain("an event before the start of a run; it is passed over".to_owned());
             continue;
         };
-        if let Event::Unknown = event.event {
+        if let RunEvent::Unknown = event.event {
             complain("an event that only a newer version knows; it is passed over".to_owned());
         } else if run.events.last().is_some_and(|last| last.at > event.at) {
             complain("an event from before the one above it; it is passed over".to_owned());
@@ -290,7 +290,7 @@ pub fn read(name: &str, mut from: impl BufRead) -> io::Result<(Vec<Record>, Vec<
         });
     }
     for run in &runs {
-        let ended = |event: &Stamped| matches!(event.event, Event::RunEnded { .. });
+        let ended = |event: &StampedEvent| matches!(event.event, RunEvent::RunEnded { .. });
         if !run.events.last().is_some_and(ended) {
             damage.push(Damage {
                 file: name.to_owned(),
@@ -305,7 +305,7 @@ pub fn read(name: &str, mut from: impl BufRead) -> io::Result<(Vec<Record>, Vec<
     Ok((runs, damage))
 }
 
-fn parse(line: &[u8]) -> Result<Stamped, String> {
+fn parse(line: &[u8]) -> Result<StampedEvent, String> {
     let text = std::str::from_utf8(line).map_err(|_| "not UTF-8".to_owned())?;
     serde_json::from_str(text.trim_end()).map_err(|error| {
         // The line's number in a text of one line says nothing.

@@ -8,7 +8,7 @@ use ipnet::IpNet;
 
 use crate::files::is_stream;
 use crate::server::{LIMITS, Limits};
-use ztl_yaml::{Fields, Node, Reading, Value};
+use ztl_yaml::{Fields, Node, NodeValue, Reading};
 
 /// What a configuration file says of it. All of it can be left out there, and said elsewhere.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
@@ -147,7 +147,7 @@ fn limits<'d>(reading: &mut Reading<'d>, node: &'d Node) -> Limits {
 #[must_use]
 pub fn one_or_more(node: &Node) -> &[Node] {
     match &node.value {
-        Value::List(nodes) => nodes,
+        NodeValue::List(nodes) => nodes,
         _ => std::slice::from_ref(node),
     }
 }

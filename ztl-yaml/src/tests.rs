@@ -18,14 +18,14 @@ fn refused(text: &str) -> String {
 
 fn scalar(node: &Node) -> &str {
     match &node.value {
-        Value::Scalar { text, .. } => text,
+        NodeValue::Scalar { text, .. } => text,
         other => panic!("{other:?}"),
     }
 }
 
 fn map(node: &Node) -> &[(Node, Node)] {
     match &node.value {
-        Value::Map(pairs) => pairs,
+        NodeValue::Map(pairs) => pairs,
         other => panic!("{other:?}"),
     }
 }
@@ -47,7 +47,7 @@ fn every_value_knows_its_place() {
     assert_eq!((scalar(number), places(number)), ("12345", [1, 7, 1, 12]));
     assert_eq!((scalar(name), places(name)), ("näme", [2, 1, 2, 5]));
     assert_eq!((scalar(text), places(text)), ("a b", [2, 7, 2, 12]));
-    let Value::List(items) = &list.value else {
+    let NodeValue::List(items) = &list.value else {
         panic!("{list:?}");
     };
     assert_eq!(places(&items[0]), [4, 5, 4, 6]);

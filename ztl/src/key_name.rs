@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use ztl_script::event::{Command, Question};
+use ztl_script::event::{Question, RunCommand};
 
 /// A key that comes again sooner is held down: keyboards wait that long at most before they repeat a key.
 pub(crate) const FIRST_REPEAT: Duration = Duration::from_millis(700);
@@ -16,7 +16,7 @@ pub(crate) struct Pressed {
     /// As it is called: `Enter`, `s`, `Ctrl-C`.
     pub(crate) key: String,
     /// What it meant by what the operator saw; `None`: nothing.
-    pub(crate) command: Option<Command>,
+    pub(crate) command: Option<RunCommand>,
     /// What was asked on the screen that the operator saw.
     pub(crate) question: Option<Question>,
 }

@@ -19,7 +19,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use ztl_script::event::{Command, Question, Stamped};
+use ztl_script::event::{Question, RunCommand, StampedEvent};
 
 use self::board::Board;
 use self::draw::View;
@@ -99,7 +99,7 @@ impl Live {
     }
 
     /// Something has happened; it is shown soon.
-    pub(crate) fn handle(&self, event: &Stamped) {
+    pub(crate) fn handle(&self, event: &StampedEvent) {
         let mut shared = lock(&self.shared);
         shared.board.handle(event);
         shared.came = Instant::now();
@@ -314,7 +314,7 @@ impl Screen {
             }
             let jumps = choices
                 .iter()
-                .any(|choice| matches!(choice, Command::Jump { .. }));
+                .any(|choice| matches!(choice, RunCommand::Jump { .. }));
             let scene = board.scene;
             let command = keys::command(&key, &choices, question);
             drop(shared);
@@ -326,13 +326,14 @@ impl Screen {
         if command.is_some() {
             self.view = View::default();
         }
-        if command.is_some_and(|command| !matches!(command, Command::Pause | Command::Resume)) {
+        if command.is_some_and(|command| !matches!(command, RunCommand::Pause | RunCommand::Resume))
+        {
             self.answered = Some((current, Instant::now()));
         }
         self.tell(key, command, question);
     }
 
-    fn tell(&self, key: String, command: Option<Command>, question: Option<Question>) {
+    fn tell(&self, key: String, command: Option<RunCommand>, question: Option<Question>) {
         // Without a show there is nothing to be done.
         let _ = self.pressed.send(Pressed {
             key,

@@ -37,6 +37,7 @@ mod run_script;
 mod scene;
 #[cfg(unix)]
 mod serve;
+mod server_connection;
 mod service;
 mod signals;
 mod simple_client;

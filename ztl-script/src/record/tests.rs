@@ -2,7 +2,7 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, SystemTime};
 
 use super::*;
-use crate::event::Outcome;
+use crate::event::RunOutcome;
 
 /// A disk with so much room left, and what stands on it.
 #[derive(Clone, Default)]
@@ -37,11 +37,11 @@ impl Write for Disk {
 
 impl Target for Disk {}
 
-fn note(millis: u64, text: &str) -> Stamped {
-    Stamped {
+fn note(millis: u64, text: &str) -> StampedEvent {
+    StampedEvent {
         at: Duration::from_millis(millis),
         wall: SystemTime::UNIX_EPOCH + Duration::from_millis(millis),
-        event: Event::Note {
+        event: RunEvent::Note {
             text: text.to_owned(),
         },
     }
@@ -56,7 +56,7 @@ fn notes(text: &str) -> (Vec<String>, Vec<String>) {
         .events
         .iter()
         .filter_map(|event| match &event.event {
-            Event::Note { text } => Some(text.clone()),
+            RunEvent::Note { text } => Some(text.clone()),
             _ => None,
         });
     let damage = damage.iter().map(ToString::to_string).collect();
@@ -193,8 +193,8 @@ fn joined_records_are_several_runs() {
     assert!(
         matches!(
             last,
-            Event::RunEnded {
-                outcome: Outcome::Stopped,
+            RunEvent::RunEnded {
+                outcome: RunOutcome::Stopped,
                 ..
             }
         ),

@@ -1,8 +1,8 @@
 //! Tables for statistics, as RFC 4180 has them.
 
-use super::numbers::seconds;
 use super::run::Run;
 use super::words;
+use crate::durations::seconds;
 
 const TASKS: &[&str] = &[
     "run",
@@ -80,7 +80,9 @@ pub(super) fn tasks(runs: &[Run]) -> String {
                 optional(task.planned_from),
                 seconds(task.from),
                 optional(task.late()),
-                task.latency.map(super::numbers::millis).unwrap_or_default(),
+                task.latency
+                    .map(crate::durations::millis)
+                    .unwrap_or_default(),
                 optional(task.to),
                 optional(task.length()),
                 seconds(unknown.sum()),
@@ -97,7 +99,7 @@ pub(super) fn actions(runs: &[Run]) -> String {
     for run in runs {
         for action in &run.actions {
             let target = match action.command {
-                Some(crate::event::Command::Jump { scene }) => run.scene_name(scene),
+                Some(crate::event::RunCommand::Jump { scene }) => run.scene_name(scene),
                 _ => String::new(),
             };
             let scene = action.scene.map(|scene| run.scene_name(scene));

@@ -6,7 +6,6 @@
 mod csv;
 mod html;
 mod layout;
-mod numbers;
 mod page;
 mod reader;
 mod run;
@@ -14,7 +13,6 @@ mod svg;
 mod tables;
 mod words;
 
-pub(super) use self::numbers::spoken;
 use self::run::Run;
 use super::record::{Damage, Record};
 

@@ -4,10 +4,10 @@ use std::collections::BTreeMap;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use super::html::{Table, escape};
-use super::numbers::{difference, median, seconds, spoken};
 use super::run::{Cause, Run, Task};
 use super::{Report, svg, tables, words};
-use crate::event::{StepEnd, TaskState};
+use crate::durations::{difference, median, seconds, spoken};
+use crate::event::{Ending, TaskState};
 
 const STYLE: &str = include_str!("style.css");
 
@@ -250,11 +250,11 @@ fn medians(runs: &[Run]) -> String {
                 );
                 let of = steps.entry(key).or_default();
                 // What was left before its end says nothing of how long it takes.
-                if matches!(step.end, Some(StepEnd::Completed | StepEnd::Failures)) {
+                if matches!(step.end, Some(Ending::Completed | Ending::Failures)) {
                     of.planned.extend(step.planned);
                     of.actual.push(step.length());
                 }
-                of.failures += usize::from(step.end == Some(StepEnd::Failures));
+                of.failures += usize::from(step.end == Some(Ending::Failures));
                 let mine = run.waits.iter().filter(|wait| {
                     matches!(wait.cause, Cause::Trouble(_))
                         && wait.from >= step.from

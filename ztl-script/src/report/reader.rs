@@ -5,8 +5,8 @@ use std::time::Duration;
 
 use super::run::{Action, Asked, Cause, Run, Step, Take, Task, Wait};
 use crate::event::{
-    By, Command, Event, Kind, Outcome, Question, RequestNumber, SceneEnd, Stamped, StepEnd,
-    StepOutline, TaskNumber, TaskState,
+    DecidedBy, Ending, Question, RequestKind, RequestNumber, RunCommand, RunEvent, RunOutcome,
+    StampedEvent, StepOutline, TaskNumber, TaskState,
 };
 use crate::record::Record;
 
@@ -60,17 +60,17 @@ struct Reader {
 }
 
 impl Reader {
-    fn handle(&mut self, Stamped { at, event, .. }: Stamped) {
+    fn handle(&mut self, StampedEvent { at, event, .. }: StampedEvent) {
         match event {
-            Event::Asked { question, .. } => self.ask(at, question),
-            Event::Key { key, command } => self.key(at, key, command),
-            Event::Decided {
+            RunEvent::Asked { question, .. } => self.ask(at, question),
+            RunEvent::Key { key, command } => self.key(at, key, command),
+            RunEvent::Decided {
                 command,
                 by,
                 scene,
                 step,
             } => self.decide(at, command, by, (scene, step)),
-            Event::SceneStarted {
+            RunEvent::SceneStarted {
                 scene,
                 take,
                 replay,
@@ -87,52 +87,53 @@ impl Reader {
                 });
                 self.take_open = true;
             }
-            Event::SceneEnded { end, .. } => self.end_take(at, Some(end)),
-            Event::SceneSkipped { scene, by } => self.run.skipped.push((at, scene, by)),
-            Event::StepStarted { step, .. } => self.start_step(at, step),
-            Event::StepEnded { end, .. } => self.end_step(at, Some(end)),
-            Event::StepWaiting {
+            RunEvent::SceneEnded { end, .. } => self.end_take(at, Some(end)),
+            RunEvent::SceneSkipped { scene, by } => self.run.skipped.push((at, scene, by)),
+            RunEvent::StepStarted { step, .. } => self.start_step(at, step),
+            RunEvent::StepEnded { end, .. } => self.end_step(at, Some(end)),
+            RunEvent::StepWaiting {
                 scene,
                 step,
                 why,
                 tasks,
             } => self.start_wait(at, Cause::Trouble(why), Some((scene, step)), tasks),
-            Event::StepGoesOn { .. } => {
+            RunEvent::StepGoesOn { .. } => {
                 self.end_wait(at);
                 self.question = None;
             }
-            Event::Paused { scene, step } => {
+            RunEvent::Paused { scene, step } => {
                 self.start_wait(at, Cause::Pause, Some((scene, step)), Vec::new());
             }
-            Event::Resumed => self.end_wait(at),
-            Event::TaskStarting {
+            RunEvent::Resumed => self.end_wait(at),
+            RunEvent::TaskStarting {
                 task,
                 part,
                 retry_of,
                 ..
             } => self.start_task(at, task, part, retry_of),
-            Event::TaskState {
+            RunEvent::TaskState {
                 task, state, text, ..
             } => self.task_state(at, task, state, text),
-            Event::RequestSent {
+            RunEvent::RequestSent {
                 request,
                 kind,
                 remote,
                 task,
-                text,
+                hold,
+                ..
             } => {
-                let asked = match kind {
-                    Kind::Init => Asked::Init,
-                    Kind::Status if text.starts_with("wait ") => Asked::Held,
-                    Kind::Status => Asked::Status,
-                    Kind::Abort => Asked::Abort,
+                let asked = match (kind, hold) {
+                    (RequestKind::Init, _) => Asked::Init,
+                    (RequestKind::Status, Some(_)) => Asked::Held,
+                    (RequestKind::Status, None) => Asked::Status,
+                    (RequestKind::Abort, _) => Asked::Abort,
                 };
                 self.requests.insert(request, (remote, asked, task));
             }
-            Event::Answered {
+            RunEvent::Answered {
                 request, latency, ..
             } => self.answer(request, latency),
-            Event::Unanswered { request, .. } => {
+            RunEvent::Unanswered { request, .. } => {
                 if let Some((remote, asked, _)) = self.requests.remove(&request) {
                     self.run
                         .latencies
@@ -141,15 +142,19 @@ impl Reader {
                         .unanswered += 1;
                 }
             }
-            Event::Note { text } => self.run.notes.push((at, text)),
-            Event::RunEnded {
+            RunEvent::Note { text } => self.run.notes.push((at, text)),
+            RunEvent::RunEnded {
                 outcome,
                 running,
                 text,
             } => {
                 // Older records say `stopped` here too.
-                let open = outcome == Outcome::Stopped && !running.is_empty();
-                self.run.outcome = Some(if open { Outcome::NotConfirmed } else { outcome });
+                let open = outcome == RunOutcome::Stopped && !running.is_empty();
+                self.run.outcome = Some(if open {
+                    RunOutcome::NotConfirmed
+                } else {
+                    outcome
+                });
                 self.run.last_words = text;
             }
             _ => {}
@@ -170,12 +175,12 @@ impl Reader {
         }
     }
 
-    fn key(&mut self, at: Duration, key: String, command: Option<Command>) {
+    fn key(&mut self, at: Duration, key: String, command: Option<RunCommand>) {
         self.run.actions.push(Action {
             at,
             key: Some(key),
             command,
-            by: By::Operator,
+            by: DecidedBy::Operator,
             decided: false,
             scene: None,
             step: None,
@@ -187,20 +192,20 @@ impl Reader {
     fn decide(
         &mut self,
         at: Duration,
-        command: Command,
-        by: By,
+        command: RunCommand,
+        by: DecidedBy,
         (scene, step): (Option<usize>, Option<usize>),
     ) {
         let question = self.question.take();
         let at_the_end = matches!(question, Some((_, Question::End)));
-        let deviation = matches!(by, By::Operator | By::Signal)
+        let deviation = matches!(by, DecidedBy::Operator | DecidedBy::Signal)
             && match command {
-                Command::Start | Command::Resume => false,
-                Command::Leave => !at_the_end,
+                RunCommand::Start | RunCommand::Resume => false,
+                RunCommand::Leave => !at_the_end,
                 _ => true,
             };
         let asked_for = self.run.actions.last_mut().filter(|action| {
-            !action.decided && by == By::Operator && action.command == Some(command)
+            !action.decided && by == DecidedBy::Operator && action.command == Some(command)
         });
         if let Some(action) = asked_for {
             action.decided = true;
@@ -221,7 +226,7 @@ impl Reader {
             });
         }
         // A pause that is ordered while a step waits changes nothing about that wait.
-        if command != Command::Pause {
+        if command != RunCommand::Pause {
             self.end_wait(at);
         }
     }
@@ -254,7 +259,7 @@ impl Reader {
         }
     }
 
-    fn end_step(&mut self, at: Duration, end: Option<StepEnd>) {
+    fn end_step(&mut self, at: Duration, end: Option<Ending>) {
         if !std::mem::take(&mut self.step_open) {
             return;
         }
@@ -272,7 +277,7 @@ impl Reader {
         }
     }
 
-    fn end_take(&mut self, at: Duration, end: Option<SceneEnd>) {
+    fn end_take(&mut self, at: Duration, end: Option<Ending>) {
         self.end_step(at, None);
         if std::mem::take(&mut self.take_open)
             && let Some(take) = self.run.takes.last_mut()
@@ -414,7 +419,7 @@ impl Reader {
         }
         let steps = self.run.takes.iter_mut().flat_map(|take| &mut take.steps);
         for (step, planned) in steps.zip(plans) {
-            let whole = matches!(step.end, Some(StepEnd::Completed | StepEnd::Failures));
+            let whole = matches!(step.end, Some(Ending::Completed | Ending::Failures));
             step.planned = whole.then_some(planned);
         }
     }

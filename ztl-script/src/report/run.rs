@@ -5,8 +5,8 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 
 use crate::event::{
-    By, Command, Outcome, Outline, SceneEnd, SceneOutline, StepEnd, StepOutline, TaskNumber,
-    TaskOutline, TaskState, Why,
+    DecidedBy, Ending, Outline, RunCommand, RunOutcome, SceneOutline, StepOutline, TaskNumber,
+    TaskOutline, TaskState, WaitReason,
 };
 use crate::record::Record;
 
@@ -17,7 +17,7 @@ pub(super) struct Run {
     /// From its start to the last event.
     pub(super) length: Duration,
     /// `None` when the record is cut off.
-    pub(super) outcome: Option<Outcome>,
+    pub(super) outcome: Option<RunOutcome>,
     pub(super) last_words: String,
     pub(super) takes: Vec<Take>,
     pub(super) tasks: Vec<Task>,
@@ -25,7 +25,7 @@ pub(super) struct Run {
     pub(super) waits: Vec<Wait>,
     pub(super) latencies: BTreeMap<(String, Asked), Latencies>,
     /// Scenes passed over.
-    pub(super) skipped: Vec<(Duration, usize, By)>,
+    pub(super) skipped: Vec<(Duration, usize, DecidedBy)>,
     pub(super) notes: Vec<(Duration, String)>,
 }
 
@@ -38,7 +38,7 @@ pub(super) struct Take {
     pub(super) from: Duration,
     pub(super) to: Duration,
     /// `None` when the record ends before it.
-    pub(super) end: Option<SceneEnd>,
+    pub(super) end: Option<Ending>,
     pub(super) steps: Vec<Step>,
 }
 
@@ -50,7 +50,7 @@ pub(super) struct Step {
     pub(super) planned_from: Duration,
     pub(super) from: Duration,
     pub(super) to: Duration,
-    pub(super) end: Option<StepEnd>,
+    pub(super) end: Option<Ending>,
     /// What its delays and its tasks' own times add up to; `None` when it was left before its end, and
     /// nobody knows what they would have been.
     pub(super) planned: Option<Duration>,
@@ -85,8 +85,8 @@ pub(super) struct Task {
 pub(super) struct Action {
     pub(super) at: Duration,
     pub(super) key: Option<String>,
-    pub(super) command: Option<Command>,
-    pub(super) by: By,
+    pub(super) command: Option<RunCommand>,
+    pub(super) by: DecidedBy,
     /// It was done, not only asked for.
     pub(super) decided: bool,
     pub(super) scene: Option<usize>,
@@ -114,7 +114,7 @@ pub(super) enum Cause {
     Operator,
     /// The operator wanted a pause.
     Pause,
-    Trouble(Why),
+    Trouble(WaitReason),
 }
 
 /// What was asked of a server.
@@ -197,7 +197,7 @@ impl Take {
 
     /// What its delay and its steps' plans add up to; `None` when it was left before its end.
     pub(super) fn planned(&self, run: &Run) -> Option<Duration> {
-        if !matches!(self.end, Some(SceneEnd::Completed | SceneEnd::Failures)) {
+        if !matches!(self.end, Some(Ending::Completed | Ending::Failures)) {
             return None;
         }
         let delay = run

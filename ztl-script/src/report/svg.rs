@@ -5,10 +5,10 @@ use std::time::Duration;
 
 use super::html::{escape, shorten};
 use super::layout::{Layout, NARROW, WIDE};
-use super::numbers::{difference, spoken};
 use super::run::{Action, Cause, Run, Step, Take, Task, Wait};
 use super::words;
-use crate::event::{StepEnd, TaskState};
+use crate::durations::{difference, spoken};
+use crate::event::{Ending, TaskState};
 
 /// Height of a row of the overview.
 const ROW: f64 = 24.0;
@@ -453,7 +453,7 @@ fn draw_step(drawing: &mut Drawing, run: &Run, take: &Take, axis: &Axis, step: &
         .step(take.scene, step.step)
         .is_some_and(|step| !step.wait);
     let end = match step.end {
-        Some(StepEnd::Completed) if background => "in the background",
+        Some(Ending::Completed) if background => "in the background",
         end => words::step_end(end),
     };
     // There is no room for it above a bar.

@@ -3,10 +3,10 @@
 use std::time::Duration;
 
 use super::html::{Table, escape};
-use super::numbers::{difference, median, millis, percentile, seconds};
 use super::run::{Run, Take};
 use super::{svg, words};
-use crate::event::{StepEnd, TaskState};
+use crate::durations::{difference, median, millis, percentile, seconds};
+use crate::event::{Ending, TaskState};
 
 /// All tables of a run.
 pub(super) fn all(run: &Run) -> String {
@@ -129,7 +129,7 @@ fn steps_table(run: &Run) -> String {
     for take in &run.takes {
         for step in &take.steps {
             table.row(
-                end_class(step.end == Some(StepEnd::Completed)),
+                end_class(step.end == Some(Ending::Completed)),
                 &[
                     escape(&svg::take_name(run, take)),
                     escape(&run.step_name(take.scene, step.step)),

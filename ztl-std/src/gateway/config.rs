@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use super::endpoint::{BAUD_WANTED, Endpoint, ParseEndpoint};
 use crate::listen::{Listen, PORT};
 use crate::scope;
-use ztl_yaml::{Diagnostics, Document, Node, Reading, Value};
+use ztl_yaml::{Diagnostics, Document, Node, NodeValue, Reading};
 
 /// What a configuration file says. All of it can be left out there, and said elsewhere.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
@@ -141,7 +141,7 @@ fn device<'d>(
     let mut baud = None;
     let mut elf = None;
     let url = match &node.value {
-        Value::Map(_) => {
+        NodeValue::Map(_) => {
             let mut fields = reading.fields(node, "url, baud, elf")?;
             let url = fields.required("url", "url: serial:/dev/ttyACM0");
             baud = fields.optional("baud");

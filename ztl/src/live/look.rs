@@ -2,7 +2,7 @@
 
 use std::time::Instant;
 
-use ztl_script::event::Command;
+use ztl_script::event::RunCommand;
 
 use super::choose::{Chooser, Chosen};
 use super::draw::{Pane, View};
@@ -88,7 +88,7 @@ impl Screen {
                 return true;
             }
             Chosen::Nothing => None,
-            Chosen::Scene(scene) => Some(Command::Jump { scene }),
+            Chosen::Scene(scene) => Some(RunCommand::Jump { scene }),
         };
         self.view = View::default();
         if command.is_some() {

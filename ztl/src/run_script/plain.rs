@@ -5,8 +5,10 @@ use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
 
 use tracing::{error, info, warn};
-use ztl_script::event::{By, Command, Event, Question, TaskNumber, TaskState, Why};
-use ztl_script::{Inputs, Scene, Script, Step, Task};
+use ztl_script::event::{
+    DecidedBy, Question, RunCommand, RunEvent, TaskNumber, TaskState, WaitReason,
+};
+use ztl_script::{RunnerHandle, Scene, Script, Step, Task};
 
 use super::LOG;
 use super::lines::Lines;
@@ -16,9 +18,9 @@ pub(super) struct Plain<'s> {
     script: &'s Script,
     lines: Lines,
     /// The show, to be woken when a question can be seen.
-    inputs: Inputs,
+    inputs: RunnerHandle,
     /// What is asked, what can be answered, and since when, as soon as it is written.
-    asked: Option<(Question, Vec<Command>, Since)>,
+    asked: Option<(Question, Vec<RunCommand>, Since)>,
     last: Option<usize>,
     tasks: BTreeMap<TaskNumber, Started>,
     /// A handler without a server is told of once in a step.
@@ -37,7 +39,7 @@ struct Started {
 }
 
 impl<'s> Plain<'s> {
-    pub(super) const fn new(script: &'s Script, lines: Lines, inputs: Inputs) -> Self {
+    pub(super) const fn new(script: &'s Script, lines: Lines, inputs: RunnerHandle) -> Self {
         Self {
             script,
             lines,
@@ -62,37 +64,37 @@ impl<'s> Plain<'s> {
     }
 
     /// What a key means. One that was pressed before the question was asked means nothing.
-    pub(super) fn meaning(&self, key: &Key) -> Option<Command> {
+    pub(super) fn meaning(&self, key: &Key) -> Option<RunCommand> {
         let (question, choices, since) = self.asked.as_ref()?;
         if since.get().is_none_or(|since| key.at < *since) {
             return None;
         }
         let first = key.bytes.first()?.to_ascii_lowercase();
         let command = match (question, first) {
-            (Question::Scene { .. }, b'\r') => Command::Start,
+            (Question::Scene { .. }, b'\r') => RunCommand::Start,
             (Question::Scene { .. } | Question::End, b'r')
-                if choices.contains(&Command::Replay) =>
+                if choices.contains(&RunCommand::Replay) =>
             {
-                Command::Replay
+                RunCommand::Replay
             }
-            (Question::Scene { .. }, _) => Command::Skip,
-            (Question::End, b'a') => Command::Restart,
-            (Question::End, _) => Command::Leave,
-            (Question::Step { .. }, b'g') => Command::GoOn,
-            (Question::Step { .. }, b't') => Command::Retry,
-            (Question::Step { .. }, b's') => Command::Skip,
-            (Question::Step { .. }, b'x') => Command::Stop,
-            (Question::Pause, _) => Command::Resume,
+            (Question::Scene { .. }, _) => RunCommand::Skip,
+            (Question::End, b'a') => RunCommand::Restart,
+            (Question::End, _) => RunCommand::Leave,
+            (Question::Step { .. }, b'g') => RunCommand::GoOn,
+            (Question::Step { .. }, b't') => RunCommand::Retry,
+            (Question::Step { .. }, b's') => RunCommand::Skip,
+            (Question::Step { .. }, b'x') => RunCommand::Stop,
+            (Question::Pause, _) => RunCommand::Resume,
             _ => return None,
         };
         choices.contains(&command).then_some(command)
     }
 
     /// Writes what there is to say of an event.
-    pub(super) fn tell(&mut self, event: &Event, keyboard: Option<&Keyboard>) {
+    pub(super) fn tell(&mut self, event: &RunEvent, keyboard: Option<&Keyboard>) {
         match event {
-            Event::SceneShown { scene } if keyboard.is_some() => self.show(*scene),
-            Event::Asked { question, choices } => {
+            RunEvent::SceneShown { scene } if keyboard.is_some() => self.show(*scene),
+            RunEvent::Asked { question, choices } => {
                 if let Some(keyboard) = keyboard {
                     keyboard.forget();
                 }
@@ -107,10 +109,10 @@ impl<'s> Plain<'s> {
                 }
                 self.asked = Some((*question, choices.clone(), since));
             }
-            Event::Decided {
+            RunEvent::Decided {
                 command, by, scene, ..
             } => self.decided(*command, *by, *scene),
-            Event::SceneStarted { scene, .. } => {
+            RunEvent::SceneStarted { scene, .. } => {
                 self.playing = true;
                 self.last = Some(*scene);
                 if let Some(scene) = self.scene(*scene) {
@@ -119,8 +121,8 @@ impl<'s> Plain<'s> {
                         .line(format_args!("EXECUTING SCENE '{}'{delay}...", scene.name));
                 }
             }
-            Event::SceneEnded { .. } => self.playing = false,
-            Event::StepStarted { scene, step } => {
+            RunEvent::SceneEnded { .. } => self.playing = false,
+            RunEvent::StepStarted { scene, step } => {
                 self.told = None;
                 if let Some(step) = self.script.step(*scene, *step) {
                     let background = if step.wait { "" } else { " IN BACKGROUND" };
@@ -131,19 +133,19 @@ impl<'s> Plain<'s> {
                     ));
                 }
             }
-            Event::StepWaiting {
+            RunEvent::StepWaiting {
                 scene,
                 step,
                 why,
                 tasks,
             } => self.waiting(*scene, *step, why, tasks),
-            Event::StepGoesOn { scene, step } => {
+            RunEvent::StepGoesOn { scene, step } => {
                 self.asked = None;
                 if let Some(step) = self.script.step(*scene, *step) {
                     warn!(target: LOG, "Step '{}' goes on.", step.name);
                 }
             }
-            Event::TaskStarting {
+            RunEvent::TaskStarting {
                 task,
                 scene,
                 step,
@@ -159,15 +161,19 @@ impl<'s> Plain<'s> {
                 };
                 self.tasks.insert(*task, started);
             }
-            Event::TaskState {
-                task, state, text, ..
-            } => self.state(*task, *state, text),
-            Event::Stopping { tasks } if !tasks.is_empty() => {
+            RunEvent::TaskState {
+                task,
+                state,
+                text,
+                no_server,
+                ..
+            } => self.state(*task, *state, text, *no_server),
+            RunEvent::Stopping { tasks } if !tasks.is_empty() => {
                 let s = if tasks.len() == 1 { "" } else { "S" };
                 self.lines
                     .line(format_args!("STOPPING {} TASK{s}...", tasks.len()));
             }
-            Event::StopAnswered {
+            RunEvent::StopAnswered {
                 task,
                 confirmed,
                 text,
@@ -180,8 +186,8 @@ impl<'s> Plain<'s> {
                 self.lines
                     .line(format_args!("{word}: {}: {text}", self.about(*task)));
             }
-            Event::Note { text } => warn!(target: LOG, "{text}"),
-            Event::RunEnded { running, .. } => {
+            RunEvent::Note { text } => warn!(target: LOG, "{text}"),
+            RunEvent::RunEnded { running, .. } => {
                 for task in running {
                     warn!(target: LOG, "{} may still run.", self.about(*task));
                 }
@@ -233,7 +239,7 @@ impl<'s> Plain<'s> {
         }
     }
 
-    fn decided(&mut self, command: Command, by: By, scene: Option<usize>) {
+    fn decided(&mut self, command: RunCommand, by: DecidedBy, scene: Option<usize>) {
         let asked = self.asked.take().map(|(question, _, _)| question);
         let about_scene = matches!(asked, Some(Question::Scene { .. }));
         let key = |scene: Option<usize>| {
@@ -242,27 +248,27 @@ impl<'s> Plain<'s> {
                 .map_or("", |scene| &scene.key)
         };
         match command {
-            Command::Skip if about_scene => self
+            RunCommand::Skip if about_scene => self
                 .lines
                 .line(format_args!("\nSKIPPING SCENE '{}'", key(scene))),
-            Command::Replay => self
+            RunCommand::Replay => self
                 .lines
                 .line(format_args!("\n Repeating Scene '{}", key(self.last))),
-            Command::Restart => {
+            RunCommand::Restart => {
                 self.lines.line("\n Repeating Script");
                 self.last = None;
             }
-            Command::Stop if by == By::Signal && self.playing => {
+            RunCommand::Stop if by == DecidedBy::Signal && self.playing => {
                 error!(target: LOG, "Interrupted, exiting.");
             }
-            Command::Stop if by == By::Script => {
+            RunCommand::Stop if by == DecidedBy::Script => {
                 error!(target: LOG, "Nobody is there to decide, or the script says so: everything is stopped.");
             }
             _ => {}
         }
     }
 
-    fn waiting(&mut self, scene: usize, step: usize, why: &Why, tasks: &[TaskNumber]) {
+    fn waiting(&mut self, scene: usize, step: usize, why: &WaitReason, tasks: &[TaskNumber]) {
         let Some(step) = self.script.step(scene, step) else {
             return;
         };
@@ -273,29 +279,33 @@ impl<'s> Plain<'s> {
             .collect();
         let (name, tasks) = (&step.name, tasks.join(", "));
         let why = match why {
-            Why::ServerSilent { remote } => {
+            WaitReason::ServerSilent { remote } => {
                 format!("'{remote}' does not answer, so how it is with {tasks} is unknown")
             }
-            Why::ServerRestarted { remote } => {
+            WaitReason::ServerRestarted { remote } => {
                 format!("'{remote}' was started anew, so what became of {tasks} is unknown")
             }
-            Why::TaskUnknown => format!(
+            WaitReason::TaskUnknown => format!(
                 "the server does not know {tasks} any more, so what became of it is unknown"
             ),
-            Why::NotTold { remote } => {
+            WaitReason::NotTold { remote } => {
                 format!("'{remote}' answers, but does not say how it is with {tasks}")
             }
-            Why::AnswerUnclear { remote } => format!(
+            WaitReason::AnswerUnclear { remote } => format!(
                 "'{remote}' gives no usable answer about {tasks}, so what it does is unknown"
             ),
-            Why::StartUnknown => format!("there was no clear answer whether {tasks} was started"),
-            Why::Failed => format!("{tasks} failed"),
-            Why::TooLong => format!("{tasks} takes longer than its limit and has not stopped"),
+            WaitReason::StartUnknown => {
+                format!("there was no clear answer whether {tasks} was started")
+            }
+            WaitReason::Failed => format!("{tasks} failed"),
+            WaitReason::TooLong => {
+                format!("{tasks} takes longer than its limit and has not stopped")
+            }
         };
         warn!(target: LOG, "Step '{name}' waits: {why}.");
     }
 
-    fn state(&mut self, number: TaskNumber, state: TaskState, text: &str) {
+    fn state(&mut self, number: TaskNumber, state: TaskState, text: &str, no_server: bool) {
         let Some(started) = self.tasks.get_mut(&number) else {
             return;
         };
@@ -311,9 +321,7 @@ impl<'s> Plain<'s> {
         };
         let (name, key, component) = (&step.name, &handler.key, &task.component);
         match state {
-            TaskState::NotStarted
-                if before == TaskState::Asked && text.starts_with("there is no server") =>
-            {
+            TaskState::NotStarted if no_server => {
                 let place = (scene, index, task.handler);
                 if self.told != Some(place) {
                     self.told = Some(place);
@@ -339,18 +347,18 @@ impl<'s> Plain<'s> {
 }
 
 /// What is asked, with the keys.
-fn prompt(question: Question, choices: &[Command]) -> &'static str {
+fn prompt(question: Question, choices: &[RunCommand]) -> &'static str {
     let can = |command| choices.contains(&command);
     match question {
-        Question::Scene { .. } if can(Command::Replay) => {
+        Question::Scene { .. } if can(RunCommand::Replay) => {
             "PRESS <ENTER> TO CONFIRM, PRESS <R> TO REPLAY LAST SCENE OR ANY OTHER KEY TO SKIP"
         }
         Question::Scene { .. } => "PRESS <ENTER> TO CONFIRM or ANY OTHER KEY TO SKIP",
-        Question::End if can(Command::Replay) => {
+        Question::End if can(RunCommand::Replay) => {
             "PRESS <R> TO REPLAY THE LAST SCENE, PRESS <A> TO RESTART THE SCRIPT OR ANY OTHER KEY TO EXIT"
         }
         Question::End => "PRESS <A> TO RESTART THE SCRIPT OR ANY OTHER KEY TO EXIT",
-        Question::Step { .. } if can(Command::Retry) => {
+        Question::Step { .. } if can(RunCommand::Retry) => {
             "PRESS <G> TO GO ON ANYWAY, <T> TO TRY AGAIN WHAT FAILED, <S> TO SKIP THE REST OF THE SCENE OR <X> TO STOP EVERYTHING"
         }
         Question::Step { .. } => {

@@ -6,9 +6,9 @@ use std::time::SystemTime;
 
 use tracing::warn;
 #[cfg(unix)]
-use ztl_script::event::Event;
-use ztl_script::event::Stamped;
-use ztl_script::{Inputs, Script};
+use ztl_script::event::RunEvent;
+use ztl_script::event::StampedEvent;
+use ztl_script::{RunnerHandle, Script};
 
 use super::lines::Lines;
 use super::plain::Plain;
@@ -47,7 +47,7 @@ impl<'s> Stage<'s> {
     /// When there is no terminal to read keys from.
     pub(super) fn open(
         script: &'s Script,
-        inputs: Inputs,
+        inputs: RunnerHandle,
         lines: Option<Lines>,
         unattended: bool,
     ) -> Result<Self, Box<dyn std::error::Error>> {
@@ -87,7 +87,7 @@ impl<'s> Stage<'s> {
     }
 
     /// Something has happened.
-    pub(super) fn tell(&mut self, event: &Stamped) {
+    pub(super) fn tell(&mut self, event: &StampedEvent) {
         match self {
             #[cfg(unix)]
             Self::Live(live) => live.handle(event),
@@ -101,10 +101,10 @@ impl<'s> Stage<'s> {
         let _ = at;
         match self {
             #[cfg(unix)]
-            Self::Live(live) => live.handle(&Stamped {
+            Self::Live(live) => live.handle(&StampedEvent {
                 at,
                 wall: SystemTime::now(),
-                event: Event::Note {
+                event: RunEvent::Note {
                     text: text.to_owned(),
                 },
             }),

@@ -4,10 +4,9 @@ use std::time::Duration;
 
 use ztl_core::Instant;
 
-use super::super::super::event::{By, Command, Event, Outcome, Question, Why};
-use super::super::Options;
-use super::world::World;
-use super::{on, unattended};
+use super::world::{FIRST_STEP, World, count, on, unattended};
+use crate::event::{DecidedBy, Question, RunCommand, RunEvent, RunOutcome, WaitReason};
+use crate::player::Options;
 
 const SCRIPT: &str = "
 s:
@@ -58,9 +57,11 @@ fn moments() -> impl Iterator<Item = Instant> {
 }
 
 /// The operator waits while waiting may help, and goes on where it cannot.
-fn patient(world: &World, question: Question) -> Option<Command> {
+fn patient(world: &World, question: Question) -> Option<RunCommand> {
     match (question, world.why()) {
-        (Question::Step { .. }, Some(Why::ServerSilent { .. } | Why::TooLong)) => None,
+        (Question::Step { .. }, Some(WaitReason::ServerSilent { .. } | WaitReason::TooLong)) => {
+            None
+        }
         _ => on(world, question),
     }
 }
@@ -80,8 +81,8 @@ fn a_server_that_pauses_at_any_point_is_waited_for() {
                 let guessed = world.seen(|event| {
                     matches!(
                         event,
-                        Event::StepWaiting {
-                            why: Why::StartUnknown,
+                        RunEvent::StepWaiting {
+                            why: WaitReason::StartUnknown,
                             ..
                         }
                     )
@@ -89,9 +90,17 @@ fn a_server_that_pauses_at_any_point_is_waited_for() {
                 let never = world.began.len() < 5;
                 if guessed.is_empty() && !never {
                     assert_in_order(&world, &about);
-                    assert_eq!(world.player.outcome(), Some(Outcome::Completed), "{about}");
+                    assert_eq!(
+                        world.player.outcome(),
+                        Some(RunOutcome::Completed),
+                        "{about}"
+                    );
                 } else {
-                    assert_eq!(world.player.outcome(), Some(Outcome::Failures), "{about}");
+                    assert_eq!(
+                        world.player.outcome(),
+                        Some(RunOutcome::Failures),
+                        "{about}"
+                    );
                 }
                 assert!(world.began.len() <= 5, "{about}: {:?}", world.timeline());
                 assert!(guessed.is_empty() || name == "robot", "{about}");
@@ -105,17 +114,13 @@ fn a_step_says_that_it_waits_while_a_server_is_silent_and_goes_on_when_it_is_bac
     for name in ["robot", "lamp"] {
         let script = format!("s: {{a: {{{name}: {{base: 1}}}}, b: {{robot: {{arm: 1}}}}}}");
         let mut world = World::new(&script, Options::default());
-        let pause = (Instant::from_millis(500), Instant::from_millis(30_000));
-        world.machine(name).pauses.push(pause);
+        world.pause(name, 500, 30_000);
         world.begin();
-        world.command(Command::Start);
-        assert_eq!(
-            world.until_asked(),
-            Some(Question::Step { scene: 0, step: 0 })
-        );
+        world.command(RunCommand::Start);
+        assert_eq!(world.until_asked(), FIRST_STEP);
         assert_eq!(
             world.why(),
-            Some(&Why::ServerSilent {
+            Some(&WaitReason::ServerSilent {
                 remote: name.to_owned()
             })
         );
@@ -126,16 +131,12 @@ fn a_step_says_that_it_waits_while_a_server_is_silent_and_goes_on_when_it_is_bac
         );
         world.pass(Duration::from_secs(20));
         assert_eq!(world.began.len(), 1);
-        assert_eq!(
-            world.until_asked(),
-            Some(Question::Step { scene: 0, step: 0 })
-        );
+        assert_eq!(world.until_asked(), FIRST_STEP);
         world.run(patient);
         assert_eq!(world.began.len(), 2);
         assert!(world.began[1].at >= Instant::from_millis(30_000));
-        let settled = world.seen(|event| matches!(event, Event::StepGoesOn { .. }));
-        assert_eq!(settled.len(), 1);
-        assert_eq!(world.player.outcome(), Some(Outcome::Completed));
+        assert_eq!(count!(world, RunEvent::StepGoesOn { .. }), 1);
+        assert_eq!(world.player.outcome(), Some(RunOutcome::Completed));
     }
 }
 
@@ -167,14 +168,14 @@ fn a_server_that_is_started_anew_at_any_point_is_noticed_and_nothing_follows_una
             }
             assert_in_order(&world, &about);
             assert_eq!(world.began.len(), 5, "{about}");
-            let waiting = world.seen(|event| matches!(event, Event::StepWaiting { .. }));
+            let waiting = world.seen(|event| matches!(event, RunEvent::StepWaiting { .. }));
             let outcome = world.player.outcome();
             let expected = match waiting.is_empty() {
-                true => Outcome::Completed,
-                false => Outcome::Failures,
+                true => RunOutcome::Completed,
+                false => RunOutcome::Failures,
             };
             // The fan in the background may have been forgotten, which is no more than unknown.
-            let fan = outcome == Some(Outcome::Failures) && name == "lamp";
+            let fan = outcome == Some(RunOutcome::Failures) && name == "lamp";
             assert!(outcome == Some(expected) || fan, "{about}: {outcome:?}");
             assert_eq!(asked > 0, !waiting.is_empty(), "{about}");
         }
@@ -190,12 +191,18 @@ fn a_server_that_counts_from_1_again_does_not_end_the_task_that_had_the_id_befor
         .restarts
         .push(Instant::from_millis(250));
     world.begin();
-    world.command(Command::Start);
-    let step = Some(Question::Step { scene: 0, step: 0 });
-    assert_eq!(world.until_asked(), step);
+    world.command(RunCommand::Start);
+    assert_eq!(world.until_asked(), FIRST_STEP);
     world.pass(Duration::from_secs(5));
-    assert_eq!(world.player.question(), step, "what became of the base?");
-    assert!(matches!(world.why(), Some(Why::ServerRestarted { .. })));
+    assert_eq!(
+        world.player.question(),
+        FIRST_STEP,
+        "what became of the base?"
+    );
+    assert!(matches!(
+        world.why(),
+        Some(WaitReason::ServerRestarted { .. })
+    ));
     assert_eq!(world.began.len(), 2, "{:?}", world.timeline());
 }
 
@@ -208,7 +215,7 @@ fn with_nobody_there_what_nobody_can_decide_stops_everything() {
         .push(Instant::from_millis(200));
     world.begin();
     world.run(patient);
-    assert_eq!(world.player.outcome(), Some(Outcome::NotConfirmed));
+    assert_eq!(world.player.outcome(), Some(RunOutcome::NotConfirmed));
     assert_eq!(world.began.len(), 2);
     assert!(
         world.began[1].until < Instant::from_millis(300),
@@ -217,11 +224,10 @@ fn with_nobody_there_what_nobody_can_decide_stops_everything() {
 
     // A silent one is waited for a while.
     let mut world = World::new(SCRIPT, unattended());
-    let pause = (Instant::from_millis(200), Instant::from_millis(300_000));
-    world.machine("robot").pauses.push(pause);
+    world.pause("robot", 200, 300_000);
     world.begin();
     world.run(patient);
-    assert_eq!(world.player.outcome(), Some(Outcome::NotConfirmed));
+    assert_eq!(world.player.outcome(), Some(RunOutcome::NotConfirmed));
     let ended = world.now.since(Instant::ZERO);
     assert!((60..75).contains(&ended.as_secs()), "{ended:?}");
 }
@@ -230,53 +236,39 @@ fn with_nobody_there_what_nobody_can_decide_stops_everything() {
 fn an_init_without_an_answer_is_never_sent_again() {
     let script = "s: {a (on_failure=retry 5): {robot: {base: 1}}, b: {robot: {arm: 1}}}";
     let mut world = World::new(script, Options::default());
-    world
-        .machine("robot")
-        .pauses
-        .push((Instant::ZERO, Instant::from_millis(2500)));
+    world.pause("robot", 0, 2500);
     world.begin();
-    world.command(Command::Start);
-    assert_eq!(
-        world.until_asked(),
-        Some(Question::Step { scene: 0, step: 0 })
-    );
-    assert_eq!(world.why(), Some(&Why::StartUnknown));
+    world.command(RunCommand::Start);
+    assert_eq!(world.until_asked(), FIRST_STEP);
+    assert_eq!(world.why(), Some(&WaitReason::StartUnknown));
     assert!(
-        !world.player.choices().contains(&Command::Retry),
+        !world.player.choices().contains(&RunCommand::Retry),
         "nobody knows that it failed"
     );
     world.pass(Duration::from_secs(600));
     assert_eq!(world.timeline(), [(2501, "robot:base:1")]);
     world.run(patient);
-    assert_eq!(world.player.outcome(), Some(Outcome::Failures));
+    assert_eq!(world.player.outcome(), Some(RunOutcome::Failures));
     assert_eq!(world.began.len(), 2);
 }
 
 #[test]
 fn a_task_whose_end_its_server_could_not_learn_keeps_its_step_and_is_named_at_the_end() {
     let script = "s: {a (on_failure=retry 5): {robot: {base: 1 lost}}, b: {robot: {arm: 1}}}";
-    let mut world = World::new(script, Options::default());
-    world.begin();
-    world.command(Command::Start);
-    assert_eq!(
-        world.until_asked(),
-        Some(Question::Step { scene: 0, step: 0 })
-    );
-    let unclear = Why::AnswerUnclear {
+    let mut world = World::started(script);
+    assert_eq!(world.until_asked(), FIRST_STEP);
+    let unclear = WaitReason::AnswerUnclear {
         remote: "robot".to_owned(),
     };
     assert_eq!(world.why(), Some(&unclear));
-    assert!(!world.player.choices().contains(&Command::Retry));
+    assert!(!world.player.choices().contains(&RunCommand::Retry));
     assert_eq!(world.began.len(), 1);
     world.run(patient);
-    let named =
-        |event: &Event| matches!(event, Event::RunEnded { running, .. } if running.len() == 1);
+    let named = |event: &RunEvent| matches!(event, RunEvent::RunEnded { running, .. } if running.len() == 1);
     assert_eq!(world.seen(named).len(), 1);
-    assert_eq!(world.player.outcome(), Some(Outcome::Failures));
-    let mut world = World::new(script, unattended());
-    world.begin();
-    world.run(on);
-    assert_eq!(world.player.outcome(), Some(Outcome::NotConfirmed));
+    assert_eq!(world.player.outcome(), Some(RunOutcome::Failures));
+    let world = World::played_unattended(script);
+    assert_eq!(world.player.outcome(), Some(RunOutcome::NotConfirmed));
     assert_eq!(world.began.len(), 1);
 }
 
@@ -284,17 +276,15 @@ fn a_task_whose_end_its_server_could_not_learn_keeps_its_step_and_is_named_at_th
 fn everything_can_be_stopped_at_any_point_and_each_end_is_confirmed() {
     for at in moments() {
         let about = format!("stopped at {at:?}");
-        let mut world = World::new(SCRIPT, Options::default());
-        world.begin();
-        world.command(Command::Start);
+        let mut world = World::started(SCRIPT);
         world.pass(at.since(Instant::ZERO));
         let began = world.began.len();
         if world.player.question().is_some() {
             break;
         }
-        world.command(Command::Stop);
+        world.command(RunCommand::Stop);
         world.run(|_, question| panic!("{about}: {question:?}"));
-        assert_eq!(world.player.outcome(), Some(Outcome::Stopped), "{about}");
+        assert_eq!(world.player.outcome(), Some(RunOutcome::Stopped), "{about}");
         assert_eq!(
             world.began.len(),
             began,
@@ -309,21 +299,21 @@ fn everything_can_be_stopped_at_any_point_and_each_end_is_confirmed() {
         let confirmed = world.seen(|event| {
             matches!(
                 event,
-                Event::StopAnswered {
+                RunEvent::StopAnswered {
                     confirmed: true,
                     ..
                 }
             )
         });
-        let Some(Event::Stopping { tasks }) = world
-            .seen(|event| matches!(event, Event::Stopping { .. }))
+        let Some(RunEvent::Stopping { tasks }) = world
+            .seen(|event| matches!(event, RunEvent::Stopping { .. }))
             .first()
             .copied()
         else {
             panic!("{about}");
         };
         assert_eq!(confirmed.len(), tasks.len(), "{about}");
-        let Some((_, Event::RunEnded { running, .. })) = world.events.last() else {
+        let Some((_, RunEvent::RunEnded { running, .. })) = world.events.last() else {
             panic!("{about}");
         };
         assert!(running.is_empty(), "{about}");
@@ -333,11 +323,9 @@ fn everything_can_be_stopped_at_any_point_and_each_end_is_confirmed() {
 #[test]
 fn stopping_reaches_what_runs_in_the_background_after_its_scene() {
     let script = "s: {a (wait=no): {robot: {base: 60}, lamp: {fan: 60}}}";
-    let mut world = World::new(script, Options::default());
-    world.begin();
-    world.command(Command::Start);
+    let mut world = World::started(script);
     assert_eq!(world.until_asked(), Some(Question::End));
-    world.command(Command::Stop);
+    world.command(RunCommand::Stop);
     world.run(|_, question| panic!("{question:?}"));
     assert!(
         world.began.iter().all(|began| began.until <= world.now),
@@ -350,61 +338,54 @@ fn stopping_reaches_what_runs_in_the_background_after_its_scene() {
 #[test]
 fn stopping_tells_what_cannot_be_stopped_and_who_does_not_answer() {
     let script = "s: {a: {robot: {base: 60 forever}, lamp: {light: 60}}}";
-    let mut world = World::new(script, Options::default());
-    world.begin();
-    world.command(Command::Start);
+    let mut world = World::started(script);
     world.pass(Duration::from_millis(50));
     let silent = (world.now, world.now + Duration::from_secs(600));
     world.machine("lamp").pauses.push(silent);
-    world.command(Command::Stop);
+    world.command(RunCommand::Stop);
     world.run(|_, question| panic!("{question:?}"));
-    let said: Vec<_> = world.seen(|event| {
-        matches!(
-            event,
-            Event::StopAnswered {
+    assert_eq!(
+        count!(
+            world,
+            RunEvent::StopAnswered {
                 confirmed: false,
                 ..
             }
-        )
-    });
-    assert_eq!(said.len(), 2, "{said:?}");
+        ),
+        2
+    );
     let Some((
         _,
-        Event::RunEnded {
+        RunEvent::RunEnded {
             running, outcome, ..
         },
     )) = world.events.last()
     else {
         panic!("{:?}", world.events.last());
     };
-    assert_eq!((running.len(), *outcome), (2, Outcome::NotConfirmed));
+    assert_eq!((running.len(), *outcome), (2, RunOutcome::NotConfirmed));
     assert!(world.now < Instant::from_millis(10_000), "{:?}", world.now);
 }
 
 #[test]
 fn a_second_stop_leaves_at_once() {
     let script = "s: {a: {lamp: {light: 60}}}";
-    let mut world = World::new(script, Options::default());
-    world.begin();
-    world.command(Command::Start);
+    let mut world = World::started(script);
     world.pass(Duration::from_millis(50));
-    world
-        .machine("lamp")
-        .pauses
-        .push((Instant::ZERO, Instant::from_millis(600_000)));
-    world.command(Command::Stop);
+    world.pause("lamp", 0, 600_000);
+    world.command(RunCommand::Stop);
     world.pass(Duration::from_millis(50));
     assert_eq!(world.player.outcome(), None);
     assert!(
         world
             .player
-            .handle_command(world.now, Command::Stop, By::Signal)
+            .handle_command(world.now, RunCommand::Stop, DecidedBy::Signal)
     );
-    assert_eq!(world.player.outcome(), Some(Outcome::Left));
+    assert_eq!(world.player.outcome(), Some(RunOutcome::Left));
     assert!(
         !world
             .player
-            .handle_command(world.now, Command::Stop, By::Signal)
+            .handle_command(world.now, RunCommand::Stop, DecidedBy::Signal)
     );
 }
 
@@ -413,14 +394,11 @@ fn an_init_that_is_under_way_when_everything_is_stopped_is_stopped_too() {
     for name in ["robot", "lamp"] {
         let script = format!("s: {{a: {{{name}: {{base: 60}}}}}}");
         let mut world = World::new(&script, Options::default());
-        world
-            .machine(name)
-            .pauses
-            .push((Instant::ZERO, Instant::from_millis(1000)));
+        world.pause(name, 0, 1000);
         world.begin();
-        world.command(Command::Start);
+        world.command(RunCommand::Start);
         world.pass(Duration::from_millis(100));
-        world.command(Command::Stop);
+        world.command(RunCommand::Stop);
         world.run(|_, question| panic!("{question:?}"));
         assert_eq!(world.began.len(), 1, "it was acted on late");
         assert!(world.began[0].until <= world.now);
@@ -433,12 +411,9 @@ fn a_server_that_is_not_there_is_asked_about_unless_the_script_says_to_go_on() {
         let script =
             format!("s: {{'a{policy}': {{lamp: {{light: 1}}}}, b: {{robot: {{arm: 1}}}}}}");
         let mut world = World::new(&script, Options::default());
-        world
-            .machine("lamp")
-            .pauses
-            .push((Instant::ZERO, Instant::from_millis(7000)));
+        world.pause("lamp", 0, 7000);
         world.begin();
-        world.command(Command::Start);
+        world.command(RunCommand::Start);
         let question = world.until_asked();
         assert_eq!(
             question == Some(Question::Step { scene: 0, step: 0 }),
@@ -446,15 +421,12 @@ fn a_server_that_is_not_there_is_asked_about_unless_the_script_says_to_go_on() {
         );
         if asked {
             assert!(world.began.is_empty());
-            world.command(Command::Retry);
+            world.command(RunCommand::Retry);
             assert_eq!(world.until_asked(), Some(Question::End));
             assert_eq!(world.began.len(), 2);
         }
         let mut world = World::new(&script, unattended());
-        world
-            .machine("lamp")
-            .pauses
-            .push((Instant::ZERO, Instant::from_millis(7000)));
+        world.pause("lamp", 0, 7000);
         world.begin();
         world.run(on);
         assert_eq!(world.began.len(), usize::from(!asked), "{policy}");
@@ -465,23 +437,22 @@ fn a_server_that_is_not_there_is_asked_about_unless_the_script_says_to_go_on() {
 fn an_init_that_nobody_answers_does_not_keep_the_stop_from_its_end() {
     let script = "s: {a: {robot: {base: 60}}}";
     let mut world = World::new(script, Options::default());
-    let pause = (Instant::ZERO, Instant::from_millis(600_000));
-    world.machine("robot").pauses.push(pause);
+    world.pause("robot", 0, 600_000);
     world.begin();
-    world.command(Command::Start);
+    world.command(RunCommand::Start);
     world.pass(Duration::from_millis(100));
-    world.command(Command::Stop);
+    world.command(RunCommand::Stop);
     world.run(|_, question| panic!("{question:?}"));
-    let said = world.seen(|event| {
-        matches!(
-            event,
-            Event::StopAnswered {
+    assert_eq!(
+        count!(
+            world,
+            RunEvent::StopAnswered {
                 confirmed: false,
                 ..
             }
-        )
-    });
-    assert_eq!(said.len(), 1);
+        ),
+        1
+    );
     assert!(world.now <= Instant::from_millis(2001), "{:?}", world.now);
 }
 
@@ -497,19 +468,21 @@ fn a_step_that_was_asked_about_is_not_retried_by_itself() {
         let mut world = World::new(&script, Options::default());
         world.machine("robot").pauses.extend(pause);
         world.begin();
-        world.command(Command::Start);
-        let step = Some(Question::Step { scene: 0, step: 0 });
-        assert_eq!(world.until_asked(), step, "{task}");
-        assert!(world.why().is_some_and(Why::may_mend), "{task}");
+        world.command(RunCommand::Start);
+        assert_eq!(world.until_asked(), FIRST_STEP, "{task}");
+        assert!(world.why().is_some_and(WaitReason::may_mend), "{task}");
         world.pass(Duration::from_secs(60));
         assert_eq!(world.began.len(), 1, "{task}: nobody decided");
-        assert_eq!(world.player.question(), step, "{task}");
-        assert_eq!(world.why(), Some(&Why::Failed), "{task}");
-        assert!(world.player.choices().contains(&Command::Retry), "{task}");
-        world.command(Command::Retry);
+        assert_eq!(world.player.question(), FIRST_STEP, "{task}");
+        assert_eq!(world.why(), Some(&WaitReason::Failed), "{task}");
+        assert!(
+            world.player.choices().contains(&RunCommand::Retry),
+            "{task}"
+        );
+        world.command(RunCommand::Retry);
         world.pass(Duration::from_secs(60));
         assert_eq!(world.began.len(), 2, "{task}: once for each decision");
-        assert_eq!(world.player.question(), step, "{task}");
+        assert_eq!(world.player.question(), FIRST_STEP, "{task}");
 
         // With nobody there it ends as after a failure.
         let mut world = World::new(&script, unattended());
@@ -517,7 +490,7 @@ fn a_step_that_was_asked_about_is_not_retried_by_itself() {
         world.begin();
         world.run(on);
         assert_eq!(world.began.len(), 1, "{task}: unattended");
-        assert_eq!(world.player.outcome(), Some(Outcome::Stopped), "{task}");
+        assert_eq!(world.player.outcome(), Some(RunOutcome::Stopped), "{task}");
     }
 }
 
@@ -525,19 +498,18 @@ fn a_step_that_was_asked_about_is_not_retried_by_itself() {
 fn a_retry_that_fails_while_another_task_is_unknown_can_be_tried_again() {
     let script = "s: {a (parallel; on_failure=ask): {robot: {base: 100}, lamp: {arm: 1 fail}}}";
     let mut world = World::new(script, Options::default());
-    let pause = (Instant::from_millis(500), Instant::from_millis(500_000));
-    world.machine("robot").pauses.push(pause);
+    world.pause("robot", 500, 500_000);
     world.begin();
-    world.command(Command::Start);
+    world.command(RunCommand::Start);
     for arms in 1..4 {
         world.pass(Duration::from_secs(10));
-        assert!(matches!(world.why(), Some(Why::ServerSilent { .. })));
+        assert!(matches!(world.why(), Some(WaitReason::ServerSilent { .. })));
         assert_eq!(world.began.len(), 1 + arms);
-        let asked = world.seen(|event| matches!(event, Event::Asked { .. }));
-        let Some(Event::Asked { choices, .. }) = asked.last() else {
+        let asked = world.seen(|event| matches!(event, RunEvent::Asked { .. }));
+        let Some(RunEvent::Asked { choices, .. }) = asked.last() else {
             panic!("{asked:?}");
         };
-        assert!(choices.contains(&Command::Retry), "{choices:?}");
-        world.command(Command::Retry);
+        assert!(choices.contains(&RunCommand::Retry), "{choices:?}");
+        world.command(RunCommand::Retry);
     }
 }

@@ -8,9 +8,10 @@ use std::time::Duration;
 use ztl_core::integer::Integer;
 use ztl_core::{Instant, State, TaskId};
 
-use super::super::super::event::{By, Command, Event, Question, RequestNumber, Why};
-use super::super::super::{Defaults, Script};
-use super::super::{Answer, Ask, Options, Player, Request, Server};
+use crate::event::{DecidedBy, Question, RequestNumber, RunCommand, RunEvent, WaitReason};
+use crate::player::{Options, Player, Request};
+use crate::server::{Server, ServerAnswer, ServerRequest};
+use crate::{Defaults, Script};
 use ztl_std::RemoteId;
 
 /// There and back.
@@ -63,9 +64,9 @@ pub(super) struct World {
     pub(super) now: Instant,
     pub(super) machines: BTreeMap<String, Machine>,
     /// When an answer reaches the player.
-    coming: BTreeMap<(Instant, u64), (RequestNumber, Answer)>,
+    coming: BTreeMap<(Instant, u64), (RequestNumber, ServerAnswer)>,
     number: u64,
-    pub(super) events: Vec<(Instant, Event)>,
+    pub(super) events: Vec<(Instant, RunEvent)>,
     pub(super) began: Vec<Began>,
     pub(super) statuses: usize,
 }
@@ -102,6 +103,34 @@ impl Machine {
         })
     }
 }
+
+/// Plays every scene.
+pub(super) fn on(_: &World, question: Question) -> Option<RunCommand> {
+    Some(match question {
+        Question::Scene { .. } => RunCommand::Start,
+        Question::End => RunCommand::Leave,
+        Question::Step { .. } => RunCommand::GoOn,
+        Question::Pause => RunCommand::Resume,
+    })
+}
+
+pub(super) fn unattended() -> Options {
+    Options {
+        unattended: true,
+        ..Options::default()
+    }
+}
+
+/// The question about the first step of the first scene.
+pub(super) const FIRST_STEP: Option<Question> = Some(Question::Step { scene: 0, step: 0 });
+
+/// The number of events that match a pattern.
+macro_rules! count {
+    ($world:expr, $($pattern:tt)+) => {
+        $world.events.iter().filter(|(_, event)| matches!(event, $($pattern)+)).count()
+    };
+}
+pub(super) use count;
 
 impl World {
     /// A world in which a script is played: `robot` is the original's server, `lamp` one of ours.
@@ -140,6 +169,28 @@ impl World {
         }
     }
 
+    /// Plays the whole script unattended.
+    pub(super) fn played_unattended(script: &str) -> Self {
+        let mut world = Self::new(script, unattended());
+        world.begin();
+        world.run(on);
+        world
+    }
+
+    /// Starts the first scene.
+    pub(super) fn started(script: &str) -> Self {
+        let mut world = Self::new(script, Options::default());
+        world.begin();
+        world.command(RunCommand::Start);
+        world
+    }
+
+    /// Silences a server between these milliseconds.
+    pub(super) fn pause(&mut self, name: &str, from: u64, to: u64) {
+        let pause = (Instant::from_millis(from), Instant::from_millis(to));
+        self.machine(name).pauses.push(pause);
+    }
+
     pub(super) fn machine(&mut self, name: &str) -> &mut Machine {
         self.machines.get_mut(name).expect("there is one")
     }
@@ -150,8 +201,10 @@ impl World {
     }
 
     #[track_caller]
-    pub(super) fn command(&mut self, command: Command) {
-        let done = self.player.handle_command(self.now, command, By::Operator);
+    pub(super) fn command(&mut self, command: RunCommand) {
+        let done = self
+            .player
+            .handle_command(self.now, command, DecidedBy::Operator);
         assert!(done, "{command:?} of {:?}", self.player.choices());
         self.pump();
     }
@@ -174,7 +227,7 @@ impl World {
     }
 
     /// Until the run is over; the operator, if asked, does what `decide` says.
-    pub(super) fn run(&mut self, mut decide: impl FnMut(&Self, Question) -> Option<Command>) {
+    pub(super) fn run(&mut self, mut decide: impl FnMut(&Self, Question) -> Option<RunCommand>) {
         for _ in 0..100_000 {
             if self.player.outcome().is_some() {
                 return;
@@ -231,7 +284,7 @@ impl World {
     }
 
     /// What comes of a request, and when.
-    fn serve(&mut self, request: &Request) -> (Instant, Answer) {
+    fn serve(&mut self, request: &Request) -> (Instant, ServerAnswer) {
         let now = self.now;
         let machine = self.machines.get_mut(&request.remote).expect("a server");
         machine.turn(now);
@@ -242,16 +295,16 @@ impl World {
         if machine.missing {
             return (now + TIMEOUT, nothing(false));
         }
-        if request.ask == Ask::Probe {
+        if request.body == ServerRequest::Probe {
             machine.probed.push(now);
         }
-        match &request.ask {
-            Ask::Probe | Ask::Tasks if late => (now + TIMEOUT, nothing(true)),
-            Ask::Probe => {
+        match &request.body {
+            ServerRequest::Probe | ServerRequest::Tasks if late => (now + TIMEOUT, nothing(true)),
+            ServerRequest::Probe => {
                 let server = machine.who();
-                (acts, Answer::There { server })
+                (acts, ServerAnswer::There { server })
             }
-            Ask::Tasks => {
+            ServerRequest::Tasks => {
                 let runs = |job: &Job| now < job.ends && job.aborted.is_none();
                 let tasks = machine.tasks.iter().filter(|(_, job)| runs(job));
                 let tasks = tasks
@@ -260,13 +313,13 @@ impl World {
                 let listed = machine.ours.then_some((machine.boot, tasks));
                 (
                     acts,
-                    Answer::Tasks {
+                    ServerAnswer::Tasks {
                         listed,
                         gaps: Vec::new(),
                     },
                 )
             }
-            Ask::Init {
+            ServerRequest::Init {
                 handler,
                 component,
                 goal,
@@ -278,7 +331,7 @@ impl World {
                     return match acts.since(now) < patience {
                         true => (
                             acts,
-                            Answer::NotStarted {
+                            ServerAnswer::NotStarted {
                                 text: "never came".to_owned(),
                             },
                         ),
@@ -286,7 +339,7 @@ impl World {
                     };
                 }
                 let answer = machine.init(acts, component, goal);
-                if let Answer::Started { id, .. } = &answer
+                if let ServerAnswer::Started { id, .. } = &answer
                     && let Some(job) = machine.tasks.get(&place(id))
                 {
                     self.began.push(Began {
@@ -300,8 +353,10 @@ impl World {
                     false => (acts, answer),
                 }
             }
-            Ask::Status { .. } | Ask::Abort { .. } if late => (now + TIMEOUT, nothing(true)),
-            Ask::Status { id, hold, .. } => {
+            ServerRequest::Status { .. } | ServerRequest::Abort { .. } if late => {
+                (now + TIMEOUT, nothing(true))
+            }
+            ServerRequest::Status { id, hold, .. } => {
                 self.statuses += 1;
                 let ends = machine.tasks.get(&place(id)).map(|job| job.ends);
                 let held = match ends {
@@ -319,7 +374,7 @@ impl World {
                 let at = acts + held;
                 (at, machine.tell(id, at))
             }
-            Ask::Abort { id } => {
+            ServerRequest::Abort { id } => {
                 if let Some(job) = machine.tasks.get_mut(&place(id))
                     && acts < job.ends
                     && job.aborted.is_none()
@@ -334,11 +389,14 @@ impl World {
                     }
                 }
                 let answer = match machine.tasks.get(&place(id)) {
-                    Some(job) if job.unstoppable && acts < job.ends => Answer::Task {
-                        state: State::Accepted,
-                        text: match job.end {
-                            State::Aborted => "True".to_owned(),
-                            _ => "False".to_owned(),
+                    Some(job) if job.unstoppable && acts < job.ends => match job.end {
+                        State::Aborted => ServerAnswer::Task {
+                            state: State::Accepted,
+                            text: "True".to_owned(),
+                        },
+                        _ => ServerAnswer::CannotStop {
+                            state: State::Accepted,
+                            text: "False".to_owned(),
                         },
                     },
                     _ => machine.tell(id, acts),
@@ -349,7 +407,7 @@ impl World {
     }
 
     /// The kinds of events, in short, for tests to compare.
-    pub(super) fn seen(&self, is: impl Fn(&Event) -> bool) -> Vec<&Event> {
+    pub(super) fn seen(&self, is: impl Fn(&RunEvent) -> bool) -> Vec<&RunEvent> {
         self.events
             .iter()
             .map(|(_, event)| event)
@@ -358,9 +416,9 @@ impl World {
     }
 
     /// Why the step waits that waits, if one does.
-    pub(super) fn why(&self) -> Option<&Why> {
+    pub(super) fn why(&self) -> Option<&WaitReason> {
         self.events.iter().rev().find_map(|(_, event)| match event {
-            Event::StepWaiting { why, .. } => Some(why),
+            RunEvent::StepWaiting { why, .. } => Some(why),
             _ => None,
         })
     }
@@ -375,12 +433,12 @@ impl World {
 }
 
 impl Machine {
-    fn init(&mut self, now: Instant, component: &str, goal: &str) -> Answer {
+    fn init(&mut self, now: Instant, component: &str, goal: &str) -> ServerAnswer {
         if let Some(times) = self.refusals.get_mut(component)
             && *times > 0
         {
             *times -= 1;
-            return Answer::Refused {
+            return ServerAnswer::Refused {
                 id: Integer::MINUS_ONE.into(),
                 text: "not now".to_owned(),
             };
@@ -410,7 +468,7 @@ impl Machine {
         };
         self.tasks.insert(self.next, job);
         let id = TaskId::new(self.next).expect("above 0").into();
-        Answer::Started {
+        ServerAnswer::Started {
             id,
             text: "initiated".to_owned(),
             server: self.who(),
@@ -438,12 +496,12 @@ impl Machine {
         self.tasks.values().filter(runs).count()
     }
 
-    fn tell(&mut self, id: &RemoteId, now: Instant) -> Answer {
+    fn tell(&mut self, id: &RemoteId, now: Instant) -> ServerAnswer {
         self.turn(now);
         match self.state(id, now) {
-            Some((_, text)) if text == LOST => Answer::Unclear { text },
-            Some((state, text)) => Answer::Task { state, text },
-            None => Answer::TaskUnknown {
+            Some((_, text)) if text == LOST => ServerAnswer::Unclear { text },
+            Some((state, text)) => ServerAnswer::Task { state, text },
+            None => ServerAnswer::TaskUnknown {
                 boot: self.ours.then_some(self.boot),
                 text: format!("does not know task {id}"),
             },
@@ -459,8 +517,8 @@ fn place(id: &RemoteId) -> u32 {
     id.number().expect("an id of these machines").get()
 }
 
-fn nothing(sent: bool) -> Answer {
-    Answer::Nothing {
+fn nothing(sent: bool) -> ServerAnswer {
+    ServerAnswer::Nothing {
         sent,
         text: "no answer".to_owned(),
     }

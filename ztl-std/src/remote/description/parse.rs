@@ -1,6 +1,6 @@
 //! Reads the answer to `probe`.
 
-use ztl_yaml::{Document, Node, Rules, Value};
+use ztl_yaml::{Document, Node, NodeValue, Rules};
 
 use super::super::RemoteId;
 use super::{Description, Offers};
@@ -12,7 +12,9 @@ impl Description {
         let root = document.root();
         let offers = |handlers: &Node| -> Offers {
             let names = |node: &Node| match &node.value {
-                Value::List(items) => items.iter().filter_map(text).map(str::to_owned).collect(),
+                NodeValue::List(items) => {
+                    items.iter().filter_map(text).map(str::to_owned).collect()
+                }
                 _ => Vec::new(),
             };
             let pair = |(name, components): &(Node, Node)| {
@@ -46,7 +48,7 @@ impl Description {
 
 fn pairs(node: &Node) -> Option<&[(Node, Node)]> {
     match &node.value {
-        Value::Map(pairs) => Some(pairs),
+        NodeValue::Map(pairs) => Some(pairs),
         _ => None,
     }
 }
@@ -59,7 +61,7 @@ fn get<'n>(node: &'n Node, key: &str) -> Option<&'n Node> {
 
 fn text(node: &Node) -> Option<&str> {
     match &node.value {
-        Value::Scalar { text, .. } => Some(text),
+        NodeValue::Scalar { text, .. } => Some(text),
         _ => None,
     }
 }

@@ -2,9 +2,9 @@
 
 use std::time::Duration;
 
-use super::super::super::event::{Command, Event, Question, ServerState};
-use super::super::Options;
 use super::world::World;
+use crate::event::{Question, RunCommand, RunEvent, ServerState};
+use crate::player::Options;
 
 const SHOW: &str = "one: {a: {robot: {base: 30}, lamp: {arm: 1}}}\ntwo: {b: {lamp: {arm: 1}}}";
 
@@ -18,7 +18,7 @@ fn watched() -> Options {
 /// What became known of a server, in order.
 fn states<'w>(world: &'w World, name: &str) -> Vec<&'w ServerState> {
     let states = world.events.iter().filter_map(|(_, event)| match event {
-        Event::Server { remote, state } if remote == name => Some(state),
+        RunEvent::Server { remote, state } if remote == name => Some(state),
         _ => None,
     });
     states.collect()
@@ -78,7 +78,7 @@ fn a_server_is_probed_once_at_a_time_and_not_while_a_scene_is_played() {
     world.pass(Duration::from_secs(600));
     let probed = world.machine("robot").probed.clone();
     assert!((100..=200).contains(&probed.len()), "{}", probed.len());
-    world.command(Command::Start);
+    world.command(RunCommand::Start);
     world.pass(Duration::from_secs(20));
     assert_eq!(world.machine("robot").probed, probed);
     // Without a view nobody sees it.
