@@ -1,9 +1,9 @@
-//! How what happened is said.
+//! What happened, in words.
 
-use super::run::{Asked, Cause, Run};
+use super::run::{ReportedRun, RequestClass, WaitCause};
 use crate::event::{DecidedBy, Ending, RunCommand, RunOutcome, WaitReason};
 
-pub(super) fn command(run: &Run, command: RunCommand) -> String {
+pub(super) fn command(run: &ReportedRun, command: RunCommand) -> String {
     let word = match command {
         RunCommand::Start => "start",
         RunCommand::Skip => "skip",
@@ -22,23 +22,13 @@ pub(super) fn command(run: &Run, command: RunCommand) -> String {
     word.to_owned()
 }
 
-/// The name of a command in a table for statistics.
-pub(super) const fn command_name(command: RunCommand) -> &'static str {
-    match command {
-        RunCommand::Start => "start",
-        RunCommand::Skip => "skip",
-        RunCommand::Replay => "replay",
-        RunCommand::Jump { .. } => "jump",
-        RunCommand::Restart => "restart",
-        RunCommand::Pause => "pause",
-        RunCommand::Resume => "resume",
-        RunCommand::Retry => "retry",
-        RunCommand::GoOn => "go_on",
-        RunCommand::StopScene => "stop_scene",
-        RunCommand::StopAll => "stop_all",
-        RunCommand::Stop => "stop",
-        RunCommand::Leave => "leave",
-    }
+/// The name of a command in tables, as in records.
+pub(super) fn command_name(command: RunCommand) -> String {
+    let json = serde_json::to_value(command).unwrap_or_default();
+    json.get("do")
+        .and_then(|name| name.as_str())
+        .unwrap_or_default()
+        .to_owned()
 }
 
 pub(super) const fn by(by: DecidedBy) -> &'static str {
@@ -50,11 +40,11 @@ pub(super) const fn by(by: DecidedBy) -> &'static str {
     }
 }
 
-pub(super) fn cause(cause: &Cause) -> String {
+pub(super) fn cause(cause: &WaitCause) -> String {
     match cause {
-        Cause::Operator => "for the operator".to_owned(),
-        Cause::Pause => "pause".to_owned(),
-        Cause::Trouble(why) => why_text(why),
+        WaitCause::Operator => "for the operator".to_owned(),
+        WaitCause::Pause => "pause".to_owned(),
+        WaitCause::Trouble(why) => why_text(why),
     }
 }
 
@@ -75,12 +65,12 @@ fn why_text(why: &WaitReason) -> String {
     }
 }
 
-pub(super) const fn asked(asked: Asked) -> &'static str {
+pub(super) const fn asked(asked: RequestClass) -> &'static str {
     match asked {
-        Asked::Init => "INIT",
-        Asked::Status => "STATUS",
-        Asked::Held => "STATUS, held by the server",
-        Asked::Abort => "ABORT",
+        RequestClass::Init => "INIT",
+        RequestClass::Status => "STATUS",
+        RequestClass::Held => "STATUS, held by the server",
+        RequestClass::Abort => "ABORT",
     }
 }
 
@@ -96,16 +86,7 @@ pub(super) const fn outcome(outcome: Option<RunOutcome>) -> &'static str {
     }
 }
 
-pub(super) const fn scene_end(end: Option<Ending>) -> &'static str {
-    match end {
-        Some(Ending::Completed) => "completed",
-        Some(Ending::Failures) => "with failures",
-        Some(Ending::Stopped) => "stopped",
-        None => "no end in the record",
-    }
-}
-
-pub(super) const fn step_end(end: Option<Ending>) -> &'static str {
+pub(super) const fn ending(end: Option<Ending>) -> &'static str {
     match end {
         Some(Ending::Completed) => "completed",
         Some(Ending::Failures) => "with failures",

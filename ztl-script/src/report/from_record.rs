@@ -1,19 +1,21 @@
-//! Puts a run together from its events.
+//! Rebuilds a run from its events.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-use super::run::{Action, Asked, Cause, Run, Step, Take, Task, Wait};
+use super::run::{
+    Action, PlayedScene, PlayedStep, PlayedTask, ReportedRun, RequestClass, Wait, WaitCause,
+};
 use crate::event::{
     DecidedBy, Ending, Question, RequestKind, RequestNumber, RunCommand, RunEvent, RunOutcome,
     StampedEvent, StepOutline, TaskNumber, TaskState,
 };
 use crate::record::Record;
 
-/// What happened in the run that a record tells of.
-pub(super) fn read(record: Record) -> Run {
+/// The run that a record describes.
+pub(super) fn read(record: Record) -> ReportedRun {
     let mut reader = Reader {
-        run: Run {
+        run: ReportedRun {
             length: record
                 .events
                 .last()
@@ -47,16 +49,16 @@ pub(super) fn read(record: Record) -> Run {
     reader.run
 }
 
-/// A question that stands: since when, what about.
+/// An open question, and since when.
 type Standing = (Duration, Question);
 
 struct Reader {
-    run: Run,
+    run: ReportedRun,
     take_open: bool,
     step_open: bool,
     question: Option<Standing>,
     wait: Option<Wait>,
-    requests: BTreeMap<RequestNumber, (String, Asked, Option<TaskNumber>)>,
+    requests: BTreeMap<RequestNumber, (String, RequestClass, Option<TaskNumber>)>,
 }
 
 impl Reader {
@@ -76,7 +78,7 @@ impl Reader {
                 replay,
             } => {
                 self.end_take(at, None);
-                self.run.takes.push(Take {
+                self.run.takes.push(PlayedScene {
                     scene,
                     number: take,
                     replay,
@@ -96,13 +98,13 @@ impl Reader {
                 step,
                 why,
                 tasks,
-            } => self.start_wait(at, Cause::Trouble(why), Some((scene, step)), tasks),
+            } => self.start_wait(at, WaitCause::Trouble(why), Some((scene, step)), tasks),
             RunEvent::StepGoesOn { .. } => {
                 self.end_wait(at);
                 self.question = None;
             }
             RunEvent::Paused { scene, step } => {
-                self.start_wait(at, Cause::Pause, Some((scene, step)), Vec::new());
+                self.start_wait(at, WaitCause::Pause, Some((scene, step)), Vec::new());
             }
             RunEvent::Resumed => self.end_wait(at),
             RunEvent::TaskStarting {
@@ -123,10 +125,10 @@ impl Reader {
                 ..
             } => {
                 let asked = match (kind, hold) {
-                    (RequestKind::Init, _) => Asked::Init,
-                    (RequestKind::Status, Some(_)) => Asked::Held,
-                    (RequestKind::Status, None) => Asked::Status,
-                    (RequestKind::Abort, _) => Asked::Abort,
+                    (RequestKind::Init, _) => RequestClass::Init,
+                    (RequestKind::Status, Some(_)) => RequestClass::Held,
+                    (RequestKind::Status, None) => RequestClass::Status,
+                    (RequestKind::Abort, _) => RequestClass::Abort,
                 };
                 self.requests.insert(request, (remote, asked, task));
             }
@@ -166,10 +168,10 @@ impl Reader {
         let scene = match question {
             Question::Scene { scene } => Some(scene),
             Question::End => None,
-            // Their waits have events of their own.
+            // These waits have their own events.
             Question::Step { .. } | Question::Pause => return,
         };
-        self.start_wait(at, Cause::Operator, None, Vec::new());
+        self.start_wait(at, WaitCause::Operator, None, Vec::new());
         if let Some(wait) = &mut self.wait {
             wait.scene = scene;
         }
@@ -225,7 +227,7 @@ impl Reader {
                 deviation,
             });
         }
-        // A pause that is ordered while a step waits changes nothing about that wait.
+        // A pause ordered while a step waits does not end that wait.
         if command != RunCommand::Pause {
             self.end_wait(at);
         }
@@ -247,7 +249,7 @@ impl Reader {
             }
         };
         if let Some(take) = self.run.takes.last_mut() {
-            take.steps.push(Step {
+            take.steps.push(PlayedStep {
                 step,
                 planned_from,
                 from: at,
@@ -263,7 +265,7 @@ impl Reader {
         if !std::mem::take(&mut self.step_open) {
             return;
         }
-        if matches!(&self.wait, Some(wait) if matches!(wait.cause, Cause::Trouble(_))) {
+        if matches!(&self.wait, Some(wait) if matches!(wait.cause, WaitCause::Trouble(_))) {
             self.end_wait(at);
         }
         if let Some(step) = self
@@ -290,7 +292,7 @@ impl Reader {
     fn start_wait(
         &mut self,
         at: Duration,
-        cause: Cause,
+        cause: WaitCause,
         place: Option<(usize, usize)>,
         tasks: Vec<TaskNumber>,
     ) {
@@ -329,7 +331,7 @@ impl Reader {
             let offset = offset(run.step(take.scene, played.step)?, part)?;
             retry_of.is_none().then_some(played.from + offset)
         });
-        self.run.tasks.push(Task {
+        self.run.tasks.push(PlayedTask {
             number,
             take,
             step,
@@ -347,8 +349,8 @@ impl Reader {
     }
 
     fn task_state(&mut self, at: Duration, number: TaskNumber, state: TaskState, text: String) {
-        let mine = |task: &&mut Task| task.number == number;
-        // The newest are asked about most.
+        let mine = |task: &&mut PlayedTask| task.number == number;
+        // Mostly the newest.
         let Some(task) = self.run.tasks.iter_mut().rev().find(mine) else {
             return;
         };
@@ -386,7 +388,7 @@ impl Reader {
             .or_default()
             .answered
             .push(latency);
-        if asked == Asked::Init
+        if asked == RequestClass::Init
             && let Some(number) = task
             && let Some(task) = self
                 .run
@@ -399,7 +401,7 @@ impl Reader {
         }
     }
 
-    /// The record ends: what is open ends with it, and what was planned can be told.
+    /// At the end of the record, ends everything open and computes the plans.
     fn finish(&mut self) {
         let end = self.run.length;
         self.end_wait(end);
@@ -425,7 +427,7 @@ impl Reader {
     }
 }
 
-/// When the script's delays put a task, counted from the start of its step.
+/// The planned start of a task by the script's delays, from the start of its step.
 pub(super) fn offset(step: &StepOutline, part: usize) -> Option<Duration> {
     let own = step.tasks.get(part)?.delay;
     let before = if step.parallel {
@@ -436,9 +438,15 @@ pub(super) fn offset(step: &StepOutline, part: usize) -> Option<Duration> {
     Some(step.delay + before + own)
 }
 
-/// What the delays of a step and its tasks' own times add up to. A task that was tried again
-/// counts as it was at last.
-fn planned(run: &Run, take: usize, nth: usize, scene: usize, step: &Step) -> Duration {
+/// The planned duration of a step: its delays and its tasks' own durations. Of a retried task the last try
+/// counts.
+fn planned(
+    run: &ReportedRun,
+    take: usize,
+    nth: usize,
+    scene: usize,
+    step: &PlayedStep,
+) -> Duration {
     let Some(outline) = run.step(scene, step.step) else {
         return Duration::ZERO;
     };
