@@ -183,7 +183,7 @@ pub(super) fn write(bytes: &[u8]) -> io::Result<()> {
 mod tests {
     use std::fs::File;
     use std::io::Read;
-    use std::process::RunCommand;
+    use std::process::Command;
 
     use rustix::fs::{Mode, OFlags};
     use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
@@ -209,7 +209,7 @@ mod tests {
             || rustix::fs::open(&path, OFlags::RDWR | OFlags::NOCTTY, Mode::empty()).unwrap();
         let terminal = open();
         let before = tcgetattr(&terminal).unwrap().local_modes;
-        let mut child = RunCommand::new("setsid");
+        let mut child = Command::new("setsid");
         child.arg("--ctty").arg(std::env::current_exe().unwrap());
         child.args([
             "--exact",
