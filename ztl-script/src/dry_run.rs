@@ -5,13 +5,13 @@ use std::time::Duration;
 use ztl_std::remotes::Remotes;
 
 use crate::model::{OnFailure, Step};
-use crate::player::Options;
+use crate::player::PlayOptions;
 use crate::script::Script;
 
 /// The timeline of a script as lines for people: each task with its time since the start of its step, and
 /// what the step then waits for, whose duration is unknown.
 #[must_use]
-pub fn timeline(script: &Script, options: &Options, remotes: &Remotes) -> Vec<String> {
+pub fn timeline(script: &Script, options: &PlayOptions, remotes: &Remotes) -> Vec<String> {
     let mut lines = Vec::new();
     let first = options
         .scene

@@ -22,8 +22,7 @@ impl Finding {
     }
 
     /// A doubt.
-    #[must_use]
-    pub const fn doubt(diagnostic: Diagnostic) -> Self {
+    pub(crate) const fn doubt(diagnostic: Diagnostic) -> Self {
         Self {
             doubt: true,
             diagnostic,

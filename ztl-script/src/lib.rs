@@ -1,8 +1,8 @@
 //! Scripts: scenes of steps of tasks in YAML, written by people who do not program.
 //!
 //! - [`Script`] reads a script and reports mistakes and doubts; [`Script::check_live`] asks its servers.
-//! - [`Player`] decides what is done next, without I/O. [`Runner`] plays it on real servers, which it
-//!   reaches only through [`server::Connection`].
+//! - [`Runner`] plays a script on servers, which it reaches only through [`server::Connection`]. What is done
+//!   next is decided by its player, a state machine without I/O.
 //! - [`event`]: everything that happens in a run. [`record`] writes events to a file and reads them back;
 //!   [`report`] makes a page and tables of them.
 //! - [`timeline`] shows what would be sent when.
@@ -14,7 +14,7 @@ mod finding;
 mod live_check;
 mod millis;
 mod model;
-pub mod player;
+mod player;
 mod read;
 pub mod record;
 pub mod report;
@@ -26,7 +26,7 @@ pub use dry_run::timeline;
 pub use finding::Finding;
 pub use live_check::{ConnectShared, LiveCheck, check_servers};
 pub use model::{Defaults, Handler, OnFailure, Scene, Step, Task};
-pub use player::Player;
+pub use player::PlayOptions;
 pub use read::read_value;
 pub use runner::{Connect, Runner, RunnerHandle};
 pub use script::Script;

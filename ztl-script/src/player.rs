@@ -15,7 +15,8 @@ mod steps;
 mod stop;
 mod tasks;
 
-pub use state::{Options, Player, Request};
+pub use state::PlayOptions;
+pub(crate) use state::{Player, Request};
 
 #[cfg(test)]
 mod tests;

@@ -1,6 +1,7 @@
 //! Plays a script on real servers: a [`Player`] with a clock, connections and an operator.
 
 use std::collections::{BTreeMap, VecDeque};
+use std::sync::Arc;
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender};
 use std::time::{Duration, SystemTime};
 
@@ -8,7 +9,8 @@ use ztl_core::Instant;
 use ztl_std::time::now;
 
 use crate::event::{DecidedBy, Question, RequestNumber, RunCommand, RunEvent, StampedEvent};
-use crate::player::{Player, Request};
+use crate::player::{PlayOptions, Player, Request};
+use crate::script::Script;
 use crate::server::{Connected, Connection, ServerAnswer};
 
 /// Opens a connection to the server with this name: one for each request that is under way at the same time.
@@ -52,12 +54,12 @@ impl RunnerHandle {
 }
 
 impl Runner {
-    /// A runner for this player. It connects to a server when the player first asks it something.
+    /// A runner for this script. It connects to a server on the first request to it.
     #[must_use]
-    pub fn new(player: Player, connect: Connect) -> Self {
+    pub fn new(script: Arc<Script>, options: PlayOptions, connect: Connect) -> Self {
         let (sender, inbox) = mpsc::channel();
         Self {
-            player,
+            player: Player::new(script, options),
             start: now(),
             inbox,
             handle: RunnerHandle(sender),
@@ -217,15 +219,17 @@ impl Worker {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::player::Options;
-    use crate::{Defaults, Script};
+    use crate::Defaults;
 
     #[test]
     fn a_decision_answers_only_the_question_that_the_operator_saw() {
         let file = b"one: {a(on_failure=ask): {nobody: {x: 1}}}\ntwo: {b: {nobody: {x: 1}}}";
         let script = Script::read("f", file, Defaults::default()).unwrap();
-        let player = Player::new(script.into(), Options::default());
-        let mut runner = Runner::new(player, Box::new(|_| Err("nobody is there".to_owned())));
+        let mut runner = Runner::new(
+            script.into(),
+            PlayOptions::default(),
+            Box::new(|_| Err("nobody is there".to_owned())),
+        );
         runner.begin();
         let scene = Some(Question::Scene { scene: 0 });
         assert!(runner.decide(RunCommand::Start, scene));

@@ -37,8 +37,7 @@ impl Diagnostic {
     }
 
     /// A mistake at a place in `text`, the content of the file.
-    #[must_use]
-    pub fn at(file: &str, text: &str, span: Span, message: String) -> Self {
+    pub(crate) fn at(file: &str, text: &str, span: Span, message: String) -> Self {
         let (start, line) = place(text, span.start);
         let end = if span.end > start { span.end } else { start };
         Self {

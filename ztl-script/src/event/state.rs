@@ -55,8 +55,7 @@ pub enum WaitReason {
 
 impl WaitReason {
     /// Whether the wait can end without a decision: a server answers again, or a task ends.
-    #[must_use]
-    pub const fn may_mend(&self) -> bool {
+    pub(crate) const fn may_mend(&self) -> bool {
         matches!(
             self,
             Self::ServerSilent { .. } | Self::NotTold { .. } | Self::TooLong

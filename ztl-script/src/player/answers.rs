@@ -19,14 +19,19 @@ const PATIENT_POLL: Duration = Duration::from_secs(5);
 
 impl Player {
     /// Takes the answer to a request; ignores one whose request is not under way.
-    pub fn handle_answer(&mut self, now: Instant, request: RequestNumber, answer: ServerAnswer) {
+    pub(crate) fn handle_answer(
+        &mut self,
+        now: Instant,
+        request: RequestNumber,
+        answer: ServerAnswer,
+    ) {
         let Some(sent) = self.under_way.remove(&request) else {
             return;
         };
         if let Some(event) = self.answer_event(now, request, &sent, &answer) {
             self.emit(event);
         }
-        if matches!(self.phase, Phase::Over(_)) {
+        if matches!(self.phase, Phase::Over) {
             return;
         }
         self.note_server(&sent, &answer);

@@ -7,8 +7,7 @@ use crate::event::{DecidedBy, Question, RunCommand, RunEvent, RunOutcome};
 
 impl Player {
     /// The commands that are accepted now.
-    #[must_use]
-    pub fn choices(&self) -> Vec<RunCommand> {
+    pub(crate) fn choices(&self) -> Vec<RunCommand> {
         let mut choices = Vec::new();
         // An unattended run never jumps.
         let scenes = match self.options.unattended {
@@ -17,7 +16,7 @@ impl Player {
         };
         let jumps = || (0..scenes).map(|scene| RunCommand::Jump { scene });
         match (&self.phase, self.question) {
-            (Phase::Over(_), _) => {}
+            (Phase::Over, _) => {}
             (Phase::Stopping(stopping), _) => choices.extend(while_stopping(stopping)),
             (Phase::Settling(_), _) => choices.push(RunCommand::Leave),
             (_, Some(Question::Scene { .. } | Question::End)) => {
@@ -60,8 +59,13 @@ impl Player {
     /// Carries out a command; returns `false` and does nothing if it is not among the
     /// [`choices`](Self::choices). [`RunCommand::Stop`] is accepted at any time; a second one leaves.
     /// [`RunCommand::StopAll`] means [`RunCommand::Stop`] when there is nothing to return to.
-    pub fn handle_command(&mut self, now: Instant, command: RunCommand, by: DecidedBy) -> bool {
-        let over = matches!(self.phase, Phase::Over(_));
+    pub(crate) fn handle_command(
+        &mut self,
+        now: Instant,
+        command: RunCommand,
+        by: DecidedBy,
+    ) -> bool {
+        let over = matches!(self.phase, Phase::Over);
         let settling = matches!(self.phase, Phase::Settling(_));
         let ends = settling || matches!(&self.phase, Phase::Stopping(it) if it.then.is_none());
         let command = match command {

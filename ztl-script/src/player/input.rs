@@ -7,7 +7,7 @@ use crate::event::{DecidedBy, Question, RunEvent, RunOutcome};
 
 impl Player {
     /// Shows the first scene. To be called once, before anything else.
-    pub fn begin(&mut self, now: Instant) {
+    pub(crate) fn begin(&mut self, now: Instant) {
         let first = self.first();
         for scene in 0..first {
             let by = DecidedBy::Options;
@@ -22,27 +22,26 @@ impl Player {
     }
 
     /// The time that [`poll_timeout`](Self::poll_timeout) returned has come.
-    pub fn handle_time(&mut self, now: Instant) {
+    pub(crate) fn handle_time(&mut self, now: Instant) {
         self.probe(now);
         self.watch(now);
         self.advance(now);
     }
 
     /// The next request to send.
-    pub fn poll_request(&mut self) -> Option<Request> {
+    pub(crate) fn poll_request(&mut self) -> Option<Request> {
         self.requests.pop_front()
     }
 
     /// The next event.
-    pub fn poll_event(&mut self) -> Option<RunEvent> {
+    pub(crate) fn poll_event(&mut self) -> Option<RunEvent> {
         self.events.pop_front()
     }
 
     /// When to call [`handle_time`](Self::handle_time) if no other input comes.
-    #[must_use]
-    pub fn poll_timeout(&self) -> Option<Instant> {
+    pub(crate) fn poll_timeout(&self) -> Option<Instant> {
         let step = match &self.phase {
-            Phase::Over(_) => return None,
+            Phase::Over => return None,
             Phase::Playing(play) => play.wake(),
             _ => None,
         };
@@ -53,18 +52,8 @@ impl Player {
         tasks.chain(step).chain(self.probe_wake()).min()
     }
 
-    /// How the run ended, if it has.
-    #[must_use]
-    pub const fn outcome(&self) -> Option<RunOutcome> {
-        match self.phase {
-            Phase::Over(outcome) => Some(outcome),
-            _ => None,
-        }
-    }
-
     /// The open question to the operator.
-    #[must_use]
-    pub const fn question(&self) -> Option<Question> {
+    pub(crate) const fn question(&self) -> Option<Question> {
         self.question
     }
 
@@ -95,7 +84,7 @@ impl Player {
         let running = self.live.iter().copied().collect();
         self.question = None;
         self.requests.clear();
-        self.phase = Phase::Over(outcome);
+        self.phase = Phase::Over;
         self.emit(RunEvent::RunEnded {
             outcome,
             running,

@@ -14,7 +14,7 @@ impl Player {
     /// When the next server is probed: only while a question is open. At other times, requests about tasks
     /// show the state of their servers.
     pub(super) fn probe_wake(&self) -> Option<Instant> {
-        let waits = self.question.is_some() && !matches!(self.phase, Phase::Over(_));
+        let waits = self.question.is_some() && !matches!(self.phase, Phase::Over);
         let next = self.probes.values().flatten().min();
         next.filter(|_| waits).copied()
     }

@@ -8,7 +8,7 @@ use ztl_core::Instant;
 use ztl_std::RemoteId;
 
 use crate::event::{
-    Question, RequestNumber, RunEvent, RunOutcome, ServerState, TaskNumber, TaskState, WaitReason,
+    Question, RequestNumber, RunEvent, ServerState, TaskNumber, TaskState, WaitReason,
 };
 use crate::script::Script;
 use crate::server::ServerRequest;
@@ -22,7 +22,7 @@ pub(super) const PATIENCE: Duration = Duration::from_secs(60);
 
 /// What is played of a script, and how.
 #[derive(Debug, Clone, Default)]
-pub struct Options {
+pub struct PlayOptions {
     /// Nobody is asked: each scene is played, and what only a person could decide stops everything.
     pub unattended: bool,
     /// Play only this scene.
@@ -38,27 +38,25 @@ pub struct Options {
 
 /// A numbered request to one server. The runner sends it and returns the answer with the number.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Request {
+pub(crate) struct Request {
     /// Its number.
-    pub number: RequestNumber,
+    pub(crate) number: RequestNumber,
     /// Name of the server.
-    pub remote: String,
+    pub(crate) remote: String,
     /// The request.
-    pub body: ServerRequest,
+    pub(crate) body: ServerRequest,
 }
 
-/// Plays one script once, without I/O: time, answers and commands come in; requests, events and the next
-/// wake-up time go out.
+/// Decides what a script does next, without I/O: time, answers and commands come in; requests, events and
+/// the next wake-up time go out.
 ///
-/// Inputs: [`begin`](Self::begin) once, then [`handle_command`](Self::handle_command),
-/// [`handle_answer`](Self::handle_answer), and [`handle_time`](Self::handle_time) at
-/// [`poll_timeout`](Self::poll_timeout). After each input, take everything from
-/// [`poll_request`](Self::poll_request) and [`poll_event`](Self::poll_event). An input costs at most work
-/// linear in the running tasks and in the steps that end by it.
+/// Inputs: `begin` once, then `handle_command`, `handle_answer`, and `handle_time` at `poll_timeout`. After
+/// each input, take everything from `poll_request` and `poll_event`. An input costs at most work linear in
+/// the running tasks and in the steps that end by it.
 #[derive(Debug)]
-pub struct Player {
+pub(crate) struct Player {
     pub(super) script: Arc<Script>,
-    pub(super) options: Options,
+    pub(super) options: PlayOptions,
     pub(super) phase: Phase,
     /// The open question to the operator.
     pub(super) question: Option<Question>,
@@ -92,7 +90,7 @@ pub(super) enum Phase {
     /// Waiting for the last answers about tasks in the background.
     Settling(BTreeSet<RequestNumber>),
     Stopping(Stopping),
-    Over(RunOutcome),
+    Over,
 }
 
 /// A request without an answer yet.
@@ -302,8 +300,7 @@ impl RunTask {
 
 impl Player {
     /// A player of this script.
-    #[must_use]
-    pub fn new(script: Arc<Script>, options: Options) -> Self {
+    pub(crate) fn new(script: Arc<Script>, options: PlayOptions) -> Self {
         Self {
             script,
             options,

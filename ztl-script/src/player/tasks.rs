@@ -49,7 +49,7 @@ impl Player {
         let task = self.tasks.get(&number)?;
         let ends = matches!(
             self.phase,
-            Phase::Settling(_) | Phase::Stopping(_) | Phase::Over(_)
+            Phase::Settling(_) | Phase::Stopping(_) | Phase::Over
         );
         let can = task.asked.is_none() && task.can_be_asked() && !ends;
         let background = !task.awaited || task.excused;

@@ -15,9 +15,8 @@ use tracing::{Level, error};
 use ztl_script::event::{
     DecidedBy, FORMAT, RemoteOutline, RunCommand, RunEvent, RunOutcome, RunStarted,
 };
-use ztl_script::player::Options;
 use ztl_script::record::Recorder;
-use ztl_script::{Defaults, Player, Runner, Script, timeline};
+use ztl_script::{Defaults, PlayOptions, Runner, Script, timeline};
 use ztl_std::Remotes;
 use ztl_std::remotes::Remote;
 use ztl_yaml::{Span, closest};
@@ -163,12 +162,12 @@ impl RunScript {
             notes.push(note);
         }
         let (scene, from) = self.places(&script)?;
-        let mut options = Options {
+        let mut options = PlayOptions {
             unattended: self.yes,
             scene,
             from,
             watch: live,
-            ..Options::default()
+            ..PlayOptions::default()
         };
         if self.dry_run {
             for text in timeline(&script, &options, &remotes) {
@@ -186,8 +185,7 @@ impl RunScript {
             .filter(|name| remotes.task(name).is_ok());
         options.remotes = known.map(str::to_owned).collect();
         let started = self.started(&script, &remotes);
-        let player = Player::new(Arc::clone(&script), options);
-        let mut show = Runner::new(player, connect(remotes));
+        let mut show = Runner::new(Arc::clone(&script), options, connect(remotes));
         if !live {
             notes.clear();
         }

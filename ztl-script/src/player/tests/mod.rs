@@ -11,7 +11,7 @@ use crate::event::{
     DecidedBy, Ending, Question, RequestKind, RunCommand, RunEvent, RunOutcome, TaskState,
     WaitReason,
 };
-use crate::player::Options;
+use crate::player::PlayOptions;
 use world::{FIRST_STEP, World, count, on, unattended};
 
 const SCENE: &str = "
@@ -28,7 +28,7 @@ second (delay=1):
 
 #[test]
 fn steps_follow_each_other_when_all_that_they_wait_for_has_ended() {
-    for options in [Options::default(), unattended()] {
+    for options in [PlayOptions::default(), unattended()] {
         let mut world = World::new(SCENE, options);
         world.begin();
         world.run(on);
@@ -44,7 +44,7 @@ fn steps_follow_each_other_when_all_that_they_wait_for_has_ended() {
                 (8005, "robot:base:1"),
             ]
         );
-        assert_eq!(world.player.outcome(), Some(RunOutcome::Completed));
+        assert_eq!(world.outcome(), Some(RunOutcome::Completed));
     }
 }
 
@@ -120,7 +120,7 @@ fn the_originals_server_is_asked_about_one_task_after_the_other() {
 
 #[test]
 fn a_scene_can_be_skipped_replayed_and_jumped_to() {
-    let mut world = World::new(SCENE, Options::default());
+    let mut world = World::new(SCENE, PlayOptions::default());
     world.begin();
     assert_eq!(world.until_asked(), Some(Question::Scene { scene: 0 }));
     assert!(!world.player.choices().contains(&RunCommand::Replay));
@@ -170,7 +170,7 @@ fn a_pause_comes_after_the_step_and_can_be_taken_back() {
 
 #[test]
 fn what_was_not_asked_for_does_nothing() {
-    let mut world = World::new(SCENE, Options::default());
+    let mut world = World::new(SCENE, PlayOptions::default());
     world.begin();
     for command in [
         RunCommand::Replay,
@@ -205,10 +205,10 @@ fn what_was_not_asked_for_does_nothing() {
 
 #[test]
 fn one_scene_alone_and_from_a_step_on() {
-    let options = Options {
+    let options = PlayOptions {
         scene: Some(0),
         from: Some((0, 1)),
-        ..Options::default()
+        ..PlayOptions::default()
     };
     let mut world = World::new(SCENE, options);
     world.begin();
@@ -217,9 +217,9 @@ fn one_scene_alone_and_from_a_step_on() {
 
     let mut world = World::new(
         SCENE,
-        Options {
+        PlayOptions {
             from: Some((1, 0)),
-            ..Options::default()
+            ..PlayOptions::default()
         },
     );
     world.begin();
@@ -233,11 +233,11 @@ fn thousands_of_empty_scenes_do_not_exhaust_the_stack() {
     let script: String = (0..3000).map(|scene| format!("s{scene}: {{}}\n")).collect();
     let mut world = World::new(&script, unattended());
     world.begin();
-    assert_eq!(world.player.outcome(), Some(RunOutcome::Completed));
+    assert_eq!(world.outcome(), Some(RunOutcome::Completed));
 }
 
 /// What a script does about a failure, by its parameter.
-fn failing(policy: &str, goal: &str, options: Options) -> World {
+fn failing(policy: &str, goal: &str, options: PlayOptions) -> World {
     let script = format!(
         "s: {{a ({policy}): {{robot: {{base: {goal}, arm: 1}}}}, b: {{robot: {{head: 1}}}}}}"
     );
@@ -248,10 +248,10 @@ fn failing(policy: &str, goal: &str, options: Options) -> World {
 
 #[test]
 fn a_failure_is_told_and_the_script_goes_on_as_the_originals_does() {
-    let mut world = failing("", "1 fail", Options::default());
+    let mut world = failing("", "1 fail", PlayOptions::default());
     world.run(on);
     assert_eq!(world.began.len(), 3);
-    assert_eq!(world.player.outcome(), Some(RunOutcome::Failures));
+    assert_eq!(world.outcome(), Some(RunOutcome::Failures));
     assert_eq!(
         count!(
             world,
@@ -276,7 +276,7 @@ fn a_failure_is_told_and_the_script_goes_on_as_the_originals_does() {
 
 #[test]
 fn after_a_failure_the_operator_may_be_asked_and_try_again() {
-    let mut world = failing("on_failure=ask", "1 fail", Options::default());
+    let mut world = failing("on_failure=ask", "1 fail", PlayOptions::default());
     world.command(RunCommand::Start);
     assert_eq!(world.until_asked(), FIRST_STEP);
     assert_eq!(world.began.len(), 2);
@@ -319,7 +319,7 @@ fn a_step_may_try_again_by_itself_and_what_succeeds_then_is_no_failure() {
         } else {
             RunOutcome::Stopped
         };
-        assert_eq!(world.player.outcome(), Some(expected), "{times}");
+        assert_eq!(world.outcome(), Some(expected), "{times}");
         let heads = world
             .began
             .iter()
@@ -331,13 +331,13 @@ fn a_step_may_try_again_by_itself_and_what_succeeds_then_is_no_failure() {
 
 #[test]
 fn a_failure_may_stop_everything_at_once() {
-    let mut world = failing("on_failure=stop", "1 fail", Options::default());
+    let mut world = failing("on_failure=stop", "1 fail", PlayOptions::default());
     world.machine("robot").refusals.insert("arm", 0);
     world.run(|_, question| match question {
         Question::Scene { .. } => Some(RunCommand::Start),
         _ => panic!("nobody is asked"),
     });
-    assert_eq!(world.player.outcome(), Some(RunOutcome::Stopped));
+    assert_eq!(world.outcome(), Some(RunOutcome::Stopped));
     assert_eq!(world.began.len(), 2, "the next step was not started");
 }
 
@@ -354,7 +354,7 @@ fn a_task_that_takes_too_long_is_stopped() {
             "{base:?}"
         );
         assert!(world.began[1].at >= base.until);
-        assert_eq!(world.player.outcome(), Some(RunOutcome::Failures));
+        assert_eq!(world.outcome(), Some(RunOutcome::Failures));
     }
 }
 
@@ -376,11 +376,11 @@ fn one_that_takes_too_long_and_cannot_be_stopped_is_waited_for_until_the_operato
     // It ends after all, which settles the question.
     world.pass(Duration::from_secs(9));
     assert_eq!(world.until_asked(), Some(Question::End));
-    assert_eq!(world.player.outcome(), None);
+    assert_eq!(world.outcome(), None);
     assert!(world.began[1].at >= world.began[0].until);
     // With nobody there everything is stopped.
     let world = World::played_unattended(script);
-    assert_eq!(world.player.outcome(), Some(RunOutcome::NotConfirmed));
+    assert_eq!(world.outcome(), Some(RunOutcome::NotConfirmed));
     assert_eq!(world.began.len(), 1);
 }
 
@@ -389,7 +389,7 @@ fn a_task_for_a_server_that_is_not_configured_is_not_started_and_holds_nothing_u
     let script = "s: {a: {nobody: {base (delay=5): 1}, robot: {arm: 1}}}";
     let world = World::played_unattended(script);
     assert_eq!(world.timeline(), [(1, "robot:arm:1")]);
-    assert_eq!(world.player.outcome(), Some(RunOutcome::Failures));
+    assert_eq!(world.outcome(), Some(RunOutcome::Failures));
     assert_eq!(
         count!(
             world,

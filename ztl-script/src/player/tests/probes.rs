@@ -4,14 +4,14 @@ use std::time::Duration;
 
 use super::world::World;
 use crate::event::{Question, RunCommand, RunEvent, ServerState};
-use crate::player::Options;
+use crate::player::PlayOptions;
 
 const SHOW: &str = "one: {a: {robot: {base: 30}, lamp: {arm: 1}}}\ntwo: {b: {lamp: {arm: 1}}}";
 
-fn watched() -> Options {
-    Options {
+fn watched() -> PlayOptions {
+    PlayOptions {
         watch: true,
-        ..Options::default()
+        ..PlayOptions::default()
     }
 }
 
@@ -82,7 +82,7 @@ fn a_server_is_probed_once_at_a_time_and_not_while_a_scene_is_played() {
     world.pass(Duration::from_secs(20));
     assert_eq!(world.machine("robot").probed, probed);
     // Without a view nobody sees it.
-    let mut world = World::new(SHOW, Options::default());
+    let mut world = World::new(SHOW, PlayOptions::default());
     world.begin();
     world.pass(Duration::from_secs(600));
     assert_eq!(world.machine("robot").probed, []);

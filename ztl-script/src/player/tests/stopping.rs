@@ -5,7 +5,7 @@ use std::time::Duration;
 use super::world::{World, count, unattended};
 use crate::event::DecidedBy;
 use crate::event::{Ending, Question, RunCommand, RunEvent, RunOutcome, ServerState};
-use crate::player::Options;
+use crate::player::PlayOptions;
 
 const SHOW: &str = "
 first: {light(wait=no): {lamp: {light: 60}}}
@@ -62,7 +62,7 @@ fn stopping_a_scene_stops_its_tasks_and_shows_it_again() {
     world.command(RunCommand::Start);
     assert_eq!(world.until_asked(), Some(Question::Scene { scene: 2 }));
     assert_eq!(world.timeline().len(), 6, "{:?}", world.timeline());
-    assert_eq!(world.player.outcome(), None);
+    assert_eq!(world.outcome(), None);
 }
 
 #[test]
@@ -119,13 +119,13 @@ fn what_cannot_be_stopped_is_told_and_the_show_goes_on_and_can_still_be_stopped(
     assert_eq!(confirmed(&world), [(1, false), (1, false)]);
     world.command(RunCommand::Stop);
     world.run(|_, _| None);
-    assert_eq!(world.player.outcome(), Some(RunOutcome::NotConfirmed));
+    assert_eq!(world.outcome(), Some(RunOutcome::NotConfirmed));
     assert_eq!(confirmed(&world).len(), 3);
 }
 
 #[test]
 fn a_start_that_is_not_answered_yet_is_stopped_as_soon_as_it_is() {
-    let mut world = World::new("one: {a: {robot: {base: 5}}}", Options::default());
+    let mut world = World::new("one: {a: {robot: {base: 5}}}", PlayOptions::default());
     world.begin();
     let now = world.now;
     let pause = (now, now + Duration::from_secs(1));
@@ -151,7 +151,7 @@ fn stopping_more_is_heard_while_less_is_stopped() {
     world.command(RunCommand::Stop);
     assert_eq!(world.player.choices(), [RunCommand::Leave]);
     world.run(|_, _| None);
-    assert_eq!(world.player.outcome(), Some(RunOutcome::NotConfirmed));
+    assert_eq!(world.outcome(), Some(RunOutcome::NotConfirmed));
     assert_eq!(confirmed(&world), [(1, false), (2, false), (3, false)]);
 }
 
@@ -168,7 +168,7 @@ fn where_nobody_is_asked_stopping_everything_ends_the_run() {
     assert!(!scene, "it would be played again");
     world.command(RunCommand::StopAll);
     world.run(|_, _| None);
-    assert_eq!(world.player.outcome(), Some(RunOutcome::Stopped));
+    assert_eq!(world.outcome(), Some(RunOutcome::Stopped));
     assert_eq!(
         world.seen(|event| matches!(
             event,

@@ -6,7 +6,7 @@ use ztl_core::Instant;
 
 use super::world::{FIRST_STEP, World, count, on, unattended};
 use crate::event::{DecidedBy, Question, RunCommand, RunEvent, RunOutcome, WaitReason};
-use crate::player::Options;
+use crate::player::PlayOptions;
 
 const SCRIPT: &str = "
 s:
@@ -72,7 +72,7 @@ fn a_server_that_pauses_at_any_point_is_waited_for() {
         for length in [300, 1900, 2500, 7000] {
             for at in moments() {
                 let about = format!("{name} silent for {length} ms from {at:?}");
-                let mut world = World::new(SCRIPT, Options::default());
+                let mut world = World::new(SCRIPT, PlayOptions::default());
                 let pause = (at, at + Duration::from_millis(length));
                 world.machine(name).pauses.push(pause);
                 world.begin();
@@ -90,17 +90,9 @@ fn a_server_that_pauses_at_any_point_is_waited_for() {
                 let never = world.began.len() < 5;
                 if guessed.is_empty() && !never {
                     assert_in_order(&world, &about);
-                    assert_eq!(
-                        world.player.outcome(),
-                        Some(RunOutcome::Completed),
-                        "{about}"
-                    );
+                    assert_eq!(world.outcome(), Some(RunOutcome::Completed), "{about}");
                 } else {
-                    assert_eq!(
-                        world.player.outcome(),
-                        Some(RunOutcome::Failures),
-                        "{about}"
-                    );
+                    assert_eq!(world.outcome(), Some(RunOutcome::Failures), "{about}");
                 }
                 assert!(world.began.len() <= 5, "{about}: {:?}", world.timeline());
                 assert!(guessed.is_empty() || name == "robot", "{about}");
@@ -113,7 +105,7 @@ fn a_server_that_pauses_at_any_point_is_waited_for() {
 fn a_step_says_that_it_waits_while_a_server_is_silent_and_goes_on_when_it_is_back() {
     for name in ["robot", "lamp"] {
         let script = format!("s: {{a: {{{name}: {{base: 1}}}}, b: {{robot: {{arm: 1}}}}}}");
-        let mut world = World::new(&script, Options::default());
+        let mut world = World::new(&script, PlayOptions::default());
         world.pause(name, 500, 30_000);
         world.begin();
         world.command(RunCommand::Start);
@@ -136,7 +128,7 @@ fn a_step_says_that_it_waits_while_a_server_is_silent_and_goes_on_when_it_is_bac
         assert_eq!(world.began.len(), 2);
         assert!(world.began[1].at >= Instant::from_millis(30_000));
         assert_eq!(count!(world, RunEvent::StepGoesOn { .. }), 1);
-        assert_eq!(world.player.outcome(), Some(RunOutcome::Completed));
+        assert_eq!(world.outcome(), Some(RunOutcome::Completed));
     }
 }
 
@@ -145,7 +137,7 @@ fn a_server_that_is_started_anew_at_any_point_is_noticed_and_nothing_follows_una
     for name in ["robot", "lamp"] {
         for at in moments() {
             let about = format!("{name} started anew at {at:?}");
-            let mut world = World::new(SCRIPT, Options::default());
+            let mut world = World::new(SCRIPT, PlayOptions::default());
             world.machine(name).restarts.push(at);
             world.begin();
             let mut asked = 0;
@@ -169,7 +161,7 @@ fn a_server_that_is_started_anew_at_any_point_is_noticed_and_nothing_follows_una
             assert_in_order(&world, &about);
             assert_eq!(world.began.len(), 5, "{about}");
             let waiting = world.seen(|event| matches!(event, RunEvent::StepWaiting { .. }));
-            let outcome = world.player.outcome();
+            let outcome = world.outcome();
             let expected = match waiting.is_empty() {
                 true => RunOutcome::Completed,
                 false => RunOutcome::Failures,
@@ -185,7 +177,7 @@ fn a_server_that_is_started_anew_at_any_point_is_noticed_and_nothing_follows_una
 #[test]
 fn a_server_that_counts_from_1_again_does_not_end_the_task_that_had_the_id_before() {
     let script = "s: {a: {robot: {base: 2, arm(delay=0.5): 0.1}}, b: {robot: {base: 0}}}";
-    let mut world = World::new(script, Options::default());
+    let mut world = World::new(script, PlayOptions::default());
     world
         .machine("robot")
         .restarts
@@ -215,7 +207,7 @@ fn with_nobody_there_what_nobody_can_decide_stops_everything() {
         .push(Instant::from_millis(200));
     world.begin();
     world.run(patient);
-    assert_eq!(world.player.outcome(), Some(RunOutcome::NotConfirmed));
+    assert_eq!(world.outcome(), Some(RunOutcome::NotConfirmed));
     assert_eq!(world.began.len(), 2);
     assert!(
         world.began[1].until < Instant::from_millis(300),
@@ -227,7 +219,7 @@ fn with_nobody_there_what_nobody_can_decide_stops_everything() {
     world.pause("robot", 200, 300_000);
     world.begin();
     world.run(patient);
-    assert_eq!(world.player.outcome(), Some(RunOutcome::NotConfirmed));
+    assert_eq!(world.outcome(), Some(RunOutcome::NotConfirmed));
     let ended = world.now.since(Instant::ZERO);
     assert!((60..75).contains(&ended.as_secs()), "{ended:?}");
 }
@@ -235,7 +227,7 @@ fn with_nobody_there_what_nobody_can_decide_stops_everything() {
 #[test]
 fn an_init_without_an_answer_is_never_sent_again() {
     let script = "s: {a (on_failure=retry 5): {robot: {base: 1}}, b: {robot: {arm: 1}}}";
-    let mut world = World::new(script, Options::default());
+    let mut world = World::new(script, PlayOptions::default());
     world.pause("robot", 0, 2500);
     world.begin();
     world.command(RunCommand::Start);
@@ -248,7 +240,7 @@ fn an_init_without_an_answer_is_never_sent_again() {
     world.pass(Duration::from_secs(600));
     assert_eq!(world.timeline(), [(2501, "robot:base:1")]);
     world.run(patient);
-    assert_eq!(world.player.outcome(), Some(RunOutcome::Failures));
+    assert_eq!(world.outcome(), Some(RunOutcome::Failures));
     assert_eq!(world.began.len(), 2);
 }
 
@@ -266,9 +258,9 @@ fn a_task_whose_end_its_server_could_not_learn_keeps_its_step_and_is_named_at_th
     world.run(patient);
     let named = |event: &RunEvent| matches!(event, RunEvent::RunEnded { running, .. } if running.len() == 1);
     assert_eq!(world.seen(named).len(), 1);
-    assert_eq!(world.player.outcome(), Some(RunOutcome::Failures));
+    assert_eq!(world.outcome(), Some(RunOutcome::Failures));
     let world = World::played_unattended(script);
-    assert_eq!(world.player.outcome(), Some(RunOutcome::NotConfirmed));
+    assert_eq!(world.outcome(), Some(RunOutcome::NotConfirmed));
     assert_eq!(world.began.len(), 1);
 }
 
@@ -284,7 +276,7 @@ fn everything_can_be_stopped_at_any_point_and_each_end_is_confirmed() {
         }
         world.command(RunCommand::Stop);
         world.run(|_, question| panic!("{about}: {question:?}"));
-        assert_eq!(world.player.outcome(), Some(RunOutcome::Stopped), "{about}");
+        assert_eq!(world.outcome(), Some(RunOutcome::Stopped), "{about}");
         assert_eq!(
             world.began.len(),
             began,
@@ -375,13 +367,13 @@ fn a_second_stop_leaves_at_once() {
     world.pause("lamp", 0, 600_000);
     world.command(RunCommand::Stop);
     world.pass(Duration::from_millis(50));
-    assert_eq!(world.player.outcome(), None);
+    assert_eq!(world.outcome(), None);
     assert!(
         world
             .player
             .handle_command(world.now, RunCommand::Stop, DecidedBy::Signal)
     );
-    assert_eq!(world.player.outcome(), Some(RunOutcome::Left));
+    assert_eq!(world.outcome(), Some(RunOutcome::Left));
     assert!(
         !world
             .player
@@ -393,7 +385,7 @@ fn a_second_stop_leaves_at_once() {
 fn an_init_that_is_under_way_when_everything_is_stopped_is_stopped_too() {
     for name in ["robot", "lamp"] {
         let script = format!("s: {{a: {{{name}: {{base: 60}}}}}}");
-        let mut world = World::new(&script, Options::default());
+        let mut world = World::new(&script, PlayOptions::default());
         world.pause(name, 0, 1000);
         world.begin();
         world.command(RunCommand::Start);
@@ -410,7 +402,7 @@ fn a_server_that_is_not_there_is_asked_about_unless_the_script_says_to_go_on() {
     for (policy, asked) in [("", true), ("(on_failure=go on)", false)] {
         let script =
             format!("s: {{'a{policy}': {{lamp: {{light: 1}}}}, b: {{robot: {{arm: 1}}}}}}");
-        let mut world = World::new(&script, Options::default());
+        let mut world = World::new(&script, PlayOptions::default());
         world.pause("lamp", 0, 7000);
         world.begin();
         world.command(RunCommand::Start);
@@ -436,7 +428,7 @@ fn a_server_that_is_not_there_is_asked_about_unless_the_script_says_to_go_on() {
 #[test]
 fn an_init_that_nobody_answers_does_not_keep_the_stop_from_its_end() {
     let script = "s: {a: {robot: {base: 60}}}";
-    let mut world = World::new(script, Options::default());
+    let mut world = World::new(script, PlayOptions::default());
     world.pause("robot", 0, 600_000);
     world.begin();
     world.command(RunCommand::Start);
@@ -465,7 +457,7 @@ fn a_step_that_was_asked_about_is_not_retried_by_itself() {
         ("base: 1 fail", Some(silent)),
     ] {
         let script = format!("s: {{a (on_failure=retry 2): {{robot: {{{task}}}}}}}");
-        let mut world = World::new(&script, Options::default());
+        let mut world = World::new(&script, PlayOptions::default());
         world.machine("robot").pauses.extend(pause);
         world.begin();
         world.command(RunCommand::Start);
@@ -490,14 +482,14 @@ fn a_step_that_was_asked_about_is_not_retried_by_itself() {
         world.begin();
         world.run(on);
         assert_eq!(world.began.len(), 1, "{task}: unattended");
-        assert_eq!(world.player.outcome(), Some(RunOutcome::Stopped), "{task}");
+        assert_eq!(world.outcome(), Some(RunOutcome::Stopped), "{task}");
     }
 }
 
 #[test]
 fn a_retry_that_fails_while_another_task_is_unknown_can_be_tried_again() {
     let script = "s: {a (parallel; on_failure=ask): {robot: {base: 100}, lamp: {arm: 1 fail}}}";
-    let mut world = World::new(script, Options::default());
+    let mut world = World::new(script, PlayOptions::default());
     world.pause("robot", 500, 500_000);
     world.begin();
     world.command(RunCommand::Start);

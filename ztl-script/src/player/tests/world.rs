@@ -8,8 +8,11 @@ use std::time::Duration;
 use ztl_core::integer::Integer;
 use ztl_core::{Instant, State, TaskId};
 
-use crate::event::{DecidedBy, Question, RequestNumber, RunCommand, RunEvent, WaitReason};
-use crate::player::{Options, Player, Request};
+use crate::event::{
+    DecidedBy, Question, RequestNumber, RunCommand, RunEvent, RunOutcome, WaitReason,
+};
+use crate::player::state::Phase;
+use crate::player::{PlayOptions, Player, Request};
 use crate::server::{Server, ServerAnswer, ServerRequest};
 use crate::{Defaults, Script};
 use ztl_std::RemoteId;
@@ -114,10 +117,10 @@ pub(super) fn on(_: &World, question: Question) -> Option<RunCommand> {
     })
 }
 
-pub(super) fn unattended() -> Options {
-    Options {
+pub(super) fn unattended() -> PlayOptions {
+    PlayOptions {
         unattended: true,
-        ..Options::default()
+        ..PlayOptions::default()
     }
 }
 
@@ -134,11 +137,11 @@ pub(super) use count;
 
 impl World {
     /// A world in which a script is played: `robot` is the original's server, `lamp` one of ours.
-    pub(super) fn new(script: &str, options: Options) -> Self {
+    pub(super) fn new(script: &str, options: PlayOptions) -> Self {
         Self::with(script, options, Defaults::default())
     }
 
-    pub(super) fn with(script: &str, mut options: Options, defaults: Defaults) -> Self {
+    pub(super) fn with(script: &str, mut options: PlayOptions, defaults: Defaults) -> Self {
         let script = Script::read("test.yaml", script.as_bytes(), defaults).expect("a script");
         let machines = [("robot", false), ("lamp", true)].map(|(name, ours)| {
             let machine = Machine {
@@ -179,10 +182,22 @@ impl World {
 
     /// Starts the first scene.
     pub(super) fn started(script: &str) -> Self {
-        let mut world = Self::new(script, Options::default());
+        let mut world = Self::new(script, PlayOptions::default());
         world.begin();
         world.command(RunCommand::Start);
         world
+    }
+
+    /// How the run ended, if it has.
+    pub(super) fn outcome(&self) -> Option<RunOutcome> {
+        if !matches!(self.player.phase, Phase::Over) {
+            return None;
+        }
+        let mut events = self.events.iter().rev();
+        events.find_map(|(_, event)| match event {
+            RunEvent::RunEnded { outcome, .. } => Some(*outcome),
+            _ => None,
+        })
     }
 
     /// Silences a server between these milliseconds.
@@ -211,7 +226,7 @@ impl World {
 
     /// Lets time pass until somebody is asked or the run is over; what is asked.
     pub(super) fn until_asked(&mut self) -> Option<Question> {
-        while self.player.outcome().is_none() && self.player.question().is_none() {
+        while self.outcome().is_none() && self.player.question().is_none() {
             if !self.tick(None) {
                 break;
             }
@@ -229,7 +244,7 @@ impl World {
     /// Until the run is over; the operator, if asked, does what `decide` says.
     pub(super) fn run(&mut self, mut decide: impl FnMut(&Self, Question) -> Option<RunCommand>) {
         for _ in 0..100_000 {
-            if self.player.outcome().is_some() {
+            if self.outcome().is_some() {
                 return;
             }
             let decided = self
