@@ -59,7 +59,7 @@ mod tests {
     }
 
     #[test]
-    fn a_median_of_an_even_count_lies_in_the_middle() {
+    fn the_median_of_an_even_count_is_the_mean_of_the_middle_two() {
         assert_eq!(median(&of(&[])), None);
         assert_eq!(median(&of(&[7])), Some(Duration::from_millis(7)));
         assert_eq!(median(&of(&[9, 1, 5])), Some(Duration::from_millis(5)));
@@ -75,7 +75,7 @@ mod tests {
     }
 
     #[test]
-    fn times_are_rounded_and_not_cut() {
+    fn times_are_rounded() {
         assert_eq!(seconds(Duration::from_micros(1_999_500)), "2.000");
         assert_eq!(
             difference(Duration::from_millis(1), Duration::from_millis(3)),

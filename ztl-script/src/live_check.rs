@@ -131,7 +131,6 @@ fn ask_at_once<T: Send>(
 
 /// Whether a server is there: a line for people, and the connection if more can be asked over it. The
 /// original's server answers no more (`None`).
-#[expect(clippy::type_complexity, reason = "used once")]
 fn meet(
     name: &str,
     endpoint: &str,

@@ -104,7 +104,7 @@ mod tests {
     }
 
     #[test]
-    fn a_long_name_keeps_its_begin_and_its_end() {
+    fn a_long_name_keeps_its_beginning_and_end() {
         assert_eq!(shorten("short", 9), "short");
         let short = shorten("a very long name of a scene, take 2", 15);
         assert_eq!(short, "a very lo…ake 2");

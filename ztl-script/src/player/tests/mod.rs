@@ -1,4 +1,4 @@
-//! The player on virtual time.
+//! The player in virtual time.
 
 mod probes;
 mod stopping;
@@ -27,7 +27,7 @@ second (delay=1):
 ";
 
 #[test]
-fn steps_follow_each_other_when_all_that_they_wait_for_has_ended() {
+fn a_step_starts_when_everything_that_the_one_before_waited_for_has_ended() {
     for options in [PlayOptions::default(), unattended()] {
         let mut world = World::new(SCENE, options);
         world.begin();
@@ -49,7 +49,7 @@ fn steps_follow_each_other_when_all_that_they_wait_for_has_ended() {
 }
 
 #[test]
-fn a_step_that_starts_together_starts_each_task_after_its_own_delay() {
+fn a_parallel_step_starts_each_task_after_its_own_delay() {
     let script =
         "s: {a (parallel): {robot: {base(delay=1): 1, arm: 1}, lamp: {light(delay=0.5): 1}}}";
     let world = World::played_unattended(script);
@@ -62,7 +62,7 @@ fn a_step_that_starts_together_starts_each_task_after_its_own_delay() {
 }
 
 #[test]
-fn what_runs_in_the_background_is_not_waited_for() {
+fn tasks_in_the_background_are_not_waited_for() {
     let script = "s: {a (wait=no): {robot: {base: 9}}, b: {lamp: {x(wait=no): 9, light: 1}}, c: {robot: {arm: 1}}}";
     let world = World::played_unattended(script);
     let expected = [
@@ -85,7 +85,7 @@ fn what_runs_in_the_background_is_not_waited_for() {
 }
 
 #[test]
-fn the_originals_server_is_asked_about_one_task_after_the_other() {
+fn the_original_server_gets_status_requests_for_one_task_at_a_time() {
     let script = "s: {a: {robot: {base: 2, arm: 3}, lamp: {light: 1}}}";
     let world = World::played_unattended(script);
     let mut asked = Vec::new();
@@ -153,7 +153,7 @@ fn a_scene_can_be_skipped_replayed_and_jumped_to() {
 }
 
 #[test]
-fn a_pause_comes_after_the_step_and_can_be_taken_back() {
+fn a_pause_begins_after_the_step_and_can_be_cancelled() {
     let mut world = World::started(SCENE);
     world.command(RunCommand::Pause);
     world.command(RunCommand::Resume);
@@ -169,7 +169,7 @@ fn a_pause_comes_after_the_step_and_can_be_taken_back() {
 }
 
 #[test]
-fn what_was_not_asked_for_does_nothing() {
+fn a_command_that_is_no_choice_does_nothing() {
     let mut world = World::new(SCENE, PlayOptions::default());
     world.begin();
     for command in [
@@ -204,7 +204,7 @@ fn what_was_not_asked_for_does_nothing() {
 }
 
 #[test]
-fn one_scene_alone_and_from_a_step_on() {
+fn a_run_can_be_limited_to_a_scene_and_start_at_a_step() {
     let options = PlayOptions {
         scene: Some(0),
         from: Some((0, 1)),
@@ -247,7 +247,7 @@ fn failing(policy: &str, goal: &str, options: PlayOptions) -> World {
 }
 
 #[test]
-fn a_failure_is_told_and_the_script_goes_on_as_the_originals_does() {
+fn after_a_failure_the_script_goes_on_as_the_original_does() {
     let mut world = failing("", "1 fail", PlayOptions::default());
     world.run(on);
     assert_eq!(world.began.len(), 3);
@@ -275,7 +275,7 @@ fn a_failure_is_told_and_the_script_goes_on_as_the_originals_does() {
 }
 
 #[test]
-fn after_a_failure_the_operator_may_be_asked_and_try_again() {
+fn after_a_failure_the_operator_can_be_asked_and_retry() {
     let mut world = failing("on_failure=ask", "1 fail", PlayOptions::default());
     world.command(RunCommand::Start);
     assert_eq!(world.until_asked(), FIRST_STEP);
@@ -306,7 +306,7 @@ fn after_a_failure_the_operator_may_be_asked_and_try_again() {
 }
 
 #[test]
-fn a_step_may_try_again_by_itself_and_what_succeeds_then_is_no_failure() {
+fn a_step_can_retry_by_itself_and_a_successful_retry_is_no_failure() {
     for times in 0..4 {
         let script =
             "s: {a (on_failure=retry 2): {robot: {base: 1, arm: 1}}, b: {robot: {head: 1}}}";
@@ -330,7 +330,7 @@ fn a_step_may_try_again_by_itself_and_what_succeeds_then_is_no_failure() {
 }
 
 #[test]
-fn a_failure_may_stop_everything_at_once() {
+fn a_failure_can_stop_everything_at_once() {
     let mut world = failing("on_failure=stop", "1 fail", PlayOptions::default());
     world.machine("robot").refusals.insert("arm", 0);
     world.run(|_, question| match question {
@@ -342,7 +342,7 @@ fn a_failure_may_stop_everything_at_once() {
 }
 
 #[test]
-fn a_task_that_takes_too_long_is_stopped() {
+fn a_task_over_its_time_limit_is_stopped() {
     for server in ["robot", "lamp"] {
         let script =
             format!("s: {{a: {{{server}: {{base (timeout=1.5): 9}}}}, b: {{robot: {{head: 1}}}}}}");
@@ -359,7 +359,7 @@ fn a_task_that_takes_too_long_is_stopped() {
 }
 
 #[test]
-fn one_that_takes_too_long_and_cannot_be_stopped_is_waited_for_until_the_operator_decides() {
+fn a_task_over_its_limit_that_cannot_be_stopped_holds_its_step_until_the_operator_decides() {
     let script = "s: {a: {robot: {base (timeout=1): 9 forever}}, b: {robot: {head: 1}}}";
     let mut world = World::started(script);
     assert_eq!(world.until_asked(), FIRST_STEP);
@@ -385,7 +385,7 @@ fn one_that_takes_too_long_and_cannot_be_stopped_is_waited_for_until_the_operato
 }
 
 #[test]
-fn a_task_for_a_server_that_is_not_configured_is_not_started_and_holds_nothing_up() {
+fn a_task_for_an_unconfigured_server_is_not_started_and_delays_nothing() {
     let script = "s: {a: {nobody: {base (delay=5): 1}, robot: {arm: 1}}}";
     let world = World::played_unattended(script);
     assert_eq!(world.timeline(), [(1, "robot:arm:1")]);

@@ -1,4 +1,4 @@
-//! Stopping a scene, or everything, and going on with the show.
+//! Stopping a scene or everything, and going on.
 
 use std::time::Duration;
 
@@ -13,7 +13,7 @@ second: {turn: {robot: {base: 5}, lamp: {arm: 30}}, bow: {robot: {base: 1}}}
 third: {wave: {lamp: {arm: 1}}}
 ";
 
-/// The show while its second scene is played, with a task of the first in the background.
+/// A run in its second scene, with a task of the first in the background.
 fn in_the_second() -> World {
     let mut world = World::started(SHOW);
     assert_eq!(world.until_asked(), Some(Question::Scene { scene: 1 }));
@@ -23,7 +23,7 @@ fn in_the_second() -> World {
     world
 }
 
-/// What became of stopping each task, by its number.
+/// The result of stopping each task, by its number.
 fn confirmed(world: &World) -> Vec<(u32, bool)> {
     let answers = world.events.iter().filter_map(|(_, event)| match event {
         RunEvent::StopAnswered {
@@ -66,7 +66,7 @@ fn stopping_a_scene_stops_its_tasks_and_shows_it_again() {
 }
 
 #[test]
-fn stopping_everything_reaches_the_background_and_tasks_of_others_and_keeps_the_place() {
+fn stopping_everything_reaches_background_tasks_and_those_of_other_clients_and_keeps_the_place() {
     let mut world = in_the_second();
     let now = world.now;
     world.machine("lamp").begins(now, "100");
@@ -97,7 +97,7 @@ fn stopping_everything_reaches_the_background_and_tasks_of_others_and_keeps_the_
 }
 
 #[test]
-fn stopping_a_replay_returns_to_where_it_was_begun() {
+fn stopping_a_replay_returns_to_where_it_started() {
     let mut world = in_the_second();
     assert_eq!(world.until_asked(), Some(Question::Scene { scene: 2 }));
     world.command(RunCommand::Replay);
@@ -107,7 +107,7 @@ fn stopping_a_replay_returns_to_where_it_was_begun() {
 }
 
 #[test]
-fn what_cannot_be_stopped_is_told_and_the_show_goes_on_and_can_still_be_stopped() {
+fn a_task_that_cannot_be_stopped_is_reported_and_the_run_can_still_be_stopped() {
     let script = "one: {a: {robot: {base: 500 forever}}}\ntwo: {b: {lamp: {arm: 1}}}";
     let mut world = World::started(script);
     world.pass(Duration::from_secs(1));
@@ -124,7 +124,7 @@ fn what_cannot_be_stopped_is_told_and_the_show_goes_on_and_can_still_be_stopped(
 }
 
 #[test]
-fn a_start_that_is_not_answered_yet_is_stopped_as_soon_as_it_is() {
+fn a_task_is_stopped_as_soon_as_its_init_is_answered() {
     let mut world = World::new("one: {a: {robot: {base: 5}}}", PlayOptions::default());
     world.begin();
     let now = world.now;
@@ -140,7 +140,7 @@ fn a_start_that_is_not_answered_yet_is_stopped_as_soon_as_it_is() {
 }
 
 #[test]
-fn stopping_more_is_heard_while_less_is_stopped() {
+fn a_wider_stop_is_accepted_during_a_narrower_one() {
     let mut world = in_the_second();
     let (now, late) = (world.now, Duration::from_secs(60));
     for name in ["robot", "lamp"] {
@@ -156,7 +156,7 @@ fn stopping_more_is_heard_while_less_is_stopped() {
 }
 
 #[test]
-fn where_nobody_is_asked_stopping_everything_ends_the_run() {
+fn stopping_everything_ends_an_unattended_run() {
     let mut world = World::new(SHOW, unattended());
     world.begin();
     world.pass(Duration::from_secs(1));

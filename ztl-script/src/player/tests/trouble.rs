@@ -1,4 +1,4 @@
-//! Servers that pause, are started anew and refuse, at every point; and stopping everything.
+//! Servers that pause, restart and refuse at every point; and stopping everything.
 
 use std::time::Duration;
 
@@ -15,14 +15,14 @@ s:
   c: {robot: {arm(delay=0.1): 0.3}}
 ";
 
-/// Step by step what awaited tasks each has, by their handlers and components.
+/// The awaited tasks of each step.
 const AWAITED: [&[&str]; 3] = [
     &["robot:base", "lamp:light:0.3"],
     &["lamp:light:0.5"],
     &["robot:arm"],
 ];
 
-/// No step starts before what the one before waited for has really ended, and nothing is started twice.
+/// No step starts before the tasks that the one before waited for have really ended, and no task starts twice.
 #[track_caller]
 fn assert_in_order(world: &World, about: &str) {
     let find = |task: &str| {
@@ -56,7 +56,7 @@ fn moments() -> impl Iterator<Item = Instant> {
     (0..68).map(|at| Instant::from_millis(at * 25))
 }
 
-/// The operator waits while waiting may help, and goes on where it cannot.
+/// An operator who waits while waiting may help, and otherwise goes on.
 fn patient(world: &World, question: Question) -> Option<RunCommand> {
     match (question, world.why()) {
         (Question::Step { .. }, Some(WaitReason::ServerSilent { .. } | WaitReason::TooLong)) => {
@@ -67,7 +67,7 @@ fn patient(world: &World, question: Question) -> Option<RunCommand> {
 }
 
 #[test]
-fn a_server_that_pauses_at_any_point_is_waited_for() {
+fn the_run_waits_for_a_server_that_pauses_at_any_point() {
     for name in ["robot", "lamp"] {
         for length in [300, 1900, 2500, 7000] {
             for at in moments() {
@@ -77,7 +77,7 @@ fn a_server_that_pauses_at_any_point_is_waited_for() {
                 world.machine(name).pauses.push(pause);
                 world.begin();
                 world.run(patient);
-                // An INIT that the original's server never answered: the operator went on.
+                // The original's server never answered an INIT: the operator went on.
                 let guessed = world.seen(|event| {
                     matches!(
                         event,
@@ -102,7 +102,7 @@ fn a_server_that_pauses_at_any_point_is_waited_for() {
 }
 
 #[test]
-fn a_step_says_that_it_waits_while_a_server_is_silent_and_goes_on_when_it_is_back() {
+fn a_step_reports_a_silent_server_and_goes_on_when_it_is_back() {
     for name in ["robot", "lamp"] {
         let script = format!("s: {{a: {{{name}: {{base: 1}}}}, b: {{robot: {{arm: 1}}}}}}");
         let mut world = World::new(&script, PlayOptions::default());
@@ -133,7 +133,7 @@ fn a_step_says_that_it_waits_while_a_server_is_silent_and_goes_on_when_it_is_bac
 }
 
 #[test]
-fn a_server_that_is_started_anew_at_any_point_is_noticed_and_nothing_follows_unasked() {
+fn a_server_restart_at_any_point_is_noticed_and_nothing_follows_without_a_decision() {
     for name in ["robot", "lamp"] {
         for at in moments() {
             let about = format!("{name} started anew at {at:?}");
@@ -147,7 +147,7 @@ fn a_server_that_is_started_anew_at_any_point_is_noticed_and_nothing_follows_una
                 }
                 patient(world, question)
             });
-            // The server's tasks ended when it did.
+            // The server's tasks ended with it.
             for began in &mut world.began {
                 let of = if began.task.starts_with("robot") {
                     "robot"
@@ -166,7 +166,7 @@ fn a_server_that_is_started_anew_at_any_point_is_noticed_and_nothing_follows_una
                 true => RunOutcome::Completed,
                 false => RunOutcome::Failures,
             };
-            // The fan in the background may have been forgotten, which is no more than unknown.
+            // The fan in the background may be forgotten, and is then unknown.
             let fan = outcome == Some(RunOutcome::Failures) && name == "lamp";
             assert!(outcome == Some(expected) || fan, "{about}: {outcome:?}");
             assert_eq!(asked > 0, !waiting.is_empty(), "{about}");
@@ -175,7 +175,7 @@ fn a_server_that_is_started_anew_at_any_point_is_noticed_and_nothing_follows_una
 }
 
 #[test]
-fn a_server_that_counts_from_1_again_does_not_end_the_task_that_had_the_id_before() {
+fn a_reused_task_id_does_not_end_the_earlier_task() {
     let script = "s: {a: {robot: {base: 2, arm(delay=0.5): 0.1}}, b: {robot: {base: 0}}}";
     let mut world = World::new(script, PlayOptions::default());
     world
@@ -199,7 +199,7 @@ fn a_server_that_counts_from_1_again_does_not_end_the_task_that_had_the_id_befor
 }
 
 #[test]
-fn with_nobody_there_what_nobody_can_decide_stops_everything() {
+fn an_unattended_run_stops_where_a_decision_is_needed() {
     let mut world = World::new(SCRIPT, unattended());
     world
         .machine("robot")
@@ -214,7 +214,7 @@ fn with_nobody_there_what_nobody_can_decide_stops_everything() {
         "the light was stopped"
     );
 
-    // A silent one is waited for a while.
+    // The run waits for a silent server for a while.
     let mut world = World::new(SCRIPT, unattended());
     world.pause("robot", 200, 300_000);
     world.begin();
@@ -245,7 +245,7 @@ fn an_init_without_an_answer_is_never_sent_again() {
 }
 
 #[test]
-fn a_task_whose_end_its_server_could_not_learn_keeps_its_step_and_is_named_at_the_end() {
+fn a_task_with_an_unknown_outcome_holds_its_step_and_is_listed_at_the_end() {
     let script = "s: {a (on_failure=retry 5): {robot: {base: 1 lost}}, b: {robot: {arm: 1}}}";
     let mut world = World::started(script);
     assert_eq!(world.until_asked(), FIRST_STEP);
@@ -265,7 +265,7 @@ fn a_task_whose_end_its_server_could_not_learn_keeps_its_step_and_is_named_at_th
 }
 
 #[test]
-fn everything_can_be_stopped_at_any_point_and_each_end_is_confirmed() {
+fn everything_can_be_stopped_at_any_point_with_every_end_confirmed() {
     for at in moments() {
         let about = format!("stopped at {at:?}");
         let mut world = World::started(SCRIPT);
@@ -313,7 +313,7 @@ fn everything_can_be_stopped_at_any_point_and_each_end_is_confirmed() {
 }
 
 #[test]
-fn stopping_reaches_what_runs_in_the_background_after_its_scene() {
+fn stopping_reaches_background_tasks_of_an_earlier_scene() {
     let script = "s: {a (wait=no): {robot: {base: 60}, lamp: {fan: 60}}}";
     let mut world = World::started(script);
     assert_eq!(world.until_asked(), Some(Question::End));
@@ -328,7 +328,7 @@ fn stopping_reaches_what_runs_in_the_background_after_its_scene() {
 }
 
 #[test]
-fn stopping_tells_what_cannot_be_stopped_and_who_does_not_answer() {
+fn stopping_reports_unstoppable_tasks_and_silent_servers() {
     let script = "s: {a: {robot: {base: 60 forever}, lamp: {light: 60}}}";
     let mut world = World::started(script);
     world.pass(Duration::from_millis(50));
@@ -382,7 +382,7 @@ fn a_second_stop_leaves_at_once() {
 }
 
 #[test]
-fn an_init_that_is_under_way_when_everything_is_stopped_is_stopped_too() {
+fn a_pending_init_is_stopped_with_everything_else() {
     for name in ["robot", "lamp"] {
         let script = format!("s: {{a: {{{name}: {{base: 60}}}}}}");
         let mut world = World::new(&script, PlayOptions::default());
@@ -398,7 +398,7 @@ fn an_init_that_is_under_way_when_everything_is_stopped_is_stopped_too() {
 }
 
 #[test]
-fn a_server_that_is_not_there_is_asked_about_unless_the_script_says_to_go_on() {
+fn the_operator_is_asked_about_an_absent_server_unless_the_script_says_to_go_on() {
     for (policy, asked) in [("", true), ("(on_failure=go on)", false)] {
         let script =
             format!("s: {{'a{policy}': {{lamp: {{light: 1}}}}, b: {{robot: {{arm: 1}}}}}}");
@@ -426,7 +426,7 @@ fn a_server_that_is_not_there_is_asked_about_unless_the_script_says_to_go_on() {
 }
 
 #[test]
-fn an_init_that_nobody_answers_does_not_keep_the_stop_from_its_end() {
+fn an_unanswered_init_does_not_delay_the_end_of_a_stop() {
     let script = "s: {a: {robot: {base: 60}}}";
     let mut world = World::new(script, PlayOptions::default());
     world.pause("robot", 0, 600_000);
@@ -449,9 +449,9 @@ fn an_init_that_nobody_answers_does_not_keep_the_stop_from_its_end() {
 }
 
 #[test]
-fn a_step_that_was_asked_about_is_not_retried_by_itself() {
+fn a_step_is_not_retried_automatically_once_the_operator_was_asked() {
     let silent = (Instant::from_millis(500), Instant::from_millis(9500));
-    // One takes too long and stops late; one fails while its server is silent.
+    // One exceeds its limit and stops late; one fails while its server is silent.
     for (task, pause) in [
         ("base(timeout=1): 5 stubborn", None),
         ("base: 1 fail", Some(silent)),
@@ -476,7 +476,7 @@ fn a_step_that_was_asked_about_is_not_retried_by_itself() {
         assert_eq!(world.began.len(), 2, "{task}: once for each decision");
         assert_eq!(world.player.question(), FIRST_STEP, "{task}");
 
-        // With nobody there it ends as after a failure.
+        // An unattended run ends as after a failure.
         let mut world = World::new(&script, unattended());
         world.machine("robot").pauses.extend(pause);
         world.begin();
@@ -487,7 +487,7 @@ fn a_step_that_was_asked_about_is_not_retried_by_itself() {
 }
 
 #[test]
-fn a_retry_that_fails_while_another_task_is_unknown_can_be_tried_again() {
+fn a_failed_retry_can_be_retried_while_another_task_is_unknown() {
     let script = "s: {a (parallel; on_failure=ask): {robot: {base: 100}, lamp: {arm: 1 fail}}}";
     let mut world = World::new(script, PlayOptions::default());
     world.pause("robot", 500, 500_000);

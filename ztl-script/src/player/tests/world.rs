@@ -1,5 +1,5 @@
-//! Servers, an operator and a clock, all made up: requests are answered after a moment, tasks last as
-//! long as their goals say, and servers pause and are started anew when a test says so.
+//! Simulated servers, operator and clock: requests are answered after a latency, tasks last as long as their
+//! goals say, and servers pause and restart when a test says so.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -17,13 +17,13 @@ use crate::server::{Server, ServerAnswer, ServerRequest};
 use crate::{Defaults, Script};
 use ztl_std::RemoteId;
 
-/// There and back.
+/// Round-trip time.
 const LATENCY: Duration = Duration::from_millis(1);
-/// After which a request is given up.
+/// When a request times out.
 const TIMEOUT: Duration = Duration::from_secs(2);
-/// How often it is asked what became of an INIT.
+/// How often the client asks for the outcome of an INIT.
 const OUTCOMES: u32 = 3;
-/// A run that goes on for longer hangs.
+/// A longer run hangs.
 const HANGS: Duration = Duration::from_secs(3600);
 
 /// A server, its tasks by id.
@@ -32,15 +32,15 @@ pub(super) struct Machine {
     boot: u32,
     next: u32,
     tasks: BTreeMap<u32, Job>,
-    /// It is silent in these times.
+    /// When it is silent.
     pub(super) pauses: Vec<(Instant, Instant)>,
-    /// It is started anew then.
+    /// When it restarts.
     pub(super) restarts: Vec<Instant>,
-    /// What is refused at INIT, by component: so many times.
+    /// How many INITs it refuses, by component.
     pub(super) refusals: BTreeMap<&'static str, u32>,
     /// Nobody listens at its address.
     pub(super) missing: bool,
-    /// When it was probed.
+    /// The times of its probes.
     pub(super) probed: Vec<Instant>,
 }
 
@@ -53,12 +53,12 @@ struct Job {
     aborted: Option<Instant>,
 }
 
-/// What was done on a server.
+/// A task that began on a server.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct Began {
     pub(super) at: Instant,
     pub(super) task: String,
-    /// Until when it really runs.
+    /// When it really ends.
     pub(super) until: Instant,
 }
 
@@ -83,14 +83,14 @@ impl Machine {
         pause.map(|(_, to)| *to)
     }
 
-    /// Restarts that have come.
+    /// Applies restarts that are due.
     fn turn(&mut self, now: Instant) {
         while let Some(restart) = self.restarts.first().copied().filter(|at| *at <= now) {
             self.restarts.remove(0);
             self.boot += 1;
             self.tasks.clear();
             if !self.ours {
-                // The original's counts from 1 again.
+                // The original counts from 1 again.
                 self.next = 0;
             }
             let _ = restart;
@@ -136,7 +136,7 @@ macro_rules! count {
 pub(super) use count;
 
 impl World {
-    /// A world in which a script is played: `robot` is the original's server, `lamp` one of ours.
+    /// A script with two servers: `robot` is the original's, `lamp` one of this project.
     pub(super) fn new(script: &str, options: PlayOptions) -> Self {
         Self::with(script, options, Defaults::default())
     }
@@ -224,7 +224,7 @@ impl World {
         self.pump();
     }
 
-    /// Lets time pass until somebody is asked or the run is over; what is asked.
+    /// Lets time pass until a question or the end of the run; returns the question.
     pub(super) fn until_asked(&mut self) -> Option<Question> {
         while self.outcome().is_none() && self.player.question().is_none() {
             if !self.tick(None) {
@@ -234,14 +234,14 @@ impl World {
         self.player.question()
     }
 
-    /// Lets so much time pass, whatever happens.
+    /// Lets time pass.
     pub(super) fn pass(&mut self, time: Duration) {
         let until = self.now + time;
         while self.tick(Some(until)) {}
         self.now = until;
     }
 
-    /// Until the run is over; the operator, if asked, does what `decide` says.
+    /// Runs to the end; `decide` answers questions.
     pub(super) fn run(&mut self, mut decide: impl FnMut(&Self, Question) -> Option<RunCommand>) {
         for _ in 0..100_000 {
             if self.outcome().is_some() {
@@ -259,7 +259,7 @@ impl World {
         panic!("it does not end: {:?}", self.events.last());
     }
 
-    /// The next thing that is to happen, if it is not after `until`.
+    /// Processes the next input, if it comes before `until`.
     fn tick(&mut self, until: Option<Instant>) -> bool {
         let answer = self.coming.first_key_value().map(|((at, _), _)| *at);
         let wake = self.player.poll_timeout();
@@ -298,13 +298,13 @@ impl World {
         }
     }
 
-    /// What comes of a request, and when.
+    /// The answer to a request, and its time.
     fn serve(&mut self, request: &Request) -> (Instant, ServerAnswer) {
         let now = self.now;
         let machine = self.machines.get_mut(&request.remote).expect("a server");
         machine.turn(now);
         let resumes = machine.paused(now);
-        // It is acted on when the server comes back, and answered if somebody still listens.
+        // The server acts on it when it is back, and answers if the client still waits.
         let acts = resumes.unwrap_or(now) + LATENCY;
         let late = acts.since(now) >= TIMEOUT;
         if machine.missing {
@@ -342,7 +342,7 @@ impl World {
                 let task = format!("{handler}:{component}:{goal}");
                 let patience = TIMEOUT * (OUTCOMES + 1);
                 if machine.ours && resumes.is_some() && late {
-                    // The shell asks for its outcome: it never came, and will not.
+                    // The client asks for its outcome: it never arrived, and never will.
                     return match acts.since(now) < patience {
                         true => (
                             acts,
@@ -378,7 +378,7 @@ impl World {
                     Some(ends) if ends > acts => (*hold).min(ends.since(acts)),
                     _ => Duration::ZERO,
                 };
-                // One that is started anew, or falls silent, while it holds an answer does not give it.
+                // A server that restarts or falls silent loses the answer that it holds.
                 let gone = machine
                     .restarts
                     .iter()
@@ -397,7 +397,7 @@ impl World {
                 {
                     job.aborted = Some(acts);
                     let begun = job.begun;
-                    // Another client's is not among them.
+                    // Another client's task is not in the list.
                     let began = self.began.iter_mut().find(|began| began.at == begun);
                     if let Some(began) = began {
                         began.until = acts;
@@ -421,7 +421,7 @@ impl World {
         }
     }
 
-    /// The kinds of events, in short, for tests to compare.
+    /// The events that match.
     pub(super) fn seen(&self, is: impl Fn(&RunEvent) -> bool) -> Vec<&RunEvent> {
         self.events
             .iter()
@@ -430,7 +430,7 @@ impl World {
             .collect()
     }
 
-    /// Why the step waits that waits, if one does.
+    /// The last reason why a step waited.
     pub(super) fn why(&self) -> Option<&WaitReason> {
         self.events.iter().rev().find_map(|(_, event)| match event {
             RunEvent::StepWaiting { why, .. } => Some(why),
@@ -438,7 +438,7 @@ impl World {
         })
     }
 
-    /// When each task began, in milliseconds, by the word of the servers.
+    /// When each task began, in milliseconds.
     pub(super) fn timeline(&self) -> Vec<(u64, &str)> {
         self.began
             .iter()
@@ -459,7 +459,7 @@ impl Machine {
             };
         }
         self.next += 1;
-        // `3`, `3 fail`, `3 lost`, `3 forever`; `3 stubborn` ends by an ABORT, but not before its time.
+        // `3`, `3 fail`, `3 lost`, `3 forever`; `3 stubborn` is aborted, but only after its time.
         let mut words = goal.split(' ');
         let seconds: f64 = words
             .next()
@@ -505,7 +505,7 @@ impl Machine {
         self.init(now, "other", goal);
     }
 
-    /// How many of its tasks run.
+    /// Number of its running tasks.
     pub(super) fn running(&self, now: Instant) -> usize {
         let runs = |job: &&Job| now < job.ends && job.aborted.is_none_or(|at| now < at);
         self.tasks.values().filter(runs).count()
@@ -524,7 +524,7 @@ impl Machine {
     }
 }
 
-/// What is said of a task whose server could not learn its end.
+/// The text about a task whose outcome the server could not learn.
 const LOST: &str = "the robot behind it was restarted";
 
 /// The key of a task in [`Machine::tasks`].

@@ -235,7 +235,7 @@ fn a_terminal_of_any_size_is_filled_and_not_overrun() {
             (33, 11),
         ] {
             let panes = [
-                Pane::Runner,
+                Pane::Show,
                 Pane::Choose(Chooser::at(3)),
                 Pane::Keys,
                 Pane::Details,
@@ -322,7 +322,7 @@ fn what_is_long_is_looked_through_by_pages() {
     board.scenes = vec![Look::ToCome; 200];
     let seen = |top| {
         let view = View {
-            pane: Pane::Runner,
+            pane: Pane::Show,
             top,
         };
         let (lines, seen) = draw(&board, &view, at, (80, 24));
@@ -452,6 +452,7 @@ fn a_task_that_ends_after_its_stop_was_given_up_counts_as_stopped() {
             state: TaskState::Aborted,
             id: None,
             text: "True".to_owned(),
+            no_server: false,
         };
         and(&mut board, at, ended);
     }
