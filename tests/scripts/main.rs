@@ -18,7 +18,7 @@ use ztl_std::Remotes;
 use ztl_std::terminal::shown;
 use ztl_tests::lab::{PATIENCE, built, python, until};
 use ztl_yaml::Document;
-use ztl_yaml::python::Value;
+use ztl_yaml::python::PythonValue;
 
 /// Scripts that are made up, and how many engines run at a time: they mostly wait.
 const MADE_UP: usize = 200;
@@ -304,7 +304,7 @@ fn values_are_what_pyyaml_makes_of_them() {
         count += 1;
         let read = read_value("value", format!("k: {text}\n").as_bytes());
         let ours = match &read {
-            Ok(Value::Map(pairs)) => match pairs.as_slice() {
+            Ok(PythonValue::Map(pairs)) => match pairs.as_slice() {
                 [(_, value)] => Some(value.to_string()),
                 _ => None,
             },
@@ -356,7 +356,7 @@ fn documents_are_what_pyyaml_makes_of_them() {
         let same = match (&theirs, ours.as_ref()) {
             (Some(theirs), Ok(value)) => {
                 read_by_both += 1;
-                *theirs == Value::List(vec![value.clone()]).to_string()
+                *theirs == PythonValue::List(vec![value.clone()]).to_string()
             }
             (Some(_), Err(error)) => is_refused(&text, &error.to_string()),
             (None, Ok(_)) => is_read(&text),

@@ -4,7 +4,7 @@ use std::fmt;
 
 use ztl_yaml::Diagnostic;
 
-/// A mistake, or something that is played and was probably not meant so.
+/// A mistake, or a doubt: something that is played, but was probably not meant so.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Finding {
     doubt: bool,
@@ -12,7 +12,7 @@ pub struct Finding {
 }
 
 impl Finding {
-    /// It cannot be played.
+    /// A mistake: it cannot be played.
     #[must_use]
     pub const fn mistake(diagnostic: Diagnostic) -> Self {
         Self {
@@ -21,30 +21,27 @@ impl Finding {
         }
     }
 
-    /// It is played, and was probably not meant so.
-    #[must_use]
-    pub const fn doubt(diagnostic: Diagnostic) -> Self {
+    /// A doubt.
+    pub(crate) const fn doubt(diagnostic: Diagnostic) -> Self {
         Self {
             doubt: true,
             diagnostic,
         }
     }
 
-    /// Whether it can be played all the same.
+    /// Whether it is a doubt.
     #[must_use]
     pub const fn is_doubt(&self) -> bool {
         self.doubt
     }
 
-    /// What and where.
+    /// What is wrong, and where.
     #[must_use]
     pub const fn diagnostic(&self) -> &Diagnostic {
         &self.diagnostic
     }
 
-    /// The same.
-    #[must_use]
-    pub fn into_diagnostic(self) -> Diagnostic {
+    pub(crate) fn into_diagnostic(self) -> Diagnostic {
         self.diagnostic
     }
 }

@@ -1,26 +1,35 @@
-//! Scripts: scenes of steps of tasks, as people write them who do not program.
+//! Scripts: scenes of steps of tasks in YAML, written by people who do not program.
+//!
+//! - [`Script`] reads a script and reports mistakes and doubts; [`Script::check_live`] asks its servers.
+//! - [`Runner`] plays a script on servers, which it reaches only through [`server::Connection`]. What is done
+//!   next is decided by its player, a state machine without I/O.
+//! - [`event`]: everything that happens in a run. [`record`] writes events to a file and reads them back;
+//!   [`report`] makes a page and tables of them.
+//! - [`timeline`] shows what would be sent when.
 
-mod ask;
+mod dry_run;
+mod durations;
 pub mod event;
 mod finding;
+mod live_check;
+mod millis;
 mod model;
-mod params;
-mod plan;
-pub mod player;
+mod player;
 mod read;
 pub mod record;
 pub mod report;
-mod show;
-mod stand_ins;
+mod runner;
+mod script;
+pub mod server;
 
-pub use ask::{Said, ask_all};
+pub use dry_run::timeline;
 pub use finding::Finding;
-pub use model::{Defaults, Handler, OnFailure, Scene, Script, Step, Task};
-pub use plan::timeline;
-pub use player::Player;
+pub use live_check::{ConnectShared, LiveCheck, check_servers};
+pub use model::{Defaults, Handler, OnFailure, Scene, Step, Task};
+pub use player::PlayOptions;
 pub use read::read_value;
-pub use show::{Connect, Inputs, Show};
-pub use stand_ins::StandIns;
+pub use runner::{Connect, Runner, RunnerHandle};
+pub use script::Script;
 
 #[cfg(test)]
 mod tests;

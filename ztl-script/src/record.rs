@@ -1,48 +1,48 @@
-//! The record of a run: one [`Stamped`] event a line, as JSON. `docs/record.md` is the schema.
+//! The record of a run: one [`StampedEvent`] per line, as JSON. `docs/record.md` is the schema.
 
 use std::fmt;
 use std::fs::{File, OpenOptions};
 use std::io::{self, BufRead, ErrorKind, Write};
 use std::path::Path;
 
-use super::event::{Event, FORMAT, RunStarted, Stamped};
+use crate::event::{FORMAT, RunEvent, RunStarted, StampedEvent};
 
-/// Longest line that is read. None that is written comes near, but for the outline of a huge script.
+/// Longest line to read. Only the outline of a huge script comes near it.
 const LONGEST: usize = 64 << 20;
 
-/// Where a record can be written.
+/// Where a record is written.
 trait Target: Write {
-    /// Puts what was written where a loss of power does not reach it.
+    /// Flushes to the disk, to survive a power failure.
     fn settle(&mut self) {}
 }
 
 impl Target for File {
     fn settle(&mut self) {
-        // A pipe or a terminal cannot; what matters is told by writing.
+        // Fails on pipes and terminals; errors that matter appear when writing.
         let _ = self.sync_data();
     }
 }
 
-/// Most lines of a record that are complained of one by one.
+/// Most damaged lines that are reported one by one.
 const MOST: usize = 100;
 
-/// Writes the record of a run. What cannot be written is counted, and the run goes on.
+/// Writes the record of a run. It counts events that cannot be written, and the run continues.
 pub struct Recorder {
     target: Box<dyn Target + Send>,
     name: String,
-    /// Events that are lacking in the record since the last that it has.
+    /// Events lost since the last one written.
     lost: u64,
-    /// The last event could not be written, and that was told.
+    /// Whether writing the last event failed, which the operator was told.
     told: bool,
-    /// A line was cut off in its middle.
+    /// Whether the last line is incomplete.
     cut: bool,
 }
 
 impl Recorder {
-    /// Makes the file.
+    /// Creates the file.
     ///
     /// # Errors
-    /// When it cannot be made, or is there already: a record is never overwritten.
+    /// When it cannot be created, or exists already: a record is never overwritten.
     pub fn create(path: &Path) -> io::Result<Self> {
         let file = OpenOptions::new().write(true).create_new(true).open(path);
         let file = file.map_err(|error| {
@@ -68,14 +68,13 @@ impl Recorder {
         }
     }
 
-    /// Writes an event. Each line is with the operating system when this returns, so a crash of
-    /// this process loses none; at the end of a scene and of the run it is also on the disk.
+    /// Writes an event. The operating system has each line when this returns, so a crash of this process
+    /// loses none; at the end of a scene and of the run the record is also flushed to the disk.
     ///
     /// # Errors
-    /// When this is the first event after a good one that could not be written: one message, for
-    /// the operator. The run need not care; the next event is tried again, and before it the
-    /// record says how many are lacking.
-    pub fn write(&mut self, event: &Stamped) -> Result<(), Unrecorded> {
+    /// When this event could not be written, but the one before was: one message for the operator. The
+    /// next event is tried again, after a note about how many were lost.
+    pub fn write(&mut self, event: &StampedEvent) -> Result<(), Unrecorded> {
         let written = self.try_write(event);
         let told = std::mem::replace(&mut self.told, written.is_err());
         let Err(cause) = written else { return Ok(()) };
@@ -89,10 +88,10 @@ impl Recorder {
         })
     }
 
-    fn try_write(&mut self, event: &Stamped) -> io::Result<()> {
+    fn try_write(&mut self, event: &StampedEvent) -> io::Result<()> {
         if self.lost > 0 {
-            let note = Stamped {
-                event: Event::Note {
+            let note = StampedEvent {
+                event: RunEvent::Note {
                     text: format!("{} events are lacking in the record here", self.lost),
                 },
                 ..*event
@@ -103,15 +102,15 @@ impl Recorder {
         self.line(event)?;
         if matches!(
             event.event,
-            Event::RunStarted(_) | Event::SceneEnded { .. } | Event::RunEnded { .. }
+            RunEvent::RunStarted(_) | RunEvent::SceneEnded { .. } | RunEvent::RunEnded { .. }
         ) {
             self.target.settle();
         }
         Ok(())
     }
 
-    fn line(&mut self, event: &Stamped) -> io::Result<()> {
-        // A line that was cut off stays as it is; the next one is whole again.
+    fn line(&mut self, event: &StampedEvent) -> io::Result<()> {
+        // Leave an incomplete line as it is, and start a new one.
         let mut line = if self.cut { vec![b'\n'] } else { Vec::new() };
         serde_json::to_writer(&mut line, event)?;
         line.push(b'\n');
@@ -141,12 +140,12 @@ impl fmt::Debug for Recorder {
     }
 }
 
-/// From here on events are lacking in a record.
+/// Events are missing in a record from here on.
 #[derive(Debug)]
 pub struct Unrecorded {
-    /// The record.
+    /// The record file.
     pub file: String,
-    /// What the system says.
+    /// The system's error.
     pub cause: io::Error,
 }
 
@@ -167,18 +166,18 @@ impl std::error::Error for Unrecorded {
     }
 }
 
-/// A run as its record tells it.
+/// The record of one run.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Record {
-    /// The file; of a second run in the same file `FILE#2`.
+    /// The file; for the second run in a file `FILE#2`.
     pub name: String,
-    /// What the first event says.
+    /// The first event.
     pub started: RunStarted,
-    /// All events, in the order of the file, which is that of their happening.
-    pub events: Vec<Stamped>,
+    /// All events, in order.
+    pub events: Vec<StampedEvent>,
 }
 
-/// What is wrong in a record. What can be read is read all the same.
+/// Damage in a record, whose other lines are still read.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Damage {
     /// The file.
@@ -195,11 +194,11 @@ impl fmt::Display for Damage {
     }
 }
 
-/// Reads the runs of a record: usually one; several where files were joined. Lines that cannot be
-/// read are passed over and reported; a run without an end is one that was cut off.
+/// Reads the runs of a record: usually one, several in joined files. It skips and reports lines that it
+/// cannot read. A run without an end was cut off.
 ///
 /// # Errors
-/// When the source cannot be read at all.
+/// When the source cannot be read.
 pub fn read(name: &str, mut from: impl BufRead) -> io::Result<(Vec<Record>, Vec<Damage>)> {
     let mut runs: Vec<Record> = Vec::new();
     let mut damage = Vec::new();
@@ -239,7 +238,7 @@ pub fn read(name: &str, mut from: impl BufRead) -> io::Result<(Vec<Record>, Vec<
                 continue;
             }
         };
-        if let Event::RunStarted(started) = &event.event {
+        if let RunEvent::RunStarted(started) = &event.event {
             if started.format != FORMAT {
                 complain(format!(
                     "format {}, and this version reads {FORMAT}: it may be misread",
@@ -261,7 +260,7 @@ pub fn read(name: &str, mut from: impl BufRead) -> io::Result<(Vec<Record>, Vec<
             complain("an event before the start of a run; it is passed over".to_owned());
             continue;
         };
-        if let Event::Unknown = event.event {
+        if let RunEvent::Unknown = event.event {
             complain("an event that only a newer version knows; it is passed over".to_owned());
         } else if run.events.last().is_some_and(|last| last.at > event.at) {
             complain("an event from before the one above it; it is passed over".to_owned());
@@ -269,46 +268,39 @@ pub fn read(name: &str, mut from: impl BufRead) -> io::Result<(Vec<Record>, Vec<
             run.events.push(event);
         }
     }
-    if more > 0 {
+    let is_undamaged = damage.is_empty();
+    let mut about_file = |line, text: String| {
         damage.push(Damage {
             file: name.to_owned(),
-            line: number,
-            text: format!("{more} more lines could not be used"),
+            line,
+            text,
         });
+    };
+    if more > 0 {
+        about_file(number, format!("{more} more lines could not be used"));
     }
     if number == 0 {
-        damage.push(Damage {
-            file: name.to_owned(),
-            line: 1,
-            text: "the file is empty".to_owned(),
-        });
-    } else if runs.is_empty() && damage.is_empty() {
-        damage.push(Damage {
-            file: name.to_owned(),
-            line: 1,
-            text: "no run starts here".to_owned(),
-        });
+        about_file(1, "the file is empty".to_owned());
+    } else if runs.is_empty() && is_undamaged {
+        about_file(1, "no run starts here".to_owned());
     }
     for run in &runs {
-        let ended = |event: &Stamped| matches!(event.event, Event::RunEnded { .. });
+        let ended = |event: &StampedEvent| matches!(event.event, RunEvent::RunEnded { .. });
         if !run.events.last().is_some_and(ended) {
-            damage.push(Damage {
-                file: name.to_owned(),
-                line: number,
-                text: format!(
-                    "the end of {} is lacking: it is read as far as it goes",
-                    run.name
-                ),
-            });
+            let text = format!(
+                "the end of {} is lacking: it is read as far as it goes",
+                run.name
+            );
+            about_file(number, text);
         }
     }
     Ok((runs, damage))
 }
 
-fn parse(line: &[u8]) -> Result<Stamped, String> {
+fn parse(line: &[u8]) -> Result<StampedEvent, String> {
     let text = std::str::from_utf8(line).map_err(|_| "not UTF-8".to_owned())?;
     serde_json::from_str(text.trim_end()).map_err(|error| {
-        // The line's number in a text of one line says nothing.
+        // The line number within one line says nothing.
         let text = error.to_string();
         match text.rsplit_once(" at line 1 column ") {
             Some((what, column)) => format!("{what} at column {column}"),

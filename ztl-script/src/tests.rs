@@ -1,10 +1,17 @@
-//! Files that are scripts, and files that are anything.
-
 use super::*;
 use ztl_tests::garbage::Garbage;
 
+/// The doubts about a script that can be played, as they are shown.
+#[track_caller]
+fn doubts(file: &str) -> (Script, Vec<String>) {
+    let (script, findings) = Script::examine("f", file.as_bytes(), Defaults::default());
+    assert!(findings.iter().all(Finding::is_doubt), "{findings:?}");
+    let doubts = findings.iter().map(ToString::to_string).collect();
+    (script.expect("a script"), doubts)
+}
+
 #[test]
-fn no_file_at_all_makes_it_panic() {
+fn no_input_makes_the_reader_panic() {
     let mut numbers = Garbage::new(0x2545_f491_4f6c_dd1d);
     let rounds = std::env::var("ZTL_ROUNDS")
         .ok()
@@ -15,23 +22,17 @@ fn no_file_at_all_makes_it_panic() {
         let from = numbers.below(bytes.len() + 1);
         bytes.truncate(from);
         bytes.extend(rest);
-        match Script::read("f", &bytes, Defaults::default()) {
-            Ok(script) => {
-                assert!(
-                    script
-                        .doubts()
-                        .iter()
-                        .all(|doubt| doubt.to_string().starts_with("f:"))
-                );
-                assert_eq!(script.outline().scenes.len(), script.scenes.len());
-            }
-            Err(mistakes) => assert!(mistakes.to_string().starts_with("f:"), "{bytes:?}"),
+        let (script, findings) = Script::examine("f", &bytes, Defaults::default());
+        let placed = |finding: &Finding| finding.to_string().starts_with("f:");
+        assert!(findings.iter().all(placed), "{bytes:?}");
+        if let Some(script) = script {
+            assert_eq!(script.outline().scenes.len(), script.scenes.len());
         }
     }
 }
 
 #[test]
-fn the_papers_notation_is_read() {
+fn parameters_take_blanks_and_semicolons() {
     let file = b"s: {step(wait = False; delay = 2.5): {h: {c (delay=.5): 1}}, t(on_failure=go on;parallel;timeout=0): {h: {c: 1}}}";
     let script = Script::read(
         "f",
@@ -63,10 +64,8 @@ fn the_papers_notation_is_read() {
 }
 
 #[test]
-fn mistakes_in_what_a_second_key_replaces_are_told_too_and_keep_nothing_from_being_played() {
-    let file = b"s: {a: {h: {c(delay=soon): no}}, a: {h: {c: 1}}}";
-    let script = Script::read("f", file, Defaults::default()).expect("it is played");
-    let doubts: Vec<String> = script.doubts().iter().map(Finding::to_string).collect();
+fn mistakes_in_a_replaced_entry_are_doubts() {
+    let (script, doubts) = doubts("s: {a: {h: {c(delay=soon): no}}, a: {h: {c: 1}}}");
     assert_eq!(doubts.len(), 3, "{doubts:?}");
     assert!(
         doubts[0].starts_with("f:1:21: 'soon' is not a number of seconds"),
@@ -76,7 +75,7 @@ fn mistakes_in_what_a_second_key_replaces_are_told_too_and_keep_nothing_from_bei
 }
 
 #[test]
-fn a_reader_of_yaml_that_would_grow_without_end_is_stopped() {
+fn aliases_cannot_expand_without_limit() {
     let mut laughs =
         "s: {a: {h: {c: 1}}}\na0: &a0 {h: {x: [x, x, x, x, x, x, x, x, x, x]}}\n".to_owned();
     for level in 1..12 {
@@ -91,10 +90,8 @@ fn a_reader_of_yaml_that_would_grow_without_end_is_stopped() {
 }
 
 #[test]
-fn parentheses_that_are_none_are_doubtful() {
-    let file = "s: {t（wait=no）: {h: {c(delay=1, wait=no): 1}}}";
-    let script = Script::read("f", file.as_bytes(), Defaults::default()).expect("a script");
-    let doubts: Vec<String> = script.doubts().iter().map(ToString::to_string).collect();
+fn wrong_parentheses_are_doubtful() {
+    let (_, doubts) = doubts("s: {t（wait=no）: {h: {c(delay=1, wait=no): 1}}}");
     assert!(
         doubts[0].contains("f:1:5: these are not the parentheses"),
         "{doubts:?}"
@@ -103,11 +100,11 @@ fn parentheses_that_are_none_are_doubtful() {
 }
 
 #[test]
-fn scenes_or_steps_of_one_name_whose_parameters_differ_are_doubtful() {
-    let file = b"a(delay=1): {s: {h: {c: 1}}}\na:\n  s(wait=no): {h: {c: 1}}\n  t: {h: {c(delay=1): 1, c: 2}}\n  's ': {h: {c: 1}}\n";
-    let script = Script::read("f", file, Defaults::default()).expect("it is played");
+fn scenes_or_steps_that_differ_only_in_parameters_are_doubtful() {
+    let (script, doubts) = doubts(
+        "a(delay=1): {s: {h: {c: 1}}}\na:\n  s(wait=no): {h: {c: 1}}\n  t: {h: {c(delay=1): 1, c: 2}}\n  's ': {h: {c: 1}}\n",
+    );
     assert_eq!((script.scenes.len(), script.scenes[1].steps.len()), (2, 3));
-    let doubts: Vec<String> = script.doubts().iter().map(ToString::to_string).collect();
     assert_eq!(doubts.len(), 2, "{doubts:?}");
     for (doubt, start) in doubts.iter().zip([
         "f:2:1: the scene in line 1 is named 'a', too: both are played",

@@ -15,7 +15,7 @@ use super::rule::Rule;
 use super::{Entry, Groups, Programs, Room, WILD, Work};
 use ztl_std::listen::Listen;
 use ztl_std::scope;
-use ztl_yaml::{Diagnostic, Diagnostics, Document, Fields, Node, Reading, Value};
+use ztl_yaml::{Diagnostic, Diagnostics, Document, Fields, Node, NodeValue, Reading};
 
 /// How many tasks there may be at once in all, unless the file says otherwise.
 const AT_ONCE: usize = 200;
@@ -216,11 +216,11 @@ impl<'d> Source<'d> {
     fn entry(&mut self, node: &'d Node, wild: Wild) -> Option<Entry> {
         let what = "run: [PROGRAM, ARGUMENT, …], shell, forward, or one of: echo, sleep, print";
         match &node.value {
-            Value::List(_) => {
+            NodeValue::List(_) => {
                 let run = self.plain_program(node, wild)?;
                 Some(entry(Work::Program(Arc::new(run)), Rule::Any))
             }
-            Value::Scalar { .. } if !node.is_null() => {
+            NodeValue::Scalar { .. } if !node.is_null() => {
                 self.built_in(node).map(|(work, rule)| entry(work, rule))
             }
             _ => {

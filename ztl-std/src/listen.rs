@@ -7,7 +7,7 @@ use ipnet::IpNet;
 
 use crate::files::is_stream;
 use crate::server::{LIMITS, Limits};
-use ztl_yaml::{Fields, Node, Reading, Value};
+use ztl_yaml::{Fields, Node, NodeValue, Reading};
 
 /// These settings. Each can be left out of the file and be given elsewhere.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
@@ -146,7 +146,7 @@ fn limits<'d>(reading: &mut Reading<'d>, node: &'d Node) -> Limits {
 #[must_use]
 pub fn one_or_more(node: &Node) -> &[Node] {
     match &node.value {
-        Value::List(nodes) => nodes,
+        NodeValue::List(nodes) => nodes,
         _ => std::slice::from_ref(node),
     }
 }

@@ -32,7 +32,7 @@ use ztl_core::integer::Integer;
 
 use crate::scope;
 use ztl_yaml::python;
-use ztl_yaml::{Diagnostics, Document, Node, Reading, Value, closest};
+use ztl_yaml::{Diagnostics, Document, Node, NodeValue, Reading, closest};
 
 /// A server's or publisher's address and scope.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -299,7 +299,7 @@ fn text<'d>(reading: &mut Reading<'d>, node: &'d Node, what: &str) -> Option<Str
 
 fn word(node: &Node) -> Option<&str> {
     match &node.value {
-        Value::Scalar { text, .. } => Some(text),
+        NodeValue::Scalar { text, .. } => Some(text),
         _ => None,
     }
 }

@@ -1,30 +1,30 @@
-//! Mistakes in files, as people are shown them.
+//! Mistakes in files, as shown to people.
 
 use std::fmt;
 
-use super::chars::is_line_break;
-use super::{Mark, Span};
+use crate::cursor::is_line_break;
+use crate::node::{Mark, Span};
 
-/// Longest part of a line that is shown, in characters.
+/// Most characters of a line that are shown.
 const SHOWN: usize = 100;
 
-/// One mistake in a file: what, where, and what would be right.
+/// One mistake in a file, its place and its remedy.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Diagnostic {
     /// Name of the file.
     pub file: String,
-    /// Where the mistake stands; `None` when it is about the whole file.
+    /// Its place; `None` if it is about the whole file.
     pub span: Option<Span>,
     /// What is wrong.
     pub message: String,
-    /// What would be right: put after the message.
+    /// The remedy, shown after the message.
     pub help: Option<String>,
-    /// The line in which it begins.
+    /// The line where it begins.
     line: String,
 }
 
 impl Diagnostic {
-    /// About a whole file.
+    /// A mistake about a whole file.
     #[must_use]
     pub fn of_file(file: &str, message: impl Into<String>) -> Self {
         Self {
@@ -36,9 +36,8 @@ impl Diagnostic {
         }
     }
 
-    /// About a place in `text`, the file's content.
-    #[must_use]
-    pub fn at(file: &str, text: &str, span: Span, message: String) -> Self {
+    /// A mistake at a place in `text`, the content of the file.
+    pub(crate) fn at(file: &str, text: &str, span: Span, message: String) -> Self {
         let (start, line) = place(text, span.start);
         let end = if span.end > start { span.end } else { start };
         Self {
@@ -50,7 +49,7 @@ impl Diagnostic {
         }
     }
 
-    /// The place, what is wrong and what would be right, on one line.
+    /// The place, the mistake and its remedy, on one line.
     #[must_use]
     pub fn sentence(&self) -> String {
         let Self { file, message, .. } = self;
@@ -67,7 +66,7 @@ impl Diagnostic {
         text
     }
 
-    /// Adds what would be right.
+    /// Adds the remedy.
     #[must_use]
     pub fn with_help(mut self, help: impl Into<String>) -> Self {
         self.help = Some(help.into());
@@ -75,7 +74,7 @@ impl Diagnostic {
     }
 }
 
-/// A place that is in the file, and its line: a parser that has come to the end stands behind it.
+/// A place within the text, and its line. A parser at the end is past the last line.
 fn place(text: &str, mark: Mark) -> (Mark, &str) {
     match lines(text).nth(mark.line.saturating_sub(1)) {
         Some(line) => (mark, line),
@@ -83,10 +82,10 @@ fn place(text: &str, mark: Mark) -> (Mark, &str) {
     }
 }
 
-/// The lines of a text, without what ends them: YAML knows more than '\n'.
+/// The lines of a text. YAML has more line breaks than '\n'.
 fn lines(text: &str) -> impl Iterator<Item = &str> {
     let ended = text.split_inclusive(is_line_break);
-    // What "\r\n" ends is cut in two.
+    // "\r\n" is cut in two.
     let mut after_return = false;
     ended.filter_map(move |line| {
         let second_half = after_return && line == "\n";
@@ -95,8 +94,8 @@ fn lines(text: &str) -> impl Iterator<Item = &str> {
     })
 }
 
-/// Where a text ends: behind its last character.
-pub(super) fn end_of(text: &str) -> Mark {
+/// The place after the last character of a text.
+pub(crate) fn end_of(text: &str) -> Mark {
     let last = lines(text).last().unwrap_or_default();
     Mark {
         line: lines(text).count().max(1),
@@ -104,7 +103,7 @@ pub(super) fn end_of(text: &str) -> Mark {
     }
 }
 
-/// Closest of `known` to what was written, if it is likely to have been meant.
+/// The word of `known` that was probably meant.
 #[must_use]
 pub fn closest<'a>(written: &str, known: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
     let plain = |text: &str| text.to_lowercase().replace('_', "-");
@@ -119,14 +118,14 @@ pub fn closest<'a>(written: &str, known: impl IntoIterator<Item = &'a str>) -> O
 }
 
 impl fmt::Display for Diagnostic {
-    /// The place and what is wrong; below it the line, and a mark under what is meant.
+    /// The sentence; below it the line, and a mark under the mistake.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(f, "{}", self.sentence())?;
         let Some(Span { start, end }) = self.span else {
             return Ok(());
         };
         let before = start.column.saturating_sub(1);
-        // Of a long line, the part around the mistake.
+        // Of a long line, show the part around the mistake.
         let left_out = before.saturating_sub(SHOWN / 2);
         let shown: String = self
             .line
@@ -143,7 +142,7 @@ impl fmt::Display for Diagnostic {
             true => end.column.saturating_sub(start.column).min(room),
             false => room,
         };
-        // A tab stays one, so that the mark stands below what it marks.
+        // Keep tabs, so that the mark is below the mistake.
         let below: String = shown
             .chars()
             .chain(std::iter::repeat(' '))
@@ -155,7 +154,7 @@ impl fmt::Display for Diagnostic {
     }
 }
 
-/// What a terminal shows of a character without obeying it.
+/// A character that a terminal shows and does not obey.
 fn visible(c: char) -> char {
     match c {
         '\t' => c,
@@ -169,7 +168,7 @@ fn visible(c: char) -> char {
 pub struct Diagnostics(Vec<Diagnostic>);
 
 impl Diagnostics {
-    /// Puts them in the order of the file.
+    /// Sorts them by place.
     #[must_use]
     pub fn new(mut mistakes: Vec<Diagnostic>) -> Self {
         mistakes.sort_by_key(|mistake| mistake.span.map(|span| span.start));

@@ -1,25 +1,25 @@
 //! Collections between brackets.
 
-use super::explain::never_closed;
-use super::token::{Bracket, Kind};
-use super::tree::{Parser, point};
-use super::{Mistake, Node, Span, Value};
+use crate::node::{Mistake, Node, NodeValue, Span};
+use crate::parse_errors::never_closed;
+use crate::parser::{Parser, point};
+use crate::token::{Bracket, TokenKind};
 
 impl Parser {
-    pub(super) fn square(&mut self) -> Result<Value, Mistake> {
+    pub(crate) fn square(&mut self) -> Result<NodeValue, Mistake> {
         let open = self.next()?.span;
         let bracket = Bracket::Square;
         let mut items = Vec::new();
-        while !self.takes(&Kind::Close(bracket))? {
+        while !self.takes(&TokenKind::Close(bracket))? {
             if !items.is_empty() {
                 self.comma(open, bracket)?;
-                if self.takes(&Kind::Close(bracket))? {
+                if self.takes(&TokenKind::Close(bracket))? {
                     break;
                 }
             }
             let item = match self.peek()? {
                 // A mapping of one key, without its own brackets.
-                Kind::Key => {
+                TokenKind::Key => {
                     let span = self.span()?;
                     self.counted(1, span)?;
                     self.nested(span, |parser| {
@@ -31,22 +31,22 @@ impl Parser {
             };
             items.push(item);
         }
-        Ok(Value::List(items))
+        Ok(NodeValue::List(items))
     }
 
-    pub(super) fn curly(&mut self) -> Result<Value, Mistake> {
+    pub(crate) fn curly(&mut self) -> Result<NodeValue, Mistake> {
         let open = self.next()?.span;
         let bracket = Bracket::Curly;
         let mut pairs = Vec::new();
-        while !self.takes(&Kind::Close(bracket))? {
+        while !self.takes(&TokenKind::Close(bracket))? {
             if !pairs.is_empty() {
                 self.comma(open, bracket)?;
-                if self.takes(&Kind::Close(bracket))? {
+                if self.takes(&TokenKind::Close(bracket))? {
                     break;
                 }
             }
             let pair = match self.peek()? {
-                Kind::Key => self.pair(open, bracket)?,
+                TokenKind::Key => self.pair(open, bracket)?,
                 _ => {
                     let key = self.flow_node(open, bracket)?;
                     let value = self.empty(key.span)?;
@@ -61,7 +61,7 @@ impl Parser {
     /// A value between brackets.
     fn flow_node(&mut self, open: Span, bracket: Bracket) -> Result<Node, Mistake> {
         match self.peek()? {
-            Kind::StreamEnd | Kind::DocumentStart | Kind::DocumentEnd => {
+            TokenKind::StreamEnd | TokenKind::DocumentStart | TokenKind::DocumentEnd => {
                 Err(never_closed(open, bracket))
             }
             _ => self.node(false, false),
@@ -71,12 +71,13 @@ impl Parser {
     /// `key: value`, `? key : value`, `? key` or `: value` between brackets.
     fn pair(&mut self, open: Span, bracket: Bracket) -> Result<(Node, Node), Mistake> {
         let end = self.next()?.span.end;
-        let ends = |kind: &Kind| *kind == Kind::Comma || *kind == Kind::Close(bracket);
+        let ends =
+            |kind: &TokenKind| *kind == TokenKind::Comma || *kind == TokenKind::Close(bracket);
         let key = match self.peek()? {
-            kind if ends(kind) || *kind == Kind::Value => self.empty(point(end))?,
+            kind if ends(kind) || *kind == TokenKind::Value => self.empty(point(end))?,
             _ => self.flow_node(open, bracket)?,
         };
-        if *self.peek()? != Kind::Value {
+        if *self.peek()? != TokenKind::Value {
             let value = self.empty(key.span)?;
             return Ok((key, value));
         }

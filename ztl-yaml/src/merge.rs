@@ -1,37 +1,36 @@
-//! `<<: *base`: the keys of other mappings, which stand in front and give way to a mapping's own.
+//! `<<: *base`: the keys of other mappings come first, and a mapping's own keys override them.
 
 use std::collections::HashMap;
 
-use super::{CORE, Mistake, Node, Value};
+use crate::node::{CORE, Mistake, Node, NodeValue};
 
-/// Whether a key says that mappings are to be merged.
-pub(super) fn is_merge(key: &Node) -> bool {
+/// Whether a key asks to merge mappings.
+pub(crate) fn is_merge(key: &Node) -> bool {
     match key.tag.as_deref() {
         Some(tag) if tag.strip_prefix(CORE) == Some("merge") => {
-            matches!(key.value, Value::Scalar { .. })
+            matches!(key.value, NodeValue::Scalar { .. })
         }
         _ => key.is_plainly("<<"),
     }
 }
 
-/// The pairs of a mapping with what it merges, in the order that PyYAML gives them: of a list of
-/// mappings the first one wins.
-pub(super) fn merged(pairs: Vec<(Node, Node)>, mistakes: &mut Vec<Mistake>) -> Vec<(Node, Node)> {
+/// The pairs of a mapping with what it merges, in PyYAML's order. Of a list of mappings the first one wins.
+pub(crate) fn merged(pairs: Vec<(Node, Node)>, mistakes: &mut Vec<Mistake>) -> Vec<(Node, Node)> {
     if !pairs.iter().any(|(key, _)| is_merge(key)) {
         return pairs;
     }
     let (merges, own): (Vec<_>, Vec<_>) = pairs.into_iter().partition(|(key, _)| is_merge(key));
     let mut all: Vec<(Node, Node)> = Vec::new();
-    // Where each merged key is.
+    // Index of each merged key in `all`.
     let mut places = HashMap::new();
     for (_, value) in merges {
         let span = value.span;
         let maps = match value.value {
-            Value::List(maps) => maps.into_iter().rev().collect(),
+            NodeValue::List(maps) => maps.into_iter().rev().collect(),
             _ => vec![value],
         };
         for map in maps {
-            let Value::Map(pairs) = map.value else {
+            let NodeValue::Map(pairs) = map.value else {
                 let message = "'<<' takes a mapping or a list of mappings".to_owned();
                 mistakes.push((span, message));
                 break;
@@ -50,7 +49,7 @@ pub(super) fn merged(pairs: Vec<(Node, Node)>, mistakes: &mut Vec<Mistake>) -> V
         }
     }
     for pair in own {
-        // The first of its own; a second one is repeated.
+        // A repeated key of its own is reported elsewhere.
         let place = identity(&pair.0).and_then(|name| places.remove(&name));
         match place.and_then(|place| all.get_mut(place)) {
             Some(place) => *place = pair,
@@ -60,10 +59,10 @@ pub(super) fn merged(pairs: Vec<(Node, Node)>, mistakes: &mut Vec<Mistake>) -> V
     all
 }
 
-/// What tells a key from others.
+/// What makes two keys equal.
 fn identity(key: &Node) -> Option<(String, bool, Option<String>)> {
     match &key.value {
-        Value::Scalar { text, plain } => Some((text.clone(), *plain, key.tag.clone())),
+        NodeValue::Scalar { text, plain } => Some((text.clone(), *plain, key.tag.clone())),
         _ => None,
     }
 }

@@ -1,60 +1,44 @@
-//! What a scalar means to PyYAML, by YAML 1.1's rules (wire specification 8.1).
-
-use ztl_core::base64;
+//! Scalars as PyYAML reads them, by the rules of YAML 1.1 (wire specification 8.1).
 
 mod value;
 
-use crate::{CORE, Node};
+use ztl_core::base64;
 
-pub use value::{Date, Timestamp, Value, quoted};
+use crate::node::{CORE, Node, NodeValue};
+pub use value::{Date, PythonValue, Timestamp, quoted};
 
-/// Longest whole number, in digits, that Python writes as text.
+/// Most digits of a whole number that Python writes as text.
 const MAX_DIGITS: usize = ztl_core::integer::MAX_DIGITS;
 
-/// The text that Python makes of a scalar: to PyYAML `010` is 8, and `on` is `True`. `None` for a
-/// collection.
+/// Python's text of a scalar: PyYAML reads `010` as 8, and `on` as `True`. `None` for a collection.
 ///
 /// # Errors
-/// As [`plain`].
+/// As [`read`].
 #[must_use]
 pub fn text(node: &Node) -> Option<Result<String, String>> {
-    let crate::Value::Scalar { text, plain } = &node.value else {
+    let NodeValue::Scalar { text, plain } = &node.value else {
         return None;
     };
     Some(read(text, *plain, node.tag.as_deref()).map(|value| value.to_string()))
 }
 
-/// What a scalar means; a tag other than YAML's own is the caller's concern.
+/// Reads a scalar. The caller handles tags other than YAML's own.
 ///
 /// # Errors
-/// As [`plain`].
-pub fn read(text: &str, plain: bool, tag: Option<&str>) -> Result<Value, String> {
+/// Why it has no value. PyYAML raises an exception there.
+pub fn read(text: &str, plain: bool, tag: Option<&str>) -> Result<PythonValue, String> {
     match tag.and_then(|tag| tag.strip_prefix(CORE)) {
         Some(kind) => tagged(kind, text),
-        None if plain || tag.is_some() => self::plain(text),
-        None => Ok(Value::Text(text.to_owned())),
+        None if plain || tag.is_some() => tagged(kind(text), text),
+        None => tagged("str", text),
     }
 }
 
-/// What a plain scalar means.
-///
-/// # Errors
-/// Why it means nothing: PyYAML ends there with an exception.
-pub fn plain(text: &str) -> Result<Value, String> {
-    match kind(text) {
-        Some(kind) => tagged(kind, text),
-        None => Ok(Value::Text(text.to_owned())),
-    }
-}
-
-/// What a scalar with this one of YAML's tags means.
-///
-/// # Errors
-/// As [`plain`].
-pub(super) fn tagged(kind: &str, text: &str) -> Result<Value, String> {
+/// Reads a scalar with one of YAML's tags.
+fn tagged(kind: &str, text: &str) -> Result<PythonValue, String> {
     match kind {
-        "str" => Ok(Value::Text(text.to_owned())),
-        "null" => Ok(Value::Null),
+        "str" => Ok(PythonValue::Text(text.to_owned())),
+        "null" => Ok(PythonValue::Null),
         "bool" => truth(text),
         "int" => int(text),
         "float" => float(text),
@@ -68,20 +52,17 @@ pub(super) fn tagged(kind: &str, text: &str) -> Result<Value, String> {
     }
 }
 
-/// Which of YAML's tags a plain scalar has by its form; in the order in which PyYAML tries.
-pub(super) fn kind(text: &str) -> Option<&'static str> {
+/// The tag of a plain scalar by its form, tried in PyYAML's order.
+fn kind(text: &str) -> &'static str {
     match text {
-        "" | "~" | "null" | "Null" | "NULL" => return Some("null"),
-        "<<" => return Some("merge"),
-        "=" => return Some("value"),
-        _ => {}
-    }
-    match text {
-        text if is_truth(text) => Some("bool"),
-        text if is_float(text) => Some("float"),
-        text if is_int(text) => Some("int"),
-        text if is_timestamp(text) => Some("timestamp"),
-        _ => None,
+        "" | "~" | "null" | "Null" | "NULL" => "null",
+        "<<" => "merge",
+        "=" => "value",
+        text if is_truth(text) => "bool",
+        text if is_float(text) => "float",
+        text if is_int(text) => "int",
+        text if is_timestamp(text) => "timestamp",
+        _ => "str",
     }
 }
 
@@ -91,26 +72,26 @@ fn is_truth(text: &str) -> bool {
         lower.as_str(),
         "yes" | "no" | "true" | "false" | "on" | "off"
     );
-    // yes, Yes or YES, and not yEs.
+    // `yes`, `Yes` or `YES`, but not `yEs`.
     let rest = text.get(1..).unwrap_or_default();
     let one_case = rest.bytes().all(|c| c.is_ascii_lowercase())
         || (text.bytes().all(|c| c.is_ascii_uppercase()));
     known && one_case
 }
 
-fn truth(text: &str) -> Result<Value, String> {
+fn truth(text: &str) -> Result<PythonValue, String> {
     match text.to_lowercase().as_str() {
-        "yes" | "true" | "on" => Ok(Value::Bool(true)),
-        "no" | "false" | "off" => Ok(Value::Bool(false)),
+        "yes" | "true" | "on" => Ok(PythonValue::Bool(true)),
+        "no" | "false" | "off" => Ok(PythonValue::Bool(false)),
         _ => Err(format!("'{text}' is neither true nor false")),
     }
 }
 
-/// A text that is taken from its front.
+/// The rest of a text, consumed from its front.
 struct Rest<'t>(&'t str);
 
 impl<'t> Rest<'t> {
-    /// Takes the characters of this kind, and says whether there was one.
+    /// Takes the bytes of this kind.
     fn many(&mut self, is: impl Fn(u8) -> bool) -> &'t str {
         let len = self.0.bytes().take_while(|byte| is(*byte)).count();
         let (taken, rest) = self.0.split_at_checked(len).unwrap_or((self.0, ""));
@@ -118,14 +99,14 @@ impl<'t> Rest<'t> {
         taken
     }
 
-    /// Takes the first of them that stands here.
+    /// Takes one of these characters.
     fn one(&mut self, of: &[char]) -> Option<char> {
         let first = self.0.chars().next().filter(|c| of.contains(c))?;
         self.0 = self.0.get(first.len_utf8()..).unwrap_or_default();
         Some(first)
     }
 
-    /// Takes so many digits.
+    /// Takes so many digits, or none if there are fewer.
     fn digits(&mut self, least: usize, most: usize) -> Option<&'t str> {
         let len = self
             .0
@@ -146,7 +127,7 @@ const fn digit_or_bar(byte: u8) -> bool {
     byte.is_ascii_digit() || byte == b'_'
 }
 
-/// `:30`, `:05`, `:5`, one or more of them up to the end or the point; whether there was one, and all are below 60.
+/// Takes `:30`, `:05`, `:5`, up to the end or a point; returns whether there was one, and all are below 60.
 fn sixties(rest: &mut Rest<'_>) -> bool {
     let mut any = false;
     while rest.one(&[':']).is_some() {
@@ -163,7 +144,7 @@ fn is_float(text: &str) -> bool {
     if matches!(unsigned, ".inf" | ".Inf" | ".INF") || matches!(text, ".nan" | ".NaN" | ".NAN") {
         return true;
     }
-    // A number that begins with a point has no sign.
+    // A number that begins with a point takes no sign.
     let mut rest = Rest(if unsigned.starts_with('.') {
         text
     } else {
@@ -211,7 +192,7 @@ fn is_int(text: &str) -> bool {
     first && (rest.0.is_empty() || (sixties(&mut rest) && rest.0.is_empty()))
 }
 
-fn int(text: &str) -> Result<Value, String> {
+fn int(text: &str) -> Result<PythonValue, String> {
     let wrong = || format!("'{text}' is no whole number");
     let plain = text.replace('_', "");
     let (negative, digits) = match plain.strip_prefix('-') {
@@ -252,10 +233,10 @@ fn int(text: &str) -> Result<Value, String> {
     }
     let digits = number.text();
     let minus = if negative && digits != "0" { "-" } else { "" };
-    Ok(Value::Int(format!("{minus}{digits}")))
+    Ok(PythonValue::Int(format!("{minus}{digits}")))
 }
 
-/// A whole number, nine decimal digits a piece, the lowest first.
+/// A whole number: nine decimal digits per piece, the lowest first.
 #[derive(Default)]
 struct Decimal(Vec<u32>);
 
@@ -289,7 +270,7 @@ impl Decimal {
     }
 }
 
-fn float(text: &str) -> Result<Value, String> {
+fn float(text: &str) -> Result<PythonValue, String> {
     let wrong = || format!("'{text}' is no number");
     let plain = text.replace('_', "").to_lowercase();
     let (sign, number) = match plain.strip_prefix('-') {
@@ -316,17 +297,17 @@ fn float(text: &str) -> Result<Value, String> {
         }
         number => part(number).ok_or_else(wrong)?,
     };
-    Ok(Value::Float(sign * value))
+    Ok(PythonValue::Float(sign * value))
 }
 
 fn is_timestamp(text: &str) -> bool {
     moment(text).is_some_and(|moment| moment.time.is_some() || text.len() == 10)
 }
 
-/// The parts of a timestamp as they were written.
+/// The parts of a timestamp, as written.
 struct Moment<'t> {
     day: [&'t str; 3],
-    /// Hour, minute, second, fraction, and what is said of the zone.
+    /// Hour, minute, second; fraction; zone.
     time: Option<([&'t str; 3], &'t str, Zone<'t>)>,
 }
 
@@ -386,7 +367,7 @@ const fn is_blank(byte: u8) -> bool {
     matches!(byte, b' ' | b'\t')
 }
 
-fn timestamp(text: &str) -> Result<Value, String> {
+fn timestamp(text: &str) -> Result<PythonValue, String> {
     let none = || {
         format!(
             "'{text}' looks like a date, and there is no such day or time; as a text, put it in quotes"
@@ -399,7 +380,7 @@ fn timestamp(text: &str) -> Result<Value, String> {
     let small = |digits: &str| digits.parse::<u8>().ok();
     let date = (|| Date::new(year.parse().ok()?, small(month)?, small(day)?))().ok_or_else(none)?;
     let Some(([hour, minute, second], fraction, zone)) = time else {
-        return Ok(Value::Date(date));
+        return Ok(PythonValue::Date(date));
     };
     let clock = (|| {
         let clock = (small(hour)?, small(minute)?, small(second)?);
@@ -417,7 +398,7 @@ fn timestamp(text: &str) -> Result<Value, String> {
             Some(if west { -minutes } else { minutes })
         }
     };
-    Ok(Value::Time(Timestamp {
+    Ok(PythonValue::Time(Timestamp {
         date,
         clock: clock.ok_or_else(none)?,
         micros: fraction.parse().unwrap_or(0),
@@ -425,13 +406,13 @@ fn timestamp(text: &str) -> Result<Value, String> {
     }))
 }
 
-fn binary(text: &str) -> Result<Value, String> {
+fn binary(text: &str) -> Result<PythonValue, String> {
     if !text.is_ascii() {
         return Err("this is no base64: it is ASCII".to_owned());
     }
     let mut buffer = vec![0; text.len()];
     match base64::decode(text.as_bytes(), &mut buffer) {
-        Ok(bytes) => Ok(Value::Bytes(bytes.to_vec())),
+        Ok(bytes) => Ok(PythonValue::Bytes(bytes.to_vec())),
         Err(error) => Err(format!("this is no base64: {error}")),
     }
 }

@@ -1,27 +1,33 @@
-//! Values taken out of a document, and what is wrong with them, collected.
+//! Takes values out of a document, and collects what is wrong with them.
 
 use std::fmt::Display;
 use std::str::FromStr;
 
-use super::{Diagnostic, Diagnostics, Document, Node, Span, Value, closest};
+use crate::diagnostic::{Diagnostic, Diagnostics, closest};
+use crate::document::Document;
+use crate::node::{Node, NodeValue, Span};
 
-/// Takes values out of a [`Document`]. What is wrong is collected, so that a person sees all of it
-/// at once; a value that could not be taken is `None`.
+/// Takes values out of a [`Document`]. It collects mistakes, so that a person sees all of them at once; a
+/// value that could not be read is `None`.
 #[derive(Debug)]
 pub struct Reading<'d> {
     document: &'d Document,
     mistakes: Vec<Diagnostic>,
 }
 
-impl<'d> Reading<'d> {
-    pub(super) const fn new(document: &'d Document) -> Self {
-        Self {
-            document,
+impl Document {
+    /// Takes values out of the document, and collects what is wrong with them.
+    #[must_use]
+    pub const fn reading(&self) -> Reading<'_> {
+        Reading {
+            document: self,
             mistakes: Vec::new(),
         }
     }
+}
 
-    /// What was read, if nothing was wrong.
+impl<'d> Reading<'d> {
+    /// Returns what was read, if nothing was wrong.
     ///
     /// # Errors
     /// All that was wrong.
@@ -35,23 +41,23 @@ impl<'d> Reading<'d> {
         }
     }
 
-    /// Something is wrong with `node`.
+    /// Reports a mistake in `node`.
     pub fn wrong(&mut self, node: &Node, message: impl Into<String>) {
         self.mistakes
             .push(self.document.mistake(node.span, message));
     }
 
-    /// The same, with what would be right.
+    /// Reports a mistake in `node`, with its remedy.
     pub fn wrong_with(&mut self, node: &Node, message: String, help: Option<String>) {
         let mut mistake = self.document.mistake(node.span, message);
         mistake.help = help;
         self.mistakes.push(mistake);
     }
 
-    /// A text, a number as it was written, a word; `what` is wanted, as `a scope, as /lab`.
+    /// A single value, as its text; `what` describes it, as `a scope, as /lab`.
     pub fn text(&mut self, node: &'d Node, what: &str) -> Option<&'d str> {
         match &node.value {
-            Value::Scalar { text, .. } if !node.is_null() => Some(text),
+            NodeValue::Scalar { text, .. } if !node.is_null() => Some(text),
             _ => {
                 self.wrong(node, format!("here is {}; wanted is {what}", node.kind()));
                 None
@@ -69,7 +75,7 @@ impl<'d> Reading<'d> {
         number
     }
 
-    /// `true` or `false`; also as people write it: yes and no, on and off.
+    /// `true` or `false`; also `yes` and `no`, `on` and `off`.
     pub fn truth(&mut self, node: &'d Node) -> Option<bool> {
         match self.text(node, "true or false")? {
             "true" | "True" | "yes" | "on" => Some(true),
@@ -97,7 +103,7 @@ impl<'d> Reading<'d> {
         found.map(|(_, value)| *value)
     }
 
-    /// A text that something else makes sense of, which says itself what is wrong.
+    /// A text parsed by a function, whose error becomes the message.
     pub fn parsed<T, E: Display>(
         &mut self,
         node: &'d Node,
@@ -113,7 +119,7 @@ impl<'d> Reading<'d> {
         }
     }
 
-    /// A mapping whose keys are known: ask for each, then [`finish`](Fields::finish) it.
+    /// A mapping with known keys: ask for each, then [`finish`](Fields::finish) it.
     pub fn fields(&mut self, node: &'d Node, what: &str) -> Option<Fields<'d>> {
         let pairs = self.pairs(node, what)?;
         Some(Fields {
@@ -124,10 +130,10 @@ impl<'d> Reading<'d> {
         })
     }
 
-    /// A mapping with keys that a person has chosen.
+    /// A mapping with free keys.
     pub fn pairs(&mut self, node: &'d Node, what: &str) -> Option<&'d [(Node, Node)]> {
         match &node.value {
-            Value::Map(pairs) => Some(pairs),
+            NodeValue::Map(pairs) => Some(pairs),
             _ => {
                 let message = format!("here is {}; wanted is a mapping: {what}", node.kind());
                 self.wrong(node, message);
@@ -139,7 +145,7 @@ impl<'d> Reading<'d> {
     /// A list.
     pub fn list(&mut self, node: &'d Node, what: &str) -> Option<&'d [Node]> {
         match &node.value {
-            Value::List(nodes) => Some(nodes),
+            NodeValue::List(nodes) => Some(nodes),
             _ => {
                 self.wrong(
                     node,
@@ -151,19 +157,19 @@ impl<'d> Reading<'d> {
     }
 }
 
-/// A mapping whose keys are known.
+/// A mapping with known keys.
 #[derive(Debug)]
 #[must_use = "only `finish` finds unknown and missing keys"]
 pub struct Fields<'d> {
     node: &'d Node,
     pairs: &'d [(Node, Node)],
     known: Vec<&'static str>,
-    /// What must be there and is not, and how to write it.
+    /// Missing keys, and how to write them.
     missing: Vec<(&'static str, &'static str)>,
 }
 
 impl<'d> Fields<'d> {
-    /// The value of a key; `None` when it is not there or nothing stands behind it.
+    /// The value of a key; `None` if the key or its value is missing.
     pub fn optional(&mut self, key: &'static str) -> Option<&'d Node> {
         self.known.push(key);
         let found = self.pairs.iter().find(|(name, _)| is(name, key));
@@ -178,7 +184,7 @@ impl<'d> Fields<'d> {
         names.find(|name| is(name, key))
     }
 
-    /// The value of a key that must be there; `example` is how to write it: `port: 12345`.
+    /// The value of a required key; `example` is how to write it: `port: 12345`.
     pub fn required(&mut self, key: &'static str, example: &'static str) -> Option<&'d Node> {
         let found = self.optional(key);
         if found.is_none() {
@@ -187,10 +193,10 @@ impl<'d> Fields<'d> {
         found
     }
 
-    /// Says which keys are missing, which are not known, and what was probably meant.
+    /// Reports missing and unknown keys, and what was probably meant.
     pub fn finish(mut self, reading: &mut Reading<'d>) {
         for (name, _) in self.pairs {
-            let Value::Scalar { text, .. } = &name.value else {
+            let NodeValue::Scalar { text, .. } = &name.value else {
                 reading.wrong(name, "a key is a single word");
                 continue;
             };
@@ -201,7 +207,7 @@ impl<'d> Fields<'d> {
             let open = open.filter(|key| self.key(key).is_none());
             let help = match closest(text, open) {
                 Some(key) => {
-                    // Said with what was written in its place.
+                    // The unknown key stands in its place.
                     self.missing.retain(|(missing, _)| *missing != key);
                     format!("did you mean '{key}'?")
                 }
@@ -228,5 +234,5 @@ impl<'d> Fields<'d> {
 }
 
 fn is(name: &Node, key: &str) -> bool {
-    matches!(&name.value, Value::Scalar { text, .. } if text == key)
+    matches!(&name.value, NodeValue::Scalar { text, .. } if text == key)
 }

@@ -3,50 +3,46 @@
 
 use std::collections::{BTreeMap, VecDeque};
 
-use super::chars::{is_break, is_space};
-use super::token::{Bracket, Kind, Token};
-use super::{Mark, Mistake, Rules, Span};
+use crate::cursor::{Cursor, is_break, is_space};
+use crate::node::{Mark, Mistake, Rules, Span};
+use crate::token::{Bracket, Token, TokenKind};
 
 /// Longest key without `?`, in characters.
 const LONGEST_KEY: usize = 1024;
 
-/// A place where a key may have begun, of which a `:` on the same line would be the end.
+/// A place where a key may have begun: a `:` on the same line ends it.
 struct SimpleKey {
     token: usize,
-    /// Nothing but a key can stand there.
+    /// Only a key can be there.
     required: bool,
     index: usize,
     mark: Mark,
 }
 
-pub(super) struct Scanner {
-    pub(super) chars: Vec<char>,
-    pub(super) index: usize,
-    pub(super) mark: Mark,
-    /// Whether a tab between tokens is a blank; to PyYAML it is a mistake.
+pub(crate) struct Scanner {
+    cursor: Cursor,
+    /// Whether a tab between tokens counts as a blank. PyYAML rejects it.
     tabs: bool,
-    pub(super) done: bool,
+    done: bool,
     /// How many `[` and `{` are open.
-    pub(super) flow: usize,
+    flow: usize,
     tokens: VecDeque<Token>,
     taken: usize,
     /// Column of the innermost block, 0 outside of all.
-    pub(super) indent: usize,
+    indent: usize,
     indents: Vec<usize>,
-    pub(super) allow_key: bool,
-    /// At most one for each level of brackets.
+    allow_key: bool,
+    /// At most one per level of brackets.
     keys: BTreeMap<usize, SimpleKey>,
-    /// Where the token before stands.
+    /// Place of the last token.
     last: Span,
 }
 
 impl Scanner {
-    pub(super) fn new(text: &str, rules: Rules) -> Self {
+    pub(crate) fn new(text: &str, rules: Rules) -> Self {
         Self {
-            chars: text.chars().collect(),
-            index: 0,
-            mark: Mark { line: 1, column: 1 },
-            tabs: rules == Rules::Ours,
+            cursor: Cursor::new(text),
+            tabs: rules == Rules::Strict,
             done: false,
             flow: 0,
             tokens: VecDeque::new(),
@@ -59,28 +55,28 @@ impl Scanner {
         }
     }
 
-    /// The next token, left in its place.
-    pub(super) fn peek_token(&mut self) -> Result<&Token, Mistake> {
+    /// The next token, which stays.
+    pub(crate) fn peek_token(&mut self) -> Result<&Token, Mistake> {
         while self.needs_more()? {
             self.fetch()?;
         }
-        // After the end the same comes for ever.
+        // The end of the stream repeats.
         if self.tokens.is_empty() {
-            self.push(Kind::StreamEnd, self.mark);
+            self.push(TokenKind::StreamEnd, self.cursor.mark);
         }
         match self.tokens.front() {
             Some(token) => Ok(token),
-            None => Err(self.here("unexpected end of the file")),
+            None => Err(self.cursor.here("unexpected end of the file")),
         }
     }
 
     /// Takes the next token.
-    pub(super) fn token(&mut self) -> Result<Token, Mistake> {
+    pub(crate) fn token(&mut self) -> Result<Token, Mistake> {
         self.peek_token()?;
         self.taken += 1;
         match self.tokens.pop_front() {
             Some(token) => Ok(token),
-            None => Err(self.here("unexpected end of the file")),
+            None => Err(self.cursor.here("unexpected end of the file")),
         }
     }
 
@@ -97,35 +93,39 @@ impl Scanner {
         Ok(first == Some(self.taken))
     }
 
-    /// Adds a token that has begun at `start` and ends here.
-    fn push(&mut self, kind: Kind, start: Mark) {
-        self.push_to(kind, start, self.mark);
+    /// Adds a token that began at `start` and ends here.
+    fn push(&mut self, kind: TokenKind, start: Mark) {
+        self.push_to(kind, start, self.cursor.mark);
     }
 
-    fn push_to(&mut self, kind: Kind, start: Mark, end: Mark) {
+    fn push_to(&mut self, kind: TokenKind, start: Mark, end: Mark) {
         let span = Span { start, end };
         self.last = span;
         self.tokens.push_back(Token { span, kind });
     }
 
-    fn push_forward(&mut self, kind: Kind, len: usize) {
-        let start = self.mark;
-        self.forward(len);
+    fn push_forward(&mut self, kind: TokenKind, len: usize) {
+        let start = self.cursor.mark;
+        self.cursor.forward(len);
         self.push(kind, start);
     }
 
-    /// Scans the next token; sometimes several, or one that goes before others.
+    /// Scans the next token; sometimes several, or one that is inserted before others.
     fn fetch(&mut self) -> Result<(), Mistake> {
         self.skip_to_token();
         self.drop_stale_keys()?;
-        self.unwind(self.mark.column);
-        let c = self.peek(0);
-        let alone = is_space(self.peek(1));
+        self.unwind(self.cursor.mark.column);
+        let c = self.cursor.peek(0);
+        let alone = is_space(self.cursor.peek(1));
         match c {
             '\0' => self.fetch_end(),
-            '%' if self.mark.column == 1 => self.fetch_directive(),
-            '-' if self.at_document_mark() => self.fetch_document_mark(Kind::DocumentStart),
-            '.' if self.at_document_mark() => self.fetch_document_mark(Kind::DocumentEnd),
+            '%' if self.cursor.mark.column == 1 => self.fetch_directive(),
+            '-' if self.cursor.at_document_mark() => {
+                self.fetch_document_mark(TokenKind::DocumentStart)
+            }
+            '.' if self.cursor.at_document_mark() => {
+                self.fetch_document_mark(TokenKind::DocumentEnd)
+            }
             '[' => self.fetch_open(Bracket::Square),
             '{' => self.fetch_open(Bracket::Curly),
             ']' => self.fetch_close(Bracket::Square),
@@ -133,7 +133,7 @@ impl Scanner {
             ',' => {
                 self.allow_key = true;
                 self.remove_key()?;
-                self.push_forward(Kind::Comma, 1);
+                self.push_forward(TokenKind::Comma, 1);
                 Ok(())
             }
             '-' if alone => self.fetch_entry(),
@@ -142,48 +142,52 @@ impl Scanner {
             '*' | '&' => {
                 self.save_key()?;
                 self.allow_key = false;
-                let start = self.mark;
-                let kind = self.scan_anchor()?;
+                let start = self.cursor.mark;
+                let kind = self.cursor.scan_anchor()?;
                 self.push(kind, start);
                 Ok(())
             }
             '!' => {
                 self.save_key()?;
                 self.allow_key = false;
-                let start = self.mark;
-                let kind = self.scan_tag()?;
+                let start = self.cursor.mark;
+                let kind = self.cursor.scan_tag()?;
                 self.push(kind, start);
                 Ok(())
             }
             '|' | '>' if self.flow == 0 => {
                 self.allow_key = true;
                 self.remove_key()?;
-                let start = self.mark;
-                let (text, end) = self.scan_block_scalar(c == '>')?;
-                self.push_to(Kind::Scalar { text, plain: false }, start, end);
+                let start = self.cursor.mark;
+                let (text, end) = self.cursor.scan_block_scalar(c == '>', self.indent)?;
+                self.push_to(TokenKind::Scalar { text, plain: false }, start, end);
                 Ok(())
             }
             '\'' | '"' => {
                 self.save_key()?;
                 self.allow_key = false;
-                let start = self.mark;
-                let text = self.scan_quoted(c == '"')?;
-                self.push(Kind::Scalar { text, plain: false }, start);
+                let start = self.cursor.mark;
+                let text = self.cursor.scan_quoted(c == '"')?;
+                self.push(TokenKind::Scalar { text, plain: false }, start);
                 Ok(())
             }
             _ if self.at_plain(c, alone) => {
                 self.save_key()?;
-                self.allow_key = false;
-                let start = self.mark;
-                let (text, end) = self.scan_plain();
-                self.push_to(Kind::Scalar { text, plain: true }, start, end);
+                let start = self.cursor.mark;
+                let (text, end, broken) = self.cursor.scan_plain(self.flow > 0, self.indent);
+                self.allow_key = broken;
+                self.push_to(TokenKind::Scalar { text, plain: true }, start, end);
                 Ok(())
             }
-            '\t' => Err(self.here("found a tab; indent with spaces, never with the tab key")),
-            '|' | '>' => Err(self.here(format!(
+            '\t' => Err(self
+                .cursor
+                .here("found a tab; indent with spaces, never with the tab key")),
+            '|' | '>' => Err(self.cursor.here(format!(
                 "a text after '{c}' cannot stand within [ ] or {{ }}; put it in quotes"
             ))),
-            c => Err(self.here(format!("a text that begins with '{c}' needs quotes"))),
+            c => Err(self
+                .cursor
+                .here(format!("a text that begins with '{c}' needs quotes"))),
         }
     }
 
@@ -196,16 +200,16 @@ impl Scanner {
         (!indicator && !is_space(c)) || (!alone && (c == '-' || block))
     }
 
-    /// Goes over blanks, comments and line breaks.
+    /// Skips blanks, comments and line breaks.
     fn skip_to_token(&mut self) {
         loop {
-            // Indentation with tabs is a mistake to all.
+            // Indentation with tabs is a mistake by all rules.
             let tabs = self.tabs && (self.flow > 0 || !self.allow_key);
-            self.skip(|c| c == ' ' || (tabs && c == '\t'));
-            if self.peek(0) == '#' {
-                self.skip(|c| !is_break(c));
+            self.cursor.skip(|c| c == ' ' || (tabs && c == '\t'));
+            if self.cursor.peek(0) == '#' {
+                self.cursor.skip(|c| !is_break(c));
             }
-            if self.scan_break().is_none() {
+            if self.cursor.scan_break().is_none() {
                 return;
             }
             if self.flow == 0 {
@@ -214,7 +218,7 @@ impl Scanner {
         }
     }
 
-    // Keys that are known by the ':' behind them.
+    // Keys that a ':' ends.
 
     fn without_colon(&self, key: &SimpleKey) -> Mistake {
         let place = key.token.checked_sub(self.taken);
@@ -226,7 +230,8 @@ impl Scanner {
             },
             |token| token.span,
         );
-        match key.mark.line == self.mark.line && self.index - key.index > LONGEST_KEY {
+        match key.mark.line == self.cursor.mark.line && self.cursor.index - key.index > LONGEST_KEY
+        {
             true => (span, format!("a key has at most {LONGEST_KEY} characters")),
             false => (span, "the ':' is missing behind this".to_owned()),
         }
@@ -234,7 +239,7 @@ impl Scanner {
 
     /// A key ends in its line, after 1024 characters at most.
     fn drop_stale_keys(&mut self) -> Result<(), Mistake> {
-        let (line, index) = (self.mark.line, self.index);
+        let (line, index) = (self.cursor.mark.line, self.cursor.index);
         let stale = |key: &SimpleKey| key.mark.line != line || index - key.index > LONGEST_KEY;
         if let Some(key) = self.keys.values().find(|key| stale(key) && key.required) {
             return Err(self.without_colon(key));
@@ -248,9 +253,9 @@ impl Scanner {
             self.remove_key()?;
             let key = SimpleKey {
                 token: self.taken + self.tokens.len(),
-                required: self.flow == 0 && self.indent == self.mark.column,
-                index: self.index,
-                mark: self.mark,
+                required: self.flow == 0 && self.indent == self.cursor.mark.column,
+                index: self.cursor.index,
+                mark: self.cursor.mark,
             };
             self.keys.insert(self.flow, key);
         }
@@ -266,15 +271,15 @@ impl Scanner {
 
     // Indentation.
 
-    /// Ends the blocks that are further to the right. Between brackets indentation means nothing.
+    /// Ends the blocks that are deeper than this column. Between brackets indentation means nothing.
     fn unwind(&mut self, column: usize) {
         while self.flow == 0 && self.indent > column {
             self.indent = self.indents.pop().unwrap_or(0);
-            self.push(Kind::BlockEnd, self.mark);
+            self.push(TokenKind::BlockEnd, self.cursor.mark);
         }
     }
 
-    /// Whether a block begins here.
+    /// Begins a block if this column is deeper; returns whether it is.
     fn indents_to(&mut self, column: usize) -> bool {
         let deeper = self.indent < column;
         if deeper {
@@ -291,7 +296,7 @@ impl Scanner {
         self.remove_key()?;
         self.allow_key = false;
         self.keys.clear();
-        self.push(Kind::StreamEnd, self.mark);
+        self.push(TokenKind::StreamEnd, self.cursor.mark);
         self.done = true;
         Ok(())
     }
@@ -300,13 +305,13 @@ impl Scanner {
         self.unwind(0);
         self.remove_key()?;
         self.allow_key = false;
-        let start = self.mark;
-        let directive = self.scan_directive()?;
-        self.push(Kind::Directive(directive), start);
+        let start = self.cursor.mark;
+        let directive = self.cursor.scan_directive()?;
+        self.push(TokenKind::Directive(directive), start);
         Ok(())
     }
 
-    fn fetch_document_mark(&mut self, kind: Kind) -> Result<(), Mistake> {
+    fn fetch_document_mark(&mut self, kind: TokenKind) -> Result<(), Mistake> {
         self.unwind(0);
         self.remove_key()?;
         self.allow_key = false;
@@ -318,7 +323,7 @@ impl Scanner {
         self.save_key()?;
         self.flow += 1;
         self.allow_key = true;
-        self.push_forward(Kind::Open(bracket), 1);
+        self.push_forward(TokenKind::Open(bracket), 1);
         Ok(())
     }
 
@@ -326,44 +331,48 @@ impl Scanner {
         self.remove_key()?;
         let Some(flow) = self.flow.checked_sub(1) else {
             let open = bracket.open();
-            return Err(self.here(format!(
+            return Err(self.cursor.here(format!(
                 "'{}' without a '{open}' before it",
                 bracket.close()
             )));
         };
         self.flow = flow;
         self.allow_key = false;
-        self.push_forward(Kind::Close(bracket), 1);
+        self.push_forward(TokenKind::Close(bracket), 1);
         Ok(())
     }
 
     fn fetch_entry(&mut self) -> Result<(), Mistake> {
         if self.flow == 0 {
             if !self.allow_key {
-                return Err(self.here("a list cannot begin here; write each '- ' on its own line"));
+                return Err(self
+                    .cursor
+                    .here("a list cannot begin here; write each '- ' on its own line"));
             }
-            if self.indents_to(self.mark.column) {
-                self.push(Kind::ListStart, self.mark);
+            if self.indents_to(self.cursor.mark.column) {
+                self.push(TokenKind::ListStart, self.cursor.mark);
             }
         }
         self.allow_key = true;
         self.remove_key()?;
-        self.push_forward(Kind::Entry, 1);
+        self.push_forward(TokenKind::Entry, 1);
         Ok(())
     }
 
     fn fetch_key(&mut self) -> Result<(), Mistake> {
         if self.flow == 0 {
             if !self.allow_key {
-                return Err(self.here("a text that begins with '? ' needs quotes"));
+                return Err(self
+                    .cursor
+                    .here("a text that begins with '? ' needs quotes"));
             }
-            if self.indents_to(self.mark.column) {
-                self.push(Kind::MapStart, self.mark);
+            if self.indents_to(self.cursor.mark.column) {
+                self.push(TokenKind::MapStart, self.cursor.mark);
             }
         }
         self.allow_key = self.flow == 0;
         self.remove_key()?;
-        self.push_forward(Kind::Key, 1);
+        self.push_forward(TokenKind::Key, 1);
         Ok(())
     }
 
@@ -376,9 +385,9 @@ impl Scanner {
                 end: key.mark,
             };
             let begin = |kind| Token { span, kind };
-            self.tokens.insert(place, begin(Kind::Key));
+            self.tokens.insert(place, begin(TokenKind::Key));
             if self.flow == 0 && self.indents_to(key.mark.column) {
-                self.tokens.insert(place, begin(Kind::MapStart));
+                self.tokens.insert(place, begin(TokenKind::MapStart));
             }
             self.allow_key = false;
         } else {
@@ -386,25 +395,27 @@ impl Scanner {
                 if !self.allow_key {
                     return Err(self.misplaced_colon());
                 }
-                if self.indents_to(self.mark.column) {
-                    self.push(Kind::MapStart, self.mark);
+                if self.indents_to(self.cursor.mark.column) {
+                    self.push(TokenKind::MapStart, self.cursor.mark);
                 }
             }
             self.allow_key = self.flow == 0;
             self.remove_key()?;
         }
-        self.push_forward(Kind::Value, 1);
+        self.push_forward(TokenKind::Value, 1);
         Ok(())
     }
 
-    /// The text before it belongs to the line before, which may lack its own ':'.
+    /// A ':' that ends no key. The line before may lack its own ':'.
     fn misplaced_colon(&self) -> Mistake {
         match self.last {
-            last if last.start.line < self.mark.line => (
+            last if last.start.line < self.cursor.mark.line => (
                 last,
                 "the ':' is missing behind this, or the next line is indented too far".to_owned(),
             ),
-            _ => self.here("a second ':' in one line; put a text with ': ' in it in quotes"),
+            _ => self
+                .cursor
+                .here("a second ':' in one line; put a text with ': ' in it in quotes"),
         }
     }
 }

@@ -18,14 +18,14 @@ fn refused(text: &str) -> String {
 
 fn scalar(node: &Node) -> &str {
     match &node.value {
-        Value::Scalar { text, .. } => text,
+        NodeValue::Scalar { text, .. } => text,
         other => panic!("{other:?}"),
     }
 }
 
 fn map(node: &Node) -> &[(Node, Node)] {
     match &node.value {
-        Value::Map(pairs) => pairs,
+        NodeValue::Map(pairs) => pairs,
         other => panic!("{other:?}"),
     }
 }
@@ -37,7 +37,7 @@ fn places(node: &Node) -> [usize; 4] {
 }
 
 #[test]
-fn every_value_knows_its_place() {
+fn every_value_has_its_place() {
     let document = document("port: 12345 # here\nnäme: \"a b\"\nlist:\n  - x\n  - [1, ~]\n");
     let pairs = map(document.root());
     let [(port, number), (name, text), (_, list)] = pairs else {
@@ -47,7 +47,7 @@ fn every_value_knows_its_place() {
     assert_eq!((scalar(number), places(number)), ("12345", [1, 7, 1, 12]));
     assert_eq!((scalar(name), places(name)), ("näme", [2, 1, 2, 5]));
     assert_eq!((scalar(text), places(text)), ("a b", [2, 7, 2, 12]));
-    let Value::List(items) = &list.value else {
+    let NodeValue::List(items) = &list.value else {
         panic!("{list:?}");
     };
     assert_eq!(places(&items[0]), [4, 5, 4, 6]);
@@ -62,14 +62,14 @@ fn an_empty_file_is_an_empty_mapping() {
 }
 
 #[test]
-fn a_document_gives_back_the_bytes_of_its_file() {
+fn a_document_returns_the_bytes_of_its_file() {
     for text in ["\u{feff}a: 1\r\n", "a: 1\n"] {
         assert_eq!(document(text).bytes(), text.as_bytes());
     }
 }
 
 #[test]
-fn an_alias_is_what_it_stands_for_and_cannot_grow_without_end() {
+fn an_alias_has_the_value_of_its_anchor_and_cannot_expand_without_limit() {
     let document = document("a: &x {b: 1}\nc: *x\n");
     let pairs = map(document.root());
     assert_eq!(pairs[0].1.value, pairs[1].1.value);
@@ -86,7 +86,7 @@ fn an_alias_is_what_it_stands_for_and_cannot_grow_without_end() {
 }
 
 #[test]
-fn invalid_yaml_is_shown_where_its_cause_stands() {
+fn invalid_yaml_is_reported_at_its_cause() {
     for (text, shown) in [
         // An open bracket, however far the text goes on.
         (
@@ -185,7 +185,7 @@ fn invalid_yaml_is_shown_where_its_cause_stands() {
 }
 
 #[test]
-fn a_line_ends_as_yaml_has_it() {
+fn lines_end_at_every_line_break_of_yaml() {
     let shown = "f:3:4: there is no '&x' before this; a text that begins with '*' needs quotes\n  3 | b: *x\n    |    ^^\n";
     for end in ["\n", "\r\n", "\r", "\u{85}", "\u{2028}"] {
         let text = ["a: 1", "", "b: *x", "c: 1"].join(end);
@@ -199,7 +199,7 @@ fn a_line_ends_as_yaml_has_it() {
 }
 
 #[test]
-fn merged_keys_stand_in_front_and_give_way() {
+fn merged_keys_come_first_and_are_overridden() {
     let text = "
 base: &base {host: h, port: 1}
 other: &other {port: 2, scope: /o}
@@ -241,7 +241,7 @@ e: {<<: [], '<<': text}
 }
 
 #[test]
-fn all_mistakes_are_shown_at_once_and_in_order() {
+fn all_mistakes_are_reported_at_once_in_order() {
     let document = document("prot: 1\nlevel: lud\nport: 70000\nlist: 3\nempty:\n");
     let mut reading = document.reading();
     let mut fields = reading.fields(document.root(), "it").expect("a mapping");
@@ -280,7 +280,7 @@ f:5:1: 'empty' has no value; write empty: bottle
 }
 
 #[test]
-fn of_a_long_line_the_part_around_the_mistake_is_shown() {
+fn a_long_line_is_cut_around_the_mistake() {
     let text = format!("{{k: {}, \u{1b}[31m: 1, \tx: 2}}\n", "v".repeat(300));
     let parsed = Document::parse("f", text.as_bytes());
     let mistake = match &parsed {
@@ -298,7 +298,7 @@ fn of_a_long_line_the_part_around_the_mistake_is_shown() {
 }
 
 #[test]
-fn the_word_that_was_meant_is_found_and_no_other() {
+fn only_a_probably_meant_word_is_suggested() {
     let known = ["port", "scope", "devices", "log-format", "elf"];
     for (written, meant) in [
         ("prot", Some("port")),
@@ -313,7 +313,7 @@ fn the_word_that_was_meant_is_found_and_no_other() {
 }
 
 #[test]
-fn no_bytes_at_all_make_it_panic() {
+fn no_input_makes_the_parser_panic() {
     let mut numbers = Garbage::new(0x9e37_79b9_7f4a_7c15);
     let rounds = std::env::var("ZTL_ROUNDS")
         .ok()

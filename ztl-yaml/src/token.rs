@@ -1,16 +1,16 @@
-//! What a text is cut into before it becomes a tree.
+//! Tokens: between text and tree.
 
-use super::Span;
+use crate::node::Span;
 
-/// A token and where it stands.
+/// A token and its place.
 #[derive(Debug)]
-pub(super) struct Token {
-    pub(super) span: Span,
-    pub(super) kind: Kind,
+pub(crate) struct Token {
+    pub(crate) span: Span,
+    pub(crate) kind: TokenKind,
 }
 
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) enum Kind {
+pub(crate) enum TokenKind {
     StreamEnd,
     Directive(Directive),
     DocumentStart,
@@ -27,7 +27,7 @@ pub(super) enum Kind {
     Entry,
     /// `,`
     Comma,
-    /// `?`, or the place before a key that a `:` follows.
+    /// `?`, or inserted before a key that a `:` ends.
     Key,
     /// `:`
     Value,
@@ -42,13 +42,13 @@ pub(super) enum Kind {
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Bracket {
+pub(crate) enum Bracket {
     Square,
     Curly,
 }
 
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) enum Directive {
+pub(crate) enum Directive {
     /// `%YAML`: whether its version is 1.x.
     Yaml(bool),
     /// `%TAG HANDLE PREFIX`
@@ -57,14 +57,14 @@ pub(super) enum Directive {
 }
 
 impl Bracket {
-    pub(super) const fn open(self) -> char {
+    pub(crate) const fn open(self) -> char {
         match self {
             Self::Square => '[',
             Self::Curly => '{',
         }
     }
 
-    pub(super) const fn close(self) -> char {
+    pub(crate) const fn close(self) -> char {
         match self {
             Self::Square => ']',
             Self::Curly => '}',

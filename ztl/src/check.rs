@@ -4,13 +4,14 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use tracing::Level;
-use ztl_script::{Defaults, Finding, Script, ask_all};
+use ztl_script::{Defaults, Finding, Script, check_servers};
 use ztl_std::Remotes;
 use ztl_yaml::Diagnostics;
 
 use crate::exit::Done;
 use crate::log;
 use crate::remote_task::Endpoints;
+use crate::server_connection::connect_once;
 use crate::terminal::{line, part};
 
 #[derive(Debug, clap::Args)]
@@ -45,6 +46,7 @@ impl Check {
         let (script, found) = Script::check(&self.script, defaults.unwrap_or_default());
         findings.extend(found);
         if let Some(remotes) = &remotes {
+            let connect = |name: &str| connect_once(remotes, name);
             if let Some(script) = &script {
                 for unknown in script.unknown_remotes(remotes) {
                     add_unknown(unknown, &mut findings);
@@ -52,12 +54,12 @@ impl Check {
             }
             match (self.live, &script) {
                 (true, Some(script)) => {
-                    let said = script.ask_servers(remotes);
-                    said.servers.iter().for_each(line);
-                    findings.extend(said.findings);
+                    let live = script.check_live(remotes, &connect);
+                    live.servers.iter().for_each(line);
+                    findings.extend(live.findings);
                 }
                 // The script is unreadable, so all servers are asked.
-                (true, None) => ask_all(remotes).iter().for_each(line),
+                (true, None) => check_servers(remotes, &connect).iter().for_each(line),
                 (false, _) => {}
             }
         }

@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use ztl_script::event::{Command, Question};
+use ztl_script::event::{Question, RunCommand};
 
 /// A key that is pressed again sooner than this is held down: keyboards start to repeat a key within this time.
 const FIRST_REPEAT: Duration = Duration::from_millis(700);
@@ -15,7 +15,7 @@ pub(crate) struct KeyPress {
     /// Its name: `Enter`, `s`, `Ctrl-C`.
     pub(crate) key: String,
     /// What it means for what the operator saw; `None` if nothing.
-    pub(crate) command: Option<Command>,
+    pub(crate) command: Option<RunCommand>,
     /// The question that the operator saw.
     pub(crate) question: Option<Question>,
 }

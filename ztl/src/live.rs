@@ -18,7 +18,7 @@ use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::Instant;
 
-use ztl_script::event::Stamped;
+use ztl_script::event::StampedEvent;
 
 use self::board::Board;
 use self::screen::{Screen, Shared, lock};
@@ -67,7 +67,7 @@ impl LiveView {
     }
 
     /// Shows an event.
-    pub(crate) fn handle(&self, event: &Stamped) {
+    pub(crate) fn handle(&self, event: &StampedEvent) {
         let mut shared = lock(&self.shared);
         shared.board.handle(event);
         shared.received = Instant::now();

@@ -37,6 +37,7 @@ mod report;
 mod run_script;
 #[cfg(unix)]
 mod serve;
+mod server_connection;
 mod service;
 mod signals;
 mod simple_client;

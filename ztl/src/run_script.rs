@@ -3,6 +3,7 @@
 
 mod output;
 mod plain;
+mod simulated_servers;
 mod view;
 
 use std::path::PathBuf;
@@ -10,22 +11,25 @@ use std::process::ExitCode;
 use std::sync::Arc;
 use std::time::Duration;
 
-use tracing::{Level, info};
-use ztl_script::event::{By, Command, Event, FORMAT, Outcome, RemoteOutline, RunStarted, sha256};
-use ztl_script::player::Options;
+use tracing::Level;
+use ztl_script::event::{
+    DecidedBy, FORMAT, RemoteOutline, RunCommand, RunEvent, RunOutcome, RunStarted,
+};
 use ztl_script::record::Recorder;
-use ztl_script::{Connect, Defaults, Player, Script, Show, StandIns, timeline};
+use ztl_script::{Defaults, PlayOptions, Runner, Script, timeline};
+use ztl_std::Remotes;
 use ztl_std::remotes::Remote;
-use ztl_std::{RemoteTask, Remotes};
 use ztl_yaml::{Span, closest};
 
 use crate::exit::Done;
 use crate::key_press::KeyPress;
 use crate::remote_task::Endpoints;
+use crate::server_connection::connect;
 use crate::terminal::{error_line, error_part, line};
 use crate::tool::Called;
 use crate::{log, signals};
 use output::LineOutput;
+use simulated_servers::SimulatedServers;
 use view::View;
 
 /// Time limit for writing the last lines.
@@ -59,7 +63,7 @@ pub(crate) struct RunScript {
     #[arg(long, value_name = "FILE")]
     defaults: Option<PathBuf>,
 
-    /// Show what would be sent and when, without sending it
+    /// Runner what would be sent and when, without sending it
     #[arg(long)]
     dry_run: bool,
 
@@ -143,8 +147,8 @@ impl RunScript {
                 notes.extend(unknown.to_string().lines().next().map(str::to_owned));
             }
         }
-        if !script.doubts().is_empty() {
-            let (count, file) = (script.doubts().len(), self.script.display());
+        if script.doubts() > 0 {
+            let (count, file) = (script.doubts(), self.script.display());
             let (s, them) = if count == 1 {
                 ("", "it")
             } else {
@@ -156,12 +160,12 @@ impl RunScript {
             notes.push(note);
         }
         let (scene, from) = self.places(&script)?;
-        let mut options = Options {
+        let mut options = PlayOptions {
             unattended: self.yes,
             scene,
             from,
             watch: live,
-            ..Options::default()
+            ..PlayOptions::default()
         };
         if self.dry_run {
             for text in timeline(&script, &options, &remotes) {
@@ -169,9 +173,9 @@ impl RunScript {
             }
             return Ok(ExitCode::SUCCESS);
         }
-        let stand_ins = self
+        let simulated = self
             .simulate
-            .map(|time| StandIns::start(&script, &mut remotes, time))
+            .map(|time| SimulatedServers::start(&script, &mut remotes, time))
             .transpose()?;
         let known = script
             .remotes()
@@ -179,32 +183,31 @@ impl RunScript {
             .filter(|name| remotes.task(name).is_ok());
         options.remotes = known.map(str::to_owned).collect();
         let started = self.started(&script, &remotes);
-        let player = Player::new(Arc::clone(&script), options);
-        let mut show = Show::new(player, connect(remotes));
+        let mut show = Runner::new(Arc::clone(&script), options, connect(remotes));
         if !live {
             notes.clear();
         }
         let outcome = self.perform(&mut show, &script, (started, notes), lines)?;
-        drop(stand_ins);
-        let code = ExitCode::from(u8::from(outcome != Outcome::Completed));
+        drop(simulated);
+        let code = ExitCode::from(u8::from(outcome != RunOutcome::Completed));
         Ok(signals::exit_code_or(code))
     }
 
     /// Plays the script until the run ends.
     fn perform(
         &self,
-        show: &mut Show,
+        show: &mut Runner,
         script: &Script,
         (started, notes): (RunStarted, Vec<String>),
         lines: Option<&LineOutput>,
-    ) -> Result<Outcome, Box<dyn std::error::Error>> {
-        let mut view = View::open(script, show.inputs(), lines.cloned(), self.yes)?;
+    ) -> Result<RunOutcome, Box<dyn std::error::Error>> {
+        let mut view = View::open(script, show.handle(), lines.cloned(), self.yes)?;
         let mut record = self.record.as_deref().map(Recorder::create).transpose()?;
-        let inputs = show.inputs();
-        signals::then(move || inputs.command(Command::Stop, By::Signal));
-        show.tell(Event::RunStarted(Box::new(started)));
+        let handle = show.handle();
+        signals::then(move || handle.command(RunCommand::Stop, DecidedBy::Signal));
+        show.tell(RunEvent::RunStarted(Box::new(started)));
         for text in notes {
-            show.tell(Event::Note { text });
+            show.tell(RunEvent::Note { text });
         }
         show.begin();
         loop {
@@ -214,7 +217,7 @@ impl RunScript {
                     command,
                     question,
                 } = pressed;
-                show.tell(Event::Key { key, command });
+                show.tell(RunEvent::Key { key, command });
                 if let Some(command) = command {
                     show.decide(command, question);
                 }
@@ -228,7 +231,7 @@ impl RunScript {
                 view.warn(stamped.at, &unrecorded.to_string());
             }
             view.handle(&stamped);
-            if let Event::RunEnded { outcome, .. } = stamped.event {
+            if let RunEvent::RunEnded { outcome, .. } = stamped.event {
                 view.close();
                 return Ok(outcome);
             }
@@ -298,7 +301,7 @@ impl RunScript {
         RunStarted {
             format: FORMAT,
             script: self.script.display().to_string(),
-            sha256: sha256(&script.document().bytes()),
+            sha256: script.sha256(),
             config: path.exists().then(|| path.display().to_string()),
             options,
             versions: versions(),
@@ -353,13 +356,4 @@ fn versions() -> Vec<(String, String)> {
         version("libzmq", format!("{major}.{minor}.{patch}")),
         version("system", format!("{OS} {ARCH}")),
     ]
-}
-
-/// Connects to a server when it is first used.
-fn connect(remotes: Remotes) -> Connect {
-    Box::new(move |name| {
-        let remote = remotes.task(name).map_err(|error| error.to_string())?;
-        info!(target: "remote-config", "Initialising remote task interface '{name}'...");
-        RemoteTask::connect(&remote.endpoint(), &remote.scope).map_err(|error| error.to_string())
-    })
 }

@@ -1,77 +1,81 @@
-//! What the operator wants.
+//! Commands of the operator, the options, the script and signals.
 
 use ztl_core::Instant;
 
-use super::super::event::{By, Command, Event, Outcome, Question};
-use super::{Phase, Player};
+use super::state::{Phase, Player, Stopping};
+use crate::event::{DecidedBy, Question, RunCommand, RunEvent, RunOutcome};
 
 impl Player {
-    /// What can be wanted now; nothing else does anything.
-    #[must_use]
-    pub fn choices(&self) -> Vec<Command> {
+    /// The commands that are accepted now.
+    pub(crate) fn choices(&self) -> Vec<RunCommand> {
         let mut choices = Vec::new();
-        // Nobody jumps where nobody is asked.
-        let scenes = if self.options.unattended {
-            0
-        } else {
-            self.script.scenes.len()
+        // An unattended run never jumps.
+        let scenes = match self.options.unattended {
+            true => 0,
+            false => self.script.scenes.len(),
         };
-        let jumps = || (0..scenes).map(|scene| Command::Jump { scene });
+        let jumps = || (0..scenes).map(|scene| RunCommand::Jump { scene });
         match (&self.phase, self.question) {
-            (Phase::Over(_), _) => {}
-            (Phase::Stopping(stopping), _) => choices.extend(stopping.choices()),
-            (Phase::Settling(_), _) => choices.push(Command::Leave),
+            (Phase::Over, _) => {}
+            (Phase::Stopping(stopping), _) => choices.extend(while_stopping(stopping)),
+            (Phase::Settling(_), _) => choices.push(RunCommand::Leave),
             (_, Some(Question::Scene { .. } | Question::End)) => {
                 if matches!(self.question, Some(Question::Scene { .. })) {
-                    choices.extend([Command::Start, Command::Skip]);
+                    choices.extend([RunCommand::Start, RunCommand::Skip]);
                 }
                 if self.last.is_some() {
-                    choices.push(Command::Replay);
+                    choices.push(RunCommand::Replay);
                 }
                 if !self.failed.is_empty() {
-                    choices.push(Command::Retry);
+                    choices.push(RunCommand::Retry);
                 }
-                choices.push(Command::Restart);
+                choices.push(RunCommand::Restart);
                 choices.extend(jumps());
-                choices.extend([Command::StopAll, Command::Stop, Command::Leave]);
+                choices.extend([RunCommand::StopAll, RunCommand::Stop, RunCommand::Leave]);
             }
-            (_, Some(Question::Step { .. })) => {
-                if self.can_try_again() {
-                    choices.push(Command::Retry);
+            (_, Some(Question::Step { .. } | Question::Pause)) => {
+                if self.question == Some(Question::Pause) {
+                    choices.extend([RunCommand::Resume, RunCommand::Skip, RunCommand::Restart]);
+                    choices.extend(jumps());
+                } else {
+                    if self.can_retry() {
+                        choices.push(RunCommand::Retry);
+                    }
+                    choices.extend([RunCommand::GoOn, RunCommand::Skip]);
                 }
-                choices.extend([Command::GoOn, Command::Skip]);
-                choices.extend([Command::StopScene, Command::StopAll]);
-                choices.extend([Command::Stop, Command::Leave]);
+                choices.extend([RunCommand::StopScene, RunCommand::StopAll]);
+                choices.extend([RunCommand::Stop, RunCommand::Leave]);
             }
-            (_, Some(Question::Pause)) => {
-                choices.extend([Command::Resume, Command::Skip, Command::Restart]);
-                choices.extend(jumps());
-                choices.extend([Command::StopScene, Command::StopAll]);
-                choices.extend([Command::Stop, Command::Leave]);
-            }
-            (Phase::Playing(_), None) => choices.extend(Command::WHILE_RUNNING),
+            (Phase::Playing(_), None) => choices.extend(RunCommand::WHILE_RUNNING),
             (Phase::Idle, None) => {}
         }
-        // Without an operator the scene would be played again at once.
+        // An unattended run would play the scene again at once.
         if self.options.unattended {
-            choices.retain(|choice| !matches!(choice, Command::StopScene | Command::StopAll));
+            choices.retain(|choice| !matches!(choice, RunCommand::StopScene | RunCommand::StopAll));
         }
         choices
     }
 
-    /// Somebody wants something. What is none of the [`choices`](Self::choices) does nothing, and says so
-    /// with `false`; but a [`Command::Stop`] is taken at any time, and a second one leaves. A
-    /// [`Command::StopAll`] where nothing is left to return to is a [`Command::Stop`].
-    pub fn handle_command(&mut self, now: Instant, command: Command, by: By) -> bool {
-        let over = matches!(self.phase, Phase::Over(_));
+    /// Carries out a command; returns `false` and does nothing if it is not among the
+    /// [`choices`](Self::choices). [`RunCommand::Stop`] is accepted at any time; a second one leaves.
+    /// [`RunCommand::StopAll`] means [`RunCommand::Stop`] when there is nothing to return to.
+    pub(crate) fn handle_command(
+        &mut self,
+        now: Instant,
+        command: RunCommand,
+        by: DecidedBy,
+    ) -> bool {
+        let over = matches!(self.phase, Phase::Over);
         let settling = matches!(self.phase, Phase::Settling(_));
         let ends = settling || matches!(&self.phase, Phase::Stopping(it) if it.then.is_none());
         let command = match command {
-            Command::Stop if ends => Command::Leave,
-            Command::StopAll if settling || (self.options.unattended && !ends) => Command::Stop,
+            RunCommand::Stop if ends => RunCommand::Leave,
+            RunCommand::StopAll if settling || (self.options.unattended && !ends) => {
+                RunCommand::Stop
+            }
             command => command,
         };
-        let urgent = command == Command::Stop || (command == Command::Leave && ends);
+        let urgent = command == RunCommand::Stop || (command == RunCommand::Leave && ends);
         if over || !(urgent || self.choices().contains(&command)) {
             return false;
         }
@@ -80,15 +84,9 @@ impl Player {
         true
     }
 
-    pub(super) fn obey(&mut self, now: Instant, command: Command, by: By) {
-        if matches!(
-            command,
-            Command::StopScene | Command::StopAll | Command::Stop
-        ) {
-            return self.stop(now, command, by);
-        }
+    pub(super) fn obey(&mut self, now: Instant, command: RunCommand, by: DecidedBy) {
         let (scene, step) = self.place();
-        self.events.push_back(Event::Decided {
+        self.emit(RunEvent::Decided {
             command,
             by,
             scene,
@@ -100,71 +98,71 @@ impl Player {
             _ => self.script.scenes.len(),
         };
         match command {
-            Command::Start => self.play(now, shown, (shown, self.after(shown)), false),
-            Command::Skip => match question {
+            RunCommand::Start => self.play(now, shown, (shown, self.after(shown)), false),
+            RunCommand::Skip => match question {
                 Some(Question::Scene { .. }) => {
-                    self.events
-                        .push_back(Event::SceneSkipped { scene: shown, by });
+                    self.emit(RunEvent::SceneSkipped { scene: shown, by });
                     self.show(self.after(shown));
                 }
                 _ => {
-                    let then = self.then();
+                    let then = self.play_mut().map(|play| play.then);
                     self.excuse();
                     self.leave_play();
-                    self.show(then);
+                    self.show(then.unwrap_or(shown));
                 }
             },
-            Command::Replay => {
+            RunCommand::Replay => {
                 if let Some(last) = self.last {
                     self.play(now, last, (shown, shown), true);
                 }
             }
-            Command::Retry if matches!(question, Some(Question::Step { .. })) => {
-                self.try_again(now);
+            RunCommand::Retry if matches!(question, Some(Question::Step { .. })) => {
+                self.retry(now);
                 self.question = None;
             }
-            Command::Retry => {
+            RunCommand::Retry => {
                 if let Some(last) = self.last {
                     self.play_failed(now, last, shown);
                 }
             }
-            Command::Jump { scene } => {
+            RunCommand::Jump { scene } => {
                 self.leave_play();
                 self.show(scene);
             }
-            Command::Restart => {
+            RunCommand::Restart => {
                 self.leave_play();
                 self.last = None;
                 self.failed.clear();
                 self.show(self.first());
             }
-            Command::Pause | Command::Resume => self.pause(command == Command::Pause),
-            Command::GoOn => self.excuse(),
-            Command::Leave => match (&self.phase, question) {
-                // It has come to its end.
+            RunCommand::Pause | RunCommand::Resume => self.pause(command == RunCommand::Pause),
+            RunCommand::GoOn => self.excuse(),
+            RunCommand::Leave => match (&self.phase, question) {
                 (Phase::Idle, Some(Question::End)) => self.leave(now),
-                (Phase::Settling(_), _) => self.over(self.fate()),
+                (Phase::Settling(_), _) => self.end_run(self.final_outcome()),
                 _ => {
                     self.leave_play();
-                    self.over(Outcome::Left);
+                    self.end_run(RunOutcome::Left);
                 }
             },
-            Command::StopScene | Command::StopAll | Command::Stop => {}
+            RunCommand::StopScene | RunCommand::StopAll | RunCommand::Stop => {
+                self.stop(now, command, scene);
+            }
         }
     }
 
     fn pause(&mut self, wanted: bool) {
-        let Phase::Playing(play) = &mut self.phase else {
+        let Some(play) = self.play_mut() else {
             return;
         };
-        if !wanted && play.is_paused() {
+        if !wanted && play.stage.is_paused() {
             return self.resume();
         }
         play.pause = wanted;
     }
 
-    /// The scene and step that are under way or shown.
-    pub(super) fn place(&self) -> (Option<usize>, Option<usize>) {
+    /// The scene and step that are playing, or the scene that is shown.
+    fn place(&self) -> (Option<usize>, Option<usize>) {
         match (&self.phase, self.question) {
             (Phase::Playing(play), _) => {
                 (Some(play.scene), play.step.as_ref().map(|step| step.step))
@@ -174,19 +172,20 @@ impl Player {
         }
     }
 
-    /// What comes after a scene that is played.
-    fn then(&self) -> usize {
-        match &self.phase {
-            Phase::Playing(play) => play.then,
-            _ => self.script.scenes.len(),
-        }
-    }
-
-    /// What comes after a scene.
+    /// The scene after this one.
     fn after(&self, scene: usize) -> usize {
         match self.options.scene {
             Some(_) => self.script.scenes.len(),
             None => scene + 1,
         }
+    }
+}
+
+/// The commands accepted while tasks are being stopped: those that stop more.
+fn while_stopping(stopping: &Stopping) -> &'static [RunCommand] {
+    match (stopping.then, stopping.all) {
+        (None, _) => &[RunCommand::Leave],
+        (Some(_), true) => &[RunCommand::Stop],
+        (Some(_), false) => &[RunCommand::StopAll, RunCommand::Stop],
     }
 }

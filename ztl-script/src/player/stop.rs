@@ -1,43 +1,21 @@
-//! Stopping everything that a run has started, and what came of it; ABORTs at a task's limit too.
-
-use ztl_core::{Instant, State};
+//! Stopping tasks, and ending the run.
 
 use std::collections::BTreeSet;
 
-use super::super::event::{
-    By, Command, Event, Outcome, Question, RequestNumber, TaskNumber, TaskState,
-};
-use super::tasks::Live;
-use super::{Answer, Ask, POLL, Phase, Player};
+use ztl_core::{Instant, State};
 
-/// How often a task is told to stop before it is given up.
+use super::state::{POLL, Phase, Player, RunTask, Stopping};
+use crate::event::{
+    DecidedBy, Question, RequestNumber, RunCommand, RunEvent, RunOutcome, TaskNumber, TaskState,
+};
+use crate::server::{ServerAnswer, ServerRequest};
+
+/// How many ABORTs a task gets before the player gives up.
 const TRIES: u32 = 3;
 
-/// Of a task whose INIT was not answered.
+/// Said about a task whose INIT was not answered.
 pub(super) const UNNAMED: &str =
     "whether it was started is unknown, and it cannot be named to the server";
-
-/// What is being stopped.
-#[derive(Debug)]
-pub(super) struct Stopping {
-    tasks: BTreeSet<TaskNumber>,
-    /// Questions to servers about tasks that others have started.
-    asked: BTreeSet<RequestNumber>,
-    /// It is everything.
-    all: bool,
-    /// What is shown afterwards: a scene, or beyond the last the end; `None`: the run is over.
-    pub(super) then: Option<usize>,
-}
-
-impl Stopping {
-    pub(super) fn choices(&self) -> Vec<Command> {
-        match (self.then, self.all) {
-            (None, _) => vec![Command::Leave],
-            (Some(_), true) => vec![Command::Stop],
-            (Some(_), false) => vec![Command::StopAll, Command::Stop],
-        }
-    }
-}
 
 impl Player {
     /// Whether a task is being stopped.
@@ -45,7 +23,7 @@ impl Player {
         matches!(&self.phase, Phase::Stopping(stopping) if stopping.tasks.contains(&number))
     }
 
-    /// What is shown when all that is under way is stopped.
+    /// The scene that is shown when everything under way is stopped.
     fn before(&self) -> usize {
         match (&self.phase, self.question) {
             (Phase::Playing(play), _) => play.before,
@@ -60,17 +38,10 @@ impl Player {
         }
     }
 
-    /// Stops the tasks of a scene or all, as the command says.
-    pub(super) fn stop(&mut self, now: Instant, command: Command, by: By) {
-        let (scene, step) = self.place();
-        self.events.push_back(Event::Decided {
-            command,
-            by,
-            scene,
-            step,
-        });
-        let all = command != Command::StopScene;
-        let then = (command != Command::Stop).then(|| self.before());
+    /// Stops the tasks of `scene`, or all tasks, as the command says.
+    pub(super) fn stop(&mut self, now: Instant, command: RunCommand, scene: Option<usize>) {
+        let all = command != RunCommand::StopScene;
+        let then = (command != RunCommand::Stop).then(|| self.before());
         let here = |number: &TaskNumber| {
             let place = self.tasks.get(number).and_then(|task| task.place);
             place.is_some_and(|(of, ..)| Some(of) == scene)
@@ -79,19 +50,19 @@ impl Player {
         let tasks: BTreeSet<TaskNumber> = tasks.filter(|number| all || here(number)).collect();
         self.leave_play();
         self.question = None;
-        let mut asked = BTreeSet::new();
-        if command == Command::StopAll {
+        let mut listings = BTreeSet::new();
+        if command == RunCommand::StopAll {
             for remote in self.options.remotes.clone() {
-                asked.insert(self.send_to(now, &remote, None, Ask::Tasks));
+                listings.insert(self.send_to(now, remote, None, ServerRequest::Tasks));
             }
         }
         self.phase = Phase::Stopping(Stopping {
             tasks: tasks.clone(),
-            asked,
+            listings,
             all,
             then,
         });
-        self.events.push_back(Event::Stopping {
+        self.emit(RunEvent::Stopping {
             tasks: tasks.iter().copied().collect(),
         });
         for number in tasks {
@@ -100,7 +71,7 @@ impl Player {
             };
             task.aborts = 0;
             task.stop_told = false;
-            // One that was asked for and not answered yet is stopped when its id is known.
+            // A task whose INIT is not answered yet is stopped once its id is known.
             if task.id.is_some() {
                 self.abort(now, number);
             } else if task.state == TaskState::Unknown {
@@ -110,23 +81,22 @@ impl Player {
         self.settle();
     }
 
-    pub(super) fn tell_stop(&mut self, number: TaskNumber, confirmed: bool, text: &str) {
-        let Some(task) = self.tasks.get_mut(&number) else {
+    pub(super) fn tell_stop(&mut self, task: TaskNumber, confirmed: bool, text: &str) {
+        let Some(stopped) = self.tasks.get_mut(&task) else {
             return;
         };
-        if !task.stop_told {
-            task.stop_told = true;
+        if !std::mem::replace(&mut stopped.stop_told, true) {
             let text = text.to_owned();
-            self.events.push_back(Event::StopAnswered {
-                task: number,
+            self.emit(RunEvent::StopAnswered {
+                task,
                 confirmed,
                 text,
             });
         }
     }
 
-    /// What a server says of an ABORT.
-    pub(super) fn on_abort(&mut self, now: Instant, number: TaskNumber, answer: Answer) {
+    /// Applies the answer to an ABORT.
+    pub(super) fn on_abort(&mut self, now: Instant, number: TaskNumber, answer: ServerAnswer) {
         let Some(task) = self.tasks.get_mut(&number) else {
             return;
         };
@@ -134,55 +104,57 @@ impl Player {
         task.next = now + POLL;
         let gives_up = task.aborts >= TRIES;
         let stopping = self.is_stopping(number);
-        let unstoppable =
-            matches!(&answer, Answer::Task { state, text } if !state.is_final() && text == "False");
-        let words = match &answer {
-            Answer::Task { state, .. } if state.is_final() => None,
-            Answer::Task { text, .. } if unstoppable => {
+        let unstoppable = matches!(answer, ServerAnswer::CannotStop { .. });
+        let unconfirmed = match &answer {
+            ServerAnswer::Task { state, .. } if state.is_final() => None,
+            ServerAnswer::CannotStop { text, .. } => {
                 Some(format!("it cannot be stopped, and goes on ({text})"))
             }
-            Answer::Task { text, .. } => Some(format!("it has not ended yet ({text})")),
-            Answer::TaskUnknown { text, .. }
-            | Answer::NotTold { text }
-            | Answer::Unclear { text }
-            | Answer::Nothing { text, .. } => Some(text.clone()),
+            ServerAnswer::Task { text, .. } => Some(format!("it has not ended yet ({text})")),
+            ServerAnswer::TaskUnknown { text, .. }
+            | ServerAnswer::NotTold { text }
+            | ServerAnswer::Unclear { text }
+            | ServerAnswer::Nothing { text, .. } => Some(text.clone()),
             _ => None,
         };
-        // To ask again would not help.
-        let hopeless = matches!(answer, Answer::TaskUnknown { .. } | Answer::Unclear { .. });
-        // An ABORT's progress is none of the task's.
-        let tells = !matches!(
-            &answer,
-            Answer::Task {
-                state: State::Initiated | State::Accepted,
-                ..
-            }
+        // Asking again would not help.
+        let hopeless = matches!(
+            answer,
+            ServerAnswer::TaskUnknown { .. } | ServerAnswer::Unclear { .. }
         );
-        if tells {
+        // The text of an ABORT's answer is not the task's progress.
+        let running = matches!(
+            answer,
+            ServerAnswer::CannotStop { .. }
+                | ServerAnswer::Task {
+                    state: State::Initiated | State::Accepted,
+                    ..
+                }
+        );
+        if !running {
             self.on_known(now, number, answer);
         }
-        let Some(words) = words.filter(|_| stopping) else {
-            // A step that cannot be ended by its limit, and nobody who could decide.
-            let nobody = self.options.unattended && unstoppable && !stopping;
-            if nobody && matches!(self.phase, Phase::Playing(_)) {
-                self.stop(now, Command::Stop, By::Script);
+        match unconfirmed.filter(|_| stopping) {
+            Some(text) if unstoppable || hopeless || gives_up => {
+                self.tell_stop(number, false, &text);
             }
-            return;
-        };
-        if unstoppable || hopeless || gives_up {
-            self.tell_stop(number, false, &words);
+            Some(_) => {}
+            None => {
+                // Its time limit cannot end the step, and nobody can decide.
+                let stuck = self.options.unattended && unstoppable && !stopping;
+                if stuck && matches!(self.phase, Phase::Playing(_)) {
+                    self.obey(now, RunCommand::Stop, DecidedBy::Script);
+                }
+            }
         }
     }
 
-    /// Tells of tasks that have ended, and ends when there is nothing more to wait for.
+    /// Reports stopped tasks, and leaves the phase when nothing is left to wait for.
     pub(super) fn settle(&mut self) {
         match &self.phase {
             Phase::Stopping(stopping) => {
                 let (all, then) = (stopping.tasks.clone(), stopping.then);
-                let asking = stopping
-                    .asked
-                    .iter()
-                    .any(|request| self.under_way.contains_key(request));
+                let listing = self.any_under_way(&stopping.listings);
                 for number in &all {
                     let Some(task) = self.tasks.get(number) else {
                         continue;
@@ -196,63 +168,66 @@ impl Player {
                     }
                 }
                 let told = |number| self.tasks.get(number).is_none_or(|task| task.stop_told);
-                if asking || !all.iter().all(told) {
+                if listing || !all.iter().all(told) {
                     return;
                 }
                 match then {
                     Some(scene) => self.show(scene),
-                    None if self.live.is_empty() => self.over(Outcome::Stopped),
-                    None => self.over(Outcome::NotConfirmed),
+                    None if self.live.is_empty() => self.end_run(RunOutcome::Stopped),
+                    None => self.end_run(RunOutcome::NotConfirmed),
                 }
             }
-            Phase::Settling(asked)
-                if asked
-                    .iter()
-                    .all(|request| !self.under_way.contains_key(request)) =>
-            {
-                self.over(self.fate());
+            Phase::Settling(asked) if !self.any_under_way(asked) => {
+                self.end_run(self.final_outcome());
             }
             _ => {}
         }
     }
 
-    /// What a server lists: what this run has not started is stopped too.
-    pub(super) fn on_tasks(&mut self, now: Instant, remote: &str, answer: Answer) {
+    fn any_under_way(&self, requests: &BTreeSet<RequestNumber>) -> bool {
+        let mut requests = requests.iter();
+        requests.any(|request| self.under_way.contains_key(request))
+    }
+
+    /// Stops the listed tasks that this run did not start.
+    pub(super) fn on_tasks(&mut self, now: Instant, remote: &str, answer: ServerAnswer) {
         let (listed, gaps) = match answer {
-            Answer::Tasks {
+            ServerAnswer::Tasks {
                 listed: Some(listed),
                 gaps,
             } => (Some(listed), gaps),
-            Answer::Nothing { text, .. } | Answer::Unclear { text } => (None, vec![text]),
+            ServerAnswer::Nothing { text, .. } | ServerAnswer::Unclear { text } => {
+                (None, vec![text])
+            }
             _ => (None, vec!["the server does not list its tasks".to_owned()]),
         };
         for why in gaps {
             let text = format!("tasks that others started on '{remote}' may still run: {why}");
-            self.events.push_back(Event::Note { text });
+            self.emit(RunEvent::Note { text });
         }
         let Some((boot, tasks)) = listed else { return };
         for (id, text) in tasks {
-            // Two names may be one server.
-            let is_known = |task: &Live| task.id.as_ref() == Some(&id) && task.boot == Some(boot);
+            // Two names may stand for one server.
+            let is_known =
+                |task: &RunTask| task.id.as_ref() == Some(&id) && task.boot == Some(boot);
             if self.tasks.values().any(is_known) {
                 continue;
             }
+            let task = self.number_task();
             let Phase::Stopping(stopping) = &mut self.phase else {
                 return;
             };
-            let task = TaskNumber(self.next_task);
-            self.next_task += 1;
             stopping.tasks.insert(task);
             self.live.insert(task);
-            let live = Live {
+            let found = RunTask {
                 state: TaskState::Accepted,
                 id: Some(id.clone()),
                 ours: true,
                 boot: Some(boot),
-                ..Live::new(now, remote)
+                ..RunTask::new(now, remote.to_owned())
             };
-            self.tasks.insert(task, live);
-            self.events.push_back(Event::TaskFound {
+            self.tasks.insert(task, found);
+            self.emit(RunEvent::TaskFound {
                 task,
                 remote: remote.to_owned(),
                 id,
@@ -262,19 +237,14 @@ impl Player {
         }
     }
 
-    /// Asks once more about tasks in the background, and ends.
+    /// Asks once more about tasks in the background, then ends the run.
     pub(super) fn leave(&mut self, now: Instant) {
         self.question = None;
-        let unseen: Vec<TaskNumber> = self
-            .live
-            .iter()
-            .copied()
-            .filter(|number| {
-                self.tasks
-                    .get(number)
-                    .is_some_and(|task| task.asked.is_none() && task.can_be_asked())
-            })
-            .collect();
+        let unseen = |number: &TaskNumber| {
+            let task = self.tasks.get(number);
+            task.is_some_and(|task| task.asked.is_none() && task.can_be_asked())
+        };
+        let unseen: Vec<TaskNumber> = self.live.iter().copied().filter(unseen).collect();
         let asked = unseen
             .into_iter()
             .filter_map(|number| self.ask_about(now, number, true));

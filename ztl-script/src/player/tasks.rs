@@ -1,121 +1,22 @@
-//! What was started: asking how it is, and noticing that it takes too long.
+//! Started tasks: asking for their state, and their time limits.
 
 use std::time::Duration;
 
 use ztl_core::Instant;
 
-use super::super::event::{By, Command, Event, RequestNumber, TaskNumber, TaskState, Why};
-use super::{Ask, PATIENCE, POLL, Phase, Player};
-use ztl_std::RemoteId;
+use super::state::{PATIENCE, POLL, Phase, Player, RunTask};
+use crate::event::{
+    DecidedBy, RequestNumber, RunCommand, RunEvent, TaskNumber, TaskState, WaitReason,
+};
+use crate::server::ServerRequest;
 
-/// Longest time that a server of ours is asked to hold an answer.
+/// How long a server of this project is asked to hold an answer.
 const HELD: Duration = Duration::from_millis(1000);
-/// The same when somebody looks at the progress.
+/// The same while somebody watches the progress.
 const HELD_FOR_PROGRESS: Duration = POLL;
 
-/// A task that was started, or tried to.
-#[derive(Debug)]
-pub(super) struct Live {
-    /// Its scene, step and part; `None` where another run or client has started it.
-    pub(super) place: Option<(usize, usize, usize)>,
-    pub(super) remote: String,
-    /// Its step waits for it.
-    pub(super) awaited: bool,
-    pub(super) state: TaskState,
-    pub(super) text: String,
-    pub(super) id: Option<RemoteId>,
-    /// Its server holds answers.
-    pub(super) ours: bool,
-    /// Which start of its server has it, where that is known.
-    pub(super) boot: Option<u32>,
-    /// The payload of its STATUS where it does not, after its id.
-    pub(super) status_text: String,
-    /// A STATUS that is under way.
-    pub(super) asked: Option<RequestNumber>,
-    /// When it may be asked, or told to stop, the next time.
-    pub(super) next: Instant,
-    /// When it has taken too long.
-    pub(super) deadline: Option<Instant>,
-    pub(super) late: bool,
-    /// Why it is unknown, and since when.
-    pub(super) unknown: Option<(Why, Instant)>,
-    /// The operator has decided to go on without it.
-    pub(super) excused: bool,
-    /// ABORTs sent.
-    pub(super) aborts: u32,
-    /// An ABORT is under way.
-    pub(super) aborting: bool,
-    /// It was not started since its server is not there.
-    pub(super) absent: bool,
-    /// It was told what became of stopping it.
-    pub(super) stop_told: bool,
-}
-
-impl Live {
-    /// A task that is about to be sent.
-    pub(super) fn new(now: Instant, remote: &str) -> Self {
-        Self {
-            place: None,
-            remote: remote.to_owned(),
-            awaited: false,
-            state: TaskState::Asked,
-            text: String::new(),
-            id: None,
-            ours: false,
-            boot: None,
-            status_text: String::new(),
-            asked: None,
-            next: now,
-            deadline: None,
-            late: false,
-            unknown: None,
-            excused: false,
-            aborts: 0,
-            aborting: false,
-            absent: false,
-            stop_told: false,
-        }
-    }
-
-    /// Asking may tell how it is.
-    pub(super) const fn can_be_asked(&self) -> bool {
-        let hopeless = matches!(
-            self.unknown,
-            Some((
-                Why::ServerRestarted { .. }
-                    | Why::TaskUnknown
-                    | Why::AnswerUnclear { .. }
-                    | Why::StartUnknown,
-                _
-            ))
-        );
-        self.id.is_some() && !hopeless
-    }
-
-    /// It is known not to have reached its goal, and its step is to care: nothing notices how one in the
-    /// background ends.
-    pub(super) const fn is_failure(&self) -> bool {
-        let never_began = matches!(self.state, TaskState::NotStarted | TaskState::Refused);
-        never_began || (self.awaited && self.state.is_failure())
-    }
-
-    /// It was taken by an earlier start of its server than this one, as far as can be told.
-    pub(super) fn is_of_an_older(&self, boot: Option<u32>) -> bool {
-        let silent = matches!(
-            self.unknown,
-            Some((Why::ServerSilent { .. } | Why::NotTold { .. }, _))
-        );
-        silent || matches!((self.boot, boot), (Some(own), Some(boot)) if own != boot)
-    }
-
-    /// Its step waits for it still.
-    pub(super) const fn is_open(&self) -> bool {
-        self.awaited && !self.state.is_over() && !self.excused
-    }
-}
-
 impl Player {
-    /// Asks about tasks whose turn it is, and notices those that take too long.
+    /// Sends each STATUS and ABORT that is due, and enforces time limits.
     pub(super) fn watch(&mut self, now: Instant) {
         let live: Vec<TaskNumber> = self.live.iter().copied().collect();
         for number in live {
@@ -132,7 +33,7 @@ impl Player {
         }
     }
 
-    /// When something is to be done about a task.
+    /// When a task needs attention.
     pub(super) fn task_wake(&self, number: TaskNumber) -> Option<Instant> {
         let task = self.tasks.get(&number)?;
         let wakes = [
@@ -148,7 +49,7 @@ impl Player {
         let task = self.tasks.get(&number)?;
         let ends = matches!(
             self.phase,
-            Phase::Settling(_) | Phase::Stopping(_) | Phase::Over(_)
+            Phase::Settling(_) | Phase::Stopping(_) | Phase::Over
         );
         let can = task.asked.is_none() && task.can_be_asked() && !ends;
         let background = !task.awaited || task.excused;
@@ -156,13 +57,13 @@ impl Player {
         (can && may).then_some(task.next)
     }
 
-    /// Towards a server of the original's, the tasks of a step are asked about when all were started, and
-    /// one after the other, as the original does.
+    /// Towards the original's server, a step's tasks are asked about one after the other once all are
+    /// started, as the original does.
     fn is_turn_of(&self, number: TaskNumber) -> bool {
         let Phase::Playing(play) = &self.phase else {
             return false;
         };
-        let Some(step) = play.step.as_ref().filter(|step| step.all_started()) else {
+        let Some(step) = play.step.as_ref().filter(|step| step.todo.is_empty()) else {
             return false;
         };
         let together = self.options.watch
@@ -178,7 +79,7 @@ impl Player {
             if open == number {
                 return true;
             }
-            // One that hangs does not keep the others from being seen.
+            // One that hangs does not block the others.
             if !together && task.unknown.is_none() {
                 return false;
             }
@@ -186,28 +87,28 @@ impl Player {
         false
     }
 
-    /// When a task is told to stop once more.
+    /// When the next ABORT is due.
     fn abort_wake(&self, number: TaskNumber) -> Option<Instant> {
         let task = self.tasks.get(&number)?;
         let again = self.is_stopping(number) && !task.stop_told;
         (again && task.id.is_some() && !task.aborting).then_some(task.next)
     }
 
-    fn limit_wake(&self, task: &Live) -> Option<Instant> {
+    fn limit_wake(&self, task: &RunTask) -> Option<Instant> {
         let stopping = matches!(self.phase, Phase::Stopping(_));
         task.deadline
             .filter(|_| !task.late && task.id.is_some() && !stopping)
     }
 
-    /// When an unattended run gives up to wait for a server that is silent.
-    fn patience_wake(&self, task: &Live) -> Option<Instant> {
+    /// When an unattended run stops waiting for a silent server.
+    fn patience_wake(&self, task: &RunTask) -> Option<Instant> {
         let since = task.unknown.as_ref().map(|(_, since)| *since);
         let since = since.or(task.deadline.filter(|_| task.late))?;
         let waits = self.options.unattended && matches!(self.phase, Phase::Playing(_));
         (waits && task.is_open()).then_some(since + PATIENCE)
     }
 
-    /// Asks how a task is; `at_once`: no server is to hold the answer.
+    /// Asks for the state of a task; `at_once`: the server is not to hold the answer.
     pub(super) fn ask_about(
         &mut self,
         now: Instant,
@@ -215,7 +116,7 @@ impl Player {
         at_once: bool,
     ) -> Option<RequestNumber> {
         let task = self.tasks.get(&number)?;
-        // A server that was silent is asked whether it is there.
+        // A silent server is to answer at once, to show that it is back.
         let hold = match task.ours && task.unknown.is_none() && !at_once {
             false => Duration::ZERO,
             true if self.options.watch => HELD_FOR_PROGRESS,
@@ -223,13 +124,13 @@ impl Player {
         };
         let id = task.id.clone()?;
         let text = format!("{id}:{}", task.status_text);
-        let ask = Ask::Status { id, text, hold };
+        let ask = ServerRequest::Status { id, text, hold };
         let sent = self.send(now, number, ask);
         self.tasks.get_mut(&number)?.asked = sent;
         sent
     }
 
-    /// A task that takes longer than its limit is stopped.
+    /// Stops a task that exceeds its time limit.
     fn limit(&mut self, now: Instant, number: TaskNumber) {
         let Some(task) = self.tasks.get(&number) else {
             return;
@@ -239,8 +140,8 @@ impl Player {
             let text = format!(
                 "'{remote}' has not told an end for {patience} s, and nobody is there to decide"
             );
-            self.events.push_back(Event::Note { text });
-            return self.stop(now, Command::Stop, By::Script);
+            self.emit(RunEvent::Note { text });
+            return self.obey(now, RunCommand::Stop, DecidedBy::Script);
         }
         if self.limit_wake(task).is_none_or(|limit| now < limit) {
             return;
@@ -251,7 +152,7 @@ impl Player {
         self.abort(now, number);
     }
 
-    /// Tells a task to stop.
+    /// Sends an ABORT.
     pub(super) fn abort(&mut self, now: Instant, number: TaskNumber) {
         let Some(task) = self.tasks.get_mut(&number) else {
             return;
@@ -261,10 +162,10 @@ impl Player {
         };
         task.aborts += 1;
         task.aborting = true;
-        self.send(now, number, Ask::Abort { id });
+        self.send(now, number, ServerRequest::Abort { id });
     }
 
-    /// A task is in another state, or says something new.
+    /// Updates the state and text of a task.
     pub(super) fn set_state(&mut self, number: TaskNumber, state: TaskState, text: &str) {
         let Some(task) = self.tasks.get_mut(&number) else {
             return;
@@ -278,11 +179,14 @@ impl Player {
             task.unknown = None;
         }
         let id = task.id.clone();
-        self.events.push_back(Event::TaskState {
+        let no_server =
+            state == TaskState::NotStarted && !self.options.remotes.contains(&task.remote);
+        self.events.push_back(RunEvent::TaskState {
             task: number,
             state,
             id,
             text: text.to_owned(),
+            no_server,
         });
         if state.is_over() {
             self.live.remove(&number);
@@ -294,8 +198,14 @@ impl Player {
         };
     }
 
-    /// Nobody knows how it is with a task.
-    pub(super) fn set_unknown(&mut self, now: Instant, number: TaskNumber, why: Why, text: &str) {
+    /// The state of a task is unknown.
+    pub(super) fn set_unknown(
+        &mut self,
+        now: Instant,
+        number: TaskNumber,
+        why: WaitReason,
+        text: &str,
+    ) {
         self.set_state(number, TaskState::Unknown, text);
         if let Some(task) = self.tasks.get_mut(&number) {
             let since = task.unknown.as_ref().map_or(now, |(_, since)| *since);

@@ -1,19 +1,20 @@
-//! Keys with parameters: what is wrong with them, and where.
+//! Keys with parameters, and what is wrong with them.
 
 use std::fmt::Display;
 use std::time::Duration;
 
-use super::super::params::{self, Piece};
-use super::super::report::spoken;
-use super::{Entry, Reader, short};
-use ztl_yaml::python::{Value, quoted};
-use ztl_yaml::{Mark, Node, Span, Value as Yaml, closest};
+use ztl_yaml::python::{PythonValue, quoted};
+use ztl_yaml::{Mark, Node, NodeValue, Span, closest};
+
+use super::params::{self, Piece};
+use super::reader::{Entry, Reader, short};
+use crate::durations::spoken;
 
 /// A longer delay was probably written in milliseconds.
 const LONG_DELAY: Duration = Duration::from_secs(600);
 
 impl Reader<'_> {
-    /// A name that goes over the wire in front of a ':'.
+    /// Checks a name that is sent in front of a ':'.
     pub(super) fn sent(&mut self, node: &Node, what: &str, name: &str) {
         if name.contains(':') {
             let message = format!("servers take a {what}'s name to end before the ':'");
@@ -30,7 +31,7 @@ impl Reader<'_> {
         }
     }
 
-    /// Takes a key apart, and says what is doubtful about its parentheses.
+    /// Parses a key, and reports doubts about its parentheses.
     pub(super) fn key<'k>(&mut self, key: &'k str, node: &Node) -> params::Key<'k> {
         let parsed = params::parse(key);
         if let Some(doubt) = parsed.doubt {
@@ -39,7 +40,7 @@ impl Reader<'_> {
         parsed
     }
 
-    /// A delay. What the original plays otherwise than it is written is doubtful.
+    /// A delay. A value that the original plays differently than written is a doubt.
     pub(super) fn delay(
         &mut self,
         entry: &Entry<'_>,
@@ -77,13 +78,13 @@ impl Reader<'_> {
         Some(limit)
     }
 
-    /// A component with the name of a parameter is a task, and was probably meant to be none.
-    pub(super) fn parameter(&mut self, node: &Node, value: &Value) {
-        let Yaml::Scalar { text, plain: true } = &node.value else {
+    /// A component with the name of a parameter is a task, but was probably meant as a parameter.
+    pub(super) fn parameter(&mut self, node: &Node, value: &PythonValue) {
+        let NodeValue::Scalar { text, plain: true } = &node.value else {
             return;
         };
-        // A robot may well have something that waits.
-        let meant = text != "wait" || matches!(value, Value::Bool(_));
+        // A robot may have a component named `wait`.
+        let meant = text != "wait" || matches!(value, PythonValue::Bool(_));
         if params::NAMES.contains(&text.as_str()) && meant {
             let message = format!("this is sent as a task of a component '{text}'");
             self.doubt(node.span, message, Some(in_parentheses(text, value)));
@@ -107,7 +108,7 @@ impl Reader<'_> {
         }
     }
 
-    /// A typo is false, as in the original, and doubtful.
+    /// A typo is false, as in the original, and a doubt.
     pub(super) fn truth(&mut self, entry: &Entry<'_>, key: &str, value: &str) -> bool {
         let (truth, known) = params::truth(value);
         if !known {
@@ -127,7 +128,7 @@ impl Reader<'_> {
         truth
     }
 
-    /// A parameter that has no effect: why, and what was probably meant.
+    /// Reports a parameter that has no effect: why, and what was probably meant.
     pub(super) fn unknown(
         &mut self,
         entry: &Entry<'_>,
@@ -182,19 +183,19 @@ impl Reader<'_> {
     }
 }
 
-/// Whether nothing is written behind a key, not even a ':'. Then its value stands where the key does.
+/// Whether nothing follows a key, not even a ':'. The parser then puts its value in the place of the key.
 pub(super) fn lacks_colon(name: &Node, value: &Node) -> bool {
     value.is_null() && value.span == name.span
 }
 
-/// What is said of a key without a ':', and what would be right.
+/// The message about a key without a ':', and the remedy.
 pub(super) fn without_colon(key: &str) -> (String, Option<String>) {
     let help =
         spaced(key).unwrap_or_else(|| "a text with ',' in it needs quotes within { }".to_owned());
     (format!("'{}' has no ':' behind it", short(key)), Some(help))
 }
 
-/// How a text is written in which a blank behind a ':' was forgotten; but `http://` has none.
+/// The remedy for a text without a blank after its ':'. `http://` needs none.
 pub(super) fn spaced(text: &str) -> Option<String> {
     let (name, value) = text.split_once(':')?;
     let forgotten = !value.is_empty() && !value.starts_with(['/', ' ']);
@@ -202,23 +203,23 @@ pub(super) fn spaced(text: &str) -> Option<String> {
     forgotten.then(|| format!("write a space after the colon: {name}: {value}"))
 }
 
-/// Whether a key can have been meant as the name of what stands behind it.
+/// Whether a key was meant as the name of its value.
 pub(super) fn is_clear(entry: &Entry<'_>) -> bool {
     let (name, value) = (&entry.name, &entry.value);
-    let Yaml::Scalar { text, .. } = &name.value else {
+    let NodeValue::Scalar { text, .. } = &name.value else {
         return true;
     };
-    let is_map = matches!(value.value, Yaml::Map(_));
+    let is_map = matches!(value.value, NodeValue::Map(_));
     let slip = params::NAMES.contains(&text.as_str()) || spaced(text).is_some();
     !lacks_colon(name, value) && (is_map || !slip)
 }
 
-/// How a parameter is written.
+/// The remedy for a parameter outside of parentheses.
 pub(super) fn in_parentheses(name: &str, value: impl Display) -> String {
     format!("if it is a parameter, write it in parentheses, as name ({name}={value})")
 }
 
-/// Where a part of a key stands; the whole key where that cannot be told.
+/// The place of a part of a key; the whole key if that cannot be told.
 fn within(node: &Node, key: &str, part: &str) -> Span {
     let Span { start, end } = node.span;
     // `part` is a slice of `key`.
@@ -227,7 +228,10 @@ fn within(node: &Node, key: &str, part: &str) -> Span {
         .and_then(|offset| key.get(..offset))
         .map(|before| before.chars().count());
     let one_line = start.line == end.line;
-    let quotes = usize::from(!matches!(&node.value, Yaml::Scalar { plain: true, .. }));
+    let quotes = usize::from(!matches!(
+        &node.value,
+        NodeValue::Scalar { plain: true, .. }
+    ));
     let as_written = end.column.saturating_sub(start.column) == key.chars().count() + 2 * quotes;
     match before {
         Some(before) if one_line && as_written => {

@@ -2,7 +2,7 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, SystemTime};
 
 use super::*;
-use crate::event::Outcome;
+use crate::event::RunOutcome;
 
 /// A disk with so much room left, and what stands on it.
 #[derive(Clone, Default)]
@@ -37,11 +37,11 @@ impl Write for Disk {
 
 impl Target for Disk {}
 
-fn note(millis: u64, text: &str) -> Stamped {
-    Stamped {
+fn note(millis: u64, text: &str) -> StampedEvent {
+    StampedEvent {
         at: Duration::from_millis(millis),
         wall: SystemTime::UNIX_EPOCH + Duration::from_millis(millis),
-        event: Event::Note {
+        event: RunEvent::Note {
             text: text.to_owned(),
         },
     }
@@ -56,7 +56,7 @@ fn notes(text: &str) -> (Vec<String>, Vec<String>) {
         .events
         .iter()
         .filter_map(|event| match &event.event {
-            Event::Note { text } => Some(text.clone()),
+            RunEvent::Note { text } => Some(text.clone()),
             _ => None,
         });
     let damage = damage.iter().map(ToString::to_string).collect();
@@ -64,7 +64,7 @@ fn notes(text: &str) -> (Vec<String>, Vec<String>) {
 }
 
 #[test]
-fn a_full_disk_is_told_once_and_what_is_lacking_stands_in_the_record() {
+fn a_full_disk_is_reported_once_and_the_record_counts_lost_events() {
     let disk = Disk::default();
     let mut recorder = Recorder::new(disk.clone(), "run.jsonl".to_owned());
     disk.give(10_000);
@@ -93,7 +93,7 @@ fn a_full_disk_is_told_once_and_what_is_lacking_stands_in_the_record() {
 }
 
 #[test]
-fn a_full_disk_is_told_again_only_after_an_event_that_was_written() {
+fn a_full_disk_is_reported_again_only_after_a_written_event() {
     let disk = Disk::default();
     let mut recorder = Recorder::new(disk.clone(), "run.jsonl".to_owned());
     assert!(recorder.write(&note(1, "a")).is_err());
@@ -109,7 +109,7 @@ fn a_full_disk_is_told_again_only_after_an_event_that_was_written() {
 }
 
 #[test]
-fn a_record_that_is_there_is_not_overwritten() {
+fn an_existing_record_is_not_overwritten() {
     let file = std::env::temp_dir().join(format!("ztl-record-{}.jsonl", std::process::id()));
     let _ = std::fs::remove_file(&file);
     let mut recorder = Recorder::create(&file).unwrap();
@@ -125,7 +125,7 @@ fn a_record_that_is_there_is_not_overwritten() {
 }
 
 #[test]
-fn a_record_is_read_as_far_as_it_goes_wherever_it_was_cut() {
+fn a_record_cut_anywhere_is_read_up_to_the_cut() {
     let whole = include_bytes!("../fixtures/evening.jsonl");
     let (runs, damage) = read("run.jsonl", &whole[..]).unwrap();
     assert_eq!(damage, []);
@@ -142,7 +142,7 @@ fn a_record_is_read_as_far_as_it_goes_wherever_it_was_cut() {
 }
 
 #[test]
-fn what_is_no_event_is_passed_over_and_shown_where_it_stands() {
+fn a_line_without_an_event_is_skipped_and_reported_with_its_number() {
     let text = include_str!("../fixtures/evening.jsonl");
     let mut lines: Vec<&str> = text.lines().collect();
     lines.insert(2, "{\"at_ms\":\"soon\"}");
@@ -166,7 +166,7 @@ fn what_is_no_event_is_passed_over_and_shown_where_it_stands() {
 }
 
 #[test]
-fn what_is_no_record_is_said_and_not_listed_for_ever() {
+fn a_file_that_is_no_record_is_reported_in_a_bounded_list() {
     let (runs, damage) = read("movie.mp4", &b"\xff\xfe\n".repeat(10_000)[..]).unwrap();
     assert_eq!(runs, []);
     assert_eq!(damage.len(), MOST + 1);
@@ -184,7 +184,7 @@ fn what_is_no_record_is_said_and_not_listed_for_ever() {
 }
 
 #[test]
-fn joined_records_are_several_runs() {
+fn joined_records_are_read_as_several_runs() {
     let text = include_str!("../fixtures/evening.jsonl");
     let (runs, damage) = read("all.jsonl", format!("{text}{text}").as_bytes()).unwrap();
     let names: Vec<&str> = runs.iter().map(|run| run.name.as_str()).collect();
@@ -193,8 +193,8 @@ fn joined_records_are_several_runs() {
     assert!(
         matches!(
             last,
-            Event::RunEnded {
-                outcome: Outcome::Stopped,
+            RunEvent::RunEnded {
+                outcome: RunOutcome::Stopped,
                 ..
             }
         ),

@@ -1,8 +1,9 @@
-//! Tables for statistics, as RFC 4180 has them.
+//! Tables for statistics (RFC 4180).
 
-use super::numbers::seconds;
-use super::run::Run;
+use super::run::ReportedRun;
 use super::words;
+use crate::durations::{millis, seconds};
+use crate::event::{RunCommand, TaskOutline};
 
 const TASKS: &[&str] = &[
     "run",
@@ -43,7 +44,7 @@ const ACTIONS: &[&str] = &[
     "step",
 ];
 
-pub(super) fn tasks(runs: &[Run]) -> String {
+pub(super) fn tasks(runs: &[ReportedRun]) -> String {
     let mut out = line(TASKS);
     for run in runs {
         for task in &run.tasks {
@@ -52,7 +53,7 @@ pub(super) fn tasks(runs: &[Run]) -> String {
             };
             let step = take.steps.get(task.step).map(|step| step.step);
             let plan = run.plan(task);
-            let of_plan = |text: fn(&crate::event::TaskOutline) -> &String| {
+            let of_plan = |text: fn(&TaskOutline) -> &String| {
                 plan.map(|(_, plan)| text(plan).clone()).unwrap_or_default()
             };
             let awaited = plan.map(|(step, plan)| step.wait && plan.wait);
@@ -80,7 +81,7 @@ pub(super) fn tasks(runs: &[Run]) -> String {
                 optional(task.planned_from),
                 seconds(task.from),
                 optional(task.late()),
-                task.latency.map(super::numbers::millis).unwrap_or_default(),
+                task.latency.map(millis).unwrap_or_default(),
                 optional(task.to),
                 optional(task.length()),
                 seconds(unknown.sum()),
@@ -92,12 +93,12 @@ pub(super) fn tasks(runs: &[Run]) -> String {
     out
 }
 
-pub(super) fn actions(runs: &[Run]) -> String {
+pub(super) fn actions(runs: &[ReportedRun]) -> String {
     let mut out = line(ACTIONS);
     for run in runs {
         for action in &run.actions {
             let target = match action.command {
-                Some(crate::event::Command::Jump { scene }) => run.scene_name(scene),
+                Some(RunCommand::Jump { scene }) => run.scene_name(scene),
                 _ => String::new(),
             };
             let scene = action.scene.map(|scene| run.scene_name(scene));
@@ -107,11 +108,7 @@ pub(super) fn actions(runs: &[Run]) -> String {
                 run.record.started.sha256.clone(),
                 seconds(action.at),
                 action.key.clone().unwrap_or_default(),
-                action
-                    .command
-                    .map(words::command_name)
-                    .unwrap_or_default()
-                    .to_owned(),
+                action.command.map(words::command_name).unwrap_or_default(),
                 target,
                 words::by(action.by).to_owned(),
                 action.decided.to_string(),

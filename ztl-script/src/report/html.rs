@@ -1,9 +1,9 @@
-//! Text into HTML. Nothing of a record gets onto the page but through [`escape`].
+//! HTML. Every text of a record goes through [`escape`].
 
 use std::fmt::Write;
 
-/// Text as HTML shows it, in elements, in attributes with quotes and in SVG. What would be invisible
-/// or turn the direction of the text is shown as U+FFFD.
+/// Escapes a text for elements, quoted attributes and SVG. Control characters and those that change the
+/// direction of text become U+FFFD.
 pub(super) fn escape(text: &str) -> String {
     let mut out = String::with_capacity(text.len());
     for char in text.chars() {
@@ -22,7 +22,7 @@ pub(super) fn escape(text: &str) -> String {
     out
 }
 
-/// Text of at most so many characters: of a longer one the begin and the end.
+/// A text of at most so many characters: the beginning and the end of a longer one.
 pub(super) fn shorten(text: &str, most: usize) -> String {
     let count = text.chars().count();
     if count <= most {
@@ -34,15 +34,15 @@ pub(super) fn shorten(text: &str, most: usize) -> String {
     format!("{head}…{tail}")
 }
 
-/// A table with its head; cells are HTML already.
+/// A table; its cells are HTML.
 pub(super) struct Table {
     out: String,
-    /// The attributes of each column's cells; their name is told where there is no room for a head.
+    /// The attributes of each column's cells. Narrow pages show the column's name in each cell.
     attributes: Vec<String>,
 }
 
 impl Table {
-    /// `columns`: what they are called; one that begins with `#` has numbers, one with `~` long text.
+    /// `columns`: their names; `#` in front marks numbers, `~` long text.
     pub(super) fn new(class: &str, columns: &[&str]) -> Self {
         let mut out = format!("<div class=\"scroll\"><table class=\"{class}\"><thead><tr>");
         for column in columns {
@@ -104,7 +104,7 @@ mod tests {
     }
 
     #[test]
-    fn a_long_name_keeps_its_begin_and_its_end() {
+    fn a_long_name_keeps_its_beginning_and_end() {
         assert_eq!(shorten("short", 9), "short");
         let short = shorten("a very long name of a scene, take 2", 15);
         assert_eq!(short, "a very lo…ake 2");

@@ -1,17 +1,17 @@
-//! How a timeline is laid out in a wide window and in a narrow one.
+//! The layouts of a timeline: for wide and for narrow windows.
 
-/// Where names, bars and remarks go, in units of the drawing; the page scales them.
+/// Widths of names, bars and remarks, in units of the drawing.
 pub(super) struct Layout {
     pub(super) class: &'static str,
     pub(super) width: f64,
-    /// What the names have, left of the bars; `None`: names and remarks stand above their bars.
+    /// Width of the names left of the bars; `None`: names and remarks are above their bars.
     pub(super) names: Option<f64>,
-    /// The same of the names in the overview.
+    /// Width of the names in the overview.
     pub(super) overview: f64,
-    /// What is said beside the bars.
+    /// Width of the remarks beside the bars.
     pub(super) remarks: f64,
     pub(super) row: f64,
-    /// Most times on the scale.
+    /// Most labels on the scale.
     pub(super) ticks: f64,
 }
 
@@ -25,7 +25,7 @@ pub(super) const WIDE: Layout = Layout {
     ticks: 9.0,
 };
 
-/// For the window of a phone, where it is as large as it says.
+/// For phones, unscaled.
 pub(super) const NARROW: Layout = Layout {
     class: "narrow",
     width: 366.0,
@@ -37,7 +37,7 @@ pub(super) const NARROW: Layout = Layout {
 };
 
 impl Layout {
-    /// From where to where the bars of steps go; beyond is a sign.
+    /// The left and right ends of the bars.
     pub(super) const fn bars(&self) -> (f64, f64) {
         match self.names {
             Some(names) => (names, self.width - self.remarks),
@@ -45,7 +45,7 @@ impl Layout {
         }
     }
 
-    /// How far the bars of a row are below its names.
+    /// Distance of the bars of a row below its names.
     pub(super) const fn lift(&self) -> f64 {
         match self.names {
             Some(_) => 0.0,
@@ -53,12 +53,12 @@ impl Layout {
         }
     }
 
-    /// What the name of a row has.
+    /// Width of the name of a row.
     pub(super) fn name_width(&self) -> f64 {
         self.names.unwrap_or(self.width - self.remarks)
     }
 
-    /// Where the remark of a row is, and what it has.
+    /// Place and width of the remark of a row.
     pub(super) fn remark(&self) -> (f64, f64) {
         let gap = if self.names.is_some() { 20.0 } else { 6.0 };
         (self.width - self.remarks + gap, self.remarks - gap)

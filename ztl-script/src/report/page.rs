@@ -4,16 +4,16 @@ use std::collections::BTreeMap;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use super::html::{Table, escape};
-use super::numbers::{difference, median, seconds, spoken};
-use super::run::{Cause, Run, Task};
-use super::{Report, svg, tables, words};
-use crate::event::{StepEnd, TaskState};
+use super::run::{PlayedTask, ReportedRun, WaitCause};
+use super::{svg, tables, words};
+use crate::durations::{difference, median, seconds, spoken};
+use crate::event::{Ending, TaskState};
+use crate::record::Damage;
 
 const STYLE: &str = include_str!("style.css");
 
-pub(super) fn page(report: &Report) -> String {
-    let runs = &report.runs;
-    let title = match runs.as_slice() {
+pub(super) fn page(runs: &[ReportedRun], damage: &[Damage]) -> String {
+    let title = match runs {
         [] => "No run".to_owned(),
         [run] => format!("{}, {}", run.record.started.script, wall(run)),
         runs => format!("{} runs", runs.len()),
@@ -27,7 +27,7 @@ pub(super) fn page(report: &Report) -> String {
         svg::PATTERNS
     );
     out += &format!("<h1>{}</h1>\n", escape(&title));
-    out += &damage(report);
+    out += &damage_list(damage);
     if !runs.is_empty() {
         out += &trouble(runs);
     }
@@ -59,12 +59,11 @@ const LEGEND: &str = "<p class=\"legend\">\
 <span><i class=\"k open\"></i>goes on ›</span><span><i class=\"k wait-o\"></i>wait for the operator</span>\
 <span><i class=\"k wait-t\"></i>wait for a server or a decision</span><span><i class=\"k mark\"></i>deviation by the operator</span></p>\n";
 
-fn damage(report: &Report) -> String {
-    if report.damage.is_empty() {
+fn damage_list(damage: &[Damage]) -> String {
+    if damage.is_empty() {
         return String::new();
     }
-    let lines = report
-        .damage
+    let lines = damage
         .iter()
         .map(|damage| format!("<li>{}</li>", escape(&damage.to_string())));
     let lines: String = lines.collect();
@@ -73,9 +72,9 @@ fn damage(report: &Report) -> String {
     )
 }
 
-/// What went wrong in all runs, with the reasons.
-fn trouble(runs: &[Run]) -> String {
-    let wrong = |task: &&Task| {
+/// The tasks that failed or are unknown in all runs, with the reasons.
+fn trouble(runs: &[ReportedRun]) -> String {
+    let wrong = |task: &&PlayedTask| {
         let failed = task.state.is_failure() && task.state != TaskState::Aborted;
         failed || task.state == TaskState::Unknown
     };
@@ -121,22 +120,22 @@ fn trouble(runs: &[Run]) -> String {
     )
 }
 
-/// Most tasks that are listed on top.
+/// Most tasks listed at the top.
 const TROUBLES: usize = 20;
 
-fn wall(run: &Run) -> String {
+fn wall(run: &ReportedRun) -> String {
     let first = run.record.events.first();
     let at = first.map_or(UNIX_EPOCH, |event| event.wall).max(UNIX_EPOCH);
-    // A moment beyond the year 9999 has no such form.
+    // Later times have no RFC 3339 form.
     let most = UNIX_EPOCH + Duration::from_secs(253_402_300_799);
     let text = humantime::format_rfc3339_seconds(SystemTime::min(at, most)).to_string();
     text.replace('T', " ").replace('Z', " UTC")
 }
 
-/// What a run's numbers are, in the order in which they are told.
-fn figures(run: &Run) -> Vec<(&'static str, String)> {
+/// The figures of a run, in the order shown.
+fn figures(run: &ReportedRun) -> Vec<(&'static str, String)> {
     let count =
-        |of: fn(&Task) -> bool| run.tasks.iter().filter(|task| of(task)).count().to_string();
+        |of: fn(&PlayedTask) -> bool| run.tasks.iter().filter(|task| of(task)).count().to_string();
     let steps: usize = run.takes.iter().map(|take| take.steps.len()).sum();
     vec![
         ("length (s)", seconds(run.length)),
@@ -158,20 +157,20 @@ fn figures(run: &Run) -> Vec<(&'static str, String)> {
         ("deviations", run.deviations().count().to_string()),
         (
             "waits for the operator (s)",
-            seconds(run.waited(|cause| *cause == Cause::Operator)),
+            seconds(run.waited(|cause| *cause == WaitCause::Operator)),
         ),
         (
             "pauses (s)",
-            seconds(run.waited(|cause| *cause == Cause::Pause)),
+            seconds(run.waited(|cause| *cause == WaitCause::Pause)),
         ),
         (
             "waits in trouble (s)",
-            seconds(run.waited(|cause| matches!(cause, Cause::Trouble(_)))),
+            seconds(run.waited(|cause| matches!(cause, WaitCause::Trouble(_)))),
         ),
     ]
 }
 
-fn comparison(runs: &[Run]) -> String {
+fn comparison(runs: &[ReportedRun]) -> String {
     let mut out = "<section><h2>Runs compared</h2>\n".to_owned();
     let scripts: BTreeMap<&str, &str> = runs
         .iter()
@@ -219,7 +218,7 @@ fn comparison(runs: &[Run]) -> String {
     out + &table.end() + "</section>\n"
 }
 
-/// What all runs together say of a step.
+/// A step in all runs.
 #[derive(Default)]
 struct OfStep {
     planned: Vec<Duration>,
@@ -228,8 +227,8 @@ struct OfStep {
     trouble: Duration,
 }
 
-fn medians(runs: &[Run]) -> String {
-    // Scripts that differ still have steps in common: by their names, in the order of the first.
+fn medians(runs: &[ReportedRun]) -> String {
+    // Steps are matched by their names, since the scripts may differ. Order: first occurrence.
     let mut order: Vec<(String, String)> = Vec::new();
     let mut steps: BTreeMap<(String, String), OfStep> = BTreeMap::new();
     for run in runs {
@@ -249,14 +248,14 @@ fn medians(runs: &[Run]) -> String {
                     run.step_name(take.scene, step.step),
                 );
                 let of = steps.entry(key).or_default();
-                // What was left before its end says nothing of how long it takes.
-                if matches!(step.end, Some(StepEnd::Completed | StepEnd::Failures)) {
+                // A step that was left early says nothing about its duration.
+                if matches!(step.end, Some(Ending::Completed | Ending::Failures)) {
                     of.planned.extend(step.planned);
                     of.actual.push(step.length());
                 }
-                of.failures += usize::from(step.end == Some(StepEnd::Failures));
+                of.failures += usize::from(step.end == Some(Ending::Failures));
                 let mine = run.waits.iter().filter(|wait| {
-                    matches!(wait.cause, Cause::Trouble(_))
+                    matches!(wait.cause, WaitCause::Trouble(_))
                         && wait.from >= step.from
                         && wait.from <= step.to
                 });
@@ -311,7 +310,7 @@ fn medians(runs: &[Run]) -> String {
     format!("{head}{}</section>\n", table.end())
 }
 
-/// A dot for each value, on a line up to the longest of all.
+/// A dot for each value on a common scale.
 fn strip(values: &[Duration], longest: Duration) -> String {
     let longest = longest.as_secs_f64().max(0.001);
     let dots = values.iter().map(|value| {
@@ -324,7 +323,7 @@ fn strip(values: &[Duration], longest: Duration) -> String {
     )
 }
 
-fn one(run: &Run, nth: usize, of: usize) -> String {
+fn one(run: &ReportedRun, nth: usize, of: usize) -> String {
     let mut out = format!("<section class=\"run\" id=\"run-{}\">\n", nth + 1);
     if of > 1 {
         out += &format!("<h2>{}</h2>\n", escape(&run.record.name));
@@ -342,7 +341,7 @@ fn one(run: &Run, nth: usize, of: usize) -> String {
     out + "</section>\n"
 }
 
-fn facts(run: &Run) -> String {
+fn facts(run: &ReportedRun) -> String {
     let started = &run.record.started;
     let versions = started
         .versions
@@ -387,7 +386,7 @@ fn facts(run: &Run) -> String {
     out + "</dl>\n"
 }
 
-fn scenes(run: &Run) -> String {
+fn scenes(run: &ReportedRun) -> String {
     let mut out = String::new();
     for (nth, take) in run.takes.iter().enumerate() {
         let replay = if take.replay { ", replayed" } else { "" };
@@ -403,7 +402,7 @@ fn scenes(run: &Run) -> String {
             "<section class=\"scene\"><h3>{}. {}</h3>\n<p class=\"note\">{}{replay}; from {} s, {} long{}</p>\n",
             take.scene + 1,
             escape(&svg::take_name(run, take)),
-            words::scene_end(take.end),
+            words::ending(take.end),
             seconds(take.from),
             spoken(length),
             planned.unwrap_or_default(),

@@ -1,74 +1,73 @@
-//! What happened in a run: scenes, steps, tasks, what the operator
-//! did, waits, and how long servers took to answer.
+//! What happened in a run: scenes, steps, tasks, the operator's actions, waits, and the latencies of
+//! servers.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
 
 use crate::event::{
-    By, Command, Outcome, Outline, SceneEnd, SceneOutline, StepEnd, StepOutline, TaskNumber,
-    TaskOutline, TaskState, Why,
+    DecidedBy, Ending, Outline, RunCommand, RunOutcome, SceneOutline, StepOutline, TaskNumber,
+    TaskOutline, TaskState, WaitReason,
 };
 use crate::record::Record;
 
 /// A run.
 #[derive(Debug, Clone)]
-pub(super) struct Run {
+pub(super) struct ReportedRun {
     pub(super) record: Record,
     /// From its start to the last event.
     pub(super) length: Duration,
-    /// `None` when the record is cut off.
-    pub(super) outcome: Option<Outcome>,
+    /// `None` if the record is cut off.
+    pub(super) outcome: Option<RunOutcome>,
     pub(super) last_words: String,
-    pub(super) takes: Vec<Take>,
-    pub(super) tasks: Vec<Task>,
+    pub(super) takes: Vec<PlayedScene>,
+    pub(super) tasks: Vec<PlayedTask>,
     pub(super) actions: Vec<Action>,
     pub(super) waits: Vec<Wait>,
-    pub(super) latencies: BTreeMap<(String, Asked), Latencies>,
-    /// Scenes passed over.
-    pub(super) skipped: Vec<(Duration, usize, By)>,
+    pub(super) latencies: BTreeMap<(String, RequestClass), Latencies>,
+    /// Skipped scenes.
+    pub(super) skipped: Vec<(Duration, usize, DecidedBy)>,
     pub(super) notes: Vec<(Duration, String)>,
 }
 
 /// A scene, played once.
 #[derive(Debug, Clone)]
-pub(super) struct Take {
+pub(super) struct PlayedScene {
     pub(super) scene: usize,
     pub(super) number: u32,
     pub(super) replay: bool,
     pub(super) from: Duration,
     pub(super) to: Duration,
-    /// `None` when the record ends before it.
-    pub(super) end: Option<SceneEnd>,
-    pub(super) steps: Vec<Step>,
+    /// `None` if the record ends before.
+    pub(super) end: Option<Ending>,
+    pub(super) steps: Vec<PlayedStep>,
 }
 
 /// A step, played once.
 #[derive(Debug, Clone)]
-pub(super) struct Step {
+pub(super) struct PlayedStep {
     pub(super) step: usize,
-    /// When the script would have it start: at the end of the one before, or after its scene's delay.
+    /// Its planned start: the end of the step before, or after its scene's delay.
     pub(super) planned_from: Duration,
     pub(super) from: Duration,
     pub(super) to: Duration,
-    pub(super) end: Option<StepEnd>,
-    /// What its delays and its tasks' own times add up to; `None` when it was left before its end, and
-    /// nobody knows what they would have been.
+    pub(super) end: Option<Ending>,
+    /// The sum of its delays and its tasks' durations; `None` if it was left before its end.
     pub(super) planned: Option<Duration>,
 }
 
 /// A task, sent once.
 #[derive(Debug, Clone)]
-pub(super) struct Task {
+pub(super) struct PlayedTask {
     pub(super) number: TaskNumber,
-    /// Its place among [`Run::takes`], and among the steps there.
+    /// Its index in [`Run::takes`], and among the steps there.
     pub(super) take: usize,
     pub(super) step: usize,
     pub(super) part: usize,
     pub(super) retry_of: Option<TaskNumber>,
-    /// When the script's delays alone would have it start; nothing plans a retry.
+    /// Its start by the script's delays alone; `None` for a retry.
     pub(super) planned_from: Option<Duration>,
     pub(super) from: Duration,
-    /// When its server said that it has it.
+    /// When its server confirmed that it has it.
     pub(super) accepted: Option<Duration>,
     /// When it was known to be over.
     pub(super) to: Option<Duration>,
@@ -76,53 +75,53 @@ pub(super) struct Task {
     pub(super) text: String,
     /// From INIT to its answer.
     pub(super) latency: Option<Duration>,
-    /// The times at which nobody knew how it was: from, to.
+    /// The periods in which its state was unknown: from, to.
     pub(super) unknown: Vec<(Duration, Duration)>,
 }
 
-/// What the operator did, or somebody in the operator's place.
+/// A key or a decision, by the operator or in the operator's place.
 #[derive(Debug, Clone)]
 pub(super) struct Action {
     pub(super) at: Duration,
     pub(super) key: Option<String>,
-    pub(super) command: Option<Command>,
-    pub(super) by: By,
-    /// It was done, not only asked for.
+    pub(super) command: Option<RunCommand>,
+    pub(super) by: DecidedBy,
+    /// Whether it was carried out.
     pub(super) decided: bool,
     pub(super) scene: Option<usize>,
     pub(super) step: Option<usize>,
-    /// Since the question was asked that it answers.
+    /// Time since the question that it answers.
     pub(super) after: Option<Duration>,
-    /// The script would have it otherwise.
+    /// Whether it deviates from the script.
     pub(super) deviation: bool,
 }
 
-/// A time in which the script did not go on.
+/// A period in which the script did not continue.
 #[derive(Debug, Clone)]
 pub(super) struct Wait {
     pub(super) from: Duration,
     pub(super) to: Duration,
-    pub(super) cause: Cause,
+    pub(super) cause: WaitCause,
     pub(super) scene: Option<usize>,
     pub(super) step: Option<usize>,
     pub(super) tasks: Vec<TaskNumber>,
 }
 
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) enum Cause {
-    /// For the operator, between scenes.
+pub(super) enum WaitCause {
+    /// Waiting for the operator, between scenes.
     Operator,
-    /// The operator wanted a pause.
+    /// A pause by the operator.
     Pause,
-    Trouble(Why),
+    Trouble(WaitReason),
 }
 
-/// What was asked of a server.
+/// A kind of request, for statistics.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub(super) enum Asked {
+pub(super) enum RequestClass {
     Init,
     Status,
-    /// A STATUS that the server may hold until the task ends: its time tells nothing of the line.
+    /// A STATUS that the server may hold until the task ends, so its latency says nothing about the network.
     Held,
     Abort,
 }
@@ -133,7 +132,7 @@ pub(super) struct Latencies {
     pub(super) unanswered: u64,
 }
 
-impl Run {
+impl ReportedRun {
     pub(super) fn outline(&self) -> &Outline {
         &self.record.started.outline
     }
@@ -156,20 +155,20 @@ impl Run {
         name.unwrap_or_else(|| format!("step {}", step + 1))
     }
 
-    /// The step that a task belongs to, and what the script says of the task.
-    pub(super) fn plan(&self, task: &Task) -> Option<(&StepOutline, &TaskOutline)> {
+    /// The planned step of a task, and the planned task.
+    pub(super) fn plan(&self, task: &PlayedTask) -> Option<(&StepOutline, &TaskOutline)> {
         let take = self.takes.get(task.take)?;
         let step = self.step(take.scene, take.steps.get(task.step)?.step)?;
         Some((step, step.tasks.get(task.part)?))
     }
 
-    pub(super) fn task(&self, number: TaskNumber) -> Option<&Task> {
-        // They are numbered from 1 in the order of starting; a damaged record may lack some.
+    pub(super) fn task(&self, number: TaskNumber) -> Option<&PlayedTask> {
+        // A damaged record may lack some, so the number is not an index.
         self.tasks.iter().find(|task| task.number == number)
     }
 
-    pub(super) fn tasks_of(&self, take: usize, step: usize) -> impl Iterator<Item = &Task> {
-        let mine = move |task: &&Task| task.take == take && task.step == step;
+    pub(super) fn tasks_of(&self, take: usize, step: usize) -> impl Iterator<Item = &PlayedTask> {
+        let mine = move |task: &&PlayedTask| task.take == take && task.step == step;
         self.tasks.iter().filter(mine)
     }
 
@@ -177,27 +176,27 @@ impl Run {
         self.actions.iter().filter(|action| action.deviation)
     }
 
-    /// How long the script stood still for a cause.
-    pub(super) fn waited(&self, cause: impl Fn(&Cause) -> bool) -> Duration {
+    /// Total duration of the waits with this cause.
+    pub(super) fn waited(&self, cause: impl Fn(&WaitCause) -> bool) -> Duration {
         let waits = self.waits.iter().filter(|wait| cause(&wait.cause));
         waits.map(|wait| wait.to.saturating_sub(wait.from)).sum()
     }
 }
 
-impl Step {
+impl PlayedStep {
     pub(super) fn length(&self) -> Duration {
         self.to.saturating_sub(self.from)
     }
 }
 
-impl Take {
+impl PlayedScene {
     pub(super) fn length(&self) -> Duration {
         self.to.saturating_sub(self.from)
     }
 
-    /// What its delay and its steps' plans add up to; `None` when it was left before its end.
-    pub(super) fn planned(&self, run: &Run) -> Option<Duration> {
-        if !matches!(self.end, Some(SceneEnd::Completed | SceneEnd::Failures)) {
+    /// The sum of its delay and its steps' plans; `None` if it was left before its end.
+    pub(super) fn planned(&self, run: &ReportedRun) -> Option<Duration> {
+        if !matches!(self.end, Some(Ending::Completed | Ending::Failures)) {
             return None;
         }
         let delay = run
@@ -208,13 +207,13 @@ impl Take {
     }
 }
 
-impl Task {
-    /// How long it took, from its start until it was known to be over.
+impl PlayedTask {
+    /// From its start until its end was known.
     pub(super) fn length(&self) -> Option<Duration> {
         Some(self.to?.saturating_sub(self.from))
     }
 
-    /// How much later than planned it started.
+    /// Delay of its start against the plan.
     pub(super) fn late(&self) -> Option<Duration> {
         Some(self.from.saturating_sub(self.planned_from?))
     }

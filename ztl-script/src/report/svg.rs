@@ -5,26 +5,26 @@ use std::time::Duration;
 
 use super::html::{escape, shorten};
 use super::layout::{Layout, NARROW, WIDE};
-use super::numbers::{difference, spoken};
-use super::run::{Action, Cause, Run, Step, Take, Task, Wait};
+use super::run::{Action, PlayedScene, PlayedStep, PlayedTask, ReportedRun, Wait, WaitCause};
 use super::words;
-use crate::event::{StepEnd, TaskState};
+use crate::durations::{difference, spoken};
+use crate::event::{Ending, TaskState};
 
 /// Height of a row of the overview.
 const ROW: f64 = 24.0;
-/// Most rows of one drawing: what fits on a page.
+/// Most rows of one drawing, to fit on a printed page.
 const ROWS: usize = 26;
-/// Most background tasks that the overview shows.
+/// Most background tasks in the overview.
 const IN_BACKGROUND: usize = 10;
 
-/// Patterns that all drawings use, so that states differ without colour too.
+/// Patterns that distinguish states without colour.
 pub(super) const PATTERNS: &str = "<svg class=\"defs\" width=\"0\" height=\"0\" aria-hidden=\"true\"><defs>\
 <pattern id=\"hatch\" width=\"6\" height=\"6\" patternUnits=\"userSpaceOnUse\" patternTransform=\"rotate(45)\">\
 <line class=\"hatch\" x1=\"0\" y1=\"0\" x2=\"0\" y2=\"6\"/></pattern>\
 <pattern id=\"dots\" width=\"5\" height=\"5\" patternUnits=\"userSpaceOnUse\">\
 <circle class=\"dot\" cx=\"1.5\" cy=\"1.5\" r=\"1.2\"/></pattern></defs></svg>\n";
 
-/// From times to places.
+/// Maps times to x coordinates.
 struct Axis {
     from: Duration,
     to: Duration,
@@ -34,7 +34,7 @@ struct Axis {
 
 impl Axis {
     fn new(from: Duration, to: Duration, left: f64, right: f64) -> Self {
-        // Something that took no time at all is still drawn.
+        // An empty period is still drawn.
         let to = to.max(from + Duration::from_millis(1));
         Self {
             from,
@@ -70,7 +70,7 @@ impl Drawing {
         }
     }
 
-    /// A rectangle; `data` are attributes that tell what it stands for.
+    /// A rectangle; `data` are attributes that say what it stands for.
     fn bar(&mut self, class: &str, x: (f64, f64), y: (f64, f64), data: &str, title: &str) {
         let width = (x.1 - x.0).max(1.5);
         let _ = write!(
@@ -91,8 +91,8 @@ impl Drawing {
         );
     }
 
-    /// Text cut to what fits in so much width, whole where the mouse rests on it. Where letters are
-    /// wider than they mostly are, its end is hidden and covers nothing.
+    /// Text shortened to a width, with the whole text as its tooltip. The end of unusually wide text is
+    /// clipped.
     fn cut(&mut self, class: &str, x: f64, y: f64, text: &str, width: f64) {
         // Names of steps are bold.
         let letter = if class == "name step" { 7.8 } else { 6.6 };
@@ -188,14 +188,14 @@ fn clock(at: f64, step: f64) -> String {
     }
 }
 
-/// The whole run: its scenes, waits, what the operator did, and what ran in the background.
-pub(super) fn overview(run: &Run) -> String {
+/// The whole run: scenes, waits, the operator's actions, and background tasks.
+pub(super) fn overview(run: &ReportedRun) -> String {
     [&WIDE, &NARROW]
         .map(|layout| overview_in(run, layout))
         .concat()
 }
 
-fn overview_in(run: &Run, layout: &'static Layout) -> String {
+fn overview_in(run: &ReportedRun, layout: &'static Layout) -> String {
     let mut drawing = Drawing::new(layout);
     let axis = Axis::new(
         Duration::ZERO,
@@ -203,7 +203,7 @@ fn overview_in(run: &Run, layout: &'static Layout) -> String {
         layout.overview,
         layout.width - 14.0,
     );
-    let background: Vec<&Task> = run
+    let background: Vec<&PlayedTask> = run
         .tasks
         .iter()
         .filter(|task| outlives(run, task))
@@ -219,10 +219,10 @@ fn overview_in(run: &Run, layout: &'static Layout) -> String {
         let x = (axis.x(take.from), axis.x(take.to));
         let name = take_name(run, take);
         let data = data("take", nth + 1, take.from, take.to);
-        let title = format!("{name}: {}", words::scene_end(take.end));
+        let title = format!("{name}: {}", words::ending(take.end));
         drawing.bar("scene", x, (top + 2.0, top + 22.0), &data, &title);
         let room = ((x.1 - x.0 - 8.0) / 6.6).max(0.0) as usize;
-        // Of a name too little is left to know it by; its number can be looked up.
+        // Instead of an unrecognizable rest of the name, show the number.
         let short = match name.chars().count() {
             count if count <= room || room >= 12 => name,
             _ => (take.scene + 1).to_string(),
@@ -284,8 +284,8 @@ fn overview_in(run: &Run, layout: &'static Layout) -> String {
     drawing.end(&format!("Timeline of {}", run.record.name))
 }
 
-/// One scene as it was played: one or more drawings, none longer than a page.
-pub(super) fn take(run: &Run, nth: usize, take: &Take) -> String {
+/// One played scene: one or more drawings, none longer than a page.
+pub(super) fn take(run: &ReportedRun, nth: usize, take: &PlayedScene) -> String {
     let mut out = String::new();
     let mut chunk: Vec<usize> = Vec::new();
     let mut rows = 0;
@@ -321,8 +321,8 @@ pub(super) fn take(run: &Run, nth: usize, take: &Take) -> String {
 }
 
 fn steps_drawing(
-    run: &Run,
-    (nth, take): (usize, &Take),
+    run: &ReportedRun,
+    (nth, take): (usize, &PlayedScene),
     steps: &[usize],
     (from, to): (Duration, Duration),
     layout: &'static Layout,
@@ -394,12 +394,12 @@ fn steps_drawing(
     drawing.end(&format!("Timeline of {}", take_name(run, take)))
 }
 
-/// Longest text at a mark.
+/// Longest text at a mark, in characters.
 const LABEL: usize = 24;
 
-/// Where the texts of marks go, so that none covers another: place and lane.
+/// Places the texts of marks so that none covers another: x coordinate and lane.
 fn label_lanes<'a>(
-    run: &Run,
+    run: &ReportedRun,
     axis: &Axis,
     marks: &[&'a Action],
     width: f64,
@@ -409,7 +409,7 @@ fn label_lanes<'a>(
     for action in marks {
         let what = action.command.map(|command| words::command(run, command));
         let length = what.map_or(0, |what| what.chars().count().min(LABEL)) as f64 * 6.4;
-        // A text that would leave the drawing goes to the left of its mark.
+        // A text near the right edge moves left.
         let at = axis.x(action.at);
         let x = (at + 4.0).min(width - length).max(0.0);
         let free = ends.iter().position(|end| *end + 6.0 < x);
@@ -423,7 +423,14 @@ fn label_lanes<'a>(
     lanes
 }
 
-fn draw_step(drawing: &mut Drawing, run: &Run, take: &Take, axis: &Axis, step: &Step, y: f64) {
+fn draw_step(
+    drawing: &mut Drawing,
+    run: &ReportedRun,
+    take: &PlayedScene,
+    axis: &Axis,
+    step: &PlayedStep,
+    y: f64,
+) {
     let layout = drawing.layout;
     let name = run.step_name(take.scene, step.step);
     drawing.cut("name step", 0.0, y + 15.0, &name, layout.name_width() - 6.0);
@@ -439,7 +446,7 @@ fn draw_step(drawing: &mut Drawing, run: &Run, take: &Take, axis: &Axis, step: &
     let attributes = data("step", step.step + 1, step.from, step.to);
     let title = format!(
         "{name}: {}, {}",
-        words::step_end(step.end),
+        words::ending(step.end),
         spoken(step.length())
     );
     drawing.bar(
@@ -453,10 +460,10 @@ fn draw_step(drawing: &mut Drawing, run: &Run, take: &Take, axis: &Axis, step: &
         .step(take.scene, step.step)
         .is_some_and(|step| !step.wait);
     let end = match step.end {
-        Some(StepEnd::Completed) if background => "in the background",
-        end => words::step_end(end),
+        Some(Ending::Completed) if background => "in the background",
+        end => words::ending(end),
     };
-    // There is no room for it above a bar.
+    // There is no room for it in the narrow layout.
     let more = step
         .planned
         .filter(|_| layout.names.is_some())
@@ -475,9 +482,9 @@ fn draw_step(drawing: &mut Drawing, run: &Run, take: &Take, axis: &Axis, step: &
 
 fn draw_wait(drawing: &mut Drawing, axis: &Axis, wait: &Wait, y: (f64, f64)) {
     let class = match wait.cause {
-        Cause::Operator => "wait operator",
-        Cause::Pause => "wait pause",
-        Cause::Trouble(_) => "wait trouble",
+        WaitCause::Operator => "wait operator",
+        WaitCause::Pause => "wait pause",
+        WaitCause::Trouble(_) => "wait trouble",
     };
     let length = spoken(wait.to.saturating_sub(wait.from));
     let title = format!("wait: {}, {length}", words::cause(&wait.cause));
@@ -485,11 +492,11 @@ fn draw_wait(drawing: &mut Drawing, axis: &Axis, wait: &Wait, y: (f64, f64)) {
     drawing.bar(class, x, y, &data("wait", 0, wait.from, wait.to), &title);
 }
 
-/// A task's bar: asked, under way, unknown; with a mark for how it ended.
+/// A task's bar: asked, running, unknown; with a sign for its final state.
 fn draw_task(
     drawing: &mut Drawing,
     axis: &Axis,
-    task: &Task,
+    task: &PlayedTask,
     (top, bottom): (f64, f64),
     name: &str,
     end_of_run: Duration,
@@ -532,8 +539,8 @@ const fn class(state: TaskState) -> &'static str {
     }
 }
 
-/// How a task went, in a few words.
-fn remark(task: &Task) -> String {
+/// Duration, state and lateness of a task.
+fn remark(task: &PlayedTask) -> String {
     let late = task
         .late()
         .filter(|late| *late >= Duration::from_millis(50));
@@ -553,7 +560,7 @@ fn data(kind: &str, number: usize, from: Duration, to: Duration) -> String {
     )
 }
 
-pub(super) fn take_name(run: &Run, take: &Take) -> String {
+pub(super) fn take_name(run: &ReportedRun, take: &PlayedScene) -> String {
     let name = run.scene_name(take.scene);
     match take.number {
         0 | 1 => name,
@@ -561,15 +568,15 @@ pub(super) fn take_name(run: &Run, take: &Take) -> String {
     }
 }
 
-pub(super) fn task_name(run: &Run, task: &Task) -> String {
+pub(super) fn task_name(run: &ReportedRun, task: &PlayedTask) -> String {
     match run.plan(task) {
         Some((_, plan)) => format!("{}:{}:{}", plan.handler, plan.component, plan.goal),
         None => format!("task {}", task.number.0),
     }
 }
 
-/// Whether a task is still under way when its step is over.
-pub(super) fn outlives(run: &Run, task: &Task) -> bool {
+/// Whether a task outlives its step.
+pub(super) fn outlives(run: &ReportedRun, task: &PlayedTask) -> bool {
     let step = run
         .takes
         .get(task.take)

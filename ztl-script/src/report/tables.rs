@@ -1,15 +1,15 @@
-//! A run in tables.
+//! The tables of a run.
 
 use std::time::Duration;
 
 use super::html::{Table, escape};
-use super::numbers::{difference, median, millis, percentile, seconds};
-use super::run::{Run, Take};
+use super::run::{PlayedScene, ReportedRun};
 use super::{svg, words};
-use crate::event::{StepEnd, TaskState};
+use crate::durations::{difference, median, millis, percentile, seconds};
+use crate::event::{Ending, TaskState};
 
 /// All tables of a run.
-pub(super) fn all(run: &Run) -> String {
+pub(super) fn all(run: &ReportedRun) -> String {
     [
         operator_table(run),
         wait_table(run),
@@ -32,7 +32,7 @@ fn section(title: &str, note: &str, table: String) -> String {
     )
 }
 
-fn place(run: &Run, scene: Option<usize>, step: Option<usize>) -> String {
+fn place(run: &ReportedRun, scene: Option<usize>, step: Option<usize>) -> String {
     match (scene, step) {
         (Some(scene), Some(step)) => {
             format!("{} / {}", run.scene_name(scene), run.step_name(scene, step))
@@ -42,7 +42,7 @@ fn place(run: &Run, scene: Option<usize>, step: Option<usize>) -> String {
     }
 }
 
-fn operator_table(run: &Run) -> String {
+fn operator_table(run: &ReportedRun) -> String {
     let columns = [
         "#at (s)",
         "key",
@@ -84,7 +84,7 @@ fn operator_table(run: &Run) -> String {
     section("The operator", "", table.end())
 }
 
-fn wait_table(run: &Run) -> String {
+fn wait_table(run: &ReportedRun) -> String {
     if run.waits.is_empty() {
         return String::new();
     }
@@ -112,7 +112,7 @@ fn wait_table(run: &Run) -> String {
     section("Waits", "", table.end())
 }
 
-fn steps_table(run: &Run) -> String {
+fn steps_table(run: &ReportedRun) -> String {
     let none = || "–".to_owned();
     let columns = [
         "~scene",
@@ -129,7 +129,7 @@ fn steps_table(run: &Run) -> String {
     for take in &run.takes {
         for step in &take.steps {
             table.row(
-                end_class(step.end == Some(StepEnd::Completed)),
+                end_class(step.end == Some(Ending::Completed)),
                 &[
                     escape(&svg::take_name(run, take)),
                     escape(&run.step_name(take.scene, step.step)),
@@ -140,7 +140,7 @@ fn steps_table(run: &Run) -> String {
                     seconds(step.length()),
                     step.planned
                         .map_or_else(none, |planned| difference(step.length(), planned)),
-                    words::step_end(step.end).to_owned(),
+                    words::ending(step.end).to_owned(),
                 ],
             );
         }
@@ -155,7 +155,7 @@ const fn end_class(well: bool) -> &'static str {
     if well { "" } else { "trouble" }
 }
 
-fn tasks_table(run: &Run) -> String {
+fn tasks_table(run: &ReportedRun) -> String {
     let columns = [
         "#no.",
         "~scene / step",
@@ -170,7 +170,7 @@ fn tasks_table(run: &Run) -> String {
     ];
     let mut table = Table::new("tasks", &columns);
     for task in &run.tasks {
-        let take: Option<&Take> = run.takes.get(task.take);
+        let take: Option<&PlayedScene> = run.takes.get(task.take);
         let step = take.and_then(|take| Some((take, take.steps.get(task.step)?)));
         let place = step.map(|(take, step)| {
             format!(
@@ -215,7 +215,7 @@ fn tasks_table(run: &Run) -> String {
     section("Tasks", note, table.end())
 }
 
-fn latency_table(run: &Run) -> String {
+fn latency_table(run: &ReportedRun) -> String {
     if run.latencies.is_empty() {
         return String::new();
     }
@@ -247,7 +247,7 @@ fn latency_table(run: &Run) -> String {
     section("How long servers took to answer", "", table.end())
 }
 
-fn notes(run: &Run) -> String {
+fn notes(run: &ReportedRun) -> String {
     if run.notes.is_empty() {
         return String::new();
     }

@@ -81,7 +81,7 @@ fn attribute(element: &str, name: &str) -> Option<f64> {
 }
 
 #[test]
-fn the_table_of_tasks_says_what_the_record_says() {
+fn the_task_table_matches_the_record() {
     let lines = lines(EVENING);
     let outline = &lines[0]["outline"]["scenes"];
     let rows = table(&report(&[("evening.jsonl", EVENING)]).tasks_csv());
@@ -141,7 +141,7 @@ fn the_table_of_tasks_says_what_the_record_says() {
 }
 
 #[test]
-fn the_table_of_the_operator_says_what_the_record_says() {
+fn the_operator_table_matches_the_record() {
     let lines = lines(EVENING);
     let rows = table(&report(&[("evening.jsonl", EVENING)]).actions_csv());
     assert_eq!(rows.len(), of(&lines, "key").count());
@@ -163,13 +163,13 @@ fn the_table_of_the_operator_says_what_the_record_says() {
 }
 
 #[test]
-fn each_task_and_step_is_drawn_where_it_was() {
+fn each_task_and_step_is_drawn_at_its_time() {
     for class in ["wide", "narrow"] {
-        each_is_drawn_where_it_was(class);
+        assert_drawn_at_its_time(class);
     }
 }
 
-fn each_is_drawn_where_it_was(class: &str) {
+fn assert_drawn_at_its_time(class: &str) {
     let lines = lines(EVENING);
     let html = report(&[("evening.jsonl", EVENING)]).html();
     let mut tasks = 0;
@@ -226,7 +226,7 @@ fn each_is_drawn_where_it_was(class: &str) {
 }
 
 #[test]
-fn the_figures_of_a_run_are_those_of_its_record() {
+fn the_figures_of_a_run_match_its_record() {
     let html = report(&[("evening.jsonl", EVENING)]).html();
     let lines = lines(EVENING);
     let last = lines.last().unwrap()["at_ms"].as_f64().unwrap();
@@ -257,7 +257,7 @@ fn the_figures_of_a_run_are_those_of_its_record() {
 }
 
 #[test]
-fn a_step_is_planned_from_its_delays_and_its_tasks_own_times() {
+fn the_planned_length_of_a_step_adds_delays_and_task_durations() {
     let html = report(&[("matinee.jsonl", MATINEE)]).html();
     let html = unnamed(&html);
     // Turn: 0.5 s, then the base; 1 s later the arm, which takes as long as its server says.
@@ -286,7 +286,7 @@ fn a_step_is_planned_from_its_delays_and_its_tasks_own_times() {
 }
 
 #[test]
-fn what_was_left_before_its_end_has_no_plan_to_compare_with() {
+fn a_step_left_early_has_no_planned_length() {
     let html = report(&[("evening.jsonl", EVENING)]).html();
     let (_, stopped) = html.split_once("<h3>4. Goodbye</h3>").unwrap();
     let (note, drawing) = stopped.split_once("</p>").unwrap();
@@ -299,7 +299,7 @@ fn what_was_left_before_its_end_has_no_plan_to_compare_with() {
 }
 
 #[test]
-fn several_runs_are_compared_step_by_step() {
+fn several_runs_are_compared_by_step() {
     let html = report(&[("evening.jsonl", EVENING), ("matinee.jsonl", MATINEE)]).html();
     let html = unnamed(&html);
     assert!(html.contains("<a href=\"#run-2\">matinee.jsonl</a>"));
@@ -335,7 +335,7 @@ fn several_runs_are_compared_step_by_step() {
 }
 
 #[test]
-fn runs_of_different_scripts_are_told_apart() {
+fn the_page_warns_about_runs_of_different_scripts() {
     let other = MATINEE.replacen("5891b5b5", "00000000", 1);
     let html = report(&[("a", EVENING), ("b", &other)]).html();
     assert!(html.contains("These are runs of 2 different scripts"));
@@ -347,7 +347,7 @@ fn runs_of_different_scripts_are_told_apart() {
 }
 
 #[test]
-fn a_run_counts_as_stopped_only_where_nothing_may_still_run() {
+fn a_run_counts_as_stopped_only_if_nothing_may_still_run() {
     let ended = r#""outcome":"stopped","running":[]"#;
     assert!(EVENING.contains(ended));
     for (written, told) in [
@@ -405,7 +405,7 @@ fn no_text_of_a_record_becomes_markup() {
 }
 
 #[test]
-fn the_page_needs_nothing_from_elsewhere() {
+fn the_page_loads_no_external_resources() {
     let html = report(&[("evening.jsonl", EVENING), ("matinee.jsonl", MATINEE)]).html();
     for loads in [
         "src=", "<link", "<script", "@import", "http://", "https://", "<iframe", "<object",
@@ -416,7 +416,7 @@ fn the_page_needs_nothing_from_elsewhere() {
 }
 
 #[test]
-fn a_damaged_record_is_reported_as_far_as_it_goes_and_the_page_says_so() {
+fn a_damaged_record_is_reported_as_far_as_possible_with_a_warning() {
     for cut in (0..EVENING.len())
         .step_by(499)
         .filter(|cut| EVENING.is_char_boundary(*cut))
@@ -434,7 +434,7 @@ fn a_damaged_record_is_reported_as_far_as_it_goes_and_the_page_says_so() {
 }
 
 #[test]
-fn whatever_is_lacking_in_a_record_a_page_is_made() {
+fn a_page_is_made_whichever_line_is_missing() {
     let all: Vec<&str> = EVENING.lines().collect();
     for lacking in 1..all.len() {
         let mut some = all.clone();
@@ -452,7 +452,7 @@ fn whatever_is_lacking_in_a_record_a_page_is_made() {
 }
 
 #[test]
-fn what_failed_stands_on_top_with_its_reason() {
+fn failed_tasks_are_at_the_top_with_their_reasons() {
     let html = report(&[("evening.jsonl", EVENING)]).html();
     let (top, rest) = html.split_once("<section class=\"run\"").unwrap();
     for words in [

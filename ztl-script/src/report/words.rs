@@ -1,113 +1,96 @@
-//! How what happened is said.
+//! What happened, in words.
 
-use super::run::{Asked, Cause, Run};
-use crate::event::{By, Command, Outcome, SceneEnd, StepEnd, Why};
+use super::run::{ReportedRun, RequestClass, WaitCause};
+use crate::event::{DecidedBy, Ending, RunCommand, RunOutcome, WaitReason};
 
-pub(super) fn command(run: &Run, command: Command) -> String {
+pub(super) fn command(run: &ReportedRun, command: RunCommand) -> String {
     let word = match command {
-        Command::Start => "start",
-        Command::Skip => "skip",
-        Command::Replay => "replay last",
-        Command::Jump { scene } => return format!("jump to {}", run.scene_name(scene)),
-        Command::Restart => "begin again",
-        Command::Pause => "pause after this step",
-        Command::Resume => "go on after the pause",
-        Command::Retry => "retry what failed",
-        Command::GoOn => "go on anyway",
-        Command::StopScene => "stop the scene",
-        Command::StopAll => "stop everything, and stay",
-        Command::Stop => "stop everything",
-        Command::Leave => "leave",
+        RunCommand::Start => "start",
+        RunCommand::Skip => "skip",
+        RunCommand::Replay => "replay last",
+        RunCommand::Jump { scene } => return format!("jump to {}", run.scene_name(scene)),
+        RunCommand::Restart => "begin again",
+        RunCommand::Pause => "pause after this step",
+        RunCommand::Resume => "go on after the pause",
+        RunCommand::Retry => "retry what failed",
+        RunCommand::GoOn => "go on anyway",
+        RunCommand::StopScene => "stop the scene",
+        RunCommand::StopAll => "stop everything, and stay",
+        RunCommand::Stop => "stop everything",
+        RunCommand::Leave => "leave",
     };
     word.to_owned()
 }
 
-/// The name of a command in a table for statistics.
-pub(super) const fn command_name(command: Command) -> &'static str {
-    match command {
-        Command::Start => "start",
-        Command::Skip => "skip",
-        Command::Replay => "replay",
-        Command::Jump { .. } => "jump",
-        Command::Restart => "restart",
-        Command::Pause => "pause",
-        Command::Resume => "resume",
-        Command::Retry => "retry",
-        Command::GoOn => "go_on",
-        Command::StopScene => "stop_scene",
-        Command::StopAll => "stop_all",
-        Command::Stop => "stop",
-        Command::Leave => "leave",
-    }
+/// The name of a command in tables, as in records.
+pub(super) fn command_name(command: RunCommand) -> String {
+    let json = serde_json::to_value(command).unwrap_or_default();
+    json.get("do")
+        .and_then(|name| name.as_str())
+        .unwrap_or_default()
+        .to_owned()
 }
 
-pub(super) const fn by(by: By) -> &'static str {
+pub(super) const fn by(by: DecidedBy) -> &'static str {
     match by {
-        By::Operator => "operator",
-        By::Script => "script",
-        By::Options => "options",
-        By::Signal => "signal",
+        DecidedBy::Operator => "operator",
+        DecidedBy::Script => "script",
+        DecidedBy::Options => "options",
+        DecidedBy::Signal => "signal",
     }
 }
 
-pub(super) fn cause(cause: &Cause) -> String {
+pub(super) fn cause(cause: &WaitCause) -> String {
     match cause {
-        Cause::Operator => "for the operator".to_owned(),
-        Cause::Pause => "pause".to_owned(),
-        Cause::Trouble(why) => why_text(why),
+        WaitCause::Operator => "for the operator".to_owned(),
+        WaitCause::Pause => "pause".to_owned(),
+        WaitCause::Trouble(why) => why_text(why),
     }
 }
 
-fn why_text(why: &Why) -> String {
+fn why_text(why: &WaitReason) -> String {
     match why {
-        Why::ServerSilent { remote } => format!("server '{remote}' is silent"),
-        Why::ServerRestarted { remote } => format!("server '{remote}' was started anew"),
-        Why::TaskUnknown => "a task is unknown to its server".to_owned(),
-        Why::NotTold { remote } => format!("server '{remote}' does not say how its tasks are"),
-        Why::AnswerUnclear { remote } => {
+        WaitReason::ServerSilent { remote } => format!("server '{remote}' is silent"),
+        WaitReason::ServerRestarted { remote } => format!("server '{remote}' was started anew"),
+        WaitReason::TaskUnknown => "a task is unknown to its server".to_owned(),
+        WaitReason::NotTold { remote } => {
+            format!("server '{remote}' does not say how its tasks are")
+        }
+        WaitReason::AnswerUnclear { remote } => {
             format!("server '{remote}' gives no usable answer about a task")
         }
-        Why::StartUnknown => "whether a task was started is unknown".to_owned(),
-        Why::Failed => "a task failed".to_owned(),
-        Why::TooLong => "a task takes longer than its limit".to_owned(),
+        WaitReason::StartUnknown => "whether a task was started is unknown".to_owned(),
+        WaitReason::Failed => "a task failed".to_owned(),
+        WaitReason::TooLong => "a task takes longer than its limit".to_owned(),
     }
 }
 
-pub(super) const fn asked(asked: Asked) -> &'static str {
+pub(super) const fn asked(asked: RequestClass) -> &'static str {
     match asked {
-        Asked::Init => "INIT",
-        Asked::Status => "STATUS",
-        Asked::Held => "STATUS, held by the server",
-        Asked::Abort => "ABORT",
+        RequestClass::Init => "INIT",
+        RequestClass::Status => "STATUS",
+        RequestClass::Held => "STATUS, held by the server",
+        RequestClass::Abort => "ABORT",
     }
 }
 
-pub(super) const fn outcome(outcome: Option<Outcome>) -> &'static str {
+pub(super) const fn outcome(outcome: Option<RunOutcome>) -> &'static str {
     match outcome {
-        Some(Outcome::Completed) => "completed",
-        Some(Outcome::Failures) => "with failures",
-        Some(Outcome::Stopped) => "stopped",
-        Some(Outcome::NotConfirmed) => "stopping not confirmed",
-        Some(Outcome::Left) => "left",
-        Some(Outcome::Error) => "ended by an error",
+        Some(RunOutcome::Completed) => "completed",
+        Some(RunOutcome::Failures) => "with failures",
+        Some(RunOutcome::Stopped) => "stopped",
+        Some(RunOutcome::NotConfirmed) => "stopping not confirmed",
+        Some(RunOutcome::Left) => "left",
+        Some(RunOutcome::Error) => "ended by an error",
         None => "no end in the record",
     }
 }
 
-pub(super) const fn scene_end(end: Option<SceneEnd>) -> &'static str {
+pub(super) const fn ending(end: Option<Ending>) -> &'static str {
     match end {
-        Some(SceneEnd::Completed) => "completed",
-        Some(SceneEnd::Failures) => "with failures",
-        Some(SceneEnd::Stopped) => "stopped",
-        None => "no end in the record",
-    }
-}
-
-pub(super) const fn step_end(end: Option<StepEnd>) -> &'static str {
-    match end {
-        Some(StepEnd::Completed) => "completed",
-        Some(StepEnd::Failures) => "with failures",
-        Some(StepEnd::Stopped) => "stopped",
+        Some(Ending::Completed) => "completed",
+        Some(Ending::Failures) => "with failures",
+        Some(Ending::Stopped) => "stopped",
         None => "no end in the record",
     }
 }

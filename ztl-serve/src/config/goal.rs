@@ -3,7 +3,7 @@
 use super::super::rule::{Field, Rule};
 use super::super::value::Value as GoalValue;
 use super::Source;
-use ztl_yaml::{Node, Value};
+use ztl_yaml::{Node, NodeValue};
 
 #[derive(Clone, Copy, PartialEq)]
 enum Kind {
@@ -25,7 +25,7 @@ const KINDS: [(&str, Kind); 5] = [
 impl<'d> Source<'d> {
     /// A rule: a type's name, or a mapping.
     pub(super) fn rule(&mut self, node: &'d Node) -> Option<Rule> {
-        if let Value::Scalar { .. } = node.value {
+        if let NodeValue::Scalar { .. } = node.value {
             let kind = self.reading.one_of(node, &KINDS)?;
             return Some(rule(kind));
         }
@@ -41,7 +41,7 @@ impl<'d> Source<'d> {
     fn field(&mut self, name: &'d Node, node: &'d Node) -> Option<Field> {
         let name = self.reading.text(name, "a field's name")?;
         let (rule, default) = match node.value {
-            Value::Scalar { .. } => (self.rule(node)?, None),
+            NodeValue::Scalar { .. } => (self.rule(node)?, None),
             _ => self.rule_with_default(node)?,
         };
         Some(Field {

@@ -14,7 +14,7 @@ use super::super::template::Template;
 use super::{Source, Wild};
 use ztl_std::listen::one_or_more;
 use ztl_std::server::bytes;
-use ztl_yaml::{Fields, Node, Value};
+use ztl_yaml::{Fields, Node, NodeValue};
 
 /// How long a program has to end after it was asked to.
 const GRACE: Duration = Duration::from_secs(2);
@@ -187,7 +187,7 @@ impl<'d> Source<'d> {
     /// Also an empty one.
     fn argument(&mut self, node: &'d Node) -> Option<&'d str> {
         match &node.value {
-            Value::Scalar { text, plain: false } => Some(text),
+            NodeValue::Scalar { text, plain: false } => Some(text),
             _ => self.reading.text(node, "an argument"),
         }
     }
@@ -281,7 +281,7 @@ impl<'d> Source<'d> {
 
     fn abort(&mut self, node: &'d Node, around: &Surroundings<'_>) -> Option<Abort> {
         let default = default_abort();
-        if let Value::Scalar { text, .. } = &node.value {
+        if let NodeValue::Scalar { text, .. } = &node.value {
             return Some(match text.as_str() {
                 "no" | "never" | "false" => Abort {
                     allowed: false,

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use super::endpoint::{BAUD_WANTED, Endpoint, ParseEndpoint};
 use crate::listen::{Listen, PORT};
 use crate::scope;
-use ztl_yaml::{Diagnostics, Document, Node, Reading, Value};
+use ztl_yaml::{Diagnostics, Document, Node, NodeValue, Reading};
 
 /// The settings in a file. Each can be left out and be given elsewhere.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
@@ -137,7 +137,7 @@ fn device<'d>(
     let mut baud = None;
     let mut elf = None;
     let url = match &node.value {
-        Value::Map(_) => {
+        NodeValue::Map(_) => {
             let mut fields = reading.fields(node, "url, baud, elf")?;
             let url = fields.required("url", "url: serial:/dev/ttyACM0");
             baud = fields.optional("baud");

@@ -1,18 +1,18 @@
-//! What PyYAML makes of a YAML value, and the text that Python sends of it (wire specification 6).
+//! Values as PyYAML reads them, and the text that Python sends for them (wire specification 6).
 
 use std::fmt::{self, Display, Write as _};
 
 use ztl_core::goal::{Floats, Shortest};
 use ztl_core::repr::put_quoted;
 
-/// A value as Python has it. [`Display`] writes its plain form [6.1]: `str` of it.
+/// A value as PyYAML reads it. [`Display`] writes its plain form [6.1], Python's `str`.
 #[derive(Debug, Clone, PartialEq)]
-pub enum Value {
+pub enum PythonValue {
     /// `None`.
     Null,
     /// `True`, `False`.
     Bool(bool),
-    /// A whole number of any size: its decimal digits, with `-` in front if it is below 0.
+    /// A whole number of any size: its decimal digits, after a `-` if it is negative.
     Int(String),
     /// A float.
     Float(f64),
@@ -25,13 +25,13 @@ pub enum Value {
     /// `!!binary`.
     Bytes(Vec<u8>),
     /// A sequence.
-    List(Vec<Value>),
-    /// A mapping; of equal keys there is one.
-    Map(Vec<(Value, Value)>),
+    List(Vec<PythonValue>),
+    /// A mapping, without equal keys.
+    Map(Vec<(PythonValue, PythonValue)>),
     /// `!!omap` and `!!pairs`: a list of tuples.
-    Pairs(Vec<(Value, Value)>),
+    Pairs(Vec<(PythonValue, PythonValue)>),
     /// `!!set`.
-    Set(Vec<Value>),
+    Set(Vec<PythonValue>),
 }
 
 /// A day of Python's calendar, which begins with the year 1.
@@ -54,13 +54,13 @@ pub struct Timestamp {
     pub clock: (u8, u8, u8),
     /// Microseconds.
     pub micros: u32,
-    /// Minutes before Greenwich's clock, if it was said.
+    /// Minutes ahead of UTC, if given.
     pub offset: Option<i32>,
 }
 
-impl Value {
-    /// What tells it from other keys of a mapping: to Python `1`, `1.0` and `True` are one, and so is
-    /// each `.nan`, since PyYAML makes it only once.
+impl PythonValue {
+    /// Equal for equal keys of a mapping. In Python `1`, `1.0` and `True` are equal keys, and so is each
+    /// `.nan`, which PyYAML creates only once.
     pub fn identity(&self) -> String {
         match self {
             Self::Text(text) => format!("'{text}"),
@@ -77,7 +77,7 @@ impl Value {
         )
     }
 
-    /// What number it is as a key: the digits of a whole one.
+    /// Its number as a key.
     fn number(&self) -> Option<String> {
         match self {
             Self::Bool(value) => Some(u8::from(*value).to_string()),
@@ -90,13 +90,13 @@ impl Value {
         }
     }
 
-    /// Its quoted form [6.2]: `repr` of it.
+    /// Its quoted form [6.2], Python's `repr`.
     fn quoted(&self) -> Quoted<'_> {
         Quoted(self)
     }
 }
 
-impl Display for Value {
+impl Display for PythonValue {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Null => f.write_str("None"),
@@ -150,17 +150,17 @@ fn joined<T>(
     Ok(())
 }
 
-/// A value within a collection.
-struct Quoted<'v>(&'v Value);
+/// A value in its quoted form, as within a collection.
+struct Quoted<'v>(&'v PythonValue);
 
 impl Display for Quoted<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self.0 {
-            Value::Text(text) => f.write_str(&quoted(text)),
-            Value::Date(Date { year, month, day }) => {
+            PythonValue::Text(text) => f.write_str(&quoted(text)),
+            PythonValue::Date(Date { year, month, day }) => {
                 write!(f, "datetime.date({year}, {month}, {day})")
             }
-            Value::Time(time) => time.quoted(f),
+            PythonValue::Time(time) => time.quoted(f),
             other => other.fmt(f),
         }
     }
@@ -174,7 +174,7 @@ pub fn quoted(text: &str) -> String {
 }
 
 fn float(value: f64) -> String {
-    // Python's `nan` has no sign.
+    // Python writes `nan` without a sign.
     let value = if value.is_nan() { f64::NAN } else { value };
     let mut out = Vec::new();
     Shortest.put_f64(value, &mut |bytes: &[u8]| out.extend_from_slice(bytes));
@@ -203,9 +203,8 @@ fn quoted_bytes(bytes: &[u8], f: &mut fmt::Formatter<'_>) -> fmt::Result {
 }
 
 impl Date {
-    /// The day, if there is such a one.
-    #[must_use]
-    pub fn new(year: u16, month: u8, day: u8) -> Option<Self> {
+    /// The day, if it exists.
+    pub(crate) fn new(year: u16, month: u8, day: u8) -> Option<Self> {
         let leap =
             year.is_multiple_of(4) && (!year.is_multiple_of(100) || year.is_multiple_of(400));
         let days = match month {
@@ -243,7 +242,7 @@ impl Timestamp {
         match self.offset {
             Some(0) => f.write_str(", tzinfo=datetime.timezone.utc")?,
             Some(minutes) => {
-                // Python keeps a negative time as days below zero and seconds above.
+                // Python writes a negative offset as negative days and positive seconds.
                 let (days, minutes) = (minutes.div_euclid(24 * 60), minutes.rem_euclid(24 * 60));
                 let days = if days < 0 {
                     format!("days={days}")

@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 
 use ztl_script::event::{
-    By, Command, Event, Outcome, Outline, Question, RemoteOutline, RequestNumber, SceneEnd,
-    ServerState, Stamped, StepEnd, TaskNumber, TaskState, Why,
+    DecidedBy, Ending, Outline, Question, RemoteOutline, RequestNumber, RunCommand, RunEvent,
+    RunOutcome, ServerState, StampedEvent, TaskNumber, TaskState, WaitReason,
 };
 
 /// The state of a run.
@@ -28,27 +28,27 @@ pub(super) struct Board {
     pub(super) question: Option<Question>,
     /// Number of questions so far, so that an answer never counts for the next one.
     pub(super) questions: u64,
-    choices: Vec<Command>,
+    choices: Vec<RunCommand>,
     /// Whether the operator ordered a pause after this step.
     pub(super) pause: bool,
     pub(super) paused: bool,
-    pub(super) waiting: Option<(Why, Vec<TaskNumber>)>,
+    pub(super) waiting: Option<(WaitReason, Vec<TaskNumber>)>,
     /// Whether the operator leaves, while the final states of tasks are read once.
     leaving: bool,
     /// The last stop, until the next decision.
     pub(super) stopping: Option<Stopping>,
     /// The last key, what it meant, and when it was pressed.
-    pub(super) key: Option<(String, Option<Command>, Duration)>,
+    pub(super) key: Option<(String, Option<RunCommand>, Duration)>,
     /// Notes since the last key.
     pub(super) notes: Vec<String>,
-    pub(super) ended: Option<(Outcome, Vec<TaskNumber>, String)>,
+    pub(super) ended: Option<(RunOutcome, Vec<TaskNumber>, String)>,
     requests: BTreeMap<RequestNumber, String>,
 }
 
 /// The tasks that are being stopped.
 #[derive(Debug)]
 pub(super) struct Stopping {
-    pub(super) command: Command,
+    pub(super) command: RunCommand,
     /// For each task whether the stop was confirmed, and the text; `None` until it is answered.
     pub(super) answers: BTreeMap<TaskNumber, Option<(bool, String)>>,
     /// Whether the run waits for no more answers.
@@ -124,11 +124,11 @@ impl TaskRun {
 
 impl Board {
     /// Applies an event, in time linear in the running tasks and the steps of one scene.
-    pub(super) fn handle(&mut self, Stamped { at, event, .. }: &Stamped) {
+    pub(super) fn handle(&mut self, StampedEvent { at, event, .. }: &StampedEvent) {
         let at = *at;
         self.at = at;
         match event {
-            Event::RunStarted(started) => {
+            RunEvent::RunStarted(started) => {
                 self.script.clone_from(&started.script);
                 self.outline.clone_from(&started.outline);
                 self.scenes = vec![Progress::Pending; self.outline.scenes.len()];
@@ -143,8 +143,8 @@ impl Board {
                 };
                 self.servers = started.remotes.iter().map(server).collect();
             }
-            Event::SceneShown { scene } => self.scene = Some(*scene),
-            Event::Asked { question, choices } => {
+            RunEvent::SceneShown { scene } => self.scene = Some(*scene),
+            RunEvent::Asked { question, choices } => {
                 self.question = Some(*question);
                 self.choices.clone_from(choices);
                 self.questions += 1;
@@ -152,14 +152,14 @@ impl Board {
                     stopping.over = true;
                 }
             }
-            Event::Key { key, command } => {
+            RunEvent::Key { key, command } => {
                 self.key = Some((key.clone(), *command, at));
                 // The operator has seen them.
                 self.notes.clear();
             }
-            Event::Decided { command, by, .. } => self.decide(*command, *by),
-            Event::SceneStarted { scene, take, .. } => self.start_scene(at, *scene, *take),
-            Event::SceneEnded { scene, end, .. } => {
+            RunEvent::Decided { command, by, .. } => self.decide(*command, *by),
+            RunEvent::SceneStarted { scene, take, .. } => self.start_scene(at, *scene, *take),
+            RunEvent::SceneEnded { scene, end, .. } => {
                 if let Some(played) = &mut self.played {
                     played.to = Some(at);
                     if let Some(length) = self.lengths.get_mut(*scene) {
@@ -167,14 +167,14 @@ impl Board {
                     }
                 }
                 let progress = match end {
-                    SceneEnd::Completed => Progress::Completed,
-                    SceneEnd::Failures => Progress::Failed,
-                    SceneEnd::Stopped => Progress::Stopped,
+                    Ending::Completed => Progress::Completed,
+                    Ending::Failures => Progress::Failed,
+                    Ending::Stopped => Progress::Stopped,
                 };
                 self.set_progress(*scene, progress);
             }
-            Event::SceneSkipped { scene, .. } => self.set_progress(*scene, Progress::Skipped),
-            Event::StepStarted { step, .. } => {
+            RunEvent::SceneSkipped { scene, .. } => self.set_progress(*scene, Progress::Skipped),
+            RunEvent::StepStarted { step, .. } => {
                 self.with_step(*step, |shown| {
                     *shown = StepRun {
                         progress: Progress::Playing,
@@ -183,47 +183,47 @@ impl Board {
                     };
                 });
             }
-            Event::StepEnded { step, end, .. } => {
+            RunEvent::StepEnded { step, end, .. } => {
                 self.waiting = None;
                 self.unask(|question| matches!(question, Question::Step { .. }));
                 self.with_step(*step, |shown| {
                     shown.to = Some(at);
                     shown.progress = match end {
-                        StepEnd::Completed => Progress::Completed,
-                        StepEnd::Failures => Progress::Failed,
-                        StepEnd::Stopped => Progress::Stopped,
+                        Ending::Completed => Progress::Completed,
+                        Ending::Failures => Progress::Failed,
+                        Ending::Stopped => Progress::Stopped,
                     };
                 });
             }
-            Event::StepSkipped { step, .. } => {
+            RunEvent::StepSkipped { step, .. } => {
                 self.with_step(*step, |shown| shown.progress = Progress::Skipped);
             }
-            Event::StepWaiting { why, tasks, .. } => {
+            RunEvent::StepWaiting { why, tasks, .. } => {
                 self.waiting = Some((why.clone(), tasks.clone()));
             }
-            Event::StepGoesOn { .. } => {
+            RunEvent::StepGoesOn { .. } => {
                 self.waiting = None;
                 self.unask(|question| matches!(question, Question::Step { .. }));
             }
-            Event::Paused { .. } => {
+            RunEvent::Paused { .. } => {
                 self.pause = false;
                 self.paused = true;
             }
-            Event::Resumed => {
+            RunEvent::Resumed => {
                 self.paused = false;
                 self.unask(|question| question == Question::Pause);
             }
-            Event::TaskStarting {
+            RunEvent::TaskStarting {
                 task,
                 scene,
                 step,
                 part,
                 retry_of,
             } => self.start_task(at, *task, (*scene, *step, *part), retry_of.is_some()),
-            Event::TaskState {
+            RunEvent::TaskState {
                 task, state, text, ..
             } => self.task_state(at, *task, *state, text),
-            Event::RequestSent {
+            RunEvent::RequestSent {
                 request,
                 remote,
                 text,
@@ -231,7 +231,7 @@ impl Board {
             } if !text.starts_with("wait ") => {
                 self.requests.insert(*request, remote.clone());
             }
-            Event::Answered {
+            RunEvent::Answered {
                 request, latency, ..
             } => {
                 if let Some(remote) = self.requests.remove(request)
@@ -240,8 +240,8 @@ impl Board {
                     server.latency = Some(*latency);
                 }
             }
-            Event::Unanswered { request, .. } => drop(self.requests.remove(request)),
-            Event::Server { remote, state } => {
+            RunEvent::Unanswered { request, .. } => drop(self.requests.remove(request)),
+            RunEvent::Server { remote, state } => {
                 let server = ServerView {
                     state: Some(state.clone()),
                     since: at,
@@ -252,7 +252,7 @@ impl Board {
                     None => self.servers.push((remote.clone(), server)),
                 }
             }
-            Event::TaskFound { task, text, .. } => {
+            RunEvent::TaskFound { task, text, .. } => {
                 let found = TaskRun {
                     name: text.clone(),
                     state: TaskState::Accepted,
@@ -261,18 +261,18 @@ impl Board {
                 self.tasks.insert(*task, found);
                 self.stop_answer(*task, None);
             }
-            Event::Stopping { tasks } => {
+            RunEvent::Stopping { tasks } => {
                 for task in tasks {
                     self.stop_answer(*task, None);
                 }
             }
-            Event::StopAnswered {
+            RunEvent::StopAnswered {
                 task,
                 confirmed,
                 text,
             } => self.stop_answer(*task, Some((*confirmed, text.clone()))),
-            Event::Note { text } => self.notes.push(text.clone()),
-            Event::RunEnded {
+            RunEvent::Note { text } => self.notes.push(text.clone()),
+            RunEvent::RunEnded {
                 outcome,
                 running,
                 text,
@@ -285,31 +285,31 @@ impl Board {
     }
 
     /// The commands that are possible now.
-    pub(super) fn choices(&self) -> Vec<Command> {
+    pub(super) fn choices(&self) -> Vec<RunCommand> {
         if self.ended.is_some() {
             Vec::new()
         } else if let Some(stopping) = self.stopping.as_ref().filter(|it| !it.over) {
             match stopping.command {
-                Command::StopScene => vec![Command::StopAll, Command::Stop],
-                Command::StopAll => vec![Command::Stop],
-                _ => vec![Command::Leave],
+                RunCommand::StopScene => vec![RunCommand::StopAll, RunCommand::Stop],
+                RunCommand::StopAll => vec![RunCommand::Stop],
+                _ => vec![RunCommand::Leave],
             }
         } else if self.question.is_some() {
             self.choices.clone()
         } else if self.leaving {
-            vec![Command::Leave]
+            vec![RunCommand::Leave]
         } else if !self.plays() {
-            vec![Command::StopAll, Command::Stop]
+            vec![RunCommand::StopAll, RunCommand::Stop]
         } else {
             let mut choices = vec![match self.pause {
-                true => Command::Resume,
-                false => Command::Pause,
+                true => RunCommand::Resume,
+                false => RunCommand::Pause,
             }];
             // Only if the operator is asked between scenes.
-            if self.choices.contains(&Command::StopAll) {
-                choices.extend([Command::StopScene, Command::StopAll]);
+            if self.choices.contains(&RunCommand::StopAll) {
+                choices.extend([RunCommand::StopScene, RunCommand::StopAll]);
             }
-            choices.push(Command::Stop);
+            choices.push(RunCommand::Stop);
             choices
         }
     }
@@ -356,17 +356,20 @@ impl Board {
         Some((played.scene, played.steps.iter().position(playing)?))
     }
 
-    fn decide(&mut self, command: Command, by: By) {
+    fn decide(&mut self, command: RunCommand, by: DecidedBy) {
         match command {
-            Command::Pause => self.pause = true,
-            Command::Resume => self.pause = false,
-            Command::Leave => self.leaving = true,
+            RunCommand::Pause => self.pause = true,
+            RunCommand::Resume => self.pause = false,
+            RunCommand::Leave => self.leaving = true,
             _ => {}
         }
-        if !matches!(command, Command::Pause | Command::Resume | Command::Leave) {
+        if !matches!(
+            command,
+            RunCommand::Pause | RunCommand::Resume | RunCommand::Leave
+        ) {
             let stops = matches!(
                 command,
-                Command::StopScene | Command::StopAll | Command::Stop
+                RunCommand::StopScene | RunCommand::StopAll | RunCommand::Stop
             );
             self.stopping = stops.then(|| Stopping {
                 command,
@@ -375,13 +378,13 @@ impl Board {
             });
         }
         // A pause ordered while a step waits does not answer its question.
-        if command != Command::Pause || self.question == Some(Question::Pause) {
+        if command != RunCommand::Pause || self.question == Some(Question::Pause) {
             self.question = None;
         }
-        if by == By::Operator && command == Command::Restart {
+        if by == DecidedBy::Operator && command == RunCommand::Restart {
             self.scenes.fill(Progress::Pending);
         }
-        if !matches!(command, Command::Pause | Command::Resume) {
+        if !matches!(command, RunCommand::Pause | RunCommand::Resume) {
             self.paused = false;
         }
     }

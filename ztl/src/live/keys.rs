@@ -1,6 +1,6 @@
 //! The meaning of keys.
 
-use ztl_script::event::{Command, Question};
+use ztl_script::event::{Question, RunCommand};
 
 use super::board::Board;
 
@@ -17,31 +17,31 @@ pub(super) fn scrolls(key: &str) -> bool {
 /// The command of a key, if it is among the choices.
 pub(super) fn command(
     key: &str,
-    choices: &[Command],
+    choices: &[RunCommand],
     question: Option<Question>,
-) -> Option<Command> {
+) -> Option<RunCommand> {
     let wanted = match key {
-        "Enter" => Command::Start,
-        "s" | "S" => Command::Skip,
-        "r" | "R" => Command::Replay,
-        "a" | "A" => Command::Restart,
-        "p" | "P" if choices.contains(&Command::Resume) => Command::Resume,
-        "p" | "P" => Command::Pause,
-        "t" | "T" => Command::Retry,
-        "g" | "G" => Command::GoOn,
+        "Enter" => RunCommand::Start,
+        "s" | "S" => RunCommand::Skip,
+        "r" | "R" => RunCommand::Replay,
+        "a" | "A" => RunCommand::Restart,
+        "p" | "P" if choices.contains(&RunCommand::Resume) => RunCommand::Resume,
+        "p" | "P" => RunCommand::Pause,
+        "t" | "T" => RunCommand::Retry,
+        "g" | "G" => RunCommand::GoOn,
         // Without known choices, the player decides.
-        "c" | "C" if choices.is_empty() => return Some(Command::StopScene),
-        "c" | "C" => Command::StopScene,
+        "c" | "C" if choices.is_empty() => return Some(RunCommand::StopScene),
+        "c" | "C" => RunCommand::StopScene,
         // Everything is being stopped already.
-        "x" | "X" | "Ctrl-X" if matches!(choices, [Command::Leave] | [Command::Stop]) => {
+        "x" | "X" | "Ctrl-X" if matches!(choices, [RunCommand::Leave] | [RunCommand::Stop]) => {
             return None;
         }
         // Accepted at any time.
-        "x" | "X" | "Ctrl-X" => return Some(Command::StopAll),
+        "x" | "X" | "Ctrl-X" => return Some(RunCommand::StopAll),
         // The second press leaves even if tasks still run.
-        "Ctrl-C" if choices == [Command::Leave] => Command::Leave,
-        "Ctrl-C" => return Some(Command::Stop),
-        "q" | "Q" if may_leave(question) => Command::Leave,
+        "Ctrl-C" if choices == [RunCommand::Leave] => RunCommand::Leave,
+        "Ctrl-C" => return Some(RunCommand::Stop),
+        "q" | "Q" if may_leave(question) => RunCommand::Leave,
         _ => return None,
     };
     choices.contains(&wanted).then_some(wanted)
@@ -62,31 +62,31 @@ pub(super) fn help(board: &Board) -> Vec<(&'static str, String)> {
             keys.push((key, words.to_owned()));
         }
     };
-    offer("Enter", Command::Start, "start");
+    offer("Enter", RunCommand::Start, "start");
     offer(
         "s",
-        Command::Skip,
+        RunCommand::Skip,
         match question {
             Some(Question::Scene { .. }) => "skip",
             _ => "skip the rest of the scene",
         },
     );
-    offer("r", Command::Replay, "replay last");
-    offer("t", Command::Retry, "retry what failed");
-    offer("g", Command::GoOn, "go on anyway");
+    offer("r", RunCommand::Replay, "replay last");
+    offer("t", RunCommand::Retry, "retry what failed");
+    offer("g", RunCommand::GoOn, "go on anyway");
     match (question, board.pause) {
-        (Some(Question::Pause), _) => offer("p", Command::Resume, "go on"),
-        (_, true) => offer("p", Command::Resume, "no pause after this step"),
-        _ => offer("p", Command::Pause, "pause after this step"),
+        (Some(Question::Pause), _) => offer("p", RunCommand::Resume, "go on"),
+        (_, true) => offer("p", RunCommand::Resume, "no pause after this step"),
+        _ => offer("p", RunCommand::Pause, "pause after this step"),
     }
-    offer("a", Command::Restart, "begin again");
+    offer("a", RunCommand::Restart, "begin again");
     if choices
         .iter()
-        .any(|choice| matches!(choice, Command::Jump { .. }))
+        .any(|choice| matches!(choice, RunCommand::Jump { .. }))
     {
         keys.push(("j", "jump to a scene".to_owned()));
     }
-    if may_leave(question) && choices.contains(&Command::Leave) {
+    if may_leave(question) && choices.contains(&RunCommand::Leave) {
         let words = match board.in_background().count() {
             0 => "leave".to_owned(),
             1 => "leave (1 task runs on)".to_owned(),
@@ -96,10 +96,10 @@ pub(super) fn help(board: &Board) -> Vec<(&'static str, String)> {
     }
     match choices.as_slice() {
         _ if board.ended.is_some() => {}
-        [Command::Leave] => keys.push(("Ctrl-C", "leave without waiting".to_owned())),
-        [Command::Stop] => keys.push(("Ctrl-C", "stop and leave".to_owned())),
+        [RunCommand::Leave] => keys.push(("Ctrl-C", "leave without waiting".to_owned())),
+        [RunCommand::Stop] => keys.push(("Ctrl-C", "stop and leave".to_owned())),
         choices => {
-            if choices.contains(&Command::StopScene) {
+            if choices.contains(&RunCommand::StopScene) {
                 keys.push(("c", "stop this scene".to_owned()));
             }
             keys.push(("x", "stop everything".to_owned()));
@@ -171,23 +171,30 @@ mod tests {
     #[test]
     fn only_what_can_be_wanted_is_meant() {
         let at_scene = Some(Question::Scene { scene: 0 });
-        let choices = [Command::Start, Command::Skip, Command::Leave];
-        assert_eq!(command("Enter", &choices, at_scene), Some(Command::Start));
+        let choices = [RunCommand::Start, RunCommand::Skip, RunCommand::Leave];
+        assert_eq!(
+            command("Enter", &choices, at_scene),
+            Some(RunCommand::Start)
+        );
         assert_eq!(command("r", &choices, at_scene), None);
-        assert_eq!(command("q", &choices, at_scene), Some(Command::Leave));
+        assert_eq!(command("q", &choices, at_scene), Some(RunCommand::Leave));
         let at_step = Some(Question::Step { scene: 0, step: 0 });
         assert_eq!(command("q", &choices, at_step), None, "the robot may move");
         assert_eq!(command("c", &choices, at_scene), None, "nothing is played");
-        let playing = Command::WHILE_RUNNING;
-        assert_eq!(command("c", &playing, None), Some(Command::StopScene));
-        assert_eq!(command("c", &[], at_step), Some(Command::StopScene));
+        let playing = RunCommand::WHILE_RUNNING;
+        assert_eq!(command("c", &playing, None), Some(RunCommand::StopScene));
+        assert_eq!(command("c", &[], at_step), Some(RunCommand::StopScene));
         for key in ["x", "X", "Ctrl-X"] {
-            assert_eq!(command(key, &[], None), Some(Command::StopAll));
-            assert_eq!(command(key, &[Command::Stop], None), None, "it is stopped");
-            assert_eq!(command(key, &[Command::Leave], None), None);
+            assert_eq!(command(key, &[], None), Some(RunCommand::StopAll));
+            assert_eq!(
+                command(key, &[RunCommand::Stop], None),
+                None,
+                "it is stopped"
+            );
+            assert_eq!(command(key, &[RunCommand::Leave], None), None);
         }
-        let leaves = Some(Command::Leave);
-        assert_eq!(command("Ctrl-C", &[], None), Some(Command::Stop));
-        assert_eq!(command("Ctrl-C", &[Command::Leave], None), leaves);
+        let leaves = Some(RunCommand::Leave);
+        assert_eq!(command("Ctrl-C", &[], None), Some(RunCommand::Stop));
+        assert_eq!(command("Ctrl-C", &[RunCommand::Leave], None), leaves);
     }
 }

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use ztl_script::event::{Command, Outcome, Question, ServerState, TaskState, Why};
+use ztl_script::event::{Question, RunCommand, RunOutcome, ServerState, TaskState, WaitReason};
 
 use super::board::{Board, Stopping, TaskRun};
 use super::choose::Chooser;
@@ -156,7 +156,7 @@ fn confirmations(board: &Board, stopping: &Stopping) -> Vec<Paragraph> {
     let confirmed = |answer: &&Option<(bool, String)>| matches!(answer, Some((true, _)));
     let confirmed = stopping.answers.values().filter(confirmed).count();
     let (running, done) = match stopping.command {
-        Command::StopScene => ("STOPPING THE SCENE", "STOPPED THE SCENE"),
+        RunCommand::StopScene => ("STOPPING THE SCENE", "STOPPED THE SCENE"),
         _ => ("STOPPING EVERYTHING", "STOPPED EVERYTHING"),
     };
     let all = stopping.answers.len();
@@ -196,22 +196,22 @@ fn confirmations(board: &Board, stopping: &Stopping) -> Vec<Paragraph> {
 }
 
 /// The outcome of the run, and how many tasks may still run.
-fn over(outcome: Outcome, running: usize) -> Vec<Paragraph> {
+fn over(outcome: RunOutcome, running: usize) -> Vec<Paragraph> {
     let (tasks, they) = match running {
         1 => ("1 task".to_owned(), "it"),
         _ => (format!("{running} tasks"), "they"),
     };
     let (style, words) = match outcome {
-        Outcome::NotConfirmed => {
+        RunOutcome::NotConfirmed => {
             let words =
                 format!("Over: stopping was not confirmed for {tasks}; {they} may still run");
             return vec![(Style::Bad, words)];
         }
-        Outcome::Completed => (Style::Good, "Over: all went well."),
-        Outcome::Failures => (Style::Bad, "Over: not all went well."),
-        Outcome::Stopped => (Style::Warning, "Over: everything was stopped."),
-        Outcome::Left => (Style::Warning, "Left."),
-        Outcome::Error => (Style::Bad, "Ended by an error."),
+        RunOutcome::Completed => (Style::Good, "Over: all went well."),
+        RunOutcome::Failures => (Style::Bad, "Over: not all went well."),
+        RunOutcome::Stopped => (Style::Warning, "Over: everything was stopped."),
+        RunOutcome::Left => (Style::Warning, "Left."),
+        RunOutcome::Error => (Style::Bad, "Ended by an error."),
     };
     let mut said = vec![(style, words.to_owned())];
     if running > 0 {
@@ -220,9 +220,9 @@ fn over(outcome: Outcome, running: usize) -> Vec<Paragraph> {
     said
 }
 
-fn why_words(board: &Board, why: &Why, now: Duration) -> String {
+fn why_words(board: &Board, why: &WaitReason, now: Duration) -> String {
     match why {
-        Why::ServerSilent { remote } => {
+        WaitReason::ServerSilent { remote } => {
             let server = board.servers.iter().find(|(name, _)| name == remote);
             let since = server.map(|(_, server)| clock(now.saturating_sub(server.since)));
             let since = since
@@ -230,18 +230,18 @@ fn why_words(board: &Board, why: &Why, now: Duration) -> String {
                 .unwrap_or_default();
             format!("server '{remote}' is silent{since}; what its tasks do is unknown")
         }
-        Why::ServerRestarted { remote } => {
+        WaitReason::ServerRestarted { remote } => {
             format!("server '{remote}' was restarted; the outcome of its tasks is unknown")
         }
-        Why::TaskUnknown => "a server does not know its task any more".to_owned(),
-        Why::NotTold { remote } => {
+        WaitReason::TaskUnknown => "a server does not know its task any more".to_owned(),
+        WaitReason::NotTold { remote } => {
             format!("server '{remote}' answers, but does not report its tasks")
         }
-        Why::AnswerUnclear { remote } => {
+        WaitReason::AnswerUnclear { remote } => {
             format!("server '{remote}' gives no usable answer; what its task does is unknown")
         }
-        Why::StartUnknown => "it is unknown whether a task was started".to_owned(),
-        Why::Failed => "something failed".to_owned(),
-        Why::TooLong => "a task takes longer than its limit".to_owned(),
+        WaitReason::StartUnknown => "it is unknown whether a task was started".to_owned(),
+        WaitReason::Failed => "something failed".to_owned(),
+        WaitReason::TooLong => "a task takes longer than its limit".to_owned(),
     }
 }

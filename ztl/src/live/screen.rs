@@ -5,7 +5,7 @@ use std::sync::mpsc::Sender;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-use ztl_script::event::{Command, Question};
+use ztl_script::event::{Question, RunCommand};
 
 use super::board::Board;
 use super::choose::{Chooser, Chosen};
@@ -181,7 +181,7 @@ impl Screen {
             }
             let can_jump = choices
                 .iter()
-                .any(|choice| matches!(choice, Command::Jump { .. }));
+                .any(|choice| matches!(choice, RunCommand::Jump { .. }));
             let scene = board.scene;
             let command = keys::command(&key, &choices, question);
             drop(shared);
@@ -193,13 +193,14 @@ impl Screen {
         if command.is_some() {
             self.view = View::default();
         }
-        if command.is_some_and(|command| !matches!(command, Command::Pause | Command::Resume)) {
+        if command.is_some_and(|command| !matches!(command, RunCommand::Pause | RunCommand::Resume))
+        {
             self.answered = Some((number, Instant::now()));
         }
         self.send(key, command, question);
     }
 
-    fn send(&self, key: String, command: Option<Command>, question: Option<Question>) {
+    fn send(&self, key: String, command: Option<RunCommand>, question: Option<Question>) {
         // Fails only when the run is over.
         let _ = self.pressed.send(KeyPress {
             key,
@@ -271,7 +272,7 @@ impl Screen {
                 return true;
             }
             Chosen::Nothing => None,
-            Chosen::Scene(scene) => Some(Command::Jump { scene }),
+            Chosen::Scene(scene) => Some(RunCommand::Jump { scene }),
         };
         self.view = View::default();
         if command.is_some() {

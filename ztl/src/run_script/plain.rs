@@ -5,8 +5,10 @@ use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
 
 use tracing::{error, info, warn};
-use ztl_script::event::{By, Command, Event, Question, TaskNumber, TaskState, Why};
-use ztl_script::{Inputs, Scene, Script, Step, Task};
+use ztl_script::event::{
+    DecidedBy, Question, RunCommand, RunEvent, TaskNumber, TaskState, WaitReason,
+};
+use ztl_script::{RunnerHandle, Scene, Script, Step, Task};
 
 use super::output::LineOutput;
 use crate::keyboard::{KeyBytes, Keyboard};
@@ -18,9 +20,9 @@ pub(super) struct PlainView<'s> {
     script: &'s Script,
     lines: LineOutput,
     /// Wakes the run when a question is visible.
-    inputs: Inputs,
+    inputs: RunnerHandle,
     /// The question, its answers, and since when it is visible.
-    asked: Option<(Question, Vec<Command>, Since)>,
+    asked: Option<(Question, Vec<RunCommand>, Since)>,
     last_scene: Option<usize>,
     tasks: BTreeMap<TaskNumber, Started>,
     /// Names without a server in the configuration.
@@ -41,7 +43,7 @@ struct Started {
 }
 
 impl<'s> PlainView<'s> {
-    pub(super) const fn new(script: &'s Script, lines: LineOutput, inputs: Inputs) -> Self {
+    pub(super) const fn new(script: &'s Script, lines: LineOutput, inputs: RunnerHandle) -> Self {
         Self {
             script,
             lines,
@@ -67,41 +69,41 @@ impl<'s> PlainView<'s> {
     }
 
     /// What a key means: nothing if it was pressed before the question was visible.
-    pub(super) fn meaning(&self, key: &KeyBytes) -> Option<Command> {
+    pub(super) fn meaning(&self, key: &KeyBytes) -> Option<RunCommand> {
         let (question, choices, since) = self.asked.as_ref()?;
         if since.get().is_none_or(|since| key.at < *since) {
             return None;
         }
         let first = key.bytes.first()?.to_ascii_lowercase();
         let command = match (question, first) {
-            (Question::Scene { .. }, b'\r') => Command::Start,
+            (Question::Scene { .. }, b'\r') => RunCommand::Start,
             (Question::Scene { .. } | Question::End, b'r')
-                if choices.contains(&Command::Replay) =>
+                if choices.contains(&RunCommand::Replay) =>
             {
-                Command::Replay
+                RunCommand::Replay
             }
-            (Question::Scene { .. }, _) => Command::Skip,
-            (Question::End, b'a') => Command::Restart,
-            (Question::End, _) => Command::Leave,
-            (Question::Step { .. }, b'g') => Command::GoOn,
-            (Question::Step { .. }, b't') => Command::Retry,
-            (Question::Step { .. }, b's') => Command::Skip,
-            (Question::Step { .. }, b'x') => Command::Stop,
-            (Question::Pause, _) => Command::Resume,
+            (Question::Scene { .. }, _) => RunCommand::Skip,
+            (Question::End, b'a') => RunCommand::Restart,
+            (Question::End, _) => RunCommand::Leave,
+            (Question::Step { .. }, b'g') => RunCommand::GoOn,
+            (Question::Step { .. }, b't') => RunCommand::Retry,
+            (Question::Step { .. }, b's') => RunCommand::Skip,
+            (Question::Step { .. }, b'x') => RunCommand::Stop,
+            (Question::Pause, _) => RunCommand::Resume,
             _ => return None,
         };
         choices.contains(&command).then_some(command)
     }
 
     /// Writes the lines of an event.
-    pub(super) fn handle(&mut self, event: &Event, keyboard: Option<&Keyboard>) {
+    pub(super) fn handle(&mut self, event: &RunEvent, keyboard: Option<&Keyboard>) {
         match event {
-            Event::RunStarted(started) => {
+            RunEvent::RunStarted(started) => {
                 let unknown = started.remotes.iter().filter(|it| it.endpoint.is_none());
                 self.unknown_remotes = unknown.map(|it| it.name.clone()).collect();
             }
-            Event::SceneShown { scene } if keyboard.is_some() => self.show(*scene),
-            Event::Asked { question, choices } => {
+            RunEvent::SceneShown { scene } if keyboard.is_some() => self.show(*scene),
+            RunEvent::Asked { question, choices } => {
                 if let Some(keyboard) = keyboard {
                     keyboard.clear();
                 }
@@ -116,10 +118,10 @@ impl<'s> PlainView<'s> {
                 }
                 self.asked = Some((*question, choices.clone(), since));
             }
-            Event::Decided {
+            RunEvent::Decided {
                 command, by, scene, ..
             } => self.decided(*command, *by, *scene),
-            Event::SceneStarted { scene, .. } => {
+            RunEvent::SceneStarted { scene, .. } => {
                 self.playing = true;
                 self.last_scene = Some(*scene);
                 if let Some(scene) = self.scene(*scene) {
@@ -128,8 +130,8 @@ impl<'s> PlainView<'s> {
                         .line(format_args!("EXECUTING SCENE '{}'{delay}...", scene.name));
                 }
             }
-            Event::SceneEnded { .. } => self.playing = false,
-            Event::StepStarted { scene, step } => {
+            RunEvent::SceneEnded { .. } => self.playing = false,
+            RunEvent::StepStarted { scene, step } => {
                 self.reported = None;
                 if let Some(step) = self.script.step(*scene, *step) {
                     let background = if step.wait { "" } else { " IN BACKGROUND" };
@@ -140,19 +142,19 @@ impl<'s> PlainView<'s> {
                     ));
                 }
             }
-            Event::StepWaiting {
+            RunEvent::StepWaiting {
                 scene,
                 step,
                 why,
                 tasks,
             } => self.waiting(*scene, *step, why, tasks),
-            Event::StepGoesOn { scene, step } => {
+            RunEvent::StepGoesOn { scene, step } => {
                 self.asked = None;
                 if let Some(step) = self.script.step(*scene, *step) {
                     warn!(target: LOG, "Step '{}' goes on.", step.name);
                 }
             }
-            Event::TaskStarting {
+            RunEvent::TaskStarting {
                 task,
                 scene,
                 step,
@@ -168,15 +170,15 @@ impl<'s> PlainView<'s> {
                 };
                 self.tasks.insert(*task, started);
             }
-            Event::TaskState {
+            RunEvent::TaskState {
                 task, state, text, ..
             } => self.state(*task, *state, text),
-            Event::Stopping { tasks } if !tasks.is_empty() => {
+            RunEvent::Stopping { tasks } if !tasks.is_empty() => {
                 let s = if tasks.len() == 1 { "" } else { "S" };
                 self.lines
                     .line(format_args!("STOPPING {} TASK{s}...", tasks.len()));
             }
-            Event::StopAnswered {
+            RunEvent::StopAnswered {
                 task,
                 confirmed,
                 text,
@@ -189,8 +191,8 @@ impl<'s> PlainView<'s> {
                 self.lines
                     .line(format_args!("{word}: {}: {text}", self.about(*task)));
             }
-            Event::Note { text } => warn!(target: LOG, "{text}"),
-            Event::RunEnded { running, .. } => {
+            RunEvent::Note { text } => warn!(target: LOG, "{text}"),
+            RunEvent::RunEnded { running, .. } => {
                 for task in running {
                     warn!(target: LOG, "{} may still run.", self.about(*task));
                 }
@@ -242,7 +244,7 @@ impl<'s> PlainView<'s> {
         }
     }
 
-    fn decided(&mut self, command: Command, by: By, scene: Option<usize>) {
+    fn decided(&mut self, command: RunCommand, by: DecidedBy, scene: Option<usize>) {
         let asked = self.asked.take().map(|(question, _, _)| question);
         let about_scene = matches!(asked, Some(Question::Scene { .. }));
         let key = |scene: Option<usize>| {
@@ -251,27 +253,27 @@ impl<'s> PlainView<'s> {
                 .map_or("", |scene| &scene.key)
         };
         match command {
-            Command::Skip if about_scene => self
+            RunCommand::Skip if about_scene => self
                 .lines
                 .line(format_args!("\nSKIPPING SCENE '{}'", key(scene))),
-            Command::Replay => self
+            RunCommand::Replay => self
                 .lines
                 .line(format_args!("\n Repeating Scene '{}", key(self.last_scene))),
-            Command::Restart => {
+            RunCommand::Restart => {
                 self.lines.line("\n Repeating Script");
                 self.last_scene = None;
             }
-            Command::Stop if by == By::Signal && self.playing => {
+            RunCommand::Stop if by == DecidedBy::Signal && self.playing => {
                 error!(target: LOG, "Interrupted, exiting.");
             }
-            Command::Stop if by == By::Script => {
+            RunCommand::Stop if by == DecidedBy::Script => {
                 error!(target: LOG, "Everything is stopped, because the script says so or nobody can decide.");
             }
             _ => {}
         }
     }
 
-    fn waiting(&mut self, scene: usize, step: usize, why: &Why, tasks: &[TaskNumber]) {
+    fn waiting(&mut self, scene: usize, step: usize, why: &WaitReason, tasks: &[TaskNumber]) {
         let Some(step) = self.script.step(scene, step) else {
             return;
         };
@@ -282,24 +284,26 @@ impl<'s> PlainView<'s> {
             .collect();
         let (name, tasks) = (&step.name, tasks.join(", "));
         let why = match why {
-            Why::ServerSilent { remote } => {
+            WaitReason::ServerSilent { remote } => {
                 format!("'{remote}' does not answer, so the state of {tasks} is unknown")
             }
-            Why::ServerRestarted { remote } => {
+            WaitReason::ServerRestarted { remote } => {
                 format!("'{remote}' was restarted, so the outcome of {tasks} is unknown")
             }
-            Why::TaskUnknown => {
+            WaitReason::TaskUnknown => {
                 format!("the server has forgotten its tasks, so the outcome of {tasks} is unknown")
             }
-            Why::NotTold { remote } => {
+            WaitReason::NotTold { remote } => {
                 format!("'{remote}' answers, but does not report the state of {tasks}")
             }
-            Why::AnswerUnclear { remote } => {
+            WaitReason::AnswerUnclear { remote } => {
                 format!("'{remote}' gives no usable answer about {tasks}, so its state is unknown")
             }
-            Why::StartUnknown => format!("no clear answer whether {tasks} was started"),
-            Why::Failed => format!("{tasks} failed"),
-            Why::TooLong => format!("{tasks} takes longer than its limit and has not stopped"),
+            WaitReason::StartUnknown => format!("no clear answer whether {tasks} was started"),
+            WaitReason::Failed => format!("{tasks} failed"),
+            WaitReason::TooLong => {
+                format!("{tasks} takes longer than its limit and has not stopped")
+            }
         };
         warn!(target: LOG, "Step '{name}' waits: {why}.");
     }
@@ -348,18 +352,18 @@ impl<'s> PlainView<'s> {
 }
 
 /// The question and its keys.
-fn prompt(question: Question, choices: &[Command]) -> &'static str {
+fn prompt(question: Question, choices: &[RunCommand]) -> &'static str {
     let can = |command| choices.contains(&command);
     match question {
-        Question::Scene { .. } if can(Command::Replay) => {
+        Question::Scene { .. } if can(RunCommand::Replay) => {
             "PRESS <ENTER> TO CONFIRM, PRESS <R> TO REPLAY LAST SCENE OR ANY OTHER KEY TO SKIP"
         }
         Question::Scene { .. } => "PRESS <ENTER> TO CONFIRM or ANY OTHER KEY TO SKIP",
-        Question::End if can(Command::Replay) => {
+        Question::End if can(RunCommand::Replay) => {
             "PRESS <R> TO REPLAY THE LAST SCENE, PRESS <A> TO RESTART THE SCRIPT OR ANY OTHER KEY TO EXIT"
         }
         Question::End => "PRESS <A> TO RESTART THE SCRIPT OR ANY OTHER KEY TO EXIT",
-        Question::Step { .. } if can(Command::Retry) => {
+        Question::Step { .. } if can(RunCommand::Retry) => {
             "PRESS <G> TO GO ON ANYWAY, <T> TO TRY AGAIN WHAT FAILED, <S> TO SKIP THE REST OF THE SCENE OR <X> TO STOP EVERYTHING"
         }
         Question::Step { .. } => {

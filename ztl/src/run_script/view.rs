@@ -7,9 +7,9 @@ use std::time::SystemTime;
 
 use tracing::{error, warn};
 #[cfg(unix)]
-use ztl_script::event::Event;
-use ztl_script::event::Stamped;
-use ztl_script::{Inputs, Script};
+use ztl_script::event::RunEvent;
+use ztl_script::event::StampedEvent;
+use ztl_script::{RunnerHandle, Script};
 
 use super::output::LineOutput;
 use super::plain::{LOG, PlainView};
@@ -45,7 +45,7 @@ impl<'s> View<'s> {
     /// If there is no terminal to read keys from.
     pub(super) fn open(
         script: &'s Script,
-        inputs: Inputs,
+        inputs: RunnerHandle,
         lines: Option<LineOutput>,
         unattended: bool,
     ) -> Result<Self, Box<dyn std::error::Error>> {
@@ -85,7 +85,7 @@ impl<'s> View<'s> {
     }
 
     /// Shows an event.
-    pub(super) fn handle(&mut self, event: &Stamped) {
+    pub(super) fn handle(&mut self, event: &StampedEvent) {
         match self {
             #[cfg(unix)]
             Self::Live(live) => live.handle(event),
@@ -99,10 +99,10 @@ impl<'s> View<'s> {
         let _ = at;
         match self {
             #[cfg(unix)]
-            Self::Live(live) => live.handle(&Stamped {
+            Self::Live(live) => live.handle(&StampedEvent {
                 at,
                 wall: SystemTime::now(),
-                event: Event::Note {
+                event: RunEvent::Note {
                     text: text.to_owned(),
                 },
             }),

@@ -1,15 +1,18 @@
-//! The player on virtual time.
+//! The player in virtual time.
 
-mod preflight;
+mod probes;
 mod stopping;
 mod trouble;
 mod world;
 
 use std::time::Duration;
 
-use super::super::event::{Command, Event, Outcome, Question, SceneEnd, StepEnd, TaskState, Why};
-use super::Options;
-use world::World;
+use crate::event::{
+    DecidedBy, Ending, Question, RequestKind, RunCommand, RunEvent, RunOutcome, TaskState,
+    WaitReason,
+};
+use crate::player::PlayOptions;
+use world::{FIRST_STEP, World, count, on, unattended};
 
 const SCENE: &str = "
 first:
@@ -23,26 +26,9 @@ second (delay=1):
     robot: {base: 1}
 ";
 
-/// Every scene is played.
-fn on(_: &World, question: Question) -> Option<Command> {
-    Some(match question {
-        Question::Scene { .. } => Command::Start,
-        Question::End => Command::Leave,
-        Question::Step { .. } => Command::GoOn,
-        Question::Pause => Command::Resume,
-    })
-}
-
-fn unattended() -> Options {
-    Options {
-        unattended: true,
-        ..Options::default()
-    }
-}
-
 #[test]
-fn steps_follow_each_other_when_all_that_they_wait_for_has_ended() {
-    for options in [Options::default(), unattended()] {
+fn a_step_starts_when_everything_that_the_one_before_waited_for_has_ended() {
+    for options in [PlayOptions::default(), unattended()] {
         let mut world = World::new(SCENE, options);
         world.begin();
         world.run(on);
@@ -58,17 +44,15 @@ fn steps_follow_each_other_when_all_that_they_wait_for_has_ended() {
                 (8005, "robot:base:1"),
             ]
         );
-        assert_eq!(world.player.outcome(), Some(Outcome::Completed));
+        assert_eq!(world.outcome(), Some(RunOutcome::Completed));
     }
 }
 
 #[test]
-fn a_step_that_starts_together_starts_each_task_after_its_own_delay() {
+fn a_parallel_step_starts_each_task_after_its_own_delay() {
     let script =
         "s: {a (parallel): {robot: {base(delay=1): 1, arm: 1}, lamp: {light(delay=0.5): 1}}}";
-    let mut world = World::new(script, unattended());
-    world.begin();
-    world.run(on);
+    let world = World::played_unattended(script);
     let expected = [
         (1, "robot:arm:1"),
         (501, "lamp:light:1"),
@@ -78,11 +62,9 @@ fn a_step_that_starts_together_starts_each_task_after_its_own_delay() {
 }
 
 #[test]
-fn what_runs_in_the_background_is_not_waited_for() {
+fn tasks_in_the_background_are_not_waited_for() {
     let script = "s: {a (wait=no): {robot: {base: 9}}, b: {lamp: {x(wait=no): 9, light: 1}}, c: {robot: {arm: 1}}}";
-    let mut world = World::new(script, unattended());
-    world.begin();
-    world.run(on);
+    let world = World::played_unattended(script);
     let expected = [
         (1, "robot:base:9"),
         (2, "lamp:x:9"),
@@ -92,26 +74,24 @@ fn what_runs_in_the_background_is_not_waited_for() {
     assert_eq!(world.timeline(), expected);
     let Some((
         _,
-        Event::RunEnded {
+        RunEvent::RunEnded {
             outcome, running, ..
         },
     )) = world.events.last()
     else {
         panic!("{:?}", world.events.last());
     };
-    assert_eq!((*outcome, running.len()), (Outcome::Completed, 2));
+    assert_eq!((*outcome, running.len()), (RunOutcome::Completed, 2));
 }
 
 #[test]
-fn the_originals_server_is_asked_about_one_task_after_the_other() {
+fn the_original_server_gets_status_requests_for_one_task_at_a_time() {
     let script = "s: {a: {robot: {base: 2, arm: 3}, lamp: {light: 1}}}";
-    let mut world = World::new(script, unattended());
-    world.begin();
-    world.run(on);
+    let world = World::played_unattended(script);
     let mut asked = Vec::new();
     for (at, event) in &world.events {
-        if let Event::RequestSent {
-            kind: super::super::event::Kind::Status,
+        if let RunEvent::RequestSent {
+            kind: RequestKind::Status,
             text,
             ..
         } = event
@@ -140,85 +120,83 @@ fn the_originals_server_is_asked_about_one_task_after_the_other() {
 
 #[test]
 fn a_scene_can_be_skipped_replayed_and_jumped_to() {
-    let mut world = World::new(SCENE, Options::default());
+    let mut world = World::new(SCENE, PlayOptions::default());
     world.begin();
     assert_eq!(world.until_asked(), Some(Question::Scene { scene: 0 }));
-    assert!(!world.player.choices().contains(&Command::Replay));
-    world.command(Command::Skip);
+    assert!(!world.player.choices().contains(&RunCommand::Replay));
+    world.command(RunCommand::Skip);
     assert_eq!(world.until_asked(), Some(Question::Scene { scene: 1 }));
-    world.command(Command::Start);
+    world.command(RunCommand::Start);
     assert_eq!(world.until_asked(), Some(Question::End));
-    world.command(Command::Replay);
+    world.command(RunCommand::Replay);
     assert_eq!(world.until_asked(), Some(Question::End));
-    world.command(Command::Jump { scene: 1 });
+    world.command(RunCommand::Jump { scene: 1 });
     assert_eq!(world.until_asked(), Some(Question::Scene { scene: 1 }));
-    world.command(Command::Replay);
+    world.command(RunCommand::Replay);
     // The same scene is asked about again.
     assert_eq!(world.until_asked(), Some(Question::Scene { scene: 1 }));
-    world.command(Command::Restart);
+    world.command(RunCommand::Restart);
     assert_eq!(world.until_asked(), Some(Question::Scene { scene: 0 }));
-    assert!(!world.player.choices().contains(&Command::Replay));
+    assert!(!world.player.choices().contains(&RunCommand::Replay));
     assert_eq!(world.began.len(), 3);
-    let takes = world.seen(|event| {
-        matches!(
-            event,
-            Event::SceneStarted {
+    assert_eq!(
+        count!(
+            world,
+            RunEvent::SceneStarted {
                 scene: 1,
                 take: 3,
                 replay: true
             }
-        )
-    });
-    assert_eq!(takes.len(), 1);
+        ),
+        1
+    );
 }
 
 #[test]
-fn a_pause_comes_after_the_step_and_can_be_taken_back() {
-    let mut world = World::new(SCENE, Options::default());
-    world.begin();
-    world.command(Command::Start);
-    world.command(Command::Pause);
-    world.command(Command::Resume);
-    world.command(Command::Pause);
+fn a_pause_begins_after_the_step_and_can_be_cancelled() {
+    let mut world = World::started(SCENE);
+    world.command(RunCommand::Pause);
+    world.command(RunCommand::Resume);
+    world.command(RunCommand::Pause);
     assert_eq!(world.until_asked(), Some(Question::Pause));
     assert_eq!(world.began.len(), 3, "the first step was played");
     let at = world.now;
     world.pass(Duration::from_secs(60));
     assert_eq!(world.began.len(), 3);
     assert_eq!(world.player.question(), Some(Question::Pause), "{at:?}");
-    world.command(Command::Resume);
+    world.command(RunCommand::Resume);
     assert_eq!(world.until_asked(), Some(Question::Scene { scene: 1 }));
 }
 
 #[test]
-fn what_was_not_asked_for_does_nothing() {
-    let mut world = World::new(SCENE, Options::default());
+fn a_command_that_is_no_choice_does_nothing() {
+    let mut world = World::new(SCENE, PlayOptions::default());
     world.begin();
     for command in [
-        Command::Replay,
-        Command::GoOn,
-        Command::Retry,
-        Command::Pause,
-        Command::Jump { scene: 2 },
+        RunCommand::Replay,
+        RunCommand::GoOn,
+        RunCommand::Retry,
+        RunCommand::Pause,
+        RunCommand::Jump { scene: 2 },
     ] {
         assert!(
             !world
                 .player
-                .handle_command(world.now, command, super::By::Operator),
+                .handle_command(world.now, command, DecidedBy::Operator),
             "{command:?}"
         );
     }
-    world.command(Command::Start);
+    world.command(RunCommand::Start);
     for command in [
-        Command::Start,
-        Command::Skip,
-        Command::Leave,
-        Command::Jump { scene: 1 },
+        RunCommand::Start,
+        RunCommand::Skip,
+        RunCommand::Leave,
+        RunCommand::Jump { scene: 1 },
     ] {
         assert!(
             !world
                 .player
-                .handle_command(world.now, command, super::By::Operator),
+                .handle_command(world.now, command, DecidedBy::Operator),
             "{command:?}"
         );
     }
@@ -226,11 +204,11 @@ fn what_was_not_asked_for_does_nothing() {
 }
 
 #[test]
-fn one_scene_alone_and_from_a_step_on() {
-    let options = Options {
+fn a_run_can_be_limited_to_a_scene_and_start_at_a_step() {
+    let options = PlayOptions {
         scene: Some(0),
         from: Some((0, 1)),
-        ..Options::default()
+        ..PlayOptions::default()
     };
     let mut world = World::new(SCENE, options);
     world.begin();
@@ -239,16 +217,15 @@ fn one_scene_alone_and_from_a_step_on() {
 
     let mut world = World::new(
         SCENE,
-        Options {
+        PlayOptions {
             from: Some((1, 0)),
-            ..Options::default()
+            ..PlayOptions::default()
         },
     );
     world.begin();
     world.run(on);
     assert_eq!(world.timeline(), [(1001, "robot:base:1")]);
-    let skipped = world.seen(|event| matches!(event, Event::SceneSkipped { scene: 0, .. }));
-    assert_eq!(skipped.len(), 1);
+    assert_eq!(count!(world, RunEvent::SceneSkipped { scene: 0, .. }), 1);
 }
 
 #[test]
@@ -256,11 +233,11 @@ fn thousands_of_empty_scenes_do_not_exhaust_the_stack() {
     let script: String = (0..3000).map(|scene| format!("s{scene}: {{}}\n")).collect();
     let mut world = World::new(&script, unattended());
     world.begin();
-    assert_eq!(world.player.outcome(), Some(Outcome::Completed));
+    assert_eq!(world.outcome(), Some(RunOutcome::Completed));
 }
 
 /// What a script does about a failure, by its parameter.
-fn failing(policy: &str, goal: &str, options: Options) -> World {
+fn failing(policy: &str, goal: &str, options: PlayOptions) -> World {
     let script = format!(
         "s: {{a ({policy}): {{robot: {{base: {goal}, arm: 1}}}}, b: {{robot: {{head: 1}}}}}}"
     );
@@ -270,63 +247,57 @@ fn failing(policy: &str, goal: &str, options: Options) -> World {
 }
 
 #[test]
-fn a_failure_is_told_and_the_script_goes_on_as_the_originals_does() {
-    let mut world = failing("", "1 fail", Options::default());
+fn after_a_failure_the_script_goes_on_as_the_original_does() {
+    let mut world = failing("", "1 fail", PlayOptions::default());
     world.run(on);
     assert_eq!(world.began.len(), 3);
-    assert_eq!(world.player.outcome(), Some(Outcome::Failures));
-    let ends = world.seen(|event| {
-        matches!(
-            event,
-            Event::StepEnded {
-                end: StepEnd::Failures,
+    assert_eq!(world.outcome(), Some(RunOutcome::Failures));
+    assert_eq!(
+        count!(
+            world,
+            RunEvent::StepEnded {
+                end: Ending::Failures,
                 ..
             }
-        )
-    });
-    assert_eq!(ends.len(), 1);
-    let ends = world.seen(|event| {
-        matches!(
-            event,
-            Event::SceneEnded {
-                end: SceneEnd::Failures,
+        ),
+        1
+    );
+    assert_eq!(
+        count!(
+            world,
+            RunEvent::SceneEnded {
+                end: Ending::Failures,
                 ..
             }
-        )
-    });
-    assert_eq!(ends.len(), 1);
+        ),
+        1
+    );
 }
 
 #[test]
-fn after_a_failure_the_operator_may_be_asked_and_try_again() {
-    let mut world = failing("on_failure=ask", "1 fail", Options::default());
-    world.command(Command::Start);
-    assert_eq!(
-        world.until_asked(),
-        Some(Question::Step { scene: 0, step: 0 })
-    );
+fn after_a_failure_the_operator_can_be_asked_and_retry() {
+    let mut world = failing("on_failure=ask", "1 fail", PlayOptions::default());
+    world.command(RunCommand::Start);
+    assert_eq!(world.until_asked(), FIRST_STEP);
     assert_eq!(world.began.len(), 2);
-    let why = world.seen(|event| {
-        matches!(
-            event,
-            Event::StepWaiting {
-                why: Why::Failed,
+    assert_eq!(
+        count!(
+            world,
+            RunEvent::StepWaiting {
+                why: WaitReason::Failed,
                 ..
             }
-        )
-    });
-    assert_eq!(why.len(), 1);
-    world.command(Command::Retry);
-    assert_eq!(
-        world.until_asked(),
-        Some(Question::Step { scene: 0, step: 0 })
+        ),
+        1
     );
+    world.command(RunCommand::Retry);
+    assert_eq!(world.until_asked(), FIRST_STEP);
     assert_eq!(world.began.len(), 3, "only what failed");
-    world.command(Command::GoOn);
+    world.command(RunCommand::GoOn);
     assert_eq!(world.until_asked(), Some(Question::End));
     assert_eq!(world.began.len(), 4);
     // What failed can be tried again afterwards, too.
-    world.command(Command::Retry);
+    world.command(RunCommand::Retry);
     world.until_asked();
     assert_eq!(
         world.began.last().map(|began| began.task.as_str()),
@@ -335,7 +306,7 @@ fn after_a_failure_the_operator_may_be_asked_and_try_again() {
 }
 
 #[test]
-fn a_step_may_try_again_by_itself_and_what_succeeds_then_is_no_failure() {
+fn a_step_can_retry_by_itself_and_a_successful_retry_is_no_failure() {
     for times in 0..4 {
         let script =
             "s: {a (on_failure=retry 2): {robot: {base: 1, arm: 1}}, b: {robot: {head: 1}}}";
@@ -344,11 +315,11 @@ fn a_step_may_try_again_by_itself_and_what_succeeds_then_is_no_failure() {
         world.begin();
         world.run(on);
         let expected = if times <= 2 {
-            Outcome::Completed
+            RunOutcome::Completed
         } else {
-            Outcome::Stopped
+            RunOutcome::Stopped
         };
-        assert_eq!(world.player.outcome(), Some(expected), "{times}");
+        assert_eq!(world.outcome(), Some(expected), "{times}");
         let heads = world
             .began
             .iter()
@@ -359,25 +330,23 @@ fn a_step_may_try_again_by_itself_and_what_succeeds_then_is_no_failure() {
 }
 
 #[test]
-fn a_failure_may_stop_everything_at_once() {
-    let mut world = failing("on_failure=stop", "1 fail", Options::default());
+fn a_failure_can_stop_everything_at_once() {
+    let mut world = failing("on_failure=stop", "1 fail", PlayOptions::default());
     world.machine("robot").refusals.insert("arm", 0);
     world.run(|_, question| match question {
-        Question::Scene { .. } => Some(Command::Start),
+        Question::Scene { .. } => Some(RunCommand::Start),
         _ => panic!("nobody is asked"),
     });
-    assert_eq!(world.player.outcome(), Some(Outcome::Stopped));
+    assert_eq!(world.outcome(), Some(RunOutcome::Stopped));
     assert_eq!(world.began.len(), 2, "the next step was not started");
 }
 
 #[test]
-fn a_task_that_takes_too_long_is_stopped() {
+fn a_task_over_its_time_limit_is_stopped() {
     for server in ["robot", "lamp"] {
         let script =
             format!("s: {{a: {{{server}: {{base (timeout=1.5): 9}}}}, b: {{robot: {{head: 1}}}}}}");
-        let mut world = World::new(&script, unattended());
-        world.begin();
-        world.run(on);
+        let world = World::played_unattended(&script);
         assert_eq!(world.began.len(), 2);
         let base = &world.began[0];
         assert!(
@@ -385,59 +354,50 @@ fn a_task_that_takes_too_long_is_stopped() {
             "{base:?}"
         );
         assert!(world.began[1].at >= base.until);
-        assert_eq!(world.player.outcome(), Some(Outcome::Failures));
+        assert_eq!(world.outcome(), Some(RunOutcome::Failures));
     }
 }
 
 #[test]
-fn one_that_takes_too_long_and_cannot_be_stopped_is_waited_for_until_the_operator_decides() {
+fn a_task_over_its_limit_that_cannot_be_stopped_holds_its_step_until_the_operator_decides() {
     let script = "s: {a: {robot: {base (timeout=1): 9 forever}}, b: {robot: {head: 1}}}";
-    let mut world = World::new(script, Options::default());
-    world.begin();
-    world.command(Command::Start);
+    let mut world = World::started(script);
+    assert_eq!(world.until_asked(), FIRST_STEP);
     assert_eq!(
-        world.until_asked(),
-        Some(Question::Step { scene: 0, step: 0 })
-    );
-    let why = world.seen(|event| {
-        matches!(
-            event,
-            Event::StepWaiting {
-                why: Why::TooLong,
+        count!(
+            world,
+            RunEvent::StepWaiting {
+                why: WaitReason::TooLong,
                 ..
             }
-        )
-    });
-    assert_eq!(why.len(), 1);
+        ),
+        1
+    );
     // It ends after all, which settles the question.
     world.pass(Duration::from_secs(9));
     assert_eq!(world.until_asked(), Some(Question::End));
-    assert_eq!(world.player.outcome(), None);
+    assert_eq!(world.outcome(), None);
     assert!(world.began[1].at >= world.began[0].until);
     // With nobody there everything is stopped.
-    let mut world = World::new(script, unattended());
-    world.begin();
-    world.run(on);
-    assert_eq!(world.player.outcome(), Some(Outcome::NotConfirmed));
+    let world = World::played_unattended(script);
+    assert_eq!(world.outcome(), Some(RunOutcome::NotConfirmed));
     assert_eq!(world.began.len(), 1);
 }
 
 #[test]
-fn a_task_for_a_server_that_is_not_configured_is_not_started_and_holds_nothing_up() {
+fn a_task_for_an_unconfigured_server_is_not_started_and_delays_nothing() {
     let script = "s: {a: {nobody: {base (delay=5): 1}, robot: {arm: 1}}}";
-    let mut world = World::new(script, unattended());
-    world.begin();
-    world.run(on);
+    let world = World::played_unattended(script);
     assert_eq!(world.timeline(), [(1, "robot:arm:1")]);
-    assert_eq!(world.player.outcome(), Some(Outcome::Failures));
-    let not = world.seen(|event| {
-        matches!(
-            event,
-            Event::TaskState {
+    assert_eq!(world.outcome(), Some(RunOutcome::Failures));
+    assert_eq!(
+        count!(
+            world,
+            RunEvent::TaskState {
                 state: TaskState::NotStarted,
                 ..
             }
-        )
-    });
-    assert_eq!(not.len(), 1);
+        ),
+        1
+    );
 }

@@ -1,11 +1,11 @@
-//! Stopping a scene, or everything, and going on with the show.
+//! Stopping a scene or everything, and going on.
 
 use std::time::Duration;
 
-use super::super::super::event::{Command, Event, Outcome, Question, SceneEnd, ServerState};
-use super::super::{By, Options};
-use super::unattended;
-use super::world::World;
+use super::world::{World, count, unattended};
+use crate::event::DecidedBy;
+use crate::event::{Ending, Question, RunCommand, RunEvent, RunOutcome, ServerState};
+use crate::player::PlayOptions;
 
 const SHOW: &str = "
 first: {light(wait=no): {lamp: {light: 60}}}
@@ -13,22 +13,20 @@ second: {turn: {robot: {base: 5}, lamp: {arm: 30}}, bow: {robot: {base: 1}}}
 third: {wave: {lamp: {arm: 1}}}
 ";
 
-/// The show while its second scene is played, with a task of the first in the background.
+/// A run in its second scene, with a task of the first in the background.
 fn in_the_second() -> World {
-    let mut world = World::new(SHOW, Options::default());
-    world.begin();
-    world.command(Command::Start);
+    let mut world = World::started(SHOW);
     assert_eq!(world.until_asked(), Some(Question::Scene { scene: 1 }));
-    world.command(Command::Start);
+    world.command(RunCommand::Start);
     world.pass(Duration::from_secs(1));
     assert_eq!(world.player.question(), None);
     world
 }
 
-/// What became of stopping each task, by its number.
+/// The result of stopping each task, by its number.
 fn confirmed(world: &World) -> Vec<(u32, bool)> {
     let answers = world.events.iter().filter_map(|(_, event)| match event {
-        Event::StopAnswered {
+        RunEvent::StopAnswered {
             task, confirmed, ..
         } => Some((task.0, *confirmed)),
         _ => None,
@@ -39,16 +37,16 @@ fn confirmed(world: &World) -> Vec<(u32, bool)> {
 #[test]
 fn stopping_a_scene_stops_its_tasks_and_shows_it_again() {
     let mut world = in_the_second();
-    world.command(Command::StopScene);
+    world.command(RunCommand::StopScene);
     assert_eq!(world.until_asked(), Some(Question::Scene { scene: 1 }));
     assert_eq!(confirmed(&world), [(2, true), (3, true)]);
-    let ends = world.seen(|event| matches!(event, Event::SceneEnded { .. }));
+    let ends = world.seen(|event| matches!(event, RunEvent::SceneEnded { .. }));
     assert!(
         matches!(
             ends[1],
-            Event::SceneEnded {
+            RunEvent::SceneEnded {
                 scene: 1,
-                end: SceneEnd::Stopped,
+                end: Ending::Stopped,
                 ..
             }
         ),
@@ -61,82 +59,79 @@ fn stopping_a_scene_stops_its_tasks_and_shows_it_again() {
     // Nothing of its later steps was started, and the show goes on.
     world.pass(Duration::from_secs(10));
     assert_eq!(world.timeline().len(), 3, "{:?}", world.timeline());
-    world.command(Command::Start);
+    world.command(RunCommand::Start);
     assert_eq!(world.until_asked(), Some(Question::Scene { scene: 2 }));
     assert_eq!(world.timeline().len(), 6, "{:?}", world.timeline());
-    assert_eq!(world.player.outcome(), None);
+    assert_eq!(world.outcome(), None);
 }
 
 #[test]
-fn stopping_everything_reaches_the_background_and_tasks_of_others_and_keeps_the_place() {
+fn stopping_everything_reaches_background_tasks_and_those_of_other_clients_and_keeps_the_place() {
     let mut world = in_the_second();
     let now = world.now;
     world.machine("lamp").begins(now, "100");
     world.machine("lamp").begins(now, "0");
-    world.command(Command::StopAll);
+    world.command(RunCommand::StopAll);
     assert_eq!(world.until_asked(), Some(Question::Scene { scene: 1 }));
     let now = world.now;
     assert_eq!(world.machine("lamp").running(now), 0);
     assert_eq!(world.machine("robot").running(now), 0);
-    let found = world.seen(|event| matches!(event, Event::TaskFound { .. }));
-    assert_eq!(found.len(), 1, "one that still ran: {found:?}");
+    assert_eq!(count!(world, RunEvent::TaskFound { .. }), 1);
     let mut confirmed = confirmed(&world);
     confirmed.sort_unstable();
     assert_eq!(confirmed, [(1, true), (2, true), (3, true), (4, true)]);
     // The original's server cannot tell.
-    let notes = world.seen(|event| matches!(event, Event::Note { .. }));
+    let notes = world.seen(|event| matches!(event, RunEvent::Note { .. }));
     assert!(
-        matches!(notes[..], [Event::Note { text }] if text.contains("on 'robot' may still run")),
+        matches!(notes[..], [RunEvent::Note { text }] if text.contains("on 'robot' may still run")),
         "{notes:?}"
     );
     // Between scenes it keeps the place too.
-    world.command(Command::StopAll);
+    world.command(RunCommand::StopAll);
     assert_eq!(world.until_asked(), Some(Question::Scene { scene: 1 }));
-    world.command(Command::Skip);
-    world.command(Command::Skip);
+    world.command(RunCommand::Skip);
+    world.command(RunCommand::Skip);
     assert_eq!(world.player.question(), Some(Question::End));
-    world.command(Command::StopAll);
+    world.command(RunCommand::StopAll);
     assert_eq!(world.until_asked(), Some(Question::End));
 }
 
 #[test]
-fn stopping_a_replay_returns_to_where_it_was_begun() {
+fn stopping_a_replay_returns_to_where_it_started() {
     let mut world = in_the_second();
     assert_eq!(world.until_asked(), Some(Question::Scene { scene: 2 }));
-    world.command(Command::Replay);
+    world.command(RunCommand::Replay);
     world.pass(Duration::from_secs(1));
-    world.command(Command::StopScene);
+    world.command(RunCommand::StopScene);
     assert_eq!(world.until_asked(), Some(Question::Scene { scene: 2 }));
 }
 
 #[test]
-fn what_cannot_be_stopped_is_told_and_the_show_goes_on_and_can_still_be_stopped() {
+fn a_task_that_cannot_be_stopped_is_reported_and_the_run_can_still_be_stopped() {
     let script = "one: {a: {robot: {base: 500 forever}}}\ntwo: {b: {lamp: {arm: 1}}}";
-    let mut world = World::new(script, Options::default());
-    world.begin();
-    world.command(Command::Start);
+    let mut world = World::started(script);
     world.pass(Duration::from_secs(1));
-    world.command(Command::StopScene);
+    world.command(RunCommand::StopScene);
     assert_eq!(world.until_asked(), Some(Question::Scene { scene: 0 }));
     assert_eq!(confirmed(&world), [(1, false)]);
-    world.command(Command::StopAll);
+    world.command(RunCommand::StopAll);
     assert_eq!(world.until_asked(), Some(Question::Scene { scene: 0 }));
     assert_eq!(confirmed(&world), [(1, false), (1, false)]);
-    world.command(Command::Stop);
+    world.command(RunCommand::Stop);
     world.run(|_, _| None);
-    assert_eq!(world.player.outcome(), Some(Outcome::NotConfirmed));
+    assert_eq!(world.outcome(), Some(RunOutcome::NotConfirmed));
     assert_eq!(confirmed(&world).len(), 3);
 }
 
 #[test]
-fn a_start_that_is_not_answered_yet_is_stopped_as_soon_as_it_is() {
-    let mut world = World::new("one: {a: {robot: {base: 5}}}", Options::default());
+fn a_task_is_stopped_as_soon_as_its_init_is_answered() {
+    let mut world = World::new("one: {a: {robot: {base: 5}}}", PlayOptions::default());
     world.begin();
     let now = world.now;
     let pause = (now, now + Duration::from_secs(1));
     world.machine("robot").pauses.push(pause);
-    world.command(Command::Start);
-    world.command(Command::StopScene);
+    world.command(RunCommand::Start);
+    world.command(RunCommand::StopScene);
     assert_eq!(world.player.question(), None, "nobody knows yet");
     assert_eq!(world.until_asked(), Some(Question::Scene { scene: 0 }));
     assert_eq!(confirmed(&world), [(1, true)]);
@@ -145,43 +140,43 @@ fn a_start_that_is_not_answered_yet_is_stopped_as_soon_as_it_is() {
 }
 
 #[test]
-fn stopping_more_is_heard_while_less_is_stopped() {
+fn a_wider_stop_is_accepted_during_a_narrower_one() {
     let mut world = in_the_second();
     let (now, late) = (world.now, Duration::from_secs(60));
     for name in ["robot", "lamp"] {
         world.machine(name).pauses.push((now, now + late));
     }
-    world.command(Command::StopScene);
-    world.command(Command::StopAll);
-    world.command(Command::Stop);
-    assert_eq!(world.player.choices(), [Command::Leave]);
+    world.command(RunCommand::StopScene);
+    world.command(RunCommand::StopAll);
+    world.command(RunCommand::Stop);
+    assert_eq!(world.player.choices(), [RunCommand::Leave]);
     world.run(|_, _| None);
-    assert_eq!(world.player.outcome(), Some(Outcome::NotConfirmed));
+    assert_eq!(world.outcome(), Some(RunOutcome::NotConfirmed));
     assert_eq!(confirmed(&world), [(1, false), (2, false), (3, false)]);
 }
 
 #[test]
-fn where_nobody_is_asked_stopping_everything_ends_the_run() {
+fn stopping_everything_ends_an_unattended_run() {
     let mut world = World::new(SHOW, unattended());
     world.begin();
     world.pass(Duration::from_secs(1));
-    assert!(!world.player.choices().contains(&Command::StopScene));
+    assert!(!world.player.choices().contains(&RunCommand::StopScene));
     let now = world.now;
     let scene = world
         .player
-        .handle_command(now, Command::StopScene, By::Operator);
+        .handle_command(now, RunCommand::StopScene, DecidedBy::Operator);
     assert!(!scene, "it would be played again");
-    world.command(Command::StopAll);
+    world.command(RunCommand::StopAll);
     world.run(|_, _| None);
-    assert_eq!(world.player.outcome(), Some(Outcome::Stopped));
+    assert_eq!(world.outcome(), Some(RunOutcome::Stopped));
     assert_eq!(
         world.seen(|event| matches!(
             event,
-            Event::Server {
+            RunEvent::Server {
                 state: ServerState::Silent,
                 ..
             }
         )),
-        Vec::<&Event>::new()
+        Vec::<&RunEvent>::new()
     );
 }

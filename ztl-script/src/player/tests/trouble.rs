@@ -1,13 +1,12 @@
-//! Servers that pause, are started anew and refuse, at every point; and stopping everything.
+//! Servers that pause, restart and refuse at every point; and stopping everything.
 
 use std::time::Duration;
 
 use ztl_core::Instant;
 
-use super::super::super::event::{By, Command, Event, Outcome, Question, Why};
-use super::super::Options;
-use super::world::World;
-use super::{on, unattended};
+use super::world::{FIRST_STEP, World, count, on, unattended};
+use crate::event::{DecidedBy, Question, RunCommand, RunEvent, RunOutcome, WaitReason};
+use crate::player::PlayOptions;
 
 const SCRIPT: &str = "
 s:
@@ -16,14 +15,14 @@ s:
   c: {robot: {arm(delay=0.1): 0.3}}
 ";
 
-/// Step by step what awaited tasks each has, by their handlers and components.
+/// The awaited tasks of each step.
 const AWAITED: [&[&str]; 3] = [
     &["robot:base", "lamp:light:0.3"],
     &["lamp:light:0.5"],
     &["robot:arm"],
 ];
 
-/// No step starts before what the one before waited for has really ended, and nothing is started twice.
+/// No step starts before the tasks that the one before waited for have really ended, and no task starts twice.
 #[track_caller]
 fn assert_in_order(world: &World, about: &str) {
     let find = |task: &str| {
@@ -57,31 +56,33 @@ fn moments() -> impl Iterator<Item = Instant> {
     (0..68).map(|at| Instant::from_millis(at * 25))
 }
 
-/// The operator waits while waiting may help, and goes on where it cannot.
-fn patient(world: &World, question: Question) -> Option<Command> {
+/// An operator who waits while waiting may help, and otherwise goes on.
+fn patient(world: &World, question: Question) -> Option<RunCommand> {
     match (question, world.why()) {
-        (Question::Step { .. }, Some(Why::ServerSilent { .. } | Why::TooLong)) => None,
+        (Question::Step { .. }, Some(WaitReason::ServerSilent { .. } | WaitReason::TooLong)) => {
+            None
+        }
         _ => on(world, question),
     }
 }
 
 #[test]
-fn a_server_that_pauses_at_any_point_is_waited_for() {
+fn the_run_waits_for_a_server_that_pauses_at_any_point() {
     for name in ["robot", "lamp"] {
         for length in [300, 1900, 2500, 7000] {
             for at in moments() {
                 let about = format!("{name} silent for {length} ms from {at:?}");
-                let mut world = World::new(SCRIPT, Options::default());
+                let mut world = World::new(SCRIPT, PlayOptions::default());
                 let pause = (at, at + Duration::from_millis(length));
                 world.machine(name).pauses.push(pause);
                 world.begin();
                 world.run(patient);
-                // An INIT that the original's server never answered: the operator went on.
+                // The original's server never answered an INIT: the operator went on.
                 let guessed = world.seen(|event| {
                     matches!(
                         event,
-                        Event::StepWaiting {
-                            why: Why::StartUnknown,
+                        RunEvent::StepWaiting {
+                            why: WaitReason::StartUnknown,
                             ..
                         }
                     )
@@ -89,9 +90,9 @@ fn a_server_that_pauses_at_any_point_is_waited_for() {
                 let never = world.began.len() < 5;
                 if guessed.is_empty() && !never {
                     assert_in_order(&world, &about);
-                    assert_eq!(world.player.outcome(), Some(Outcome::Completed), "{about}");
+                    assert_eq!(world.outcome(), Some(RunOutcome::Completed), "{about}");
                 } else {
-                    assert_eq!(world.player.outcome(), Some(Outcome::Failures), "{about}");
+                    assert_eq!(world.outcome(), Some(RunOutcome::Failures), "{about}");
                 }
                 assert!(world.began.len() <= 5, "{about}: {:?}", world.timeline());
                 assert!(guessed.is_empty() || name == "robot", "{about}");
@@ -101,21 +102,17 @@ fn a_server_that_pauses_at_any_point_is_waited_for() {
 }
 
 #[test]
-fn a_step_says_that_it_waits_while_a_server_is_silent_and_goes_on_when_it_is_back() {
+fn a_step_reports_a_silent_server_and_goes_on_when_it_is_back() {
     for name in ["robot", "lamp"] {
         let script = format!("s: {{a: {{{name}: {{base: 1}}}}, b: {{robot: {{arm: 1}}}}}}");
-        let mut world = World::new(&script, Options::default());
-        let pause = (Instant::from_millis(500), Instant::from_millis(30_000));
-        world.machine(name).pauses.push(pause);
+        let mut world = World::new(&script, PlayOptions::default());
+        world.pause(name, 500, 30_000);
         world.begin();
-        world.command(Command::Start);
-        assert_eq!(
-            world.until_asked(),
-            Some(Question::Step { scene: 0, step: 0 })
-        );
+        world.command(RunCommand::Start);
+        assert_eq!(world.until_asked(), FIRST_STEP);
         assert_eq!(
             world.why(),
-            Some(&Why::ServerSilent {
+            Some(&WaitReason::ServerSilent {
                 remote: name.to_owned()
             })
         );
@@ -126,25 +123,21 @@ fn a_step_says_that_it_waits_while_a_server_is_silent_and_goes_on_when_it_is_bac
         );
         world.pass(Duration::from_secs(20));
         assert_eq!(world.began.len(), 1);
-        assert_eq!(
-            world.until_asked(),
-            Some(Question::Step { scene: 0, step: 0 })
-        );
+        assert_eq!(world.until_asked(), FIRST_STEP);
         world.run(patient);
         assert_eq!(world.began.len(), 2);
         assert!(world.began[1].at >= Instant::from_millis(30_000));
-        let settled = world.seen(|event| matches!(event, Event::StepGoesOn { .. }));
-        assert_eq!(settled.len(), 1);
-        assert_eq!(world.player.outcome(), Some(Outcome::Completed));
+        assert_eq!(count!(world, RunEvent::StepGoesOn { .. }), 1);
+        assert_eq!(world.outcome(), Some(RunOutcome::Completed));
     }
 }
 
 #[test]
-fn a_server_that_is_started_anew_at_any_point_is_noticed_and_nothing_follows_unasked() {
+fn a_server_restart_at_any_point_is_noticed_and_nothing_follows_without_a_decision() {
     for name in ["robot", "lamp"] {
         for at in moments() {
             let about = format!("{name} started anew at {at:?}");
-            let mut world = World::new(SCRIPT, Options::default());
+            let mut world = World::new(SCRIPT, PlayOptions::default());
             world.machine(name).restarts.push(at);
             world.begin();
             let mut asked = 0;
@@ -154,7 +147,7 @@ fn a_server_that_is_started_anew_at_any_point_is_noticed_and_nothing_follows_una
                 }
                 patient(world, question)
             });
-            // The server's tasks ended when it did.
+            // The server's tasks ended with it.
             for began in &mut world.began {
                 let of = if began.task.starts_with("robot") {
                     "robot"
@@ -167,14 +160,14 @@ fn a_server_that_is_started_anew_at_any_point_is_noticed_and_nothing_follows_una
             }
             assert_in_order(&world, &about);
             assert_eq!(world.began.len(), 5, "{about}");
-            let waiting = world.seen(|event| matches!(event, Event::StepWaiting { .. }));
-            let outcome = world.player.outcome();
+            let waiting = world.seen(|event| matches!(event, RunEvent::StepWaiting { .. }));
+            let outcome = world.outcome();
             let expected = match waiting.is_empty() {
-                true => Outcome::Completed,
-                false => Outcome::Failures,
+                true => RunOutcome::Completed,
+                false => RunOutcome::Failures,
             };
-            // The fan in the background may have been forgotten, which is no more than unknown.
-            let fan = outcome == Some(Outcome::Failures) && name == "lamp";
+            // The fan in the background may be forgotten, and is then unknown.
+            let fan = outcome == Some(RunOutcome::Failures) && name == "lamp";
             assert!(outcome == Some(expected) || fan, "{about}: {outcome:?}");
             assert_eq!(asked > 0, !waiting.is_empty(), "{about}");
         }
@@ -182,25 +175,31 @@ fn a_server_that_is_started_anew_at_any_point_is_noticed_and_nothing_follows_una
 }
 
 #[test]
-fn a_server_that_counts_from_1_again_does_not_end_the_task_that_had_the_id_before() {
+fn a_reused_task_id_does_not_end_the_earlier_task() {
     let script = "s: {a: {robot: {base: 2, arm(delay=0.5): 0.1}}, b: {robot: {base: 0}}}";
-    let mut world = World::new(script, Options::default());
+    let mut world = World::new(script, PlayOptions::default());
     world
         .machine("robot")
         .restarts
         .push(Instant::from_millis(250));
     world.begin();
-    world.command(Command::Start);
-    let step = Some(Question::Step { scene: 0, step: 0 });
-    assert_eq!(world.until_asked(), step);
+    world.command(RunCommand::Start);
+    assert_eq!(world.until_asked(), FIRST_STEP);
     world.pass(Duration::from_secs(5));
-    assert_eq!(world.player.question(), step, "what became of the base?");
-    assert!(matches!(world.why(), Some(Why::ServerRestarted { .. })));
+    assert_eq!(
+        world.player.question(),
+        FIRST_STEP,
+        "what became of the base?"
+    );
+    assert!(matches!(
+        world.why(),
+        Some(WaitReason::ServerRestarted { .. })
+    ));
     assert_eq!(world.began.len(), 2, "{:?}", world.timeline());
 }
 
 #[test]
-fn with_nobody_there_what_nobody_can_decide_stops_everything() {
+fn an_unattended_run_stops_where_a_decision_is_needed() {
     let mut world = World::new(SCRIPT, unattended());
     world
         .machine("robot")
@@ -208,20 +207,19 @@ fn with_nobody_there_what_nobody_can_decide_stops_everything() {
         .push(Instant::from_millis(200));
     world.begin();
     world.run(patient);
-    assert_eq!(world.player.outcome(), Some(Outcome::NotConfirmed));
+    assert_eq!(world.outcome(), Some(RunOutcome::NotConfirmed));
     assert_eq!(world.began.len(), 2);
     assert!(
         world.began[1].until < Instant::from_millis(300),
         "the light was stopped"
     );
 
-    // A silent one is waited for a while.
+    // The run waits for a silent server for a while.
     let mut world = World::new(SCRIPT, unattended());
-    let pause = (Instant::from_millis(200), Instant::from_millis(300_000));
-    world.machine("robot").pauses.push(pause);
+    world.pause("robot", 200, 300_000);
     world.begin();
     world.run(patient);
-    assert_eq!(world.player.outcome(), Some(Outcome::NotConfirmed));
+    assert_eq!(world.outcome(), Some(RunOutcome::NotConfirmed));
     let ended = world.now.since(Instant::ZERO);
     assert!((60..75).contains(&ended.as_secs()), "{ended:?}");
 }
@@ -229,72 +227,56 @@ fn with_nobody_there_what_nobody_can_decide_stops_everything() {
 #[test]
 fn an_init_without_an_answer_is_never_sent_again() {
     let script = "s: {a (on_failure=retry 5): {robot: {base: 1}}, b: {robot: {arm: 1}}}";
-    let mut world = World::new(script, Options::default());
-    world
-        .machine("robot")
-        .pauses
-        .push((Instant::ZERO, Instant::from_millis(2500)));
+    let mut world = World::new(script, PlayOptions::default());
+    world.pause("robot", 0, 2500);
     world.begin();
-    world.command(Command::Start);
-    assert_eq!(
-        world.until_asked(),
-        Some(Question::Step { scene: 0, step: 0 })
-    );
-    assert_eq!(world.why(), Some(&Why::StartUnknown));
+    world.command(RunCommand::Start);
+    assert_eq!(world.until_asked(), FIRST_STEP);
+    assert_eq!(world.why(), Some(&WaitReason::StartUnknown));
     assert!(
-        !world.player.choices().contains(&Command::Retry),
+        !world.player.choices().contains(&RunCommand::Retry),
         "nobody knows that it failed"
     );
     world.pass(Duration::from_secs(600));
     assert_eq!(world.timeline(), [(2501, "robot:base:1")]);
     world.run(patient);
-    assert_eq!(world.player.outcome(), Some(Outcome::Failures));
+    assert_eq!(world.outcome(), Some(RunOutcome::Failures));
     assert_eq!(world.began.len(), 2);
 }
 
 #[test]
-fn a_task_whose_end_its_server_could_not_learn_keeps_its_step_and_is_named_at_the_end() {
+fn a_task_with_an_unknown_outcome_holds_its_step_and_is_listed_at_the_end() {
     let script = "s: {a (on_failure=retry 5): {robot: {base: 1 lost}}, b: {robot: {arm: 1}}}";
-    let mut world = World::new(script, Options::default());
-    world.begin();
-    world.command(Command::Start);
-    assert_eq!(
-        world.until_asked(),
-        Some(Question::Step { scene: 0, step: 0 })
-    );
-    let unclear = Why::AnswerUnclear {
+    let mut world = World::started(script);
+    assert_eq!(world.until_asked(), FIRST_STEP);
+    let unclear = WaitReason::AnswerUnclear {
         remote: "robot".to_owned(),
     };
     assert_eq!(world.why(), Some(&unclear));
-    assert!(!world.player.choices().contains(&Command::Retry));
+    assert!(!world.player.choices().contains(&RunCommand::Retry));
     assert_eq!(world.began.len(), 1);
     world.run(patient);
-    let named =
-        |event: &Event| matches!(event, Event::RunEnded { running, .. } if running.len() == 1);
+    let named = |event: &RunEvent| matches!(event, RunEvent::RunEnded { running, .. } if running.len() == 1);
     assert_eq!(world.seen(named).len(), 1);
-    assert_eq!(world.player.outcome(), Some(Outcome::Failures));
-    let mut world = World::new(script, unattended());
-    world.begin();
-    world.run(on);
-    assert_eq!(world.player.outcome(), Some(Outcome::NotConfirmed));
+    assert_eq!(world.outcome(), Some(RunOutcome::Failures));
+    let world = World::played_unattended(script);
+    assert_eq!(world.outcome(), Some(RunOutcome::NotConfirmed));
     assert_eq!(world.began.len(), 1);
 }
 
 #[test]
-fn everything_can_be_stopped_at_any_point_and_each_end_is_confirmed() {
+fn everything_can_be_stopped_at_any_point_with_every_end_confirmed() {
     for at in moments() {
         let about = format!("stopped at {at:?}");
-        let mut world = World::new(SCRIPT, Options::default());
-        world.begin();
-        world.command(Command::Start);
+        let mut world = World::started(SCRIPT);
         world.pass(at.since(Instant::ZERO));
         let began = world.began.len();
         if world.player.question().is_some() {
             break;
         }
-        world.command(Command::Stop);
+        world.command(RunCommand::Stop);
         world.run(|_, question| panic!("{about}: {question:?}"));
-        assert_eq!(world.player.outcome(), Some(Outcome::Stopped), "{about}");
+        assert_eq!(world.outcome(), Some(RunOutcome::Stopped), "{about}");
         assert_eq!(
             world.began.len(),
             began,
@@ -309,21 +291,21 @@ fn everything_can_be_stopped_at_any_point_and_each_end_is_confirmed() {
         let confirmed = world.seen(|event| {
             matches!(
                 event,
-                Event::StopAnswered {
+                RunEvent::StopAnswered {
                     confirmed: true,
                     ..
                 }
             )
         });
-        let Some(Event::Stopping { tasks }) = world
-            .seen(|event| matches!(event, Event::Stopping { .. }))
+        let Some(RunEvent::Stopping { tasks }) = world
+            .seen(|event| matches!(event, RunEvent::Stopping { .. }))
             .first()
             .copied()
         else {
             panic!("{about}");
         };
         assert_eq!(confirmed.len(), tasks.len(), "{about}");
-        let Some((_, Event::RunEnded { running, .. })) = world.events.last() else {
+        let Some((_, RunEvent::RunEnded { running, .. })) = world.events.last() else {
             panic!("{about}");
         };
         assert!(running.is_empty(), "{about}");
@@ -331,13 +313,11 @@ fn everything_can_be_stopped_at_any_point_and_each_end_is_confirmed() {
 }
 
 #[test]
-fn stopping_reaches_what_runs_in_the_background_after_its_scene() {
+fn stopping_reaches_background_tasks_of_an_earlier_scene() {
     let script = "s: {a (wait=no): {robot: {base: 60}, lamp: {fan: 60}}}";
-    let mut world = World::new(script, Options::default());
-    world.begin();
-    world.command(Command::Start);
+    let mut world = World::started(script);
     assert_eq!(world.until_asked(), Some(Question::End));
-    world.command(Command::Stop);
+    world.command(RunCommand::Stop);
     world.run(|_, question| panic!("{question:?}"));
     assert!(
         world.began.iter().all(|began| began.until <= world.now),
@@ -348,79 +328,69 @@ fn stopping_reaches_what_runs_in_the_background_after_its_scene() {
 }
 
 #[test]
-fn stopping_tells_what_cannot_be_stopped_and_who_does_not_answer() {
+fn stopping_reports_unstoppable_tasks_and_silent_servers() {
     let script = "s: {a: {robot: {base: 60 forever}, lamp: {light: 60}}}";
-    let mut world = World::new(script, Options::default());
-    world.begin();
-    world.command(Command::Start);
+    let mut world = World::started(script);
     world.pass(Duration::from_millis(50));
     let silent = (world.now, world.now + Duration::from_secs(600));
     world.machine("lamp").pauses.push(silent);
-    world.command(Command::Stop);
+    world.command(RunCommand::Stop);
     world.run(|_, question| panic!("{question:?}"));
-    let said: Vec<_> = world.seen(|event| {
-        matches!(
-            event,
-            Event::StopAnswered {
+    assert_eq!(
+        count!(
+            world,
+            RunEvent::StopAnswered {
                 confirmed: false,
                 ..
             }
-        )
-    });
-    assert_eq!(said.len(), 2, "{said:?}");
+        ),
+        2
+    );
     let Some((
         _,
-        Event::RunEnded {
+        RunEvent::RunEnded {
             running, outcome, ..
         },
     )) = world.events.last()
     else {
         panic!("{:?}", world.events.last());
     };
-    assert_eq!((running.len(), *outcome), (2, Outcome::NotConfirmed));
+    assert_eq!((running.len(), *outcome), (2, RunOutcome::NotConfirmed));
     assert!(world.now < Instant::from_millis(10_000), "{:?}", world.now);
 }
 
 #[test]
 fn a_second_stop_leaves_at_once() {
     let script = "s: {a: {lamp: {light: 60}}}";
-    let mut world = World::new(script, Options::default());
-    world.begin();
-    world.command(Command::Start);
+    let mut world = World::started(script);
     world.pass(Duration::from_millis(50));
-    world
-        .machine("lamp")
-        .pauses
-        .push((Instant::ZERO, Instant::from_millis(600_000)));
-    world.command(Command::Stop);
+    world.pause("lamp", 0, 600_000);
+    world.command(RunCommand::Stop);
     world.pass(Duration::from_millis(50));
-    assert_eq!(world.player.outcome(), None);
+    assert_eq!(world.outcome(), None);
     assert!(
         world
             .player
-            .handle_command(world.now, Command::Stop, By::Signal)
+            .handle_command(world.now, RunCommand::Stop, DecidedBy::Signal)
     );
-    assert_eq!(world.player.outcome(), Some(Outcome::Left));
+    assert_eq!(world.outcome(), Some(RunOutcome::Left));
     assert!(
         !world
             .player
-            .handle_command(world.now, Command::Stop, By::Signal)
+            .handle_command(world.now, RunCommand::Stop, DecidedBy::Signal)
     );
 }
 
 #[test]
-fn an_init_that_is_under_way_when_everything_is_stopped_is_stopped_too() {
+fn a_pending_init_is_stopped_with_everything_else() {
     for name in ["robot", "lamp"] {
         let script = format!("s: {{a: {{{name}: {{base: 60}}}}}}");
-        let mut world = World::new(&script, Options::default());
-        world
-            .machine(name)
-            .pauses
-            .push((Instant::ZERO, Instant::from_millis(1000)));
+        let mut world = World::new(&script, PlayOptions::default());
+        world.pause(name, 0, 1000);
         world.begin();
-        world.command(Command::Start);
+        world.command(RunCommand::Start);
         world.pass(Duration::from_millis(100));
-        world.command(Command::Stop);
+        world.command(RunCommand::Stop);
         world.run(|_, question| panic!("{question:?}"));
         assert_eq!(world.began.len(), 1, "it was acted on late");
         assert!(world.began[0].until <= world.now);
@@ -428,17 +398,14 @@ fn an_init_that_is_under_way_when_everything_is_stopped_is_stopped_too() {
 }
 
 #[test]
-fn a_server_that_is_not_there_is_asked_about_unless_the_script_says_to_go_on() {
+fn the_operator_is_asked_about_an_absent_server_unless_the_script_says_to_go_on() {
     for (policy, asked) in [("", true), ("(on_failure=go on)", false)] {
         let script =
             format!("s: {{'a{policy}': {{lamp: {{light: 1}}}}, b: {{robot: {{arm: 1}}}}}}");
-        let mut world = World::new(&script, Options::default());
-        world
-            .machine("lamp")
-            .pauses
-            .push((Instant::ZERO, Instant::from_millis(7000)));
+        let mut world = World::new(&script, PlayOptions::default());
+        world.pause("lamp", 0, 7000);
         world.begin();
-        world.command(Command::Start);
+        world.command(RunCommand::Start);
         let question = world.until_asked();
         assert_eq!(
             question == Some(Question::Step { scene: 0, step: 0 }),
@@ -446,15 +413,12 @@ fn a_server_that_is_not_there_is_asked_about_unless_the_script_says_to_go_on() {
         );
         if asked {
             assert!(world.began.is_empty());
-            world.command(Command::Retry);
+            world.command(RunCommand::Retry);
             assert_eq!(world.until_asked(), Some(Question::End));
             assert_eq!(world.began.len(), 2);
         }
         let mut world = World::new(&script, unattended());
-        world
-            .machine("lamp")
-            .pauses
-            .push((Instant::ZERO, Instant::from_millis(7000)));
+        world.pause("lamp", 0, 7000);
         world.begin();
         world.run(on);
         assert_eq!(world.began.len(), usize::from(!asked), "{policy}");
@@ -462,82 +426,82 @@ fn a_server_that_is_not_there_is_asked_about_unless_the_script_says_to_go_on() {
 }
 
 #[test]
-fn an_init_that_nobody_answers_does_not_keep_the_stop_from_its_end() {
+fn an_unanswered_init_does_not_delay_the_end_of_a_stop() {
     let script = "s: {a: {robot: {base: 60}}}";
-    let mut world = World::new(script, Options::default());
-    let pause = (Instant::ZERO, Instant::from_millis(600_000));
-    world.machine("robot").pauses.push(pause);
+    let mut world = World::new(script, PlayOptions::default());
+    world.pause("robot", 0, 600_000);
     world.begin();
-    world.command(Command::Start);
+    world.command(RunCommand::Start);
     world.pass(Duration::from_millis(100));
-    world.command(Command::Stop);
+    world.command(RunCommand::Stop);
     world.run(|_, question| panic!("{question:?}"));
-    let said = world.seen(|event| {
-        matches!(
-            event,
-            Event::StopAnswered {
+    assert_eq!(
+        count!(
+            world,
+            RunEvent::StopAnswered {
                 confirmed: false,
                 ..
             }
-        )
-    });
-    assert_eq!(said.len(), 1);
+        ),
+        1
+    );
     assert!(world.now <= Instant::from_millis(2001), "{:?}", world.now);
 }
 
 #[test]
-fn a_step_that_was_asked_about_is_not_retried_by_itself() {
+fn a_step_is_not_retried_automatically_once_the_operator_was_asked() {
     let silent = (Instant::from_millis(500), Instant::from_millis(9500));
-    // One takes too long and stops late; one fails while its server is silent.
+    // One exceeds its limit and stops late; one fails while its server is silent.
     for (task, pause) in [
         ("base(timeout=1): 5 stubborn", None),
         ("base: 1 fail", Some(silent)),
     ] {
         let script = format!("s: {{a (on_failure=retry 2): {{robot: {{{task}}}}}}}");
-        let mut world = World::new(&script, Options::default());
+        let mut world = World::new(&script, PlayOptions::default());
         world.machine("robot").pauses.extend(pause);
         world.begin();
-        world.command(Command::Start);
-        let step = Some(Question::Step { scene: 0, step: 0 });
-        assert_eq!(world.until_asked(), step, "{task}");
-        assert!(world.why().is_some_and(Why::may_mend), "{task}");
+        world.command(RunCommand::Start);
+        assert_eq!(world.until_asked(), FIRST_STEP, "{task}");
+        assert!(world.why().is_some_and(WaitReason::may_mend), "{task}");
         world.pass(Duration::from_secs(60));
         assert_eq!(world.began.len(), 1, "{task}: nobody decided");
-        assert_eq!(world.player.question(), step, "{task}");
-        assert_eq!(world.why(), Some(&Why::Failed), "{task}");
-        assert!(world.player.choices().contains(&Command::Retry), "{task}");
-        world.command(Command::Retry);
+        assert_eq!(world.player.question(), FIRST_STEP, "{task}");
+        assert_eq!(world.why(), Some(&WaitReason::Failed), "{task}");
+        assert!(
+            world.player.choices().contains(&RunCommand::Retry),
+            "{task}"
+        );
+        world.command(RunCommand::Retry);
         world.pass(Duration::from_secs(60));
         assert_eq!(world.began.len(), 2, "{task}: once for each decision");
-        assert_eq!(world.player.question(), step, "{task}");
+        assert_eq!(world.player.question(), FIRST_STEP, "{task}");
 
-        // With nobody there it ends as after a failure.
+        // An unattended run ends as after a failure.
         let mut world = World::new(&script, unattended());
         world.machine("robot").pauses.extend(pause);
         world.begin();
         world.run(on);
         assert_eq!(world.began.len(), 1, "{task}: unattended");
-        assert_eq!(world.player.outcome(), Some(Outcome::Stopped), "{task}");
+        assert_eq!(world.outcome(), Some(RunOutcome::Stopped), "{task}");
     }
 }
 
 #[test]
-fn a_retry_that_fails_while_another_task_is_unknown_can_be_tried_again() {
+fn a_failed_retry_can_be_retried_while_another_task_is_unknown() {
     let script = "s: {a (parallel; on_failure=ask): {robot: {base: 100}, lamp: {arm: 1 fail}}}";
-    let mut world = World::new(script, Options::default());
-    let pause = (Instant::from_millis(500), Instant::from_millis(500_000));
-    world.machine("robot").pauses.push(pause);
+    let mut world = World::new(script, PlayOptions::default());
+    world.pause("robot", 500, 500_000);
     world.begin();
-    world.command(Command::Start);
+    world.command(RunCommand::Start);
     for arms in 1..4 {
         world.pass(Duration::from_secs(10));
-        assert!(matches!(world.why(), Some(Why::ServerSilent { .. })));
+        assert!(matches!(world.why(), Some(WaitReason::ServerSilent { .. })));
         assert_eq!(world.began.len(), 1 + arms);
-        let asked = world.seen(|event| matches!(event, Event::Asked { .. }));
-        let Some(Event::Asked { choices, .. }) = asked.last() else {
+        let asked = world.seen(|event| matches!(event, RunEvent::Asked { .. }));
+        let Some(RunEvent::Asked { choices, .. }) = asked.last() else {
             panic!("{asked:?}");
         };
-        assert!(choices.contains(&Command::Retry), "{choices:?}");
-        world.command(Command::Retry);
+        assert!(choices.contains(&RunCommand::Retry), "{choices:?}");
+        world.command(RunCommand::Retry);
     }
 }

@@ -1,5 +1,5 @@
-//! Servers, an operator and a clock, all made up: requests are answered after a moment, tasks last as
-//! long as their goals say, and servers pause and are started anew when a test says so.
+//! Simulated servers, operator and clock: requests are answered after a latency, tasks last as long as their
+//! goals say, and servers pause and restart when a test says so.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -8,18 +8,22 @@ use std::time::Duration;
 use ztl_core::integer::Integer;
 use ztl_core::{Instant, State, TaskId};
 
-use super::super::super::event::{By, Command, Event, Question, RequestNumber, Why};
-use super::super::super::{Defaults, Script};
-use super::super::{Answer, Ask, Options, Player, Request, Server};
+use crate::event::{
+    DecidedBy, Question, RequestNumber, RunCommand, RunEvent, RunOutcome, WaitReason,
+};
+use crate::player::state::Phase;
+use crate::player::{PlayOptions, Player, Request};
+use crate::server::{Server, ServerAnswer, ServerRequest};
+use crate::{Defaults, Script};
 use ztl_std::RemoteId;
 
-/// There and back.
+/// Round-trip time.
 const LATENCY: Duration = Duration::from_millis(1);
-/// After which a request is given up.
+/// When a request times out.
 const TIMEOUT: Duration = Duration::from_secs(2);
-/// How often it is asked what became of an INIT.
+/// How often the client asks for the outcome of an INIT.
 const OUTCOMES: u32 = 3;
-/// A run that goes on for longer hangs.
+/// A longer run hangs.
 const HANGS: Duration = Duration::from_secs(3600);
 
 /// A server, its tasks by id.
@@ -28,15 +32,15 @@ pub(super) struct Machine {
     boot: u32,
     next: u32,
     tasks: BTreeMap<u32, Job>,
-    /// It is silent in these times.
+    /// When it is silent.
     pub(super) pauses: Vec<(Instant, Instant)>,
-    /// It is started anew then.
+    /// When it restarts.
     pub(super) restarts: Vec<Instant>,
-    /// What is refused at INIT, by component: so many times.
+    /// How many INITs it refuses, by component.
     pub(super) refusals: BTreeMap<&'static str, u32>,
     /// Nobody listens at its address.
     pub(super) missing: bool,
-    /// When it was probed.
+    /// The times of its probes.
     pub(super) probed: Vec<Instant>,
 }
 
@@ -49,12 +53,12 @@ struct Job {
     aborted: Option<Instant>,
 }
 
-/// What was done on a server.
+/// A task that began on a server.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct Began {
     pub(super) at: Instant,
     pub(super) task: String,
-    /// Until when it really runs.
+    /// When it really ends.
     pub(super) until: Instant,
 }
 
@@ -63,9 +67,9 @@ pub(super) struct World {
     pub(super) now: Instant,
     pub(super) machines: BTreeMap<String, Machine>,
     /// When an answer reaches the player.
-    coming: BTreeMap<(Instant, u64), (RequestNumber, Answer)>,
+    coming: BTreeMap<(Instant, u64), (RequestNumber, ServerAnswer)>,
     number: u64,
-    pub(super) events: Vec<(Instant, Event)>,
+    pub(super) events: Vec<(Instant, RunEvent)>,
     pub(super) began: Vec<Began>,
     pub(super) statuses: usize,
 }
@@ -79,14 +83,14 @@ impl Machine {
         pause.map(|(_, to)| *to)
     }
 
-    /// Restarts that have come.
+    /// Applies restarts that are due.
     fn turn(&mut self, now: Instant) {
         while let Some(restart) = self.restarts.first().copied().filter(|at| *at <= now) {
             self.restarts.remove(0);
             self.boot += 1;
             self.tasks.clear();
             if !self.ours {
-                // The original's counts from 1 again.
+                // The original counts from 1 again.
                 self.next = 0;
             }
             let _ = restart;
@@ -103,13 +107,41 @@ impl Machine {
     }
 }
 
+/// Plays every scene.
+pub(super) fn on(_: &World, question: Question) -> Option<RunCommand> {
+    Some(match question {
+        Question::Scene { .. } => RunCommand::Start,
+        Question::End => RunCommand::Leave,
+        Question::Step { .. } => RunCommand::GoOn,
+        Question::Pause => RunCommand::Resume,
+    })
+}
+
+pub(super) fn unattended() -> PlayOptions {
+    PlayOptions {
+        unattended: true,
+        ..PlayOptions::default()
+    }
+}
+
+/// The question about the first step of the first scene.
+pub(super) const FIRST_STEP: Option<Question> = Some(Question::Step { scene: 0, step: 0 });
+
+/// The number of events that match a pattern.
+macro_rules! count {
+    ($world:expr, $($pattern:tt)+) => {
+        $world.events.iter().filter(|(_, event)| matches!(event, $($pattern)+)).count()
+    };
+}
+pub(super) use count;
+
 impl World {
-    /// A world in which a script is played: `robot` is the original's server, `lamp` one of ours.
-    pub(super) fn new(script: &str, options: Options) -> Self {
+    /// A script with two servers: `robot` is the original's, `lamp` one of this project.
+    pub(super) fn new(script: &str, options: PlayOptions) -> Self {
         Self::with(script, options, Defaults::default())
     }
 
-    pub(super) fn with(script: &str, mut options: Options, defaults: Defaults) -> Self {
+    pub(super) fn with(script: &str, mut options: PlayOptions, defaults: Defaults) -> Self {
         let script = Script::read("test.yaml", script.as_bytes(), defaults).expect("a script");
         let machines = [("robot", false), ("lamp", true)].map(|(name, ours)| {
             let machine = Machine {
@@ -140,6 +172,40 @@ impl World {
         }
     }
 
+    /// Plays the whole script unattended.
+    pub(super) fn played_unattended(script: &str) -> Self {
+        let mut world = Self::new(script, unattended());
+        world.begin();
+        world.run(on);
+        world
+    }
+
+    /// Starts the first scene.
+    pub(super) fn started(script: &str) -> Self {
+        let mut world = Self::new(script, PlayOptions::default());
+        world.begin();
+        world.command(RunCommand::Start);
+        world
+    }
+
+    /// How the run ended, if it has.
+    pub(super) fn outcome(&self) -> Option<RunOutcome> {
+        if !matches!(self.player.phase, Phase::Over) {
+            return None;
+        }
+        let mut events = self.events.iter().rev();
+        events.find_map(|(_, event)| match event {
+            RunEvent::RunEnded { outcome, .. } => Some(*outcome),
+            _ => None,
+        })
+    }
+
+    /// Silences a server between these milliseconds.
+    pub(super) fn pause(&mut self, name: &str, from: u64, to: u64) {
+        let pause = (Instant::from_millis(from), Instant::from_millis(to));
+        self.machine(name).pauses.push(pause);
+    }
+
     pub(super) fn machine(&mut self, name: &str) -> &mut Machine {
         self.machines.get_mut(name).expect("there is one")
     }
@@ -150,15 +216,17 @@ impl World {
     }
 
     #[track_caller]
-    pub(super) fn command(&mut self, command: Command) {
-        let done = self.player.handle_command(self.now, command, By::Operator);
+    pub(super) fn command(&mut self, command: RunCommand) {
+        let done = self
+            .player
+            .handle_command(self.now, command, DecidedBy::Operator);
         assert!(done, "{command:?} of {:?}", self.player.choices());
         self.pump();
     }
 
-    /// Lets time pass until somebody is asked or the run is over; what is asked.
+    /// Lets time pass until a question or the end of the run; returns the question.
     pub(super) fn until_asked(&mut self) -> Option<Question> {
-        while self.player.outcome().is_none() && self.player.question().is_none() {
+        while self.outcome().is_none() && self.player.question().is_none() {
             if !self.tick(None) {
                 break;
             }
@@ -166,17 +234,17 @@ impl World {
         self.player.question()
     }
 
-    /// Lets so much time pass, whatever happens.
+    /// Lets time pass.
     pub(super) fn pass(&mut self, time: Duration) {
         let until = self.now + time;
         while self.tick(Some(until)) {}
         self.now = until;
     }
 
-    /// Until the run is over; the operator, if asked, does what `decide` says.
-    pub(super) fn run(&mut self, mut decide: impl FnMut(&Self, Question) -> Option<Command>) {
+    /// Runs to the end; `decide` answers questions.
+    pub(super) fn run(&mut self, mut decide: impl FnMut(&Self, Question) -> Option<RunCommand>) {
         for _ in 0..100_000 {
-            if self.player.outcome().is_some() {
+            if self.outcome().is_some() {
                 return;
             }
             let decided = self
@@ -191,7 +259,7 @@ impl World {
         panic!("it does not end: {:?}", self.events.last());
     }
 
-    /// The next thing that is to happen, if it is not after `until`.
+    /// Processes the next input, if it comes before `until`.
     fn tick(&mut self, until: Option<Instant>) -> bool {
         let answer = self.coming.first_key_value().map(|((at, _), _)| *at);
         let wake = self.player.poll_timeout();
@@ -230,28 +298,28 @@ impl World {
         }
     }
 
-    /// What comes of a request, and when.
-    fn serve(&mut self, request: &Request) -> (Instant, Answer) {
+    /// The answer to a request, and its time.
+    fn serve(&mut self, request: &Request) -> (Instant, ServerAnswer) {
         let now = self.now;
         let machine = self.machines.get_mut(&request.remote).expect("a server");
         machine.turn(now);
         let resumes = machine.paused(now);
-        // It is acted on when the server comes back, and answered if somebody still listens.
+        // The server acts on it when it is back, and answers if the client still waits.
         let acts = resumes.unwrap_or(now) + LATENCY;
         let late = acts.since(now) >= TIMEOUT;
         if machine.missing {
             return (now + TIMEOUT, nothing(false));
         }
-        if request.ask == Ask::Probe {
+        if request.body == ServerRequest::Probe {
             machine.probed.push(now);
         }
-        match &request.ask {
-            Ask::Probe | Ask::Tasks if late => (now + TIMEOUT, nothing(true)),
-            Ask::Probe => {
+        match &request.body {
+            ServerRequest::Probe | ServerRequest::Tasks if late => (now + TIMEOUT, nothing(true)),
+            ServerRequest::Probe => {
                 let server = machine.who();
-                (acts, Answer::There { server })
+                (acts, ServerAnswer::There { server })
             }
-            Ask::Tasks => {
+            ServerRequest::Tasks => {
                 let runs = |job: &Job| now < job.ends && job.aborted.is_none();
                 let tasks = machine.tasks.iter().filter(|(_, job)| runs(job));
                 let tasks = tasks
@@ -260,13 +328,13 @@ impl World {
                 let listed = machine.ours.then_some((machine.boot, tasks));
                 (
                     acts,
-                    Answer::Tasks {
+                    ServerAnswer::Tasks {
                         listed,
                         gaps: Vec::new(),
                     },
                 )
             }
-            Ask::Init {
+            ServerRequest::Init {
                 handler,
                 component,
                 goal,
@@ -274,11 +342,11 @@ impl World {
                 let task = format!("{handler}:{component}:{goal}");
                 let patience = TIMEOUT * (OUTCOMES + 1);
                 if machine.ours && resumes.is_some() && late {
-                    // The shell asks for its outcome: it never came, and will not.
+                    // The client asks for its outcome: it never arrived, and never will.
                     return match acts.since(now) < patience {
                         true => (
                             acts,
-                            Answer::NotStarted {
+                            ServerAnswer::NotStarted {
                                 text: "never came".to_owned(),
                             },
                         ),
@@ -286,7 +354,7 @@ impl World {
                     };
                 }
                 let answer = machine.init(acts, component, goal);
-                if let Answer::Started { id, .. } = &answer
+                if let ServerAnswer::Started { id, .. } = &answer
                     && let Some(job) = machine.tasks.get(&place(id))
                 {
                     self.began.push(Began {
@@ -300,15 +368,17 @@ impl World {
                     false => (acts, answer),
                 }
             }
-            Ask::Status { .. } | Ask::Abort { .. } if late => (now + TIMEOUT, nothing(true)),
-            Ask::Status { id, hold, .. } => {
+            ServerRequest::Status { .. } | ServerRequest::Abort { .. } if late => {
+                (now + TIMEOUT, nothing(true))
+            }
+            ServerRequest::Status { id, hold, .. } => {
                 self.statuses += 1;
                 let ends = machine.tasks.get(&place(id)).map(|job| job.ends);
                 let held = match ends {
                     Some(ends) if ends > acts => (*hold).min(ends.since(acts)),
                     _ => Duration::ZERO,
                 };
-                // One that is started anew, or falls silent, while it holds an answer does not give it.
+                // A server that restarts or falls silent loses the answer that it holds.
                 let gone = machine
                     .restarts
                     .iter()
@@ -319,7 +389,7 @@ impl World {
                 let at = acts + held;
                 (at, machine.tell(id, at))
             }
-            Ask::Abort { id } => {
+            ServerRequest::Abort { id } => {
                 if let Some(job) = machine.tasks.get_mut(&place(id))
                     && acts < job.ends
                     && job.aborted.is_none()
@@ -327,18 +397,21 @@ impl World {
                 {
                     job.aborted = Some(acts);
                     let begun = job.begun;
-                    // Another client's is not among them.
+                    // Another client's task is not in the list.
                     let began = self.began.iter_mut().find(|began| began.at == begun);
                     if let Some(began) = began {
                         began.until = acts;
                     }
                 }
                 let answer = match machine.tasks.get(&place(id)) {
-                    Some(job) if job.unstoppable && acts < job.ends => Answer::Task {
-                        state: State::Accepted,
-                        text: match job.end {
-                            State::Aborted => "True".to_owned(),
-                            _ => "False".to_owned(),
+                    Some(job) if job.unstoppable && acts < job.ends => match job.end {
+                        State::Aborted => ServerAnswer::Task {
+                            state: State::Accepted,
+                            text: "True".to_owned(),
+                        },
+                        _ => ServerAnswer::CannotStop {
+                            state: State::Accepted,
+                            text: "False".to_owned(),
                         },
                     },
                     _ => machine.tell(id, acts),
@@ -348,8 +421,8 @@ impl World {
         }
     }
 
-    /// The kinds of events, in short, for tests to compare.
-    pub(super) fn seen(&self, is: impl Fn(&Event) -> bool) -> Vec<&Event> {
+    /// The events that match.
+    pub(super) fn seen(&self, is: impl Fn(&RunEvent) -> bool) -> Vec<&RunEvent> {
         self.events
             .iter()
             .map(|(_, event)| event)
@@ -357,15 +430,15 @@ impl World {
             .collect()
     }
 
-    /// Why the step waits that waits, if one does.
-    pub(super) fn why(&self) -> Option<&Why> {
+    /// The last reason why a step waited.
+    pub(super) fn why(&self) -> Option<&WaitReason> {
         self.events.iter().rev().find_map(|(_, event)| match event {
-            Event::StepWaiting { why, .. } => Some(why),
+            RunEvent::StepWaiting { why, .. } => Some(why),
             _ => None,
         })
     }
 
-    /// When each task began, in milliseconds, by the word of the servers.
+    /// When each task began, in milliseconds.
     pub(super) fn timeline(&self) -> Vec<(u64, &str)> {
         self.began
             .iter()
@@ -375,18 +448,18 @@ impl World {
 }
 
 impl Machine {
-    fn init(&mut self, now: Instant, component: &str, goal: &str) -> Answer {
+    fn init(&mut self, now: Instant, component: &str, goal: &str) -> ServerAnswer {
         if let Some(times) = self.refusals.get_mut(component)
             && *times > 0
         {
             *times -= 1;
-            return Answer::Refused {
+            return ServerAnswer::Refused {
                 id: Integer::MINUS_ONE.into(),
                 text: "not now".to_owned(),
             };
         }
         self.next += 1;
-        // `3`, `3 fail`, `3 lost`, `3 forever`; `3 stubborn` ends by an ABORT, but not before its time.
+        // `3`, `3 fail`, `3 lost`, `3 forever`; `3 stubborn` is aborted, but only after its time.
         let mut words = goal.split(' ');
         let seconds: f64 = words
             .next()
@@ -410,7 +483,7 @@ impl Machine {
         };
         self.tasks.insert(self.next, job);
         let id = TaskId::new(self.next).expect("above 0").into();
-        Answer::Started {
+        ServerAnswer::Started {
             id,
             text: "initiated".to_owned(),
             server: self.who(),
@@ -432,18 +505,18 @@ impl Machine {
         self.init(now, "other", goal);
     }
 
-    /// How many of its tasks run.
+    /// Number of its running tasks.
     pub(super) fn running(&self, now: Instant) -> usize {
         let runs = |job: &&Job| now < job.ends && job.aborted.is_none_or(|at| now < at);
         self.tasks.values().filter(runs).count()
     }
 
-    fn tell(&mut self, id: &RemoteId, now: Instant) -> Answer {
+    fn tell(&mut self, id: &RemoteId, now: Instant) -> ServerAnswer {
         self.turn(now);
         match self.state(id, now) {
-            Some((_, text)) if text == LOST => Answer::Unclear { text },
-            Some((state, text)) => Answer::Task { state, text },
-            None => Answer::TaskUnknown {
+            Some((_, text)) if text == LOST => ServerAnswer::Unclear { text },
+            Some((state, text)) => ServerAnswer::Task { state, text },
+            None => ServerAnswer::TaskUnknown {
                 boot: self.ours.then_some(self.boot),
                 text: format!("does not know task {id}"),
             },
@@ -451,7 +524,7 @@ impl Machine {
     }
 }
 
-/// What is said of a task whose server could not learn its end.
+/// The text about a task whose outcome the server could not learn.
 const LOST: &str = "the robot behind it was restarted";
 
 /// The key of a task in [`Machine::tasks`].
@@ -459,8 +532,8 @@ fn place(id: &RemoteId) -> u32 {
     id.number().expect("an id of these machines").get()
 }
 
-fn nothing(sent: bool) -> Answer {
-    Answer::Nothing {
+fn nothing(sent: bool) -> ServerAnswer {
+    ServerAnswer::Nothing {
         sent,
         text: "no answer".to_owned(),
     }

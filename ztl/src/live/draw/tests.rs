@@ -1,5 +1,6 @@
 use ztl_script::event::{
-    By, Command, Event, Outcome, Question, Stamped, StepOutline, TaskNumber, TaskState, Why,
+    DecidedBy, Question, RunCommand, RunEvent, RunOutcome, StampedEvent, StepOutline, TaskNumber,
+    TaskState, WaitReason,
 };
 use ztl_script::record::read;
 
@@ -18,14 +19,14 @@ const ASCII: Capabilities = Capabilities {
 };
 const EVENING: &str = include_str!("../../../../ztl-script/src/fixtures/evening.jsonl");
 
-fn evening() -> Vec<Stamped> {
+fn evening() -> Vec<StampedEvent> {
     let (mut runs, damage) = read("evening.jsonl", EVENING.as_bytes()).unwrap();
     assert_eq!(damage, []);
     runs.remove(0).events
 }
 
 /// What is known after the first event for which `until` is true, and when that was.
-fn board(mut until: impl FnMut(&Event) -> bool) -> (Board, Duration) {
+fn board(mut until: impl FnMut(&RunEvent) -> bool) -> (Board, Duration) {
     let mut board = Board::default();
     for event in evening() {
         board.handle(&event);
@@ -58,7 +59,7 @@ fn screen(board: &Board, now: Duration, size: (usize, usize)) -> String {
 
 #[test]
 fn a_scene_is_shown_with_all_that_it_would_do() {
-    let (board, at) = board(|event| matches!(event, Event::Asked { .. }));
+    let (board, at) = board(|event| matches!(event, RunEvent::Asked { .. }));
     assert_eq!(
         format!(
             "\n{}",
@@ -88,11 +89,11 @@ fn a_scene_is_shown_with_all_that_it_would_do() {
 
 #[test]
 fn a_silent_server_is_told_with_what_waits_for_it() {
-    let silent = |event: &Event| {
+    let silent = |event: &RunEvent| {
         matches!(
             event,
-            Event::StepWaiting {
-                why: Why::ServerSilent { .. },
+            RunEvent::StepWaiting {
+                why: WaitReason::ServerSilent { .. },
                 ..
             }
         )
@@ -100,7 +101,7 @@ fn a_silent_server_is_told_with_what_waits_for_it() {
     let mut seen = false;
     let (board, at) = board(|event| {
         seen |= silent(event);
-        seen && matches!(event, Event::Asked { .. })
+        seen && matches!(event, RunEvent::Asked { .. })
     });
     assert_eq!(
         format!(
@@ -149,28 +150,28 @@ fn key_line(board: &Board) -> String {
 
 #[test]
 fn no_key_is_offered_that_does_nothing_where_no_scene_is_played() {
-    let (mut board, at) = board(|event| matches!(event, Event::SceneEnded { .. }));
+    let (mut board, at) = board(|event| matches!(event, RunEvent::SceneEnded { .. }));
     assert!(board.in_background().count() > 0);
     assert!(board.question.is_none());
     assert_eq!(key_line(&board), "x stop everything, d details, ? keys");
-    let next = |event| Stamped {
+    let next = |event| StampedEvent {
         at,
         event,
         ..evening().remove(0)
     };
     let choices = vec![
-        Command::Start,
-        Command::StopAll,
-        Command::Stop,
-        Command::Leave,
+        RunCommand::Start,
+        RunCommand::StopAll,
+        RunCommand::Stop,
+        RunCommand::Leave,
     ];
     let question = Question::Scene { scene: 1 };
-    board.handle(&next(Event::Asked { question, choices }));
+    board.handle(&next(RunEvent::Asked { question, choices }));
     let offered = "Enter start, q leave (1 task runs on), x stop everything, d details, ? keys";
     assert_eq!(key_line(&board), offered);
-    let leave = Event::Decided {
-        command: Command::Leave,
-        by: By::Operator,
+    let leave = RunEvent::Decided {
+        command: RunCommand::Leave,
+        by: DecidedBy::Operator,
         scene: None,
         step: None,
     };
@@ -183,7 +184,7 @@ fn no_key_is_offered_that_does_nothing_where_no_scene_is_played() {
 fn each_confirmation_of_stopping_is_shown() {
     let mut answers = 0;
     let (board, at) = board(|event| {
-        answers += usize::from(matches!(event, Event::StopAnswered { .. }));
+        answers += usize::from(matches!(event, RunEvent::StopAnswered { .. }));
         answers == 2
     });
     let screen = screen(&board, at, (80, 24));
@@ -205,7 +206,7 @@ fn on_a_small_screen_what_has_to_be_decided_stays() {
     let (board, at) = board(|event| {
         matches!(
             event,
-            Event::Asked {
+            RunEvent::Asked {
                 question: Question::Step { step: 2, .. },
                 ..
             }
@@ -262,7 +263,7 @@ fn a_terminal_of_any_size_is_filled_and_not_overrun() {
 
 #[test]
 fn the_step_that_is_played_is_seen_among_a_thousand() {
-    let (mut board, at) = board(|event| matches!(event, Event::StepStarted { .. }));
+    let (mut board, at) = board(|event| matches!(event, RunEvent::StepStarted { .. }));
     let scene = &mut board.outline.scenes[0];
     let one = scene.steps[0].clone();
     let many = (0..1000).map(|nth| StepOutline {
@@ -281,7 +282,7 @@ fn the_step_that_is_played_is_seen_among_a_thousand() {
 #[test]
 fn progress_in_percent_is_a_bar() {
     let (board, at) =
-        board(|event| matches!(event, Event::TaskState { text, .. } if text == "50 %"));
+        board(|event| matches!(event, RunEvent::TaskState { text, .. } if text == "50 %"));
     let screen = screen(&board, at, (80, 24));
     assert!(
         screen.contains("▶ robot:head:[0, 0.4]  accepted  █████░░░░░ 50 %"),
@@ -300,7 +301,7 @@ fn progress_in_percent_is_a_bar() {
 
 #[test]
 fn what_is_left_on_the_terminal_tells_how_it_went() {
-    let (board, _) = board(|event| matches!(event, Event::RunEnded { .. }));
+    let (board, _) = board(|event| matches!(event, RunEvent::RunEnded { .. }));
     let lines: Vec<String> = summary(&board, 80)
         .iter()
         .map(|line| line.encoded(ASCII))
@@ -320,7 +321,7 @@ fn what_is_left_on_the_terminal_tells_how_it_went() {
 
 #[test]
 fn what_is_long_is_looked_through_by_pages() {
-    let (mut board, at) = board(|event| matches!(event, Event::Asked { .. }));
+    let (mut board, at) = board(|event| matches!(event, RunEvent::Asked { .. }));
     let scene = board.outline.scenes[0].clone();
     let many = (0..200).map(|nth| ztl_script::event::SceneOutline {
         name: format!("scene {nth}"),
@@ -356,7 +357,7 @@ fn a_reason_is_told_first_and_in_full_on_a_page_of_its_own() {
     let (mut board, at) = board(|event| {
         matches!(
             event,
-            Event::Asked {
+            RunEvent::Asked {
                 question: Question::Step { step: 2, .. },
                 ..
             }
@@ -395,8 +396,8 @@ fn every_key_that_can_be_pressed_is_explained() {
 }
 
 /// The board with this event more.
-fn and(board: &mut Board, at: Duration, event: Event) {
-    board.handle(&Stamped {
+fn and(board: &mut Board, at: Duration, event: RunEvent) {
+    board.handle(&StampedEvent {
         at,
         event,
         ..evening().remove(0)
@@ -405,14 +406,14 @@ fn and(board: &mut Board, at: Duration, event: Event) {
 
 #[test]
 fn stopped_is_said_only_where_every_stop_was_confirmed() {
-    let (mut board, at) = board(|event| matches!(event, Event::RunEnded { .. }));
+    let (mut board, at) = board(|event| matches!(event, RunEvent::RunEnded { .. }));
     let running = vec![TaskNumber(1), TaskNumber(2)];
     for (running, said) in [
         (running, "2 tasks; they may still run"),
         (vec![TaskNumber(1)], "1 task; it may still run"),
     ] {
-        let ended = Event::RunEnded {
-            outcome: Outcome::NotConfirmed,
+        let ended = RunEvent::RunEnded {
+            outcome: RunOutcome::NotConfirmed,
             running,
             text: String::new(),
         };
@@ -428,7 +429,7 @@ fn stopped_is_said_only_where_every_stop_was_confirmed() {
 
 #[test]
 fn a_task_that_ends_after_its_stop_was_given_up_counts_as_stopped() {
-    let (mut board, at) = board(|event| matches!(event, Event::Stopping { .. }));
+    let (mut board, at) = board(|event| matches!(event, RunEvent::Stopping { .. }));
     let tasks: Vec<TaskNumber> = board
         .stopping
         .as_ref()
@@ -438,7 +439,7 @@ fn a_task_that_ends_after_its_stop_was_given_up_counts_as_stopped() {
         .copied()
         .collect();
     for task in &tasks {
-        let told = Event::StopAnswered {
+        let told = RunEvent::StopAnswered {
             task: *task,
             confirmed: false,
             text: "it has not ended yet (True)".to_owned(),
@@ -446,8 +447,8 @@ fn a_task_that_ends_after_its_stop_was_given_up_counts_as_stopped() {
         and(&mut board, at, told);
     }
     let question = Question::Scene { scene: 0 };
-    let choices = vec![Command::Start, Command::StopAll];
-    and(&mut board, at, Event::Asked { question, choices });
+    let choices = vec![RunCommand::Start, RunCommand::StopAll];
+    and(&mut board, at, RunEvent::Asked { question, choices });
     let all = tasks.len();
     let shown = screen(&board, at, (80, 24));
     assert!(
@@ -455,11 +456,12 @@ fn a_task_that_ends_after_its_stop_was_given_up_counts_as_stopped() {
         "{shown}"
     );
     for task in tasks {
-        let ended = Event::TaskState {
+        let ended = RunEvent::TaskState {
             task,
             state: TaskState::Aborted,
             id: None,
             text: "True".to_owned(),
+            no_server: false,
         };
         and(&mut board, at, ended);
     }
@@ -473,7 +475,7 @@ fn a_task_that_ends_after_its_stop_was_given_up_counts_as_stopped() {
 
 #[test]
 fn in_a_narrow_window_message_and_keys_remain() {
-    let asked = |event: &Event| matches!(event, Event::Asked { .. });
+    let asked = |event: &RunEvent| matches!(event, RunEvent::Asked { .. });
     let (first, at) = board(asked);
     let shown = screen(&first, at, (30, 6));
     for part in ["Next: Welcome", "Enter  start", "x  stop everything"] {
@@ -481,7 +483,7 @@ fn in_a_narrow_window_message_and_keys_remain() {
     }
     let (step, at) = board(|event| {
         let step = |question: &Question| matches!(question, Question::Step { .. });
-        matches!(event, Event::Asked { question, .. } if step(question))
+        matches!(event, RunEvent::Asked { question, .. } if step(question))
     });
     for height in 2..7 {
         let shown = screen(&step, at, (30, height));

@@ -1,55 +1,52 @@
-//! Servers that stand in for those of a script, to rehearse without a robot: `--simulate`.
+//! Simulated servers in place of those of a script, to rehearse without a robot: `--simulate`.
 
 use std::collections::BTreeSet;
 use std::io;
 use std::time::Duration;
 
-use super::model::Script;
+use ztl_script::Script;
 use ztl_std::remotes::Remote;
 use ztl_std::{
     ExecutableTask, Remotes, RunningServer, TaskContext, TaskController, TaskError, TaskRequest,
     TaskServer,
 };
 
-/// How many steps a task's progress has.
+/// Progress reports per task.
 const STEPS: u32 = 20;
 
-/// Stand-ins that serve as long as this lives.
-#[derive(Debug)]
-#[must_use = "dropped, they are gone"]
-pub struct StandIns {
+/// Simulated servers, which run until this is dropped.
+#[must_use = "dropping it stops the servers"]
+pub(super) struct SimulatedServers {
     _servers: Vec<RunningServer>,
 }
 
-/// Takes what the script has for it, and nothing else.
-struct StandIn {
+/// Accepts the script's tasks and nothing else.
+struct SimulatedController {
     tasks: BTreeSet<(String, String)>,
-    lasts: Duration,
+    duration: Duration,
 }
 
-impl StandIns {
-    /// A stand-in for each server that the script uses, with tasks that last so long; `remotes` then name
-    /// them.
+impl SimulatedServers {
+    /// Starts a server for each server of the script, with tasks of this duration, and enters them into
+    /// `remotes`.
     ///
     /// # Errors
     /// When one cannot be started.
-    pub fn start(script: &Script, remotes: &mut Remotes, lasts: Duration) -> io::Result<Self> {
+    pub(super) fn start(
+        script: &Script,
+        remotes: &mut Remotes,
+        duration: Duration,
+    ) -> io::Result<Self> {
         let mut servers = Vec::new();
         for name in script.remotes() {
             let scope = remotes.task(name).map(|remote| remote.scope.clone());
             let scope = scope.unwrap_or_else(|_| "/stand-in".to_owned());
-            let mut tasks = BTreeSet::new();
-            for step in script.scenes.iter().flat_map(|scene| &scene.steps) {
-                for task in &step.tasks {
-                    if let Some(handler) =
-                        step.handler(task).filter(|handler| handler.remote == name)
-                    {
-                        tasks.insert((handler.name.clone(), task.component.clone()));
-                    }
-                }
-            }
+            let tasks = script
+                .tasks_of(name)
+                .map(|(handler, task)| (handler.name.clone(), task.component.clone()))
+                .collect();
             let mut server = TaskServer::bind("tcp://127.0.0.1:*").map_err(io::Error::other)?;
-            server.register(&scope, StandIn { tasks, lasts });
+            server.register(&scope, SimulatedController { tasks, duration });
             let server = server.spawn()?;
             let port = server
                 .endpoint()
@@ -68,27 +65,20 @@ impl StandIns {
     }
 }
 
-impl TaskController for StandIn {
+impl TaskController for SimulatedController {
     fn assign(&self, request: &TaskRequest) -> Result<Box<dyn ExecutableTask>, TaskError> {
         let asked = (request.handler.clone(), request.component.clone());
         if !self.tasks.contains(&asked) {
-            let known: Vec<String> = self
-                .tasks
-                .iter()
-                .map(|(of, part)| format!("{of}:{part}"))
-                .collect();
+            let known = self.tasks.iter().map(|(of, part)| format!("{of}:{part}"));
+            let known = known.collect::<Vec<_>>().join(", ");
             let (of, part) = asked;
-            return Err(format!(
-                "no '{of}:{part}' in the script; it has: {}",
-                known.join(", ")
-            )
-            .into());
+            return Err(format!("no '{of}:{part}' in the script; it has: {known}").into());
         }
-        let lasts = self.lasts;
+        let duration = self.duration;
         Ok(Box::new(move |task: &TaskContext| {
             for step in 0..STEPS {
                 task.progress(format!("{} percent", step * 100 / STEPS));
-                task.sleep(lasts / STEPS)?;
+                task.sleep(duration / STEPS)?;
             }
             Ok("simulated".to_owned())
         }))

@@ -1,24 +1,24 @@
-//! What is wrong where a text is invalid YAML: shown at its cause, not where the reader noticed it.
+//! Messages about invalid YAML, shown at the cause and not where the parser noticed it.
 
-use super::token::{Bracket, Kind};
-use super::tree::{Parser, at};
-use super::{Mark, Mistake, Span};
+use crate::node::{Mark, Mistake, Span};
+use crate::parser::{Parser, at};
+use crate::token::{Bracket, TokenKind};
 
 impl Parser {
-    /// The ',' between two values. Where the next one stands in another line, the bracket was probably
-    /// meant to end before.
-    pub(super) fn comma(&mut self, open: Span, bracket: Bracket) -> Result<(), Mistake> {
-        if self.takes(&Kind::Comma)? {
+    /// Expects the ',' between two values. If the next one is on another line, the bracket was probably meant
+    /// to end before.
+    pub(crate) fn comma(&mut self, open: Span, bracket: Bracket) -> Result<(), Mistake> {
+        if self.takes(&TokenKind::Comma)? {
             return Ok(());
         }
         let (sign, close) = (bracket.open(), bracket.close());
         let (last, quoted) = self.last;
         let next = self.span()?;
         Err(match self.peek()? {
-            Kind::StreamEnd | Kind::DocumentStart | Kind::DocumentEnd => {
+            TokenKind::StreamEnd | TokenKind::DocumentStart | TokenKind::DocumentEnd => {
                 never_closed(open, bracket)
             }
-            Kind::Close(other) => {
+            TokenKind::Close(other) => {
                 let line = open.start.line;
                 let message = format!(
                     "expected '{close}' for the '{sign}' in line {line}, found '{}'",
@@ -33,26 +33,26 @@ impl Parser {
                     next.start.line
                 ),
             ),
-            Kind::Value => at(next, "a second ':'; put a text with ': ' in it in quotes"),
+            TokenKind::Value => at(next, "a second ':'; put a text with ': ' in it in quotes"),
             _ if quoted => behind_quotes(next),
             _ => at(next, format!("expected ',' or '{close}' before this")),
         })
     }
 
-    /// A value was expected.
-    pub(super) fn no_value(&mut self) -> Result<Mistake, Mistake> {
+    /// The message where a value was expected.
+    pub(crate) fn no_value(&mut self) -> Result<Mistake, Mistake> {
         let span = self.span()?;
         let message = match self.peek()? {
-            Kind::Close(bracket) => format!(
+            TokenKind::Close(bracket) => format!(
                 "'{}' without a '{}' before it",
                 bracket.close(),
                 bracket.open()
             ),
-            Kind::Comma => "a value is missing before this ','".to_owned(),
-            Kind::Entry => {
+            TokenKind::Comma => "a value is missing before this ','".to_owned(),
+            TokenKind::Entry => {
                 "a '- ' cannot stand between brackets; separate the values by ','".to_owned()
             }
-            Kind::StreamEnd | Kind::DocumentStart | Kind::DocumentEnd => {
+            TokenKind::StreamEnd | TokenKind::DocumentStart | TokenKind::DocumentEnd => {
                 "a value is missing at the end".to_owned()
             }
             _ => "a value is missing before this".to_owned(),
@@ -60,15 +60,15 @@ impl Parser {
         Ok(at(span, message))
     }
 
-    /// Something that does not belong to the block that began at `start`.
-    pub(super) fn unexpected(&mut self, start: Mark) -> Result<Mistake, Mistake> {
+    /// The message about something that does not belong to the block that began at `start`.
+    pub(crate) fn unexpected(&mut self, start: Mark) -> Result<Mistake, Mistake> {
         let (last, quoted) = self.last;
         let span = self.span()?;
         let same_line = last.end.line == span.start.line;
         Ok(match self.peek()? {
-            Kind::Close(_) => self.no_value()?,
-            Kind::Value => at(span, "a key is missing before this ':'"),
-            Kind::Comma => at(
+            TokenKind::Close(_) => self.no_value()?,
+            TokenKind::Value => at(span, "a key is missing before this ':'"),
+            TokenKind::Comma => at(
                 span,
                 "a ',' behind a text in quotes; put all of it in quotes",
             ),
@@ -88,7 +88,7 @@ impl Parser {
     }
 }
 
-pub(super) fn never_closed(open: Span, bracket: Bracket) -> Mistake {
+pub(crate) fn never_closed(open: Span, bracket: Bracket) -> Mistake {
     at(open, format!("this '{}' is never closed", bracket.open()))
 }
 

@@ -1,31 +1,31 @@
-//! Servers are probed while the operator is asked.
+//! Probes while the operator is asked.
 
 use std::time::Duration;
 
-use super::super::super::event::{Command, Event, Question, ServerState};
-use super::super::Options;
 use super::world::World;
+use crate::event::{Question, RunCommand, RunEvent, ServerState};
+use crate::player::PlayOptions;
 
 const SHOW: &str = "one: {a: {robot: {base: 30}, lamp: {arm: 1}}}\ntwo: {b: {lamp: {arm: 1}}}";
 
-fn watched() -> Options {
-    Options {
+fn watched() -> PlayOptions {
+    PlayOptions {
         watch: true,
-        ..Options::default()
+        ..PlayOptions::default()
     }
 }
 
-/// What became known of a server, in order.
+/// The states of a server, in order.
 fn states<'w>(world: &'w World, name: &str) -> Vec<&'w ServerState> {
     let states = world.events.iter().filter_map(|(_, event)| match event {
-        Event::Server { remote, state } if remote == name => Some(state),
+        RunEvent::Server { remote, state } if remote == name => Some(state),
         _ => None,
     });
     states.collect()
 }
 
 #[test]
-fn what_is_missing_is_known_before_the_first_scene_and_when_it_comes() {
+fn probes_find_an_absent_server_before_the_first_scene_and_notice_its_return() {
     let mut world = World::new(SHOW, watched());
     world.machine("robot").missing = true;
     world.begin();
@@ -53,7 +53,7 @@ fn what_is_missing_is_known_before_the_first_scene_and_when_it_comes() {
 }
 
 #[test]
-fn one_that_falls_silent_while_nothing_is_played_is_noticed() {
+fn probes_notice_a_server_that_falls_silent_between_scenes() {
     let mut world = World::new(SHOW, watched());
     world.begin();
     world.pass(Duration::from_secs(10));
@@ -72,17 +72,17 @@ fn one_that_falls_silent_while_nothing_is_played_is_noticed() {
 }
 
 #[test]
-fn a_server_is_probed_once_at_a_time_and_not_while_a_scene_is_played() {
+fn a_server_has_one_probe_at_a_time_and_none_during_a_scene() {
     let mut world = World::new(SHOW, watched());
     world.begin();
     world.pass(Duration::from_secs(600));
     let probed = world.machine("robot").probed.clone();
     assert!((100..=200).contains(&probed.len()), "{}", probed.len());
-    world.command(Command::Start);
+    world.command(RunCommand::Start);
     world.pass(Duration::from_secs(20));
     assert_eq!(world.machine("robot").probed, probed);
     // Without a view nobody sees it.
-    let mut world = World::new(SHOW, Options::default());
+    let mut world = World::new(SHOW, PlayOptions::default());
     world.begin();
     world.pass(Duration::from_secs(600));
     assert_eq!(world.machine("robot").probed, []);

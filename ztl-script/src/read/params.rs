@@ -5,9 +5,9 @@ use std::path::Path;
 use std::time::Duration;
 
 use ztl_core::integer::Integer;
+use ztl_yaml::{Diagnostics, closest};
 
-use super::model::{Defaults, OnFailure};
-use ztl_yaml::{Diagnostics, Document, closest};
+use crate::model::{Defaults, OnFailure};
 
 /// Longest delay or limit, in seconds: a century or so.
 const LONGEST: f64 = 4e9;
@@ -22,7 +22,7 @@ pub(super) const NAMES: [&str; 6] = [
     "remote",
 ];
 
-/// Whose names a parameter can follow.
+/// What takes this parameter.
 pub(super) fn taken_by(name: &str) -> Option<&'static str> {
     Some(match name {
         "delay" => "scene, step or component",
@@ -33,14 +33,14 @@ pub(super) fn taken_by(name: &str) -> Option<&'static str> {
     })
 }
 
-/// A key taken apart.
+/// A parsed key.
 #[derive(Debug, Default)]
 pub(super) struct Key<'k> {
     /// Before the parentheses, not trimmed.
     pub(super) name: &'k str,
-    /// What stands in them.
+    /// The parameters.
     pub(super) pieces: Vec<Piece<'k>>,
-    /// What is wrong with the parentheses themselves.
+    /// What is wrong with the parentheses.
     pub(super) doubt: Option<&'static str>,
 }
 
@@ -49,13 +49,13 @@ pub(super) struct Key<'k> {
 pub(super) struct Piece<'k> {
     /// The whole of it, trimmed.
     pub(super) text: &'k str,
-    /// `None` when it is no `name` and no `name=value`.
+    /// `None` if it is neither `name` nor `name=value`.
     pub(super) name: Option<&'k str>,
-    /// `None` when there is no `=`.
+    /// `None` without a `=`.
     pub(super) value: Option<&'k str>,
 }
 
-/// Parts a key at its parentheses as the original does, and what stands in them at `,` or `;`.
+/// Splits a key at its parentheses as the original does, and the parameters at `,` or `;`.
 pub(super) fn parse(key: &str) -> Key<'_> {
     let (open, close) = (key.find('('), key.find(')'));
     let (Some(open), Some(close)) = (open.filter(|o| *o > 0), close.filter(|c| *c > 0)) else {
@@ -115,7 +115,7 @@ pub(super) fn parse(key: &str) -> Key<'_> {
 pub(super) fn seconds(text: &str) -> Result<f64, String> {
     let wrong = || format!("'{text}' is not a number of seconds; write 2 or 1.5");
     let whole = Integer::parse(text).is_ok();
-    // Not what Python's float() has beyond digits: `inf`, `nan`, `infinity`.
+    // Without the words that Python's float() takes: `inf`, `nan`, `infinity`.
     let plain: String = text.trim().chars().filter(|c| *c != '_').collect();
     let digits = plain
         .bytes()
@@ -131,12 +131,12 @@ pub(super) fn seconds(text: &str) -> Result<f64, String> {
     Ok(seconds)
 }
 
-/// A time to wait: below 0 there is none.
+/// A time to wait: zero for a negative one.
 pub(super) fn delay(seconds: f64) -> Duration {
     Duration::try_from_secs_f64(seconds.max(0.0)).unwrap_or_default()
 }
 
-/// A limit of time: `none` and 0 set none.
+/// A time limit: `none` and 0 mean no limit.
 pub(super) fn limit(text: &str) -> Result<Option<Duration>, String> {
     if text == "none" {
         return Ok(None);
@@ -150,7 +150,7 @@ pub(super) fn limit(text: &str) -> Result<Option<Duration>, String> {
     Ok(Some(delay(seconds)).filter(|limit| !limit.is_zero()))
 }
 
-/// The same in a defaults file, where 0 is a mistake: it would take the limit from every task.
+/// The same in a defaults file, where 0 is a mistake: it would remove the limit of every task.
 fn stated_limit(text: &str) -> Result<Option<Duration>, String> {
     match limit(text)? {
         None if text != "none" => {
@@ -160,7 +160,7 @@ fn stated_limit(text: &str) -> Result<Option<Duration>, String> {
     }
 }
 
-/// True for `true 1 t y yes on` in any case, false for all else; whether it is a word that says so.
+/// Whether a text is `true 1 t y yes on` in any case, and whether it is such a word or its opposite.
 pub(super) fn truth(text: &str) -> (bool, bool) {
     let text = text.to_lowercase();
     let yes = matches!(text.as_str(), "true" | "1" | "t" | "y" | "yes" | "on");
@@ -192,39 +192,30 @@ pub(super) fn on_failure(text: &str) -> Result<OnFailure, String> {
 }
 
 impl Defaults {
-    /// Reads a defaults file: `timeout`, `on_failure`, `parallel`, for all that a script leaves open.
+    /// Reads a defaults file: `timeout`, `on_failure`, `parallel`.
     ///
     /// # Errors
     /// Every mistake in it, with its place.
     pub fn load(path: &Path) -> Result<Self, Diagnostics> {
-        Self::read(&ztl_std::files::load_yaml(path)?)
-    }
-
-    /// The same from a document.
-    ///
-    /// # Errors
-    /// As [`load`](Self::load).
-    pub fn read(document: &Document) -> Result<Self, Diagnostics> {
+        let document = ztl_std::files::load_yaml(path)?;
         let mut reading = document.reading();
-        let defaults = reading
-            .fields(document.root(), "timeout: 30")
-            .map(|mut fields| {
-                let mut defaults = Self::default();
-                if let Some(node) = fields.optional("timeout") {
-                    let limit = reading.parsed(node, "seconds, as 30, or none", stated_limit);
-                    defaults.timeout = limit.flatten();
-                }
-                if let Some(node) = fields.optional("on_failure") {
-                    let words = "ask, stop, go on or retry N";
-                    defaults.on_failure =
-                        reading.parsed(node, words, on_failure).unwrap_or_default();
-                }
-                if let Some(node) = fields.optional("parallel") {
-                    defaults.parallel = reading.truth(node).unwrap_or_default();
-                }
-                fields.finish(&mut reading);
-                defaults
-            });
-        reading.finish(defaults)
+        let mut defaults = Self::default();
+        let fields = reading.fields(document.root(), "timeout: 30");
+        let read = fields.map(|mut fields| {
+            if let Some(node) = fields.optional("timeout") {
+                let limit = reading.parsed(node, "seconds, as 30, or none", stated_limit);
+                defaults.timeout = limit.flatten();
+            }
+            if let Some(node) = fields.optional("on_failure") {
+                let words = "ask, stop, go on or retry N";
+                defaults.on_failure = reading.parsed(node, words, on_failure).unwrap_or_default();
+            }
+            if let Some(node) = fields.optional("parallel") {
+                defaults.parallel = reading.truth(node).unwrap_or_default();
+            }
+            fields.finish(&mut reading);
+            defaults
+        });
+        reading.finish(read)
     }
 }

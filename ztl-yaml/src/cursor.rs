@@ -1,41 +1,55 @@
-//! The characters of a text, one after the other, each with its place.
+//! The characters of a text, each with its place.
 
-use super::scanner::Scanner;
-use super::{Mark, Mistake, Span};
+use crate::node::{Mark, Mistake, Span};
 
 /// The end of a line or of the text.
-pub(super) const fn is_break(c: char) -> bool {
+pub(crate) const fn is_break(c: char) -> bool {
     is_line_break(c) || c == '\0'
 }
 
-pub(super) const fn is_line_break(c: char) -> bool {
+pub(crate) const fn is_line_break(c: char) -> bool {
     matches!(c, '\r' | '\n' | '\u{85}' | '\u{2028}' | '\u{2029}')
 }
 
 /// A blank, a tab, or the end of a line or of the text.
-pub(super) const fn is_space(c: char) -> bool {
+pub(crate) const fn is_space(c: char) -> bool {
     is_break(c) || matches!(c, ' ' | '\t')
 }
 
-impl Scanner {
-    pub(super) fn peek(&self, ahead: usize) -> char {
+/// A place in a text.
+pub(crate) struct Cursor {
+    chars: Vec<char>,
+    pub(crate) index: usize,
+    pub(crate) mark: Mark,
+}
+
+impl Cursor {
+    pub(crate) fn new(text: &str) -> Self {
+        Self {
+            chars: text.chars().collect(),
+            index: 0,
+            mark: Mark { line: 1, column: 1 },
+        }
+    }
+
+    pub(crate) fn peek(&self, ahead: usize) -> char {
         self.chars.get(self.index + ahead).copied().unwrap_or('\0')
     }
 
     /// The next characters.
-    pub(super) fn ahead(&self, len: usize) -> &[char] {
+    pub(crate) fn ahead(&self, len: usize) -> &[char] {
         let end = (self.index + len).min(self.chars.len());
         self.chars.get(self.index..end).unwrap_or_default()
     }
 
     /// Takes the next characters.
-    pub(super) fn take(&mut self, len: usize) -> String {
+    pub(crate) fn take(&mut self, len: usize) -> String {
         let text = self.ahead(len).iter().collect();
         self.forward(len);
         text
     }
 
-    pub(super) fn forward(&mut self, len: usize) {
+    pub(crate) fn forward(&mut self, len: usize) {
         for _ in 0..len {
             let Some(c) = self.chars.get(self.index).copied() else {
                 return;
@@ -50,14 +64,14 @@ impl Scanner {
         }
     }
 
-    pub(super) fn skip(&mut self, is: impl Fn(char) -> bool) {
+    pub(crate) fn skip(&mut self, is: impl Fn(char) -> bool) {
         while is(self.peek(0)) && self.index < self.chars.len() {
             self.forward(1);
         }
     }
 
     /// A mistake at the next character.
-    pub(super) fn here(&self, message: impl Into<String>) -> Mistake {
+    pub(crate) fn here(&self, message: impl Into<String>) -> Mistake {
         let end = Mark {
             column: self.mark.column + 1,
             ..self.mark
@@ -67,14 +81,14 @@ impl Scanner {
     }
 
     /// `---` or `...` at the beginning of a line.
-    pub(super) fn at_document_mark(&self) -> bool {
+    pub(crate) fn at_document_mark(&self) -> bool {
         self.mark.column == 1
             && matches!(self.ahead(3), ['-', '-', '-'] | ['.', '.', '.'])
             && is_space(self.peek(3))
     }
 
     /// Takes the end of a line, as the text that it stands for.
-    pub(super) fn scan_break(&mut self) -> Option<char> {
+    pub(crate) fn scan_break(&mut self) -> Option<char> {
         let c = self.peek(0);
         match c {
             '\r' if self.peek(1) == '\n' => self.forward(2),

@@ -1,15 +1,15 @@
-//! Numbers as a report tells them.
+//! Durations as text, and their statistics.
 
 use std::time::Duration;
 
 /// Seconds with milliseconds: `1.523`.
-pub(super) fn seconds(time: Duration) -> String {
+pub(crate) fn seconds(time: Duration) -> String {
     let millis = (time.as_micros() + 500) / 1000;
     format!("{}.{:03}", millis / 1000, millis % 1000)
 }
 
-/// The same of what may be negative.
-pub(super) fn difference(to: Duration, from: Duration) -> String {
+/// A difference in seconds, with its sign: `+1.523`.
+pub(crate) fn difference(to: Duration, from: Duration) -> String {
     match to.checked_sub(from) {
         Some(more) => format!("+{}", seconds(more)),
         None => format!("−{}", seconds(from.saturating_sub(to))),
@@ -17,12 +17,12 @@ pub(super) fn difference(to: Duration, from: Duration) -> String {
 }
 
 /// Milliseconds with microseconds: `1.523`.
-pub(super) fn millis(time: Duration) -> String {
+pub(crate) fn millis(time: Duration) -> String {
     let micros = time.as_micros();
     format!("{}.{:03}", micros / 1000, micros % 1000)
 }
 
-/// As it is said beside a bar: `0.82 s`, `1 min 05 s`, `1 h 02 min`.
+/// Short text for people: `0.82 s`, `1 min 05 s`, `1 h 02 min`.
 pub(crate) fn spoken(time: Duration) -> String {
     let whole = time.as_secs();
     match whole {
@@ -32,9 +32,9 @@ pub(crate) fn spoken(time: Duration) -> String {
     }
 }
 
-/// The least value that at least so many percent of all do not exceed (nearest rank); of 50 percent
-/// of an even count, the middle between the two in the middle, as a median is told.
-pub(super) fn percentile(values: &[Duration], percent: usize) -> Option<Duration> {
+/// The nearest-rank percentile. 50 percent of an even count is the mean of the two middle values: the
+/// median.
+pub(crate) fn percentile(values: &[Duration], percent: usize) -> Option<Duration> {
     let mut sorted = values.to_vec();
     sorted.sort_unstable();
     let rank = (sorted.len() * percent).div_ceil(100).max(1);
@@ -46,7 +46,7 @@ pub(super) fn percentile(values: &[Duration], percent: usize) -> Option<Duration
 }
 
 /// The median.
-pub(super) fn median(values: &[Duration]) -> Option<Duration> {
+pub(crate) fn median(values: &[Duration]) -> Option<Duration> {
     percentile(values, 50)
 }
 
@@ -59,7 +59,7 @@ mod tests {
     }
 
     #[test]
-    fn a_median_of_an_even_count_lies_in_the_middle() {
+    fn the_median_of_an_even_count_is_the_mean_of_the_middle_two() {
         assert_eq!(median(&of(&[])), None);
         assert_eq!(median(&of(&[7])), Some(Duration::from_millis(7)));
         assert_eq!(median(&of(&[9, 1, 5])), Some(Duration::from_millis(5)));
@@ -75,7 +75,7 @@ mod tests {
     }
 
     #[test]
-    fn times_are_rounded_and_not_cut() {
+    fn times_are_rounded() {
         assert_eq!(seconds(Duration::from_micros(1_999_500)), "2.000");
         assert_eq!(
             difference(Duration::from_millis(1), Duration::from_millis(3)),

@@ -1,26 +1,27 @@
-//! From tokens to a tree of values with their places, by the rules of PyYAML's parser and composer.
+//! From tokens to a tree of nodes, by the rules of PyYAML's parser and composer.
 
 use std::collections::{HashMap, HashSet};
 
-use super::scanner::Scanner;
-use super::token::{Bracket, Directive, Kind, Token};
-use super::{CORE, Mark, Mistake, Node, Rules, Span, Value, merge};
+use crate::merge;
+use crate::node::{CORE, Mark, Mistake, Node, NodeValue, Rules, Span};
+use crate::scanner::Scanner;
+use crate::token::{Bracket, Directive, Token, TokenKind};
 
 /// Deepest nesting.
 const DEPTH: usize = 64;
-/// Most values, those repeated by `*alias` included.
+/// Most values, including those repeated by `*alias`.
 const NODES: usize = 100_000;
 
 /// What `&name` stands for.
 struct Anchor {
     place: Mark,
-    /// How many values that is.
+    /// Number of values in it.
     count: usize,
-    /// Nothing yet while its collection is open.
+    /// `None` while its collection is open.
     node: Option<Node>,
 }
 
-pub(super) struct Parser {
+pub(crate) struct Parser {
     scanner: Scanner,
     rules: Rules,
     /// What `!`, `!!` and `!name!` stand for.
@@ -28,8 +29,8 @@ pub(super) struct Parser {
     anchors: HashMap<String, Anchor>,
     depth: usize,
     count: usize,
-    /// Where the token before stands, and whether it was a text in quotes.
-    pub(super) last: (Span, bool),
+    /// Place of the last token, and whether it was a text in quotes.
+    pub(crate) last: (Span, bool),
     mistakes: Vec<Mistake>,
 }
 
@@ -41,8 +42,8 @@ struct Properties {
     span: Option<Span>,
 }
 
-/// The tree, if there is one, and what is wrong with the text.
-pub(super) fn parse(text: &str, rules: Rules) -> (Option<Node>, Vec<Mistake>) {
+/// The tree, if there is one, and the mistakes.
+pub(crate) fn parse(text: &str, rules: Rules) -> (Option<Node>, Vec<Mistake>) {
     let mut parser = Parser {
         scanner: Scanner::new(text, rules),
         rules,
@@ -54,9 +55,9 @@ pub(super) fn parse(text: &str, rules: Rules) -> (Option<Node>, Vec<Mistake>) {
         mistakes: Vec::new(),
     };
     match parser.stream() {
-        // An empty file says nothing, which is a mapping without keys.
-        Ok(root) if rules == Rules::Ours && root.is_null() => {
-            let value = Value::Map(Vec::new());
+        // An empty configuration is a mapping without keys.
+        Ok(root) if rules == Rules::Strict && root.is_null() => {
+            let value = NodeValue::Map(Vec::new());
             (Some(Node { value, ..root }), parser.mistakes)
         }
         Ok(root) => (Some(root), parser.mistakes),
@@ -67,11 +68,11 @@ pub(super) fn parse(text: &str, rules: Rules) -> (Option<Node>, Vec<Mistake>) {
     }
 }
 
-pub(super) fn at(span: Span, message: impl Into<String>) -> Mistake {
+pub(crate) fn at(span: Span, message: impl Into<String>) -> Mistake {
     (span, message.into())
 }
 
-pub(super) const fn point(mark: Mark) -> Span {
+pub(crate) const fn point(mark: Mark) -> Span {
     Span {
         start: mark,
         end: mark,
@@ -83,24 +84,24 @@ const fn nothing(span: Span) -> Node {
     let text = String::new();
     Node {
         span,
-        value: Value::Scalar { text, plain: true },
+        value: NodeValue::Scalar { text, plain: true },
         tag: None,
     }
 }
 
 impl Parser {
-    pub(super) fn peek(&mut self) -> Result<&Kind, Mistake> {
+    pub(crate) fn peek(&mut self) -> Result<&TokenKind, Mistake> {
         Ok(&self.scanner.peek_token()?.kind)
     }
 
-    pub(super) fn span(&mut self) -> Result<Span, Mistake> {
+    pub(crate) fn span(&mut self) -> Result<Span, Mistake> {
         Ok(self.scanner.peek_token()?.span)
     }
 
-    pub(super) fn next(&mut self) -> Result<Token, Mistake> {
+    pub(crate) fn next(&mut self) -> Result<Token, Mistake> {
         let token = self.scanner.token()?;
-        let quoted = matches!(token.kind, Kind::Scalar { plain: false, .. });
-        // Tokens that only indentation makes are not written.
+        let quoted = matches!(token.kind, TokenKind::Scalar { plain: false, .. });
+        // Skip tokens without text, which indentation makes.
         if token.span.start < token.span.end {
             self.last = (token.span, quoted);
         }
@@ -108,7 +109,7 @@ impl Parser {
     }
 
     /// Takes the next token if it is this one.
-    pub(super) fn takes(&mut self, kind: &Kind) -> Result<bool, Mistake> {
+    pub(crate) fn takes(&mut self, kind: &TokenKind) -> Result<bool, Mistake> {
         let is = self.peek()? == kind;
         if is {
             self.next()?;
@@ -119,11 +120,11 @@ impl Parser {
     fn stream(&mut self) -> Result<Node, Mistake> {
         let explicit = matches!(
             self.peek()?,
-            Kind::Directive(_) | Kind::DocumentStart | Kind::StreamEnd
+            TokenKind::Directive(_) | TokenKind::DocumentStart | TokenKind::StreamEnd
         );
         if explicit {
             let start = self.span()?.start;
-            if *self.peek()? == Kind::StreamEnd {
+            if *self.peek()? == TokenKind::StreamEnd {
                 return Ok(nothing(point(start)));
             }
             self.directives()?;
@@ -134,18 +135,21 @@ impl Parser {
         }
         let start = self.span()?;
         let root = match self.peek()? {
-            Kind::Directive(_) | Kind::DocumentStart | Kind::DocumentEnd | Kind::StreamEnd
+            TokenKind::Directive(_)
+            | TokenKind::DocumentStart
+            | TokenKind::DocumentEnd
+            | TokenKind::StreamEnd
                 if explicit =>
             {
                 nothing(start)
             }
             _ => self.node(true, false)?,
         };
-        let mut ended = self.takes(&Kind::DocumentEnd)?;
-        while ended && self.takes(&Kind::DocumentEnd)? {}
-        ended |= *self.peek()? == Kind::DocumentStart;
+        let mut ended = self.takes(&TokenKind::DocumentEnd)?;
+        while ended && self.takes(&TokenKind::DocumentEnd)? {}
+        ended |= *self.peek()? == TokenKind::DocumentStart;
         match self.peek()? {
-            Kind::StreamEnd => Ok(root),
+            TokenKind::StreamEnd => Ok(root),
             _ if ended => Err(at(
                 self.span()?,
                 "a second document begins; use one file for each",
@@ -157,7 +161,7 @@ impl Parser {
     /// `%YAML`, `%TAG`, and the `---` behind them.
     fn directives(&mut self) -> Result<(), Mistake> {
         let mut version = false;
-        while let Kind::Directive(directive) = self.peek()?.clone() {
+        while let TokenKind::Directive(directive) = self.peek()?.clone() {
             let span = self.next()?.span;
             match directive {
                 Directive::Yaml(_) if version => {
@@ -175,16 +179,16 @@ impl Parser {
                 Directive::Other => {}
             }
         }
-        match self.takes(&Kind::DocumentStart)? {
+        match self.takes(&TokenKind::DocumentStart)? {
             true => Ok(()),
             false => Err(at(self.span()?, "a line '---' is missing before this")),
         }
     }
 
-    /// A value. `block`: indentation may make it a collection; `list`: its `- ` may stand as far left as
-    /// its key.
-    pub(super) fn node(&mut self, block: bool, list: bool) -> Result<Node, Mistake> {
-        if let Kind::Alias(name) = self.peek()? {
+    /// A value. `block`: indentation may make it a collection; `list`: its `- ` may be as far left as its
+    /// key.
+    pub(crate) fn node(&mut self, block: bool, list: bool) -> Result<Node, Mistake> {
+        if let TokenKind::Alias(name) = self.peek()? {
             let name = name.clone();
             let span = self.next()?.span;
             return self.alias(&name, span);
@@ -206,24 +210,24 @@ impl Parser {
             }
         }
         let mut node = match self.peek()? {
-            Kind::Entry if list => self.nested(span, |parser| parser.list_entries(None))?,
-            Kind::Scalar { .. } => {
+            TokenKind::Entry if list => self.nested(span, |parser| parser.list_entries(None))?,
+            TokenKind::Scalar { .. } => {
                 let Token { span, kind } = self.next()?;
-                let Kind::Scalar { text, plain } = kind else {
+                let TokenKind::Scalar { text, plain } = kind else {
                     return Err(at(span, "expected a text"));
                 };
                 Node {
                     span,
-                    value: Value::Scalar { text, plain },
+                    value: NodeValue::Scalar { text, plain },
                     tag: None,
                 }
             }
-            Kind::Open(Bracket::Square) => self.nested(span, Self::square)?,
-            Kind::Open(Bracket::Curly) => self.nested(span, Self::curly)?,
-            Kind::ListStart if block => {
+            TokenKind::Open(Bracket::Square) => self.nested(span, Self::square)?,
+            TokenKind::Open(Bracket::Curly) => self.nested(span, Self::curly)?,
+            TokenKind::ListStart if block => {
                 self.nested(span, |parser| parser.list_entries(Some(span.start)))?
             }
-            Kind::MapStart if block => {
+            TokenKind::MapStart if block => {
                 self.nested(span, |parser| parser.map_entries(span.start))?
             }
             _ => match properties.span {
@@ -243,10 +247,10 @@ impl Parser {
     }
 
     /// Reads a collection that begins at `span`.
-    pub(super) fn nested(
+    pub(crate) fn nested(
         &mut self,
         span: Span,
-        read: impl FnOnce(&mut Self) -> Result<Value, Mistake>,
+        read: impl FnOnce(&mut Self) -> Result<NodeValue, Mistake>,
     ) -> Result<Node, Mistake> {
         if self.depth >= DEPTH {
             return Err(at(span, format!("nested deeper than {DEPTH}")));
@@ -262,7 +266,7 @@ impl Parser {
         })
     }
 
-    pub(super) fn counted(&mut self, more: usize, span: Span) -> Result<(), Mistake> {
+    pub(crate) fn counted(&mut self, more: usize, span: Span) -> Result<(), Mistake> {
         self.count += more;
         match self.count > NODES {
             true => Err(at(span, format!("more than {NODES} values"))),
@@ -289,10 +293,10 @@ impl Parser {
         let mut found = Properties::default();
         loop {
             match self.peek()?.clone() {
-                Kind::Anchor(name) if found.anchor.is_none() => {
+                TokenKind::Anchor(name) if found.anchor.is_none() => {
                     found.anchor = Some((name, self.span()?.start));
                 }
-                Kind::Tag(handle, suffix) if found.tag.is_none() => {
+                TokenKind::Tag(handle, suffix) if found.tag.is_none() => {
                     let prefix = match handle {
                         None => "",
                         Some(handle) => match self.handles.get(&handle) {
@@ -316,10 +320,10 @@ impl Parser {
         }
     }
 
-    /// In our own files only YAML's own tags are known; others would be passed over in silence.
+    /// By [`Rules::Strict`] a tag other than YAML's own is a mistake.
     fn tag(&self, properties: Properties) -> Result<Option<String>, Mistake> {
         match (properties.tag, properties.span) {
-            (Some(tag), Some(span)) if self.rules == Rules::Ours && !tag.starts_with(CORE) => {
+            (Some(tag), Some(span)) if self.rules == Rules::Strict && !tag.starts_with(CORE) => {
                 let message = format!("the tag '{tag}' is not known here; leave it out");
                 Err(at(span, message))
             }
@@ -327,17 +331,17 @@ impl Parser {
         }
     }
 
-    /// `- a`, `- b`; without a block of its own where they stand as far left as their key.
-    fn list_entries(&mut self, block: Option<Mark>) -> Result<Value, Mistake> {
+    /// `- a`, `- b`; without a block of their own if they are as far left as their key.
+    fn list_entries(&mut self, block: Option<Mark>) -> Result<NodeValue, Mistake> {
         if block.is_some() {
             self.next()?;
         }
         let mut items = Vec::new();
-        while *self.peek()? == Kind::Entry {
+        while *self.peek()? == TokenKind::Entry {
             let end = self.next()?.span.end;
             let empty = match self.peek()? {
-                Kind::Entry | Kind::BlockEnd => true,
-                Kind::Key | Kind::Value => block.is_none(),
+                TokenKind::Entry | TokenKind::BlockEnd => true,
+                TokenKind::Key | TokenKind::Value => block.is_none(),
                 _ => false,
             };
             let item = match empty {
@@ -347,37 +351,42 @@ impl Parser {
             items.push(item);
         }
         if let Some(start) = block
-            && !self.takes(&Kind::BlockEnd)?
+            && !self.takes(&TokenKind::BlockEnd)?
         {
             return Err(self.unexpected(start)?);
         }
-        Ok(Value::List(items))
+        Ok(NodeValue::List(items))
     }
 
-    pub(super) fn empty(&mut self, span: Span) -> Result<Node, Mistake> {
+    pub(crate) fn empty(&mut self, span: Span) -> Result<Node, Mistake> {
         self.counted(1, span)?;
         Ok(nothing(span))
     }
 
-    fn map_entries(&mut self, start: Mark) -> Result<Value, Mistake> {
+    fn map_entries(&mut self, start: Mark) -> Result<NodeValue, Mistake> {
         self.next()?;
         let mut pairs = Vec::new();
-        let ends = |kind: &Kind| matches!(kind, Kind::Key | Kind::Value | Kind::BlockEnd);
+        let ends = |kind: &TokenKind| {
+            matches!(
+                kind,
+                TokenKind::Key | TokenKind::Value | TokenKind::BlockEnd
+            )
+        };
         loop {
-            // A value may stand without its key.
+            // A value may lack its key.
             let key = match self.peek()? {
-                Kind::Key => {
+                TokenKind::Key => {
                     let end = self.next()?.span.end;
                     match ends(self.peek()?) {
                         true => self.empty(point(end))?,
                         false => self.node(true, true)?,
                     }
                 }
-                Kind::BlockEnd => break,
+                TokenKind::BlockEnd => break,
                 _ => return Err(self.unexpected(start)?),
             };
             let value = match self.peek()? {
-                Kind::Value => {
+                TokenKind::Value => {
                     let end = self.next()?.span.end;
                     match ends(self.peek()?) {
                         true => self.empty(point(end))?,
@@ -392,17 +401,17 @@ impl Parser {
         Ok(self.map(pairs))
     }
 
-    pub(super) fn map(&mut self, pairs: Vec<(Node, Node)>) -> Value {
-        if self.rules == Rules::Ours {
+    pub(crate) fn map(&mut self, pairs: Vec<(Node, Node)>) -> NodeValue {
+        if self.rules == Rules::Strict {
             self.refuse_repeated(&pairs);
         }
-        Value::Map(merge::merged(pairs, &mut self.mistakes))
+        NodeValue::Map(merge::merged(pairs, &mut self.mistakes))
     }
 
     fn refuse_repeated(&mut self, pairs: &[(Node, Node)]) {
         let mut seen = HashSet::new();
         for (key, _) in pairs {
-            if let Value::Scalar { text, .. } = &key.value
+            if let NodeValue::Scalar { text, .. } = &key.value
                 && !merge::is_merge(key)
                 && !seen.insert(text)
             {

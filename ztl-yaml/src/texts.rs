@@ -1,16 +1,15 @@
-//! Texts, names, tags and directives: what tokens are made of.
+//! Texts, names, tags and directives: the content of tokens.
 
-use super::chars::{is_break, is_line_break, is_space};
-use super::scanner::Scanner;
-use super::token::{Directive, Kind};
-use super::{Mark, Mistake, Span};
+use crate::cursor::{Cursor, is_break, is_line_break, is_space};
+use crate::node::{Mark, Mistake, Span};
+use crate::token::{Directive, TokenKind};
 
 const fn is_name(c: char) -> bool {
     c.is_ascii_alphanumeric() || matches!(c, '-' | '_')
 }
 
-impl Scanner {
-    /// How many of the next characters are of this kind.
+impl Cursor {
+    /// The number of characters of this kind that come next.
     fn count(&self, is: impl Fn(char) -> bool) -> usize {
         (0..).take_while(|ahead| is(self.peek(*ahead))).count()
     }
@@ -20,7 +19,7 @@ impl Scanner {
     }
 
     /// `*name`, `&name`.
-    pub(super) fn scan_anchor(&mut self) -> Result<Kind, Mistake> {
+    pub(crate) fn scan_anchor(&mut self) -> Result<TokenKind, Mistake> {
         let start = self.mark;
         let sign = self.peek(0);
         self.forward(1);
@@ -32,13 +31,13 @@ impl Scanner {
             return Err((Span { start, end }, message));
         }
         Ok(match sign {
-            '*' => Kind::Alias(name),
-            _ => Kind::Anchor(name),
+            '*' => TokenKind::Alias(name),
+            _ => TokenKind::Anchor(name),
         })
     }
 
     /// `!`, `!name`, `!handle!name`, `!<uri>`.
-    pub(super) fn scan_tag(&mut self) -> Result<Kind, Mistake> {
+    pub(crate) fn scan_tag(&mut self) -> Result<TokenKind, Mistake> {
         let start = self.mark;
         let kind = match self.peek(1) {
             '<' => {
@@ -48,11 +47,11 @@ impl Scanner {
                     return Err(self.not_a_tag(start));
                 }
                 self.forward(1);
-                Kind::Tag(None, suffix)
+                TokenKind::Tag(None, suffix)
             }
             c if is_space(c) => {
                 self.forward(1);
-                Kind::Tag(None, "!".to_owned())
+                TokenKind::Tag(None, "!".to_owned())
             }
             _ => {
                 let rest = 1 + self.count_from(1, |c| c != '!' && c != ' ' && !is_break(c));
@@ -60,7 +59,7 @@ impl Scanner {
                     '!' => self.scan_handle(start)?,
                     _ => self.take(1),
                 };
-                Kind::Tag(Some(handle), self.scan_uri(start)?)
+                TokenKind::Tag(Some(handle), self.scan_uri(start)?)
             }
         };
         match self.peek(0) {
@@ -116,12 +115,12 @@ impl Scanner {
     }
 
     /// `%YAML 1.1`, `%TAG !name! prefix`, or another, which means nothing.
-    pub(super) fn scan_directive(&mut self) -> Result<Directive, Mistake> {
+    pub(crate) fn scan_directive(&mut self) -> Result<Directive, Mistake> {
         let start = self.mark;
         self.forward(1);
         let name = self.take_name();
-        let wrong = |scanner: &Self| {
-            let end = scanner.mark;
+        let wrong = |cursor: &Self| {
+            let end = cursor.mark;
             let message = "a line that begins with '%' is a directive of YAML, as %YAML 1.1; put a text in quotes";
             (Span { start, end }, message.to_owned())
         };
@@ -159,7 +158,7 @@ impl Scanner {
         Ok(directive)
     }
 
-    /// Goes over blanks, a comment and the end of the line; whether nothing else stands there.
+    /// Skips blanks, a comment and the end of the line; returns whether nothing else is there.
     fn skip_line(&mut self) -> bool {
         self.skip(|c| c == ' ');
         if self.peek(0) == '#' {
@@ -170,8 +169,13 @@ impl Scanner {
         ends
     }
 
-    /// A text after `|` or `>`, and where it ends.
-    pub(super) fn scan_block_scalar(&mut self, folded: bool) -> Result<(String, Mark), Mistake> {
+    /// A text after `|` or `>`, and its end.
+    /// `indent`: column of the block around it.
+    pub(crate) fn scan_block_scalar(
+        &mut self,
+        folded: bool,
+        indent: usize,
+    ) -> Result<(String, Mark), Mistake> {
         let sign = self.peek(0);
         let place = self.here(format!(
             "the text of '{sign}' begins in the next line; put one that begins with '{sign}' in quotes"
@@ -194,7 +198,7 @@ impl Scanner {
             return Err(place);
         }
         // In blanks before the text.
-        let least = self.indent.max(1);
+        let least = indent.max(1);
         let (mut breaks, mut end, indent) = match increment {
             None => {
                 let (breaks, deepest, end) = self.scan_indentation();
@@ -233,7 +237,7 @@ impl Scanner {
         Ok((text, end))
     }
 
-    /// Empty lines before a text, and how far its first line is indented.
+    /// Empty lines before a text, the indentation of its first line, and their end.
     fn scan_indentation(&mut self) -> (String, usize, Mark) {
         let (mut breaks, mut deepest, mut end) = (String::new(), 0, self.mark);
         loop {
@@ -265,7 +269,7 @@ impl Scanner {
     }
 
     /// A text in quotes.
-    pub(super) fn scan_quoted(&mut self, double: bool) -> Result<String, Mistake> {
+    pub(crate) fn scan_quoted(&mut self, double: bool) -> Result<String, Mistake> {
         let start = self.mark;
         let quote = self.peek(0);
         self.forward(1);
@@ -385,46 +389,45 @@ impl Scanner {
         Ok(())
     }
 
-    /// A text without quotes, and where it ends.
-    pub(super) fn scan_plain(&mut self) -> (String, Mark) {
+    /// A text without quotes, its end, and whether a line break follows it. `flow`: it is between brackets;
+    /// `indent`: column of the block around it.
+    pub(crate) fn scan_plain(&mut self, flow: bool, indent: usize) -> (String, Mark, bool) {
         let (mut text, mut blanks, mut end) = (String::new(), String::new(), self.mark);
-        let flow = self.flow > 0;
-        let ends = |scanner: &Self, ahead: usize| {
-            let (c, next) = (scanner.peek(ahead), scanner.peek(ahead + 1));
+        let mut broken = false;
+        let ends = |cursor: &Self, ahead: usize| {
+            let (c, next) = (cursor.peek(ahead), cursor.peek(ahead + 1));
             is_space(c)
                 || (c == ':' && (is_space(next) || (flow && ",[]{}".contains(next))))
                 || (flow && ",?[]{}".contains(c))
         };
-        let indent = self.indent;
         while self.peek(0) != '#' {
             let len = (0..).take_while(|ahead| !ends(self, *ahead)).count();
             if len == 0 {
                 break;
             }
-            self.allow_key = false;
             text += &blanks;
             text += &self.take(len);
             end = self.mark;
-            blanks = self.scan_plain_spaces();
+            (blanks, broken) = self.scan_plain_spaces();
             let left = !flow && self.mark.column <= indent;
             if blanks.is_empty() || left {
                 break;
             }
         }
-        (text, end)
+        (text, end, broken)
     }
 
-    /// What blanks and line breaks within a text without quotes stand for; nothing where it ends.
-    fn scan_plain_spaces(&mut self) -> String {
+    /// The text that blanks and line breaks in a text without quotes stand for, empty at its end; and
+    /// whether there was a line break.
+    fn scan_plain_spaces(&mut self) -> (String, bool) {
         let blanks = self.take(self.count(|c| c == ' '));
         let Some(line_break) = self.scan_break() else {
-            return blanks;
+            return (blanks, false);
         };
-        self.allow_key = true;
         let mut breaks = String::new();
         loop {
             if self.at_document_mark() {
-                return String::new();
+                return (String::new(), true);
             }
             self.skip(|c| c == ' ');
             match self.scan_break() {
@@ -432,10 +435,11 @@ impl Scanner {
                 None => break,
             }
         }
-        match line_break {
+        let blanks = match line_break {
             '\n' if breaks.is_empty() => " ".to_owned(),
             '\n' => breaks,
             other => format!("{other}{breaks}"),
-        }
+        };
+        (blanks, true)
     }
 }

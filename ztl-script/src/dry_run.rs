@@ -2,14 +2,16 @@
 
 use std::time::Duration;
 
-use super::model::{OnFailure, Script, Step};
-use super::player::Options;
 use ztl_std::remotes::Remotes;
 
-/// The timeline of a script as lines for people: each task with the time from the begin of its step,
-/// which is known, and what the step then waits for, of which nobody knows how long it takes.
+use crate::model::{OnFailure, Step};
+use crate::player::PlayOptions;
+use crate::script::Script;
+
+/// The timeline of a script as lines for people: each task with its time since the start of its step, and
+/// what the step then waits for, whose duration is unknown.
 #[must_use]
-pub fn timeline(script: &Script, options: &Options, remotes: &Remotes) -> Vec<String> {
+pub fn timeline(script: &Script, options: &PlayOptions, remotes: &Remotes) -> Vec<String> {
     let mut lines = Vec::new();
     let first = options
         .scene
@@ -54,7 +56,7 @@ fn put_step(step: &Step, remotes: &Remotes, lines: &mut Vec<String>) {
             continue;
         };
         let remote = remotes.task(&handler.remote);
-        // What has no server is not waited for.
+        // A task without a server is not waited for.
         let known = remote.is_ok();
         let begins = match (step.parallel, known) {
             (true, _) => step.delay + task.delay,

@@ -1,19 +1,21 @@
-//! Puts a run together from its events.
+//! Rebuilds a run from its events.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-use super::run::{Action, Asked, Cause, Run, Step, Take, Task, Wait};
+use super::run::{
+    Action, PlayedScene, PlayedStep, PlayedTask, ReportedRun, RequestClass, Wait, WaitCause,
+};
 use crate::event::{
-    By, Command, Event, Kind, Outcome, Question, RequestNumber, SceneEnd, Stamped, StepEnd,
-    StepOutline, TaskNumber, TaskState,
+    DecidedBy, Ending, Question, RequestKind, RequestNumber, RunCommand, RunEvent, RunOutcome,
+    StampedEvent, StepOutline, TaskNumber, TaskState,
 };
 use crate::record::Record;
 
-/// What happened in the run that a record tells of.
-pub(super) fn read(record: Record) -> Run {
+/// The run that a record describes.
+pub(super) fn read(record: Record) -> ReportedRun {
     let mut reader = Reader {
-        run: Run {
+        run: ReportedRun {
             length: record
                 .events
                 .last()
@@ -47,36 +49,36 @@ pub(super) fn read(record: Record) -> Run {
     reader.run
 }
 
-/// A question that stands: since when, what about.
+/// An open question, and since when.
 type Standing = (Duration, Question);
 
 struct Reader {
-    run: Run,
+    run: ReportedRun,
     take_open: bool,
     step_open: bool,
     question: Option<Standing>,
     wait: Option<Wait>,
-    requests: BTreeMap<RequestNumber, (String, Asked, Option<TaskNumber>)>,
+    requests: BTreeMap<RequestNumber, (String, RequestClass, Option<TaskNumber>)>,
 }
 
 impl Reader {
-    fn handle(&mut self, Stamped { at, event, .. }: Stamped) {
+    fn handle(&mut self, StampedEvent { at, event, .. }: StampedEvent) {
         match event {
-            Event::Asked { question, .. } => self.ask(at, question),
-            Event::Key { key, command } => self.key(at, key, command),
-            Event::Decided {
+            RunEvent::Asked { question, .. } => self.ask(at, question),
+            RunEvent::Key { key, command } => self.key(at, key, command),
+            RunEvent::Decided {
                 command,
                 by,
                 scene,
                 step,
             } => self.decide(at, command, by, (scene, step)),
-            Event::SceneStarted {
+            RunEvent::SceneStarted {
                 scene,
                 take,
                 replay,
             } => {
                 self.end_take(at, None);
-                self.run.takes.push(Take {
+                self.run.takes.push(PlayedScene {
                     scene,
                     number: take,
                     replay,
@@ -87,52 +89,53 @@ impl Reader {
                 });
                 self.take_open = true;
             }
-            Event::SceneEnded { end, .. } => self.end_take(at, Some(end)),
-            Event::SceneSkipped { scene, by } => self.run.skipped.push((at, scene, by)),
-            Event::StepStarted { step, .. } => self.start_step(at, step),
-            Event::StepEnded { end, .. } => self.end_step(at, Some(end)),
-            Event::StepWaiting {
+            RunEvent::SceneEnded { end, .. } => self.end_take(at, Some(end)),
+            RunEvent::SceneSkipped { scene, by } => self.run.skipped.push((at, scene, by)),
+            RunEvent::StepStarted { step, .. } => self.start_step(at, step),
+            RunEvent::StepEnded { end, .. } => self.end_step(at, Some(end)),
+            RunEvent::StepWaiting {
                 scene,
                 step,
                 why,
                 tasks,
-            } => self.start_wait(at, Cause::Trouble(why), Some((scene, step)), tasks),
-            Event::StepGoesOn { .. } => {
+            } => self.start_wait(at, WaitCause::Trouble(why), Some((scene, step)), tasks),
+            RunEvent::StepGoesOn { .. } => {
                 self.end_wait(at);
                 self.question = None;
             }
-            Event::Paused { scene, step } => {
-                self.start_wait(at, Cause::Pause, Some((scene, step)), Vec::new());
+            RunEvent::Paused { scene, step } => {
+                self.start_wait(at, WaitCause::Pause, Some((scene, step)), Vec::new());
             }
-            Event::Resumed => self.end_wait(at),
-            Event::TaskStarting {
+            RunEvent::Resumed => self.end_wait(at),
+            RunEvent::TaskStarting {
                 task,
                 part,
                 retry_of,
                 ..
             } => self.start_task(at, task, part, retry_of),
-            Event::TaskState {
+            RunEvent::TaskState {
                 task, state, text, ..
             } => self.task_state(at, task, state, text),
-            Event::RequestSent {
+            RunEvent::RequestSent {
                 request,
                 kind,
                 remote,
                 task,
-                text,
+                hold,
+                ..
             } => {
-                let asked = match kind {
-                    Kind::Init => Asked::Init,
-                    Kind::Status if text.starts_with("wait ") => Asked::Held,
-                    Kind::Status => Asked::Status,
-                    Kind::Abort => Asked::Abort,
+                let asked = match (kind, hold) {
+                    (RequestKind::Init, _) => RequestClass::Init,
+                    (RequestKind::Status, Some(_)) => RequestClass::Held,
+                    (RequestKind::Status, None) => RequestClass::Status,
+                    (RequestKind::Abort, _) => RequestClass::Abort,
                 };
                 self.requests.insert(request, (remote, asked, task));
             }
-            Event::Answered {
+            RunEvent::Answered {
                 request, latency, ..
             } => self.answer(request, latency),
-            Event::Unanswered { request, .. } => {
+            RunEvent::Unanswered { request, .. } => {
                 if let Some((remote, asked, _)) = self.requests.remove(&request) {
                     self.run
                         .latencies
@@ -141,15 +144,19 @@ impl Reader {
                         .unanswered += 1;
                 }
             }
-            Event::Note { text } => self.run.notes.push((at, text)),
-            Event::RunEnded {
+            RunEvent::Note { text } => self.run.notes.push((at, text)),
+            RunEvent::RunEnded {
                 outcome,
                 running,
                 text,
             } => {
                 // Older records say `stopped` here too.
-                let open = outcome == Outcome::Stopped && !running.is_empty();
-                self.run.outcome = Some(if open { Outcome::NotConfirmed } else { outcome });
+                let open = outcome == RunOutcome::Stopped && !running.is_empty();
+                self.run.outcome = Some(if open {
+                    RunOutcome::NotConfirmed
+                } else {
+                    outcome
+                });
                 self.run.last_words = text;
             }
             _ => {}
@@ -161,21 +168,21 @@ impl Reader {
         let scene = match question {
             Question::Scene { scene } => Some(scene),
             Question::End => None,
-            // Their waits have events of their own.
+            // These waits have their own events.
             Question::Step { .. } | Question::Pause => return,
         };
-        self.start_wait(at, Cause::Operator, None, Vec::new());
+        self.start_wait(at, WaitCause::Operator, None, Vec::new());
         if let Some(wait) = &mut self.wait {
             wait.scene = scene;
         }
     }
 
-    fn key(&mut self, at: Duration, key: String, command: Option<Command>) {
+    fn key(&mut self, at: Duration, key: String, command: Option<RunCommand>) {
         self.run.actions.push(Action {
             at,
             key: Some(key),
             command,
-            by: By::Operator,
+            by: DecidedBy::Operator,
             decided: false,
             scene: None,
             step: None,
@@ -187,20 +194,20 @@ impl Reader {
     fn decide(
         &mut self,
         at: Duration,
-        command: Command,
-        by: By,
+        command: RunCommand,
+        by: DecidedBy,
         (scene, step): (Option<usize>, Option<usize>),
     ) {
         let question = self.question.take();
         let at_the_end = matches!(question, Some((_, Question::End)));
-        let deviation = matches!(by, By::Operator | By::Signal)
+        let deviation = matches!(by, DecidedBy::Operator | DecidedBy::Signal)
             && match command {
-                Command::Start | Command::Resume => false,
-                Command::Leave => !at_the_end,
+                RunCommand::Start | RunCommand::Resume => false,
+                RunCommand::Leave => !at_the_end,
                 _ => true,
             };
         let asked_for = self.run.actions.last_mut().filter(|action| {
-            !action.decided && by == By::Operator && action.command == Some(command)
+            !action.decided && by == DecidedBy::Operator && action.command == Some(command)
         });
         if let Some(action) = asked_for {
             action.decided = true;
@@ -220,8 +227,8 @@ impl Reader {
                 deviation,
             });
         }
-        // A pause that is ordered while a step waits changes nothing about that wait.
-        if command != Command::Pause {
+        // A pause ordered while a step waits does not end that wait.
+        if command != RunCommand::Pause {
             self.end_wait(at);
         }
     }
@@ -242,7 +249,7 @@ impl Reader {
             }
         };
         if let Some(take) = self.run.takes.last_mut() {
-            take.steps.push(Step {
+            take.steps.push(PlayedStep {
                 step,
                 planned_from,
                 from: at,
@@ -254,11 +261,11 @@ impl Reader {
         }
     }
 
-    fn end_step(&mut self, at: Duration, end: Option<StepEnd>) {
+    fn end_step(&mut self, at: Duration, end: Option<Ending>) {
         if !std::mem::take(&mut self.step_open) {
             return;
         }
-        if matches!(&self.wait, Some(wait) if matches!(wait.cause, Cause::Trouble(_))) {
+        if matches!(&self.wait, Some(wait) if matches!(wait.cause, WaitCause::Trouble(_))) {
             self.end_wait(at);
         }
         if let Some(step) = self
@@ -272,7 +279,7 @@ impl Reader {
         }
     }
 
-    fn end_take(&mut self, at: Duration, end: Option<SceneEnd>) {
+    fn end_take(&mut self, at: Duration, end: Option<Ending>) {
         self.end_step(at, None);
         if std::mem::take(&mut self.take_open)
             && let Some(take) = self.run.takes.last_mut()
@@ -285,7 +292,7 @@ impl Reader {
     fn start_wait(
         &mut self,
         at: Duration,
-        cause: Cause,
+        cause: WaitCause,
         place: Option<(usize, usize)>,
         tasks: Vec<TaskNumber>,
     ) {
@@ -324,7 +331,7 @@ impl Reader {
             let offset = offset(run.step(take.scene, played.step)?, part)?;
             retry_of.is_none().then_some(played.from + offset)
         });
-        self.run.tasks.push(Task {
+        self.run.tasks.push(PlayedTask {
             number,
             take,
             step,
@@ -342,8 +349,8 @@ impl Reader {
     }
 
     fn task_state(&mut self, at: Duration, number: TaskNumber, state: TaskState, text: String) {
-        let mine = |task: &&mut Task| task.number == number;
-        // The newest are asked about most.
+        let mine = |task: &&mut PlayedTask| task.number == number;
+        // Mostly the newest.
         let Some(task) = self.run.tasks.iter_mut().rev().find(mine) else {
             return;
         };
@@ -381,7 +388,7 @@ impl Reader {
             .or_default()
             .answered
             .push(latency);
-        if asked == Asked::Init
+        if asked == RequestClass::Init
             && let Some(number) = task
             && let Some(task) = self
                 .run
@@ -394,7 +401,7 @@ impl Reader {
         }
     }
 
-    /// The record ends: what is open ends with it, and what was planned can be told.
+    /// At the end of the record, ends everything open and computes the plans.
     fn finish(&mut self) {
         let end = self.run.length;
         self.end_wait(end);
@@ -414,13 +421,13 @@ impl Reader {
         }
         let steps = self.run.takes.iter_mut().flat_map(|take| &mut take.steps);
         for (step, planned) in steps.zip(plans) {
-            let whole = matches!(step.end, Some(StepEnd::Completed | StepEnd::Failures));
+            let whole = matches!(step.end, Some(Ending::Completed | Ending::Failures));
             step.planned = whole.then_some(planned);
         }
     }
 }
 
-/// When the script's delays put a task, counted from the start of its step.
+/// The planned start of a task by the script's delays, from the start of its step.
 pub(super) fn offset(step: &StepOutline, part: usize) -> Option<Duration> {
     let own = step.tasks.get(part)?.delay;
     let before = if step.parallel {
@@ -431,9 +438,15 @@ pub(super) fn offset(step: &StepOutline, part: usize) -> Option<Duration> {
     Some(step.delay + before + own)
 }
 
-/// What the delays of a step and its tasks' own times add up to. A task that was tried again
-/// counts as it was at last.
-fn planned(run: &Run, take: usize, nth: usize, scene: usize, step: &Step) -> Duration {
+/// The planned duration of a step: its delays and its tasks' own durations. Of a retried task the last try
+/// counts.
+fn planned(
+    run: &ReportedRun,
+    take: usize,
+    nth: usize,
+    scene: usize,
+    step: &PlayedStep,
+) -> Duration {
     let Some(outline) = run.step(scene, step.step) else {
         return Duration::ZERO;
     };

@@ -1,0 +1,312 @@
+//! The four levels of a script: scenes, steps, handlers, and components with their goals.
+
+use std::collections::HashMap;
+use std::time::Duration;
+
+use ztl_yaml::{Document, Node, NodeValue, Span};
+
+use super::reader::{Entry, Reader, short, short_quoted};
+use super::{keys, params};
+use crate::finding::Finding;
+use crate::model::{Defaults, Handler, Scene, Step, Task};
+
+const SHAPE: &str = "write scene: {step: {handler: {component: goal}}}, each on a line of its own";
+
+/// The scenes of a document, as far as they can be read, and the findings.
+pub(crate) fn scenes(document: &Document, defaults: Defaults) -> (Vec<Scene>, Vec<Finding>) {
+    let mut reader = Reader::new(document, defaults);
+    let root = document.root();
+    if root.is_null() {
+        reader.mistake(
+            root.span,
+            "there is no scene in this file",
+            Some(SHAPE.to_owned()),
+        );
+    }
+    let entries = match root.is_null() {
+        true => Vec::new(),
+        false => reader.level(root, root.span, ("script", ""), "scenes"),
+    };
+    let mut scenes = Vec::new();
+    for mut entry in entries {
+        reader.look_through(&mut entry, |reader, lost| drop(reader.scene(lost)));
+        scenes.push(reader.scene(entry));
+    }
+    let names = scenes.iter().map(|scene| (scene.name.trim(), scene.span));
+    reader.namesakes("scene", "--scene", names);
+    let mut findings = reader.findings;
+    findings.sort_by_key(|finding| finding.diagnostic().span.map(|span| span.start));
+    (scenes, findings)
+}
+
+impl<'d> Reader<'d> {
+    /// The entries of the mapping behind a key. `what`: the kind of the key; `of`: the kind of its entries.
+    fn level(
+        &mut self,
+        node: &'d Node,
+        at: Span,
+        (what, name): (&str, &str),
+        of: &str,
+    ) -> Vec<Entry<'d>> {
+        let name = name.trim();
+        let whose = match what {
+            "script" => "a script".to_owned(),
+            what => format!("{what} '{}'", short(name)),
+        };
+        let NodeValue::Map(_) = &node.value else {
+            let is = format!("{whose} is a mapping of {of}");
+            let (message, help) = match () {
+                () if node.is_null() && node.span == at => keys::without_colon(name),
+                () if params::NAMES.contains(&name) => {
+                    let value = self.value(node, None);
+                    (is, Some(keys::in_parentheses(name, value)))
+                }
+                () => {
+                    let value = match &node.value {
+                        NodeValue::Scalar { text, plain: true } => text,
+                        _ => "",
+                    };
+                    let spaced = keys::spaced(name).or_else(|| keys::spaced(value));
+                    let help = spaced.unwrap_or_else(|| SHAPE.to_owned());
+                    (format!("{is}; here is {}", node.kind()), Some(help))
+                }
+            };
+            // If nothing is written, point at the key.
+            let span = if node.is_null() { at } else { node.span };
+            self.mistake(span, message, help);
+            return Vec::new();
+        };
+        let entries = self.entries(node, true);
+        if entries.is_empty() {
+            // The original plays it and does nothing.
+            self.doubt(
+                node.span,
+                format!("{whose} has no {of}: nothing is done"),
+                None,
+            );
+        }
+        entries
+    }
+
+    /// Looks for mistakes in entries that a later key of the same name replaced. They are doubts: the script
+    /// is played without these entries, but the mistakes would count once the names differ.
+    fn look_through(&mut self, entry: &mut Entry<'d>, look: impl Fn(&mut Self, Entry<'d>)) {
+        for (name, value) in std::mem::take(&mut entry.lost) {
+            let before = self.findings.len();
+            let (key, lost) = (entry.key.clone(), Vec::new());
+            look(
+                self,
+                Entry {
+                    key,
+                    name,
+                    value,
+                    lost,
+                },
+            );
+            let found = self.findings.split_off(before).into_iter();
+            self.findings
+                .extend(found.map(|found| Finding::doubt(found.into_diagnostic())));
+        }
+    }
+
+    /// Reports scenes or steps of one name whose parameters differ: each of them is played.
+    fn namesakes<'n>(
+        &mut self,
+        what: &str,
+        option: &str,
+        names: impl Iterator<Item = (&'n str, Span)>,
+    ) {
+        let mut lines: HashMap<&str, usize> = HashMap::new();
+        for (name, span) in names {
+            let Some(line) = lines.insert(name, span.start.line) else {
+                continue;
+            };
+            let name = short_quoted(name);
+            let message = format!(
+                "the {what} in line {line} is named {name}, too: both are played, and {option} {name} is ambiguous"
+            );
+            let help = "give them different names".to_owned();
+            self.doubt(span, message, Some(help));
+        }
+    }
+
+    fn scene(&mut self, entry: Entry<'d>) -> Scene {
+        let key = entry.key.to_string();
+        let parsed = self.key(&key, entry.name);
+        let mut scene = Scene {
+            name: parsed.name.to_owned(),
+            delay: Duration::ZERO,
+            steps: Vec::new(),
+            span: entry.name.span,
+            key: key.clone(),
+        };
+        for piece in &parsed.pieces {
+            match piece.name {
+                Some("delay") => {
+                    scene.delay = self.delay(&entry, &key, *piece).unwrap_or(scene.delay)
+                }
+                Some("wait") => self.doubt_at(
+                    &entry,
+                    &key,
+                    *piece,
+                    "a scene takes no 'wait': it has no effect",
+                    None,
+                ),
+                _ => self.unknown(&entry, &key, *piece, "a scene", &["delay"]),
+            }
+        }
+        let steps = self.level(
+            entry.value,
+            entry.name.span,
+            ("scene", &scene.name),
+            "steps",
+        );
+        for mut entry in steps {
+            self.look_through(&mut entry, |reader, lost| drop(reader.step(lost)));
+            scene.steps.push(self.step(entry));
+        }
+        let names = scene.steps.iter().map(|step| (step.name.trim(), step.span));
+        self.namesakes("step", "--from", names);
+        scene
+    }
+
+    fn step(&mut self, entry: Entry<'d>) -> Step {
+        let key = entry.key.to_string();
+        let parsed = self.key(&key, entry.name);
+        let mut step = Step {
+            name: parsed.name.to_owned(),
+            delay: Duration::ZERO,
+            wait: true,
+            parallel: self.defaults.parallel,
+            on_failure: self.defaults.on_failure,
+            handlers: Vec::new(),
+            tasks: Vec::new(),
+            span: entry.name.span,
+            key: key.clone(),
+        };
+        let mut limit = self.defaults.timeout;
+        for piece in &parsed.pieces {
+            match (piece.name, piece.value) {
+                (Some("delay"), _) => {
+                    step.delay = self.delay(&entry, &key, *piece).unwrap_or(step.delay)
+                }
+                (Some("wait"), Some(value)) => step.wait = self.truth(&entry, &key, value),
+                (Some("parallel"), None) => step.parallel = true,
+                (Some("parallel"), Some(value)) => step.parallel = self.truth(&entry, &key, value),
+                (Some("timeout"), _) => limit = self.limit(&entry, &key, *piece).unwrap_or(limit),
+                (Some("on_failure"), _) => {
+                    let read = params::on_failure(piece.value.unwrap_or_default());
+                    step.on_failure = self.parsed(&entry, &key, *piece, read).unwrap_or_default();
+                }
+                _ => {
+                    let known = ["delay", "wait", "parallel", "timeout", "on_failure"];
+                    self.unknown(&entry, &key, *piece, "a step", &known);
+                }
+            }
+        }
+        let at = entry.name.span;
+        for mut entry in self.level(entry.value, at, ("step", parsed.name), "handlers") {
+            let before = step.clone();
+            self.look_through(&mut entry, |reader, lost| {
+                reader.handler(&lost, limit, &mut before.clone());
+            });
+            self.handler(&entry, limit, &mut step);
+        }
+        step
+    }
+
+    fn handler(&mut self, entry: &Entry<'d>, limit: Option<Duration>, step: &mut Step) {
+        let key = entry.key.to_string();
+        let parsed = self.key(&key, entry.name);
+        let mut handler = Handler {
+            name: parsed.name.to_owned(),
+            remote: key.clone(),
+            span: entry.name.span,
+            key: key.clone(),
+        };
+        let mut clear = keys::is_clear(entry);
+        for piece in &parsed.pieces {
+            match (piece.name, piece.value) {
+                (Some("remote"), Some(remote)) => handler.remote = remote.to_owned(),
+                _ => {
+                    self.unknown(entry, &key, *piece, "a handler", &["remote"]);
+                    clear = false;
+                }
+            }
+        }
+        if clear {
+            self.sent(entry.name, "handler", &handler.name);
+        }
+        let tasks = self.level(
+            entry.value,
+            entry.name.span,
+            ("handler", &handler.name),
+            "components with their goals",
+        );
+        if !keys::is_clear(entry) {
+            // It was not meant as a handler, so it needs no server.
+            return;
+        }
+        let index = step.handlers.len();
+        step.handlers.push(handler);
+        for mut entry in tasks {
+            self.look_through(&mut entry, |reader, lost| {
+                drop(reader.task(&lost, index, limit))
+            });
+            let before = self.mistakes();
+            let task = self.task(&entry, index, limit);
+            // A server could only judge what was made of the mistake.
+            if self.mistakes() == before {
+                step.tasks.push(task);
+            }
+        }
+    }
+
+    fn task(&mut self, entry: &Entry<'d>, handler: usize, limit: Option<Duration>) -> Task {
+        let key = entry.key.to_string();
+        let parsed = self.key(&key, entry.name);
+        let mut task = Task {
+            handler,
+            component: parsed.name.to_owned(),
+            delay: Duration::ZERO,
+            wait: true,
+            limit,
+            goal: String::new(),
+            span: entry.name.span,
+            key: key.clone(),
+        };
+        for piece in &parsed.pieces {
+            match (piece.name, piece.value) {
+                (Some("delay"), _) => {
+                    task.delay = self.delay(entry, &key, *piece).unwrap_or(task.delay)
+                }
+                (Some("wait"), Some(value)) => task.wait = self.truth(entry, &key, value),
+                (Some("timeout"), _) => {
+                    task.limit = self.limit(entry, &key, *piece).unwrap_or(task.limit)
+                }
+                _ => self.unknown(
+                    entry,
+                    &key,
+                    *piece,
+                    "a component",
+                    &["delay", "wait", "timeout"],
+                ),
+            }
+        }
+        let tell = match keys::lacks_colon(entry.name, entry.value) {
+            true => {
+                let (message, help) = keys::without_colon(&key);
+                self.doubt(entry.name.span, message, help);
+                None
+            }
+            false => {
+                self.sent(entry.name, "component", &task.component);
+                Some(false)
+            }
+        };
+        let goal = self.value(entry.value, tell);
+        self.parameter(entry.name, &goal);
+        task.goal = goal.to_string();
+        task
+    }
+}

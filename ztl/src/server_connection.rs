@@ -1,0 +1,196 @@
+//! Connects scripts to their servers: [`Connection`] over ZeroMQ.
+
+use std::collections::BTreeMap;
+
+use tracing::info;
+use ztl_core::TaskId;
+use ztl_core::integer::Integer;
+use ztl_script::Connect;
+use ztl_script::server::{Acceptance, Connected, Connection, Server, ServerAnswer, ServerRequest};
+use ztl_std::{
+    Offers, RemoteTask, Remotes, RequestError, ServerTask, Status, TriggerError, encoded,
+};
+
+/// A connection to the scope of one server.
+struct ServerConnection(RemoteTask);
+
+/// Connects to a server once.
+pub(crate) fn connect_once(remotes: &Remotes, name: &str) -> Connected {
+    Ok(Box::new(ServerConnection(client(remotes, name)?)))
+}
+
+/// Connects to servers of a run; further connections to a server are clones of the first client.
+pub(crate) fn connect(remotes: Remotes) -> Connect {
+    let mut clients: BTreeMap<String, RemoteTask> = BTreeMap::new();
+    Box::new(move |name| {
+        if let Some(client) = clients.get(name) {
+            return Ok(Box::new(ServerConnection(client.clone())));
+        }
+        info!(target: "remote-config", "Initialising remote task interface '{name}'...");
+        let client = client(&remotes, name)?;
+        clients.insert(name.to_owned(), client.clone());
+        Ok(Box::new(ServerConnection(client)))
+    })
+}
+
+fn client(remotes: &Remotes, name: &str) -> Result<RemoteTask, String> {
+    let remote = remotes.task(name).map_err(|error| error.to_string())?;
+    RemoteTask::connect(&remote.endpoint(), &remote.scope).map_err(|error| error.to_string())
+}
+
+impl ServerConnection {
+    /// Who the server is, by its first answer on this connection.
+    fn server(&mut self) -> Result<Server, RequestError> {
+        Ok(match self.0.server_info(false)? {
+            Some(info) => Server::Ours {
+                version: info.version,
+                boot: info.boot,
+            },
+            None => Server::Original,
+        })
+    }
+
+    fn init(&mut self, handler: &str, component: &str, goal: &str) -> ServerAnswer {
+        // A server that does not tell who it is gets no INIT.
+        let server = match self.server() {
+            Ok(server) => server,
+            Err(error) => {
+                return ServerAnswer::Nothing {
+                    sent: false,
+                    text: error.to_string(),
+                };
+            }
+        };
+        match self.0.trigger(handler, component, goal) {
+            Ok(task) => ServerAnswer::Started {
+                id: task.id,
+                text: task.reply,
+                server,
+            },
+            Err(TriggerError::Refused { id, reason }) => ServerAnswer::Refused { id, text: reason },
+            Err(error @ (TriggerError::NeverCame | TriggerError::GivenUp)) => {
+                ServerAnswer::NotStarted {
+                    text: error.to_string(),
+                }
+            }
+            // The goal is too long: its author has to change it.
+            Err(TriggerError::Request(error @ RequestError::TooLong { .. })) => {
+                ServerAnswer::Refused {
+                    id: Integer::MINUS_ONE.into(),
+                    text: error.to_string(),
+                }
+            }
+            Err(TriggerError::Request(error)) => failed(&error),
+        }
+    }
+
+    fn state(&mut self, told: Result<Status, RequestError>) -> ServerAnswer {
+        match told {
+            Ok(Status { state, text }) => ServerAnswer::Task { state, text },
+            Err(error @ RequestError::UnknownTask { .. }) => {
+                let info = self.0.server_info(true).ok().flatten();
+                ServerAnswer::TaskUnknown {
+                    boot: info.map(|info| info.boot),
+                    text: error.to_string(),
+                }
+            }
+            Err(error) => failed(&error),
+        }
+    }
+
+    fn probe(&mut self) -> Result<ServerAnswer, RequestError> {
+        let server = self.server()?;
+        // No server gives this id, so asking about it has no effect.
+        match self.0.status(TaskId::MAX) {
+            Err(RequestError::NotTold { text, .. })
+                if text.starts_with("No controller for scope") =>
+            {
+                let (endpoint, scope) = (self.0.endpoint(), self.0.scope());
+                let text = format!("the server at {endpoint} has no scope '{scope}'");
+                Ok(ServerAnswer::NoScope { text })
+            }
+            Err(error) if !error.was_answered() => Err(error),
+            _ => Ok(ServerAnswer::There { server }),
+        }
+    }
+
+    /// The tasks that run or may run in the scope, whoever started them.
+    fn tasks(&mut self) -> Result<ServerAnswer, RequestError> {
+        let Some(known) = self.0.tasks()? else {
+            return Ok(ServerAnswer::Tasks {
+                listed: None,
+                gaps: Vec::new(),
+            });
+        };
+        let here = |task: &&ServerTask| task.may_run && task.scope == self.0.scope();
+        let here = known.tasks.iter().filter(here);
+        let here = here.map(|task| (task.id.clone(), task.task().to_owned()));
+        Ok(ServerAnswer::Tasks {
+            listed: known.boot.map(|boot| (boot, here.collect())),
+            gaps: known.gaps,
+        })
+    }
+}
+
+impl Connection for ServerConnection {
+    fn request(&mut self, request: &ServerRequest) -> ServerAnswer {
+        match request {
+            ServerRequest::Init {
+                handler,
+                component,
+                goal,
+            } => self.init(handler, component, goal),
+            ServerRequest::Status { id, text, hold } => {
+                let payload = ServerRequest::status_payload(text, *hold);
+                let told = self.0.status_with(id, &payload);
+                self.state(told)
+            }
+            ServerRequest::Abort { id } => {
+                let told = self.0.abort(id);
+                match self.state(told) {
+                    // So a handler says that it cannot be stopped, in the original's words.
+                    ServerAnswer::Task { state, text } if !state.is_final() && text == "False" => {
+                        ServerAnswer::CannotStop { state, text }
+                    }
+                    answer => answer,
+                }
+            }
+            ServerRequest::Probe => self.probe().unwrap_or_else(|error| failed(&error)),
+            ServerRequest::Tasks => self.tasks().unwrap_or_else(|error| failed(&error)),
+        }
+    }
+
+    fn offers(&mut self) -> Option<Offers> {
+        let mut description = self.0.describe().ok()??;
+        description.scopes.remove(self.0.scope())
+    }
+
+    fn would_accept(&mut self, handler: &str, component: &str, goal: &str) -> Acceptance {
+        let payload = encoded(handler, component, goal);
+        if let Err(error) = self.0.check_length(&payload) {
+            return Acceptance::No(error.to_string());
+        }
+        let Ok(Some(answer)) = self.0.ask_server(&format!("takes {payload}")) else {
+            return Acceptance::Unknown;
+        };
+        let scopes: Option<BTreeMap<String, Option<String>>> = serde_json::from_str(&answer).ok();
+        match scopes.and_then(|mut scopes| scopes.remove(self.0.scope())) {
+            Some(Some(why)) => Acceptance::No(why),
+            Some(None) => Acceptance::Yes,
+            None => Acceptance::Unknown,
+        }
+    }
+}
+
+/// The answer to a request that told nothing about its task.
+fn failed(error: &RequestError) -> ServerAnswer {
+    let text = error.to_string();
+    match error {
+        RequestError::NotTold { .. } => ServerAnswer::NotTold { text },
+        error if error.was_answered() => ServerAnswer::Unclear { text },
+        error => ServerAnswer::Nothing {
+            sent: !error.nothing_was_sent(),
+            text,
+        },
+    }
+}
