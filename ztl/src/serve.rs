@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode};
 
 use tracing::{Level, warn};
-use ztl_serve::{Config, Groups};
+use ztl_serve::{Config, ProcessRegistry};
 use ztl_std::listen::{LOG_FORMATS, LogFormat};
 use ztl_std::scope;
 
@@ -151,16 +151,16 @@ fn serve(config: &Config, place: reach::Place) -> Done {
     let who = place.reachable();
     let watchdog = Watchdog::command(place.log_format);
     let mut server = place.listen()?;
-    let groups = match watchdog {
-        Ok(command) => Groups::watched(command)?,
+    let processes = match watchdog {
+        Ok(command) => ProcessRegistry::watched(command)?,
         // An empty root has no /proc.
         Err(error) => {
             warn!(target: "serve", "No watchdog can be started: {error}. If this server is killed, its programs run on.");
-            Groups::default()
+            ProcessRegistry::default()
         }
     };
-    for (scope, programs) in config.programs(&groups)? {
-        server.register_handler(&scope, programs);
+    for (scope, handler) in config.handlers(&processes)? {
+        server.register_handler(&scope, handler);
     }
     line(format_args!(
         "Serving {} at {}. Reachable for {who}.",
@@ -168,7 +168,7 @@ fn serve(config: &Config, place: reach::Place) -> Done {
         server.endpoint()
     ));
     let stopper = server.stopper();
-    signals::leave_at_the_second_after(move || groups.kill());
+    signals::leave_at_the_second_after(move || processes.kill());
     let served = served(config);
     Service::ready(server.pulse(), move || served.clone())?.stops(stopper);
     server.listen()?;

@@ -1,41 +1,18 @@
-//! Arguments of programs, into which the goal is put.
+//! Arguments of programs, with placeholders for the goal.
 
-use ztl_core::TaskId;
-
-use super::rule::{Goal, Rule};
 use ztl_yaml::closest;
 
-/// What a task is, for its program.
-#[derive(Debug, Clone)]
-pub(super) struct Call {
-    pub(super) id: TaskId,
-    pub(super) scope: String,
-    pub(super) handler: String,
-    pub(super) component: String,
-    pub(super) goal: Goal,
-}
+use crate::call::Call;
+use crate::goal_rule::GoalRule;
 
-impl Call {
-    /// What every program finds in its environment.
-    pub(super) fn environment(&self) -> [(&'static str, String); 5] {
-        [
-            ("ZTL_GOAL", self.goal.text.clone()),
-            ("ZTL_ID", self.id.to_string()),
-            ("ZTL_HANDLER", self.handler.clone()),
-            ("ZTL_COMPONENT", self.component.clone()),
-            ("ZTL_SCOPE", self.scope.clone()),
-        ]
-    }
-}
-
-/// An argument with places to fill: `--speed={goal.speed}`.
+/// An argument with placeholders: `--speed={goal.speed}`.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) struct Template(Vec<Part>);
+pub(crate) struct Template(Vec<Part>);
 
 #[derive(Debug, Clone, PartialEq, Eq)]
 enum Part {
     Text(String),
-    /// The goal; with a path, that part of it.
+    /// The goal, or the part of it at this path.
     Goal(Vec<String>),
     Handler,
     Component,
@@ -46,10 +23,10 @@ enum Part {
 const KNOWN: [&str; 6] = ["goal", "goal.x", "handler", "component", "id", "scope"];
 
 impl Part {
-    /// Whether it may be anything that a client writes.
-    fn is_open(&self, rule: &Rule, wild: bool) -> bool {
+    /// Whether a client may choose any text for it. `wild`: clients choose handler or component.
+    fn is_open(&self, rule: &GoalRule, wild: bool) -> bool {
         match self {
-            Self::Goal(path) => !rule.part(path).is_some_and(Rule::is_closed),
+            Self::Goal(path) => !rule.part(path).is_some_and(GoalRule::is_closed),
             Self::Handler | Self::Component => wild,
             Self::Text(_) | Self::Id | Self::Scope => false,
         }
@@ -57,8 +34,8 @@ impl Part {
 }
 
 impl Template {
-    /// Reads an argument. Only a single word within braces is a place to fill; any other brace is one.
-    pub(super) fn parse(text: &str) -> Result<Self, String> {
+    /// Parses an argument. Only a single word in braces is a placeholder; other braces are text.
+    pub(crate) fn parse(text: &str) -> Result<Self, String> {
         let mut parts = Vec::new();
         let mut plain = String::new();
         let mut rest = text;
@@ -85,52 +62,51 @@ impl Template {
         Ok(Self(parts))
     }
 
-    /// An argument as it stands.
-    pub(super) fn fixed(text: &str) -> Self {
+    /// An argument without placeholders.
+    pub(crate) fn fixed(text: &str) -> Self {
         Self(vec![Part::Text(text.to_owned())])
     }
 
-    /// Whether nothing is put into it.
-    pub(super) fn is_fixed(&self) -> bool {
+    /// Whether it has no placeholders.
+    pub(crate) fn is_fixed(&self) -> bool {
         matches!(self.0.as_slice(), [Part::Text(_)])
     }
 
-    /// Whether it needs the goal's fields.
-    pub(super) fn has_fields(&self) -> bool {
+    /// Whether it uses parts of the goal.
+    pub(crate) fn has_fields(&self) -> bool {
         let mut parts = self.0.iter();
         parts.any(|part| matches!(part, Part::Goal(path) if !path.is_empty()))
     }
 
-    /// Which part of the goal it needs, that no goal of this rule has.
-    pub(super) fn lacks(&self, rule: &Rule) -> Option<String> {
+    /// A part of the goal that it uses and that no goal of this rule has.
+    pub(crate) fn lacks(&self, rule: &GoalRule) -> Option<String> {
         self.0.iter().find_map(|part| match part {
             Part::Goal(path) if rule.part(path).is_none() => Some(path.join(".")),
             _ => None,
         })
     }
 
-    /// What stands at its beginning.
-    pub(super) fn beginning(&self) -> &str {
+    /// The text at its beginning.
+    pub(crate) fn beginning(&self) -> &str {
         match self.0.first() {
             Some(Part::Text(text)) => text,
             _ => "",
         }
     }
 
-    /// Whether a client's own words are put into it. `wild`: handler or component are, too.
-    pub(super) fn takes_text(&self, rule: &Rule, wild: bool) -> bool {
+    /// Whether a client can put any text into it.
+    pub(crate) fn takes_text(&self, rule: &GoalRule, wild: bool) -> bool {
         self.0.iter().any(|part| part.is_open(rule, wild))
     }
 
-    /// Whether a client chooses with what it begins, so that it may begin with a `-`, which a program
-    /// takes for an option. `wild`: handler or component are the client's choice, too.
-    pub(super) fn is_open(&self, rule: &Rule, wild: bool) -> bool {
+    /// Whether a client can choose its beginning: with a `-`, a program would take it for an option.
+    pub(crate) fn is_open(&self, rule: &GoalRule, wild: bool) -> bool {
         let first = self.0.first();
         first.is_some_and(|part| part.is_open(rule, wild))
     }
 
     /// The argument for a task.
-    pub(super) fn fill(&self, call: &Call) -> Result<String, String> {
+    pub(crate) fn fill(&self, call: &Call) -> Result<String, String> {
         let mut filled = String::new();
         for part in &self.0 {
             match part {
@@ -178,17 +154,18 @@ fn part(word: &str) -> Result<Part, String> {
                 Some(known) => format!("did you mean '{{{known}}}'?"),
                 None => format!("there are: {{{}}}", KNOWN.join("}, {")),
             };
-            Err(format!(
-                "nothing is known to put in place of '{{{word}}}'; {help}"
-            ))
+            Err(format!("unknown placeholder '{{{word}}}'; {help}"))
         }
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use ztl_core::TaskId;
+
     use super::*;
-    use crate::value::Value;
+    use crate::goal_rule::Goal;
+    use crate::goal_value::GoalValue;
 
     fn call(goal: &str) -> Call {
         Call {
@@ -198,13 +175,13 @@ mod tests {
             component: "hand".to_owned(),
             goal: Goal {
                 text: goal.to_owned(),
-                fields: Value::of_goal(goal).ok(),
+                fields: GoalValue::parse(goal).ok(),
             },
         }
     }
 
     #[test]
-    fn only_a_single_word_in_braces_is_filled() {
+    fn only_a_single_word_in_braces_is_a_placeholder() {
         let call = call("{x: 1, p: ['a b', 2.0]}");
         for (template, filled) in [
             ("plain", "plain"),
@@ -226,11 +203,11 @@ mod tests {
     }
 
     #[test]
-    fn a_word_that_is_not_known_is_a_mistake_with_what_was_meant() {
+    fn an_unknown_placeholder_is_a_mistake() {
         let said = |text| Template::parse(text).expect_err(text);
         assert_eq!(
             said("x{gaol}"),
-            "nothing is known to put in place of '{gaol}'; did you mean '{goal}'?"
+            "unknown placeholder '{gaol}'; did you mean '{goal}'?"
         );
         assert!(
             said("{1}")
@@ -242,29 +219,29 @@ mod tests {
     }
 
     #[test]
-    fn what_a_client_begins_may_begin_with_a_dash() {
+    fn a_client_chooses_the_beginning_of_open_arguments() {
         let open =
-            |text: &str, rule: &Rule| Template::parse(text).expect(text).is_open(rule, false);
-        let number = Rule::Number {
+            |text: &str, rule: &GoalRule| Template::parse(text).expect(text).is_open(rule, false);
+        let number = GoalRule::Number {
             whole: false,
             least: None,
             most: None,
         };
-        assert!(open("{goal}", &Rule::Any));
-        assert!(open("{goal.x}", &Rule::Any));
-        assert!(open("{goal}", &Rule::Text { longest: Some(9) }));
+        assert!(open("{goal}", &GoalRule::Any));
+        assert!(open("{goal.x}", &GoalRule::Any));
+        assert!(open("{goal}", &GoalRule::Text { longest: Some(9) }));
         for (text, rule) in [
             ("{goal}", &number),
-            ("--x={goal}", &Rule::Any),
-            ("{id}", &Rule::Any),
-            ("{handler}", &Rule::Any),
+            ("--x={goal}", &GoalRule::Any),
+            ("{id}", &GoalRule::Any),
+            ("{handler}", &GoalRule::Any),
         ] {
             assert!(!open(text, rule), "{text}");
         }
         assert!(
             Template::parse("{handler}")
                 .expect("it")
-                .is_open(&Rule::Any, true)
+                .is_open(&GoalRule::Any, true)
         );
     }
 }

@@ -1,23 +1,21 @@
-//! What a program says: lines taken as they come, and a bounded part of them kept.
+//! A program's output: split into lines, of which a bounded part is kept.
 
 /// Which lines are kept.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Keep {
-    /// The last one in which there is anything.
+pub(crate) enum Keep {
+    /// The last one that is not blank.
     Last,
-    /// All of them.
     All,
-    /// None.
     None,
 }
 
 /// The output of a program.
 #[derive(Debug)]
-pub(super) struct Output {
+pub(crate) struct Output {
     keep: Keep,
-    /// Most bytes that are kept, of all together and of each line.
+    /// Most bytes that are kept, in all and of each line.
     most: usize,
-    /// The line that has not ended.
+    /// The unfinished line.
     line: Vec<u8>,
     line_cut: bool,
     kept: Vec<u8>,
@@ -26,15 +24,15 @@ pub(super) struct Output {
 
 /// What was kept of a program's output.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) struct Kept {
-    /// Without a line break at its end. Bytes that are no UTF-8 are U+FFFD.
-    pub(super) text: String,
-    /// Whether there was more than may be kept.
-    pub(super) cut: bool,
+pub(crate) struct Kept {
+    /// Without the last line break. Bytes that are not UTF-8 are U+FFFD.
+    pub(crate) text: String,
+    /// Whether there was more.
+    pub(crate) cut: bool,
 }
 
 impl Output {
-    pub(super) const fn new(keep: Keep, most: usize) -> Self {
+    pub(crate) const fn new(keep: Keep, most: usize) -> Self {
         Self {
             keep,
             most,
@@ -45,8 +43,8 @@ impl Output {
         }
     }
 
-    /// Takes what has come. Each whole line is shown to `is_told`; one for which it says so is not kept.
-    pub(super) fn take(&mut self, bytes: &[u8], mut is_told: impl FnMut(&[u8]) -> bool) {
+    /// Adds output. Keeps the complete lines for which `is_progress` is false.
+    pub(crate) fn push(&mut self, bytes: &[u8], mut is_progress: impl FnMut(&[u8]) -> bool) {
         for piece in bytes.split_inclusive(|byte| *byte == b'\n') {
             let (piece, ends) = match piece.split_last() {
                 Some((b'\n', line)) => (line, true),
@@ -57,20 +55,20 @@ impl Output {
             self.line_cut |= fitting.len() < piece.len();
             self.line.extend_from_slice(fitting);
             if ends {
-                self.end_line(&mut is_told);
+                self.end_line(&mut is_progress);
             }
         }
     }
 
-    /// The program has ended, and with it its last line.
-    pub(super) fn end(&mut self, mut is_told: impl FnMut(&[u8]) -> bool) {
+    /// The output has ended: its last line is complete.
+    pub(crate) fn end(&mut self, mut is_progress: impl FnMut(&[u8]) -> bool) {
         if !self.line.is_empty() {
-            self.end_line(&mut is_told);
+            self.end_line(&mut is_progress);
         }
     }
 
-    /// What was kept of the lines that have ended.
-    pub(super) fn kept(&self) -> Kept {
+    /// What was kept of the complete lines.
+    pub(crate) fn kept(&self) -> Kept {
         let text = String::from_utf8_lossy(&self.kept);
         Kept {
             text: text.trim_end_matches(['\n', '\r']).to_owned(),
@@ -78,11 +76,11 @@ impl Output {
         }
     }
 
-    fn end_line(&mut self, is_told: &mut impl FnMut(&[u8]) -> bool) {
+    fn end_line(&mut self, is_progress: &mut impl FnMut(&[u8]) -> bool) {
         let line = self.line.strip_suffix(b"\r").unwrap_or(&self.line);
-        let told = is_told(line);
+        let is_progress = is_progress(line);
         match self.keep {
-            _ if told => {}
+            _ if is_progress => {}
             Keep::Last if line.trim_ascii().is_empty() => {}
             Keep::Last => {
                 self.kept.clear();
@@ -109,31 +107,31 @@ impl Output {
 mod tests {
     use super::*;
 
-    /// What is kept of output that comes in pieces of every length; lines with `@` are told.
+    /// What is kept of output in pieces of every length. Lines with `@` are progress.
     #[track_caller]
     fn kept(keep: Keep, most: usize, bytes: &[u8]) -> (String, bool) {
         let mut first = None;
         for size in 1..=bytes.len().max(1) {
             let mut output = Output::new(keep, most);
-            let mut told = Vec::new();
-            let mut is_told = |line: &[u8]| {
+            let mut progress = Vec::new();
+            let mut is_progress = |line: &[u8]| {
                 let is = line.starts_with(b"@");
-                told.extend(is.then(|| line.to_vec()));
+                progress.extend(is.then(|| line.to_vec()));
                 is
             };
             for piece in bytes.chunks(size) {
-                output.take(piece, &mut is_told);
+                output.push(piece, &mut is_progress);
             }
-            output.end(&mut is_told);
+            output.end(&mut is_progress);
             let kept = output.kept();
-            let this = ((kept.text, kept.cut), told);
+            let this = ((kept.text, kept.cut), progress);
             assert_eq!(first.get_or_insert_with(|| this.clone()), &this, "{size}");
         }
         first.expect("at least once").0
     }
 
     #[test]
-    fn the_last_line_with_anything_in_it_is_kept() {
+    fn the_last_line_that_is_not_blank_is_kept() {
         let of = |bytes: &[u8]| kept(Keep::Last, 10, bytes);
         assert_eq!(of(b"one\ntwo\r\n\n  \n@ 3\n"), ("two".to_owned(), false));
         assert_eq!(of(b"one\nend"), ("end".to_owned(), false));
@@ -144,7 +142,7 @@ mod tests {
     }
 
     #[test]
-    fn all_lines_are_kept_as_far_as_there_is_room() {
+    fn all_lines_are_kept_up_to_the_limit() {
         let of = |bytes: &[u8]| kept(Keep::All, 10, bytes);
         assert_eq!(of(b"one\n@ 1\n\ntwo\n"), ("one\n\ntwo".to_owned(), false));
         assert_eq!(of(b"one\ntwo\nthree\n"), ("one\ntwo\nth".to_owned(), true));

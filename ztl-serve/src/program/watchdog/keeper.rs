@@ -1,7 +1,6 @@
-//! The thread of the server that keeps a watchdog running and tells it of programs.
+//! The server's thread that keeps a watchdog running and tells it of programs.
 
 use std::collections::BTreeMap;
-use std::fmt;
 use std::io::{self, Read, Write};
 use std::os::fd::OwnedFd;
 use std::os::unix::net::UnixStream;
@@ -12,62 +11,52 @@ use std::time::{Duration, Instant};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use tracing::{error, warn};
 
-use super::super::LOG;
-use super::super::group::Group;
-use super::super::link::Inbox;
-use super::{Charge, Ending, Message};
+use super::protocol::{Charge, Ending, Message};
+use crate::LOG;
+use crate::mailbox::Inbox;
+use crate::program::process_group::ProcessGroup;
 
-/// How long a new watchdog may take until it is ready.
-pub(super) const STARTING: Duration = Duration::from_secs(5);
-/// How long a watchdog may take to confirm. One that is slower, or stopped, is replaced.
+/// How long a new watchdog may take to be ready.
+pub(crate) const STARTING: Duration = Duration::from_secs(5);
+/// How long a watchdog may take to confirm. A slower one is replaced.
 const CONFIRMING: Duration = Duration::from_millis(500);
-/// Pause before a watchdog that ended soon after its start is replaced: after the second in a row, and longest.
+/// Shortest and longest pause before a watchdog is replaced that ended soon after its start. The first is replaced
+/// at once.
 const PAUSE: (Duration, Duration) = (Duration::from_millis(50), Duration::from_secs(1));
 
-/// What the thread is asked to do.
-pub(super) enum Order {
+/// What the thread does.
+pub(crate) enum Order {
     Announce(u64, Charge, Box<dyn FnOnce() + Send>),
-    Runs(u64, Group),
+    Runs(u64, ProcessGroup),
     Over(u64),
-    /// The server has stopped by itself.
+    /// The server has stopped regularly.
     Close,
 }
 
-impl fmt::Debug for Order {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Announce(number, charge, _) => write!(f, "Announce({number}, {charge:?})"),
-            Self::Runs(number, group) => write!(f, "Runs({number}, {group:?})"),
-            Self::Over(number) => write!(f, "Over({number})"),
-            Self::Close => write!(f, "Close"),
-        }
-    }
-}
-
-/// A program that was announced.
+/// An announced program.
 struct Announced {
     charge: Charge,
-    /// To be called once a watchdog has confirmed it.
+    /// Called once a watchdog has confirmed it.
     confirmed: Option<Box<dyn FnOnce() + Send>>,
 }
 
-pub(super) struct Keeper {
+pub(crate) struct Keeper {
     orders: Inbox<Order>,
     command: Command,
     process: Option<Process>,
-    /// When the last watchdog was started.
+    /// When the latest watchdog was started.
     started: Option<Instant>,
-    /// Pause before it is replaced, should it end soon.
+    /// Pause before it is replaced if it ends soon.
     pause: Duration,
-    /// When the next one is started, while there is none.
+    /// When to start the next one while there is none.
     due: Instant,
     announced: BTreeMap<u64, Announced>,
-    /// Dropped once the first watchdog is ready, or has failed.
+    /// Dropped once the first watchdog is ready or has failed.
     first: Option<Sender<()>>,
 }
 
 impl Keeper {
-    pub(super) fn new(orders: Inbox<Order>, command: Command, first: Sender<()>) -> Self {
+    pub(crate) fn new(orders: Inbox<Order>, command: Command, first: Sender<()>) -> Self {
         Self {
             orders,
             command,
@@ -80,14 +69,14 @@ impl Keeper {
         }
     }
 
-    /// Until it is told to close.
-    pub(super) fn run(mut self) {
+    /// Runs until it is told to close.
+    pub(crate) fn run(mut self) {
         loop {
             if self.process.is_none() && self.due <= Instant::now() {
                 self.start();
             }
             self.wait();
-            self.orders.silence();
+            self.orders.clear();
             while let Some(order) = self.orders.next() {
                 match order {
                     Order::Announce(number, charge, confirmed) => {
@@ -113,7 +102,7 @@ impl Keeper {
         }
     }
 
-    /// Sleeps until something happens.
+    /// Waits until something happens.
     fn wait(&self) {
         let mut polled = vec![PollFd::new(&self.orders, PollFlags::IN)];
         let until = match &self.process {
@@ -127,7 +116,7 @@ impl Keeper {
         };
         let left = until.map(|until| until.saturating_duration_since(Instant::now()));
         let left = left.and_then(|left| Timespec::try_from(left).ok());
-        // When a signal interrupts this, the loop goes round once more.
+        // A signal may interrupt this. Then the loop goes round once more.
         let _ = poll(&mut polled, left.as_ref());
     }
 
@@ -151,7 +140,7 @@ impl Keeper {
                 self.process = Some(process);
             }
             Err(error) => {
-                error!(target: LOG, "The watchdog cannot be started, so no program starts: {error}");
+                error!(target: LOG, "Cannot start the watchdog, so no program starts: {error}");
                 self.due = now + PAUSE.1;
                 self.first = None;
             }
@@ -159,7 +148,7 @@ impl Keeper {
         self.started = Some(now);
     }
 
-    /// Sends to the watchdog and hears from it.
+    /// Sends to the watchdog and reads its answers.
     fn exchange(&mut self) {
         let Some(process) = &mut self.process else {
             return;
@@ -177,14 +166,14 @@ impl Keeper {
                 }
             }
             Err(error) => {
-                warn!(target: LOG, "The watchdog is replaced, and no program starts meanwhile: {error}");
+                warn!(target: LOG, "Replacing the watchdog; no program starts until then: {error}");
                 self.first = None;
                 self.replace();
             }
         }
     }
 
-    /// Has the next watchdog started: at once, unless this one ended soon after its start.
+    /// Kills the watchdog and schedules the next one.
     fn replace(&mut self) {
         if let Some(process) = self.process.take() {
             process.kill();
@@ -198,7 +187,7 @@ impl Keeper {
         self.pause = (self.pause * 2).clamp(PAUSE.0, PAUSE.1);
     }
 
-    /// A watchdog that has something left to do does it as soon as its socket is closed.
+    /// A watchdog that still knows of programs stops them once its socket is closed.
     fn close(self) {
         if self.announced.is_empty()
             && let Some(process) = self.process
@@ -208,16 +197,16 @@ impl Keeper {
     }
 }
 
-/// A watchdog that runs.
+/// A running watchdog.
 struct Process {
     child: Child,
     socket: UnixStream,
     unsent: Vec<u8>,
-    /// A line that has not ended.
-    heard: Vec<u8>,
-    /// Lines that it is still to say.
-    unsaid: usize,
-    /// When it must have said the next one.
+    /// An incomplete line.
+    received: Vec<u8>,
+    /// Lines that it has yet to send.
+    expected: usize,
+    /// When the next one is due.
     deadline: Option<Instant>,
 }
 
@@ -226,86 +215,86 @@ impl Process {
         let (socket, stdin) = UnixStream::pair()?;
         socket.set_nonblocking(true)?;
         let child = command.stdin(OwnedFd::from(stdin)).spawn();
-        // The command has kept the watchdog's end of the socket.
+        // Closes the watchdog's end of the socket, which the command has kept.
         command.stdin(Stdio::null());
         Ok(Self {
             child: child?,
             socket,
             unsent: Vec::new(),
-            heard: Vec::new(),
-            // That it is ready.
-            unsaid: 1,
+            received: Vec::new(),
+            // `READY`.
+            expected: 1,
             deadline: Some(Instant::now() + STARTING),
         })
     }
 
     fn tell(&mut self, message: &Message) {
         let line = serde_json::to_vec(message).or_else(|_| lossy(message));
-        // Only what `lossy` replaces cannot be written.
+        // `lossy` replaces all that JSON cannot hold.
         self.unsent.extend(line.unwrap_or_default());
         self.unsent.push(b'\n');
         if let Message::Begins(..) = message {
-            self.unsaid += 1;
+            self.expected += 1;
             self.deadline
                 .get_or_insert_with(|| Instant::now() + CONFIRMING);
         }
     }
 
-    /// Sends and hears as much as goes without waiting. Returns the numbers that it has confirmed.
-    ///
-    /// # Errors
-    /// It has ended, or is too slow.
+    /// Sends and reads without waiting. Returns the confirmed numbers; an error if the watchdog has ended or is too
+    /// slow.
     fn exchange(&mut self) -> io::Result<Vec<u64>> {
         while !self.unsent.is_empty() {
             match self.socket.write(&self.unsent) {
                 Ok(count) => drop(self.unsent.drain(..count)),
-                // Reading tells whether it has ended.
+                // Reading tells whether the watchdog has ended.
                 Err(_) => break,
             }
         }
         let mut buffer = [0; 1024];
         loop {
             match self.socket.read(&mut buffer) {
-                Err(error) if is_for_now(&error) => break,
+                Err(error) if is_temporary(&error) => break,
                 Ok(0) | Err(_) => return Err(io::Error::other("it has ended")),
-                Ok(count) => self.heard.extend(buffer.get(..count).unwrap_or_default()),
+                Ok(count) => self
+                    .received
+                    .extend(buffer.get(..count).unwrap_or_default()),
             }
         }
         let mut confirmed = Vec::new();
-        while let Some(end) = self.heard.iter().position(|byte| *byte == b'\n') {
-            let line: Vec<u8> = self.heard.drain(..=end).collect();
+        while let Some(end) = self.received.iter().position(|byte| *byte == b'\n') {
+            let line: Vec<u8> = self.received.drain(..=end).collect();
             let number = std::str::from_utf8(&line)
                 .ok()
                 .and_then(|line| line.trim_end().parse().ok());
-            confirmed.push(number.ok_or_else(|| io::Error::other("it says what it should not"))?);
-            self.unsaid = self.unsaid.saturating_sub(1);
+            confirmed.push(number.ok_or_else(|| io::Error::other("invalid answer"))?);
+            self.expected = self.expected.saturating_sub(1);
         }
         let now = Instant::now();
         if !confirmed.is_empty() {
-            self.deadline = (self.unsaid > 0).then_some(now + CONFIRMING);
+            self.deadline = (self.expected > 0).then_some(now + CONFIRMING);
         }
         match self.deadline.is_some_and(|deadline| deadline <= now) {
-            true => Err(io::Error::other("it does not answer")),
+            true => Err(io::Error::other("no answer in time")),
             false => Ok(confirmed),
         }
     }
 
-    /// Before its socket is closed: a slow one would take that for the server's end.
+    /// Kills it before its socket is closed: a slow watchdog would take that for the server's end.
     fn kill(mut self) {
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
 }
 
-/// Whether nothing goes just now.
-fn is_for_now(error: &io::Error) -> bool {
+/// Whether to try again later.
+fn is_temporary(error: &io::Error) -> bool {
     matches!(
         error.kind(),
         io::ErrorKind::WouldBlock | io::ErrorKind::Interrupted
     )
 }
 
-/// JSON cannot hold a path that is not UTF-8: a signal has to do.
+/// JSON cannot hold a path that is not UTF-8. Stops such a program by a signal.
 fn lossy(message: &Message) -> serde_json::Result<Vec<u8>> {
     match message {
         Message::Begins(number, charge) => {

@@ -1,4 +1,4 @@
-//! The watchdog itself: it hears of programs until its server is gone, and then ends those that are left.
+//! The process of the watchdog: learns of programs until its server is gone, and then stops those that are left.
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -15,16 +15,16 @@ use rustix::process::Signal;
 use signal_hook::flag;
 use tracing::{error, warn};
 
-use super::super::LOG;
-use super::super::group::{self, Group};
-use super::super::program::{Launch, SIGNALS};
-use super::{Charge, Ending, Message, READY};
+use super::protocol::{Charge, Ending, Message, READY};
+use crate::LOG;
+use crate::program::launch::{Launch, SIGNALS};
+use crate::program::process_group::{self as group, ProcessGroup};
 
 /// How long a program that was about to be started when the server ended may take to appear.
 const APPEARING: Duration = Duration::from_secs(1);
-/// How often it is looked who is left.
-const LOOK: Duration = Duration::from_millis(20);
-/// How long the watchdog waits for its log to be written, once its work is done.
+/// How often to check which programs are left.
+const CHECK: Duration = Duration::from_millis(20);
+/// How long the watchdog waits for its log to be written at its end.
 const LOGGING: Duration = Duration::from_secs(1);
 
 /// Signals that would end or stop the watchdog before its work is done.
@@ -37,7 +37,7 @@ const SURVIVED: [Signal; 13] = [
     Signal::USR2,
     Signal::ALARM,
     Signal::PIPE,
-    // A limit on the size of files, as of the log, and on processor time.
+    // Limits on the size of files, such as the log, and on processor time.
     Signal::XFSZ,
     Signal::XCPU,
     // From a terminal.
@@ -46,16 +46,16 @@ const SURVIVED: [Signal; 13] = [
     Signal::TTOU,
 ];
 
-/// What the process does that [`Groups::watched`](super::super::Groups::watched) starts: it reads on stdin, a
-/// socket, which programs run, and confirms there that it knows of them. When stdin ends and some are left, each
-/// is asked to end as its task would be, and killed after its grace. Returns when that is done.
+/// Runs the watchdog, in the process that [`ProcessRegistry::watched`](crate::ProcessRegistry::watched) starts.
 ///
-/// It heeds no signal that a process can ignore: it ends with its server, and not before.
+/// Reads from stdin, a socket, which programs run, and confirms each there. When stdin ends, stops each program
+/// that is left as its task would be, kills it after its grace, and returns. Survives all signals that a process can
+/// survive, so that it does not end before its server.
 pub fn watchdog() {
     survive_signals();
     let stdin = io::stdin();
     let Ok(socket) = stdin.as_fd().try_clone_to_owned() else {
-        // The server notices that nobody confirms.
+        // The server notices that there are no confirmations.
         return;
     };
     let charges = listen(BufReader::new(stdin), File::from(socket));
@@ -67,17 +67,17 @@ pub fn watchdog() {
     end_all(charges, &log);
     log.warn("The programs that the server had left behind have ended.");
     drop(log);
-    // Whoever reads the log may have been stopped.
+    // The reader of the log may have stopped.
     let _ = logged.recv_timeout(LOGGING);
 }
 
-/// By handlers that do nothing: abort programs would inherit that a signal is ignored.
+/// Handles signals by doing nothing. Abort programs would inherit ignored signals.
 fn survive_signals() {
     for signal in SURVIVED {
         // Fails only for signals that no process can survive.
         let _ = flag::register(signal.as_raw(), Arc::new(AtomicBool::new(false)));
     }
-    // Should the watchdog be stopped, it goes on as soon as its server is gone.
+    // A stopped watchdog goes on as soon as its server is gone.
     #[cfg(target_os = "linux")]
     let _ = rustix::process::set_parent_process_death_signal(Some(Signal::CONT));
 }
@@ -90,21 +90,21 @@ fn end_all(charges: BTreeMap<u64, Charge>, log: &Log) {
         let mut helpers = Vec::new();
         orphans.retain_mut(|orphan| orphan.is_left(now, begun, &mut helpers, log));
         orphans.append(&mut helpers);
-        std::thread::sleep(LOOK);
+        std::thread::sleep(CHECK);
     }
 }
 
-/// Logs on a thread of its own: nobody may read what is logged, and a full pipe blocks whoever writes to it.
+/// Logs on a thread of its own, since writing to a full pipe blocks.
 struct Log(Sender<(bool, String)>);
 
 impl Log {
-    /// The log, and what says that all of it is written, once it was dropped.
+    /// A log, and a channel that closes when the log is dropped and written.
     fn new() -> (Self, Receiver<()>) {
         let (log, lines) = channel();
         let (done, logged) = channel();
-        // Without a thread nothing is logged.
+        // Without a thread, nothing is logged.
         let _ = std::thread::Builder::new().spawn(move || {
-            // Otherwise a terminal under `stty tostop` interrupts each write again and again.
+            // Otherwise a terminal under `stty tostop` interrupts each write.
             let mut stopping = SigSet::empty();
             stopping.add(nix::sys::signal::Signal::SIGTTOU);
             let _ = stopping.thread_block();
@@ -128,13 +128,13 @@ impl Log {
     }
 }
 
-/// What is left when the server has gone.
+/// Reads until the server is gone. Returns the programs that are left.
 fn listen(lines: impl BufRead, mut answers: impl Write) -> BTreeMap<u64, Charge> {
     let mut charges: BTreeMap<u64, Charge> = BTreeMap::new();
-    // A server that is gone needs no answer; what it sent before is still read.
+    // If the server is gone, the rest of its messages still counts.
     let mut confirm = |number: u64| drop(answers.write_all(format!("{number}\n").as_bytes()));
     confirm(READY);
-    // A line that breaks off was its last.
+    // An incomplete line was the last.
     for line in lines.lines().map_while(Result::ok) {
         match serde_json::from_str(&line) {
             Ok(Message::Begins(number, charge)) => {
@@ -158,7 +158,7 @@ fn listen(lines: impl BufRead, mut answers: impl Write) -> BTreeMap<u64, Charge>
 /// A program without a server.
 struct Orphan {
     charge: Charge,
-    /// Since when it knows that it is to end.
+    /// When it was asked to end.
     asked: Option<Instant>,
 }
 
@@ -170,7 +170,7 @@ impl Orphan {
         }
     }
 
-    /// Does what is due; says whether something of it is left. `helpers`: what was started to end it.
+    /// Does what is due and returns whether the program is left. Adds the program that stops it to `helpers`.
     fn is_left(
         &mut self,
         now: Instant,
@@ -202,17 +202,17 @@ impl Orphan {
         }
     }
 
-    fn group(&mut self) -> Option<Group> {
+    fn group(&mut self) -> Option<ProcessGroup> {
         let found = self.charge.group.or_else(|| {
-            // The server has ended while it was starting this.
+            // The server has ended while it started the program.
             group::with_variable("ZTL_ID", &self.charge.task.to_string())
         });
         self.charge.group = found;
         found
     }
 
-    /// Asks it to end. The program that does so, if it takes one, has its time as well.
-    fn ask(&self, group: Group, log: &Log) -> Option<Self> {
+    /// Asks the program to end. Returns the abort program, if it has one.
+    fn ask(&self, group: ProcessGroup, log: &Log) -> Option<Self> {
         let charge = &self.charge;
         let mut wanted = Signal::TERM;
         match &charge.end {
@@ -224,7 +224,7 @@ impl Orphan {
             Ending::Run(launch) => match spawn(launch) {
                 Ok(child) => {
                     let mut helper = Charge::new(charge.task, Ending::Wait, charge.grace);
-                    helper.group = Some(Group::of(group::of(&child)));
+                    helper.group = Some(ProcessGroup::of(group::led_by(&child)));
                     return Some(Self::new(helper));
                 }
                 Err(reason) => {
@@ -241,7 +241,7 @@ impl Orphan {
 }
 
 fn spawn(launch: &Launch) -> Result<Child, String> {
-    // On a thread of its own: it may become another user.
+    // On a thread of its own, which may become another user.
     std::thread::scope(|scope| {
         let spawned = scope.spawn(|| launch.spawn(false)).join();
         spawned.unwrap_or_else(|_| Err("it cannot be started".to_owned()))
@@ -269,12 +269,12 @@ mod tests {
     }
 
     #[test]
-    fn only_what_is_not_over_is_ended_also_when_its_group_was_never_told() {
+    fn programs_that_are_not_over_are_stopped_even_if_their_group_is_unknown() {
         let grace = Duration::from_secs(10);
         // No server of another test gives such numbers.
         let [told, untold, over] = [3, 2, 1].map(|less| TaskId::new(u32::MAX - less).expect("one"));
         let mut children = [told, untold, over].map(sleeper);
-        let group = |child: &Child| Group::of(group::of(child));
+        let group = |child: &Child| ProcessGroup::of(group::led_by(child));
         let [of_told, _, of_over] = [0, 1, 2].map(|place| group(&children[place]));
         let charge =
             |task: TaskId| Charge::new(task.get(), Ending::Signal("USR1".to_owned()), grace);
@@ -287,11 +287,11 @@ mod tests {
             Message::Begins(2, charge(untold)),
         ];
         let mut lines = lines.map(|line| message(&line)).concat();
-        // The server died within a word.
+        // The server has died in the middle of a word.
         lines.push_str("{\"Ov");
         let mut answers = Vec::new();
         end_all(listen(lines.as_bytes(), &mut answers), &Log::new().0);
-        // It is ready, and knows of each.
+        // Ready, and a confirmation for each.
         assert_eq!(answers, b"0\n1\n3\n2\n");
         let mut signal = |place: usize| children[place].try_wait().expect("its status");
         // A shell that starts the tests in the background has the programs ignore INT.
@@ -304,7 +304,7 @@ mod tests {
     }
 
     #[test]
-    fn a_group_whose_number_is_anothers_by_now_is_left_alone() {
+    fn a_group_whose_number_was_reused_is_left_alone() {
         let task = TaskId::new(u32::MAX - 9).expect("one");
         let mut child = sleeper(task);
         let mut charge = Charge::new(task.get(), Ending::Signal("INT".to_owned()), Duration::ZERO);

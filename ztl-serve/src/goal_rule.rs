@@ -1,18 +1,18 @@
-//! What goals a task takes: checked before anything starts.
+//! Rules for goals, checked before anything starts.
 
 use std::fmt;
 
 use ztl_core::goal;
 
-use super::value::Value;
+use crate::goal_value::GoalValue;
 
 /// What a goal must be.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub(super) enum Rule {
-    /// Whatever the client says.
+pub(crate) enum GoalRule {
+    /// Any goal.
     #[default]
     Any,
-    /// At most so many characters, if there is a limit.
+    /// A text, with at most this many characters.
     Text { longest: Option<usize> },
     /// A finite number within bounds.
     Number {
@@ -21,7 +21,7 @@ pub(super) enum Rule {
         most: Option<f64>,
     },
     /// True or False.
-    Truth,
+    Bool,
     /// One of these words.
     OneOf(Vec<String>),
     /// All of these fields and no others: a mapping, or a list in their order.
@@ -30,39 +30,41 @@ pub(super) enum Rule {
 
 /// A field of a structured goal.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct Field {
-    pub(super) name: String,
-    pub(super) rule: Rule,
-    /// Taken when the client leaves it out.
-    pub(super) default: Option<Value>,
+pub(crate) struct Field {
+    pub(crate) name: String,
+    pub(crate) rule: GoalRule,
+    /// Used when the client leaves the field out.
+    pub(crate) default: Option<GoalValue>,
 }
 
 /// A goal that was checked.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub(super) struct Goal {
-    /// As programs are given it. A number is written plainly, whatever way the client wrote it.
-    pub(super) text: String,
-    /// Its value, where it has fields.
-    pub(super) fields: Option<Value>,
+pub(crate) struct Goal {
+    /// The text that programs get. Numbers are in plain form: `0x1F` becomes `31`.
+    pub(crate) text: String,
+    /// The parsed goal, if its fields are needed.
+    pub(crate) fields: Option<GoalValue>,
 }
 
-impl Rule {
-    /// Reads and checks a goal; `fields` says whether its fields are wanted, which a rule without
-    /// any does not tell.
-    pub(super) fn check(&self, text: &str, fields: bool) -> Result<Goal, String> {
+impl GoalRule {
+    /// Parses and checks a goal. `needs_fields` has it parsed even if the rule does not.
+    pub(crate) fn check(&self, text: &str, needs_fields: bool) -> Result<Goal, String> {
         let wrong = || format!("the goal '{}' is not {self}", shown(text));
-        let plain = |value: Value| value.to_text().map_err(|_| wrong());
+        let plain = |value: GoalValue| value.to_text().map_err(|_| wrong());
         let goal = match self {
             Self::Any | Self::Text { .. } | Self::OneOf(_) => {
-                self.fit(Value::Text(text.to_owned())).ok_or_else(wrong)?;
+                self.fit(GoalValue::Text(text.to_owned()))
+                    .ok_or_else(wrong)?;
                 text.to_owned()
             }
-            Self::Number { .. } | Self::Truth => {
-                let value = self.fit(Value::Text(text.to_owned())).ok_or_else(wrong)?;
+            Self::Number { .. } | Self::Bool => {
+                let value = self
+                    .fit(GoalValue::Text(text.to_owned()))
+                    .ok_or_else(wrong)?;
                 plain(value)?
             }
             Self::Fields(_) => {
-                let value = Value::of_goal(text);
+                let value = GoalValue::parse(text);
                 let value = value.map_err(|error| format!("{}: {error}", wrong()))?;
                 let value = self.fitting(value, text)?;
                 return Ok(Goal {
@@ -71,24 +73,16 @@ impl Rule {
                 });
             }
         };
-        let value = match fields {
-            true => Value::of_goal(text)
-                .map_err(|error| format!("the goal '{}' has no fields: {error}", shown(text)))?,
-            false => {
-                return Ok(Goal {
-                    text: goal,
-                    fields: None,
-                });
-            }
-        };
+        let no_fields = |error| format!("the goal '{}' has no fields: {error}", shown(text));
+        let fields = needs_fields.then(|| GoalValue::parse(text).map_err(no_fields));
         Ok(Goal {
             text: goal,
-            fields: Some(value),
+            fields: fields.transpose()?,
         })
     }
 
-    /// The value as programs are given it, if it fits.
-    pub(super) fn fit(&self, value: Value) -> Option<Value> {
+    /// The value that programs get, if it fits the rule.
+    pub(crate) fn fit(&self, value: GoalValue) -> Option<GoalValue> {
         match self {
             Self::Any => Some(value),
             Self::Text { longest } => {
@@ -101,22 +95,22 @@ impl Rule {
                 let text = value.to_text().ok()?;
                 words.contains(&text).then_some(value)
             }
-            Self::Truth => match value {
-                Value::Truth(_) => Some(value),
-                Value::Text(text) => goal::from_str(&text).map(Value::Truth).ok(),
+            Self::Bool => match value {
+                GoalValue::Bool(_) => Some(value),
+                GoalValue::Text(text) => goal::from_str(&text).map(GoalValue::Bool).ok(),
                 _ => None,
             },
             Self::Number { whole, least, most } => {
                 let value = match value {
-                    // YAML 1.1 takes `1e3` for a text.
-                    Value::Text(text) => number(&text)?,
+                    // In YAML 1.1, `1e3` is a text.
+                    GoalValue::Text(text) => number(&text)?,
                     other => other,
                 };
                 let size = match value {
-                    // Bounds are f64 as well; a whole number of that size is no goal of a robot.
+                    // Goals of robots are smaller than the integers that f64 cannot represent.
                     #[expect(clippy::cast_precision_loss, reason = "compared with bounds alone")]
-                    Value::Whole(number) => number as f64,
-                    Value::Number(number) if !whole && number.is_finite() => number,
+                    GoalValue::Integer(number) => number as f64,
+                    GoalValue::Float(number) if !whole && number.is_finite() => number,
                     _ => return None,
                 };
                 let low = least.is_some_and(|least| size < least);
@@ -127,18 +121,18 @@ impl Rule {
         }
     }
 
-    /// The fields of a structured goal by their names, each of which fits.
-    fn fitting(&self, value: Value, text: &str) -> Result<Value, String> {
+    /// The fields of a structured goal by name, if each fits its rule.
+    fn fitting(&self, value: GoalValue, text: &str) -> Result<GoalValue, String> {
         let Self::Fields(fields) = self else {
             return Err(String::new());
         };
         let wrong = || format!("the goal '{}' is not {self}", shown(text));
-        let mut given: Vec<Option<Value>> = vec![None; fields.len()];
+        let mut given: Vec<Option<GoalValue>> = vec![None; fields.len()];
         match value {
-            Value::List(items) if items.len() == fields.len() => {
+            GoalValue::List(items) if items.len() == fields.len() => {
                 given = items.into_iter().map(Some).collect();
             }
-            Value::Map(pairs) => {
+            GoalValue::Map(pairs) => {
                 for (key, value) in pairs {
                     let name = key.to_text().map_err(|_| wrong())?;
                     let place = fields.iter().position(|field| field.name == name);
@@ -165,20 +159,20 @@ impl Rule {
                 (None, Some(default)) => default.clone(),
                 (None, None) => return Err(format!("{}: {name} is missing", wrong())),
             };
-            pairs.push((Value::Text(name.clone()), value));
+            pairs.push((GoalValue::Text(name.clone()), value));
         }
-        Ok(Value::Map(pairs))
+        Ok(GoalValue::Map(pairs))
     }
 
-    /// Whether what fits cannot be taken for an option of a program unless the one who wrote the rule
-    /// wants it: a number, or one of few words.
-    pub(super) const fn is_closed(&self) -> bool {
-        matches!(self, Self::Number { .. } | Self::Truth | Self::OneOf(_))
+    /// Whether the goals are numbers or words that the file chooses, so that no client can pass an option to a
+    /// program.
+    pub(crate) const fn is_closed(&self) -> bool {
+        matches!(self, Self::Number { .. } | Self::Bool | Self::OneOf(_))
     }
 
-    /// The rule for a part of the goal; `None` when there is certainly no such part.
-    pub(super) fn part(&self, path: &[String]) -> Option<&Self> {
-        static ANY: Rule = Rule::Any;
+    /// The rule for a part of the goal; `None` if no goal has that part.
+    pub(crate) fn part(&self, path: &[String]) -> Option<&Self> {
+        static ANY: GoalRule = GoalRule::Any;
         let Some((first, rest)) = path.split_first() else {
             return Some(self);
         };
@@ -193,16 +187,16 @@ impl Rule {
     }
 }
 
-/// A number as Python and YAML write it; whole where it is.
-fn number(text: &str) -> Option<Value> {
-    let whole = goal::from_str::<i64>(text).map(|number| Value::Whole(number.into()));
+/// A number as Python and YAML write it; an integer if it is one.
+fn number(text: &str) -> Option<GoalValue> {
+    let whole = goal::from_str::<i64>(text).map(|number| GoalValue::Integer(number.into()));
     whole
-        .or_else(|_| goal::from_str::<f64>(text).map(Value::Number))
+        .or_else(|_| goal::from_str::<f64>(text).map(GoalValue::Float))
         .ok()
 }
 
-/// What is shown of a client's text.
-pub(super) fn shown(text: &str) -> String {
+/// A client's text for a message: without control characters, and not too long.
+pub(crate) fn shown(text: &str) -> String {
     const MOST: usize = 60;
     let clean = |c: char| if c.is_control() { '\u{fffd}' } else { c };
     let mut shown: String = text.chars().take(MOST).map(clean).collect();
@@ -212,8 +206,8 @@ pub(super) fn shown(text: &str) -> String {
     shown
 }
 
-impl fmt::Display for Rule {
-    /// What is wanted, as `a number from 0 to 100`.
+impl fmt::Display for GoalRule {
+    /// What the rule expects, as `a number from 0 to 100`.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Any => f.write_str("anything"),
@@ -230,7 +224,7 @@ impl fmt::Display for Rule {
                     (None, None) => Ok(()),
                 }
             }
-            Self::Truth => f.write_str("True or False"),
+            Self::Bool => f.write_str("True or False"),
             Self::OneOf(words) => match words.split_last() {
                 Some((last, [])) => f.write_str(last),
                 Some((last, others)) => write!(f, "{} or {last}", others.join(", ")),
@@ -252,20 +246,20 @@ impl fmt::Display for Rule {
 mod tests {
     use super::*;
 
-    fn number_rule(whole: bool, least: f64, most: f64) -> Rule {
-        Rule::Number {
+    fn number_rule(whole: bool, least: f64, most: f64) -> GoalRule {
+        GoalRule::Number {
             whole,
             least: Some(least),
             most: Some(most),
         }
     }
 
-    fn text(rule: &Rule, goal: &str) -> Result<String, String> {
+    fn text(rule: &GoalRule, goal: &str) -> Result<String, String> {
         rule.check(goal, false).map(|goal| goal.text)
     }
 
     #[test]
-    fn a_number_is_handed_over_plainly_however_it_was_written() {
+    fn programs_get_numbers_in_plain_form() {
         let rule = number_rule(false, -100.0, 1000.0);
         for (goal, plain) in [
             ("45", "45"),
@@ -291,39 +285,39 @@ mod tests {
     }
 
     #[test]
-    fn words_texts_and_truths() {
-        let sides = Rule::OneOf(["left", "right", "straight on"].map(str::to_owned).to_vec());
+    fn rules_for_words_texts_and_booleans() {
+        let sides = GoalRule::OneOf(["left", "right", "straight on"].map(str::to_owned).to_vec());
         assert_eq!(text(&sides, "straight on").as_deref(), Ok("straight on"));
         let said = "the goal 'up' is not left, right or straight on";
         assert_eq!(text(&sides, "up").expect_err("up"), said);
-        let any = Rule::Text { longest: None };
+        let any = GoalRule::Text { longest: None };
         assert_eq!(any.to_string(), "a text");
         assert!(text(&any, &"long".repeat(1000)).is_ok());
-        let short = Rule::Text { longest: Some(3) };
+        let short = GoalRule::Text { longest: Some(3) };
         assert_eq!(short.to_string(), "a text of at most 3 characters");
         assert_eq!(text(&short, "üöä").as_deref(), Ok("üöä"));
         assert!(text(&short, "four").is_err());
-        assert_eq!(text(&Rule::Truth, "yes").as_deref(), Ok("True"));
-        assert!(text(&Rule::Truth, "2").is_err());
+        assert_eq!(text(&GoalRule::Bool, "yes").as_deref(), Ok("True"));
+        assert!(text(&GoalRule::Bool, "2").is_err());
         assert_eq!(
-            text(&Rule::Any, "[not: a { goal").as_deref(),
+            text(&GoalRule::Any, "[not: a { goal").as_deref(),
             Ok("[not: a { goal")
         );
     }
 
     #[test]
-    fn fields_are_taken_by_name_or_in_their_order_and_none_may_be_wrong() {
-        let field = |name: &str, rule: Rule, default| Field {
+    fn fields_are_given_by_name_or_in_order() {
+        let field = |name: &str, rule: GoalRule, default| Field {
             name: name.to_owned(),
             rule,
             default,
         };
-        let rule = Rule::Fields(vec![
+        let rule = GoalRule::Fields(vec![
             field("x", number_rule(false, -1.0, 1.0), None),
             field(
                 "turn",
-                Rule::OneOf(vec!["left".to_owned()]),
-                Some(Value::Text("left".to_owned())),
+                GoalRule::OneOf(vec!["left".to_owned()]),
+                Some(GoalValue::Text("left".to_owned())),
             ),
         ]);
         let of = |goal: &str| {
@@ -351,7 +345,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_client_wrote_is_shown_without_what_a_terminal_obeys_and_not_endlessly() {
+    fn shown_text_has_no_control_characters_and_is_cut() {
         assert_eq!(shown("a\x1b[2J\n"), "a\u{fffd}[2J\u{fffd}");
         assert_eq!(shown(&"x".repeat(61)).chars().count(), 61);
     }

@@ -1,5 +1,5 @@
-//! Signals that this process was started to ignore: a shell has what it starts in the background ignore INT
-//! and QUIT, `nohup` has it ignore HUP. Programs would inherit that, and could not be stopped by them.
+//! Signals that this process was started to ignore. A shell starts background processes with INT and QUIT ignored,
+//! `nohup` with HUP. Programs would inherit that, and these signals could not stop them.
 
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -7,28 +7,27 @@ use std::sync::atomic::AtomicBool;
 use signal_hook::consts::FORBIDDEN;
 use signal_hook::flag;
 
-/// From now on what this process starts has all signals as a program expects them. This process still heeds
-/// none of them, but by a handler that does nothing: that is not inherited.
+/// Replaces each ignored signal by a handler that does nothing, which children do not inherit.
 ///
-/// Without `/proc`, it is not known which they are, and nothing is done.
-pub(super) fn keep_to_oneself() {
+/// Does nothing without `/proc`.
+pub(crate) fn do_not_inherit() {
     for signal in ignored_signals() {
         if !FORBIDDEN.contains(&signal) {
-            // The C library refuses those that it uses itself.
+            // Fails for the signals that the C library uses itself.
             let _ = flag::register(signal, Arc::new(AtomicBool::new(false)));
         }
     }
 }
 
-/// The numbers of the signals that this process ignores; as soon as it has begun, of those that whoever started
-/// it had it ignore (and of SIGPIPE, by Rust). Without `/proc` none is known.
+/// The numbers of the signals that this process ignores. At its start, these are the ones that it was started to
+/// ignore, and SIGPIPE, which Rust ignores. Empty without `/proc`.
 #[must_use]
 pub fn ignored_signals() -> Vec<i32> {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     ignored(&status).collect()
 }
 
-/// The numbers in the mask that a process's status tells, of which bit 0 is signal 1.
+/// Signals of the mask in a process's status, where bit 0 is signal 1.
 fn ignored(status: &str) -> impl Iterator<Item = i32> + use<> {
     let mask = status
         .lines()
@@ -43,7 +42,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_mask_is_read_as_the_signals_in_it() {
+    fn the_mask_gives_the_ignored_signals() {
         let read = |status: &str| ignored(status).collect::<Vec<_>>();
         let status =
             "Name:\tztl\nSigBlk:\t0000000000000004\nSigIgn:\t8000000000001006\nSigCgt:\t1\n";

@@ -1,7 +1,8 @@
-//! Runs as traces on virtual time.
+//! Traces on virtual time.
 
+use super::super::launch::Invocation;
+use super::super::settings::Abort;
 use super::*;
-use crate::program::{Abort, Invocation};
 
 /// A program with a grace of 2 s.
 fn program(change: impl FnOnce(&mut Program)) -> Arc<Program> {
@@ -15,9 +16,9 @@ fn program(change: impl FnOnce(&mut Program)) -> Arc<Program> {
     let mut program = Program {
         run: Arc::new(run),
         marker: Some("@ ".to_owned()),
-        result: ResultKind::Last,
+        result: ResultKind::LastLine,
         output: 1024,
-        refused_by: Vec::new(),
+        rejected_by: Vec::new(),
         decide: Duration::from_millis(300),
         limit: None,
         abort: Abort {
@@ -25,7 +26,7 @@ fn program(change: impl FnOnce(&mut Program)) -> Arc<Program> {
             by: AbortBy::Signal("INT", Signal::INT),
             grace: Duration::from_secs(2),
         },
-        tidy: true,
+        kills_left_behind: true,
     };
     change(&mut program);
     Arc::new(program)
@@ -36,28 +37,28 @@ struct Lab {
     run: Run,
     start: Instant,
     now: Instant,
-    acts: Vec<Act>,
+    actions: Vec<Action>,
 }
 
 impl Lab {
     fn new(change: impl FnOnce(&mut Program)) -> Self {
         let now = Instant::now();
-        let mut acts = Vec::new();
-        let run = Run::new(now, program(change), &mut acts);
+        let mut actions = Vec::new();
+        let run = Run::new(now, program(change), &mut actions);
         Self {
             run,
             start: now,
             now,
-            acts,
+            actions,
         }
     }
 
     fn says(&mut self, text: &str) {
-        self.run.handle_output(text.as_bytes(), &mut self.acts);
+        self.run.handle_output(text.as_bytes(), &mut self.actions);
     }
 
-    fn stop(&mut self, why: Why) {
-        self.run.stop(self.now, why, &mut self.acts);
+    fn stop(&mut self, why: StopReason) {
+        self.run.stop(self.now, why, &mut self.actions);
     }
 
     /// Lets time pass until so many milliseconds after the start, with each wake-up on its way.
@@ -66,7 +67,7 @@ impl Lab {
         while let Some(wake) = self.run.poll_timeout().filter(|wake| *wake <= end) {
             self.now = self.now.max(wake);
             let before = self.run.poll_timeout();
-            self.run.handle_timeout(self.now, &mut self.acts);
+            self.run.handle_timeout(self.now, &mut self.actions);
             if self.run.poll_timeout() == before {
                 break;
             }
@@ -75,16 +76,16 @@ impl Lab {
     }
 
     #[track_caller]
-    fn wants(&mut self, acts: &[Act]) {
-        assert_eq!(self.acts, acts);
-        self.acts.clear();
+    fn wants(&mut self, actions: &[Action]) {
+        assert_eq!(self.actions, actions);
+        self.actions.clear();
     }
 
-    fn ends(mut self, raw: i32) -> (End, Vec<Act>) {
-        self.acts.clear();
+    fn ends(mut self, raw: i32) -> (Outcome, Vec<Action>) {
+        self.actions.clear();
         let status = Some(ExitStatus::from_raw(raw));
-        let end = self.run.end(status, &mut self.acts);
-        (end, self.acts)
+        let end = self.run.end(status, &mut self.actions);
+        (end, self.actions)
     }
 }
 
@@ -94,64 +95,64 @@ const fn code(code: i32) -> i32 {
 }
 
 #[test]
-fn without_an_exit_code_that_refuses_it_is_taken_as_soon_as_it_runs() {
+fn a_program_that_cannot_reject_is_accepted_when_it_starts() {
     let mut lab = Lab::new(|_| {});
-    lab.wants(&[Act::Accept]);
+    lab.wants(&[Action::Accept]);
     lab.says("@ 10 percent\n@ 20 percent\nhello\n");
-    lab.wants(&[Act::Progress("20 percent".to_owned())]);
+    lab.wants(&[Action::Progress("20 percent".to_owned())]);
     assert_eq!(lab.run.poll_timeout(), None);
     assert_eq!(
         lab.ends(code(0)),
-        (End::Completed("hello".to_owned()), vec![])
+        (Outcome::Completed("hello".to_owned()), vec![])
     );
 }
 
 #[test]
-fn with_one_it_is_taken_at_the_first_progress_or_when_its_time_to_decide_has_passed() {
-    let refuses = |program: &mut Program| program.refused_by = vec![2];
+fn a_program_that_can_reject_is_accepted_at_its_first_progress_or_in_time() {
+    let refuses = |program: &mut Program| program.rejected_by = vec![2];
     let mut lab = Lab::new(refuses);
     lab.wants(&[]);
     lab.says("no progress\n");
     lab.wants(&[]);
     lab.says("@ on my way\n");
-    lab.wants(&[Act::Accept, Act::Progress("on my way".to_owned())]);
+    lab.wants(&[Action::Accept, Action::Progress("on my way".to_owned())]);
     assert_eq!(
         lab.ends(code(2)).0,
-        End::Failed("exit code 2: no progress".to_owned())
+        Outcome::Failed("exit code 2: no progress".to_owned())
     );
 
     let mut lab = Lab::new(refuses);
     lab.until(299);
     lab.wants(&[]);
     lab.until(300);
-    lab.wants(&[Act::Accept]);
+    lab.wants(&[Action::Accept]);
 
     let mut lab = Lab::new(refuses);
     lab.run.handle_error_output(b"the arm is locked\n", |_| {});
     assert_eq!(
         lab.ends(code(2)),
-        (End::Rejected("the arm is locked".to_owned()), vec![])
+        (Outcome::Rejected("the arm is locked".to_owned()), vec![])
     );
     let lab = Lab::new(refuses);
     assert_eq!(
         lab.ends(code(2)).0,
-        End::Rejected("refused (exit code 2)".to_owned())
+        Outcome::Rejected("refused (exit code 2)".to_owned())
     );
     let lab = Lab::new(refuses);
     assert_eq!(
         lab.ends(code(0)),
-        (End::Completed(String::new()), vec![Act::Accept])
+        (Outcome::Completed(String::new()), vec![Action::Accept])
     );
 }
 
 #[test]
-fn how_it_failed_is_told_with_its_last_words() {
+fn a_failure_has_the_exit_code_and_the_last_line() {
     let failed = |raw, errors: &str, out: &str| {
         let mut lab = Lab::new(|_| {});
         lab.says(out);
         lab.run.handle_error_output(errors.as_bytes(), |_| {});
         match lab.ends(raw).0 {
-            End::Failed(reason) => reason,
+            Outcome::Failed(reason) => reason,
             other => panic!("{other:?}"),
         }
     };
@@ -166,12 +167,12 @@ fn how_it_failed_is_told_with_its_last_words() {
 }
 
 #[test]
-fn an_abort_is_its_end_whatever_its_exit_code_and_the_rest_of_its_group_is_waited_for() {
+fn an_aborted_program_is_aborted_once_its_whole_group_has_ended() {
     let mut lab = Lab::new(|_| {});
-    lab.wants(&[Act::Accept]);
-    lab.stop(Why::Client);
-    lab.wants(&[Act::Signal(Signal::INT)]);
-    lab.stop(Why::Server);
+    lab.wants(&[Action::Accept]);
+    lab.stop(StopReason::Client);
+    lab.wants(&[Action::Signal(Signal::INT)]);
+    lab.stop(StopReason::Server);
     lab.wants(&[]);
     // Its child takes a moment longer.
     assert!(!lab.run.is_over(lab.now, || true));
@@ -182,42 +183,42 @@ fn an_abort_is_its_end_whatever_its_exit_code_and_the_rest_of_its_group_is_waite
     lab.until(20);
     assert!(lab.run.is_over(lab.now, || false));
     assert!(!lab.run.leaves_behind());
-    assert_eq!(lab.ends(code(0)).0, End::Aborted("aborted".to_owned()));
+    assert_eq!(lab.ends(code(0)).0, Outcome::Aborted("aborted".to_owned()));
 }
 
 #[test]
-fn after_its_grace_the_whole_group_is_killed_and_what_the_system_does_not_let_go_is_given_up() {
+fn the_group_is_killed_after_its_grace_and_given_up_a_second_later() {
     let mut lab = Lab::new(|_| {});
     lab.says("at 3\n");
-    lab.stop(Why::Client);
-    lab.acts.clear();
+    lab.stop(StopReason::Client);
+    lab.actions.clear();
     lab.until(1999);
     lab.wants(&[]);
     assert!(!lab.run.is_over(lab.now, || true));
     lab.until(2000);
-    lab.wants(&[Act::Signal(Signal::KILL)]);
-    lab.now += LOOK;
+    lab.wants(&[Action::Signal(Signal::KILL)]);
+    lab.now += CHECK;
     assert!(!lab.run.is_over(lab.now, || true));
     lab.now = lab.start + Duration::from_secs(3);
     assert!(lab.run.is_over(lab.now, || true));
     let text = "at 3 (killed: not ended within 2 s of SIGINT)";
-    assert_eq!(lab.ends(9).0, End::Aborted(text.to_owned()));
+    assert_eq!(lab.ends(9).0, Outcome::Aborted(text.to_owned()));
 }
 
 #[test]
-fn a_limit_asks_it_to_end_as_an_abort_does_and_is_its_failure() {
+fn a_time_limit_stops_the_program_and_fails_the_task() {
     let mut lab = Lab::new(|program| program.limit = Some(Duration::from_secs(30)));
-    lab.wants(&[Act::Accept]);
+    lab.wants(&[Action::Accept]);
     lab.until(30_000);
-    lab.wants(&[Act::Signal(Signal::INT)]);
+    lab.wants(&[Action::Signal(Signal::INT)]);
     lab.until(32_000);
-    lab.wants(&[Act::Signal(Signal::KILL)]);
+    lab.wants(&[Action::Signal(Signal::KILL)]);
     let text = "not done within 30 s (killed: not ended within 2 s of SIGINT)";
-    assert_eq!(lab.ends(9).0, End::Failed(text.to_owned()));
+    assert_eq!(lab.ends(9).0, Outcome::Failed(text.to_owned()));
 }
 
 #[test]
-fn results_of_each_kind() {
+fn each_kind_of_result() {
     let ends = |kind: ResultKind, out: &str| {
         let mut lab = Lab::new(|program| {
             program.result = kind;
@@ -226,37 +227,27 @@ fn results_of_each_kind() {
         lab.says(out);
         lab.ends(code(0)).0
     };
-    let completed = |text: &str| End::Completed(text.to_owned());
+    let completed = |text: &str| Outcome::Completed(text.to_owned());
     let out = "one\n@ half\ntwo\n\n";
-    assert_eq!(ends(ResultKind::Last, out), completed("two"));
+    assert_eq!(ends(ResultKind::LastLine, out), completed("two"));
     assert_eq!(ends(ResultKind::All, out), completed("one\ntwo"));
     assert_eq!(ends(ResultKind::Nothing, out), completed("None"));
     let json = "{\"a\":\n [1, null]}\n";
     assert_eq!(ends(ResultKind::Json, json), completed("{'a': [1, None]}"));
     assert_eq!(ends(ResultKind::Json, "log\n[true]\n"), completed("[True]"));
     for (json, part) in [
-        ("nothing", "its output is no JSON: "),
-        ("", "its output is no JSON: "),
-        ("[[[[[[[[[[1]]]]]]]]]]", "its result cannot be told: "),
-        (
-            "[1111111111111111111111111111111111]",
-            "longer than 32 bytes",
-        ),
+        ("nothing", "its output is not JSON: "),
+        ("", "its output is not JSON: "),
+        ("[[[[[[[[[[1]]]]]]]]]]", "its result cannot be sent: "),
+        ("[1111111111111111111111111111111111]", "exceeds 32 bytes"),
     ] {
-        let End::Failed(reason) = ends(ResultKind::Json, json) else {
+        let Outcome::Failed(reason) = ends(ResultKind::Json, json) else {
             panic!("{json}");
         };
         assert!(reason.contains(part), "{json}: {reason}");
     }
     let long = "x".repeat(40);
     let cut = format!("{} … (cut at 32 bytes)", "x".repeat(32));
-    assert_eq!(ends(ResultKind::Last, &long), completed(&cut));
+    assert_eq!(ends(ResultKind::LastLine, &long), completed(&cut));
     assert_eq!(ends(ResultKind::All, &long), completed(&cut));
-}
-
-#[test]
-fn a_number_of_bytes_is_said_in_the_unit_that_it_was_written_in() {
-    assert_eq!(size(64 * 1024), "64 KiB");
-    assert_eq!(size(1000), "1000 bytes");
-    assert_eq!(time(Duration::from_millis(300)), "300 ms");
 }
