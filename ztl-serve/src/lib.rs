@@ -40,6 +40,7 @@ mod handler;
 mod human;
 mod kind;
 mod kinds;
+mod log;
 mod mailbox;
 mod program;
 mod reader;
@@ -51,6 +52,3 @@ pub use handler::ScopeHandler;
 pub use program::ignored::ignored_signals;
 pub use program::processes::ProcessRegistry;
 pub use program::watchdog::watchdog;
-
-/// The name under which it logs.
-const LOG: &str = "serve";

@@ -21,10 +21,10 @@ use rustix::io::ioctl_fionbio;
 use rustix::process::Signal;
 use tracing::{debug, warn};
 
-use crate::LOG;
 use crate::call::Call;
 use crate::human::human_time;
 use crate::kind::{Effect, Event, Job, Kind, Outcome, STOP_TIME, Start, StopReason, TaskContext};
+use crate::log::LOG;
 use launch::{Invocation, Launch};
 use processes::{Announcement, Process};
 use run::{Action, Run};

@@ -13,11 +13,11 @@ use tracing::{debug, info, warn};
 use ztl_core::{TaskId, TaskSpec};
 use ztl_std::server::TaskReporter;
 
-use crate::LOG;
 use crate::admission::{Admission, Admitted};
 use crate::call::Call;
 use crate::entry::{Entry, TotalLimit};
 use crate::kind::{Effect, Job, Message, Outcome, Start, StopReason, TaskContext};
+use crate::log::LOG;
 use crate::mailbox::{Inbox, Mailbox};
 use crate::program::processes::ProcessRegistry;
 

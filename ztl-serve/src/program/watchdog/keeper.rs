@@ -12,7 +12,7 @@ use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use tracing::{error, warn};
 
 use super::protocol::{Charge, Ending, Message};
-use crate::LOG;
+use crate::log::LOG;
 use crate::mailbox::Inbox;
 use crate::program::process_group::ProcessGroup;
 

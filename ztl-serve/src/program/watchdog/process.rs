@@ -16,7 +16,7 @@ use signal_hook::flag;
 use tracing::{error, warn};
 
 use super::protocol::{Charge, Ending, Message, READY};
-use crate::LOG;
+use crate::log::LOG;
 use crate::program::launch::{Launch, SIGNALS};
 use crate::program::process_group::{self as group, ProcessGroup};
 
@@ -248,8 +248,8 @@ fn spawn(launch: &Launch) -> Result<Child, String> {
     })
 }
 
-#[cfg(test)]
 #[cfg(target_os = "linux")]
+#[cfg(test)]
 mod tests {
     use std::os::unix::process::{CommandExt, ExitStatusExt};
     use std::process::Command;
