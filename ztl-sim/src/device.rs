@@ -7,7 +7,7 @@ mod record;
 mod sensor;
 
 use std::fs::File;
-use std::io::{self, Read, Write};
+use std::io::{self, Read};
 use std::net::{SocketAddr, TcpListener};
 #[cfg(unix)]
 use std::path::PathBuf;

@@ -4,8 +4,8 @@ use std::collections::HashSet;
 
 use ztl_std::{RemoteId, RequestError, ServerTask, ServerTasks, Status};
 
-use crate::Done;
-use crate::ask::{Asking, Server, all_named, code};
+use crate::exit::Done;
+use crate::server_query::{QueriedServer, QueryOptions, all_named, code};
 use crate::terminal::{error_line, flat, line};
 
 #[derive(Debug, clap::Args)]
@@ -14,7 +14,7 @@ use crate::terminal::{error_line, flat, line};
 )]
 pub(crate) struct Abort {
     #[command(flatten)]
-    server: Asking,
+    server: QueryOptions,
 
     /// The tasks to stop, by their ids
     #[arg(value_name = "ID", required_unless_present = "all", value_parser = id)]
@@ -65,7 +65,10 @@ impl Abort {
 }
 
 /// Stops every task that runs or may run; says whether all have ended.
-fn abort_all(server: &Server, scope: Option<&str>) -> Result<bool, Box<dyn std::error::Error>> {
+fn abort_all(
+    server: &QueriedServer,
+    scope: Option<&str>,
+) -> Result<bool, Box<dyn std::error::Error>> {
     let mut tried = HashSet::new();
     let mut all_ended = true;
     loop {
@@ -96,7 +99,7 @@ fn abort_all(server: &Server, scope: Option<&str>) -> Result<bool, Box<dyn std::
 
 /// Stops the tasks with these ids; says whether all have ended.
 fn abort_these(
-    server: &Server,
+    server: &QueriedServer,
     ids: &[RemoteId],
     scope: Option<String>,
 ) -> Result<bool, Box<dyn std::error::Error>> {
@@ -107,8 +110,8 @@ fn abort_these(
     let scope = match (scope, &known) {
         (Some(scope), _) => Some(scope),
         (None, Some(known)) if known.gaps.is_empty() => None,
-        (None, Some(_)) => server.place.scope(None).ok().flatten(),
-        (None, None) => server.place.scope(None)?,
+        (None, Some(_)) => server.address.scope(None).ok().flatten(),
+        (None, None) => server.address.scope(None)?,
     };
     if known.is_none() && scope.is_none() {
         return Err(format!("{}; give --scope", server.original()).into());
@@ -150,7 +153,7 @@ fn find(known: Option<&ServerTasks>, id: &RemoteId) -> Vec<Wanted> {
     all.map(Wanted::of).collect()
 }
 
-fn unknown(server: &Server, id: &RemoteId) {
+fn unknown(server: &QueriedServer, id: &RemoteId) {
     let endpoint = server.endpoint();
     error_line(format_args!(
         "ztl: no task {id} is known at {endpoint}; `ztl ps --all` lists them"
@@ -158,7 +161,7 @@ fn unknown(server: &Server, id: &RemoteId) {
 }
 
 /// Stops a task, and says what became of it; whether it has certainly ended.
-fn abort(server: &Server, wanted: &Wanted) -> bool {
+fn abort(server: &QueriedServer, wanted: &Wanted) -> bool {
     let Wanted { scope, id, task } = wanted;
     let mut remote = match server.connect(scope) {
         Ok(remote) => remote,

@@ -8,9 +8,10 @@ use ztl_script::{Defaults, Finding, Script, ask_all};
 use ztl_std::Remotes;
 use ztl_yaml::Diagnostics;
 
-use crate::remote_task::Endpoints;
+use crate::exit::Done;
+use crate::log;
+use crate::remotes_options::RemotesOptions;
 use crate::terminal::{line, part};
-use crate::{Done, log};
 
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Exit code: 0 if nothing was found, 1 otherwise.")]
@@ -20,7 +21,7 @@ pub(crate) struct Check {
     script: PathBuf,
 
     #[command(flatten)]
-    endpoints: Endpoints,
+    endpoints: RemotesOptions,
 
     /// Ask each server too whether it is there, and ours whether they would take the tasks
     #[arg(long)]

@@ -9,10 +9,11 @@ use ztl_sim::Kind;
 use ztl_std::gateway::Gateway;
 use ztl_std::{RemoteTask, TaskServer};
 
+use crate::exit::Done;
+use crate::option_values::port;
 use crate::scene::{Act, play};
 use crate::terminal::line;
-use crate::tool::port;
-use crate::{Done, log, signals};
+use crate::{log, signals};
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct Demo {

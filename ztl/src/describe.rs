@@ -2,8 +2,9 @@
 
 use std::process::ExitCode;
 
-use crate::Done;
-use crate::ask::{Asking, table};
+use crate::columns::table;
+use crate::exit::Done;
+use crate::server_query::QueryOptions;
 use crate::terminal::{flat, line};
 
 #[derive(Debug, clap::Args)]
@@ -12,7 +13,7 @@ use crate::terminal::{flat, line};
 )]
 pub(crate) struct Describe {
     #[command(flatten)]
-    server: Asking,
+    server: QueryOptions,
 
     /// The same in JSON
     #[arg(long)]

@@ -6,8 +6,9 @@ use std::process::ExitCode;
 
 use ztl_sim::{Device as Simulated, Kind, Running};
 
+use crate::exit::Done;
+use crate::signals;
 use crate::terminal::line;
-use crate::{Done, signals};
 
 #[derive(Debug, clap::Args)]
 #[command(after_help = "SIGUSR1 resets the device: its power is taken away and given back.")]

@@ -14,9 +14,9 @@ use ztl_std::defmt::{Decoder, Level, Message};
 use ztl_std::gateway::LogPiece;
 use ztl_std::gateway::{ComponentReport, DeviceReport, DeviceReports};
 
-use crate::Done;
-use crate::ask::{Asking, Server, all_named, code, read, spoken};
-use crate::ps::state;
+use crate::columns::spoken;
+use crate::exit::Done;
+use crate::server_query::{QueriedServer, QueryOptions, all_named, code, read, state};
 #[cfg(feature = "defmt")]
 use crate::signals;
 use crate::terminal::{flat, line};
@@ -24,7 +24,7 @@ use crate::terminal::{flat, line};
 #[derive(Debug, clap::Args)]
 pub(crate) struct Devices {
     #[command(flatten)]
-    server: Asking,
+    server: QueryOptions,
 
     /// Only this device
     #[arg(value_name = "NAME")]
@@ -100,7 +100,7 @@ const LOG_AGAIN: Duration = Duration::from_millis(200);
 
 /// Shows a device's log, made readable.
 #[cfg(feature = "defmt")]
-fn show_log(server: &Server, name: &str, elf: &Path, once: bool) -> Done {
+fn show_log(server: &QueriedServer, name: &str, elf: &Path, once: bool) -> Done {
     let mut decoder =
         Decoder::of_file(elf).map_err(|error| format!("{}: {error}", elf.display()))?;
     signals::catch()?;

@@ -5,7 +5,7 @@ use std::process::ExitCode;
 
 use ztl_std::keys::KeyPair;
 
-use crate::Done;
+use crate::exit::Done;
 use crate::terminal::line;
 
 #[derive(Debug, clap::Args)]

@@ -7,8 +7,9 @@ use std::time::{Duration, Instant};
 use clap::ValueEnum;
 use ztl_sim::line::{Cable, Counts, End, Faults, FaultyLine};
 
+use crate::exit::Done;
+use crate::signals;
 use crate::terminal::{is_live, line, rewrite};
-use crate::{Done, signals};
 
 /// How often a person sees the counts.
 const SHOW: Duration = Duration::from_secs(1);

@@ -6,53 +6,59 @@
 #![warn(clippy::print_stdout, clippy::print_stderr)]
 
 mod abort;
-mod about;
-mod address;
-mod ask;
+mod called;
 mod check;
-mod conversation;
+mod client;
+mod columns;
 mod demo;
 mod describe;
 mod device;
 mod devices;
 #[cfg(target_os = "linux")]
 mod doctor;
+mod exit;
 mod gateway;
-mod journal;
+mod identity;
+mod journal_options;
 #[cfg(target_os = "linux")]
 mod kernel;
 mod key_name;
 mod keyboard;
 mod keys;
 mod line;
+mod listen_options;
 #[cfg(unix)]
 mod live;
 mod log;
+mod option_values;
 mod original;
 mod ps;
-mod reach;
 mod remote_task;
+mod remotes_options;
 mod report;
 mod run_script;
 mod scene;
 #[cfg(unix)]
 mod serve;
-mod service;
+mod server_address;
+mod server_query;
 mod signals;
 mod simple_client;
 mod simple_server;
+mod systemd;
 mod task_client;
 mod task_server;
 mod terminal;
-mod tool;
+mod tools;
+mod version;
 
 use std::ffi::OsString;
-use std::fmt;
 use std::process::ExitCode;
 
 use clap::error::{ContextKind, ContextValue};
 use clap::{Parser, Subcommand};
 
+use exit::{MISUSED, exit};
 use terminal::{error_line, error_part};
 
 /// Robots and smart actuators as tasks over ZeroMQ.
@@ -60,7 +66,7 @@ use terminal::{error_line, error_part};
 #[command(
     name = "ztl",
     version,
-    long_version = about::version(),
+    long_version = version::text(),
     infer_long_args = true,
     arg_required_else_help = true
 )]
@@ -100,7 +106,7 @@ enum Command {
     /// Find the mistakes in a script before the show
     Check(check::Check),
     #[command(flatten)]
-    Tool(tool::Tool),
+    Tool(tools::Tool),
 }
 
 fn main() -> ExitCode {
@@ -158,35 +164,3 @@ fn misuse(error: &clap::Error) -> String {
         _ => text,
     }
 }
-
-/// How it ended, for the system and for the person who called it by this name.
-fn exit(called: impl fmt::Display, done: Done) -> ExitCode {
-    match done {
-        Ok(code) => code,
-        Err(error) => {
-            error_line(format_args!("{called}: {error}"));
-            match error.is::<Misuse>() {
-                true => ExitCode::from(MISUSED),
-                false => ExitCode::FAILURE,
-            }
-        }
-    }
-}
-
-/// Exit code for a command line that says nothing that could be done.
-const MISUSED: u8 = 2;
-
-/// What is wrong with the command line or the environment.
-#[derive(Debug)]
-struct Misuse(String);
-
-impl fmt::Display for Misuse {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.0.trim_end())
-    }
-}
-
-impl std::error::Error for Misuse {}
-
-/// What every command returns: its exit code, or one line for the person who called it.
-type Done = Result<ExitCode, Box<dyn std::error::Error>>;

@@ -8,10 +8,11 @@ use std::ffi::{OsStr, OsString};
 use std::path::Path;
 use std::process::ExitCode;
 
-use clap::{ArgAction, CommandFactory, FromArgMatches};
+use clap::{ArgAction, FromArgMatches};
 
+use crate::called::Called;
 use crate::terminal::{error_line, line};
-use crate::tool::{Called, Tool, ToolOnly, help, whole};
+use crate::tools::{Tool, ToolOnly, help, original_command};
 
 /// The tools, and the long options that the original has; ours are further ones.
 const TOOLS: [(&str, &[&str]); 8] = [
@@ -54,7 +55,7 @@ fn parse(
     options: &[&str],
     words: &[OsString],
 ) -> Result<Tool, ExitCode> {
-    let command = command(tool);
+    let command = original_command(tool);
     let Some(subcommand) = command.find_subcommand(tool) else {
         return Err(ExitCode::FAILURE);
     };
@@ -98,40 +99,6 @@ fn parse(
     ));
     // The original's simple tools die of what is missing.
     Err(ExitCode::from(if options.is_empty() { 1 } else { 2 }))
-}
-
-/// The parser for a tool under the original's name.
-pub(crate) fn command(tool: &str) -> clap::Command {
-    ToolOnly::command().mut_subcommand(tool, as_original)
-}
-
-/// The original's client needs all of what ours can have from elsewhere, and takes any number as a port.
-/// What is hidden is not known.
-fn as_original(tool: clap::Command) -> clap::Command {
-    if tool.get_name() == "task-client" {
-        ["remote", "port", "scope"]
-            .into_iter()
-            .fold(tool, |tool, name| {
-                tool.mut_arg(name, |arg| arg.required(true))
-            })
-            .mut_arg("port", |arg| any_port(arg).help("Port of the server"))
-            .mut_arg("scope", |arg| {
-                arg.help("The scope that the server is listening to")
-            })
-            .mut_arg("remote", |arg| {
-                arg.value_name("REMOTE").help("Host of the server")
-            })
-            .mut_arg("config", |arg| arg.hide(true))
-    } else if tool.get_name() == "simple-client" {
-        tool.mut_arg("port", any_port)
-    } else {
-        tool
-    }
-}
-
-fn any_port(arg: clap::Arg) -> clap::Arg {
-    let number = |text: &str| whole::<i64>(text).ok_or("a port is a whole number");
-    arg.value_parser(number)
 }
 
 /// What argparse makes of a command line.
@@ -287,7 +254,7 @@ mod tests {
 
     #[track_caller]
     fn sorts(tool: &str, line: &[&str], options: &[&str], positionals: &[&str], ignored: &[&str]) {
-        let mut command = command(tool);
+        let mut command = original_command(tool);
         let subcommand = command.find_subcommand_mut(tool).unwrap();
         subcommand.build();
         let (_, originals) = TOOLS.into_iter().find(|(name, _)| *name == tool).unwrap();

@@ -1,16 +1,17 @@
 //! `ztl ps`: the tasks of a server.
 
 use serde_json::json;
-use ztl_std::{ListedTask, ServerTask, State};
+use ztl_std::ServerTask;
 
-use crate::Done;
-use crate::ask::{Asking, all_named, code, spoken, table};
+use crate::columns::{spoken, table};
+use crate::exit::Done;
+use crate::server_query::{QueryOptions, all_named, code, state};
 use crate::terminal::{flat, line};
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct Ps {
     #[command(flatten)]
-    server: Asking,
+    server: QueryOptions,
 
     /// Show the ended ones too, as long as the server remembers them
     #[arg(short, long)]
@@ -62,15 +63,6 @@ fn as_json(task: &ServerTask) -> serde_json::Result<serde_json::Value> {
         Some(listed) => serde_json::to_value(listed),
         None => Ok(json!({ "id": task.id, "scope": task.scope })),
     }
-}
-
-/// The state's name, unless the server could not learn how the task ended.
-pub(crate) fn state(task: &ListedTask) -> String {
-    if task.end_is_unknown() {
-        return "may still run".to_owned();
-    }
-    let known = State::from_code(i64::from(task.state));
-    known.map_or_else(|| task.state.to_string(), |state| state.name().to_owned())
 }
 
 fn row(task: &ServerTask) -> Vec<String> {

@@ -8,7 +8,7 @@ use std::process::ExitCode;
 use ztl_script::record::{self, Damage, Record};
 use ztl_script::report;
 
-use crate::Done;
+use crate::exit::Done;
 use crate::terminal::{error_line, line};
 
 #[derive(Debug, clap::Args)]

@@ -9,12 +9,13 @@ use std::process::{Command, ExitCode};
 use tracing::{Level, warn};
 use ztl_serve::{Config, ProcessRegistry};
 use ztl_std::listen::{LOG_FORMATS, LogFormat};
-use ztl_std::scope;
 
-use crate::reach::{self, MISCONFIGURED, Unfit};
-use crate::service::Service;
+use crate::exit::Done;
+use crate::listen_options::{ConfigError, ListenOptions, ListenPlace, MISCONFIGURED, log_format};
+use crate::option_values::scope_to_serve;
+use crate::systemd::Service;
 use crate::terminal::{error_line, error_part, line};
-use crate::{Done, log, signals};
+use crate::{log, signals};
 
 #[derive(Debug, clap::Args)]
 #[command(after_help = "An option overrides what FILE says.")]
@@ -24,11 +25,11 @@ pub(crate) struct Serve {
     file: PathBuf,
 
     /// Scope to serve, as /robot, in place of the file's only one
-    #[arg(short, long, value_parser = scope)]
+    #[arg(short, long, value_parser = scope_to_serve)]
     scope: Option<String>,
 
     #[command(flatten)]
-    listen: reach::Listening,
+    listen: ListenOptions,
 
     /// Only say what is wrong with the file
     #[arg(long)]
@@ -50,7 +51,7 @@ impl Watchdog {
         let [_, name, format] = args else {
             return None;
         };
-        let format = reach::format(format.to_str()?).ok()?;
+        let format = log_format(format.to_str()?).ok()?;
         (name == WATCHDOG).then_some(Self { format })
     }
 
@@ -77,10 +78,6 @@ impl Watchdog {
         command.arg0("ztl").args([WATCHDOG, format]);
         Ok(command)
     }
-}
-
-fn scope(text: &str) -> Result<String, String> {
-    scope::cannot_be_served(text).map_or_else(|| Ok(text.to_owned()), Err)
 }
 
 impl Serve {
@@ -114,8 +111,8 @@ impl Serve {
     }
 
     /// What the file and the options say together.
-    fn plan(self) -> Result<(Config, reach::Place), Unfit> {
-        let mut config = Config::load(&self.file).map_err(Unfit::File)?;
+    fn plan(self) -> Result<(Config, ListenPlace), ConfigError> {
+        let mut config = Config::load(&self.file).map_err(ConfigError::File)?;
         let file = self.file.display().to_string();
         if let Some(name) = &self.scope {
             match config.scopes.as_mut_slice() {
@@ -125,12 +122,12 @@ impl Serve {
                     let mistake = format!(
                         "--scope names the only scope of a file, and {file} has {many}; name them there"
                     );
-                    return Err(Unfit::Whole(mistake));
+                    return Err(ConfigError::Whole(mistake));
                 }
             }
         }
         let place = self.listen.with(std::mem::take(&mut config.listen))?;
-        let missing = || Unfit::missing(Some(&file), "port", "--port <PORT>", "port: 12345");
+        let missing = || ConfigError::missing(Some(&file), "port", "--port <PORT>", "port: 12345");
         Ok((config, place.ok_or_else(missing)?))
     }
 }
@@ -147,7 +144,7 @@ fn served(config: &Config) -> String {
     scopes.collect::<Vec<_>>().join(", ")
 }
 
-fn serve(config: &Config, place: reach::Place) -> Done {
+fn serve(config: &Config, place: ListenPlace) -> Done {
     let who = place.reachable();
     let watchdog = Watchdog::command(place.log_format);
     let mut server = place.listen()?;

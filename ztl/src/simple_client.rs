@@ -3,10 +3,13 @@
 
 use tracing::Level;
 
-use crate::conversation::{AFTER_HELP, Conversation, Target, Telling, Words};
-use crate::reach::Identity;
-use crate::tool::{Called, port_to_reach};
-use crate::{Done, log, signals};
+use crate::called::Called;
+use crate::client::AFTER_HELP;
+use crate::client::task::{ClientTask, ReportOptions, Target, Wording};
+use crate::exit::Done;
+use crate::identity::Identity;
+use crate::option_values::port_to_reach;
+use crate::{log, signals};
 
 #[derive(Debug, clap::Args)]
 #[command(after_help = AFTER_HELP)]
@@ -29,7 +32,7 @@ pub(crate) struct SimpleClient {
     request: String,
 
     #[command(flatten)]
-    telling: Telling,
+    report: ReportOptions,
 
     #[command(flatten)]
     identity: Identity,
@@ -39,17 +42,17 @@ impl SimpleClient {
     pub(crate) fn run(self, called: &Called) -> Done {
         log::init(Level::INFO);
         signals::catch()?;
-        let conversation = Conversation {
+        let task = ClientTask {
             target: Target {
                 host: &self.host,
                 port: self.port,
                 scope: &self.scope,
             },
             request: &self.request,
-            words: Words::Simple,
+            wording: Wording::Simple,
             as_original: called.is_original(),
-            telling: &self.telling,
+            report: &self.report,
         };
-        conversation.run(|remote| self.identity.apply(remote))
+        task.run(|remote| self.identity.apply(remote))
     }
 }

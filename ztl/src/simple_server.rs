@@ -12,10 +12,11 @@ use ztl_std::scope;
 use ztl_std::server::{TaskHandler, TaskReporter};
 use ztl_std::{Access, Limits, TaskId, TaskServer};
 
-use crate::reach::Bounds;
+use crate::exit::Done;
+use crate::listen_options::LimitOptions;
+use crate::option_values::{no_number, port, seconds};
 use crate::terminal::line;
-use crate::tool::{no_number, port, seconds};
-use crate::{Done, log, signals};
+use crate::{log, signals};
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct SimpleServer {
@@ -27,7 +28,7 @@ pub(crate) struct SimpleServer {
     scope: String,
 
     #[command(flatten)]
-    bounds: Bounds,
+    limits: LimitOptions,
 }
 
 impl SimpleServer {
@@ -41,7 +42,7 @@ impl SimpleServer {
         let mut server = TaskServer::bind_with(
             &format!("tcp://*:{}", self.port),
             Access::everybody(),
-            self.bounds.over(Limits::default()),
+            self.limits.over(Limits::default()),
         )?;
         server.register_handler(&self.scope, Naps::default());
         server.show_requests(|request, id, payload| {

@@ -11,10 +11,11 @@ use ztl_std::{
     TaskServer as Server,
 };
 
-use crate::reach::Bounds;
+use crate::exit::Done;
+use crate::listen_options::LimitOptions;
+use crate::option_values::{no_number, port};
 use crate::terminal::line;
-use crate::tool::{no_number, port};
-use crate::{Done, log, signals};
+use crate::{log, signals};
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct TaskServer {
@@ -27,7 +28,7 @@ pub(crate) struct TaskServer {
     scope: String,
 
     #[command(flatten)]
-    bounds: Bounds,
+    limits: LimitOptions,
 }
 
 impl TaskServer {
@@ -41,7 +42,7 @@ impl TaskServer {
         let mut server = Server::bind_with(
             &format!("tcp://*:{}", self.port),
             Access::everybody(),
-            self.bounds.over(Limits::default()),
+            self.limits.over(Limits::default()),
         )?;
         server.register(&self.scope, TestController);
         let stopper = server.stopper();

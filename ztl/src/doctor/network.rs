@@ -10,9 +10,9 @@ use std::time::{Duration, Instant};
 use serde_json::json;
 use ztl_std::RemoteTask;
 
-use super::Finding;
-use crate::address::Place;
-use crate::reach::Identity;
+use super::finding::Finding;
+use crate::identity::Identity;
+use crate::server_address::ServerAddress;
 
 /// How long a connection may take.
 const PATIENCE: Duration = Duration::from_secs(3);
@@ -165,8 +165,8 @@ fn listening(told: &Path) -> Option<BTreeSet<u16>> {
 }
 
 /// Whether a server is reached, how long it takes, and who it is.
-pub(super) fn server(place: &Place, identity: &Identity) -> Finding {
-    let Place { host, port, .. } = place;
+pub(super) fn server(address: &ServerAddress, identity: &Identity) -> Finding {
+    let ServerAddress { host, port, .. } = address;
     let (host, port) = (host.as_str(), u16::try_from(*port).unwrap_or_default());
     let place = format!("{host}:{port}");
     let begin = Instant::now();

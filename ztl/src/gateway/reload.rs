@@ -7,9 +7,9 @@ use ztl_std::gateway::Devices;
 use ztl_std::gateway::config::DeviceConfig;
 use ztl_std::server::Control;
 
-use super::{Gateway, Plan};
+use super::plan::{Gateway, Plan};
+use crate::listen_options::ConfigError;
 use crate::log;
-use crate::reach::Unfit;
 
 /// Name under which the gateway logs.
 const LOG: &str = "gateway";
@@ -44,10 +44,10 @@ impl Reload {
             Ok(plan) => plan,
             Err(unfit) => {
                 match unfit {
-                    Unfit::File(mistakes) => mistakes
+                    ConfigError::File(mistakes) => mistakes
                         .iter()
                         .for_each(|mistake| error!(target: LOG, "{}", mistake.sentence())),
-                    Unfit::Whole(mistake) => error!(target: LOG, "{file}: {mistake}"),
+                    ConfigError::Whole(mistake) => error!(target: LOG, "{file}: {mistake}"),
                 }
                 return error!(target: LOG, "{file}: the configuration was not reloaded; everything stays as it is.");
             }

@@ -19,11 +19,12 @@ use ztl_std::remotes::Remote;
 use ztl_std::{RemoteTask, Remotes};
 use ztl_yaml::{Span, closest};
 
+use crate::called::Called;
+use crate::exit::Done;
 use crate::key_name::Pressed;
-use crate::remote_task::Endpoints;
+use crate::remotes_options::RemotesOptions;
 use crate::terminal::{error_line, error_part, line};
-use crate::tool::Called;
-use crate::{Done, log, signals};
+use crate::{log, signals};
 use lines::Lines;
 use stage::Stage;
 
@@ -42,7 +43,7 @@ pub(crate) struct RunScript {
     script: PathBuf,
 
     #[command(flatten)]
-    endpoints: Endpoints,
+    endpoints: RemotesOptions,
 
     /// Play every scene without asking; what nobody can decide stops everything
     #[arg(long)]

@@ -1,30 +1,32 @@
-//! Who reaches a server, and how a client says who it is: options that commands share.
+//! Options of servers: where they listen, who may use them, and what they log.
 
 use std::fmt;
 use std::net::IpAddr;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use crate::Done;
-use crate::terminal::{error_line, line};
-use crate::tool::port;
 use ipnet::IpNet;
 use tracing::Level;
-use ztl_std::keys::{KeyError, KeyPair, PublicKey, exposure};
+use ztl_std::keys::PublicKey;
 use ztl_std::listen::{LEVELS, LOG_FORMATS, Listen, LogFormat, bind_mistake};
-use ztl_std::{Access, BindError, Limits, RemoteTask, RequestError, TaskServer};
+use ztl_std::{Access, BindError, Limits, TaskServer};
 use ztl_yaml::Diagnostics;
+
+use crate::exit::Done;
+use crate::identity::own_keys;
+use crate::option_values::port;
+use crate::terminal::{error_line, line};
 
 /// Exit code for a configuration that cannot be served, however often it is tried.
 pub(crate) const MISCONFIGURED: u8 = 2;
 
 /// Why a configuration cannot be served.
-pub(crate) enum Unfit {
+pub(crate) enum ConfigError {
     File(Diagnostics),
     Whole(String),
 }
 
-impl Unfit {
+impl ConfigError {
     /// Neither an option nor the file says something.
     pub(crate) fn missing(file: Option<&str>, what: &str, option: &str, key: &str) -> Self {
         let key = match file {
@@ -35,7 +37,7 @@ impl Unfit {
     }
 }
 
-impl fmt::Display for Unfit {
+impl fmt::Display for ConfigError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             // For editors: the place comes first in the line.
@@ -47,7 +49,7 @@ impl fmt::Display for Unfit {
 
 /// Where a server listens, who may use it, and what it logs.
 #[derive(Debug, Clone, clap::Args)]
-pub(crate) struct Listening {
+pub(crate) struct ListenOptions {
     /// Port to serve at
     #[arg(short, long, value_parser = port)]
     port: Option<u16>,
@@ -57,17 +59,17 @@ pub(crate) struct Listening {
     bind: Option<String>,
 
     #[command(flatten)]
-    reach: Reach,
+    access: AccessOptions,
 
     #[command(flatten)]
-    bounds: Bounds,
+    limits: LimitOptions,
 
     /// What is logged: error, warn, info or debug [default: info]
     #[arg(long, value_name = "LEVEL", value_parser = level)]
     log: Option<Level>,
 
     /// How it is logged: text, or json (an object a line) [default: text]
-    #[arg(long, value_name = "FORMAT", value_parser = format)]
+    #[arg(long, value_name = "FORMAT", value_parser = log_format)]
     log_format: Option<LogFormat>,
 }
 
@@ -79,7 +81,7 @@ fn level(text: &str) -> Result<Level, String> {
     one_of(text, &LEVELS)
 }
 
-pub(crate) fn format(text: &str) -> Result<LogFormat, String> {
+pub(crate) fn log_format(text: &str) -> Result<LogFormat, String> {
     one_of(text, &LOG_FORMATS)
 }
 
@@ -92,16 +94,16 @@ fn one_of<T: Copy>(text: &str, known: &[(&str, T)]) -> Result<T, String> {
     )
 }
 
-impl Listening {
+impl ListenOptions {
     /// The files that it names.
     pub(crate) fn files(&self) -> impl Iterator<Item = &Path> {
-        let clients = self.reach.client_key.iter().map(|client| {
+        let clients = self.access.client_key.iter().map(|client| {
             let path = client
                 .split_once('=')
                 .map_or(client.as_str(), |(_, path)| path);
             Path::new(path)
         });
-        self.reach.key.iter().map(PathBuf::as_path).chain(clients)
+        self.access.key.iter().map(PathBuf::as_path).chain(clients)
     }
 
     /// With what the configuration file says: an option wins, but networks and clients are added to the
@@ -109,21 +111,21 @@ impl Listening {
     ///
     /// # Errors
     /// A key that cannot be read.
-    pub(crate) fn with(self, file: Listen) -> Result<Option<Place>, Unfit> {
-        let mut reach = self.reach;
-        reach.allow.extend(file.allow);
-        reach.client_key.extend(file.client_keys);
-        reach.key = reach.key.or(file.key);
+    pub(crate) fn with(self, file: Listen) -> Result<Option<ListenPlace>, ConfigError> {
+        let mut access = self.access;
+        access.allow.extend(file.allow);
+        access.client_key.extend(file.client_keys);
+        access.key = access.key.or(file.key);
         let Some(port) = self.port.or(file.port) else {
             return Ok(None);
         };
-        Ok(Some(Place {
-            limits: self.bounds.over(file.limits),
+        Ok(Some(ListenPlace {
+            limits: self.limits.over(file.limits),
             port,
             bind: self.bind.or(file.bind).unwrap_or("127.0.0.1".to_owned()),
-            access: reach
+            access: access
                 .access()
-                .map_err(|mistake| Unfit::Whole(mistake.to_string()))?,
+                .map_err(|mistake| ConfigError::Whole(mistake.to_string()))?,
             log: self.log.or(file.log).unwrap_or(Level::INFO),
             log_format: self.log_format.or(file.log_format).unwrap_or_default(),
         }))
@@ -131,7 +133,7 @@ impl Listening {
 }
 
 /// Where a server listens, for whom, and what it logs.
-pub(crate) struct Place {
+pub(crate) struct ListenPlace {
     pub(crate) port: u16,
     pub(crate) bind: String,
     pub(crate) access: Access,
@@ -140,15 +142,15 @@ pub(crate) struct Place {
     pub(crate) log_format: LogFormat,
 }
 
-impl Place {
+impl ListenPlace {
     /// Who reaches it, for people: what follows `Reachable for`.
     pub(crate) fn reachable(&self) -> String {
         reachable(&self.bind, &self.access)
     }
 
     /// Tries whether it could listen there, and at these further ports.
-    pub(crate) fn check(&self, further: Option<u16>) -> Findings {
-        let mut findings = Findings::default();
+    pub(crate) fn check(&self, further: Option<u16>) -> CheckFindings {
+        let mut findings = CheckFindings::default();
         let ports = [Some(self.port), further].into_iter().flatten();
         // Each by itself: that the first is in use says nothing of the next.
         for port in ports {
@@ -177,14 +179,14 @@ impl Place {
 
 /// What a trial has found.
 #[derive(Default)]
-pub(crate) struct Findings {
+pub(crate) struct CheckFindings {
     /// What would keep the server from being started.
     pub(crate) wrong: Vec<String>,
     /// What would do so now, and is right when the same server runs.
     pub(crate) notes: Vec<String>,
 }
 
-impl Findings {
+impl CheckFindings {
     /// Says all of it, and how the start would end. `right` is what is said when nothing is wrong.
     pub(crate) fn tell(self, right: impl fmt::Display) -> Done {
         for wrong in &self.wrong {
@@ -203,7 +205,7 @@ impl Findings {
 
 /// What a server allows at most.
 #[derive(Debug, Clone, clap::Args)]
-pub(crate) struct Bounds {
+pub(crate) struct LimitOptions {
     /// What the server allows at most, as running=100 (repeatable; docs/limits.md)
     #[arg(long, value_name = "NAME=VALUE", value_parser = bound)]
     limit: Vec<(String, String)>,
@@ -215,7 +217,7 @@ fn bound(text: &str) -> Result<(String, String), String> {
     Ok((name.to_owned(), value.to_owned()))
 }
 
-impl Bounds {
+impl LimitOptions {
     /// In place of what was chosen elsewhere.
     pub(crate) fn over(&self, mut limits: Limits) -> Limits {
         for (name, value) in &self.limit {
@@ -228,7 +230,7 @@ impl Bounds {
 
 /// Who may use a server.
 #[derive(Debug, Clone, clap::Args)]
-struct Reach {
+struct AccessOptions {
     /// Only clients with an address in this network, as 192.168.1.0/24 (repeatable)
     #[arg(long, value_name = "NETWORK", value_parser = network)]
     allow: Vec<IpNet>,
@@ -249,16 +251,7 @@ fn network(text: &str) -> Result<IpNet, &'static str> {
         .map_err(|_| "write a network as 192.168.1.0/24, one address as 192.168.1.7")
 }
 
-/// Reads one's own keys, and warns when they are not secret.
-fn own_keys(path: &Path) -> Result<KeyPair, KeyError> {
-    let keys = KeyPair::read(path)?;
-    if let Some(exposure) = exposure(path) {
-        error_line(format_args!("ztl: warning: {exposure}"));
-    }
-    Ok(keys)
-}
-
-impl Reach {
+impl AccessOptions {
     fn access(&self) -> Result<Access, Box<dyn std::error::Error>> {
         let mut access = Access::everybody();
         for network in &self.allow {
@@ -294,31 +287,4 @@ fn reachable(bind: &str, access: &Access) -> String {
         }
         _ => "everybody in that network",
     })
-}
-
-/// Who a client is, and which server it means.
-#[derive(Debug, clap::Args)]
-pub(crate) struct Identity {
-    /// One's own secret key, for a server that encrypts (see `ztl keys`)
-    #[arg(long, value_name = "NAME.key_secret", requires = "server_key")]
-    key: Option<PathBuf>,
-
-    /// The public key of the server that is meant
-    #[arg(long, value_name = "NAME.key", requires = "key")]
-    server_key: Option<PathBuf>,
-}
-
-impl Identity {
-    /// Makes a client say who it is, where keys were given.
-    pub(crate) fn apply(
-        &self,
-        remote: RemoteTask,
-    ) -> Result<RemoteTask, Box<dyn std::error::Error>> {
-        let (Some(own), Some(server)) = (&self.key, &self.server_key) else {
-            return Ok(remote);
-        };
-        let with_keys: Result<RemoteTask, RequestError> =
-            remote.with_keys(own_keys(own)?, PublicKey::read(server)?);
-        Ok(with_keys?)
-    }
 }

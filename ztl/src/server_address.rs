@@ -3,15 +3,15 @@
 
 use std::path::PathBuf;
 
-use ztl_std::Remotes;
 use ztl_std::remotes::{NoRemote, Remote, usual_path};
+use ztl_std::{Remotes, RequestError};
 
-use crate::Misuse;
-use crate::tool::{port_to_reach, whole};
+use crate::exit::Misuse;
+use crate::option_values::{port_to_reach, whole};
 
 /// Options that say which server is meant.
 #[derive(Debug, clap::Args)]
-pub(crate) struct Address {
+pub(crate) struct AddressOptions {
     /// Host of the server with --port, otherwise its name in the configuration file
     /// [default: $ZTL_HOST, else localhost]
     #[arg(short, long, value_name = "HOST|NAME")]
@@ -34,7 +34,7 @@ pub(crate) struct Address {
 
 /// Where a server is.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) struct Place {
+pub(crate) struct ServerAddress {
     pub(crate) host: String,
     pub(crate) port: i64,
     /// What the configuration file says beside host and port.
@@ -43,7 +43,7 @@ pub(crate) struct Place {
 
 /// What the configuration file says of a name.
 enum Lookup {
-    Found(Place),
+    Found(ServerAddress),
     /// It has no such server, and why that matters.
     Unknown(Misuse),
 }
@@ -52,13 +52,13 @@ enum Lookup {
 const HOW: &str =
     "give --port, or --remote NAME for a server in the configuration file, or set ZTL_PORT";
 
-impl Address {
+impl AddressOptions {
     /// The server that is meant.
     ///
     /// # Errors
     /// When nothing says which, or what says it is wrong.
-    pub(crate) fn place(&self) -> Result<Place, Misuse> {
-        self.place_if_any()?
+    pub(crate) fn resolve(&self) -> Result<ServerAddress, Misuse> {
+        self.resolve_if_any()?
             .ok_or_else(|| Misuse(format!("no port: {HOW}")))
     }
 
@@ -66,7 +66,7 @@ impl Address {
     ///
     /// # Errors
     /// When what says it is wrong.
-    pub(crate) fn place_if_any(&self) -> Result<Option<Place>, Misuse> {
+    pub(crate) fn resolve_if_any(&self) -> Result<Option<ServerAddress>, Misuse> {
         let unknown = match (&self.remote, self.port) {
             (Some(name), None) => match self.named(name)? {
                 Lookup::Found(place) => return Ok(Some(place)),
@@ -83,7 +83,7 @@ impl Address {
             None => variable("ZTL_HOST")?,
         };
         match (given, unknown) {
-            (Some(port), _) => Ok(Some(Place {
+            (Some(port), _) => Ok(Some(ServerAddress {
                 host: host.unwrap_or_else(|| "localhost".to_owned()),
                 port,
                 scope: None,
@@ -105,7 +105,7 @@ impl Address {
         }
         let remotes = Remotes::load(&path).map_err(|mistakes| Misuse(mistakes.to_string()))?;
         match remotes.task(name) {
-            Ok(Remote { host, port, scope }) => Ok(Lookup::Found(Place {
+            Ok(Remote { host, port, scope }) => Ok(Lookup::Found(ServerAddress {
                 host: host.clone(),
                 port: i64::from(*port),
                 scope: Some(scope.clone()),
@@ -119,7 +119,7 @@ impl Address {
     }
 }
 
-impl Place {
+impl ServerAddress {
     /// The scope that is meant there: of the option, else the configuration file's, else the
     /// environment's.
     ///
@@ -135,6 +135,14 @@ impl Place {
     /// Its ZeroMQ address.
     pub(crate) fn endpoint(&self) -> String {
         format!("tcp://{}:{}", self.host, self.port)
+    }
+}
+
+/// Why there is no client of this host.
+pub(crate) fn no_client(host: &str, error: RequestError) -> String {
+    match error {
+        RequestError::Transport(_) => format!("'{host}' is no name or address of a host"),
+        error => error.to_string(),
     }
 }
 

@@ -3,7 +3,7 @@
 use std::sync::LazyLock;
 
 /// The text of `--version`.
-pub(crate) fn version() -> &'static str {
+pub(crate) fn text() -> &'static str {
     static VERSION: LazyLock<String> = LazyLock::new(|| {
         let (major, minor, patch) = zmq::version();
         let encrypts = match zmq::has("curve") {

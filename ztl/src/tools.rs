@@ -1,19 +1,16 @@
-//! The original's eight command-line tools, as subcommands of this one. Called by the original's names
-//! they have the original's rules for options: see [`crate::original`].
+//! The original's eight command-line tools, as subcommands of this one. `original` parses their options when they
+//! are called by the original's names.
 
 use std::ffi::OsString;
-use std::fmt;
 use std::process::ExitCode;
 
 use clap::{CommandFactory, Parser, Subcommand};
-use ztl_core::integer::Integer;
-use ztl_core::repr::put_quoted;
-use ztl_std::TaskSpec;
 
+use crate::called::Called;
+use crate::exit::{Done, exit};
+use crate::option_values::{InvalidTask, whole};
 use crate::terminal::{error_line, line};
-use crate::{
-    Done, original, remote_task, run_script, simple_client, simple_server, task_client, task_server,
-};
+use crate::{remote_task, run_script, simple_client, simple_server, task_client, task_server};
 
 /// The original's tools by the names of this command.
 #[derive(Debug, Subcommand)]
@@ -56,42 +53,6 @@ pub(crate) struct ToolOnly {
     pub(crate) tool: Tool,
 }
 
-/// The name under which a tool was called.
-#[derive(Debug, Clone)]
-pub(crate) struct Called {
-    name: String,
-    original: bool,
-}
-
-impl Called {
-    /// As a subcommand: `ztl task-client`.
-    fn ours(tool: &str) -> Self {
-        Self {
-            name: format!("ztl {tool}"),
-            original: false,
-        }
-    }
-
-    /// By one of the original's names: `ztl_task_client`.
-    pub(crate) fn original(name: &str) -> Self {
-        Self {
-            name: name.to_owned(),
-            original: true,
-        }
-    }
-
-    /// Whether it is one of the original's names, so that the tool behaves as the original's.
-    pub(crate) const fn is_original(&self) -> bool {
-        self.original
-    }
-}
-
-impl fmt::Display for Called {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&self.name)
-    }
-}
-
 impl Tool {
     /// Runs it as a subcommand.
     pub(crate) fn run(self) -> ExitCode {
@@ -101,6 +62,7 @@ impl Tool {
 
     /// Runs it under the name by which it was called.
     pub(crate) fn run_as(self, called: &Called) -> ExitCode {
+        let name = self.name();
         let done: Done = match self {
             Self::TaskServer(server) => server.run(),
             Self::TaskClient(client) => client.run(called),
@@ -112,7 +74,14 @@ impl Tool {
                 "this tool is not there yet; the original's works with this server and gateway: pip install ztl".into(),
             ),
         };
-        crate::exit(called, done)
+        match done {
+            Err(error) if error.is::<InvalidTask>() => {
+                line(error);
+                error_line(help(called, name));
+                ExitCode::from(255)
+            }
+            done => exit(called, done),
+        }
     }
 
     const fn name(&self) -> &'static str {
@@ -129,37 +98,10 @@ impl Tool {
     }
 }
 
-/// A whole number as Python's `int()` reads it, for options of the original.
-pub(crate) fn whole<N: TryFrom<i64>>(text: &str) -> Option<N> {
-    let number = Integer::parse(text).ok()?.value()?;
-    N::try_from(number).ok()
-}
-
-/// The INIT's payload for a task that a person has written as `handler:component:goal`, or the exit
-/// code when it is none.
-pub(crate) fn specification(
-    payload: &str,
-    called: &Called,
-    tool: &str,
-) -> Result<String, ExitCode> {
-    let Ok(spec) = TaskSpec::split(payload) else {
-        line(
-            "Error: Invalid task specification. Payload needs to specify handler, component and goal separated by ':', e.g. 'handler:component:goal'",
-        );
-        error_line(help(called, tool));
-        return Err(ExitCode::from(255));
-    };
-    let mut request = vec![0; spec.encoded_len()];
-    Ok(spec
-        .encode_into(&mut request)
-        .unwrap_or_default()
-        .to_owned())
-}
-
 /// What a tool's `--help` says, under the name by which it was called.
 pub(crate) fn help(called: &Called, tool: &str) -> String {
     let mut command = match called.is_original() {
-        true => original::command(tool),
+        true => original_command(tool),
         false => ToolOnly::command(),
     };
     let tool = command.find_subcommand_mut(tool);
@@ -167,25 +109,36 @@ pub(crate) fn help(called: &Called, tool: &str) -> String {
     help.map(|help| help.to_string()).unwrap_or_default()
 }
 
-/// What Python says of a text that is no whole number.
-pub(crate) fn no_number(text: &str) -> String {
-    let mut literal = Vec::new();
-    put_quoted(text, &mut |bytes: &[u8]| literal.extend_from_slice(bytes));
-    let literal = String::from_utf8_lossy(&literal);
-    format!("invalid literal for int() with base 10: {literal}")
+/// The parser for a tool under the original's name.
+pub(crate) fn original_command(tool: &str) -> clap::Command {
+    ToolOnly::command().mut_subcommand(tool, as_original)
 }
 
-/// A port.
-pub(crate) fn port(text: &str) -> Result<u16, &'static str> {
-    whole(text).ok_or("a port is a whole number from 0 to 65535")
+/// The original's client needs all of what ours can have from elsewhere, and takes any number as a port.
+/// What is hidden is not known.
+fn as_original(tool: clap::Command) -> clap::Command {
+    if tool.get_name() == "task-client" {
+        ["remote", "port", "scope"]
+            .into_iter()
+            .fold(tool, |tool, name| {
+                tool.mut_arg(name, |arg| arg.required(true))
+            })
+            .mut_arg("port", |arg| any_port(arg).help("Port of the server"))
+            .mut_arg("scope", |arg| {
+                arg.help("The scope that the server is listening to")
+            })
+            .mut_arg("remote", |arg| {
+                arg.value_name("REMOTE").help("Host of the server")
+            })
+            .mut_arg("config", |arg| arg.hide(true))
+    } else if tool.get_name() == "simple-client" {
+        tool.mut_arg("port", any_port)
+    } else {
+        tool
+    }
 }
 
-/// The port of a server to connect to: a wider type, since the original's tools take any number.
-pub(crate) fn port_to_reach(text: &str) -> Result<i64, &'static str> {
-    port(text).map(i64::from)
-}
-
-/// A time in seconds.
-pub(crate) fn seconds(text: &str) -> Result<i64, &'static str> {
-    whole(text).ok_or("a whole number of seconds is needed")
+fn any_port(arg: clap::Arg) -> clap::Arg {
+    let number = |text: &str| whole::<i64>(text).ok_or("a port is a whole number");
+    arg.value_parser(number)
 }

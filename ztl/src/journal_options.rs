@@ -9,11 +9,11 @@ use std::path::{Path, PathBuf};
 use ztl_std::gateway::config::JournalPlace;
 use ztl_std::gateway::{Gateway, Journal, JournalError};
 
-use crate::reach::Findings;
+use crate::listen_options::CheckFindings;
 use crate::terminal::line;
 
 #[derive(Debug, Clone, PartialEq, Eq, clap::Args)]
-pub(crate) struct Options {
+pub(crate) struct JournalOptions {
     /// File of the journal, or the directory for it (docs/journal.md) [default: in $STATE_DIRECTORY, else in ~/.local/state/ztl]
     #[arg(long, value_name = "FILE|DIR")]
     journal: Option<PathBuf>,
@@ -27,7 +27,7 @@ pub(crate) struct Options {
     journal_sync: bool,
 }
 
-impl Options {
+impl JournalOptions {
     /// Where no option says it, what the configuration file does.
     pub(crate) fn or(mut self, place: Option<JournalPlace>) -> Self {
         if self.journal.is_none() && !self.no_journal {
@@ -75,7 +75,7 @@ impl Options {
     }
 
     /// Says what is wrong with the journal's place, and notes when another gateway has it.
-    pub(crate) fn check(&self, port: u16, scope: &str, findings: &mut Findings) {
+    pub(crate) fn check(&self, port: u16, scope: &str, findings: &mut CheckFindings) {
         match self.path(port, scope) {
             Ok(Ok(path)) => match Journal::check(&path) {
                 Ok(()) => {}

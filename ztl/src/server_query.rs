@@ -1,56 +1,54 @@
-//! What `ztl devices`, `ztl describe`, `ztl ps` and `ztl abort` share: which server is asked, and how
-//! answers look.
+//! Queries of a server, as `ztl devices`, `ztl describe`, `ztl ps` and `ztl abort` make them.
 
 use std::process::ExitCode;
 
 use serde::de::DeserializeOwned;
 use ztl_std::terminal::quoted;
-use ztl_std::{Description, RemoteTask, ServerTasks};
+use ztl_std::{Description, ListedTask, RemoteTask, ServerTasks, State};
 
-use crate::Misuse;
-use crate::address::{Address, Place};
-use crate::conversation::no_client;
-use crate::reach::Identity;
+use crate::exit::Misuse;
+use crate::identity::Identity;
+use crate::server_address::{AddressOptions, ServerAddress, no_client};
 use crate::terminal::error_line;
 
 /// Options that say which server is asked, and by whom.
 #[derive(Debug, clap::Args)]
-pub(crate) struct Asking {
+pub(crate) struct QueryOptions {
     #[command(flatten)]
-    address: Address,
+    address: AddressOptions,
 
     #[command(flatten)]
     identity: Identity,
 }
 
-impl Asking {
+impl QueryOptions {
     /// The server that is asked.
     ///
     /// # Errors
     /// When nothing says which it is.
-    pub(crate) fn server(self) -> Result<Server, Misuse> {
-        Ok(Server {
-            place: self.address.place()?,
+    pub(crate) fn server(self) -> Result<QueriedServer, Misuse> {
+        Ok(QueriedServer {
+            address: self.address.resolve()?,
             identity: self.identity,
         })
     }
 }
 
 /// A server that is asked.
-pub(crate) struct Server {
-    pub(crate) place: Place,
+pub(crate) struct QueriedServer {
+    pub(crate) address: ServerAddress,
     identity: Identity,
 }
 
-impl Server {
+impl QueriedServer {
     pub(crate) fn endpoint(&self) -> String {
-        self.place.endpoint()
+        self.address.endpoint()
     }
 
     /// A client of `scope` there.
     pub(crate) fn connect(&self, scope: &str) -> Result<RemoteTask, Box<dyn std::error::Error>> {
         let remote = RemoteTask::connect(&self.endpoint(), scope)
-            .map_err(|error| no_client(&self.place.host, error))?;
+            .map_err(|error| no_client(&self.address.host, error))?;
         self.identity.apply(remote)
     }
 
@@ -122,53 +120,11 @@ pub(crate) fn code(all: bool) -> ExitCode {
     }
 }
 
-/// A time as people say it: the two greatest units.
-pub(crate) fn spoken(millis: u64) -> String {
-    let seconds = millis / 1000;
-    let (days, hours) = (seconds / 86_400, seconds / 3600 % 24);
-    let (minutes, rest) = (seconds / 60 % 60, seconds % 60);
-    match (days, hours, minutes) {
-        (0, 0, 0) if seconds < 10 => format!("{}.{} s", seconds, millis / 100 % 10),
-        (0, 0, 0) => format!("{seconds} s"),
-        (0, 0, _) => format!("{minutes} min {rest} s"),
-        (0, ..) => format!("{hours} h {minutes} min"),
-        _ => format!("{days} d {hours} h"),
+/// The state's name, unless the server could not learn how the task ended.
+pub(crate) fn state(task: &ListedTask) -> String {
+    if task.end_is_unknown() {
+        return "may still run".to_owned();
     }
-}
-
-/// Rows with their columns below each other; the last is as long as it is.
-pub(crate) fn table(rows: &[Vec<String>]) -> Vec<String> {
-    let columns = rows.iter().map(Vec::len).max().unwrap_or(0);
-    let width = |column: usize| {
-        let cells = rows.iter().filter_map(|row| row.get(column));
-        cells.map(|cell| cell.chars().count()).max().unwrap_or(0)
-    };
-    let widths: Vec<usize> = (0..columns).map(width).collect();
-    let line = |row: &Vec<String>| {
-        let cells = row.iter().zip(&widths);
-        let cells: Vec<String> = cells
-            .map(|(cell, width)| format!("{cell:<width$}"))
-            .collect();
-        cells.join("  ").trim_end().to_owned()
-    };
-    rows.iter().map(line).collect()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn times_are_told_in_their_two_greatest_units() {
-        for (millis, words) in [
-            (0, "0.0 s"),
-            (1250, "1.2 s"),
-            (59_999, "59 s"),
-            (61_000, "1 min 1 s"),
-            (3_660_000, "1 h 1 min"),
-            (90_000_000, "1 d 1 h"),
-        ] {
-            assert_eq!(spoken(millis), words);
-        }
-    }
+    let known = State::from_code(i64::from(task.state));
+    known.map_or_else(|| task.state.to_string(), |state| state.name().to_owned())
 }

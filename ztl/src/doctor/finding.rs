@@ -1,0 +1,79 @@
+//! What the doctor has found.
+
+use serde_json::{Value, json};
+
+/// How something is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Health {
+    Good,
+    /// Worth knowing, and no trouble.
+    Note,
+    Trouble,
+}
+
+/// What was found about one thing.
+#[derive(Debug)]
+pub(super) struct Finding {
+    pub(super) about: &'static str,
+    pub(super) health: Health,
+    pub(super) text: String,
+    pub(super) remedy: Option<String>,
+    /// Numbers and names, for programs.
+    data: Value,
+}
+
+impl Finding {
+    pub(super) fn good(about: &'static str, text: impl Into<String>) -> Self {
+        Self {
+            about,
+            health: Health::Good,
+            text: text.into(),
+            remedy: None,
+            data: Value::Null,
+        }
+    }
+
+    pub(super) fn note(about: &'static str, text: impl Into<String>) -> Self {
+        Self {
+            health: Health::Note,
+            ..Self::good(about, text)
+        }
+    }
+
+    pub(super) fn trouble(
+        about: &'static str,
+        text: impl Into<String>,
+        remedy: impl Into<String>,
+    ) -> Self {
+        Self {
+            health: Health::Trouble,
+            remedy: Some(remedy.into()),
+            ..Self::good(about, text)
+        }
+    }
+
+    /// What may be done about it, although it is no trouble.
+    pub(super) fn with_remedy(mut self, remedy: impl Into<String>) -> Self {
+        self.remedy = Some(remedy.into());
+        self
+    }
+
+    pub(super) fn with(mut self, data: Value) -> Self {
+        self.data = data;
+        self
+    }
+
+    pub(super) fn to_json(&self) -> Value {
+        json!({
+            "about": self.about,
+            "health": match self.health {
+                Health::Good => "good",
+                Health::Note => "note",
+                Health::Trouble => "trouble",
+            },
+            "text": self.text,
+            "remedy": self.remedy,
+            "data": self.data,
+        })
+    }
+}
