@@ -145,7 +145,7 @@ fn who_answers_nothing_is_no_server() {
     assert_trouble(
         &told,
         "server",
-        "no address of 'no.such.host.invalid'",
+        "cannot resolve 'no.such.host.invalid'",
         "/etc/hosts",
     );
     assert_eq!(code, Some(1));

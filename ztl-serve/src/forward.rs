@@ -17,7 +17,7 @@ use ztl_std::{RemoteTask, RequestError, Status, TriggerError, scope};
 use ztl_yaml::{Fields, Node};
 
 use crate::human::human_time;
-use crate::kind::{Effect, Kind, Outcome, Start, TaskContext};
+use crate::kind::{Effect, Kind, Outcome, Services, Start, TaskContext};
 use crate::reader::{ComponentContext, ConfigReader};
 use crate::thread_job;
 
@@ -106,8 +106,9 @@ pub(crate) fn read<'d>(
 }
 
 impl Kind for Forward {
-    fn start(self: Arc<Self>, task: TaskContext) -> Start {
-        thread_job::start(task, move |task, abort| self.run(task, abort))
+    fn start(self: Arc<Self>, task: TaskContext, services: &Services) -> Start {
+        let zmq = services.zmq.clone();
+        thread_job::start(task, move |task, abort| self.run(zmq, task, abort))
     }
 }
 
@@ -125,9 +126,9 @@ impl Forward {
     }
 
     /// Runs a task there. `abort` may be set at any time.
-    fn run(&self, task: &TaskContext, abort: &AtomicBool) -> Outcome {
+    fn run(&self, zmq: zmq::Context, task: &TaskContext, abort: &AtomicBool) -> Outcome {
         let (to, call) = (&self.to, &task.call);
-        let mut remote = match self.connect(task.zmq.clone()) {
+        let mut remote = match self.connect(zmq) {
             Ok(remote) => remote,
             Err(error) => return Outcome::Rejected(format!("{to}: {error}")),
         };

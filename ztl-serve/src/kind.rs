@@ -54,7 +54,7 @@ pub(crate) trait Kind: Any + fmt::Debug + Send + Sync {
     }
 
     /// Starts a task. Must not block.
-    fn start(self: Arc<Self>, task: TaskContext) -> Start;
+    fn start(self: Arc<Self>, task: TaskContext, services: &Services) -> Start;
 }
 
 /// How a task has started.
@@ -171,13 +171,17 @@ pub(crate) enum Message {
     Stop,
 }
 
-/// What a kind needs to do a task, on any thread.
+/// What all tasks share.
+pub(crate) struct Services {
+    pub(crate) processes: ProcessRegistry,
+    /// For clients of other servers. It has no threads before the first client.
+    pub(crate) zmq: zmq::Context,
+}
+
+/// A task, and the way to its supervisor from any thread.
 #[derive(Clone)]
 pub(crate) struct TaskContext {
     pub(crate) call: Arc<Call>,
-    pub(crate) processes: ProcessRegistry,
-    /// Shared by all clients of other servers. It has no threads before the first.
-    pub(crate) zmq: zmq::Context,
     pub(crate) mailbox: Mailbox<Message>,
 }
 

@@ -23,10 +23,12 @@ use tracing::{debug, warn};
 
 use crate::call::Call;
 use crate::human::human_time;
-use crate::kind::{Effect, Event, Job, Kind, Outcome, STOP_TIME, Start, StopReason, TaskContext};
+use crate::kind::{
+    Effect, Event, Job, Kind, Outcome, STOP_TIME, Services, Start, StopReason, TaskContext,
+};
 use crate::log::LOG;
 use launch::{Invocation, Launch};
-use processes::{Announcement, Process};
+use processes::{Announcement, Process, ProcessRegistry};
 use run::{Action, Run};
 use settings::{AbortBy, Program};
 use watchdog::protocol::Charge;
@@ -65,7 +67,7 @@ impl Kind for Program {
         self.run.launch(call).map(drop)
     }
 
-    fn start(self: Arc<Self>, task: TaskContext) -> Start {
+    fn start(self: Arc<Self>, task: TaskContext, services: &Services) -> Start {
         let launch = match self.run.launch(&task.call) {
             Ok(launch) => launch,
             Err(reason) => return Start::Ended(Outcome::Rejected(reason)),
@@ -73,9 +75,10 @@ impl Kind for Program {
         let charge = Charge::of(&self, &task.call);
         let context = task.clone();
         let confirmed = move || context.event(Event::Confirmed);
-        let announcement = task.processes.announce(charge, confirmed);
+        let announcement = services.processes.announce(charge, confirmed);
         Start::Running(Box::new(ProgramJob {
             program: self,
+            processes: services.processes.clone(),
             state: State::Announced {
                 announcement,
                 launch,
@@ -88,6 +91,7 @@ impl Kind for Program {
 
 struct ProgramJob {
     program: Arc<Program>,
+    processes: ProcessRegistry,
     task: TaskContext,
     state: State,
 }
@@ -281,7 +285,7 @@ impl ProgramJob {
         let place = invocation.place.clone();
         // Starts without the watchdog's confirmation, since it stops something.
         let charge = Charge::of_abort_program(self.task.call.id, grace);
-        let announcement = self.task.processes.announce(charge, || {});
+        let announcement = self.processes.announce(charge, || {});
         self.start(
             launch,
             announcement,

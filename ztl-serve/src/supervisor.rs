@@ -16,7 +16,7 @@ use ztl_std::server::TaskReporter;
 use crate::admission::{Admission, Admitted};
 use crate::call::Call;
 use crate::entry::{Entry, TotalLimit};
-use crate::kind::{Effect, Job, Message, Outcome, Start, StopReason, TaskContext};
+use crate::kind::{Effect, Job, Message, Outcome, Services, Start, StopReason, TaskContext};
 use crate::log::LOG;
 use crate::mailbox::{Inbox, Mailbox};
 use crate::program::processes::ProcessRegistry;
@@ -43,9 +43,8 @@ pub(crate) struct Supervisor {
     entries: Vec<(Arc<Entry>, Admission)>,
     tasks: BTreeMap<TaskId, Task>,
     background: Vec<Box<dyn Job>>,
-    processes: ProcessRegistry,
+    services: Services,
     total: TotalLimit,
-    zmq: zmq::Context,
     stopping: bool,
 }
 
@@ -80,9 +79,11 @@ impl Supervisor {
             on_child,
             tasks: BTreeMap::new(),
             background: Vec::new(),
-            processes,
+            services: Services {
+                processes,
+                zmq: zmq::Context::new(),
+            },
             total,
-            zmq: zmq::Context::new(),
             stopping: false,
         };
         Ok((mailbox, supervisor))
@@ -270,11 +271,9 @@ impl Supervisor {
         debug!(target: LOG, "Task {id}, {}, begins.", task.name());
         let context = TaskContext {
             call: Arc::clone(&task.call),
-            processes: self.processes.clone(),
-            zmq: self.zmq.clone(),
             mailbox: self.mailbox.clone(),
         };
-        match Arc::clone(&entry.kind).start(context) {
+        match Arc::clone(&entry.kind).start(context, &self.services) {
             Start::Running(job) => task.job = Some(job),
             Start::Ended(outcome) => self.finish(id, outcome),
         }

@@ -1,4 +1,4 @@
-//! `ztl abort`: stops tasks of a server, whoever started them.
+//! `ztl abort`: aborts tasks of a server.
 
 use std::collections::HashSet;
 
@@ -10,27 +10,27 @@ use crate::terminal::{error_line, flat, line};
 
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "Exit codes: 0 every task has ended, 1 at least one is not known or may still run."
+    after_help = "Exit codes: 0 every task has ended, 1 at least one is unknown or may still run."
 )]
 pub(crate) struct Abort {
     #[command(flatten)]
     server: QueryOptions,
 
-    /// The tasks to stop, by their ids
+    /// Ids of the tasks to abort
     #[arg(value_name = "ID", required_unless_present = "all", value_parser = id)]
     ids: Vec<RemoteId>,
 
-    /// Stop every task that runs
+    /// Abort every running task
     #[arg(long, conflicts_with = "ids")]
     all: bool,
 
-    /// The tasks' scope; needed only for a server that does not tell it, as the original
+    /// The tasks' scope; needed only if the server does not list its tasks, as the original
     /// [default: the configuration file's, else $ZTL_SCOPE; with --all every scope]
     #[arg(short, long)]
     scope: Option<String>,
 }
 
-/// A task to be stopped.
+/// A task to abort.
 struct Wanted {
     scope: String,
     id: RemoteId,
@@ -64,7 +64,7 @@ impl Abort {
     }
 }
 
-/// Stops every task that runs or may run; says whether all have ended.
+/// Aborts every task that may run. Returns whether all have ended.
 fn abort_all(
     server: &QueriedServer,
     scope: Option<&str>,
@@ -82,7 +82,7 @@ fn abort_all(
                 all_ended &= abort(server, &Wanted::of(task));
             }
         }
-        // Once these have ended, the list may reach others.
+        // The list may have room for others now.
         if found_new && !known.gaps.is_empty() {
             continue;
         }
@@ -97,7 +97,7 @@ fn abort_all(
     }
 }
 
-/// Stops the tasks with these ids; says whether all have ended.
+/// Aborts the tasks with these ids. Returns whether all have ended.
 fn abort_these(
     server: &QueriedServer,
     ids: &[RemoteId],
@@ -120,7 +120,7 @@ fn abort_these(
         let found = |id: &RemoteId| known.tasks.iter().any(|task| task.id == *id);
         ids.iter().all(found) || all_named(known)
     });
-    // One that is not known keeps nobody from stopping the others.
+    // Aborts the others even if one is unknown.
     for id in ids {
         let wanted = find(known.as_ref(), id);
         let in_scope = scope.as_ref().map(|scope| Wanted {
@@ -144,7 +144,7 @@ fn abort_these(
     Ok(all_ended)
 }
 
-/// The tasks with this id that may run, in each scope that has one; else one that has ended.
+/// The tasks with this id that may run, in all scopes; otherwise one that has ended.
 fn find(known: Option<&ServerTasks>, id: &RemoteId) -> Vec<Wanted> {
     let tasks = known.into_iter().flat_map(|known| &known.tasks);
     let all: Vec<&ServerTask> = tasks.filter(|task| task.id == *id).collect();
@@ -160,7 +160,7 @@ fn unknown(server: &QueriedServer, id: &RemoteId) {
     ));
 }
 
-/// Stops a task, and says what became of it; whether it has certainly ended.
+/// Aborts a task and prints what became of it. Returns whether it has certainly ended.
 fn abort(server: &QueriedServer, wanted: &Wanted) -> bool {
     let Wanted { scope, id, task } = wanted;
     let mut remote = match server.connect(scope) {
@@ -198,7 +198,7 @@ enum About<'a> {
     NoTask,
     /// The server does not serve the scope.
     NoScope,
-    /// It says nothing of the task.
+    /// The answer says nothing about the task.
     Nothing(String),
 }
 

@@ -1,8 +1,7 @@
-//! The name by which a tool was called.
+//! The name by which a tool was called, which selects its rules for options.
 
 use std::fmt;
 
-/// The name under which a tool was called.
 #[derive(Debug, Clone)]
 pub(crate) struct Called {
     name: String,
@@ -26,7 +25,7 @@ impl Called {
         }
     }
 
-    /// Whether it is one of the original's names, so that the tool behaves as the original's.
+    /// Whether the tool must behave as the original's.
     pub(crate) const fn is_original(&self) -> bool {
         self.original
     }

@@ -23,23 +23,22 @@ use text::TextReporter;
 
 /// The end of a client's help.
 pub(crate) const AFTER_HELP: &str = "\
-With --exit-status: 0 completed, 1 refused, 3 failed, 4 aborted, 5 unknown, or no server was reached.
-Ctrl-C aborts the task, a second one leaves at once; without --exit-status the code is then 130. SIGTERM
-aborts it too, waits at most 2 s for the answer, and the code is 143.";
+With --exit-status: 0 completed, 1 refused, 3 failed, 4 aborted, 5 unknown or not started.
+Ctrl-C aborts the task, and a second one ends the client at once; the exit code is 130 without --exit-status.
+SIGTERM aborts the task too, waits at most 2 s for the answer, and the exit code is 143.";
 
-/// As long as the original waits after an abort that was refused. Whoever sends SIGTERM does not wait.
+/// How long to wait after a rejected abort, as the original. Not after SIGTERM.
 const AFTER_ABORT: Duration = Duration::from_secs(5);
 
-/// Pause between two tries to abort a task whose server does not answer.
+/// Pause between two attempts to abort a task.
 const PAUSE: Duration = Duration::from_millis(50);
 
 impl ClientTask<'_> {
-    /// Says where it connects to, connects, and does the rest.
+    /// Connects and runs the task.
     pub(crate) fn run(
         &self,
         identify: impl FnOnce(RemoteTask) -> Result<RemoteTask, Box<dyn std::error::Error>>,
     ) -> Done {
-        // Whoever is in a hurry leaves, and the task goes on.
         signals::leave_at_the_second();
         if !self.report.json {
             text::connecting(self);
@@ -56,7 +55,7 @@ impl ClientTask<'_> {
         })
     }
 
-    /// The original's tools go on with such a port, and find nobody there.
+    /// Reports an impossible port as the original does: after the INIT.
     fn not_connected(&self) -> TaskOutcome {
         let mut report = self.reporter();
         report(ClientEvent::Asking);
@@ -156,7 +155,7 @@ impl ClientTask<'_> {
         )
     }
 
-    /// What is wrong with the host's name, if it has no address.
+    /// Why the host has no address, if so.
     fn nameless(&self) -> String {
         let Target { host, port, .. } = self.target;
         let port = u16::try_from(port).unwrap_or_default();
@@ -166,7 +165,7 @@ impl ClientTask<'_> {
         }
     }
 
-    /// The limit was reached, or Ctrl-C was pressed.
+    /// Aborts the task at the time limit or at a signal.
     fn abort(
         &self,
         remote: &mut RemoteTask,
@@ -197,7 +196,6 @@ impl ClientTask<'_> {
         };
         let reply = &reply;
         let patient = || !signals::in_a_hurry();
-        // A server that has been silent for so long is not waited for again.
         let waits = answered && patient();
         report(ClientEvent::NotAborted { id, reply, waits });
         let wait = || remote.wait_with(id, Some(AFTER_ABORT), |_| patient());
@@ -225,11 +223,8 @@ impl ClientTask<'_> {
         last(report, after)
     }
 
-    /// What a task said that was aborted, if a program is to hear it. People see what the original's
-    /// tools say, which do not ask.
-    ///
-    /// # Errors
-    /// A failed task's server could not learn its end, or does not answer: the task may still run.
+    /// The result of an aborted task, for JSON. The original's words do not have it. An error means that the task may
+    /// still run, since its server does not know its outcome or does not answer.
     fn last_words(
         &self,
         remote: &mut RemoteTask,
@@ -248,7 +243,7 @@ impl ClientTask<'_> {
     }
 }
 
-/// Asks a server to stop a task, again while it does not answer: for 5 s, or once for whoever is in a hurry.
+/// Sends an abort until the server answers: for 5 s, or only once after SIGTERM.
 fn insist(remote: &mut RemoteTask, id: &RemoteId) -> Result<Status, RequestError> {
     let start = Instant::now();
     loop {
@@ -258,7 +253,6 @@ fn insist(remote: &mut RemoteTask, id: &RemoteId) -> Result<Status, RequestError
                     && start.elapsed() < AFTER_ABORT
                     && !signals::in_a_hurry() =>
             {
-                // Some errors come at once.
                 std::thread::sleep(PAUSE);
             }
             answer => return answer,

@@ -1,6 +1,6 @@
 //! Times and tables for people.
 
-/// A time as people say it: the two greatest units.
+/// A time in its two largest units.
 pub(crate) fn spoken(millis: u64) -> String {
     let seconds = millis / 1000;
     let (days, hours) = (seconds / 86_400, seconds / 3600 % 24);
@@ -14,7 +14,7 @@ pub(crate) fn spoken(millis: u64) -> String {
     }
 }
 
-/// Rows with their columns below each other; the last is as long as it is.
+/// Aligns the columns of rows.
 pub(crate) fn table(rows: &[Vec<String>]) -> Vec<String> {
     let columns = rows.iter().map(Vec::len).max().unwrap_or(0);
     let width = |column: usize| {
@@ -37,7 +37,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn times_are_told_in_their_two_greatest_units() {
+    fn times_have_their_two_largest_units() {
         for (millis, words) in [
             (0, "0.0 s"),
             (1250, "1.2 s"),

@@ -1,4 +1,4 @@
-//! `ztl describe`: what a server offers.
+//! `ztl describe`: lists what a server offers.
 
 use std::process::ExitCode;
 
@@ -9,13 +9,13 @@ use crate::terminal::{flat, line};
 
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "Exit code 1: the server was not reached, or does not say what it offers, as an original ztl."
+    after_help = "Exit code 1: the server was not reached, or does not describe itself, as an original ztl."
 )]
 pub(crate) struct Describe {
     #[command(flatten)]
     server: QueryOptions,
 
-    /// The same in JSON
+    /// Print JSON
     #[arg(long)]
     json: bool,
 }

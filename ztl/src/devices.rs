@@ -1,4 +1,4 @@
-//! `ztl devices`: what a gateway has connected, and how the links do.
+//! `ztl devices`: shows a gateway's devices and their links.
 
 use std::collections::BTreeMap;
 #[cfg(feature = "defmt")]
@@ -26,25 +26,25 @@ pub(crate) struct Devices {
     #[command(flatten)]
     server: QueryOptions,
 
-    /// Only this device
+    /// Show only this device
     #[arg(value_name = "NAME")]
     name: Option<String>,
 
-    /// What the gateway says, in JSON
+    /// Print JSON
     #[arg(long)]
     json: bool,
 
-    /// Show what this device's firmware has logged by defmt, and go on until Ctrl-C
+    /// Show the defmt log of this device's firmware until Ctrl-C
     #[cfg(feature = "defmt")]
     #[arg(long, value_name = "NAME", requires = "elf", conflicts_with_all = ["name", "json"])]
     log: Option<String>,
 
-    /// The firmware's ELF file, which makes its log readable
+    /// The firmware's ELF file, which decodes its log
     #[cfg(feature = "defmt")]
     #[arg(long, value_name = "FIRMWARE", requires = "log")]
     elf: Option<PathBuf>,
 
-    /// Show only what it has logged so far
+    /// Show only the log so far
     #[cfg(feature = "defmt")]
     #[arg(long, requires = "log")]
     once: bool,
@@ -94,11 +94,11 @@ impl Devices {
     }
 }
 
-/// Pause between two questions about a log.
+/// Pause between two requests for a log.
 #[cfg(feature = "defmt")]
 const LOG_AGAIN: Duration = Duration::from_millis(200);
 
-/// Shows a device's log, made readable.
+/// Shows a device's decoded log.
 #[cfg(feature = "defmt")]
 fn show_log(server: &QueriedServer, name: &str, elf: &Path, once: bool) -> Done {
     let mut decoder =
@@ -115,7 +115,7 @@ fn show_log(server: &QueriedServer, name: &str, elf: &Path, once: bool) -> Done 
             )
         })?;
         let pieces: BTreeMap<String, LogPiece> = read(&json)?;
-        // A device of that name in the first scope that has one.
+        // The device of the first scope that has one of this name.
         let piece = pieces.into_values().next().ok_or("the answer is empty")?;
         let bytes = piece.bytes().ok_or("the answer is no log")?;
         if let Some((boot, lost)) = known

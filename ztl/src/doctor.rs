@@ -1,4 +1,4 @@
-//! `ztl doctor`: what a person needs to know on a strange robot, each trouble with its remedy.
+//! `ztl doctor`: checks a machine, and shows each problem with a remedy.
 
 mod finding;
 mod network;
@@ -21,29 +21,29 @@ use finding::{Finding, Health};
 
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "Exit code 0: nothing is wrong; 1: something is, and each trouble is told with its remedy; 2: the options are wrong."
+    after_help = "Exit code 0: nothing is wrong; 1: there are problems, each shown with a remedy; 2: the options are wrong."
 )]
 pub(crate) struct Doctor {
-    /// Without --remote, --port and ZTL_PORT no server is asked.
+    /// Checks no server without --remote, --port and ZTL_PORT.
     #[command(flatten)]
     address: AddressOptions,
 
     #[command(flatten)]
     identity: Identity,
 
-    /// A port that a server on this machine shall use: is it free? (repeatable)
+    /// Check whether this port is free for a server on this machine (repeatable)
     #[arg(long, value_name = "PORT", value_parser = port)]
     listen: Vec<u16>,
 
-    /// A serial port that shall be used (repeatable) [default: all that there are]
+    /// Check this serial port (repeatable) [default: all]
     #[arg(long, value_name = "PATH")]
     serial: Vec<PathBuf>,
 
-    /// The directory of the journal [default: in $STATE_DIRECTORY, else in ~/.local/state/ztl]
+    /// Check this directory for the journal [default: in $STATE_DIRECTORY, else in ~/.local/state/ztl]
     #[arg(long, value_name = "DIR")]
     journal: Option<PathBuf>,
 
-    /// All of it in JSON
+    /// Print JSON
     #[arg(long)]
     json: bool,
 }

@@ -1,4 +1,4 @@
-//! `ztl gateway`: microcontrollers as handlers of a task server.
+//! `ztl gateway`: serves microcontrollers as handlers of a task server.
 
 mod plan;
 mod reload;
@@ -34,7 +34,7 @@ impl Gateway {
 }
 
 impl Plan {
-    /// Tries all that [`serve`](Self::serve) needs, but for the devices.
+    /// Checks all that [`serve`](Self::serve) needs, except the devices.
     fn check(&self) -> CheckFindings {
         let mut findings = self.place.check(self.publish);
         self.journal

@@ -1,4 +1,4 @@
-//! Where `ztl gateway` keeps its journal.
+//! Options for the journal of `ztl gateway`.
 
 use std::env;
 use std::error::Error;
@@ -18,17 +18,17 @@ pub(crate) struct JournalOptions {
     #[arg(long, value_name = "FILE|DIR")]
     journal: Option<PathBuf>,
 
-    /// Keep no journal: after a restart nobody knows what became of the tasks
+    /// Keep no journal: the outcomes of tasks are lost at a restart
     #[arg(long, conflicts_with_all = ["journal", "journal_sync"])]
     no_journal: bool,
 
-    /// Put each line on the disk before anything follows from it, for a machine that may lose its power
+    /// Sync each entry to the disk before acting on it, for machines that may lose power
     #[arg(long)]
     journal_sync: bool,
 }
 
 impl JournalOptions {
-    /// Where no option says it, what the configuration file does.
+    /// Uses the configuration file where no option is given.
     pub(crate) fn or(mut self, place: Option<JournalPlace>) -> Self {
         if self.journal.is_none() && !self.no_journal {
             match place {
@@ -40,7 +40,7 @@ impl JournalOptions {
         self
     }
 
-    /// Where the journal is to be; or why there is none.
+    /// The path of the journal, or why there is none.
     fn path(&self, port: u16, scope: &str) -> Result<Result<PathBuf, &'static str>, String> {
         if self.no_journal {
             return Ok(Err("Without a journal"));
@@ -48,7 +48,7 @@ impl JournalOptions {
         Ok(Ok(match &self.journal {
             Some(path) if path.is_dir() || ends_as_directory(path) => path.join(name(port, scope)),
             Some(path) => path.clone(),
-            // No restart would find it again, as no client finds the gateway again.
+            // Another port after a restart has another journal.
             None if port == 0 => {
                 return Ok(Err(
                     "Without a journal, as the port is another at each start (--journal FILE keeps one)",
@@ -60,7 +60,7 @@ impl JournalOptions {
         }))
     }
 
-    /// A gateway with the journal that is wished for, and says so.
+    /// Creates a gateway with this journal, and prints its path.
     pub(crate) fn gateway(&self, port: u16, scope: &str) -> Result<Gateway, Box<dyn Error>> {
         let path = match self.path(port, scope)? {
             Ok(path) => path,
@@ -74,7 +74,7 @@ impl JournalOptions {
         Ok(Gateway::with_journal(journal))
     }
 
-    /// Says what is wrong with the journal's place, and notes when another gateway has it.
+    /// Checks the path of the journal. A journal in use by another gateway is only a note.
     pub(crate) fn check(&self, port: u16, scope: &str, findings: &mut CheckFindings) {
         match self.path(port, scope) {
             Ok(Ok(path)) => match Journal::check(&path) {
@@ -98,22 +98,22 @@ fn without(why: &str) -> String {
     )
 }
 
-/// Whether a path is written as that of a directory, which may still have to be made.
+/// Whether a path ends as that of a directory, which may not exist yet.
 fn ends_as_directory(path: &Path) -> bool {
     let text = path.as_os_str().as_encoded_bytes();
     text.last()
         .is_some_and(|last| std::path::is_separator(char::from(*last)))
 }
 
-/// The directory for journals, if there is a place for one.
+/// The default directory for journals.
 pub(crate) fn directory() -> Option<PathBuf> {
     place(|variable| env::var_os(variable))
 }
 
-/// The directory for journals: the service manager's, else the user's.
+/// The service manager's directory, otherwise the user's.
 fn place(variable: impl Fn(&str) -> Option<OsString>) -> Option<PathBuf> {
     if let Some(directories) = variable("STATE_DIRECTORY") {
-        // Several are parted by ':'.
+        // There may be several, separated by ':'.
         let first = env::split_paths(&directories).next();
         if let Some(first) = first.filter(|first| first.is_absolute()) {
             return Some(first);
@@ -128,19 +128,18 @@ fn place(variable: impl Fn(&str) -> Option<OsString>) -> Option<PathBuf> {
     Some(state?.join("ztl"))
 }
 
-/// A file's name that no other gateway of this machine has: port 12345 and scope /lab give
-/// `gateway-12345-lab.jsonl`.
+/// A file name that is unique on this machine: `gateway-12345-lab.jsonl` for port 12345 and scope /lab.
 fn name(port: u16, scope: &str) -> String {
     let mut name = format!("gateway-{port}-");
     for byte in scope.strip_prefix('/').unwrap_or(scope).bytes() {
         if byte.is_ascii_alphanumeric() || matches!(byte, b'-' | b'_' | b'.') {
             name.push(char::from(byte));
         } else {
-            // Never fails: it is text.
+            // Writing to a string cannot fail.
             let _ = write!(name, "%{byte:02X}");
         }
     }
-    // What file systems take is 255 bytes, and some endings come behind it.
+    // File systems allow 255 bytes, including suffixes.
     name.truncate(200);
     name.push_str(".jsonl");
     name
@@ -156,7 +155,7 @@ mod tests {
     }
 
     #[test]
-    fn the_service_managers_directory_comes_first_and_then_the_users() {
+    fn the_service_managers_directory_comes_before_the_users() {
         let home = ("HOME", "/home/lab");
         let path = |path: &str| Some(PathBuf::from(path));
         assert_eq!(with(&[]), None);
@@ -177,7 +176,7 @@ mod tests {
     }
 
     #[test]
-    fn gateways_with_other_ports_or_scopes_have_other_files() {
+    fn each_port_and_scope_has_its_own_file() {
         assert_eq!(name(12345, "/lab"), "gateway-12345-lab.jsonl");
         assert_eq!(name(1, "/lab/arm"), "gateway-1-lab%2Farm.jsonl");
         assert_ne!(name(1, "/lab/arm"), name(1, "/lab-arm"));

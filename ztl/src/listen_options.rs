@@ -17,17 +17,17 @@ use crate::identity::own_keys;
 use crate::option_values::port;
 use crate::terminal::{error_line, line};
 
-/// Exit code for a configuration that cannot be served, however often it is tried.
+/// The exit code for a wrong configuration, after which a restart does not help.
 pub(crate) const MISCONFIGURED: u8 = 2;
 
-/// Why a configuration cannot be served.
+/// A mistake in the configuration.
 pub(crate) enum ConfigError {
     File(Diagnostics),
     Whole(String),
 }
 
 impl ConfigError {
-    /// Neither an option nor the file says something.
+    /// A value is missing in the options and the file.
     pub(crate) fn missing(file: Option<&str>, what: &str, option: &str, key: &str) -> Self {
         let key = match file {
             Some(file) => format!("`{key}` in {file}"),
@@ -40,7 +40,7 @@ impl ConfigError {
 impl fmt::Display for ConfigError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            // For editors: the place comes first in the line.
+            // Editors expect the place first in the line.
             Self::File(mistakes) => f.write_str(mistakes.to_string().trim_end()),
             Self::Whole(mistake) => write!(f, "ztl: {mistake}"),
         }
@@ -64,11 +64,11 @@ pub(crate) struct ListenOptions {
     #[command(flatten)]
     limits: LimitOptions,
 
-    /// What is logged: error, warn, info or debug [default: info]
+    /// Log level: error, warn, info or debug [default: info]
     #[arg(long, value_name = "LEVEL", value_parser = level)]
     log: Option<Level>,
 
-    /// How it is logged: text, or json (an object a line) [default: text]
+    /// Log format: text, or json (an object a line) [default: text]
     #[arg(long, value_name = "FORMAT", value_parser = log_format)]
     log_format: Option<LogFormat>,
 }
@@ -95,7 +95,7 @@ fn one_of<T: Copy>(text: &str, known: &[(&str, T)]) -> Result<T, String> {
 }
 
 impl ListenOptions {
-    /// The files that it names.
+    /// The files in the options.
     pub(crate) fn files(&self) -> impl Iterator<Item = &Path> {
         let clients = self.access.client_key.iter().map(|client| {
             let path = client
@@ -106,11 +106,8 @@ impl ListenOptions {
         self.access.key.iter().map(PathBuf::as_path).chain(clients)
     }
 
-    /// With what the configuration file says: an option wins, but networks and clients are added to the
-    /// file's. `None` when neither names a port.
-    ///
-    /// # Errors
-    /// A key that cannot be read.
+    /// Combines the options with the file. Options override the file, except that networks and clients are added.
+    /// `None` if neither has a port.
     pub(crate) fn with(self, file: Listen) -> Result<Option<ListenPlace>, ConfigError> {
         let mut access = self.access;
         access.allow.extend(file.allow);
@@ -143,16 +140,15 @@ pub(crate) struct ListenPlace {
 }
 
 impl ListenPlace {
-    /// Who reaches it, for people: what follows `Reachable for`.
+    /// Who can reach the server, for people.
     pub(crate) fn reachable(&self) -> String {
         reachable(&self.bind, &self.access)
     }
 
-    /// Tries whether it could listen there, and at these further ports.
+    /// Checks whether a server could listen here and at a second port.
     pub(crate) fn check(&self, further: Option<u16>) -> CheckFindings {
         let mut findings = CheckFindings::default();
         let ports = [Some(self.port), further].into_iter().flatten();
-        // Each by itself: that the first is in use says nothing of the next.
         for port in ports {
             let tried = TaskServer::check(&self.bind, port, self.access.clone(), self.limits);
             match tried {
@@ -167,27 +163,24 @@ impl ListenPlace {
         findings
     }
 
-    /// Listens there.
-    ///
-    /// # Errors
-    /// As [`BindError`] says.
+    /// Starts to listen.
     pub(crate) fn listen(&self) -> Result<TaskServer, BindError> {
         let endpoint = format!("tcp://{}:{}", self.bind, self.port);
         TaskServer::bind_with(&endpoint, self.access.clone(), self.limits)
     }
 }
 
-/// What a trial has found.
+/// What a check has found.
 #[derive(Default)]
 pub(crate) struct CheckFindings {
-    /// What would keep the server from being started.
+    /// Errors at the start.
     pub(crate) wrong: Vec<String>,
-    /// What would do so now, and is right when the same server runs.
+    /// Errors that are expected while the same server runs.
     pub(crate) notes: Vec<String>,
 }
 
 impl CheckFindings {
-    /// Says all of it, and how the start would end. `right` is what is said when nothing is wrong.
+    /// Prints the findings; `right` if there are no errors.
     pub(crate) fn tell(self, right: impl fmt::Display) -> Done {
         for wrong in &self.wrong {
             error_line(format_args!("ztl: {wrong}"));
@@ -203,10 +196,10 @@ impl CheckFindings {
     }
 }
 
-/// What a server allows at most.
+/// Options for the limits of a server.
 #[derive(Debug, Clone, clap::Args)]
 pub(crate) struct LimitOptions {
-    /// What the server allows at most, as running=100 (repeatable; docs/limits.md)
+    /// A limit of the server, such as running=100 (repeatable; docs/limits.md)
     #[arg(long, value_name = "NAME=VALUE", value_parser = bound)]
     limit: Vec<(String, String)>,
 }
@@ -218,28 +211,28 @@ fn bound(text: &str) -> Result<(String, String), String> {
 }
 
 impl LimitOptions {
-    /// In place of what was chosen elsewhere.
+    /// Overrides these limits.
     pub(crate) fn over(&self, mut limits: Limits) -> Limits {
         for (name, value) in &self.limit {
-            // It was tried when the option was read.
+            // Checked when the option was parsed.
             let _ = limits.choose(name, value);
         }
         limits
     }
 }
 
-/// Who may use a server.
+/// Options for who may use a server.
 #[derive(Debug, Clone, clap::Args)]
 struct AccessOptions {
-    /// Only clients with an address in this network, as 192.168.1.0/24 (repeatable)
+    /// Allow only clients in this network, such as 192.168.1.0/24 (repeatable)
     #[arg(long, value_name = "NETWORK", value_parser = network)]
     allow: Vec<IpNet>,
 
-    /// The server's secret key: encrypts, and only allowed clients get in (see `ztl keys`)
+    /// The server's secret key: encrypts, and only allowed clients can connect (see `ztl keys`)
     #[arg(long, value_name = "NAME.key_secret")]
     key: Option<PathBuf>,
 
-    /// A client that is allowed, by its key or a directory of keys; with SCOPE= at that scope only (repeatable)
+    /// Allow a client by its key, or a directory of keys; with SCOPE=, only at that scope (repeatable)
     #[arg(long, value_name = "[SCOPE=]NAME.key", requires = "key")]
     client_key: Vec<String>,
 }
@@ -278,7 +271,7 @@ impl AccessOptions {
     }
 }
 
-/// Who reaches a server that listens at this address.
+/// Who can reach a server that listens at this address.
 fn reachable(bind: &str, access: &Access) -> String {
     access.describe(match bind {
         "*" | "0.0.0.0" | "[::]" => "everybody in its networks",

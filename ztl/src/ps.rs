@@ -1,4 +1,4 @@
-//! `ztl ps`: the tasks of a server.
+//! `ztl ps`: lists the tasks of a server.
 
 use serde_json::json;
 use ztl_std::ServerTask;
@@ -13,11 +13,11 @@ pub(crate) struct Ps {
     #[command(flatten)]
     server: QueryOptions,
 
-    /// Show the ended ones too, as long as the server remembers them
+    /// Also show ended tasks that the server remembers
     #[arg(short, long)]
     all: bool,
 
-    /// What the server says, in JSON
+    /// Print JSON
     #[arg(long)]
     json: bool,
 }
@@ -42,7 +42,7 @@ impl Ps {
             }
             return Ok(code(all_named));
         }
-        // A device tells only ids and scopes.
+        // A device lists only ids and scopes.
         let is_listed = shown.iter().any(|task| task.listed.is_some());
         let columns = if is_listed { 6 } else { 2 };
         let head = ["ID", "SCOPE", "TASK", "STATE", "SINCE", "TEXT"].map(str::to_owned);

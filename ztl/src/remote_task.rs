@@ -1,5 +1,4 @@
-//! `ztl remote-task`: a task on a server that the configuration names, with the original's options
-//! and output (wire specification 7.3).
+//! `ztl remote-task`: runs a task on a named server, with the original's options and output (wire specification 7.3).
 
 use tracing::{Level, info};
 use ztl_std::remotes::Remote;
@@ -29,7 +28,7 @@ pub(crate) struct RemoteTask {
     #[command(flatten)]
     identity: Identity,
 
-    /// The server, by its name in the configuration
+    /// Name of the server in the configuration
     remote: String,
 
     /// The task: handler, component and goal separated by ':', e.g. 'handler:component:goal'

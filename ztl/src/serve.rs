@@ -1,4 +1,4 @@
-//! `ztl serve`: the scripts and command-line tools of a robot as handlers of a task server.
+//! `ztl serve`: serves scripts and command-line tools as handlers of a task server.
 
 use std::ffi::OsString;
 use std::io;
@@ -18,35 +18,35 @@ use crate::terminal::{error_line, error_part, line};
 use crate::{log, signals};
 
 #[derive(Debug, clap::Args)]
-#[command(after_help = "An option overrides what FILE says.")]
+#[command(after_help = "An option overrides FILE.")]
 pub(crate) struct Serve {
-    /// What is served, in YAML: which program does which task (docs/serve.md)
+    /// Configuration in YAML: which program does which task (docs/serve.md)
     #[arg(value_name = "FILE")]
     file: PathBuf,
 
-    /// Scope to serve, as /robot, in place of the file's only one
+    /// Scope to serve, such as /robot, instead of the file's only one
     #[arg(short, long, value_parser = scope_to_serve)]
     scope: Option<String>,
 
     #[command(flatten)]
     listen: ListenOptions,
 
-    /// Only say what is wrong with the file
+    /// Only check the file
     #[arg(long)]
     check: bool,
 }
 
-/// What the watchdog is called.
+/// The watchdog's subcommand.
 const WATCHDOG: &str = "serve-watchdog";
 
-/// A process that its `ztl serve` talks to, by stdin, and that ends with it.
+/// The watchdog process of a `ztl serve`.
 pub(crate) struct Watchdog {
     format: LogFormat,
 }
 
 impl Watchdog {
-    /// As [`command`](Self::command) calls it. Nobody else does, so this goes without the parser for
-    /// people's options: what that touches would stay in memory for as long as the server runs.
+    /// Parses the arguments of [`command`](Self::command). Avoids clap, which would take memory for as long as the
+    /// server runs.
     pub(crate) fn of(args: &[OsString]) -> Option<Self> {
         let [_, name, format] = args else {
             return None;
@@ -61,9 +61,9 @@ impl Watchdog {
         Ok(ExitCode::SUCCESS)
     }
 
-    /// How it is started: by the program that runs, wherever that is by now.
+    /// The command that starts a watchdog: this program, even if its file was moved.
     fn command(format: LogFormat) -> io::Result<Command> {
-        // There it sees which programs are left. An emulator may pretend that `/proc/self` is there.
+        // The watchdog needs /proc. An emulator may fake `/proc/self`.
         if cfg!(target_os = "linux") && std::fs::read_dir("/proc")?.next().is_none() {
             return Err(io::Error::new(io::ErrorKind::NotFound, "there is no /proc"));
         }
@@ -96,8 +96,8 @@ impl Serve {
         if check {
             let wrong = match config.warnings.len() {
                 0 => "Nothing is wrong".to_owned(),
-                1 => "Nothing is wrong but for a warning".to_owned(),
-                many => format!("Nothing is wrong but for {many} warnings"),
+                1 => "Nothing is wrong except a warning".to_owned(),
+                many => format!("Nothing is wrong except {many} warnings"),
             };
             let (bind, port) = (&place.bind, place.port);
             let served = served(&config);
@@ -110,7 +110,7 @@ impl Serve {
         serve(&config, place)
     }
 
-    /// What the file and the options say together.
+    /// Combines the file and the options.
     fn plan(self) -> Result<(Config, ListenPlace), ConfigError> {
         let mut config = Config::load(&self.file).map_err(ConfigError::File)?;
         let file = self.file.display().to_string();
@@ -132,7 +132,7 @@ impl Serve {
     }
 }
 
-/// What is served, for people.
+/// Describes what is served.
 fn served(config: &Config) -> String {
     let scopes = config.scopes.iter().map(|scope| {
         let name = scope.name();
@@ -150,9 +150,8 @@ fn serve(config: &Config, place: ListenPlace) -> Done {
     let mut server = place.listen()?;
     let processes = match watchdog {
         Ok(command) => ProcessRegistry::watched(command)?,
-        // An empty root has no /proc.
         Err(error) => {
-            warn!(target: "serve", "No watchdog can be started: {error}. If this server is killed, its programs run on.");
+            warn!(target: "serve", "Cannot start a watchdog: {error}. If this server is killed, its programs run on.");
             ProcessRegistry::default()
         }
     };

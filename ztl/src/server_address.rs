@@ -1,5 +1,4 @@
-//! Which server a command means: by host and port, by its name in the configuration file, or by the
-//! environment.
+//! Options for the server of a command: host and port, a name in the configuration file, or the environment.
 
 use std::path::PathBuf;
 
@@ -9,7 +8,7 @@ use ztl_std::{Remotes, RequestError};
 use crate::exit::Misuse;
 use crate::option_values::{port_to_reach, whole};
 
-/// Options that say which server is meant.
+/// Options for the address of a server.
 #[derive(Debug, clap::Args)]
 pub(crate) struct AddressOptions {
     /// Host of the server with --port, otherwise its name in the configuration file
@@ -32,19 +31,19 @@ pub(crate) struct AddressOptions {
     config: Option<PathBuf>,
 }
 
-/// Where a server is.
+/// The address of a server.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct ServerAddress {
     pub(crate) host: String,
     pub(crate) port: i64,
-    /// What the configuration file says beside host and port.
+    /// The scope in the configuration file.
     pub(crate) scope: Option<String>,
 }
 
-/// What the configuration file says of a name.
+/// The result of looking up a name in the configuration file.
 enum Lookup {
     Found(ServerAddress),
-    /// It has no such server, and why that matters.
+    /// There is no such server, which is an error without a port.
     Unknown(Misuse),
 }
 
@@ -53,19 +52,13 @@ const HOW: &str =
     "give --port, or --remote NAME for a server in the configuration file, or set ZTL_PORT";
 
 impl AddressOptions {
-    /// The server that is meant.
-    ///
-    /// # Errors
-    /// When nothing says which, or what says it is wrong.
+    /// The address of the server; an error if there is none.
     pub(crate) fn resolve(&self) -> Result<ServerAddress, Misuse> {
         self.resolve_if_any()?
             .ok_or_else(|| Misuse(format!("no port: {HOW}")))
     }
 
-    /// The same; `None` when nothing says which server.
-    ///
-    /// # Errors
-    /// When what says it is wrong.
+    /// The address of the server, if options or environment have one.
     pub(crate) fn resolve_if_any(&self) -> Result<Option<ServerAddress>, Misuse> {
         let unknown = match (&self.remote, self.port) {
             (Some(name), None) => match self.named(name)? {
@@ -94,7 +87,7 @@ impl AddressOptions {
         }
     }
 
-    /// Looks for the server of this name in the configuration file.
+    /// Looks up a name in the configuration file.
     fn named(&self, name: &str) -> Result<Lookup, Misuse> {
         let path = self.config.clone().unwrap_or_else(usual_path);
         if self.config.is_none() && !path.exists() {
@@ -120,11 +113,7 @@ impl AddressOptions {
 }
 
 impl ServerAddress {
-    /// The scope that is meant there: of the option, else the configuration file's, else the
-    /// environment's.
-    ///
-    /// # Errors
-    /// When the environment's is no text.
+    /// The scope of the option, otherwise of the configuration file, otherwise of the environment.
     pub(crate) fn scope(&self, option: Option<&String>) -> Result<Option<String>, Misuse> {
         match option.or(self.scope.as_ref()) {
             Some(scope) => Ok(Some(scope.clone())),
@@ -132,13 +121,13 @@ impl ServerAddress {
         }
     }
 
-    /// Its ZeroMQ address.
+    /// The ZeroMQ endpoint.
     pub(crate) fn endpoint(&self) -> String {
         format!("tcp://{}:{}", self.host, self.port)
     }
 }
 
-/// Why there is no client of this host.
+/// Why a client cannot be created.
 pub(crate) fn no_client(host: &str, error: RequestError) -> String {
     match error {
         RequestError::Transport(_) => format!("'{host}' is no name or address of a host"),
@@ -146,7 +135,7 @@ pub(crate) fn no_client(host: &str, error: RequestError) -> String {
     }
 }
 
-/// A variable of the environment; an empty one is as one that is not set.
+/// An environment variable; `None` if it is empty.
 fn variable(name: &str) -> Result<Option<String>, Misuse> {
     let Some(value) = std::env::var_os(name).filter(|value| !value.is_empty()) else {
         return Ok(None);

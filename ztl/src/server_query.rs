@@ -11,7 +11,7 @@ use crate::identity::Identity;
 use crate::server_address::{AddressOptions, ServerAddress, no_client};
 use crate::terminal::error_line;
 
-/// Options that say which server is asked, and by whom.
+/// Options for a server to query.
 #[derive(Debug, clap::Args)]
 pub(crate) struct QueryOptions {
     #[command(flatten)]
@@ -22,10 +22,7 @@ pub(crate) struct QueryOptions {
 }
 
 impl QueryOptions {
-    /// The server that is asked.
-    ///
-    /// # Errors
-    /// When nothing says which it is.
+    /// The server of the options and the environment.
     pub(crate) fn server(self) -> Result<QueriedServer, Misuse> {
         Ok(QueriedServer {
             address: self.address.resolve()?,
@@ -34,7 +31,7 @@ impl QueryOptions {
     }
 }
 
-/// A server that is asked.
+/// A server to query.
 pub(crate) struct QueriedServer {
     pub(crate) address: ServerAddress,
     identity: Identity,
@@ -45,21 +42,20 @@ impl QueriedServer {
         self.address.endpoint()
     }
 
-    /// A client of `scope` there.
+    /// Connects to a scope of the server.
     pub(crate) fn connect(&self, scope: &str) -> Result<RemoteTask, Box<dyn std::error::Error>> {
         let remote = RemoteTask::connect(&self.endpoint(), scope)
             .map_err(|error| no_client(&self.address.host, error))?;
         self.identity.apply(remote)
     }
 
-    /// What the server says of itself.
+    /// The server's description of itself.
     pub(crate) fn describe(&self) -> Result<Description, Box<dyn std::error::Error>> {
         let told = self.connect("$ztl")?.describe()?;
         Ok(told.ok_or_else(|| self.original())?)
     }
 
-    /// # Errors
-    /// The server says which scopes it has, and this one is not among them.
+    /// Fails if the server lists its scopes without this one.
     pub(crate) fn demand_scope(&self, scope: &str) -> Result<(), Box<dyn std::error::Error>> {
         let scopes = self.describe()?.scopes;
         if scopes.is_empty() || scopes.contains_key(scope) {
@@ -71,29 +67,29 @@ impl QueriedServer {
         Err(format!("the server at {endpoint} has no scope '{scope}'; it has: {names}").into())
     }
 
-    /// Why a server tells nothing.
+    /// The error for a server that does not describe itself.
     pub(crate) fn original(&self) -> String {
         let endpoint = self.endpoint();
         format!("the server at {endpoint} is an original ztl; it does not say what it offers")
     }
 
-    /// What the server answers to a question, as JSON; `None` where it does not know it.
+    /// The answer to a question in JSON; `None` if the server does not know the question.
     pub(crate) fn ask(&self, question: &str) -> Result<Option<String>, Box<dyn std::error::Error>> {
         Ok(self.connect("$ztl")?.ask_server(question)?)
     }
 
-    /// The tasks that the server names; `None`: it is an original server.
+    /// The tasks that the server lists; `None` for an original server.
     pub(crate) fn tasks_if_any(&self) -> Result<Option<ServerTasks>, Box<dyn std::error::Error>> {
         Ok(self.connect("$ztl")?.tasks()?)
     }
 
-    /// The same; an original server is an error.
+    /// The tasks that the server lists; an error for an original server.
     pub(crate) fn tasks(&self) -> Result<ServerTasks, Box<dyn std::error::Error>> {
         Ok(self.tasks_if_any()?.ok_or_else(|| self.original())?)
     }
 }
 
-/// Reads an answer.
+/// Parses an answer.
 pub(crate) fn read<T: DeserializeOwned>(json: &str) -> Result<T, String> {
     serde_json::from_str(json).map_err(|error| {
         format!(
@@ -103,7 +99,7 @@ pub(crate) fn read<T: DeserializeOwned>(json: &str) -> Result<T, String> {
     })
 }
 
-/// Says why tasks may run that the server does not name, if so; whether it names all that run.
+/// Returns whether the server lists all running tasks. Prints why not.
 pub(crate) fn all_named(tasks: &ServerTasks) -> bool {
     for gap in &tasks.gaps {
         error_line(format_args!("ztl: {gap}"));
@@ -111,7 +107,7 @@ pub(crate) fn all_named(tasks: &ServerTasks) -> bool {
     tasks.gaps.is_empty()
 }
 
-/// The exit code of a command that did all that it was asked to, or did not.
+/// The exit code for complete success or not.
 pub(crate) fn code(all: bool) -> ExitCode {
     if all {
         ExitCode::SUCCESS
@@ -120,7 +116,7 @@ pub(crate) fn code(all: bool) -> ExitCode {
     }
 }
 
-/// The state's name, unless the server could not learn how the task ended.
+/// The state of a task for people.
 pub(crate) fn state(task: &ListedTask) -> String {
     if task.end_is_unknown() {
         return "may still run".to_owned();

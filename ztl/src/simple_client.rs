@@ -1,5 +1,4 @@
-//! `ztl simple-client`: a task with any payload, with the original's arguments and output (wire
-//! specification 7.5).
+//! `ztl simple-client`: runs a task with any payload, with the original's arguments and output (wire specification 7.5).
 
 use tracing::Level;
 
@@ -18,7 +17,7 @@ pub(crate) struct SimpleClient {
     #[arg(index = 1)]
     host: String,
 
-    /// Its port
+    /// Port of the server
     #[arg(index = 2, value_parser = port_to_reach)]
     port: i64,
 
@@ -26,8 +25,7 @@ pub(crate) struct SimpleClient {
     #[arg(index = 3)]
     scope: String,
 
-    /// What is asked for, as the server understands it; seconds for the simple server. One that begins with a dash
-    /// stands behind `--`
+    /// The payload; seconds for the simple server. Write `--` before one that begins with a dash
     #[arg(index = 4, allow_negative_numbers = true)]
     request: String,
 

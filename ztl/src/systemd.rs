@@ -1,4 +1,4 @@
-//! What systemd is told of a service: `sd_notify(3)`, over a datagram socket.
+//! Notifies systemd: `sd_notify(3)` over a datagram socket.
 
 use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
 use std::sync::{Mutex, PoisonError};
@@ -10,19 +10,18 @@ use ztl_std::server::{Pulse, Stopper};
 use crate::signals;
 use crate::terminal::{flat, line};
 
-/// How often it is looked whether there is something new to say.
+/// How often to check for a new status.
 const LOOK: Duration = Duration::from_secs(1);
 
-/// The service manager, as long as this is held; without one, nothing happens.
+/// Notifies the service manager until this is dropped. Does nothing without one.
 pub(crate) struct Service {
     manager: Manager,
-    /// Dropped, it ends the thread that tells.
+    /// Dropping it ends the thread that notifies.
     _attending: Sender<()>,
 }
 
 impl Service {
-    /// Says that this process serves, and from then on how it does, as the status, and, if that is
-    /// watched, that its server lives.
+    /// Notifies that the server is ready, then of each new status, and that the server's thread is alive.
     pub(crate) fn ready(
         pulse: Pulse,
         tell: impl Fn() -> String + Send + 'static,
@@ -35,13 +34,13 @@ impl Service {
                 _attending: attending,
             });
         }
-        // It is one line of the message.
+        // The status must be one line.
         let now = move || flat(&tell()).into_owned();
         let mut status = now();
         manager.tell(&format!("READY=1\nSTATUS={status}"));
         let teller = manager.clone();
         let watchdog = watchdog();
-        // Half of it, as systemd advises.
+        // Half of the limit, as systemd advises.
         let pause = watchdog.map_or(LOOK, |limit| (limit / 2).min(LOOK));
         std::thread::Builder::new()
             .name("ztl-service".to_owned())
@@ -66,7 +65,7 @@ impl Service {
         })
     }
 
-    /// When somebody wants this process to end, that is said, and the server is stopped.
+    /// Stops the server at a signal, and notifies that.
     pub(crate) fn stops(self, stopper: Stopper) {
         let service = Mutex::new(Some(self));
         signals::then(move || {
@@ -80,7 +79,7 @@ impl Service {
     }
 }
 
-/// How a gateway does: one line on all devices.
+/// The status of a gateway: one line for all devices.
 pub(crate) fn of_devices(devices: &DeviceReports) -> String {
     let ready = devices.values().filter(|device| device.ready).count();
     let mut text = format!("{ready} of {} devices ready", devices.len());
@@ -91,7 +90,7 @@ pub(crate) fn of_devices(devices: &DeviceReports) -> String {
     text
 }
 
-/// After how long without a word systemd restarts this process, if it does.
+/// After how long without a notification systemd restarts this process.
 fn watchdog() -> Option<Duration> {
     let variable = |name| std::env::var(name).ok();
     let limit: u64 = variable("WATCHDOG_USEC")?.parse().ok()?;
@@ -133,7 +132,7 @@ impl Manager {
 
     fn tell(&self, state: &str) {
         if let Some((socket, address)) = self.0.as_deref() {
-            // A manager that does not listen is no reason to serve nobody.
+            // Serve even if the manager does not listen.
             let _ = socket.send_to_addr(state.as_bytes(), address);
         }
     }
@@ -151,7 +150,7 @@ fn in_abstract_namespace(_name: &[u8]) -> Option<std::os::unix::net::SocketAddr>
     None
 }
 
-/// There is no systemd here.
+/// This system has no systemd.
 #[cfg(not(unix))]
 #[derive(Clone)]
 struct Manager;

@@ -1,5 +1,4 @@
-//! `ztl task-client`: a task on a server, with the original's options and output (wire
-//! specification 7.2).
+//! `ztl task-client`: runs a task on a server, with the original's options and output (wire specification 7.2).
 
 use tracing::Level;
 

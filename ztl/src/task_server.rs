@@ -38,7 +38,7 @@ impl TaskServer {
             return Err(error.into());
         }
         signals::catch()?;
-        // Every interface, as the original.
+        // All interfaces, as the original.
         let mut server = Server::bind_with(
             &format!("tcp://*:{}", self.port),
             Access::everybody(),
@@ -101,7 +101,7 @@ impl ExecutableTask for TestTask {
         }
     }
 
-    /// The original's test task refuses.
+    /// The original's test task cannot be aborted.
     fn can_abort(&self) -> bool {
         false
     }

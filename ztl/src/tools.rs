@@ -24,9 +24,9 @@ pub(crate) enum Tool {
     /// Run a task of the configured remote servers and wait for it
     #[command(args_override_self = true)]
     RemoteTask(remote_task::RemoteTask),
-    /// The original's simplest server: a task lasts as many seconds as it is asked to
+    /// The original's simplest server: a task takes as many seconds as its payload says
     SimpleServer(simple_server::SimpleServer),
-    /// Ask for a task with a payload as it is, and wait 5 s for it
+    /// Start a task with any payload, and wait 5 s for it
     SimpleClient(simple_client::SimpleClient),
     #[command(hide = true)]
     SimplePublisher(NotYet),
@@ -37,7 +37,7 @@ pub(crate) enum Tool {
     RunScript(run_script::RunScript),
 }
 
-/// A tool that is still to come; takes any arguments, to say so.
+/// A tool that does not exist yet. Accepts any arguments.
 #[derive(Debug, clap::Args)]
 #[command(disable_help_flag = true)]
 pub(crate) struct NotYet {
@@ -45,7 +45,7 @@ pub(crate) struct NotYet {
     _ignored: Vec<OsString>,
 }
 
-/// Nothing but a tool.
+/// The command line with only the tools.
 #[derive(Debug, Parser)]
 #[command(name = "ztl")]
 pub(crate) struct ToolOnly {
@@ -54,13 +54,13 @@ pub(crate) struct ToolOnly {
 }
 
 impl Tool {
-    /// Runs it as a subcommand.
+    /// Runs the tool as a subcommand.
     pub(crate) fn run(self) -> ExitCode {
         let called = Called::ours(self.name());
         self.run_as(&called)
     }
 
-    /// Runs it under the name by which it was called.
+    /// Runs the tool by the name it was called.
     pub(crate) fn run_as(self, called: &Called) -> ExitCode {
         let name = self.name();
         let done: Done = match self {
@@ -71,7 +71,7 @@ impl Tool {
             Self::SimpleClient(client) => client.run(called),
             Self::RunScript(script) => script.run(called),
             Self::SimplePublisher(_) | Self::SimpleSubscriber(_) => Err(
-                "this tool is not there yet; the original's works with this server and gateway: pip install ztl".into(),
+                "this tool does not exist yet; the original's works with this server and gateway: pip install ztl".into(),
             ),
         };
         match done {
@@ -98,7 +98,7 @@ impl Tool {
     }
 }
 
-/// What a tool's `--help` says, under the name by which it was called.
+/// The help of a tool for the name it was called.
 pub(crate) fn help(called: &Called, tool: &str) -> String {
     let mut command = match called.is_original() {
         true => original_command(tool),
@@ -114,8 +114,8 @@ pub(crate) fn original_command(tool: &str) -> clap::Command {
     ToolOnly::command().mut_subcommand(tool, as_original)
 }
 
-/// The original's client needs all of what ours can have from elsewhere, and takes any number as a port.
-/// What is hidden is not known.
+/// Under the original's name, the client requires the options that ours takes from elsewhere, and accepts any number
+/// as a port. Hidden options are unknown.
 fn as_original(tool: clap::Command) -> clap::Command {
     if tool.get_name() == "task-client" {
         ["remote", "port", "scope"]

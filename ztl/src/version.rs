@@ -1,4 +1,4 @@
-//! What this program was built from.
+//! The version and build of this program.
 
 use std::sync::LazyLock;
 
@@ -10,7 +10,7 @@ pub(crate) fn text() -> &'static str {
             Some(true) => "with CURVE: supports encryption",
             _ => "without CURVE: no encryption",
         };
-        // In a release: its compilers and other libraries.
+        // Compilers and other libraries, in a release.
         let with = option_env!("ZTL_BUILD_WITH").map(|with| format!("\nwith: {with}"));
         format!(
             "{}\ncommit: {}\ntarget: {}\nlibzmq: {major}.{minor}.{patch}, {encrypts}{}",

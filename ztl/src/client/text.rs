@@ -161,7 +161,7 @@ impl<'a> TextReporter<'a> {
         }
     }
 
-    /// Says that a task has finished, with its state where these words tell it.
+    /// Prints that a task has finished.
     fn finished(&self, id: &RemoteId, state: Option<State>, rest: &str) {
         let task = format!("Task with ID '{id}' finished");
         match (self.wording, state) {

@@ -1,17 +1,16 @@
-//! What the doctor has found.
+//! Findings of the doctor.
 
 use serde_json::{Value, json};
 
-/// How something is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Health {
     Good,
-    /// Worth knowing, and no trouble.
+    /// Not a problem, but worth knowing.
     Note,
     Trouble,
 }
 
-/// What was found about one thing.
+/// The result of one check.
 #[derive(Debug)]
 pub(super) struct Finding {
     pub(super) about: &'static str,
@@ -52,7 +51,7 @@ impl Finding {
         }
     }
 
-    /// What may be done about it, although it is no trouble.
+    /// Adds a remedy to a note.
     pub(super) fn with_remedy(mut self, remedy: impl Into<String>) -> Self {
         self.remedy = Some(remedy.into());
         self

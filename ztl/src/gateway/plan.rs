@@ -18,11 +18,11 @@ pub(crate) struct Gateway {
     #[arg(value_name = "FILE")]
     pub(super) file: Option<PathBuf>,
 
-    /// A device: the name under which clients know it, and where it is (repeatable)
+    /// A device: its name for clients, and its URL (repeatable)
     #[arg(short, long = "device", value_name = "NAME=URL", value_parser = device)]
     devices: Vec<DeviceConfig>,
 
-    /// The ELF file of a device's firmware: what it logs by defmt goes to the log (repeatable)
+    /// The ELF file of a device's firmware, whose defmt log goes to the gateway's log (repeatable)
     #[cfg(feature = "defmt")]
     #[arg(long = "elf", value_name = "NAME=FILE", value_parser = elf)]
     elfs: Vec<(String, PathBuf)>,
@@ -34,7 +34,7 @@ pub(crate) struct Gateway {
     #[command(flatten)]
     listen: ListenOptions,
 
-    /// Publish the devices' readings at this port, for any ZeroMQ subscriber
+    /// Publish the devices' readings at this port for ZeroMQ subscribers
     #[arg(long, value_name = "PORT", value_parser = port)]
     publish: Option<u16>,
 
@@ -42,7 +42,7 @@ pub(crate) struct Gateway {
     #[arg(long)]
     leave_running: bool,
 
-    /// Only say what is wrong with the configuration
+    /// Only check the configuration
     #[arg(long)]
     pub(super) check: bool,
 
@@ -68,7 +68,7 @@ fn elf(text: &str) -> Result<(String, PathBuf), String> {
     Ok((name.to_owned(), path.into()))
 }
 
-/// Adds the ELF files of the command line to the devices, and looks whether all are of use.
+/// Sets the ELF files of the command line, and checks that all can be read.
 #[cfg(feature = "defmt")]
 fn with_elfs(
     devices: &mut [DeviceConfig],
@@ -97,7 +97,7 @@ fn with_elfs(
     Ok(())
 }
 
-/// All that is needed to serve.
+/// What the gateway serves, and where.
 pub(super) struct Plan {
     pub(super) scope: String,
     pub(super) place: ListenPlace,
@@ -108,7 +108,7 @@ pub(super) struct Plan {
 }
 
 impl Gateway {
-    /// The files that it names.
+    /// The files in the options.
     pub(super) fn files(&self) -> Vec<&Path> {
         let file = self.file.iter().map(PathBuf::as_path);
         #[cfg_attr(not(feature = "defmt"), expect(unused_mut, reason = "no ELF files"))]
@@ -118,7 +118,7 @@ impl Gateway {
         files
     }
 
-    /// What the file and the options say together.
+    /// Combines the file and the options.
     pub(super) fn plan(self) -> Result<Plan, ConfigError> {
         let config = match &self.file {
             Some(path) => Config::load(path, ztl_sim::endpoint).map_err(ConfigError::File)?,
