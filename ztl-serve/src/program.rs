@@ -304,7 +304,7 @@ impl ProgramJob {
 
     fn on_abort_not_started(&self, reason: &str) {
         let id = self.task.call.id;
-        warn!(target: LOG, "cannot start the abort program of task {id}, sent SIGTERM instead: {reason}");
+        warn!(target: LOG, "Cannot start the abort program of task {id}, sent SIGTERM instead: {reason}");
         self.signal(Signal::TERM);
     }
 

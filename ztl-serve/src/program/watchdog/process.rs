@@ -229,7 +229,7 @@ impl Orphan {
                 }
                 Err(reason) => {
                     log.warn(format!(
-                        "Task {} is stopped by SIGTERM, for its abort program cannot be started: {reason}",
+                        "Cannot start the abort program of task {}, sent SIGTERM instead: {reason}",
                         charge.task
                     ));
                 }
