@@ -428,7 +428,7 @@ fn a_tool_that_is_not_there_yet_says_so_under_each_of_its_names() {
             assert_eq!(ended.code, Some(1), "{command:?}: {ended:?}");
             assert_eq!(ended.stdout, "");
             let line = ended.stderr.trim_end();
-            assert!(line.contains("this tool is not there yet"), "{line}");
+            assert!(line.contains("this tool does not exist yet"), "{line}");
             assert_eq!(line.lines().count(), 1, "{line}");
         }
     }

@@ -87,11 +87,7 @@ fn the_originals_server_is_known_as_one_that_tells_no_version() {
     let found = about(&told, "server");
     assert_eq!(found[0]["health"], "good", "{told:#}");
     assert_eq!(found[0]["data"]["version"], Value::Null);
-    assert!(
-        found[0]["text"]
-            .to_string()
-            .contains("the original's server")
-    );
+    assert!(found[0]["text"].to_string().contains("an original server"));
     assert_eq!(code, Some(0), "{told:#}");
 }
 
@@ -145,7 +141,7 @@ fn who_answers_nothing_is_no_server() {
     assert_trouble(
         &told,
         "server",
-        "no address of 'no.such.host.invalid'",
+        "cannot resolve 'no.such.host.invalid'",
         "/etc/hosts",
     );
     assert_eq!(code, Some(1));

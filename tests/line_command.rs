@@ -157,7 +157,11 @@ fn what_is_wrong_is_said_in_one_line_with_what_would_be_right() {
         ("/dev/ttyACM0 pty", 2, "serial:/dev/ttyACM0"),
         ("tcp:7000 pty", 2, "tcp-listen:PORT to listen"),
         ("pty pty --flip 2", 2, "a number from 0 to 1"),
-        ("pty pty --for 10", 2, "10' for '--for <TIME>': a time is"),
+        (
+            "pty pty --for 10",
+            2,
+            "10' for '--for <TIME>': expected a number with a unit",
+        ),
         ("pty pty --baud 0", 2, "0 is not in 1.."),
         ("pty:/nowhere/link pty", 1, "cannot make the link /nowhere"),
         (&format!("pty {taken}"), 1, "cannot listen at 127.0.0.1:"),

@@ -117,7 +117,7 @@ fn a_program_can_be_stopped_by_another_one() {
     assert!(start.elapsed() < SOON);
     lab.server
         .process
-        .wait_for("its abort program cannot be started: no-such-program: not found");
+        .wait_for("sent SIGTERM instead: no-such-program: not found");
     let id = trigger(&mut remote, "hung", "");
     assert_eq!(remote.abort(id).expect("an answer").state, Aborted);
     let killed = "aborted (killed: not ended within 300 ms of its abort program)";

@@ -37,9 +37,9 @@ fn what_cannot_be_started_is_refused_with_what_is_to_be_done() {
         (
             "odd",
             7,
-            "odd: what its first line names (#!) is not there; install that or correct the line at ",
+            "odd: there is no interpreter as its first line (#!) names; install it or correct the line at ",
         ),
-        ("nowhere", 8, "sh: the directory "),
+        ("nowhere", 8, "sh: there is no directory "),
     ] {
         let reason = lab.refusal(component, "x");
         assert!(reason.contains(part), "{component}: {reason}");

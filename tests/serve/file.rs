@@ -28,7 +28,7 @@ fn checking_says_what_is_wrong_and_what_may_be() {
         "{file}:3:16: warning: no-such-program is not there; install it or correct the path\n  \
          3 |   /a: {{h: {{c: [no-such-program]}}}}\n    |                ^^^^^^^^^^^^^^^\n"
     );
-    let said = "Nothing is wrong but for a warning: 1 component at /a, 2 components at /b, at 127.0.0.1:1.\n";
+    let said = "Nothing is wrong except a warning: 1 component at /a, 2 components at /b, at 127.0.0.1:1.\n";
     assert_eq!(
         (ended.code, ended.stdout.as_str(), ended.stderr),
         (Some(0), said, warning)

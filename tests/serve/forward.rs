@@ -237,7 +237,7 @@ fn with_keys_it_is_the_client_that_the_other_server_knows() {
         let lab = Lab::new(&format!("echo: {{forward: {{{to}}}}}"));
         lab.server
             .process
-            .wait_for("its tasks will be refused: this build of ztl cannot encrypt");
+            .wait_for("its tasks will be rejected: this build of ztl cannot encrypt");
         let mut remote = lab.remote();
         let refused = remote
             .run("p", "echo", "x", Some(SOON))

@@ -109,7 +109,7 @@ fn the_last_line_is_the_result_or_all_or_json_or_nothing() {
     assert_eq!(lab.run("nothing", ""), (Completed, "None".to_owned()));
     let (state, reason) = lab.run("bad", "{a: 1}");
     assert_eq!(state, Failed);
-    assert!(reason.starts_with("its output is no JSON: "), "{reason}");
+    assert!(reason.starts_with("its output is not JSON: "), "{reason}");
     let mut client = lab.server.original_client();
     let id = client.start("p", "json", "");
     assert_eq!(client.wait(id, 20.0), (COMPLETED, "[1, True, {'a': None}]"));

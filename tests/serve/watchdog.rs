@@ -2,7 +2,7 @@
 
 use std::process::Command;
 
-use ztl_serve::{Config, Groups};
+use ztl_serve::{Config, ProcessRegistry};
 use ztl_std::{RemoteTask, RunningServer, State, TaskServer, TriggerError};
 use ztl_tests::lab::{PATIENCE, Scratch, until};
 
@@ -23,11 +23,11 @@ fn serve(watchdog: &str) -> (Scratch, RunningServer, String) {
     std::fs::write(&file, FILE).expect("to write");
     let mut command = Command::new("sh");
     command.args(["-c", watchdog]).current_dir(scratch.path(""));
-    let groups = Groups::watched(command).expect("threads");
+    let processes = ProcessRegistry::watched(command).expect("threads");
     let config = Config::load(&file).expect("a file");
     let mut server = TaskServer::bind("tcp://127.0.0.1:*").expect("a port");
-    for (scope, programs) in config.programs(&groups).expect("threads") {
-        server.register_handler(&scope, programs);
+    for (scope, handler) in config.handlers(&processes).expect("threads") {
+        server.register_handler(&scope, handler);
     }
     let endpoint = server.endpoint().to_owned();
     (scratch, server.spawn().expect("a thread"), endpoint)

@@ -1,47 +1,120 @@
-//! Tasks that another server does: a relay across networks. The other server may be ours or the original's.
+//! Forwards tasks to another server, ours or the original's.
 //!
-//! What is not known of a task is never told as its end: while the other server does not answer, the task
-//! goes on. Only when nothing can ever be learned it is FAILED, with a reason that begins `unknown:`.
+//! While the other server does not answer, the task goes on. It fails, with a reason that begins with `unknown:`,
+//! only when its outcome can never be learned.
 
 use std::error::Error;
 use std::path::PathBuf;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use ztl_core::State;
 use ztl_core::dispatcher::UNKNOWN_END;
-
-use super::run::{End, time};
-use super::template::Call;
 use ztl_std::keys::{KeyError, KeyPair, PublicKey, can_encrypt};
 use ztl_std::server::KEEP;
-use ztl_std::{RemoteTask, RequestError, Status, TriggerError};
+use ztl_std::{RemoteTask, RequestError, Status, TriggerError, scope};
+use ztl_yaml::{Fields, Node};
+
+use crate::human::human_time;
+use crate::kind::{Effect, Kind, Outcome, Services, Start, TaskContext};
+use crate::reader::{ComponentContext, ConfigReader};
+use crate::thread_job;
+
+/// Pause between two attempts to reach a server.
+const PAUSE: Duration = Duration::from_millis(100);
 
 /// Where tasks are sent.
 #[derive(Debug, Clone)]
-pub(super) struct Forward {
+pub(crate) struct Forward {
     /// A ZeroMQ endpoint.
-    pub(super) to: String,
-    pub(super) scope: String,
-    /// What the handler and the component are called there, if not as here.
-    pub(super) handler: Option<String>,
-    pub(super) component: Option<String>,
-    /// One's own secret key and the server's public one.
-    pub(super) keys: Option<(PathBuf, PathBuf)>,
+    pub(crate) to: String,
+    pub(crate) scope: String,
+    /// The handler's name there, if it differs.
+    pub(crate) handler: Option<String>,
+    pub(crate) component: Option<String>,
+    /// Our secret key and the server's public key.
+    pub(crate) keys: Option<(PathBuf, PathBuf)>,
 }
 
-/// What is heard of a task on its way.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) enum Told {
-    Accepted,
-    Progress(String),
-    AbortRefused,
-    End(End),
+/// Reads where tasks are sent.
+pub(crate) fn read<'d>(
+    reader: &mut ConfigReader<'d>,
+    node: &'d Node,
+    _: Option<&mut Fields<'d>>,
+    _: ComponentContext<'_>,
+) -> Option<Arc<dyn Kind>> {
+    let mut fields = reader.yaml.fields(node, "to: tcp://HOST:PORT, scope")?;
+    let to = fields.required("to", "to: tcp://10.0.0.7:12345");
+    let to = to.and_then(|node| {
+        let what = "an address, as tcp://10.0.0.7:12345";
+        reader.yaml.parsed(node, what, |text| {
+            let port = text
+                .strip_prefix("tcp://")
+                .and_then(|rest| rest.rsplit_once(':'));
+            let port = port.filter(|(host, _)| !host.is_empty());
+            match port.map(|(_, port)| port.parse::<u16>()) {
+                Some(Ok(1..)) => Ok(text.to_owned()),
+                _ => Err(format!("'{text}' is not {what}")),
+            }
+        })
+    });
+    let scope = fields.required("scope", "scope: /cob");
+    let scope = scope.and_then(|node| {
+        let what = "a scope, as /cob";
+        reader.yaml.parsed(node, what, |text| {
+            scope::cannot_be_asked(text).map_or_else(|| Ok(text.to_owned()), Err)
+        })
+    });
+    let handler = fields.optional("handler");
+    let handler = handler.and_then(|node| reader.name(node, "a handler"));
+    let component = fields.optional("component");
+    let component = component.and_then(|node| reader.name(node, "a component"));
+    let base = reader.base;
+    let own = fields.optional("key");
+    let server = fields.optional("server-key");
+    let mut path = |node: Option<&'d Node>| {
+        let text = reader.yaml.text(node?, "a file of `ztl keys`")?;
+        Some(base.join(text))
+    };
+    let keys = match (path(own), path(server)) {
+        (Some(own), Some(server)) => Some((own, server)),
+        _ => None,
+    };
+    if let (Some(node), None) | (None, Some(node)) = (own, server) {
+        let message =
+            "an encrypted connection needs both: key: robot.key_secret, server-key: far.key";
+        reader.yaml.wrong(node, message);
+    }
+    fields.finish(&mut reader.yaml);
+    if let (Some(node), Some((own, server))) = (own, &keys) {
+        let mistake = match can_encrypt() {
+            true => KeyPair::read(own).err().or(PublicKey::read(server).err()),
+            false => Some(KeyError::NoCurve),
+        };
+        if let Some(mistake) = mistake {
+            reader.warn(node, format!("its tasks will be rejected: {mistake}"));
+        }
+    }
+    Some(Arc::new(Forward {
+        to: to?,
+        scope: scope?,
+        handler,
+        component,
+        keys,
+    }))
+}
+
+impl Kind for Forward {
+    fn start(self: Arc<Self>, task: TaskContext, services: &Services) -> Start {
+        let zmq = services.zmq.clone();
+        thread_job::start(task, move |task, abort| self.run(zmq, task, abort))
+    }
 }
 
 impl Forward {
-    /// A client of the server, or why there can be none.
-    fn remote(&self, context: zmq::Context) -> Result<RemoteTask, Box<dyn Error>> {
+    /// Connects to the server.
+    fn connect(&self, context: zmq::Context) -> Result<RemoteTask, Box<dyn Error>> {
         let remote = RemoteTask::connect_in(context, &self.to, &self.scope)?;
         let Some((own, server)) = &self.keys else {
             return Ok(remote);
@@ -52,41 +125,34 @@ impl Forward {
         Ok(remote.with_keys(KeyPair::read(own)?, PublicKey::read(server)?)?)
     }
 
-    /// Has a task done there, and says how it ended. `abort` may be set at any time.
-    pub(super) fn run(
-        &self,
-        context: zmq::Context,
-        call: &Call,
-        abort: &AtomicBool,
-        tell: impl Fn(Told),
-    ) -> End {
-        let to = &self.to;
-        let mut remote = match self.remote(context) {
+    /// Runs a task there. `abort` may be set at any time.
+    fn run(&self, zmq: zmq::Context, task: &TaskContext, abort: &AtomicBool) -> Outcome {
+        let (to, call) = (&self.to, &task.call);
+        let mut remote = match self.connect(zmq) {
             Ok(remote) => remote,
-            Err(error) => return End::Rejected(format!("{to}: {error}")),
+            Err(error) => return Outcome::Rejected(format!("{to}: {error}")),
         };
         let handler = self.handler.as_deref().unwrap_or(&call.handler);
         let component = self.component.as_deref().unwrap_or(&call.component);
         let id = match remote.trigger(handler, component, &call.goal.text) {
-            Ok(task) => task.id,
-            Err(TriggerError::Refused { reason, .. }) => return End::Rejected(reason),
-            // It is wanted until an answer says what became of it.
+            Ok(started) => started.id,
+            Err(TriggerError::Refused { reason, .. }) => return Outcome::Rejected(reason),
             Err(TriggerError::NeverCame | TriggerError::GivenUp) => {
-                return End::Rejected(format!("{to} did not get it, and will not start it"));
+                return Outcome::Rejected(format!("{to} did not get it, and will not start it"));
             }
             Err(TriggerError::Request(error)) => {
                 if error.nothing_was_sent() {
-                    return End::Rejected(TriggerError::Request(error).to_string());
+                    return Outcome::Rejected(TriggerError::Request(error).to_string());
                 }
-                tell(Told::Accepted);
-                return End::Failed(format!("{UNKNOWN_END}whether it was started: {error}"));
+                task.effect(Effect::Accept);
+                return Outcome::Failed(format!("{UNKNOWN_END}whether it was started: {error}"));
             }
         };
-        tell(Told::Accepted);
-        let mut said = String::new();
-        // Since when it has not answered.
+        task.effect(Effect::Accept);
+        let mut reported = String::new();
+        // Since when the server has not answered.
         let mut silent: Option<Instant> = None;
-        let mut asked_to_abort = false;
+        let mut abort_sent = false;
         loop {
             let mut seen = |answer: &Result<Status, RequestError>| {
                 let text = match answer {
@@ -99,59 +165,56 @@ impl Forward {
                         format!("{UNKNOWN_END}{error}")
                     }
                 };
-                if text != said && text != "None" {
-                    said.clone_from(&text);
-                    tell(Told::Progress(text));
+                if text != reported && text != "None" {
+                    reported.clone_from(&text);
+                    task.effect(Effect::Progress(text));
                 }
                 let given_up = silent.is_some_and(|since| since.elapsed() >= KEEP);
-                let to_abort = abort.load(Ordering::Relaxed) && !asked_to_abort;
+                let to_abort = abort.load(Ordering::Relaxed) && !abort_sent;
                 !given_up && !to_abort
             };
             match remote.wait_with(&id, None, &mut seen) {
-                Ok(status) => return end(status),
+                Ok(status) => return outcome(status),
                 Err(wait) => match wait.last {
-                    // It may tell more when it is asked again.
+                    // The next answer may say more.
                     Err(RequestError::NotTold { .. }) => std::thread::sleep(PAUSE),
                     Err(error) if error.was_answered() => {
-                        return End::Failed(format!("{UNKNOWN_END}{to}: {error}"));
+                        return Outcome::Failed(format!("{UNKNOWN_END}{to}: {error}"));
                     }
                     _ => {}
                 },
             }
             if silent.is_some_and(|since| since.elapsed() >= KEEP) {
-                // It would have forgotten by now how the task ended.
-                let kept = time(KEEP);
-                return End::Failed(format!("{UNKNOWN_END}no answer from {to} for {kept}"));
+                // Servers forget outcomes after this time.
+                let kept = human_time(KEEP);
+                return Outcome::Failed(format!("{UNKNOWN_END}no answer from {to} for {kept}"));
             }
-            if asked_to_abort || !abort.load(Ordering::Relaxed) {
+            if abort_sent || !abort.load(Ordering::Relaxed) {
                 continue;
             }
             match remote.abort(&id) {
-                Ok(status) if status.state.is_final() => return end(status),
+                Ok(status) if status.state.is_final() => return outcome(status),
                 Ok(status) if status.text == "False" => {
                     abort.store(false, Ordering::Relaxed);
-                    tell(Told::AbortRefused);
+                    task.effect(Effect::RejectAbort);
                 }
-                Ok(_) => asked_to_abort = true,
-                // A STATUS says how it ends.
-                Err(RequestError::UnknownTask { .. }) => asked_to_abort = true,
-                // Asked again: an abort must reach the task.
+                Ok(_) => abort_sent = true,
+                // The next status says how it ended.
+                Err(RequestError::UnknownTask { .. }) => abort_sent = true,
+                // Try again: an abort must reach the task.
                 Err(_) => std::thread::sleep(PAUSE),
             }
         }
     }
 }
 
-/// Pause between two tries to reach a server.
-const PAUSE: Duration = Duration::from_millis(100);
-
-/// How it ended there is how it ends here.
-fn end(status: Status) -> End {
+/// The outcome here of one there.
+fn outcome(status: Status) -> Outcome {
     let text = status.text;
     match status.state {
-        State::Completed => End::Completed(text),
-        State::Aborted => End::Aborted(text),
-        State::Rejected => End::Failed(format!("refused there: {text}")),
-        _ => End::Failed(text),
+        State::Completed => Outcome::Completed(text),
+        State::Aborted => Outcome::Aborted(text),
+        State::Rejected => Outcome::Failed(format!("refused there: {text}")),
+        _ => Outcome::Failed(text),
     }
 }

@@ -1,292 +1,414 @@
-//! A program as the file describes it, and how it is started.
+//! Programs as handlers: scripts and command-line tools.
 
-use std::io;
-use std::os::unix::process::CommandExt;
-use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
-use std::sync::{Arc, Once};
-use std::time::Duration;
+pub(crate) mod ignored;
+mod launch;
+mod output;
+mod process_group;
+pub(crate) mod processes;
+pub(crate) mod read;
+mod run;
+pub(crate) mod settings;
+mod template;
+pub(crate) mod watchdog;
 
+use std::io::{self, Read};
+use std::os::fd::{AsFd, BorrowedFd};
+use std::process::{ChildStderr, ChildStdout, ExitStatus};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use rustix::io::ioctl_fionbio;
 use rustix::process::Signal;
-use serde::{Deserialize, Serialize};
+use tracing::{debug, warn};
 
-use super::ignored;
-use super::template::{Call, Template};
+use crate::call::Call;
+use crate::human::human_time;
+use crate::kind::{
+    Effect, Event, Job, Kind, Outcome, STOP_TIME, Services, Start, StopReason, TaskContext,
+};
+use crate::log::LOG;
+use launch::{Invocation, Launch};
+use processes::{Announcement, Process, ProcessRegistry};
+use run::{Action, Run};
+use settings::{AbortBy, Program};
+use watchdog::protocol::Charge;
 
-/// A program that does a task.
-#[derive(Debug, Clone)]
-pub(super) struct Program {
-    pub(super) run: Arc<Invocation>,
-    /// Lines of stdout that begin so are progress.
-    pub(super) marker: Option<String>,
-    pub(super) result: ResultKind,
-    /// Most bytes of output that are kept.
-    pub(super) output: usize,
-    /// Exit codes by which it refuses its goal.
-    pub(super) refused_by: Vec<u8>,
-    /// How long it may think about that, before the client is told that it is taken.
-    pub(super) decide: Duration,
-    pub(super) limit: Option<Duration>,
-    pub(super) abort: Abort,
-    /// Whether what it has started and left behind is killed when it ends by itself.
-    pub(super) tidy: bool,
+/// How long the watchdog may take to confirm that it knows of a program. Less than the 1.5 s after which the
+/// server answers an INIT with an id.
+const CONFIRM: Duration = Duration::from_millis(1200);
+/// Most bytes that are read of a pipe at a time, so that other programs get their turn.
+const READ: usize = 16 * 1024;
+/// Most reads after a program's end, since processes that it left behind may go on writing.
+const LAST_READS: usize = 64;
+
+impl Kind for Program {
+    fn at_once(&self) -> usize {
+        1
+    }
+
+    fn needs_fields(&self) -> bool {
+        let abort = match &self.abort.by {
+            AbortBy::Program(run) => run.arguments.as_slice(),
+            AbortBy::Signal(..) => &[],
+        };
+        let mut arguments = self.run.arguments.iter().chain(abort);
+        arguments.any(|argument| argument.template.has_fields())
+    }
+
+    fn can_abort(&self) -> bool {
+        self.abort.allowed
+    }
+
+    fn stop_time(&self) -> Duration {
+        self.abort.grace + STOP_TIME
+    }
+
+    fn check(&self, call: &Call) -> Result<(), String> {
+        self.run.launch(call).map(drop)
+    }
+
+    fn start(self: Arc<Self>, task: TaskContext, services: &Services) -> Start {
+        let launch = match self.run.launch(&task.call) {
+            Ok(launch) => launch,
+            Err(reason) => return Start::Ended(Outcome::Rejected(reason)),
+        };
+        let charge = Charge::of(&self, &task.call);
+        let context = task.clone();
+        let confirmed = move || context.event(Event::Confirmed);
+        let announcement = services.processes.announce(charge, confirmed);
+        Start::Running(Box::new(ProgramJob {
+            program: self,
+            processes: services.processes.clone(),
+            state: State::Announced {
+                announcement,
+                launch,
+                until: Instant::now().checked_add(CONFIRM),
+            },
+            task,
+        }))
+    }
 }
 
-/// How it is asked to end before its time.
-#[derive(Debug, Clone)]
-pub(super) struct Abort {
-    /// Whether clients may ask.
-    pub(super) allowed: bool,
-    pub(super) by: AbortBy,
-    /// How long it has to end, and all that it has started; then it is killed.
-    pub(super) grace: Duration,
+struct ProgramJob {
+    program: Arc<Program>,
+    processes: ProcessRegistry,
+    task: TaskContext,
+    state: State,
 }
 
-#[derive(Debug, Clone)]
-pub(super) enum AbortBy {
-    /// To the whole group.
-    Signal(&'static str, Signal),
-    Program(Arc<Invocation>),
+enum State {
+    /// The watchdog is to confirm that it knows of the program.
+    Announced {
+        announcement: Announcement,
+        launch: Launch,
+        /// When the task is rejected instead.
+        until: Option<Instant>,
+    },
+    /// A thread starts the program. Stops it then for this reason.
+    Starting(Option<StopReason>),
+    Running(Box<Running>),
+    Ended,
 }
 
-/// What becomes the result.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum ResultKind {
-    Last,
-    All,
-    Json,
-    Nothing,
+struct Running {
+    run: Run,
+    process: Process,
+    out: Option<ChildStdout>,
+    err: Option<ChildStderr>,
+    /// Whether the first process has ended.
+    ended: bool,
 }
 
-/// What is executed, and in what surroundings.
-#[derive(Debug, Clone)]
-pub(super) struct Invocation {
-    pub(super) arguments: Vec<Argument>,
-    pub(super) directory: PathBuf,
-    pub(super) environment: Vec<(String, String)>,
-    pub(super) user: Option<Account>,
-    /// Where it stands: `robot.yaml:9`.
-    pub(super) place: String,
+impl Job for ProgramJob {
+    fn stop(&mut self, now: Instant, why: StopReason, effects: &mut Vec<Effect>) {
+        let mut actions = Vec::new();
+        match &mut self.state {
+            State::Announced { .. } => effects.push(Effect::End(why.before_start())),
+            State::Starting(stop) => *stop = stop.or(Some(why)),
+            State::Running(_) if why == StopReason::Client && !self.program.abort.allowed => {
+                effects.push(Effect::RejectAbort);
+            }
+            State::Running(running) => running.run.stop(now, why, &mut actions),
+            State::Ended => {}
+        }
+        self.act(actions, effects);
+    }
+
+    fn handle_event(&mut self, now: Instant, event: Event, effects: &mut Vec<Effect>) {
+        match event {
+            Event::Confirmed => self.on_confirmed(now, effects),
+            Event::Started(Ok(process)) => self.on_started(now, process, effects),
+            Event::Started(Err(reason)) => effects.push(Effect::End(Outcome::Rejected(reason))),
+            Event::AbortNotStarted(reason) => self.on_abort_not_started(&reason),
+        }
+    }
+
+    fn poll_timeout(&self) -> Option<Instant> {
+        match &self.state {
+            State::Announced { until, .. } => *until,
+            State::Running(running) => running.run.poll_timeout(),
+            State::Starting(_) | State::Ended => None,
+        }
+    }
+
+    fn handle_timeout(&mut self, now: Instant, effects: &mut Vec<Effect>) {
+        let mut actions = Vec::new();
+        match &mut self.state {
+            State::Announced { until, .. } if until.is_some_and(|until| until <= now) => {
+                effects.push(Effect::End(Outcome::Rejected(format!(
+                    "not started: the watchdog has not confirmed within {}; try again",
+                    human_time(CONFIRM)
+                ))));
+            }
+            State::Running(running) => running.run.handle_timeout(now, &mut actions),
+            _ => {}
+        }
+        self.act(actions, effects);
+        if let State::Running(running) = &mut self.state
+            && running.ended
+            && running.run.is_over(now, || running.process.is_alive())
+        {
+            self.finish(effects);
+        }
+    }
+
+    fn pipes(&self) -> Vec<BorrowedFd<'_>> {
+        let State::Running(running) = &self.state else {
+            return Vec::new();
+        };
+        let out = running.out.as_ref().map(AsFd::as_fd);
+        let err = running.err.as_ref().map(AsFd::as_fd);
+        out.into_iter().chain(err).collect()
+    }
+
+    fn read_pipes(&mut self, effects: &mut Vec<Effect>) {
+        self.read(effects);
+    }
+
+    fn has_process(&self) -> bool {
+        matches!(self.state, State::Running(_))
+    }
+
+    fn check_process(&mut self) {
+        if let State::Running(running) = &mut self.state {
+            running.ended |= running.process.has_ended();
+        }
+    }
 }
 
-/// A user of this machine.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub(super) struct Account {
-    pub(super) name: String,
-    pub(super) uid: u32,
-    pub(super) gid: u32,
-    pub(super) home: PathBuf,
+impl ProgramJob {
+    fn on_confirmed(&mut self, now: Instant, effects: &mut Vec<Effect>) {
+        match std::mem::replace(&mut self.state, State::Starting(None)) {
+            State::Announced {
+                announcement,
+                launch,
+                until,
+            } if until.is_none_or(|until| now < until) => {
+                let started = self.start(launch, announcement, true, |task, started| {
+                    task.event(Event::Started(started));
+                });
+                if let Err(reason) = started {
+                    effects.push(Effect::End(Outcome::Rejected(reason)));
+                }
+            }
+            // A confirmation that comes too late: the timeout rejects the task.
+            state => self.state = state,
+        }
+    }
+
+    /// Starts a program on a thread, since that may take its time, and passes it to `then`.
+    fn start(
+        &self,
+        launch: Launch,
+        announcement: Announcement,
+        piped: bool,
+        then: impl FnOnce(&TaskContext, Result<Process, String>) + Send + 'static,
+    ) -> Result<(), String> {
+        let task = self.task.clone();
+        let thread = std::thread::Builder::new().name(format!("ztl-start-{}", task.call.id));
+        let spawned = thread.spawn(move || then(&task, announcement.start(&launch, piped)));
+        let failed = |error| format!("cannot start a thread: {error}");
+        spawned.map(drop).map_err(failed)
+    }
+
+    fn on_started(&mut self, now: Instant, mut process: Process, effects: &mut Vec<Effect>) {
+        let State::Starting(stop) = self.state else {
+            return;
+        };
+        let (out, err) = process.take_pipes();
+        let mut actions = Vec::new();
+        let mut run = Run::new(now, Arc::clone(&self.program), &mut actions);
+        if let Some(why) = stop {
+            run.stop(now, why, &mut actions);
+        }
+        self.state = State::Running(Box::new(Running {
+            run,
+            process,
+            out: out.filter(|out| ioctl_fionbio(out, true).is_ok()),
+            err: err.filter(|err| ioctl_fionbio(err, true).is_ok()),
+            ended: false,
+        }));
+        self.act(actions, effects);
+    }
+
+    fn act(&mut self, actions: Vec<Action>, effects: &mut Vec<Effect>) {
+        for action in actions {
+            match action {
+                Action::Accept => effects.push(Effect::Accept),
+                Action::Progress(text) => effects.push(Effect::Progress(text)),
+                Action::Signal(signal) => self.signal(signal),
+                Action::RunAbort => self.run_abort(),
+            }
+        }
+    }
+
+    fn signal(&self, signal: Signal) {
+        if let State::Running(running) = &self.state {
+            running.process.signal(signal);
+        }
+    }
+
+    fn run_abort(&self) {
+        let AbortBy::Program(invocation) = &self.program.abort.by else {
+            return;
+        };
+        let started = invocation
+            .launch(&self.task.call)
+            .and_then(|launch| self.start_abort(launch, invocation));
+        if let Err(reason) = started {
+            self.on_abort_not_started(&reason);
+        }
+    }
+
+    fn start_abort(&self, launch: Launch, invocation: &Invocation) -> Result<(), String> {
+        let grace = self.program.abort.grace;
+        let place = invocation.place.clone();
+        // Starts without the watchdog's confirmation, since it stops something.
+        let charge = Charge::of_abort_program(self.task.call.id, grace);
+        let announcement = self.processes.announce(charge, || {});
+        self.start(
+            launch,
+            announcement,
+            false,
+            move |task, started| match started {
+                Ok(process) => task.effect(Effect::Background(Box::new(AbortProgram {
+                    process,
+                    kill_at: Instant::now().checked_add(grace),
+                    ended: false,
+                    place,
+                }))),
+                Err(reason) => task.event(Event::AbortNotStarted(reason)),
+            },
+        )
+    }
+
+    fn on_abort_not_started(&self, reason: &str) {
+        let id = self.task.call.id;
+        warn!(target: LOG, "Cannot start the abort program of task {id}, sent SIGTERM instead: {reason}");
+        self.signal(Signal::TERM);
+    }
+
+    /// Reads both pipes once. Returns whether there was anything.
+    fn read(&mut self, effects: &mut Vec<Effect>) -> bool {
+        let State::Running(running) = &mut self.state else {
+            return false;
+        };
+        let id = self.task.call.id;
+        let mut buffer = [0; READ];
+        let mut actions = Vec::new();
+        let mut any = false;
+        if let Some(bytes) = read(&mut running.out, &mut buffer) {
+            running.run.handle_output(bytes, &mut actions);
+            any = true;
+        }
+        if let Some(bytes) = read(&mut running.err, &mut buffer) {
+            let log = |line: &str| debug!(target: LOG, "Task {id} says: {line}");
+            running.run.handle_error_output(bytes, log);
+            any = true;
+        }
+        self.act(actions, effects);
+        any
+    }
+
+    /// The program is over: reads what it wrote last and reports the outcome.
+    fn finish(&mut self, effects: &mut Vec<Effect>) {
+        let State::Running(running) = &mut self.state else {
+            return;
+        };
+        let status = running.process.reap(!running.run.leaves_behind());
+        for _ in 0..LAST_READS {
+            if !self.read(effects) {
+                break;
+            }
+        }
+        let State::Running(running) = std::mem::replace(&mut self.state, State::Ended) else {
+            return;
+        };
+        let mut actions = Vec::new();
+        let outcome = running.run.end(status.ok(), &mut actions);
+        self.act(actions, effects);
+        effects.push(Effect::End(outcome));
+    }
 }
 
-/// A program with all that it is given for one task.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub(super) struct Launch {
-    arguments: Vec<String>,
-    directory: PathBuf,
-    environment: Vec<(String, String)>,
-    user: Option<Account>,
+/// Reads once; `None` if there is nothing now. Closes the pipe at its end.
+fn read<'b>(pipe: &mut Option<impl Read>, buffer: &'b mut [u8]) -> Option<&'b [u8]> {
+    match pipe.as_mut()?.read(buffer) {
+        Err(error)
+            if matches!(
+                error.kind(),
+                io::ErrorKind::WouldBlock | io::ErrorKind::Interrupted
+            ) =>
+        {
+            None
+        }
+        Ok(0) | Err(_) => {
+            *pipe = None;
+            None
+        }
+        Ok(count) => buffer.get(..count),
+    }
+}
+
+/// A program that stops another one. It may outlive the task.
+struct AbortProgram {
+    process: Process,
+    kill_at: Option<Instant>,
+    ended: bool,
+    /// Where the file names it.
     place: String,
 }
 
-/// One argument.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) struct Argument {
-    pub(super) template: Template,
-    /// Whether it is refused when it begins with `-`.
-    pub(super) guarded: bool,
-}
-
-/// What signals are called in files and reasons.
-pub(super) const SIGNALS: [(&str, Signal); 8] = [
-    ("INT", Signal::INT),
-    ("TERM", Signal::TERM),
-    ("HUP", Signal::HUP),
-    ("QUIT", Signal::QUIT),
-    ("USR1", Signal::USR1),
-    ("USR2", Signal::USR2),
-    ("CONT", Signal::CONT),
-    ("KILL", Signal::KILL),
-];
-
-/// A signal's name, as in `SIGSEGV`.
-pub(super) fn signal_name(number: i32) -> String {
-    const OTHERS: [(&str, Signal); 7] = [
-        ("ABRT", Signal::ABORT),
-        ("SEGV", Signal::SEGV),
-        ("BUS", Signal::BUS),
-        ("ILL", Signal::ILL),
-        ("FPE", Signal::FPE),
-        ("PIPE", Signal::PIPE),
-        ("ALRM", Signal::ALARM),
-    ];
-    let mut known = SIGNALS.iter().chain(&OTHERS);
-    match known.find(|(_, signal)| signal.as_raw() == number) {
-        Some((name, _)) => format!("SIG{name}"),
-        None => format!("signal {number}"),
+impl Job for AbortProgram {
+    fn stop(&mut self, now: Instant, _: StopReason, _: &mut Vec<Effect>) {
+        self.kill_at = Some(now);
     }
-}
 
-impl Invocation {
-    /// What is started for a task, or why that is refused.
-    pub(super) fn launch(&self, call: &Call) -> Result<Launch, String> {
-        let fill = |argument: &Argument| {
-            let text = argument.template.fill(call)?;
-            if argument.guarded && text.starts_with('-') {
-                return Err(format!(
-                    "'{}' begins with '-', which the program might take for an option; whoever serves it can allow that (dashes: allowed)",
-                    super::rule::shown(&text)
-                ));
-            }
-            Ok(text)
-        };
-        let mut environment = self.environment.clone();
-        let of_task = call.environment();
-        environment.extend(of_task.map(|(name, value)| (name.to_owned(), value)));
-        Ok(Launch {
-            arguments: self.arguments.iter().map(fill).collect::<Result<_, _>>()?,
-            directory: self.directory.clone(),
-            environment,
-            user: self.user.clone(),
-            place: self.place.clone(),
-        })
+    fn poll_timeout(&self) -> Option<Instant> {
+        self.kill_at
     }
-}
 
-impl Launch {
-    /// Starts it in a process group of its own. May take its time where the program lies on a slow disk.
-    /// To be called on a thread that does nothing else afterwards: it may belong to another user then.
-    /// `heard`: whether what it says goes into pipes, or nowhere.
-    ///
-    /// # Errors
-    /// Why it could not be started, and what is to be done.
-    pub(super) fn spawn(&self, heard: bool) -> Result<Child, String> {
-        static SIGNALS: Once = Once::new();
-        SIGNALS.call_once(ignored::keep_to_oneself);
-        let Some((program, rest)) = self.arguments.split_first() else {
-            return Err("there is no program".to_owned());
-        };
-        // In an empty root: pipes, whose other ends are dropped below.
-        let is_bare = !Path::new("/dev/null").exists();
-        let pipe = || match heard || is_bare {
-            true => Stdio::piped(),
-            false => Stdio::null(),
-        };
-        let mut command = Command::new(program);
-        command
-            .args(rest)
-            .current_dir(&self.directory)
-            .stdin(if is_bare {
-                Stdio::piped()
-            } else {
-                Stdio::null()
-            })
-            .stdout(pipe())
-            .stderr(pipe())
-            .process_group(0);
-        if std::env::var_os("PYTHONUNBUFFERED").is_none() {
-            // Else Python keeps back what it prints until it ends.
-            command.env("PYTHONUNBUFFERED", "1");
+    fn handle_timeout(&mut self, now: Instant, effects: &mut Vec<Effect>) {
+        if self.kill_at.is_some_and(|at| at <= now) {
+            self.kill_at = None;
+            self.process.signal(Signal::KILL);
         }
-        if let Some(user) = &self.user {
-            let name = &user.name;
-            command
-                .env("HOME", &user.home)
-                .env("USER", name)
-                .env("LOGNAME", name);
-            become_user(user, &mut command).map_err(|error| {
-                format!("{program}: cannot run as user '{name}': {error}; `ztl serve` must run as that user or as root ({})", self.place)
-            })?;
+        if self.ended {
+            let status = self.process.reap(true);
+            if !status.as_ref().is_ok_and(ExitStatus::success) {
+                let how = status.map_or_else(|error| error.to_string(), |it| it.to_string());
+                let place = &self.place;
+                warn!(target: LOG, "The abort program at {place} has ended with: {how}");
+            }
+            effects.push(Effect::End(Outcome::Completed(String::new())));
         }
-        command.envs(self.environment.iter().map(|(name, value)| (name, value)));
-        let mut child = command
-            .spawn()
-            .map_err(|error| self.cannot_start(program, &error))?;
-        drop(child.stdin.take());
-        if !heard {
-            drop((child.stdout.take(), child.stderr.take()));
-        }
-        Ok(child)
     }
 
-    /// Why it could not be started, in words.
-    fn cannot_start(&self, program: &str, error: &io::Error) -> String {
-        let place = &self.place;
-        let directory = self.directory.display();
-        let found = find(program, &self.environment);
-        let why = match error.kind() {
-            io::ErrorKind::NotFound if !self.directory.is_dir() => {
-                format!("the directory {directory} is not there; correct it")
-            }
-            io::ErrorKind::NotFound if found.is_some() => {
-                "what its first line names (#!) is not there; install that or correct the line"
-                    .to_owned()
-            }
-            io::ErrorKind::NotFound => "not found; install it or correct the path".to_owned(),
-            io::ErrorKind::PermissionDenied => {
-                format!("not executable; use chmod +x, and see that {directory} may be entered")
-            }
-            io::ErrorKind::ArgumentListTooLong => {
-                return format!("the goal is too long for an argument of {program}");
-            }
-            io::ErrorKind::InvalidInput => {
-                return "the goal contains a NUL byte, which no argument can".to_owned();
-            }
-            _ => return format!("{program}: cannot be started: {error} ({place})"),
-        };
-        format!("{program}: {why} at {place}")
+    fn has_process(&self) -> bool {
+        true
     }
-}
 
-/// Where a program is.
-pub(super) fn find(program: &str, environment: &[(String, String)]) -> Option<PathBuf> {
-    if program.contains('/') {
-        return Some(PathBuf::from(program)).filter(|path| path.is_file());
+    fn check_process(&mut self) {
+        self.ended |= self.process.has_ended();
     }
-    let own = environment.iter().rev().find(|(name, _)| name == "PATH");
-    let path = match own {
-        Some((_, path)) => path.into(),
-        None => std::env::var_os("PATH").unwrap_or_default(),
-    };
-    let places = std::env::split_paths(&path).map(|place| place.join(program));
-    places.into_iter().find(|path| path.is_file())
-}
-
-/// The path that a program of the file means: one with a `/` is relative to the file's directory.
-pub(super) fn program_path(program: &str, base: &Path) -> String {
-    match program.contains('/') {
-        true => base.join(program).display().to_string(),
-        false => program.to_owned(),
-    }
-}
-
-/// What is started by this thread from now on belongs to the user, who has all their groups: the
-/// kernel keeps these for each thread.
-/// (`Command::uid` would take the groups away, as that of the sound card.)
-#[cfg(target_os = "linux")]
-fn become_user(user: &Account, _command: &mut Command) -> io::Result<()> {
-    use rustix::process::{Gid, Uid, getgid, getuid};
-    use rustix::thread::{set_thread_groups, set_thread_res_gid, set_thread_res_uid};
-
-    let (uid, gid) = (Uid::from_raw(user.uid), Gid::from_raw(user.gid));
-    if getuid() == uid && getgid() == gid {
-        return Ok(());
-    }
-    let name = std::ffi::CString::new(user.name.as_str())?;
-    let groups = nix::unistd::getgrouplist(&name, nix::unistd::Gid::from_raw(user.gid))
-        .map_err(io::Error::from)?;
-    let groups: Vec<Gid> = groups
-        .iter()
-        .map(|group| Gid::from_raw(group.as_raw()))
-        .collect();
-    set_thread_groups(&groups)?;
-    set_thread_res_gid(gid, gid, gid)?;
-    set_thread_res_uid(uid, uid, uid)?;
-    Ok(())
-}
-
-/// The user with their first group.
-#[cfg(not(target_os = "linux"))]
-fn become_user(user: &Account, command: &mut Command) -> io::Result<()> {
-    command.uid(user.uid).gid(user.gid);
-    Ok(())
 }

@@ -1,60 +1,28 @@
-//! The thread that looks after all tasks of a scope: it reads what programs say, learns of their ends,
-//! and does what their [`Run`]s want. Nothing that it does can block: what could has a thread of its own.
-
-mod launch;
-mod watch;
+//! The life cycle of tasks, the same for all kinds: check the goal, admit or queue, start, report progress, abort,
+//! report the outcome. One thread does it for all tasks of a scope, and nothing on it blocks.
 
 use std::collections::BTreeMap;
 use std::io;
-use std::process::{Child, ChildStderr, ChildStdout};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use rustix::io::ioctl_fionbio;
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use signal_hook::consts::SIGCHLD;
 use signal_hook::low_level::{pipe, unregister};
 use tracing::{debug, info, warn};
 use ztl_core::{TaskId, TaskSpec};
-
-use super::desk::{Admitted, Desk};
-use super::forward::Told;
-use super::link::{Inbox, Link};
-use super::program::{Launch, Program};
-use super::rule::Goal;
-use super::run::{Act, End, Run, Why};
-use super::template::Call;
-use super::{Entry, Groups, LOG, Room, Work, group};
-use watch::READ;
 use ztl_std::server::TaskReporter;
 
-/// How long a task that another server does is waited for when this one stops.
-pub(super) const LEAVING: Duration = Duration::from_millis(1500);
-/// How long the watchdog may take to confirm that it knows of a program. Less than the 1.5 s after which an INIT is
-/// answered with an id.
-const CONFIRM: Duration = Duration::from_millis(1200);
-/// What the supervisor is told.
-#[derive(Debug)]
-pub(super) enum Message {
-    Start {
-        task: TaskReporter,
-        entry: usize,
-        handler: String,
-        component: String,
-        goal: String,
-    },
-    Abort(TaskId),
-    /// The watchdog knows of a task's program.
-    Confirmed(TaskId),
-    /// A program was started, or could not be.
-    Started(TaskId, Result<Child, String>),
-    /// The same of a program that aborts one.
-    Helper(TaskId, Result<Child, String>),
-    /// A thread says what becomes of its task.
-    Told(TaskId, Told),
-    /// All tasks are to be stopped, and no more taken.
-    Stop,
-}
+use crate::admission::{Admission, Admitted};
+use crate::call::Call;
+use crate::entry::{Entry, TotalLimit};
+use crate::kind::{Effect, Job, Message, Outcome, Services, Start, StopReason, TaskContext};
+use crate::log::LOG;
+use crate::mailbox::{Inbox, Mailbox};
+use crate::program::processes::ProcessRegistry;
+
+/// Longest wait while programs run, in case the system has not reported that one has ended.
+const CHECK: Duration = Duration::from_secs(1);
 
 /// A task that has not ended.
 struct Task {
@@ -62,116 +30,139 @@ struct Task {
     call: Arc<Call>,
     entry: usize,
     accepted: bool,
-    doing: Doing,
+    /// `None` while the task waits for others.
+    job: Option<Box<dyn Job>>,
 }
 
-enum Doing {
-    /// Others are before it.
-    Waiting,
-    /// The watchdog is to confirm that it knows of its program.
-    Announced(Box<Announced>),
-    /// Its program is being started; what is to be done with it then.
-    Starting(Option<Why>),
-    Program(Box<Running>),
-    Sleeping(Option<Instant>),
-    /// A thread does it; until when it is waited for, once the server stops.
-    Thread(Arc<AtomicBool>, Option<Instant>),
-}
-
-/// A program that the watchdog is told of.
-struct Announced {
-    number: u64,
-    launch: Launch,
-    /// When the task is refused instead.
-    until: Option<Instant>,
-}
-
-struct Running {
-    run: Run,
-    program: Arc<Program>,
-    child: Child,
-    group: i32,
-    out: Option<ChildStdout>,
-    err: Option<ChildStderr>,
-    /// Whether its first process has ended.
-    ended: bool,
-}
-
-/// A program that aborts another.
-struct Helper {
-    child: Child,
-    group: i32,
-    /// When it is killed.
-    until: Option<Instant>,
-    place: String,
-}
-
-pub(super) struct Supervisor {
+/// All tasks of a scope.
+pub(crate) struct Supervisor {
     scope: String,
     inbox: Inbox<Message>,
-    link: Link<Message>,
+    mailbox: Mailbox<Message>,
     on_child: signal_hook::SigId,
-    entries: Vec<Arc<Entry>>,
-    desks: Vec<Desk>,
+    entries: Vec<(Arc<Entry>, Admission)>,
     tasks: BTreeMap<TaskId, Task>,
-    helpers: Vec<Helper>,
-    groups: Groups,
-    room: Room,
-    /// Shared by all clients of other servers; costs nothing before the first.
-    context: zmq::Context,
+    background: Vec<Box<dyn Job>>,
+    services: Services,
+    total: TotalLimit,
     stopping: bool,
 }
 
+/// What `poll` has reported.
+struct Ready {
+    /// A message or a signal may have come.
+    woken: bool,
+    /// Nothing has happened in time.
+    idle: bool,
+    /// Tasks whose pipes can be read.
+    readable: Vec<TaskId>,
+}
+
 impl Supervisor {
-    pub(super) fn new(
+    pub(crate) fn new(
         scope: &str,
-        entries: Vec<Arc<Entry>>,
-        room: Room,
-        groups: Groups,
-    ) -> io::Result<(Link<Message>, Self)> {
-        let (link, inbox) = Link::new()?;
-        // Also where whoever started this process had it ignored: then nobody could be waited for.
-        let on_child = pipe::register(SIGCHLD, link.ringer()?)?;
-        let desks = entries
+        entries: &[Arc<Entry>],
+        total: TotalLimit,
+        processes: ProcessRegistry,
+    ) -> io::Result<(Mailbox<Message>, Self)> {
+        let (mailbox, inbox) = Mailbox::new()?;
+        // Even if this process was started to ignore the signal: then it could not wait for its children.
+        let on_child = pipe::register(SIGCHLD, mailbox.waker()?)?;
+        let entries = entries
             .iter()
-            .map(|entry| Desk::new(entry.at_once, entry.busy));
+            .map(|entry| (Arc::clone(entry), Admission::new(entry.at_once, entry.busy)));
         let supervisor = Self {
             scope: scope.to_owned(),
-            desks: desks.collect(),
+            entries: entries.collect(),
             inbox,
-            link: link.clone(),
+            mailbox: mailbox.clone(),
             on_child,
-            entries,
             tasks: BTreeMap::new(),
-            helpers: Vec::new(),
-            groups,
-            room,
-            context: zmq::Context::new(),
+            background: Vec::new(),
+            services: Services {
+                processes,
+                zmq: zmq::Context::new(),
+            },
+            total,
             stopping: false,
         };
-        Ok((link, supervisor))
+        Ok((mailbox, supervisor))
     }
 
-    /// Until it is told to stop and nothing runs any more.
-    pub(super) fn run(mut self) {
-        let mut buffer = vec![0; READ];
-        while !(self.stopping && self.tasks.is_empty() && self.helpers.is_empty()) {
+    /// Runs until it is told to stop and all tasks have ended.
+    pub(crate) fn run(mut self) {
+        while !(self.stopping && self.tasks.is_empty() && self.background.is_empty()) {
             let ready = self.wait();
-            for id in ready.talking {
-                self.read(id, &mut buffer);
+            for id in ready.readable {
+                self.with_job(id, |job, effects| job.read_pipes(effects));
             }
-            if ready.rung {
-                self.inbox.silence();
+            if ready.woken {
+                self.inbox.clear();
             }
             while let Some(message) = self.inbox.next() {
                 self.handle(message);
             }
             let now = Instant::now();
-            self.handle_timeouts(now);
-            if ready.rung || ready.idle {
-                self.look_for_ends();
+            let check = ready.woken || ready.idle;
+            let ids: Vec<TaskId> = self.tasks.keys().copied().collect();
+            for id in ids {
+                self.with_job(id, |job, effects| {
+                    if check {
+                        job.check_process();
+                    }
+                    job.handle_timeout(now, effects);
+                });
             }
-            self.finish_ended(now, &mut buffer);
+            self.background.retain_mut(|job| {
+                let mut effects = Vec::new();
+                if check {
+                    job.check_process();
+                }
+                job.handle_timeout(now, &mut effects);
+                effects.is_empty()
+            });
+        }
+    }
+
+    fn jobs(&self) -> impl Iterator<Item = (TaskId, &dyn Job)> {
+        let tasks = self.tasks.iter();
+        tasks.filter_map(|(id, task)| Some((*id, task.job.as_deref()?)))
+    }
+
+    /// Waits until something happens.
+    fn wait(&self) -> Ready {
+        let background = self.background.iter().map(AsRef::as_ref);
+        let jobs = || self.jobs().map(|(_, job)| job).chain(background.clone());
+        let due = jobs().filter_map(Job::poll_timeout).min();
+        let left = due.map(|due| due.saturating_duration_since(Instant::now()));
+        let check = jobs().any(Job::has_process).then_some(CHECK);
+        let left = left.into_iter().chain(check).min();
+        // No timeout if the time is beyond what the system can count.
+        let left = left.and_then(|left| Timespec::try_from(left).ok());
+        let mut polled = vec![PollFd::new(&self.inbox, PollFlags::IN)];
+        let mut whose = Vec::new();
+        for (id, job) in self.jobs() {
+            for pipe in job.pipes() {
+                polled.push(PollFd::from_borrowed_fd(pipe, PollFlags::IN));
+                whose.push(id);
+            }
+        }
+        // An interrupted wait counts as one in which nothing has happened.
+        let count = poll(&mut polled, left.as_ref()).unwrap_or_default();
+        let mut happened = polled
+            .iter()
+            .map(|fd| count > 0 && !fd.revents().is_empty());
+        let woken = happened.next().unwrap_or_default();
+        let mut readable: Vec<TaskId> = whose
+            .iter()
+            .zip(happened)
+            .filter_map(|(id, happened)| happened.then_some(*id))
+            .collect();
+        readable.dedup();
+        Ready {
+            woken,
+            idle: count == 0,
+            readable,
         }
     }
 
@@ -184,23 +175,22 @@ impl Supervisor {
                 component,
                 goal,
             } => self.start(task, entry, (handler, component), &goal),
-            Message::Abort(id) => self.stop_task(id, Why::Client),
-            Message::Confirmed(id) => self.on_confirmed(id),
-            Message::Started(id, Ok(child)) => self.on_started(id, child),
-            Message::Started(id, Err(reason)) => self.finish(id, End::Rejected(reason)),
-            Message::Helper(id, child) => self.on_helper(id, child),
-            Message::Told(id, told) => self.on_told(id, told),
+            Message::Abort(id) => self.stop(id, StopReason::Client),
+            Message::Event(id, event) => self.with_job(id, |job, effects| {
+                job.handle_event(Instant::now(), event, effects);
+            }),
+            Message::Effect(id, effect) => self.apply(id, effect),
             Message::Stop => {
                 self.stopping = true;
                 let ids: Vec<TaskId> = self.tasks.keys().copied().collect();
                 for id in ids {
-                    self.stop_task(id, Why::Server);
+                    self.stop(id, StopReason::Server);
                 }
             }
         }
     }
 
-    /// A client asks for a task.
+    /// Checks and admits a task that a client has asked for.
     fn start(
         &mut self,
         reporter: TaskReporter,
@@ -209,36 +199,32 @@ impl Supervisor {
         goal: &str,
     ) {
         let id = reporter.id();
-        let Some(entry) = self.entries.get(place) else {
+        let Some((entry, admission)) = self.entries.get_mut(place) else {
             return reporter.rejected("there is no such component");
         };
         if self.stopping {
             return reporter.rejected("the server is stopping");
         }
-        let goal: Goal = match entry.rule.check(goal, entry.wants_fields) {
+        let goal = match entry.rule.check(goal, entry.kind.needs_fields()) {
             Ok(goal) => goal,
             Err(reason) => {
                 return reporter.rejected(format!("{handler}:{component}: {reason}"));
             }
         };
-        if !self.room.take() {
-            let most = self.room.most;
+        if let Err(most) = self.total.add() {
             return reporter.rejected(format!(
                 "{most} tasks are under way, and more are not allowed (at-once)"
             ));
         }
-        let admitted = match self.desks.get_mut(place) {
-            Some(desk) => desk.admit(id),
-            None => Admitted::Now,
-        };
-        if let Admitted::Refused(other) = admitted {
-            self.room.leave();
+        let admitted = admission.admit(id);
+        if let Admitted::Rejected(other) = admitted {
+            self.total.remove();
             return reporter.rejected(format!("{handler}:{component} is busy with task {other}"));
         }
         if let Some(silence) = entry.needs_client {
             reporter.needs_client(silence);
         }
-        let task = Task {
+        let mut task = Task {
             reporter,
             call: Arc::new(Call {
                 id,
@@ -249,182 +235,138 @@ impl Supervisor {
             }),
             entry: place,
             accepted: false,
-            doing: Doing::Waiting,
+            job: None,
         };
-        self.tasks.insert(id, task);
-        let progress = match admitted {
-            Admitted::Waits(others) => format!("waiting, {others} before it"),
-            Admitted::Replaces(other, _) => format!("waiting for task {other} to stop"),
-            _ => return self.begin(id),
+        let waits_for = match admitted {
+            Admitted::Waits(others) => Some(format!("waiting, {others} before it")),
+            Admitted::Replaces { running, .. } => {
+                Some(format!("waiting for task {running} to stop"))
+            }
+            Admitted::Now | Admitted::Rejected(_) => None,
         };
-        if let Some(task) = self.tasks.get_mut(&id) {
+        let waits = waits_for.is_some();
+        if let Some(text) = waits_for {
             task.accept();
-            task.reporter.progress(progress);
+            task.reporter.progress(text);
         }
-        if let Admitted::Replaces(other, unwanted) = admitted {
-            if let Some(unwanted) = unwanted {
-                self.stop_task(unwanted, Why::Replaced(id));
+        self.tasks.insert(id, task);
+        if !waits {
+            self.begin(id);
+        }
+        if let Admitted::Replaces { running, waiting } = admitted {
+            for replaced in waiting.into_iter().chain([running]) {
+                self.stop(replaced, StopReason::Replaced(id));
             }
-            self.stop_task(other, Why::Replaced(id));
         }
     }
 
-    fn on_started(&mut self, id: TaskId, mut child: Child) {
-        let group = group::of(&child);
-        let task = self.tasks.get_mut(&id);
-        let Some((task, stop)) = task.and_then(|task| match task.doing {
-            Doing::Starting(stop) => Some((task, stop)),
-            _ => None,
-        }) else {
-            // Its task is gone; that does not happen.
-            let _ = self.groups.end(group, true, || child.wait());
-            return;
-        };
-        let work = self.entries.get(task.entry).map(|entry| &entry.work);
-        let Some(Work::Program(program)) = work else {
-            let _ = self.groups.end(group, true, || child.wait());
-            return;
-        };
-        let program = Arc::clone(program);
-        let out = child
-            .stdout
-            .take()
-            .filter(|out| ioctl_fionbio(out, true).is_ok());
-        let err = child
-            .stderr
-            .take()
-            .filter(|err| ioctl_fionbio(err, true).is_ok());
-        let mut acts = Vec::new();
-        let now = Instant::now();
-        let mut run = Run::new(now, Arc::clone(&program), &mut acts);
-        if let Some(why) = stop {
-            run.stop(now, why, &mut acts);
-        }
-        task.doing = Doing::Program(Box::new(Running {
-            run,
-            program,
-            child,
-            group,
-            out,
-            err,
-            ended: false,
-        }));
-        self.act(id, acts);
-        // It may have ended before it was known here.
-        self.look_for_end(id);
-    }
-
-    fn on_told(&mut self, id: TaskId, told: Told) {
+    /// Starts an admitted task.
+    fn begin(&mut self, id: TaskId) {
         let Some(task) = self.tasks.get_mut(&id) else {
             return;
         };
-        match told {
-            Told::Accepted => task.accept(),
-            Told::Progress(text) => task.reporter.progress(text),
-            Told::AbortRefused => task.reporter.abort_refused(),
-            Told::End(end) => self.finish(id, end),
-        }
-    }
-
-    /// A task is to end before its time.
-    fn stop_task(&mut self, id: TaskId, why: Why) {
-        let Some(task) = self.tasks.get_mut(&id) else {
+        let Some((entry, _)) = self.entries.get(task.entry) else {
             return;
         };
-        let now = Instant::now();
-        let mut acts = Vec::new();
-        match &mut task.doing {
-            Doing::Waiting | Doing::Announced(_) => {
-                let text = match why {
-                    Why::Server => "the server was stopped before it began".to_owned(),
-                    Why::Replaced(by) => format!("replaced by task {by} before it began"),
-                    Why::Client | Why::Limit => "aborted before it began".to_owned(),
-                };
-                return self.finish(id, End::Aborted(text));
-            }
-            Doing::Sleeping(_) => {
-                return self.finish(id, End::Aborted("aborted".to_owned()));
-            }
-            Doing::Thread(abort, until) => {
-                abort.store(true, Ordering::Relaxed);
-                if why == Why::Server {
-                    *until = now.checked_add(LEAVING);
-                }
-            }
-            Doing::Starting(stop) => *stop = stop.or(Some(why)),
-            Doing::Program(running) => {
-                if why == Why::Client && !running.program.abort.allowed {
-                    return task.reporter.abort_refused();
-                }
-                running.run.stop(now, why, &mut acts);
-            }
-        }
-        self.act(id, acts);
-    }
-
-    /// Does what a program's run wants.
-    fn act(&mut self, id: TaskId, acts: Vec<Act>) {
-        for act in acts {
-            let Some(task) = self.tasks.get_mut(&id) else {
-                return;
-            };
-            let Doing::Program(running) = &task.doing else {
-                return;
-            };
-            match act {
-                Act::Signal(signal) => group::signal(running.group, signal),
-                Act::RunAbort => {
-                    let program = Arc::clone(&running.program);
-                    self.run_abort(id, program);
-                }
-                Act::Accept => task.accept(),
-                Act::Progress(text) => task.reporter.progress(text),
-            }
+        debug!(target: LOG, "Task {id}, {}, begins.", task.name());
+        let context = TaskContext {
+            call: Arc::clone(&task.call),
+            mailbox: self.mailbox.clone(),
+        };
+        match Arc::clone(&entry.kind).start(context, &self.services) {
+            Start::Running(job) => task.job = Some(job),
+            Start::Ended(outcome) => self.finish(id, outcome),
         }
     }
 
-    /// A task has ended, and another may begin.
-    fn finish(&mut self, id: TaskId, end: End) {
+    /// Ends a task early.
+    fn stop(&mut self, id: TaskId, why: StopReason) {
+        match self.tasks.get(&id).map(|task| task.job.is_some()) {
+            Some(true) => {
+                self.with_job(id, |job, effects| job.stop(Instant::now(), why, effects));
+            }
+            Some(false) => self.finish(id, why.before_start()),
+            None => {}
+        }
+    }
+
+    /// Calls a task's job, if it has started, and does what the job wants.
+    fn with_job(&mut self, id: TaskId, call: impl FnOnce(&mut dyn Job, &mut Vec<Effect>)) {
+        let mut effects = Vec::new();
+        if let Some(job) = self.tasks.get_mut(&id).and_then(|task| task.job.as_mut()) {
+            call(job.as_mut(), &mut effects);
+        }
+        for effect in effects {
+            self.apply(id, effect);
+        }
+    }
+
+    fn apply(&mut self, id: TaskId, effect: Effect) {
+        let Some(task) = self.tasks.get_mut(&id) else {
+            if let Effect::Background(mut job) = effect {
+                // The task has ended meanwhile.
+                job.stop(Instant::now(), StopReason::Server, &mut Vec::new());
+                self.background.push(job);
+            }
+            return;
+        };
+        match effect {
+            Effect::Accept => task.accept(),
+            Effect::Progress(text) => task.reporter.progress(text),
+            Effect::RejectAbort => task.reporter.abort_refused(),
+            Effect::Background(job) => self.background.push(job),
+            Effect::End(outcome) => self.finish(id, outcome),
+            Effect::Leave => {
+                if let Some(task) = self.tasks.remove(&id) {
+                    warn!(target: LOG, "Task {id}, {}, has not confirmed that it has stopped.", task.name());
+                    task.reporter.leave();
+                    self.free(id, task.entry);
+                }
+            }
+        }
+    }
+
+    /// Reports an outcome, and starts the next task.
+    fn finish(&mut self, id: TaskId, outcome: Outcome) {
         let Some(mut task) = self.tasks.remove(&id) else {
             return;
         };
-        if let Doing::Announced(announced) = &task.doing {
-            self.groups.withdraw(announced.number);
-        }
         let name = task.name();
-        // What was said to be taken cannot be refused any more.
-        let end = match end {
-            End::Rejected(reason) if task.accepted => End::Failed(reason),
-            end => end,
+        // An accepted task cannot be rejected any more.
+        let outcome = match outcome {
+            Outcome::Rejected(reason) if task.accepted => Outcome::Failed(reason),
+            outcome => outcome,
         };
-        match &end {
-            End::Rejected(reason) => debug!(target: LOG, "Task {id}, {name}, is refused: {reason}"),
-            End::Completed(_) => debug!(target: LOG, "Task {id}, {name}, has ended as COMPLETED."),
-            End::Failed(text) => {
-                warn!(target: LOG, "Task {id}, {name}, has ended as FAILED: {text}")
-            }
-            End::Aborted(text) => {
-                info!(target: LOG, "Task {id}, {name}, has ended as ABORTED: {text}")
-            }
-        }
-        if !matches!(end, End::Rejected(_)) {
+        if !matches!(outcome, Outcome::Rejected(_)) {
             task.accept();
         }
         let reporter = task.reporter;
-        match end {
-            End::Rejected(text) => reporter.rejected(text),
-            End::Completed(text) => reporter.completed(text),
-            End::Failed(text) => reporter.failed(text),
-            End::Aborted(text) => reporter.aborted(text),
+        match outcome {
+            Outcome::Rejected(text) => {
+                debug!(target: LOG, "Task {id}, {name}, is rejected: {text}");
+                reporter.rejected(text);
+            }
+            Outcome::Completed(text) => {
+                debug!(target: LOG, "Task {id}, {name}, has ended as COMPLETED.");
+                reporter.completed(text);
+            }
+            Outcome::Failed(text) => {
+                warn!(target: LOG, "Task {id}, {name}, has ended as FAILED: {text}");
+                reporter.failed(text);
+            }
+            Outcome::Aborted(text) => {
+                info!(target: LOG, "Task {id}, {name}, has ended as ABORTED: {text}");
+                reporter.aborted(text);
+            }
         }
         self.free(id, task.entry);
     }
 
-    /// A task's place is free for another.
+    /// A task no longer counts, so that another may start.
     fn free(&mut self, id: TaskId, entry: usize) {
-        self.room.leave();
-        let next = self.desks.get_mut(entry).and_then(|desk| desk.ended(id));
-        if let Some(next) = next {
+        self.total.remove();
+        let entry = self.entries.get_mut(entry);
+        if let Some(next) = entry.and_then(|(_, admission)| admission.ended(id)) {
             self.begin(next);
         }
     }
@@ -437,7 +379,7 @@ impl Drop for Supervisor {
 }
 
 impl Task {
-    /// Tells the client that it is taken, as the original's standard controller does.
+    /// Reports the task as accepted, as the original's standard controller does.
     fn accept(&mut self) {
         if std::mem::replace(&mut self.accepted, true) {
             return;
@@ -449,12 +391,11 @@ impl Task {
         };
         let mut reply = Vec::new();
         spec.put_initiated(self.call.id, &mut |bytes: &[u8]| {
-            reply.extend_from_slice(bytes)
+            reply.extend_from_slice(bytes);
         });
         self.reporter.accepted(String::from_utf8_lossy(&reply));
     }
 
-    /// As people say it.
     fn name(&self) -> String {
         format!("{}:{}", self.call.handler, self.call.component)
     }

@@ -1,16 +1,16 @@
 //! Simulated devices: the real node of `ztl-mcu` with simulated motors, on a real byte stream.
 
 mod axis;
+pub(crate) mod kind;
 mod power;
 mod record;
 mod sensor;
 
 use std::fs::File;
-use std::io::{self, Read, Write};
+use std::io::{self, Read};
 use std::net::{SocketAddr, TcpListener};
 #[cfg(unix)]
 use std::path::PathBuf;
-use std::str::FromStr;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Sender, channel};
@@ -19,65 +19,10 @@ use std::time::Duration;
 
 #[cfg(unix)]
 use crate::pty::{Link, Pty};
+use kind::{Kind, UnknownKind};
+use power::{Input, Settings};
 use record::Record;
 use ztl_std::gateway::{BAUD, Endpoint, EndpointError, InProcess, Line, READ_TIMEOUT, is_pause};
-
-/// The type of a simulated device.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Kind {
-    /// `finger`: its opening in percent, 0 to 100, at 50 percent per second.
-    Gripper,
-    /// `pan`: degrees from -90 to 90, or left, straight, right, at 90 degrees per second.
-    Head,
-    /// `probe`: takes no goals, publishes readings of 100 bytes: a thousand per second, or with
-    /// [`Device::with_baud`] as many as its line carries.
-    Sensor,
-}
-
-impl Kind {
-    /// All types.
-    pub const ALL: [Self; 3] = [Self::Gripper, Self::Head, Self::Sensor];
-
-    /// Its name, as in `sim:gripper`.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Gripper => "gripper",
-            Self::Head => "head",
-            Self::Sensor => "sensor",
-        }
-    }
-}
-
-impl std::fmt::Display for Kind {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(self.name())
-    }
-}
-
-impl FromStr for Kind {
-    type Err = UnknownKind;
-
-    fn from_str(text: &str) -> Result<Self, UnknownKind> {
-        Self::ALL
-            .into_iter()
-            .find(|kind| kind.name() == text)
-            .ok_or_else(|| UnknownKind(text.to_owned()))
-    }
-}
-
-/// A text that names no type of simulated device.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct UnknownKind(String);
-
-impl std::fmt::Display for UnknownKind {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let (found, known) = (&self.0, Kind::ALL.map(Kind::name).join(", "));
-        write!(f, "no simulated device '{found}'; there are: {known}")
-    }
-}
-
-impl std::error::Error for UnknownKind {}
 
 /// Where a device is, with `sim:gripper` for one that is simulated in this process.
 ///
@@ -98,14 +43,6 @@ pub fn endpoint(text: &str) -> Result<Endpoint, String> {
     })
 }
 
-enum Input {
-    Bytes(Vec<u8>),
-    /// Where the node's output goes from now on.
-    Line(Option<Box<dyn Write + Send>>),
-    Reset,
-    Stop,
-}
-
 /// A device to simulate.
 ///
 /// ```no_run
@@ -119,27 +56,23 @@ enum Input {
 /// # }
 /// ```
 #[derive(Debug, Clone)]
-pub struct Device {
-    kind: Kind,
-    baud: Option<u32>,
-    record: Option<Record>,
-}
+pub struct Device(Settings);
 
 impl Device {
     /// Creates a device that sends as fast as its line accepts.
     #[must_use]
     pub const fn new(kind: Kind) -> Self {
-        Self {
+        Self(Settings {
             kind,
             baud: None,
             record: None,
-        }
+        })
     }
 
     /// Sets the rate at which it sends, in bits per second, ten per byte.
     #[must_use]
     pub const fn with_baud(mut self, baud: u32) -> Self {
-        self.baud = Some(baud);
+        self.0.baud = Some(baud);
         self
     }
 
@@ -147,7 +80,7 @@ impl Device {
     /// event, goal, such as `12.345678 finger begins '40'`.
     #[must_use]
     pub fn with_record(mut self, file: File) -> Self {
-        self.record = Some(Record::new(file));
+        self.0.record = Some(Record::new(file));
         self
     }
 
@@ -156,10 +89,9 @@ impl Device {
     ///
     /// # Errors
     /// If the system has no more ptys or threads, or the link cannot be created.
-    /// When the system has no more ptys or threads, or when the link cannot be made.
     #[cfg(unix)]
     pub fn on_pty(self, link: Option<PathBuf>) -> io::Result<(Running, String)> {
-        let kind = self.kind;
+        let kind = self.0.kind;
         let pty = Pty::new()?;
         let mut path = pty.path().to_owned();
         let link = link
@@ -169,7 +101,7 @@ impl Device {
             })
             .transpose()?;
         let line = pty.line()?;
-        let mut running = Running::power_on(self)?;
+        let mut running = Running::power_on(self.0)?;
         running._pty = Some((pty, link));
         let _ = running.inputs.send(Input::Line(Some(line.writer)));
         let (inputs, stop) = (running.inputs.clone(), Arc::clone(&running.stop));
@@ -185,12 +117,12 @@ impl Device {
     /// # Errors
     /// If it cannot listen on `address`.
     pub fn on_tcp(self, address: &str) -> io::Result<(Running, SocketAddr)> {
-        let kind = self.kind;
+        let kind = self.0.kind;
         let listener = TcpListener::bind(address)?;
         let address = listener.local_addr()?;
         // Must not block in accept, so that it can be stopped.
         listener.set_nonblocking(true)?;
-        let mut running = Running::power_on(self)?;
+        let mut running = Running::power_on(self.0)?;
         let (inputs, stop) = (running.inputs.clone(), Arc::clone(&running.stop));
         let serve = std::thread::Builder::new()
             .name(format!("ztl-sim-{kind}-tcp"))
@@ -216,11 +148,11 @@ impl std::fmt::Debug for Running {
 }
 
 impl Running {
-    fn power_on(device: Device) -> io::Result<Self> {
+    fn power_on(settings: Settings) -> io::Result<Self> {
         let (inputs, inbox) = channel();
         let node = std::thread::Builder::new()
-            .name(format!("ztl-sim-{}", device.kind))
-            .spawn(move || power::run(&device, &inbox))?;
+            .name(format!("ztl-sim-{}", settings.kind))
+            .spawn(move || power::run(&settings, &inbox))?;
         Ok(Self {
             inputs,
             stop: Arc::new(AtomicBool::new(false)),

@@ -16,5 +16,5 @@ pub use faults::{Counts, Faults, FaultyLine};
 #[must_use]
 pub fn random_seed() -> u64 {
     // 32 bits only, so that it is short enough to type.
-    u64::from(crate::random())
+    u64::from(crate::random::random())
 }

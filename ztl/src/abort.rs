@@ -1,36 +1,36 @@
-//! `ztl abort`: stops tasks of a server, whoever started them.
+//! `ztl abort`: aborts tasks of a server.
 
 use std::collections::HashSet;
 
 use ztl_std::{RemoteId, RequestError, ServerTask, ServerTasks, Status};
 
-use crate::ask::{Asking, Server, all_named, code};
 use crate::exit::Done;
+use crate::server_query::{QueriedServer, QueryOptions, all_named, code};
 use crate::terminal::{error_line, flat, line};
 
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "Exit codes: 0 every task has ended, 1 at least one is not known or may still run."
+    after_help = "Exit codes: 0 every task has ended, 1 at least one is unknown or may still run."
 )]
 pub(crate) struct Abort {
     #[command(flatten)]
-    server: Asking,
+    server: QueryOptions,
 
-    /// The tasks to stop, by their ids
+    /// Ids of the tasks to abort
     #[arg(value_name = "ID", required_unless_present = "all", value_parser = id)]
     ids: Vec<RemoteId>,
 
-    /// Stop every task that runs
+    /// Abort every running task
     #[arg(long, conflicts_with = "ids")]
     all: bool,
 
-    /// The tasks' scope; needed only for a server that does not tell it, as the original
+    /// The tasks' scope; needed only if the server does not list its tasks, as the original
     /// [default: the configuration file's, else $ZTL_SCOPE; with --all every scope]
     #[arg(short, long)]
     scope: Option<String>,
 }
 
-/// A task to be stopped.
+/// A task to abort.
 struct Wanted {
     scope: String,
     id: RemoteId,
@@ -64,8 +64,11 @@ impl Abort {
     }
 }
 
-/// Stops every task that runs or may run; says whether all have ended.
-fn abort_all(server: &Server, scope: Option<&str>) -> Result<bool, Box<dyn std::error::Error>> {
+/// Aborts every task that may run. Returns whether all have ended.
+fn abort_all(
+    server: &QueriedServer,
+    scope: Option<&str>,
+) -> Result<bool, Box<dyn std::error::Error>> {
     let mut tried = HashSet::new();
     let mut all_ended = true;
     loop {
@@ -79,7 +82,7 @@ fn abort_all(server: &Server, scope: Option<&str>) -> Result<bool, Box<dyn std::
                 all_ended &= abort(server, &Wanted::of(task));
             }
         }
-        // Once these have ended, the list may reach others.
+        // The list may have room for others now.
         if found_new && !known.gaps.is_empty() {
             continue;
         }
@@ -94,9 +97,9 @@ fn abort_all(server: &Server, scope: Option<&str>) -> Result<bool, Box<dyn std::
     }
 }
 
-/// Stops the tasks with these ids; says whether all have ended.
+/// Aborts the tasks with these ids. Returns whether all have ended.
 fn abort_these(
-    server: &Server,
+    server: &QueriedServer,
     ids: &[RemoteId],
     scope: Option<String>,
 ) -> Result<bool, Box<dyn std::error::Error>> {
@@ -107,8 +110,8 @@ fn abort_these(
     let scope = match (scope, &known) {
         (Some(scope), _) => Some(scope),
         (None, Some(known)) if known.gaps.is_empty() => None,
-        (None, Some(_)) => server.place.scope(None).ok().flatten(),
-        (None, None) => server.place.scope(None)?,
+        (None, Some(_)) => server.address.scope(None).ok().flatten(),
+        (None, None) => server.address.scope(None)?,
     };
     if known.is_none() && scope.is_none() {
         return Err(format!("{}; give --scope", server.original()).into());
@@ -117,7 +120,7 @@ fn abort_these(
         let found = |id: &RemoteId| known.tasks.iter().any(|task| task.id == *id);
         ids.iter().all(found) || all_named(known)
     });
-    // One that is not known keeps nobody from stopping the others.
+    // Aborts the others even if one is unknown.
     for id in ids {
         let wanted = find(known.as_ref(), id);
         let in_scope = scope.as_ref().map(|scope| Wanted {
@@ -141,7 +144,7 @@ fn abort_these(
     Ok(all_ended)
 }
 
-/// The tasks with this id that may run, in each scope that has one; else one that has ended.
+/// The tasks with this id that may run, in all scopes; otherwise one that has ended.
 fn find(known: Option<&ServerTasks>, id: &RemoteId) -> Vec<Wanted> {
     let tasks = known.into_iter().flat_map(|known| &known.tasks);
     let all: Vec<&ServerTask> = tasks.filter(|task| task.id == *id).collect();
@@ -150,15 +153,15 @@ fn find(known: Option<&ServerTasks>, id: &RemoteId) -> Vec<Wanted> {
     all.map(Wanted::of).collect()
 }
 
-fn unknown(server: &Server, id: &RemoteId) {
+fn unknown(server: &QueriedServer, id: &RemoteId) {
     let endpoint = server.endpoint();
     error_line(format_args!(
         "ztl: no task {id} is known at {endpoint}; `ztl ps --all` lists them"
     ));
 }
 
-/// Stops a task, and says what became of it; whether it has certainly ended.
-fn abort(server: &Server, wanted: &Wanted) -> bool {
+/// Aborts a task and prints what became of it. Returns whether it has certainly ended.
+fn abort(server: &QueriedServer, wanted: &Wanted) -> bool {
     let Wanted { scope, id, task } = wanted;
     let mut remote = match server.connect(scope) {
         Ok(remote) => remote,
@@ -195,7 +198,7 @@ enum About<'a> {
     NoTask,
     /// The server does not serve the scope.
     NoScope,
-    /// It says nothing of the task.
+    /// The answer says nothing about the task.
     Nothing(String),
 }
 

@@ -10,7 +10,7 @@ use ztl_yaml::Diagnostics;
 
 use crate::exit::Done;
 use crate::log;
-use crate::remote_task::Endpoints;
+use crate::remotes_options::RemotesOptions;
 use crate::server_connection::connect_once;
 use crate::terminal::{line, part};
 
@@ -22,7 +22,7 @@ pub(crate) struct Check {
     script: PathBuf,
 
     #[command(flatten)]
-    endpoints: Endpoints,
+    endpoints: RemotesOptions,
 
     /// Ask each server whether it is reachable, and servers of this package whether they accept the tasks
     #[arg(long)]

@@ -1,4 +1,4 @@
-//! `ztl demo`: the main job in a minute, on simulated devices behind real ptys.
+//! `ztl demo`: a gateway, two simulated devices on ptys, and a scene.
 
 mod tasks;
 
@@ -13,8 +13,8 @@ use ztl_std::{RemoteTask, TaskServer};
 
 use self::tasks::{DemoTask, play};
 use crate::exit::Done;
+use crate::option_values::port;
 use crate::terminal::line;
-use crate::tool::port;
 use crate::{log, signals};
 
 #[derive(Debug, clap::Args)]
@@ -50,7 +50,7 @@ const fn pan(goal: &'static str, way: (f32, f32)) -> DemoTask {
     }
 }
 
-/// What is played, step after step; the tasks of a step at once.
+/// The scene: steps in order, with the acts of a step at the same time.
 const SCENE: [(&str, &[DemoTask]); 4] = [
     ("open the gripper", &[finger("80", (0.0, 80.0))]),
     ("look to the left", &[pan("left", (0.0, 90.0))]),
@@ -61,7 +61,7 @@ const SCENE: [(&str, &[DemoTask]); 4] = [
     ("look straight ahead", &[pan("straight", (-90.0, 0.0))]),
 ];
 
-/// Those that the scene moves.
+/// The devices that the scene moves.
 const DEVICES: [Kind; 2] = [Kind::Gripper, Kind::Head];
 
 impl Demo {
@@ -116,8 +116,7 @@ impl Demo {
     }
 }
 
-/// A device on a pty of its own, to be opened by its path like a real one; where the system has no
-/// ptys, one in the gateway's process.
+/// Starts a device on a pty. Without ptys, the gateway starts one in its own process.
 fn simulate(kind: Kind) -> (String, Option<ztl_sim::Running>) {
     #[cfg(unix)]
     if let Ok((device, path)) = ztl_sim::Device::new(kind).on_pty(None) {
@@ -127,7 +126,7 @@ fn simulate(kind: Kind) -> (String, Option<ztl_sim::Running>) {
     (format!("sim:{kind}"), None)
 }
 
-/// What to try next.
+/// Suggests what to try next.
 fn invitation(endpoint: &str) -> String {
     let port = endpoint.rsplit(':').next().unwrap_or_default();
     let ours = std::env::args().next().unwrap_or_else(|| "ztl".to_owned());
@@ -135,7 +134,7 @@ fn invitation(endpoint: &str) -> String {
     format!(
         "The gateway goes on serving. In another terminal, with this program:\n\
          \n  {ours} task-client -r 127.0.0.1 -p {port} -s {SCOPE} gripper:finger:40\n\
-         \nand with the original's, unchanged:\n\
+         \nor with the original's:\n\
          \n  python3 -m venv venv && venv/bin/pip install ztl\
          \n  venv/bin/ztl_task_client -r 127.0.0.1 -p {port} -s {SCOPE} head:pan:left\n\
          \nCtrl-C ends it."

@@ -1,20 +1,21 @@
-//! `ztl describe`: what a server offers.
+//! `ztl describe`: lists what a server offers.
 
 use std::process::ExitCode;
 
-use crate::ask::{Asking, table};
+use crate::columns::table;
 use crate::exit::Done;
+use crate::server_query::QueryOptions;
 use crate::terminal::{flat, line};
 
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "Exit code 1: the server was not reached, or does not say what it offers, as an original ztl."
+    after_help = "Exit code 1: the server was not reached, or does not describe itself, as an original ztl."
 )]
 pub(crate) struct Describe {
     #[command(flatten)]
-    server: Asking,
+    server: QueryOptions,
 
-    /// The same in JSON
+    /// Print JSON
     #[arg(long)]
     json: bool,
 }

@@ -1,4 +1,4 @@
-//! `ztl device`: a simulated device standing alone.
+//! `ztl device`: runs a simulated device.
 
 use std::fs::File;
 use std::path::PathBuf;
@@ -11,13 +11,13 @@ use crate::signals;
 use crate::terminal::line;
 
 #[derive(Debug, clap::Args)]
-#[command(after_help = "SIGUSR1 resets the device: its power is taken away and given back.")]
+#[command(after_help = "SIGUSR1 resets the device, as a power cycle does.")]
 pub(crate) struct Device {
     /// What to simulate: sim:gripper, sim:head, or sim:sensor, which only publishes
     #[arg(value_parser = kind)]
     device: Kind,
 
-    /// Where it listens: tcp:PORT, tcp:HOST:PORT, pty (its path is printed), or pty:LINK (a link to it is made)
+    /// Where it listens: tcp:PORT, tcp:HOST:PORT, pty (prints its path), or pty:LINK (creates a link to it)
     #[arg(long, value_name = "WHERE", value_parser = place)]
     on: Place,
 
@@ -25,7 +25,7 @@ pub(crate) struct Device {
     #[arg(long, value_name = "RATE", value_parser = clap::value_parser!(u32).range(1..))]
     baud: Option<u32>,
 
-    /// Add a line to FILE whenever a task really begins or ends: seconds, component, what, goal
+    /// Append a line to FILE when a task really begins or ends: seconds, component, event, goal
     #[arg(long, value_name = "FILE")]
     record: Option<PathBuf>,
 }
@@ -43,7 +43,7 @@ fn kind(text: &str) -> Result<Kind, String> {
 }
 
 fn place(text: &str) -> Result<Place, String> {
-    let wrong = || "use tcp:PORT, tcp:HOST:PORT, pty or pty:LINK".to_owned();
+    let wrong = || "expected tcp:PORT, tcp:HOST:PORT, pty or pty:LINK".to_owned();
     let (scheme, rest) = text.split_once(':').unwrap_or((text, ""));
     match (scheme, rest) {
         ("pty", "") => Ok(Place::Pty(None)),

@@ -1,4 +1,4 @@
-//! `ztl devices`: what a gateway has connected, and how the links do.
+//! `ztl devices`: shows a gateway's devices and their links.
 
 use std::collections::BTreeMap;
 #[cfg(feature = "defmt")]
@@ -14,9 +14,9 @@ use ztl_std::defmt::{Decoder, Level, Message};
 use ztl_std::gateway::LogPiece;
 use ztl_std::gateway::{ComponentReport, DeviceReport, DeviceReports};
 
-use crate::ask::{Asking, Server, all_named, code, read, spoken};
+use crate::columns::spoken;
 use crate::exit::Done;
-use crate::ps::state;
+use crate::server_query::{QueriedServer, QueryOptions, all_named, code, read, state};
 #[cfg(feature = "defmt")]
 use crate::signals;
 use crate::terminal::{flat, line};
@@ -24,27 +24,27 @@ use crate::terminal::{flat, line};
 #[derive(Debug, clap::Args)]
 pub(crate) struct Devices {
     #[command(flatten)]
-    server: Asking,
+    server: QueryOptions,
 
-    /// Only this device
+    /// Show only this device
     #[arg(value_name = "NAME")]
     name: Option<String>,
 
-    /// What the gateway says, in JSON
+    /// Print JSON
     #[arg(long)]
     json: bool,
 
-    /// Show what this device's firmware has logged by defmt, and go on until Ctrl-C
+    /// Show the defmt log of this device's firmware until Ctrl-C
     #[cfg(feature = "defmt")]
     #[arg(long, value_name = "NAME", requires = "elf", conflicts_with_all = ["name", "json"])]
     log: Option<String>,
 
-    /// The firmware's ELF file, which makes its log readable
+    /// The firmware's ELF file, which decodes its log
     #[cfg(feature = "defmt")]
     #[arg(long, value_name = "FIRMWARE", requires = "log")]
     elf: Option<PathBuf>,
 
-    /// Show only what it has logged so far
+    /// Show only the log so far
     #[cfg(feature = "defmt")]
     #[arg(long, requires = "log")]
     once: bool,
@@ -94,13 +94,13 @@ impl Devices {
     }
 }
 
-/// Pause between two questions about a log.
+/// Pause between two requests for a log.
 #[cfg(feature = "defmt")]
 const LOG_AGAIN: Duration = Duration::from_millis(200);
 
-/// Shows a device's log, made readable.
+/// Shows a device's decoded log.
 #[cfg(feature = "defmt")]
-fn show_log(server: &Server, name: &str, elf: &Path, once: bool) -> Done {
+fn show_log(server: &QueriedServer, name: &str, elf: &Path, once: bool) -> Done {
     let mut decoder =
         Decoder::of_file(elf).map_err(|error| format!("{}: {error}", elf.display()))?;
     signals::catch()?;
@@ -115,7 +115,7 @@ fn show_log(server: &Server, name: &str, elf: &Path, once: bool) -> Done {
             )
         })?;
         let pieces: BTreeMap<String, LogPiece> = read(&json)?;
-        // A device of that name in the first scope that has one.
+        // The device of the first scope that has one of this name.
         let piece = pieces.into_values().next().ok_or("the answer is empty")?;
         let bytes = piece.bytes().ok_or("the answer is no log")?;
         if let Some((boot, lost)) = known

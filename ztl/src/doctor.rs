@@ -1,5 +1,6 @@
-//! `ztl doctor`: what a person needs to know on a strange robot, each trouble with its remedy.
+//! `ztl doctor`: checks a machine, and shows each problem with a remedy.
 
+mod finding;
 mod network;
 mod serial;
 mod storage;
@@ -10,119 +11,48 @@ use std::process::ExitCode;
 
 use serde_json::{Value, json};
 
-use crate::about;
-use crate::address::Address;
 use crate::exit::Done;
-use crate::reach::Identity;
+use crate::identity::Identity;
+use crate::option_values::port;
+use crate::server_address::AddressOptions;
 use crate::terminal::line;
-use crate::tool::port;
+use crate::version;
+use finding::{Finding, Health};
 
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "Exit code 0: nothing is wrong; 1: something is, and each trouble is told with its remedy; 2: the options are wrong."
+    after_help = "Exit code 0: nothing is wrong; 1: there are problems, each shown with a remedy; 2: the options are wrong."
 )]
 pub(crate) struct Doctor {
-    /// Without --remote, --port and ZTL_PORT no server is asked.
+    /// Checks no server without --remote, --port and ZTL_PORT.
     #[command(flatten)]
-    address: Address,
+    address: AddressOptions,
 
     #[command(flatten)]
     identity: Identity,
 
-    /// A port that a server on this machine shall use: is it free? (repeatable)
+    /// Check whether this port is free for a server on this machine (repeatable)
     #[arg(long, value_name = "PORT", value_parser = port)]
     listen: Vec<u16>,
 
-    /// A serial port that shall be used (repeatable) [default: all that there are]
+    /// Check this serial port (repeatable) [default: all]
     #[arg(long, value_name = "PATH")]
     serial: Vec<PathBuf>,
 
-    /// The directory of the journal [default: in $STATE_DIRECTORY, else in ~/.local/state/ztl]
+    /// Check this directory for the journal [default: in $STATE_DIRECTORY, else in ~/.local/state/ztl]
     #[arg(long, value_name = "DIR")]
     journal: Option<PathBuf>,
 
-    /// All of it in JSON
+    /// Print JSON
     #[arg(long)]
     json: bool,
 }
 
-/// How something is.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Health {
-    Good,
-    /// Worth knowing, and no trouble.
-    Note,
-    Trouble,
-}
-
-/// What was found about one thing.
-#[derive(Debug)]
-struct Finding {
-    about: &'static str,
-    health: Health,
-    text: String,
-    remedy: Option<String>,
-    /// Numbers and names, for programs.
-    data: Value,
-}
-
-impl Finding {
-    fn good(about: &'static str, text: impl Into<String>) -> Self {
-        Self {
-            about,
-            health: Health::Good,
-            text: text.into(),
-            remedy: None,
-            data: Value::Null,
-        }
-    }
-
-    fn note(about: &'static str, text: impl Into<String>) -> Self {
-        Self {
-            health: Health::Note,
-            ..Self::good(about, text)
-        }
-    }
-
-    fn trouble(about: &'static str, text: impl Into<String>, remedy: impl Into<String>) -> Self {
-        Self {
-            health: Health::Trouble,
-            remedy: Some(remedy.into()),
-            ..Self::good(about, text)
-        }
-    }
-
-    /// What may be done about it, although it is no trouble.
-    fn with_remedy(mut self, remedy: impl Into<String>) -> Self {
-        self.remedy = Some(remedy.into());
-        self
-    }
-
-    fn with(mut self, data: Value) -> Self {
-        self.data = data;
-        self
-    }
-
-    fn to_json(&self) -> Value {
-        json!({
-            "about": self.about,
-            "health": match self.health {
-                Health::Good => "good",
-                Health::Note => "note",
-                Health::Trouble => "trouble",
-            },
-            "text": self.text,
-            "remedy": self.remedy,
-            "data": self.data,
-        })
-    }
-}
-
 impl Doctor {
     pub(crate) fn run(self) -> Done {
-        let place = self.address.place_if_any()?;
+        let address = self.address.resolve_if_any()?;
         let mut found = vec![
-            Finding::good("ztl", about::version().replace('\n', "; ")),
+            Finding::good("ztl", version::text().replace('\n', "; ")),
             system::kernel(),
             system::processor(),
             system::memory(),
@@ -136,8 +66,8 @@ impl Doctor {
         found.extend(network::ports(&self.listen));
         found.extend(serial::ports(&self.serial));
         found.push(storage::journal(self.journal.as_deref()));
-        if let Some(place) = &place {
-            found.push(network::server(place, &self.identity));
+        if let Some(address) = &address {
+            found.push(network::server(address, &self.identity));
         }
         let troubles = found.iter().filter(|f| f.health == Health::Trouble).count();
         if self.json {

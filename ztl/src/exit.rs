@@ -1,17 +1,28 @@
-//! How a command ends: its exit code, or an error for the user.
+//! How commands end.
 
 use std::fmt;
 use std::process::ExitCode;
 
 use crate::terminal::error_line;
 
-/// Exit code for a wrong command line.
+/// The exit code of a command. Prints its error with the name it was called by.
+pub(crate) fn exit(called: impl fmt::Display, done: Done) -> ExitCode {
+    match done {
+        Ok(code) => code,
+        Err(error) => {
+            error_line(format_args!("{called}: {error}"));
+            match error.is::<Misuse>() {
+                true => ExitCode::from(MISUSED),
+                false => ExitCode::FAILURE,
+            }
+        }
+    }
+}
+
+/// The exit code for wrong options or a wrong environment.
 pub(crate) const MISUSED: u8 = 2;
 
-/// The result of a command: its exit code, or an error that is printed in one line.
-pub(crate) type Done = Result<ExitCode, Box<dyn std::error::Error>>;
-
-/// A mistake in the command line or the environment.
+/// A mistake in the options or the environment.
 #[derive(Debug)]
 pub(crate) struct Misuse(pub(crate) String);
 
@@ -23,13 +34,5 @@ impl fmt::Display for Misuse {
 
 impl std::error::Error for Misuse {}
 
-/// Prints the error under the name by which the program was called, and returns the exit code.
-pub(crate) fn exit(called: impl fmt::Display, done: Done) -> ExitCode {
-    done.unwrap_or_else(|error| {
-        error_line(format_args!("{called}: {error}"));
-        match error.is::<Misuse>() {
-            true => ExitCode::from(MISUSED),
-            false => ExitCode::FAILURE,
-        }
-    })
-}
+/// What each command returns: its exit code, or an error to print.
+pub(crate) type Done = Result<ExitCode, Box<dyn std::error::Error>>;

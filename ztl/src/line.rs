@@ -1,4 +1,4 @@
-//! `ztl line`: a bad cable between any two ends.
+//! `ztl line`: a bad cable between two ends.
 
 use std::process::ExitCode;
 use std::sync::Arc;
@@ -11,7 +11,7 @@ use crate::exit::Done;
 use crate::signals;
 use crate::terminal::{is_live, line, rewrite};
 
-/// How often a person sees the counts.
+/// How often the counts are shown on a terminal.
 const SHOW: Duration = Duration::from_secs(1);
 
 #[derive(Debug, clap::Args)]
@@ -25,15 +25,15 @@ pub(crate) struct Line {
     #[arg(value_name = "B")]
     b: End,
 
-    /// Bits a second, ten for each byte, as on a UART; default: as fast as it goes
+    /// Bits per second, ten per byte, as on a UART [default: unlimited]
     #[arg(long, value_name = "RATE", value_parser = clap::value_parser!(u32).range(1..))]
     baud: Option<u32>,
 
-    /// Time that each byte takes from end to end
+    /// Delay of each byte
     #[arg(long, value_name = "TIME", default_value = "0s", value_parser = time)]
     latency: Duration,
 
-    /// Probability that a bit is turned round, as 1e-4
+    /// Probability that a bit is flipped, such as 1e-4
     #[arg(long, value_name = "P", default_value = "0", value_parser = probability)]
     flip: f64,
 
@@ -41,19 +41,19 @@ pub(crate) struct Line {
     #[arg(long, value_name = "P", default_value = "0", value_parser = probability)]
     drop: f64,
 
-    /// Probability that a byte comes twice
+    /// Probability that a byte is duplicated
     #[arg(long, value_name = "P", default_value = "0", value_parser = probability)]
     double: f64,
 
-    /// Probability, for each byte, that the line holds back all that follows, for a while
+    /// Probability, for each byte, that the line stalls
     #[arg(long, value_name = "P", default_value = "0", value_parser = probability)]
     stall: f64,
 
-    /// For how long it holds back at most; each time is random
+    /// Longest stall; each has a random length
     #[arg(long, value_name = "TIME", default_value = "500ms", value_parser = time)]
     stall_for: Duration,
 
-    /// Lose all that goes this way
+    /// Lose all bytes in this direction
     #[arg(long, value_name = "WAY")]
     cut: Option<Cut>,
 
@@ -61,22 +61,22 @@ pub(crate) struct Line {
     #[arg(long, value_name = "TIME", default_value = "0s", value_parser = time, requires = "cut")]
     cut_after: Duration,
 
-    /// Cut only for so long; default: to the end
+    /// Cut only for this time [default: until the end]
     #[arg(long, value_name = "TIME", value_parser = time, requires = "cut")]
     cut_for: Option<Duration>,
 
-    /// Where the random numbers start: the same seed and bytes bring the same faults [default: random]
+    /// Seed of the random numbers: the same seed and bytes have the same faults [default: random]
     #[arg(long, value_name = "NUMBER")]
     seed: Option<u64>,
 
-    /// End after this time; default: at Ctrl-C
+    /// End after this time [default: at Ctrl-C]
     #[arg(long = "for", value_name = "TIME", value_parser = time)]
     limit: Option<Duration>,
 }
 
 const AFTER_HELP: &str = "\
-A TIME has a unit: 500ms, 2s, 1m. Faults apply to both directions, each with dice of its own.
-What has become of the bytes is said at the end, at each SIGUSR1, and all the time on a terminal.
+A TIME has a unit: 500ms, 2s, 1m. Faults occur in both directions, independently.
+Byte counts are printed at the end, at each SIGUSR1, and continuously on a terminal.
 
 A gripper behind a bad cable:
   ztl device sim:gripper --on tcp:7000
@@ -89,7 +89,7 @@ enum Cut {
     ToA,
     /// What A sends is lost
     ToB,
-    /// Nothing arrives anywhere
+    /// All bytes are lost
     Both,
 }
 
@@ -97,12 +97,12 @@ fn probability(text: &str) -> Result<f64, &'static str> {
     let number = text.parse().ok();
     number
         .filter(|number| (0.0..=1.0).contains(number))
-        .ok_or("a probability is a number from 0 to 1, as 0.001 or 1e-4")
+        .ok_or("expected a number from 0 to 1, such as 0.001 or 1e-4")
 }
 
 fn time(text: &str) -> Result<Duration, &'static str> {
     humantime::parse_duration(text)
-        .map_err(|_| "a time is a number with its unit, as 500ms, 2s or 1m")
+        .map_err(|_| "expected a number with a unit, such as 500ms, 2s or 1m")
 }
 
 impl Line {
@@ -124,7 +124,7 @@ impl Line {
         let shown = Arc::downgrade(&cable);
         signals::at_usr1(move || {
             if let Some(cable) = shown.upgrade() {
-                say(cable.counts());
+                print(cable.counts());
             }
         })?;
         let live = is_live();
@@ -142,11 +142,11 @@ impl Line {
         if live {
             rewrite("", "");
         }
-        say(cable.counts());
+        print(cable.counts());
         Ok(signals::exit_code_or(ExitCode::SUCCESS))
     }
 
-    /// One direction of it; `way` is what cuts it.
+    /// One direction; `way` is the option that cuts it.
     fn direction(&self, seed: u64, way: Cut) -> FaultyLine {
         let faults = Faults {
             flip: self.flip,
@@ -167,12 +167,12 @@ impl Line {
     }
 }
 
-fn say([there, back]: [Counts; 2]) {
+fn print([there, back]: [Counts; 2]) {
     line(format_args!("A to B: {there}"));
     line(format_args!("B to A: {back}"));
 }
 
-/// On one line that is written again and again.
+/// Shows the counts in one line that is overwritten.
 fn show([there, back]: [Counts; 2]) {
     let text = format!(
         "A to B: {} bytes, {} faults; B to A: {} bytes, {} faults",

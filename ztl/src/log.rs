@@ -17,9 +17,9 @@ use ztl_std::listen::LogFormat;
 
 use crate::terminal::{Errors, flat};
 
-/// The form of the original's lines.
+/// The original's format.
 struct PythonForm {
-    /// Each begins with the time.
+    /// Whether each line begins with the time.
     timestamps: bool,
 }
 
@@ -56,7 +56,7 @@ where
     }
 }
 
-/// Writes the text of an event alone: it says what the fields say, which are for machines.
+/// Writes only the message of an event. Its fields are for machines.
 struct Text<'a> {
     writer: Writer<'a>,
     written: fmt::Result,
@@ -71,7 +71,7 @@ impl Visit for Text<'_> {
     }
 }
 
-/// Logs what is at least as grave as `level`, in the original's form.
+/// Logs in the original's format.
 pub(crate) fn init(level: Level) {
     tracing_subscriber::fmt()
         .with_max_level(level)
@@ -80,13 +80,13 @@ pub(crate) fn init(level: Level) {
         .init();
 }
 
-/// Changes the level of a log that [`init_as`] made.
+/// Changes the level of the log of [`init_as`].
 static LEVEL: OnceLock<reload::Handle<LevelFilter, Registry>> = OnceLock::new();
 
-/// The log of a service: as text with timestamps, unless the service manager adds them, or in another form.
+/// Logs as a service: text has timestamps, unless the service manager adds them.
 pub(crate) fn init_as(level: Level, format: LogFormat) {
     let (filter, handle) = reload::Layer::new(LevelFilter::from(level));
-    // The log is made once.
+    // This is called once.
     let _ = LEVEL.set(handle);
     let log = tracing_subscriber::registry().with(filter);
     let lines = tracing_subscriber::fmt::layer().with_writer(|| Errors);
@@ -99,15 +99,15 @@ pub(crate) fn init_as(level: Level, format: LogFormat) {
     }
 }
 
-/// Logs what is at least as grave as `level` from now on.
+/// Changes the level.
 pub(crate) fn set_level(level: Level) {
     if let Some(handle) = LEVEL.get() {
-        // Fails only without a log.
+        // Fails only if there is no log.
         let _ = handle.reload(LevelFilter::from(level));
     }
 }
 
-/// Whether stderr is systemd's journal, which adds its own timestamps.
+/// Whether stderr is systemd's journal, which adds timestamps.
 #[cfg(target_os = "linux")]
 fn is_journal() -> bool {
     let journal = std::env::var("JOURNAL_STREAM").unwrap_or_default();
@@ -119,13 +119,13 @@ fn is_journal() -> bool {
     told.is_some() && told == stderr.map(|stat| (stat.st_dev, stat.st_ino))
 }
 
-/// There is none here.
+/// This system has no journal.
 #[cfg(not(target_os = "linux"))]
 fn is_journal() -> bool {
     false
 }
 
-/// Logs in the original's form to anywhere; of the loggers in `quiet` only warnings and errors.
+/// Logs to a writer in the original's format, with only warnings and errors of the targets in `quiet`.
 pub(crate) fn init_to<W>(level: Level, quiet: &[&str], writer: W)
 where
     W: for<'w> MakeWriter<'w> + Send + Sync + 'static,
@@ -161,7 +161,7 @@ mod tests {
     }
 
     #[test]
-    fn control_characters_are_shown_and_never_sent_to_a_terminal() {
+    fn control_characters_are_escaped() {
         let page = Page::default();
         let written = page.clone();
         let log = tracing_subscriber::fmt()

@@ -6,11 +6,10 @@
 #![warn(clippy::print_stdout, clippy::print_stderr)]
 
 mod abort;
-mod about;
-mod address;
-mod ask;
+mod called;
 mod check;
-mod conversation;
+mod client;
+mod columns;
 mod demo;
 mod describe;
 mod device;
@@ -19,35 +18,41 @@ mod devices;
 mod doctor;
 mod exit;
 mod gateway;
-mod journal;
+mod identity;
+mod journal_options;
 #[cfg(target_os = "linux")]
 mod kernel;
 mod key_press;
 mod keyboard;
 mod keys;
 mod line;
+mod listen_options;
 #[cfg(unix)]
 mod live;
 mod log;
+mod option_values;
 mod original;
 mod ps;
-mod reach;
 mod remote_task;
+mod remotes_options;
 mod report;
 mod run_script;
 #[cfg(unix)]
 mod serve;
+mod server_address;
 mod server_connection;
-mod service;
+mod server_query;
 mod signals;
 mod simple_client;
 mod simple_server;
+mod systemd;
 mod task_client;
 mod task_server;
 mod terminal;
 #[cfg(unix)]
 mod terminal_mode;
-mod tool;
+mod tools;
+mod version;
 
 use std::ffi::OsString;
 use std::process::ExitCode;
@@ -63,7 +68,7 @@ use terminal::{error_line, error_part};
 #[command(
     name = "ztl",
     version,
-    long_version = about::version(),
+    long_version = version::text(),
     infer_long_args = true,
     arg_required_else_help = true
 )]
@@ -103,7 +108,7 @@ enum Command {
     /// Check a script for mistakes
     Check(check::Check),
     #[command(flatten)]
-    Tool(tool::Tool),
+    Tool(tools::Tool),
 }
 
 fn main() -> ExitCode {

@@ -2,18 +2,19 @@
 //! options (wire specification 7).
 //!
 //! Python's argparse, as the original uses it, ignores what it does not know; ours says on stderr what
-//! was ignored. The simple tools have no options at all. Under the name `ztl` none of this holds.
+//! was ignored. The simple tools have no options. Called as `ztl`, none of this applies.
 
 use std::ffi::{OsStr, OsString};
 use std::path::Path;
 use std::process::ExitCode;
 
-use clap::{ArgAction, CommandFactory, FromArgMatches};
+use clap::{ArgAction, FromArgMatches};
 
+use crate::called::Called;
 use crate::terminal::{error_line, line};
-use crate::tool::{Called, Tool, ToolOnly, help, whole};
+use crate::tools::{Tool, ToolOnly, help, original_command};
 
-/// The tools, and the long options that the original has; ours are further ones.
+/// The tools with the original's long options. Ours have more.
 const TOOLS: [(&str, &[&str]); 8] = [
     ("task-server", &["port", "scope", "help"]),
     (
@@ -34,7 +35,7 @@ const TOOLS: [(&str, &[&str]); 8] = [
     ),
 ];
 
-/// Runs a tool, when the program is called by one of the original's names.
+/// Runs a tool if the program was called by one of the original's names.
 pub(crate) fn run(args: &[OsString]) -> Option<ExitCode> {
     let (program, words) = args.split_first()?;
     let name = Path::new(program).file_name()?.to_str()?;
@@ -54,11 +55,11 @@ fn parse(
     options: &[&str],
     words: &[OsString],
 ) -> Result<Tool, ExitCode> {
-    let command = command(tool);
+    let command = original_command(tool);
     let Some(subcommand) = command.find_subcommand(tool) else {
         return Err(ExitCode::FAILURE);
     };
-    // Only then its `--help` is there.
+    // Adds `--help`.
     let mut built = subcommand.clone();
     built.build();
     let sorted = Sorted::new(&built, options, words);
@@ -80,7 +81,7 @@ fn parse(
         return Err(ExitCode::SUCCESS);
     }
     let text = error.render().to_string();
-    // In argparse's order: how it is used, then what was wrong.
+    // In argparse's order: usage, then the error.
     let usage = subcommand
         .clone()
         .bin_name(called.to_string())
@@ -96,69 +97,35 @@ fn parse(
         "{usage}\n{called}: error: {}",
         wrong.join(" ")
     ));
-    // The original's simple tools die of what is missing.
+    // The original's simple tools fail with a traceback.
     Err(ExitCode::from(if options.is_empty() { 1 } else { 2 }))
-}
-
-/// The parser for a tool under the original's name.
-pub(crate) fn command(tool: &str) -> clap::Command {
-    ToolOnly::command().mut_subcommand(tool, as_original)
-}
-
-/// The original's client needs all of what ours can have from elsewhere, and takes any number as a port.
-/// What is hidden is not known.
-fn as_original(tool: clap::Command) -> clap::Command {
-    if tool.get_name() == "task-client" {
-        ["remote", "port", "scope"]
-            .into_iter()
-            .fold(tool, |tool, name| {
-                tool.mut_arg(name, |arg| arg.required(true))
-            })
-            .mut_arg("port", |arg| any_port(arg).help("Port of the server"))
-            .mut_arg("scope", |arg| {
-                arg.help("The scope that the server is listening to")
-            })
-            .mut_arg("remote", |arg| {
-                arg.value_name("REMOTE").help("Host of the server")
-            })
-            .mut_arg("config", |arg| arg.hide(true))
-    } else if tool.get_name() == "simple-client" {
-        tool.mut_arg("port", any_port)
-    } else {
-        tool
-    }
-}
-
-fn any_port(arg: clap::Arg) -> clap::Arg {
-    let number = |text: &str| whole::<i64>(text).ok_or("a port is a whole number");
-    arg.value_parser(number)
 }
 
 /// What argparse makes of a command line.
 #[derive(Debug, Default, PartialEq, Eq)]
 struct Sorted {
-    /// Options by their full names, with their values.
+    /// Options with their full names and values.
     options: Vec<OsString>,
     positionals: Vec<OsString>,
     ignored: Vec<OsString>,
 }
 
-/// What argparse takes a word for.
+/// How argparse reads a word.
 enum Word<'a> {
     Positional,
-    /// An option, with what stands behind its `=` or is joined to it.
+    /// An option, with the value that is joined to it, if any.
     Option(&'a clap::Arg, Option<String>),
-    /// More than one option may be meant.
+    /// A prefix of several options.
     Ambiguous,
     Unknown,
 }
 
 impl Sorted {
-    /// Sorts `words` as argparse does for a `tool` with these `options`, which are known before others.
+    /// Sorts `words` as argparse does. The original's `options` win over ours.
     fn new(tool: &clap::Command, options: &[&str], words: &[OsString]) -> Self {
         let mut sorted = Self::default();
         let mut rest = words.iter();
-        // The simple tools look at the places of their arguments alone.
+        // The simple tools have only positional arguments.
         let mut all_positional = options.is_empty();
         while let Some(word) = rest.next() {
             if word == "--" && !all_positional {
@@ -171,7 +138,7 @@ impl Sorted {
             };
             match meaning {
                 Word::Positional => sorted.positionals.push(word.clone()),
-                // Refused by clap.
+                // clap rejects it.
                 Word::Ambiguous => sorted.options.push(word.clone()),
                 Word::Unknown => sorted.ignored.push(word.clone()),
                 Word::Option(option, value) => {
@@ -189,7 +156,7 @@ impl Sorted {
                         .take_while(|word| is_value(tool, options, word));
                     let found: Vec<OsString> = found.cloned().collect();
                     match found.as_slice() {
-                        // Joined, for a value may begin with a dash.
+                        // Joined, since the value may begin with a dash.
                         [value] if count == 1 => {
                             let mut joined = OsString::from(format!("{name}="));
                             joined.push(value);
@@ -218,7 +185,7 @@ impl Sorted {
     }
 }
 
-/// How many words follow an option as its values.
+/// How many words an option takes as values.
 fn values(option: &clap::Arg) -> usize {
     let takes = matches!(option.get_action(), ArgAction::Set | ArgAction::Append);
     match option.get_num_args() {
@@ -232,7 +199,7 @@ fn is_value(tool: &clap::Command, options: &[&str], word: &OsStr) -> bool {
     word != "--" && matches!(meaning(tool, options, word), Word::Positional)
 }
 
-/// What argparse takes a word for, by itself.
+/// How argparse reads a single word.
 fn meaning<'a>(tool: &'a clap::Command, options: &[&str], word: &OsStr) -> Word<'a> {
     let text = word.to_string_lossy();
     let Some(dashed) = text.strip_prefix('-').filter(|rest| !rest.is_empty()) else {
@@ -274,7 +241,7 @@ fn meaning<'a>(tool: &'a clap::Command, options: &[&str], word: &OsStr) -> Word<
     }
 }
 
-/// Whether what follows a dash makes a negative number: digits, or digits with a point before some.
+/// Whether the text after a dash makes a negative number.
 fn is_negative(text: &str) -> bool {
     let digits = |text: &str| text.bytes().all(|byte| byte.is_ascii_digit());
     let (whole, part) = text.split_once('.').unwrap_or(("", text));
@@ -287,7 +254,7 @@ mod tests {
 
     #[track_caller]
     fn sorts(tool: &str, line: &[&str], options: &[&str], positionals: &[&str], ignored: &[&str]) {
-        let mut command = command(tool);
+        let mut command = original_command(tool);
         let subcommand = command.find_subcommand_mut(tool).unwrap();
         subcommand.build();
         let (_, originals) = TOOLS.into_iter().find(|(name, _)| *name == tool).unwrap();
@@ -306,7 +273,7 @@ mod tests {
     }
 
     #[test]
-    fn words_are_taken_for_what_argparse_takes_them_for() {
+    fn words_are_sorted_as_argparse_does() {
         let client = |line: &[&str], options: &[&str], positionals: &[&str], ignored: &[&str]| {
             sorts("task-client", line, options, positionals, ignored);
         };

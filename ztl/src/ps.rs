@@ -1,22 +1,23 @@
-//! `ztl ps`: the tasks of a server.
+//! `ztl ps`: lists the tasks of a server.
 
 use serde_json::json;
-use ztl_std::{ListedTask, ServerTask, State};
+use ztl_std::ServerTask;
 
-use crate::ask::{Asking, all_named, code, spoken, table};
+use crate::columns::{spoken, table};
 use crate::exit::Done;
+use crate::server_query::{QueryOptions, all_named, code, state};
 use crate::terminal::{flat, line};
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct Ps {
     #[command(flatten)]
-    server: Asking,
+    server: QueryOptions,
 
-    /// Show the ended ones too, as long as the server remembers them
+    /// Also show ended tasks that the server remembers
     #[arg(short, long)]
     all: bool,
 
-    /// What the server says, in JSON
+    /// Print JSON
     #[arg(long)]
     json: bool,
 }
@@ -41,7 +42,7 @@ impl Ps {
             }
             return Ok(code(all_named));
         }
-        // A device tells only ids and scopes.
+        // A device lists only ids and scopes.
         let is_listed = shown.iter().any(|task| task.listed.is_some());
         let columns = if is_listed { 6 } else { 2 };
         let head = ["ID", "SCOPE", "TASK", "STATE", "SINCE", "TEXT"].map(str::to_owned);
@@ -62,15 +63,6 @@ fn as_json(task: &ServerTask) -> serde_json::Result<serde_json::Value> {
         Some(listed) => serde_json::to_value(listed),
         None => Ok(json!({ "id": task.id, "scope": task.scope })),
     }
-}
-
-/// The state's name, unless the server could not learn how the task ended.
-pub(crate) fn state(task: &ListedTask) -> String {
-    if task.end_is_unknown() {
-        return "may still run".to_owned();
-    }
-    let known = State::from_code(i64::from(task.state));
-    known.map_or_else(|| task.state.to_string(), |state| state.name().to_owned())
 }
 
 fn row(task: &ServerTask) -> Vec<String> {

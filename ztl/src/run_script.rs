@@ -21,12 +21,12 @@ use ztl_std::Remotes;
 use ztl_std::remotes::Remote;
 use ztl_yaml::{Span, closest};
 
+use crate::called::Called;
 use crate::exit::Done;
 use crate::key_press::KeyPress;
-use crate::remote_task::Endpoints;
+use crate::remotes_options::RemotesOptions;
 use crate::server_connection::connect;
 use crate::terminal::{error_line, error_part, line};
-use crate::tool::Called;
 use crate::{log, signals};
 use output::LineOutput;
 use simulated_servers::SimulatedServers;
@@ -45,7 +45,7 @@ pub(crate) struct RunScript {
     script: PathBuf,
 
     #[command(flatten)]
-    endpoints: Endpoints,
+    endpoints: RemotesOptions,
 
     /// Play all scenes without asking; a step that needs a decision stops everything
     #[arg(long)]

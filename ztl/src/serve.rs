@@ -1,4 +1,4 @@
-//! `ztl serve`: the scripts and command-line tools of a robot as handlers of a task server.
+//! `ztl serve`: serves scripts and command-line tools as handlers of a task server.
 
 use std::ffi::OsString;
 use std::io;
@@ -7,51 +7,51 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode};
 
 use tracing::{Level, warn};
-use ztl_serve::{Config, Groups};
+use ztl_serve::{Config, ProcessRegistry};
 use ztl_std::listen::{LOG_FORMATS, LogFormat};
-use ztl_std::scope;
 
 use crate::exit::Done;
-use crate::reach::{self, MISCONFIGURED, Unfit};
-use crate::service::Service;
+use crate::listen_options::{ConfigError, ListenOptions, ListenPlace, MISCONFIGURED, log_format};
+use crate::option_values::scope_to_serve;
+use crate::systemd::Service;
 use crate::terminal::{error_line, error_part, line};
 use crate::{log, signals};
 
 #[derive(Debug, clap::Args)]
-#[command(after_help = "An option overrides what FILE says.")]
+#[command(after_help = "An option overrides FILE.")]
 pub(crate) struct Serve {
-    /// What is served, in YAML: which program does which task (docs/serve.md)
+    /// Configuration in YAML: which program does which task (docs/serve.md)
     #[arg(value_name = "FILE")]
     file: PathBuf,
 
-    /// Scope to serve, as /robot, in place of the file's only one
-    #[arg(short, long, value_parser = scope)]
+    /// Scope to serve, such as /robot, instead of the file's only one
+    #[arg(short, long, value_parser = scope_to_serve)]
     scope: Option<String>,
 
     #[command(flatten)]
-    listen: reach::Listening,
+    listen: ListenOptions,
 
-    /// Only say what is wrong with the file
+    /// Only check the file
     #[arg(long)]
     check: bool,
 }
 
-/// What the watchdog is called.
+/// The watchdog's subcommand.
 const WATCHDOG: &str = "serve-watchdog";
 
-/// A process that its `ztl serve` talks to, by stdin, and that ends with it.
+/// The watchdog process of a `ztl serve`.
 pub(crate) struct Watchdog {
     format: LogFormat,
 }
 
 impl Watchdog {
-    /// As [`command`](Self::command) calls it. Nobody else does, so this goes without the parser for
-    /// people's options: what that touches would stay in memory for as long as the server runs.
+    /// Parses the arguments of [`command`](Self::command). Avoids clap, which would take memory for as long as the
+    /// server runs.
     pub(crate) fn of(args: &[OsString]) -> Option<Self> {
         let [_, name, format] = args else {
             return None;
         };
-        let format = reach::format(format.to_str()?).ok()?;
+        let format = log_format(format.to_str()?).ok()?;
         (name == WATCHDOG).then_some(Self { format })
     }
 
@@ -61,9 +61,9 @@ impl Watchdog {
         Ok(ExitCode::SUCCESS)
     }
 
-    /// How it is started: by the program that runs, wherever that is by now.
+    /// The command that starts a watchdog: this program, even if its file was moved.
     fn command(format: LogFormat) -> io::Result<Command> {
-        // There it sees which programs are left. An emulator may pretend that `/proc/self` is there.
+        // The watchdog needs /proc. An emulator may fake `/proc/self`.
         if cfg!(target_os = "linux") && std::fs::read_dir("/proc")?.next().is_none() {
             return Err(io::Error::new(io::ErrorKind::NotFound, "there is no /proc"));
         }
@@ -78,10 +78,6 @@ impl Watchdog {
         command.arg0("ztl").args([WATCHDOG, format]);
         Ok(command)
     }
-}
-
-fn scope(text: &str) -> Result<String, String> {
-    scope::cannot_be_served(text).map_or_else(|| Ok(text.to_owned()), Err)
 }
 
 impl Serve {
@@ -100,8 +96,8 @@ impl Serve {
         if check {
             let wrong = match config.warnings.len() {
                 0 => "Nothing is wrong".to_owned(),
-                1 => "Nothing is wrong but for a warning".to_owned(),
-                many => format!("Nothing is wrong but for {many} warnings"),
+                1 => "Nothing is wrong except a warning".to_owned(),
+                many => format!("Nothing is wrong except {many} warnings"),
             };
             let (bind, port) = (&place.bind, place.port);
             let served = served(&config);
@@ -114,9 +110,9 @@ impl Serve {
         serve(&config, place)
     }
 
-    /// What the file and the options say together.
-    fn plan(self) -> Result<(Config, reach::Place), Unfit> {
-        let mut config = Config::load(&self.file).map_err(Unfit::File)?;
+    /// Combines the file and the options.
+    fn plan(self) -> Result<(Config, ListenPlace), ConfigError> {
+        let mut config = Config::load(&self.file).map_err(ConfigError::File)?;
         let file = self.file.display().to_string();
         if let Some(name) = &self.scope {
             match config.scopes.as_mut_slice() {
@@ -126,17 +122,17 @@ impl Serve {
                     let mistake = format!(
                         "--scope names the only scope of a file, and {file} has {many}; name them there"
                     );
-                    return Err(Unfit::Whole(mistake));
+                    return Err(ConfigError::Whole(mistake));
                 }
             }
         }
         let place = self.listen.with(std::mem::take(&mut config.listen))?;
-        let missing = || Unfit::missing(Some(&file), "port", "--port <PORT>", "port: 12345");
+        let missing = || ConfigError::missing(Some(&file), "port", "--port <PORT>", "port: 12345");
         Ok((config, place.ok_or_else(missing)?))
     }
 }
 
-/// What is served, for people.
+/// Describes what is served.
 fn served(config: &Config) -> String {
     let scopes = config.scopes.iter().map(|scope| {
         let name = scope.name();
@@ -148,20 +144,19 @@ fn served(config: &Config) -> String {
     scopes.collect::<Vec<_>>().join(", ")
 }
 
-fn serve(config: &Config, place: reach::Place) -> Done {
+fn serve(config: &Config, place: ListenPlace) -> Done {
     let who = place.reachable();
     let watchdog = Watchdog::command(place.log_format);
     let mut server = place.listen()?;
-    let groups = match watchdog {
-        Ok(command) => Groups::watched(command)?,
-        // An empty root has no /proc.
+    let processes = match watchdog {
+        Ok(command) => ProcessRegistry::watched(command)?,
         Err(error) => {
-            warn!(target: "serve", "No watchdog can be started: {error}. If this server is killed, its programs run on.");
-            Groups::default()
+            warn!(target: "serve", "Cannot start a watchdog: {error}. If this server is killed, its programs run on.");
+            ProcessRegistry::default()
         }
     };
-    for (scope, programs) in config.programs(&groups)? {
-        server.register_handler(&scope, programs);
+    for (scope, handler) in config.handlers(&processes)? {
+        server.register_handler(&scope, handler);
     }
     line(format_args!(
         "Serving {} at {}. Reachable for {who}.",
@@ -169,7 +164,7 @@ fn serve(config: &Config, place: reach::Place) -> Done {
         server.endpoint()
     ));
     let handle = server.handle();
-    signals::leave_at_the_second_after(move || groups.kill());
+    signals::leave_at_the_second_after(move || processes.kill());
     let served = served(config);
     Service::ready(handle.clone(), move || served.clone())?.stops(handle);
     server.listen()?;

@@ -1,4 +1,4 @@
-//! Ctrl-C and SIGTERM, as a flag that can be waited for; SIGUSR1, as something to do.
+//! Signals: Ctrl-C, SIGTERM and SIGHUP set a flag; SIGUSR1 calls a function.
 
 use std::process::ExitCode;
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
@@ -7,28 +7,27 @@ use std::time::{Duration, Instant};
 use crate::key_press::LastPress;
 
 struct Flag {
-    /// When it was raised, and by which signal.
+    /// When the flag was set, and by which signal.
     raised: Option<(Instant, u8)>,
-    /// Whether raising it once more ends the process.
+    /// Whether a second signal ends the process.
     impatient: bool,
-    /// What is to be done when it is raised.
+    /// Called when the flag is set.
     then: Option<Box<dyn Fn() + Send>>,
-    /// What is to be done before the process ends at the second.
+    /// Called before a second signal ends the process.
     last: Option<Box<dyn Fn() + Send>>,
-    /// How long the second may take, where it is not obeyed at once.
+    /// How long the process may live after a second signal, if that does not end it at once.
     patience: Option<Duration>,
     /// Ignores repeats of Ctrl-C while it is held down, if set.
     held: Option<Option<LastPress>>,
 }
 
-/// A signal that comes so soon after the first is the same one, sent twice: as by `timeout`, once to the
-/// process and once to its group.
+/// A second signal within this time is the same one: `timeout` sends it to the process and to its group.
 const TWICE: Duration = Duration::from_millis(50);
 
-/// How long what is done at last may take, where the process is ended however it stands.
+/// How long the last function may take before the process ends.
 const LAST: Duration = Duration::from_millis(500);
 
-/// Ctrl-C's signal: a person is there, and can press it again.
+/// Ctrl-C, which a person can press again.
 const CTRL_C: u8 = 2;
 
 static FLAG: Mutex<Flag> = Mutex::new(Flag {
@@ -45,8 +44,8 @@ fn flag() -> MutexGuard<'static, Flag> {
     FLAG.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// From now on Ctrl-C, SIGTERM and a hang-up only raise the flag. To be called before anything is started or
-/// said, so that none of them is missed. Under `nohup`, a hang-up goes on to be nothing.
+/// Makes Ctrl-C, SIGTERM and SIGHUP set the flag. Call this before anything starts, so that no signal is missed.
+/// Under `nohup`, SIGHUP stays ignored.
 #[cfg(unix)]
 pub(crate) fn catch() -> std::io::Result<()> {
     use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
@@ -69,7 +68,7 @@ pub(crate) fn catch() -> std::io::Result<()> {
     Ok(())
 }
 
-/// What a hang-up asks to be done.
+/// What SIGHUP does.
 #[cfg(unix)]
 struct Reload {
     ask: std::sync::mpsc::Sender<()>,
@@ -80,13 +79,13 @@ struct Reload {
 #[cfg(unix)]
 static RELOAD: Mutex<Option<Reload>> = Mutex::new(None);
 
-/// Whether this process has a terminal, wherever its output goes.
+/// Whether this process has a controlling terminal.
 #[cfg(unix)]
 fn has_terminal() -> bool {
     std::fs::File::open("/dev/tty").is_ok()
 }
 
-/// Asks for what a SIGHUP means, if it means that: where the terminal is gone it means the end.
+/// Requests a reload, unless the terminal is gone: then SIGHUP ends the process.
 #[cfg(unix)]
 fn reload() -> bool {
     let reload = RELOAD.lock().unwrap_or_else(PoisonError::into_inner);
@@ -96,7 +95,7 @@ fn reload() -> bool {
     }
 }
 
-/// From now on SIGHUP calls `act`, on a thread of its own, unless it says that the terminal is gone.
+/// Makes SIGHUP call `act` on a thread of its own, unless the terminal is gone.
 #[cfg(unix)]
 pub(crate) fn at_reload(mut act: impl FnMut() + Send + 'static) -> std::io::Result<()> {
     let (ask, asked) = std::sync::mpsc::channel();
@@ -109,20 +108,19 @@ pub(crate) fn at_reload(mut act: impl FnMut() + Send + 'static) -> std::io::Resu
     Ok(())
 }
 
-/// There is no such signal here.
+/// This system has no such signal.
 #[cfg(not(unix))]
 pub(crate) fn at_reload(_act: impl FnMut() + Send + 'static) -> std::io::Result<()> {
     Ok(())
 }
 
-/// From now on Ctrl-C only raises the flag. To be called before anything is started or said, so that none is
-/// missed.
+/// Makes Ctrl-C set the flag. Call this before anything starts, so that none is missed.
 #[cfg(not(unix))]
 pub(crate) fn catch() -> Result<(), ctrlc::Error> {
     ctrlc::set_handler(|| on_signal(CTRL_C))
 }
 
-/// Somebody wants this process to end.
+/// Handles a signal to end.
 fn on_signal(signal: u8) {
     let mut flag = flag();
     let now = Instant::now();
@@ -149,13 +147,13 @@ fn on_signal(signal: u8) {
 }
 
 impl Flag {
-    /// Whether a signal is the first one once more.
+    /// Whether a signal is the first one, sent twice.
     fn is_doubled(&self, now: Instant) -> bool {
         let since = self.raised.map(|(at, _)| now.saturating_duration_since(at));
         since.is_some_and(|since| since < TWICE)
     }
 
-    /// Whether a signal comes of a key that is held down.
+    /// Whether a signal comes from a key that is held down.
     fn is_repeated(&mut self, now: Instant) -> bool {
         let Some(last) = &mut self.held else {
             return false;
@@ -165,7 +163,7 @@ impl Flag {
         press.is_repeat()
     }
 
-    /// Ends the process a little later, if it is not ended by then.
+    /// Ends the process after `patience`.
     fn leave_soon(&mut self, code: u8) {
         let Some(patience) = self.patience.take() else {
             return;
@@ -174,7 +172,7 @@ impl Flag {
         let leave = move || {
             std::thread::sleep(patience);
             if let Some(last) = last {
-                // A terminal that stands still keeps nobody.
+                // A stopped terminal must not block the end.
                 let (done, wait) = std::sync::mpsc::channel();
                 let _ = std::thread::Builder::new().spawn(move || {
                     last();
@@ -191,7 +189,7 @@ impl Flag {
     }
 }
 
-/// What is to be done when somebody wants this process to end; at once if somebody did already.
+/// Calls `act` at a signal; at once if one came before.
 pub(crate) fn then(act: impl Fn() + Send + 'static) {
     let mut flag = flag();
     if flag.raised.is_some() {
@@ -200,12 +198,12 @@ pub(crate) fn then(act: impl Fn() + Send + 'static) {
     flag.then = Some(Box::new(act));
 }
 
-/// From now on a second signal ends the process at once, whatever it is doing.
+/// Makes a second signal end the process at once.
 pub(crate) fn leave_at_the_second() {
     flag().impatient = true;
 }
 
-/// The same; before that, `act` is done.
+/// Makes a second signal call `act` and end the process at once.
 #[cfg(unix)]
 pub(crate) fn leave_at_the_second_after(act: impl Fn() + Send + 'static) {
     let mut flag = flag();
@@ -213,9 +211,8 @@ pub(crate) fn leave_at_the_second_after(act: impl Fn() + Send + 'static) {
     flag.last = Some(Box::new(act));
 }
 
-/// From now on a second signal does again what [`then`] says, and ends the process when it still lives
-/// after `patience`, however it stands; before that, `act` is done, as far as it can be. `keys`: the repeats
-/// of a key that is held down are no signals.
+/// Makes a second signal call the function of [`then`] again, and end the process after `patience`, with `act` before
+/// that. `keys`: ignores repeats of a key that is held down.
 pub(crate) fn leave_soon_after_the_second(
     patience: Duration,
     keys: bool,
@@ -227,7 +224,7 @@ pub(crate) fn leave_soon_after_the_second(
     flag.last = Some(Box::new(act));
 }
 
-/// Whether somebody wants this process to end.
+/// Whether a signal came.
 pub(crate) fn stopped() -> bool {
     flag().raised.is_some()
 }
@@ -237,33 +234,32 @@ const fn code(signal: u8) -> u8 {
     128 + signal
 }
 
-/// The exit code when a signal has asked this process to end: 130 for Ctrl-C, 143 for SIGTERM.
+/// The exit code if a signal came: 130 for Ctrl-C, 143 for SIGTERM.
 pub(crate) fn exit_code() -> Option<ExitCode> {
     flag()
         .raised
         .map(|(_, signal)| ExitCode::from(code(signal)))
 }
 
-/// The exit code of something that goes on until it is asked to end: `usual` for Ctrl-C, which is
-/// how a person ends it.
+/// The exit code of a command that runs until it is stopped: `usual` for Ctrl-C.
 pub(crate) fn exit_code_or(usual: ExitCode) -> ExitCode {
     let asked = exit_code().filter(|_| in_a_hurry());
     asked.unwrap_or(usual)
 }
 
-/// Whether it is no person at a terminal who wants this process to end: it will be killed soon.
+/// Whether a signal other than Ctrl-C came, so that the process may be killed soon.
 pub(crate) fn in_a_hurry() -> bool {
     flag().raised.is_some_and(|(_, signal)| signal != CTRL_C)
 }
 
-/// Until somebody wants this process to end.
+/// Waits for a signal.
 pub(crate) fn wait() {
     drop(CHANGED.wait_while(flag(), |flag| flag.raised.is_none()));
 }
 
-/// Until somebody wants this process to end, at most for `limit`; says whether somebody does.
+/// Waits for a signal, at most for `limit`. Returns whether one came.
 pub(crate) fn wait_for(limit: Duration) -> bool {
-    // A limit beyond the end of time is none.
+    // Longer limits would overflow.
     let limit = limit.min(Duration::from_secs(1 << 32));
     let waited = CHANGED.wait_timeout_while(flag(), limit, |flag| flag.raised.is_none());
     waited
@@ -273,7 +269,7 @@ pub(crate) fn wait_for(limit: Duration) -> bool {
         .is_some()
 }
 
-/// What is to be done at each SIGUSR1, on a thread of its own.
+/// Calls `act` at each SIGUSR1, on a thread of its own.
 #[cfg(unix)]
 pub(crate) fn at_usr1(mut act: impl FnMut() + Send + 'static) -> std::io::Result<()> {
     let mut signals = signal_hook::iterator::Signals::new([signal_hook::consts::SIGUSR1])?;
@@ -283,7 +279,7 @@ pub(crate) fn at_usr1(mut act: impl FnMut() + Send + 'static) -> std::io::Result
     Ok(())
 }
 
-/// There is no such signal here.
+/// This system has no such signal.
 #[cfg(not(unix))]
 pub(crate) fn at_usr1(_act: impl FnMut() + Send + 'static) -> std::io::Result<()> {
     Ok(())
@@ -305,7 +301,7 @@ mod tests {
     }
 
     #[test]
-    fn a_signal_that_is_sent_twice_at_once_is_one() {
+    fn a_signal_sent_twice_counts_once() {
         let mut flag = flag_of(None);
         let start = Instant::now();
         assert!(!flag.is_doubled(start));

@@ -1,12 +1,13 @@
-//! `ztl simple-client`: a task with any payload, with the original's arguments and output (wire
-//! specification 7.5).
+//! `ztl simple-client`: runs a task with any payload, with the original's arguments and output (wire specification 7.5).
 
 use tracing::Level;
 
-use crate::conversation::{AFTER_HELP, Conversation, Target, Telling, Words};
+use crate::called::Called;
+use crate::client::AFTER_HELP;
+use crate::client::task::{ClientTask, ReportOptions, Target, Wording};
 use crate::exit::Done;
-use crate::reach::Identity;
-use crate::tool::{Called, port_to_reach};
+use crate::identity::Identity;
+use crate::option_values::port_to_reach;
 use crate::{log, signals};
 
 #[derive(Debug, clap::Args)]
@@ -16,7 +17,7 @@ pub(crate) struct SimpleClient {
     #[arg(index = 1)]
     host: String,
 
-    /// Its port
+    /// Port of the server
     #[arg(index = 2, value_parser = port_to_reach)]
     port: i64,
 
@@ -24,13 +25,12 @@ pub(crate) struct SimpleClient {
     #[arg(index = 3)]
     scope: String,
 
-    /// What is asked for, as the server understands it; seconds for the simple server. One that begins with a dash
-    /// stands behind `--`
+    /// The payload; seconds for the simple server. Write `--` before one that begins with a dash
     #[arg(index = 4, allow_negative_numbers = true)]
     request: String,
 
     #[command(flatten)]
-    telling: Telling,
+    report: ReportOptions,
 
     #[command(flatten)]
     identity: Identity,
@@ -40,17 +40,17 @@ impl SimpleClient {
     pub(crate) fn run(self, called: &Called) -> Done {
         log::init(Level::INFO);
         signals::catch()?;
-        let conversation = Conversation {
+        let task = ClientTask {
             target: Target {
                 host: &self.host,
                 port: self.port,
                 scope: &self.scope,
             },
             request: &self.request,
-            words: Words::Simple,
+            wording: Wording::Simple,
             as_original: called.is_original(),
-            telling: &self.telling,
+            report: &self.report,
         };
-        conversation.run(|remote| self.identity.apply(remote))
+        task.run(|remote| self.identity.apply(remote))
     }
 }

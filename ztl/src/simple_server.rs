@@ -1,5 +1,5 @@
-//! `ztl simple-server`: the original's simplest server (wire specification 7.5). The payload of an
-//! INIT is no `handler:component:goal`, but how many seconds the task lasts.
+//! `ztl simple-server`: the original's simplest server (wire specification 7.5). The payload of an INIT is the number
+//! of seconds that the task takes.
 
 use std::collections::HashMap;
 use std::process::ExitCode;
@@ -13,9 +13,9 @@ use ztl_std::server::{TaskHandler, TaskReporter};
 use ztl_std::{Limits, TaskId, TaskRequest, TaskServer};
 
 use crate::exit::Done;
-use crate::reach::Bounds;
+use crate::listen_options::LimitOptions;
+use crate::option_values::{no_number, port, seconds};
 use crate::terminal::line;
-use crate::tool::{no_number, port, seconds};
 use crate::{log, signals};
 
 #[derive(Debug, clap::Args)]
@@ -28,7 +28,7 @@ pub(crate) struct SimpleServer {
     scope: String,
 
     #[command(flatten)]
-    bounds: Bounds,
+    limits: LimitOptions,
 }
 
 impl SimpleServer {
@@ -38,9 +38,9 @@ impl SimpleServer {
             return Err(error.into());
         }
         signals::catch()?;
-        // Every interface, as the original.
+        // All interfaces, as the original.
         let mut server = TaskServer::builder()
-            .limits(self.bounds.over(Limits::default()))
+            .limits(self.limits.over(Limits::default()))
             .bind(&format!("tcp://*:{}", self.port))?;
         server.register_handler(&self.scope, Naps::default());
         server.observe_requests(|request, id, payload| {
@@ -58,13 +58,13 @@ impl SimpleServer {
     }
 }
 
-/// How often the original's task looks at the clock.
+/// How often the original's task checks the clock.
 const LOOK: Duration = Duration::from_millis(100);
 
 /// Tasks that do nothing for a while.
 #[derive(Default)]
 struct Naps {
-    /// Dropped, it wakes its task.
+    /// Dropping the sender aborts the task.
     running: HashMap<TaskId, Sender<()>>,
 }
 
@@ -79,13 +79,13 @@ impl TaskHandler for Naps {
         let Ok(seconds) = seconds(payload) else {
             return task.threw(no_number(payload));
         };
-        // Those that have ended need no waking.
+        // Forget ended tasks.
         self.running.retain(|_, waking| waking.send(()).is_ok());
         let (waking, woken) = channel();
         self.running.insert(id, waking);
-        // The reporter goes to the thread; if there is none, dropping it tells the client.
+        // Without a thread, dropping the reporter rejects the task.
         let _ = std::thread::Builder::new().spawn(move || {
-            // A status is the state's name, as long as the task has not completed.
+            // Until the task completes, its progress is the name of the state.
             task.progress("ACCEPTED");
             task.accepted(format!(
                 "Initiated task '{id}' to be active for {seconds} seconds"

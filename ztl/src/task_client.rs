@@ -1,20 +1,21 @@
-//! `ztl task-client`: a task on a server, with the original's options and output (wire
-//! specification 7.2).
+//! `ztl task-client`: runs a task on a server, with the original's options and output (wire specification 7.2).
 
 use tracing::Level;
 
-use crate::address::Address;
-use crate::conversation::{AFTER_HELP, Conversation, Target, Telling, Words};
+use crate::called::Called;
+use crate::client::AFTER_HELP;
+use crate::client::task::{ClientTask, ReportOptions, Target, Wording};
 use crate::exit::{Done, Misuse};
-use crate::reach::Identity;
-use crate::tool::{Called, seconds, specification};
+use crate::identity::Identity;
+use crate::option_values::{request, seconds};
+use crate::server_address::AddressOptions;
 use crate::{log, signals};
 
 #[derive(Debug, clap::Args)]
 #[command(after_help = AFTER_HELP)]
 pub(crate) struct TaskClient {
     #[command(flatten)]
-    address: Address,
+    address: AddressOptions,
 
     /// The scope that the server is listening to [default: the configuration file's, else $ZTL_SCOPE]
     #[arg(short, long)]
@@ -25,7 +26,7 @@ pub(crate) struct TaskClient {
     timeout: i64,
 
     #[command(flatten)]
-    telling: Telling,
+    report: ReportOptions,
 
     #[command(flatten)]
     identity: Identity,
@@ -38,26 +39,23 @@ impl TaskClient {
     pub(crate) fn run(self, called: &Called) -> Done {
         log::init(Level::INFO);
         signals::catch()?;
-        let request = match specification(&self.payload, called, "task-client") {
-            Ok(request) => request,
-            Err(code) => return Ok(code),
-        };
-        let place = self.address.place()?;
-        let scope = place.scope(self.scope.as_ref())?.ok_or_else(|| {
+        let request = request(&self.payload)?;
+        let address = self.address.resolve()?;
+        let scope = address.scope(self.scope.as_ref())?.ok_or_else(|| {
             let how = "give --scope, or --remote NAME for a server in the configuration file, or set ZTL_SCOPE";
             Misuse(format!("no scope: {how}"))
         })?;
-        let conversation = Conversation {
+        let task = ClientTask {
             target: Target {
-                host: &place.host,
-                port: place.port,
+                host: &address.host,
+                port: address.port,
                 scope: &scope,
             },
             request: &request,
-            words: Words::TaskClient(self.timeout),
+            wording: Wording::TaskClient(self.timeout),
             as_original: called.is_original(),
-            telling: &self.telling,
+            report: &self.report,
         };
-        conversation.run(|remote| self.identity.apply(remote))
+        task.run(|remote| self.identity.apply(remote))
     }
 }

@@ -12,9 +12,9 @@ use ztl_std::{
 };
 
 use crate::exit::Done;
-use crate::reach::Bounds;
+use crate::listen_options::LimitOptions;
+use crate::option_values::{no_number, port};
 use crate::terminal::line;
-use crate::tool::{no_number, port};
 use crate::{log, signals};
 
 #[derive(Debug, clap::Args)]
@@ -28,7 +28,7 @@ pub(crate) struct TaskServer {
     scope: String,
 
     #[command(flatten)]
-    bounds: Bounds,
+    limits: LimitOptions,
 }
 
 impl TaskServer {
@@ -38,9 +38,9 @@ impl TaskServer {
             return Err(error.into());
         }
         signals::catch()?;
-        // Every interface, as the original.
+        // All interfaces, as the original.
         let mut server = Server::builder()
-            .limits(self.bounds.over(Limits::default()))
+            .limits(self.limits.over(Limits::default()))
             .bind(&format!("tcp://*:{}", self.port))?;
         server.register(&self.scope, TestController);
         let stopper = server.handle();
@@ -99,7 +99,7 @@ impl ExecutableTask for TestTask {
         }
     }
 
-    /// The original's test task refuses.
+    /// The original's test task cannot be aborted.
     fn can_abort(&self) -> bool {
         false
     }

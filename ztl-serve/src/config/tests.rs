@@ -1,11 +1,16 @@
-//! Files, right and wrong.
+//! Files with and without mistakes.
 
+use std::any::Any;
 use std::time::Duration;
 
-use super::*;
-use crate::program::{Abort, AbortBy, ResultKind};
-use crate::rule::Field;
 use ztl_tests::garbage::Garbage;
+
+use super::*;
+use crate::built_in::BuiltIn;
+use crate::forward::Forward;
+use crate::goal_rule::Field;
+use crate::goal_value::GoalValue;
+use crate::program::settings::{Abort, AbortBy, Program, ResultKind};
 
 fn parse(text: &str) -> Result<Config, Diagnostics> {
     let document = Document::parse("robot.yaml", text.as_bytes())?;
@@ -23,11 +28,15 @@ fn entry_of(text: &str) -> Arc<Entry> {
 }
 
 #[track_caller]
-fn program_of(text: &str) -> Arc<Program> {
-    match &entry_of(text).work {
-        Work::Program(program) => Arc::clone(program),
-        other => panic!("{other:?}"),
-    }
+fn kind_of<K: Clone + 'static>(entry: &Entry) -> K {
+    let kind: &dyn Any = &*entry.kind;
+    let kind = kind.downcast_ref::<K>();
+    kind.unwrap_or_else(|| panic!("{entry:?}")).clone()
+}
+
+#[track_caller]
+fn program_of(text: &str) -> Program {
+    kind_of(&entry_of(text))
 }
 
 const WHOLE: &str = "\
@@ -67,19 +76,17 @@ fn every_key_is_read() {
     let [("tts", "say", say), ("far", "*", far)] = entries.as_slice() else {
         panic!("{entries:?}");
     };
-    assert_eq!((say.at_once, say.busy), (2, Busy::Queue(3)));
-    assert!(say.wants_fields);
+    assert_eq!((say.at_once, say.busy), (2, BusyPolicy::Queue(3)));
+    assert!(say.kind.needs_fields());
     assert_eq!(say.needs_client, Some(Duration::from_secs(5)));
-    let Rule::Fields(fields) = &say.rule else {
+    let GoalRule::Fields(fields) = &say.rule else {
         panic!("{:?}", say.rule);
     };
     let [Field { default: None, .. }, speed] = fields.as_slice() else {
         panic!("{fields:?}");
     };
-    assert_eq!(speed.default, Some(crate::value::Value::Whole(5)));
-    let Work::Program(program) = &say.work else {
-        panic!("{:?}", say.work);
-    };
+    assert_eq!(speed.default, Some(GoalValue::Integer(5)));
+    let program: Program = kind_of(say);
     let run = &program.run;
     assert_eq!(
         (run.directory.to_str(), run.place.as_str()),
@@ -94,10 +101,10 @@ fn every_key_is_read() {
     );
     assert_eq!(program.limit, Some(Duration::from_secs(30)));
     assert_eq!((program.output, program.result), (4096, ResultKind::Json));
-    assert_eq!(program.refused_by, [2, 64]);
+    assert_eq!(program.rejected_by, [2, 64]);
     assert_eq!(program.decide, Duration::from_millis(500));
     assert_eq!(program.marker.as_deref(), Some("@ "));
-    assert!(!program.tidy);
+    assert!(!program.kills_left_behind);
     let Abort {
         allowed: true,
         by: AbortBy::Program(stop),
@@ -107,9 +114,7 @@ fn every_key_is_read() {
         panic!("{:?}", program.abort);
     };
     assert_eq!((stop.arguments.len(), *grace), (3, Duration::from_secs(3)));
-    let Work::Forward(forward) = &far.work else {
-        panic!("{:?}", far.work);
-    };
+    let forward: Forward = kind_of(far);
     assert_eq!(forward.handler.as_deref(), Some("base"));
     assert_eq!(forward.component.as_deref(), Some("wheels"));
     assert_eq!(
@@ -119,7 +124,7 @@ fn every_key_is_read() {
 }
 
 #[test]
-fn short_forms_stand_for_the_usual() {
+fn short_forms_have_the_default_settings() {
     let program = program_of("[sh, -c, '{goal}']");
     assert!(program.run.arguments[2].guarded);
     assert_eq!((program.limit, program.output), (None, 64 * 1024));
@@ -130,7 +135,7 @@ fn short_forms_stand_for_the_usual() {
         AbortBy::Signal("INT", _)
     ));
     assert!(!program_of("{run: [sh], abort: no}").abort.allowed);
-    assert!(matches!(entry_of("echo").work, Work::Echo));
+    assert_eq!(kind_of::<BuiltIn>(&entry_of("echo")), BuiltIn::Echo);
     let sleep = entry_of("{built-in: sleep, at-once: 3}");
     assert_eq!(sleep.at_once, 3);
     assert_eq!(sleep.rule.to_string(), "a number of at least 0");
@@ -145,7 +150,7 @@ fn short_forms_stand_for_the_usual() {
 }
 
 #[test]
-fn a_goal_that_may_begin_with_a_dash_is_guarded_unless_it_cannot_harm_or_is_allowed() {
+fn arguments_that_a_client_may_begin_with_a_dash_are_guarded() {
     let guarded = |text: &str| {
         program_of(text)
             .run
@@ -171,14 +176,12 @@ fn a_goal_that_may_begin_with_a_dash_is_guarded_unless_it_cannot_harm_or_is_allo
     assert_eq!(guarded("{run: [sh, '{component}']}"), Some(false));
     let wild = parse("scopes: {/r: {h: {'*': [sh, '{component}']}}}").expect("it is right");
     let entry = wild.scopes[0].entries().next().expect("an entry").2;
-    let Work::Program(program) = &entry.work else {
-        panic!("{entry:?}");
-    };
+    let program: Program = kind_of(entry);
     assert!(program.run.arguments[1].guarded);
 }
 
 #[test]
-fn each_mistake_is_shown_where_it_stands_with_what_would_be_right() {
+fn each_mistake_is_shown_with_its_place_and_a_remedy() {
     let text = "\
 prot: 1
 scopes:
@@ -212,15 +215,15 @@ scopes:
         "robot.yaml:3:3: the scope 'a;b' contains ';', so no client can reach it; write it as /lab",
         "robot.yaml:6:12: nothing does this task; write run: [PROGRAM, ARGUMENT]",
         "robot.yaml:6:13: unknown key 'rnu'; did you mean 'run'?",
-        "robot.yaml:7:23: nothing is known to put in place of '{gaol}'; did you mean '{goal}'?",
+        "robot.yaml:7:23: unknown placeholder '{gaol}'; did you mean '{goal}'?",
         "robot.yaml:7:41: 'soon' is not a time, as 30 s, 300 ms or 5 min",
         "robot.yaml:7:47: unknown key 'at_once'; did you mean 'at-once'?",
-        "robot.yaml:8:21: no client may choose the program; put that into an argument",
-        "robot.yaml:9:21: nothing is put into a shell's command, for it would be executed; write \"$ZTL_GOAL\", or use run",
-        "robot.yaml:10:32: only one of run, shell, built-in and forward can do a task",
+        "robot.yaml:8:21: no client may choose the program; use an argument",
+        "robot.yaml:9:21: a shell would execute what '{goal}' stands for; write \"$ZTL_GOAL\", or use run",
+        "robot.yaml:10:32: give only one of: run, shell, built-in, forward",
         "robot.yaml:10:51: 'IMT' is not known here; did you mean 'INT'?",
         "robot.yaml:11:23: no goal has 'y': it is {x: a number}",
-        "robot.yaml:12:32: no number is at least 2 and at most 1",
+        "robot.yaml:12:32: least 2 is greater than most 1",
         "robot.yaml:13:39: 'numbre' is not known here; did you mean 'number'?",
         "robot.yaml:13:54: 'queue' is not refuse, replace, or queue with how many may wait, as queue 3",
         "robot.yaml:14:31: there is no user 'nobody-is-called-so' on this machine",
@@ -229,11 +232,11 @@ scopes:
         "robot.yaml:16:30: '10.0.0.7' is not an address, as tcp://10.0.0.7:12345",
         "robot.yaml:16:58: an encrypted connection needs both: key: robot.key_secret, server-key: far.key",
         "robot.yaml:17:35: '2 GiB' is not a size from 1 byte to 1000 KiB, as 64 KiB",
-        "robot.yaml:17:50: it decides only where an exit code refuses; write refused-by: [2]",
-        "robot.yaml:18:46: what cannot be aborted cannot be replaced; leave out abort: no",
-        "robot.yaml:19:54: what cannot be aborted cannot need its client; leave out abort: no",
-        "robot.yaml:20:48: this must be at least 1s, and should be 5s: a client that waits asks every second",
-        "robot.yaml:21:7: 'a:b' is no name for a component: no client can say it",
+        "robot.yaml:17:50: decide needs exit codes that refuse: refused-by: [2]",
+        "robot.yaml:18:46: busy: replace aborts tasks; remove abort: no",
+        "robot.yaml:19:54: needs-client aborts tasks; remove abort: no",
+        "robot.yaml:20:48: this must be at least 1s, better 5s: a client that waits asks every second",
+        "robot.yaml:21:7: invalid name 'a:b' for a component: expected no ':' and no control characters",
     ];
     assert_eq!(first, expected, "{mistakes}");
     let none = parse("port: 1").expect_err("no scopes").to_string();
@@ -256,39 +259,39 @@ fn mistakes_of(goal: &str) -> Vec<String> {
 }
 
 #[test]
-fn a_key_that_no_goal_would_be_compared_with_is_a_mistake() {
+fn a_key_without_effect_on_goals_is_a_mistake() {
     for (goal, mistakes) in [
         (
             "{type: text, least: 5}",
-            &["least is only for a number; write type: number"][..],
+            &["least has an effect only with type: number"][..],
         ),
         (
             "{type: any, least: -180, most: 180}",
             &[
-                "least is only for a number; write type: number",
-                "most is only for a number; write type: number",
+                "least has an effect only with type: number",
+                "most has an effect only with type: number",
             ],
         ),
         (
             "{type: whole, longest: 3}",
-            &["longest is only for a text; write type: text"],
+            &["longest has an effect only with type: text"],
         ),
         (
             "{type: number, one-of: [1, 2]}",
-            &["one-of says all that is taken; leave out type"],
+            &["type has no effect beside one-of; remove it"],
         ),
         (
             "{most: 2, fields: {x: number}}",
-            &["fields says all that is taken; leave out most"],
+            &["most has no effect beside fields; remove it"],
         ),
         (
             "{one-of: [a], fields: {x: number}}",
-            &["one-of and fields cannot both say what is taken"],
+            &["give only one of one-of and fields"],
         ),
         ("{one-of: []}", &["there is no word in this list"]),
         (
             "{type: number, default: 3}",
-            &["only a field may be left out, so there is no default here"],
+            &["only fields have a default"],
         ),
     ] {
         assert_eq!(mistakes_of(goal), mistakes, "{goal}");
@@ -296,20 +299,20 @@ fn a_key_that_no_goal_would_be_compared_with_is_a_mistake() {
 }
 
 #[test]
-fn a_file_that_serves_nothing_is_wrong() {
+fn a_file_without_components_is_a_mistake() {
     for (text, wanted) in [
         ("scopes: {}", "scopes, as /robot"),
         ("scopes: {/r: {}}", "its handlers"),
         ("scopes: {/r: {h: {}}}", "the handler's components"),
     ] {
         let mistakes = parse(text).expect_err("a mistake").to_string();
-        let message = format!("there is nothing in it; wanted are {wanted}\n");
+        let message = format!("this is empty; expected {wanted}\n");
         assert!(mistakes.contains(&message), "{mistakes}");
     }
 }
 
 #[test]
-fn what_a_client_writes_into_a_shells_command_is_a_warning() {
+fn a_goal_in_a_shells_command_is_a_warning() {
     let warnings = |entry: &str| {
         let config = parse(&format!("scopes: {{/r: {{h: {{c: {entry}}}}}}}"));
         config.expect("it is right").warnings.len()
@@ -323,7 +326,7 @@ fn what_a_client_writes_into_a_shells_command_is_a_warning() {
 }
 
 #[test]
-fn what_is_not_there_yet_is_a_warning() {
+fn missing_programs_and_directories_are_warnings() {
     let config = parse("scopes: {/r: {h: {c: {run: [./no/such, x], directory: /no/such}}}}");
     let warnings = config.expect("it is right").warnings;
     let said: Vec<&str> = warnings
@@ -338,7 +341,7 @@ fn what_is_not_there_yet_is_a_warning() {
 }
 
 #[test]
-fn no_file_at_all_makes_it_panic() {
+fn no_file_makes_the_reader_panic() {
     let mut numbers = Garbage::new(0x2545_f491_4f6c_dd1d);
     for _ in 0..3_000 {
         let bytes = numbers.spoil(WHOLE);

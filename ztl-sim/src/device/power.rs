@@ -7,11 +7,28 @@ use std::time::Duration;
 use ztl_mcu::{Component, Identity, Instant, Node};
 
 use super::axis::{Axis, FINGER, PAN};
-use super::record::Recorded;
+use super::kind::Kind;
+use super::record::{Record, Recorded};
 use super::sensor::Sensor;
-use super::{Device, Input, Kind};
-use crate::random;
+use crate::random::random;
 use ztl_std::time::now;
+
+/// What is simulated, and how.
+#[derive(Debug, Clone)]
+pub(super) struct Settings {
+    pub(super) kind: Kind,
+    pub(super) baud: Option<u32>,
+    pub(super) record: Option<Record>,
+}
+
+/// What happens to a running device.
+pub(super) enum Input {
+    Bytes(Vec<u8>),
+    /// Where the node's output goes from now on.
+    Line(Option<Box<dyn Write + Send>>),
+    Reset,
+    Stop,
+}
 
 /// Bytes that the node produces at once.
 const PIECE: usize = 32;
@@ -56,7 +73,7 @@ impl Port {
 }
 
 /// Runs until it is stopped.
-pub(super) fn run(device: &Device, inbox: &Receiver<Input>) {
+pub(super) fn run(device: &Settings, inbox: &Receiver<Input>) {
     let mut port = Port::new(device.baud);
     let pause = match device.baud {
         Some(_) => Duration::ZERO,
@@ -76,7 +93,7 @@ pub(super) fn run(device: &Device, inbox: &Receiver<Input>) {
 
 /// Returns `true` if it was reset, `false` if it was stopped.
 fn run_until_reset(
-    device: &Device,
+    device: &Settings,
     component: impl Component,
     inbox: &Receiver<Input>,
     port: &mut Port,

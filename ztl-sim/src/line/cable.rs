@@ -9,7 +9,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-use super::{Counts, End, FaultyLine};
+use super::end::End;
+use super::faults::{Counts, FaultyLine};
 #[cfg(unix)]
 use crate::pty::{Link, Pty};
 use direction::Direction;

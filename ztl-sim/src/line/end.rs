@@ -5,7 +5,7 @@ use std::str::FromStr;
 
 use ztl_std::gateway::{Endpoint, EndpointError};
 
-use crate::endpoint;
+use crate::device::endpoint;
 
 /// One end of a [`Cable`](super::Cable).
 #[derive(Debug, Clone, PartialEq, Eq)]

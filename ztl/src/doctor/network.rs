@@ -1,4 +1,4 @@
-//! Names, addresses, ports, and a server elsewhere.
+//! Checks name resolution, addresses, ports, and a remote server.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -10,17 +10,17 @@ use std::time::{Duration, Instant};
 use serde_json::json;
 use ztl_std::RemoteTask;
 
-use super::Finding;
-use crate::address::Place;
-use crate::reach::Identity;
+use super::finding::Finding;
+use crate::identity::Identity;
+use crate::server_address::ServerAddress;
 
 /// How long a connection may take.
 const PATIENCE: Duration = Duration::from_secs(3);
 
-/// How often a server is asked to measure its round trip.
+/// How many requests measure the round trip.
 const ROUNDS: usize = 9;
 
-/// What resolves names: a static program has a resolver of its own.
+/// Checks name resolution. A static binary has its own resolver.
 pub(super) fn names() -> Vec<Finding> {
     let read = |path: &str| fs::read_to_string(path).unwrap_or_default();
     let config = read("/etc/resolv.conf");
@@ -56,7 +56,7 @@ pub(super) fn names() -> Vec<Finding> {
     let mut sources = switch
         .lines()
         .filter_map(|line| line.strip_prefix("hosts:"));
-    // Such a program resolves names by itself.
+    // A static binary does not use nsswitch.conf.
     if cfg!(target_env = "musl")
         && sources
             .next()
@@ -75,7 +75,7 @@ pub(super) fn names() -> Vec<Finding> {
     found
 }
 
-/// By which address others see this machine: of IPv4, which servers listen at. Nothing is sent.
+/// This machine's IPv4 address, as others see it. Sends nothing.
 pub(super) fn addresses() -> Finding {
     let toward = |to: &str| {
         let socket = UdpSocket::bind("0.0.0.0:0").ok()?;
@@ -83,7 +83,7 @@ pub(super) fn addresses() -> Finding {
         let own = socket.local_addr().ok()?.ip();
         (!own.is_unspecified()).then_some(own)
     };
-    // An address for documentation, which belongs to nobody.
+    // An address for documentation, which nobody has.
     let own: Vec<IpAddr> = toward("192.0.2.1:9").into_iter().collect();
     let shown: Vec<String> = own.iter().map(IpAddr::to_string).collect();
     let data = json!({ "addresses": shown });
@@ -101,7 +101,7 @@ pub(super) fn addresses() -> Finding {
     .with(data)
 }
 
-/// Which ports are taken, and whether those that are wished for are free.
+/// Lists used ports, and checks whether the wanted ones are free.
 pub(super) fn ports(wished: &[u16]) -> Vec<Finding> {
     let taken = listening(Path::new("/proc/net"));
     let shown = taken
@@ -140,10 +140,10 @@ pub(super) fn ports(wished: &[u16]) -> Vec<Finding> {
     found
 }
 
-/// The TCP ports that somebody listens at, as the kernel tells it; `None` where it does not.
+/// TCP ports in state LISTEN; `None` if the kernel does not list them.
 fn listening(told: &Path) -> Option<BTreeSet<u16>> {
     let mut ports = BTreeSet::new();
-    // A kernel may do without IPv6.
+    // The kernel may lack IPv6.
     let texts = [
         fs::read_to_string(told.join("tcp")).ok()?,
         fs::read_to_string(told.join("tcp6")).unwrap_or_default(),
@@ -164,9 +164,9 @@ fn listening(told: &Path) -> Option<BTreeSet<u16>> {
     Some(ports)
 }
 
-/// Whether a server is reached, how long it takes, and who it is.
-pub(super) fn server(place: &Place, identity: &Identity) -> Finding {
-    let Place { host, port, .. } = place;
+/// Checks whether a server answers, how fast, and its version.
+pub(super) fn server(address: &ServerAddress, identity: &Identity) -> Finding {
+    let ServerAddress { host, port, .. } = address;
     let (host, port) = (host.as_str(), u16::try_from(*port).unwrap_or_default());
     let place = format!("{host}:{port}");
     let begin = Instant::now();
@@ -176,7 +176,7 @@ pub(super) fn server(place: &Place, identity: &Identity) -> Finding {
         Err(error) => {
             return Finding::trouble(
                 "server",
-                format!("no address of '{host}' is known: {error}"),
+                format!("cannot resolve '{host}': {error}"),
                 format!("write its address, or a line in /etc/hosts: `192.168.1.7 {host}`"),
             );
         }
@@ -223,7 +223,7 @@ pub(super) fn server(place: &Place, identity: &Identity) -> Finding {
     match ask(host, port, identity) {
         Err(error) => Finding::trouble(
             "server",
-            format!("{place} takes connections, and does not answer: {error}"),
+            format!("{place} accepts connections but does not answer: {error}"),
             "is it a ZTL server? If it encrypts, give --key and --server-key; if it has --allow, it must name this machine's network",
         )
         .with(json!({ "address": address.to_string(), "connect_us": micros(tcp) })),
@@ -233,7 +233,7 @@ pub(super) fn server(place: &Place, identity: &Identity) -> Finding {
             let (median, worst) = (median.copied().unwrap_or_default(), worst.copied().unwrap_or_default());
             let who = match &version {
                 Some(version) => format!("ztl {version}"),
-                None => "the original's server, or one that is like it".to_owned(),
+                None => "an original server, or a compatible one".to_owned(),
             };
             let data = json!({
                 "address": address.to_string(),
@@ -259,7 +259,7 @@ pub(super) fn server(place: &Place, identity: &Identity) -> Finding {
     }
 }
 
-/// The version at the other end, if it tells one, and how long some answers took.
+/// The server's version, if it sends one, and some round-trip times.
 fn ask(
     host: &str,
     port: u16,
@@ -267,7 +267,7 @@ fn ask(
 ) -> Result<(Option<String>, Vec<Duration>), Box<dyn std::error::Error>> {
     let remote = RemoteTask::connect(&format!("tcp://{host}:{port}"), "$ztl")?;
     let mut remote = identity.apply(remote)?;
-    // The first makes the connection.
+    // The first request includes connecting.
     let told = remote.ask_server("probe")?;
     let mut rounds = Vec::new();
     for _ in 0..ROUNDS {
@@ -291,7 +291,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn where_the_kernel_tells_no_ports_none_are_said_to_be_free() {
+    fn unknown_ports_are_not_reported_as_free() {
         let none = Path::new("/no/such/directory");
         assert_eq!(listening(none), None);
         let listener = TcpListener::bind(("127.0.0.1", 0)).expect("a port");

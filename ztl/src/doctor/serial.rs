@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use rustix::fs::Access;
 use serde_json::json;
 
-use super::Finding;
+use super::finding::Finding;
 
 /// Prefixes of ports to list. `ttyS` is not one of them: there are always four.
 const NAMES: [&str; 6] = ["ttyACM", "ttyUSB", "ttyAMA", "ttyTHS", "ttySAC", "ttymxc"];

@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 
 use serde_json::json;
 
-use super::Finding;
-use crate::journal;
+use super::finding::Finding;
+use crate::journal_options;
 
 /// Less free space than this is a problem, in bytes.
 const ROOM: u64 = 16 << 20;
@@ -14,7 +14,10 @@ const ROOM: u64 = 16 << 20;
 pub(super) fn journal(wished: Option<&Path>) -> Finding {
     let remedy =
         "choose a writable directory with `ztl gateway --journal DIR`, or use --no-journal";
-    let Some(directory) = wished.map(PathBuf::from).or_else(journal::directory) else {
+    let Some(directory) = wished
+        .map(PathBuf::from)
+        .or_else(journal_options::directory)
+    else {
         return Finding::trouble(
             "journal",
             "no directory: none of STATE_DIRECTORY, XDG_STATE_HOME and HOME is set",

@@ -5,8 +5,8 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use serde_json::json;
 
-use super::Finding;
-use crate::{about, kernel};
+use super::finding::Finding;
+use crate::{kernel, version};
 
 /// A clock before this was never set.
 const YOUNGEST: u64 = 1_704_067_200; // 2024-01-01
@@ -61,7 +61,7 @@ pub(super) fn processor() -> Finding {
         }
     );
     // A program for a newer processor would probably crash before this, but not always.
-    let lacking = match about::target().split('-').next().unwrap_or_default() {
+    let lacking = match version::target().split('-').next().unwrap_or_default() {
         "i686" if !has("sse2") => Some(("sse2", "i586")),
         "armv7" if !has("vfpv3") && !has("vfpv3d16") && !has("asimd") => Some(("vfpv3", "arm")),
         "arm" if !has("vfp") && !has("asimd") => Some(("vfp", "armv5te")),

@@ -1,5 +1,5 @@
-//! A gateway that serves reads its configuration again. What cannot be changed meanwhile is said, and stays
-//! as it is; so is everything when the configuration has mistakes.
+//! Reloads the configuration of a running gateway. Logs what takes effect only at the next start. Changes nothing if
+//! the configuration has mistakes.
 
 use tracing::{error, info, warn};
 use ztl_std::files::is_stream;
@@ -7,25 +7,25 @@ use ztl_std::gateway::Devices;
 use ztl_std::gateway::config::DeviceConfig;
 use ztl_std::server::ServerHandle;
 
-use super::{Gateway, Plan};
+use super::plan::{Gateway, Plan};
+use crate::listen_options::ConfigError;
 use crate::log;
-use crate::reach::Unfit;
 
-/// Name under which the gateway logs.
+/// The target of the gateway's log lines.
 const LOG: &str = "gateway";
 
-/// What is needed to reload.
+/// What a reload needs.
 pub(super) struct Reload {
-    /// As the gateway was started.
+    /// The options of the start.
     pub(super) options: Gateway,
     pub(super) fleet: Devices,
     pub(super) control: ServerHandle,
-    /// What is served now.
+    /// What the gateway serves now.
     pub(super) present: Plan,
 }
 
 impl Reload {
-    /// Reads the configuration again, and changes what can be changed.
+    /// Reads the configuration and applies what can change now.
     pub(super) fn run(&mut self) {
         let Some(file) = &self.options.file else {
             return warn!(target: LOG, "There is no configuration file to be reloaded.");
@@ -44,10 +44,10 @@ impl Reload {
             Ok(plan) => plan,
             Err(unfit) => {
                 match unfit {
-                    Unfit::File(mistakes) => mistakes
+                    ConfigError::File(mistakes) => mistakes
                         .iter()
                         .for_each(|mistake| error!(target: LOG, "{}", mistake.sentence())),
-                    Unfit::Whole(mistake) => error!(target: LOG, "{file}: {mistake}"),
+                    ConfigError::Whole(mistake) => error!(target: LOG, "{file}: {mistake}"),
                 }
                 return error!(target: LOG, "{file}: the configuration was not reloaded; everything stays as it is.");
             }
@@ -61,7 +61,7 @@ impl Reload {
         info!(target: LOG, "The configuration was reloaded.");
     }
 
-    /// What has changed and stays as it is.
+    /// The changed keys that take effect at the next start.
     fn compare(&self, plan: &Plan) -> Vec<&'static str> {
         let (now, then) = (&self.present, plan);
         let changed = [

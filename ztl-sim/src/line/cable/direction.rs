@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-use super::super::{Counts, FaultyLine};
+use crate::line::faults::{Counts, FaultyLine};
 use ztl_std::gateway::{READ_TIMEOUT, is_pause};
 use ztl_std::time::now;
 

@@ -1,0 +1,15 @@
+//! A task that a client has asked for.
+
+use ztl_core::TaskId;
+
+use crate::goal_rule::Goal;
+
+/// A task whose goal was checked.
+#[derive(Debug, Clone)]
+pub(crate) struct Call {
+    pub(crate) id: TaskId,
+    pub(crate) scope: String,
+    pub(crate) handler: String,
+    pub(crate) component: String,
+    pub(crate) goal: Goal,
+}

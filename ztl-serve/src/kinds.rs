@@ -1,0 +1,32 @@
+//! The table of all kinds of handlers.
+
+use std::sync::Arc;
+
+use ztl_yaml::{Fields, Node};
+
+use crate::kind::Kind;
+use crate::reader::{ComponentContext, ConfigReader};
+use crate::{built_in, forward, program};
+
+/// Reads a kind's settings: the value of its key, and more keys of the same mapping. In a short form there is no
+/// mapping.
+pub(crate) type ReadKind = for<'d> fn(
+    &mut ConfigReader<'d>,
+    &'d Node,
+    Option<&mut Fields<'d>>,
+    ComponentContext<'_>,
+) -> Option<Arc<dyn Kind>>;
+
+/// Each kind by its key in the file.
+pub(crate) const KINDS: [(&str, ReadKind); 4] = [
+    ("run", program::read::read),
+    ("shell", program::read::read_shell),
+    ("built-in", built_in::read),
+    ("forward", forward::read),
+];
+
+/// A component that is a list: `run`.
+pub(crate) const LIST: ReadKind = program::read::read;
+
+/// A component that is a single word: `built-in`.
+pub(crate) const WORD: ReadKind = built_in::read;

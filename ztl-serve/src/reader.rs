@@ -1,0 +1,84 @@
+//! Reads a configuration file: what all its parts need.
+
+use std::path::Path;
+use std::time::Duration;
+
+use ztl_yaml::{Diagnostic, Document, Node, Reading};
+
+use crate::goal_rule::GoalRule;
+
+/// A file that is being read.
+pub(crate) struct ConfigReader<'d> {
+    pub(crate) document: &'d Document,
+    /// The directory that paths are relative to.
+    pub(crate) base: &'d Path,
+    pub(crate) yaml: Reading<'d>,
+    pub(crate) warnings: Vec<Diagnostic>,
+}
+
+/// What is known of a component when its kind is read.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct ComponentContext<'a> {
+    pub(crate) rule: &'a GoalRule,
+    /// Whether clients choose the name of the handler or the component, since it is `*`.
+    pub(crate) wildcard: bool,
+}
+
+impl<'d> ConfigReader<'d> {
+    /// The entries of a mapping, which must not be empty.
+    pub(crate) fn non_empty(&mut self, node: &'d Node, what: &str) -> &'d [(Node, Node)] {
+        let pairs = self.yaml.pairs(node, what);
+        if pairs.is_some_and(<[_]>::is_empty) {
+            self.yaml
+                .wrong(node, format!("this is empty; expected {what}"));
+        }
+        pairs.unwrap_or_default()
+    }
+
+    /// The name of a handler or component, as it stands between two `:` in a request.
+    pub(crate) fn name(&mut self, node: &'d Node, what: &str) -> Option<String> {
+        self.yaml.parsed(node, what, |text| {
+            let fits = !text.is_empty() && !text.contains(':') && !text.contains(char::is_control);
+            match fits {
+                true => Ok(text.to_owned()),
+                false => Err(format!(
+                    "invalid name '{text}' for {what}: expected no ':' and no control characters"
+                )),
+            }
+        })
+    }
+
+    pub(crate) fn count(&mut self, node: &'d Node, most: usize) -> Option<usize> {
+        let what = format!("a whole number from 1 to {most}");
+        self.yaml.parsed(node, &what, |text| {
+            let number = text.parse().ok();
+            let number = number.filter(|number| (1..=most).contains(number));
+            number.ok_or_else(|| format!("'{text}' is not {what}"))
+        })
+    }
+
+    pub(crate) fn time(&mut self, node: &'d Node, most: Duration) -> Option<Duration> {
+        let what = "a time, as 30 s, 300 ms or 5 min";
+        let time = self.yaml.parsed(node, what, |text| {
+            let time = humantime::parse_duration(text);
+            time.map_err(|_| format!("'{text}' is not {what}"))
+        })?;
+        if time > most || time.is_zero() {
+            let mut message = "this must be greater than zero".to_owned();
+            if most < Duration::MAX {
+                let most = humantime::format_duration(most);
+                message.push_str(&format!(" and at most {most}"));
+            }
+            self.yaml.wrong(node, message);
+            return None;
+        }
+        Some(time)
+    }
+
+    /// Adds a warning: the file can be served, but perhaps not as intended.
+    pub(crate) fn warn(&mut self, node: &'d Node, message: String) {
+        let message = format!("warning: {message}");
+        self.warnings
+            .push(self.document.mistake(node.span, message));
+    }
+}

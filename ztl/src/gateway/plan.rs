@@ -1,0 +1,184 @@
+//! The options of `ztl gateway`, and the plan that they and the configuration file make.
+
+use std::fmt;
+use std::path::{Path, PathBuf};
+
+use ztl_std::gateway::config::{Config, DeviceConfig, name_mistake, same_line};
+
+use crate::journal_options::JournalOptions;
+use crate::listen_options::{ConfigError, ListenOptions, ListenPlace};
+use crate::option_values::{port, scope_to_serve};
+
+#[derive(Debug, Clone, clap::Args)]
+#[command(
+    after_help = "URLs: serial:/dev/ttyACM0?baud=115200 (or a pty's path), tcp:HOST:PORT, sim:gripper, sim:head\nAn option overrides what FILE says; devices are added to the file's."
+)]
+pub(crate) struct Gateway {
+    /// Configuration in YAML: scope, port, devices and more (docs/gateway.md)
+    #[arg(value_name = "FILE")]
+    pub(super) file: Option<PathBuf>,
+
+    /// A device: its name for clients, and its URL (repeatable)
+    #[arg(short, long = "device", value_name = "NAME=URL", value_parser = device)]
+    devices: Vec<DeviceConfig>,
+
+    /// The ELF file of a device's firmware, whose defmt log goes to the gateway's log (repeatable)
+    #[cfg(feature = "defmt")]
+    #[arg(long = "elf", value_name = "NAME=FILE", value_parser = elf)]
+    elfs: Vec<(String, PathBuf)>,
+
+    /// Scope to serve, as /lab
+    #[arg(short, long, value_parser = scope_to_serve)]
+    scope: Option<String>,
+
+    #[command(flatten)]
+    listen: ListenOptions,
+
+    /// Publish the devices' readings at this port for ZeroMQ subscribers
+    #[arg(long, value_name = "PORT", value_parser = port)]
+    publish: Option<u16>,
+
+    /// When stopped, leave running tasks alone instead of aborting them
+    #[arg(long)]
+    leave_running: bool,
+
+    /// Only check the configuration
+    #[arg(long)]
+    pub(super) check: bool,
+
+    #[command(flatten)]
+    journal: JournalOptions,
+}
+
+fn device(text: &str) -> Result<DeviceConfig, String> {
+    let (name, url) = text
+        .split_once('=')
+        .ok_or("write NAME=URL, as gripper=serial:/dev/ttyACM0")?;
+    match name_mistake(name) {
+        Some(mistake) => Err(mistake),
+        None => Ok(DeviceConfig::new(name, ztl_sim::endpoint(url)?)),
+    }
+}
+
+#[cfg(feature = "defmt")]
+fn elf(text: &str) -> Result<(String, PathBuf), String> {
+    let (name, path) = text
+        .split_once('=')
+        .ok_or("write NAME=FILE, as gripper=target/thumbv6m-none-eabi/release/gripper")?;
+    Ok((name.to_owned(), path.into()))
+}
+
+/// Sets the ELF files of the command line, and checks that all can be read.
+#[cfg(feature = "defmt")]
+fn with_elfs(
+    devices: &mut [DeviceConfig],
+    elfs: Vec<(String, PathBuf)>,
+) -> Result<(), ConfigError> {
+    for (name, path) in elfs {
+        let Some(device) = devices.iter_mut().find(|device| device.name == name) else {
+            let names: Vec<&str> = devices.iter().map(|d| d.name.as_str()).collect();
+            let names = names.join(", ");
+            let mistake = format!("--elf: no device '{name}'; there are: {names}");
+            return Err(ConfigError::Whole(mistake));
+        };
+        device.elf = Some(path);
+    }
+    for device in devices {
+        let Some(path) = &device.elf else { continue };
+        if let Err(error) = ztl_std::defmt::Decoder::of_file(path) {
+            let mistake = format!(
+                "the firmware of '{}', {}: {error}",
+                device.name,
+                path.display()
+            );
+            return Err(ConfigError::Whole(mistake));
+        }
+    }
+    Ok(())
+}
+
+/// What the gateway serves, and where.
+pub(super) struct Plan {
+    pub(super) scope: String,
+    pub(super) place: ListenPlace,
+    pub(super) leave_running: bool,
+    pub(super) publish: Option<u16>,
+    pub(super) devices: Vec<DeviceConfig>,
+    pub(super) journal: JournalOptions,
+}
+
+impl Gateway {
+    /// The files in the options.
+    pub(super) fn files(&self) -> Vec<&Path> {
+        let file = self.file.iter().map(PathBuf::as_path);
+        #[cfg_attr(not(feature = "defmt"), expect(unused_mut, reason = "no ELF files"))]
+        let mut files: Vec<&Path> = file.chain(self.listen.files()).collect();
+        #[cfg(feature = "defmt")]
+        files.extend(self.elfs.iter().map(|(_, path)| path.as_path()));
+        files
+    }
+
+    /// Combines the file and the options.
+    pub(super) fn plan(self) -> Result<Plan, ConfigError> {
+        let config = match &self.file {
+            Some(path) => Config::load(path, ztl_sim::endpoint).map_err(ConfigError::File)?,
+            None => Config::default(),
+        };
+        let file = self.file.map(|path| path.display().to_string());
+        let missing = |what: &str, option: &str, key: &str| {
+            ConfigError::missing(file.as_deref(), what, option, key)
+        };
+        let mut devices = config.devices;
+        for device in self.devices {
+            if devices.iter().any(|known| known.name == device.name) {
+                let mistake = format!(
+                    "two devices are named '{}'; give each its own name",
+                    device.name
+                );
+                return Err(ConfigError::Whole(mistake));
+            }
+            if let Some(other) = same_line(&devices, &device) {
+                let mistake = format!(
+                    "'{}' and '{}' are both at {}",
+                    other.name, device.name, other.endpoint
+                );
+                return Err(ConfigError::Whole(mistake));
+            }
+            devices.push(device);
+        }
+        #[cfg(feature = "defmt")]
+        with_elfs(&mut devices, self.elfs)?;
+        if devices.is_empty() {
+            let key = "devices:";
+            return Err(missing("device", "--device <NAME=URL>", key));
+        }
+        let place = self.listen.with(config.listen)?;
+        let place = place.ok_or_else(|| missing("port", "--port <PORT>", "port: 12345"))?;
+        let scope = self.scope.or(config.scope);
+        let publish = self.publish.or(config.publish);
+        if publish == Some(place.port) && place.port != 0 {
+            let mistake = format!(
+                "port {} is for tasks; publish readings at another port",
+                place.port
+            );
+            return Err(ConfigError::Whole(mistake));
+        }
+        Ok(Plan {
+            place,
+            scope: scope.ok_or_else(|| missing("scope", "--scope <SCOPE>", "scope: /lab"))?,
+            leave_running: self.leave_running,
+            publish,
+            devices,
+            journal: self.journal.or(config.journal),
+        })
+    }
+}
+
+impl fmt::Display for Plan {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let names: Vec<&str> = self.devices.iter().map(|d| d.name.as_str()).collect();
+        let Self { scope, place, .. } = self;
+        let (bind, port) = (&place.bind, place.port);
+        write!(f, "{}, scope {scope}, at {bind}:{port}", names.join(", "))
+    }
+}

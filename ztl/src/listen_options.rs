@@ -1,0 +1,289 @@
+//! Options of servers: where they listen, who may use them, and what they log.
+
+use std::fmt;
+use std::net::IpAddr;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+use ipnet::IpNet;
+use tracing::Level;
+use ztl_std::keys::PublicKey;
+use ztl_std::listen::{LEVELS, LOG_FORMATS, Listen, LogFormat, bind_mistake};
+use ztl_std::{Access, BindError, Limits, ServerBuilder, TaskServer};
+use ztl_yaml::Diagnostics;
+
+use crate::exit::Done;
+use crate::identity::own_keys;
+use crate::option_values::port;
+use crate::terminal::{error_line, line};
+
+/// The exit code for a wrong configuration, after which a restart does not help.
+pub(crate) const MISCONFIGURED: u8 = 2;
+
+/// A mistake in the configuration.
+pub(crate) enum ConfigError {
+    File(Diagnostics),
+    Whole(String),
+}
+
+impl ConfigError {
+    /// A value is missing in the options and the file.
+    pub(crate) fn missing(file: Option<&str>, what: &str, option: &str, key: &str) -> Self {
+        let key = match file {
+            Some(file) => format!("`{key}` in {file}"),
+            None => format!("a configuration file (docs/gateway.md) with `{key}`"),
+        };
+        Self::Whole(format!("no {what}: give {option}, or {key}"))
+    }
+}
+
+impl fmt::Display for ConfigError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            // Editors expect the place first in the line.
+            Self::File(mistakes) => f.write_str(mistakes.to_string().trim_end()),
+            Self::Whole(mistake) => write!(f, "ztl: {mistake}"),
+        }
+    }
+}
+
+/// Where a server listens, who may use it, and what it logs.
+#[derive(Debug, Clone, clap::Args)]
+pub(crate) struct ListenOptions {
+    /// Port to serve at
+    #[arg(short, long, value_parser = port)]
+    port: Option<u16>,
+
+    /// Address to serve at; '*' is every interface of this machine [default: 127.0.0.1]
+    #[arg(long, value_name = "ADDR", value_parser = bind)]
+    bind: Option<String>,
+
+    #[command(flatten)]
+    access: AccessOptions,
+
+    #[command(flatten)]
+    limits: LimitOptions,
+
+    /// Log level: error, warn, info or debug [default: info]
+    #[arg(long, value_name = "LEVEL", value_parser = level)]
+    log: Option<Level>,
+
+    /// Log format: text, or json (an object a line) [default: text]
+    #[arg(long, value_name = "FORMAT", value_parser = log_format)]
+    log_format: Option<LogFormat>,
+}
+
+fn bind(text: &str) -> Result<String, String> {
+    bind_mistake(text).map_or_else(|| Ok(text.to_owned()), Err)
+}
+
+fn level(text: &str) -> Result<Level, String> {
+    one_of(text, &LEVELS)
+}
+
+pub(crate) fn log_format(text: &str) -> Result<LogFormat, String> {
+    one_of(text, &LOG_FORMATS)
+}
+
+fn one_of<T: Copy>(text: &str, known: &[(&str, T)]) -> Result<T, String> {
+    let found = known.iter().find(|(word, _)| *word == text);
+    let words = || known.iter().map(|(word, _)| *word).collect::<Vec<_>>();
+    found.map_or_else(
+        || Err(format!("there are: {}", words().join(", "))),
+        |(_, value)| Ok(*value),
+    )
+}
+
+impl ListenOptions {
+    /// The files in the options.
+    pub(crate) fn files(&self) -> impl Iterator<Item = &Path> {
+        let clients = self.access.client_key.iter().map(|client| {
+            let path = client
+                .split_once('=')
+                .map_or(client.as_str(), |(_, path)| path);
+            Path::new(path)
+        });
+        self.access.key.iter().map(PathBuf::as_path).chain(clients)
+    }
+
+    /// Combines the options with the file. Options override the file, except that networks and clients are added.
+    /// `None` if neither has a port.
+    pub(crate) fn with(self, file: Listen) -> Result<Option<ListenPlace>, ConfigError> {
+        let mut access = self.access;
+        access.allow.extend(file.allow);
+        access.client_key.extend(file.client_keys);
+        access.key = access.key.or(file.key);
+        let Some(port) = self.port.or(file.port) else {
+            return Ok(None);
+        };
+        Ok(Some(ListenPlace {
+            limits: self.limits.over(file.limits),
+            port,
+            bind: self.bind.or(file.bind).unwrap_or("127.0.0.1".to_owned()),
+            access: access
+                .access()
+                .map_err(|mistake| ConfigError::Whole(mistake.to_string()))?,
+            log: self.log.or(file.log).unwrap_or(Level::INFO),
+            log_format: self.log_format.or(file.log_format).unwrap_or_default(),
+        }))
+    }
+}
+
+/// Where a server listens, for whom, and what it logs.
+pub(crate) struct ListenPlace {
+    pub(crate) port: u16,
+    pub(crate) bind: String,
+    pub(crate) access: Access,
+    pub(crate) limits: Limits,
+    pub(crate) log: Level,
+    pub(crate) log_format: LogFormat,
+}
+
+impl ListenPlace {
+    /// Who can reach the server, for people.
+    pub(crate) fn reachable(&self) -> String {
+        reachable(&self.bind, &self.access)
+    }
+
+    /// Checks whether a server could listen here and at a second port.
+    pub(crate) fn check(&self, further: Option<u16>) -> CheckFindings {
+        let mut findings = CheckFindings::default();
+        let ports = [Some(self.port), further].into_iter().flatten();
+        for port in ports {
+            let tried = self.builder().check(&self.bind, port);
+            match tried {
+                Ok(()) => {}
+                Err(error @ BindError::InUse { .. }) => findings.notes.push(error.to_string()),
+                Err(error) => {
+                    findings.wrong.push(error.to_string());
+                    break;
+                }
+            }
+        }
+        findings
+    }
+
+    /// Starts to listen.
+    pub(crate) fn listen(&self) -> Result<TaskServer, BindError> {
+        let endpoint = format!("tcp://{}:{}", self.bind, self.port);
+        self.builder().bind(&endpoint)
+    }
+
+    fn builder(&self) -> ServerBuilder {
+        TaskServer::builder()
+            .access(self.access.clone())
+            .limits(self.limits)
+    }
+}
+
+/// What a check has found.
+#[derive(Default)]
+pub(crate) struct CheckFindings {
+    /// Errors at the start.
+    pub(crate) wrong: Vec<String>,
+    /// Errors that are expected while the same server runs.
+    pub(crate) notes: Vec<String>,
+}
+
+impl CheckFindings {
+    /// Prints the findings; `right` if there are no errors.
+    pub(crate) fn tell(self, right: impl fmt::Display) -> Done {
+        for wrong in &self.wrong {
+            error_line(format_args!("ztl: {wrong}"));
+        }
+        for note in &self.notes {
+            error_line(format_args!("ztl: note: {note}"));
+        }
+        if !self.wrong.is_empty() {
+            return Ok(ExitCode::FAILURE);
+        }
+        line(right);
+        Ok(ExitCode::SUCCESS)
+    }
+}
+
+/// Options for the limits of a server.
+#[derive(Debug, Clone, clap::Args)]
+pub(crate) struct LimitOptions {
+    /// A limit of the server, such as running=100 (repeatable; docs/limits.md)
+    #[arg(long, value_name = "NAME=VALUE", value_parser = bound)]
+    limit: Vec<(String, String)>,
+}
+
+fn bound(text: &str) -> Result<(String, String), String> {
+    let (name, value) = text.split_once('=').ok_or("write a limit as running=100")?;
+    Limits::default().choose(name, value)?;
+    Ok((name.to_owned(), value.to_owned()))
+}
+
+impl LimitOptions {
+    /// Overrides these limits.
+    pub(crate) fn over(&self, mut limits: Limits) -> Limits {
+        for (name, value) in &self.limit {
+            // Checked when the option was parsed.
+            let _ = limits.choose(name, value);
+        }
+        limits
+    }
+}
+
+/// Options for who may use a server.
+#[derive(Debug, Clone, clap::Args)]
+struct AccessOptions {
+    /// Allow only clients in this network, such as 192.168.1.0/24 (repeatable)
+    #[arg(long, value_name = "NETWORK", value_parser = network)]
+    allow: Vec<IpNet>,
+
+    /// The server's secret key: encrypts, and only allowed clients can connect (see `ztl keys`)
+    #[arg(long, value_name = "NAME.key_secret")]
+    key: Option<PathBuf>,
+
+    /// Allow a client by its key, or a directory of keys; with SCOPE=, only at that scope (repeatable)
+    #[arg(long, value_name = "[SCOPE=]NAME.key", requires = "key")]
+    client_key: Vec<String>,
+}
+
+fn network(text: &str) -> Result<IpNet, &'static str> {
+    let one = text.parse::<IpAddr>().map(IpNet::from);
+    text.parse()
+        .or(one)
+        .map_err(|_| "write a network as 192.168.1.0/24, one address as 192.168.1.7")
+}
+
+impl AccessOptions {
+    fn access(&self) -> Result<Access, Box<dyn std::error::Error>> {
+        let mut access = Access::everybody();
+        for network in &self.allow {
+            access = access.from_network(*network);
+        }
+        if let Some(path) = &self.key {
+            access = access.with_keys(own_keys(path)?);
+        }
+        for client in &self.client_key {
+            match client.split_once('=') {
+                Some((scope, path)) => {
+                    for key in PublicKey::read_all(Path::new(path))? {
+                        access = access.allow_scope(scope, key);
+                    }
+                }
+                None => {
+                    for key in PublicKey::read_all(Path::new(client))? {
+                        access = access.allow(key);
+                    }
+                }
+            }
+        }
+        Ok(access)
+    }
+}
+
+/// Who can reach a server that listens at this address.
+fn reachable(bind: &str, access: &Access) -> String {
+    access.describe(match bind {
+        "*" | "0.0.0.0" | "[::]" => "everybody in its networks",
+        bind if bind.starts_with("127.") || bind == "localhost" || bind == "[::1]" => {
+            "only this machine"
+        }
+        _ => "everybody in that network",
+    })
+}

@@ -1,0 +1,31 @@
+//! The version and build of this program.
+
+use std::sync::LazyLock;
+
+/// The text of `--version`.
+pub(crate) fn text() -> &'static str {
+    static VERSION: LazyLock<String> = LazyLock::new(|| {
+        let (major, minor, patch) = zmq::version();
+        let encrypts = match zmq::has("curve") {
+            Some(true) => "with CURVE: supports encryption",
+            _ => "without CURVE: no encryption",
+        };
+        // Compilers and other libraries, in a release.
+        let with = option_env!("ZTL_BUILD_WITH").map(|with| format!("\nwith: {with}"));
+        format!(
+            "{}\ncommit: {}\ntarget: {}\nlibzmq: {major}.{minor}.{patch}, {encrypts}{}",
+            env!("CARGO_PKG_VERSION"),
+            option_env!("ZTL_BUILD_COMMIT").unwrap_or("unknown (built with cargo)"),
+            target(),
+            with.unwrap_or_default(),
+        )
+    });
+    &VERSION
+}
+
+/// The target triple, if known.
+pub(crate) fn target() -> String {
+    use std::env::consts::{ARCH, OS};
+    let plain = || format!("{ARCH}-{OS}");
+    option_env!("ZTL_BUILD_TARGET").map_or_else(plain, str::to_owned)
+}
