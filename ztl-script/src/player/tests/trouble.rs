@@ -5,7 +5,7 @@ use std::time::Duration;
 use ztl_core::Instant;
 
 use super::world::{FIRST_STEP, World, count, on, unattended};
-use crate::event::{DecidedBy, Question, RunCommand, RunEvent, RunOutcome, WaitReason};
+use crate::event::{Question, RunCommand, RunEvent, RunOutcome, WaitReason};
 use crate::player::PlayOptions;
 
 const SCRIPT: &str = "
@@ -368,17 +368,9 @@ fn a_second_stop_leaves_at_once() {
     world.command(RunCommand::Stop);
     world.pass(Duration::from_millis(50));
     assert_eq!(world.outcome(), None);
-    assert!(
-        world
-            .player
-            .handle_command(world.now, RunCommand::Stop, DecidedBy::Signal)
-    );
+    assert!(world.stop_by_signal());
     assert_eq!(world.outcome(), Some(RunOutcome::Left));
-    assert!(
-        !world
-            .player
-            .handle_command(world.now, RunCommand::Stop, DecidedBy::Signal)
-    );
+    assert!(!world.stop_by_signal());
 }
 
 #[test]

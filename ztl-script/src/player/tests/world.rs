@@ -188,6 +188,16 @@ impl World {
         world
     }
 
+    /// A signal stops the run; returns whether the player accepts it.
+    pub(super) fn stop_by_signal(&mut self) -> bool {
+        let command = RunCommand::Stop;
+        let done = self
+            .player
+            .handle_command(self.now, command, DecidedBy::Signal);
+        self.pump();
+        done
+    }
+
     /// How the run ended, if it has.
     pub(super) fn outcome(&self) -> Option<RunOutcome> {
         if !matches!(self.player.phase, Phase::Over) {
