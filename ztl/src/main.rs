@@ -10,6 +10,7 @@ mod about;
 mod address;
 mod ask;
 mod check;
+mod completions;
 mod conversation;
 mod demo;
 mod describe;
@@ -28,6 +29,7 @@ mod line;
 #[cfg(unix)]
 mod live;
 mod log;
+mod man;
 mod original;
 mod ps;
 mod reach;
@@ -51,7 +53,7 @@ use std::fmt;
 use std::process::ExitCode;
 
 use clap::error::{ContextKind, ContextValue};
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory as _, Parser, Subcommand};
 
 use terminal::{error_line, error_part};
 
@@ -99,6 +101,10 @@ enum Command {
     Report(report::Report),
     /// Find the mistakes in a script before the show
     Check(check::Check),
+    /// Print a script that completes this command in a shell
+    Completions(completions::Completions),
+    /// Write the man pages of this command and its subcommands
+    Man(man::Man),
     #[command(flatten)]
     Tool(tool::Tool),
 }
@@ -142,6 +148,8 @@ fn main() -> ExitCode {
         Command::Abort(abort) => abort.run(),
         Command::Report(report) => report.run(),
         Command::Check(check) => check.run(),
+        Command::Completions(completions) => completions.run(&mut Cli::command()),
+        Command::Man(man) => man.run(Cli::command()),
         Command::Tool(tool) => return tool.run(),
     };
     exit("ztl", done)
