@@ -114,6 +114,42 @@ pub(crate) fn emulators(sh: &Shell) -> Result<()> {
     }
 }
 
+/// Installs cargo-deb below the target directory; returns the program.
+pub(crate) fn cargo_deb(project: &Project) -> Result<PathBuf> {
+    const PACKAGE: &str = "cargo-deb@3.8.0";
+    let sh = &project.sh;
+    let home = project.target.join("tools");
+    let program = home.join("bin/cargo-deb");
+    let works = || has(sh, &program.to_string_lossy());
+    make_once(sh, &home.join("deb.stamp"), PACKAGE, works, || {
+        // Without its feature `lzma` it runs `xz`.
+        let options = ["--locked", "--no-default-features", "--root"];
+        cmd!(sh, "cargo install {options...} {home} {PACKAGE}").run()
+    })?;
+    Ok(program)
+}
+
+/// A minimal Debian 12; nothing is ever installed in it.
+pub(crate) fn debian_root(project: &Project) -> Result<PathBuf> {
+    const SUITE: &str = "bookworm";
+    let sh = &project.sh;
+    if cmd!(sh, "id -u").read()? != "0" {
+        bail!("only root may make a Debian root: run the test command as root");
+    }
+    if !has(sh, "debootstrap") {
+        install(sh, "debootstrap")?;
+    }
+    let root = project.target.join("debian").join(SUITE);
+    let works = || root.join("usr/sbin/adduser").exists();
+    let stamp = root.with_extension("stamp");
+    make_once(sh, &stamp, SUITE, works, || {
+        sh.remove_path(&root)?;
+        let options = ["--variant=minbase", "--include=adduser"];
+        cmd!(sh, "debootstrap {options...} {SUITE} {root}").run()
+    })?;
+    Ok(root)
+}
+
 /// Runs `make`, unless the stamp says that it was run for the same content, and the result works.
 fn make_once(
     sh: &Shell,

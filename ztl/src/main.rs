@@ -10,6 +10,7 @@ mod about;
 mod address;
 mod ask;
 mod check;
+#[cfg(feature = "pages")]
 mod completions;
 mod conversation;
 mod demo;
@@ -29,6 +30,7 @@ mod line;
 #[cfg(unix)]
 mod live;
 mod log;
+#[cfg(feature = "pages")]
 mod man;
 mod original;
 mod ps;
@@ -52,8 +54,10 @@ use std::ffi::OsString;
 use std::fmt;
 use std::process::ExitCode;
 
+#[cfg(feature = "pages")]
+use clap::CommandFactory as _;
 use clap::error::{ContextKind, ContextValue};
-use clap::{CommandFactory as _, Parser, Subcommand};
+use clap::{Parser, Subcommand};
 
 use terminal::{error_line, error_part};
 
@@ -102,8 +106,10 @@ enum Command {
     /// Find the mistakes in a script before the show
     Check(check::Check),
     /// Print a script that completes this command in a shell
+    #[cfg(feature = "pages")]
     Completions(completions::Completions),
     /// Write the man pages of this command and its subcommands
+    #[cfg(feature = "pages")]
     Man(man::Man),
     #[command(flatten)]
     Tool(tool::Tool),
@@ -148,7 +154,9 @@ fn main() -> ExitCode {
         Command::Abort(abort) => abort.run(),
         Command::Report(report) => report.run(),
         Command::Check(check) => check.run(),
+        #[cfg(feature = "pages")]
         Command::Completions(completions) => completions.run(&mut Cli::command()),
+        #[cfg(feature = "pages")]
         Command::Man(man) => man.run(Cli::command()),
         Command::Tool(tool) => return tool.run(),
     };

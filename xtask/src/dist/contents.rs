@@ -44,8 +44,9 @@ impl Contents {
         zig: &Zig<'_>,
         target: Target,
         libraries: &Libraries,
+        features: &[&str],
     ) -> Result<Self> {
-        let mut crates = crates(&project.sh, target)?;
+        let mut crates = crates(&project.sh, target, features)?;
         let own = crates.iter().position(|part| part.name == PACKAGE);
         let own = own.context("cargo does not list the package of `ztl`")?;
         Ok(Self {
@@ -81,25 +82,16 @@ impl Contents {
 }
 
 /// The Rust packages, including `ztl` itself; neither macros nor what only the build needs.
-fn crates(sh: &Shell, target: Target) -> Result<Vec<Part>> {
+fn crates(sh: &Shell, target: Target, features: &[&str]) -> Result<Vec<Part>> {
     let triple = target.triple();
-    let format = "{p}|{l}";
-    let tree = [
-        "--locked",
-        "--package",
-        PACKAGE,
-        "--edges",
-        "normal,no-proc-macro",
-    ];
+    let tree = "--locked --edges normal,no-proc-macro --prefix none --format {p}|{l}".split(' ');
     let tree = cmd!(
         sh,
-        "cargo tree {tree...} --target {triple} --prefix none --format {format}"
+        "cargo tree {tree...} --package {PACKAGE} --target {triple} {features...}"
     );
     let tree = tree.read()?;
-    let lines: BTreeSet<&str> = tree
-        .lines()
-        .map(|line| line.trim_end_matches(" (*)"))
-        .collect();
+    let lines = tree.lines().map(|line| line.trim_end_matches(" (*)"));
+    let lines: BTreeSet<&str> = lines.collect();
     let locked = lock::packages(&sh.read_file("Cargo.lock")?);
     let part = |line: &str| -> Result<Part> {
         // `zmq v0.10.0|MIT/Apache-2.0`; with a directory behind the version if it is ours.
@@ -320,7 +312,7 @@ mod tests {
         let sh = &Shell::new().unwrap();
         sh.change_dir(concat!(env!("CARGO_MANIFEST_DIR"), "/.."));
         let target = targets(&["x86_64"]).unwrap()[0];
-        let parts = crates(sh, target).unwrap();
+        let parts = crates(sh, target, &[]).unwrap();
         let names: BTreeSet<&str> = parts.iter().map(|part| part.name.as_str()).collect();
         for name in "ztl ztl-std ztl-core zmq zmq-sys clap serde_json".split(' ') {
             assert!(names.contains(name), "{name} in {names:?}");
