@@ -45,7 +45,7 @@ pub(crate) fn test(project: &Project) -> Result<()> {
     capi::check(project, *i686)
 }
 
-/// Builds the programs for robots, and checks their size.
+/// Builds the programs for robots, checks their size, and writes the checksums.
 fn build_small(project: &Project, targets: &[Target]) -> Result<Vec<(Target, PathBuf)>> {
     let built = build_all(project, targets, "ztl", &FEATURES)?;
     for (_, path) in &built {
@@ -53,7 +53,21 @@ fn build_small(project: &Project, targets: &[Target]) -> Result<Vec<(Target, Pat
         let path = path.display();
         ensure!(size <= MOST, "{path}: {size} bytes are more than {MOST}");
     }
+    let release = release(&built)?;
+    let mut files = project.sh.read_dir(release)?;
+    files.retain(|path| !path.ends_with("SHA256SUMS"));
+    let names = files.iter().filter_map(|path| path.file_name());
+    let sums = cmd!(project.sh, "env --chdir {release} sha256sum {names...}").read()?;
+    project
+        .sh
+        .write_file(release.join("SHA256SUMS"), sums + "\n")?;
     Ok(built)
+}
+
+/// The directory of the built programs.
+fn release(built: &[(Target, PathBuf)]) -> Result<&Path> {
+    let first = built.first().and_then(|(_, path)| path.parent());
+    first.context("no program was built")
 }
 
 /// Builds the targets one by one, and collects the programs and accompanying files in this directory.
@@ -92,11 +106,6 @@ pub(crate) fn build_all(
         println!("{:>8} bytes  {}", path.metadata()?.len(), path.display());
         built.push((target, path));
     }
-    let mut files = sh.read_dir(&release)?;
-    files.retain(|path| !path.ends_with("SHA256SUMS"));
-    let names = files.iter().filter_map(|path| path.file_name());
-    let sums = cmd!(sh, "env --chdir {release} sha256sum {names...}").read()?;
-    sh.write_file(release.join("SHA256SUMS"), sums + "\n")?;
     Ok(built)
 }
 
@@ -121,8 +130,7 @@ fn run_all(project: &Project, built: &[(Target, PathBuf)]) -> Result<()> {
     install::emulators(sh)?;
     install::python(project)?;
     project.cargo("build").args(COMMAND).run()?;
-    let release = built.first().and_then(|(_, path)| path.parent());
-    let release = release.context("no program was built")?;
+    let release = release(built)?;
     let check = "--check --strict --quiet SHA256SUMS".split(' ');
     cmd!(sh, "env --chdir {release} sha256sum {check...}").run()?;
     bill::check(project, release)?;

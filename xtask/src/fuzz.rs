@@ -28,7 +28,10 @@ pub(crate) fn search(project: &Project, target: Option<&str>, seconds: u32) -> R
     let wanted = |name: &&String| target.is_none_or(|target| target == *name);
     let found: Vec<String> = all.iter().filter(wanted).cloned().collect();
     let name = target.unwrap_or_default();
-    ensure!(!found.is_empty(), "unknown target `{name}`: expected one of {names}");
+    ensure!(
+        !found.is_empty(),
+        "unknown target `{name}`: expected one of {names}"
+    );
     fuzz(project, &found, "corpus", &[&limit])
 }
 

@@ -3,6 +3,8 @@
 //! The panic handler of the image `no-panic` calls a function that is never defined, so the image links only
 //! if the compiler finds every panic unreachable.
 
+use std::path::Path;
+
 use anyhow::{Result, bail};
 
 use crate::bare::must_fail;
@@ -49,6 +51,48 @@ fn places(project: &Project, core: &Core) -> Result<String> {
     let (build, path) = image::build(project, core, SMALLEST, IMAGE, "explain")?;
     build.run()?;
     let places = image::panic_places(&path)?;
-    let lines: Vec<String> = places.iter().map(|place| format!("    {place}")).collect();
+    let lines: Vec<String> = places
+        .iter()
+        .map(|place| format!("    {}", short(place, &project.root)))
+        .collect();
     Ok(lines.join("\n"))
+}
+
+/// The position without machine-specific parts.
+fn short<'a>(place: &'a str, root: &Path) -> &'a str {
+    if let Ok(ours) = Path::new(place).strip_prefix(root) {
+        return ours.to_str().unwrap_or(place);
+    }
+    // .../registry/src/NAME/CRATE-VERSION/..., and .../library/core/...
+    let registry = place.split_once("/registry/src/");
+    let package = registry.and_then(|(_, rest)| rest.split_once('/'));
+    let library = place.split_once("/library/");
+    package.or(library).map_or(place, |(_, rest)| rest)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn positions_are_shown_without_machine_specific_paths() {
+        let root = Path::new("/home/me/ztl");
+        for (place, told) in [
+            (
+                "/home/me/ztl/ztl-core/src/sink.rs:80:18",
+                "ztl-core/src/sink.rs:80:18",
+            ),
+            (
+                "/home/me/.cargo/registry/src/index-1949cf8c/heapless-0.9.3/src/vec/mod.rs:14:3",
+                "heapless-0.9.3/src/vec/mod.rs:14:3",
+            ),
+            (
+                "/rustc/5980761/library/core/src/str/pattern.rs:4:5",
+                "core/src/str/pattern.rs:4:5",
+            ),
+            ("src/a.rs:1:2", "src/a.rs:1:2"),
+        ] {
+            assert_eq!(short(place, root), told);
+        }
+    }
 }
