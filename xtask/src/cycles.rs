@@ -10,7 +10,7 @@ use anyhow::{Context as _, Result, bail, ensure};
 use xshell::cmd;
 
 use crate::image::{self, Memory};
-use crate::project::Project;
+use crate::project::{Project, marked};
 
 /// Functions of the image between which it counts, and the interrupt that it counts as well.
 const BEGIN: &str = "count_begin";
@@ -38,14 +38,11 @@ pub(crate) fn check(project: &Project, image: &Path) -> Result<()> {
 }
 
 fn table(counts: &[Count]) -> String {
-    let row = |count: &Count| {
-        let Count {
-            what,
-            cycles,
-            instructions,
-        } = count;
-        format!("\n| {what} | {cycles} | {instructions} |")
-    };
+    let row = |Count {
+                   what,
+                   cycles,
+                   instructions,
+               }: &Count| { format!("\n| {what} | {cycles} | {instructions} |") };
     let rows: String = counts.iter().map(row).collect();
     format!("| | cycles | instructions |\n|---|---|---|{rows}")
 }
@@ -97,26 +94,18 @@ const TOLERANCE: u64 = 10;
 
 /// Whether the README shows these counts between its marks.
 fn shows(readme: &str, counts: &[Count]) -> bool {
-    let shown = readme
-        .split_once("<!-- cycles -->")
-        .and_then(|(_, rest)| rest.split_once("<!-- /cycles -->"));
+    let [_, shown, _] = marked(readme, "cycles").unwrap_or_default();
     let row = |line: &str| -> Option<(String, u64)> {
         let mut cells = line.split('|').map(str::trim);
         let what = cells.nth(1)?.to_owned();
         Some((what, cells.next()?.parse().ok()?))
     };
-    let rows: Vec<_> = shown
-        .into_iter()
-        .flat_map(|(shown, _)| shown.lines())
-        .filter_map(row)
-        .collect();
+    let rows: Vec<_> = shown.lines().filter_map(row).collect();
     let near = |(what, cycles): &(String, u64), count: &Count| {
         *what == count.what && cycles.abs_diff(count.cycles) * 100 <= cycles * TOLERANCE
     };
-    rows.len() == counts.len()
-        && counts
-            .iter()
-            .all(|count| rows.iter().any(|row| near(row, count)))
+    let is_shown = |count: &Count| rows.iter().any(|row| near(row, count));
+    rows.len() == counts.len() && counts.iter().all(is_shown)
 }
 
 /// What was counted of one thing.
@@ -144,9 +133,6 @@ impl Sum {
 /// What begins a critical section: `CPSID i`.
 const MASK: u16 = 0xB672;
 
-/// What the longest critical section of an image is called.
-const MASKED_NAME: &str = "interrupts masked, at most";
-
 /// Runs an image on the micro:bit, which gets one byte over its UART. It prints a line for each thing that it
 /// counts: how often it does it, and what it is. The interrupt comes first, the longest critical section last.
 fn count(project: &Project, path: &Path) -> Result<Vec<Count>> {
@@ -171,18 +157,16 @@ fn addresses(trace: &str) -> Result<Vec<u32>> {
         let (_, rest) = line.split_once('[')?;
         u32::from_str_radix(rest.split('/').nth(1)?, 16).ok()
     };
-    let lines = trace.lines().filter(|line| line.starts_with("Trace "));
     let wrong = |line: &str| format!("QEMU's trace has no address: {line}");
-    lines
-        .map(|line| address(line).with_context(|| wrong(line)))
-        .collect()
+    let address = |line| address(line).with_context(|| wrong(line));
+    let lines = trace.lines().filter(|line| line.starts_with("Trace "));
+    lines.map(address).collect()
 }
 
 fn counts(memory: &Memory, addresses: &[u32], output: &str) -> Result<Vec<Count>> {
     let function = |name: &str| {
-        memory
-            .function(name)
-            .with_context(|| format!("the image has no function `{name}`"))
+        let function = memory.function(name);
+        function.with_context(|| format!("the image has no function `{name}`"))
     };
     let (begin, end, interrupt) = (function(BEGIN)?, function(END)?, function(INTERRUPT)?);
     let (mut regions, mut region) = (Vec::new(), None::<Sum>);
@@ -196,13 +180,10 @@ fn counts(memory: &Memory, addresses: &[u32], output: &str) -> Result<Vec<Count>
         }
         let cycles = cycles(memory, *address, *next)?;
         within |= *address == interrupt.start && entered.cycles == 0;
-        let sum = if within {
-            Some(&mut entered)
-        } else {
-            region.as_mut()
-        };
-        if let Some(sum) = sum {
-            sum.add(cycles);
+        if within {
+            entered.add(cycles);
+        } else if let Some(region) = &mut region {
+            region.add(cycles);
         }
         depth += u32::from(halfword(memory, *address)? == MASK);
         if depth > 0 {
@@ -222,28 +203,23 @@ fn counts(memory: &Memory, addresses: &[u32], output: &str) -> Result<Vec<Count>
     }
     entered.cycles += ENTER_AND_LEAVE;
     // The first region is empty: it measures the counting itself.
-    let (nothing, regions) = regions
-        .split_first()
-        .context("the image has counted nothing")?;
-    let lines: Vec<&str> = output
-        .lines()
-        .filter(|line| !line.trim().is_empty())
-        .collect();
-    let (things, names) = (regions.len() + 1, lines.len());
+    let regions = regions.split_first();
+    let (nothing, regions) = regions.context("the image has counted nothing")?;
+    let lines = output.lines().filter(|line| !line.trim().is_empty());
+    let lines: Vec<&str> = lines.collect();
+    let same = regions.len() + 1 == lines.len();
     ensure!(
-        things == names,
-        "the image has counted {things} things and named {names}:\n{output}"
+        same,
+        "the image has counted other things than it has named:\n{output}"
     );
     let sums = regions.iter().map(|region| Sum {
         instructions: region.instructions.saturating_sub(nothing.instructions),
         cycles: region.cycles.saturating_sub(nothing.cycles),
     });
     let counted = lines.iter().zip(std::iter::once(entered).chain(sums));
-    let masked = named(&format!("1 {MASKED_NAME}"), longest);
-    counted
-        .map(|(line, sum)| named(line, sum))
-        .chain(std::iter::once(masked))
-        .collect()
+    let masked = std::iter::once(("1 interrupts masked, at most", longest));
+    let counted = counted.map(|(line, sum)| (*line, sum)).chain(masked);
+    counted.map(|(line, sum)| named(line, sum)).collect()
 }
 
 /// Parses `120 a byte into the queue`, and divides by that number, rounded.
@@ -253,21 +229,20 @@ fn named(line: &str, sum: Sum) -> Result<Count> {
         let times: u64 = times.parse().ok()?;
         let each = |sum: u64| (sum + times / 2).checked_div(times);
         let (cycles, instructions) = (each(sum.cycles)?, each(sum.instructions)?);
+        let what = what.to_owned();
         Some(Count {
-            what: what.to_owned(),
+            what,
             cycles,
             instructions,
         })
     };
-    parse().with_context(|| {
-        format!("invalid line `{line}` of the image: expected a number and a name")
-    })
+    let expected = "expected a number and a name";
+    parse().with_context(|| format!("invalid line `{line}` of the image: {expected}"))
 }
 
 fn halfword(memory: &Memory, address: u32) -> Result<u16> {
-    memory
-        .halfword(address)
-        .with_context(|| format!("the image has no code at {address:#x}"))
+    let code = memory.halfword(address);
+    code.with_context(|| format!("the image has no code at {address:#x}"))
 }
 
 /// `MSR PRIMASK`, which ends a critical section, within another one too.
@@ -350,16 +325,13 @@ mod tests {
 
     #[test]
     fn what_stands_between_the_marks_is_counted_but_for_the_marks_themselves() {
-        let functions = [
-            ("count_begin", 0x100, 0x102),
-            ("count_end", 0x102, 0x104),
-            ("on_uart", 0x104, 0x108),
-        ];
+        let (begin, end) = (("count_begin", 0x100, 0x102), ("count_end", 0x102, 0x104));
         // BX lr; BX lr; MOVS, BX lr; LDR; CPSID, MSR PRIMASK.
-        let code = [
-            0x4770, 0x4770, 0x2001, 0x4770, 0x6808, 0xB672, 0xF380, 0x8810,
-        ];
-        let memory = memory(&code, &functions);
+        let code = "4770 4770 2001 4770 6808 b672 f380 8810".split(' ');
+        let code: Vec<u16> = code
+            .map(|code| u16::from_str_radix(code, 16).unwrap())
+            .collect();
+        let memory = memory(&code, &[begin, end, ("on_uart", 0x104, 0x108)]);
         let addresses = [
             0x104, 0x106, // the interrupt
             0x100, 0x102, // nothing
@@ -368,16 +340,18 @@ mod tests {
             0x10A, 0x108, 0x10A, 0x10C, 0x10C, 0x108, // and within one another
         ];
         let counts = counts(&memory, &addresses, "1 interrupt\n2 loads\n").unwrap();
-        let count = |what: &str, cycles, instructions| Count {
-            what: what.to_owned(),
-            cycles,
-            instructions,
+        let count = |what: &str, cycles, instructions| {
+            let what = what.to_owned();
+            Count {
+                what,
+                cycles,
+                instructions,
+            }
         };
         let masked = count("interrupts masked, at most", 12, 5);
         let expected = [count("interrupt", 36, 2), count("loads", 2, 1), masked];
         assert_eq!(counts, expected);
-        let none = super::counts(&memory, &addresses, "1 interrupt\n");
-        assert!(none.is_err(), "{none:?}");
+        assert!(super::counts(&memory, &addresses, "1 interrupt\n").is_err());
     }
 
     #[test]
@@ -389,10 +363,13 @@ mod tests {
     }
 
     fn counted(cycles: &[u64]) -> Vec<Count> {
-        let count = |cycles: &u64| Count {
-            what: format!("thing of {cycles}"),
-            cycles: *cycles,
-            instructions: 1,
+        let count = |cycles: &u64| {
+            let (what, cycles) = (format!("thing of {cycles}"), *cycles);
+            Count {
+                what,
+                cycles,
+                instructions: 1,
+            }
         };
         cycles.iter().map(count).collect()
     }

@@ -55,6 +55,13 @@ impl Project {
     }
 }
 
+/// The parts of a document before, between and after `<!-- mark -->` and `<!-- /mark -->`.
+pub(crate) fn marked<'t>(text: &'t str, mark: &str) -> Option<[&'t str; 3]> {
+    let (before, rest) = text.split_once(&format!("<!-- {mark} -->"))?;
+    let (between, after) = rest.split_once(&format!("<!-- /{mark} -->"))?;
+    Some([before, between, after])
+}
+
 /// Whether a command succeeds. It prints nothing.
 pub(crate) fn succeeds(command: Cmd<'_>) -> bool {
     let quiet = command.quiet().ignore_stdout().ignore_stderr();
