@@ -31,7 +31,7 @@ const UNITS: [(&str, &[[&str; 2]]); 2] = [
 const SCRIPT: &str = r#"
 set -eux
 list() { { find / -xdev ! -path '/tmp/*' -printf '%p %y %m %u:%g %l\n'; find / -xdev -type f ! -path '/tmp/*' -exec sha256sum {} +; } |
-    grep -Ev ' ?/(etc/((passwd|group|shadow|gshadow)-|\.pwd\.lock)|var/lib/dpkg/status-old|var/log/|run/)' | sort; }
+    grep -Ev '(^|  )/(etc/((passwd|group|shadow|gshadow)-|\.pwd\.lock)|var/lib/dpkg/status-old|var/log/|run/)' | sort; }
 list > /tmp/before
 
 dpkg --install /tmp/ztl.deb

@@ -42,17 +42,18 @@ pub(crate) struct Board {
 
 /// Builds one board's images, or all, and prints their sizes.
 pub(crate) fn show(project: &Project, name: Option<&str>) -> Result<()> {
-    for board in boards(&project.sh)? {
-        if name.is_some_and(|name| name != board.name) {
-            continue;
-        }
+    let boards = match name {
+        Some(name) => vec![board(&project.sh, name)?],
+        None => boards(&project.sh)?,
+    };
+    for board in boards {
         for path in build(project, &board)? {
             let Image { flash, ram, .. } = Image::read(&path)?;
             let path = path.display();
             println!("{path}: {flash} bytes of flash, {ram} of static RAM");
         }
     }
-    name.map_or(Ok(()), |name| board(&project.sh, name).map(drop))
+    Ok(())
 }
 
 /// Builds one board's image and runs it in QEMU, until QEMU is stopped.

@@ -30,6 +30,9 @@ const PROGRAMS: &[[&str; 2]] = &[
     ["util-linux", "setsid --version"],
     // `systemd-analyze` checks the units in examples.
     ["systemd", "systemd-analyze --version"],
+    // Make the Debian package, and a root to install it in.
+    ["xz-utils", "xz --version"],
+    ["debootstrap", "debootstrap --version"],
     ["rustfmt-web", "cargo fmt --version"],
     ["rust-web-clippy", "cargo clippy --version"],
     QEMU,
@@ -44,6 +47,7 @@ const QEMU: [&str; 2] = [
 /// Installs everything that tests need.
 pub(crate) fn all(project: &Project) -> Result<()> {
     programs(project)?;
+    cargo_deb(project)?;
     javascript(project)?;
     peers(project)
 }
@@ -125,9 +129,6 @@ pub(crate) fn debian_root(project: &Project) -> Result<PathBuf> {
     let sh = &project.sh;
     if cmd!(sh, "id -u").read()? != "0" {
         bail!("only root may make a Debian root: run the test command as root");
-    }
-    if !has(sh, "debootstrap") {
-        install(sh, "debootstrap")?;
     }
     let root = project.target.join("debian").join(SUITE);
     let works = || root.join("usr/sbin/adduser").exists();

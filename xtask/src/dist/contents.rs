@@ -256,7 +256,7 @@ fn bill(own: &Part, parts: &[&Part], target: Target, commit: &str, sum: &str) ->
 /// All licence texts, each once, with the components they apply to.
 fn licences(sh: &Shell, own: &Part, parts: &[&Part]) -> Result<String> {
     let mut all = format!(
-        "What is inside ztl {}, and under which licence. libzmq is unchanged; its source is in the crate\n\
+        "The parts of ztl {}, and their licences. libzmq is unchanged; its source is in the crate\n\
          zeromq-src at crates.io, and at https://github.com/zeromq/libzmq.\n\n",
         own.version
     );
