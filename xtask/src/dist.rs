@@ -47,6 +47,7 @@ pub(crate) fn test(project: &Project) -> Result<()> {
 
 /// Builds the programs for robots, checks their size, and writes the checksums.
 fn build_small(project: &Project, targets: &[Target]) -> Result<Vec<(Target, PathBuf)>> {
+    let sh = &project.sh;
     let built = build_all(project, targets, "ztl", &FEATURES)?;
     for (_, path) in &built {
         let size = path.metadata()?.len();
@@ -54,13 +55,11 @@ fn build_small(project: &Project, targets: &[Target]) -> Result<Vec<(Target, Pat
         ensure!(size <= MOST, "{path}: {size} bytes are more than {MOST}");
     }
     let release = release(&built)?;
-    let mut files = project.sh.read_dir(release)?;
+    let mut files = sh.read_dir(release)?;
     files.retain(|path| !path.ends_with("SHA256SUMS"));
     let names = files.iter().filter_map(|path| path.file_name());
-    let sums = cmd!(project.sh, "env --chdir {release} sha256sum {names...}").read()?;
-    project
-        .sh
-        .write_file(release.join("SHA256SUMS"), sums + "\n")?;
+    let sums = cmd!(sh, "env --chdir {release} sha256sum {names...}").read()?;
+    sh.write_file(release.join("SHA256SUMS"), sums + "\n")?;
     Ok(built)
 }
 
@@ -81,11 +80,8 @@ pub(crate) fn build_all(
     let zig = Zig::provide(project)?;
     let release = sh.create_dir(zig.target_dir.join(directory))?;
     // With `-changed` for uncommitted changes.
-    let commit = cmd!(
-        sh,
-        "git describe --always --abbrev=12 --exclude * --dirty=-changed"
-    )
-    .read();
+    let describe = "describe --always --abbrev=12 --exclude * --dirty=-changed".split(' ');
+    let commit = cmd!(sh, "git {describe...}").read();
     let commit = commit.unwrap_or_else(|_| "unknown".to_owned());
     let mut built = Vec::new();
     for &target in targets {

@@ -87,12 +87,10 @@ impl Contents {
 /// The Rust packages, including `ztl` itself; neither macros nor what only the build needs.
 fn crates(sh: &Shell, target: Target, features: &[&str]) -> Result<Vec<Part>> {
     let triple = target.triple();
-    let tree = "--locked --edges normal,no-proc-macro --prefix none --format {p}|{l}".split(' ');
-    let tree = cmd!(
-        sh,
-        "cargo tree {tree...} --package {PACKAGE} --target {triple} {features...}"
-    );
-    let tree = tree.read()?;
+    let tree =
+        "tree --locked --edges normal,no-proc-macro --prefix none --format {p}|{l}".split(' ');
+    let tree = cmd!(sh, "cargo {tree...} --package {PACKAGE} --target {triple}");
+    let tree = tree.args(features).read()?;
     let lines = tree.lines().map(|line| line.trim_end_matches(" (*)"));
     let lines: BTreeSet<&str> = lines.collect();
     let locked = lock::packages(&sh.read_file("Cargo.lock")?);
