@@ -37,15 +37,13 @@ pub(crate) fn build(project: &Project) -> Result<()> {
         };
         let cargo = || -> Result<Cmd<'_>> {
             let build = core.cargo(project, "build", target, "bare")?;
-            Ok(match &sysroot {
-                // With `--target`, these flags do not reach build scripts and macros, which need `std`. This
-                // variable overrides all other ways to set flags, and allows spaces.
-                Some(path) => build.env(
-                    "CARGO_ENCODED_RUSTFLAGS",
-                    format!("--sysroot={}", path.display()),
-                ),
-                None => build,
-            })
+            let Some(path) = &sysroot else {
+                return Ok(build);
+            };
+            // With `--target`, these flags do not reach build scripts and macros, which need `std`. This
+            // variable overrides all other ways to set flags, and allows spaces.
+            let flags = format!("--sysroot={}", path.display());
+            Ok(build.env("CARGO_ENCODED_RUSTFLAGS", flags))
         };
         for package in CRATES {
             for features in FEATURES {
@@ -66,22 +64,18 @@ fn prove_lacking(project: &Project, cargo: Cmd<'_>, library: &str) -> Result<()>
     let sh = &project.sh;
     let path = project.target.join(format!("core-only/leak-{library}"));
     let manifest = path.join("Cargo.toml");
+    let name = format!("name = \"leak-{library}\"");
     // A separate workspace: it is inside the project's directory, but not part of the project.
-    let text = format!("[package]\nname = \"leak-{library}\"\nedition = \"2024\"\n\n[workspace]\n");
-    sh.write_file(&manifest, text)?;
+    let package = format!("[package]\n{name}\nedition = \"2024\"\n\n[workspace]\n");
     // `--locked` needs it.
-    sh.write_file(
-        path.join("Cargo.lock"),
-        format!("version = 4\n\n[[package]]\nname = \"leak-{library}\"\nversion = \"0.0.0\"\n"),
-    )?;
-    sh.write_file(
-        path.join("src/lib.rs"),
-        format!("#![no_std]\nextern crate {library};\n"),
-    )?;
-    let build = cargo
-        .args(["--color", "never", "--manifest-path"])
-        .arg(manifest);
-    must_fail(build, &format!("can't find crate for `{library}`"))
+    let lock = format!("version = 4\n\n[[package]]\n{name}\nversion = \"0.0.0\"\n");
+    let source = format!("#![no_std]\nextern crate {library};\n");
+    sh.write_file(&manifest, package)?;
+    sh.write_file(path.join("Cargo.lock"), lock)?;
+    sh.write_file(path.join("src/lib.rs"), source)?;
+    let build = cargo.args(["--color", "never", "--manifest-path"]);
+    let reason = format!("can't find crate for `{library}`");
+    must_fail(build.arg(manifest), &reason)
 }
 
 /// Runs a build that must fail for this reason.
@@ -109,15 +103,12 @@ fn core_alone(project: &Project, target: &str, libraries: &Path) -> Result<PathB
     sh.create_dir(&alone)?;
     let mut files = sh.read_dir(libraries)?;
     // The compiler links every no_std program with `compiler_builtins`.
-    let wanted = [
-        "/libcore-",
-        "/libcompiler_builtins-",
-        "/librustc_std_workspace_core-",
-    ];
+    let wanted = ["core", "compiler_builtins", "rustc_std_workspace_core"];
     files.retain(|path| {
+        let path = path.to_string_lossy();
         wanted
             .iter()
-            .any(|name| path.to_string_lossy().contains(name))
+            .any(|name| path.contains(&format!("/lib{name}-")))
     });
     cmd!(sh, "ln -s -t {alone} {files...}").quiet().run()?;
     Ok(sysroot)

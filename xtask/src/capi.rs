@@ -94,16 +94,9 @@ fn assemble(project: &Project, built: &Path, place: &Path) -> Result<()> {
     let lib = place.join("lib");
     // Includes the C++ library, so that the robot needs nothing else.
     let mut archives = vec![built.join("libztl_c.a")];
-    for (compiler, name) in [
-        ("c++", "libstdc++.a"),
-        ("cc", "libgcc_eh.a"),
-        ("cc", "libgcc.a"),
-    ] {
-        archives.push(
-            cmd!(sh, "{compiler} -print-file-name={name}")
-                .read()?
-                .into(),
-        );
+    for name in ["libstdc++.a", "libgcc_eh.a", "libgcc.a"] {
+        let path = cmd!(sh, "c++ -print-file-name={name}").read()?;
+        archives.push(path.into());
     }
     let object = join::join(sh, &Tools::HOST, HEADER, &archives, &lib.join("libztl.a"))?;
     shared::link(cmd!(sh, "cc"), &object, &lib, &[])?;

@@ -63,12 +63,8 @@ impl Core {
         target: &str,
         below: &str,
     ) -> Result<Cmd<'a>> {
-        let sh = &project.sh;
-        let target_dir = project.target.join(below);
-        let build = cmd!(
-            sh,
-            "cargo {command} --target {target} --target-dir {target_dir} --locked"
-        );
+        let build = project.cargo(command).args(["--target", target]);
+        let build = build.arg("--target-dir").arg(project.target.join(below));
         Ok(match self {
             Self::Compiled(_) => build,
             // Building `core` is unstable; the second variable enables it in a stable compiler.
@@ -94,10 +90,8 @@ impl Core {
 /// The PATH, with another directory first.
 pub(crate) fn path_with(directory: &Path) -> Result<std::ffi::OsString> {
     let path = env::var_os("PATH").unwrap_or_default();
-    let path = [directory.to_owned()]
-        .into_iter()
-        .chain(env::split_paths(&path));
-    Ok(env::join_paths(path)?)
+    let first = std::iter::once(directory.to_owned());
+    Ok(env::join_paths(first.chain(env::split_paths(&path)))?)
 }
 
 /// Installs Debian's compiler and the source of its libraries, unless both are there in the same version.
@@ -132,9 +126,8 @@ fn debian_linker(project: &Project) -> Result<PathBuf> {
         install::install(sh, &format!("lld-{llvm}"))?;
     }
     let directory = sh.create_dir(project.target.join("linker"))?;
-    cmd!(sh, "ln -sfn {linker} {directory}/rust-lld")
-        .quiet()
-        .run()?;
+    let link = directory.join("rust-lld");
+    cmd!(sh, "ln -sfn {linker} {link}").quiet().run()?;
     Ok(directory)
 }
 

@@ -14,10 +14,9 @@ use crate::project::{COMMAND, Project};
 
 /// `cargo xtask build`: builds an optimised `ztl` and prints its path.
 pub(crate) fn build(project: &Project, curve: bool) -> Result<()> {
-    let sh = &project.sh;
     let (build, target) = match curve {
         true => (cargo(project, "build")?, target(project)),
-        false => (cmd!(sh, "cargo build --locked"), project.target.clone()),
+        false => (project.cargo("build"), project.target.clone()),
     };
     build.arg("--release").args(COMMAND).run()?;
     println!("{}", target.join("release/ztl").display());
@@ -29,10 +28,8 @@ pub(crate) fn test(project: &Project) -> Result<()> {
     install::python(project)?;
     cargo(project, "build")?.args(COMMAND).run()?;
     let test = |words: &str| -> Result<()> {
-        let test = cargo(project, "test")?
-            .env("ZTL_CURVE", "1")
-            .arg("--package");
-        Ok(test.args(words.split(' ')).run()?)
+        let test = cargo(project, "test")?.env("ZTL_CURVE", "1");
+        Ok(test.arg("--package").args(words.split(' ')).run()?)
     };
     test("ztl-std --lib keys")?;
     test("ztl-tests --test access")?;
@@ -47,19 +44,12 @@ pub(crate) fn target(project: &Project) -> PathBuf {
 pub(crate) fn cargo<'a>(project: &'a Project, word: &str) -> Result<Cmd<'a>> {
     let sh = &project.sh;
     let libzmq = project.target.join("libzmq");
-    let libraries = libraries(cmd!(
-        sh,
-        "cargo build --release --locked --target-dir {libzmq}"
-    ))?;
+    let build = project.cargo("build --release --target-dir");
+    let libraries = libraries(build.arg(libzmq))?;
     let host = cmd!(sh, "rustc --print host-tuple").read()?;
-    let cpp = if host.contains("apple") {
-        "c++"
-    } else {
-        "stdc++"
-    };
-    let target = target(project);
-    let cargo = cmd!(sh, "cargo {word} --locked --target-dir {target}");
-    Ok(libraries.link(cargo, &host, cpp))
+    let is_apple = host.contains("apple");
+    let cargo = project.cargo(word).arg("--target-dir").arg(target(project));
+    Ok(libraries.link(cargo, &host, if is_apple { "c++" } else { "stdc++" }))
 }
 
 /// The directories of the compiled libraries.
@@ -90,8 +80,8 @@ impl Libraries {
         let Self { zmq, sodium } = self;
         // As TOML: single quotes keep paths unchanged.
         let search = format!("target.{target}.zmq.rustc-link-search=['{zmq}', '{sodium}']");
-        let link =
-            format!("target.{target}.zmq.rustc-link-lib=['static=zmq', 'static=sodium', '{cpp}']");
+        let names = format!("['static=zmq', 'static=sodium', '{cpp}']");
+        let link = format!("target.{target}.zmq.rustc-link-lib={names}");
         cargo.args(["--config", &search, "--config", &link])
     }
 }

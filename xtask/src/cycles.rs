@@ -1,8 +1,7 @@
-//! Counts what code on a Cortex-M0 takes, in cycles: QEMU tells each instruction, a table what it takes.
+//! Counts the cycles of code on a Cortex-M0: QEMU traces the instructions, a table says how many cycles each takes.
 //!
-//! QEMU itself knows no cycles. The table is that of the Cortex-M0's Technical Reference Manual (r0p0, table 3-1), for a
-//! flash without wait states and the multiplier of one cycle, as the nRF51 has both. What the bus to a UART's registers
-//! adds is not in it. All over the run it looks for the longest time in which interrupts are masked.
+//! QEMU does not count cycles. The table is from the Cortex-M0's Technical Reference Manual (r0p0, table 3-1), for flash
+//! without wait states and a single-cycle multiplier, as in the nRF51. It leaves out the wait states of the UART's bus.
 
 use std::path::Path;
 
@@ -10,9 +9,9 @@ use anyhow::{Context as _, Result, bail, ensure};
 use xshell::cmd;
 
 use crate::image::{self, Memory};
-use crate::project::Project;
+use crate::project::{Project, marked};
 
-/// Functions of the image between which it counts, and the interrupt that it counts as well.
+/// Counting starts and stops at the first two functions of the image; the third is the interrupt handler.
 const BEGIN: &str = "count_begin";
 const END: &str = "count_end";
 const INTERRUPT: &str = "on_uart";
@@ -23,7 +22,7 @@ const ENTER_AND_LEAVE: u64 = 16 + 16;
 /// The README that shows the cycles, between marks.
 const README: &str = "examples/firmware/README.md";
 
-/// Counts the cycles of this image. Checks that a serial line at 1 Mbaud can last, and that the README shows the counts.
+/// Counts the cycles of this image. Checks that it keeps up with 1 Mbaud, and that the README shows the counts.
 pub(crate) fn check(project: &Project, image: &Path) -> Result<()> {
     let counts = count(project, image)?;
     println!("\nA Cortex-M0, optimised for size:\n\n{}\n", table(&counts));
@@ -38,14 +37,11 @@ pub(crate) fn check(project: &Project, image: &Path) -> Result<()> {
 }
 
 fn table(counts: &[Count]) -> String {
-    let row = |count: &Count| {
-        let Count {
-            what,
-            cycles,
-            instructions,
-        } = count;
-        format!("\n| {what} | {cycles} | {instructions} |")
-    };
+    let row = |Count {
+                   what,
+                   cycles,
+                   instructions,
+               }: &Count| { format!("\n| {what} | {cycles} | {instructions} |") };
     let rows: String = counts.iter().map(row).collect();
     format!("| | cycles | instructions |\n|---|---|---|{rows}")
 }
@@ -56,23 +52,22 @@ const PAUSE: u64 = 160;
 /// Capacity of the images' receive queue in bytes.
 const QUEUE: u64 = 128;
 
-/// The most bytes that one turn of the main loop reads.
+/// Bytes that one turn of the main loop reads, at most.
 const READ: u64 = 256;
 
-/// The most cycles for which our code masks interrupts, as the documentation of `ztl_mcu::shared` states.
+/// Cycles for which our code masks interrupts, at most: a promise of `ztl_mcu::shared`.
 const MASKED: u64 = 1000;
 
-/// The line's rate that follows from the counts. The first three are of a received byte, the next is a task's start, the
-/// longest time in which no byte is taken from the queue, the last but one an idle turn, and the last the longest
-/// critical section.
+/// The line rate that the image keeps up with. The first three counts add up to a received byte. The fourth is the start
+/// of a task, during which no byte leaves the queue. The last two are an idle turn and the longest critical section.
 fn rate(counts: &[Count]) -> Result<String> {
     let cycles: Vec<u64> = counts.iter().map(|count| count.cycles).collect();
     let &[interrupt, queue, node, start, .., turn, masked] = cycles.as_slice() else {
-        bail!("the image has counted too few things");
+        bail!("the image measured too few things");
     };
     ensure!(
         masked <= MASKED,
-        "a critical section takes {masked} cycles; {MASKED} are promised"
+        "a critical section takes {masked} cycles: expected at most {MASKED}"
     );
     let byte = interrupt + queue + node;
     let left = PAUSE.saturating_sub(byte);
@@ -80,46 +75,37 @@ fn rate(counts: &[Count]) -> Result<String> {
     let waiting = (start + turn) / PAUSE;
     ensure!(
         caught_up <= READ && waiting <= QUEUE,
-        "at 1 Mbaud and 16 MHz a byte arrives every {PAUSE} cycles. One takes {byte}; while a task starts, {waiting} arrive, \
-         and {QUEUE} can wait; a turn is caught up after {caught_up} bytes, and reads {READ}"
+        "too slow for 1 Mbaud at 16 MHz: a byte arrives every {PAUSE} cycles and takes {byte}; {waiting} arrive while a \
+         task starts (the queue holds {QUEUE}); a turn needs {caught_up} bytes to catch up (it reads {READ})"
     );
     Ok(format!(
-        "At 16 MHz a received byte takes {byte} of the {PAUSE} cycles that it has at 1 Mbaud: a margin of {} %. So {} kbaud \
-         can last.\nWhile a task starts, {waiting} bytes arrive, and {QUEUE} can wait; the rest of a turn of the main loop \
-         is caught up after {caught_up} bytes.",
+        "At 16 MHz a received byte takes {byte} of its {PAUSE} cycles at 1 Mbaud: a margin of {} %, enough for {} kbaud.\n\
+         {waiting} bytes arrive while a task starts; the queue holds {QUEUE}. A turn needs {caught_up} bytes to catch up.",
         left * 100 / PAUSE,
         16_000 * 10 / byte,
     ))
 }
 
-/// Deviation in percent that is accepted in the README: other compilers differ.
+/// Accepted deviation from the README in percent, for other compilers.
 const TOLERANCE: u64 = 10;
 
 /// Whether the README shows these counts between its marks.
 fn shows(readme: &str, counts: &[Count]) -> bool {
-    let shown = readme
-        .split_once("<!-- cycles -->")
-        .and_then(|(_, rest)| rest.split_once("<!-- /cycles -->"));
+    let [_, shown, _] = marked(readme, "cycles").unwrap_or_default();
     let row = |line: &str| -> Option<(String, u64)> {
         let mut cells = line.split('|').map(str::trim);
         let what = cells.nth(1)?.to_owned();
         Some((what, cells.next()?.parse().ok()?))
     };
-    let rows: Vec<_> = shown
-        .into_iter()
-        .flat_map(|(shown, _)| shown.lines())
-        .filter_map(row)
-        .collect();
+    let rows: Vec<_> = shown.lines().filter_map(row).collect();
     let near = |(what, cycles): &(String, u64), count: &Count| {
         *what == count.what && cycles.abs_diff(count.cycles) * 100 <= cycles * TOLERANCE
     };
-    rows.len() == counts.len()
-        && counts
-            .iter()
-            .all(|count| rows.iter().any(|row| near(row, count)))
+    let is_shown = |count: &Count| rows.iter().any(|row| near(row, count));
+    rows.len() == counts.len() && counts.iter().all(is_shown)
 }
 
-/// What was counted of one thing.
+/// The cycles of one thing that the image does.
 #[derive(Debug, Clone, PartialEq, Eq)]
 struct Count {
     what: String,
@@ -141,14 +127,11 @@ impl Sum {
     }
 }
 
-/// What begins a critical section: `CPSID i`.
+/// `CPSID i`, which begins a critical section.
 const MASK: u16 = 0xB672;
 
-/// What the longest critical section of an image is called.
-const MASKED_NAME: &str = "interrupts masked, at most";
-
-/// Runs an image on the micro:bit, which gets one byte over its UART. It prints a line for each thing that it
-/// counts: how often it does it, and what it is. The interrupt comes first, the longest critical section last.
+/// Runs an image on the micro:bit, and sends it one byte over its UART. The image prints a line for each thing that it
+/// does: how often, and a name. Returns the counts, the interrupt first, the longest critical section last.
 fn count(project: &Project, path: &Path) -> Result<Vec<Count>> {
     let sh = &project.sh;
     let trace = project.target.join("cycles.trace");
@@ -171,18 +154,16 @@ fn addresses(trace: &str) -> Result<Vec<u32>> {
         let (_, rest) = line.split_once('[')?;
         u32::from_str_radix(rest.split('/').nth(1)?, 16).ok()
     };
-    let lines = trace.lines().filter(|line| line.starts_with("Trace "));
     let wrong = |line: &str| format!("QEMU's trace has no address: {line}");
-    lines
-        .map(|line| address(line).with_context(|| wrong(line)))
-        .collect()
+    let address = |line| address(line).with_context(|| wrong(line));
+    let lines = trace.lines().filter(|line| line.starts_with("Trace "));
+    lines.map(address).collect()
 }
 
 fn counts(memory: &Memory, addresses: &[u32], output: &str) -> Result<Vec<Count>> {
     let function = |name: &str| {
-        memory
-            .function(name)
-            .with_context(|| format!("the image has no function `{name}`"))
+        let function = memory.function(name);
+        function.with_context(|| format!("the image has no function `{name}`"))
     };
     let (begin, end, interrupt) = (function(BEGIN)?, function(END)?, function(INTERRUPT)?);
     let (mut regions, mut region) = (Vec::new(), None::<Sum>);
@@ -196,13 +177,10 @@ fn counts(memory: &Memory, addresses: &[u32], output: &str) -> Result<Vec<Count>
         }
         let cycles = cycles(memory, *address, *next)?;
         within |= *address == interrupt.start && entered.cycles == 0;
-        let sum = if within {
-            Some(&mut entered)
-        } else {
-            region.as_mut()
-        };
-        if let Some(sum) = sum {
-            sum.add(cycles);
+        if within {
+            entered.add(cycles);
+        } else if let Some(region) = &mut region {
+            region.add(cycles);
         }
         depth += u32::from(halfword(memory, *address)? == MASK);
         if depth > 0 {
@@ -217,60 +195,54 @@ fn counts(memory: &Memory, addresses: &[u32], output: &str) -> Result<Vec<Count>
                 longest = ended;
             }
         }
-        // It returns from its own code, and to none of it.
+        // Calls within the handler also return.
         within &= !(interrupt.contains(address) && returns(memory, *address));
     }
     entered.cycles += ENTER_AND_LEAVE;
     // The first region is empty: it measures the counting itself.
-    let (nothing, regions) = regions
-        .split_first()
-        .context("the image has counted nothing")?;
-    let lines: Vec<&str> = output
-        .lines()
-        .filter(|line| !line.trim().is_empty())
-        .collect();
-    let (things, names) = (regions.len() + 1, lines.len());
+    let regions = regions.split_first();
+    let (nothing, regions) = regions.context("the image measured nothing")?;
+    let lines = output.lines().filter(|line| !line.trim().is_empty());
+    let lines: Vec<&str> = lines.collect();
+    let same = regions.len() + 1 == lines.len();
     ensure!(
-        things == names,
-        "the image has counted {things} things and named {names}:\n{output}"
+        same,
+        "the image printed other lines than it measured:\n{output}"
     );
     let sums = regions.iter().map(|region| Sum {
         instructions: region.instructions.saturating_sub(nothing.instructions),
         cycles: region.cycles.saturating_sub(nothing.cycles),
     });
     let counted = lines.iter().zip(std::iter::once(entered).chain(sums));
-    let masked = named(&format!("1 {MASKED_NAME}"), longest);
-    counted
-        .map(|(line, sum)| named(line, sum))
-        .chain(std::iter::once(masked))
-        .collect()
+    let masked = std::iter::once(("1 interrupts masked, at most", longest));
+    let counted = counted.map(|(line, sum)| (*line, sum)).chain(masked);
+    counted.map(|(line, sum)| named(line, sum)).collect()
 }
 
-/// Parses `120 a byte into the queue`, and divides by that number, rounded.
+/// Parses `120 a byte into the queue`, and divides by that number with rounding.
 fn named(line: &str, sum: Sum) -> Result<Count> {
     let parse = || {
         let (times, what) = line.trim().split_once(' ')?;
         let times: u64 = times.parse().ok()?;
         let each = |sum: u64| (sum + times / 2).checked_div(times);
         let (cycles, instructions) = (each(sum.cycles)?, each(sum.instructions)?);
+        let what = what.to_owned();
         Some(Count {
-            what: what.to_owned(),
+            what,
             cycles,
             instructions,
         })
     };
-    parse().with_context(|| {
-        format!("invalid line `{line}` of the image: expected a number and a name")
-    })
+    let expected = "expected a number and a name";
+    parse().with_context(|| format!("invalid line `{line}` of the image: {expected}"))
 }
 
 fn halfword(memory: &Memory, address: u32) -> Result<u16> {
-    memory
-        .halfword(address)
-        .with_context(|| format!("the image has no code at {address:#x}"))
+    let code = memory.halfword(address);
+    code.with_context(|| format!("the image has no code at {address:#x}"))
 }
 
-/// `MSR PRIMASK`, which ends a critical section, within another one too.
+/// `MSR PRIMASK`, which ends a critical section, also a nested one.
 fn unmasks(memory: &Memory, address: u32) -> bool {
     let code = |address| memory.halfword(address).unwrap_or_default();
     code(address) & 0xFFF0 == 0xF380 && code(address + 2) == 0x8810
@@ -282,12 +254,12 @@ fn returns(memory: &Memory, address: u32) -> bool {
     code & 0xFF00 == 0xBD00 || code == 0x4770
 }
 
-/// What the instruction takes when the one at `next` follows.
+/// The cycles of an instruction when the one at `next` follows.
 fn cycles(memory: &Memory, address: u32, next: u32) -> Result<u64> {
     let code = halfword(memory, address)?;
     let listed = u64::from((code & 0xFF).count_ones());
     Ok(match code {
-        // To the program counter, else from one register to another.
+        // Writes the program counter; otherwise another register.
         0x4400..=0x46FF if code & 0x87 == 0x87 => 3,
         0x0000..=0x46FF => 1,
         0x4700..=0x47FF => 3,                                     // BX, BLX
@@ -300,7 +272,7 @@ fn cycles(memory: &Memory, address: u32, next: u32) -> Result<u64> {
         0xC000..=0xCFFF => 1 + listed,               // several at once
         0xD000..=0xDFFF if next == address + 2 => 1, // a branch that is not taken
         0xD000..=0xE7FF => 3,
-        // BL, and what speaks to the system.
+        // BL, and system instructions.
         0xE800..=0xFFFF => 4,
     })
 }
@@ -309,7 +281,7 @@ fn cycles(memory: &Memory, address: u32, next: u32) -> Result<u64> {
 mod tests {
     use super::*;
 
-    /// Laid down from 0x100.
+    /// An image with this code at 0x100.
     fn memory(code: &[u16], functions: &[(&str, u32, u32)]) -> Memory {
         let bytes = code.iter().flat_map(|code| code.to_le_bytes()).collect();
         let mut memory = Memory::default();
@@ -321,7 +293,7 @@ mod tests {
     }
 
     #[test]
-    fn each_kind_of_instruction_takes_what_the_manual_says() {
+    fn instructions_take_the_cycles_of_the_manual() {
         for (code, taken, expected) in [
             (0x2001, false, 1), // MOVS r0, #1
             (0x4348, false, 1), // MULS r0, r1
@@ -349,17 +321,14 @@ mod tests {
     }
 
     #[test]
-    fn what_stands_between_the_marks_is_counted_but_for_the_marks_themselves() {
-        let functions = [
-            ("count_begin", 0x100, 0x102),
-            ("count_end", 0x102, 0x104),
-            ("on_uart", 0x104, 0x108),
-        ];
+    fn the_cost_of_counting_is_subtracted() {
+        let (begin, end) = (("count_begin", 0x100, 0x102), ("count_end", 0x102, 0x104));
         // BX lr; BX lr; MOVS, BX lr; LDR; CPSID, MSR PRIMASK.
-        let code = [
-            0x4770, 0x4770, 0x2001, 0x4770, 0x6808, 0xB672, 0xF380, 0x8810,
-        ];
-        let memory = memory(&code, &functions);
+        let code = "4770 4770 2001 4770 6808 b672 f380 8810".split(' ');
+        let code: Vec<u16> = code
+            .map(|code| u16::from_str_radix(code, 16).unwrap())
+            .collect();
+        let memory = memory(&code, &[begin, end, ("on_uart", 0x104, 0x108)]);
         let addresses = [
             0x104, 0x106, // the interrupt
             0x100, 0x102, // nothing
@@ -368,20 +337,22 @@ mod tests {
             0x10A, 0x108, 0x10A, 0x10C, 0x10C, 0x108, // and within one another
         ];
         let counts = counts(&memory, &addresses, "1 interrupt\n2 loads\n").unwrap();
-        let count = |what: &str, cycles, instructions| Count {
-            what: what.to_owned(),
-            cycles,
-            instructions,
+        let count = |what: &str, cycles, instructions| {
+            let what = what.to_owned();
+            Count {
+                what,
+                cycles,
+                instructions,
+            }
         };
         let masked = count("interrupts masked, at most", 12, 5);
         let expected = [count("interrupt", 36, 2), count("loads", 2, 1), masked];
         assert_eq!(counts, expected);
-        let none = super::counts(&memory, &addresses, "1 interrupt\n");
-        assert!(none.is_err(), "{none:?}");
+        assert!(super::counts(&memory, &addresses, "1 interrupt\n").is_err());
     }
 
     #[test]
-    fn qemus_trace_is_read() {
+    fn a_trace_of_qemu_is_parsed() {
         let trace =
             "Trace 0: 0x7f2594000100 [00800400/0000004c/00000510/ff000201] Reset\nStopped\n";
         assert_eq!(addresses(trace).unwrap(), [0x4C]);
@@ -389,10 +360,13 @@ mod tests {
     }
 
     fn counted(cycles: &[u64]) -> Vec<Count> {
-        let count = |cycles: &u64| Count {
-            what: format!("thing of {cycles}"),
-            cycles: *cycles,
-            instructions: 1,
+        let count = |cycles: &u64| {
+            let (what, cycles) = (format!("thing of {cycles}"), *cycles);
+            Count {
+                what,
+                cycles,
+                instructions: 1,
+            }
         };
         cycles.iter().map(count).collect()
     }
@@ -400,10 +374,14 @@ mod tests {
     #[test]
     fn a_rate_follows_from_the_counts() {
         let text = rate(&counted(&[70, 20, 38, 8000, 3000, 1600, 1000])).unwrap();
-        assert!(text.contains("takes 128 of the 160 cycles"), "{text}");
-        assert!(text.contains("a margin of 20 %. So 1250 kbaud"), "{text}");
-        assert!(text.contains("starts, 60 bytes arrive"), "{text}");
-        assert!(text.contains("after 50 bytes"), "{text}");
+        for part in [
+            "takes 128 of its 160",
+            "20 %, enough for 1250 kbaud",
+            "60 bytes arrive",
+            "needs 50 bytes",
+        ] {
+            assert!(text.contains(part), "{text}");
+        }
         for slow in [
             [100, 20, 40, 8000, 1600, 1000],
             [70, 20, 38, 20_000, 1600, 1000],
@@ -416,7 +394,7 @@ mod tests {
     }
 
     #[test]
-    fn the_readme_shows_what_is_counted() {
+    fn a_readme_with_other_counts_is_rejected() {
         let readme = |table: &str| format!("x\n<!-- cycles -->\n{table}\n<!-- /cycles -->\n");
         let now = counted(&[100, 30]);
         assert!(shows(&readme(&table(&now)), &now));

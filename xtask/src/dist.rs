@@ -6,10 +6,7 @@ mod contents;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result, ensure};
-use object::elf::{FileHeader32, FileHeader64, PT_DYNAMIC, PT_INTERP};
-use object::read::elf::{FileHeader, ProgramHeader};
-use object::{Endianness, FileKind};
-use xshell::cmd;
+use xshell::{Shell, cmd};
 
 use crate::project::{COMMAND, Project};
 use crate::zig::{Target, Zig, targets};
@@ -17,7 +14,12 @@ use crate::{capi, install, paths};
 use contents::Contents;
 
 /// Maximum size of a program in bytes.
-const MOST: usize = 6 * 1024 * 1024;
+const MOST: u64 = 6 * 1024 * 1024;
+
+/// The features of a program for robots. It leaves out `pages`.
+const FEATURES: [&str; 3] = ["--no-default-features", "--features", "defmt"];
+
+const TEST: &str = "test --quiet --package ztl-tests --test";
 
 /// The emulated kernels, oldest last (`tests/dist/old_kernel.py`).
 const KERNELS: [&str; 2] = ["3.2", "2.6.32"];
@@ -25,7 +27,7 @@ const KERNELS: [&str; 2] = ["3.2", "2.6.32"];
 /// Builds the named targets, or all. `check` also runs each one and links the C interface for it.
 pub(crate) fn build(project: &Project, names: &[String], check: bool) -> Result<()> {
     let targets = targets(names)?;
-    let built = build_all(project, &targets)?;
+    let built = build_small(project, &targets)?;
     if check {
         run_all(project, &built)?;
         for target in targets {
@@ -38,43 +40,22 @@ pub(crate) fn build(project: &Project, names: &[String], check: bool) -> Result<
 /// The part that the test command runs. One target shows that C programs can be linked.
 pub(crate) fn test(project: &Project) -> Result<()> {
     let targets = targets(&["x86_64", "i686"])?;
-    run_all(project, &build_all(project, &targets)?)?;
+    run_all(project, &build_small(project, &targets)?)?;
     let i686 = targets.last().context("a target")?;
     capi::check(project, *i686)
 }
 
-/// Builds the targets one by one, and collects the programs and accompanying files in one directory.
-fn build_all(project: &Project, targets: &[Target]) -> Result<Vec<(Target, PathBuf)>> {
+/// Builds the programs for robots, checks their size, and writes the checksums.
+fn build_small(project: &Project, targets: &[Target]) -> Result<Vec<(Target, PathBuf)>> {
     let sh = &project.sh;
-    let zig = Zig::provide(project)?;
-    let release = sh.create_dir(zig.target_dir.join("ztl"))?;
-    // With `-changed` for uncommitted changes.
-    let commit = cmd!(
-        sh,
-        "git describe --always --abbrev=12 --exclude * --dirty=-changed"
-    )
-    .read();
-    let commit = commit.unwrap_or_else(|_| "unknown".to_owned());
-    let mut built = Vec::new();
-    for &target in targets {
-        let libraries = zig.libraries(target)?;
-        let contents = Contents::of(project, &zig, target, &libraries)?;
-        zig.build_with(target, &libraries)?
-            .args(COMMAND)
-            .env("ZTL_BUILD_COMMIT", &commit)
-            .env("ZTL_BUILD_TARGET", target.triple())
-            .env("ZTL_BUILD_WITH", contents.tools())
-            .run()?;
-        let path = release.join(format!("ztl-{}", target.name));
-        sh.copy_file(zig.built(target, "ztl"), &path)?;
-        let bytes = sh.read_binary_file(&path)?;
-        is_fit(&bytes).with_context(|| path.display().to_string())?;
-        paths::check(project, &path)?;
-        contents.write(sh, &path, &commit)?;
-        println!("{:>8} bytes  {}", bytes.len(), path.display());
-        built.push((target, path));
+    let built = build_all(project, targets, "ztl", &FEATURES)?;
+    for (_, path) in &built {
+        let size = path.metadata()?.len();
+        let path = path.display();
+        ensure!(size <= MOST, "{path}: {size} bytes are more than {MOST}");
     }
-    let mut files = sh.read_dir(&release)?;
+    let release = release(&built)?;
+    let mut files = sh.read_dir(release)?;
     files.retain(|path| !path.ends_with("SHA256SUMS"));
     let names = files.iter().filter_map(|path| path.file_name());
     let sums = cmd!(sh, "env --chdir {release} sha256sum {names...}").read()?;
@@ -82,23 +63,61 @@ fn build_all(project: &Project, targets: &[Target]) -> Result<Vec<(Target, PathB
     Ok(built)
 }
 
-/// Checks that a program depends only on the kernel, and respects the size limit.
-fn is_fit(program: &[u8]) -> Result<()> {
-    let size = program.len();
-    ensure!(size <= MOST, "{size} bytes are more than {MOST}");
-    let needs_loader = match FileKind::parse(program)? {
-        FileKind::Elf32 => needs_loader::<FileHeader32<Endianness>>(program)?,
-        _ => needs_loader::<FileHeader64<Endianness>>(program)?,
-    };
-    ensure!(!needs_loader, "not fully static");
-    Ok(())
+/// The directory of the built programs.
+fn release(built: &[(Target, PathBuf)]) -> Result<&Path> {
+    let first = built.first().and_then(|(_, path)| path.parent());
+    first.context("no program was built")
 }
 
-fn needs_loader<H: FileHeader<Endian = Endianness>>(bytes: &[u8]) -> object::Result<bool> {
-    let file = H::parse(bytes)?;
-    let endian = file.endian()?;
-    let mut parts = file.program_headers(endian, bytes)?.iter();
-    Ok(parts.any(|part| matches!(part.p_type(endian), PT_INTERP | PT_DYNAMIC)))
+/// Builds the targets one by one, and collects the programs and accompanying files in this directory.
+pub(crate) fn build_all(
+    project: &Project,
+    targets: &[Target],
+    directory: &str,
+    features: &[&str],
+) -> Result<Vec<(Target, PathBuf)>> {
+    let sh = &project.sh;
+    let zig = Zig::provide(project)?;
+    let release = sh.create_dir(zig.target_dir.join(directory))?;
+    // With `-changed` for uncommitted changes.
+    let describe = "describe --always --abbrev=12 --exclude * --dirty=-changed".split(' ');
+    let commit = cmd!(sh, "git {describe...}").read();
+    let commit = commit.unwrap_or_else(|_| "unknown".to_owned());
+    let mut built = Vec::new();
+    for &target in targets {
+        let libraries = zig.libraries(target)?;
+        let contents = Contents::of(project, &zig, target, &libraries, features)?;
+        zig.build_with(target, &libraries)?
+            .args(COMMAND)
+            .args(features)
+            .env("ZTL_BUILD_COMMIT", &commit)
+            .env("ZTL_BUILD_TARGET", target.triple())
+            .env("ZTL_BUILD_WITH", contents.tools())
+            .run()?;
+        let path = release.join(format!("ztl-{}", target.name));
+        sh.copy_file(zig.built(target, "ztl"), &path)?;
+        check_static(sh, &path)?;
+        paths::check(project, &path)?;
+        contents.write(sh, &path, &commit)?;
+        println!("{:>8} bytes  {}", path.metadata()?.len(), path.display());
+        built.push((target, path));
+    }
+    Ok(built)
+}
+
+/// Checks that a program depends only on the kernel.
+fn check_static(sh: &Shell, program: &Path) -> Result<()> {
+    let headers = cmd!(sh, "readelf --program-headers --wide {program}").read()?;
+    let segments = headers.split_whitespace();
+    let is_static = !segments
+        .into_iter()
+        .any(|word| ["INTERP", "DYNAMIC"].contains(&word));
+    ensure!(
+        headers.contains("LOAD") && is_static,
+        "{} is not fully static",
+        program.display()
+    );
+    Ok(())
 }
 
 /// Runs each program on its processor in an empty root, with real tasks.
@@ -106,27 +125,16 @@ fn run_all(project: &Project, built: &[(Target, PathBuf)]) -> Result<()> {
     let sh = &project.sh;
     install::emulators(sh)?;
     install::python(project)?;
-    cmd!(sh, "cargo build --locked {COMMAND...}").run()?;
-    let release = built.first().and_then(|(_, path)| path.parent());
-    let release = release.context("no program was built")?;
-    cmd!(
-        sh,
-        "env --chdir {release} sha256sum --check --strict --quiet SHA256SUMS"
-    )
-    .run()?;
+    project.cargo("build").args(COMMAND).run()?;
+    let release = release(built)?;
+    let check = "--check --strict --quiet SHA256SUMS".split(' ');
+    cmd!(sh, "env --chdir {release} sha256sum {check...}").run()?;
     bill::check(project, release)?;
-    let test = [
-        "test",
-        "--quiet",
-        "--locked",
-        "--package",
-        "ztl-tests",
-        "--test",
-    ];
     for (target, path) in built {
-        let triple = target.triple();
         let run = |variable: &str, how: &str| {
-            cmd!(sh, "env ZTL_DIST={path} ZTL_DIST_TARGET={triple} {variable}={how} cargo {test...} dist -- --ignored").run()
+            let test = project.cargo(&format!("{TEST} dist -- --ignored"));
+            let test = test.env("ZTL_DIST", path).env(variable, how);
+            test.env("ZTL_DIST_TARGET", target.triple()).run()
         };
         run("ZTL_DIST_EMULATOR", target.emulator)?;
         // Only the same machine type has a kernel that can be made to look old.
@@ -137,11 +145,8 @@ fn run_all(project: &Project, built: &[(Target, PathBuf)]) -> Result<()> {
             }
         }
         if target.is_here() {
-            cmd!(
-                sh,
-                "env ZTL_RELEASED={path} cargo {test...} serve -- --nocapture memory::"
-            )
-            .run()?;
+            let test = project.cargo(&format!("{TEST} serve -- --nocapture memory::"));
+            test.env("ZTL_RELEASED", path).run()?;
         }
     }
     Ok(())
@@ -150,14 +155,10 @@ fn run_all(project: &Project, built: &[(Target, PathBuf)]) -> Result<()> {
 /// Kills servers on an emulated kernel. An empty root cannot show this: without `/proc` no watchdog stops the
 /// programs of a killed server.
 fn watchdogs(project: &Project, kernel: &str, program: &Path) -> Result<()> {
-    let sh = &project.sh;
     let script = project.root.join("tests/dist/old_kernel.py");
     let python = install::python(project)?;
     let words = [&python, &script, Path::new(kernel), program];
     let command = words.map(|word| word.display().to_string()).join("\n");
-    let test = cmd!(
-        sh,
-        "cargo test --quiet --locked --package ztl-tests --test serve -- killed::"
-    );
+    let test = project.cargo(&format!("{TEST} serve -- killed::"));
     Ok(test.env("ZTL_COMMAND", command).run()?)
 }

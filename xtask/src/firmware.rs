@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 use std::process::Command;
 
-use anyhow::{Context as _, Result, bail};
+use anyhow::{Context as _, Result, bail, ensure};
 use xshell::Shell;
 
 use crate::cross::Core;
@@ -42,19 +42,18 @@ pub(crate) struct Board {
 
 /// Builds one board's images, or all, and prints their sizes.
 pub(crate) fn show(project: &Project, name: Option<&str>) -> Result<()> {
-    for board in boards(&project.sh)? {
-        if name.is_some_and(|name| name != board.name) {
-            continue;
-        }
+    let boards = match name {
+        Some(name) => vec![board(&project.sh, name)?],
+        None => boards(&project.sh)?,
+    };
+    for board in boards {
         for path in build(project, &board)? {
             let Image { flash, ram, .. } = Image::read(&path)?;
-            println!(
-                "{}: {flash} bytes of flash, {ram} of static RAM",
-                path.display()
-            );
+            let path = path.display();
+            println!("{path}: {flash} bytes of flash, {ram} of static RAM");
         }
     }
-    name.map_or(Ok(()), |name| board(&project.sh, name).map(drop))
+    Ok(())
 }
 
 /// Builds one board's image and runs it in QEMU, until QEMU is stopped.
@@ -78,10 +77,8 @@ pub(crate) fn run_in_qemu(project: &Project, name: &str, port: u16) -> Result<()
     qemu.args(machine)
         .args(["-nographic", "-monitor", "none", "-serial", &serial]);
     let status = qemu.arg("-kernel").arg(image).status()?;
-    status
-        .success()
-        .then_some(())
-        .with_context(|| format!("QEMU: {status}"))
+    ensure!(status.success(), "QEMU: {status}");
+    Ok(())
 }
 
 /// Whether an image has much code that is not ours: a network stack, which may panic and formats text.
@@ -95,12 +92,8 @@ pub(crate) fn check(project: &Project) -> Result<()> {
         // Debian's compiler is not the one that clippy belongs to.
         if let core @ Core::Compiled(_) = Core::provide(&project.sh, &board.target)? {
             let networked = images(&board).contains(&NETWORKED);
-            let features: &[&[&str]] = if networked {
-                &[&[], &["--features", NETWORKED]]
-            } else {
-                &[&[]]
-            };
-            for features in features {
+            let sets: [&[&str]; 2] = [&[], &["--features", NETWORKED]];
+            for features in sets.iter().take(1 + usize::from(networked)) {
                 let clippy = core.cargo(project, "clippy", &board.target, "firmware")?;
                 let clippy = clippy.args(["--release", "--manifest-path", MANIFEST, "--package"]);
                 let clippy = clippy.arg(&board.name).args(*features);
@@ -116,9 +109,8 @@ pub(crate) fn check(project: &Project) -> Result<()> {
 pub(crate) fn build_for_qemu(project: &Project) -> Result<()> {
     let mut boards = boards(&project.sh)?;
     boards.retain(|board| !board.machine.is_empty());
-    boards
-        .iter()
-        .try_for_each(|board| build(project, board).map(drop))
+    let mut built = boards.iter().map(|board| build(project, board));
+    built.try_for_each(|built| built.map(drop))
 }
 
 /// Builds a board's images: the paths of their ELF files, the robot's first.
@@ -130,12 +122,8 @@ pub(crate) fn build(project: &Project, board: &Board) -> Result<Vec<PathBuf>> {
             NETWORKED => &["--no-default-features", "--features", NETWORKED],
             _ => &["--no-default-features"],
         };
-        paths.push(build_image(
-            project,
-            board,
-            &format!("{}-{image}", board.name),
-            features,
-        )?);
+        let image = format!("{}-{image}", board.name);
+        paths.push(build_image(project, board, &image, features)?);
     }
     Ok(paths)
 }
@@ -155,14 +143,11 @@ fn build_image(
     lock::check(&project.sh, MANIFEST)?;
     let core = Core::provide(&project.sh, &board.target)?;
     let build = core.cargo(project, "build", &board.target, "firmware")?;
-    let build = build.args([
-        "--release",
-        "--manifest-path",
-        MANIFEST,
-        "--package",
-        &board.name,
-    ]);
-    build.args(["--bin", image]).args(features).run()?;
+    let build = build.args(["--release", "--manifest-path", MANIFEST, "--package"]);
+    build
+        .args([&board.name, "--bin", image])
+        .args(features)
+        .run()?;
     let built = project.target.join("firmware").join(&board.target);
     Ok(built.join("release").join(image))
 }
@@ -180,12 +165,8 @@ fn board(sh: &Shell, name: &str) -> Result<Board> {
     let boards = boards(sh)?;
     let names: Vec<&str> = boards.iter().map(|board| board.name.as_str()).collect();
     let found = boards.iter().find(|board| board.name == name).cloned();
-    found.with_context(|| {
-        format!(
-            "unknown board `{name}`: expected one of {}",
-            names.join(", ")
-        )
-    })
+    let names = names.join(", ");
+    found.with_context(|| format!("unknown board `{name}`: expected one of {names}"))
 }
 
 pub(crate) fn boards(sh: &Shell) -> Result<Vec<Board>> {
@@ -218,13 +199,10 @@ mod tests {
 
     #[test]
     fn a_board_is_a_line() {
-        let boards =
-            parse("# x\nmicrobit thumbv6m-none-eabi  qemu-system-arm -M microbit\npico t -");
+        let boards = parse("# x\nmicrobit thumbv6m  qemu-system-arm -M microbit\npico t -");
         let [microbit, pico] = boards.unwrap().try_into().unwrap();
-        assert_eq!(
-            (microbit.name.as_str(), microbit.target.as_str()),
-            ("microbit", "thumbv6m-none-eabi")
-        );
+        let Board { name, target, .. } = &microbit;
+        assert_eq!([name, target], ["microbit", "thumbv6m"]);
         assert_eq!(microbit.machine, ["qemu-system-arm", "-M", "microbit"]);
         assert_eq!((pico.name.as_str(), pico.machine.len()), ("pico", 0));
         let message = parse("pico t").unwrap_err().to_string();

@@ -4,7 +4,7 @@
 //! ordinary LLVM pass, which a stable compiler accepts through `-C`. Nightly is only needed for sanitizers,
 //! which find nothing in code without `unsafe`. The crate `libfuzzer-sys` contains libFuzzer and compiles it.
 
-use anyhow::{Context as _, Result};
+use anyhow::{Context as _, Result, ensure};
 use xshell::{Cmd, Shell, cmd};
 
 use crate::project::Project;
@@ -24,24 +24,15 @@ const FLAGS: &str = "-Cpasses=sancov-module -Cllvm-args=-sanitizer-coverage-leve
 pub(crate) fn search(project: &Project, target: Option<&str>, seconds: u32) -> Result<()> {
     let limit = format!("-max_total_time={seconds}");
     let all = targets(&project.sh)?;
-    match target {
-        None => fuzz(project, &all, "corpus", &[&limit]),
-        Some(name) => {
-            let known = all.iter().find(|target| *target == name);
-            let wrong = || {
-                format!(
-                    "unknown target `{name}`: expected one of {}",
-                    all.join(", ")
-                )
-            };
-            fuzz(
-                project,
-                &[known.with_context(wrong)?.clone()],
-                "corpus",
-                &[&limit],
-            )
-        }
-    }
+    let names = all.join(", ");
+    let wanted = |name: &&String| target.is_none_or(|target| target == *name);
+    let found: Vec<String> = all.iter().filter(wanted).cloned().collect();
+    let name = target.unwrap_or_default();
+    ensure!(
+        !found.is_empty(),
+        "unknown target `{name}`: expected one of {names}"
+    );
+    fuzz(project, &found, "corpus", &[&limit])
 }
 
 /// Lints the targets, and runs each on the same inputs every time: the result depends only on the code.
@@ -81,17 +72,12 @@ fn fuzz(project: &Project, targets: &[String], kept: &str, options: &[&str]) -> 
 
 /// Cargo for the targets. With `--target`, the flags do not reach build scripts and macros.
 fn cargo<'a>(project: &'a Project, command: &str) -> Result<Cmd<'a>> {
-    let sh = &project.sh;
-    let (host, dir) = (host(sh)?, project.target.join("fuzz"));
-    let words = [
-        "--release",
-        "--locked",
-        "--manifest-path",
-        MANIFEST,
-        "--target",
-    ];
-    let cargo = cmd!(sh, "cargo {command} {words...} {host} --target-dir {dir}");
-    Ok(cargo.env("RUSTFLAGS", FLAGS))
+    let cargo = project.cargo(command);
+    let cargo = cargo.args(["--release", "--manifest-path", MANIFEST, "--target"]);
+    let cargo = cargo.arg(host(&project.sh)?).arg("--target-dir");
+    Ok(cargo
+        .arg(project.target.join("fuzz"))
+        .env("RUSTFLAGS", FLAGS))
 }
 
 fn host(sh: &Shell) -> xshell::Result<String> {

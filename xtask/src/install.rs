@@ -3,34 +3,26 @@
 use std::env;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context as _, Result, bail};
-use xshell::{Shell, cmd};
+use anyhow::{Context as _, Result, bail, ensure};
+use xshell::{Cmd, Shell, cmd};
 
 use crate::project::{Project, succeeds};
 
 /// Debian packages, and the shell command that fails without them. The first line of its output is their version.
+#[rustfmt::skip]
 const PROGRAMS: &[[&str; 2]] = &[
     ["g++", "${CXX:-c++} --version"],
     // For libsodium.
     ["make", "make --version"],
     // On Debian, `ensurepip`, which installs pip into a new environment, is a separate package.
-    [
-        "python3 python3-venv",
-        "python3 -c 'import ensurepip, sys, venv; print(\"Python\", sys.version)'",
-    ],
+    ["python3 python3-venv", "python3 -c 'import ensurepip, sys, venv; print(\"Python\", sys.version)'"],
     // For the client in C.
-    [
-        "gcc libc6-dev libzmq3-dev",
-        "printf '#include <zmq.h>\nlibzmq ZMQ_VERSION_MAJOR ZMQ_VERSION_MINOR' | cc -E -P - | grep '^libzmq [0-9]'",
-    ],
+    ["gcc libc6-dev libzmq3-dev", "printf '#include <zmq.h>\nlibzmq ZMQ_VERSION_MAJOR ZMQ_VERSION_MINOR' | cc -E -P - | grep '^libzmq [0-9]'"],
     ["valgrind", "valgrind --version"],
     ["pkg-config", "pkg-config --version"],
     ["gcc-arm-none-eabi", "arm-none-eabi-gcc --version"],
     // For the client in JavaScript.
-    [
-        "nodejs",
-        "node --eval 'console.log(\"Node\", process.version)'",
-    ],
+    ["nodejs", "node --eval 'console.log(\"Node\", process.version)'"],
     ["npm", "echo npm $(npm --version) | grep '[0-9]'"],
     // Shows the page of `ztl report`.
     ["chromium", "chromium --version"],
@@ -38,6 +30,9 @@ const PROGRAMS: &[[&str; 2]] = &[
     ["util-linux", "setsid --version"],
     // `systemd-analyze` checks the units in examples.
     ["systemd", "systemd-analyze --version"],
+    // Make the Debian package, and a root to install it in.
+    ["xz-utils", "xz --version"],
+    ["debootstrap", "debootstrap --version"],
     ["rustfmt-web", "cargo fmt --version"],
     ["rust-web-clippy", "cargo clippy --version"],
     QEMU,
@@ -52,6 +47,7 @@ const QEMU: [&str; 2] = [
 /// Installs everything that tests need.
 pub(crate) fn all(project: &Project) -> Result<()> {
     programs(project)?;
+    cargo_deb(project)?;
     javascript(project)?;
     peers(project)
 }
@@ -101,9 +97,7 @@ pub(crate) fn install(sh: &Shell, packages: &str) -> Result<()> {
 /// Installs QEMU for the boards if missing.
 pub(crate) fn qemu(sh: &Shell) -> Result<()> {
     let [packages, check] = QEMU;
-    version(sh, check)
-        .map(drop)
-        .or_else(|_| install(sh, packages))
+    version(sh, check).map_or_else(|_| install(sh, packages), |_| Ok(()))
 }
 
 /// Installs emulators for other processors if missing.
@@ -112,6 +106,39 @@ pub(crate) fn emulators(sh: &Shell) -> Result<()> {
         true => Ok(()),
         false => install(sh, "qemu-user-static"),
     }
+}
+
+/// Installs cargo-deb below the target directory; returns the program.
+pub(crate) fn cargo_deb(project: &Project) -> Result<PathBuf> {
+    const PACKAGE: &str = "cargo-deb@3.8.0";
+    let sh = &project.sh;
+    let home = project.target.join("tools");
+    let program = home.join("bin/cargo-deb");
+    let works = || has(sh, &program.to_string_lossy());
+    make_once(sh, &home.join("deb.stamp"), PACKAGE, works, || {
+        // Without its feature `lzma` it runs `xz`.
+        let options = ["--locked", "--no-default-features", "--root"];
+        cmd!(sh, "cargo install {options...} {home} {PACKAGE}").run()
+    })?;
+    Ok(program)
+}
+
+/// A minimal Debian 12; nothing is ever installed in it.
+pub(crate) fn debian_root(project: &Project) -> Result<PathBuf> {
+    const SUITE: &str = "bookworm";
+    let sh = &project.sh;
+    if cmd!(sh, "id -u").read()? != "0" {
+        bail!("only root may make a Debian root: run the test command as root");
+    }
+    let root = project.target.join("debian").join(SUITE);
+    let works = || root.join("usr/sbin/adduser").exists();
+    let stamp = root.with_extension("stamp");
+    make_once(sh, &stamp, SUITE, works, || {
+        sh.remove_path(&root)?;
+        let options = ["--variant=minbase", "--include=adduser"];
+        cmd!(sh, "debootstrap {options...} {SUITE} {root}").run()
+    })?;
+    Ok(root)
 }
 
 /// Runs `make`, unless the stamp says that it was run for the same content, and the result works.
@@ -129,14 +156,19 @@ fn make_once(
     }
     sh.remove_path(stamp)?;
     make()?;
-    if !works() {
-        bail!(
-            "what was just installed does not work: see {}",
-            stamp.display()
-        );
-    }
+    ensure!(
+        works(),
+        "the new installation does not work: see {}",
+        stamp.display()
+    );
     // Written last: without it, the installation is incomplete.
     Ok(sh.write_file(stamp, content)?)
+}
+
+/// pip of this Python, with these words.
+fn pip<'a>(sh: &'a Shell, python: &Path, words: &str) -> Cmd<'a> {
+    let pip = cmd!(sh, "{python} -m pip --disable-pip-version-check");
+    pip.args(words.split(' '))
 }
 
 /// A Python environment below the target directory with exactly these packages and what they need; returns its
@@ -152,20 +184,11 @@ pub(crate) fn environment(
     let python = venv.join("bin/python");
     let import = format!("import {import}");
     let works = || succeeds(cmd!(sh, "{python} -c {import}"));
-    make_once(
-        sh,
-        &venv.join("made.stamp"),
-        &packages.join(" "),
-        works,
-        || {
-            cmd!(sh, "python3 -m venv --clear {venv}").run()?;
-            cmd!(
-                sh,
-                "{python} -m pip install --disable-pip-version-check --quiet {packages...}"
-            )
-            .run()
-        },
-    )?;
+    let (stamp, content) = (venv.join("made.stamp"), packages.join(" "));
+    make_once(sh, &stamp, &content, works, || {
+        cmd!(sh, "python3 -m venv --clear {venv}").run()?;
+        pip(sh, &python, "install --quiet").args(packages).run()
+    })?;
     Ok(python)
 }
 
@@ -181,24 +204,20 @@ pub(crate) fn python(project: &Project) -> Result<PathBuf> {
     let suite = venv.join("original");
     // Also runs it: an environment breaks when its base Python is removed.
     let works = || succeeds(cmd!(sh, "{python} -c 'import ztl, zmq, oyaml, pytest'"));
-    make_once(
-        sh,
-        &venv.join("requirements.stamp"),
-        &content,
-        works,
-        || {
-            let pip = ["-m", "pip", "--disable-pip-version-check"];
-            let archive = suite.join("ztl-0.3.3.tar.gz");
-            cmd!(sh, "python3 -m venv --clear {venv}").run()?;
-            cmd!(sh, "{python} {pip...} install --no-deps -r {PACKAGES}").run()?;
-            cmd!(
-                sh,
-                "{python} {pip...} download --no-deps --no-binary ztl -r {SUITE} --dest {suite}"
-            )
+    let stamp = venv.join("requirements.stamp");
+    make_once(sh, &stamp, &content, works, || {
+        let archive = suite.join("ztl-0.3.3.tar.gz");
+        let download = "download --no-deps --no-binary ztl --requirement";
+        cmd!(sh, "python3 -m venv --clear {venv}").run()?;
+        pip(sh, &python, "install --no-deps --requirement")
+            .arg(PACKAGES)
             .run()?;
-            cmd!(sh, "{python} -m tarfile --extract {archive} {suite}").run()
-        },
-    )?;
+        pip(sh, &python, download)
+            .args([SUITE, "--dest"])
+            .arg(&suite)
+            .run()?;
+        cmd!(sh, "{python} -m tarfile --extract {archive} {suite}").run()
+    })?;
     Ok(python)
 }
 
@@ -246,22 +265,9 @@ fn old_libzmq(sh: &Shell, python: &Path, home: &Path) -> Result<()> {
         shutil.copy(glob.glob(sys.argv[1] + '/zmq/.libs/libzmq-*')[0], sys.argv[2])";
     let works = || library.exists();
     make_once(sh, &home.join("libzmq-4.1.6.stamp"), WHEEL, works, || {
-        let pip = [
-            "-m",
-            "pip",
-            "--disable-pip-version-check",
-            "download",
-            "--no-deps",
-        ];
-        let platform = "--only-binary=:all: --python-version 27 --implementation cp --abi cp27mu";
-        let platform = platform
-            .split(' ')
-            .chain(["--platform", "manylinux1_x86_64"]);
-        cmd!(
-            sh,
-            "{python} {pip...} {platform...} --dest {wheels} {WHEEL}"
-        )
-        .run()?;
+        let words = "download --no-deps --only-binary=:all: --python-version 27 --implementation cp \
+            --abi cp27mu --platform manylinux1_x86_64 --dest";
+        pip(sh, python, words).arg(&wheels).arg(WHEEL).run()?;
         cmd!(sh, "{python} -c {extract} {wheels} {library}").run()
     })
 }
@@ -279,19 +285,11 @@ fn java(sh: &Shell, home: &Path) -> Result<()> {
     let compiler = compiler().context("no Java compiler found")?;
     let classes = home.join("java");
     let works = || classes.exists();
-    make_once(
-        sh,
-        &home.join("java.stamp"),
-        &sh.read_file(SOURCE)?,
-        works,
-        || {
-            cmd!(
-                sh,
-                "{compiler} -source 11 -target 11 -nowarn -cp {JEROMQ} -d {classes} {SOURCE}"
-            )
-            .run()
-        },
-    )
+    let (stamp, source) = (home.join("java.stamp"), sh.read_file(SOURCE)?);
+    make_once(sh, &stamp, &source, works, || {
+        let options = "-source 11 -target 11 -nowarn -cp".split(' ');
+        cmd!(sh, "{compiler} {options...} {JEROMQ} -d {classes} {SOURCE}").run()
+    })
 }
 
 /// Installs the original and its dependencies for Python 2.7.
@@ -300,28 +298,14 @@ fn original27(sh: &Shell, python27: &Path, home: &Path) -> Result<()> {
     let packages = home.join("python27");
     let link = packages.join("python2.7");
     let works = || link.exists();
-    make_once(
-        sh,
-        &home.join("python27.stamp"),
-        &sh.read_file(PACKAGES)?,
-        works,
-        || {
-            sh.remove_path(&packages)?;
-            let pip = [
-                "-m",
-                "pip",
-                "--disable-pip-version-check",
-                "install",
-                "--no-deps",
-            ];
-            cmd!(
-                sh,
-                "{python27} {pip...} --no-binary ztl --target {packages} -r {PACKAGES}"
-            )
-            .run()?;
-            cmd!(sh, "ln -s {python27} {link}").run()
-        },
-    )
+    let (stamp, content) = (home.join("python27.stamp"), sh.read_file(PACKAGES)?);
+    make_once(sh, &stamp, &content, works, || {
+        sh.remove_path(&packages)?;
+        let words = "install --no-deps --no-binary ztl --requirement";
+        let install = pip(sh, python27, words).args([PACKAGES, "--target"]);
+        install.arg(&packages).run()?;
+        cmd!(sh, "ln -s {python27} {link}").run()
+    })
 }
 
 /// A Python 2.7 with pip: the one on the PATH, or one from pyenv.
@@ -331,11 +315,9 @@ fn python27(sh: &Shell) -> Option<PathBuf> {
     let versions = root.and_then(|root| sh.read_dir(Path::new(&root).join("versions")).ok());
     let versions = versions.unwrap_or_default().into_iter();
     let candidates = versions.map(|version| version.join("bin/python2.7"));
-    [PathBuf::from("python2.7")]
-        .into_iter()
-        .chain(candidates)
-        .find_map(|python| {
-            let found = cmd!(sh, "{python} -c 'import pip, sys; print(sys.executable)'");
-            found.ignore_stderr().read().ok().map(PathBuf::from)
-        })
+    let mut candidates = std::iter::once(PathBuf::from("python2.7")).chain(candidates);
+    candidates.find_map(|python| {
+        let found = cmd!(sh, "{python} -c 'import pip, sys; print(sys.executable)'");
+        found.ignore_stderr().read().ok().map(PathBuf::from)
+    })
 }

@@ -33,7 +33,7 @@ pub(crate) fn packages(lock: &str) -> Vec<Package> {
 pub(crate) fn check(sh: &Shell, manifest: &str) -> Result<()> {
     let ours = packages(&sh.read_file(manifest.replace(".toml", ".lock"))?);
     let others = packages(&sh.read_file("Cargo.lock")?);
-    if let Some((name, ours, others)) = differing(&ours, &others) {
+    if let Some([name, ours, others]) = differing(&ours, &others) {
         bail!(
             "{manifest} locks {name} {ours}, but Cargo.lock locks {others}: run \
              `cargo update --manifest-path {manifest} {name} --precise {others}`"
@@ -43,25 +43,17 @@ pub(crate) fn check(sh: &Shell, manifest: &str) -> Result<()> {
 }
 
 /// A package that could have the same version in both, but does not: its name and both versions.
-fn differing<'a>(
-    ours: &'a [Package],
-    others: &'a [Package],
-) -> Option<(&'a str, &'a str, &'a str)> {
-    ours.iter().find_map(|package| {
-        let compatible = |other: &&Package| {
-            other.name == package.name && series(&other.version) == series(&package.version)
-        };
-        let mut same = others
-            .iter()
-            .filter(compatible)
-            .map(|other| other.version.as_str());
-        match same.clone().any(|version| version == package.version) {
+fn differing<'a>(ours: &'a [Package], others: &'a [Package]) -> Option<[&'a str; 3]> {
+    ours.iter().find_map(|Package { name, version, .. }| {
+        let same = others.iter().filter(|other| other.name == *name);
+        let mut same = same.map(|other| other.version.as_str());
+        match same.clone().any(|other| other == version) {
             true => None,
-            false => Some((
-                package.name.as_str(),
-                package.version.as_str(),
-                same.next()?,
-            )),
+            false => Some([
+                name,
+                version,
+                same.find(|other| series(other) == series(version))?,
+            ]),
         }
     })
 }
@@ -80,12 +72,9 @@ mod tests {
 
     fn locked(list: &[(&str, &str)]) -> Vec<Package> {
         let text = |(name, version): &(&str, &str)| {
-            format!("[[package]]\nname = \"{name}\"\nversion = \"{version}\"\nchecksum = \"c\"\n\n")
+            format!("[[package]]\nname = \"{name}\"\nversion = \"{version}\"\n\n")
         };
-        packages(&format!(
-            "version = 4\n\n{}",
-            list.iter().map(text).collect::<String>()
-        ))
+        packages(&list.iter().map(text).collect::<String>())
     }
 
     #[test]
@@ -100,7 +89,7 @@ mod tests {
         }
         for (name, version, other) in [("a", "1.3.0", "1.2.3"), ("b", "0.2.8", "0.2.7")] {
             let ours = locked(&[(name, version)]);
-            assert_eq!(differing(&ours, &others), Some((name, version, other)));
+            assert_eq!(differing(&ours, &others), Some([name, version, other]));
         }
     }
 }

@@ -1,7 +1,6 @@
 //! Commands that run for minutes or hours: simulations, soak tests and benchmarks.
 
 use anyhow::Result;
-use xshell::cmd;
 
 use crate::project::Project;
 use crate::{firmware, install};
@@ -9,30 +8,18 @@ use crate::{firmware, install};
 /// The package of the model checker and the simulation.
 pub(crate) const SIMULATION: &str = "ztl-simulation";
 
-/// Optimised, with the checks of a debug build.
-const PROFILE: [&str; 3] = ["--profile", "simulation", "--locked"];
-
 /// `cargo xtask model` and `cargo xtask simulate`: check the link's promises on the real state machines.
 pub(crate) fn simulation(project: &Project, what: &str, args: &[String]) -> Result<()> {
-    let sh = &project.sh;
-    cmd!(
-        sh,
-        "cargo run --quiet {PROFILE...} --package {SIMULATION} -- {what} {args...}"
-    )
-    .run()?;
-    Ok(())
+    let run = project.cargo("run --quiet --profile simulation --package");
+    let run = run.args([SIMULATION, "--", what]).args(args);
+    Ok(run.run()?)
 }
 
 /// The part that `cargo xtask test` runs: everything with one fault, that mutants are detected, and 2,000
 /// laboratories.
 pub(crate) fn check_simulation(project: &Project) -> Result<()> {
-    let sh = &project.sh;
-    cmd!(
-        sh,
-        "cargo test {PROFILE...} --package {SIMULATION} -- --show-output"
-    )
-    .run()?;
-    Ok(())
+    let test = project.cargo("test --profile simulation --package");
+    Ok(test.args([SIMULATION, "--", "--show-output"]).run()?)
 }
 
 /// How long `cargo xtask soak` runs.
@@ -49,29 +36,25 @@ pub(crate) struct Soak {
     many: u32,
 }
 
+/// Builds the programs to measure.
+const BUILD: &str = "build --release --workspace --bins";
+
 /// Tasks before the resets: as many results as a gateway keeps, so that it reaches its full size.
 const FILL: &str = "10500";
 
 impl Soak {
     /// Runs everything; each test prints a short report.
     pub(crate) fn run(&self, project: &Project) -> Result<()> {
-        let sh = &project.sh;
-        let [tasks, resets, many] = [self.tasks, self.resets, self.many].map(|n| n.to_string());
-        let test = ["test", "--release", "--locked", "--package", "ztl-tests"];
-        let end = ["--", "--nocapture", "--test-threads", "1"];
-        cmd!(sh, "cargo build --release --workspace --bins --locked").run()?;
-        let vars = format!("ZTL_TASKS={tasks} ZTL_RESETS={resets} ZTL_FILL={FILL}");
-        let vars = vars.split(' ');
-        cmd!(
-            sh,
-            "env {vars...} cargo {test...} --test line_faults {end...}"
-        )
-        .run()?;
-        cmd!(
-            sh,
-            "env ZTL_MANY_TASKS={many} cargo {test...} --test many_tasks {end...}"
-        )
-        .run()?;
+        project.cargo(BUILD).run()?;
+        for test in ["line_faults", "many_tasks"] {
+            let run = project.cargo("test --release --package ztl-tests --test");
+            run.args([test, "--", "--nocapture", "--test-threads", "1"])
+                .env("ZTL_TASKS", self.tasks.to_string())
+                .env("ZTL_RESETS", self.resets.to_string())
+                .env("ZTL_FILL", FILL)
+                .env("ZTL_MANY_TASKS", self.many.to_string())
+                .run()?;
+        }
         Ok(())
     }
 }
@@ -86,21 +69,11 @@ pub(crate) fn bench(project: &Project, parts: &[String]) -> Result<()> {
     let (firmware, server): (Vec<_>, Vec<_>) = parts.iter().partition(|part| *part == "firmware");
     let all = parts.is_empty();
     if all || !server.is_empty() {
-        let sh = &project.sh;
         install::python(project)?;
-        // The programs to measure.
-        cmd!(sh, "cargo build --release --workspace --bins --locked").run()?;
-        let choice = if all {
-            None
-        } else {
-            Some(["--bench", "server", "--"])
-        };
-        let choice = choice.into_iter().flatten();
-        cmd!(
-            sh,
-            "cargo bench --locked --package ztl-tests {choice...} {server...}"
-        )
-        .run()?;
+        project.cargo(BUILD).run()?;
+        let choice = if all { "" } else { " --bench server --" };
+        let bench = project.cargo(&format!("bench --package ztl-tests{choice}"));
+        bench.args(server).run()?;
     }
     if all || !firmware.is_empty() {
         firmware::bench(project)?;

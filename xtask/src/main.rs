@@ -5,6 +5,7 @@ mod capi;
 mod cross;
 mod curve;
 mod cycles;
+mod deb;
 mod dist;
 mod firmware;
 mod fuzz;
@@ -68,6 +69,11 @@ enum Command {
         /// Also run them, and the C libraries for them.
         #[arg(long)]
         check: bool,
+    },
+    /// Build Debian packages of static `ztl` programs.
+    Deb {
+        /// Processors of `cargo xtask dist`; otherwise this machine's.
+        targets: Vec<String>,
     },
     /// Build the images of examples/firmware.
     Firmware {
@@ -144,6 +150,7 @@ fn run(command: Command) -> anyhow::Result<()> {
             glibc,
         } => capi::build(project, &targets, check, glibc),
         Command::Dist { targets, check } => dist::build(project, &targets, check),
+        Command::Deb { targets } => deb::build(project, &targets).map(drop),
         Command::Firmware { board } => firmware::show(project, board.as_deref()),
         Command::Qemu { board, port } => firmware::run_in_qemu(project, &board, port),
         Command::Size { accept: true } => size::accept(project),

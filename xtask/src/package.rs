@@ -8,26 +8,18 @@ use crate::cross;
 use crate::project::{PACKAGE, Project};
 
 /// In an order in which they can be published.
+#[rustfmt::skip]
 const CRATES: [&str; 9] = [
-    "ztl-core",
-    "ztl-mcu",
-    "ztl-link",
-    "ztl-yaml",
-    "ztl-std",
-    "ztl-script",
-    "ztl-serve",
-    "ztl-sim",
-    "ztl",
+    "ztl-core", "ztl-mcu", "ztl-link", "ztl-yaml", "ztl-std", "ztl-script", "ztl-serve", "ztl-sim", "ztl",
 ];
 
 /// Packages each crate, and compiles the last one from the packages alone, which replace the registry.
 pub(crate) fn check(project: &Project) -> Result<()> {
     let sh = &project.sh;
     let packages = CRATES.iter().flat_map(|name| ["--package", name]);
-    let package = cmd!(
-        sh,
-        "cargo package --no-verify --locked --allow-dirty {packages...}"
-    );
+    let package = project
+        .cargo("package --no-verify --allow-dirty")
+        .args(packages);
     println!("$ {package}");
     let stderr = package.read_stderr()?;
     if stderr.lines().any(|line| line.starts_with("warning")) {
@@ -44,14 +36,14 @@ pub(crate) fn check(project: &Project) -> Result<()> {
         let packed = place.with_file_name(format!("{versioned}.crate"));
         cmd!(sh, "tar -xzf {packed} -C {place}").run()?;
         let unpacked = place.join(versioned);
-        check = match Some(&name) == CRATES.last() {
+        let unpacked = unpacked.display();
+        check = match name == PACKAGE {
             true => check
                 .arg("--manifest-path")
-                .arg(unpacked.join("Cargo.toml")),
-            false => {
-                let patch = format!("patch.crates-io.{name}.path='{}'", unpacked.display());
-                check.args(["--config", &patch])
-            }
+                .arg(format!("{unpacked}/Cargo.toml")),
+            false => check
+                .arg("--config")
+                .arg(format!("patch.crates-io.{name}.path='{unpacked}'")),
         };
     }
     Ok(check.run()?)
@@ -69,19 +61,12 @@ pub(crate) fn check_foreign(project: &Project) -> Result<()> {
         }
         // Replaces the compilation of libzmq, which needs a foreign compiler; nothing is linked.
         let zmq = format!("target.{target}.zmq.rustc-link-lib=['zmq']");
-        let dir = project.target.join("foreign");
-        let check = [
-            "check",
-            "--locked",
-            "--package",
-            PACKAGE,
-            "--target",
-            target,
-            "--config",
-        ];
-        cmd!(sh, "cargo {check...} {zmq} --target-dir {dir}")
-            .env("RUSTFLAGS", "-D warnings")
-            .run()?;
+        let check = project
+            .cargo("check --package")
+            .args([PACKAGE, "--target", target]);
+        let check = check.args(["--config", &zmq, "--target-dir"]);
+        let check = check.arg(project.target.join("foreign"));
+        check.env("RUSTFLAGS", "-D warnings").run()?;
     }
     Ok(())
 }

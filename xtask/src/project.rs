@@ -40,6 +40,28 @@ impl Project {
     }
 }
 
+impl Project {
+    /// `cargo` with these words, and the package versions of the lock file.
+    pub(crate) fn cargo(&self, words: &str) -> Cmd<'_> {
+        self.sh.cmd("cargo").arg("--locked").args(words.split(' '))
+    }
+
+    /// The same for tests, which start programs and stop them by signals. This program may ignore signals, as under
+    /// `nohup` or in the background of a script; the tests must not.
+    pub(crate) fn cargo_test(&self, words: &str) -> Cmd<'_> {
+        let env = self.sh.cmd("env").arg("--default-signal=HUP,INT,QUIT");
+        env.args(["cargo", "--locked", "test"])
+            .args(words.split(' '))
+    }
+}
+
+/// The parts of a document before, between and after `<!-- mark -->` and `<!-- /mark -->`.
+pub(crate) fn marked<'t>(text: &'t str, mark: &str) -> Option<[&'t str; 3]> {
+    let (before, rest) = text.split_once(&format!("<!-- {mark} -->"))?;
+    let (between, after) = rest.split_once(&format!("<!-- /{mark} -->"))?;
+    Some([before, between, after])
+}
+
 /// Whether a command succeeds. It prints nothing.
 pub(crate) fn succeeds(command: Cmd<'_>) -> bool {
     let quiet = command.quiet().ignore_stdout().ignore_stderr();

@@ -3,12 +3,12 @@
 
 use std::fmt::Write as _;
 
-use anyhow::{Context as _, Result, bail, ensure};
+use anyhow::{Context as _, Result, ensure};
 use xshell::Shell;
 
 use crate::cross::{self, Core, TARGETS};
-use crate::image::{self, Image};
-use crate::project::Project;
+use crate::image::{self, Image, Symbol};
+use crate::project::{Project, marked};
 use crate::{firmware, lock};
 
 /// The files that record and show sizes.
@@ -43,29 +43,18 @@ const TOLERANCE: u64 = 2;
 /// The same if the compiler version differs from that of the record.
 const TOLERANCE_ELSEWHERE: u64 = 10;
 
-/// Marks around the record in a README.
-const MARKS: (&str, &str) = ("<!-- sizes -->", "<!-- /sizes -->");
-
 /// Compares with the records and the READMEs.
 pub(crate) fn check(project: &Project) -> Result<()> {
-    let known = |files: &SizeFiles| -> Result<Record> {
-        let record = Record::parse(&project.sh.read_file(files.record)?).context(files.record)?;
-        let readme = project.sh.read_file(files.readme)?;
-        let shown = shown(&readme, &record.table(files.column)).context(files.readme)?;
-        ensure!(
-            shown == readme,
-            "{} shows other sizes than {}",
-            files.readme,
-            files.record
-        );
-        Ok(record)
-    };
-    let accept = "run `cargo xtask size --accept` to record the sizes";
     let compare = |files: &SizeFiles, measured: &Record| -> Result<()> {
-        let compared = known(files)?.compare(measured).context(files.record)?;
-        println!("{compared}");
+        let SizeFiles { record, readme, .. } = files;
+        let known = Record::parse(&project.sh.read_file(record)?).context(*record)?;
+        let text = project.sh.read_file(readme)?;
+        let shown = shown(&text, &known.table(files.column)).context(*readme)?;
+        ensure!(shown == text, "{readme} shows other sizes than {record}");
+        println!("{}", known.compare(measured).context(*record)?);
         Ok(())
     };
+    let accept = "run `cargo xtask size --accept` to record the sizes";
     compare(&STANDARD, &measure(project)?).context(accept)?;
     compare(&FIRMWARE, &measure_firmware(project)?).context(accept)
 }
@@ -106,9 +95,8 @@ fn measure_firmware(project: &Project) -> Result<Record> {
             let image = Image::read(&path)?;
             let name = path.file_name().unwrap_or_default().to_string_lossy();
             if !firmware::has_foreign_code(&name) {
-                refuse_formatting(&image)
-                    .and_then(|()| refuse_panics(&image))
-                    .with_context(|| name.to_string())?;
+                let refused = refuse_formatting(&image).and_then(|()| refuse_panics(&image));
+                refused.with_context(|| name.to_string())?;
             }
             record.add(&name, &image);
         }
@@ -118,16 +106,11 @@ fn measure_firmware(project: &Project) -> Result<Record> {
 
 /// The largest symbols.
 fn breakdown(target: &str, image: &Image) -> String {
-    let Image {
-        flash,
-        ram,
-        symbols,
-    } = image;
-    let mut text = format!("\n{target}: {flash} bytes of flash, {ram} of static RAM\n");
-    let mut rest = *flash;
-    for symbol in symbols.iter().take(10) {
-        let _ = writeln!(text, "{:>8}  {}", symbol.size, symbol.name);
-        rest = rest.saturating_sub(symbol.size);
+    let (mut rest, ram) = (image.flash, image.ram);
+    let mut text = format!("\n{target}: {rest} bytes of flash, {ram} of static RAM\n");
+    for Symbol { name, size } in image.symbols.iter().take(10) {
+        text += &format!("{size:>8}  {name}\n");
+        rest = rest.saturating_sub(*size);
     }
     text + &format!("{rest:>8}  everything else, including unnamed constants\n")
 }
@@ -147,9 +130,8 @@ fn refuse_panics(image: &Image) -> Result<()> {
 /// Lists the symbols whose names contain one of `parts`.
 fn refuse(image: &Image, parts: &[&str]) -> Result<()> {
     let names = image.symbols.iter().map(|symbol| symbol.name.as_str());
-    let found: Vec<&str> = names
-        .filter(|name| parts.iter().any(|part| name.contains(part)))
-        .collect();
+    let refused = names.filter(|name| parts.iter().any(|part| name.contains(part)));
+    let found: Vec<&str> = refused.collect();
     ensure!(found.is_empty(), "the image contains {}", found.join(", "));
     Ok(())
 }
@@ -184,11 +166,10 @@ impl Record {
                 let (flash, ram) = sizes.split_once(' ')?;
                 Some((image.to_owned(), [flash.parse().ok()?, ram.parse().ok()?]))
             };
+            let size = || size().with_context(|| format!("invalid line `{line}`"));
             match line.strip_prefix("compiler ") {
                 Some(compiler) => record.compiler = compiler.to_owned(),
-                None => record
-                    .sizes
-                    .push(size().with_context(|| format!("invalid line `{line}`"))?),
+                None => record.sizes.push(size()?),
             }
         }
         Ok(record)
@@ -212,17 +193,18 @@ impl Record {
         for (image, sizes) in &measured.sizes {
             let known = self.sizes.iter().find(|(known, _)| known == image);
             let (_, known) = known.with_context(|| format!("{image} is missing"))?;
-            for (what, (known, now)) in ["flash", "static RAM"].iter().zip(known.iter().zip(sizes))
-            {
+            let whats = ["flash", "static RAM"].iter();
+            for (what, (known, now)) in whats.zip(known.iter().zip(sizes)) {
                 let beyond = known.abs_diff(*now) * 100 > known * tolerance;
                 deviates |= beyond;
                 let verdict = if beyond { "  BEYOND" } else { "" };
                 let _ = writeln!(text, "{image}: {what} {now}, record {known}{verdict}");
             }
         }
-        if deviates {
-            bail!("an image deviates by more than {tolerance} %:\n{text}");
-        }
+        ensure!(
+            !deviates,
+            "an image deviates by more than {tolerance} %:\n{text}"
+        );
         Ok(text)
     }
 
@@ -250,34 +232,29 @@ impl Record {
 
 /// The README with this table between its marks.
 fn shown(readme: &str, table: &str) -> Result<String> {
-    let (begin, end) = MARKS;
-    let marked = readme.split_once(begin);
-    let marked = marked.and_then(|(before, rest)| Some((before, rest.split_once(end)?.1)));
-    let (before, behind) = marked.with_context(|| format!("no {begin} followed by {end}"))?;
-    Ok(format!("{before}{begin}\n{table}\n{end}{behind}"))
+    let marked = marked(readme, "sizes").context("no <!-- sizes --> followed by <!-- /sizes -->");
+    let [before, _, after] = marked?;
+    Ok(format!(
+        "{before}<!-- sizes -->\n{table}\n<!-- /sizes -->{after}"
+    ))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::image::Symbol;
 
+    #[rustfmt::skip]
     fn record(compiler: &str, flash: u64, ram: u64) -> Record {
         let sizes = vec![("thumbv6m-none-eabi".to_owned(), [flash, ram])];
-        Record {
-            compiler: compiler.to_owned(),
-            sizes,
-        }
+        Record { compiler: compiler.to_owned(), sizes }
     }
 
     #[test]
     fn a_record_round_trips_through_its_file() {
         let record = record("rustc 1.95.0 (59807616e 2026-04-14)", 6000, 900);
         assert_eq!(Record::parse(&record.file("x")).unwrap(), record);
-        let error = Record::parse("thumbv6m-none-eabi 6000")
-            .unwrap_err()
-            .to_string();
-        assert_eq!(error, "invalid line `thumbv6m-none-eabi 6000`");
+        let error = Record::parse("thumbv6m-none-eabi 6000").unwrap_err();
+        assert_eq!(error.to_string(), "invalid line `thumbv6m-none-eabi 6000`");
     }
 
     #[test]
@@ -293,14 +270,9 @@ mod tests {
             let result = known.compare(&record("a", flash, ram));
             assert_eq!(result.is_ok(), passes, "{flash} {ram}");
         }
-        let message = known
-            .compare(&record("a", 6000, 1000))
-            .unwrap_err()
-            .to_string();
-        assert!(
-            message.contains("flash 6000, record 5000  BEYOND"),
-            "{message}"
-        );
+        let error = known.compare(&record("a", 6000, 1000)).unwrap_err();
+        let beyond = "flash 6000, record 5000  BEYOND";
+        assert!(error.to_string().contains(beyond), "{error}");
     }
 
     #[test]
@@ -313,13 +285,12 @@ mod tests {
 
     #[test]
     fn formatting_and_panics_are_detected_by_their_symbols() {
-        let image = |name: &str| Image {
-            flash: 100,
-            ram: 0,
-            symbols: vec![Symbol {
-                name: image::demangled(name),
-                size: 10,
-            }],
+        let image = |name: &str| {
+            let (name, size) = (image::demangled(name), 10);
+            Image {
+                symbols: vec![Symbol { name, size }],
+                ..Image::default()
+            }
         };
         let fine = image("_ZN8ztl_core4sink9put_fixed17he42edfd832160e44E");
         assert!(refuse_formatting(&fine).is_ok());

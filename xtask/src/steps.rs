@@ -7,12 +7,8 @@ use xshell::cmd;
 
 use crate::project::Project;
 use crate::{
-    bare, capi, curve, dist, firmware, fuzz, image, install, long_runs, package, proof, size,
+    bare, capi, curve, deb, dist, firmware, fuzz, image, install, long_runs, package, proof, size,
 };
-
-/// An option of `env`: the command heeds signals, even where this one ignores them, as under `nohup` or in the
-/// background of a script. The tests start programs that are stopped by signals.
-const HEED_SIGNALS: &str = "--default-signal=HUP,INT,QUIT";
 
 /// The packages outside the workspace.
 const APART: [&str; 6] = [
@@ -35,7 +31,7 @@ const fn step(name: &'static str, about: &'static str, run: fn(&Project) -> Resu
 }
 
 #[rustfmt::skip]
-const STEPS: [Step; 20] = [
+const STEPS: [Step; 21] = [
     step("tools", "compilers, libraries and programs are installed", install::programs),
     step("fmt", "all code is formatted, also outside the workspace", format),
     step("clippy", "no lint fires, in the workspace and in each no_std crate alone", clippy),
@@ -53,6 +49,7 @@ const STEPS: [Step; 20] = [
     step("curve", "with encryption: only clients with an allowed key are served", curve::test),
     step("c", "the C interface: examples and misuse, with the original's client, under sanitizers and valgrind", capi::test),
     step("dist", "the static programs for x86-64 and i686 run in an empty root, and on old kernels", dist::test),
+    step("deb", "the Debian package installs in an empty root, runs the demo, and leaves no trace", deb::test),
     step("model", "the link keeps its promises whatever goes wrong, and mistakes are detected", long_runs::check_simulation),
     step("fuzz", "no fuzz target breaks a promise on its corpus, and on inputs generated from one seed", fuzz::smoke),
     step("demo", "`ztl demo --once` completes", demo),
@@ -96,15 +93,12 @@ pub(crate) fn test(project: &Project, only: &[String]) -> Result<()> {
 }
 
 pub(crate) fn check(project: &Project) -> Result<()> {
-    run(
-        project,
-        &CHECK.each_ref(),
-        "cargo xtask check; it stopped at",
-    )
+    let again = "cargo xtask check; it stopped at";
+    run(project, &CHECK.each_ref(), again)
 }
 
 fn run(project: &Project, steps: &[&Step], again: &str) -> Result<()> {
-    let begin = Instant::now();
+    let all = Instant::now();
     for (index, Step { name, about, run }) in steps.iter().enumerate() {
         println!("\n=== {}/{} {name}: {about}", index + 1, steps.len());
         let begin = Instant::now();
@@ -115,11 +109,8 @@ fn run(project: &Project, steps: &[&Step], again: &str) -> Result<()> {
         println!("--- {name}: ok, {}", seconds(begin.elapsed()));
     }
     let names: Vec<&str> = steps.iter().map(|step| step.name).collect();
-    println!(
-        "\nAll passed in {}: {}",
-        seconds(begin.elapsed()),
-        names.join(", ")
-    );
+    let time = seconds(all.elapsed());
+    println!("\nAll passed in {time}: {}", names.join(", "));
     Ok(())
 }
 
@@ -139,74 +130,49 @@ fn format(project: &Project) -> Result<()> {
 }
 
 fn clippy_workspace(project: &Project) -> Result<()> {
-    let sh = &project.sh;
-    Ok(cmd!(
-        sh,
-        "cargo clippy --workspace --all-targets --locked -- -D warnings"
-    )
-    .run()?)
+    let words = "clippy --workspace --all-targets -- -D warnings";
+    Ok(project.cargo(words).run()?)
 }
 
 fn clippy(project: &Project) -> Result<()> {
-    let sh = &project.sh;
+    const DENY: [&str; 3] = ["--", "-D", "warnings"];
     clippy_workspace(project)?;
-    let (node, target) = (bare::NODE, project.target.join("node"));
-    cmd!(
-        sh,
-        "cargo clippy --locked --target-dir {target} --manifest-path {node} -- -D warnings"
-    )
-    .run()?;
+    let node = project.cargo("clippy --manifest-path").arg(bare::NODE);
+    let node = node.arg("--target-dir").arg(project.target.join("node"));
+    node.args(DENY).run()?;
     for package in bare::CRATES {
         for features in bare::FEATURES {
-            let deny = ["--", "-D", "warnings"];
-            cmd!(
-                sh,
-                "cargo clippy --locked --package {package} {features...} {deny...}"
-            )
-            .run()?;
+            let clippy = project.cargo("clippy --package").arg(package);
+            clippy.args(features).args(DENY).run()?;
         }
     }
     Ok(())
 }
 
 fn doc(project: &Project) -> Result<()> {
-    let sh = &project.sh;
-    let doc = cmd!(sh, "cargo doc --workspace --no-deps --locked");
+    let doc = project.cargo("doc --workspace --no-deps");
     Ok(doc.env("RUSTDOCFLAGS", "-D warnings").run()?)
 }
 
 /// The programs that the integration tests and the demo start.
 fn build_programs(project: &Project) -> Result<()> {
-    let sh = &project.sh;
-    Ok(cmd!(sh, "cargo build --workspace --bins --examples --locked").run()?)
+    Ok(project.cargo("build --workspace --bins --examples").run()?)
 }
 
 fn units(project: &Project) -> Result<()> {
-    let sh = &project.sh;
-    let simulation = long_runs::SIMULATION;
-    cmd!(
-        sh,
-        "env {HEED_SIGNALS} cargo test --workspace --lib --bins --locked --exclude {simulation}"
-    )
-    .run()?;
-    Ok(())
+    let test = project.cargo_test("--workspace --lib --bins --exclude");
+    Ok(test.arg(long_runs::SIMULATION).run()?)
 }
 
 fn wire(project: &Project) -> Result<()> {
-    let sh = &project.sh;
     install::python(project)?;
     build_programs(project)?;
     let tests = WIRE.iter().flat_map(|name| ["--test", name]);
-    cmd!(
-        sh,
-        "env {HEED_SIGNALS} cargo test --package ztl-tests --locked {tests...}"
-    )
-    .run()?;
-    Ok(())
+    let test = project.cargo_test("--package ztl-tests");
+    Ok(test.args(tests).run()?)
 }
 
 fn tests(project: &Project) -> Result<()> {
-    let sh = &project.sh;
     install::python(project)?;
     install::javascript(project)?;
     install::peers(project)?;
@@ -214,15 +180,11 @@ fn tests(project: &Project) -> Result<()> {
     firmware::build_for_qemu(project)?;
     // The tests of the simulation run in the step `model`, and those of ztl-c in the step `c`, which builds its
     // libraries.
-    let apart = ["--exclude", long_runs::SIMULATION, "--exclude", "ztl-c"];
-    cmd!(
-        sh,
-        "env {HEED_SIGNALS} cargo test --workspace --locked --no-fail-fast {apart...}"
-    )
-    .run()?;
+    let test = project.cargo_test("--workspace --no-fail-fast --exclude ztl-c --exclude");
+    test.arg(long_runs::SIMULATION).run()?;
     // The features that the workspace does not use: components, an async loop, what interrupts share, defmt.
-    cmd!(sh, "cargo test --package ztl-mcu --all-features --locked").run()?;
-    Ok(())
+    let test = project.cargo_test("--package ztl-mcu --all-features");
+    Ok(test.run()?)
 }
 
 fn demo(project: &Project) -> Result<()> {
@@ -245,10 +207,8 @@ mod tests {
         let manifests = cmd!(sh, "git ls-files *Cargo.toml").read().unwrap();
         let separate = |path: &&str| sh.read_file(path).unwrap().contains("[workspace]");
         for manifest in manifests.lines().filter(separate) {
-            assert!(
-                manifest == "Cargo.toml" || APART.contains(&manifest),
-                "{manifest}"
-            );
+            let known = manifest == "Cargo.toml" || APART.contains(&manifest);
+            assert!(known, "{manifest}");
         }
     }
 

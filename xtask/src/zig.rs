@@ -46,30 +46,20 @@ pub(crate) struct Target {
     pub(crate) emulator: &'static str,
 }
 
-const fn target(
-    name: &'static str,
-    triple: &'static str,
-    zig: &'static str,
-    emulator: &'static str,
-) -> Target {
-    Target {
-        name,
-        glibc: false,
-        triple,
-        zig,
-        emulator,
-    }
+#[rustfmt::skip]
+const fn target([name, triple, zig, emulator]: [&'static str; 4]) -> Target {
+    Target { name, glibc: false, triple, zig, emulator }
 }
 
 #[rustfmt::skip]
 const TARGETS: [Target; 7] = [
-    target("x86_64", "x86_64-unknown-linux-musl", "x86_64-linux-musl", "qemu-x86_64-static -cpu qemu64"),
-    target("i686", "i686-unknown-linux-musl", "x86-linux-musl -mcpu=pentium4", "qemu-i386-static -cpu n270"),
-    target("i586", "i586-unknown-linux-musl", "x86-linux-musl -mcpu=pentium", "qemu-i386-static -cpu pentium"),
-    target("aarch64", "aarch64-unknown-linux-musl", "aarch64-linux-musl", "qemu-aarch64-static -cpu cortex-a53"),
-    target("armv7", "armv7-unknown-linux-musleabihf", "arm-linux-musleabihf -mcpu=generic+v7a+vfp3-d32+thumb2-neon", "qemu-arm-static -cpu cortex-a7"),
-    target("arm", "arm-unknown-linux-musleabihf", "arm-linux-musleabihf -mcpu=generic+v6+vfp2+strict_align", "qemu-arm-static -cpu arm1176"),
-    target("armv5te", "armv5te-unknown-linux-musleabi", "arm-linux-musleabi -mcpu=generic+v5te+soft_float+strict_align", "qemu-arm-static -cpu arm926"),
+    target(["x86_64", "x86_64-unknown-linux-musl", "x86_64-linux-musl", "qemu-x86_64-static -cpu qemu64"]),
+    target(["i686", "i686-unknown-linux-musl", "x86-linux-musl -mcpu=pentium4", "qemu-i386-static -cpu n270"]),
+    target(["i586", "i586-unknown-linux-musl", "x86-linux-musl -mcpu=pentium", "qemu-i386-static -cpu pentium"]),
+    target(["aarch64", "aarch64-unknown-linux-musl", "aarch64-linux-musl", "qemu-aarch64-static -cpu cortex-a53"]),
+    target(["armv7", "armv7-unknown-linux-musleabihf", "arm-linux-musleabihf -mcpu=generic+v7a+vfp3-d32+thumb2-neon", "qemu-arm-static -cpu cortex-a7"]),
+    target(["arm", "arm-unknown-linux-musleabihf", "arm-linux-musleabihf -mcpu=generic+v6+vfp2+strict_align", "qemu-arm-static -cpu arm1176"]),
+    target(["armv5te", "armv5te-unknown-linux-musleabi", "arm-linux-musleabi -mcpu=generic+v5te+soft_float+strict_align", "qemu-arm-static -cpu arm926"]),
 ];
 
 impl Target {
@@ -90,15 +80,16 @@ impl Target {
         name.replace("musl", if self.glibc { "gnu" } else { "musl" })
     }
 
+    /// What follows a target's name: the version of its glibc.
+    fn version(&self) -> String {
+        let version = || format!(".{GLIBC}");
+        self.glibc.then(version).unwrap_or_default()
+    }
+
     /// The options of zig's compiler for this target.
     pub(crate) fn zig_options(&self) -> Vec<String> {
-        let version = if self.glibc {
-            format!(".{GLIBC}")
-        } else {
-            String::new()
-        };
         let mut words = self.zig.split(' ');
-        let system = self.libc(words.next().unwrap_or_default()) + &version;
+        let system = self.libc(words.next().unwrap_or_default()) + &self.version();
         let options = ["-target".to_owned(), system].into_iter();
         options.chain(words.map(str::to_owned)).collect()
     }
@@ -160,22 +151,16 @@ impl<'a> Zig<'a> {
             format!("{}=ztl", project.root.display()),
             format!("{home}=cargo"),
         ];
-        let flags = |flag: &str| {
-            places
-                .each_ref()
-                .map(|place| format!(" {flag}={place}"))
-                .concat()
-        };
+        let flags = |flag: &str| places.each_ref().map(|place| format!(" {flag}={place}"));
+        let flags = |flag: &str| flags(flag).concat();
         // With glibc, a shared library is built.
-        let (version, code, pic) = match target.glibc {
-            true => (format!(".{GLIBC}"), "pic", " -fPIC"),
-            false => (String::new(), "static", ""),
+        let (code, pic) = match target.glibc {
+            true => ("pic", " -fPIC"),
+            false => ("static", ""),
         };
-        let triple = target.triple() + &version;
-        let rust = format!(
-            "-C link-self-contained=no -C relocation-model={code}{}",
-            flags("--remap-path-prefix")
-        );
+        let triple = target.triple() + &target.version();
+        let options = format!("-C link-self-contained=no -C relocation-model={code}");
+        let rust = options + &flags("--remap-path-prefix");
         let c = format!("{pic}{}", flags("-ffile-prefix-map"));
         let std = "-Zbuild-std=std,panic_unwind";
         Ok(cmd!(
@@ -207,10 +192,8 @@ impl<'a> Zig<'a> {
 
     /// The path of a built program or library.
     pub(crate) fn built(&self, target: Target, name: &str) -> PathBuf {
-        self.target_dir
-            .join(target.triple())
-            .join(PROFILE)
-            .join(name)
+        let built = self.target_dir.join(target.triple());
+        built.join(PROFILE).join(name)
     }
 
     /// zig's C++ compiler for a target.
@@ -235,21 +218,12 @@ mod tests {
     fn a_target_with_glibc_is_the_same_processor() {
         let armv7 = targets(&["armv7"]).unwrap()[0];
         let processor = "-mcpu=generic+v7a+vfp3-d32+thumb2-neon";
-        assert_eq!(
-            armv7.zig_options(),
-            ["-target", "arm-linux-musleabihf", processor]
-        );
+        let options = |libc| ["-target", libc, processor];
+        assert_eq!(armv7.zig_options(), options("arm-linux-musleabihf"));
         let armv7 = armv7.with_glibc();
-        assert_eq!(
-            armv7.zig_options(),
-            ["-target", "arm-linux-gnueabihf.2.17", processor]
-        );
+        assert_eq!(armv7.zig_options(), options("arm-linux-gnueabihf.2.17"));
         assert_eq!(armv7.triple(), "armv7-unknown-linux-gnueabihf");
-        assert!(
-            targets(&["armv8"])
-                .unwrap_err()
-                .to_string()
-                .contains("aarch64")
-        );
+        let error = targets(&["armv8"]).unwrap_err().to_string();
+        assert!(error.contains("aarch64"), "{error}");
     }
 }

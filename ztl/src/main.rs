@@ -10,6 +10,8 @@ mod called;
 mod check;
 mod client;
 mod columns;
+#[cfg(feature = "pages")]
+mod completions;
 mod demo;
 mod describe;
 mod device;
@@ -30,6 +32,8 @@ mod listen_options;
 #[cfg(unix)]
 mod live;
 mod log;
+#[cfg(feature = "pages")]
+mod man;
 mod option_values;
 mod original;
 mod ps;
@@ -57,6 +61,8 @@ mod version;
 use std::ffi::OsString;
 use std::process::ExitCode;
 
+#[cfg(feature = "pages")]
+use clap::CommandFactory as _;
 use clap::error::{ContextKind, ContextValue};
 use clap::{Parser, Subcommand};
 
@@ -107,6 +113,12 @@ enum Command {
     Report(report::Report),
     /// Check a script for mistakes
     Check(check::Check),
+    /// Print a script that completes this command in a shell
+    #[cfg(feature = "pages")]
+    Completions(completions::Completions),
+    /// Write the man pages of this command and its subcommands
+    #[cfg(feature = "pages")]
+    Man(man::Man),
     #[command(flatten)]
     Tool(tools::Tool),
 }
@@ -150,6 +162,10 @@ fn main() -> ExitCode {
         Command::Abort(abort) => abort.run(),
         Command::Report(report) => report.run(),
         Command::Check(check) => check.run(),
+        #[cfg(feature = "pages")]
+        Command::Completions(completions) => completions.run(&mut Cli::command()),
+        #[cfg(feature = "pages")]
+        Command::Man(man) => man.run(Cli::command()),
         Command::Tool(tool) => return tool.run(),
     };
     exit("ztl", done)

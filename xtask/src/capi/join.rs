@@ -34,14 +34,20 @@ pub(super) struct Tools {
 }
 
 impl Tools {
-    /// For this machine.
-    pub(super) const HOST: Self = Self {
+    /// GNU's linker without options, for a target without C++.
+    pub(super) const BARE: Self = Self {
         prefix: "",
         linker: &[],
+        unmark: &[],
+        runtime: &[],
+    };
+
+    /// For this machine.
+    pub(super) const HOST: Self = Self {
         // GNU's C++ marks some names as unique in the process, which `objcopy` does not hide. Only if the C++
         // library is included: otherwise missing names would become weak and stay 0.
         unmark: &["--wildcard", "--weaken-symbol", "_Z*"],
-        runtime: &[],
+        ..Self::BARE
     };
 }
 
@@ -78,49 +84,39 @@ pub(super) fn join(
     // No section groups: another program's C++ could replace them.
     let wanted = symbols.iter().flat_map(|symbol| ["-u", symbol]);
     let link = ["-r", "--force-group-allocation", "--gc-sections"];
+    let link = link.iter().chain(linker);
     cmd!(
         sh,
-        "{prefix}ld {link...} {linker...} {wanted...} -o {all} {archives...}"
+        "{prefix}ld {link...} {wanted...} -o {all} {archives...}"
     )
     .run()?;
-    let weaken = runtime
-        .iter()
-        .flat_map(|symbol| ["--weaken-symbol", symbol]);
-    cmd!(
-        sh,
-        "{prefix}objcopy --strip-debug {unmark...} {BITCODE...} {weaken...} {all} {weak}"
-    )
-    .run()?;
-    cmd!(
-        sh,
-        "{prefix}objcopy --keep-global-symbols={listed} {weak} {object}"
-    )
-    .run()?;
+    let weaken = runtime.iter().flat_map(|name| ["--weaken-symbol", name]);
+    let strip = cmd!(sh, "{prefix}objcopy --strip-debug {unmark...} {BITCODE...}");
+    strip.args(weaken).args([&all, &weak]).run()?;
+    let keep = format!("--keep-global-symbols={}", listed.display());
+    cmd!(sh, "{prefix}objcopy {keep} {weak} {object}").run()?;
     // `ar` would add to an old archive.
     sh.remove_path(library)?;
     cmd!(sh, "{prefix}ar crs {library} {object}").run()?;
     for done in [listed, all, weak] {
         sh.remove_path(done)?;
     }
-    let bytes = sh.read_binary_file(&object)?;
-    shows_only(&bytes, &symbols).with_context(|| object.display().to_string())?;
+    shows_only(sh, &object, &symbols)?;
     Ok(object)
 }
 
 /// Checks that an object or shared library exports these functions and nothing else.
-pub(super) fn shows_only(bytes: &[u8], symbols: &[&str]) -> Result<()> {
-    let file = object::File::parse(bytes)?;
+pub(super) fn shows_only(sh: &Shell, path: &Path, symbols: &[&str]) -> Result<()> {
+    let (bytes, path) = (sh.read_binary_file(path)?, path.display());
+    let file = object::File::parse(&*bytes)?;
     let seen = file.symbols().chain(file.dynamic_symbols());
     let seen = seen.filter(|symbol| symbol.is_global() && symbol.is_definition());
     let seen: BTreeSet<&str> = seen.filter_map(|symbol| symbol.name().ok()).collect();
     let wanted: BTreeSet<&str> = symbols.iter().copied().collect();
-    match (
-        wanted.difference(&seen).next(),
-        seen.difference(&wanted).next(),
-    ) {
-        (None, None) => Ok(()),
-        (Some(lacking), _) => bail!("`{lacking}` is missing"),
-        (_, Some(other)) => bail!("`{other}` is exported too"),
+    match wanted.symmetric_difference(&seen).next() {
+        None => Ok(()),
+        Some(other) if seen.contains(other) => bail!("{path} also exports `{other}`"),
+        Some(lacking) => bail!("{path} does not export `{lacking}`"),
     }
 }
 

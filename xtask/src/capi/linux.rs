@@ -4,7 +4,6 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::Result;
-use xshell::cmd;
 
 use super::join::{self, HEADER, Tools};
 use super::shared::SYSTEM;
@@ -31,22 +30,18 @@ const ATOMICS: &[&str] = &[
 
 /// GNU's tools for a target.
 fn gnu_tools(target: Target) -> Tools {
-    let (prefix, options) = match target.name {
+    let (prefix, linker) = match target.name {
         "i686" | "i586" => ("", &["-m", "elf_i386"][..]),
         "aarch64" => ("aarch64-linux-gnu-", &[][..]),
         arm if arm.starts_with("arm") => ("arm-linux-gnueabi-", &[][..]),
         _ => ("", &[][..]),
     };
-    let runtime = if target.name == "armv5te" {
-        ATOMICS
-    } else {
-        &[]
-    };
+    let needs_atomics = target.name == "armv5te";
     Tools {
         prefix,
-        linker: options,
-        unmark: &[],
-        runtime,
+        linker,
+        runtime: if needs_atomics { ATOMICS } else { &[] },
+        ..Tools::BARE
     }
 }
 
@@ -96,19 +91,10 @@ pub(super) fn run_examples(
     let sh = &project.sh;
     let programs = sh.create_dir(place.join("examples"))?;
     for [language, standard, name] in PROGRAMS {
+        let flags = "-Os -s -pedantic -Wall -Wextra -Werror -x".split(' ');
         zig.compiler(target)
-            .args([
-                "-Os",
-                "-s",
-                "-pedantic",
-                "-Wall",
-                "-Wextra",
-                "-Werror",
-                "-x",
-                language,
-                standard,
-            ])
-            .arg("-I")
+            .args(flags)
+            .args([language, standard, "-I"])
             .arg(place.join("include"))
             .arg(format!("examples/c/{name}.c"))
             .args(["-x", "none"])
@@ -120,11 +106,7 @@ pub(super) fn run_examples(
     }
     install::emulators(sh)?;
     install::python(project)?;
-    let test = "test --quiet --locked --package ztl-c --test programs -- --ignored".split(' ');
-    cmd!(
-        sh,
-        "env ZTL_C_PROGRAMS={programs} ZTL_C_EMULATOR={emulator} cargo {test...}"
-    )
-    .run()?;
-    Ok(())
+    let test = project.cargo("test --quiet --package ztl-c --test programs -- --ignored");
+    let test = test.env("ZTL_C_PROGRAMS", programs);
+    Ok(test.env("ZTL_C_EMULATOR", emulator).run()?)
 }

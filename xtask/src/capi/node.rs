@@ -23,7 +23,7 @@ pub(super) fn assemble(project: &Project, target: Option<&str>, place: &Path) ->
     lock::check(sh, NODE)?;
     let below = project.target.join("node");
     let build = match target {
-        None => cmd!(sh, "cargo build --locked --target-dir {below}"),
+        None => project.cargo("build --target-dir").arg(&below),
         Some(target) => Core::provide(sh, target)?.cargo(project, "build", target, "node")?,
     };
     build.args(["--release", "--manifest-path", NODE]).run()?;
@@ -35,33 +35,24 @@ pub(super) fn assemble(project: &Project, target: Option<&str>, place: &Path) ->
         }
         Some(target) => bail!("no linker for {target} is known: build {NODE} with cargo instead"),
     };
-    let unmark = if target.is_none() {
-        Tools::HOST.unmark
-    } else {
-        &[]
+    let tools = match target {
+        None => Tools::HOST,
+        Some(_) => Tools {
+            prefix,
+            linker,
+            ..Tools::BARE
+        },
     };
-    let tools = Tools {
-        prefix,
-        linker,
-        unmark,
-        runtime: &[],
-    };
-    let built = below
-        .join(target.unwrap_or_default())
-        .join("release/libztl_node_c.a");
-    let object = join::join(
-        sh,
-        &tools,
-        HEADER,
-        &[built],
-        &place.join("lib/libztl_node.a"),
-    )?;
+    let built = below.join(target.unwrap_or_default());
+    let built = [built.join("release/libztl_node_c.a")];
+    let library = place.join("lib/libztl_node.a");
+    let object = join::join(sh, &tools, HEADER, &built, &library)?;
     let bytes = sh.read_binary_file(&object)?;
     let file = object::File::parse(&*bytes).with_context(|| object.display().to_string())?;
     if file.symbols().any(|symbol| symbol.name() == Ok(PANIC)) {
+        let object = object.display();
         bail!(
-            "a panic is reachable in {}: `cargo xtask test --only proof` shows where, unless it is in ztl-node-c",
-            object.display()
+            "a panic is reachable in {object}: `cargo xtask test --only proof` shows where, unless it is in ztl-node-c"
         );
     }
     println!("no panic is reachable");

@@ -1,4 +1,7 @@
 //! The contents of a static program: a bill of materials in CycloneDX, and the texts of all licences.
+//!
+//! Not by `cargo-cyclonedx` and `cargo-about`: they know only Cargo packages, so the C and C++ libraries, Rust's own and
+//! the program's checksum would still be written here.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::env;
@@ -44,8 +47,9 @@ impl Contents {
         zig: &Zig<'_>,
         target: Target,
         libraries: &Libraries,
+        features: &[&str],
     ) -> Result<Self> {
-        let mut crates = crates(&project.sh, target)?;
+        let mut crates = crates(&project.sh, target, features)?;
         let own = crates.iter().position(|part| part.name == PACKAGE);
         let own = own.context("cargo does not list the package of `ztl`")?;
         Ok(Self {
@@ -81,25 +85,14 @@ impl Contents {
 }
 
 /// The Rust packages, including `ztl` itself; neither macros nor what only the build needs.
-fn crates(sh: &Shell, target: Target) -> Result<Vec<Part>> {
+fn crates(sh: &Shell, target: Target, features: &[&str]) -> Result<Vec<Part>> {
     let triple = target.triple();
-    let format = "{p}|{l}";
-    let tree = [
-        "--locked",
-        "--package",
-        PACKAGE,
-        "--edges",
-        "normal,no-proc-macro",
-    ];
-    let tree = cmd!(
-        sh,
-        "cargo tree {tree...} --target {triple} --prefix none --format {format}"
-    );
-    let tree = tree.read()?;
-    let lines: BTreeSet<&str> = tree
-        .lines()
-        .map(|line| line.trim_end_matches(" (*)"))
-        .collect();
+    let tree =
+        "tree --locked --edges normal,no-proc-macro --prefix none --format {p}|{l}".split(' ');
+    let tree = cmd!(sh, "cargo {tree...} --package {PACKAGE} --target {triple}");
+    let tree = tree.args(features).read()?;
+    let lines = tree.lines().map(|line| line.trim_end_matches(" (*)"));
+    let lines: BTreeSet<&str> = lines.collect();
     let locked = lock::packages(&sh.read_file("Cargo.lock")?);
     let part = |line: &str| -> Result<Part> {
         // `zmq v0.10.0|MIT/Apache-2.0`; with a directory behind the version if it is ours.
@@ -110,9 +103,8 @@ fn crates(sh: &Shell, target: Target) -> Result<Vec<Part>> {
             None => (version, None),
         };
         let home = own.map_or_else(|| source(sh, name, version), Ok)?;
-        let package = locked
-            .iter()
-            .find(|locked| locked.name == name && locked.version == version);
+        let mut locked = locked.iter().filter(|locked| locked.name == name);
+        let package = locked.find(|locked| locked.version == version);
         let mut texts = texts(sh, &home)?;
         if texts.is_empty() && licence.contains("Apache-2.0") {
             // Apache's licence contains no names.
@@ -127,10 +119,8 @@ fn crates(sh: &Shell, target: Target) -> Result<Vec<Part>> {
             texts,
         })
     };
-    lines
-        .into_iter()
-        .map(|line| part(line).with_context(|| format!("`{line}`")))
-        .collect()
+    let part = |line: &str| part(line).with_context(|| format!("`{line}`"));
+    lines.into_iter().map(part).collect()
 }
 
 /// The directory of a package from crates.io.
@@ -138,31 +128,20 @@ fn source(sh: &Shell, name: &str, version: &str) -> Result<PathBuf> {
     let home = env::var("CARGO_HOME").or_else(|_| env::var("HOME").map(|home| home + "/.cargo"))?;
     let registries = sh.read_dir(Path::new(&home).join("registry/src"))?;
     let mut sources = registries
-        .into_iter()
+        .iter()
         .map(|path| path.join(format!("{name}-{version}")));
-    sources
-        .find(|path| path.exists())
-        .context("the sources are missing")
+    let found = sources.find(|path| path.exists());
+    found.context("the sources are missing")
 }
 
 /// The files of a package that contain its licence.
 fn texts(sh: &Shell, home: &Path) -> Result<Vec<PathBuf>> {
-    const NAMES: [&str; 6] = [
-        "LICENSE",
-        "LICENCE",
-        "COPYING",
-        "NOTICE",
-        "COPYRIGHT",
-        "UNLICENSE",
-    ];
+    const NAMES: &str = "LICENSE LICENCE COPYING NOTICE COPYRIGHT UNLICENSE";
     let mut files = sh.read_dir(home)?;
     files.retain(|path| {
-        let name = path
-            .file_name()
-            .unwrap_or_default()
-            .to_string_lossy()
-            .to_uppercase();
-        path.is_file() && NAMES.iter().any(|begin| name.starts_with(begin))
+        let name = path.file_name().unwrap_or_default().to_string_lossy();
+        let name = name.to_uppercase();
+        path.is_file() && NAMES.split(' ').any(|begin| name.starts_with(begin))
     });
     Ok(files)
 }
@@ -185,15 +164,10 @@ fn foreign(sh: &Shell, zig: &Zig<'_>, libraries: &Libraries) -> Result<Vec<Part>
 
     let sources = zig.sources()?;
     let config = sh.read_file(sources.join("libcxx/include/__config"))?;
-    let number: u32 = between(&config, "define _LIBCPP_VERSION ", "\n")?
-        .trim()
-        .parse()?;
-    let llvm = format!(
-        "{}.{}.{}",
-        number / 10_000,
-        number / 100 % 100,
-        number % 100
-    );
+    let number = between(&config, "define _LIBCPP_VERSION ", "\n")?;
+    let number: u32 = number.trim().parse()?;
+    let [major, minor, patch] = [number / 10_000, number / 100 % 100, number % 100];
+    let llvm = format!("{major}.{minor}.{patch}");
 
     let rustc = cross::DEBIAN_RUSTC;
     let rust = cmd!(sh, "{rustc} --version").read()?;
@@ -218,31 +192,26 @@ fn foreign(sh: &Shell, zig: &Zig<'_>, libraries: &Libraries) -> Result<Vec<Part>
     let zmq_text = zmq_source.join("vendor/LICENSE");
     let sodium_url = format!("github/jedisct1/libsodium@{sodium}");
     let sodium_text = sodium_home.join("../../source/libsodium-stable/LICENSE");
+    let musl_url = format!("generic/musl@{MUSL}");
     let musl_text = sources.join("libc/musl/COPYRIGHT");
+    let zig_url = format!("pypi/ziglang@{ZIG}");
     // zig's compiler runtime, and its replacements for parts of musl.
     let zig_text = sources.with_file_name("LICENSE");
     Ok(vec![
         part("rust-std", rust, "MIT OR Apache-2.0", rust_url, rust_text),
         part("libzmq", zmq, "MPL-2.0", zmq_url, zmq_text),
         part("libsodium", sodium, "ISC", sodium_url, sodium_text),
-        part(
-            "musl",
-            MUSL,
-            "MIT",
-            format!("generic/musl@{MUSL}"),
-            musl_text,
-        ),
+        part("musl", MUSL, "MIT", musl_url, musl_text),
         from_llvm("libc++", "libcxx"),
         from_llvm("libc++abi", "libcxxabi"),
         from_llvm("libunwind", "libunwind"),
-        part("zig", ZIG, "MIT", format!("pypi/ziglang@{ZIG}"), zig_text),
+        part("zig", ZIG, "MIT", zig_url, zig_text),
     ])
 }
 
 fn between<'a>(text: &'a str, before: &str, after: &str) -> Result<&'a str> {
-    let found = text
-        .split_once(before)
-        .and_then(|(_, rest)| rest.split_once(after));
+    let found = text.split_once(before);
+    let found = found.and_then(|(_, rest)| rest.split_once(after));
     Ok(found.with_context(|| format!("`{before}` is missing"))?.0)
 }
 
@@ -257,38 +226,35 @@ fn bill(own: &Part, parts: &[&Part], target: Target, commit: &str, sum: &str) ->
             "licenses": [{ "expression": part.licence }],
         });
         if let (Some(sum), Some(fields)) = (sha256, component.as_object_mut()) {
-            fields.insert(
-                "hashes".to_owned(),
-                json!([{ "alg": "SHA-256", "content": sum }]),
-            );
+            let hashes = json!([{ "alg": "SHA-256", "content": sum }]);
+            fields.insert("hashes".to_owned(), hashes);
         }
         component
     };
     let mut program = component("application", own, "ztl", Some(sum));
-    let properties = json!([
-        { "name": "ztl:target", "value": target.triple() },
-        { "name": "ztl:commit", "value": commit },
-    ]);
     if let Some(fields) = program.as_object_mut() {
+        let properties = json!([
+            { "name": "ztl:target", "value": target.triple() },
+            { "name": "ztl:commit", "value": commit },
+        ]);
         fields.insert("properties".to_owned(), properties);
     }
-    let libraries = parts.iter();
-    let libraries =
-        libraries.map(|part| component("library", part, &part.name, part.sha256.as_deref()));
+    let library = |part: &&Part| component("library", part, &part.name, part.sha256.as_deref());
+    let libraries: Vec<Value> = parts.iter().map(library).collect();
     json!({
         "$schema": "http://cyclonedx.org/schema/bom-1.6.schema.json",
         "bomFormat": "CycloneDX",
         "specVersion": "1.6",
         "version": 1,
         "metadata": { "component": program },
-        "components": libraries.collect::<Vec<_>>(),
+        "components": libraries,
     })
 }
 
 /// All licence texts, each once, with the components they apply to.
 fn licences(sh: &Shell, own: &Part, parts: &[&Part]) -> Result<String> {
     let mut all = format!(
-        "What is inside ztl {}, and under which licence. libzmq is unchanged; its source is in the crate\n\
+        "The parts of ztl {}, and their licences. libzmq is unchanged; its source is in the crate\n\
          zeromq-src at crates.io, and at https://github.com/zeromq/libzmq.\n\n",
         own.version
     );
@@ -320,7 +286,7 @@ mod tests {
         let sh = &Shell::new().unwrap();
         sh.change_dir(concat!(env!("CARGO_MANIFEST_DIR"), "/.."));
         let target = targets(&["x86_64"]).unwrap()[0];
-        let parts = crates(sh, target).unwrap();
+        let parts = crates(sh, target, &[]).unwrap();
         let names: BTreeSet<&str> = parts.iter().map(|part| part.name.as_str()).collect();
         for name in "ztl ztl-std ztl-core zmq zmq-sys clap serde_json".split(' ') {
             assert!(names.contains(name), "{name} in {names:?}");

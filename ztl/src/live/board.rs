@@ -226,9 +226,9 @@ impl Board {
             RunEvent::RequestSent {
                 request,
                 remote,
-                text,
+                hold: None,
                 ..
-            } if !text.starts_with("wait ") => {
+            } => {
                 self.requests.insert(*request, remote.clone());
             }
             RunEvent::Answered {

@@ -1,6 +1,6 @@
 //! The plain view: the output and keys of the original (wire specification 8.4 to 8.6).
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
 
@@ -25,8 +25,6 @@ pub(super) struct PlainView<'s> {
     asked: Option<(Question, Vec<RunCommand>, Since)>,
     last_scene: Option<usize>,
     tasks: BTreeMap<TaskNumber, Started>,
-    /// Names without a server in the configuration.
-    unknown_remotes: BTreeSet<String>,
     /// The scene, step and handler without a server that was reported last.
     reported: Option<(usize, usize, usize)>,
     playing: bool,
@@ -51,7 +49,6 @@ impl<'s> PlainView<'s> {
             asked: None,
             last_scene: None,
             tasks: BTreeMap::new(),
-            unknown_remotes: BTreeSet::new(),
             reported: None,
             playing: false,
         }
@@ -98,10 +95,6 @@ impl<'s> PlainView<'s> {
     /// Writes the lines of an event.
     pub(super) fn handle(&mut self, event: &RunEvent, keyboard: Option<&Keyboard>) {
         match event {
-            RunEvent::RunStarted(started) => {
-                let unknown = started.remotes.iter().filter(|it| it.endpoint.is_none());
-                self.unknown_remotes = unknown.map(|it| it.name.clone()).collect();
-            }
             RunEvent::SceneShown { scene } if keyboard.is_some() => self.show(*scene),
             RunEvent::Asked { question, choices } => {
                 if let Some(keyboard) = keyboard {
@@ -171,8 +164,12 @@ impl<'s> PlainView<'s> {
                 self.tasks.insert(*task, started);
             }
             RunEvent::TaskState {
-                task, state, text, ..
-            } => self.state(*task, *state, text),
+                task,
+                state,
+                text,
+                no_server,
+                ..
+            } => self.state(*task, *state, text, *no_server),
             RunEvent::Stopping { tasks } if !tasks.is_empty() => {
                 let s = if tasks.len() == 1 { "" } else { "S" };
                 self.lines
@@ -308,7 +305,7 @@ impl<'s> PlainView<'s> {
         warn!(target: LOG, "Step '{name}' waits: {why}.");
     }
 
-    fn state(&mut self, number: TaskNumber, state: TaskState, text: &str) {
+    fn state(&mut self, number: TaskNumber, state: TaskState, text: &str, no_server: bool) {
         let Some(started) = self.tasks.get_mut(&number) else {
             return;
         };
@@ -324,9 +321,7 @@ impl<'s> PlainView<'s> {
         };
         let (name, key, component) = (&step.name, &handler.key, &task.component);
         match state {
-            TaskState::NotStarted
-                if before == TaskState::Asked && self.unknown_remotes.contains(&handler.remote) =>
-            {
+            TaskState::NotStarted if no_server => {
                 let place = (scene, index, task.handler);
                 if self.reported != Some(place) {
                     self.reported = Some(place);
