@@ -18,14 +18,13 @@ use crate::error::{
 use crate::server::read_keys;
 use crate::{ZTL_LONG_TASK, ZTL_NO_TASK, ZTL_UNKNOWN};
 
-/// A client of one scope of one server. From ztl_client_new to ztl_client_free, and for one thread at a
-/// time: a call while another is under way is ZTL_E_BUSY. Threads that talk at the same time have a
-/// client each (ztl_client_clone).
+/// A client of one scope of one server, from ztl_client_new to ztl_client_free. For one thread at a time: a call during
+/// another one is ZTL_E_BUSY. Threads that use a server at the same time need a client each (ztl_client_clone).
 pub struct Client(Mutex<Line>);
 
-/// Is shown each answer of a wait, on the thread that waits: ZTL_OK with the task's state and text, or an
-/// error, ZTL_UNKNOWN, and what went wrong. The text is the library's, and lasts for the call. 0 goes on
-/// waiting; anything else ends the wait, which then says ZTL_E_NOT_ENDED. It must not use the client.
+/// Called with each answer during a wait, on the waiting thread: ZTL_OK with the task's state and text, or an error with
+/// ZTL_UNKNOWN and a message. The text belongs to the library and is valid during the call. Returns 0 to go on waiting;
+/// any other value ends the wait with ZTL_E_NOT_ENDED. It must not use the client.
 pub type Seen = Option<
     unsafe extern "C" fn(
         context: *mut c_void,
@@ -40,13 +39,13 @@ struct Line {
     remote: Option<RemoteTask>,
     timeout: Option<Duration>,
     keys: Option<(KeyPair, PublicKey)>,
-    /// The task that was asked for last.
+    /// The task that was started last.
     task: Option<RemoteId>,
-    /// Its id in digits.
+    /// Its id in decimal digits.
     task_id: CString,
-    /// What the last call was answered.
+    /// The answer to the last call.
     text: CString,
-    /// What the last call that failed said.
+    /// The message of the last call that failed.
     error: CString,
 }
 
@@ -64,7 +63,7 @@ impl Line {
     }
 }
 
-/// Why a wait has ended without an end of the task, and where the task was last.
+/// Why a wait ended before the task, and the task's last status.
 struct NotEnded {
     failure: Failure,
     last: Option<Status>,
@@ -95,7 +94,7 @@ impl From<Failure> for NotEnded {
 }
 
 impl Client {
-    /// Does something with a client, and keeps what went wrong.
+    /// Does something with a client, and keeps the message of an error.
     ///
     /// # Safety
     /// `client` is NULL, or was made by this library and is not freed.
@@ -103,14 +102,14 @@ impl Client {
         client: *const Self,
         work: impl FnOnce(&mut Line) -> Result<(), Failure>,
     ) -> c_int {
-        // SAFETY: as the caller promises; only shared references are made of it.
+        // SAFETY: as the caller promises; all references to it are shared ones.
         let Some(Self(line)) = (unsafe { client.as_ref() }) else {
             return ZTL_E_NULL;
         };
         let mut line = match line.try_lock() {
             Ok(line) => line,
             Err(TryLockError::Poisoned(line)) => line.into_inner(),
-            // What it has said belongs to the thread that has it.
+            // The texts belong to the thread that uses the client.
             Err(TryLockError::WouldBlock) => return ZTL_E_BUSY,
         };
         let panicked = || Failure::new(ZTL_E_PANIC, "a mistake in the library; see stderr");
@@ -123,7 +122,7 @@ impl Client {
         }
     }
 
-    /// The same, with where a task is: ZTL_UNKNOWN unless that is known.
+    /// As [`with`](Self::with), and writes a task's state: ZTL_UNKNOWN unless it is known.
     ///
     /// # Safety
     /// As [`with`](Self::with); and nobody else uses `state`, unless it is NULL.
@@ -187,12 +186,12 @@ fn id(task: c_uint) -> Result<RemoteId, Failure> {
     id.ok_or_else(|| Failure::new(ZTL_E_ARGUMENT, "no task has the id 0"))
 }
 
-/// The number that stands for an id in C.
+/// The number for an id in C.
 fn number(id: &RemoteId) -> c_uint {
     id.number().map_or(ZTL_LONG_TASK, TaskId::get)
 }
 
-/// An id as text from C.
+/// An id in a text from C.
 ///
 /// # Safety
 /// As [`text`].
@@ -206,13 +205,13 @@ unsafe fn by_id(id: *const c_char) -> Result<RemoteId, Failure> {
     })
 }
 
-/// Less than 0 is for ever.
+/// A negative limit means forever.
 fn limit(limit_ms: c_int) -> Option<Duration> {
     u64::try_from(limit_ms).ok().map(Duration::from_millis)
 }
 
-/// Makes a client, which is not connected; NULL when there is no memory. Any thread. It is the caller's,
-/// to be given to ztl_client_free.
+/// Creates a client that is not connected; NULL if there is no memory. Any thread. The caller frees it with
+/// ztl_client_free.
 #[unsafe(no_mangle)]
 pub extern "C" fn ztl_client_new() -> *mut Client {
     guard(ptr::null_mut(), || {
@@ -220,8 +219,8 @@ pub extern "C" fn ztl_client_new() -> *mut Client {
     })
 }
 
-/// Makes another client of the same server and scope, with the same keys and time. NULL when this one
-/// is NULL or in use, or there is no memory. It is the caller's, and lasts longer than this one if need be.
+/// Creates another client of the same server and scope, with the same keys and timeout. NULL if this one is NULL or in
+/// use, or there is no memory. The caller frees it; it may outlive this one.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ztl_client_clone(client: *const Client) -> *mut Client {
     let mut clone = ptr::null_mut();
@@ -240,8 +239,7 @@ pub unsafe extern "C" fn ztl_client_clone(client: *const Client) -> *mut Client 
     clone
 }
 
-/// Frees a client and the texts that it gave; its tasks go on. Any thread. NULL is allowed, and nothing
-/// is done.
+/// Frees a client and the texts that it returned; its tasks go on. Any thread. Does nothing for NULL.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ztl_client_free(client: *mut Client) {
     if !client.is_null() {
@@ -250,34 +248,34 @@ pub unsafe extern "C" fn ztl_client_free(client: *mut Client) {
     }
 }
 
-/// What the last call was answered: progress, result, or a server's reason; at first "". It is the
-/// client's, and lasts until the next call with it other than this and ztl_client_error. Never NULL: for a
-/// client that is NULL, or that another thread is using, it is a text that says so, and stays.
+/// The answer to the last call: progress, result, or the server's reason; "" at first. It belongs to the client and is
+/// valid until the next call with it other than this one and ztl_client_error. Never NULL: for a client that is NULL or
+/// used by another thread, it is a text that says so and stays valid.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ztl_client_text(client: *const Client) -> *const c_char {
     // SAFETY: NULL, or a client that is not freed, as its caller promises.
     unsafe { Client::held(client, |line| &line.text) }
 }
 
-/// What the last call that failed said; at first "". It is the client's, and lasts until the next call with
-/// it other than this and ztl_client_text. Never NULL, as ztl_client_text.
+/// The message of the last call that failed; "" at first. It belongs to the client and is valid until the next call with
+/// it other than this one and ztl_client_text. Never NULL, like ztl_client_text.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ztl_client_error(client: *const Client) -> *const c_char {
     // SAFETY: NULL, or a client that is not freed, as its caller promises.
     unsafe { Client::held(client, |line| &line.error) }
 }
 
-/// The id of the task that was asked for last with ztl_client_trigger or ztl_client_run, in decimal digits,
-/// however long it is; "" when the server gave none. It is the client's, and lasts until the next call of one
-/// of these two. Never NULL, as ztl_client_text.
+/// The id of the task last started with ztl_client_trigger or ztl_client_run, in decimal digits of any number; "" if the
+/// server assigned none. It belongs to the client and is valid until the next call of one of these two. Never NULL, like
+/// ztl_client_text.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ztl_client_task_id(client: *const Client) -> *const c_char {
     // SAFETY: NULL, or a client that is not freed, as its caller promises.
     unsafe { Client::held(client, |line| &line.task_id) }
 }
 
-/// Sets the longest time for the server to answer, in milliseconds; default 2000. It is not a task's time:
-/// that is the limit of ztl_client_wait. Before ztl_client_connect.
+/// Sets the time limit for each answer in milliseconds; default 2000. The time limit of a task is the limit of
+/// ztl_client_wait. Call it before ztl_client_connect.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ztl_client_set_timeout(client: *mut Client, timeout_ms: c_uint) -> c_int {
     // SAFETY: NULL, or a client that is not freed, as its caller promises.
@@ -290,8 +288,8 @@ pub unsafe extern "C" fn ztl_client_set_timeout(client: *mut Client, timeout_ms:
     }
 }
 
-/// Encrypts with one's own keys, as "ann.key_secret" (`ztl keys ann` makes it), towards the server with the
-/// public key in the other file, as "robot.key", and no other. Before ztl_client_connect. The texts are
+/// Encrypts with the client's own keys in a file such as "ann.key_secret" (made by `ztl keys ann`); accepts only the
+/// server with the public key in the other file, such as "robot.key". Call it before ztl_client_connect. The texts are
 /// copied.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ztl_client_use_keys(
@@ -311,8 +309,8 @@ pub unsafe extern "C" fn ztl_client_use_keys(
     }
 }
 
-/// Says which server, as "tcp://robot:12345", and which scope, as "/robot", without ';'; before anything is asked.
-/// The server need not be there yet. Once for a client. The texts are copied.
+/// Connects to a server such as "tcp://robot:12345" and a scope such as "/robot", without ';'. Call it once, before any
+/// request. The server need not be there yet. The texts are copied.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ztl_client_connect(
     client: *mut Client,
@@ -338,10 +336,10 @@ pub unsafe extern "C" fn ztl_client_connect(
     }
 }
 
-/// Asks for a task, as "robot", "head", "left", and gives its id: ZTL_NO_TASK with any error. After
-/// ZTL_E_NO_ANSWER, ZTL_E_UNREADABLE and ZTL_E_SYSTEM the task may run; after any other error it does not. A
-/// request is never sent twice. An id that does not fit is ZTL_LONG_TASK: ztl_client_task_id tells it. The texts
-/// are copied; `task` may be NULL, they may not.
+/// Starts a task such as "robot", "head", "left", and writes its id: ZTL_NO_TASK with any error. After ZTL_E_NO_ANSWER,
+/// ZTL_E_UNREADABLE and ZTL_E_SYSTEM the task may run; after any other error it does not. A request is never sent twice.
+/// An id that does not fit is ZTL_LONG_TASK; see ztl_client_task_id. The texts are copied and must not be NULL; `task`
+/// may be NULL.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ztl_client_trigger(
     client: *mut Client,
@@ -367,9 +365,8 @@ pub unsafe extern "C" fn ztl_client_trigger(
     code
 }
 
-/// Asks where a task is. With any error the state is ZTL_UNKNOWN: no answer is never taken for an end, and a
-/// task that the server does not know is ZTL_E_UNKNOWN_TASK. `state` may be NULL; the text is
-/// ztl_client_text's.
+/// Asks for a task's state; ztl_client_text returns its text. With any error the state is ZTL_UNKNOWN: a missing answer
+/// never counts as an end, and a task that the server does not know is ZTL_E_UNKNOWN_TASK. `state` may be NULL.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ztl_client_status(
     client: *mut Client,
@@ -385,7 +382,7 @@ pub unsafe extern "C" fn ztl_client_status(
     }
 }
 
-/// The same, by the task's id in decimal digits. The text is copied, and must not be NULL.
+/// As ztl_client_status, with the task's id in decimal digits. The text is copied and must not be NULL.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ztl_client_status_by_id(
     client: *mut Client,
@@ -401,8 +398,8 @@ pub unsafe extern "C" fn ztl_client_status_by_id(
     }
 }
 
-/// Asks to stop a task, and where it is then: ZTL_ABORTED, an end that it had reached before, or ZTL_ACCEPTED
-/// while it is not stopped yet, or cannot be. Else as ztl_client_status.
+/// Asks to stop a task, and writes its state: ZTL_ABORTED, a final state that it had already reached, or ZTL_ACCEPTED
+/// while it is not stopped yet or cannot be stopped. Otherwise as ztl_client_status.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ztl_client_abort(
     client: *mut Client,
@@ -418,7 +415,7 @@ pub unsafe extern "C" fn ztl_client_abort(
     }
 }
 
-/// The same, by the task's id in decimal digits. The text is copied, and must not be NULL.
+/// As ztl_client_abort, with the task's id in decimal digits. The text is copied and must not be NULL.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ztl_client_abort_by_id(
     client: *mut Client,
@@ -434,12 +431,11 @@ pub unsafe extern "C" fn ztl_client_abort_by_id(
     }
 }
 
-/// Waits for a task to end, at most for so many milliseconds; less than 0 is for ever. ZTL_OK: it has ended,
-/// and `state` says how. ZTL_E_NOT_ENDED: it goes on, and `state` says where it is. ZTL_E_UNKNOWN_TASK: the
-/// server does not know it. ZTL_E_UNREADABLE, ZTL_E_NOT_TOLD: it answered, but not where the task is. Any other
-/// error: the server did not answer when the time was over. With all of these the state is ZTL_UNKNOWN. A server
-/// that does not answer does not end the wait before. `state` may be NULL; the
-/// text is ztl_client_text's.
+/// Waits for a task's end, at most for this time in milliseconds; a negative limit means forever. ZTL_OK: it has ended
+/// in the final state `state`. ZTL_E_NOT_ENDED: it goes on in this state. With any other error the state is
+/// ZTL_UNKNOWN. ZTL_E_UNKNOWN_TASK: the server does not know it. ZTL_E_UNREADABLE, ZTL_E_NOT_TOLD: the server answered
+/// without telling its state. Any other error: the server did not answer at the end of the limit. A server that does
+/// not answer does not end the wait earlier. `state` may be NULL; ztl_client_text returns the text.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ztl_client_wait(
     client: *mut Client,
@@ -455,8 +451,8 @@ pub unsafe extern "C" fn ztl_client_wait(
     }
 }
 
-/// The same; each answer on the way is shown to `seen`, which must not be NULL. `context` is handed to
-/// it, stays the program's, and may be NULL.
+/// As ztl_client_wait; calls `seen`, which must not be NULL, with each answer. `context` is passed to it, belongs to the
+/// program, and may be NULL.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ztl_client_wait_seeing(
     client: *mut Client,
@@ -477,8 +473,8 @@ pub unsafe extern "C" fn ztl_client_wait_seeing(
     }
 }
 
-/// Waits as ztl_client_wait_seeing does, by the task's id in decimal digits; or as ztl_client_wait, when
-/// `seen` is NULL. The text is copied, and must not be NULL.
+/// As ztl_client_wait_seeing, with the task's id in decimal digits; as ztl_client_wait if `seen` is NULL. The text is
+/// copied and must not be NULL.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ztl_client_wait_by_id(
     client: *mut Client,
@@ -496,7 +492,7 @@ pub unsafe extern "C" fn ztl_client_wait_by_id(
     }
 }
 
-/// Waits for a task's end, and shows each answer.
+/// Waits for a task's end, and calls `seen` with each answer.
 ///
 /// # Safety
 /// `seen` may be called with `context`, as the header says.
@@ -525,9 +521,8 @@ unsafe fn wait_seeing(
     Ok(remote.wait_with(id, limit, show)?)
 }
 
-/// Asks for a task and waits for its end: ztl_client_trigger, then ztl_client_wait, with the errors of both.
-/// `task` gets the id as soon as there is one, so that a task that has not ended can be stopped; it and
-/// `state` may be NULL.
+/// Starts a task and waits for its end: ztl_client_trigger, then ztl_client_wait, with the errors of both. The id is
+/// written to `task` as soon as it is known, so that the task can be stopped; `task` and `state` may be NULL.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ztl_client_run(
     client: *mut Client,
@@ -558,8 +553,8 @@ pub unsafe extern "C" fn ztl_client_run(
     }
 }
 
-/// Asks the server about itself, as "tasks" or "devices": ztl_client_text is the answer in JSON, "" where
-/// it does not know the question (the Python original knows none). The text is copied.
+/// Asks the server about itself, for example "tasks" or "devices". ztl_client_text returns the answer in JSON, or "" if
+/// the server does not know the question (the Python original knows none). The text is copied.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ztl_client_ask(client: *mut Client, question: *const c_char) -> c_int {
     // SAFETY: NULL, or a client that is not freed and a text, as their caller promises.
@@ -589,7 +584,7 @@ fn trigger(
     }
     let triggered = line.remote()?.trigger(handler, component, goal);
     let triggered = triggered.map_err(Failure::from);
-    // A refusal is an answer, too.
+    // A rejection is an answer as well.
     line.text = match &triggered {
         Ok(triggered) => for_c(&triggered.reply),
         Err(failure) => for_c(&failure.text),
@@ -615,7 +610,7 @@ fn no_address(endpoint: &str, error: RequestError) -> Failure {
     let failure = Failure::from(error);
     match failure.code {
         ZTL_E_ARGUMENT if !is_scope => {
-            let text = format!("'{endpoint}' is no address; write it as tcp://robot:12345");
+            let text = format!("'{endpoint}' is not an address; write it as tcp://robot:12345");
             Failure::new(ZTL_E_ARGUMENT, text)
         }
         _ => failure,

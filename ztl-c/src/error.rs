@@ -1,60 +1,60 @@
-//! What went wrong, as a number and a text.
+//! Errors as numbers and texts.
 
 use std::ffi::{c_char, c_int};
 
 use ztl_std::keys::KeyError;
 use ztl_std::{BindError, RequestError, TriggerError};
 
-/// It is done.
+/// Success.
 pub const ZTL_OK: c_int = 0;
-/// An argument is NULL that must not be.
+/// An argument is NULL that must not be NULL.
 pub const ZTL_E_NULL: c_int = -1;
-/// An argument is wrong: no UTF-8, no address, no such setting.
+/// An argument is invalid: not UTF-8, not an address, or an unknown setting.
 pub const ZTL_E_ARGUMENT: c_int = -2;
-/// The call does not fit here: too early, too late, or from within a callback.
+/// The call is too early, too late, or from within a callback.
 pub const ZTL_E_STATE: c_int = -3;
-/// Another thread is using this just now.
+/// Another thread is using the object.
 pub const ZTL_E_BUSY: c_int = -4;
-/// Nothing can listen at this address, or something else does.
+/// The address is in use, or cannot be used.
 pub const ZTL_E_ADDRESS: c_int = -5;
-/// The system gives no socket, thread or memory.
+/// The system has no more sockets, threads or memory.
 pub const ZTL_E_SYSTEM: c_int = -6;
-/// Keys were given, and this library cannot encrypt.
+/// Keys were given, but this library cannot encrypt.
 pub const ZTL_E_NO_CURVE: c_int = -7;
-/// A key or its file is wrong.
+/// A key or its file is invalid.
 pub const ZTL_E_KEY: c_int = -8;
-/// Server: the task has ended, or this server never had it.
+/// Server: the task has ended, or is unknown to this server.
 pub const ZTL_E_ENDED: c_int = -9;
-/// Server: somebody asked to stop the task.
+/// Server: the task was asked to stop.
 pub const ZTL_E_ABORTED: c_int = -10;
-/// Client: no connection within the time. Nothing was sent: a task that was asked for does not run, and
-/// nothing is known of one that does.
+/// Client: no connection within the time limit. Nothing was sent: a task that was to be started does not run, and
+/// nothing is known about one that runs.
 pub const ZTL_E_NOT_CONNECTED: c_int = -11;
-/// Client: sent, and not answered within the time. Whether it was acted on is unknown: the task may run.
+/// Client: sent, but not answered within the time limit. Whether the server acted is unknown: the task may run.
 pub const ZTL_E_NO_ANSWER: c_int = -12;
-/// Client: the server refused the task, and nothing was done.
+/// Client: the server rejected the task; nothing was done.
 pub const ZTL_E_REFUSED: c_int = -13;
-/// Client: the request never came to the server, which will refuse it from now on: nothing runs.
+/// Client: the request never reached the server, which will reject it from now on: nothing runs.
 pub const ZTL_E_NEVER_CAME: c_int = -14;
-/// Client: the server does not know the task: it was started anew, or has forgotten it; or it could not
-/// learn how the task ended. Whether and how the task ended is unknown.
+/// Client: the server was restarted or has forgotten the task, or could not learn how the task ended. Whether and how
+/// it ended is unknown.
 pub const ZTL_E_UNKNOWN_TASK: c_int = -15;
-/// Client: the answer is not a message of ZTL, its state is not one of ZTL's, or it is about another task.
-/// What the task does is unknown: one that was asked for may run.
+/// Client: the answer is not a ZTL message, its state is undefined, or it is about another task. What the task does is
+/// unknown; it may run.
 pub const ZTL_E_UNREADABLE: c_int = -16;
-/// Client: the task had not ended when the limit of the wait had passed. It goes on.
+/// Client: the task did not end within the limit of the wait. It goes on.
 pub const ZTL_E_NOT_ENDED: c_int = -17;
-/// A mistake in this library; it has written a line about it to stderr.
+/// A mistake in this library, which printed a line to stderr.
 pub const ZTL_E_PANIC: c_int = -18;
-/// Client: the request is longer than the server takes. Nothing was sent.
+/// Client: the request is longer than the server accepts. Nothing was sent.
 pub const ZTL_E_TOO_LONG: c_int = -19;
 
-/// Client: the server answered, but did not say where the task is: its scope is not there (yet), or the
-/// handler could not be asked. The task may run.
+/// Client: the server answered without telling the task's state: the scope is not served (yet), or the handler failed.
+/// The task may run.
 pub const ZTL_E_NOT_TOLD: c_int = -20;
 
-/// The name of an error, as "ZTL_E_NULL"; "ZTL_E_?" for a number that is none. Any thread. The text is
-/// the library's, and stays.
+/// The name of an error, such as "ZTL_E_NULL"; "ZTL_E_?" for any other number. Any thread. The text belongs to the
+/// library and stays valid.
 #[unsafe(no_mangle)]
 pub extern "C" fn ztl_error_name(error: c_int) -> *const c_char {
     let name = match error {
@@ -84,7 +84,7 @@ pub extern "C" fn ztl_error_name(error: c_int) -> *const c_char {
     name.as_ptr()
 }
 
-/// Why a call has not done what it was asked for.
+/// Why a call failed.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Failure {
     pub(crate) code: c_int,

@@ -1,4 +1,4 @@
-//! What the library logs, for the program's own log.
+//! Passes the library's log to the program.
 
 use std::ffi::{c_char, c_int, c_void};
 use std::fmt::Write;
@@ -10,18 +10,18 @@ use tracing::{Event, Level, Metadata, Subscriber};
 use crate::border::{Context, for_c, guard};
 use crate::error::{ZTL_E_ARGUMENT, ZTL_E_NULL, ZTL_E_STATE, ZTL_OK};
 
-/// Something is wrong.
+/// An error.
 pub const ZTL_LOG_ERROR: c_int = 1;
-/// Something may be wrong.
+/// A warning.
 pub const ZTL_LOG_WARNING: c_int = 2;
-/// Something has happened.
+/// An event.
 pub const ZTL_LOG_INFO: c_int = 3;
 /// Details.
 pub const ZTL_LOG_DEBUG: c_int = 4;
 
-/// Takes a line of the log, without a line feed. Called from any thread of the library, also from several at
-/// the same time, and from within calls to it; it must not call the library. The text is the
-/// library's, and lasts for the call.
+/// Receives a log line without a line feed. Called from any thread of the library, also from several at the same time,
+/// and within calls to the library; it must not call the library. The text belongs to the library and is valid
+/// during the call.
 pub type LogCall =
     Option<unsafe extern "C" fn(context: *mut c_void, level: c_int, line: *const c_char)>;
 
@@ -31,7 +31,7 @@ struct Log {
     context: Context,
 }
 
-/// The level as a number that rises with the details.
+/// The level as a number; higher means more detail.
 fn number(level: &Level) -> c_int {
     match *level {
         Level::ERROR => ZTL_LOG_ERROR,
@@ -41,7 +41,7 @@ fn number(level: &Level) -> c_int {
     }
 }
 
-/// The message of an event, and its other fields behind it.
+/// An event's message, followed by its other fields.
 #[derive(Default)]
 struct Line(String);
 
@@ -74,7 +74,7 @@ impl Subscriber for Log {
         };
     }
 
-    // There are no spans here.
+    // The library uses no spans.
 
     fn new_span(&self, _: &Attributes<'_>) -> Id {
         Id::from_u64(1)
@@ -89,9 +89,9 @@ impl Subscriber for Log {
     fn exit(&self, _: &Id) {}
 }
 
-/// Gives what the library logs, up to a level, to a function of the program; else nothing is logged. Once for
-/// the whole process (ZTL_E_STATE), for good, and best before anything else. `log` must not be NULL; `context` is
-/// handed to it, stays the program's, and may be NULL. Any thread.
+/// Passes the library's log, up to a level, to a function of the program; by default nothing is logged. Call it once per
+/// process (else ZTL_E_STATE), best before anything else; it cannot be undone. `log` must not be NULL. `context` is passed
+/// to it, belongs to the program, and may be NULL. Any thread.
 #[unsafe(no_mangle)]
 pub extern "C" fn ztl_log_to(level: c_int, log: LogCall, context: *mut c_void) -> c_int {
     guard(ZTL_E_STATE, || {

@@ -1,4 +1,4 @@
-//! A task server for C: set up, started, its calls made, freed.
+//! A task server for C.
 
 use std::cell::RefCell;
 use std::ffi::{c_char, c_int, c_uint, c_void};
@@ -24,67 +24,66 @@ use crate::tasks::{CRequest, Call, Execution, Handler, Tasks, Work};
 pub const ZTL_MAX_MESSAGE: c_int = 1;
 /// Tasks that have not ended. Default 10000.
 pub const ZTL_MAX_RUNNING: c_int = 2;
-/// Tasks that are remembered, whether they run or have ended. Default 10000.
+/// Tasks in the task table, running or ended. Default 10000.
 pub const ZTL_MAX_REMEMBERED: c_int = 3;
-/// How long a task is remembered after its end, in milliseconds. Default 3600000, an hour.
+/// How long a task is remembered after its end, in milliseconds. Default 3600000 (an hour).
 pub const ZTL_KEEP_MS: c_int = 4;
 /// Requests whose answer is held. Default 10000.
 pub const ZTL_MAX_HELD: c_int = 5;
-/// Clients whose last request for a task is remembered. Default 10000.
+/// Clients whose last started task is remembered. Default 10000.
 pub const ZTL_MAX_CLIENTS: c_int = 6;
-/// Messages of one connection that wait. Default 256.
+/// Messages per connection that wait. Default 256.
 pub const ZTL_MAX_QUEUE: c_int = 7;
-/// Connections at a time. Default 4096, or what the system's limit on open files leaves.
+/// Connections at a time. Default 4096, or what the limit on open files leaves.
 pub const ZTL_MAX_CONNECTIONS: c_int = 8;
-/// How long a connection may take to shake hands, in milliseconds. Default 5000.
+/// Longest time for the handshake of a connection, in milliseconds. Default 5000.
 pub const ZTL_HANDSHAKE_MS: c_int = 9;
 /// How often a running task's `poll` is called, in milliseconds. Default 10.
 pub const ZTL_POLL_MS: c_int = 10;
 
-/// A task server. From ztl_server_new to ztl_server_free; its functions may be called from any thread.
+/// A task server, from ztl_server_new to ztl_server_free. Its functions may be called from any thread.
 pub struct Server {
     setup: Mutex<Setup>,
     running: Mutex<Option<Running>>,
-    /// Once it was started, until it is freed.
+    /// Set once the server is started.
     tasks: Mutex<Option<Arc<Tasks>>>,
-    /// Held while a call is made.
+    /// Held while calls are made.
     turn: Mutex<()>,
     error: Mutex<String>,
 }
 
-/// What a client asks for. It and its texts are the library's, and last for the call that is given them.
+/// A client's request. It and its texts belong to the library and are valid during the call.
 #[repr(C)]
 pub struct Request {
-    /// The task's id, by which all else is told of it.
+    /// The task's id.
     pub task: c_uint,
-    /// Who is to do it, as "robot".
+    /// Who is to do it, such as "robot".
     pub handler: *const c_char,
-    /// With which part, as "head".
+    /// The part to use, such as "head".
     pub component: *const c_char,
-    /// To what end, as "left".
+    /// What to achieve, such as "left".
     pub goal: *const c_char,
 }
 
-/// Carries out a whole task, from its beginning to its end, on a thread of its own. It tells what becomes of
-/// the task by ztl_task_...(server, request->task, ...), ends it by ztl_task_end, and returns. It should
-/// look at ztl_task_is_aborted often, or wait by ztl_task_sleep. A task that it has not ended when it
-/// returns ends as FAILED.
+/// Carries out a whole task on a thread of its own. Reports about the task with ztl_task_...(server, request->task,
+/// ...), ends it with ztl_task_end, and returns. It should call ztl_task_is_aborted often, or sleep with
+/// ztl_task_sleep. If it returns without ending the task, the task ends as FAILED.
 pub type WorkCall = Option<
     unsafe extern "C" fn(context: *mut c_void, server: *mut Server, request: *const Request),
 >;
 
-/// Begins a task, and returns at once. A task that it has not ended by ztl_task_end is accepted.
+/// Starts a task and returns at once. The task is accepted, unless it was ended with ztl_task_end.
 pub type StartCall = Option<
     unsafe extern "C" fn(context: *mut c_void, server: *mut Server, request: *const Request),
 >;
 
-/// Moves a task on that runs, and returns at once; called again and again until the task has ended.
+/// Advances a running task and returns at once. Called regularly until the task has ended.
 pub type PollCall =
     Option<unsafe extern "C" fn(context: *mut c_void, server: *mut Server, task: c_uint)>;
 
-/// Somebody wants a task to stop: stops it, or begins to, and returns at once. Called at most once
-/// for a task, after its `start`; a task that is to stop before that is ABORTED, and neither is called.
-/// When it has stopped, ztl_task_end says so, here or later.
+/// Stops a task, or begins to stop it, and returns at once. Called at most once per task, after its `start`; a task that
+/// is aborted before that ends as ABORTED, and neither function is called. When the task has stopped, call
+/// ztl_task_end, here or later.
 pub type AbortCall =
     Option<unsafe extern "C" fn(context: *mut c_void, server: *mut Server, task: c_uint)>;
 
@@ -224,12 +223,12 @@ impl Calls {
 }
 
 thread_local! {
-    /// The servers in whose callbacks this thread is, one within the other: it must not wait for their ends.
+    /// The servers whose callbacks run on this thread. It must not wait for their end.
     static CALLED: RefCell<Vec<*mut Server>> = const { RefCell::new(Vec::new()) };
 }
 
 impl Server {
-    /// Does something with a server, and keeps what went wrong.
+    /// Does something with a server, and keeps the message of an error.
     ///
     /// # Safety
     /// `server` is NULL, or was made by `ztl_server_new` and is not freed.
@@ -237,7 +236,7 @@ impl Server {
         server: *const Self,
         work: impl FnOnce(&Self) -> Result<(), Failure>,
     ) -> c_int {
-        // SAFETY: as the caller promises; only shared references are made of it.
+        // SAFETY: as the caller promises; all references to it are shared ones.
         let Some(server) = (unsafe { server.as_ref() }) else {
             return ZTL_E_NULL;
         };
@@ -251,12 +250,12 @@ impl Server {
         }
     }
 
-    /// Its tasks, once it was started.
+    /// Its tasks, once it is started.
     pub(crate) fn tasks(&self) -> Result<Arc<Tasks>, Failure> {
         lock(&self.tasks).clone().ok_or_else(not_started)
     }
 
-    /// What is set up, as long as it can be.
+    /// Changes the setup of a server that is not started.
     fn set_up(&self, work: impl FnOnce(&mut Setup) -> Result<(), Failure>) -> Result<(), Failure> {
         if lock(&self.running).is_some() {
             let text = "the server is started; this has to be said before";
@@ -305,10 +304,11 @@ impl Server {
                 .limits(setup.limits)
                 .bind(endpoint)
                 .map_err(|error| match error.into() {
-                    // Not "use 127.0.0.1": it is no address at all.
+                    // Not an address of any form, so the usual hint does not apply.
                     Failure { code, .. } if code == ZTL_E_ADDRESS && !endpoint.contains("://") => {
-                        let text =
-                            format!("'{endpoint}' is no address; write it as tcp://0.0.0.0:12345");
+                        let text = format!(
+                            "'{endpoint}' is not an address; write it as tcp://0.0.0.0:12345"
+                        );
                         Failure::new(ZTL_E_ARGUMENT, text)
                     }
                     failure => failure,
@@ -333,7 +333,7 @@ impl Server {
             } else {
                 None
             };
-            // Callbacks may come before this returns.
+            // Callbacks may run before this returns.
             *lock(&self.tasks) = Some(Arc::clone(&tasks));
             let server = server
                 .spawn()
@@ -348,7 +348,7 @@ impl Server {
         Ok(())
     }
 
-    /// Makes the calls that are due, after waiting for the first of them.
+    /// Waits for the first due call, and makes all due calls.
     fn poll(&self, wait: Duration) -> Result<(), Failure> {
         let (calls, polled) = {
             let running = lock(&self.running);
@@ -371,14 +371,14 @@ impl Server {
         };
         let begin = Instant::now();
         let mut made = calls.make_next(deadline);
-        // What has become due by now; not what becomes due by it, which would never end.
+        // Only the calls that are due now, since they may cause others.
         while made && begin.elapsed() < calls.tasks.poll_every() {
             made = calls.make_next(begin);
         }
         Ok(())
     }
 
-    /// Stops it, and waits for all that it has begun.
+    /// Stops the server, and waits for all its threads.
     fn stop(&self) {
         let running = lock(&self.running).take();
         let Some(Running {
@@ -394,7 +394,7 @@ impl Server {
         if caller.is_some() {
             drop(server);
         } else {
-            // The calls are this thread's now, so that tasks can stop.
+            // Makes the calls on this thread, so that tasks can stop.
             let stopping = || std::thread::Builder::new().spawn(move || drop(server));
             let stopping = signals::blocked(stopping);
             while stopping
@@ -406,7 +406,7 @@ impl Server {
         }
         tasks.finish();
         tasks.join();
-        // A panic there has been printed.
+        // A panic there was printed.
         let _ = caller.map(JoinHandle::join);
     }
 }
@@ -423,15 +423,15 @@ fn millis(time: c_uint) -> Duration {
     Duration::from_millis(time.into())
 }
 
-/// Calls back; meanwhile this thread must not free the server.
+/// Calls the program. Meanwhile this thread must not free the server.
 fn call(handle: Handle, callback: impl FnOnce()) {
     CALLED.with_borrow_mut(|called| called.push(handle.0));
     callback();
     CALLED.with_borrow_mut(Vec::pop);
 }
 
-/// Makes a server, which does nothing yet; NULL when there is no memory. Any thread. It is the
-/// caller's, to be given to ztl_server_free.
+/// Creates a server that is not started; NULL if there is no memory. Any thread. The caller frees it with
+/// ztl_server_free.
 #[unsafe(no_mangle)]
 pub extern "C" fn ztl_server_new() -> *mut Server {
     guard(ptr::null_mut(), || {
@@ -445,11 +445,10 @@ pub extern "C" fn ztl_server_new() -> *mut Server {
     })
 }
 
-/// Stops a server and frees it. Tasks that run are asked to stop (their `abort` is called, from within
-/// this call where calls are made by ztl_server_poll); what has not ended after 1.4 s ends as FAILED.
-/// Then it waits until every callback has returned, however long that takes. Any thread, but not
-/// from within a callback, which is ZTL_E_STATE, and nothing is freed. No other call with this
-/// server may be under way, except those of its callbacks, nor come later. NULL is ZTL_OK.
+/// Stops and frees a server. Running tasks are asked to stop (their `abort` is called, within this call if
+/// ztl_server_poll makes the calls); those that have not ended after 1.4 s end as FAILED. Then waits until every
+/// callback has returned, however long that takes. Any thread; within a callback it is ZTL_E_STATE, and nothing is
+/// freed. Apart from its callbacks, nothing may use the server during or after this call. NULL is ZTL_OK.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ztl_server_free(server: *mut Server) -> c_int {
     if server.is_null() {
@@ -467,17 +466,16 @@ pub unsafe extern "C" fn ztl_server_free(server: *mut Server) -> c_int {
         })
     };
     if stopped != ZTL_E_STATE {
-        // SAFETY: made by `Box::into_raw` in `ztl_server_new`; nobody has it any more.
+        // SAFETY: made by `Box::into_raw` in `ztl_server_new`, and no longer used by anyone.
         drop(guard(None, || Some(unsafe { Box::from_raw(server) })));
         return ZTL_OK;
     }
     stopped
 }
 
-/// Copies what the last call that failed with this server said into a buffer of so many bytes, cut
-/// to fit and ended by a zero, and says how long all of it is. Any thread. The buffer is the
-/// caller's; NULL, or a size of 0, only asks for the length. For a server that is NULL: 0, and an
-/// empty text.
+/// Copies the message of the last call that failed with this server into a buffer of this size, truncated to fit and
+/// ended by a zero; returns the length of the whole message. Any thread. The buffer belongs to the caller; if it is
+/// NULL or its size is 0, only the length is returned. For a server that is NULL: 0 and an empty text.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ztl_server_error(
     server: *const Server,
@@ -487,12 +485,12 @@ pub unsafe extern "C" fn ztl_server_error(
     guard(0, || {
         // SAFETY: NULL, or a server that is not freed, as its caller promises.
         let error = unsafe { server.as_ref() }.map(|server| lock(&server.error).clone());
-        // SAFETY: the buffer is the caller's, and as long as is said.
+        // SAFETY: the buffer is the caller's, and has this size.
         unsafe { copy_out(&error.unwrap_or_default(), buffer, size) }
     })
 }
 
-/// Sets one of the numbers above, as ZTL_MAX_RUNNING. Any thread; before the start.
+/// Sets one of the limits above, such as ZTL_MAX_RUNNING. Any thread; before the start.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ztl_server_set(
     server: *mut Server,
@@ -527,8 +525,8 @@ pub unsafe extern "C" fn ztl_server_set(
     }
 }
 
-/// Lets only clients connect whose address is in this network, as "192.168.1.0/24", or in another
-/// one that is given so. Any thread; before the start. The text is copied.
+/// Admits clients with an address in this network, such as "192.168.1.0/24". Once a network is given, all others are
+/// excluded. Any thread; before the start. The text is copied.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ztl_server_allow_network(
     server: *mut Server,
@@ -539,7 +537,7 @@ pub unsafe extern "C" fn ztl_server_allow_network(
         Server::with(server, |server| {
             let network = text(network, "network")?;
             let network = network.parse().map_err(|_| {
-                let text = format!("'{network}' is no network; write it as 192.168.1.0/24");
+                let text = format!("'{network}' is not a network; write it as 192.168.1.0/24");
                 Failure::new(ZTL_E_ARGUMENT, text)
             })?;
             server.set_up(|setup| {
@@ -550,9 +548,8 @@ pub unsafe extern "C" fn ztl_server_allow_network(
     }
 }
 
-/// Encrypts with the keys of this file, as "robot.key_secret" (`ztl keys robot` makes it). From then on only
-/// clients whose keys are allowed may use anything. Any thread; before the start. The text is
-/// copied.
+/// Encrypts with the keys in a file such as "robot.key_secret" (made by `ztl keys robot`). Then only clients with an
+/// allowed key may use anything. Any thread; before the start. The text is copied.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ztl_server_use_keys(
     server: *mut Server,
@@ -570,8 +567,8 @@ pub unsafe extern "C" fn ztl_server_use_keys(
     }
 }
 
-/// Allows the client whose public key is in this file, as "ann.key", or every client of a directory of
-/// such files. `scope` is what it may use; NULL is all. Any thread; before the start. The texts are copied.
+/// Allows the client whose public key is in a file such as "ann.key", or every client in a directory of such files.
+/// `scope` is the scope that it may use; NULL means all. Any thread; before the start. The texts are copied.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ztl_server_allow_key(
     server: *mut Server,
@@ -600,9 +597,9 @@ pub unsafe extern "C" fn ztl_server_allow_key(
     }
 }
 
-/// Serves a scope, as "/robot", by a function that carries out a whole task: each task has a thread of
-/// its own, with all signals blocked. `context` is handed to it, stays the program's, and may be NULL;
-/// `work` may not. Any thread; before the start. The text is copied.
+/// Serves a scope such as "/robot" with a function that carries out a whole task. Each task has a thread of its own with
+/// all signals blocked. `context` is passed to the function, belongs to the program, and may be NULL; `work` must not
+/// be NULL. Any thread; before the start. The text is copied.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ztl_server_add_worker(
     server: *mut Server,
@@ -619,11 +616,10 @@ pub unsafe extern "C" fn ztl_server_add_worker(
     }
 }
 
-/// Serves a scope by short calls, one at a time for the whole server: on a thread of the library after
-/// ztl_server_start, or in ztl_server_poll after ztl_server_start_polled. `poll` and `abort` may be NULL: then
-/// the program moves its tasks on by itself, and looks at ztl_task_is_aborted. `context` is handed to
-/// them, stays the program's, and may be NULL; `start` may not. Any thread; before the start. The text is
-/// copied.
+/// Serves a scope with short calls, one at a time for the whole server: on a thread of the library after
+/// ztl_server_start, or in ztl_server_poll after ztl_server_start_polled. `poll` and `abort` may be NULL; then the
+/// program advances its tasks by itself and checks ztl_task_is_aborted. `context` is passed to the functions, belongs to
+/// the program, and may be NULL; `start` must not be NULL. Any thread; before the start. The text is copied.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ztl_server_add_handler(
     server: *mut Server,
@@ -643,9 +639,9 @@ pub unsafe extern "C" fn ztl_server_add_handler(
     }
 }
 
-/// Listens at an address, as "tcp://0.0.0.0:12345" (every interface), "tcp://127.0.0.1:12345" (this machine only) or
-/// "tcp://127.0.0.1:*" (any free port), and serves from now on, on threads of the library, which have
-/// all signals blocked. Any thread, once: a start that failed may be tried again. The text is copied.
+/// Listens at an address such as "tcp://0.0.0.0:12345" (every interface), "tcp://127.0.0.1:12345" (this machine only) or
+/// "tcp://127.0.0.1:*" (any free port), and serves on threads of the library, which have all signals blocked. Any
+/// thread, once; a start that failed may be tried again. The text is copied.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ztl_server_start(server: *mut Server, endpoint: *const c_char) -> c_int {
     // SAFETY: NULL, or a server that is not freed and a text, as their caller promises.
@@ -656,8 +652,8 @@ pub unsafe extern "C" fn ztl_server_start(server: *mut Server, endpoint: *const 
     }
 }
 
-/// The same, but the calls of ztl_server_add_handler are made only within ztl_server_poll: for a program that
-/// has a main loop and shares nothing between threads. Clients are answered all the while.
+/// As ztl_server_start, but the functions of ztl_server_add_handler are called only within ztl_server_poll: for a program
+/// with a main loop that shares nothing between threads. Clients are answered all the time.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ztl_server_start_polled(
     server: *mut Server,
@@ -671,17 +667,17 @@ pub unsafe extern "C" fn ztl_server_start_polled(
     }
 }
 
-/// Makes the calls that are due and returns; waits for the first of them for so many milliseconds at most,
-/// 0 not at all. After ztl_server_start there are none, and it only waits. Any thread, one at a time
-/// (ZTL_E_BUSY). ZTL_E_SYSTEM when the server can no longer serve.
+/// Makes the calls that are due. Waits for the first one at most for this time in milliseconds; 0 means not at all. After
+/// ztl_server_start there are no calls, and it only waits. Any thread, one at a time (else ZTL_E_BUSY). ZTL_E_SYSTEM if
+/// the server can no longer serve.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ztl_server_poll(server: *mut Server, wait_ms: c_uint) -> c_int {
     // SAFETY: NULL, or a server that is not freed, as its caller promises.
     unsafe { Server::with(server, |server| server.poll(millis(wait_ms))) }
 }
 
-/// Copies where a started server listens, with the port that was chosen, into a buffer, as
-/// ztl_server_error does; an empty text before the start. Any thread.
+/// Copies the address of a started server, with the chosen port, into a buffer, like ztl_server_error; an empty text
+/// before the start. Any thread.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ztl_server_endpoint(
     server: *const Server,
@@ -695,12 +691,12 @@ pub unsafe extern "C" fn ztl_server_endpoint(
             let running = running.as_ref()?;
             Some(running.server.endpoint().to_owned())
         });
-        // SAFETY: the buffer is the caller's, and as long as is said.
+        // SAFETY: the buffer is the caller's, and has this size.
         unsafe { copy_out(&endpoint.unwrap_or_default(), buffer, size) }
     })
 }
 
-/// Reads a pair of keys, where they can be used at all.
+/// Reads a key pair, if this library can encrypt.
 pub(crate) fn read_keys(file: &str) -> Result<KeyPair, Failure> {
     if !ztl_std::keys::can_encrypt() {
         return Err(ztl_std::keys::KeyError::NoCurve.into());

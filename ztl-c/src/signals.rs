@@ -1,17 +1,17 @@
-//! The robot's program keeps its signals: no thread of this library takes one.
+//! Signals stay with the program: no thread of this library handles one.
 
-/// Does the work with all signals blocked: threads that are started in it have them blocked for good.
+/// Does the work with all signals blocked. Threads started meanwhile keep them blocked.
 #[cfg(unix)]
 pub(crate) fn blocked<T>(work: impl FnOnce() -> T) -> T {
     use std::mem::MaybeUninit;
     use std::ptr;
 
-    /// Restores this thread's signals, also after a panic.
+    /// Restores the thread's signal mask when dropped, also by a panic.
     struct Before(libc::sigset_t);
 
     impl Drop for Before {
         fn drop(&mut self) {
-            // SAFETY: a set that `pthread_sigmask` has written; where the old one goes may be NULL.
+            // SAFETY: the set was written by `pthread_sigmask`; the pointer for the old one may be NULL.
             unsafe { libc::pthread_sigmask(libc::SIG_SETMASK, &raw const self.0, ptr::null_mut()) };
         }
     }
@@ -23,14 +23,14 @@ pub(crate) fn blocked<T>(work: impl FnOnce() -> T) -> T {
         libc::sigfillset(all.as_mut_ptr());
         libc::pthread_sigmask(libc::SIG_SETMASK, all.as_ptr(), before.as_mut_ptr())
     };
-    // SAFETY: when it says 0 it has written the set.
+    // SAFETY: on success, the set is written.
     let before = (done == 0).then(|| Before(unsafe { before.assume_init() }));
     let result = work();
     drop(before);
     result
 }
 
-/// The same where there are none.
+/// There are no signals here.
 #[cfg(not(unix))]
 pub(crate) fn blocked<T>(work: impl FnOnce() -> T) -> T {
     work()

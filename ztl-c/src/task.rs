@@ -1,4 +1,4 @@
-//! What a server's callbacks tell of a task.
+//! What a server's callbacks report about a task.
 
 use std::ffi::{c_char, c_int, c_uint};
 use std::time::Duration;
@@ -10,22 +10,21 @@ use crate::error::{Failure, ZTL_E_ARGUMENT, ZTL_E_ENDED};
 use crate::server::Server;
 use crate::{ZTL_ABORTED, ZTL_COMPLETED, ZTL_FAILED, ZTL_REJECTED};
 
-/// The id behind a number from C.
+/// A task id from C.
 fn id(task: c_uint) -> Result<TaskId, Failure> {
     TaskId::new(task).ok_or_else(|| Failure::new(ZTL_E_ENDED, "no task has the id 0"))
 }
 
-/// The task is taken, and its client is told so. Not needed after ztl_task_progress or ztl_task_end, which
-/// say it too, nor in a `start`. A task that nobody has decided upon after 1.5 s is answered with its id
-/// all the same. Any thread, from a task's beginning to its end (ZTL_E_ENDED); so are all ztl_task_....
+/// Accepts the task and informs its client. Not needed after ztl_task_progress or ztl_task_end, which accept it too,
+/// nor in a `start`. The client of a task that is undecided after 1.5 s gets its id anyway. Like all ztl_task_...
+/// functions: any thread, from the start of a task to its end (then ZTL_E_ENDED).
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ztl_task_accept(server: *mut Server, task: c_uint) -> c_int {
     // SAFETY: NULL, or a server that is not freed, as its caller promises.
     unsafe { Server::with(server, |server| server.tasks()?.accept(id(task)?)) }
 }
 
-/// Where the task is now, for its clients; the latest is what they see. The text is copied, and must not be
-/// NULL.
+/// Sets the progress that clients see. The text is copied and must not be NULL.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ztl_task_progress(
     server: *mut Server,
@@ -41,10 +40,9 @@ pub unsafe extern "C" fn ztl_task_progress(
     }
 }
 
-/// Ends the task: as ZTL_COMPLETED with its result, ZTL_FAILED or ZTL_REJECTED with the reason, or
-/// ZTL_ABORTED with where it stopped. ZTL_REJECTED says that nothing was done: of a task that was
-/// accepted already it becomes FAILED. The first end counts; a later one is ZTL_E_ENDED and changes
-/// nothing. The text is copied, and must not be NULL.
+/// Ends the task: as ZTL_COMPLETED with the result, ZTL_FAILED or ZTL_REJECTED with the reason, or ZTL_ABORTED with
+/// where it stopped. ZTL_REJECTED means that nothing was done; a task that was accepted becomes FAILED instead. The
+/// first end counts; a later one is ZTL_E_ENDED and changes nothing. The text is copied and must not be NULL.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ztl_task_end(
     server: *mut Server,
@@ -63,7 +61,7 @@ pub unsafe extern "C" fn ztl_task_end(
                 ZTL_ABORTED => State::Aborted,
                 other => {
                     let text = format!(
-                        "{other} is no end of a task; there are ZTL_COMPLETED, ZTL_FAILED, ZTL_ABORTED and ZTL_REJECTED"
+                        "{other} is not a final state; there are ZTL_COMPLETED, ZTL_FAILED, ZTL_ABORTED and ZTL_REJECTED"
                     );
                     return Err(Failure::new(ZTL_E_ARGUMENT, text));
                 }
@@ -73,7 +71,7 @@ pub unsafe extern "C" fn ztl_task_end(
     }
 }
 
-/// 1 when the task should stop, since somebody asked for it or it has ended (or the server is NULL), else 0.
+/// 1 if the task should stop because of an abort, has ended, or the server is NULL; else 0.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ztl_task_is_aborted(server: *mut Server, task: c_uint) -> c_int {
     guard(1, || {
@@ -84,7 +82,7 @@ pub unsafe extern "C" fn ztl_task_is_aborted(server: *mut Server, task: c_uint) 
     })
 }
 
-/// Waits for so many milliseconds; ZTL_E_ABORTED as soon as somebody asks to stop the task.
+/// Sleeps; returns ZTL_E_ABORTED as soon as the task is asked to stop.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ztl_task_sleep(
     server: *mut Server,
@@ -100,16 +98,15 @@ pub unsafe extern "C" fn ztl_task_sleep(
     }
 }
 
-/// The task cannot be stopped and goes on, as the client that asked for it is told.
+/// Informs the client that asked to stop the task that the task cannot be stopped and goes on.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ztl_task_refuse_abort(server: *mut Server, task: c_uint) -> c_int {
     // SAFETY: NULL, or a server that is not freed, as its caller promises.
     unsafe { Server::with(server, |server| server.tasks()?.refuse_abort(id(task)?)) }
 }
 
-/// The task is to be stopped when nothing has come from its client for so many milliseconds (5000 or more),
-/// though it had asked for something after the task began. Never happens to a client that does not say who
-/// it is, as the Python original's.
+/// Stops the task when its client is silent for this time (5000 ms or more), after at least one request since the task
+/// was started. Has no effect for clients that do not identify themselves, such as the Python original's.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ztl_task_needs_client(
     server: *mut Server,

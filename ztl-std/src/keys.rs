@@ -143,8 +143,7 @@ impl PublicKey {
     }
 
     /// Its bytes.
-    #[must_use]
-    pub const fn as_bytes(&self) -> &[u8; LEN] {
+    pub(crate) const fn as_bytes(&self) -> &[u8; LEN] {
         &self.0
     }
 

@@ -1,5 +1,6 @@
 //! The operating system's clocks: monotonic, as the state machines use it, and wall-clock time as RFC 3339.
 
+#[cfg(feature = "config")]
 pub mod rfc3339;
 
 use std::sync::OnceLock;

@@ -116,7 +116,7 @@ static void mistakes(void)
     CHECK(ztl_server_add_worker(server, "/\xff", nothing, NULL) == ZTL_E_ARGUMENT && said(server, "UTF-8"));
     CHECK(ztl_server_add_worker(server, "/x", nothing, NULL) == ZTL_OK);
     CHECK(ztl_server_add_worker(server, "/x", nothing, NULL) == ZTL_E_ARGUMENT && said(server, "already"));
-    CHECK(ztl_server_start(server, "nowhere") == ZTL_E_ARGUMENT && said(server, "'nowhere' is no address"));
+    CHECK(ztl_server_start(server, "nowhere") == ZTL_E_ARGUMENT && said(server, "'nowhere' is not an address"));
     CHECK(ztl_server_start(server, "tcp://1.2.3.4:1") == ZTL_E_ADDRESS);
     CHECK(ztl_server_error(server, small, sizeof small) > 7 && strlen(small) == 7);
     CHECK(ztl_server_error(server, small, 1) > 7 && small[0] == '\0');
@@ -133,7 +133,7 @@ static void mistakes(void)
     CHECK(ztl_client_status(client, 1, NULL) == ZTL_E_STATE);
     CHECK(strstr(ztl_client_error(client), "ztl_client_connect") != NULL);
     CHECK(ztl_client_connect(client, "nowhere", "/x") == ZTL_E_ARGUMENT);
-    CHECK(strstr(ztl_client_error(client), "'nowhere' is no address") != NULL);
+    CHECK(strstr(ztl_client_error(client), "'nowhere' is not an address") != NULL);
     CHECK(ztl_client_connect(client, "tcp://127.0.0.1:1", "/a;b") == ZTL_E_ARGUMENT);
     CHECK(strstr(ztl_client_error(client), "the scope '/a;b' contains ';'") != NULL);
     CHECK(ztl_server_endpoint(server, text, sizeof text) == strlen(text));

@@ -41,7 +41,7 @@ impl Decoder {
     ///
     /// # Errors
     /// [`ElfError`] if the file is not usable.
-    pub fn of_elf(elf: &[u8]) -> Result<Self, ElfError> {
+    fn of_elf(elf: &[u8]) -> Result<Self, ElfError> {
         Ok(Self {
             table: Arc::new(Table::of_elf(elf)?),
             waiting: Vec::new(),

@@ -253,8 +253,7 @@ impl Endpoint {
     }
 
     /// The line rate, if the line has one.
-    #[must_use]
-    pub fn baud(&self) -> Option<u32> {
+    pub(super) fn baud(&self) -> Option<u32> {
         match self {
             Self::Serial { baud, .. } => Some(*baud),
             _ => None,

@@ -16,6 +16,8 @@ mod dropped;
 mod engine;
 mod handle;
 mod handler;
+#[cfg(feature = "config")]
+mod limit_text;
 mod limits;
 mod memory;
 mod reporter;
@@ -31,8 +33,14 @@ pub use access::Access;
 pub use bind::BindError;
 pub use handle::{RunningServer, ServerHandle};
 pub use handler::{Answers, Restored, RestoredTask, TaskHandler, would_take};
-pub use limits::{KEEP, LIMITS, Limits, MAX_MESSAGE, bytes};
+#[cfg(feature = "config")]
+pub(crate) use limit_text::LIMITS;
+#[cfg(feature = "config")]
+pub use limit_text::bytes;
+pub use limits::{KEEP, Limits, MAX_MESSAGE};
 pub(crate) use reporter::AbortRefusal;
-pub use reporter::{Claim, TaskReporter};
+#[cfg(feature = "gateway")]
+pub(crate) use reporter::Claim;
+pub use reporter::TaskReporter;
 pub use task_server::{ServerBuilder, TaskServer};
 pub(crate) use waker::WakeBatch;

@@ -26,6 +26,10 @@ pub(super) enum Report {
     /// Abort the task when this client is silent for so long.
     NeedsClient(ClientId, Duration),
     /// Reject the task with this reason unless it is claimed within this time.
+    #[cfg_attr(
+        not(feature = "gateway"),
+        expect(dead_code, reason = "only the gateway has a journal")
+    )]
     NeedsClaim(Claim, Duration, &'static str),
 }
 
@@ -123,12 +127,12 @@ impl Drop for Inbox {
 
 /// Decides once whether a task may start or its server rejects it, whichever is first.
 #[derive(Debug, Clone, Default)]
-pub struct Claim(Arc<OnceLock<bool>>);
+pub(crate) struct Claim(Arc<OnceLock<bool>>);
 
 impl Claim {
     /// Claims the task; returns whether it may start. If not, the client was told that it is rejected.
-    #[must_use]
-    pub fn take(&self) -> bool {
+    #[cfg(feature = "gateway")]
+    pub(crate) fn take(&self) -> bool {
         *self.0.get_or_init(|| true)
     }
 
@@ -207,8 +211,9 @@ impl TaskReporter {
     /// Rejects the task, without telling its client an id, unless it is claimed `within` this time. For a
     /// handler that must write a journal entry before any client learns the id: an undecided INIT is answered
     /// with the id after 1.5 s.
+    #[cfg(feature = "gateway")]
     #[must_use = "an unclaimed task is rejected"]
-    pub fn refuse_unless_claimed(&self, within: Duration, reason: &'static str) -> Claim {
+    pub(crate) fn refuse_unless_claimed(&self, within: Duration, reason: &'static str) -> Claim {
         let claim = Claim::default();
         self.post(Report::NeedsClaim(claim.clone(), within, reason));
         claim

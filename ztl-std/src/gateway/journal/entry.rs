@@ -23,8 +23,7 @@ pub struct Moment {
 
 impl Moment {
     /// The current time.
-    #[must_use]
-    pub fn now() -> Self {
+    pub(super) fn now() -> Self {
         Self {
             wall: SystemTime::now(),
             running: Duration::from_micros(time::now().as_micros()),
