@@ -5,7 +5,7 @@ use std::net::TcpStream;
 
 use ztl_tests::lab::{Server, shake_hands};
 
-use crate::{Socket, assert_serves};
+use crate::socket::{Socket, assert_serves};
 
 #[test]
 fn a_frame_that_announces_too_much_ends_its_connection_and_no_other() {

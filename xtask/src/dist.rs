@@ -19,7 +19,7 @@ use contents::Contents;
 /// Maximum size of a program in bytes.
 const MOST: usize = 6 * 1024 * 1024;
 
-/// The emulated kernels, oldest last (`tests/dist/old_kernel.py`).
+/// The emulated kernels, oldest last (`tests/command/dist/old_kernel.py`).
 const KERNELS: [&str; 2] = ["3.2", "2.6.32"];
 
 /// Builds the named targets, or all. `check` also runs each one and links the C interface for it.
@@ -126,7 +126,7 @@ fn run_all(project: &Project, built: &[(Target, PathBuf)]) -> Result<()> {
     for (target, path) in built {
         let triple = target.triple();
         let run = |variable: &str, how: &str| {
-            cmd!(sh, "env ZTL_DIST={path} ZTL_DIST_TARGET={triple} {variable}={how} cargo {test...} dist -- --ignored").run()
+            cmd!(sh, "env ZTL_DIST={path} ZTL_DIST_TARGET={triple} {variable}={how} cargo {test...} command -- --ignored dist::").run()
         };
         run("ZTL_DIST_EMULATOR", target.emulator)?;
         // Only the same machine type has a kernel that can be made to look old.
@@ -151,7 +151,7 @@ fn run_all(project: &Project, built: &[(Target, PathBuf)]) -> Result<()> {
 /// programs of a killed server.
 fn watchdogs(project: &Project, kernel: &str, program: &Path) -> Result<()> {
     let sh = &project.sh;
-    let script = project.root.join("tests/dist/old_kernel.py");
+    let script = project.root.join("tests/command/dist/old_kernel.py");
     let python = install::python(project)?;
     let words = [&python, &script, Path::new(kernel), program];
     let command = words.map(|word| word.display().to_string()).join("\n");

@@ -64,12 +64,12 @@ impl Soak {
         let vars = vars.split(' ');
         cmd!(
             sh,
-            "env {vars...} cargo {test...} --test line_faults {end...}"
+            "env {vars...} cargo {test...} --test devices {end...} line_faults::"
         )
         .run()?;
         cmd!(
             sh,
-            "env ZTL_MANY_TASKS={many} cargo {test...} --test many_tasks {end...}"
+            "env ZTL_MANY_TASKS={many} cargo {test...} --test serve {end...} many_tasks::"
         )
         .run()?;
         Ok(())
