@@ -1,4 +1,4 @@
-//! How a robot starts `ztl`: what lies in `examples/boot`, run as far as this machine has what it takes.
+//! How a robot starts `ztl` at boot: runs the files of `examples/boot` as far as this machine allows.
 
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};

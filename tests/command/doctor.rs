@@ -1,4 +1,4 @@
-//! `ztl doctor`: what it finds on this machine, and that each trouble comes with its remedy.
+//! `ztl doctor`: its findings on this machine, each with a remedy.
 
 use serde_json::Value;
 use ztl_tests::lab::{Ended, Process, Scratch, Server, reserve_port, ztl};
@@ -41,7 +41,7 @@ fn assert_trouble(told: &Value, what: &str, text: &str, remedy: &str) {
 }
 
 #[test]
-fn a_machine_in_order_is_told_as_such() {
+fn a_machine_without_troubles_is_reported_as_good() {
     let scratch = Scratch::new();
     let journal = scratch.path("new/journal");
     let journal = journal.to_str().expect("a path");
@@ -135,7 +135,7 @@ fn each_trouble_comes_with_its_remedy() {
 }
 
 #[test]
-fn who_answers_nothing_is_no_server() {
+fn a_server_that_does_not_answer_is_a_trouble() {
     let listener = std::net::TcpListener::bind(("127.0.0.1", 0)).expect("a port");
     let port = listener.local_addr().expect("its address").port();
     let (told, code) = told(&["-r", "127.0.0.1", "-p", &port.to_string()]);
@@ -155,7 +155,7 @@ fn who_answers_nothing_is_no_server() {
 }
 
 #[test]
-fn a_host_without_a_port_is_no_question() {
+fn a_host_without_a_port_is_a_usage_error() {
     let ended = doctor(&["-r", "robot", "-c", "/dev/null"]);
     assert_eq!(ended.code, Some(2), "{ended:?}");
     assert!(ended.stderr.contains("(a host needs --port)"), "{ended:?}");

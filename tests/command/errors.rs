@@ -1,4 +1,4 @@
-//! What the `ztl` command says when something is wrong, its exit codes, its help, and its demo.
+//! Errors of the `ztl` command, its exit codes, its help and its demo.
 
 use std::net::TcpListener;
 use std::process::Command;
@@ -33,7 +33,7 @@ fn refuses(line: &str, parts: &[&str]) {
 }
 
 #[test]
-fn a_device_that_cannot_be_is_refused_with_what_can() {
+fn an_invalid_device_is_refused_with_the_valid_ones() {
     for (device, parts) in [
         (
             "gripper=usb:1",
@@ -128,7 +128,7 @@ fn a_port_where_another_ztl_serves_is_in_use_too() {
 }
 
 #[test]
-fn a_simulated_device_that_cannot_be_is_refused_with_what_can() {
+fn an_invalid_simulated_device_is_refused_with_the_valid_ones() {
     let places = ["tcp:PORT", "tcp:HOST:PORT", "pty:LINK"];
     for place in [
         "usb",
@@ -178,7 +178,7 @@ fn fate(server: &Server, args: &[&str]) -> (Option<i32>, String) {
 }
 
 #[test]
-fn the_exit_status_tells_a_tasks_fate() {
+fn the_exit_status_tells_a_tasks_outcome() {
     let gateway = Server::simulated();
     let tests = Server::ours();
     for (server, args, code, part) in [

@@ -1,4 +1,4 @@
-//! The examples that a user copies, run as their first lines say.
+//! Runs the examples as their first lines say.
 
 use std::process::Command;
 use std::time::{Duration, Instant};

@@ -1,5 +1,4 @@
-//! The rules for options that the original's tools have from Python's argparse, and the names under
-//! which they are called.
+//! Options by the rules of Python's argparse, and the names under which the original's tools are called.
 
 use std::net::TcpListener;
 use std::process::Command;

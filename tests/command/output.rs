@@ -1,5 +1,4 @@
-//! What the command-line clients tell: programs by JSON, a person on a terminal, and whoever presses
-//! Ctrl-C.
+//! Output of the command-line clients: JSON for programs, text on a terminal, and what Ctrl-C prints.
 
 use std::collections::BTreeMap;
 use std::process::Command;
@@ -80,7 +79,7 @@ fn events(objects: &[Value]) -> Vec<&str> {
 }
 
 #[test]
-fn a_program_is_told_a_tasks_life_by_each_client() {
+fn each_client_reports_a_task_as_json_events() {
     let server = Server::ours();
     let port = server.port;
     for (line, request) in [
@@ -126,7 +125,7 @@ fn a_program_is_told_a_tasks_life_by_each_client() {
 }
 
 #[test]
-fn a_program_is_told_each_fate_and_the_exit_code_is_the_same() {
+fn json_reports_each_outcome_with_its_exit_code() {
     let server = Server::ours();
     let at = |port: u16| format!("-r localhost -p {port} -s {SCOPE}");
     let here = at(server.port);
@@ -164,7 +163,7 @@ fn a_program_is_told_each_fate_and_the_exit_code_is_the_same() {
 }
 
 #[test]
-fn progress_is_told_when_it_changes() {
+fn progress_is_reported_when_it_changes() {
     let gateway = Server::simulated();
     let line = format!(
         "task-client -r localhost -p {} -s {SCOPE} gripper:finger:30",

@@ -1,5 +1,4 @@
-//! `ztl devices`, `ztl ps` and `ztl abort`: a person looks at a server and stops what runs there,
-//! whoever started it.
+//! `ztl devices`, `ztl ps` and `ztl abort`: list and abort the tasks of a server, whichever client started them.
 
 use ztl_std::{RemoteTask, State};
 use ztl_tests::lab::{

@@ -76,7 +76,7 @@ fn abort_of_a_finished_task_keeps_its_result() {
 }
 
 #[test]
-fn what_nobody_knows_is_refused() {
+fn an_unknown_id_or_scope_is_refused() {
     let server = Server::ours();
     let mut client = server.original_client();
     assert_eq!(client.status(99), (REJECTED, "Invalid ID '99'"));
@@ -99,7 +99,7 @@ fn what_nobody_knows_is_refused() {
 }
 
 #[test]
-fn goals_of_every_kind_are_told_as_the_original_tells_them() {
+fn goals_of_every_kind_are_printed_as_by_the_original() {
     let (ours, original) = (Server::ours(), Server::original());
     let mut clients = [ours.original_client(), original.original_client()];
     for goal in [
@@ -151,7 +151,7 @@ fn many_tasks_run_at_once_and_no_id_comes_twice() {
 }
 
 #[test]
-fn an_id_from_before_a_restart_is_nobodys() {
+fn an_id_from_before_a_restart_is_unknown() {
     let mut ids = Vec::new();
     for run in 0..3 {
         let server = Server::ours();

@@ -112,7 +112,7 @@ fn a_goal_out_of_range_is_refused_with_what_would_be_right() {
 }
 
 #[test]
-fn what_is_not_there_is_refused_with_what_is() {
+fn an_unknown_device_is_refused_with_the_known_ones() {
     let gateway = Server::simulated();
     let mut client = gateway.original_client();
     let reason = "no device 'arm'; there are: gripper, head";

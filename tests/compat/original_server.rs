@@ -39,7 +39,7 @@ fn a_wait_lasts_until_the_task_has_ended() {
 }
 
 #[test]
-fn a_wait_that_is_over_too_soon_is_no_end() {
+fn a_wait_that_times_out_is_not_a_final_state() {
     let server = Server::original();
     let mut remote = connect(&server.endpoint());
     let id = start(&mut remote, "test", "sleep", "3");
@@ -63,7 +63,7 @@ fn a_goal_of_any_length_is_taken() {
 }
 
 #[test]
-fn a_refusal_is_no_task() {
+fn a_rejected_init_is_not_a_task() {
     let server = Server::original();
     let mut remote = connect(&server.endpoint());
     let reason = "Controller threw exception: No such handler 'robot', try 'test'.";
@@ -90,7 +90,7 @@ fn an_abort_that_is_refused_tells_that_the_task_goes_on() {
 }
 
 #[test]
-fn what_nobody_knows_is_refused() {
+fn an_unknown_id_or_scope_is_refused() {
     let server = Server::original();
     let mut remote = connect(&server.endpoint());
     let id = TaskId::new(99).expect("an id");

@@ -1,4 +1,4 @@
-//! `ztl simple-server`, `ztl simple-client` and `ztl remote-task` beside the original's tools.
+//! Compares `ztl simple-server`, `ztl simple-client` and `ztl remote-task` with the original's tools.
 
 use std::process::Command;
 
@@ -86,7 +86,7 @@ fn simple_servers_and_clients_tell_the_same() {
 }
 
 #[test]
-fn a_task_that_the_simple_client_cannot_abort_is_told_the_same() {
+fn a_task_that_the_simple_client_cannot_abort_is_reported_the_same() {
     let servers = [Server::original(), Server::ours()];
     // test:sleep:7
     let last = "finished after unsuccessful abort signal. Reply is 'False'.";
@@ -238,7 +238,7 @@ fn without_a_configuration_the_options_are_enough() {
 }
 
 #[test]
-fn a_server_that_has_no_such_name_is_told_with_those_that_have() {
+fn an_unknown_server_name_is_answered_with_the_known_names() {
     let file = "remotes:\n  robot: {host: localhost, port: 1, scope: /test}\n  \
                 lamp: {host: localhost, scope: /test}\n";
     for (name, message) in [
@@ -257,7 +257,7 @@ fn a_server_that_has_no_such_name_is_told_with_those_that_have() {
 }
 
 #[test]
-fn the_exit_status_tells_the_fate_if_asked() {
+fn the_exit_status_option_tells_the_outcome() {
     let (simple, tests) = (Server::simple_ours(), Server::ours());
     let port = simple.port.to_string();
     for (request, code) in [("0", 0), ("soon", 1)] {

@@ -1,5 +1,5 @@
-//! `ztl task-client` beside the original's `ztl_task_client`, and `ztl task-server` beside its
-//! `ztl_task_server`: each client prints the same of each server, and ends with the same code.
+//! Compares `ztl task-client` and `ztl task-server` with the original's tools: each client prints the same for each server, and
+//! exits with the same code.
 
 use std::process::Command;
 
@@ -38,7 +38,7 @@ fn same_by(ours: impl Fn() -> Command, servers: &[Server; 2], args: &[&str], las
 }
 
 #[test]
-fn tasks_that_end_at_once_are_told_the_same() {
+fn tasks_that_end_at_once_are_reported_the_same() {
     let servers = servers();
     for goal in ["hi", "", "a:b;c", "it's \"quoted\" — grüße 👍"] {
         let task = format!("test:echo:{goal}");
@@ -62,7 +62,7 @@ fn what_a_task_prints_comes_out_at_the_server() {
 }
 
 #[test]
-fn tasks_that_take_time_are_told_the_same() {
+fn tasks_that_take_time_are_reported_the_same() {
     let last = "finished in state 'COMPLETED' while waiting. Result is 'True'.";
     let servers = servers();
     same(&servers, &["test:sleep:1"], last);
@@ -70,14 +70,14 @@ fn tasks_that_take_time_are_told_the_same() {
 }
 
 #[test]
-fn a_task_that_cannot_be_aborted_is_told_the_same() {
+fn a_task_that_cannot_be_aborted_is_reported_the_same() {
     let last = "finished in state 'COMPLETED' after unsuccessful abort signal. Reply is 'True'.";
     let text = same(&servers(), &["-t", "1", "test:sleep:3"], last);
     assert!(text.contains("\nAborting task with ID 'ID'...\n"), "{text}");
 }
 
 #[test]
-fn a_task_that_outlasts_its_clients_patience_is_told_the_same() {
+fn a_task_that_outlasts_its_clients_timeout_is_reported_the_same() {
     // The original waits 5 s after an abort that was refused, and then calls it finished. So does ours by the
     // original's name.
     let files = Scratch::new();
@@ -87,7 +87,7 @@ fn a_task_that_outlasts_its_clients_patience_is_told_the_same() {
 }
 
 #[test]
-fn tasks_that_fail_or_are_refused_are_told_the_same() {
+fn tasks_that_fail_or_are_refused_are_reported_the_same() {
     let servers = servers();
     let unknown = "No such component 'dance', try 'echo/print/sleep'.";
     let number = "invalid literal for int() with base 10: 'soon'";

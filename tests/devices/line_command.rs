@@ -1,5 +1,4 @@
-//! `ztl line` by itself: what goes in at one end comes out at the other, as late and as damaged as
-//! was asked for.
+//! `ztl line`: bytes come out at the other end with the delays and faults that the options ask for.
 
 use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream};
@@ -148,7 +147,7 @@ fn a_cut_in_one_direction_leaves_the_other_and_has_an_end() {
 }
 
 #[test]
-fn what_is_wrong_is_said_in_one_line_with_what_would_be_right() {
+fn an_error_is_one_line_with_the_right_form() {
     let taken = TcpListener::bind(("127.0.0.1", 0)).unwrap();
     let taken = format!("tcp-listen:{}", taken.local_addr().unwrap().port());
     for (args, code, part) in [

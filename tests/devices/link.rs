@@ -1,5 +1,4 @@
-//! The example frames of `docs/link.md` are what the code writes and reads, and what a real node
-//! answers.
+//! The example frames of `docs/link.md` are those that the code writes and reads, and that a real node answers.
 
 use std::cell::RefCell;
 use std::collections::BTreeSet;

@@ -1,5 +1,5 @@
-//! The gateway and its devices as processes of their own, with a pty or TCP between them: what is
-//! asked is done, and a device that goes away is noticed in time and served again when it is back.
+//! The gateway and its devices as processes, connected by a pty or TCP: tasks run, and a device that disappears is noticed in
+//! time and served again when it returns.
 
 use std::time::{Duration, Instant};
 

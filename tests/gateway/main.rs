@@ -1,5 +1,4 @@
-//! `ztl gateway` as a process that runs for months: its configuration file, what it does when asked
-//! to stop, and that no device harms another.
+//! `ztl gateway`: its configuration, its journal, the devices behind it, and how it stops and restarts.
 
 mod device;
 mod file;

@@ -1,4 +1,4 @@
-//! Devices that harm themselves, and nobody else.
+//! A faulty device does not harm the others.
 
 use std::io::Write;
 use std::net::{TcpListener, TcpStream};
@@ -35,7 +35,9 @@ fn latency(remote: &mut ztl_std::RemoteTask) -> Duration {
 #[test]
 fn a_flood_a_black_hole_and_a_hanging_port_leave_their_neighbour_as_it_is() {
     let mut gateway = Gateway::new();
-    gateway.add("head", ztl_sim::endpoint("sim:head").unwrap()).unwrap();
+    gateway
+        .add("head", ztl_sim::endpoint("sim:head").unwrap())
+        .unwrap();
     let (server, mut remote) = serve(gateway);
     let alone = latency(&mut remote);
     drop(server);
@@ -79,7 +81,9 @@ fn a_flood_a_black_hole_and_a_hanging_port_leave_their_neighbour_as_it_is() {
             Err(std::io::Error::other("let go"))
         })
         .unwrap();
-    gateway.add("head", ztl_sim::endpoint("sim:head").unwrap()).unwrap();
+    gateway
+        .add("head", ztl_sim::endpoint("sim:head").unwrap())
+        .unwrap();
     let watch = gateway.watch();
     let (server, mut remote) = serve(gateway);
     assert_eq!(

@@ -1,4 +1,4 @@
-//! What a service manager and whoever stops the gateway see of it.
+//! The gateway as a service: notifications, signals and its log.
 
 use std::os::linux::net::SocketAddrExt;
 use std::os::unix::net::SocketAddr;

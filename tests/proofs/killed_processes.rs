@@ -1,5 +1,5 @@
-//! Server and client as real processes that are stopped, killed and started again at every point of a
-//! task: nothing is done twice, and nothing is told to be done that is not.
+//! Servers and clients are stopped, killed and restarted at each point of a task: no task runs twice, and no outcome is
+//! invented.
 
 use std::process::Command;
 use std::time::{Duration, Instant};

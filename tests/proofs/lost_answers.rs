@@ -1,5 +1,4 @@
-//! An INIT whose answer, or which itself, is lost on the way: it is never sent again, and its client
-//! learns what became of it from a server of ours.
+//! An INIT or its answer is lost: the client never sends it again, and asks the server what became of it.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
@@ -127,7 +126,7 @@ fn an_init_that_is_lost_is_known_not_to_have_started() {
 }
 
 #[test]
-fn after_a_restart_of_the_server_its_fate_is_unknown_and_not_never_started() {
+fn after_a_restart_of_the_server_the_outcome_is_unknown_and_not_never_started() {
     let (told, started) = trigger(Fault::Restart);
     let unknown = matches!(
         told,

@@ -1,4 +1,4 @@
-//! What must hold whatever is lost, killed or stopped: no task runs twice, and no end is invented.
+//! What holds when messages are lost and processes are killed or stopped: no task runs twice, and no outcome is invented.
 
 mod killed_processes;
 mod lost_answers;

@@ -1,5 +1,5 @@
-//! Answers that tell no outcome: of a task that may still run, about another task, or longer than
-//! expected. None of them is taken for a final state, and nothing is started again because of them.
+//! Answers without an outcome: about a task that may still run, about another task, or longer than expected. None counts as a
+//! final state, and none makes a client start a task again.
 
 use std::fs;
 

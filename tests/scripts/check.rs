@@ -1,5 +1,5 @@
-//! `ztl check` and `ztl run-script` as people use them before and without a show: every mistake at its
-//! place, servers asked, rehearsals, and what a run costs. (How it plays: `scripts`; its live view: `live_view`.)
+//! `ztl check`, and `ztl run-script` before a show: mistakes with their places, questions to servers, rehearsals, and the cost
+//! of a step.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -461,7 +461,7 @@ s:
 }
 
 #[test]
-fn a_goal_that_is_too_long_for_its_server_is_told_before_the_show_and_in_it() {
+fn a_goal_that_is_too_long_for_its_server_is_reported_before_and_during_the_show() {
     let gateway = Server::gateway_with(&["gripper=sim:gripper"], &["--limit", "message=2 KiB"]);
     gateway.wait_ready("gripper");
     let script = format!(
@@ -553,7 +553,7 @@ fn a_rehearsal_needs_no_robot_and_no_configuration() {
 }
 
 #[test]
-fn what_cannot_be_is_said_before_anything_begins() {
+fn an_impossible_request_is_rejected_before_anything_begins() {
     let desk = Desk::with(
         "s one: {first: {robot: {say: hi}}}\n",
         &[("robot", 9, "/r")],

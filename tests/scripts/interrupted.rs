@@ -1,5 +1,4 @@
-//! `ztl run-script` in plain lines when things go wrong: servers that are stopped and started anew,
-//! Ctrl-C, and keys that come at the wrong time. With real processes, ours and the original's.
+//! `ztl run-script --plain` with servers that stop or restart, with Ctrl-C, and with keys at the wrong time.
 
 use std::fs;
 use std::process::{Child, Command, ExitStatus, Stdio};
@@ -75,7 +74,7 @@ fn while_a_server_is_stopped_the_step_waits_and_goes_on_when_it_is_back() {
 }
 
 #[test]
-fn when_a_server_was_started_anew_nothing_follows_unless_somebody_decides() {
+fn after_a_restart_of_a_server_nothing_follows_without_a_decision() {
     for (ours, mut server) in [true, false].into_iter().zip(servers()) {
         let mut anew = match ours {
             true => ztl(),
@@ -328,7 +327,7 @@ fn ctrl_c_stops_everything_also_when_nobody_reads_what_is_said() {
 }
 
 #[test]
-fn a_second_ctrl_c_leaves_whatever_stands_still() {
+fn a_second_ctrl_c_ends_a_player_that_hangs() {
     let mut command = ztl();
     command.args(["run-script", "--yes", "-s", "/dev/stdin"]);
     command.stdout(Stdio::null()).stderr(Stdio::null());

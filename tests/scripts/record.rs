@@ -1,5 +1,4 @@
-//! `ztl run-script --record`: what stands in `docs/record.md` is what is written, and whatever happens
-//! to the program, what was written can be read.
+//! `ztl run-script --record` writes what `docs/record.md` describes, and a record is readable after a crash.
 
 use std::fs;
 

@@ -1,5 +1,4 @@
-//! The page of `ztl report` in a real browser: whatever a record says, it is laid out, and nothing of
-//! it is acted on.
+//! The page of `ztl report` in a real browser: it shows any text of a record and executes none of it.
 
 use std::fs;
 use std::path::Path;

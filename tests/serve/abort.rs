@@ -1,4 +1,4 @@
-//! How programs are stopped: nothing of them survives.
+//! How programs are aborted: none of their processes survives.
 
 use std::time::{Duration, Instant};
 
@@ -9,7 +9,7 @@ use ztl_tests::lab::{ABORTED, ACCEPTED, PATIENCE, our_client, until};
 use crate::rig::{Lab, SOON, dies, end, kill, lives, progress, told, trigger};
 
 #[test]
-fn a_program_that_heeds_the_signal_is_aborted_with_its_last_words() {
+fn a_program_that_handles_the_signal_is_aborted_with_its_last_output() {
     let lab = Lab::new(
         r#"
         int: {run: [sh, -c, 'trap "echo stopped at 3; exit 0" INT; echo $$ > pid; while :; do sleep 0.01; done'], abort: INT}
@@ -32,7 +32,7 @@ fn a_program_that_heeds_the_signal_is_aborted_with_its_last_words() {
 }
 
 #[test]
-fn a_program_that_asks_by_json_hears_the_last_words_of_what_it_aborted() {
+fn the_json_client_reports_the_last_output_of_an_aborted_program() {
     let lab = Lab::new(
         r#"
         int: {run: [sh, -c, 'trap "echo stopped at 3; exit 0" INT; echo "@ on"; while :; do sleep 0.01; done'], abort: INT, progress: '@ '}

@@ -1,4 +1,4 @@
-//! Who may use a server: by address, and with a build that encrypts, by key and scope.
+//! Who may use a server: by address and, in a build with encryption, by key and scope.
 
 use std::process::Command;
 
@@ -56,7 +56,7 @@ fn only_clients_of_an_allowed_network_are_served() {
 }
 
 #[test]
-fn what_is_no_network_is_refused_with_what_is() {
+fn an_invalid_network_is_refused_with_an_example() {
     let ended = Process::run(ztl().args(["gateway", "-p", "0", "-s", "/lab", "--allow", "lab"]));
     assert_eq!(ended.code, Some(2));
     assert!(ended.stderr.contains("192.168.1.0/24"), "{ended:?}");
@@ -203,7 +203,7 @@ fn with_keys_and_nobody_allowed_nobody_is_served() {
 
 /// libzmq counts what encryption adds to a message.
 #[test]
-fn the_longest_message_comes_through_encrypted_and_one_byte_more_is_told() {
+fn the_longest_message_passes_encrypted_and_one_byte_more_is_reported() {
     if !encrypts() {
         return;
     }

@@ -1,5 +1,4 @@
-//! Our client from many threads, in the background, as a future, and with tasks that end with their
-//! guard.
+//! Our client in many threads, in the background, as a future, and with tasks that are aborted on drop.
 
 use std::future::Future;
 use std::pin::pin;
@@ -144,7 +143,7 @@ fn a_future_that_is_dropped_aborts_its_task() {
 }
 
 #[test]
-fn a_server_that_comes_late_is_met() {
+fn a_client_connects_to_a_server_that_starts_late() {
     let port = reserve_port();
     let endpoint = format!("tcp://127.0.0.1:{port}");
     let remote = connect(&endpoint);

@@ -1,4 +1,4 @@
-//! Handlers and lines that never pause: they harm themselves, and nobody else.
+//! Handlers and lines that send without a pause do not keep others waiting.
 
 use std::io::Write;
 use std::net::TcpListener;

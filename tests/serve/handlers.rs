@@ -1,4 +1,4 @@
-//! Controllers that panic, block, hang or will not stop: none of them keeps anybody else waiting.
+//! Controllers that panic, block, hang or ignore an abort do not keep other clients waiting.
 
 use std::time::{Duration, Instant};
 
@@ -155,7 +155,7 @@ fn the_originals_client_gets_an_id_of_an_assign_that_hangs() {
 }
 
 #[test]
-fn an_assign_that_hangs_and_then_refuses_is_told_by_status() {
+fn status_reports_a_rejection_by_an_assign_that_hung() {
     struct Late(Gate);
     impl TaskController for Late {
         fn assign(&self, _: &TaskRequest) -> Result<Box<dyn ExecutableTask>, TaskError> {
@@ -194,7 +194,7 @@ fn an_abort_that_is_not_heeded_is_answered_all_the_same() {
 }
 
 #[test]
-fn a_task_that_ends_in_spite_of_an_abort_tells_its_true_end() {
+fn a_task_that_completes_despite_an_abort_reports_its_true_outcome() {
     let lab = Lab::new();
     let mut client = lab.original_client();
     let id = client.start("any", "hang", "done after all");

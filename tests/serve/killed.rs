@@ -1,4 +1,4 @@
-//! The server is killed, and has no time to stop anything: its watchdog does.
+//! The server is killed: its watchdog stops the programs.
 
 use std::fs::OpenOptions;
 use std::io::Write;
@@ -347,7 +347,7 @@ fn a_log_that_cannot_be_written_keeps_nobody_from_stopping_programs() {
 }
 
 #[test]
-fn started_anew_it_does_not_claim_to_know_what_became_of_a_task() {
+fn after_a_restart_the_outcome_of_a_task_is_unknown() {
     let mut lab = Lab::new("go: {run: [sh, -c, 'echo $$ > pid; exec sleep 60']}\necho: echo");
     let mut remote = lab.remote();
     let id = trigger(&mut remote, "go", "");

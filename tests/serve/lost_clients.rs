@@ -1,4 +1,4 @@
-//! What becomes of a task when the client that started it is gone: the owner of the task chooses.
+//! A task whose client is gone: the owner of the task chooses whether it goes on.
 
 use std::time::Duration;
 

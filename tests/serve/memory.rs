@@ -1,4 +1,4 @@
-//! What the server has of the system: memory, and what wakes its threads.
+//! The memory of the server, and how its threads are woken.
 
 use std::path::PathBuf;
 use std::process::Command;

@@ -1,4 +1,4 @@
-//! A server of programs, and what can be seen of the processes that it starts.
+//! A server of programs, and the processes that it starts.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;

@@ -1,5 +1,4 @@
-//! Clients that mean no good, or are broken: whatever they do, a good client is answered before the
-//! original's would give up.
+//! Broken and hostile clients: a good client is answered before the original's would give up.
 
 use std::io::{ErrorKind, Read, Write};
 use std::net::TcpStream;

@@ -1,4 +1,4 @@
-//! A server's limits: what is too much is refused with the reason, and nothing else suffers.
+//! Limits of a server: what exceeds them is rejected with the reason, and nothing else suffers.
 
 use std::time::Duration;
 
@@ -158,7 +158,7 @@ fn a_client_sends_nothing_that_the_server_says_is_too_long() {
 }
 
 #[test]
-fn the_longest_message_of_all_comes_through_and_one_byte_more_is_told() {
+fn the_longest_message_passes_and_one_byte_more_is_reported() {
     let server = serve(|_| ());
     let mut remote = connect(server.endpoint());
     let payload = |length: usize| "x".repeat(length - "/test;1;-1;".len());
@@ -238,7 +238,7 @@ fn a_limit_that_no_probe_would_keep_does_not_end_the_probing() {
 }
 
 #[test]
-fn when_the_limit_cannot_be_asked_anew_the_client_says_that_nothing_was_sent() {
+fn a_client_that_cannot_ask_for_the_limit_again_says_that_nothing_was_sent() {
     let (endpoint, server) = probed(&["100"]);
     let remote = connect(&endpoint);
     let mut remote = remote.with_timeout(Duration::from_millis(300));

@@ -1,5 +1,5 @@
-//! Every message that silences the original, or that no client may send: each is answered exactly
-//! once, and the next client is served.
+//! Messages that silence the original, or that no client may send: each is answered exactly once, and the next client is
+//! served.
 
 use ztl_std::{RemoteTask, State};
 use ztl_tests::lab::{ABORTED, COMPLETED, OriginalClient, PATIENCE, SCOPE, Server, port_of, ztl};
@@ -87,7 +87,7 @@ fn answers_what_is_malformed(endpoint: &str) {
 }
 
 #[test]
-fn a_task_server_answers_whatever_is_malformed_and_serves_on() {
+fn a_task_server_answers_malformed_messages_and_serves_on() {
     let server = in_process();
     answers_what_is_malformed(server.endpoint());
     let mut client = OriginalClient::connect(port_of(server.endpoint()), SCOPE);
@@ -96,7 +96,7 @@ fn a_task_server_answers_whatever_is_malformed_and_serves_on() {
 }
 
 #[test]
-fn a_gateway_answers_whatever_is_malformed_and_serves_on() {
+fn a_gateway_answers_malformed_messages_and_serves_on() {
     let gateway = Server::simulated();
     let mut client = gateway.original_client();
     let id = client.start("gripper", "finger", "100");

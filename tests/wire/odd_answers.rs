@@ -1,6 +1,5 @@
-//! Answers that no server of ours gives: ids of any length, states that ZTL does not define, fields
-//! that are no numbers. Each is a clear outcome at once, and a task that was accepted is never
-//! started again.
+//! Answers that no server of ours sends: ids of any length, undefined states, fields that are not numbers. The outcome is clear
+//! at once, and an accepted task is never started again.
 
 use std::fs;
 use std::process::Command;

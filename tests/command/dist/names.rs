@@ -1,4 +1,4 @@
-//! Names of hosts, without anything of the system's C library: by `/etc/hosts`, and by a name server.
+//! Resolves host names without the C library of the system: by `/etc/hosts` and by a name server.
 
 use std::net::{Ipv4Addr, UdpSocket};
 use std::process::Command;

@@ -1,4 +1,4 @@
-//! Where the program is tried: a directory that is its whole file system.
+//! The root directory in which the static program runs.
 
 use std::path::Path;
 use std::process::Command;

@@ -1,4 +1,4 @@
-//! Messages, tasks and numbers as nobody would send them, and some as everybody does.
+//! Random messages, tasks and numbers: mostly odd ones, some ordinary.
 
 use ztl_core::TaskSpec;
 use ztl_core::base64::Encoder;

@@ -243,7 +243,7 @@ fn hex(bytes: &[u8]) -> String {
 }
 
 #[test]
-fn what_nobody_would_send_is_read_and_written_as_by_the_original() {
+fn odd_messages_are_read_and_written_as_by_the_original() {
     let seed = seed();
     let mut random = Random::new(seed);
     let cases: Vec<Case> = (0..CASES).map(|_| Case::new(&mut random)).collect();

@@ -1,4 +1,4 @@
-//! Where our reader differs from the two that it stands in for, and why.
+//! The listed differences between our reader and the two that it replaces, with the reasons.
 
 use serde_json::{Value as Json, json};
 

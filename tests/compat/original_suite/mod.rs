@@ -1,5 +1,4 @@
-//! The original's own test-suite, unchanged but for its ports, with our servers in place of its own; and our
-//! client against its servers, where the suite has the original's.
+//! The original's own test suite, with only its ports changed: against our servers, and with our client against its servers.
 
 use std::path::PathBuf;
 use std::process::Command;

@@ -1,4 +1,4 @@
-//! What else happens to a robot.
+//! Emergency stop, reset and a lost link.
 
 use ztl_tests::lab::{ABORTED, Board, FAILED, PATIENCE, Pin, Process, reserve_port, until, ztl};
 

@@ -1,5 +1,5 @@
-//! Firmware that is a server by itself: the original's client talks to the board with nothing between them,
-//! over the serial port's bytes, and over Ethernet frames, TCP and the board's own network stack.
+//! Firmware that serves ZeroMQ itself: the original's client talks to the board directly, over the serial port, and over
+//! Ethernet, TCP and the board's own network stack.
 
 use std::io::{Read, Write};
 use std::net::TcpStream;

@@ -4,7 +4,7 @@
 //! `ZTL_TASKS` and `ZTL_RESETS` say how many, `ZTL_FILL` how many tasks there were before the resets;
 //! `cargo xtask soak` runs the long form.
 
-mod books;
+mod ledger;
 mod resets;
 mod rig;
 mod tasks;

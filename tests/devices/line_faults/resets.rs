@@ -1,12 +1,11 @@
-//! Devices that lose their power and lines that are pulled out, again and again, with a task under
-//! way each time; and the gateway grows by nothing.
+//! Devices lose power and lines are unplugged, again and again, each time during a task. The gateway does not grow.
 
 use std::time::{Duration, Instant};
 
 use ztl_std::{RemoteId, RemoteTask, State};
 use ztl_tests::lab::{PATIENCE, until};
 
-use super::books::{Books, Told};
+use super::ledger::{Ledger, Told};
 use super::rig::{Rig, count};
 use super::tasks::drive;
 
@@ -15,9 +14,9 @@ fn far(round: usize) -> String {
     format!("99.{round:06}")
 }
 
-/// Starts a task as soon as the gateway takes it; what was refused before goes into the books too.
+/// Starts a task as soon as the gateway takes it; what was refused before goes into the ledger too.
 #[track_caller]
-fn start(remote: &mut RemoteTask, books: &mut Books, goal: &str) -> (RemoteId, String) {
+fn start(remote: &mut RemoteTask, ledger: &mut Ledger, goal: &str) -> (RemoteId, String) {
     let mut tries = 0;
     until("a task is taken", PATIENCE, || {
         let goal = format!("{goal}{tries:03}");
@@ -25,7 +24,7 @@ fn start(remote: &mut RemoteTask, books: &mut Books, goal: &str) -> (RemoteId, S
         match remote.trigger("gripper0", "finger", &goal) {
             Ok(task) => Some((task.id, goal)),
             Err(refused) => {
-                books.note(goal, Told::Rejected(refused.to_string()));
+                ledger.note(goal, Told::Rejected(refused.to_string()));
                 None
             }
         }
@@ -33,9 +32,9 @@ fn start(remote: &mut RemoteTask, books: &mut Books, goal: &str) -> (RemoteId, S
 }
 
 #[track_caller]
-fn end(remote: &mut RemoteTask, books: &mut Books, (id, goal): (RemoteId, String)) -> State {
+fn end(remote: &mut RemoteTask, ledger: &mut Ledger, (id, goal): (RemoteId, String)) -> State {
     let end = remote.wait(id, Some(PATIENCE)).expect("it ends");
-    books.note(goal, Told::Ended(end.state, end.text));
+    ledger.note(goal, Told::Ended(end.state, end.text));
     end.state
 }
 
@@ -45,28 +44,28 @@ fn resets_of_either_side_lose_no_task_and_the_gateway_grows_by_nothing() {
     let mut rig = Rig::new(1, "--baud 921600");
     let mut remote = rig.client();
     // A gateway keeps the results of its last 10,000 tasks; once it has them, it grows no more.
-    let mut books = drive(rig.client(), "gripper0", 0, count("ZTL_FILL", 100));
+    let mut ledger = drive(rig.client(), "gripper0", 0, count("ZTL_FILL", 100));
     let mut slowest = Duration::ZERO;
     // After each fifth of the way; after the first it is warm.
     let mut uses = Vec::new();
     let begin = Instant::now();
     for round in 0..resets {
         // The device loses its power.
-        let task = start(&mut remote, &mut books, &far(2 * round));
+        let task = start(&mut remote, &mut ledger, &far(2 * round));
         let reset = Instant::now();
         rig.branches[0].device.signal("USR1");
-        let state = end(&mut remote, &mut books, task);
+        let state = end(&mut remote, &mut ledger, task);
         assert_eq!(state, State::Failed, "round {round}");
         slowest = slowest.max(reset.elapsed());
 
         // The line is pulled out for a moment, and its task goes on.
-        let task = start(&mut remote, &mut books, &far(2 * round + 1));
+        let task = start(&mut remote, &mut ledger, &far(2 * round + 1));
         rig.branches[0].replug();
         until("it is stopped", PATIENCE, || {
             let state = remote.abort(&task.0).expect("an answer").state;
             state.is_final().then_some(())
         });
-        let state = end(&mut remote, &mut books, task);
+        let state = end(&mut remote, &mut ledger, task);
         assert_ne!(state, State::Completed, "round {round}");
 
         if (round + 1) % (resets / 5) == 0 {
@@ -75,13 +74,13 @@ fn resets_of_either_side_lose_no_task_and_the_gateway_grows_by_nothing() {
     }
     let took = begin.elapsed();
     let (early, late) = (uses[0], uses[uses.len() - 1]);
-    books.check(&rig.branches[0].record(), true);
+    ledger.check(&rig.branches[0].record(), true);
     println!(
         "{resets} resets of the device and {resets} of the line in {:.1} s, the slowest reset seen after {} ms\n\
          {}\nthe gateway after each fifth of them:",
         took.as_secs_f64(),
         slowest.as_millis(),
-        books.summary()
+        ledger.summary()
     );
     for used in &uses {
         println!("    {used}");

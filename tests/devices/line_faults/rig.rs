@@ -1,4 +1,4 @@
-//! Devices, each behind a line of its own, and the gateway that serves them.
+//! Devices behind faulty lines, and the gateway that serves them.
 
 use std::path::PathBuf;
 

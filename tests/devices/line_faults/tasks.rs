@@ -1,10 +1,10 @@
-//! Thousands of short tasks on a line that spoils every fiftieth frame or so.
+//! Thousands of short tasks on a line that damages about every fiftieth frame.
 
 use std::time::{Duration, Instant};
 
 use ztl_std::{RemoteTask, TriggerError};
 
-use super::books::{Books, Told};
+use super::ledger::{Ledger, Told};
 use super::rig::{Rig, count};
 
 /// Devices, each with a client of its own and one that gets in its way.
@@ -17,8 +17,8 @@ const LIMIT: Duration = Duration::from_secs(30);
 /// Runs tasks one after the other until so many have been taken; each goal is one that nobody else
 /// has.
 #[track_caller]
-pub fn drive(mut remote: RemoteTask, device: &str, client: usize, tasks: usize) -> Books {
-    let mut books = Books::default();
+pub fn drive(mut remote: RemoteTask, device: &str, client: usize, tasks: usize) -> Ledger {
+    let mut ledger = Ledger::default();
     let mut taken = 0;
     for number in 0..tasks * TRIES {
         if taken == tasks {
@@ -32,9 +32,9 @@ pub fn drive(mut remote: RemoteTask, device: &str, client: usize, tasks: usize) 
             other => panic!("{device}, {goal}: no end within {LIMIT:?}: {other:?}"),
         };
         taken += usize::from(matches!(told, Told::Ended(..)));
-        books.note(goal, told);
+        ledger.note(goal, told);
     }
-    books
+    ledger
 }
 
 #[test]
@@ -48,7 +48,7 @@ fn on_a_bad_line_what_is_accepted_is_done_once_and_what_is_rejected_never() {
     let each = tasks.div_ceil(BRANCHES * 2);
     let mut all = 0;
     let mut report = Vec::new();
-    let books: Vec<Books> = std::thread::scope(|scope| {
+    let ledger: Vec<Ledger> = std::thread::scope(|scope| {
         let drivers: Vec<_> = rig
             .branches
             .iter()
@@ -63,23 +63,23 @@ fn on_a_bad_line_what_is_accepted_is_done_once_and_what_is_rejected_never() {
         drivers
             .into_iter()
             .map(|pair| {
-                let mut books = Books::default();
+                let mut ledger = Ledger::default();
                 for driver in pair {
-                    books.add(driver.join().expect("a client that came to its end"));
+                    ledger.add(driver.join().expect("a client that came to its end"));
                 }
-                books
+                ledger
             })
             .collect()
     });
     let took = start.elapsed();
     let used = rig.use_of_gateway();
-    for (branch, books) in rig.branches.iter_mut().zip(&books) {
-        books.check(&branch.record(), false);
+    for (branch, ledger) in rig.branches.iter_mut().zip(&ledger) {
+        ledger.check(&branch.record(), false);
         // After the comparison, which says more.
-        assert_eq!(books.taken(), 2 * each, "{:?}", books.reasons());
-        all += books.len();
-        report.push(format!("{}: {}", branch.name, books.summary()));
-        for (reason, times) in books.reasons() {
+        assert_eq!(ledger.taken(), 2 * each, "{:?}", ledger.reasons());
+        all += ledger.len();
+        report.push(format!("{}: {}", branch.name, ledger.summary()));
+        for (reason, times) in ledger.reasons() {
             report.push(format!("    {times} x {reason}"));
         }
         report.push(branch.unplug());

@@ -1,5 +1,4 @@
-//! A device on TCP whose line and power are in the test's hand, and that keeps books of what really
-//! happened.
+//! A device on TCP whose line and power the test controls, and that records what really happened.
 
 use std::collections::BTreeMap;
 use std::io::{ErrorKind, Read, Write};

@@ -1,4 +1,4 @@
-//! Where the journal lies, and what happens when there is no room for it.
+//! Where the journal is kept, and what happens when the disk is full.
 
 use std::process::Command;
 
@@ -154,7 +154,7 @@ fn without_a_journal_it_says_what_is_not_promised() {
 }
 
 #[test]
-fn a_journal_that_somebody_else_alters_is_noticed_by_an_idle_gateway_and_begun_anew() {
+fn an_idle_gateway_notices_that_its_journal_was_altered_and_starts_a_new_one() {
     let mut lab = Lab::new(LONG);
     let mut client = lab.client();
     let id = client.trigger("motors", "arm", "7 1").unwrap().id;

@@ -1,4 +1,4 @@
-//! Any handler that remembers, and not only the gateway's.
+//! Restored tasks of any handler, not only of the gateway.
 
 use std::sync::{Arc, Mutex};
 use ztl_tests::lab::{LIMIT, status};
@@ -46,7 +46,7 @@ fn task(number: u32, state: State, ended: Option<u64>) -> RestoredTask {
 }
 
 #[test]
-fn tasks_come_back_to_their_scopes_in_whatever_order_these_are_registered() {
+fn tasks_are_restored_to_their_scopes_in_any_order_of_registration() {
     // Above all that a server begins with.
     let first = 2_000_000_000;
     for reversed in [false, true] {

@@ -1,5 +1,5 @@
-//! A gateway that is killed, by SIGKILL and at any moment, and started again on its journal: each
-//! task that was asked for has one id and one end, and the end that is told is the true one.
+//! The gateway is killed at any moment and restarted on its journal: each task has one id and one final state, and clients are
+//! told the true one.
 
 mod device;
 mod disk;
@@ -7,5 +7,5 @@ mod handler;
 mod kills;
 mod lab;
 mod power;
-mod returns;
+mod reload;
 mod stopped;

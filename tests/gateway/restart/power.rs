@@ -1,5 +1,4 @@
-//! What survives a power cut, and a kill while the disk stalls. The disk is `disk.c`, which is put before the
-//! gateway's libc.
+//! A power cut, and a kill while the disk stalls. `disk.c` replaces the disk by LD_PRELOAD.
 
 use std::collections::BTreeSet;
 use std::path::Path;

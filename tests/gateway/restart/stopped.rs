@@ -1,5 +1,5 @@
-//! A gateway that is stopped for a while (SIGSTOP) at each point of a task, and clients that are stopped or
-//! killed: no motor moves twice, and nothing is told to be done that is not.
+//! The gateway is stopped (SIGSTOP) at each point of a task, and clients are stopped or killed: no motor moves twice, and no
+//! outcome is invented.
 
 use super::device::Deed;
 use super::lab::{LONG, Lab, ONCE, USUAL};

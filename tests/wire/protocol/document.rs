@@ -1,4 +1,4 @@
-//! What the document says in tables and in passing, against the code.
+//! The tables and statements of the document, compared with the code.
 
 use std::time::Duration;
 

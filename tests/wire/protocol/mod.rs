@@ -1,5 +1,4 @@
-//! `docs/protocol.md` against the code: its traces are played, its tables compared, and the clients it
-//! points to are run.
+//! `docs/protocol.md` against the code: plays its traces, compares its tables, and runs its clients.
 
 mod clients;
 mod document;

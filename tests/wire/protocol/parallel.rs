@@ -1,4 +1,4 @@
-//! Clients that run side by side, and their sockets.
+//! Sockets, and clients that run in parallel.
 
 use ztl_tests::lab::PATIENCE;
 

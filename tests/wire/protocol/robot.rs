@@ -1,4 +1,4 @@
-//! The server of the traces: what its handlers do is said from outside, line by line.
+//! The server of the traces: the document says line by line what its handlers do.
 
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Arc, Mutex};

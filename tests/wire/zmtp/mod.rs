@@ -1,7 +1,6 @@
-//! A device that is a server by itself (`examples/zmtp.rs`), as ZeroMQ clients see it: old ones and new, of several
-//! kinds, and streams that are no client at all.
+//! A device that serves ZeroMQ itself (`examples/zmtp.rs`): old and new clients, several implementations, and invalid streams.
 
 mod clients;
-mod crowds;
 mod device;
-mod strangers;
+mod invalid_clients;
+mod many_clients;

@@ -1,4 +1,4 @@
-//! Streams that are no good client, over TCP; afterwards a good one is served.
+//! Invalid streams over TCP; afterwards a good client is served.
 
 use std::io::{ErrorKind, Read, Write};
 use std::net::TcpStream;

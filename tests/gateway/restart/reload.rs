@@ -1,4 +1,4 @@
-//! A device that a reload brings back while it has tasks from before: they settle, and it serves again.
+//! A reload restores a device that still has tasks: they settle, and the device serves again.
 
 use super::device::Device;
 use super::lab::{ONCE, USUAL};

@@ -1,4 +1,4 @@
-//! What clients were told, held against what the devices have recorded.
+//! What clients were told, compared with what the devices recorded.
 
 use std::collections::BTreeMap;
 use std::fmt::Write;
@@ -22,9 +22,9 @@ struct Done {
 
 /// All tasks of a device, by their goals, no two of which are the same.
 #[derive(Debug, Default)]
-pub struct Books(BTreeMap<String, Told>);
+pub struct Ledger(BTreeMap<String, Told>);
 
-impl Books {
+impl Ledger {
     #[track_caller]
     pub fn note(&mut self, goal: String, told: Told) {
         let before = self.0.insert(goal, told);
