@@ -2,4 +2,5 @@
 
 mod killed_processes;
 mod lost_answers;
+mod task_lists;
 mod unknown_outcomes;

@@ -11,37 +11,18 @@ use ztl_tests::lab::{
     serve, signal, until, ztl,
 };
 
-/// A script and a configuration with the server `test`.
-struct Desk {
-    files: Scratch,
+use crate::directory::ScriptDirectory;
+
+/// A directory with a script and a configuration with the server `test`.
+fn directory(script: &str, server: &Server) -> ScriptDirectory {
+    ScriptDirectory::with(script, &[("test", server.port, SCOPE)])
 }
 
-impl Desk {
-    fn new(script: &str, server: &Server) -> Self {
-        let files = Scratch::new();
-        fs::write(files.path("show.yaml"), script).unwrap();
-        let port = server.port;
-        let remotes =
-            format!("remotes: {{test: {{host: 127.0.0.1, port: {port}, scope: {SCOPE}}}}}\n");
-        fs::write(files.path("remotes.yaml"), remotes).unwrap();
-        Self { files }
-    }
-
-    fn command(&self, more: &[&str]) -> Command {
-        let mut command = ztl();
-        command
-            .args([
-                "run-script",
-                "-s",
-                "show.yaml",
-                "-c",
-                "remotes.yaml",
-                "--plain",
-            ])
-            .args(more);
-        command.current_dir(self.files.path(""));
-        command
-    }
+/// Plays the script, with these further options.
+fn play(directory: &ScriptDirectory, more: &str) -> Command {
+    directory.command(&format!(
+        "run-script -s show.yaml -c remotes.yaml --plain {more}"
+    ))
 }
 
 /// What goes on in the background is told when it was taken, and so was the other by then.
@@ -56,15 +37,15 @@ fn servers() -> [Server; 2] {
 #[test]
 fn while_a_server_is_stopped_the_step_waits_and_goes_on_when_it_is_back() {
     for server in servers() {
-        let desk = Desk::new(TWO_STEPS, &server);
-        let play = Process::start(&mut desk.command(&["--yes"]));
-        play.wait_for(TAKEN);
+        let files = directory(TWO_STEPS, &server);
+        let player = Process::start(&mut play(&files, "--yes"));
+        player.wait_for(TAKEN);
         server.process.signal("STOP");
-        play.wait_for("Step 'a' waits: 'test' does not answer");
-        assert!(!play.stdout().contains("STEP 'b'"), "{}", play.stdout());
+        player.wait_for("Step 'a' waits: 'test' does not answer");
+        assert!(!player.stdout().contains("STEP 'b'"), "{}", player.stdout());
         server.process.signal("CONT");
-        play.wait_for("Step 'a' goes on.");
-        let ended = play.end(PATIENCE);
+        player.wait_for("Step 'a' goes on.");
+        let ended = player.end(PATIENCE);
         assert_eq!(ended.code, Some(0), "{ended:?}");
         assert!(
             ended.stdout.ends_with("STARTING STEP 'b'...\n"),
@@ -84,16 +65,16 @@ fn after_a_restart_of_a_server_nothing_follows_without_a_decision() {
             anew.arg("task-server");
         }
         anew.args(["-p", &server.port.to_string(), "-s", SCOPE]);
-        let desk = Desk::new(TWO_STEPS, &server);
-        let play = Process::start(&mut desk.command(&["--yes"]));
-        play.wait_for(TAKEN);
+        let files = directory(TWO_STEPS, &server);
+        let player = Process::start(&mut play(&files, "--yes"));
+        player.wait_for(TAKEN);
         server.process.kill();
         let _anew = {
             let process = Process::start(&mut anew);
             process.wait_for("Registering controller for scope '/test'");
             process
         };
-        let ended = play.end(PATIENCE);
+        let ended = player.end(PATIENCE);
         assert_eq!(ended.code, Some(1), "{ended:?}");
         let waits = ended.stderr.contains("Step 'a' waits: ");
         assert!(
@@ -125,13 +106,13 @@ fn ctrl_c_stops_what_was_started_in_the_background_too_and_says_what_cannot_be_s
     command.args(["run-script", "-s", "show.yaml", "--yes", "--plain"]);
     command.args(["--task", "gripper", "127.0.0.1", &ours, SCOPE]);
     command.args(["--task", "test", "127.0.0.1", &theirs, SCOPE]);
-    let play = Process::start(&mut command);
-    play.wait_for("STARTING STEP 'b'...");
+    let player = Process::start(&mut command);
+    player.wait_for("STARTING STEP 'b'...");
     until("both tasks", PATIENCE, || {
-        play.stderr().contains(&theirs).then_some(())
+        player.stderr().contains(&theirs).then_some(())
     });
-    play.signal("INT");
-    let ended = play.end(PATIENCE);
+    player.signal("INT");
+    let ended = player.end(PATIENCE);
     assert_eq!(ended.code, Some(1), "{ended:?}");
     assert!(
         ended
@@ -161,8 +142,8 @@ const SCENES: &str = "one: {a: {test: {sleep: 4}}}\ntwo: {a: {test: {echo: 1}}}\
 #[test]
 fn a_key_answers_one_question_and_never_the_next() {
     let server = Server::ours();
-    let desk = Desk::new(SCENES, &server);
-    let mut terminal = Terminal::start(&desk.command(&[]), (100, 60));
+    let files = directory(SCENES, &server);
+    let mut terminal = Terminal::start(&play(&files, ""), (100, 60));
     terminal.shows("SCENE 'one'");
     terminal.shows("PRESS <ENTER> TO CONFIRM or ANY OTHER KEY TO SKIP");
     // Three at once start one scene.
@@ -198,8 +179,8 @@ fn the_terminal_is_as_it_was_however_it_ends() {
         (None, "q", 0),
     ] {
         let server = Server::ours();
-        let desk = Desk::new("one: {a: {test: {echo: 1}}}\n", &server);
-        let mut terminal = Terminal::start(&desk.command(&[]), (100, 30));
+        let files = directory("one: {a: {test: {echo: 1}}}\n", &server);
+        let mut terminal = Terminal::start(&play(&files, ""), (100, 30));
         terminal.shows("PRESS <ENTER>");
         until("single keys", PATIENCE, || {
             (!terminal.is_as_before()).then_some(())
@@ -222,8 +203,8 @@ fn the_terminal_is_as_it_was_however_it_ends() {
 fn the_operator_decides_about_a_step_that_waits() {
     let server = Server::ours();
     let script = "one: {a(on_failure=ask): {test: {nonsense: 1}}, b: {test: {echo: 1}}}\n";
-    let desk = Desk::new(script, &server);
-    let mut terminal = Terminal::start(&desk.command(&[]), (120, 60));
+    let files = directory(script, &server);
+    let mut terminal = Terminal::start(&play(&files, ""), (120, 60));
     terminal.shows("PRESS <ENTER>");
     terminal.type_in("\r");
     let asks = "PRESS <G> TO GO ON ANYWAY, <T> TO TRY AGAIN WHAT FAILED";
@@ -316,12 +297,12 @@ fn ctrl_c_stops_everything_also_when_nobody_reads_what_is_said() {
         };
         command.stdout(stream("stdout")).stderr(stream("stderr"));
         command.stdin(Stdio::null());
-        let mut play = Unread::start(&mut command);
+        let mut player = Unread::start(&mut command);
         record.wait_for("last");
-        play.interrupt();
+        player.interrupt();
         record.wait_for("long aborted");
         record.wait_for("last aborted");
-        let status = until("its end", PATIENCE, || play.ended());
+        let status = until("its end", PATIENCE, || player.ended());
         assert_eq!(status.code(), Some(1), "{unread}");
     }
 }
@@ -333,12 +314,12 @@ fn a_second_ctrl_c_ends_a_player_that_hangs() {
     command.stdout(Stdio::null()).stderr(Stdio::null());
     // Nobody ever writes a script.
     command.stdin(Stdio::piped());
-    let mut play = Unread::start(&mut command);
+    let mut player = Unread::start(&mut command);
     let status = until("its end", PATIENCE, || {
         // Slower than a key that is held down.
         std::thread::sleep(Duration::from_secs(1));
-        play.ended().or_else(|| {
-            play.interrupt();
+        player.ended().or_else(|| {
+            player.interrupt();
             None
         })
     });

@@ -2,8 +2,10 @@
 
 mod check;
 mod corpus;
+mod directory;
 mod interrupted;
 mod live_view;
 mod record;
+mod rehearse;
 mod report_page;
 mod side_by_side;
