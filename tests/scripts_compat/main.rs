@@ -4,6 +4,10 @@
 //! terminal of its own, with the same keys at the same prompts, and towards servers that answer as the
 //! original's do and write down each request. `scalars.py` and `documents.py` have PyYAML say what values
 //! and whole files mean.
+//!
+//! The engines that run at once keep both cores busy, so these tests have a binary, and a process, of their own.
+
+mod corpus;
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -14,8 +18,6 @@ use ztl_std::terminal::shown;
 use ztl_tests::lab::{PATIENCE, built, run_python, seed, until};
 use ztl_yaml::Document;
 use ztl_yaml::python::Value;
-
-use crate::corpus;
 
 /// Scripts that are made up, and how many engines run at a time: they mostly wait.
 const MADE_UP: usize = 200;
