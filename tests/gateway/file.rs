@@ -1,4 +1,4 @@
-//! The configuration file, as a person meets it.
+//! The configuration file of the gateway.
 
 use std::path::Path;
 

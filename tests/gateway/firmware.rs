@@ -1,4 +1,4 @@
-//! A device of a test's own: `ztl-mcu`'s node with any components, at a port of this machine.
+//! A simulated device in this process: the node of `ztl-mcu` with any components, at a TCP port.
 
 use std::io::{ErrorKind, Read, Write};
 use std::net::{SocketAddr, TcpListener};

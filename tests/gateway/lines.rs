@@ -1,4 +1,4 @@
-//! Lines that are not what they should be: what is said about them, and how often.
+//! Faulty lines: what the gateway logs about them, and how often.
 
 use std::io::{Cursor, Read};
 use std::net::{TcpListener, TcpStream};
@@ -55,7 +55,7 @@ fn accept(listener: &TcpListener) -> TcpStream {
 }
 
 #[test]
-fn a_path_that_is_no_serial_port_is_said_to_be_none() {
+fn a_path_that_is_not_a_serial_port_is_reported() {
     let mut gateway = Gateway::new();
     let program = std::env::current_exe().expect("a file");
     let (_device, pty) = Device::new(Kind::Head).on_pty(None).expect("a pty");
@@ -132,7 +132,7 @@ fn a_board_that_is_reset_by_being_opened_is_served() {
 }
 
 #[test]
-fn a_connection_whose_other_end_has_vanished_is_made_anew() {
+fn a_connection_whose_other_end_is_gone_is_reopened() {
     let peer = TcpListener::bind("127.0.0.1:0").expect("a port");
     let address = peer.local_addr().expect("its address");
     let mut gateway = Gateway::new();
@@ -198,7 +198,7 @@ fn a_name_that_leads_elsewhere_is_followed() {
 }
 
 #[test]
-fn a_pty_made_anew_under_the_same_name_is_found_again() {
+fn a_pty_recreated_under_the_same_name_is_found() {
     let scratch = ztl_tests::lab::Scratch::new();
     let link = scratch.path("gripper");
     let gateway = Server::gateway(&[&format!("gripper=serial:{}", link.display())]);

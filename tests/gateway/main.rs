@@ -1,8 +1,6 @@
-//! `ztl gateway` as a process that runs for months: its configuration file, what it does when asked
-//! to stop, and that no device harms another.
+//! `ztl gateway`: its configuration, its journal, the devices behind it, and how it stops and restarts.
 
-#![cfg(unix)]
-
+mod device;
 mod file;
 mod firmware;
 mod lines;
@@ -11,4 +9,5 @@ mod logs;
 mod neighbours;
 mod readings;
 mod reload;
+mod restart;
 mod service;

@@ -1,4 +1,4 @@
-//! Devices that harm themselves, and nobody else.
+//! A faulty device does not harm the others.
 
 use std::io::Write;
 use std::net::{TcpListener, TcpStream};

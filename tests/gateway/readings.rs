@@ -1,4 +1,4 @@
-//! Readings on their way from a device to whoever wants them.
+//! Readings, from a device to their subscribers.
 
 use std::process::Command;
 

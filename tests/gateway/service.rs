@@ -1,4 +1,4 @@
-//! What a service manager and whoever stops the gateway see of it.
+//! The gateway as a service: notifications, signals and its log.
 
 use std::os::linux::net::SocketAddrExt;
 use std::os::unix::net::SocketAddr;
@@ -8,7 +8,9 @@ use std::time::Duration;
 
 use ztl_mcu::link::Loss;
 use ztl_std::{RemoteTask, State};
-use ztl_tests::lab::{Manager, PATIENCE, Process, SCOPE, Scratch, Server, until, verify_unit, ztl};
+use ztl_tests::lab::{
+    PATIENCE, Process, SCOPE, Scratch, Server, ServiceManager, until, verify_unit, ztl,
+};
 
 use crate::firmware::{Endless, Firmware};
 
@@ -32,7 +34,7 @@ fn systemd_hears_that_it_is_ready_how_it_does_that_it_lives_and_that_it_stops() 
         (in_files, path.display().to_string()),
         (in_no_file, format!("@{name}")),
     ] {
-        let mut manager = Manager::at(&address);
+        let mut manager = ServiceManager::at(&address);
         let device = scratch.path("arm");
         let arm = format!("arm=serial:{}", device.display());
         let mut command = gateway(&["head=sim:head", &arm]);
@@ -60,7 +62,7 @@ fn systemd_hears_that_it_is_ready_how_it_does_that_it_lives_and_that_it_stops() 
 fn a_watchdog_meant_for_another_process_is_not_fed() {
     let scratch = Scratch::new();
     let path = scratch.path("notify");
-    let mut manager = Manager::at(&SocketAddr::from_pathname(&path).expect("an address"));
+    let mut manager = ServiceManager::at(&SocketAddr::from_pathname(&path).expect("an address"));
     let mut command = gateway(&["head=sim:head"]);
     command
         .env("NOTIFY_SOCKET", &path)
@@ -71,10 +73,10 @@ fn a_watchdog_meant_for_another_process_is_not_fed() {
     process.signal("INT");
     manager.wait_for("STOPPING=1", 1);
     let fed = manager
-        .heard()
+        .messages()
         .iter()
         .any(|message| message.contains("WATCHDOG"));
-    assert!(!fed, "{:?}", manager.heard());
+    assert!(!fed, "{:?}", manager.messages());
 }
 
 /// A task that the gateway has taken.
@@ -171,7 +173,7 @@ fn a_second_signal_leaves_at_once() {
     device.signal("STOP");
     gateway.process.signal("INT");
     gateway.process.wait_for("Stopping;");
-    let ended = gateway.process.insist("INT", PATIENCE);
+    let ended = gateway.process.signal_until_end("INT", PATIENCE);
     assert_eq!(ended.code, Some(130), "{ended:?}");
     assert!(!ended.stdout.contains("Stopped."), "{ended:?}");
     device.signal("CONT");

@@ -1,15 +1,15 @@
-//! How programs are stopped: nothing of them survives.
+//! How programs are aborted: none of their processes survives.
 
 use std::time::{Duration, Instant};
 
 use ztl_std::State::{Aborted, Accepted, Completed, Failed};
 use ztl_std::TaskId;
-use ztl_tests::lab::{ABORTED, ACCEPTED, PATIENCE, Process, SCOPE, our_client, until};
+use ztl_tests::lab::{ABORTED, ACCEPTED, PATIENCE, our_client, until};
 
 use crate::rig::{Lab, SOON, dies, end, kill, lives, progress, told, trigger};
 
 #[test]
-fn a_program_that_heeds_the_signal_is_aborted_with_its_last_words() {
+fn a_program_that_handles_the_signal_is_aborted_with_its_last_output() {
     let lab = Lab::new(
         r#"
         int: {run: [sh, -c, 'trap "echo stopped at 3; exit 0" INT; echo $$ > pid; while :; do sleep 0.01; done'], abort: INT}
@@ -32,16 +32,13 @@ fn a_program_that_heeds_the_signal_is_aborted_with_its_last_words() {
 }
 
 #[test]
-fn a_program_that_asks_by_json_hears_the_last_words_of_what_it_aborted() {
+fn the_json_client_reports_the_last_output_of_an_aborted_program() {
     let lab = Lab::new(
         r#"
         int: {run: [sh, -c, 'trap "echo stopped at 3; exit 0" INT; echo "@ on"; while :; do sleep 0.01; done'], abort: INT, progress: '@ '}
         "#,
     );
-    let mut command = our_client();
-    command.args(["-r", "localhost", "-p", &lab.server.port.to_string()]);
-    command.args(["-s", SCOPE, "--json", "p:int:"]);
-    let client = Process::start(&mut command);
+    let client = lab.server.start_client(our_client(), &["--json", "p:int:"]);
     client.wait_for(r#""text":"on""#);
     client.signal("INT");
     let ended = client.end(PATIENCE);
@@ -255,10 +252,9 @@ fn without_its_client_a_task_is_aborted_if_it_needs_that() {
     );
     let mut other = lab.remote();
     let clients = ["needs:", "carries:", "sleeps:60"].map(|task| {
-        let mut command = our_client();
-        let port = lab.server.port.to_string();
-        command.args(["-r", "localhost", "-p", &port, "-s", SCOPE]);
-        let client = Process::start(command.arg(format!("p:{task}")));
+        let client = lab
+            .server
+            .start_client(our_client(), &[&format!("p:{task}")]);
         let line = client.wait_for("Initialised task with ID");
         let id = line.split('\'').nth(1).and_then(|id| id.parse().ok());
         (client, id.and_then(TaskId::new).expect("an id"))

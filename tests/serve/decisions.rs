@@ -1,4 +1,4 @@
-//! When an INIT is answered, and with what.
+//! When and how an INIT is answered.
 
 use std::time::Duration;
 

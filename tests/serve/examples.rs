@@ -1,5 +1,4 @@
-//! The examples as they stand, by our client and the original's, under today's Python and that of an
-//! old robot.
+//! The examples with our client and the original's, under Python 3 and Python 2.7.
 
 use std::path::Path;
 use std::process::Command;

@@ -1,4 +1,4 @@
-//! The file, as a person meets it, and how much memory the server takes.
+//! The configuration file of `ztl serve`.
 
 use ztl_tests::lab::{Ended, Process, Scratch, ztl};
 
@@ -127,7 +127,7 @@ fn every_key_stands_in_the_manual() {
 }
 
 #[test]
-fn a_client_that_asks_is_told_handlers_and_components() {
+fn a_probe_lists_handlers_and_components() {
     let lab = Lab::new("one: echo\n'*': echo");
     let mut probe = zmq_ask(lab.server.port, "$ztl;2;-1;probe");
     probe.truncate(probe.find(", running").expect("the running tasks"));

@@ -1,4 +1,4 @@
-//! Tasks that another server does.
+//! Tasks that are forwarded to another server.
 
 use ztl_std::RequestError;
 use ztl_std::State::{Aborted, Accepted, Completed, Failed};
@@ -161,7 +161,7 @@ fn a_task_whose_server_was_restarted_is_unknown_to_every_client_of_ours_and_fail
 }
 
 #[test]
-fn a_server_that_was_started_anew_has_not_done_what_it_was_doing() {
+fn a_restarted_server_has_not_completed_its_earlier_tasks() {
     let port = reserve_port().to_string();
     let mut far = Lab::with(FAR, &["-p", &port]);
     let near = relay(far.server.port);

@@ -1,4 +1,4 @@
-//! The server is killed, and has no time to stop anything: its watchdog does.
+//! The server is killed: its watchdog stops the programs.
 
 use std::fs::OpenOptions;
 use std::io::Write;
@@ -9,9 +9,9 @@ use std::time::{Duration, Instant};
 
 use ztl_std::State::{Aborted, Completed};
 use ztl_std::{RequestError, TaskId, TriggerError};
-use ztl_tests::lab::{PATIENCE, Process, Scratch, python, reserve_port, until, ztl};
+use ztl_tests::lab::{PATIENCE, Process, Scratch, python, reserve_port, signal, until, ztl};
 
-use crate::rig::{Lab, dies, end, kill, lives, progress, signal, start, told, trigger};
+use crate::rig::{Lab, dies, end, kill, lives, progress, start, told, trigger};
 
 /// The watchdog of a server.
 #[track_caller]
@@ -80,7 +80,7 @@ fn a_program_that_is_just_being_started_is_found() {
         // At another moment of its start each time.
         std::thread::sleep(Duration::from_micros(delay * 400));
         lab.server.process.kill();
-        lab.server.process.wait_for_silence();
+        lab.server.process.wait_for_end_of_output();
         let begun = lab.scratch.path("begun").exists();
         println!("after {delay} times 400 µs: begun: {begun}");
         assert!(lab.at_home().is_empty(), "{delay}: {:?}", lab.at_home());
@@ -347,7 +347,7 @@ fn a_log_that_cannot_be_written_keeps_nobody_from_stopping_programs() {
 }
 
 #[test]
-fn started_anew_it_does_not_claim_to_know_what_became_of_a_task() {
+fn after_a_restart_the_outcome_of_a_task_is_unknown() {
     let mut lab = Lab::new("go: {run: [sh, -c, 'echo $$ > pid; exec sleep 60']}\necho: echo");
     let mut remote = lab.remote();
     let id = trigger(&mut remote, "go", "");

@@ -1,12 +1,18 @@
-//! `ztl serve`: programs as handlers, with real processes and real clients.
-#![cfg(target_os = "linux")]
+//! Task servers and their handlers: programs of `ztl serve`, and handlers in Rust.
 
 mod abort;
+mod access;
+mod client_handles;
 mod decisions;
 mod examples;
 mod file;
+mod floods;
 mod forward;
+mod gate;
+mod handlers;
 mod killed;
+mod lost_clients;
+mod many_tasks;
 mod memory;
 mod processes;
 mod results;

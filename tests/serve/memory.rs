@@ -1,21 +1,16 @@
-//! What the server has of the system: memory, and what wakes its threads.
+//! The memory of the server, and how its threads are woken.
 
 use std::path::PathBuf;
 use std::process::Command;
 
-use ztl_std::{RemoteTask, RequestError, State};
-use ztl_tests::lab::{PATIENCE, SCOPE, built};
+use ztl_std::{RequestError, State};
+use ztl_tests::lab::{PATIENCE, built, process_status};
 
 use crate::rig::Lab;
 
 /// What a process has in memory, in KiB: all of it, and what is neither program nor library.
 fn resident(process: u32) -> [u64; 2] {
-    let status = std::fs::read_to_string(format!("/proc/{process}/status")).expect("its status");
-    ["VmRSS:", "RssAnon:"].map(|name| {
-        let line = status.lines().find_map(|line| line.strip_prefix(name));
-        let number = line.and_then(|line| line.split_whitespace().next()?.parse().ok());
-        number.unwrap_or_else(|| panic!("no {name} in {status}"))
-    })
+    ["VmRSS:", "RssAnon:"].map(|name| process_status(process, name))
 }
 
 /// The released program where one is given, else the one that was built for tests.
@@ -25,7 +20,6 @@ fn program() -> Command {
 }
 
 #[test]
-#[cfg(target_os = "linux")]
 fn threads_are_woken_by_eventfd() {
     // Two sockets for it, as libzmq does where it is built without, cost a request a twentieth.
     let lab = Lab::of_command(program(), "echo: {run: [echo, 'said {goal}']}");
@@ -48,7 +42,7 @@ fn threads_are_woken_by_eventfd() {
 fn a_thousand_remembered_tasks_fit_into_eight_mebibytes() {
     // A program that was built for tests is larger by itself; the released one counts as a whole.
     let lab = Lab::of_command(program(), "echo: {run: [echo, 'said {goal}']}");
-    let mut remote = RemoteTask::connect(&lab.server.endpoint(), SCOPE).expect("an address");
+    let mut remote = lab.remote();
     for number in 0..1000 {
         let ran = remote.run("p", "echo", &number.to_string(), Some(PATIENCE));
         assert_eq!(ran.expect("its end").state, State::Completed);
@@ -75,7 +69,7 @@ fn long_results_take_no_more_memory_than_the_limit() {
         "long: {run: [sh, -c, 'head -c 700000 /dev/zero | tr \"\\0\" x'], output: 1000 KiB}\n        \
          runs: {run: [sleep, '3600']}",
     );
-    let mut remote = RemoteTask::connect(&lab.server.endpoint(), SCOPE).expect("an address");
+    let mut remote = lab.remote();
     let running = remote.trigger("p", "runs", "").expect("taken").id;
     let [at_start, _] = resident(lab.server.process.id());
     let ids: Vec<_> = (0..300)

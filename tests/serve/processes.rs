@@ -1,4 +1,4 @@
-//! Programs as processes of the system: whose they are, and what they may do to the server.
+//! Programs as processes: their user, their rights, and what they cannot do to the server.
 
 use std::os::unix::fs::PermissionsExt;
 use std::time::Duration;
@@ -58,7 +58,7 @@ fn a_program_of_another_user_has_their_rights_and_no_others() {
 }
 
 #[test]
-fn whatever_programs_leave_nothing_of_them_remains() {
+fn no_process_remains_of_programs_that_leave_children() {
     let lab = Lab::new(
         r#"
         leaves: [sh, -c, 'for i in 1 2 3; do sleep 60 & done; (sleep 60; sleep 60) & echo done']

@@ -1,4 +1,4 @@
-//! What a program is given, and what becomes of what it says.
+//! The input of a program, and the use of its output.
 
 use std::process::Command;
 use std::time::Instant;

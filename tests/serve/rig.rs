@@ -1,4 +1,4 @@
-//! A server of programs, and what can be seen of the processes that it starts.
+//! A server of programs, and the processes that it starts.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use ztl_core::dispatcher::NOTHING_KNOWN;
 use ztl_std::{RemoteTask, State, Status, TaskId, TriggerError};
-use ztl_tests::lab::{PATIENCE, Process, SCOPE, Scratch, Server, until, ztl};
+use ztl_tests::lab::{PATIENCE, SCOPE, Scratch, Server, signal, until, ztl};
 
 /// `ztl serve` with a file of its own, in a directory in which its programs run.
 pub struct Lab {
@@ -125,9 +125,7 @@ fn start_by(mut command: Command, file: &Path, options: &[&str]) -> Server {
     if !options.contains(&"-p") {
         command.args(["-p", "0"]);
     }
-    let process = Process::start(&mut command);
-    let port = process.wait_for_port("Serving ");
-    Server { process, port }
+    Server::start(&mut command)
 }
 
 pub fn told(status: Status) -> (State, String) {
@@ -190,15 +188,6 @@ pub fn dies(process: u32) {
 #[track_caller]
 pub fn kill(process: u32) {
     signal(process, "KILL");
-}
-
-/// Sends a process a signal by name.
-#[track_caller]
-pub fn signal(process: u32, name: &str) {
-    let mut kill = Command::new("sh");
-    kill.args(["-c", "kill -$0 $1", name])
-        .arg(process.to_string());
-    assert!(kill.status().expect("`sh`").success(), "{kill:?}");
 }
 
 /// How long something may take that is done at once, on a machine that is busy.

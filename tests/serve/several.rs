@@ -1,4 +1,4 @@
-//! Many tasks at once: how many, and what becomes of the next.
+//! Many tasks at once: limits, queues and replacement.
 
 use std::time::Instant;
 

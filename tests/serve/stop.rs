@@ -5,7 +5,7 @@ use std::process::Command;
 use std::time::{Duration, Instant};
 
 use ztl_std::State::{Aborted, Completed};
-use ztl_tests::lab::{Manager, PATIENCE, Scratch, built, until, ztl};
+use ztl_tests::lab::{PATIENCE, Scratch, ServiceManager, built, until, ztl};
 
 use crate::rig::{Lab, dies, end, lives, trigger};
 
@@ -81,7 +81,7 @@ fn a_second_signal_kills_all_and_leaves_at_once() {
     lab.server.process.signal("INT");
     lab.server.process.wait_for("Stopping;");
     let Lab { server, scratch } = lab;
-    let ended = server.process.insist("INT", PATIENCE);
+    let ended = server.process.signal_until_end("INT", PATIENCE);
     assert_eq!(ended.code, Some(130), "{ended:?}");
     dies(process);
     drop(scratch);
@@ -110,7 +110,7 @@ fn while_it_stops_nothing_new_begins() {
 fn systemd_hears_what_is_served_that_it_lives_and_that_it_stops() {
     let scratch = Scratch::new();
     let path = scratch.path("notify");
-    let mut manager = Manager::at(&SocketAddr::from_pathname(&path).expect("an address"));
+    let mut manager = ServiceManager::at(&SocketAddr::from_pathname(&path).expect("an address"));
     let mut command = ztl();
     command
         .env("NOTIFY_SOCKET", &path)

@@ -1,4 +1,4 @@
-//! Programs wait for the watchdog's confirmation, and nothing else does. `sh` plays the watchdog here.
+//! Only programs wait for the watchdog's confirmation. Here `sh` stands in for the watchdog.
 
 use std::process::Command;
 

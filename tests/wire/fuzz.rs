@@ -7,39 +7,17 @@ use std::io::{Read, Write};
 use std::net::TcpStream;
 use std::time::Duration;
 
-use ztl_tests::lab::{Server, shake_hands};
+use ztl_tests::lab::{Random, Server, number, shake_hands};
 
-use crate::{Socket, assert_serves};
+use crate::socket::{Socket, assert_serves};
 
-/// SplitMix64.
-struct Dice(u64);
+fn random_bytes(random: &mut Random, most: usize) -> Vec<u8> {
+    let length = random.below(most);
+    (0..length).map(|_| random_byte(random)).collect()
+}
 
-impl Dice {
-    fn next(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
-        let mut mixed = self.0;
-        mixed = (mixed ^ (mixed >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        mixed = (mixed ^ (mixed >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-        mixed ^ (mixed >> 31)
-    }
-
-    fn below(&mut self, limit: usize) -> usize {
-        usize::try_from(self.next() % limit.max(1) as u64).expect("small")
-    }
-
-    fn byte(&mut self) -> u8 {
-        self.next().to_le_bytes()[0]
-    }
-
-    fn bytes(&mut self, most: usize) -> Vec<u8> {
-        let length = self.below(most);
-        (0..length).map(|_| self.byte()).collect()
-    }
-
-    fn one_of<'a, T>(&mut self, all: &'a [T]) -> &'a T {
-        let place = self.below(all.len());
-        &all[place]
-    }
+fn random_byte(random: &mut Random) -> u8 {
+    random.bits().to_le_bytes()[0]
 }
 
 const BODIES: &[&[u8]] = &[
@@ -55,27 +33,27 @@ const BODIES: &[&[u8]] = &[
 ];
 
 /// A message as a client of ours, of the original, or of nobody sends it.
-fn message(dice: &mut Dice) -> Vec<u8> {
+fn message(random: &mut Random) -> Vec<u8> {
     let mut frames: Vec<Vec<u8>> = Vec::new();
-    for _ in 0..dice.below(4) {
-        frames.push(match dice.below(3) {
-            0 => [b"ztl1".to_vec(), dice.bytes(17)].concat(),
-            1 => dice.next().to_be_bytes().to_vec(),
-            _ => dice.bytes(40),
+    for _ in 0..random.below(4) {
+        frames.push(match random.below(3) {
+            0 => [b"ztl1".to_vec(), random_bytes(random, 17)].concat(),
+            1 => random.bits().to_be_bytes().to_vec(),
+            _ => random_bytes(random, 40),
         });
     }
-    if dice.below(8) > 0 {
+    if random.below(8) > 0 {
         frames.push(Vec::new());
     }
-    for _ in 0..1 + dice.below(2) {
-        frames.push(dice.one_of(BODIES).to_vec());
+    for _ in 0..1 + random.below(2) {
+        frames.push(random.pick(BODIES).to_vec());
     }
     let mut bytes = Vec::new();
     let last = frames.len() - 1;
     for (place, frame) in frames.iter().enumerate() {
         let more = u8::from(place < last);
         match u8::try_from(frame.len()) {
-            Ok(length) if dice.below(4) > 0 => bytes.extend([more, length]),
+            Ok(length) if random.below(4) > 0 => bytes.extend([more, length]),
             _ => {
                 bytes.push(more | 2);
                 bytes.extend((frame.len() as u64).to_be_bytes());
@@ -87,18 +65,18 @@ fn message(dice: &mut Dice) -> Vec<u8> {
 }
 
 /// Damages some of it.
-fn damage(bytes: &mut Vec<u8>, dice: &mut Dice) {
-    for _ in 0..dice.below(6) {
+fn damage(bytes: &mut Vec<u8>, random: &mut Random) {
+    for _ in 0..random.below(6) {
         if bytes.is_empty() {
             return;
         }
-        let place = dice.below(bytes.len());
-        match dice.below(5) {
+        let place = random.below(bytes.len());
+        match random.below(5) {
             0 => bytes.truncate(place),
-            1 => bytes.insert(place, dice.byte()),
+            1 => bytes.insert(place, random_byte(random)),
             2 => drop(bytes.remove(place)),
-            3 => bytes[place] ^= 1 << dice.below(8),
-            _ => bytes[place] = *dice.one_of(&[0, 1, 2, 4, 0x7f, 0x80, 0xff]),
+            3 => bytes[place] ^= 1 << random.below(8),
+            _ => bytes[place] = random.pick(&[0, 1, 2, 4, 0x7f, 0x80, 0xff]),
         }
     }
 }
@@ -113,43 +91,38 @@ fn greeting() -> Vec<u8> {
 }
 
 /// One connection that does something; whether it is closed by the server is not looked at.
-fn attack(port: u16, dice: &mut Dice) {
-    let mut stream = match dice.below(3) {
+fn attack(port: u16, random: &mut Random) {
+    let mut stream = match random.below(3) {
         0 => {
             let mut stream = TcpStream::connect(("127.0.0.1", port)).expect("a connection");
             let mut bytes = greeting();
             bytes.extend(b"\x04\x1c\x05READY\x0bSocket-Type\x00\x00\x00\x06DEALER");
-            if dice.below(4) == 0 {
-                bytes = dice.bytes(300);
+            if random.below(4) == 0 {
+                bytes = random_bytes(random, 300);
             }
-            damage(&mut bytes, dice);
+            damage(&mut bytes, random);
             let _ = stream.write_all(&bytes);
             stream
         }
         _ => shake_hands(port),
     };
     let mut bytes = Vec::new();
-    for _ in 0..dice.below(5) {
-        bytes.extend(message(dice));
+    for _ in 0..random.below(5) {
+        bytes.extend(message(random));
     }
-    if dice.below(2) == 0 {
-        damage(&mut bytes, dice);
+    if random.below(2) == 0 {
+        damage(&mut bytes, random);
     }
     // In pieces, as a network may deliver it.
-    for piece in bytes.chunks(1 + dice.below(200)) {
+    for piece in bytes.chunks(1 + random.below(200)) {
         if stream.write_all(piece).is_err() {
             return;
         }
     }
-    if dice.below(2) == 0 {
+    if random.below(2) == 0 {
         let _ = stream.set_read_timeout(Some(Duration::from_millis(2)));
         let _ = stream.read(&mut [0; 512]);
     }
-}
-
-fn number(name: &str, usual: u64) -> u64 {
-    let given = std::env::var(name).ok();
-    given.map_or(usual, |text| text.parse().expect("a whole number"))
 }
 
 #[test]
@@ -158,8 +131,8 @@ fn bytes_of_any_kind_keep_no_good_client_waiting() {
     for server in [Server::ours(), Server::simulated()] {
         let neighbour = Socket::req(&server.endpoint());
         for round in 0..rounds {
-            let mut dice = Dice(seed.wrapping_mul(1 << 32) + round);
-            attack(server.port, &mut dice);
+            let mut random = Random::new(seed.wrapping_mul(1 << 32) + round);
+            attack(server.port, &mut random);
             neighbour.send(&["/test;2;99;x"]);
             let answer = neighbour.0.recv_multipart(0);
             let expected = b"/test;2;99;Invalid ID '99'".to_vec();

@@ -1,14 +1,13 @@
-//! Clients that mean no good, or are broken: whatever they do, a good client is answered before the
-//! original's would give up.
+//! Broken and hostile clients: a good client is answered before the original's would give up.
 
 use std::io::{ErrorKind, Read, Write};
 use std::net::TcpStream;
 use std::time::{Duration, Instant};
 
 use ztl_std::{Limits, TaskServer};
-use ztl_tests::lab::{PATIENCE, Server, shake_hands, until};
+use ztl_tests::lab::{PATIENCE, Server, port_of, shake_hands, until};
 
-use crate::{Socket, TIMEOUT, assert_serves};
+use crate::socket::{Socket, TIMEOUT, assert_serves};
 
 const ASK: &[u8] = b"\x01\x00\x00\x0c/test;2;99;x";
 const ANSWER: usize = 30;
@@ -25,8 +24,7 @@ fn a_connection_that_does_not_shake_hands_is_ended() {
         .limits(limits)
         .bind("tcp://127.0.0.1:*");
     let server = server.expect("a port").spawn().expect("a thread");
-    let port = server.endpoint().rsplit(':').next().expect("a port");
-    let port = port.parse().expect("a number");
+    let port = port_of(server.endpoint());
     for said in [&b""[..], b"\xff", &[0xff, 0, 0, 0, 0, 0, 0, 0, 0, 0x7f, 3]] {
         let mut stream = connect(port);
         stream.write_all(said).expect("to write");
@@ -75,17 +73,6 @@ fn a_thousand_connections_at_once_are_all_served() {
     assert_serves(&server.endpoint(), "a thousand farewells");
 }
 
-/// What a process has in memory, in KiB.
-#[cfg(target_os = "linux")]
-fn resident(server: &Server) -> u64 {
-    let path = format!("/proc/{}/status", server.process.id());
-    let status = std::fs::read_to_string(path).expect("its status");
-    let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:"));
-    let kib = line.and_then(|line| line.split_whitespace().next());
-    kib.and_then(|kib| kib.parse().ok()).expect("a number")
-}
-
-#[cfg(target_os = "linux")]
 #[test]
 fn a_client_that_never_reads_costs_little_and_harms_nobody() {
     let server = Server::ours();
@@ -97,7 +84,7 @@ fn a_client_that_never_reads_costs_little_and_harms_nobody() {
     until("its end", PATIENCE, || {
         (client.status(id).number == 5).then_some(())
     });
-    let before = resident(&server);
+    let before = server.process.resident_kib();
     let body = format!("/test;2;{id};x");
     let mut ask = vec![0x01, 0x00, 0x00, u8::try_from(body.len()).expect("short")];
     ask.extend(body.as_bytes());
@@ -118,7 +105,7 @@ fn a_client_that_never_reads_costs_little_and_harms_nobody() {
         assert!(asked_at.elapsed() < TIMEOUT);
     }
     assert_serves(&server.endpoint(), "a client that never reads");
-    let grown = resident(&server).saturating_sub(before);
+    let grown = server.process.resident_kib().saturating_sub(before);
     println!("{asked} questions, nothing read: {grown} KiB more");
     // The queue's 256 answers, twice, and some room.
     assert!(grown < 64 << 10, "{grown} KiB more");

@@ -1,4 +1,4 @@
-//! A server's limits: what is too much is refused with the reason, and nothing else suffers.
+//! Limits of a server: what exceeds them is rejected with the reason, and nothing else suffers.
 
 use std::time::Duration;
 
@@ -7,9 +7,9 @@ use ztl_std::{
     ExecutableTask, Limits, RemoteTask, RequestError, RunError, RunningServer, State, TaskContext,
     TaskController, TaskError, TaskId, TaskRequest, TaskServer, TriggerError,
 };
-use ztl_tests::lab::{PATIENCE, SCOPE, in_time, reserve_port, until};
+use ztl_tests::lab::{PATIENCE, SCOPE, connect, in_time, reserve_port, start, until};
 
-use crate::{Socket, assert_serves};
+use crate::socket::{Socket, assert_serves};
 
 /// Tasks that end when they are aborted; those that echo end at once.
 struct Patient;
@@ -41,20 +41,6 @@ fn serve_at(endpoint: &str, change: impl FnOnce(&mut Limits)) -> RunningServer {
     server.spawn().expect("a thread")
 }
 
-fn client(server: &RunningServer) -> RemoteTask {
-    RemoteTask::connect(server.endpoint(), SCOPE).expect("an address")
-}
-
-#[track_caller]
-fn start(remote: &mut RemoteTask, component: &str) -> TaskId {
-    remote
-        .trigger("h", component, "g")
-        .expect("taken")
-        .id
-        .number()
-        .expect("an id of ours")
-}
-
 #[track_caller]
 fn refused(remote: &mut RemoteTask) -> String {
     match remote.trigger("h", "wait", "g") {
@@ -73,13 +59,13 @@ fn is_known(remote: &mut RemoteTask, id: TaskId) -> bool {
 #[test]
 fn one_task_too_many_is_refused_until_one_ends_and_no_end_is_forgotten_for_it() {
     let server = serve(|limits| (limits.running, limits.remembered) = (2, 4));
-    let mut remote = client(&server);
+    let mut remote = connect(server.endpoint());
     let ended = [0, 1].map(|_| {
-        let id = start(&mut remote, "echo");
+        let id = start(&mut remote, "h", "echo", "g");
         remote.wait(id, Some(PATIENCE)).expect("its end");
         id
     });
-    let running = [0, 1].map(|_| start(&mut remote, "wait"));
+    let running = [0, 1].map(|_| start(&mut remote, "h", "wait", "g"));
     for _ in 0..10 {
         let reason = "too many tasks are running, wait for one to end";
         assert_eq!(refused(&mut remote), reason);
@@ -87,7 +73,7 @@ fn one_task_too_many_is_refused_until_one_ends_and_no_end_is_forgotten_for_it() 
     assert!(ended.iter().all(|id| is_known(&mut remote, *id)));
     let aborted = remote.abort(running[0]).expect("an answer");
     assert_eq!(aborted.state, State::Aborted);
-    start(&mut remote, "wait");
+    start(&mut remote, "h", "wait", "g");
     // Five would be one too many: what ended first is gone.
     assert!(!is_known(&mut remote, ended[0]) && is_known(&mut remote, ended[1]));
 }
@@ -95,8 +81,11 @@ fn one_task_too_many_is_refused_until_one_ends_and_no_end_is_forgotten_for_it() 
 #[test]
 fn an_end_is_remembered_for_its_time() {
     let server = serve(|limits| limits.keep = Duration::from_millis(300));
-    let mut remote = client(&server);
-    let (running, id) = (start(&mut remote, "wait"), start(&mut remote, "echo"));
+    let mut remote = connect(server.endpoint());
+    let (running, id) = (
+        start(&mut remote, "h", "wait", "g"),
+        start(&mut remote, "h", "echo", "g"),
+    );
     let end = remote.wait(id, Some(PATIENCE)).expect("its end");
     assert_eq!(end.state, State::Completed);
     until("it is forgotten", PATIENCE, || {
@@ -109,8 +98,8 @@ fn an_end_is_remembered_for_its_time() {
 #[test]
 fn requests_that_would_wait_are_refused_when_too_many_do() {
     let server = serve(|limits| limits.held = 1);
-    let (mut remote, mut other) = (client(&server), client(&server));
-    let id = start(&mut remote, "wait");
+    let (mut remote, mut other) = (connect(server.endpoint()), connect(server.endpoint()));
+    let id = start(&mut remote, "h", "wait", "g");
     let waiting = std::thread::spawn(move || remote.wait(id, Some(Duration::from_secs(3))));
     let reason = until("the wait", PATIENCE, || {
         match other.trigger("h", "echo", "g") {
@@ -146,7 +135,7 @@ fn a_client_sends_nothing_that_the_server_says_is_too_long() {
     let (fits, too_long) = (11 + 4 * 247, 11 + 4 * 248);
     let endpoint = format!("tcp://127.0.0.1:{}", reserve_port());
     let server = serve_at(&endpoint, |limits| limits.message = 1000);
-    let mut remote = client(&server);
+    let mut remote = connect(server.endpoint());
     let mut run = |bytes| remote.run("h", "echo", &goal(bytes), Some(PATIENCE));
     let end = run(fits).expect("its end");
     assert_eq!(end.text, goal(fits));
@@ -169,9 +158,9 @@ fn a_client_sends_nothing_that_the_server_says_is_too_long() {
 }
 
 #[test]
-fn the_longest_message_of_all_comes_through_and_one_byte_more_is_told() {
+fn the_longest_message_passes_and_one_byte_more_is_reported() {
     let server = serve(|_| ());
-    let mut remote = client(&server);
+    let mut remote = connect(server.endpoint());
     let payload = |length: usize| "x".repeat(length - "/test;1;-1;".len());
     let refused = remote.trigger_payload(&payload(MAX_MESSAGE));
     assert!(
@@ -240,7 +229,7 @@ fn probed(answers: &'static [&'static str]) -> (String, std::thread::JoinHandle<
 #[test]
 fn a_limit_that_no_probe_would_keep_does_not_end_the_probing() {
     let (endpoint, server) = probed(&["10", "4096"]);
-    let mut remote = RemoteTask::connect(&endpoint, SCOPE).expect("an address");
+    let mut remote = connect(&endpoint);
     for _ in 0..2 {
         assert!(remote.server_info(true).expect("an answer").is_some());
     }
@@ -249,9 +238,9 @@ fn a_limit_that_no_probe_would_keep_does_not_end_the_probing() {
 }
 
 #[test]
-fn when_the_limit_cannot_be_asked_anew_the_client_says_that_nothing_was_sent() {
+fn a_client_that_cannot_ask_for_the_limit_again_says_that_nothing_was_sent() {
     let (endpoint, server) = probed(&["100"]);
-    let remote = RemoteTask::connect(&endpoint, SCOPE).expect("an address");
+    let remote = connect(&endpoint);
     let mut remote = remote.with_timeout(Duration::from_millis(300));
     let error = remote
         .trigger_payload(&"x".repeat(200))

@@ -1,10 +1,10 @@
-//! Every message that silences the original, or that no client may send: each is answered exactly
-//! once, and the next client is served.
+//! Messages that silence the original, or that no client may send: each is answered exactly once, and the next client is
+//! served.
 
 use ztl_std::{RemoteTask, State};
-use ztl_tests::lab::{ABORTED, COMPLETED, OriginalClient, PATIENCE, Process, SCOPE, Server, ztl};
+use ztl_tests::lab::{ABORTED, COMPLETED, OriginalClient, PATIENCE, SCOPE, Server, port_of, ztl};
 
-use crate::{Socket, assert_serves, in_process};
+use crate::socket::{Socket, assert_serves, in_process};
 
 /// Bodies that no client may send, and the answer that each must get.
 fn malformed() -> Vec<(Vec<Vec<u8>>, String)> {
@@ -87,17 +87,16 @@ fn answers_what_is_malformed(endpoint: &str) {
 }
 
 #[test]
-fn a_task_server_answers_whatever_is_malformed_and_serves_on() {
+fn a_task_server_answers_malformed_messages_and_serves_on() {
     let server = in_process();
     answers_what_is_malformed(server.endpoint());
-    let port = server.endpoint().rsplit(':').next().unwrap();
-    let mut client = OriginalClient::connect(port.parse().unwrap(), SCOPE);
+    let mut client = OriginalClient::connect(port_of(server.endpoint()), SCOPE);
     let id = client.start("any", "echo", "hi");
     assert_eq!(client.wait(id, 20.0), (COMPLETED, "hi"));
 }
 
 #[test]
-fn a_gateway_answers_whatever_is_malformed_and_serves_on() {
+fn a_gateway_answers_malformed_messages_and_serves_on() {
     let gateway = Server::simulated();
     let mut client = gateway.original_client();
     let id = client.start("gripper", "finger", "100");
@@ -145,10 +144,8 @@ fn a_message_without_a_delimiter_is_dropped_and_nothing_else() {
 #[test]
 fn neither_junk_nor_the_work_of_the_server_itself_floods_a_debug_log() {
     let words = "gateway -p 0 -d gripper=sim:gripper --log debug -s";
-    let process = Process::start(ztl().args(words.split(' ')).arg(SCOPE));
-    let port = process.wait_for_port("Serving ");
-    process.wait_for("Device 'gripper' is ready");
-    let gateway = Server { process, port };
+    let gateway = Server::start(ztl().args(words.split(' ')).arg(SCOPE));
+    gateway.wait_ready("gripper");
     let mut client = gateway.original_client();
     let id = client.start("gripper", "finger", "20");
     assert_eq!(client.wait(id, 20.0), (COMPLETED, "20.0"));

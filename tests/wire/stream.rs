@@ -1,11 +1,11 @@
-//! Bytes that no ZeroMQ socket sends, over TCP.
+//! Bytes over TCP that no ZeroMQ socket sends.
 
 use std::io::{ErrorKind, Read, Write};
 use std::net::TcpStream;
 
 use ztl_tests::lab::{Server, shake_hands};
 
-use crate::{Socket, assert_serves};
+use crate::socket::{Socket, assert_serves};
 
 #[test]
 fn a_frame_that_announces_too_much_ends_its_connection_and_no_other() {
@@ -39,7 +39,7 @@ fn a_frame_that_announces_too_much_ends_its_connection_and_no_other() {
 }
 
 #[test]
-fn what_is_no_zmtp_harms_nobody() {
+fn bytes_that_are_not_zmtp_harm_no_client() {
     let server = Server::ours();
     for bytes in [
         &b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n"[..],

@@ -3,7 +3,7 @@
 use ztl_std::TaskSpec;
 use ztl_tests::lab::{SCOPE, Server};
 
-use crate::Socket;
+use crate::socket::Socket;
 
 /// The base64 of a task.
 fn task(text: &str) -> String {

@@ -32,8 +32,7 @@ pub(crate) fn test(project: &Project) -> Result<()> {
         Ok(test.arg("--package").args(words.split(' ')).run()?)
     };
     test("ztl-std --lib keys")?;
-    test("ztl-tests --test access")?;
-    test("ztl-tests --test serve -- forward::with_keys")
+    test("ztl-tests --test serve -- access:: forward::with_keys")
 }
 
 pub(crate) fn target(project: &Project) -> PathBuf {

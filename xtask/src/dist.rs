@@ -21,7 +21,7 @@ const FEATURES: [&str; 3] = ["--no-default-features", "--features", "defmt"];
 
 const TEST: &str = "test --quiet --package ztl-tests --test";
 
-/// The emulated kernels, oldest last (`tests/dist/old_kernel.py`).
+/// The emulated kernels, oldest last (`tests/command/dist/old_kernel.py`).
 const KERNELS: [&str; 2] = ["3.2", "2.6.32"];
 
 /// Builds the named targets, or all. `check` also runs each one and links the C interface for it.
@@ -132,7 +132,7 @@ fn run_all(project: &Project, built: &[(Target, PathBuf)]) -> Result<()> {
     bill::check(project, release)?;
     for (target, path) in built {
         let run = |variable: &str, how: &str| {
-            let test = project.cargo(&format!("{TEST} dist -- --ignored"));
+            let test = project.cargo(&format!("{TEST} command -- --ignored dist::"));
             let test = test.env("ZTL_DIST", path).env(variable, how);
             test.env("ZTL_DIST_TARGET", target.triple()).run()
         };
@@ -155,7 +155,7 @@ fn run_all(project: &Project, built: &[(Target, PathBuf)]) -> Result<()> {
 /// Kills servers on an emulated kernel. An empty root cannot show this: without `/proc` no watchdog stops the
 /// programs of a killed server.
 fn watchdogs(project: &Project, kernel: &str, program: &Path) -> Result<()> {
-    let script = project.root.join("tests/dist/old_kernel.py");
+    let script = project.root.join("tests/command/dist/old_kernel.py");
     let python = install::python(project)?;
     let words = [&python, &script, Path::new(kernel), program];
     let command = words.map(|word| word.display().to_string()).join("\n");

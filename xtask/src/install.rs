@@ -196,7 +196,7 @@ pub(crate) fn environment(
 /// source archive has. Returns its Python.
 pub(crate) fn python(project: &Project) -> Result<PathBuf> {
     const PACKAGES: &str = "tests/requirements.txt";
-    const SUITE: &str = "tests/original_suite/requirements.txt";
+    const SUITE: &str = "tests/compat/original_suite/requirements.txt";
     let sh = &project.sh;
     let content = sh.read_file(PACKAGES)? + &sh.read_file(SUITE)?;
     let venv = project.target.join("venv");

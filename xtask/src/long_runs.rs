@@ -46,9 +46,9 @@ impl Soak {
     /// Runs everything; each test prints a short report.
     pub(crate) fn run(&self, project: &Project) -> Result<()> {
         project.cargo(BUILD).run()?;
-        for test in ["line_faults", "many_tasks"] {
+        for (binary, module) in [("devices", "line_faults::"), ("serve", "many_tasks::")] {
             let run = project.cargo("test --release --package ztl-tests --test");
-            run.args([test, "--", "--nocapture", "--test-threads", "1"])
+            run.args([binary, "--", "--nocapture", "--test-threads", "1", module])
                 .env("ZTL_TASKS", self.tasks.to_string())
                 .env("ZTL_RESETS", self.resets.to_string())
                 .env("ZTL_FILL", FILL)

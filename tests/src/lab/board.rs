@@ -1,5 +1,5 @@
-//! Firmware on a board in QEMU: the images of `examples/firmware`, with their serial port at a TCP
-//! port, and their pins under the test's fingers.
+//! Firmware on a board in QEMU: the images of `examples/firmware`, with the serial port at a TCP port, and pins that a
+//! test reads and writes.
 
 use std::cell::RefCell;
 use std::fs;
@@ -15,7 +15,7 @@ use object::{Object, ObjectSymbol};
 use super::build::{ancestor, assert_fresh};
 use super::{PATIENCE, Process, Scratch, reserve_port, until};
 
-/// What nobody writes to a stack.
+/// The byte that marks unused stack.
 const PAINT: u8 = 0xC5;
 
 /// Board, target, machine.
@@ -38,7 +38,7 @@ pub enum Pin {
     Lamp,
 }
 
-/// A board under power. It loses it when this is dropped.
+/// A running board. It is switched off when this is dropped.
 #[derive(Debug)]
 pub struct Board {
     /// QEMU.
@@ -49,9 +49,9 @@ pub struct Board {
     pub network: u16,
     /// Its firmware's ELF file.
     pub elf: PathBuf,
-    /// Of an image that has pins.
+    /// The address of the pins, if the image has some.
     panel: Option<u64>,
-    /// From the end of what is static to the stack's start.
+    /// From the end of the static data to the start of the stack.
     stack: Range<u64>,
     scratch: Scratch,
     probe: RefCell<BufReader<UnixStream>>,
@@ -61,7 +61,7 @@ impl Board {
     /// A board by its name in `boards.txt`.
     ///
     /// # Panics
-    /// When its image is not there; a test of firmware is never left out silently.
+    /// When its image is missing. A test is never skipped silently.
     #[track_caller]
     pub fn start(name: &str) -> Self {
         Self::with_image(name, name)
@@ -73,8 +73,7 @@ impl Board {
         Self::launch(name, image, None)
     }
 
-    /// The same with a network port; what is at this TCP port of the board is reached at
-    /// [`network`](Self::network).
+    /// The same with a network port: this TCP port of the board is reachable at [`network`](Self::network).
     #[track_caller]
     pub fn with_network(name: &str, image: &str, port: u16) -> Self {
         Self::launch(name, image, Some(port))
@@ -141,7 +140,7 @@ impl Board {
         format!("desk=tcp:127.0.0.1:{}", self.port)
     }
 
-    /// What a pin says.
+    /// Reads a pin.
     #[track_caller]
     pub fn read(&self, pin: Pin) -> u32 {
         let answer = self.probe(&format!("readl {:#x}", self.address(pin)));
@@ -160,7 +159,7 @@ impl Board {
         self.panel.expect("its pins") + 4 * pin as u64
     }
 
-    /// How many bytes of stack were used at most, since the board was started.
+    /// The most bytes of stack that were in use since the board was started.
     #[track_caller]
     pub fn stack_used(&self) -> u64 {
         let Range { start, end } = self.stack;
@@ -231,7 +230,7 @@ fn power_on(
             if taken {
                 Some(None)
             } else {
-                knock(probe).map(Some)
+                connect_probe(probe).map(Some)
             }
         });
         let Some(probe) = probe else {
@@ -239,14 +238,14 @@ fn power_on(
         };
         if served.is_some() {
             // A SYN that comes before the board's network does is sent again only seconds later.
-            until("the board's network", PATIENCE, || hear(network));
+            until("the board's network", PATIENCE, || receive_byte(network));
         }
         return (process, probe, ports);
     }
 }
 
-/// QEMU's probe, once it answers: it does when the machine has all its ports.
-fn knock(probe: &Path) -> Option<BufReader<UnixStream>> {
+/// Connects to QEMU's probe. It answers once the machine has all its ports.
+fn connect_probe(probe: &Path) -> Option<BufReader<UnixStream>> {
     let mut probe = UnixStream::connect(probe).ok()?;
     probe.set_read_timeout(Some(PATIENCE)).ok()?;
     probe.write_all(b"endianness\n").ok()?;
@@ -256,8 +255,8 @@ fn knock(probe: &Path) -> Option<BufReader<UnixStream>> {
     answer.starts_with("OK").then_some(probe)
 }
 
-/// A byte that the board sends to whoever connects; not for long, as the next try may come through sooner.
-fn hear(network: u16) -> Option<()> {
+/// Receives a byte that the board sends to each client. The timeout is short, because the next try may succeed sooner.
+fn receive_byte(network: u16) -> Option<()> {
     let mut stream = TcpStream::connect(("127.0.0.1", network)).ok()?;
     stream.set_read_timeout(Some(PATIENCE / 40)).ok()?;
     stream.read_exact(&mut [0]).ok()

@@ -1,5 +1,4 @@
-//! What `cargo` and `cargo xtask` have put below the target directory: the programs under test, and the
-//! installations that tests need.
+//! The programs under test and the installations that tests need, below the target directory.
 
 use std::collections::HashSet;
 use std::fs;

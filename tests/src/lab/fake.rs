@@ -1,8 +1,10 @@
-//! A server that answers what a test wants, as no real one would.
+//! A server that answers what a test chooses, as no real server would.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
+
+use super::port_of;
 
 /// Pause between two looks whether the server is still wanted, in milliseconds.
 const LOOK_AGAIN: i32 = 20;
@@ -37,10 +39,6 @@ impl FakeServer {
         socket.bind("tcp://127.0.0.1:*").expect("a free port");
         let endpoint = socket.get_last_endpoint().expect("it is bound");
         let endpoint = endpoint.expect("UTF-8");
-        let port = endpoint
-            .rsplit(':')
-            .next()
-            .and_then(|port| port.parse().ok());
         let requests = Arc::new(Mutex::new(Vec::new()));
         let stop = Arc::new(AtomicBool::new(false));
         let (seen, stopped) = (Arc::clone(&requests), Arc::clone(&stop));
@@ -59,7 +57,7 @@ impl FakeServer {
             }
         });
         Self {
-            port: port.expect("a port"),
+            port: port_of(&endpoint),
             requests,
             stop,
             thread: Some(thread),

@@ -1,57 +1,56 @@
-//! What the integration tests are made of: real processes, ports and files, each given back when
-//! its guard is dropped.
+//! The parts of the integration tests: real processes, ports and files. Each is released when it is dropped.
 //!
-//! Whatever waits here waits for a condition, and for no longer than it says.
+//! Every wait here is for a condition and has a limit.
 
-#[cfg(unix)]
 mod board;
 mod build;
 mod fake;
-#[cfg(unix)]
-mod manager;
 mod original;
 mod peers;
 mod ports;
 mod process;
+mod random;
+mod remote;
 mod server;
-#[cfg(unix)]
+mod service_manager;
 mod terminal;
 mod tools;
 mod zmtp;
 
-#[cfg(unix)]
 pub use board::{Board, Pin};
 pub use build::{built, installed};
 pub use fake::FakeServer;
-#[cfg(unix)]
-pub use manager::{Manager, verify_unit};
 pub use original::{
     ABORTED, ACCEPTED, Answer, COMPLETED, FAILED, OriginalClient, REJECTED, original_tool, python,
+    run_python,
 };
 pub use peers::{Peer, javascript_packages, python27};
 pub use ports::reserve_port;
-pub use process::{Ended, Process};
+pub use process::{Ended, Process, process_status, signal};
+pub use random::{Random, number, seed};
+pub use remote::{LIMIT, connect, port_of, serve, start, status};
 pub use server::{SCOPE, Server};
-#[cfg(unix)]
+pub use service_manager::{ServiceManager, verify_unit};
 pub use terminal::Terminal;
-pub use tools::{Told, original_client, our_client, ours_named};
+pub use tools::{ClientOutput, original_client, our_client, our_client_at, ours_named};
 pub use zmtp::shake_hands;
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-/// Longest time for what is not itself measured: the machine may be busy with other things.
+/// Limit for waits that are not themselves measured. The machine may be busy.
 pub const PATIENCE: Duration = Duration::from_secs(20);
 
-/// Pause between two looks at a condition.
+/// Pause between two checks of a condition.
 const LOOK_AGAIN: Duration = Duration::from_millis(10);
 
-/// Looks again and again until there is something.
+/// Calls `look` until it returns something.
 ///
 /// # Panics
-/// When there is nothing within `limit`.
+/// When it returns nothing within `limit`.
 #[track_caller]
 pub fn until<T>(what: &str, limit: Duration, mut look: impl FnMut() -> Option<T>) -> T {
     let start = Instant::now();
@@ -64,10 +63,10 @@ pub fn until<T>(what: &str, limit: Duration, mut look: impl FnMut() -> Option<T>
     }
 }
 
-/// Repeats something until it takes less than `limit`: a busy machine delays some tries, a fault delays all.
+/// Repeats `attempt` until it takes less than `limit`. A busy machine delays some attempts, a defect delays all.
 ///
 /// # Panics
-/// When no try within [`PATIENCE`] is quick enough.
+/// When no attempt within [`PATIENCE`] is quick enough.
 #[track_caller]
 pub fn in_time<T>(limit: Duration, mut attempt: impl FnMut() -> T) -> T {
     until(&format!("it takes less than {limit:?}"), PATIENCE, || {
@@ -77,8 +76,8 @@ pub fn in_time<T>(limit: Duration, mut attempt: impl FnMut() -> T) -> T {
     })
 }
 
-/// The `ztl` command that was built beside this test; or what `ZTL_COMMAND` says, a word in each line: a
-/// released file, perhaps as on an old kernel.
+/// The `ztl` command that was built beside this test, or the command line in `ZTL_COMMAND`, one word per line: a
+/// released program, perhaps on an emulated old kernel.
 #[track_caller]
 pub fn ztl() -> Command {
     let told = std::env::var("ZTL_COMMAND").unwrap_or_default();
@@ -99,7 +98,13 @@ pub fn example(name: &str) -> Command {
     Command::new(built(&format!("examples/{name}")))
 }
 
-/// A directory of a test's own, removed with all that is in it when it is dropped.
+/// Held by a test that keeps a core busy, so that a test binary runs one of these at a time.
+pub fn busy() -> MutexGuard<'static, ()> {
+    static BUSY: Mutex<()> = Mutex::new(());
+    BUSY.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// A temporary directory, removed with its contents when it is dropped.
 #[derive(Debug)]
 pub struct Scratch(PathBuf);
 
@@ -115,7 +120,7 @@ impl Scratch {
         Self(path)
     }
 
-    /// The path of something in it.
+    /// The path of a file in it.
     pub fn path(&self, name: impl AsRef<Path>) -> PathBuf {
         self.0.join(name)
     }

@@ -1,7 +1,8 @@
 //! The original: Python's `ztl` 0.3.3, unchanged, from its virtual environment.
 
+use std::io::Write;
 use std::path::{Path, PathBuf};
-use std::process::Command;
+use std::process::{Command, Stdio};
 use std::time::Duration;
 
 use super::{PATIENCE, Process, installed};
@@ -24,6 +25,26 @@ pub const COMPLETED: i64 = 5;
 #[track_caller]
 pub fn python() -> PathBuf {
     installed("ZTL_PYTHON", "venv/bin/python")
+}
+
+/// Runs Python with these arguments and this standard input, and returns what it prints.
+///
+/// # Panics
+/// When it fails.
+#[track_caller]
+pub fn run_python(args: &[&str], input: &str) -> String {
+    let mut command = Command::new(python());
+    command
+        .args(args)
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped());
+    let mut process = command.spawn().expect("Python starts");
+    let mut stdin = process.stdin.take().expect("a pipe");
+    stdin.write_all(input.as_bytes()).expect("Python reads");
+    drop(stdin);
+    let output = process.wait_with_output().expect("Python ends");
+    assert!(output.status.success(), "Python failed: {args:?}");
+    String::from_utf8(output.stdout).expect("UTF-8")
 }
 
 /// One of the original's command-line tools by its installed name, such as `ztl_task_client`.

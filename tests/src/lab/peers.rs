@@ -1,4 +1,4 @@
-//! Other ends, old and new, as `tests/peers/README.md` lists them: each is a client and a server.
+//! Other ZeroMQ implementations, old and new (`tests/peers/README.md`), each with a client and a server.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;

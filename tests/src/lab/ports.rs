@@ -1,4 +1,4 @@
-//! TCP ports that a test has to name before anything listens there.
+//! TCP ports that a test must name before a server binds them.
 
 use std::hash::{BuildHasher, RandomState};
 use std::net::{TcpListener, UdpSocket};

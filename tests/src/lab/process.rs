@@ -1,4 +1,4 @@
-//! A program under test: what it says is collected, and it ends with its guard.
+//! A program under test: its output is collected, and it is killed when its [`Process`] is dropped.
 
 use std::io::{BufRead, BufReader, Read, Write};
 use std::process::{Child, ChildStdin, Command, Stdio};
@@ -13,22 +13,22 @@ enum Stream {
     Err,
 }
 
-/// What a program has said so far.
+/// The output so far.
 #[derive(Debug, Default)]
-struct Heard {
+struct Output {
     lines: Vec<(Stream, String)>,
     /// Streams that have ended.
     closed: u8,
 }
 
-impl Heard {
+impl Output {
     fn text(&self, of: Stream) -> String {
         let lines = self.lines.iter().filter(|(stream, _)| *stream == of);
         lines.map(|(_, line)| line.as_str()).collect()
     }
 }
 
-type Ear = Arc<(Mutex<Heard>, Condvar)>;
+type SharedOutput = Arc<(Mutex<Output>, Condvar)>;
 
 /// A running program. It is killed when this is dropped.
 #[derive(Debug)]
@@ -36,7 +36,7 @@ pub struct Process {
     name: String,
     child: Child,
     stdin: Option<ChildStdin>,
-    heard: Ear,
+    output: SharedOutput,
     /// Lines of stdout that [`next_line`](Self::next_line) has given.
     taken: usize,
 }
@@ -63,14 +63,14 @@ impl Process {
             .stderr(Stdio::piped())
             .spawn();
         let mut child = child.unwrap_or_else(|error| panic!("cannot start {name}: {error}"));
-        let heard = Ear::default();
-        listen(child.stdout.take(), Stream::Out, &heard);
-        listen(child.stderr.take(), Stream::Err, &heard);
+        let output = SharedOutput::default();
+        collect(child.stdout.take(), Stream::Out, &output);
+        collect(child.stderr.take(), Stream::Err, &output);
         Self {
             name,
             stdin: child.stdin.take(),
             child,
-            heard,
+            output,
             taken: 0,
         }
     }
@@ -85,7 +85,7 @@ impl Process {
     #[track_caller]
     pub fn wait_for(&self, part: &str) -> String {
         let line = self.line_with(part);
-        line.unwrap_or_else(|| panic!("no '{part}' from {}", self.story()))
+        line.unwrap_or_else(|| panic!("no '{part}' from {}", self.transcript()))
     }
 
     /// As [`wait_for`](Self::wait_for), for a program that was told its port: `None` if it ends because the
@@ -94,7 +94,11 @@ impl Process {
     pub fn wait_for_unless_taken(&self, part: &str) -> Option<String> {
         let line = self.line_with(part);
         let taken = self.stderr().contains("in use");
-        assert!(line.is_some() || taken, "no '{part}' from {}", self.story());
+        assert!(
+            line.is_some() || taken,
+            "no '{part}' from {}",
+            self.transcript()
+        );
         line
     }
 
@@ -122,7 +126,7 @@ impl Process {
             lines.nth(taken).map(|(_, line)| line.trim_end().to_owned())
         });
         self.taken += 1;
-        line.unwrap_or_else(|| panic!("no further line from {}", self.story()))
+        line.unwrap_or_else(|| panic!("no further line from {}", self.transcript()))
     }
 
     /// Writes a line to its stdin.
@@ -130,7 +134,7 @@ impl Process {
     pub fn write_line(&mut self, line: &str) {
         let stdin = self.stdin.as_mut().expect("stdin is open");
         let written = writeln!(stdin, "{line}").and_then(|()| stdin.flush());
-        written.unwrap_or_else(|error| panic!("{error}: writing to {}", self.story()));
+        written.unwrap_or_else(|error| panic!("{error}: writing to {}", self.transcript()));
     }
 
     /// Ends its stdin.
@@ -140,12 +144,12 @@ impl Process {
 
     /// What it has written to stdout so far.
     pub fn stdout(&self) -> String {
-        self.heard.0.lock().unwrap().text(Stream::Out)
+        self.output.0.lock().unwrap().text(Stream::Out)
     }
 
     /// What it has written to stderr so far.
     pub fn stderr(&self) -> String {
-        self.heard.0.lock().unwrap().text(Stream::Err)
+        self.output.0.lock().unwrap().text(Stream::Err)
     }
 
     /// Waits for its end.
@@ -158,11 +162,11 @@ impl Process {
             std::thread::sleep(Duration::from_millis(5));
         }
         let Some(status) = status else {
-            panic!("not ended within {limit:?}: {}", self.story());
+            panic!("not ended within {limit:?}: {}", self.transcript());
         };
-        // What it has said may still be on its way.
-        self.wait_for_silence();
-        let heard = self.heard.0.lock().unwrap();
+        // Its last output may still be in the pipes.
+        self.wait_for_end_of_output();
+        let heard = self.output.0.lock().unwrap();
         Ended {
             code: status.code(),
             stdout: heard.text(Stream::Out),
@@ -177,27 +181,23 @@ impl Process {
         self.child.wait().expect("its end");
     }
 
-    /// Waits until nobody holds its output open any more: neither it nor what it has started.
+    /// Waits until neither it nor a program that it started holds its output open.
     #[track_caller]
-    pub fn wait_for_silence(&self) {
+    pub fn wait_for_end_of_output(&self) {
         until("the end of its output", PATIENCE, || {
-            (self.heard.0.lock().unwrap().closed == 2).then_some(())
+            (self.output.0.lock().unwrap().closed == 2).then_some(())
         });
     }
 
     /// Sends a signal by name: `INT`, `STOP`, `CONT`.
     #[track_caller]
     pub fn signal(&self, name: &str) {
-        // The shell's own: a small system has no program of that name.
-        let mut kill = Command::new("sh");
-        kill.args(["-c", "kill -$0 $1", name])
-            .arg(self.child.id().to_string());
-        assert!(kill.status().expect("`sh`").success(), "{kill:?}");
+        signal(self.child.id(), name);
     }
 
-    /// Sends it a signal until it has ended: one that comes at once after another is the same.
+    /// Repeats a signal until the program has ended. A signal that follows another at once is merged with it.
     #[track_caller]
-    pub fn insist(mut self, name: &str, limit: Duration) -> Ended {
+    pub fn signal_until_end(mut self, name: &str, limit: Duration) -> Ended {
         until("its end", limit, || {
             self.signal(name);
             self.child.try_wait().expect("its status").map(drop)
@@ -205,14 +205,20 @@ impl Process {
         self.end(limit)
     }
 
-    /// Its number in the system.
+    /// Its process id.
     pub fn id(&self) -> u32 {
         self.child.id()
     }
 
-    /// What was run and what it has said, for whoever has to find out what went wrong.
-    fn story(&self) -> String {
-        let heard = self.heard.0.lock().unwrap();
+    /// What it has in memory, in KiB.
+    #[track_caller]
+    pub fn resident_kib(&self) -> u64 {
+        process_status(self.id(), "VmRSS:")
+    }
+
+    /// The command and its output, for a failure's message.
+    fn transcript(&self) -> String {
+        let heard = self.output.0.lock().unwrap();
         format!(
             "{}\n--- stdout:\n{}--- stderr:\n{}---",
             self.name,
@@ -230,9 +236,9 @@ impl Process {
     }
 
     /// Waits until what was heard is enough; gives up early when nothing more can come.
-    fn wait<T>(&self, limit: Duration, mut look: impl FnMut(&Heard) -> Option<T>) -> Option<T> {
+    fn wait<T>(&self, limit: Duration, mut look: impl FnMut(&Output) -> Option<T>) -> Option<T> {
         let deadline = Instant::now() + limit;
-        let (heard, changed) = &*self.heard;
+        let (heard, changed) = &*self.output;
         let mut heard = heard.lock().unwrap();
         loop {
             if let Some(found) = look(&heard) {
@@ -247,6 +253,25 @@ impl Process {
     }
 }
 
+/// Sends a process a signal by name.
+#[track_caller]
+pub fn signal(process: u32, name: &str) {
+    // The shell's built-in: a small system has no program `kill`.
+    let mut kill = Command::new("sh");
+    kill.args(["-c", "kill -$0 $1", name])
+        .arg(process.to_string());
+    assert!(kill.status().expect("`sh`").success(), "{kill:?}");
+}
+
+/// A number in a process's `/proc/PID/status`, by its name there, such as `VmRSS:`.
+#[track_caller]
+pub fn process_status(process: u32, name: &str) -> u64 {
+    let status = std::fs::read_to_string(format!("/proc/{process}/status")).expect("it lives");
+    let line = status.lines().find_map(|line| line.strip_prefix(name));
+    let number = line.and_then(|line| line.split_whitespace().next()?.parse().ok());
+    number.unwrap_or_else(|| panic!("no {name} in {status}"))
+}
+
 impl Drop for Process {
     fn drop(&mut self) {
         let _ = self.child.kill();
@@ -255,22 +280,22 @@ impl Drop for Process {
 }
 
 /// Collects the lines of a stream on a thread that ends with the stream.
-fn listen(stream: Option<impl Read + Send + 'static>, name: Stream, ear: &Ear) {
-    let ear = Arc::clone(ear);
+fn collect(stream: Option<impl Read + Send + 'static>, name: Stream, output: &SharedOutput) {
+    let output = Arc::clone(output);
     let stream = stream.expect("a pipe");
     std::thread::spawn(move || {
         let mut stream = BufReader::new(stream);
         loop {
             let mut line = Vec::new();
             let count = stream.read_until(b'\n', &mut line).unwrap_or(0);
-            let mut heard = ear.0.lock().unwrap();
+            let mut collected = output.0.lock().unwrap();
             if count == 0 {
-                heard.closed += 1;
+                collected.closed += 1;
             } else {
                 let line = String::from_utf8_lossy(&line).into_owned();
-                heard.lines.push((name, line));
+                collected.lines.push((name, line));
             }
-            ear.1.notify_all();
+            output.1.notify_all();
             if count == 0 {
                 return;
             }

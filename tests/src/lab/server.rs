@@ -109,6 +109,14 @@ impl Server {
         }
     }
 
+    /// A server that prints `Serving …` with its address.
+    #[track_caller]
+    pub fn start(command: &mut Command) -> Self {
+        let process = Process::start(command);
+        let port = process.wait_for_port("Serving ");
+        Self { process, port }
+    }
+
     /// `ztl serve` with tasks that last: `nap:for:60` sleeps a minute, and can be aborted.
     #[track_caller]
     pub fn naps() -> Self {
@@ -116,10 +124,7 @@ impl Server {
         let file = scratch.path("naps.yaml");
         let text = format!("port: 0\nscopes: {{{SCOPE}: {{nap: {{for: sleep}}}}}}\n");
         std::fs::write(&file, text).expect("a file");
-        let mut command = ztl();
-        let process = Process::start(command.arg("serve").arg(file));
-        let port = process.wait_for_port("Serving ");
-        Self { process, port }
+        Self::start(ztl().arg("serve").arg(file))
     }
 
     /// `ztl gateway` with these devices, as `gripper=sim:gripper`; which need not be there yet.
@@ -136,10 +141,7 @@ impl Server {
         for device in devices {
             command.args(["--device", device]);
         }
-        command.args(options);
-        let process = Process::start(&mut command);
-        let port = process.wait_for_port("Serving ");
-        Self { process, port }
+        Self::start(command.args(options))
     }
 
     /// A gateway with a simulated gripper and a simulated head, both ready.

@@ -1,4 +1,4 @@
-//! A terminal that a program runs in: keys are typed, and its screen is looked at.
+//! A terminal in which a program runs: tests type keys and read its screen.
 
 use std::fs::File;
 use std::io::{Read, Write};
@@ -11,6 +11,7 @@ use std::time::{Duration, Instant};
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 use rustix::termios::{LocalModes, Termios, Winsize, tcgetattr, tcsetwinsize};
 
+use super::process::signal;
 use super::{PATIENCE, until};
 
 /// A program in a terminal of its own. It is killed when this is dropped.
@@ -191,10 +192,7 @@ impl Terminal {
     /// Sends a signal by name: `TERM`, `HUP`.
     #[track_caller]
     pub fn signal(&self, name: &str) {
-        let mut kill = Command::new("sh");
-        kill.args(["-c", "kill -$0 $1", name])
-            .arg(self.id().to_string());
-        assert!(kill.status().expect("`sh`").success(), "{kill:?}");
+        signal(self.id(), name);
     }
 
     /// Waits for the program's end.

@@ -12,7 +12,7 @@ pub fn our_client() -> Command {
     command
 }
 
-/// Our command under another name, as `ztl_task_client`: by one of the original's it is that tool.
+/// Our command under another name. Under a name of the original's, such as `ztl_task_client`, it is that tool.
 #[track_caller]
 pub fn ours_named(scratch: &Scratch, name: &str) -> Command {
     let link = scratch.path(name);
@@ -22,23 +22,31 @@ pub fn ours_named(scratch: &Scratch, name: &str) -> Command {
     Command::new(link)
 }
 
+/// `ztl task-client` with the options for a server at this port of this machine.
+#[track_caller]
+pub fn our_client_at(port: u16) -> Command {
+    let mut command = our_client();
+    command.args(["-r", "localhost", "-p", &port.to_string(), "-s", SCOPE]);
+    command
+}
+
 /// The original's `ztl_task_client`.
 #[track_caller]
 pub fn original_client() -> Command {
     original_tool("ztl_task_client")
 }
 
-/// What is seen of a client from outside.
+/// A client's output and exit code, without what differs from run to run.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Told {
+pub struct ClientOutput {
     /// Its stdout, with the task's id and the server's port taken out.
     pub text: String,
     /// Its exit code.
     pub code: Option<i32>,
 }
 
-impl Told {
-    /// What a client of the server at `port` told.
+impl ClientOutput {
+    /// The output of a client of the server at `port`.
     pub fn of(ended: &Ended, port: u16) -> Self {
         let text = ended.stdout.replace(&format!(":{port}'"), ":PORT'");
         let id = text
@@ -56,7 +64,7 @@ impl Told {
         }
     }
 
-    /// How its last line ends; a test compares nothing if it compares two failures.
+    /// Checks how the last line ends, so that a test does not compare two failures.
     #[track_caller]
     pub fn assert_ends_with(&self, last: &str) {
         assert!(

@@ -1,4 +1,4 @@
-//! ZeroMQ's bytes without its library.
+//! A ZMTP connection without libzmq.
 
 use std::io::{Read, Write};
 use std::net::TcpStream;

@@ -1,0 +1,404 @@
+//! Errors of the `ztl` command, its exit codes, its help and its demo.
+
+use std::net::TcpListener;
+use std::process::Command;
+use std::time::{Duration, Instant};
+
+use ztl_tests::lab::{
+    Ended, PATIENCE, Process, SCOPE, Scratch, Server, our_client, reserve_port, until, ztl,
+};
+
+/// `ztl` with these words, which has to end by itself.
+#[track_caller]
+fn run(line: &str) -> Ended {
+    let words = line.split(' ').filter(|word| !word.is_empty());
+    Process::run(ztl().args(words))
+}
+
+/// `ztl` with these words refuses, on one line that says all of `parts`.
+#[track_caller]
+fn refuses(line: &str, parts: &[&str]) {
+    let ended = run(line);
+    assert!(
+        ended.code.is_some_and(|code| code != 0),
+        "{line}: {ended:?}"
+    );
+    let says = |line: &str| parts.iter().all(|part| line.contains(part));
+    let lines = ended.stderr.lines();
+    let lines = lines.filter(|line| !line.starts_with("Usage: ") && says(line));
+    assert_eq!(lines.count(), 1, "{line}: {parts:?} in {ended:?}");
+    assert!(!ended.stderr.contains("panicked"), "{line}: {ended:?}");
+    // What it would print while it serves.
+    assert_eq!(ended.stdout, "", "{line}");
+}
+
+#[test]
+fn an_invalid_device_is_refused_with_the_valid_ones() {
+    for (device, parts) in [
+        (
+            "gripper=usb:1",
+            &["unknown kind of device 'usb'", "serial:/dev/ttyACM0"][..],
+        ),
+        (
+            "gripper=/dev/ttyACM0",
+            &["unknown kind of device", "serial:/dev/ttyACM0"],
+        ),
+        ("gripper=serial:", &["incomplete", "serial:/dev/ttyACM0"]),
+        (
+            "gripper=serial:/dev/x?baud=fast",
+            &["'baud=fast'", "?baud=115200"],
+        ),
+        (
+            "gripper=serial:/dev/x?baud=0",
+            &["'baud=0'", "?baud=115200"],
+        ),
+        (
+            "gripper=serial:/dev/x?speed=9600",
+            &["'speed=9600'", "?baud=115200"],
+        ),
+        ("gripper=tcp:7000", &["incomplete", "tcp:HOST:PORT"]),
+        (
+            "gripper=sim:arm",
+            &["no simulated device 'arm'", "gripper, head"],
+        ),
+        ("gripper", &["'gripper'", "NAME=URL"]),
+        ("=sim:gripper", &["no name for a device"]),
+        ("a:b=sim:gripper", &["'a:b' is not a device name"]),
+    ] {
+        refuses(&format!("gateway --device {device} -p 0 -s /lab"), parts);
+    }
+}
+
+#[test]
+fn a_gateway_that_cannot_serve_says_why() {
+    let sim = "gateway --device gripper=sim:gripper";
+    refuses("gateway -p 0 -s /lab", &["--device <NAME=URL>"]);
+    refuses(&format!("{sim} -s /lab"), &["--port <PORT>"]);
+    refuses(&format!("{sim} -p 0"), &["--scope <SCOPE>"]);
+    refuses(&format!("{sim} -p http -s /lab"), &["'http'", "--port"]);
+    refuses(&format!("{sim} -p 70000 -s /lab"), &["70000", "65535"]);
+    refuses(&format!("{sim} -p 0 -s /l;ab"), &["'/l;ab'", "';'", "/lab"]);
+    let twice = format!("{sim} --device gripper=sim:head -p 0 -s /lab");
+    refuses(&twice, &["two devices are named 'gripper'"]);
+    let elsewhere = format!("{sim} -p 0 -s /lab --bind 192.0.2.1");
+    refuses(&elsewhere, &["cannot listen", "192.0.2.1", "127.0.0.1"]);
+    let nonsense = format!("{sim} -p 0 -s /lab --bind nonsense");
+    refuses(
+        &nonsense,
+        &["'nonsense' is not an address of this machine", "127.0.0.1"],
+    );
+    let bogus = format!("{sim} -p 0 -s /lab --bogus");
+    refuses(&bogus, &["unexpected argument '--bogus'"]);
+}
+
+#[test]
+fn a_port_in_use_is_named() {
+    let taken = TcpListener::bind(("0.0.0.0", 0)).expect("a port");
+    let port = taken.local_addr().expect("its address").port();
+    let named = format!(":{port}: the port is in use");
+    let gateway = format!("gateway --device gripper=sim:gripper -p {port} -s /lab");
+    refuses(&gateway, &["cannot listen", &named]);
+    refuses(
+        &format!("demo --once --port {port}"),
+        &["cannot listen", &named, "--port"],
+    );
+    refuses(
+        &format!("device sim:head --on tcp:{port}"),
+        &["cannot listen", &port.to_string()],
+    );
+
+    // This one logs first, as the original does.
+    let ended = run(&format!("task-server -p {port} -s /test"));
+    assert_eq!(ended.code, Some(1), "{ended:?}");
+    let last = ended.stderr.lines().last().unwrap_or_default();
+    assert!(last.contains(&named), "{ended:?}");
+}
+
+#[test]
+fn a_port_where_another_ztl_serves_is_in_use_too() {
+    let server = Server::ours();
+    let gateway = Server::simulated();
+    for port in [server.port, gateway.port] {
+        let parts = ["cannot listen", "the port is in use"];
+        let line = format!("gateway --device gripper=sim:gripper -p {port} -s /lab");
+        refuses(&line, &parts);
+        refuses(&format!("task-server -p {port} -s /lab"), &parts);
+        refuses(&format!("demo --once -p {port}"), &parts);
+    }
+}
+
+#[test]
+fn an_invalid_simulated_device_is_refused_with_the_valid_ones() {
+    let places = ["tcp:PORT", "tcp:HOST:PORT", "pty:LINK"];
+    for place in [
+        "usb",
+        "tcp",
+        "tcp:",
+        "tcp:http",
+        "tcp:localhost:",
+        "",
+        "serial:/dev/x",
+    ] {
+        let on = format!("--on={place}");
+        refuses(&format!("device sim:gripper {on}"), &places);
+    }
+    refuses("device sim:arm --on pty", &["'arm'", "gripper, head"]);
+    refuses("device arm --on pty", &["'arm'", "gripper, head"]);
+    refuses("device sim:gripper", &["--on <WHERE>"]);
+    refuses("device --on pty", &["<DEVICE>"]);
+    let nowhere = "/no/such/directory/gripper";
+    refuses(
+        &format!("device sim:gripper --on pty:{nowhere}"),
+        &[nowhere],
+    );
+
+    // A link is replaced, somebody's file is not.
+    let scratch = Scratch::new();
+    let file = scratch.path("file");
+    std::fs::write(&file, "precious").expect("to write");
+    let name = file.display().to_string();
+    refuses(
+        &format!("device sim:gripper --on pty:{name}"),
+        &["cannot make the link", &name],
+    );
+    assert_eq!(
+        std::fs::read_to_string(&file).expect("the file"),
+        "precious"
+    );
+}
+
+/// The exit code of our client that tells a task's fate.
+#[track_caller]
+fn fate(server: &Server, args: &[&str]) -> (Option<i32>, String) {
+    let mut client = our_client();
+    client.arg("--exit-status");
+    let ended = server.start_client(client, args).end(PATIENCE);
+    let last = ended.stdout.lines().last().unwrap_or_default();
+    (ended.code, last.to_owned())
+}
+
+#[test]
+fn the_exit_status_tells_a_tasks_outcome() {
+    let gateway = Server::simulated();
+    let tests = Server::ours();
+    for (server, args, code, part) in [
+        (
+            &gateway,
+            &["gripper:finger:1"][..],
+            0,
+            "'COMPLETED' while waiting. Result is '1.0'",
+        ),
+        (
+            &gateway,
+            &["arm:finger:40"],
+            1,
+            "no device 'arm'; there are: gripper, head",
+        ),
+        (
+            &gateway,
+            &["gripper:thumb:40"],
+            1,
+            "no component 'thumb'; it has: finger",
+        ),
+        (
+            &gateway,
+            &["gripper:finger:140"],
+            1,
+            "finger takes 0 to 100 percent",
+        ),
+        (
+            &gateway,
+            &["-s", "/x", "gripper:finger:1"],
+            1,
+            "No controller for scope: /x",
+        ),
+        (
+            &tests,
+            &["robot:echo:hi"],
+            1,
+            "No such handler 'robot', try 'test'.",
+        ),
+        (
+            &tests,
+            &["test:dance:waltz"],
+            3,
+            "No such component 'dance'",
+        ),
+        (
+            &gateway,
+            &["-t", "1", "gripper:finger:100"],
+            4,
+            "aborted. Reply is 'True'",
+        ),
+    ] {
+        let (ended, last) = fate(server, args);
+        assert!(last.contains(part), "{args:?}: '{part}' in '{last}'");
+        assert_eq!(ended, Some(code), "{args:?}: {last}");
+        // Without the option: as the original, always 0.
+        let ended = server.start_client(our_client(), args).end(PATIENCE);
+        assert_eq!(ended.code, Some(0), "{args:?}: {ended:?}");
+    }
+}
+
+#[test]
+fn a_server_that_is_not_there_is_unknown() {
+    let nobody = reserve_port();
+    let words = format!("task-client --exit-status -r localhost -p {nobody} -s {SCOPE} a:b:c");
+    let start = Instant::now();
+    let ended = run(&words);
+    let server = format!("no answer from tcp://localhost:{nobody}");
+    assert!(ended.stdout.contains(&server), "{ended:?}");
+    assert!(ended.stdout.contains("nothing was sent"), "{ended:?}");
+    assert_eq!(ended.code, Some(5), "{ended:?}");
+    assert!(start.elapsed() < Duration::from_secs(5));
+}
+
+#[test]
+fn a_server_that_dies_leaves_its_task_unknown() {
+    let mut server = Server::ours_at(reserve_port());
+    let mut client = our_client();
+    client.arg("--exit-status");
+    let client = server.start_client(client, &["-t", "1", "test:sleep:60"]);
+    client.wait_for("Initialised task with ID");
+    server.process.kill();
+    let ended = client.end(PATIENCE);
+    let last = ended.stdout.lines().last().unwrap_or_default();
+    assert!(last.ends_with("may still run."), "{ended:?}");
+    assert!(!ended.stdout.contains("FAILED"), "{ended:?}");
+    assert_eq!(ended.code, Some(5), "{ended:?}");
+}
+
+#[test]
+fn ctrl_c_aborts_what_the_client_started() {
+    let gateway = Server::simulated();
+    for (option, code) in [("--timeout=-1", 130), ("--exit-status", 4)] {
+        let mut client = our_client();
+        client.arg(option);
+        let client = gateway.start_client(client, &["head:pan:left"]);
+        client.wait_for("Initialised task with ID");
+        client.signal("INT");
+        let ended = client.end(PATIENCE);
+        let last = ended.stdout.lines().last().unwrap_or_default();
+        assert!(last.ends_with("aborted. Reply is 'True'."), "{ended:?}");
+        assert_eq!(ended.code, Some(code), "{ended:?}");
+        assert_eq!(fate(&gateway, &["head:pan:straight"]).0, Some(0));
+    }
+}
+
+#[test]
+fn ctrl_c_ends_every_server() {
+    let server = Server::ours();
+    server.process.signal("INT");
+    let ended = server.process.end(PATIENCE);
+    // As the original's.
+    assert_eq!(ended.code, Some(1), "{ended:?}");
+    assert!(
+        ended.stderr.ends_with("ERROR:root:Interrupted, exiting.\n"),
+        "{ended:?}"
+    );
+
+    let scratch = Scratch::new();
+    let link = scratch.path("gripper");
+    let mut command = ztl();
+    command.args([
+        "device",
+        "sim:gripper",
+        "--on",
+        &format!("pty:{}", link.display()),
+    ]);
+    let device = Process::start(&mut command);
+    device.wait_for("Simulated gripper at");
+    assert!(link.is_symlink());
+    device.signal("TERM");
+    assert_eq!(device.end(PATIENCE).code, Some(143));
+    assert!(!link.is_symlink(), "the link is left behind");
+}
+
+#[test]
+fn help_is_there_for_every_command() {
+    for (line, part) in [
+        ("--help", "Usage: ztl <COMMAND>"),
+        ("-h", "gateway"),
+        ("help", "task-client"),
+        ("demo --help", "--once"),
+        ("gateway --help", "sim:gripper"),
+        ("device --help", "pty:LINK"),
+        ("task-server --help", "--scope"),
+        ("task-client --help", "--exit-status"),
+        ("task-client -h", "--timeout"),
+        ("simple-server --help", "<PORT> <SCOPE>"),
+        ("simple-client --help", "<HOST> <PORT> <SCOPE> <REQUEST>"),
+        ("remote-task --help", "--config"),
+        ("--version", env!("CARGO_PKG_VERSION")),
+    ] {
+        let ended = run(line);
+        assert_eq!(ended.code, Some(0), "{line}: {ended:?}");
+        assert!(ended.stdout.contains(part), "{line}: {ended:?}");
+        assert_eq!(ended.stderr, "", "{line}");
+    }
+    for line in ["", "frobnicate", "--frobnicate"] {
+        let ended = run(line);
+        assert_eq!(ended.code, Some(2), "{line}: {ended:?}");
+        assert!(ended.stderr.contains("Usage: ztl <COMMAND>"), "{line}");
+    }
+}
+
+#[test]
+fn the_demo_completes_every_act() {
+    let mut command = ztl();
+    let demo = Process::start(command.args(["demo", "--once", "--port", "0"]));
+    let ended = demo.end(Duration::from_secs(40));
+    // Those that the scene moves, as the README says.
+    let devices = ended
+        .stdout
+        .lines()
+        .filter(|line| line.starts_with("device "));
+    assert_eq!(devices.count(), 2, "{ended:?}");
+    assert_eq!(ended.code, Some(0), "{ended:?}");
+    let acts: Vec<&str> = ended
+        .stdout
+        .lines()
+        .filter(|line| line.contains(" accepted "))
+        .collect();
+    let expected = [
+        ("gripper:finger:80", "COMPLETED 80.0 percent"),
+        ("head:pan:left", "COMPLETED 90.0 degrees"),
+        ("gripper:finger:20", "COMPLETED 20.0 percent"),
+        ("head:pan:right", "COMPLETED -90.0 degrees"),
+        ("head:pan:straight", "COMPLETED 0.0 degrees"),
+    ];
+    assert_eq!(acts.len(), expected.len(), "{}", ended.stdout);
+    for (act, (task, end)) in acts.iter().zip(expected) {
+        assert!(act.contains(task) && act.contains(end), "{task}: {act}");
+        // Seen on its way, not only at its end.
+        assert!(act.contains(" % "), "{act}");
+    }
+    assert!(ended.stdout.contains("Every task completed."));
+    assert!(!ended.stderr.contains("panicked"), "{}", ended.stderr);
+}
+
+#[test]
+fn the_demo_goes_on_serving_and_what_it_says_to_try_works() {
+    let mut command = ztl();
+    let demo = Process::start(command.args(["demo", "--port", "0"]));
+    // The line to be typed in another terminal, word by word as printed.
+    let words = until("the invitation", Duration::from_secs(40), || {
+        let text = demo.stdout();
+        let line = text.lines().find(|line| line.contains("task-client -r"))?;
+        Some(
+            line.split_whitespace()
+                .map(str::to_owned)
+                .collect::<Vec<_>>(),
+        )
+    });
+    let mut client = Command::new(&words[0]);
+    let ended = Process::run(client.args(&words[1..]));
+    assert!(
+        ended
+            .stdout
+            .contains("'COMPLETED' while waiting. Result is '40.0'"),
+        "{ended:?}"
+    );
+    demo.signal("INT");
+    assert_eq!(demo.end(PATIENCE).code, Some(0));
+}

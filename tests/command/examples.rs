@@ -1,0 +1,108 @@
+//! Runs the examples as their first lines say.
+
+use std::process::Command;
+use std::time::{Duration, Instant};
+
+use ztl_std::{RemoteTask, State, TriggerError};
+use ztl_tests::lab::{OriginalClient, PATIENCE, Process, SCOPE, Server, example, until};
+
+/// The example `handler`, and its ZeroMQ address.
+#[track_caller]
+fn handler() -> (Process, String) {
+    let handler = Process::start(example("handler").arg("tcp://127.0.0.1:*"));
+    let line = handler.wait_for("serving /robot at ");
+    let endpoint = line.trim_start_matches("serving /robot at ").to_owned();
+    (handler, endpoint)
+}
+
+#[test]
+fn the_client_drives_the_handler_and_prints_what_it_promises() {
+    let (_handler, endpoint) = handler();
+    let start = Instant::now();
+    let ended = Process::run(example("client").arg(&endpoint));
+    assert_eq!(ended.code, Some(0), "{ended:?}");
+    let lines: Vec<&str> = ended.stdout.lines().collect();
+    let [first, way @ .., last] = lines.as_slice() else {
+        panic!("{ended:?}");
+    };
+    assert_eq!((*first, *last), ("started", "COMPLETED: arrived"));
+    // It drives for two seconds, and tells how far it has come.
+    assert!(start.elapsed() > Duration::from_secs(2));
+    assert!(way.len() > 5, "{way:?}");
+    let percent: Vec<u32> = way
+        .iter()
+        .filter_map(|line| {
+            line.strip_prefix("… ")?
+                .strip_suffix(" percent")?
+                .parse()
+                .ok()
+        })
+        .collect();
+    assert!(percent.is_sorted_by(|one, next| one < next), "{way:?}");
+    // At the most the first is from before the task told anything.
+    assert!(percent.len() + 1 >= way.len(), "{way:?}");
+}
+
+#[test]
+fn the_handler_refuses_what_it_cannot_do_and_stops_when_asked() {
+    let (_handler, endpoint) = handler();
+    let mut remote = RemoteTask::connect(&endpoint, "/robot").expect("an address");
+    for (component, goal, reason) in [
+        ("base", "up", "no goal 'up'; base takes: forward"),
+        ("arm", "up", "no component 'arm'; it has: base"),
+    ] {
+        let refused = TriggerError::Refused {
+            id: (-1).into(),
+            reason: format!("Controller threw exception: {reason}"),
+        };
+        assert_eq!(remote.trigger("robot", component, goal), Err(refused));
+    }
+    let id = remote
+        .trigger("robot", "base", "forward")
+        .expect("taken")
+        .id;
+    until("it has come some way", PATIENCE, || {
+        let status = remote.status(&id).expect("an answer");
+        (status.text == "10 percent").then_some(())
+    });
+    let end = remote.abort(&id).expect("an answer");
+    assert_eq!(end.state, State::Aborted);
+    assert!(end.text.starts_with("stopped at "), "{end:?}");
+}
+
+#[test]
+fn the_client_says_when_there_is_no_handler() {
+    let nobody = format!("tcp://127.0.0.1:{}", ztl_tests::lab::reserve_port());
+    let ended = Process::run(example("client").arg(&nobody));
+    assert_eq!(ended.code, Some(1), "{ended:?}");
+    assert_eq!(ended.stdout, "");
+    assert!(ended.stderr.contains("NotConnected"), "{ended:?}");
+}
+
+#[test]
+fn the_component_is_a_lamp_behind_a_gateway() {
+    let mut command: Command = example("component");
+    let component = Process::start(command.arg("127.0.0.1:0"));
+    let line = component.wait_for("waiting for a gateway at tcp:");
+    let address = line.trim_start_matches("waiting for a gateway at ");
+    let gateway = Server::gateway(&[&format!("desk={address}")]);
+    gateway.wait_ready("desk");
+
+    let mut client: OriginalClient = gateway.original_client();
+    let id = client.start("desk", "lamp", "on");
+    assert_eq!(client.wait(id, 20.0), (5, "on"));
+    component.wait_for("lamp on");
+    let reason = "'desk:lamp:dim' refused: lamp takes on or off";
+    assert_eq!(client.trigger("desk", "lamp", "dim"), (-1, reason));
+    let id = client.start("desk", "lamp", "off");
+    assert_eq!(client.wait(id, 20.0), (5, "off"));
+    component.wait_for("lamp off");
+
+    // Its loop takes the next gateway when this one is gone.
+    drop(gateway);
+    let gateway = Server::gateway(&[&format!("desk={address}")]);
+    gateway.wait_ready("desk");
+    let mut client = OriginalClient::connect(gateway.port, SCOPE);
+    let id = client.start("desk", "lamp", "on");
+    assert_eq!(client.wait(id, 20.0), (5, "on"));
+}

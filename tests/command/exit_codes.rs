@@ -1,0 +1,231 @@
+//! The exit codes of every command, as `docs/tools.md` lists them.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::net::TcpListener;
+use std::process::Command;
+
+use ztl_tests::lab::{PATIENCE, Process, SCOPE, Scratch, Server, reserve_port, ztl};
+
+const DOCUMENT: &str = include_str!("../../docs/tools.md");
+
+/// The rows of the table: command and code.
+fn rows() -> BTreeSet<(String, i32)> {
+    let (_, section) = DOCUMENT.split_once("\n## Exit codes\n").expect("a section");
+    let (section, _) = section.split_once("\n## ").expect("another section");
+    let row = |line: &str| {
+        let mut cells = line.strip_prefix("| ")?.split(" | ");
+        let command = cells.next()?.trim_matches('`').to_owned();
+        Some((command, cells.next()?.parse().ok()?))
+    };
+    section.lines().filter_map(row).collect()
+}
+
+/// The subcommands, as `ztl --help` lists them.
+fn commands() -> Vec<String> {
+    let help = Process::run(ztl().arg("--help")).stdout;
+    let (_, list) = help.split_once("Commands:\n").expect("a list");
+    let (list, _) = list.split_once("\n\n").expect("its end");
+    let names = list
+        .lines()
+        .filter(|line| line.starts_with("  ") && !line.starts_with("   "));
+    let names = names.filter_map(|line| line.split_whitespace().next());
+    names
+        .filter(|name| *name != "help")
+        .map(str::to_owned)
+        .collect()
+}
+
+#[test]
+fn each_command_ends_with_the_codes_of_the_document() {
+    let tests = Server::ours();
+    let scratch = Scratch::new();
+    let file = |name: &str, text: &str| {
+        std::fs::write(scratch.path(name), text).expect("a file");
+    };
+    file("wrong.yaml", "scope: /lab\nprot: 1\n");
+    file("show.yaml", "scene: {step: {robot: {arm: up}}}\n");
+    file("bad.yaml", "scene: {step: 7}\n");
+    file("none.jsonl", "");
+    let listener = TcpListener::bind(("0.0.0.0", 0)).expect("a port");
+    let taken = listener.local_addr().expect("its address").port();
+    file(
+        "serve.yaml",
+        &format!("port: {taken}\nscopes: {{/r: {{h: {{c: echo}}}}}}\n"),
+    );
+    file(
+        "remotes.yaml",
+        &format!(
+            "remotes: {{tests: {{host: localhost, port: {}, scope: {SCOPE}}}}}\n",
+            tests.port
+        ),
+    );
+    let values = BTreeMap::from([
+        ("TESTS", tests.port),
+        ("TAKEN", taken),
+        ("NOBODY", reserve_port()),
+    ]);
+    let rows = rows();
+    let mut seen = BTreeSet::new();
+    let mut fails = BTreeSet::new();
+    for (line, code, documented) in [
+        ("ps -p TESTS", 0, "every"),
+        ("describe -p TESTS", 0, "every"),
+        ("abort -p TESTS --all", 0, "every"),
+        (
+            "task-client --exit-status -r localhost -p TESTS -s /test test:echo:hi",
+            0,
+            "every",
+        ),
+        (
+            "task-client --exit-status -r localhost -p TESTS -s /test x:echo:hi",
+            1,
+            "every",
+        ),
+        ("ps --bogus", 2, "every"),
+        ("ps", 2, "every"),
+        ("completions tcsh", 2, "every"),
+        ("nonsense", 2, "every"),
+        ("abort -p TESTS 7", 1, "abort"),
+        ("abort -p TESTS -s /test 7", 1, "abort"),
+        ("abort -p TESTS -s /tset --all", 1, "abort"),
+        ("check bad.yaml", 1, "check"),
+        ("demo --once -p TAKEN", 1, "demo"),
+        ("describe -p NOBODY", 1, "describe"),
+        ("devices -p NOBODY", 1, "devices"),
+        ("devices -p TESTS", 1, "devices"),
+        ("doctor -p NOBODY", 1, "doctor"),
+        ("gateway -d a=sim:gripper -p TAKEN -s /lab", 1, "gateway"),
+        ("gateway wrong.yaml", 2, "gateway"),
+        ("gateway wrong.yaml --check", 2, "gateway"),
+        ("keys no/such/directory/mine", 1, "keys"),
+        ("line tcp-listen:TAKEN pty", 1, "line"),
+        ("man none.jsonl", 1, "man"),
+        ("device sim:gripper --on tcp:TAKEN", 1, "device"),
+        ("ps -p NOBODY", 1, "ps"),
+        ("report none.jsonl", 1, "report"),
+        ("report no-such.jsonl", 1, "report"),
+        (
+            "run-script -s bad.yaml -c remotes.yaml --yes",
+            1,
+            "run-script",
+        ),
+        (
+            "run-script -s show.yaml -c remotes.yaml --yes",
+            1,
+            "run-script",
+        ),
+        ("serve serve.yaml", 1, "serve"),
+        ("serve wrong.yaml", 2, "serve"),
+        ("serve wrong.yaml --check", 2, "serve"),
+        ("task-server -p TAKEN -s /x", 1, "task-server"),
+        ("simple-server TAKEN /x", 1, "simple-server"),
+        (
+            "task-client -r localhost -p TESTS -s /test x:echo:hi",
+            0,
+            "task-client",
+        ),
+        (
+            "task-client -r localhost -p TESTS -s /test echo",
+            255,
+            "task-client",
+        ),
+        (
+            "remote-task -c remotes.yaml tests x:echo:hi",
+            0,
+            "remote-task",
+        ),
+        (
+            "remote-task -c remotes.yaml other x:echo:hi",
+            1,
+            "remote-task",
+        ),
+        (
+            "simple-client localhost TESTS /test nonsense",
+            0,
+            "simple-client",
+        ),
+    ] {
+        let words = line.split(' ').map(|word| {
+            let value = |(name, value): (&&str, &u16)| {
+                word.contains(*name)
+                    .then(|| word.replace(*name, &value.to_string()))
+            };
+            values
+                .iter()
+                .find_map(value)
+                .unwrap_or_else(|| word.to_owned())
+        });
+        let mut command = ztl();
+        command
+            .current_dir(scratch.path(""))
+            .env("HOME", scratch.path("home"));
+        for name in ["ZTL_HOST", "ZTL_PORT", "ZTL_SCOPE", "XDG_CONFIG_HOME"] {
+            command.env_remove(name);
+        }
+        let ended = Process::run(command.args(words));
+        assert_eq!(ended.code, Some(code), "{line}: {ended:?}");
+        // What fails says why, but for a client that tells it as a task's fate, as the original's.
+        let silent = ended.stdout.is_empty() && ended.stderr.is_empty();
+        assert!(!silent, "{line}");
+        let row = (documented.to_owned(), code);
+        assert!(rows.contains(&row), "{row:?} is not in the document");
+        seen.insert(row);
+        if code != 0 {
+            fails.extend(line.split(' ').next().map(str::to_owned));
+        }
+    }
+    let untried: Vec<_> = rows.difference(&seen).collect();
+    assert!(untried.is_empty(), "nothing here shows {untried:?}");
+    // The simple client and its siblings always end with 0, as the original's.
+    let excused = ["simple-client"];
+    for command in commands() {
+        let tried = fails.contains(&command) || excused.contains(&command.as_str());
+        assert!(tried, "nothing here shows that `ztl {command}` fails");
+    }
+}
+
+/// What serves until it is asked to end, and what it says first.
+fn servers(scratch: &Scratch) -> Vec<(Command, &'static str, i32)> {
+    let file = scratch.path("serve.yaml");
+    std::fs::write(&file, "port: 0\nscopes: {/r: {h: {c: echo}}}\n").expect("a file");
+    let file = file.display().to_string();
+    let link = scratch.path("a").display().to_string();
+    let other = scratch.path("b").display().to_string();
+    let on = format!("pty:{link}");
+    let ends = [format!("pty:{link}2"), format!("pty:{other}")];
+    let demo = reserve_port().to_string();
+    let all: [(&[&str], _, _); 7] = [
+        (&["task-server", "-p", "0", "-s", SCOPE], "Registering", 1),
+        (&["simple-server", "0", SCOPE], "Registering", 1),
+        (&["serve", &file], "Serving", 0),
+        (
+            &["gateway", "-p", "0", "-s", "/lab", "-d", "a=sim:gripper"],
+            "Serving",
+            0,
+        ),
+        (&["device", "sim:gripper", "--on", &on], "Simulated", 0),
+        (&["line", &ends[0], &ends[1]], "Seed", 0),
+        (&["demo", "-p", &demo], "The gateway goes on serving", 0),
+    ];
+    let command = |(words, says, code): (&[&str], _, _)| {
+        let mut command = ztl();
+        command.args(words).env("HOME", scratch.path("home"));
+        (command, says, code)
+    };
+    all.map(command).into_iter().collect()
+}
+
+#[test]
+fn sigterm_ends_every_server_with_143_and_ctrl_c_as_ever() {
+    let scratch = Scratch::new();
+    for (signal, by_signal) in [("TERM", Some(143)), ("INT", None)] {
+        for (mut command, says, usual) in servers(&scratch) {
+            let process = Process::start(&mut command);
+            process.wait_for(says);
+            process.signal(signal);
+            let ended = process.end(PATIENCE);
+            let code = by_signal.unwrap_or(usual);
+            assert_eq!(ended.code, Some(code), "{signal} {command:?}: {ended:?}");
+        }
+    }
+}

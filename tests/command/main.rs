@@ -1,0 +1,11 @@
+//! The command `ztl`: its options, output, errors and exit codes, and the static build.
+
+mod boot;
+mod dist;
+mod doctor;
+mod errors;
+mod examples;
+mod exit_codes;
+mod options;
+mod output;
+mod watching;

@@ -1,0 +1,150 @@
+//! Compares `ztl task-client` and `ztl task-server` with the original's tools: each client prints the same for each server, and
+//! exits with the same code.
+
+use std::process::Command;
+
+use ztl_tests::lab::{
+    ClientOutput, PATIENCE, Scratch, Server, original_client, our_client, ours_named, until,
+};
+
+#[track_caller]
+fn servers() -> [Server; 2] {
+    [Server::original(), Server::ours()]
+}
+
+/// Runs both clients against both servers with the same `args`, and checks that all four tell the
+/// same, which ends with `last`.
+#[track_caller]
+fn same(servers: &[Server; 2], args: &[&str], last: &str) -> String {
+    same_by(our_client, servers, args, last)
+}
+
+/// The same with this client of ours.
+#[track_caller]
+fn same_by(ours: impl Fn() -> Command, servers: &[Server; 2], args: &[&str], last: &str) -> String {
+    let clients: [&dyn Fn() -> Command; 2] = [&original_client, &ours];
+    let runs = clients.map(|client| {
+        servers
+            .each_ref()
+            .map(|server| (server.start_client(client(), args), server.port))
+    });
+    let [[expected, other], ours] =
+        runs.map(|runs| runs.map(|(run, port)| ClientOutput::of(&run.end(PATIENCE), port)));
+    expected.assert_ends_with(last);
+    assert_eq!(other, expected, "the original's client, our server");
+    assert_eq!(ours[0], expected, "our client, the original's server");
+    assert_eq!(ours[1], expected, "our client, our server");
+    expected.text
+}
+
+#[test]
+fn tasks_that_end_at_once_are_reported_the_same() {
+    let servers = servers();
+    for goal in ["hi", "", "a:b;c", "it's \"quoted\" — grüße 👍"] {
+        let task = format!("test:echo:{goal}");
+        let last = format!("finished in state 'COMPLETED' while waiting. Result is '{goal}'.");
+        let text = same(&servers, &[&task], &last);
+        assert_eq!(text.lines().count(), 4, "{text}");
+    }
+}
+
+#[test]
+fn what_a_task_prints_comes_out_at_the_server() {
+    let servers = servers();
+    let last = "finished in state 'COMPLETED' while waiting. Result is 'True'.";
+    same(&servers, &["test:print:hello"], last);
+    for server in &servers {
+        until("the goal printed for both clients", PATIENCE, || {
+            let printed = "component: print\ngoal: hello\n".repeat(2);
+            (server.process.stdout() == printed).then_some(())
+        });
+    }
+}
+
+#[test]
+fn tasks_that_take_time_are_reported_the_same() {
+    let last = "finished in state 'COMPLETED' while waiting. Result is 'True'.";
+    let servers = servers();
+    same(&servers, &["test:sleep:1"], last);
+    same(&servers, &["-t", "5", "test:sleep:1"], last);
+}
+
+#[test]
+fn a_task_that_cannot_be_aborted_is_reported_the_same() {
+    let last = "finished in state 'COMPLETED' after unsuccessful abort signal. Reply is 'True'.";
+    let text = same(&servers(), &["-t", "1", "test:sleep:3"], last);
+    assert!(text.contains("\nAborting task with ID 'ID'...\n"), "{text}");
+}
+
+#[test]
+fn a_task_that_outlasts_its_clients_timeout_is_reported_the_same() {
+    // The original waits 5 s after an abort that was refused, and then calls it finished. So does ours by the
+    // original's name.
+    let files = Scratch::new();
+    let ours = || ours_named(&files, "ztl_task_client");
+    let last = "finished in state 'ACCEPTED' after unsuccessful abort signal. Reply is 'None'.";
+    same_by(ours, &servers(), &["-t", "1", "test:sleep:9"], last);
+}
+
+#[test]
+fn tasks_that_fail_or_are_refused_are_reported_the_same() {
+    let servers = servers();
+    let unknown = "No such component 'dance', try 'echo/print/sleep'.";
+    let number = "invalid literal for int() with base 10: 'soon'";
+    let handler = "Controller threw exception: No such handler 'robot', try 'test'.";
+    for (task, last) in [
+        ("test:dance:waltz", format!("Result is '{unknown}'.")),
+        ("test:sleep:soon", format!("Result is '{number}'.")),
+        ("robot:echo:hi", format!("triggered: '{handler}'.")),
+    ] {
+        same(&servers, &[task], &last);
+    }
+    let last = "triggered: 'No controller for scope: /elsewhere'.";
+    same(&servers, &["-s", "/elsewhere", "test:echo:hi"], last);
+}
+
+#[test]
+fn a_task_without_all_its_parts_is_refused_before_anything_is_sent() {
+    let servers = servers();
+    for payload in ["test:echo", "test", ""] {
+        let text = same(&servers, &[payload], "e.g. 'handler:component:goal'");
+        assert!(text.starts_with("Error: Invalid task specification."));
+        let client = servers[0].start_client(our_client(), &[payload]);
+        let ended = client.end(PATIENCE);
+        assert_eq!(ended.code, Some(255));
+        assert!(ended.stderr.contains("--scope"), "no help: {ended:?}");
+    }
+}
+
+#[test]
+fn both_clients_tell_the_same_of_a_gateway() {
+    let gateway = Server::simulated();
+    let run = |client, args: &[&str]| gateway.start_client(client, args).end(PATIENCE);
+    let clients: [fn() -> Command; 2] = [original_client, our_client];
+    for (args, last) in [
+        (
+            &["gripper:finger:40"][..],
+            "finished in state 'COMPLETED' while waiting. Result is '40.0'.",
+        ),
+        (
+            &["gripper:finger:140"],
+            "'gripper:finger:140' refused: finger takes 0 to 100 percent'.",
+        ),
+        (
+            &["arm:finger:40"],
+            "'no device 'arm'; there are: gripper, head'.",
+        ),
+        (&["-t", "1", "head:pan:left"], "aborted. Reply is 'True'."),
+    ] {
+        let [original, ours] = clients.map(|client| {
+            // From the same place each time.
+            for home in ["gripper:finger:0", "head:pan:right"] {
+                let there = run(our_client(), &["--exit-status", home]);
+                assert_eq!(there.code, Some(0), "{there:?}");
+            }
+            ClientOutput::of(&run(client(), args), gateway.port)
+        });
+        original.assert_ends_with(last);
+        assert_eq!(ours, original, "{args:?}");
+    }
+}

@@ -1,0 +1,172 @@
+//! `ztl line`: bytes come out at the other end with the delays and faults that the options ask for.
+
+use std::io::{Read, Write};
+use std::net::{TcpListener, TcpStream};
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+use ztl_tests::lab::{PATIENCE, Process, Scratch, in_time, until, ztl};
+
+/// `ztl line`, ready.
+#[track_caller]
+fn line(args: &str) -> Process {
+    let process = Process::start(ztl().arg("line").args(args.split_whitespace()));
+    process.wait_for("Seed ");
+    process
+}
+
+/// A line between two ports of this machine, and a stream at each end.
+#[track_caller]
+fn between(options: &str) -> (Process, TcpStream, TcpStream) {
+    let far = TcpListener::bind(("127.0.0.1", 0)).unwrap();
+    let to = far.local_addr().unwrap().port();
+    let process = line(&format!("tcp-listen:0 tcp:127.0.0.1:{to} {options}"));
+    let from = process.wait_for_port("A: ");
+    let near = TcpStream::connect(("127.0.0.1", from)).unwrap();
+    let (far, _) = far.accept().unwrap();
+    for stream in [&near, &far] {
+        stream.set_nodelay(true).unwrap();
+        stream.set_read_timeout(Some(PATIENCE)).unwrap();
+    }
+    let mut both = (process, near, far);
+    // Bytes are lost while an end is not there: until one comes through, both are not.
+    let mut byte = [0xA5];
+    until("a byte comes through", PATIENCE, || {
+        both.1.write_all(&[0]).unwrap();
+        both.2
+            .set_read_timeout(Some(Duration::from_millis(200)))
+            .unwrap();
+        both.2.read_exact(&mut byte).ok()
+    });
+    both.2.set_read_timeout(Some(PATIENCE)).unwrap();
+    both
+}
+
+fn pattern(len: usize) -> Vec<u8> {
+    (0..len).map(|place| (place % 251) as u8).collect()
+}
+
+#[test]
+fn bytes_take_the_time_of_their_rate_in_both_directions_apart() {
+    let (_line, mut near, mut far) = between("--baud 115200");
+    let bytes = pattern(11_520);
+    // 1 s at 11520 bytes a second, the other direction just as busy.
+    in_time(Duration::from_millis(1100), || {
+        let start = Instant::now();
+        near.write_all(&bytes).unwrap();
+        far.write_all(&bytes).unwrap();
+        let (mut there, mut back) = (vec![0; bytes.len()], vec![0; bytes.len()]);
+        far.read_exact(&mut there).unwrap();
+        near.read_exact(&mut back).unwrap();
+        let took = start.elapsed();
+        assert_eq!((there == bytes, back == bytes), (true, true));
+        assert!(took >= Duration::from_millis(990), "{took:?}");
+    });
+}
+
+#[test]
+fn an_end_that_goes_away_comes_back_and_the_other_notices_nothing() {
+    let scratch = Scratch::new();
+    let link = scratch.path("port");
+    let far = TcpListener::bind(("127.0.0.1", 0)).unwrap();
+    let to = far.local_addr().unwrap().port();
+    let process = line(&format!("pty:{} tcp:127.0.0.1:{to}", link.display()));
+    let mut port = std::fs::File::options().write(true).open(&link).unwrap();
+    for round in 1..=3u8 {
+        let (mut stream, _) = far.accept().unwrap();
+        stream
+            .set_read_timeout(Some(Duration::from_millis(200)))
+            .unwrap();
+        let mut byte = [0xA5];
+        until("a byte comes through", PATIENCE, || {
+            port.write_all(&[round]).unwrap();
+            stream.read_exact(&mut byte).ok()
+        });
+        assert!(byte[0] <= round, "{byte:?}");
+    }
+    process.signal("TERM");
+    let ended = process.end(PATIENCE);
+    assert_eq!(ended.code, Some(143), "{ended:?}");
+    assert!(ended.stdout.contains("\nA to B: "), "{ended:?}");
+    assert!(ended.stdout.contains("\nB to A: 0 bytes"), "{ended:?}");
+    assert!(!Path::new(&link).is_symlink(), "the link is left behind");
+}
+
+#[test]
+fn the_same_seed_spoils_the_same_bytes() {
+    let spoilt = |seed: u32| {
+        let faults = "--flip 1e-3 --drop 1e-3 --double 1e-3";
+        let (line, mut near, mut far) = between(&format!("{faults} --seed {seed}"));
+        near.write_all(&pattern(20_000)).unwrap();
+        near.shutdown(std::net::Shutdown::Write).unwrap();
+        let mut came = Vec::new();
+        until("the bytes have come", PATIENCE, || {
+            line.signal("USR1");
+            let mut piece = [0; 4096];
+            far.set_read_timeout(Some(Duration::from_millis(300)))
+                .unwrap();
+            match far.read(&mut piece) {
+                Ok(count) => {
+                    came.extend_from_slice(&piece[..count]);
+                    None
+                }
+                Err(_) => Some(()),
+            }
+        });
+        came
+    };
+    let (first, again, other) = (spoilt(7), spoilt(7), spoilt(8));
+    assert_ne!(first, pattern(20_000));
+    // What `between` sent to find the way may differ by a byte or two.
+    let tail = |bytes: &[u8]| bytes[bytes.len() - 10_000..].to_vec();
+    assert_eq!(tail(&first), tail(&again));
+    assert_ne!(tail(&first), tail(&other));
+}
+
+#[test]
+fn a_cut_in_one_direction_leaves_the_other_and_has_an_end() {
+    let start = Instant::now();
+    let (line, mut near, mut far) = between("--cut to-a --cut-for 2s");
+    far.write_all(b"lost").unwrap();
+    near.write_all(b"heard").unwrap();
+    let mut heard = [0; 5];
+    far.read_exact(&mut heard).unwrap();
+    assert_eq!(&heard, b"heard");
+    let mut byte = [0xA5];
+    near.set_read_timeout(Some(Duration::from_millis(50)))
+        .unwrap();
+    until("the cut has ended", PATIENCE, || {
+        far.write_all(b"x").unwrap();
+        near.read_exact(&mut byte).ok()
+    });
+    assert_eq!(&byte, b"x");
+    assert!(start.elapsed() >= Duration::from_secs(2));
+    line.signal("USR1");
+    let counts = line.wait_for("B to A: ");
+    assert!(!counts.contains(" 0 cut off"), "{counts}");
+}
+
+#[test]
+fn an_error_is_one_line_with_the_right_form() {
+    let taken = TcpListener::bind(("127.0.0.1", 0)).unwrap();
+    let taken = format!("tcp-listen:{}", taken.local_addr().unwrap().port());
+    for (args, code, part) in [
+        ("/dev/ttyACM0 pty", 2, "serial:/dev/ttyACM0"),
+        ("tcp:7000 pty", 2, "tcp-listen:PORT to listen"),
+        ("pty pty --flip 2", 2, "a number from 0 to 1"),
+        (
+            "pty pty --for 10",
+            2,
+            "10' for '--for <TIME>': expected a number with a unit",
+        ),
+        ("pty pty --baud 0", 2, "0 is not in 1.."),
+        ("pty:/nowhere/link pty", 1, "cannot make the link /nowhere"),
+        (&format!("pty {taken}"), 1, "cannot listen at 127.0.0.1:"),
+    ] {
+        let ended = Process::run(ztl().arg("line").args(args.split_whitespace()));
+        assert_eq!(ended.code, Some(code), "{args}: {ended:?}");
+        assert!(ended.stderr.contains(part), "{args}: {ended:?}");
+    }
+    let ended = Process::run(ztl().args(["line", "pty", "pty", "--for", "100ms"]));
+    assert_eq!(ended.code, Some(0), "{ended:?}");
+}

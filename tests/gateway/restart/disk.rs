@@ -1,0 +1,213 @@
+//! Where the journal is kept, and what happens when the disk is full.
+
+use std::process::Command;
+
+use super::device::Device;
+use super::lab::{LONG, Lab, ONCE, USUAL, command, start_gateway};
+use std::time::Duration;
+use ztl_std::{RemoteTask, State, TaskId, TriggerError};
+use ztl_tests::lab::{
+    LIMIT, PATIENCE, Process, SCOPE, Scratch, Server, reserve_port, status, until,
+};
+
+/// A gateway whose files can have only so many blocks of 512 bytes, as on a full disk.
+#[track_caller]
+fn start_limited(lab_device: &Device, scratch: &Scratch, port: u16, blocks: u32) -> Server {
+    let full = command(lab_device, port);
+    let mut limited = Command::new("sh");
+    let script = format!("trap '' XFSZ; ulimit -f {blocks}; exec \"$@\"");
+    limited.args(["-c", &script, "sh"]);
+    limited.arg(full.get_program()).args(full.get_args());
+    limited.arg("--journal").arg(scratch.path("journal"));
+    let process = Process::start(&mut limited);
+    process.wait_for("Serving ");
+    let gateway = Server { process, port };
+    gateway.wait_ready("motors");
+    gateway
+}
+
+#[test]
+fn on_a_full_disk_tasks_are_refused_and_what_runs_keeps_its_end() {
+    let device = Device::power_on(LONG);
+    let (scratch, port) = (Scratch::new(), reserve_port());
+    let blocks = 4;
+    let mut gateway = start_limited(&device, &scratch, port, blocks);
+    let mut client = RemoteTask::connect(&gateway.endpoint(), SCOPE).unwrap();
+    let refused = |refused: TriggerError| {
+        let reason = refused.to_string();
+        assert!(reason.contains("refused: the journal "), "{reason}");
+        assert!(
+            reason.contains("cannot be written: File too large"),
+            "{reason}"
+        );
+    };
+    // Fill it until there is room for a task's start, and not for its end.
+    let mut ends = Vec::new();
+    loop {
+        let number = ends.len();
+        let task = match client.trigger("motors", "arm", &format!("{number} 1")) {
+            Ok(task) => task,
+            Err(error) => {
+                refused(error);
+                break;
+            }
+        };
+        match client.wait(&task.id, Some(Duration::from_millis(1000))) {
+            Ok(end) => ends.push((task.id, end)),
+            Err(_) => {
+                // It has ended, and nobody is told before that is written.
+                let told = client.status(&task.id).unwrap();
+                assert_eq!(told.state, State::Accepted);
+                let why =
+                    "it has ended, and nobody is told how before that is written: the journal ";
+                assert!(told.text.starts_with(why), "{told:?}");
+                let end = status(State::Completed, &number.to_string());
+                ends.push((task.id, end));
+                refused(client.trigger("motors", "arm", "100 1").unwrap_err());
+            }
+        }
+    }
+    let len = std::fs::metadata(scratch.path("journal")).unwrap().len();
+    assert!(len <= u64::from(blocks) * 512);
+    assert!(ends.len() >= 2, "{ends:?}");
+    gateway.process.kill();
+
+    // There is room again: every end is what it was, or should have been.
+    let gateway = start_gateway(&device, &scratch, port);
+    let mut client = RemoteTask::connect(&gateway.endpoint(), SCOPE).unwrap();
+    for (id, end) in ends {
+        assert_eq!(client.wait(id, LIMIT), Ok(end));
+    }
+    gateway.wait_ready("motors");
+    let id = client.trigger("motors", "arm", "101 1").unwrap().id;
+    assert_eq!(client.wait(id, LIMIT), Ok(status(State::Completed, "101")));
+    assert!(device.world().deeds.values().all(|deed| *deed == ONCE));
+}
+
+#[test]
+fn the_journal_lies_where_the_service_manager_or_the_user_has_room_for_it() {
+    let scratch = Scratch::new();
+    let device = Device::power_on(USUAL);
+    let port = reserve_port();
+    let name = format!("gateway-{port}-test.jsonl");
+    let home = scratch.path("home");
+    let state = scratch.path("state");
+    for (variable, path) in [("HOME", &home), ("STATE_DIRECTORY", &state)] {
+        let mut command = command(&device, port);
+        command.env_clear().env(variable, path);
+        let process = Process::start(&mut command);
+        let said = process.wait_for("Journal: ");
+        let expected = match variable {
+            "HOME" => home.join(".local/state/ztl").join(&name),
+            _ => state.join(&name),
+        };
+        assert_eq!(said, format!("Journal: {}", expected.display()));
+        assert!(expected.exists());
+    }
+}
+
+#[test]
+fn without_a_place_for_the_journal_it_says_what_to_do() {
+    let scratch = Scratch::new();
+    let device = Device::power_on(USUAL);
+    std::fs::write(scratch.path("file"), "").unwrap();
+    let impossible = scratch.path("file/journal");
+    for (args, said) in [
+        (
+            vec![],
+            "nor HOME is set; give --journal FILE, or --no-journal",
+        ),
+        (
+            vec!["--journal", impossible.to_str().unwrap()],
+            "(--journal FILE, or --no-journal)",
+        ),
+    ] {
+        let mut command = command(&device, reserve_port());
+        command.env_clear().args(&args);
+        let ended = Process::run(&mut command);
+        assert_eq!(ended.code, Some(1), "{}", ended.stderr);
+        assert!(ended.stderr.contains(said), "{}", ended.stderr);
+    }
+}
+
+#[test]
+fn without_a_journal_it_says_what_is_not_promised() {
+    let device = Device::power_on(USUAL);
+    for (port, args, said) in [
+        (
+            reserve_port(),
+            vec!["--no-journal"],
+            "Without a journal: after a restart",
+        ),
+        (
+            0,
+            vec![],
+            "Without a journal, as the port is another at each start",
+        ),
+    ] {
+        let mut command = command(&device, port);
+        command.env_clear().args(&args);
+        let process = Process::start(&mut command);
+        process.wait_for(said);
+        process.wait_for("Serving ");
+    }
+}
+
+#[test]
+fn an_idle_gateway_notices_that_its_journal_was_altered_and_starts_a_new_one() {
+    let mut lab = Lab::new(LONG);
+    let mut client = lab.client();
+    let id = client.trigger("motors", "arm", "7 1").unwrap().id;
+    let end = client.wait(&id, LIMIT).unwrap();
+    let journal = || std::fs::OpenOptions::new().append(true).open(lab.journal());
+    journal().unwrap().set_len(0).unwrap();
+    lab.gateway.process.wait_for(" was cut: ");
+    until("the lines are there again", PATIENCE, || {
+        (lab.lines().len() >= 2).then_some(())
+    });
+    std::io::Write::write_all(&mut journal().unwrap(), b"{}").unwrap();
+    lab.gateway
+        .process
+        .wait_for(" was written by somebody else: 2 bytes");
+    std::fs::remove_file(lab.journal()).unwrap();
+    lab.gateway.process.wait_for(" was removed");
+    until("it is there again", PATIENCE, || {
+        lab.journal().exists().then_some(())
+    });
+    lab.kill();
+    lab.start_again();
+    assert_eq!(lab.client().status(id), Ok(end));
+}
+
+#[test]
+fn used_up_ids_are_said_by_the_gateway_and_to_its_clients() {
+    let device = Device::power_on(LONG);
+    let (scratch, port) = (Scratch::new(), reserve_port());
+    let last_but_one = super::power::journal_up_to(u32::MAX - 1);
+    std::fs::write(scratch.path("journal"), last_but_one).unwrap();
+    let mut gateway = start_gateway(&device, &scratch, port);
+    gateway.process.wait_for("only 1 task id is left");
+    gateway.wait_ready("motors");
+    let connect = || RemoteTask::connect(&gateway.endpoint(), SCOPE).unwrap();
+    let mut client = connect();
+    let id = client.trigger("motors", "arm", "7 1").unwrap().id;
+    assert_eq!(id, TaskId::MAX);
+    let end = status(State::Completed, "7");
+    assert_eq!(client.wait(&id, LIMIT), Ok(end.clone()));
+    let used_up = |error: TriggerError| {
+        let said = error.to_string();
+        let help = "restart the server, without its journal if it has one";
+        let wanted = format!("all task ids are used up; {help}");
+        assert!(said.contains(&wanted), "{said}");
+    };
+    used_up(client.trigger("motors", "arm", "8 1").unwrap_err());
+    gateway.process.wait_for("All task ids are used up: every further task is refused. Restart the server, without its journal if it has one.");
+    gateway.process.kill();
+    let gateway = start_gateway(&device, &scratch, port);
+    gateway
+        .process
+        .wait_for("all task ids are used up. Stop the gateway, move the journal away");
+    let mut client = RemoteTask::connect(&gateway.endpoint(), SCOPE).unwrap();
+    assert_eq!(client.status(id), Ok(end));
+    used_up(client.trigger("motors", "arm", "9 1").unwrap_err());
+}

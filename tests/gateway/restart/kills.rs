@@ -1,0 +1,320 @@
+//! The gateway is killed at chosen moments of a task.
+
+use super::device::Deed;
+use super::lab::{LONG, Lab, ONCE, USUAL, command};
+use std::collections::BTreeMap;
+use std::time::{Duration, Instant};
+use ztl_std::{RemoteTask, RequestError, State, TriggerError};
+use ztl_tests::lab::{
+    COMPLETED, LIMIT, PATIENCE, Process, SCOPE, reserve_port, start, status, until, ztl,
+};
+
+#[test]
+fn a_client_that_waits_through_a_restart_hears_the_true_end() {
+    let mut lab = Lab::new(LONG);
+    let mut client = lab.client();
+    let id = start(&mut client, "motors", "arm", "7 1500");
+    // Waits from before the kill until after the end.
+    let waiting = std::thread::spawn(move || client.wait(id, LIMIT));
+    until("it moves", PATIENCE, || {
+        (lab.device.deed("7 1500").begun == 1).then_some(())
+    });
+    lab.kill();
+    lab.start_again();
+    let end = waiting.join().unwrap();
+    assert_eq!(end, Ok(status(State::Completed, "7")));
+    assert_eq!(lab.device.deed("7 1500"), ONCE);
+
+    // And it stays so, also after another restart.
+    lab.kill();
+    lab.start_again();
+    let mut client = lab.client();
+    assert_eq!(client.status(id), Ok(status(State::Completed, "7")));
+    let aborted = client.abort(id).unwrap();
+    assert_eq!(aborted.state, State::Completed);
+    // A new task has an id that nobody had.
+    let next = start(&mut client, "motors", "arm", "8 1");
+    assert!(next > id, "{next} after {id}");
+}
+
+#[test]
+fn the_originals_client_that_asks_by_status_hears_the_true_end() {
+    let mut lab = Lab::new(LONG);
+    let mut client = lab.gateway.original_client();
+    let id = client.start("motors", "belt", "7 1000");
+    lab.kill();
+    lab.start_again();
+    let mut client = lab.gateway.original_client();
+    assert_eq!(client.wait(id, 20.0), (COMPLETED, "7"));
+    assert_eq!(client.status(id), (COMPLETED, "7"));
+    assert_eq!(lab.device.deed("7 1000"), ONCE);
+}
+
+#[test]
+fn killed_before_the_device_has_answered_the_start_it_goes_on() {
+    let mut lab = Lab::new(LONG);
+    let mut client = lab.quiet_client();
+    lab.device.world().mute = true;
+    let asking = std::thread::spawn(move || client.trigger("motors", "arm", "7 1500"));
+    until("it moves", PATIENCE, || {
+        (lab.device.deed("7 1500").begun == 1).then_some(())
+    });
+    let id = lab.wait_for_line("start");
+    lab.kill();
+    lab.device.world().mute = false;
+    lab.start_again();
+    let mut client = lab.client();
+    assert_eq!(client.status(id).unwrap().state, State::Accepted);
+    // Its client cannot know the id; whoever asks by it hears the truth.
+    let told = asking.join().unwrap();
+    let unknown = matches!(
+        told,
+        Err(TriggerError::Request(RequestError::NoAnswer { .. }))
+    );
+    assert!(unknown, "{told:?}");
+    assert_eq!(client.wait(id, LIMIT), Ok(status(State::Completed, "7")));
+    assert_eq!(lab.device.deed("7 1500"), ONCE);
+}
+
+#[test]
+fn killed_before_the_device_got_the_start_it_never_starts() {
+    let mut lab = Lab::new(LONG);
+    let mut client = lab.quiet_client();
+    lab.device.world().deaf = true;
+    let asking = std::thread::spawn(move || client.trigger("motors", "arm", "7 1"));
+    let id = lab.wait_for_line("start");
+    lab.kill();
+    lab.device.world().deaf = false;
+    lab.start_again();
+    let end = lab.client().wait(id, LIMIT).unwrap();
+    assert_eq!(end.state, State::Failed);
+    assert!(end.text.starts_with("never started: "), "{end:?}");
+    assert_eq!(lab.device.deed("7 1"), Deed::default());
+    assert!(asking.join().unwrap().is_err());
+}
+
+#[test]
+fn killed_after_the_end_and_before_anybody_asked_the_end_is_known() {
+    let mut lab = Lab::new(LONG);
+    let mut client = lab.client();
+    let id = start(&mut client, "motors", "arm", "7 50");
+    assert_eq!(lab.wait_for_line("ended"), id);
+    lab.kill();
+    // The device is not needed for it.
+    lab.device.world().unplugged = true;
+    lab.start_again();
+    let end = Ok(status(State::Completed, "7"));
+    assert_eq!(lab.client().status(id), end);
+}
+
+#[test]
+fn a_device_that_was_reset_meanwhile_has_failed_its_task() {
+    let mut lab = Lab::new(LONG);
+    let mut client = lab.client();
+    let arm = start(&mut client, "motors", "arm", "7 60000");
+    let belt = start(&mut client, "motors", "belt", "8 60000");
+    lab.kill();
+    lab.device.world().reset = true;
+    lab.start_again();
+    let end = status(State::Failed, "device was reset");
+    assert_eq!(lab.client().wait(arm, LIMIT), Ok(end.clone()));
+    assert_eq!(lab.client().wait(belt, LIMIT), Ok(end));
+    let next = until("a task is taken", PATIENCE, || {
+        lab.client().trigger("motors", "arm", "9 1").ok()
+    });
+    assert_eq!(
+        lab.client().wait(next.id, LIMIT),
+        Ok(status(State::Completed, "9"))
+    );
+}
+
+#[test]
+fn of_a_device_that_is_away_what_must_have_stopped_has_failed_and_what_carries_on_has_its_true_end()
+{
+    let mut lab = Lab::new(USUAL);
+    let mut client = lab.client();
+    let arm = start(&mut client, "motors", "arm", "7 60000");
+    let belt = start(&mut client, "motors", "belt", "8 2500");
+    lab.kill();
+    lab.device.world().unplugged = true;
+    let started = Instant::now();
+    lab.start_again();
+    let mut client = lab.client();
+    let not_yet = status(State::Accepted, "device is not answering yet");
+    assert_eq!(client.status(arm), Ok(not_yet));
+    let belt_now = client.status(belt).unwrap();
+    assert_eq!(belt_now.state, State::Accepted);
+    assert!(
+        belt_now.text.starts_with("device is not answering"),
+        "{belt_now:?}"
+    );
+    // An ABORT is answered in time all the same.
+    let aborted = client.abort(belt).unwrap();
+    assert_eq!(aborted, status(State::Accepted, "aborting"));
+    let end = client.wait(arm, LIMIT).unwrap();
+    assert_eq!(end, status(State::Failed, "device is not answering"));
+    let took = started.elapsed();
+    // The gateway that was killed may have been heard until then: two link timeouts.
+    assert!(took >= 2 * USUAL, "{took:?}");
+    until("the belt has arrived", PATIENCE, || {
+        (lab.device.deed("8 2500") == ONCE).then_some(())
+    });
+    assert_eq!(client.status(belt).unwrap().state, State::Accepted);
+    lab.device.world().unplugged = false;
+    assert_eq!(client.wait(belt, LIMIT), Ok(status(State::Completed, "8")));
+    assert_eq!(client.status(arm), Ok(end));
+}
+
+#[test]
+fn an_abort_reaches_a_task_from_before_the_restart() {
+    let mut lab = Lab::new(LONG);
+    let id = start(&mut lab.client(), "motors", "arm", "7 60000");
+    lab.kill();
+    lab.start_again();
+    let mut client = lab.client();
+    // It is answered when it is stopped, or on its way to be.
+    assert!(client.abort(id).is_ok());
+    assert_eq!(client.wait(id, LIMIT), Ok(status(State::Aborted, "7")));
+    let stopped = Deed {
+        begun: 1,
+        finished: 0,
+    };
+    assert_eq!(lab.device.deed("7 60000"), stopped);
+}
+
+#[test]
+fn a_task_of_a_device_that_is_not_served_any_more_ends_as_one_that_does_not_answer() {
+    let mut lab = Lab::new(USUAL);
+    let mut client = lab.client();
+    let arm = start(&mut client, "motors", "arm", "7 60000");
+    lab.kill();
+    let mut command = ztl();
+    let port = lab.port.to_string();
+    command.args([
+        "gateway",
+        "-p",
+        &port,
+        "-s",
+        SCOPE,
+        "-d",
+        "gripper=sim:gripper",
+    ]);
+    command.arg("--journal").arg(lab.journal());
+    let process = Process::start(&mut command);
+    process.wait_for("Serving ");
+    let mut client = lab.client();
+    let absent = status(State::Accepted, "device 'motors' is not served any more");
+    assert_eq!(client.status(arm), Ok(absent));
+    let end = status(State::Failed, "device is not answering");
+    assert_eq!(client.wait(arm, LIMIT), Ok(end));
+    let refused = client.trigger("motors", "arm", "8 1").unwrap_err();
+    assert!(
+        refused.to_string().contains("no device 'motors'"),
+        "{refused}"
+    );
+}
+
+#[test]
+fn a_second_gateway_on_the_same_journal_ends_with_what_is_wrong() {
+    let lab = Lab::new(USUAL);
+    let [soft, hard] = ["soft", "hard"].map(|name| lab.scratch.path(name));
+    std::os::unix::fs::symlink(lab.journal(), &soft).unwrap();
+    std::fs::hard_link(lab.journal(), &hard).unwrap();
+    for name in [lab.journal(), soft, hard] {
+        let mut command = command(&lab.device, reserve_port());
+        let ended = Process::run(command.arg("--journal").arg(name));
+        assert_eq!(ended.code, Some(1));
+        let who = format!(
+            "is another gateway's (process {})",
+            lab.gateway.process.id()
+        );
+        assert!(ended.stderr.contains(&who), "{}", ended.stderr);
+    }
+    // The first one serves on.
+    let mut client = lab.client();
+    let id = start(&mut client, "motors", "arm", "7 1");
+    assert_eq!(client.wait(id, LIMIT), Ok(status(State::Completed, "7")));
+}
+
+/// xorshift: small, and the same everywhere.
+fn dice(state: &mut u64, below: u64) -> u64 {
+    *state ^= *state << 13;
+    *state ^= *state >> 7;
+    *state ^= *state << 17;
+    *state % below
+}
+
+/// Kills at moments of all kinds, with tasks on both motors all the time.
+#[test]
+fn whenever_it_is_killed_each_task_has_one_end_and_moves_once() {
+    let mut lab = Lab::new(LONG);
+    let endpoint = lab.gateway.endpoint();
+    let stop = std::sync::Arc::new(std::sync::atomic::AtomicBool::new(false));
+    let stopped = std::sync::Arc::clone(&stop);
+    let ends = std::sync::Arc::new(std::sync::atomic::AtomicUsize::new(0));
+    // Asks for one task after the other, and keeps what it is told.
+    let clients: Vec<_> = ["arm", "belt"]
+        .into_iter()
+        .zip([1000, 2000])
+        .map(|(motor, first)| {
+            let (endpoint, stopped) = (endpoint.clone(), std::sync::Arc::clone(&stopped));
+            let ended = std::sync::Arc::clone(&ends);
+            std::thread::spawn(move || {
+                let client = RemoteTask::connect(&endpoint, SCOPE).unwrap();
+                let mut client = client.with_timeout(Duration::from_millis(500));
+                let mut told = BTreeMap::new();
+                let mut state = first;
+                for number in first.. {
+                    if stopped.load(std::sync::atomic::Ordering::SeqCst) {
+                        break;
+                    }
+                    let goal = format!("{number} {}", dice(&mut state, 60));
+                    if let Ok(task) = client.trigger("motors", motor, &goal) {
+                        // Its end may come when the gateway has been killed many times.
+                        let end = client.wait(&task.id, LIMIT).expect("its end");
+                        told.insert(task.id.number().unwrap(), (goal, end));
+                        ended.fetch_add(1, std::sync::atomic::Ordering::SeqCst);
+                    }
+                }
+                told
+            })
+        })
+        .collect();
+    let mut state = 4711;
+    for _ in 0..12 {
+        std::thread::sleep(Duration::from_millis(dice(&mut state, 400)));
+        lab.kill();
+        lab.start_again();
+        if dice(&mut state, 2) == 0 {
+            lab.gateway.wait_ready("motors");
+        }
+    }
+    // A busy machine has done few by then.
+    until("enough tasks", PATIENCE, || {
+        (ends.load(std::sync::atomic::Ordering::SeqCst) > 20).then_some(())
+    });
+    stop.store(true, std::sync::atomic::Ordering::SeqCst);
+    for client in clients {
+        let told = client.join().unwrap();
+        let mut again = lab.client();
+        for (id, (goal, end)) in told {
+            assert_eq!(again.status(id), Ok(end.clone()), "{goal}");
+            let deed = lab.device.deed(&goal);
+            let fits = match end.state {
+                State::Completed => deed == ONCE,
+                // Killed between its being written and its being sent.
+                State::Failed => end.text.starts_with("never started") && deed == Deed::default(),
+                _ => false,
+            };
+            assert!(fits, "{goal}: told {end:?}, and did {deed:?}");
+        }
+    }
+    // Also of those whose clients never heard of them.
+    assert!(
+        lab.device
+            .world()
+            .deeds
+            .values()
+            .all(|deed| deed.begun == 1)
+    );
+}

@@ -1,0 +1,165 @@
+//! A power cut, and a kill while the disk stalls. `disk.c` replaces the disk by LD_PRELOAD.
+
+use std::collections::BTreeSet;
+use std::path::Path;
+use std::process::Command;
+
+use super::device::{Deed, Device};
+use super::lab::{LONG, command};
+use ztl_std::{RemoteTask, State};
+use ztl_tests::lab::{
+    LIMIT, PATIENCE, Process, SCOPE, Scratch, Server, reserve_port, status, until,
+};
+
+/// A gateway whose journal is on a disk of the test's own.
+struct OnDisk {
+    device: Device,
+    scratch: Scratch,
+    port: u16,
+    gateway: Server,
+    /// Bytes of the journal that a power cut leaves.
+    synced: u64,
+}
+
+impl OnDisk {
+    #[track_caller]
+    fn new(journal: &str) -> Self {
+        let device = Device::power_on(LONG);
+        let (scratch, port) = (Scratch::new(), reserve_port());
+        let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("gateway/restart/disk.c");
+        let mut compiler = Command::new("cc");
+        compiler.args(["-shared", "-fPIC", "-Wall", "-o"]);
+        let ended = Process::run(compiler.arg(scratch.path("disk.so")).arg(source));
+        assert_eq!(ended.code, Some(0), "{}", ended.stderr);
+        std::fs::write(scratch.path("journal"), journal).expect("to write");
+        let gateway = Self::start(&device, &scratch, port);
+        Self {
+            device,
+            scratch,
+            port,
+            gateway,
+            synced: journal.len() as u64,
+        }
+    }
+
+    #[track_caller]
+    fn start(device: &Device, scratch: &Scratch, port: u16) -> Server {
+        let mut command = command(device, port);
+        command.arg("--journal").arg(scratch.path("journal"));
+        command.env("LD_PRELOAD", scratch.path("disk.so"));
+        for (name, file) in [
+            ("FILE", "journal"),
+            ("STALLS", "stalls"),
+            ("SYNCED", "synced"),
+        ] {
+            command.env(format!("DISK_{name}"), scratch.path(file));
+        }
+        let process = Process::start(&mut command);
+        process.wait_for("Serving ");
+        let gateway = Server { process, port };
+        gateway.wait_ready("motors");
+        gateway
+    }
+
+    #[track_caller]
+    fn client(&self) -> RemoteTask {
+        RemoteTask::connect(&self.gateway.endpoint(), SCOPE).expect("an address")
+    }
+
+    #[track_caller]
+    fn start_again(&mut self) {
+        self.gateway.process.kill();
+        self.gateway = Self::start(&self.device, &self.scratch, self.port);
+    }
+
+    /// The machine loses its power: the journal keeps only what was synced.
+    #[track_caller]
+    fn cut_the_power(&mut self) {
+        self.gateway.process.kill();
+        if let Ok(synced) = std::fs::read_to_string(self.scratch.path("synced")) {
+            self.synced = synced.parse().expect("a length");
+        }
+        let mut journal = std::fs::OpenOptions::new();
+        let journal = journal.write(true).open(self.scratch.path("journal"));
+        let journal = journal.expect("the journal");
+        journal.set_len(self.synced).expect("to cut it");
+        self.gateway = Self::start(&self.device, &self.scratch, self.port);
+    }
+}
+
+/// A journal in which all ids up to the last that a server begins with are given.
+pub(super) fn journal_up_to(last: u32) -> String {
+    format!(
+        "{{\"event\":\"opened\",\"at\":\"2026-01-01T00:00:00.000000Z\",\"running_us\":0,\"journal\":1,\
+         \"gateway\":\"0000000000000001\",\"last\":{last},\"version\":\"0.1.0\"}}\n"
+    )
+}
+
+#[test]
+fn after_a_power_cut_no_id_is_given_a_second_time() {
+    let mut lab = OnDisk::new(&journal_up_to(2_000_000_000));
+    let mut given = BTreeSet::new();
+    for round in 0..3 {
+        let mut client = lab.client();
+        for number in 0..3 {
+            let goal = format!("{round}{number} 1");
+            let id = client
+                .trigger("motors", "arm", &goal)
+                .expect("it is taken")
+                .id;
+            assert!(given.insert(id.number()), "{id} is given a second time");
+            client.wait(id, LIMIT).expect("its end");
+        }
+        lab.cut_the_power();
+    }
+}
+
+#[test]
+fn an_id_that_was_told_while_the_disk_stalled_is_known_after_a_kill() {
+    let mut lab = OnDisk::new("");
+    let mut client = lab.client();
+    let id = client.trigger("motors", "arm", "1 1").unwrap().id;
+    client.wait(id, LIMIT).expect("its end");
+    std::fs::write(lab.scratch.path("stalls"), "").expect("to write");
+    // The second one waits for the first's line.
+    let asking: Vec<_> = [("arm", "7 1"), ("belt", "8 1")]
+        .into_iter()
+        .map(|(motor, goal)| {
+            let mut client = lab.client();
+            std::thread::spawn(move || client.trigger("motors", motor, goal))
+        })
+        .collect();
+    let told: Vec<_> = asking
+        .into_iter()
+        .map(|asked| asked.join().unwrap())
+        .collect();
+    for told in &told {
+        match told {
+            Ok(task) => {
+                lab.gateway.process.kill();
+                panic!("the id {} was told and is not in the journal", task.id);
+            }
+            Err(refused) => {
+                let reason = refused.to_string();
+                assert!(reason.contains("has not been written for "), "{reason}");
+            }
+        }
+    }
+    // What was refused never moves, whenever the disk goes on.
+    std::fs::remove_file(lab.scratch.path("stalls")).expect("to remove");
+    let next = until("a task is taken", PATIENCE, || {
+        client.trigger("motors", "arm", "9 1").ok()
+    });
+    assert_eq!(
+        client.wait(&next.id, LIMIT),
+        Ok(status(State::Completed, "9"))
+    );
+    lab.start_again();
+    assert_eq!(
+        lab.client().status(next.id),
+        Ok(status(State::Completed, "9"))
+    );
+    for goal in ["7 1", "8 1"] {
+        assert_eq!(lab.device.deed(goal), Deed::default(), "{goal}");
+    }
+}

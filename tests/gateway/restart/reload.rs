@@ -1,0 +1,149 @@
+//! A reload restores a device that still has tasks: they settle, and the device serves again.
+
+use super::device::Device;
+use super::lab::{ONCE, USUAL};
+use ztl_std::{RemoteTask, State, TaskId};
+use ztl_tests::lab::{LIMIT, PATIENCE, SCOPE, Scratch, Server, status, until, ztl};
+
+/// A gateway whose configuration can be changed while it serves.
+struct Reloaded {
+    device: Device,
+    scratch: Scratch,
+    gateway: Option<Server>,
+    /// How often this gateway has read its configuration again.
+    reloads: usize,
+}
+
+impl Reloaded {
+    /// The device is there, and two tasks run that only an abort ends: of its arm and of its belt.
+    #[track_caller]
+    fn with_tasks() -> (Self, TaskId, TaskId) {
+        let mut lab = Self {
+            device: Device::power_on(USUAL),
+            scratch: Scratch::new(),
+            gateway: None,
+            reloads: 0,
+        };
+        lab.configure(true);
+        lab.start();
+        lab.gateway().wait_ready("motors");
+        let mut client = lab.client();
+        let mut begin = |component, goal: &str| {
+            let id = client.trigger("motors", component, goal).unwrap().id;
+            until("the task begins", PATIENCE, || {
+                (lab.device.deed(goal).begun == 1).then_some(())
+            });
+            id.number().unwrap()
+        };
+        let (arm, belt) = (begin("arm", "7 1000000"), begin("belt", "8 1000000"));
+        (lab, arm, belt)
+    }
+
+    fn configure(&self, has_motors: bool) {
+        let port = self.device.port;
+        let motors = match has_motors {
+            true => format!("  motors: tcp:127.0.0.1:{port}\n"),
+            false => String::new(),
+        };
+        let text = format!(
+            "scope: {SCOPE}\nport: 0\njournal: journal\ndevices:\n  other: sim:head\n{motors}"
+        );
+        std::fs::write(self.scratch.path("lab.yaml"), text).unwrap();
+    }
+
+    #[track_caller]
+    fn start(&mut self) {
+        let file = self.scratch.path("lab.yaml");
+        self.gateway = Some(Server::start(ztl().arg("gateway").arg(file)));
+        self.reloads = 0;
+    }
+
+    fn gateway(&self) -> &Server {
+        self.gateway.as_ref().unwrap()
+    }
+
+    #[track_caller]
+    fn client(&self) -> RemoteTask {
+        RemoteTask::connect(&self.gateway().endpoint(), SCOPE).unwrap()
+    }
+
+    /// Starts the gateway again, without the device in its configuration.
+    #[track_caller]
+    fn restart_without_motors(&mut self) {
+        self.gateway.take().unwrap().process.kill();
+        self.configure(false);
+        self.start();
+    }
+
+    #[track_caller]
+    fn reload(&mut self, has_motors: bool) {
+        self.configure(has_motors);
+        self.gateway().process.signal("HUP");
+        self.reloads += 1;
+        until("it is reloaded", PATIENCE, || {
+            let said = self.gateway().process.stderr();
+            let times = said.matches("The configuration was reloaded.").count();
+            (times == self.reloads).then_some(())
+        });
+    }
+
+    #[track_caller]
+    fn assert_serves_again(&self) {
+        let mut client = self.client();
+        let id = until("the device takes a task", PATIENCE, || {
+            client.trigger("motors", "arm", "9 1").ok()
+        });
+        let end = client.wait(&id.id, LIMIT);
+        assert_eq!(end, Ok(status(State::Completed, "9")));
+        assert_eq!(self.device.deed("9 1"), ONCE);
+    }
+}
+
+#[test]
+fn a_device_that_a_reload_brings_back_goes_on_with_the_tasks_of_the_journal() {
+    let (mut lab, arm, belt) = Reloaded::with_tasks();
+    lab.restart_without_motors();
+    let mut client = lab.client();
+    let end = client.wait(arm, LIMIT);
+    assert_eq!(end, Ok(status(State::Failed, "device is not answering")));
+    let waits = status(State::Accepted, "device 'motors' is not served any more");
+    assert_eq!(client.status(belt), Ok(waits));
+
+    lab.reload(true);
+    lab.gateway().wait_ready("motors");
+    assert_eq!(client.status(belt).unwrap().state, State::Accepted);
+    assert_eq!(client.abort(belt).unwrap().state, State::Aborted);
+    assert_eq!(lab.device.deed("8 1000000").begun, 1);
+    lab.assert_serves_again();
+}
+
+#[test]
+fn tasks_of_a_device_that_was_reset_before_a_reload_brings_it_back_have_failed() {
+    let (mut lab, _, belt) = Reloaded::with_tasks();
+    lab.restart_without_motors();
+    lab.device.world().reset = true;
+    lab.reload(true);
+    let end = lab.client().wait(belt, LIMIT);
+    assert_eq!(end, Ok(status(State::Failed, "device was reset")));
+    lab.assert_serves_again();
+}
+
+#[test]
+fn a_device_that_comes_back_before_its_tasks_have_stopped_serves_as_soon_as_they_have() {
+    let (mut lab, arm, belt) = Reloaded::with_tasks();
+    lab.device.world().unplugged = true;
+    let mut client = lab.client();
+    let end = client.wait(arm, LIMIT);
+    assert_eq!(end, Ok(status(State::Failed, "device is not answering")));
+    // Its belt carries on, so only the device can say that it stopped.
+    lab.reload(false);
+    lab.reload(true);
+    let refused = client.trigger("motors", "arm", "9 1").unwrap_err();
+    let refused = refused.to_string();
+    assert!(refused.contains("from before"), "{refused}");
+    assert_eq!(client.status(belt).unwrap().state, State::Accepted);
+
+    lab.device.world().unplugged = false;
+    assert_eq!(client.wait(belt, LIMIT).unwrap().state, State::Aborted);
+    lab.assert_serves_again();
+}

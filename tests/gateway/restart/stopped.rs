@@ -1,0 +1,134 @@
+//! The gateway is stopped (SIGSTOP) at each point of a task, and clients are stopped or killed: no motor moves twice, and no
+//! outcome is invented.
+
+use super::device::Deed;
+use super::lab::{LONG, Lab, ONCE, USUAL};
+use std::time::{Duration, Instant};
+use ztl_std::{RunError, WaitError};
+use ztl_std::{State, TriggerError};
+use ztl_tests::lab::{LIMIT, PATIENCE, Process, our_client_at, status, until};
+
+/// When the fault comes, in microseconds after the client has begun: from before its INIT arrives until
+/// after the task has ended.
+const POINTS: [u64; 8] = [0, 100, 300, 600, 1000, 2000, 4000, 10_000];
+
+fn wait_until(moment: Instant) {
+    // The point itself is what is tried, so there is no condition to wait for.
+    std::thread::sleep(moment.saturating_duration_since(Instant::now()));
+}
+
+#[test]
+fn a_gateway_that_is_stopped_for_a_while_moves_each_motor_once() {
+    let lab = Lab::new(LONG);
+    // A shell that is there already is quicker than a program that has to start.
+    let mut shell = Process::start(&mut std::process::Command::new("sh"));
+    let mut fates = Vec::new();
+    for point in POINTS {
+        let goal = format!("{point} 2");
+        let mut client = lab.client().with_timeout(Duration::from_millis(500));
+        // It is met before, so that the point is one of the task.
+        let before = client.run("motors", "belt", "1 1", LIMIT);
+        before.expect("its end");
+        let asked = goal.clone();
+        let start = Instant::now();
+        let asking = std::thread::spawn(move || {
+            let fate = client.run("motors", "arm", &asked, Some(Duration::from_secs(3)));
+            fate.map(|status| status.state)
+        });
+        wait_until(start + Duration::from_micros(point));
+        shell.write_line(&format!("kill -STOP {}", lab.gateway.process.id()));
+        std::thread::sleep(Duration::from_millis(700));
+        lab.gateway.process.signal("CONT");
+        let fate = asking.join().expect("no panic");
+        println!(
+            "stopped after {point} µs: {fate:?}, {:?}",
+            lab.device.deed(&goal)
+        );
+        fates.push((goal, fate));
+    }
+    // Whatever was on its way has been done by now, and it serves on.
+    let last = until("a task is taken", PATIENCE, || {
+        lab.client().run("motors", "arm", "7 1", LIMIT).ok()
+    });
+    assert_eq!(last, status(State::Completed, "7"));
+    for (goal, fate) in fates {
+        let deed = lab.device.deed(&goal);
+        let fits = match fate {
+            Ok(State::Completed) => deed == ONCE,
+            // Unknown, which is neither done nor not done.
+            Err(
+                RunError::NotEnded(WaitError { last: Err(_) })
+                | RunError::NotStarted(TriggerError::Request(_)),
+            ) => deed == ONCE || deed == Deed::default(),
+            // Its Start would have come too late.
+            Err(RunError::NotStarted(TriggerError::NeverCame | TriggerError::Refused { .. })) => {
+                deed == Deed::default()
+            }
+            _ => false,
+        };
+        assert!(fits, "{goal}: told {fate:?}, did {deed:?}");
+    }
+}
+
+#[test]
+fn a_gateway_that_is_stopped_for_longer_than_the_link_timeout_tells_what_the_device_did() {
+    let lab = Lab::new(USUAL);
+    let mut client = lab.client();
+    let arm = client
+        .trigger("motors", "arm", "7 60000")
+        .expect("taken")
+        .id;
+    let belt = client
+        .trigger("motors", "belt", "8 5000")
+        .expect("taken")
+        .id;
+    lab.gateway.process.signal("STOP");
+    // The belt carries on, and arrives; the arm has stopped long before.
+    until("the belt has arrived", PATIENCE, || {
+        (lab.device.deed("8 5000") == ONCE).then_some(())
+    });
+    lab.gateway.process.signal("CONT");
+    let end = client.wait(arm, LIMIT).expect("its end");
+    assert_eq!(end.state, State::Failed, "{end:?}");
+    let stopped = Deed {
+        begun: 1,
+        finished: 0,
+    };
+    assert_eq!(lab.device.deed("7 60000"), stopped);
+    assert_eq!(client.wait(belt, LIMIT), Ok(status(State::Completed, "8")));
+}
+
+#[test]
+fn a_client_of_a_gateway_that_is_killed_or_stopped_at_any_point_moves_a_motor_at_most_once() {
+    let lab = Lab::new(LONG);
+    for point in POINTS {
+        let client =
+            |goal: &str| Process::start(our_client_at(lab.port).arg(format!("motors:arm:{goal}")));
+        let goal = format!("{} 1", 100 + point);
+        // Starting the program takes some milliseconds more.
+        let mut killed = client(&goal);
+        wait_until(Instant::now() + Duration::from_micros(point * 2));
+        killed.kill();
+        let told = killed.stdout().contains("'COMPLETED'");
+        // What comes after it is done, so it has been begun, or never will be.
+        let after = lab.client().run("motors", "belt", "1 1", LIMIT);
+        after.expect("its end");
+        let deed = until("rest", PATIENCE, || {
+            let deed = lab.device.deed(&goal);
+            (deed.begun == deed.finished).then_some(deed)
+        });
+        assert!(
+            deed == ONCE || (deed == Deed::default() && !told),
+            "{goal}: {told}, {deed:?}"
+        );
+
+        let goal = format!("{} 1", 100_000 + point);
+        let stopped = client(&goal);
+        wait_until(Instant::now() + Duration::from_micros(point * 2));
+        stopped.signal("STOP");
+        stopped.signal("CONT");
+        let ended = stopped.end(PATIENCE);
+        assert!(ended.stdout.contains("'COMPLETED'"), "{goal}: {ended:?}");
+        assert_eq!(lab.device.deed(&goal), ONCE, "{goal}");
+    }
+}

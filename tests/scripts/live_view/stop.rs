@@ -1,0 +1,226 @@
+//! Stopping a scene, or everything, while the run continues.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use ztl_std::{ExecutableTask, TaskContext, TaskController, TaskError, TaskRequest, TaskServer};
+use ztl_tests::lab::{PATIENCE, Process, SCOPE, Server, Terminal, until, ztl};
+
+use super::stage::{Stage, start_scene};
+
+/// `sleep` runs until it is aborted, `stubborn` until it is also released. Other tasks complete at once.
+struct Sleeper {
+    released: Arc<AtomicBool>,
+}
+
+impl TaskController for Sleeper {
+    fn assign(&self, request: &TaskRequest) -> Result<Box<dyn ExecutableTask>, TaskError> {
+        let stubborn = request.component == "stubborn";
+        let sleeps = stubborn || request.component == "sleep";
+        let released = Arc::clone(&self.released);
+        Ok(Box::new(move |task: &TaskContext| {
+            while stubborn && !released.load(Ordering::Relaxed) {
+                std::thread::sleep(Duration::from_millis(10));
+            }
+            if sleeps {
+                task.sleep(Duration::from_secs(600))?;
+            }
+            Ok(String::new())
+        }))
+    }
+}
+
+/// A server of sleepers.
+struct Robot {
+    port: u16,
+    released: Arc<AtomicBool>,
+    _server: ztl_std::RunningServer,
+}
+
+impl Robot {
+    fn start() -> Self {
+        let mut server = TaskServer::bind("tcp://127.0.0.1:*").unwrap();
+        let released = Arc::new(AtomicBool::new(false));
+        let sleeper = Sleeper {
+            released: Arc::clone(&released),
+        };
+        server.register(SCOPE, sleeper);
+        let server = server.spawn().unwrap();
+        let port = server.endpoint().rsplit(':').next().unwrap();
+        Self {
+            port: port.parse().unwrap(),
+            released,
+            _server: server,
+        }
+    }
+
+    /// Its running tasks, as `ztl ps` lists them.
+    fn running(&self) -> String {
+        let port = self.port.to_string();
+        Process::run(ztl().args(["ps", "-p", &port])).stdout
+    }
+}
+
+const SHOW: &str = "\
+first:
+  light (wait=no): {test: {sleep: 100}}
+second:
+  turn: {test: {sleep: 200}}
+  bow: {test: {echo: bow}}
+third:
+  wave: {test: {echo: wave}}
+";
+
+/// Starts a run whose second scene plays while a task of the first runs in the background.
+#[track_caller]
+fn playing_second_scene() -> (Robot, Stage, Terminal) {
+    let robot = Robot::start();
+    let stage = Stage::with(SHOW, &[("test", robot.port)]);
+    let mut terminal = stage.play();
+    terminal.shows(" Next: first");
+    terminal.type_in("\r");
+    terminal.shows(" Next: second");
+    start_scene(&mut terminal, &stage);
+    terminal.shows("▶ test:sleep:200  accepted");
+    (robot, stage, terminal)
+}
+
+#[test]
+fn c_stops_the_scene_and_the_run_continues() {
+    let (robot, stage, mut terminal) = playing_second_scene();
+    let screen = terminal.screen();
+    for key in ["c  stop this scene", "x  stop everything"] {
+        assert!(screen.contains(key), "{key}:\n{screen}");
+    }
+    terminal.type_in("c");
+    terminal.shows("STOPPED THE SCENE: 1 of 1 confirmed");
+    let screen = terminal.shows(" Next: second");
+    assert!(screen.contains("✓ test:sleep:200: aborted"), "{screen}");
+    assert!(screen.contains(" ■ 2 second"), "{screen}");
+    assert!(screen.contains("in the background: 1"), "{screen}");
+    let tasks = robot.running();
+    assert!(
+        tasks.contains("sleep:100") && !tasks.contains("sleep:200"),
+        "{tasks}"
+    );
+    // The run continues with the next scene.
+    terminal.type_in("s");
+    terminal.shows(" Next: third");
+    start_scene(&mut terminal, &stage);
+    terminal.shows("The last scene is over.");
+    terminal.type_in("q");
+    assert_eq!(terminal.end().code(), Some(1), "not all went well");
+    assert_eq!(
+        stage.decided(),
+        [
+            "start operator",
+            "start operator",
+            "stop_scene operator",
+            "skip operator",
+            "start operator",
+            "leave operator",
+        ]
+    );
+    let record = stage.record();
+    assert_eq!(record.last().unwrap()["outcome"], "failures");
+    let bow = record.iter().any(|line| line["text"] == "test:echo:bow");
+    assert!(!bow, "nothing more of it was started");
+}
+
+#[test]
+fn x_stops_everything_including_foreign_tasks_and_the_run_continues() {
+    let (robot, stage, mut terminal) = playing_second_scene();
+    let port = robot.port.to_string();
+    let at = ["-r", "localhost", "-p", &port, "-s", SCOPE];
+    let other = Process::start(ztl().arg("task-client").args(at).arg("test:sleep:300"));
+    until("the task of somebody else", PATIENCE, || {
+        robot.running().contains("sleep:300").then_some(())
+    });
+    terminal.type_in("x");
+    terminal.shows("STOPPED EVERYTHING: 3 of 3 confirmed");
+    let screen = terminal.shows(" Next: second");
+    for task in ["sleep:100", "sleep:200", "sleep:300"] {
+        assert!(
+            screen.contains(&format!("✓ test:{task}: aborted")),
+            "{screen}"
+        );
+    }
+    assert_eq!(robot.running(), "No task is running.\n");
+    other.end(PATIENCE);
+    start_scene(&mut terminal, &stage);
+    terminal.shows("▶ test:sleep:200  accepted");
+    terminal.type_in("\x03");
+    terminal.end();
+    terminal.shows("Over: everything was stopped.");
+    assert_eq!(stage.decided().last().unwrap(), "stop operator");
+}
+
+#[test]
+fn unconfirmed_stops_are_reported_and_stay_visible() {
+    let server = Server::original();
+    let port = server.port;
+    let script = "one: {a: {test: {sleep: 30}}}\ntwo: {b: {test: {echo: 1}}}\n";
+    let stage = Stage::with(script, &[("test", port)]);
+    let mut terminal = stage.play();
+    terminal.shows(" Next: one");
+    terminal.type_in("\r");
+    terminal.shows("▶ test:sleep:30  accepted");
+    terminal.type_in("c");
+    // The original's test task cannot be aborted.
+    terminal.shows("STOPPED ONLY 0 OF 1: the others may still move");
+    let screen = terminal.shows(" Next: one");
+    assert!(
+        screen.contains("✗ test:sleep:30: it cannot be stopped"),
+        "{screen}"
+    );
+    assert!(screen.contains("in the background: 1"), "{screen}");
+    terminal.type_in("x");
+    terminal.shows("tasks that others started on 'test' may still run");
+    terminal.shows(" Next: one");
+    terminal.type_in("\x03");
+    assert_eq!(terminal.end().code(), Some(1));
+    let screen = terminal.shows("Over: stopping was not confirmed for 1 task; it may still run");
+    assert!(!screen.contains("everything was stopped"), "{screen}");
+    let record = stage.record();
+    assert_eq!(record.last().unwrap()["outcome"], "not_confirmed");
+}
+
+#[test]
+fn a_step_that_asked_the_operator_is_not_retried_automatically() {
+    let robot = Robot::start();
+    let script = "one: {a (timeout=1; on_failure=retry 2): {test: {stubborn: 1}}}\n";
+    let stage = Stage::with(script, &[("test", robot.port)]);
+    let mut terminal = stage.play();
+    terminal.shows(" Next: one");
+    terminal.type_in("\r");
+    terminal.shows("WAITING: a task takes longer than its limit. Decide.");
+    robot.released.store(true, Ordering::Relaxed);
+    terminal.shows("WAITING: something failed. Decide.");
+    let screen = terminal.shows("t  retry what failed");
+    assert!(screen.contains("■ test:stubborn:1  aborted"), "{screen}");
+    terminal.type_in("g");
+    terminal.shows("The last scene is over.");
+    terminal.type_in("q");
+    assert_eq!(terminal.end().code(), Some(1));
+    let record = stage.record();
+    let starts = record
+        .iter()
+        .filter(|line| line["event"] == "task_starting");
+    assert_eq!(starts.count(), 1, "nobody wanted another");
+}
+
+#[test]
+fn x_ends_an_unattended_run() {
+    let robot = Robot::start();
+    let stage = Stage::with("one: {a: {test: {sleep: 100}}}\n", &[("test", robot.port)]);
+    let mut command = stage.command();
+    command.arg("--yes");
+    let mut terminal = Terminal::start(&command, (80, 24));
+    let screen = terminal.shows("▶ test:sleep:100  accepted");
+    assert!(!screen.contains("stop this scene"), "{screen}");
+    terminal.type_in("x");
+    terminal.end();
+    terminal.shows("Over: everything was stopped.");
+    assert_eq!(robot.running(), "No task is running.\n");
+}

@@ -1,0 +1,306 @@
+//! Who may use a server: by address and, in a build with encryption, by key and scope.
+
+use std::process::Command;
+
+use ztl_std::keys::{KeyPair, can_encrypt};
+use ztl_std::server::MAX_MESSAGE;
+use ztl_std::{RemoteTask, TriggerError};
+use ztl_tests::lab::{Ended, Process, SCOPE, Scratch, Server, python, ztl};
+
+/// Whether the part about keys can be tested; where it must be and cannot, that is a failure.
+fn encrypts() -> bool {
+    let demanded = std::env::var_os("ZTL_CURVE").is_some();
+    assert!(can_encrypt() || !demanded, "this build does not encrypt");
+    can_encrypt()
+}
+
+/// A gateway with a simulated gripper, and these options.
+#[track_caller]
+fn gateway(options: &[&str]) -> Server {
+    let server = Server::gateway_with(&["gripper=sim:gripper"], options);
+    server.wait_ready("gripper");
+    server
+}
+
+/// `ztl task-client` on the gripper.
+#[track_caller]
+fn client(server: &Server, options: &[&str]) -> Ended {
+    let port = server.port.to_string();
+    let mut command = ztl();
+    command.args([
+        "task-client",
+        "--exit-status",
+        "-r",
+        "127.0.0.1",
+        "-p",
+        &port,
+        "-s",
+        SCOPE,
+    ]);
+    Process::run(command.args(options).arg("gripper:finger:1"))
+}
+
+#[test]
+fn only_clients_of_an_allowed_network_are_served() {
+    let open = gateway(&["--allow", "127.0.0.0/8", "--allow", "10.1.2.3"]);
+    open.process
+        .wait_for("only this machine, if its address is in 127.0.0.0/8 or 10.1.2.3/32");
+    assert_eq!(client(&open, &[]).code, Some(0));
+
+    let closed = gateway(&["--allow", "10.1.2.0/24"]);
+    let ended = client(&closed, &[]);
+    assert_eq!(ended.code, Some(5), "{ended:?}");
+    closed
+        .process
+        .wait_for("A client at 127.0.0.1 without a key is not allowed");
+}
+
+#[test]
+fn an_invalid_network_is_refused_with_an_example() {
+    let ended = Process::run(ztl().args(["gateway", "-p", "0", "-s", "/lab", "--allow", "lab"]));
+    assert_eq!(ended.code, Some(2));
+    assert!(ended.stderr.contains("192.168.1.0/24"), "{ended:?}");
+}
+
+#[test]
+fn a_secret_key_that_others_can_read_is_warned_of() {
+    use std::os::unix::fs::PermissionsExt;
+
+    let scratch = Scratch::new();
+    let path = scratch.path("robot.key_secret");
+    let key = "Yne@$w-vo<fVvi]a<NY6T1ed:M$fCG*[IaLV{hID";
+    let text = format!("curve\n    public-key = \"{key}\"\n    secret-key = \"{key}\"\n");
+    std::fs::write(&path, text).expect("to write");
+    let file = path.display().to_string();
+    let asks = ["ps", "--key", &file, "--server-key", &file, "-p", "1"];
+    let serves = [
+        "gateway",
+        "-p",
+        "0",
+        "-s",
+        "/lab",
+        "-d",
+        "head=sim:head",
+        "--check",
+        "--key",
+        &file,
+    ];
+    for (mode, warned) in [(0o600, false), (0o640, true), (0o604, true), (0o400, false)] {
+        let rights = std::fs::Permissions::from_mode(mode);
+        std::fs::set_permissions(&path, rights).expect("to change its rights");
+        for words in [&asks[..], &serves[..]] {
+            let ended = Process::run(ztl().args(words));
+            let said = format!("warning: {file}: others can use this secret key (mode {mode:03o})");
+            assert_eq!(ended.stderr.contains(&said), warned, "{mode:o}: {ended:?}");
+        }
+    }
+}
+
+#[test]
+fn a_build_that_cannot_encrypt_says_so_and_serves_nobody() {
+    if encrypts() {
+        return;
+    }
+    let scratch = Scratch::new();
+    let ended = Process::run(ztl().arg("keys").arg(scratch.path("robot")));
+    assert_eq!(ended.code, Some(1));
+    assert!(
+        ended.stderr.contains("cargo xtask build --curve"),
+        "{ended:?}"
+    );
+
+    // Keys made elsewhere.
+    let path = scratch.path("robot.key_secret");
+    let key = "Yne@$w-vo<fVvi]a<NY6T1ed:M$fCG*[IaLV{hID";
+    let content = format!("curve\n    public-key = \"{key}\"\n    secret-key = \"{key}\"\n");
+    std::fs::write(&path, content).expect("a file");
+    let words = [
+        "gateway",
+        "-p",
+        "0",
+        "-s",
+        "/lab",
+        "-d",
+        "gripper=sim:gripper",
+        "--key",
+    ];
+    let ended = Process::run(ztl().args(words).arg(&path));
+    assert!(ended.code.is_some_and(|code| code != 0), "{ended:?}");
+    assert!(
+        ended.stderr.contains("cargo xtask build --curve"),
+        "{ended:?}"
+    );
+}
+
+/// Pairs of keys made by `ztl keys`.
+struct Keys(Scratch);
+
+impl Keys {
+    #[track_caller]
+    fn make(names: &[&str]) -> Self {
+        let keys = Self(Scratch::new());
+        for name in names {
+            let ended = Process::run(ztl().arg("keys").arg(keys.0.path(name)));
+            assert_eq!(ended.code, Some(0), "{ended:?}");
+        }
+        keys
+    }
+
+    fn path(&self, name: &str) -> String {
+        self.0.path(name).display().to_string()
+    }
+
+    /// The options of a client.
+    fn of(&self, name: &str, server: &str) -> [String; 4] {
+        let (own, server) = (format!("{name}.key_secret"), format!("{server}.key"));
+        [
+            "--key".into(),
+            self.path(&own),
+            "--server-key".into(),
+            self.path(&server),
+        ]
+    }
+}
+
+#[track_caller]
+fn client_as(server: &Server, keys: &[String]) -> Ended {
+    let keys: Vec<&str> = keys.iter().map(String::as_str).collect();
+    client(server, &keys)
+}
+
+#[test]
+fn only_a_client_with_an_allowed_key_is_served() {
+    if !encrypts() {
+        return;
+    }
+    let keys = Keys::make(&["robot", "anna", "mallory", "other"]);
+    let (own, anna) = (keys.path("robot.key_secret"), keys.path("anna.key"));
+    let server = gateway(&["--key", &own, "--client-key", &anna]);
+    server.process.wait_for("encrypted, with an allowed key");
+
+    let ended = client_as(&server, &keys.of("anna", "robot"));
+    assert_eq!(ended.code, Some(0), "{ended:?}");
+    // Whoever has no key, another one, or means another server gets nothing: fate unknown.
+    let mallory = client_as(&server, &keys.of("mallory", "robot"));
+    assert_eq!(mallory.code, Some(5), "{mallory:?}");
+    server.process.wait_for("with the key");
+    assert_eq!(client(&server, &[]).code, Some(5));
+    assert_eq!(client_as(&server, &keys.of("anna", "other")).code, Some(5));
+    // It goes on serving who is allowed.
+    assert_eq!(client_as(&server, &keys.of("anna", "robot")).code, Some(0));
+}
+
+#[test]
+fn with_keys_and_nobody_allowed_nobody_is_served() {
+    if !encrypts() {
+        return;
+    }
+    let keys = Keys::make(&["robot", "anna"]);
+    let server = gateway(&["--key", &keys.path("robot.key_secret")]);
+    server.process.wait_for("nobody gets in");
+    assert_eq!(client_as(&server, &keys.of("anna", "robot")).code, Some(5));
+}
+
+/// libzmq counts what encryption adds to a message.
+#[test]
+fn the_longest_message_passes_encrypted_and_one_byte_more_is_reported() {
+    if !encrypts() {
+        return;
+    }
+    let keys = Keys::make(&["robot", "anna"]);
+    let anna = format!("{SCOPE}={}", keys.path("anna.key"));
+    let own = keys.path("robot.key_secret");
+    let server = gateway(&["--key", &own, "--client-key", &anna]);
+    let [anna, robot] = ["anna.key_secret", "robot.key_secret"]
+        .map(|name| KeyPair::read(keys.0.path(name).as_path()).expect("keys"));
+    let remote = RemoteTask::connect(&server.endpoint(), SCOPE).expect("an address");
+    let mut remote = remote.with_keys(anna, robot.public()).expect("encryption");
+    let most = MAX_MESSAGE - 33;
+    let payload = |bytes| "x".repeat(bytes - SCOPE.len() - ";1;-1;".len());
+    let refused = remote.trigger_payload(&payload(most));
+    assert!(
+        matches!(refused, Err(TriggerError::Refused { .. })),
+        "it is no task: {refused:?}"
+    );
+    let error = remote.trigger_payload(&payload(most + 1));
+    let told = format!(
+        "has {} bytes, and the server at {} takes at most {most}",
+        most + 1,
+        server.endpoint()
+    );
+    let error = error.expect_err("it is too long").to_string();
+    assert!(error.contains(&told), "{error}");
+}
+
+#[test]
+fn a_key_for_another_scope_opens_nothing_here() {
+    if !encrypts() {
+        return;
+    }
+    let keys = Keys::make(&["robot", "anna", "bert"]);
+    let here = format!("{SCOPE}={}", keys.path("anna.key"));
+    let elsewhere = format!("/elsewhere={}", keys.path("bert.key"));
+    let own = keys.path("robot.key_secret");
+    let server = gateway(&[
+        "--key",
+        &own,
+        "--client-key",
+        &here,
+        "--client-key",
+        &elsewhere,
+    ]);
+    assert_eq!(client_as(&server, &keys.of("anna", "robot")).code, Some(0));
+
+    let bert = KeyPair::read(keys.0.path("bert.key_secret").as_path()).expect("keys");
+    let robot = KeyPair::read(keys.0.path("robot.key_secret").as_path()).expect("keys");
+    let remote = RemoteTask::connect(&server.endpoint(), SCOPE).expect("an address");
+    let mut remote = remote.with_keys(bert, robot.public()).expect("encryption");
+    match remote.trigger("gripper", "finger", "5") {
+        Err(TriggerError::Refused { reason, .. }) => {
+            assert!(reason.starts_with("No controller for scope"), "{reason}");
+        }
+        other => panic!("{other:?}"),
+    }
+    // Nor does it learn what there is.
+    let probe = remote
+        .ask_server("probe")
+        .expect("an answer")
+        .expect("known");
+    assert!(
+        !probe.contains(SCOPE) && !probe.contains("gripper"),
+        "{probe}"
+    );
+    let tasks = remote
+        .ask_server("tasks")
+        .expect("an answer")
+        .expect("known");
+    assert!(tasks.contains("\"tasks\":[]"), "{tasks}");
+    assert_eq!(remote.ask_server("devices"), Ok(None));
+}
+
+#[test]
+fn a_client_in_python_uses_the_same_files() {
+    if !encrypts() {
+        return;
+    }
+    let keys = Keys::make(&["robot", "anna"]);
+    let (own, anna) = (keys.path("robot.key_secret"), keys.path("anna.key"));
+    let server = gateway(&["--key", &own, "--client-key", &anna]);
+    let script = r#"
+import sys, zmq, zmq.auth
+port, own, server = sys.argv[1:]
+socket = zmq.Context().socket(zmq.REQ)
+socket.curve_publickey, socket.curve_secretkey = zmq.auth.load_certificate(own)
+socket.curve_serverkey, _ = zmq.auth.load_certificate(server)
+socket.connect(f"tcp://127.0.0.1:{port}")
+socket.send(b"$ztl;2;-1;probe")
+print(socket.recv().decode() if socket.poll(5000) else "nothing")
+"#;
+    let mut command = Command::new(python());
+    command.args(["-c", script, &server.port.to_string()]);
+    let ended = Process::run(command.args([keys.path("anna.key_secret"), keys.path("robot.key")]));
+    assert!(
+        ended.stdout.contains("\"gripper\": [\"finger\"]"),
+        "{ended:?}"
+    );
+}

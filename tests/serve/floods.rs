@@ -1,0 +1,86 @@
+//! Handlers and lines that send without a pause do not keep others waiting.
+
+use std::io::Write;
+use std::net::TcpListener;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use ztl_std::gateway::Gateway;
+use ztl_std::{
+    ExecutableTask, State, TaskContext, TaskController, TaskError, TaskRequest, TaskServer,
+    TriggerError,
+};
+use ztl_tests::lab::{SCOPE, busy, connect, serve};
+
+struct Talkative;
+
+impl TaskController for Talkative {
+    fn assign(&self, _request: &TaskRequest) -> Result<Box<dyn ExecutableTask>, TaskError> {
+        let task = |context: &TaskContext| {
+            while !context.is_aborted() {
+                context.progress("still here");
+            }
+            Err(TaskError::aborted("quiet"))
+        };
+        Ok(Box::new(task))
+    }
+}
+
+#[test]
+fn a_handler_that_reports_without_pause_keeps_nobody_from_being_answered() {
+    let _busy = busy();
+    let server = serve(Talkative);
+    let mut one = connect(server.endpoint());
+    let task = one.trigger("h", "c", "g").unwrap();
+    let mut other = connect(server.endpoint());
+    for _ in 0..100 {
+        // It gives up after 2 s.
+        let status = other.status(&task.id).unwrap();
+        assert_eq!(status.state, State::Accepted);
+    }
+    assert_eq!(one.abort(&task.id).unwrap().state, State::Aborted);
+}
+
+#[test]
+fn a_line_that_never_pauses_is_refused_in_time_and_lets_the_gateway_end() {
+    let _busy = busy();
+    for noise in [[0u8; 4096], [0xa7; 4096]] {
+        let line = TcpListener::bind("127.0.0.1:0").unwrap();
+        let address = line.local_addr().unwrap();
+        let stop = Arc::new(AtomicBool::new(false));
+        let stopped = Arc::clone(&stop);
+        let flood = std::thread::spawn(move || {
+            let (mut stream, _) = line.accept().unwrap();
+            stream
+                .set_write_timeout(Some(Duration::from_millis(100)))
+                .unwrap();
+            // A timeout means that the gateway takes no more for now, as it should.
+            while !stopped.load(Ordering::SeqCst) {
+                let _ = stream.write(&noise);
+            }
+        });
+        let mut gateway = Gateway::new();
+        gateway
+            .add("noise", format!("tcp:{address}").parse().unwrap())
+            .unwrap();
+        let mut server = TaskServer::bind("tcp://127.0.0.1:*").unwrap();
+        server.register_handler(SCOPE, gateway);
+        let server = server.spawn().unwrap();
+        let mut remote = connect(server.endpoint());
+        let refused = remote.trigger("noise", "c", "g");
+        assert!(
+            matches!(refused, Err(TriggerError::Refused { .. })),
+            "{refused:?}"
+        );
+        let ended = Instant::now();
+        drop(server);
+        assert!(
+            ended.elapsed() < Duration::from_secs(5),
+            "{:?}",
+            ended.elapsed()
+        );
+        stop.store(true, Ordering::SeqCst);
+        flood.join().unwrap();
+    }
+}

@@ -1,0 +1,234 @@
+//! Controllers that panic, block, hang or ignore an abort do not keep other clients waiting.
+
+use std::time::{Duration, Instant};
+
+use ztl_std::{
+    ExecutableTask, RemoteTask, RunningServer, State, TaskContext, TaskController, TaskError,
+    TaskId, TaskRequest, TriggerError,
+};
+use ztl_tests::lab::{
+    ABORTED, ACCEPTED, COMPLETED, FAILED, LIMIT, OriginalClient, PATIENCE, SCOPE, connect, in_time,
+    port_of, serve, start, status, until,
+};
+
+use crate::gate::Gate;
+
+/// The component says what goes wrong.
+struct Unruly(Gate);
+
+impl TaskController for Unruly {
+    fn assign(&self, request: &TaskRequest) -> Result<Box<dyn ExecutableTask>, TaskError> {
+        let goal = request.goal.clone();
+        let gate = self.0.clone();
+        match request.component.as_str() {
+            "panic-in-assign" => panic!("assign has {goal}"),
+            "block-in-assign" => std::thread::sleep(Duration::from_secs(3)),
+            "hang-in-assign" => gate.wait(),
+            _ => {}
+        }
+        let component = request.component.clone();
+        Ok(Box::new(move |context: &TaskContext| {
+            match component.as_str() {
+                "panic-in-execute" => panic!("execute has {goal}"),
+                "hang" => {
+                    context.progress("hanging");
+                    gate.wait();
+                }
+                "sleep" => context.sleep(Duration::from_secs(60))?,
+                _ => {}
+            }
+            Ok(goal)
+        }))
+    }
+}
+
+/// A server of unruly tasks. Its gate is opened at the end, so that no thread is left behind.
+struct Lab {
+    server: RunningServer,
+    gate: Gate,
+}
+
+impl Lab {
+    fn new() -> Self {
+        let gate = Gate::default();
+        let server = serve(Unruly(gate.clone()));
+        Self { server, gate }
+    }
+
+    fn connect(&self) -> RemoteTask {
+        connect(self.server.endpoint())
+    }
+
+    fn original_client(&self) -> OriginalClient {
+        OriginalClient::connect(port_of(self.server.endpoint()), SCOPE)
+    }
+}
+
+impl Drop for Lab {
+    fn drop(&mut self) {
+        self.gate.open();
+    }
+}
+
+/// Asks about a task for so long, and gives the longest time that an answer took.
+#[track_caller]
+fn slowest_status(remote: &mut RemoteTask, id: TaskId, time: Duration) -> Duration {
+    let start = Instant::now();
+    let mut slowest = Duration::ZERO;
+    while start.elapsed() < time {
+        let asked = Instant::now();
+        let answer = remote.status(id).expect("an answer");
+        slowest = slowest.max(asked.elapsed());
+        assert_eq!(answer.state, State::Accepted, "{answer:?}");
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    slowest
+}
+
+#[test]
+fn a_panic_is_that_tasks_end_and_nobody_elses() {
+    let lab = Lab::new();
+    let mut remote = lab.connect();
+    let bystander = start(&mut remote, "any", "sleep", "");
+    for round in 0..3 {
+        let reason = match remote.trigger("any", "panic-in-assign", &round.to_string()) {
+            Err(TriggerError::Refused { reason, .. }) => reason,
+            // To print the panic takes a busy machine longer than an answer is held.
+            taken => {
+                let late = remote.wait(taken.expect("an answer").id, LIMIT);
+                let late = late.expect("its end");
+                assert_eq!(late.state, State::Rejected, "{late:?}");
+                late.text
+            }
+        };
+        let panicked = format!("the handler panicked: assign has {round}");
+        assert!(reason.ends_with(&panicked), "{reason}");
+
+        let id = start(&mut remote, "any", "panic-in-execute", &round.to_string());
+        let reason = format!("the handler panicked: execute has {round}");
+        let end = status(State::Failed, &reason);
+        assert_eq!(remote.wait(id, LIMIT), Ok(end));
+    }
+    assert_eq!(remote.status(bystander).unwrap().state, State::Accepted);
+    let id = start(&mut remote, "any", "echo", "still here");
+    let end = status(State::Completed, "still here");
+    assert_eq!(remote.wait(id, LIMIT), Ok(end));
+    assert!(lab.server.is_running());
+}
+
+#[test]
+fn an_assign_that_blocks_for_3_s_keeps_nobody_waiting() {
+    let lab = Lab::new();
+    let mut remote = lab.connect();
+    let bystander = start(&mut remote, "any", "sleep", "");
+    let mut slowest_of_others = || {
+        std::thread::scope(|scope| {
+            let asked = Instant::now();
+            let blocked = scope.spawn(|| lab.connect().trigger("any", "block-in-assign", "done"));
+            let slowest = slowest_status(&mut remote, bystander, Duration::from_secs(2));
+
+            // Its own client has been answered before it would have given up, and has an id.
+            let task = blocked.join().unwrap().expect("an id");
+            assert_ne!(task.id, bystander);
+            let end = status(State::Completed, "done");
+            assert_eq!(remote.wait(task.id, LIMIT), Ok(end));
+            assert!(asked.elapsed() > Duration::from_secs(3));
+            slowest
+        })
+    };
+    // A busy machine delays some tries, a server that waits all.
+    until("quick answers", PATIENCE, || {
+        (slowest_of_others() < Duration::from_secs(1)).then_some(())
+    });
+}
+
+#[test]
+fn the_originals_client_gets_an_id_of_an_assign_that_hangs() {
+    let lab = Lab::new();
+    let mut client = lab.original_client();
+    // It gives up after 2 s, and would take its task for refused.
+    let id = client.start("any", "hang-in-assign", "done");
+    assert_eq!(client.status(id), (0, "None"));
+    lab.gate.open();
+    // To its wait, INITIATED is not an end either.
+    assert_eq!(client.wait(id, 20.0), (COMPLETED, "done"));
+}
+
+#[test]
+fn status_reports_a_rejection_by_an_assign_that_hung() {
+    struct Late(Gate);
+    impl TaskController for Late {
+        fn assign(&self, _: &TaskRequest) -> Result<Box<dyn ExecutableTask>, TaskError> {
+            self.0.wait();
+            Err("not today".into())
+        }
+    }
+    let gate = Gate::default();
+    let server = serve(Late(gate.clone()));
+    let mut remote = connect(server.endpoint());
+    let id = start(&mut remote, "any", "any", "");
+    gate.open();
+    let end = status(State::Rejected, "not today");
+    assert_eq!(remote.wait(id, LIMIT), Ok(end));
+}
+
+#[test]
+fn an_abort_that_is_not_heeded_is_answered_all_the_same() {
+    let lab = Lab::new();
+    let mut client = lab.original_client();
+    let mut remote = lab.connect();
+    for component in ["hang", "hang-in-assign"] {
+        let id = client.start("any", component, "late");
+        let asked = Instant::now();
+        // The original's client gives up after 2 s; its answer would then be -1.
+        assert_eq!(client.abort(id), (ACCEPTED, "aborting"), "{component}");
+        assert!(asked.elapsed() > Duration::from_secs(1));
+
+        // Meanwhile anybody else is served.
+        let aborted = in_time(Duration::from_secs(1), || {
+            let other = start(&mut remote, "any", "sleep", "");
+            remote.abort(other)
+        });
+        assert_eq!(aborted.map(|end| end.state), Ok(State::Aborted));
+    }
+}
+
+#[test]
+fn a_task_that_completes_despite_an_abort_reports_its_true_outcome() {
+    let lab = Lab::new();
+    let mut client = lab.original_client();
+    let id = client.start("any", "hang", "done after all");
+    until("its progress", PATIENCE, || {
+        (client.status(id) == (ACCEPTED, "hanging")).then_some(())
+    });
+    std::thread::scope(|scope| {
+        let abort = scope.spawn(|| {
+            let id = TaskId::new(u32::try_from(id).unwrap()).unwrap();
+            lab.connect().abort(id)
+        });
+        lab.gate.open();
+        let told = abort.join().unwrap().expect("an answer");
+        // `False` when it had ended before the ABORT came.
+        assert_eq!(told.state, State::Completed);
+        assert!(["done after all", "False"].contains(&told.text.as_str()));
+    });
+    assert_eq!(client.wait(id, 20.0), (COMPLETED, "done after all"));
+    assert_eq!(client.abort(id), (COMPLETED, "False"));
+}
+
+#[test]
+fn an_abort_wakes_a_task_and_its_end_never_changes() {
+    let lab = Lab::new();
+    let mut client = lab.original_client();
+    let id = client.start("any", "sleep", "");
+    assert_eq!(client.abort(id), (ABORTED, "True"));
+    for _ in 0..20 {
+        assert_eq!(client.status(id), (ABORTED, "aborted"));
+    }
+    assert_eq!(client.abort(id), (ABORTED, "False"));
+    let id = client.start("any", "panic-in-execute", "bad luck");
+    let reason = "the handler panicked: execute has bad luck";
+    assert_eq!(client.wait(id, 20.0), (FAILED, reason));
+    assert_eq!(client.abort(id), (FAILED, "False"));
+    assert_eq!(client.status(id), (FAILED, reason));
+}

@@ -1,0 +1,81 @@
+//! A task whose client is gone: the owner of the task chooses whether it goes on.
+
+use std::time::Duration;
+
+use ztl_std::{ExecutableTask, State, TaskContext, TaskController, TaskError, TaskId, TaskRequest};
+use ztl_tests::lab::{
+    ACCEPTED, OriginalClient, PATIENCE, Process, SCOPE, connect, our_client_at, port_of, serve,
+    start, until,
+};
+
+/// For how long a client may be silent here.
+const SILENCE: Duration = Duration::from_millis(1500);
+
+/// Lasts until it is aborted; the component says whether it goes on without its client.
+struct Drive {
+    needs_client: bool,
+}
+
+impl ExecutableTask for Drive {
+    fn execute(self: Box<Self>, context: &TaskContext) -> Result<String, TaskError> {
+        context.sleep(Duration::MAX)?;
+        Ok(String::new())
+    }
+
+    fn needs_client(&self) -> Option<Duration> {
+        self.needs_client.then_some(SILENCE)
+    }
+}
+
+struct Base;
+
+impl TaskController for Base {
+    fn assign(&self, request: &TaskRequest) -> Result<Box<dyn ExecutableTask>, TaskError> {
+        Ok(Box::new(Drive {
+            needs_client: request.component == "needs",
+        }))
+    }
+}
+
+/// `ztl task-client`, which waits for this task; and the task's id.
+#[track_caller]
+fn client(port: u16, component: &str) -> (Process, TaskId) {
+    let client = Process::start(our_client_at(port).arg(format!("base:{component}:x")));
+    let line = client.wait_for("Initialised task with ID");
+    let id = line.split('\'').nth(1).and_then(|id| id.parse().ok());
+    (client, id.and_then(TaskId::new).expect("an id"))
+}
+
+#[test]
+fn a_task_is_aborted_when_its_client_is_killed_if_its_owner_wants_that() {
+    let server = serve(Base);
+    let port = port_of(server.endpoint());
+    let (mut killed, one) = client(port, "needs");
+    let (stopped, two) = client(port, "needs");
+    let (mut careless, three) = client(port, "carries-on");
+    let (_alive, four) = client(port, "needs");
+    let mut original = OriginalClient::connect(port, SCOPE);
+    let five = original.start("base", "needs", "x");
+    let mut silent = connect(server.endpoint());
+    let six = start(&mut silent, "base", "needs", "x");
+
+    let mut witness = connect(server.endpoint());
+    let mut state = |id| witness.status(id).expect("an answer").state;
+    // Each keeps in touch: nothing happens for as long as it is alive.
+    std::thread::sleep(SILENCE * 2);
+    for id in [one, two, three, four, six] {
+        assert_eq!(state(id), State::Accepted);
+    }
+    killed.kill();
+    stopped.signal("STOP");
+    careless.kill();
+    for id in [one, two] {
+        until("the task of a client that is gone", PATIENCE, || {
+            (state(id) == State::Aborted).then_some(())
+        });
+    }
+    for id in [three, four, six] {
+        assert_eq!(state(id), State::Accepted);
+    }
+    assert_eq!(original.status(five).number, ACCEPTED);
+}

@@ -1,0 +1,47 @@
+//! Our client and server in Rust.
+
+use std::time::Duration;
+
+use ztl_std::{RemoteTask, RunningServer, State, Status, TaskController, TaskId, TaskServer};
+
+use super::{PATIENCE, SCOPE};
+
+/// The limit of a wait that is not itself measured.
+pub const LIMIT: Option<Duration> = Some(PATIENCE);
+
+/// A client of [`SCOPE`] at this ZeroMQ address.
+#[track_caller]
+pub fn connect(endpoint: &str) -> RemoteTask {
+    RemoteTask::connect(endpoint, SCOPE).expect("an address")
+}
+
+/// Starts a task, which must be accepted.
+#[track_caller]
+pub fn start(remote: &mut RemoteTask, handler: &str, component: &str, goal: &str) -> TaskId {
+    let task = remote.trigger(handler, component, goal);
+    let task = task.unwrap_or_else(|error| panic!("{handler}:{component}:{goal}: {error}"));
+    task.id.number().expect("a number")
+}
+
+/// A status to compare with.
+pub fn status(state: State, text: &str) -> Status {
+    Status {
+        state,
+        text: text.to_owned(),
+    }
+}
+
+/// A server in this process with a controller for [`SCOPE`].
+#[track_caller]
+pub fn serve(controller: impl TaskController + 'static) -> RunningServer {
+    let mut server = TaskServer::bind("tcp://127.0.0.1:*").expect("a port");
+    server.register(SCOPE, controller);
+    server.spawn().expect("a thread")
+}
+
+/// The port of an address such as `tcp://127.0.0.1:4242`.
+#[track_caller]
+pub fn port_of(endpoint: &str) -> u16 {
+    let port = endpoint.rsplit(':').next();
+    port.and_then(|port| port.parse().ok()).expect("a port")
+}

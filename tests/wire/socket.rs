@@ -1,0 +1,101 @@
+//! A libzmq socket, and the servers that are asked with it.
+
+use std::time::Duration;
+
+use ztl_std::{
+    ExecutableTask, RequestError, RunningServer, TaskContext, TaskController, TaskError,
+    TaskRequest,
+};
+use ztl_tests::lab::{PATIENCE, SCOPE, connect, serve, until};
+
+/// What the original's client waits for an answer.
+pub(crate) const TIMEOUT: Duration = Duration::from_secs(2);
+
+/// A libzmq socket that sends just what it is told to.
+pub(crate) struct Socket(pub(crate) zmq::Socket);
+
+impl Socket {
+    /// A socket that waits as long for an answer as the original's client.
+    fn connect(kind: zmq::SocketType, endpoint: &str) -> Self {
+        Self::prepared(kind, endpoint, TIMEOUT, |_| {})
+    }
+
+    /// A socket that waits for `limit`, with further options.
+    pub(crate) fn prepared(
+        kind: zmq::SocketType,
+        endpoint: &str,
+        limit: Duration,
+        prepare: impl FnOnce(&zmq::Socket),
+    ) -> Self {
+        let socket = zmq::Context::new().socket(kind).expect("a socket");
+        let limit = i32::try_from(limit.as_millis()).expect("a short time");
+        socket.set_linger(0).unwrap();
+        socket.set_sndtimeo(limit).unwrap();
+        socket.set_rcvtimeo(limit).unwrap();
+        prepare(&socket);
+        socket.connect(endpoint).expect("an address");
+        Self(socket)
+    }
+
+    /// A client as the original's.
+    pub(crate) fn req(endpoint: &str) -> Self {
+        Self::connect(zmq::REQ, endpoint)
+    }
+
+    pub(crate) fn dealer(endpoint: &str) -> Self {
+        Self::connect(zmq::DEALER, endpoint)
+    }
+
+    #[track_caller]
+    pub(crate) fn send<F: AsRef<[u8]>>(&self, frames: &[F]) {
+        let frames = frames.iter().map(F::as_ref);
+        self.0.send_multipart(frames, 0).expect("to send");
+    }
+
+    #[track_caller]
+    pub(crate) fn receive(&self) -> Vec<Vec<u8>> {
+        let frames = self.0.recv_multipart(0);
+        frames.expect("an answer in time")
+    }
+
+    /// Asks with one frame, and gives the answer as text.
+    #[track_caller]
+    pub(crate) fn ask(&self, body: impl AsRef<[u8]>) -> String {
+        self.send(&[body]);
+        let [answer] = <[_; 1]>::try_from(self.receive()).expect("one frame");
+        String::from_utf8(answer).expect("UTF-8")
+    }
+
+    /// Asks for a task's status until it has ended.
+    #[track_caller]
+    pub(crate) fn ask_end(&self, status: &str) -> String {
+        until("its end", PATIENCE, || {
+            let answer = self.ask(status);
+            (!answer.starts_with(&format!("{SCOPE};1;"))).then_some(answer)
+        })
+    }
+}
+
+/// A server in this process, whose tasks echo.
+pub(crate) fn in_process() -> RunningServer {
+    struct Echo;
+    impl TaskController for Echo {
+        fn assign(&self, request: &TaskRequest) -> Result<Box<dyn ExecutableTask>, TaskError> {
+            let goal = request.goal.clone();
+            Ok(Box::new(move |_: &TaskContext| Ok(goal)))
+        }
+    }
+    serve(Echo)
+}
+
+/// A good client is served, at once.
+#[track_caller]
+pub(crate) fn assert_serves(endpoint: &str, after: &str) {
+    let mut remote = connect(endpoint).with_timeout(TIMEOUT);
+    let answer = remote.status(99);
+    let unknown = RequestError::UnknownTask {
+        id: 99.into(),
+        text: "Invalid ID '99'".to_owned(),
+    };
+    assert_eq!(answer, Err(unknown), "after {after}");
+}

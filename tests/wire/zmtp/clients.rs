@@ -1,0 +1,158 @@
+//! Real clients: tasks complete, are aborted and refused.
+
+use std::time::Duration;
+
+use zmq::SocketEvent;
+use ztl_std::{RemoteTask, State};
+use ztl_tests::lab::{
+    ABORTED, ACCEPTED, COMPLETED, OriginalClient, PATIENCE, Peer, REJECTED, until,
+};
+
+use super::device::{Desk, Dribble, SCOPE};
+
+/// Tasks end in each way.
+#[track_caller]
+fn drive(mut client: OriginalClient, who: &str) {
+    let task = client.trigger("desk", "slide", "20");
+    let told = format!(
+        "Initiated task '{}' with request: {{'handler': 'desk', 'component': 'slide', 'goal': '20'}}",
+        task.number
+    );
+    assert_eq!(task.text, told, "{who}");
+    assert_eq!(
+        client.wait(task.number, 20.0),
+        (COMPLETED, "20.0 mm"),
+        "{who}"
+    );
+
+    let task = client.start("desk", "slide", "100");
+    let way = until("the slide on its way", PATIENCE, || {
+        let answer = client.status(task);
+        assert_eq!(answer.number, ACCEPTED, "{who}: {answer:?}");
+        let place: f32 = answer.text.strip_suffix(" mm")?.parse().ok()?;
+        (place > 21.0).then_some(place)
+    });
+    let busy = client.trigger("desk", "slide", "0");
+    assert_eq!(busy, (-1, "busy with another task"), "{who}");
+    assert_eq!(client.abort(task), (ABORTED, "True"), "{who}");
+    let end = client.status(task);
+    assert_eq!(end.number, ABORTED, "{who}");
+    let place: f32 = end.text.trim_end_matches(" mm").parse().expect("a place");
+    assert!((way..100.0).contains(&place), "{who}: {place}");
+
+    for (component, goal, reason) in [
+        ("slide", "101", "slide takes 0 to 100 mm"),
+        ("slide", "", "slide takes 0 to 100 mm"),
+        ("arm", "1", "no component 'arm'; it has: slide"),
+    ] {
+        assert_eq!(
+            client.trigger("desk", component, goal),
+            (-1, reason),
+            "{who}"
+        );
+    }
+    assert_eq!(client.status(7), (REJECTED, "Invalid ID '7'"), "{who}");
+}
+
+#[test]
+fn the_original_drives_it_over_libzmq_4_3() {
+    let desk = Desk::start();
+    drive(OriginalClient::connect(desk.port, SCOPE), "whole");
+    let slow = Dribble::before(&desk);
+    drive(OriginalClient::connect(slow.port, SCOPE), "byte by byte");
+}
+
+/// libzmq 4.1, JeroMQ of ZMTP 2.0, zeromq.js.
+#[test]
+fn old_and_other_peers_drive_it() {
+    for peer in Peer::here() {
+        let desk = Desk::start();
+        drive(peer.client(desk.port, SCOPE), &format!("{peer:?}, whole"));
+        let slow = Dribble::before(&desk);
+        drive(
+            peer.client(slow.port, SCOPE),
+            &format!("{peer:?}, byte by byte"),
+        );
+    }
+}
+
+#[test]
+fn our_client_runs_tasks_waits_for_their_end_and_learns_who_serves() {
+    let desk = Desk::start();
+    let mut client = RemoteTask::connect(&desk.endpoint(), SCOPE).expect("an address");
+    let id = client.trigger("desk", "slide", "30").expect("taken").id;
+    let end = client
+        .wait(id, Some(Duration::from_secs(20)))
+        .expect("an end");
+    assert_eq!(
+        (end.state, end.text.as_str()),
+        (State::Completed, "30.0 mm")
+    );
+    let id = client.trigger("desk", "slide", "100").expect("taken").id;
+    let end = client.abort(id).expect("an answer");
+    assert_eq!(end.state, State::Aborted);
+}
+
+/// The events of a socket up to the one that is wanted.
+fn events_until(monitor: &zmq::Socket, wanted: SocketEvent) -> Vec<SocketEvent> {
+    let mut seen = Vec::new();
+    while seen.last() != Some(&wanted) {
+        let frames = monitor.recv_multipart(0).expect("an event");
+        let number = u16::from_le_bytes([frames[0][0], frames[0][1]]);
+        seen.push(SocketEvent::from_raw(number));
+    }
+    seen
+}
+
+/// As libzmq itself sees it.
+#[test]
+fn libzmq_tells_of_a_clean_handshake_and_its_heartbeats_are_answered() {
+    let desk = Desk::start();
+    let context = zmq::Context::new();
+    for kind in [zmq::REQ, zmq::DEALER] {
+        let socket = context.socket(kind).expect("a socket");
+        socket.set_linger(0).unwrap();
+        socket.set_rcvtimeo(20_000).unwrap();
+        // Without an answer to each it would disconnect.
+        socket.set_heartbeat_ivl(50).unwrap();
+        socket.set_heartbeat_timeout(1500).unwrap();
+        socket.set_heartbeat_ttl(5000).unwrap();
+        let address = format!("inproc://events-{kind:?}");
+        socket
+            .monitor(&address, SocketEvent::ALL.to_raw().into())
+            .unwrap();
+        let monitor = context.socket(zmq::PAIR).expect("a socket");
+        monitor.set_rcvtimeo(20_000).unwrap();
+        monitor.connect(&address).unwrap();
+        socket.connect(&desk.endpoint()).unwrap();
+        let seen = events_until(&monitor, SocketEvent::HANDSHAKE_SUCCEEDED);
+        assert_eq!(seen.len(), 3, "{seen:?}");
+        assert_eq!(seen[1], SocketEvent::CONNECTED);
+
+        if kind == zmq::DEALER {
+            socket.send("", zmq::SNDMORE).unwrap();
+        }
+        socket.send("/desk;2;99;x", 0).unwrap();
+        let answer = socket.recv_multipart(0).expect("an answer");
+        assert_eq!(answer.last().unwrap(), b"/desk;2;99;Invalid ID '99'");
+        // Nothing else happens for longer than a heartbeat may take.
+        monitor.set_rcvtimeo(2000).unwrap();
+        assert_eq!(monitor.recv_multipart(0), Err(zmq::Error::EAGAIN));
+    }
+}
+
+#[test]
+fn a_dealer_gets_its_envelope_back_and_its_pipelined_requests_in_order() {
+    let desk = Desk::start();
+    let dealer = desk.socket(zmq::DEALER, |_| {});
+    for number in 0..100_u32 {
+        let number = number.to_be_bytes();
+        let body = format!("/desk;2;{};x", u32::from_be_bytes(number));
+        dealer.send(&[&b"client"[..], &number, b"", body.as_bytes()]);
+    }
+    for number in 0..100_u32 {
+        let body = format!("/desk;2;{number};Invalid ID '{number}'");
+        let frames = [&b"client"[..], &number.to_be_bytes(), b"", body.as_bytes()];
+        assert_eq!(dealer.receive(), frames);
+    }
+}

@@ -1,0 +1,120 @@
+//! Many clients, one after the other and at once.
+
+use std::time::Duration;
+
+use ztl_tests::lab::{Process, our_client};
+
+use super::device::{Desk, PLACES};
+use crate::socket::Socket;
+
+#[test]
+fn a_thousand_clients_come_and_go() {
+    let desk = Desk::start();
+    let context = zmq::Context::new();
+    for number in 0..1000 {
+        let socket = context.socket(zmq::REQ).expect("a socket");
+        socket.set_linger(0).unwrap();
+        socket.set_rcvtimeo(20_000).unwrap();
+        socket.connect(&desk.endpoint()).unwrap();
+        socket.send(&format!("/desk;2;{number};x"), 0).unwrap();
+        let answer = socket.recv_string(0).expect("an answer").unwrap();
+        assert_eq!(answer, format!("/desk;2;{number};Invalid ID '{number}'"));
+    }
+}
+
+#[test]
+fn all_places_are_served_side_by_side_and_one_more_when_a_place_is_free() {
+    let desk = Desk::start();
+    let mut clients: Vec<Socket> = (0..PLACES).map(|_| desk.req()).collect();
+    for round in 0..50 {
+        for client in &clients {
+            client.send(&[format!("/desk;2;{round};x")]);
+        }
+        for client in &clients {
+            let answer = format!("/desk;2;{round};Invalid ID '{round}'");
+            assert_eq!(client.receive(), [answer.as_bytes()]);
+        }
+    }
+    let further = desk.req();
+    further.send(&["/desk;2;99;x"]);
+    further.0.set_rcvtimeo(500).unwrap();
+    assert_eq!(further.0.recv_bytes(0), Err(zmq::Error::EAGAIN));
+    for client in &clients {
+        assert_eq!(client.ask("/desk;2;1;x"), "/desk;2;1;Invalid ID '1'");
+    }
+    clients.pop();
+    further.0.set_rcvtimeo(20_000).unwrap();
+    assert_eq!(further.receive(), [b"/desk;2;99;Invalid ID '99'"]);
+}
+
+/// Each is a new one to the desk, which knows four.
+#[test]
+fn our_command_is_started_more_often_in_a_minute_than_there_are_places() {
+    let desk = Desk::start();
+    let run = |goal: &str| {
+        let mut client = our_client();
+        client.args(["--exit-status", "-r", "127.0.0.1", "-s", "/desk", "-p"]);
+        client.arg(desk.port.to_string());
+        Process::run(client.arg(format!("desk:slide:{goal}")))
+    };
+    for goal in 1..=10 {
+        let ended = run(&goal.to_string());
+        assert_eq!(ended.code, Some(0), "{ended:?}");
+        // One that is refused keeps no place either.
+        let ended = run("far");
+        assert_eq!(ended.code, Some(1), "{ended:?}");
+        let told = ended.stdout.contains("slide takes 0 to 100 mm");
+        assert!(told, "{ended:?}");
+    }
+}
+
+#[test]
+fn a_held_answer_keeps_no_other_client_waiting() {
+    let desk = Desk::start();
+    let (one, two) = (desk.socket(zmq::DEALER, |_| {}), desk.req());
+    let id = {
+        let payload = "ZGVzazpzbGlkZToxMDA=";
+        let answer = two.ask(format!("/desk;1;-1;{payload}"));
+        answer.split(';').nth(2).expect("an id").to_owned()
+    };
+    // In the envelope of our client, so that it may wait.
+    let wait = format!("/desk;2;{id};wait 1900");
+    let client = [&b"ztl1"[..], &[7; 16]].concat();
+    one.send(&[&client[..], &[0; 8], b"", wait.as_bytes()]);
+    for _ in 0..20 {
+        let answer = two.ask(format!("/desk;2;{id};x"));
+        assert!(answer.starts_with(&format!("/desk;1;{id};")), "{answer}");
+    }
+    let end = one.receive();
+    assert_eq!(
+        end.last().unwrap(),
+        format!("/desk;5;{id};100.0 mm").as_bytes()
+    );
+}
+
+#[test]
+fn a_client_for_whom_the_system_has_no_file_left_ends_nothing() {
+    let example = ztl_tests::lab::example("zmtp");
+    let mut few = std::process::Command::new("sh");
+    few.args(["-c", "ulimit -n 7 && exec \"$0\" 127.0.0.1:0"]);
+    let desk = Desk::of(few.arg(example.get_program()));
+    let connect = || std::net::TcpStream::connect(("127.0.0.1", desk.port)).expect("a connection");
+    let crowd = [(); PLACES].map(|()| connect());
+    desk.process.wait_for("cannot take a client");
+    drop(crowd);
+    desk.assert_serves("there are files again");
+}
+
+#[test]
+fn places_of_clients_that_never_finish_their_greeting_are_free_after_a_while() {
+    let desk = Desk::start();
+    let start = std::time::Instant::now();
+    let silent: Vec<_> = (0..PLACES)
+        .map(|_| std::net::TcpStream::connect(("127.0.0.1", desk.port)).expect("a connection"))
+        .collect();
+    let client = desk.req();
+    assert_eq!(client.ask("/desk;2;1;x"), "/desk;2;1;Invalid ID '1'");
+    let waited = start.elapsed();
+    assert!(waited > Duration::from_secs(4), "{waited:?}");
+    drop(silent);
+}
