@@ -10,6 +10,7 @@ pub(crate) struct Cursor<'a> {
     pub(crate) at: usize,
 }
 
+// Not inlining these methods, with the order of fields of `goal::Reader`, saves 190 bytes in the image `standard`.
 impl<'a> Cursor<'a> {
     pub(crate) fn new(text: &'a str) -> Self {
         Self { text, at: 0 }
@@ -29,6 +30,7 @@ impl<'a> Cursor<'a> {
     }
 
     /// The byte `bytes` ahead; 0 past the end, like a NUL in the text.
+    #[cfg_attr(target_os = "none", inline(never))]
     pub(crate) fn ahead(&self, bytes: usize) -> u8 {
         let at = self.at.wrapping_add(bytes);
         self.text.as_bytes().get(at).copied().unwrap_or(0)
@@ -40,6 +42,7 @@ impl<'a> Cursor<'a> {
     }
 
     /// Consumes the next byte if it is `byte`, and returns whether it was.
+    #[cfg_attr(target_os = "none", inline(never))]
     pub(crate) fn take(&mut self, byte: u8) -> bool {
         let there = self.peek() == byte;
         self.at += usize::from(there);
@@ -56,6 +59,7 @@ impl<'a> Cursor<'a> {
     }
 
     /// Skips whitespace and returns the next byte without consuming it.
+    #[cfg_attr(target_os = "none", inline(never))]
     pub(crate) fn skip_blanks(&mut self) -> u8 {
         while is_blank(self.peek()) {
             self.at += 1;

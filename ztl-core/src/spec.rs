@@ -66,6 +66,7 @@ impl<'a> TaskSpec<'a> {
     ///
     /// # Errors
     /// [`SpecError::NoComponent`] or [`SpecError::NoGoal`] if there are fewer.
+    #[cfg_attr(target_os = "none", inline(always))]
     pub fn split(text: &'a str) -> Result<Self, SpecError> {
         let (handler, rest) = split_at_mark(text, SEPARATOR).ok_or(SpecError::NoComponent)?;
         let (component, goal) = split_at_mark(rest, SEPARATOR).ok_or(SpecError::NoGoal)?;

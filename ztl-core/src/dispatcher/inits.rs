@@ -27,6 +27,7 @@ pub(super) enum Known {
     Last,
 }
 
+// The inline attributes of these methods together save 116 bytes in `microbit-zmtp`.
 impl<M: Memory> Dispatcher<M> {
     pub(super) fn on_init<'r, 'a: 'r>(
         &'r mut self,

@@ -6,6 +6,8 @@ use crate::cursor::Cursor;
 use crate::text::is_blank;
 
 /// A position in a goal's text and the state of parsing.
+// The order of fields saves flash together with the attributes of `Cursor`.
+#[repr(C)]
 pub(super) struct Reader<'de> {
     pub(super) text: Cursor<'de>,
     /// Number of open collections.

@@ -97,7 +97,6 @@ pub struct FrameWriter<'a> {
 
 impl<'a> FrameWriter<'a> {
     /// Starts a frame of `session`.
-    #[cfg_attr(target_os = "none", inline(never))]
     #[must_use]
     pub fn new(session: u32, addr: u8, seq: u8, buffer: &'a mut [u8]) -> Self {
         let mut writer = Self {
@@ -112,7 +111,6 @@ impl<'a> FrameWriter<'a> {
 
     /// Puts `count` bytes that are in the buffer already, from position `start` on. They must be at least 4 bytes, plus one
     /// for each 254, behind the bytes written so far; otherwise they are overwritten before they are read.
-    #[cfg_attr(target_os = "none", inline(never))]
     pub fn put_own(&mut self, start: usize, count: usize) {
         for at in start..start.saturating_add(count) {
             let byte = self.buffer.get(at).copied().unwrap_or_default();
@@ -121,7 +119,6 @@ impl<'a> FrameWriter<'a> {
     }
 
     /// Completes the frame and returns its length with the delimiter; `None` if it does not fit the buffer.
-    #[cfg_attr(target_os = "none", inline(never))]
     pub fn finish(mut self) -> Option<usize> {
         let len = self.end();
         (len <= self.buffer.len()).then_some(len)
@@ -142,7 +139,6 @@ impl<'a> FrameWriter<'a> {
     }
 
     /// Writes the code byte of the block, its length plus 1, and reserves that of the next block.
-    #[cfg_attr(target_os = "none", inline(never))]
     fn close_block(&mut self) {
         self.set(self.code_at, (self.len - self.code_at) as u8);
         self.code_at = self.len;
@@ -151,7 +147,6 @@ impl<'a> FrameWriter<'a> {
 }
 
 impl Sink for FrameWriter<'_> {
-    #[cfg_attr(target_os = "none", inline(never))]
     fn put(&mut self, bytes: &[u8]) {
         self.check = checked(self.check, bytes);
         for &byte in bytes {
@@ -194,6 +189,7 @@ fn begin(session: u32) -> u32 {
 }
 
 /// The CRC register after these bytes; the checksum is its complement.
+// Not inlined and `step` inlined for speed; see the cycles in `examples/firmware/README.md`.
 #[inline(never)]
 fn checked(mut check: u32, mut bytes: &[u8]) -> u32 {
     // Two bytes at a time, without an inner loop, because this dominates the time to receive a byte.
@@ -232,6 +228,7 @@ pub enum Pushed {
 }
 
 /// Copies at most `most` bytes, up to the first zero, as far as they fit. Returns how many.
+// Not inlined in firmware for speed, like `checked`.
 #[cfg_attr(target_os = "none", inline(never))]
 fn copy(to: &mut [u8], from: &[u8], most: usize) -> usize {
     let mut count = 0;

@@ -40,6 +40,7 @@ impl core::error::Error for BodyError {}
 /// Writes encoded values to a sink.
 ///
 /// Each method returns the sink: on a Cortex-M0 it then stays in its register for the next call.
+// The inline attributes here and of `Body::put` together save 584 bytes in `microbit-smallest`.
 pub(super) trait WriteValues: Sink {
     fn byte(&mut self, byte: u8) -> &mut Self;
 

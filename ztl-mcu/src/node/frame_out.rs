@@ -31,6 +31,7 @@ pub(super) mod longest {
 }
 
 /// An encoded frame, and how much of it has been sent.
+// With the attributes in `transmit.rs`, the order of fields saves 112 bytes in `microbit-quiet`.
 #[derive(Clone)]
 #[repr(C)]
 pub(super) struct FrameOut<const FRAME: usize> {

@@ -40,7 +40,8 @@ pub(super) enum Answer {
 }
 
 /// Everything but the decoder, whose buffer a received frame borrows while it is handled.
-// What is small stands first: there a Cortex-M0 reaches it with one instruction.
+// Small fields come first, where one instruction of a Cortex-M0 reaches them. With the attribute of
+// `Node::handle_bytes`, this saves 232 bytes in `microbit-quiet`.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 #[repr(C)]
 pub(super) struct LinkState<'a, C, const TASKS: usize, const FRAME: usize> {

@@ -11,7 +11,8 @@ const LINK_LOST: &str = "link was lost";
 const REPLACED: &str = "replaced by a later task";
 
 /// The components and their tasks, which come from a gateway or from a server in the same firmware.
-// What is small stands first: there a Cortex-M0 reaches it with one instruction.
+// Small fields come first, where one instruction of a Cortex-M0 reaches them. With the attribute of `handle_timeout`,
+// this saves 108 bytes in `microbit-quiet`.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 #[repr(C)]
 pub(crate) struct Runner<C, const TASKS: usize> {

@@ -14,7 +14,8 @@ pub(crate) const TEXT: usize = 48;
 pub(super) type TaskText = String<{ TEXT + 3 }>;
 
 /// A task, or a free place.
-// What is small stands first: there a Cortex-M0 reaches it with one instruction.
+// Small fields come first, where one instruction of a Cortex-M0 reaches them. With the attribute of `set_end`, this saves
+// 112 bytes in `microbit-smallest`.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 #[repr(C)]
 pub(super) struct Task {

@@ -6,7 +6,6 @@ use heapless::string::StringView;
 ///
 /// It works character by character, because `core::str::from_utf8` takes 560 bytes on a Cortex-M0, 256 of them for
 /// its table.
-#[cfg_attr(target_os = "none", inline(never))]
 pub(crate) fn push_utf8(text: &mut StringView, mut bytes: &[u8]) -> Option<()> {
     while let [first, behind @ ..] = bytes {
         bytes = behind;

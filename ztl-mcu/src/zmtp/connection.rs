@@ -186,7 +186,7 @@ enum Out {
 /// assert_eq!(client.message().unwrap().content, Content::One(b"late"));
 /// client.discard();
 /// ```
-// This order of fields gives the shortest code on a Cortex-M0.
+// The order of fields and the inline attributes in this file together save 244 bytes in `microbit-zmtp`.
 #[derive(Debug, Clone)]
 #[repr(C)]
 pub struct Connection<S, B> {

@@ -6,6 +6,7 @@ use super::wire::{
     Socket,
 };
 
+// The inline attributes of these methods together save 108 bytes in `microbit-zmtp`.
 impl<S: Socket, B: AsRef<[u8]> + AsMut<[u8]>> Connection<S, B> {
     /// Takes at least the first byte and returns how many were taken; 0 if they have to wait.
     pub(super) fn take(&mut self, bytes: &[u8]) -> usize {

@@ -80,7 +80,6 @@ pub struct Peer(pub u8);
 /// assert_eq!(server.transmit_buf(Peer(0)), b"\xFF\0\0\0\0\0\0\0\x01\x7F\x03");
 /// ```
 #[derive(Debug)]
-#[repr(C)]
 pub struct Server<
     'a,
     C,
