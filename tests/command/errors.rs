@@ -62,7 +62,7 @@ fn an_invalid_device_is_refused_with_the_valid_ones() {
             &["no simulated device 'arm'", "gripper, head"],
         ),
         ("gripper", &["'gripper'", "NAME=URL"]),
-        ("=sim:gripper", &["no name for a device"]),
+        ("=sim:gripper", &["'' is not a device name"]),
         ("a:b=sim:gripper", &["'a:b' is not a device name"]),
     ] {
         refuses(&format!("gateway --device {device} -p 0 -s /lab"), parts);
