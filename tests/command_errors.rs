@@ -62,7 +62,7 @@ fn a_device_that_cannot_be_is_refused_with_what_can() {
             &["no simulated device 'arm'", "gripper, head"],
         ),
         ("gripper", &["'gripper'", "NAME=URL"]),
-        ("=sim:gripper", &["no name for a device"]),
+        ("=sim:gripper", &["not a device name"]),
         ("a:b=sim:gripper", &["'a:b' is not a device name"]),
     ] {
         refuses(&format!("gateway --device {device} -p 0 -s /lab"), parts);
