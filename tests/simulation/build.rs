@@ -54,7 +54,7 @@ fn main() -> io::Result<()> {
          mod component;\npub mod log;\nmod node;\n\
          pub use component::{{Component, Components, Reading, Refused, Report, Run}};\n\
          pub use node::{{Counters, Identity, Node}};\n}}\n\
-         #[path = {:?}]\n/// The gateway's end.\npub mod session;\n\
+         #[path = {:?}]\n/// The gateway's end.\npub mod link;\n\
          /// Mutants whose code is not found.\npub(crate) const LOST: &[usize] = &{lost:?};\n",
         out.join("ztl-mcu/src"),
         out.join("ztl-link/src/lib.rs"),
@@ -113,7 +113,7 @@ fn break_it(root: &Path, path: &Path, text: &mut String) -> Vec<usize> {
     let inside = if path.starts_with(root.join("ztl-mcu")) {
         format!("{ENDS}::mcu::")
     } else {
-        format!("{ENDS}::session::")
+        format!("{ENDS}::link::")
     };
     *text = text
         .replace("use crate::", &format!("use {inside}"))

@@ -128,7 +128,7 @@ impl<'a> TaskSpec<'a> {
         self.put_initiated_by(put_quoted, id, sink);
     }
 
-    /// Like [`put_initiated`](Self::put_initiated), for firmware: quotes with [`put_quoted_small`].
+    /// Like [`put_initiated`](Self::put_initiated), for firmware: quotes with `put_quoted_small`.
     pub fn put_initiated_small(&self, id: TaskId, sink: &mut (impl Sink + ?Sized)) {
         self.put_initiated_by(put_quoted_small, id, sink);
     }

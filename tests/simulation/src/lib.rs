@@ -16,7 +16,7 @@ pub mod shrink;
 pub mod real {
     /// The two ends of the link.
     pub(crate) mod ends {
-        pub(crate) use ztl_link as session;
+        pub(crate) use ztl_link as link;
         pub(crate) use ztl_mcu as mcu;
     }
     pub mod model;

@@ -17,7 +17,7 @@ pub(crate) const LIMITS: [(&str, &str); 10] = [
 ];
 
 impl Limits {
-    /// Sets a limit by its name in [`LIMITS`] to a value as people write it.
+    /// Sets a limit by its name in `LIMITS` to a value as people write it.
     ///
     /// # Errors
     /// What is wrong, and what is expected.

@@ -3,8 +3,8 @@
 //! The thread that answers clients never runs handler code that could block: a handler takes a task,
 //! returns at once, and reports from its own threads.
 //!
-//! A request goes from [`rounds`] (waits for messages and reports) to [`requests`] (parses one), through
-//! the dispatcher to a [`TaskHandler`]; the handler's reports come back through [`reporter`].
+//! A request goes from `rounds` (waits for messages and reports) to `requests` (parses one), through
+//! the dispatcher to a [`TaskHandler`]; the handler's reports come back through `reporter`.
 
 mod access;
 mod authenticator;

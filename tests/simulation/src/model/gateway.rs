@@ -2,7 +2,7 @@
 
 use ztl_core::{State, TaskId};
 
-use super::ends::session::{Entry, Restored, Sent, SessionJournal};
+use super::ends::link::{Entry, Restored, Sent, SessionJournal};
 
 /// A journal that survives its gateway.
 #[derive(Debug, Clone, Default)]

@@ -3,7 +3,7 @@
 use ztl_core::State;
 use ztl_core::link::{LINK_TIMEOUT, Loss};
 
-use super::ends::session::LinkEvent;
+use super::ends::link::LinkEvent;
 use super::gateway::Told;
 use super::lab::{Lab, gateway_of};
 use super::line::Parcel;
