@@ -1,5 +1,12 @@
-//! The gateway's session and `ztl-mcu`'s real node over a line, on virtual time; a failing test
-//! prints its trace. What comes of many faults is simulated in `tests/simulation`.
+//! The gateway's session and `ztl-mcu`'s real node over a line, on virtual time. A failing test prints its trace.
+//! `tests/simulation` simulates many faults.
+#![expect(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    clippy::indexing_slicing,
+    reason = "helpers of tests may panic"
+)]
 
 use std::cell::RefCell;
 use std::collections::BTreeMap;
