@@ -213,9 +213,9 @@ impl KeyPair {
         });
         let line = |name: &str, key| format!("    {name} = \"{}\"\n", z85(key));
         let open = format!("curve\n{}", line("public-key", &self.public.0));
-        let shared = format!("# The public key: give it to whoever shall know this one.\n{open}");
+        let shared = format!("# The public key, to be shared.\n{open}");
         let kept = format!(
-            "# The secret key: for its owner alone.\n{open}{}",
+            "# The secret key, only for its owner.\n{open}{}",
             line("secret-key", &self.secret)
         );
         create(&secret, &kept, 0o600)?;
