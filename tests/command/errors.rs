@@ -281,7 +281,8 @@ fn ctrl_c_aborts_what_the_client_started() {
         let last = ended.stdout.lines().last().unwrap_or_default();
         assert!(last.ends_with("aborted. Reply is 'True'."), "{ended:?}");
         assert_eq!(ended.code, Some(code), "{ended:?}");
-        assert_eq!(fate(&gateway, &["head:pan:straight"]).0, Some(0));
+        let (code, last) = fate(&gateway, &["head:pan:straight"]);
+        assert_eq!(code, Some(0), "{last}");
     }
 }
 
