@@ -17,7 +17,7 @@ use xshell::cmd;
 
 use crate::project::{COMMAND, Project};
 use crate::zig::{self, Target, Zig};
-use crate::{curve, install};
+use crate::{curve, install, rerun};
 use join::{HEADER, Tools};
 
 /// Builds the libraries for this machine, for a microcontroller, or for old Linux machines.
@@ -84,8 +84,11 @@ pub(crate) fn test(project: &Project) -> Result<()> {
     let place = project.target.join("c-test");
     assemble(project, &built.join("debug"), &place)?;
     node::build_firmware(project, &place, &built)?;
-    let test = curve::cargo(project, "test")?.args(["--package", "ztl-c"]);
-    Ok(test.env("ZTL_CURVE", "1").env("ZTL_C", place).run()?)
+    let test = || {
+        let test = curve::cargo(project, "test")?.args(["--package", "ztl-c"]);
+        Ok(test.env("ZTL_CURVE", "1").env("ZTL_C", &place))
+    };
+    rerun::cargo_test(test, &[])
 }
 
 /// Creates `include/` and `lib/` for this machine from cargo's output.

@@ -9,8 +9,8 @@ use std::path::PathBuf;
 use anyhow::{Context as _, Result};
 use xshell::{Cmd, cmd};
 
-use crate::install;
 use crate::project::{COMMAND, Project};
+use crate::{install, rerun};
 
 /// `cargo xtask build`: builds an optimised `ztl` and prints its path.
 pub(crate) fn build(project: &Project, curve: bool) -> Result<()> {
@@ -27,12 +27,19 @@ pub(crate) fn build(project: &Project, curve: bool) -> Result<()> {
 pub(crate) fn test(project: &Project) -> Result<()> {
     install::python(project)?;
     cargo(project, "build")?.args(COMMAND).run()?;
-    let test = |words: &str| -> Result<()> {
-        let test = cargo(project, "test")?.env("ZTL_CURVE", "1");
-        Ok(test.arg("--package").args(words.split(' ')).run()?)
+    let test = |words: &str, names: &[&str]| {
+        let test = || {
+            Ok(cargo(project, "test")?
+                .env("ZTL_CURVE", "1")
+                .args(words.split(' ')))
+        };
+        rerun::cargo_test(test, names)
     };
-    test("ztl-std --lib keys")?;
-    test("ztl-tests --test serve -- access:: forward::with_keys")
+    test("--package ztl-std --lib", &["keys"])?;
+    test(
+        "--package ztl-tests --test serve",
+        &["access::", "forward::with_keys"],
+    )
 }
 
 pub(crate) fn target(project: &Project) -> PathBuf {

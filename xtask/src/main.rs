@@ -17,6 +17,7 @@ mod package;
 mod paths;
 mod project;
 mod proof;
+mod rerun;
 mod size;
 mod steps;
 mod zig;

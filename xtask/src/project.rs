@@ -48,10 +48,9 @@ impl Project {
 
     /// The same for tests, which start programs and stop them by signals. This program may ignore signals, as under
     /// `nohup` or in the background of a script; the tests must not.
-    pub(crate) fn cargo_test(&self, words: &str) -> Cmd<'_> {
+    pub(crate) fn cargo_test(&self) -> Cmd<'_> {
         let env = self.sh.cmd("env").arg("--default-signal=HUP,INT,QUIT");
         env.args(["cargo", "--locked", "test"])
-            .args(words.split(' '))
     }
 }
 

@@ -7,7 +7,8 @@ use xshell::cmd;
 
 use crate::project::Project;
 use crate::{
-    bare, capi, curve, deb, dist, firmware, fuzz, image, install, long_runs, package, proof, size,
+    bare, capi, curve, deb, dist, firmware, fuzz, image, install, long_runs, package, proof, rerun,
+    size,
 };
 
 /// The packages outside the workspace.
@@ -154,8 +155,14 @@ fn build_programs(project: &Project) -> Result<()> {
 }
 
 fn units(project: &Project) -> Result<()> {
-    let test = project.cargo_test("--workspace --lib --bins --exclude");
-    Ok(test.arg(long_runs::SIMULATION).run()?)
+    let tests = [
+        "--workspace",
+        "--lib",
+        "--bins",
+        "--exclude",
+        long_runs::SIMULATION,
+    ];
+    rerun::cargo_test(|| Ok(project.cargo_test().args(tests)), &[])
 }
 
 fn wire(project: &Project) -> Result<()> {
@@ -163,8 +170,13 @@ fn wire(project: &Project) -> Result<()> {
     build_programs(project)?;
     let tests = WIRE.iter().flat_map(|name| ["--test", name]);
     let skip = NOT_IN_CHECK.iter().flat_map(|module| ["--skip", module]);
-    let test = project.cargo_test("--package ztl-tests");
-    Ok(test.args(tests).arg("--").args(skip).run()?)
+    let test = || {
+        project
+            .cargo_test()
+            .args(["--package", "ztl-tests"])
+            .args(tests.clone())
+    };
+    rerun::cargo_test(|| Ok(test()), &skip.collect::<Vec<_>>())
 }
 
 fn tests(project: &Project) -> Result<()> {
@@ -175,11 +187,17 @@ fn tests(project: &Project) -> Result<()> {
     firmware::build_for_qemu(project)?;
     // The tests of the simulation run in the step `model`, and those of ztl-c in the step `c`, which builds its
     // libraries.
-    let test = project.cargo_test("--workspace --no-fail-fast --exclude ztl-c --exclude");
-    test.arg(long_runs::SIMULATION).run()?;
+    let tests = [
+        "--workspace",
+        "--exclude",
+        "ztl-c",
+        "--exclude",
+        long_runs::SIMULATION,
+    ];
+    rerun::cargo_test(|| Ok(project.cargo_test().args(tests)), &[])?;
     // The features that the workspace does not use: components, an async loop, what interrupts share, defmt.
-    let test = project.cargo_test("--package ztl-mcu --all-features");
-    Ok(test.run()?)
+    let tests = ["--package", "ztl-mcu", "--all-features"];
+    rerun::cargo_test(|| Ok(project.cargo_test().args(tests)), &[])
 }
 
 fn demo(project: &Project) -> Result<()> {

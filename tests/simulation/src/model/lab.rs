@@ -5,8 +5,8 @@ use std::cell::Cell;
 use ztl_core::time::earliest;
 use ztl_core::{Instant, State, TaskId};
 
-use super::ends::mcu::{Identity, Node};
 use super::ends::link::{LinkEvent, Session};
+use super::ends::mcu::{Identity, Node};
 use super::gateway::{Journal, Told};
 use super::line::{Lane, Parcel, Way};
 use super::motor::{ENDLESS, Motor, TASKS, Truth, with_truth};
