@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use ztl_core::dispatcher::NOTHING_KNOWN;
 use ztl_std::{RemoteTask, State, Status, TaskId, TriggerError};
-use ztl_tests::lab::{PATIENCE, SCOPE, Scratch, Server, signal, until, ztl};
+use ztl_tests::lab::{PATIENCE, SCOPE, Scratch, Server, connect, signal, until, ztl};
 
 /// `ztl serve` with a file of its own, in a directory in which its programs run.
 pub struct Lab {
@@ -51,7 +51,7 @@ impl Lab {
     /// A client.
     #[track_caller]
     pub fn remote(&self) -> RemoteTask {
-        RemoteTask::connect(&self.server.endpoint(), SCOPE).expect("an address")
+        connect(&self.server.endpoint()).with_timeout(PATIENCE)
     }
 
     /// Has a task done, from its beginning to its end.

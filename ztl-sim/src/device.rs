@@ -22,7 +22,9 @@ use crate::pty::{Link, Pty};
 use kind::{Kind, UnknownKind};
 use power::{Input, Settings};
 use record::Record;
-use ztl_std::gateway::{BAUD, Endpoint, EndpointError, InProcess, Line, READ_TIMEOUT, is_pause};
+#[cfg(unix)]
+use ztl_std::gateway::{BAUD, READ_TIMEOUT};
+use ztl_std::gateway::{Endpoint, EndpointError, InProcess, Line, is_pause};
 
 /// Where a device is, with `sim:gripper` for one that is simulated in this process.
 ///
