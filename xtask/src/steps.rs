@@ -231,6 +231,11 @@ mod tests {
     }
 
     #[test]
+    fn each_path_in_the_description_of_the_architecture_exists() {
+        paths_exist("ARCHITECTURE.md", "");
+    }
+
+    #[test]
     fn each_path_in_the_readme_of_the_tests_exists() {
         paths_exist("tests/README.md", "tests/");
     }
@@ -255,8 +260,12 @@ mod tests {
         sh.change_dir(concat!(env!("CARGO_MANIFEST_DIR"), "/.."));
         let text = sh.read_file(document).unwrap();
         let words = text.split(['`', '(', ')', '[', ']']);
-        let is_path =
-            |word: &&str| !word.contains(' ') && word.contains(['/', '.']) && word.len() > 3;
+        let is_path = |word: &&str| {
+            !word.contains(' ')
+                && word.contains(['/', '.'])
+                && !word.starts_with('/')
+                && word.len() > 3
+        };
         let paths: Vec<&str> = words.filter(is_path).collect();
         assert!(paths.len() > 20, "{paths:?}");
         for path in paths {

@@ -194,7 +194,7 @@ impl Forward {
             }
             match remote.abort(&id) {
                 Ok(status) if status.state.is_final() => return outcome(status),
-                Ok(status) if status.text == "False" => {
+                Ok(status) if status.is_abort_rejected() => {
                     abort.store(false, Ordering::Relaxed);
                     task.effect(Effect::RejectAbort);
                 }

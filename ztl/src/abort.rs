@@ -207,11 +207,7 @@ impl<'a> About<'a> {
         match answer {
             Ok(status) => Self::Task(status),
             Err(RequestError::UnknownTask { .. }) => Self::NoTask,
-            Err(RequestError::NotTold { text, .. })
-                if text.starts_with("No controller for scope: ") =>
-            {
-                Self::NoScope
-            }
+            Err(error) if error.is_no_scope() => Self::NoScope,
             Err(error) => Self::Nothing(error.to_string()),
         }
     }

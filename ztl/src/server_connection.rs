@@ -102,9 +102,7 @@ impl ServerConnection {
         let server = self.server()?;
         // No server gives this id, so asking about it has no effect.
         match self.0.status(TaskId::MAX) {
-            Err(RequestError::NotTold { text, .. })
-                if text.starts_with("No controller for scope") =>
-            {
+            Err(error) if error.is_no_scope() => {
                 let (endpoint, scope) = (self.0.endpoint(), self.0.scope());
                 let text = format!("the server at {endpoint} has no scope '{scope}'");
                 Ok(ServerAnswer::NoScope { text })
@@ -145,16 +143,13 @@ impl Connection for ServerConnection {
                 let told = self.0.status_with(id, &payload);
                 self.state(told)
             }
-            ServerRequest::Abort { id } => {
-                let told = self.0.abort(id);
-                match self.state(told) {
-                    // So a handler says that it cannot be stopped, in the original's words.
-                    ServerAnswer::Task { state, text } if !state.is_final() && text == "False" => {
-                        ServerAnswer::CannotStop { state, text }
-                    }
-                    answer => answer,
-                }
-            }
+            ServerRequest::Abort { id } => match self.0.abort(id) {
+                Ok(status) if status.is_abort_rejected() => ServerAnswer::CannotStop {
+                    state: status.state,
+                    text: status.text,
+                },
+                told => self.state(told),
+            },
             ServerRequest::Probe => self.probe().unwrap_or_else(|error| failed(&error)),
             ServerRequest::Tasks => self.tasks().unwrap_or_else(|error| failed(&error)),
         }

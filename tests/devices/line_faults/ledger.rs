@@ -46,7 +46,7 @@ impl Ledger {
         for (goal, told) in &self.0 {
             let done = done.get(goal).cloned().unwrap_or_default();
             let right = match told {
-                Told::Rejected(_) => done.begun == 0,
+                Told::Rejected(_) | Told::Ended(State::Rejected, _) => done.begun == 0,
                 Told::Ended(State::Completed, _) => done.begun == 1 && done.ended == ["completed"],
                 Told::Ended(..) if resets => done.begun <= 1,
                 Told::Ended(..) => done.begun == 1,

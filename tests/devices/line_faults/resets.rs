@@ -74,6 +74,10 @@ fn resets_of_either_side_lose_no_task_and_the_gateway_grows_by_nothing() {
     }
     let took = begin.elapsed();
     let (early, late) = (uses[0], uses[uses.len() - 1]);
+    // At some moments the line is not open, or a thread of the line before is on its way out.
+    let first = &uses[..3];
+    let files = first.iter().map(|used| used.files).max();
+    let threads = first.iter().map(|used| used.threads).max();
     ledger.check(&rig.branches[0].record(), true);
     println!(
         "{resets} resets of the device and {resets} of the line in {:.1} s, the slowest reset seen after {} ms\n\
@@ -85,13 +89,12 @@ fn resets_of_either_side_lose_no_task_and_the_gateway_grows_by_nothing() {
     for used in &uses {
         println!("    {used}");
     }
-    // A thread of the line before may be on its way out.
     until(
         "as many open files and threads as early on",
         PATIENCE,
         || {
             let used = rig.use_of_gateway();
-            (used.files <= early.files && used.threads <= early.threads).then_some(())
+            (Some(used.files) <= files && Some(used.threads) <= threads).then_some(())
         },
     );
     let growth = late.resident_kib.saturating_sub(early.resident_kib);

@@ -76,15 +76,7 @@ pub enum Answer<'a> {
 }
 
 impl<'a> Answer<'a> {
-    /// Classifies the answer `body` to the request `asked`. `None` if it is not a ZTL message: fewer than four fields, or no
-    /// number where the request needs one.
-    #[must_use]
-    pub fn classify(asked: &[u8], body: &'a [u8]) -> Option<Self> {
-        let asked = Message::parse(asked).ok()?;
-        let request = Request::from_code(asked.code().ok()?.value()?)?;
-        Self::of(request, &asked, &Message::parse(body).ok()?)
-    }
-
+    /// Classifies the answer `message` to `asked`. `None` if it has no number where the request needs one.
     pub(super) fn of(request: Request, asked: &Message<'_>, message: &Message<'a>) -> Option<Self> {
         let Message {
             scope,
@@ -164,14 +156,24 @@ fn is_unknown_task(text: &str) -> bool {
     named.is_empty() || quoted.is_some_and(|id| Integer::parse(id).is_ok())
 }
 
+/// Whether an answer that does not tell the task's state means that the server does not serve the scope.
+#[must_use]
+pub fn is_no_scope(state: State, text: &str) -> bool {
+    state == State::Rejected && text.starts_with("No controller for scope: ")
+}
+
+/// Whether the answer to an ABORT means that the handler cannot stop the task, which goes on.
+#[must_use]
+pub fn is_abort_rejected(state: State, text: &str) -> bool {
+    !state.is_final() && text == "False"
+}
+
 /// Whether a final state is about the request and not about the task: the scope does not exist (yet), the request was
 /// invalid, or the original's controller raised an exception (wire specification 4.3, cases A, B, C and H).
 fn is_about_the_request(state: State, text: &str) -> bool {
     match state {
         State::Rejected => {
-            text.starts_with("No controller for scope: ")
-                || text == "Invalid request"
-                || text == "Unknown protocol"
+            is_no_scope(state, text) || text == "Invalid request" || text == "Unknown protocol"
         }
         State::Failed => text.starts_with("Controller threw exception: "),
         _ => false,

@@ -6,6 +6,13 @@ use std::vec::Vec;
 
 const TIMEOUT: Duration = Duration::from_secs(2);
 
+/// The meaning of the answer `body` to the request `asked`.
+fn classify<'a>(asked: &[u8], body: &'a [u8]) -> Option<Answer<'a>> {
+    let asked = Message::parse(asked).ok()?;
+    let request = Request::from_code(asked.code().ok()?.value()?)?;
+    Answer::of(request, &asked, &Message::parse(body).ok()?)
+}
+
 struct Desk {
     client: Client,
     now: Instant,
@@ -133,7 +140,7 @@ fn what_is_no_message_is_said_to_be_unreadable() {
         assert_eq!(desk.handle_reply(envelope, reply), Some(Heard::Unreadable));
     }
     for reply in [&b"\xff"[..], b"/lab;5", b"/lab;x;1;y", b"/lab;;1;y"] {
-        assert_eq!(Answer::classify(b"/lab;2;7;x", reply), None);
+        assert_eq!(classify(b"/lab;2;7;x", reply), None);
     }
 }
 
@@ -160,7 +167,7 @@ fn an_init_is_accepted_by_an_id_above_0_whatever_the_state() {
                 },
                 false => Answer::Refused { id, text: "y" },
             };
-            let said = Answer::classify(b"/lab;1;-1;x", body.as_bytes());
+            let said = classify(b"/lab;1;-1;x", body.as_bytes());
             assert_eq!(said, Some(answer), "{body}");
         }
     }
@@ -235,7 +242,7 @@ fn the_state_of_an_answer_is_the_tasks_unless_the_words_say_otherwise() {
         ),
     ] {
         for asked in ["/lab;2;7;x", "/lab;3;7;x"] {
-            let said = Answer::classify(asked.as_bytes(), body.as_bytes());
+            let said = classify(asked.as_bytes(), body.as_bytes());
             assert_eq!(said, Some(answer), "{body}");
         }
     }
@@ -264,7 +271,7 @@ fn an_answer_with_another_scope_or_id_is_about_another_task() {
         ),
     ] {
         for asked in ["/lab;2;7;x", "/lab;3;7;x"] {
-            let said = Answer::classify(asked.as_bytes(), body.as_bytes());
+            let said = classify(asked.as_bytes(), body.as_bytes());
             assert_eq!(said, Some(answer), "{body}");
         }
     }
@@ -272,17 +279,17 @@ fn an_answer_with_another_scope_or_id_is_about_another_task() {
         ("/Lab;1;7;y", other(State::Accepted, "/Lab", "7", "y")),
         ("/Lab;2;-1;no", other(State::Rejected, "/Lab", "-1", "no")),
     ] {
-        let said = Answer::classify(b"/lab;1;-1;x", body.as_bytes());
+        let said = classify(b"/lab;1;-1;x", body.as_bytes());
         assert_eq!(said, Some(answer), "{body}");
     }
     // What a server says of itself has an id of its own.
-    let said = Answer::classify(b"$ztl;2;-1;probe", b"$ztl;5;0;y");
+    let said = classify(b"$ztl;2;-1;probe", b"$ztl;5;0;y");
     assert!(matches!(said, Some(Answer::Task { .. })), "{said:?}");
 }
 
 #[test]
 fn an_init_whose_task_ended_in_an_unknown_way_is_accepted_without_an_end() {
-    let said = Answer::classify(b"/lab;1;-1;x", b"/lab;3;7;unknown: y");
+    let said = classify(b"/lab;1;-1;x", b"/lab;3;7;unknown: y");
     assert!(
         matches!(said, Some(Answer::Accepted { ended: None, .. })),
         "{said:?}"

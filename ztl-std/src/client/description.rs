@@ -4,7 +4,6 @@ use std::collections::BTreeMap;
 
 use serde::de::{Deserializer, MapAccess, SeqAccess, Visitor};
 use serde::{Deserialize, Serialize, Serializer};
-use ztl_core::goal;
 
 use super::error::RequestError;
 use super::remote_task::RemoteTask;
@@ -59,9 +58,7 @@ impl Description {
     /// Reads the answer to `probe`, which is YAML in flow style. Skips unknown keys, and what is unreadable
     /// does not hide the rest.
     fn parse(answer: &str) -> Option<Self> {
-        // `\L` and `\P` take one byte more than they are written with.
-        let mut scratch = vec![0; 2 * answer.len()];
-        let root: Node = goal::from_str_with(answer, &mut scratch).ok()?;
+        let root: Node = serde_yaml_ng::from_str(answer).ok()?;
         let offers = |handlers: &Node| -> Offers {
             let names = |node: &Node| match node {
                 Node::List(items) => items.iter().filter_map(Node::text).collect(),

@@ -2,8 +2,8 @@
 
 use std::time::Duration;
 
-use ztl_core::State;
 use ztl_core::dispatcher::UNKNOWN_END;
+use ztl_core::{State, client};
 
 use super::status::Status;
 use crate::keys::KeyError;
@@ -101,6 +101,12 @@ impl RequestError {
             self,
             Self::NotConnected { .. } | Self::TooLong { .. } | Self::Scope(_)
         )
+    }
+
+    /// Whether the server does not serve the scope (yet).
+    #[must_use]
+    pub fn is_no_scope(&self) -> bool {
+        matches!(self, Self::NotTold { state, text } if client::is_no_scope(*state, text))
     }
 
     /// Whether the server answered without telling the task's state. Asking again would bring the same answer, so

@@ -1,6 +1,6 @@
 //! What a server says of a task and of itself.
 
-use ztl_core::State;
+use ztl_core::{State, client};
 
 use crate::remote_id::RemoteId;
 
@@ -29,4 +29,12 @@ pub struct Status {
     pub state: State,
     /// Progress, result or reason; the text `None` if nothing is known.
     pub text: String,
+}
+
+impl Status {
+    /// Whether this answer to an ABORT means that the handler cannot stop the task, which goes on.
+    #[must_use]
+    pub fn is_abort_rejected(&self) -> bool {
+        client::is_abort_rejected(self.state, &self.text)
+    }
 }
