@@ -41,12 +41,11 @@ fn wait_until(moment: Instant) {
 /// Asks for a task that prints its goal, with `fault` at this point of it.
 fn run(port: u16, goal: &str, point: u64, fault: impl FnOnce()) -> Result<State, RunError> {
     let remote = RemoteTask::connect(&format!("tcp://127.0.0.1:{port}"), SCOPE);
-    let mut remote = remote
-        .expect("an address")
-        .with_timeout(Duration::from_millis(500));
+    let mut remote = remote.expect("an address").with_timeout(PATIENCE);
     // It is met before, so that the point is one of the task.
     let before = remote.run("test", "echo", "hi", Some(PATIENCE));
     before.expect("its end");
+    let mut remote = remote.with_timeout(Duration::from_millis(500));
     let goal = goal.to_owned();
     let start = Instant::now();
     let client = std::thread::spawn(move || {
