@@ -6,7 +6,7 @@ use ztl_std::State::{Aborted, Accepted, Completed, Failed};
 use ztl_std::TaskId;
 use ztl_tests::lab::{ABORTED, ACCEPTED, PATIENCE, our_client, until};
 
-use crate::rig::{Lab, SOON, dies, end, kill, lives, progress, told, trigger};
+use crate::rig::{Lab, dies, end, kill, lives, progress, told, trigger};
 
 #[test]
 fn a_program_that_handles_the_signal_is_aborted_with_its_last_output() {
@@ -108,10 +108,8 @@ fn a_program_can_be_stopped_by_another_one() {
     assert_eq!(lab.written("stop"), format!("{id} fast"));
 
     // One that cannot be started is replaced by a signal, and one that hangs is killed as well.
-    let start = Instant::now();
     let id = trigger(&mut remote, "lost", "");
     assert_eq!(remote.abort(id).expect("an answer").state, Aborted);
-    assert!(start.elapsed() < SOON);
     lab.server
         .process
         .wait_for("sent SIGTERM instead: no-such-program: not found");

@@ -8,7 +8,7 @@ use ztl_tests::lab::{
     reserve_port, until, ztl,
 };
 
-use crate::rig::{Lab, SOON, dies, end, progress, start, told, trigger};
+use crate::rig::{Lab, dies, end, progress, start, told, trigger};
 
 /// A server that forwards all to another; `p` there is `p` here.
 fn relay(far: u16) -> Lab {
@@ -74,7 +74,7 @@ fn a_server_that_is_not_there_refuses_and_nothing_is_sent() {
     let mut remote = near.remote();
     // Known after its INIT was answered, with the id.
     let id = trigger(&mut remote, "echo", "hi");
-    let ended = remote.wait(id, Some(SOON)).expect("its end");
+    let ended = remote.wait(id, Some(PATIENCE)).expect("its end");
     assert!(ended.text.contains("nothing was sent"), "{ended:?}");
     assert_ne!(ended.state, Completed);
 }
@@ -179,7 +179,9 @@ fn a_restarted_server_has_not_completed_its_earlier_tasks() {
     far.server.process.kill();
     progress(&mut remote, id, "unknown: ");
     far.server = start(&far.scratch.path("robot.yaml"), &["-p", &port]);
-    let waited = remote.wait(id, Some(SOON)).expect_err("no end is known");
+    let waited = remote
+        .wait(id, Some(PATIENCE))
+        .expect_err("no end is known");
     let Err(RequestError::UnknownEnd { text }) = waited.last else {
         panic!("{waited:?}");
     };
@@ -196,7 +198,7 @@ fn a_server_that_forwards_to_itself_comes_to_an_end() {
     let mut remote = lab.remote();
     let ended = match remote.trigger("p", "x", "") {
         Ok(task) => remote
-            .wait(task.id, Some(SOON))
+            .wait(task.id, Some(PATIENCE))
             .map(|status| status.text)
             .ok(),
         Err(refused) => Some(refused.to_string()),
@@ -240,7 +242,7 @@ fn with_keys_it_is_the_client_that_the_other_server_knows() {
             .wait_for("its tasks will be rejected: this build of ztl cannot encrypt");
         let mut remote = lab.remote();
         let refused = remote
-            .run("p", "echo", "x", Some(SOON))
+            .run("p", "echo", "x", Some(PATIENCE))
             .expect_err("refused");
         assert!(refused.to_string().contains("cannot encrypt"), "{refused}");
         return;

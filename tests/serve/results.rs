@@ -1,12 +1,11 @@
 //! The input of a program, and the use of its output.
 
 use std::process::Command;
-use std::time::Instant;
 
 use ztl_std::State::{Aborted, Completed, Failed};
 use ztl_tests::lab::{COMPLETED, FAILED, Process, SCOPE, Scratch, built, ztl};
 
-use crate::rig::{Lab, SOON, end, trigger};
+use crate::rig::{Lab, end, trigger};
 
 #[test]
 fn the_goal_reaches_a_program_unchanged_and_no_shell_reads_it() {
@@ -216,9 +215,7 @@ fn progress_is_seen_when_it_is_printed_and_is_no_result() {
     std::fs::write(lab.scratch.path("go"), "").expect("to write");
     assert_eq!(end(&mut remote, id), (Completed, "done".to_owned()));
     // Python keeps back what goes into a pipe, unless it is told not to.
-    let start = Instant::now();
     let id = trigger(&mut remote, "python", "");
     crate::rig::progress(&mut remote, id, "here");
-    assert!(start.elapsed() < SOON);
     remote.abort(id).expect("an answer");
 }

@@ -2,7 +2,6 @@
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
-use std::time::Duration;
 
 use ztl_core::dispatcher::NOTHING_KNOWN;
 use ztl_std::{RemoteTask, State, Status, TaskId, TriggerError};
@@ -189,9 +188,6 @@ pub fn dies(process: u32) {
 pub fn kill(process: u32) {
     signal(process, "KILL");
 }
-
-/// How long something may take that is done at once, on a machine that is busy.
-pub const SOON: Duration = Duration::from_secs(5);
 
 /// A file of the project.
 pub fn project(path: &str) -> PathBuf {

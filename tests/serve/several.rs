@@ -1,12 +1,10 @@
 //! Many tasks at once: limits, queues and replacement.
 
-use std::time::Instant;
-
 use ztl_std::State::{Aborted, Accepted, Completed};
 use ztl_std::{RemoteTask, TaskId};
 use ztl_tests::lab::{PATIENCE, until};
 
-use crate::rig::{Lab, SOON, end, progress, refusal, trigger};
+use crate::rig::{Lab, end, progress, refusal, trigger};
 
 /// Runs until a file of its goal's name is there.
 const WAITS: &str = r#"run: [sh, -c, 'echo "@ on"; until [ -e "$0" ]; do sleep 0.02; done; echo "$0 done"', '{goal}'], progress: '@ '"#;
@@ -110,10 +108,8 @@ fn two_hundred_at_once_are_served_and_not_one_more() {
     assert_eq!(refusal(&mut remote, "go", "all"), said);
     assert_eq!(refusal(&mut remote, "echo", "all"), said);
     // Somebody else is answered at once meanwhile.
-    let start = Instant::now();
     let one = *tasks.first().expect("200");
     assert_eq!(lab.remote().status(one).expect("an answer").state, Accepted);
-    assert!(start.elapsed() < SOON);
     let_go(&lab, "all");
     for id in tasks {
         assert_eq!(end(&mut remote, id), (Completed, "all done".to_owned()));
