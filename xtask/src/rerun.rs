@@ -134,10 +134,8 @@ fn failed_tests(output: &str) -> Option<BTreeSet<String>> {
 
 fn passed(output: &str) -> usize {
     let counts = output.lines().filter_map(|line| {
-        let (count, _) = line
-            .strip_prefix("test result: ok. ")?
-            .split_once(" passed")?;
-        count.parse::<usize>().ok()
+        let (_, counts) = line.strip_prefix("test result: ")?.split_once(". ")?;
+        counts.split_once(" passed")?.0.parse::<usize>().ok()
     });
     counts.sum()
 }
