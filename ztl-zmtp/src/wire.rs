@@ -7,32 +7,32 @@ pub const HANDSHAKE: core::time::Duration = core::time::Duration::from_secs(5);
 pub const SKIPPED: u32 = 65536;
 
 /// A greeting of ZMTP 3.1 with the mechanism NULL (RFC 37, Formal Grammar).
-pub(super) const GREETING: &[u8; 64] = b"\xFF\0\0\0\0\0\0\0\x01\x7F\
+pub const GREETING: &[u8; 64] = b"\xFF\0\0\0\0\0\0\0\x01\x7F\
     \x03\x01NULL\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\
     \0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\
     \0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0";
 
 /// Length of the signature. Its first and last byte announce ZMTP 2.0 or newer.
-pub(super) const SIGNATURE: usize = 10;
+pub const SIGNATURE: usize = 10;
 /// How much of the greeting is sent before the peer's version is known: signature and version.
-pub(super) const PARTIAL: usize = SIGNATURE + 1;
+pub(crate) const PARTIAL: usize = SIGNATURE + 1;
 /// Position of the mechanism in a greeting.
-pub(super) const MECHANISM: core::ops::Range<usize> = 12..32;
+pub(crate) const MECHANISM: core::ops::Range<usize> = 12..32;
 
 /// Frame flag: more frames of this message follow.
-pub(super) const MORE: u8 = 1;
+pub(crate) const MORE: u8 = 1;
 /// Frame flag: the size takes 8 bytes.
-pub(super) const LONG: u8 = 2;
+pub(crate) const LONG: u8 = 2;
 /// Frame flag: the frame is a command.
-pub(super) const COMMAND: u8 = 4;
+pub(crate) const COMMAND: u8 = 4;
 
 /// The empty frame between a message's envelope and its body.
-pub(super) const DELIMITER: [u8; 2] = [MORE, 0];
+pub(crate) const DELIMITER: [u8; 2] = [MORE, 0];
 
 /// The name of `PING` in a command's body, with its length.
-pub(super) const PING: &[u8] = b"\x04PING";
+pub(crate) const PING: &[u8] = b"\x04PING";
 /// Length of the longest `PING` body: name, time to live, context (RFC 37, Connection Heartbeating).
-pub(super) const LONGEST_PING: usize = 5 + 2 + 16;
+pub(crate) const LONGEST_PING: usize = 5 + 2 + 16;
 
 /// A socket type, as a type without values.
 ///
@@ -68,6 +68,21 @@ pub struct Req;
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Dealer;
 
+/// Answers requests of many clients, in any order.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Router;
+
+impl Socket for Router {
+    const NAME: &'static [u8] = b"ROUTER";
+    const CODE: u8 = 6;
+    const READY: &'static [u8] = b"\x04\x1C\x05READY\x0BSocket-Type\0\0\0\x06ROUTER";
+    const PARTNERS: &'static [(&'static [u8], u8)] =
+        &[(Req::NAME, 3), (Dealer::NAME, 5), (Self::NAME, 6)];
+    const ERROR: &'static [u8] = b"\x04\x25\x05ERROR\x1EROUTER-takes-REQ,DEALER,ROUTER";
+    const BINDS: bool = true;
+}
+
 impl Socket for Rep {
     const NAME: &'static [u8] = b"REP";
     const CODE: u8 = 4;
@@ -98,6 +113,6 @@ impl Socket for Dealer {
 
 /// Sent to a ZMTP 2.0 peer after the partial greeting: socket type and an empty identity (RFC 15, Formal
 /// Grammar).
-pub(super) const fn old_greeting(code: u8) -> [u8; 3] {
+pub(crate) const fn old_greeting(code: u8) -> [u8; 3] {
     [code, 0, 0]
 }

@@ -1,6 +1,7 @@
 //! The receiving half of a connection.
 
-use super::connection::{Connection, Fault, Flaw, Next, Part, Phase, Turn};
+use super::connection::{Connection, Flaw, Next, Part, Phase, Turn};
+use super::fault::Fault;
 use super::wire::{
     COMMAND, DELIMITER, GREETING, LONG, LONGEST_PING, MECHANISM, MORE, PING, SIGNATURE, SKIPPED,
     Socket,
@@ -9,7 +10,7 @@ use super::wire::{
 // The inline attributes of these methods together save 108 bytes in `microbit-zmtp`.
 impl<S: Socket, B: AsRef<[u8]> + AsMut<[u8]>> Connection<S, B> {
     /// Takes at least the first byte and returns how many were taken; 0 if they have to wait.
-    pub(super) fn take(&mut self, bytes: &[u8]) -> usize {
+    pub(crate) fn take(&mut self, bytes: &[u8]) -> usize {
         let Some(&first) = bytes.first() else {
             return 0;
         };
@@ -231,7 +232,7 @@ impl<S: Socket, B: AsRef<[u8]> + AsMut<[u8]>> Connection<S, B> {
 }
 
 /// The value of a property, whose name is case-insensitive (RFC 37, The NULL Security Mechanism).
-fn property<'a>(mut metadata: &'a [u8], wanted: &[u8]) -> Option<&'a [u8]> {
+pub(crate) fn property<'a>(mut metadata: &'a [u8], wanted: &[u8]) -> Option<&'a [u8]> {
     loop {
         let (&length, rest) = metadata.split_first()?;
         let (name, rest) = rest.split_at_checked(usize::from(length))?;

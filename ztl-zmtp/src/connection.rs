@@ -4,6 +4,7 @@ use core::marker::PhantomData;
 use ztl_core::Instant;
 use ztl_core::sink::Sink;
 
+use super::fault::Fault;
 use super::message::{Content, Frames, Message};
 use super::wire::{
     DELIMITER, GREETING, HANDSHAKE, LONG, LONGEST_PING, MORE, PARTIAL, Socket, old_greeting,
@@ -20,58 +21,9 @@ const TENTH_US: u32 = 100_000;
 /// Marks a cut in a reply.
 const CUT: &[u8] = "…".as_bytes();
 
-/// Why this end closed a connection.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-#[non_exhaustive]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub enum Fault {
-    /// The first bytes are not a signature: not ZMTP, or ZMTP 1.0.
-    // Starts at 1, so that a new connection is all zeros and takes no flash.
-    NotZmtp = 1,
-    /// The peer's mechanism is not NULL: it requires a password or keys.
-    Mechanism,
-    /// The peer's socket type does not match this one.
-    SocketType,
-    /// A frame has undefined flags or an invalid combination.
-    Flags,
-    /// A frame other than `READY` in the handshake.
-    Unexpected,
-    /// A frame is longer than [`SKIPPED`](super::SKIPPED) bytes, or an envelope does not fit the buffer.
-    TooLong,
-    /// The peer sent `ERROR`.
-    Refused,
-    /// The handshake took longer than [`HANDSHAKE`], or the time to live that the peer announced has passed.
-    Silent,
-}
-
-impl Fault {
-    /// The error message.
-    #[must_use]
-    pub const fn as_str(self) -> &'static str {
-        match self {
-            Self::NotZmtp => "the peer does not speak ZMTP 2.0 or newer",
-            Self::Mechanism => "the peer's mechanism is not NULL",
-            Self::SocketType => "the peer's socket type does not match",
-            Self::Flags => "a frame has invalid flags",
-            Self::Unexpected => "unexpected frame in the handshake",
-            Self::TooLong => "a frame is too long",
-            Self::Refused => "the peer sent ERROR",
-            Self::Silent => "the peer was silent for too long",
-        }
-    }
-}
-
-impl core::fmt::Display for Fault {
-    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
-        f.write_str(self.as_str())
-    }
-}
-
-impl core::error::Error for Fault {}
-
 /// State of a connection.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Phase {
+pub(crate) enum Phase {
     Closed,
     /// This many bytes of the greeting have arrived.
     Greeting(u8),
@@ -89,7 +41,7 @@ pub(super) enum Phase {
 
 /// The part of a frame that comes next.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Next {
+pub(crate) enum Next {
     Flags,
     /// This many bytes of the size have arrived.
     Size(u8),
@@ -98,7 +50,7 @@ pub(super) enum Next {
 
 /// The part of a message that the next frame belongs to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Part {
+pub(crate) enum Part {
     Envelope,
     Body,
     /// Dropped: the message has no delimiter and is not answered.
@@ -109,7 +61,7 @@ pub(super) enum Part {
 
 /// Which side acts next.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Turn {
+pub(crate) enum Turn {
     /// A message may arrive.
     Receive,
     /// A message has arrived.
@@ -122,7 +74,7 @@ pub(super) enum Turn {
 
 /// Why a message is dropped.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Flaw {
+pub(crate) enum Flaw {
     None,
     Several,
     TooLong,
@@ -154,8 +106,8 @@ enum Out {
 /// up to 24 bytes less than its size; the envelope takes at most half of that.
 ///
 /// ```
-/// use ztl_mcu::Instant;
-/// use ztl_mcu::zmtp::{Connection, Content, Rep, Req};
+/// use ztl_core::Instant;
+/// use ztl_zmtp::{Connection, Content, Rep, Req};
 ///
 /// let now = Instant::ZERO;
 /// let mut server = Connection::<Rep, _>::new([0; 128]);
@@ -190,36 +142,36 @@ enum Out {
 #[derive(Debug, Clone)]
 #[repr(C)]
 pub struct Connection<S, B> {
-    pub(super) phase: Phase,
-    pub(super) next: Next,
+    pub(crate) phase: Phase,
+    pub(crate) next: Next,
     /// Flags of the current incoming frame.
-    pub(super) flags: u8,
+    pub(crate) flags: u8,
     /// Whether the current incoming frame is kept.
-    pub(super) keep: bool,
-    pub(super) part: Part,
-    pub(super) turn: Turn,
-    pub(super) flaw: Flaw,
-    pub(super) fault: Option<Fault>,
+    pub(crate) keep: bool,
+    pub(crate) part: Part,
+    pub(crate) turn: Turn,
+    pub(crate) flaw: Flaw,
+    pub(crate) fault: Option<Fault>,
     out: Out,
     /// How many parts of the opening sequence may be sent, and how many were.
-    pub(super) hello_due: u8,
+    pub(crate) hello_due: u8,
     hello_done: u8,
     /// Length of the `PONG` that waits at the end of the buffer.
-    pub(super) pong: u8,
+    pub(crate) pong: u8,
     /// The peer's time to live, in tenths of a second.
-    pub(super) ttl: u16,
+    pub(crate) ttl: u16,
     /// Bytes of the current frame that are still missing.
-    pub(super) size: u32,
+    pub(crate) size: u32,
     /// Length of the message's envelope with its delimiter, and of the whole message.
-    pub(super) envelope: usize,
-    pub(super) filled: usize,
+    pub(crate) envelope: usize,
+    pub(crate) filled: usize,
     /// Bytes of the command kept so far.
-    pub(super) command: usize,
+    pub(crate) command: usize,
     /// Bytes sent of the current output.
     sent: usize,
     /// Deadline of the handshake, later of the peer's time to live; see [`poll_timeout`](Self::poll_timeout).
-    pub(super) deadline: Instant,
-    pub(super) buffer: B,
+    pub(crate) deadline: Instant,
+    pub(crate) buffer: B,
     socket: PhantomData<S>,
 }
 
@@ -338,7 +290,7 @@ impl<S: Socket, B: AsRef<[u8]> + AsMut<[u8]>> Connection<S, B> {
     }
 
     /// The part of the buffer that is free while a message is held.
-    pub(super) fn spare(&mut self) -> &mut [u8] {
+    pub(crate) fn spare(&mut self) -> &mut [u8] {
         let (room, envelope) = (self.room(), self.envelope);
         let spare = match self.turn {
             Turn::Held => self.buffer.as_mut().get_mut(envelope..room),
@@ -348,7 +300,7 @@ impl<S: Socket, B: AsRef<[u8]> + AsMut<[u8]>> Connection<S, B> {
     }
 
     /// Length of the longest reply to the message that is not cut.
-    pub(super) fn answer_room(&self) -> usize {
+    pub(crate) fn answer_room(&self) -> usize {
         self.room().saturating_sub(self.envelope + LONGEST_HEADER)
     }
 
@@ -466,13 +418,13 @@ impl<S: Socket, B: AsRef<[u8]> + AsMut<[u8]>> Connection<S, B> {
 
     /// Closes the connection because of `fault`.
     #[cfg_attr(target_os = "none", inline(never))]
-    pub(super) fn fail(&mut self, fault: Fault) {
+    pub(crate) fn fail(&mut self, fault: Fault) {
         self.close();
         self.fault = Some(fault);
     }
 
     /// Closes the connection because of `fault`, once this many parts of the opening sequence are sent.
-    pub(super) fn end(&mut self, fault: Fault, parts: u8) {
+    pub(crate) fn end(&mut self, fault: Fault, parts: u8) {
         if self.hello_done >= parts {
             return self.fail(fault);
         }
@@ -482,7 +434,7 @@ impl<S: Socket, B: AsRef<[u8]> + AsMut<[u8]>> Connection<S, B> {
     }
 
     /// Clears the state for the next message.
-    pub(super) fn forget(&mut self) {
+    pub(crate) fn forget(&mut self) {
         self.turn = Turn::Receive;
         self.part = Part::Envelope;
         self.flaw = Flaw::None;
@@ -491,12 +443,12 @@ impl<S: Socket, B: AsRef<[u8]> + AsMut<[u8]>> Connection<S, B> {
     }
 
     /// How much of the buffer messages may use; the rest is for a `PING`.
-    pub(super) fn room(&self) -> usize {
+    pub(crate) fn room(&self) -> usize {
         self.buffer.as_ref().len().saturating_sub(LONGEST_PING)
     }
 
     /// Stores the header of an envelope frame; returns whether it and the frame fit.
-    pub(super) fn keep_header(&mut self, size: u32) -> bool {
+    pub(crate) fn keep_header(&mut self, size: u32) -> bool {
         // Computed first: with a small buffer, the compiler then sees that all lengths are short.
         let most = self.room() / 2;
         if size as usize > most {
@@ -510,7 +462,7 @@ impl<S: Socket, B: AsRef<[u8]> + AsMut<[u8]>> Connection<S, B> {
 
     /// Stores bytes of the message; returns whether they fit.
     #[cfg_attr(target_os = "none", inline(always))]
-    pub(super) fn keep_bytes(&mut self, bytes: &[u8]) -> bool {
+    pub(crate) fn keep_bytes(&mut self, bytes: &[u8]) -> bool {
         let room = self.room();
         let rest = self.buffer.as_mut().get_mut(self.filled..room);
         let Some(to) = rest.and_then(|rest| rest.get_mut(..bytes.len())) else {

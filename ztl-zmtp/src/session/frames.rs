@@ -1,0 +1,108 @@
+//! Frames as they are on the wire (RFC 37, Framing).
+
+use crate::fault::Fault;
+use crate::wire::{COMMAND, LONG, MORE};
+
+/// A complete message: its frames, as on the wire.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Message<'a> {
+    pub(super) bytes: &'a [u8],
+}
+
+impl<'a> Message<'a> {
+    /// The bodies of the frames.
+    pub fn frames(self) -> impl Iterator<Item = &'a [u8]> {
+        let mut rest = self.bytes;
+        core::iter::from_fn(move || {
+            let (header, size) = header(rest).ok()??;
+            let (frame, after) = rest.get(header..)?.split_at_checked(size)?;
+            rest = after;
+            Some(frame)
+        })
+    }
+
+    /// The frames up to the first empty one, with it, as on the wire; then the only frame after it, or `None` if there
+    /// are several. `None` without an empty frame that something follows.
+    #[must_use]
+    pub fn split(self) -> Option<(&'a [u8], Option<&'a [u8]>)> {
+        let mut at = 0;
+        loop {
+            let (length, size) = header(self.bytes.get(at..)?).ok()??;
+            at += length + size;
+            if size == 0 {
+                break;
+            }
+        }
+        let (envelope, content) = self.bytes.split_at_checked(at)?;
+        let (length, size) = header(content).ok()??;
+        let (only, rest) = content.get(length..)?.split_at_checked(size)?;
+        Some((envelope, rest.is_empty().then_some(only)))
+    }
+}
+
+/// The lengths of the header and the body of the frame that begins here; `None` if the header is not complete.
+pub(super) fn header(bytes: &[u8]) -> Result<Option<(usize, usize)>, Fault> {
+    let Some((&flags, rest)) = bytes.split_first() else {
+        return Ok(None);
+    };
+    if flags & !(COMMAND | LONG | MORE) != 0 || flags & (COMMAND | MORE) == COMMAND | MORE {
+        return Err(Fault::Flags);
+    }
+    if flags & LONG == 0 {
+        return Ok(rest.first().map(|&size| (2, usize::from(size))));
+    }
+    let Some(size) = rest.first_chunk() else {
+        return Ok(None);
+    };
+    // Also where a length has 32 bits.
+    let size = usize::try_from(u64::from_be_bytes(*size)).map_err(|_| Fault::TooLong)?;
+    Ok(Some((9, size)))
+}
+
+/// The header of a frame with these flags and a body of this length, in the shortest form.
+pub(super) fn put_header(flags: u8, size: usize, out: &mut alloc::vec::Vec<u8>) {
+    match u8::try_from(size) {
+        Ok(size) => out.extend_from_slice(&[flags, size]),
+        Err(_) => {
+            out.push(flags | LONG);
+            out.extend_from_slice(&(size as u64).to_be_bytes());
+        }
+    }
+}
+
+/// What begins a buffer.
+#[derive(Debug, PartialEq, Eq)]
+pub(super) enum Scan {
+    /// Part of a message or command.
+    Incomplete,
+    /// A message of this length.
+    Message(usize),
+    /// A command: where its frame begins, where its body, and where both end. It may be between the frames of a
+    /// message.
+    Command(usize, usize, usize),
+}
+
+/// Looks for the end of a message, from the frame that begins at `from`. Nothing may be longer than `most`.
+pub(super) fn scan(bytes: &[u8], from: &mut usize, most: usize) -> Result<Scan, Fault> {
+    loop {
+        let rest = bytes.get(*from..).unwrap_or_default();
+        let Some((length, size)) = header(rest)? else {
+            return Ok(Scan::Incomplete);
+        };
+        let body = *from + length;
+        let end = body.checked_add(size).filter(|end| *end <= most);
+        let end = end.ok_or(Fault::TooLong)?;
+        if end > bytes.len() {
+            return Ok(Scan::Incomplete);
+        }
+        let flags = rest.first().copied().unwrap_or_default();
+        if flags & COMMAND != 0 {
+            return Ok(Scan::Command(*from, body, end));
+        }
+        *from = end;
+        if flags & MORE == 0 {
+            *from = 0;
+            return Ok(Scan::Message(end));
+        }
+    }
+}

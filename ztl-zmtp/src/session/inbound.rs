@@ -1,0 +1,473 @@
+//! The receiving half of a connection.
+
+use alloc::vec::Vec;
+use core::marker::PhantomData;
+use core::time::Duration;
+
+use ztl_core::Instant;
+
+use super::frames::{Message, Scan, header, scan};
+use super::outbound::Outbound;
+use super::security::Security;
+use super::{BEFORE, ENVELOPES};
+#[cfg(feature = "curve")]
+use crate::curve::{Cipher, Handshake};
+use crate::fault::Fault;
+use crate::receive::property;
+use crate::wire::{
+    COMMAND, GREETING, HANDSHAKE, MECHANISM, PARTIAL, PING, SIGNATURE, Socket, old_greeting,
+};
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Phase {
+    /// The first 11 bytes, which tell the peer's version.
+    Signature,
+    /// The rest of the greeting.
+    Greeting,
+    /// A ZMTP 2.0 peer sends its socket type, then its identity as a frame.
+    OldGreeting,
+    Handshake,
+    /// As `Traffic`, without commands.
+    OldTraffic,
+    Traffic,
+}
+
+/// What [`Inbound::next`] found.
+#[derive(Debug, PartialEq, Eq)]
+pub enum Step<'a> {
+    /// All bytes are taken.
+    Taken,
+    /// The handshake is complete. Whether the peer is accepted is decided now; there may be more.
+    Ready,
+    /// A message; there may be more.
+    Message(Message<'a>),
+}
+
+/// Makes messages of received bytes, as a socket of type `S`.
+#[derive(Debug)]
+pub struct Inbound<S> {
+    phase: Phase,
+    security: Security,
+    /// Bytes that wait for others, from `begin` on.
+    held: Vec<u8>,
+    begin: usize,
+    /// Where the next frame of the incomplete message begins.
+    scanned: usize,
+    /// The longest message, with all its frames.
+    most: usize,
+    /// How long the peer may be silent; zero for any time.
+    ttl: Duration,
+    deadline: Instant,
+    #[cfg(feature = "curve")]
+    handshake: Option<alloc::boxed::Box<Handshake>>,
+    #[cfg(feature = "curve")]
+    cipher: Option<Cipher>,
+    /// The decrypted frames of the current message.
+    #[cfg(feature = "curve")]
+    plain: Vec<u8>,
+    #[cfg(feature = "curve")]
+    delivered: bool,
+    socket: PhantomData<S>,
+}
+
+impl<S: Socket> Inbound<S> {
+    /// A new connection, whose messages have at most `most` bytes besides their envelopes. Its greeting is in `out`.
+    pub fn open(now: Instant, security: Security, most: usize, out: &mut Outbound) -> Self {
+        out.raw(GREETING.get(..PARTIAL).unwrap_or_default());
+        Self {
+            phase: Phase::Signature,
+            security,
+            held: Vec::new(),
+            begin: 0,
+            scanned: 0,
+            most: most.saturating_add(ENVELOPES),
+            ttl: Duration::ZERO,
+            deadline: now + HANDSHAKE,
+            #[cfg(feature = "curve")]
+            handshake: None,
+            #[cfg(feature = "curve")]
+            cipher: None,
+            #[cfg(feature = "curve")]
+            plain: Vec::new(),
+            #[cfg(feature = "curve")]
+            delivered: false,
+            socket: PhantomData,
+        }
+    }
+
+    /// Whether the handshake is complete.
+    #[must_use]
+    pub const fn is_ready(&self) -> bool {
+        matches!(self.phase, Phase::Traffic | Phase::OldTraffic)
+    }
+
+    /// Until when the peer has to be heard; [`Instant::NEVER`] if it may be silent.
+    #[must_use]
+    pub const fn deadline(&self) -> Instant {
+        match (self.is_ready(), self.ttl.is_zero()) {
+            (true, true) => Instant::NEVER,
+            _ => self.deadline,
+        }
+    }
+
+    /// Bytes that the buffers take.
+    #[must_use]
+    pub const fn held(&self) -> usize {
+        #[cfg(feature = "curve")]
+        return self.held.capacity() + self.plain.capacity();
+        #[cfg(not(feature = "curve"))]
+        self.held.capacity()
+    }
+
+    /// Whether [`next`](Self::next) may find something without further bytes.
+    #[must_use]
+    pub const fn has_more(&self) -> bool {
+        self.begin < self.held.len()
+    }
+
+    /// The public key of the peer, if it was encrypted and is ready.
+    #[cfg(feature = "curve")]
+    #[must_use]
+    pub fn peer_key(&self) -> Option<[u8; 32]> {
+        self.cipher.as_ref().map(Cipher::peer)
+    }
+
+    /// Keeps bytes for a later [`next`](Self::next).
+    pub fn keep(&mut self, bytes: &mut &[u8]) {
+        self.drop_begin();
+        self.held.extend_from_slice(bytes);
+        *bytes = &[];
+    }
+
+    /// Notes that the peer was heard.
+    pub fn on_heard(&mut self, now: Instant) {
+        if !self.ttl.is_zero() {
+            self.deadline = now + self.ttl;
+        }
+    }
+
+    /// Takes bytes, up to the next message.
+    ///
+    /// # Errors
+    /// Why the connection is to be closed, after what is in `out` was sent.
+    pub fn next<'a>(
+        &'a mut self,
+        bytes: &mut &'a [u8],
+        out: &mut Outbound,
+    ) -> Result<Step<'a>, Fault> {
+        while !self.is_ready() {
+            match self.greet(bytes, out)? {
+                true if self.is_ready() => return Ok(Step::Ready),
+                true => {}
+                false => return Ok(Step::Taken),
+            }
+        }
+        #[cfg(feature = "curve")]
+        if self.cipher.is_some() {
+            return self.next_encrypted(bytes, out);
+        }
+        loop {
+            // Without bytes from before, messages are read where they are.
+            let direct = !self.has_more();
+            if direct {
+                self.drop_begin();
+            } else if !bytes.is_empty() {
+                self.keep(bytes);
+            }
+            let from = if direct { *bytes } else { self.waiting() };
+            let mut scanned = self.scanned;
+            let found = scan(from, &mut scanned, self.most)?;
+            self.scanned = scanned;
+            match found {
+                Scan::Incomplete => {
+                    if direct {
+                        self.keep(bytes);
+                    }
+                    return Ok(Step::Taken);
+                }
+                Scan::Message(length) if direct => {
+                    let (message, rest) = bytes.split_at_checked(length).unwrap_or_default();
+                    *bytes = rest;
+                    return Ok(Step::Message(Message { bytes: message }));
+                }
+                Scan::Message(length) => {
+                    let begin = self.begin;
+                    self.begin += length;
+                    let message = self.held.get(begin..self.begin).unwrap_or_default();
+                    return Ok(Step::Message(Message { bytes: message }));
+                }
+                Scan::Command(begin, body, end) => {
+                    if self.phase == Phase::OldTraffic {
+                        return Err(Fault::Flags);
+                    }
+                    if direct {
+                        self.keep(bytes);
+                    }
+                    let command = self.waiting().get(body..end).unwrap_or_default();
+                    if let Some(ttl) = on_command(command, out)? {
+                        self.ttl = ttl;
+                    }
+                    // It may be between the frames of a message.
+                    self.held.drain(self.begin + begin..self.begin + end);
+                }
+            }
+        }
+    }
+
+    /// The next message of a peer that encrypts each frame.
+    #[cfg(feature = "curve")]
+    fn next_encrypted<'a>(
+        &'a mut self,
+        bytes: &mut &'a [u8],
+        out: &mut Outbound,
+    ) -> Result<Step<'a>, Fault> {
+        if core::mem::take(&mut self.delivered) {
+            self.plain.clear();
+            if self.plain.capacity() > 4096 {
+                self.plain = Vec::new();
+            }
+        }
+        self.keep(bytes);
+        loop {
+            let waiting = self.held.get(self.begin..).unwrap_or_default();
+            // A box adds its tag, a nonce and a name to a frame.
+            let most = self.most + crate::curve::OVERHEAD;
+            let Some((length, size)) = header(waiting)? else {
+                return Ok(Step::Taken);
+            };
+            if size > most || size + self.plain.len() > most {
+                return Err(Fault::TooLong);
+            }
+            let end = length + size;
+            let Some(body) = waiting.get(length..end) else {
+                return Ok(Step::Taken);
+            };
+            let cipher = self.cipher.as_mut().ok_or(Fault::Unexpected)?;
+            let begin = self.plain.len();
+            let flags = cipher.decrypt(body, &mut self.plain)?;
+            self.begin += end;
+            if flags & COMMAND != 0 {
+                let command = self.plain.split_off(begin);
+                let (length, _) = header(&command)?.unwrap_or_default();
+                let command = command.get(length..).unwrap_or_default();
+                if let Some(ttl) = on_command(command, out)? {
+                    self.ttl = ttl;
+                }
+            } else if flags & crate::wire::MORE == 0 {
+                self.delivered = true;
+                return Ok(Step::Message(Message { bytes: &self.plain }));
+            }
+        }
+    }
+
+    /// A step of greeting and handshake; `false` if bytes are missing.
+    fn greet(&mut self, bytes: &mut &[u8], out: &mut Outbound) -> Result<bool, Fault> {
+        let room = BEFORE.saturating_sub(self.waiting().len());
+        let (mut now, later) = bytes.split_at(bytes.len().min(room));
+        self.keep(&mut now);
+        *bytes = later;
+        let waiting = self.held.get(self.begin..).unwrap_or_default();
+        let taken = match self.phase {
+            Phase::Signature => {
+                let wrong = |&(at, byte): &(usize, &u8)| match at {
+                    0 => *byte != 0xFF,
+                    // The start of a ZMTP 1.0 peer (RFC 37, Detecting ZMTP 1.0 and 2.0 Peers).
+                    9 => byte & 1 == 0,
+                    SIGNATURE => *byte == 0,
+                    _ => false,
+                };
+                if waiting.iter().enumerate().take(PARTIAL).any(|at| wrong(&at)) {
+                    return Err(Fault::NotZmtp);
+                }
+                match waiting.get(SIGNATURE) {
+                    None => 0,
+                    Some(1 | 2) if !matches!(self.security, Security::Null) => {
+                        return Err(Fault::Mechanism);
+                    }
+                    Some(1 | 2) => {
+                        out.raw(&old_greeting(S::CODE));
+                        self.phase = Phase::OldGreeting;
+                        PARTIAL
+                    }
+                    Some(_) => {
+                        self.put_greeting(out);
+                        self.phase = Phase::Greeting;
+                        PARTIAL
+                    }
+                }
+            }
+            Phase::Greeting => match waiting.get(..GREETING.len() - PARTIAL) {
+                None => 0,
+                Some(greeting) => {
+                    let mechanism = MECHANISM.start - PARTIAL..MECHANISM.end - PARTIAL;
+                    let mechanism = greeting.get(mechanism).unwrap_or_default();
+                    let name = mechanism.split(|byte| *byte == 0).next();
+                    if name != Some(self.security.mechanism()) {
+                        return Err(Fault::Mechanism);
+                    }
+                    self.phase = Phase::Handshake;
+                    self.begin_handshake(out);
+                    GREETING.len() - PARTIAL
+                }
+            },
+            Phase::OldGreeting => {
+                let Some((socket, identity)) = waiting.split_first() else {
+                    return Ok(false);
+                };
+                if !S::PARTNERS.iter().any(|(_, code)| code == socket) {
+                    return Err(Fault::SocketType);
+                }
+                match header(identity)? {
+                    Some((length, size)) if size > 255 || length > 2 => return Err(Fault::TooLong),
+                    Some((length, size)) if identity.len() >= length + size => {
+                        self.phase = Phase::OldTraffic;
+                        1 + length + size
+                    }
+                    _ => 0,
+                }
+            }
+            _ => match header(waiting)? {
+                Some(_) if waiting.first().is_none_or(|flags| flags & COMMAND == 0) => {
+                    return Err(Fault::Unexpected);
+                }
+                Some((length, size)) if length + size > BEFORE => return Err(Fault::TooLong),
+                Some((length, size)) => match waiting.get(length..length + size) {
+                    None => 0,
+                    Some(command) => {
+                        let mut copy = [0; BEFORE];
+                        let copy = copy.get_mut(..size).unwrap_or_default();
+                        copy.copy_from_slice(command);
+                        self.on_handshake(copy, out)?;
+                        length + size
+                    }
+                },
+                None => 0,
+            },
+        };
+        self.begin += taken;
+        if taken == 0 && self.waiting().len() >= BEFORE {
+            return Err(Fault::TooLong);
+        }
+        Ok(taken > 0)
+    }
+
+    /// The rest of our greeting.
+    fn put_greeting(&self, out: &mut Outbound) {
+        let mut greeting = *GREETING;
+        let mechanism = greeting.iter_mut().skip(MECHANISM.start);
+        let name = self.security.mechanism();
+        let padded = name.iter().chain(core::iter::repeat(&0));
+        for (to, from) in mechanism.take(MECHANISM.len()).zip(padded) {
+            *to = *from;
+        }
+        // The server of an encrypted connection says that it is one.
+        if let Some(server) = greeting.get_mut(MECHANISM.end)
+            && !matches!(self.security, Security::Null)
+        {
+            *server = u8::from(S::BINDS);
+        }
+        out.raw(greeting.get(PARTIAL..).unwrap_or_default());
+    }
+
+    fn begin_handshake(&mut self, out: &mut Outbound) {
+        match &self.security {
+            Security::Null if !S::BINDS => out.raw(S::READY),
+            Security::Null => {}
+            #[cfg(feature = "curve")]
+            Security::Curve(keys) => {
+                let mut handshake = Handshake::new(keys);
+                if let Some(hello) = handshake.hello() {
+                    out.command(&hello);
+                }
+                self.handshake = Some(alloc::boxed::Box::new(handshake));
+            }
+        }
+    }
+
+    /// Handles a command of the handshake.
+    fn on_handshake(&mut self, command: &[u8], out: &mut Outbound) -> Result<(), Fault> {
+        if command.starts_with(b"\x05ERROR") {
+            return Err(Fault::Refused);
+        }
+        #[cfg(feature = "curve")]
+        if let Some(handshake) = &mut self.handshake {
+            let ready = metadata_of::<S>();
+            let mut metadata = Vec::new();
+            let answer = handshake.on_command(command, ready, &mut metadata)?;
+            if handshake.has_metadata() {
+                check_partner::<S>(&metadata, out)?;
+            }
+            if let Some(answer) = answer {
+                out.command(&answer);
+            }
+            if let Some((sending, receiving)) = handshake.finish() {
+                out.cipher = Some(sending);
+                self.cipher = Some(receiving);
+                self.handshake = None;
+                self.phase = Phase::Traffic;
+            }
+            return Ok(());
+        }
+        let metadata = command.strip_prefix(b"\x05READY");
+        check_partner::<S>(metadata.ok_or(Fault::Unexpected)?, out)?;
+        if S::BINDS {
+            out.raw(S::READY);
+        }
+        self.phase = Phase::Traffic;
+        Ok(())
+    }
+
+    /// The bytes that wait for others.
+    fn waiting(&self) -> &[u8] {
+        self.held.get(self.begin..).unwrap_or_default()
+    }
+
+    /// Drops what has been read.
+    fn drop_begin(&mut self) {
+        if self.begin == 0 {
+            return;
+        }
+        if self.begin >= self.held.len() {
+            // An idle connection takes no memory; a busy one does not ask for it again and again.
+            match self.held.capacity() > 4096 {
+                true => self.held = Vec::new(),
+                false => self.held.clear(),
+            }
+        } else {
+            self.held.drain(..self.begin);
+        }
+        self.begin = 0;
+    }
+}
+
+/// The properties in our `READY`.
+#[cfg(feature = "curve")]
+fn metadata_of<S: Socket>() -> &'static [u8] {
+    S::READY.get(8..).unwrap_or_default()
+}
+
+/// Checks that the peer's socket type matches ours.
+fn check_partner<S: Socket>(metadata: &[u8], out: &mut Outbound) -> Result<(), Fault> {
+    let name = property(metadata, b"Socket-Type");
+    let known = |name| S::PARTNERS.iter().any(|(partner, _)| *partner == name);
+    if name.is_some_and(known) {
+        return Ok(());
+    }
+    out.raw(S::ERROR);
+    Err(Fault::SocketType)
+}
+
+/// Handles a command after the handshake; returns the peer's time to live if it has told one.
+fn on_command(body: &[u8], out: &mut Outbound) -> Result<Option<Duration>, Fault> {
+    if body.starts_with(b"\x05ERROR") {
+        return Err(Fault::Refused);
+    }
+    let Some((ttl, context)) = body.strip_prefix(PING).and_then(<[u8]>::split_first_chunk) else {
+        // Unknown commands are ignored.
+        return Ok(None);
+    };
+    let context = context.get(..16).unwrap_or(context);
+    out.command(&[b"\x04PONG", context].concat());
+    let tenths = u64::from(u16::from_be_bytes(*ttl));
+    Ok(Some(Duration::from_millis(tenths * 100)))
+}
