@@ -139,7 +139,7 @@ extern "C" {
 /**
  * Its pointers: see ZTL_NODE_RAM.
  */
-#define ZTL_NODE_RAM_POINTERS 24
+#define ZTL_NODE_RAM_POINTERS 20
 
 /**
  * The node end of the link. Call its functions from one context, preferably the main loop, and not from an

@@ -17,7 +17,7 @@ use crate::{
 /// Bytes of RAM of a node without its components and pointers: see ZTL_NODE_RAM.
 pub const ZTL_NODE_RAM_BYTES: usize = 807;
 /// Its pointers: see ZTL_NODE_RAM.
-pub const ZTL_NODE_RAM_POINTERS: usize = 24;
+pub const ZTL_NODE_RAM_POINTERS: usize = 20;
 
 /// A part of the device that executes one task at a time. The firmware keeps it and everything it points to
 /// unchanged while the node exists; a `static const` is best. The node calls its functions from within its
