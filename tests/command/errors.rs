@@ -33,7 +33,7 @@ fn refuses(line: &str, parts: &[&str]) {
 }
 
 #[test]
-fn a_device_that_cannot_be_is_refused_with_what_can() {
+fn an_invalid_device_is_rejected_with_an_example() {
     for (device, parts) in [
         (
             "gripper=usb:1",
@@ -92,7 +92,7 @@ fn a_gateway_that_cannot_serve_says_why() {
 }
 
 #[test]
-fn a_port_in_use_is_named() {
+fn a_port_in_use_is_reported() {
     let taken = TcpListener::bind(("0.0.0.0", 0)).expect("a port");
     let port = taken.local_addr().expect("its address").port();
     let named = format!(":{port}: the port is in use");
@@ -115,7 +115,7 @@ fn a_port_in_use_is_named() {
 }
 
 #[test]
-fn a_port_where_another_ztl_serves_is_in_use_too() {
+fn a_port_of_another_ztl_server_is_reported_as_in_use() {
     let server = Server::ours();
     let gateway = Server::simulated();
     for port in [server.port, gateway.port] {
@@ -128,7 +128,7 @@ fn a_port_where_another_ztl_serves_is_in_use_too() {
 }
 
 #[test]
-fn a_simulated_device_that_cannot_be_is_refused_with_what_can() {
+fn an_unknown_simulated_device_is_rejected_with_the_known_ones() {
     let places = ["tcp:PORT", "tcp:HOST:PORT", "pty:LINK"];
     for place in [
         "usb",
@@ -178,7 +178,7 @@ fn fate(server: &Server, args: &[&str]) -> (Option<i32>, String) {
 }
 
 #[test]
-fn the_exit_status_tells_a_tasks_fate() {
+fn the_exit_status_reports_the_outcome() {
     let gateway = Server::simulated();
     let tests = Server::ours();
     for (server, args, code, part) in [
@@ -241,7 +241,7 @@ fn the_exit_status_tells_a_tasks_fate() {
 }
 
 #[test]
-fn a_server_that_is_not_there_is_unknown() {
+fn an_unreachable_server_is_reported_with_nothing_sent() {
     let nobody = reserve_port();
     let words = format!("task-client --exit-status -r localhost -p {nobody} -s {SCOPE} a:b:c");
     let start = Instant::now();
@@ -254,7 +254,7 @@ fn a_server_that_is_not_there_is_unknown() {
 }
 
 #[test]
-fn a_server_that_dies_leaves_its_task_unknown() {
+fn a_killed_server_leaves_its_task_with_an_unknown_outcome() {
     let mut server = Server::ours_at(reserve_port());
     let mut client = our_client();
     client.arg("--exit-status");
@@ -316,7 +316,7 @@ fn ctrl_c_ends_every_server() {
 }
 
 #[test]
-fn help_is_there_for_every_command() {
+fn every_command_has_help() {
     for (line, part) in [
         ("--help", "Usage: ztl <COMMAND>"),
         ("-h", "gateway"),
@@ -379,7 +379,7 @@ fn the_demo_completes_every_act() {
 }
 
 #[test]
-fn the_demo_goes_on_serving_and_what_it_says_to_try_works() {
+fn the_demo_keeps_serving_and_its_suggested_command_works() {
     let mut command = ztl();
     let demo = Process::start(command.args(["demo", "--port", "0"]));
     // The line to be typed in another terminal, word by word as printed.

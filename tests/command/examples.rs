@@ -16,7 +16,7 @@ fn handler() -> (Process, String) {
 }
 
 #[test]
-fn the_client_drives_the_handler_and_prints_what_it_promises() {
+fn the_client_drives_the_handler_and_prints_the_documented_output() {
     let (_handler, endpoint) = handler();
     let start = Instant::now();
     let ended = Process::run(example("client").arg(&endpoint));
@@ -44,7 +44,7 @@ fn the_client_drives_the_handler_and_prints_what_it_promises() {
 }
 
 #[test]
-fn the_handler_refuses_what_it_cannot_do_and_stops_when_asked() {
+fn the_handler_rejects_unsupported_tasks_and_stops_on_request() {
     let (_handler, endpoint) = handler();
     let mut remote = RemoteTask::connect(&endpoint, "/robot").expect("an address");
     for (component, goal, reason) in [
@@ -71,7 +71,7 @@ fn the_handler_refuses_what_it_cannot_do_and_stops_when_asked() {
 }
 
 #[test]
-fn the_client_says_when_there_is_no_handler() {
+fn the_client_reports_a_missing_handler() {
     let nobody = format!("tcp://127.0.0.1:{}", ztl_tests::lab::reserve_port());
     let ended = Process::run(example("client").arg(&nobody));
     assert_eq!(ended.code, Some(1), "{ended:?}");
@@ -80,7 +80,7 @@ fn the_client_says_when_there_is_no_handler() {
 }
 
 #[test]
-fn the_component_is_a_lamp_behind_a_gateway() {
+fn the_example_component_runs_behind_a_gateway() {
     let mut command: Command = example("component");
     let component = Process::start(command.arg("127.0.0.1:0"));
     let line = component.wait_for("waiting for a gateway at tcp:");

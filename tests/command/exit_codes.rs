@@ -36,7 +36,7 @@ fn commands() -> Vec<String> {
 }
 
 #[test]
-fn each_command_ends_with_the_codes_of_the_document() {
+fn each_command_exits_with_the_documented_codes() {
     let tests = Server::ours();
     let scratch = Scratch::new();
     let file = |name: &str, text: &str| {
@@ -216,7 +216,7 @@ fn servers(scratch: &Scratch) -> Vec<(Command, &'static str, i32)> {
 }
 
 #[test]
-fn sigterm_ends_every_server_with_143_and_ctrl_c_as_ever() {
+fn sigterm_ends_every_server_with_143_and_ctrl_c_as_before() {
     let scratch = Scratch::new();
     for (signal, by_signal) in [("TERM", Some(143)), ("INT", None)] {
         for (mut command, says, usual) in servers(&scratch) {

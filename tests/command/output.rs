@@ -273,7 +273,7 @@ fn ctrl_c_before_the_answer_finds_the_task_and_aborts_it() {
 }
 
 #[test]
-fn ctrl_c_where_no_server_is_ends_at_once() {
+fn ctrl_c_without_a_server_exits_at_once() {
     let mut command = our_client_at(reserve_port());
     command.args(["--json", "a:b:c"]);
     // A whole try takes 2 s.
@@ -306,7 +306,7 @@ fn a_second_ctrl_c_leaves_at_once() {
 }
 
 #[test]
-fn sigterm_aborts_the_task_says_what_became_of_it_and_the_exit_code_is_143() {
+fn sigterm_aborts_the_task_reports_its_outcome_and_exits_with_143() {
     let scratch = Scratch::new();
     let naps = Server::naps();
     let server = Server::ours();
@@ -399,7 +399,7 @@ const COMMANDS: &str = "a\x1b]0;owned\x07\x1b[2J\u{9b}2J\rb\x7f\u{202e}c\u{2066}
 const SHOWN: &str = "a\\u001b]0;owned\\u0007\\u001b[2J\\u009b2J\\rb\\u007f\\u202ec\\u2066";
 
 #[test]
-fn text_from_elsewhere_never_commands_a_terminal() {
+fn received_text_cannot_control_the_terminal() {
     let server = Server::ours();
     let port = server.port.to_string();
     let at = ["-r", "localhost", "-p", &port];
@@ -446,7 +446,7 @@ fn text_from_elsewhere_never_commands_a_terminal() {
 }
 
 #[test]
-fn an_event_of_a_log_is_one_line_that_commands_no_terminal() {
+fn a_log_event_is_one_line_without_control_characters() {
     let scratch = Scratch::new();
     let file = scratch.path("serve.yaml");
     // What a program says on stderr becomes the reason of its failure, which is logged.

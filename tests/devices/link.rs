@@ -133,7 +133,7 @@ fn shown() -> Vec<(&'static str, Vec<u8>)> {
 }
 
 #[test]
-fn the_example_frames_of_the_specification_are_those_of_the_code() {
+fn the_specifications_example_frames_match_the_code() {
     let mut tags = BTreeSet::new();
     let mut document = String::new();
     for (name, session, seq, body) in frames() {
@@ -165,7 +165,7 @@ fn the_example_frames_of_the_specification_are_those_of_the_code() {
 }
 
 #[test]
-fn the_clauses_are_numbered_without_a_gap() {
+fn clauses_are_numbered_consecutively() {
     let mut last = (0, 0);
     for line in DOCUMENT.lines() {
         let Some((clause, _)) = line.strip_prefix("- [").and_then(|l| l.split_once(']')) else {
@@ -240,7 +240,7 @@ impl LogSource for Once {
 }
 
 #[test]
-fn a_real_node_says_in_the_conversation_what_the_document_says() {
+fn a_real_node_matches_the_documented_conversation() {
     let finger = Finger {
         aborted: false,
         reading: false,

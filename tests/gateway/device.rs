@@ -135,12 +135,12 @@ fn does_what_is_asked(place: &Place) {
 }
 
 #[test]
-fn a_device_on_a_pty_does_what_is_asked() {
+fn a_device_on_a_pty_completes_tasks() {
     does_what_is_asked(&Place::pty());
 }
 
 #[test]
-fn a_device_on_tcp_does_what_is_asked() {
+fn a_device_on_tcp_completes_tasks() {
     does_what_is_asked(&Place::tcp());
 }
 
@@ -181,12 +181,12 @@ fn fails_in_time_and_is_served_again(place: &Place) {
 }
 
 #[test]
-fn a_device_unplugged_from_a_pty_fails_its_task_in_time_and_is_served_when_it_is_back() {
+fn an_unplugged_pty_device_fails_its_task_and_is_served_on_return() {
     fails_in_time_and_is_served_again(&Place::pty());
 }
 
 #[test]
-fn a_device_gone_from_tcp_fails_its_task_in_time_and_is_served_when_it_is_back() {
+fn a_disconnected_tcp_device_fails_its_task_and_is_served_on_return() {
     fails_in_time_and_is_served_again(&Place::tcp());
 }
 
@@ -216,17 +216,17 @@ fn a_quick_reset_is_noticed(place: &Place) {
 }
 
 #[test]
-fn a_quick_reset_on_a_pty_fails_its_task_and_no_other() {
+fn a_quick_reset_on_a_pty_fails_only_the_devices_task() {
     a_quick_reset_is_noticed(&Place::pty());
 }
 
 #[test]
-fn a_quick_reset_on_tcp_fails_its_task_and_no_other() {
+fn a_quick_reset_on_tcp_fails_only_the_devices_task() {
     a_quick_reset_is_noticed(&Place::tcp());
 }
 
 #[test]
-fn a_device_that_stalls_stops_by_itself_and_its_task_has_one_end() {
+fn a_stalled_device_stops_and_its_task_has_one_final_state() {
     let place = Place::tcp();
     let device = place.power_on();
     let (gateway, mut remote) = place.gateway();
@@ -252,7 +252,7 @@ fn a_device_that_stalls_stops_by_itself_and_its_task_has_one_end() {
 }
 
 #[test]
-fn a_gateway_waits_for_a_device_that_is_not_there_yet() {
+fn a_gateway_waits_for_an_absent_device() {
     let place = Place::pty();
     let (gateway, mut remote) = place.gateway();
     let refused = remote.trigger("gripper", "finger", "40");
@@ -269,7 +269,7 @@ fn a_gateway_waits_for_a_device_that_is_not_there_yet() {
 }
 
 #[test]
-fn a_dead_device_harms_no_other() {
+fn a_dead_device_affects_no_other() {
     let place = Place::tcp();
     let mut device = place.power_on();
     let gripper = format!("gripper={}", place.url());
@@ -285,7 +285,7 @@ fn a_dead_device_harms_no_other() {
 }
 
 #[test]
-fn ids_are_not_known_after_a_restart_of_the_gateway_and_the_device_is_free() {
+fn after_a_gateway_restart_ids_are_unknown_and_the_device_is_free() {
     let place = Place::pty();
     let _device = place.power_on();
     let (gateway, mut remote) = place.gateway();
@@ -309,7 +309,7 @@ fn ids_are_not_known_after_a_restart_of_the_gateway_and_the_device_is_free() {
 }
 
 #[test]
-fn a_device_whose_gateway_is_gone_stops_by_itself() {
+fn a_device_stops_when_its_gateway_is_lost() {
     let place = Place::pty();
     let _device = place.power_on();
     let (gateway, mut remote) = place.gateway();
@@ -343,17 +343,17 @@ fn a_second_gateway_gets_nothing(place: &Place) {
 }
 
 #[test]
-fn a_second_gateway_does_not_take_a_device_away_on_a_pty() {
+fn a_second_gateway_cannot_take_over_a_device_on_a_pty() {
     a_second_gateway_gets_nothing(&Place::pty());
 }
 
 #[test]
-fn a_second_gateway_does_not_take_a_device_away_on_tcp() {
+fn a_second_gateway_cannot_take_over_a_device_on_tcp() {
     a_second_gateway_gets_nothing(&Place::tcp());
 }
 
 #[test]
-fn a_device_that_has_more_to_say_than_anybody_hears_still_listens() {
+fn a_device_with_a_blocked_output_still_receives() {
     let scratch = Scratch::new();
     let link = scratch.path("sensor");
     let mut device = ztl();

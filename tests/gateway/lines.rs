@@ -87,7 +87,7 @@ fn a_path_that_is_not_a_serial_port_is_reported() {
 }
 
 #[test]
-fn a_line_rate_on_a_pty_harms_nothing() {
+fn a_pty_ignores_the_line_rate() {
     for rate in [300, 9600, 115_200, 1_234_567] {
         let (_device, pty) = Device::new(Kind::Gripper).on_pty(None).expect("a pty");
         let mut gateway = Gateway::new();
@@ -105,7 +105,7 @@ const NOISE: &[u8] =
     b"\xff\xfe\x00ets Jan 8 2013,rst cause:1, boot mode:(3,6)\r\n\x00\x01\x07garbage";
 
 #[test]
-fn a_board_that_is_reset_by_being_opened_is_served() {
+fn a_board_that_resets_when_its_port_opens_is_served() {
     let opened = Arc::new(AtomicU32::new(0));
     let count = Arc::clone(&opened);
     // The firmware of the latest reset; the one before has lost its power.
@@ -132,7 +132,7 @@ fn a_board_that_is_reset_by_being_opened_is_served() {
 }
 
 #[test]
-fn a_connection_whose_other_end_is_gone_is_reopened() {
+fn a_broken_connection_is_reopened() {
     let peer = TcpListener::bind("127.0.0.1:0").expect("a port");
     let address = peer.local_addr().expect("its address");
     let mut gateway = Gateway::new();
@@ -146,7 +146,7 @@ fn a_connection_whose_other_end_is_gone_is_reopened() {
 }
 
 #[test]
-fn a_device_that_comes_and_goes_without_pause_fills_no_log() {
+fn a_device_that_reconnects_constantly_does_not_flood_the_log() {
     let port = reserve_port();
     let peer = TcpListener::bind(("127.0.0.1", port)).expect("a port");
     let mut command = ztl();
@@ -170,7 +170,7 @@ fn a_device_that_comes_and_goes_without_pause_fills_no_log() {
 }
 
 #[test]
-fn a_name_that_leads_elsewhere_is_followed() {
+fn a_device_link_that_changes_its_target_is_reopened() {
     let scratch = ztl_tests::lab::Scratch::new();
     let (link, silent) = (scratch.path("gripper"), scratch.path("silent"));
     // A port that is there and never answers, as one that is another's by now.

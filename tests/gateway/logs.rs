@@ -72,7 +72,7 @@ fn gateway(address: &str, elf: &Path, more: &[&str]) -> (Process, ztl_std::Remot
 }
 
 #[test]
-fn every_kind_of_value_is_readable_with_its_level_and_place() {
+fn every_kind_of_value_is_logged_with_its_level_and_position() {
     let (_device, address) = device();
     let (gateway, mut remote) = gateway(&address, elf(), &["--log", "debug"]);
     gateway.wait_for("INFO:firmware:arm: [1.500] started (src/main.rs:");
@@ -90,7 +90,7 @@ fn every_kind_of_value_is_readable_with_its_level_and_place() {
 }
 
 #[test]
-fn a_log_is_there_for_machines_too_and_a_task_says_whats_its() {
+fn json_log_events_name_their_device_and_source_position() {
     let (_device, address) = device();
     let (gateway, mut remote) = gateway(&address, elf(), &["--log-format", "json"]);
     complete(&mut remote, "arm", "motor", "left");
@@ -103,7 +103,7 @@ fn a_log_is_there_for_machines_too_and_a_task_says_whats_its() {
 }
 
 #[test]
-fn a_flood_is_cut_short_and_what_the_device_has_lost_is_said() {
+fn a_log_flood_is_truncated_and_lost_records_are_reported() {
     let (_device, address) = device();
     let (gateway, mut remote) = gateway(&address, elf(), &[]);
     complete(&mut remote, "arm", "motor", "flood");
@@ -118,7 +118,7 @@ fn a_flood_is_cut_short_and_what_the_device_has_lost_is_said() {
 }
 
 #[test]
-fn a_file_that_is_of_no_use_is_refused_before_anything_is_served() {
+fn an_unusable_elf_file_is_rejected_before_serving() {
     let scratch = Scratch::new();
     let text = scratch.path("text");
     std::fs::write(&text, "no ELF file").expect("to write");
@@ -159,7 +159,7 @@ fn a_file_that_is_of_no_use_is_refused_before_anything_is_served() {
 }
 
 #[test]
-fn another_firmwares_file_is_suspected() {
+fn an_elf_file_of_other_firmware_is_suspected() {
     let (_device, address) = device();
     let scratch = Scratch::new();
     // As of a firmware that has other messages: of those that this one logs there are none.
@@ -184,7 +184,7 @@ fn another_firmwares_file_is_suspected() {
 }
 
 #[test]
-fn the_raw_log_is_kept_and_read_later() {
+fn the_raw_log_is_saved_and_decoded_later() {
     let (_device, address) = device();
     let mut gateway = Gateway::new();
     gateway
@@ -207,7 +207,7 @@ fn the_raw_log_is_kept_and_read_later() {
 }
 
 #[test]
-fn the_log_is_shown_from_elsewhere_too() {
+fn the_log_can_be_shown_from_a_remote_client() {
     let (_device, address) = device();
     let (gateway, mut remote) = gateway(&address, elf(), &["--log", "debug"]);
     complete(&mut remote, "arm", "motor", "all");

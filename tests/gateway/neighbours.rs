@@ -33,7 +33,7 @@ fn latency(remote: &mut ztl_std::RemoteTask) -> Duration {
 }
 
 #[test]
-fn a_flood_a_black_hole_and_a_hanging_port_leave_their_neighbour_as_it_is() {
+fn a_flooding_silent_or_blocked_device_does_not_affect_its_neighbour() {
     let mut gateway = Gateway::new();
     gateway
         .add("head", ztl_sim::endpoint("sim:head").unwrap())

@@ -24,7 +24,7 @@ fn gateway(devices: &[&str]) -> Command {
 }
 
 #[test]
-fn systemd_hears_that_it_is_ready_how_it_does_that_it_lives_and_that_it_stops() {
+fn systemd_is_notified_of_readiness_status_liveness_and_stopping() {
     let scratch = Scratch::new();
     let path = scratch.path("notify");
     let name = format!("ztl-test-{}", std::process::id());
@@ -91,7 +91,7 @@ fn started(remote: &mut RemoteTask, device: &str, component: &str, goal: &str) -
 }
 
 #[test]
-fn asked_to_stop_it_stops_every_task_and_says_so() {
+fn a_signal_stops_every_task_and_reports_it() {
     let gateway = Server::simulated();
     let mut remote = RemoteTask::connect(&gateway.endpoint(), SCOPE).expect("an address");
     let head = started(&mut remote, "head", "pan", "left");
@@ -116,7 +116,7 @@ fn asked_to_stop_it_stops_every_task_and_says_so() {
 }
 
 #[test]
-fn asked_to_leave_tasks_running_it_says_what_becomes_of_each_and_tells_no_end() {
+fn leave_running_reports_what_each_task_will_do_and_no_outcome() {
     let firmware = Firmware::start((
         Endless::new("arm", Loss::Abort),
         Endless::new("lift", Loss::Hold),
@@ -158,7 +158,7 @@ fn asked_to_leave_tasks_running_it_says_what_becomes_of_each_and_tells_no_end() 
 }
 
 #[test]
-fn a_second_signal_leaves_at_once() {
+fn a_second_signal_exits_at_once() {
     let scratch = Scratch::new();
     let link = scratch.path("gripper");
     let mut command = ztl();
@@ -180,7 +180,7 @@ fn a_second_signal_leaves_at_once() {
 }
 
 #[test]
-fn a_device_that_does_not_confirm_is_named_and_its_task_is_not_told_to_have_failed() {
+fn an_unconfirmed_stop_names_the_device_and_is_not_reported_as_failed() {
     let scratch = Scratch::new();
     let link = scratch.path("gripper");
     let mut command = ztl();
@@ -235,7 +235,7 @@ fn each_tasks_start_and_end_is_logged_with_the_time() {
 }
 
 #[test]
-fn in_systemds_journal_lines_have_its_time_alone() {
+fn log_lines_for_systemds_journal_carry_no_time() {
     let gateway = gateway(&["head=sim:head"]);
     for (of, has_time) in [("2", false), ("1", true)] {
         let mut command = Command::new("sh");
@@ -259,7 +259,7 @@ fn unit() -> (std::path::PathBuf, String) {
 }
 
 #[test]
-fn the_unit_starts_a_command_that_there_is() {
+fn the_unit_starts_an_existing_command() {
     let (_, text) = unit();
     let start = text
         .lines()
@@ -278,6 +278,6 @@ fn the_unit_starts_a_command_that_there_is() {
 }
 
 #[test]
-fn systemd_finds_nothing_wrong_with_the_unit() {
+fn systemd_accepts_the_unit() {
     verify_unit(&unit().0);
 }

@@ -58,7 +58,7 @@ fn run(port: u16, goal: &str, point: u64, fault: impl FnOnce()) -> Result<State,
 }
 
 #[test]
-fn a_server_that_is_stopped_for_a_while_does_each_task_once() {
+fn a_suspended_server_runs_each_task_once() {
     let port = reserve_port();
     let server = serve(port);
     // A shell that is there already is quicker than a program that has to start.
@@ -101,7 +101,7 @@ fn a_server_that_is_stopped_for_a_while_does_each_task_once() {
 }
 
 #[test]
-fn a_server_that_is_killed_and_started_again_does_no_task_twice_and_invents_no_end() {
+fn a_killed_and_restarted_server_repeats_no_task_and_invents_no_outcome() {
     for point in POINTS {
         let port = reserve_port();
         let mut server = serve(port);
@@ -136,7 +136,7 @@ fn a_server_that_is_killed_and_started_again_does_no_task_twice_and_invents_no_e
 }
 
 #[test]
-fn a_task_that_ran_when_its_server_was_killed_is_unknown_to_its_client() {
+fn a_task_running_when_its_server_is_killed_has_an_unknown_outcome() {
     let port = reserve_port();
     let mut server = serve(port);
     let endpoint = format!("tcp://127.0.0.1:{port}");
@@ -153,7 +153,7 @@ fn a_task_that_ran_when_its_server_was_killed_is_unknown_to_its_client() {
 }
 
 #[test]
-fn a_client_that_is_killed_or_stopped_at_any_point_has_its_task_done_at_most_once() {
+fn a_client_killed_or_stopped_anywhere_runs_its_task_at_most_once() {
     let server = Server::ours();
     for point in POINTS {
         let goal = format!("client killed at {point}");

@@ -116,12 +116,12 @@ fn trigger(fault: Fault) -> (Result<State, TriggerError>, u32) {
 }
 
 #[test]
-fn a_task_whose_answer_is_lost_is_known_all_the_same() {
+fn a_task_with_a_lost_reply_is_found() {
     assert_eq!(trigger(Fault::AnswerLost), (Ok(State::Completed), 1));
 }
 
 #[test]
-fn an_init_that_is_lost_is_known_not_to_have_started() {
+fn a_lost_init_is_reported_as_not_started() {
     assert_eq!(
         trigger(Fault::RequestLost),
         (Err(TriggerError::NeverCame), 0)
@@ -129,7 +129,7 @@ fn an_init_that_is_lost_is_known_not_to_have_started() {
 }
 
 #[test]
-fn after_a_restart_of_the_server_the_outcome_is_unknown_and_not_never_started() {
+fn after_a_server_restart_a_lost_init_has_an_unknown_outcome() {
     let (told, started) = trigger(Fault::Restart);
     let unknown = matches!(
         told,
@@ -140,7 +140,7 @@ fn after_a_restart_of_the_server_the_outcome_is_unknown_and_not_never_started() 
 }
 
 #[test]
-fn a_task_that_is_not_wanted_any_more_is_found_without_waiting_for_its_answer() {
+fn a_cancelled_task_is_found_without_waiting_for_its_reply() {
     let started = Arc::default();
     let server = server(&started);
     let (_running, stop) = std::sync::mpsc::channel();
@@ -179,7 +179,7 @@ fn a_quick_task_is_run_in_a_single_round_trip() {
 }
 
 #[test]
-fn an_init_to_a_server_that_hangs_is_unknown_though_the_server_cannot_be_asked_about_it() {
+fn an_init_to_a_hanging_server_has_an_unknown_outcome() {
     let server = Server::ours();
     let remote = RemoteTask::connect(&server.endpoint(), SCOPE).unwrap();
     let mut remote = remote.with_timeout(Duration::from_millis(300));

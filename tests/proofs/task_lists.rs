@@ -29,7 +29,7 @@ fn run(server: &FakeServer, words: &[&str]) -> Ended {
 }
 
 #[test]
-fn a_task_that_cannot_be_read_hides_no_other() {
+fn an_unreadable_task_hides_no_other() {
     let entry = |id: &str, state: &str, age: &str| {
         format!(
             r#"{{"id": {id}, "scope": "/lab", "task": "a:b:{id}", "state": {state}, "text": "", "age_ms": {age}, "ended_ms": null}}"#
@@ -77,7 +77,7 @@ fn a_task_that_cannot_be_read_hides_no_other() {
 }
 
 #[test]
-fn a_server_that_does_not_tell_what_runs_is_not_said_to_be_idle() {
+fn a_server_without_a_task_list_is_not_reported_as_idle() {
     let server = telling("", None);
     for words in [&["abort", "--all"][..], &["ps"], &["ps", "--json"]] {
         let ended = run(&server, words);
@@ -92,7 +92,7 @@ fn a_server_that_does_not_tell_what_runs_is_not_said_to_be_idle() {
 }
 
 #[test]
-fn what_cannot_be_read_is_quoted_in_a_few_hundred_characters() {
+fn unreadable_text_is_quoted_up_to_a_limit() {
     let long = "é".repeat(450_000);
     let server = telling(&format!(", '{long}"), Some(&format!("\"{long}\"")));
     let answer = format!("3;7;Controller threw exception: {long}");
@@ -124,7 +124,7 @@ fn abort_came(server: &FakeServer, scope: &str, id: u32) -> bool {
 }
 
 #[test]
-fn a_task_that_cannot_be_reached_keeps_no_other_from_being_aborted() {
+fn a_task_that_cannot_be_aborted_does_not_block_others() {
     let running = r#", running: {9: "/t;x", 8: /t, 7: /t}"#;
     for words in [&["abort", "--all"][..], &["abort", "9", "7", "8"]] {
         let server = telling(running, None);
@@ -137,7 +137,7 @@ fn a_task_that_cannot_be_reached_keeps_no_other_from_being_aborted() {
 }
 
 #[test]
-fn what_the_probe_or_the_list_says_runs_is_aborted() {
+fn tasks_in_either_the_probe_or_the_list_are_aborted() {
     let one = listed(8, "/t", 1, "", "null");
     let contradiction = listed(8, "/t", 1, "", "5");
     let ended_already = listed(8, "/t", 5, "", "5");
@@ -208,7 +208,7 @@ fn what_the_probe_or_the_list_says_runs_is_aborted() {
 }
 
 #[test]
-fn a_task_that_the_server_does_not_list_is_not_said_to_have_ended() {
+fn a_task_missing_from_the_list_is_not_reported_as_ended() {
     let one = listed(8, "/t", 1, "", "null");
     for (rest, tasks, words) in [
         (
@@ -249,7 +249,7 @@ fn a_task_that_the_server_does_not_list_is_not_said_to_have_ended() {
 }
 
 #[test]
-fn a_task_whose_end_its_server_could_not_learn_is_shown_and_aborted_as_one_that_may_run() {
+fn a_task_with_an_unknown_outcome_is_listed_and_aborted() {
     let server = serve(Loses);
     let mut remote = connect(server.endpoint());
     let id = remote.trigger("h", "c", "g").expect("it is taken").id;

@@ -45,7 +45,7 @@ fn the_example_plays_on_the_devices_of_the_demo() {
 }
 
 #[test]
-fn a_check_shows_everything_at_its_place_with_what_was_meant() {
+fn a_check_shows_each_mistake_at_its_position_with_a_suggestion() {
     let directory = ScriptDirectory::with(
         "\
 greeting:
@@ -128,7 +128,7 @@ greeting:
 }
 
 #[test]
-fn names_of_servers_are_checked_where_there_is_a_configuration() {
+fn server_names_are_checked_against_the_configuration() {
     let directory = ScriptDirectory::with("s: {a: {robto: {say: hi}}}\n", &[("robot", 1, "/r")]);
     let ended = directory.run("check show.yaml -c remotes.yaml");
     assert_eq!(ended.code, Some(1));
@@ -204,7 +204,7 @@ fn one_cause_is_one_finding() {
 }
 
 #[test]
-fn a_slip_in_a_key_is_one_finding_with_its_remedy() {
+fn a_mistyped_key_is_one_finding_with_a_suggestion() {
     let colon = "write a space after the colon: echo: 1";
     for (lines, found) in [
         (
@@ -274,7 +274,7 @@ fn a_slip_in_a_key_is_one_finding_with_its_remedy() {
 }
 
 #[test]
-fn servers_that_are_missing_are_asked_at_once() {
+fn missing_servers_are_probed_concurrently() {
     let ports: Vec<u16> = (0..12).map(|_| reserve_port()).collect();
     let names: Vec<String> = (0..12).map(|nth| format!("robot{nth}")).collect();
     let mut script = "s:\n  a:\n".to_owned();
@@ -336,7 +336,7 @@ s:
 }
 
 #[test]
-fn what_cannot_be_meant_is_doubtful() {
+fn implausible_values_are_reported_as_doubtful() {
     let script = "\
 s(delay=-3):
   delay: 2
@@ -370,7 +370,7 @@ s(delay=-3):
 }
 
 #[test]
-fn servers_are_asked_whether_they_would_take_it_and_nothing_moves() {
+fn servers_are_asked_about_each_task_without_starting_any() {
     let gateway = Server::simulated();
     let original = Server::original();
     let script = "\
@@ -413,7 +413,7 @@ s:
 }
 
 #[test]
-fn a_goal_that_is_too_long_for_its_server_is_reported_before_and_during_the_show() {
+fn an_oversized_goal_is_reported_before_and_during_the_run() {
     let gateway = Server::gateway_with(&["gripper=sim:gripper"], &["--limit", "message=2 KiB"]);
     gateway.wait_ready("gripper");
     let script = format!(
@@ -439,7 +439,7 @@ fn a_goal_that_is_too_long_for_its_server_is_reported_before_and_during_the_show
 
 /// The question is longer than the INIT, and perhaps too long itself.
 #[test]
-fn a_goal_that_just_fits_its_server_is_no_mistake_of_the_script() {
+fn a_goal_at_the_servers_limit_is_not_a_mistake() {
     let gateway = Server::gateway_with(&["gripper=sim:gripper"], &["--limit", "message=2 KiB"]);
     gateway.wait_ready("gripper");
     for (goal, mistake) in [(1511, false), (1513, true)] {

@@ -35,7 +35,7 @@ fn servers() -> [Server; 2] {
 }
 
 #[test]
-fn while_a_server_is_stopped_the_step_waits_and_goes_on_when_it_is_back() {
+fn a_step_waits_for_a_suspended_server_and_continues() {
     for server in servers() {
         let files = directory(TWO_STEPS, &server);
         let player = Process::start(&mut play(&files, "--yes"));
@@ -55,7 +55,7 @@ fn while_a_server_is_stopped_the_step_waits_and_goes_on_when_it_is_back() {
 }
 
 #[test]
-fn after_a_restart_of_a_server_nothing_follows_without_a_decision() {
+fn after_a_server_restart_the_script_waits_for_a_decision() {
     for (ours, mut server) in [true, false].into_iter().zip(servers()) {
         let mut anew = match ours {
             true => ztl(),
@@ -93,7 +93,7 @@ fn after_a_restart_of_a_server_nothing_follows_without_a_decision() {
 }
 
 #[test]
-fn ctrl_c_stops_what_was_started_in_the_background_too_and_says_what_cannot_be_stopped() {
+fn ctrl_c_stops_background_tasks_and_reports_unstoppable_ones() {
     let gateway = Server::simulated();
     let original = Server::original();
     let files = Scratch::new();
@@ -171,7 +171,7 @@ fn a_key_answers_one_question_and_never_the_next() {
 }
 
 #[test]
-fn the_terminal_is_as_it_was_however_it_ends() {
+fn the_terminal_is_restored_at_every_kind_of_exit() {
     for (signal, key, code) in [
         (Some("TERM"), "", 143),
         (Some("HUP"), "", 129),
@@ -200,7 +200,7 @@ fn the_terminal_is_as_it_was_however_it_ends() {
 }
 
 #[test]
-fn the_operator_decides_about_a_step_that_waits() {
+fn the_operator_decides_about_a_waiting_step() {
     let server = Server::ours();
     let script = "one: {a(on_failure=ask): {test: {nonsense: 1}}, b: {test: {echo: 1}}}\n";
     let files = directory(script, &server);
@@ -272,7 +272,7 @@ impl Drop for Unread {
 }
 
 #[test]
-fn ctrl_c_stops_everything_also_when_nobody_reads_what_is_said() {
+fn ctrl_c_stops_everything_even_if_nobody_reads_the_output() {
     // More than a pipe takes, on stdout by the names of scenes, on stderr by what runs in the background.
     let mut script = "first: {a: {robot: {long(wait=no): 1}}}\n".to_owned();
     for nth in 0..80 {

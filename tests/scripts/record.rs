@@ -70,7 +70,7 @@ fn stage(script: &str) -> (Server, Scratch) {
 const PLAY: &str = "run-script -s one.yaml -c remotes.yaml --yes --record one.jsonl";
 
 #[test]
-fn the_record_in_the_documentation_is_what_is_written() {
+fn the_documented_record_matches_a_written_one() {
     let (_server, files) = stage(block("yaml"));
     assert!(DOCS.contains(&format!("`ztl {PLAY}`")));
     let ended = Process::run(ztl().current_dir(files.path("")).args(PLAY.split(' ')));
@@ -89,7 +89,7 @@ fn the_record_in_the_documentation_is_what_is_written() {
 }
 
 #[test]
-fn what_was_written_before_a_crash_can_be_read() {
+fn a_record_is_readable_up_to_a_crash() {
     let (_server, files) =
         stage("one:\n  first: {test: {echo: hello}}\n  second: {test: {sleep: 60}}\n");
     let mut play = Process::start(ztl().current_dir(files.path("")).args(PLAY.split(' ')));

@@ -10,7 +10,7 @@ use ztl_std::{ExecutableTask, TaskContext, TaskController, TaskError, TaskReques
 use ztl_tests::lab::{Process, SCOPE, connect, ours_named, port_of, serve};
 
 #[test]
-fn a_dry_run_tells_when_and_sends_nothing() {
+fn a_dry_run_shows_start_times_and_sends_nothing() {
     let directory = ScriptDirectory::with(
         "s(delay=2): {a(delay=1): {robot: {x(delay=0.5): 1, y(wait=no; delay=1): [2]}, gone: {z: 3}}, b(parallel): {robot: {x(timeout=3): 4, y(delay=2): 5}}}\n",
         &[("robot", 9, "/r")],
@@ -109,7 +109,7 @@ fn an_impossible_request_is_rejected_before_anything_begins() {
 }
 
 #[test]
-fn a_name_that_two_scenes_or_steps_have_is_doubtful_and_chooses_none() {
+fn a_duplicate_scene_or_step_name_is_doubtful_and_selects_nothing() {
     let script = "a(delay=1):\n  s: {robot: {say: 1}}\na:\n  s: {robot: {say: 2}}\n  s(wait=no): {robot: {say: 3}}\n";
     let directory = ScriptDirectory::new(script);
     let ended = directory.run("check show.yaml");
@@ -136,7 +136,7 @@ fn a_name_that_two_scenes_or_steps_have_is_doubtful_and_chooses_none() {
 }
 
 #[test]
-fn by_the_originals_names_it_is_the_originals_tool() {
+fn under_the_originals_name_run_script_behaves_like_the_original() {
     let directory = ScriptDirectory::with("s: {a: {robot: {say: hi}}}\n", &[("robot", 9, "/r")]);
     for name in ["ztl_run_script", "run_script.py"] {
         for options in [
@@ -177,7 +177,7 @@ impl TaskController for Quick {
 }
 
 #[test]
-fn a_step_costs_two_requests_and_no_pause() {
+fn a_step_takes_two_requests_without_a_pause() {
     const STEPS: usize = 1000;
     let server = serve(Quick);
     let port = port_of(server.endpoint());

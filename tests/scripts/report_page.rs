@@ -137,7 +137,7 @@ fn the_page_is_laid_out_in_a_browser() {
 }
 
 #[test]
-fn names_that_are_long_or_hostile_are_shown_and_harm_nothing() {
+fn long_or_hostile_names_are_shown_safely() {
     let name = format!(
         "\\\"'></title><x-evil onclick='1'><script>alert(1)</script>{}",
         "W".repeat(300)

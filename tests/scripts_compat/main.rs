@@ -255,22 +255,22 @@ fn play(scripts: &Scripts<'_>, made_up: usize, differences: fn(&Played) -> Vec<S
 }
 
 #[test]
-fn every_rule_of_scripts_is_played_as_the_original_plays_it() {
+fn every_script_rule_is_played_like_the_original() {
     play(&named(corpus::SCRIPTS), 0, differences);
 }
 
 #[test]
-fn what_the_original_cannot_play_is_refused_with_its_exit_code() {
+fn scripts_the_original_cannot_play_are_rejected_with_its_exit_code() {
     play(&named(corpus::WRONG), 0, refusals);
 }
 
 #[test]
-fn scripts_that_are_made_up_are_played_as_the_original_plays_them() {
+fn generated_scripts_are_played_like_the_original() {
     play(&BTreeMap::new(), MADE_UP, differences);
 }
 
 #[test]
-fn values_are_what_pyyaml_makes_of_them() {
+fn values_are_parsed_like_pyyaml() {
     let args = [seed().to_string(), VALUES.to_string()];
     let args: Vec<&str> = args.iter().map(String::as_str).collect();
     let mut wrong = Vec::new();
@@ -320,7 +320,7 @@ fn is_read(text: &str) -> bool {
 }
 
 #[test]
-fn documents_are_what_pyyaml_makes_of_them() {
+fn documents_are_parsed_like_pyyaml() {
     let args = [seed().to_string(), DOCUMENTS.to_string()];
     let args: Vec<&str> = args.iter().map(String::as_str).collect();
     let mut wrong = Vec::new();
@@ -371,7 +371,7 @@ const CONFIGURATIONS: &[&str] = &[
 ];
 
 #[test]
-fn configurations_name_the_servers_that_the_original_finds() {
+fn configurations_resolve_to_the_same_servers_as_the_originals() {
     let program = "
 import json, sys, tempfile
 from ztl.core.config import ZMQEndpoints
@@ -404,7 +404,7 @@ for text in json.load(sys.stdin):
 
 /// The rows of docs/compatibility.md on YAML: whether the original reads it, and whether we do.
 #[test]
-fn differences_in_yaml_are_those_that_are_listed() {
+fn only_the_listed_yaml_differences_exist() {
     let nested = |depth: usize| format!("{}{}", "[".repeat(depth), "]".repeat(depth));
     let listed = [
         ("&a [*a]".to_owned(), true, false),

@@ -51,7 +51,7 @@ fn the_json_client_reports_the_last_output_of_an_aborted_program() {
 }
 
 #[test]
-fn a_grandchild_that_ignores_the_signal_is_killed_after_the_grace_with_the_whole_group() {
+fn a_grandchild_that_ignores_the_signal_is_killed_with_its_group() {
     let stubborn = "trap '' TERM INT; echo $$ > child; while :; do sleep 0.01; done";
     let lab = Lab::new(&format!(
         r#"
@@ -73,7 +73,7 @@ fn a_grandchild_that_ignores_the_signal_is_killed_after_the_grace_with_the_whole
 }
 
 #[test]
-fn a_child_that_needs_a_moment_to_stop_its_motors_has_it() {
+fn a_child_gets_its_grace_to_stop_its_motors() {
     let careful =
         "trap 'sleep 0.3; echo > parked; exit' TERM; echo $$ > child; while :; do sleep 0.01; done";
     let lab = Lab::new(&format!(
@@ -123,7 +123,7 @@ fn a_program_can_be_stopped_by_another_one() {
 }
 
 #[test]
-fn an_abort_that_takes_longer_than_its_answer_says_so() {
+fn a_slow_abort_is_answered_before_it_completes() {
     let lab = Lab::new(
         r#"
         slow: {run: [sh, -c, 'trap "" TERM; echo $$ > pid; while :; do sleep 0.01; done']}
@@ -138,7 +138,7 @@ fn an_abort_that_takes_longer_than_its_answer_says_so() {
 }
 
 #[test]
-fn what_cannot_be_aborted_goes_on() {
+fn a_task_without_abort_continues() {
     let lab = Lab::new(
         r#"
         never: {run: [sh, -c, 'echo > on; until [ -e go ]; do sleep 0.01; done; echo done'], abort: no}
@@ -154,7 +154,7 @@ fn what_cannot_be_aborted_goes_on() {
 }
 
 #[test]
-fn a_limit_ends_what_never_ends() {
+fn a_time_limit_stops_an_endless_program() {
     let lab = Lab::new(
         r#"
         never: {run: [sh, -c, 'sleep 60 & echo $! > child; wait'], limit: 300 ms}
@@ -171,7 +171,7 @@ fn a_limit_ends_what_never_ends() {
 }
 
 #[test]
-fn what_a_program_leaves_behind_does_not_keep_its_task_and_is_killed_unless_it_may_stay() {
+fn leftover_processes_do_not_delay_the_task_and_are_killed_by_default() {
     let lab = Lab::new(
         r#"
         kills: [sh, -c, 'sleep 60 & echo $! > killed; echo done']
@@ -215,7 +215,7 @@ fn the_group_of_a_program_that_forks_without_end_is_killed() {
 }
 
 #[test]
-fn a_stopped_process_is_no_obstacle() {
+fn a_suspended_process_can_be_aborted() {
     let lab =
         Lab::new("stops: {run: [sh, -c, 'echo $$ > pid; kill -STOP $$'], abort: {grace: 200 ms}}");
     let mut remote = lab.remote();
@@ -226,7 +226,7 @@ fn a_stopped_process_is_no_obstacle() {
 }
 
 #[test]
-fn one_that_replaces_and_one_that_is_aborted_while_it_waits() {
+fn a_waiting_task_can_be_aborted_without_starting() {
     let lab = Lab::new(
         "go: {run: [sh, -c, 'echo \"@ $0\"; sleep 60', '{goal}'], progress: '@ ', busy: queue 1}",
     );
@@ -242,7 +242,7 @@ fn one_that_replaces_and_one_that_is_aborted_while_it_waits() {
 }
 
 #[test]
-fn without_its_client_a_task_is_aborted_if_it_needs_that() {
+fn a_task_that_needs_its_client_is_aborted_without_it() {
     let lab = Lab::new(
         r#"
         needs: {run: [sh, -c, 'echo $$ > needs; exec sleep 60'], needs-client: 1500 ms}

@@ -63,7 +63,7 @@ fn an_invalid_network_is_refused_with_an_example() {
 }
 
 #[test]
-fn a_secret_key_that_others_can_read_is_warned_of() {
+fn a_secret_key_readable_by_others_causes_a_warning() {
     use std::os::unix::fs::PermissionsExt;
 
     let scratch = Scratch::new();
@@ -97,7 +97,7 @@ fn a_secret_key_that_others_can_read_is_warned_of() {
 }
 
 #[test]
-fn a_build_that_cannot_encrypt_says_so_and_serves_nobody() {
+fn a_build_without_encryption_rejects_keys_and_does_not_start() {
     if encrypts() {
         return;
     }
@@ -191,7 +191,7 @@ fn only_a_client_with_an_allowed_key_is_served() {
 }
 
 #[test]
-fn with_keys_and_nobody_allowed_nobody_is_served() {
+fn a_server_with_keys_and_no_allowed_client_serves_nobody() {
     if !encrypts() {
         return;
     }
@@ -203,7 +203,7 @@ fn with_keys_and_nobody_allowed_nobody_is_served() {
 
 /// libzmq counts what encryption adds to a message.
 #[test]
-fn the_longest_message_passes_encrypted_and_one_byte_more_is_reported() {
+fn the_longest_encrypted_message_passes_and_a_longer_one_is_reported() {
     if !encrypts() {
         return;
     }
@@ -233,7 +233,7 @@ fn the_longest_message_passes_encrypted_and_one_byte_more_is_reported() {
 }
 
 #[test]
-fn a_key_for_another_scope_opens_nothing_here() {
+fn a_key_for_another_scope_gives_no_access() {
     if !encrypts() {
         return;
     }

@@ -63,13 +63,13 @@ const TASKS: [(&str, &str, &str, &str); 4] = [
 ];
 
 #[test]
-fn our_client_runs_them() {
+fn our_client_runs_the_examples() {
     runs_them(&python());
 }
 
 /// The scripts of an old robot are older than Python 3.
 #[test]
-fn under_python_2_they_run_as_well() {
+fn the_examples_run_under_python_2() {
     let Some(python) = python27() else {
         return eprintln!("left out: the examples under Python 2.7, which this machine has not");
     };
@@ -126,7 +126,7 @@ fn runs_them(python: &Path) {
 }
 
 #[test]
-fn the_originals_client_runs_them() {
+fn the_originals_client_runs_the_examples() {
     let (_scratch, server) = example(&python());
     let mut client = OriginalClient::connect(server.port, "/robot");
     for (handler, component, goal, result) in TASKS {
@@ -140,7 +140,7 @@ fn the_originals_client_runs_them() {
 }
 
 #[test]
-fn the_example_is_right() {
+fn the_example_configuration_is_valid() {
     let file = project("examples/serve/robot.yaml");
     let ended = Process::run(ztl().arg("serve").arg(file).arg("--check"));
     assert_eq!(ended.code, Some(0), "{ended:?}");
@@ -153,12 +153,12 @@ fn the_example_is_right() {
 }
 
 #[test]
-fn systemd_finds_nothing_wrong_with_the_unit() {
+fn systemd_accepts_the_unit() {
     verify_unit(&project("examples/systemd/ztl-serve.service"));
 }
 
 #[test]
-fn the_first_example_of_the_manual_can_be_pasted() {
+fn the_manuals_first_example_runs_as_pasted() {
     let manual = std::fs::read_to_string(project("docs/serve.md")).expect("the manual");
     let block = manual
         .split("```")

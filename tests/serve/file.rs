@@ -17,7 +17,7 @@ fn written(scratch: &Scratch, text: &str) -> String {
 }
 
 #[test]
-fn checking_says_what_is_wrong_and_what_may_be() {
+fn a_check_reports_mistakes_and_doubts() {
     let scratch = Scratch::new();
     let file = written(
         &scratch,
@@ -67,7 +67,7 @@ fn checking_says_what_is_wrong_and_what_may_be() {
 }
 
 #[test]
-fn options_override_the_file_and_what_is_missing_is_asked_for() {
+fn options_override_the_file_and_missing_settings_are_reported() {
     let scratch = Scratch::new();
     let file = written(&scratch, "scopes: {/a: {h: {c: echo}}}\n");
     let ended = run(&[&file, "--check"]);
@@ -106,7 +106,7 @@ fn options_override_the_file_and_what_is_missing_is_asked_for() {
 }
 
 #[test]
-fn every_key_stands_in_the_manual() {
+fn the_manual_documents_every_key() {
     let scratch = Scratch::new();
     let file = written(
         &scratch,

@@ -26,7 +26,7 @@ const FAR: &str = r#"
     "#;
 
 #[test]
-fn a_task_is_done_there_as_if_it_were_done_here() {
+fn a_forwarded_task_behaves_like_a_local_one() {
     let far = Lab::new(FAR);
     let near = relay(far.server.port);
     assert_eq!(near.run("echo", "a:b;c"), (Completed, "a:b;c".to_owned()));
@@ -57,7 +57,7 @@ fn a_task_is_done_there_as_if_it_were_done_here() {
 }
 
 #[test]
-fn the_other_server_may_be_the_originals() {
+fn tasks_are_forwarded_to_the_originals_server() {
     let far = Server::original();
     let near = relay(far.port);
     assert_eq!(near.run("other", "hi"), (Completed, "hi".to_owned()));
@@ -69,7 +69,7 @@ fn the_other_server_may_be_the_originals() {
 }
 
 #[test]
-fn a_server_that_is_not_there_refuses_and_nothing_is_sent() {
+fn an_absent_server_causes_a_rejection_and_nothing_is_sent() {
     let near = relay(reserve_port());
     let mut remote = near.remote();
     // Known after its INIT was answered, with the id.
@@ -80,7 +80,7 @@ fn a_server_that_is_not_there_refuses_and_nothing_is_sent() {
 }
 
 #[test]
-fn a_server_that_falls_silent_leaves_its_task_unknown_until_it_speaks() {
+fn a_forwarded_task_is_unknown_while_its_server_is_silent() {
     let far = Lab::new(FAR);
     let near = relay(far.server.port);
     let mut remote = near.remote();
@@ -97,8 +97,7 @@ fn a_server_that_falls_silent_leaves_its_task_unknown_until_it_speaks() {
 
 /// Every client of a relay whose server is killed and started again while it does a task.
 #[test]
-fn a_task_whose_server_was_restarted_is_unknown_to_every_client_of_ours_and_failed_to_the_originals()
- {
+fn a_restarted_servers_task_is_unknown_to_us_and_failed_to_originals() {
     let port = reserve_port().to_string();
     let sleeps = |name| format!("{name}: {{run: [sleep, '60'], abort: no}}\n");
     let file: String = ["client", "script", "abort", "original", "after"]
@@ -161,7 +160,7 @@ fn a_task_whose_server_was_restarted_is_unknown_to_every_client_of_ours_and_fail
 }
 
 #[test]
-fn a_restarted_server_has_not_completed_its_earlier_tasks() {
+fn earlier_tasks_of_a_restarted_server_are_not_completed() {
     let port = reserve_port().to_string();
     let mut far = Lab::with(FAR, &["-p", &port]);
     let near = relay(far.server.port);
@@ -187,7 +186,7 @@ fn a_restarted_server_has_not_completed_its_earlier_tasks() {
 }
 
 #[test]
-fn a_server_that_forwards_to_itself_comes_to_an_end() {
+fn a_server_that_forwards_to_itself_terminates_the_loop() {
     let port = reserve_port();
     let file = format!(
         "scopes: {{{SCOPE}: {{p: {{'*': {{forward: {{to: 'tcp://127.0.0.1:{port}', scope: {SCOPE}}}}}}}}}}}"
@@ -230,7 +229,7 @@ fn encrypted() -> Option<(Lab, Scratch, [String; 2])> {
 }
 
 #[test]
-fn with_keys_it_is_the_client_that_the_other_server_knows() {
+fn with_keys_the_forwarding_server_authenticates_as_a_client() {
     let Some((far, _keys, [near, mallory])) = encrypted() else {
         // Said at the start, and no task goes out in the clear.
         let to = "to: 'tcp://127.0.0.1:1', scope: /a, key: a.key_secret, server-key: b.key";

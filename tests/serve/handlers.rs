@@ -86,7 +86,7 @@ fn slowest_status(remote: &mut RemoteTask, id: TaskId, time: Duration) -> Durati
 }
 
 #[test]
-fn a_panic_is_that_tasks_end_and_nobody_elses() {
+fn a_panic_fails_only_its_own_task() {
     let lab = Lab::new();
     let mut remote = lab.connect();
     let bystander = start(&mut remote, "any", "sleep", "");
@@ -117,7 +117,7 @@ fn a_panic_is_that_tasks_end_and_nobody_elses() {
 }
 
 #[test]
-fn an_assign_that_blocks_for_3_s_keeps_nobody_waiting() {
+fn an_assign_that_blocks_for_3_s_delays_no_other_client() {
     let lab = Lab::new();
     let mut remote = lab.connect();
     let bystander = start(&mut remote, "any", "sleep", "");
@@ -173,7 +173,7 @@ fn status_reports_a_rejection_by_an_assign_that_hung() {
 }
 
 #[test]
-fn an_abort_that_is_not_heeded_is_answered_all_the_same() {
+fn an_ignored_abort_is_still_answered() {
     let lab = Lab::new();
     let mut client = lab.original_client();
     let mut remote = lab.connect();
@@ -217,7 +217,7 @@ fn a_task_that_completes_despite_an_abort_reports_its_true_outcome() {
 }
 
 #[test]
-fn an_abort_wakes_a_task_and_its_end_never_changes() {
+fn an_abort_wakes_a_task_and_its_final_state_never_changes() {
     let lab = Lab::new();
     let mut client = lab.original_client();
     let id = client.start("any", "sleep", "");

@@ -47,7 +47,7 @@ fn client(port: u16, component: &str) -> (Process, TaskId) {
 }
 
 #[test]
-fn a_task_is_aborted_when_its_client_is_killed_if_its_owner_wants_that() {
+fn a_task_tied_to_its_client_is_aborted_when_that_is_killed() {
     let server = serve(Base);
     let port = port_of(server.endpoint());
     let (mut killed, one) = client(port, "needs");

@@ -45,7 +45,7 @@ fn run(server: &Server, tasks: u32) {
 }
 
 #[test]
-fn a_server_stays_as_large_as_it_was_when_its_memory_was_full() {
+fn a_server_with_a_full_task_table_does_not_grow() {
     let _busy = busy();
     let tasks = u32::try_from(number("ZTL_MANY_TASKS", 5_000)).expect("a small number");
     let server = Server::ours();
@@ -75,7 +75,7 @@ fn a_server_stays_as_large_as_it_was_when_its_memory_was_full() {
 
 /// Goals of tasks that run count, too: they are refused when they fill the memory, and none is forgotten.
 #[test]
-fn goals_of_running_tasks_are_refused_when_they_fill_the_memory() {
+fn running_tasks_goals_that_fill_the_memory_are_rejected() {
     let gate = Gate::default();
     let mut limits = Limits::default();
     limits.memory = 800 << 10;
@@ -195,7 +195,7 @@ fn payload(goal: &str) -> String {
 /// As many at once as a server takes if nothing else is chosen, asked for at once, over plain libzmq:
 /// each is answered once and in time, has its end, and those beyond the limit are refused.
 #[test]
-fn ten_thousand_tasks_at_once_are_answered_once_and_none_is_lost() {
+fn ten_thousand_concurrent_tasks_are_each_answered_once() {
     let _busy = busy();
     let gate = Gate::default();
     let server = serve(gate.clone());

@@ -9,7 +9,7 @@ use ztl_tests::lab::{PATIENCE, Process, until, ztl};
 use crate::rig::{Lab, dies, end, lives, progress, trigger};
 
 #[test]
-fn a_program_of_another_user_has_their_rights_and_no_others() {
+fn a_program_of_another_user_has_only_that_users_rights() {
     let mut lab = Lab::new(
         r#"
         own: {run: [sh, -c, 'echo "$(id -un) $(id -G)"'], user: nobody}
@@ -58,7 +58,7 @@ fn a_program_of_another_user_has_their_rights_and_no_others() {
 }
 
 #[test]
-fn no_process_remains_of_programs_that_leave_children() {
+fn programs_with_children_leave_no_process_behind() {
     let lab = Lab::new(
         r#"
         leaves: [sh, -c, 'for i in 1 2 3; do sleep 60 & done; (sleep 60; sleep 60) & echo done']
@@ -90,7 +90,7 @@ fn worked(process: u32) -> u64 {
 }
 
 #[test]
-fn a_program_that_says_nothing_or_closes_what_it_speaks_into_costs_no_time() {
+fn a_silent_or_closed_output_uses_no_cpu() {
     let lab = Lab::new(
         r#"
         silent: {run: [sh, -c, 'echo > silent; until [ -e go ]; do sleep 0.2; done; echo end']}
@@ -125,7 +125,7 @@ fn a_program_that_says_nothing_or_closes_what_it_speaks_into_costs_no_time() {
 }
 
 #[test]
-fn a_crowd_that_shouts_is_heard_within_bounds_and_others_are_served() {
+fn many_noisy_children_are_read_within_limits_and_delay_no_other() {
     let lab = Lab::new(
         r#"
         crowd: {run: [sh, -c, 'for i in $(seq 40); do yes "$i is here" & yes >&2 & done; wait'], result: all, output: 4 KiB, abort: {grace: 100 ms}}
@@ -174,7 +174,7 @@ fn ztl_ps_shows_where_a_program_is() {
 }
 
 #[test]
-fn whichever_signal_ends_the_server_no_program_survives_it() {
+fn no_program_survives_its_server_at_any_signal() {
     for signal in ["ABRT", "QUIT", "HUP"] {
         let mut lab =
             Lab::new("go: {run: [sh, -c, 'echo $$ > pid; exec sleep 60'], abort: {grace: 2 s}}");

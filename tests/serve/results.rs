@@ -49,7 +49,7 @@ fn the_goal_reaches_a_program_unchanged_and_no_shell_reads_it() {
 }
 
 #[test]
-fn a_goal_that_would_be_an_option_or_cannot_be_an_argument_is_refused() {
+fn an_option_like_goal_or_invalid_argument_is_rejected() {
     let lab = Lab::new(
         "
         say: [echo, '{goal}']
@@ -90,7 +90,7 @@ fn a_goal_that_would_be_an_option_or_cannot_be_an_argument_is_refused() {
 }
 
 #[test]
-fn the_last_line_is_the_result_or_all_or_json_or_nothing() {
+fn the_result_is_the_last_line_all_json_or_nothing() {
     let script = "sh, -c, 'echo one; echo; echo \"[1, true, {\\\"a\\\": null}]\"; echo'";
     let lab = Lab::new(&format!(
         "last: [{script}]
@@ -118,7 +118,7 @@ fn the_last_line_is_the_result_or_all_or_json_or_nothing() {
 }
 
 #[test]
-fn a_program_that_fails_or_crashes_says_how_and_why() {
+fn a_failed_or_crashed_program_is_reported_with_the_reason() {
     let lab = Lab::new(
         r#"
         exit: [sh, -c, 'echo out; echo "cannot open /dev/dsp" >&2; exit 3']
@@ -140,7 +140,7 @@ fn a_program_that_fails_or_crashes_says_how_and_why() {
 }
 
 #[test]
-fn output_without_end_and_bytes_that_are_no_text_harm_nobody() {
+fn endless_and_non_utf8_output_is_handled() {
     let lab = Lab::new(
         r#"
         flood: {run: [sh, -c, 'yes 0123456789 | head -c 50000000; echo; echo the end']}
@@ -203,7 +203,7 @@ fn stdin_is_empty_and_signals_are_as_a_program_expects_them() {
 }
 
 #[test]
-fn progress_is_seen_when_it_is_printed_and_is_no_result() {
+fn progress_is_reported_when_printed_and_excluded_from_the_result() {
     let lab = Lab::new(
         r#"
         go: {run: [sh, -c, 'echo "@ 1 of 2"; until [ -e go ]; do sleep 0.01; done; echo done; echo "@ 2 of 2"'], progress: '@ '}

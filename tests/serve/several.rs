@@ -27,7 +27,7 @@ fn let_go(lab: &Lab, goal: &str) {
 }
 
 #[test]
-fn one_at_a_time_unless_more_are_allowed_and_the_next_is_refused() {
+fn tasks_beyond_the_allowed_number_are_rejected() {
     let lab = lab("at-once: 2");
     let mut remote = lab.remote();
     let one = started(&mut remote, "one");
@@ -44,7 +44,7 @@ fn one_at_a_time_unless_more_are_allowed_and_the_next_is_refused() {
 }
 
 #[test]
-fn a_queue_is_done_in_its_order() {
+fn queued_tasks_run_in_order() {
     let lab = lab("busy: queue 2");
     let mut remote = lab.remote();
     let one = started(&mut remote, "one");
@@ -66,7 +66,7 @@ fn a_queue_is_done_in_its_order() {
 }
 
 #[test]
-fn the_latest_replaces_the_one_that_runs_once_that_has_ended() {
+fn the_latest_task_starts_once_the_replaced_one_has_ended() {
     let lab = Lab::new(
         r#"
         go: {run: [sh, -c, 'trap "until [ -e ends ]; do sleep 0.02; done; rmdir lock; exit" TERM; mkdir lock || exit 9; echo "@ on"; while :; do sleep 0.02; done'], progress: '@ ', busy: replace, abort: {signal: TERM, grace: 20 s}}
@@ -96,7 +96,7 @@ fn open_files(lab: &Lab, remote: &mut RemoteTask) -> usize {
 }
 
 #[test]
-fn two_hundred_at_once_are_served_and_not_one_more() {
+fn two_hundred_concurrent_tasks_run_and_the_next_is_rejected() {
     let text = format!(
         "at-once: 200\nscopes: {{/test: {{p: {{go: {{{WAITS}, at-once: 400}}, echo: echo}}}}}}"
     );
@@ -130,7 +130,7 @@ fn two_hundred_at_once_are_served_and_not_one_more() {
 }
 
 #[test]
-fn a_thousand_quick_ones_one_after_the_other_lose_nothing() {
+fn a_thousand_quick_tasks_in_sequence_all_complete() {
     let lab = Lab::new("echo: {run: [echo, 'said {goal}'], at-once: 8, busy: queue 8}");
     let endpoint = lab.server.endpoint();
     let clients = (0..4).map(|client| {
@@ -153,7 +153,7 @@ fn a_thousand_quick_ones_one_after_the_other_lose_nothing() {
 }
 
 #[test]
-fn all_at_once_are_aborted() {
+fn thirty_concurrent_tasks_are_aborted() {
     let lab = lab("at-once: 30");
     let mut remote = lab.remote();
     let tasks: Vec<TaskId> = (0..30)
@@ -168,7 +168,7 @@ fn all_at_once_are_aborted() {
 }
 
 #[test]
-fn children_that_end_cost_no_answer() {
+fn ending_children_lose_no_reply() {
     let lab = Lab::new("echo: {run: [echo, 'said {goal}']}");
     // A client that asks once, and waits: ZeroMQ gave up a frame of an answer when a child ended.
     let socket = zmq::Context::new().socket(zmq::REQ).expect("a socket");

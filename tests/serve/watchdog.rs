@@ -34,7 +34,7 @@ fn serve(watchdog: &str) -> (Scratch, RunningServer, String) {
 }
 
 #[test]
-fn without_a_confirmation_programs_are_refused_and_all_else_is_served() {
+fn without_the_watchdogs_confirmation_only_programs_are_rejected() {
     for watchdog in [
         // It never gets ready, does not answer, ends at once, cannot be understood.
         "exec sleep 600",
@@ -59,7 +59,7 @@ fn without_a_confirmation_programs_are_refused_and_all_else_is_served() {
 }
 
 #[test]
-fn an_abort_before_the_confirmation_is_done_at_once_and_nothing_starts() {
+fn an_abort_before_the_watchdogs_confirmation_starts_nothing() {
     // It confirms the first program, and no other.
     let (scratch, _server, endpoint) = serve(
         "echo 0 >&0; read line; echo 1 >&0

@@ -57,7 +57,7 @@ fn is_known(remote: &mut RemoteTask, id: TaskId) -> bool {
 }
 
 #[test]
-fn one_task_too_many_is_refused_until_one_ends_and_no_end_is_forgotten_for_it() {
+fn a_task_above_the_limit_is_rejected_without_dropping_outcomes() {
     let server = serve(|limits| (limits.running, limits.remembered) = (2, 4));
     let mut remote = connect(server.endpoint());
     let ended = [0, 1].map(|_| {
@@ -79,7 +79,7 @@ fn one_task_too_many_is_refused_until_one_ends_and_no_end_is_forgotten_for_it() 
 }
 
 #[test]
-fn an_end_is_remembered_for_its_time() {
+fn an_outcome_is_kept_for_the_configured_time() {
     let server = serve(|limits| limits.keep = Duration::from_millis(300));
     let mut remote = connect(server.endpoint());
     let (running, id) = (
@@ -96,7 +96,7 @@ fn an_end_is_remembered_for_its_time() {
 }
 
 #[test]
-fn requests_that_would_wait_are_refused_when_too_many_do() {
+fn waiting_requests_above_the_limit_are_rejected() {
     let server = serve(|limits| limits.held = 1);
     let (mut remote, mut other) = (connect(server.endpoint()), connect(server.endpoint()));
     let id = start(&mut remote, "h", "wait", "g");
@@ -113,7 +113,7 @@ fn requests_that_would_wait_are_refused_when_too_many_do() {
 }
 
 #[test]
-fn a_message_that_is_too_long_ends_its_connection_alone() {
+fn a_message_that_is_too_long_closes_only_its_connection() {
     let server = serve(|limits| limits.message = 1000);
     let (fits, too_long) = (vec![b'x'; 1000], vec![b'x'; 1001]);
     let req = Socket::req(server.endpoint());
@@ -130,7 +130,7 @@ fn goal(message: usize) -> String {
 }
 
 #[test]
-fn a_client_sends_nothing_that_the_server_says_is_too_long() {
+fn a_client_sends_no_message_above_the_servers_limit() {
     // The longest that is a whole number of base64's fours, and one more of them.
     let (fits, too_long) = (11 + 4 * 247, 11 + 4 * 248);
     let endpoint = format!("tcp://127.0.0.1:{}", reserve_port());
@@ -158,7 +158,7 @@ fn a_client_sends_nothing_that_the_server_says_is_too_long() {
 }
 
 #[test]
-fn the_longest_message_passes_and_one_byte_more_is_reported() {
+fn the_longest_message_passes_and_a_longer_one_is_reported() {
     let server = serve(|_| ());
     let mut remote = connect(server.endpoint());
     let payload = |length: usize| "x".repeat(length - "/test;1;-1;".len());
@@ -180,7 +180,7 @@ fn the_longest_message_passes_and_one_byte_more_is_reported() {
 }
 
 #[test]
-fn a_connection_too_many_waits_until_there_is_room() {
+fn a_connection_above_the_limit_waits_for_a_slot() {
     let server = serve(|limits| {
         limits.connections = 4;
         limits.handshake = Duration::from_millis(500);
@@ -227,7 +227,7 @@ fn probed(answers: &'static [&'static str]) -> (String, std::thread::JoinHandle<
 }
 
 #[test]
-fn a_limit_that_no_probe_would_keep_does_not_end_the_probing() {
+fn a_limit_below_a_probes_length_does_not_stop_probes() {
     let (endpoint, server) = probed(&["10", "4096"]);
     let mut remote = connect(&endpoint);
     for _ in 0..2 {
@@ -238,7 +238,7 @@ fn a_limit_that_no_probe_would_keep_does_not_end_the_probing() {
 }
 
 #[test]
-fn a_client_that_cannot_ask_for_the_limit_again_says_that_nothing_was_sent() {
+fn a_client_that_cannot_refresh_the_limit_reports_nothing_sent() {
     let (endpoint, server) = probed(&["100"]);
     let remote = connect(&endpoint);
     let mut remote = remote.with_timeout(Duration::from_millis(300));

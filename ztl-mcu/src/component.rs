@@ -344,7 +344,7 @@ mod tests {
     }
 
     #[test]
-    fn arrays_tuples_and_references_are_components_in_their_order() {
+    fn arrays_tuples_and_references_keep_their_component_order() {
         assert_eq!(names([Named("a"), Named("b")]), ["a", "b"]);
         assert_eq!(names((Named("a"),)), ["a"]);
         let (mut one, mut other) = (Named("b"), Named("c"));
@@ -356,7 +356,7 @@ mod tests {
     }
 
     #[test]
-    fn a_report_that_does_not_fit_is_cut_and_marked() {
+    fn an_oversized_report_is_truncated_and_marked() {
         for (parts, expected) in [
             (&["12345678"][..], "12345678"),
             (&["123456789"], "12345678…"),

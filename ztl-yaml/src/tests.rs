@@ -241,7 +241,7 @@ e: {<<: [], '<<': text}
 }
 
 #[test]
-fn all_mistakes_are_reported_at_once_in_order() {
+fn all_mistakes_are_reported_together_in_order() {
     let document = document("prot: 1\nlevel: lud\nport: 70000\nlist: 3\nempty:\n");
     let mut reading = document.reading();
     let mut fields = reading.fields(document.root(), "it").expect("a mapping");

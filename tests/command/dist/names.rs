@@ -19,7 +19,7 @@ fn ask(place: &Place, server: &Server, host: &str) -> Ended {
 
 #[test]
 #[ignore = "for `cargo xtask dist --check`"]
-fn a_host_is_found_by_its_name_in_a_file() {
+fn host_names_are_resolved_from_the_hosts_file() {
     let place = Place::new();
     let server = Server::ours();
     if place.path_inside("etc") != "/etc" {
@@ -37,7 +37,7 @@ fn a_host_is_found_by_its_name_in_a_file() {
 
 #[test]
 #[ignore = "for `cargo xtask dist --check`"]
-fn a_host_is_found_by_a_name_server() {
+fn host_names_are_resolved_by_dns() {
     let place = Place::new();
     let server = Server::ours();
     if place.path_inside("etc") != "/etc" {

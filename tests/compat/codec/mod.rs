@@ -243,7 +243,7 @@ fn hex(bytes: &[u8]) -> String {
 }
 
 #[test]
-fn odd_messages_are_read_and_written_as_by_the_original() {
+fn unusual_messages_are_read_and_written_like_the_original() {
     let seed = seed();
     let mut random = Random::new(seed);
     let cases: Vec<Case> = (0..CASES).map(|_| Case::new(&mut random)).collect();
@@ -272,7 +272,7 @@ fn odd_messages_are_read_and_written_as_by_the_original() {
 }
 
 #[test]
-fn what_is_listed_as_different_is_read_by_the_original_alone() {
+fn only_the_original_reads_the_listed_differences() {
     let mut differences = Differences::listed();
     let examples: Vec<Case> = differences
         .0

@@ -44,7 +44,7 @@ fn reads(text: &str, value: &Value) -> bool {
 }
 
 #[test]
-fn what_python_and_yaml_write_is_read_and_what_is_written_is_pythons() {
+fn goals_written_by_python_and_yaml_are_read_and_written_like_python() {
     let seed = seed();
     let makers = (0..PROCESSES).map(|process| {
         let seed = seed.wrapping_add(process as u64).to_string();
@@ -124,7 +124,7 @@ fn check_yaml(value: &Value, text: &str, seed: u64) -> Option<&'static str> {
 }
 
 #[test]
-fn every_difference_on_the_list_is_one() {
+fn each_listed_difference_still_exists() {
     let examples = || {
         let pair = |difference: &'static differences::Difference| {
             let each = difference.examples.iter();

@@ -39,7 +39,7 @@ fn end(remote: &mut RemoteTask, ledger: &mut Ledger, (id, goal): (RemoteId, Stri
 }
 
 #[test]
-fn resets_of_either_side_lose_no_task_and_the_gateway_grows_by_nothing() {
+fn resets_of_either_side_lose_no_task_and_leak_no_memory() {
     let resets = count("ZTL_RESETS", 100);
     let mut rig = Rig::new(1, "--baud 921600");
     let mut remote = rig.client();

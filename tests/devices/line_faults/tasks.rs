@@ -40,7 +40,7 @@ pub fn drive(mut remote: RemoteTask, device: &str, client: usize, tasks: usize) 
 }
 
 #[test]
-fn on_a_bad_line_what_is_accepted_is_done_once_and_what_is_rejected_never() {
+fn on_a_bad_line_accepted_tasks_run_once_and_rejected_ones_never() {
     let tasks = count("ZTL_TASKS", 2000);
     let mut rig = Rig::new(
         BRANCHES,

@@ -10,7 +10,7 @@ use ztl_tests::lab::{
 };
 
 #[test]
-fn a_client_that_waits_through_a_restart_hears_the_true_end() {
+fn a_client_that_waits_through_a_restart_gets_the_true_outcome() {
     let mut lab = Lab::new(LONG);
     let mut client = lab.client();
     let id = start(&mut client, "motors", "arm", "7 1500");
@@ -38,7 +38,7 @@ fn a_client_that_waits_through_a_restart_hears_the_true_end() {
 }
 
 #[test]
-fn the_originals_client_that_asks_by_status_hears_the_true_end() {
+fn the_originals_client_polling_status_gets_the_true_outcome() {
     let mut lab = Lab::new(LONG);
     let mut client = lab.gateway.original_client();
     let id = client.start("motors", "belt", "7 1000");
@@ -51,7 +51,7 @@ fn the_originals_client_that_asks_by_status_hears_the_true_end() {
 }
 
 #[test]
-fn killed_before_the_device_has_answered_the_start_it_goes_on() {
+fn a_start_unanswered_at_the_kill_continues() {
     let mut lab = Lab::new(LONG);
     let mut client = lab.quiet_client();
     lab.device.world().mute = true;
@@ -77,7 +77,7 @@ fn killed_before_the_device_has_answered_the_start_it_goes_on() {
 }
 
 #[test]
-fn killed_before_the_device_got_the_start_it_never_starts() {
+fn a_start_unsent_at_the_kill_never_runs() {
     let mut lab = Lab::new(LONG);
     let mut client = lab.quiet_client();
     lab.device.world().deaf = true;
@@ -94,7 +94,7 @@ fn killed_before_the_device_got_the_start_it_never_starts() {
 }
 
 #[test]
-fn killed_after_the_end_and_before_anybody_asked_the_end_is_known() {
+fn an_outcome_is_known_after_a_kill_before_anyone_asked() {
     let mut lab = Lab::new(LONG);
     let mut client = lab.client();
     let id = start(&mut client, "motors", "arm", "7 50");
@@ -108,7 +108,7 @@ fn killed_after_the_end_and_before_anybody_asked_the_end_is_known() {
 }
 
 #[test]
-fn a_device_that_was_reset_meanwhile_has_failed_its_task() {
+fn a_device_reset_during_the_restart_fails_its_task() {
     let mut lab = Lab::new(LONG);
     let mut client = lab.client();
     let arm = start(&mut client, "motors", "arm", "7 60000");
@@ -129,8 +129,7 @@ fn a_device_that_was_reset_meanwhile_has_failed_its_task() {
 }
 
 #[test]
-fn of_a_device_that_is_away_what_must_have_stopped_has_failed_and_what_carries_on_has_its_true_end()
-{
+fn an_absent_devices_tasks_fail_after_its_timeout_unless_they_carry_on() {
     let mut lab = Lab::new(USUAL);
     let mut client = lab.client();
     let arm = start(&mut client, "motors", "arm", "7 60000");
@@ -183,7 +182,7 @@ fn an_abort_reaches_a_task_from_before_the_restart() {
 }
 
 #[test]
-fn a_task_of_a_device_that_is_not_served_any_more_ends_as_one_that_does_not_answer() {
+fn a_removed_devices_task_ends_like_that_of_a_silent_one() {
     let mut lab = Lab::new(USUAL);
     let mut client = lab.client();
     let arm = start(&mut client, "motors", "arm", "7 60000");
@@ -215,7 +214,7 @@ fn a_task_of_a_device_that_is_not_served_any_more_ends_as_one_that_does_not_answ
 }
 
 #[test]
-fn a_second_gateway_on_the_same_journal_ends_with_what_is_wrong() {
+fn a_second_gateway_on_the_same_journal_exits_with_the_reason() {
     let lab = Lab::new(USUAL);
     let [soft, hard] = ["soft", "hard"].map(|name| lab.scratch.path(name));
     std::os::unix::fs::symlink(lab.journal(), &soft).unwrap();
@@ -246,7 +245,7 @@ fn dice(state: &mut u64, below: u64) -> u64 {
 
 /// Kills at moments of all kinds, with tasks on both motors all the time.
 #[test]
-fn whenever_it_is_killed_each_task_has_one_end_and_moves_once() {
+fn a_kill_at_any_time_gives_each_task_one_outcome_and_motion() {
     let mut lab = Lab::new(LONG);
     let endpoint = lab.gateway.endpoint();
     let stop = std::sync::Arc::new(std::sync::atomic::AtomicBool::new(false));

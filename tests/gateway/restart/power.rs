@@ -96,7 +96,7 @@ pub(super) fn journal_up_to(last: u32) -> String {
 }
 
 #[test]
-fn after_a_power_cut_no_id_is_given_a_second_time() {
+fn no_id_is_reused_after_a_power_cut() {
     let mut lab = OnDisk::new(&journal_up_to(2_000_000_000));
     let mut given = BTreeSet::new();
     for round in 0..3 {
@@ -115,7 +115,7 @@ fn after_a_power_cut_no_id_is_given_a_second_time() {
 }
 
 #[test]
-fn an_id_that_was_told_while_the_disk_stalled_is_known_after_a_kill() {
+fn an_id_sent_while_the_disk_stalls_is_known_after_a_kill() {
     let mut lab = OnDisk::new("");
     let mut client = lab.client();
     let id = client.trigger("motors", "arm", "1 1").unwrap().id;

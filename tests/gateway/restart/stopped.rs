@@ -18,7 +18,7 @@ fn wait_until(moment: Instant) {
 }
 
 #[test]
-fn a_gateway_that_is_stopped_for_a_while_moves_each_motor_once() {
+fn a_suspended_gateway_moves_each_motor_once() {
     let lab = Lab::new(LONG);
     // A shell that is there already is quicker than a program that has to start.
     let mut shell = Process::start(&mut std::process::Command::new("sh"));
@@ -71,7 +71,7 @@ fn a_gateway_that_is_stopped_for_a_while_moves_each_motor_once() {
 }
 
 #[test]
-fn a_gateway_that_is_stopped_for_longer_than_the_link_timeout_tells_what_the_device_did() {
+fn a_gateway_suspended_beyond_the_link_timeout_reports_the_devices_outcomes() {
     let lab = Lab::new(USUAL);
     let mut client = lab.client();
     let arm = client
@@ -99,7 +99,7 @@ fn a_gateway_that_is_stopped_for_longer_than_the_link_timeout_tells_what_the_dev
 }
 
 #[test]
-fn a_client_of_a_gateway_that_is_killed_or_stopped_at_any_point_moves_a_motor_at_most_once() {
+fn a_gateway_killed_or_stopped_anywhere_moves_a_motor_at_most_once() {
     let lab = Lab::new(LONG);
     for point in POINTS {
         let client =

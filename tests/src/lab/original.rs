@@ -171,7 +171,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn texts_survive_the_way_to_the_driver() {
+    fn texts_reach_the_driver_unchanged() {
         for text in ["", " ", "l1\nl2", "grüße 👍"] {
             assert_eq!(unhex(&hex(text)), text.as_bytes());
         }

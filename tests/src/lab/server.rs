@@ -188,7 +188,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_server_that_finds_its_port_taken_is_started_at_another() {
+    fn a_server_with_a_taken_port_is_started_at_another() {
         let taken = TcpListener::bind(("0.0.0.0", 0)).expect("a port");
         let taken = taken.local_addr().expect("its address").port().to_string();
         let starts = Cell::new(0);

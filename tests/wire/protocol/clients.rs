@@ -140,7 +140,7 @@ fn robot() -> RunningServer {
 }
 
 #[test]
-fn each_client_does_what_its_first_lines_promise() {
+fn each_client_matches_its_introduction() {
     let server = robot();
     for client in CLIENTS {
         let line = |part: &str| {
@@ -163,7 +163,7 @@ fn each_client_does_what_its_first_lines_promise() {
 }
 
 #[test]
-fn each_client_tells_every_end_and_every_text() {
+fn each_client_reports_every_final_state_and_text() {
     let server = robot();
     let refused = "FAILED: Controller threw exception: no component 'arm'; it has: base";
     for (task, end, code) in [
@@ -195,7 +195,7 @@ fn each_client_drives_the_original() {
 }
 
 #[test]
-fn each_client_says_when_there_is_no_server() {
+fn each_client_reports_a_missing_server() {
     let nobody = format!("tcp://127.0.0.1:{}", reserve_port());
     each_prints(&nobody, "/robot", "robot:base:forward", UNKNOWN, 1);
 }
@@ -241,7 +241,7 @@ fn forgetful(client: Client, unanswered: &'static [&'static str], end: &str, cod
 }
 
 #[test]
-fn each_client_asks_on_when_a_status_is_not_answered() {
+fn each_client_repeats_an_unanswered_status() {
     let run = |client| {
         let run = move || {
             let start = std::time::Instant::now();

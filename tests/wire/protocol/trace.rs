@@ -218,7 +218,7 @@ fn play(block: &Block, host: Host) {
 }
 
 #[test]
-fn every_trace_of_the_document_is_what_a_server_says() {
+fn servers_match_every_documented_trace() {
     let blocks = blocks("trace");
     assert!(blocks.len() >= 9, "only {} traces", blocks.len());
     let run = |block: Block| {
@@ -238,7 +238,7 @@ fn the_original_does_not_notice_the_extensions() {
 }
 
 #[test]
-fn the_bytes_of_the_document_are_those_on_the_line() {
+fn the_documented_bytes_match_the_wire() {
     let blocks = blocks("bytes");
     assert!(!blocks.is_empty());
     for block in blocks {

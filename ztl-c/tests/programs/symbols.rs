@@ -27,7 +27,7 @@ fn assert_is_ours(what: &str, names: &[String], least: usize) {
 }
 
 #[test]
-fn only_the_headers_functions_can_be_seen() {
+fn only_the_headers_functions_are_exported() {
     let lib = library().join("lib");
     for (name, least) in [("libztl.a", 40), ("libztl_node.a", 10)] {
         let bytes = std::fs::read(lib.join(name)).expect("a static library");
@@ -50,7 +50,7 @@ fn only_the_headers_functions_can_be_seen() {
 }
 
 #[test]
-fn pkg_config_finds_the_libraries_wherever_they_are() {
+fn pkg_config_finds_relocated_libraries() {
     let moved = ztl_tests::lab::Scratch::new();
     let copied = Process::run(
         Command::new("cp")

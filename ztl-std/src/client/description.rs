@@ -180,7 +180,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_cannot_be_read_hides_nothing_else() {
+    fn an_unreadable_entry_hides_no_other() {
         let answer = "{ztl: 1, version: '0.1.0', boot: 7, more: {a: [1]}, \
             scopes: {\"/lab\": {\"arm\": [\"left\", \"it's\"], 7: 8, base: [on, {}]}, \"/odd\": x}, \
             running: {8: \"/lab\", 99999999999999999999: /t, x: /t, 8: /u, 9: [], 0: /t}, boot: 9}";

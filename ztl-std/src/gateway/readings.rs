@@ -124,7 +124,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_slow_observer_loses_the_oldest_and_harms_no_other() {
+    fn a_slow_observer_loses_the_oldest_and_delays_no_other() {
         let observers = Observers::default();
         let slow = observers.add(2);
         let quick = observers.add(100);

@@ -273,7 +273,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_init_that_found_no_room_is_not_started_when_it_is_resent() {
+    fn a_resent_init_that_was_rejected_for_space_is_not_started() {
         let mut heap = ServerMemory::new(Limits {
             clients: 1,
             ..Limits::default()

@@ -75,7 +75,7 @@ fn refusal(has: impl Fn(usize) -> bool) -> String {
 }
 
 #[test]
-fn of_two_reasons_to_refuse_a_start_the_first_one_is_told() {
+fn a_start_with_two_faults_is_rejected_for_the_first() {
     for (first, told) in REASONS.iter().enumerate() {
         for (second, other) in REASONS.iter().enumerate().skip(first) {
             let has = |reason| reason == first || reason == second;

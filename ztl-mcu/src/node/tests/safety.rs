@@ -3,7 +3,7 @@
 use super::*;
 
 #[test]
-fn what_was_switched_on_goes_to_its_safe_state_when_the_link_is_lost_long_after() {
+fn a_later_link_loss_makes_switched_on_outputs_safe() {
     with_node(|desk, trace| {
         desk.hello(5, 1);
         desk.start(1, 9, 0, "50");
@@ -26,7 +26,7 @@ fn what_was_switched_on_goes_to_its_safe_state_when_the_link_is_lost_long_after(
 }
 
 #[test]
-fn a_component_is_polled_until_it_is_safe_and_its_task_ends_then() {
+fn a_component_is_polled_until_safe_and_its_task_then_ends() {
     with_node(|desk, trace| {
         for motor in desk.node.components_mut() {
             motor.slow = 300;
@@ -54,7 +54,7 @@ fn a_component_is_polled_until_it_is_safe_and_its_task_ends_then() {
 }
 
 #[test]
-fn an_emergency_stop_lasts_until_each_component_is_safe_whatever_is_cleared() {
+fn a_cleared_emergency_stop_lasts_until_each_component_is_safe() {
     with_node(|desk, trace| {
         for motor in desk.node.components_mut() {
             motor.slow = 300;

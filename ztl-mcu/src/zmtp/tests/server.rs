@@ -188,7 +188,7 @@ fn replies_stay_readable_for_scopes_and_ids_of_any_length() {
 }
 
 #[test]
-fn clients_are_served_concurrently_and_an_extra_one_gets_no_slot() {
+fn clients_are_served_concurrently_up_to_the_slots() {
     for pieces in BOTH {
         let mut desk = desk();
         assert_eq!(desk.vacant(), Some(Peer(0)));

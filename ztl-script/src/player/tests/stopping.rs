@@ -66,7 +66,7 @@ fn stopping_a_scene_stops_its_tasks_and_shows_it_again() {
 }
 
 #[test]
-fn stopping_everything_reaches_background_tasks_and_those_of_other_clients_and_keeps_the_place() {
+fn stopping_everything_includes_background_and_foreign_tasks_and_keeps_the_position() {
     let mut world = in_the_second();
     let now = world.now;
     world.machine("lamp").begins(now, "100");

@@ -269,7 +269,7 @@ mod tests {
     }
 
     #[test]
-    fn programs_that_are_not_over_are_stopped_even_if_their_group_is_unknown() {
+    fn running_programs_are_stopped_even_if_their_group_is_unknown() {
         let grace = Duration::from_secs(10);
         // No server of another test gives such numbers.
         let [told, untold, over] = [3, 2, 1].map(|less| TaskId::new(u32::MAX - less).expect("one"));
