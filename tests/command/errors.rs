@@ -167,9 +167,9 @@ fn an_unknown_simulated_device_is_rejected_with_the_known_ones() {
     );
 }
 
-/// The exit code of our client that tells a task's fate.
+/// The exit code of our client that tells a task's outcome.
 #[track_caller]
-fn fate(server: &Server, args: &[&str]) -> (Option<i32>, String) {
+fn outcome(server: &Server, args: &[&str]) -> (Option<i32>, String) {
     let mut client = our_client();
     client.arg("--exit-status");
     let ended = server.start_client(client, args).end(PATIENCE);
@@ -231,7 +231,7 @@ fn the_exit_status_reports_the_outcome() {
             "aborted. Reply is 'True'",
         ),
     ] {
-        let (ended, last) = fate(server, args);
+        let (ended, last) = outcome(server, args);
         assert!(last.contains(part), "{args:?}: '{part}' in '{last}'");
         assert_eq!(ended, Some(code), "{args:?}: {last}");
         // Without the option: as the original, always 0.
@@ -281,7 +281,7 @@ fn ctrl_c_aborts_what_the_client_started() {
         let last = ended.stdout.lines().last().unwrap_or_default();
         assert!(last.ends_with("aborted. Reply is 'True'."), "{ended:?}");
         assert_eq!(ended.code, Some(code), "{ended:?}");
-        let (code, last) = fate(&gateway, &["head:pan:straight"]);
+        let (code, last) = outcome(&gateway, &["head:pan:straight"]);
         assert_eq!(code, Some(0), "{last}");
     }
 }

@@ -49,8 +49,8 @@ fn run(port: u16, goal: &str, point: u64, fault: impl FnOnce()) -> Result<State,
     let goal = goal.to_owned();
     let start = Instant::now();
     let client = std::thread::spawn(move || {
-        let fate = remote.run("test", "print", &goal, Some(Duration::from_secs(3)));
-        fate.map(|status| status.state)
+        let outcome = remote.run("test", "print", &goal, Some(Duration::from_secs(3)));
+        outcome.map(|status| status.state)
     });
     wait_until(start + Duration::from_micros(point));
     fault();
@@ -63,19 +63,19 @@ fn a_suspended_server_runs_each_task_once() {
     let server = serve(port);
     // A shell that is there already is quicker than a program that has to start.
     let mut shell = Process::start(&mut Command::new("sh"));
-    let mut fates = Vec::new();
+    let mut outcomes = Vec::new();
     for point in POINTS {
         let goal = format!("stopped at {point}");
-        let fate = run(port, &goal, point, || {
+        let outcome = run(port, &goal, point, || {
             shell.write_line(&format!("kill -STOP {}", server.id()));
             std::thread::sleep(Duration::from_millis(700));
             server.signal("CONT");
         });
         println!(
-            "stopped after {point} µs: {fate:?}, done {}",
+            "stopped after {point} µs: {outcome:?}, done {}",
             done(&server, &goal)
         );
-        match fate {
+        match outcome {
             Ok(State::Completed) => until("its line", PATIENCE, || {
                 (done(&server, &goal) > 0).then_some(())
             }),
@@ -86,7 +86,7 @@ fn a_suspended_server_runs_each_task_once() {
             ) => {}
             other => panic!("{point}: {other:?}"),
         }
-        fates.push((goal, fate));
+        outcomes.push((goal, outcome));
     }
     // Whatever was on its way has been taken by now.
     let last = run(port, "last", 0, || {});
@@ -94,9 +94,9 @@ fn a_suspended_server_runs_each_task_once() {
     until("its line", PATIENCE, || {
         (done(&server, "last") > 0).then_some(())
     });
-    for (goal, fate) in fates {
-        let most = usize::from(fate != Err(RunError::NotStarted(TriggerError::NeverCame)));
-        assert!(done(&server, &goal) <= most, "{goal}: {fate:?}");
+    for (goal, outcome) in outcomes {
+        let most = usize::from(outcome != Err(RunError::NotStarted(TriggerError::NeverCame)));
+        assert!(done(&server, &goal) <= most, "{goal}: {outcome:?}");
     }
 }
 
@@ -107,7 +107,7 @@ fn a_killed_and_restarted_server_repeats_no_task_and_invents_no_outcome() {
         let mut server = serve(port);
         let mut next = None;
         let goal = format!("killed at {point}");
-        let fate = run(port, &goal, point, || {
+        let outcome = run(port, &goal, point, || {
             server.kill();
             next = Some(serve(port));
         });
@@ -119,9 +119,9 @@ fn a_killed_and_restarted_server_repeats_no_task_and_invents_no_outcome() {
             let said = server.end(PATIENCE).stdout;
             said.lines().filter(|said| **said == line).count()
         });
-        println!("killed after {point} µs: {fate:?}, done {first} and {second}");
+        println!("killed after {point} µs: {outcome:?}, done {first} and {second}");
         let count = first + second;
-        match fate {
+        match outcome {
             Ok(State::Completed) => assert_eq!(count, 1, "{point}"),
             Err(RunError::NotStarted(TriggerError::NeverCame)) => assert_eq!(count, 0, "{point}"),
             Err(

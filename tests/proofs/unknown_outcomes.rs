@@ -72,7 +72,7 @@ fn an_unknown_outcome_in_the_init_reply_is_reported_as_unknown() {
         panic!("an end is known: {ran:?}");
     };
     assert!(
-        matches!(error.last, Err(RequestError::UnknownEnd { .. })),
+        matches!(error.last, Err(RequestError::UnknownOutcome { .. })),
         "{error:?}"
     );
 }

@@ -114,8 +114,8 @@ fn tasks_run_in_the_background_and_report_progress() {
     });
     let two = remote.start("h", "slow", "2", None, |_| {});
     let (one, two) = block_on(async { (one.await, two.await) });
-    for (fate, goal) in [(one, "1"), (two, "2")] {
-        let end = fate.expect("its end");
+    for (outcome, goal) in [(one, "1"), (two, "2")] {
+        let end = outcome.expect("its end");
         assert_eq!((end.state, end.text.as_str()), (State::Completed, goal));
     }
     assert!(

@@ -143,7 +143,7 @@ fn a_restarted_servers_task_is_unknown_to_us_and_failed_to_originals() {
         .wait(id, Some(PATIENCE))
         .expect_err("no end is known");
     assert!(
-        matches!(waited.last, Err(RequestError::UnknownEnd { .. })),
+        matches!(waited.last, Err(RequestError::UnknownOutcome { .. })),
         "{waited:?}"
     );
     let abort = Process::run(ztl().args(["abort", "-p", &near_port, &id.to_string()]));
@@ -179,7 +179,7 @@ fn earlier_tasks_of_a_restarted_server_are_not_completed() {
     progress(&mut remote, id, "unknown: ");
     far.server = start(&far.scratch.path("robot.yaml"), &["-p", &port]);
     let waited = remote.wait(id, Some(SOON)).expect_err("no end is known");
-    let Err(RequestError::UnknownEnd { text }) = waited.last else {
+    let Err(RequestError::UnknownOutcome { text }) = waited.last else {
         panic!("{waited:?}");
     };
     assert!(text.contains("started anew"), "{text}");

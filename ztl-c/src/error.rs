@@ -127,7 +127,7 @@ impl From<RequestError> for Failure {
             RequestError::NotConnected { .. } => ZTL_E_NOT_CONNECTED,
             RequestError::TooLong { .. } => ZTL_E_TOO_LONG,
             RequestError::NoAnswer { .. } => ZTL_E_NO_ANSWER,
-            RequestError::UnknownTask { .. } | RequestError::UnknownEnd { .. } => {
+            RequestError::UnknownTask { .. } | RequestError::UnknownOutcome { .. } => {
                 ZTL_E_UNKNOWN_TASK
             }
             RequestError::NotTold { .. } => ZTL_E_NOT_TOLD,

@@ -12,7 +12,7 @@ use ztl_tests::lab::{PATIENCE, Process, SCOPE, Server, ztl};
 
 use place::Place;
 
-/// Its fate, when it runs as it should.
+/// The outcome of a healthy run.
 #[track_caller]
 fn run(remote: &mut RemoteTask, task: [&str; 3]) -> Status {
     let [handler, component, goal] = task;

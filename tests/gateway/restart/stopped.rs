@@ -22,7 +22,7 @@ fn a_suspended_gateway_moves_each_motor_once() {
     let lab = Lab::new(LONG);
     // A shell that is there already is quicker than a program that has to start.
     let mut shell = Process::start(&mut std::process::Command::new("sh"));
-    let mut fates = Vec::new();
+    let mut outcomes = Vec::new();
     for point in POINTS {
         let goal = format!("{point} 2");
         let mut client = lab.client().with_timeout(Duration::from_millis(500));
@@ -32,28 +32,28 @@ fn a_suspended_gateway_moves_each_motor_once() {
         let asked = goal.clone();
         let start = Instant::now();
         let asking = std::thread::spawn(move || {
-            let fate = client.run("motors", "arm", &asked, Some(Duration::from_secs(3)));
-            fate.map(|status| status.state)
+            let outcome = client.run("motors", "arm", &asked, Some(Duration::from_secs(3)));
+            outcome.map(|status| status.state)
         });
         wait_until(start + Duration::from_micros(point));
         shell.write_line(&format!("kill -STOP {}", lab.gateway.process.id()));
         std::thread::sleep(Duration::from_millis(700));
         lab.gateway.process.signal("CONT");
-        let fate = asking.join().expect("no panic");
+        let outcome = asking.join().expect("no panic");
         println!(
-            "stopped after {point} µs: {fate:?}, {:?}",
+            "stopped after {point} µs: {outcome:?}, {:?}",
             lab.device.deed(&goal)
         );
-        fates.push((goal, fate));
+        outcomes.push((goal, outcome));
     }
     // Whatever was on its way has been done by now, and it serves on.
     let last = until("a task is taken", PATIENCE, || {
         lab.client().run("motors", "arm", "7 1", LIMIT).ok()
     });
     assert_eq!(last, status(State::Completed, "7"));
-    for (goal, fate) in fates {
+    for (goal, outcome) in outcomes {
         let deed = lab.device.deed(&goal);
-        let fits = match fate {
+        let fits = match outcome {
             Ok(State::Completed) => deed == ONCE,
             // Unknown, which is neither done nor not done.
             Err(
@@ -66,7 +66,7 @@ fn a_suspended_gateway_moves_each_motor_once() {
             }
             _ => false,
         };
-        assert!(fits, "{goal}: told {fate:?}, did {deed:?}");
+        assert!(fits, "{goal}: told {outcome:?}, did {deed:?}");
     }
 }
 

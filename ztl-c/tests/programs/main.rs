@@ -35,7 +35,7 @@ macro_rules! ways {
 
             #[test]
             fn a_client_reports_every_outcome_at_the_originals_server() {
-                crate::ask::tells_every_fate(BUILD);
+                crate::ask::reports_every_outcome(BUILD);
             }
 
             #[test]

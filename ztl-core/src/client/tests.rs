@@ -232,7 +232,7 @@ fn a_replys_state_is_the_tasks_unless_its_text_contradicts() {
         ("/lab;3;7;no link", task(State::Failed, "no link")),
         (
             "/lab;3;7;unknown: robot:1 was restarted",
-            Answer::UnknownEnd {
+            Answer::UnknownOutcome {
                 text: "unknown: robot:1 was restarted",
             },
         ),
@@ -340,7 +340,7 @@ fn after_a_server_restart_the_outcome_is_unknown() {
     let mut desk = Desk::new();
     let asked = desk.outcome();
     let reply = b"$ztl;2;0;never seen since boot 4712";
-    assert_eq!(desk.handle_reply(asked, reply), Some(Heard::FateUnknown));
+    assert_eq!(desk.handle_reply(asked, reply), Some(Heard::OutcomeUnknown));
 }
 
 #[test]
@@ -402,7 +402,7 @@ fn an_outcome_query_that_is_not_understood_gives_an_unknown_outcome() {
         let mut desk = Desk::new();
         let asked = desk.outcome();
         let heard = desk.handle_reply(asked, reply);
-        assert_eq!(heard, Some(Heard::FateUnknown));
+        assert_eq!(heard, Some(Heard::OutcomeUnknown));
     }
 }
 
@@ -419,7 +419,7 @@ fn never_seen_is_not_trusted_from_a_server_probed_after_the_init() {
     assert_eq!(body, "$ztl;2;-1;outcome 2");
     let reply = b"$ztl;2;0;never seen since boot 222";
     let heard = desk.handle_reply(asked, reply);
-    assert_eq!(heard, Some(Heard::FateUnknown));
+    assert_eq!(heard, Some(Heard::OutcomeUnknown));
 }
 
 #[test]
@@ -431,7 +431,7 @@ fn never_seen_is_not_trusted_for_an_init_sent_before_any_probe() {
     let (asked, _) = desk.written(|client, now, sink| client.outcome(now, sink));
     let reply = b"$ztl;2;0;never seen since boot 222";
     let heard = desk.handle_reply(asked, reply);
-    assert_eq!(heard, Some(Heard::FateUnknown));
+    assert_eq!(heard, Some(Heard::OutcomeUnknown));
 }
 
 /// With a timeout above 10 s an answer counted that was given when the server may have forgotten.

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use rustix::process::Signal;
-use ztl_core::dispatcher::UNKNOWN_END;
+use ztl_core::dispatcher::UNKNOWN_OUTCOME;
 
 use super::launch::signal_name;
 use super::output::{Keep, Kept, Output};
@@ -228,7 +228,7 @@ impl Run {
 
     fn outcome_by_itself(&self, status: Option<ExitStatus>) -> Outcome {
         let Some(status) = status else {
-            return Outcome::Failed(format!("{UNKNOWN_END}its exit status was lost"));
+            return Outcome::Failed(format!("{UNKNOWN_OUTCOME}its exit status was lost"));
         };
         let how = match (status.code(), status.signal()) {
             (Some(0), _) => return self.result(),

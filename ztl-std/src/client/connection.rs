@@ -331,7 +331,7 @@ impl Connection {
         let answer = match heard {
             Heard::Answer(answer) => answer,
             Heard::NeverStarted => return Ok(Reply::NeverStarted),
-            Heard::FateUnknown => return Err(self.no_answer(start).into()),
+            Heard::OutcomeUnknown => return Err(self.no_answer(start).into()),
             Heard::Unreadable => {
                 let answer = String::from_utf8_lossy(body).into_owned();
                 return Ok(Reply::Unclear(RequestError::Unreadable { answer }));
@@ -350,7 +350,7 @@ impl Connection {
             },
             Answer::Task { state, .. } => Reply::Task(Status { state, text }),
             Answer::UnknownTask { .. } => Reply::UnknownTask { text },
-            Answer::UnknownEnd { .. } => Reply::Unclear(RequestError::UnknownEnd { text }),
+            Answer::UnknownOutcome { .. } => Reply::Unclear(RequestError::UnknownOutcome { text }),
             Answer::OtherTask {
                 state, scope, id, ..
             } => Reply::Unclear(RequestError::OtherTask {

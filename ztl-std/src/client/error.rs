@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use ztl_core::dispatcher::UNKNOWN_END;
+use ztl_core::dispatcher::UNKNOWN_OUTCOME;
 use ztl_core::{State, client};
 
 use super::status::Status;
@@ -54,7 +54,7 @@ pub enum RequestError {
         text: String,
     },
     /// The server ended the task as FAILED without having learnt how it ended. It may still run.
-    UnknownEnd {
+    UnknownOutcome {
         /// The server's text.
         text: String,
     },
@@ -117,7 +117,7 @@ impl RequestError {
             self,
             Self::UnknownTask { .. }
                 | Self::NotTold { .. }
-                | Self::UnknownEnd { .. }
+                | Self::UnknownOutcome { .. }
                 | Self::OtherTask { .. }
                 | Self::UndefinedState { .. }
                 | Self::Unreadable { .. }
@@ -156,8 +156,8 @@ impl std::fmt::Display for RequestError {
                 let text = quoted(text);
                 write!(f, "the server did not say how the task is: {text}")
             }
-            Self::UnknownEnd { text } => {
-                let why = quoted(text.strip_prefix(UNKNOWN_END).unwrap_or(text));
+            Self::UnknownOutcome { text } => {
+                let why = quoted(text.strip_prefix(UNKNOWN_OUTCOME).unwrap_or(text));
                 write!(f, "the server could not learn how the task ended: {why}")
             }
             Self::OtherTask { about, text, .. } => write!(

@@ -277,7 +277,7 @@ impl RemoteTask {
             // Only a STATUS tells whether a failed task may still run.
             Err(error)
                 if answer.state == State::Failed
-                    || matches!(error, RequestError::UnknownEnd { .. }) =>
+                    || matches!(error, RequestError::UnknownOutcome { .. }) =>
             {
                 Err(error)
             }

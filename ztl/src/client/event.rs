@@ -120,7 +120,7 @@ pub(crate) fn answer(error: &RequestError) -> Option<Answer<'_>> {
     match error {
         RequestError::UnknownTask { text, .. } => Some((Some(State::Rejected), text)),
         RequestError::NotTold { state, text } => Some((Some(*state), text)),
-        RequestError::UnknownEnd { text } => Some((Some(State::Failed), text)),
+        RequestError::UnknownOutcome { text } => Some((Some(State::Failed), text)),
         RequestError::OtherTask { state, text, .. } => Some((*state, text)),
         RequestError::UndefinedState { text, .. } => Some((None, text)),
         _ => None,

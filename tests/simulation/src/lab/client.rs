@@ -131,7 +131,7 @@ impl Person {
     fn on_init(&mut self, now: Instant, task: usize, heard: Heard<'_>) {
         let known = match heard {
             Heard::NeverStarted => Known::Never("it never came".to_owned()),
-            Heard::FateUnknown => {
+            Heard::OutcomeUnknown => {
                 // The gateway has restarted: probe it.
                 self.stranger = true;
                 Known::Unknown
