@@ -429,7 +429,7 @@ fn the_original_server_is_reported_as_giving_no_description() {
         );
     }
     let ended = ask(&server, "devices");
-    assert!(ended.stderr.contains("it is no gateway"), "{ended:?}");
+    assert!(ended.stderr.contains("it is not a gateway"), "{ended:?}");
     // With the scope said by hand, its tasks can be stopped.
     let mut other = client(&server);
     let task = other.trigger("test", "sleep", "1").expect("accepted");

@@ -138,7 +138,7 @@ fn a_reload_changes_rules_limits_and_logging_and_nothing_else() {
          limits: {running: 1, queue: 7}\ndevices: {head: sim:head}\n",
     );
     for key in ["bind", "log-format", "queue"] {
-        let said = format!("'{key}' has changed, which takes effect at the next start.");
+        let said = format!("'{key}' has changed; restart to apply it.");
         lab.gateway.wait_for(&said);
     }
     assert!(!lab.gateway.stderr().contains("'limits'"));
@@ -167,7 +167,7 @@ fn enabling_authentication_needs_a_restart() {
     let mut lab = Lab::new("devices: {head: sim:head}\n");
     lab.reload("allow: 192.0.2.0/24\ndevices: {head: sim:head}\n");
     lab.gateway
-        .wait_for("'allow' has changed, which takes effect at the next start.");
+        .wait_for("'allow' has changed; restart to apply it.");
     started(&mut lab.remote(), "head", "pan", "left");
 }
 

@@ -110,7 +110,7 @@ fn a_signal_stops_every_task_and_reports_it() {
     let last: Vec<&str> = ended.stdout.lines().rev().take(2).collect();
     let said = [
         "Stopped.",
-        "Stopping; once more (Ctrl-C, SIGTERM) leaves at once.",
+        "Stopping; another Ctrl-C or SIGTERM exits at once.",
     ];
     assert_eq!(last, said);
 }
@@ -139,7 +139,7 @@ fn leave_running_reports_what_each_task_will_do_and_no_outcome() {
     }
     let ended = process.end(PATIENCE);
     assert_eq!(ended.code, Some(143));
-    let stops = "stops by itself when it has heard nothing for its link timeout";
+    let stops = "stops by itself after its link timeout without a command";
     for (task, becomes) in [
         ("arm", format!("{stops} (abort).")),
         ("lift", format!("{stops}, and keeps its position (hold).")),

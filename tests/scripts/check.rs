@@ -354,10 +354,10 @@ s(delay=-3):
         .filter(|line| line.contains("show.yaml:"))
         .collect();
     let expected = [
-        "doubtful: show.yaml:1:3: a delay below 0 is no delay; write the seconds to wait, as delay=3",
+        "doubtful: show.yaml:1:3: a delay cannot be negative; write the seconds to wait, as delay=3",
         "mistake: show.yaml:2:10: step 'delay' is a mapping of handlers; if it is a parameter, write it in parentheses, as name (delay=2)",
         "doubtful: show.yaml:3:5: this waits 27 h 46 min; a delay is in seconds, as delay=1.5",
-        "doubtful: show.yaml:3:18: a limit of 0 seconds is no limit; write timeout=30, or timeout=none if that is meant",
+        "doubtful: show.yaml:3:18: a limit must be above 0 seconds; write timeout=30, or timeout=none for no limit",
         "doubtful: show.yaml:4:18: YAML takes these quotes for a part of the text; write straight quotes: 'hello'",
         "doubtful: show.yaml:4:26: 'world”' has no ':' behind it; a text with ',' in it needs quotes within { }",
         "doubtful: show.yaml:4:34: this is sent as a task of a component 'delay'; if it is a parameter, write it in parentheses, as name (delay=-3)",
@@ -401,7 +401,7 @@ s:
         "show.yaml:4:5: server 'gripper': it has no handler 'hand'; there are: gripper, head",
         "show.yaml:5:12: server 'head': 'lift' is not a number from -90 to 90 degrees, or left, straight, right",
         "show.yaml:6:5: server 'nobody' does not answer: no answer from tcp://127.0.0.1:",
-        "one of the original's: it is there, and cannot be asked what it takes",
+        "one of the original's: it answers, but cannot be asked which tasks it accepts",
         "show.yaml:8:5: the server at tcp://127.0.0.1:",
         "6 mistakes.",
     ] {
@@ -421,7 +421,8 @@ fn an_oversized_goal_is_reported_before_and_during_the_run() {
         "5".repeat(2000)
     );
     let directory = ScriptDirectory::with(&script, &[("gripper", gateway.port, SCOPE)]);
-    let reason = "takes at most 2048, of which a goal can be somewhat less than 1536, since it goes as base64";
+    let reason =
+        "takes at most 2048; a goal can have somewhat less than 1536, because it is sent as base64";
     let ended = directory.run("check show.yaml -c remotes.yaml --live");
     assert_eq!(ended.code, Some(1));
     for words in [

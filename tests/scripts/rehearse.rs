@@ -87,7 +87,7 @@ fn an_impossible_request_is_rejected_before_anything_begins() {
         ),
         (
             "--yes --defaults zero.yaml",
-            "zero.yaml:1:10: a limit of 0 seconds is no limit; write seconds, as 30, or none",
+            "zero.yaml:1:10: a limit must be above 0 seconds; write seconds, as 30, or none",
         ),
         (
             "--simulate=soon",
@@ -96,7 +96,7 @@ fn an_impossible_request_is_rejected_before_anything_begins() {
         ("--plain", "(25, 'Inappropriate ioctl for device')"),
         (
             "--plain",
-            "stdin is not a terminal, so nobody can be asked; use --yes",
+            "stdin is not a terminal, so the operator cannot be asked; use --yes",
         ),
     ] {
         let words = format!("run-script -s show.yaml -c remotes.yaml {words}");

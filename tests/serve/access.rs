@@ -197,7 +197,7 @@ fn a_server_with_keys_and_no_allowed_client_serves_nobody() {
     }
     let keys = Keys::make(&["robot", "anna"]);
     let server = gateway(&["--key", &keys.path("robot.key_secret")]);
-    server.process.wait_for("nobody gets in");
+    server.process.wait_for("no client can connect");
     assert_eq!(client_as(&server, &keys.of("anna", "robot")).code, Some(5));
 }
 

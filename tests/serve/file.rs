@@ -25,7 +25,7 @@ fn a_check_reports_mistakes_and_doubts() {
     );
     let ended = run(&[&file, "--check"]);
     let warning = format!(
-        "{file}:3:16: warning: no-such-program is not there; install it or correct the path\n  \
+        "{file}:3:16: warning: no-such-program does not exist; install it or correct the path\n  \
          3 |   /a: {{h: {{c: [no-such-program]}}}}\n    |                ^^^^^^^^^^^^^^^\n"
     );
     let said = "Nothing is wrong except a warning: 1 component at /a, 2 components at /b, at 127.0.0.1:1.\n";

@@ -182,7 +182,7 @@ fn earlier_tasks_of_a_restarted_server_are_not_completed() {
     let Err(RequestError::UnknownOutcome { text }) = waited.last else {
         panic!("{waited:?}");
     };
-    assert!(text.contains("started anew"), "{text}");
+    assert!(text.contains("was restarted"), "{text}");
 }
 
 #[test]

@@ -174,7 +174,7 @@ fn the_longest_message_passes_and_a_longer_one_is_reported() {
         "{error}"
     );
     assert!(
-        error.ends_with("takes at most 1048576, of which a goal can be somewhat less than 786432, since it goes as base64; nothing was sent"),
+        error.ends_with("takes at most 1048576; a goal can have somewhat less than 786432, because it is sent as base64; nothing was sent"),
         "{error}"
     );
 }

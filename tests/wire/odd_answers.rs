@@ -180,11 +180,11 @@ fn a_wait_reports_an_invalid_reply_at_once() {
         ("2;7;Invalid ID '7'", "the server does not know task 7"),
         (
             "3;7;Controller threw exception: no link",
-            "the server did not say how the task is: Controller threw exception: no link",
+            "the server did not report the task's state: Controller threw exception: no link",
         ),
         (
             "2;7;No controller for scope: /test",
-            "the server did not say how the task is: No controller for scope: /test",
+            "the server did not report the task's state: No controller for scope: /test",
         ),
     ] {
         let server = FakeServer::answering("1;7;moving", status, status);

@@ -600,7 +600,7 @@ fn not_connected(line: &Line) -> Result<(), Failure> {
         None => Ok(()),
         Some(_) => Err(Failure::new(
             ZTL_E_STATE,
-            "the client is connected already; this has to be said before",
+            "the client is already connected; call this before",
         )),
     }
 }

@@ -258,7 +258,7 @@ impl Server {
     /// Changes the setup of a server that is not started.
     fn set_up(&self, work: impl FnOnce(&mut Setup) -> Result<(), Failure>) -> Result<(), Failure> {
         if lock(&self.running).is_some() {
-            let text = "the server is started; this has to be said before";
+            let text = "the server is already started; call this before";
             return Err(Failure::new(ZTL_E_STATE, text));
         }
         work(&mut lock(&self.setup))

@@ -180,7 +180,7 @@ fn invalid_yaml_is_reported_at_its_cause() {
     assert!(refused(&"[".repeat(100_000)).contains("f:1:"));
     let mistakes = Document::parse("f", b"a: 1\nb: x\xffy\n").expect_err("no UTF-8");
     let shown =
-        "f:2:5: this is no UTF-8; save the file as UTF-8\n  2 | b: x\u{fffd}y\n    |     ^\n";
+        "f:2:5: the file is not UTF-8; save it as UTF-8\n  2 | b: x\u{fffd}y\n    |     ^\n";
     assert_eq!(mistakes.to_string(), shown);
 }
 

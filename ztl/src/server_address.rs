@@ -130,7 +130,7 @@ impl ServerAddress {
 /// Why a client cannot be created.
 pub(crate) fn no_client(host: &str, error: RequestError) -> String {
     match error {
-        RequestError::Transport(_) => format!("'{host}' is no name or address of a host"),
+        RequestError::Transport(_) => format!("'{host}' is not a host name or address"),
         error => error.to_string(),
     }
 }

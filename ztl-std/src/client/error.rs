@@ -139,8 +139,8 @@ impl std::fmt::Display for RequestError {
                 most,
             } => write!(
                 f,
-                "the message has {bytes} bytes, and the server at {endpoint} takes at most {most}, of which a \
-                 goal can be somewhat less than {}, since it goes as base64",
+                "the message has {bytes} bytes, and the server at {endpoint} takes at most {most}; a \
+                 goal can have somewhat less than {}, because it is sent as base64",
                 most / 4 * 3
             ),
             Self::NoAnswer { endpoint, waited } => write!(
@@ -150,11 +150,11 @@ impl std::fmt::Display for RequestError {
             ),
             Self::UnknownTask { id, .. } => write!(
                 f,
-                "the server does not know task {id}: it was started anew or has forgotten it, and how the task ended is unknown"
+                "the server does not know task {id}: it was restarted or has dropped the task, so the outcome is unknown"
             ),
             Self::NotTold { text, .. } => {
                 let text = quoted(text);
-                write!(f, "the server did not say how the task is: {text}")
+                write!(f, "the server did not report the task's state: {text}")
             }
             Self::UnknownOutcome { text } => {
                 let why = quoted(text.strip_prefix(UNKNOWN_OUTCOME).unwrap_or(text));
@@ -226,8 +226,8 @@ impl std::fmt::Display for TriggerError {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
             Self::Refused { reason, .. } => write!(f, "refused: {reason}"),
-            Self::NeverCame => f.write_str("it never came to the server, and was not started"),
-            Self::GivenUp => f.write_str("it was given up before it was sent"),
+            Self::NeverCame => f.write_str("it never reached the server and was not started"),
+            Self::GivenUp => f.write_str("it was cancelled before it was sent"),
             Self::Request(cause) if cause.nothing_was_sent() => {
                 write!(f, "{cause}; nothing was sent")
             }

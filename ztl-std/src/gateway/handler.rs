@@ -122,7 +122,7 @@ impl Gateway {
             if map.device(&name).is_some() {
                 continue;
             }
-            warn!(target: GATEWAY, "Device '{name}' has tasks in the journal, and is not served any more.");
+            warn!(target: GATEWAY, "Device '{name}' has tasks in the journal but is no longer served.");
             // Without a thread its tasks stay unended.
             if let Ok(device) = self.devices.spawn(&map, &name, None) {
                 map.retired.insert(name, device);

@@ -239,7 +239,7 @@ impl Worker {
                 || "without a key".to_owned(),
                 |key| format!("with the key {key}"),
             );
-            warn!(target: TASKS, "A client at {address} {who} is not allowed, and was not let in.");
+            warn!(target: TASKS, "A client at {address} {who} is not allowed and was rejected.");
             return Decision::Deny;
         }
         if self.connections.are_too_many() {

@@ -193,7 +193,7 @@ impl Worker {
             warn!(
                 target: GATEWAY,
                 device = self.name,
-                "Device '{}' has not confirmed that {} stopped; it acts by itself when it hears nothing for its link timeout.",
+                "Device '{}' has not confirmed that {} stopped; after its link timeout without a command, it acts by itself.",
                 self.name,
                 request.shown
             );
@@ -220,9 +220,9 @@ impl Worker {
             return;
         };
         let what = match policy {
-            Loss::Abort => "stops by itself when it has heard nothing for its link timeout (abort)",
+            Loss::Abort => "stops by itself after its link timeout without a command (abort)",
             Loss::Hold => {
-                "stops by itself when it has heard nothing for its link timeout, and keeps its position (hold)"
+                "stops by itself after its link timeout without a command, and keeps its position (hold)"
             }
             Loss::CarryOn => "carries on",
         };
@@ -413,7 +413,7 @@ impl Worker {
         {
             if is_pause(&error) {
                 let kind = io::ErrorKind::TimedOut;
-                return self.on_closed(&io::Error::new(kind, "it takes no bytes"));
+                return self.on_closed(&io::Error::new(kind, "it accepts no bytes"));
             }
             self.on_closed(&error);
         }

@@ -265,7 +265,7 @@ impl<S: Storage> JournalRecords<S> {
                     if line.restored().is_none() =>
                 {
                     useless += 1;
-                    warn!(target: GATEWAY, "Journal {place}, line {number}: skipped, it does not say to whom the task was sent.");
+                    warn!(target: GATEWAY, "Journal {place}, line {number}: skipped, it does not name the device of the task.");
                 }
                 Ok(
                     JournalEntry::Start(line)
@@ -359,16 +359,16 @@ impl<S: Storage> JournalRecords<S> {
         let place = self.storage.place();
         if let Err(error) = self.rotate(now) {
             let trouble =
-                format!("the journal {place} {how}, and no new file can be begun: {error}");
+                format!("the journal {place} {how}, and cannot start a new file: {error}");
             return Err(self.in_trouble(trouble));
         }
-        warn!(target: GATEWAY, "Journal {place} {how}. A new file with all that is still needed takes its place.");
+        warn!(target: GATEWAY, "Journal {place} {how}. A new file with the entries still needed replaces it.");
         Ok(())
     }
 
     fn in_trouble(&mut self, trouble: String) -> String {
         if self.trouble.as_ref() != Some(&trouble) {
-            warn!(target: GATEWAY, "No task is taken: {trouble}");
+            warn!(target: GATEWAY, "No task is accepted: {trouble}");
             self.trouble = Some(trouble.clone());
         }
         trouble
@@ -396,7 +396,7 @@ impl<S: Storage> JournalRecords<S> {
     fn rotate_or_go_on(&mut self, now: Moment) {
         if let Err(error) = self.rotate(now) {
             let place = self.storage.place();
-            warn!(target: GATEWAY, "Journal {place}: no new file can be begun: {error}");
+            warn!(target: GATEWAY, "Journal {place}: cannot start a new file: {error}");
         }
     }
 
