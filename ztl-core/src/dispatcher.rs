@@ -222,7 +222,7 @@ impl<M: Memory> Dispatcher<M> {
         }
     }
 
-    /// Changes how long an ended task is remembered, also for those that have ended.
+    /// Changes how long an ended task is kept, also for tasks that have already ended.
     pub const fn set_keep(&mut self, keep: Duration) {
         self.keep = micros(keep);
     }

@@ -1,6 +1,6 @@
 //! Forwards tasks to another server, ours or the original's.
 //!
-//! While the other server does not answer, the task goes on. It fails, with a reason that begins with `unknown:`,
+//! While the other server does not answer, the task continues. It fails, with a reason that begins with `unknown:`,
 //! only when its outcome can never be learned.
 
 use std::error::Error;

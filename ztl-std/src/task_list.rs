@@ -53,7 +53,7 @@ impl ListedTask {
 #[serde(from = "UncheckedList")]
 pub(crate) struct TaskList {
     pub(crate) tasks: Vec<ListedTask>,
-    /// How many more tasks the server remembers; `None` if the answer does not tell.
+    /// How many more tasks the server keeps; `None` if the answer does not say.
     pub(crate) more: Option<usize>,
     /// How many entries of the answer cannot be read. These tasks may run.
     #[serde(skip)]

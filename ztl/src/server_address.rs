@@ -43,7 +43,7 @@ pub(crate) struct ServerAddress {
 /// The result of looking up a name in the configuration file.
 enum Lookup {
     Found(ServerAddress),
-    /// There is no such server, which is an error without a port.
+    /// There is no such server; an error unless a port is given.
     Unknown(Misuse),
 }
 

@@ -162,7 +162,7 @@ pub fn is_no_scope(state: State, text: &str) -> bool {
     state == State::Rejected && text.starts_with("No controller for scope: ")
 }
 
-/// Whether the answer to an ABORT means that the handler cannot stop the task, which goes on.
+/// Whether the answer to an ABORT means that the handler cannot stop the task, which continues.
 #[must_use]
 pub fn is_abort_rejected(state: State, text: &str) -> bool {
     !state.is_final() && text == "False"

@@ -140,7 +140,7 @@ impl Player {
             }
             Some(_) => {}
             None => {
-                // Its time limit cannot end the step, and nobody can decide.
+                // Its time limit cannot end the step, and there is no operator to decide.
                 let stuck = self.options.unattended && unstoppable && !stopping;
                 if stuck && matches!(self.phase, Phase::Playing(_)) {
                     self.obey(now, RunCommand::Stop, DecidedBy::Script);

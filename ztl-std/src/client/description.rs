@@ -17,9 +17,9 @@ pub struct Description {
     pub version: String,
     /// Differs after each restart of the server.
     pub boot: u32,
-    /// What each scope offers; an empty map if the server does not tell.
+    /// What each scope offers; an empty map if the server does not report it.
     pub scopes: BTreeMap<String, Offers>,
-    /// The tasks that have not ended, by id, with their scopes; `None` if the server does not tell.
+    /// The tasks that have not ended, by id, with their scopes; `None` if the server does not report them.
     #[serde(serialize_with = "as_map")]
     pub running: Option<Vec<(RemoteId, String)>>,
     /// How many more have not ended, but have an unreadable id or scope.

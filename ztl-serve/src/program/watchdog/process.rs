@@ -77,7 +77,7 @@ fn survive_signals() {
         // Fails only for signals that no process can survive.
         let _ = flag::register(signal.as_raw(), Arc::new(AtomicBool::new(false)));
     }
-    // A stopped watchdog goes on as soon as its server is gone.
+    // A suspended watchdog continues as soon as its server is gone.
     #[cfg(target_os = "linux")]
     let _ = rustix::process::set_parent_process_death_signal(Some(Signal::CONT));
 }

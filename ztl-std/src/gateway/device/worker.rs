@@ -137,7 +137,7 @@ impl Worker {
         Arc::clone(&self.idle)
     }
 
-    /// Runs until it is told to stop.
+    /// Runs until it receives the request to stop.
     pub(super) fn run(&mut self, inbox: &Receiver<Input>) {
         loop {
             if let LineState::Closed { retry } = self.line
@@ -186,7 +186,7 @@ impl Worker {
         opener.map_or("nowhere", |opener| opener.label.as_str())
     }
 
-    /// Leaves tasks whose end is unknown. No client is told that they failed.
+    /// Leaves tasks with an unknown outcome. Their clients get no final state.
     fn leave_unconfirmed(&mut self) {
         let left = std::mem::take(&mut self.tasks);
         for (task, request) in left.into_values() {

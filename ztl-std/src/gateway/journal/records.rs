@@ -16,7 +16,7 @@ use crate::server::{KEEP, RestoredTask};
 
 /// Bytes written to a file, besides its initial content, before a new one is started.
 const ROTATE: u64 = 1 << 20;
-/// Most tasks that are carried over to a new file; as many as a server remembers.
+/// Most tasks that are carried over to a new file; as many as a server keeps.
 const CARRIED: usize = 10_000;
 /// The same limit in bytes of memory.
 const CARRIED_BYTES: usize = 64 << 20;
@@ -168,7 +168,7 @@ impl<S: Storage> JournalRecords<S> {
         lines.filter_map(with_device).collect()
     }
 
-    /// The ended tasks that are still remembered, each with its device, component and goal.
+    /// The ended tasks that are still kept, each with its device, component and goal.
     pub fn ended(&self, now: Moment) -> Vec<([&str; 3], RestoredTask)> {
         let lines = self.tasks.values().filter(|line| line.state.is_final());
         let ended = |line: &TaskEntry| RestoredTask {
