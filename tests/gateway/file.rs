@@ -5,7 +5,7 @@ use std::path::Path;
 use ztl_std::{RemoteTask, State};
 use ztl_tests::lab::{Ended, PATIENCE, Process, Scratch, until, ztl};
 
-/// `ztl gateway` with these words, which has to end by itself.
+/// `ztl gateway` with these arguments; it must exit by itself.
 #[track_caller]
 fn run(words: &[&str]) -> Ended {
     Process::run(ztl().arg("gateway").args(words))
@@ -43,7 +43,7 @@ fn the_check_finds_errors_that_would_fail_the_start() {
     std::fs::write(scratch.path("precious"), "a: {b: 1}\n").expect("to write");
     let devices = "scope: /lab\ndevices: {head: sim:head}\n";
     for (text, code, said) in [
-        // An address of nobody (RFC 5737), and an interface of nobody.
+        // An address reserved for documentation (RFC 5737), and an interface that does not exist.
         (
             "port: 0\nbind: 192.0.2.1\njournal: off\n",
             1,

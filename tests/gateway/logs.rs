@@ -1,5 +1,5 @@
-//! What a device logs by defmt, over the link and made readable: a program of this machine that defmt's
-//! own macros have made a log of (`tests/log-device`).
+//! A device's defmt log, sent over the link and decoded. `tests/log-device` is a program for this machine whose
+//! log defmt's own macros have written.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -11,7 +11,7 @@ use ztl_tests::lab::{PATIENCE, Process, SCOPE, Scratch, built, ztl};
 
 use crate::lines::{complete, serve};
 
-/// The program, built here, since nothing else in the project may be built with its features.
+/// The program is built here, because no other part of the project may be built with its features.
 #[track_caller]
 fn elf() -> &'static Path {
     static BUILT: OnceLock<PathBuf> = OnceLock::new();
@@ -20,7 +20,7 @@ fn elf() -> &'static Path {
         let target = built("ztl").with_file_name("log-device");
         let host = "x86_64-unknown-linux-gnu";
         let mut cargo = Command::new(env!("CARGO"));
-        // With a target, the flags are not for what runs while it is built.
+        // With a target, the flags do not apply to build scripts.
         cargo
             .args([
                 "build",
@@ -47,7 +47,7 @@ fn device() -> (Process, String) {
     (device, line.trim_start_matches("logging at ").to_owned())
 }
 
-/// A gateway that reads the device's log with this file.
+/// A gateway that decodes the device's log with this file.
 #[track_caller]
 fn gateway(address: &str, elf: &Path, more: &[&str]) -> (Process, ztl_std::RemoteTask) {
     let mut command = ztl();
@@ -162,7 +162,7 @@ fn an_unusable_elf_file_is_rejected_before_serving() {
 fn an_elf_file_of_other_firmware_is_suspected() {
     let (_device, address) = device();
     let scratch = Scratch::new();
-    // As of a firmware that has other messages: of those that this one logs there are none.
+    // Simulates other firmware by renaming the messages, so that none of this device's messages is known.
     let mut other = std::fs::read(elf()).expect("the file");
     let (known, unknown) = (b"\"defmt_info\"", b"\"other_info\"");
     for place in 0..other.len().saturating_sub(known.len()) {
@@ -232,7 +232,7 @@ fn the_log_can_be_shown_from_a_remote_client() {
         "{once:?}"
     );
 
-    // What comes afterwards is seen when it comes.
+    // Later messages appear when they arrive.
     let follows = ask(&["arm", "--elf", &elf]);
     follows.wait_for("1.25 {}");
     complete(&mut remote, "arm", "motor", "all");

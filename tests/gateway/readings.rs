@@ -14,7 +14,7 @@ fn bench() -> Firmware {
     Firmware::start((Endless::new("arm", Loss::Abort), Counter::default()))
 }
 
-/// The next number published as text, and that its bytes follow it.
+/// The next number published as text; checks that its bytes follow.
 #[track_caller]
 fn next_pair(readings: &Readings) -> u32 {
     let count = readings.next_within(PATIENCE).expect("a reading");
@@ -45,7 +45,7 @@ fn an_observer_gets_all_readings_in_order_despite_a_slow_observer() {
     for number in 1..50 {
         assert_eq!(next_pair(&readings), first + number);
     }
-    // The one that has taken nothing has the latest four, and tasks go on as ever.
+    // The slow observer has the latest four, and tasks run as before.
     assert!(slow.lost() > 90, "{}", slow.lost());
     let (server, mut remote) = serve(gateway);
     let id = until("a task is taken", PATIENCE, || {
@@ -53,14 +53,14 @@ fn an_observer_gets_all_readings_in_order_despite_a_slow_observer() {
     })
     .id;
     assert!(remote.abort(id).is_ok());
-    // They go on, and end with the gateway.
+    // Readings continue, and end with the gateway.
     next_pair(&readings);
     drop(server);
     assert!(slow.count() <= 4);
     assert!(readings.count() < 1000);
 }
 
-/// `ztl gateway` that publishes, and where.
+/// `ztl gateway` with a publishing port, and that port.
 fn publishing(firmware: &Firmware) -> (Process, String) {
     let mut command = ztl();
     command.args(["gateway", "-p", "0", "-s", SCOPE, "--publish", "0", "-d"]);
@@ -85,7 +85,7 @@ fn each_subscriber_gets_its_topics_despite_a_dead_subscriber() {
         socket.set_subscribe(prefix.as_bytes()).expect("a prefix");
         socket
     };
-    // Takes nothing, ever.
+    // Never reads.
     let dead = subscriber("");
     let counts = subscriber("bench/counter/count");
     let mut last = None;

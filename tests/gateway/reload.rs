@@ -1,4 +1,4 @@
-//! SIGHUP: the gateway reads its configuration again, and tasks go on.
+//! SIGHUP: the gateway reads its configuration again, and tasks continue.
 
 use ztl_mcu::link::Loss;
 use ztl_std::{RemoteId, RemoteTask, State};
@@ -83,7 +83,7 @@ fn reloads_add_and_remove_devices_without_disturbing_other_tasks() {
     let arm = started(&mut remote, "bench", "arm", "go");
     let head = started(&mut remote, "head", "pan", "left");
     lab.reload(&format!("{bench}  gripper: sim:gripper\n"));
-    // Whose device is not served any more is aborted.
+    // The task of a device that is no longer served is aborted.
     let end = remote.wait(&head, Some(PATIENCE)).expect("its end");
     assert_eq!(end.state, State::Aborted);
     let refused = remote
@@ -98,7 +98,7 @@ fn reloads_add_and_remove_devices_without_disturbing_other_tasks() {
     let end = remote.wait(&finger, Some(PATIENCE)).expect("its end");
     assert_eq!((end.state, end.text.as_str()), (State::Completed, "3.0"));
 
-    // Served elsewhere: what runs there is aborted first.
+    // Its URL changed: the running task is aborted first.
     let finger = started(&mut remote, "gripper", "finger", "100");
     lab.reload(&format!("{bench}  gripper: sim:head\n"));
     let end = remote.wait(&finger, Some(PATIENCE)).expect("its end");
@@ -155,7 +155,7 @@ fn a_reload_changes_rules_limits_and_logging_and_nothing_else() {
     );
     lab.gateway.wait_for("'head:pan:left' has ended as ABORTED");
 
-    // Nobody is allowed any more, not even those who are connected.
+    // No client is allowed any more, not even connected ones.
     lab.reload("allow: 192.0.2.0/24\ndevices: {head: sim:head}\n");
     remote.status(&head).expect_err("no answer");
     lab.reload("allow: 127.0.0.1\ndevices: {head: sim:head}\n");
@@ -182,7 +182,7 @@ fn a_gateway_without_a_file_has_nothing_to_reload() {
     assert_eq!(gateway.end(PATIENCE).code, Some(143));
 }
 
-/// A named pipe in the place of a file: nobody writes into it.
+/// A named pipe in place of a file, without a writer.
 #[track_caller]
 fn replace_by_pipe(path: &std::path::Path) {
     std::fs::remove_file(path).ok();
@@ -203,7 +203,7 @@ fn a_named_pipe_is_rejected_and_the_next_reload_works() {
     lab.reload("key: robot.key_secret\ndevices: {head: sim:head}\n");
     lab.gateway
         .wait_for("robot.key_secret: it is not a regular file");
-    // Whoever holds the other end of it decides when it ends.
+    // The process at the other end decides when the stream ends.
     lab.reload("key: /dev/stdin\ndevices: {head: sim:head}\n");
     lab.gateway
         .wait_for("lab.yaml:3:6: '/dev/stdin' is not a regular file");

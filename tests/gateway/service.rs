@@ -43,7 +43,7 @@ fn systemd_is_notified_of_readiness_status_liveness_and_stopping() {
             .env("WATCHDOG_USEC", "400000");
         let process = Process::start(&mut command);
         let ready = manager.wait_for("READY=1", 1);
-        // The simulated one may be ready by then.
+        // The simulated device may be ready by then.
         assert!(ready.contains(" of 2 devices ready; arm: "), "{ready}");
         manager.wait_for("WATCHDOG=1", 2);
         process.wait_for("Device 'head' is ready");
@@ -79,7 +79,7 @@ fn a_watchdog_meant_for_another_process_is_not_fed() {
     assert!(!fed, "{:?}", manager.messages());
 }
 
-/// A task that the gateway has taken.
+/// A task that the gateway has accepted.
 #[track_caller]
 fn started(remote: &mut RemoteTask, device: &str, component: &str, goal: &str) -> ztl_std::TaskId {
     until("a task is taken", PATIENCE, || {
@@ -131,7 +131,7 @@ fn leave_running_reports_what_each_task_will_do_and_no_outcome() {
     let mut remote = RemoteTask::connect(endpoint.expect("it is said"), SCOPE).expect("an address");
     let tasks = ["arm", "lift", "pump"].map(|name| started(&mut remote, "bench", name, "go"));
     process.signal("TERM");
-    // Whoever asks meanwhile hears nothing else than before.
+    // A STATUS during this time gets the same reply as before.
     for id in tasks {
         if let Ok(status) = remote.status(id) {
             assert_eq!(status.state, State::Accepted);
@@ -150,7 +150,7 @@ fn leave_running_reports_what_each_task_will_do_and_no_outcome() {
     }
     assert!(!ended.stderr.contains("has ended"), "{ended:?}");
 
-    // The next gateway stops what it does not know.
+    // The next gateway stops tasks that it does not know.
     let gateway = Server::gateway(&[&format!("bench=tcp:{}", firmware.address)]);
     gateway.wait_ready("bench");
     let mut remote = RemoteTask::connect(&gateway.endpoint(), SCOPE).expect("an address");
@@ -240,7 +240,7 @@ fn log_lines_for_systemds_journal_carry_no_time() {
     for (of, has_time) in [("2", false), ("1", true)] {
         let mut command = Command::new("sh");
         let script = format!("JOURNAL_STREAM=$(stat -L -c %d:%i /proc/self/fd/{of}) exec \"$@\"");
-        // Within the substitution stdout is its own.
+        // Within the substitution stdout is a pipe.
         let script = script.replace("fd/1", "fd/0");
         command.args(["-c", &script, "sh"]);
         command.arg(gateway.get_program()).args(gateway.get_args());
@@ -273,7 +273,7 @@ fn the_unit_starts_an_existing_command() {
     assert!(text.contains("Type=notify"));
     assert!(text.contains("ExecReload=/bin/kill -HUP $MAINPID"));
     assert!(text.contains("WatchdogSec="));
-    // What no second try can mend: the exit code for a wrong configuration.
+    // The exit code for a wrong configuration, which a retry cannot fix.
     assert!(text.contains("RestartPreventExitStatus=2"));
 }
 

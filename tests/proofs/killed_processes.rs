@@ -7,11 +7,11 @@ use std::time::{Duration, Instant};
 use ztl_std::{RemoteTask, RequestError, RunError, State, TriggerError, WaitError};
 use ztl_tests::lab::{PATIENCE, Process, SCOPE, Server, our_client, reserve_port, until, ztl};
 
-/// When the fault comes, in microseconds after the client has begun: from before its INIT arrives until after the
+/// When the fault occurs, in microseconds after the client's start: from before its INIT arrives until after the
 /// task has ended.
 const POINTS: [u64; 10] = [0, 50, 100, 200, 300, 450, 700, 1000, 1500, 5000];
 
-/// `ztl task-server` at this port; one that was killed may hold it for a moment.
+/// `ztl task-server` at this port; a killed one may hold the port for a moment.
 #[track_caller]
 fn serve(port: u16) -> Process {
     until("the port", PATIENCE, || {
@@ -23,7 +23,7 @@ fn serve(port: u16) -> Process {
     })
 }
 
-/// How often a server has done the task with this goal: it prints it.
+/// How often a server has run the task with this goal: it prints the goal.
 fn done(server: &Process, goal: &str) -> usize {
     let line = format!("goal: {goal}");
     server
@@ -42,7 +42,7 @@ fn wait_until(moment: Instant) {
 fn run(port: u16, goal: &str, point: u64, fault: impl FnOnce()) -> Result<State, RunError> {
     let remote = RemoteTask::connect(&format!("tcp://127.0.0.1:{port}"), SCOPE);
     let mut remote = remote.expect("an address").with_timeout(PATIENCE);
-    // It is met before, so that the point is one of the task.
+    // The client connects first, so the moment falls within the task.
     let before = remote.run("test", "echo", "hi", Some(PATIENCE));
     before.expect("its end");
     let mut remote = remote.with_timeout(Duration::from_millis(500));
@@ -88,7 +88,7 @@ fn a_suspended_server_runs_each_task_once() {
         }
         outcomes.push((goal, outcome));
     }
-    // Whatever was on its way has been taken by now.
+    // Every request in flight has been accepted by now.
     let last = run(port, "last", 0, || {});
     assert_eq!(last, Ok(State::Completed));
     until("its line", PATIENCE, || {

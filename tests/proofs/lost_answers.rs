@@ -105,7 +105,7 @@ fn trigger(fault: Fault) -> (Result<State, TriggerError>, u32) {
     );
     let remote = RemoteTask::connect(&endpoint, "/lab").unwrap();
     let mut remote = remote.with_timeout(PATIENCE);
-    // It is met before, so that the fault is one of the INIT.
+    // The client connects first, so the fault affects the INIT.
     remote.server_info(false).expect("an answer");
     let mut remote = remote.with_timeout(Duration::from_secs(1));
     let told = remote.trigger("h", "c", "g").map(|task| {

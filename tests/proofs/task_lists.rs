@@ -4,7 +4,7 @@ use ztl_tests::lab::{Ended, FakeServer, PATIENCE, Process, SCOPE, connect, port_
 
 use crate::unknown_outcomes::Loses;
 
-/// A server of ours, as far as `probe` and `tasks` tell: `rest` stands behind its boot id.
+/// Simulates our server's replies to `probe` and `tasks`; `rest` follows its boot id.
 fn telling(rest: &str, tasks: Option<&str>) -> FakeServer {
     let probe = format!("$ztl;5;0;{{ztl: 1, version: '9', boot: 7{rest}}}");
     let tasks = match tasks {
@@ -67,7 +67,7 @@ fn an_unreadable_task_hides_no_other() {
     };
     assert!(aborted("8") && aborted("4294967296"));
 
-    // A device tells only ids and scopes.
+    // A device reports only ids and scopes.
     let server = telling(", running: {8: /lab, 4294967296: /lab, x: /lab}", None);
     let ended = run(&server, &["ps"]);
     assert_eq!(ended.code, Some(1), "{ended:?}");
@@ -117,7 +117,7 @@ fn listed(id: u32, scope: &str, state: u8, text: &str, ended_ms: &str) -> String
     )
 }
 
-/// Whether an ABORT for this task came.
+/// Whether an ABORT for this task arrived.
 fn abort_came(server: &FakeServer, scope: &str, id: u32) -> bool {
     let request = format!("{scope};3;{id};abort command");
     server.requests().contains(&request)
@@ -143,7 +143,7 @@ fn tasks_in_either_the_probe_or_the_list_are_aborted() {
     let ended_already = listed(8, "/t", 5, "", "5");
     let running = ", running: {8: /t}";
     for (rest, tasks, code) in [
-        // One list is cut, the other is not.
+        // One list is truncated, the other is not.
         (
             ", running: {7: /t, 8: /t}",
             format!(r#"{{"tasks": [{one}], "more": 1}}"#),
@@ -155,12 +155,12 @@ fn tasks_in_either_the_probe_or_the_list_are_aborted() {
             format!(r#"{{"tasks": [{one}], "more": 0}}"#),
             0,
         ),
-        // The list cannot be read, or not as a whole.
+        // The list is unreadable, in part or as a whole.
         (running, r#"{"tasks": [], "more": -5}"#.to_owned(), 1),
         (running, r#"{"tasks": []}"#.to_owned(), 1),
         (running, r#"{"more": 0}"#.to_owned(), 1),
         (running, "nonsense".to_owned(), 1),
-        // They contradict each other, or themselves.
+        // They contradict each other or themselves.
         (running, r#"{"tasks": [], "more": 0}"#.to_owned(), 0),
         (
             running,
@@ -172,7 +172,7 @@ fn tasks_in_either_the_probe_or_the_list_are_aborted() {
             format!(r#"{{"tasks": [{contradiction}], "more": 0}}"#),
             0,
         ),
-        // There is no probe that can be read.
+        // No probe is readable.
         (", '", format!(r#"{{"tasks": [{one}], "more": 0}}"#), 0),
     ] {
         let server = telling(rest, Some(&tasks));
@@ -192,7 +192,7 @@ fn tasks_in_either_the_probe_or_the_list_are_aborted() {
             );
         }
     }
-    // The list is not told in a ZTL message.
+    // The list is not a ZTL message.
     let server = FakeServer::with_questions(|request| {
         let answer = match request {
             "$ztl;2;-1;probe" => "$ztl;5;0;{ztl: 1, version: '9', boot: 7, running: {8: /t}}",
@@ -238,7 +238,7 @@ fn a_task_missing_from_the_list_is_not_reported_as_ended() {
             assert!(!ended.stdout.contains("No task is running"), "{ended:?}");
         }
     }
-    // The list reaches those that have ended, so the others have ended too.
+    // The list includes ended tasks, so unlisted ones have ended, too.
     let end = listed(9, "/t", 5, "there", "5");
     let server = telling("", Some(&format!(r#"{{"tasks": [{end}], "more": 5}}"#)));
     for command in [&["ps"][..], &["abort", "--all"]] {

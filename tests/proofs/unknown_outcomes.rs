@@ -12,7 +12,7 @@ use ztl_tests::lab::{
     our_client_at, serve, until, ztl,
 };
 
-/// What a relay answers whose server was restarted.
+/// The reply of a relay whose server was restarted.
 pub(crate) const LOST: &str = "unknown: tcp://robot:1: the server does not know task 9";
 
 /// Plays a script without an operator.
@@ -40,7 +40,7 @@ fn a_final_state_unknown_to_the_server_is_an_unknown_outcome() {
     assert_eq!(error.to_string(), words);
     let error = remote.abort(&id).expect_err("no state is known");
     assert_eq!(error.to_string(), words);
-    // So is an ABORT answered that comes after the end: without the reason.
+    // An ABORT after the end gets the same reply, without the reason.
     let after = FakeServer::answering("1;7;moving", &lost, "3;7;False");
     let error = connect(&after.endpoint())
         .abort(&id)
@@ -77,7 +77,7 @@ fn an_unknown_outcome_in_the_init_reply_is_reported_as_unknown() {
     );
 }
 
-/// What `answer` says is about another task than the one that was started with the id 7.
+/// `answer` is about another task than the one started with the id 7.
 #[test]
 fn a_reply_about_another_task_is_not_accepted() {
     for (answer, words) in [
@@ -109,7 +109,7 @@ fn a_reply_about_another_task_is_not_accepted() {
         assert_eq!(ended.code, Some(1), "{answer}: {ended:?}");
         assert_eq!(server.inits(), 2, "{answer}: {ended:?}");
     }
-    // The original says these without the task's id or with it; they tell nothing of the task either.
+    // The original sends these with or without the task's id; they say nothing about the task either.
     for answer in [
         "/test;2;-1;No controller for scope: /test",
         ";2;-1;Unknown protocol",
@@ -212,7 +212,7 @@ fn a_task_with_an_unanswered_abort_is_reported_as_possibly_running() {
     server.process.signal("CONT");
 }
 
-/// 2 MiB: twice of what a server of ours takes.
+/// 2 MiB: twice the limit of our server.
 const LONG: usize = 2 << 20;
 
 #[test]
@@ -240,7 +240,7 @@ fn the_reply_to_an_abort_is_not_reported_as_the_result() {
         ("5;7;False", "5;7;there", (State::Completed, "there")),
         ("4;7;True", "4;7;half way", (State::Aborted, "half way")),
         ("3;7;False", "3;7;no link", (State::Failed, "no link")),
-        // Nobody says more about these.
+        // These have no further information.
         ("5;7;False", "6;7;dancing", (State::Completed, "None")),
         ("4;7;True", "5;55;there", (State::Aborted, "None")),
         ("4;7;True", "5;7;there", (State::Aborted, "None")),
@@ -255,7 +255,7 @@ fn the_reply_to_an_abort_is_not_reported_as_the_result() {
             "{abort} {status}"
         );
     }
-    // Its time is over, and it ended just before the ABORT.
+    // Its time limit passed, and it ended just before the ABORT.
     let server = FakeServer::start({
         let mut aborted = false;
         move |request| {

@@ -63,7 +63,7 @@ fn a_grandchild_that_ignores_the_signal_is_killed_with_its_group() {
     let child = lab.process("child");
     let start = Instant::now();
     assert_eq!(remote.abort(id).expect("an answer").state, Aborted);
-    // Its parent was gone at once; it had its grace.
+    // Its parent ended at once; it got its grace.
     assert!(start.elapsed() >= Duration::from_millis(300));
     assert!(!lives(child));
     let (state, text) = end(&mut remote, id);
@@ -107,7 +107,7 @@ fn a_program_can_be_stopped_by_another_one() {
     assert_eq!(end(&mut remote, id), (Aborted, "parked".to_owned()));
     assert_eq!(lab.written("stop"), format!("{id} fast"));
 
-    // One that cannot be started is replaced by a signal, and one that hangs is killed as well.
+    // If the abort program cannot start, a signal replaces it. If it hangs, it is killed.
     let start = Instant::now();
     let id = trigger(&mut remote, "lost", "");
     assert_eq!(remote.abort(id).expect("an answer").state, Aborted);
@@ -197,7 +197,7 @@ fn leftover_processes_do_not_delay_the_task_and_are_killed_by_default() {
 
 #[test]
 fn the_group_of_a_program_that_forks_without_end_is_killed() {
-    // At most a hundred, each of which starts the next.
+    // At most a hundred, each starting the next.
     let fork = "if [ $1 -gt 0 ]; then trap '' TERM; sh fork.sh $(($1 - 1)) & fi; echo $$ >> pids; sleep 60; sleep 60";
     let lab = Lab::new("forks: {run: [sh, fork.sh, '100'], abort: {grace: 200 ms}}");
     std::fs::write(lab.scratch.path("fork.sh"), fork).expect("to write");
@@ -260,7 +260,7 @@ fn a_task_that_needs_its_client_is_aborted_without_it() {
         (client, id.and_then(TaskId::new).expect("an id"))
     });
     let [needs, carries] = ["needs", "carries"].map(|name| lab.process(name));
-    // It is heard as long as it waits.
+    // The client counts as present while it waits.
     std::thread::sleep(Duration::from_secs(2));
     assert!(lives(needs));
     let ids = clients.each_ref().map(|(_, id)| *id);

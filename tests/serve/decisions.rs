@@ -48,7 +48,7 @@ fn a_program_that_cannot_start_is_rejected_with_the_remedy() {
             "{component}: {reason}"
         );
     }
-    // It is looked for anew each time.
+    // The program is looked up at each start.
     write_executable(&path.join("odd"), "#!/bin/sh\necho mended\n");
     assert_eq!(lab.run("odd", ""), (Completed, "mended".to_owned()));
     assert_eq!(
@@ -101,7 +101,7 @@ fn a_program_rejects_by_its_exit_code_before_it_is_accepted() {
     );
     let mut remote = lab.remote();
     let mut last = None;
-    // The usual time would be 1.5 s.
+    // The default would be 1.5 s.
     let id = in_time(Duration::from_secs(1), || {
         if let Some(late) = last {
             remote.abort(late).expect("an answer");
@@ -134,7 +134,7 @@ fn built_in_components_need_no_program() {
             .contains("component: print\ngoal: hello\n")
             .then_some(())
     });
-    // A goal cannot pass for another line, nor command the terminal on which the file is shown later.
+    // A goal cannot forge a line or control the terminal that shows the file later.
     let forged = "x\ngoal: y\r\x1b[2Jä";
     assert_eq!(lab.run("print", forged), (Completed, "True".to_owned()));
     until("it is printed", PATIENCE, || {

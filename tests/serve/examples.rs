@@ -12,7 +12,7 @@ use ztl_tests::lab::{
 
 use crate::rig::{end, progress, project};
 
-/// The example in a directory of its own, with this one on the path as `python`.
+/// The example in its own directory, with this one on the path as `python`.
 fn example(python: &Path) -> (Scratch, Server) {
     let scratch = Scratch::new();
     let tools = scratch.path("tools");
@@ -22,7 +22,7 @@ fn example(python: &Path) -> (Scratch, Server) {
         let from = project("examples/serve").join(name);
         std::fs::copy(from, scratch.path(name)).expect("to copy");
     }
-    // Slower, so that a busy machine sees it on its way.
+    // Slower, so that a busy machine sees its progress.
     let turn = std::fs::read_to_string(scratch.path("turn.py")).expect("Python");
     let slower = turn.replace("sleep(0.05)", "sleep(0.3)");
     assert_ne!(slower, turn);
@@ -114,7 +114,7 @@ fn runs_them(python: &Path) {
     let (_, text) = end(&mut remote, turn);
     assert!(text.starts_with("stopped at "), "{text}");
     std::fs::write(scratch.path("brake"), "").expect("to write");
-    // On a busy machine Python starts too slowly to refuse in time.
+    // On a busy machine Python starts too slowly to reject in time.
     match remote.trigger("base", "turn", "10") {
         Err(TriggerError::Refused { reason, .. }) => assert_eq!(reason, "the brake is on"),
         taken => {

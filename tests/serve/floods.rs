@@ -55,7 +55,7 @@ fn a_constantly_busy_line_gets_rejections_and_the_gateway_exits() {
             stream
                 .set_write_timeout(Some(Duration::from_millis(100)))
                 .unwrap();
-            // A timeout means that the gateway takes no more for now, as it should.
+            // A timeout means that the gateway accepts no more for now, as expected.
             while !stopped.load(Ordering::SeqCst) {
                 let _ = stream.write(&noise);
             }

@@ -10,7 +10,7 @@ use ztl_tests::lab::{
 
 use crate::rig::{Lab, SOON, dies, end, progress, start, told, trigger};
 
-/// A server that forwards all to another; `p` there is `p` here.
+/// A server that forwards everything to another; `p` here is `p` there.
 fn relay(far: u16) -> Lab {
     Lab::new(&format!(
         "'*': {{forward: {{to: 'tcp://127.0.0.1:{far}', scope: {SCOPE}}}}}\n\
@@ -47,7 +47,7 @@ fn a_forwarded_task_behaves_like_a_local_one() {
         told(remote.abort(id).expect("an answer")),
         (Accepted, "False".to_owned())
     );
-    // It goes on here and there.
+    // It continues on both servers.
     assert_eq!(remote.status(id).expect("an answer").state, Accepted);
     let mut client = near.server.original_client();
     let id = client.start("p", "echo", "hi");
@@ -72,7 +72,7 @@ fn tasks_are_forwarded_to_the_originals_server() {
 fn an_absent_server_causes_a_rejection_and_nothing_is_sent() {
     let near = relay(reserve_port());
     let mut remote = near.remote();
-    // Known after its INIT was answered, with the id.
+    // Visible once its INIT was answered with the id.
     let id = trigger(&mut remote, "echo", "hi");
     let ended = remote.wait(id, Some(SOON)).expect("its end");
     assert!(ended.text.contains("nothing was sent"), "{ended:?}");
@@ -91,11 +91,11 @@ fn a_forwarded_task_is_unknown_while_its_server_is_silent() {
     let answer = remote.abort(id).expect("an answer");
     assert_eq!(told(answer), (Accepted, "aborting".to_owned()));
     far.server.process.signal("CONT");
-    // The abort reaches it all the same.
+    // The abort still reaches it.
     assert_eq!(end(&mut remote, id).0, Aborted);
 }
 
-/// Every client of a relay whose server is killed and started again while it does a task.
+/// Every client of a relay whose server is killed and restarted during a task.
 #[test]
 fn a_restarted_servers_task_is_unknown_to_us_and_failed_to_originals() {
     let port = reserve_port().to_string();
@@ -169,7 +169,7 @@ fn earlier_tasks_of_a_restarted_server_are_not_completed() {
     progress(&mut remote, id, "half way");
     far.server.process.signal("TERM");
     let (state, text) = end(&mut remote, id);
-    // It was stopped, and said so.
+    // It was stopped and reported that.
     assert_eq!((state, text.as_str()), (Aborted, "the server was stopped"));
     dies(far.server.process.id());
 
@@ -204,7 +204,7 @@ fn a_server_that_forwards_to_itself_terminates_the_loop() {
     assert!(ended.contains("p:x is busy with task"), "{ended}");
 }
 
-/// A server with a key, for one client, and what `forward` needs to be that client, or another one.
+/// A server with a key, for one client, and the `forward` settings to be that client or another one.
 fn encrypted() -> Option<(Lab, Scratch, [String; 2])> {
     let demanded = std::env::var_os("ZTL_CURVE").is_some();
     assert!(can_encrypt() || !demanded, "this build does not encrypt");
@@ -231,7 +231,7 @@ fn encrypted() -> Option<(Lab, Scratch, [String; 2])> {
 #[test]
 fn with_keys_the_forwarding_server_authenticates_as_a_client() {
     let Some((far, _keys, [near, mallory])) = encrypted() else {
-        // Said at the start, and no task goes out in the clear.
+        // Reported at the start, and no task is sent unencrypted.
         let to = "to: 'tcp://127.0.0.1:1', scope: /a, key: a.key_secret, server-key: b.key";
         let lab = Lab::new(&format!("echo: {{forward: {{{to}}}}}"));
         lab.server
@@ -253,7 +253,7 @@ fn with_keys_the_forwarding_server_authenticates_as_a_client() {
     let id = trigger(&mut remote, "go", "");
     progress(&mut remote, id, "half way");
     assert_eq!(remote.abort(id).expect("an answer").state, Aborted);
-    // Whoever has another key, or none, gets nothing, and nothing is said to be done.
+    // A client with another key, or none, gets nothing, and nothing is reported as done.
     for component in ["echo", "bad"] {
         let ran = remote.run("p", component, "x", Some(PATIENCE));
         let done = ran.is_ok_and(|status| status.state == Completed);

@@ -53,7 +53,7 @@ fn every_program_gets_sigterm_and_is_killed_after_its_grace() {
     lab.server.process.kill();
     assert_eq!(lab.written("parked"), "parked");
     assert_eq!(lab.written("halt"), format!("{driver} fast"));
-    // That program had its time, although the other one was gone before.
+    // That program got its grace although the other one ended earlier.
     lab.written("stopped");
     for process in processes {
         dies(process);
@@ -64,7 +64,7 @@ fn every_program_gets_sigterm_and_is_killed_after_its_grace() {
         .process
         .wait_for("The server has ended and left programs behind. Stopping them.");
     lab.server.process.wait_for("have ended.");
-    // What was waiting never began, and what may stay is still there.
+    // The waiting task never started, and the process that may stay still runs.
     assert_eq!(lab.written("begun").lines().count(), 1);
     assert!(lives(lab.process("left")));
     kill(lab.process("left"));
@@ -75,9 +75,9 @@ fn the_watchdog_finds_a_program_that_is_just_starting() {
     for delay in 0..12 {
         let mut lab = Lab::new("go: {run: [sh, -c, 'echo > begun; sleep 60; true']}");
         let mut remote = lab.remote();
-        // It waits for an answer in vain, and nobody for it.
+        // It never gets a reply, and the test does not wait for it.
         std::thread::spawn(move || drop(remote.trigger("p", "go", "")));
-        // At another moment of its start each time.
+        // Kills at a different moment of its start each time.
         std::thread::sleep(Duration::from_micros(delay * 400));
         lab.server.process.kill();
         lab.server.process.wait_for_end_of_output();
@@ -115,7 +115,7 @@ fn a_killed_or_unresponsive_watchdog_is_replaced() {
     trigger(&mut remote, "go", "");
     let process = lab.process("pid");
     let first = watchdog(&lab);
-    // It is the same program as its server, and under the same filter where an old kernel is played.
+    // It is the same program as its server, and runs under the same filter when an old kernel is simulated.
     let of = |process: u32| {
         let status = std::fs::read_to_string(format!("/proc/{process}/status"));
         let status = status.expect("its status");
@@ -136,7 +136,7 @@ fn a_killed_or_unresponsive_watchdog_is_replaced() {
         .process
         .wait_for("The watchdog has been restarted.");
 
-    // One that is stopped is noticed once it has been told more than fits, and harms nobody.
+    // A suspended watchdog is noticed once its pipe is full, and delays no client.
     let second = watchdog(&lab);
     signal(second, "STOP");
     let long = "x".repeat(50_000);
@@ -158,7 +158,7 @@ fn no_program_starts_while_the_watchdog_is_being_replaced() {
     for _ in 0..3 {
         let mut lab = Lab::new("go: {run: [sh, -c, 'exec sleep 60']}");
         let mut remote = lab.remote();
-        // The more of them end in a row, the longer the pause before the next.
+        // The more watchdogs end in a row, the longer the pause before the next.
         let mut last = watchdog(&lab);
         for _ in 0..5 {
             kill(last);
@@ -176,7 +176,7 @@ fn no_program_starts_while_the_watchdog_is_being_replaced() {
                 taken => Some(taken.expect("an answer")),
             }
         });
-        // Whoever confirmed that program knows of it.
+        // The watchdog that confirmed the program knows of it.
         lab.server.process.kill();
         until("nothing runs", PATIENCE, || {
             lab.at_home().is_empty().then_some(())
@@ -200,7 +200,7 @@ fn a_watchdog_ignores_every_signal_it_can() {
     ] {
         signal(first, name);
     }
-    // A signal takes effect before the watchdog confirms anything more.
+    // A signal takes effect before the watchdog confirms anything else.
     assert_eq!(lab.run("other", ""), (Completed, String::new()));
     assert_eq!(watchdog(&lab), first);
     lab.server.process.kill();
@@ -388,7 +388,7 @@ fn a_resumed_server_learns_what_its_programs_did() {
         matches!(silent, RequestError::NoAnswer { .. }),
         "{silent:?}"
     );
-    // Both end, or should have, while nobody looks.
+    // Both end, or should end, while the server is suspended.
     std::fs::write(lab.scratch.path("go"), "").expect("to write");
     lab.written("done");
     lab.server.process.signal("CONT");

@@ -41,7 +41,7 @@ fn a_program_of_another_user_has_only_that_users_rights() {
     let (state, why) = lab.run("secret", "");
     assert_eq!(state, Failed);
     assert!(why.ends_with("Permission denied"), "{why}");
-    // Only the thread that started them was somebody else.
+    // Only the thread that started them had another user.
     let own = format!("{} {}", id("-un"), id("-G"));
     assert_eq!(lab.run("mine", ""), (Completed, own));
     assert_eq!(lab.run("own", ""), (Completed, nobody));
@@ -51,7 +51,7 @@ fn a_program_of_another_user_has_only_that_users_rights() {
     let process = until("its number", PATIENCE, || {
         remote.status(task).expect("an answer").text.parse().ok()
     });
-    // So does what stops it, also when the watchdog has to.
+    // The abort program also runs as that user, even when the watchdog starts it.
     lab.server.process.kill();
     assert_eq!(lab.written("aborter"), "nobody");
     dies(process);
@@ -74,7 +74,7 @@ fn programs_with_children_leave_no_process_behind() {
     until("all have ended", PATIENCE, || {
         lab.at_home().is_empty().then_some(())
     });
-    // Nor a zombie: only the watchdog is a child of the server.
+    // No zombie either: only the watchdog is a child of the server.
     assert_eq!(lab.children().len(), 1);
 }
 
@@ -101,14 +101,14 @@ fn a_silent_or_closed_output_uses_no_cpu() {
     );
     let mut remote = lab.remote();
     let tasks = ["silent", "closes", "half"].map(|name| trigger(&mut remote, name, ""));
-    // Its output is held open by what it left behind, for nobody to read.
+    // A leftover process holds its output open, which is never read.
     assert_eq!(lab.run("passes", ""), (Completed, "end".to_owned()));
     lab.written("silent");
     let process = lab.server.process.id();
     let before = worked(process);
     std::thread::sleep(Duration::from_secs(1));
     let cost = worked(process) - before;
-    // A loop would take all hundred.
+    // A busy loop would take all hundred.
     assert!(cost <= 10, "{cost}");
     for task in tasks {
         assert_eq!(remote.status(task).expect("an answer").state, Accepted);

@@ -58,7 +58,7 @@ fn an_option_like_goal_or_invalid_argument_is_rejected() {
     );
     let refused = lab.refusal("say", "-n");
     assert!(refused.starts_with("'-n' begins with '-'"), "{refused}");
-    // A check of a script is told the same, and starts nothing.
+    // A check of a script gets the same reply and starts nothing.
     let scratch = Scratch::new();
     let (script, remotes) = (scratch.path("show.yaml"), scratch.path("remotes.yaml"));
     std::fs::write(&script, "s: {a: {p: {say: -n, bold: -n}}}\n").expect("to write");
@@ -172,8 +172,8 @@ fn endless_and_non_utf8_output_is_handled() {
 
 #[test]
 fn stdin_is_empty_and_signals_are_as_a_program_expects_them() {
-    // As a shell starts what is to run in the background, `nohup` what is to go on, and others worse: with SIGCHLD
-    // ignored, nobody could wait for a child.
+    // Signals ignored as by a shell for background processes, by `nohup`, and worse: with SIGCHLD
+    // ignored, waiting for a child would be impossible.
     let mut ztl_in_background = Command::new("sh");
     let ignoring = r#"trap '' HUP INT QUIT USR1 PIPE TERM CHLD; exec "$@""#;
     ztl_in_background
@@ -190,14 +190,14 @@ fn stdin_is_empty_and_signals_are_as_a_program_expects_them() {
     assert_eq!(lab.run("pipe", ""), (Completed, "y".to_owned()));
     let (_, ignored) = lab.run("ignored", "");
     let ignored = u64::from_str_radix(&ignored, 16).expect("a mask");
-    // But for 32 and 33, which the C library keeps for itself.
+    // Except for 32 and 33, which the C library reserves.
     assert_eq!(ignored & !(0b11 << 31), 0, "{ignored:x}");
     let mut remote = lab.remote();
     let id = trigger(&mut remote, "quit", "");
     lab.process("pid");
     assert_eq!(remote.abort(id).expect("an answer").state, Aborted);
     assert_eq!(end(&mut remote, id), (Aborted, "heard".to_owned()));
-    // It heeds none of them itself, as it was told.
+    // The server itself still ignores them, as configured at its start.
     lab.server.process.signal("QUIT");
     assert_eq!(lab.run("reads", ""), (Completed, "read".to_owned()));
 }
@@ -215,7 +215,7 @@ fn progress_is_reported_when_printed_and_excluded_from_the_result() {
     crate::rig::progress(&mut remote, id, "1 of 2");
     std::fs::write(lab.scratch.path("go"), "").expect("to write");
     assert_eq!(end(&mut remote, id), (Completed, "done".to_owned()));
-    // Python keeps back what goes into a pipe, unless it is told not to.
+    // Python buffers output into a pipe unless told otherwise.
     let start = Instant::now();
     let id = trigger(&mut remote, "python", "");
     crate::rig::progress(&mut remote, id, "here");

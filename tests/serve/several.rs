@@ -8,7 +8,7 @@ use ztl_tests::lab::{PATIENCE, until};
 
 use crate::rig::{Lab, SOON, end, progress, refusal, trigger};
 
-/// Runs until a file of its goal's name is there.
+/// Runs until a file named like its goal exists.
 const WAITS: &str = r#"run: [sh, -c, 'echo "@ on"; until [ -e "$0" ]; do sleep 0.02; done; echo "$0 done"', '{goal}'], progress: '@ '"#;
 
 #[track_caller]
@@ -109,7 +109,7 @@ fn two_hundred_concurrent_tasks_run_and_the_next_is_rejected() {
     let said = "200 tasks are under way, and more are not allowed (at-once)";
     assert_eq!(refusal(&mut remote, "go", "all"), said);
     assert_eq!(refusal(&mut remote, "echo", "all"), said);
-    // Somebody else is answered at once meanwhile.
+    // Another client is answered at once meanwhile.
     let start = Instant::now();
     let one = *tasks.first().expect("200");
     assert_eq!(lab.remote().status(one).expect("an answer").state, Accepted);
@@ -122,7 +122,7 @@ fn two_hundred_concurrent_tasks_run_and_the_next_is_rejected() {
         lab.run("echo", "free again"),
         (Completed, "free again".to_owned())
     );
-    // Nothing is left open, and no child but the watchdog.
+    // No file is left open, and the watchdog is the only child.
     until("its files are closed", PATIENCE, || {
         (open_files(&lab, &mut remote) <= before).then_some(())
     });
@@ -170,7 +170,7 @@ fn thirty_concurrent_tasks_are_aborted() {
 #[test]
 fn ending_children_lose_no_reply() {
     let lab = Lab::new("echo: {run: [echo, 'said {goal}']}");
-    // A client that asks once, and waits: ZeroMQ gave up a frame of an answer when a child ended.
+    // A client that asks once and waits: ZeroMQ used to drop a frame of a reply when a child ended.
     let socket = zmq::Context::new().socket(zmq::REQ).expect("a socket");
     socket.set_rcvtimeo(20_000).expect("a limit");
     socket.connect(&lab.server.endpoint()).expect("an address");

@@ -24,7 +24,7 @@ fn under_nohup_the_server_survives_a_hangup() {
         .arg(built("ztl"));
     let lab = Lab::of_command(nohup, CAREFUL);
     lab.server.process.signal("HUP");
-    // Long enough for it to have heard.
+    // Long enough for the signal to arrive.
     assert_eq!(lab.run("sleep", "0.3").0, Completed);
     lab.server.process.signal("TERM");
     assert_eq!(lab.server.process.end(PATIENCE).code, Some(143));

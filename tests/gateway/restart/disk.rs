@@ -10,7 +10,7 @@ use ztl_tests::lab::{
     LIMIT, PATIENCE, Process, SCOPE, Scratch, Server, reserve_port, status, until,
 };
 
-/// A gateway whose files can have only so many blocks of 512 bytes, as on a full disk.
+/// A gateway whose files are limited to a few blocks of 512 bytes, like on a full disk.
 #[track_caller]
 fn start_limited(lab_device: &Device, scratch: &Scratch, port: u16, blocks: u32) -> Server {
     let full = command(lab_device, port);
@@ -41,7 +41,7 @@ fn on_a_full_disk_new_tasks_are_rejected_and_running_ones_finish() {
             "{reason}"
         );
     };
-    // Fill it until there is room for a task's start, and not for its end.
+    // Fill it until there is room for a task's start but not for its outcome.
     let mut ends = Vec::new();
     loop {
         let number = ends.len();
@@ -55,7 +55,7 @@ fn on_a_full_disk_new_tasks_are_rejected_and_running_ones_finish() {
         match client.wait(&task.id, Some(Duration::from_millis(1000))) {
             Ok(end) => ends.push((task.id, end)),
             Err(_) => {
-                // It has ended, and nobody is told before that is written.
+                // It has ended, but the outcome is withheld until it is journaled.
                 let told = client.status(&task.id).unwrap();
                 assert_eq!(told.state, State::Accepted);
                 let why =
@@ -72,7 +72,7 @@ fn on_a_full_disk_new_tasks_are_rejected_and_running_ones_finish() {
     assert!(ends.len() >= 2, "{ends:?}");
     gateway.process.kill();
 
-    // There is room again: every end is what it was, or should have been.
+    // There is room again: every outcome is the expected one.
     let gateway = start_gateway(&device, &scratch, port);
     let mut client = RemoteTask::connect(&gateway.endpoint(), SCOPE).unwrap();
     for (id, end) in ends {

@@ -25,14 +25,14 @@ fn a_client_that_waits_through_a_restart_gets_the_true_outcome() {
     assert_eq!(end, Ok(status(State::Completed, "7")));
     assert_eq!(lab.device.deed("7 1500"), ONCE);
 
-    // And it stays so, also after another restart.
+    // It stays so after another restart.
     lab.kill();
     lab.start_again();
     let mut client = lab.client();
     assert_eq!(client.status(id), Ok(status(State::Completed, "7")));
     let aborted = client.abort(id).unwrap();
     assert_eq!(aborted.state, State::Completed);
-    // A new task has an id that nobody had.
+    // A new task has an unused id.
     let next = start(&mut client, "motors", "arm", "8 1");
     assert!(next > id, "{next} after {id}");
 }
@@ -65,7 +65,7 @@ fn a_start_unanswered_at_the_kill_continues() {
     lab.start_again();
     let mut client = lab.client();
     assert_eq!(client.status(id).unwrap().state, State::Accepted);
-    // Its client cannot know the id; whoever asks by it hears the truth.
+    // Its client cannot know the id; a STATUS with that id returns the truth.
     let told = asking.join().unwrap();
     let unknown = matches!(
         told,
@@ -100,7 +100,7 @@ fn an_outcome_is_known_after_a_kill_before_anyone_asked() {
     let id = start(&mut client, "motors", "arm", "7 50");
     assert_eq!(lab.wait_for_line("ended"), id);
     lab.kill();
-    // The device is not needed for it.
+    // This does not need the device.
     lab.device.world().unplugged = true;
     lab.start_again();
     let end = Ok(status(State::Completed, "7"));
@@ -147,13 +147,13 @@ fn an_absent_devices_tasks_fail_after_its_timeout_unless_they_carry_on() {
         belt_now.text.starts_with("device is not answering"),
         "{belt_now:?}"
     );
-    // An ABORT is answered in time all the same.
+    // An ABORT is still answered in time.
     let aborted = client.abort(belt).unwrap();
     assert_eq!(aborted, status(State::Accepted, "aborting"));
     let end = client.wait(arm, LIMIT).unwrap();
     assert_eq!(end, status(State::Failed, "device is not answering"));
     let took = started.elapsed();
-    // The gateway that was killed may have been heard until then: two link timeouts.
+    // The device may have received commands from the killed gateway until then: two link timeouts.
     assert!(took >= 2 * USUAL, "{took:?}");
     until("the belt has arrived", PATIENCE, || {
         (lab.device.deed("8 2500") == ONCE).then_some(())
@@ -171,7 +171,7 @@ fn an_abort_reaches_a_task_from_before_the_restart() {
     lab.kill();
     lab.start_again();
     let mut client = lab.client();
-    // It is answered when it is stopped, or on its way to be.
+    // The answer arrives when the task has stopped or is stopping.
     assert!(client.abort(id).is_ok());
     assert_eq!(client.wait(id, LIMIT), Ok(status(State::Aborted, "7")));
     let stopped = Deed {
@@ -229,7 +229,7 @@ fn a_second_gateway_on_the_same_journal_exits_with_the_reason() {
         );
         assert!(ended.stderr.contains(&who), "{}", ended.stderr);
     }
-    // The first one serves on.
+    // The first one keeps serving.
     let mut client = lab.client();
     let id = start(&mut client, "motors", "arm", "7 1");
     assert_eq!(client.wait(id, LIMIT), Ok(status(State::Completed, "7")));
@@ -243,7 +243,7 @@ fn dice(state: &mut u64, below: u64) -> u64 {
     *state % below
 }
 
-/// Kills at moments of all kinds, with tasks on both motors all the time.
+/// Kills at random moments, with tasks on both motors all the time.
 #[test]
 fn a_kill_at_any_time_gives_each_task_one_outcome_and_motion() {
     let mut lab = Lab::new(LONG);
@@ -251,7 +251,7 @@ fn a_kill_at_any_time_gives_each_task_one_outcome_and_motion() {
     let stop = std::sync::Arc::new(std::sync::atomic::AtomicBool::new(false));
     let stopped = std::sync::Arc::clone(&stop);
     let ends = std::sync::Arc::new(std::sync::atomic::AtomicUsize::new(0));
-    // Asks for one task after the other, and keeps what it is told.
+    // Runs one task after the other and records the replies.
     let clients: Vec<_> = ["arm", "belt"]
         .into_iter()
         .zip([1000, 2000])
@@ -269,7 +269,7 @@ fn a_kill_at_any_time_gives_each_task_one_outcome_and_motion() {
                     }
                     let goal = format!("{number} {}", dice(&mut state, 60));
                     if let Ok(task) = client.trigger("motors", motor, &goal) {
-                        // Its end may come when the gateway has been killed many times.
+                        // Its outcome may arrive after many kills.
                         let end = client.wait(&task.id, LIMIT).expect("its end");
                         told.insert(task.id.number().unwrap(), (goal, end));
                         ended.fetch_add(1, std::sync::atomic::Ordering::SeqCst);
@@ -288,7 +288,7 @@ fn a_kill_at_any_time_gives_each_task_one_outcome_and_motion() {
             lab.gateway.wait_ready("motors");
         }
     }
-    // A busy machine has done few by then.
+    // A busy machine may have completed only a few by then.
     until("enough tasks", PATIENCE, || {
         (ends.load(std::sync::atomic::Ordering::SeqCst) > 20).then_some(())
     });
@@ -301,14 +301,14 @@ fn a_kill_at_any_time_gives_each_task_one_outcome_and_motion() {
             let deed = lab.device.deed(&goal);
             let fits = match end.state {
                 State::Completed => deed == ONCE,
-                // Killed between its being written and its being sent.
+                // Killed after it was journaled and before it was sent.
                 State::Failed => end.text.starts_with("never started") && deed == Deed::default(),
                 _ => false,
             };
             assert!(fits, "{goal}: told {end:?}, and did {deed:?}");
         }
     }
-    // Also of those whose clients never heard of them.
+    // Also tasks whose ids never reached their clients.
     assert!(
         lab.device
             .world()

@@ -10,12 +10,12 @@ struct Reloaded {
     device: Device,
     scratch: Scratch,
     gateway: Option<Server>,
-    /// How often this gateway has read its configuration again.
+    /// How often this gateway has reloaded its configuration.
     reloads: usize,
 }
 
 impl Reloaded {
-    /// The device is there, and two tasks run that only an abort ends: of its arm and of its belt.
+    /// The device is connected, and two tasks run until aborted: on its arm and its belt.
     #[track_caller]
     fn with_tasks() -> (Self, TaskId, TaskId) {
         let mut lab = Self {

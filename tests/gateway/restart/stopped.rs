@@ -8,25 +8,25 @@ use ztl_std::{RunError, WaitError};
 use ztl_std::{State, TriggerError};
 use ztl_tests::lab::{LIMIT, PATIENCE, Process, our_client_at, status, until};
 
-/// When the fault comes, in microseconds after the client has begun: from before its INIT arrives until
+/// When the fault occurs, in microseconds after the client's start: from before its INIT arrives until
 /// after the task has ended.
 const POINTS: [u64; 8] = [0, 100, 300, 600, 1000, 2000, 4000, 10_000];
 
 fn wait_until(moment: Instant) {
-    // The point itself is what is tried, so there is no condition to wait for.
+    // The test varies the moment itself, so there is no condition to wait for.
     std::thread::sleep(moment.saturating_duration_since(Instant::now()));
 }
 
 #[test]
 fn a_suspended_gateway_moves_each_motor_once() {
     let lab = Lab::new(LONG);
-    // A shell that is there already is quicker than a program that has to start.
+    // A running shell reacts faster than a program that has to start.
     let mut shell = Process::start(&mut std::process::Command::new("sh"));
     let mut outcomes = Vec::new();
     for point in POINTS {
         let goal = format!("{point} 2");
         let mut client = lab.client().with_timeout(Duration::from_millis(500));
-        // It is met before, so that the point is one of the task.
+        // The client connects first, so the moment falls within the task.
         let before = client.run("motors", "belt", "1 1", LIMIT);
         before.expect("its end");
         let asked = goal.clone();
@@ -46,7 +46,7 @@ fn a_suspended_gateway_moves_each_motor_once() {
         );
         outcomes.push((goal, outcome));
     }
-    // Whatever was on its way has been done by now, and it serves on.
+    // Everything in flight is done by now, and the gateway serves.
     let last = until("a task is taken", PATIENCE, || {
         lab.client().run("motors", "arm", "7 1", LIMIT).ok()
     });
@@ -55,7 +55,7 @@ fn a_suspended_gateway_moves_each_motor_once() {
         let deed = lab.device.deed(&goal);
         let fits = match outcome {
             Ok(State::Completed) => deed == ONCE,
-            // Unknown, which is neither done nor not done.
+            // Unknown: either done or not done.
             Err(
                 RunError::NotEnded(WaitError { last: Err(_) })
                 | RunError::NotStarted(TriggerError::Request(_)),
@@ -83,7 +83,7 @@ fn a_gateway_suspended_beyond_the_link_timeout_reports_the_devices_outcomes() {
         .expect("taken")
         .id;
     lab.gateway.process.signal("STOP");
-    // The belt carries on, and arrives; the arm has stopped long before.
+    // The belt carries on and arrives; the arm stopped long before.
     until("the belt has arrived", PATIENCE, || {
         (lab.device.deed("8 5000") == ONCE).then_some(())
     });
@@ -110,7 +110,7 @@ fn a_gateway_killed_or_stopped_anywhere_moves_a_motor_at_most_once() {
         wait_until(Instant::now() + Duration::from_micros(point * 2));
         killed.kill();
         let told = killed.stdout().contains("'COMPLETED'");
-        // What comes after it is done, so it has been begun, or never will be.
+        // A later task is done, so this one has started or never will.
         let after = lab.client().run("motors", "belt", "1 1", LIMIT);
         after.expect("its end");
         let deed = until("rest", PATIENCE, || {
