@@ -56,7 +56,7 @@ fn the_init_script_starts_reports_status_and_stops() {
     assert_eq!(code("stop"), Some(0));
     assert_eq!(code("status"), Some(3));
     assert_eq!(code("stop"), Some(0));
-    // A wrong configuration is told at once, and starts nothing.
+    // A wrong configuration is reported at once, and starts nothing.
     std::fs::write(scratch.path("robot.yaml"), "port: none\n").expect("a file");
     let wrong = call("start");
     assert_eq!(wrong.code, Some(2), "{wrong:?}");

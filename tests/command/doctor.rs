@@ -8,7 +8,7 @@ fn doctor(options: &[&str]) -> Ended {
     Process::run(ztl().arg("doctor").args(options))
 }
 
-/// What it found, in JSON, and its exit code.
+/// Its findings, in JSON, and its exit code.
 #[track_caller]
 fn told(options: &[&str]) -> (Value, Option<i32>) {
     let ended = doctor(&[&["--json"], options].concat());
@@ -17,7 +17,7 @@ fn told(options: &[&str]) -> (Value, Option<i32>) {
     (value, ended.code)
 }
 
-/// The findings about something.
+/// The findings about this subject.
 fn about<'a>(told: &'a Value, about: &str) -> Vec<&'a Value> {
     let findings = told["findings"].as_array().expect("findings");
     findings
@@ -73,7 +73,7 @@ fn a_healthy_machine_is_reported_as_good() {
     );
     // It leaves nothing behind.
     assert!(!scratch.path("new").exists());
-    // For people, the same.
+    // The same as text.
     let ended = doctor(&options);
     assert_eq!(ended.code, Some(0), "{ended:?}");
     assert!(ended.stdout.ends_with("Nothing is wrong.\n"), "{ended:?}");

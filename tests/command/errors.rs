@@ -1,4 +1,4 @@
-//! What the `ztl` command says when something is wrong, its exit codes, its help, and its demo.
+//! Error messages of the `ztl` command, its exit codes, its help, and its demo.
 
 use std::net::TcpListener;
 use std::process::Command;
@@ -8,14 +8,14 @@ use ztl_tests::lab::{
     Ended, PATIENCE, Process, SCOPE, Scratch, Server, our_client, reserve_port, until, ztl,
 };
 
-/// `ztl` with these words, which has to end by itself.
+/// `ztl` with these arguments; it must exit by itself.
 #[track_caller]
 fn run(line: &str) -> Ended {
     let words = line.split(' ').filter(|word| !word.is_empty());
     Process::run(ztl().args(words))
 }
 
-/// `ztl` with these words refuses, on one line that says all of `parts`.
+/// `ztl` with these arguments fails with one line that contains all of `parts`.
 #[track_caller]
 fn refuses(line: &str, parts: &[&str]) {
     let ended = run(line);
@@ -28,7 +28,7 @@ fn refuses(line: &str, parts: &[&str]) {
     let lines = lines.filter(|line| !line.starts_with("Usage: ") && says(line));
     assert_eq!(lines.count(), 1, "{line}: {parts:?} in {ended:?}");
     assert!(!ended.stderr.contains("panicked"), "{line}: {ended:?}");
-    // What it would print while it serves.
+    // It never reached the point of serving.
     assert_eq!(ended.stdout, "", "{line}");
 }
 
@@ -152,7 +152,7 @@ fn an_unknown_simulated_device_is_rejected_with_the_known_ones() {
         &[nowhere],
     );
 
-    // A link is replaced, somebody's file is not.
+    // A link is replaced, a user's file is not.
     let scratch = Scratch::new();
     let file = scratch.path("file");
     std::fs::write(&file, "precious").expect("to write");
@@ -234,7 +234,7 @@ fn the_exit_status_reports_the_outcome() {
         let (ended, last) = outcome(server, args);
         assert!(last.contains(part), "{args:?}: '{part}' in '{last}'");
         assert_eq!(ended, Some(code), "{args:?}: {last}");
-        // Without the option: as the original, always 0.
+        // Without the option: always 0, like the original.
         let ended = server.start_client(our_client(), args).end(PATIENCE);
         assert_eq!(ended.code, Some(0), "{args:?}: {ended:?}");
     }
@@ -291,7 +291,7 @@ fn ctrl_c_ends_every_server() {
     let server = Server::ours();
     server.process.signal("INT");
     let ended = server.process.end(PATIENCE);
-    // As the original's.
+    // Like the original's.
     assert_eq!(ended.code, Some(1), "{ended:?}");
     assert!(
         ended.stderr.ends_with("ERROR:root:Interrupted, exiting.\n"),
@@ -349,7 +349,7 @@ fn the_demo_completes_every_act() {
     let mut command = ztl();
     let demo = Process::start(command.args(["demo", "--once", "--port", "0"]));
     let ended = demo.end(Duration::from_secs(40));
-    // Those that the scene moves, as the README says.
+    // The devices that the scene moves, as the README says.
     let devices = ended
         .stdout
         .lines()
@@ -371,7 +371,7 @@ fn the_demo_completes_every_act() {
     assert_eq!(acts.len(), expected.len(), "{}", ended.stdout);
     for (act, (task, end)) in acts.iter().zip(expected) {
         assert!(act.contains(task) && act.contains(end), "{task}: {act}");
-        // Seen on its way, not only at its end.
+        // Progress is visible, not only the end.
         assert!(act.contains(" % "), "{act}");
     }
     assert!(ended.stdout.contains("Every task completed."));
@@ -382,7 +382,7 @@ fn the_demo_completes_every_act() {
 fn the_demo_keeps_serving_and_its_suggested_command_works() {
     let mut command = ztl();
     let demo = Process::start(command.args(["demo", "--port", "0"]));
-    // The line to be typed in another terminal, word by word as printed.
+    // The command line for another terminal, word by word as printed.
     let words = until("the invitation", Duration::from_secs(40), || {
         let text = demo.stdout();
         let line = text.lines().find(|line| line.contains("task-client -r"))?;

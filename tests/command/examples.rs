@@ -26,7 +26,7 @@ fn the_client_drives_the_handler_and_prints_the_documented_output() {
         panic!("{ended:?}");
     };
     assert_eq!((*first, *last), ("started", "COMPLETED: arrived"));
-    // It drives for two seconds, and tells how far it has come.
+    // It drives for two seconds and reports its progress.
     assert!(start.elapsed() > Duration::from_secs(2));
     assert!(way.len() > 5, "{way:?}");
     let percent: Vec<u32> = way
@@ -39,7 +39,7 @@ fn the_client_drives_the_handler_and_prints_the_documented_output() {
         })
         .collect();
     assert!(percent.is_sorted_by(|one, next| one < next), "{way:?}");
-    // At the most the first is from before the task told anything.
+    // At most the first reply comes before the task reported progress.
     assert!(percent.len() + 1 >= way.len(), "{way:?}");
 }
 
@@ -98,7 +98,7 @@ fn the_example_component_runs_behind_a_gateway() {
     assert_eq!(client.wait(id, 20.0), (5, "off"));
     component.wait_for("lamp off");
 
-    // Its loop takes the next gateway when this one is gone.
+    // Its loop accepts the next gateway when this one disconnects.
     drop(gateway);
     let gateway = Server::gateway(&[&format!("desk={address}")]);
     gateway.wait_ready("desk");

@@ -8,15 +8,15 @@ use ztl_tests::lab::{
     our_client, ours_named, ztl,
 };
 
-/// The words of a command line; `PORT` stands for this server's port.
+/// The arguments of a command line; `PORT` is replaced by this server's port.
 fn words(line: &str, server: &Server) -> Vec<String> {
     let port = server.port.to_string();
     let words = line.split(' ').map(|word| word.replace("PORT", &port));
     words.collect()
 }
 
-/// Both clients, ours by the original's name, tell the same with these words, which ends with the echo of
-/// `hi`; what ours wrote to stderr.
+/// Both clients, ours under the original's name, print the same for these arguments and end with the echo of
+/// `hi`; returns what ours wrote to stderr.
 #[track_caller]
 fn both_run(words: &[String], server: &Server) -> String {
     let scratch = Scratch::new();
@@ -40,7 +40,7 @@ fn options_may_be_shortened_joined_and_repeated() {
         "--rem localhost --po PORT --sc /test test:echo:hi",
         "--remote=localhost --port=PORT --scope=/test test:echo:hi",
         "--rem=localhost --po=PORT --sc=/test --ti=-1 test:echo:hi",
-        // Ours has more options that begin so.
+        // Ours has more options with this prefix.
         "--r localhost --p PORT --s /test --t 5 test:echo:hi",
         "-rlocalhost -pPORT -s/test -t-1 test:echo:hi",
         // The last one wins.
@@ -81,7 +81,7 @@ fn under_the_originals_name_unknown_arguments_are_ignored_with_a_warning() {
     }
 }
 
-/// Runs `ztl` with these words; `ROBOT` stands for a port where everything that connects is noticed.
+/// Runs `ztl` with these arguments; `ROBOT` is replaced by a port that notices every connection.
 #[track_caller]
 fn sends_nothing(line: &str) -> Ended {
     let robot = TcpListener::bind(("127.0.0.1", 0)).expect("a port");
@@ -188,7 +188,7 @@ fn under_the_originals_name_help_omits_unused_variables() {
     let told = Process::run(client.arg("-h")).stdout;
     assert!(told.contains("Port of the server"), "{told}");
     assert!(!told.contains("$ZTL_"), "{told}");
-    // As it says, all of them are needed.
+    // As the help says, all of them are required.
     let variables = [
         ("ZTL_HOST", "localhost"),
         ("ZTL_PORT", "1"),
@@ -253,7 +253,7 @@ fn invalid_ports_give_the_originals_exit_codes() {
             (Some(code), Some(code)),
             "{line}: {ours:?}"
         );
-        // But for the reason, which ours says in English.
+        // Except for the reason, which ours gives in English.
         let said = |ended: &Ended| -> Vec<String> {
             let lines = ended.stdout.lines().map(|line| line.split(": '").next());
             lines.flatten().map(str::to_owned).collect()
@@ -272,8 +272,8 @@ fn invalid_ports_give_the_originals_exit_codes() {
     }
 }
 
-/// Both clients, ours by the original's name, refuse these words in the same way: how the tool is used,
-/// then what is wrong.
+/// Both clients, ours under the original's name, reject these arguments in the same way: with the usage
+/// and then the error.
 #[track_caller]
 fn both_refuse(line: &str) {
     let scratch = Scratch::new();
@@ -346,7 +346,7 @@ fn a_link_with_an_original_name_behaves_like_that_tool() {
 fn a_server_takes_options_by_the_same_rules() {
     let scratch = Scratch::new();
     let mut command = ours_named(&scratch, "ztl_task_server");
-    // The helper adds the port and the scope that count.
+    // The helper adds the valid port and scope.
     command.args(["--verbose", "--po", "1", "--sc=/x"]);
     let server = Server::test_server(command);
     let ended = server.start_client(original_client(), &["test:echo:hi"]);

@@ -5,14 +5,14 @@ use ztl_tests::lab::{
     Ended, PATIENCE, Process, SCOPE, Scratch, Server, example, ours_named, reserve_port, until, ztl,
 };
 
-/// `ztl` with these words and the server's port.
+/// `ztl` with these arguments and the server's port.
 #[track_caller]
 fn ask(server: &Server, line: &str) -> Ended {
     let port = server.port.to_string();
     Process::run(ztl().args(line.split(' ')).args(["-p", &port]))
 }
 
-/// The same, which has to go well; what it prints.
+/// The same, which must succeed; returns its output.
 #[track_caller]
 fn tell(server: &Server, line: &str) -> String {
     let ended = ask(server, line);
@@ -98,7 +98,7 @@ fn another_clients_task_is_listed_and_aborted() {
     assert!(said.starts_with(&start), "{said}");
     let end = other.status(&task.id).expect("an answer");
     assert_eq!(end.state, State::Aborted);
-    // It is told as the device told it, which is where the finger stopped.
+    // The text is the device's own: where the finger stopped.
     assert_eq!(said, format!("{start}{}\n", end.text));
 
     assert_eq!(tell(&gateway, "ps"), "No task is running.\n");
@@ -233,7 +233,7 @@ fn a_server_is_named_by_the_configuration_file_or_the_environment() {
             ),
         ] {
             let ended = run(&format!("{command}{options}"), environment);
-            // The doctor looks at this machine too.
+            // The doctor checks this machine, too.
             let fine = ended.code == Some(0) || command == "doctor";
             assert!(
                 fine && ended.stdout.contains(said),
@@ -278,7 +278,7 @@ fn a_server_is_named_by_the_configuration_file_or_the_environment() {
     assert_eq!(ended.code, Some(2), "{ended:?}");
     assert!(ended.stderr.contains("no scope: give --scope"), "{ended:?}");
 
-    // By the original's name it is the original's client, which knows nothing of this.
+    // Under the original's name it is the original's client, which lacks this feature.
     let mut original = ours_named(&scratch, "ztl_task_client");
     original.envs(variables).envs(usual);
     let ended = Process::run(original.arg("gripper:finger:10"));
@@ -374,7 +374,7 @@ fn describe_and_abort_work_on_a_device_that_speaks_zeromq() {
     assert_eq!(tell(&device, "ps"), "No task is running.\n");
     let mut other = RemoteTask::connect(&device.endpoint(), "/desk").expect("an address");
     let mut goals = ["100", "0"].into_iter().cycle();
-    // A way takes it a second, which may be over before anybody has asked.
+    // The motion takes a second and may be over before the request.
     let mut start = || {
         let goal = goals.next().expect("one after the other");
         other.trigger("desk", "slide", goal).expect("accepted").id
@@ -430,7 +430,7 @@ fn the_original_server_is_reported_as_giving_no_description() {
     }
     let ended = ask(&server, "devices");
     assert!(ended.stderr.contains("it is not a gateway"), "{ended:?}");
-    // With the scope said by hand, its tasks can be stopped.
+    // With an explicit scope, its tasks can be aborted.
     let mut other = client(&server);
     let task = other.trigger("test", "sleep", "1").expect("accepted");
     until("the original's task to run", PATIENCE, || {

@@ -100,7 +100,7 @@ fn a_goal_out_of_range_is_rejected_with_the_valid_range() {
         let answer = client.trigger(device, component, goal);
         assert_eq!(answer, (-1, reason.as_str()));
     }
-    // Nothing has moved: the way to 0 is no way.
+    // Nothing has moved: it is already at 0.
     let id = client.start("gripper", "finger", "0");
     let end = until("its end", PATIENCE, || {
         let answer = client.status(id);

@@ -72,7 +72,7 @@ fn our_client_runs_tasks_on_each_peers_server() {
         assert_eq!((end.state, end.text.as_str()), (State::Completed, "True"));
         let refused = remote.trigger("robot", "echo", "hi");
         assert!(refused.is_err(), "{refused:?}");
-        // It is no server of ours, and that is found without harm.
+        // It is not one of our servers, and our client detects that safely.
         assert_eq!(remote.ask_server("tasks").expect("an answer"), None);
     });
 }

@@ -224,7 +224,7 @@ fn the_options_replace_a_configuration() {
     for broken in ["", "remotes: {", "7"] {
         let [original, ours] = both_tell(server.port, broken, &words, done);
         assert!(original.stderr.contains(missing), "{original:?}");
-        // An empty file is no mistake here.
+        // An empty file is accepted here.
         let told = ours.stderr.contains(missing);
         assert_eq!(told, !broken.is_empty(), "{broken:?}: {ours:?}");
         assert_eq!(

@@ -16,7 +16,7 @@ const HELLO: u32 = 0x1122_3344;
 const BOOT: u32 = 0xcafe_0001;
 const DOCUMENT: &str = include_str!("../../docs/link.md");
 
-/// Where the finger is when it is asked, as it publishes it.
+/// The finger's position when it is polled, as published.
 const OPENING: [u8; 4] = 12.5f32.to_le_bytes();
 /// A record of the log.
 const RECORD: [u8; 4] = [0x2a, 0x05, 0x7e, 0x00];
@@ -180,7 +180,7 @@ fn clauses_are_numbered_consecutively() {
     assert_eq!(last.0, 11);
 }
 
-/// Moves as the document says.
+/// Moves as documented.
 struct Finger {
     aborted: bool,
     reading: bool,
@@ -249,7 +249,7 @@ fn a_real_node_matches_the_documented_conversation() {
     let mut node = Node::<_, 4, 256>::new(identity, [finger]);
     let log = Once(RefCell::new(RECORD.to_vec()));
     let mut now = Instant::from_millis(1500);
-    // An announcement begins with a byte that flushes noise.
+    // An announcement starts with a byte that flushes noise.
     let awake = node.transmit_buf(now, &()).to_vec();
     node.consume(1);
     assert_eq!(awake.first(), Some(&0));
@@ -257,7 +257,7 @@ fn a_real_node_matches_the_documented_conversation() {
     for (name, bytes) in shown() {
         match name {
             "Ping" => now = now + Duration::from_millis(250),
-            // What the component says comes with time.
+            // The component reports these later.
             "Progress" | "Ended" => node.handle_timeout(now),
             _ => {}
         }

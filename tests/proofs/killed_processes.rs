@@ -38,7 +38,7 @@ fn wait_until(moment: Instant) {
     std::thread::sleep(moment.saturating_duration_since(Instant::now()));
 }
 
-/// Asks for a task that prints its goal, with `fault` at this point of it.
+/// Runs a task that prints its goal, with `fault` at this moment.
 fn run(port: u16, goal: &str, point: u64, fault: impl FnOnce()) -> Result<State, RunError> {
     let remote = RemoteTask::connect(&format!("tcp://127.0.0.1:{port}"), SCOPE);
     let mut remote = remote.expect("an address").with_timeout(PATIENCE);
@@ -61,7 +61,7 @@ fn run(port: u16, goal: &str, point: u64, fault: impl FnOnce()) -> Result<State,
 fn a_suspended_server_runs_each_task_once() {
     let port = reserve_port();
     let server = serve(port);
-    // A shell that is there already is quicker than a program that has to start.
+    // A running shell reacts faster than a program that has to start.
     let mut shell = Process::start(&mut Command::new("sh"));
     let mut outcomes = Vec::new();
     for point in POINTS {
@@ -79,7 +79,7 @@ fn a_suspended_server_runs_each_task_once() {
             Ok(State::Completed) => until("its line", PATIENCE, || {
                 (done(&server, &goal) > 0).then_some(())
             }),
-            // Unknown, which is neither done nor not done; or known not to have come.
+            // Either the outcome is unknown, or the INIT is known not to have arrived.
             Err(
                 RunError::NotEnded(WaitError { last: Err(_) })
                 | RunError::NotStarted(TriggerError::Request(_) | TriggerError::NeverCame),
@@ -114,7 +114,7 @@ fn a_killed_and_restarted_server_repeats_no_task_and_invents_no_outcome() {
         let mut next = next.expect("it was started");
         next.kill();
         let line = format!("goal: {goal}");
-        // An INIT that had not left yet goes to the next one, which then does it, once.
+        // An unsent INIT goes to the next server, which then runs it once.
         let [first, second] = [server, next].map(|server| {
             let said = server.end(PATIENCE).stdout;
             said.lines().filter(|said| **said == line).count()

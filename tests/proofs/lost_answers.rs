@@ -1,4 +1,4 @@
-//! An INIT or its answer is lost: the client never sends it again, and asks the server what became of it.
+//! An INIT or its reply is lost: the client never resends it, and asks the server for the outcome.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
@@ -10,12 +10,12 @@ use ztl_std::{
 };
 use ztl_tests::lab::{PATIENCE, SCOPE, Server, until};
 
-/// What the wire does to the first INIT that passes.
+/// The fault of the wire for the first INIT.
 #[derive(Clone, Copy, PartialEq)]
 enum Fault {
     RequestLost,
     AnswerLost,
-    /// The answer is lost, and the server is another one afterwards.
+    /// The reply is lost, and the server is restarted afterwards.
     Restart,
 }
 
@@ -42,7 +42,7 @@ fn is_init(frames: &[Vec<u8>]) -> bool {
         .is_some_and(|body| body.starts_with(b"/lab;1;"))
 }
 
-/// Passes messages on between clients and `server`, with one fault, until `stop` is dropped.
+/// Relays messages between clients and `server`, with one fault, until `stop` is dropped.
 fn wire(
     fault: Fault,
     server: String,
@@ -92,7 +92,7 @@ fn wire(
     endpoint
 }
 
-/// Triggers a task over a wire with a fault; says what its client learnt and how often it started.
+/// Triggers a task over a wire with a fault; returns the client's result and how often the task started.
 fn trigger(fault: Fault) -> (Result<State, TriggerError>, u32) {
     let started = Arc::default();
     let (one, other) = (server(&started), server(&started));
@@ -162,7 +162,7 @@ fn a_cancelled_task_is_found_without_waiting_for_its_reply() {
     let end = remote.wait(task.id, Some(PATIENCE)).unwrap();
     assert_eq!(end.state, State::Completed);
     assert_eq!(started.load(Ordering::SeqCst), 1);
-    // It is not sent at all when it was not wanted before.
+    // A task cancelled earlier is not sent at all.
     let given_up = remote.trigger_while(payload, || false);
     assert_eq!(given_up, Err(TriggerError::GivenUp));
     assert_eq!(started.load(Ordering::SeqCst), 1);

@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 use ztl_tests::lab::{Process, SCOPE, Server, in_time, reserve_port, ztl};
 
-/// The example's script and where its servers are.
+/// The example's script and its configuration of servers.
 fn example(name: &str) -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR"))
         .join("../examples/scripts")
@@ -107,7 +107,7 @@ greeting:
             .any(|line| line.starts_with(place) && line.contains(words));
         assert!(told, "{place} {words}: {}", ended.stdout);
     }
-    // A mark stands below what is meant.
+    // The marker is below the text that it refers to.
     let marked = "  2 |   hello (wait=ture; dealy=2):\n    |               ^^^^\n";
     assert!(ended.stdout.contains(marked), "{}", ended.stdout);
     assert!(
@@ -115,7 +115,7 @@ greeting:
         "{}",
         ended.stdout
     );
-    // What has mistakes is not played, and says why.
+    // A script with mistakes is not played, and the output says why.
     let played = directory.run(PLAY);
     assert_eq!((played.code, played.stdout.as_str()), (Some(1), ""));
     assert!(
@@ -286,7 +286,7 @@ fn missing_servers_are_probed_concurrently() {
         .map(|(name, port)| (name.as_str(), *port, "/x"))
         .collect();
     let directory = ScriptDirectory::with(&script, &remotes);
-    // One after the other they would take 24 s.
+    // In sequence they would take 24 s.
     let ended = in_time(Duration::from_secs(12), || {
         directory.run("check show.yaml -c remotes.yaml --live")
     });
@@ -438,7 +438,7 @@ fn an_oversized_goal_is_reported_before_and_during_the_run() {
     }
 }
 
-/// The question is longer than the INIT, and perhaps too long itself.
+/// The query is longer than the INIT and may itself be too long.
 #[test]
 fn a_goal_at_the_servers_limit_is_not_a_mistake() {
     let gateway = Server::gateway_with(&["gripper=sim:gripper"], &["--limit", "message=2 KiB"]);

@@ -25,7 +25,7 @@ fn play(directory: &ScriptDirectory, more: &str) -> Command {
     ))
 }
 
-/// What goes on in the background is told when it was taken, and so was the other by then.
+/// The message about the background task shows that both tasks were accepted.
 const TWO_STEPS: &str = "s: {a: {test: {sleep: 5, echo(wait=no): x}}, b: {test: {echo: after}}}\n";
 const TAKEN: &str =
     "Component 'echo' on handler 'test' for step 'a' TRIGGERED TO RUN IN BACKGROUND.";
@@ -81,7 +81,7 @@ fn after_a_server_restart_the_script_waits_for_a_decision() {
             waits && ended.stderr.contains("so the outcome of "),
             "{ended:?}"
         );
-        // Only a server of ours says which start of it answers.
+        // Only our server reports its boot id.
         let told = ended.stderr.contains("'test' was restarted");
         assert!(told || !ours, "{ended:?}");
         assert!(!ended.stdout.contains("STEP 'b'"), "{ended:?}");
@@ -146,15 +146,15 @@ fn a_key_answers_one_question_and_never_the_next() {
     let mut terminal = Terminal::start(&play(&files, ""), (100, 60));
     terminal.shows("SCENE 'one'");
     terminal.shows("PRESS <ENTER> TO CONFIRM or ANY OTHER KEY TO SKIP");
-    // Three at once start one scene.
+    // Three keys read together start one scene.
     terminal.type_in("\r\r\r");
     terminal.shows("STARTING STEP 'a'...");
-    // What is typed while it runs is forgotten.
+    // Keys typed while it runs are ignored.
     terminal.type_in("x");
     terminal.type_in("\r");
     terminal.shows("ABOUT TO EXECUTE SCENE 'two'");
     terminal.shows("CONFIRM, PRESS <R>");
-    // An arrow skips one.
+    // An arrow key skips one scene.
     terminal.type_in("\x1b[A");
     terminal.shows("SKIPPING SCENE 'two'");
     terminal.shows("ABOUT TO EXECUTE SCENE 'three'");
@@ -220,7 +220,7 @@ fn the_operator_decides_about_a_waiting_step() {
     assert_eq!(terminal.end().code(), Some(1), "something failed");
 }
 
-/// What was started, and what an ABORT has stopped; `short` is done at once, all else lasts until then.
+/// The started and aborted tasks; `short` ends at once, all others run until aborted.
 #[derive(Clone, Default)]
 struct Recording(Arc<Mutex<Vec<String>>>);
 
@@ -247,7 +247,7 @@ impl TaskController for Recording {
     }
 }
 
-/// A program whose output nobody reads. It is killed when this is dropped.
+/// A program whose output is never read. It is killed when this is dropped.
 struct Unread(Child);
 
 impl Unread {
@@ -273,7 +273,7 @@ impl Drop for Unread {
 
 #[test]
 fn ctrl_c_stops_everything_even_if_nobody_reads_the_output() {
-    // More than a pipe takes, on stdout by the names of scenes, on stderr by what runs in the background.
+    // More than a pipe holds: on stdout the names of scenes, on stderr messages about background tasks.
     let mut script = "first: {a: {robot: {long(wait=no): 1}}}\n".to_owned();
     for nth in 0..80 {
         let name = format!("{nth}-{}", "x".repeat(1000));
@@ -312,11 +312,11 @@ fn a_second_ctrl_c_ends_a_player_that_hangs() {
     let mut command = ztl();
     command.args(["run-script", "--yes", "-s", "/dev/stdin"]);
     command.stdout(Stdio::null()).stderr(Stdio::null());
-    // Nobody ever writes a script.
+    // No script is ever written.
     command.stdin(Stdio::piped());
     let mut player = Unread::start(&mut command);
     let status = until("its end", PATIENCE, || {
-        // Slower than a key that is held down.
+        // Slower than a key repeat.
         std::thread::sleep(Duration::from_secs(1));
         player.ended().or_else(|| {
             player.interrupt();

@@ -50,7 +50,7 @@ fn a_rehearsal_needs_no_robot_and_no_configuration() {
         ended.stdout,
         "EXECUTING SCENE 's'...\nSTARTING STEP 'b'...\n"
     );
-    // A limit that a task does not keep is a failure.
+    // A task that exceeds its limit is a failure.
     fs::write(directory.files.path("defaults.yaml"), "timeout: 0.1\n").unwrap();
     let words =
         "run-script -s show.yaml --simulate=5 --yes --plain --scene t --defaults defaults.yaml";
@@ -129,7 +129,7 @@ fn a_duplicate_scene_or_step_name_is_doubtful_and_selects_nothing() {
         assert_eq!(ended.stdout, "", "{words}");
         assert!(ended.stderr.contains(said), "{words}: {ended:?}");
     }
-    // With its parameters a scene has a name of its own.
+    // With different parameters a scene has another name.
     let ended = directory.run(&format!("{play} --scene a(delay=1) --from s"));
     assert_eq!(ended.code, Some(0), "{ended:?}");
     assert!(ended.stdout.contains("robot:say:1"), "{ended:?}");
@@ -221,16 +221,16 @@ fn a_step_takes_two_requests_without_a_pause() {
         }
     }
     assert_eq!(own.len(), STEPS);
-    // A second STATUS only where the first one came before the end, and was held in vain.
+    // A second STATUS only if the first one was held without a final state.
     assert!(sent <= 2 * STEPS + STEPS / 50, "{kinds:?}");
     own.sort_by(f64::total_cmp);
     let most = own[STEPS * 99 / 100];
     let each = (last - first) / STEPS as f64;
-    // Not by a macro, which libtest would keep to itself.
+    // Not by a macro, because libtest would capture it.
     let _ = writeln!(
         std::io::stderr(),
         "a step: {each:.3} ms; by a client alone {bare:.3} ms; between requests 99 of 100 below {most:.3} ms"
     );
-    // The original's is 100 ms at least; this bound is wide, since other programs run beside it.
+    // The original takes at least 100 ms; this bound is wide, because other programs run at the same time.
     assert!(each - bare < 20.0, "{each} ms, {bare} ms");
 }

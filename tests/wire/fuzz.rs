@@ -32,7 +32,7 @@ const BODIES: &[&[u8]] = &[
     b";;;",
 ];
 
-/// A message as a client of ours, of the original, or of nobody sends it.
+/// A message from a client of ours, from the original's, or from neither.
 fn message(random: &mut Random) -> Vec<u8> {
     let mut frames: Vec<Vec<u8>> = Vec::new();
     for _ in 0..random.below(4) {

@@ -1,4 +1,4 @@
-//! Limits of a server: what exceeds them is rejected with the reason, and nothing else suffers.
+//! Limits of a server: requests beyond them are rejected with the reason, and affect nothing else.
 
 use std::time::Duration;
 
@@ -74,7 +74,7 @@ fn a_task_above_the_limit_is_rejected_without_dropping_outcomes() {
     let aborted = remote.abort(running[0]).expect("an answer");
     assert_eq!(aborted.state, State::Aborted);
     start(&mut remote, "h", "wait", "g");
-    // Five would be one too many: what ended first is gone.
+    // Five would exceed the limit: the task that ended first is gone.
     assert!(!is_known(&mut remote, ended[0]) && is_known(&mut remote, ended[1]));
 }
 
@@ -131,7 +131,7 @@ fn goal(message: usize) -> String {
 
 #[test]
 fn a_client_sends_no_message_above_the_servers_limit() {
-    // The longest that is a whole number of base64's fours, and one more of them.
+    // The longest whole number of base64 groups, and one more group.
     let (fits, too_long) = (11 + 4 * 247, 11 + 4 * 248);
     let endpoint = format!("tcp://127.0.0.1:{}", reserve_port());
     let server = serve_at(&endpoint, |limits| limits.message = 1000);
@@ -195,14 +195,14 @@ fn a_connection_above_the_limit_waits_for_a_slot() {
     assert!(!ask(&outside), "one too many is served");
     assert!(inside.iter().all(ask), "those inside suffer");
     inside.pop();
-    // What it asked waits in its own queue.
+    // Its requests wait in its own queue.
     let answer = until("it is let in", PATIENCE, || {
         outside.0.recv_multipart(0).ok()
     });
     assert_eq!(answer[1], b"/test;2;99;Invalid ID '99'");
 }
 
-/// What answers a client's probes so, one after the other, then nothing more; it sees to it that nothing else comes.
+/// Answers a client's probes with these limits in turn, then stops; fails on any other request.
 fn probed(answers: &'static [&'static str]) -> (String, std::thread::JoinHandle<()>) {
     let context = zmq::Context::new();
     let socket = context.socket(zmq::ROUTER).expect("a socket");

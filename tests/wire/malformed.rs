@@ -25,7 +25,7 @@ fn malformed() -> Vec<(Vec<Vec<u8>>, String)> {
         (one(b"/test;1;-1"), unknown(SCOPE)),
         (one(b"hello"), unknown("hello")),
         (one(b"\0\0\0\0"), unknown("\0\0\0\0")),
-        // Numbers that are none.
+        // Invalid numbers.
         (one(b"/test;x;1;p"), invalid()),
         (one(b"/test;2;x;p"), invalid()),
         (one(b"/test;2;;p"), invalid()),
@@ -37,7 +37,7 @@ fn malformed() -> Vec<(Vec<Vec<u8>>, String)> {
         (one(b"/test;2;1__0;p"), invalid()),
         (one(format!("/test;2;{nines};p").as_bytes()), invalid()),
         (one(format!("/test;{nines};1;p").as_bytes()), invalid()),
-        // Codes that are none.
+        // Invalid codes.
         (one(b"/test;9;1;x"), format!("{SCOPE};2;1;Invalid request")),
         (one(b"/test;0;7;x"), format!("{SCOPE};2;7;Invalid request")),
         (
@@ -128,7 +128,7 @@ fn only_messages_without_a_delimiter_are_dropped() {
             dealer.send(&["/test;2;98;x"]);
             dealer.send(&["envelope", "/test;2;98;x"]);
             dealer.send(&["envelope", "", "/test;2;99;x"]);
-            // The first answer is that to the one that was whole.
+            // The first reply is for the complete request.
             let answer = dealer.receive();
             let expected = ["envelope", "", "/test;2;99;Invalid ID '99'"];
             assert_eq!(answer, expected.map(|frame| frame.as_bytes().to_vec()));
@@ -168,7 +168,7 @@ fn junk_and_internal_work_do_not_flood_the_debug_log() {
     assert!(dropped < 5, "{dropped}");
 }
 
-/// An address, and what serves there as long as it is kept.
+/// An address, and the server behind it, which runs until it is dropped.
 type Endpoint = (String, Box<dyn std::any::Any>);
 
 fn in_process_endpoint() -> Endpoint {

@@ -1,8 +1,8 @@
-//! A static `ztl` does its work where there is nothing but a kernel.
+//! The static `ztl` runs on a bare kernel.
 //!
-//! `cargo xtask dist --check` says by the environment which program is tried, and how it is run: by an
-//! emulator of its processor, in an empty root (`ZTL_DIST_EMULATOR`), or as on an old kernel (`ZTL_DIST_KERNEL`).
-//! At the other end is this machine's own build.
+//! `cargo xtask dist --check` selects the program and how it runs through the environment: in an
+//! emulator of its processor in an empty root (`ZTL_DIST_EMULATOR`), or as on an old kernel (`ZTL_DIST_KERNEL`).
+//! The other end is this machine's own build.
 
 mod names;
 mod place;
@@ -24,7 +24,7 @@ fn run(remote: &mut RemoteTask, task: [&str; 3]) -> Status {
 #[track_caller]
 fn client(server: &Server) -> RemoteTask {
     let remote = RemoteTask::connect(&server.endpoint(), SCOPE).expect("an address");
-    // An emulated processor on a busy machine takes its time.
+    // An emulated processor on a busy machine is slow.
     remote.with_timeout(PATIENCE)
 }
 
@@ -83,7 +83,7 @@ fn serve_runs_programs() {
         State::Accepted
     );
     assert_eq!(remote.abort(id).expect("an answer").state, State::Aborted);
-    // The original's client too, which no word of ours is for.
+    // The original's client runs tasks, too.
     let mut original = server.original_client();
     let id = original.start("own", "version", "");
     assert_eq!(original.wait(id, 20.0).text, version);

@@ -98,7 +98,7 @@ fn check_written(value: &Value, text: &str, seed: u64) {
     } else {
         check_python(value, text, seed);
     }
-    // A number of more than 64 bits is no value of ours.
+    // Our values do not include numbers of more than 64 bits.
     if !value.any(&Value::is_huge) {
         let mut buffer = vec![0xA5; text.len()];
         let written = goal::to_slice(value, &mut buffer);
@@ -109,7 +109,7 @@ fn check_written(value: &Value, text: &str, seed: u64) {
 /// `safe_dump`; the reason why it may be read differently, if it is.
 #[track_caller]
 fn check_yaml(value: &Value, text: &str, seed: u64) -> Option<&'static str> {
-    // What ends a document that is no collection.
+    // The end marker of a document that is not a collection.
     let text = text.trim_end_matches('\n').trim_end_matches("\n...");
     if reads(text, value) {
         return None;

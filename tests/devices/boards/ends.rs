@@ -69,7 +69,7 @@ pub(crate) fn refuses(board: &str) {
     assert_eq!(rig.client.trigger("desk", "arm", "1"), (-1, reason));
     assert_eq!(rig.board.read(Pin::Pulse), 0, "nothing has moved");
 
-    // One that is busy goes on with what it does; the others are free.
+    // A busy component continues its task; the others are free.
     let id = rig.start_stage("20", 10);
     let reason = "'desk:stage:30' refused: busy with another task";
     assert_eq!(rig.client.trigger("desk", "stage", "30"), (-1, reason));

@@ -38,7 +38,7 @@ pub trait System: Clone {
     /// Checks that the system still works, in an undisturbed cycle.
     ///
     /// # Errors
-    /// What fails.
+    /// The violated guarantee.
     fn serves(&self) -> Result<(), String>;
 }
 

@@ -87,7 +87,7 @@ fn the_documented_times_match_the_code() {
     let table = table("| what | time |");
     let told: Vec<_> = table.iter().map(|row| row[1]).collect();
     assert_eq!(told, times.map(|time| format!("{} ms", time.as_millis())));
-    // What the text says in other units.
+    // The values that the text gives in other units.
     assert_eq!((HOLD.as_millis(), KEEP_INIT.as_secs()), (1500, 60));
     assert_eq!(config.keep, Duration::from_secs(3600));
 

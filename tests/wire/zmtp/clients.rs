@@ -1,4 +1,4 @@
-//! Real clients: tasks complete, are aborted and refused.
+//! Real clients: tasks are completed, aborted and rejected.
 
 use std::time::Duration;
 
@@ -93,7 +93,7 @@ fn our_client_runs_tasks_and_gets_the_servers_description() {
     assert_eq!(end.state, State::Aborted);
 }
 
-/// The events of a socket up to the one that is wanted.
+/// The events of a socket up to this one.
 fn events_until(monitor: &zmq::Socket, wanted: SocketEvent) -> Vec<SocketEvent> {
     let mut seen = Vec::new();
     while seen.last() != Some(&wanted) {

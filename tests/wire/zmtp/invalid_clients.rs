@@ -116,7 +116,7 @@ fn requests_that_the_original_leaves_unanswered_are_answered() {
     assert_eq!(dealer.receive(), [&b""[..], b"/desk;2;2;Invalid ID '2'"]);
 }
 
-/// Requests without end, of which no answer is read.
+/// Endless requests whose replies are never read.
 #[test]
 fn a_client_that_never_reads_is_closed_and_delays_others_briefly() {
     let desk = Desk::start();

@@ -1,4 +1,4 @@
-//! Many clients, one after the other and at once.
+//! Many clients, in sequence and concurrently.
 
 use std::time::Duration;
 
@@ -47,7 +47,7 @@ fn all_slots_are_served_and_an_extra_client_gets_a_freed_slot() {
     assert_eq!(further.receive(), [b"/desk;2;99;Invalid ID '99'"]);
 }
 
-/// Each is a new one to the desk, which knows four.
+/// Each is new to the desk, which keeps four records.
 #[test]
 fn our_command_runs_more_often_in_a_minute_than_there_are_records() {
     let desk = Desk::start();
@@ -60,7 +60,7 @@ fn our_command_runs_more_often_in_a_minute_than_there_are_records() {
     for goal in 1..=10 {
         let ended = run(&goal.to_string());
         assert_eq!(ended.code, Some(0), "{ended:?}");
-        // One that is refused keeps no place either.
+        // A rejected client occupies no record either.
         let ended = run("far");
         assert_eq!(ended.code, Some(1), "{ended:?}");
         let told = ended.stdout.contains("slide takes 0 to 100 mm");

@@ -21,7 +21,7 @@ const PAUSE: Duration = Duration::from_millis(120);
 pub(super) enum Known {
     /// No answer yet.
     Asked,
-    /// It was refused, or never arrived and is void.
+    /// It was rejected, or never arrived and is void.
     Never(String),
     /// Its outcome is unknown: it may run.
     Unknown,
