@@ -135,14 +135,14 @@ fn concurrent_tasks_get_unique_ids() {
     for round in 0..10 {
         for client in &mut clients {
             ids.push(client.start("test", "sleep", "3"));
-            // One that is refused must not lend its number to the next.
+            // A rejected task must not pass its id to the next.
             let refused = client.trigger("robot", "echo", "hi");
             assert_eq!(refused.number, -1, "in round {round}");
         }
     }
     assert!(ids.is_sorted_by(|one, next| one < next), "{ids:?}");
     let [one, other] = &mut clients;
-    // Any client may ask about any task; side by side they take 3 s, one after the other 60 s.
+    // Any client may ask about any task; concurrently they take 3 s, in sequence 60 s.
     until("all tasks have ended", PATIENCE, || {
         let done = |id| one.status(id) == (COMPLETED, "True");
         ids.iter().copied().all(done).then_some(())
@@ -176,7 +176,7 @@ fn a_client_survives_a_restart_of_its_server() {
     let mut client = server.original_client();
     let id = client.start("test", "echo", "hi");
     server.process.kill();
-    // The original's client cannot say that it does not know; it says FAILED.
+    // The original's client has no unknown outcome; it reports FAILED.
     let lost = client.status(id);
     let reason = "Again('Resource temporarily unavailable')";
     assert_eq!(lost, (FAILED, reason));

@@ -66,7 +66,7 @@ fn abort_stops_the_device_at_its_current_position() {
     });
     assert!(at < stopped + 0.1, "{at}");
     assert_eq!(client.wait(back, 20.0), (COMPLETED, "0.0"));
-    // Exactly one end, for ever.
+    // Exactly one final state, which never changes.
     assert_eq!(client.status(id), end);
 }
 

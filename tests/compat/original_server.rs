@@ -185,6 +185,6 @@ fn an_unanswered_init_is_not_resent() {
     server.process.signal("CONT");
     let mut witness = OriginalClient::connect(server.port, SCOPE);
     let third = witness.start("test", "echo", "third");
-    // One number for the one INIT that was sent.
+    // One id for the single INIT.
     assert_eq!(third, i64::from(first.get()) + 2);
 }

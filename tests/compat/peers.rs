@@ -5,7 +5,7 @@ use ztl_tests::lab::{
     ABORTED, ACCEPTED, COMPLETED, PATIENCE, Peer, REJECTED, SCOPE, Server, until,
 };
 
-/// Runs the test with each peer, and says with which it failed.
+/// Runs the test with each peer, and reports the failing ones.
 #[track_caller]
 fn with_each(test: impl Fn(Peer)) {
     let peers = Peer::here();

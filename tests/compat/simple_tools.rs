@@ -39,8 +39,8 @@ fn same(servers: &[Server; 2], request: &str, last: &str) -> String {
     expected.text
 }
 
-/// What a simple server printed, without its ids; of what is asked again and again once, and not what
-/// only a client of ours asks a server of ours: to hold its answer.
+/// The output of a simple server, without its ids. Keeps repeated requests once, and leaves out the request to hold
+/// a reply, which only our client sends to our server.
 fn printed(server: &Server) -> Vec<String> {
     let line = |line: &str| match line.split('\'').collect::<Vec<_>>().as_slice() {
         [before, _id, after] => format!("{before}'ID'{after}"),
@@ -170,7 +170,7 @@ fn server_names_are_resolved_like_the_original() {
         both_tell(port, &file, &[name, "test:echo:hi"], done);
     }
     let number = port.to_string();
-    // The option replaces what the file says.
+    // The option replaces the file's value.
     let task = ["--task", "elsewhere", "localhost", &number, "/test"];
     let mut words = task.to_vec();
     words.extend(["--task", "third", "localhost", &number, "/test"]);

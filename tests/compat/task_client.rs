@@ -78,7 +78,7 @@ fn a_rejected_abort_is_reported_identically() {
 
 #[test]
 fn a_task_beyond_its_clients_timeout_is_reported_identically() {
-    // The original waits 5 s after an abort that was refused, and then calls it finished. So does ours by the
+    // The original waits 5 s after a rejected abort and then reports the task as finished. So does ours under the
     // original's name.
     let files = Scratch::new();
     let ours = || ours_named(&files, "ztl_task_client");

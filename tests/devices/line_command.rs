@@ -29,7 +29,7 @@ fn between(options: &str) -> (Process, TcpStream, TcpStream) {
         stream.set_read_timeout(Some(PATIENCE)).unwrap();
     }
     let mut both = (process, near, far);
-    // Bytes are lost while an end is not there: until one comes through, both are not.
+    // Bytes are lost while an end is missing: both ends are connected once a byte arrives.
     let mut byte = [0xA5];
     until("a byte comes through", PATIENCE, || {
         both.1.write_all(&[0]).unwrap();
@@ -117,7 +117,7 @@ fn the_same_seed_corrupts_the_same_bytes() {
     };
     let (first, again, other) = (spoilt(7), spoilt(7), spoilt(8));
     assert_ne!(first, pattern(20_000));
-    // What `between` sent to find the way may differ by a byte or two.
+    // The bytes that `between` sent to detect the connection may differ by a byte or two.
     let tail = |bytes: &[u8]| bytes[bytes.len() - 10_000..].to_vec();
     assert_eq!(tail(&first), tail(&again));
     assert_ne!(tail(&first), tail(&other));

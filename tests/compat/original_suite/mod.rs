@@ -87,7 +87,7 @@ fn the_suites_abort_test_passes_with_a_running_task() {
     assert_eq!(ended.code, Some(0));
 }
 
-/// What the suite asks of the original's client, asked of ours.
+/// The suite's checks of the original's client, applied to ours.
 #[test]
 fn our_client_meets_the_originals_suite_at_the_originals_servers() {
     let tests = Server::original();

@@ -41,7 +41,7 @@ pub(crate) fn aborts(board: &str) {
     rig.assert_rests();
     let end = rig.client.status(id);
     assert_eq!(end.number, ABORTED);
-    // It tells the truth.
+    // It reports the truth.
     let told: f32 = end.text.parse().expect("a position");
     let place = rig.place() as f32;
     assert!((told * STEPS - place).abs() < 1.0, "{told} and {place}");

@@ -1,7 +1,7 @@
 //! The original's Python client, unchanged, drives firmware on boards in QEMU: by ZeroMQ to the process of
 //! `ztl gateway`, and from there over the board's serial port.
 //!
-//! What really moves is seen at the board's pins.
+//! The board's pins show the real motion.
 
 mod ends;
 mod faults;

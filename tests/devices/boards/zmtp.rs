@@ -112,7 +112,7 @@ fn drive_by_command(port: u16) {
 fn a_board_serves_more_clients_in_a_minute_than_it_has_records() {
     drive_by_command(serial().port);
     drive_by_command(ethernet().network);
-    // It has one.
+    // It has one record.
     drive_by_command(Board::with_image("microbit", "microbit-zmtp").port);
 }
 

@@ -1,4 +1,4 @@
-//! What `docs/c.md` shows is what is there.
+//! `docs/c.md` shows the real example.
 
 use crate::build::root;
 

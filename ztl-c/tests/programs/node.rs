@@ -8,7 +8,7 @@ use ztl_tests::lab::{
 
 use crate::build::{Build, ended_well};
 
-/// Waits until the stage moves, as its client is told: it is in one place, and then in another.
+/// Waits until the client sees the stage move: it reports two different positions.
 #[track_caller]
 fn wait_moving(client: &mut OriginalClient, id: i64) {
     let mut first = None;
@@ -27,7 +27,7 @@ fn refuses(client: &mut OriginalClient, component: &str, goal: &str, reason: &st
     assert!(refused, "{component}:{goal}: {answer:?}");
 }
 
-/// What every robot of this kind does.
+/// The behaviour of every robot of this kind.
 #[track_caller]
 fn drive(client: &mut OriginalClient) {
     let id = client.start("desk", "stage", "12.5");

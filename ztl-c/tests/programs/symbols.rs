@@ -1,4 +1,4 @@
-//! What a linker sees of the libraries.
+//! The libraries' exported symbols.
 
 use std::process::Command;
 
@@ -8,7 +8,7 @@ use ztl_tests::lab::Process;
 
 use crate::build::library;
 
-/// What can be seen from outside that is defined here.
+/// The exported symbols defined in this library.
 fn seen(object: &object::File<'_>, names: &mut Vec<String>) {
     let symbols = object.symbols().chain(object.dynamic_symbols());
     for symbol in symbols.filter(|symbol| symbol.is_global() && symbol.is_definition()) {

@@ -282,7 +282,7 @@ fn a_reply_with_another_scope_or_id_concerns_another_task() {
         let said = classify(b"/lab;1;-1;x", body.as_bytes());
         assert_eq!(said, Some(answer), "{body}");
     }
-    // What a server says of itself has an id of its own.
+    // A server's reply about itself has its own id.
     let said = classify(b"$ztl;2;-1;probe", b"$ztl;5;0;y");
     assert!(matches!(said, Some(Answer::Task { .. })), "{said:?}");
 }
@@ -376,8 +376,8 @@ fn large_numbers_are_written_whole() {
     }
 }
 
-/// A client that was suspended for more than a minute asked a server that had forgotten the INIT,
-/// and took its word that it never came.
+/// Regression: a client that was suspended for more than a minute asked a server that had dropped the INIT,
+/// and believed its reply that the INIT never arrived.
 #[test]
 fn an_outcome_is_not_queried_once_the_server_may_have_dropped_it() {
     let mut desk = Desk::new();
@@ -389,8 +389,8 @@ fn an_outcome_is_not_queried_once_the_server_may_have_dropped_it() {
     assert_eq!(desk.client.outcome(desk.now, &mut none), None);
 }
 
-/// Found through a proxy that hid the envelope: the server could not read the question, and the
-/// client told its refusal as the INIT's.
+/// Regression, found through a proxy that hid the envelope: the server could not read the query, and the
+/// client reported its rejection as the INIT's.
 #[test]
 fn an_outcome_query_that_is_not_understood_gives_an_unknown_outcome() {
     for reply in [
@@ -434,7 +434,7 @@ fn never_seen_is_not_trusted_for_an_init_sent_before_any_probe() {
     assert_eq!(heard, Some(Heard::OutcomeUnknown));
 }
 
-/// With a timeout above 10 s an answer counted that was given when the server may have forgotten.
+/// Regression: with a timeout above 10 s, the client accepted a reply from when the server may have dropped the record.
 #[test]
 fn an_outcome_is_valid_only_while_the_server_keeps_it() {
     let mut desk = Desk::new();

@@ -26,7 +26,7 @@ mod restart;
 
 use restart::Disk;
 
-/// What really happened at the motors, whatever anybody says.
+/// The real motions of the motors, independent of any message.
 #[derive(Default)]
 struct World {
     /// How often each goal was begun.
@@ -118,7 +118,7 @@ fn line(seed: u64) -> FaultyLine {
     FaultyLine::new(Faults::default(), seed).with_baud(115_200)
 }
 
-/// What has arrived by now.
+/// The messages that have arrived so far.
 fn arrived(line: &mut FaultyLine, now: Instant) -> Vec<u8> {
     let mut bytes = Vec::new();
     let mut piece = [0xA5; 64];
@@ -268,7 +268,7 @@ impl Lab {
                 assert_eq!(again, None, "{id} rejected twice");
             }
             LinkEvent::Ended(id, state, text) => {
-                // Promise 4: once a client is told that it is over, nothing moves for it.
+                // Promise 4: once a client has a final state, nothing moves for its task.
                 let goal = &self.asked[&id];
                 let moving = self.world.borrow().moving.clone();
                 assert!(
@@ -457,7 +457,7 @@ fn a_cut_line_fails_the_task_only_after_the_devices_timeout() {
         let (state, text) = ended(&lab, id);
         assert_eq!(state, State::Failed);
         assert!(["device is not answering", "link was lost"].contains(&text));
-        // What carries on stays, and its true end is told.
+        // A task that carries on stays, and its true outcome is reported.
         assert!(!lab.ended.contains_key(&belt));
         lab.pass(Duration::from_secs(20));
         assert_eq!(ended(&lab, belt).0, State::Completed);
@@ -521,12 +521,12 @@ fn another_gateways_tasks_are_aborted_and_acknowledged() {
     assert_eq!(ended(&lab, next).0, State::Completed);
 }
 
-/// Seed 10733 of the simulation: the gateway took the reborn device for the one before, and later
-/// told `device was reset` of a task that was running.
+/// Seed 10733 of the simulation: the gateway took the reset device for the earlier one, and later
+/// reported `device was reset` for a running task.
 #[test]
 fn a_welcome_from_before_a_reset_opens_no_session() {
     let mut lab = Lab::new(1);
-    // What the device says is held back; it is reset meanwhile.
+    // The device's messages are delayed; it is reset meanwhile.
     lab.up.hold_until(lab.now + Duration::from_millis(800));
     lab.pass(Duration::from_millis(200));
     lab.reset();

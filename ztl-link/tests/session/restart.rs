@@ -46,7 +46,7 @@ impl Storage for Disk {
     }
 }
 
-/// Wall clocks are none of the simulation's.
+/// The simulation has no wall clock.
 fn moment() -> Moment {
     Moment {
         wall: UNIX_EPOCH,
@@ -73,7 +73,7 @@ impl Lab {
         self.disk.0.lock().unwrap().0.extend_from_slice(torn);
         let disk = self.disk.clone();
         let log = JournalRecords::open(disk.clone(), &disk.written(), moment(), 0);
-        // An end that was told is known, and is the same.
+        // A reported outcome is known and unchanged.
         let ends: BTreeMap<TaskId, (State, String)> = log
             .ended(moment())
             .into_iter()
@@ -82,7 +82,7 @@ impl Lab {
         for (id, end) in &self.ended {
             assert_eq!(ends.get(id), Some(end), "{id} was told another end");
         }
-        // One that was written and not told is told now.
+        // A journaled outcome that was not reported is reported now.
         for (id, (state, text)) in &ends {
             if *state == State::Rejected {
                 self.rejected.insert(*id, text.clone());
@@ -100,7 +100,7 @@ impl Lab {
                 !self.accepted.contains_key(id),
                 "{id} was accepted and is forgotten"
             );
-            // Nobody was told its id, and it must never move.
+            // No client received its id, and it must never move.
             self.rejected.insert(*id, "forgotten".to_owned());
         }
         self.session = session(&disk);
@@ -236,7 +236,7 @@ fn a_start_lost_with_its_gateway_is_not_confused_with_another_task() {
     let mine = lab.ask("belt", 700);
     lab.down.lose();
     assert_eq!(lab.world.borrow().begun.len(), 0);
-    // Another gateway, with a journal of its own, takes the device over.
+    // Another gateway, with its own journal, takes over the device.
     let other = Disk::default();
     let disk = std::mem::replace(&mut lab.disk, other.clone());
     lab.session = session(&other);

@@ -66,7 +66,7 @@ struct Desk<'c, C: Components> {
     node: Node<'static, C, 6, 160>,
     now: Instant,
     seq: u8,
-    /// What the node said, but for progress and pongs.
+    /// The node's messages except progress and pongs.
     heard: Vec<String>,
     ended: Vec<LinkId>,
     progress: &'c Cell<usize>,
@@ -132,7 +132,7 @@ impl<C: Components> Desk<'_, C> {
                     state,
                     result,
                 } => {
-                    // It is repeated, as nobody acknowledges it.
+                    // It is repeated, because the test does not acknowledge it.
                     if self.ended.contains(&task) {
                         continue;
                     }
@@ -166,7 +166,7 @@ impl<C: Components> Desk<'_, C> {
     }
 }
 
-/// What the firmware is connected to.
+/// The simulated hardware.
 #[derive(Default)]
 struct World {
     pan: Cell<u16>,

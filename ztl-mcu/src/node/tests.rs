@@ -18,10 +18,10 @@ use ztl_core::link::{
     session_key,
 };
 
-/// What a motor was told, in order.
+/// The calls that a motor received, in order.
 type Trace = RefCell<Grown<String>>;
 
-/// Moves until it is told to end.
+/// Moves until it is aborted.
 #[derive(Debug, Clone, PartialEq, Eq)]
 struct Motor<'t> {
     name: &'static str,
@@ -132,7 +132,7 @@ fn key(hello: u32) -> u32 {
     session_key(hello, 77)
 }
 
-/// What a node says, with the seq in front.
+/// A node's messages, with the seq in front.
 fn said<C: Components, const TASKS: usize>(
     node: &mut Node<'_, C, TASKS, 128>,
     now: Instant,
@@ -342,7 +342,7 @@ fn a_repeated_command_is_answered_but_not_executed_again() {
         assert_said(desk.start(1, 9, 0, "50"), &["1 Started 9"]);
         assert_eq!(trace.borrow().as_slice(), ["a 50"]);
         assert_eq!(desk.node.counters().repeats, 2);
-        // Out of sequence: neither the one before nor one further on.
+        // Out of sequence: the previous number and one too far ahead.
         assert_said(desk.command(3, Body::Ping), &[]);
         assert_said(desk.command(255, Body::Ping), &[]);
         assert_eq!(desk.node.counters().out_of_sequence, 2);
@@ -528,7 +528,7 @@ fn repeated_gateway_takeovers_use_up_few_task_numbers() {
             let heard = desk.hello(takeover, takeover.into());
             assert!(heard[0].starts_with("Welcome"), "{heard:?}");
         }
-        // One number each: that of a `Start` which never came.
+        // Each takeover uses one number: that of a `Start` that never arrived.
         let number = 70_000 - 2;
         let again = "a task of this or a later id was started already";
         assert_said(

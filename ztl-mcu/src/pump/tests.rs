@@ -20,7 +20,7 @@ use ztl_core::link::{
     Offer, VERSION, encode, session_key,
 };
 
-/// Moves until it is stopped, and has endless readings if it is told so.
+/// Moves until it is stopped, with endless readings if configured.
 #[derive(Default)]
 pub(super) struct Belt {
     moves: Cell<bool>,
@@ -123,7 +123,7 @@ fn start() -> Vec<u8> {
     frame(KEY, 1, start)
 }
 
-/// What was sent, in short.
+/// A summary of the sent frames.
 fn said(bytes: &[u8]) -> Vec<String> {
     let mut decoder = Decoder::<160>::new();
     let mut said = Vec::new();

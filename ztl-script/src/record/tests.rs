@@ -84,7 +84,7 @@ fn a_full_disk_is_reported_once_and_the_record_counts_lost_events() {
         texts,
         ["before", "2 events are lacking in the record here", "after"]
     );
-    // What was cut off does not spoil the next line.
+    // A truncated line does not spoil the next one.
     assert!(
         damage[0].starts_with("run.jsonl:3: no event: "),
         "{damage:?}"

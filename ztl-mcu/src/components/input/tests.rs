@@ -59,7 +59,7 @@ fn changes_are_published_after_debouncing() {
     assert_eq!(reading(&mut button, 1), None);
     level.set(Some(false));
     assert_eq!(reading(&mut button, 10), None);
-    // It bounces, which begins the wait anew.
+    // It bounces, which restarts the wait.
     level.set(Some(true));
     assert_eq!(reading(&mut button, 15), None);
     level.set(Some(false));

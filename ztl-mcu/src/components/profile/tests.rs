@@ -1,4 +1,4 @@
-//! What no motion may do, for any limits, targets and changes of mind.
+//! Invariants of every motion, for any limits, targets and target changes.
 
 use super::*;
 use proptest::prelude::*;
@@ -11,7 +11,7 @@ const PARTS: u32 = 1 << 24;
 struct Watched {
     profile: Profile,
     limits: Limits,
-    /// What the last tick moved.
+    /// The movement of the last tick.
     speed: i64,
 }
 

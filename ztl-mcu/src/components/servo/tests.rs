@@ -339,7 +339,7 @@ proptest! {
                     prop_assert_eq!(text, format!("{:.1}", f64::from(number::rounded(goal, 2)) / 10.0));
                     break;
                 }
-                // What the gap before the call allows, and a tick more for rounding.
+                // The movement that the gap before the call allows, plus a tick for rounding.
                 let last = gaps[(turn + gaps.len() - 1) % gaps.len()];
                 let time = if turn == 0 { 0.0 } else { last as f64 + 1024.0 };
                 let most = time * 1e-3 * f64::from(speed) + 1.0;

@@ -153,7 +153,7 @@ fn after_a_long_main_loop_delay_the_motor_restarts_slowly_and_accelerates() {
 
 #[test]
 fn time_lost_to_a_late_call_is_not_recovered() {
-    // Nobody calls for so long after this step.
+    // No call arrives for this long after this step.
     let intervals = |silent_after: usize, silence: u64| {
         let mut bench = Bench::new(CONFIG, Axis::free());
         bench.start("300").unwrap();
@@ -271,7 +271,7 @@ fn an_axis_that_requires_homing_homes_first() {
     assert_eq!(bench.start("100"), refused);
     bench.go("home", &Calls::OnTime);
     assert_eq!(bench.go("100", &Calls::OnTime), completed("100"));
-    // One that was not finished counts for nothing.
+    // Unfinished homing does not count.
     bench.start("home").unwrap();
     bench.abort();
     bench.run(&Calls::OnTime);

@@ -4,7 +4,7 @@ use super::*;
 use crate::{Latest, Reading};
 use core::cell::Cell;
 
-/// What a node says to one body, as it stands on the line.
+/// A node's reply to one body, as sent on the line.
 fn answered<C: Components, const TASKS: usize, const FRAME: usize>(
     node: &mut Node<'_, C, TASKS, FRAME>,
     session: u32,

@@ -1,4 +1,4 @@
-//! What happens to a second task, by the component's policy.
+//! The reaction to a second task, by the component's policy.
 
 use super::*;
 
@@ -93,7 +93,7 @@ fn a_queued_task_rejected_at_its_start_fails_with_the_reason() {
         let ends = "Ended 7 COMPLETED moving, Ended 8 FAILED not the 13, ";
         assert!(heard.starts_with(ends), "{heard}");
         assert_eq!(trace.borrow().as_slice(), ["m 50", "m 60"]);
-        // Where it need not wait, it is refused at once.
+        // Without a task to wait for, the goal is refused at once.
         assert_said(desk.start(4, 10, 1, "13"), &["4 Refused not the 13"]);
     });
 }
@@ -262,7 +262,7 @@ fn a_new_session_lists_the_waiting_tasks() {
 
 #[test]
 fn a_component_never_runs_two_tasks() {
-    // Whatever is asked for, in whatever order: a start comes only after the end of the one before.
+    // For any tasks in any order, a start comes only after the end of the previous task.
     for policy in [Busy::Refuse, Busy::Queue(3), Busy::Replace] {
         for seed in 1..200u32 {
             with_motor(policy, Loss::CarryOn, |desk, trace| {

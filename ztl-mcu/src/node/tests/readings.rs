@@ -201,7 +201,7 @@ fn droppable_frames_wait_while_a_command_arrives() {
     // The first bytes of a frame.
     desk.node.handle_bytes(later, &[3, 1]);
     assert_eq!(next(desk.node, later, &log), None);
-    // What is not gone on with is no command.
+    // An incomplete frame that does not continue is not a command.
     let over = later + Duration::from_millis(20);
     assert_eq!(desk.node.poll_timeout(later), over);
     assert_eq!(next(desk.node, over, &log).unwrap().0, "Publish 0 5");

@@ -35,7 +35,7 @@ fn a_component_is_polled_until_safe_and_its_task_then_ends() {
         desk.start(1, 9, 0, "50000");
         assert_eq!(desk.pass(1000), ["Progress 9 moving"]);
         assert_eq!(trace.borrow().as_slice(), ["a 50000", "a safe", "h safe"]);
-        // The link is back: neither the one with a task nor the one without takes another before it is safe.
+        // The link is back: no component accepts a task before it is safe, with or without a task of its own.
         let busy = "busy with another task";
         assert_said(desk.start(2, 10, 0, "5"), &[&format!("2 Refused {busy}")]);
         let busy = "busy going to its safe state";

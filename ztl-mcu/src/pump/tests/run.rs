@@ -12,7 +12,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::task::Wake;
 
-/// What the test and the ports share.
+/// The state shared by the test and the ports.
 #[derive(Default)]
 struct World {
     micros: Cell<u64>,
@@ -190,7 +190,7 @@ fn a_blocked_port_delays_nothing() {
     }
     let polls = belt(&node).polls.get();
     assert!((80..=100).contains(&polls), "{polls}");
-    // Begun anew, it goes on where it was: nothing that was not taken is lost.
+    // Started again, the loop continues without losing unsent bytes.
     {
         let mut future = pin!(looped(&pump, &mut node, &world));
         let mut future: Looped<'_> = future.as_mut();

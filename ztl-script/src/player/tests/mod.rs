@@ -236,7 +236,7 @@ fn thousands_of_empty_scenes_do_not_exhaust_the_stack() {
     assert_eq!(world.outcome(), Some(RunOutcome::Completed));
 }
 
-/// What a script does about a failure, by its parameter.
+/// A script's reaction to a failure, by its parameter.
 fn failing(policy: &str, goal: &str, options: PlayOptions) -> World {
     let script = format!(
         "s: {{a ({policy}): {{robot: {{base: {goal}, arm: 1}}}}, b: {{robot: {{head: 1}}}}}}"
@@ -296,7 +296,7 @@ fn after_a_failure_the_operator_can_be_asked_and_retry() {
     world.command(RunCommand::GoOn);
     assert_eq!(world.until_asked(), Some(Question::End));
     assert_eq!(world.began.len(), 4);
-    // What failed can be tried again afterwards, too.
+    // Failed tasks can be retried afterwards, too.
     world.command(RunCommand::Retry);
     world.until_asked();
     assert_eq!(
@@ -378,7 +378,7 @@ fn an_unstoppable_task_over_its_limit_holds_its_step_for_a_decision() {
     assert_eq!(world.until_asked(), Some(Question::End));
     assert_eq!(world.outcome(), None);
     assert!(world.began[1].at >= world.began[0].until);
-    // With nobody there everything is stopped.
+    // Without an operator everything is stopped.
     let world = World::played_unattended(script);
     assert_eq!(world.outcome(), Some(RunOutcome::NotConfirmed));
     assert_eq!(world.began.len(), 1);

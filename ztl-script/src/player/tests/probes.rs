@@ -81,7 +81,7 @@ fn a_server_gets_one_probe_at_a_time_and_none_during_scenes() {
     world.command(RunCommand::Start);
     world.pass(Duration::from_secs(20));
     assert_eq!(world.machine("robot").probed, probed);
-    // Without a view nobody sees it.
+    // There is no view to show it.
     let mut world = World::new(SHOW, PlayOptions::default());
     world.begin();
     world.pass(Duration::from_secs(600));

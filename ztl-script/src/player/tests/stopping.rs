@@ -52,11 +52,11 @@ fn stopping_a_scene_stops_its_tasks_and_shows_it_again() {
         ),
         "{ends:?}"
     );
-    // What the first scene started goes on.
+    // The first scene's background task continues.
     let now = world.now;
     assert_eq!(world.machine("lamp").running(now), 1);
     assert_eq!(world.machine("robot").running(now), 0);
-    // Nothing of its later steps was started, and the show goes on.
+    // None of its later steps started, and the show continues.
     world.pass(Duration::from_secs(10));
     assert_eq!(world.timeline().len(), 3, "{:?}", world.timeline());
     world.command(RunCommand::Start);

@@ -56,7 +56,7 @@ fn moments() -> impl Iterator<Item = Instant> {
     (0..68).map(|at| Instant::from_millis(at * 25))
 }
 
-/// An operator who waits while waiting may help, and otherwise goes on.
+/// An operator who waits while waiting may help, and otherwise continues.
 fn patient(world: &World, question: Question) -> Option<RunCommand> {
     match (question, world.why()) {
         (Question::Step { .. }, Some(WaitReason::ServerSilent { .. } | WaitReason::TooLong)) => {
@@ -166,7 +166,7 @@ fn a_server_restart_at_any_point_is_noticed_and_needs_a_decision() {
                 true => RunOutcome::Completed,
                 false => RunOutcome::Failures,
             };
-            // The fan in the background may be forgotten, and is then unknown.
+            // The server may have lost the fan's background task, whose outcome is then unknown.
             let fan = outcome == Some(RunOutcome::Failures) && name == "lamp";
             assert!(outcome == Some(expected) || fan, "{about}: {outcome:?}");
             assert_eq!(asked > 0, !waiting.is_empty(), "{about}");

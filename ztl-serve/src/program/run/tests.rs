@@ -89,7 +89,7 @@ impl Lab {
     }
 }
 
-/// As the system tells an exit code.
+/// As the system encodes an exit code.
 const fn code(code: i32) -> i32 {
     code << 8
 }

@@ -25,7 +25,7 @@ fn evening() -> Vec<StampedEvent> {
     runs.remove(0).events
 }
 
-/// What is known after the first event for which `until` is true, and when that was.
+/// The state after the first event for which `until` is true, and its time.
 fn board(mut until: impl FnMut(&RunEvent) -> bool) -> (Board, Duration) {
     let mut board = Board::default();
     for event in evening() {
@@ -224,7 +224,7 @@ fn a_small_screen_keeps_the_pending_decision() {
   c  stop this scene   x  stop everything
   d  details   ?  keys"
     );
-    // What can be pressed is there on the smallest.
+    // The available keys are visible on the smallest screen.
     assert!(screen(&board, at, (80, 1)).contains("x  stop everything"));
 }
 

@@ -79,7 +79,7 @@ fn written_entries_are_known_after_a_restart() {
     log.ended_as(at(4), "gripper", &task(104), rejected)
         .unwrap();
 
-    // Refused at once: nobody has its id.
+    // Rejected at once: no client has its id.
     log.start(at(4), 105).unwrap();
     log.ended_as(at(4), "gripper", &task(105), rejected)
         .unwrap();
