@@ -10,7 +10,7 @@ use ztl_std::{
     TaskServer, TaskSpec,
 };
 use ztl_tests::lab::{
-    ACCEPTED, OriginalClient, PATIENCE, SCOPE, Server, busy, number, port_of, serve, until,
+    ACCEPTED, OriginalClient, PATIENCE, SCOPE, Server, busy, connect, number, port_of, serve, until,
 };
 
 use crate::gate::Gate;
@@ -25,7 +25,7 @@ const PARTS: u32 = 10;
 
 /// Runs this many tasks, shared by all clients; each must complete with its own goal.
 fn run(server: &Server, tasks: u32) {
-    let remote = RemoteTask::connect(&server.endpoint(), SCOPE).expect("an address");
+    let remote = connect(&server.endpoint()).with_timeout(PATIENCE);
     let threads: Vec<_> = (0..CLIENTS)
         .map(|client| {
             let mut remote = remote.clone();
@@ -227,6 +227,10 @@ fn ten_thousand_concurrent_tasks_are_each_answered_once() {
     let one = *taken.keys().next().expect("a task");
     assert_eq!(original.status(one).number, ACCEPTED);
 
+    // A task that has no thread yet would be aborted at once.
+    until("a thread for each task", 6 * PATIENCE, || {
+        (gate.waiting() >= most).then_some(())
+    });
     // The tasks ignore an ABORT; its sender gets a reply before the original's client times out.
     let aborts = taken.keys().take(2000).map(|id| format!("{SCOPE};3;{id};"));
     let aborts: Vec<String> = aborts.collect();

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use ztl_core::dispatcher::NOTHING_KNOWN;
-use ztl_std::{RemoteTask, State, Status, TaskId, TriggerError};
+use ztl_std::{RemoteTask, RunError, State, Status, TaskId, TriggerError};
 use ztl_tests::lab::{PATIENCE, SCOPE, Scratch, Server, connect, signal, until, ztl};
 
 /// `ztl serve` with its own file, in the directory in which its programs run.
@@ -56,8 +56,21 @@ impl Lab {
     /// Runs a task and returns its outcome.
     #[track_caller]
     pub fn run(&self, component: &str, goal: &str) -> (State, String) {
-        let ran = self.remote().run("p", component, goal, Some(PATIENCE));
-        told(ran.unwrap_or_else(|error| panic!("{component}:{goal}: {error}")))
+        let mut remote = self.remote();
+        until(
+            "a watchdog that has time to confirm",
+            PATIENCE,
+            || match remote.run("p", component, goal, Some(PATIENCE)) {
+                Ok(Status { text, .. }) if is_starved(&text) => None,
+                Err(RunError::NotStarted(TriggerError::Refused { reason, .. }))
+                    if is_starved(&reason) =>
+                {
+                    None
+                }
+                Ok(status) => Some(told(status)),
+                Err(error) => panic!("{component}:{goal}: {error}"),
+            },
+        )
     }
 
     /// Why a task is rejected.
@@ -181,6 +194,11 @@ pub fn dies(process: u32) {
     until("the process ends", PATIENCE, || {
         (!lives(process)).then_some(())
     });
+}
+
+/// Whether a task was not started because the machine is busy.
+pub fn is_starved(text: &str) -> bool {
+    text.contains("the watchdog has not confirmed within")
 }
 
 /// Ends a process.
