@@ -257,7 +257,7 @@ impl Line {
                 assert!(!here, "INIT {init} started: {started:?}");
                 self.void.insert(init, at);
             }
-            Heard::FateUnknown => {}
+            Heard::OutcomeUnknown => {}
             Heard::Unreadable => panic!("not a message: {}", text(&body)),
             Heard::Answer(answer) => match answer {
                 Answer::Accepted { id, .. } => {

@@ -195,7 +195,7 @@ impl Scenario {
         self.pending = None;
         let heard = heard.expect("the answer to the current request");
         match heard {
-            Heard::NeverStarted | Heard::FateUnknown => {
+            Heard::NeverStarted | Heard::OutcomeUnknown => {
                 let Kind::Outcome(about) = kind else {
                     panic!("not the answer to an outcome request");
                 };
@@ -243,7 +243,7 @@ impl Scenario {
                         assert_eq!(code, Some(i64::from(state.code())));
                     }
                     Answer::UnknownTask { text } => assert!(text.starts_with("Invalid ID")),
-                    Answer::UnknownEnd { text } => {
+                    Answer::UnknownOutcome { text } => {
                         assert!(text.starts_with("unknown: "));
                         assert_eq!(message.code().expect("a number").value(), Some(3));
                     }

@@ -1,4 +1,4 @@
-//! The checks of the fuzz targets: whatever bytes arrive, the project keeps its promises.
+//! The checks of the fuzz targets: the project keeps its guarantees for any received bytes.
 //!
 //! Each function takes one input and panics if a promise is broken. The programs in `fuzz_targets/` only pass
 //! on libFuzzer's input. `README.md` lists the promises.

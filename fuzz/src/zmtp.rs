@@ -291,7 +291,7 @@ fn line(stream: &[u8]) {
     assert_eq!(bring(&good), all);
 }
 
-/// Either side of a connection takes the whole stream, whatever is done with its messages.
+/// Either side of a connection reads the whole stream, even if its messages are ignored.
 fn connection<S: Socket>(stream: &[u8]) {
     let mut connection = Connection::<S, _>::new([0xA5; 128]);
     connection.open(Instant::ZERO);

@@ -1,4 +1,4 @@
-//! What it costs a server to decode, dispatch and answer a STATUS: ours beside the original's own
+//! The cost of decoding, dispatching and answering a STATUS: our server and the original's own
 //! code, in turn, in one run. `cargo xtask bench` runs it.
 //!
 //! Both answer the same bytes about a task that has completed. The original runs its real

@@ -60,7 +60,7 @@ impl Rig {
         RemoteTask::connect(&self.gateway.endpoint(), SCOPE).expect("an address")
     }
 
-    /// Frames that the gateway has heard from its device.
+    /// Frames that the gateway has received from its device.
     fn frames(&self) -> u64 {
         let mut devices = ztl();
         let port = self.gateway.port.to_string();

@@ -80,7 +80,7 @@ fn listen(mut serve: impl FnMut(TcpStream) + Send + 'static) -> u16 {
     port
 }
 
-/// The engine: what is read, time, what is written.
+/// The engine: input, time, output.
 fn ours() -> u16 {
     let start = Clock::now();
     let identity = Identity::new("test", "1", BOOT);

@@ -32,7 +32,7 @@ fn assert_serves(port: u16) {
 }
 
 #[test]
-fn the_init_script_starts_tells_and_stops() {
+fn the_init_script_starts_reports_status_and_stops() {
     let (scratch, port) = robot();
     let call = |word: &str| -> Ended {
         let mut command = Command::new("sh");
@@ -56,7 +56,7 @@ fn the_init_script_starts_tells_and_stops() {
     assert_eq!(code("stop"), Some(0));
     assert_eq!(code("status"), Some(3));
     assert_eq!(code("stop"), Some(0));
-    // A wrong configuration is told at once, and starts nothing.
+    // A wrong configuration is reported at once, and starts nothing.
     std::fs::write(scratch.path("robot.yaml"), "port: none\n").expect("a file");
     let wrong = call("start");
     assert_eq!(wrong.code, Some(2), "{wrong:?}");
@@ -65,7 +65,7 @@ fn the_init_script_starts_tells_and_stops() {
 }
 
 #[test]
-fn what_naoqi_starts_takes_naoqis_options() {
+fn the_naoqi_wrapper_accepts_naoqis_options() {
     let (scratch, port) = robot();
     let copy = |from: &Path, to: &str| {
         std::fs::copy(from, scratch.path(to)).expect("a copy");
@@ -89,7 +89,7 @@ fn what_naoqi_starts_takes_naoqis_options() {
 }
 
 #[test]
-fn each_file_says_how_to_install_it_and_names_no_option_that_is_not_there() {
+fn each_boot_file_explains_its_installation_and_uses_existing_options() {
     let help = Process::run(ztl().args(["serve", "--help"])).stdout;
     for name in ["ztl.conf", "ztl.init", "ztl-nao"] {
         let text = std::fs::read_to_string(example(name)).expect("a file");

@@ -8,7 +8,7 @@ fn doctor(options: &[&str]) -> Ended {
     Process::run(ztl().arg("doctor").args(options))
 }
 
-/// What it found, in JSON, and its exit code.
+/// Its findings, in JSON, and its exit code.
 #[track_caller]
 fn told(options: &[&str]) -> (Value, Option<i32>) {
     let ended = doctor(&[&["--json"], options].concat());
@@ -17,7 +17,7 @@ fn told(options: &[&str]) -> (Value, Option<i32>) {
     (value, ended.code)
 }
 
-/// The findings about something.
+/// The findings about this subject.
 fn about<'a>(told: &'a Value, about: &str) -> Vec<&'a Value> {
     let findings = told["findings"].as_array().expect("findings");
     findings
@@ -41,7 +41,7 @@ fn assert_trouble(told: &Value, what: &str, text: &str, remedy: &str) {
 }
 
 #[test]
-fn a_machine_without_troubles_is_reported_as_good() {
+fn a_healthy_machine_is_reported_as_good() {
     let scratch = Scratch::new();
     let journal = scratch.path("new/journal");
     let journal = journal.to_str().expect("a path");
@@ -73,7 +73,7 @@ fn a_machine_without_troubles_is_reported_as_good() {
     );
     // It leaves nothing behind.
     assert!(!scratch.path("new").exists());
-    // For people, the same.
+    // The same as text.
     let ended = doctor(&options);
     assert_eq!(ended.code, Some(0), "{ended:?}");
     assert!(ended.stdout.ends_with("Nothing is wrong.\n"), "{ended:?}");
@@ -81,7 +81,7 @@ fn a_machine_without_troubles_is_reported_as_good() {
 }
 
 #[test]
-fn the_originals_server_is_known_as_one_that_tells_no_version() {
+fn the_originals_server_is_recognized_without_a_version() {
     let server = Server::original();
     let (told, code) = told(&["-p", &server.port.to_string()]);
     let found = about(&told, "server");
@@ -92,7 +92,7 @@ fn the_originals_server_is_known_as_one_that_tells_no_version() {
 }
 
 #[test]
-fn each_trouble_comes_with_its_remedy() {
+fn each_problem_is_reported_with_its_remedy() {
     let scratch = Scratch::new();
     std::fs::write(scratch.path("file"), "").expect("a file");
     let inside = scratch.path("file/journal");
@@ -131,7 +131,7 @@ fn each_trouble_comes_with_its_remedy() {
 }
 
 #[test]
-fn a_server_that_does_not_answer_is_a_trouble() {
+fn a_server_that_does_not_answer_is_a_problem() {
     let listener = std::net::TcpListener::bind(("127.0.0.1", 0)).expect("a port");
     let port = listener.local_addr().expect("its address").port();
     let (told, code) = told(&["-r", "127.0.0.1", "-p", &port.to_string()]);

@@ -1,4 +1,4 @@
-//! What the `ztl` command says when something is wrong, its exit codes, its help, and its demo.
+//! Error messages of the `ztl` command, its exit codes, its help, and its demo.
 
 use std::net::TcpListener;
 use std::process::Command;
@@ -8,14 +8,14 @@ use ztl_tests::lab::{
     Ended, PATIENCE, Process, SCOPE, Scratch, Server, our_client, reserve_port, until, ztl,
 };
 
-/// `ztl` with these words, which has to end by itself.
+/// `ztl` with these arguments; it must exit by itself.
 #[track_caller]
 fn run(line: &str) -> Ended {
     let words = line.split(' ').filter(|word| !word.is_empty());
     Process::run(ztl().args(words))
 }
 
-/// `ztl` with these words refuses, on one line that says all of `parts`.
+/// `ztl` with these arguments fails with one line that contains all of `parts`.
 #[track_caller]
 fn refuses(line: &str, parts: &[&str]) {
     let ended = run(line);
@@ -28,12 +28,12 @@ fn refuses(line: &str, parts: &[&str]) {
     let lines = lines.filter(|line| !line.starts_with("Usage: ") && says(line));
     assert_eq!(lines.count(), 1, "{line}: {parts:?} in {ended:?}");
     assert!(!ended.stderr.contains("panicked"), "{line}: {ended:?}");
-    // What it would print while it serves.
+    // It never reached the point of serving.
     assert_eq!(ended.stdout, "", "{line}");
 }
 
 #[test]
-fn a_device_that_cannot_be_is_refused_with_what_can() {
+fn an_invalid_device_is_rejected_with_an_example() {
     for (device, parts) in [
         (
             "gripper=usb:1",
@@ -92,7 +92,7 @@ fn a_gateway_that_cannot_serve_says_why() {
 }
 
 #[test]
-fn a_port_in_use_is_named() {
+fn a_port_in_use_is_reported() {
     let taken = TcpListener::bind(("0.0.0.0", 0)).expect("a port");
     let port = taken.local_addr().expect("its address").port();
     let named = format!(":{port}: the port is in use");
@@ -115,7 +115,7 @@ fn a_port_in_use_is_named() {
 }
 
 #[test]
-fn a_port_where_another_ztl_serves_is_in_use_too() {
+fn a_port_of_another_ztl_server_is_reported_as_in_use() {
     let server = Server::ours();
     let gateway = Server::simulated();
     for port in [server.port, gateway.port] {
@@ -128,7 +128,7 @@ fn a_port_where_another_ztl_serves_is_in_use_too() {
 }
 
 #[test]
-fn a_simulated_device_that_cannot_be_is_refused_with_what_can() {
+fn an_unknown_simulated_device_is_rejected_with_the_known_ones() {
     let places = ["tcp:PORT", "tcp:HOST:PORT", "pty:LINK"];
     for place in [
         "usb",
@@ -152,7 +152,7 @@ fn a_simulated_device_that_cannot_be_is_refused_with_what_can() {
         &[nowhere],
     );
 
-    // A link is replaced, somebody's file is not.
+    // A link is replaced, a user's file is not.
     let scratch = Scratch::new();
     let file = scratch.path("file");
     std::fs::write(&file, "precious").expect("to write");
@@ -167,9 +167,9 @@ fn a_simulated_device_that_cannot_be_is_refused_with_what_can() {
     );
 }
 
-/// The exit code of our client that tells a task's fate.
+/// The exit code of our client that tells a task's outcome.
 #[track_caller]
-fn fate(server: &Server, args: &[&str]) -> (Option<i32>, String) {
+fn outcome(server: &Server, args: &[&str]) -> (Option<i32>, String) {
     let mut client = our_client();
     client.arg("--exit-status");
     let ended = server.start_client(client, args).end(PATIENCE);
@@ -178,7 +178,7 @@ fn fate(server: &Server, args: &[&str]) -> (Option<i32>, String) {
 }
 
 #[test]
-fn the_exit_status_tells_a_tasks_fate() {
+fn the_exit_status_reports_the_outcome() {
     let gateway = Server::simulated();
     let tests = Server::ours();
     for (server, args, code, part) in [
@@ -231,17 +231,17 @@ fn the_exit_status_tells_a_tasks_fate() {
             "aborted. Reply is 'True'",
         ),
     ] {
-        let (ended, last) = fate(server, args);
+        let (ended, last) = outcome(server, args);
         assert!(last.contains(part), "{args:?}: '{part}' in '{last}'");
         assert_eq!(ended, Some(code), "{args:?}: {last}");
-        // Without the option: as the original, always 0.
+        // Without the option: always 0, like the original.
         let ended = server.start_client(our_client(), args).end(PATIENCE);
         assert_eq!(ended.code, Some(0), "{args:?}: {ended:?}");
     }
 }
 
 #[test]
-fn a_server_that_is_not_there_is_unknown() {
+fn an_unreachable_server_is_reported_with_nothing_sent() {
     let nobody = reserve_port();
     let words = format!("task-client --exit-status -r localhost -p {nobody} -s {SCOPE} a:b:c");
     let start = Instant::now();
@@ -254,7 +254,7 @@ fn a_server_that_is_not_there_is_unknown() {
 }
 
 #[test]
-fn a_server_that_dies_leaves_its_task_unknown() {
+fn a_killed_server_leaves_its_task_with_an_unknown_outcome() {
     let mut server = Server::ours_at(reserve_port());
     let mut client = our_client();
     client.arg("--exit-status");
@@ -281,7 +281,7 @@ fn ctrl_c_aborts_what_the_client_started() {
         let last = ended.stdout.lines().last().unwrap_or_default();
         assert!(last.ends_with("aborted. Reply is 'True'."), "{ended:?}");
         assert_eq!(ended.code, Some(code), "{ended:?}");
-        let (code, last) = fate(&gateway, &["head:pan:straight"]);
+        let (code, last) = outcome(&gateway, &["head:pan:straight"]);
         assert_eq!(code, Some(0), "{last}");
     }
 }
@@ -291,7 +291,7 @@ fn ctrl_c_ends_every_server() {
     let server = Server::ours();
     server.process.signal("INT");
     let ended = server.process.end(PATIENCE);
-    // As the original's.
+    // Like the original's.
     assert_eq!(ended.code, Some(1), "{ended:?}");
     assert!(
         ended.stderr.ends_with("ERROR:root:Interrupted, exiting.\n"),
@@ -316,7 +316,7 @@ fn ctrl_c_ends_every_server() {
 }
 
 #[test]
-fn help_is_there_for_every_command() {
+fn every_command_has_help() {
     for (line, part) in [
         ("--help", "Usage: ztl <COMMAND>"),
         ("-h", "gateway"),
@@ -349,7 +349,7 @@ fn the_demo_completes_every_act() {
     let mut command = ztl();
     let demo = Process::start(command.args(["demo", "--once", "--port", "0"]));
     let ended = demo.end(Duration::from_secs(40));
-    // Those that the scene moves, as the README says.
+    // The devices that the scene moves, as the README says.
     let devices = ended
         .stdout
         .lines()
@@ -371,7 +371,7 @@ fn the_demo_completes_every_act() {
     assert_eq!(acts.len(), expected.len(), "{}", ended.stdout);
     for (act, (task, end)) in acts.iter().zip(expected) {
         assert!(act.contains(task) && act.contains(end), "{task}: {act}");
-        // Seen on its way, not only at its end.
+        // Progress is visible, not only the end.
         assert!(act.contains(" % "), "{act}");
     }
     assert!(ended.stdout.contains("Every task completed."));
@@ -379,10 +379,10 @@ fn the_demo_completes_every_act() {
 }
 
 #[test]
-fn the_demo_goes_on_serving_and_what_it_says_to_try_works() {
+fn the_demo_keeps_serving_and_its_suggested_command_works() {
     let mut command = ztl();
     let demo = Process::start(command.args(["demo", "--port", "0"]));
-    // The line to be typed in another terminal, word by word as printed.
+    // The command line for another terminal, word by word as printed.
     let words = until("the invitation", Duration::from_secs(40), || {
         let text = demo.stdout();
         let line = text.lines().find(|line| line.contains("task-client -r"))?;

@@ -16,7 +16,7 @@ fn handler() -> (Process, String) {
 }
 
 #[test]
-fn the_client_drives_the_handler_and_prints_what_it_promises() {
+fn the_client_drives_the_handler_and_prints_the_documented_output() {
     let (_handler, endpoint) = handler();
     let start = Instant::now();
     let ended = Process::run(example("client").arg(&endpoint));
@@ -26,7 +26,7 @@ fn the_client_drives_the_handler_and_prints_what_it_promises() {
         panic!("{ended:?}");
     };
     assert_eq!((*first, *last), ("started", "COMPLETED: arrived"));
-    // It drives for two seconds, and tells how far it has come.
+    // It drives for two seconds and reports its progress.
     assert!(start.elapsed() > Duration::from_secs(2));
     assert!(way.len() > 5, "{way:?}");
     let percent: Vec<u32> = way
@@ -39,12 +39,12 @@ fn the_client_drives_the_handler_and_prints_what_it_promises() {
         })
         .collect();
     assert!(percent.is_sorted_by(|one, next| one < next), "{way:?}");
-    // At the most the first is from before the task told anything.
+    // At most the first reply comes before the task reported progress.
     assert!(percent.len() + 1 >= way.len(), "{way:?}");
 }
 
 #[test]
-fn the_handler_refuses_what_it_cannot_do_and_stops_when_asked() {
+fn the_handler_rejects_unsupported_tasks_and_stops_on_request() {
     let (_handler, endpoint) = handler();
     let mut remote = RemoteTask::connect(&endpoint, "/robot").expect("an address");
     for (component, goal, reason) in [
@@ -71,7 +71,7 @@ fn the_handler_refuses_what_it_cannot_do_and_stops_when_asked() {
 }
 
 #[test]
-fn the_client_says_when_there_is_no_handler() {
+fn the_client_reports_a_missing_handler() {
     let nobody = format!("tcp://127.0.0.1:{}", ztl_tests::lab::reserve_port());
     let ended = Process::run(example("client").arg(&nobody));
     assert_eq!(ended.code, Some(1), "{ended:?}");
@@ -80,7 +80,7 @@ fn the_client_says_when_there_is_no_handler() {
 }
 
 #[test]
-fn the_component_is_a_lamp_behind_a_gateway() {
+fn the_example_component_runs_behind_a_gateway() {
     let mut command: Command = example("component");
     let component = Process::start(command.arg("127.0.0.1:0"));
     let line = component.wait_for("waiting for a gateway at tcp:");
@@ -98,7 +98,7 @@ fn the_component_is_a_lamp_behind_a_gateway() {
     assert_eq!(client.wait(id, 20.0), (5, "off"));
     component.wait_for("lamp off");
 
-    // Its loop takes the next gateway when this one is gone.
+    // Its loop accepts the next gateway when this one disconnects.
     drop(gateway);
     let gateway = Server::gateway(&[&format!("desk={address}")]);
     gateway.wait_ready("desk");

@@ -36,7 +36,7 @@ fn commands() -> Vec<String> {
 }
 
 #[test]
-fn each_command_ends_with_the_codes_of_the_document() {
+fn each_command_exits_with_the_documented_codes() {
     let tests = Server::ours();
     let scratch = Scratch::new();
     let file = |name: &str, text: &str| {
@@ -164,7 +164,7 @@ fn each_command_ends_with_the_codes_of_the_document() {
         }
         let ended = Process::run(command.args(words));
         assert_eq!(ended.code, Some(code), "{line}: {ended:?}");
-        // What fails says why, but for a client that tells it as a task's fate, as the original's.
+        // Every failure prints a reason, except in a client that reports the task's outcome like the original.
         let silent = ended.stdout.is_empty() && ended.stderr.is_empty();
         assert!(!silent, "{line}");
         let row = (documented.to_owned(), code);
@@ -176,7 +176,7 @@ fn each_command_ends_with_the_codes_of_the_document() {
     }
     let untried: Vec<_> = rows.difference(&seen).collect();
     assert!(untried.is_empty(), "nothing here shows {untried:?}");
-    // The simple client and its siblings always end with 0, as the original's.
+    // The simple client and its siblings always exit with 0, like the original's.
     let excused = ["simple-client"];
     for command in commands() {
         let tried = fails.contains(&command) || excused.contains(&command.as_str());
@@ -184,7 +184,7 @@ fn each_command_ends_with_the_codes_of_the_document() {
     }
 }
 
-/// What serves until it is asked to end, and what it says first.
+/// Commands that serve until they are stopped, and their first output.
 fn servers(scratch: &Scratch) -> Vec<(Command, &'static str, i32)> {
     let file = scratch.path("serve.yaml");
     std::fs::write(&file, "port: 0\nscopes: {/r: {h: {c: echo}}}\n").expect("a file");
@@ -216,7 +216,7 @@ fn servers(scratch: &Scratch) -> Vec<(Command, &'static str, i32)> {
 }
 
 #[test]
-fn sigterm_ends_every_server_with_143_and_ctrl_c_as_ever() {
+fn sigterm_ends_every_server_with_143_and_ctrl_c_as_before() {
     let scratch = Scratch::new();
     for (signal, by_signal) in [("TERM", Some(143)), ("INT", None)] {
         for (mut command, says, usual) in servers(&scratch) {

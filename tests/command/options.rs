@@ -8,15 +8,15 @@ use ztl_tests::lab::{
     our_client, ours_named, ztl,
 };
 
-/// The words of a command line; `PORT` stands for this server's port.
+/// The arguments of a command line; `PORT` is replaced by this server's port.
 fn words(line: &str, server: &Server) -> Vec<String> {
     let port = server.port.to_string();
     let words = line.split(' ').map(|word| word.replace("PORT", &port));
     words.collect()
 }
 
-/// Both clients, ours by the original's name, tell the same with these words, which ends with the echo of
-/// `hi`; what ours wrote to stderr.
+/// Both clients, ours under the original's name, print the same for these arguments and end with the echo of
+/// `hi`; returns what ours wrote to stderr.
 #[track_caller]
 fn both_run(words: &[String], server: &Server) -> String {
     let scratch = Scratch::new();
@@ -40,7 +40,7 @@ fn options_may_be_shortened_joined_and_repeated() {
         "--rem localhost --po PORT --sc /test test:echo:hi",
         "--remote=localhost --port=PORT --scope=/test test:echo:hi",
         "--rem=localhost --po=PORT --sc=/test --ti=-1 test:echo:hi",
-        // Ours has more options that begin so.
+        // Ours has more options with this prefix.
         "--r localhost --p PORT --s /test --t 5 test:echo:hi",
         "-rlocalhost -pPORT -s/test -t-1 test:echo:hi",
         // The last one wins.
@@ -64,7 +64,7 @@ fn numbers_are_read_as_python_reads_them() {
 }
 
 #[test]
-fn by_the_originals_name_what_is_not_known_is_ignored_with_a_warning() {
+fn under_the_originals_name_unknown_arguments_are_ignored_with_a_warning() {
     let server = Server::ours();
     for (line, ignored) in [
         ("--verbose test:echo:hi", "--verbose"),
@@ -81,7 +81,7 @@ fn by_the_originals_name_what_is_not_known_is_ignored_with_a_warning() {
     }
 }
 
-/// Runs `ztl` with these words; `ROBOT` stands for a port where everything that connects is noticed.
+/// Runs `ztl` with these arguments; `ROBOT` is replaced by a port that notices every connection.
 #[track_caller]
 fn sends_nothing(line: &str) -> Ended {
     let robot = TcpListener::bind(("127.0.0.1", 0)).expect("a port");
@@ -105,7 +105,7 @@ fn sends_nothing(line: &str) -> Ended {
 }
 
 #[test]
-fn by_our_name_what_is_not_known_is_an_error_and_nothing_is_sent() {
+fn our_tools_reject_unknown_arguments_and_send_nothing() {
     for (line, wrong, meant) in [
         (
             "run-script -s SCRIPT -c CONFIG --yes --dryrun",
@@ -182,13 +182,13 @@ fn by_our_name_what_is_not_known_is_an_error_and_nothing_is_sent() {
 }
 
 #[test]
-fn the_help_by_the_originals_name_tells_of_no_variable_that_is_not_read() {
+fn under_the_originals_name_help_omits_unused_variables() {
     let scratch = Scratch::new();
     let mut client = ours_named(&scratch, "ztl_task_client");
     let told = Process::run(client.arg("-h")).stdout;
     assert!(told.contains("Port of the server"), "{told}");
     assert!(!told.contains("$ZTL_"), "{told}");
-    // As it says, all of them are needed.
+    // As the help says, all of them are required.
     let variables = [
         ("ZTL_HOST", "localhost"),
         ("ZTL_PORT", "1"),
@@ -205,7 +205,7 @@ fn the_help_by_the_originals_name_tells_of_no_variable_that_is_not_read() {
 }
 
 #[test]
-fn the_originals_clients_take_their_payload_as_it_is() {
+fn under_the_originals_name_clients_send_their_payload_unchanged() {
     let server = Server::simple_original();
     let port = server.port.to_string();
     let scratch = Scratch::new();
@@ -236,7 +236,7 @@ fn the_originals_clients_take_their_payload_as_it_is() {
 }
 
 #[test]
-fn ports_that_there_are_not_end_the_originals_clients_as_they_do() {
+fn invalid_ports_give_the_originals_exit_codes() {
     let scratch = Scratch::new();
     for (tool, line, code) in [
         ("ztl_task_client", "-r localhost -p 99999 -s /test a:b:c", 0),
@@ -253,7 +253,7 @@ fn ports_that_there_are_not_end_the_originals_clients_as_they_do() {
             (Some(code), Some(code)),
             "{line}: {ours:?}"
         );
-        // But for the reason, which ours says in English.
+        // Except for the reason, which ours gives in English.
         let said = |ended: &Ended| -> Vec<String> {
             let lines = ended.stdout.lines().map(|line| line.split(": '").next());
             lines.flatten().map(str::to_owned).collect()
@@ -272,8 +272,8 @@ fn ports_that_there_are_not_end_the_originals_clients_as_they_do() {
     }
 }
 
-/// Both clients, ours by the original's name, refuse these words in the same way: how the tool is used,
-/// then what is wrong.
+/// Both clients, ours under the original's name, reject these arguments in the same way: with the usage
+/// and then the error.
 #[track_caller]
 fn both_refuse(line: &str) {
     let scratch = Scratch::new();
@@ -295,7 +295,7 @@ fn both_refuse(line: &str) {
 }
 
 #[test]
-fn what_is_missing_is_refused_with_how_the_tool_is_used() {
+fn a_missing_argument_is_rejected_with_the_usage() {
     for line in [
         "",
         "-r localhost -p 1 -s /test --json:y:z",
@@ -310,7 +310,7 @@ fn what_is_missing_is_refused_with_how_the_tool_is_used() {
 }
 
 #[test]
-fn a_value_that_is_wrong_is_refused_with_how_the_tool_is_used() {
+fn an_invalid_value_is_rejected_with_the_usage() {
     for line in [
         "-r localhost -p http -s /test test:echo:hi",
         "-r localhost -p 1 -s /test -t soon test:echo:hi",
@@ -321,7 +321,7 @@ fn a_value_that_is_wrong_is_refused_with_how_the_tool_is_used() {
 }
 
 #[test]
-fn a_link_with_the_originals_name_is_the_originals_tool() {
+fn a_link_with_an_original_name_behaves_like_that_tool() {
     let scratch = Scratch::new();
     let server = Server::test_server(ours_named(&scratch, "ztl_task_server"));
     let task = ["test:echo:hi"];
@@ -346,7 +346,7 @@ fn a_link_with_the_originals_name_is_the_originals_tool() {
 fn a_server_takes_options_by_the_same_rules() {
     let scratch = Scratch::new();
     let mut command = ours_named(&scratch, "ztl_task_server");
-    // The helper adds the port and the scope that count.
+    // The helper adds the valid port and scope.
     command.args(["--verbose", "--po", "1", "--sc=/x"]);
     let server = Server::test_server(command);
     let ended = server.start_client(original_client(), &["test:echo:hi"]);
@@ -355,7 +355,7 @@ fn a_server_takes_options_by_the_same_rules() {
 }
 
 #[test]
-fn a_servers_limits_are_chosen_by_options() {
+fn options_set_the_servers_limits() {
     let mut command = ztl();
     command.args(["task-server", "--limit", "running=1", "--limit=keep=10min"]);
     let server = Server::test_server(command);
@@ -412,7 +412,7 @@ fn a_servers_limits_are_chosen_by_options() {
 }
 
 #[test]
-fn a_tool_that_is_not_there_yet_says_so_under_each_of_its_names() {
+fn an_unimplemented_tool_says_so_under_each_name() {
     let scratch = Scratch::new();
     for tool in ["simple_publisher", "simple_subscriber"] {
         let mut plain = ztl();

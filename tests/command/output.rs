@@ -13,11 +13,11 @@ use ztl_tests::lab::{
     ours_named, port_of, reserve_port, serve, until, ztl,
 };
 
-/// The names that a program may rely on, as `docs/tools.md` tells them.
+/// The names that a program may rely on, as listed in `docs/tools.md`.
 const DOCUMENT: &str = include_str!("../../docs/tools.md");
 
-/// Runs a client with `--json --exit-status`; what it told, line by line, and its exit code. That a
-/// task still runs and has said nothing is left out: on a busy machine one that ends at once does so too.
+/// Runs a client with `--json --exit-status`; returns its lines and its exit code. Leaves out progress lines
+/// without text: on a busy machine a task that ends at once also has one.
 #[track_caller]
 fn told(line: &str) -> (Vec<Value>, Option<i32>) {
     let mut command = ztl();
@@ -42,7 +42,7 @@ fn objects(ended: &Ended) -> Vec<Value> {
     objects
 }
 
-/// An object's names are those of the document, each where it stands there.
+/// An object's names match the document, including their order.
 #[track_caller]
 fn assert_documented(object: &Value) {
     let mut names: BTreeMap<_, _> = object
@@ -143,7 +143,7 @@ fn json_reports_each_outcome_with_its_exit_code() {
             "not_started",
             5,
         ),
-        // It refuses to be aborted, and sleeps longer than that is waited for.
+        // It rejects the abort and sleeps longer than the client waits.
         (
             format!("{here} -t 1 test:sleep:30"),
             "asking started aborting not_aborted over",
@@ -185,7 +185,7 @@ fn progress_is_reported_when_it_changes() {
     );
 }
 
-/// A controller that decides only when it is told to; its tasks last until they are aborted.
+/// A controller that decides only on request; its tasks run until they are aborted.
 struct Slow {
     asked: Sender<()>,
     decide: Mutex<Receiver<()>>,
@@ -273,10 +273,10 @@ fn ctrl_c_before_the_answer_finds_the_task_and_aborts_it() {
 }
 
 #[test]
-fn ctrl_c_where_no_server_is_ends_at_once() {
+fn ctrl_c_without_a_server_exits_at_once() {
     let mut command = our_client_at(reserve_port());
     command.args(["--json", "a:b:c"]);
-    // A whole try takes 2 s.
+    // A whole attempt takes 2 s.
     let ended = in_time(Duration::from_millis(1900), || {
         let mut client = Process::start(&mut command);
         client.next_line(PATIENCE);
@@ -306,12 +306,12 @@ fn a_second_ctrl_c_leaves_at_once() {
 }
 
 #[test]
-fn sigterm_aborts_the_task_says_what_became_of_it_and_the_exit_code_is_143() {
+fn sigterm_aborts_the_task_reports_its_outcome_and_exits_with_143() {
     let scratch = Scratch::new();
     let naps = Server::naps();
     let server = Server::ours();
     let stops = ["aborted. Reply is 'True'."];
-    // This one cannot be aborted, and whoever sends SIGTERM does not wait for its end.
+    // This task cannot be aborted, and the sender of SIGTERM does not wait for its end.
     let goes_on = [
         "Could not abort Task with ID '",
         "'. Reply is 'False'.",
@@ -354,7 +354,7 @@ fn sigterm_aborts_the_task_says_what_became_of_it_and_the_exit_code_is_143() {
 #[test]
 fn sigterm_ends_the_wait_after_an_abort_too() {
     let server = Server::ours();
-    // It waits for 5 s, which a busy machine may need for the signal.
+    // It waits for 5 s, because a busy machine may deliver the signal late.
     let ended = until("the signal comes in time", PATIENCE, || {
         let client = server.start_client(our_client(), &["-t", "1", "test:sleep:600"]);
         client.wait_for("waiting for completion");
@@ -365,7 +365,7 @@ fn sigterm_ends_the_wait_after_an_abort_too() {
     assert!(ended.stdout.ends_with("may still run.\n"), "{ended:?}");
 }
 
-/// What `ztl` with these words writes to a terminal.
+/// The terminal output of `ztl` with these arguments.
 fn to_a_terminal(words: &[&str], environment: &[(&str, &str)]) -> Ended {
     let program = ztl().get_program().to_string_lossy().into_owned();
     let quoted = |word: &&str| format!("'{}'", word.replace('\'', "'\\''"));
@@ -383,7 +383,7 @@ fn to_a_terminal(words: &[&str], environment: &[(&str, &str)]) -> Ended {
     Process::run(&mut command)
 }
 
-/// What a person sees on a terminal.
+/// The text visible on a terminal.
 fn on_a_terminal(server: &Server, environment: &[(&str, &str)], task: &str) -> String {
     let line = format!("task-client -r localhost -p {} -s {SCOPE}", server.port);
     let words: Vec<&str> = line.split(' ').chain([task]).collect();
@@ -392,14 +392,14 @@ fn on_a_terminal(server: &Server, environment: &[(&str, &str)], task: &str) -> S
     ended.stdout
 }
 
-/// Text that commands a terminal: its title, a cleared screen (by an 8-bit control too), a line that is
-/// written over, the bell, DEL, and text that is reordered.
+/// Text that controls a terminal: its title, a cleared screen (also by an 8-bit control), an overwritten
+/// line, the bell, DEL, and reordered text.
 const COMMANDS: &str = "a\x1b]0;owned\x07\x1b[2J\u{9b}2J\rb\x7f\u{202e}c\u{2066}";
-/// The same as a terminal may see it.
+/// The same, escaped for a terminal.
 const SHOWN: &str = "a\\u001b]0;owned\\u0007\\u001b[2J\\u009b2J\\rb\\u007f\\u202ec\\u2066";
 
 #[test]
-fn text_from_elsewhere_never_commands_a_terminal() {
+fn received_text_cannot_control_the_terminal() {
     let server = Server::ours();
     let port = server.port.to_string();
     let at = ["-r", "localhost", "-p", &port];
@@ -425,7 +425,7 @@ fn text_from_elsewhere_never_commands_a_terminal() {
     said.push(to_a_terminal(&["check", COMMANDS], &plain).stdout);
     said.push(to_a_terminal(&["ps", COMMANDS], &plain).stdout);
     for text in &said {
-        // Where the client writes its progress over.
+        // Where the client overwrites its progress.
         let text = text.replace("\r\x1b[K", "").replace("\r\n", "\n");
         let command = |c: char| {
             (c.is_control() && c != '\n')
@@ -439,17 +439,17 @@ fn text_from_elsewhere_never_commands_a_terminal() {
         assert!(shown.contains(SHOWN), "{shown:?}");
     }
 
-    // A program gets the bytes as they are, as from the original.
+    // A program gets the bytes unchanged, as from the original.
     let ended = server.start_client(our_client(), &[&echo]).end(PATIENCE);
     let result = format!("Result is '{COMMANDS}'.\n");
     assert!(ended.stdout.ends_with(&result), "{ended:?}");
 }
 
 #[test]
-fn an_event_of_a_log_is_one_line_that_commands_no_terminal() {
+fn a_log_event_is_one_line_without_control_characters() {
     let scratch = Scratch::new();
     let file = scratch.path("serve.yaml");
-    // What a program says on stderr becomes the reason of its failure, which is logged.
+    // A program's stderr becomes the reason of its failure, which is logged.
     let says = r"printf 'a\\033[2J\\302\\233b\\342\\200\\256\\r' >&2; exit 3";
     let text = format!("port: 0\nscopes: {{/test: {{h: {{c: {{shell: \"{says}\"}}}}}}}}\n");
     std::fs::write(&file, text).expect("a file");

@@ -5,14 +5,14 @@ use ztl_tests::lab::{
     Ended, PATIENCE, Process, SCOPE, Scratch, Server, example, ours_named, reserve_port, until, ztl,
 };
 
-/// `ztl` with these words and the server's port.
+/// `ztl` with these arguments and the server's port.
 #[track_caller]
 fn ask(server: &Server, line: &str) -> Ended {
     let port = server.port.to_string();
     Process::run(ztl().args(line.split(' ')).args(["-p", &port]))
 }
 
-/// The same, which has to go well; what it prints.
+/// The same, which must succeed; returns its output.
 #[track_caller]
 fn tell(server: &Server, line: &str) -> String {
     let ended = ask(server, line);
@@ -33,7 +33,7 @@ fn client(server: &Server) -> RemoteTask {
 }
 
 #[test]
-fn devices_tells_what_is_connected_and_what_is_not() {
+fn devices_lists_connected_and_missing_devices() {
     let nobody = format!("ghost=tcp:127.0.0.1:{}", reserve_port());
     let gateway = Server::gateway(&["gripper=sim:gripper", "head=sim:head", &nobody]);
     gateway.wait_ready("gripper");
@@ -76,7 +76,7 @@ fn devices_tells_what_is_connected_and_what_is_not() {
 }
 
 #[test]
-fn a_task_of_another_client_is_seen_and_stopped() {
+fn another_clients_task_is_listed_and_aborted() {
     let gateway = Server::simulated();
     assert_eq!(tell(&gateway, "ps"), "No task is running.\n");
     assert_eq!(tell(&gateway, "abort --all"), "No task is running.\n");
@@ -98,7 +98,7 @@ fn a_task_of_another_client_is_seen_and_stopped() {
     assert!(said.starts_with(&start), "{said}");
     let end = other.status(&task.id).expect("an answer");
     assert_eq!(end.state, State::Aborted);
-    // It is told as the device told it, which is where the finger stopped.
+    // The text is the device's own: where the finger stopped.
     assert_eq!(said, format!("{start}{}\n", end.text));
 
     assert_eq!(tell(&gateway, "ps"), "No task is running.\n");
@@ -114,7 +114,7 @@ fn a_task_of_another_client_is_seen_and_stopped() {
 }
 
 #[test]
-fn everything_is_stopped_at_once() {
+fn abort_all_stops_every_task() {
     let gateway = Server::simulated();
     let mut other = client(&gateway);
     let finger = other.trigger("gripper", "finger", "100").expect("accepted");
@@ -127,7 +127,7 @@ fn everything_is_stopped_at_once() {
 }
 
 #[test]
-fn a_task_that_nobody_knows_is_no_task_to_stop() {
+fn aborting_an_unknown_task_fails() {
     let gateway = Server::simulated();
     let ended = ask(&gateway, "abort 7");
     assert_eq!(ended.code, Some(1));
@@ -144,7 +144,7 @@ fn a_task_that_nobody_knows_is_no_task_to_stop() {
 }
 
 #[test]
-fn an_id_that_is_not_known_fails_and_the_others_are_stopped_all_the_same() {
+fn an_unknown_id_fails_and_the_other_tasks_are_aborted() {
     let naps = Server::naps();
     for server in [
         Server::original(),
@@ -233,7 +233,7 @@ fn a_server_is_named_by_the_configuration_file_or_the_environment() {
             ),
         ] {
             let ended = run(&format!("{command}{options}"), environment);
-            // The doctor looks at this machine too.
+            // The doctor checks this machine, too.
             let fine = ended.code == Some(0) || command == "doctor";
             assert!(
                 fine && ended.stdout.contains(said),
@@ -278,7 +278,7 @@ fn a_server_is_named_by_the_configuration_file_or_the_environment() {
     assert_eq!(ended.code, Some(2), "{ended:?}");
     assert!(ended.stderr.contains("no scope: give --scope"), "{ended:?}");
 
-    // By the original's name it is the original's client, which knows nothing of this.
+    // Under the original's name it is the original's client, which lacks this feature.
     let mut original = ours_named(&scratch, "ztl_task_client");
     original.envs(variables).envs(usual);
     let ended = Process::run(original.arg("gripper:finger:10"));
@@ -306,7 +306,7 @@ fn a_scope_of_the_environment_does_not_narrow_what_abort_all_stops() {
 }
 
 #[test]
-fn every_server_of_ours_says_what_it_offers() {
+fn each_of_our_servers_describes_its_components() {
     let scratch = Scratch::new();
     let file = scratch.path("robot.yaml");
     let text = "port: 0\nscopes:\n  /robot:\n    tts: {say: echo, hush: echo}\n    \"*\": {stop: sleep}\n  /lamp:\n    led: {\"*\": echo}\n";
@@ -360,7 +360,7 @@ fn every_server_of_ours_says_what_it_offers() {
 }
 
 #[test]
-fn a_device_that_speaks_zeromq_itself_is_described_and_its_tasks_are_stopped() {
+fn describe_and_abort_work_on_a_device_that_speaks_zeromq() {
     let device = Process::start(example("zmtp").arg("127.0.0.1:0"));
     let device = Server {
         port: device.wait_for_port("tcp://"),
@@ -374,7 +374,7 @@ fn a_device_that_speaks_zeromq_itself_is_described_and_its_tasks_are_stopped() {
     assert_eq!(tell(&device, "ps"), "No task is running.\n");
     let mut other = RemoteTask::connect(&device.endpoint(), "/desk").expect("an address");
     let mut goals = ["100", "0"].into_iter().cycle();
-    // A way takes it a second, which may be over before anybody has asked.
+    // The motion takes a second and may be over before the request.
     let mut start = || {
         let goal = goals.next().expect("one after the other");
         other.trigger("desk", "slide", goal).expect("accepted").id
@@ -398,7 +398,7 @@ fn a_device_that_speaks_zeromq_itself_is_described_and_its_tasks_are_stopped() {
 }
 
 #[test]
-fn the_exit_code_tells_whether_the_task_has_stopped() {
+fn the_exit_code_shows_whether_the_task_stopped() {
     let server = Server::ours();
     let mut other = client(&server);
     let task = other.trigger("test", "sleep", "20").expect("accepted");
@@ -410,7 +410,7 @@ fn the_exit_code_tells_whether_the_task_has_stopped() {
 }
 
 #[test]
-fn the_original_server_is_said_to_tell_nothing() {
+fn the_original_server_is_reported_as_giving_no_description() {
     let server = Server::original();
     for line in [
         "ps",
@@ -429,8 +429,8 @@ fn the_original_server_is_said_to_tell_nothing() {
         );
     }
     let ended = ask(&server, "devices");
-    assert!(ended.stderr.contains("it is no gateway"), "{ended:?}");
-    // With the scope said by hand, its tasks can be stopped.
+    assert!(ended.stderr.contains("it is not a gateway"), "{ended:?}");
+    // With an explicit scope, its tasks can be aborted.
     let mut other = client(&server);
     let task = other.trigger("test", "sleep", "1").expect("accepted");
     until("the original's task to run", PATIENCE, || {

@@ -11,7 +11,7 @@ use ztl_tests::lab::{
 const NOBODYS: i64 = 2_000_000_000;
 
 #[test]
-fn a_task_is_taken_runs_and_ends() {
+fn a_task_is_accepted_and_completes() {
     let server = Server::ours();
     let mut client = server.original_client();
     let task = client.trigger("test", "echo", "hi");
@@ -25,7 +25,7 @@ fn a_task_is_taken_runs_and_ends() {
 }
 
 #[test]
-fn a_task_that_takes_its_time_is_accepted_until_it_ends() {
+fn a_long_task_stays_accepted_until_it_ends() {
     let server = Server::ours();
     let mut client = server.original_client();
     let asked = std::time::Instant::now();
@@ -45,7 +45,7 @@ fn an_unknown_handler_is_refused_as_the_original_does() {
 }
 
 #[test]
-fn a_task_that_cannot_be_done_fails_with_the_reason() {
+fn an_impossible_task_fails_with_the_reason() {
     let server = Server::ours();
     let mut client = server.original_client();
     let id = client.start("test", "dance", "waltz");
@@ -57,7 +57,7 @@ fn a_task_that_cannot_be_done_fails_with_the_reason() {
 }
 
 #[test]
-fn an_abort_that_is_refused_changes_nothing() {
+fn a_rejected_abort_changes_nothing() {
     let server = Server::ours();
     let mut client = server.original_client();
     let id = client.start("test", "sleep", "3");
@@ -99,7 +99,7 @@ fn an_unknown_id_or_scope_is_refused() {
 }
 
 #[test]
-fn goals_of_every_kind_are_printed_as_by_the_original() {
+fn goals_of_every_kind_are_printed_like_the_original() {
     let (ours, original) = (Server::ours(), Server::original());
     let mut clients = [ours.original_client(), original.original_client()];
     for goal in [
@@ -128,21 +128,21 @@ fn goals_of_every_kind_are_printed_as_by_the_original() {
 }
 
 #[test]
-fn many_tasks_run_at_once_and_no_id_comes_twice() {
+fn concurrent_tasks_get_unique_ids() {
     let server = Server::ours();
     let mut clients = [server.original_client(), server.original_client()];
     let mut ids = Vec::new();
     for round in 0..10 {
         for client in &mut clients {
             ids.push(client.start("test", "sleep", "3"));
-            // One that is refused must not lend its number to the next.
+            // A rejected task must not pass its id to the next.
             let refused = client.trigger("robot", "echo", "hi");
             assert_eq!(refused.number, -1, "in round {round}");
         }
     }
     assert!(ids.is_sorted_by(|one, next| one < next), "{ids:?}");
     let [one, other] = &mut clients;
-    // Any client may ask about any task; side by side they take 3 s, one after the other 60 s.
+    // Any client may ask about any task; concurrently they take 3 s, in sequence 60 s.
     until("all tasks have ended", PATIENCE, || {
         let done = |id| one.status(id) == (COMPLETED, "True");
         ids.iter().copied().all(done).then_some(())
@@ -171,12 +171,12 @@ fn an_id_from_before_a_restart_is_unknown() {
 }
 
 #[test]
-fn a_client_outlives_a_restart_of_its_server() {
+fn a_client_survives_a_restart_of_its_server() {
     let mut server = Server::ours_at(reserve_port());
     let mut client = server.original_client();
     let id = client.start("test", "echo", "hi");
     server.process.kill();
-    // The original's client cannot say that it does not know; it says FAILED.
+    // The original's client has no unknown outcome; it reports FAILED.
     let lost = client.status(id);
     let reason = "Again('Resource temporarily unavailable')";
     assert_eq!(lost, (FAILED, reason));

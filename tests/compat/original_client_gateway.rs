@@ -19,7 +19,7 @@ fn wait_beyond(client: &mut OriginalClient, id: i64, place: f32) -> f32 {
 }
 
 #[test]
-fn a_task_is_seen_on_its_way_and_ends_with_where_it_is() {
+fn a_task_reports_progress_and_its_final_position() {
     let gateway = Server::simulated();
     let mut client = gateway.original_client();
     let start = Instant::now();
@@ -42,7 +42,7 @@ fn a_task_is_seen_on_its_way_and_ends_with_where_it_is() {
 }
 
 #[test]
-fn abort_stops_the_device_where_it_is() {
+fn abort_stops_the_device_at_its_current_position() {
     let gateway = Server::simulated();
     let mut client = gateway.original_client();
     let id = client.start("gripper", "finger", "100");
@@ -66,7 +66,7 @@ fn abort_stops_the_device_where_it_is() {
     });
     assert!(at < stopped + 0.1, "{at}");
     assert_eq!(client.wait(back, 20.0), (COMPLETED, "0.0"));
-    // Exactly one end, for ever.
+    // Exactly one final state, which never changes.
     assert_eq!(client.status(id), end);
 }
 
@@ -82,7 +82,7 @@ fn any_client_may_abort() {
 }
 
 #[test]
-fn a_goal_out_of_range_is_refused_with_what_would_be_right() {
+fn a_goal_out_of_range_is_rejected_with_the_valid_range() {
     let gateway = Server::simulated();
     let mut client = gateway.original_client();
     let finger = "finger takes 0 to 100 percent";
@@ -100,7 +100,7 @@ fn a_goal_out_of_range_is_refused_with_what_would_be_right() {
         let answer = client.trigger(device, component, goal);
         assert_eq!(answer, (-1, reason.as_str()));
     }
-    // Nothing has moved: the way to 0 is no way.
+    // Nothing has moved: it is already at 0.
     let id = client.start("gripper", "finger", "0");
     let end = until("its end", PATIENCE, || {
         let answer = client.status(id);
@@ -138,7 +138,7 @@ fn two_clients_move_two_devices_at_once() {
 }
 
 #[test]
-fn a_second_task_on_the_same_component_is_refused_and_the_first_goes_on() {
+fn a_busy_component_rejects_a_second_task_and_continues_the_first() {
     let gateway = Server::simulated();
     let mut one = gateway.original_client();
     let mut other = gateway.original_client();
@@ -151,7 +151,7 @@ fn a_second_task_on_the_same_component_is_refused_and_the_first_goes_on() {
 }
 
 #[test]
-fn a_gateway_that_is_stopped_says_so_and_ends() {
+fn a_stopped_gateway_reports_it_and_exits() {
     let gateway = Server::simulated();
     let mut client = gateway.original_client();
     let id = client.start("gripper", "finger", "100");

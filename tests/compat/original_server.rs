@@ -8,7 +8,7 @@ use ztl_tests::lab::{
 };
 
 #[test]
-fn a_task_is_taken_runs_and_ends() {
+fn a_task_is_accepted_and_completes() {
     let server = Server::original();
     let mut remote = connect(&server.endpoint());
     let task = remote.trigger("test", "echo", "it's").expect("taken");
@@ -23,7 +23,7 @@ fn a_task_is_taken_runs_and_ends() {
 }
 
 #[test]
-fn a_wait_lasts_until_the_task_has_ended() {
+fn wait_returns_when_the_task_has_ended() {
     let server = Server::original();
     let mut remote = connect(&server.endpoint());
     let id = start(&mut remote, "test", "sleep", "3");
@@ -39,7 +39,7 @@ fn a_wait_lasts_until_the_task_has_ended() {
 }
 
 #[test]
-fn a_wait_that_times_out_is_not_a_final_state() {
+fn a_wait_that_times_out_returns_no_final_state() {
     let server = Server::original();
     let mut remote = connect(&server.endpoint());
     let id = start(&mut remote, "test", "sleep", "3");
@@ -52,7 +52,7 @@ fn a_wait_that_times_out_is_not_a_final_state() {
 
 /// The original has no limit, and quotes the goal in its answer: here each byte as four.
 #[test]
-fn a_goal_of_any_length_is_taken() {
+fn a_goal_of_any_length_is_accepted() {
     let server = Server::original();
     // On a busy machine the original may need more than the usual 2 s for such a goal.
     let mut remote = connect(&server.endpoint()).with_timeout(PATIENCE);
@@ -64,7 +64,7 @@ fn a_goal_of_any_length_is_taken() {
 }
 
 #[test]
-fn a_rejected_init_is_not_a_task() {
+fn a_rejected_init_creates_no_task() {
     let server = Server::original();
     let mut remote = connect(&server.endpoint());
     let reason = "Controller threw exception: No such handler 'robot', try 'test'.";
@@ -80,7 +80,7 @@ fn a_rejected_init_is_not_a_task() {
 }
 
 #[test]
-fn an_abort_that_is_refused_tells_that_the_task_goes_on() {
+fn a_rejected_abort_reports_that_the_task_continues() {
     let server = Server::original();
     let mut remote = connect(&server.endpoint());
     let id = start(&mut remote, "test", "sleep", "3");
@@ -112,7 +112,7 @@ fn an_unknown_id_or_scope_is_refused() {
 }
 
 #[test]
-fn a_server_that_is_gone_is_unknown_and_never_failed() {
+fn a_lost_server_gives_an_unknown_outcome_and_never_failed() {
     let mut server = Server::original();
     let mut remote = connect(&server.endpoint());
     let id = start(&mut remote, "test", "sleep", "60");
@@ -142,7 +142,7 @@ fn a_server_that_is_gone_is_unknown_and_never_failed() {
 }
 
 #[test]
-fn a_late_answer_is_never_taken_for_the_next_one() {
+fn a_late_reply_is_never_matched_to_the_next_request() {
     let server = Server::original();
     let mut remote = connect(&server.endpoint());
     let first = start(&mut remote, "test", "echo", "first");
@@ -168,7 +168,7 @@ fn a_late_answer_is_never_taken_for_the_next_one() {
 }
 
 #[test]
-fn an_init_that_was_not_answered_is_not_sent_again() {
+fn an_unanswered_init_is_not_resent() {
     let server = Server::original();
     let mut remote = connect(&server.endpoint());
     let first = start(&mut remote, "test", "echo", "first");
@@ -185,6 +185,6 @@ fn an_init_that_was_not_answered_is_not_sent_again() {
     server.process.signal("CONT");
     let mut witness = OriginalClient::connect(server.port, SCOPE);
     let third = witness.start("test", "echo", "third");
-    // One number for the one INIT that was sent.
+    // One id for the single INIT.
     assert_eq!(third, i64::from(first.get()) + 2);
 }

@@ -5,7 +5,7 @@ use ztl_tests::lab::{
     ABORTED, ACCEPTED, COMPLETED, PATIENCE, Peer, REJECTED, SCOPE, Server, until,
 };
 
-/// Runs the test with each peer, and says with which it failed.
+/// Runs the test with each peer, and reports the failing ones.
 #[track_caller]
 fn with_each(test: impl Fn(Peer)) {
     let peers = Peer::here();
@@ -72,7 +72,7 @@ fn our_client_runs_tasks_on_each_peers_server() {
         assert_eq!((end.state, end.text.as_str()), (State::Completed, "True"));
         let refused = remote.trigger("robot", "echo", "hi");
         assert!(refused.is_err(), "{refused:?}");
-        // It is no server of ours, and that is found without harm.
+        // It is not one of our servers, and our client detects that safely.
         assert_eq!(remote.ask_server("tasks").expect("an answer"), None);
     });
 }

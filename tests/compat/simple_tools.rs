@@ -39,8 +39,8 @@ fn same(servers: &[Server; 2], request: &str, last: &str) -> String {
     expected.text
 }
 
-/// What a simple server printed, without its ids; of what is asked again and again once, and not what
-/// only a client of ours asks a server of ours: to hold its answer.
+/// The output of a simple server, without its ids. Keeps repeated requests once, and leaves out the request to hold
+/// a reply, which only our client sends to our server.
 fn printed(server: &Server) -> Vec<String> {
     let line = |line: &str| match line.split('\'').collect::<Vec<_>>().as_slice() {
         [before, _id, after] => format!("{before}'ID'{after}"),
@@ -58,7 +58,7 @@ fn printed(server: &Server) -> Vec<String> {
 }
 
 #[test]
-fn simple_servers_and_clients_tell_the_same() {
+fn simple_servers_and_clients_print_the_same() {
     let servers = [Server::simple_original(), Server::simple_ours()];
     let last = "finished while waiting. Result is 'True'.";
     let text = same(&servers, "1", last);
@@ -86,7 +86,7 @@ fn simple_servers_and_clients_tell_the_same() {
 }
 
 #[test]
-fn a_task_that_the_simple_client_cannot_abort_is_reported_the_same() {
+fn a_rejected_abort_of_the_simple_client_is_reported_identically() {
     let servers = [Server::original(), Server::ours()];
     // test:sleep:7
     let last = "finished after unsuccessful abort signal. Reply is 'False'.";
@@ -94,7 +94,7 @@ fn a_task_that_the_simple_client_cannot_abort_is_reported_the_same() {
 }
 
 #[test]
-fn a_simple_tool_without_its_arguments_ends_as_the_originals() {
+fn a_simple_tool_without_arguments_exits_like_the_original() {
     for (tool, args) in [
         ("simple_server", &[][..]),
         ("simple_server", &["12345"]),
@@ -110,7 +110,7 @@ fn a_simple_tool_without_its_arguments_ends_as_the_originals() {
 }
 
 #[test]
-fn a_simple_server_says_of_an_id_that_it_does_not_know_what_the_originals_says() {
+fn a_simple_server_answers_unknown_ids_like_the_original() {
     for server in [Server::simple_original(), Server::simple_ours()] {
         let mut client = server.original_client();
         assert_eq!(client.status(77), (REJECTED, "Invalid ID"));
@@ -125,7 +125,7 @@ fn a_simple_server_says_of_an_id_that_it_does_not_know_what_the_originals_says()
 }
 
 #[test]
-fn ctrl_c_ends_the_simple_server_as_the_originals() {
+fn ctrl_c_ends_the_simple_server_like_the_original() {
     for server in [Server::simple_original(), Server::simple_ours()] {
         server.process.signal("INT");
         let ended = server.process.end(PATIENCE);
@@ -156,7 +156,7 @@ fn both_tell(port: u16, config: &str, words: &[&str], last: &str) -> [Ended; 2] 
 }
 
 #[test]
-fn servers_are_found_by_their_names_as_the_original_finds_them() {
+fn server_names_are_resolved_like_the_original() {
     let server = Server::ours();
     let port = server.port;
     let nobody = reserve_port();
@@ -170,7 +170,7 @@ fn servers_are_found_by_their_names_as_the_original_finds_them() {
         both_tell(port, &file, &[name, "test:echo:hi"], done);
     }
     let number = port.to_string();
-    // The option replaces what the file says.
+    // The option replaces the file's value.
     let task = ["--task", "elsewhere", "localhost", &number, "/test"];
     let mut words = task.to_vec();
     words.extend(["--task", "third", "localhost", &number, "/test"]);
@@ -207,7 +207,7 @@ fn servers_are_found_by_their_names_as_the_original_finds_them() {
 }
 
 #[test]
-fn without_a_configuration_the_options_are_enough() {
+fn the_options_replace_a_configuration() {
     let server = Server::ours();
     let port = server.port.to_string();
     let words = [
@@ -224,7 +224,7 @@ fn without_a_configuration_the_options_are_enough() {
     for broken in ["", "remotes: {", "7"] {
         let [original, ours] = both_tell(server.port, broken, &words, done);
         assert!(original.stderr.contains(missing), "{original:?}");
-        // An empty file is no mistake here.
+        // An empty file is accepted here.
         let told = ours.stderr.contains(missing);
         assert_eq!(told, !broken.is_empty(), "{broken:?}: {ours:?}");
         assert_eq!(
@@ -238,7 +238,7 @@ fn without_a_configuration_the_options_are_enough() {
 }
 
 #[test]
-fn an_unknown_server_name_is_answered_with_the_known_names() {
+fn an_unknown_server_name_is_rejected_with_the_known_names() {
     let file = "remotes:\n  robot: {host: localhost, port: 1, scope: /test}\n  \
                 lamp: {host: localhost, scope: /test}\n";
     for (name, message) in [
@@ -257,7 +257,7 @@ fn an_unknown_server_name_is_answered_with_the_known_names() {
 }
 
 #[test]
-fn the_exit_status_option_tells_the_outcome() {
+fn the_exit_status_option_reports_the_outcome() {
     let (simple, tests) = (Server::simple_ours(), Server::ours());
     let port = simple.port.to_string();
     for (request, code) in [("0", 0), ("soon", 1)] {

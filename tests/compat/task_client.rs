@@ -38,7 +38,7 @@ fn same_by(ours: impl Fn() -> Command, servers: &[Server; 2], args: &[&str], las
 }
 
 #[test]
-fn tasks_that_end_at_once_are_reported_the_same() {
+fn tasks_that_end_at_once_are_reported_identically() {
     let servers = servers();
     for goal in ["hi", "", "a:b;c", "it's \"quoted\" — grüße 👍"] {
         let task = format!("test:echo:{goal}");
@@ -49,7 +49,7 @@ fn tasks_that_end_at_once_are_reported_the_same() {
 }
 
 #[test]
-fn what_a_task_prints_comes_out_at_the_server() {
+fn the_server_prints_a_tasks_output() {
     let servers = servers();
     let last = "finished in state 'COMPLETED' while waiting. Result is 'True'.";
     same(&servers, &["test:print:hello"], last);
@@ -62,7 +62,7 @@ fn what_a_task_prints_comes_out_at_the_server() {
 }
 
 #[test]
-fn tasks_that_take_time_are_reported_the_same() {
+fn long_tasks_are_reported_identically() {
     let last = "finished in state 'COMPLETED' while waiting. Result is 'True'.";
     let servers = servers();
     same(&servers, &["test:sleep:1"], last);
@@ -70,15 +70,15 @@ fn tasks_that_take_time_are_reported_the_same() {
 }
 
 #[test]
-fn a_task_that_cannot_be_aborted_is_reported_the_same() {
+fn a_rejected_abort_is_reported_identically() {
     let last = "finished in state 'COMPLETED' after unsuccessful abort signal. Reply is 'True'.";
     let text = same(&servers(), &["-t", "1", "test:sleep:3"], last);
     assert!(text.contains("\nAborting task with ID 'ID'...\n"), "{text}");
 }
 
 #[test]
-fn a_task_that_outlasts_its_clients_timeout_is_reported_the_same() {
-    // The original waits 5 s after an abort that was refused, and then calls it finished. So does ours by the
+fn a_task_beyond_its_clients_timeout_is_reported_identically() {
+    // The original waits 5 s after a rejected abort and then reports the task as finished. So does ours under the
     // original's name.
     let files = Scratch::new();
     let ours = || ours_named(&files, "ztl_task_client");
@@ -87,7 +87,7 @@ fn a_task_that_outlasts_its_clients_timeout_is_reported_the_same() {
 }
 
 #[test]
-fn tasks_that_fail_or_are_refused_are_reported_the_same() {
+fn failed_and_rejected_tasks_are_reported_identically() {
     let servers = servers();
     let unknown = "No such component 'dance', try 'echo/print/sleep'.";
     let number = "invalid literal for int() with base 10: 'soon'";
@@ -104,7 +104,7 @@ fn tasks_that_fail_or_are_refused_are_reported_the_same() {
 }
 
 #[test]
-fn a_task_without_all_its_parts_is_refused_before_anything_is_sent() {
+fn an_incomplete_task_is_rejected_before_anything_is_sent() {
     let servers = servers();
     for payload in ["test:echo", "test", ""] {
         let text = same(&servers, &[payload], "e.g. 'handler:component:goal'");
@@ -117,7 +117,7 @@ fn a_task_without_all_its_parts_is_refused_before_anything_is_sent() {
 }
 
 #[test]
-fn both_clients_tell_the_same_of_a_gateway() {
+fn both_clients_report_a_gateway_identically() {
     let gateway = Server::simulated();
     let run = |client, args: &[&str]| gateway.start_client(client, args).end(PATIENCE);
     let clients: [fn() -> Command; 2] = [original_client, our_client];

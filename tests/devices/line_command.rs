@@ -29,7 +29,7 @@ fn between(options: &str) -> (Process, TcpStream, TcpStream) {
         stream.set_read_timeout(Some(PATIENCE)).unwrap();
     }
     let mut both = (process, near, far);
-    // Bytes are lost while an end is not there: until one comes through, both are not.
+    // Bytes are lost while an end is missing: both ends are connected once a byte arrives.
     let mut byte = [0xA5];
     until("a byte comes through", PATIENCE, || {
         both.1.write_all(&[0]).unwrap();
@@ -47,7 +47,7 @@ fn pattern(len: usize) -> Vec<u8> {
 }
 
 #[test]
-fn bytes_take_the_time_of_their_rate_in_both_directions_apart() {
+fn each_direction_has_the_full_line_rate() {
     let (_line, mut near, mut far) = between("--baud 115200");
     let bytes = pattern(11_520);
     // 1 s at 11520 bytes a second, the other direction just as busy.
@@ -65,7 +65,7 @@ fn bytes_take_the_time_of_their_rate_in_both_directions_apart() {
 }
 
 #[test]
-fn an_end_that_goes_away_comes_back_and_the_other_notices_nothing() {
+fn a_lost_end_is_reopened_without_closing_the_other() {
     let scratch = Scratch::new();
     let link = scratch.path("port");
     let far = TcpListener::bind(("127.0.0.1", 0)).unwrap();
@@ -93,7 +93,7 @@ fn an_end_that_goes_away_comes_back_and_the_other_notices_nothing() {
 }
 
 #[test]
-fn the_same_seed_spoils_the_same_bytes() {
+fn the_same_seed_corrupts_the_same_bytes() {
     let spoilt = |seed: u32| {
         let faults = "--flip 1e-3 --drop 1e-3 --double 1e-3";
         let (line, mut near, mut far) = between(&format!("{faults} --seed {seed}"));
@@ -117,14 +117,14 @@ fn the_same_seed_spoils_the_same_bytes() {
     };
     let (first, again, other) = (spoilt(7), spoilt(7), spoilt(8));
     assert_ne!(first, pattern(20_000));
-    // What `between` sent to find the way may differ by a byte or two.
+    // The bytes that `between` sent to detect the connection may differ by a byte or two.
     let tail = |bytes: &[u8]| bytes[bytes.len() - 10_000..].to_vec();
     assert_eq!(tail(&first), tail(&again));
     assert_ne!(tail(&first), tail(&other));
 }
 
 #[test]
-fn a_cut_in_one_direction_leaves_the_other_and_has_an_end() {
+fn a_cut_in_one_direction_spares_the_other_and_ends() {
     let start = Instant::now();
     let (line, mut near, mut far) = between("--cut to-a --cut-for 2s");
     far.write_all(b"lost").unwrap();
@@ -147,7 +147,7 @@ fn a_cut_in_one_direction_leaves_the_other_and_has_an_end() {
 }
 
 #[test]
-fn an_error_is_one_line_with_the_right_form() {
+fn a_usage_error_is_one_line_with_the_expected_form() {
     let taken = TcpListener::bind(("127.0.0.1", 0)).unwrap();
     let taken = format!("tcp-listen:{}", taken.local_addr().unwrap().port());
     for (args, code, part) in [

@@ -16,7 +16,7 @@ const HELLO: u32 = 0x1122_3344;
 const BOOT: u32 = 0xcafe_0001;
 const DOCUMENT: &str = include_str!("../../docs/link.md");
 
-/// Where the finger is when it is asked, as it publishes it.
+/// The finger's position when it is polled, as published.
 const OPENING: [u8; 4] = 12.5f32.to_le_bytes();
 /// A record of the log.
 const RECORD: [u8; 4] = [0x2a, 0x05, 0x7e, 0x00];
@@ -133,7 +133,7 @@ fn shown() -> Vec<(&'static str, Vec<u8>)> {
 }
 
 #[test]
-fn the_example_frames_of_the_specification_are_those_of_the_code() {
+fn the_specifications_example_frames_match_the_code() {
     let mut tags = BTreeSet::new();
     let mut document = String::new();
     for (name, session, seq, body) in frames() {
@@ -165,7 +165,7 @@ fn the_example_frames_of_the_specification_are_those_of_the_code() {
 }
 
 #[test]
-fn the_clauses_are_numbered_without_a_gap() {
+fn clauses_are_numbered_consecutively() {
     let mut last = (0, 0);
     for line in DOCUMENT.lines() {
         let Some((clause, _)) = line.strip_prefix("- [").and_then(|l| l.split_once(']')) else {
@@ -180,7 +180,7 @@ fn the_clauses_are_numbered_without_a_gap() {
     assert_eq!(last.0, 11);
 }
 
-/// Moves as the document says.
+/// Moves as documented.
 struct Finger {
     aborted: bool,
     reading: bool,
@@ -240,7 +240,7 @@ impl LogSource for Once {
 }
 
 #[test]
-fn a_real_node_says_in_the_conversation_what_the_document_says() {
+fn a_real_node_matches_the_documented_conversation() {
     let finger = Finger {
         aborted: false,
         reading: false,
@@ -249,7 +249,7 @@ fn a_real_node_says_in_the_conversation_what_the_document_says() {
     let mut node = Node::<_, 4, 256>::new(identity, [finger]);
     let log = Once(RefCell::new(RECORD.to_vec()));
     let mut now = Instant::from_millis(1500);
-    // An announcement begins with a byte that flushes noise.
+    // An announcement starts with a byte that flushes noise.
     let awake = node.transmit_buf(now, &()).to_vec();
     node.consume(1);
     assert_eq!(awake.first(), Some(&0));
@@ -257,7 +257,7 @@ fn a_real_node_says_in_the_conversation_what_the_document_says() {
     for (name, bytes) in shown() {
         match name {
             "Ping" => now = now + Duration::from_millis(250),
-            // What the component says comes with time.
+            // The component reports these later.
             "Progress" | "Ended" => node.handle_timeout(now),
             _ => {}
         }

@@ -1,4 +1,4 @@
-//! Devices on real lines: what is lost, damaged or late on the way, and firmware on boards in QEMU.
+//! Devices on real lines with lost, damaged or delayed data, and firmware on boards in QEMU.
 
 mod boards;
 mod line_command;

@@ -8,7 +8,7 @@ use ztl_tests::lab::{
     LIMIT, PATIENCE, Process, Scratch, Server, connect, reserve_port, status, until, ztl,
 };
 
-/// Where a device is, also after it was started again.
+/// The address of a device, the same after a restart.
 enum Place {
     Pty(Scratch),
     Tcp(u16),
@@ -39,7 +39,7 @@ impl Place {
         }
     }
 
-    /// A simulated gripper, there to be found.
+    /// A simulated gripper at this address.
     #[track_caller]
     fn power_on(&self) -> Process {
         let mut command = ztl();
@@ -49,11 +49,11 @@ impl Place {
         device
     }
 
-    /// Takes the device away as a pulled plug does.
+    /// Removes the device, like pulling a plug.
     #[track_caller]
     fn unplug(&self, device: &mut Process) {
-        // The system removes the name of a USB port, too. Left behind, it would lead to whoever
-        // is given a pty of the same number next.
+        // For a USB port, the system also removes the name. If it stayed, it would lead to the next process
+        // that gets a pty with the same number.
         if let Self::Pty(scratch) = self {
             std::fs::remove_file(scratch.path("gripper")).expect("the link");
         }
@@ -68,10 +68,10 @@ impl Place {
     }
 }
 
-/// A task of a device that is gone fails within 2.25 s. A busy machine may add to it.
+/// A lost device's task fails within 2.25 s. A busy machine may take longer.
 const IN_TIME: Duration = Duration::from_secs(10);
 
-/// Starts a task, as soon as the gateway takes it.
+/// Starts a task as soon as the gateway accepts it.
 #[track_caller]
 fn start_when_served(remote: &mut RemoteTask, goal: &str) -> TaskId {
     until("a task is taken", PATIENCE, || {
@@ -82,7 +82,7 @@ fn start_when_served(remote: &mut RemoteTask, goal: &str) -> TaskId {
     .expect("an id of ours")
 }
 
-/// Waits until the finger has been seen beyond a place.
+/// Waits until the finger has passed a position.
 #[track_caller]
 fn wait_beyond(remote: &mut RemoteTask, id: TaskId, place: f32) -> f32 {
     until("the finger has come so far", PATIENCE, || {
@@ -93,7 +93,7 @@ fn wait_beyond(remote: &mut RemoteTask, id: TaskId, place: f32) -> f32 {
     })
 }
 
-/// When a task ended, and how, asked every few milliseconds.
+/// When and how a task ended, polled every few milliseconds.
 #[track_caller]
 fn watch_end(remote: &mut RemoteTask, id: TaskId) -> (Instant, Status) {
     until("its end", PATIENCE, || {
@@ -111,7 +111,7 @@ fn does_what_is_asked(place: &Place) {
     let end = status(State::Completed, "40.0");
     assert_eq!(remote.wait(id, LIMIT), Ok(end));
 
-    // On the way back it is stopped.
+    // The abort stops it on the way back.
     let id = start_when_served(&mut remote, "100");
     let seen = wait_beyond(&mut remote, id, 50.0);
     let end = remote.abort(id).expect("an answer");
@@ -120,7 +120,7 @@ fn does_what_is_asked(place: &Place) {
     let stopped: f32 = end.text.parse().expect("a position");
     assert!((seen..100.0).contains(&stopped), "{seen}, then {stopped}");
 
-    // It is told from the device itself where it stands, by a gateway that knows nothing.
+    // A new gateway, which has no earlier knowledge, reads the position from the device.
     drop(gateway);
     let (gateway, mut remote) = place.gateway();
     gateway.wait_ready("gripper");
@@ -129,18 +129,18 @@ fn does_what_is_asked(place: &Place) {
     let asked = Instant::now();
     let (ended, end) = watch_end(&mut remote, id);
     assert_eq!(end, status(State::Completed, &format!("{stopped:.1}")));
-    // No way to go; from 100 it would take longer.
+    // The finger is already there; from 100 it would take longer.
     let longest = Duration::from_secs_f32((100.0 - stopped) / 50.0 * 0.9);
     assert!(ended - asked < longest, "{:?}", ended - asked);
 }
 
 #[test]
-fn a_device_on_a_pty_does_what_is_asked() {
+fn a_device_on_a_pty_completes_tasks() {
     does_what_is_asked(&Place::pty());
 }
 
 #[test]
-fn a_device_on_tcp_does_what_is_asked() {
+fn a_device_on_tcp_completes_tasks() {
     does_what_is_asked(&Place::tcp());
 }
 
@@ -158,13 +158,13 @@ fn fails_in_time_and_is_served_again(place: &Place) {
     place.unplug(&mut device);
     let (ended, end) = watch_end(&mut remote, lost);
     assert_eq!(end, status(State::Failed, "device is not answering"));
-    // Only when a device that lives must have acted, its link timeout (1 s) after the last command;
-    // at most 1 s later. Commands come every quarter of a second.
+    // Not before a live device must have acted, one link timeout (1 s) after the last command;
+    // at most 1 s later. Commands are sent every quarter of a second.
     let took = ended - killed;
     assert!(took > Duration::from_millis(500), "{took:?}");
     assert!(took < IN_TIME, "{took:?}");
 
-    // Meanwhile a new task is refused, with what is wrong.
+    // Meanwhile the gateway rejects a new task with the reason.
     let refused = remote.trigger("gripper", "finger", "50");
     let reason = refused.expect_err("nobody is there").to_string();
     assert!(reason.contains("the device is not answering"), "{reason}");
@@ -181,12 +181,12 @@ fn fails_in_time_and_is_served_again(place: &Place) {
 }
 
 #[test]
-fn a_device_unplugged_from_a_pty_fails_its_task_in_time_and_is_served_when_it_is_back() {
+fn an_unplugged_pty_device_fails_its_task_and_is_served_on_return() {
     fails_in_time_and_is_served_again(&Place::pty());
 }
 
 #[test]
-fn a_device_gone_from_tcp_fails_its_task_in_time_and_is_served_when_it_is_back() {
+fn a_disconnected_tcp_device_fails_its_task_and_is_served_on_return() {
     fails_in_time_and_is_served_again(&Place::tcp());
 }
 
@@ -206,7 +206,7 @@ fn a_quick_reset_is_noticed(place: &Place) {
         assert!(reasons.contains(&end.text.as_str()), "{end:?}");
         assert!(ended - killed < IN_TIME);
 
-        // One end for ever, whatever the new device does.
+        // The final state never changes, even after the new device ran tasks.
         let next = start_when_served(&mut remote, "20");
         assert_eq!(remote.abort(id).unwrap().state, State::Failed);
         let done = status(State::Completed, "20.0");
@@ -216,17 +216,17 @@ fn a_quick_reset_is_noticed(place: &Place) {
 }
 
 #[test]
-fn a_quick_reset_on_a_pty_fails_its_task_and_no_other() {
+fn a_quick_reset_on_a_pty_fails_only_the_devices_task() {
     a_quick_reset_is_noticed(&Place::pty());
 }
 
 #[test]
-fn a_quick_reset_on_tcp_fails_its_task_and_no_other() {
+fn a_quick_reset_on_tcp_fails_only_the_devices_task() {
     a_quick_reset_is_noticed(&Place::tcp());
 }
 
 #[test]
-fn a_device_that_stalls_stops_by_itself_and_its_task_has_one_end() {
+fn a_stalled_device_stops_and_its_task_has_one_final_state() {
     let place = Place::tcp();
     let device = place.power_on();
     let (gateway, mut remote) = place.gateway();
@@ -234,7 +234,7 @@ fn a_device_that_stalls_stops_by_itself_and_its_task_has_one_end() {
     let id = start_when_served(&mut remote, "100");
     wait_beyond(&mut remote, id, 5.0);
 
-    // The process stands still, the line stays open.
+    // The process is suspended; the line stays open.
     let stalled = Instant::now();
     device.signal("STOP");
     let (ended, end) = watch_end(&mut remote, id);
@@ -244,7 +244,7 @@ fn a_device_that_stalls_stops_by_itself_and_its_task_has_one_end() {
     assert!(took < IN_TIME, "{took:?}");
 
     device.signal("CONT");
-    // It holds the task's true end, which comes too late; its finger has stopped on the way.
+    // The device has the task's true outcome, which arrives too late; its finger stopped on the way.
     let next = start_when_served(&mut remote, "0");
     let (_, zero) = watch_end(&mut remote, next);
     assert_eq!(zero, status(State::Completed, "0.0"));
@@ -252,12 +252,12 @@ fn a_device_that_stalls_stops_by_itself_and_its_task_has_one_end() {
 }
 
 #[test]
-fn a_gateway_waits_for_a_device_that_is_not_there_yet() {
+fn a_gateway_waits_for_an_absent_device() {
     let place = Place::pty();
     let (gateway, mut remote) = place.gateway();
     let refused = remote.trigger("gripper", "finger", "40");
     let reason = refused.expect_err("nobody is there").to_string();
-    // With what the system says about the line, and before a client gives up.
+    // With the system's error for the line, and before a client times out.
     assert!(reason.contains("the device is not answering"), "{reason}");
     assert!(reason.contains(&place.url()), "{reason}");
 
@@ -269,7 +269,7 @@ fn a_gateway_waits_for_a_device_that_is_not_there_yet() {
 }
 
 #[test]
-fn a_dead_device_harms_no_other() {
+fn a_dead_device_affects_no_other() {
     let place = Place::tcp();
     let mut device = place.power_on();
     let gripper = format!("gripper={}", place.url());
@@ -285,7 +285,7 @@ fn a_dead_device_harms_no_other() {
 }
 
 #[test]
-fn ids_are_not_known_after_a_restart_of_the_gateway_and_the_device_is_free() {
+fn after_a_gateway_restart_ids_are_unknown_and_the_device_is_free() {
     let place = Place::pty();
     let _device = place.power_on();
     let (gateway, mut remote) = place.gateway();
@@ -300,7 +300,7 @@ fn ids_are_not_known_after_a_restart_of_the_gateway_and_the_device_is_free() {
         text: format!("Invalid ID '{id}'"),
     };
     assert_eq!(remote.status(id), Err(unknown.clone()));
-    // The device stops what nobody asks about any more, and takes the next task.
+    // The device stops the orphaned task and accepts the next one.
     let next = start_when_served(&mut remote, "0");
     assert_ne!(next, id);
     let end = status(State::Completed, "0.0");
@@ -309,7 +309,7 @@ fn ids_are_not_known_after_a_restart_of_the_gateway_and_the_device_is_free() {
 }
 
 #[test]
-fn a_device_whose_gateway_is_gone_stops_by_itself() {
+fn a_device_stops_when_its_gateway_is_lost() {
     let place = Place::pty();
     let _device = place.power_on();
     let (gateway, mut remote) = place.gateway();
@@ -317,7 +317,7 @@ fn a_device_whose_gateway_is_gone_stops_by_itself() {
     let id = start_when_served(&mut remote, "100");
     let seen = wait_beyond(&mut remote, id, 5.0);
     drop(gateway);
-    // One that went on would be there after 2 s.
+    // A task that continued would arrive after 2 s.
     let gone = Instant::now();
     until("2.5 s", PATIENCE, || {
         (gone.elapsed() > Duration::from_millis(2500)).then_some(())
@@ -325,7 +325,7 @@ fn a_device_whose_gateway_is_gone_stops_by_itself() {
     let (_gateway, mut remote) = place.gateway();
     let id = start_when_served(&mut remote, "100");
     let stopped = wait_beyond(&mut remote, id, -1.0);
-    // Its link timeout is 1 s, and half as much is half of its way.
+    // Its link timeout is 1 s; half of that time is half of the way.
     assert!((seen..90.0).contains(&stopped), "{seen}, then {stopped}");
 }
 
@@ -343,17 +343,17 @@ fn a_second_gateway_gets_nothing(place: &Place) {
 }
 
 #[test]
-fn a_second_gateway_does_not_take_a_device_away_on_a_pty() {
+fn a_second_gateway_cannot_take_over_a_device_on_a_pty() {
     a_second_gateway_gets_nothing(&Place::pty());
 }
 
 #[test]
-fn a_second_gateway_does_not_take_a_device_away_on_tcp() {
+fn a_second_gateway_cannot_take_over_a_device_on_tcp() {
     a_second_gateway_gets_nothing(&Place::tcp());
 }
 
 #[test]
-fn a_device_that_has_more_to_say_than_anybody_hears_still_listens() {
+fn a_device_with_a_blocked_output_still_receives() {
     let scratch = Scratch::new();
     let link = scratch.path("sensor");
     let mut device = ztl();
@@ -363,7 +363,7 @@ fn a_device_that_has_more_to_say_than_anybody_hears_still_listens() {
     device.wait_for("Serve it with");
     let gateway = Server::gateway(&[&format!("sensor=serial:{}", link.display())]);
     gateway.wait_ready("sensor");
-    // The gateway stands still with the line open, which takes some KiB more, and then nothing.
+    // The gateway is suspended with the line open, which buffers a few KiB and then blocks.
     gateway.process.signal("STOP");
     let still = Instant::now();
     until("half a second", PATIENCE, || {

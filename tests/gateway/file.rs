@@ -5,7 +5,7 @@ use std::path::Path;
 use ztl_std::{RemoteTask, State};
 use ztl_tests::lab::{Ended, PATIENCE, Process, Scratch, until, ztl};
 
-/// `ztl gateway` with these words, which has to end by itself.
+/// `ztl gateway` with these arguments; it must exit by itself.
 #[track_caller]
 fn run(words: &[&str]) -> Ended {
     Process::run(ztl().arg("gateway").args(words))
@@ -25,7 +25,7 @@ fn written(scratch: &Scratch, text: &str) -> String {
 }
 
 #[test]
-fn the_example_is_right_and_checking_it_serves_nothing() {
+fn the_example_is_valid_and_checking_it_serves_nothing() {
     let ended = run(&[&project("examples/gateway.yaml"), "--check"]);
     let said = "Nothing is wrong: gripper, head, lamp, try-me, scope /lab, at 127.0.0.1:12345.\n";
     assert_eq!(
@@ -35,7 +35,7 @@ fn the_example_is_right_and_checking_it_serves_nothing() {
 }
 
 #[test]
-fn the_check_finds_what_the_start_would_fail_at() {
+fn the_check_finds_errors_that_would_fail_the_start() {
     let scratch = Scratch::new();
     std::fs::write(scratch.path("file"), "").expect("to write");
     std::os::unix::fs::symlink("loop", scratch.path("loop")).expect("a link");
@@ -43,7 +43,7 @@ fn the_check_finds_what_the_start_would_fail_at() {
     std::fs::write(scratch.path("precious"), "a: {b: 1}\n").expect("to write");
     let devices = "scope: /lab\ndevices: {head: sim:head}\n";
     for (text, code, said) in [
-        // An address of nobody (RFC 5737), and an interface of nobody.
+        // An address reserved for documentation (RFC 5737), and an interface that does not exist.
         (
             "port: 0\nbind: 192.0.2.1\njournal: off\n",
             1,
@@ -101,7 +101,7 @@ fn the_check_finds_what_the_start_would_fail_at() {
 }
 
 #[test]
-fn checking_the_file_of_a_running_gateway_disturbs_nobody() {
+fn checking_a_running_gateways_file_does_not_disturb_it() {
     let scratch = Scratch::new();
     let text = "scope: /lab\ndevices: {head: sim:head}\njournal: journal\nport: ";
     let file = written(&scratch, &format!("{text}0\n"));
@@ -137,7 +137,7 @@ fn checking_the_file_of_a_running_gateway_disturbs_nobody() {
 }
 
 #[test]
-fn every_key_stands_in_the_manual() {
+fn the_manual_documents_every_key() {
     let scratch = Scratch::new();
     let file = written(
         &scratch,
@@ -160,7 +160,7 @@ fn every_key_stands_in_the_manual() {
 }
 
 #[test]
-fn a_file_with_mistakes_is_refused_with_all_of_them_and_an_exit_code_of_its_own() {
+fn an_invalid_file_is_rejected_with_every_mistake_and_its_exit_code() {
     let scratch = Scratch::new();
     let file = written(
         &scratch,
@@ -180,7 +180,7 @@ fn a_file_with_mistakes_is_refused_with_all_of_them_and_an_exit_code_of_its_own(
 }
 
 #[test]
-fn what_neither_the_file_nor_an_option_says_is_asked_for() {
+fn a_missing_setting_is_reported_with_its_option_and_key() {
     let scratch = Scratch::new();
     let file = written(&scratch, "scope: /lab\ndevices: {head: sim:head}\n");
     let missing = run(&[&file, "--check"]);
@@ -206,7 +206,7 @@ fn what_neither_the_file_nor_an_option_says_is_asked_for() {
 }
 
 #[test]
-fn the_journal_is_kept_where_the_file_says() {
+fn the_file_sets_the_journals_path() {
     let scratch = Scratch::new();
     let text = "scope: /lab\nport: 0\ndevices: {head: sim:head}\njournal: ";
     for (journal, said) in [
@@ -224,7 +224,7 @@ fn the_journal_is_kept_where_the_file_says() {
 }
 
 #[test]
-fn only_whom_the_file_and_the_options_allow_may_connect() {
+fn only_clients_allowed_by_file_and_options_may_connect() {
     let scratch = Scratch::new();
     let text = "scope: /lab\nport: 0\nallow: 192.0.2.0/24\ndevices: {head: sim:head}\n";
     let file = written(&scratch, text);
@@ -233,7 +233,7 @@ fn only_whom_the_file_and_the_options_allow_may_connect() {
 }
 
 #[test]
-fn a_file_and_options_are_served_together_and_an_option_wins() {
+fn options_override_the_configuration_file() {
     let scratch = Scratch::new();
     let file = written(
         &scratch,

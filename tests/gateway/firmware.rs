@@ -78,7 +78,7 @@ fn run(listener: &TcpListener, components: impl Components, stop: &AtomicBool) {
     }
 }
 
-/// Moves for as long as nobody stops it.
+/// Moves until it is stopped.
 pub(crate) struct Endless {
     pub(crate) name: &'static str,
     pub(crate) loss: Loss,
@@ -135,7 +135,7 @@ impl Component for Endless {
     }
 }
 
-/// Publishes, again and again, a number as text under `count` and its bytes under `raw`.
+/// Publishes repeatedly a number as text under `count` and its bytes under `raw`.
 #[derive(Default)]
 pub(crate) struct Counter {
     published: u32,

@@ -10,7 +10,7 @@ use ztl_std::gateway::{Devices, Endpoint, Gateway, Line};
 use ztl_std::{RemoteTask, RunningServer, State, TaskServer};
 use ztl_tests::lab::{PATIENCE, Process, SCOPE, Server, reserve_port, until, ztl};
 
-/// What the gateway says is wrong with a device.
+/// The problem that the gateway reports for a device.
 #[track_caller]
 pub(crate) fn trouble(watch: &Devices, device: &str) -> String {
     until("a trouble", PATIENCE, || {
@@ -28,7 +28,7 @@ pub(crate) fn serve(gateway: Gateway) -> (RunningServer, RemoteTask) {
     (server, remote)
 }
 
-/// Starts a task as soon as it is taken, and waits for its end.
+/// Starts a task as soon as it is accepted, and waits for its end.
 #[track_caller]
 pub(crate) fn complete(
     remote: &mut RemoteTask,
@@ -87,7 +87,7 @@ fn a_path_that_is_not_a_serial_port_is_reported() {
 }
 
 #[test]
-fn a_line_rate_on_a_pty_harms_nothing() {
+fn a_pty_ignores_the_line_rate() {
     for rate in [300, 9600, 115_200, 1_234_567] {
         let (_device, pty) = Device::new(Kind::Gripper).on_pty(None).expect("a pty");
         let mut gateway = Gateway::new();
@@ -100,15 +100,15 @@ fn a_line_rate_on_a_pty_harms_nothing() {
     }
 }
 
-/// What a bootloader says before the firmware runs.
+/// The output of a bootloader before the firmware runs.
 const NOISE: &[u8] =
     b"\xff\xfe\x00ets Jan 8 2013,rst cause:1, boot mode:(3,6)\r\n\x00\x01\x07garbage";
 
 #[test]
-fn a_board_that_is_reset_by_being_opened_is_served() {
+fn a_board_that_resets_when_its_port_opens_is_served() {
     let opened = Arc::new(AtomicU32::new(0));
     let count = Arc::clone(&opened);
-    // The firmware of the latest reset; the one before has lost its power.
+    // The firmware since the latest reset; the earlier one has lost power.
     let power = Mutex::new(None);
     let mut gateway = Gateway::new();
     gateway
@@ -132,7 +132,7 @@ fn a_board_that_is_reset_by_being_opened_is_served() {
 }
 
 #[test]
-fn a_connection_whose_other_end_is_gone_is_reopened() {
+fn a_broken_connection_is_reopened() {
     let peer = TcpListener::bind("127.0.0.1:0").expect("a port");
     let address = peer.local_addr().expect("its address");
     let mut gateway = Gateway::new();
@@ -140,13 +140,13 @@ fn a_connection_whose_other_end_is_gone_is_reopened() {
     gateway
         .add("arm", url.parse().expect("a URL"))
         .expect("a thread");
-    // Kept open, and never answered: as of a device whose power was cut.
+    // Kept open without answers, like a device without power.
     let connections = [accept(&peer), accept(&peer)];
     drop(connections);
 }
 
 #[test]
-fn a_device_that_comes_and_goes_without_pause_fills_no_log() {
+fn a_device_that_reconnects_constantly_does_not_flood_the_log() {
     let port = reserve_port();
     let peer = TcpListener::bind(("127.0.0.1", port)).expect("a port");
     let mut command = ztl();
@@ -155,7 +155,7 @@ fn a_device_that_comes_and_goes_without_pause_fills_no_log() {
     for _ in 0..6 {
         drop(accept(&peer));
     }
-    // Nobody listens any more, either.
+    // The listener is closed, too.
     drop(peer);
     gateway.wait_for("refused");
     gateway.signal("TERM");
@@ -165,15 +165,15 @@ fn a_device_that_comes_and_goes_without_pause_fills_no_log() {
         .lines()
         .filter(|line| line.contains("'arm'"))
         .collect();
-    // Closed, in one or the other way that the system reports it, and refused: each said once.
+    // Closed, as the system reports it in one of two ways, and refused: each logged once.
     assert!((1..=4).contains(&lines.len()), "{ended:?}");
 }
 
 #[test]
-fn a_name_that_leads_elsewhere_is_followed() {
+fn a_device_link_that_changes_its_target_is_reopened() {
     let scratch = ztl_tests::lab::Scratch::new();
     let (link, silent) = (scratch.path("gripper"), scratch.path("silent"));
-    // A port that is there and never answers, as one that is another's by now.
+    // An open port that never answers, like a port that now belongs to another program.
     let nobody = TcpListener::bind("127.0.0.1:0").expect("a port");
     let mut line = ztl();
     let address = nobody.local_addr().expect("its address");
@@ -212,11 +212,11 @@ fn a_pty_recreated_under_the_same_name_is_found() {
             complete(&mut remote, "gripper", "finger", &goal),
             format!("{goal}.0")
         );
-        // Unplugged; its name stays behind, and leads nowhere. (The pty's own number would soon be another's.)
+        // Unplugged; its link remains and leads nowhere. (The pty's number could soon be reused.)
         std::fs::remove_file(&link).expect("the link");
         std::os::unix::fs::symlink(scratch.path("nowhere"), &link).expect("a link");
         drop(device);
-        // While it is still there it may be busy.
+        // The port may be busy while it still exists.
         until("it is missed", PATIENCE, || {
             let refused = remote.trigger("gripper", "finger", "1").err()?;
             (!refused.to_string().contains("busy")).then_some(())
@@ -225,6 +225,6 @@ fn a_pty_recreated_under_the_same_name_is_found() {
     gateway.process.signal("TERM");
     let ended = gateway.process.end(PATIENCE);
     let ready = ended.stderr.matches("Device 'gripper' is ready").count();
-    // A busy machine may lose it for a moment, too.
+    // A busy machine may also lose it for a moment.
     assert!(ready >= 4, "{ended:?}");
 }

@@ -1,5 +1,5 @@
-//! What a device logs by defmt, over the link and made readable: a program of this machine that defmt's
-//! own macros have made a log of (`tests/log-device`).
+//! A device's defmt log, sent over the link and decoded. `tests/log-device` is a program for this machine whose
+//! log defmt's own macros have written.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -11,7 +11,7 @@ use ztl_tests::lab::{PATIENCE, Process, SCOPE, Scratch, built, ztl};
 
 use crate::lines::{complete, serve};
 
-/// The program, built here, since nothing else in the project may be built with its features.
+/// The program is built here, because no other part of the project may be built with its features.
 #[track_caller]
 fn elf() -> &'static Path {
     static BUILT: OnceLock<PathBuf> = OnceLock::new();
@@ -20,7 +20,7 @@ fn elf() -> &'static Path {
         let target = built("ztl").with_file_name("log-device");
         let host = "x86_64-unknown-linux-gnu";
         let mut cargo = Command::new(env!("CARGO"));
-        // With a target, the flags are not for what runs while it is built.
+        // With a target, the flags do not apply to build scripts.
         cargo
             .args([
                 "build",
@@ -47,7 +47,7 @@ fn device() -> (Process, String) {
     (device, line.trim_start_matches("logging at ").to_owned())
 }
 
-/// A gateway that reads the device's log with this file.
+/// A gateway that decodes the device's log with this file.
 #[track_caller]
 fn gateway(address: &str, elf: &Path, more: &[&str]) -> (Process, ztl_std::RemoteTask) {
     let mut command = ztl();
@@ -72,7 +72,7 @@ fn gateway(address: &str, elf: &Path, more: &[&str]) -> (Process, ztl_std::Remot
 }
 
 #[test]
-fn every_kind_of_value_is_readable_with_its_level_and_place() {
+fn every_kind_of_value_is_logged_with_its_level_and_position() {
     let (_device, address) = device();
     let (gateway, mut remote) = gateway(&address, elf(), &["--log", "debug"]);
     gateway.wait_for("INFO:firmware:arm: [1.500] started (src/main.rs:");
@@ -90,7 +90,7 @@ fn every_kind_of_value_is_readable_with_its_level_and_place() {
 }
 
 #[test]
-fn a_log_is_there_for_machines_too_and_a_task_says_whats_its() {
+fn json_log_events_name_their_device_and_source_position() {
     let (_device, address) = device();
     let (gateway, mut remote) = gateway(&address, elf(), &["--log-format", "json"]);
     complete(&mut remote, "arm", "motor", "left");
@@ -103,22 +103,22 @@ fn a_log_is_there_for_machines_too_and_a_task_says_whats_its() {
 }
 
 #[test]
-fn a_flood_is_cut_short_and_what_the_device_has_lost_is_said() {
+fn a_log_flood_is_truncated_and_lost_records_are_reported() {
     let (_device, address) = device();
     let (gateway, mut remote) = gateway(&address, elf(), &[]);
     complete(&mut remote, "arm", "motor", "flood");
     gateway.wait_for("WARNING:firmware:arm: ");
-    gateway.wait_for("bytes of its log were lost, since it had no room for them");
+    gateway.wait_for("bytes of its log were lost, because its buffer was full");
     gateway.signal("TERM");
     let ended = gateway.end(PATIENCE);
     let numbers = ended.stderr.matches(": [1.500] number ").count();
     assert!((1..200).contains(&numbers), "{numbers}");
-    // What was cut in the middle is no message, and no reason to suspect the file.
-    assert!(!ended.stderr.contains("makes no sense"), "{ended:?}");
+    // A message truncated in the middle is not decoded and does not make the file suspect.
+    assert!(!ended.stderr.contains("does not match"), "{ended:?}");
 }
 
 #[test]
-fn a_file_that_is_of_no_use_is_refused_before_anything_is_served() {
+fn an_unusable_elf_file_is_rejected_before_serving() {
     let scratch = Scratch::new();
     let text = scratch.path("text");
     std::fs::write(&text, "no ELF file").expect("to write");
@@ -159,10 +159,10 @@ fn a_file_that_is_of_no_use_is_refused_before_anything_is_served() {
 }
 
 #[test]
-fn another_firmwares_file_is_suspected() {
+fn an_elf_file_of_other_firmware_is_suspected() {
     let (_device, address) = device();
     let scratch = Scratch::new();
-    // As of a firmware that has other messages: of those that this one logs there are none.
+    // Simulates other firmware by renaming the messages, so that none of this device's messages is known.
     let mut other = std::fs::read(elf()).expect("the file");
     let (known, unknown) = (b"\"defmt_info\"", b"\"other_info\"");
     for place in 0..other.len().saturating_sub(known.len()) {
@@ -176,15 +176,15 @@ fn another_firmwares_file_is_suspected() {
     for _ in 0..3 {
         complete(&mut remote, "arm", "motor", "left");
     }
-    let line = gateway.wait_for("makes no sense by");
+    let line = gateway.wait_for("sends a log that does not match");
     assert!(
-        line.contains("probably it is not the ELF file of its firmware"),
+        line.contains("it is probably not the ELF file of its firmware"),
         "{line}"
     );
 }
 
 #[test]
-fn the_raw_log_is_kept_and_read_later() {
+fn the_raw_log_is_saved_and_decoded_later() {
     let (_device, address) = device();
     let mut gateway = Gateway::new();
     gateway
@@ -207,7 +207,7 @@ fn the_raw_log_is_kept_and_read_later() {
 }
 
 #[test]
-fn the_log_is_shown_from_elsewhere_too() {
+fn the_log_can_be_shown_from_a_remote_client() {
     let (_device, address) = device();
     let (gateway, mut remote) = gateway(&address, elf(), &["--log", "debug"]);
     complete(&mut remote, "arm", "motor", "all");
@@ -232,7 +232,7 @@ fn the_log_is_shown_from_elsewhere_too() {
         "{once:?}"
     );
 
-    // What comes afterwards is seen when it comes.
+    // Later messages appear when they arrive.
     let follows = ask(&["arm", "--elf", &elf]);
     follows.wait_for("1.25 {}");
     complete(&mut remote, "arm", "motor", "all");

@@ -1,4 +1,4 @@
-//! A faulty device does not harm the others.
+//! A faulty device does not affect the others.
 
 use std::io::Write;
 use std::net::{TcpListener, TcpStream};
@@ -12,19 +12,19 @@ use ztl_tests::lab::{PATIENCE, until};
 
 use crate::lines::{complete, serve, trouble};
 
-/// Half of the times are shorter.
+/// The median time.
 fn median(times: &mut [Duration]) -> Duration {
     times.sort();
     times[times.len() / 2]
 }
 
-/// How long a trivial task takes from INIT to the news of its end.
+/// How long a trivial task takes from INIT to its final state.
 #[track_caller]
 fn latency(remote: &mut ztl_std::RemoteTask) -> Duration {
     let mut times: Vec<Duration> = (0..60)
         .map(|_| {
             let start = Instant::now();
-            // Where it stands already.
+            // The current position.
             complete(remote, "head", "pan", "0");
             start.elapsed()
         })
@@ -33,7 +33,7 @@ fn latency(remote: &mut ztl_std::RemoteTask) -> Duration {
 }
 
 #[test]
-fn a_flood_a_black_hole_and_a_hanging_port_leave_their_neighbour_as_it_is() {
+fn a_flooding_silent_or_blocked_device_does_not_affect_its_neighbour() {
     let mut gateway = Gateway::new();
     gateway
         .add("head", ztl_sim::endpoint("sim:head").unwrap())
@@ -62,7 +62,7 @@ fn a_flood_a_black_hole_and_a_hanging_port_leave_their_neighbour_as_it_is() {
             }
         }
     });
-    // Takes the connection, and neither reads nor writes.
+    // Accepts the connection and neither reads nor writes.
     let hole = TcpListener::bind("127.0.0.1:0").unwrap();
     let swallowed = hole.local_addr().unwrap();
     let (release, hang) = mpsc::channel::<()>();
@@ -92,14 +92,14 @@ fn a_flood_a_black_hole_and_a_hanging_port_leave_their_neighbour_as_it_is() {
     );
     assert!(trouble(&watch, "hole").ends_with(": nothing there answers"));
     trouble(&watch, "flood");
-    // The flood keeps a core busy, which is not the gateway's to share out; waiting for any of the
+    // The flood keeps a core busy, which the gateway cannot prevent. Waiting for any of the
     // three would take hundreds of milliseconds.
     until("its latency alone", PATIENCE, || {
         let beside = latency(&mut remote);
         println!("alone {alone:?}, beside them {beside:?}");
         (beside < alone + Duration::from_millis(50)).then_some(())
     });
-    // A task for one of them is refused in time, whatever it does.
+    // A task for one of the faulty devices is always rejected in time.
     for device in ["flood", "hole", "hang"] {
         let refused = remote.trigger(device, "any", "thing");
         assert!(
@@ -107,7 +107,7 @@ fn a_flood_a_black_hole_and_a_hanging_port_leave_their_neighbour_as_it_is() {
             "{device}: {refused:?}"
         );
     }
-    // And the gateway ends, though the open has not returned.
+    // The gateway exits although the open has not returned.
     let asked = Instant::now();
     drop(server);
     assert!(

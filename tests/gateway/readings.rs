@@ -14,7 +14,7 @@ fn bench() -> Firmware {
     Firmware::start((Endless::new("arm", Loss::Abort), Counter::default()))
 }
 
-/// The next number published as text, and that its bytes follow it.
+/// The next number published as text; checks that its bytes follow.
 #[track_caller]
 fn next_pair(readings: &Readings) -> u32 {
     let count = readings.next_within(PATIENCE).expect("a reading");
@@ -32,7 +32,7 @@ fn next_pair(readings: &Readings) -> u32 {
 }
 
 #[test]
-fn an_observer_gets_every_reading_in_order_and_a_slow_one_harms_nobody() {
+fn an_observer_gets_all_readings_in_order_despite_a_slow_observer() {
     let firmware = bench();
     let mut gateway = Gateway::new();
     let readings = gateway.observe(1000);
@@ -45,7 +45,7 @@ fn an_observer_gets_every_reading_in_order_and_a_slow_one_harms_nobody() {
     for number in 1..50 {
         assert_eq!(next_pair(&readings), first + number);
     }
-    // The one that has taken nothing has the latest four, and tasks go on as ever.
+    // The slow observer has the latest four, and tasks run as before.
     assert!(slow.lost() > 90, "{}", slow.lost());
     let (server, mut remote) = serve(gateway);
     let id = until("a task is taken", PATIENCE, || {
@@ -53,14 +53,14 @@ fn an_observer_gets_every_reading_in_order_and_a_slow_one_harms_nobody() {
     })
     .id;
     assert!(remote.abort(id).is_ok());
-    // They go on, and end with the gateway.
+    // Readings continue, and end with the gateway.
     next_pair(&readings);
     drop(server);
     assert!(slow.count() <= 4);
     assert!(readings.count() < 1000);
 }
 
-/// `ztl gateway` that publishes, and where.
+/// `ztl gateway` with a publishing port, and that port.
 fn publishing(firmware: &Firmware) -> (Process, String) {
     let mut command = ztl();
     command.args(["gateway", "-p", "0", "-s", SCOPE, "--publish", "0", "-d"]);
@@ -73,7 +73,7 @@ fn publishing(firmware: &Firmware) -> (Process, String) {
 }
 
 #[test]
-fn any_subscriber_gets_what_it_asks_for_and_a_dead_one_harms_nobody() {
+fn each_subscriber_gets_its_topics_despite_a_dead_subscriber() {
     let firmware = bench();
     let (gateway, endpoint) = publishing(&firmware);
     let context = zmq::Context::new();
@@ -85,7 +85,7 @@ fn any_subscriber_gets_what_it_asks_for_and_a_dead_one_harms_nobody() {
         socket.set_subscribe(prefix.as_bytes()).expect("a prefix");
         socket
     };
-    // Takes nothing, ever.
+    // Never reads.
     let dead = subscriber("");
     let counts = subscriber("bench/counter/count");
     let mut last = None;
@@ -108,7 +108,7 @@ fn any_subscriber_gets_what_it_asks_for_and_a_dead_one_harms_nobody() {
 }
 
 #[test]
-fn a_python_program_of_five_lines_hears_the_readings() {
+fn a_five_line_python_program_receives_the_readings() {
     let firmware = bench();
     let (_gateway, endpoint) = publishing(&firmware);
     let manual = concat!(env!("CARGO_MANIFEST_DIR"), "/../docs/gateway.md");
@@ -129,7 +129,7 @@ fn a_python_program_of_five_lines_hears_the_readings() {
 }
 
 #[test]
-fn a_port_for_readings_that_is_taken_is_named() {
+fn a_readings_port_in_use_is_reported() {
     let taken = std::net::TcpListener::bind(("127.0.0.1", 0)).expect("a port");
     let port = taken.local_addr().expect("its address").port().to_string();
     let mut command = ztl();

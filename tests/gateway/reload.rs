@@ -1,4 +1,4 @@
-//! SIGHUP: the gateway reads its configuration again, and tasks go on.
+//! SIGHUP: the gateway reads its configuration again, and tasks continue.
 
 use ztl_mcu::link::Loss;
 use ztl_std::{RemoteId, RemoteTask, State};
@@ -75,7 +75,7 @@ fn started(remote: &mut RemoteTask, device: &str, component: &str, goal: &str) -
 }
 
 #[test]
-fn devices_come_and_go_and_the_tasks_of_others_go_on() {
+fn reloads_add_and_remove_devices_without_disturbing_other_tasks() {
     let firmware = Firmware::start((Endless::new("arm", Loss::Abort),));
     let bench = format!("devices:\n  bench: tcp:{}\n", firmware.address);
     let mut lab = Lab::new(&format!("{bench}  head: sim:head\n"));
@@ -83,7 +83,7 @@ fn devices_come_and_go_and_the_tasks_of_others_go_on() {
     let arm = started(&mut remote, "bench", "arm", "go");
     let head = started(&mut remote, "head", "pan", "left");
     lab.reload(&format!("{bench}  gripper: sim:gripper\n"));
-    // Whose device is not served any more is aborted.
+    // The task of a device that is no longer served is aborted.
     let end = remote.wait(&head, Some(PATIENCE)).expect("its end");
     assert_eq!(end.state, State::Aborted);
     let refused = remote
@@ -98,7 +98,7 @@ fn devices_come_and_go_and_the_tasks_of_others_go_on() {
     let end = remote.wait(&finger, Some(PATIENCE)).expect("its end");
     assert_eq!((end.state, end.text.as_str()), (State::Completed, "3.0"));
 
-    // Served elsewhere: what runs there is aborted first.
+    // Its URL changed: the running task is aborted first.
     let finger = started(&mut remote, "gripper", "finger", "100");
     lab.reload(&format!("{bench}  gripper: sim:head\n"));
     let end = remote.wait(&finger, Some(PATIENCE)).expect("its end");
@@ -110,7 +110,7 @@ fn devices_come_and_go_and_the_tasks_of_others_go_on() {
 }
 
 #[test]
-fn a_file_with_mistakes_changes_nothing_and_each_is_said() {
+fn reloading_an_invalid_file_changes_nothing_and_reports_each_mistake() {
     let mut lab = Lab::new("devices: {head: sim:head}\n");
     let mut remote = lab.remote();
     let head = started(&mut remote, "head", "pan", "left");
@@ -129,7 +129,7 @@ fn a_file_with_mistakes_changes_nothing_and_each_is_said() {
 }
 
 #[test]
-fn rules_limits_and_the_log_are_changed_and_the_rest_waits_for_a_restart() {
+fn a_reload_changes_rules_limits_and_logging_and_nothing_else() {
     let mut lab = Lab::new("allow: 127.0.0.0/8\nlog: warn\ndevices: {head: sim:head}\n");
     let mut remote = lab.remote();
     let head = started(&mut remote, "head", "pan", "left");
@@ -138,7 +138,7 @@ fn rules_limits_and_the_log_are_changed_and_the_rest_waits_for_a_restart() {
          limits: {running: 1, queue: 7}\ndevices: {head: sim:head}\n",
     );
     for key in ["bind", "log-format", "queue"] {
-        let said = format!("'{key}' has changed, which takes effect at the next start.");
+        let said = format!("'{key}' has changed; restart to apply it.");
         lab.gateway.wait_for(&said);
     }
     assert!(!lab.gateway.stderr().contains("'limits'"));
@@ -155,7 +155,7 @@ fn rules_limits_and_the_log_are_changed_and_the_rest_waits_for_a_restart() {
     );
     lab.gateway.wait_for("'head:pan:left' has ended as ABORTED");
 
-    // Nobody is allowed any more, not even those who are connected.
+    // No client is allowed any more, not even connected ones.
     lab.reload("allow: 192.0.2.0/24\ndevices: {head: sim:head}\n");
     remote.status(&head).expect_err("no answer");
     lab.reload("allow: 127.0.0.1\ndevices: {head: sim:head}\n");
@@ -163,16 +163,16 @@ fn rules_limits_and_the_log_are_changed_and_the_rest_waits_for_a_restart() {
 }
 
 #[test]
-fn a_gateway_that_lets_in_everybody_needs_a_restart_to_ask_who_they_are() {
+fn enabling_authentication_needs_a_restart() {
     let mut lab = Lab::new("devices: {head: sim:head}\n");
     lab.reload("allow: 192.0.2.0/24\ndevices: {head: sim:head}\n");
     lab.gateway
-        .wait_for("'allow' has changed, which takes effect at the next start.");
+        .wait_for("'allow' has changed; restart to apply it.");
     started(&mut lab.remote(), "head", "pan", "left");
 }
 
 #[test]
-fn without_a_file_there_is_nothing_to_reload() {
+fn a_gateway_without_a_file_has_nothing_to_reload() {
     let words = ["gateway", "-p", "0", "-s", "/lab", "-d", "head=sim:head"];
     let gateway = Process::start(ztl().args(words));
     gateway.wait_for("Device 'head' is ready");
@@ -182,7 +182,7 @@ fn without_a_file_there_is_nothing_to_reload() {
     assert_eq!(gateway.end(PATIENCE).code, Some(143));
 }
 
-/// A named pipe in the place of a file: nobody writes into it.
+/// A named pipe in place of a file, without a writer.
 #[track_caller]
 fn replace_by_pipe(path: &std::path::Path) {
     std::fs::remove_file(path).ok();
@@ -191,7 +191,7 @@ fn replace_by_pipe(path: &std::path::Path) {
 }
 
 #[test]
-fn a_file_that_became_a_named_pipe_is_refused_and_the_next_reload_is_served() {
+fn a_named_pipe_is_rejected_and_the_next_reload_works() {
     let mut lab = Lab::new("devices: {head: sim:head}\n");
     let file = lab.scratch.path("lab.yaml");
     replace_by_pipe(&file);
@@ -203,7 +203,7 @@ fn a_file_that_became_a_named_pipe_is_refused_and_the_next_reload_is_served() {
     lab.reload("key: robot.key_secret\ndevices: {head: sim:head}\n");
     lab.gateway
         .wait_for("robot.key_secret: it is not a regular file");
-    // Whoever holds the other end of it decides when it ends.
+    // The process at the other end decides when the stream ends.
     lab.reload("key: /dev/stdin\ndevices: {head: sim:head}\n");
     lab.gateway
         .wait_for("lab.yaml:3:6: '/dev/stdin' is not a regular file");
@@ -212,7 +212,7 @@ fn a_file_that_became_a_named_pipe_is_refused_and_the_next_reload_is_served() {
 }
 
 #[test]
-fn a_configuration_that_came_from_a_stream_is_not_waited_for_again() {
+fn a_configuration_read_from_a_stream_is_not_reread() {
     let mut gateway = Process::start(ztl().args(["gateway", "/dev/stdin"]));
     gateway.write_line(&file_of("devices: {head: sim:head}"));
     gateway.close_stdin();
@@ -242,7 +242,7 @@ fn mistakes_of_a_reload_name_their_file_in_each_entry_of_a_json_log() {
 }
 
 #[test]
-fn when_its_terminal_is_gone_it_stops_as_ever() {
+fn a_hangup_of_its_terminal_stops_the_gateway() {
     let scratch = Scratch::new();
     let (file, log) = (scratch.path("lab.yaml"), scratch.path("log"));
     std::fs::write(&file, file_of("devices: {head: sim:head}\n")).expect("to write");

@@ -24,7 +24,7 @@ fn gateway(devices: &[&str]) -> Command {
 }
 
 #[test]
-fn systemd_hears_that_it_is_ready_how_it_does_that_it_lives_and_that_it_stops() {
+fn systemd_is_notified_of_readiness_status_liveness_and_stopping() {
     let scratch = Scratch::new();
     let path = scratch.path("notify");
     let name = format!("ztl-test-{}", std::process::id());
@@ -43,7 +43,7 @@ fn systemd_hears_that_it_is_ready_how_it_does_that_it_lives_and_that_it_stops() 
             .env("WATCHDOG_USEC", "400000");
         let process = Process::start(&mut command);
         let ready = manager.wait_for("READY=1", 1);
-        // The simulated one may be ready by then.
+        // The simulated device may be ready by then.
         assert!(ready.contains(" of 2 devices ready; arm: "), "{ready}");
         manager.wait_for("WATCHDOG=1", 2);
         process.wait_for("Device 'head' is ready");
@@ -79,7 +79,7 @@ fn a_watchdog_meant_for_another_process_is_not_fed() {
     assert!(!fed, "{:?}", manager.messages());
 }
 
-/// A task that the gateway has taken.
+/// A task that the gateway has accepted.
 #[track_caller]
 fn started(remote: &mut RemoteTask, device: &str, component: &str, goal: &str) -> ztl_std::TaskId {
     until("a task is taken", PATIENCE, || {
@@ -91,7 +91,7 @@ fn started(remote: &mut RemoteTask, device: &str, component: &str, goal: &str) -
 }
 
 #[test]
-fn asked_to_stop_it_stops_every_task_and_says_so() {
+fn a_signal_stops_every_task_and_reports_it() {
     let gateway = Server::simulated();
     let mut remote = RemoteTask::connect(&gateway.endpoint(), SCOPE).expect("an address");
     let head = started(&mut remote, "head", "pan", "left");
@@ -110,13 +110,13 @@ fn asked_to_stop_it_stops_every_task_and_says_so() {
     let last: Vec<&str> = ended.stdout.lines().rev().take(2).collect();
     let said = [
         "Stopped.",
-        "Stopping; once more (Ctrl-C, SIGTERM) leaves at once.",
+        "Stopping; another Ctrl-C or SIGTERM exits at once.",
     ];
     assert_eq!(last, said);
 }
 
 #[test]
-fn asked_to_leave_tasks_running_it_says_what_becomes_of_each_and_tells_no_end() {
+fn leave_running_reports_what_each_task_will_do_and_no_outcome() {
     let firmware = Firmware::start((
         Endless::new("arm", Loss::Abort),
         Endless::new("lift", Loss::Hold),
@@ -131,7 +131,7 @@ fn asked_to_leave_tasks_running_it_says_what_becomes_of_each_and_tells_no_end() 
     let mut remote = RemoteTask::connect(endpoint.expect("it is said"), SCOPE).expect("an address");
     let tasks = ["arm", "lift", "pump"].map(|name| started(&mut remote, "bench", name, "go"));
     process.signal("TERM");
-    // Whoever asks meanwhile hears nothing else than before.
+    // A STATUS during this time gets the same reply as before.
     for id in tasks {
         if let Ok(status) = remote.status(id) {
             assert_eq!(status.state, State::Accepted);
@@ -139,7 +139,7 @@ fn asked_to_leave_tasks_running_it_says_what_becomes_of_each_and_tells_no_end() 
     }
     let ended = process.end(PATIENCE);
     assert_eq!(ended.code, Some(143));
-    let stops = "stops by itself when it has heard nothing for its link timeout";
+    let stops = "stops by itself after its link timeout without a command";
     for (task, becomes) in [
         ("arm", format!("{stops} (abort).")),
         ("lift", format!("{stops}, and keeps its position (hold).")),
@@ -150,7 +150,7 @@ fn asked_to_leave_tasks_running_it_says_what_becomes_of_each_and_tells_no_end() 
     }
     assert!(!ended.stderr.contains("has ended"), "{ended:?}");
 
-    // The next gateway stops what it does not know.
+    // The next gateway stops tasks that it does not know.
     let gateway = Server::gateway(&[&format!("bench=tcp:{}", firmware.address)]);
     gateway.wait_ready("bench");
     let mut remote = RemoteTask::connect(&gateway.endpoint(), SCOPE).expect("an address");
@@ -158,7 +158,7 @@ fn asked_to_leave_tasks_running_it_says_what_becomes_of_each_and_tells_no_end() 
 }
 
 #[test]
-fn a_second_signal_leaves_at_once() {
+fn a_second_signal_exits_at_once() {
     let scratch = Scratch::new();
     let link = scratch.path("gripper");
     let mut command = ztl();
@@ -180,7 +180,7 @@ fn a_second_signal_leaves_at_once() {
 }
 
 #[test]
-fn a_device_that_does_not_confirm_is_named_and_its_task_is_not_told_to_have_failed() {
+fn an_unconfirmed_stop_names_the_device_and_is_not_reported_as_failed() {
     let scratch = Scratch::new();
     let link = scratch.path("gripper");
     let mut command = ztl();
@@ -235,12 +235,12 @@ fn each_tasks_start_and_end_is_logged_with_the_time() {
 }
 
 #[test]
-fn in_systemds_journal_lines_have_its_time_alone() {
+fn log_lines_for_systemds_journal_carry_no_time() {
     let gateway = gateway(&["head=sim:head"]);
     for (of, has_time) in [("2", false), ("1", true)] {
         let mut command = Command::new("sh");
         let script = format!("JOURNAL_STREAM=$(stat -L -c %d:%i /proc/self/fd/{of}) exec \"$@\"");
-        // Within the substitution stdout is its own.
+        // Within the substitution stdout is a pipe.
         let script = script.replace("fd/1", "fd/0");
         command.args(["-c", &script, "sh"]);
         command.arg(gateway.get_program()).args(gateway.get_args());
@@ -259,7 +259,7 @@ fn unit() -> (std::path::PathBuf, String) {
 }
 
 #[test]
-fn the_unit_starts_a_command_that_there_is() {
+fn the_unit_starts_an_existing_command() {
     let (_, text) = unit();
     let start = text
         .lines()
@@ -273,11 +273,11 @@ fn the_unit_starts_a_command_that_there_is() {
     assert!(text.contains("Type=notify"));
     assert!(text.contains("ExecReload=/bin/kill -HUP $MAINPID"));
     assert!(text.contains("WatchdogSec="));
-    // What no second try can mend: the exit code for a wrong configuration.
+    // The exit code for a wrong configuration, which a retry cannot fix.
     assert!(text.contains("RestartPreventExitStatus=2"));
 }
 
 #[test]
-fn systemd_finds_nothing_wrong_with_the_unit() {
+fn systemd_accepts_the_unit() {
     verify_unit(&unit().0);
 }

@@ -7,11 +7,11 @@ use std::time::{Duration, Instant};
 use ztl_std::{RemoteTask, RequestError, RunError, State, TriggerError, WaitError};
 use ztl_tests::lab::{PATIENCE, Process, SCOPE, Server, our_client, reserve_port, until, ztl};
 
-/// When the fault comes, in microseconds after the client has begun: from before its INIT arrives until after the
+/// When the fault occurs, in microseconds after the client's start: from before its INIT arrives until after the
 /// task has ended.
 const POINTS: [u64; 10] = [0, 50, 100, 200, 300, 450, 700, 1000, 1500, 5000];
 
-/// `ztl task-server` at this port; one that was killed may hold it for a moment.
+/// `ztl task-server` at this port; a killed one may hold the port for a moment.
 #[track_caller]
 fn serve(port: u16) -> Process {
     until("the port", PATIENCE, || {
@@ -23,7 +23,7 @@ fn serve(port: u16) -> Process {
     })
 }
 
-/// How often a server has done the task with this goal: it prints it.
+/// How often a server has run the task with this goal: it prints the goal.
 fn done(server: &Process, goal: &str) -> usize {
     let line = format!("goal: {goal}");
     server
@@ -38,19 +38,19 @@ fn wait_until(moment: Instant) {
     std::thread::sleep(moment.saturating_duration_since(Instant::now()));
 }
 
-/// Asks for a task that prints its goal, with `fault` at this point of it.
+/// Runs a task that prints its goal, with `fault` at this moment.
 fn run(port: u16, goal: &str, point: u64, fault: impl FnOnce()) -> Result<State, RunError> {
     let remote = RemoteTask::connect(&format!("tcp://127.0.0.1:{port}"), SCOPE);
     let mut remote = remote.expect("an address").with_timeout(PATIENCE);
-    // It is met before, so that the point is one of the task.
+    // The client connects first, so the moment falls within the task.
     let before = remote.run("test", "echo", "hi", Some(PATIENCE));
     before.expect("its end");
     let mut remote = remote.with_timeout(Duration::from_millis(500));
     let goal = goal.to_owned();
     let start = Instant::now();
     let client = std::thread::spawn(move || {
-        let fate = remote.run("test", "print", &goal, Some(Duration::from_secs(3)));
-        fate.map(|status| status.state)
+        let outcome = remote.run("test", "print", &goal, Some(Duration::from_secs(3)));
+        outcome.map(|status| status.state)
     });
     wait_until(start + Duration::from_micros(point));
     fault();
@@ -58,70 +58,70 @@ fn run(port: u16, goal: &str, point: u64, fault: impl FnOnce()) -> Result<State,
 }
 
 #[test]
-fn a_server_that_is_stopped_for_a_while_does_each_task_once() {
+fn a_suspended_server_runs_each_task_once() {
     let port = reserve_port();
     let server = serve(port);
-    // A shell that is there already is quicker than a program that has to start.
+    // A running shell reacts faster than a program that has to start.
     let mut shell = Process::start(&mut Command::new("sh"));
-    let mut fates = Vec::new();
+    let mut outcomes = Vec::new();
     for point in POINTS {
         let goal = format!("stopped at {point}");
-        let fate = run(port, &goal, point, || {
+        let outcome = run(port, &goal, point, || {
             shell.write_line(&format!("kill -STOP {}", server.id()));
             std::thread::sleep(Duration::from_millis(700));
             server.signal("CONT");
         });
         println!(
-            "stopped after {point} µs: {fate:?}, done {}",
+            "stopped after {point} µs: {outcome:?}, done {}",
             done(&server, &goal)
         );
-        match fate {
+        match outcome {
             Ok(State::Completed) => until("its line", PATIENCE, || {
                 (done(&server, &goal) > 0).then_some(())
             }),
-            // Unknown, which is neither done nor not done; or known not to have come.
+            // Either the outcome is unknown, or the INIT is known not to have arrived.
             Err(
                 RunError::NotEnded(WaitError { last: Err(_) })
                 | RunError::NotStarted(TriggerError::Request(_) | TriggerError::NeverCame),
             ) => {}
             other => panic!("{point}: {other:?}"),
         }
-        fates.push((goal, fate));
+        outcomes.push((goal, outcome));
     }
-    // Whatever was on its way has been taken by now.
+    // Every request in flight has been accepted by now.
     let last = run(port, "last", 0, || {});
     assert_eq!(last, Ok(State::Completed));
     until("its line", PATIENCE, || {
         (done(&server, "last") > 0).then_some(())
     });
-    for (goal, fate) in fates {
-        let most = usize::from(fate != Err(RunError::NotStarted(TriggerError::NeverCame)));
-        assert!(done(&server, &goal) <= most, "{goal}: {fate:?}");
+    for (goal, outcome) in outcomes {
+        let most = usize::from(outcome != Err(RunError::NotStarted(TriggerError::NeverCame)));
+        assert!(done(&server, &goal) <= most, "{goal}: {outcome:?}");
     }
 }
 
 #[test]
-fn a_server_that_is_killed_and_started_again_does_no_task_twice_and_invents_no_end() {
+fn a_killed_and_restarted_server_repeats_no_task_and_invents_no_outcome() {
     for point in POINTS {
         let port = reserve_port();
         let mut server = serve(port);
         let mut next = None;
         let goal = format!("killed at {point}");
-        let fate = run(port, &goal, point, || {
+        let outcome = run(port, &goal, point, || {
             server.kill();
             next = Some(serve(port));
         });
         let mut next = next.expect("it was started");
         next.kill();
         let line = format!("goal: {goal}");
-        // An INIT that had not left yet goes to the next one, which then does it, once.
+        // An unsent INIT goes to the next server, which then runs it once.
         let [first, second] = [server, next].map(|server| {
             let said = server.end(PATIENCE).stdout;
             said.lines().filter(|said| **said == line).count()
         });
-        println!("killed after {point} µs: {fate:?}, done {first} and {second}");
+        println!("killed after {point} µs: {outcome:?}, done {first} and {second}");
         let count = first + second;
-        match fate {
+        match outcome {
             Ok(State::Completed) => assert_eq!(count, 1, "{point}"),
             Err(RunError::NotStarted(TriggerError::NeverCame)) => assert_eq!(count, 0, "{point}"),
             Err(
@@ -136,7 +136,7 @@ fn a_server_that_is_killed_and_started_again_does_no_task_twice_and_invents_no_e
 }
 
 #[test]
-fn a_task_that_ran_when_its_server_was_killed_is_unknown_to_its_client() {
+fn a_task_running_when_its_server_is_killed_has_an_unknown_outcome() {
     let port = reserve_port();
     let mut server = serve(port);
     let endpoint = format!("tcp://127.0.0.1:{port}");
@@ -153,7 +153,7 @@ fn a_task_that_ran_when_its_server_was_killed_is_unknown_to_its_client() {
 }
 
 #[test]
-fn a_client_that_is_killed_or_stopped_at_any_point_has_its_task_done_at_most_once() {
+fn a_client_killed_or_stopped_anywhere_runs_its_task_at_most_once() {
     let server = Server::ours();
     for point in POINTS {
         let goal = format!("client killed at {point}");

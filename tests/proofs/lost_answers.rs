@@ -1,4 +1,4 @@
-//! An INIT or its answer is lost: the client never sends it again, and asks the server what became of it.
+//! An INIT or its reply is lost: the client never resends it, and asks the server for the outcome.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
@@ -10,12 +10,12 @@ use ztl_std::{
 };
 use ztl_tests::lab::{PATIENCE, SCOPE, Server, until};
 
-/// What the wire does to the first INIT that passes.
+/// The fault of the wire for the first INIT.
 #[derive(Clone, Copy, PartialEq)]
 enum Fault {
     RequestLost,
     AnswerLost,
-    /// The answer is lost, and the server is another one afterwards.
+    /// The reply is lost, and the server is restarted afterwards.
     Restart,
 }
 
@@ -42,7 +42,7 @@ fn is_init(frames: &[Vec<u8>]) -> bool {
         .is_some_and(|body| body.starts_with(b"/lab;1;"))
 }
 
-/// Passes messages on between clients and `server`, with one fault, until `stop` is dropped.
+/// Relays messages between clients and `server`, with one fault, until `stop` is dropped.
 fn wire(
     fault: Fault,
     server: String,
@@ -92,7 +92,7 @@ fn wire(
     endpoint
 }
 
-/// Triggers a task over a wire with a fault; says what its client learnt and how often it started.
+/// Triggers a task over a wire with a fault; returns the client's result and how often the task started.
 fn trigger(fault: Fault) -> (Result<State, TriggerError>, u32) {
     let started = Arc::default();
     let (one, other) = (server(&started), server(&started));
@@ -105,7 +105,7 @@ fn trigger(fault: Fault) -> (Result<State, TriggerError>, u32) {
     );
     let remote = RemoteTask::connect(&endpoint, "/lab").unwrap();
     let mut remote = remote.with_timeout(PATIENCE);
-    // It is met before, so that the fault is one of the INIT.
+    // The client connects first, so the fault affects the INIT.
     remote.server_info(false).expect("an answer");
     let mut remote = remote.with_timeout(Duration::from_secs(1));
     let told = remote.trigger("h", "c", "g").map(|task| {
@@ -116,12 +116,12 @@ fn trigger(fault: Fault) -> (Result<State, TriggerError>, u32) {
 }
 
 #[test]
-fn a_task_whose_answer_is_lost_is_known_all_the_same() {
+fn a_task_with_a_lost_reply_is_found() {
     assert_eq!(trigger(Fault::AnswerLost), (Ok(State::Completed), 1));
 }
 
 #[test]
-fn an_init_that_is_lost_is_known_not_to_have_started() {
+fn a_lost_init_is_reported_as_not_started() {
     assert_eq!(
         trigger(Fault::RequestLost),
         (Err(TriggerError::NeverCame), 0)
@@ -129,7 +129,7 @@ fn an_init_that_is_lost_is_known_not_to_have_started() {
 }
 
 #[test]
-fn after_a_restart_of_the_server_the_outcome_is_unknown_and_not_never_started() {
+fn after_a_server_restart_a_lost_init_has_an_unknown_outcome() {
     let (told, started) = trigger(Fault::Restart);
     let unknown = matches!(
         told,
@@ -140,7 +140,7 @@ fn after_a_restart_of_the_server_the_outcome_is_unknown_and_not_never_started() 
 }
 
 #[test]
-fn a_task_that_is_not_wanted_any_more_is_found_without_waiting_for_its_answer() {
+fn a_cancelled_task_is_found_without_waiting_for_its_reply() {
     let started = Arc::default();
     let server = server(&started);
     let (_running, stop) = std::sync::mpsc::channel();
@@ -162,7 +162,7 @@ fn a_task_that_is_not_wanted_any_more_is_found_without_waiting_for_its_answer() 
     let end = remote.wait(task.id, Some(PATIENCE)).unwrap();
     assert_eq!(end.state, State::Completed);
     assert_eq!(started.load(Ordering::SeqCst), 1);
-    // It is not sent at all when it was not wanted before.
+    // A task cancelled earlier is not sent at all.
     let given_up = remote.trigger_while(payload, || false);
     assert_eq!(given_up, Err(TriggerError::GivenUp));
     assert_eq!(started.load(Ordering::SeqCst), 1);
@@ -179,7 +179,7 @@ fn a_quick_task_is_run_in_a_single_round_trip() {
 }
 
 #[test]
-fn an_init_to_a_server_that_hangs_is_unknown_though_the_server_cannot_be_asked_about_it() {
+fn an_init_to_a_hanging_server_has_an_unknown_outcome() {
     let server = Server::ours();
     let remote = RemoteTask::connect(&server.endpoint(), SCOPE).unwrap();
     let mut remote = remote.with_timeout(Duration::from_millis(300));

@@ -4,7 +4,7 @@ use ztl_tests::lab::{Ended, FakeServer, PATIENCE, Process, SCOPE, connect, port_
 
 use crate::unknown_outcomes::Loses;
 
-/// A server of ours, as far as `probe` and `tasks` tell: `rest` stands behind its boot id.
+/// Simulates our server's replies to `probe` and `tasks`; `rest` follows its boot id.
 fn telling(rest: &str, tasks: Option<&str>) -> FakeServer {
     let probe = format!("$ztl;5;0;{{ztl: 1, version: '9', boot: 7{rest}}}");
     let tasks = match tasks {
@@ -29,7 +29,7 @@ fn run(server: &FakeServer, words: &[&str]) -> Ended {
 }
 
 #[test]
-fn a_task_that_cannot_be_read_hides_no_other() {
+fn an_unreadable_task_hides_no_other() {
     let entry = |id: &str, state: &str, age: &str| {
         format!(
             r#"{{"id": {id}, "scope": "/lab", "task": "a:b:{id}", "state": {state}, "text": "", "age_ms": {age}, "ended_ms": null}}"#
@@ -67,7 +67,7 @@ fn a_task_that_cannot_be_read_hides_no_other() {
     };
     assert!(aborted("8") && aborted("4294967296"));
 
-    // A device tells only ids and scopes.
+    // A device reports only ids and scopes.
     let server = telling(", running: {8: /lab, 4294967296: /lab, x: /lab}", None);
     let ended = run(&server, &["ps"]);
     assert_eq!(ended.code, Some(1), "{ended:?}");
@@ -77,7 +77,7 @@ fn a_task_that_cannot_be_read_hides_no_other() {
 }
 
 #[test]
-fn a_server_that_does_not_tell_what_runs_is_not_said_to_be_idle() {
+fn a_server_without_a_task_list_is_not_reported_as_idle() {
     let server = telling("", None);
     for words in [&["abort", "--all"][..], &["ps"], &["ps", "--json"]] {
         let ended = run(&server, words);
@@ -92,7 +92,7 @@ fn a_server_that_does_not_tell_what_runs_is_not_said_to_be_idle() {
 }
 
 #[test]
-fn what_cannot_be_read_is_quoted_in_a_few_hundred_characters() {
+fn unreadable_text_is_quoted_up_to_a_limit() {
     let long = "é".repeat(450_000);
     let server = telling(&format!(", '{long}"), Some(&format!("\"{long}\"")));
     let answer = format!("3;7;Controller threw exception: {long}");
@@ -117,14 +117,14 @@ fn listed(id: u32, scope: &str, state: u8, text: &str, ended_ms: &str) -> String
     )
 }
 
-/// Whether an ABORT for this task came.
+/// Whether an ABORT for this task arrived.
 fn abort_came(server: &FakeServer, scope: &str, id: u32) -> bool {
     let request = format!("{scope};3;{id};abort command");
     server.requests().contains(&request)
 }
 
 #[test]
-fn a_task_that_cannot_be_reached_keeps_no_other_from_being_aborted() {
+fn a_task_that_cannot_be_aborted_does_not_block_others() {
     let running = r#", running: {9: "/t;x", 8: /t, 7: /t}"#;
     for words in [&["abort", "--all"][..], &["abort", "9", "7", "8"]] {
         let server = telling(running, None);
@@ -137,13 +137,13 @@ fn a_task_that_cannot_be_reached_keeps_no_other_from_being_aborted() {
 }
 
 #[test]
-fn what_the_probe_or_the_list_says_runs_is_aborted() {
+fn tasks_in_either_the_probe_or_the_list_are_aborted() {
     let one = listed(8, "/t", 1, "", "null");
     let contradiction = listed(8, "/t", 1, "", "5");
     let ended_already = listed(8, "/t", 5, "", "5");
     let running = ", running: {8: /t}";
     for (rest, tasks, code) in [
-        // One list is cut, the other is not.
+        // One list is truncated, the other is not.
         (
             ", running: {7: /t, 8: /t}",
             format!(r#"{{"tasks": [{one}], "more": 1}}"#),
@@ -155,12 +155,12 @@ fn what_the_probe_or_the_list_says_runs_is_aborted() {
             format!(r#"{{"tasks": [{one}], "more": 0}}"#),
             0,
         ),
-        // The list cannot be read, or not as a whole.
+        // The list is unreadable, in part or as a whole.
         (running, r#"{"tasks": [], "more": -5}"#.to_owned(), 1),
         (running, r#"{"tasks": []}"#.to_owned(), 1),
         (running, r#"{"more": 0}"#.to_owned(), 1),
         (running, "nonsense".to_owned(), 1),
-        // They contradict each other, or themselves.
+        // They contradict each other or themselves.
         (running, r#"{"tasks": [], "more": 0}"#.to_owned(), 0),
         (
             running,
@@ -172,7 +172,7 @@ fn what_the_probe_or_the_list_says_runs_is_aborted() {
             format!(r#"{{"tasks": [{contradiction}], "more": 0}}"#),
             0,
         ),
-        // There is no probe that can be read.
+        // No probe is readable.
         (", '", format!(r#"{{"tasks": [{one}], "more": 0}}"#), 0),
     ] {
         let server = telling(rest, Some(&tasks));
@@ -192,7 +192,7 @@ fn what_the_probe_or_the_list_says_runs_is_aborted() {
             );
         }
     }
-    // The list is not told in a ZTL message.
+    // The list is not a ZTL message.
     let server = FakeServer::with_questions(|request| {
         let answer = match request {
             "$ztl;2;-1;probe" => "$ztl;5;0;{ztl: 1, version: '9', boot: 7, running: {8: /t}}",
@@ -208,7 +208,7 @@ fn what_the_probe_or_the_list_says_runs_is_aborted() {
 }
 
 #[test]
-fn a_task_that_the_server_does_not_list_is_not_said_to_have_ended() {
+fn a_task_missing_from_the_list_is_not_reported_as_ended() {
     let one = listed(8, "/t", 1, "", "null");
     for (rest, tasks, words) in [
         (
@@ -238,7 +238,7 @@ fn a_task_that_the_server_does_not_list_is_not_said_to_have_ended() {
             assert!(!ended.stdout.contains("No task is running"), "{ended:?}");
         }
     }
-    // The list reaches those that have ended, so the others have ended too.
+    // The list includes ended tasks, so unlisted ones have ended, too.
     let end = listed(9, "/t", 5, "there", "5");
     let server = telling("", Some(&format!(r#"{{"tasks": [{end}], "more": 5}}"#)));
     for command in [&["ps"][..], &["abort", "--all"]] {
@@ -249,7 +249,7 @@ fn a_task_that_the_server_does_not_list_is_not_said_to_have_ended() {
 }
 
 #[test]
-fn a_task_whose_end_its_server_could_not_learn_is_shown_and_aborted_as_one_that_may_run() {
+fn a_task_with_an_unknown_outcome_is_listed_and_aborted() {
     let server = serve(Loses);
     let mut remote = connect(server.endpoint());
     let id = remote.trigger("h", "c", "g").expect("it is taken").id;

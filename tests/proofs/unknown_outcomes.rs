@@ -12,7 +12,7 @@ use ztl_tests::lab::{
     our_client_at, serve, until, ztl,
 };
 
-/// What a relay answers whose server was restarted.
+/// The reply of a relay whose server was restarted.
 pub(crate) const LOST: &str = "unknown: tcp://robot:1: the server does not know task 9";
 
 /// Plays a script without an operator.
@@ -27,7 +27,7 @@ fn play(script: &str, port: u16) -> Ended {
 }
 
 #[test]
-fn a_task_whose_end_its_server_could_not_learn_has_an_unknown_outcome() {
+fn a_final_state_unknown_to_the_server_is_an_unknown_outcome() {
     let lost = format!("3;7;{LOST}");
     let server = FakeServer::answering("1;7;moving", &lost, &lost);
     let mut remote = connect(&server.endpoint());
@@ -40,7 +40,7 @@ fn a_task_whose_end_its_server_could_not_learn_has_an_unknown_outcome() {
     assert_eq!(error.to_string(), words);
     let error = remote.abort(&id).expect_err("no state is known");
     assert_eq!(error.to_string(), words);
-    // So is an ABORT answered that comes after the end: without the reason.
+    // An ABORT after the end gets the same reply, without the reason.
     let after = FakeServer::answering("1;7;moving", &lost, "3;7;False");
     let error = connect(&after.endpoint())
         .abort(&id)
@@ -64,7 +64,7 @@ impl TaskController for Loses {
 }
 
 #[test]
-fn an_unknown_outcome_that_comes_with_the_answer_to_the_init_is_unknown_too() {
+fn an_unknown_outcome_in_the_init_reply_is_reported_as_unknown() {
     let server = serve(Loses);
     let mut remote = connect(server.endpoint());
     let ran = remote.run("h", "c", "g", Some(PATIENCE));
@@ -72,14 +72,14 @@ fn an_unknown_outcome_that_comes_with_the_answer_to_the_init_is_unknown_too() {
         panic!("an end is known: {ran:?}");
     };
     assert!(
-        matches!(error.last, Err(RequestError::UnknownEnd { .. })),
+        matches!(error.last, Err(RequestError::UnknownOutcome { .. })),
         "{error:?}"
     );
 }
 
-/// What `answer` says is about another task than the one that was started with the id 7.
+/// `answer` is about another task than the one started with the id 7.
 #[test]
-fn an_answer_about_another_task_is_no_answer_about_this_one() {
+fn a_reply_about_another_task_is_not_accepted() {
     for (answer, words) in [
         ("/test;5;55;there", "about task '55' of scope '/test'"),
         ("/other;5;7;there", "about task '7' of scope '/other'"),
@@ -109,7 +109,7 @@ fn an_answer_about_another_task_is_no_answer_about_this_one() {
         assert_eq!(ended.code, Some(1), "{answer}: {ended:?}");
         assert_eq!(server.inits(), 2, "{answer}: {ended:?}");
     }
-    // The original says these without the task's id or with it; they tell nothing of the task either.
+    // The original sends these with or without the task's id; they say nothing about the task either.
     for answer in [
         "/test;2;-1;No controller for scope: /test",
         ";2;-1;Unknown protocol",
@@ -126,7 +126,7 @@ fn an_answer_about_another_task_is_no_answer_about_this_one() {
 }
 
 #[test]
-fn an_init_that_is_answered_for_another_scope_may_have_started_its_task() {
+fn an_init_answered_for_another_scope_has_an_unknown_outcome() {
     for answer in ["/other;1;7;moving", "/other;2;-1;not now"] {
         let server = FakeServer::start(move |_| answer.as_bytes().to_vec());
         let error = connect(&server.endpoint()).trigger("arm", "left", "up");
@@ -142,7 +142,7 @@ fn an_init_that_is_answered_for_another_scope_may_have_started_its_task() {
 }
 
 #[test]
-fn a_step_whose_abort_is_answered_about_another_task_is_not_tried_again() {
+fn an_abort_answered_for_another_task_is_not_retried() {
     for abort in ["4;55;True", "2;-1;not now", "5;55;there"] {
         let server = FakeServer::answering("1;7;moving", "1;7;None", abort);
         let script = "s: {a(on_failure=retry 2): {test: {x(timeout=0.2): 1}}}\n";
@@ -173,7 +173,7 @@ fn runs_nothing(server: &Server) {
 }
 
 #[test]
-fn a_task_is_aborted_when_its_time_is_over_though_its_server_hung_for_a_while() {
+fn a_task_over_its_time_limit_is_aborted_after_its_server_hung() {
     let server = Server::naps();
     let client = start_nap(&server, "1");
     server.process.signal("STOP");
@@ -191,7 +191,7 @@ fn a_task_is_aborted_when_its_time_is_over_though_its_server_hung_for_a_while() 
 }
 
 #[test]
-fn a_task_whose_abort_is_never_answered_is_said_to_run_perhaps() {
+fn a_task_with_an_unanswered_abort_is_reported_as_possibly_running() {
     let server = Server::naps();
     let client = start_nap(&server, "1");
     let mut words = our_client();
@@ -212,11 +212,11 @@ fn a_task_whose_abort_is_never_answered_is_said_to_run_perhaps() {
     server.process.signal("CONT");
 }
 
-/// 2 MiB: twice of what a server of ours takes.
+/// 2 MiB: twice the limit of our server.
 const LONG: usize = 2 << 20;
 
 #[test]
-fn an_answer_that_is_longer_than_a_request_may_be_is_taken() {
+fn a_reply_longer_than_the_request_limit_is_accepted() {
     let server = FakeServer::with_questions(|request| {
         let long = "x".repeat(LONG);
         match request.split(';').nth(1) {
@@ -235,12 +235,12 @@ fn an_answer_that_is_longer_than_a_request_may_be_is_taken() {
 }
 
 #[test]
-fn the_answer_to_an_abort_is_not_told_as_the_result() {
+fn the_reply_to_an_abort_is_not_reported_as_the_result() {
     for (abort, status, expected) in [
         ("5;7;False", "5;7;there", (State::Completed, "there")),
         ("4;7;True", "4;7;half way", (State::Aborted, "half way")),
         ("3;7;False", "3;7;no link", (State::Failed, "no link")),
-        // Nobody says more about these.
+        // These have no further information.
         ("5;7;False", "6;7;dancing", (State::Completed, "None")),
         ("4;7;True", "5;55;there", (State::Aborted, "None")),
         ("4;7;True", "5;7;there", (State::Aborted, "None")),
@@ -255,7 +255,7 @@ fn the_answer_to_an_abort_is_not_told_as_the_result() {
             "{abort} {status}"
         );
     }
-    // Its time is over, and it ended just before the ABORT.
+    // Its time limit passed, and it ended just before the ABORT.
     let server = FakeServer::start({
         let mut aborted = false;
         move |request| {
@@ -279,7 +279,7 @@ fn the_answer_to_an_abort_is_not_told_as_the_result() {
 }
 
 #[test]
-fn a_client_says_that_a_task_may_run_which_was_not_aborted() {
+fn a_client_reports_that_an_unaborted_task_may_still_run() {
     let server = FakeServer::answering("1;7;moving", "1;7;None", "1;7;False");
     let mut client = our_client_at(server.port);
     let ended = Process::run(client.args(["-t", "1", "arm:left:up"]));

@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 use ztl_tests::lab::{Process, SCOPE, Server, in_time, reserve_port, ztl};
 
-/// The example's script and where its servers are.
+/// The example's script and its configuration of servers.
 fn example(name: &str) -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR"))
         .join("../examples/scripts")
@@ -45,7 +45,7 @@ fn the_example_plays_on_the_devices_of_the_demo() {
 }
 
 #[test]
-fn a_check_shows_everything_at_its_place_with_what_was_meant() {
+fn a_check_shows_each_mistake_at_its_position_with_a_suggestion() {
     let directory = ScriptDirectory::with(
         "\
 greeting:
@@ -107,7 +107,7 @@ greeting:
             .any(|line| line.starts_with(place) && line.contains(words));
         assert!(told, "{place} {words}: {}", ended.stdout);
     }
-    // A mark stands below what is meant.
+    // The marker is below the text that it refers to.
     let marked = "  2 |   hello (wait=ture; dealy=2):\n    |               ^^^^\n";
     assert!(ended.stdout.contains(marked), "{}", ended.stdout);
     assert!(
@@ -115,7 +115,7 @@ greeting:
         "{}",
         ended.stdout
     );
-    // What has mistakes is not played, and says why.
+    // A script with mistakes is not played, and the output says why.
     let played = directory.run(PLAY);
     assert_eq!((played.code, played.stdout.as_str()), (Some(1), ""));
     assert!(
@@ -128,7 +128,7 @@ greeting:
 }
 
 #[test]
-fn names_of_servers_are_checked_where_there_is_a_configuration() {
+fn server_names_are_checked_against_the_configuration() {
     let directory = ScriptDirectory::with("s: {a: {robto: {say: hi}}}\n", &[("robot", 1, "/r")]);
     let ended = directory.run("check show.yaml -c remotes.yaml");
     assert_eq!(ended.code, Some(1));
@@ -204,7 +204,7 @@ fn one_cause_is_one_finding() {
 }
 
 #[test]
-fn a_slip_in_a_key_is_one_finding_with_its_remedy() {
+fn a_mistyped_key_is_one_finding_with_a_suggestion() {
     let colon = "write a space after the colon: echo: 1";
     for (lines, found) in [
         (
@@ -274,7 +274,7 @@ fn a_slip_in_a_key_is_one_finding_with_its_remedy() {
 }
 
 #[test]
-fn servers_that_are_missing_are_asked_at_once() {
+fn missing_servers_are_probed_concurrently() {
     let ports: Vec<u16> = (0..12).map(|_| reserve_port()).collect();
     let names: Vec<String> = (0..12).map(|nth| format!("robot{nth}")).collect();
     let mut script = "s:\n  a:\n".to_owned();
@@ -286,7 +286,7 @@ fn servers_that_are_missing_are_asked_at_once() {
         .map(|(name, port)| (name.as_str(), *port, "/x"))
         .collect();
     let directory = ScriptDirectory::with(&script, &remotes);
-    // One after the other they would take 24 s.
+    // In sequence they would take 24 s.
     let ended = in_time(Duration::from_secs(12), || {
         directory.run("check show.yaml -c remotes.yaml --live")
     });
@@ -336,7 +336,7 @@ s:
 }
 
 #[test]
-fn what_cannot_be_meant_is_doubtful() {
+fn implausible_values_are_reported_as_doubtful() {
     let script = "\
 s(delay=-3):
   delay: 2
@@ -354,10 +354,10 @@ s(delay=-3):
         .filter(|line| line.contains("show.yaml:"))
         .collect();
     let expected = [
-        "doubtful: show.yaml:1:3: a delay below 0 is no delay; write the seconds to wait, as delay=3",
+        "doubtful: show.yaml:1:3: a delay cannot be negative; write the seconds to wait, as delay=3",
         "mistake: show.yaml:2:10: step 'delay' is a mapping of handlers; if it is a parameter, write it in parentheses, as name (delay=2)",
         "doubtful: show.yaml:3:5: this waits 27 h 46 min; a delay is in seconds, as delay=1.5",
-        "doubtful: show.yaml:3:18: a limit of 0 seconds is no limit; write timeout=30, or timeout=none if that is meant",
+        "doubtful: show.yaml:3:18: a limit must be above 0 seconds; write timeout=30, or timeout=none for no limit",
         "doubtful: show.yaml:4:18: YAML takes these quotes for a part of the text; write straight quotes: 'hello'",
         "doubtful: show.yaml:4:26: 'world”' has no ':' behind it; a text with ',' in it needs quotes within { }",
         "doubtful: show.yaml:4:34: this is sent as a task of a component 'delay'; if it is a parameter, write it in parentheses, as name (delay=-3)",
@@ -370,7 +370,7 @@ s(delay=-3):
 }
 
 #[test]
-fn servers_are_asked_whether_they_would_take_it_and_nothing_moves() {
+fn servers_are_asked_about_each_task_without_starting_any() {
     let gateway = Server::simulated();
     let original = Server::original();
     let script = "\
@@ -401,7 +401,7 @@ s:
         "show.yaml:4:5: server 'gripper': it has no handler 'hand'; there are: gripper, head",
         "show.yaml:5:12: server 'head': 'lift' is not a number from -90 to 90 degrees, or left, straight, right",
         "show.yaml:6:5: server 'nobody' does not answer: no answer from tcp://127.0.0.1:",
-        "one of the original's: it is there, and cannot be asked what it takes",
+        "one of the original's: it answers, but cannot be asked which tasks it accepts",
         "show.yaml:8:5: the server at tcp://127.0.0.1:",
         "6 mistakes.",
     ] {
@@ -413,7 +413,7 @@ s:
 }
 
 #[test]
-fn a_goal_that_is_too_long_for_its_server_is_reported_before_and_during_the_show() {
+fn an_oversized_goal_is_reported_before_and_during_the_run() {
     let gateway = Server::gateway_with(&["gripper=sim:gripper"], &["--limit", "message=2 KiB"]);
     gateway.wait_ready("gripper");
     let script = format!(
@@ -421,7 +421,8 @@ fn a_goal_that_is_too_long_for_its_server_is_reported_before_and_during_the_show
         "5".repeat(2000)
     );
     let directory = ScriptDirectory::with(&script, &[("gripper", gateway.port, SCOPE)]);
-    let reason = "takes at most 2048, of which a goal can be somewhat less than 1536, since it goes as base64";
+    let reason =
+        "takes at most 2048; a goal can have somewhat less than 1536, because it is sent as base64";
     let ended = directory.run("check show.yaml -c remotes.yaml --live");
     assert_eq!(ended.code, Some(1));
     for words in [
@@ -437,9 +438,9 @@ fn a_goal_that_is_too_long_for_its_server_is_reported_before_and_during_the_show
     }
 }
 
-/// The question is longer than the INIT, and perhaps too long itself.
+/// The query is longer than the INIT and may itself be too long.
 #[test]
-fn a_goal_that_just_fits_its_server_is_no_mistake_of_the_script() {
+fn a_goal_at_the_servers_limit_is_not_a_mistake() {
     let gateway = Server::gateway_with(&["gripper=sim:gripper"], &["--limit", "message=2 KiB"]);
     gateway.wait_ready("gripper");
     for (goal, mistake) in [(1511, false), (1513, true)] {

@@ -25,7 +25,7 @@ fn play(directory: &ScriptDirectory, more: &str) -> Command {
     ))
 }
 
-/// What goes on in the background is told when it was taken, and so was the other by then.
+/// The message about the background task shows that both tasks were accepted.
 const TWO_STEPS: &str = "s: {a: {test: {sleep: 5, echo(wait=no): x}}, b: {test: {echo: after}}}\n";
 const TAKEN: &str =
     "Component 'echo' on handler 'test' for step 'a' TRIGGERED TO RUN IN BACKGROUND.";
@@ -35,7 +35,7 @@ fn servers() -> [Server; 2] {
 }
 
 #[test]
-fn while_a_server_is_stopped_the_step_waits_and_goes_on_when_it_is_back() {
+fn a_step_waits_for_a_suspended_server_and_continues() {
     for server in servers() {
         let files = directory(TWO_STEPS, &server);
         let player = Process::start(&mut play(&files, "--yes"));
@@ -55,7 +55,7 @@ fn while_a_server_is_stopped_the_step_waits_and_goes_on_when_it_is_back() {
 }
 
 #[test]
-fn after_a_restart_of_a_server_nothing_follows_without_a_decision() {
+fn after_a_server_restart_the_script_waits_for_a_decision() {
     for (ours, mut server) in [true, false].into_iter().zip(servers()) {
         let mut anew = match ours {
             true => ztl(),
@@ -81,7 +81,7 @@ fn after_a_restart_of_a_server_nothing_follows_without_a_decision() {
             waits && ended.stderr.contains("so the outcome of "),
             "{ended:?}"
         );
-        // Only a server of ours says which start of it answers.
+        // Only our server reports its boot id.
         let told = ended.stderr.contains("'test' was restarted");
         assert!(told || !ours, "{ended:?}");
         assert!(!ended.stdout.contains("STEP 'b'"), "{ended:?}");
@@ -93,7 +93,7 @@ fn after_a_restart_of_a_server_nothing_follows_without_a_decision() {
 }
 
 #[test]
-fn ctrl_c_stops_what_was_started_in_the_background_too_and_says_what_cannot_be_stopped() {
+fn ctrl_c_stops_background_tasks_and_reports_unstoppable_ones() {
     let gateway = Server::simulated();
     let original = Server::original();
     let files = Scratch::new();
@@ -146,15 +146,15 @@ fn a_key_answers_one_question_and_never_the_next() {
     let mut terminal = Terminal::start(&play(&files, ""), (100, 60));
     terminal.shows("SCENE 'one'");
     terminal.shows("PRESS <ENTER> TO CONFIRM or ANY OTHER KEY TO SKIP");
-    // Three at once start one scene.
+    // Three keys read together start one scene.
     terminal.type_in("\r\r\r");
     terminal.shows("STARTING STEP 'a'...");
-    // What is typed while it runs is forgotten.
+    // Keys typed while it runs are ignored.
     terminal.type_in("x");
     terminal.type_in("\r");
     terminal.shows("ABOUT TO EXECUTE SCENE 'two'");
     terminal.shows("CONFIRM, PRESS <R>");
-    // An arrow skips one.
+    // An arrow key skips one scene.
     terminal.type_in("\x1b[A");
     terminal.shows("SKIPPING SCENE 'two'");
     terminal.shows("ABOUT TO EXECUTE SCENE 'three'");
@@ -171,7 +171,7 @@ fn a_key_answers_one_question_and_never_the_next() {
 }
 
 #[test]
-fn the_terminal_is_as_it_was_however_it_ends() {
+fn the_terminal_is_restored_at_every_kind_of_exit() {
     for (signal, key, code) in [
         (Some("TERM"), "", 143),
         (Some("HUP"), "", 129),
@@ -200,7 +200,7 @@ fn the_terminal_is_as_it_was_however_it_ends() {
 }
 
 #[test]
-fn the_operator_decides_about_a_step_that_waits() {
+fn the_operator_decides_about_a_waiting_step() {
     let server = Server::ours();
     let script = "one: {a(on_failure=ask): {test: {nonsense: 1}}, b: {test: {echo: 1}}}\n";
     let files = directory(script, &server);
@@ -220,7 +220,7 @@ fn the_operator_decides_about_a_step_that_waits() {
     assert_eq!(terminal.end().code(), Some(1), "something failed");
 }
 
-/// What was started, and what an ABORT has stopped; `short` is done at once, all else lasts until then.
+/// The started and aborted tasks; `short` ends at once, all others run until aborted.
 #[derive(Clone, Default)]
 struct Recording(Arc<Mutex<Vec<String>>>);
 
@@ -247,7 +247,7 @@ impl TaskController for Recording {
     }
 }
 
-/// A program whose output nobody reads. It is killed when this is dropped.
+/// A program whose output is never read. It is killed when this is dropped.
 struct Unread(Child);
 
 impl Unread {
@@ -272,8 +272,8 @@ impl Drop for Unread {
 }
 
 #[test]
-fn ctrl_c_stops_everything_also_when_nobody_reads_what_is_said() {
-    // More than a pipe takes, on stdout by the names of scenes, on stderr by what runs in the background.
+fn ctrl_c_stops_everything_even_if_nobody_reads_the_output() {
+    // More than a pipe holds: on stdout the names of scenes, on stderr messages about background tasks.
     let mut script = "first: {a: {robot: {long(wait=no): 1}}}\n".to_owned();
     for nth in 0..80 {
         let name = format!("{nth}-{}", "x".repeat(1000));
@@ -312,11 +312,11 @@ fn a_second_ctrl_c_ends_a_player_that_hangs() {
     let mut command = ztl();
     command.args(["run-script", "--yes", "-s", "/dev/stdin"]);
     command.stdout(Stdio::null()).stderr(Stdio::null());
-    // Nobody ever writes a script.
+    // No script is ever written.
     command.stdin(Stdio::piped());
     let mut player = Unread::start(&mut command);
     let status = until("its end", PATIENCE, || {
-        // Slower than a key that is held down.
+        // Slower than a key repeat.
         std::thread::sleep(Duration::from_secs(1));
         player.ended().or_else(|| {
             player.interrupt();

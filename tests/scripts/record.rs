@@ -16,7 +16,7 @@ fn block(language: &str) -> &'static str {
     rest.split_once("```").expect("its end").0
 }
 
-/// A record as values, without what differs from run to run.
+/// A record as values, without the parts that differ between runs.
 fn lasting(lines: &str) -> Vec<Value> {
     fn settle(value: &mut Value) {
         match value {
@@ -40,7 +40,7 @@ fn lasting(lines: &str) -> Vec<Value> {
         match value {
             Value::String(text) if text.len() == 64 => "hash".clone_into(text),
             Value::String(text) => *text = text.replace(|char: char| char.is_ascii_digit(), ""),
-            // Which programs; their versions are others tomorrow.
+            // The programs without their versions.
             Value::Array(versions) => versions
                 .iter_mut()
                 .for_each(|version| version[1] = Value::Null),
@@ -70,13 +70,13 @@ fn stage(script: &str) -> (Server, Scratch) {
 const PLAY: &str = "run-script -s one.yaml -c remotes.yaml --yes --record one.jsonl";
 
 #[test]
-fn the_record_in_the_documentation_is_what_is_written() {
+fn the_documented_record_matches_a_written_one() {
     let (_server, files) = stage(block("yaml"));
     assert!(DOCS.contains(&format!("`ztl {PLAY}`")));
     let ended = Process::run(ztl().current_dir(files.path("")).args(PLAY.split(' ')));
     assert_eq!(ended.code, Some(0), "{ended:?}");
     let written = lasting(&fs::read_to_string(files.path("one.jsonl")).unwrap());
-    // Lines that were broken to be read.
+    // Joins lines that were wrapped for reading.
     let told = lasting(&block("json").replace("\n    ", ""));
     for (written, told) in written.iter().zip(&told) {
         assert_eq!(written, told);
@@ -89,7 +89,7 @@ fn the_record_in_the_documentation_is_what_is_written() {
 }
 
 #[test]
-fn what_was_written_before_a_crash_can_be_read() {
+fn a_record_is_readable_up_to_a_crash() {
     let (_server, files) =
         stage("one:\n  first: {test: {echo: hello}}\n  second: {test: {sleep: 60}}\n");
     let mut play = Process::start(ztl().current_dir(files.path("")).args(PLAY.split(' ')));

@@ -10,7 +10,7 @@ use ztl_std::{ExecutableTask, TaskContext, TaskController, TaskError, TaskReques
 use ztl_tests::lab::{Process, SCOPE, connect, ours_named, port_of, serve};
 
 #[test]
-fn a_dry_run_tells_when_and_sends_nothing() {
+fn a_dry_run_shows_start_times_and_sends_nothing() {
     let directory = ScriptDirectory::with(
         "s(delay=2): {a(delay=1): {robot: {x(delay=0.5): 1, y(wait=no; delay=1): [2]}, gone: {z: 3}}, b(parallel): {robot: {x(timeout=3): 4, y(delay=2): 5}}}\n",
         &[("robot", 9, "/r")],
@@ -50,7 +50,7 @@ fn a_rehearsal_needs_no_robot_and_no_configuration() {
         ended.stdout,
         "EXECUTING SCENE 's'...\nSTARTING STEP 'b'...\n"
     );
-    // A limit that a task does not keep is a failure.
+    // A task that exceeds its limit is a failure.
     fs::write(directory.files.path("defaults.yaml"), "timeout: 0.1\n").unwrap();
     let words =
         "run-script -s show.yaml --simulate=5 --yes --plain --scene t --defaults defaults.yaml";
@@ -87,7 +87,7 @@ fn an_impossible_request_is_rejected_before_anything_begins() {
         ),
         (
             "--yes --defaults zero.yaml",
-            "zero.yaml:1:10: a limit of 0 seconds is no limit; write seconds, as 30, or none",
+            "zero.yaml:1:10: a limit must be above 0 seconds; write seconds, as 30, or none",
         ),
         (
             "--simulate=soon",
@@ -96,7 +96,7 @@ fn an_impossible_request_is_rejected_before_anything_begins() {
         ("--plain", "(25, 'Inappropriate ioctl for device')"),
         (
             "--plain",
-            "stdin is not a terminal, so nobody can be asked; use --yes",
+            "stdin is not a terminal, so the operator cannot be asked; use --yes",
         ),
     ] {
         let words = format!("run-script -s show.yaml -c remotes.yaml {words}");
@@ -109,7 +109,7 @@ fn an_impossible_request_is_rejected_before_anything_begins() {
 }
 
 #[test]
-fn a_name_that_two_scenes_or_steps_have_is_doubtful_and_chooses_none() {
+fn a_duplicate_scene_or_step_name_is_doubtful_and_selects_nothing() {
     let script = "a(delay=1):\n  s: {robot: {say: 1}}\na:\n  s: {robot: {say: 2}}\n  s(wait=no): {robot: {say: 3}}\n";
     let directory = ScriptDirectory::new(script);
     let ended = directory.run("check show.yaml");
@@ -129,14 +129,14 @@ fn a_name_that_two_scenes_or_steps_have_is_doubtful_and_chooses_none() {
         assert_eq!(ended.stdout, "", "{words}");
         assert!(ended.stderr.contains(said), "{words}: {ended:?}");
     }
-    // With its parameters a scene has a name of its own.
+    // With different parameters a scene has another name.
     let ended = directory.run(&format!("{play} --scene a(delay=1) --from s"));
     assert_eq!(ended.code, Some(0), "{ended:?}");
     assert!(ended.stdout.contains("robot:say:1"), "{ended:?}");
 }
 
 #[test]
-fn by_the_originals_names_it_is_the_originals_tool() {
+fn under_the_originals_name_run_script_behaves_like_the_original() {
     let directory = ScriptDirectory::with("s: {a: {robot: {say: hi}}}\n", &[("robot", 9, "/r")]);
     for name in ["ztl_run_script", "run_script.py"] {
         for options in [
@@ -177,7 +177,7 @@ impl TaskController for Quick {
 }
 
 #[test]
-fn a_step_costs_two_requests_and_no_pause() {
+fn a_step_takes_two_requests_without_a_pause() {
     const STEPS: usize = 1000;
     let server = serve(Quick);
     let port = port_of(server.endpoint());
@@ -221,16 +221,16 @@ fn a_step_costs_two_requests_and_no_pause() {
         }
     }
     assert_eq!(own.len(), STEPS);
-    // A second STATUS only where the first one came before the end, and was held in vain.
+    // A second STATUS only if the first one was held without a final state.
     assert!(sent <= 2 * STEPS + STEPS / 50, "{kinds:?}");
     own.sort_by(f64::total_cmp);
     let most = own[STEPS * 99 / 100];
     let each = (last - first) / STEPS as f64;
-    // Not by a macro, which libtest would keep to itself.
+    // Not by a macro, because libtest would capture it.
     let _ = writeln!(
         std::io::stderr(),
         "a step: {each:.3} ms; by a client alone {bare:.3} ms; between requests 99 of 100 below {most:.3} ms"
     );
-    // The original's is 100 ms at least; this bound is wide, since other programs run beside it.
+    // The original takes at least 100 ms; this bound is wide, because other programs run at the same time.
     assert!(each - bare < 20.0, "{each} ms, {bare} ms");
 }

@@ -10,7 +10,7 @@ use ztl_tests::lab::{Ended, Process, Scratch, ztl};
 const EVENING: &str = include_str!("../../ztl-script/src/fixtures/evening.jsonl");
 const MATINEE: &str = include_str!("../../ztl-script/src/fixtures/matinee.jsonl");
 
-/// What the browser has after it has loaded a page and run its scripts, as HTML.
+/// The HTML of a browser's document after it has loaded a page and run its scripts.
 #[track_caller]
 fn browse(page: &Path, files: &Scratch) -> String {
     let mut chromium = Command::new("chromium");
@@ -37,10 +37,10 @@ fn browse(page: &Path, files: &Scratch) -> String {
     stdout
 }
 
-/// The widths of a phone's, a tablet's and a desk's window.
+/// The window widths of a phone, a tablet and a desktop.
 const WIDTHS: [u64; 3] = [390, 820, 1440];
 
-/// A page that shows another in a frame of each width, measures it, and writes down what it found.
+/// A page that shows another in a frame of each width, measures it, and prints the result.
 fn measuring(page: &str) -> String {
     format!(
         r#"<!DOCTYPE html><body style="margin:0"><pre id="found"></pre>
@@ -83,7 +83,7 @@ fn measuring(page: &str) -> String {
     )
 }
 
-/// What is measured of the page for these records.
+/// The measurements of the page for these records.
 #[track_caller]
 fn measured(records: &[(&str, String)]) -> Vec<(u64, Value)> {
     let files = Scratch::new();
@@ -106,7 +106,7 @@ fn measured(records: &[(&str, String)]) -> Vec<(u64, Value)> {
     WIDTHS.into_iter().zip(found).collect()
 }
 
-/// All of the page is within a window of this width, and large enough to be read.
+/// The whole page fits a window of this width and is large enough to read.
 #[track_caller]
 fn fits(width: u64, found: &Value) {
     assert_eq!(found["width"], width, "{found}");
@@ -137,7 +137,7 @@ fn the_page_is_laid_out_in_a_browser() {
 }
 
 #[test]
-fn names_that_are_long_or_hostile_are_shown_and_harm_nothing() {
+fn long_or_hostile_names_are_shown_safely() {
     let name = format!(
         "\\\"'></title><x-evil onclick='1'><script>alert(1)</script>{}",
         "W".repeat(300)

@@ -1,9 +1,9 @@
 //! Scripts as the original reads and plays them.
 //!
 //! `drive.py` plays each script twice at once, by the original's own engine and by ours: each on a
-//! terminal of its own, with the same keys at the same prompts, and towards servers that answer as the
-//! original's do and write down each request. `scalars.py` and `documents.py` have PyYAML say what values
-//! and whole files mean.
+//! terminal of its own, with the same keys at the same prompts, and with servers that answer like the
+//! original's and record each request. PyYAML, through `scalars.py` and `documents.py`, gives the meaning of values
+//! and whole files.
 //!
 //! The engines that run at once keep both cores busy, so these tests have a binary, and a process, of their own.
 
@@ -19,11 +19,11 @@ use ztl_tests::lab::{PATIENCE, built, run_python, seed, until};
 use ztl_yaml::Document;
 use ztl_yaml::python::PythonValue;
 
-/// Scripts that are made up, and how many engines run at a time: they mostly wait.
+/// Generated scripts, and how many engines run concurrently: they mostly wait.
 const MADE_UP: usize = 200;
 const AT_ONCE: usize = 24;
 
-/// Values and whole documents that are made up.
+/// Generated values and whole documents.
 const VALUES: usize = 5000;
 const DOCUMENTS: usize = 8000;
 
@@ -34,7 +34,7 @@ const CLASS: f64 = 0.45;
 const INIT: u32 = 1;
 const STATUS: u32 = 2;
 
-/// What became of a script in both engines.
+/// The results of a script in both engines.
 #[derive(Debug, Deserialize)]
 struct Played {
     name: String,
@@ -54,7 +54,7 @@ struct Engine {
 }
 
 impl Engine {
-    /// What was started, and when.
+    /// The started tasks and their times.
     fn started(&self) -> (Vec<(&str, &str)>, Vec<f64>) {
         let inits = self.requests.iter().filter(|request| request.2 == INIT);
         inits
@@ -62,7 +62,7 @@ impl Engine {
             .unzip()
     }
 
-    /// What was asked of each task, tasks in the order of being asked first.
+    /// The requests about each task, in order of the tasks' first request.
     fn asked(&self) -> Vec<((&str, &str), BTreeSet<&str>)> {
         let mut asked: Vec<((&str, &str), BTreeSet<&str>)> = Vec::new();
         for (_, scope, _, id, payload) in self.requests.iter().filter(|request| request.2 == STATUS)
@@ -85,7 +85,7 @@ fn lines(program: &str, args: &[&str], input: &str) -> Vec<String> {
     text.lines().map(str::to_owned).collect()
 }
 
-/// In what the two differ.
+/// The differences between the two.
 fn differences(played: &Played) -> Vec<String> {
     let Played { original, ours, .. } = played;
     let mut found = Vec::new();
@@ -102,7 +102,7 @@ fn differences(played: &Played) -> Vec<String> {
     if asked != theirs {
         found.push(format!("asked about:\n{theirs:#?}\nours:\n{asked:#?}"));
     }
-    // What runs in the background is asked about once, at the very end, for the exit code.
+    // A background task is queried once, at the very end, for the exit code.
     let last = times.last().copied().unwrap_or_default();
     for (task, _) in &background {
         let of_it = |request: &&(f64, String, u32, String, String)| {
@@ -123,7 +123,7 @@ fn differences(played: &Played) -> Vec<String> {
     found
 }
 
-/// Tasks that did not follow each other in the same time.
+/// Tasks whose gaps differ.
 fn gaps(played: &Played) -> Vec<String> {
     let gaps = |engine: &Engine| -> Vec<f64> {
         let (_, times) = engine.started();
@@ -138,7 +138,7 @@ fn gaps(played: &Played) -> Vec<String> {
         .collect()
 }
 
-/// What of a script that cannot be played is not refused by both.
+/// The parts of an unplayable script that are not rejected by both.
 fn refusals(played: &Played) -> Vec<String> {
     let Played { original, ours, .. } = played;
     let mut found = Vec::new();
@@ -161,7 +161,7 @@ fn named<'a>(scripts: &'a [(&str, &str, &str)]) -> Scripts<'a> {
     scripts.collect()
 }
 
-/// Plays all at once, in both engines.
+/// Plays all concurrently, in both engines.
 #[track_caller]
 fn drive(scripts: &Scripts<'_>, made_up: usize) -> Vec<Played> {
     let engine = built("ztl");
@@ -175,14 +175,14 @@ fn drive(scripts: &Scripts<'_>, made_up: usize) -> Vec<Played> {
     let lines = lines(include_str!("drive.py"), &args, &input);
     let played = lines.iter().map(|line| {
         let mut played: Played = serde_json::from_str(line).expect("JSON");
-        // Both write to a terminal, which ours keeps from obeying text.
+        // Both write to a terminal; ours escapes control characters.
         played.original.out = shown(&played.original.out).into_owned();
         played
     });
     played.collect()
 }
 
-/// Plays these once more.
+/// Plays these again.
 fn drive_again<'a>(played: impl Iterator<Item = &'a Played>) -> Vec<Played> {
     let again = played.map(|played| {
         let keys = played.keys.iter().map(String::as_str).collect();
@@ -195,11 +195,11 @@ fn drive_again<'a>(played: impl Iterator<Item = &'a Played>) -> Vec<Played> {
     drive(&again, 0)
 }
 
-/// How often a script is played at most, if an engine misses an answer: both give up after 2 s, which a busy
-/// machine may need.
+/// How often a script is played at most if an engine misses a reply: both time out after 2 s, which a busy
+/// machine may exceed.
 const TRIES: usize = 4;
 
-/// Plays all, and fails with all that `differences` finds.
+/// Plays all, and fails with all differences that `differences` finds.
 #[track_caller]
 fn play(scripts: &Scripts<'_>, made_up: usize, differences: fn(&Played) -> Vec<String>) {
     let mut wrong = String::new();
@@ -257,22 +257,22 @@ fn play(scripts: &Scripts<'_>, made_up: usize, differences: fn(&Played) -> Vec<S
 }
 
 #[test]
-fn every_rule_of_scripts_is_played_as_the_original_plays_it() {
+fn every_script_rule_is_played_like_the_original() {
     play(&named(corpus::SCRIPTS), 0, differences);
 }
 
 #[test]
-fn what_the_original_cannot_play_is_refused_with_its_exit_code() {
+fn scripts_the_original_cannot_play_are_rejected_with_its_exit_code() {
     play(&named(corpus::WRONG), 0, refusals);
 }
 
 #[test]
-fn scripts_that_are_made_up_are_played_as_the_original_plays_them() {
+fn generated_scripts_are_played_like_the_original() {
     play(&BTreeMap::new(), MADE_UP, differences);
 }
 
 #[test]
-fn values_are_what_pyyaml_makes_of_them() {
+fn values_are_parsed_like_pyyaml() {
     let args = [seed().to_string(), VALUES.to_string()];
     let args: Vec<&str> = args.iter().map(String::as_str).collect();
     let mut wrong = Vec::new();
@@ -309,20 +309,20 @@ fn values_are_what_pyyaml_makes_of_them() {
     assert!(errors < VALUES / 4, "{errors} are no values");
 }
 
-/// What is refused here and read by PyYAML, as docs/compatibility.md lists it.
+/// Documents that we reject and PyYAML reads, as docs/compatibility.md lists them.
 fn is_refused(text: &str, error: &str) -> bool {
     let within_itself = error.contains("stands within itself") && text.contains('*');
     let half_a_character = error.contains("there is no such character");
     within_itself || half_a_character
 }
 
-/// What is read here and refused by PyYAML: for what it finds in `!!omap` or in what a merge replaces.
+/// Documents that we read and PyYAML rejects: for the content of `!!omap` or of a value that a merge replaces.
 fn is_read(text: &str) -> bool {
     text.contains("<<")
 }
 
 #[test]
-fn documents_are_what_pyyaml_makes_of_them() {
+fn documents_are_parsed_like_pyyaml() {
     let args = [seed().to_string(), DOCUMENTS.to_string()];
     let args: Vec<&str> = args.iter().map(String::as_str).collect();
     let mut wrong = Vec::new();
@@ -361,7 +361,7 @@ fn documents_are_what_pyyaml_makes_of_them() {
     );
 }
 
-/// Configurations of the original, and one line of JSON with what it finds in each.
+/// The original's configurations, and one line of JSON with the servers found in each.
 const CONFIGURATIONS: &[&str] = &[
     "remotes: {a: {host: h, port: 1, scope: /s}}",
     "base: &b {host: h, port: 1}\nremotes:\n  a: {<<: *b, scope: /a}\n  b: {scope: /b, <<: *b, port: 2}",
@@ -373,7 +373,7 @@ const CONFIGURATIONS: &[&str] = &[
 ];
 
 #[test]
-fn configurations_name_the_servers_that_the_original_finds() {
+fn configurations_resolve_to_the_same_servers_as_the_originals() {
     let program = "
 import json, sys, tempfile
 from ztl.core.config import ZMQEndpoints
@@ -406,7 +406,7 @@ for text in json.load(sys.stdin):
 
 /// The rows of docs/compatibility.md on YAML: whether the original reads it, and whether we do.
 #[test]
-fn differences_in_yaml_are_those_that_are_listed() {
+fn only_the_listed_yaml_differences_exist() {
     let nested = |depth: usize| format!("{}{}", "[".repeat(depth), "]".repeat(depth));
     let listed = [
         ("&a [*a]".to_owned(), true, false),

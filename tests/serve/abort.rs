@@ -51,7 +51,7 @@ fn the_json_client_reports_the_last_output_of_an_aborted_program() {
 }
 
 #[test]
-fn a_grandchild_that_ignores_the_signal_is_killed_after_the_grace_with_the_whole_group() {
+fn a_grandchild_that_ignores_the_signal_is_killed_with_its_group() {
     let stubborn = "trap '' TERM INT; echo $$ > child; while :; do sleep 0.01; done";
     let lab = Lab::new(&format!(
         r#"
@@ -63,7 +63,7 @@ fn a_grandchild_that_ignores_the_signal_is_killed_after_the_grace_with_the_whole
     let child = lab.process("child");
     let start = Instant::now();
     assert_eq!(remote.abort(id).expect("an answer").state, Aborted);
-    // Its parent was gone at once; it had its grace.
+    // Its parent ended at once; it got its grace.
     assert!(start.elapsed() >= Duration::from_millis(300));
     assert!(!lives(child));
     let (state, text) = end(&mut remote, id);
@@ -73,7 +73,7 @@ fn a_grandchild_that_ignores_the_signal_is_killed_after_the_grace_with_the_whole
 }
 
 #[test]
-fn a_child_that_needs_a_moment_to_stop_its_motors_has_it() {
+fn a_child_gets_its_grace_to_stop_its_motors() {
     let careful =
         "trap 'sleep 0.3; echo > parked; exit' TERM; echo $$ > child; while :; do sleep 0.01; done";
     let lab = Lab::new(&format!(
@@ -107,7 +107,7 @@ fn a_program_can_be_stopped_by_another_one() {
     assert_eq!(end(&mut remote, id), (Aborted, "parked".to_owned()));
     assert_eq!(lab.written("stop"), format!("{id} fast"));
 
-    // One that cannot be started is replaced by a signal, and one that hangs is killed as well.
+    // If the abort program cannot start, a signal replaces it. If it hangs, it is killed.
     let id = trigger(&mut remote, "lost", "");
     assert_eq!(remote.abort(id).expect("an answer").state, Aborted);
     lab.server
@@ -121,7 +121,7 @@ fn a_program_can_be_stopped_by_another_one() {
 }
 
 #[test]
-fn an_abort_that_takes_longer_than_its_answer_says_so() {
+fn a_slow_abort_is_answered_before_it_completes() {
     let lab = Lab::new(
         r#"
         slow: {run: [sh, -c, 'trap "" TERM; echo $$ > pid; while :; do sleep 0.01; done']}
@@ -136,7 +136,7 @@ fn an_abort_that_takes_longer_than_its_answer_says_so() {
 }
 
 #[test]
-fn what_cannot_be_aborted_goes_on() {
+fn a_task_without_abort_continues() {
     let lab = Lab::new(
         r#"
         never: {run: [sh, -c, 'echo > on; until [ -e go ]; do sleep 0.01; done; echo done'], abort: no}
@@ -152,7 +152,7 @@ fn what_cannot_be_aborted_goes_on() {
 }
 
 #[test]
-fn a_limit_ends_what_never_ends() {
+fn a_time_limit_stops_an_endless_program() {
     let lab = Lab::new(
         r#"
         never: {run: [sh, -c, 'sleep 60 & echo $! > child; wait'], limit: 300 ms}
@@ -169,7 +169,7 @@ fn a_limit_ends_what_never_ends() {
 }
 
 #[test]
-fn what_a_program_leaves_behind_does_not_keep_its_task_and_is_killed_unless_it_may_stay() {
+fn leftover_processes_do_not_delay_the_task_and_are_killed_by_default() {
     let lab = Lab::new(
         r#"
         kills: [sh, -c, 'sleep 60 & echo $! > killed; echo done']
@@ -195,7 +195,7 @@ fn what_a_program_leaves_behind_does_not_keep_its_task_and_is_killed_unless_it_m
 
 #[test]
 fn the_group_of_a_program_that_forks_without_end_is_killed() {
-    // At most a hundred, each of which starts the next.
+    // At most a hundred, each starting the next.
     let fork = "if [ $1 -gt 0 ]; then trap '' TERM; sh fork.sh $(($1 - 1)) & fi; echo $$ >> pids; sleep 60; sleep 60";
     let lab = Lab::new("forks: {run: [sh, fork.sh, '100'], abort: {grace: 200 ms}}");
     std::fs::write(lab.scratch.path("fork.sh"), fork).expect("to write");
@@ -213,7 +213,7 @@ fn the_group_of_a_program_that_forks_without_end_is_killed() {
 }
 
 #[test]
-fn a_stopped_process_is_no_obstacle() {
+fn a_suspended_process_can_be_aborted() {
     let lab =
         Lab::new("stops: {run: [sh, -c, 'echo $$ > pid; kill -STOP $$'], abort: {grace: 200 ms}}");
     let mut remote = lab.remote();
@@ -224,7 +224,7 @@ fn a_stopped_process_is_no_obstacle() {
 }
 
 #[test]
-fn one_that_replaces_and_one_that_is_aborted_while_it_waits() {
+fn a_waiting_task_can_be_aborted_without_starting() {
     let lab = Lab::new(
         "go: {run: [sh, -c, 'echo \"@ $0\"; sleep 60', '{goal}'], progress: '@ ', busy: queue 1}",
     );
@@ -240,7 +240,7 @@ fn one_that_replaces_and_one_that_is_aborted_while_it_waits() {
 }
 
 #[test]
-fn without_its_client_a_task_is_aborted_if_it_needs_that() {
+fn a_task_that_needs_its_client_is_aborted_without_it() {
     let lab = Lab::new(
         r#"
         needs: {run: [sh, -c, 'echo $$ > needs; exec sleep 60'], needs-client: 1500 ms}
@@ -258,7 +258,7 @@ fn without_its_client_a_task_is_aborted_if_it_needs_that() {
         (client, id.and_then(TaskId::new).expect("an id"))
     });
     let [needs, carries] = ["needs", "carries"].map(|name| lab.process(name));
-    // It is heard as long as it waits.
+    // The client counts as present while it waits.
     std::thread::sleep(Duration::from_secs(2));
     assert!(lives(needs));
     let ids = clients.each_ref().map(|(_, id)| *id);

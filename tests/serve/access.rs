@@ -7,7 +7,7 @@ use ztl_std::server::MAX_MESSAGE;
 use ztl_std::{RemoteTask, TriggerError};
 use ztl_tests::lab::{Ended, Process, SCOPE, Scratch, Server, python, ztl};
 
-/// Whether the part about keys can be tested; where it must be and cannot, that is a failure.
+/// Whether keys can be tested; if they must be but cannot, the test fails.
 fn encrypts() -> bool {
     let demanded = std::env::var_os("ZTL_CURVE").is_some();
     assert!(can_encrypt() || !demanded, "this build does not encrypt");
@@ -63,7 +63,7 @@ fn an_invalid_network_is_refused_with_an_example() {
 }
 
 #[test]
-fn a_secret_key_that_others_can_read_is_warned_of() {
+fn a_secret_key_readable_by_others_causes_a_warning() {
     use std::os::unix::fs::PermissionsExt;
 
     let scratch = Scratch::new();
@@ -97,7 +97,7 @@ fn a_secret_key_that_others_can_read_is_warned_of() {
 }
 
 #[test]
-fn a_build_that_cannot_encrypt_says_so_and_serves_nobody() {
+fn a_build_without_encryption_rejects_keys_and_does_not_start() {
     if encrypts() {
         return;
     }
@@ -109,7 +109,7 @@ fn a_build_that_cannot_encrypt_says_so_and_serves_nobody() {
         "{ended:?}"
     );
 
-    // Keys made elsewhere.
+    // Keys made by another tool.
     let path = scratch.path("robot.key_secret");
     let key = "Yne@$w-vo<fVvi]a<NY6T1ed:M$fCG*[IaLV{hID";
     let content = format!("curve\n    public-key = \"{key}\"\n    secret-key = \"{key}\"\n");
@@ -180,30 +180,30 @@ fn only_a_client_with_an_allowed_key_is_served() {
 
     let ended = client_as(&server, &keys.of("anna", "robot"));
     assert_eq!(ended.code, Some(0), "{ended:?}");
-    // Whoever has no key, another one, or means another server gets nothing: fate unknown.
+    // A client without a key, with another key, or for another server gets nothing: the outcome is unknown.
     let mallory = client_as(&server, &keys.of("mallory", "robot"));
     assert_eq!(mallory.code, Some(5), "{mallory:?}");
     server.process.wait_for("with the key");
     assert_eq!(client(&server, &[]).code, Some(5));
     assert_eq!(client_as(&server, &keys.of("anna", "other")).code, Some(5));
-    // It goes on serving who is allowed.
+    // It keeps serving allowed clients.
     assert_eq!(client_as(&server, &keys.of("anna", "robot")).code, Some(0));
 }
 
 #[test]
-fn with_keys_and_nobody_allowed_nobody_is_served() {
+fn a_server_with_keys_and_no_allowed_client_serves_nobody() {
     if !encrypts() {
         return;
     }
     let keys = Keys::make(&["robot", "anna"]);
     let server = gateway(&["--key", &keys.path("robot.key_secret")]);
-    server.process.wait_for("nobody gets in");
+    server.process.wait_for("no client can connect");
     assert_eq!(client_as(&server, &keys.of("anna", "robot")).code, Some(5));
 }
 
-/// libzmq counts what encryption adds to a message.
+/// libzmq counts the overhead of encryption as part of a message.
 #[test]
-fn the_longest_message_passes_encrypted_and_one_byte_more_is_reported() {
+fn the_longest_encrypted_message_passes_and_a_longer_one_is_reported() {
     if !encrypts() {
         return;
     }
@@ -233,7 +233,7 @@ fn the_longest_message_passes_encrypted_and_one_byte_more_is_reported() {
 }
 
 #[test]
-fn a_key_for_another_scope_opens_nothing_here() {
+fn a_key_for_another_scope_gives_no_access() {
     if !encrypts() {
         return;
     }
@@ -261,7 +261,7 @@ fn a_key_for_another_scope_opens_nothing_here() {
         }
         other => panic!("{other:?}"),
     }
-    // Nor does it learn what there is.
+    // It does not learn what the server offers either.
     let probe = remote
         .ask_server("probe")
         .expect("an answer")

@@ -51,7 +51,7 @@ fn running(remote: &mut RemoteTask) -> usize {
 }
 
 #[test]
-fn clones_are_used_by_many_threads_at_once() {
+fn many_threads_use_clones_concurrently() {
     let (_server, remote) = robot();
     let threads: Vec<_> = (0..8)
         .map(|thread| {
@@ -72,7 +72,7 @@ fn clones_are_used_by_many_threads_at_once() {
 }
 
 #[test]
-fn a_guard_aborts_its_task_unless_it_is_released() {
+fn abort_on_drop_aborts_its_task_unless_released() {
     let (_server, mut remote) = robot();
     let one = remote.trigger("h", "wait", "g").expect("taken").id;
     let two = remote.trigger("h", "wait", "g").expect("taken").id;
@@ -104,7 +104,7 @@ fn block_on<F: Future>(future: F) -> F::Output {
 }
 
 #[test]
-fn tasks_run_in_the_background_and_tell_their_progress() {
+fn tasks_run_in_the_background_and_report_progress() {
     let (_server, remote) = robot();
     let seen = Arc::new(Mutex::new(Vec::new()));
     let note = Arc::clone(&seen);
@@ -114,8 +114,8 @@ fn tasks_run_in_the_background_and_tell_their_progress() {
     });
     let two = remote.start("h", "slow", "2", None, |_| {});
     let (one, two) = block_on(async { (one.await, two.await) });
-    for (fate, goal) in [(one, "1"), (two, "2")] {
-        let end = fate.expect("its end");
+    for (outcome, goal) in [(one, "1"), (two, "2")] {
+        let end = outcome.expect("its end");
         assert_eq!((end.state, end.text.as_str()), (State::Completed, goal));
     }
     assert!(
@@ -130,7 +130,7 @@ fn tasks_run_in_the_background_and_tell_their_progress() {
 }
 
 #[test]
-fn a_future_that_is_dropped_aborts_its_task() {
+fn dropping_the_future_aborts_its_task() {
     let (_server, mut remote) = robot();
     let task = remote.start("h", "wait", "g", None, |_| {});
     until("it runs", PATIENCE, || {

@@ -8,7 +8,7 @@ use ztl_tests::lab::{COMPLETED, PATIENCE, in_time, until};
 use crate::rig::{Lab, end, trigger};
 
 #[test]
-fn what_cannot_be_started_is_refused_with_what_is_to_be_done() {
+fn a_program_that_cannot_start_is_rejected_with_the_remedy() {
     let lab = Lab::new(
         "
         missing: [no-such-program, x]
@@ -48,7 +48,7 @@ fn what_cannot_be_started_is_refused_with_what_is_to_be_done() {
             "{component}: {reason}"
         );
     }
-    // It is looked for anew each time.
+    // The program is looked up at each start.
     write_executable(&path.join("odd"), "#!/bin/sh\necho mended\n");
     assert_eq!(lab.run("odd", ""), (Completed, "mended".to_owned()));
     assert_eq!(
@@ -68,7 +68,7 @@ fn write_executable(path: &std::path::Path, text: &str) {
 }
 
 #[test]
-fn an_unknown_handler_or_component_is_refused_with_those_there_are() {
+fn an_unknown_handler_or_component_is_rejected_with_the_known_ones() {
     let lab = Lab::new("one: echo\ntwo: echo");
     assert_eq!(
         lab.refusal("three", ""),
@@ -82,7 +82,7 @@ fn an_unknown_handler_or_component_is_refused_with_those_there_are() {
 }
 
 #[test]
-fn a_program_refuses_by_its_exit_code_as_long_as_nothing_was_said_to_be_taken() {
+fn a_program_rejects_by_its_exit_code_before_it_is_accepted() {
     let lab = Lab::new(
         r#"
         refuses: {run: [sh, -c, 'echo "the arm is locked" >&2; exit 2'], refused-by: [2, 3], decide: 1500 ms}
@@ -101,7 +101,7 @@ fn a_program_refuses_by_its_exit_code_as_long_as_nothing_was_said_to_be_taken() 
     );
     let mut remote = lab.remote();
     let mut last = None;
-    // The usual time would be 1.5 s.
+    // The default would be 1.5 s.
     let id = in_time(Duration::from_secs(1), || {
         if let Some(late) = last {
             remote.abort(late).expect("an answer");
@@ -117,7 +117,7 @@ fn a_program_refuses_by_its_exit_code_as_long_as_nothing_was_said_to_be_taken() 
 }
 
 #[test]
-fn what_needs_no_program_is_served_too() {
+fn built_in_components_need_no_program() {
     let lab =
         Lab::new("echo: echo\nsleep: sleep\nprint: print\n'*': {built-in: echo, goal: whole}");
     assert_eq!(lab.run("echo", "a;b:c"), (Completed, "a;b:c".to_owned()));
@@ -134,7 +134,7 @@ fn what_needs_no_program_is_served_too() {
             .contains("component: print\ngoal: hello\n")
             .then_some(())
     });
-    // A goal cannot pass for another line, nor command the terminal on which the file is shown later.
+    // A goal cannot forge a line or control the terminal that shows the file later.
     let forged = "x\ngoal: y\r\x1b[2Jä";
     assert_eq!(lab.run("print", forged), (Completed, "True".to_owned()));
     until("it is printed", PATIENCE, || {

@@ -12,7 +12,7 @@ use ztl_tests::lab::{
 
 use crate::rig::{end, progress, project};
 
-/// The example in a directory of its own, with this one on the path as `python`.
+/// The example in its own directory, with this one on the path as `python`.
 fn example(python: &Path) -> (Scratch, Server) {
     let scratch = Scratch::new();
     let tools = scratch.path("tools");
@@ -22,7 +22,7 @@ fn example(python: &Path) -> (Scratch, Server) {
         let from = project("examples/serve").join(name);
         std::fs::copy(from, scratch.path(name)).expect("to copy");
     }
-    // Slower, so that a busy machine sees it on its way.
+    // Slower, so that a busy machine sees its progress.
     let turn = std::fs::read_to_string(scratch.path("turn.py")).expect("Python");
     let slower = turn.replace("sleep(0.05)", "sleep(0.3)");
     assert_ne!(slower, turn);
@@ -63,13 +63,13 @@ const TASKS: [(&str, &str, &str, &str); 4] = [
 ];
 
 #[test]
-fn our_client_runs_them() {
+fn our_client_runs_the_examples() {
     runs_them(&python());
 }
 
 /// The scripts of an old robot are older than Python 3.
 #[test]
-fn under_python_2_they_run_as_well() {
+fn the_examples_run_under_python_2() {
     let Some(python) = python27() else {
         return eprintln!("left out: the examples under Python 2.7, which this machine has not");
     };
@@ -114,7 +114,7 @@ fn runs_them(python: &Path) {
     let (_, text) = end(&mut remote, turn);
     assert!(text.starts_with("stopped at "), "{text}");
     std::fs::write(scratch.path("brake"), "").expect("to write");
-    // On a busy machine Python starts too slowly to refuse in time.
+    // On a busy machine Python starts too slowly to reject in time.
     match remote.trigger("base", "turn", "10") {
         Err(TriggerError::Refused { reason, .. }) => assert_eq!(reason, "the brake is on"),
         taken => {
@@ -126,7 +126,7 @@ fn runs_them(python: &Path) {
 }
 
 #[test]
-fn the_originals_client_runs_them() {
+fn the_originals_client_runs_the_examples() {
     let (_scratch, server) = example(&python());
     let mut client = OriginalClient::connect(server.port, "/robot");
     for (handler, component, goal, result) in TASKS {
@@ -140,7 +140,7 @@ fn the_originals_client_runs_them() {
 }
 
 #[test]
-fn the_example_is_right() {
+fn the_example_configuration_is_valid() {
     let file = project("examples/serve/robot.yaml");
     let ended = Process::run(ztl().arg("serve").arg(file).arg("--check"));
     assert_eq!(ended.code, Some(0), "{ended:?}");
@@ -153,12 +153,12 @@ fn the_example_is_right() {
 }
 
 #[test]
-fn systemd_finds_nothing_wrong_with_the_unit() {
+fn systemd_accepts_the_unit() {
     verify_unit(&project("examples/systemd/ztl-serve.service"));
 }
 
 #[test]
-fn the_first_example_of_the_manual_can_be_pasted() {
+fn the_manuals_first_example_runs_as_pasted() {
     let manual = std::fs::read_to_string(project("docs/serve.md")).expect("the manual");
     let block = manual
         .split("```")

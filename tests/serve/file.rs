@@ -17,7 +17,7 @@ fn written(scratch: &Scratch, text: &str) -> String {
 }
 
 #[test]
-fn checking_says_what_is_wrong_and_what_may_be() {
+fn a_check_reports_mistakes_and_doubts() {
     let scratch = Scratch::new();
     let file = written(
         &scratch,
@@ -25,7 +25,7 @@ fn checking_says_what_is_wrong_and_what_may_be() {
     );
     let ended = run(&[&file, "--check"]);
     let warning = format!(
-        "{file}:3:16: warning: no-such-program is not there; install it or correct the path\n  \
+        "{file}:3:16: warning: no-such-program does not exist; install it or correct the path\n  \
          3 |   /a: {{h: {{c: [no-such-program]}}}}\n    |                ^^^^^^^^^^^^^^^\n"
     );
     let said = "Nothing is wrong except a warning: 1 component at /a, 2 components at /b, at 127.0.0.1:1.\n";
@@ -67,7 +67,7 @@ fn checking_says_what_is_wrong_and_what_may_be() {
 }
 
 #[test]
-fn options_override_the_file_and_what_is_missing_is_asked_for() {
+fn options_override_the_file_and_missing_settings_are_reported() {
     let scratch = Scratch::new();
     let file = written(&scratch, "scopes: {/a: {h: {c: echo}}}\n");
     let ended = run(&[&file, "--check"]);
@@ -106,7 +106,7 @@ fn options_override_the_file_and_what_is_missing_is_asked_for() {
 }
 
 #[test]
-fn every_key_stands_in_the_manual() {
+fn the_manual_documents_every_key() {
     let scratch = Scratch::new();
     let file = written(
         &scratch,

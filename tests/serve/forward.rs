@@ -10,7 +10,7 @@ use ztl_tests::lab::{
 
 use crate::rig::{Lab, dies, end, progress, start, told, trigger};
 
-/// A server that forwards all to another; `p` there is `p` here.
+/// A server that forwards everything to another; `p` here is `p` there.
 fn relay(far: u16) -> Lab {
     Lab::new(&format!(
         "'*': {{forward: {{to: 'tcp://127.0.0.1:{far}', scope: {SCOPE}}}}}\n\
@@ -26,7 +26,7 @@ const FAR: &str = r#"
     "#;
 
 #[test]
-fn a_task_is_done_there_as_if_it_were_done_here() {
+fn a_forwarded_task_behaves_like_a_local_one() {
     let far = Lab::new(FAR);
     let near = relay(far.server.port);
     assert_eq!(near.run("echo", "a:b;c"), (Completed, "a:b;c".to_owned()));
@@ -47,7 +47,7 @@ fn a_task_is_done_there_as_if_it_were_done_here() {
         told(remote.abort(id).expect("an answer")),
         (Accepted, "False".to_owned())
     );
-    // It goes on here and there.
+    // It continues on both servers.
     assert_eq!(remote.status(id).expect("an answer").state, Accepted);
     let mut client = near.server.original_client();
     let id = client.start("p", "echo", "hi");
@@ -57,7 +57,7 @@ fn a_task_is_done_there_as_if_it_were_done_here() {
 }
 
 #[test]
-fn the_other_server_may_be_the_originals() {
+fn tasks_are_forwarded_to_the_originals_server() {
     let far = Server::original();
     let near = relay(far.port);
     assert_eq!(near.run("other", "hi"), (Completed, "hi".to_owned()));
@@ -69,10 +69,10 @@ fn the_other_server_may_be_the_originals() {
 }
 
 #[test]
-fn a_server_that_is_not_there_refuses_and_nothing_is_sent() {
+fn an_absent_server_causes_a_rejection_and_nothing_is_sent() {
     let near = relay(reserve_port());
     let mut remote = near.remote();
-    // Known after its INIT was answered, with the id.
+    // Visible once its INIT was answered with the id.
     let id = trigger(&mut remote, "echo", "hi");
     let ended = remote.wait(id, Some(PATIENCE)).expect("its end");
     assert!(ended.text.contains("nothing was sent"), "{ended:?}");
@@ -80,7 +80,7 @@ fn a_server_that_is_not_there_refuses_and_nothing_is_sent() {
 }
 
 #[test]
-fn a_server_that_falls_silent_leaves_its_task_unknown_until_it_speaks() {
+fn a_forwarded_task_is_unknown_while_its_server_is_silent() {
     let far = Lab::new(FAR);
     let near = relay(far.server.port);
     let mut remote = near.remote();
@@ -91,14 +91,13 @@ fn a_server_that_falls_silent_leaves_its_task_unknown_until_it_speaks() {
     let answer = remote.abort(id).expect("an answer");
     assert_eq!(told(answer), (Accepted, "aborting".to_owned()));
     far.server.process.signal("CONT");
-    // The abort reaches it all the same.
+    // The abort still reaches it.
     assert_eq!(end(&mut remote, id).0, Aborted);
 }
 
-/// Every client of a relay whose server is killed and started again while it does a task.
+/// Every client of a relay whose server is killed and restarted during a task.
 #[test]
-fn a_task_whose_server_was_restarted_is_unknown_to_every_client_of_ours_and_failed_to_the_originals()
- {
+fn a_restarted_servers_task_is_unknown_to_us_and_failed_to_originals() {
     let port = reserve_port().to_string();
     let sleeps = |name| format!("{name}: {{run: [sleep, '60'], abort: no}}\n");
     let file: String = ["client", "script", "abort", "original", "after"]
@@ -144,7 +143,7 @@ fn a_task_whose_server_was_restarted_is_unknown_to_every_client_of_ours_and_fail
         .wait(id, Some(PATIENCE))
         .expect_err("no end is known");
     assert!(
-        matches!(waited.last, Err(RequestError::UnknownEnd { .. })),
+        matches!(waited.last, Err(RequestError::UnknownOutcome { .. })),
         "{waited:?}"
     );
     let abort = Process::run(ztl().args(["abort", "-p", &near_port, &id.to_string()]));
@@ -161,7 +160,7 @@ fn a_task_whose_server_was_restarted_is_unknown_to_every_client_of_ours_and_fail
 }
 
 #[test]
-fn a_restarted_server_has_not_completed_its_earlier_tasks() {
+fn earlier_tasks_of_a_restarted_server_are_not_completed() {
     let port = reserve_port().to_string();
     let mut far = Lab::with(FAR, &["-p", &port]);
     let near = relay(far.server.port);
@@ -170,7 +169,7 @@ fn a_restarted_server_has_not_completed_its_earlier_tasks() {
     progress(&mut remote, id, "half way");
     far.server.process.signal("TERM");
     let (state, text) = end(&mut remote, id);
-    // It was stopped, and said so.
+    // It was stopped and reported that.
     assert_eq!((state, text.as_str()), (Aborted, "the server was stopped"));
     dies(far.server.process.id());
 
@@ -182,14 +181,14 @@ fn a_restarted_server_has_not_completed_its_earlier_tasks() {
     let waited = remote
         .wait(id, Some(PATIENCE))
         .expect_err("no end is known");
-    let Err(RequestError::UnknownEnd { text }) = waited.last else {
+    let Err(RequestError::UnknownOutcome { text }) = waited.last else {
         panic!("{waited:?}");
     };
-    assert!(text.contains("started anew"), "{text}");
+    assert!(text.contains("was restarted"), "{text}");
 }
 
 #[test]
-fn a_server_that_forwards_to_itself_comes_to_an_end() {
+fn a_server_that_forwards_to_itself_terminates_the_loop() {
     let port = reserve_port();
     let file = format!(
         "scopes: {{{SCOPE}: {{p: {{'*': {{forward: {{to: 'tcp://127.0.0.1:{port}', scope: {SCOPE}}}}}}}}}}}"
@@ -207,7 +206,7 @@ fn a_server_that_forwards_to_itself_comes_to_an_end() {
     assert!(ended.contains("p:x is busy with task"), "{ended}");
 }
 
-/// A server with a key, for one client, and what `forward` needs to be that client, or another one.
+/// A server with a key, for one client, and the `forward` settings to be that client or another one.
 fn encrypted() -> Option<(Lab, Scratch, [String; 2])> {
     let demanded = std::env::var_os("ZTL_CURVE").is_some();
     assert!(can_encrypt() || !demanded, "this build does not encrypt");
@@ -232,9 +231,9 @@ fn encrypted() -> Option<(Lab, Scratch, [String; 2])> {
 }
 
 #[test]
-fn with_keys_it_is_the_client_that_the_other_server_knows() {
+fn with_keys_the_forwarding_server_authenticates_as_a_client() {
     let Some((far, _keys, [near, mallory])) = encrypted() else {
-        // Said at the start, and no task goes out in the clear.
+        // Reported at the start, and no task is sent unencrypted.
         let to = "to: 'tcp://127.0.0.1:1', scope: /a, key: a.key_secret, server-key: b.key";
         let lab = Lab::new(&format!("echo: {{forward: {{{to}}}}}"));
         lab.server
@@ -256,7 +255,7 @@ fn with_keys_it_is_the_client_that_the_other_server_knows() {
     let id = trigger(&mut remote, "go", "");
     progress(&mut remote, id, "half way");
     assert_eq!(remote.abort(id).expect("an answer").state, Aborted);
-    // Whoever has another key, or none, gets nothing, and nothing is said to be done.
+    // A client with another key, or none, gets nothing, and nothing is reported as done.
     for component in ["echo", "bad"] {
         let ran = remote.run("p", component, "x", Some(PATIENCE));
         let done = ran.is_ok_and(|status| status.state == Completed);

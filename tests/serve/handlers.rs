@@ -13,7 +13,7 @@ use ztl_tests::lab::{
 
 use crate::gate::Gate;
 
-/// The component says what goes wrong.
+/// The component selects the fault.
 struct Unruly(Gate);
 
 impl TaskController for Unruly {
@@ -42,7 +42,7 @@ impl TaskController for Unruly {
     }
 }
 
-/// A server of unruly tasks. Its gate is opened at the end, so that no thread is left behind.
+/// A server of faulty tasks. Its gate is opened at the end, so that no thread is left behind.
 struct Lab {
     server: RunningServer,
     gate: Gate,
@@ -70,7 +70,7 @@ impl Drop for Lab {
     }
 }
 
-/// Asks about a task for so long, and gives the longest time that an answer took.
+/// Asks about a task for this long, and returns the longest response time.
 #[track_caller]
 fn slowest_status(remote: &mut RemoteTask, id: TaskId, time: Duration) -> Duration {
     let start = Instant::now();
@@ -86,14 +86,14 @@ fn slowest_status(remote: &mut RemoteTask, id: TaskId, time: Duration) -> Durati
 }
 
 #[test]
-fn a_panic_is_that_tasks_end_and_nobody_elses() {
+fn a_panic_fails_only_its_own_task() {
     let lab = Lab::new();
     let mut remote = lab.connect();
     let bystander = start(&mut remote, "any", "sleep", "");
     for round in 0..3 {
         let reason = match remote.trigger("any", "panic-in-assign", &round.to_string()) {
             Err(TriggerError::Refused { reason, .. }) => reason,
-            // To print the panic takes a busy machine longer than an answer is held.
+            // On a busy machine, printing the panic takes longer than a reply is held.
             taken => {
                 let late = remote.wait(taken.expect("an answer").id, LIMIT);
                 let late = late.expect("its end");
@@ -117,7 +117,7 @@ fn a_panic_is_that_tasks_end_and_nobody_elses() {
 }
 
 #[test]
-fn an_assign_that_blocks_for_3_s_keeps_nobody_waiting() {
+fn an_assign_that_blocks_for_3_s_delays_no_other_client() {
     let lab = Lab::new();
     let mut remote = lab.connect();
     let bystander = start(&mut remote, "any", "sleep", "");
@@ -127,7 +127,7 @@ fn an_assign_that_blocks_for_3_s_keeps_nobody_waiting() {
             let blocked = scope.spawn(|| lab.connect().trigger("any", "block-in-assign", "done"));
             let slowest = slowest_status(&mut remote, bystander, Duration::from_secs(2));
 
-            // Its own client has been answered before it would have given up, and has an id.
+            // Its own client got a reply with an id before its timeout.
             let task = blocked.join().unwrap().expect("an id");
             assert_ne!(task.id, bystander);
             let end = status(State::Completed, "done");
@@ -136,7 +136,7 @@ fn an_assign_that_blocks_for_3_s_keeps_nobody_waiting() {
             slowest
         })
     };
-    // A busy machine delays some tries, a server that waits all.
+    // A busy machine delays some requests, a blocked server all of them.
     until("quick answers", PATIENCE, || {
         (slowest_of_others() < Duration::from_secs(1)).then_some(())
     });
@@ -146,11 +146,11 @@ fn an_assign_that_blocks_for_3_s_keeps_nobody_waiting() {
 fn the_originals_client_gets_an_id_of_an_assign_that_hangs() {
     let lab = Lab::new();
     let mut client = lab.original_client();
-    // It gives up after 2 s, and would take its task for refused.
+    // The original's client times out after 2 s and would take its task for rejected.
     let id = client.start("any", "hang-in-assign", "done");
     assert_eq!(client.status(id), (0, "None"));
     lab.gate.open();
-    // To its wait, INITIATED is not an end either.
+    // The original's wait does not treat INITIATED as an end either.
     assert_eq!(client.wait(id, 20.0), (COMPLETED, "done"));
 }
 
@@ -173,18 +173,18 @@ fn status_reports_a_rejection_by_an_assign_that_hung() {
 }
 
 #[test]
-fn an_abort_that_is_not_heeded_is_answered_all_the_same() {
+fn an_ignored_abort_is_still_answered() {
     let lab = Lab::new();
     let mut client = lab.original_client();
     let mut remote = lab.connect();
     for component in ["hang", "hang-in-assign"] {
         let id = client.start("any", component, "late");
         let asked = Instant::now();
-        // The original's client gives up after 2 s; its answer would then be -1.
+        // The original's client times out after 2 s; its result would then be -1.
         assert_eq!(client.abort(id), (ACCEPTED, "aborting"), "{component}");
         assert!(asked.elapsed() > Duration::from_secs(1));
 
-        // Meanwhile anybody else is served.
+        // Meanwhile other clients are served.
         let aborted = in_time(Duration::from_secs(1), || {
             let other = start(&mut remote, "any", "sleep", "");
             remote.abort(other)
@@ -208,7 +208,7 @@ fn a_task_that_completes_despite_an_abort_reports_its_true_outcome() {
         });
         lab.gate.open();
         let told = abort.join().unwrap().expect("an answer");
-        // `False` when it had ended before the ABORT came.
+        // `False` if it ended before the ABORT arrived.
         assert_eq!(told.state, State::Completed);
         assert!(["done after all", "False"].contains(&told.text.as_str()));
     });
@@ -217,7 +217,7 @@ fn a_task_that_completes_despite_an_abort_reports_its_true_outcome() {
 }
 
 #[test]
-fn an_abort_wakes_a_task_and_its_end_never_changes() {
+fn an_abort_wakes_a_task_and_its_final_state_never_changes() {
     let lab = Lab::new();
     let mut client = lab.original_client();
     let id = client.start("any", "sleep", "");

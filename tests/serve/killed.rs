@@ -26,7 +26,7 @@ fn watchdog(lab: &Lab) -> u32 {
 }
 
 #[test]
-fn every_program_is_asked_to_end_and_killed_after_its_grace() {
+fn every_program_gets_sigterm_and_is_killed_after_its_grace() {
     let mut lab = Lab::new(
         r#"
         careful: {run: [sh, -c, 'trap "sleep 0.3; echo parked > parked; exit" INT; echo $$ > careful; while :; do sleep 0.02; done'], abort: INT}
@@ -53,7 +53,7 @@ fn every_program_is_asked_to_end_and_killed_after_its_grace() {
     lab.server.process.kill();
     assert_eq!(lab.written("parked"), "parked");
     assert_eq!(lab.written("halt"), format!("{driver} fast"));
-    // That program had its time, although the other one was gone before.
+    // That program got its grace although the other one ended earlier.
     lab.written("stopped");
     for process in processes {
         dies(process);
@@ -64,20 +64,20 @@ fn every_program_is_asked_to_end_and_killed_after_its_grace() {
         .process
         .wait_for("The server has ended and left programs behind. Stopping them.");
     lab.server.process.wait_for("have ended.");
-    // What was waiting never began, and what may stay is still there.
+    // The waiting task never started, and the process that may stay still runs.
     assert_eq!(lab.written("begun").lines().count(), 1);
     assert!(lives(lab.process("left")));
     kill(lab.process("left"));
 }
 
 #[test]
-fn a_program_that_is_just_being_started_is_found() {
+fn the_watchdog_finds_a_program_that_is_just_starting() {
     for delay in 0..12 {
         let mut lab = Lab::new("go: {run: [sh, -c, 'echo > begun; sleep 60; true']}");
         let mut remote = lab.remote();
-        // It waits for an answer in vain, and nobody for it.
+        // It never gets a reply, and the test does not wait for it.
         std::thread::spawn(move || drop(remote.trigger("p", "go", "")));
-        // At another moment of its start each time.
+        // Kills at a different moment of its start each time.
         std::thread::sleep(Duration::from_micros(delay * 400));
         lab.server.process.kill();
         lab.server.process.wait_for_end_of_output();
@@ -88,7 +88,7 @@ fn a_program_that_is_just_being_started_is_found() {
 }
 
 #[test]
-fn a_watchdog_that_is_killed_again_and_again_is_replaced_while_nothing_else_happens() {
+fn a_repeatedly_killed_watchdog_is_replaced_while_the_server_idles() {
     let mut lab = Lab::new("go: {run: [sh, -c, 'echo $$ > pid; exec sleep 60']}");
     for _ in 0..5 {
         let before = watchdog(&lab);
@@ -104,7 +104,7 @@ fn a_watchdog_that_is_killed_again_and_again_is_replaced_while_nothing_else_happ
 }
 
 #[test]
-fn a_watchdog_that_is_killed_or_does_not_listen_is_replaced() {
+fn a_killed_or_unresponsive_watchdog_is_replaced() {
     let mut lab = Lab::new(
         r#"
         go: {run: [sh, -c, 'echo $$ > pid; exec sleep 60']}
@@ -115,7 +115,7 @@ fn a_watchdog_that_is_killed_or_does_not_listen_is_replaced() {
     trigger(&mut remote, "go", "");
     let process = lab.process("pid");
     let first = watchdog(&lab);
-    // It is the same program as its server, and under the same filter where an old kernel is played.
+    // It is the same program as its server, and runs under the same filter when an old kernel is simulated.
     let of = |process: u32| {
         let status = std::fs::read_to_string(format!("/proc/{process}/status"));
         let status = status.expect("its status");
@@ -136,7 +136,7 @@ fn a_watchdog_that_is_killed_or_does_not_listen_is_replaced() {
         .process
         .wait_for("The watchdog has been restarted.");
 
-    // One that is stopped is noticed once it has been told more than fits, and harms nobody.
+    // A suspended watchdog is noticed once its pipe is full, and delays no client.
     let second = watchdog(&lab);
     signal(second, "STOP");
     let long = "x".repeat(50_000);
@@ -158,7 +158,7 @@ fn no_program_starts_while_the_watchdog_is_being_replaced() {
     for _ in 0..3 {
         let mut lab = Lab::new("go: {run: [sh, -c, 'exec sleep 60']}");
         let mut remote = lab.remote();
-        // The more of them end in a row, the longer the pause before the next.
+        // The more watchdogs end in a row, the longer the pause before the next.
         let mut last = watchdog(&lab);
         for _ in 0..5 {
             kill(last);
@@ -176,7 +176,7 @@ fn no_program_starts_while_the_watchdog_is_being_replaced() {
                 taken => Some(taken.expect("an answer")),
             }
         });
-        // Whoever confirmed that program knows of it.
+        // The watchdog that confirmed the program knows of it.
         lab.server.process.kill();
         until("nothing runs", PATIENCE, || {
             lab.at_home().is_empty().then_some(())
@@ -185,7 +185,7 @@ fn no_program_starts_while_the_watchdog_is_being_replaced() {
 }
 
 #[test]
-fn a_watchdog_heeds_no_signal_that_it_can_ignore() {
+fn a_watchdog_ignores_every_signal_it_can() {
     let mut lab = Lab::new(
         r#"
         go: {run: [sh, -c, 'echo $$ > pid; exec sleep 60']}
@@ -200,7 +200,7 @@ fn a_watchdog_heeds_no_signal_that_it_can_ignore() {
     ] {
         signal(first, name);
     }
-    // A signal takes effect before the watchdog confirms anything more.
+    // A signal takes effect before the watchdog confirms anything else.
     assert_eq!(lab.run("other", ""), (Completed, String::new()));
     assert_eq!(watchdog(&lab), first);
     lab.server.process.kill();
@@ -251,7 +251,7 @@ os._exit(gone)
 ";
 
 #[test]
-fn a_terminal_that_stops_background_programs_does_not_stop_a_watchdog() {
+fn a_terminal_that_suspends_background_programs_spares_the_watchdog() {
     let scratch = Scratch::new();
     let (file, pid) = (scratch.path("robot.yaml"), scratch.path("pid"));
     let port = reserve_port();
@@ -276,7 +276,7 @@ fn a_terminal_that_stops_background_programs_does_not_stop_a_watchdog() {
 }
 
 #[test]
-fn a_stopped_watchdog_does_its_work_once_the_server_is_gone() {
+fn a_suspended_watchdog_stops_programs_after_the_server_dies() {
     let mut lab = Lab::new("go: {run: [sh, -c, 'echo $$ > pid; exec sleep 60']}");
     trigger(&mut lab.remote(), "go", "");
     let process = lab.process("pid");
@@ -286,7 +286,7 @@ fn a_stopped_watchdog_does_its_work_once_the_server_is_gone() {
 }
 
 #[test]
-fn a_stopped_watchdog_is_replaced_before_another_program_starts() {
+fn a_suspended_watchdog_is_replaced_before_another_program_starts() {
     let mut lab = Lab::new("go: {run: [sh, -c, 'exec sleep 60'], at-once: 9}");
     let mut remote = lab.remote();
     trigger(&mut remote, "go", "");
@@ -314,7 +314,7 @@ fn logging_to(file: &Path) -> Command {
 }
 
 #[test]
-fn a_log_that_cannot_be_written_keeps_nobody_from_stopping_programs() {
+fn an_unwritable_log_does_not_prevent_stopping_programs() {
     let scratch = Scratch::new();
     let fifo = scratch.path("log");
     let made = Command::new("mkfifo").arg(&fifo).status();
@@ -347,7 +347,7 @@ fn a_log_that_cannot_be_written_keeps_nobody_from_stopping_programs() {
 }
 
 #[test]
-fn after_a_restart_the_outcome_of_a_task_is_unknown() {
+fn after_a_restart_a_tasks_outcome_is_unknown() {
     let mut lab = Lab::new("go: {run: [sh, -c, 'echo $$ > pid; exec sleep 60']}\necho: echo");
     let mut remote = lab.remote();
     let id = trigger(&mut remote, "go", "");
@@ -367,7 +367,7 @@ fn after_a_restart_the_outcome_of_a_task_is_unknown() {
 }
 
 #[test]
-fn a_server_that_was_stopped_for_a_while_knows_what_has_happened() {
+fn a_resumed_server_learns_what_its_programs_did() {
     let lab = Lab::new(
         r#"
         go: {run: [sh, -c, 'echo "@ on"; until [ -e go ]; do sleep 0.01; done; echo done > done; echo done'], progress: '@ ', at-once: 2}
@@ -388,7 +388,7 @@ fn a_server_that_was_stopped_for_a_while_knows_what_has_happened() {
         matches!(silent, RequestError::NoAnswer { .. }),
         "{silent:?}"
     );
-    // Both end, or should have, while nobody looks.
+    // Both end, or should end, while the server is suspended.
     std::fs::write(lab.scratch.path("go"), "").expect("to write");
     lab.written("done");
     lab.server.process.signal("CONT");
@@ -398,7 +398,7 @@ fn a_server_that_was_stopped_for_a_while_knows_what_has_happened() {
 }
 
 #[test]
-fn an_abort_to_a_stopped_server_is_done_once_it_goes_on() {
+fn a_suspended_server_executes_an_abort_once_resumed() {
     let lab = Lab::new("go: {run: [sh, -c, 'echo $$ > pid; exec sleep 60']}");
     let mut remote = lab.remote();
     let id = trigger(&mut remote, "go", "");

@@ -1,4 +1,4 @@
-//! A task whose client is gone: the owner of the task chooses whether it goes on.
+//! A task whose client is gone: the owner of the task chooses whether it continues.
 
 use std::time::Duration;
 
@@ -8,10 +8,10 @@ use ztl_tests::lab::{
     start, until,
 };
 
-/// For how long a client may be silent here.
+/// How long a client may be silent here.
 const SILENCE: Duration = Duration::from_millis(1500);
 
-/// Lasts until it is aborted; the component says whether it goes on without its client.
+/// Runs until it is aborted; the component decides whether it continues without its client.
 struct Drive {
     needs_client: bool,
 }
@@ -47,7 +47,7 @@ fn client(port: u16, component: &str) -> (Process, TaskId) {
 }
 
 #[test]
-fn a_task_is_aborted_when_its_client_is_killed_if_its_owner_wants_that() {
+fn a_task_tied_to_its_client_is_aborted_when_that_is_killed() {
     let server = serve(Base);
     let port = port_of(server.endpoint());
     let (mut killed, one) = client(port, "needs");
@@ -61,7 +61,7 @@ fn a_task_is_aborted_when_its_client_is_killed_if_its_owner_wants_that() {
 
     let mut witness = connect(server.endpoint());
     let mut state = |id| witness.status(id).expect("an answer").state;
-    // Each keeps in touch: nothing happens for as long as it is alive.
+    // Each client sends requests, so its task continues while it is alive.
     std::thread::sleep(SILENCE * 2);
     for id in [one, two, three, four, six] {
         assert_eq!(state(id), State::Accepted);

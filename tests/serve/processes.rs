@@ -9,7 +9,7 @@ use ztl_tests::lab::{PATIENCE, Process, until, ztl};
 use crate::rig::{Lab, dies, end, lives, progress, trigger};
 
 #[test]
-fn a_program_of_another_user_has_their_rights_and_no_others() {
+fn a_program_of_another_user_has_only_that_users_rights() {
     let mut lab = Lab::new(
         r#"
         own: {run: [sh, -c, 'echo "$(id -un) $(id -G)"'], user: nobody}
@@ -41,7 +41,7 @@ fn a_program_of_another_user_has_their_rights_and_no_others() {
     let (state, why) = lab.run("secret", "");
     assert_eq!(state, Failed);
     assert!(why.ends_with("Permission denied"), "{why}");
-    // Only the thread that started them was somebody else.
+    // Only the thread that started them had another user.
     let own = format!("{} {}", id("-un"), id("-G"));
     assert_eq!(lab.run("mine", ""), (Completed, own));
     assert_eq!(lab.run("own", ""), (Completed, nobody));
@@ -51,14 +51,14 @@ fn a_program_of_another_user_has_their_rights_and_no_others() {
     let process = until("its number", PATIENCE, || {
         remote.status(task).expect("an answer").text.parse().ok()
     });
-    // So does what stops it, also when the watchdog has to.
+    // The abort program also runs as that user, even when the watchdog starts it.
     lab.server.process.kill();
     assert_eq!(lab.written("aborter"), "nobody");
     dies(process);
 }
 
 #[test]
-fn no_process_remains_of_programs_that_leave_children() {
+fn programs_with_children_leave_no_process_behind() {
     let lab = Lab::new(
         r#"
         leaves: [sh, -c, 'for i in 1 2 3; do sleep 60 & done; (sleep 60; sleep 60) & echo done']
@@ -74,7 +74,7 @@ fn no_process_remains_of_programs_that_leave_children() {
     until("all have ended", PATIENCE, || {
         lab.at_home().is_empty().then_some(())
     });
-    // Nor a zombie: only the watchdog is a child of the server.
+    // No zombie either: only the watchdog is a child of the server.
     assert_eq!(lab.children().len(), 1);
 }
 
@@ -90,7 +90,7 @@ fn worked(process: u32) -> u64 {
 }
 
 #[test]
-fn a_program_that_says_nothing_or_closes_what_it_speaks_into_costs_no_time() {
+fn a_silent_or_closed_output_uses_no_cpu() {
     let lab = Lab::new(
         r#"
         silent: {run: [sh, -c, 'echo > silent; until [ -e go ]; do sleep 0.2; done; echo end']}
@@ -101,14 +101,14 @@ fn a_program_that_says_nothing_or_closes_what_it_speaks_into_costs_no_time() {
     );
     let mut remote = lab.remote();
     let tasks = ["silent", "closes", "half"].map(|name| trigger(&mut remote, name, ""));
-    // Its output is held open by what it left behind, for nobody to read.
+    // A leftover process holds its output open, which is never read.
     assert_eq!(lab.run("passes", ""), (Completed, "end".to_owned()));
     lab.written("silent");
     let process = lab.server.process.id();
     let before = worked(process);
     std::thread::sleep(Duration::from_secs(1));
     let cost = worked(process) - before;
-    // A loop would take all hundred.
+    // A busy loop would take all hundred.
     assert!(cost <= 10, "{cost}");
     for task in tasks {
         assert_eq!(remote.status(task).expect("an answer").state, Accepted);
@@ -125,7 +125,7 @@ fn a_program_that_says_nothing_or_closes_what_it_speaks_into_costs_no_time() {
 }
 
 #[test]
-fn a_crowd_that_shouts_is_heard_within_bounds_and_others_are_served() {
+fn many_noisy_children_are_read_within_limits_and_delay_no_other() {
     let lab = Lab::new(
         r#"
         crowd: {run: [sh, -c, 'for i in $(seq 40); do yes "$i is here" & yes >&2 & done; wait'], result: all, output: 4 KiB, abort: {grace: 100 ms}}
@@ -174,7 +174,7 @@ fn ztl_ps_shows_where_a_program_is() {
 }
 
 #[test]
-fn whichever_signal_ends_the_server_no_program_survives_it() {
+fn no_program_survives_its_server_at_any_signal() {
     for signal in ["ABRT", "QUIT", "HUP"] {
         let mut lab =
             Lab::new("go: {run: [sh, -c, 'echo $$ > pid; exec sleep 60'], abort: {grace: 2 s}}");

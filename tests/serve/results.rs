@@ -48,7 +48,7 @@ fn the_goal_reaches_a_program_unchanged_and_no_shell_reads_it() {
 }
 
 #[test]
-fn a_goal_that_would_be_an_option_or_cannot_be_an_argument_is_refused() {
+fn an_option_like_goal_or_invalid_argument_is_rejected() {
     let lab = Lab::new(
         "
         say: [echo, '{goal}']
@@ -57,7 +57,7 @@ fn a_goal_that_would_be_an_option_or_cannot_be_an_argument_is_refused() {
     );
     let refused = lab.refusal("say", "-n");
     assert!(refused.starts_with("'-n' begins with '-'"), "{refused}");
-    // A check of a script is told the same, and starts nothing.
+    // A check of a script gets the same reply and starts nothing.
     let scratch = Scratch::new();
     let (script, remotes) = (scratch.path("show.yaml"), scratch.path("remotes.yaml"));
     std::fs::write(&script, "s: {a: {p: {say: -n, bold: -n}}}\n").expect("to write");
@@ -89,7 +89,7 @@ fn a_goal_that_would_be_an_option_or_cannot_be_an_argument_is_refused() {
 }
 
 #[test]
-fn the_last_line_is_the_result_or_all_or_json_or_nothing() {
+fn the_result_is_the_last_line_all_json_or_nothing() {
     let script = "sh, -c, 'echo one; echo; echo \"[1, true, {\\\"a\\\": null}]\"; echo'";
     let lab = Lab::new(&format!(
         "last: [{script}]
@@ -117,7 +117,7 @@ fn the_last_line_is_the_result_or_all_or_json_or_nothing() {
 }
 
 #[test]
-fn a_program_that_fails_or_crashes_says_how_and_why() {
+fn a_failed_or_crashed_program_is_reported_with_the_reason() {
     let lab = Lab::new(
         r#"
         exit: [sh, -c, 'echo out; echo "cannot open /dev/dsp" >&2; exit 3']
@@ -139,7 +139,7 @@ fn a_program_that_fails_or_crashes_says_how_and_why() {
 }
 
 #[test]
-fn output_without_end_and_bytes_that_are_no_text_harm_nobody() {
+fn endless_and_non_utf8_output_is_handled() {
     let lab = Lab::new(
         r#"
         flood: {run: [sh, -c, 'yes 0123456789 | head -c 50000000; echo; echo the end']}
@@ -171,8 +171,8 @@ fn output_without_end_and_bytes_that_are_no_text_harm_nobody() {
 
 #[test]
 fn stdin_is_empty_and_signals_are_as_a_program_expects_them() {
-    // As a shell starts what is to run in the background, `nohup` what is to go on, and others worse: with SIGCHLD
-    // ignored, nobody could wait for a child.
+    // Signals ignored as by a shell for background processes, by `nohup`, and worse: with SIGCHLD
+    // ignored, waiting for a child would be impossible.
     let mut ztl_in_background = Command::new("sh");
     let ignoring = r#"trap '' HUP INT QUIT USR1 PIPE TERM CHLD; exec "$@""#;
     ztl_in_background
@@ -189,20 +189,20 @@ fn stdin_is_empty_and_signals_are_as_a_program_expects_them() {
     assert_eq!(lab.run("pipe", ""), (Completed, "y".to_owned()));
     let (_, ignored) = lab.run("ignored", "");
     let ignored = u64::from_str_radix(&ignored, 16).expect("a mask");
-    // But for 32 and 33, which the C library keeps for itself.
+    // Except for 32 and 33, which the C library reserves.
     assert_eq!(ignored & !(0b11 << 31), 0, "{ignored:x}");
     let mut remote = lab.remote();
     let id = trigger(&mut remote, "quit", "");
     lab.process("pid");
     assert_eq!(remote.abort(id).expect("an answer").state, Aborted);
     assert_eq!(end(&mut remote, id), (Aborted, "heard".to_owned()));
-    // It heeds none of them itself, as it was told.
+    // The server itself still ignores them, as configured at its start.
     lab.server.process.signal("QUIT");
     assert_eq!(lab.run("reads", ""), (Completed, "read".to_owned()));
 }
 
 #[test]
-fn progress_is_seen_when_it_is_printed_and_is_no_result() {
+fn progress_is_reported_when_printed_and_excluded_from_the_result() {
     let lab = Lab::new(
         r#"
         go: {run: [sh, -c, 'echo "@ 1 of 2"; until [ -e go ]; do sleep 0.01; done; echo done; echo "@ 2 of 2"'], progress: '@ '}
@@ -214,7 +214,7 @@ fn progress_is_seen_when_it_is_printed_and_is_no_result() {
     crate::rig::progress(&mut remote, id, "1 of 2");
     std::fs::write(lab.scratch.path("go"), "").expect("to write");
     assert_eq!(end(&mut remote, id), (Completed, "done".to_owned()));
-    // Python keeps back what goes into a pipe, unless it is told not to.
+    // Python buffers output into a pipe unless told otherwise.
     let id = trigger(&mut remote, "python", "");
     crate::rig::progress(&mut remote, id, "here");
     remote.abort(id).expect("an answer");

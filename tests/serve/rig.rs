@@ -4,17 +4,17 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use ztl_core::dispatcher::NOTHING_KNOWN;
-use ztl_std::{RemoteTask, State, Status, TaskId, TriggerError};
+use ztl_std::{RemoteTask, RunError, State, Status, TaskId, TriggerError};
 use ztl_tests::lab::{PATIENCE, SCOPE, Scratch, Server, connect, signal, until, ztl};
 
-/// `ztl serve` with a file of its own, in a directory in which its programs run.
+/// `ztl serve` with its own file, in the directory in which its programs run.
 pub struct Lab {
     pub server: Server,
     pub scratch: Scratch,
 }
 
 impl Lab {
-    /// Serves the components of a handler `p`, written as in the file: `name: {run: […]}`, a line each.
+    /// Serves the components of a handler `p`, written as in the file: `name: {run: […]}`, one per line.
     #[track_caller]
     pub fn new(components: &str) -> Self {
         Self::with(components, &[])
@@ -26,7 +26,7 @@ impl Lab {
         Self::of_file(&file(components), options)
     }
 
-    /// Serves components by a `ztl` of one's own.
+    /// Serves components with another `ztl` command.
     #[track_caller]
     pub fn of_command(ztl: Command, components: &str) -> Self {
         Self::start(ztl, &file(components), &[])
@@ -53,20 +53,33 @@ impl Lab {
         connect(&self.server.endpoint()).with_timeout(PATIENCE)
     }
 
-    /// Has a task done, from its beginning to its end.
+    /// Runs a task and returns its outcome.
     #[track_caller]
     pub fn run(&self, component: &str, goal: &str) -> (State, String) {
-        let ran = self.remote().run("p", component, goal, Some(PATIENCE));
-        told(ran.unwrap_or_else(|error| panic!("{component}:{goal}: {error}")))
+        let mut remote = self.remote();
+        until(
+            "a watchdog that has time to confirm",
+            PATIENCE,
+            || match remote.run("p", component, goal, Some(PATIENCE)) {
+                Ok(Status { text, .. }) if is_starved(&text) => None,
+                Err(RunError::NotStarted(TriggerError::Refused { reason, .. }))
+                    if is_starved(&reason) =>
+                {
+                    None
+                }
+                Ok(status) => Some(told(status)),
+                Err(error) => panic!("{component}:{goal}: {error}"),
+            },
+        )
     }
 
-    /// Why a task is refused.
+    /// Why a task is rejected.
     #[track_caller]
     pub fn refusal(&self, component: &str, goal: &str) -> String {
         refusal(&mut self.remote(), component, goal)
     }
 
-    /// What a program has written into a file of its directory; waits for it.
+    /// Waits until a program has written a file of its directory, and returns the content.
     #[track_caller]
     pub fn written(&self, name: &str) -> String {
         let path = self.scratch.path(name);
@@ -76,7 +89,7 @@ impl Lab {
         })
     }
 
-    /// The server's child processes, its watchdog among them.
+    /// The server's child processes, including its watchdog.
     pub fn children(&self) -> Vec<u32> {
         let threads = format!("/proc/{}/task", self.server.process.id());
         let threads = std::fs::read_dir(threads).into_iter().flatten().flatten();
@@ -88,7 +101,7 @@ impl Lab {
             .collect()
     }
 
-    /// All processes that run in the programs' directory, whoever is their parent.
+    /// All processes in the programs' directory, with any parent.
     pub fn at_home(&self) -> Vec<PathBuf> {
         let home = std::fs::canonicalize(self.scratch.path("")).expect("a directory");
         let all = std::fs::read_dir("/proc").expect("/proc").flatten();
@@ -98,7 +111,7 @@ impl Lab {
         all.map(|process| process.path()).filter(at_home).collect()
     }
 
-    /// The process whose number a program has written into a file.
+    /// The process whose id a program has written into a file.
     #[track_caller]
     pub fn process(&self, name: &str) -> u32 {
         self.written(name).parse().expect("a number")
@@ -152,8 +165,8 @@ pub fn end(remote: &mut RemoteTask, id: TaskId) -> (State, String) {
     told(remote.wait(id, Some(PATIENCE)).expect("its end"))
 }
 
-/// Waits until a task says where it is. (The text of one that has said nothing is `None`, and there
-/// is an `on` in that, too.)
+/// Waits until a task reports this progress. (The text of a task without progress is `None`, which
+/// also contains `on`.)
 #[track_caller]
 pub fn progress(remote: &mut RemoteTask, id: TaskId, part: &str) {
     until(part, PATIENCE, || {
@@ -181,6 +194,11 @@ pub fn dies(process: u32) {
     until("the process ends", PATIENCE, || {
         (!lives(process)).then_some(())
     });
+}
+
+/// Whether a task was not started because the machine is busy.
+pub fn is_starved(text: &str) -> bool {
+    text.contains("the watchdog has not confirmed within")
 }
 
 /// Ends a process.

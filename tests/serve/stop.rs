@@ -17,21 +17,21 @@ const CAREFUL: &str = r#"
     "#;
 
 #[test]
-fn under_nohup_it_outlives_the_one_who_started_it() {
+fn under_nohup_the_server_survives_a_hangup() {
     let mut nohup = Command::new("sh");
     nohup
         .args(["-c", r#"trap '' HUP; exec "$@""#, "sh"])
         .arg(built("ztl"));
     let lab = Lab::of_command(nohup, CAREFUL);
     lab.server.process.signal("HUP");
-    // Long enough for it to have heard.
+    // Long enough for the signal to arrive.
     assert_eq!(lab.run("sleep", "0.3").0, Completed);
     lab.server.process.signal("TERM");
     assert_eq!(lab.server.process.end(PATIENCE).code, Some(143));
 }
 
 #[test]
-fn asked_to_stop_it_stops_every_task_within_its_grace_and_says_so() {
+fn a_signal_stops_every_task_within_its_grace_and_reports_it() {
     let lab = Lab::new(CAREFUL);
     let mut remote = lab.remote();
     let careful = trigger(&mut remote, "careful", "");
@@ -73,7 +73,7 @@ fn asked_to_stop_it_stops_every_task_within_its_grace_and_says_so() {
 }
 
 #[test]
-fn a_second_signal_kills_all_and_leaves_at_once() {
+fn a_second_signal_kills_all_programs_and_exits_at_once() {
     let lab = Lab::new(CAREFUL);
     let mut remote = lab.remote();
     trigger(&mut remote, "stubborn", "");
@@ -88,7 +88,7 @@ fn a_second_signal_kills_all_and_leaves_at_once() {
 }
 
 #[test]
-fn while_it_stops_nothing_new_begins() {
+fn a_stopping_server_starts_no_new_task() {
     let lab = Lab::new(CAREFUL);
     let mut remote = lab.remote();
     trigger(&mut remote, "stubborn", "");
@@ -107,7 +107,7 @@ fn while_it_stops_nothing_new_begins() {
 }
 
 #[test]
-fn systemd_hears_what_is_served_that_it_lives_and_that_it_stops() {
+fn systemd_is_notified_of_components_liveness_and_stopping() {
     let scratch = Scratch::new();
     let path = scratch.path("notify");
     let mut manager = ServiceManager::at(&SocketAddr::from_pathname(&path).expect("an address"));

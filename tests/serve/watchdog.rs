@@ -34,9 +34,9 @@ fn serve(watchdog: &str) -> (Scratch, RunningServer, String) {
 }
 
 #[test]
-fn without_a_confirmation_programs_are_refused_and_all_else_is_served() {
+fn without_the_watchdogs_confirmation_only_programs_are_rejected() {
     for watchdog in [
-        // It never gets ready, does not answer, ends at once, cannot be understood.
+        // It never becomes ready, does not answer, ends at once, or sends an unreadable line.
         "exec sleep 600",
         "echo 0 >&0; exec sleep 600",
         "exit",
@@ -59,8 +59,8 @@ fn without_a_confirmation_programs_are_refused_and_all_else_is_served() {
 }
 
 #[test]
-fn an_abort_before_the_confirmation_is_done_at_once_and_nothing_starts() {
-    // It confirms the first program, and no other.
+fn an_abort_before_the_watchdogs_confirmation_starts_nothing() {
+    // It confirms only the first program.
     let (scratch, _server, endpoint) = serve(
         "echo 0 >&0; read line; echo 1 >&0
         while read line; do case $line in *Begins*) echo > held; exec sleep 600;; esac; done",
@@ -79,7 +79,7 @@ fn an_abort_before_the_confirmation_is_done_at_once_and_nothing_starts() {
     });
     let aborted = remote.abort(second).expect("an answer");
     assert_eq!(end(&mut remote, first).0, State::Completed);
-    // On a busy machine the time for a confirmation may have passed first.
+    // On a busy machine the confirmation may have timed out first.
     let (state, text) = end(&mut remote, second);
     if state != State::Failed {
         assert_eq!(aborted.state, State::Aborted, "{aborted:?}");

@@ -1,4 +1,4 @@
-//! Damaged files, made from a seed: whatever a reader is given, it must not panic.
+//! Damaged files, made from a seed: a reader must not panic on any input.
 
 /// A sequence of numbers that looks random and is the same in every run (xorshift).
 pub struct Garbage(u64);

@@ -32,7 +32,7 @@ const BODIES: &[&[u8]] = &[
     b";;;",
 ];
 
-/// A message as a client of ours, of the original, or of nobody sends it.
+/// A message from a client of ours, from the original's, or from neither.
 fn message(random: &mut Random) -> Vec<u8> {
     let mut frames: Vec<Vec<u8>> = Vec::new();
     for _ in 0..random.below(4) {
@@ -126,7 +126,7 @@ fn attack(port: u16, random: &mut Random) {
 }
 
 #[test]
-fn bytes_of_any_kind_keep_no_good_client_waiting() {
+fn random_bytes_delay_no_valid_client() {
     let (seed, rounds) = (number("ZTL_FUZZ_SEED", 1), number("ZTL_FUZZ_ROUNDS", 400));
     for server in [Server::ours(), Server::simulated()] {
         let neighbour = Socket::req(&server.endpoint());

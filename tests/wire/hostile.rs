@@ -17,7 +17,7 @@ fn connect(port: u16) -> TcpStream {
 }
 
 #[test]
-fn a_connection_that_does_not_shake_hands_is_ended() {
+fn a_connection_without_a_handshake_is_closed() {
     let mut limits = Limits::default();
     limits.handshake = Duration::from_millis(300);
     let server = TaskServer::builder()
@@ -39,7 +39,7 @@ fn a_connection_that_does_not_shake_hands_is_ended() {
 }
 
 #[test]
-fn slow_senders_and_half_open_connections_harm_nobody() {
+fn slow_senders_and_half_open_connections_delay_no_other() {
     let server = Server::ours();
     let half_open: Vec<TcpStream> = (0..100).map(|_| connect(server.port)).collect();
     let mut slow: Vec<TcpStream> = (0..20).map(|_| shake_hands(server.port)).collect();
@@ -74,7 +74,7 @@ fn a_thousand_connections_at_once_are_all_served() {
 }
 
 #[test]
-fn a_client_that_never_reads_costs_little_and_harms_nobody() {
+fn a_client_that_never_reads_uses_little_memory_and_delays_no_other() {
     let server = Server::ours();
     let neighbour = Socket::req(&server.endpoint());
     // Answers of 60 KB each: their text is the goal.

@@ -1,4 +1,4 @@
-//! Limits of a server: what exceeds them is rejected with the reason, and nothing else suffers.
+//! Limits of a server: requests beyond them are rejected with the reason, and affect nothing else.
 
 use std::time::Duration;
 
@@ -57,7 +57,7 @@ fn is_known(remote: &mut RemoteTask, id: TaskId) -> bool {
 }
 
 #[test]
-fn one_task_too_many_is_refused_until_one_ends_and_no_end_is_forgotten_for_it() {
+fn a_task_above_the_limit_is_rejected_without_dropping_outcomes() {
     let server = serve(|limits| (limits.running, limits.remembered) = (2, 4));
     let mut remote = connect(server.endpoint());
     let ended = [0, 1].map(|_| {
@@ -74,12 +74,12 @@ fn one_task_too_many_is_refused_until_one_ends_and_no_end_is_forgotten_for_it() 
     let aborted = remote.abort(running[0]).expect("an answer");
     assert_eq!(aborted.state, State::Aborted);
     start(&mut remote, "h", "wait", "g");
-    // Five would be one too many: what ended first is gone.
+    // Five would exceed the limit: the task that ended first is gone.
     assert!(!is_known(&mut remote, ended[0]) && is_known(&mut remote, ended[1]));
 }
 
 #[test]
-fn an_end_is_remembered_for_its_time() {
+fn an_outcome_is_kept_for_the_configured_time() {
     let server = serve(|limits| limits.keep = Duration::from_millis(300));
     let mut remote = connect(server.endpoint());
     let (running, id) = (
@@ -96,7 +96,7 @@ fn an_end_is_remembered_for_its_time() {
 }
 
 #[test]
-fn requests_that_would_wait_are_refused_when_too_many_do() {
+fn waiting_requests_above_the_limit_are_rejected() {
     let server = serve(|limits| limits.held = 1);
     let (mut remote, mut other) = (connect(server.endpoint()), connect(server.endpoint()));
     let id = start(&mut remote, "h", "wait", "g");
@@ -113,7 +113,7 @@ fn requests_that_would_wait_are_refused_when_too_many_do() {
 }
 
 #[test]
-fn a_message_that_is_too_long_ends_its_connection_alone() {
+fn a_message_that_is_too_long_closes_only_its_connection() {
     let server = serve(|limits| limits.message = 1000);
     let (fits, too_long) = (vec![b'x'; 1000], vec![b'x'; 1001]);
     let req = Socket::req(server.endpoint());
@@ -130,8 +130,8 @@ fn goal(message: usize) -> String {
 }
 
 #[test]
-fn a_client_sends_nothing_that_the_server_says_is_too_long() {
-    // The longest that is a whole number of base64's fours, and one more of them.
+fn a_client_sends_no_message_above_the_servers_limit() {
+    // The longest whole number of base64 groups, and one more group.
     let (fits, too_long) = (11 + 4 * 247, 11 + 4 * 248);
     let endpoint = format!("tcp://127.0.0.1:{}", reserve_port());
     let server = serve_at(&endpoint, |limits| limits.message = 1000);
@@ -158,7 +158,7 @@ fn a_client_sends_nothing_that_the_server_says_is_too_long() {
 }
 
 #[test]
-fn the_longest_message_passes_and_one_byte_more_is_reported() {
+fn the_longest_message_passes_and_a_longer_one_is_reported() {
     let server = serve(|_| ());
     let mut remote = connect(server.endpoint());
     let payload = |length: usize| "x".repeat(length - "/test;1;-1;".len());
@@ -174,13 +174,13 @@ fn the_longest_message_passes_and_one_byte_more_is_reported() {
         "{error}"
     );
     assert!(
-        error.ends_with("takes at most 1048576, of which a goal can be somewhat less than 786432, since it goes as base64; nothing was sent"),
+        error.ends_with("takes at most 1048576; a goal can have somewhat less than 786432, because it is sent as base64; nothing was sent"),
         "{error}"
     );
 }
 
 #[test]
-fn a_connection_too_many_waits_until_there_is_room() {
+fn a_connection_above_the_limit_waits_for_a_slot() {
     let server = serve(|limits| {
         limits.connections = 4;
         limits.handshake = Duration::from_millis(500);
@@ -195,14 +195,14 @@ fn a_connection_too_many_waits_until_there_is_room() {
     assert!(!ask(&outside), "one too many is served");
     assert!(inside.iter().all(ask), "those inside suffer");
     inside.pop();
-    // What it asked waits in its own queue.
+    // Its requests wait in its own queue.
     let answer = until("it is let in", PATIENCE, || {
         outside.0.recv_multipart(0).ok()
     });
     assert_eq!(answer[1], b"/test;2;99;Invalid ID '99'");
 }
 
-/// What answers a client's probes so, one after the other, then nothing more; it sees to it that nothing else comes.
+/// Answers a client's probes with these limits in turn, then stops; fails on any other request.
 fn probed(answers: &'static [&'static str]) -> (String, std::thread::JoinHandle<()>) {
     let context = zmq::Context::new();
     let socket = context.socket(zmq::ROUTER).expect("a socket");
@@ -227,7 +227,7 @@ fn probed(answers: &'static [&'static str]) -> (String, std::thread::JoinHandle<
 }
 
 #[test]
-fn a_limit_that_no_probe_would_keep_does_not_end_the_probing() {
+fn a_limit_below_a_probes_length_does_not_stop_probes() {
     let (endpoint, server) = probed(&["10", "4096"]);
     let mut remote = connect(&endpoint);
     for _ in 0..2 {
@@ -238,7 +238,7 @@ fn a_limit_that_no_probe_would_keep_does_not_end_the_probing() {
 }
 
 #[test]
-fn a_client_that_cannot_ask_for_the_limit_again_says_that_nothing_was_sent() {
+fn a_client_that_cannot_refresh_the_limit_reports_nothing_sent() {
     let (endpoint, server) = probed(&["100"]);
     let remote = connect(&endpoint);
     let mut remote = remote.with_timeout(Duration::from_millis(300));

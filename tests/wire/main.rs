@@ -1,4 +1,4 @@
-//! Messages on the wire: what clients and servers do with well-formed, malformed and hostile ones.
+//! Messages on the wire: how clients and servers handle well-formed, malformed and hostile ones.
 
 mod fuzz;
 mod hostile;

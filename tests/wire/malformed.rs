@@ -25,7 +25,7 @@ fn malformed() -> Vec<(Vec<Vec<u8>>, String)> {
         (one(b"/test;1;-1"), unknown(SCOPE)),
         (one(b"hello"), unknown("hello")),
         (one(b"\0\0\0\0"), unknown("\0\0\0\0")),
-        // Numbers that are none.
+        // Invalid numbers.
         (one(b"/test;x;1;p"), invalid()),
         (one(b"/test;2;x;p"), invalid()),
         (one(b"/test;2;;p"), invalid()),
@@ -37,7 +37,7 @@ fn malformed() -> Vec<(Vec<Vec<u8>>, String)> {
         (one(b"/test;2;1__0;p"), invalid()),
         (one(format!("/test;2;{nines};p").as_bytes()), invalid()),
         (one(format!("/test;{nines};1;p").as_bytes()), invalid()),
-        // Codes that are none.
+        // Invalid codes.
         (one(b"/test;9;1;x"), format!("{SCOPE};2;1;Invalid request")),
         (one(b"/test;0;7;x"), format!("{SCOPE};2;7;Invalid request")),
         (
@@ -87,7 +87,7 @@ fn answers_what_is_malformed(endpoint: &str) {
 }
 
 #[test]
-fn a_task_server_answers_malformed_messages_and_serves_on() {
+fn a_task_server_answers_malformed_messages_and_continues() {
     let server = in_process();
     answers_what_is_malformed(server.endpoint());
     let mut client = OriginalClient::connect(port_of(server.endpoint()), SCOPE);
@@ -96,7 +96,7 @@ fn a_task_server_answers_malformed_messages_and_serves_on() {
 }
 
 #[test]
-fn a_gateway_answers_malformed_messages_and_serves_on() {
+fn a_gateway_answers_malformed_messages_and_continues() {
     let gateway = Server::simulated();
     let mut client = gateway.original_client();
     let id = client.start("gripper", "finger", "100");
@@ -121,14 +121,14 @@ fn a_gateway_answers_malformed_messages_and_serves_on() {
 }
 
 #[test]
-fn a_message_without_a_delimiter_is_dropped_and_nothing_else() {
+fn only_messages_without_a_delimiter_are_dropped() {
     for endpoint in [in_process_endpoint(), gateway_endpoint()] {
         let dealer = Socket::dealer(&endpoint.0);
         for _ in 0..3 {
             dealer.send(&["/test;2;98;x"]);
             dealer.send(&["envelope", "/test;2;98;x"]);
             dealer.send(&["envelope", "", "/test;2;99;x"]);
-            // The first answer is that to the one that was whole.
+            // The first reply is for the complete request.
             let answer = dealer.receive();
             let expected = ["envelope", "", "/test;2;99;Invalid ID '99'"];
             assert_eq!(answer, expected.map(|frame| frame.as_bytes().to_vec()));
@@ -142,7 +142,7 @@ fn a_message_without_a_delimiter_is_dropped_and_nothing_else() {
 }
 
 #[test]
-fn neither_junk_nor_the_work_of_the_server_itself_floods_a_debug_log() {
+fn junk_and_internal_work_do_not_flood_the_debug_log() {
     let words = "gateway -p 0 -d gripper=sim:gripper --log debug -s";
     let gateway = Server::start(ztl().args(words.split(' ')).arg(SCOPE));
     gateway.wait_ready("gripper");
@@ -168,7 +168,7 @@ fn neither_junk_nor_the_work_of_the_server_itself_floods_a_debug_log() {
     assert!(dropped < 5, "{dropped}");
 }
 
-/// An address, and what serves there as long as it is kept.
+/// An address, and the server behind it, which runs until it is dropped.
 type Endpoint = (String, Box<dyn std::any::Any>);
 
 fn in_process_endpoint() -> Endpoint {
@@ -182,7 +182,7 @@ fn gateway_endpoint() -> Endpoint {
 }
 
 #[test]
-fn a_long_goal_comes_back_whole_and_a_longer_one_harms_nobody() {
+fn a_long_goal_is_returned_whole_and_a_longer_one_affects_nobody() {
     let server = in_process();
     let mut remote = RemoteTask::connect(server.endpoint(), SCOPE).expect("an address");
     let goal = "long ".repeat(100_000);

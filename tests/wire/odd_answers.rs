@@ -23,7 +23,7 @@ fn large_ids() -> [String; 4] {
 }
 
 #[test]
-fn an_id_of_any_length_goes_back_as_it_came() {
+fn an_id_of_any_length_is_returned_unchanged() {
     for id in large_ids() {
         let server = FakeServer::answering(
             &format!("1;{id};moving"),
@@ -45,7 +45,7 @@ fn an_id_of_any_length_goes_back_as_it_came() {
 
 /// As the original's client reads and sends it: Python's `int`, then `str`.
 #[test]
-fn an_id_that_is_written_oddly_is_sent_as_the_original_sends_it() {
+fn an_unusually_written_id_is_sent_like_the_original() {
     let server = FakeServer::answering("1; +0_7 ;moving", "5;7;there", "4;7;True");
     let mut remote = connect(&server.endpoint());
     let task = remote.trigger("arm", "left", "up").expect("it is taken");
@@ -54,7 +54,7 @@ fn an_id_that_is_written_oddly_is_sent_as_the_original_sends_it() {
 }
 
 #[test]
-fn an_init_whose_answer_cannot_be_understood_may_have_started_the_task() {
+fn an_init_with_an_unreadable_reply_has_an_unknown_outcome() {
     for answer in [
         format!("{SCOPE};1;{};moving", "9".repeat(4301)),
         format!("{SCOPE};1;x;moving"),
@@ -109,7 +109,7 @@ fn a_script_starts_a_task_with_a_large_id_once_and_waits_for_it() {
 }
 
 #[test]
-fn a_script_never_starts_again_what_may_have_been_accepted() {
+fn a_script_never_restarts_a_task_that_may_be_accepted() {
     for answer in [
         "1;x;moving".to_owned(),
         format!("1;{};moving", "9".repeat(4301)),
@@ -126,7 +126,7 @@ fn a_script_never_starts_again_what_may_have_been_accepted() {
 }
 
 #[test]
-fn a_script_stops_at_an_answer_that_tells_no_state_and_does_not_call_the_server_silent() {
+fn a_script_stops_at_a_reply_without_a_state() {
     for (status, words) in [
         (
             "6;7;moving",
@@ -165,7 +165,7 @@ fn a_script_stops_at_an_answer_that_tells_no_state_and_does_not_call_the_server_
 }
 
 #[test]
-fn a_wait_ends_at_once_with_what_is_wrong_with_the_answer() {
+fn a_wait_reports_an_invalid_reply_at_once() {
     for (status, words) in [
         (
             "6;7;dancing",
@@ -180,11 +180,11 @@ fn a_wait_ends_at_once_with_what_is_wrong_with_the_answer() {
         ("2;7;Invalid ID '7'", "the server does not know task 7"),
         (
             "3;7;Controller threw exception: no link",
-            "the server did not say how the task is: Controller threw exception: no link",
+            "the server did not report the task's state: Controller threw exception: no link",
         ),
         (
             "2;7;No controller for scope: /test",
-            "the server did not say how the task is: No controller for scope: /test",
+            "the server did not report the task's state: No controller for scope: /test",
         ),
     ] {
         let server = FakeServer::answering("1;7;moving", status, status);
@@ -211,7 +211,7 @@ fn run_client(mut client: Command, server: &FakeServer, timeout: &str) -> Ended 
 }
 
 #[test]
-fn by_the_originals_name_the_lines_are_the_originals() {
+fn under_the_originals_name_the_output_is_the_originals() {
     let files = Scratch::new();
     let long = "9".repeat(40);
     for (timeout, init, status, abort) in [
@@ -248,7 +248,7 @@ fn by_the_originals_name_the_lines_are_the_originals() {
 }
 
 #[test]
-fn task_client_says_what_is_wrong_with_the_answer_at_once() {
+fn task_client_reports_an_invalid_reply_at_once() {
     for (status, words) in [
         (
             "6;7;dancing",
@@ -275,7 +275,7 @@ fn task_client_says_what_is_wrong_with_the_answer_at_once() {
 }
 
 #[test]
-fn an_id_in_json_is_a_number_as_long_as_every_reader_can_hold_it() {
+fn an_id_in_json_is_a_number_below_2_to_the_53() {
     for (id, json) in [
         ("7", "7"),
         ("4294967296", "4294967296"),
@@ -313,7 +313,7 @@ fn a_task_with_a_large_id_is_aborted_by_its_id() {
 
 /// The field would end there, and the rest be read as the state.
 #[test]
-fn a_scope_with_a_semicolon_is_refused_before_anything_is_sent() {
+fn a_scope_with_a_semicolon_is_rejected_before_anything_is_sent() {
     let error = RemoteTask::connect("tcp://127.0.0.1:1", "/a;3").expect_err("no scope");
     let words = "the scope '/a;3' contains ';', which would end it; write it as /lab";
     assert_eq!(error.to_string(), words);

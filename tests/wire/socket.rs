@@ -8,10 +8,10 @@ use ztl_std::{
 };
 use ztl_tests::lab::{PATIENCE, SCOPE, connect, serve, until};
 
-/// What the original's client waits for an answer.
+/// The timeout of the original's client.
 pub(crate) const TIMEOUT: Duration = Duration::from_secs(2);
 
-/// A libzmq socket that sends just what it is told to.
+/// A libzmq socket that sends exactly the given frames.
 pub(crate) struct Socket(pub(crate) zmq::Socket);
 
 impl Socket {
@@ -58,7 +58,7 @@ impl Socket {
         frames.expect("an answer in time")
     }
 
-    /// Asks with one frame, and gives the answer as text.
+    /// Sends one frame and returns the reply as text.
     #[track_caller]
     pub(crate) fn ask(&self, body: impl AsRef<[u8]>) -> String {
         self.send(&[body]);

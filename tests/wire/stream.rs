@@ -8,7 +8,7 @@ use ztl_tests::lab::{Server, shake_hands};
 use crate::socket::{Socket, assert_serves};
 
 #[test]
-fn a_frame_that_announces_too_much_ends_its_connection_and_no_other() {
+fn a_frame_that_announces_too_much_closes_only_its_connection() {
     for server in [Server::ours(), Server::simulated()] {
         let neighbour = Socket::req(&server.endpoint());
         assert_eq!(neighbour.ask("/test;2;99;x"), "/test;2;99;Invalid ID '99'");
@@ -39,7 +39,7 @@ fn a_frame_that_announces_too_much_ends_its_connection_and_no_other() {
 }
 
 #[test]
-fn bytes_that_are_not_zmtp_harm_no_client() {
+fn bytes_that_are_not_zmtp_affect_no_client() {
     let server = Server::ours();
     for bytes in [
         &b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n"[..],

@@ -12,7 +12,7 @@ fn task(text: &str) -> String {
     spec.encode_into(&mut buffer).expect("it fits").to_owned()
 }
 
-/// Asks for a task and gives its id, when the answer tells the goal in this form.
+/// Starts a task and returns its id if the reply contains the goal in this form.
 #[track_caller]
 fn init(req: &Socket, payload: &str, quoted: &str) -> u32 {
     let answer = req.ask(format!("{SCOPE};1;-1;{payload}"));
@@ -61,7 +61,7 @@ fn conforms(server: &Server) {
     assert_eq!(req.ask("/test;1;-1;dGVzdDplY2hv"), thrown("'goal'"));
     let handler = thrown("No such handler '', try 'test'.");
     assert_eq!(req.ask("/test;1;-1;Ojo="), handler);
-    // 11: neither code nor id are looked at.
+    // 11: neither code nor id is checked.
     for request in ["/nope;1;-1;x", "/nope;x;y;x", "/nope;2;1;x"] {
         let refused = "/nope;2;-1;No controller for scope: /nope";
         assert_eq!(req.ask(request), refused);
@@ -85,7 +85,7 @@ fn conforms(server: &Server) {
     ] {
         assert_eq!(dealer.receive(), expected.map(|f| f.as_bytes().to_vec()));
     }
-    // Any id, since INIT is not about one.
+    // Any id, because INIT ignores it.
     let answer = req.ask(format!("/test;1;7;{}", task("test:echo:hi")));
     assert!(answer.starts_with("/test;1;"), "{answer}");
 }

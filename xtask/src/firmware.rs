@@ -198,7 +198,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_board_is_a_line() {
+    fn each_board_is_one_line() {
         let boards = parse("# x\nmicrobit thumbv6m  qemu-system-arm -M microbit\npico t -");
         let [microbit, pico] = boards.unwrap().try_into().unwrap();
         let Board { name, target, .. } = &microbit;

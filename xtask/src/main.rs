@@ -170,7 +170,7 @@ mod tests {
     use clap::CommandFactory;
 
     #[test]
-    fn each_command_has_a_line_of_help() {
+    fn each_command_has_one_line_of_help() {
         Command::command().debug_assert();
         for command in Command::command().get_subcommands() {
             assert!(command.get_about().is_some(), "{}", command.get_name());
@@ -187,7 +187,7 @@ mod tests {
     }
 
     #[test]
-    fn a_wrong_argument_is_answered_with_the_right_ones() {
+    fn a_wrong_argument_is_rejected_with_the_valid_ones() {
         for (words, expected) in [
             ("test --only fmd", "clippy"),
             ("soak --tasks 0", "0 is not in 10.."),

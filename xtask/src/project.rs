@@ -29,7 +29,7 @@ impl Project {
         let root = xtask.as_deref().and_then(Path::parent);
         let root = root.context("run this program as `cargo xtask`")?;
         env::set_current_dir(root)?;
-        // This program is in <target>/debug, whatever CARGO_TARGET_DIR or the configuration says.
+        // This program is in <target>/debug, independent of CARGO_TARGET_DIR and the configuration.
         let program = env::current_exe()?;
         let target = program.ancestors().nth(2);
         Ok(Self {

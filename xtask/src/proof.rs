@@ -18,7 +18,7 @@ const IMAGE: &str = "no-panic";
 /// The source of the image.
 const PROOF: &str = "proof/src/bin/no_panic.rs";
 
-/// The ready components, each of which the image must create.
+/// The ready components; the image must create each of them.
 const COMPONENTS: &str = "ztl-mcu/src/components";
 
 /// Referenced only by the panic handler.

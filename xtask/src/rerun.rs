@@ -165,14 +165,14 @@ test result: ok. 3 passed; 0 failed; 0 ignored; 0 measured; 0 filtered out; fini
 ";
 
     #[test]
-    fn the_tests_that_failed_are_found() {
+    fn failed_tests_are_found_in_the_output() {
         let names = failed_tests(OUTPUT).expect("only tests failed");
         assert_eq!(names.into_iter().collect::<Vec<_>>(), ["lines::two"]);
         assert_eq!(passed(OUTPUT), 4);
     }
 
     #[test]
-    fn a_binary_that_died_and_a_build_that_failed_are_no_failed_tests() {
+    fn a_crashed_binary_or_failed_build_is_not_a_failed_test() {
         let died =
             "error: test failed, to rerun pass `-p ztl-std --lib`\n\nCaused by:\n  signal: 6\n";
         assert_eq!(failed_tests(&format!("{OUTPUT}{died}")), None);

@@ -51,7 +51,7 @@ const STEPS: [Step; 21] = [
     step("c", "the C interface: examples and misuse, with the original's client, under sanitizers and valgrind", capi::test),
     step("dist", "the static programs for x86-64 and i686 run in an empty root, and on old kernels", dist::test),
     step("deb", "the Debian package installs in an empty root, runs the demo, and leaves no trace", deb::test),
-    step("model", "the link keeps its promises whatever goes wrong, and mistakes are detected", long_runs::check_simulation),
+    step("model", "the link keeps its guarantees under every fault, and seeded mistakes are detected", long_runs::check_simulation),
     step("fuzz", "no fuzz target breaks a promise on its corpus, and on inputs generated from one seed", fuzz::smoke),
     step("demo", "`ztl demo --once` completes", demo),
 ];

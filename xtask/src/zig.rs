@@ -215,7 +215,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_target_with_glibc_is_the_same_processor() {
+    fn a_glibc_target_keeps_its_processor() {
         let armv7 = targets(&["armv7"]).unwrap()[0];
         let processor = "-mcpu=generic+v7a+vfp3-d32+thumb2-neon";
         let options = |libc| ["-target", libc, processor];

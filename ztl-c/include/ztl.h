@@ -172,7 +172,7 @@ extern "C" {
 #define ZTL_E_UNREADABLE (-16)
 
 /**
- * Client: the task did not end within the limit of the wait. It goes on.
+ * Client: the task did not end within the limit of the wait. It continues.
  */
 #define ZTL_E_NOT_ENDED (-17)
 
@@ -208,7 +208,7 @@ extern "C" {
 #define ZTL_MAX_REMEMBERED 3
 
 /**
- * How long a task is remembered after its end, in milliseconds. Default 3600000 (an hour).
+ * How long a task is kept after its end, in milliseconds. Default 3600000 (an hour).
  */
 #define ZTL_KEEP_MS 4
 
@@ -321,7 +321,7 @@ typedef void (*ztl_abort_call)(void *context, ztl_server *server, unsigned int t
 
 /**
  * Called with each answer during a wait, on the waiting thread: ZTL_OK with the task's state and text, or an error with
- * ZTL_UNKNOWN and a message. The text belongs to the library and is valid during the call. Returns 0 to go on waiting;
+ * ZTL_UNKNOWN and a message. The text belongs to the library and is valid during the call. Returns 0 to keep waiting;
  * any other value ends the wait with ZTL_E_NOT_ENDED. It must not use the client.
  */
 typedef int (*ztl_seen_call)(void *context, int error, int state, const char *text);
@@ -498,7 +498,7 @@ int ztl_task_is_aborted(ztl_server *server, unsigned int task);
 int ztl_task_sleep(ztl_server *server, unsigned int task, unsigned int time_ms);
 
 /**
- * Informs the client that asked to stop the task that the task cannot be stopped and goes on.
+ * Informs the client that asked to stop the task that the task cannot be stopped and continues.
  */
 int ztl_task_refuse_abort(ztl_server *server, unsigned int task);
 
@@ -523,7 +523,7 @@ ztl_client *ztl_client_new(void);
 ztl_client *ztl_client_clone(const ztl_client *client);
 
 /**
- * Frees a client and the texts that it returned; its tasks go on. Any thread. Does nothing for NULL.
+ * Frees a client and the texts that it returned; its tasks continue. Any thread. Does nothing for NULL.
  */
 void ztl_client_free(ztl_client *client);
 
@@ -615,7 +615,7 @@ int ztl_client_abort_by_id(ztl_client *client,
 
 /**
  * Waits for a task's end, at most for this time in milliseconds; a negative limit means forever. ZTL_OK: it has ended
- * in the final state `state`. ZTL_E_NOT_ENDED: it goes on in this state. With any other error the state is
+ * in the final state `state`. ZTL_E_NOT_ENDED: it continues in this state. With any other error the state is
  * ZTL_UNKNOWN. ZTL_E_UNKNOWN_TASK: the server does not know it. ZTL_E_UNREADABLE, ZTL_E_NOT_TOLD: the server answered
  * without telling its state. Any other error: the server did not answer at the end of the limit. A server that does
  * not answer does not end the wait earlier. `state` may be NULL; ztl_client_text returns the text.

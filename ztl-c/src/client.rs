@@ -23,7 +23,7 @@ use crate::{ZTL_LONG_TASK, ZTL_NO_TASK, ZTL_UNKNOWN};
 pub struct Client(Mutex<Line>);
 
 /// Called with each answer during a wait, on the waiting thread: ZTL_OK with the task's state and text, or an error with
-/// ZTL_UNKNOWN and a message. The text belongs to the library and is valid during the call. Returns 0 to go on waiting;
+/// ZTL_UNKNOWN and a message. The text belongs to the library and is valid during the call. Returns 0 to keep waiting;
 /// any other value ends the wait with ZTL_E_NOT_ENDED. It must not use the client.
 pub type Seen = Option<
     unsafe extern "C" fn(
@@ -239,7 +239,7 @@ pub unsafe extern "C" fn ztl_client_clone(client: *const Client) -> *mut Client 
     clone
 }
 
-/// Frees a client and the texts that it returned; its tasks go on. Any thread. Does nothing for NULL.
+/// Frees a client and the texts that it returned; its tasks continue. Any thread. Does nothing for NULL.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ztl_client_free(client: *mut Client) {
     if !client.is_null() {
@@ -432,7 +432,7 @@ pub unsafe extern "C" fn ztl_client_abort_by_id(
 }
 
 /// Waits for a task's end, at most for this time in milliseconds; a negative limit means forever. ZTL_OK: it has ended
-/// in the final state `state`. ZTL_E_NOT_ENDED: it goes on in this state. With any other error the state is
+/// in the final state `state`. ZTL_E_NOT_ENDED: it continues in this state. With any other error the state is
 /// ZTL_UNKNOWN. ZTL_E_UNKNOWN_TASK: the server does not know it. ZTL_E_UNREADABLE, ZTL_E_NOT_TOLD: the server answered
 /// without telling its state. Any other error: the server did not answer at the end of the limit. A server that does
 /// not answer does not end the wait earlier. `state` may be NULL; ztl_client_text returns the text.
@@ -600,7 +600,7 @@ fn not_connected(line: &Line) -> Result<(), Failure> {
         None => Ok(()),
         Some(_) => Err(Failure::new(
             ZTL_E_STATE,
-            "the client is connected already; this has to be said before",
+            "the client is already connected; call this before",
         )),
     }
 }

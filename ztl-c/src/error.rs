@@ -42,7 +42,7 @@ pub const ZTL_E_UNKNOWN_TASK: c_int = -15;
 /// Client: the answer is not a ZTL message, its state is undefined, or it is about another task. What the task does is
 /// unknown; it may run.
 pub const ZTL_E_UNREADABLE: c_int = -16;
-/// Client: the task did not end within the limit of the wait. It goes on.
+/// Client: the task did not end within the limit of the wait. It continues.
 pub const ZTL_E_NOT_ENDED: c_int = -17;
 /// A mistake in this library, which printed a line to stderr.
 pub const ZTL_E_PANIC: c_int = -18;
@@ -127,7 +127,7 @@ impl From<RequestError> for Failure {
             RequestError::NotConnected { .. } => ZTL_E_NOT_CONNECTED,
             RequestError::TooLong { .. } => ZTL_E_TOO_LONG,
             RequestError::NoAnswer { .. } => ZTL_E_NO_ANSWER,
-            RequestError::UnknownTask { .. } | RequestError::UnknownEnd { .. } => {
+            RequestError::UnknownTask { .. } | RequestError::UnknownOutcome { .. } => {
                 ZTL_E_UNKNOWN_TASK
             }
             RequestError::NotTold { .. } => ZTL_E_NOT_TOLD,

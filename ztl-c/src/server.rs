@@ -26,7 +26,7 @@ pub const ZTL_MAX_MESSAGE: c_int = 1;
 pub const ZTL_MAX_RUNNING: c_int = 2;
 /// Tasks in the task table, running or ended. Default 10000.
 pub const ZTL_MAX_REMEMBERED: c_int = 3;
-/// How long a task is remembered after its end, in milliseconds. Default 3600000 (an hour).
+/// How long a task is kept after its end, in milliseconds. Default 3600000 (an hour).
 pub const ZTL_KEEP_MS: c_int = 4;
 /// Requests whose answer is held. Default 10000.
 pub const ZTL_MAX_HELD: c_int = 5;
@@ -258,7 +258,7 @@ impl Server {
     /// Changes the setup of a server that is not started.
     fn set_up(&self, work: impl FnOnce(&mut Setup) -> Result<(), Failure>) -> Result<(), Failure> {
         if lock(&self.running).is_some() {
-            let text = "the server is started; this has to be said before";
+            let text = "the server is already started; call this before";
             return Err(Failure::new(ZTL_E_STATE, text));
         }
         work(&mut lock(&self.setup))

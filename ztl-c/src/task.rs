@@ -98,7 +98,7 @@ pub unsafe extern "C" fn ztl_task_sleep(
     }
 }
 
-/// Informs the client that asked to stop the task that the task cannot be stopped and goes on.
+/// Informs the client that asked to stop the task that the task cannot be stopped and continues.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ztl_task_refuse_abort(server: *mut Server, task: c_uint) -> c_int {
     // SAFETY: NULL, or a server that is not freed, as its caller promises.

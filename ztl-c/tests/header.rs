@@ -38,11 +38,11 @@ fn assert_is_made_of(package: &str, header: &str) {
 }
 
 #[test]
-fn the_header_is_what_the_code_says() {
+fn the_header_matches_the_code() {
     assert_is_made_of("ztl-c", "ztl.h");
 }
 
 #[test]
-fn the_nodes_header_is_what_the_code_says() {
+fn the_nodes_header_matches_the_code() {
     assert_is_made_of("ztl-node-c", "ztl_node.h");
 }

@@ -67,7 +67,7 @@ pub enum Heard<'a> {
     /// The INIT never arrived, and the server will refuse it if it still does.
     NeverStarted,
     /// The server does not know the outcome of the INIT: its task may run.
-    FateUnknown,
+    OutcomeUnknown,
     /// The reply is not a ZTL message. It still answers the request: an INIT may have started its task.
     Unreadable,
 }
@@ -323,7 +323,7 @@ impl Client {
     fn on_outcome<'a>(&mut self, scope: &str, answer: Answer<'a>) -> Heard<'a> {
         // The original refuses the reserved scope with the id that our servers give a refused INIT.
         if scope != RESERVED_SCOPE || self.server == Server::Original {
-            return Heard::FateUnknown;
+            return Heard::OutcomeUnknown;
         }
         if let Answer::Refused { id, text } = answer
             && id == Integer::ZERO
@@ -336,14 +336,14 @@ impl Client {
                 Some(Server::Ours { boot: known }) if boot == Some(i64::from(known)) => {
                     Heard::NeverStarted
                 }
-                _ => Heard::FateUnknown,
+                _ => Heard::OutcomeUnknown,
             };
         }
         // The server does not know; an answer about the INIT has another id.
         if let Answer::Refused { id, text } = answer
             && (id == Integer::ZERO || text.starts_with("No controller for scope"))
         {
-            return Heard::FateUnknown;
+            return Heard::OutcomeUnknown;
         }
         self.unanswered = None;
         Heard::Answer(answer)

@@ -45,7 +45,7 @@ use crate::envelope::Envelope;
 use crate::lifecycle::{Event, Request, State};
 use crate::memory::{Awaited, Memory, Waiter};
 use crate::message::Message;
-pub use crate::reply::{NOTHING_KNOWN, UNKNOWN_END};
+pub use crate::reply::{NOTHING_KNOWN, UNKNOWN_OUTCOME};
 use crate::reply::{RESERVED_SCOPE, Reply, ReplyId, ReplyText};
 use crate::tasks::{TaskOf, TaskRules, Tasks};
 use crate::text::valid_start;
@@ -222,7 +222,7 @@ impl<M: Memory> Dispatcher<M> {
         }
     }
 
-    /// Changes how long an ended task is remembered, also for those that have ended.
+    /// Changes how long an ended task is kept, also for tasks that have already ended.
     pub const fn set_keep(&mut self, keep: Duration) {
         self.keep = micros(keep);
     }

@@ -17,8 +17,8 @@ pub const NOTHING_KNOWN: &str = "None";
 
 /// Begins the reason of a FAILED task whose end cannot be learned, such as one that was forwarded to
 /// a server that was restarted: the task may still run. Clients take it for an unknown outcome
-/// ([`Answer::UnknownEnd`](crate::client::Answer::UnknownEnd)).
-pub const UNKNOWN_END: &str = "unknown: ";
+/// ([`Answer::UnknownOutcome`](crate::client::Answer::UnknownOutcome)).
+pub const UNKNOWN_OUTCOME: &str = "unknown: ";
 
 /// Why a request never reaches a handler; servers log it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -19,7 +19,7 @@ pub enum LinkEvent {
     Silent,
     /// The device no longer answers.
     Lost,
-    /// The device was reset and has forgotten its tasks.
+    /// The device was reset and has lost its tasks.
     Reset,
     /// The device refuses this gateway, or is unusable for this reason.
     Refused(String),

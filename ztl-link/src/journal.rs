@@ -58,7 +58,7 @@ pub trait SessionJournal {
     /// Records that the device has accepted the task. Nothing depends on this entry.
     fn accepted(&mut self, task: &Entry<'_>);
 
-    /// Records an outcome before the client is told and before the device gets an `Ack`.
+    /// Records an outcome before the client receives it and before the device gets an `Ack`.
     ///
     /// # Errors
     /// Why it cannot be written. The session retries, and withholds the outcome until then.

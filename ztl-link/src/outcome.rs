@@ -92,7 +92,7 @@ impl<J: SessionJournal> Session<J> {
         }
     }
 
-    /// Rejects a task that was never sent. Nothing is written, because nobody else knows of it.
+    /// Rejects a task that was never sent. Nothing is journaled, because neither client nor device knows the task.
     pub(crate) fn reject(&mut self, id: TaskId, reason: String) {
         self.tasks.remove(&id);
         self.events.push_back(LinkEvent::Rejected(id, reason));

@@ -50,7 +50,7 @@ pub(crate) struct InFlight {
     pub(crate) repeated: bool,
 }
 
-/// The gateway's end of one link. It writes into a [`SessionJournal`](crate::SessionJournal) before it acts; `()` is no journal.
+/// The gateway's end of one link. It writes into a [`SessionJournal`](crate::SessionJournal) before it acts; `()` keeps no journal.
 ///
 /// *Inputs*: [`handle_connected`](Self::handle_connected), [`handle_bytes`](Self::handle_bytes),
 /// [`handle_disconnected`](Self::handle_disconnected), [`handle_timeout`](Self::handle_timeout).

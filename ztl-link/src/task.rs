@@ -16,7 +16,7 @@ pub(crate) struct Task {
     pub(crate) abort: bool,
     /// Restored after a restart of the gateway; its client may know the id.
     pub(crate) restored: bool,
-    /// The outcome, while the journal cannot be written and nobody may be told.
+    /// The outcome, withheld while the journal cannot be written.
     pub(crate) unwritten: Option<(State, String)>,
 }
 

@@ -71,7 +71,7 @@ pub trait Component {
     /// Checks a goal without moving anything. Called before a task is accepted, also for one that will wait.
     ///
     /// # Errors
-    /// [`Refused`]. `why` tells the person who wrote the goal what is wrong and what would be right. The
+    /// [`Refused`]. `why` explains to the author of the goal what is wrong and which goals are valid. The
     /// gateway adds the goal itself.
     fn check(&self, goal: &str, why: &mut Report<'_>) -> Result<(), Refused>;
 
@@ -95,7 +95,7 @@ pub trait Component {
     /// [`Loss::Hold`](ztl_core::link::Loss::Hold) that means to keep the position under power.
     ///
     /// What takes time, such as slowing down, continues in `poll` until it returns something other than
-    /// [`Run::Running`]. Do not continue the task: it ends whatever `poll` returns.
+    /// [`Run::Running`]. Do not continue the task: it ends with any return value of `poll`.
     fn make_safe(&mut self, now: Instant);
 
     /// When to call `poll` next; the node asks after each `poll` of a task. Also when to call `poll_reading`,
@@ -344,7 +344,7 @@ mod tests {
     }
 
     #[test]
-    fn arrays_tuples_and_references_are_components_in_their_order() {
+    fn arrays_tuples_and_references_keep_their_component_order() {
         assert_eq!(names([Named("a"), Named("b")]), ["a", "b"]);
         assert_eq!(names((Named("a"),)), ["a"]);
         let (mut one, mut other) = (Named("b"), Named("c"));
@@ -356,7 +356,7 @@ mod tests {
     }
 
     #[test]
-    fn a_report_that_does_not_fit_is_cut_and_marked() {
+    fn an_oversized_report_is_truncated_and_marked() {
         for (parts, expected) in [
             (&["12345678"][..], "12345678"),
             (&["123456789"], "12345678…"),

@@ -98,7 +98,7 @@ mod tests {
     }
 
     #[test]
-    fn an_invalid_goal_is_refused_with_position_and_expectation() {
+    fn an_invalid_goal_is_rejected_with_position_and_expectation() {
         for (goal, reason) in [
             ("[0, 0, north]", "goal, byte 7: expected a number"),
             ("[0, 0]", "goal, byte 0: too few or too many items"),

@@ -89,7 +89,7 @@ const fn cut(text: &str, mut most: usize) -> &str {
 /// [`poll_timeout`](Self::poll_timeout). *Commands*: [`stop_everything`](Self::stop_everything),
 /// [`clear_stop`](Self::clear_stop). [`Pump`](crate::pump::Pump) calls all of them for a serial port.
 ///
-/// **Work.** The work of each call is bounded, whatever arrives:
+/// **Work.** The work of each call is bounded for any input:
 /// - `handle_bytes` takes some ten instructions a byte. At the end of a frame it verifies the checksum, at most
 ///   twice, and makes one call of `check`, `start` or `abort`.
 /// - `handle_timeout` calls `poll` once for each running task that is due, and `start` for one that waited. When

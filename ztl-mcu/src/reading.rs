@@ -170,7 +170,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_reading_that_fits_no_frame_is_dropped_for_the_next_one() {
+    fn an_oversized_reading_is_dropped_in_favour_of_the_next() {
         let mut latest = Latest::<8>::new();
         let mut queued = Queued::<2, 8>::new();
         latest.set(b"12345").unwrap();

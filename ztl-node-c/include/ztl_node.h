@@ -38,7 +38,7 @@ extern "C" {
 #define ZTL_NODE_NAME 28
 
 /**
- * Longest text that a component reports, in bytes; a reason to refuse may have twice as many. What is longer is cut,
+ * Longest text that a component reports, in bytes; a reason to refuse may have twice as many. Longer texts are cut
  * and marked.
  */
 #define ZTL_NODE_TEXT 48
@@ -59,8 +59,8 @@ extern "C" {
 #define ZTL_NODE_E_RAM (-2)
 
 /**
- * A text is no UTF-8, or too long: ZTL_NODE_NAME says how long name and version of the device may be; of a component each text
- * has at most 64 bytes, and all of them together fit into a frame, which they do with 101.
+ * A text is not UTF-8, or too long. ZTL_NODE_NAME limits the device's name and version. Each text of a component has at
+ * most 64 bytes, and all of them together must fit into a frame; 101 bytes always do.
  */
 #define ZTL_NODE_E_TEXT (-3)
 
@@ -127,7 +127,7 @@ extern "C" {
 #define ZTL_NODE_LOSS_HOLD 1
 
 /**
- * It goes on: it finishes its task, or stays as it is.
+ * A component's `loss`: it carries on: it finishes its task, or stays as it is.
  */
 #define ZTL_NODE_LOSS_CARRY_ON 2
 
@@ -139,7 +139,7 @@ extern "C" {
 /**
  * Its pointers: see ZTL_NODE_RAM.
  */
-#define ZTL_NODE_RAM_POINTERS 24
+#define ZTL_NODE_RAM_POINTERS 20
 
 /**
  * The node end of the link. Call its functions from one context, preferably the main loop, and not from an
@@ -231,9 +231,9 @@ typedef struct {
      */
     int (*start)(void *context, unsigned int now_ms, const char *goal, ztl_report *why);
     /**
-     * Moves the task on and reports: ZTL_NODE_RUNNING, or how it has ended. After `make_safe` also called without a task:
-     * ZTL_NODE_RUNNING says that the safe state is not reached yet, anything else that it is; it may then be called some more
-     * times, and must leave the component safe. Not NULL.
+     * Advances the task and reports: ZTL_NODE_RUNNING, or its final state. After `make_safe` it is also called without a
+     * task: ZTL_NODE_RUNNING then means that the safe state is not reached yet, any other value that it is. Further calls may
+     * follow and must leave the component safe. Not NULL.
      */
     int (*poll)(void *context, unsigned int now_ms, ztl_report *report);
     /**
@@ -241,15 +241,15 @@ typedef struct {
      */
     void (*abort)(void *context, unsigned int now_ms);
     /**
-     * Goes to the safe state, with or without a task: the link was lost, or an emergency stop. What cannot be done at once
-     * goes on in `poll`, which is called until it says other than ZTL_NODE_RUNNING; a task ends then, whatever it says. Not
+     * Goes to the safe state, with or without a task, after a lost link or an emergency stop. If that takes time, `poll`
+     * continues it: the node calls `poll` until it returns anything but ZTL_NODE_RUNNING, which ends a task. Not
      * NULL.
      */
     void (*make_safe)(void *context, unsigned int now_ms);
     /**
-     * Writes the next reading, if one is due and fits, and which of the topics it is, from 0; says how many bytes it
-     * wrote, 0 for none. Asked for at most each 10 ms. The size is that of the longest reading that a frame holds: a longer one
-     * can never be sent, so it is to be dropped. NULL when it publishes nothing.
+     * Writes the next reading and the index of its topic, if one is due and fits. Returns the number of bytes, 0 for no
+     * reading. The node calls it at most every 10 ms. `size` is the longest reading that a frame holds: drop a longer one,
+     * because it can never be sent. NULL if it publishes nothing.
      */
     size_t (*reading)(void *context,
                       unsigned int now_ms,

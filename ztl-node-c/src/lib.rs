@@ -21,7 +21,7 @@ pub const ZTL_NODE_TASKS: usize = 4;
 pub const ZTL_NODE_FRAME: usize = 128;
 /// Longest name of the device, and longest version of its firmware, in bytes.
 pub const ZTL_NODE_NAME: usize = 28;
-/// Longest text that a component reports, in bytes; a reason to refuse may have twice as many. What is longer is cut,
+/// Longest text that a component reports, in bytes; a reason to refuse may have twice as many. Longer texts are cut
 /// and marked.
 pub const ZTL_NODE_TEXT: usize = 48;
 
@@ -31,8 +31,8 @@ pub const ZTL_NODE_OK: c_int = 0;
 pub const ZTL_NODE_E_NULL: c_int = -1;
 /// There is less RAM than ztl_node_size returns.
 pub const ZTL_NODE_E_RAM: c_int = -2;
-/// A text is no UTF-8, or too long: ZTL_NODE_NAME says how long name and version of the device may be; of a component each text
-/// has at most 64 bytes, and all of them together fit into a frame, which they do with 101.
+/// A text is not UTF-8, or too long. ZTL_NODE_NAME limits the device's name and version. Each text of a component has at
+/// most 64 bytes, and all of them together must fit into a frame; 101 bytes always do.
 pub const ZTL_NODE_E_TEXT: c_int = -3;
 /// There are no components, or more than 255.
 pub const ZTL_NODE_E_COUNT: c_int = -4;
@@ -64,7 +64,7 @@ pub const ZTL_NODE_REPLACE: c_int = -1;
 pub const ZTL_NODE_LOSS_ABORT: c_int = 0;
 /// A component's `loss`: the same, but `make_safe` holds the position under power.
 pub const ZTL_NODE_LOSS_HOLD: c_int = 1;
-/// It goes on: it finishes its task, or stays as it is.
+/// A component's `loss`: it carries on: it finishes its task, or stays as it is.
 pub const ZTL_NODE_LOSS_CARRY_ON: c_int = 2;
 
 unsafe extern "C" {

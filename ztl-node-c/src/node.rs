@@ -17,7 +17,7 @@ use crate::{
 /// Bytes of RAM of a node without its components and pointers: see ZTL_NODE_RAM.
 pub const ZTL_NODE_RAM_BYTES: usize = 807;
 /// Its pointers: see ZTL_NODE_RAM.
-pub const ZTL_NODE_RAM_POINTERS: usize = 24;
+pub const ZTL_NODE_RAM_POINTERS: usize = 20;
 
 /// A part of the device that executes one task at a time. The firmware keeps it and everything it points to
 /// unchanged while the node exists; a `static const` is best. The node calls its functions from within its
@@ -59,21 +59,21 @@ pub struct Component {
             why: *mut Report,
         ) -> c_int,
     >,
-    /// Moves the task on and reports: ZTL_NODE_RUNNING, or how it has ended. After `make_safe` also called without a task:
-    /// ZTL_NODE_RUNNING says that the safe state is not reached yet, anything else that it is; it may then be called some more
-    /// times, and must leave the component safe. Not NULL.
+    /// Advances the task and reports: ZTL_NODE_RUNNING, or its final state. After `make_safe` it is also called without a
+    /// task: ZTL_NODE_RUNNING then means that the safe state is not reached yet, any other value that it is. Further calls may
+    /// follow and must leave the component safe. Not NULL.
     pub poll: Option<
         unsafe extern "C" fn(context: *mut c_void, now_ms: c_uint, report: *mut Report) -> c_int,
     >,
     /// Stops the task as soon as it is safe; a later `poll` returns ZTL_NODE_ABORTED. Not NULL.
     pub abort: Option<unsafe extern "C" fn(context: *mut c_void, now_ms: c_uint)>,
-    /// Goes to the safe state, with or without a task: the link was lost, or an emergency stop. What cannot be done at once
-    /// goes on in `poll`, which is called until it says other than ZTL_NODE_RUNNING; a task ends then, whatever it says. Not
+    /// Goes to the safe state, with or without a task, after a lost link or an emergency stop. If that takes time, `poll`
+    /// continues it: the node calls `poll` until it returns anything but ZTL_NODE_RUNNING, which ends a task. Not
     /// NULL.
     pub make_safe: Option<unsafe extern "C" fn(context: *mut c_void, now_ms: c_uint)>,
-    /// Writes the next reading, if one is due and fits, and which of the topics it is, from 0; says how many bytes it
-    /// wrote, 0 for none. Asked for at most each 10 ms. The size is that of the longest reading that a frame holds: a longer one
-    /// can never be sent, so it is to be dropped. NULL when it publishes nothing.
+    /// Writes the next reading and the index of its topic, if one is due and fits. Returns the number of bytes, 0 for no
+    /// reading. The node calls it at most every 10 ms. `size` is the longest reading that a frame holds: drop a longer one,
+    /// because it can never be sent. NULL if it publishes nothing.
     pub reading: Option<
         unsafe extern "C" fn(
             context: *mut c_void,

@@ -4,7 +4,7 @@ use std::fmt;
 
 use ztl_yaml::Diagnostic;
 
-/// A mistake, or a doubt: something that is played, but was probably not meant so.
+/// A mistake, or a doubt: something that is played as written but probably not intended.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Finding {
     doubt: bool,

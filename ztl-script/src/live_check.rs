@@ -152,7 +152,7 @@ fn meet(
         Err((message, error)) => (format!("{name}: MISSING: {error}"), Err(message)),
         Ok((_, Server::Original)) => (
             format!(
-                "{name}: at {endpoint}, one of the original's: it is there, and cannot be asked what it takes"
+                "{name}: at {endpoint}, one of the original's: it answers, but cannot be asked which tasks it accepts"
             ),
             Ok(None),
         ),

@@ -32,7 +32,7 @@ pub struct Recorder {
     name: String,
     /// Events lost since the last one written.
     lost: u64,
-    /// Whether writing the last event failed, which the operator was told.
+    /// Whether writing the last event failed, which was reported to the operator.
     told: bool,
     /// Whether the last line is incomplete.
     cut: bool,

@@ -64,8 +64,8 @@ impl Script {
         Self::read(&name, &ztl_std::files::read_yaml(path)?, defaults)
     }
 
-    /// Reads a file and reports everything wrong and doubtful in it, in its order. The script is what could
-    /// be read, for further checks; one with mistakes is not to be played. There is none if the file cannot
+    /// Reads a file and reports its mistakes and doubts in order. Returns the readable part as a script for
+    /// further checks; do not play a script with mistakes. Returns no script if the file cannot
     /// be read or is invalid YAML.
     #[must_use]
     pub fn check(path: &Path, defaults: Defaults) -> (Option<Self>, Vec<Finding>) {

@@ -105,7 +105,7 @@ pub enum ServerAnswer {
         /// Progress, result or reason.
         text: String,
     },
-    /// ABORT: the handler cannot stop the task, which goes on.
+    /// ABORT: the handler cannot stop the task, which continues.
     CannotStop {
         /// The state of the task.
         state: State,

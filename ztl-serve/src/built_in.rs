@@ -100,7 +100,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_manual_names_each_built_in_with_its_goals_and_no_other() {
+    fn the_manual_lists_exactly_the_built_ins_and_their_goals() {
         let manual = include_str!("../../docs/serve.md");
         let header = "| built-in | goals | what it does |";
         let rows: Vec<&str> = manual

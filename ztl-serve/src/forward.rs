@@ -1,6 +1,6 @@
 //! Forwards tasks to another server, ours or the original's.
 //!
-//! While the other server does not answer, the task goes on. It fails, with a reason that begins with `unknown:`,
+//! While the other server does not answer, the task continues. It fails, with a reason that begins with `unknown:`,
 //! only when its outcome can never be learned.
 
 use std::error::Error;
@@ -10,7 +10,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use ztl_core::State;
-use ztl_core::dispatcher::UNKNOWN_END;
+use ztl_core::dispatcher::UNKNOWN_OUTCOME;
 use ztl_std::keys::{KeyError, KeyPair, PublicKey, can_encrypt};
 use ztl_std::server::KEEP;
 use ztl_std::{RemoteTask, RequestError, Status, TriggerError, scope};
@@ -145,7 +145,9 @@ impl Forward {
                     return Outcome::Rejected(TriggerError::Request(error).to_string());
                 }
                 task.effect(Effect::Accept);
-                return Outcome::Failed(format!("{UNKNOWN_END}whether it was started: {error}"));
+                return Outcome::Failed(format!(
+                    "{UNKNOWN_OUTCOME}whether it was started: {error}"
+                ));
             }
         };
         task.effect(Effect::Accept);
@@ -162,7 +164,7 @@ impl Forward {
                     }
                     Err(error) => {
                         silent.get_or_insert_with(Instant::now);
-                        format!("{UNKNOWN_END}{error}")
+                        format!("{UNKNOWN_OUTCOME}{error}")
                     }
                 };
                 if text != reported && text != "None" {
@@ -179,7 +181,7 @@ impl Forward {
                     // The next answer may say more.
                     Err(RequestError::NotTold { .. }) => std::thread::sleep(PAUSE),
                     Err(error) if error.was_answered() => {
-                        return Outcome::Failed(format!("{UNKNOWN_END}{to}: {error}"));
+                        return Outcome::Failed(format!("{UNKNOWN_OUTCOME}{to}: {error}"));
                     }
                     _ => {}
                 },
@@ -187,7 +189,7 @@ impl Forward {
             if silent.is_some_and(|since| since.elapsed() >= KEEP) {
                 // Servers forget outcomes after this time.
                 let kept = human_time(KEEP);
-                return Outcome::Failed(format!("{UNKNOWN_END}no answer from {to} for {kept}"));
+                return Outcome::Failed(format!("{UNKNOWN_OUTCOME}no answer from {to} for {kept}"));
             }
             if abort_sent || !abort.load(Ordering::Relaxed) {
                 continue;

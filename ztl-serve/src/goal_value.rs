@@ -138,7 +138,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn json_becomes_what_the_original_would_write_in_its_order() {
+    fn json_is_converted_like_the_original_in_key_order() {
         let json =
             r#"{"z": [1, -2.5, true], "a": {"it's": null}, "big": 18446744073709551615, "e": 1e3}"#;
         let value: GoalValue = serde_json::from_str(json).expect("JSON");

@@ -63,7 +63,7 @@ impl Entries {
         })
     }
 
-    /// Tells without starting anything whether a task would be rejected.
+    /// Returns, without starting anything, whether a task would be rejected.
     fn check(&self, scope: &str, spec: &TaskSpec<'_>) -> Result<(), String> {
         let Some(entry) = self.all.get(self.find(spec)?) else {
             return Ok(());

@@ -48,7 +48,7 @@ pub(crate) trait Kind: Any + fmt::Debug + Send + Sync {
         STOP_TIME
     }
 
-    /// Tells without starting anything whether [`start`](Self::start) would reject the task.
+    /// Returns, without starting anything, whether [`start`](Self::start) would reject the task.
     fn check(&self, _call: &Call) -> Result<(), String> {
         Ok(())
     }
@@ -102,12 +102,12 @@ pub(crate) enum Effect {
     /// Reports the task as accepted, unless that was done before.
     Accept,
     Progress(String),
-    /// Answers an abort: the task goes on.
+    /// Answers an abort: the task continues.
     RejectAbort,
     /// Runs another job, which may outlive the task.
     Background(Box<dyn Job>),
     End(Outcome),
-    /// Ends the task without an outcome: nobody knows it.
+    /// Ends the task with an unknown outcome.
     Leave,
 }
 
@@ -154,7 +154,7 @@ pub(crate) enum Event {
     AbortNotStarted(String),
 }
 
-/// What the supervisor is told.
+/// Messages to the supervisor.
 pub(crate) enum Message {
     /// A client starts a task of the entry with this index.
     Start {

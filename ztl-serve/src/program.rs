@@ -38,7 +38,7 @@ use watchdog::protocol::Charge;
 const CONFIRM: Duration = Duration::from_millis(1200);
 /// Most bytes that are read of a pipe at a time, so that other programs get their turn.
 const READ: usize = 16 * 1024;
-/// Most reads after a program's end, since processes that it left behind may go on writing.
+/// Most reads after a program's end, because processes that it left behind may keep writing.
 const LAST_READS: usize = 64;
 
 impl Kind for Program {

@@ -89,7 +89,7 @@ impl Supervisor {
         Ok((mailbox, supervisor))
     }
 
-    /// Runs until it is told to stop and all tasks have ended.
+    /// Runs until it receives the request to stop and all tasks have ended.
     pub(crate) fn run(mut self) {
         while !(self.stopping && self.tasks.is_empty() && self.background.is_empty()) {
             let ready = self.wait();

@@ -346,7 +346,7 @@ mod tests {
     const KNOWN: &str = "Yne@$w-vo<fVvi]a<NY6T1ed:M$fCG*[IaLV{hID";
 
     #[test]
-    fn a_key_is_read_as_libzmq_reads_it() {
+    fn a_key_is_read_like_libzmq() {
         let key: PublicKey = KNOWN.parse().expect("a key");
         assert_eq!(zmq::z85_decode(KNOWN).expect("a key"), key.as_bytes());
         assert_eq!(key.to_string(), KNOWN);

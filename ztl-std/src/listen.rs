@@ -151,7 +151,7 @@ pub fn one_or_more(node: &Node) -> &[Node] {
     }
 }
 
-/// Why an address is invalid, as far as its form tells.
+/// Why an address is invalid, judging by its form.
 #[must_use]
 pub fn bind_mistake(bind: &str) -> Option<String> {
     let odd = |c: char| !(c.is_ascii_alphanumeric() || "*.-_:[]%".contains(c));

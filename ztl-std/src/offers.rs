@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-/// The handlers of a scope and their components. An empty list means that the server does not tell the
+/// The handlers of a scope and their components. An empty list means that the server does not report the
 /// components; the name `*` stands for every other name.
 pub type Offers = BTreeMap<String, Vec<String>>;
 

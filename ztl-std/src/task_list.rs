@@ -5,7 +5,7 @@ use serde_json::Value;
 use ztl_core::{State, TaskSpec};
 
 use crate::remote_id::RemoteId;
-use ztl_core::dispatcher::UNKNOWN_END;
+use ztl_core::dispatcher::UNKNOWN_OUTCOME;
 
 /// Longest payload that is kept for the list, in bytes: base64, so a multiple of four.
 const MAX_PAYLOAD: usize = 400;
@@ -37,7 +37,7 @@ impl ListedTask {
     /// Whether the task ended as FAILED because the server could not learn its end. It may still run.
     #[must_use]
     pub fn end_is_unknown(&self) -> bool {
-        self.state == State::Failed.code() && self.text.starts_with(UNKNOWN_END)
+        self.state == State::Failed.code() && self.text.starts_with(UNKNOWN_OUTCOME)
     }
 
     /// Whether the list says that it runs, or does not say for certain that it has ended.
@@ -53,7 +53,7 @@ impl ListedTask {
 #[serde(from = "UncheckedList")]
 pub(crate) struct TaskList {
     pub(crate) tasks: Vec<ListedTask>,
-    /// How many more tasks the server remembers; `None` if the answer does not tell.
+    /// How many more tasks the server keeps; `None` if the answer does not say.
     pub(crate) more: Option<usize>,
     /// How many entries of the answer cannot be read. These tasks may run.
     #[serde(skip)]

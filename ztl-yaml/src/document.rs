@@ -97,7 +97,7 @@ fn not_utf8(name: &str, bytes: &[u8], place: usize) -> Diagnostic {
     let before = String::from_utf8_lossy(bytes.get(..place).unwrap_or_default());
     let span = character_after(&before);
     let text = String::from_utf8_lossy(bytes);
-    let message = "this is no UTF-8; save the file as UTF-8".to_owned();
+    let message = "the file is not UTF-8; save it as UTF-8".to_owned();
     Diagnostic::at(name, &text, span, message)
 }
 

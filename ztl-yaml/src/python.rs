@@ -45,10 +45,10 @@ fn tagged(kind: &str, text: &str) -> Result<PythonValue, String> {
         "timestamp" => timestamp(text),
         "binary" => binary(text),
         "merge" => Err("'<<' stands for a mapping's keys; as a text, put it in quotes".to_owned()),
-        "value" => {
-            Err("a single '=' has a meaning of its own in YAML; put it in quotes".to_owned())
-        }
-        other => Err(format!("the tag '!!{other}' is none for a single value")),
+        "value" => Err("a single '=' has a special meaning in YAML; put it in quotes".to_owned()),
+        other => Err(format!(
+            "the tag '!!{other}' is not allowed for a single value"
+        )),
     }
 }
 
@@ -193,7 +193,7 @@ fn is_int(text: &str) -> bool {
 }
 
 fn int(text: &str) -> Result<PythonValue, String> {
-    let wrong = || format!("'{text}' is no whole number");
+    let wrong = || format!("invalid whole number '{text}'");
     let plain = text.replace('_', "");
     let (negative, digits) = match plain.strip_prefix('-') {
         Some(digits) => (true, digits),
@@ -271,7 +271,7 @@ impl Decimal {
 }
 
 fn float(text: &str) -> Result<PythonValue, String> {
-    let wrong = || format!("'{text}' is no number");
+    let wrong = || format!("invalid number '{text}'");
     let plain = text.replace('_', "").to_lowercase();
     let (sign, number) = match plain.strip_prefix('-') {
         Some(number) => (-1.0, number),
@@ -408,11 +408,11 @@ fn timestamp(text: &str) -> Result<PythonValue, String> {
 
 fn binary(text: &str) -> Result<PythonValue, String> {
     if !text.is_ascii() {
-        return Err("this is no base64: it is ASCII".to_owned());
+        return Err("invalid base64: not ASCII".to_owned());
     }
     let mut buffer = vec![0; text.len()];
     match base64::decode(text.as_bytes(), &mut buffer) {
         Ok(bytes) => Ok(PythonValue::Bytes(bytes.to_vec())),
-        Err(error) => Err(format!("this is no base64: {error}")),
+        Err(error) => Err(format!("invalid base64: {error}")),
     }
 }

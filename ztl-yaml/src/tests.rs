@@ -9,7 +9,7 @@ fn document(text: &str) -> Document {
     Document::parse("f", text.as_bytes()).expect("YAML")
 }
 
-/// What is shown of the mistakes in a file that cannot be parsed.
+/// The output for the mistakes of a file that cannot be parsed.
 #[track_caller]
 fn refused(text: &str) -> String {
     let mistakes = Document::parse("f", text.as_bytes()).expect_err(text);
@@ -88,7 +88,7 @@ fn an_alias_has_the_value_of_its_anchor_and_cannot_expand_without_limit() {
 #[test]
 fn invalid_yaml_is_reported_at_its_cause() {
     for (text, shown) in [
-        // An open bracket, however far the text goes on.
+        // An open bracket with any amount of text after it.
         (
             "a: 1\n\ns: {a: {b: 1}\n\nc: 3\nd: 4\n",
             "f:3:4: this '{' is not closed, or a ',' is missing before line 5",
@@ -142,7 +142,7 @@ fn invalid_yaml_is_reported_at_its_cause() {
             "a: - b\n",
             "f:1:4: a list cannot begin here; write each '- ' on its own line",
         ),
-        // What a text cannot begin with.
+        // Characters that a plain text cannot start with.
         (
             "a: *hi\n",
             "f:1:4: there is no '&hi' before this; a text that begins with '*' needs quotes",
@@ -180,7 +180,7 @@ fn invalid_yaml_is_reported_at_its_cause() {
     assert!(refused(&"[".repeat(100_000)).contains("f:1:"));
     let mistakes = Document::parse("f", b"a: 1\nb: x\xffy\n").expect_err("no UTF-8");
     let shown =
-        "f:2:5: this is no UTF-8; save the file as UTF-8\n  2 | b: x\u{fffd}y\n    |     ^\n";
+        "f:2:5: the file is not UTF-8; save it as UTF-8\n  2 | b: x\u{fffd}y\n    |     ^\n";
     assert_eq!(mistakes.to_string(), shown);
 }
 
@@ -241,7 +241,7 @@ e: {<<: [], '<<': text}
 }
 
 #[test]
-fn all_mistakes_are_reported_at_once_in_order() {
+fn all_mistakes_are_reported_together_in_order() {
     let document = document("prot: 1\nlevel: lud\nport: 70000\nlist: 3\nempty:\n");
     let mut reading = document.reading();
     let mut fields = reading.fields(document.root(), "it").expect("a mapping");

@@ -134,7 +134,7 @@ fn summary(mistakes: usize, doubts: usize) -> String {
     match (mistakes, doubts) {
         (0, 0) => "Nothing is wrong.".to_owned(),
         (0, doubts) => format!(
-            "{}: it is played so, and was probably not meant so.",
+            "{}: it will be played as written, which is probably not intended.",
             count(doubts, "doubtful place")
         ),
         (mistakes, 0) => format!("{}.", count(mistakes, "mistake")),

@@ -236,7 +236,9 @@ impl ClientTask<'_> {
             return Ok(String::new());
         }
         match remote.status(id) {
-            Err(error) if failed || matches!(error, RequestError::UnknownEnd { .. }) => Err(error),
+            Err(error) if failed || matches!(error, RequestError::UnknownOutcome { .. }) => {
+                Err(error)
+            }
             Ok(last) if last.state == state && last.text != NOTHING_KNOWN => Ok(last.text),
             _ => Ok(String::new()),
         }

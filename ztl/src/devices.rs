@@ -59,7 +59,7 @@ impl Devices {
         }
         let json = server.ask("devices")?.ok_or_else(|| {
             let endpoint = server.endpoint();
-            format!("the server at {endpoint} has no devices: it is no gateway of this version")
+            format!("the server at {endpoint} has no devices: it is not a gateway of this version")
         })?;
         if self.json {
             line(json);
@@ -117,13 +117,13 @@ fn show_log(server: &QueriedServer, name: &str, elf: &Path, once: bool) -> Done 
         let pieces: BTreeMap<String, LogPiece> = read(&json)?;
         // The device of the first scope that has one of this name.
         let piece = pieces.into_values().next().ok_or("the answer is empty")?;
-        let bytes = piece.bytes().ok_or("the answer is no log")?;
+        let bytes = piece.bytes().ok_or("the reply is not a log")?;
         if let Some((boot, lost)) = known
             && (piece.boot, piece.lost) != (boot, lost)
         {
             match piece.boot == boot {
                 true => line(format_args!(
-                    "({} bytes were lost: the device had no room for them)",
+                    "({} bytes were lost: the device's buffer was full)",
                     piece.lost.wrapping_sub(lost)
                 )),
                 false => line("(the device was reset)"),

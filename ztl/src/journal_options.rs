@@ -94,7 +94,7 @@ fn elsewhere(error: JournalError) -> String {
 
 fn without(why: &str) -> String {
     format!(
-        "{why}: after a restart the ids of tasks are not known, their results neither; what a device still does is stopped."
+        "{why}: after a restart, task ids and results are unknown, and running tasks are aborted."
     )
 }
 

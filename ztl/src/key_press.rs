@@ -118,7 +118,7 @@ mod tests {
     }
 
     #[test]
-    fn each_key_is_parsed_whatever_its_length() {
+    fn keys_of_every_length_are_parsed() {
         assert_eq!(names(b"\x1b[A"), ["Up"]);
         assert_eq!(names(b"\x1bOB\r"), ["Down", "Enter"]);
         assert_eq!(names(b"\x1b[15;2~s"), ["a function key", "s"]);

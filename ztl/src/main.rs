@@ -67,7 +67,7 @@ use clap::error::{ContextKind, ContextValue};
 use clap::{Parser, Subcommand};
 
 use exit::{MISUSED, exit};
-use terminal::{error_line, error_part};
+use terminal::error_part;
 
 /// Control robots and smart actuators by tasks over ZeroMQ
 #[derive(Debug, Parser)]
@@ -126,7 +126,7 @@ enum Command {
 fn main() -> ExitCode {
     #[cfg(target_os = "linux")]
     if let Some(mistake) = kernel::is_too_old() {
-        error_line(format_args!("ztl: {mistake}"));
+        terminal::error_line(format_args!("ztl: {mistake}"));
         return ExitCode::FAILURE;
     }
     let args: Vec<OsString> = std::env::args_os().collect();

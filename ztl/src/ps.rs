@@ -13,7 +13,7 @@ pub(crate) struct Ps {
     #[command(flatten)]
     server: QueryOptions,
 
-    /// Also show ended tasks that the server remembers
+    /// Also show ended tasks that the server still keeps
     #[arg(short, long)]
     all: bool,
 

@@ -44,7 +44,7 @@ impl RemotesOptions {
         self.config.is_some() || self.path().exists()
     }
 
-    /// Reads the file and adds the options. If the file cannot be read, warns and goes on, as the original.
+    /// Reads the file and adds the options. If the file cannot be read, warns and continues, like the original.
     pub(crate) fn read(&self) -> Result<Remotes, Box<dyn std::error::Error>> {
         let path = self.path();
         let remotes = Remotes::load(&path).unwrap_or_else(|mistakes| {

@@ -63,7 +63,7 @@ pub(crate) struct RunScript {
     #[arg(long, value_name = "FILE")]
     defaults: Option<PathBuf>,
 
-    /// Runner what would be sent and when, without sending it
+    /// Show what would be sent and when, without sending it
     #[arg(long)]
     dry_run: bool,
 
@@ -83,7 +83,7 @@ pub(crate) struct RunScript {
 const AFTER: &str =
     "Keys: on a terminal the screen lists them (docs/show.md). With --plain, Enter plays the scene, R repeats
 the last one, and any other key skips the scene.
-Ctrl-C stops all tasks started by this run, on all servers. A second Ctrl-C leaves at once.
+Ctrl-C stops all tasks started by this run, on all servers. A second Ctrl-C exits at once.
 Exit code: 0 if all tasks completed, 1 if one failed, was stopped or is unknown.
 To write scripts, see docs/scripts.md. To check one, run `ztl check FILE`.";
 

@@ -43,7 +43,7 @@ pub(crate) struct ServerAddress {
 /// The result of looking up a name in the configuration file.
 enum Lookup {
     Found(ServerAddress),
-    /// There is no such server, which is an error without a port.
+    /// There is no such server; an error unless a port is given.
     Unknown(Misuse),
 }
 
@@ -130,7 +130,7 @@ impl ServerAddress {
 /// Why a client cannot be created.
 pub(crate) fn no_client(host: &str, error: RequestError) -> String {
     match error {
-        RequestError::Transport(_) => format!("'{host}' is no name or address of a host"),
+        RequestError::Transport(_) => format!("'{host}' is not a host name or address"),
         error => error.to_string(),
     }
 }

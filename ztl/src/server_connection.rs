@@ -51,7 +51,7 @@ impl ServerConnection {
     }
 
     fn init(&mut self, handler: &str, component: &str, goal: &str) -> ServerAnswer {
-        // A server that does not tell who it is gets no INIT.
+        // A server that does not identify itself gets no INIT.
         let server = match self.server() {
             Ok(server) => server,
             Err(error) => {

@@ -312,7 +312,7 @@ mod tests {
     }
 
     #[test]
-    fn a_key_that_is_held_down_is_one_signal_and_pressed_again_another() {
+    fn a_held_key_is_one_signal_and_a_second_press_another() {
         let mut flag = flag_of(Some(None));
         let start = Instant::now();
         let mut at = |ms| flag.is_repeated(start + Duration::from_millis(ms));

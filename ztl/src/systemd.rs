@@ -73,7 +73,7 @@ impl Service {
             if let Some(service) = service.take() {
                 service.manager.tell("STOPPING=1\nSTATUS=Stopping.");
             }
-            line("Stopping; once more (Ctrl-C, SIGTERM) leaves at once.");
+            line("Stopping; another Ctrl-C or SIGTERM exits at once.");
             server.stop();
         });
     }

@@ -28,7 +28,7 @@ pub(crate) enum Mode {
 
 #[derive(Debug)]
 struct Terminal {
-    /// `None` when nobody has taken it, or it was restored for good.
+    /// `None` while it is not taken, or once it was restored for good.
     mode: Option<Mode>,
     /// The settings to restore; `None` while they are in force.
     saved: Option<Termios>,
@@ -80,7 +80,7 @@ pub(crate) fn restore() {
     terminal.mode = None;
 }
 
-/// Whether nobody has the terminal any more.
+/// Whether the terminal is no longer taken.
 pub(crate) fn is_restored() -> bool {
     terminal().mode.is_none()
 }
@@ -196,7 +196,7 @@ fn watch_signals() -> io::Result<()> {
     Ok(())
 }
 
-/// Drops the input that nobody has read yet.
+/// Drops the unread input.
 pub(crate) fn drop_input() {
     let _ = tcflush(io::stdin(), QueueSelector::IFlush);
 }

@@ -76,7 +76,7 @@ struct Ask {
     scope: String,
     payload: String,
     asked: Asked,
-    /// The INIT's record may have been evicted: its client was told, or nothing more can come of it.
+    /// The INIT's record may have been evicted: its client has the reply, or the INIT can no longer have an effect.
     forgettable: bool,
     /// What the client said earlier shows that the INIT has not arrived before.
     surely_new: bool,

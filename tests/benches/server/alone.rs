@@ -1,4 +1,4 @@
-//! What a server costs: CPU time for each request, on one core with its client, and when nobody asks.
+//! The cost of a server: CPU time per request, on one core with its client, and while idle.
 
 use std::process::Command;
 use std::time::Duration;
@@ -30,7 +30,7 @@ fn cores() -> String {
     allowed.expect("its cores").trim().to_owned()
 }
 
-/// Whether server and load can have cores of their own; else says that this part is left out.
+/// Whether server and load can have separate cores; otherwise prints that this part is skipped.
 fn has_two_cores(part: &str) -> bool {
     let enough = std::thread::available_parallelism().is_ok_and(|cores| cores.get() > 1);
     if !enough {
@@ -74,7 +74,7 @@ pub(crate) fn cpu_per_request(lab: &Lab) {
     });
 }
 
-/// 64 clients that cost less than the server, which has a core of its own: what it can do at most.
+/// 64 clients that cost less than the server, which has its own core: the maximum rate.
 pub(crate) fn most(lab: &Lab) {
     if !has_two_cores("The most that a server answers") {
         return;

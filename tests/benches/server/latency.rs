@@ -15,9 +15,9 @@ use crate::load::{Clients, Libzmq, measure};
 use crate::numbers::{Interval, percentile, verdict};
 use crate::{INIT, Lab, ROUNDS};
 
-/// The original's client, which says how many microseconds passed, median of the rounds that it is
-/// told to make: from a goal to its result, or from the end of a longer task until it is known, since
-/// it has a server of its own.
+/// The original's client. It prints microseconds, as the median of the given number of
+/// rounds: from a goal to its result, or from the end of a longer task until the client knows it, because
+/// it runs its own server.
 const ORIGINAL: &str = r#"
 import sys, time, threading, random, logging
 logging.disable(logging.CRITICAL)
@@ -164,7 +164,7 @@ pub(crate) fn goal_to_result(lab: &Lab) {
     );
 }
 
-/// Lasts as many milliseconds as its goal says, and tells when it ended.
+/// Runs for as many milliseconds as its goal says, and reports when it ended.
 struct Lasting(Mutex<Sender<Instant>>);
 
 impl TaskController for Lasting {

@@ -1,4 +1,4 @@
-//! Clients that ask as fast as they are answered, and what is seen of it; and the bare servers.
+//! Clients that send the next request after each reply, their measurements, and the bare servers.
 
 use std::process::Command;
 use std::sync::Barrier;
@@ -8,7 +8,7 @@ use ztl_tests::lab::{PATIENCE, Process, SCOPE, Server};
 
 use crate::numbers::percentile;
 
-/// What was seen in one measurement.
+/// The result of one measurement.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Seen {
     /// Answers in a second.
@@ -18,7 +18,7 @@ pub(crate) struct Seen {
     pub(crate) p99: f64,
     /// Microseconds of the server's CPU time for an answer.
     pub(crate) cpu: f64,
-    /// How much of a core the clients took, those of them whose threads go on.
+    /// The share of a core that the clients' running threads used.
     pub(crate) load: f64,
 }
 
@@ -29,7 +29,7 @@ pub(crate) struct Subject {
     /// Its process.
     pub(crate) id: u32,
     request: String,
-    /// What every answer begins with.
+    /// The beginning of every reply.
     answer: &'static str,
     pub(crate) seen: Vec<Seen>,
 }
@@ -57,7 +57,7 @@ impl Subject {
         port.and_then(|port| port.parse().ok()).expect("a port")
     }
 
-    /// What is asked, again and again.
+    /// The repeated request.
     pub(crate) fn request(&self) -> &str {
         &self.request
     }
@@ -96,7 +96,7 @@ pub(crate) fn bare(kind: &str) -> Bare {
     Bare { process, endpoint }
 }
 
-/// Answers what comes, until it is killed.
+/// Answers every request until it is killed.
 pub(crate) fn echo(kind: &str) {
     let router = kind == "router";
     let context = zmq::Context::new();
@@ -125,7 +125,7 @@ pub(crate) trait Clients {
     fn ask(&mut self, subject: &Subject, slice: Duration) -> Vec<f64>;
 }
 
-/// As people have them: libzmq's REQ sockets, each on a thread of its own.
+/// The usual clients: libzmq's REQ sockets, each on its own thread.
 pub(crate) struct Libzmq(Vec<zmq::Socket>);
 
 impl Clients for Libzmq {
@@ -200,7 +200,7 @@ pub(crate) fn measure(subject: &Subject, clients: &mut impl Clients, slice: Dura
     }
 }
 
-/// Measures all of them in turn, so many times, after one that does not count.
+/// Measures all of them in turn, this many times, after a warm-up round.
 pub(crate) fn rounds<C: Clients>(
     subjects: &mut [Subject],
     clients: usize,

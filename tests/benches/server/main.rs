@@ -1,16 +1,16 @@
 //! Whole servers, as processes of their own, side by side in one run: ours, the original's, and bare
 //! libzmq (REP and ROUTER) that echoes as many bytes. `cargo xtask bench` runs it.
 //!
-//! All are measured in turn, round by round, so that what else the machine does meets all of them; a
+//! All are measured in turn, round by round, so that other load on the machine affects all of them; a
 //! ratio is the median of the rounds' ratios. Behind it stands the interval in which the true median lies
-//! with 95 % (of 21 rounds the 6th and the 16th). For their rates the servers are started anew every third
-//! round. What is wanted is said beside what was seen, and nothing fails by time.
+//! with 95 % (of 21 rounds the 6th and the 16th). For rates, the servers are restarted every third
+//! round. The output shows the target beside each result, and no result fails the run.
 //!
 //! Every server is asked by the same clients in the same part. Most parts have libzmq's REQ sockets, as people
 //! have them. 64 of those on a core of their own keep it busy before a server's core is, so the rate is theirs;
 //! what a server can do at most is measured with clients that speak ZMTP themselves and take half a core (`most`).
 //!
-//! The machine should be quiet: what else it does slows the quick more than the slow, and so INITs of the original,
+//! The machine should be idle: other load slows fast requests more than slow ones, and so INITs of the original,
 //! at a tenth of the others' rate, hardly at all.
 
 mod alone;
@@ -29,7 +29,7 @@ use ztl_tests::lab::Server;
 const ROUNDS: usize = 21;
 const CLIENTS: [usize; 3] = [1, 8, 64];
 
-/// How often the servers are started anew for their rates: these differ more from start to start than within one.
+/// How often the servers are restarted for rates, which differ more between starts than within one.
 const STARTS: usize = 7;
 
 /// `test:echo:hi`
@@ -38,7 +38,7 @@ const INIT: &str = "/test;1;-1;dGVzdDplY2hvOmhp";
 /// Something that can be measured.
 type Part = fn(&Lab);
 
-/// What can be measured, by name.
+/// The available measurements, by name.
 const PARTS: [(&str, Part); 7] = [
     ("rates", rates),
     ("most", alone::most),
@@ -137,7 +137,7 @@ fn find<'s>(subjects: &'s [Subject], name: &str) -> &'s Subject {
     found.expect("a subject")
 }
 
-/// How much of the other's rate one reaches.
+/// The ratio of the rates.
 fn ratio(subjects: &[Subject], one: &str, other: &str) -> Interval {
     let pairs = find(subjects, one)
         .seen
@@ -165,7 +165,7 @@ fn main() {
     if let Ok(kind) = std::env::var("ZTL_BENCH_ECHO") {
         return echo(&kind);
     }
-    // What was asked for by name, else all; Cargo adds words of its own.
+    // The parts named on the command line, otherwise all; Cargo adds its own arguments.
     let words: Vec<String> = std::env::args().skip(1).collect();
     let named = |name: &str| words.iter().any(|word| word == name);
     let all = !PARTS.iter().any(|(name, _)| named(name));

@@ -15,7 +15,7 @@ use crate::load::{Clients, Subject};
 /// Before each body: a delimiter, which is an empty frame with more to come; then the body's flags.
 const BEFORE: [u8; 3] = [1, 0, 0];
 
-/// Longest answer with what is before it, in bytes.
+/// Longest reply including its prefix, in bytes.
 const LONGEST: usize = BEFORE.len() + 1 + 255;
 
 pub(crate) struct Plain {
@@ -24,7 +24,7 @@ pub(crate) struct Plain {
     talks: Vec<Talk>,
 }
 
-/// What passes over a stream.
+/// The bytes sent over a stream.
 struct Talk {
     asked: Instant,
     heard: [u8; LONGEST],
@@ -87,7 +87,7 @@ impl Clients for Plain {
 }
 
 impl Talk {
-    /// Reads what has come; whether that was the rest of an answer.
+    /// Reads the available bytes; returns whether they complete a reply.
     fn is_answered(&mut self, mut stream: &TcpStream, subject: &Subject) -> bool {
         let room = &mut self.heard[self.len..];
         let count = stream.read(room).expect("an answer");

@@ -1,8 +1,8 @@
-//! A static `ztl` does its work where there is nothing but a kernel.
+//! The static `ztl` runs on a bare kernel.
 //!
-//! `cargo xtask dist --check` says by the environment which program is tried, and how it is run: by an
-//! emulator of its processor, in an empty root (`ZTL_DIST_EMULATOR`), or as on an old kernel (`ZTL_DIST_KERNEL`).
-//! At the other end is this machine's own build.
+//! `cargo xtask dist --check` selects the program and how it runs through the environment: in an
+//! emulator of its processor in an empty root (`ZTL_DIST_EMULATOR`), or as on an old kernel (`ZTL_DIST_KERNEL`).
+//! The other end is this machine's own build.
 
 mod names;
 mod place;
@@ -12,7 +12,7 @@ use ztl_tests::lab::{PATIENCE, Process, SCOPE, Server, ztl};
 
 use place::Place;
 
-/// Its fate, when it runs as it should.
+/// The outcome of a healthy run.
 #[track_caller]
 fn run(remote: &mut RemoteTask, task: [&str; 3]) -> Status {
     let [handler, component, goal] = task;
@@ -24,13 +24,13 @@ fn run(remote: &mut RemoteTask, task: [&str; 3]) -> Status {
 #[track_caller]
 fn client(server: &Server) -> RemoteTask {
     let remote = RemoteTask::connect(&server.endpoint(), SCOPE).expect("an address");
-    // An emulated processor on a busy machine takes its time.
+    // An emulated processor on a busy machine is slow.
     remote.with_timeout(PATIENCE)
 }
 
 #[test]
 #[ignore = "for `cargo xtask dist --check`"]
-fn it_says_what_it_was_built_from() {
+fn version_lists_the_build_inputs() {
     let place = Place::new();
     let ended = Process::run(&mut place.ztl("--version"));
     assert_eq!((ended.code, ended.stderr.as_str()), (Some(0), ""));
@@ -52,7 +52,7 @@ fn it_says_what_it_was_built_from() {
 
 #[test]
 #[ignore = "for `cargo xtask dist --check`"]
-fn programs_are_served() {
+fn serve_runs_programs() {
     let place = Place::new();
     if !place.can_catch_signals() {
         return; // The end of a program is one.
@@ -83,7 +83,7 @@ fn programs_are_served() {
         State::Accepted
     );
     assert_eq!(remote.abort(id).expect("an answer").state, State::Aborted);
-    // The original's client too, which no word of ours is for.
+    // The original's client runs tasks, too.
     let mut original = server.original_client();
     let id = original.start("own", "version", "");
     assert_eq!(original.wait(id, 20.0).text, version);
@@ -110,7 +110,7 @@ fn a_gateway_moves_a_simulated_device() {
 
 #[test]
 #[ignore = "for `cargo xtask dist --check`"]
-fn its_client_runs_a_task_here() {
+fn its_client_runs_a_task_on_a_local_server() {
     let place = Place::new();
     let server = Server::ours();
     let port = server.port.to_string();
@@ -125,7 +125,7 @@ fn its_client_runs_a_task_here() {
 
 #[test]
 #[ignore = "for `cargo xtask dist --check`"]
-fn its_script_plays_on_a_server_here() {
+fn its_script_plays_on_a_local_server() {
     let place = Place::new();
     let server = Server::ours();
     let port = server.port.to_string();
@@ -149,7 +149,7 @@ fn its_script_plays_on_a_server_here() {
 
 #[test]
 #[ignore = "for `cargo xtask dist --check`"]
-fn both_ends_encrypt() {
+fn client_and_gateway_encrypt() {
     let place = Place::new();
     for name in ["robot", "anna"] {
         let path = place.path_inside(name);
@@ -180,7 +180,7 @@ fn both_ends_encrypt() {
 
 #[test]
 #[ignore = "for `cargo xtask dist --check`"]
-fn the_doctor_finds_its_way() {
+fn the_doctor_reports_a_healthy_system() {
     let place = Place::new();
     let server = Server::ours();
     let port = server.port.to_string();
@@ -200,7 +200,7 @@ fn the_doctor_finds_its_way() {
 
 #[test]
 #[ignore = "for `cargo xtask dist --check`"]
-fn on_too_old_a_kernel_it_says_so_in_one_line() {
+fn an_unsupported_kernel_is_reported_in_one_line() {
     let place = Place::new();
     let Some(mut command) = place.ztl_on_kernel("2.6.18") else {
         return; // Only an emulator can say so.

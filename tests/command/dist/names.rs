@@ -7,7 +7,7 @@ use ztl_tests::lab::{Ended, Process, SCOPE, Server};
 
 use super::place::Place;
 
-/// An address of this machine that nobody uses for anything else.
+/// An address of this machine that is otherwise unused.
 const NAME_SERVER: Ipv4Addr = Ipv4Addr::new(127, 77, 12, 9);
 
 #[track_caller]
@@ -19,7 +19,7 @@ fn ask(place: &Place, server: &Server, host: &str) -> Ended {
 
 #[test]
 #[ignore = "for `cargo xtask dist --check`"]
-fn a_host_is_found_by_its_name_in_a_file() {
+fn host_names_are_resolved_from_the_hosts_file() {
     let place = Place::new();
     let server = Server::ours();
     if place.path_inside("etc") != "/etc" {
@@ -37,13 +37,13 @@ fn a_host_is_found_by_its_name_in_a_file() {
 
 #[test]
 #[ignore = "for `cargo xtask dist --check`"]
-fn a_host_is_found_by_a_name_server() {
+fn host_names_are_resolved_by_dns() {
     let place = Place::new();
     let server = Server::ours();
     if place.path_inside("etc") != "/etc" {
         return; // The files are the machine's own.
     }
-    // A resolver asks at this port only, which is the superuser's.
+    // A resolver only asks at this port, which only the superuser can open.
     let Ok(socket) = UdpSocket::bind((NAME_SERVER, 53)) else {
         return;
     };
@@ -68,7 +68,7 @@ fn a_host_is_found_by_a_name_server() {
     );
 }
 
-/// The answer of a name server that knows `robot.example`, to any question (RFC 1035).
+/// The reply of a name server that knows `robot.example`, to any query (RFC 1035).
 fn answer(question: &[u8]) -> Option<Vec<u8>> {
     const KNOWN: &[u8] = b"\x05robot\x07example\x00";
     let name = question.get(12..)?;
@@ -77,7 +77,7 @@ fn answer(question: &[u8]) -> Option<Vec<u8>> {
     let known = name == KNOWN;
     let has_address = known && kind == [0, 1];
     let mut answer = question.get(..2)?.to_vec();
-    // A response, of one who knows; NXDOMAIN for other names.
+    // An authoritative response; NXDOMAIN for other names.
     answer.extend([0x85, if known { 0x80 } else { 0x83 }]);
     answer.extend([0, 1, 0, u8::from(has_address), 0, 0, 0, 0]);
     answer.extend(question.get(12..12 + end + 4)?);

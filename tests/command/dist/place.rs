@@ -5,10 +5,10 @@ use std::process::Command;
 
 use ztl_tests::lab::{Process, Scratch, python};
 
-/// An empty root with nothing in it but the program, and its emulator or its devices for random numbers.
+/// An empty root that holds only the program, and its emulator or random number devices.
 pub struct Place {
     scratch: Scratch,
-    /// The emulator's options, where there is one; it is `/emulator`.
+    /// The emulator's options, if there is one; it is `/emulator`.
     emulator: Option<Vec<String>>,
     kernel: Option<String>,
     /// Whether the directory is the program's root. Only the superuser can make devices for random
@@ -44,7 +44,7 @@ impl Place {
         let is_root = kernel.is_none() || is_superuser();
         if kernel.is_some() && is_root {
             std::fs::create_dir(scratch.path("dev")).expect("a directory");
-            // Before it reads the second, it looks at the first whether there is enough chance in it.
+            // Before it reads the second, it checks the first for enough entropy.
             for (name, minor) in [("random", "8"), ("urandom", "9")] {
                 let mut mknod = Command::new("mknod");
                 mknod
@@ -62,9 +62,9 @@ impl Place {
         }
     }
 
-    /// Whether signals can be caught here. QEMU 7.2's emulation of 32-bit x86 crashes, for whatever
-    /// processor, when a thread goes on that a signal has interrupted (after `rt_sigreturn`). The same program does it on a
-    /// real kernel, which is tried too (`ZTL_DIST_KERNEL`).
+    /// Whether signals can be caught here. QEMU 7.2's emulation of 32-bit x86 crashes on every
+    /// processor when a thread resumes after a signal (after `rt_sigreturn`). The same program works on a
+    /// real kernel, which is tested, too (`ZTL_DIST_KERNEL`).
     pub fn can_catch_signals(&self) -> bool {
         let emulator = variable("ZTL_DIST_EMULATOR").unwrap_or_default();
         let can = !emulator.starts_with("qemu-i386");
@@ -91,7 +91,7 @@ impl Place {
         }
     }
 
-    /// The words that start the program, for one that runs inside.
+    /// The arguments that start the program for a process inside.
     pub fn words_inside(&self) -> Vec<String> {
         let mut words = Vec::new();
         if let Some(options) = &self.emulator {
@@ -102,7 +102,7 @@ impl Place {
         words
     }
 
-    /// `ztl` with these words.
+    /// `ztl` with these arguments.
     pub fn ztl(&self, line: &str) -> Command {
         let mut command = self.enter();
         command.args(self.words_inside());
@@ -110,7 +110,7 @@ impl Place {
         command
     }
 
-    /// `ztl --version` where the kernel says that it is that one; only an emulator can do that.
+    /// `ztl --version` on a kernel that reports this version; only an emulator can do that.
     pub fn ztl_on_kernel(&self, release: &str) -> Option<Command> {
         self.emulator.as_ref()?;
         let mut words = self.words_inside();
@@ -138,7 +138,7 @@ impl Place {
             words.push(root);
         }
         let Some((first, rest)) = words.split_first() else {
-            // `env` does nothing, and lets what follows be the program.
+            // `env` only runs the program that follows.
             return Command::new("env");
         };
         let mut command = Command::new(first);

@@ -1,20 +1,20 @@
-//! Random messages, tasks and numbers: mostly odd ones, some ordinary.
+//! Random messages, tasks and numbers: mostly unusual ones, some ordinary.
 
 use ztl_core::TaskSpec;
 use ztl_core::base64::Encoder;
 use ztl_core::sink::Sink;
 use ztl_tests::lab::Random;
 
-/// Decimal digits: ASCII, Arabic, Devanagari, fullwidth, mathematical; and some that are none.
+/// Decimal digits: ASCII, Arabic, Devanagari, fullwidth, mathematical; and some characters that are not digits.
 const DIGITS: [&str; 8] = ["0", "7", "٣", "९", "５", "𝟗", "²", "Ⅷ"];
 
-/// Blanks to Python, inside ASCII and beyond; and some that are none.
+/// Blanks to Python, inside ASCII and beyond; and some characters that are not blanks.
 const BLANKS: [&str; 16] = [
     " ", "\t", "\n", "\x0b", "\x0c", "\r", "\x1c", "\x1f", "\u{85}", "\u{a0}", "\u{1680}",
     "\u{2028}", "\u{3000}", "\u{200b}", "\u{feff}", "\0",
 ];
 
-/// Text that has been trouble elsewhere.
+/// Text that has caused bugs elsewhere.
 const TEXTS: [&str; 16] = [
     "",
     "/test",
@@ -34,7 +34,7 @@ const TEXTS: [&str; 16] = [
     "a:b:c",
 ];
 
-/// Bytes that are no UTF-8: lone and missing continuations, overlong forms, surrogates, too large.
+/// Bytes that are not UTF-8: lone and missing continuations, overlong forms, surrogates, too large.
 const BROKEN: [&[u8]; 12] = [
     b"\x80",
     b"\xbf\xbf",
@@ -50,12 +50,12 @@ const BROKEN: [&[u8]; 12] = [
     b"\xff\xfe",
 ];
 
-/// What a decoder of base64 is to skip, to stop at, or to stumble over.
+/// Characters that a base64 decoder must skip, stop at, or reject.
 const JUNK: [&str; 14] = [
     "=", "=", "==", "===", "-", "_", " ", "\n", "!", ".", "\0", "ü", "🤖", "A",
 ];
 
-/// A field that is asked to be a number.
+/// A field that should be a number.
 pub fn number(random: &mut Random) -> String {
     let mut text = String::new();
     for _ in 0..random.below(3) {
@@ -81,7 +81,7 @@ pub fn number(random: &mut Random) -> String {
         } else {
             random.pick(&ascii)
         });
-        // One between digits is right; more, or one at an end, is wrong.
+        // One underscore between digits is valid; more, or one at an end, is not.
         if random.once_in(9) && place + 1 < digits || random.once_in(60) {
             text.push_str(if random.once_in(20) { "__" } else { "_" });
         }
@@ -135,7 +135,7 @@ pub fn wire(random: &mut Random) -> Vec<u8> {
     wire
 }
 
-/// Once in five times: bytes put in, a bit turned over, or an end cut off.
+/// In one of five cases: inserted bytes, a flipped bit, or a truncated end.
 fn damage(random: &mut Random, bytes: &mut Vec<u8>) {
     if !random.once_in(5) {
         return;
@@ -151,7 +151,7 @@ fn damage(random: &mut Random, bytes: &mut Vec<u8>) {
     }
 }
 
-/// An INIT's payload: a task in base64, and what may become of it on its way.
+/// An INIT's payload: a task in base64, possibly damaged.
 pub fn payload(random: &mut Random) -> String {
     let mut plain = Vec::new();
     for part in 0..random.below(5) {
@@ -184,7 +184,7 @@ pub fn payload(random: &mut Random) -> String {
         }
     }
     if random.once_in(8) {
-        // The alphabet for URLs, which the original does not read as one.
+        // The alphabet for URLs, which the original does not accept.
         for c in &mut payload {
             *c = match *c {
                 '+' => '-',
@@ -196,12 +196,12 @@ pub fn payload(random: &mut Random) -> String {
     payload.into_iter().collect()
 }
 
-/// The parts of a task; a handler and a component with a `:` are cut elsewhere when read again.
+/// The parts of a task; a handler or component with a `:` is split elsewhere when read again.
 pub fn task(random: &mut Random) -> [String; 3] {
     [text(random), text(random), text(random)]
 }
 
-/// The parts of a task as ours takes them.
+/// The parts of a task in our representation.
 pub fn spec(parts: &[String; 3]) -> TaskSpec<'_> {
     let [handler, component, goal] = parts;
     TaskSpec {

@@ -1,8 +1,8 @@
-//! Our codecs beside the original's own: 20,000 messages, tasks and numbers, made up anew in each
-//! run, are read and written by both, and every field and every error is compared.
+//! Our codecs and the original's: both read and write 20,000 messages, tasks and numbers, generated for each
+//! run, and every field and every error is compared.
 //!
-//! What differs on purpose is one list, `ztl-core/tests/vectors/differences.json`; a difference that
-//! is not in it fails the test, and so does an entry that no longer is one.
+//! Intended differences are listed in `ztl-core/tests/vectors/differences.json`. A difference that
+//! is not listed fails the test, and so does an entry that no longer applies.
 
 mod generate;
 
@@ -13,10 +13,10 @@ use ztl_core::spec::SpecError;
 use ztl_core::{Message, TaskSpec};
 use ztl_tests::lab::{Random, run_python, seed};
 
-/// Cases in a run.
+/// Cases per run.
 const CASES: usize = 20_000;
 
-/// Something for both to do.
+/// A case for both codecs.
 #[derive(Debug)]
 enum Case {
     ReadMessage(Vec<u8>),
@@ -37,7 +37,7 @@ impl Case {
         }
     }
 
-    /// The line that tells `original.py` of it.
+    /// The line that describes it to `original.py`.
     fn line(&self) -> String {
         let (verb, words): (_, Vec<&[u8]>) = match self {
             Self::ReadMessage(wire) => ("message_decode", vec![wire]),
@@ -57,7 +57,7 @@ impl Case {
         format!("{verb}{words}\n")
     }
 
-    /// Does it, and compares with what the original said.
+    /// Runs it and compares the result with the original's.
     fn compare(&self, theirs: &Json, differences: &mut Differences) -> Result<(), String> {
         match self {
             Self::ReadMessage(wire) => read_message(wire, theirs, differences),
@@ -168,7 +168,7 @@ fn number(field: &str, theirs: &Json, differences: &mut Differences) -> Result<(
     same("number", ours.as_deref(), value)
 }
 
-/// A number in plain digits, if it is one.
+/// A number in plain digits, if the value is a number.
 fn plain(field: &str) -> Option<String> {
     let mut digits = Vec::new();
     let number = Integer::parse(field).ok()?;
@@ -187,7 +187,7 @@ fn same<T: PartialEq + std::fmt::Debug>(
     Err(format!("{what}: ours {ours:?}, the original's {theirs:?}"))
 }
 
-/// The list, and how often each entry was met.
+/// The list, and how often each entry applied.
 struct Differences(Vec<Difference>);
 
 struct Difference {
@@ -209,8 +209,8 @@ impl Differences {
         Self(numbers.iter().map(entry).collect())
     }
 
-    /// Whether a field that only the original reads is of a listed kind, and nothing else is the
-    /// matter with it.
+    /// Whether a field that only the original reads is of a listed kind and has no other
+    /// problem.
     fn explain(&mut self, theirs: &Json) -> bool {
         let ascii = theirs["ascii"].as_str().and_then(plain);
         if ascii.is_none() || ascii.as_deref() != theirs["int"].as_str() {
@@ -226,7 +226,7 @@ impl Differences {
     }
 }
 
-/// What the original makes of each case.
+/// The original's result for each case.
 fn original(cases: &[Case]) -> Vec<Json> {
     let lines: String = cases.iter().map(Case::line).collect();
     let text = run_python(&["-X", "utf8", "-c", include_str!("original.py")], &lines);
@@ -243,7 +243,7 @@ fn hex(bytes: &[u8]) -> String {
 }
 
 #[test]
-fn odd_messages_are_read_and_written_as_by_the_original() {
+fn unusual_messages_are_read_and_written_like_the_original() {
     let seed = seed();
     let mut random = Random::new(seed);
     let cases: Vec<Case> = (0..CASES).map(|_| Case::new(&mut random)).collect();
@@ -256,7 +256,7 @@ fn odd_messages_are_read_and_written_as_by_the_original() {
         }
         refused += usize::from(theirs["error"].is_string());
     }
-    // Neither all good nor all broken, or the generator is.
+    // If all are valid or all are broken, the generator is wrong.
     assert!(
         (CASES / 20..CASES / 2).contains(&refused),
         "{refused} refused"
@@ -272,7 +272,7 @@ fn odd_messages_are_read_and_written_as_by_the_original() {
 }
 
 #[test]
-fn what_is_listed_as_different_is_read_by_the_original_alone() {
+fn only_the_original_reads_the_listed_differences() {
     let mut differences = Differences::listed();
     let examples: Vec<Case> = differences
         .0

@@ -11,7 +11,7 @@ pub enum Reader {
     Yaml,
 }
 
-/// What a reader makes of a text.
+/// A reader's result for a text.
 pub enum Read {
     Refused,
     Nothing,
@@ -19,21 +19,21 @@ pub enum Read {
     Integer(i64),
     Float(&'static str),
     Text(&'static str),
-    /// As JSON, with the types told.
+    /// As JSON with types.
     Told(&'static str),
 }
 
 pub struct Difference {
     pub why: &'static str,
     pub reader: Reader,
-    /// A text, what the other reader makes of it, and what ours does.
+    /// A text, the other reader's result, and ours.
     pub examples: &'static [(&'static str, Read, Read)],
     /// Whether the text of this value may be read differently for this reason.
     pub excuses: fn(&Value) -> bool,
 }
 
 impl Read {
-    /// What ours is to make of it, told with types.
+    /// Our expected result, with types.
     pub fn value(&self) -> Option<Json> {
         Some(match self {
             Self::Refused => return None,
@@ -46,7 +46,7 @@ impl Read {
         })
     }
 
-    /// As `generate.py` tells it.
+    /// As `generate.py` prints it.
     pub fn told(&self) -> Json {
         self.value().unwrap_or(json!({"error": null}))
     }
@@ -147,7 +147,7 @@ pub const DIFFERENCES: &[Difference] = &[
             })
         },
     },
-    // Traps of YAML 1.1, which the clients' YAML has sprung before a goal is sent.
+    // Traps of YAML 1.1, which affect the clients' YAML before a goal is sent.
     Difference {
         why: "words for bools are texts unless a bool is asked for: `on` is a fine goal",
         reader: Yaml,

@@ -6,7 +6,7 @@ use serde::de::{Deserialize, Deserializer, MapAccess, SeqAccess, Visitor};
 use serde::ser::{Serialize, Serializer};
 use serde_json::{Value as Json, json};
 
-/// What Python and YAML know as well. A tuple is a list.
+/// The values that Python and YAML share. A tuple is a list.
 #[derive(Debug, Clone)]
 pub enum Value {
     None,
@@ -19,12 +19,12 @@ pub enum Value {
     List(Vec<Value>),
     /// In order.
     Dict(Vec<(Value, Value)>),
-    /// What only Python has; never read.
+    /// Values that only Python has; never read.
     Other(String),
 }
 
 impl Value {
-    /// The value that `generate.py` told.
+    /// The value from `generate.py`'s output.
     pub fn from_told(told: &Json) -> Self {
         let list = |items: &Json| {
             let items = items.as_array().expect("a list").iter();
@@ -63,7 +63,7 @@ impl Value {
         }
     }
 
-    /// As `generate.py` tells it.
+    /// As `generate.py` prints it.
     pub fn to_told(&self) -> Json {
         match self {
             Self::None => Json::Null,

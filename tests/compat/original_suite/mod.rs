@@ -72,7 +72,7 @@ fn the_originals_suite_passes_against_our_servers() {
 /// `test_abort` waits for 5 s for a task of 5 s, which may have ended then, and wants it ABORTED all
 /// the same: a final state never changes here. With a longer task it passes.
 #[test]
-fn the_suites_abort_passes_with_a_task_that_has_not_ended() {
+fn the_suites_abort_test_passes_with_a_running_task() {
     let ended = pytest(&["-k", "test_abort"], |name, text| {
         if name != "test_4_lifecycle.py" {
             return text;
@@ -87,9 +87,9 @@ fn the_suites_abort_passes_with_a_task_that_has_not_ended() {
     assert_eq!(ended.code, Some(0));
 }
 
-/// What the suite asks of the original's client, asked of ours.
+/// The suite's checks of the original's client, applied to ours.
 #[test]
-fn our_client_finds_at_the_originals_servers_what_its_suite_expects() {
+fn our_client_meets_the_originals_suite_at_the_originals_servers() {
     let tests = Server::original();
     for scope in ["/no", "/none"] {
         let mut remote = RemoteTask::connect(&tests.endpoint(), scope).expect("an address");

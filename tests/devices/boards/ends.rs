@@ -41,7 +41,7 @@ pub(crate) fn aborts(board: &str) {
     rig.assert_rests();
     let end = rig.client.status(id);
     assert_eq!(end.number, ABORTED);
-    // It tells the truth.
+    // It reports the truth.
     let told: f32 = end.text.parse().expect("a position");
     let place = rig.place() as f32;
     assert!((told * STEPS - place).abs() < 1.0, "{told} and {place}");
@@ -69,7 +69,7 @@ pub(crate) fn refuses(board: &str) {
     assert_eq!(rig.client.trigger("desk", "arm", "1"), (-1, reason));
     assert_eq!(rig.board.read(Pin::Pulse), 0, "nothing has moved");
 
-    // One that is busy goes on with what it does; the others are free.
+    // A busy component continues its task; the others are free.
     let id = rig.start_stage("20", 10);
     let reason = "'desk:stage:30' refused: busy with another task";
     assert_eq!(rig.client.trigger("desk", "stage", "30"), (-1, reason));

@@ -61,7 +61,7 @@ pub(crate) fn loses_its_link(board: &str) {
     let mut rig = Rig::with(board, &format!("desk=tcp:127.0.0.1:{near}"));
     let id = rig.start_stage("200", 50);
     line.kill();
-    // The node's own doing: nobody can tell it.
+    // The node stops by itself: no client can reach it.
     let place = rig.wait_rest();
     assert!(place < 200 * STEPS as u32, "it has gone all the way");
     let _plugged = plug();

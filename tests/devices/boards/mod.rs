@@ -1,7 +1,7 @@
 //! The original's Python client, unchanged, drives firmware on boards in QEMU: by ZeroMQ to the process of
 //! `ztl gateway`, and from there over the board's serial port.
 //!
-//! What really moves is seen at the board's pins.
+//! The board's pins show the real motion.
 
 mod ends;
 mod faults;
@@ -16,17 +16,17 @@ macro_rules! boards {
             const BOARD: &str = $board;
 
             #[test]
-            fn a_goal_is_reached_and_seen_on_its_way() {
+            fn a_task_reports_progress_and_reaches_its_goal() {
                 super::ends::completes(BOARD);
             }
 
             #[test]
-            fn an_abort_stops_the_stage_where_it_is() {
+            fn an_abort_stops_the_stage_at_its_current_position() {
                 super::ends::aborts(BOARD);
             }
 
             #[test]
-            fn what_it_does_not_take_is_refused_with_what_would_be_right() {
+            fn an_invalid_goal_is_rejected_with_the_valid_ones() {
                 super::ends::refuses(BOARD);
             }
 
@@ -41,17 +41,17 @@ macro_rules! boards {
             }
 
             #[test]
-            fn after_a_reset_its_tasks_have_failed_and_it_serves_again() {
+            fn a_reset_fails_the_boards_tasks_and_it_serves_again() {
                 super::faults::resets(BOARD);
             }
 
             #[test]
-            fn without_its_link_it_stops_by_itself_and_serves_again_with_it() {
+            fn a_board_stops_without_its_link_and_serves_again_with_it() {
                 super::faults::loses_its_link(BOARD);
             }
 
             #[test]
-            fn it_uses_as_much_stack_as_is_recorded() {
+            fn stack_use_matches_the_record() {
                 super::stack::of_the_robot(BOARD);
             }
         })+
@@ -63,11 +63,11 @@ boards! {
 }
 
 #[test]
-fn without_a_log_it_uses_as_much_stack_as_is_recorded() {
+fn stack_use_without_a_log_matches_the_record() {
     stack::of_the_quiet_robot();
 }
 
 #[test]
-fn the_smallest_node_serves_on_as_little_stack_as_is_recorded() {
+fn the_smallest_node_runs_on_the_recorded_stack() {
     stack::of_the_smallest_node();
 }

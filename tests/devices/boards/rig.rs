@@ -66,7 +66,7 @@ impl Rig {
         self.board.read(Pin::Place)
     }
 
-    /// Waits until the stage stands still, for much longer than a step takes; and where that is.
+    /// Waits until the stage rests for much longer than a step takes; returns its position.
     #[track_caller]
     pub(crate) fn wait_rest(&self) -> u32 {
         let mut seen = (self.place(), Instant::now());
@@ -86,7 +86,7 @@ impl Rig {
         assert_eq!(self.wait_rest(), place, "the stage still moves");
     }
 
-    /// What the firmware has logged, as the gateway tells it, once there are so many lines with this text.
+    /// The firmware's log as printed by the gateway, once it has this many lines with this text.
     #[track_caller]
     pub(crate) fn wait_logged(&self, text: &str, count: usize) -> Vec<String> {
         until(text, PATIENCE, || {

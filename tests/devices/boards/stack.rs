@@ -10,13 +10,13 @@ use super::rig::Rig;
 /// Has a table of images and bytes between marks.
 const README: &str = include_str!("../../../examples/firmware/README.md");
 
-/// What an interrupt adds if it comes at the deepest point: its exception frame and its handler's.
+/// The stack use of an interrupt at the deepest point: its exception frame and its handler's.
 const INTERRUPT: u64 = 128;
 
 /// Less than that below the record is not worth a new record.
 const TOLERANCE: u64 = 64;
 
-/// Compares with what is recorded.
+/// Compares with the record.
 #[track_caller]
 fn check(image: &str, board: &Board) {
     let (_, table) = README.split_once("<!-- stacks -->").expect("a table");
@@ -93,7 +93,7 @@ pub(crate) fn of_the_smallest_server(board: &str) {
     do_with_lamp(&image, &board, client);
 }
 
-/// What that is weighed against: what comes goes back.
+/// The baseline: an echo.
 pub(crate) fn of_the_bare_port(board: &str) {
     let image = format!("{board}-uart");
     let board = Board::with_image(board, &image);

@@ -74,14 +74,14 @@ fn drive(board: &Board, client: &mut OriginalClient) {
 }
 
 #[test]
-fn over_its_serial_port_tasks_complete_are_aborted_and_refused() {
+fn over_serial_tasks_are_completed_aborted_and_rejected() {
     let board = serial();
     let mut client = OriginalClient::connect(board.port, SCOPE);
     drive(&board, &mut client);
 }
 
 #[test]
-fn over_its_serial_port_the_next_client_is_served_whatever_the_one_before_left() {
+fn over_serial_the_next_client_is_served_after_any_unfinished_stream() {
     let board = serial();
     let task = {
         let mut client = OriginalClient::connect(board.port, SCOPE);
@@ -109,15 +109,15 @@ fn drive_by_command(port: u16) {
 }
 
 #[test]
-fn our_command_is_started_more_often_in_a_minute_than_a_board_has_places() {
+fn a_board_serves_more_clients_in_a_minute_than_it_has_records() {
     drive_by_command(serial().port);
     drive_by_command(ethernet().network);
-    // It has one.
+    // It has one record.
     drive_by_command(Board::with_image("microbit", "microbit-zmtp").port);
 }
 
 #[test]
-fn after_a_reset_an_old_id_is_nobodys_and_it_serves_again() {
+fn after_a_reset_old_ids_are_unknown_and_the_board_serves_again() {
     let board = serial();
     let task = {
         let mut client = OriginalClient::connect(board.port, SCOPE);
@@ -131,14 +131,14 @@ fn after_a_reset_an_old_id_is_nobodys_and_it_serves_again() {
 }
 
 #[test]
-fn over_ethernet_tasks_complete_are_aborted_and_refused() {
+fn over_ethernet_tasks_are_completed_aborted_and_rejected() {
     let board = ethernet();
     let mut client = OriginalClient::connect(board.network, SCOPE);
     drive(&board, &mut client);
 }
 
 #[test]
-fn over_ethernet_two_clients_are_served_at_once_and_a_third_when_one_has_gone() {
+fn over_ethernet_a_third_client_waits_until_one_of_two_disconnects() {
     let board = ethernet();
     let mut one = OriginalClient::connect(board.network, SCOPE);
     let mut two = OriginalClient::connect(board.network, SCOPE);
@@ -163,7 +163,7 @@ fn over_ethernet_two_clients_are_served_at_once_and_a_third_when_one_has_gone() 
 }
 
 #[test]
-fn over_ethernet_streams_that_are_no_client_harm_nobody() {
+fn over_ethernet_connections_that_do_not_speak_zmtp_affect_no_client() {
     let board = ethernet();
     let mut client = OriginalClient::connect(board.network, SCOPE);
     let id = client.start("desk", "gripper", "90");
@@ -190,7 +190,7 @@ fn over_ethernet_streams_that_are_no_client_harm_nobody() {
 }
 
 #[test]
-fn over_ethernet_streams_that_never_end_keep_no_place() {
+fn over_ethernet_idle_connections_are_closed_to_free_their_slots() {
     let board = ethernet();
     let mut client = OriginalClient::connect(board.network, SCOPE);
     let id = client.start("desk", "lamp", "on");
@@ -214,7 +214,7 @@ fn over_ethernet_streams_that_never_end_keep_no_place() {
 }
 
 #[test]
-fn over_ethernet_an_emergency_stop_ends_all_and_is_latched() {
+fn over_ethernet_an_emergency_stop_ends_all_tasks_and_is_latched() {
     let board = ethernet();
     let mut client = OriginalClient::connect(board.network, SCOPE);
     let id = client.start("desk", "stage", "200");
@@ -229,12 +229,12 @@ fn over_ethernet_an_emergency_stop_ends_all_and_is_latched() {
 }
 
 #[test]
-fn with_a_network_stack_it_uses_as_much_stack_as_is_recorded() {
+fn stack_use_with_a_network_stack_matches_the_record() {
     stack::of_the_networked_robot();
 }
 
 #[test]
-fn the_smallest_servers_use_as_much_stack_as_is_recorded() {
+fn stack_use_of_the_smallest_servers_matches_the_record() {
     stack::of_the_smallest_server("microbit");
     stack::of_the_smallest_server("mps2-an386");
     stack::of_the_bare_port("microbit");

@@ -5,7 +5,7 @@ use std::fmt::Write;
 
 use ztl_std::State;
 
-/// What a client was told of its task.
+/// The result that a client received for its task.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Told {
     Rejected(String),
@@ -20,7 +20,7 @@ struct Done {
     ended: Vec<String>,
 }
 
-/// All tasks of a device, by their goals, no two of which are the same.
+/// All tasks of a device, by their unique goals.
 #[derive(Debug, Default)]
 pub struct Ledger(BTreeMap<String, Told>);
 

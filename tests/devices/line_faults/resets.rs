@@ -9,12 +9,12 @@ use super::ledger::{Ledger, Told};
 use super::rig::{Rig, count};
 use super::tasks::drive;
 
-/// A way that takes two seconds; the number makes each goal another one.
+/// A motion of two seconds; the number makes each goal unique.
 fn far(round: usize) -> String {
     format!("99.{round:06}")
 }
 
-/// Starts a task as soon as the gateway takes it; what was refused before goes into the ledger too.
+/// Starts a task as soon as the gateway accepts it; rejected attempts are recorded, too.
 #[track_caller]
 fn start(remote: &mut RemoteTask, ledger: &mut Ledger, goal: &str) -> (RemoteId, String) {
     let mut tries = 0;
@@ -39,14 +39,14 @@ fn end(remote: &mut RemoteTask, ledger: &mut Ledger, (id, goal): (RemoteId, Stri
 }
 
 #[test]
-fn resets_of_either_side_lose_no_task_and_the_gateway_grows_by_nothing() {
+fn resets_of_either_side_lose_no_task_and_leak_no_memory() {
     let resets = count("ZTL_RESETS", 100);
     let mut rig = Rig::new(1, "--baud 921600");
     let mut remote = rig.client();
-    // A gateway keeps the results of its last 10,000 tasks; once it has them, it grows no more.
+    // A gateway keeps the results of its last 10,000 tasks; after that, it stops growing.
     let mut ledger = drive(rig.client(), "gripper0", 0, count("ZTL_FILL", 100));
     let mut slowest = Duration::ZERO;
-    // After each fifth of the way; after the first it is warm.
+    // After each fifth of the run; after the first it is warm.
     let mut uses = Vec::new();
     let begin = Instant::now();
     for round in 0..resets {
@@ -58,7 +58,7 @@ fn resets_of_either_side_lose_no_task_and_the_gateway_grows_by_nothing() {
         assert_eq!(state, State::Failed, "round {round}");
         slowest = slowest.max(reset.elapsed());
 
-        // The line is pulled out for a moment, and its task goes on.
+        // The line is unplugged for a moment, and its task continues.
         let task = start(&mut remote, &mut ledger, &far(2 * round + 1));
         rig.branches[0].replug();
         until("it is stopped", PATIENCE, || {
@@ -74,7 +74,7 @@ fn resets_of_either_side_lose_no_task_and_the_gateway_grows_by_nothing() {
     }
     let took = begin.elapsed();
     let (early, late) = (uses[0], uses[uses.len() - 1]);
-    // At some moments the line is not open, or a thread of the line before is on its way out.
+    // At some moments the line is closed, or a thread of the previous line is still exiting.
     let first = &uses[..3];
     let files = first.iter().map(|used| used.files).max();
     let threads = first.iter().map(|used| used.threads).max();

@@ -22,7 +22,7 @@ impl Branch {
         device.args(["device", "sim:gripper", "--on", "tcp:0"]);
         let device = Process::start(device.arg("--record").arg(&record));
         let far = device.wait_for_port("Simulated gripper at");
-        // The line is started again there.
+        // The line is restarted at this address.
         let near = reserve_port();
         let ends = [
             "line".to_owned(),
@@ -54,7 +54,7 @@ impl Branch {
         self.line = Some(line);
     }
 
-    /// Pulls the line out, and puts it in again.
+    /// Unplugs the line and plugs it in again.
     #[track_caller]
     pub fn replug(&mut self) {
         if let Some(mut line) = self.line.take() {
@@ -63,7 +63,7 @@ impl Branch {
         self.plug();
     }
 
-    /// Ends the line, and gives what it says of the bytes.
+    /// Ends the line and returns its statistics.
     #[track_caller]
     pub fn unplug(&mut self) -> String {
         let line = self.line.take().expect("a line");
@@ -77,7 +77,7 @@ impl Branch {
         counts.join("\n")
     }
 
-    /// What the device says it has done.
+    /// The device's own record of its tasks.
     pub fn record(&self) -> String {
         std::fs::read_to_string(&self.record).expect("the device's record")
     }
@@ -91,7 +91,7 @@ pub struct Rig {
 }
 
 impl Rig {
-    /// So many grippers, each behind a line with these options of `ztl line`; all ready.
+    /// This many grippers, each behind a line with these options of `ztl line`; all ready.
     #[track_caller]
     pub fn new(count: usize, faults: &str) -> Self {
         let scratch = Scratch::new();
@@ -117,14 +117,14 @@ impl Rig {
         RemoteTask::connect(&self.gateway.endpoint(), SCOPE).expect("an address")
     }
 
-    /// What the gateway's process holds now.
+    /// The current resources of the gateway's process.
     #[track_caller]
     pub fn use_of_gateway(&self) -> Use {
         Use::of(self.gateway.process.id())
     }
 }
 
-/// What a process holds.
+/// The resources of a process.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Use {
     pub resident_kib: u64,
@@ -154,7 +154,7 @@ impl std::fmt::Display for Use {
     }
 }
 
-/// How many, unless the environment says otherwise.
+/// A number, unless the environment overrides it.
 pub(super) fn count(variable: &str, default: usize) -> usize {
     usize::try_from(number(variable, default as u64)).expect("a small number")
 }

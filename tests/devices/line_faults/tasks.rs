@@ -7,15 +7,15 @@ use ztl_std::{RemoteTask, RunError, TriggerError};
 use super::ledger::{Ledger, Told};
 use super::rig::{Rig, count};
 
-/// Devices, each with a client of its own and one that gets in its way.
+/// Devices, each with its own client and a competing one.
 const BRANCHES: usize = 2;
-/// Tasks asked for, at most, for each that is to be taken.
+/// Maximum attempts for each accepted task.
 const TRIES: usize = 10;
-/// Longest time for a task that takes milliseconds to come to its end.
+/// Longest time until a task of a few milliseconds ends.
 const LIMIT: Duration = Duration::from_secs(30);
 
-/// Runs tasks one after the other until so many have been taken; each goal is one that nobody else
-/// has.
+/// Runs tasks in sequence until this many were accepted; each goal is
+/// unique.
 #[track_caller]
 pub fn drive(mut remote: RemoteTask, device: &str, client: usize, tasks: usize) -> Ledger {
     let mut ledger = Ledger::default();
@@ -24,7 +24,7 @@ pub fn drive(mut remote: RemoteTask, device: &str, client: usize, tasks: usize) 
         if taken == tasks {
             break;
         }
-        // Near the place where the finger is, so that it is there at once.
+        // Near the finger's position, so that it arrives at once.
         let goal = format!("0.{client}{number:06}");
         let told = match remote.run(device, "finger", &goal, Some(LIMIT)) {
             Ok(end) => Told::Ended(end.state, end.text),
@@ -40,7 +40,7 @@ pub fn drive(mut remote: RemoteTask, device: &str, client: usize, tasks: usize) 
 }
 
 #[test]
-fn on_a_bad_line_what_is_accepted_is_done_once_and_what_is_rejected_never() {
+fn on_a_bad_line_accepted_tasks_run_once_and_rejected_ones_never() {
     let tasks = count("ZTL_TASKS", 2000);
     let mut rig = Rig::new(
         BRANCHES,
@@ -55,7 +55,7 @@ fn on_a_bad_line_what_is_accepted_is_done_once_and_what_is_rejected_never() {
             .branches
             .iter()
             .map(|branch| {
-                // The second asks for the same finger, so one of them is refused now and then.
+                // The second client uses the same finger, so its tasks are sometimes rejected.
                 [0, 1].map(|client| {
                     let remote = rig.client();
                     scope.spawn(move || drive(remote, &branch.name, client, each))
@@ -77,7 +77,7 @@ fn on_a_bad_line_what_is_accepted_is_done_once_and_what_is_rejected_never() {
     let used = rig.use_of_gateway();
     for (branch, ledger) in rig.branches.iter_mut().zip(&ledger) {
         ledger.check(&branch.record(), false);
-        // After the comparison, which says more.
+        // After the comparison, whose message says more.
         assert_eq!(ledger.taken(), 2 * each, "{:?}", ledger.reasons());
         all += ledger.len();
         report.push(format!("{}: {}", branch.name, ledger.summary()));

@@ -10,7 +10,7 @@ use std::time::Duration;
 use ztl_mcu::link::{Busy, GoalShape, Loss, Offer};
 use ztl_mcu::{Component, Identity, Instant, Node, Refused, Report, Run};
 
-/// What a motor has done for a goal.
+/// What a motor did for a goal.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(crate) struct Deed {
     pub(crate) begun: u32,
@@ -19,11 +19,11 @@ pub(crate) struct Deed {
 
 #[derive(Debug, Default)]
 pub(crate) struct World {
-    /// By goal, whichever motor it was for.
+    /// By goal, for both motors.
     pub(crate) deeds: BTreeMap<String, Deed>,
-    /// What the device says is lost.
+    /// The device's output is lost.
     pub(crate) mute: bool,
-    /// What it is told is lost.
+    /// The device's input is lost.
     pub(crate) deaf: bool,
     /// Its plug is pulled.
     pub(crate) unplugged: bool,
@@ -203,7 +203,7 @@ fn run(listener: &TcpListener, world: &Shared, boot: u32, link_timeout: Duration
             line = Some(stream);
         }
         let read = line.as_mut().map(|line| line.read(&mut buffer));
-        // As it was when the bytes came, and not when they were waited for.
+        // The time at which the bytes arrived, not at which the wait began.
         let (mute, deaf) = {
             let world = world.lock().unwrap();
             (world.mute, world.deaf)

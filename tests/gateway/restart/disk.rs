@@ -10,7 +10,7 @@ use ztl_tests::lab::{
     LIMIT, PATIENCE, Process, SCOPE, Scratch, Server, reserve_port, status, until,
 };
 
-/// A gateway whose files can have only so many blocks of 512 bytes, as on a full disk.
+/// A gateway whose files are limited to a few blocks of 512 bytes, like on a full disk.
 #[track_caller]
 fn start_limited(lab_device: &Device, scratch: &Scratch, port: u16, blocks: u32) -> Server {
     let full = command(lab_device, port);
@@ -27,7 +27,7 @@ fn start_limited(lab_device: &Device, scratch: &Scratch, port: u16, blocks: u32)
 }
 
 #[test]
-fn on_a_full_disk_tasks_are_refused_and_what_runs_keeps_its_end() {
+fn on_a_full_disk_new_tasks_are_rejected_and_running_ones_finish() {
     let device = Device::power_on(LONG);
     let (scratch, port) = (Scratch::new(), reserve_port());
     let blocks = 4;
@@ -41,7 +41,7 @@ fn on_a_full_disk_tasks_are_refused_and_what_runs_keeps_its_end() {
             "{reason}"
         );
     };
-    // Fill it until there is room for a task's start, and not for its end.
+    // Fill it until there is room for a task's start but not for its outcome.
     let mut ends = Vec::new();
     loop {
         let number = ends.len();
@@ -55,7 +55,7 @@ fn on_a_full_disk_tasks_are_refused_and_what_runs_keeps_its_end() {
         match client.wait(&task.id, Some(Duration::from_millis(1000))) {
             Ok(end) => ends.push((task.id, end)),
             Err(_) => {
-                // It has ended, and nobody is told before that is written.
+                // It has ended, but the outcome is withheld until it is journaled.
                 let told = client.status(&task.id).unwrap();
                 assert_eq!(told.state, State::Accepted);
                 let why =
@@ -72,7 +72,7 @@ fn on_a_full_disk_tasks_are_refused_and_what_runs_keeps_its_end() {
     assert!(ends.len() >= 2, "{ends:?}");
     gateway.process.kill();
 
-    // There is room again: every end is what it was, or should have been.
+    // There is room again: every outcome is the expected one.
     let gateway = start_gateway(&device, &scratch, port);
     let mut client = RemoteTask::connect(&gateway.endpoint(), SCOPE).unwrap();
     for (id, end) in ends {
@@ -85,7 +85,7 @@ fn on_a_full_disk_tasks_are_refused_and_what_runs_keeps_its_end() {
 }
 
 #[test]
-fn the_journal_lies_where_the_service_manager_or_the_user_has_room_for_it() {
+fn the_journal_is_kept_in_the_service_managers_or_users_directory() {
     let scratch = Scratch::new();
     let device = Device::power_on(USUAL);
     let port = reserve_port();
@@ -107,7 +107,7 @@ fn the_journal_lies_where_the_service_manager_or_the_user_has_room_for_it() {
 }
 
 #[test]
-fn without_a_place_for_the_journal_it_says_what_to_do() {
+fn without_a_journal_directory_the_gateway_says_what_to_do() {
     let scratch = Scratch::new();
     let device = Device::power_on(USUAL);
     std::fs::write(scratch.path("file"), "").unwrap();
@@ -131,7 +131,7 @@ fn without_a_place_for_the_journal_it_says_what_to_do() {
 }
 
 #[test]
-fn without_a_journal_it_says_what_is_not_promised() {
+fn without_a_journal_the_gateway_reports_the_lost_guarantees() {
     let device = Device::power_on(USUAL);
     for (port, args, said) in [
         (
@@ -154,7 +154,7 @@ fn without_a_journal_it_says_what_is_not_promised() {
 }
 
 #[test]
-fn an_idle_gateway_notices_that_its_journal_was_altered_and_starts_a_new_one() {
+fn an_idle_gateway_notices_an_altered_journal_and_starts_a_new_one() {
     let mut lab = Lab::new(LONG);
     let mut client = lab.client();
     let id = client.trigger("motors", "arm", "7 1").unwrap().id;
@@ -180,7 +180,7 @@ fn an_idle_gateway_notices_that_its_journal_was_altered_and_starts_a_new_one() {
 }
 
 #[test]
-fn used_up_ids_are_said_by_the_gateway_and_to_its_clients() {
+fn exhausted_ids_are_reported_by_the_gateway_and_to_its_clients() {
     let device = Device::power_on(LONG);
     let (scratch, port) = (Scratch::new(), reserve_port());
     let last_but_one = super::power::journal_up_to(u32::MAX - 1);

@@ -8,7 +8,7 @@ use ztl_std::server::{Restored, RestoredTask, TaskHandler, TaskReporter};
 use ztl_std::{RemoteTask, RequestError, State, TaskId};
 use ztl_std::{TaskRequest, TaskServer};
 
-/// Takes tasks that never end, and those that it is given to remember.
+/// Accepts tasks that never end, and tasks that it must restore.
 struct Remembering {
     restored: Restored,
     running: Arc<Mutex<Vec<TaskReporter>>>,
@@ -47,7 +47,7 @@ fn task(number: u32, state: State, ended: Option<u64>) -> RestoredTask {
 
 #[test]
 fn tasks_are_restored_to_their_scopes_in_any_order_of_registration() {
-    // Above all that a server begins with.
+    // Above every id that a server starts with.
     let first = 2_000_000_000;
     for reversed in [false, true] {
         let running = Arc::default();
@@ -63,7 +63,7 @@ fn tasks_are_restored_to_their_scopes_in_any_order_of_registration() {
                 task(first + 1, State::Aborted, Some(3599)),
                 task(first + 2, State::Accepted, None),
                 task(first + 3, State::Completed, Some(3601)),
-                // Before the server's time began.
+                // Before the server started.
                 task(first + 4, State::Completed, Some(1_000_000)),
             ],
             first + 9,

@@ -10,7 +10,7 @@ use ztl_tests::lab::{
 };
 
 #[test]
-fn a_client_that_waits_through_a_restart_hears_the_true_end() {
+fn a_client_that_waits_through_a_restart_gets_the_true_outcome() {
     let mut lab = Lab::new(LONG);
     let mut client = lab.client();
     let id = start(&mut client, "motors", "arm", "7 1500");
@@ -25,20 +25,20 @@ fn a_client_that_waits_through_a_restart_hears_the_true_end() {
     assert_eq!(end, Ok(status(State::Completed, "7")));
     assert_eq!(lab.device.deed("7 1500"), ONCE);
 
-    // And it stays so, also after another restart.
+    // It stays so after another restart.
     lab.kill();
     lab.start_again();
     let mut client = lab.client();
     assert_eq!(client.status(id), Ok(status(State::Completed, "7")));
     let aborted = client.abort(id).unwrap();
     assert_eq!(aborted.state, State::Completed);
-    // A new task has an id that nobody had.
+    // A new task has an unused id.
     let next = start(&mut client, "motors", "arm", "8 1");
     assert!(next > id, "{next} after {id}");
 }
 
 #[test]
-fn the_originals_client_that_asks_by_status_hears_the_true_end() {
+fn the_originals_client_polling_status_gets_the_true_outcome() {
     let mut lab = Lab::new(LONG);
     let mut client = lab.gateway.original_client();
     let id = client.start("motors", "belt", "7 1000");
@@ -51,7 +51,7 @@ fn the_originals_client_that_asks_by_status_hears_the_true_end() {
 }
 
 #[test]
-fn killed_before_the_device_has_answered_the_start_it_goes_on() {
+fn a_start_unanswered_at_the_kill_continues() {
     let mut lab = Lab::new(LONG);
     let mut client = lab.quiet_client();
     lab.device.world().mute = true;
@@ -65,7 +65,7 @@ fn killed_before_the_device_has_answered_the_start_it_goes_on() {
     lab.start_again();
     let mut client = lab.client();
     assert_eq!(client.status(id).unwrap().state, State::Accepted);
-    // Its client cannot know the id; whoever asks by it hears the truth.
+    // Its client cannot know the id; a STATUS with that id returns the truth.
     let told = asking.join().unwrap();
     let unknown = matches!(
         told,
@@ -77,7 +77,7 @@ fn killed_before_the_device_has_answered_the_start_it_goes_on() {
 }
 
 #[test]
-fn killed_before_the_device_got_the_start_it_never_starts() {
+fn a_start_unsent_at_the_kill_never_runs() {
     let mut lab = Lab::new(LONG);
     let mut client = lab.quiet_client();
     lab.device.world().deaf = true;
@@ -94,13 +94,13 @@ fn killed_before_the_device_got_the_start_it_never_starts() {
 }
 
 #[test]
-fn killed_after_the_end_and_before_anybody_asked_the_end_is_known() {
+fn an_outcome_is_known_after_a_kill_before_anyone_asked() {
     let mut lab = Lab::new(LONG);
     let mut client = lab.client();
     let id = start(&mut client, "motors", "arm", "7 50");
     assert_eq!(lab.wait_for_line("ended"), id);
     lab.kill();
-    // The device is not needed for it.
+    // This does not need the device.
     lab.device.world().unplugged = true;
     lab.start_again();
     let end = Ok(status(State::Completed, "7"));
@@ -108,7 +108,7 @@ fn killed_after_the_end_and_before_anybody_asked_the_end_is_known() {
 }
 
 #[test]
-fn a_device_that_was_reset_meanwhile_has_failed_its_task() {
+fn a_device_reset_during_the_restart_fails_its_task() {
     let mut lab = Lab::new(LONG);
     let mut client = lab.client();
     let arm = start(&mut client, "motors", "arm", "7 60000");
@@ -129,8 +129,7 @@ fn a_device_that_was_reset_meanwhile_has_failed_its_task() {
 }
 
 #[test]
-fn of_a_device_that_is_away_what_must_have_stopped_has_failed_and_what_carries_on_has_its_true_end()
-{
+fn an_absent_devices_tasks_fail_after_its_timeout_unless_they_carry_on() {
     let mut lab = Lab::new(USUAL);
     let mut client = lab.client();
     let arm = start(&mut client, "motors", "arm", "7 60000");
@@ -148,13 +147,13 @@ fn of_a_device_that_is_away_what_must_have_stopped_has_failed_and_what_carries_o
         belt_now.text.starts_with("device is not answering"),
         "{belt_now:?}"
     );
-    // An ABORT is answered in time all the same.
+    // An ABORT is still answered in time.
     let aborted = client.abort(belt).unwrap();
     assert_eq!(aborted, status(State::Accepted, "aborting"));
     let end = client.wait(arm, LIMIT).unwrap();
     assert_eq!(end, status(State::Failed, "device is not answering"));
     let took = started.elapsed();
-    // The gateway that was killed may have been heard until then: two link timeouts.
+    // The device may have received commands from the killed gateway until then: two link timeouts.
     assert!(took >= 2 * USUAL, "{took:?}");
     until("the belt has arrived", PATIENCE, || {
         (lab.device.deed("8 2500") == ONCE).then_some(())
@@ -172,7 +171,7 @@ fn an_abort_reaches_a_task_from_before_the_restart() {
     lab.kill();
     lab.start_again();
     let mut client = lab.client();
-    // It is answered when it is stopped, or on its way to be.
+    // The answer arrives when the task has stopped or is stopping.
     assert!(client.abort(id).is_ok());
     assert_eq!(client.wait(id, LIMIT), Ok(status(State::Aborted, "7")));
     let stopped = Deed {
@@ -183,7 +182,7 @@ fn an_abort_reaches_a_task_from_before_the_restart() {
 }
 
 #[test]
-fn a_task_of_a_device_that_is_not_served_any_more_ends_as_one_that_does_not_answer() {
+fn a_removed_devices_task_ends_like_that_of_a_silent_one() {
     let mut lab = Lab::new(USUAL);
     let mut client = lab.client();
     let arm = start(&mut client, "motors", "arm", "7 60000");
@@ -215,7 +214,7 @@ fn a_task_of_a_device_that_is_not_served_any_more_ends_as_one_that_does_not_answ
 }
 
 #[test]
-fn a_second_gateway_on_the_same_journal_ends_with_what_is_wrong() {
+fn a_second_gateway_on_the_same_journal_exits_with_the_reason() {
     let lab = Lab::new(USUAL);
     let [soft, hard] = ["soft", "hard"].map(|name| lab.scratch.path(name));
     std::os::unix::fs::symlink(lab.journal(), &soft).unwrap();
@@ -230,7 +229,7 @@ fn a_second_gateway_on_the_same_journal_ends_with_what_is_wrong() {
         );
         assert!(ended.stderr.contains(&who), "{}", ended.stderr);
     }
-    // The first one serves on.
+    // The first one keeps serving.
     let mut client = lab.client();
     let id = start(&mut client, "motors", "arm", "7 1");
     assert_eq!(client.wait(id, LIMIT), Ok(status(State::Completed, "7")));
@@ -244,15 +243,15 @@ fn dice(state: &mut u64, below: u64) -> u64 {
     *state % below
 }
 
-/// Kills at moments of all kinds, with tasks on both motors all the time.
+/// Kills at random moments, with tasks on both motors all the time.
 #[test]
-fn whenever_it_is_killed_each_task_has_one_end_and_moves_once() {
+fn a_kill_at_any_time_gives_each_task_one_outcome_and_motion() {
     let mut lab = Lab::new(LONG);
     let endpoint = lab.gateway.endpoint();
     let stop = std::sync::Arc::new(std::sync::atomic::AtomicBool::new(false));
     let stopped = std::sync::Arc::clone(&stop);
     let ends = std::sync::Arc::new(std::sync::atomic::AtomicUsize::new(0));
-    // Asks for one task after the other, and keeps what it is told.
+    // Runs one task after the other and records the replies.
     let clients: Vec<_> = ["arm", "belt"]
         .into_iter()
         .zip([1000, 2000])
@@ -270,7 +269,7 @@ fn whenever_it_is_killed_each_task_has_one_end_and_moves_once() {
                     }
                     let goal = format!("{number} {}", dice(&mut state, 60));
                     if let Ok(task) = client.trigger("motors", motor, &goal) {
-                        // Its end may come when the gateway has been killed many times.
+                        // Its outcome may arrive after many kills.
                         let end = client.wait(&task.id, LIMIT).expect("its end");
                         told.insert(task.id.number().unwrap(), (goal, end));
                         ended.fetch_add(1, std::sync::atomic::Ordering::SeqCst);
@@ -289,7 +288,7 @@ fn whenever_it_is_killed_each_task_has_one_end_and_moves_once() {
             lab.gateway.wait_ready("motors");
         }
     }
-    // A busy machine has done few by then.
+    // A busy machine may have completed only a few by then.
     until("enough tasks", PATIENCE, || {
         (ends.load(std::sync::atomic::Ordering::SeqCst) > 20).then_some(())
     });
@@ -302,14 +301,14 @@ fn whenever_it_is_killed_each_task_has_one_end_and_moves_once() {
             let deed = lab.device.deed(&goal);
             let fits = match end.state {
                 State::Completed => deed == ONCE,
-                // Killed between its being written and its being sent.
+                // Killed after it was journaled and before it was sent.
                 State::Failed => end.text.starts_with("never started") && deed == Deed::default(),
                 _ => false,
             };
             assert!(fits, "{goal}: told {end:?}, and did {deed:?}");
         }
     }
-    // Also of those whose clients never heard of them.
+    // Also tasks whose ids never reached their clients.
     assert!(
         lab.device
             .world()

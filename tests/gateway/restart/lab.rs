@@ -9,9 +9,9 @@ use ztl_tests::lab::{
     LIMIT, PATIENCE, SCOPE, Scratch, Server, connect, reserve_port, start, status, until, ztl,
 };
 
-/// Long enough for a gateway to be started again on a machine that is busy.
+/// Long enough for a restart of the gateway on a busy machine.
 pub(super) const LONG: Duration = Duration::from_secs(8);
-/// What a device has unless its firmware says otherwise.
+/// A device's default link timeout.
 pub(super) const USUAL: Duration = Duration::from_secs(1);
 
 /// A gateway that can be killed and started again.
@@ -46,7 +46,7 @@ impl Lab {
         connect(&self.gateway.endpoint())
     }
 
-    /// A client, at a moment when no command is on its way that a `Start` would have to wait for.
+    /// A client, created while no command is in flight that a `Start` would have to wait for.
     #[track_caller]
     pub(super) fn quiet_client(&self) -> RemoteTask {
         let mut client = self.client();
@@ -65,7 +65,7 @@ impl Lab {
         self.gateway = start_gateway(&self.device, &self.scratch, self.port);
     }
 
-    /// The lines of the journal that are written to their ends.
+    /// The complete lines of the journal.
     pub(super) fn lines(&self) -> Vec<serde_json::Value> {
         let written = std::fs::read(self.journal()).unwrap();
         let lines = written.split_inclusive(|byte| *byte == b'\n');
@@ -73,7 +73,7 @@ impl Lab {
         whole.map(|l| serde_json::from_slice(l).unwrap()).collect()
     }
 
-    /// Waits until the journal has such an event of the last task, and says which task that is.
+    /// Waits until the journal has this event for the last task, and returns the task.
     #[track_caller]
     pub(super) fn wait_for_line(&self, event: &str) -> TaskId {
         until("a line in the journal", PATIENCE, || {

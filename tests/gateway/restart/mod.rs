@@ -1,5 +1,5 @@
 //! The gateway is killed at any moment and restarted on its journal: each task has one id and one final state, and clients are
-//! told the true one.
+//! receive the true one.
 
 mod device;
 mod disk;

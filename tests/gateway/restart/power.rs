@@ -1,4 +1,4 @@
-//! A power cut, and a kill while the disk stalls. `disk.c` replaces the disk by LD_PRELOAD.
+//! A power cut, and a kill while the disk stalls. `disk.c` simulates the disk by LD_PRELOAD.
 
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -11,7 +11,7 @@ use ztl_tests::lab::{
     LIMIT, PATIENCE, Process, SCOPE, Scratch, Server, reserve_port, status, until,
 };
 
-/// A gateway whose journal is on a disk of the test's own.
+/// A gateway whose journal is on a disk that the test controls.
 struct OnDisk {
     device: Device,
     scratch: Scratch,
@@ -72,7 +72,7 @@ impl OnDisk {
         self.gateway = Self::start(&self.device, &self.scratch, self.port);
     }
 
-    /// The machine loses its power: the journal keeps only what was synced.
+    /// The machine loses power: the journal keeps only synced bytes.
     #[track_caller]
     fn cut_the_power(&mut self) {
         self.gateway.process.kill();
@@ -87,7 +87,7 @@ impl OnDisk {
     }
 }
 
-/// A journal in which all ids up to the last that a server begins with are given.
+/// A journal in which all ids up to the highest first id of a server are assigned.
 pub(super) fn journal_up_to(last: u32) -> String {
     format!(
         "{{\"event\":\"opened\",\"at\":\"2026-01-01T00:00:00.000000Z\",\"running_us\":0,\"journal\":1,\
@@ -96,7 +96,7 @@ pub(super) fn journal_up_to(last: u32) -> String {
 }
 
 #[test]
-fn after_a_power_cut_no_id_is_given_a_second_time() {
+fn no_id_is_reused_after_a_power_cut() {
     let mut lab = OnDisk::new(&journal_up_to(2_000_000_000));
     let mut given = BTreeSet::new();
     for round in 0..3 {
@@ -115,13 +115,13 @@ fn after_a_power_cut_no_id_is_given_a_second_time() {
 }
 
 #[test]
-fn an_id_that_was_told_while_the_disk_stalled_is_known_after_a_kill() {
+fn an_id_sent_while_the_disk_stalls_is_known_after_a_kill() {
     let mut lab = OnDisk::new("");
     let mut client = lab.client();
     let id = client.trigger("motors", "arm", "1 1").unwrap().id;
     client.wait(id, LIMIT).expect("its end");
     std::fs::write(lab.scratch.path("stalls"), "").expect("to write");
-    // The second one waits for the first's line.
+    // The second one waits for the first one's entry.
     let asking: Vec<_> = [("arm", "7 1"), ("belt", "8 1")]
         .into_iter()
         .map(|(motor, goal)| {
@@ -145,7 +145,7 @@ fn an_id_that_was_told_while_the_disk_stalled_is_known_after_a_kill() {
             }
         }
     }
-    // What was refused never moves, whenever the disk goes on.
+    // A rejected task never moves, even when the disk resumes.
     std::fs::remove_file(lab.scratch.path("stalls")).expect("to remove");
     let next = until("a task is taken", PATIENCE, || {
         client.trigger("motors", "arm", "9 1").ok()

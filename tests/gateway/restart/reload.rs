@@ -10,12 +10,12 @@ struct Reloaded {
     device: Device,
     scratch: Scratch,
     gateway: Option<Server>,
-    /// How often this gateway has read its configuration again.
+    /// How often this gateway has reloaded its configuration.
     reloads: usize,
 }
 
 impl Reloaded {
-    /// The device is there, and two tasks run that only an abort ends: of its arm and of its belt.
+    /// The device is connected, and two tasks run until aborted: on its arm and its belt.
     #[track_caller]
     fn with_tasks() -> (Self, TaskId, TaskId) {
         let mut lab = Self {
@@ -100,7 +100,7 @@ impl Reloaded {
 }
 
 #[test]
-fn a_device_that_a_reload_brings_back_goes_on_with_the_tasks_of_the_journal() {
+fn a_device_restored_by_a_reload_continues_its_journaled_tasks() {
     let (mut lab, arm, belt) = Reloaded::with_tasks();
     lab.restart_without_motors();
     let mut client = lab.client();
@@ -118,7 +118,7 @@ fn a_device_that_a_reload_brings_back_goes_on_with_the_tasks_of_the_journal() {
 }
 
 #[test]
-fn tasks_of_a_device_that_was_reset_before_a_reload_brings_it_back_have_failed() {
+fn a_device_reset_before_a_reload_restores_it_has_failed_tasks() {
     let (mut lab, _, belt) = Reloaded::with_tasks();
     lab.restart_without_motors();
     lab.device.world().reset = true;
@@ -129,7 +129,7 @@ fn tasks_of_a_device_that_was_reset_before_a_reload_brings_it_back_have_failed()
 }
 
 #[test]
-fn a_device_that_comes_back_before_its_tasks_have_stopped_serves_as_soon_as_they_have() {
+fn a_device_restored_early_serves_once_its_old_tasks_stopped() {
     let (mut lab, arm, belt) = Reloaded::with_tasks();
     lab.device.world().unplugged = true;
     let mut client = lab.client();

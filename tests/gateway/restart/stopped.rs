@@ -8,54 +8,54 @@ use ztl_std::{RunError, WaitError};
 use ztl_std::{State, TriggerError};
 use ztl_tests::lab::{LIMIT, PATIENCE, Process, our_client_at, status, until};
 
-/// When the fault comes, in microseconds after the client has begun: from before its INIT arrives until
+/// When the fault occurs, in microseconds after the client's start: from before its INIT arrives until
 /// after the task has ended.
 const POINTS: [u64; 8] = [0, 100, 300, 600, 1000, 2000, 4000, 10_000];
 
 fn wait_until(moment: Instant) {
-    // The point itself is what is tried, so there is no condition to wait for.
+    // The test varies the moment itself, so there is no condition to wait for.
     std::thread::sleep(moment.saturating_duration_since(Instant::now()));
 }
 
 #[test]
-fn a_gateway_that_is_stopped_for_a_while_moves_each_motor_once() {
+fn a_suspended_gateway_moves_each_motor_once() {
     let lab = Lab::new(LONG);
-    // A shell that is there already is quicker than a program that has to start.
+    // A running shell reacts faster than a program that has to start.
     let mut shell = Process::start(&mut std::process::Command::new("sh"));
-    let mut fates = Vec::new();
+    let mut outcomes = Vec::new();
     for point in POINTS {
         let goal = format!("{point} 2");
         let mut client = lab.client().with_timeout(Duration::from_millis(500));
-        // It is met before, so that the point is one of the task.
+        // The client connects first, so the moment falls within the task.
         let before = client.run("motors", "belt", "1 1", LIMIT);
         before.expect("its end");
         let asked = goal.clone();
         let start = Instant::now();
         let asking = std::thread::spawn(move || {
-            let fate = client.run("motors", "arm", &asked, Some(Duration::from_secs(3)));
-            fate.map(|status| status.state)
+            let outcome = client.run("motors", "arm", &asked, Some(Duration::from_secs(3)));
+            outcome.map(|status| status.state)
         });
         wait_until(start + Duration::from_micros(point));
         shell.write_line(&format!("kill -STOP {}", lab.gateway.process.id()));
         std::thread::sleep(Duration::from_millis(700));
         lab.gateway.process.signal("CONT");
-        let fate = asking.join().expect("no panic");
+        let outcome = asking.join().expect("no panic");
         println!(
-            "stopped after {point} µs: {fate:?}, {:?}",
+            "stopped after {point} µs: {outcome:?}, {:?}",
             lab.device.deed(&goal)
         );
-        fates.push((goal, fate));
+        outcomes.push((goal, outcome));
     }
-    // Whatever was on its way has been done by now, and it serves on.
+    // Everything in flight is done by now, and the gateway serves.
     let last = until("a task is taken", PATIENCE, || {
         lab.client().run("motors", "arm", "7 1", LIMIT).ok()
     });
     assert_eq!(last, status(State::Completed, "7"));
-    for (goal, fate) in fates {
+    for (goal, outcome) in outcomes {
         let deed = lab.device.deed(&goal);
-        let fits = match fate {
+        let fits = match outcome {
             Ok(State::Completed) => deed == ONCE,
-            // Unknown, which is neither done nor not done.
+            // Unknown: either done or not done.
             Err(
                 RunError::NotEnded(WaitError { last: Err(_) })
                 | RunError::NotStarted(TriggerError::Request(_)),
@@ -66,12 +66,12 @@ fn a_gateway_that_is_stopped_for_a_while_moves_each_motor_once() {
             }
             _ => false,
         };
-        assert!(fits, "{goal}: told {fate:?}, did {deed:?}");
+        assert!(fits, "{goal}: told {outcome:?}, did {deed:?}");
     }
 }
 
 #[test]
-fn a_gateway_that_is_stopped_for_longer_than_the_link_timeout_tells_what_the_device_did() {
+fn a_gateway_suspended_beyond_the_link_timeout_reports_the_devices_outcomes() {
     let lab = Lab::new(USUAL);
     let mut client = lab.client();
     let arm = client
@@ -83,7 +83,7 @@ fn a_gateway_that_is_stopped_for_longer_than_the_link_timeout_tells_what_the_dev
         .expect("taken")
         .id;
     lab.gateway.process.signal("STOP");
-    // The belt carries on, and arrives; the arm has stopped long before.
+    // The belt carries on and arrives; the arm stopped long before.
     until("the belt has arrived", PATIENCE, || {
         (lab.device.deed("8 5000") == ONCE).then_some(())
     });
@@ -99,7 +99,7 @@ fn a_gateway_that_is_stopped_for_longer_than_the_link_timeout_tells_what_the_dev
 }
 
 #[test]
-fn a_client_of_a_gateway_that_is_killed_or_stopped_at_any_point_moves_a_motor_at_most_once() {
+fn a_gateway_killed_or_stopped_anywhere_moves_a_motor_at_most_once() {
     let lab = Lab::new(LONG);
     for point in POINTS {
         let client =
@@ -110,7 +110,7 @@ fn a_client_of_a_gateway_that_is_killed_or_stopped_at_any_point_moves_a_motor_at
         wait_until(Instant::now() + Duration::from_micros(point * 2));
         killed.kill();
         let told = killed.stdout().contains("'COMPLETED'");
-        // What comes after it is done, so it has been begun, or never will be.
+        // A later task is done, so this one has started or never will.
         let after = lab.client().run("motors", "belt", "1 1", LIMIT);
         after.expect("its end");
         let deed = until("rest", PATIENCE, || {

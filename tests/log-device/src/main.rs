@@ -1,5 +1,5 @@
 //! A device that logs by defmt: `ztl-mcu`'s node at a TCP port, and its log on the same line. Each task
-//! logs what it was asked for.
+//! logs messages on request.
 
 use std::collections::VecDeque;
 use std::io::{ErrorKind, Read, Write};
@@ -14,7 +14,7 @@ use ztl_mcu::{Component, Identity, Instant, Node, Refused, Report, Run};
 /// Room for the log, as small as in firmware.
 const ROOM: usize = 1024;
 
-/// What waits to be sent, and how many bytes found no room.
+/// The bytes waiting to be sent, and how many were dropped.
 static LOG: Mutex<(VecDeque<u8>, u32)> = Mutex::new((VecDeque::new(), 0));
 static ENCODER: Mutex<defmt::Encoder> = Mutex::new(defmt::Encoder::new());
 
@@ -36,7 +36,7 @@ fn keep(bytes: &[u8]) {
 #[defmt::global_logger]
 struct Logger;
 
-// SAFETY: there is one thread that logs, and no interrupt.
+// SAFETY: only one thread logs, and there are no interrupts.
 unsafe impl defmt::Logger for Logger {
     fn acquire() {
         lock(&ENCODER).start_frame(keep);

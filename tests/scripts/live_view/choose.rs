@@ -6,7 +6,7 @@ use ztl_tests::lab::{PATIENCE, Terminal, until};
 
 use super::stage::{SCRIPT, Stage, start_scene};
 
-/// A script of so many scenes; each opens the gripper to its number.
+/// A script of this many scenes; each opens the gripper to its number.
 fn long_show(scenes: usize) -> String {
     let scene = |nth: usize| format!("scene {nth}: {{go: {{gripper: {{finger: {nth}}}}}}}\n");
     let mut script: String = (1..=scenes).map(scene).collect();

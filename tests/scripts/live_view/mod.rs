@@ -160,7 +160,7 @@ fn keys_read_together_decide_once() {
         screen.contains(" · 2 shake") && screen.contains(" · 3 close"),
         "{screen}"
     );
-    // Stop keys work whatever was typed before them.
+    // Stop keys work after any other keys.
     terminal.type_in("s\x03");
     terminal.end();
     assert_eq!(stage.decided().last().unwrap(), "stop operator");

@@ -38,7 +38,7 @@ pub trait System: Clone {
     /// Checks that the system still works, in an undisturbed cycle.
     ///
     /// # Errors
-    /// What fails.
+    /// The violated guarantee.
     fn serves(&self) -> Result<(), String>;
 }
 
@@ -322,28 +322,28 @@ mod tests {
     }
 
     #[test]
-    fn every_state_is_reached_and_calm_ends_in_one_circle() {
+    fn every_state_is_reached_and_ends_in_one_cycle() {
         let explored = counter(None, None);
         assert_eq!((explored.states, explored.circles), (13, 1));
         assert!(explored.complete && explored.broken.is_none());
     }
 
     #[test]
-    fn a_broken_promise_is_found_by_the_shortest_path() {
+    fn a_violation_is_found_by_the_shortest_path() {
         let broken = counter(Some(5), None).broken.unwrap();
         assert_eq!(broken.promise, "5 is reached");
         assert_eq!(broken.path, [3, -1, 3]);
     }
 
     #[test]
-    fn what_never_settles_is_found() {
+    fn a_system_that_never_settles_is_found() {
         let broken = counter(None, Some(2)).broken.unwrap();
         assert_eq!(broken.promise, "stays at 2");
         assert_eq!(broken.path, [3, -1]);
     }
 
     #[test]
-    fn more_states_than_allowed_are_said_to_be_so() {
+    fn exceeding_the_state_limit_is_reported() {
         let first = Counter {
             now: 0,
             bad: None,

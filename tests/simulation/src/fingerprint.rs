@@ -344,7 +344,7 @@ mod tests {
     }
 
     #[test]
-    fn a_state_some_pings_later_is_the_same() {
+    fn the_fingerprint_ignores_completed_pings() {
         let before = shown();
         let after = Shown {
             seq: 3,
@@ -371,7 +371,7 @@ mod tests {
     }
 
     #[test]
-    fn what_matters_makes_another() {
+    fn the_fingerprint_includes_relevant_fields() {
         let same = of(&[&shown()], 1000, 5);
         let differ = |change: fn(&mut Shown)| {
             let mut other = shown();
@@ -394,7 +394,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_long_past_is_over() {
+    fn the_fingerprint_ignores_the_distant_past() {
         let past = |millis| {
             let mut state = shown();
             state.at = Some(Instant::from_millis(millis));

@@ -9,7 +9,7 @@ const STATES: usize = 2_000_000;
 
 #[test]
 #[cfg_attr(not(optimised), ignore = "too long; cargo xtask test --only model")]
-fn the_promises_hold_with_one_fault() {
+fn the_guarantees_hold_with_one_fault() {
     for scenario in real::model::SCENARIOS {
         let scenario = scenario.with_times(1);
         let first = real::model::Lab::new(scenario);

@@ -6,7 +6,7 @@ use ztl_simulation::shrink::{attempt, report, shrink, shrink_by};
 
 #[test]
 #[cfg_attr(not(optimised), ignore = "too long; cargo xtask test --only model")]
-fn two_thousand_laboratories_keep_their_promises() {
+fn two_thousand_simulations_keep_the_guarantees() {
     let mut total = Summary::default();
     for seed in 1..=2000 {
         let plan = Plan::new(seed);

@@ -1,4 +1,4 @@
-//! A server that answers what a test chooses, as no real server would.
+//! A server with replies that a test chooses and no real server would send.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};

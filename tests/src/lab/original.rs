@@ -59,7 +59,7 @@ pub fn original_tool(name: &str) -> Command {
     command
 }
 
-/// What the original's client says: an id or a state, and a text.
+/// A reply to the original's client: an id or a state, and a text.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Answer {
     /// The id after `trigger`, the state after `status`, `abort` and `wait`.
@@ -74,8 +74,8 @@ impl PartialEq<(i64, &str)> for Answer {
     }
 }
 
-/// The original's `RemoteTask` in a Python process of its own, driven line by line. Texts go in
-/// hexadecimal, so that none can be mistaken for anything else.
+/// The original's `RemoteTask` in a separate Python process, driven line by line. Texts go in
+/// hexadecimal, so that they are unambiguous.
 #[derive(Debug)]
 pub struct OriginalClient {
     process: Process,
@@ -107,7 +107,7 @@ impl OriginalClient {
         self.ask(&format!("trigger {handler} {component} {goal}"), PATIENCE)
     }
 
-    /// As [`trigger`](Self::trigger), for a task that is taken: only its id.
+    /// As [`trigger`](Self::trigger), for an accepted task: only its id.
     #[track_caller]
     pub fn start(&mut self, handler: &str, component: &str, goal: &str) -> i64 {
         let answer = self.trigger(handler, component, goal);
@@ -171,7 +171,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn texts_survive_the_way_to_the_driver() {
+    fn texts_reach_the_driver_unchanged() {
         for text in ["", " ", "l1\nl2", "grüße 👍"] {
             assert_eq!(unhex(&hex(text)), text.as_bytes());
         }

@@ -5,7 +5,7 @@ use std::process::Command;
 
 use super::{OriginalClient, SCOPE, Server, installed, python};
 
-/// What Python 2.7 is called where its packages are.
+/// The name of the Python 2.7 that has the packages.
 const PYTHON27: &str = "python2.7";
 
 /// Another ZeroMQ than ours, with a ZTL client and a ZTL server on it.
@@ -30,7 +30,7 @@ impl Peer {
         Self::JavaScript,
     ];
 
-    /// Those that this machine can have: all, but Python 2.7 only where there is one.
+    /// The peers available on this machine: all, but Python 2.7 only if it is installed.
     pub fn here() -> Vec<Self> {
         let lacking = |peer: &Self| *peer == Self::Python27 && python27().is_none();
         let (lacking, here): (Vec<_>, Vec<_>) = Self::ALL.into_iter().partition(lacking);
@@ -85,7 +85,7 @@ impl Peer {
                 let mut command = Command::new("java");
                 let classes = there(home.join("java"));
                 let path = format!("{}:/usr/share/java/jeromq.jar", classes.display());
-                // It starts sooner and takes fewer threads: its programs live for seconds.
+                // It starts faster and uses fewer threads: its programs run for seconds.
                 command.args(["-XX:+UseSerialGC", "-XX:TieredStopAtLevel=1", "-cp", &path]);
                 command.arg("Peer");
                 command
@@ -101,7 +101,7 @@ impl Peer {
     }
 }
 
-/// Python 2.7, where the machine has one.
+/// Python 2.7, if the machine has it.
 #[must_use]
 pub fn python27() -> Option<PathBuf> {
     let python = home().join("python27").join(PYTHON27);

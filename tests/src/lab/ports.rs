@@ -6,7 +6,7 @@ use std::net::{TcpListener, UdpSocket};
 /// Ports to choose from: more than all tests together need.
 const COUNT: u16 = 10_000;
 
-/// The lowest port that Linux gives to connections unless it is told otherwise. Others start higher.
+/// The lowest ephemeral port of Linux by default. Other systems start higher.
 const EPHEMERAL: u16 = 32_768;
 
 /// A TCP port at which nothing listens, and which no other test gets until this program ends.
@@ -21,7 +21,7 @@ const EPHEMERAL: u16 = 32_768;
 pub fn reserve_port() -> u16 {
     let end = ephemeral_start().min(30_000);
     let start = end - COUNT;
-    // At random, so that a client that outlives its test does not meet the next one's server.
+    // Random, so that a client that outlives its test does not connect to the next test's server.
     let first = RandomState::new().hash_one(()) % u64::from(COUNT);
     let first = first as u16;
     let mut ports = (first..COUNT).chain(0..first).map(|step| start + step);

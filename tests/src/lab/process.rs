@@ -88,7 +88,7 @@ impl Process {
         line.unwrap_or_else(|| panic!("no '{part}' from {}", self.transcript()))
     }
 
-    /// As [`wait_for`](Self::wait_for), for a program that was told its port: `None` if it ends because the
+    /// As [`wait_for`](Self::wait_for), for a program with a given port: `None` if it ends because the
     /// port is in use.
     #[track_caller]
     pub fn wait_for_unless_taken(&self, part: &str) -> Option<String> {
@@ -142,12 +142,12 @@ impl Process {
         self.stdin = None;
     }
 
-    /// What it has written to stdout so far.
+    /// Its stdout so far.
     pub fn stdout(&self) -> String {
         self.output.0.lock().unwrap().text(Stream::Out)
     }
 
-    /// What it has written to stderr so far.
+    /// Its stderr so far.
     pub fn stderr(&self) -> String {
         self.output.0.lock().unwrap().text(Stream::Err)
     }
@@ -181,7 +181,7 @@ impl Process {
         self.child.wait().expect("its end");
     }
 
-    /// Waits until neither it nor a program that it started holds its output open.
+    /// Waits until neither it nor its child processes hold its output open.
     #[track_caller]
     pub fn wait_for_end_of_output(&self) {
         until("the end of its output", PATIENCE, || {
@@ -210,7 +210,7 @@ impl Process {
         self.child.id()
     }
 
-    /// What it has in memory, in KiB.
+    /// Its memory, in KiB.
     #[track_caller]
     pub fn resident_kib(&self) -> u64 {
         process_status(self.id(), "VmRSS:")
@@ -235,7 +235,7 @@ impl Process {
         })
     }
 
-    /// Waits until what was heard is enough; gives up early when nothing more can come.
+    /// Waits until the output suffices; stops early when no more can arrive.
     fn wait<T>(&self, limit: Duration, mut look: impl FnMut(&Output) -> Option<T>) -> Option<T> {
         let deadline = Instant::now() + limit;
         let (heard, changed) = &*self.output;

@@ -1,4 +1,4 @@
-//! Numbers that a seed determines, and what the environment says about a test's size.
+//! Random numbers from a seed, and test sizes from the environment.
 
 use std::io::Write;
 use std::time::{SystemTime, UNIX_EPOCH};

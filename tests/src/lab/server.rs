@@ -7,7 +7,7 @@ use super::{OriginalClient, Process, Scratch, original_tool, python, reserve_por
 /// The scope of every server here.
 pub const SCOPE: &str = "/test";
 
-/// What a server of test tasks says when it serves.
+/// The first line of a server of test tasks.
 const REGISTERED: &str = "Registering controller for scope '/test'";
 
 /// The original's `ztl_task_server`, whose ids begin after 2^127.
@@ -22,7 +22,7 @@ from ztl.example.task_server import main_cli
 main_cli()
 ";
 
-/// A task server in a process of its own, at a port of its own.
+/// A task server in its own process, at its own port.
 #[derive(Debug)]
 pub struct Server {
     /// The process.
@@ -83,7 +83,7 @@ impl Server {
     /// Any command of ours that serves the original's test tasks with the original's options.
     #[track_caller]
     pub fn test_server(mut command: Command) -> Self {
-        // It chooses its port itself, and says it.
+        // It chooses its port itself and prints it.
         command.args(["-p", "0", "-s", SCOPE]);
         Self::says_its_port(command)
     }
@@ -91,13 +91,13 @@ impl Server {
     #[track_caller]
     fn says_its_port(mut command: Command) -> Self {
         let process = Process::start(&mut command);
-        // Bound before this is said.
+        // The port is bound before this line.
         process.wait_for(REGISTERED);
         let port = process.wait_for_port("Task Server listening at");
         Self { process, port }
     }
 
-    /// A server that has to be told its port, which something else may take before it does.
+    /// A server with a given port, which another program may take first.
     #[track_caller]
     pub(super) fn told_its_port(command: impl Fn(&str) -> Command) -> Self {
         loop {
@@ -153,7 +153,7 @@ impl Server {
         gateway
     }
 
-    /// Waits until a gateway's device takes tasks for the first time.
+    /// Waits until a gateway's device first accepts tasks.
     #[track_caller]
     pub fn wait_ready(&self, device: &str) {
         self.process
@@ -188,7 +188,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_server_that_finds_its_port_taken_is_started_at_another() {
+    fn a_server_with_a_taken_port_is_started_at_another() {
         let taken = TcpListener::bind(("0.0.0.0", 0)).expect("a port");
         let taken = taken.local_addr().expect("its address").port().to_string();
         let starts = Cell::new(0);

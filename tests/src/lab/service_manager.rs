@@ -67,7 +67,7 @@ pub fn verify_unit(unit: &Path) {
     assert!(text.contains(installed), "{text}");
     // How it ends when systemd stops it.
     assert!(text.contains("\nSuccessExitStatus=143\n"), "{text}");
-    // The one that was built stands for it.
+    // The tests use the built program instead.
     let text = text.replace(installed, &built("ztl").display().to_string());
     let path = scratch.path(name);
     std::fs::write(&path, text).expect("to write");

@@ -14,7 +14,7 @@ use rustix::termios::{LocalModes, Termios, Winsize, tcgetattr, tcsetwinsize};
 use super::process::signal;
 use super::{PATIENCE, until};
 
-/// A program in a terminal of its own. It is killed when this is dropped.
+/// A program in its own terminal. It is killed when this is dropped.
 pub struct Terminal {
     name: String,
     child: Child,
@@ -95,7 +95,7 @@ impl Terminal {
         self.keys.write_all(keys.as_ref()).expect("a terminal");
     }
 
-    /// What is on the screen: its lines, without the blanks at their ends.
+    /// The lines on the screen, without trailing blanks.
     pub fn screen(&self) -> String {
         let parser = self.screen.lock().unwrap();
         let (_, width) = parser.screen().size();
@@ -113,7 +113,7 @@ impl Terminal {
         self.shows_that(part, |screen| screen.contains(part))
     }
 
-    /// Waits until the screen is as it should be.
+    /// Waits until the screen has the expected content.
     #[track_caller]
     pub fn shows_that(&self, what: &str, is: impl Fn(&str) -> bool) -> String {
         let start = Instant::now();
@@ -131,7 +131,7 @@ impl Terminal {
         }
     }
 
-    /// Whether the program has the other screen, which hides what the shell showed.
+    /// Whether the program uses the alternate screen, which hides the shell's output.
     pub fn is_full_screen(&self) -> bool {
         self.screen.lock().unwrap().screen().alternate_screen()
     }
@@ -155,12 +155,12 @@ impl Terminal {
             })
     }
 
-    /// How it takes keys.
+    /// Its input modes.
     pub fn modes(&self) -> Termios {
         tcgetattr(&self.tty).expect("a terminal")
     }
 
-    /// Whether it shows what is typed and waits for whole lines, as a shell wants it.
+    /// Whether it echoes input and waits for whole lines, as a shell expects.
     pub fn is_as_before(&self) -> bool {
         let lines = LocalModes::ICANON | LocalModes::ECHO | LocalModes::ISIG;
         self.modes().local_modes.contains(lines) && !self.is_full_screen() && self.has_cursor()

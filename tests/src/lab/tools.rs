@@ -36,10 +36,10 @@ pub fn original_client() -> Command {
     original_tool("ztl_task_client")
 }
 
-/// A client's output and exit code, without what differs from run to run.
+/// A client's output and exit code, without the parts that differ between runs.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ClientOutput {
-    /// Its stdout, with the task's id and the server's port taken out.
+    /// Its stdout, without the task's id and the server's port.
     pub text: String,
     /// Its exit code.
     pub code: Option<i32>,

@@ -9,7 +9,7 @@ use super::PATIENCE;
 /// fails after [`PATIENCE`].
 ///
 /// # Panics
-/// When nobody there speaks ZMTP 3 within that time.
+/// If no peer speaks ZMTP 3 within that time.
 #[track_caller]
 pub fn shake_hands(port: u16) -> TcpStream {
     let mut stream = TcpStream::connect(("127.0.0.1", port)).expect("a connection");

@@ -77,7 +77,7 @@ fn javascript() -> Command {
     node
 }
 
-/// Puts a whole file in place of an older one, which another run of these tests may be using.
+/// Replaces a file as a whole, because another run of these tests may be using it.
 fn made(path: &Path, make: impl FnOnce(&Path)) -> PathBuf {
     let fresh = path.with_file_name(format!("{}-being-made", std::process::id()));
     make(&fresh);
@@ -85,7 +85,7 @@ fn made(path: &Path, make: impl FnOnce(&Path)) -> PathBuf {
     path.to_owned()
 }
 
-/// What a client prints that gets no answer to its INIT.
+/// The output of a client whose INIT is not answered.
 const UNKNOWN: &str = "UNKNOWN: no answer, the task may run";
 
 /// Runs a client to its end: it prints this line, and nothing more.
@@ -101,7 +101,7 @@ fn prints(command: &mut Command, line: &str, code: i32) {
     );
 }
 
-/// Runs every client with these arguments, side by side: what it prints, and its exit code.
+/// Runs every client with these arguments concurrently: returns output and exit code.
 #[track_caller]
 fn each_prints(endpoint: &str, scope: &str, task: &str, end: &str, code: i32) {
     let run = |client: Client| {
@@ -112,7 +112,7 @@ fn each_prints(endpoint: &str, scope: &str, task: &str, end: &str, code: i32) {
     side_by_side(CLIENTS.map(run).into());
 }
 
-/// A robot whose `base` ends as the goal says; it has nothing else.
+/// A robot whose `base` ends as the goal says; it has no other component.
 fn robot() -> RunningServer {
     struct Robot;
     impl TaskController for Robot {
@@ -140,7 +140,7 @@ fn robot() -> RunningServer {
 }
 
 #[test]
-fn each_client_does_what_its_first_lines_promise() {
+fn each_client_matches_its_introduction() {
     let server = robot();
     for client in CLIENTS {
         let line = |part: &str| {
@@ -163,11 +163,11 @@ fn each_client_does_what_its_first_lines_promise() {
 }
 
 #[test]
-fn each_client_tells_every_end_and_every_text() {
+fn each_client_reports_every_final_state_and_text() {
     let server = robot();
     let refused = "FAILED: Controller threw exception: no component 'arm'; it has: base";
     for (task, end, code) in [
-        // Of every length that base64 knows, and with what a message is cut at.
+        // Of every length modulo base64's groups, and with the separators of a message.
         ("robot:base:a", "COMPLETED: a", 0),
         ("robot:base:ab", "COMPLETED: ab", 0),
         ("robot:base:abc", "COMPLETED: abc", 0),
@@ -195,12 +195,12 @@ fn each_client_drives_the_original() {
 }
 
 #[test]
-fn each_client_says_when_there_is_no_server() {
+fn each_client_reports_a_missing_server() {
     let nobody = format!("tcp://127.0.0.1:{}", reserve_port());
     each_prints(&nobody, "/robot", "robot:base:forward", UNKNOWN, 1);
 }
 
-/// A server that leaves the first requests unanswered. Runs one client, and tells what it asked.
+/// A server that leaves the first requests unanswered. Runs one client, and returns its requests.
 fn forgetful(client: Client, unanswered: &'static [&'static str], end: &str, code: i32) -> String {
     let context = zmq::Context::new();
     let server = socket(&context, zmq::ROUTER);
@@ -241,7 +241,7 @@ fn forgetful(client: Client, unanswered: &'static [&'static str], end: &str, cod
 }
 
 #[test]
-fn each_client_asks_on_when_a_status_is_not_answered() {
+fn each_client_repeats_an_unanswered_status() {
     let run = |client| {
         let run = move || {
             let start = std::time::Instant::now();

@@ -48,7 +48,7 @@ fn table(head: &str) -> Vec<Vec<&'static str>> {
 }
 
 #[test]
-fn the_table_of_states_is_the_lifecycle() {
+fn the_documented_states_match_the_lifecycle() {
     let table = table("| state | code | accept | reject | complete | fail | abort |");
     let row = |state: State| {
         let after = |event| state.after(event).map_or("-", State::name).to_owned();
@@ -60,7 +60,7 @@ fn the_table_of_states_is_the_lifecycle() {
 }
 
 #[test]
-fn the_table_of_requests_has_their_codes() {
+fn the_documented_request_codes_match_the_code() {
     let table = table("| request | code |");
     let codes: Vec<_> = table.iter().map(|row| (&row[0][..4], row[1])).collect();
     assert_eq!(codes, [("INIT", "1"), ("STAT", "2"), ("ABOR", "3")]);
@@ -73,7 +73,7 @@ fn the_table_of_requests_has_their_codes() {
 }
 
 #[test]
-fn the_times_are_those_of_the_code() {
+fn the_documented_times_match_the_code() {
     let config = Config::new(TaskId::new(1).unwrap(), 1);
     assert_eq!(config.hold, HOLD);
     let times = [
@@ -87,7 +87,7 @@ fn the_times_are_those_of_the_code() {
     let table = table("| what | time |");
     let told: Vec<_> = table.iter().map(|row| row[1]).collect();
     assert_eq!(told, times.map(|time| format!("{} ms", time.as_millis())));
-    // What the text says in other units.
+    // The values that the text gives in other units.
     assert_eq!((HOLD.as_millis(), KEEP_INIT.as_secs()), (1500, 60));
     assert_eq!(config.keep, Duration::from_secs(3600));
 
@@ -100,7 +100,7 @@ fn the_times_are_those_of_the_code() {
 }
 
 #[test]
-fn the_sizes_are_those_of_the_code() {
+fn the_documented_sizes_match_the_code() {
     assert_eq!(ztl_std::server::MAX_MESSAGE, 1_048_576);
     assert!(DOCUMENT.contains("1 MiB (1,048,576 bytes)"));
     let digits = format!("up to {} digits", ztl_core::integer::MAX_DIGITS);
@@ -146,7 +146,7 @@ fn text(reply: &Reply<'_>) -> String {
 }
 
 #[test]
-fn what_a_full_server_says_stands_in_the_document() {
+fn the_document_quotes_a_full_servers_rejections() {
     let mut tasks = Small::new(1);
     let mut held = Small::new(1);
     let mut clients = Small::new(1);

@@ -2,12 +2,12 @@
 
 use ztl_tests::lab::PATIENCE;
 
-/// Runs these side by side, each on a thread of its own.
+/// Runs these concurrently, each on its own thread.
 #[track_caller]
 pub(super) fn side_by_side(runs: Vec<Box<dyn FnOnce() + Send>>) {
     assert!(!runs.is_empty());
     let runs: Vec<_> = runs.into_iter().map(std::thread::spawn).collect();
-    // Each is joined; what went wrong has been printed by its thread.
+    // Each is joined; its thread has printed any failure.
     let failed = runs.into_iter().filter_map(|run| run.join().err()).count();
     assert_eq!(failed, 0, "of the runs above");
 }

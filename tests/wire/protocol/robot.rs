@@ -11,7 +11,7 @@ use ztl_std::{
 };
 use ztl_tests::lab::{PATIENCE, until};
 
-/// What happens to the task that came last.
+/// The next event for the latest task.
 #[derive(Debug, Clone)]
 pub(crate) enum Happening {
     Accepted,
@@ -101,7 +101,7 @@ impl ExecutableTask for Movement {
     }
 }
 
-/// Is done before its server takes the next request.
+/// Completes before its server reads the next request.
 struct Lamp;
 
 impl TaskHandler for Lamp {

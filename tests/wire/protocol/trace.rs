@@ -12,7 +12,7 @@ use super::document::{Block, blocks};
 use super::parallel::{side_by_side, socket};
 use super::robot::{Happening, Lab};
 
-/// What the document writes where a server gives a number of its own.
+/// The document's placeholders for numbers that the server chooses.
 const GIVEN: [&str; 4] = ["10471", "10472", "81501", "81502"];
 
 /// Who answers.
@@ -30,7 +30,7 @@ impl Host {
     }
 }
 
-/// A client without envelopes, one with them, and one that looks on.
+/// A client without envelopes, one with them, and an observer.
 struct Clients {
     plain: zmq::Socket,
     enveloped: zmq::Socket,
@@ -56,7 +56,7 @@ impl Clients {
 struct Player {
     host: Host,
     clients: Clients,
-    /// What the server gave for some of [`GIVEN`].
+    /// The server's values for some of [`GIVEN`].
     given: BTreeMap<&'static str, String>,
     /// The scope of the last request, and when it was sent.
     scope: String,
@@ -127,7 +127,7 @@ impl Player {
         self.held = Duration::ZERO;
     }
 
-    /// What is expected stands in the answer; a number of [`GIVEN`] is whatever the server gives.
+    /// The reply matches the expected text; a number of [`GIVEN`] stands for any value of the server.
     #[track_caller]
     fn compare(&mut self, expected: &str, answer: &str) {
         let unknown = |player: &Self| {
@@ -178,7 +178,7 @@ impl Player {
         if let Host::Ours(lab) = &self.host {
             lab.let_happen(&happening);
         }
-        // Until the server has heard it; of a task whose id nobody has yet, the next answer tells.
+        // Waits until the server has the event; for a task without a known id, the next reply shows it.
         let ids = GIVEN.iter().take(2).rev();
         let id = ids.filter_map(|name| self.given.get(name)).next();
         if let Some(id) = id.filter(|_| !text.is_empty()) {
@@ -208,7 +208,7 @@ fn envelope(number: &str) -> Option<Envelope> {
     })
 }
 
-/// Plays a block; a panic's message then says where it stands.
+/// Plays a block; a panic's message then includes its position.
 fn play(block: &Block, host: Host) {
     let mut player = Player::new(host);
     for (number, line) in &block.lines {
@@ -218,7 +218,7 @@ fn play(block: &Block, host: Host) {
 }
 
 #[test]
-fn every_trace_of_the_document_is_what_a_server_says() {
+fn servers_match_every_documented_trace() {
     let blocks = blocks("trace");
     assert!(blocks.len() >= 9, "only {} traces", blocks.len());
     let run = |block: Block| {
@@ -238,7 +238,7 @@ fn the_original_does_not_notice_the_extensions() {
 }
 
 #[test]
-fn the_bytes_of_the_document_are_those_on_the_line() {
+fn the_documented_bytes_match_the_wire() {
     let blocks = blocks("bytes");
     assert!(!blocks.is_empty());
     for block in blocks {

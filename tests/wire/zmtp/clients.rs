@@ -1,4 +1,4 @@
-//! Real clients: tasks complete, are aborted and refused.
+//! Real clients: tasks are completed, aborted and rejected.
 
 use std::time::Duration;
 
@@ -55,7 +55,7 @@ fn drive(mut client: OriginalClient, who: &str) {
 }
 
 #[test]
-fn the_original_drives_it_over_libzmq_4_3() {
+fn the_originals_client_runs_tasks_over_libzmq_4_3() {
     let desk = Desk::start();
     drive(OriginalClient::connect(desk.port, SCOPE), "whole");
     let slow = Dribble::before(&desk);
@@ -64,7 +64,7 @@ fn the_original_drives_it_over_libzmq_4_3() {
 
 /// libzmq 4.1, JeroMQ of ZMTP 2.0, zeromq.js.
 #[test]
-fn old_and_other_peers_drive_it() {
+fn old_and_other_zeromq_peers_run_tasks() {
     for peer in Peer::here() {
         let desk = Desk::start();
         drive(peer.client(desk.port, SCOPE), &format!("{peer:?}, whole"));
@@ -77,7 +77,7 @@ fn old_and_other_peers_drive_it() {
 }
 
 #[test]
-fn our_client_runs_tasks_waits_for_their_end_and_learns_who_serves() {
+fn our_client_runs_tasks_and_gets_the_servers_description() {
     let desk = Desk::start();
     let mut client = RemoteTask::connect(&desk.endpoint(), SCOPE).expect("an address");
     let id = client.trigger("desk", "slide", "30").expect("taken").id;
@@ -93,7 +93,7 @@ fn our_client_runs_tasks_waits_for_their_end_and_learns_who_serves() {
     assert_eq!(end.state, State::Aborted);
 }
 
-/// The events of a socket up to the one that is wanted.
+/// The events of a socket up to this one.
 fn events_until(monitor: &zmq::Socket, wanted: SocketEvent) -> Vec<SocketEvent> {
     let mut seen = Vec::new();
     while seen.last() != Some(&wanted) {
@@ -106,7 +106,7 @@ fn events_until(monitor: &zmq::Socket, wanted: SocketEvent) -> Vec<SocketEvent> 
 
 /// As libzmq itself sees it.
 #[test]
-fn libzmq_tells_of_a_clean_handshake_and_its_heartbeats_are_answered() {
+fn libzmq_reports_a_clean_handshake_and_gets_its_heartbeats_answered() {
     let desk = Desk::start();
     let context = zmq::Context::new();
     for kind in [zmq::REQ, zmq::DEALER] {

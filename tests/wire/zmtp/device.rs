@@ -1,4 +1,4 @@
-//! The example `zmtp` in a process of its own.
+//! The example `zmtp` in its own process.
 
 use std::io::{Read, Write};
 use std::net::{Shutdown, TcpListener, TcpStream};
@@ -14,7 +14,7 @@ pub(super) const SCOPE: &str = "/desk";
 /// How many clients it takes at a time.
 pub(super) const PLACES: usize = 4;
 
-/// The example in a process of its own.
+/// The example in its own process.
 pub(super) struct Desk {
     pub(super) process: Process,
     pub(super) port: u16,
@@ -37,7 +37,7 @@ impl Desk {
         format!("tcp://127.0.0.1:{}", self.port)
     }
 
-    /// A client as the original's, that sends just what it is told to.
+    /// A client like the original's, that sends exactly the given frames.
     pub(super) fn req(&self) -> Socket {
         self.socket(zmq::REQ, |_| {})
     }
@@ -58,7 +58,7 @@ impl Desk {
     }
 }
 
-/// Between clients and the desk: each byte goes on in a packet of its own.
+/// Between clients and the desk: sends each byte in its own packet.
 pub(super) struct Dribble {
     pub(super) port: u16,
 }

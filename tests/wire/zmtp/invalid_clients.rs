@@ -33,7 +33,7 @@ fn assert_closed(mut stream: TcpStream, after: &str) {
 }
 
 #[test]
-fn what_breaks_the_protocol_ends_its_connection_and_no_other() {
+fn a_protocol_error_closes_only_its_connection() {
     let desk = Desk::start();
     let neighbour = desk.req();
     let met = [greeting(), READY.to_vec()].concat();
@@ -70,7 +70,7 @@ fn what_breaks_the_protocol_ends_its_connection_and_no_other() {
 }
 
 #[test]
-fn a_client_that_breaks_off_after_any_byte_harms_nobody() {
+fn a_client_that_disconnects_after_any_byte_affects_no_other() {
     let desk = Desk::start();
     let neighbour = desk.req();
     let request = b"\x01\0\0\x1E/desk;1;-1;ZGVzazpzbGlkZTox\x31MA==";
@@ -87,7 +87,7 @@ fn a_client_that_breaks_off_after_any_byte_harms_nobody() {
 }
 
 #[test]
-fn what_silences_the_original_is_answered() {
+fn requests_that_the_original_leaves_unanswered_are_answered() {
     let desk = Desk::start();
     let client = desk.req();
     for (body, answer) in [
@@ -116,9 +116,9 @@ fn what_silences_the_original_is_answered() {
     assert_eq!(dealer.receive(), [&b""[..], b"/desk;2;2;Invalid ID '2'"]);
 }
 
-/// Requests without end, of which no answer is read.
+/// Endless requests whose replies are never read.
 #[test]
-fn one_that_never_reads_stops_nobody_for_long_and_keeps_no_place() {
+fn a_client_that_never_reads_is_closed_and_delays_others_briefly() {
     let desk = Desk::start();
     let neighbour = desk.req();
     let met = [greeting(), READY.to_vec()].concat();

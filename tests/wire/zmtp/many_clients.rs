@@ -1,4 +1,4 @@
-//! Many clients, one after the other and at once.
+//! Many clients, in sequence and concurrently.
 
 use std::time::Duration;
 
@@ -23,7 +23,7 @@ fn a_thousand_clients_come_and_go() {
 }
 
 #[test]
-fn all_places_are_served_side_by_side_and_one_more_when_a_place_is_free() {
+fn all_slots_are_served_and_an_extra_client_gets_a_freed_slot() {
     let desk = Desk::start();
     let mut clients: Vec<Socket> = (0..PLACES).map(|_| desk.req()).collect();
     for round in 0..50 {
@@ -47,9 +47,9 @@ fn all_places_are_served_side_by_side_and_one_more_when_a_place_is_free() {
     assert_eq!(further.receive(), [b"/desk;2;99;Invalid ID '99'"]);
 }
 
-/// Each is a new one to the desk, which knows four.
+/// Each is new to the desk, which keeps four records.
 #[test]
-fn our_command_is_started_more_often_in_a_minute_than_there_are_places() {
+fn our_command_runs_more_often_in_a_minute_than_there_are_records() {
     let desk = Desk::start();
     let run = |goal: &str| {
         let mut client = our_client();
@@ -60,7 +60,7 @@ fn our_command_is_started_more_often_in_a_minute_than_there_are_places() {
     for goal in 1..=10 {
         let ended = run(&goal.to_string());
         assert_eq!(ended.code, Some(0), "{ended:?}");
-        // One that is refused keeps no place either.
+        // A rejected client occupies no record either.
         let ended = run("far");
         assert_eq!(ended.code, Some(1), "{ended:?}");
         let told = ended.stdout.contains("slide takes 0 to 100 mm");
@@ -69,7 +69,7 @@ fn our_command_is_started_more_often_in_a_minute_than_there_are_places() {
 }
 
 #[test]
-fn a_held_answer_keeps_no_other_client_waiting() {
+fn a_held_reply_delays_no_other_client() {
     let desk = Desk::start();
     let (one, two) = (desk.socket(zmq::DEALER, |_| {}), desk.req());
     let id = {
@@ -93,7 +93,7 @@ fn a_held_answer_keeps_no_other_client_waiting() {
 }
 
 #[test]
-fn a_client_for_whom_the_system_has_no_file_left_ends_nothing() {
+fn running_out_of_file_descriptors_does_not_stop_the_server() {
     let example = ztl_tests::lab::example("zmtp");
     let mut few = std::process::Command::new("sh");
     few.args(["-c", "ulimit -n 7 && exec \"$0\" 127.0.0.1:0"]);
@@ -106,7 +106,7 @@ fn a_client_for_whom_the_system_has_no_file_left_ends_nothing() {
 }
 
 #[test]
-fn places_of_clients_that_never_finish_their_greeting_are_free_after_a_while() {
+fn unfinished_greetings_free_their_slots_after_a_timeout() {
     let desk = Desk::start();
     let start = std::time::Instant::now();
     let silent: Vec<_> = (0..PLACES)

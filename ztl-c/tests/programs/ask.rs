@@ -28,7 +28,7 @@ fn run_at(
 }
 
 #[track_caller]
-pub(crate) fn tells_every_fate(build: Build) {
+pub(crate) fn reports_every_outcome(build: Build) {
     for server in [Server::original(), Server::ours()] {
         let endpoint = server.endpoint();
         let (status, printed) = run(build, &endpoint, "echo", "0.3", 20_000);

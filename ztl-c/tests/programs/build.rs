@@ -115,7 +115,7 @@ pub(crate) fn library() -> PathBuf {
     PathBuf::from(place)
 }
 
-/// What a program has printed that has ended well; nothing may have been found.
+/// The output of a program that succeeded; the sanitizers must report nothing.
 #[track_caller]
 pub(crate) fn ended_well(process: Process) -> String {
     let Ended {

@@ -32,7 +32,7 @@ fn ask(port: u16, component: &str, goal: &str, limit_ms: &str) -> (Option<i32>, 
 
 #[test]
 #[ignore = "needs programs of another processor: `cargo xtask c TARGET --check`"]
-fn programs_of_another_processor_serve_and_ask() {
+fn programs_for_another_processor_run_as_server_and_client() {
     let mut worker = Process::start(program("worker").arg("tcp://127.0.0.1:*"));
     let port = port_of(&worker);
     let mut client = OriginalClient::connect(port, "/robot");

@@ -1,9 +1,9 @@
-//! What `docs/c.md` shows is what is there.
+//! `docs/c.md` shows the real example.
 
 use crate::build::root;
 
 #[test]
-fn the_handler_in_the_documentation_is_the_examples() {
+fn the_documented_handler_matches_the_example() {
     let page = std::fs::read_to_string(root().join("docs/c.md")).expect("docs/c.md");
     let example = std::fs::read_to_string(root().join("examples/c/worker.c")).expect("worker.c");
     let block = page

@@ -24,18 +24,18 @@ macro_rules! ways {
             const BUILD: Build = $build;
 
             #[test]
-            fn an_old_program_serves_the_originals_client_from_its_main_loop() {
+            fn a_program_serves_the_originals_client_from_its_main_loop() {
                 crate::serve::from_its_main_loop(BUILD);
             }
 
             #[test]
-            fn a_task_on_a_thread_of_its_own_is_served_to_the_originals_client() {
+            fn the_originals_client_runs_a_task_on_its_own_thread() {
                 crate::serve::on_threads(BUILD);
             }
 
             #[test]
-            fn a_client_tells_every_fate_of_a_task_at_the_originals_server() {
-                crate::ask::tells_every_fate(BUILD);
+            fn a_client_reports_every_outcome_at_the_originals_server() {
+                crate::ask::reports_every_outcome(BUILD);
             }
 
             #[test]
@@ -44,12 +44,12 @@ macro_rules! ways {
             }
 
             #[test]
-            fn no_misuse_goes_unsaid_and_nothing_is_freed_too_early() {
+            fn every_misuse_is_reported_and_nothing_is_freed_too_early() {
                 crate::misuse::is_said(BUILD);
             }
 
             #[test]
-            fn many_threads_ask_at_the_same_time() {
+            fn many_threads_send_requests_concurrently() {
                 crate::misuse::of_many_threads(BUILD);
             }
 
@@ -68,12 +68,12 @@ macro_rules! node_ways {
             use super::Build;
 
             #[test]
-            fn firmware_on_the_desk_serves_the_originals_client() {
+            fn firmware_on_a_host_serves_the_originals_client() {
                 crate::node::on_the_desk($build);
             }
 
             #[test]
-            fn no_misuse_of_a_node_goes_unsaid_and_noise_changes_nothing() {
+            fn every_misuse_of_a_node_is_reported_and_noise_is_ignored() {
                 crate::node::misused($build);
             }
         })+

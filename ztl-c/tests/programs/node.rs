@@ -8,7 +8,7 @@ use ztl_tests::lab::{
 
 use crate::build::{Build, ended_well};
 
-/// Waits until the stage moves, as its client is told: it is in one place, and then in another.
+/// Waits until the client sees the stage move: it reports two different positions.
 #[track_caller]
 fn wait_moving(client: &mut OriginalClient, id: i64) {
     let mut first = None;
@@ -27,7 +27,7 @@ fn refuses(client: &mut OriginalClient, component: &str, goal: &str, reason: &st
     assert!(refused, "{component}:{goal}: {answer:?}");
 }
 
-/// What every robot of this kind does.
+/// The behaviour of every robot of this kind.
 #[track_caller]
 fn drive(client: &mut OriginalClient) {
     let id = client.start("desk", "stage", "12.5");
@@ -89,7 +89,7 @@ fn wait_pin(board: &Board, pin: Pin, value: u32) {
 }
 
 #[test]
-fn firmware_in_c_moves_the_boards_pins_for_the_originals_client() {
+fn c_firmware_drives_the_boards_pins_for_the_originals_client() {
     let (board, _gateway, mut client) = board("lm3s6965evb-c");
     drive(&mut client);
     assert_eq!(board.read(Pin::Lamp), 1);
@@ -116,7 +116,7 @@ fn firmware_in_c_moves_the_boards_pins_for_the_originals_client() {
 }
 
 #[test]
-fn after_a_reset_and_without_its_link_firmware_in_c_does_as_it_says() {
+fn c_firmware_handles_resets_and_a_lost_link() {
     let (board, mut gateway, mut client) = board("lm3s6965evb-cpp");
     let id = client.start("desk", "stage", "100");
     wait_moving(&mut client, id);

@@ -18,7 +18,7 @@ pub(crate) fn port_of(process: &Process) -> u16 {
     process.wait_for_port("serving /robot at ")
 }
 
-/// Asks for what is refused, until it is in time: the original's client waits for 2 s, and valgrind has to
+/// Repeats a task that is rejected until the reply is in time: the original's client waits for 2 s, and valgrind must
 /// translate the program first.
 #[track_caller]
 pub(crate) fn warm_up(client: &mut OriginalClient, reason: &str) {
@@ -29,7 +29,7 @@ pub(crate) fn warm_up(client: &mut OriginalClient, reason: &str) {
     });
 }
 
-/// Waits until the client is told of progress.
+/// Waits until the client receives progress.
 #[track_caller]
 fn wait_progress(client: &mut OriginalClient, id: i64, part: &str) {
     until("its progress", PATIENCE, || {

@@ -1,4 +1,4 @@
-//! What a linker sees of the libraries.
+//! The libraries' exported symbols.
 
 use std::process::Command;
 
@@ -8,7 +8,7 @@ use ztl_tests::lab::Process;
 
 use crate::build::library;
 
-/// What can be seen from outside that is defined here.
+/// The exported symbols defined in this library.
 fn seen(object: &object::File<'_>, names: &mut Vec<String>) {
     let symbols = object.symbols().chain(object.dynamic_symbols());
     for symbol in symbols.filter(|symbol| symbol.is_global() && symbol.is_definition()) {
@@ -27,7 +27,7 @@ fn assert_is_ours(what: &str, names: &[String], least: usize) {
 }
 
 #[test]
-fn only_the_headers_functions_can_be_seen() {
+fn only_the_headers_functions_are_exported() {
     let lib = library().join("lib");
     for (name, least) in [("libztl.a", 40), ("libztl_node.a", 10)] {
         let bytes = std::fs::read(lib.join(name)).expect("a static library");
@@ -50,7 +50,7 @@ fn only_the_headers_functions_can_be_seen() {
 }
 
 #[test]
-fn pkg_config_finds_the_libraries_wherever_they_are() {
+fn pkg_config_finds_relocated_libraries() {
     let moved = ztl_tests::lab::Scratch::new();
     let copied = Process::run(
         Command::new("cp")

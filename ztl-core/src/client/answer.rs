@@ -3,7 +3,7 @@
 use crate::integer::Integer;
 use crate::lifecycle::{Request, State};
 use crate::message::Message;
-use crate::reply::{RESERVED_SCOPE, UNKNOWN_END};
+use crate::reply::{RESERVED_SCOPE, UNKNOWN_OUTCOME};
 
 /// The meaning of an answer to a request.
 ///
@@ -50,8 +50,8 @@ pub enum Answer<'a> {
         text: &'a str,
     },
     /// To STATUS or ABORT: the task is FAILED, but the server could not learn its outcome
-    /// ([`UNKNOWN_END`]). The task may still run.
-    UnknownEnd {
+    /// ([`UNKNOWN_OUTCOME`]). The task may still run.
+    UnknownOutcome {
         /// The payload.
         text: &'a str,
     },
@@ -98,7 +98,7 @@ impl<'a> Answer<'a> {
         };
         if request == Request::Init {
             let id = message.number().ok()?;
-            let ended = state.filter(|state| state.is_final() && !is_unknown_end(*state, text));
+            let ended = state.filter(|state| state.is_final() && !is_unknown_outcome(*state, text));
             return Some(match id.is_positive() {
                 _ if !of_scope => other_task,
                 true => Self::Accepted { id, ended, text },
@@ -110,7 +110,7 @@ impl<'a> Answer<'a> {
             (Some(state), _) if is_about_the_request(state, text) => Self::NotTold { state, text },
             _ if !of_scope || !is_about(asked, message) => other_task,
             (Some(State::Rejected), _) if is_unknown_task(text) => Self::UnknownTask { text },
-            (Some(state), _) if is_unknown_end(state, text) => Self::UnknownEnd { text },
+            (Some(state), _) if is_unknown_outcome(state, text) => Self::UnknownOutcome { text },
             (Some(state), _) => Self::Task { state, text },
         })
     }
@@ -124,7 +124,7 @@ impl<'a> Answer<'a> {
             | Self::Task { text, .. }
             | Self::UnknownTask { text }
             | Self::NotTold { text, .. }
-            | Self::UnknownEnd { text }
+            | Self::UnknownOutcome { text }
             | Self::OtherTask { text, .. }
             | Self::UndefinedState { text, .. } => text,
         }
@@ -139,8 +139,8 @@ fn is_about(asked: &Message<'_>, answer: &Message<'_>) -> bool {
 }
 
 /// Whether a server ended the task without knowing its outcome.
-fn is_unknown_end(state: State, text: &str) -> bool {
-    state == State::Failed && text.starts_with(UNKNOWN_END)
+fn is_unknown_outcome(state: State, text: &str) -> bool {
+    state == State::Failed && text.starts_with(UNKNOWN_OUTCOME)
 }
 
 /// Whether this text means that the server does not know the task. The original's controllers name the id, its simple
@@ -162,7 +162,7 @@ pub fn is_no_scope(state: State, text: &str) -> bool {
     state == State::Rejected && text.starts_with("No controller for scope: ")
 }
 
-/// Whether the answer to an ABORT means that the handler cannot stop the task, which goes on.
+/// Whether the answer to an ABORT means that the handler cannot stop the task, which continues.
 #[must_use]
 pub fn is_abort_rejected(state: State, text: &str) -> bool {
     !state.is_final() && text == "False"

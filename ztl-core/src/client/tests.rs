@@ -86,7 +86,7 @@ impl Desk {
 }
 
 #[test]
-fn a_late_answer_is_never_taken_for_the_next_one() {
+fn a_late_reply_is_never_matched_to_the_next_request() {
     let mut desk = Desk::new();
     let (first, _) = desk.written(|client, now, sink| {
         Some(client.request(
@@ -126,7 +126,7 @@ fn a_late_answer_is_never_taken_for_the_next_one() {
 }
 
 #[test]
-fn what_is_no_message_is_said_to_be_unreadable() {
+fn an_invalid_message_is_reported_as_unreadable() {
     let beyond_reason = std::format!("/lab;1;{};y", "9".repeat(4301));
     for reply in [
         &b"\xff"[..],
@@ -145,7 +145,7 @@ fn what_is_no_message_is_said_to_be_unreadable() {
 }
 
 #[test]
-fn an_init_is_accepted_by_an_id_above_0_whatever_the_state() {
+fn an_id_above_0_accepts_an_init_in_any_state() {
     let long = "9".repeat(4300);
     for (id, accepted) in [
         ("7", true),
@@ -174,7 +174,7 @@ fn an_init_is_accepted_by_an_id_above_0_whatever_the_state() {
 }
 
 #[test]
-fn the_state_of_an_answer_is_the_tasks_unless_the_words_say_otherwise() {
+fn a_replys_state_is_the_tasks_unless_its_text_contradicts() {
     let task = |state, text| Answer::Task { state, text };
     let not_told = |state, text| Answer::NotTold { state, text };
     let undefined = |state, text| Answer::UndefinedState {
@@ -232,7 +232,7 @@ fn the_state_of_an_answer_is_the_tasks_unless_the_words_say_otherwise() {
         ("/lab;3;7;no link", task(State::Failed, "no link")),
         (
             "/lab;3;7;unknown: robot:1 was restarted",
-            Answer::UnknownEnd {
+            Answer::UnknownOutcome {
                 text: "unknown: robot:1 was restarted",
             },
         ),
@@ -249,7 +249,7 @@ fn the_state_of_an_answer_is_the_tasks_unless_the_words_say_otherwise() {
 }
 
 #[test]
-fn an_answer_with_another_scope_or_id_is_about_another_task() {
+fn a_reply_with_another_scope_or_id_concerns_another_task() {
     let other = |state, scope, id, text| Answer::OtherTask {
         state: Some(state),
         scope,
@@ -282,13 +282,13 @@ fn an_answer_with_another_scope_or_id_is_about_another_task() {
         let said = classify(b"/lab;1;-1;x", body.as_bytes());
         assert_eq!(said, Some(answer), "{body}");
     }
-    // What a server says of itself has an id of its own.
+    // A server's reply about itself has its own id.
     let said = classify(b"$ztl;2;-1;probe", b"$ztl;5;0;y");
     assert!(matches!(said, Some(Answer::Task { .. })), "{said:?}");
 }
 
 #[test]
-fn an_init_whose_task_ended_in_an_unknown_way_is_accepted_without_an_end() {
+fn an_unknown_outcome_accepts_the_init_without_a_final_state() {
     let said = classify(b"/lab;1;-1;x", b"/lab;3;7;unknown: y");
     assert!(
         matches!(said, Some(Answer::Accepted { ended: None, .. })),
@@ -309,7 +309,7 @@ fn an_id_of_any_length_is_sent_in_plain_digits() {
 }
 
 #[test]
-fn the_answer_to_an_init_is_learnt_afterwards() {
+fn the_reply_to_an_init_can_be_queried_later() {
     let mut desk = Desk::new();
     let asked = desk.outcome();
     let heard = desk.handle_reply(asked, b"$ztl;1;12;Initiated");
@@ -328,7 +328,7 @@ fn the_answer_to_an_init_is_learnt_afterwards() {
 }
 
 #[test]
-fn an_init_that_never_came_is_known_not_to_have_started() {
+fn an_init_that_never_arrived_is_reported_as_not_started() {
     let mut desk = Desk::new();
     let asked = desk.outcome();
     let reply = b"$ztl;2;0;never seen since boot 4711";
@@ -336,15 +336,15 @@ fn an_init_that_never_came_is_known_not_to_have_started() {
 }
 
 #[test]
-fn after_a_restart_of_the_server_the_fate_is_unknown() {
+fn after_a_server_restart_the_outcome_is_unknown() {
     let mut desk = Desk::new();
     let asked = desk.outcome();
     let reply = b"$ztl;2;0;never seen since boot 4712";
-    assert_eq!(desk.handle_reply(asked, reply), Some(Heard::FateUnknown));
+    assert_eq!(desk.handle_reply(asked, reply), Some(Heard::OutcomeUnknown));
 }
 
 #[test]
-fn an_outcome_that_is_not_answered_can_be_asked_again() {
+fn an_unanswered_outcome_query_can_be_repeated() {
     let mut desk = Desk::new();
     desk.outcome();
     assert_eq!(desk.late(), Late::AskOutcome);
@@ -358,7 +358,7 @@ fn an_outcome_that_is_not_answered_can_be_asked_again() {
 }
 
 #[test]
-fn the_original_is_not_asked_for_outcomes() {
+fn the_original_server_gets_no_outcome_queries() {
     let mut desk = Desk::new();
     let (envelope, _) = desk.written(|client, now, sink| Some(client.probe(now, sink)));
     desk.handle_reply(envelope, b"$ztl;2;-1;No controller for scope: $ztl");
@@ -376,10 +376,10 @@ fn large_numbers_are_written_whole() {
     }
 }
 
-/// A client that was suspended for more than a minute asked a server that had forgotten the INIT,
-/// and took its word that it never came.
+/// Regression: a client that was suspended for more than a minute asked a server that had dropped the INIT,
+/// and believed its reply that the INIT never arrived.
 #[test]
-fn an_outcome_is_not_asked_when_the_server_may_have_forgotten() {
+fn an_outcome_is_not_queried_once_the_server_may_have_dropped_it() {
     let mut desk = Desk::new();
     desk.probe(4711);
     let (_, _) = desk.init();
@@ -389,10 +389,10 @@ fn an_outcome_is_not_asked_when_the_server_may_have_forgotten() {
     assert_eq!(desk.client.outcome(desk.now, &mut none), None);
 }
 
-/// Found through a proxy that hid the envelope: the server could not read the question, and the
-/// client told its refusal as the INIT's.
+/// Regression, found through a proxy that hid the envelope: the server could not read the query, and the
+/// client reported its rejection as the INIT's.
 #[test]
-fn a_question_that_was_not_understood_leaves_the_fate_unknown() {
+fn an_outcome_query_that_is_not_understood_gives_an_unknown_outcome() {
     for reply in [
         &b"$ztl;2;0;Invalid request"[..],
         b"$ztl;2;0;too many clients at a time, try again in a minute",
@@ -402,14 +402,14 @@ fn a_question_that_was_not_understood_leaves_the_fate_unknown() {
         let mut desk = Desk::new();
         let asked = desk.outcome();
         let heard = desk.handle_reply(asked, reply);
-        assert_eq!(heard, Some(Heard::FateUnknown));
+        assert_eq!(heard, Some(Heard::OutcomeUnknown));
     }
 }
 
 /// The client believed a server that was started after the INIT: the last probe counted, and not what
 /// was known when the INIT was sent.
 #[test]
-fn a_server_that_was_probed_after_the_init_cannot_say_that_it_never_came() {
+fn never_seen_is_not_trusted_from_a_server_probed_after_the_init() {
     let mut desk = Desk::new();
     desk.probe(111);
     desk.init();
@@ -419,11 +419,11 @@ fn a_server_that_was_probed_after_the_init_cannot_say_that_it_never_came() {
     assert_eq!(body, "$ztl;2;-1;outcome 2");
     let reply = b"$ztl;2;0;never seen since boot 222";
     let heard = desk.handle_reply(asked, reply);
-    assert_eq!(heard, Some(Heard::FateUnknown));
+    assert_eq!(heard, Some(Heard::OutcomeUnknown));
 }
 
 #[test]
-fn of_an_init_that_went_to_a_stranger_nobody_can_say_that_it_never_came() {
+fn never_seen_is_not_trusted_for_an_init_sent_before_any_probe() {
     let mut desk = Desk::new();
     desk.init();
     assert_eq!(desk.late(), Late::NoAnswer);
@@ -431,12 +431,12 @@ fn of_an_init_that_went_to_a_stranger_nobody_can_say_that_it_never_came() {
     let (asked, _) = desk.written(|client, now, sink| client.outcome(now, sink));
     let reply = b"$ztl;2;0;never seen since boot 222";
     let heard = desk.handle_reply(asked, reply);
-    assert_eq!(heard, Some(Heard::FateUnknown));
+    assert_eq!(heard, Some(Heard::OutcomeUnknown));
 }
 
-/// With a timeout above 10 s an answer counted that was given when the server may have forgotten.
+/// Regression: with a timeout above 10 s, the client accepted a reply from when the server may have dropped the record.
 #[test]
-fn an_outcome_counts_no_longer_than_the_server_remembers() {
+fn an_outcome_is_valid_only_while_the_server_keeps_it() {
     let mut desk = Desk::new();
     desk.client.set_timeout(Duration::from_secs(45));
     desk.probe(4711);
@@ -453,7 +453,7 @@ fn an_outcome_counts_no_longer_than_the_server_remembers() {
 }
 
 #[test]
-fn an_init_that_is_under_way_or_given_up_can_be_asked_about() {
+fn a_pending_or_abandoned_init_can_be_queried() {
     for given_up in [false, true] {
         let mut desk = Desk::new();
         desk.probe(4711);
@@ -470,7 +470,7 @@ fn an_init_that_is_under_way_or_given_up_can_be_asked_about() {
 }
 
 #[test]
-fn an_init_that_was_answered_is_not_asked_about() {
+fn an_answered_init_is_not_queried() {
     let mut desk = Desk::new();
     desk.probe(4711);
     let (init, _) = desk.init();
@@ -481,7 +481,7 @@ fn an_init_that_was_answered_is_not_asked_about() {
 }
 
 #[test]
-fn the_longest_message_is_what_the_server_told_last_and_no_name_of_a_scope() {
+fn the_longest_message_comes_from_the_latest_probe_not_a_scope_name() {
     let mut desk = Desk::new();
     assert_eq!(desk.client.longest_message(), None);
     assert_eq!(desk.longest(", message: 65536, scopes: {}"), Some(65_536));

@@ -15,7 +15,7 @@ struct Due {
     kinds: u8,
     /// New deadline for replies that wait for an early end of this task.
     early: Instant,
-    /// Replies with a deadline before this are due, whatever they wait for.
+    /// Replies with a deadline before this are due, even if what they wait for has not happened.
     late: Instant,
 }
 
@@ -83,7 +83,7 @@ impl<M: Memory> Dispatcher<M> {
         self.answer_due(&due, None, out);
     }
 
-    /// Sends the replies that are due. Returns whether one of them is the first to tell its client the
+    /// Sends the replies that are due. Returns whether one of them is the first to send its client the
     /// decision.
     fn answer_due(
         &mut self,

@@ -26,7 +26,7 @@
 //! YAML in flow style. This module reads both in one dialect. Where the two disagree about a text, **Python's
 //! `repr` wins**, because nearly every goal comes from it, **or the text is an error**.
 //!
-//! If the target is a text, the goal is taken unchanged, whatever it looks like: `hello, world: it's`,
+//! If the target is a text, the goal is always taken unchanged: `hello, world: it's`,
 //! `'tis`, `[draft]`, and the empty text. That is how `str` writes a text. For every other target, and for
 //! everything within a collection:
 //!

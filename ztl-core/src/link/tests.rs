@@ -232,7 +232,7 @@ fn written(body: &Body<'_>) -> Vec<u8> {
 }
 
 #[test]
-fn every_message_is_written_and_read_as_postcard_does() {
+fn every_message_is_written_and_read_like_postcard() {
     for (body, twin) in pairs() {
         let ours = written(&body);
         assert_eq!(ours, postcard::to_stdvec(&twin).unwrap(), "{body:?}");
@@ -242,7 +242,7 @@ fn every_message_is_written_and_read_as_postcard_does() {
 }
 
 #[test]
-fn a_node_reads_what_gateways_say_and_nothing_else() {
+fn a_node_reads_only_gateway_messages() {
     for (body, _) in pairs() {
         let bytes = written(&body);
         let expected = match body {
@@ -271,7 +271,7 @@ fn a_node_reads_what_gateways_say_and_nothing_else() {
 }
 
 #[test]
-fn every_message_cut_anywhere_or_followed_by_anything_is_refused() {
+fn truncated_messages_and_trailing_bytes_are_rejected() {
     for (body, _) in pairs() {
         let mut bytes = written(&body);
         for len in 0..bytes.len() {
@@ -283,7 +283,7 @@ fn every_message_cut_anywhere_or_followed_by_anything_is_refused() {
 }
 
 #[test]
-fn values_without_a_meaning_are_refused() {
+fn undefined_values_are_rejected() {
     for bytes in [
         &[17][..],                          // no such message
         &[12, 1, 1, 0],                     // an end that is not final

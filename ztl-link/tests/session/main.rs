@@ -26,7 +26,7 @@ mod restart;
 
 use restart::Disk;
 
-/// What really happened at the motors, whatever anybody says.
+/// The real motions of the motors, independent of any message.
 #[derive(Default)]
 struct World {
     /// How often each goal was begun.
@@ -118,7 +118,7 @@ fn line(seed: u64) -> FaultyLine {
     FaultyLine::new(Faults::default(), seed).with_baud(115_200)
 }
 
-/// What has arrived by now.
+/// The messages that have arrived so far.
 fn arrived(line: &mut FaultyLine, now: Instant) -> Vec<u8> {
     let mut bytes = Vec::new();
     let mut piece = [0xA5; 64];
@@ -268,7 +268,7 @@ impl Lab {
                 assert_eq!(again, None, "{id} rejected twice");
             }
             LinkEvent::Ended(id, state, text) => {
-                // Promise 4: once a client is told that it is over, nothing moves for it.
+                // Promise 4: once a client has a final state, nothing moves for its task.
                 let goal = &self.asked[&id];
                 let moving = self.world.borrow().moving.clone();
                 assert!(
@@ -346,7 +346,7 @@ fn a_task_is_accepted_and_completed() {
 }
 
 #[test]
-fn what_the_device_refuses_is_rejected_with_its_reason() {
+fn a_device_rejection_is_reported_with_its_reason() {
     let mut lab = Lab::new(1);
     let first = lab.ask("arm", 500);
     let second = lab.ask("arm", 500);
@@ -364,7 +364,7 @@ fn what_the_device_refuses_is_rejected_with_its_reason() {
 }
 
 #[test]
-fn a_goal_too_long_for_the_device_is_rejected_with_the_length_it_takes() {
+fn a_goal_too_long_for_the_device_is_rejected_with_the_limit() {
     let mut lab = Lab::new(1);
     lab.pass(Duration::from_millis(300));
     let id = TaskId::new(1).unwrap();
@@ -376,7 +376,7 @@ fn a_goal_too_long_for_the_device_is_rejected_with_the_length_it_takes() {
 }
 
 #[test]
-fn a_task_that_is_not_taken_leaves_its_number_to_the_next_one() {
+fn a_rejected_task_leaves_its_number_to_the_next_one() {
     let mut lab = Lab::new(1);
     lab.pass(Duration::from_millis(300));
     lab.ask("arm", 60_000);
@@ -401,7 +401,7 @@ fn a_task_that_is_not_taken_leaves_its_number_to_the_next_one() {
 }
 
 #[test]
-fn a_device_that_cannot_describe_a_component_is_refused_with_the_reason() {
+fn a_device_that_cannot_describe_a_component_is_rejected_with_the_reason() {
     let mut lab = Lab::new(1);
     let long: &'static str = Box::leak("n".repeat(120).into_boxed_str());
     let motor = |place, name| Motor {
@@ -422,7 +422,7 @@ fn a_device_that_cannot_describe_a_component_is_refused_with_the_reason() {
 }
 
 #[test]
-fn without_a_device_a_task_is_rejected_in_time_and_never_moves() {
+fn without_a_device_a_task_is_rejected_in_time_and_never_starts() {
     let mut lab = Lab::new(1);
     lab.down.cut(Instant::ZERO..Instant::from_millis(5000));
     let id = lab.ask("arm", 200);
@@ -435,7 +435,7 @@ fn without_a_device_a_task_is_rejected_in_time_and_never_moves() {
 }
 
 #[test]
-fn a_cut_line_fails_the_task_when_the_device_must_have_acted_and_not_before() {
+fn a_cut_line_fails_the_task_only_after_the_devices_timeout() {
     for (down, up) in [(true, false), (false, true), (true, true)] {
         let mut lab = Lab::new(1);
         lab.pass(Duration::from_millis(300));
@@ -457,7 +457,7 @@ fn a_cut_line_fails_the_task_when_the_device_must_have_acted_and_not_before() {
         let (state, text) = ended(&lab, id);
         assert_eq!(state, State::Failed);
         assert!(["device is not answering", "link was lost"].contains(&text));
-        // What carries on stays, and its true end is told.
+        // A task that carries on stays, and its true outcome is reported.
         assert!(!lab.ended.contains_key(&belt));
         lab.pass(Duration::from_secs(20));
         assert_eq!(ended(&lab, belt).0, State::Completed);
@@ -466,7 +466,7 @@ fn a_cut_line_fails_the_task_when_the_device_must_have_acted_and_not_before() {
 }
 
 #[test]
-fn a_reset_fails_the_tasks_that_the_device_held_and_it_serves_again() {
+fn a_reset_fails_the_devices_tasks_and_it_serves_again() {
     let mut lab = Lab::new(1);
     let id = lab.ask("arm", 60_000);
     lab.pass(Duration::from_millis(500));
@@ -480,7 +480,7 @@ fn a_reset_fails_the_tasks_that_the_device_held_and_it_serves_again() {
 }
 
 #[test]
-fn a_task_outlives_a_line_that_is_unplugged_for_a_moment() {
+fn a_task_survives_a_briefly_unplugged_line() {
     let mut lab = Lab::new(1);
     let id = lab.ask("arm", 2000);
     lab.pass(Duration::from_millis(500));
@@ -491,7 +491,7 @@ fn a_task_outlives_a_line_that_is_unplugged_for_a_moment() {
 }
 
 #[test]
-fn an_abort_is_sent_again_in_a_new_session() {
+fn an_abort_is_resent_in_a_new_session() {
     let mut lab = Lab::new(1);
     let id = lab.ask("belt", 60_000);
     lab.pass(Duration::from_millis(500));
@@ -505,7 +505,7 @@ fn an_abort_is_sent_again_in_a_new_session() {
 }
 
 #[test]
-fn a_device_left_by_another_gateway_is_stopped_and_its_ends_acknowledged() {
+fn another_gateways_tasks_are_aborted_and_acknowledged() {
     let mut lab = Lab::new(1);
     let stranger = lab.ask("arm", 60_000);
     lab.pass(Duration::from_millis(500));
@@ -521,12 +521,12 @@ fn a_device_left_by_another_gateway_is_stopped_and_its_ends_acknowledged() {
     assert_eq!(ended(&lab, next).0, State::Completed);
 }
 
-/// Seed 10733 of the simulation: the gateway took the reborn device for the one before, and later
-/// told `device was reset` of a task that was running.
+/// Seed 10733 of the simulation: the gateway took the reset device for the earlier one, and later
+/// reported `device was reset` for a running task.
 #[test]
-fn a_welcome_from_before_a_reset_opens_no_session_with_the_reborn_device() {
+fn a_welcome_from_before_a_reset_opens_no_session() {
     let mut lab = Lab::new(1);
-    // What the device says is held back; it is reset meanwhile.
+    // The device's messages are delayed; it is reset meanwhile.
     lab.up.hold_until(lab.now + Duration::from_millis(800));
     lab.pass(Duration::from_millis(200));
     lab.reset();

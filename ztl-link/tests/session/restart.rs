@@ -46,7 +46,7 @@ impl Storage for Disk {
     }
 }
 
-/// Wall clocks are none of the simulation's.
+/// The simulation has no wall clock.
 fn moment() -> Moment {
     Moment {
         wall: UNIX_EPOCH,
@@ -73,7 +73,7 @@ impl Lab {
         self.disk.0.lock().unwrap().0.extend_from_slice(torn);
         let disk = self.disk.clone();
         let log = JournalRecords::open(disk.clone(), &disk.written(), moment(), 0);
-        // An end that was told is known, and is the same.
+        // A reported outcome is known and unchanged.
         let ends: BTreeMap<TaskId, (State, String)> = log
             .ended(moment())
             .into_iter()
@@ -82,7 +82,7 @@ impl Lab {
         for (id, end) in &self.ended {
             assert_eq!(ends.get(id), Some(end), "{id} was told another end");
         }
-        // One that was written and not told is told now.
+        // A journaled outcome that was not reported is reported now.
         for (id, (state, text)) in &ends {
             if *state == State::Rejected {
                 self.rejected.insert(*id, text.clone());
@@ -100,7 +100,7 @@ impl Lab {
                 !self.accepted.contains_key(id),
                 "{id} was accepted and is forgotten"
             );
-            // Nobody was told its id, and it must never move.
+            // No client received its id, and it must never move.
             self.rejected.insert(*id, "forgotten".to_owned());
         }
         self.session = session(&disk);
@@ -116,7 +116,7 @@ impl Lab {
 }
 
 #[test]
-fn a_restarted_gateway_goes_on_with_what_the_device_holds() {
+fn a_restarted_gateway_continues_the_devices_tasks() {
     let mut lab = Lab::new(1);
     let arm = lab.ask("arm", 1500);
     let belt = lab.ask("belt", 3000);
@@ -132,7 +132,7 @@ fn a_restarted_gateway_goes_on_with_what_the_device_holds() {
 }
 
 #[test]
-fn a_start_that_was_written_and_not_sent_never_starts() {
+fn a_journaled_but_unsent_start_never_runs() {
     let mut lab = Lab::new(1);
     lab.pass(Duration::from_millis(300));
     lab.down.cut(lab.now..lab.now + Duration::from_millis(100));
@@ -148,7 +148,7 @@ fn a_start_that_was_written_and_not_sent_never_starts() {
 }
 
 #[test]
-fn a_restarted_gateway_waits_until_a_silent_device_must_have_acted() {
+fn a_restarted_gateway_waits_for_a_silent_devices_timeout() {
     let mut lab = Lab::new(1);
     let arm = lab.ask("arm", 60_000);
     let belt = lab.ask("belt", 20_000);
@@ -167,7 +167,7 @@ fn a_restarted_gateway_waits_until_a_silent_device_must_have_acted() {
 }
 
 #[test]
-fn an_end_that_cannot_be_written_is_not_told_and_not_acknowledged() {
+fn an_outcome_that_cannot_be_journaled_is_neither_reported_nor_acknowledged() {
     let mut lab = Lab::new(1);
     let id = lab.ask("arm", 400);
     lab.pass(Duration::from_millis(300));
@@ -192,7 +192,7 @@ fn an_end_that_cannot_be_written_is_not_told_and_not_acknowledged() {
 }
 
 #[test]
-fn an_end_that_the_gateway_decides_is_not_told_before_it_is_written_either() {
+fn an_outcome_decided_by_the_gateway_is_journaled_before_it_is_reported() {
     let mut lab = Lab::new(1);
     let id = lab.ask("arm", 60_000);
     lab.pass(Duration::from_millis(300));
@@ -207,7 +207,7 @@ fn an_end_that_the_gateway_decides_is_not_told_before_it_is_written_either() {
 }
 
 #[test]
-fn a_task_that_never_started_and_a_new_one_are_not_taken_for_each_other() {
+fn a_task_that_never_started_is_not_confused_with_a_new_one() {
     for wait in (300..900).step_by(50) {
         let mut lab = Lab::new(1);
         lab.pass(Duration::from_millis(300));
@@ -229,14 +229,14 @@ fn a_task_that_never_started_and_a_new_one_are_not_taken_for_each_other() {
 }
 
 #[test]
-fn a_start_that_died_with_its_gateway_is_not_taken_for_anothers_task() {
+fn a_start_lost_with_its_gateway_is_not_confused_with_another_task() {
     let mut lab = Lab::new(7);
     lab.pass(Duration::from_millis(300));
     // The Start is written down, and the gateway dies before the line takes it.
     let mine = lab.ask("belt", 700);
     lab.down.lose();
     assert_eq!(lab.world.borrow().begun.len(), 0);
-    // Another gateway, with a journal of its own, takes the device over.
+    // Another gateway, with its own journal, takes over the device.
     let other = Disk::default();
     let disk = std::mem::replace(&mut lab.disk, other.clone());
     lab.session = session(&other);
@@ -280,7 +280,7 @@ fn a_reset_with_the_same_boot_id_is_no_rejection() {
 }
 
 #[test]
-fn a_device_whose_link_timeout_is_none_is_refused() {
+fn a_device_with_an_out_of_range_link_timeout_is_rejected() {
     for (millis, taken) in [
         (0, false),
         (49, false),

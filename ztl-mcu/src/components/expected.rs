@@ -1,4 +1,4 @@
-//! Tells the author of a goal what a component takes.
+//! Explains to the author of a goal which goals a component accepts.
 
 use super::number;
 use crate::component::Report;

@@ -23,7 +23,7 @@ const TAKEN: &str = "on, off, or pulse 1 to 3600000 ms";
 pub enum SafeOutput {
     /// It goes off.
     Off,
-    /// It goes on: a warning lamp, a brake that needs power.
+    /// It stays on: a warning lamp, a brake that needs power.
     On,
     /// It keeps its level, but a pulse ends.
     Keep,

@@ -66,7 +66,7 @@ struct Desk<'c, C: Components> {
     node: Node<'static, C, 6, 160>,
     now: Instant,
     seq: u8,
-    /// What the node said, but for progress and pongs.
+    /// The node's messages except progress and pongs.
     heard: Vec<String>,
     ended: Vec<LinkId>,
     progress: &'c Cell<usize>,
@@ -132,7 +132,7 @@ impl<C: Components> Desk<'_, C> {
                     state,
                     result,
                 } => {
-                    // It is repeated, as nobody acknowledges it.
+                    // It is repeated, because the test does not acknowledge it.
                     if self.ended.contains(&task) {
                         continue;
                     }
@@ -166,7 +166,7 @@ impl<C: Components> Desk<'_, C> {
     }
 }
 
-/// What the firmware is connected to.
+/// The simulated hardware.
 #[derive(Default)]
 struct World {
     pan: Cell<u16>,
@@ -214,7 +214,7 @@ fn desk(world: &World) -> Desk<'_, impl Components + use<'_>> {
 }
 
 #[test]
-fn they_say_what_they_take() {
+fn each_component_describes_its_goals() {
     let world = World::default();
     let mut desk = desk(&world);
     for index in 0..4 {
@@ -232,7 +232,7 @@ fn they_say_what_they_take() {
 }
 
 #[test]
-fn they_carry_out_tasks_at_the_same_time() {
+fn components_run_tasks_concurrently() {
     let world = World::default();
     world.button.set(1);
     let mut desk = desk(&world);
@@ -261,7 +261,7 @@ fn they_carry_out_tasks_at_the_same_time() {
 }
 
 #[test]
-fn a_lost_link_makes_them_safe() {
+fn a_lost_link_makes_each_component_safe() {
     let world = World::default();
     let mut desk = desk(&world);
     desk.start(1, 0, "90");
@@ -286,7 +286,7 @@ fn a_lost_link_makes_them_safe() {
 }
 
 #[test]
-fn a_lost_link_makes_safe_what_was_switched_on_long_before() {
+fn a_lost_link_makes_outputs_of_earlier_tasks_safe() {
     let world = World::default();
     let mut desk = desk(&world);
     desk.start(1, 0, "0");
@@ -311,7 +311,7 @@ fn a_lost_link_makes_safe_what_was_switched_on_long_before() {
 }
 
 #[test]
-fn an_abort_ends_each_where_it_stopped() {
+fn an_abort_reports_where_each_component_stopped() {
     let world = World::default();
     let mut desk = desk(&world);
     desk.start(1, 0, "90");

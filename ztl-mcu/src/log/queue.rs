@@ -287,7 +287,7 @@ mod tests {
     }
 
     #[test]
-    fn a_record_of_an_interrupt_follows_the_one_being_copied() {
+    fn an_interrupts_record_follows_the_one_being_copied() {
         let queue = LogQueue::<16>::new();
         let in_ring = |act: &mut dyn FnMut(&mut Ring<16>)| queue.with(|state| act(&mut state.ring));
         let mut place = None;

@@ -32,7 +32,7 @@ impl<C: Components, const TASKS: usize> Runner<C, TASKS> {
         let _ = self.abort(LinkId(id.get()), now);
     }
 
-    /// Reports each task that changed since the last call, and forgets those that ended.
+    /// Reports each task that changed since the last call, and drops the ended ones.
     pub(crate) fn report_changes(&mut self, mut report: impl FnMut(TaskId, State, &str)) {
         for task in self.tasks.held_mut().filter(|task| task.is_due()) {
             task.changed = false;

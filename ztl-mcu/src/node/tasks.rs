@@ -168,7 +168,7 @@ impl<const N: usize> Table<N> {
         self.held_mut().find(|task| task.id == id)
     }
 
-    /// The gateway knows the outcome of this task, so the task is forgotten, if it has ended.
+    /// The gateway knows the outcome of this task. Drops the task if it has ended.
     pub(super) fn acknowledge(&mut self, id: LinkId) {
         if let Some(task) = self.get_mut(id)
             && task.end().is_some()

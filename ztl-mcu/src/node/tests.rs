@@ -18,10 +18,10 @@ use ztl_core::link::{
     session_key,
 };
 
-/// What a motor was told, in order.
+/// The calls that a motor received, in order.
 type Trace = RefCell<Grown<String>>;
 
-/// Moves until it is told to end.
+/// Moves until it is aborted.
 #[derive(Debug, Clone, PartialEq, Eq)]
 struct Motor<'t> {
     name: &'static str,
@@ -132,7 +132,7 @@ fn key(hello: u32) -> u32 {
     session_key(hello, 77)
 }
 
-/// What a node says, with the seq in front.
+/// A node's messages, with the seq in front.
 fn said<C: Components, const TASKS: usize>(
     node: &mut Node<'_, C, TASKS, 128>,
     now: Instant,
@@ -272,7 +272,7 @@ fn assert_said(heard: Grown<String>, expected: &[&str]) {
 }
 
 #[test]
-fn it_announces_itself_until_it_is_greeted_and_follows_nothing_before() {
+fn a_node_sends_awake_and_ignores_commands_until_a_hello() {
     with_node(|desk, _| {
         assert_said(desk.pass(0), &["Awake 77"]);
         assert_said(desk.pass(1), &[]);
@@ -299,7 +299,7 @@ fn it_announces_itself_until_it_is_greeted_and_follows_nothing_before() {
 }
 
 #[test]
-fn a_hello_with_a_number_that_is_no_session_is_ignored() {
+fn a_hello_with_an_invalid_session_is_ignored() {
     with_node(|desk, _| {
         for number in [0, u32::MAX] {
             assert_said(
@@ -318,7 +318,7 @@ fn a_hello_with_a_number_that_is_no_session_is_ignored() {
 }
 
 #[test]
-fn nodes_are_equal_when_they_will_do_the_same() {
+fn nodes_with_the_same_future_behaviour_are_equal() {
     with_node(|desk, _| {
         desk.hello(5, 1);
         let before = desk.node.clone();
@@ -334,7 +334,7 @@ fn nodes_are_equal_when_they_will_do_the_same() {
 }
 
 #[test]
-fn a_repeated_command_is_answered_again_and_not_executed_again() {
+fn a_repeated_command_is_answered_but_not_executed_again() {
     with_node(|desk, trace| {
         desk.hello(5, 1);
         assert_said(desk.start(1, 9, 0, "50"), &["1 Started 9"]);
@@ -342,7 +342,7 @@ fn a_repeated_command_is_answered_again_and_not_executed_again() {
         assert_said(desk.start(1, 9, 0, "50"), &["1 Started 9"]);
         assert_eq!(trace.borrow().as_slice(), ["a 50"]);
         assert_eq!(desk.node.counters().repeats, 2);
-        // Out of sequence: neither the one before nor one further on.
+        // Out of sequence: the previous number and one too far ahead.
         assert_said(desk.command(3, Body::Ping), &[]);
         assert_said(desk.command(255, Body::Ping), &[]);
         assert_eq!(desk.node.counters().out_of_sequence, 2);
@@ -351,7 +351,7 @@ fn a_repeated_command_is_answered_again_and_not_executed_again() {
 }
 
 #[test]
-fn the_sequence_goes_on_after_255_without_0() {
+fn the_sequence_number_wraps_from_255_to_1() {
     with_node(|desk, _| {
         desk.hello(5, 1);
         for seq in 1..=255 {
@@ -363,7 +363,7 @@ fn the_sequence_goes_on_after_255_without_0() {
 }
 
 #[test]
-fn a_task_runs_tells_progress_and_repeats_its_end_until_acknowledged() {
+fn a_task_reports_progress_and_repeats_its_outcome_until_acknowledged() {
     with_node(|desk, _| {
         desk.hello(5, 1);
         desk.start(1, 9, 0, "50");
@@ -393,7 +393,7 @@ fn an_acknowledgement_of_a_running_task_changes_nothing() {
 }
 
 #[test]
-fn what_cannot_be_started_is_refused_with_the_reason() {
+fn a_task_that_cannot_start_is_rejected_with_the_reason() {
     with_node(|desk, trace| {
         desk.hello(5, 1);
         assert_said(desk.start(1, 9, 0, "far"), &["1 Refused a number of ms"]);
@@ -432,7 +432,7 @@ fn what_cannot_be_started_is_refused_with_the_reason() {
 }
 
 #[test]
-fn abort_stops_the_task_and_its_end_is_told() {
+fn abort_stops_the_task_and_reports_its_outcome() {
     with_node(|desk, trace| {
         desk.hello(5, 1);
         desk.start(1, 9, 0, "50");
@@ -448,7 +448,7 @@ fn abort_stops_the_task_and_its_end_is_told() {
 }
 
 #[test]
-fn when_the_link_brings_nothing_new_each_component_acts_as_it_said() {
+fn without_new_commands_each_component_follows_its_loss_policy() {
     with_node(|desk, trace| {
         desk.hello(5, 1);
         desk.start(1, 9, 0, "5000");
@@ -476,7 +476,7 @@ fn when_the_link_brings_nothing_new_each_component_acts_as_it_said() {
 }
 
 #[test]
-fn hold_goes_to_its_safe_state_and_fails_too() {
+fn a_holding_component_becomes_safe_and_its_task_fails() {
     with_node(|desk, trace| {
         desk.hello(5, 1);
         desk.start(1, 9, 1, "5000");
@@ -486,7 +486,7 @@ fn hold_goes_to_its_safe_state_and_fails_too() {
 }
 
 #[test]
-fn a_new_session_keeps_the_tasks_and_tells_which() {
+fn a_new_session_keeps_and_lists_the_tasks() {
     with_node(|desk, _| {
         desk.hello(5, 1);
         desk.start(1, 9, 0, "500");
@@ -501,7 +501,7 @@ fn a_new_session_keeps_the_tasks_and_tells_which() {
 }
 
 #[test]
-fn another_gateway_is_refused_while_the_session_lives() {
+fn another_gateway_is_rejected_during_a_session() {
     with_node(|desk, _| {
         desk.hello(5, 1);
         desk.command(1, Body::Ping);
@@ -520,7 +520,7 @@ fn another_gateway_is_refused_while_the_session_lives() {
 }
 
 #[test]
-fn gateways_that_take_each_other_s_place_leave_the_numbers_of_tasks_to_tasks() {
+fn repeated_gateway_takeovers_use_up_few_task_numbers() {
     with_node(|desk, _| {
         desk.hello(1, 1);
         for takeover in 2..70_000u32 {
@@ -528,7 +528,7 @@ fn gateways_that_take_each_other_s_place_leave_the_numbers_of_tasks_to_tasks() {
             let heard = desk.hello(takeover, takeover.into());
             assert!(heard[0].starts_with("Welcome"), "{heard:?}");
         }
-        // One number each: that of a `Start` which never came.
+        // Each takeover uses one number: that of a `Start` that never arrived.
         let number = 70_000 - 2;
         let again = "a task of this or a later id was started already";
         assert_said(
@@ -558,7 +558,7 @@ fn an_emergency_stop_is_latched() {
 }
 
 #[test]
-fn any_bytes_leave_it_able_to_be_greeted() {
+fn a_node_accepts_a_hello_after_any_bytes() {
     with_node(|desk, _| {
         // A small generator, so that the test needs no dependency and always plays the same.
         let mut seed = 1u32;
@@ -575,7 +575,7 @@ fn any_bytes_leave_it_able_to_be_greeted() {
 }
 
 #[test]
-fn a_command_that_comes_after_the_link_timeout_does_not_save_the_task() {
+fn a_command_after_the_link_timeout_does_not_save_the_task() {
     with_node(|desk, _| {
         desk.hello(5, 1);
         desk.start(1, 7, 0, "50000");

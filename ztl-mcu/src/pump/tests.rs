@@ -20,7 +20,7 @@ use ztl_core::link::{
     Offer, VERSION, encode, session_key,
 };
 
-/// Moves until it is stopped, and has endless readings if it is told so.
+/// Moves until it is stopped, with endless readings if configured.
 #[derive(Default)]
 pub(super) struct Belt {
     moves: Cell<bool>,
@@ -123,7 +123,7 @@ fn start() -> Vec<u8> {
     frame(KEY, 1, start)
 }
 
-/// What was sent, in short.
+/// A summary of the sent frames.
 fn said(bytes: &[u8]) -> Vec<String> {
     let mut decoder = Decoder::<160>::new();
     let mut said = Vec::new();
@@ -225,7 +225,7 @@ fn a_turn_reads_moves_and_sends() {
 }
 
 #[test]
-fn what_could_not_be_written_is_sent_in_the_next_turn() {
+fn unwritten_bytes_are_sent_in_the_next_turn() {
     let (mut node, mut port) = (node(), Port::default());
     port.faults = 1;
     let pump = Pump::new();
@@ -236,7 +236,7 @@ fn what_could_not_be_written_is_sent_in_the_next_turn() {
 }
 
 #[test]
-fn a_turn_ends_though_readings_and_bytes_do_not() {
+fn a_turn_ends_despite_endless_readings_and_bytes() {
     let (mut node, mut port) = (node(), Port::default());
     let pump = Pump::new();
     begin(&pump, &mut node, &mut port);
@@ -275,7 +275,7 @@ impl LogSource for Page {
 }
 
 #[test]
-fn the_log_is_looked_at_every_10_ms() {
+fn the_log_is_polled_every_10_ms() {
     let (mut node, mut port) = (node(), Port::default());
     let page = Page(Cell::new(0));
     let pump = Pump::new().with_log(&page);
@@ -289,7 +289,7 @@ fn the_log_is_looked_at_every_10_ms() {
 
 #[cfg(feature = "critical-section")]
 #[test]
-fn interrupts_receive_and_stop() {
+fn interrupts_can_receive_bytes_and_stop_the_node() {
     use crate::shared::{ReceiveQueue, StopFlag};
 
     static RECEIVED: ReceiveQueue<64> = ReceiveQueue::new();

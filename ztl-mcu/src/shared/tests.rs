@@ -36,7 +36,7 @@ fn drain<const N: usize>(queue: &ReceiveQueue<N>, decoder: &mut Decoder<32>, see
 }
 
 #[test]
-fn an_overflow_is_counted_and_what_comes_after_the_gap_is_read() {
+fn an_overflow_is_counted_and_later_bytes_are_read() {
     // Wherever the overflow begins and ends, what is lost are whole frames.
     for room in 0..30usize {
         let queue = ReceiveQueue::<32>::new();
@@ -60,7 +60,7 @@ fn an_overflow_is_counted_and_what_comes_after_the_gap_is_read() {
 }
 
 #[test]
-fn after_a_gap_nothing_is_kept_before_a_delimiter() {
+fn after_a_gap_bytes_are_dropped_until_a_delimiter() {
     let queue = ReceiveQueue::<4>::new();
     let mut buffer = [0xA5; 8];
     (1..=6).for_each(|byte| queue.push(byte));

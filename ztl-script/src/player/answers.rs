@@ -201,7 +201,7 @@ impl Player {
             return;
         };
         task.asked = None;
-        // An answer that comes after the outcome was lost tells nothing.
+        // A reply that arrives after the outcome was lost is ignored.
         if task.state.is_over() || !task.can_be_asked() {
             return;
         }

@@ -63,7 +63,7 @@ impl Player {
         self.options.scene.or(from).unwrap_or(0)
     }
 
-    /// Shows a scene, or after the last one asks what comes next.
+    /// Shows a scene, or after the last one asks what to do next.
     pub(super) fn show(&mut self, scene: usize) {
         self.phase = Phase::Idle;
         if scene < self.script.scenes.len() {

@@ -23,7 +23,7 @@ pub(super) const PATIENCE: Duration = Duration::from_secs(60);
 /// What is played of a script, and how.
 #[derive(Debug, Clone, Default)]
 pub struct PlayOptions {
-    /// Nobody is asked: each scene is played, and what only a person could decide stops everything.
+    /// No operator: each scene is played, and a decision that needs a person stops everything.
     pub unattended: bool,
     /// Play only this scene.
     pub scene: Option<usize>,
@@ -137,7 +137,7 @@ pub(super) struct StepPlay {
     pub(super) todo: VecDeque<Todo>,
     /// What was started and not repeated.
     pub(super) tasks: Vec<TaskNumber>,
-    /// The wait that the operator was told of.
+    /// The wait that the operator was shown.
     pub(super) told: Option<ToldWait>,
     /// The operator was asked about this step: nothing of it is retried without a decision.
     pub(super) asked: bool,
@@ -145,7 +145,7 @@ pub(super) struct StepPlay {
     pub(super) begun: bool,
 }
 
-/// Why a step waits, as the operator was told.
+/// Why a step waits, as shown to the operator.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) struct ToldWait {
     pub(super) why: WaitReason,
@@ -201,7 +201,7 @@ pub(super) struct RunTask {
     pub(super) late: bool,
     /// Why its state is unknown, and since when.
     pub(super) unknown: Option<(WaitReason, Instant)>,
-    /// The operator decided to go on without it.
+    /// The operator decided to continue without it.
     pub(super) excused: bool,
     /// ABORTs sent.
     pub(super) aborts: u32,
@@ -209,7 +209,7 @@ pub(super) struct RunTask {
     pub(super) aborting: bool,
     /// It was not started because its server is not there.
     pub(super) absent: bool,
-    /// The operator was told the result of stopping it.
+    /// The operator was shown the result of stopping it.
     pub(super) stop_told: bool,
 }
 

@@ -1,4 +1,4 @@
-//! When a step is over, why it is not, and what comes then.
+//! When a step is over, why it is not, and what happens next.
 
 use ztl_core::Instant;
 
@@ -69,7 +69,7 @@ impl Player {
         }
     }
 
-    /// The reason to wait that the operator was told of is settled.
+    /// The reason to wait that the operator saw no longer applies.
     fn settled(&mut self) {
         let Some((scene, step)) = self.step_mut() else {
             return;
@@ -214,7 +214,7 @@ impl Player {
         self.emit(RunEvent::Resumed);
     }
 
-    /// Leaves the scene being played, whatever is under way.
+    /// Leaves the current scene, even while tasks are running.
     pub(super) fn leave_play(&mut self) {
         let Phase::Playing(play) = &mut self.phase else {
             return;

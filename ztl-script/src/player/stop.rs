@@ -15,7 +15,7 @@ const TRIES: u32 = 3;
 
 /// Said about a task whose INIT was not answered.
 pub(super) const UNNAMED: &str =
-    "whether it was started is unknown, and it cannot be named to the server";
+    "whether it was started is unknown, and without an id it cannot be aborted";
 
 impl Player {
     /// Whether a task is being stopped.
@@ -140,7 +140,7 @@ impl Player {
             }
             Some(_) => {}
             None => {
-                // Its time limit cannot end the step, and nobody can decide.
+                // Its time limit cannot end the step, and there is no operator to decide.
                 let stuck = self.options.unattended && unstoppable && !stopping;
                 if stuck && matches!(self.phase, Phase::Playing(_)) {
                     self.obey(now, RunCommand::Stop, DecidedBy::Script);

@@ -138,7 +138,7 @@ impl Player {
         if self.patience_wake(task).is_some_and(|wake| now >= wake) {
             let (remote, patience) = (&task.remote, PATIENCE.as_secs());
             let text = format!(
-                "'{remote}' has not told an end for {patience} s, and nobody is there to decide"
+                "'{remote}' has reported no final state for {patience} s, and there is no operator to decide"
             );
             self.emit(RunEvent::Note { text });
             return self.obey(now, RunCommand::Stop, DecidedBy::Script);

@@ -51,7 +51,7 @@ impl Reader<'_> {
         let seconds = self.parsed(entry, key, piece, read)?;
         let delay = params::delay(seconds);
         if seconds < 0.0 {
-            let message = "a delay below 0 is no delay";
+            let message = "a delay cannot be negative";
             let help = "write the seconds to wait, as delay=3".to_owned();
             self.doubt_at(entry, key, piece, message, Some(help));
         } else if delay > LONG_DELAY {
@@ -71,8 +71,8 @@ impl Reader<'_> {
         let text = piece.value.unwrap_or_default();
         let limit = self.parsed(entry, key, piece, params::limit(text))?;
         if limit.is_none() && text != "none" {
-            let message = "a limit of 0 seconds is no limit";
-            let help = "write timeout=30, or timeout=none if that is meant".to_owned();
+            let message = "a limit must be above 0 seconds";
+            let help = "write timeout=30, or timeout=none for no limit".to_owned();
             self.doubt_at(entry, key, piece, message, Some(help));
         }
         Some(limit)
@@ -147,7 +147,7 @@ impl Reader<'_> {
                 (piece.text, message, all())
             }
             (Some(name), None) if name.bytes().all(|c| c.is_ascii_digit()) => {
-                let message = format!("'{name}' is a parameter of its own here");
+                let message = format!("'{name}' is a separate parameter here");
                 (
                     name,
                     message,

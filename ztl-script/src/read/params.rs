@@ -154,7 +154,7 @@ pub(super) fn limit(text: &str) -> Result<Option<Duration>, String> {
 fn stated_limit(text: &str) -> Result<Option<Duration>, String> {
     match limit(text)? {
         None if text != "none" => {
-            Err("a limit of 0 seconds is no limit; write seconds, as 30, or none".to_owned())
+            Err("a limit must be above 0 seconds; write seconds, as 30, or none".to_owned())
         }
         limit => Ok(limit),
     }
@@ -179,7 +179,9 @@ pub(super) fn on_failure(text: &str) -> Result<OnFailure, String> {
         ["retry"] => Ok(OnFailure::Retry(1)),
         ["retry", count] => match count.parse() {
             Ok(count) => Ok(OnFailure::Retry(count)),
-            Err(_) => Err(format!("'{count}' is no number of times; write retry 2")),
+            Err(_) => Err(format!(
+                "invalid number of retries '{count}'; write retry 2"
+            )),
         },
         _ => {
             let known = ["ask", "stop", "go on", "retry 2"];

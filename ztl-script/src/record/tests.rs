@@ -84,7 +84,7 @@ fn a_full_disk_is_reported_once_and_the_record_counts_lost_events() {
         texts,
         ["before", "2 events are lacking in the record here", "after"]
     );
-    // What was cut off does not spoil the next line.
+    // A truncated line does not spoil the next one.
     assert!(
         damage[0].starts_with("run.jsonl:3: no event: "),
         "{damage:?}"
@@ -166,7 +166,7 @@ fn a_line_without_an_event_is_skipped_and_reported_with_its_number() {
 }
 
 #[test]
-fn a_file_that_is_no_record_is_reported_in_a_bounded_list() {
+fn an_invalid_record_is_reported_in_a_bounded_list() {
     let (runs, damage) = read("movie.mp4", &b"\xff\xfe\n".repeat(10_000)[..]).unwrap();
     assert_eq!(runs, []);
     assert_eq!(damage.len(), MOST + 1);

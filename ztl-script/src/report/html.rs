@@ -96,7 +96,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn no_text_becomes_markup() {
+    fn markup_in_text_is_escaped() {
         assert_eq!(
             escape("<b onclick=\"x('&')\">\u{202e}\u{7}\n"),
             "&lt;b onclick=&quot;x(&#39;&amp;&#39;)&quot;&gt;\u{fffd}\u{fffd} "

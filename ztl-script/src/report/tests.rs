@@ -369,7 +369,7 @@ fn a_run_counts_as_stopped_only_if_nothing_may_still_run() {
 }
 
 #[test]
-fn no_text_of_a_record_becomes_markup() {
+fn text_of_a_record_is_escaped() {
     fn poison(value: &mut Value) {
         match value {
             Value::String(text) => text.push_str("\"'><x-evil a=\"'&\u{0}"),
@@ -434,7 +434,7 @@ fn a_damaged_record_is_reported_as_far_as_possible_with_a_warning() {
 }
 
 #[test]
-fn a_page_is_made_whichever_line_is_missing() {
+fn a_page_is_rendered_with_any_line_missing() {
     let all: Vec<&str> = EVENING.lines().collect();
     for lacking in 1..all.len() {
         let mut some = all.clone();

@@ -51,7 +51,7 @@ pub(super) fn cause(cause: &WaitCause) -> String {
 fn why_text(why: &WaitReason) -> String {
     match why {
         WaitReason::ServerSilent { remote } => format!("server '{remote}' is silent"),
-        WaitReason::ServerRestarted { remote } => format!("server '{remote}' was started anew"),
+        WaitReason::ServerRestarted { remote } => format!("server '{remote}' was restarted"),
         WaitReason::TaskUnknown => "a task is unknown to its server".to_owned(),
         WaitReason::NotTold { remote } => {
             format!("server '{remote}' does not say how its tasks are")

@@ -335,7 +335,7 @@ fn missing_programs_and_directories_are_warnings() {
         .collect();
     let expected = [
         "warning: there is no directory /no/such",
-        "warning: /./no/such is not there; install it or correct the path",
+        "warning: /./no/such does not exist; install it or correct the path",
     ];
     assert_eq!(said, expected);
 }

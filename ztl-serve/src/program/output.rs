@@ -1,4 +1,4 @@
-//! A program's output: split into lines, of which a bounded part is kept.
+//! A program's output, split into lines; only a bounded part is kept.
 
 /// Which lines are kept.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

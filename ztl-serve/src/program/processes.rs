@@ -46,7 +46,7 @@ impl ProcessRegistry {
         }
     }
 
-    /// Tells the watchdog of a program, which may be started once `confirmed` is called.
+    /// Announces a program to the watchdog. The program may start once `confirmed` is called.
     pub(crate) fn announce(
         &self,
         charge: Charge,
@@ -70,7 +70,7 @@ impl ProcessRegistry {
     }
 }
 
-/// A program that the watchdog was told of. Dropped, the watchdog forgets it.
+/// A program that was announced to the watchdog. Dropping it removes it from the watchdog.
 pub(crate) struct Announcement {
     registry: ProcessRegistry,
     number: u64,
@@ -133,7 +133,7 @@ impl Process {
     /// Reaps the first process, which has ended or is killed. `kill`: kills the whole group first.
     pub(crate) fn reap(&mut self, kill: bool) -> io::Result<ExitStatus> {
         self.reaped = true;
-        // Once reaped, the group's number may belong to others: nobody may signal it in between.
+        // Once reaped, the group's number may be reused, so holding the lock prevents signals in between.
         let mut groups = self.announcement.registry.groups();
         if kill {
             group::signal(self.group, Signal::KILL);

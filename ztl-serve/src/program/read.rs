@@ -166,7 +166,7 @@ impl<'r, 'd, 'c> ProgramReader<'r, 'd, 'c> {
                     let message = "no client may choose the program; use an argument";
                     self.wrong(node, message);
                 } else if find(text, &self.environment).is_none() {
-                    let message = format!("{text} is not there; install it or correct the path");
+                    let message = format!("{text} does not exist; install it or correct the path");
                     self.reader.warn(node, message);
                 }
             }

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use rustix::process::Signal;
-use ztl_core::dispatcher::UNKNOWN_END;
+use ztl_core::dispatcher::UNKNOWN_OUTCOME;
 
 use super::launch::signal_name;
 use super::output::{Keep, Kept, Output};
@@ -145,7 +145,7 @@ impl Run {
     }
 
     /// Once the first process has ended: whether the run is over. If not, ask again at the next timeout.
-    /// `is_alive` tells whether any process of the group still runs.
+    /// `is_alive` returns whether any process of the group still runs.
     pub(crate) fn is_over(&mut self, now: Instant, is_alive: impl FnOnce() -> bool) -> bool {
         let Some(stopping) = &mut self.stopping else {
             return true;
@@ -160,7 +160,7 @@ impl Run {
         given_up || !is_alive()
     }
 
-    /// Whether processes that the program left behind go on.
+    /// Whether processes that the program left behind may continue.
     pub(crate) fn leaves_behind(&self) -> bool {
         self.stopping.is_none() && !self.program.kills_left_behind
     }
@@ -228,7 +228,7 @@ impl Run {
 
     fn outcome_by_itself(&self, status: Option<ExitStatus>) -> Outcome {
         let Some(status) = status else {
-            return Outcome::Failed(format!("{UNKNOWN_END}its exit status was lost"));
+            return Outcome::Failed(format!("{UNKNOWN_OUTCOME}its exit status was lost"));
         };
         let how = match (status.code(), status.signal()) {
             (Some(0), _) => return self.result(),

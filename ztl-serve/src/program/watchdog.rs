@@ -52,7 +52,7 @@ impl Watchdog {
         })
     }
 
-    /// Tells the watchdog that a program is about to start. Calls `confirmed` on another thread once the watchdog
+    /// Announces to the watchdog that a program is about to start. Calls `confirmed` on another thread once the watchdog
     /// knows of it, unless that is [over](Self::over) before. Returns the number of the program.
     pub(crate) fn announce(
         &self,

@@ -405,7 +405,7 @@ mod tests {
     }
 
     #[test]
-    fn a_sender_ahead_of_the_line_rate_has_no_room() {
+    fn a_sender_ahead_of_the_line_rate_is_blocked() {
         let mut line = FaultyLine::new(Faults::default(), 1).with_baud(1_000_000);
         assert_eq!(line.room(at(0)), 4096);
         line.handle_bytes(at(0), &[0; 4096]);

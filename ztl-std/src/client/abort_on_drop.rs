@@ -24,7 +24,7 @@ impl RemoteTask {
 }
 
 impl AbortOnDrop {
-    /// Lets the task go on.
+    /// Lets the task continue.
     pub fn release(mut self) {
         self.id = None;
     }

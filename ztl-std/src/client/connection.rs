@@ -162,7 +162,7 @@ impl Connection {
         if self.socket.is_none() || !self.probed {
             let mut body = Vec::new();
             let mut sink = |bytes: &[u8]| body.extend_from_slice(bytes);
-            // Sent whatever its length, since its answer tells the longest message.
+            // Sent at any length, because its reply reports the longest message.
             let envelope = self.client.probe(now(), &mut sink);
             let said = self.exchange(wanted, envelope, &body);
             if let Reply::Task(Status { text, .. }) = said.map_err(|unanswered| unanswered.error)? {
@@ -194,7 +194,7 @@ impl Connection {
         Ok(())
     }
 
-    /// The longest message that the server accepts, in bytes, if it tells one.
+    /// The longest message that the server accepts, in bytes, if it reports one.
     fn most(&self) -> Option<usize> {
         let most = usize::try_from(self.client.longest_message()?).ok()?;
         Some(match self.keys {
@@ -331,7 +331,7 @@ impl Connection {
         let answer = match heard {
             Heard::Answer(answer) => answer,
             Heard::NeverStarted => return Ok(Reply::NeverStarted),
-            Heard::FateUnknown => return Err(self.no_answer(start).into()),
+            Heard::OutcomeUnknown => return Err(self.no_answer(start).into()),
             Heard::Unreadable => {
                 let answer = String::from_utf8_lossy(body).into_owned();
                 return Ok(Reply::Unclear(RequestError::Unreadable { answer }));
@@ -350,7 +350,7 @@ impl Connection {
             },
             Answer::Task { state, .. } => Reply::Task(Status { state, text }),
             Answer::UnknownTask { .. } => Reply::UnknownTask { text },
-            Answer::UnknownEnd { .. } => Reply::Unclear(RequestError::UnknownEnd { text }),
+            Answer::UnknownOutcome { .. } => Reply::Unclear(RequestError::UnknownOutcome { text }),
             Answer::OtherTask {
                 state, scope, id, ..
             } => Reply::Unclear(RequestError::OtherTask {
@@ -384,7 +384,7 @@ impl Connection {
         let sent = events == zmq::POLLIN;
         loop {
             let unwanted = wanted.is_some_and(|wanted| !wanted());
-            // The original tells a task's id only in this answer.
+            // The original sends a task's id only in this reply.
             if unwanted && !(sent && self.client.server() == Server::Original) {
                 return Ok(Ready::Unwanted);
             }

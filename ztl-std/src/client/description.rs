@@ -17,9 +17,9 @@ pub struct Description {
     pub version: String,
     /// Differs after each restart of the server.
     pub boot: u32,
-    /// What each scope offers; an empty map if the server does not tell.
+    /// What each scope offers; an empty map if the server does not report it.
     pub scopes: BTreeMap<String, Offers>,
-    /// The tasks that have not ended, by id, with their scopes; `None` if the server does not tell.
+    /// The tasks that have not ended, by id, with their scopes; `None` if the server does not report them.
     #[serde(serialize_with = "as_map")]
     pub running: Option<Vec<(RemoteId, String)>>,
     /// How many more have not ended, but have an unreadable id or scope.
@@ -180,7 +180,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_cannot_be_read_hides_nothing_else() {
+    fn an_unreadable_entry_hides_no_other() {
         let answer = "{ztl: 1, version: '0.1.0', boot: 7, more: {a: [1]}, \
             scopes: {\"/lab\": {\"arm\": [\"left\", \"it's\"], 7: 8, base: [on, {}]}, \"/odd\": x}, \
             running: {8: \"/lab\", 99999999999999999999: /t, x: /t, 8: /u, 9: [], 0: /t}, boot: 9}";

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use ztl_core::dispatcher::UNKNOWN_END;
+use ztl_core::dispatcher::UNKNOWN_OUTCOME;
 use ztl_core::{State, client};
 
 use super::status::Status;
@@ -54,7 +54,7 @@ pub enum RequestError {
         text: String,
     },
     /// The server ended the task as FAILED without having learnt how it ended. It may still run.
-    UnknownEnd {
+    UnknownOutcome {
         /// The server's text.
         text: String,
     },
@@ -117,7 +117,7 @@ impl RequestError {
             self,
             Self::UnknownTask { .. }
                 | Self::NotTold { .. }
-                | Self::UnknownEnd { .. }
+                | Self::UnknownOutcome { .. }
                 | Self::OtherTask { .. }
                 | Self::UndefinedState { .. }
                 | Self::Unreadable { .. }
@@ -139,8 +139,8 @@ impl std::fmt::Display for RequestError {
                 most,
             } => write!(
                 f,
-                "the message has {bytes} bytes, and the server at {endpoint} takes at most {most}, of which a \
-                 goal can be somewhat less than {}, since it goes as base64",
+                "the message has {bytes} bytes, and the server at {endpoint} takes at most {most}; a \
+                 goal can have somewhat less than {}, because it is sent as base64",
                 most / 4 * 3
             ),
             Self::NoAnswer { endpoint, waited } => write!(
@@ -150,14 +150,14 @@ impl std::fmt::Display for RequestError {
             ),
             Self::UnknownTask { id, .. } => write!(
                 f,
-                "the server does not know task {id}: it was started anew or has forgotten it, and how the task ended is unknown"
+                "the server does not know task {id}: it was restarted or has dropped the task, so the outcome is unknown"
             ),
             Self::NotTold { text, .. } => {
                 let text = quoted(text);
-                write!(f, "the server did not say how the task is: {text}")
+                write!(f, "the server did not report the task's state: {text}")
             }
-            Self::UnknownEnd { text } => {
-                let why = quoted(text.strip_prefix(UNKNOWN_END).unwrap_or(text));
+            Self::UnknownOutcome { text } => {
+                let why = quoted(text.strip_prefix(UNKNOWN_OUTCOME).unwrap_or(text));
                 write!(f, "the server could not learn how the task ended: {why}")
             }
             Self::OtherTask { about, text, .. } => write!(
@@ -226,8 +226,8 @@ impl std::fmt::Display for TriggerError {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
             Self::Refused { reason, .. } => write!(f, "refused: {reason}"),
-            Self::NeverCame => f.write_str("it never came to the server, and was not started"),
-            Self::GivenUp => f.write_str("it was given up before it was sent"),
+            Self::NeverCame => f.write_str("it never reached the server and was not started"),
+            Self::GivenUp => f.write_str("it was cancelled before it was sent"),
             Self::Request(cause) if cause.nothing_was_sent() => {
                 write!(f, "{cause}; nothing was sent")
             }

@@ -130,7 +130,7 @@ impl RemoteTask {
 
     /// Starts a task while it is `wanted`, which is called several times a second until there is an answer. When the
     /// task is no longer wanted, a server of this project is asked for the outcome at once, so that the task can be
-    /// aborted. The original's answer is waited for, since nothing else tells the task's id.
+    /// aborted. For the original, this waits for the reply, because nothing else contains the task's id.
     ///
     /// # Errors
     /// Those of [`trigger`](Self::trigger); [`TriggerError::GivenUp`] if the task was no longer wanted before
@@ -262,7 +262,7 @@ impl RemoteTask {
     /// Asks to stop a task, and returns its status: ABORTED, a final state that it had already reached, or
     /// ACCEPTED while it is not stopped yet or cannot be stopped.
     ///
-    /// The answer to an ABORT does not tell the result of an ended task, so a STATUS asks for it. If that fails,
+    /// The answer to an ABORT does not contain the result of an ended task, so a STATUS asks for it. If that fails,
     /// the text is `None`. If the STATUS says that the task runs, that counts.
     ///
     /// # Errors
@@ -274,10 +274,10 @@ impl RemoteTask {
             return Ok(answer);
         }
         match self.status(id) {
-            // Only a STATUS tells whether a failed task may still run.
+            // Only a STATUS shows whether a failed task may still run.
             Err(error)
                 if answer.state == State::Failed
-                    || matches!(error, RequestError::UnknownEnd { .. }) =>
+                    || matches!(error, RequestError::UnknownOutcome { .. }) =>
             {
                 Err(error)
             }

@@ -32,7 +32,7 @@ pub struct Status {
 }
 
 impl Status {
-    /// Whether this answer to an ABORT means that the handler cannot stop the task, which goes on.
+    /// Whether this answer to an ABORT means that the handler cannot stop the task, which continues.
     #[must_use]
     pub fn is_abort_rejected(&self) -> bool {
         client::is_abort_rejected(self.state, &self.text)

@@ -18,7 +18,7 @@ pub struct ServerTasks {
     pub boot: Option<u32>,
     /// Each task once, by scope and id; first those that run or may run.
     pub tasks: Vec<ServerTask>,
-    /// How many more the server remembers.
+    /// How many more tasks the server keeps.
     pub more: usize,
     /// Why other tasks than these may run. Empty if every running task is included.
     pub gaps: Vec<String>,
@@ -38,7 +38,7 @@ pub struct ServerTask {
 }
 
 impl ServerTask {
-    /// `handler:component:goal`; empty if the server does not tell it.
+    /// `handler:component:goal`; empty if the server does not report it.
     #[must_use]
     pub fn task(&self) -> &str {
         self.listed.as_ref().map_or("", |listed| &listed.task)

@@ -28,7 +28,7 @@ pub(super) trait Job: Send + 'static {
     fn refuse(self);
 }
 
-/// The pool. Dropping it discards the jobs that wait; running ones go on.
+/// The pool. Dropping it discards the waiting jobs; running ones continue.
 pub(super) struct Pool<J: Job>(Arc<Shared<J>>);
 
 struct Shared<J> {

@@ -21,7 +21,7 @@ pub trait TaskController: Send + Sync + 'static {
     fn assign(&self, request: &TaskRequest) -> Result<Box<dyn ExecutableTask>, TaskError>;
 
     /// The handlers and their components, for `ztl describe` and others. Called once, on registration.
-    /// Default: none are told.
+    /// Default: an empty list.
     fn offers(&self) -> Offers {
         Offers::new()
     }
@@ -38,14 +38,14 @@ pub trait ExecutableTask: Send + 'static {
     /// (ABORTED).
     fn execute(self: Box<Self>, context: &TaskContext) -> Result<String, TaskError>;
 
-    /// Whether the task can be stopped. If not, an ABORT is answered at once and the task goes on. Default:
+    /// Whether the task can be stopped. If not, an ABORT is answered at once and the task continues. Default:
     /// yes.
     fn can_abort(&self) -> bool {
         true
     }
 
     /// How long the client may be silent before the task is aborted, see
-    /// [`TaskReporter::needs_client`]. Default: the task goes on without its client.
+    /// [`TaskReporter::needs_client`]. Default: the task continues without its client.
     fn needs_client(&self) -> Option<Duration> {
         None
     }

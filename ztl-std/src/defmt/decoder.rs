@@ -26,7 +26,7 @@ impl std::fmt::Display for Malformed {
 
 impl std::error::Error for Malformed {}
 
-/// Decodes the log of one device. Work and memory are proportional to the input, whatever it is.
+/// Decodes the log of one device. Work and memory are proportional to the length of any input.
 #[derive(Debug)]
 pub struct Decoder {
     table: Arc<Table>,

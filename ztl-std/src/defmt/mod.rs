@@ -1,6 +1,6 @@
 //! Decodes firmware's defmt log from the link, with the firmware's ELF file.
 //!
-//! `defmt-decoder` does the same for debuggers. It is not used here because it allocates whatever a damaged
+//! `defmt-decoder` does the same for debuggers. It is not used here because it allocates as much as a damaged
 //! stream or a foreign file asks for, and enables a feature of `serde_json` that changes parsing in the whole
 //! process.
 

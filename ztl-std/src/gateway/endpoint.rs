@@ -243,7 +243,7 @@ impl Endpoint {
         }
     }
 
-    /// Whether both are the same line, as far as their names tell.
+    /// Whether both are the same line, judging by their names.
     pub(super) fn is_same_line(&self, other: &Self) -> bool {
         match (self, other) {
             (Self::Serial { path, .. }, Self::Serial { path: its, .. }) => path == its,

@@ -78,7 +78,7 @@ impl FirmwareLog {
         let device = &self.device;
         if piece.lost > 0 {
             let lost = piece.lost;
-            warn!(target: FIRMWARE, device, lost, "{device}: {lost} bytes of its log were lost, since it had no room for them");
+            warn!(target: FIRMWARE, device, lost, "{device}: {lost} bytes of its log were lost, because its buffer was full");
         }
         if pieces_lost > 0 || piece.reset {
             self.decoder.skip();
@@ -107,7 +107,7 @@ impl FirmwareLog {
                 if self.malformed >= MALFORMED && !self.warned {
                     self.warned = true;
                     let (device, elf) = (&self.device, &self.elf);
-                    warn!(target: GATEWAY, device, "Device '{device}' logs what makes no sense by {elf}: probably it is not the ELF file of its firmware.");
+                    warn!(target: GATEWAY, device, "Device '{device}' sends a log that does not match {elf}: it is probably not the ELF file of its firmware.");
                 }
             }
         }
@@ -117,7 +117,7 @@ impl FirmwareLog {
         let count = std::mem::take(&mut self.left_out);
         if count > 0 {
             let device = &self.device;
-            warn!(target: FIRMWARE, device, "{device}: {count} messages are left out, since there are more than {PER_SECOND} a second");
+            warn!(target: FIRMWARE, device, "{device}: {count} messages were dropped: more than {PER_SECOND} a second");
         }
     }
 

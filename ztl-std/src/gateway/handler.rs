@@ -122,7 +122,7 @@ impl Gateway {
             if map.device(&name).is_some() {
                 continue;
             }
-            warn!(target: GATEWAY, "Device '{name}' has tasks in the journal, and is not served any more.");
+            warn!(target: GATEWAY, "Device '{name}' has tasks in the journal but is no longer served.");
             // Without a thread its tasks stay unended.
             if let Ok(device) = self.devices.spawn(&map, &name, None) {
                 map.retired.insert(name, device);
@@ -131,8 +131,8 @@ impl Gateway {
     }
 
     /// Sets what happens to running tasks when the gateway ends. By default they are aborted, which may take a
-    /// second. With `true` they are left running: what their components do by themselves is logged, and no
-    /// client is told an end.
+    /// second. With `true` they are left running: the log says what their components do by themselves, and
+    /// clients get no final state.
     pub const fn set_leave_running(&mut self, leave: bool) {
         self.leave_running = leave;
     }
@@ -227,7 +227,7 @@ impl TaskHandler for Gateway {
         let mut tasks = journal.ended(|[device, component, goal], mut task| {
             task.payload = encoded(device, component, goal);
             if task.state == State::Rejected {
-                // The text that its client was told.
+                // The text that its client received.
                 let spec = shown(&TaskSpec {
                     handler: device,
                     component,

@@ -1,7 +1,7 @@
 //! The gateway: microcontrollers as handlers of a task server.
 //!
-//! Each device has a [session](ztl_link::Session) on a thread of its own, so a slow or dead device harms no
-//! other. A client's `gripper:finger:40` goes to the device named `gripper`.
+//! Each device has a [session](ztl_link::Session) on its own thread, so a slow or dead device does not affect
+//! others. A client's `gripper:finger:40` goes to the device named `gripper`.
 
 pub mod config;
 mod device;

@@ -1,4 +1,4 @@
-//! Readings that devices publish: passed to observers in this process and to ZeroMQ subscribers, none of which can
+//! Readings that devices publish. They go to observers in this process and to ZeroMQ subscribers, which can never
 //! make a device wait.
 
 use std::sync::{Arc, Mutex, PoisonError};
@@ -32,7 +32,7 @@ impl Observers {
         Readings(take)
     }
 
-    /// Passes a reading to all observers, and forgets those that were dropped.
+    /// Passes a reading to all observers, and removes those that were dropped.
     pub(super) fn publish(&self, topic: impl FnOnce() -> String, bytes: &[u8]) {
         let mut all = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         if all.is_empty() {
@@ -124,7 +124,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_slow_observer_loses_the_oldest_and_harms_no_other() {
+    fn a_slow_observer_loses_the_oldest_and_delays_no_other() {
         let observers = Observers::default();
         let slow = observers.add(2);
         let quick = observers.add(100);

@@ -96,12 +96,17 @@ pub(super) fn would_take(devices: &DeviceReports, spec: &TaskSpec<'_>) -> Result
 }
 
 impl ComponentReport {
-    /// Whether it would take a goal, by its description.
+    /// Whether it would take a goal, by its description, which covers plain words and numbers only.
     fn would_take(&self, goal: &str) -> Result<(), String> {
         let goal = goal.trim();
         // Without either, it does not say what it takes.
         let says = self.range.is_some() || !self.words.is_empty();
-        if !says || self.words.iter().any(|word| word == goal) {
+        // `pulse 200`: a word may need more.
+        let first = goal.split_whitespace().next().unwrap_or_default();
+        // YAML's `on`, a struct, a list or a quoted text may be taken, too.
+        let may =
+            matches!(goal, "True" | "False" | "None") || goal.starts_with(['{', '[', '"', '\'']);
+        if !says || may || self.words.iter().any(|word| word == first) {
             return Ok(());
         }
         let words = self.words.join(", ");
@@ -161,5 +166,45 @@ impl From<&ComponentInfo> for ComponentReport {
             busy,
             loss: loss.to_owned(),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn component(range: Option<(f32, f32)>, words: &[&str]) -> ComponentReport {
+        ComponentReport {
+            name: "lamp".to_owned(),
+            range,
+            unit: "ms".to_owned(),
+            words: words.iter().map(|&word| word.to_owned()).collect(),
+            busy: String::new(),
+            loss: String::new(),
+            topics: Vec::new(),
+        }
+    }
+
+    #[test]
+    fn a_goal_that_the_component_may_take_is_no_mistake() {
+        let lamp = component(Some((1.0, 3_600_000.0)), &["on", "off", "pulse"]);
+        let taken = [
+            "on",
+            " off ",
+            "pulse 200",
+            "200",
+            "True",
+            "{'pulse': 200}",
+            "'on'",
+        ];
+        for goal in taken {
+            assert_eq!(lamp.would_take(goal), Ok(()), "{goal}");
+        }
+        for goal in ["0", "blink", "blink 200", ""] {
+            let why = lamp.would_take(goal).expect_err(goal);
+            let takes = "is not a number from 1 to 3600000 ms, or on, off, pulse";
+            assert_eq!(why, format!("'{goal}' {takes}"));
+        }
+        assert_eq!(component(None, &[]).would_take("anything"), Ok(()));
     }
 }

@@ -75,7 +75,9 @@ impl Access {
         said.push_str(
             match (&self.keys, self.clients.len() + self.clients_of.len()) {
                 (None, _) => "",
-                (Some(_), 0) => ", encrypted; but no client's key is allowed, so nobody gets in",
+                (Some(_), 0) => {
+                    ", encrypted; but no client's key is allowed, so no client can connect"
+                }
                 (Some(_), _) => ", encrypted, with an allowed key",
             },
         );

@@ -1,4 +1,4 @@
-//! The authenticator: decides which connections are accepted, and tells who sent a message.
+//! The authenticator: decides which connections are accepted, and identifies the sender of a message.
 //!
 //! ZeroMQ asks for each connection (ZAP, RFC 27) and attaches the answer to every message that arrives over
 //! it. Messages without an answer are dropped, so any failure denies access.
@@ -17,7 +17,7 @@ use crate::sockets;
 
 /// Where ZeroMQ sends its requests (RFC 27).
 const REQUESTS: &str = "inproc://zeromq.zap.01";
-/// Where the authenticator's thread is told to end.
+/// Where the authenticator's thread receives the request to end.
 const END: &str = "inproc://authenticator-end";
 /// The user id of a connection without a key.
 const NO_KEY: &str = "-";
@@ -239,7 +239,7 @@ impl Worker {
                 || "without a key".to_owned(),
                 |key| format!("with the key {key}"),
             );
-            warn!(target: TASKS, "A client at {address} {who} is not allowed, and was not let in.");
+            warn!(target: TASKS, "A client at {address} {who} is not allowed and was rejected.");
             return Decision::Deny;
         }
         if self.connections.are_too_many() {

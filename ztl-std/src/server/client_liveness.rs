@@ -1,6 +1,6 @@
 //! Client liveness: aborts the tasks of clients that are gone.
 //!
-//! A client counts as gone only if it was heard after its INIT and then fell silent. The original's clients
+//! A client counts as gone only if it sent a request after its INIT and then fell silent. The original's clients
 //! never identify themselves, and a client that only sends INITs may not wait for the result.
 //!
 //! This rule of the protocol (12.7) is not in `ztl-core`, because it needs a list of tasks per client, which
@@ -52,7 +52,7 @@ impl ClientLiveness {
         self.next
     }
 
-    /// The tasks whose clients are gone, each once; `runs` tells which tasks have not ended.
+    /// The tasks whose clients are gone, each once; `runs` returns which tasks have not ended.
     pub(super) fn gone(&mut self, now: Instant, runs: impl Fn(TaskId) -> bool) -> Vec<TaskId> {
         let mut gone = Vec::new();
         if self.next.is_none_or(|next| now < next) {

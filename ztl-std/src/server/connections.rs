@@ -68,7 +68,7 @@ impl Connections {
         let too_many = self.open.get() > self.most;
         if too_many && !self.logged.replace(true) {
             let most = self.most;
-            warn!(target: TASKS, "There are {most} connections, as many as are allowed; more are not let in.");
+            warn!(target: TASKS, "The limit of {most} connections is reached; further ones are rejected.");
         }
         too_many
     }

@@ -9,7 +9,7 @@ use crate::random;
 /// Longest message that clients and servers of this crate accept, in bytes.
 pub const MAX_MESSAGE: usize = 1 << 20;
 
-/// How long a server remembers a task after its end, unless [`Limits::keep`] says otherwise.
+/// How long a server keeps a task after its end, unless [`Limits::keep`] says otherwise.
 pub const KEEP: Duration = Config::new(random::FIRST, 0).keep;
 
 /// Files that a process needs besides its connections: programs, ports, logs.
@@ -34,11 +34,11 @@ pub struct Limits {
     /// Bytes of goals (of running tasks), results (of ended ones) and answers to INITs (for a minute) together. New results replace the
     /// oldest ones. A task is refused while everything but results takes half of it. Default 64 MiB.
     pub memory: usize,
-    /// How long a task is remembered after its end. Default 1 h.
+    /// How long a task is kept after its end. Default 1 h.
     pub keep: Duration,
     /// Requests whose answer is held: undecided INITs, ABORTs, STATUSes that wait. Default 10,000.
     pub held: usize,
-    /// Clients whose last INIT is remembered, see `docs/protocol.md` 9.1. Default 10,000.
+    /// Clients whose last INIT is kept, see `docs/protocol.md` 9.1. Default 10,000.
     pub clients: usize,
     /// Messages per connection that wait to be read, and answers that wait to be taken; further answers are
     /// dropped. Default 256.
@@ -111,7 +111,7 @@ impl Limits {
     }
 }
 
-/// How many files this process may open, if the system tells it.
+/// How many files this process may open, if the system reports it.
 fn open_files() -> Option<usize> {
     let limits = std::fs::read_to_string("/proc/self/limits").ok()?;
     soft_limit(&limits)

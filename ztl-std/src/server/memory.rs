@@ -40,7 +40,7 @@ pub(super) struct ServerMemory {
     inits: HashMap<ClientId, LastInit<HeapText>>,
     /// The client whose last INIT started a task.
     clients: HashMap<TaskId, ClientId>,
-    /// When each answered INIT may be forgotten.
+    /// When each answered INIT may be dropped.
     expiry: BTreeSet<(Instant, ClientId)>,
     /// Until then, an INIT that found no room may be resent.
     full_until: Instant,
@@ -62,7 +62,7 @@ impl ServerMemory {
         }
     }
 
-    /// Changes the limits for what comes from now on.
+    /// Changes the limits for future requests.
     pub(super) fn set_limits(&mut self, limits: Limits) {
         self.limits = limits;
         self.tasks.set_limits(limits);
@@ -230,7 +230,7 @@ impl Memory for ServerMemory {
         _envelope: &Envelope,
         _init: bool,
     ) -> u64 {
-        // INITs are not forgotten early. One that found no room may have come from any client.
+        // INITs are not dropped early. An INIT rejected for lack of space may come from any client.
         if now < self.full_until { u64::MAX } else { 0 }
     }
 
@@ -273,7 +273,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_init_that_found_no_room_is_not_started_when_it_is_resent() {
+    fn a_resent_init_that_was_rejected_for_space_is_not_started() {
         let mut heap = ServerMemory::new(Limits {
             clients: 1,
             ..Limits::default()

@@ -130,7 +130,7 @@ impl Drop for Inbox {
 pub(crate) struct Claim(Arc<OnceLock<bool>>);
 
 impl Claim {
-    /// Claims the task; returns whether it may start. If not, the client was told that it is rejected.
+    /// Claims the task; returns whether it may start. If not, the client has received the rejection.
     #[cfg(feature = "gateway")]
     pub(crate) fn take(&self) -> bool {
         *self.0.get_or_init(|| true)
@@ -176,7 +176,7 @@ impl TaskReporter {
         self.client
     }
 
-    /// Reports nothing more: the task goes on without this process, and the next one learns its end.
+    /// Reports nothing more: the task continues without this process, and the next process learns its outcome.
     pub fn leave(mut self) {
         self.ended = true;
     }
@@ -219,7 +219,7 @@ impl TaskReporter {
         claim
     }
 
-    /// Answers an ABORT: the task cannot be stopped and goes on.
+    /// Answers an ABORT: the task cannot be stopped and continues.
     pub fn abort_refused(&self) {
         self.post(Report::AbortRefused);
     }
@@ -276,7 +276,7 @@ impl TaskReporter {
 pub(crate) struct AbortRefusal(TaskId, Mailbox);
 
 impl AbortRefusal {
-    /// The task cannot be stopped and goes on.
+    /// The task cannot be stopped and continues.
     pub(crate) fn send(&self) {
         self.1.post(self.0, Report::AbortRefused);
     }

@@ -53,7 +53,7 @@ impl Router {
         reply.put(&mut |bytes: &[u8]| body.extend_from_slice(bytes));
         path.push(body.as_slice().into());
         if let Err(cause) = sockets::send(&self.0, &path) {
-            debug!(target: TASKS, "an answer was not taken: {}", cause.message());
+            debug!(target: TASKS, "a reply could not be sent: {}", cause.message());
         }
     }
 }

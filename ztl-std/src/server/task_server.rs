@@ -217,7 +217,7 @@ impl TaskServer {
         }
     }
 
-    /// Shows each STATUS and ABORT of a remembered task to `observer` before it is answered, with the request's
+    /// Shows each STATUS and ABORT of a known task to `observer` before it is answered, with the request's
     /// payload. Called on the server's thread, so it must be quick.
     pub fn observe_requests(
         &mut self,

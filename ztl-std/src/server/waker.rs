@@ -16,11 +16,11 @@ pub(super) fn is_wake(frames: &[zmq::Message]) -> bool {
 
 /// Wakes the server's thread.
 pub(super) struct Waker {
-    /// The server's thread sleeps or is about to, and nobody has woken it.
+    /// The server's thread sleeps or is about to, and has not been woken.
     asleep: AtomicBool,
     /// Something was posted since the thread last looked.
     posted: AtomicBool,
-    /// Open [`WakeBatch`]es, the last of which wakes the thread.
+    /// Open [`WakeBatch`]es; dropping the last one wakes the thread.
     batches: AtomicUsize,
     stop: AtomicBool,
     socket: Mutex<zmq::Socket>,

@@ -60,7 +60,7 @@ pub(crate) enum ClientEvent<'a> {
         id: &'a RemoteId,
         interrupted: bool,
     },
-    /// The task goes on.
+    /// The task continues.
     NotAborted {
         id: &'a RemoteId,
         reply: &'a str,
@@ -85,13 +85,13 @@ pub(crate) enum LastEvent<'a> {
         id: &'a RemoteId,
         status: &'a Status,
     },
-    /// The server's answer does not tell the task's state.
+    /// The server's answer does not contain the task's state.
     Lost {
         id: &'a RemoteId,
         reason: &'a str,
         answer: Option<Answer<'a>>,
     },
-    /// The answer to the abort does not tell the task's state.
+    /// The answer to the abort does not contain the task's state.
     StopUnclear { id: &'a RemoteId, reason: &'a str },
     /// The task was aborted, or ended just before.
     Stopped {
@@ -112,7 +112,7 @@ pub(crate) enum LastEvent<'a> {
     Left { id: &'a RemoteId, reply: &'a str },
 }
 
-/// An answer that does not tell the task's state, as the original reads it: the state, if ZTL defines it, and the
+/// An answer that does not contain the task's state, as the original reads it: the state, if ZTL defines it, and the
 /// text.
 pub(crate) type Answer<'a> = (Option<State>, &'a str);
 
@@ -120,7 +120,7 @@ pub(crate) fn answer(error: &RequestError) -> Option<Answer<'_>> {
     match error {
         RequestError::UnknownTask { text, .. } => Some((Some(State::Rejected), text)),
         RequestError::NotTold { state, text } => Some((Some(*state), text)),
-        RequestError::UnknownEnd { text } => Some((Some(State::Failed), text)),
+        RequestError::UnknownOutcome { text } => Some((Some(State::Failed), text)),
         RequestError::OtherTask { state, text, .. } => Some((*state, text)),
         RequestError::UndefinedState { text, .. } => Some((None, text)),
         _ => None,

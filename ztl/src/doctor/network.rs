@@ -83,7 +83,7 @@ pub(super) fn addresses() -> Finding {
         let own = socket.local_addr().ok()?.ip();
         (!own.is_unspecified()).then_some(own)
     };
-    // An address for documentation, which nobody has.
+    // An address reserved for documentation.
     let own: Vec<IpAddr> = toward("192.0.2.1:9").into_iter().collect();
     let shown: Vec<String> = own.iter().map(IpAddr::to_string).collect();
     let data = json!({ "addresses": shown });

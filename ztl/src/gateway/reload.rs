@@ -56,7 +56,7 @@ impl Reload {
         self.change_server(&plan, &mut restart);
         self.change_devices(plan.devices);
         for key in &restart {
-            warn!(target: LOG, "'{key}' has changed, which takes effect at the next start.");
+            warn!(target: LOG, "'{key}' has changed; restart to apply it.");
         }
         info!(target: LOG, "The configuration was reloaded.");
     }

@@ -169,7 +169,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn only_what_can_be_wanted_is_meant() {
+    fn a_key_gives_only_an_available_command() {
         let at_scene = Some(Question::Scene { scene: 0 });
         let choices = [RunCommand::Start, RunCommand::Skip, RunCommand::Leave];
         assert_eq!(

@@ -11,7 +11,7 @@ use super::text::{self, Line, Paragraph, Style, clock};
 /// Most lines of one paragraph.
 const LONGEST: usize = 40;
 
-/// Wraps paragraphs. If there are more than `most` lines, the last one tells how to see the rest.
+/// Wraps paragraphs. If there are more than `most` lines, the last one says how to see the rest.
 pub(super) fn lines(said: &[Paragraph], width: usize, most: usize) -> Vec<Line> {
     let mut lines = Vec::new();
     for (style, text) in said {

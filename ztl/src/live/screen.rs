@@ -135,7 +135,7 @@ impl Screen {
             match key.as_str() {
                 "Ctrl-Z" => terminal_mode::suspend(),
                 "Ctrl-L" => self.drawn.clear(),
-                // Stopping counts whatever was typed before it.
+                // A stop key always counts, even after other keys.
                 name if keys::stops(name) => self.press(key, nth > 0),
                 // Moving decides nothing.
                 name if self.is_choosing() || keys::scrolls(name) => self.press(key, nth > 0),
@@ -214,7 +214,7 @@ impl Screen {
         matches!(self.view.pane, Pane::Choose(_))
     }
 
-    /// Changes the view if the key does. It is no decision, and not recorded.
+    /// Changes the view if the key does so. This is not a decision and is not recorded.
     fn look(&mut self, key: &str, can_jump: bool, scene: Option<usize>) -> bool {
         let page = self.body.height.saturating_sub(1).max(1);
         let from = self.body.from;

@@ -139,7 +139,7 @@ impl Queue {
         state.bytes += text.len();
         state.waiting.push_back(Piece { stream, text, seen });
         while state.bytes > QUEUE_SIZE {
-            // Questions are kept, or nobody could answer them.
+            // Questions are kept, because the operator must answer them.
             let oldest = state.waiting.iter().position(|piece| piece.seen.is_none());
             let Some(piece) = oldest.and_then(|oldest| state.waiting.remove(oldest)) else {
                 break;

@@ -264,7 +264,7 @@ impl<'s> PlainView<'s> {
                 error!(target: LOG, "Interrupted, exiting.");
             }
             RunCommand::Stop if by == DecidedBy::Script => {
-                error!(target: LOG, "Everything is stopped, because the script says so or nobody can decide.");
+                error!(target: LOG, "Everything is stopped: the script requires it, or there is no operator to decide.");
             }
             _ => {}
         }
@@ -288,7 +288,7 @@ impl<'s> PlainView<'s> {
                 format!("'{remote}' was restarted, so the outcome of {tasks} is unknown")
             }
             WaitReason::TaskUnknown => {
-                format!("the server has forgotten its tasks, so the outcome of {tasks} is unknown")
+                format!("the server has lost its tasks, so the outcome of {tasks} is unknown")
             }
             WaitReason::NotTold { remote } => {
                 format!("'{remote}' answers, but does not report the state of {tasks}")

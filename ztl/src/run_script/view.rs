@@ -127,5 +127,6 @@ fn no_keyboard(error: io::Error) -> String {
         "Inappropriate ioctl for device",
     );
     error!(target: LOG, "({code}, '{text}')");
-    "stdin is not a terminal, so nobody can be asked; use --yes to play without asking".to_owned()
+    "stdin is not a terminal, so the operator cannot be asked; use --yes to play without asking"
+        .to_owned()
 }

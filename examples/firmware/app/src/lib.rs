@@ -243,7 +243,7 @@ where
     let mut node = robot(boot, pins);
     let pump = pump();
     loop {
-        // A port that fails is tried again: what moves must go on moving.
+        // Retries a failed port, so that running motions continue.
         let running = pump.run(&mut node, rx, tx, &mut delay, &now);
         if let embassy_futures::select::Either::Second(()) =
             embassy_futures::select::select(running, resume()).await

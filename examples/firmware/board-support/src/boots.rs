@@ -17,8 +17,8 @@ static BOOTS: Word = Word(UnsafeCell::new(MaybeUninit::uninit()));
 #[must_use]
 pub fn count() -> u32 {
     let word = BOOTS.0.get().cast::<u32>();
-    // SAFETY: memory of its own, aligned; whatever it holds is a number, which the volatile access
-    // keeps the compiler from guessing.
+    // SAFETY: reserved, aligned memory in which every bit pattern is a valid number. The volatile access
+    // keeps the compiler from assuming a value.
     unsafe {
         let boot = word.read_volatile().wrapping_add(1);
         word.write_volatile(boot);

@@ -51,7 +51,7 @@ pub(crate) fn micros() -> u64 {
 fn counts() -> u64 {
     loop {
         let (high, low) = (TIME_HIGH.read(), TIME_LOW.read());
-        // Else the lower half has begun anew in between.
+        // Otherwise the lower half has wrapped around in between.
         if high == TIME_HIGH.read() {
             return u64::from(high) << 32 | u64::from(low);
         }

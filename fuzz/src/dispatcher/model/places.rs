@@ -17,7 +17,7 @@ pub(super) struct Places {
     room: usize,
     /// The highest number of each client, and the connection of its last request.
     heard: BTreeMap<ClientId, (u64, u64)>,
-    /// Clients that the server may have forgotten.
+    /// Clients that the server may have dropped.
     lost: BTreeSet<ClientId>,
     /// Until when an evicted record would have been kept.
     pub(super) until: Option<Instant>,
@@ -42,7 +42,7 @@ impl Places {
     }
 
     /// Whether no client of ours would send this. Numbers increase, so only an INIT may arrive again after
-    /// the server has forgotten what it heard.
+    /// the server has dropped the client's record.
     fn is_impossible(&self, envelope: Envelope) -> bool {
         let highest = self.heard.get(&envelope.client);
         highest.is_some_and(|(highest, _)| *highest >= envelope.number)

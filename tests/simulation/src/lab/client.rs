@@ -21,7 +21,7 @@ const PAUSE: Duration = Duration::from_millis(120);
 pub(super) enum Known {
     /// No answer yet.
     Asked,
-    /// It was refused, or never arrived and is void.
+    /// It was rejected, or never arrived and is void.
     Never(String),
     /// Its outcome is unknown: it may run.
     Unknown,
@@ -131,7 +131,7 @@ impl Person {
     fn on_init(&mut self, now: Instant, task: usize, heard: Heard<'_>) {
         let known = match heard {
             Heard::NeverStarted => Known::Never("it never came".to_owned()),
-            Heard::FateUnknown => {
+            Heard::OutcomeUnknown => {
                 // The gateway has restarted: probe it.
                 self.stranger = true;
                 Known::Unknown

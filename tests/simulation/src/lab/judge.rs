@@ -1,4 +1,4 @@
-//! Compares what clients were told with what really happened.
+//! Compares what clients were told with the real motions.
 
 use ztl_core::{State, TaskId};
 use ztl_link::LinkEvent;
@@ -85,7 +85,7 @@ impl Books {
         }
     }
 
-    /// Checks what a client has learnt.
+    /// Checks the latest knowledge of a client.
     pub(super) fn on_news(
         &mut self,
         task: usize,
@@ -123,7 +123,7 @@ impl Books {
             _ => {}
         }
         book.id = known.id().or(book.id);
-        // Its end stays what it was.
+        // Its final state never changes.
         if !matches!(book.known, Known::Ended(..)) {
             book.known = known;
         }
@@ -160,7 +160,7 @@ impl Books {
     /// themselves have ended.
     pub(super) fn judge_silent(&self, device: usize, acts: [bool; 2]) -> Result<(), String> {
         if self.killed && !self.journal {
-            // Nobody has told the clients that their tasks are forgotten.
+            // The restart does not inform clients that their tasks are lost.
             return Ok(());
         }
         for (task, book) in self.tasks.iter().enumerate() {

@@ -47,7 +47,7 @@ impl Truth {
         self.moving().any(|(moving, _)| moving == task)
     }
 
-    /// Whether a task runs although its client was told a final state with this reason.
+    /// Whether a task runs although its client received a final state with this reason.
     pub(super) fn moves_after(&self, task: usize, why: &str) -> bool {
         let allowed = |motor: &Condition| motor.to_safety && why == NOT_ANSWERING;
         self.moving()

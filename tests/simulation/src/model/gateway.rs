@@ -1,4 +1,4 @@
-//! A gateway of the model: the journal of the real session, and what its clients were told.
+//! A gateway of the model: the journal of the real session, and the replies to its clients.
 
 use ztl_core::{State, TaskId};
 
@@ -68,7 +68,7 @@ impl SessionJournal for Journal {
     }
 }
 
-/// What the client of a task was told.
+/// The reply to the client of a task.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(super) enum Told {
     /// It has not started the task.

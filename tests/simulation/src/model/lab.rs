@@ -180,7 +180,7 @@ impl Lab {
         self.take_numbers(gateway);
     }
 
-    /// The next session that this gateway opens gets a number that none had.
+    /// The next session that this gateway opens gets an unused number.
     pub(super) fn lend_numbers(&self, gateway: usize) {
         SESSION.set(self.opened * 2 + gateway as u32);
     }
@@ -215,7 +215,7 @@ impl Lab {
             } else if !journal.kept {
                 client.forgotten = true;
             } else if open.iter().all(|task| task.id != id) {
-                // It was never sent: nobody will.
+                // It was never sent and never will be.
                 client.told = Told::Rejected;
             }
         }
@@ -298,7 +298,7 @@ impl Lab {
         Ok(())
     }
 
-    /// A client is told something.
+    /// A client receives a reply.
     pub(super) fn deliver(&mut self, way: Way, parcel: &Parcel) -> Result<(), String> {
         self.note(|| format!("  {way:?} arrives {parcel:?}"));
         match way {

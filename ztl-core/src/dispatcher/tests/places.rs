@@ -100,7 +100,7 @@ fn the_record_of_a_running_task_is_evictable_once_its_client_has_asked_about_it(
     let mut lab = Lab::new();
     let (one, _) = (lab.start(1, 0), lab.start(2, 1));
     lab.expect_rejected(3, 2, 2, INIT);
-    // Neither another client's question nor one about another task counts.
+    // Requests of another client or about another task do not count.
     lab.request_of(4, 2, 1, false, &format!("/test;2;{one};x"));
     lab.ask(2, &format!("/test;2;{one};x"));
     lab.request_of(1, 0, 3, false, "/test;2;2;x");
@@ -129,7 +129,7 @@ fn a_repeated_init_with_an_evicted_record_starts_nothing() {
         }
         lab.expect_rejected(1, 1, 4, "$ztl;2;-1;outcome 2");
     }
-    // Nor over a connection on which it has asked something first.
+    // Nor over a connection that it used for a request before.
     lab.request_of(1, 3, 5, false, PROBE);
     lab.expect_rejected(1, 3, 2, INIT);
 
@@ -164,7 +164,7 @@ fn an_init_that_never_arrived_is_new_if_its_client_was_heard_before() {
     lab.answers.clear();
     lab.request_of(5, 2, 3, false, "$ztl;2;-1;outcome 2");
     lab.told(&[(2, "$ztl;2;0;never seen since boot 4711")]);
-    // Client 6 was never heard before.
+    // Client 6 has not sent anything before.
     lab.expect_rejected(6, 1, 3, "$ztl;2;-1;outcome 2");
 }
 
@@ -192,7 +192,7 @@ fn a_client_that_stays_connected_is_served_while_many_others_come_and_go() {
     for client in 2..=99 {
         lab.start_and_complete(client, 1);
     }
-    // Requests since its INIT were heard, so this number is not new.
+    // The client has sent requests since its INIT, so this number is not new.
     lab.expect_rejected(1, 0, 2, INIT);
     let next = lab.request_of(1, 0, 4, false, INIT);
     assert_eq!(next, Some(("start", 100)));

@@ -47,7 +47,7 @@ fn poll(button: &mut DigitalInput<Pin<'_>>, ms: u64) -> (Run, String) {
 }
 
 #[test]
-fn changes_are_published_once_they_have_lasted() {
+fn changes_are_published_after_debouncing() {
     let level = Cell::new(Some(true));
     let mut button = button(&level);
     assert_eq!(
@@ -59,7 +59,7 @@ fn changes_are_published_once_they_have_lasted() {
     assert_eq!(reading(&mut button, 1), None);
     level.set(Some(false));
     assert_eq!(reading(&mut button, 10), None);
-    // It bounces, which begins the wait anew.
+    // It bounces, which restarts the wait.
     level.set(Some(true));
     assert_eq!(reading(&mut button, 15), None);
     level.set(Some(false));
@@ -72,7 +72,7 @@ fn changes_are_published_once_they_have_lasted() {
 }
 
 #[test]
-fn a_task_waits_until_it_is_so() {
+fn a_task_waits_for_its_input_state() {
     let level = Cell::new(Some(true));
     let mut button = button(&level);
     let mut text = heapless::String::<48>::new();

@@ -65,7 +65,7 @@ fn says(run: Run, text: &str) -> (Run, String) {
 }
 
 #[test]
-fn on_and_off_are_done_at_once_and_stay() {
+fn on_and_off_take_effect_at_once_and_persist() {
     let (high, broken) = (Cell::new(true), Cell::new(false));
     let pin = Pin {
         high: &high,
@@ -88,7 +88,7 @@ fn on_and_off_are_done_at_once_and_stay() {
 }
 
 #[test]
-fn a_pulse_is_as_long_as_asked_for_and_tells_what_is_left() {
+fn a_pulse_has_the_requested_length_and_reports_the_time_left() {
     let (high, broken) = (Cell::new(false), Cell::new(false));
     let pin = Pin {
         high: &high,
@@ -173,7 +173,7 @@ fn the_safe_state_is_as_configured() {
 }
 
 #[test]
-fn a_pin_that_fails_ends_the_task() {
+fn a_failing_pin_fails_the_task() {
     let (high, broken) = (Cell::new(false), Cell::new(false));
     let pin = Pin {
         high: &high,
@@ -194,7 +194,7 @@ fn a_pin_that_fails_ends_the_task() {
 }
 
 #[test]
-fn any_other_goal_is_refused_with_what_would_be_right() {
+fn any_other_goal_is_rejected_with_the_valid_ones() {
     let (high, broken) = (Cell::new(false), Cell::new(false));
     let pin = Pin {
         high: &high,

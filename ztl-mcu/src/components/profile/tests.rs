@@ -1,4 +1,4 @@
-//! What no motion may do, for any limits, targets and changes of mind.
+//! Invariants of every motion, for any limits, targets and target changes.
 
 use super::*;
 use proptest::prelude::*;
@@ -11,7 +11,7 @@ const PARTS: u32 = 1 << 24;
 struct Watched {
     profile: Profile,
     limits: Limits,
-    /// What the last tick moved.
+    /// The movement of the last tick.
     speed: i64,
 }
 
@@ -94,7 +94,7 @@ proptest! {
     #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
-    fn it_ends_exactly_on_the_target_without_a_turn_and_hardly_later_than_possible(
+    fn a_motion_reaches_its_target_without_reversing_in_almost_minimal_time(
         limits in limits(), target in place(),
     ) {
         let mut watched = Watched::new(limits);
@@ -104,7 +104,7 @@ proptest! {
     }
 
     #[test]
-    fn a_change_of_target_in_mid_motion_keeps_the_limits_and_ends_there(
+    fn a_target_changed_in_mid_motion_is_reached_within_the_limits(
         limits in limits(), targets in proptest::collection::vec((place(), 0u32..2000), 1..6),
     ) {
         let mut watched = Watched::new(limits);
@@ -120,7 +120,7 @@ proptest! {
     }
 
     #[test]
-    fn a_motion_right_after_another_keeps_the_limits_too(
+    fn consecutive_motions_stay_within_the_limits(
         limits in limits(), targets in proptest::collection::vec(place(), 2..6),
     ) {
         let mut watched = Watched::new(limits);
@@ -130,7 +130,7 @@ proptest! {
     }
 
     #[test]
-    fn a_stop_in_mid_motion_ends_where_it_was_foreseen_without_a_turn(
+    fn a_stop_in_mid_motion_ends_at_the_stopping_point_without_reversing(
         limits in limits(), target in place(), after in 0u32..3000,
     ) {
         let mut watched = Watched::new(limits);
@@ -147,7 +147,7 @@ proptest! {
     }
 
     #[test]
-    fn a_lower_speed_in_mid_motion_is_reached_by_the_ramp(
+    fn a_speed_lowered_in_mid_motion_is_reached_by_the_ramp(
         limits in limits(), speed in 1u32..1000, after in 0u32..3000,
     ) {
         let mut watched = Watched::new(limits);
@@ -168,7 +168,7 @@ proptest! {
     }
 
     #[test]
-    fn a_motion_that_was_held_up_still_ends_on_the_target(
+    fn a_delayed_motion_ends_on_the_target(
         limits in limits(), target in place(), after in 0u32..3000,
     ) {
         let mut watched = Watched::new(limits);
@@ -185,7 +185,7 @@ proptest! {
     }
 
     #[test]
-    fn limits_are_what_was_asked_for_or_a_little_below(
+    fn limits_are_at_or_just_below_the_requested_values(
         speed in 1u32..200_000, acceleration in 1u32..1_000_000,
     ) {
         let limits = Limits::new(speed, acceleration, PARTS);
@@ -201,7 +201,7 @@ proptest! {
 }
 
 #[test]
-fn speed_rises_stays_and_falls_by_whole_rungs() {
+fn speed_rises_holds_and_falls_in_whole_steps() {
     let limits = Limits::new(1000, 250_000, PARTS);
     let rung = i64::from(limits.acceleration_per_tick());
     let mut watched = Watched::new(limits);

@@ -108,7 +108,7 @@ fn completed(text: &str) -> (Run, String) {
 }
 
 #[test]
-fn the_pulse_is_that_of_the_angle() {
+fn the_pulse_matches_the_angle() {
     let wide = ServoConfig {
         range: (-90, 90),
         pulse_us: (500, 2500),
@@ -141,7 +141,7 @@ fn the_pulse_is_that_of_the_angle() {
 }
 
 #[test]
-fn a_motion_takes_its_time_and_tells_where_it_is() {
+fn a_motion_takes_the_expected_time_and_reports_its_position() {
     let mut bench = Bench::new(ServoConfig::DEFAULT);
     let begin = bench.now;
     bench.start("180").unwrap();
@@ -162,7 +162,7 @@ fn a_motion_takes_its_time_and_tells_where_it_is() {
 }
 
 #[test]
-fn nothing_is_sent_before_the_first_task_or_twice() {
+fn no_pulse_is_sent_before_the_first_task_or_twice() {
     let mut bench = Bench::new(ServoConfig::DEFAULT);
     bench.servo.make_safe(bench.now);
     assert_eq!(bench.line.borrow().writes, 0);
@@ -179,7 +179,7 @@ fn nothing_is_sent_before_the_first_task_or_twice() {
 }
 
 #[test]
-fn an_abort_slows_down_and_tells_where_it_stopped() {
+fn an_abort_decelerates_and_reports_the_stop_position() {
     let mut bench = Bench::new(ServoConfig::DEFAULT);
     bench.start("180").unwrap();
     bench.poll();
@@ -201,7 +201,7 @@ fn an_abort_slows_down_and_tells_where_it_stopped() {
 }
 
 #[test]
-fn made_safe_it_holds_or_lets_go_and_goes_on_from_there() {
+fn a_servo_made_safe_holds_or_releases_and_resumes_from_there() {
     for safe in [Power::Hold, Power::Release] {
         let mut bench = Bench::new(ServoConfig {
             safe,
@@ -245,7 +245,7 @@ fn made_safe_it_holds_or_lets_go_and_goes_on_from_there() {
 }
 
 #[test]
-fn an_output_that_fails_ends_the_task() {
+fn a_failing_output_fails_the_task() {
     let mut bench = Bench::new(ServoConfig::DEFAULT);
     bench.line.borrow_mut().broken = true;
     bench.start("0").unwrap();
@@ -257,7 +257,7 @@ fn an_output_that_fails_ends_the_task() {
 }
 
 #[test]
-fn a_goal_out_of_range_is_refused_with_what_would_be_right() {
+fn a_goal_out_of_range_is_rejected_with_the_valid_range() {
     let tilt = ServoConfig {
         range: (-30, 60),
         ..ServoConfig::DEFAULT
@@ -272,7 +272,7 @@ fn a_goal_out_of_range_is_refused_with_what_would_be_right() {
 }
 
 #[test]
-fn a_senseless_configuration_does_no_harm() {
+fn an_invalid_configuration_causes_no_panic() {
     for config in [
         ServoConfig {
             range: (90, -90),
@@ -319,7 +319,7 @@ proptest! {
     #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
-    fn between_any_two_calls_it_moves_no_faster_than_allowed_and_only_towards_its_goal(
+    fn motion_between_any_two_calls_respects_the_speed_limit_and_direction(
         goals in proptest::collection::vec(0i32..=180_000, 1..4),
         gaps in proptest::collection::vec(1u64..80_000, 1..50),
         speed in 1u16..1000, acceleration in 20u16..5000,
@@ -339,7 +339,7 @@ proptest! {
                     prop_assert_eq!(text, format!("{:.1}", f64::from(number::rounded(goal, 2)) / 10.0));
                     break;
                 }
-                // What the gap before the call allows, and a tick more for rounding.
+                // The movement that the gap before the call allows, plus a tick for rounding.
                 let last = gaps[(turn + gaps.len() - 1) % gaps.len()];
                 let time = if turn == 0 { 0.0 } else { last as f64 + 1024.0 };
                 let most = time * 1e-3 * f64::from(speed) + 1.0;

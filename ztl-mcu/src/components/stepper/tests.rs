@@ -71,7 +71,7 @@ fn completed(text: &str) -> (Run, String) {
 }
 
 #[test]
-fn it_makes_the_steps_of_its_goal_by_a_ramp_up_to_the_speed() {
+fn a_motion_makes_its_steps_with_a_ramp_to_full_speed() {
     let mut bench = Bench::new(CONFIG, Axis::free());
     assert_eq!(bench.go("4000", &Calls::OnTime), completed("4000"));
     assert_eq!(bench.position(), 4000);
@@ -103,7 +103,7 @@ fn speed_changes_no_faster_than_the_acceleration() {
 }
 
 #[test]
-fn calls_each_100_us_make_5000_steps_a_second_at_most() {
+fn calls_each_100_us_make_at_most_5000_steps_a_second() {
     let fast = StepperConfig {
         speed: 20_000,
         acceleration: 500_000,
@@ -129,7 +129,7 @@ fn an_interrupt_each_25_us_makes_20_000_steps_a_second() {
 }
 
 #[test]
-fn after_a_long_turn_of_the_main_loop_it_goes_on_slowly_and_speeds_up_again() {
+fn after_a_long_main_loop_delay_the_motor_restarts_slowly_and_accelerates() {
     let mut bench = Bench::new(CONFIG, Axis::free());
     bench.start("5000").unwrap();
     while bench.steps().len() < 2000 {
@@ -152,8 +152,8 @@ fn after_a_long_turn_of_the_main_loop_it_goes_on_slowly_and_speeds_up_again() {
 }
 
 #[test]
-fn what_a_late_call_has_cost_is_not_made_up_for() {
-    // Nobody calls for so long after this step.
+fn time_lost_to_a_late_call_is_not_recovered() {
+    // No call arrives for this long after this step.
     let intervals = |silent_after: usize, silence: u64| {
         let mut bench = Bench::new(CONFIG, Axis::free());
         bench.start("300").unwrap();
@@ -182,7 +182,7 @@ fn what_a_late_call_has_cost_is_not_made_up_for() {
 }
 
 #[test]
-fn an_abort_slows_down_and_says_where_it_stopped() {
+fn an_abort_decelerates_to_a_stop_and_reports_the_position() {
     let mut bench = Bench::new(CONFIG, Axis::free());
     bench.start("5000").unwrap();
     while bench.steps().len() < 1000 {
@@ -204,7 +204,7 @@ fn an_abort_slows_down_and_says_where_it_stopped() {
 }
 
 #[test]
-fn an_abort_before_the_first_step_makes_none() {
+fn an_abort_before_the_first_step_makes_no_step() {
     let mut bench = Bench::new(CONFIG, Axis::free());
     bench.start("5000").unwrap();
     bench.abort();
@@ -213,7 +213,7 @@ fn an_abort_before_the_first_step_makes_none() {
 }
 
 #[test]
-fn home_is_where_the_switch_is_and_zero_from_then_on() {
+fn homing_sets_zero_at_the_switch() {
     let mut bench = Bench::new(CONFIG, Axis::between(-700, 4000));
     assert_eq!(bench.go("100", &Calls::OnTime), completed("100"));
     assert_eq!(bench.go("home", &Calls::OnTime), completed("0"));
@@ -245,7 +245,7 @@ fn home_fails_when_the_switch_is_out_of_reach_or_the_task_is_aborted() {
 }
 
 #[test]
-fn a_limit_stops_at_once_and_may_be_left() {
+fn a_limit_switch_stops_at_once_and_allows_moving_away() {
     let mut bench = Bench::new(CONFIG, Axis::between(-700, 400));
     let failed = (Run::Failed, "limit switch at 400 steps".into());
     assert_eq!(bench.go("2000", &Calls::OnTime), failed);
@@ -261,7 +261,7 @@ fn a_limit_stops_at_once_and_may_be_left() {
 }
 
 #[test]
-fn an_axis_that_must_go_home_first_does() {
+fn an_axis_that_requires_homing_homes_first() {
     let first = StepperConfig {
         home_first: true,
         ..CONFIG
@@ -271,7 +271,7 @@ fn an_axis_that_must_go_home_first_does() {
     assert_eq!(bench.start("100"), refused);
     bench.go("home", &Calls::OnTime);
     assert_eq!(bench.go("100", &Calls::OnTime), completed("100"));
-    // One that was not finished counts for nothing.
+    // Unfinished homing does not count.
     bench.start("home").unwrap();
     bench.abort();
     bench.run(&Calls::OnTime);
@@ -279,7 +279,7 @@ fn an_axis_that_must_go_home_first_does() {
 }
 
 #[test]
-fn made_safe_it_makes_no_further_step_and_knows_where_it_is() {
+fn a_motor_made_safe_stops_stepping_and_keeps_its_position() {
     for (safe, powered) in [(Power::Hold, true), (Power::Release, false)] {
         let mut bench = Bench::new(StepperConfig { safe, ..CONFIG }, Axis::free());
         bench.start("5000").unwrap();
@@ -310,7 +310,7 @@ fn made_safe_it_makes_no_further_step_and_knows_where_it_is() {
 }
 
 #[test]
-fn made_safe_a_motor_at_rest_lets_go_or_holds_whatever_it_does_after_a_task() {
+fn an_idle_motor_made_safe_releases_or_holds_as_configured() {
     for (safe, at_rest, powered) in [
         (Power::Hold, Power::Hold, true),
         (Power::Release, Power::Hold, false),
@@ -344,7 +344,7 @@ fn made_safe_a_motor_at_rest_lets_go_or_holds_whatever_it_does_after_a_task() {
 }
 
 #[test]
-fn power_is_taken_away_at_rest_if_so_configured() {
+fn an_idle_motor_is_powered_off_if_configured() {
     let release = StepperConfig {
         at_rest: Power::Release,
         ..CONFIG
@@ -358,7 +358,7 @@ fn power_is_taken_away_at_rest_if_so_configured() {
 }
 
 #[test]
-fn a_pin_that_fails_ends_the_task_and_says_which() {
+fn a_failing_pin_fails_the_task_and_is_named() {
     for (pin, text) in [
         ("step", "the step pin failed"),
         ("direction", "the direction pin failed"),
@@ -376,7 +376,7 @@ fn a_pin_that_fails_ends_the_task_and_says_which() {
 }
 
 #[test]
-fn a_goal_that_cannot_be_is_refused_with_what_could() {
+fn an_invalid_goal_is_rejected_with_the_valid_range() {
     let mut bench = Bench::new(CONFIG, Axis::between(-700, 700));
     let refused = Err("slide takes -5000 to 5000 steps, or home".into());
     for goal in ["5001", "-5001", "left", "", "1e9"] {
@@ -388,7 +388,7 @@ fn a_goal_that_cannot_be_is_refused_with_what_could() {
 }
 
 #[test]
-fn goals_and_positions_may_be_in_another_unit() {
+fn goals_and_positions_can_use_another_unit() {
     let turned = StepperConfig {
         scale: Scale::new(3200, 360, "degrees"),
         range: (-360, 360),
@@ -427,7 +427,7 @@ proptest! {
 
     /// The bench sees to it that no pulse, pause, set-up time or interval is too short.
     #[test]
-    fn whenever_it_is_called_it_ends_on_its_goal_and_its_driver_is_content(
+    fn any_call_timing_reaches_the_goal_and_respects_the_drivers_timing(
         goals in proptest::collection::vec((-900i32..900, calls()), 1..4),
         speed in 100u32..30_000,
         acceleration in prop_oneof![500u32..2_000_000, 2_000_000u32..200_000_000],
@@ -446,7 +446,7 @@ proptest! {
     }
 
     #[test]
-    fn whenever_it_is_aborted_it_rests_on_a_step_before_its_goal(
+    fn an_abort_at_any_time_stops_on_a_step_before_the_goal(
         goal in -900i32..900, calls in calls(), turns in 0usize..600,
     ) {
         let mut bench = Bench::new(CONFIG, Axis::free());

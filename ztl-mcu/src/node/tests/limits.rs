@@ -4,7 +4,7 @@ use super::*;
 use crate::{Latest, Reading};
 use core::cell::Cell;
 
-/// What a node says to one body, as it stands on the line.
+/// A node's reply to one body, as sent on the line.
 fn answered<C: Components, const TASKS: usize, const FRAME: usize>(
     node: &mut Node<'_, C, TASKS, FRAME>,
     session: u32,
@@ -25,7 +25,7 @@ fn answered<C: Components, const TASKS: usize, const FRAME: usize>(
 }
 
 #[test]
-fn a_welcome_fits_whatever_the_node_is_called_and_holds() {
+fn a_welcome_fits_for_any_name_and_number_of_tasks() {
     fn check<const TASKS: usize, const FRAME: usize>() {
         let trace = Trace::default();
         let mut components = [motor("m", Loss::CarryOn, &trace)];
@@ -78,7 +78,7 @@ fn a_welcome_fits_whatever_the_node_is_called_and_holds() {
 }
 
 #[test]
-fn a_description_that_does_not_fit_is_refused_and_says_so() {
+fn a_description_that_does_not_fit_is_rejected_with_the_reason() {
     let trace = Trace::default();
     let long: &'static str = std::boxed::Box::leak("n".repeat(102).into_boxed_str());
     for (name, fits) in [(&long[..101], true), (long, false)] {
@@ -99,7 +99,7 @@ fn a_description_that_does_not_fit_is_refused_and_says_so() {
 }
 
 #[test]
-fn a_moving_component_is_polled_when_it_asked_to_be() {
+fn a_moving_component_is_polled_at_its_requested_time() {
     let polls = Cell::new(0);
     let mut node = Node::<_, 2, 128>::new(Identity::new("desk", "1", 77), [Chatty::new(&polls)]);
     let mut desk = desk(&mut node);

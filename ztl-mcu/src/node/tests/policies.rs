@@ -1,4 +1,4 @@
-//! What happens to a second task, by the component's policy.
+//! The reaction to a second task, by the component's policy.
 
 use super::*;
 
@@ -20,7 +20,7 @@ fn with_motor(busy: Busy, loss: Loss, play: impl FnOnce(&mut Desk<'_, [Motor<'_>
 const WAITS: &str = "waits for another task to end";
 
 #[test]
-fn a_queued_task_begins_when_the_one_before_has_ended() {
+fn a_queued_task_starts_when_the_previous_one_has_ended() {
     with_motor(Busy::Queue(2), Loss::Abort, |desk, trace| {
         assert_said(desk.start(1, 7, 0, "50"), &["1 Started 7"]);
         let waits = format!("Progress 8 {WAITS}");
@@ -47,7 +47,7 @@ fn a_queued_task_begins_when_the_one_before_has_ended() {
 }
 
 #[test]
-fn the_lowest_id_begins_first_whatever_came_and_went_before() {
+fn the_lowest_waiting_id_starts_first() {
     with_motor(Busy::Queue(9), Loss::Abort, |desk, trace| {
         // The end of the first one, given up, changes the order in the table.
         desk.start(1, 1, 1, "1");
@@ -84,7 +84,7 @@ fn a_goal_is_checked_before_it_is_queued() {
 }
 
 #[test]
-fn a_queued_task_that_is_refused_at_its_start_fails_with_the_reason() {
+fn a_queued_task_rejected_at_its_start_fails_with_the_reason() {
     with_motor(Busy::Queue(2), Loss::Abort, |desk, trace| {
         desk.start(1, 7, 0, "50");
         desk.start(2, 8, 0, "13");
@@ -93,13 +93,13 @@ fn a_queued_task_that_is_refused_at_its_start_fails_with_the_reason() {
         let ends = "Ended 7 COMPLETED moving, Ended 8 FAILED not the 13, ";
         assert!(heard.starts_with(ends), "{heard}");
         assert_eq!(trace.borrow().as_slice(), ["m 50", "m 60"]);
-        // Where it need not wait, it is refused at once.
+        // Without a task to wait for, the goal is refused at once.
         assert_said(desk.start(4, 10, 1, "13"), &["4 Refused not the 13"]);
     });
 }
 
 #[test]
-fn the_highest_id_of_all_waits_as_every_other() {
+fn a_task_with_the_highest_id_waits_in_the_queue() {
     with_motor(Busy::Queue(2), Loss::Abort, |desk, trace| {
         desk.start(1, 7, 0, "50");
         desk.start(2, u32::MAX, 0, "60");
@@ -127,7 +127,7 @@ fn abort_of_a_queued_task_ends_it_at_once() {
 }
 
 #[test]
-fn a_later_task_replaces_the_one_that_runs_and_the_one_that_waits() {
+fn a_later_task_replaces_the_running_and_waiting_ones() {
     with_motor(Busy::Replace, Loss::Abort, |desk, trace| {
         desk.start(1, 7, 0, "500");
         let waits = |task| format!("Progress {task} {WAITS}");
@@ -172,7 +172,7 @@ fn a_task_without_room_replaces_nothing() {
 }
 
 #[test]
-fn one_that_ends_by_itself_before_it_stops_keeps_its_end() {
+fn a_replaced_task_that_completes_first_keeps_its_outcome() {
     with_motor(Busy::Replace, Loss::Abort, |desk, trace| {
         desk.start(1, 7, 0, "500");
         desk.start(2, 8, 0, "600");
@@ -185,7 +185,7 @@ fn one_that_ends_by_itself_before_it_stops_keeps_its_end() {
 }
 
 #[test]
-fn when_the_link_is_lost_what_waits_ends_with_what_runs() {
+fn a_lost_link_ends_running_and_waiting_tasks() {
     with_motor(Busy::Queue(2), Loss::Hold, |desk, trace| {
         desk.start(1, 7, 0, "5000");
         desk.start(2, 8, 0, "60");
@@ -203,7 +203,7 @@ fn when_the_link_is_lost_what_waits_ends_with_what_runs() {
 }
 
 #[test]
-fn what_carries_on_carries_on_with_what_waits() {
+fn a_component_that_carries_on_runs_its_waiting_tasks() {
     with_motor(Busy::Queue(2), Loss::CarryOn, |desk, trace| {
         desk.start(1, 7, 0, "2000");
         desk.start(2, 8, 0, "60");
@@ -217,7 +217,7 @@ fn what_carries_on_carries_on_with_what_waits() {
 }
 
 #[test]
-fn an_emergency_stop_ends_what_waits_too() {
+fn an_emergency_stop_ends_waiting_tasks() {
     with_motor(Busy::Queue(2), Loss::CarryOn, |desk, trace| {
         desk.start(1, 7, 0, "2000");
         desk.start(2, 8, 0, "60");
@@ -245,7 +245,7 @@ fn an_emergency_stop_ends_what_waits_too() {
 }
 
 #[test]
-fn a_new_session_is_told_what_waits() {
+fn a_new_session_lists_the_waiting_tasks() {
     with_motor(Busy::Queue(2), Loss::CarryOn, |desk, _| {
         desk.start(1, 7, 0, "2000");
         desk.start(2, 8, 0, "60");
@@ -261,8 +261,8 @@ fn a_new_session_is_told_what_waits() {
 }
 
 #[test]
-fn never_do_two_tasks_move_one_component() {
-    // Whatever is asked for, in whatever order: a start comes only after the end of the one before.
+fn a_component_never_runs_two_tasks() {
+    // For any tasks in any order, a start comes only after the end of the previous task.
     for policy in [Busy::Refuse, Busy::Queue(3), Busy::Replace] {
         for seed in 1..200u32 {
             with_motor(policy, Loss::CarryOn, |desk, trace| {

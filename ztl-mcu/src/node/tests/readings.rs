@@ -127,7 +127,7 @@ fn next<const N: usize>(
 }
 
 #[test]
-fn topics_are_numbered_through_all_components() {
+fn topics_are_numbered_across_components() {
     let mut node = node([sensor("a b"), sensor(""), sensor("c  d")]);
     let mut desk = desk(&mut node);
     desk.hello(5, 1);
@@ -151,7 +151,7 @@ fn topics_are_numbered_through_all_components() {
 }
 
 #[test]
-fn readings_go_out_only_while_somebody_listens_and_after_all_else() {
+fn readings_are_sent_last_and_only_to_a_listener() {
     let log = Pages::default();
     log.text.borrow_mut().extend([1; 200]);
     let mut node = node([sensor("a")]);
@@ -186,7 +186,7 @@ fn readings_go_out_only_while_somebody_listens_and_after_all_else() {
 }
 
 #[test]
-fn while_a_command_comes_in_what_may_be_lost_waits() {
+fn droppable_frames_wait_while_a_command_arrives() {
     let log = Pages::default();
     log.text.borrow_mut().extend([1; 100]);
     let mut node = node([sensor("a")]);
@@ -201,7 +201,7 @@ fn while_a_command_comes_in_what_may_be_lost_waits() {
     // The first bytes of a frame.
     desk.node.handle_bytes(later, &[3, 1]);
     assert_eq!(next(desk.node, later, &log), None);
-    // What is not gone on with is no command.
+    // An incomplete frame that does not continue is not a command.
     let over = later + Duration::from_millis(20);
     assert_eq!(desk.node.poll_timeout(later), over);
     assert_eq!(next(desk.node, over, &log).unwrap().0, "Publish 0 5");
@@ -209,7 +209,7 @@ fn while_a_command_comes_in_what_may_be_lost_waits() {
 }
 
 #[test]
-fn a_component_s_readings_keep_their_least_interval_and_wait_for_no_other_s() {
+fn each_component_keeps_its_own_minimum_reading_interval() {
     let mut sensors = [sensor("a"), sensor("b"), sensor("c")];
     for sensor in &mut sensors[..2] {
         sensor.always = Some(4);
@@ -229,7 +229,7 @@ fn a_component_s_readings_keep_their_least_interval_and_wait_for_no_other_s() {
 }
 
 #[test]
-fn a_progress_is_never_longer_than_what_may_be_lost() {
+fn a_progress_frame_never_exceeds_the_limit_for_droppable_frames() {
     let mut buffer = [0xA5; 128];
     let text = "x".repeat(tasks::TEXT);
     let progress = Frame {
@@ -244,7 +244,7 @@ fn a_progress_is_never_longer_than_what_may_be_lost() {
 }
 
 #[test]
-fn a_reading_longer_than_any_frame_is_in_nobodys_way() {
+fn an_oversized_reading_does_not_block_other_readings() {
     let mut node = node([sensor("a"), sensor("b")]);
     let mut desk = desk(&mut node);
     desk.hello(5, 1);
@@ -340,7 +340,7 @@ fn share(baud: u64) -> f64 {
 }
 
 #[test]
-fn readings_of_100_bytes_use_the_line_to_85_percent_and_more() {
+fn readings_of_100_bytes_use_at_least_85_percent_of_the_line() {
     for baud in [115_200, 921_600] {
         let share = share(baud);
         assert!(share > 0.85, "{share} at {baud}");

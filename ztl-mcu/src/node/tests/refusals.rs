@@ -1,4 +1,4 @@
-//! The order in which a `Start` is refused: clause 11.2.
+//! The order of the reasons to refuse a `Start`: clause 11.2.
 
 use super::*;
 
@@ -26,8 +26,8 @@ const QUEUE: usize = 7;
 const LONG: usize = 8;
 const FULL: usize = 9;
 
-/// Whether both reasons can be there at once: a component that is not there is neither busy nor unsafe and takes any
-/// goal, one that is not safe has no task, and one that refuses while it is busy lets nothing wait.
+/// Whether the reasons are compatible: a missing component is neither busy nor unsafe and accepts any
+/// goal, an unsafe component has no task, and a component that refuses while busy has no queue.
 fn together(has: impl Fn(usize) -> bool) -> bool {
     let waits = has(QUEUE) || has(LONG);
     !(has(NOWHERE) && (has(BUSY) || has(UNSAFE) || has(GOAL) || waits)
@@ -35,7 +35,7 @@ fn together(has: impl Fn(usize) -> bool) -> bool {
         || has(BUSY) && waits)
 }
 
-/// What a node answers to a `Start` that it has these reasons to refuse.
+/// A node's reply to a `Start` that it must refuse for these reasons.
 fn refusal(has: impl Fn(usize) -> bool) -> String {
     let waits = has(QUEUE) || has(LONG);
     let trace = Trace::default();
@@ -75,7 +75,7 @@ fn refusal(has: impl Fn(usize) -> bool) -> String {
 }
 
 #[test]
-fn of_two_reasons_to_refuse_a_start_the_first_one_is_told() {
+fn a_start_with_two_faults_is_rejected_for_the_first() {
     for (first, told) in REASONS.iter().enumerate() {
         for (second, other) in REASONS.iter().enumerate().skip(first) {
             let has = |reason| reason == first || reason == second;

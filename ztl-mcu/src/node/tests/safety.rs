@@ -3,7 +3,7 @@
 use super::*;
 
 #[test]
-fn what_was_switched_on_goes_to_its_safe_state_when_the_link_is_lost_long_after() {
+fn a_later_link_loss_makes_switched_on_outputs_safe() {
     with_node(|desk, trace| {
         desk.hello(5, 1);
         desk.start(1, 9, 0, "50");
@@ -26,7 +26,7 @@ fn what_was_switched_on_goes_to_its_safe_state_when_the_link_is_lost_long_after(
 }
 
 #[test]
-fn a_component_is_polled_until_it_is_safe_and_its_task_ends_then() {
+fn a_component_is_polled_until_safe_and_its_task_then_ends() {
     with_node(|desk, trace| {
         for motor in desk.node.components_mut() {
             motor.slow = 300;
@@ -35,7 +35,7 @@ fn a_component_is_polled_until_it_is_safe_and_its_task_ends_then() {
         desk.start(1, 9, 0, "50000");
         assert_eq!(desk.pass(1000), ["Progress 9 moving"]);
         assert_eq!(trace.borrow().as_slice(), ["a 50000", "a safe", "h safe"]);
-        // The link is back: neither the one with a task nor the one without takes another before it is safe.
+        // The link is back: no component accepts a task before it is safe, with or without a task of its own.
         let busy = "busy with another task";
         assert_said(desk.start(2, 10, 0, "5"), &[&format!("2 Refused {busy}")]);
         let busy = "busy going to its safe state";
@@ -54,7 +54,7 @@ fn a_component_is_polled_until_it_is_safe_and_its_task_ends_then() {
 }
 
 #[test]
-fn an_emergency_stop_lasts_until_each_component_is_safe_whatever_is_cleared() {
+fn a_cleared_emergency_stop_lasts_until_each_component_is_safe() {
     with_node(|desk, trace| {
         for motor in desk.node.components_mut() {
             motor.slow = 300;

@@ -12,7 +12,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::task::Wake;
 
-/// What the test and the ports share.
+/// The state shared by the test and the ports.
 #[derive(Default)]
 struct World {
     micros: Cell<u64>,
@@ -160,7 +160,7 @@ fn taken(world: &World) -> Vec<String> {
 }
 
 #[test]
-fn it_announces_itself_answers_and_acts_when_the_link_is_lost() {
+fn the_loop_sends_awake_answers_and_acts_on_a_lost_link() {
     let (world, pump, mut node) = (Rc::new(World::default()), Pump::new(), node());
     let mut future = pin!(looped(&pump, &mut node, &world));
     let mut future: Looped<'_> = future.as_mut();
@@ -177,7 +177,7 @@ fn it_announces_itself_answers_and_acts_when_the_link_is_lost() {
 }
 
 #[test]
-fn a_port_that_takes_nothing_holds_nothing_up() {
+fn a_blocked_port_delays_nothing() {
     let (world, pump, mut node) = (Rc::new(World::default()), Pump::new(), node());
     {
         let mut future = pin!(looped(&pump, &mut node, &world));
@@ -190,7 +190,7 @@ fn a_port_that_takes_nothing_holds_nothing_up() {
     }
     let polls = belt(&node).polls.get();
     assert!((80..=100).contains(&polls), "{polls}");
-    // Begun anew, it goes on where it was: nothing that was not taken is lost.
+    // Started again, the loop continues without losing unsent bytes.
     {
         let mut future = pin!(looped(&pump, &mut node, &world));
         let mut future: Looped<'_> = future.as_mut();
@@ -204,7 +204,7 @@ fn a_port_that_takes_nothing_holds_nothing_up() {
 }
 
 #[test]
-fn endless_readings_leave_time_for_all_else() {
+fn endless_readings_do_not_starve_other_work() {
     let (world, pump, mut node) = (Rc::new(World::default()), Pump::new(), node());
     node.components_mut()[0].endless = true;
     let mut future = pin!(looped(&pump, &mut node, &world));
@@ -232,7 +232,7 @@ fn endless_readings_leave_time_for_all_else() {
 }
 
 #[test]
-fn a_closed_port_is_told_after_the_components_have_moved() {
+fn a_closed_port_is_reported_after_polling_the_components() {
     let (world, pump, mut node) = (Rc::new(World::default()), Pump::new(), node());
     {
         let mut future = pin!(looped(&pump, &mut node, &world));
@@ -252,7 +252,7 @@ fn a_closed_port_is_told_after_the_components_have_moved() {
 }
 
 #[test]
-fn the_log_gets_out_though_nothing_else_happens() {
+fn the_log_is_sent_while_the_node_idles() {
     let page = Page(Cell::new(20));
     let (world, mut node) = (Rc::new(World::default()), node());
     let pump = Pump::new().with_log(&page);
@@ -270,7 +270,7 @@ fn the_log_gets_out_though_nothing_else_happens() {
 
 #[cfg(feature = "critical-section")]
 #[test]
-fn an_interrupt_that_stops_wakes_it_at_once() {
+fn an_interrupts_stop_wakes_the_loop_at_once() {
     use crate::shared::StopFlag;
 
     static STOP: StopFlag = StopFlag::new();

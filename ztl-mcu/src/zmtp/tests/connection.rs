@@ -227,7 +227,7 @@ fn a_ping_is_answered_with_its_context() {
             let pong = command("PONG", context);
             assert_eq!(server.talk(pieces, &ping), pong);
         }
-        // Each is answered before the next is taken.
+        // Each is answered before the next is read.
         let pings = [command("PING", b"\0\0one"), command("PING", b"\0\0two")].concat();
         let pongs = [command("PONG", b"one"), command("PONG", b"two")].concat();
         assert_eq!(server.talk(pieces, &pings), pongs);

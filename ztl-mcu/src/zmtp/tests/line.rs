@@ -99,7 +99,7 @@ fn nothing_is_sent_before_a_client_begins() {
 }
 
 #[test]
-fn a_new_client_is_served_wherever_the_former_one_broke_off() {
+fn a_new_client_is_served_after_any_unfinished_stream() {
     let all = [
         greeting(),
         ready("DEALER"),

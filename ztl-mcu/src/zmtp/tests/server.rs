@@ -188,7 +188,7 @@ fn replies_stay_readable_for_scopes_and_ids_of_any_length() {
 }
 
 #[test]
-fn clients_are_served_concurrently_and_an_extra_one_gets_no_slot() {
+fn clients_are_served_concurrently_up_to_the_slots() {
     for pieces in BOTH {
         let mut desk = desk();
         assert_eq!(desk.vacant(), Some(Peer(0)));
@@ -219,7 +219,7 @@ fn a_held_reply_never_reaches_the_next_client_in_the_slot() {
     let ask = enveloped(7, 1, "/lab;2;1;wait 1000");
     assert!(next.talk(Pieces::Whole, &ask).is_empty(), "held too");
     steps(next.desk, 1);
-    // The former client would have been told `True`.
+    // The former client would have received `True`.
     assert_eq!(text(&next.drain()[32..]), "/lab;4;1;stopped half way");
 }
 

@@ -27,7 +27,7 @@ second (delay=1):
 ";
 
 #[test]
-fn a_step_starts_when_everything_that_the_one_before_waited_for_has_ended() {
+fn a_step_starts_when_the_awaited_tasks_of_the_previous_one_end() {
     for options in [PlayOptions::default(), unattended()] {
         let mut world = World::new(SCENE, options);
         world.begin();
@@ -169,7 +169,7 @@ fn a_pause_begins_after_the_step_and_can_be_cancelled() {
 }
 
 #[test]
-fn a_command_that_is_no_choice_does_nothing() {
+fn a_command_that_is_not_offered_does_nothing() {
     let mut world = World::new(SCENE, PlayOptions::default());
     world.begin();
     for command in [
@@ -236,7 +236,7 @@ fn thousands_of_empty_scenes_do_not_exhaust_the_stack() {
     assert_eq!(world.outcome(), Some(RunOutcome::Completed));
 }
 
-/// What a script does about a failure, by its parameter.
+/// A script's reaction to a failure, by its parameter.
 fn failing(policy: &str, goal: &str, options: PlayOptions) -> World {
     let script = format!(
         "s: {{a ({policy}): {{robot: {{base: {goal}, arm: 1}}}}, b: {{robot: {{head: 1}}}}}}"
@@ -247,7 +247,7 @@ fn failing(policy: &str, goal: &str, options: PlayOptions) -> World {
 }
 
 #[test]
-fn after_a_failure_the_script_goes_on_as_the_original_does() {
+fn a_script_continues_after_a_failure_like_the_original() {
     let mut world = failing("", "1 fail", PlayOptions::default());
     world.run(on);
     assert_eq!(world.began.len(), 3);
@@ -296,7 +296,7 @@ fn after_a_failure_the_operator_can_be_asked_and_retry() {
     world.command(RunCommand::GoOn);
     assert_eq!(world.until_asked(), Some(Question::End));
     assert_eq!(world.began.len(), 4);
-    // What failed can be tried again afterwards, too.
+    // Failed tasks can be retried afterwards, too.
     world.command(RunCommand::Retry);
     world.until_asked();
     assert_eq!(
@@ -359,7 +359,7 @@ fn a_task_over_its_time_limit_is_stopped() {
 }
 
 #[test]
-fn a_task_over_its_limit_that_cannot_be_stopped_holds_its_step_until_the_operator_decides() {
+fn an_unstoppable_task_over_its_limit_holds_its_step_for_a_decision() {
     let script = "s: {a: {robot: {base (timeout=1): 9 forever}}, b: {robot: {head: 1}}}";
     let mut world = World::started(script);
     assert_eq!(world.until_asked(), FIRST_STEP);
@@ -378,7 +378,7 @@ fn a_task_over_its_limit_that_cannot_be_stopped_holds_its_step_until_the_operato
     assert_eq!(world.until_asked(), Some(Question::End));
     assert_eq!(world.outcome(), None);
     assert!(world.began[1].at >= world.began[0].until);
-    // With nobody there everything is stopped.
+    // Without an operator everything is stopped.
     let world = World::played_unattended(script);
     assert_eq!(world.outcome(), Some(RunOutcome::NotConfirmed));
     assert_eq!(world.began.len(), 1);

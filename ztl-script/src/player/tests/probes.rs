@@ -72,7 +72,7 @@ fn probes_notice_a_server_that_falls_silent_between_scenes() {
 }
 
 #[test]
-fn a_server_has_one_probe_at_a_time_and_none_during_a_scene() {
+fn a_server_gets_one_probe_at_a_time_and_none_during_scenes() {
     let mut world = World::new(SHOW, watched());
     world.begin();
     world.pass(Duration::from_secs(600));
@@ -81,7 +81,7 @@ fn a_server_has_one_probe_at_a_time_and_none_during_a_scene() {
     world.command(RunCommand::Start);
     world.pass(Duration::from_secs(20));
     assert_eq!(world.machine("robot").probed, probed);
-    // Without a view nobody sees it.
+    // There is no view to show it.
     let mut world = World::new(SHOW, PlayOptions::default());
     world.begin();
     world.pass(Duration::from_secs(600));

@@ -52,11 +52,11 @@ fn stopping_a_scene_stops_its_tasks_and_shows_it_again() {
         ),
         "{ends:?}"
     );
-    // What the first scene started goes on.
+    // The first scene's background task continues.
     let now = world.now;
     assert_eq!(world.machine("lamp").running(now), 1);
     assert_eq!(world.machine("robot").running(now), 0);
-    // Nothing of its later steps was started, and the show goes on.
+    // None of its later steps started, and the show continues.
     world.pass(Duration::from_secs(10));
     assert_eq!(world.timeline().len(), 3, "{:?}", world.timeline());
     world.command(RunCommand::Start);
@@ -66,7 +66,7 @@ fn stopping_a_scene_stops_its_tasks_and_shows_it_again() {
 }
 
 #[test]
-fn stopping_everything_reaches_background_tasks_and_those_of_other_clients_and_keeps_the_place() {
+fn stopping_everything_includes_background_and_foreign_tasks_and_keeps_the_position() {
     let mut world = in_the_second();
     let now = world.now;
     world.machine("lamp").begins(now, "100");

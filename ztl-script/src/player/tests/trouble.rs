@@ -56,7 +56,7 @@ fn moments() -> impl Iterator<Item = Instant> {
     (0..68).map(|at| Instant::from_millis(at * 25))
 }
 
-/// An operator who waits while waiting may help, and otherwise goes on.
+/// An operator who waits while waiting may help, and otherwise continues.
 fn patient(world: &World, question: Question) -> Option<RunCommand> {
     match (question, world.why()) {
         (Question::Step { .. }, Some(WaitReason::ServerSilent { .. } | WaitReason::TooLong)) => {
@@ -133,7 +133,7 @@ fn a_step_reports_a_silent_server_and_goes_on_when_it_is_back() {
 }
 
 #[test]
-fn a_server_restart_at_any_point_is_noticed_and_nothing_follows_without_a_decision() {
+fn a_server_restart_at_any_point_is_noticed_and_needs_a_decision() {
     for name in ["robot", "lamp"] {
         for at in moments() {
             let about = format!("{name} started anew at {at:?}");
@@ -166,7 +166,7 @@ fn a_server_restart_at_any_point_is_noticed_and_nothing_follows_without_a_decisi
                 true => RunOutcome::Completed,
                 false => RunOutcome::Failures,
             };
-            // The fan in the background may be forgotten, and is then unknown.
+            // The server may have lost the fan's background task, whose outcome is then unknown.
             let fan = outcome == Some(RunOutcome::Failures) && name == "lamp";
             assert!(outcome == Some(expected) || fan, "{about}: {outcome:?}");
             assert_eq!(asked > 0, !waiting.is_empty(), "{about}");
@@ -225,7 +225,7 @@ fn an_unattended_run_stops_where_a_decision_is_needed() {
 }
 
 #[test]
-fn an_init_without_an_answer_is_never_sent_again() {
+fn an_unanswered_init_is_never_resent() {
     let script = "s: {a (on_failure=retry 5): {robot: {base: 1}}, b: {robot: {arm: 1}}}";
     let mut world = World::new(script, PlayOptions::default());
     world.pause("robot", 0, 2500);
@@ -265,7 +265,7 @@ fn a_task_with_an_unknown_outcome_holds_its_step_and_is_listed_at_the_end() {
 }
 
 #[test]
-fn everything_can_be_stopped_at_any_point_with_every_end_confirmed() {
+fn everything_can_be_stopped_at_any_point_with_confirmed_final_states() {
     for at in moments() {
         let about = format!("stopped at {at:?}");
         let mut world = World::started(SCRIPT);
@@ -441,7 +441,7 @@ fn an_unanswered_init_does_not_delay_the_end_of_a_stop() {
 }
 
 #[test]
-fn a_step_is_not_retried_automatically_once_the_operator_was_asked() {
+fn a_step_is_not_retried_automatically_after_asking_the_operator() {
     let silent = (Instant::from_millis(500), Instant::from_millis(9500));
     // One exceeds its limit and stops late; one fails while its server is silent.
     for (task, pause) in [

@@ -38,7 +38,7 @@ pub(super) struct Machine {
     pub(super) restarts: Vec<Instant>,
     /// How many INITs it refuses, by component.
     pub(super) refusals: BTreeMap<&'static str, u32>,
-    /// Nobody listens at its address.
+    /// No server listens at its address.
     pub(super) missing: bool,
     /// The times of its probes.
     pub(super) probed: Vec<Instant>,

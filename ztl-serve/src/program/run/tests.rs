@@ -89,7 +89,7 @@ impl Lab {
     }
 }
 
-/// As the system tells an exit code.
+/// As the system encodes an exit code.
 const fn code(code: i32) -> i32 {
     code << 8
 }
@@ -187,7 +187,7 @@ fn an_aborted_program_is_aborted_once_its_whole_group_has_ended() {
 }
 
 #[test]
-fn the_group_is_killed_after_its_grace_and_given_up_a_second_later() {
+fn the_group_is_killed_after_its_grace_and_abandoned_a_second_later() {
     let mut lab = Lab::new(|_| {});
     lab.says("at 3\n");
     lab.stop(StopReason::Client);

@@ -1,4 +1,4 @@
-//! The server's thread that keeps a watchdog running and tells it of programs.
+//! The server's thread that keeps a watchdog running and announces programs to it.
 
 use std::collections::BTreeMap;
 use std::io::{self, Read, Write};
@@ -69,7 +69,7 @@ impl Keeper {
         }
     }
 
-    /// Runs until it is told to close.
+    /// Runs until it receives the request to close.
     pub(crate) fn run(mut self) {
         loop {
             if self.process.is_none() && self.due <= Instant::now() {
@@ -126,7 +126,7 @@ impl Keeper {
         }
     }
 
-    /// Starts a watchdog and tells it of every program.
+    /// Starts a watchdog and announces every program to it.
     fn start(&mut self) {
         let now = Instant::now();
         match Process::start(&mut self.command) {
@@ -246,7 +246,7 @@ impl Process {
         while !self.unsent.is_empty() {
             match self.socket.write(&self.unsent) {
                 Ok(count) => drop(self.unsent.drain(..count)),
-                // Reading tells whether the watchdog has ended.
+                // Reading shows whether the watchdog has ended.
                 Err(_) => break,
             }
         }

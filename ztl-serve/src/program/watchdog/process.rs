@@ -77,7 +77,7 @@ fn survive_signals() {
         // Fails only for signals that no process can survive.
         let _ = flag::register(signal.as_raw(), Arc::new(AtomicBool::new(false)));
     }
-    // A stopped watchdog goes on as soon as its server is gone.
+    // A suspended watchdog continues as soon as its server is gone.
     #[cfg(target_os = "linux")]
     let _ = rustix::process::set_parent_process_death_signal(Some(Signal::CONT));
 }
@@ -269,7 +269,7 @@ mod tests {
     }
 
     #[test]
-    fn programs_that_are_not_over_are_stopped_even_if_their_group_is_unknown() {
+    fn running_programs_are_stopped_even_if_their_group_is_unknown() {
         let grace = Duration::from_secs(10);
         // No server of another test gives such numbers.
         let [told, untold, over] = [3, 2, 1].map(|less| TaskId::new(u32::MAX - less).expect("one"));

@@ -1,4 +1,4 @@
-//! What server and watchdog tell each other.
+//! The protocol between server and watchdog.
 
 use std::time::Duration;
 
@@ -60,8 +60,8 @@ impl Charge {
     }
 }
 
-/// What the watchdog is told, one line of JSON each. Its first answer is [`READY`]; then it answers each `Begins`
-/// with the number of the program, in a line.
+/// Messages to the watchdog, one line of JSON each. The watchdog first sends [`READY`]; then it answers each `Begins`
+/// with a line that holds the number of the program.
 #[derive(Debug, Serialize, Deserialize)]
 pub(crate) enum Message {
     /// The program is about to start.

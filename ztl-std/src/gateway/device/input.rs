@@ -1,4 +1,4 @@
-//! What a device's thread is told.
+//! Messages to a device's thread.
 
 use std::io::{self, Write};
 

@@ -137,7 +137,7 @@ impl Worker {
         Arc::clone(&self.idle)
     }
 
-    /// Runs until it is told to stop.
+    /// Runs until it receives the request to stop.
     pub(super) fn run(&mut self, inbox: &Receiver<Input>) {
         loop {
             if let LineState::Closed { retry } = self.line
@@ -186,14 +186,14 @@ impl Worker {
         opener.map_or("nowhere", |opener| opener.label.as_str())
     }
 
-    /// Leaves tasks whose end is unknown. No client is told that they failed.
+    /// Leaves tasks with an unknown outcome. Their clients get no final state.
     fn leave_unconfirmed(&mut self) {
         let left = std::mem::take(&mut self.tasks);
         for (task, request) in left.into_values() {
             warn!(
                 target: GATEWAY,
                 device = self.name,
-                "Device '{}' has not confirmed that {} stopped; it acts by itself when it hears nothing for its link timeout.",
+                "Device '{}' has not confirmed that {} stopped; after its link timeout without a command, it acts by itself.",
                 self.name,
                 request.shown
             );
@@ -220,9 +220,9 @@ impl Worker {
             return;
         };
         let what = match policy {
-            Loss::Abort => "stops by itself when it has heard nothing for its link timeout (abort)",
+            Loss::Abort => "stops by itself after its link timeout without a command (abort)",
             Loss::Hold => {
-                "stops by itself when it has heard nothing for its link timeout, and keeps its position (hold)"
+                "stops by itself after its link timeout without a command, and keeps its position (hold)"
             }
             Loss::CarryOn => "carries on",
         };
@@ -413,7 +413,7 @@ impl Worker {
         {
             if is_pause(&error) {
                 let kind = io::ErrorKind::TimedOut;
-                return self.on_closed(&io::Error::new(kind, "it takes no bytes"));
+                return self.on_closed(&io::Error::new(kind, "it accepts no bytes"));
             }
             self.on_closed(&error);
         }

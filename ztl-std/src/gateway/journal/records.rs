@@ -16,7 +16,7 @@ use crate::server::{KEEP, RestoredTask};
 
 /// Bytes written to a file, besides its initial content, before a new one is started.
 const ROTATE: u64 = 1 << 20;
-/// Most tasks that are carried over to a new file; as many as a server remembers.
+/// Most tasks that are carried over to a new file; as many as a server keeps.
 const CARRIED: usize = 10_000;
 /// The same limit in bytes of memory.
 const CARRIED_BYTES: usize = 64 << 20;
@@ -168,7 +168,7 @@ impl<S: Storage> JournalRecords<S> {
         lines.filter_map(with_device).collect()
     }
 
-    /// The ended tasks that are still remembered, each with its device, component and goal.
+    /// The ended tasks that are still kept, each with its device, component and goal.
     pub fn ended(&self, now: Moment) -> Vec<([&str; 3], RestoredTask)> {
         let lines = self.tasks.values().filter(|line| line.state.is_final());
         let ended = |line: &TaskEntry| RestoredTask {
@@ -265,7 +265,7 @@ impl<S: Storage> JournalRecords<S> {
                     if line.restored().is_none() =>
                 {
                     useless += 1;
-                    warn!(target: GATEWAY, "Journal {place}, line {number}: skipped, it does not say to whom the task was sent.");
+                    warn!(target: GATEWAY, "Journal {place}, line {number}: skipped, it does not name the device of the task.");
                 }
                 Ok(
                     JournalEntry::Start(line)
@@ -359,16 +359,16 @@ impl<S: Storage> JournalRecords<S> {
         let place = self.storage.place();
         if let Err(error) = self.rotate(now) {
             let trouble =
-                format!("the journal {place} {how}, and no new file can be begun: {error}");
+                format!("the journal {place} {how}, and cannot start a new file: {error}");
             return Err(self.in_trouble(trouble));
         }
-        warn!(target: GATEWAY, "Journal {place} {how}. A new file with all that is still needed takes its place.");
+        warn!(target: GATEWAY, "Journal {place} {how}. A new file with the entries still needed replaces it.");
         Ok(())
     }
 
     fn in_trouble(&mut self, trouble: String) -> String {
         if self.trouble.as_ref() != Some(&trouble) {
-            warn!(target: GATEWAY, "No task is taken: {trouble}");
+            warn!(target: GATEWAY, "No task is accepted: {trouble}");
             self.trouble = Some(trouble.clone());
         }
         trouble
@@ -396,7 +396,7 @@ impl<S: Storage> JournalRecords<S> {
     fn rotate_or_go_on(&mut self, now: Moment) {
         if let Err(error) = self.rotate(now) {
             let place = self.storage.place();
-            warn!(target: GATEWAY, "Journal {place}: no new file can be begun: {error}");
+            warn!(target: GATEWAY, "Journal {place}: cannot start a new file: {error}");
         }
     }
 

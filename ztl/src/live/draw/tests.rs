@@ -25,7 +25,7 @@ fn evening() -> Vec<StampedEvent> {
     runs.remove(0).events
 }
 
-/// What is known after the first event for which `until` is true, and when that was.
+/// The state after the first event for which `until` is true, and its time.
 fn board(mut until: impl FnMut(&RunEvent) -> bool) -> (Board, Duration) {
     let mut board = Board::default();
     for event in evening() {
@@ -58,7 +58,7 @@ fn screen(board: &Board, now: Duration, size: (usize, usize)) -> String {
 }
 
 #[test]
-fn a_scene_is_shown_with_all_that_it_would_do() {
+fn a_scene_is_shown_with_all_its_tasks() {
     let (board, at) = board(|event| matches!(event, RunEvent::Asked { .. }));
     assert_eq!(
         format!(
@@ -88,7 +88,7 @@ fn a_scene_is_shown_with_all_that_it_would_do() {
 }
 
 #[test]
-fn a_silent_server_is_told_with_what_waits_for_it() {
+fn a_silent_server_is_shown_with_the_tasks_waiting_for_it() {
     let silent = |event: &RunEvent| {
         matches!(
             event,
@@ -149,7 +149,7 @@ fn key_line(board: &Board) -> String {
 }
 
 #[test]
-fn no_key_is_offered_that_does_nothing_where_no_scene_is_played() {
+fn keys_without_an_effect_are_not_offered_outside_a_scene() {
     let (mut board, at) = board(|event| matches!(event, RunEvent::SceneEnded { .. }));
     assert!(board.in_background().count() > 0);
     assert!(board.question.is_none());
@@ -202,7 +202,7 @@ fn each_confirmation_of_stopping_is_shown() {
 }
 
 #[test]
-fn on_a_small_screen_what_has_to_be_decided_stays() {
+fn a_small_screen_keeps_the_pending_decision() {
     let (board, at) = board(|event| {
         matches!(
             event,
@@ -224,12 +224,12 @@ fn on_a_small_screen_what_has_to_be_decided_stays() {
   c  stop this scene   x  stop everything
   d  details   ?  keys"
     );
-    // What can be pressed is there on the smallest.
+    // The available keys are visible on the smallest screen.
     assert!(screen(&board, at, (80, 1)).contains("x  stop everything"));
 }
 
 #[test]
-fn a_terminal_of_any_size_is_filled_and_not_overrun() {
+fn a_terminal_of_any_size_is_filled_exactly() {
     let mut board = Board::default();
     for event in evening() {
         board.handle(&event);
@@ -262,7 +262,7 @@ fn a_terminal_of_any_size_is_filled_and_not_overrun() {
 }
 
 #[test]
-fn the_step_that_is_played_is_seen_among_a_thousand() {
+fn the_current_step_stays_visible_among_a_thousand() {
     let (mut board, at) = board(|event| matches!(event, RunEvent::StepStarted { .. }));
     let scene = &mut board.outline.scenes[0];
     let one = scene.steps[0].clone();
@@ -300,7 +300,7 @@ fn progress_in_percent_is_a_bar() {
 }
 
 #[test]
-fn what_is_left_on_the_terminal_tells_how_it_went() {
+fn the_final_screen_shows_the_result_of_the_run() {
     let (board, _) = board(|event| matches!(event, RunEvent::RunEnded { .. }));
     let lines: Vec<String> = summary(&board, 80)
         .iter()
@@ -320,7 +320,7 @@ fn what_is_left_on_the_terminal_tells_how_it_went() {
 }
 
 #[test]
-fn what_is_long_is_looked_through_by_pages() {
+fn long_lists_scroll_by_pages() {
     let (mut board, at) = board(|event| matches!(event, RunEvent::Asked { .. }));
     let scene = board.outline.scenes[0].clone();
     let many = (0..200).map(|nth| ztl_script::event::SceneOutline {
@@ -353,7 +353,7 @@ fn what_is_long_is_looked_through_by_pages() {
 }
 
 #[test]
-fn a_reason_is_told_first_and_in_full_on_a_page_of_its_own() {
+fn a_reason_comes_first_and_in_full_on_its_own_page() {
     let (mut board, at) = board(|event| {
         matches!(
             event,
@@ -385,7 +385,7 @@ fn a_reason_is_told_first_and_in_full_on_a_page_of_its_own() {
 }
 
 #[test]
-fn every_key_that_can_be_pressed_is_explained() {
+fn every_available_key_is_explained() {
     let mut board = Board::default();
     for event in evening() {
         board.handle(&event);
@@ -405,7 +405,7 @@ fn and(board: &mut Board, at: Duration, event: RunEvent) {
 }
 
 #[test]
-fn stopped_is_said_only_where_every_stop_was_confirmed() {
+fn stopped_is_shown_only_after_every_confirmation() {
     let (mut board, at) = board(|event| matches!(event, RunEvent::RunEnded { .. }));
     let running = vec![TaskNumber(1), TaskNumber(2)];
     for (running, said) in [
@@ -428,7 +428,7 @@ fn stopped_is_said_only_where_every_stop_was_confirmed() {
 }
 
 #[test]
-fn a_task_that_ends_after_its_stop_was_given_up_counts_as_stopped() {
+fn a_task_that_ends_after_its_stop_timed_out_counts_as_stopped() {
     let (mut board, at) = board(|event| matches!(event, RunEvent::Stopping { .. }));
     let tasks: Vec<TaskNumber> = board
         .stopping
@@ -474,7 +474,7 @@ fn a_task_that_ends_after_its_stop_was_given_up_counts_as_stopped() {
 }
 
 #[test]
-fn in_a_narrow_window_message_and_keys_remain() {
+fn a_narrow_window_keeps_the_message_and_keys() {
     let asked = |event: &RunEvent| matches!(event, RunEvent::Asked { .. });
     let (first, at) = board(asked);
     let shown = screen(&first, at, (30, 6));

@@ -41,7 +41,7 @@ fn read(path: &Path) -> String {
 const ONE: &[u8] = b"{\"event\":\"one\"}\n";
 
 #[test]
-fn lines_are_in_the_file_when_they_are_written_and_read_by_the_next() {
+fn written_lines_are_in_the_file_and_read_by_the_next_gateway() {
     for sync in [false, true] {
         let scratch = Scratch::new(&format!("lines-{sync}"));
         let path = scratch.journal();
@@ -73,7 +73,7 @@ fn is_in_use(path: &Path) {
 }
 
 #[test]
-fn a_second_gateway_gets_no_journal_and_hears_who_has_it() {
+fn a_second_gateway_is_told_who_holds_the_journal() {
     let scratch = Scratch::new("second");
     let path = scratch.journal();
     let (mut first, _) = JournalFile::open(&path).unwrap();
@@ -119,7 +119,7 @@ fn a_journal_is_locked_under_each_of_its_names() {
 
 #[cfg(unix)]
 #[test]
-fn another_gateways_journal_that_was_put_there_is_left_alone() {
+fn another_gateways_journal_at_the_path_is_left_alone() {
     let scratch = Scratch::new("put");
     let path = scratch.journal();
     let (mut first, _) = JournalFile::open(&path).unwrap();
@@ -133,7 +133,7 @@ fn another_gateways_journal_that_was_put_there_is_left_alone() {
 }
 
 #[test]
-fn what_a_failed_write_has_left_is_cut_off_before_the_next() {
+fn a_failed_write_is_truncated_before_the_next() {
     let scratch = Scratch::new("torn");
     let path = scratch.journal();
     let (mut file, _) = JournalFile::open(&path).unwrap();
@@ -148,7 +148,7 @@ fn what_a_failed_write_has_left_is_cut_off_before_the_next() {
 
 #[cfg(target_os = "linux")]
 #[test]
-fn a_disk_that_is_full_is_an_error_of_the_write() {
+fn a_full_disk_is_a_write_error() {
     let scratch = Scratch::new("full");
     let (mut file, _) = JournalFile::open(&scratch.journal()).unwrap();
     file.file = OpenOptions::new().append(true).open("/dev/full").unwrap();
@@ -160,7 +160,7 @@ fn a_disk_that_is_full_is_an_error_of_the_write() {
 }
 
 #[test]
-fn replaced_files_are_kept_up_to_a_number() {
+fn a_limited_number_of_replaced_files_is_kept() {
     let scratch = Scratch::new("kept");
     let path = scratch.journal();
     let (mut file, _) = JournalFile::open(&path).unwrap();
@@ -177,7 +177,7 @@ fn replaced_files_are_kept_up_to_a_number() {
 }
 
 #[test]
-fn a_replacement_that_cannot_be_written_leaves_the_file_as_it_is() {
+fn a_replacement_that_cannot_be_written_leaves_the_file_unchanged() {
     let scratch = Scratch::new("unwritable");
     let path = scratch.journal();
     let (mut file, _) = JournalFile::open(&path).unwrap();
@@ -191,7 +191,7 @@ fn a_replacement_that_cannot_be_written_leaves_the_file_as_it_is() {
 
 #[cfg(unix)]
 #[test]
-fn what_somebody_else_did_to_it_is_noticed_and_a_new_file_begun() {
+fn a_foreign_change_is_noticed_and_a_new_file_started() {
     let scratch = Scratch::new("altered");
     let path = scratch.journal();
     let (mut file, _) = JournalFile::open(&path).unwrap();
@@ -232,7 +232,7 @@ fn what_somebody_else_did_to_it_is_noticed_and_a_new_file_begun() {
 }
 
 #[test]
-fn what_is_no_file_is_no_place_for_a_journal() {
+fn a_journal_path_that_is_a_directory_is_rejected() {
     let scratch = Scratch::new("directory");
     fs::create_dir_all(scratch.journal()).unwrap();
     let error = JournalFile::open(&scratch.journal()).unwrap_err();
@@ -241,7 +241,7 @@ fn what_is_no_file_is_no_place_for_a_journal() {
 }
 
 #[test]
-fn a_file_that_is_not_a_journal_is_refused_and_left_as_it_is() {
+fn a_file_that_is_not_a_journal_is_rejected_and_unchanged() {
     let scratch = Scratch::new("foreign");
     let path = scratch.journal();
     drop(JournalFile::open(&path).unwrap());

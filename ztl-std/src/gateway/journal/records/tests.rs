@@ -67,7 +67,7 @@ fn restarted(log: &JournalRecords<Vec<u8>>) -> JournalRecords<Vec<u8>> {
 }
 
 #[test]
-fn what_was_written_is_known_after_a_restart() {
+fn written_entries_are_known_after_a_restart() {
     let mut log = fresh();
     assert_eq!((log.gateway(), log.last_id()), (7, None));
     for number in 101..=104 {
@@ -79,7 +79,7 @@ fn what_was_written_is_known_after_a_restart() {
     log.ended_as(at(4), "gripper", &task(104), rejected)
         .unwrap();
 
-    // Refused at once: nobody has its id.
+    // Rejected at once: no client has its id.
     log.start(at(4), 105).unwrap();
     log.ended_as(at(4), "gripper", &task(105), rejected)
         .unwrap();
@@ -118,7 +118,7 @@ fn what_was_written_is_known_after_a_restart() {
 }
 
 #[test]
-fn the_lines_are_what_the_document_says() {
+fn the_entries_match_the_document() {
     let mut log = JournalRecords::open(Vec::new(), b"", at(0), 0x93f0_5c11_e2d4_7a08);
     let mut task = task(10471);
     task.goal = "40";
@@ -173,7 +173,7 @@ impl Storage for Synced {
 }
 
 #[test]
-fn no_id_is_given_again_whenever_the_power_is_cut() {
+fn no_id_is_reused_after_a_power_cut_at_any_point() {
     let mut log = JournalRecords::open(Synced::default(), b"", at(0), 7);
     let mut flushes = 0;
     for number in (5_000..60_000).step_by(701) {
@@ -192,7 +192,7 @@ fn no_id_is_given_again_whenever_the_power_is_cut() {
 }
 
 #[test]
-fn with_sync_each_line_survives_from_which_something_follows() {
+fn with_sync_every_entry_with_an_effect_is_synced() {
     let mut log = JournalRecords::open(Synced::default(), b"", at(0), 7).with_sync(true);
     log.start(at(1), 101).unwrap();
     log.complete(at(2), 101, "done");
@@ -214,7 +214,7 @@ fn the_last_block_of_ids_ends_with_the_last_id() {
 }
 
 #[test]
-fn no_more_bytes_of_ends_are_carried_over_than_fit() {
+fn outcomes_are_carried_over_up_to_the_byte_limit() {
     let mut log = fresh();
     let text = "x".repeat(CARRIED_BYTES / 4);
     log.start(at(0), 101).unwrap();
@@ -229,7 +229,7 @@ fn no_more_bytes_of_ends_are_carried_over_than_fit() {
 }
 
 #[test]
-fn an_end_stays_what_it_is() {
+fn a_journaled_outcome_never_changes() {
     let mut log = fresh();
     log.start(at(1), 101).unwrap();
     log.complete(at(2), 101, "first");
@@ -242,7 +242,7 @@ fn an_end_stays_what_it_is() {
 }
 
 #[test]
-fn an_end_is_forgotten_after_its_hour_and_not_when_the_clock_is_set_back() {
+fn an_outcome_expires_after_an_hour_despite_clock_changes() {
     let mut log = fresh();
     log.start(at(1000), 101).unwrap();
     log.complete(at(2000), 101, "done");
@@ -264,7 +264,7 @@ fn an_end_is_forgotten_after_its_hour_and_not_when_the_clock_is_set_back() {
 }
 
 #[test]
-fn whatever_the_length_at_which_a_write_was_torn_the_lines_before_count() {
+fn a_write_torn_at_any_length_keeps_the_earlier_entries() {
     let mut log = fresh();
     log.start(at(1), 101).unwrap();
     log.complete(at(2), 101, "done");
@@ -301,7 +301,7 @@ fn whatever_the_length_at_which_a_write_was_torn_the_lines_before_count() {
 }
 
 #[test]
-fn what_cannot_be_read_is_skipped_and_the_rest_counts() {
+fn unreadable_entries_are_skipped_and_the_rest_is_used() {
     let mut log = fresh();
     log.start(at(1), 101).unwrap();
     log.start(at(1), 102).unwrap();
@@ -318,7 +318,7 @@ fn what_cannot_be_read_is_skipped_and_the_rest_counts() {
 }
 
 #[test]
-fn lines_of_another_version_are_skipped_until_ones_of_this() {
+fn entries_of_another_version_are_skipped() {
     let mut log = fresh();
     log.start(at(1), 101).unwrap();
     let ours = String::from_utf8(log.storage.clone()).unwrap();
@@ -385,7 +385,7 @@ impl Storage for Small {
 }
 
 #[test]
-fn on_a_full_disk_nothing_counts_and_when_there_is_room_again_it_goes_on() {
+fn a_full_disk_rejects_tasks_until_there_is_room() {
     // With no room at all, some, and room for some tasks.
     for room in (0..1200).step_by(37) {
         let mut log = JournalRecords::open(Small::new(room), b"", at(0), 7);
@@ -413,7 +413,7 @@ fn on_a_full_disk_nothing_counts_and_when_there_is_room_again_it_goes_on() {
 }
 
 #[test]
-fn a_file_that_has_grown_is_replaced_by_one_with_what_is_still_needed() {
+fn a_grown_file_is_replaced_by_one_with_the_needed_entries() {
     let mut log = fresh();
     log.start(at(0), 101).unwrap();
     log.accepted(at(0), "gripper", &task(101)).unwrap();
@@ -442,7 +442,7 @@ fn a_file_that_has_grown_is_replaced_by_one_with_what_is_still_needed() {
 }
 
 #[test]
-fn no_more_ends_are_carried_over_than_a_server_remembers() {
+fn outcomes_are_carried_over_up_to_the_servers_limit() {
     let mut log = fresh();
     log.start(at(0), 101).unwrap();
     for number in 102..12_102 {
@@ -459,7 +459,7 @@ fn no_more_ends_are_carried_over_than_a_server_remembers() {
 }
 
 #[test]
-fn when_no_new_file_can_be_begun_the_old_one_goes_on() {
+fn the_old_file_is_kept_if_no_new_one_can_be_started() {
     let mut log = JournalRecords::open(Small::new(usize::MAX), b"", at(0), 7);
     log.start(at(0), 101).unwrap();
     // As if it were full of what is not needed.
@@ -471,7 +471,7 @@ fn when_no_new_file_can_be_begun_the_old_one_goes_on() {
 }
 
 #[test]
-fn no_bytes_at_all_make_it_panic() {
+fn no_bytes_make_the_reader_panic() {
     let mut log = fresh();
     log.start(at(1), 101).unwrap();
     log.complete(at(2), 101, "done");
