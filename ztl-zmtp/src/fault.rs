@@ -22,6 +22,9 @@ pub enum Fault {
     Refused,
     /// The handshake took longer than [`HANDSHAKE`], or the time to live that the peer announced has passed.
     Silent,
+    /// A command of the encryption cannot be opened, or was used before.
+    #[cfg(feature = "curve")]
+    Security,
 }
 
 impl Fault {
@@ -37,6 +40,8 @@ impl Fault {
             Self::TooLong => "a frame is too long",
             Self::Refused => "the peer sent ERROR",
             Self::Silent => "the peer was silent for too long",
+            #[cfg(feature = "curve")]
+            Self::Security => "the peer's keys do not match, or a frame was changed on its way",
         }
     }
 }

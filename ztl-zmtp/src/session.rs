@@ -12,6 +12,8 @@ mod outbound;
 mod security;
 
 pub use frames::Message;
+#[cfg(feature = "curve")]
+pub(crate) use frames::put_header;
 pub use inbound::{Inbound, Step};
 pub use outbound::Outbound;
 pub use security::Security;
@@ -21,3 +23,6 @@ pub const BEFORE: usize = 1024;
 
 /// What frames around a message's body may take: routing ids of proxies, our envelope, and headers.
 pub const ENVELOPES: usize = 1024;
+
+#[cfg(test)]
+mod tests;

@@ -60,7 +60,7 @@ pub(super) fn header(bytes: &[u8]) -> Result<Option<(usize, usize)>, Fault> {
 }
 
 /// The header of a frame with these flags and a body of this length, in the shortest form.
-pub(super) fn put_header(flags: u8, size: usize, out: &mut alloc::vec::Vec<u8>) {
+pub(crate) fn put_header(flags: u8, size: usize, out: &mut alloc::vec::Vec<u8>) {
     match u8::try_from(size) {
         Ok(size) => out.extend_from_slice(&[flags, size]),
         Err(_) => {

@@ -27,6 +27,8 @@ enum Phase {
     /// A ZMTP 2.0 peer sends its socket type, then its identity as a frame.
     OldGreeting,
     Handshake,
+    /// Whether the peer is accepted has to be decided.
+    Asking,
     /// As `Traffic`, without commands.
     OldTraffic,
     Traffic,
@@ -37,8 +39,8 @@ enum Phase {
 pub enum Step<'a> {
     /// All bytes are taken.
     Taken,
-    /// The handshake is complete. Whether the peer is accepted is decided now; there may be more.
-    Ready,
+    /// The peer has said who it is. Call [`Inbound::accept`], or close the connection.
+    Asks,
     /// A message; there may be more.
     Message(Message<'a>),
 }
@@ -47,6 +49,8 @@ pub enum Step<'a> {
 #[derive(Debug)]
 pub struct Inbound<S> {
     phase: Phase,
+    /// Whether the peer speaks ZMTP 2.0.
+    old: bool,
     security: Security,
     /// Bytes that wait for others, from `begin` on.
     held: Vec<u8>,
@@ -76,6 +80,7 @@ impl<S: Socket> Inbound<S> {
         out.raw(GREETING.get(..PARTIAL).unwrap_or_default());
         Self {
             phase: Phase::Signature,
+            old: false,
             security,
             held: Vec::new(),
             begin: 0,
@@ -125,11 +130,12 @@ impl<S: Socket> Inbound<S> {
         self.begin < self.held.len()
     }
 
-    /// The public key of the peer, if it was encrypted and is ready.
+    /// The public key of a peer that [asks](Step::Asks), if the connection is encrypted.
     #[cfg(feature = "curve")]
     #[must_use]
     pub fn peer_key(&self) -> Option<[u8; 32]> {
-        self.cipher.as_ref().map(Cipher::peer)
+        let handshake = self.handshake.as_ref()?;
+        handshake.is_known().then(|| handshake.peer())
     }
 
     /// Keeps bytes for a later [`next`](Self::next).
@@ -150,16 +156,17 @@ impl<S: Socket> Inbound<S> {
     ///
     /// # Errors
     /// Why the connection is to be closed, after what is in `out` was sent.
-    pub fn next<'a>(
+    pub fn next<'a, 'b: 'a>(
         &'a mut self,
-        bytes: &mut &'a [u8],
+        bytes: &mut &'b [u8],
         out: &mut Outbound,
     ) -> Result<Step<'a>, Fault> {
         while !self.is_ready() {
-            match self.greet(bytes, out)? {
-                true if self.is_ready() => return Ok(Step::Ready),
-                true => {}
-                false => return Ok(Step::Taken),
+            if self.phase == Phase::Asking {
+                return Ok(Step::Asks);
+            }
+            if !self.greet(bytes, out)? {
+                return Ok(Step::Taken);
             }
         }
         #[cfg(feature = "curve")]
@@ -218,7 +225,7 @@ impl<S: Socket> Inbound<S> {
     #[cfg(feature = "curve")]
     fn next_encrypted<'a>(
         &'a mut self,
-        bytes: &mut &'a [u8],
+        bytes: &mut &[u8],
         out: &mut Outbound,
     ) -> Result<Step<'a>, Fault> {
         if core::mem::take(&mut self.delivered) {
@@ -276,7 +283,12 @@ impl<S: Socket> Inbound<S> {
                     SIGNATURE => *byte == 0,
                     _ => false,
                 };
-                if waiting.iter().enumerate().take(PARTIAL).any(|at| wrong(&at)) {
+                if waiting
+                    .iter()
+                    .enumerate()
+                    .take(PARTIAL)
+                    .any(|at| wrong(&at))
+                {
                     return Err(Fault::NotZmtp);
                 }
                 match waiting.get(SIGNATURE) {
@@ -320,7 +332,8 @@ impl<S: Socket> Inbound<S> {
                 match header(identity)? {
                     Some((length, size)) if size > 255 || length > 2 => return Err(Fault::TooLong),
                     Some((length, size)) if identity.len() >= length + size => {
-                        self.phase = Phase::OldTraffic;
+                        self.old = true;
+                        self.phase = Phase::Asking;
                         1 + length + size
                     }
                     _ => 0,
@@ -391,30 +404,46 @@ impl<S: Socket> Inbound<S> {
         }
         #[cfg(feature = "curve")]
         if let Some(handshake) = &mut self.handshake {
-            let ready = metadata_of::<S>();
             let mut metadata = Vec::new();
-            let answer = handshake.on_command(command, ready, &mut metadata)?;
-            if handshake.has_metadata() {
-                check_partner::<S>(&metadata, out)?;
-            }
+            let answer = handshake.on_command(command, metadata_of::<S>(), &mut metadata)?;
             if let Some(answer) = answer {
                 out.command(&answer);
             }
-            if let Some((sending, receiving)) = handshake.finish() {
-                out.cipher = Some(sending);
-                self.cipher = Some(receiving);
-                self.handshake = None;
-                self.phase = Phase::Traffic;
+            if handshake.is_known() {
+                check_partner::<S>(&metadata, out)?;
+                self.phase = Phase::Asking;
             }
             return Ok(());
         }
         let metadata = command.strip_prefix(b"\x05READY");
         check_partner::<S>(metadata.ok_or(Fault::Unexpected)?, out)?;
+        self.phase = Phase::Asking;
+        Ok(())
+    }
+
+    /// Accepts the peer that [asks](Step::Asks).
+    pub fn accept(&mut self, out: &mut Outbound) {
+        if self.phase != Phase::Asking {
+            return;
+        }
+        self.phase = Phase::Traffic;
+        if self.old {
+            self.phase = Phase::OldTraffic;
+            return;
+        }
+        #[cfg(feature = "curve")]
+        if let Some(mut handshake) = self.handshake.take() {
+            if let Some(ready) = handshake.ready(metadata_of::<S>()) {
+                out.command(&ready);
+            }
+            let [sending, receiving] = handshake.ciphers();
+            out.cipher = Some(sending);
+            self.cipher = Some(receiving);
+            return;
+        }
         if S::BINDS {
             out.raw(S::READY);
         }
-        self.phase = Phase::Traffic;
-        Ok(())
     }
 
     /// The bytes that wait for others.
