@@ -30,7 +30,7 @@ const UNITS: [(&str, &[[&str; 2]]); 2] = [
 /// Installs the package in a Debian root, runs the command, purges the package, and compares all files.
 const CHECK: &str = "packaging/check.sh";
 
-/// Builds the packages for the named processors, or for this machine's. Their program has all features.
+/// Builds the packages for the named processors, or for this machine's.
 pub(crate) fn build(project: &Project, names: &[String]) -> Result<Vec<PathBuf>> {
     let sh = &project.sh;
     let here = [env::consts::ARCH.to_owned()];
@@ -38,7 +38,7 @@ pub(crate) fn build(project: &Project, names: &[String]) -> Result<Vec<PathBuf>>
     let cargo_deb = install::cargo_deb(project)?;
     project.cargo("build").args(COMMAND).run()?;
     let mut packages = Vec::new();
-    for (target, program) in dist::build_all(project, &targets, "debian", &[])? {
+    for (target, program) in dist::build_all(project, &targets, "debian")? {
         let target_dir = program.ancestors().nth(2).context("a target directory")?;
         let triple = target.triple();
         let built = target_dir.join(&triple).join(zig::PROFILE);

@@ -16,9 +16,6 @@ use contents::Contents;
 /// Maximum size of a program in bytes.
 const MOST: u64 = 6 * 1024 * 1024;
 
-/// The features of a program for robots. It leaves out `pages`.
-const FEATURES: [&str; 3] = ["--no-default-features", "--features", "defmt"];
-
 const TEST: &str = "test --quiet --package ztl-tests --test";
 
 /// The emulated kernels, oldest last (`tests/command/dist/old_kernel.py`).
@@ -48,7 +45,7 @@ pub(crate) fn test(project: &Project) -> Result<()> {
 /// Builds the programs for robots, checks their size, and writes the checksums.
 fn build_small(project: &Project, targets: &[Target]) -> Result<Vec<(Target, PathBuf)>> {
     let sh = &project.sh;
-    let built = build_all(project, targets, "ztl", &FEATURES)?;
+    let built = build_all(project, targets, "ztl")?;
     for (_, path) in &built {
         let size = path.metadata()?.len();
         let path = path.display();
@@ -74,7 +71,6 @@ pub(crate) fn build_all(
     project: &Project,
     targets: &[Target],
     directory: &str,
-    features: &[&str],
 ) -> Result<Vec<(Target, PathBuf)>> {
     let sh = &project.sh;
     let zig = Zig::provide(project)?;
@@ -86,10 +82,9 @@ pub(crate) fn build_all(
     let mut built = Vec::new();
     for &target in targets {
         let libraries = zig.libraries(target)?;
-        let contents = Contents::of(project, &zig, target, &libraries, features)?;
+        let contents = Contents::of(project, &zig, target, &libraries)?;
         zig.build_with(target, &libraries)?
             .args(COMMAND)
-            .args(features)
             .env("ZTL_BUILD_COMMIT", &commit)
             .env("ZTL_BUILD_TARGET", target.triple())
             .env("ZTL_BUILD_WITH", contents.tools())

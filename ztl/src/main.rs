@@ -10,7 +10,6 @@ mod called;
 mod check;
 mod client;
 mod columns;
-#[cfg(feature = "pages")]
 mod completions;
 mod demo;
 mod describe;
@@ -32,7 +31,6 @@ mod listen_options;
 #[cfg(unix)]
 mod live;
 mod log;
-#[cfg(feature = "pages")]
 mod man;
 mod option_values;
 mod original;
@@ -61,7 +59,6 @@ mod version;
 use std::ffi::OsString;
 use std::process::ExitCode;
 
-#[cfg(feature = "pages")]
 use clap::CommandFactory as _;
 use clap::error::{ContextKind, ContextValue};
 use clap::{Parser, Subcommand};
@@ -114,10 +111,8 @@ enum Command {
     /// Check a script for mistakes
     Check(check::Check),
     /// Print a script that completes this command in a shell
-    #[cfg(feature = "pages")]
     Completions(completions::Completions),
     /// Write the man pages of this command and its subcommands
-    #[cfg(feature = "pages")]
     Man(man::Man),
     #[command(flatten)]
     Tool(tools::Tool),
@@ -162,9 +157,7 @@ fn main() -> ExitCode {
         Command::Abort(abort) => abort.run(),
         Command::Report(report) => report.run(),
         Command::Check(check) => check.run(),
-        #[cfg(feature = "pages")]
         Command::Completions(completions) => completions.run(&mut Cli::command()),
-        #[cfg(feature = "pages")]
         Command::Man(man) => man.run(Cli::command()),
         Command::Tool(tool) => return tool.run(),
     };

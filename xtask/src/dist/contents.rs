@@ -47,9 +47,8 @@ impl Contents {
         zig: &Zig<'_>,
         target: Target,
         libraries: &Libraries,
-        features: &[&str],
     ) -> Result<Self> {
-        let mut crates = crates(&project.sh, target, features)?;
+        let mut crates = crates(&project.sh, target)?;
         let own = crates.iter().position(|part| part.name == PACKAGE);
         let own = own.context("cargo does not list the package of `ztl`")?;
         Ok(Self {
@@ -85,12 +84,11 @@ impl Contents {
 }
 
 /// The Rust packages, including `ztl` itself; neither macros nor what only the build needs.
-fn crates(sh: &Shell, target: Target, features: &[&str]) -> Result<Vec<Part>> {
+fn crates(sh: &Shell, target: Target) -> Result<Vec<Part>> {
     let triple = target.triple();
     let tree =
         "tree --locked --edges normal,no-proc-macro --prefix none --format {p}|{l}".split(' ');
-    let tree = cmd!(sh, "cargo {tree...} --package {PACKAGE} --target {triple}");
-    let tree = tree.args(features).read()?;
+    let tree = cmd!(sh, "cargo {tree...} --package {PACKAGE} --target {triple}").read()?;
     let lines = tree.lines().map(|line| line.trim_end_matches(" (*)"));
     let lines: BTreeSet<&str> = lines.collect();
     let locked = lock::packages(&sh.read_file("Cargo.lock")?);
