@@ -20,6 +20,7 @@ mod handler;
 mod limit_text;
 mod limits;
 mod memory;
+mod peers;
 mod reporter;
 mod requests;
 mod rounds;

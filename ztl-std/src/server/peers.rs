@@ -1,0 +1,530 @@
+//! A server's connections without libzmq: sessions of [`ztl_zmtp`] on non-blocking sockets, one thread.
+//!
+//! - Nobody is waited for: each peer has a turn, in which at most [`PIECE`] bytes are read.
+//! - An answer is never dropped. A peer that does not read what it asked for is not read from, and is closed when it
+//!   stays so.
+//! - All buffers together have a limit. At the limit, the peer that holds the most is closed.
+//! - Peers that have not finished the handshake never displace those that have: there are places for both.
+
+use std::collections::VecDeque;
+use std::io::{self, Read as _, Write as _};
+use std::net::{IpAddr, SocketAddr};
+use std::time::Duration;
+
+use mio::net::{TcpListener, TcpStream};
+use mio::{Events, Interest, Poll, Token};
+use tracing::{debug, warn};
+use ztl_core::Instant;
+use ztl_zmtp::Router;
+use ztl_zmtp::session::{Inbound, Outbound, Security, Step};
+
+use crate::log_targets::TASKS;
+
+/// Bytes read at once.
+const PIECE: usize = 64 * 1024;
+/// Above so many unsent bytes, a peer is not read from.
+const UNSENT: usize = 256 * 1024;
+/// How long a peer may leave answers unread.
+const UNREAD: Duration = Duration::from_secs(10);
+/// How often deadlines are checked, while there are any.
+const CHECK: Duration = Duration::from_millis(250);
+/// How long no connection is accepted after the system had no file for one.
+const PAUSE: Duration = Duration::from_millis(100);
+
+const LISTENER: Token = Token(usize::MAX);
+pub(super) const WAKER: Token = Token(usize::MAX - 1);
+
+/// What applies to every connection.
+pub(super) struct Rules {
+    pub(super) security: Security,
+    /// Longest message in bytes.
+    pub(super) message: usize,
+    /// Most connections that have finished the handshake, and as many again that have not.
+    pub(super) connections: usize,
+    /// Bytes of all buffers together.
+    pub(super) memory: usize,
+}
+
+/// Leads an answer back.
+#[derive(Debug, Clone)]
+pub(super) struct Path {
+    slot: usize,
+    /// Which of the connections that had this slot.
+    number: u32,
+    /// The frames before the content, as on the wire.
+    pub(super) envelope: Box<[u8]>,
+}
+
+/// A message.
+pub(super) struct Incoming {
+    pub(super) path: Path,
+    /// The only frame after the envelope; `None` if there are several.
+    pub(super) body: Option<Box<[u8]>>,
+    pub(super) from: IpAddr,
+    /// The public key of the sender, if the connection is encrypted.
+    pub(super) key: Option<[u8; 32]>,
+}
+
+struct Peer {
+    stream: TcpStream,
+    address: IpAddr,
+    key: Option<[u8; 32]>,
+    number: u32,
+    inbound: Inbound<Router>,
+    out: Outbound,
+    /// Bytes that its buffers take, as counted.
+    held: usize,
+    /// Whether it is in `ready`, and in `unsent`.
+    is_ready: bool,
+    is_unsent: bool,
+    /// The system may have bytes of it.
+    readable: bool,
+    /// When it last took bytes while there were too many for it.
+    took: Instant,
+}
+
+/// The connections of a server.
+pub(super) struct Peers {
+    poll: Poll,
+    events: Events,
+    listener: TcpListener,
+    rules: Rules,
+    slots: Vec<Option<Peer>>,
+    free: Vec<usize>,
+    /// How many have finished the handshake, and how many have not.
+    known: usize,
+    unknown: usize,
+    next_number: u32,
+    /// Peers with something to read, in turns.
+    ready: VecDeque<usize>,
+    /// Peers with something to send.
+    unsent: Vec<usize>,
+    piece: Box<[u8]>,
+    /// Messages that were read together.
+    messages: VecDeque<Incoming>,
+    /// Bytes that all buffers take.
+    held: usize,
+    next_check: Option<Instant>,
+    accept_again: Option<Instant>,
+}
+
+impl Peers {
+    /// Listens at this address.
+    pub(super) fn bind(address: SocketAddr, rules: Rules) -> io::Result<Self> {
+        let poll = Poll::new()?;
+        let mut listener = TcpListener::bind(address)?;
+        poll.registry()
+            .register(&mut listener, LISTENER, Interest::READABLE)?;
+        Ok(Self {
+            poll,
+            events: Events::with_capacity(1024),
+            listener,
+            rules,
+            slots: Vec::new(),
+            free: Vec::new(),
+            known: 0,
+            unknown: 0,
+            next_number: 0,
+            ready: VecDeque::new(),
+            unsent: Vec::new(),
+            piece: vec![0; PIECE].into_boxed_slice(),
+            messages: VecDeque::new(),
+            held: 0,
+            next_check: None,
+            accept_again: None,
+        })
+    }
+
+    pub(super) fn address(&self) -> io::Result<SocketAddr> {
+        self.listener.local_addr()
+    }
+
+    /// Wakes [`wait`](Self::wait) from another thread.
+    pub(super) fn waker(&self) -> io::Result<mio::Waker> {
+        mio::Waker::new(self.poll.registry(), WAKER)
+    }
+
+    /// Sends what can be sent, and waits for something to read, at most for `longest`.
+    pub(super) fn wait(&mut self, now: Instant, longest: Option<Duration>) -> io::Result<()> {
+        self.flush(now);
+        let due = [self.next_check, self.accept_again].into_iter().flatten();
+        let due = due.map(|at| at.since(now)).min();
+        let longest = match !self.ready.is_empty() || !self.messages.is_empty() {
+            true => Some(Duration::ZERO),
+            false => [longest, due].into_iter().flatten().min(),
+        };
+        match self.poll.poll(&mut self.events, longest) {
+            Err(error) if error.kind() == io::ErrorKind::Interrupted => return Ok(()),
+            done => done?,
+        }
+        let mut accept = false;
+        for event in &self.events {
+            match event.token() {
+                LISTENER => accept = true,
+                WAKER => {}
+                Token(slot) => {
+                    let Some(Some(peer)) = self.slots.get_mut(slot) else {
+                        continue;
+                    };
+                    if event.is_readable() || event.is_read_closed() || event.is_error() {
+                        peer.readable = true;
+                        if !peer.is_ready && peer.out.waiting() < UNSENT {
+                            peer.is_ready = true;
+                            self.ready.push_back(slot);
+                        }
+                    }
+                    if event.is_writable() && peer.out.waiting() > 0 && !peer.is_unsent {
+                        peer.is_unsent = true;
+                        self.unsent.push(slot);
+                    }
+                }
+            }
+        }
+        if accept || self.accept_again.is_some_and(|at| at <= now) {
+            self.accept(now);
+        }
+        if self.next_check.is_some_and(|at| at <= now) {
+            self.check(now);
+        }
+        Ok(())
+    }
+
+    /// The next message. `admit` decides about a peer that has finished the handshake.
+    pub(super) fn next(
+        &mut self,
+        now: Instant,
+        admit: &mut dyn FnMut(IpAddr, Option<[u8; 32]>) -> bool,
+    ) -> Option<Incoming> {
+        loop {
+            if let Some(message) = self.messages.pop_front() {
+                return Some(message);
+            }
+            let slot = self.ready.pop_front()?;
+            self.turn(now, slot, admit);
+        }
+    }
+
+    /// Answers; an answer to a peer that is gone is dropped.
+    pub(super) fn answer(&mut self, path: &Path, body: &[u8]) {
+        let Some(Some(peer)) = self.slots.get_mut(path.slot) else {
+            return;
+        };
+        if peer.number != path.number {
+            return;
+        }
+        peer.out.message(&path.envelope, body);
+        if !peer.is_unsent {
+            peer.is_unsent = true;
+            self.unsent.push(path.slot);
+        }
+    }
+
+    /// Reads a piece of a peer's bytes, and makes messages of them.
+    fn turn(
+        &mut self,
+        now: Instant,
+        slot: usize,
+        admit: &mut dyn FnMut(IpAddr, Option<[u8; 32]>) -> bool,
+    ) {
+        let Some(Some(peer)) = self.slots.get_mut(slot) else {
+            return;
+        };
+        peer.is_ready = false;
+        let read = match peer.stream.read(&mut self.piece) {
+            Ok(0) => return self.close(slot, None),
+            Ok(count) => count,
+            Err(error) if error.kind() == io::ErrorKind::WouldBlock => {
+                peer.readable = false;
+                0
+            }
+            Err(error) if error.kind() == io::ErrorKind::Interrupted => 0,
+            Err(_) => return self.close(slot, None),
+        };
+        // A short read has emptied the system's buffer; the next bytes are an event.
+        peer.readable &= read == self.piece.len();
+        peer.inbound.on_heard(now);
+        let mut bytes = self.piece.get(..read).unwrap_or_default();
+        let fault = loop {
+            match peer.inbound.next(&mut bytes, &mut peer.out) {
+                Ok(Step::Taken) => break None,
+                Ok(Step::Asks) => {
+                    let key = peer.inbound.peer_key();
+                    if !admit(peer.address, key) {
+                        break Some("it is not allowed".to_owned());
+                    }
+                    peer.key = key;
+                    peer.inbound.accept(&mut peer.out);
+                    self.unknown -= 1;
+                    self.known += 1;
+                }
+                Ok(Step::Message(message)) => {
+                    let Some((envelope, body)) = message.split() else {
+                        continue;
+                    };
+                    self.messages.push_back(Incoming {
+                        path: Path {
+                            slot,
+                            number: peer.number,
+                            envelope: envelope.into(),
+                        },
+                        body: body.map(Into::into),
+                        from: peer.address,
+                        key: peer.key,
+                    });
+                }
+                Err(fault) => break Some(fault.to_string()),
+            }
+        };
+        if let Some(fault) = fault {
+            return self.close(slot, Some(&fault));
+        }
+        if peer.readable && peer.out.waiting() < UNSENT {
+            peer.is_ready = true;
+            self.ready.push_back(slot);
+        }
+        if peer.out.waiting() > 0 && !peer.is_unsent {
+            peer.is_unsent = true;
+            self.unsent.push(slot);
+        }
+        if peer.inbound.deadline() != Instant::NEVER {
+            self.next_check.get_or_insert(now + CHECK);
+        }
+        self.count(slot);
+    }
+
+    /// Sends what can be sent without waiting.
+    pub(super) fn flush(&mut self, now: Instant) {
+        while let Some(slot) = self.unsent.pop() {
+            let Some(Some(peer)) = self.slots.get_mut(slot) else {
+                continue;
+            };
+            peer.is_unsent = false;
+            let mut failed = false;
+            while peer.out.waiting() > 0 {
+                match peer.stream.write(peer.out.transmit_buf()) {
+                    Ok(count) => {
+                        peer.out.consume(count);
+                        peer.took = now;
+                    }
+                    Err(error) if error.kind() == io::ErrorKind::WouldBlock => break,
+                    Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+                    Err(_) => {
+                        failed = true;
+                        break;
+                    }
+                }
+            }
+            if failed {
+                self.close(slot, None);
+                continue;
+            }
+            if peer.out.waiting() >= UNSENT {
+                self.next_check.get_or_insert(now + CHECK);
+            } else if peer.readable && !peer.is_ready {
+                peer.is_ready = true;
+                self.ready.push_back(slot);
+            }
+            self.count(slot);
+        }
+    }
+
+    fn accept(&mut self, now: Instant) {
+        self.accept_again = None;
+        loop {
+            let (stream, address) = match self.listener.accept() {
+                Ok(accepted) => accepted,
+                Err(error) if error.kind() == io::ErrorKind::WouldBlock => return,
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => continue,
+                // A connection that is gone already, or no file for one.
+                Err(error) => {
+                    debug!(target: TASKS, "a connection was not accepted: {error}");
+                    self.accept_again = Some(now + PAUSE);
+                    return;
+                }
+            };
+            if self.unknown >= self.rules.connections {
+                self.close_oldest_unknown();
+            }
+            if self.known >= self.rules.connections {
+                continue;
+            }
+            if let Err(error) = self.add(now, stream, address.ip()) {
+                debug!(target: TASKS, "a connection was not accepted: {error}");
+            }
+        }
+    }
+
+    fn add(&mut self, now: Instant, mut stream: TcpStream, address: IpAddr) -> io::Result<()> {
+        stream.set_nodelay(true)?;
+        let slot = self.free.pop().unwrap_or(self.slots.len());
+        let both = Interest::READABLE | Interest::WRITABLE;
+        self.poll
+            .registry()
+            .register(&mut stream, Token(slot), both)?;
+        let mut out = Outbound::default();
+        let inbound = Inbound::open(
+            now,
+            self.rules.security.clone(),
+            self.rules.message,
+            &mut out,
+        );
+        self.next_number = self.next_number.wrapping_add(1);
+        let peer = Peer {
+            stream,
+            address,
+            key: None,
+            number: self.next_number,
+            inbound,
+            out,
+            held: 0,
+            is_ready: false,
+            is_unsent: true,
+            readable: false,
+            took: now,
+        };
+        self.unsent.push(slot);
+        match self.slots.get_mut(slot) {
+            Some(empty) => *empty = Some(peer),
+            None => self.slots.push(Some(peer)),
+        }
+        self.unknown += 1;
+        self.next_check.get_or_insert(now + CHECK);
+        Ok(())
+    }
+
+    /// Makes room for another connection that has to shake hands.
+    fn close_oldest_unknown(&mut self) {
+        let unknown = self.slots.iter().enumerate().filter_map(|(slot, peer)| {
+            let peer = peer.as_ref()?;
+            (!peer.inbound.is_ready()).then(|| (self.next_number.wrapping_sub(peer.number), slot))
+        });
+        if let Some((_, slot)) = unknown.max() {
+            self.close(slot, Some("others wait to connect"));
+        }
+    }
+
+    /// Closes peers that have been silent for too long, or that do not read.
+    fn check(&mut self, now: Instant) {
+        self.next_check = None;
+        for slot in 0..self.slots.len() {
+            let Some(Some(peer)) = self.slots.get(slot) else {
+                continue;
+            };
+            let unread = peer.out.waiting() >= UNSENT;
+            let deadline = peer.inbound.deadline();
+            let why = match unread {
+                true if now.since(peer.took) >= UNREAD => Some("it does not read its answers"),
+                _ if deadline <= now => Some("it was silent for too long"),
+                _ => None,
+            };
+            if why.is_some() {
+                self.close(slot, why);
+            } else if unread || deadline != Instant::NEVER {
+                self.next_check = Some(now + CHECK);
+            }
+        }
+    }
+
+    /// Counts the bytes that a peer's buffers take. If all take too many, closes who takes the most.
+    fn count(&mut self, slot: usize) {
+        let Some(Some(peer)) = self.slots.get_mut(slot) else {
+            return;
+        };
+        let held = peer.inbound.held() + peer.out.held();
+        self.held = self.held + held - peer.held;
+        peer.held = held;
+        while self.held > self.rules.memory {
+            let peers = self.slots.iter().enumerate();
+            let held = peers.filter_map(|(slot, peer)| Some((peer.as_ref()?.held, slot)));
+            let Some((_, slot)) = held.max() else {
+                return;
+            };
+            self.close(
+                slot,
+                Some("all connections together hold too much, and it the most"),
+            );
+        }
+    }
+
+    fn close(&mut self, slot: usize, why: Option<&str>) {
+        let Some(mut peer) = self.slots.get_mut(slot).and_then(Option::take) else {
+            return;
+        };
+        if let Some(why) = why {
+            warn!(target: TASKS, "The connection of {} is closed: {why}.", peer.address);
+            // Tells the peer, if it listens.
+            let _ = peer.stream.write(peer.out.transmit_buf());
+        }
+        let _ = self.poll.registry().deregister(&mut peer.stream);
+        self.free.push(slot);
+        self.held -= peer.held;
+        match peer.inbound.is_ready() {
+            true => self.known -= 1,
+            false => self.unknown -= 1,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const ANY: &str = "127.0.0.1:0";
+
+    fn peers(rules: Rules) -> (Peers, String) {
+        let peers = Peers::bind(ANY.parse().unwrap(), rules).unwrap();
+        let endpoint = format!("tcp://{}", peers.address().unwrap());
+        (peers, endpoint)
+    }
+
+    fn rules() -> Rules {
+        Rules {
+            security: Security::Null,
+            message: 1 << 20,
+            connections: 100,
+            memory: 64 << 20,
+        }
+    }
+
+    /// Echoes until `stop`.
+    fn echo(mut peers: Peers, stop: std::sync::Arc<std::sync::atomic::AtomicBool>) {
+        while !stop.load(std::sync::atomic::Ordering::SeqCst) {
+            let now = crate::server::clock::now();
+            peers.wait(now, Some(Duration::from_millis(20))).unwrap();
+            while let Some(message) = peers.next(now, &mut |_, _| true) {
+                peers.answer(&message.path, message.body.as_deref().unwrap_or(b"several"));
+            }
+        }
+    }
+
+    #[test]
+    fn libzmqs_clients_are_answered() {
+        let (peers, endpoint) = peers(rules());
+        let stop = std::sync::Arc::default();
+        let stopped = std::sync::Arc::clone(&stop);
+        let server = std::thread::spawn(move || echo(peers, stopped));
+        let context = zmq::Context::new();
+        for kind in [zmq::REQ, zmq::DEALER] {
+            let socket = context.socket(kind).unwrap();
+            socket.set_linger(0).unwrap();
+            socket.set_rcvtimeo(20_000).unwrap();
+            socket.connect(&endpoint).unwrap();
+            for length in [0, 1, 255, 256, 100_000, 1_000_000] {
+                let body = vec![7; length];
+                match kind {
+                    zmq::REQ => {
+                        socket.send(&body, 0).unwrap();
+                        assert_eq!(socket.recv_bytes(0).unwrap(), body);
+                    }
+                    _ => {
+                        let frames = [&b"one"[..], b"", &body];
+                        socket.send_multipart(frames, 0).unwrap();
+                        assert_eq!(socket.recv_multipart(0).unwrap(), frames);
+                    }
+                }
+            }
+        }
+        stop.store(true, std::sync::atomic::Ordering::SeqCst);
+        server.join().unwrap();
+    }
+}
