@@ -81,9 +81,11 @@ pub mod terminal;
 pub mod time;
 
 pub use client::{
-    AbortOnDrop, BackgroundTask, Description, RemoteTask, RequestError, RunError, ServerInfo,
-    ServerTask, ServerTasks, Status, TriggerError, Triggered, WaitError,
+    AbortOnDrop, BackgroundTask, RemoteTask, RequestError, RunError, ServerInfo, Status,
+    TriggerError, Triggered, WaitError,
 };
+#[cfg(feature = "config")]
+pub use client::{Description, ServerTask, ServerTasks};
 pub use controller::{Aborted, ExecutableTask, TaskContext, TaskController, TaskError};
 pub use offers::Offers;
 pub use remote_id::RemoteId;

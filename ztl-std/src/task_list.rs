@@ -41,6 +41,7 @@ impl ListedTask {
     }
 
     /// Whether the list says that it runs, or does not say for certain that it has ended.
+    #[cfg(feature = "config")]
     pub(crate) fn may_run(&self) -> bool {
         let state = State::from_code(i64::from(self.state));
         let ended = self.ended_ms.is_some() && state.is_some_and(State::is_final);
@@ -57,6 +58,10 @@ pub(crate) struct TaskList {
     pub(crate) more: Option<usize>,
     /// How many entries of the answer cannot be read. These tasks may run.
     #[serde(skip)]
+    #[cfg_attr(
+        not(feature = "config"),
+        expect(dead_code, reason = "only the client reads it")
+    )]
     pub(crate) unread: usize,
 }
 

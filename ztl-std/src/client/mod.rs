@@ -6,16 +6,20 @@
 mod abort_on_drop;
 mod background;
 mod connection;
+#[cfg(feature = "config")]
 mod description;
 mod error;
 mod remote_task;
 mod status;
+#[cfg(feature = "config")]
 mod tasks;
 
 pub use abort_on_drop::AbortOnDrop;
 pub use background::BackgroundTask;
+#[cfg(feature = "config")]
 pub use description::Description;
 pub use error::{RequestError, RunError, TriggerError, WaitError};
 pub use remote_task::RemoteTask;
 pub use status::{ServerInfo, Status, Triggered};
+#[cfg(feature = "config")]
 pub use tasks::{ServerTask, ServerTasks};

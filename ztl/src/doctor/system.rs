@@ -3,6 +3,8 @@
 use std::fs;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
+use nix::libc::RLIM_INFINITY;
+use nix::sys::resource::{Resource, getrlimit};
 use serde_json::json;
 
 use super::finding::Finding;
@@ -196,7 +198,9 @@ pub(super) fn randomness() -> Finding {
 
 /// Each connection takes one open file.
 pub(super) fn files() -> Finding {
-    let limit = rustix::process::getrlimit(rustix::process::Resource::Nofile).current;
+    // Not by rustix: it needs `prlimit64` of Linux 2.6.36, and without it returns anything.
+    let limits = getrlimit(Resource::RLIMIT_NOFILE);
+    let limit = limits.map_or(None, |(soft, _)| (soft != RLIM_INFINITY).then_some(soft));
     let text = match limit {
         Some(limit) => format!("up to {limit} open files"),
         None => "no limit on open files".to_owned(),
