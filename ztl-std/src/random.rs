@@ -15,6 +15,17 @@ pub(crate) fn bytes() -> impl Iterator<Item = u8> {
     [number(), number()].into_iter().flat_map(u64::to_le_bytes)
 }
 
+/// Random bytes that nobody can guess, for keys of a connection.
+///
+/// # Panics
+/// If the system has no random source.
+pub(crate) fn secret() -> [u8; 32] {
+    let mut bytes = [0; 32];
+    #[expect(clippy::expect_used, reason = "a key that can be guessed is worse")]
+    getrandom::fill(&mut bytes).expect("a random source");
+    bytes
+}
+
 /// A nonzero random number.
 pub(crate) fn nonzero() -> u32 {
     (number() as u32).max(1)

@@ -31,14 +31,21 @@ impl Message<'_> {
     /// Our clients' envelope, if the last two frames before the delimiter form one.
     #[must_use]
     pub fn envelope(&self) -> Option<Envelope> {
-        // The length of the two frames with their headers, and the delimiter.
-        let tail: &[u8; 34] = self.envelope.bytes.last_chunk()?;
-        let headers = (&tail[..2], &tail[22..24], &tail[32..]);
-        if headers != (&[MORE, 20], &[MORE, 8], &DELIMITER) {
-            return None;
-        }
-        Envelope::parse(&tail[2..22], &tail[24..32])
+        envelope(self.envelope.bytes)
     }
+}
+
+/// Our clients' envelope, if the last two of these frames before the delimiter form one. A proxy puts its own frames
+/// before them.
+#[must_use]
+pub fn envelope(frames: &[u8]) -> Option<Envelope> {
+    // The length of the two frames with their headers, and the delimiter.
+    let tail: &[u8; 34] = frames.last_chunk()?;
+    let headers = (&tail[..2], &tail[22..24], &tail[32..]);
+    if headers != (&[MORE, 20], &[MORE, 8], &DELIMITER) {
+        return None;
+    }
+    Envelope::parse(&tail[2..22], &tail[24..32])
 }
 
 /// Consecutive frames, as on the wire.

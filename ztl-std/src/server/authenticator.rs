@@ -3,6 +3,7 @@
 //! ZeroMQ asks for each connection (ZAP, RFC 27) and attaches the answer to every message that arrives over
 //! it. Messages without an answer are dropped, so any failure denies access.
 
+use std::net::IpAddr;
 use std::sync::{Arc, PoisonError, RwLock, RwLockReadGuard};
 use std::thread::JoinHandle;
 
@@ -40,6 +41,42 @@ pub(super) struct CurrentAccess {
 }
 
 impl CurrentAccess {
+    /// The access of a server that asks by itself.
+    pub(super) fn new(access: Access) -> Self {
+        Self {
+            access: Arc::new(RwLock::new(access)),
+            asks: true,
+        }
+    }
+
+    /// Whether a client may connect.
+    pub(super) fn admits(&self, address: IpAddr, key: Option<PublicKey>) -> bool {
+        let address = address.to_string();
+        let allowed = self.read().may_connect(&address, key.as_ref());
+        if !allowed {
+            log_denied(&address, key.as_ref());
+        }
+        allowed
+    }
+
+    /// Who a client is; `None` if it may not use the server any more.
+    pub(super) fn sender(&self, address: IpAddr, key: Option<PublicKey>) -> Option<Sender> {
+        let access = self.read();
+        if access.is_open() {
+            return Some(Sender::Anyone);
+        }
+        let admitted = access.may_connect(&address.to_string(), key.as_ref());
+        admitted.then(|| key.map_or(Sender::Anyone, Sender::Client))
+    }
+
+    /// Whether a sender may use a scope.
+    pub(super) fn may_use(&self, sender: Sender, scope: &str) -> bool {
+        match sender {
+            Sender::Anyone => true,
+            Sender::Client(client) => self.read().may_use(&client, scope),
+        }
+    }
+
     fn read(&self) -> RwLockReadGuard<'_, Access> {
         self.access.read().unwrap_or_else(PoisonError::into_inner)
     }
@@ -150,18 +187,18 @@ impl Authenticator {
         }
     }
 
-    /// A handle that changes the access.
-    pub(super) fn access(&self) -> CurrentAccess {
-        self.access.clone()
+    /// Who may use the server.
+    pub(super) const fn access(&self) -> &CurrentAccess {
+        &self.access
     }
+}
 
-    /// Whether a sender may use a scope.
-    pub(super) fn may_use(&self, sender: Sender, scope: &str) -> bool {
-        match sender {
-            Sender::Anyone => true,
-            Sender::Client(client) => self.access.read().may_use(&client, scope),
-        }
-    }
+fn log_denied(address: &str, key: Option<&PublicKey>) {
+    let who = key.map_or_else(
+        || "without a key".to_owned(),
+        |key| format!("with the key {key}"),
+    );
+    warn!(target: TASKS, "A client at {address} {who} is not allowed, and was not let in.");
 }
 
 impl Drop for Authenticator {

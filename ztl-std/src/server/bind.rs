@@ -89,18 +89,7 @@ impl BindError {
 
 /// Binds a port without listening, so that a server that starts meanwhile still gets it.
 pub(super) fn try_port(address: SocketAddr, endpoint: &str) -> Result<(), BindError> {
-    let endpoint = endpoint.to_owned();
-    bind_only(address).map_err(|error| match error.kind() {
-        io::ErrorKind::AddrInUse => BindError::InUse { endpoint },
-        io::ErrorKind::PermissionDenied => BindError::Address {
-            endpoint,
-            cause: zmq::Error::EACCES,
-        },
-        _ => BindError::Address {
-            endpoint,
-            cause: zmq::Error::EADDRNOTAVAIL,
-        },
-    })
+    bind_only(address).map_err(|error| failed(endpoint, &error))
 }
 
 #[cfg(unix)]
@@ -120,6 +109,44 @@ fn bind_only(address: SocketAddr) -> io::Result<()> {
 #[cfg(not(unix))]
 fn bind_only(address: SocketAddr) -> io::Result<()> {
     std::net::TcpListener::bind(address).map(drop)
+}
+
+/// The address of `tcp://127.0.0.1:7`, `tcp://*:*` or `tcp://[::1]:0`.
+pub(super) fn address(endpoint: &str) -> Result<SocketAddr, BindError> {
+    let invalid = || BindError::Address {
+        endpoint: endpoint.to_owned(),
+        cause: zmq::Error::EINVAL,
+    };
+    let rest = endpoint.strip_prefix("tcp://").ok_or_else(invalid)?;
+    let (host, port) = rest.rsplit_once(':').ok_or_else(invalid)?;
+    let port = if port == "*" { "0" } else { port };
+    let host = match host {
+        "*" => "0.0.0.0",
+        "localhost" => "127.0.0.1",
+        host => host,
+    };
+    format!("{host}:{port}")
+        .parse()
+        .map_err(|_| BindError::Address {
+            endpoint: endpoint.to_owned(),
+            cause: zmq::Error::ENODEV,
+        })
+}
+
+/// Why a listener could not be opened.
+pub(super) fn failed(endpoint: &str, error: &io::Error) -> BindError {
+    let endpoint = endpoint.to_owned();
+    match error.kind() {
+        io::ErrorKind::AddrInUse => BindError::InUse { endpoint },
+        io::ErrorKind::PermissionDenied => BindError::Address {
+            endpoint,
+            cause: zmq::Error::EACCES,
+        },
+        _ => BindError::Address {
+            endpoint,
+            cause: zmq::Error::EADDRNOTAVAIL,
+        },
+    }
 }
 
 /// Binds a socket; returns the endpoint with the chosen port.

@@ -6,7 +6,6 @@ use std::sync::{Arc, Mutex};
 use ztl_core::dispatcher::Dispatcher;
 use ztl_core::{Instant, Request, TaskId};
 
-use super::authenticator::Authenticator;
 use super::client_liveness::ClientLiveness;
 use super::dropped::DroppedLog;
 use super::handler::TaskHandler;
@@ -22,7 +21,6 @@ pub(super) type Observer = Box<dyn FnMut(Request, TaskId, &str) + Send>;
 /// The server's sockets and state. [`rounds`](super::rounds) and [`requests`](super::requests) run it.
 pub(super) struct Engine {
     pub(super) router: Router,
-    pub(super) authenticator: Authenticator,
     /// For further sockets.
     #[cfg(feature = "gateway")]
     pub(super) context: zmq::Context,

@@ -10,12 +10,10 @@ use ztl_core::{Instant, TaskId};
 use super::clock::now;
 use super::handler::Answers;
 use super::limits::Limits;
+use super::router::ReturnPath;
 use super::task_table::{HeapText, TaskTable};
 use crate::offers::quoted;
 use crate::task_list::TaskList;
-
-/// The frames that lead back to a client: its ROUTER identity, its envelope, the empty delimiter.
-pub(super) type ReturnPath = Vec<zmq::Message>;
 
 /// What a scope's handler says about itself.
 pub(super) struct ScopeInfo {
@@ -296,7 +294,13 @@ mod tests {
             let body = Body::One(b"/lab;1;-1;x");
             let out = &mut |_: ReturnPath, _: &Reply<'_>| {};
             server.handle_timeout(now, out);
-            let action = server.handle_request(now, Vec::new(), Some(envelope), body, out);
+            let action = server.handle_request(
+                now,
+                ReturnPath::Libzmq(Vec::new()),
+                Some(envelope),
+                body,
+                out,
+            );
             let began = action.is_some();
             if let Some(Action::Start { id, .. }) = action {
                 let event = TaskEvent::Rejected { reason: "busy" };

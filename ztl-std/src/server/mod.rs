@@ -43,5 +43,5 @@ pub(crate) use reporter::AbortRefusal;
 #[cfg(feature = "gateway")]
 pub(crate) use reporter::Claim;
 pub use reporter::TaskReporter;
-pub use task_server::{ServerBuilder, TaskServer};
+pub use task_server::{ServerBuilder, TaskServer, Transport};
 pub(crate) use waker::WakeBatch;

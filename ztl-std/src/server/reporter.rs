@@ -307,7 +307,7 @@ mod tests {
         woken.bind("inproc://wake").unwrap();
         let waking = context.socket(zmq::PUSH).unwrap();
         waking.connect("inproc://wake").unwrap();
-        let waker = Waker::new(waking);
+        let waker = Waker::new(crate::server::waker::Signal::Libzmq(Mutex::new(waking)));
         let (mailbox, inbox) = Mailbox::new(Arc::clone(&waker));
         (woken, waker, mailbox, inbox)
     }

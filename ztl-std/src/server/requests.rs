@@ -1,19 +1,19 @@
 //! Serves one request: from its frames to the answer, or to the handler of its task.
 
 use tracing::{error, warn};
+use ztl_core::TaskId;
 use ztl_core::dispatcher::{Action, Body};
-use ztl_core::envelope::Envelope;
 use ztl_core::integer::Integer;
 use ztl_core::memory::Memory;
 use ztl_core::message::Message;
 use ztl_core::reply::{RefusalOf, Reply};
 use ztl_core::tasks::Tasks;
-use ztl_core::{Request, TaskId};
 
 use super::authenticator::Sender;
 use super::clock::now;
 use super::engine::Engine;
 use super::reporter::TaskReporter;
+use super::router::Request;
 use crate::log_targets::TASKS;
 
 impl Engine {
@@ -26,10 +26,10 @@ impl Engine {
             return;
         };
         let value = |integer: Result<Integer<'_>, _>| integer.ok().and_then(Integer::value);
-        let request = value(message.code()).and_then(Request::from_code);
+        let request = value(message.code()).and_then(ztl_core::Request::from_code);
         let id = value(message.number()).and_then(|id| u32::try_from(id).ok());
         if let (Some(request), Some(id)) = (request, id.and_then(TaskId::new))
-            && request != Request::Init
+            && request != ztl_core::Request::Init
             && let Some(task) = self.dispatcher.memory().tasks().get(id)
             && self.dispatcher.memory().scope_name(task.extra) == message.scope
         {
@@ -37,38 +37,31 @@ impl Engine {
         }
     }
 
-    /// Answers a message, or hands its task to the scope's handler.
-    pub(super) fn serve(&mut self, mut frames: Vec<zmq::Message>, sender: Sender) {
-        // Identity, any envelope, an empty frame, then the body. Like a REP socket, drops a message without the
-        // empty frame.
-        let Some(delimiter) = frames.iter().position(|frame| frame.is_empty()) else {
-            return self.dropped.log(now(), "without a delimiter");
-        };
-        let content = (frames.len() == delimiter + 2).then(|| frames.pop());
-        frames.truncate(delimiter + 1);
+    /// Answers a request, or hands its task to the scope's handler.
+    pub(super) fn serve(&mut self, request: Request) {
+        let Request {
+            path,
+            envelope,
+            content,
+            sender,
+        } = request;
         let body = match &content {
-            Some(Some(content)) => Body::One(content),
-            _ => Body::Several,
+            Some(content) => Body::One(content),
+            None => Body::Several,
         };
         self.observe(body);
-        let router = &self.router;
-        let envelope = match frames.as_slice() {
-            // A proxy puts its own frames before these two.
-            [_identity, .., client, number, _delimiter] => Envelope::parse(client, number),
-            _ => None,
-        };
+        let hidden = |scope: &str| !self.router.access().may_use(sender, scope);
+        if let Sender::Client(_) = sender {
+            self.dispatcher.memory_mut().hide(hidden);
+        }
+        let router = &mut self.router;
         let mut out = |peer, reply: &Reply<'_>| {
             log_refusal(reply, body);
             router.answer(peer, reply);
         };
-        if let Sender::Client(_) = sender {
-            let authenticator = &self.authenticator;
-            let hidden = |scope: &str| !authenticator.may_use(sender, scope);
-            self.dispatcher.memory_mut().hide(hidden);
-        }
         let action = self
             .dispatcher
-            .handle_request(now(), frames, envelope, body, &mut out);
+            .handle_request(now(), path, envelope, body, &mut out);
         self.dispatcher.memory_mut().hide(|_| false);
         if self.dispatcher.next_id().is_none() && !self.logged_used_up {
             self.logged_used_up = true;

@@ -13,7 +13,6 @@ use super::clock::now;
 use super::engine::Engine;
 use super::reporter::Report;
 use super::router::Received;
-use super::waker::is_wake;
 use crate::log_targets::TASKS;
 
 /// Requests taken before reports are, and the other way round.
@@ -49,17 +48,17 @@ impl Engine {
         drop(limits);
         let more = self.take_reports();
         let mut taken = 0;
-        while let Some((frames, sender)) = next {
-            match sender {
-                _ if is_wake(&frames) => {}
-                Some(sender) => self.serve(frames, sender),
-                None => self.dropped.log(now(), "of an unknown sender"),
+        while let Some(received) = next {
+            match received {
+                Received::Wake => {}
+                Received::Request(request) => self.serve(request),
+                Received::Dropped(why) => self.dropped.log(now(), why),
             }
             taken += 1;
             if taken == BATCH || !self.started {
                 break;
             }
-            next = self.router.receive(&self.authenticator, zmq::DONTWAIT)?;
+            next = self.router.receive()?;
         }
         if std::mem::take(&mut self.started) {
             for handler in &mut self.handlers {
@@ -126,7 +125,7 @@ impl Engine {
     }
 
     /// Waits for a request, a report or the next deadline, at most for `longest`; returns the request.
-    fn wait(&self, longest: Duration) -> Result<Option<Received>, zmq::Error> {
+    fn wait(&mut self, longest: Duration) -> Result<Option<Received>, zmq::Error> {
         let claims = self.claims.keys().next().map(|(at, _)| *at);
         let wakes = [
             self.dispatcher.poll_timeout(),
@@ -135,17 +134,10 @@ impl Engine {
         ];
         let wake = wakes.into_iter().flatten().min();
         let time = wake.map_or(longest, |wake| wake.since(now()).min(longest));
-        if time.is_zero() || !self.waker.may_sleep() {
-            return self.router.receive(&self.authenticator, zmq::DONTWAIT);
+        match time.is_zero() || !self.waker.may_sleep() {
+            true => self.router.look(),
+            false => self.router.wait(time),
         }
-        let timeout = match time {
-            Duration::MAX => -1,
-            time => i32::try_from(time.as_micros().div_ceil(1000))
-                .unwrap_or(i32::MAX)
-                .min(3_600_000),
-        };
-        self.router.wait_at_most(timeout)?;
-        self.router.receive(&self.authenticator, 0)
     }
 
     /// Takes a bounded number of reports; returns whether there may be more.

@@ -2,17 +2,19 @@
 
 use std::collections::BTreeMap;
 use std::net::SocketAddr;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex};
 
 use tracing::{info, warn};
 use ztl_core::dispatcher::{Config, Dispatcher};
 use ztl_core::memory::Scope;
 use ztl_core::tasks::{Task, Text};
 use ztl_core::{Instant, Request, TaskId};
+use ztl_zmtp::curve;
+use ztl_zmtp::session::Security;
 
 use super::access::Access;
-use super::authenticator::Authenticator;
-use super::bind::{BindError, bind, try_port};
+use super::authenticator::{Authenticator, CurrentAccess};
+use super::bind::{BindError, address, bind, failed, try_port};
 use super::client_liveness::ClientLiveness;
 use super::clock::now;
 use super::dropped::DroppedLog;
@@ -21,10 +23,11 @@ use super::handle::{RunningServer, ServerHandle};
 use super::handler::{Restored, TaskHandler};
 use super::limits::Limits;
 use super::memory::{ScopeInfo, ServerMemory};
+use super::peers::{Peers, Rules};
 use super::reporter::{Mailbox, TaskReporter};
 use super::router::Router;
 use super::task_table::HeapText;
-use super::waker::Waker;
+use super::waker::{Signal, Waker};
 use crate::keys::can_encrypt;
 use crate::log_targets::TASKS;
 use crate::random;
@@ -46,9 +49,26 @@ pub struct TaskServer {
 pub struct ServerBuilder {
     access: Access,
     limits: Limits,
+    transport: Transport,
+}
+
+/// How a server speaks ZMTP.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Transport {
+    /// By libzmq.
+    #[default]
+    Libzmq,
+    /// By this crate.
+    Own,
 }
 
 impl ServerBuilder {
+    /// Sets the transport. Default: libzmq.
+    pub fn transport(mut self, transport: Transport) -> Self {
+        self.transport = transport;
+        self
+    }
+
     /// Sets who may use the server. Default: everyone who reaches it.
     pub fn access(mut self, access: Access) -> Self {
         self.access = access;
@@ -67,22 +87,16 @@ impl ServerBuilder {
     /// # Errors
     /// [`BindError`], also if there are keys and this build cannot encrypt.
     pub fn bind(self, endpoint: &str) -> Result<TaskServer, BindError> {
-        let Self { access, limits } = self;
-        if access.keys().is_some() && !can_encrypt() {
-            return Err(BindError::NoCurve);
-        }
+        let Self {
+            access,
+            limits,
+            transport,
+        } = self;
         let context = zmq::Context::new();
-        let socket = context.socket(zmq::ROUTER)?;
-        socket.set_linger(0)?;
-        limits.apply(&socket)?;
-        let authenticator = Authenticator::new(access, limits.connections, &context, &socket)?;
-        // Wake-ups arrive among the requests.
-        socket.bind(WAKE_UPS)?;
-        let waking = context.socket(zmq::DEALER)?;
-        waking.set_linger(0)?;
-        waking.connect(WAKE_UPS)?;
-        let waker = Waker::new(waking);
-        let bound = bind(&socket, endpoint)?;
+        let (router, bound, waker) = match transport {
+            Transport::Libzmq => bind_libzmq(access, limits, &context, endpoint)?,
+            Transport::Own => bind_own(access, limits, endpoint)?,
+        };
         let (mailbox, inbox) = Mailbox::new(Arc::clone(&waker));
         // Logged like the original, but with the port that was chosen.
         let named = endpoint
@@ -95,8 +109,7 @@ impl ServerBuilder {
         Ok(TaskServer {
             endpoint: bound,
             engine: Engine {
-                router: Router::new(socket),
-                authenticator,
+                router,
                 #[cfg(feature = "gateway")]
                 context,
                 dispatcher: Dispatcher::new(ServerMemory::new(limits), config),
@@ -137,6 +150,63 @@ impl ServerBuilder {
     }
 }
 
+/// A ROUTER socket of libzmq, where it is bound, and what wakes its thread.
+fn bind_libzmq(
+    access: Access,
+    limits: Limits,
+    context: &zmq::Context,
+    endpoint: &str,
+) -> Result<(Router, String, Arc<Waker>), BindError> {
+    if access.keys().is_some() && !can_encrypt() {
+        return Err(BindError::NoCurve);
+    }
+    let socket = context.socket(zmq::ROUTER)?;
+    socket.set_linger(0)?;
+    limits.apply(&socket)?;
+    let authenticator = Authenticator::new(access, limits.connections, context, &socket)?;
+    // Wake-ups arrive among the requests.
+    socket.bind(WAKE_UPS)?;
+    let waking = context.socket(zmq::DEALER)?;
+    waking.set_linger(0)?;
+    waking.connect(WAKE_UPS)?;
+    let waker = Waker::new(Signal::Libzmq(Mutex::new(waking)));
+    let bound = bind(&socket, endpoint)?;
+    let router = Router::Libzmq {
+        socket,
+        authenticator,
+    };
+    Ok((router, bound, waker))
+}
+
+/// The same without libzmq.
+fn bind_own(
+    access: Access,
+    limits: Limits,
+    endpoint: &str,
+) -> Result<(Router, String, Arc<Waker>), BindError> {
+    let keys = access
+        .keys()
+        .map(|keys| curve::Keys::server(*keys.secret(), random::secret));
+    let rules = Rules {
+        security: keys.map_or(Security::Null, Security::Curve),
+        message: limits.longest_message(),
+        connections: limits.connections,
+        memory: limits.memory,
+    };
+    let peers = Peers::bind(address(endpoint)?, rules).map_err(|error| failed(endpoint, &error))?;
+    let bound = peers.address().map_err(|error| failed(endpoint, &error))?;
+    let signal = peers.waker().map_err(|error| failed(endpoint, &error))?;
+    let router = Router::Own {
+        peers,
+        access: CurrentAccess::new(access),
+    };
+    Ok((
+        router,
+        format!("tcp://{bound}"),
+        Waker::new(Signal::Own(signal)),
+    ))
+}
+
 impl TaskServer {
     /// A server for everyone, with default limits: as [`ServerBuilder::bind`].
     ///
@@ -161,7 +231,9 @@ impl TaskServer {
         let socket = self.engine.context.socket(kind)?;
         socket.set_linger(0)?;
         socket.set_maxmsgsize(super::limits::MAX_MESSAGE as i64)?;
-        self.engine.authenticator.protect(&socket)?;
+        if let Router::Libzmq { authenticator, .. } = &self.engine.router {
+            authenticator.protect(&socket)?;
+        }
         let bound = bind(&socket, endpoint)?;
         Ok((socket, bound))
     }
@@ -230,7 +302,7 @@ impl TaskServer {
     #[must_use]
     pub fn handle(&self) -> ServerHandle {
         ServerHandle {
-            access: self.engine.authenticator.access(),
+            access: self.engine.router.access().clone(),
             limits: Arc::clone(&self.engine.next_limits),
             waker: Arc::clone(&self.engine.waker),
         }

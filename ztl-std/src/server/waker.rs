@@ -14,6 +14,12 @@ pub(super) fn is_wake(frames: &[zmq::Message]) -> bool {
     matches!(frames, [_, body] if **body == *WAKE)
 }
 
+/// How a sleeping thread is woken.
+pub(super) enum Signal {
+    Libzmq(Mutex<zmq::Socket>),
+    Own(mio::Waker),
+}
+
 /// Wakes the server's thread.
 pub(super) struct Waker {
     /// The server's thread sleeps or is about to, and has not been woken.
@@ -23,7 +29,7 @@ pub(super) struct Waker {
     /// Open [`WakeBatch`]es; dropping the last one wakes the thread.
     batches: AtomicUsize,
     stop: AtomicBool,
-    socket: Mutex<zmq::Socket>,
+    signal: Signal,
     /// Someone waits for the thread's next turn.
     probed: AtomicBool,
     /// Turns of the thread that were waited for.
@@ -32,14 +38,14 @@ pub(super) struct Waker {
 }
 
 impl Waker {
-    /// Wakes a thread that receives what `socket` sends.
-    pub(super) fn new(socket: zmq::Socket) -> Arc<Self> {
+    /// Wakes a thread that receives `signal`.
+    pub(super) fn new(signal: Signal) -> Arc<Self> {
         Arc::new(Self {
             asleep: AtomicBool::new(false),
             posted: AtomicBool::new(false),
             batches: AtomicUsize::new(0),
             stop: AtomicBool::new(false),
-            socket: Mutex::new(socket),
+            signal,
             probed: AtomicBool::new(false),
             turns: Mutex::new(0),
             turned: Condvar::new(),
@@ -56,10 +62,17 @@ impl Waker {
 
     fn wake(&self) {
         if self.asleep.swap(false, Ordering::SeqCst) {
-            let socket = self.socket.lock().unwrap_or_else(PoisonError::into_inner);
-            // One message per sleep, so the queue is never full. An empty frame would look like the delimiter
-            // of a request without a body.
-            let _ = sockets::send(&socket, &[WAKE]);
+            match &self.signal {
+                Signal::Libzmq(socket) => {
+                    let socket = socket.lock().unwrap_or_else(PoisonError::into_inner);
+                    // One message per sleep, so the queue is never full. An empty frame would look like the
+                    // delimiter of a request without a body.
+                    let _ = sockets::send(&socket, &[WAKE]);
+                }
+                Signal::Own(waker) => {
+                    let _ = waker.wake();
+                }
+            }
         }
     }
 
