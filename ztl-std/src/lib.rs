@@ -91,7 +91,7 @@ pub use offers::Offers;
 pub use remote_id::RemoteId;
 #[cfg(feature = "config")]
 pub use remotes::Remotes;
-pub use server::{Access, BindError, Limits, RunningServer, ServerBuilder, TaskServer};
+pub use server::{Access, BindError, Limits, RunningServer, ServerBuilder, TaskServer, Transport};
 pub use task_list::ListedTask;
 pub use task_request::{TaskRequest, encoded};
 pub use ztl_core::{State, TaskId, TaskSpec};

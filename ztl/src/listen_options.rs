@@ -9,7 +9,7 @@ use ipnet::IpNet;
 use tracing::Level;
 use ztl_std::keys::PublicKey;
 use ztl_std::listen::{LEVELS, LOG_FORMATS, Listen, LogFormat, bind_mistake};
-use ztl_std::{Access, BindError, Limits, ServerBuilder, TaskServer};
+use ztl_std::{Access, BindError, Limits, ServerBuilder, TaskServer, Transport};
 use ztl_yaml::Diagnostics;
 
 use crate::exit::Done;
@@ -63,6 +63,9 @@ pub(crate) struct ListenOptions {
 
     #[command(flatten)]
     limits: LimitOptions,
+
+    #[command(flatten)]
+    transport: TransportOption,
 
     /// Log level: error, warn, info or debug [default: info]
     #[arg(long, value_name = "LEVEL", value_parser = level)]
@@ -118,6 +121,7 @@ impl ListenOptions {
         };
         Ok(Some(ListenPlace {
             limits: self.limits.over(file.limits),
+            transport: self.transport.transport,
             port,
             bind: self.bind.or(file.bind).unwrap_or("127.0.0.1".to_owned()),
             access: access
@@ -135,6 +139,7 @@ pub(crate) struct ListenPlace {
     pub(crate) bind: String,
     pub(crate) access: Access,
     pub(crate) limits: Limits,
+    pub(crate) transport: Transport,
     pub(crate) log: Level,
     pub(crate) log_format: LogFormat,
 }
@@ -173,6 +178,7 @@ impl ListenPlace {
         TaskServer::builder()
             .access(self.access.clone())
             .limits(self.limits)
+            .transport(self.transport)
     }
 }
 
@@ -200,6 +206,21 @@ impl CheckFindings {
         line(right);
         Ok(ExitCode::SUCCESS)
     }
+}
+
+/// The option for how a server speaks to its clients.
+#[derive(Debug, Clone, Copy, clap::Args)]
+pub(crate) struct TransportOption {
+    /// How to speak ZeroMQ's protocol: libzmq, or own
+    #[arg(long, value_name = "TRANSPORT", value_parser = transport, default_value = "libzmq")]
+    pub(crate) transport: Transport,
+}
+
+fn transport(text: &str) -> Result<Transport, String> {
+    one_of(
+        text,
+        &[("libzmq", Transport::Libzmq), ("own", Transport::Own)],
+    )
 }
 
 /// Options for the limits of a server.

@@ -12,7 +12,7 @@ use ztl_std::{
 };
 
 use crate::exit::Done;
-use crate::listen_options::LimitOptions;
+use crate::listen_options::{LimitOptions, TransportOption};
 use crate::option_values::{no_number, port};
 use crate::terminal::line;
 use crate::{log, signals};
@@ -29,6 +29,9 @@ pub(crate) struct TaskServer {
 
     #[command(flatten)]
     limits: LimitOptions,
+
+    #[command(flatten)]
+    transport: TransportOption,
 }
 
 impl TaskServer {
@@ -41,6 +44,7 @@ impl TaskServer {
         // All interfaces, as the original.
         let mut server = Server::builder()
             .limits(self.limits.over(Limits::default()))
+            .transport(self.transport.transport)
             .bind(&format!("tcp://*:{}", self.port))?;
         server.register(&self.scope, TestController);
         let stopper = server.handle();

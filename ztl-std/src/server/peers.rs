@@ -467,64 +467,223 @@ impl Peers {
 
 #[cfg(test)]
 mod tests {
+    use std::net::TcpStream;
+    use std::sync::Arc;
+    use std::sync::atomic::{AtomicBool, Ordering};
+    use std::thread::JoinHandle;
+
+    use ztl_zmtp::{Dealer, GREETING, Socket as _};
+
     use super::*;
+    use crate::server::clock::now;
 
-    const ANY: &str = "127.0.0.1:0";
+    const LIMIT: Option<Duration> = Some(Duration::from_secs(20));
 
-    fn peers(rules: Rules) -> (Peers, String) {
-        let peers = Peers::bind(ANY.parse().unwrap(), rules).unwrap();
-        let endpoint = format!("tcp://{}", peers.address().unwrap());
-        (peers, endpoint)
+    /// A server that answers each request with its body, but `hold` only together with the next other one.
+    struct Echo {
+        address: SocketAddr,
+        stop: Arc<AtomicBool>,
+        waker: mio::Waker,
+        thread: Option<JoinHandle<usize>>,
+    }
+
+    impl Echo {
+        fn new(rules: Rules) -> Self {
+            let peers = Peers::bind("127.0.0.1:0".parse().unwrap(), rules).unwrap();
+            let (address, waker) = (peers.address().unwrap(), peers.waker().unwrap());
+            let stop = Arc::new(AtomicBool::new(false));
+            let stopped = Arc::clone(&stop);
+            Self {
+                address,
+                stop,
+                waker,
+                thread: Some(std::thread::spawn(move || serve(peers, &stopped))),
+            }
+        }
+
+        fn endpoint(&self) -> String {
+            format!("tcp://{}", self.address)
+        }
+
+        /// Stops it; returns the most bytes that its buffers took.
+        fn stop(&mut self) -> usize {
+            self.stop.store(true, Ordering::SeqCst);
+            self.waker.wake().unwrap();
+            self.thread
+                .take()
+                .map_or(0, |thread| thread.join().unwrap())
+        }
+    }
+
+    impl Drop for Echo {
+        fn drop(&mut self) {
+            self.stop();
+        }
+    }
+
+    fn serve(mut peers: Peers, stop: &AtomicBool) -> usize {
+        let mut most = 0;
+        let mut held = Vec::new();
+        while !stop.load(Ordering::SeqCst) {
+            peers.wait(now(), None).unwrap();
+            while let Some(message) = peers.next(now(), &mut |_, _| true) {
+                let body = message.body.unwrap_or(Box::from(*b"several"));
+                if body.starts_with(b"hold") {
+                    held.push((message.path, body));
+                    continue;
+                }
+                for (path, body) in held.drain(..) {
+                    peers.answer(&path, &body);
+                }
+                peers.answer(&message.path, &body);
+                most = most.max(peers.held);
+            }
+            most = most.max(peers.held);
+        }
+        most
     }
 
     fn rules() -> Rules {
         Rules {
             security: Security::Null,
             message: 1 << 20,
-            connections: 100,
-            memory: 64 << 20,
+            connections: 50,
+            memory: 8 << 20,
         }
     }
 
-    /// Echoes until `stop`.
-    fn echo(mut peers: Peers, stop: std::sync::Arc<std::sync::atomic::AtomicBool>) {
-        while !stop.load(std::sync::atomic::Ordering::SeqCst) {
-            let now = crate::server::clock::now();
-            peers.wait(now, Some(Duration::from_millis(20))).unwrap();
-            while let Some(message) = peers.next(now, &mut |_, _| true) {
-                peers.answer(&message.path, message.body.as_deref().unwrap_or(b"several"));
-            }
-        }
+    fn libzmq(context: &zmq::Context, endpoint: &str) -> zmq::Socket {
+        let socket = context.socket(zmq::DEALER).unwrap();
+        socket.set_linger(0).unwrap();
+        socket.set_rcvtimeo(20_000).unwrap();
+        socket.connect(endpoint).unwrap();
+        socket
+    }
+
+    #[track_caller]
+    fn is_served(socket: &zmq::Socket, body: &[u8]) {
+        let frames = [&b"one"[..], b"", body];
+        socket.send_multipart(frames, 0).unwrap();
+        assert_eq!(socket.recv_multipart(0).unwrap(), frames);
+    }
+
+    /// A client that has shaken hands.
+    fn raw(echo: &Echo) -> TcpStream {
+        let mut stream = TcpStream::connect(echo.address).unwrap();
+        stream.set_read_timeout(LIMIT).unwrap();
+        stream.set_write_timeout(LIMIT).unwrap();
+        stream.write_all(GREETING).unwrap();
+        stream.write_all(Dealer::READY).unwrap();
+        let mut heard = vec![0; GREETING.len() + Router::READY.len()];
+        stream.read_exact(&mut heard).unwrap();
+        stream
     }
 
     #[test]
-    fn libzmqs_clients_are_answered() {
-        let (peers, endpoint) = peers(rules());
-        let stop = std::sync::Arc::default();
-        let stopped = std::sync::Arc::clone(&stop);
-        let server = std::thread::spawn(move || echo(peers, stopped));
+    fn libzmqs_clients_get_messages_of_any_length() {
+        let echo = Echo::new(rules());
         let context = zmq::Context::new();
-        for kind in [zmq::REQ, zmq::DEALER] {
-            let socket = context.socket(kind).unwrap();
-            socket.set_linger(0).unwrap();
-            socket.set_rcvtimeo(20_000).unwrap();
-            socket.connect(&endpoint).unwrap();
-            for length in [0, 1, 255, 256, 100_000, 1_000_000] {
-                let body = vec![7; length];
-                match kind {
-                    zmq::REQ => {
-                        socket.send(&body, 0).unwrap();
-                        assert_eq!(socket.recv_bytes(0).unwrap(), body);
-                    }
-                    _ => {
-                        let frames = [&b"one"[..], b"", &body];
-                        socket.send_multipart(frames, 0).unwrap();
-                        assert_eq!(socket.recv_multipart(0).unwrap(), frames);
-                    }
-                }
-            }
+        let socket = libzmq(&context, &echo.endpoint());
+        for length in [0, 1, 255, 256, 100_000, 1_000_000] {
+            is_served(&socket, &vec![7; length]);
         }
-        stop.store(true, std::sync::atomic::Ordering::SeqCst);
-        server.join().unwrap();
+        let request = context.socket(zmq::REQ).unwrap();
+        request.set_linger(0).unwrap();
+        request.set_rcvtimeo(20_000).unwrap();
+        request.connect(&echo.endpoint()).unwrap();
+        request.send("hi", 0).unwrap();
+        assert_eq!(request.recv_bytes(0).unwrap(), b"hi");
+    }
+
+    #[test]
+    fn a_message_without_end_takes_little_memory_and_ends_its_connection() {
+        let mut echo = Echo::new(rules());
+        let context = zmq::Context::new();
+        let socket = libzmq(&context, &echo.endpoint());
+        is_served(&socket, b"before");
+        let mut endless = raw(&echo);
+        let frames = b"\x01\x01x".repeat(10_000);
+        let mut sent = 0;
+        while endless.write_all(&frames).is_ok() {
+            sent += frames.len();
+            assert!(sent < 64 << 20, "it is not ended");
+        }
+        is_served(&socket, b"after");
+        let most = echo.stop();
+        assert!(most < 8 << 20, "{most} bytes");
+    }
+
+    #[test]
+    fn every_held_answer_arrives() {
+        let echo = Echo::new(rules());
+        let context = zmq::Context::new();
+        let socket = libzmq(&context, &echo.endpoint());
+        for number in 0..1000 {
+            let body = format!("hold {number}");
+            socket
+                .send_multipart([&b"one"[..], b"", body.as_bytes()], 0)
+                .unwrap();
+        }
+        socket
+            .send_multipart([&b"one"[..], b"", b"now"], 0)
+            .unwrap();
+        for number in 0..1000 {
+            let frames = socket.recv_multipart(0).unwrap();
+            assert_eq!(frames[2], format!("hold {number}").as_bytes());
+        }
+        assert_eq!(socket.recv_multipart(0).unwrap()[2], b"now");
+    }
+
+    #[test]
+    fn a_client_that_does_not_read_is_not_read_from_and_takes_no_more_than_its_share() {
+        let mut echo = Echo::new(rules());
+        let context = zmq::Context::new();
+        let socket = libzmq(&context, &echo.endpoint());
+        is_served(&socket, b"before");
+        let mut deaf = raw(&echo);
+        deaf.set_write_timeout(Some(Duration::from_millis(300)))
+            .unwrap();
+        // A request of 60,000 bytes, again and again, until it is not taken any more.
+        let mut request = b"\x01\0\x02\0\0\0\0\0\0\xEA\x60".to_vec();
+        request.extend([7; 60_000]);
+        let mut sent = 0;
+        while deaf.write_all(&request).is_ok() {
+            sent += request.len();
+            assert!(sent < 64 << 20, "it is read from without end");
+        }
+        is_served(&socket, b"after");
+        let most = echo.stop();
+        assert!(most < 4 << 20, "{most} bytes");
+    }
+
+    #[test]
+    fn connections_that_never_shake_hands_displace_nobody_and_let_others_in() {
+        let echo = Echo::new(rules());
+        let context = zmq::Context::new();
+        let socket = libzmq(&context, &echo.endpoint());
+        is_served(&socket, b"before");
+        let idle: Vec<_> = (0..200)
+            .map(|_| TcpStream::connect(echo.address).unwrap())
+            .collect();
+        is_served(&socket, b"still");
+        let other = libzmq(&context, &echo.endpoint());
+        is_served(&other, b"in");
+        drop(idle);
+    }
+
+    #[test]
+    fn a_stream_that_is_not_zmtp_ends_and_harms_nobody() {
+        let echo = Echo::new(rules());
+        let context = zmq::Context::new();
+        let socket = libzmq(&context, &echo.endpoint());
+        for bytes in [&b"GET / HTTP/1.1\r\n\r\n"[..], &[0xFF; 3000], &[0; 3000]] {
+            let mut stream = TcpStream::connect(echo.address).unwrap();
+            stream.set_read_timeout(LIMIT).unwrap();
+            let _ = stream.write_all(bytes);
+            let mut heard = Vec::new();
+            // Closed, perhaps with a reset.
+            let _ = stream.read_to_end(&mut heard);
+            is_served(&socket, bytes);
+        }
     }
 }
