@@ -22,7 +22,7 @@ pub(crate) struct Keys {
 
 impl Keys {
     pub(crate) fn run(self) -> Done {
-        let keys = KeyPair::generate()?;
+        let keys = KeyPair::generate();
         let [public, secret] = keys.write(&self.name)?;
         line(format_args!(
             "{}: public key {}, to share",

@@ -9,13 +9,18 @@ use ztl_core::client::{Answer, Client, Heard, Late, Server};
 use ztl_core::envelope::{ClientId, Envelope};
 use ztl_core::goal;
 use ztl_core::sink::Sink;
+use ztl_zmtp::curve;
+use ztl_zmtp::session::Security;
 
 use super::error::RequestError;
+use super::socket::{Socket, as_zmq};
 use super::status::{ServerInfo, Status};
+use super::stream::Stream;
 use crate::keys::{KeyPair, PublicKey};
 use crate::log_targets::TASKS;
 use crate::random;
 use crate::remote_id::RemoteId;
+use crate::server::Transport;
 use crate::sockets;
 use crate::time::now;
 
@@ -26,7 +31,7 @@ const TIMEOUT: Duration = Duration::from_secs(2);
 const LONGEST_ANSWER: usize = 64 << 20;
 
 /// Shortest and longest pause in milliseconds before ZeroMQ connects again.
-const RETRY: (i32, i32) = (20, 1000);
+pub(super) const RETRY: (i32, i32) = (20, 1000);
 
 /// How often `wanted` is called: soon enough for a person who has pressed Ctrl-C.
 const ASK_WANTED: Duration = Duration::from_millis(50);
@@ -46,7 +51,8 @@ pub(super) type Wanted<'a> = Option<&'a dyn Fn() -> bool>;
 /// A connection to one server, and the rules that decide what is sent over it.
 pub(super) struct Connection {
     context: zmq::Context,
-    socket: Option<zmq::Socket>,
+    socket: Option<Socket>,
+    transport: Transport,
     endpoint: String,
     timeout: Duration,
     /// The client's own keys, and the server's.
@@ -66,6 +72,7 @@ impl Connection {
         let mut connection = Self {
             context,
             socket: None,
+            transport: Transport::default(),
             endpoint: endpoint.to_owned(),
             timeout: TIMEOUT,
             keys: None,
@@ -83,6 +90,7 @@ impl Connection {
         Self {
             context: self.context.clone(),
             socket: None,
+            transport: self.transport,
             endpoint: self.endpoint.clone(),
             timeout: self.timeout,
             keys: self.keys.clone(),
@@ -131,8 +139,41 @@ impl Connection {
         })
     }
 
-    fn open(&self) -> Result<zmq::Socket, zmq::Error> {
+    pub(super) const fn transport(&self) -> Transport {
+        self.transport
+    }
+
+    /// Sets the transport and connects again.
+    pub(super) fn set_transport(&mut self, transport: Transport) -> Result<(), zmq::Error> {
+        self.transport = transport;
+        self.socket = Some(self.open()?);
+        Ok(())
+    }
+
+    fn open(&self) -> Result<Socket, zmq::Error> {
         sockets::check_port(&self.endpoint)?;
+        match self.transport {
+            Transport::Libzmq => self.open_libzmq().map(Socket::Libzmq),
+            Transport::Own => self.open_own().map(|stream| Socket::Own(Box::new(stream))),
+        }
+    }
+
+    fn open_own(&self) -> Result<Stream, zmq::Error> {
+        let place = self.endpoint.strip_prefix("tcp://");
+        let place = place.ok_or(zmq::Error::EPROTONOSUPPORT)?;
+        let keys = self.keys.as_ref().map(|(own, server)| {
+            curve::Keys::client(*own.secret(), *server.as_bytes(), random::secret)
+        });
+        let security = keys.map_or(Security::Null, Security::Curve);
+        // RFC 6761: this name is this machine, even if the system has no hosts file.
+        let place = match place.strip_prefix("localhost:") {
+            Some(port) => format!("127.0.0.1:{port}"),
+            None => place.to_owned(),
+        };
+        Stream::new(&place, security, self.longest_answer).map_err(|error| as_zmq(&error))
+    }
+
+    fn open_libzmq(&self) -> Result<zmq::Socket, zmq::Error> {
         let socket = self.context.socket(zmq::DEALER)?;
         socket.set_linger(0)?;
         // Queues nothing for a server that is not there, which would act on it when it starts.
@@ -253,7 +294,7 @@ impl Connection {
         body: &[u8],
     ) -> Result<Reply, Unanswered> {
         let start = Instant::now();
-        let socket = match self.socket.take() {
+        let mut socket = match self.socket.take() {
             Some(socket) => socket,
             None => {
                 // A new connection may lead to another server.
@@ -261,7 +302,7 @@ impl Connection {
                 self.open()?
             }
         };
-        let said = self.converse(wanted, &socket, start, envelope, body);
+        let said = self.converse(wanted, &mut socket, start, envelope, body);
         match &said {
             Ok(_) => self.socket = Some(socket),
             // Nothing was sent, so no late answer can arrive. ZeroMQ keeps trying to connect.
@@ -284,22 +325,20 @@ impl Connection {
     fn converse(
         &mut self,
         wanted: Wanted<'_>,
-        socket: &zmq::Socket,
+        socket: &mut Socket,
         start: Instant,
         envelope: Envelope,
         asked: &[u8],
     ) -> Result<Reply, Unanswered> {
-        if self.ready(wanted, socket, zmq::POLLOUT)? != Ready::Yes {
+        if self.ready(wanted, socket, Wait::ToSend)? != Ready::Yes {
             return Err(Unanswered::from(RequestError::NotConnected {
                 endpoint: self.endpoint.clone(),
                 waited: start.elapsed(),
             }));
         }
-        let (client, number) = envelope.frames();
-        let frames: [&[u8]; 4] = [&client, &number, b"", asked];
-        sockets::send(socket, &frames)?;
+        socket.send(envelope, asked)?;
         loop {
-            match self.ready(wanted, socket, zmq::POLLIN)? {
+            match self.ready(wanted, socket, Wait::ForAnswer)? {
                 Ready::Yes => {}
                 Ready::Late => break,
                 Ready::Unwanted => {
@@ -309,7 +348,7 @@ impl Connection {
                     });
                 }
             }
-            let frames = sockets::receive(socket)?;
+            let frames = socket.receive()?;
             let [client, number, _delimiter, body] = frames.as_slice() else {
                 continue;
             };
@@ -378,10 +417,10 @@ impl Connection {
     fn ready(
         &self,
         wanted: Wanted<'_>,
-        socket: &zmq::Socket,
-        events: zmq::PollEvents,
+        socket: &mut Socket,
+        wait: Wait,
     ) -> Result<Ready, zmq::Error> {
-        let sent = events == zmq::POLLIN;
+        let sent = wait == Wait::ForAnswer;
         loop {
             let unwanted = wanted.is_some_and(|wanted| !wanted());
             // The original sends a task's id only in this reply.
@@ -391,15 +430,24 @@ impl Connection {
             let deadline = self.client.poll_timeout();
             let left = deadline.map_or(Duration::ZERO, |deadline| deadline.since(now()));
             let time = wanted.map_or(left, |_| left.min(ASK_WANTED));
-            let millis = i64::try_from(time.as_micros().div_ceil(1000));
-            match socket.poll(events, millis.unwrap_or(i64::MAX)) {
-                Ok(0) if left.is_zero() => return Ok(Ready::Late),
-                Ok(0) | Err(zmq::Error::EINTR) => {}
-                Ok(_) => return Ok(Ready::Yes),
-                Err(cause) => return Err(cause),
+            let ready = match wait {
+                Wait::ToSend => socket.can_send(time)?,
+                Wait::ForAnswer => socket.can_receive(time)?,
+            };
+            match ready {
+                true => return Ok(Ready::Yes),
+                false if left.is_zero() => return Ok(Ready::Late),
+                false => {}
             }
         }
     }
+}
+
+/// What a socket is waited for.
+#[derive(Clone, Copy, PartialEq)]
+enum Wait {
+    ToSend,
+    ForAnswer,
 }
 
 /// Why waiting for a socket ended.

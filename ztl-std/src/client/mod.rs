@@ -10,7 +10,9 @@ mod connection;
 mod description;
 mod error;
 mod remote_task;
+mod socket;
 mod status;
+mod stream;
 #[cfg(feature = "config")]
 mod tasks;
 

@@ -16,6 +16,7 @@ use crate::keys::{KeyPair, PublicKey, can_encrypt};
 use crate::log_targets::TASKS;
 use crate::remote_id::RemoteId;
 use crate::scope;
+use crate::server::Transport;
 use crate::task_request::encoded;
 use crate::time::now;
 
@@ -95,12 +96,21 @@ impl RemoteTask {
         self
     }
 
+    /// Sets how to speak to the server. Default: by libzmq.
+    ///
+    /// # Errors
+    /// If the system has no more files.
+    pub fn with_transport(mut self, transport: Transport) -> Result<Self, RequestError> {
+        self.connection.set_transport(transport)?;
+        Ok(self)
+    }
+
     /// Encrypts with the client's own keys; only the server with this key is accepted.
     ///
     /// # Errors
     /// [`RequestError::NoCurve`] if this build cannot encrypt.
     pub fn with_keys(mut self, own: KeyPair, server: PublicKey) -> Result<Self, RequestError> {
-        if !can_encrypt() {
+        if self.connection.transport() == Transport::Libzmq && !can_encrypt() {
             return Err(RequestError::NoCurve);
         }
         self.connection.set_keys(own, server)?;
