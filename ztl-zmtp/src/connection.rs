@@ -290,7 +290,7 @@ impl<S: Socket, B: AsRef<[u8]> + AsMut<[u8]>> Connection<S, B> {
     }
 
     /// The part of the buffer that is free while a message is held.
-    pub(crate) fn spare(&mut self) -> &mut [u8] {
+    pub fn spare(&mut self) -> &mut [u8] {
         let (room, envelope) = (self.room(), self.envelope);
         let spare = match self.turn {
             Turn::Held => self.buffer.as_mut().get_mut(envelope..room),
@@ -300,7 +300,7 @@ impl<S: Socket, B: AsRef<[u8]> + AsMut<[u8]>> Connection<S, B> {
     }
 
     /// Length of the longest reply to the message that is not cut.
-    pub(crate) fn answer_room(&self) -> usize {
+    pub fn answer_room(&self) -> usize {
         self.room().saturating_sub(self.envelope + LONGEST_HEADER)
     }
 

@@ -28,5 +28,5 @@ mod wire;
 
 pub use connection::Connection;
 pub use fault::Fault;
-pub use message::{Content, Frames, Message};
+pub use message::{Content, Frames, Message, envelope};
 pub use wire::{Dealer, GREETING, HANDSHAKE, Rep, Req, Router, SIGNATURE, SKIPPED, Socket};

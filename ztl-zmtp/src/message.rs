@@ -17,7 +17,6 @@ pub struct Message<'a> {
 /// The part of a message after its delimiter.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-#[non_exhaustive]
 pub enum Content<'a> {
     /// One frame.
     One(&'a [u8]),

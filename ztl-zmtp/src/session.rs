@@ -11,7 +11,6 @@ mod inbound;
 mod outbound;
 mod security;
 
-pub use crate::message::envelope;
 pub use frames::Message;
 #[cfg(feature = "curve")]
 pub(crate) use frames::put_header;

@@ -5,8 +5,9 @@ use core::time::Duration;
 use embedded_io::{Read, ReadReady, Write};
 use ztl_core::Instant;
 
+use ztl_zmtp::{GREETING, SIGNATURE};
+
 use super::server::{Peer, Server};
-use super::wire::{GREETING, SIGNATURE};
 use crate::Components;
 use crate::pump::PumpError;
 

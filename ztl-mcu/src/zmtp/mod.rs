@@ -68,18 +68,14 @@
 //! Enable the stack's keep-alive. Otherwise a client that was switched off is never detected and keeps its
 //! slot.
 
-mod connection;
 mod line;
-mod message;
-mod receive;
 mod server;
-mod wire;
 
-pub use connection::{Connection, Fault};
 pub use line::Line;
-pub use message::{Content, Frames, Message};
 pub use server::{Peer, Server};
-pub use wire::{Dealer, HANDSHAKE, Rep, Req, SKIPPED, Socket};
+pub use ztl_zmtp::{
+    Connection, Content, Dealer, Fault, Frames, HANDSHAKE, Message, Rep, Req, SKIPPED, Socket,
+};
 
 #[cfg(test)]
 mod tests;

@@ -9,12 +9,10 @@ use ztl_core::spec::{SpecError, TaskSpec};
 use ztl_core::tasks::TaskRules;
 use ztl_core::{Event, Instant, State, TaskId};
 
-use super::connection::{Connection, Fault};
-use super::message::Content;
-use super::wire::Rep;
 use crate::component::Components;
 use crate::node::utf8::push_utf8;
 use crate::node::{Identity, Runner};
+use ztl_zmtp::{Connection, Content, Fault, Rep};
 
 /// Longest stored text of a task, in bytes.
 const TEXT: usize = crate::node::tasks::TEXT;

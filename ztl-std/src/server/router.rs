@@ -8,7 +8,6 @@ use tracing::debug;
 use ztl_core::Instant;
 use ztl_core::envelope::Envelope;
 use ztl_core::reply::Reply;
-use ztl_zmtp::session;
 
 use super::authenticator::{Authenticator, CurrentAccess, Sender};
 use super::clock::now;
@@ -199,7 +198,7 @@ fn next(peers: &mut Peers, access: &CurrentAccess, now: Instant) -> Option<Recei
     let Some(sender) = access.sender(message.from, key) else {
         return Some(Received::Dropped("of an unknown sender"));
     };
-    let envelope = session::envelope(&message.path.envelope);
+    let envelope = ztl_zmtp::envelope(&message.path.envelope);
     Some(Received::Request(Request {
         path: ReturnPath::Own(message.path),
         envelope,

@@ -4,8 +4,8 @@ use core::time::Duration;
 use std::vec::Vec;
 
 use super::{BOTH, End, NOW, Pieces, command, frame, greeting, property, ready, request};
-use crate::zmtp::wire::GREETING;
 use crate::zmtp::{Connection, Content, Dealer, Fault, HANDSHAKE, Rep, Req, SKIPPED, Socket};
+use ztl_zmtp::GREETING;
 
 type Server = Connection<Rep, [u8; 128]>;
 

@@ -7,12 +7,11 @@ use std::vec::Vec;
 
 use embedded_io::{ErrorType, Read, ReadReady, Write};
 
+use ztl_zmtp::GREETING;
+
 use super::{Desk, NOW, desk, frame, greeting, init, ready, request, text};
 use crate::Instant;
-use crate::zmtp::{
-    Line, Rep,
-    wire::{GREETING, Socket},
-};
+use crate::zmtp::{Line, Rep, Socket};
 
 /// Both directions of a port.
 #[derive(Default)]
