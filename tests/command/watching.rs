@@ -2,7 +2,8 @@
 
 use ztl_std::{RemoteTask, State};
 use ztl_tests::lab::{
-    Ended, PATIENCE, Process, SCOPE, Scratch, Server, example, ours_named, reserve_port, until, ztl,
+    Ended, PATIENCE, Process, SCOPE, Scratch, Server, example, ours_named, reserve_port,
+    run_python, until, ztl,
 };
 
 /// `ztl` with these arguments and the server's port.
@@ -357,6 +358,10 @@ fn each_of_our_servers_describes_its_components() {
     );
     let told = json(&tell(&tests, "describe --json"));
     assert_eq!(told["running"][task.id.as_str()], SCOPE, "{told}");
+    // PyYAML reads the same.
+    let to_json = "import json, sys, yaml; print(json.dumps(yaml.safe_load(sys.stdin)))";
+    let yaml = run_python(&["-c", to_json], &tell(&tests, "describe --yaml"));
+    assert_eq!(json(&yaml), told);
 }
 
 #[test]

@@ -165,8 +165,8 @@ fn a_device_that_reconnects_constantly_does_not_flood_the_log() {
         .lines()
         .filter(|line| line.contains("'arm'"))
         .collect();
-    // Closed, as the system reports it in one of two ways, and refused: each logged once.
-    assert!((1..=4).contains(&lines.len()), "{ended:?}");
+    // Closed and refused, each logged once; the gateway may have had time to find that nothing answers.
+    assert!((1..=3).contains(&lines.len()), "{ended:?}");
 }
 
 #[test]

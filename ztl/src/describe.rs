@@ -3,6 +3,7 @@
 use std::process::ExitCode;
 
 use crate::columns::table;
+use crate::data_format::DataFormat;
 use crate::exit::Done;
 use crate::server_query::QueryOptions;
 use crate::terminal::{flat, line};
@@ -15,17 +16,16 @@ pub(crate) struct Describe {
     #[command(flatten)]
     server: QueryOptions,
 
-    /// Print JSON
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    format: DataFormat,
 }
 
 impl Describe {
     pub(crate) fn run(self) -> Done {
         let server = self.server.server()?;
         let told = server.describe()?;
-        if self.json {
-            line(serde_json::to_string(&told)?);
+        if self.format.is_chosen() {
+            self.format.print(&told)?;
             return Ok(ExitCode::SUCCESS);
         }
         let version = flat(&told.version).into_owned();

@@ -15,6 +15,7 @@ use ztl_std::gateway::LogPiece;
 use ztl_std::gateway::{ComponentReport, DeviceReport, DeviceReports};
 
 use crate::columns::spoken;
+use crate::data_format::DataFormat;
 use crate::exit::Done;
 use crate::server_query::{QueriedServer, QueryOptions, all_named, code, read, state};
 #[cfg(feature = "defmt")]
@@ -30,13 +31,12 @@ pub(crate) struct Devices {
     #[arg(value_name = "NAME")]
     name: Option<String>,
 
-    /// Print JSON
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    format: DataFormat,
 
     /// Show the defmt log of this device's firmware until Ctrl-C
     #[cfg(feature = "defmt")]
-    #[arg(long, value_name = "NAME", requires = "elf", conflicts_with_all = ["name", "json"])]
+    #[arg(long, value_name = "NAME", requires = "elf", conflicts_with_all = ["name", "json", "yaml"])]
     log: Option<String>,
 
     /// The firmware's ELF file, which decodes its log
@@ -61,8 +61,9 @@ impl Devices {
             let endpoint = server.endpoint();
             format!("the server at {endpoint} has no devices: it is not a gateway of this version")
         })?;
-        if self.json {
-            line(json);
+        if self.format.is_chosen() {
+            let devices: serde_json::Value = read(&json)?;
+            self.format.print(&devices)?;
             return Ok(ExitCode::SUCCESS);
         }
         let scopes: BTreeMap<String, DeviceReports> = read(&json)?;

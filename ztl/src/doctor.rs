@@ -11,6 +11,7 @@ use std::process::ExitCode;
 
 use serde_json::{Value, json};
 
+use crate::data_format::DataFormat;
 use crate::exit::Done;
 use crate::identity::Identity;
 use crate::option_values::port;
@@ -43,9 +44,8 @@ pub(crate) struct Doctor {
     #[arg(long, value_name = "DIR")]
     journal: Option<PathBuf>,
 
-    /// Print JSON
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    format: DataFormat,
 }
 
 impl Doctor {
@@ -70,9 +70,10 @@ impl Doctor {
             found.push(network::server(address, &self.identity));
         }
         let troubles = found.iter().filter(|f| f.health == Health::Trouble).count();
-        if self.json {
+        if self.format.is_chosen() {
             let findings: Vec<Value> = found.iter().map(Finding::to_json).collect();
-            line(json!({ "troubles": troubles, "findings": findings }));
+            self.format
+                .print(&json!({ "troubles": troubles, "findings": findings }))?;
         } else {
             show(&found, troubles);
         }

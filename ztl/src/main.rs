@@ -11,6 +11,7 @@ mod check;
 mod client;
 mod columns;
 mod completions;
+mod data_format;
 mod demo;
 mod describe;
 mod device;

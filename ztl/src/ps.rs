@@ -4,6 +4,7 @@ use serde_json::json;
 use ztl_std::ServerTask;
 
 use crate::columns::{spoken, table};
+use crate::data_format::DataFormat;
 use crate::exit::Done;
 use crate::server_query::{QueryOptions, all_named, code, state};
 use crate::terminal::{flat, line};
@@ -17,9 +18,8 @@ pub(crate) struct Ps {
     #[arg(short, long)]
     all: bool,
 
-    /// Print JSON
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    format: DataFormat,
 }
 
 impl Ps {
@@ -29,9 +29,10 @@ impl Ps {
         if known.tasks.is_empty() && !all_named {
             return Ok(code(false));
         }
-        if self.json {
+        if self.format.is_chosen() {
             let tasks: Result<Vec<_>, _> = known.tasks.iter().map(as_json).collect();
-            line(json!({ "tasks": tasks?, "more": known.more }));
+            let list = json!({ "tasks": tasks?, "more": known.more });
+            self.format.print(&list)?;
             return Ok(code(all_named));
         }
         let shown = |task: &&ServerTask| self.all || task.may_run;

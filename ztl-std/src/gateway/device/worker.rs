@@ -393,7 +393,17 @@ impl Worker {
             RETRY.1
         };
         self.pause = (self.pause * 2).min(longest);
-        self.set_trouble(format!("{}: {error}", self.url()));
+        // The system reports it in one of several ways, and each would be logged in turn.
+        let closed = matches!(
+            error.kind(),
+            io::ErrorKind::UnexpectedEof
+                | io::ErrorKind::ConnectionReset
+                | io::ErrorKind::ConnectionAborted
+        );
+        self.set_trouble(match closed {
+            true => format!("{}: the other end has closed it", self.url()),
+            false => format!("{}: {error}", self.url()),
+        });
     }
 
     fn set_trouble(&mut self, trouble: String) {
