@@ -373,7 +373,7 @@ mod tests {
 
     #[test]
     fn a_pair_survives_its_files_and_nothing_is_overwritten() {
-        let directory = std::env::temp_dir().join(format!("ztl-keys-{}", crate::random::number()));
+        let directory = std::env::temp_dir().join(format!("ztl-keys-{}", random::number()));
         fs::create_dir(&directory).expect("a directory");
         let pair = KeyPair {
             public: KNOWN.parse().expect("a key"),

@@ -18,6 +18,7 @@ use ztl_core::Instant;
 use ztl_zmtp::Router;
 use ztl_zmtp::session::{Inbound, Outbound, Security, Step};
 
+use super::clock::now;
 use crate::log_targets::TASKS;
 
 /// Bytes read at once.
@@ -28,6 +29,8 @@ const UNSENT: usize = 256 * 1024;
 const UNREAD: Duration = Duration::from_secs(10);
 /// How often deadlines are checked, while there are any.
 const CHECK: Duration = Duration::from_millis(250);
+/// How many connections are accepted at once.
+const ACCEPTED: usize = 64;
 /// How long no connection is accepted after the system had no file for one.
 const PAUSE: Duration = Duration::from_millis(100);
 
@@ -39,7 +42,7 @@ pub(super) struct Rules {
     pub(super) security: Security,
     /// Longest message in bytes.
     pub(super) message: usize,
-    /// Most connections that have finished the handshake, and as many again that have not.
+    /// Most connections. A fifth of the places is for those that have not finished the handshake.
     pub(super) connections: usize,
     /// Bytes of all buffers together.
     pub(super) memory: usize,
@@ -95,6 +98,8 @@ pub(super) struct Peers {
     known: usize,
     unknown: usize,
     next_number: u32,
+    /// Those that had not finished the handshake when they came, the oldest first.
+    arrivals: VecDeque<(usize, u32)>,
     /// Peers with something to read, in turns.
     ready: VecDeque<usize>,
     /// Peers with something to send.
@@ -125,6 +130,7 @@ impl Peers {
             known: 0,
             unknown: 0,
             next_number: 0,
+            arrivals: VecDeque::new(),
             ready: VecDeque::new(),
             unsent: Vec::new(),
             piece: vec![0; PIECE].into_boxed_slice(),
@@ -145,10 +151,11 @@ impl Peers {
     }
 
     /// Sends what can be sent, and waits for something to read, at most for `longest`.
-    pub(super) fn wait(&mut self, now: Instant, longest: Option<Duration>) -> io::Result<()> {
-        self.flush(now);
+    pub(super) fn wait(&mut self, longest: Option<Duration>) -> io::Result<()> {
+        self.flush();
+        let before = now();
         let due = [self.next_check, self.accept_again].into_iter().flatten();
-        let due = due.map(|at| at.since(now)).min();
+        let due = due.map(|at| at.since(before)).min();
         let longest = match !self.ready.is_empty() || !self.messages.is_empty() {
             true => Some(Duration::ZERO),
             false => [longest, due].into_iter().flatten().min(),
@@ -180,6 +187,7 @@ impl Peers {
                 }
             }
         }
+        let now = now();
         if accept || self.accept_again.is_some_and(|at| at <= now) {
             self.accept(now);
         }
@@ -192,7 +200,6 @@ impl Peers {
     /// The next message. `admit` decides about a peer that has finished the handshake.
     pub(super) fn next(
         &mut self,
-        now: Instant,
         admit: &mut dyn FnMut(IpAddr, Option<[u8; 32]>) -> bool,
     ) -> Option<Incoming> {
         loop {
@@ -200,7 +207,7 @@ impl Peers {
                 return Some(message);
             }
             let slot = self.ready.pop_front()?;
-            self.turn(now, slot, admit);
+            self.turn(now(), slot, admit);
         }
     }
 
@@ -293,7 +300,11 @@ impl Peers {
     }
 
     /// Sends what can be sent without waiting.
-    pub(super) fn flush(&mut self, now: Instant) {
+    fn flush(&mut self) {
+        if self.unsent.is_empty() {
+            return;
+        }
+        let now = now();
         while let Some(slot) = self.unsent.pop() {
             let Some(Some(peer)) = self.slots.get_mut(slot) else {
                 continue;
@@ -330,7 +341,7 @@ impl Peers {
 
     fn accept(&mut self, now: Instant) {
         self.accept_again = None;
-        loop {
+        for _ in 0..ACCEPTED {
             let (stream, address) = match self.listener.accept() {
                 Ok(accepted) => accepted,
                 Err(error) if error.kind() == io::ErrorKind::WouldBlock => return,
@@ -342,16 +353,22 @@ impl Peers {
                     return;
                 }
             };
-            if self.unknown >= self.rules.connections {
+            if self.unknown > self.rules.connections / 5 {
                 self.close_oldest_unknown();
             }
-            if self.known >= self.rules.connections {
+            if self.known + self.unknown >= self.rules.connections {
+                self.close_oldest_unknown();
+            }
+            if self.known + self.unknown >= self.rules.connections {
+                debug!(target: TASKS, "a connection of {address} was not accepted: too many");
                 continue;
             }
             if let Err(error) = self.add(now, stream, address.ip()) {
                 debug!(target: TASKS, "a connection was not accepted: {error}");
             }
         }
+        // The next ones after those that are connected.
+        self.accept_again = Some(now);
     }
 
     fn add(&mut self, now: Instant, mut stream: TcpStream, address: IpAddr) -> io::Result<()> {
@@ -388,24 +405,28 @@ impl Peers {
             None => self.slots.push(Some(peer)),
         }
         self.unknown += 1;
+        self.arrivals.push_back((slot, self.next_number));
         self.next_check.get_or_insert(now + CHECK);
         Ok(())
     }
 
     /// Makes room for another connection that has to shake hands.
     fn close_oldest_unknown(&mut self) {
-        let unknown = self.slots.iter().enumerate().filter_map(|(slot, peer)| {
-            let peer = peer.as_ref()?;
-            (!peer.inbound.is_ready()).then(|| (self.next_number.wrapping_sub(peer.number), slot))
-        });
-        if let Some((_, slot)) = unknown.max() {
-            self.close(slot, Some("others wait to connect"));
+        while let Some((slot, number)) = self.arrivals.pop_front() {
+            let peer = self.slots.get(slot).and_then(Option::as_ref);
+            if peer.is_some_and(|peer| peer.number == number && !peer.inbound.is_ready()) {
+                return self.close(slot, Some("others wait to connect"));
+            }
         }
     }
 
     /// Closes peers that have been silent for too long, or that do not read.
     fn check(&mut self, now: Instant) {
         self.next_check = None;
+        self.arrivals.retain(|(slot, number)| {
+            let peer = self.slots.get(*slot).and_then(Option::as_ref);
+            peer.is_some_and(|peer| peer.number == *number && !peer.inbound.is_ready())
+        });
         for slot in 0..self.slots.len() {
             let Some(Some(peer)) = self.slots.get(slot) else {
                 continue;
@@ -475,7 +496,6 @@ mod tests {
     use ztl_zmtp::{Dealer, GREETING, Socket as _};
 
     use super::*;
-    use crate::server::clock::now;
 
     const LIMIT: Option<Duration> = Some(Duration::from_secs(20));
 
@@ -525,8 +545,8 @@ mod tests {
         let mut most = 0;
         let mut held = Vec::new();
         while !stop.load(Ordering::SeqCst) {
-            peers.wait(now(), None).unwrap();
-            while let Some(message) = peers.next(now(), &mut |_, _| true) {
+            peers.wait(None).unwrap();
+            while let Some(message) = peers.next(&mut |_, _| true) {
                 let body = message.body.unwrap_or(Box::from(*b"several"));
                 if body.starts_with(b"hold") {
                     held.push((message.path, body));
@@ -669,6 +689,19 @@ mod tests {
         let other = libzmq(&context, &echo.endpoint());
         is_served(&other, b"in");
         drop(idle);
+    }
+
+    #[test]
+    fn a_client_that_comes_after_a_long_time_has_time_to_shake_hands() {
+        let echo = Echo::new(rules());
+        std::thread::sleep(ztl_zmtp::HANDSHAKE + Duration::from_millis(100));
+        let context = zmq::Context::new();
+        is_served(&libzmq(&context, &echo.endpoint()), b"late");
+        let mut raw = raw(&echo);
+        raw.write_all(b"\x01\0\0\x02hi").unwrap();
+        let mut heard = [0; 6];
+        raw.read_exact(&mut heard).unwrap();
+        assert_eq!(&heard, b"\x01\0\0\x02hi");
     }
 
     #[test]

@@ -5,12 +5,10 @@ use std::ops::Deref;
 use std::time::Duration;
 
 use tracing::debug;
-use ztl_core::Instant;
 use ztl_core::envelope::Envelope;
 use ztl_core::reply::Reply;
 
 use super::authenticator::{Authenticator, CurrentAccess, Sender};
-use super::clock::now;
 use super::peers::{self, Peers};
 use super::waker::is_wake;
 use crate::keys::PublicKey;
@@ -92,7 +90,7 @@ impl Router {
             }
             Self::Own { peers, .. } => {
                 let longest = (longest != Duration::MAX).then_some(longest);
-                peers.wait(now(), longest).map_err(as_zmq)?;
+                peers.wait(longest).map_err(as_zmq)?;
                 self.receive()
             }
         }
@@ -109,7 +107,7 @@ impl Router {
                 socket,
                 authenticator,
             } => receive(socket, authenticator, flags),
-            Self::Own { peers, access } => Ok(next(peers, access, now())),
+            Self::Own { peers, access } => Ok(next(peers, access)),
         }
     }
 
@@ -189,10 +187,9 @@ fn receive(
 }
 
 /// The next message of our own connections.
-fn next(peers: &mut Peers, access: &CurrentAccess, now: Instant) -> Option<Received> {
-    let message = peers.next(now, &mut |address, key| {
-        access.admits(address, key.map(PublicKey::from_bytes))
-    })?;
+fn next(peers: &mut Peers, access: &CurrentAccess) -> Option<Received> {
+    let message =
+        peers.next(&mut |address, key| access.admits(address, key.map(PublicKey::from_bytes)))?;
     let key = message.key.map(PublicKey::from_bytes);
     // The rules may have changed since the client connected.
     let Some(sender) = access.sender(message.from, key) else {
