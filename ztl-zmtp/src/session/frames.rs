@@ -22,7 +22,7 @@ impl<'a> Message<'a> {
     }
 
     /// The frames up to the first empty one, with it, as on the wire; then the only frame after it, or `None` if there
-    /// are several. `None` without an empty frame that something follows.
+    /// are none or several. `None` without an empty frame.
     #[must_use]
     pub fn split(self) -> Option<(&'a [u8], Option<&'a [u8]>)> {
         let mut at = 0;
@@ -34,9 +34,9 @@ impl<'a> Message<'a> {
             }
         }
         let (envelope, content) = self.bytes.split_at_checked(at)?;
-        let (length, size) = header(content).ok()??;
-        let (only, rest) = content.get(length..)?.split_at_checked(size)?;
-        Some((envelope, rest.is_empty().then_some(only)))
+        let mut frames = Message { bytes: content }.frames();
+        let only = frames.next().filter(|_| frames.next().is_none());
+        Some((envelope, only))
     }
 }
 
