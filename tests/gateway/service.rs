@@ -139,7 +139,7 @@ fn leave_running_reports_what_each_task_will_do_and_no_outcome() {
     }
     let ended = process.end(PATIENCE);
     assert_eq!(ended.code, Some(143));
-    let stops = "stops by itself after its link timeout without a command";
+    let stops = "stops by itself after hearing nothing for its link timeout";
     for (task, becomes) in [
         ("arm", format!("{stops} (abort).")),
         ("lift", format!("{stops}, and keeps its position (hold).")),

@@ -19,6 +19,7 @@ mod project;
 mod proof;
 mod rerun;
 mod size;
+mod stalls;
 mod steps;
 mod zig;
 

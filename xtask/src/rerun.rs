@@ -1,15 +1,19 @@
 //! Runs tests, and again, one at a time, those that failed.
 //!
 //! Many tests wait for programs, boards in QEMU and other peers, with limits of seconds. A machine that stalls breaks
-//! such a limit now and then, a defect breaks it each time. A test that passes only when it runs again is listed: on an
-//! idle machine it is a defect, too.
+//! such a limit now and then, a defect breaks it each time. So a test runs again only if the machine was measured to
+//! stall while it ran, and with the same random input. It is listed if it passes then.
 
 use std::collections::BTreeSet;
+use std::env;
 use std::io::{BufRead as _, BufReader};
 use std::process::{Command, Stdio};
+use std::time::{SystemTime, UNIX_EPOCH};
 
 use anyhow::{Context as _, Result, ensure};
 use xshell::Cmd;
+
+use crate::stalls::Stalls;
 
 /// How often a test that failed runs again at most.
 const AGAIN: u32 = 2;
@@ -23,45 +27,58 @@ pub(crate) fn cargo_test<'a>(
     build: impl Fn() -> Result<Cmd<'a>>,
     arguments: &[&str],
 ) -> Result<()> {
-    let run = |arguments: &[&str]| -> Result<Ran> {
-        show_and_read(build()?.arg("--no-fail-fast").arg("--").args(arguments))
+    let seed = match env::var("ZTL_SEED") {
+        Ok(seed) => seed,
+        Err(_) => SystemTime::now()
+            .duration_since(UNIX_EPOCH)?
+            .as_millis()
+            .to_string(),
     };
-    let first = run(arguments)?.failed()?;
+    let stalls = Stalls::measure();
+    let run = |arguments: &[&str]| -> Result<Ran> {
+        let cargo = build()?.arg("--no-fail-fast").arg("--").args(arguments);
+        show_and_read(cargo.env("ZTL_SEED", &seed), &stalls)
+    };
+    let ran = run(arguments)?;
+    let first = ran.failed()?;
+    let list = |names: &BTreeSet<String>| -> String {
+        names.iter().map(|name| format!("\n    {name}")).collect()
+    };
+    let not_stalled = first.difference(&ran.stalled).cloned().collect();
+    ensure!(
+        first.is_subset(&ran.stalled),
+        "these tests failed while the machine did not stall (ZTL_SEED={seed}):{}",
+        list(&not_stalled)
+    );
     let mut failed = first.clone();
     for time in 1..=AGAIN {
         if failed.is_empty() {
             break;
         }
         let names: Vec<&str> = failed.iter().map(String::as_str).collect();
-        let list = names.join("\n    ");
+        let listed = list(&failed);
         ensure!(
             names.len() <= AT_MOST,
-            "{} tests failed:\n    {list}",
+            "{} tests failed:{listed}",
             names.len()
         );
-        println!("\n=== again, one at a time ({time} of {AGAIN} at most):\n    {list}");
+        println!("\n=== again, one at a time ({time} of {AGAIN} at most):{listed}");
         let ran = run(&[&["--test-threads=1", "--exact"], &names[..]].concat())?;
         let failed_again = ran.failed()?;
         let passed = passed(&ran.output);
         ensure!(
             passed + failed_again.len() >= names.len(),
-            "only {passed} ran again of:\n    {list}"
+            "only {passed} ran again of:{listed}"
         );
         failed = failed_again;
     }
-    let list = |names: &BTreeSet<String>| {
-        names
-            .iter()
-            .map(|name| format!("\n    {name}"))
-            .collect::<String>()
-    };
     ensure!(
         failed.is_empty(),
-        "these tests failed each time:{}",
+        "these tests failed each time (ZTL_SEED={seed}):{}",
         list(&failed)
     );
     if !first.is_empty() {
-        println!("\nPASSED ONLY AGAIN; is the machine busy?{}", list(&first));
+        println!("\nPASSED ONLY AGAIN, after {stalls}:{}", list(&first));
     }
     Ok(())
 }
@@ -69,6 +86,8 @@ pub(crate) fn cargo_test<'a>(
 struct Ran {
     success: bool,
     output: String,
+    /// The tests that failed while the machine stalled.
+    stalled: BTreeSet<String>,
 }
 
 impl Ran {
@@ -82,7 +101,7 @@ impl Ran {
 }
 
 /// Runs a command, shows what it prints, and returns that.
-fn show_and_read(cargo: Cmd<'_>) -> Result<Ran> {
+fn show_and_read(cargo: Cmd<'_>, stalls: &Stalls) -> Result<Ran> {
     println!("$ {cargo}");
     let cargo = Command::from(cargo);
     // The shell joins both outputs, so that their order is kept.
@@ -100,15 +119,31 @@ fn show_and_read(cargo: Cmd<'_>) -> Result<Ran> {
     let mut child = shell.spawn().context("sh")?;
     let mut lines = BufReader::new(child.stdout.take().context("its output")?);
     let mut output = String::new();
+    let mut stalled = BTreeSet::new();
     let mut line = Vec::new();
     while lines.read_until(b'\n', &mut line)? > 0 {
         let text = String::from_utf8_lossy(&line);
         print!("{text}");
+        if let Some(name) = failed_now(&text)
+            && stalls.were_recent()
+        {
+            stalled.insert(name.to_owned());
+        }
         output.push_str(&text);
         line.clear();
     }
     let success = child.wait()?.success();
-    Ok(Ran { success, output })
+    Ok(Ran {
+        success,
+        output,
+        stalled,
+    })
+}
+
+/// The test that has just failed, by a line of the output.
+fn failed_now(line: &str) -> Option<&str> {
+    let name = line.trim_end().strip_suffix(" ... FAILED")?;
+    name.strip_prefix("test ")
 }
 
 /// The tests that failed, unless something else failed too: a test binary that died, or a build.
@@ -169,6 +204,8 @@ test result: ok. 3 passed; 0 failed; 0 ignored; 0 measured; 0 filtered out; fini
         let names = failed_tests(OUTPUT).expect("only tests failed");
         assert_eq!(names.into_iter().collect::<Vec<_>>(), ["lines::two"]);
         assert_eq!(passed(OUTPUT), 4);
+        let now = OUTPUT.lines().filter_map(failed_now).collect::<Vec<_>>();
+        assert_eq!(now, ["lines::two"]);
     }
 
     #[test]

@@ -14,7 +14,7 @@ pub struct Sent {
     pub boot: u32,
     /// What the component does when the link is lost.
     pub loss: Loss,
-    /// After how long without a command the device considers the link lost.
+    /// After how long without a new command the device considers the link lost.
     pub link_timeout: Duration,
 }
 

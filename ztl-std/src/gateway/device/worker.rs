@@ -193,7 +193,7 @@ impl Worker {
             warn!(
                 target: GATEWAY,
                 device = self.name,
-                "Device '{}' has not confirmed that {} stopped; after its link timeout without a command, it acts by itself.",
+                "Device '{}' has not confirmed that {} stopped; the device acts by itself after hearing nothing for its link timeout.",
                 self.name,
                 request.shown
             );
@@ -220,9 +220,9 @@ impl Worker {
             return;
         };
         let what = match policy {
-            Loss::Abort => "stops by itself after its link timeout without a command (abort)",
+            Loss::Abort => "stops by itself after hearing nothing for its link timeout (abort)",
             Loss::Hold => {
-                "stops by itself after its link timeout without a command, and keeps its position (hold)"
+                "stops by itself after hearing nothing for its link timeout, and keeps its position (hold)"
             }
             Loss::CarryOn => "carries on",
         };
