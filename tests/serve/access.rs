@@ -1,18 +1,11 @@
-//! Who may use a server: by address and, in a build with encryption, by key and scope.
+//! Who may use a server: by address, and by key and scope.
 
 use std::process::Command;
 
-use ztl_std::keys::{KeyPair, can_encrypt};
+use ztl_std::keys::KeyPair;
 use ztl_std::server::MAX_MESSAGE;
 use ztl_std::{RemoteTask, TriggerError};
 use ztl_tests::lab::{Ended, Process, SCOPE, Scratch, Server, python, ztl};
-
-/// Whether keys can be tested; if they must be but cannot, the test fails.
-fn encrypts() -> bool {
-    let demanded = std::env::var_os("ZTL_CURVE").is_some();
-    assert!(can_encrypt() || !demanded, "this build does not encrypt");
-    can_encrypt()
-}
 
 /// A gateway with a simulated gripper, and these options.
 #[track_caller]
@@ -97,39 +90,13 @@ fn a_secret_key_readable_by_others_causes_a_warning() {
 }
 
 #[test]
-fn a_build_without_encryption_rejects_keys_and_does_not_start() {
-    if encrypts() {
-        return;
-    }
-    let scratch = Scratch::new();
-    let ended = Process::run(ztl().arg("keys").arg(scratch.path("robot")));
-    assert_eq!(ended.code, Some(1));
-    assert!(
-        ended.stderr.contains("cargo xtask build --curve"),
-        "{ended:?}"
-    );
-
-    // Keys made by another tool.
-    let path = scratch.path("robot.key_secret");
-    let key = "Yne@$w-vo<fVvi]a<NY6T1ed:M$fCG*[IaLV{hID";
-    let content = format!("curve\n    public-key = \"{key}\"\n    secret-key = \"{key}\"\n");
-    std::fs::write(&path, content).expect("a file");
-    let words = [
-        "gateway",
-        "-p",
-        "0",
-        "-s",
-        "/lab",
-        "-d",
-        "gripper=sim:gripper",
-        "--key",
-    ];
-    let ended = Process::run(ztl().args(words).arg(&path));
+fn libzmq_without_encryption_rejects_keys_and_does_not_start() {
+    let keys = Keys::make(&["robot"]);
+    let words = "gateway -p 0 -s /lab -d gripper=sim:gripper --transport libzmq --key";
+    let key = keys.path("robot.key_secret");
+    let ended = Process::run(ztl().args(words.split(' ')).arg(key));
     assert!(ended.code.is_some_and(|code| code != 0), "{ended:?}");
-    assert!(
-        ended.stderr.contains("cargo xtask build --curve"),
-        "{ended:?}"
-    );
+    assert!(ended.stderr.contains("libzmq cannot encrypt"), "{ended:?}");
 }
 
 /// Pairs of keys made by `ztl keys`.
@@ -170,9 +137,6 @@ fn client_as(server: &Server, keys: &[String]) -> Ended {
 
 #[test]
 fn only_a_client_with_an_allowed_key_is_served() {
-    if !encrypts() {
-        return;
-    }
     let keys = Keys::make(&["robot", "anna", "mallory", "other"]);
     let (own, anna) = (keys.path("robot.key_secret"), keys.path("anna.key"));
     let server = gateway(&["--key", &own, "--client-key", &anna]);
@@ -192,21 +156,15 @@ fn only_a_client_with_an_allowed_key_is_served() {
 
 #[test]
 fn a_server_with_keys_and_no_allowed_client_serves_nobody() {
-    if !encrypts() {
-        return;
-    }
     let keys = Keys::make(&["robot", "anna"]);
     let server = gateway(&["--key", &keys.path("robot.key_secret")]);
     server.process.wait_for("no client can connect");
     assert_eq!(client_as(&server, &keys.of("anna", "robot")).code, Some(5));
 }
 
-/// libzmq counts the overhead of encryption as part of a message.
+/// As with libzmq, the overhead of encryption is part of a message.
 #[test]
 fn the_longest_encrypted_message_passes_and_a_longer_one_is_reported() {
-    if !encrypts() {
-        return;
-    }
     let keys = Keys::make(&["robot", "anna"]);
     let anna = format!("{SCOPE}={}", keys.path("anna.key"));
     let own = keys.path("robot.key_secret");
@@ -234,9 +192,6 @@ fn the_longest_encrypted_message_passes_and_a_longer_one_is_reported() {
 
 #[test]
 fn a_key_for_another_scope_gives_no_access() {
-    if !encrypts() {
-        return;
-    }
     let keys = Keys::make(&["robot", "anna", "bert"]);
     let here = format!("{SCOPE}={}", keys.path("anna.key"));
     let elsewhere = format!("/elsewhere={}", keys.path("bert.key"));
@@ -280,9 +235,6 @@ fn a_key_for_another_scope_gives_no_access() {
 
 #[test]
 fn a_client_in_python_uses_the_same_files() {
-    if !encrypts() {
-        return;
-    }
     let keys = Keys::make(&["robot", "anna"]);
     let (own, anna) = (keys.path("robot.key_secret"), keys.path("anna.key"));
     let server = gateway(&["--key", &own, "--client-key", &anna]);

@@ -2,7 +2,6 @@
 
 use ztl_std::RequestError;
 use ztl_std::State::{Aborted, Accepted, Completed, Failed};
-use ztl_std::keys::can_encrypt;
 use ztl_tests::lab::{
     ABORTED, COMPLETED, FAILED, PATIENCE, Process, SCOPE, Scratch, Server, our_client,
     reserve_port, until, ztl,
@@ -207,12 +206,7 @@ fn a_server_that_forwards_to_itself_terminates_the_loop() {
 }
 
 /// A server with a key, for one client, and the `forward` settings to be that client or another one.
-fn encrypted() -> Option<(Lab, Scratch, [String; 2])> {
-    let demanded = std::env::var_os("ZTL_CURVE").is_some();
-    assert!(can_encrypt() || !demanded, "this build does not encrypt");
-    if !can_encrypt() {
-        return None;
-    }
+fn encrypted() -> (Lab, Scratch, [String; 2]) {
     let keys = Scratch::new();
     for name in ["far", "near", "mallory"] {
         let ended = Process::run(ztl().arg("keys").arg(keys.path(name)));
@@ -227,25 +221,12 @@ fn encrypted() -> Option<(Lab, Scratch, [String; 2])> {
         let own = path(&format!("{name}.key_secret"));
         format!("{{forward: {{{to}, key: '{own}', server-key: '{server}'}}}}")
     });
-    Some((far, keys, forward))
+    (far, keys, forward)
 }
 
 #[test]
 fn with_keys_the_forwarding_server_authenticates_as_a_client() {
-    let Some((far, _keys, [near, mallory])) = encrypted() else {
-        // Reported at the start, and no task is sent unencrypted.
-        let to = "to: 'tcp://127.0.0.1:1', scope: /a, key: a.key_secret, server-key: b.key";
-        let lab = Lab::new(&format!("echo: {{forward: {{{to}}}}}"));
-        lab.server
-            .process
-            .wait_for("its tasks will be rejected: this build of ztl cannot encrypt");
-        let mut remote = lab.remote();
-        let refused = remote
-            .run("p", "echo", "x", Some(PATIENCE))
-            .expect_err("refused");
-        assert!(refused.to_string().contains("cannot encrypt"), "{refused}");
-        return;
-    };
+    let (far, _keys, [near, mallory]) = encrypted();
     let plain = format!(
         "{{forward: {{to: 'tcp://127.0.0.1:{}', scope: {SCOPE}}}}}",
         far.server.port

@@ -5,7 +5,7 @@ use std::process::Command;
 
 use ztl_core::dispatcher::NOTHING_KNOWN;
 use ztl_std::{RemoteTask, RunError, State, Status, TaskId, TriggerError};
-use ztl_tests::lab::{PATIENCE, SCOPE, Scratch, Server, connect, signal, transport, until, ztl};
+use ztl_tests::lab::{PATIENCE, SCOPE, Scratch, Server, connect, signal, until, ztl};
 
 /// `ztl serve` with its own file, in the directory in which its programs run.
 pub struct Lab {
@@ -133,11 +133,7 @@ pub fn start(file: &Path, options: &[&str]) -> Server {
 
 #[track_caller]
 fn start_by(mut command: Command, file: &Path, options: &[&str]) -> Server {
-    command
-        .arg("serve")
-        .arg(file)
-        .args(options)
-        .args(transport());
+    command.arg("serve").arg(file).args(options);
     if !options.contains(&"-p") {
         command.args(["-p", "0"]);
     }

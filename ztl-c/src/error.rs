@@ -19,8 +19,6 @@ pub const ZTL_E_BUSY: c_int = -4;
 pub const ZTL_E_ADDRESS: c_int = -5;
 /// The system has no more sockets, threads or memory.
 pub const ZTL_E_SYSTEM: c_int = -6;
-/// Keys were given, but this library cannot encrypt.
-pub const ZTL_E_NO_CURVE: c_int = -7;
 /// A key or its file is invalid.
 pub const ZTL_E_KEY: c_int = -8;
 /// Server: the task has ended, or is unknown to this server.
@@ -65,7 +63,6 @@ pub extern "C" fn ztl_error_name(error: c_int) -> *const c_char {
         ZTL_E_BUSY => c"ZTL_E_BUSY",
         ZTL_E_ADDRESS => c"ZTL_E_ADDRESS",
         ZTL_E_SYSTEM => c"ZTL_E_SYSTEM",
-        ZTL_E_NO_CURVE => c"ZTL_E_NO_CURVE",
         ZTL_E_KEY => c"ZTL_E_KEY",
         ZTL_E_ENDED => c"ZTL_E_ENDED",
         ZTL_E_ABORTED => c"ZTL_E_ABORTED",
@@ -103,8 +100,7 @@ impl Failure {
 impl From<BindError> for Failure {
     fn from(error: BindError) -> Self {
         let code = match error {
-            BindError::InUse { .. } | BindError::Address { .. } => ZTL_E_ADDRESS,
-            BindError::NoCurve => ZTL_E_NO_CURVE,
+            BindError::InUse { .. } | BindError::Endpoint { .. } => ZTL_E_ADDRESS,
             _ => ZTL_E_SYSTEM,
         };
         Self::new(code, error.to_string())
@@ -113,11 +109,7 @@ impl From<BindError> for Failure {
 
 impl From<KeyError> for Failure {
     fn from(error: KeyError) -> Self {
-        let code = match error {
-            KeyError::NoCurve => ZTL_E_NO_CURVE,
-            _ => ZTL_E_KEY,
-        };
-        Self::new(code, error.to_string())
+        Self::new(ZTL_E_KEY, error.to_string())
     }
 }
 
@@ -134,11 +126,7 @@ impl From<RequestError> for Failure {
             RequestError::UndefinedState { .. }
             | RequestError::OtherTask { .. }
             | RequestError::Unreadable { .. } => ZTL_E_UNREADABLE,
-            RequestError::Scope(_) => ZTL_E_ARGUMENT,
-            RequestError::NoCurve => ZTL_E_NO_CURVE,
-            RequestError::Transport(zmq::Error::EINVAL | zmq::Error::EPROTONOSUPPORT) => {
-                ZTL_E_ARGUMENT
-            }
+            RequestError::Scope(_) | RequestError::Endpoint { .. } => ZTL_E_ARGUMENT,
             _ => ZTL_E_SYSTEM,
         };
         Self::new(code, error.to_string())

@@ -58,12 +58,6 @@ pub extern "C" fn ztl_abi() -> c_uint {
     ZTL_ABI
 }
 
-/// 1 if this library can encrypt and so use keys, else 0. Any thread.
-#[unsafe(no_mangle)]
-pub extern "C" fn ztl_can_encrypt() -> c_int {
-    border::guard(0, || c_int::from(ztl_std::keys::can_encrypt()))
-}
-
 /// The name of a state, such as "COMPLETED"; "UNKNOWN" for any other number. Any thread. The text belongs to the
 /// library and stays valid.
 #[unsafe(no_mangle)]

@@ -4,14 +4,13 @@
 //! only when its outcome can never be learned.
 
 use std::error::Error;
-use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use ztl_core::State;
 use ztl_core::dispatcher::UNKNOWN_OUTCOME;
-use ztl_std::keys::{KeyError, KeyPair, PublicKey, can_encrypt};
+use ztl_std::keys::KeyFiles;
 use ztl_std::server::KEEP;
 use ztl_std::{RemoteTask, RequestError, Status, TriggerError, scope};
 use ztl_yaml::{Fields, Node};
@@ -33,8 +32,7 @@ pub(crate) struct Forward {
     /// The handler's name there, if it differs.
     pub(crate) handler: Option<String>,
     pub(crate) component: Option<String>,
-    /// Our secret key and the server's public key.
-    pub(crate) keys: Option<(PathBuf, PathBuf)>,
+    pub(crate) keys: Option<KeyFiles>,
 }
 
 /// Reads where tasks are sent.
@@ -70,31 +68,11 @@ pub(crate) fn read<'d>(
     let handler = handler.and_then(|node| reader.name(node, "a handler"));
     let component = fields.optional("component");
     let component = component.and_then(|node| reader.name(node, "a component"));
-    let base = reader.base;
-    let own = fields.optional("key");
-    let server = fields.optional("server-key");
-    let mut path = |node: Option<&'d Node>| {
-        let text = reader.yaml.text(node?, "a file of `ztl keys`")?;
-        Some(base.join(text))
-    };
-    let keys = match (path(own), path(server)) {
-        (Some(own), Some(server)) => Some((own, server)),
-        _ => None,
-    };
-    if let (Some(node), None) | (None, Some(node)) = (own, server) {
-        let message =
-            "an encrypted connection needs both: key: robot.key_secret, server-key: far.key";
-        reader.yaml.wrong(node, message);
-    }
+    let at = fields.optional("key");
+    let keys = KeyFiles::take(&mut reader.yaml, &mut fields, reader.base);
     fields.finish(&mut reader.yaml);
-    if let (Some(node), Some((own, server))) = (own, &keys) {
-        let mistake = match can_encrypt() {
-            true => KeyPair::read(own).err().or(PublicKey::read(server).err()),
-            false => Some(KeyError::NoCurve),
-        };
-        if let Some(mistake) = mistake {
-            reader.warn(node, format!("its tasks will be rejected: {mistake}"));
-        }
+    if let (Some(node), Some(Err(mistake))) = (at, keys.as_ref().map(KeyFiles::read)) {
+        reader.warn(node, format!("its tasks will be rejected: {mistake}"));
     }
     Some(Arc::new(Forward {
         to: to?,
@@ -106,29 +84,26 @@ pub(crate) fn read<'d>(
 }
 
 impl Kind for Forward {
-    fn start(self: Arc<Self>, task: TaskContext, services: &Services) -> Start {
-        let zmq = services.zmq.clone();
-        thread_job::start(task, move |task, abort| self.run(zmq, task, abort))
+    fn start(self: Arc<Self>, task: TaskContext, _: &Services) -> Start {
+        thread_job::start(task, move |task, abort| self.run(task, abort))
     }
 }
 
 impl Forward {
     /// Connects to the server.
-    fn connect(&self, context: zmq::Context) -> Result<RemoteTask, Box<dyn Error>> {
-        let remote = RemoteTask::connect_in(context, &self.to, &self.scope)?;
-        let Some((own, server)) = &self.keys else {
+    fn connect(&self) -> Result<RemoteTask, Box<dyn Error>> {
+        let remote = RemoteTask::connect(&self.to, &self.scope)?;
+        let Some(keys) = &self.keys else {
             return Ok(remote);
         };
-        if !can_encrypt() {
-            return Err(KeyError::NoCurve.into());
-        }
-        Ok(remote.with_keys(KeyPair::read(own)?, PublicKey::read(server)?)?)
+        let (own, server) = keys.read()?;
+        Ok(remote.with_keys(own, server)?)
     }
 
     /// Runs a task there. `abort` may be set at any time.
-    fn run(&self, zmq: zmq::Context, task: &TaskContext, abort: &AtomicBool) -> Outcome {
+    fn run(&self, task: &TaskContext, abort: &AtomicBool) -> Outcome {
         let (to, call) = (&self.to, &task.call);
-        let mut remote = match self.connect(zmq) {
+        let mut remote = match self.connect() {
             Ok(remote) => remote,
             Err(error) => return Outcome::Rejected(format!("{to}: {error}")),
         };

@@ -174,8 +174,6 @@ pub(crate) enum Message {
 /// What all tasks share.
 pub(crate) struct Services {
     pub(crate) processes: ProcessRegistry,
-    /// For clients of other servers. It has no threads before the first client.
-    pub(crate) zmq: zmq::Context,
 }
 
 /// A task, and the way to its supervisor from any thread.

@@ -79,10 +79,7 @@ impl Supervisor {
             on_child,
             tasks: BTreeMap::new(),
             background: Vec::new(),
-            services: Services {
-                processes,
-                zmq: zmq::Context::new(),
-            },
+            services: Services { processes },
             total,
             stopping: false,
         };

@@ -23,13 +23,6 @@ const TEXT_LEN: usize = 40;
 const DIGITS: &[u8; 85] =
     b"0123456789abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ.-:+=^!/*?&<>()[]{}@%$#";
 
-/// Whether this build can encrypt. `cargo build` compiles libzmq without CURVE, `cargo xtask build --curve` with
-/// it.
-#[must_use]
-pub fn can_encrypt() -> bool {
-    zmq::has("curve") == Some(true)
-}
-
 /// A public key, which identifies a client or a server.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct PublicKey([u8; LEN]);
@@ -41,11 +34,57 @@ pub struct KeyPair {
     secret: [u8; LEN],
 }
 
+/// The files of a client's keys.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct KeyFiles {
+    /// The client's secret key: `NAME.key_secret`.
+    pub own: PathBuf,
+    /// The server's public key: `NAME.key`.
+    pub server: PathBuf,
+}
+
+impl KeyFiles {
+    /// Reads both.
+    ///
+    /// # Errors
+    /// [`KeyError`] with the file.
+    pub fn read(&self) -> Result<(KeyPair, PublicKey), KeyError> {
+        Ok((KeyPair::read(&self.own)?, PublicKey::read(&self.server)?))
+    }
+
+    /// Takes `key` and `server-key` from a configuration, and checks the files. Paths are relative to `base`.
+    #[cfg(feature = "config")]
+    pub fn take<'d>(
+        reading: &mut ztl_yaml::Reading<'d>,
+        fields: &mut ztl_yaml::Fields<'d>,
+        base: &Path,
+    ) -> Option<Self> {
+        let [own, server] = ["key", "server-key"].map(|key| fields.optional(key));
+        let (own_at, server_at) = match (own, server) {
+            (Some(own), Some(server)) => (own, server),
+            (None, None) => return None,
+            (Some(one), None) | (None, Some(one)) => {
+                let both = "an encrypted connection needs both: key: robot.key_secret, server-key: far.key";
+                reading.wrong(one, both);
+                return None;
+            }
+        };
+        let what = "a file of `ztl keys`";
+        let own = reading.text(own_at, what);
+        let server = reading.text(server_at, what);
+        let files = Self {
+            own: base.join(own?),
+            server: base.join(server?),
+        };
+        Some(files)
+    }
+}
+
 /// What is wrong with a key or its file.
 #[derive(Debug)]
 #[non_exhaustive]
 pub enum KeyError {
-    /// This build cannot encrypt.
+    /// This libzmq cannot encrypt.
     NoCurve,
     /// A file cannot be read or written.
     File {
@@ -80,9 +119,9 @@ pub enum KeyError {
 impl fmt::Display for KeyError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::NoCurve => f.write_str(
-                "this build of ztl cannot encrypt; build one that can with `cargo xtask build --curve`",
-            ),
+            Self::NoCurve => {
+                f.write_str("this libzmq cannot encrypt; leave out `--transport libzmq`")
+            }
             Self::File { path, cause } => write!(f, "{}: {cause}", path.display()),
             Self::Missing { path, name } => write!(
                 f,
@@ -319,8 +358,17 @@ fn field(path: &Path, text: &str, name: &'static str) -> Result<[u8; LEN], KeyEr
 }
 
 fn z85(key: &[u8; LEN]) -> String {
-    // Fails only for other lengths.
-    zmq::z85_encode(key).unwrap_or_default()
+    let mut text = String::with_capacity(TEXT_LEN);
+    for four in key.chunks(4) {
+        let value = four
+            .iter()
+            .fold(0u32, |value, byte| value << 8 | u32::from(*byte));
+        for power in [85 * 85 * 85 * 85, 85 * 85 * 85, 85 * 85, 85, 1] {
+            let digit = (value / power % 85) as usize;
+            text.extend(DIGITS.get(digit).map(|digit| char::from(*digit)));
+        }
+    }
+    text
 }
 
 /// Reads Z85 strictly; libzmq accepts any character as a digit.
@@ -349,6 +397,7 @@ mod tests {
     const KNOWN: &str = "Yne@$w-vo<fVvi]a<NY6T1ed:M$fCG*[IaLV{hID";
 
     #[test]
+    #[cfg(feature = "libzmq")]
     fn a_key_is_read_like_libzmq() {
         let key: PublicKey = KNOWN.parse().expect("a key");
         assert_eq!(zmq::z85_decode(KNOWN).expect("a key"), key.as_bytes());

@@ -63,9 +63,12 @@ pub mod files;
 #[cfg(feature = "gateway")]
 pub mod gateway;
 pub mod keys;
+#[cfg(feature = "libzmq")]
+mod libzmq;
 #[cfg(feature = "config")]
 pub mod listen;
 mod log_targets;
+mod native;
 mod offers;
 mod random;
 mod rate_limit;
@@ -74,11 +77,11 @@ mod remote_id;
 pub mod remotes;
 pub mod scope;
 pub mod server;
-mod sockets;
 mod task_list;
 mod task_request;
 pub mod terminal;
 pub mod time;
+mod transport;
 
 pub use client::{
     AbortOnDrop, BackgroundTask, RemoteTask, RequestError, RunError, ServerInfo, Status,
@@ -91,7 +94,8 @@ pub use offers::Offers;
 pub use remote_id::RemoteId;
 #[cfg(feature = "config")]
 pub use remotes::Remotes;
-pub use server::{Access, BindError, Limits, RunningServer, ServerBuilder, TaskServer, Transport};
+pub use server::{Access, BindError, Limits, RunningServer, ServerBuilder, TaskServer};
 pub use task_list::ListedTask;
 pub use task_request::{TaskRequest, encoded};
+pub use transport::Transport;
 pub use ztl_core::{State, TaskId, TaskSpec};

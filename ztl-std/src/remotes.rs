@@ -30,6 +30,7 @@ use std::path::{Path, PathBuf};
 
 use ztl_core::integer::Integer;
 
+use crate::keys::KeyFiles;
 use crate::scope;
 use ztl_yaml::python;
 use ztl_yaml::{Diagnostics, Document, Node, NodeValue, Reading, closest};
@@ -43,6 +44,8 @@ pub struct Remote {
     pub port: u16,
     /// The scope.
     pub scope: String,
+    /// The keys for an encrypted connection: `key` and `server-key`, relative to the configuration file.
+    pub keys: Option<KeyFiles>,
 }
 
 impl Remote {
@@ -248,6 +251,12 @@ fn endpoint(document: &Document, node: &Node) -> Entry {
         let host = fields.required("host", "host: lamp");
         let number = fields.required("port", "port: 12345");
         let scope = fields.required("scope", "scope: /lab");
+        let base = Path::new(document.name()).parent();
+        let key = fields.optional("key");
+        let keys = KeyFiles::take(&mut reading, &mut fields, base.unwrap_or(Path::new("")));
+        if let (Some(key), Some(Err(wrong))) = (key, keys.as_ref().map(KeyFiles::read)) {
+            reading.wrong(key, wrong.to_string());
+        }
         let (Some(host), Some(number), Some(scope)) = (host, number, scope) else {
             fields.finish(&mut reading);
             return None;
@@ -269,6 +278,7 @@ fn endpoint(document: &Document, node: &Node) -> Entry {
             host: host?,
             port: port?,
             scope: given?,
+            keys,
         })
     })();
     reading.finish(remote)
@@ -384,7 +394,9 @@ remotes:
         let found: Vec<String> = ["robot", "True", "None", "spare"]
             .iter()
             .map(|name| {
-                let Remote { host, port, scope } = remotes.task(name).unwrap();
+                let Remote {
+                    host, port, scope, ..
+                } = remotes.task(name).unwrap();
                 format!("{host} {port} {scope}")
             })
             .collect();

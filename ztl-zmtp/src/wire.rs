@@ -34,9 +34,7 @@ pub(crate) const PING: &[u8] = b"\x04PING";
 /// Length of the longest `PING` body: name, time to live, context (RFC 37, Connection Heartbeating).
 pub(crate) const LONGEST_PING: usize = 5 + 2 + 16;
 
-/// A socket type, as a type without values.
-///
-/// Only those whose messages have an envelope and a delimiter (RFC 28).
+/// A socket type, as a type without values (RFC 28, RFC 29).
 pub trait Socket {
     /// Its name in the property `Socket-Type`.
     const NAME: &'static [u8];
@@ -72,6 +70,20 @@ pub struct Dealer;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Router;
+
+/// Sends messages to those who subscribed to their topics.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Pub;
+
+impl Socket for Pub {
+    const NAME: &'static [u8] = b"PUB";
+    const CODE: u8 = 1;
+    const READY: &'static [u8] = b"\x04\x19\x05READY\x0BSocket-Type\0\0\0\x03PUB";
+    const PARTNERS: &'static [(&'static [u8], u8)] = &[(b"SUB", 2), (b"XSUB", 10)];
+    const ERROR: &'static [u8] = b"\x04\x1A\x05ERROR\x13PUB-takes-SUB,XSUB";
+    const BINDS: bool = true;
+}
 
 impl Socket for Router {
     const NAME: &'static [u8] = b"ROUTER";

@@ -8,6 +8,7 @@ use ztl_script::{Defaults, Finding, Script, check_servers};
 use ztl_std::Remotes;
 use ztl_yaml::Diagnostics;
 
+use crate::connect_options::ConnectOptions;
 use crate::exit::Done;
 use crate::log;
 use crate::remotes_options::RemotesOptions;
@@ -23,6 +24,9 @@ pub(crate) struct Check {
 
     #[command(flatten)]
     endpoints: RemotesOptions,
+
+    #[command(flatten)]
+    connecting: ConnectOptions,
 
     /// Ask each server whether it is reachable, and servers of this package whether they accept the tasks
     #[arg(long)]
@@ -46,7 +50,7 @@ impl Check {
         let (script, found) = Script::check(&self.script, defaults.unwrap_or_default());
         findings.extend(found);
         if let Some(remotes) = &remotes {
-            let connect = |name: &str| connect_once(remotes, name);
+            let connect = |name: &str| connect_once(remotes, &self.connecting, name);
             if let Some(script) = &script {
                 for unknown in script.unknown_remotes(remotes) {
                     add_unknown(unknown, &mut findings);

@@ -11,9 +11,9 @@ use std::process::ExitCode;
 
 use serde_json::{Value, json};
 
+use crate::connect_options::ConnectOptions;
 use crate::data_format::DataFormat;
 use crate::exit::Done;
-use crate::identity::Identity;
 use crate::option_values::port;
 use crate::server_address::AddressOptions;
 use crate::terminal::line;
@@ -30,7 +30,7 @@ pub(crate) struct Doctor {
     address: AddressOptions,
 
     #[command(flatten)]
-    identity: Identity,
+    connecting: ConnectOptions,
 
     /// Check whether this port is free for a server on this machine (repeatable)
     #[arg(long, value_name = "PORT", value_parser = port)]
@@ -67,7 +67,7 @@ impl Doctor {
         found.extend(serial::ports(&self.serial));
         found.push(storage::journal(self.journal.as_deref()));
         if let Some(address) = &address {
-            found.push(network::server(address, &self.identity));
+            found.push(network::server(address, &self.connecting));
         }
         let troubles = found.iter().filter(|f| f.health == Health::Trouble).count();
         if self.format.is_chosen() {

@@ -12,9 +12,9 @@ use ztl_std::listen::{LEVELS, LOG_FORMATS, Listen, LogFormat, bind_mistake};
 use ztl_std::{Access, BindError, Limits, ServerBuilder, TaskServer, Transport};
 use ztl_yaml::Diagnostics;
 
+use crate::connect_options::{TransportOption, own_keys};
 use crate::exit::Done;
-use crate::identity::own_keys;
-use crate::option_values::port;
+use crate::option_values::{one_of, port};
 use crate::terminal::{error_line, line};
 
 /// The exit code for a wrong configuration, after which a restart does not help.
@@ -88,15 +88,6 @@ pub(crate) fn log_format(text: &str) -> Result<LogFormat, String> {
     one_of(text, &LOG_FORMATS)
 }
 
-fn one_of<T: Copy>(text: &str, known: &[(&str, T)]) -> Result<T, String> {
-    let found = known.iter().find(|(word, _)| *word == text);
-    let words = || known.iter().map(|(word, _)| *word).collect::<Vec<_>>();
-    found.map_or_else(
-        || Err(format!("there are: {}", words().join(", "))),
-        |(_, value)| Ok(*value),
-    )
-}
-
 impl ListenOptions {
     /// The files in the options.
     pub(crate) fn files(&self) -> impl Iterator<Item = &Path> {
@@ -121,7 +112,7 @@ impl ListenOptions {
         };
         Ok(Some(ListenPlace {
             limits: self.limits.over(file.limits),
-            transport: self.transport.transport,
+            transport: self.transport.get().map_err(ConfigError::Whole)?,
             port,
             bind: self.bind.or(file.bind).unwrap_or("127.0.0.1".to_owned()),
             access: access
@@ -206,21 +197,6 @@ impl CheckFindings {
         line(right);
         Ok(ExitCode::SUCCESS)
     }
-}
-
-/// The option for how a server speaks to its clients.
-#[derive(Debug, Clone, Copy, clap::Args)]
-pub(crate) struct TransportOption {
-    /// How to speak ZeroMQ's protocol: libzmq, or own
-    #[arg(long, value_name = "TRANSPORT", value_parser = transport, default_value = "libzmq")]
-    pub(crate) transport: Transport,
-}
-
-fn transport(text: &str) -> Result<Transport, String> {
-    one_of(
-        text,
-        &[("libzmq", Transport::Libzmq), ("own", Transport::Own)],
-    )
 }
 
 /// Options for the limits of a server.

@@ -11,6 +11,7 @@ mod check;
 mod client;
 mod columns;
 mod completions;
+mod connect_options;
 mod data_format;
 mod demo;
 mod describe;
@@ -20,7 +21,7 @@ mod devices;
 mod doctor;
 mod exit;
 mod gateway;
-mod identity;
+
 mod journal_options;
 #[cfg(target_os = "linux")]
 mod kernel;

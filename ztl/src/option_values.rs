@@ -61,3 +61,12 @@ impl fmt::Display for InvalidTask {
 }
 
 impl std::error::Error for InvalidTask {}
+/// The value of one of these words.
+pub(crate) fn one_of<T: Copy>(text: &str, known: &[(&str, T)]) -> Result<T, String> {
+    let found = known.iter().find(|(word, _)| *word == text);
+    let words = || known.iter().map(|(word, _)| *word).collect::<Vec<_>>();
+    found.map_or_else(
+        || Err(format!("there are: {}", words().join(", "))),
+        |(_, value)| Ok(*value),
+    )
+}

@@ -6,8 +6,8 @@ use ztl_std::remotes::Remote;
 use crate::called::Called;
 use crate::client::AFTER_HELP;
 use crate::client::task::{ClientTask, ReportOptions, Target, Wording};
+use crate::connect_options::ConnectOptions;
 use crate::exit::Done;
-use crate::identity::Identity;
 use crate::option_values::{request, seconds};
 use crate::remotes_options::RemotesOptions;
 use crate::{log, signals};
@@ -26,7 +26,7 @@ pub(crate) struct RemoteTask {
     report: ReportOptions,
 
     #[command(flatten)]
-    identity: Identity,
+    connecting: ConnectOptions,
 
     /// Name of the server in the configuration
     remote: String,
@@ -42,7 +42,12 @@ impl RemoteTask {
         let remotes = self.remotes.read()?;
         let request = request(&self.payload)?;
         let name = &self.remote;
-        let Remote { host, port, scope } = remotes.task(name)?;
+        let Remote {
+            host,
+            port,
+            scope,
+            keys,
+        } = remotes.task(name)?;
         info!(target: "remote-config", "Initialising remote task interface '{name}'...");
         let task = ClientTask {
             target: Target {
@@ -55,6 +60,6 @@ impl RemoteTask {
             as_original: called.is_original(),
             report: &self.report,
         };
-        task.run(|remote| self.identity.apply(remote))
+        task.run(|remote| self.connecting.apply(remote, keys.as_ref()))
     }
 }

@@ -85,6 +85,7 @@ fn endpoint(words: &[String]) -> Result<(&str, Remote), Box<dyn std::error::Erro
         host: host.clone(),
         port: port(given).map_err(|wrong| format!("'{given}': {wrong}"))?,
         scope: scope.clone(),
+        keys: None,
     };
     Ok((name, remote))
 }

@@ -22,6 +22,7 @@ use ztl_std::remotes::Remote;
 use ztl_yaml::{Span, closest};
 
 use crate::called::Called;
+use crate::connect_options::ConnectOptions;
 use crate::exit::Done;
 use crate::key_press::KeyPress;
 use crate::remotes_options::RemotesOptions;
@@ -46,6 +47,9 @@ pub(crate) struct RunScript {
 
     #[command(flatten)]
     endpoints: RemotesOptions,
+
+    #[command(flatten)]
+    connecting: ConnectOptions,
 
     /// Play all scenes without asking; a step that needs a decision stops everything
     #[arg(long)]
@@ -173,6 +177,10 @@ impl RunScript {
             }
             return Ok(ExitCode::SUCCESS);
         }
+        let connecting = match self.simulate {
+            Some(_) => ConnectOptions::default(),
+            None => self.connecting.clone(),
+        };
         let simulated = self
             .simulate
             .map(|time| SimulatedServers::start(&script, &mut remotes, time))
@@ -183,7 +191,7 @@ impl RunScript {
             .filter(|name| remotes.task(name).is_ok());
         options.remotes = known.map(str::to_owned).collect();
         let started = self.started(&script, &remotes);
-        let mut show = Runner::new(Arc::clone(&script), options, connect(remotes));
+        let mut show = Runner::new(Arc::clone(&script), options, connect(remotes, connecting));
         if !live {
             notes.clear();
         }
@@ -349,11 +357,9 @@ fn the_one<'a, At>(
 /// Versions for the record.
 fn versions() -> Vec<(String, String)> {
     use std::env::consts::{ARCH, OS};
-    let (major, minor, patch) = zmq::version();
     let version = |name: &str, version: String| (name.to_owned(), version);
     vec![
         version("ztl", env!("CARGO_PKG_VERSION").to_owned()),
-        version("libzmq", format!("{major}.{minor}.{patch}")),
         version("system", format!("{OS} {ARCH}")),
     ]
 }

@@ -2,7 +2,8 @@
 
 use std::path::PathBuf;
 
-use ztl_std::remotes::{NoRemote, Remote, usual_path};
+use ztl_std::keys::KeyFiles;
+use ztl_std::remotes::{NoRemote, usual_path};
 use ztl_std::{Remotes, RequestError};
 
 use crate::exit::Misuse;
@@ -38,6 +39,8 @@ pub(crate) struct ServerAddress {
     pub(crate) port: i64,
     /// The scope in the configuration file.
     pub(crate) scope: Option<String>,
+    /// The keys in the configuration file.
+    pub(crate) keys: Option<KeyFiles>,
 }
 
 /// The result of looking up a name in the configuration file.
@@ -80,6 +83,7 @@ impl AddressOptions {
                 host: host.unwrap_or_else(|| "localhost".to_owned()),
                 port,
                 scope: None,
+                keys: None,
             })),
             (None, Some(unknown)) => Err(unknown),
             (None, None) if host.is_some() => Err(Misuse(format!("no port: {HOW}"))),
@@ -98,10 +102,11 @@ impl AddressOptions {
         }
         let remotes = Remotes::load(&path).map_err(|mistakes| Misuse(mistakes.to_string()))?;
         match remotes.task(name) {
-            Ok(Remote { host, port, scope }) => Ok(Lookup::Found(ServerAddress {
-                host: host.clone(),
-                port: i64::from(*port),
-                scope: Some(scope.clone()),
+            Ok(remote) => Ok(Lookup::Found(ServerAddress {
+                host: remote.host.clone(),
+                port: i64::from(remote.port),
+                scope: Some(remote.scope.clone()),
+                keys: remote.keys.clone(),
             })),
             Err(unknown @ NoRemote::Unknown { .. }) => {
                 let mistake = format!("{unknown} (a host needs --port)");
@@ -130,7 +135,7 @@ impl ServerAddress {
 /// Why a client cannot be created.
 pub(crate) fn no_client(host: &str, error: RequestError) -> String {
     match error {
-        RequestError::Transport(_) => format!("'{host}' is not a host name or address"),
+        RequestError::Endpoint { .. } => format!("'{host}' is not a host name or address"),
         error => error.to_string(),
     }
 }

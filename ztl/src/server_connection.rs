@@ -11,31 +11,36 @@ use ztl_std::{
     Offers, RemoteTask, Remotes, RequestError, ServerTask, Status, TriggerError, encoded,
 };
 
+use crate::connect_options::ConnectOptions;
+
 /// A connection to the scope of one server.
 struct ServerConnection(RemoteTask);
 
 /// Connects to a server once.
-pub(crate) fn connect_once(remotes: &Remotes, name: &str) -> Connected {
-    Ok(Box::new(ServerConnection(client(remotes, name)?)))
+pub(crate) fn connect_once(remotes: &Remotes, options: &ConnectOptions, name: &str) -> Connected {
+    Ok(Box::new(ServerConnection(client(remotes, options, name)?)))
 }
 
 /// Connects to servers of a run; further connections to a server are clones of the first client.
-pub(crate) fn connect(remotes: Remotes) -> Connect {
+pub(crate) fn connect(remotes: Remotes, options: ConnectOptions) -> Connect {
     let mut clients: BTreeMap<String, RemoteTask> = BTreeMap::new();
     Box::new(move |name| {
         if let Some(client) = clients.get(name) {
             return Ok(Box::new(ServerConnection(client.clone())));
         }
         info!(target: "remote-config", "Initialising remote task interface '{name}'...");
-        let client = client(&remotes, name)?;
+        let client = client(&remotes, &options, name)?;
         clients.insert(name.to_owned(), client.clone());
         Ok(Box::new(ServerConnection(client)))
     })
 }
 
-fn client(remotes: &Remotes, name: &str) -> Result<RemoteTask, String> {
+fn client(remotes: &Remotes, options: &ConnectOptions, name: &str) -> Result<RemoteTask, String> {
     let remote = remotes.task(name).map_err(|error| error.to_string())?;
-    RemoteTask::connect(&remote.endpoint(), &remote.scope).map_err(|error| error.to_string())
+    let client = RemoteTask::connect(&remote.endpoint(), &remote.scope);
+    let client = client.map_err(|error| error.to_string())?;
+    let client = options.apply(client, remote.keys.as_ref());
+    client.map_err(|error| error.to_string())
 }
 
 impl ServerConnection {

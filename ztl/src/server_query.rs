@@ -6,8 +6,8 @@ use serde::de::DeserializeOwned;
 use ztl_std::terminal::quoted;
 use ztl_std::{Description, ListedTask, RemoteTask, ServerTasks, State};
 
+use crate::connect_options::ConnectOptions;
 use crate::exit::Misuse;
-use crate::identity::Identity;
 use crate::server_address::{AddressOptions, ServerAddress, no_client};
 use crate::terminal::error_line;
 
@@ -18,7 +18,7 @@ pub(crate) struct QueryOptions {
     address: AddressOptions,
 
     #[command(flatten)]
-    identity: Identity,
+    connecting: ConnectOptions,
 }
 
 impl QueryOptions {
@@ -26,7 +26,7 @@ impl QueryOptions {
     pub(crate) fn server(self) -> Result<QueriedServer, Misuse> {
         Ok(QueriedServer {
             address: self.address.resolve()?,
-            identity: self.identity,
+            connecting: self.connecting,
         })
     }
 }
@@ -34,7 +34,7 @@ impl QueryOptions {
 /// A server to query.
 pub(crate) struct QueriedServer {
     pub(crate) address: ServerAddress,
-    identity: Identity,
+    connecting: ConnectOptions,
 }
 
 impl QueriedServer {
@@ -46,7 +46,7 @@ impl QueriedServer {
     pub(crate) fn connect(&self, scope: &str) -> Result<RemoteTask, Box<dyn std::error::Error>> {
         let remote = RemoteTask::connect(&self.endpoint(), scope)
             .map_err(|error| no_client(&self.address.host, error))?;
-        self.identity.apply(remote)
+        self.connecting.apply(remote, self.address.keys.as_ref())
     }
 
     /// The server's description of itself.

@@ -5,8 +5,8 @@ use tracing::Level;
 use crate::called::Called;
 use crate::client::AFTER_HELP;
 use crate::client::task::{ClientTask, ReportOptions, Target, Wording};
+use crate::connect_options::ConnectOptions;
 use crate::exit::Done;
-use crate::identity::Identity;
 use crate::option_values::port_to_reach;
 use crate::{log, signals};
 
@@ -33,7 +33,7 @@ pub(crate) struct SimpleClient {
     report: ReportOptions,
 
     #[command(flatten)]
-    identity: Identity,
+    connecting: ConnectOptions,
 }
 
 impl SimpleClient {
@@ -51,6 +51,6 @@ impl SimpleClient {
             as_original: called.is_original(),
             report: &self.report,
         };
-        task.run(|remote| self.identity.apply(remote))
+        task.run(|remote| self.connecting.apply(remote, None))
     }
 }

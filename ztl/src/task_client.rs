@@ -5,8 +5,8 @@ use tracing::Level;
 use crate::called::Called;
 use crate::client::AFTER_HELP;
 use crate::client::task::{ClientTask, ReportOptions, Target, Wording};
+use crate::connect_options::ConnectOptions;
 use crate::exit::{Done, Misuse};
-use crate::identity::Identity;
 use crate::option_values::{request, seconds};
 use crate::server_address::AddressOptions;
 use crate::{log, signals};
@@ -29,7 +29,7 @@ pub(crate) struct TaskClient {
     report: ReportOptions,
 
     #[command(flatten)]
-    identity: Identity,
+    connecting: ConnectOptions,
 
     /// The task: handler, component and goal separated by ':', e.g. 'handler:component:goal'
     payload: String,
@@ -56,6 +56,6 @@ impl TaskClient {
             as_original: called.is_original(),
             report: &self.report,
         };
-        task.run(|remote| self.identity.apply(remote))
+        task.run(|remote| self.connecting.apply(remote, address.keys.as_ref()))
     }
 }

@@ -11,8 +11,9 @@ use ztl_std::{
     TaskServer as Server,
 };
 
+use crate::connect_options::TransportOption;
 use crate::exit::Done;
-use crate::listen_options::{LimitOptions, TransportOption};
+use crate::listen_options::LimitOptions;
 use crate::option_values::{no_number, port};
 use crate::terminal::line;
 use crate::{log, signals};
@@ -44,7 +45,7 @@ impl TaskServer {
         // All interfaces, as the original.
         let mut server = Server::builder()
             .limits(self.limits.over(Limits::default()))
-            .transport(self.transport.transport)
+            .transport(self.transport.get()?)
             .bind(&format!("tcp://*:{}", self.port))?;
         server.register(&self.scope, TestController);
         let stopper = server.handle();

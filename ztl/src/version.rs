@@ -2,18 +2,20 @@
 
 use std::sync::LazyLock;
 
+use ztl_std::Transport;
+
 /// The text of `--version`.
 pub(crate) fn text() -> &'static str {
     static VERSION: LazyLock<String> = LazyLock::new(|| {
-        let (major, minor, patch) = zmq::version();
-        let encrypts = match zmq::has("curve") {
-            Some(true) => "with CURVE: supports encryption",
-            _ => "without CURVE: no encryption",
-        };
+        let libzmq = Transport::libzmq_version();
+        let libzmq = libzmq.map_or_else(
+            || "without libzmq".to_owned(),
+            |version| format!("also with libzmq {version} (--transport libzmq)"),
+        );
         // Compilers and other libraries, in a release.
         let with = option_env!("ZTL_BUILD_WITH").map(|with| format!("\nwith: {with}"));
         format!(
-            "{}\ncommit: {}\ntarget: {}\nlibzmq: {major}.{minor}.{patch}, {encrypts}{}",
+            "{}\ncommit: {}\ntarget: {}\nZeroMQ: ZMTP 3.1 with encryption; {libzmq}{}",
             env!("CARGO_PKG_VERSION"),
             option_env!("ZTL_BUILD_COMMIT").unwrap_or("unknown (built with cargo)"),
             target(),

@@ -21,10 +21,7 @@ pub fn built(name: &str) -> PathBuf {
         Some("release") => " --release".to_owned(),
         Some(other) => format!(" --profile {other}"),
     };
-    let command = match ancestor(3).ends_with("curve") {
-        true => "cargo xtask test --only curve".to_owned(),
-        false => format!("cargo build --workspace --bins --examples{options}"),
-    };
+    let command = format!("cargo build --workspace --bins --examples{options}");
     assert_fresh(&path, &command);
     path
 }
@@ -82,7 +79,7 @@ pub fn installed(variable: &str, name: &str) -> PathBuf {
 }
 
 fn find(named: Option<PathBuf>, name: &str) -> Result<PathBuf, String> {
-    // <target>, or above a target directory in the target directory, such as <target>/curve.
+    // <target>, or above a target directory in the target directory.
     let usual = || [3, 4].map(|levels| ancestor(levels).join(name));
     let candidates = named.map_or_else(|| usual().to_vec(), |path| vec![path]);
     match candidates.iter().find(|path| path.exists()) {

@@ -76,13 +76,6 @@ pub fn in_time<T>(limit: Duration, mut attempt: impl FnMut() -> T) -> T {
     })
 }
 
-/// Options for a server of ours: how it speaks to its clients, if `ZTL_TRANSPORT` says so.
-pub fn transport() -> Vec<String> {
-    let transport = std::env::var("ZTL_TRANSPORT").ok();
-    let options = transport.map(|transport| vec!["--transport".to_owned(), transport]);
-    options.unwrap_or_default()
-}
-
 /// The `ztl` command that was built beside this test, or the command line in `ZTL_COMMAND`, one word per line: a
 /// released program, perhaps on an emulated old kernel.
 #[track_caller]

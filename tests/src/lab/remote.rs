@@ -2,7 +2,9 @@
 
 use std::time::Duration;
 
-use ztl_std::{RemoteTask, RunningServer, State, Status, TaskController, TaskId, TaskServer};
+use ztl_std::{
+    RemoteTask, RunningServer, State, Status, TaskController, TaskId, TaskServer, Transport,
+};
 
 use super::{PATIENCE, SCOPE};
 
@@ -12,7 +14,15 @@ pub const LIMIT: Option<Duration> = Some(PATIENCE);
 /// A client of [`SCOPE`] at this ZeroMQ address.
 #[track_caller]
 pub fn connect(endpoint: &str) -> RemoteTask {
-    RemoteTask::connect(endpoint, SCOPE).expect("an address")
+    let remote = RemoteTask::connect(endpoint, SCOPE).expect("an address");
+    remote.with_transport(transport()).expect("a socket")
+}
+
+/// Who speaks ZMTP in this process's clients and servers; `ZTL_TRANSPORT` says the same to the command.
+fn transport() -> Transport {
+    let named = std::env::var("ZTL_TRANSPORT").ok();
+    let named = named.and_then(|named| Transport::ALL.iter().find(|(name, _)| *name == named));
+    named.map_or_else(Transport::default, |(_, transport)| *transport)
 }
 
 /// Starts a task, which must be accepted.
@@ -34,7 +44,8 @@ pub fn status(state: State, text: &str) -> Status {
 /// A server in this process with a controller for [`SCOPE`].
 #[track_caller]
 pub fn serve(controller: impl TaskController + 'static) -> RunningServer {
-    let mut server = TaskServer::bind("tcp://127.0.0.1:*").expect("a port");
+    let server = TaskServer::builder().transport(transport());
+    let mut server = server.bind("tcp://127.0.0.1:*").expect("a port");
     server.register(SCOPE, controller);
     server.spawn().expect("a thread")
 }

@@ -2,9 +2,7 @@
 
 use std::process::Command;
 
-use super::{
-    OriginalClient, Process, Scratch, original_tool, python, reserve_port, transport, ztl,
-};
+use super::{OriginalClient, Process, Scratch, original_tool, python, reserve_port, ztl};
 
 /// The scope of every server here.
 pub const SCOPE: &str = "/test";
@@ -45,7 +43,6 @@ impl Server {
     pub fn ours_at(port: u16) -> Self {
         let mut command = ztl();
         command.args(["task-server", "-p", &port.to_string(), "-s", SCOPE]);
-        command.args(transport());
         Self::says_its_port(command)
     }
 
@@ -127,7 +124,7 @@ impl Server {
         let file = scratch.path("naps.yaml");
         let text = format!("port: 0\nscopes: {{{SCOPE}: {{nap: {{for: sleep}}}}}}\n");
         std::fs::write(&file, text).expect("a file");
-        Self::start(ztl().arg("serve").arg(file).args(transport()))
+        Self::start(ztl().arg("serve").arg(file))
     }
 
     /// `ztl gateway` with these devices, as `gripper=sim:gripper`; which need not be there yet.
@@ -144,7 +141,7 @@ impl Server {
         for device in devices {
             command.args(["--device", device]);
         }
-        Self::start(command.args(options).args(transport()))
+        Self::start(command.args(options))
     }
 
     /// A gateway with a simulated gripper and a simulated head, both ready.

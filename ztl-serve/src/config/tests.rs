@@ -119,7 +119,10 @@ fn every_key_is_read() {
     assert_eq!(forward.component.as_deref(), Some("wheels"));
     assert_eq!(
         forward.keys,
-        Some(("/own.key_secret".into(), "/far.key".into()))
+        Some(ztl_std::keys::KeyFiles {
+            own: "/own.key_secret".into(),
+            server: "/far.key".into()
+        })
     );
 }
 

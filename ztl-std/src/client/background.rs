@@ -76,7 +76,7 @@ impl RemoteTask {
             });
         if spawned.is_err() {
             // Nothing was sent.
-            let error = TriggerError::Request(RequestError::Transport(zmq::Error::EAGAIN));
+            let error = TriggerError::Request(RequestError::System("no thread".to_owned()));
             shared.end(Err(RunError::NotStarted(error)));
         }
         BackgroundTask(shared)

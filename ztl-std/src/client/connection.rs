@@ -1,5 +1,6 @@
 //! A client's connection: sends one request at a time and receives its answer, connecting first if needed.
 
+use std::io;
 use std::time::{Duration, Instant};
 
 use serde::Deserialize;
@@ -9,20 +10,16 @@ use ztl_core::client::{Answer, Client, Heard, Late, Server};
 use ztl_core::envelope::{ClientId, Envelope};
 use ztl_core::goal;
 use ztl_core::sink::Sink;
-use ztl_zmtp::curve;
-use ztl_zmtp::session::Security;
 
 use super::error::RequestError;
-use super::socket::{Socket, as_zmq};
+use super::socket::Socket;
 use super::status::{ServerInfo, Status};
-use super::stream::Stream;
 use crate::keys::{KeyPair, PublicKey};
 use crate::log_targets::TASKS;
 use crate::random;
 use crate::remote_id::RemoteId;
-use crate::server::Transport;
-use crate::sockets;
 use crate::time::now;
+use crate::transport::Transport;
 
 /// Default time limit for an answer, as in the original.
 const TIMEOUT: Duration = Duration::from_secs(2);
@@ -30,8 +27,8 @@ const TIMEOUT: Duration = Duration::from_secs(2);
 /// Longest accepted answer in bytes. The original's client takes any, but memory is limited.
 const LONGEST_ANSWER: usize = 64 << 20;
 
-/// Shortest and longest pause in milliseconds before ZeroMQ connects again.
-pub(super) const RETRY: (i32, i32) = (20, 1000);
+/// Shortest and longest pause before connecting again.
+pub(crate) const RETRY: (Duration, Duration) = (Duration::from_millis(20), Duration::from_secs(1));
 
 /// How often `wanted` is called: soon enough for a person who has pressed Ctrl-C.
 const ASK_WANTED: Duration = Duration::from_millis(50);
@@ -42,15 +39,11 @@ const ENCRYPTION: usize = 8 + 8 + 16 + 1;
 /// Most bytes in the original's answer to an INIT per byte of the INIT: it quotes the goal as Python does.
 const QUOTED: usize = 4;
 
-/// Most answers that wait to be read: one to the current request, and one that came too late.
-const ANSWERS: i32 = 2;
-
 /// Whether a request is still wanted; `None` if it always is.
 pub(super) type Wanted<'a> = Option<&'a dyn Fn() -> bool>;
 
 /// A connection to one server, and the rules that decide what is sent over it.
 pub(super) struct Connection {
-    context: zmq::Context,
     socket: Option<Socket>,
     transport: Transport,
     endpoint: String,
@@ -68,9 +61,8 @@ pub(super) struct Connection {
 
 impl Connection {
     /// Connects in the background.
-    pub(super) fn new(context: zmq::Context, endpoint: &str) -> Result<Self, zmq::Error> {
+    pub(super) fn new(endpoint: &str) -> Result<Self, RequestError> {
         let mut connection = Self {
-            context,
             socket: None,
             transport: Transport::default(),
             endpoint: endpoint.to_owned(),
@@ -88,7 +80,6 @@ impl Connection {
     /// Another client of the same server, which connects when it is first used.
     pub(super) fn another(&self) -> Self {
         Self {
-            context: self.context.clone(),
             socket: None,
             transport: self.transport,
             endpoint: self.endpoint.clone(),
@@ -115,7 +106,7 @@ impl Connection {
     }
 
     /// Sets the keys and connects again.
-    pub(super) fn set_keys(&mut self, own: KeyPair, server: PublicKey) -> Result<(), zmq::Error> {
+    pub(super) fn set_keys(&mut self, own: KeyPair, server: PublicKey) -> Result<(), RequestError> {
         self.keys = Some((own, server));
         self.socket = Some(self.open()?);
         Ok(())
@@ -144,58 +135,23 @@ impl Connection {
     }
 
     /// Sets the transport and connects again.
-    pub(super) fn set_transport(&mut self, transport: Transport) -> Result<(), zmq::Error> {
+    pub(super) fn set_transport(&mut self, transport: Transport) -> Result<(), RequestError> {
         self.transport = transport;
         self.socket = Some(self.open()?);
         Ok(())
     }
 
-    fn open(&self) -> Result<Socket, zmq::Error> {
-        sockets::check_port(&self.endpoint)?;
-        match self.transport {
-            Transport::Libzmq => self.open_libzmq().map(Socket::Libzmq),
-            Transport::Own => self.open_own().map(|stream| Socket::Own(Box::new(stream))),
-        }
-    }
-
-    fn open_own(&self) -> Result<Stream, zmq::Error> {
-        let place = self.endpoint.strip_prefix("tcp://");
-        let place = place.ok_or(zmq::Error::EPROTONOSUPPORT)?;
-        let keys = self.keys.as_ref().map(|(own, server)| {
-            curve::Keys::client(*own.secret(), *server.as_bytes(), random::secret)
-        });
-        let security = keys.map_or(Security::Null, Security::Curve);
-        // RFC 6761: this name is this machine, even if the system has no hosts file.
-        let place = match place.strip_prefix("localhost:") {
-            Some(port) => format!("127.0.0.1:{port}"),
-            None => place.to_owned(),
-        };
-        Stream::new(&place, security, self.longest_answer).map_err(|error| as_zmq(&error))
-    }
-
-    fn open_libzmq(&self) -> Result<zmq::Socket, zmq::Error> {
-        let socket = self.context.socket(zmq::DEALER)?;
-        socket.set_linger(0)?;
-        // Queues nothing for a server that is not there, which would act on it when it starts.
-        socket.set_immediate(true)?;
-        socket.set_maxmsgsize(i64::try_from(self.longest_answer).unwrap_or(i64::MAX))?;
-        // One request at a time is under way, so a server cannot fill the memory with answers.
-        socket.set_rcvhwm(ANSWERS)?;
-        // Clients do not all reconnect to a restarted server at the same moment.
-        socket.set_reconnect_ivl(RETRY.0)?;
-        socket.set_reconnect_ivl_max(RETRY.1)?;
-        if let Some((own, server)) = &self.keys {
-            socket.set_curve_publickey(own.public().as_bytes())?;
-            socket.set_curve_secretkey(own.secret())?;
-            socket.set_curve_serverkey(server.as_bytes())?;
-        }
-        // RFC 6761: this name is this machine, even if the system has no hosts file. ZeroMQ would ask a name
-        // server.
-        match self.endpoint.strip_prefix("tcp://localhost:") {
-            Some(port) => socket.connect(&format!("tcp://127.0.0.1:{port}"))?,
-            None => socket.connect(&self.endpoint)?,
-        }
-        Ok(socket)
+    fn open(&self) -> Result<Socket, RequestError> {
+        let keys = self.keys.as_ref();
+        let socket = Socket::open(self.transport, &self.endpoint, keys, self.longest_answer);
+        socket.map_err(|error| match error.kind() {
+            // From a name that is none, or an address of another kind.
+            io::ErrorKind::InvalidInput | io::ErrorKind::Unsupported => RequestError::Endpoint {
+                endpoint: self.endpoint.clone(),
+                why: error.to_string(),
+            },
+            _ => error.into(),
+        })
     }
 
     /// Connects, and asks the server what it is unless that is known.
@@ -414,12 +370,7 @@ impl Connection {
 
     /// Waits until the socket is ready, the request times out, or the request is no longer wanted and its
     /// outcome can be learnt in another way.
-    fn ready(
-        &self,
-        wanted: Wanted<'_>,
-        socket: &mut Socket,
-        wait: Wait,
-    ) -> Result<Ready, zmq::Error> {
+    fn ready(&self, wanted: Wanted<'_>, socket: &mut Socket, wait: Wait) -> io::Result<Ready> {
         let sent = wait == Wait::ForAnswer;
         loop {
             let unwanted = wanted.is_some_and(|wanted| !wanted());
@@ -496,8 +447,8 @@ impl From<RequestError> for Unanswered {
     }
 }
 
-impl From<zmq::Error> for Unanswered {
-    fn from(cause: zmq::Error) -> Self {
+impl From<io::Error> for Unanswered {
+    fn from(cause: io::Error) -> Self {
         RequestError::from(cause).into()
     }
 }
@@ -527,6 +478,6 @@ mod tests {
 
     #[test]
     fn an_invalid_port_is_not_truncated() {
-        assert!(Connection::new(zmq::Context::new(), "tcp://localhost:65536").is_err());
+        assert!(Connection::new("tcp://localhost:65536").is_err());
     }
 }

@@ -1,5 +1,6 @@
 //! Errors between a client and a server.
 
+use std::io;
 use std::time::Duration;
 
 use ztl_core::dispatcher::UNKNOWN_OUTCOME;
@@ -87,10 +88,17 @@ pub enum RequestError {
     },
     /// Nothing can be sent to this scope, for this reason.
     Scope(String),
-    /// Keys were given, but this build cannot encrypt.
+    /// Keys were given, but libzmq cannot encrypt.
     NoCurve,
-    /// ZeroMQ failed.
-    Transport(zmq::Error),
+    /// The endpoint is none.
+    Endpoint {
+        /// The endpoint.
+        endpoint: String,
+        /// What is wrong with it.
+        why: String,
+    },
+    /// The system has no more files, threads or memory: its words.
+    System(String),
 }
 
 impl RequestError {
@@ -183,23 +191,17 @@ impl std::fmt::Display for RequestError {
             ),
             Self::Scope(mistake) => f.write_str(mistake),
             Self::NoCurve => KeyError::NoCurve.fmt(f),
-            Self::Transport(cause) => write!(f, "ZeroMQ: {}", cause.message()),
+            Self::Endpoint { endpoint, why } => write!(f, "cannot connect to {endpoint}: {why}"),
+            Self::System(cause) => write!(f, "cannot connect: {cause}"),
         }
     }
 }
 
-impl std::error::Error for RequestError {
-    fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
-        match self {
-            Self::Transport(cause) => Some(cause),
-            _ => None,
-        }
-    }
-}
+impl std::error::Error for RequestError {}
 
-impl From<zmq::Error> for RequestError {
-    fn from(cause: zmq::Error) -> Self {
-        Self::Transport(cause)
+impl From<io::Error> for RequestError {
+    fn from(cause: io::Error) -> Self {
+        Self::System(cause.to_string())
     }
 }
 

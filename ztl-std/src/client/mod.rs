@@ -12,12 +12,12 @@ mod error;
 mod remote_task;
 mod socket;
 mod status;
-mod stream;
 #[cfg(feature = "config")]
 mod tasks;
 
 pub use abort_on_drop::AbortOnDrop;
 pub use background::BackgroundTask;
+pub(crate) use connection::RETRY;
 #[cfg(feature = "config")]
 pub use description::Description;
 pub use error::{RequestError, RunError, TriggerError, WaitError};

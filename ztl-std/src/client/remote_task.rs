@@ -12,13 +12,13 @@ use ztl_core::{Request, State};
 use super::connection::{Connection, Reply, Wanted};
 use super::error::{RequestError, RunError, TriggerError, WaitError};
 use super::status::{ServerInfo, Status, Triggered};
-use crate::keys::{KeyPair, PublicKey, can_encrypt};
+use crate::keys::{KeyPair, PublicKey};
 use crate::log_targets::TASKS;
 use crate::remote_id::RemoteId;
 use crate::scope;
-use crate::server::Transport;
 use crate::task_request::encoded;
 use crate::time::now;
+use crate::transport::Transport;
 
 /// Pause between two STATUS requests for a running task, if the server does not hold the answer.
 const PAUSE: Duration = Duration::from_millis(50);
@@ -51,25 +51,13 @@ impl RemoteTask {
     /// be there yet.
     ///
     /// # Errors
-    /// [`RequestError::Transport`] if the endpoint is not a ZeroMQ address, and [`RequestError::Scope`] if the
+    /// [`RequestError::Endpoint`] if the endpoint is not a ZeroMQ address, and [`RequestError::Scope`] if the
     /// scope contains `;`.
     pub fn connect(endpoint: &str, scope: &str) -> Result<Self, RequestError> {
-        Self::connect_in(zmq::Context::new(), endpoint, scope)
-    }
-
-    /// As [`connect`](Self::connect), with a ZeroMQ context that several clients share.
-    ///
-    /// # Errors
-    /// Those of [`connect`](Self::connect).
-    pub fn connect_in(
-        context: zmq::Context,
-        endpoint: &str,
-        scope: &str,
-    ) -> Result<Self, RequestError> {
         if let Some(mistake) = scope::cannot_be_asked(scope) {
             return Err(RequestError::Scope(mistake));
         }
-        let connection = Connection::new(context, endpoint)?;
+        let connection = Connection::new(endpoint)?;
         info!(target: TASKS, "Remote task interface initialised at '{endpoint}'.");
         Ok(Self {
             connection,
@@ -96,7 +84,7 @@ impl RemoteTask {
         self
     }
 
-    /// Sets how to speak to the server. Default: by libzmq.
+    /// Sets how to speak to the server. Default: [`Transport::Native`].
     ///
     /// # Errors
     /// If the system has no more files.
@@ -108,9 +96,9 @@ impl RemoteTask {
     /// Encrypts with the client's own keys; only the server with this key is accepted.
     ///
     /// # Errors
-    /// [`RequestError::NoCurve`] if this build cannot encrypt.
+    /// [`RequestError::NoCurve`] if the transport is libzmq, and it cannot encrypt.
     pub fn with_keys(mut self, own: KeyPair, server: PublicKey) -> Result<Self, RequestError> {
-        if self.connection.transport() == Transport::Libzmq && !can_encrypt() {
+        if !self.connection.transport().can_encrypt() {
             return Err(RequestError::NoCurve);
         }
         self.connection.set_keys(own, server)?;

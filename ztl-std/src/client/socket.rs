@@ -1,77 +1,90 @@
-//! A client's socket, of either transport.
+//! A client's socket, over one of two transports.
 
 use std::io;
 use std::time::Duration;
 
 use ztl_core::envelope::Envelope;
+use ztl_zmtp::curve;
+use ztl_zmtp::session::Security;
 
-use super::stream::Stream;
-use crate::sockets;
+use crate::keys::{KeyPair, PublicKey};
+#[cfg(feature = "libzmq")]
+use crate::libzmq::client::Dealer;
+use crate::native::Endpoint;
+use crate::native::dialer::Dialer;
+use crate::random;
+use crate::transport::Transport;
 
 /// A socket for one request at a time.
 pub(super) enum Socket {
-    Libzmq(zmq::Socket),
-    Own(Box<Stream>),
+    Native(Box<Dialer>),
+    #[cfg(feature = "libzmq")]
+    Libzmq(Dealer),
 }
 
 impl Socket {
+    /// Connects in the background. `keys` are our own and the server's; answers have at most `longest` bytes.
+    pub(super) fn open(
+        transport: Transport,
+        endpoint: &str,
+        keys: Option<&(KeyPair, PublicKey)>,
+        longest: usize,
+    ) -> io::Result<Self> {
+        match transport {
+            Transport::Native => {
+                let endpoint = Endpoint::parse(endpoint)
+                    .map_err(|why| io::Error::new(io::ErrorKind::InvalidInput, why))?;
+                let keys = keys.map(|(own, server)| {
+                    curve::Keys::client(*own.secret(), *server.as_bytes(), random::secret)
+                });
+                let security = keys.map_or(Security::Null, Security::Curve);
+                let dialer = Dialer::new(endpoint, security, longest)?;
+                Ok(Self::Native(Box::new(dialer)))
+            }
+            #[cfg(feature = "libzmq")]
+            Transport::Libzmq => Dealer::connect(endpoint, keys, longest).map(Self::Libzmq),
+        }
+    }
+
     /// Whether a request can be sent within `limit`: the server is connected.
-    pub(super) fn can_send(&mut self, limit: Duration) -> Result<bool, zmq::Error> {
+    pub(super) fn can_send(&mut self, limit: Duration) -> io::Result<bool> {
         match self {
-            Self::Libzmq(socket) => poll(socket, zmq::POLLOUT, limit),
-            Self::Own(stream) => stream.can_send(limit).map_err(|error| as_zmq(&error)),
+            Self::Native(dialer) => dialer.can_send(limit),
+            #[cfg(feature = "libzmq")]
+            Self::Libzmq(socket) => socket.can_send(limit),
         }
     }
 
     /// Whether a message arrives within `limit`.
-    pub(super) fn can_receive(&mut self, limit: Duration) -> Result<bool, zmq::Error> {
+    pub(super) fn can_receive(&mut self, limit: Duration) -> io::Result<bool> {
         match self {
-            Self::Libzmq(socket) => poll(socket, zmq::POLLIN, limit),
-            Self::Own(stream) => stream.can_receive(limit).map_err(|error| as_zmq(&error)),
+            Self::Native(dialer) => dialer.can_receive(limit),
+            #[cfg(feature = "libzmq")]
+            Self::Libzmq(socket) => socket.can_receive(limit),
         }
     }
 
     /// Sends a request.
-    pub(super) fn send(&mut self, envelope: Envelope, body: &[u8]) -> Result<(), zmq::Error> {
+    pub(super) fn send(&mut self, envelope: Envelope, body: &[u8]) -> io::Result<()> {
         let (client, number) = envelope.frames();
         match self {
-            Self::Libzmq(socket) => {
-                let frames: [&[u8]; 4] = [&client, &number, b"", body];
-                sockets::send(socket, &frames)
-            }
-            Self::Own(stream) => {
-                stream.send(&[&client, &number], body);
+            Self::Native(dialer) => {
+                dialer.send(&[&client, &number], body);
                 Ok(())
             }
+            #[cfg(feature = "libzmq")]
+            Self::Libzmq(socket) => socket.send([&client, &number], body),
         }
     }
 
     /// The message that has arrived.
-    pub(super) fn receive(&mut self) -> Result<Vec<Vec<u8>>, zmq::Error> {
+    pub(super) fn receive(&mut self) -> io::Result<Vec<Vec<u8>>> {
         match self {
-            Self::Libzmq(socket) => sockets::receive(socket),
-            Self::Own(stream) => stream.receive().ok_or(zmq::Error::EAGAIN),
+            Self::Native(dialer) => dialer
+                .receive()
+                .ok_or_else(|| io::ErrorKind::WouldBlock.into()),
+            #[cfg(feature = "libzmq")]
+            Self::Libzmq(socket) => socket.receive(),
         }
-    }
-}
-
-fn poll(
-    socket: &zmq::Socket,
-    events: zmq::PollEvents,
-    limit: Duration,
-) -> Result<bool, zmq::Error> {
-    let millis = i64::try_from(limit.as_micros().div_ceil(1000));
-    match socket.poll(events, millis.unwrap_or(i64::MAX)) {
-        Ok(count) => Ok(count > 0),
-        Err(zmq::Error::EINTR) => Ok(false),
-        Err(cause) => Err(cause),
-    }
-}
-
-/// The error that libzmq would have returned.
-pub(super) fn as_zmq(error: &io::Error) -> zmq::Error {
-    match error.raw_os_error() {
-        Some(number) => zmq::Error::from_raw(number),
-        None => zmq::Error::EFAULT,
     }
 }

@@ -9,7 +9,6 @@ use tracing::warn;
 use super::ring::{Empty, RingIn, RingOut, ring};
 use crate::log_targets::GATEWAY;
 use crate::server::{BindError, TaskServer};
-use crate::sockets;
 
 /// A reading of a device.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -74,22 +73,22 @@ impl Readings {
 
     /// Publishes the readings; see [`Gateway::publish`](super::Gateway::publish).
     pub(super) fn publish(self, server: &TaskServer, endpoint: &str) -> Result<String, BindError> {
-        let (socket, endpoint) = server.bind_another(zmq::PUB, endpoint)?;
+        let publisher = server.bind_publisher(endpoint)?;
+        let endpoint = publisher.endpoint().to_owned();
         let publish = move || {
             loop {
+                let mut dropped = 0;
                 match self.0.take(Duration::MAX) {
                     Ok(reading) => {
-                        let frames = [reading.topic.as_bytes(), &reading.bytes];
-                        // Never blocks: ZeroMQ drops messages for a slow subscriber.
-                        if let Err(cause) = sockets::send(&socket, &frames) {
-                            warn!(target: GATEWAY, "Readings are no longer published: {}", cause.message());
-                            return;
-                        }
+                        // Never waits for a slow subscriber.
+                        let queued =
+                            publisher.publish(reading.topic.clone(), reading.bytes.clone());
+                        dropped += u64::from(!queued);
                     }
                     Err(Empty::Now) => {}
                     Err(Empty::Forever) => return,
                 }
-                let lost = self.0.take_lost();
+                let lost = self.0.take_lost() + dropped;
                 if lost > 0 {
                     warn!(target: GATEWAY, "{lost} readings were lost before they were published.");
                 }
@@ -100,7 +99,7 @@ impl Readings {
             .spawn(publish);
         match spawned {
             Ok(_) => Ok(endpoint),
-            Err(_) => Err(BindError::Socket(zmq::Error::ENOMEM)),
+            Err(error) => Err(BindError::System(error)),
         }
     }
 }

@@ -2,6 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::net::IpAddr;
+use std::sync::{Arc, PoisonError, RwLock, RwLockReadGuard};
 
 use ipnet::IpNet;
 
@@ -59,7 +60,7 @@ impl Access {
     }
 
     /// The server's keys, if it encrypts.
-    pub(super) const fn keys(&self) -> Option<&KeyPair> {
+    pub(crate) const fn keys(&self) -> Option<&KeyPair> {
         self.keys.as_ref()
     }
 
@@ -84,23 +85,23 @@ impl Access {
         said
     }
 
-    pub(super) fn is_open(&self) -> bool {
+    pub(crate) fn is_open(&self) -> bool {
         self.networks.is_empty() && self.keys.is_none()
     }
 
-    pub(super) const fn has_networks(&self) -> bool {
+    #[cfg(feature = "libzmq")]
+    pub(crate) const fn has_networks(&self) -> bool {
         !self.networks.is_empty()
     }
 
-    pub(super) fn admits_address(&self, address: &str) -> bool {
-        let address = address.parse::<IpAddr>();
+    pub(crate) fn admits_address(&self, address: IpAddr) -> bool {
         // An IPv4 address may arrive as an IPv6 one.
-        let address = address.map(|address| address.to_canonical());
-        let contains = |network: &IpNet| address.as_ref().is_ok_and(|a| network.contains(a));
+        let address = address.to_canonical();
+        let contains = |network: &IpNet| network.contains(&address);
         self.networks.is_empty() || self.networks.iter().any(contains)
     }
 
-    pub(super) fn may_connect(&self, address: &str, client: Option<&PublicKey>) -> bool {
+    pub(crate) fn may_connect(&self, address: IpAddr, client: Option<&PublicKey>) -> bool {
         if !self.admits_address(address) {
             return false;
         }
@@ -120,5 +121,74 @@ impl Access {
     pub(super) fn may_use(&self, client: &PublicKey, scope: &str) -> bool {
         let of_scope = self.clients_of.get(scope);
         self.clients.contains(client) || of_scope.is_some_and(|clients| clients.contains(client))
+    }
+}
+
+/// Who sent a message.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Sender {
+    /// Anyone; the server does not encrypt.
+    Anyone,
+    /// The owner of a key.
+    Client(PublicKey),
+}
+
+/// The access of a running server, which can be changed.
+#[derive(Clone)]
+pub(crate) struct CurrentAccess {
+    access: Arc<RwLock<Access>>,
+    /// Whether each connection is asked for. libzmq fixes that when the server is bound.
+    asks: bool,
+}
+
+impl CurrentAccess {
+    /// The access of a server that asks by itself.
+    pub(crate) fn new(access: Access) -> Self {
+        Self::with(access, true)
+    }
+
+    /// The access of a server that may not `ask` for each connection.
+    pub(crate) fn with(access: Access, asks: bool) -> Self {
+        Self {
+            access: Arc::new(RwLock::new(access)),
+            asks,
+        }
+    }
+
+    /// Whether a client may connect.
+    pub(crate) fn admits(&self, address: IpAddr, key: Option<PublicKey>) -> bool {
+        self.read().may_connect(address, key.as_ref())
+    }
+
+    /// Who a client is; `None` if it may not use the server any more.
+    pub(super) fn sender(&self, address: IpAddr, key: Option<PublicKey>) -> Option<Sender> {
+        let access = self.read();
+        if access.is_open() {
+            return Some(Sender::Anyone);
+        }
+        let admitted = access.may_connect(address, key.as_ref());
+        admitted.then(|| key.map_or(Sender::Anyone, Sender::Client))
+    }
+
+    /// Whether a sender may use a scope.
+    pub(super) fn may_use(&self, sender: Sender, scope: &str) -> bool {
+        match sender {
+            Sender::Anyone => true,
+            Sender::Client(client) => self.read().may_use(&client, scope),
+        }
+    }
+
+    pub(crate) fn read(&self) -> RwLockReadGuard<'_, Access> {
+        self.access.read().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Changes the access; returns whether that is possible without binding again.
+    pub(super) fn change(&self, access: Access) -> bool {
+        let mut current = self.access.write().unwrap_or_else(PoisonError::into_inner);
+        let possible = current.has_keys_of(&access) && (self.asks || access.is_open());
+        if possible {
+            *current = access;
+        }
+        possible
     }
 }

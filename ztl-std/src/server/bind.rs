@@ -4,7 +4,6 @@ use std::io;
 use std::net::SocketAddr;
 
 use crate::keys::KeyError;
-use crate::sockets::check_port;
 
 /// Why a server cannot listen.
 #[derive(Debug)]
@@ -15,17 +14,17 @@ pub enum BindError {
         /// The endpoint.
         endpoint: String,
     },
-    /// No interface of this machine has the address, or it is not a valid one.
-    Address {
+    /// The endpoint cannot be used.
+    Endpoint {
         /// The endpoint.
         endpoint: String,
-        /// ZeroMQ's error.
-        cause: zmq::Error,
+        /// What is wrong with it.
+        why: String,
     },
     /// Keys were given, but this build cannot encrypt.
     NoCurve,
-    /// ZeroMQ has no more sockets or memory.
-    Socket(zmq::Error),
+    /// The system has no more files, threads or memory.
+    System(io::Error),
 }
 
 impl std::fmt::Display for BindError {
@@ -35,27 +34,9 @@ impl std::fmt::Display for BindError {
                 f,
                 "cannot listen at {endpoint}: the port is in use; stop what uses it, or choose another port"
             ),
-            Self::Address { endpoint, cause } => {
-                write!(f, "cannot listen at {endpoint}: ")?;
-                let address = endpoint.rsplit_once(':').map_or("", |(address, _)| address);
-                let address = address.trim_start_matches("tcp://");
-                match cause {
-                    zmq::Error::ENODEV => {
-                        write!(f, "'{address}' is not an address of this machine")?;
-                    }
-                    zmq::Error::EADDRNOTAVAIL => {
-                        write!(f, "this machine does not have the address {address}")?;
-                    }
-                    zmq::Error::EACCES => {
-                        return f
-                            .write_str("this user may not use the port; choose one above 1023");
-                    }
-                    cause => f.write_str(cause.message())?,
-                }
-                f.write_str("; use 127.0.0.1 for this machine only, or * for every interface")
-            }
+            Self::Endpoint { endpoint, why } => write!(f, "cannot listen at {endpoint}: {why}"),
             Self::NoCurve => KeyError::NoCurve.fmt(f),
-            Self::Socket(cause) => write!(f, "cannot open a socket: {}", cause.message()),
+            Self::System(cause) => write!(f, "cannot open a socket: {cause}"),
         }
     }
 }
@@ -63,33 +44,65 @@ impl std::fmt::Display for BindError {
 impl std::error::Error for BindError {
     fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
         match self {
-            Self::InUse { .. } | Self::NoCurve => None,
-            Self::Address { cause, .. } | Self::Socket(cause) => Some(cause),
+            Self::System(cause) => Some(cause),
+            _ => None,
         }
     }
 }
 
-impl From<zmq::Error> for BindError {
-    fn from(cause: zmq::Error) -> Self {
-        Self::Socket(cause)
-    }
-}
-
 impl BindError {
+    /// Why this endpoint could not be bound.
+    pub(crate) fn at_endpoint(endpoint: &str, error: &io::Error) -> Self {
+        use io::ErrorKind;
+
+        let address = endpoint.rsplit_once(':').map_or("", |(address, _)| address);
+        let address = address.trim_start_matches("tcp://");
+        let why = match error.kind() {
+            ErrorKind::AddrInUse => {
+                return Self::InUse {
+                    endpoint: endpoint.to_owned(),
+                };
+            }
+            ErrorKind::PermissionDenied if endpoint.starts_with("tcp://") => {
+                "this user may not use the port; choose one above 1023".to_owned()
+            }
+            ErrorKind::AddrNotAvailable => {
+                format!("this machine does not have the address {address}; {USE}")
+            }
+            // libzmq: no interface has this name.
+            _ if error.raw_os_error() == Some(NO_DEVICE) => not_here(address),
+            _ => error.to_string(),
+        };
+        Self::Endpoint {
+            endpoint: endpoint.to_owned(),
+            why,
+        }
+    }
+
     /// The same error at another endpoint.
     pub(super) fn at(self, endpoint: &str) -> Self {
         let endpoint = endpoint.to_owned();
         match self {
             Self::InUse { .. } => Self::InUse { endpoint },
-            Self::Address { cause, .. } => Self::Address { endpoint, cause },
+            Self::Endpoint { why, .. } => Self::Endpoint { endpoint, why },
             other => other,
         }
     }
 }
 
+/// `ENODEV`
+const NO_DEVICE: i32 = 19;
+
+const USE: &str = "use 127.0.0.1 for this machine only, or * for every interface";
+
+/// What is wrong with a host that is not an address.
+pub(super) fn not_here(host: &str) -> String {
+    format!("'{host}' is not an address of this machine; {USE}")
+}
+
 /// Binds a port without listening, so that a server that starts meanwhile still gets it.
 pub(super) fn try_port(address: SocketAddr, endpoint: &str) -> Result<(), BindError> {
-    bind_only(address).map_err(|error| failed(endpoint, &error))
+    bind_only(address).map_err(|error| BindError::at_endpoint(endpoint, &error))
 }
 
 #[cfg(unix)]
@@ -109,70 +122,4 @@ fn bind_only(address: SocketAddr) -> io::Result<()> {
 #[cfg(not(unix))]
 fn bind_only(address: SocketAddr) -> io::Result<()> {
     std::net::TcpListener::bind(address).map(drop)
-}
-
-/// The address of `tcp://127.0.0.1:7`, `tcp://*:*` or `tcp://[::1]:0`.
-pub(super) fn address(endpoint: &str) -> Result<SocketAddr, BindError> {
-    let invalid = || BindError::Address {
-        endpoint: endpoint.to_owned(),
-        cause: zmq::Error::EINVAL,
-    };
-    let rest = endpoint.strip_prefix("tcp://").ok_or_else(invalid)?;
-    let (host, port) = rest.rsplit_once(':').ok_or_else(invalid)?;
-    let port = if port == "*" { "0" } else { port };
-    let host = match host {
-        "*" => "0.0.0.0",
-        "localhost" => "127.0.0.1",
-        host => host,
-    };
-    format!("{host}:{port}")
-        .parse()
-        .map_err(|_| BindError::Address {
-            endpoint: endpoint.to_owned(),
-            cause: zmq::Error::ENODEV,
-        })
-}
-
-/// Why a listener could not be opened.
-pub(super) fn failed(endpoint: &str, error: &io::Error) -> BindError {
-    let endpoint = endpoint.to_owned();
-    match error.kind() {
-        io::ErrorKind::AddrInUse => BindError::InUse { endpoint },
-        io::ErrorKind::PermissionDenied => BindError::Address {
-            endpoint,
-            cause: zmq::Error::EACCES,
-        },
-        _ => BindError::Address {
-            endpoint,
-            cause: zmq::Error::EADDRNOTAVAIL,
-        },
-    }
-}
-
-/// Binds a socket; returns the endpoint with the chosen port.
-pub(super) fn bind(socket: &zmq::Socket, endpoint: &str) -> Result<String, BindError> {
-    let bound = check_port(endpoint).and_then(|()| socket.bind(endpoint));
-    bound.map_err(|cause| match cause {
-        zmq::Error::EADDRINUSE => BindError::InUse {
-            endpoint: endpoint.to_owned(),
-        },
-        cause => BindError::Address {
-            endpoint: endpoint.to_owned(),
-            cause,
-        },
-    })?;
-    let bound = socket.get_last_endpoint()?;
-    Ok(bound.unwrap_or_default())
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn an_invalid_port_is_not_truncated() {
-        let context = zmq::Context::new();
-        let socket = context.socket(zmq::ROUTER).expect("a socket");
-        assert!(bind(&socket, "tcp://127.0.0.1:99999").is_err());
-    }
 }

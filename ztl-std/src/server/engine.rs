@@ -21,9 +21,6 @@ pub(super) type Observer = Box<dyn FnMut(Request, TaskId, &str) + Send>;
 /// The server's sockets and state. [`rounds`](super::rounds) and [`requests`](super::requests) run it.
 pub(super) struct Engine {
     pub(super) router: Router,
-    /// For further sockets.
-    #[cfg(feature = "gateway")]
-    pub(super) context: zmq::Context,
     pub(super) dispatcher: Dispatcher<ServerMemory>,
     /// By scope.
     pub(super) handlers: Vec<Box<dyn TaskHandler>>,

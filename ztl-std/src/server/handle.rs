@@ -4,8 +4,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-use super::access::Access;
-use super::authenticator::CurrentAccess;
+use super::access::{Access, CurrentAccess};
 use super::limits::Limits;
 use super::waker::Waker;
 

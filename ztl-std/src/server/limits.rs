@@ -94,20 +94,19 @@ impl Limits {
     }
 
     /// The longest accepted message in bytes.
-    pub(super) fn longest_message(&self) -> usize {
+    pub(crate) fn longest_message(&self) -> usize {
         self.message.min(MAX_MESSAGE)
     }
 
-    /// Applies the limits that ZeroMQ enforces to a socket that is bound afterwards.
-    pub(super) fn apply(&self, socket: &zmq::Socket) -> Result<(), zmq::Error> {
-        let message = self.longest_message();
-        socket.set_maxmsgsize(i64::try_from(message).unwrap_or(i64::MAX))?;
-        let queue = i32::try_from(self.queue.max(1)).unwrap_or(i32::MAX);
-        socket.set_rcvhwm(queue)?;
-        socket.set_sndhwm(queue)?;
-        let handshake = i32::try_from(self.handshake.as_millis()).unwrap_or(i32::MAX);
-        // For ZeroMQ, 0 means no limit.
-        socket.set_handshake_ivl(handshake.max(1))
+    /// Bytes of all requests that are being received and answers that are being sent.
+    pub(super) const fn buffers(&self) -> usize {
+        let part = self.memory / 4;
+        // At least one message each way.
+        if part > 4 * MAX_MESSAGE {
+            part
+        } else {
+            4 * MAX_MESSAGE
+        }
     }
 }
 

@@ -269,6 +269,7 @@ mod tests {
     use ztl_core::reply::Reply;
 
     use super::*;
+    use crate::native::peers::PeerId;
 
     #[test]
     fn a_resent_init_that_was_rejected_for_space_is_not_started() {
@@ -296,7 +297,7 @@ mod tests {
             server.handle_timeout(now, out);
             let action = server.handle_request(
                 now,
-                ReturnPath::Libzmq(Vec::new()),
+                ReturnPath::Native(PeerId::default(), Box::default()),
                 Some(envelope),
                 body,
                 out,

@@ -7,11 +7,9 @@
 //! the dispatcher to a [`TaskHandler`]; the handler's reports come back through `reporter`.
 
 mod access;
-mod authenticator;
 mod bind;
 mod client_liveness;
 mod clock;
-mod connections;
 mod dropped;
 mod engine;
 mod handle;
@@ -20,17 +18,17 @@ mod handler;
 mod limit_text;
 mod limits;
 mod memory;
-mod peers;
 mod reporter;
 mod requests;
 mod rounds;
-mod router;
+pub(crate) mod router;
 mod task_server;
 mod task_table;
 mod waker;
 
 pub use crate::offers::offered;
 pub use access::Access;
+pub(crate) use access::{CurrentAccess, Sender};
 pub use bind::BindError;
 pub use handle::{RunningServer, ServerHandle};
 pub use handler::{Answers, Restored, RestoredTask, TaskHandler, would_take};
@@ -43,5 +41,5 @@ pub(crate) use reporter::AbortRefusal;
 #[cfg(feature = "gateway")]
 pub(crate) use reporter::Claim;
 pub use reporter::TaskReporter;
-pub use task_server::{ServerBuilder, TaskServer, Transport};
+pub use task_server::{ServerBuilder, TaskServer};
 pub(crate) use waker::WakeBatch;

@@ -9,7 +9,7 @@ use ztl_core::message::Message;
 use ztl_core::reply::{RefusalOf, Reply};
 use ztl_core::tasks::Tasks;
 
-use super::authenticator::Sender;
+use super::access::Sender;
 use super::clock::now;
 use super::engine::Engine;
 use super::reporter::TaskReporter;

@@ -1,5 +1,6 @@
 //! The loop of the server's thread: waits, takes reports and requests, and does what is due.
 
+use std::io;
 use std::sync::PoisonError;
 use std::time::Duration;
 
@@ -24,7 +25,7 @@ const LINGER: Duration = Duration::from_millis(250);
 
 impl Engine {
     /// Serves until it is stopped.
-    pub(super) fn run(mut self) -> Result<(), zmq::Error> {
+    pub(super) fn run(mut self) -> io::Result<()> {
         let mut more = false;
         while !self.waker.stopped() {
             let longest = if more { Duration::ZERO } else { Duration::MAX };
@@ -34,7 +35,7 @@ impl Engine {
     }
 
     /// Waits for something to do, at most for `longest`, and does it; returns whether there may be more.
-    fn turn(&mut self, longest: Duration) -> Result<bool, zmq::Error> {
+    fn turn(&mut self, longest: Duration) -> io::Result<bool> {
         let mut next = self.wait(longest)?;
         self.waker.on_awake();
         let mut limits = self
@@ -50,6 +51,7 @@ impl Engine {
         let mut taken = 0;
         while let Some(received) = next {
             match received {
+                #[cfg(feature = "libzmq")]
                 Received::Wake => {}
                 Received::Request(request) => self.serve(request),
                 Received::Dropped(why) => self.dropped.log(now(), why),
@@ -101,7 +103,7 @@ impl Engine {
     }
 
     /// Handlers stop their tasks when they are dropped; clients are answered meanwhile.
-    fn stop_handlers(&mut self) -> Result<(), zmq::Error> {
+    fn stop_handlers(&mut self) -> io::Result<()> {
         let mut handlers = std::mem::take(&mut self.handlers);
         let longest = handlers.iter_mut().map(|handler| handler.stop()).max();
         let stopping = std::thread::Builder::new().spawn(move || drop(handlers));
@@ -125,7 +127,7 @@ impl Engine {
     }
 
     /// Waits for a request, a report or the next deadline, at most for `longest`; returns the request.
-    fn wait(&mut self, longest: Duration) -> Result<Option<Received>, zmq::Error> {
+    fn wait(&mut self, longest: Duration) -> io::Result<Option<Received>> {
         let claims = self.claims.keys().next().map(|(at, _)| *at);
         let wakes = [
             self.dispatcher.poll_timeout(),

@@ -4,29 +4,38 @@ use std::io;
 use std::ops::Deref;
 use std::time::Duration;
 
-use tracing::debug;
 use ztl_core::envelope::Envelope;
 use ztl_core::reply::Reply;
+use ztl_zmtp::session::Security;
+use ztl_zmtp::{Router as RouterType, curve};
 
-use super::authenticator::{Authenticator, CurrentAccess, Sender};
-use super::peers::{self, Peers};
-use super::waker::is_wake;
+use super::access::{Access, CurrentAccess, Sender};
+use super::bind::{BindError, not_here};
+use super::limits::Limits;
+use super::waker::Signal;
 use crate::keys::PublicKey;
-use crate::log_targets::TASKS;
-use crate::sockets;
+#[cfg(feature = "libzmq")]
+use crate::libzmq::server::RouterSocket;
+use crate::native::Endpoint;
+use crate::native::peers::{PeerId, Peers, Rules};
+use crate::random;
+use crate::transport::Transport;
 
 /// Leads an answer back to its client.
 #[derive(Debug)]
-pub(super) enum ReturnPath {
+pub(crate) enum ReturnPath {
+    /// The connection, and the frames before the content.
+    Native(PeerId, Box<[u8]>),
     /// The ROUTER identity, the envelope, the empty delimiter.
+    #[cfg(feature = "libzmq")]
     Libzmq(Vec<zmq::Message>),
-    Own(peers::Path),
 }
 
 /// The content of a message.
-pub(super) enum Content {
+pub(crate) enum Content {
+    Native(Box<[u8]>),
+    #[cfg(feature = "libzmq")]
     Libzmq(zmq::Message),
-    Own(Box<[u8]>),
 }
 
 impl Deref for Content {
@@ -34,25 +43,27 @@ impl Deref for Content {
 
     fn deref(&self) -> &[u8] {
         match self {
+            Self::Native(bytes) => bytes,
+            #[cfg(feature = "libzmq")]
             Self::Libzmq(message) => message,
-            Self::Own(bytes) => bytes,
         }
     }
 }
 
 /// A request as it arrived.
-pub(super) struct Request {
-    pub(super) path: ReturnPath,
-    pub(super) envelope: Option<Envelope>,
+pub(crate) struct Request {
+    pub(crate) path: ReturnPath,
+    pub(crate) envelope: Option<Envelope>,
     /// The only frame after the delimiter; `None` if there are several.
-    pub(super) content: Option<Content>,
-    pub(super) sender: Sender,
+    pub(crate) content: Option<Content>,
+    pub(crate) sender: Sender,
 }
 
 /// What [`Router::receive`] found.
-pub(super) enum Received {
+pub(crate) enum Received {
     Request(Request),
     /// Something that woke the server's thread.
+    #[cfg(feature = "libzmq")]
     Wake,
     /// A message that is dropped, for this reason.
     Dropped(&'static str),
@@ -60,62 +71,77 @@ pub(super) enum Received {
 
 /// The server's end of its connections.
 pub(super) enum Router {
-    Libzmq {
-        socket: zmq::Socket,
-        authenticator: Authenticator,
-    },
-    Own {
-        peers: Peers,
+    Native {
+        peers: Peers<RouterType>,
         access: CurrentAccess,
     },
+    #[cfg(feature = "libzmq")]
+    Libzmq(RouterSocket),
 }
 
 impl Router {
+    /// Binds; also returns the endpoint, with the port that was chosen, and what wakes the thread.
+    pub(super) fn bind(
+        transport: Transport,
+        access: Access,
+        limits: Limits,
+        endpoint: &str,
+    ) -> Result<(Self, String, Signal), BindError> {
+        match transport {
+            Transport::Native => {
+                let rules = rules(&access, &limits);
+                let access = CurrentAccess::new(access);
+                let failed = |error| BindError::at_endpoint(endpoint, &error);
+                let peers = Peers::bind(&to_bind(endpoint)?, rules).map_err(failed)?;
+                let bound = peers.endpoint().map_err(failed)?;
+                let signal = Signal::Native(peers.waker().map_err(failed)?);
+                Ok((Self::Native { peers, access }, bound, signal))
+            }
+            #[cfg(feature = "libzmq")]
+            Transport::Libzmq => {
+                let (router, bound, waking) = RouterSocket::bind(access, limits, endpoint)?;
+                Ok((Self::Libzmq(router), bound, Signal::Libzmq(waking)))
+            }
+        }
+    }
+
     /// Who may use the server.
     pub(super) const fn access(&self) -> &CurrentAccess {
         match self {
-            Self::Libzmq { authenticator, .. } => authenticator.access(),
-            Self::Own { access, .. } => access,
+            Self::Native { access, .. } => access,
+            #[cfg(feature = "libzmq")]
+            Self::Libzmq(router) => router.access(),
         }
     }
 
     /// Waits for a message at most for `longest`, or until the server is woken, and returns it.
-    pub(super) fn wait(&mut self, longest: Duration) -> Result<Option<Received>, zmq::Error> {
+    pub(super) fn wait(&mut self, longest: Duration) -> io::Result<Option<Received>> {
         match self {
-            Self::Libzmq { socket, .. } => {
-                let millis = longest.as_micros().div_ceil(1000);
-                let millis = i32::try_from(millis).unwrap_or(i32::MAX).min(3_600_000);
-                socket.set_rcvtimeo(if longest == Duration::MAX { -1 } else { millis })?;
-                self.receive_with(0)
-            }
-            Self::Own { peers, .. } => {
+            Self::Native { peers, .. } => {
                 let longest = (longest != Duration::MAX).then_some(longest);
-                peers.wait(longest).map_err(as_zmq)?;
+                peers.wait(longest)?;
                 self.receive()
             }
+            #[cfg(feature = "libzmq")]
+            Self::Libzmq(router) => router.wait(longest),
         }
     }
 
     /// The next message, if there is one.
-    pub(super) fn receive(&mut self) -> Result<Option<Received>, zmq::Error> {
-        self.receive_with(zmq::DONTWAIT)
-    }
-
-    fn receive_with(&mut self, flags: i32) -> Result<Option<Received>, zmq::Error> {
+    pub(super) fn receive(&mut self) -> io::Result<Option<Received>> {
         match self {
-            Self::Libzmq {
-                socket,
-                authenticator,
-            } => receive(socket, authenticator, flags),
-            Self::Own { peers, access } => Ok(next(peers, access)),
+            Self::Native { peers, access } => Ok(next(peers, access)),
+            #[cfg(feature = "libzmq")]
+            Self::Libzmq(router) => router.look(),
         }
     }
 
     /// Looks for messages without waiting.
-    pub(super) fn look(&mut self) -> Result<Option<Received>, zmq::Error> {
+    pub(super) fn look(&mut self) -> io::Result<Option<Received>> {
         match self {
-            Self::Libzmq { .. } => self.receive(),
-            Self::Own { .. } => self.wait(Duration::ZERO),
+            Self::Native { .. } => self.wait(Duration::ZERO),
+            #[cfg(feature = "libzmq")]
+            Self::Libzmq(_) => self.receive(),
         }
     }
 
@@ -124,70 +150,46 @@ impl Router {
         let mut body = Vec::new();
         reply.put(&mut |bytes: &[u8]| body.extend_from_slice(bytes));
         match (self, path) {
-            (Self::Libzmq { socket, .. }, ReturnPath::Libzmq(mut frames)) => {
-                frames.push(body.as_slice().into());
-                if let Err(cause) = sockets::send(socket, &frames) {
-                    debug!(target: TASKS, "an answer was not taken: {}", cause.message());
-                }
+            (Self::Native { peers, .. }, ReturnPath::Native(peer, envelope)) => {
+                peers.send(peer, &envelope, &body);
             }
-            (Self::Own { peers, .. }, ReturnPath::Own(path)) => peers.answer(&path, &body),
+            #[cfg(feature = "libzmq")]
+            (Self::Libzmq(router), ReturnPath::Libzmq(frames)) => router.answer(frames, &body),
+            #[cfg(feature = "libzmq")]
             _ => {}
         }
     }
 }
 
-/// The next message of libzmq.
-fn receive(
-    socket: &zmq::Socket,
-    authenticator: &Authenticator,
-    flags: i32,
-) -> Result<Option<Received>, zmq::Error> {
-    let mut frames = Vec::new();
-    let sender = loop {
-        let mut frame = match socket.recv_msg(flags) {
-            Ok(frame) => frame,
-            // A signal: the rest of the message has arrived already.
-            Err(zmq::Error::EINTR) if !frames.is_empty() => continue,
-            Err(zmq::Error::EAGAIN | zmq::Error::EINTR) => return Ok(None),
-            Err(cause) => return Err(cause),
-        };
-        let sender = (!frame.get_more()).then(|| authenticator.sender(&mut frame));
-        frames.push(frame);
-        if let Some(sender) = sender {
-            break sender;
-        }
+/// An endpoint to listen at.
+pub(super) fn to_bind(endpoint: &str) -> Result<Endpoint, BindError> {
+    let invalid = |why| BindError::Endpoint {
+        endpoint: endpoint.to_owned(),
+        why,
     };
-    if is_wake(&frames) {
-        return Ok(Some(Received::Wake));
+    let parsed = Endpoint::parse(endpoint).map_err(invalid)?;
+    match &parsed {
+        Endpoint::Tcp { host, .. } if parsed.to_bind().is_none() => Err(invalid(not_here(host))),
+        _ => Ok(parsed),
     }
-    let Some(sender) = sender else {
-        return Ok(Some(Received::Dropped("of an unknown sender")));
-    };
-    // Identity, any envelope, an empty frame, then the body. Like a REP socket, drops a message without the
-    // empty frame.
-    let Some(delimiter) = frames.iter().position(|frame| frame.is_empty()) else {
-        return Ok(Some(Received::Dropped("without a delimiter")));
-    };
-    let content = match frames.len() == delimiter + 2 {
-        true => frames.pop().map(Content::Libzmq),
-        false => None,
-    };
-    frames.truncate(delimiter + 1);
-    let envelope = match frames.as_slice() {
-        // A proxy puts its own frames before these two.
-        [_identity, .., client, number, _delimiter] => Envelope::parse(client, number),
-        _ => None,
-    };
-    Ok(Some(Received::Request(Request {
-        path: ReturnPath::Libzmq(frames),
-        envelope,
-        content,
-        sender,
-    })))
+}
+
+/// What applies to each connection of a server.
+pub(super) fn rules(access: &Access, limits: &Limits) -> Rules {
+    let keys = access
+        .keys()
+        .map(|keys| curve::Keys::server(*keys.secret(), random::secret));
+    Rules {
+        security: keys.map_or(Security::Null, Security::Curve),
+        message: limits.longest_message(),
+        connections: limits.connections,
+        handshake: limits.handshake,
+        memory: limits.buffers(),
+    }
 }
 
 /// The next message of our own connections.
-fn next(peers: &mut Peers, access: &CurrentAccess) -> Option<Received> {
+fn next(peers: &mut Peers<RouterType>, access: &CurrentAccess) -> Option<Received> {
     let message =
         peers.next(&mut |address, key| access.admits(address, key.map(PublicKey::from_bytes)))?;
     let key = message.key.map(PublicKey::from_bytes);
@@ -195,19 +197,11 @@ fn next(peers: &mut Peers, access: &CurrentAccess) -> Option<Received> {
     let Some(sender) = access.sender(message.from, key) else {
         return Some(Received::Dropped("of an unknown sender"));
     };
-    let envelope = ztl_zmtp::envelope(&message.path.envelope);
+    let envelope = ztl_zmtp::envelope(&message.envelope);
     Some(Received::Request(Request {
-        path: ReturnPath::Own(message.path),
+        path: ReturnPath::Native(message.peer, message.envelope),
         envelope,
-        content: message.body.map(Content::Own),
+        content: message.body.map(Content::Native),
         sender,
     }))
-}
-
-/// The error that libzmq would have returned.
-fn as_zmq(error: io::Error) -> zmq::Error {
-    match error.raw_os_error() {
-        Some(number) => zmq::Error::from_raw(number),
-        None => zmq::Error::EFAULT,
-    }
 }

@@ -2,19 +2,16 @@
 
 use std::collections::BTreeMap;
 use std::net::SocketAddr;
-use std::sync::{Arc, Mutex};
+use std::sync::Arc;
 
 use tracing::{info, warn};
 use ztl_core::dispatcher::{Config, Dispatcher};
 use ztl_core::memory::Scope;
 use ztl_core::tasks::{Task, Text};
 use ztl_core::{Instant, Request, TaskId};
-use ztl_zmtp::curve;
-use ztl_zmtp::session::Security;
 
 use super::access::Access;
-use super::authenticator::{Authenticator, CurrentAccess};
-use super::bind::{BindError, address, bind, failed, try_port};
+use super::bind::{BindError, try_port};
 use super::client_liveness::ClientLiveness;
 use super::clock::now;
 use super::dropped::DroppedLog;
@@ -23,17 +20,17 @@ use super::handle::{RunningServer, ServerHandle};
 use super::handler::{Restored, TaskHandler};
 use super::limits::Limits;
 use super::memory::{ScopeInfo, ServerMemory};
-use super::peers::{Peers, Rules};
 use super::reporter::{Mailbox, TaskReporter};
 use super::router::Router;
+#[cfg(feature = "gateway")]
+use super::router::{rules, to_bind};
 use super::task_table::HeapText;
-use super::waker::{Signal, Waker};
-use crate::keys::can_encrypt;
+use super::waker::Waker;
 use crate::log_targets::TASKS;
+#[cfg(feature = "gateway")]
+use crate::native::publisher::Publisher;
 use crate::random;
-
-/// Where the server's thread receives wake-ups.
-const WAKE_UPS: &str = "inproc://wake-ups";
+use crate::transport::Transport;
 
 /// A task server that is bound and does not serve yet.
 ///
@@ -52,18 +49,8 @@ pub struct ServerBuilder {
     transport: Transport,
 }
 
-/// How a server speaks ZMTP.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum Transport {
-    /// By libzmq.
-    #[default]
-    Libzmq,
-    /// By this crate.
-    Own,
-}
-
 impl ServerBuilder {
-    /// Sets the transport. Default: libzmq.
+    /// Sets how ZMTP is spoken. Default: [`Transport::Native`].
     pub fn transport(mut self, transport: Transport) -> Self {
         self.transport = transport;
         self
@@ -82,21 +69,18 @@ impl ServerBuilder {
     }
 
     /// Listens at a ZeroMQ endpoint: `tcp://127.0.0.1:12345`, `tcp://*:12345` for every interface, or
-    /// `tcp://127.0.0.1:*` for any free port.
+    /// `tcp://127.0.0.1:*` for any free port, or `ipc:///run/robot.sock` for a socket in the file system.
     ///
     /// # Errors
-    /// [`BindError`], also if there are keys and this build cannot encrypt.
+    /// [`BindError`], also if there are keys and libzmq cannot encrypt.
     pub fn bind(self, endpoint: &str) -> Result<TaskServer, BindError> {
         let Self {
             access,
             limits,
             transport,
         } = self;
-        let context = zmq::Context::new();
-        let (router, bound, waker) = match transport {
-            Transport::Libzmq => bind_libzmq(access, limits, &context, endpoint)?,
-            Transport::Own => bind_own(access, limits, endpoint)?,
-        };
+        let (router, bound, signal) = Router::bind(transport, access, limits, endpoint)?;
+        let waker = Waker::new(signal);
         let (mailbox, inbox) = Mailbox::new(Arc::clone(&waker));
         // Logged like the original, but with the port that was chosen.
         let named = endpoint
@@ -110,8 +94,6 @@ impl ServerBuilder {
             endpoint: bound,
             engine: Engine {
                 router,
-                #[cfg(feature = "gateway")]
-                context,
                 dispatcher: Dispatcher::new(ServerMemory::new(limits), config),
                 handlers: Vec::new(),
                 waker,
@@ -150,63 +132,6 @@ impl ServerBuilder {
     }
 }
 
-/// A ROUTER socket of libzmq, where it is bound, and what wakes its thread.
-fn bind_libzmq(
-    access: Access,
-    limits: Limits,
-    context: &zmq::Context,
-    endpoint: &str,
-) -> Result<(Router, String, Arc<Waker>), BindError> {
-    if access.keys().is_some() && !can_encrypt() {
-        return Err(BindError::NoCurve);
-    }
-    let socket = context.socket(zmq::ROUTER)?;
-    socket.set_linger(0)?;
-    limits.apply(&socket)?;
-    let authenticator = Authenticator::new(access, limits.connections, context, &socket)?;
-    // Wake-ups arrive among the requests.
-    socket.bind(WAKE_UPS)?;
-    let waking = context.socket(zmq::DEALER)?;
-    waking.set_linger(0)?;
-    waking.connect(WAKE_UPS)?;
-    let waker = Waker::new(Signal::Libzmq(Mutex::new(waking)));
-    let bound = bind(&socket, endpoint)?;
-    let router = Router::Libzmq {
-        socket,
-        authenticator,
-    };
-    Ok((router, bound, waker))
-}
-
-/// The same without libzmq.
-fn bind_own(
-    access: Access,
-    limits: Limits,
-    endpoint: &str,
-) -> Result<(Router, String, Arc<Waker>), BindError> {
-    let keys = access
-        .keys()
-        .map(|keys| curve::Keys::server(*keys.secret(), random::secret));
-    let rules = Rules {
-        security: keys.map_or(Security::Null, Security::Curve),
-        message: limits.longest_message(),
-        connections: limits.connections,
-        memory: limits.memory,
-    };
-    let peers = Peers::bind(address(endpoint)?, rules).map_err(|error| failed(endpoint, &error))?;
-    let bound = peers.address().map_err(|error| failed(endpoint, &error))?;
-    let signal = peers.waker().map_err(|error| failed(endpoint, &error))?;
-    let router = Router::Own {
-        peers,
-        access: CurrentAccess::new(access),
-    };
-    Ok((
-        router,
-        format!("tcp://{bound}"),
-        Waker::new(Signal::Own(signal)),
-    ))
-}
-
 impl TaskServer {
     /// A server for everyone, with default limits: as [`ServerBuilder::bind`].
     ///
@@ -221,21 +146,13 @@ impl TaskServer {
         ServerBuilder::default()
     }
 
-    /// Binds another socket for the clients of this server; returns its endpoint as well.
+    /// A publisher for the clients of this server.
     #[cfg(feature = "gateway")]
-    pub(crate) fn bind_another(
-        &self,
-        kind: zmq::SocketType,
-        endpoint: &str,
-    ) -> Result<(zmq::Socket, String), BindError> {
-        let socket = self.engine.context.socket(kind)?;
-        socket.set_linger(0)?;
-        socket.set_maxmsgsize(super::limits::MAX_MESSAGE as i64)?;
-        if let Router::Libzmq { authenticator, .. } = &self.engine.router {
-            authenticator.protect(&socket)?;
-        }
-        let bound = bind(&socket, endpoint)?;
-        Ok((socket, bound))
+    pub(crate) fn bind_publisher(&self, endpoint: &str) -> Result<Publisher, BindError> {
+        let access = self.engine.router.access();
+        let rules = rules(&access.read(), &Limits::default());
+        Publisher::bind(&to_bind(endpoint)?, rules, access.clone())
+            .map_err(|error| BindError::at_endpoint(endpoint, &error))
     }
 
     /// Where it listens, with the port that was chosen.
@@ -311,8 +228,8 @@ impl TaskServer {
     /// Serves until it is stopped.
     ///
     /// # Errors
-    /// ZeroMQ's error if it can no longer wait for messages. No request can cause it.
-    pub fn listen(self) -> Result<(), zmq::Error> {
+    /// The system's error if it can no longer wait for messages. No request can cause it.
+    pub fn listen(self) -> std::io::Result<()> {
         self.engine.run()
     }
 
@@ -327,7 +244,7 @@ impl TaskServer {
             .name("ztl-server".to_owned())
             .spawn(move || {
                 if let Err(cause) = self.listen() {
-                    warn!(target: TASKS, "the server has ended: {}", cause.message());
+                    warn!(target: TASKS, "the server has ended: {cause}");
                 }
             })?;
         Ok(RunningServer {

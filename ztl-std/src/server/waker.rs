@@ -1,23 +1,29 @@
-//! Wakes the server's thread, which sleeps in its socket's receive call.
+//! Wakes the server's thread, which sleeps while it waits for a message.
 
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::Duration;
 
-use crate::sockets;
-
-/// The message that wakes the server. Anyone may send it: it carries no request.
-const WAKE: &[u8] = b"bell";
-
-/// Whether a message, with its sender's identity, is one that wakes the server.
-pub(super) fn is_wake(frames: &[zmq::Message]) -> bool {
-    matches!(frames, [_, body] if **body == *WAKE)
-}
+#[cfg(feature = "libzmq")]
+use crate::libzmq::server::Waking;
 
 /// How a sleeping thread is woken.
 pub(super) enum Signal {
-    Libzmq(Mutex<zmq::Socket>),
-    Own(mio::Waker),
+    Native(mio::Waker),
+    #[cfg(feature = "libzmq")]
+    Libzmq(Waking),
+}
+
+impl Signal {
+    fn wake(&self) {
+        match self {
+            Self::Native(waker) => {
+                let _ = waker.wake();
+            }
+            #[cfg(feature = "libzmq")]
+            Self::Libzmq(waking) => waking.wake(),
+        }
+    }
 }
 
 /// Wakes the server's thread.
@@ -62,17 +68,7 @@ impl Waker {
 
     fn wake(&self) {
         if self.asleep.swap(false, Ordering::SeqCst) {
-            match &self.signal {
-                Signal::Libzmq(socket) => {
-                    let socket = socket.lock().unwrap_or_else(PoisonError::into_inner);
-                    // One message per sleep, so the queue is never full. An empty frame would look like the
-                    // delimiter of a request without a body.
-                    let _ = sockets::send(&socket, &[WAKE]);
-                }
-                Signal::Own(waker) => {
-                    let _ = waker.wake();
-                }
-            }
+            self.signal.wake();
         }
     }
 

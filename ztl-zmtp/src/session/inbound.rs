@@ -14,9 +14,7 @@ use super::{BEFORE, ENVELOPES};
 use crate::curve::{Cipher, Handshake};
 use crate::fault::Fault;
 use crate::receive::property;
-use crate::wire::{
-    COMMAND, GREETING, HANDSHAKE, MECHANISM, PARTIAL, PING, SIGNATURE, Socket, old_greeting,
-};
+use crate::wire::{COMMAND, GREETING, MECHANISM, PARTIAL, PING, SIGNATURE, Socket, old_greeting};
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Phase {
@@ -43,6 +41,9 @@ pub enum Step<'a> {
     Asks,
     /// A message; there may be more.
     Message(Message<'a>),
+    /// The command of a subscriber of ZMTP 3.1, which begins (`true`) or ends a subscription to this topic (RFC 37,
+    /// Publish-Subscribe). Older ones send a message, whose first byte is 1 or 0.
+    Subscription(bool, Vec<u8>),
 }
 
 /// Makes messages of received bytes, as a socket of type `S`.
@@ -76,7 +77,8 @@ pub struct Inbound<S> {
 
 impl<S: Socket> Inbound<S> {
     /// A new connection, whose messages have at most `most` bytes besides their envelopes. Its greeting is in `out`.
-    pub fn open(now: Instant, security: Security, most: usize, out: &mut Outbound) -> Self {
+    /// The handshake may take until `deadline`.
+    pub fn open(deadline: Instant, security: Security, most: usize, out: &mut Outbound) -> Self {
         out.raw(GREETING.get(..PARTIAL).unwrap_or_default());
         Self {
             phase: Phase::Signature,
@@ -87,7 +89,7 @@ impl<S: Socket> Inbound<S> {
             scanned: 0,
             most: most.saturating_add(ENVELOPES),
             ttl: Duration::ZERO,
-            deadline: now + HANDSHAKE,
+            deadline,
             #[cfg(feature = "curve")]
             handshake: None,
             #[cfg(feature = "curve")]
@@ -211,11 +213,12 @@ impl<S: Socket> Inbound<S> {
                         self.keep(bytes);
                     }
                     let command = self.waiting().get(body..end).unwrap_or_default();
-                    if let Some(ttl) = on_command(command, out)? {
-                        self.ttl = ttl;
-                    }
+                    let said = on_command(command, out)?;
                     // It may be between the frames of a message.
                     self.held.drain(self.begin + begin..self.begin + end);
+                    if let Some(step) = self.on_said(said) {
+                        return Ok(step);
+                    }
                 }
             }
         }
@@ -257,13 +260,25 @@ impl<S: Socket> Inbound<S> {
                 let command = self.plain.split_off(begin);
                 let (length, _) = header(&command)?.unwrap_or_default();
                 let command = command.get(length..).unwrap_or_default();
-                if let Some(ttl) = on_command(command, out)? {
-                    self.ttl = ttl;
+                let said = on_command(command, out)?;
+                if let Some(step) = self.on_said(said) {
+                    return Ok(step);
                 }
             } else if flags & crate::wire::MORE == 0 {
                 self.delivered = true;
                 return Ok(Step::Message(Message { bytes: &self.plain }));
             }
+        }
+    }
+
+    fn on_said<'a>(&mut self, said: Said) -> Option<Step<'a>> {
+        match said {
+            Said::Nothing => None,
+            Said::Ttl(ttl) => {
+                self.ttl = ttl;
+                None
+            }
+            Said::Subscription(begins, topic) => Some(Step::Subscription(begins, topic)),
         }
     }
 
@@ -486,17 +501,31 @@ fn check_partner<S: Socket>(metadata: &[u8], out: &mut Outbound) -> Result<(), F
     Err(Fault::SocketType)
 }
 
-/// Handles a command after the handshake; returns the peer's time to live if it has told one.
-fn on_command(body: &[u8], out: &mut Outbound) -> Result<Option<Duration>, Fault> {
+/// What a command says.
+enum Said {
+    Nothing,
+    /// How long the peer is silent at most.
+    Ttl(Duration),
+    Subscription(bool, Vec<u8>),
+}
+
+/// Handles a command after the handshake.
+fn on_command(body: &[u8], out: &mut Outbound) -> Result<Said, Fault> {
     if body.starts_with(b"\x05ERROR") {
         return Err(Fault::Refused);
     }
+    if let Some(topic) = body.strip_prefix(b"\x09SUBSCRIBE") {
+        return Ok(Said::Subscription(true, topic.to_vec()));
+    }
+    if let Some(topic) = body.strip_prefix(b"\x06CANCEL") {
+        return Ok(Said::Subscription(false, topic.to_vec()));
+    }
     let Some((ttl, context)) = body.strip_prefix(PING).and_then(<[u8]>::split_first_chunk) else {
         // Unknown commands are ignored.
-        return Ok(None);
+        return Ok(Said::Nothing);
     };
     let context = context.get(..16).unwrap_or(context);
     out.command(&[b"\x04PONG", context].concat());
     let tenths = u64::from(u16::from_be_bytes(*ttl));
-    Ok(Some(Duration::from_millis(tenths * 100)))
+    Ok(Said::Ttl(Duration::from_millis(tenths * 100)))
 }

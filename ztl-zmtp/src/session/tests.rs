@@ -5,7 +5,7 @@ use std::vec::Vec;
 use ztl_core::Instant;
 
 use super::{BEFORE, ENVELOPES, Inbound, Outbound, Security, Step};
-use crate::{Dealer, Fault, Router, Socket};
+use crate::{Dealer, Fault, Pub, Router, Socket};
 
 const MOST: usize = 1000;
 
@@ -22,7 +22,7 @@ impl<S: Socket> End<S> {
     fn new(security: Security) -> Self {
         let mut out = Outbound::default();
         Self {
-            inbound: Inbound::open(Instant::ZERO, security, MOST, &mut out),
+            inbound: Inbound::open(Instant::NEVER, security, MOST, &mut out),
             out,
             heard: Vec::new(),
             fault: None,
@@ -39,6 +39,10 @@ impl<S: Socket> End<S> {
                 Ok(Step::Message(message)) => {
                     let frames = message.frames().map(<[u8]>::to_vec);
                     self.heard.push(frames.collect());
+                }
+                Ok(Step::Subscription(begins, topic)) => {
+                    self.heard
+                        .push(std::vec![std::vec![u8::from(begins)], topic]);
                 }
                 Err(fault) => self.fault = Some(fault),
             }
@@ -179,7 +183,9 @@ fn a_ping_is_answered_also_within_a_message() {
     let (mut server, _) = ready();
     server.take(b"\x04\x0a\x04PING\0\x64abc");
     assert_eq!(server.out.transmit_buf(), b"\x04\x08\x04PONGabc");
-    assert_ne!(server.inbound.deadline(), Instant::NEVER);
+    // 100 tenths of a second from when it was heard.
+    server.inbound.on_heard(Instant::from_micros(7));
+    assert_eq!(server.inbound.deadline(), Instant::from_micros(10_000_007));
     server.out.consume(100);
     server.take(b"\x01\x02id\x01\0\x04\x07\x04PING\0\0\0\x02hi");
     assert_eq!(server.out.transmit_buf(), b"\x04\x05\x04PONG");
@@ -188,6 +194,21 @@ fn a_ping_is_answered_also_within_a_message() {
         [[b"id".to_vec(), b"".to_vec(), b"hi".to_vec()]]
     );
     assert_eq!(server.inbound.deadline(), Instant::NEVER);
+}
+
+#[test]
+fn subscriptions_come_as_commands_or_as_messages() {
+    let mut publisher = End::<Pub>::new(Security::Null);
+    publisher.take(crate::GREETING);
+    publisher.take(b"\x04\x19\x05READY\x0BSocket-Type\0\0\0\x03SUB");
+    publisher.take(b"\x04\x0C\x09SUBSCRIBEab\x00\x03\x01cd\x04\x09\x06CANCELab");
+    assert_eq!(publisher.fault, None);
+    let topics = [(1, "ab"), (0, "ab")].map(|(begins, topic)| [std::vec![begins], topic.into()]);
+    let [begun, ended] = topics.map(Vec::from);
+    assert_eq!(
+        publisher.heard,
+        [begun, std::vec![b"\x01cd".to_vec()], ended]
+    );
 }
 
 #[test]
@@ -216,11 +237,12 @@ fn with_a_bit_flipped_anywhere_nothing_is_accepted() {
     };
     assert_eq!(run(&mut |bytes| all += bytes.len()).len(), 1);
     let mut wrong = Vec::new();
-    for place in 0..all {
+    for place in 0..8 * all {
         let mut at = 0;
         let heard = run(&mut |bytes| {
-            if let Some(byte) = place.checked_sub(at).and_then(|place| bytes.get_mut(place)) {
-                *byte ^= 1;
+            let here = place / 8;
+            if let Some(byte) = here.checked_sub(at).and_then(|here| bytes.get_mut(here)) {
+                *byte ^= 1 << (place % 8);
             }
             at += bytes.len();
         });

@@ -11,7 +11,7 @@ use serde_json::json;
 use ztl_std::RemoteTask;
 
 use super::finding::Finding;
-use crate::identity::Identity;
+use crate::connect_options::ConnectOptions;
 use crate::server_address::ServerAddress;
 
 /// How long a connection may take.
@@ -165,12 +165,14 @@ fn listening(told: &Path) -> Option<BTreeSet<u16>> {
 }
 
 /// Checks whether a server answers, how fast, and its version.
-pub(super) fn server(address: &ServerAddress, identity: &Identity) -> Finding {
-    let ServerAddress { host, port, .. } = address;
+pub(super) fn server(address: &ServerAddress, connecting: &ConnectOptions) -> Finding {
+    let ServerAddress {
+        host, port, keys, ..
+    } = address;
     let (host, port) = (host.as_str(), u16::try_from(*port).unwrap_or_default());
     let place = format!("{host}:{port}");
     let begin = Instant::now();
-    let addresses = match (host, port).to_socket_addrs() {
+    let mut addresses = match (host, port).to_socket_addrs() {
         Ok(addresses) => addresses.collect::<Vec<_>>(),
         Err(_) if host == "localhost" => vec![([127, 0, 0, 1], port).into()],
         Err(error) => {
@@ -182,18 +184,8 @@ pub(super) fn server(address: &ServerAddress, identity: &Identity) -> Finding {
         }
     };
     let resolved = begin.elapsed();
-    let (addresses, others): (Vec<_>, Vec<_>) =
-        addresses.into_iter().partition(SocketAddr::is_ipv4);
-    if let (true, Some(other)) = (addresses.is_empty(), others.first()) {
-        return Finding::trouble(
-            "server",
-            format!(
-                "'{host}' has only addresses of IPv6 ({}); ztl uses IPv4",
-                other.ip()
-            ),
-            "write its address of IPv4: on that machine, `ztl doctor` tells it",
-        );
-    }
+    // As a client does.
+    addresses.sort_by_key(SocketAddr::is_ipv6);
     let mut refused = None;
     let connected = addresses.iter().find_map(|address| {
         let begin = Instant::now();
@@ -220,7 +212,10 @@ pub(super) fn server(address: &ServerAddress, identity: &Identity) -> Finding {
         };
         return Finding::trouble("server", format!("{place}: {why}"), remedy);
     };
-    match ask(host, port, identity) {
+    let remote = RemoteTask::connect(&format!("tcp://{place}"), "$ztl")
+        .map_err(Into::into)
+        .and_then(|remote| connecting.apply(remote, keys.as_ref()));
+    match remote.and_then(ask) {
         Err(error) => Finding::trouble(
             "server",
             format!("{place} accepts connections but does not answer: {error}"),
@@ -261,12 +256,8 @@ pub(super) fn server(address: &ServerAddress, identity: &Identity) -> Finding {
 
 /// The server's version, if it sends one, and some round-trip times.
 fn ask(
-    host: &str,
-    port: u16,
-    identity: &Identity,
+    mut remote: RemoteTask,
 ) -> Result<(Option<String>, Vec<Duration>), Box<dyn std::error::Error>> {
-    let remote = RemoteTask::connect(&format!("tcp://{host}:{port}"), "$ztl")?;
-    let mut remote = identity.apply(remote)?;
     // The first request includes connecting.
     let told = remote.ask_server("probe")?;
     let mut rounds = Vec::new();

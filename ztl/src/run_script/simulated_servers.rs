@@ -57,6 +57,7 @@ impl SimulatedServers {
                 host: "127.0.0.1".to_owned(),
                 port: port.unwrap_or_default(),
                 scope,
+                keys: None,
             };
             remotes.set_task(name, remote);
             servers.push(server);

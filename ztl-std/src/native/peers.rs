@@ -6,25 +6,26 @@
 //! - All buffers together have a limit. At the limit, the peer that holds the most is closed.
 //! - Peers that have not finished the handshake never displace those that have: there are places for both.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 use std::io::{self, Read as _, Write as _};
-use std::net::{IpAddr, SocketAddr};
+use std::net::IpAddr;
 use std::time::Duration;
 
-use mio::net::{TcpListener, TcpStream};
 use mio::{Events, Interest, Poll, Token};
 use tracing::{debug, warn};
 use ztl_core::Instant;
-use ztl_zmtp::Router;
-use ztl_zmtp::session::{Inbound, Outbound, Security, Step};
+use ztl_zmtp::session::{Inbound, Message, Outbound, Security, Step};
+use ztl_zmtp::{Pub, Router};
 
-use super::clock::now;
+use super::streams::{Endpoint, Listener, Stream};
 use crate::log_targets::TASKS;
+use crate::rate_limit::RateLimit;
+use crate::time::now;
 
 /// Bytes read at once.
 const PIECE: usize = 64 * 1024;
 /// Above so many unsent bytes, a peer is not read from.
-const UNSENT: usize = 256 * 1024;
+pub(super) const UNSENT: usize = 256 * 1024;
 /// How long a peer may leave answers unread.
 const UNREAD: Duration = Duration::from_secs(10);
 /// How often deadlines are checked, while there are any.
@@ -33,47 +34,91 @@ const CHECK: Duration = Duration::from_millis(250);
 const ACCEPTED: usize = 64;
 /// How long no connection is accepted after the system had no file for one.
 const PAUSE: Duration = Duration::from_millis(100);
+/// At most so many lines are logged at once, and then one in this time.
+const LINES: (u32, Duration) = (10, Duration::from_secs(10));
 
 const LISTENER: Token = Token(usize::MAX);
-pub(super) const WAKER: Token = Token(usize::MAX - 1);
+const WAKER: Token = Token(usize::MAX - 1);
 
 /// What applies to every connection.
-pub(super) struct Rules {
-    pub(super) security: Security,
+pub(crate) struct Rules {
+    pub(crate) security: Security,
     /// Longest message in bytes.
-    pub(super) message: usize,
+    pub(crate) message: usize,
     /// Most connections. A fifth of the places is for those that have not finished the handshake.
-    pub(super) connections: usize,
+    pub(crate) connections: usize,
+    /// Longest time for the handshake.
+    pub(crate) handshake: Duration,
     /// Bytes of all buffers together.
-    pub(super) memory: usize,
+    pub(crate) memory: usize,
 }
 
-/// Leads an answer back.
-#[derive(Debug, Clone)]
-pub(super) struct Path {
+impl Rules {
+    /// How many connections may be without a handshake.
+    fn strangers(&self) -> usize {
+        (self.connections / 5).max(4)
+    }
+
+    /// The same from one address.
+    fn strangers_of_address(&self) -> usize {
+        self.strangers() / 2
+    }
+}
+
+/// A socket type whose messages come from many peers.
+pub(crate) trait Served: ztl_zmtp::Socket {
+    /// Whether its peers subscribe.
+    const SUBSCRIBED: bool;
+
+    /// The frames that lead an answer back, and the content if it is one frame. `None` if the message is to be ignored.
+    fn split(message: Message<'_>) -> Option<(&[u8], Option<&[u8]>)>;
+}
+
+impl Served for Router {
+    const SUBSCRIBED: bool = false;
+
+    fn split(message: Message<'_>) -> Option<(&[u8], Option<&[u8]>)> {
+        message.split()
+    }
+}
+
+impl Served for Pub {
+    const SUBSCRIBED: bool = true;
+
+    fn split(message: Message<'_>) -> Option<(&[u8], Option<&[u8]>)> {
+        let mut frames = message.frames();
+        let only = frames.next().filter(|_| frames.next().is_none());
+        Some((b"", only))
+    }
+}
+
+/// A connection.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+#[cfg_attr(test, derive(Default))]
+pub(crate) struct PeerId {
     slot: usize,
     /// Which of the connections that had this slot.
     number: u32,
-    /// The frames before the content, as on the wire.
-    pub(super) envelope: Box<[u8]>,
 }
 
 /// A message.
-pub(super) struct Incoming {
-    pub(super) path: Path,
+pub(crate) struct Incoming {
+    pub(crate) peer: PeerId,
+    /// The frames that lead an answer back, as on the wire.
+    pub(crate) envelope: Box<[u8]>,
     /// The only frame after the envelope; `None` if there are several.
-    pub(super) body: Option<Box<[u8]>>,
-    pub(super) from: IpAddr,
+    pub(crate) body: Option<Box<[u8]>>,
+    pub(crate) from: IpAddr,
     /// The public key of the sender, if the connection is encrypted.
-    pub(super) key: Option<[u8; 32]>,
+    pub(crate) key: Option<[u8; 32]>,
 }
 
-struct Peer {
-    stream: TcpStream,
+struct Peer<S> {
+    stream: Stream,
     address: IpAddr,
     key: Option<[u8; 32]>,
     number: u32,
-    inbound: Inbound<Router>,
+    inbound: Inbound<S>,
     out: Outbound,
     /// Bytes that its buffers take, as counted.
     held: usize,
@@ -86,17 +131,19 @@ struct Peer {
     took: Instant,
 }
 
-/// The connections of a server.
-pub(super) struct Peers {
+/// The connections of a server, as a socket of type `S`.
+pub(crate) struct Peers<S> {
     poll: Poll,
     events: Events,
-    listener: TcpListener,
+    listener: Listener,
     rules: Rules,
-    slots: Vec<Option<Peer>>,
+    slots: Vec<Option<Peer<S>>>,
     free: Vec<usize>,
-    /// How many have finished the handshake, and how many have not.
+    /// How many have finished the handshake.
     known: usize,
-    unknown: usize,
+    /// How many have not, in all and by address.
+    strangers: usize,
+    strangers_of: BTreeMap<IpAddr, usize>,
     next_number: u32,
     /// Those that had not finished the handshake when they came, the oldest first.
     arrivals: VecDeque<(usize, u32)>,
@@ -111,15 +158,16 @@ pub(super) struct Peers {
     held: usize,
     next_check: Option<Instant>,
     accept_again: Option<Instant>,
+    lines: RateLimit,
 }
 
-impl Peers {
-    /// Listens at this address.
-    pub(super) fn bind(address: SocketAddr, rules: Rules) -> io::Result<Self> {
+impl<S: Served> Peers<S> {
+    /// Listens there.
+    pub(crate) fn bind(endpoint: &Endpoint, rules: Rules) -> io::Result<Self> {
         let poll = Poll::new()?;
-        let mut listener = TcpListener::bind(address)?;
+        let mut listener = Listener::bind(endpoint)?;
         poll.registry()
-            .register(&mut listener, LISTENER, Interest::READABLE)?;
+            .register(listener.source(), LISTENER, Interest::READABLE)?;
         Ok(Self {
             poll,
             events: Events::with_capacity(1024),
@@ -128,7 +176,8 @@ impl Peers {
             slots: Vec::new(),
             free: Vec::new(),
             known: 0,
-            unknown: 0,
+            strangers: 0,
+            strangers_of: BTreeMap::new(),
             next_number: 0,
             arrivals: VecDeque::new(),
             ready: VecDeque::new(),
@@ -138,20 +187,22 @@ impl Peers {
             held: 0,
             next_check: None,
             accept_again: None,
+            lines: RateLimit::new(LINES.0, LINES.1, now()),
         })
     }
 
-    pub(super) fn address(&self) -> io::Result<SocketAddr> {
-        self.listener.local_addr()
+    /// Where it listens, with the port that was chosen.
+    pub(crate) fn endpoint(&self) -> io::Result<String> {
+        self.listener.endpoint()
     }
 
     /// Wakes [`wait`](Self::wait) from another thread.
-    pub(super) fn waker(&self) -> io::Result<mio::Waker> {
+    pub(crate) fn waker(&self) -> io::Result<mio::Waker> {
         mio::Waker::new(self.poll.registry(), WAKER)
     }
 
     /// Sends what can be sent, and waits for something to read, at most for `longest`.
-    pub(super) fn wait(&mut self, longest: Option<Duration>) -> io::Result<()> {
+    pub(crate) fn wait(&mut self, longest: Option<Duration>) -> io::Result<()> {
         self.flush();
         let before = now();
         let due = [self.next_check, self.accept_again].into_iter().flatten();
@@ -198,7 +249,7 @@ impl Peers {
     }
 
     /// The next message. `admit` decides about a peer that has finished the handshake.
-    pub(super) fn next(
+    pub(crate) fn next(
         &mut self,
         admit: &mut dyn FnMut(IpAddr, Option<[u8; 32]>) -> bool,
     ) -> Option<Incoming> {
@@ -211,19 +262,28 @@ impl Peers {
         }
     }
 
-    /// Answers; an answer to a peer that is gone is dropped.
-    pub(super) fn answer(&mut self, path: &Path, body: &[u8]) {
-        let Some(Some(peer)) = self.slots.get_mut(path.slot) else {
+    /// Sends frames as they are on the wire, of which each announces another, then a last one. Drops the message if the
+    /// peer is gone.
+    pub(crate) fn send(&mut self, to: PeerId, envelope: &[u8], last: &[u8]) {
+        let Some(Some(peer)) = self.slots.get_mut(to.slot) else {
             return;
         };
-        if peer.number != path.number {
+        if peer.number != to.number {
             return;
         }
-        peer.out.message(&path.envelope, body);
+        peer.out.message(envelope, last);
         if !peer.is_unsent {
             peer.is_unsent = true;
-            self.unsent.push(path.slot);
+            self.unsent.push(to.slot);
         }
+    }
+
+    /// How many bytes wait to be sent to a peer; `None` if it is gone.
+    #[cfg(feature = "gateway")]
+    pub(super) fn waiting(&self, peer: PeerId) -> Option<usize> {
+        let found = self.slots.get(peer.slot).and_then(Option::as_ref);
+        let found = found.filter(|found| found.number == peer.number);
+        found.map(|found| found.out.waiting())
     }
 
     /// Reads a piece of a peer's bytes, and makes messages of them.
@@ -249,8 +309,8 @@ impl Peers {
         };
         // A short read has emptied the system's buffer; the next bytes are an event.
         peer.readable &= read == self.piece.len();
-        peer.inbound.on_heard(now);
         let mut bytes = self.piece.get(..read).unwrap_or_default();
+        let mut is_known = false;
         let fault = loop {
             match peer.inbound.next(&mut bytes, &mut peer.out) {
                 Ok(Step::Taken) => break None,
@@ -261,30 +321,37 @@ impl Peers {
                     }
                     peer.key = key;
                     peer.inbound.accept(&mut peer.out);
-                    self.unknown -= 1;
-                    self.known += 1;
+                    is_known = true;
                 }
                 Ok(Step::Message(message)) => {
-                    let Some((envelope, body)) = message.split() else {
-                        continue;
-                    };
-                    self.messages.push_back(Incoming {
-                        path: Path {
-                            slot,
-                            number: peer.number,
-                            envelope: envelope.into(),
-                        },
-                        body: body.map(Into::into),
-                        from: peer.address,
-                        key: peer.key,
-                    });
+                    if let Some((envelope, body)) = S::split(message) {
+                        let (envelope, body) = (envelope.into(), body.map(Into::into));
+                        self.messages.push_back(peer.incoming(slot, envelope, body));
+                    }
+                }
+                Ok(Step::Subscription(begins, topic)) => {
+                    if S::SUBSCRIBED {
+                        let message = [&[u8::from(begins)], topic.as_slice()].concat();
+                        let body = Some(message.into_boxed_slice());
+                        self.messages
+                            .push_back(peer.incoming(slot, Box::default(), body));
+                    }
                 }
                 Err(fault) => break Some(fault.to_string()),
             }
         };
+        if is_known {
+            let address = peer.address;
+            self.known += 1;
+            self.forget_stranger(address);
+        }
         if let Some(fault) = fault {
             return self.close(slot, Some(&fault));
         }
+        let Some(Some(peer)) = self.slots.get_mut(slot) else {
+            return;
+        };
+        peer.inbound.on_heard(now);
         if peer.readable && peer.out.waiting() < UNSENT {
             peer.is_ready = true;
             self.ready.push_back(slot);
@@ -353,17 +420,23 @@ impl Peers {
                     return;
                 }
             };
-            if self.unknown > self.rules.connections / 5 {
-                self.close_oldest_unknown();
+            let of_address = self.strangers_of.get(&address).copied();
+            if of_address.unwrap_or(0) >= self.rules.strangers_of_address() {
+                self.close_oldest_stranger(Some(address));
             }
-            if self.known + self.unknown >= self.rules.connections {
-                self.close_oldest_unknown();
+            if self.strangers >= self.rules.strangers()
+                || self.known + self.strangers >= self.rules.connections
+            {
+                self.close_oldest_stranger(None);
             }
-            if self.known + self.unknown >= self.rules.connections {
-                debug!(target: TASKS, "a connection of {address} was not accepted: too many");
+            if self.known + self.strangers >= self.rules.connections {
+                let most = self.rules.connections;
+                if self.lines.take(now) {
+                    warn!(target: TASKS, "The limit of {most} connections is reached; the one of {address} is rejected.");
+                }
                 continue;
             }
-            if let Err(error) = self.add(now, stream, address.ip()) {
+            if let Err(error) = self.add(now, stream, address) {
                 debug!(target: TASKS, "a connection was not accepted: {error}");
             }
         }
@@ -371,16 +444,13 @@ impl Peers {
         self.accept_again = Some(now);
     }
 
-    fn add(&mut self, now: Instant, mut stream: TcpStream, address: IpAddr) -> io::Result<()> {
-        stream.set_nodelay(true)?;
-        let slot = self.free.pop().unwrap_or(self.slots.len());
-        let both = Interest::READABLE | Interest::WRITABLE;
-        self.poll
-            .registry()
-            .register(&mut stream, Token(slot), both)?;
+    fn add(&mut self, now: Instant, mut stream: Stream, address: IpAddr) -> io::Result<()> {
+        let slot = self.free.last().copied().unwrap_or(self.slots.len());
+        stream.register(self.poll.registry(), Token(slot))?;
+        self.free.pop();
         let mut out = Outbound::default();
         let inbound = Inbound::open(
-            now,
+            now + self.rules.handshake,
             self.rules.security.clone(),
             self.rules.message,
             &mut out,
@@ -404,18 +474,33 @@ impl Peers {
             Some(empty) => *empty = Some(peer),
             None => self.slots.push(Some(peer)),
         }
-        self.unknown += 1;
+        self.strangers += 1;
+        *self.strangers_of.entry(address).or_default() += 1;
         self.arrivals.push_back((slot, self.next_number));
         self.next_check.get_or_insert(now + CHECK);
         Ok(())
     }
 
-    /// Makes room for another connection that has to shake hands.
-    fn close_oldest_unknown(&mut self) {
-        while let Some((slot, number)) = self.arrivals.pop_front() {
-            let peer = self.slots.get(slot).and_then(Option::as_ref);
-            if peer.is_some_and(|peer| peer.number == number && !peer.inbound.is_ready()) {
-                return self.close(slot, Some("others wait to connect"));
+    /// Makes room for another connection that has to shake hands, at the cost of the one that has taken longest for it:
+    /// of this address, or of all.
+    fn close_oldest_stranger(&mut self, address: Option<IpAddr>) {
+        let is_one = |(slot, number): &(usize, u32)| {
+            let peer = self.slots.get(*slot).and_then(Option::as_ref);
+            let peer = peer.filter(|peer| peer.number == *number && !peer.inbound.is_ready());
+            peer.is_some_and(|peer| address.is_none_or(|address| peer.address == address))
+        };
+        let oldest = self.arrivals.iter().position(is_one);
+        if let Some((slot, _)) = oldest.and_then(|oldest| self.arrivals.remove(oldest)) {
+            self.close(slot, Some("others wait to connect"));
+        }
+    }
+
+    fn forget_stranger(&mut self, address: IpAddr) {
+        self.strangers -= 1;
+        if let Some(count) = self.strangers_of.get_mut(&address) {
+            *count -= 1;
+            if *count == 0 {
+                self.strangers_of.remove(&address);
             }
         }
     }
@@ -472,28 +557,46 @@ impl Peers {
             return;
         };
         if let Some(why) = why {
-            warn!(target: TASKS, "The connection of {} is closed: {why}.", peer.address);
+            if self.lines.take(now()) {
+                warn!(target: TASKS, "The connection of {} is closed: {why}.", peer.address);
+            }
             // Tells the peer, if it listens.
             let _ = peer.stream.write(peer.out.transmit_buf());
         }
-        let _ = self.poll.registry().deregister(&mut peer.stream);
+        peer.stream.deregister(self.poll.registry());
         self.free.push(slot);
         self.held -= peer.held;
         match peer.inbound.is_ready() {
             true => self.known -= 1,
-            false => self.unknown -= 1,
+            false => self.forget_stranger(peer.address),
+        }
+    }
+}
+
+impl<S> Peer<S> {
+    fn incoming(&self, slot: usize, envelope: Box<[u8]>, body: Option<Box<[u8]>>) -> Incoming {
+        Incoming {
+            peer: PeerId {
+                slot,
+                number: self.number,
+            },
+            envelope,
+            body,
+            from: self.address,
+            key: self.key,
         }
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use std::net::TcpStream;
     use std::sync::Arc;
     use std::sync::atomic::{AtomicBool, Ordering};
     use std::thread::JoinHandle;
 
-    use ztl_zmtp::{Dealer, GREETING, Socket as _};
+    use std::net::{SocketAddr, TcpStream};
+
+    use ztl_zmtp::{Dealer, GREETING, HANDSHAKE, Socket as _};
 
     use super::*;
 
@@ -509,8 +612,10 @@ mod tests {
 
     impl Echo {
         fn new(rules: Rules) -> Self {
-            let peers = Peers::bind("127.0.0.1:0".parse().unwrap(), rules).unwrap();
-            let (address, waker) = (peers.address().unwrap(), peers.waker().unwrap());
+            let endpoint = Endpoint::parse("tcp://127.0.0.1:*").unwrap();
+            let peers = Peers::<Router>::bind(&endpoint, rules).unwrap();
+            let (endpoint, waker) = (peers.endpoint().unwrap(), peers.waker().unwrap());
+            let address = endpoint.strip_prefix("tcp://").unwrap().parse().unwrap();
             let stop = Arc::new(AtomicBool::new(false));
             let stopped = Arc::clone(&stop);
             Self {
@@ -541,7 +646,7 @@ mod tests {
         }
     }
 
-    fn serve(mut peers: Peers, stop: &AtomicBool) -> usize {
+    fn serve(mut peers: Peers<Router>, stop: &AtomicBool) -> usize {
         let mut most = 0;
         let mut held = Vec::new();
         while !stop.load(Ordering::SeqCst) {
@@ -549,13 +654,13 @@ mod tests {
             while let Some(message) = peers.next(&mut |_, _| true) {
                 let body = message.body.unwrap_or(Box::from(*b"several"));
                 if body.starts_with(b"hold") {
-                    held.push((message.path, body));
+                    held.push((message.peer, message.envelope, body));
                     continue;
                 }
-                for (path, body) in held.drain(..) {
-                    peers.answer(&path, &body);
+                for (peer, envelope, body) in held.drain(..) {
+                    peers.send(peer, &envelope, &body);
                 }
-                peers.answer(&message.path, &body);
+                peers.send(message.peer, &message.envelope, &body);
                 most = most.max(peers.held);
             }
             most = most.max(peers.held);
@@ -568,6 +673,7 @@ mod tests {
             security: Security::Null,
             message: 1 << 20,
             connections: 50,
+            handshake: HANDSHAKE,
             memory: 8 << 20,
         }
     }
@@ -694,7 +800,7 @@ mod tests {
     #[test]
     fn a_client_that_comes_after_a_long_time_has_time_to_shake_hands() {
         let echo = Echo::new(rules());
-        std::thread::sleep(ztl_zmtp::HANDSHAKE + Duration::from_millis(100));
+        std::thread::sleep(HANDSHAKE + Duration::from_millis(100));
         let context = zmq::Context::new();
         is_served(&libzmq(&context, &echo.endpoint()), b"late");
         let mut raw = raw(&echo);

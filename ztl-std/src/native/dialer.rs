@@ -4,30 +4,36 @@
 use std::collections::VecDeque;
 use std::io::{self, Read as _, Write as _};
 use std::net::{SocketAddr, ToSocketAddrs as _};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
 use std::time::{Duration, Instant};
 
-use mio::net::TcpStream;
-use mio::{Events, Interest, Poll, Token};
-use ztl_zmtp::Dealer;
+use mio::{Events, Poll, Token};
 use ztl_zmtp::session::{Inbound, Outbound, Security, Step};
+use ztl_zmtp::{Dealer, HANDSHAKE};
 
-use super::connection::RETRY;
+use super::streams::{Endpoint, Stream};
+use crate::client::RETRY;
 use crate::time::now;
 
 /// Bytes read at once.
 const PIECE: usize = 64 * 1024;
+/// While so many messages wait to be received, no more is read: one answers the current request, and one came too late.
+const WAITING: usize = 2;
+
+/// Pauses before connecting again.
+const SHORTEST: Duration = RETRY.0;
+const LONGEST: Duration = RETRY.1;
 
 /// A connection that is being made, or open.
 struct Open {
-    stream: TcpStream,
+    stream: Stream,
     inbound: Inbound<Dealer>,
     out: Outbound,
 }
 
 /// A connection to one server.
-pub(super) struct Stream {
-    /// `127.0.0.1:12345`
-    place: String,
+pub(crate) struct Dialer {
+    endpoint: Endpoint,
     security: Security,
     /// Longest accepted message in bytes.
     longest: usize,
@@ -39,26 +45,29 @@ pub(super) struct Stream {
     pause: Duration,
     received: VecDeque<Vec<Vec<u8>>>,
     piece: Box<[u8]>,
+    /// Looks up the host's address, which may take long.
+    lookup: Option<Receiver<Option<SocketAddr>>>,
 }
 
-impl Stream {
-    pub(super) fn new(place: &str, security: Security, longest: usize) -> io::Result<Self> {
+impl Dialer {
+    pub(crate) fn new(endpoint: Endpoint, security: Security, longest: usize) -> io::Result<Self> {
         Ok(Self {
-            place: place.to_owned(),
+            endpoint,
             security,
             longest,
             poll: Poll::new()?,
             events: Events::with_capacity(4),
             open: None,
             again: Instant::now(),
-            pause: shortest_pause(),
+            pause: SHORTEST,
             received: VecDeque::new(),
             piece: vec![0; PIECE].into_boxed_slice(),
+            lookup: None,
         })
     }
 
     /// Connects if needed, at most for `limit`; returns whether a message can be sent.
-    pub(super) fn can_send(&mut self, limit: Duration) -> io::Result<bool> {
+    pub(crate) fn can_send(&mut self, limit: Duration) -> io::Result<bool> {
         let end = Instant::now() + limit;
         // Notices that the server has closed the connection.
         self.read();
@@ -75,9 +84,10 @@ impl Stream {
     }
 
     /// Whether a message arrives within `limit`.
-    pub(super) fn can_receive(&mut self, limit: Duration) -> io::Result<bool> {
+    pub(crate) fn can_receive(&mut self, limit: Duration) -> io::Result<bool> {
         let end = Instant::now() + limit;
         loop {
+            self.read();
             if !self.received.is_empty() {
                 return Ok(true);
             }
@@ -90,7 +100,7 @@ impl Stream {
     }
 
     /// Sends a message: frames before the delimiter, and the one after it.
-    pub(super) fn send(&mut self, envelope: &[&[u8]], body: &[u8]) {
+    pub(crate) fn send(&mut self, envelope: &[&[u8]], body: &[u8]) {
         let mut frames = Vec::new();
         for frame in envelope {
             // Our frames are short.
@@ -105,7 +115,7 @@ impl Stream {
     }
 
     /// The next message.
-    pub(super) fn receive(&mut self) -> Option<Vec<Vec<u8>>> {
+    pub(crate) fn receive(&mut self) -> Option<Vec<Vec<u8>>> {
         self.received.pop_front()
     }
 
@@ -122,7 +132,7 @@ impl Stream {
                 std::thread::sleep(pause.min(limit));
                 return Ok(());
             }
-            return self.connect();
+            return self.connect(limit);
         }
         // The handshake has a limit of its own.
         let handshake = self.open.as_ref().map(|open| open.inbound.deadline());
@@ -142,23 +152,45 @@ impl Stream {
         Ok(())
     }
 
-    fn connect(&mut self) -> io::Result<()> {
+    /// Begins to connect, if the address is known within `limit`.
+    fn connect(&mut self, limit: Duration) -> io::Result<()> {
+        let stream = match &self.endpoint {
+            #[cfg(unix)]
+            Endpoint::Ipc(path) => Stream::connect_ipc(path),
+            #[cfg(not(unix))]
+            Endpoint::Ipc(_) => Err(io::ErrorKind::Unsupported.into()),
+            Endpoint::Tcp { host, port } => {
+                let lookup = self.lookup.take();
+                let lookup = match lookup {
+                    Some(lookup) => lookup,
+                    None => look_up(host, *port)?,
+                };
+                match lookup.recv_timeout(limit) {
+                    Ok(Some(address)) => Stream::connect_tcp(address),
+                    // A name without an address may get one.
+                    Ok(None) | Err(RecvTimeoutError::Disconnected) => {
+                        Err(io::ErrorKind::NotFound.into())
+                    }
+                    Err(RecvTimeoutError::Timeout) => {
+                        self.lookup = Some(lookup);
+                        return Ok(());
+                    }
+                }
+            }
+        };
         self.again = Instant::now() + self.pause;
-        self.pause = (self.pause * 2).min(longest_pause());
-        // A name without an address may get one.
-        let addresses = self.place.to_socket_addrs().into_iter().flatten();
-        let addresses: Vec<SocketAddr> = addresses.collect();
-        let v4 = addresses.iter().find(|address| address.is_ipv4());
-        let Some(address) = v4.or(addresses.first()) else {
+        self.pause = (self.pause * 2).min(LONGEST);
+        let Ok(mut stream) = stream else {
             return Ok(());
         };
-        let Ok(mut stream) = TcpStream::connect(*address) else {
-            return Ok(());
-        };
-        let both = Interest::READABLE | Interest::WRITABLE;
-        self.poll.registry().register(&mut stream, Token(0), both)?;
+        stream.register(self.poll.registry(), Token(0))?;
         let mut out = Outbound::default();
-        let inbound = Inbound::open(now(), self.security.clone(), self.longest, &mut out);
+        let inbound = Inbound::open(
+            now() + HANDSHAKE,
+            self.security.clone(),
+            self.longest,
+            &mut out,
+        );
         self.open = Some(Open {
             stream,
             inbound,
@@ -181,9 +213,9 @@ impl Stream {
         }
     }
 
-    /// Reads what has arrived.
+    /// Reads what has arrived, until enough messages wait.
     fn read(&mut self) {
-        loop {
+        while self.received.len() < WAITING {
             let Some(open) = &mut self.open else {
                 return;
             };
@@ -199,8 +231,9 @@ impl Stream {
                     Ok(Step::Taken) => break,
                     Ok(Step::Asks) => {
                         open.inbound.accept(&mut open.out);
-                        self.pause = shortest_pause();
+                        self.pause = SHORTEST;
                     }
+                    Ok(Step::Subscription(..)) => {}
                     Ok(Step::Message(message)) => {
                         let frames = message.frames().map(<[u8]>::to_vec);
                         self.received.push_back(frames.collect());
@@ -217,10 +250,28 @@ impl Stream {
 
     fn close(&mut self) {
         if let Some(mut open) = self.open.take() {
-            let _ = self.poll.registry().deregister(&mut open.stream);
+            open.stream.deregister(self.poll.registry());
         }
-        self.again = self.again.max(Instant::now() + shortest_pause());
+        self.again = self.again.max(Instant::now() + SHORTEST);
     }
+}
+
+/// Looks up an address on a thread of its own, unless the host is an address.
+fn look_up(host: &str, port: u16) -> io::Result<Receiver<Option<SocketAddr>>> {
+    let (found, lookup) = channel();
+    if let Ok(address) = host.parse() {
+        let _ = found.send(Some(SocketAddr::new(address, port)));
+        return Ok(lookup);
+    }
+    let host = host.to_owned();
+    let look_up = move || {
+        let addresses = (host.as_str(), port).to_socket_addrs();
+        let addresses: Vec<SocketAddr> = addresses.into_iter().flatten().collect();
+        let v4 = addresses.iter().find(|address| address.is_ipv4());
+        let _ = found.send(v4.or(addresses.first()).copied());
+    };
+    let thread = std::thread::Builder::new().name("ztl-lookup".to_owned());
+    thread.spawn(look_up).map(|_| lookup)
 }
 
 /// Whether a call would have to wait: also while the connection is being made.
@@ -229,22 +280,13 @@ fn is_later(error: &io::Error) -> bool {
     matches!(error.kind(), WouldBlock | Interrupted | NotConnected)
 }
 
-const fn shortest_pause() -> Duration {
-    Duration::from_millis(RETRY.0 as u64)
-}
-
-const fn longest_pause() -> Duration {
-    Duration::from_millis(RETRY.1 as u64)
-}
-
 #[cfg(test)]
 mod tests {
     use std::sync::Arc;
     use std::sync::atomic::{AtomicU32, Ordering};
 
     use crate::controller::{ExecutableTask, TaskContext, TaskController, TaskError};
-    use crate::server::{TaskServer, Transport};
-    use crate::{Access, RemoteTask, State, TaskRequest};
+    use crate::{Access, RemoteTask, State, TaskRequest, TaskServer, Transport};
 
     const LIMIT: Option<std::time::Duration> = Some(std::time::Duration::from_secs(20));
 
@@ -265,9 +307,9 @@ mod tests {
     #[test]
     fn both_transports_talk_to_each_other() {
         for (there, here) in [
-            (Transport::Own, Transport::Own),
-            (Transport::Own, Transport::Libzmq),
-            (Transport::Libzmq, Transport::Own),
+            (Transport::Native, Transport::Native),
+            (Transport::Native, Transport::Libzmq),
+            (Transport::Libzmq, Transport::Native),
         ] {
             let builder = TaskServer::builder().transport(there);
             let mut server = builder.bind("tcp://127.0.0.1:*").unwrap();
@@ -290,7 +332,7 @@ mod tests {
         let [own, allowed, stranger] = [(); 3].map(|()| crate::keys::KeyPair::generate());
         let public = own.public();
         let access = Access::everybody().with_keys(own).allow(allowed.public());
-        let builder = TaskServer::builder().transport(Transport::Own);
+        let builder = TaskServer::builder().transport(Transport::Native);
         let server = builder.access(access).bind("tcp://127.0.0.1:*");
         let mut server = server.unwrap();
         let echo = Echo::default();
@@ -298,7 +340,7 @@ mod tests {
         let server = server.spawn().unwrap();
         let connect = || {
             let remote = RemoteTask::connect(server.endpoint(), "/lab").unwrap();
-            remote.with_transport(Transport::Own).unwrap()
+            remote.with_transport(Transport::Native).unwrap()
         };
         let run = |mut remote: RemoteTask| remote.run("p", "echo", "hi", LIMIT);
         let end = run(connect().with_keys(allowed, public).unwrap()).unwrap();
@@ -321,14 +363,14 @@ mod tests {
         let endpoint = format!("tcp://{}", port.local_addr().unwrap());
         drop(port);
         let remote = RemoteTask::connect(&endpoint, "/lab").unwrap();
-        let mut remote = remote.with_transport(Transport::Own).unwrap();
+        let mut remote = remote.with_transport(Transport::Native).unwrap();
         let run = {
             let mut remote = remote.clone().with_timeout(LIMIT.unwrap());
             std::thread::spawn(move || remote.run("p", "echo", "hi", LIMIT))
         };
         std::thread::sleep(std::time::Duration::from_millis(50));
         let serve = || {
-            let builder = TaskServer::builder().transport(Transport::Own);
+            let builder = TaskServer::builder().transport(Transport::Native);
             let mut server = builder.bind(&endpoint).unwrap();
             server.register("/lab", Echo::default());
             server.spawn().unwrap()

@@ -4,8 +4,8 @@ use std::cell::Cell;
 
 use tracing::warn;
 
+use super::sockets;
 use crate::log_targets::TASKS;
-use crate::sockets;
 
 const MONITOR: &str = "inproc://connections";
 

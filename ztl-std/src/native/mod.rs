@@ -1,0 +1,11 @@
+//! ZMTP without libzmq: sessions of [`ztl_zmtp`] on non-blocking sockets.
+//!
+//! [`Peers`](peers::Peers) are the connections of a server, [`Dialer`](dialer::Dialer) is the one of a client.
+
+pub(crate) mod dialer;
+pub(crate) mod peers;
+#[cfg(feature = "gateway")]
+pub(crate) mod publisher;
+mod streams;
+
+pub(crate) use streams::Endpoint;

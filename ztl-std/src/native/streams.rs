@@ -1,0 +1,236 @@
+//! Listening sockets and streams: TCP, and sockets in the file system (`ipc://`).
+
+use std::io::{self, Read, Write};
+use std::net::{IpAddr, Ipv4Addr, SocketAddr};
+use std::path::{Path, PathBuf};
+
+use mio::event::Source;
+use mio::net::{TcpListener, TcpStream};
+#[cfg(unix)]
+use mio::net::{UnixListener, UnixStream};
+use mio::{Interest, Registry, Token};
+
+/// A ZeroMQ endpoint.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) enum Endpoint {
+    /// `tcp://HOST:PORT`; the host may be `*`, for every interface.
+    Tcp { host: String, port: u16 },
+    /// `ipc://PATH`
+    Ipc(PathBuf),
+}
+
+impl Endpoint {
+    /// Reads an endpoint; the error says what is wrong.
+    pub(crate) fn parse(text: &str) -> Result<Self, String> {
+        if let Some(path) = text.strip_prefix("ipc://").filter(|path| !path.is_empty()) {
+            return match cfg!(unix) {
+                true => Ok(Self::Ipc(path.into())),
+                false => Err("this system has no ipc:// endpoints; use tcp://".to_owned()),
+            };
+        }
+        let place = text.strip_prefix("tcp://");
+        let (host, port) = place
+            .and_then(|place| place.rsplit_once(':'))
+            .filter(|(host, _)| !host.is_empty())
+            .ok_or_else(|| format!("'{text}' is not an endpoint; write tcp://HOST:PORT"))?;
+        let number = match port {
+            "*" => Some(0),
+            port => port.parse().ok(),
+        };
+        let port = number.ok_or_else(|| format!("invalid port '{port}': expected 0 to 65535"))?;
+        let host = match host {
+            // RFC 6761: this name is this machine, even if the system has no hosts file.
+            "localhost" => "127.0.0.1",
+            host => host.trim_start_matches('[').trim_end_matches(']'),
+        };
+        Ok(Self::Tcp {
+            host: host.to_owned(),
+            port,
+        })
+    }
+
+    /// The address to bind.
+    pub(crate) fn to_bind(&self) -> Option<SocketAddr> {
+        match self {
+            Self::Tcp { host, port } => {
+                let host = if host == "*" { "0.0.0.0" } else { host };
+                Some(SocketAddr::new(host.parse().ok()?, *port))
+            }
+            Self::Ipc(_) => None,
+        }
+    }
+}
+
+/// A listening socket.
+#[derive(Debug)]
+pub(super) enum Listener {
+    Tcp(TcpListener),
+    #[cfg(unix)]
+    Ipc(UnixListener, PathBuf),
+}
+
+impl Listener {
+    /// Listens. A socket file that nobody serves any more is replaced.
+    pub(super) fn bind(endpoint: &Endpoint) -> io::Result<Self> {
+        match endpoint {
+            Endpoint::Tcp { .. } => {
+                let address = endpoint.to_bind().ok_or(io::ErrorKind::InvalidInput)?;
+                TcpListener::bind(address).map(Self::Tcp)
+            }
+            #[cfg(unix)]
+            Endpoint::Ipc(path) => {
+                use std::os::unix::fs::FileTypeExt as _;
+                let left = std::fs::symlink_metadata(path)
+                    .is_ok_and(|found| found.file_type().is_socket());
+                let refused = |error: io::Error| error.kind() == io::ErrorKind::ConnectionRefused;
+                let served = std::os::unix::net::UnixStream::connect(path);
+                if left && served.is_err_and(refused) {
+                    std::fs::remove_file(path)?;
+                }
+                Ok(Self::Ipc(UnixListener::bind(path)?, path.clone()))
+            }
+            #[cfg(not(unix))]
+            Endpoint::Ipc(_) => Err(io::ErrorKind::Unsupported.into()),
+        }
+    }
+
+    /// Where it listens, with the port that was chosen.
+    pub(super) fn endpoint(&self) -> io::Result<String> {
+        match self {
+            Self::Tcp(listener) => listener.local_addr().map(|at| format!("tcp://{at}")),
+            #[cfg(unix)]
+            Self::Ipc(_, path) => Ok(format!("ipc://{}", path.display())),
+        }
+    }
+
+    /// The next connection, and where it comes from: a socket file is on this machine.
+    pub(super) fn accept(&self) -> io::Result<(Stream, IpAddr)> {
+        match self {
+            Self::Tcp(listener) => {
+                let (stream, address) = listener.accept()?;
+                stream.set_nodelay(true)?;
+                Ok((Stream::Tcp(stream), address.ip().to_canonical()))
+            }
+            #[cfg(unix)]
+            Self::Ipc(listener, _) => {
+                let (stream, _) = listener.accept()?;
+                Ok((Stream::Ipc(stream), Ipv4Addr::LOCALHOST.into()))
+            }
+        }
+    }
+
+    /// The source of events.
+    pub(super) fn source(&mut self) -> &mut dyn Source {
+        match self {
+            Self::Tcp(listener) => listener,
+            #[cfg(unix)]
+            Self::Ipc(listener, _) => listener,
+        }
+    }
+}
+
+#[cfg(unix)]
+impl Drop for Listener {
+    fn drop(&mut self) {
+        if let Self::Ipc(_, path) = self {
+            let _ = std::fs::remove_file(path);
+        }
+    }
+}
+
+/// A connection.
+#[derive(Debug)]
+pub(super) enum Stream {
+    Tcp(TcpStream),
+    #[cfg(unix)]
+    Ipc(UnixStream),
+}
+
+impl Stream {
+    /// Begins to connect.
+    pub(super) fn connect_tcp(address: SocketAddr) -> io::Result<Self> {
+        let stream = TcpStream::connect(address)?;
+        let _ = stream.set_nodelay(true);
+        Ok(Self::Tcp(stream))
+    }
+
+    #[cfg(unix)]
+    pub(super) fn connect_ipc(path: &Path) -> io::Result<Self> {
+        UnixStream::connect(path).map(Self::Ipc)
+    }
+
+    /// Reports when it can be read or written.
+    pub(super) fn register(&mut self, registry: &Registry, token: Token) -> io::Result<()> {
+        registry.register(
+            self.source(),
+            token,
+            Interest::READABLE | Interest::WRITABLE,
+        )
+    }
+
+    pub(super) fn deregister(&mut self, registry: &Registry) {
+        let _ = registry.deregister(self.source());
+    }
+
+    fn source(&mut self) -> &mut dyn Source {
+        match self {
+            Self::Tcp(stream) => stream,
+            #[cfg(unix)]
+            Self::Ipc(stream) => stream,
+        }
+    }
+}
+
+impl Read for Stream {
+    fn read(&mut self, bytes: &mut [u8]) -> io::Result<usize> {
+        match self {
+            Self::Tcp(stream) => stream.read(bytes),
+            #[cfg(unix)]
+            Self::Ipc(stream) => stream.read(bytes),
+        }
+    }
+}
+
+impl Write for Stream {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        match self {
+            Self::Tcp(stream) => stream.write(bytes),
+            #[cfg(unix)]
+            Self::Ipc(stream) => stream.write(bytes),
+        }
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn endpoints_are_read_strictly() {
+        let tcp = |host: &str, port| {
+            Ok(Endpoint::Tcp {
+                host: host.to_owned(),
+                port,
+            })
+        };
+        assert_eq!(Endpoint::parse("tcp://*:*"), tcp("*", 0));
+        assert_eq!(Endpoint::parse("tcp://localhost:7"), tcp("127.0.0.1", 7));
+        assert_eq!(Endpoint::parse("tcp://[::1]:65535"), tcp("::1", 65535));
+        for text in [
+            "",
+            "tcp://",
+            "tcp://:7",
+            "tcp://lamp",
+            "tcp://lamp:65536",
+            "tcp://lamp:-1",
+            "udp://lamp:7",
+            "ipc://",
+        ] {
+            assert!(Endpoint::parse(text).is_err(), "{text}");
+        }
+    }
+}

@@ -1,0 +1,76 @@
+//! Options for how a client connects: keys, and who speaks ZMTP.
+
+use std::path::{Path, PathBuf};
+
+use ztl_std::keys::{KeyError, KeyFiles, KeyPair, PublicKey, exposure};
+use ztl_std::{RemoteTask, Transport};
+
+use crate::option_values::one_of;
+use crate::terminal::error_line;
+
+/// Reads our own keys. Warns if others can read them.
+pub(crate) fn own_keys(path: &Path) -> Result<KeyPair, KeyError> {
+    let keys = KeyPair::read(path)?;
+    if let Some(exposure) = exposure(path) {
+        error_line(format_args!("ztl: warning: {exposure}"));
+    }
+    Ok(keys)
+}
+
+/// The option for who speaks ZMTP.
+#[derive(Debug, Clone, Copy, Default, clap::Args)]
+pub(crate) struct TransportOption {
+    /// Who speaks ZeroMQ's protocol: native, or libzmq where it is built in [default: $ZTL_TRANSPORT, else native]
+    #[arg(long, value_name = "TRANSPORT", value_parser = transport)]
+    transport: Option<Transport>,
+}
+
+fn transport(text: &str) -> Result<Transport, String> {
+    one_of(text, Transport::ALL)
+}
+
+impl TransportOption {
+    /// The transport of the option, or of the environment.
+    pub(crate) fn get(self) -> Result<Transport, String> {
+        let variable = std::env::var("ZTL_TRANSPORT").ok();
+        match (self.transport, variable.filter(|value| !value.is_empty())) {
+            (Some(transport), _) => Ok(transport),
+            (None, None) => Ok(Transport::default()),
+            (None, Some(text)) => {
+                transport(&text).map_err(|known| format!("invalid ZTL_TRANSPORT '{text}': {known}"))
+            }
+        }
+    }
+}
+
+/// Options for how a client connects.
+#[derive(Debug, Clone, Default, clap::Args)]
+pub(crate) struct ConnectOptions {
+    /// The client's secret key, for a server that encrypts (see `ztl keys`)
+    #[arg(long, value_name = "NAME.key_secret", requires = "server_key")]
+    key: Option<PathBuf>,
+
+    /// The public key of the server
+    #[arg(long, value_name = "NAME.key", requires = "key")]
+    server_key: Option<PathBuf>,
+
+    #[command(flatten)]
+    transport: TransportOption,
+}
+
+impl ConnectOptions {
+    /// Applies the options to a client. Keys that the configuration file has for its server go before those of the
+    /// options.
+    pub(crate) fn apply(
+        &self,
+        remote: RemoteTask,
+        of_server: Option<&KeyFiles>,
+    ) -> Result<RemoteTask, Box<dyn std::error::Error>> {
+        let remote = remote.with_transport(self.transport.get()?)?;
+        let (own, server) = match (of_server, &self.key, &self.server_key) {
+            (Some(KeyFiles { own, server }), ..) | (None, Some(own), Some(server)) => (own, server),
+            _ => return Ok(remote),
+        };
+        Ok(remote.with_keys(own_keys(own)?, PublicKey::read(server)?)?)
+    }
+}
