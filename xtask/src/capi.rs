@@ -1,8 +1,8 @@
 //! `cargo xtask c`: builds the C libraries and their headers.
 //!
-//! The static library that cargo builds from `ztl-c` exports the names of libzmq, libsodium, C++ and Rust,
-//! which would clash with those of a robot's program. So everything is linked into one object that exports
-//! only the functions of `ztl.h`. The static and the shared library are made from it.
+//! The static library that cargo builds from `ztl-c` exports the names of Rust's library, which would clash with those
+//! of another one in a robot's program. So everything is linked into one object that exports only the functions of
+//! `ztl.h`. The static and the shared library are made from it.
 
 mod glibc;
 mod join;
@@ -17,7 +17,7 @@ use xshell::cmd;
 
 use crate::project::{COMMAND, Project};
 use crate::zig::{self, Target, Zig};
-use crate::{curve, install, rerun};
+use crate::{install, rerun};
 use join::{HEADER, Tools};
 
 /// Builds the libraries for this machine, for a microcontroller, or for old Linux machines.
@@ -28,10 +28,11 @@ pub(crate) fn build(project: &Project, names: &[String], check: bool, glibc: boo
             return test(project);
         }
         let profile = zig::PROFILE;
-        curve::cargo(project, "build")?
-            .args(["--package", "ztl-c", "--profile", profile])
+        project
+            .cargo("build --package ztl-c --profile")
+            .arg(profile)
             .run()?;
-        assemble(project, &curve::target(project).join(profile), &place)?;
+        assemble(project, &project.target.join(profile), &place)?;
         return show(project, &place);
     }
     for name in names {
@@ -76,17 +77,16 @@ fn for_linux(project: &Project, target: Target, check: bool, glibc: bool) -> Res
 /// Runs the examples and tests in C, with encryption and under checkers.
 pub(crate) fn test(project: &Project) -> Result<()> {
     install::python(project)?;
-    curve::cargo(project, "build")?
-        .args(["--package", "ztl-c", "--lib"])
-        .args(COMMAND)
-        .run()?;
-    let built = curve::target(project);
+    project.cargo("build").args(COMMAND).run()?;
+    // Alone, without the features that other packages use.
+    project.cargo("build --package ztl-c --lib").run()?;
+    let built = &project.target;
     let place = project.target.join("c-test");
     assemble(project, &built.join("debug"), &place)?;
-    node::build_firmware(project, &place, &built)?;
+    node::build_firmware(project, &place, built)?;
     let test = || {
-        let test = curve::cargo(project, "test")?.args(["--package", "ztl-c"]);
-        Ok(test.env("ZTL_CURVE", "1").env("ZTL_C", &place))
+        let test = project.cargo_test().args(["--package", "ztl-c"]);
+        Ok(test.env("ZTL_C", &place))
     };
     rerun::cargo_test(test, &[])
 }
@@ -95,10 +95,10 @@ pub(crate) fn test(project: &Project) -> Result<()> {
 fn assemble(project: &Project, built: &Path, place: &Path) -> Result<()> {
     let sh = &project.sh;
     let lib = place.join("lib");
-    // Includes the C++ library, so that the robot needs nothing else.
+    // Includes the compiler's library, so that the robot needs nothing else.
     let mut archives = vec![built.join("libztl_c.a")];
-    for name in ["libstdc++.a", "libgcc_eh.a", "libgcc.a"] {
-        let path = cmd!(sh, "c++ -print-file-name={name}").read()?;
+    for name in ["libgcc_eh.a", "libgcc.a"] {
+        let path = cmd!(sh, "cc -print-file-name={name}").read()?;
         archives.push(path.into());
     }
     let object = join::join(sh, &Tools::HOST, HEADER, &archives, &lib.join("libztl.a"))?;

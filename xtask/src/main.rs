@@ -3,7 +3,6 @@
 mod bare;
 mod capi;
 mod cross;
-mod curve;
 mod cycles;
 mod deb;
 mod dist;
@@ -46,12 +45,6 @@ enum Command {
         /// Run only this step; repeatable.
         #[arg(long, value_name = "STEP", value_parser = PossibleValuesParser::new(steps::names()))]
         only: Vec<String>,
-    },
-    /// Build the optimised `ztl` command.
-    Build {
-        /// With encryption.
-        #[arg(long)]
-        curve: bool,
     },
     /// Build the C libraries.
     C {
@@ -145,7 +138,6 @@ fn run(command: Command) -> anyhow::Result<()> {
             Ok(())
         }
         Command::Test { only, .. } => steps::test(project, &only),
-        Command::Build { curve } => curve::build(project, curve),
         Command::C {
             targets,
             check,

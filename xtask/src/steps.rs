@@ -7,18 +7,16 @@ use xshell::cmd;
 
 use crate::project::Project;
 use crate::{
-    bare, capi, curve, deb, dist, firmware, fuzz, image, install, long_runs, package, proof, rerun,
-    size,
+    bare, capi, deb, dist, firmware, fuzz, image, install, long_runs, package, proof, rerun, size,
 };
 
 /// The packages outside the workspace.
-const APART: [&str; 6] = [
+const APART: [&str; 5] = [
     image::MANIFEST,
     fuzz::MANIFEST,
     firmware::MANIFEST,
     bare::NODE,
     "tests/log-device/Cargo.toml",
-    "libzmq/Cargo.toml",
 ];
 
 struct Step {
@@ -32,7 +30,7 @@ const fn step(name: &'static str, about: &'static str, run: fn(&Project) -> Resu
 }
 
 #[rustfmt::skip]
-const STEPS: [Step; 21] = [
+const STEPS: [Step; 20] = [
     step("tools", "compilers, libraries and programs are installed", install::programs),
     step("fmt", "all code is formatted, also outside the workspace", format),
     step("clippy", "no lint fires, in the workspace and in each no_std crate alone", clippy),
@@ -47,7 +45,6 @@ const STEPS: [Step; 21] = [
     step("size", "the standard image and the boards' images have the recorded sizes", size::check),
     step("firmware", "the images of examples/firmware build; a Cortex-M0 needs the documented cycles", firmware::check),
     step("test", "all tests: units, documentation examples, and against the original package", tests),
-    step("curve", "with encryption: only clients with an allowed key are served", curve::test),
     step("c", "the C interface: examples and misuse, with the original's client, under sanitizers and valgrind", capi::test),
     step("dist", "the static programs for x86-64 and i686 run in an empty root, and on old kernels", dist::test),
     step("deb", "the Debian package installs in an empty root, runs the demo, and leaves no trace", deb::test),

@@ -1,6 +1,5 @@
-//! Requirements of builds for old Linux machines (static programs and shared libraries): zig, with a C++
-//! compiler, musl, libc++ and the symbols of every glibc version for each processor; Debian's Rust compiler
-//! with the source of `std`; libzmq with CURVE.
+//! Requirements of builds for old Linux machines (static programs and shared libraries): zig, with a linker, musl and
+//! the symbols of every glibc version for each processor; Debian's Rust compiler with the source of `std`.
 
 use std::env;
 use std::path::PathBuf;
@@ -8,11 +7,10 @@ use std::path::PathBuf;
 use anyhow::{Context as _, Result};
 use xshell::{Cmd, cmd};
 
-use crate::curve::{self, Libraries};
 use crate::project::Project;
 use crate::{cross, install};
 
-/// The version of zig. From 0.16 on, its `malloc` aligns to 8 bytes on 32-bit x86, but libzmq needs more.
+/// The version of zig.
 pub(crate) const ZIG: &str = "0.15.2";
 
 /// `cargo-zigbuild` lets cargo use zig.
@@ -21,15 +19,10 @@ const PACKAGES: [&str; 2] = ["ziglang==0.15.2", "cargo-zigbuild==0.24.0"];
 /// The version of musl in this zig.
 pub(crate) const MUSL: &str = "1.2.5";
 
-/// libzmq aligns its commands to 64 bytes for SSE, but allocates aligned queues only with the first flag. It
-/// wakes its threads with eventfd (Linux 2.6.27) only with the last two.
-const CXX_FLAGS: &str = "-DHAVE_POSIX_MEMALIGN=1 -DZMQ_CACHELINE_SIZE=64 \
-    -DZMQ_HAVE_EVENTFD=1 -DZMQ_HAVE_EVENTFD_CLOEXEC=1";
-
 /// The oldest glibc that Rust's library supports: <https://doc.rust-lang.org/rustc/platform-support.html>.
 pub(crate) const GLIBC: &str = "2.17";
 
-/// The profile in `Cargo.toml` and `libzmq/Cargo.toml`; both share the crates they compile.
+/// The profile in `Cargo.toml`.
 pub(crate) const PROFILE: &str = "dist";
 
 /// A processor that programs are built for.
@@ -136,7 +129,7 @@ impl<'a> Zig<'a> {
     }
 
     /// `cargo zigbuild` with the profile, for a target, without package.
-    fn build(&self, target: Target) -> Result<Cmd<'a>> {
+    pub(crate) fn build(&self, target: Target) -> Result<Cmd<'a>> {
         let Self {
             target_dir,
             python,
@@ -154,14 +147,10 @@ impl<'a> Zig<'a> {
         let flags = |flag: &str| places.each_ref().map(|place| format!(" {flag}={place}"));
         let flags = |flag: &str| flags(flag).concat();
         // With glibc, a shared library is built.
-        let (code, pic) = match target.glibc {
-            true => ("pic", " -fPIC"),
-            false => ("static", ""),
-        };
+        let code = if target.glibc { "pic" } else { "static" };
         let triple = target.triple() + &target.version();
         let options = format!("-C link-self-contained=no -C relocation-model={code}");
         let rust = options + &flags("--remap-path-prefix");
-        let c = format!("{pic}{}", flags("-ffile-prefix-map"));
         let std = "-Zbuild-std=std,panic_unwind";
         Ok(cmd!(
             sh,
@@ -173,21 +162,7 @@ impl<'a> Zig<'a> {
         .env("RUSTC", cross::DEBIAN_RUSTC)
         // Building `std` is unstable; this enables it in a stable compiler.
         .env("RUSTC_BOOTSTRAP", "1")
-        .env("RUSTFLAGS", rust)
-        .env("CFLAGS", &c)
-        // No program here is position-independent; otherwise zig would build its libc again to try that.
-        .env("SODIUM_DISABLE_PIE", "1")
-        .env("CXXFLAGS", format!("{CXX_FLAGS}{c}")))
-    }
-
-    /// libzmq and libsodium for a target.
-    pub(crate) fn libraries(&self, target: Target) -> Result<Libraries> {
-        curve::libraries(self.build(target)?)
-    }
-
-    /// `cargo zigbuild` for a target with the profile, linked with these libraries.
-    pub(crate) fn build_with(&self, target: Target, libraries: &Libraries) -> Result<Cmd<'a>> {
-        Ok(libraries.link(self.build(target)?, &target.triple(), "c++"))
+        .env("RUSTFLAGS", rust))
     }
 
     /// The path of a built program or library.
@@ -196,13 +171,13 @@ impl<'a> Zig<'a> {
         built.join(PROFILE).join(name)
     }
 
-    /// zig's C++ compiler for a target.
+    /// zig's compiler of C and C++ for a target.
     pub(crate) fn compiler(&self, target: Target) -> Cmd<'a> {
         let (sh, python) = (&self.project.sh, &self.python);
         cmd!(sh, "{python} -m ziglang c++").args(target.zig_options())
     }
 
-    /// The directory of zig's sources: musl, libc++, libunwind.
+    /// The directory of zig's sources: musl, libunwind.
     pub(crate) fn sources(&self) -> Result<PathBuf> {
         let (sh, python) = (&self.project.sh, &self.python);
         let find = "import os, ziglang; print(os.path.dirname(ziglang.__file__) + '/lib')";

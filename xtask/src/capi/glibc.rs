@@ -10,7 +10,7 @@ use super::join::{self, HEADER};
 use super::{linux, shared};
 use crate::project::{COMMAND, Project};
 use crate::zig::{GLIBC, Target, Zig};
-use crate::{curve, install, paths, rerun};
+use crate::{install, paths, rerun};
 
 /// Builds the shared library of a target.
 pub(super) fn assemble(project: &Project, zig: &Zig<'_>, target: Target) -> Result<PathBuf> {
@@ -44,11 +44,11 @@ pub(super) fn check(project: &Project, zig: &Zig<'_>, target: Target, place: &Pa
     if target.is_here() {
         // The examples and tests in C, compiled with this machine's compiler.
         install::python(project)?;
-        curve::cargo(project, "build")?.args(COMMAND).run()?;
+        project.cargo("build").args(COMMAND).run()?;
         let test = || {
-            let test =
-                curve::cargo(project, "test")?.args(["--package", "ztl-c", "--test", "programs"]);
-            Ok(test.env("ZTL_CURVE", "1").env("ZTL_C", place))
+            let test = project.cargo_test();
+            let test = test.args(["--package", "ztl-c", "--test", "programs"]);
+            Ok(test.env("ZTL_C", place))
         };
         return rerun::cargo_test(test, &["shared::"]);
     }

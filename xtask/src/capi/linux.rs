@@ -62,10 +62,7 @@ pub(super) fn joined(
     target: Target,
     place: &Path,
 ) -> Result<PathBuf> {
-    let libraries = zig.libraries(target)?;
-    zig.build_with(target, &libraries)?
-        .args(["--package", "ztl-c"])
-        .run()?;
+    zig.build(target)?.args(["--package", "ztl-c"]).run()?;
     let archives = [zig.built(target, "libztl_c.a")];
     let library = place.join("lib/libztl.a");
     join::join(&project.sh, &gnu_tools(target), HEADER, &archives, &library)

@@ -12,7 +12,6 @@ use serde_json::{Value, json};
 use xshell::{Shell, cmd};
 
 use crate::cross;
-use crate::curve::Libraries;
 use crate::lock;
 use crate::project::{PACKAGE, Project};
 use crate::zig::{MUSL, Target, ZIG, Zig};
@@ -42,12 +41,7 @@ pub(super) struct Contents {
 
 impl Contents {
     /// Collects the contents.
-    pub(super) fn of(
-        project: &Project,
-        zig: &Zig<'_>,
-        target: Target,
-        libraries: &Libraries,
-    ) -> Result<Self> {
+    pub(super) fn of(project: &Project, zig: &Zig<'_>, target: Target) -> Result<Self> {
         let mut crates = crates(&project.sh, target)?;
         let own = crates.iter().position(|part| part.name == PACKAGE);
         let own = own.context("cargo does not list the package of `ztl`")?;
@@ -55,15 +49,13 @@ impl Contents {
             target,
             own: crates.remove(own),
             crates,
-            foreign: foreign(&project.sh, zig, libraries)?,
+            foreign: foreign(&project.sh, zig)?,
         })
     }
 
-    /// Compilers and foreign libraries with their versions, for `ztl --version`. libzmq is left out: `ztl`
-    /// reports it itself.
+    /// Compilers and foreign libraries with their versions, for `ztl --version`.
     pub(super) fn tools(&self) -> String {
-        let foreign = self.foreign.iter().filter(|part| part.name != "libzmq");
-        let tools = foreign.map(|part| match part.name.as_str() {
+        let tools = self.foreign.iter().map(|part| match part.name.as_str() {
             "rust-std" => format!("rustc {}", part.version),
             name => format!("{name} {}", part.version),
         });
@@ -87,7 +79,8 @@ impl Contents {
 fn crates(sh: &Shell, target: Target) -> Result<Vec<Part>> {
     let triple = target.triple();
     let tree =
-        "tree --locked --edges normal,no-proc-macro --prefix none --format {p}|{l}".split(' ');
+        "tree --locked --edges normal,no-proc-macro --prefix none --no-default-features --features static --format {p}|{l}"
+            .split(' ');
     let tree = cmd!(sh, "cargo {tree...} --package {PACKAGE} --target {triple}").read()?;
     let lines = tree.lines().map(|line| line.trim_end_matches(" (*)"));
     let lines: BTreeSet<&str> = lines.collect();
@@ -144,22 +137,8 @@ fn texts(sh: &Shell, home: &Path) -> Result<Vec<PathBuf>> {
     Ok(files)
 }
 
-/// The libraries in C and C++, and Rust's own.
-fn foreign(sh: &Shell, zig: &Zig<'_>, libraries: &Libraries) -> Result<Vec<Part>> {
-    let locked = lock::packages(&sh.read_file("libzmq/Cargo.lock")?);
-    let zmq = locked.iter().find(|package| package.name == "zeromq-src");
-    let zmq = &zmq
-        .context("libzmq/Cargo.lock does not list zeromq-src")?
-        .version;
-    let zmq_source = source(sh, "zeromq-src", zmq)?;
-    let (_, zmq) = zmq
-        .split_once('+')
-        .context("zeromq-src does not name its libzmq")?;
-
-    let sodium_home = Path::new(&libraries.sodium);
-    let header = sh.read_file(sodium_home.join("../include/sodium/version.h"))?;
-    let sodium = between(&header, "SODIUM_VERSION_STRING \"", "\"")?;
-
+/// The libraries in C, and Rust's own.
+fn foreign(sh: &Shell, zig: &Zig<'_>) -> Result<Vec<Part>> {
     let sources = zig.sources()?;
     let config = sh.read_file(sources.join("libcxx/include/__config"))?;
     let number = between(&config, "define _LIBCPP_VERSION ", "\n")?;
@@ -186,10 +165,6 @@ fn foreign(sh: &Shell, zig: &Zig<'_>, libraries: &Libraries) -> Result<Vec<Part>
     };
     let rust_url = format!("github/rust-lang/rust@{rust}#library");
     let rust_text = PathBuf::from("/usr/share/doc/rustc-web/copyright");
-    let zmq_url = format!("github/zeromq/libzmq@v{zmq}");
-    let zmq_text = zmq_source.join("vendor/LICENSE");
-    let sodium_url = format!("github/jedisct1/libsodium@{sodium}");
-    let sodium_text = sodium_home.join("../../source/libsodium-stable/LICENSE");
     let musl_url = format!("generic/musl@{MUSL}");
     let musl_text = sources.join("libc/musl/COPYRIGHT");
     let zig_url = format!("pypi/ziglang@{ZIG}");
@@ -197,11 +172,7 @@ fn foreign(sh: &Shell, zig: &Zig<'_>, libraries: &Libraries) -> Result<Vec<Part>
     let zig_text = sources.with_file_name("LICENSE");
     Ok(vec![
         part("rust-std", rust, "MIT OR Apache-2.0", rust_url, rust_text),
-        part("libzmq", zmq, "MPL-2.0", zmq_url, zmq_text),
-        part("libsodium", sodium, "ISC", sodium_url, sodium_text),
         part("musl", MUSL, "MIT", musl_url, musl_text),
-        from_llvm("libc++", "libcxx"),
-        from_llvm("libc++abi", "libcxxabi"),
         from_llvm("libunwind", "libunwind"),
         part("zig", ZIG, "MIT", zig_url, zig_text),
     ])
@@ -251,11 +222,7 @@ fn bill(own: &Part, parts: &[&Part], target: Target, commit: &str, sum: &str) ->
 
 /// All licence texts, each once, with the components they apply to.
 fn licences(sh: &Shell, own: &Part, parts: &[&Part]) -> Result<String> {
-    let mut all = format!(
-        "The parts of ztl {}, and their licences. libzmq is unchanged; its source is in the crate\n\
-         zeromq-src at crates.io, and at https://github.com/zeromq/libzmq.\n\n",
-        own.version
-    );
+    let mut all = format!("The parts of ztl {}, and their licences.\n\n", own.version);
     let mut texts: BTreeMap<String, BTreeSet<String>> = BTreeMap::new();
     for part in std::iter::once(&own).chain(parts) {
         let name = format!("{} {}", part.name, part.version);
@@ -286,10 +253,10 @@ mod tests {
         let target = targets(&["x86_64"]).unwrap()[0];
         let parts = crates(sh, target).unwrap();
         let names: BTreeSet<&str> = parts.iter().map(|part| part.name.as_str()).collect();
-        for name in "ztl ztl-std ztl-core zmq zmq-sys clap serde_json".split(' ') {
+        for name in "ztl ztl-std ztl-core crypto_box mio clap serde_json".split(' ') {
             assert!(names.contains(name), "{name} in {names:?}");
         }
-        for name in "xtask clap_derive serde_derive cc zeromq-src windows-sys".split(' ') {
+        for name in "xtask clap_derive serde_derive cc zmq zmq-sys windows-sys".split(' ') {
             assert!(!names.contains(name), "{name} in {names:?}");
         }
         for part in &parts {
@@ -303,7 +270,10 @@ mod tests {
         assert_eq!(bill["metadata"]["component"]["name"], "ztl");
         assert_eq!(bill["components"].as_array().unwrap().len(), parts.len());
         let text = licences(sh, own, &parts).unwrap();
-        assert!(text.contains("  zmq 0.10.0: MIT OR Apache-2.0\n"), "{text}");
+        assert!(
+            text.contains("  crypto_box 0.9.1: Apache-2.0 OR MIT\n"),
+            "{text}"
+        );
         assert!(text.contains("Permission is hereby granted"));
     }
 }

@@ -18,6 +18,7 @@ use ztl_zmtp::session::{Inbound, Message, Outbound, Security, Step};
 use ztl_zmtp::{Pub, Router};
 
 use super::streams::{Endpoint, Listener, Stream};
+use crate::keys::PublicKey;
 use crate::log_targets::TASKS;
 use crate::rate_limit::RateLimit;
 use crate::time::now;
@@ -36,6 +37,9 @@ const ACCEPTED: usize = 64;
 const PAUSE: Duration = Duration::from_millis(100);
 /// At most so many lines are logged at once, and then one in this time.
 const LINES: (u32, Duration) = (10, Duration::from_secs(10));
+
+/// The empty frame between the envelope and the content.
+const DELIMITER: &[u8] = &[1, 0];
 
 const LISTENER: Token = Token(usize::MAX);
 const WAKER: Token = Token(usize::MAX - 1);
@@ -70,7 +74,7 @@ pub(crate) trait Served: ztl_zmtp::Socket {
     /// Whether its peers subscribe.
     const SUBSCRIBED: bool;
 
-    /// The frames that lead an answer back, and the content if it is one frame. `None` if the message is to be ignored.
+    /// The frames before the delimiter, and the content if it is one frame. `None` without a delimiter.
     fn split(message: Message<'_>) -> Option<(&[u8], Option<&[u8]>)>;
 }
 
@@ -104,8 +108,8 @@ pub(crate) struct PeerId {
 /// A message.
 pub(crate) struct Incoming {
     pub(crate) peer: PeerId,
-    /// The frames that lead an answer back, as on the wire.
-    pub(crate) envelope: Box<[u8]>,
+    /// The frames that lead an answer back, as on the wire, with the delimiter; `None` if the message has no delimiter.
+    pub(crate) envelope: Option<Box<[u8]>>,
     /// The only frame after the envelope; `None` if there are several.
     pub(crate) body: Option<Box<[u8]>>,
     pub(crate) from: IpAddr,
@@ -317,24 +321,27 @@ impl<S: Served> Peers<S> {
                 Ok(Step::Asks) => {
                     let key = peer.inbound.peer_key();
                     if !admit(peer.address, key) {
-                        break Some("it is not allowed".to_owned());
+                        return self.reject(slot, key);
                     }
                     peer.key = key;
                     peer.inbound.accept(&mut peer.out);
                     is_known = true;
                 }
                 Ok(Step::Message(message)) => {
-                    if let Some((envelope, body)) = S::split(message) {
-                        let (envelope, body) = (envelope.into(), body.map(Into::into));
-                        self.messages.push_back(peer.incoming(slot, envelope, body));
-                    }
+                    let (envelope, body) = match S::split(message) {
+                        Some((envelope, body)) => {
+                            (Some([envelope, DELIMITER].concat().into()), body)
+                        }
+                        None => (None, None),
+                    };
+                    let body = body.map(Into::into);
+                    self.messages.push_back(peer.incoming(slot, envelope, body));
                 }
                 Ok(Step::Subscription(begins, topic)) => {
                     if S::SUBSCRIBED {
                         let message = [&[u8::from(begins)], topic.as_slice()].concat();
                         let body = Some(message.into_boxed_slice());
-                        self.messages
-                            .push_back(peer.incoming(slot, Box::default(), body));
+                        self.messages.push_back(peer.incoming(slot, None, body));
                     }
                 }
                 Err(fault) => break Some(fault.to_string()),
@@ -531,6 +538,21 @@ impl<S: Served> Peers<S> {
         }
     }
 
+    /// Closes the connection of a peer that is not allowed.
+    fn reject(&mut self, slot: usize, key: Option<[u8; 32]>) {
+        let address = self.slots.get(slot).and_then(Option::as_ref);
+        if let Some(address) = address.map(|peer| peer.address)
+            && self.lines.take(now())
+        {
+            let who = key.map_or_else(
+                || "without a key".to_owned(),
+                |key| format!("with the key {}", PublicKey::from_bytes(key)),
+            );
+            warn!(target: TASKS, "A client at {address} {who} is not allowed and was rejected.");
+        }
+        self.close(slot, None);
+    }
+
     /// Counts the bytes that a peer's buffers take. If all take too many, closes who takes the most.
     fn count(&mut self, slot: usize) {
         let Some(Some(peer)) = self.slots.get_mut(slot) else {
@@ -574,7 +596,12 @@ impl<S: Served> Peers<S> {
 }
 
 impl<S> Peer<S> {
-    fn incoming(&self, slot: usize, envelope: Box<[u8]>, body: Option<Box<[u8]>>) -> Incoming {
+    fn incoming(
+        &self,
+        slot: usize,
+        envelope: Option<Box<[u8]>>,
+        body: Option<Box<[u8]>>,
+    ) -> Incoming {
         Incoming {
             peer: PeerId {
                 slot,
@@ -654,13 +681,13 @@ mod tests {
             while let Some(message) = peers.next(&mut |_, _| true) {
                 let body = message.body.unwrap_or(Box::from(*b"several"));
                 if body.starts_with(b"hold") {
-                    held.push((message.peer, message.envelope, body));
+                    held.push((message.peer, message.envelope.unwrap(), body));
                     continue;
                 }
                 for (peer, envelope, body) in held.drain(..) {
                     peers.send(peer, &envelope, &body);
                 }
-                peers.send(message.peer, &message.envelope, &body);
+                peers.send(message.peer, &message.envelope.unwrap(), &body);
                 most = most.max(peers.held);
             }
             most = most.max(peers.held);

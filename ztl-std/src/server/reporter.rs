@@ -311,9 +311,7 @@ mod tests {
 
     fn is_woken(woken: &mut mio::Poll) -> bool {
         let mut events = mio::Events::with_capacity(8);
-        woken
-            .poll(&mut events, Some(Duration::ZERO))
-            .unwrap();
+        woken.poll(&mut events, Some(Duration::ZERO)).unwrap();
         !events.is_empty()
     }
 

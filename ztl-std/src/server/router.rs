@@ -197,9 +197,12 @@ fn next(peers: &mut Peers<RouterType>, access: &CurrentAccess) -> Option<Receive
     let Some(sender) = access.sender(message.from, key) else {
         return Some(Received::Dropped("of an unknown sender"));
     };
-    let envelope = ztl_zmtp::envelope(&message.envelope);
+    let Some(frames) = message.envelope else {
+        return Some(Received::Dropped("without a delimiter"));
+    };
+    let envelope = ztl_zmtp::envelope(&frames);
     Some(Received::Request(Request {
-        path: ReturnPath::Native(message.peer, message.envelope),
+        path: ReturnPath::Native(message.peer, frames),
         envelope,
         content: message.body.map(Content::Native),
         sender,

@@ -21,19 +21,19 @@ impl<'a> Message<'a> {
         })
     }
 
-    /// The frames up to the first empty one, with it, as on the wire; then the only frame after it, or `None` if there
-    /// are none or several. `None` without an empty frame.
+    /// The frames before the first empty one, as on the wire; then the only frame after it, or `None` if there are none
+    /// or several. `None` without an empty frame.
     #[must_use]
     pub fn split(self) -> Option<(&'a [u8], Option<&'a [u8]>)> {
-        let mut at = 0;
-        loop {
-            let (length, size) = header(self.bytes.get(at..)?).ok()??;
-            at += length + size;
+        let mut end = 0;
+        let content = loop {
+            let (length, size) = header(self.bytes.get(end..)?).ok()??;
             if size == 0 {
-                break;
+                break end + length;
             }
-        }
-        let (envelope, content) = self.bytes.split_at_checked(at)?;
+            end += length + size;
+        };
+        let (envelope, content) = (self.bytes.get(..end)?, self.bytes.get(content..)?);
         let mut frames = Message { bytes: content }.frames();
         let only = frames.next().filter(|_| frames.next().is_none());
         Some((envelope, only))
@@ -82,15 +82,22 @@ pub(super) enum Scan {
     Command(usize, usize, usize),
 }
 
-/// Looks for the end of a message, from the frame that begins at `from`. Nothing may be longer than `most`.
-pub(super) fn scan(bytes: &[u8], from: &mut usize, most: usize) -> Result<Scan, Fault> {
+/// Looks for the end of a message, from the frame that begins at `from`. No frame may be longer than `most`, and all
+/// together with their headers not longer than `total`.
+pub(super) fn scan(
+    bytes: &[u8],
+    from: &mut usize,
+    most: usize,
+    total: usize,
+) -> Result<Scan, Fault> {
     loop {
         let rest = bytes.get(*from..).unwrap_or_default();
         let Some((length, size)) = header(rest)? else {
             return Ok(Scan::Incomplete);
         };
         let body = *from + length;
-        let end = body.checked_add(size).filter(|end| *end <= most);
+        let end = body.checked_add(size);
+        let end = end.filter(|end| size <= most && *end <= total);
         let end = end.ok_or(Fault::TooLong)?;
         if end > bytes.len() {
             return Ok(Scan::Incomplete);

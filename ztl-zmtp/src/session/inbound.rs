@@ -58,7 +58,7 @@ pub struct Inbound<S> {
     begin: usize,
     /// Where the next frame of the incomplete message begins.
     scanned: usize,
-    /// The longest message, with all its frames.
+    /// The longest frame.
     most: usize,
     /// How long the peer may be silent; zero for any time.
     ttl: Duration,
@@ -76,7 +76,7 @@ pub struct Inbound<S> {
 }
 
 impl<S: Socket> Inbound<S> {
-    /// A new connection, whose messages have at most `most` bytes besides their envelopes. Its greeting is in `out`.
+    /// A new connection, whose frames have at most `most` bytes, and messages at most [`ENVELOPES`] more. Its greeting is in `out`.
     /// The handshake may take until `deadline`.
     pub fn open(deadline: Instant, security: Security, most: usize, out: &mut Outbound) -> Self {
         out.raw(GREETING.get(..PARTIAL).unwrap_or_default());
@@ -87,7 +87,7 @@ impl<S: Socket> Inbound<S> {
             held: Vec::new(),
             begin: 0,
             scanned: 0,
-            most: most.saturating_add(ENVELOPES),
+            most,
             ttl: Duration::ZERO,
             deadline,
             #[cfg(feature = "curve")]
@@ -185,7 +185,7 @@ impl<S: Socket> Inbound<S> {
             }
             let from = if direct { *bytes } else { self.waiting() };
             let mut scanned = self.scanned;
-            let found = scan(from, &mut scanned, self.most)?;
+            let found = scan(from, &mut scanned, self.most, self.total())?;
             self.scanned = scanned;
             match found {
                 Scan::Incomplete => {
@@ -240,12 +240,11 @@ impl<S: Socket> Inbound<S> {
         self.keep(bytes);
         loop {
             let waiting = self.held.get(self.begin..).unwrap_or_default();
-            // A box adds its tag, a nonce and a name to a frame.
-            let most = self.most + crate::curve::OVERHEAD;
             let Some((length, size)) = header(waiting)? else {
                 return Ok(Step::Taken);
             };
-            if size > most || size + self.plain.len() > most {
+            // Encrypted, as libzmq counts it.
+            if size > self.most || size + self.plain.len() > self.total() {
                 return Err(Fault::TooLong);
             }
             let end = length + size;
@@ -459,6 +458,11 @@ impl<S: Socket> Inbound<S> {
         if S::BINDS {
             out.raw(S::READY);
         }
+    }
+
+    /// The longest message, with all its frames and their headers.
+    const fn total(&self) -> usize {
+        self.most.saturating_add(ENVELOPES)
     }
 
     /// The bytes that wait for others.
