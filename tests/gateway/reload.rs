@@ -18,10 +18,15 @@ struct Lab {
 impl Lab {
     #[track_caller]
     fn new(text: &str) -> Self {
+        Self::with(text, &[])
+    }
+
+    #[track_caller]
+    fn with(text: &str, options: &[&str]) -> Self {
         let scratch = Scratch::new();
         let file = scratch.path("lab.yaml");
         std::fs::write(&file, file_of(text)).expect("to write");
-        let gateway = Process::start(ztl().arg("gateway").arg(file));
+        let gateway = Process::start(ztl().arg("gateway").arg(file).args(options));
         let line = gateway.wait_for("Serving ");
         let mut words = line.split([' ', ',']);
         let endpoint = words.find(|word| word.starts_with("tcp://"));
@@ -163,8 +168,17 @@ fn a_reload_changes_rules_limits_and_logging_and_nothing_else() {
 }
 
 #[test]
-fn enabling_authentication_needs_a_restart() {
-    let mut lab = Lab::new("devices: {head: sim:head}\n");
+fn an_open_server_is_restricted_at_once() {
+    let mut lab = Lab::with("devices: {head: sim:head}\n", &["--transport", "native"]);
+    let mut remote = lab.remote();
+    let head = started(&mut remote, "head", "pan", "left");
+    lab.reload("allow: 192.0.2.0/24\ndevices: {head: sim:head}\n");
+    remote.status(&head).expect_err("no answer");
+}
+
+#[test]
+fn over_libzmq_enabling_authentication_needs_a_restart() {
+    let mut lab = Lab::with("devices: {head: sim:head}\n", &["--transport", "libzmq"]);
     lab.reload("allow: 192.0.2.0/24\ndevices: {head: sim:head}\n");
     lab.gateway
         .wait_for("'allow' has changed; restart to apply it.");

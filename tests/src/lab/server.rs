@@ -38,6 +38,15 @@ impl Server {
         Self::ours_at(0)
     }
 
+    /// The same, with this transport.
+    #[track_caller]
+    pub fn ours_over(transport: &str) -> Self {
+        let mut command = ztl();
+        command.args(["task-server", "-p", "0", "-s", SCOPE]);
+        command.args(["--transport", transport]);
+        Self::says_its_port(command)
+    }
+
     /// The same at a port of the test's own, so that another can follow it there.
     #[track_caller]
     pub fn ours_at(port: u16) -> Self {
@@ -88,8 +97,9 @@ impl Server {
         Self::says_its_port(command)
     }
 
+    /// Any command of ours that prints its port.
     #[track_caller]
-    fn says_its_port(mut command: Command) -> Self {
+    pub fn says_its_port(mut command: Command) -> Self {
         let process = Process::start(&mut command);
         // The port is bound before this line.
         process.wait_for(REGISTERED);

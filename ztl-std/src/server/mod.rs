@@ -28,7 +28,9 @@ mod waker;
 
 pub use crate::offers::offered;
 pub use access::Access;
-pub(crate) use access::{CurrentAccess, Sender};
+pub(crate) use access::CurrentAccess;
+#[cfg(feature = "libzmq")]
+pub(crate) use access::Sender;
 pub use bind::BindError;
 pub use handle::{RunningServer, ServerHandle};
 pub use handler::{Answers, Restored, RestoredTask, TaskHandler, would_take};
