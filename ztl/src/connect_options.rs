@@ -20,7 +20,8 @@ pub(crate) fn own_keys(path: &Path) -> Result<KeyPair, KeyError> {
 /// The option for who speaks ZMTP.
 #[derive(Debug, Clone, Copy, Default, clap::Args)]
 pub(crate) struct TransportOption {
-    /// Who speaks ZeroMQ's protocol: native, or libzmq where it is built in [default: $ZTL_TRANSPORT, else native]
+    /// Who speaks ZeroMQ's protocol: native, or libzmq where it is built in [default: native, unless ZTL_TRANSPORT
+    /// says otherwise]
     #[arg(long, value_name = "TRANSPORT", value_parser = transport)]
     transport: Option<Transport>,
 }
