@@ -4,14 +4,15 @@ use std::io::{ErrorKind, Read, Write};
 
 use mio::net::{TcpListener, TcpStream};
 use mio::{Events, Interest, Poll, Token};
-use ztl_zmtp::{GREETING, Req, Router, Socket};
+use ztl_zmtp::{GREETING, Router, Socket};
 
 const LISTENER: Token = Token(usize::MAX);
 
 struct Peer {
     stream: TcpStream,
-    /// Bytes of its greeting and READY that are still to come.
-    greeting: usize,
+    /// Its greeting and READY, until they are complete.
+    greeting: Vec<u8>,
+    is_ready: bool,
 }
 
 /// Answers every request until it is killed.
@@ -37,8 +38,11 @@ pub(crate) fn serve() {
                         .expect("a file");
                     stream.write_all(GREETING).expect("room");
                     stream.write_all(Router::READY).expect("room");
-                    let greeting = GREETING.len() + Req::READY.len();
-                    peers.push(Some(Peer { stream, greeting }));
+                    peers.push(Some(Peer {
+                        stream,
+                        greeting: Vec::new(),
+                        is_ready: false,
+                    }));
                 }
             } else if !answer(&mut peers[event.token().0], &mut bytes) {
                 peers[event.token().0] = None;
@@ -54,11 +58,20 @@ fn answer(peer: &mut Option<Peer>, bytes: &mut [u8]) -> bool {
     };
     match peer.stream.read(bytes) {
         Ok(0) => false,
+        // So little always has room.
+        Ok(count) if peer.is_ready => peer.stream.write_all(&bytes[..count]).is_ok(),
         Ok(count) => {
-            let greeting = count.min(peer.greeting);
-            peer.greeting -= greeting;
-            // So little always has room.
-            peer.stream.write_all(&bytes[greeting..count]).is_ok()
+            peer.greeting.extend_from_slice(&bytes[..count]);
+            let ready = peer.greeting.get(GREETING.len()..).unwrap_or_default();
+            // A command of so many bytes.
+            let [4, length, rest @ ..] = ready else {
+                return true;
+            };
+            let Some((_, request)) = rest.split_at_checked(usize::from(*length)) else {
+                return true;
+            };
+            peer.is_ready = true;
+            peer.stream.write_all(request).is_ok()
         }
         Err(error) => error.kind() == ErrorKind::WouldBlock,
     }

@@ -275,8 +275,13 @@ impl<S: Served> Peers<S> {
         if peer.number != to.number {
             return;
         }
+        let empty = peer.out.waiting() == 0;
         peer.out.message(envelope, last);
-        if !peer.is_unsent {
+        // An answer that is alone goes at once; what cannot go, or fails, is left to `flush`.
+        if empty && let Ok(count) = peer.stream.write(peer.out.transmit_buf()) {
+            peer.out.consume(count);
+        }
+        if peer.out.waiting() > 0 && !peer.is_unsent {
             peer.is_unsent = true;
             self.unsent.push(to.slot);
         }

@@ -57,7 +57,7 @@ impl Engine {
                 Received::Dropped(why) => self.dropped.log(now(), why),
             }
             taken += 1;
-            if taken == BATCH || !self.started {
+            if taken == BATCH {
                 break;
             }
             next = self.router.receive()?;
