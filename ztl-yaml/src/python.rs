@@ -195,7 +195,7 @@ fn is_int(text: &str) -> bool {
 fn int(text: &str) -> Result<PythonValue, String> {
     let wrong = || format!("invalid whole number '{text}'");
     let plain = text.replace('_', "");
-    let (negative, digits) = match plain.strip_prefix('-') {
+    let (mut negative, digits) = match plain.strip_prefix('-') {
         Some(digits) => (true, digits),
         None => (false, plain.strip_prefix('+').unwrap_or(&plain)),
     };
@@ -207,6 +207,12 @@ fn int(text: &str) -> Result<PythonValue, String> {
         digits if digits.starts_with('0') => (8, digits),
         digits => (10, digits),
     };
+    // As `int()`, which takes spaces of any kind and another sign.
+    let mut body = body.trim();
+    if let Some(signed) = body.strip_prefix(['-', '+']) {
+        negative ^= body.starts_with('-');
+        body = signed;
+    }
     if body.is_empty() {
         return Err(wrong());
     }
@@ -214,6 +220,7 @@ fn int(text: &str) -> Result<PythonValue, String> {
         if place > 0 {
             // Base 60: each part is a whole number of its own.
             let part: u32 = part
+                .trim()
                 .parse()
                 .ok()
                 .filter(|_| radix == 10)
@@ -414,5 +421,30 @@ fn binary(text: &str) -> Result<PythonValue, String> {
     match base64::decode(text.as_bytes(), &mut buffer) {
         Ok(bytes) => Ok(PythonValue::Bytes(bytes.to_vec())),
         Err(error) => Err(format!("invalid base64: {error}")),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_tagged_whole_number_may_have_spaces_and_signs_like_pythons_int() {
+        for (text, number) in [
+            ("\u{a0}010", "10"),
+            ("010\u{a0}", "8"),
+            ("-\u{2003}-5", "5"),
+            ("0x+f", "15"),
+            ("1: 2", "62"),
+        ] {
+            assert_eq!(
+                int(text),
+                Ok(PythonValue::Int(number.to_owned())),
+                "{text:?}"
+            );
+        }
+        for text in ["", "\u{a0}", "- ", "--5 5", "0x"] {
+            assert!(int(text).is_err(), "{text:?}");
+        }
     }
 }
