@@ -13,11 +13,16 @@ use crate::cross::{self, Core, TARGETS};
 use crate::project::Project;
 
 /// The crates that have to do without `std` and without an allocator.
-pub(crate) const CRATES: [&str; 2] = ["ztl-core", "ztl-mcu"];
+pub(crate) const CRATES: [(&str, &[&[&str]]); 3] = [
+    ("ztl-core", FEATURES),
+    ("ztl-mcu", FEATURES),
+    // All of its features need a heap.
+    ("ztl-zmtp", FEATURES.split_at(3).0),
+];
 
 /// The sets of features such a crate is checked with. One package at a time: in a build of the
 /// whole workspace, a feature that another crate turns on would hide what is missing here.
-pub(crate) const FEATURES: [&[&str]; 4] = [
+const FEATURES: &[&[&str]] = &[
     &[],
     &["--no-default-features"],
     &["--no-default-features", "--features", "defmt"],
@@ -45,9 +50,12 @@ pub(crate) fn build(project: &Project) -> Result<()> {
             let flags = format!("--sysroot={}", path.display());
             Ok(build.env("CARGO_ENCODED_RUSTFLAGS", flags))
         };
-        for package in CRATES {
-            for features in FEATURES {
-                cargo()?.args(["--package", package]).args(features).run()?;
+        for (package, sets) in CRATES {
+            for features in sets {
+                cargo()?
+                    .args(["--package", package])
+                    .args(*features)
+                    .run()?;
             }
         }
         // Also checks that ZTL_NODE_RAM is what a node needs on this target.

@@ -30,7 +30,7 @@ const fn step(name: &'static str, about: &'static str, run: fn(&Project) -> Resu
 }
 
 #[rustfmt::skip]
-const STEPS: [Step; 20] = [
+const STEPS: [Step; 21] = [
     step("tools", "compilers, libraries and programs are installed", install::programs),
     step("fmt", "all code is formatted, also outside the workspace", format),
     step("clippy", "no lint fires, in the workspace and in each no_std crate alone", clippy),
@@ -45,6 +45,7 @@ const STEPS: [Step; 20] = [
     step("size", "the standard image and the boards' images have the recorded sizes", size::check),
     step("firmware", "the images of examples/firmware build; a Cortex-M0 needs the documented cycles", firmware::check),
     step("test", "all tests: units, documentation examples, and against the original package", tests),
+    step("libzmq", "servers and clients pass their tests over libzmq, too", over_libzmq),
     step("c", "the C interface: examples and misuse, with the original's client, under sanitizers and valgrind", capi::test),
     step("dist", "the static programs for x86-64 and i686 run in an empty root, and on old kernels", dist::test),
     step("deb", "the Debian package installs in an empty root, runs the demo, and leaves no trace", deb::test),
@@ -126,17 +127,24 @@ fn clippy_workspace(project: &Project) -> Result<()> {
     Ok(project.cargo(words).run()?)
 }
 
+/// Crates without some of the features that a build of the workspace turns on.
+const PARTLY: [(&str, &[&str]); 3] = [
+    ("ztl-zmtp", &["--features", "alloc"]),
+    ("ztl-std", &["--no-default-features"]),
+    ("ztl", &["--no-default-features", "--features", "static"]),
+];
+
 fn clippy(project: &Project) -> Result<()> {
     const DENY: [&str; 3] = ["--", "-D", "warnings"];
     clippy_workspace(project)?;
     let node = project.cargo("clippy --manifest-path").arg(bare::NODE);
     let node = node.arg("--target-dir").arg(project.target.join("node"));
     node.args(DENY).run()?;
-    for package in bare::CRATES {
-        for features in bare::FEATURES {
-            let clippy = project.cargo("clippy --package").arg(package);
-            clippy.args(features).args(DENY).run()?;
-        }
+    let bare = bare::CRATES.iter();
+    let bare = bare.flat_map(|(package, sets)| sets.iter().map(move |set| (*package, *set)));
+    for (package, features) in bare.chain(PARTLY) {
+        let clippy = project.cargo("clippy --package").arg(package);
+        clippy.args(features).args(DENY).run()?;
     }
     Ok(())
 }
@@ -195,6 +203,21 @@ fn tests(project: &Project) -> Result<()> {
     // The features that the workspace does not use: components, an async loop, what interrupts share, defmt.
     let tests = ["--package", "ztl-mcu", "--all-features"];
     rerun::cargo_test(|| Ok(project.cargo_test().args(tests)), &[])
+}
+
+/// The tests of servers and clients, which the step `test` runs over our own connections.
+fn over_libzmq(project: &Project) -> Result<()> {
+    install::python(project)?;
+    install::javascript(project)?;
+    install::peers(project)?;
+    build_programs(project)?;
+    let tests = ["wire", "serve", "gateway", "compat"];
+    let tests = tests.iter().flat_map(|name| ["--test", name]);
+    let test = || {
+        let test = project.cargo_test().args(["--package", "ztl-tests"]);
+        Ok(test.args(tests.clone()).env("ZTL_TRANSPORT", "libzmq"))
+    };
+    rerun::cargo_test(test, &[])
 }
 
 fn demo(project: &Project) -> Result<()> {

@@ -28,6 +28,7 @@ mod waker;
 
 pub use crate::offers::offered;
 pub use access::Access;
+#[cfg(any(feature = "gateway", feature = "libzmq"))]
 pub(crate) use access::CurrentAccess;
 #[cfg(feature = "libzmq")]
 pub(crate) use access::Sender;
