@@ -256,3 +256,102 @@ print(socket.recv().decode() if socket.poll(5000) else "nothing")
         "{ended:?}"
     );
 }
+
+/// Two encrypted gateways with keys of their own, a configuration file that names both, and a script for them.
+struct EncryptedShow {
+    directory: Scratch,
+    _servers: [Server; 2],
+}
+
+impl EncryptedShow {
+    #[track_caller]
+    fn new() -> Self {
+        let keys = Keys::make(&["left", "right", "anna"]);
+        let servers = ["left", "right"].map(|name| {
+            let own = keys.path(&format!("{name}.key_secret"));
+            gateway(&["--key", &own, "--client-key", &keys.path("anna.key")])
+        });
+        let remotes = ["left", "right"].iter().zip(&servers).map(|(name, server)| {
+            format!(
+                "  {name}: {{host: 127.0.0.1, port: {}, scope: {SCOPE}, key: anna.key_secret, server-key: {name}.key}}\n",
+                server.port
+            )
+        });
+        let remotes = format!("remotes:\n{}", remotes.collect::<String>());
+        let script = "show(delay=0):\n  both:\n    left:\n      gripper: {finger: 3}\n    right:\n      gripper: {finger: 4}\n";
+        std::fs::write(keys.0.path("remotes.yaml"), remotes).expect("to write");
+        std::fs::write(keys.0.path("show.yaml"), script).expect("to write");
+        Self {
+            directory: keys.0,
+            _servers: servers,
+        }
+    }
+
+    #[track_caller]
+    fn run(&self, words: &str) -> Ended {
+        let mut command = ztl();
+        command.current_dir(self.directory.path(""));
+        Process::run(command.args(words.split(' ')))
+    }
+}
+
+#[test]
+fn a_script_is_checked_and_played_on_encrypted_servers() {
+    let show = EncryptedShow::new();
+    let ended = show.run("check show.yaml -c remotes.yaml --live");
+    assert_eq!(ended.code, Some(0), "{ended:?}");
+    let ended = show.run("run-script -s show.yaml -c remotes.yaml --yes --plain");
+    assert_eq!(ended.code, Some(0), "{ended:?}");
+    for words in [
+        "ps --remote left -c remotes.yaml",
+        "describe --remote right -c remotes.yaml",
+        "task-client --exit-status --remote right -c remotes.yaml gripper:finger:5",
+        "remote-task --exit-status -c remotes.yaml left gripper:finger:5",
+    ] {
+        let ended = show.run(words);
+        assert_eq!(ended.code, Some(0), "{words}: {ended:?}");
+    }
+    // The options' keys are for servers without keys in the file.
+    let text = std::fs::read_to_string(show.directory.path("remotes.yaml")).expect("a file");
+    let text = text.replace(", key: anna.key_secret, server-key: left.key", "");
+    std::fs::write(show.directory.path("remotes.yaml"), text).expect("to write");
+    let words =
+        "check show.yaml -c remotes.yaml --live --key anna.key_secret --server-key left.key";
+    let ended = show.run(words);
+    assert_eq!(ended.code, Some(0), "{ended:?}");
+}
+
+#[test]
+fn wrong_keys_in_the_configuration_file_are_reported_with_their_place() {
+    let show = EncryptedShow::new();
+    let remotes = show.directory.path("remotes.yaml");
+    let text = std::fs::read_to_string(&remotes).expect("a file");
+    for (from, to, expected) in [
+        (
+            ", server-key: left.key",
+            "",
+            "an encrypted connection needs both",
+        ),
+        ("server-key: left.key", "server-key: none.key", "none.key: "),
+        (
+            "key: anna.key_secret",
+            "key: remotes.yaml",
+            "there is no line `public-key",
+        ),
+    ] {
+        std::fs::write(&remotes, text.replacen(from, to, 1)).expect("to write");
+        for words in [
+            "check show.yaml -c remotes.yaml",
+            "ps --remote left -c remotes.yaml",
+        ] {
+            let ended = show.run(words);
+            assert!(
+                ended.code.is_some_and(|code| code != 0),
+                "{words}: {ended:?}"
+            );
+            let told = format!("{}{}", ended.stdout, ended.stderr);
+            assert!(told.contains("remotes.yaml:2:"), "{words}: {told}");
+            assert!(told.contains(expected), "{words}: {told}");
+        }
+    }
+}
