@@ -14,7 +14,7 @@ use crate::{capi, install, paths};
 use contents::Contents;
 
 /// Maximum size of a program in bytes.
-const MOST: u64 = 6 * 1024 * 1024;
+const MOST: u64 = 4 * 1024 * 1024;
 
 const TEST: &str = "test --quiet --package ztl-tests --test";
 
