@@ -20,7 +20,7 @@ pub enum Fault {
     TooLong,
     /// The peer sent `ERROR`.
     Refused,
-    /// The handshake took longer than [`HANDSHAKE`], or the time to live that the peer announced has passed.
+    /// The handshake took longer than [`HANDSHAKE`](crate::HANDSHAKE), or the time to live that the peer announced has passed.
     Silent,
     /// A command of the encryption cannot be opened, or was used before.
     #[cfg(feature = "curve")]

@@ -1,8 +1,12 @@
 //! Listening sockets and streams: TCP, and sockets in the file system (`ipc://`).
 
 use std::io::{self, Read, Write};
-use std::net::{IpAddr, Ipv4Addr, SocketAddr};
-use std::path::{Path, PathBuf};
+#[cfg(unix)]
+use std::net::Ipv4Addr;
+use std::net::{IpAddr, SocketAddr};
+#[cfg(unix)]
+use std::path::Path;
+use std::path::PathBuf;
 
 use mio::event::Source;
 use mio::net::{TcpListener, TcpStream};
