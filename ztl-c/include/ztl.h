@@ -119,11 +119,6 @@ extern "C" {
 #define ZTL_E_SYSTEM (-6)
 
 /**
- * Keys were given, but this library cannot encrypt.
- */
-#define ZTL_E_NO_CURVE (-7)
-
-/**
  * A key or its file is invalid.
  */
 #define ZTL_E_KEY (-8)
@@ -342,11 +337,6 @@ const char *ztl_version(void);
  * The version of the interface in the loaded library, to be compared with ZTL_ABI. Any thread.
  */
 unsigned int ztl_abi(void);
-
-/**
- * 1 if this library can encrypt and so use keys, else 0. Any thread.
- */
-int ztl_can_encrypt(void);
 
 /**
  * The name of a state, such as "COMPLETED"; "UNKNOWN" for any other number. Any thread. The text belongs to the
