@@ -131,7 +131,10 @@ struct Peer<S> {
     is_unsent: bool,
     /// The system may have bytes of it.
     readable: bool,
-    /// When it last took bytes while there were too many for it.
+    /// Messages of it that wait until it has read its answers, and their bytes.
+    later: VecDeque<Incoming>,
+    later_held: usize,
+    /// When it last took bytes, or began to have too many.
     took: Instant,
 }
 
@@ -258,8 +261,15 @@ impl<S: Served> Peers<S> {
         admit: &mut dyn FnMut(IpAddr, Option<[u8; 32]>) -> bool,
     ) -> Option<Incoming> {
         loop {
-            if let Some(message) = self.messages.pop_front() {
-                return Some(message);
+            while let Some(message) = self.messages.pop_front() {
+                match self.slots.get_mut(message.peer.slot) {
+                    // Short requests can have long answers.
+                    Some(Some(peer)) if peer.number == message.peer.number && peer.is_full() => {
+                        peer.later_held += message.held();
+                        peer.later.push_back(message);
+                    }
+                    _ => return Some(message),
+                }
             }
             let slot = self.ready.pop_front()?;
             self.turn(now(), slot, admit);
@@ -275,16 +285,22 @@ impl<S: Served> Peers<S> {
         if peer.number != to.number {
             return;
         }
-        let empty = peer.out.waiting() == 0;
+        let before = peer.out.waiting();
         peer.out.message(envelope, last);
         // An answer that is alone goes at once; what cannot go, or fails, is left to `flush`.
-        if empty && let Ok(count) = peer.stream.write(peer.out.transmit_buf()) {
+        if before == 0
+            && let Ok(count) = peer.stream.write(peer.out.transmit_buf())
+        {
             peer.out.consume(count);
+        }
+        if before < UNSENT && peer.out.waiting() >= UNSENT {
+            peer.took = now();
         }
         if peer.out.waiting() > 0 && !peer.is_unsent {
             peer.is_unsent = true;
             self.unsent.push(to.slot);
         }
+        self.count(to.slot);
     }
 
     /// How many bytes wait to be sent to a peer; `None` if it is gone.
@@ -306,6 +322,18 @@ impl<S: Served> Peers<S> {
             return;
         };
         peer.is_ready = false;
+        if peer.out.waiting() >= UNSENT {
+            return;
+        }
+        if !peer.later.is_empty() {
+            self.messages.append(&mut peer.later);
+            peer.later_held = 0;
+            if peer.readable {
+                peer.is_ready = true;
+                self.ready.push_back(slot);
+            }
+            return;
+        }
         let read = match peer.stream.read(&mut self.piece) {
             Ok(0) => return self.close(slot, None),
             Ok(count) => count,
@@ -410,7 +438,7 @@ impl<S: Served> Peers<S> {
             }
             if peer.out.waiting() >= UNSENT {
                 self.next_check.get_or_insert(now + CHECK);
-            } else if peer.readable && !peer.is_ready {
+            } else if (peer.readable || !peer.later.is_empty()) && !peer.is_ready {
                 peer.is_ready = true;
                 self.ready.push_back(slot);
             }
@@ -479,6 +507,8 @@ impl<S: Served> Peers<S> {
             is_ready: false,
             is_unsent: true,
             readable: false,
+            later: VecDeque::new(),
+            later_held: 0,
             took: now,
         };
         self.unsent.push(slot);
@@ -563,7 +593,7 @@ impl<S: Served> Peers<S> {
         let Some(Some(peer)) = self.slots.get_mut(slot) else {
             return;
         };
-        let held = peer.inbound.held() + peer.out.held();
+        let held = peer.inbound.held() + peer.out.held() + peer.later_held;
         self.held = self.held + held - peer.held;
         peer.held = held;
         while self.held > self.rules.memory {
@@ -600,7 +630,25 @@ impl<S: Served> Peers<S> {
     }
 }
 
-impl<S> Peer<S> {
+impl Incoming {
+    /// Bytes that it takes, roughly.
+    fn held(&self) -> usize {
+        let part = |bytes: &Option<Box<[u8]>>| bytes.as_ref().map_or(0, |bytes| bytes.len() + 32);
+        size_of::<Self>() + part(&self.envelope) + part(&self.body)
+    }
+}
+
+impl<S: Served> Peer<S> {
+    /// Whether it is the connection with this number, and has not finished its handshake.
+    fn is_stranger(&self, number: u32) -> bool {
+        self.number == number && !self.inbound.is_ready()
+    }
+
+    /// Whether it has to read answers before it is served again.
+    fn is_full(&self) -> bool {
+        self.out.waiting() >= UNSENT || !self.later.is_empty()
+    }
+
     fn incoming(
         &self,
         slot: usize,
