@@ -35,6 +35,8 @@ const CHECK: Duration = Duration::from_millis(250);
 const ACCEPTED: usize = 64;
 /// How long no connection is accepted after the system had no file for one.
 const PAUSE: Duration = Duration::from_millis(100);
+/// How long a connection has for its handshake at least, also when others wait to connect.
+const GRACE: Duration = Duration::from_millis(20);
 /// At most so many lines are logged at once, and then one in this time.
 const LINES: (u32, Duration) = (10, Duration::from_secs(10));
 
@@ -49,7 +51,8 @@ pub(crate) struct Rules {
     pub(crate) security: Security,
     /// Longest message in bytes.
     pub(crate) message: usize,
-    /// Most connections. A fifth of the places is for those that have not finished the handshake.
+    /// Most connections. Those that have not finished the handshake can have all places that are free, and a fifth of all
+    /// at least.
     pub(crate) connections: usize,
     /// Longest time for the handshake.
     pub(crate) handshake: Duration,
@@ -58,14 +61,10 @@ pub(crate) struct Rules {
 }
 
 impl Rules {
-    /// How many connections may be without a handshake.
-    fn strangers(&self) -> usize {
-        (self.connections / 5).max(4)
-    }
-
-    /// The same from one address.
-    fn strangers_of_address(&self) -> usize {
-        self.strangers() / 2
+    /// How many connections may be without a handshake, beside those with one.
+    fn strangers(&self, known: usize) -> usize {
+        let free = self.connections.saturating_sub(known);
+        free.max(self.connections / 5).max(4)
     }
 }
 
@@ -122,6 +121,8 @@ struct Peer<S> {
     address: IpAddr,
     key: Option<[u8; 32]>,
     number: u32,
+    /// When it was accepted.
+    began: Instant,
     inbound: Inbound<S>,
     out: Outbound,
     /// Bytes that its buffers take, as counted.
@@ -136,6 +137,15 @@ struct Peer<S> {
     later_held: usize,
     /// When it last took bytes, or began to have too many.
     took: Instant,
+}
+
+/// Whether another connection can be added.
+enum Room {
+    Now,
+    /// Not before this time.
+    At(Instant),
+    /// All places are taken by those that have finished the handshake.
+    Never,
 }
 
 /// The connections of a server, as a socket of type `S`.
@@ -165,6 +175,8 @@ pub(crate) struct Peers<S> {
     held: usize,
     next_check: Option<Instant>,
     accept_again: Option<Instant>,
+    /// A connection that waits for room.
+    accepted: Option<(Stream, IpAddr)>,
     lines: RateLimit,
 }
 
@@ -194,6 +206,7 @@ impl<S: Served> Peers<S> {
             held: 0,
             next_check: None,
             accept_again: None,
+            accepted: None,
             lines: RateLimit::new(LINES.0, LINES.1, now()),
         })
     }
@@ -449,7 +462,11 @@ impl<S: Served> Peers<S> {
     fn accept(&mut self, now: Instant) {
         self.accept_again = None;
         for _ in 0..ACCEPTED {
-            let (stream, address) = match self.listener.accept() {
+            let accepted = self
+                .accepted
+                .take()
+                .map_or_else(|| self.listener.accept(), Ok);
+            let (stream, address) = match accepted {
                 Ok(accepted) => accepted,
                 Err(error) if error.kind() == io::ErrorKind::WouldBlock => return,
                 Err(error) if error.kind() == io::ErrorKind::Interrupted => continue,
@@ -460,21 +477,20 @@ impl<S: Served> Peers<S> {
                     return;
                 }
             };
-            let of_address = self.strangers_of.get(&address).copied();
-            if of_address.unwrap_or(0) >= self.rules.strangers_of_address() {
-                self.close_oldest_stranger(Some(address));
-            }
-            if self.strangers >= self.rules.strangers()
-                || self.known + self.strangers >= self.rules.connections
-            {
-                self.close_oldest_stranger(None);
-            }
-            if self.known + self.strangers >= self.rules.connections {
-                let most = self.rules.connections;
-                if self.lines.take(now) {
-                    warn!(target: TASKS, "The limit of {most} connections is reached; the one of {address} is rejected.");
+            match self.make_room(now, address) {
+                Room::Now => {}
+                Room::At(at) => {
+                    self.accepted = Some((stream, address));
+                    self.accept_again = Some(at);
+                    return;
                 }
-                continue;
+                Room::Never => {
+                    let most = self.rules.connections;
+                    if self.lines.take(now) {
+                        warn!(target: TASKS, "The limit of {most} connections is reached; the one of {address} is rejected.");
+                    }
+                    continue;
+                }
             }
             if let Err(error) = self.add(now, stream, address) {
                 debug!(target: TASKS, "a connection was not accepted: {error}");
@@ -501,6 +517,7 @@ impl<S: Served> Peers<S> {
             address,
             key: None,
             number: self.next_number,
+            began: now,
             inbound,
             out,
             held: 0,
@@ -519,22 +536,55 @@ impl<S: Served> Peers<S> {
         self.strangers += 1;
         *self.strangers_of.entry(address).or_default() += 1;
         self.arrivals.push_back((slot, self.next_number));
+        if self.arrivals.len() > 2 * self.strangers + 64 {
+            self.arrivals.retain(|(slot, number)| {
+                let peer = self.slots.get(*slot).and_then(Option::as_ref);
+                peer.is_some_and(|peer| peer.is_stranger(*number))
+            });
+        }
         self.next_check.get_or_insert(now + CHECK);
         Ok(())
     }
 
-    /// Makes room for another connection that has to shake hands, at the cost of the one that has taken longest for it:
-    /// of this address, or of all.
-    fn close_oldest_stranger(&mut self, address: Option<IpAddr>) {
-        let is_one = |(slot, number): &(usize, u32)| {
-            let peer = self.slots.get(*slot).and_then(Option::as_ref);
-            let peer = peer.filter(|peer| peer.number == *number && !peer.inbound.is_ready());
-            peer.is_some_and(|peer| address.is_none_or(|address| peer.address == address))
+    /// Makes room for another connection, at the cost of the one that has taken longest for its handshake: of this
+    /// address if it has half of the places, or of all. One whose bytes were not read yet, or that just came, stays: else
+    /// whoever connects fastest would lock out all others.
+    fn make_room(&mut self, now: Instant, address: IpAddr) -> Room {
+        let most = self.rules.strangers(self.known);
+        let of_address = self.strangers_of.get(&address).copied().unwrap_or(0);
+        let of = match of_address >= most / 2 {
+            true => Some(address),
+            false
+                if self.strangers < most
+                    && self.known + self.strangers < self.rules.connections =>
+            {
+                return Room::Now;
+            }
+            false => None,
         };
-        let oldest = self.arrivals.iter().position(is_one);
-        if let Some((slot, _)) = oldest.and_then(|oldest| self.arrivals.remove(oldest)) {
-            self.close(slot, Some("others wait to connect"));
+        let mut room = Room::Never;
+        for (slot, number) in &self.arrivals {
+            let peer = self.slots.get(*slot).and_then(Option::as_ref);
+            let Some(peer) = peer.filter(|peer| peer.is_stranger(*number)) else {
+                continue;
+            };
+            if of.is_some_and(|address| peer.address != address) {
+                continue;
+            }
+            if peer.is_ready {
+                room = Room::At(now);
+            } else if peer.began + GRACE > now {
+                return match room {
+                    Room::Never => Room::At(peer.began + GRACE),
+                    room => room,
+                };
+            } else {
+                let slot = *slot;
+                self.close(slot, Some("others wait to connect"));
+                return Room::Now;
+            }
         }
+        room
     }
 
     fn forget_stranger(&mut self, address: IpAddr) {
@@ -550,10 +600,6 @@ impl<S: Served> Peers<S> {
     /// Closes peers that have been silent for too long, or that do not read.
     fn check(&mut self, now: Instant) {
         self.next_check = None;
-        self.arrivals.retain(|(slot, number)| {
-            let peer = self.slots.get(*slot).and_then(Option::as_ref);
-            peer.is_some_and(|peer| peer.number == *number && !peer.inbound.is_ready())
-        });
         for slot in 0..self.slots.len() {
             let Some(Some(peer)) = self.slots.get(slot) else {
                 continue;
