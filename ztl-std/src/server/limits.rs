@@ -173,8 +173,11 @@ mod tests {
 
     #[test]
     fn connections_never_exceed_what_the_limit_on_open_files_leaves() {
-        let mut limits = Limits::default();
-        limits.connections = 10_000;
+        let with = |connections| Limits {
+            connections,
+            ..Limits::default()
+        };
+        let limits = with(10_000);
         let (most, warning) = limits.with_files(Some(256));
         assert_eq!(most, 128);
         let warning = warning.expect("a warning");
@@ -185,7 +188,6 @@ mod tests {
         assert!(warning.contains("`ulimit -n 10128`"), "{warning}");
         assert_eq!(limits.with_files(None), (10_000, None));
         assert_eq!(limits.with_files(Some(10)).0, FEWEST);
-        limits.connections = 128;
-        assert_eq!(limits.with_files(Some(256)), (128, None));
+        assert_eq!(with(128).with_files(Some(256)), (128, None));
     }
 }

@@ -74,7 +74,7 @@ pub(crate) enum Received {
 /// The server's end of its connections.
 pub(super) enum Router {
     Native {
-        peers: Peers<RouterType>,
+        peers: Box<Peers<RouterType>>,
         access: CurrentAccess,
     },
     #[cfg(feature = "libzmq")]
@@ -97,6 +97,7 @@ impl Router {
                 let peers = Peers::bind(&to_bind(endpoint)?, rules).map_err(failed)?;
                 let bound = peers.endpoint().map_err(failed)?;
                 let signal = Signal::Native(peers.waker().map_err(failed)?);
+                let peers = Box::new(peers);
                 Ok((Self::Native { peers, access }, bound, signal))
             }
             #[cfg(feature = "libzmq")]
