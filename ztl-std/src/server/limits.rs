@@ -18,6 +18,10 @@ const OTHER_FILES: usize = 128;
 /// Connections that are allowed even if the limit on open files leaves fewer.
 const FEWEST: usize = 16;
 
+/// Subscribers of a publisher that are allowed even if its server takes all other connections.
+#[cfg(feature = "gateway")]
+const SUBSCRIBERS: usize = 64;
+
 /// Most connections at a time, if the system allows as many.
 const CONNECTIONS: usize = 4096;
 
@@ -106,6 +110,22 @@ impl Limits {
         self.with_files(open_files())
     }
 
+    /// Limits of a publisher beside a server with these limits. Its subscribers have what the server leaves of the files.
+    #[cfg(feature = "gateway")]
+    pub(super) fn of_publisher(&self) -> Self {
+        self.beside_with_files(open_files())
+    }
+
+    #[cfg(feature = "gateway")]
+    fn beside_with_files(&self, files: Option<usize>) -> Self {
+        let (taken, _) = self.with_files(files);
+        let left = connections_of(files).saturating_sub(taken);
+        Self {
+            connections: left.clamp(SUBSCRIBERS, CONNECTIONS),
+            ..Self::default()
+        }
+    }
+
     fn with_files(&self, files: Option<usize>) -> (usize, Option<String>) {
         let (wanted, most) = (self.connections, connections_of(files));
         let warning = files.filter(|_| wanted > most).map(|files| {
@@ -189,5 +209,15 @@ mod tests {
         assert_eq!(limits.with_files(None), (10_000, None));
         assert_eq!(limits.with_files(Some(10)).0, FEWEST);
         assert_eq!(with(128).with_files(Some(256)), (128, None));
+        #[cfg(feature = "gateway")]
+        for (connections, files, left) in [
+            (128, Some(256), SUBSCRIBERS),
+            (50, Some(256), 78),
+            (4096, Some(20_000), CONNECTIONS),
+            (4096, None, CONNECTIONS),
+        ] {
+            let publisher = with(connections).beside_with_files(files);
+            assert_eq!(publisher.connections, left);
+        }
     }
 }
