@@ -73,40 +73,55 @@ fn a_thousand_connections_at_once_are_all_served() {
     assert_serves(&server.endpoint(), "a thousand farewells");
 }
 
-#[test]
-fn a_client_that_never_reads_uses_little_memory_and_delays_no_other() {
+fn a_client_that_never_reads_is_ended(length: usize) {
     let server = Server::ours();
     let neighbour = Socket::req(&server.endpoint());
-    // Answers of 60 KB each: their text is the goal.
-    let goal = "x".repeat(60_000);
+    // Long answers: their text is the goal.
+    let goal = "x".repeat(length);
     let mut client = server.original_client();
     let id = client.start("test", "echo", &goal);
     until("its end", PATIENCE, || {
         (client.status(id).number == 5).then_some(())
     });
-    let before = server.process.resident_kib();
+    let before = server.process.peak_kib();
     let body = format!("/test;2;{id};x");
     let mut ask = vec![0x01, 0x00, 0x00, u8::try_from(body.len()).expect("short")];
     ask.extend(body.as_bytes());
     let mut stream = shake_hands(server.port);
     stream
-        .set_write_timeout(Some(Duration::from_millis(500)))
+        .set_write_timeout(Some(Duration::from_millis(100)))
         .expect("a time");
     let many = ask.repeat(1000);
     let (start, mut asked) = (Instant::now(), 0);
-    // 20,000 answers would be 1.2 GB.
-    while asked < 20_000 && start.elapsed() < Duration::from_secs(10) {
-        match stream.write_all(&many) {
-            Ok(()) => asked += 1000,
-            Err(_) => break,
-        }
+    // It is not read from, and then closed.
+    let closed = until("it is closed", PATIENCE, || {
         let asked_at = Instant::now();
         assert_eq!(neighbour.ask("/test;2;99;x"), "/test;2;99;Invalid ID '99'");
         assert!(asked_at.elapsed() < TIMEOUT);
-    }
+        match stream.write_all(&many) {
+            Ok(()) => asked += 1000,
+            Err(error) if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) => {}
+            Err(_) => return Some(start.elapsed()),
+        }
+        None
+    });
     assert_serves(&server.endpoint(), "a client that never reads");
-    let grown = server.process.resident_kib().saturating_sub(before);
-    println!("{asked} questions, nothing read: {grown} KiB more");
-    // The queue's 256 answers, twice, and some room.
-    assert!(grown < 64 << 10, "{grown} KiB more");
+    let grown = server.process.peak_kib().saturating_sub(before);
+    println!(
+        "{asked} questions of {length} bytes, nothing read: {grown} KiB more, closed after {closed:?}"
+    );
+    // What waits to be sent, with some room.
+    assert!(grown < 16 << 10, "{grown} KiB more");
+    // It has ten seconds to read.
+    assert!(closed > Duration::from_secs(9), "{closed:?}");
+}
+
+#[test]
+fn a_client_that_never_reads_uses_little_memory_and_delays_no_other() {
+    a_client_that_never_reads_is_ended(60_000);
+}
+
+#[test]
+fn a_client_that_never_reads_very_long_answers_uses_little_memory_too() {
+    a_client_that_never_reads_is_ended(700_000);
 }

@@ -216,6 +216,31 @@ impl Process {
         process_status(self.id(), "VmRSS:")
     }
 
+    /// The most memory that it had, in KiB.
+    #[track_caller]
+    pub fn peak_kib(&self) -> u64 {
+        process_status(self.id(), "VmHWM:")
+    }
+
+    /// How many files it has open.
+    #[track_caller]
+    pub fn open_files(&self) -> usize {
+        let files = std::fs::read_dir(format!("/proc/{}/fd", self.id()));
+        files.expect("it lives").count()
+    }
+
+    /// The processor time that it took, to 10 ms.
+    #[track_caller]
+    pub fn processor_time(&self) -> Duration {
+        let stat = std::fs::read_to_string(format!("/proc/{}/stat", self.id()));
+        let stat = stat.expect("it lives");
+        // Behind the name, which may contain anything: the state, ten more fields, utime and stime.
+        let fields = stat.rsplit(')').next().unwrap_or_default();
+        let ticks = fields.split_whitespace().skip(11).take(2);
+        let ticks: u64 = ticks.filter_map(|ticks| ticks.parse::<u64>().ok()).sum();
+        Duration::from_millis(ticks * 10)
+    }
+
     /// The command and its output, for a failure's message.
     fn transcript(&self) -> String {
         let heard = self.output.0.lock().unwrap();

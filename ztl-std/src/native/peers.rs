@@ -35,6 +35,8 @@ const CHECK: Duration = Duration::from_millis(250);
 const ACCEPTED: usize = 64;
 /// How long no connection is accepted after the system had no file for one.
 const PAUSE: Duration = Duration::from_millis(100);
+/// How long a connection has for its handshake at least, also when others wait to connect.
+const GRACE: Duration = Duration::from_millis(20);
 /// At most so many lines are logged at once, and then one in this time.
 const LINES: (u32, Duration) = (10, Duration::from_secs(10));
 
@@ -49,7 +51,8 @@ pub(crate) struct Rules {
     pub(crate) security: Security,
     /// Longest message in bytes.
     pub(crate) message: usize,
-    /// Most connections. A fifth of the places is for those that have not finished the handshake.
+    /// Most connections. Those that have not finished the handshake can have all places that are free, and a fifth of all
+    /// at least.
     pub(crate) connections: usize,
     /// Longest time for the handshake.
     pub(crate) handshake: Duration,
@@ -58,14 +61,10 @@ pub(crate) struct Rules {
 }
 
 impl Rules {
-    /// How many connections may be without a handshake.
-    fn strangers(&self) -> usize {
-        (self.connections / 5).max(4)
-    }
-
-    /// The same from one address.
-    fn strangers_of_address(&self) -> usize {
-        self.strangers() / 2
+    /// How many connections may be without a handshake, beside those with one.
+    fn strangers(&self, known: usize) -> usize {
+        let free = self.connections.saturating_sub(known);
+        free.max(self.connections / 5).max(4)
     }
 }
 
@@ -122,6 +121,8 @@ struct Peer<S> {
     address: IpAddr,
     key: Option<[u8; 32]>,
     number: u32,
+    /// When it was accepted.
+    began: Instant,
     inbound: Inbound<S>,
     out: Outbound,
     /// Bytes that its buffers take, as counted.
@@ -131,8 +132,20 @@ struct Peer<S> {
     is_unsent: bool,
     /// The system may have bytes of it.
     readable: bool,
-    /// When it last took bytes while there were too many for it.
+    /// Messages of it that wait until it has read its answers, and their bytes.
+    later: VecDeque<Incoming>,
+    later_held: usize,
+    /// When it last took bytes, or began to have too many.
     took: Instant,
+}
+
+/// Whether another connection can be added.
+enum Room {
+    Now,
+    /// Not before this time.
+    At(Instant),
+    /// All places are taken by those that have finished the handshake.
+    Never,
 }
 
 /// The connections of a server, as a socket of type `S`.
@@ -162,6 +175,8 @@ pub(crate) struct Peers<S> {
     held: usize,
     next_check: Option<Instant>,
     accept_again: Option<Instant>,
+    /// A connection that waits for room.
+    accepted: Option<(Stream, IpAddr)>,
     lines: RateLimit,
 }
 
@@ -191,6 +206,7 @@ impl<S: Served> Peers<S> {
             held: 0,
             next_check: None,
             accept_again: None,
+            accepted: None,
             lines: RateLimit::new(LINES.0, LINES.1, now()),
         })
     }
@@ -258,8 +274,15 @@ impl<S: Served> Peers<S> {
         admit: &mut dyn FnMut(IpAddr, Option<[u8; 32]>) -> bool,
     ) -> Option<Incoming> {
         loop {
-            if let Some(message) = self.messages.pop_front() {
-                return Some(message);
+            while let Some(message) = self.messages.pop_front() {
+                match self.slots.get_mut(message.peer.slot) {
+                    // Short requests can have long answers.
+                    Some(Some(peer)) if peer.number == message.peer.number && peer.is_full() => {
+                        peer.later_held += message.held();
+                        peer.later.push_back(message);
+                    }
+                    _ => return Some(message),
+                }
             }
             let slot = self.ready.pop_front()?;
             self.turn(now(), slot, admit);
@@ -275,16 +298,22 @@ impl<S: Served> Peers<S> {
         if peer.number != to.number {
             return;
         }
-        let empty = peer.out.waiting() == 0;
+        let before = peer.out.waiting();
         peer.out.message(envelope, last);
         // An answer that is alone goes at once; what cannot go, or fails, is left to `flush`.
-        if empty && let Ok(count) = peer.stream.write(peer.out.transmit_buf()) {
+        if before == 0
+            && let Ok(count) = peer.stream.write(peer.out.transmit_buf())
+        {
             peer.out.consume(count);
+        }
+        if before < UNSENT && peer.out.waiting() >= UNSENT {
+            peer.took = now();
         }
         if peer.out.waiting() > 0 && !peer.is_unsent {
             peer.is_unsent = true;
             self.unsent.push(to.slot);
         }
+        self.count(to.slot);
     }
 
     /// How many bytes wait to be sent to a peer; `None` if it is gone.
@@ -306,6 +335,18 @@ impl<S: Served> Peers<S> {
             return;
         };
         peer.is_ready = false;
+        if peer.out.waiting() >= UNSENT {
+            return;
+        }
+        if !peer.later.is_empty() {
+            self.messages.append(&mut peer.later);
+            peer.later_held = 0;
+            if peer.readable {
+                peer.is_ready = true;
+                self.ready.push_back(slot);
+            }
+            return;
+        }
         let read = match peer.stream.read(&mut self.piece) {
             Ok(0) => return self.close(slot, None),
             Ok(count) => count,
@@ -410,7 +451,7 @@ impl<S: Served> Peers<S> {
             }
             if peer.out.waiting() >= UNSENT {
                 self.next_check.get_or_insert(now + CHECK);
-            } else if peer.readable && !peer.is_ready {
+            } else if (peer.readable || !peer.later.is_empty()) && !peer.is_ready {
                 peer.is_ready = true;
                 self.ready.push_back(slot);
             }
@@ -421,7 +462,11 @@ impl<S: Served> Peers<S> {
     fn accept(&mut self, now: Instant) {
         self.accept_again = None;
         for _ in 0..ACCEPTED {
-            let (stream, address) = match self.listener.accept() {
+            let accepted = self
+                .accepted
+                .take()
+                .map_or_else(|| self.listener.accept(), Ok);
+            let (stream, address) = match accepted {
                 Ok(accepted) => accepted,
                 Err(error) if error.kind() == io::ErrorKind::WouldBlock => return,
                 Err(error) if error.kind() == io::ErrorKind::Interrupted => continue,
@@ -432,21 +477,20 @@ impl<S: Served> Peers<S> {
                     return;
                 }
             };
-            let of_address = self.strangers_of.get(&address).copied();
-            if of_address.unwrap_or(0) >= self.rules.strangers_of_address() {
-                self.close_oldest_stranger(Some(address));
-            }
-            if self.strangers >= self.rules.strangers()
-                || self.known + self.strangers >= self.rules.connections
-            {
-                self.close_oldest_stranger(None);
-            }
-            if self.known + self.strangers >= self.rules.connections {
-                let most = self.rules.connections;
-                if self.lines.take(now) {
-                    warn!(target: TASKS, "The limit of {most} connections is reached; the one of {address} is rejected.");
+            match self.make_room(now, address) {
+                Room::Now => {}
+                Room::At(at) => {
+                    self.accepted = Some((stream, address));
+                    self.accept_again = Some(at);
+                    return;
                 }
-                continue;
+                Room::Never => {
+                    let most = self.rules.connections;
+                    if self.lines.take(now) {
+                        warn!(target: TASKS, "The limit of {most} connections is reached; the one of {address} is rejected.");
+                    }
+                    continue;
+                }
             }
             if let Err(error) = self.add(now, stream, address) {
                 debug!(target: TASKS, "a connection was not accepted: {error}");
@@ -473,12 +517,15 @@ impl<S: Served> Peers<S> {
             address,
             key: None,
             number: self.next_number,
+            began: now,
             inbound,
             out,
             held: 0,
             is_ready: false,
             is_unsent: true,
             readable: false,
+            later: VecDeque::new(),
+            later_held: 0,
             took: now,
         };
         self.unsent.push(slot);
@@ -489,22 +536,55 @@ impl<S: Served> Peers<S> {
         self.strangers += 1;
         *self.strangers_of.entry(address).or_default() += 1;
         self.arrivals.push_back((slot, self.next_number));
+        if self.arrivals.len() > 2 * self.strangers + 64 {
+            self.arrivals.retain(|(slot, number)| {
+                let peer = self.slots.get(*slot).and_then(Option::as_ref);
+                peer.is_some_and(|peer| peer.is_stranger(*number))
+            });
+        }
         self.next_check.get_or_insert(now + CHECK);
         Ok(())
     }
 
-    /// Makes room for another connection that has to shake hands, at the cost of the one that has taken longest for it:
-    /// of this address, or of all.
-    fn close_oldest_stranger(&mut self, address: Option<IpAddr>) {
-        let is_one = |(slot, number): &(usize, u32)| {
-            let peer = self.slots.get(*slot).and_then(Option::as_ref);
-            let peer = peer.filter(|peer| peer.number == *number && !peer.inbound.is_ready());
-            peer.is_some_and(|peer| address.is_none_or(|address| peer.address == address))
+    /// Makes room for another connection, at the cost of the one that has taken longest for its handshake: of this
+    /// address if it has half of the places, or of all. One whose bytes were not read yet, or that just came, stays: else
+    /// whoever connects fastest would lock out all others.
+    fn make_room(&mut self, now: Instant, address: IpAddr) -> Room {
+        let most = self.rules.strangers(self.known);
+        let of_address = self.strangers_of.get(&address).copied().unwrap_or(0);
+        let of = match of_address >= most / 2 {
+            true => Some(address),
+            false
+                if self.strangers < most
+                    && self.known + self.strangers < self.rules.connections =>
+            {
+                return Room::Now;
+            }
+            false => None,
         };
-        let oldest = self.arrivals.iter().position(is_one);
-        if let Some((slot, _)) = oldest.and_then(|oldest| self.arrivals.remove(oldest)) {
-            self.close(slot, Some("others wait to connect"));
+        let mut room = Room::Never;
+        for (slot, number) in &self.arrivals {
+            let peer = self.slots.get(*slot).and_then(Option::as_ref);
+            let Some(peer) = peer.filter(|peer| peer.is_stranger(*number)) else {
+                continue;
+            };
+            if of.is_some_and(|address| peer.address != address) {
+                continue;
+            }
+            if peer.is_ready {
+                room = Room::At(now);
+            } else if peer.began + GRACE > now {
+                return match room {
+                    Room::Never => Room::At(peer.began + GRACE),
+                    room => room,
+                };
+            } else {
+                let slot = *slot;
+                self.close(slot, Some("others wait to connect"));
+                return Room::Now;
+            }
         }
+        room
     }
 
     fn forget_stranger(&mut self, address: IpAddr) {
@@ -520,10 +600,6 @@ impl<S: Served> Peers<S> {
     /// Closes peers that have been silent for too long, or that do not read.
     fn check(&mut self, now: Instant) {
         self.next_check = None;
-        self.arrivals.retain(|(slot, number)| {
-            let peer = self.slots.get(*slot).and_then(Option::as_ref);
-            peer.is_some_and(|peer| peer.number == *number && !peer.inbound.is_ready())
-        });
         for slot in 0..self.slots.len() {
             let Some(Some(peer)) = self.slots.get(slot) else {
                 continue;
@@ -563,7 +639,7 @@ impl<S: Served> Peers<S> {
         let Some(Some(peer)) = self.slots.get_mut(slot) else {
             return;
         };
-        let held = peer.inbound.held() + peer.out.held();
+        let held = peer.inbound.held() + peer.out.held() + peer.later_held;
         self.held = self.held + held - peer.held;
         peer.held = held;
         while self.held > self.rules.memory {
@@ -600,7 +676,25 @@ impl<S: Served> Peers<S> {
     }
 }
 
-impl<S> Peer<S> {
+impl Incoming {
+    /// Bytes that it takes, roughly.
+    fn held(&self) -> usize {
+        let part = |bytes: &Option<Box<[u8]>>| bytes.as_ref().map_or(0, |bytes| bytes.len() + 32);
+        size_of::<Self>() + part(&self.envelope) + part(&self.body)
+    }
+}
+
+impl<S: Served> Peer<S> {
+    /// Whether it is the connection with this number, and has not finished its handshake.
+    fn is_stranger(&self, number: u32) -> bool {
+        self.number == number && !self.inbound.is_ready()
+    }
+
+    /// Whether it has to read answers before it is served again.
+    fn is_full(&self) -> bool {
+        self.out.waiting() >= UNSENT || !self.later.is_empty()
+    }
+
     fn incoming(
         &self,
         slot: usize,

@@ -191,3 +191,104 @@ fn frame(body: &[u8]) -> Vec<u8> {
     frame.extend_from_slice(body);
     frame
 }
+
+#[cfg(test)]
+mod tests {
+    use ztl_zmtp::HANDSHAKE;
+    use ztl_zmtp::session::Security;
+
+    use super::*;
+    use crate::Access;
+
+    fn publisher() -> Publisher {
+        let rules = Rules {
+            security: Security::Null,
+            message: 1 << 20,
+            connections: 50,
+            handshake: HANDSHAKE,
+            memory: 8 << 20,
+        };
+        let endpoint = Endpoint::parse("tcp://127.0.0.1:*").unwrap();
+        Publisher::bind(&endpoint, rules, CurrentAccess::new(Access::everybody())).unwrap()
+    }
+
+    /// A subscriber of libzmq that holds few messages.
+    fn subscriber(publisher: &Publisher, topics: &[&str]) -> zmq::Socket {
+        let socket = zmq::Context::new().socket(zmq::SUB).unwrap();
+        socket.set_linger(0).unwrap();
+        socket.set_rcvhwm(1).unwrap();
+        socket.set_rcvtimeo(20_000).unwrap();
+        for topic in topics {
+            socket.set_subscribe(topic.as_bytes()).unwrap();
+        }
+        socket.connect(publisher.endpoint()).unwrap();
+        socket
+    }
+
+    /// What a subscriber gets before the first message of this topic. That one is published until it arrives.
+    fn before(publisher: &Publisher, socket: &zmq::Socket, topic: &str) -> Vec<String> {
+        let mut topics = Vec::new();
+        for _ in 0..2_000 {
+            publisher.publish(topic.to_owned(), vec![7; 3]);
+            while socket.poll(zmq::POLLIN, 10).unwrap() > 0 {
+                let frames = socket.recv_multipart(0).unwrap();
+                let got = String::from_utf8(frames[0].clone()).unwrap();
+                if got == topic {
+                    assert_eq!(frames[1..], [vec![7; 3]]);
+                    return topics;
+                }
+                topics.push(got);
+            }
+        }
+        panic!("{topic} does not arrive");
+    }
+
+    #[test]
+    fn a_subscriber_gets_its_topics_until_it_unsubscribes() {
+        let publisher = publisher();
+        let socket = subscriber(&publisher, &["arm/", "head/pan", "begin", "done"]);
+        before(&publisher, &socket, "begin");
+        let long = "arm/".to_owned() + &"x".repeat(300);
+        let publish_all = || {
+            for topic in ["arm/1", "leg/1", "head/tilt", "head/pan", &long, "ar"] {
+                publisher.publish(topic.to_owned(), vec![1]);
+            }
+        };
+        let heard = || {
+            publish_all();
+            let mut heard = before(&publisher, &socket, "done");
+            heard.retain(|topic| topic != "begin" && topic != "done");
+            heard
+        };
+        assert_eq!(heard(), ["arm/1", "head/pan", &long]);
+        socket.set_unsubscribe(b"arm/").unwrap();
+        let ended = (0..2_000).any(|_| heard() == ["head/pan"]);
+        assert!(ended, "the topic still arrives");
+    }
+
+    #[test]
+    fn a_subscriber_that_does_not_read_loses_messages_and_delays_nobody() {
+        const MESSAGES: u32 = 3_000;
+        let publisher = publisher();
+        let [slow, quick] = [(); 2].map(|()| subscriber(&publisher, &[""]));
+        for socket in [&slow, &quick] {
+            before(&publisher, socket, "begin");
+        }
+        for number in 0..MESSAGES {
+            let bytes = [&number.to_be_bytes()[..], &[0; 10_000]].concat();
+            assert!(publisher.publish("data".to_owned(), bytes), "{number}");
+            // What was sent for the other's begin comes first.
+            let frames = loop {
+                let frames = quick.recv_multipart(0).unwrap();
+                if frames[0] == b"data" {
+                    break frames;
+                }
+            };
+            assert_eq!(frames[1][..4], number.to_be_bytes());
+        }
+        let heard = before(&publisher, &slow, "end");
+        let heard = heard.iter().filter(|topic| *topic == "data").count();
+        // 30 MB; the system holds some.
+        assert!((1..MESSAGES as usize).contains(&heard), "{heard} messages");
+    }
+}

@@ -14,6 +14,14 @@ use mio::net::{TcpListener, TcpStream};
 use mio::net::{UnixListener, UnixStream};
 use mio::{Interest, Registry, Token};
 
+/// After this silence, the system asks whether the peer is still there; then four times as often.
+#[cfg(target_os = "linux")]
+const KEEP_ALIVE: std::time::Duration = std::time::Duration::from_secs(60);
+
+/// Connections that wait to be accepted, if the system allows as many.
+#[cfg(unix)]
+const BACKLOG: i32 = 4096;
+
 /// A ZeroMQ endpoint.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) enum Endpoint {
@@ -79,7 +87,11 @@ impl Listener {
         match endpoint {
             Endpoint::Tcp { .. } => {
                 let address = endpoint.to_bind().ok_or(io::ErrorKind::InvalidInput)?;
-                TcpListener::bind(address).map(Self::Tcp)
+                let listener = TcpListener::bind(address)?;
+                // The usual 128 are soon too few: a client whose connection does not fit tries again after a second.
+                #[cfg(unix)]
+                rustix::net::listen(&listener, BACKLOG)?;
+                Ok(Self::Tcp(listener))
             }
             #[cfg(unix)]
             Endpoint::Ipc(path) => {
@@ -113,6 +125,7 @@ impl Listener {
             Self::Tcp(listener) => {
                 let (stream, address) = listener.accept()?;
                 stream.set_nodelay(true)?;
+                keep_alive(&stream);
                 Ok((Stream::Tcp(stream), address.ip().to_canonical()))
             }
             #[cfg(unix)]
@@ -141,6 +154,22 @@ impl Drop for Listener {
         }
     }
 }
+
+/// Lets the system close the connection of a peer that vanished without a word. It works without, so errors are ignored.
+#[cfg(unix)]
+fn keep_alive(stream: &TcpStream) {
+    use rustix::net::sockopt;
+
+    let _ = sockopt::set_socket_keepalive(stream, true);
+    #[cfg(target_os = "linux")]
+    {
+        let _ = sockopt::set_tcp_keepidle(stream, KEEP_ALIVE);
+        let _ = sockopt::set_tcp_keepintvl(stream, KEEP_ALIVE / 4);
+    }
+}
+
+#[cfg(not(unix))]
+fn keep_alive(_: &TcpStream) {}
 
 /// A connection.
 #[derive(Debug)]

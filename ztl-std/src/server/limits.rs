@@ -15,6 +15,13 @@ pub const KEEP: Duration = Config::new(random::FIRST, 0).keep;
 /// Files that a process needs besides its connections: programs, ports, logs.
 const OTHER_FILES: usize = 128;
 
+/// Connections that are allowed even if the limit on open files leaves fewer.
+const FEWEST: usize = 16;
+
+/// Subscribers of a publisher that are allowed even if its server takes all other connections.
+#[cfg(feature = "gateway")]
+const SUBSCRIBERS: usize = 64;
+
 /// Most connections at a time, if the system allows as many.
 const CONNECTIONS: usize = 4096;
 
@@ -44,9 +51,9 @@ pub struct Limits {
     /// dropped. Default 256.
     pub queue: usize,
     /// Connections at a time, including those that are still shaking hands. Further ones are refused and try
-    /// again. Default 4096, or what the system's limit on open files leaves; with the default, a server open to everyone
-    /// leaves this limit to the system. With a lower one, as with networks and keys, peers older than ZMTP 3.0
-    /// (libzmq 3) are refused.
+    /// again. Default 4096, and never more than the system's limit on open files leaves. With libzmq, a server open to
+    /// everyone leaves the default to the system; with a lower limit, as with networks and keys, libzmq refuses peers
+    /// older than ZMTP 3.0 (libzmq 3).
     pub connections: usize,
     /// Longest time for the handshake of a connection. Default 5 s.
     pub handshake: Duration,
@@ -54,7 +61,6 @@ pub struct Limits {
 
 impl Default for Limits {
     fn default() -> Self {
-        let files = open_files().unwrap_or(CONNECTIONS + OTHER_FILES);
         Self {
             message: MAX_MESSAGE,
             running: 10_000,
@@ -64,7 +70,7 @@ impl Default for Limits {
             held: 10_000,
             clients: 10_000,
             queue: 256,
-            connections: files.saturating_sub(OTHER_FILES).clamp(16, CONNECTIONS),
+            connections: connections_of(open_files()).min(CONNECTIONS),
             handshake: Duration::from_secs(5),
         }
     }
@@ -98,6 +104,41 @@ impl Limits {
         self.message.min(MAX_MESSAGE)
     }
 
+    /// How many connections are possible, and a warning if the limit on open files leaves fewer than were chosen. Without
+    /// a free file, neither a client nor a device could be connected.
+    pub(super) fn possible_connections(&self) -> (usize, Option<String>) {
+        self.with_files(open_files())
+    }
+
+    /// Limits of a publisher beside a server with these limits. Its subscribers have what the server leaves of the files.
+    #[cfg(feature = "gateway")]
+    pub(super) fn of_publisher(&self) -> Self {
+        self.beside_with_files(open_files())
+    }
+
+    #[cfg(feature = "gateway")]
+    fn beside_with_files(&self, files: Option<usize>) -> Self {
+        let (taken, _) = self.with_files(files);
+        let left = connections_of(files).saturating_sub(taken);
+        Self {
+            connections: left.clamp(SUBSCRIBERS, CONNECTIONS),
+            ..Self::default()
+        }
+    }
+
+    fn with_files(&self, files: Option<usize>) -> (usize, Option<String>) {
+        let (wanted, most) = (self.connections, connections_of(files));
+        let warning = files.filter(|_| wanted > most).map(|files| {
+            let enough = wanted.saturating_add(OTHER_FILES);
+            format!(
+                "The limit of {wanted} connections is lowered to {most}: this process may open {files} files, and \
+                 {OTHER_FILES} of them are for devices, programs and logs. Run `ulimit -n {enough}` first, or choose a \
+                 lower limit."
+            )
+        });
+        (wanted.min(most), warning)
+    }
+
     /// Bytes of all requests that are being received and answers that are being sent.
     pub(super) const fn buffers(&self) -> usize {
         let part = self.memory / 4;
@@ -108,6 +149,13 @@ impl Limits {
             4 * MAX_MESSAGE
         }
     }
+}
+
+/// How many connections this limit on open files leaves. A few are always possible.
+fn connections_of(files: Option<usize>) -> usize {
+    files.map_or(usize::MAX, |files| {
+        files.saturating_sub(OTHER_FILES).max(FEWEST)
+    })
 }
 
 /// How many files this process may open, if the system reports it.
@@ -140,6 +188,36 @@ mod tests {
         );
         assert_eq!(soft_limit(""), None);
         let limits = Limits::default();
-        assert!((16..=CONNECTIONS).contains(&limits.connections));
+        assert!((FEWEST..=CONNECTIONS).contains(&limits.connections));
+    }
+
+    #[test]
+    fn connections_never_exceed_what_the_limit_on_open_files_leaves() {
+        let with = |connections| Limits {
+            connections,
+            ..Limits::default()
+        };
+        let limits = with(10_000);
+        let (most, warning) = limits.with_files(Some(256));
+        assert_eq!(most, 128);
+        let warning = warning.expect("a warning");
+        assert!(
+            warning.contains("10000 connections is lowered to 128"),
+            "{warning}"
+        );
+        assert!(warning.contains("`ulimit -n 10128`"), "{warning}");
+        assert_eq!(limits.with_files(None), (10_000, None));
+        assert_eq!(limits.with_files(Some(10)).0, FEWEST);
+        assert_eq!(with(128).with_files(Some(256)), (128, None));
+        #[cfg(feature = "gateway")]
+        for (connections, files, left) in [
+            (128, Some(256), SUBSCRIBERS),
+            (50, Some(256), 78),
+            (4096, Some(20_000), CONNECTIONS),
+            (4096, None, CONNECTIONS),
+        ] {
+            let publisher = with(connections).beside_with_files(files);
+            assert_eq!(publisher.connections, left);
+        }
     }
 }

@@ -60,6 +60,12 @@ impl ServerMemory {
         }
     }
 
+    /// The present limits.
+    #[cfg(feature = "gateway")]
+    pub(super) const fn limits(&self) -> &Limits {
+        &self.limits
+    }
+
     /// Changes the limits for future requests.
     pub(super) fn set_limits(&mut self, limits: Limits) {
         self.limits = limits;

@@ -4,6 +4,7 @@ use std::io;
 use std::ops::Deref;
 use std::time::Duration;
 
+use tracing::warn;
 use ztl_core::envelope::Envelope;
 use ztl_core::reply::Reply;
 use ztl_zmtp::session::Security;
@@ -16,6 +17,7 @@ use super::waker::Signal;
 use crate::keys::PublicKey;
 #[cfg(feature = "libzmq")]
 use crate::libzmq::server::RouterSocket;
+use crate::log_targets::TASKS;
 use crate::native::Endpoint;
 use crate::native::peers::{PeerId, Peers, Rules};
 use crate::random;
@@ -177,13 +179,17 @@ pub(super) fn to_bind(endpoint: &str) -> Result<Endpoint, BindError> {
 
 /// What applies to each connection of a server.
 pub(super) fn rules(access: &Access, limits: &Limits) -> Rules {
+    let (connections, warning) = limits.possible_connections();
+    if let Some(warning) = warning {
+        warn!(target: TASKS, "{warning}");
+    }
     let keys = access
         .keys()
         .map(|keys| curve::Keys::server(*keys.secret(), random::secret));
     Rules {
         security: keys.map_or(Security::Null, Security::Curve),
         message: limits.longest_message(),
-        connections: limits.connections,
+        connections,
         handshake: limits.handshake,
         memory: limits.buffers(),
     }

@@ -150,7 +150,8 @@ impl TaskServer {
     #[cfg(feature = "gateway")]
     pub(crate) fn bind_publisher(&self, endpoint: &str) -> Result<Publisher, BindError> {
         let access = self.engine.router.access();
-        let rules = rules(&access.read(), &Limits::default());
+        let limits = self.engine.dispatcher.memory().limits().of_publisher();
+        let rules = rules(&access.read(), &limits);
         Publisher::bind(&to_bind(endpoint)?, rules, access.clone())
             .map_err(|error| BindError::at_endpoint(endpoint, &error))
     }
