@@ -72,7 +72,7 @@ pub(crate) enum Received {
 /// The server's end of its connections.
 pub(super) enum Router {
     Native {
-        peers: Peers<RouterType>,
+        peers: Box<Peers<RouterType>>,
         access: CurrentAccess,
     },
     #[cfg(feature = "libzmq")]
@@ -92,7 +92,7 @@ impl Router {
                 let rules = rules(&access, &limits);
                 let access = CurrentAccess::new(access);
                 let failed = |error| BindError::at_endpoint(endpoint, &error);
-                let peers = Peers::bind(&to_bind(endpoint)?, rules).map_err(failed)?;
+                let peers = Box::new(Peers::bind(&to_bind(endpoint)?, rules).map_err(failed)?);
                 let bound = peers.endpoint().map_err(failed)?;
                 let signal = Signal::Native(peers.waker().map_err(failed)?);
                 Ok((Self::Native { peers, access }, bound, signal))
