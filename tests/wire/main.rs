@@ -2,6 +2,7 @@
 
 mod differential;
 mod fuzz;
+mod fuzz_streams;
 mod hostile;
 mod limits;
 mod malformed;
