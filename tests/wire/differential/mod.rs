@@ -4,6 +4,7 @@
 //! request on another connection of the same server: when it is answered, the server has read what was sent before.
 
 mod cases;
+mod differences;
 
 use std::collections::BTreeSet;
 use std::io::{ErrorKind, Read, Write};
@@ -14,6 +15,9 @@ use ztl_std::{Limits, RunningServer, TaskServer, Transport};
 use ztl_tests::lab::{PATIENCE, SCOPE, port_of, shake_hands};
 
 use self::cases::{Case, NUMBER, STATUS, greeting, handshakes, named, silent, traffic};
+use self::differences::{
+    ANSWER, DIFFERENCES, END, IDENTITY, SERVED, TIME_TO_LIVE, TOGETHER_WITH_READY,
+};
 use crate::socket::Echo;
 
 /// The longest frame that the servers take.
@@ -21,134 +25,6 @@ const MOST: usize = 3000;
 
 /// How many connections are open at a time.
 const TOGETHER: usize = 50;
-
-/// A row of the table in `docs/zmtp.md`, and what shows it: the name of a case, what libzmq does, what ours does.
-struct Difference {
-    what: &'static str,
-    shown: &'static [(&'static str, &'static str, &'static str)],
-}
-
-/// In an outcome of the table.
-const ANSWER: &str = "1'' 0'/test;2;99;Invalid ID '99''";
-
-/// What follows a client's `READY` at once.
-const TOGETHER_WITH_READY: [&str; 2] = ["a request together with READY", "READY twice"];
-
-const SERVED: &str = "3.1 READY ANSWER open";
-const TWICE: &str = "3.1 READY ANSWER ANSWER open";
-const OLD: &str = "2.0 ROUTER 0'' ANSWER open";
-const CLOSED: &str = "closed";
-const CLOSED_LATER: &str = "3.1 READY closed";
-const MISMATCH: &str = "3.1 4'\u{5}ERROR\u{1e}ROUTER-takes-REQ,DEALER,ROUTER' closed";
-
-/// Rows with a test of their own.
-const IDENTITY: &str = "two connections with the same identity";
-const TIME_TO_LIVE: &str = "a time to live, and then another frame";
-const END: &str = "the end of the stream right after a request";
-
-const DIFFERENCES: &[Difference] = &[
-    Difference {
-        what: "ZMTP 1.0, and what is not ZMTP",
-        shown: &[
-            (
-                "1.0",
-                "1'\u{1b}' +\\x00/test;2;99;Invalid ID \\'99\\' open",
-                CLOSED,
-            ),
-            ("revision 0", "2.0 ROUTER 1'' open", CLOSED),
-            ("HTTP", "open", CLOSED),
-            ("a first byte that is not FF", "open", CLOSED),
-        ],
-    },
-    Difference {
-        what: "version 2 in the greeting",
-        shown: &[("revision 2", "3.1 open", OLD)],
-    },
-    Difference {
-        what: "2.0: the socket type",
-        shown: &[("2.0 by a SUB", OLD, "2.0 ROUTER 0'' closed")],
-    },
-    Difference {
-        what: "2.0: an identity above 255 bytes",
-        shown: &[("2.0 with a long identity", OLD, "2.0 ROUTER 0'' closed")],
-    },
-    Difference {
-        what: "2.0: a command",
-        shown: &[("2.0 with a command", OLD, "2.0 ROUTER 0'' closed")],
-    },
-    Difference {
-        what: "a socket type that does not match",
-        shown: &[
-            ("REP", CLOSED, MISMATCH),
-            ("SUB", CLOSED, MISMATCH),
-            ("XSUB", CLOSED, MISMATCH),
-            ("PUB", CLOSED, MISMATCH),
-            ("XPUB", CLOSED, MISMATCH),
-            ("PUSH", CLOSED, MISMATCH),
-            ("PULL", CLOSED, MISMATCH),
-            ("PAIR", CLOSED, MISMATCH),
-            ("an unknown type", CLOSED, MISMATCH),
-            ("an empty type", CLOSED, MISMATCH),
-            ("two types", CLOSED, MISMATCH),
-        ],
-    },
-    Difference {
-        what: "`Socket-Type` is missing, or in other letters",
-        shown: &[
-            ("a SUB's name in small letters", SERVED, MISMATCH),
-            ("no properties", SERVED, MISMATCH),
-            ("only an identity", SERVED, MISMATCH),
-        ],
-    },
-    Difference {
-        what: "a command above 1,015 bytes in the handshake",
-        shown: &[("a READY of 2,000 bytes", SERVED, CLOSED)],
-    },
-    Difference {
-        what: "a frame after the client's `READY`, before the server's",
-        shown: &[
-            (TOGETHER_WITH_READY[0], CLOSED, TWICE),
-            (TOGETHER_WITH_READY[1], CLOSED, SERVED),
-        ],
-    },
-    Difference {
-        what: "`READY` without the flag of a command",
-        shown: &[("READY as a message", SERVED, CLOSED)],
-    },
-    Difference {
-        what: "reserved flags, and MORE on a command",
-        shown: &[
-            ("READY with MORE", SERVED, CLOSED),
-            ("READY with a reserved flag", SERVED, CLOSED),
-            ("flag 8", SERVED, CLOSED_LATER),
-            ("flag 16", SERVED, CLOSED_LATER),
-            ("flag 32", SERVED, CLOSED_LATER),
-            ("flag 64", SERVED, CLOSED_LATER),
-            ("flag 128", SERVED, CLOSED_LATER),
-            ("a command with MORE", SERVED, CLOSED_LATER),
-        ],
-    },
-    Difference {
-        what: "`SUBSCRIBE` to a ROUTER, within a message",
-        shown: &[(
-            "SUBSCRIBE within a message",
-            "3.1 READY 1'' 0'\tSUBSCRIBEab;2;-1;Unknown protocol' ANSWER open",
-            TWICE,
-        )],
-    },
-    Difference {
-        what: "`ERROR` after the handshake",
-        shown: &[("ERROR after the handshake", SERVED, CLOSED_LATER)],
-    },
-    Difference {
-        what: "a message whose frames take above 1,024 bytes more than the longest allowed one",
-        shown: &[(
-            "many addresses",
-            "3.1 READY 40*1[100] ANSWER open",
-            CLOSED_LATER,
-        )],
-    },
-];
 
 /// A server, with a connection for fences.
 struct Desk {
@@ -392,19 +268,14 @@ fn ours_and_libzmq_do_the_same_wherever_the_bytes_are_cut() {
     }
     let usual = greeting(3, 1);
     let places = |case: &Case| {
-        // The ordinary handshake is cut in the first cases.
-        let begin = match case.met {
-            true => case.hello.len(),
-            false => case
-                .hello
-                .starts_with(&usual)
-                .then_some(usual.len())
-                .unwrap_or(0),
-        };
-        let begin = if case.name.starts_with("version") {
-            0
-        } else {
-            begin
+        // The beginning that most have is cut in the cases of versions.
+        let begin = match case {
+            Case {
+                met: true, hello, ..
+            } => hello.len(),
+            Case { name, .. } if name.starts_with("version") => 0,
+            Case { hello, .. } if hello.starts_with(&usual) => usual.len(),
+            _ => 0,
         };
         let all = case.hello.len() + case.then.len();
         // Whole, at each byte, but not in the middle of a long one.
