@@ -15,3 +15,4 @@ pub mod message;
 mod script;
 pub mod spec;
 pub mod zmtp;
+pub mod zmtp_session;

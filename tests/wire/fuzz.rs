@@ -11,7 +11,7 @@ use ztl_tests::lab::{Random, Server, number, shake_hands};
 
 use crate::socket::{Socket, assert_serves};
 
-fn random_bytes(random: &mut Random, most: usize) -> Vec<u8> {
+pub(crate) fn random_bytes(random: &mut Random, most: usize) -> Vec<u8> {
     let length = random.below(most);
     (0..length).map(|_| random_byte(random)).collect()
 }
@@ -33,7 +33,7 @@ const BODIES: &[&[u8]] = &[
 ];
 
 /// A message from a client of ours, from the original's, or from neither.
-fn message(random: &mut Random) -> Vec<u8> {
+pub(crate) fn message(random: &mut Random) -> Vec<u8> {
     let mut frames: Vec<Vec<u8>> = Vec::new();
     for _ in 0..random.below(4) {
         frames.push(match random.below(3) {
@@ -65,7 +65,7 @@ fn message(random: &mut Random) -> Vec<u8> {
 }
 
 /// Damages some of it.
-fn damage(bytes: &mut Vec<u8>, random: &mut Random) {
+pub(crate) fn damage(bytes: &mut Vec<u8>, random: &mut Random) {
     for _ in 0..random.below(6) {
         if bytes.is_empty() {
             return;

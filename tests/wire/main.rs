@@ -1,7 +1,9 @@
 //! Messages on the wire: how clients and servers handle well-formed, malformed and hostile ones.
 
 mod bounds;
+mod differential;
 mod fuzz;
+mod fuzz_streams;
 mod hostile;
 mod limits;
 mod malformed;

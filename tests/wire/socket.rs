@@ -76,15 +76,18 @@ impl Socket {
     }
 }
 
+/// Its tasks return their goals.
+pub(crate) struct Echo;
+
+impl TaskController for Echo {
+    fn assign(&self, request: &TaskRequest) -> Result<Box<dyn ExecutableTask>, TaskError> {
+        let goal = request.goal.clone();
+        Ok(Box::new(move |_: &TaskContext| Ok(goal)))
+    }
+}
+
 /// A server in this process, whose tasks echo.
 pub(crate) fn in_process() -> RunningServer {
-    struct Echo;
-    impl TaskController for Echo {
-        fn assign(&self, request: &TaskRequest) -> Result<Box<dyn ExecutableTask>, TaskError> {
-            let goal = request.goal.clone();
-            Ok(Box::new(move |_: &TaskContext| Ok(goal)))
-        }
-    }
     serve(Echo)
 }
 

@@ -14,7 +14,7 @@ pub enum Fault {
     SocketType,
     /// A frame has undefined flags or an invalid combination.
     Flags,
-    /// A frame other than `READY` in the handshake.
+    /// A frame other than `READY` in the handshake, or a `READY` whose properties are not complete.
     Unexpected,
     /// A frame is longer than [`SKIPPED`](super::SKIPPED) bytes, or an envelope does not fit the buffer.
     TooLong,

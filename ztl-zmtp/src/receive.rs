@@ -232,16 +232,23 @@ impl<S: Socket, B: AsRef<[u8]> + AsMut<[u8]>> Connection<S, B> {
 }
 
 /// The value of a property, whose name is case-insensitive (RFC 37, The NULL Security Mechanism).
-pub(crate) fn property<'a>(mut metadata: &'a [u8], wanted: &[u8]) -> Option<&'a [u8]> {
+fn property<'a>(mut metadata: &'a [u8], wanted: &[u8]) -> Option<&'a [u8]> {
     loop {
-        let (&length, rest) = metadata.split_first()?;
-        let (name, rest) = rest.split_at_checked(usize::from(length))?;
-        let (size, rest) = rest.split_at_checked(4)?;
-        let append = |size: usize, &byte: &u8| size << 8 | usize::from(byte);
-        let (value, rest) = rest.split_at_checked(size.iter().fold(0, append))?;
+        let (name, value, rest) = first_property(metadata)?;
         if name.eq_ignore_ascii_case(wanted) {
             return Some(value);
         }
         metadata = rest;
     }
+}
+
+/// Name and value of the first property, and what follows it; `None` if it is not complete.
+#[inline(always)]
+pub(crate) fn first_property(metadata: &[u8]) -> Option<(&[u8], &[u8], &[u8])> {
+    let (&length, rest) = metadata.split_first()?;
+    let (name, rest) = rest.split_at_checked(usize::from(length))?;
+    let (size, rest) = rest.split_at_checked(4)?;
+    let append = |size: usize, &byte: &u8| size << 8 | usize::from(byte);
+    let (value, rest) = rest.split_at_checked(size.iter().fold(0, append))?;
+    Some((name, value, rest))
 }

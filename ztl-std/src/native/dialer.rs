@@ -69,9 +69,9 @@ impl Dialer {
     /// Connects if needed, at most for `limit`; returns whether a message can be sent.
     pub(crate) fn can_send(&mut self, limit: Duration) -> io::Result<bool> {
         let end = Instant::now() + limit;
-        // Notices that the server has closed the connection.
-        self.read();
         loop {
+            // Notices that the server has closed the connection, perhaps together with its last bytes.
+            self.read();
             if self.is_ready() {
                 return Ok(true);
             }

@@ -132,6 +132,8 @@ struct Peer<S> {
     is_unsent: bool,
     /// The system may have bytes of it.
     readable: bool,
+    /// The system has its end, perhaps after bytes.
+    has_ended: bool,
     /// Messages of it that wait until it has read its answers, and their bytes.
     later: VecDeque<Incoming>,
     later_held: usize,
@@ -246,6 +248,7 @@ impl<S: Served> Peers<S> {
                     };
                     if event.is_readable() || event.is_read_closed() || event.is_error() {
                         peer.readable = true;
+                        peer.has_ended |= event.is_read_closed();
                         if !peer.is_ready && peer.out.waiting() < UNSENT {
                             peer.is_ready = true;
                             self.ready.push_back(slot);
@@ -349,7 +352,11 @@ impl<S: Served> Peers<S> {
         }
         let read = match peer.stream.read(&mut self.piece) {
             Ok(0) => return self.close(slot, None),
-            Ok(count) => count,
+            Ok(count) => {
+                // A short read has emptied the system's buffer. The next bytes are an event; the end may have been one.
+                peer.readable = count == self.piece.len() || peer.has_ended;
+                count
+            }
             Err(error) if error.kind() == io::ErrorKind::WouldBlock => {
                 peer.readable = false;
                 0
@@ -357,8 +364,6 @@ impl<S: Served> Peers<S> {
             Err(error) if error.kind() == io::ErrorKind::Interrupted => 0,
             Err(_) => return self.close(slot, None),
         };
-        // A short read has emptied the system's buffer; the next bytes are an event.
-        peer.readable &= read == self.piece.len();
         let mut bytes = self.piece.get(..read).unwrap_or_default();
         let mut is_known = false;
         let fault = loop {
@@ -524,6 +529,7 @@ impl<S: Served> Peers<S> {
             is_ready: false,
             is_unsent: true,
             readable: false,
+            has_ended: false,
             later: VecDeque::new(),
             later_held: 0,
             took: now,
@@ -934,6 +940,19 @@ mod tests {
         let mut heard = [0; 6];
         raw.read_exact(&mut heard).unwrap();
         assert_eq!(&heard, b"\x01\0\0\x02hi");
+    }
+
+    #[test]
+    fn a_connection_that_ends_right_after_its_bytes_is_closed() {
+        let echo = Echo::new(rules());
+        for (bytes, answer) in [(&b"\x01\0\0\x02hi"[..], 6), (b"\x01\0\0", 0)] {
+            let mut stream = raw(&echo);
+            stream.write_all(bytes).unwrap();
+            stream.shutdown(std::net::Shutdown::Write).unwrap();
+            let mut heard = Vec::new();
+            stream.read_to_end(&mut heard).unwrap();
+            assert_eq!(heard.len(), answer);
+        }
     }
 
     #[test]

@@ -94,7 +94,7 @@ impl Router {
                 let rules = rules(&access, &limits);
                 let access = CurrentAccess::new(access);
                 let failed = |error| BindError::at_endpoint(endpoint, &error);
-                let peers = Peers::bind(&to_bind(endpoint)?, rules).map_err(failed)?;
+                let peers = Box::new(Peers::bind(&to_bind(endpoint)?, rules).map_err(failed)?);
                 let bound = peers.endpoint().map_err(failed)?;
                 let signal = Signal::Native(peers.waker().map_err(failed)?);
                 let peers = Box::new(peers);

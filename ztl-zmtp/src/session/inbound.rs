@@ -13,7 +13,7 @@ use super::{BEFORE, ENVELOPES};
 #[cfg(feature = "curve")]
 use crate::curve::{Cipher, Handshake};
 use crate::fault::Fault;
-use crate::receive::property;
+use crate::receive::first_property;
 use crate::wire::{COMMAND, GREETING, MECHANISM, PARTIAL, PING, SIGNATURE, Socket, old_greeting};
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -327,8 +327,8 @@ impl<S: Socket> Inbound<S> {
                 Some(greeting) => {
                     let mechanism = MECHANISM.start - PARTIAL..MECHANISM.end - PARTIAL;
                     let mechanism = greeting.get(mechanism).unwrap_or_default();
-                    let name = mechanism.split(|byte| *byte == 0).next();
-                    if name != Some(self.security.mechanism()) {
+                    let padding = mechanism.strip_prefix(self.security.mechanism());
+                    if padding.is_none_or(|padding| padding.iter().any(|byte| *byte != 0)) {
                         return Err(Fault::Mechanism);
                     }
                     self.phase = Phase::Handshake;
@@ -494,11 +494,19 @@ fn metadata_of<S: Socket>() -> &'static [u8] {
     S::READY.get(8..).unwrap_or_default()
 }
 
-/// Checks that the peer's socket type matches ours.
-fn check_partner<S: Socket>(metadata: &[u8], out: &mut Outbound) -> Result<(), Fault> {
-    let name = property(metadata, b"Socket-Type");
-    let known = |name| S::PARTNERS.iter().any(|(partner, _)| *partner == name);
-    if name.is_some_and(known) {
+/// Checks that the peer's properties are complete, and that its socket type matches ours.
+fn check_partner<S: Socket>(mut metadata: &[u8], out: &mut Outbound) -> Result<(), Fault> {
+    let mut types = 0;
+    let mut known = 0;
+    while !metadata.is_empty() {
+        let (name, value, rest) = first_property(metadata).ok_or(Fault::Unexpected)?;
+        if name.eq_ignore_ascii_case(b"Socket-Type") {
+            types += 1;
+            known += usize::from(S::PARTNERS.iter().any(|(partner, _)| *partner == value));
+        }
+        metadata = rest;
+    }
+    if types > 0 && types == known {
         return Ok(());
     }
     out.raw(S::ERROR);

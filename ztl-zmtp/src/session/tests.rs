@@ -179,6 +179,36 @@ fn before_the_handshake_little_is_held() {
 }
 
 #[test]
+fn a_handshake_that_is_not_exact_is_refused() {
+    let mut mechanism = crate::GREETING.to_vec();
+    mechanism[31] = b'x';
+    let ready = |properties: &[u8]| {
+        let length = u8::try_from(6 + properties.len()).unwrap();
+        let ready = [&[4, length], &b"\x05READY"[..], properties].concat();
+        [crate::GREETING.as_slice(), &ready].concat()
+    };
+    let is_req: &[u8] = b"\x0BSocket-Type\0\0\0\x03REQ";
+    let is_sub: &[u8] = b"\x0Bsocket-type\0\0\0\x03SUB";
+    for (stream, fault) in [
+        (mechanism, Some(Fault::Mechanism)),
+        (ready(is_req), None),
+        (ready(&[is_req, is_req].concat()), None),
+        (ready(&[is_req, is_sub].concat()), Some(Fault::SocketType)),
+        (ready(b"\x01X\0\0\0\0"), Some(Fault::SocketType)),
+        (ready(&[is_req, b"\x01"].concat()), Some(Fault::Unexpected)),
+        (
+            ready(&[is_req, b"\x01X\0\0\0\x01"].concat()),
+            Some(Fault::Unexpected),
+        ),
+    ] {
+        let mut server = End::<Router>::new(Security::Null);
+        server.take(&stream);
+        assert_eq!(server.fault, fault, "{}", stream.escape_ascii());
+        assert_eq!(server.inbound.is_ready(), fault.is_none());
+    }
+}
+
+#[test]
 fn a_ping_is_answered_also_within_a_message() {
     let (mut server, _) = ready();
     server.take(b"\x04\x0a\x04PING\0\x64abc");
