@@ -97,7 +97,6 @@ impl Router {
                 let peers = Box::new(Peers::bind(&to_bind(endpoint)?, rules).map_err(failed)?);
                 let bound = peers.endpoint().map_err(failed)?;
                 let signal = Signal::Native(peers.waker().map_err(failed)?);
-                let peers = Box::new(peers);
                 Ok((Self::Native { peers, access }, bound, signal))
             }
             #[cfg(feature = "libzmq")]
